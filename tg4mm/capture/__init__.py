@@ -1,0 +1,8 @@
+"""Captures: the images of a scene with their cameras and times, read from a folder. Needs no torch and no bpy."""
+
+from tg4mm.capture.band import check_band
+from tg4mm.capture.images import ImageStack, load_images
+from tg4mm.capture.model import Capture, SurfacePoints
+from tg4mm.capture.readers import load_capture
+
+__all__ = ["Capture", "ImageStack", "SurfacePoints", "check_band", "load_capture", "load_images"]

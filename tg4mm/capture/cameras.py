@@ -1,0 +1,104 @@
+"""Cameras: poses and intrinsics from the conventions on disk to those in memory (docs/conventions.md)."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from tg4mm.capture.records import Record, as_number
+from tg4mm.errors import CaptureError
+
+RIGID_TOLERANCE = 1e-3  # matrices written with four decimals pass; a scaled or sheared camera does not
+DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
+
+
+def world_to_camera(c2w: np.ndarray) -> np.ndarray:
+    """[…, 4, 4] rigid camera-to-world with OpenGL axes → world-to-camera with OpenCV axes, the same shape.
+
+    OpenGL: x right, y up, looks along −z. OpenCV: x right, y down, looks along +z.
+    """
+    rotation = c2w[..., :3, :3] * np.array([1.0, -1.0, -1.0])  # columns are the camera's axes in the world
+    inverse = np.swapaxes(rotation, -1, -2)
+    w2c = np.zeros_like(c2w)
+    w2c[..., :3, :3] = inverse
+    w2c[..., :3, 3:] = -inverse @ c2w[..., :3, 3:]
+    w2c[..., 3, 3] = 1.0
+    return w2c
+
+
+def read_pose(frame: Record, key: str = "transform_matrix") -> np.ndarray:
+    """The frame's camera-to-world [4, 4] float64, rigid, its rotation the one nearest to what is written."""
+    if key not in frame.values:
+        raise frame.error(key, "a 4×4 camera-to-world matrix")
+    rows = frame.values[key]
+    if not (isinstance(rows, list) and len(rows) == 4 and all(isinstance(r, list) and len(r) == 4 for r in rows)):
+        raise CaptureError(f"{frame.where}: {key} has shape {_shape(rows)}; expected 4×4")
+    pose = np.array([[as_number(x) for x in row] for row in rows])
+    if not np.isfinite(pose).all():
+        bad = next(x for row in rows for x in row if not math.isfinite(as_number(x)))
+        raise CaptureError(f"{frame.where}: {key} holds {bad!r}; expected finite numbers")
+    if np.abs(pose[3] - [0, 0, 0, 1]).max() > RIGID_TOLERANCE:
+        raise CaptureError(f"{frame.where}: {key} is not rigid: its last row is {rows[3]}, not [0, 0, 0, 1]")
+    axes = pose[:3, :3]
+    deviation = float(np.abs(axes.T @ axes - np.eye(3)).max())
+    determinant = float(np.linalg.det(axes))
+    if deviation > RIGID_TOLERANCE or determinant < 0:
+        raise CaptureError(
+            f"{frame.where}: {key} is not rigid: its axes are off orthonormal by {deviation:.3g}, "
+            f"determinant {determinant:.3g}"
+        )
+    u, _, vt = np.linalg.svd(axes)
+    rigid = np.eye(4)
+    rigid[:3, :3] = u @ vt
+    rigid[:3, 3] = pose[:3, 3]
+    return rigid
+
+
+def read_intrinsics(frame: Record, file: Record, width: int, height: int) -> np.ndarray:
+    """K [3, 3] in pixels for an image of width × height: a frame's own values, else the file's.
+
+    fl_x, fl_y, cx, cy, w, h (pixels) as in nerfstudio, else camera_angle_x, the horizontal field of view in
+    radians, with square pixels; the principal point is the centre unless given.
+    """
+
+    def source(key: str) -> Record | None:
+        return frame if frame.has(key) else file if file.has(key) else None
+
+    for key in DISTORTION:
+        record = source(key)
+        if record is not None and record.number(key) != 0:
+            raise record.error(key, "0: undistort the images first")
+    for key, size in (("w", width), ("h", height)):
+        record = source(key)
+        if record is not None and record.whole(key, 1) != size:
+            raise record.error(key, f"{size}, as the image is {width}×{height} pixels")
+
+    def pixels(key: str, default: float, low: float = -math.inf) -> float:
+        record = source(key)
+        return default if record is None else record.number(key, low=low)
+
+    if source("fl_x") is not None:
+        focal = pixels("fl_x", 0.0, low=0.0)
+    else:
+        angle = (source("camera_angle_x") or file).number("camera_angle_x", low=0.0, high=math.pi)
+        focal = width / (2 * math.tan(angle / 2))
+    fl_y = pixels("fl_y", focal, low=0.0)
+    return np.array([[focal, 0, pixels("cx", width / 2)], [0, fl_y, pixels("cy", height / 2)], [0, 0, 1]])
+
+
+def camera_ids(viewmats: np.ndarray, Ks: np.ndarray) -> np.ndarray:
+    """[C] int64: one number per distinct camera (pose and intrinsics exactly equal), by first appearance."""
+    rows = np.concatenate([viewmats.reshape(-1, 16), Ks.reshape(-1, 9)], axis=1) + 0.0  # -0.0 equals 0.0
+    _, first, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    rank = np.empty(len(first), dtype=np.int64)
+    rank[np.argsort(first)] = np.arange(len(first))
+    return rank[inverse.reshape(-1)]
+
+
+def _shape(rows: Any) -> str:
+    if not isinstance(rows, list):
+        return f"none ({type(rows).__name__})"
+    inner = {len(r) if isinstance(r, list) else 0 for r in rows}
+    return f"{len(rows)}×{inner.pop()}" if len(inner) == 1 else f"{len(rows)} rows of unequal length"

@@ -1,0 +1,38 @@
+"""Paths that stay inside the dataset's folder: nothing a dataset says makes a reader open a file elsewhere."""
+
+from __future__ import annotations
+
+from pathlib import Path, PurePosixPath, PureWindowsPath
+
+from tg4mm.errors import CaptureError
+
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
+
+
+def inside(root: Path, path: Path, where: str) -> Path:
+    """`path` unchanged if it lies inside `root` once links and .. are resolved, else CaptureError naming `where`."""
+    try:
+        leaves = not path.resolve().is_relative_to(root.resolve())
+    except (OSError, ValueError, RuntimeError) as error:  # a loop of links, a null byte
+        raise CaptureError(f"{where}: {str(path)!r} is not a usable path: {error}") from error
+    if leaves:
+        raise CaptureError(f"{where}: {path} leads outside the dataset's folder {root}")
+    return path
+
+
+def image_path(root: Path, folder: Path, file_path: str, where: str) -> Path:
+    """The image that `file_path`, relative to `folder`, means; without a suffix .png, .jpg, .jpeg are tried.
+
+    Raises CaptureError if it is absolute, leaves `root`, or is not there.
+    """
+    if PurePosixPath(file_path).is_absolute() or PureWindowsPath(file_path).drive:
+        raise CaptureError(f"{where}: file_path {file_path!r} is absolute; expected one relative to {folder}")
+    named = folder / file_path
+    # Without with_suffix: "r_0.05" has no image suffix, and its ".05" must stay.
+    has_suffix = named.suffix.lower() in IMAGE_SUFFIXES
+    candidates = [named] if has_suffix else [named.with_name(named.name + s) for s in IMAGE_SUFFIXES]
+    for candidate in candidates:
+        if inside(root, candidate, where).is_file():
+            return candidate
+    tried = "" if has_suffix else f" with {', '.join(IMAGE_SUFFIXES)}"
+    raise CaptureError(f"{where}: image {named}{tried} does not exist")

@@ -1,0 +1,65 @@
+"""Reader of the dataset tree of [3DMM] and design §4.2: one NeRF-synthetic folder per timestep, and scene.json."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from tg4mm.capture import nerf_synthetic
+from tg4mm.capture.confine import inside
+from tg4mm.capture.model import Capture
+from tg4mm.capture.scene import read_scene
+from tg4mm.capture.transforms import assemble, read_views
+from tg4mm.errors import CaptureError
+
+LAYOUT = "a dataset tree (scene.json and timestep folders 000, 001, …)"
+
+
+def recognises(root: Path) -> bool:
+    """Whether there are numbered folders, or a scene.json without frames of its own beside it."""
+    return bool(_numbered(root)) or ((root / "scene.json").is_file() and not nerf_synthetic.recognises(root))
+
+
+def load(root: Path, split: str, alpha: int) -> Capture:
+    """All timesteps of a split, or of the ground truth in magnified/x<alpha>/ if alpha is not 0.
+
+    Raises CaptureError for a gap in the timesteps, a missing split, a missing or bad fps, or other bad input.
+    """
+    scene = read_scene(root, needs_fps=True)
+    base = root / "magnified" / f"x{alpha:03d}" if alpha else root
+    if not base.is_dir():
+        raise CaptureError(f"{base}: does not exist: no ground truth for α = {alpha}; there is {_present(root)}")
+    folders = _timestep_folders(base)
+    if scene.n_timesteps is not None and scene.n_timesteps != len(folders):
+        raise CaptureError(
+            f"{root / 'scene.json'}: n_timesteps is {scene.n_timesteps}, "
+            f"but {base} holds {len(folders)} timestep folders, {folders[0].name} to {folders[-1].name}"
+        )
+    views = [view for t, folder in enumerate(folders) for view in read_views(root, folder, split, t)]
+    return assemble(root, split, views, scene, len(folders))
+
+
+def _numbered(base: Path) -> dict[int, Path]:
+    found: dict[int, Path] = {}
+    for path in sorted(base.iterdir()):
+        if re.fullmatch(r"[0-9]{1,9}", path.name) and path.is_dir():
+            if int(path.name) in found:
+                raise CaptureError(f"{path}: is timestep {int(path.name)} again, beside {found[int(path.name)].name}")
+            found[int(path.name)] = path
+    return found
+
+
+def _timestep_folders(base: Path) -> list[Path]:
+    found = _numbered(base)
+    if not found:
+        raise CaptureError(f"{base}: holds no timestep folders 000, 001, …")
+    for t in range(len(found)):
+        if t not in found:
+            raise CaptureError(f"{base}: timestep {t:03d} is missing, though there are {len(found)} up to {max(found):03d}")
+        inside(base, found[t], "timestep folder")
+    return [found[t] for t in range(len(found))]
+
+
+def _present(root: Path) -> str:
+    names = sorted(path.name for path in (root / "magnified").glob("x*") if path.is_dir())
+    return ", ".join(f"magnified/{name}" for name in names) or "no magnified/x… folder"

@@ -1,0 +1,60 @@
+"""What every reader produces: one `Capture`, the images of a scene with their cameras and times."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class SurfacePoints:
+    """Points on the surfaces, an initialisation without SfM."""
+
+    xyz: np.ndarray  # [M, 3] float32, scene units
+    rgb: np.ndarray  # [M, 3] uint8, display-referred sRGB
+
+
+@dataclass(frozen=True)
+class Capture:
+    """Images of one scene: C images, each from one camera at one timestep. Conventions: docs/conventions.md.
+
+    Images are rows, in order of (timestep, file name; r_2 before r_10). `camera_ids` are equal for images that
+    share pose and intrinsics exactly, so a camera that stays fixed over time is one id; they count from 0 in
+    order of first appearance, in each capture anew.
+    """
+
+    root: Path  # the dataset's folder; no image path leaves it
+    split: str  # "train", "test" or "val"
+    width: int  # pixels
+    height: int  # pixels
+    fps: float  # Hz; 0.0 if unknown, which only a capture of one timestep may be
+    n_timesteps: int  # T
+    viewmats: np.ndarray  # [C, 4, 4] float64, world-to-camera, OpenCV axes, rigid
+    Ks: np.ndarray  # [C, 3, 3] float64, pixels, pixel centres at +0.5
+    timesteps: np.ndarray  # [C] int64, 0 … T-1
+    camera_ids: np.ndarray  # [C] int64
+    paths: tuple[Path, ...]  # C image files
+    unit_scale_m: float | None = None  # metres per scene unit; None if unknown
+    points: SurfacePoints | None = None
+    scene: dict = field(default_factory=dict)  # scene.json as read, {} if absent
+
+    def __post_init__(self) -> None:
+        c = len(self.paths)
+        expected = {"viewmats": (c, 4, 4), "Ks": (c, 3, 3), "timesteps": (c,), "camera_ids": (c,)}
+        for name, shape in expected.items():
+            actual = getattr(self, name).shape
+            if actual != shape:
+                raise ValueError(f"{name} has shape {actual}, expected {shape} for {c} images")
+
+    def __len__(self) -> int:
+        """C, the number of images."""
+        return len(self.paths)
+
+    @property
+    def times_s(self) -> np.ndarray:
+        """[C] float64 seconds since timestep 0 of each image: t / fps."""
+        if self.n_timesteps == 1:
+            return np.zeros(len(self))
+        return self.timesteps / self.fps

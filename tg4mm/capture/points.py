@@ -1,0 +1,60 @@
+"""points3d.ply: points on the surfaces with colours."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from plyfile import PlyData, PlyElement
+
+from tg4mm.capture.confine import inside
+from tg4mm.capture.model import SurfacePoints
+from tg4mm.errors import CaptureError
+
+GREY = 128  # the colour of points that come without one
+
+
+def read_points(root: Path) -> SurfacePoints | None:
+    """root/points3d.ply, None if absent. ASCII or binary; x, y, z, and red, green, blue as uchar (else grey)."""
+    path = inside(root, root / "points3d.ply", "points3d.ply")
+    if not path.is_file():
+        return None
+    vertex = _vertices(path)
+    xyz = np.stack([_column(path, vertex, name) for name in "xyz"], axis=1).astype(np.float32)
+    if not np.isfinite(xyz).all():
+        bad = int(np.flatnonzero(~np.isfinite(xyz).all(axis=1))[0])
+        raise CaptureError(f"{path}: point {bad} is {xyz[bad].tolist()}; expected finite coordinates")
+    return SurfacePoints(xyz, _colours(path, vertex))
+
+
+def _vertices(path: Path) -> PlyElement:
+    try:
+        vertex = PlyData.read(path)["vertex"]
+    except KeyError as error:
+        raise CaptureError(f"{path}: has no vertex element") from error
+    # plyfile reports malformed files by many types (PlyParseError, ValueError, OSError, MemoryError, IndexError …)
+    except Exception as error:
+        raise CaptureError(f"{path}: is not a readable PLY: {' '.join(str(error).split())}") from error
+    if vertex.count == 0:
+        raise CaptureError(f"{path}: holds 0 points")
+    return vertex
+
+
+def _column(path: Path, vertex: PlyElement, name: str) -> np.ndarray:
+    if name not in vertex.data.dtype.names:
+        raise CaptureError(f"{path}: property {name} is missing; there is {', '.join(vertex.data.dtype.names)}")
+    column = vertex.data[name]
+    if column.dtype.kind not in "fiu":
+        raise CaptureError(f"{path}: property {name} is a list; expected one number")
+    return column
+
+
+def _colours(path: Path, vertex: PlyElement) -> np.ndarray:
+    names = ("red", "green", "blue")
+    if not any(name in vertex.data.dtype.names for name in names):
+        return np.full((vertex.count, 3), GREY, dtype=np.uint8)
+    columns = [_column(path, vertex, name) for name in names]
+    for name, column in zip(names, columns, strict=True):
+        if column.dtype != np.uint8:
+            raise CaptureError(f"{path}: property {name} is {column.dtype}; expected uchar, 0 to 255")
+    return np.stack(columns, axis=1)

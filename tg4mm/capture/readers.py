@@ -1,0 +1,43 @@
+"""Which reader a folder gets: each layout is one module with LAYOUT, recognises(root) and load(root, split, alpha)."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+from tg4mm.capture import dataset_tree, nerf_synthetic
+from tg4mm.capture.model import Capture
+from tg4mm.capture.transforms import SPLITS
+from tg4mm.errors import CaptureError
+
+READERS = (dataset_tree, nerf_synthetic)  # the first that recognises a folder reads it
+
+
+def load_capture(path: str | Path, split: str = "train", magnification: int | float | None = None) -> Capture:
+    """The capture in a folder: cameras, timesteps and image paths. Pixels stay on disk (see `load_images`).
+
+    magnification: the α whose ground truth is wanted, a whole number: 5 reads magnified/x005/. Ground truth
+    exists for the test cameras, so `split` is then "test" whatever was asked; α = 0 is the capture as it was.
+
+    Raises CaptureError, one line with file and value, if the folder or anything needed in it is missing,
+    malformed, or leads outside the folder.
+    """
+    root = Path(path)
+    if split not in SPLITS:
+        raise CaptureError(f"split {split!r} is unknown; expected one of {', '.join(SPLITS)}")
+    alpha = 0 if magnification is None else _whole_alpha(magnification)
+    if magnification is not None:
+        split = "test"
+    if not root.is_dir():
+        raise CaptureError(f"{root}: {'is not a folder' if root.exists() else 'does not exist'}")
+    for reader in READERS:
+        if reader.recognises(root):
+            return reader.load(root, split, alpha)
+    known = "; ".join(reader.LAYOUT for reader in READERS)
+    raise CaptureError(f"{root}: is not a dataset I recognise; recognised are: {known}")
+
+
+def _whole_alpha(alpha: int | float) -> int:
+    if not math.isfinite(alpha) or alpha < 0 or alpha != int(alpha):
+        raise CaptureError(f"magnification {alpha}: ground truth folders have whole α of at least 0, as magnified/x005")
+    return int(alpha)

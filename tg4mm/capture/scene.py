@@ -1,0 +1,68 @@
+"""scene.json: what a dataset says about itself (docs/conventions.md lists its keys)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from tg4mm.capture.confine import inside
+from tg4mm.capture.records import Record, read_record
+from tg4mm.errors import CaptureError
+
+FORMAT_VERSION = 1
+# Keys that nothing here needs but others read: their type is checked, null counts as absent.
+_NUMBERS = ("frequency_hz", "amplitude")
+_COUNTS = ("width", "height", "n_train", "n_test")
+_TYPES: dict[str, tuple[type, str]] = {
+    "scene": (str, "a string"),
+    "background": (str, "a string"),
+    "engine": (dict, "an object {…}"),
+    "modes": (list, "a list of objects"),
+    "alphas": (list, "a list of numbers"),
+}
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The part of scene.json that readers use, and all of it as read."""
+
+    fps: float = 0.0  # Hz; 0.0 if unknown
+    n_timesteps: int | None = None
+    unit_scale_m: float | None = None  # metres per scene unit
+    values: dict[str, Any] = field(default_factory=dict)
+
+
+def read_scene(root: Path, needs_fps: bool) -> Scene:
+    """root/scene.json, or an empty `Scene` if absent; CaptureError if a value has a wrong type or fps is needed."""
+    path = inside(root, root / "scene.json", "scene.json")
+    if not path.is_file():
+        if needs_fps:
+            raise CaptureError(f'{path}: does not exist; expected at least {{"fps": <frames per second>}}')
+        return Scene()
+    record = read_record(path)
+    _check_types(record)
+    return Scene(
+        fps=record.number("fps", low=0.0) if needs_fps or record.has("fps") else 0.0,
+        n_timesteps=record.whole("n_timesteps", 1) if record.has("n_timesteps") else None,
+        unit_scale_m=record.number("unit_scale_m", low=0.0) if record.has("unit_scale_m") else None,
+        values=record.values,
+    )
+
+
+def _check_types(record: Record) -> None:
+    if record.has("format_version") and record.whole("format_version", 0) != FORMAT_VERSION:
+        raise record.error("format_version", f"{FORMAT_VERSION}, the version this reader knows")
+    for key in _NUMBERS:
+        if record.has(key):
+            record.number(key)
+    for key in _COUNTS:
+        if record.has(key):
+            record.whole(key, 0)
+    for key, (kind, expected) in _TYPES.items():
+        if record.has(key) and not isinstance(record.values[key], kind):
+            raise record.error(key, expected)
+    if record.has("modes") and not all(isinstance(mode, dict) for mode in record.values["modes"]):
+        raise record.error("modes", "a list of objects")
+    for i, alpha in enumerate(record.values.get("alphas") or []):
+        Record(f"{record.where}: alphas", {f"[{i}]": alpha}).number(f"[{i}]")

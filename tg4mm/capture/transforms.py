@@ -1,0 +1,95 @@
+"""One transforms_<split>.json of NeRF-synthetic: its frames as views, and views put together as a `Capture`."""
+
+from __future__ import annotations
+
+import re
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tg4mm.capture.cameras import camera_ids, read_intrinsics, read_pose, world_to_camera
+from tg4mm.capture.confine import image_path, inside
+from tg4mm.capture.decode import THREADS, image_header
+from tg4mm.capture.model import Capture
+from tg4mm.capture.points import read_points
+from tg4mm.capture.records import Record, read_record, shown
+from tg4mm.capture.scene import Scene
+from tg4mm.errors import CaptureError
+
+SPLITS = ("train", "test", "val")
+
+
+@dataclass(frozen=True)
+class View:
+    """One frame of a transforms file, checked except for what needs the image's size."""
+
+    path: Path
+    timestep: int
+    pose: np.ndarray  # [4, 4] camera-to-world, OpenGL axes
+    frame: Record
+    file: Record
+
+
+def read_views(root: Path, folder: Path, split: str, timestep: int) -> list[View]:
+    """The frames of folder/transforms_<split>.json in order of file name.
+
+    Raises CaptureError if the file is missing, empty or malformed, or a path or pose in it is unusable.
+    """
+    path = folder / f"transforms_{split}.json"
+    if not inside(root, path, f"split {split!r}").is_file():
+        raise CaptureError(f"{path}: does not exist: there is no {split!r} split")
+    file = read_record(path)
+    frames = file.values.get("frames")
+    if not isinstance(frames, list):
+        raise file.error("frames", "a list of frames")
+    if not frames:
+        raise CaptureError(f"{path}: frames is empty: the {split!r} split has no images")
+    views: dict[Path, View] = {}
+    for i, values in enumerate(frames):
+        if not isinstance(values, dict):
+            raise CaptureError(f"{path}: frame {i} is {shown(values)}; expected an object {{…}}")
+        frame = Record(f"{path}: frame {i}", values)
+        image = image_path(root, folder, frame.text("file_path"), frame.where)
+        if image in views:
+            raise CaptureError(f"{frame.where}: image {image} is already that of another frame")
+        if frame.has("time"):
+            frame.number("time")  # the timestep comes from the folder; a time must be finite all the same
+        views[image] = View(image, timestep, read_pose(frame), frame, file)
+    return sorted(views.values(), key=lambda view: natural(view.path.relative_to(folder).as_posix()))
+
+
+def natural(name: str) -> list[tuple[int, str]]:
+    """Sort key under which r_2 comes before r_10."""
+    return [(int(part), "") if part.isdecimal() else (0, part) for part in re.split(r"([0-9]+)", name)]
+
+
+def assemble(root: Path, split: str, views: list[View], scene: Scene, n_timesteps: int) -> Capture:
+    """A `Capture` of these views; opens every image's header, since all must have one size."""
+    with ThreadPoolExecutor(THREADS) as pool:
+        sizes = [(h.width, h.height) for h in pool.map(image_header, [view.path for view in views])]
+    for view, size in zip(views, sizes, strict=True):
+        if size != sizes[0]:
+            raise CaptureError(
+                f"{view.path}: is {size[0]}×{size[1]} pixels, but {views[0].path} is {sizes[0][0]}×{sizes[0][1]}"
+            )
+    width, height = sizes[0]
+    viewmats = world_to_camera(np.stack([view.pose for view in views]))
+    Ks = np.stack([read_intrinsics(view.frame, view.file, width, height) for view in views])
+    return Capture(
+        root=root,
+        split=split,
+        width=width,
+        height=height,
+        fps=scene.fps,
+        n_timesteps=n_timesteps,
+        viewmats=viewmats,
+        Ks=Ks,
+        timesteps=np.array([view.timestep for view in views], dtype=np.int64),
+        camera_ids=camera_ids(viewmats, Ks),
+        paths=tuple(view.path for view in views),
+        unit_scale_m=scene.unit_scale_m,
+        points=read_points(root),
+        scene=scene.values,
+    )

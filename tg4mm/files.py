@@ -1,0 +1,67 @@
+"""Files that are whole or absent: written to a temporary name beside the target, then renamed."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+
+def write_atomic(path: Path, write: Callable[[Path], object]) -> None:
+    """Call `write(temporary)` and rename the result to `path`; a kill leaves the old file whole.
+
+    The temporary file lies in the same folder under a name with a leading dot, this process' id and `.tmp`.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        write(temporary)
+        with temporary.open("rb+") as file:
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_json(path: Path, value: object) -> None:
+    """Write `value` as JSON, atomically. NaN and infinity, which JSON lacks, are a ValueError."""
+    text = json.dumps(value, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+    write_atomic(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Delete temporary files of `write_atomic` in `folder` whose writer no longer lives. Needs psutil."""
+    import psutil  # not os.kill(pid, 0): on Windows that is Ctrl+C
+
+    for path in folder.glob(".*.tmp"):
+        pid = path.name.split(".")[-2]
+        if pid.isdigit() and not psutil.pid_exists(int(pid)):
+            path.unlink(missing_ok=True)
+
+
+def to_json(value: Any, where: str) -> Any:
+    """`value` in plain JSON types: tuples become lists, numpy scalars numbers, paths text.
+
+    Raises TypeError naming `where` for anything else, and for NaN and infinity.
+    """
+    if value is None or isinstance(value, bool | str):
+        return value
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if isinstance(value, dict):
+        return {_key(k, where): to_json(v, f"{where}.{k}") for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [to_json(v, f"{where}[{i}]") for i, v in enumerate(value)]
+    if hasattr(value, "item") and getattr(value, "ndim", None) == 0:
+        value = value.item()
+    if isinstance(value, int | float) and math.isfinite(value):
+        return value
+    raise TypeError(f"{where} = {value!r} is not a JSON value")
+
+
+def _key(key: Any, where: str) -> str:
+    if not isinstance(key, str):
+        raise TypeError(f"{where} has the key {key!r}, which is not text")
+    return key

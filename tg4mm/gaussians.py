@@ -1,0 +1,42 @@
+"""The static Gaussians of a scene, in memory. Conventions: docs/conventions.md (gsplat's)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Gaussians:
+    """N anisotropic Gaussians with spherical-harmonic colour, activated values (not logits, not logs)."""
+
+    means: Tensor  # [N, 3] float32, scene units
+    quats: Tensor  # [N, 4] wxyz, normalised where used
+    scales: Tensor  # [N, 3] linear, scene units
+    opacities: Tensor  # [N] in 0..1
+    sh: Tensor  # [N, K, 3], K = (degree + 1)², display-referred sRGB = 0.5 + Σ sh·Y, clamped below at 0
+
+    def __post_init__(self) -> None:
+        n = self.means.shape[0]
+        expected = {"means": (n, 3), "quats": (n, 4), "scales": (n, 3), "opacities": (n,)}
+        for name, shape in expected.items():
+            actual = tuple(getattr(self, name).shape)
+            if actual != shape:
+                raise ValueError(f"{name} has shape {actual}, expected {shape}")
+        if self.sh.ndim != 3 or self.sh.shape[0] != n or self.sh.shape[1:] not in {(1, 3), (4, 3), (9, 3), (16, 3)}:
+            raise ValueError(f"sh has shape {tuple(self.sh.shape)}, expected ({n}, 1 | 4 | 9 | 16, 3)")
+
+    def __len__(self) -> int:
+        return self.means.shape[0]
+
+    @property
+    def sh_degree(self) -> int:
+        return {1: 0, 4: 1, 9: 2, 16: 3}[self.sh.shape[1]]
+
+    def to(self, device: str | torch.device) -> Gaussians:
+        return Gaussians(**{f.name: getattr(self, f.name).to(device) for f in fields(self)})
+
+    def detach(self) -> Gaussians:
+        return Gaussians(**{f.name: getattr(self, f.name).detach() for f in fields(self)})

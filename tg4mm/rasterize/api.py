@@ -1,0 +1,136 @@
+"""`rasterization`: gsplat's call, dispatched by device. CUDA goes to gsplat, CPU to our kernels."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from tg4mm.errors import Tg4mmError
+from tg4mm.rasterize.kernels.layout import FEATURES
+
+RENDER_MODES = ("RGB", "D", "ED", "RGB+D", "RGB+ED")
+
+
+def _check_shapes(tensors: dict[str, tuple[Tensor, tuple[int | None, ...]]]) -> None:
+    for name, (tensor, shape) in tensors.items():
+        actual = tuple(tensor.shape)
+        if len(actual) != len(shape) or any(want not in (None, got) for want, got in zip(shape, actual, strict=True)):
+            wanted = tuple("any" if s is None else s for s in shape)
+            raise ValueError(f"{name} has shape {actual}, expected {wanted}")
+
+
+def rasterization(
+    means: Tensor,  # [N, 3] scene units
+    quats: Tensor,  # [N, 4] wxyz, any non-zero length
+    scales: Tensor,  # [N, 3] scene units
+    opacities: Tensor,  # [N] 0..1
+    colors: Tensor,  # [N, K, 3] SH coefficients with sh_degree, else [N, D] channels
+    viewmats: Tensor,  # [C, 4, 4] world-to-camera, OpenCV axes
+    Ks: Tensor,  # [C, 3, 3] pixels, pixel centres at +0.5
+    width: int,
+    height: int,
+    near_plane: float = 0.01,
+    far_plane: float = 1e10,
+    eps2d: float = 0.3,
+    sh_degree: int | None = None,
+    backgrounds: Tensor | None = None,  # [C, D]
+    render_mode: str = "RGB",
+) -> tuple[Tensor, Tensor, dict[str, Any]]:
+    """Render Gaussians from C cameras. Names and meaning of the arguments are gsplat's.
+
+    Returns renders [C, H, W, X], alphas [C, H, W, 1] and a dictionary with `projected` (one record a camera,
+    CPU only). X is D colours, a depth channel ("D": Σ w·z, "ED": that divided by alpha), or both. Gradients reach
+    every tensor but Ks. A background fills colour channels only, as in gsplat.
+
+    Raises ValueError with both shapes where a shape is wrong, and Tg4mmError where gsplat is needed and absent.
+    Source: [3DGS] Eqs. (1) to (3); EWA projection as in gsplat.
+    """
+    n, c = means.shape[0], viewmats.shape[0]
+    shapes: dict[str, tuple[Tensor, tuple[int | None, ...]]] = {
+        "means": (means, (n, 3)),
+        "quats": (quats, (n, 4)),
+        "scales": (scales, (n, 3)),
+        "opacities": (opacities, (n,)),
+        "colors": (colors, (n, None, 3) if sh_degree is not None else (n, None)),
+        "viewmats": (viewmats, (c, 4, 4)),
+        "Ks": (Ks, (c, 3, 3)),
+    }
+    channels = 3 if sh_degree is not None else colors.shape[-1]
+    if backgrounds is not None:
+        shapes["backgrounds"] = (backgrounds, (c, channels))
+    _check_shapes(shapes)
+    if render_mode not in RENDER_MODES:
+        raise ValueError(f"render_mode is {render_mode!r}, expected one of {', '.join(RENDER_MODES)}")
+    if sh_degree is not None and not 0 <= sh_degree <= 3:
+        raise ValueError(f"sh_degree is {sh_degree}, expected 0 to 3")
+    if sh_degree is not None and colors.shape[1] < (sh_degree + 1) ** 2:
+        raise ValueError(f"colors has {colors.shape[1]} SH coefficients, degree {sh_degree} needs {(sh_degree + 1) ** 2}")
+    if width < 1 or height < 1:
+        raise ValueError(f"image size is {width}×{height}, expected at least 1×1")
+    if means.is_cuda:
+        return _gsplat(
+            means, quats, scales, opacities, colors, viewmats, Ks, width, height, near_plane=near_plane,
+            far_plane=far_plane, eps2d=eps2d, sh_degree=sh_degree, backgrounds=backgrounds, render_mode=render_mode,
+        )  # fmt: skip
+    renders, alphas, records = [], [], []
+    for i in range(c):
+        background = None if backgrounds is None else backgrounds[i]
+        render, alpha, record = _cpu_view(
+            (means, quats, scales, opacities), colors, viewmats[i], Ks[i], (width, height, near_plane, far_plane, eps2d),
+            sh_degree, background, render_mode,
+        )  # fmt: skip
+        renders.append(render)
+        alphas.append(alpha)
+        records += record
+    meta = {"projected": records, "width": width, "height": height}
+    return torch.stack(renders), torch.stack(alphas), meta
+
+
+def _cpu_view(
+    geometry: tuple[Tensor, Tensor, Tensor, Tensor],
+    colors: Tensor,
+    viewmat: Tensor,
+    K: Tensor,
+    frame: tuple[int, int, float, float, float],
+    sh_degree: int | None,
+    background: Tensor | None,
+    render_mode: str,
+) -> tuple[Tensor, Tensor, list[Any]]:
+    """One view on the CPU. Channels beyond what one pass blends take further passes."""
+    from tg4mm.rasterize.cpu import View, rasterize_cpu
+
+    wants_colour, wants_depth = "RGB" in render_mode, render_mode != "RGB"
+    # The depth channel is the last of a pass, so a pass with depth has one colour channel less.
+    if not wants_colour:
+        passes = [colors.new_zeros(len(colors), 1, 1)]
+    elif sh_degree is not None:
+        passes = [colors[:, : (sh_degree + 1) ** 2]]
+    else:
+        step = FEATURES - 1 if wants_depth else FEATURES
+        passes = [part[:, None] for part in colors.split(step, dim=1)]
+    sh = sh_degree if sh_degree is not None and wants_colour else -1
+    view = View(*frame, sh, wants_depth)
+    images, records = [], []
+    for features in passes:
+        image, transmittance, record = rasterize_cpu(*geometry, features, viewmat, K, view)
+        images.append(image[..., : features.shape[-1]])
+        records.append(record)
+    alpha = (1 - transmittance)[..., None]
+    parts = []
+    if wants_colour:
+        colour = images[0] if len(images) == 1 else torch.cat(images, -1)
+        parts.append(colour if background is None else colour + transmittance[..., None] * background)
+    if wants_depth:
+        depth = image[..., FEATURES - 1 :]
+        parts.append(depth / alpha.clamp_min(1e-10) if "ED" in render_mode else depth)
+    return parts[0] if len(parts) == 1 else torch.cat(parts, -1), alpha, records
+
+
+def _gsplat(*args: Any, **kwargs: Any) -> tuple[Tensor, Tensor, dict[str, Any]]:
+    try:
+        from gsplat import rasterization as gsplat_rasterization
+    except ImportError as error:
+        raise Tg4mmError('device cuda needs gsplat: pip install "tg4mm[cuda]"') from error
+    return gsplat_rasterization(*args, packed=False, **kwargs)

@@ -1,0 +1,1 @@
+"""Numba kernels of the CPU rasteriser: projection, binning into tiles, blending; forward and backward."""

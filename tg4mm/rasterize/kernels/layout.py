@@ -1,0 +1,22 @@
+"""The packed record of a projected Gaussian and the constants of blending, shared by all kernels."""
+
+from typing import Final
+
+TILE: Final = 16  # pixels; a tile is TILE × TILE
+
+# Columns of `splats` [N, SPLAT_WIDTH] float32, one cache line a Gaussian, and of its gradient.
+MX: Final = 0  # mean in the image, pixels
+MY: Final = 1
+CA: Final = 2  # conic (inverse 2D covariance): a dx² / 2 + b dx dy + c dy² / 2
+CB: Final = 3
+CC: Final = 4
+OP: Final = 5  # opacity
+FEAT: Final = 6  # first of the FEATURES blended channels (colour, depth)
+FEATURES: Final = 4
+POWER: Final = 10  # ln(255 · opacity): blending skips what lies further out; <= 0 means invisible
+DEPTH: Final = 11  # z in the camera, scene units
+SPLAT_WIDTH: Final = 12
+
+ALPHA_MIN: Final = 1.0 / 255.0  # [3DGS]: smaller contributions are skipped
+ALPHA_MAX: Final = 0.999  # gsplat: a Gaussian never blocks the light entirely
+T_MIN: Final = 1e-4  # a pixel stops before its transmittance falls to this

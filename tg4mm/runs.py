@@ -1,0 +1,245 @@
+"""The run folder: what training was asked for, what it has made so far, and where it can go on after a kill.
+
+    RUN/config.json                 dataset, preset, every setting (the seed is one), versions
+    RUN/space.safetensors           Gaussians at rest
+    RUN/motion.safetensors          modal motion of those Gaussians; absent for a capture of one timestep
+    RUN/log.json                    figures of every stage: seconds, peak_memory_mib, psnr, …
+    RUN/checkpoint_<stage>.safetensors   state of an unfinished stage
+
+Every file is written under a temporary name and renamed. The safetensors files carry metadata
+{format, kind, version, config}; complex tensors are stored as two real ones (`name#re`, `name#im`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from tg4mm.errors import RunError
+from tg4mm.files import remove_leftovers, to_json, write_json
+from tg4mm.gaussians import Gaussians
+from tg4mm.motion.modal import ModalMotion
+from tg4mm.runconfig import (
+    VERSION,
+    check_empty,
+    check_same,
+    dataset_folder,
+    new_config,
+    read_config,
+    read_json,
+)
+from tg4mm.tensorfile import read_tensors, write_tensors
+
+_GAUSSIAN_FIELDS = ("means", "quats", "scales", "opacities", "sh")
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run folder, opened. Reads and writes go to disk at once; nothing is cached."""
+
+    path: Path
+    config: dict[str, Any]  # as config.json: format, version, dataset, preset, settings, versions
+
+    @classmethod
+    def create(cls, path: Path | str, dataset: Path | str, preset: str, settings: Mapping[str, Any]) -> Run:
+        """Make the folder, or resume it if it was made for the same dataset, preset and settings.
+
+        Raises RunError if the folder holds something else, or was made with other settings (names the first).
+        """
+        path, dataset = Path(path), Path(dataset).resolve()
+        try:
+            plain = to_json(dict(settings), "settings")
+        except TypeError as error:
+            raise RunError(f"a run cannot store {error}") from None
+        if (path / "config.json").exists():
+            run = cls.open(path)
+            asked = {"dataset": dataset, "preset": preset, "settings": plain}
+            check_same(run.path, run.config, asked)
+            remove_leftovers(path)
+            return run
+        check_empty(path)
+        path.mkdir(parents=True, exist_ok=True)
+        config = new_config(path, dataset, preset, plain)
+        write_json(path / "config.json", config)
+        return cls(path, config)
+
+    @classmethod
+    def open(cls, path: Path | str) -> Run:
+        """Open an existing run folder. Raises RunError if it is none, or its config.json is not readable."""
+        path = Path(path)
+        if not path.is_dir():
+            raise RunError(f"run folder {path} does not exist")
+        return cls(path, read_config(path))
+
+    @property
+    def preset(self) -> str:
+        return self.config["preset"]
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        return self.config["settings"]
+
+    @property
+    def dataset(self) -> Path:
+        """The dataset's folder: where it was, or at the same place relative to the run if both were moved."""
+        return dataset_folder(self.path, self.config)
+
+    # The two results.
+
+    @property
+    def has_space(self) -> bool:
+        return self._file("space").is_file()
+
+    @property
+    def has_motion(self) -> bool:
+        return self._file("motion").is_file()
+
+    def save_space(self, gaussians: Gaussians, info: Mapping[str, Any]) -> None:
+        """Write the Gaussians at rest and record `info` under the stage `space`."""
+        self.record("space", info)
+        self._write("space", {name: getattr(gaussians, name) for name in _GAUSSIAN_FIELDS})
+
+    def load_space(self) -> Gaussians:
+        """The Gaussians at rest, float32 on the CPU. Raises RunError if absent, torn or foreign."""
+        if not self.has_space:
+            raise RunError(f"{self.path} has no space.safetensors: its space stage is not finished")
+        file = self._file("space")
+        tensors, _ = self._read("space", set(_GAUSSIAN_FIELDS))
+        try:
+            return Gaussians(**tensors)
+        except ValueError as error:
+            raise RunError(f"{file}: {error}") from None
+
+    def save_motion(self, motion: ModalMotion, info: Mapping[str, Any]) -> None:
+        """Write the motion, record `info` under the stage `motion`. Raises RunError if N does not fit."""
+        if not self.has_space:
+            raise RunError(f"{self.path} has no space.safetensors, which a motion belongs to")
+        self._check_motion(motion, "motion to save")
+        self.record("motion", info)
+        tensors = {
+            "freqs_hz": torch.tensor(np.asarray(motion.freqs_hz, dtype=np.float64)),
+            "displacement": torch.tensor(np.asarray(motion.displacement, dtype=np.complex64)),
+            "rotation": torch.tensor(np.asarray(motion.rotation, dtype=np.complex64)),
+        }
+        self._write("motion", tensors, fps=motion.fps, n_timesteps=motion.n_timesteps)
+
+    def load_motion(self) -> ModalMotion | None:
+        """The motion, None if the run has none. Raises RunError if torn, foreign, or of other Gaussians."""
+        if not self.has_motion:
+            return None
+        file = self._file("motion")
+        tensors, extra = self._read("motion", {"freqs_hz", "displacement", "rotation"})
+        fps, n_timesteps = extra.get("fps"), extra.get("n_timesteps")
+        for name, value in (("fps", fps), ("n_timesteps", n_timesteps)):
+            if not isinstance(value, int | float) or value <= 0:
+                raise RunError(f"{file}: {name} is {value!r}, expected a positive number")
+        arrays = {name: tensor.numpy() for name, tensor in tensors.items()}
+        motion = ModalMotion(**arrays, fps=float(extra["fps"]), n_timesteps=int(extra["n_timesteps"]))
+        self._check_motion(motion, str(file))
+        return motion
+
+    def _check_motion(self, motion: ModalMotion, name: str) -> None:
+        n = len(self.load_space())
+        expected = (len(motion.freqs_hz), n, 3)
+        for field in ("displacement", "rotation"):
+            shape = getattr(motion, field).shape
+            if shape != expected:
+                raise RunError(
+                    f"{name}: {field} has shape {shape}, expected {expected}: "
+                    f"{expected[0]} frequencies of the {n} Gaussians in {self._file('space')}"
+                )
+
+    # Going on after a kill.
+
+    def save_checkpoint(self, stage: str, tensors: Mapping[str, Tensor], state: Mapping[str, Any]) -> None:
+        """Keep an unfinished stage: `tensors` as they are, `state` as JSON. Replaces the last one whole."""
+        self._write(f"checkpoint_{stage}", tensors, state=to_json(dict(state), "state"))
+
+    def load_checkpoint(self, stage: str) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
+        """(tensors, state) of an unfinished stage, None if there is none.
+
+        Raises RunError if the file is torn, or was written for another dataset, preset or settings.
+        """
+        kind = f"checkpoint_{stage}"
+        file = self._file(kind)
+        if not file.is_file():
+            return None
+        try:
+            tensors, header = read_tensors(file, "checkpoint", VERSION)
+        except RunError as error:
+            raise RunError(f"{error}; delete it to start the {stage} stage again") from None
+        if header["config"] != self._identity() or header.get("stage") != stage or "state" not in header:
+            raise RunError(
+                f"{file} belongs to a run with other settings, or to another stage; "
+                f"delete it to start the {stage} stage again"
+            )
+        return tensors, header["state"]
+
+    def drop_checkpoint(self, stage: str) -> None:
+        """Forget the unfinished stage, if there is one."""
+        self._file(f"checkpoint_{stage}").unlink(missing_ok=True)
+
+    # The log.
+
+    def record(self, stage: str, info: Mapping[str, Any]) -> None:
+        """Add figures of a stage to log.json, across resumes. NaN and infinity become null.
+
+        `seconds` add up (give those since the last record), `peak_memory_mib` keeps the most, anything else
+        is replaced.
+        """
+        log = self.log()
+        entry = log.setdefault(stage, {})
+        for key, value in info.items():
+            new = to_json(_finite(value), f"{stage}.{key}")
+            old = entry.get(key)
+            if key == "seconds":
+                new = (old or 0.0) + new
+            elif key == "peak_memory_mib" and old is not None:
+                new = max(old, new)
+            entry[key] = new
+        write_json(self.path / "log.json", log)
+
+    def log(self) -> dict[str, Any]:
+        """{stage: figures}; {} before anything was recorded."""
+        file = self.path / "log.json"
+        return read_json(file) if file.exists() else {}
+
+    # Files.
+
+    def _file(self, kind: str) -> Path:
+        return self.path / f"{kind}.safetensors"
+
+    def _identity(self) -> dict[str, Any]:
+        return {key: self.config[key] for key in ("dataset", "preset", "settings")}
+
+    def _write(self, name: str, tensors: Mapping[str, Tensor], **extra: Any) -> None:
+        kind, _, stage = name.partition("_")
+        header = {"kind": kind, "version": VERSION, "config": self._identity(), **extra}
+        write_tensors(self._file(name), tensors, header | ({"stage": stage} if stage else {}))
+
+    def _read(self, kind: str, names: set[str]) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        file = self._file(kind)
+        tensors, header = read_tensors(file, kind, VERSION)
+        if set(tensors) != names:
+            raise RunError(f"{file} holds the tensors {sorted(tensors)}, expected {sorted(names)}")
+        for name, tensor in tensors.items():
+            if not bool(torch.isfinite(torch.view_as_real(tensor) if tensor.is_complex() else tensor).all()):
+                raise RunError(f"{file}: {name} holds a value that is not finite")
+        return tensors, header
+
+
+def _finite(value: Any) -> Any:
+    """`value` with NaN and infinity as None: the infinite PSNR of equal images must not stop a run."""
+    if isinstance(value, dict):
+        return {k: _finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(v) for v in value]
+    if isinstance(value, float | np.floating) and not np.isfinite(value):
+        return None
+    return value
