@@ -81,14 +81,24 @@ def check_empty(path: Path) -> None:
 
 def check_same(path: Path, config: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
     """Raise RunError naming the first of dataset, preset and settings in which `asked` is not `config`."""
-    new = {"dataset": str(asked["dataset"]), "preset": asked["preset"]} | asked["settings"]
-    old = {"dataset": str(dataset_folder(path, config)), "preset": config["preset"]} | config["settings"]
+    new = {"dataset": str(asked["dataset"]), "preset": asked["preset"]} | _flat(asked["settings"])
+    old = {"dataset": str(dataset_folder(path, config)), "preset": config["preset"]}
+    old |= _flat(config["settings"])
     for key in [*new, *(k for k in old if k not in new)]:
         if (key in new) != (key in old) or new[key] != old[key]:
             raise RunError(
                 f"{path} was made with {key} = {_shown(old, key)}, asked is {_shown(new, key)}: "
                 "resume with the same value or give another run folder"
             )
+
+
+def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested settings by dotted names, as on the command line: {"space": {"seed": 0}} is space.seed."""
+    flat: dict[str, Any] = {}
+    for key, value in settings.items():
+        nested = isinstance(value, Mapping) and value
+        flat |= _flat(value, f"{prefix}{key}.") if nested else {f"{prefix}{key}": value}
+    return flat
 
 
 def _shown(values: Mapping[str, Any], key: str) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import Tensor
 
 from tg4mm.errors import RunError
@@ -30,10 +30,23 @@ def write_tensors(path: Path, tensors: Mapping[str, Tensor], header: Mapping[str
             stored[f"{name}#re"], stored[f"{name}#im"] = tensor.real, tensor.imag
         else:
             stored[name] = tensor
-    # Clones: safetensors refuses tensors that share memory, as views of one parameter do.
-    own = {name: t.detach().cpu().clone(memory_format=torch.contiguous_format) for name, t in stored.items()}
     meta = {k: json.dumps(v, allow_nan=False) for k, v in header.items()} | {"format": FORMAT}
-    write_atomic(path, lambda temporary: save_file(own, temporary, metadata=meta))
+    # Not save_file: killed, it leaves a temporary file under a name that does not tell whose it was.
+    data = save(_apart(stored), metadata=meta)
+    write_atomic(path, lambda temporary: temporary.write_bytes(data))
+
+
+def _apart(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """The tensors on the CPU, contiguous, no two in one storage (which safetensors refuses)."""
+    apart: dict[str, Tensor] = {}
+    seen: set[int] = set()
+    for name, tensor in tensors.items():
+        own = tensor.detach().cpu().contiguous()
+        if own.untyped_storage().data_ptr() in seen:
+            own = own.clone()
+        seen.add(own.untyped_storage().data_ptr())
+        apart[name] = own
+    return apart
 
 
 def read_tensors(path: Path, kind: str, version: int) -> tuple[dict[str, Tensor], dict[str, Any]]:

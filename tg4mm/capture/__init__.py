@@ -1,4 +1,4 @@
-"""Captures: the images of a scene with their cameras and times, read from a folder. Needs no torch and no bpy."""
+"""Captures: the images of a scene with cameras and times, read from a folder. Needs no torch, no bpy."""
 
 from tg4mm.capture.band import check_band
 from tg4mm.capture.images import ImageStack, load_images

@@ -33,7 +33,9 @@ def read_pose(frame: Record, key: str = "transform_matrix") -> np.ndarray:
     if key not in frame.values:
         raise frame.error(key, "a 4×4 camera-to-world matrix")
     rows = frame.values[key]
-    if not (isinstance(rows, list) and len(rows) == 4 and all(isinstance(r, list) and len(r) == 4 for r in rows)):
+    if not (
+        isinstance(rows, list) and len(rows) == 4 and all(isinstance(r, list) and len(r) == 4 for r in rows)
+    ):
         raise CaptureError(f"{frame.where}: {key} has shape {_shape(rows)}; expected 4×4")
     pose = np.array([[as_number(x) for x in row] for row in rows])
     if not np.isfinite(pose).all():

@@ -1,4 +1,4 @@
-"""Paths that stay inside the dataset's folder: nothing a dataset says makes a reader open a file elsewhere."""
+"""Paths that stay inside the dataset's folder: no reader opens a file elsewhere."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
 def inside(root: Path, path: Path, where: str) -> Path:
-    """`path` unchanged if it lies inside `root` once links and .. are resolved, else CaptureError naming `where`."""
+    """`path` unchanged if, links and .. resolved, it lies inside `root`; else CaptureError naming `where`."""
     try:
         leaves = not path.resolve().is_relative_to(root.resolve())
     except (OSError, ValueError, RuntimeError) as error:  # a loop of links, a null byte

@@ -1,4 +1,4 @@
-"""Reader of the dataset tree of [3DMM] and design §4.2: one NeRF-synthetic folder per timestep, and scene.json."""
+"""Reader of the dataset tree ([3DMM]'s layout): a NeRF-synthetic folder per timestep, and scene.json."""
 
 from __future__ import annotations
 
@@ -28,8 +28,10 @@ def load(root: Path, split: str, alpha: int) -> Capture:
     scene = read_scene(root, needs_fps=True)
     base = root / "magnified" / f"x{alpha:03d}" if alpha else root
     if not base.is_dir():
-        raise CaptureError(f"{base}: does not exist: no ground truth for α = {alpha}; there is {_present(root)}")
-    folders = _timestep_folders(base)
+        raise CaptureError(
+            f"{base}: does not exist: no ground truth for α = {alpha}; there is {_present(root)}"
+        )
+    folders = _timestep_folders(root, base)
     if scene.n_timesteps is not None and scene.n_timesteps != len(folders):
         raise CaptureError(
             f"{root / 'scene.json'}: n_timesteps is {scene.n_timesteps}, "
@@ -44,19 +46,23 @@ def _numbered(base: Path) -> dict[int, Path]:
     for path in sorted(base.iterdir()):
         if re.fullmatch(r"[0-9]{1,9}", path.name) and path.is_dir():
             if int(path.name) in found:
-                raise CaptureError(f"{path}: is timestep {int(path.name)} again, beside {found[int(path.name)].name}")
+                raise CaptureError(
+                    f"{path}: is timestep {int(path.name)} again, beside {found[int(path.name)].name}"
+                )
             found[int(path.name)] = path
     return found
 
 
-def _timestep_folders(base: Path) -> list[Path]:
+def _timestep_folders(root: Path, base: Path) -> list[Path]:
     found = _numbered(base)
     if not found:
         raise CaptureError(f"{base}: holds no timestep folders 000, 001, …")
     for t in range(len(found)):
         if t not in found:
-            raise CaptureError(f"{base}: timestep {t:03d} is missing, though there are {len(found)} up to {max(found):03d}")
-        inside(base, found[t], "timestep folder")
+            raise CaptureError(
+                f"{base}: timestep {t:03d} is missing, though there are {len(found)} up to {max(found):03d}"
+            )
+        inside(root, found[t], "timestep folder")
     return [found[t] for t in range(len(found))]
 
 

@@ -20,9 +20,9 @@ class SurfacePoints:
 class Capture:
     """Images of one scene: C images, each from one camera at one timestep. Conventions: docs/conventions.md.
 
-    Images are rows, in order of (timestep, file name; r_2 before r_10). `camera_ids` are equal for images that
-    share pose and intrinsics exactly, so a camera that stays fixed over time is one id; they count from 0 in
-    order of first appearance, in each capture anew.
+    Images are rows, in order of (timestep, file name; r_2 before r_10). `camera_ids` are equal for images
+    that share pose and intrinsics exactly, so a camera that stays fixed over time is one id; they count from
+    0 in order of first appearance, in each capture anew.
     """
 
     root: Path  # the dataset's folder; no image path leaves it

@@ -15,7 +15,7 @@ GREY = 128  # the colour of points that come without one
 
 
 def read_points(root: Path) -> SurfacePoints | None:
-    """root/points3d.ply, None if absent. ASCII or binary; x, y, z, and red, green, blue as uchar (else grey)."""
+    """root/points3d.ply, None if absent. ASCII or binary; x y z, red green blue as uchar (else grey)."""
     path = inside(root, root / "points3d.ply", "points3d.ply")
     if not path.is_file():
         return None
@@ -32,7 +32,7 @@ def _vertices(path: Path) -> PlyElement:
         vertex = PlyData.read(path)["vertex"]
     except KeyError as error:
         raise CaptureError(f"{path}: has no vertex element") from error
-    # plyfile reports malformed files by many types (PlyParseError, ValueError, OSError, MemoryError, IndexError …)
+    # plyfile reports malformed files by many types (PlyParseError, ValueError, MemoryError …)
     except Exception as error:
         raise CaptureError(f"{path}: is not a readable PLY: {' '.join(str(error).split())}") from error
     if vertex.count == 0:
@@ -42,7 +42,9 @@ def _vertices(path: Path) -> PlyElement:
 
 def _column(path: Path, vertex: PlyElement, name: str) -> np.ndarray:
     if name not in vertex.data.dtype.names:
-        raise CaptureError(f"{path}: property {name} is missing; there is {', '.join(vertex.data.dtype.names)}")
+        raise CaptureError(
+            f"{path}: property {name} is missing; there is {', '.join(vertex.data.dtype.names)}"
+        )
     column = vertex.data[name]
     if column.dtype.kind not in "fiu":
         raise CaptureError(f"{path}: property {name} is a list; expected one number")

@@ -1,4 +1,4 @@
-"""Which reader a folder gets: each layout is one module with LAYOUT, recognises(root) and load(root, split, alpha)."""
+"""Which reader a folder gets: each layout is a module with LAYOUT, recognises(root) and load(…)."""
 
 from __future__ import annotations
 
@@ -30,14 +30,19 @@ def load_capture(path: str | Path, split: str = "train", magnification: int | fl
         split = "test"
     if not root.is_dir():
         raise CaptureError(f"{root}: {'is not a folder' if root.exists() else 'does not exist'}")
-    for reader in READERS:
-        if reader.recognises(root):
-            return reader.load(root, split, alpha)
+    try:
+        for reader in READERS:
+            if reader.recognises(root):
+                return reader.load(root, split, alpha)
+    except OSError as error:
+        raise CaptureError(f"{error.filename or root}: cannot be read: {error.strerror}") from error
     known = "; ".join(reader.LAYOUT for reader in READERS)
     raise CaptureError(f"{root}: is not a dataset I recognise; recognised are: {known}")
 
 
 def _whole_alpha(alpha: int | float) -> int:
     if not math.isfinite(alpha) or alpha < 0 or alpha != int(alpha):
-        raise CaptureError(f"magnification {alpha}: ground truth folders have whole α of at least 0, as magnified/x005")
+        raise CaptureError(
+            f"magnification {alpha}: ground truth folders have whole α of at least 0, as magnified/x005"
+        )
     return int(alpha)

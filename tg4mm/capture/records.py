@@ -18,7 +18,7 @@ def shown(value: Any, limit: int = 60) -> str:
 
 
 def as_number(value: Any) -> float:
-    """A JSON number as float, NaN for anything else (also for booleans and for numbers past float's range)."""
+    """A JSON number as float, NaN for anything else (booleans and numbers past float's range too)."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return math.nan
     try:

@@ -34,7 +34,7 @@ class Scene:
 
 
 def read_scene(root: Path, needs_fps: bool) -> Scene:
-    """root/scene.json, or an empty `Scene` if absent; CaptureError if a value has a wrong type or fps is needed."""
+    """root/scene.json, an empty `Scene` if absent; CaptureError for a wrong type, or for no fps if needed."""
     path = inside(root, root / "scene.json", "scene.json")
     if not path.is_file():
         if needs_fps:

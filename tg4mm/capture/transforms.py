@@ -1,4 +1,4 @@
-"""One transforms_<split>.json of NeRF-synthetic: its frames as views, and views put together as a `Capture`."""
+"""One transforms_<split>.json of NeRF-synthetic: its frames as views, and views assembled as a `Capture`."""
 
 from __future__ import annotations
 
@@ -71,9 +71,8 @@ def assemble(root: Path, split: str, views: list[View], scene: Scene, n_timestep
         sizes = [(h.width, h.height) for h in pool.map(image_header, [view.path for view in views])]
     for view, size in zip(views, sizes, strict=True):
         if size != sizes[0]:
-            raise CaptureError(
-                f"{view.path}: is {size[0]}×{size[1]} pixels, but {views[0].path} is {sizes[0][0]}×{sizes[0][1]}"
-            )
+            first = f"{views[0].path} is {sizes[0][0]}×{sizes[0][1]}"
+            raise CaptureError(f"{view.path}: is {size[0]}×{size[1]} pixels, but {first}")
     width, height = sizes[0]
     viewmats = world_to_camera(np.stack([view.pose for view in views]))
     Ks = np.stack([read_intrinsics(view.frame, view.file, width, height) for view in views])

@@ -16,7 +16,9 @@ RENDER_MODES = ("RGB", "D", "ED", "RGB+D", "RGB+ED")
 def _check_shapes(tensors: dict[str, tuple[Tensor, tuple[int | None, ...]]]) -> None:
     for name, (tensor, shape) in tensors.items():
         actual = tuple(tensor.shape)
-        if len(actual) != len(shape) or any(want not in (None, got) for want, got in zip(shape, actual, strict=True)):
+        if len(actual) != len(shape) or any(
+            want not in (None, got) for want, got in zip(shape, actual, strict=True)
+        ):
             wanted = tuple("any" if s is None else s for s in shape)
             raise ValueError(f"{name} has shape {actual}, expected {wanted}")
 
@@ -41,10 +43,11 @@ def rasterization(
     """Render Gaussians from C cameras. Names and meaning of the arguments are gsplat's.
 
     Returns renders [C, H, W, X], alphas [C, H, W, 1] and a dictionary with `projected` (one record a camera,
-    CPU only). X is D colours, a depth channel ("D": Σ w·z, "ED": that divided by alpha), or both. Gradients reach
-    every tensor but Ks. A background fills colour channels only, as in gsplat.
+    CPU only). X is D colours, a depth channel ("D": Σ w·z, "ED": that divided by alpha), or both. Gradients
+    reach every tensor but Ks. A background fills colour channels only, as in gsplat.
 
-    Raises ValueError with both shapes where a shape is wrong, and Tg4mmError where gsplat is needed and absent.
+    Raises ValueError with both shapes where a shape is wrong, and Tg4mmError where gsplat is needed and
+    absent.
     Source: [3DGS] Eqs. (1) to (3); EWA projection as in gsplat.
     """
     n, c = means.shape[0], viewmats.shape[0]
@@ -66,20 +69,22 @@ def rasterization(
     if sh_degree is not None and not 0 <= sh_degree <= 3:
         raise ValueError(f"sh_degree is {sh_degree}, expected 0 to 3")
     if sh_degree is not None and colors.shape[1] < (sh_degree + 1) ** 2:
-        raise ValueError(f"colors has {colors.shape[1]} SH coefficients, degree {sh_degree} needs {(sh_degree + 1) ** 2}")
+        needed = (sh_degree + 1) ** 2
+        raise ValueError(f"colors has {colors.shape[1]} SH coefficients, degree {sh_degree} needs {needed}")
     if width < 1 or height < 1:
         raise ValueError(f"image size is {width}×{height}, expected at least 1×1")
     if means.is_cuda:
         return _gsplat(
-            means, quats, scales, opacities, colors, viewmats, Ks, width, height, near_plane=near_plane,
-            far_plane=far_plane, eps2d=eps2d, sh_degree=sh_degree, backgrounds=backgrounds, render_mode=render_mode,
+            means, quats, scales, opacities, colors, viewmats, Ks, width, height,
+            near_plane=near_plane, far_plane=far_plane, eps2d=eps2d,
+            sh_degree=sh_degree, backgrounds=backgrounds, render_mode=render_mode,
         )  # fmt: skip
     renders, alphas, records = [], [], []
     for i in range(c):
         background = None if backgrounds is None else backgrounds[i]
         render, alpha, record = _cpu_view(
-            (means, quats, scales, opacities), colors, viewmats[i], Ks[i], (width, height, near_plane, far_plane, eps2d),
-            sh_degree, background, render_mode,
+            (means, quats, scales, opacities), colors, viewmats[i], Ks[i],
+            (width, height, near_plane, far_plane, eps2d), sh_degree, background, render_mode,
         )  # fmt: skip
         renders.append(render)
         alphas.append(alpha)

@@ -42,7 +42,7 @@ def _array(tensor: Tensor) -> np.ndarray:
 
 
 class RasterizeView(torch.autograd.Function):
-    """(means, quats, scales, opacities, features [N, K, D], viewmat, K) -> [H, W, FEATURES], transmittance [H, W]."""
+    """(means … opacities, features [N, K, D], viewmat, K) -> [H, W, FEATURES], transmittance [H, W]."""
 
     @staticmethod
     def forward(
@@ -60,11 +60,16 @@ class RasterizeView(torch.autograd.Function):
         arrays = [_array(a) for a in (means, quats, scales, opacities, features)]
         camera = pack_camera(_array(viewmat), _array(K), view.near, view.far, view.eps2d)
         splats = empty_splats(len(means))
-        project_forward(*arrays, view.degree, view.with_depth, camera, view.width, view.height, splats)
+        project_forward(
+            arrays[0], arrays[1], arrays[2], arrays[3], arrays[4], view.degree, view.with_depth, camera,
+            view.width, view.height, splats,
+        )  # fmt: skip
         bins = bin_splats(splats, view.width, view.height)
         image = np.empty((view.height, view.width, FEATURES), np.float32)
         transmittance = np.empty((view.height, view.width), np.float32)
-        blend_forward(splats, bins.tile_start, bins.pair_gaussian, view.width, view.height, image, transmittance)
+        blend_forward(
+            splats, bins.tile_start, bins.pair_gaussian, view.width, view.height, image, transmittance
+        )
         record = Projected(splats, bins)
         projected.append(record)
         ctx.saved = arrays, camera, view, record, image, transmittance
@@ -87,7 +92,7 @@ class RasterizeView(torch.autograd.Function):
         v_pose = np.zeros((len(means) if with_pose else 0, 12), np.float32)
         project_backward(
             means, quats, scales, features, view.degree, view.with_depth, camera, view.width, view.height,
-            record.splats, v_splats, *grads, v_pose, with_pose,
+            record.splats, v_splats, grads[0], grads[1], grads[2], grads[3], grads[4], v_pose, with_pose,
         )  # fmt: skip
         v_viewmat = None
         if with_pose:
@@ -100,9 +105,15 @@ class RasterizeView(torch.autograd.Function):
 
 
 def rasterize_cpu(
-    means: Tensor, quats: Tensor, scales: Tensor, opacities: Tensor, features: Tensor, viewmat: Tensor, K: Tensor,
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    features: Tensor,
+    viewmat: Tensor,
+    K: Tensor,
     view: View,
-) -> tuple[Tensor, Tensor, Projected]:  # fmt: skip
+) -> tuple[Tensor, Tensor, Projected]:
     """One view without background: image [H, W, FEATURES], transmittance [H, W], and what was projected."""
     projected: list[Projected] = []
     image, transmittance = RasterizeView.apply(

@@ -23,7 +23,7 @@ def rotation_matrices(quats: Tensor) -> Tensor:
 
 
 def sh_colours(sh: Tensor, directions: Tensor) -> Tensor:
-    """Colours [N, 3] of SH coefficients [N, K, 3] seen along directions [N, 3]: 0.5 + Σ sh·Y, clamped at 0."""
+    """Colours [N, 3] of SH coefficients [N, K, 3] along directions [N, 3]: 0.5 + Σ sh·Y, clamped at 0."""
     x, y, z = torch.nn.functional.normalize(directions, dim=-1).unbind(-1)
     xx, yy, zz = x * x, y * y, z * z
     values = [
@@ -49,7 +49,14 @@ def sh_colours(sh: Tensor, directions: Tensor) -> Tensor:
 
 
 def project(
-    means: Tensor, quats: Tensor, scales: Tensor, viewmat: Tensor, K: Tensor, width: int, height: int, eps2d: float
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    viewmat: Tensor,
+    K: Tensor,
+    width: int,
+    height: int,
+    eps2d: float,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Image means [N, 2] and covariances [N, 2, 2] in pixels, and depths [N], of EWA splatting."""
     R, t = viewmat[:3, :3], viewmat[:3, 3]
@@ -67,7 +74,7 @@ def project(
 
 
 def composite(alphas: Tensor, features: Tensor) -> tuple[Tensor, Tensor]:
-    """[3DGS] Eq. (3) for Gaussians in depth order: alphas [N, P], features [N, D] -> [P, D], transmittance [P].
+    """[3DGS] Eq. (3), nearest first: alphas [N, P], features [N, D] -> [P, D], transmittance [P].
 
     A pixel stops at the first Gaussian that would bring its transmittance to T_MIN or below.
     """
@@ -95,7 +102,7 @@ def rasterize_dense(
     with_depth: bool = False,
     use_sh: bool = True,
 ) -> tuple[Tensor, Tensor]:
-    """One view, [H, W, D (+ 1 with depth)] without background and alpha [H, W]. Arguments as `rasterization`."""
+    """One view, [H, W, D (+ 1 with depth)] without background, alpha [H, W]. Arguments: `rasterization`."""
     uv, cov, depth = project(means, quats, scales, viewmat, K, width, height, eps2d)
     if use_sh:
         centre = -viewmat[:3, :3].T @ viewmat[:3, 3]
@@ -108,7 +115,9 @@ def rasterize_dense(
     if len(uv) == 0:
         return means.new_zeros(height, width, features.shape[-1]), means.new_zeros(height, width)
     ys, xs = torch.meshgrid(
-        torch.arange(height, dtype=means.dtype) + 0.5, torch.arange(width, dtype=means.dtype) + 0.5, indexing="ij"
+        torch.arange(height, dtype=means.dtype) + 0.5,
+        torch.arange(width, dtype=means.dtype) + 0.5,
+        indexing="ij",
     )
     d = torch.stack([xs.ravel(), ys.ravel()], -1)[None] - uv[:, None]  # [N, P, 2]
     sigma = 0.5 * torch.einsum("npi,nij,npj->np", d, torch.linalg.inv(cov), d)

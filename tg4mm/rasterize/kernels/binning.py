@@ -8,7 +8,7 @@ import math
 import numpy as np
 from numba import float32, int32, int64, njit, prange, uint32
 
-from tg4mm.rasterize.kernels.layout import CA, CB, CC, DEPTH, MX, MY, POWER, TILE
+from tg4mm.rasterize.kernels.layout import CA, CB, CC, DEPTH, EX, EY, MX, MY, POWER, TILE
 
 _RADIX_BITS = 11
 _CHUNKS = 16  # of the parallel scatter; a constant, so that results never depend on threads
@@ -59,19 +59,18 @@ def _row_interval(splats, i, y0, y1, n_x):
     nearer edge of the band: exact, no bounding box.
     """
     a, b, c = splats[i, CA], splats[i, CB], splats[i, CC]
-    two_power = float32(2.0) * splats[i, POWER]
-    det = a * c - b * b
-    lo, hi = y0 - splats[i, MY], y1 - splats[i, MY]
-    reach = math.sqrt(two_power * a / det)  # half extent in y
-    lo, hi = max(lo, -reach), min(hi, reach)
+    reach = splats[i, EY]
+    lo, hi = max(y0 - splats[i, MY], -reach), min(y1 - splats[i, MY], reach)
     if lo > hi:
         return int64(1), int64(0)
-    tangent = -b / c * math.sqrt(two_power * c / det)  # dy of the rightmost point; the leftmost is its mirror
+    tangent = -b / c * splats[i, EX]  # dy of the rightmost point; the leftmost is its mirror
     right_y = min(max(tangent, lo), hi)
     left_y = min(max(-tangent, lo), hi)
-    flat = det / a
-    right = -b / a * right_y + math.sqrt(max(two_power - flat * right_y * right_y, float32(0.0)) / a)
-    left = -b / a * left_y - math.sqrt(max(two_power - flat * left_y * left_y, float32(0.0)) / a)
+    # half the chord at height y is `widest` √(1 - (y / reach)²)
+    one, widest = float32(1.0), math.sqrt(float32(2.0) * splats[i, POWER] / a)
+    right_h, left_h = right_y / reach, left_y / reach
+    right = -b / a * right_y + widest * math.sqrt(max(one - right_h * right_h, float32(0.0)))
+    left = -b / a * left_y - widest * math.sqrt(max(one - left_h * left_h, float32(0.0)))
     x = splats[i, MX] - float32(0.5)  # pixel i has its centre at i + 0.5
     first = int64(math.ceil((x + left - float32(TILE - 1)) / float32(TILE)))
     last = int64(math.floor((x + right) / float32(TILE)))
@@ -81,8 +80,7 @@ def _row_interval(splats, i, y0, y1, n_x):
 @njit(fastmath=True, inline="always")
 def _tile_rows(splats, i, n_y):
     """Tile rows [first, last] that the ellipse of Gaussian i reaches."""
-    a, b, c = splats[i, CA], splats[i, CB], splats[i, CC]
-    reach = math.sqrt(float32(2.0) * splats[i, POWER] * a / (a * c - b * b))
+    reach = splats[i, EY]
     y = splats[i, MY] - float32(0.5)
     first = int64(math.ceil((y - reach - float32(TILE - 1)) / float32(TILE)))
     last = int64(math.floor((y + reach) / float32(TILE)))

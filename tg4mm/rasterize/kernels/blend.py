@@ -1,9 +1,10 @@
 """Front-to-back compositing of the tile lists, [3DGS] Eq. (3), and its gradient, also front to back.
 
-The gradient of a contribution needs the light that comes from behind it. Instead of walking back to front, the
-backward pass starts from the finished image and takes each contribution away as it meets it, so both passes run
-the same recurrence and nothing but the image is kept between them. The state of a tile lies in one array, its
-planes a constant distance apart: that is what lets the compiler vectorise a row of 16 pixels without checks.
+The gradient of a contribution needs the light that comes from behind it. Instead of walking back to front,
+the backward pass starts from the finished image and takes each contribution away as it meets it, so both
+passes run the same recurrence and nothing but the image is kept between them. The state of a tile lies in one
+array, its planes a constant distance apart: that is what lets the compiler vectorise a row of 16 pixels
+without checks.
 
 A pixel that has stopped carries a negative transmittance: -T, of which nothing comes any more.
 """
@@ -19,12 +20,12 @@ from tg4mm.rasterize.kernels.layout import (
     CA,
     CB,
     CC,
+    EY,
     FEAT,
     FEATURES,
     MX,
     MY,
     OP,
-    POWER,
     T_MIN,
     TILE,
 )
@@ -37,11 +38,10 @@ _CHECK = 8  # Gaussians between two looks at which rows have stopped
 @njit(fastmath=True, inline="always")
 def _rows(splats, i, y0, rows):
     """Rows [first, last] of the tile starting at pixel row y0 that the ellipse of Gaussian i reaches."""
-    a, b, c = splats[i, CA], splats[i, CB], splats[i, CC]
-    reach = math.sqrt(float32(2.0) * splats[i, POWER] * a / (a * c - b * b))
+    reach = splats[i, EY]
     y = splats[i, MY] - float32(0.5) - float32(y0)
-    first = max(int(math.ceil(y - reach)), 0)
-    last = min(int(math.floor(y + reach)), rows - 1)
+    first = max(math.ceil(y - reach), 0)
+    last = min(math.floor(y + reach), rows - 1)
     return first, last
 
 
@@ -207,3 +207,65 @@ def blend_backward(
             v_pairs[p, FEAT + 1] = h1
             v_pairs[p, FEAT + 2] = h2
             v_pairs[p, FEAT + 3] = h3
+
+
+@njit(parallel=True, fastmath=True, cache=True)
+def blend_tangent(splats, d_splats, tile_start, pair_gaussian, width, height, d_image):
+    """Forward mode: how the composite changes when `splats` moves along `d_splats` [N, FEAT + 3].
+
+    d_image [H, W, 4] is written: change of the first three features and of the transmittance. Opacity is held
+    fixed. In these columns the exact adjoint of `blend_backward`.
+    """
+    n_x = (width + TILE - 1) // TILE
+    n_y = (height + TILE - 1) // TILE
+    one, half, zero = float32(1.0), float32(0.5), float32(0.0)
+    alpha_min, alpha_max, t_min = float32(ALPHA_MIN), float32(ALPHA_MAX), float32(T_MIN)
+    for tile in prange(n_x * n_y):
+        # planes: transmittance, its tangent, tangents of three features
+        state = np.zeros((5, TILE, TILE), np.float32)
+        state[0] = one
+        live = np.ones(TILE, np.uint8)
+        x0, y0 = (tile % n_x) * TILE, (tile // n_x) * TILE
+        rows, columns = min(TILE, height - y0), min(TILE, width - x0)
+        for p in range(tile_start[tile], tile_start[tile + 1]):
+            if (p - tile_start[tile]) % _CHECK == _CHECK - 1 and _live_rows(state, live) == 0:
+                break
+            i = pair_gaussian[p]
+            first, last = _rows(splats, i, y0, rows)
+            a, b, c, o = splats[i, CA] * half, splats[i, CB], splats[i, CC] * half, splats[i, OP]
+            f0, f1, f2 = splats[i, FEAT], splats[i, FEAT + 1], splats[i, FEAT + 2]
+            e0, e1, e2 = d_splats[i, FEAT], d_splats[i, FEAT + 1], d_splats[i, FEAT + 2]
+            ux, uy = d_splats[i, MX], d_splats[i, MY]
+            da, db, dc = d_splats[i, CA] * half, d_splats[i, CB], d_splats[i, CC] * half
+            dx0 = float32(x0) + half - splats[i, MX]
+            dy0 = float32(y0) + half - splats[i, MY]
+            for r in range(first, last + 1):
+                if not live[r]:
+                    continue
+                dy = dy0 + float32(r)
+                bdy, cdy = b * dy, c * dy * dy
+                for j in range(TILE):
+                    dx = dx0 + float32(j)
+                    sigma = max((a * dx + bdy) * dx + cdy, zero)
+                    raw = o * exp_neg(min(sigma, float32(80.0)))
+                    alpha = min(raw, alpha_max)
+                    alpha = alpha if alpha >= alpha_min else zero
+                    t, dt = state[0, r, j], state[1, r, j]
+                    nt = t * (one - alpha)
+                    on = nt > t_min
+                    d_sigma = (da * dx + db * dy) * dx + dc * dy * dy
+                    d_sigma -= (float32(2.0) * a * dx + bdy) * ux + (b * dx + float32(2.0) * c * dy) * uy
+                    d_alpha = -alpha * d_sigma if raw < alpha_max else zero
+                    w = t * alpha if on else zero
+                    dw = dt * alpha + t * d_alpha if on else zero
+                    state[0, r, j] = nt if on else -abs(t)
+                    state[1, r, j] = dt * (one - alpha) - t * d_alpha if on else dt
+                    state[2, r, j] += dw * f0 + w * e0
+                    state[3, r, j] += dw * f1 + w * e1
+                    state[4, r, j] += dw * f2 + w * e2
+        for r in range(rows):
+            for j in range(columns):
+                d_image[y0 + r, x0 + j, 0] = state[2, r, j]
+                d_image[y0 + r, x0 + j, 1] = state[3, r, j]
+                d_image[y0 + r, x0 + j, 2] = state[4, r, j]
+                d_image[y0 + r, x0 + j, 3] = state[1, r, j]

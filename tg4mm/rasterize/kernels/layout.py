@@ -15,7 +15,9 @@ FEAT: Final = 6  # first of the FEATURES blended channels (colour, depth)
 FEATURES: Final = 4
 POWER: Final = 10  # ln(255 · opacity): blending skips what lies further out; <= 0 means invisible
 DEPTH: Final = 11  # z in the camera, scene units
-SPLAT_WIDTH: Final = 12
+EX: Final = 12  # half extents in x and y of the ellipse inside which alpha >= 1/255, pixels; kept, because
+EY: Final = 13  # from the conic of a thin ellipse they would be lost to cancellation
+SPLAT_WIDTH: Final = 14
 
 ALPHA_MIN: Final = 1.0 / 255.0  # [3DGS]: smaller contributions are skipped
 ALPHA_MAX: Final = 0.999  # gsplat: a Gaussian never blocks the light entirely

@@ -14,6 +14,8 @@ from tg4mm.rasterize.kernels.layout import (
     CB,
     CC,
     DEPTH,
+    EX,
+    EY,
     FEAT,
     FEATURES,
     MX,
@@ -71,7 +73,9 @@ def _clamped(xz, centre, focal, size):
 
 
 @njit(parallel=True, fastmath=True, cache=True)
-def project_forward(means, quats, scales, opacities, features, degree, with_depth, cam, width, height, splats):
+def project_forward(
+    means, quats, scales, opacities, features, degree, with_depth, cam, width, height, splats
+):
     """Fill `splats` [N, SPLAT_WIDTH]; what lies outside, behind or is too faint gets POWER = -1.
 
     features: [N, K, 3] SH coefficients where degree >= 0, else [N, 1, D] plain channels, D <= FEATURES.
@@ -112,11 +116,13 @@ def project_forward(means, quats, scales, opacities, features, degree, with_dept
             # rows of J B
             p0, p1, p2 = jx * b00 + jxz * b20, jx * b01 + jxz * b21, jx * b02 + jxz * b22
             q0, q1, q2 = jy * b10 + jyz * b20, jy * b11 + jyz * b21, jy * b12 + jyz * b22
-            m00 = p0 * p0 + p1 * p1 + p2 * p2 + cam[_EPS2D]
+            pp, qq = p0 * p0 + p1 * p1 + p2 * p2, q0 * q0 + q1 * q1 + q2 * q2
+            m00, m11 = pp + cam[_EPS2D], qq + cam[_EPS2D]
             m01 = p0 * q0 + p1 * q1 + p2 * q2
-            m11 = q0 * q0 + q1 * q1 + q2 * q2 + cam[_EPS2D]
-            det = m00 * m11 - m01 * m01
-            if not (det > float32(0.0)):
+            # |p × q|² + eps (|p|² + |q|²) + eps²: m00 m11 - m01² without its cancellation in thin ellipses
+            n0, n1, n2 = p1 * q2 - p2 * q1, p2 * q0 - p0 * q2, p0 * q1 - p1 * q0
+            det = n0 * n0 + n1 * n1 + n2 * n2 + cam[_EPS2D] * (pp + qq + cam[_EPS2D])
+            if not (det > float32(0.0) and det < float32(1e37)):
                 continue
             u, v = fx * x * iz + cx, fy * y * iz + cy
             ex, ey = math.sqrt(float32(2.0) * power * m00), math.sqrt(float32(2.0) * power * m11)
@@ -128,6 +134,7 @@ def project_forward(means, quats, scales, opacities, features, degree, with_dept
             splats[i, MX], splats[i, MY] = u, v
             splats[i, CA], splats[i, CB], splats[i, CC] = m11 * inv, -m01 * inv, m00 * inv
             splats[i, OP], splats[i, POWER], splats[i, DEPTH] = opacities[i], power, z
+            splats[i, EX], splats[i, EY] = ex, ey
             if degree >= 0:
                 dx, dy, dz = mx - ox, my - oy, mz - oz
                 norm = float32(1.0) / math.sqrt(dx * dx + dy * dy + dz * dz)
@@ -158,6 +165,19 @@ def _quat_vjp(w, x, y, z, inv, g00, g01, g02, g10, g11, g12, g20, g21, g22):
     vz = two * (w * (g10 - g01) + x * (g02 + g20) + y * (g12 + g21)) - four * z * (g00 + g11)
     along = vw * w + vx * x + vy * y + vz * z
     return (vw - along * w) * inv, (vx - along * x) * inv, (vy - along * y) * inv, (vz - along * z) * inv
+
+
+@njit(fastmath=True, inline="always")
+def _covariance_vjp(a, b, c, ga, gb, gc, p, q):
+    """Gradient by a column (p, q) of P, where M = P Pᵀ + eps and G is the gradient by the conic C = M⁻¹.
+
+    It is -2 C (G (C [p, q])), in this order, vector by vector, not (C G C) [p, q]: along the long axis of a
+    thin ellipse C is small beside its own entries, and a product of matrices squares what is lost there.
+    """
+    y0, y1 = a * p + b * q, b * p + c * q
+    z0, z1 = ga * y0 + gb * y1, gb * y0 + gc * y1
+    two = float32(-2.0)
+    return two * (a * z0 + b * z1), two * (b * z0 + c * z1)
 
 
 @njit(parallel=True, fastmath=True, cache=True)
@@ -200,20 +220,17 @@ def project_backward(
             jx, jy = fx * iz, fy * iz
             tx, ty = _clamped(x * iz, cx, fx, w), _clamped(y * iz, cy, fy, h)
             jxz, jyz = -jx * tx, -jy * ty
-            # gradient by M = conic⁻¹: -conic G conic, G the symmetric gradient by the conic
-            a, b, c = splats[i, CA], splats[i, CB], splats[i, CC]
-            ga, gb, gc = v_splats[i, CA], half * v_splats[i, CB], v_splats[i, CC]
-            k00, k01 = a * ga + b * gb, a * gb + b * gc
-            k10, k11 = b * ga + c * gb, b * gb + c * gc
-            v00, v01, v11 = -(k00 * a + k01 * b), -(k00 * b + k01 * c), -(k10 * b + k11 * c)
-            # P = J B with rows p, q; M = P Pᵀ + eps; gradient by P is 2 V P
+            # P = J B with rows p, q; M = P Pᵀ + eps
             b00, b01, b02 = n00 * s0, n01 * s1, n02 * s2
             b10, b11, b12 = n10 * s0, n11 * s1, n12 * s2
             b20, b21, b22 = n20 * s0, n21 * s1, n22 * s2
             p0, p1, p2 = jx * b00 + jxz * b20, jx * b01 + jxz * b21, jx * b02 + jxz * b22
             q0, q1, q2 = jy * b10 + jyz * b20, jy * b11 + jyz * b21, jy * b12 + jyz * b22
-            vp0, vp1, vp2 = two * (v00 * p0 + v01 * q0), two * (v00 * p1 + v01 * q1), two * (v00 * p2 + v01 * q2)
-            vq0, vq1, vq2 = two * (v01 * p0 + v11 * q0), two * (v01 * p1 + v11 * q1), two * (v01 * p2 + v11 * q2)
+            a, b, c = splats[i, CA], splats[i, CB], splats[i, CC]
+            ga, gb, gc = v_splats[i, CA], half * v_splats[i, CB], v_splats[i, CC]
+            vp0, vq0 = _covariance_vjp(a, b, c, ga, gb, gc, p0, q0)
+            vp1, vq1 = _covariance_vjp(a, b, c, ga, gb, gc, p1, q1)
+            vp2, vq2 = _covariance_vjp(a, b, c, ga, gb, gc, p2, q2)
             # gradient by B = Jᵀ vP and by the entries of J
             vjx = vp0 * b00 + vp1 * b01 + vp2 * b02
             vjxz = vp0 * b20 + vp1 * b21 + vp2 * b22
@@ -283,7 +300,11 @@ def project_backward(
                     v_sh[k] = features[i, k, 0] * g0 + features[i, k, 1] * g1 + features[i, k, 2] * g2
                 hx, hy, hz = basis_vjp(degree, ux, uy, uz, v_sh)
                 along = hx * ux + hy * uy + hz * uz
-                dirx, diry, dirz = (hx - along * ux) * norm, (hy - along * uy) * norm, (hz - along * uz) * norm
+                dirx, diry, dirz = (
+                    (hx - along * ux) * norm,
+                    (hy - along * uy) * norm,
+                    (hz - along * uz) * norm,
+                )
             else:
                 for k in range(min(FEATURES, v_features.shape[2])):
                     v_features[i, 0, k] += v_splats[i, FEAT + k]

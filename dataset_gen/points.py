@@ -1,0 +1,81 @@
+"""points3d.ply: points spread evenly over the surfaces that cameras see, with the colours they see."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from . import tree
+from .cameras import Camera, focal_length
+from .meshes import triangle_areas
+from .scene import Scene
+
+_SPARE = 4  # candidates per wanted point: surfaces inside others are seen by no camera and drop out
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Points on the surfaces of a scene at rest."""
+
+    positions: np.ndarray  # [P, 3] float64, world
+    normals: np.ndarray  # [P, 3] float64, of the triangle
+
+
+def sample_surfaces(scene: Scene, count: int, seed: int) -> Candidates:
+    """`count` · 4 points, uniform over the area of all parts, in random order."""
+    rng = np.random.default_rng([seed, 1])
+    areas = [triangle_areas(part.mesh.vertices, part.mesh.triangles) for part in scene.parts]
+    corners = np.concatenate([part.mesh.vertices[part.mesh.triangles] for part in scene.parts])
+    weight = np.concatenate(areas)
+    picked = corners[rng.choice(len(corners), size=_SPARE * count, p=weight / weight.sum())]
+    a, b = rng.random((2, len(picked)))
+    a, b = np.where(a + b > 1, 1 - a, a), np.where(a + b > 1, 1 - b, b)
+    edges = picked[:, 1] - picked[:, 0], picked[:, 2] - picked[:, 0]
+    normals = np.cross(*edges)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return Candidates(picked[:, 0] + a[:, None] * edges[0] + b[:, None] * edges[1], normals)
+
+
+def project(positions: np.ndarray, camera: Camera, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+    """Pixel coordinates [P, 2] (centres at +0.5) and planar depth [P] of world points."""
+    pose = camera.camera_to_world
+    local = (positions - pose[:3, 3]) @ pose[:3, :3]
+    depth = -local[:, 2]
+    focal = focal_length(width)
+    x = focal * local[:, 0] / depth + width / 2
+    y = -focal * local[:, 1] / depth + height / 2
+    return np.column_stack([x, y]), depth
+
+
+def merge(views: list[dict[str, np.ndarray]], count: int) -> tuple[np.ndarray, np.ndarray]:
+    """The first `count` points that any view saw (their numbers) and their mean colours [P, 3] in 0..1."""
+    if not views:
+        return np.zeros(0, np.int64), np.zeros((0, 3))
+    index = np.concatenate([view["index"] for view in views])
+    weight = np.concatenate([view["weight"] for view in views])
+    colour = np.concatenate([view["colour"] for view in views])
+    total = np.bincount(index, weight)
+    seen = np.flatnonzero(total > 0)[:count]
+    mean = np.column_stack([np.bincount(index, weight * colour[:, k]) for k in range(3)])
+    return seen, mean[seen] / total[seen, None]
+
+
+def write_ply(path: Path, positions: np.ndarray, normals: np.ndarray, colours: np.ndarray) -> None:
+    """Binary little-endian PLY: x y z nx ny nz float32, red green blue uint8; colours [P, 3] sRGB in 0..1."""
+    fields = [(name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz")]
+    fields += [(name, "u1") for name in ("red", "green", "blue")]
+    rows = np.zeros(len(positions), fields)
+    for k in range(3):
+        rows["xyz"[k]] = positions[:, k]
+        rows["n" + "xyz"[k]] = normals[:, k]
+        rows[("red", "green", "blue")[k]] = np.round(np.clip(colours[:, k], 0, 1) * 255)
+    kinds = {"<f4": "float", "u1": "uchar"}
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}"]
+    header += [f"property {kinds[kind]} {name}" for name, kind in fields]
+    out = io.BytesIO()
+    out.write(("\n".join([*header, "end_header"]) + "\n").encode("ascii"))
+    out.write(rows.tobytes())
+    tree.write_bytes(path, out.getvalue())

@@ -1,0 +1,70 @@
+"""Exact ground truth: the complex mode of every vertex, and per pixel what its centre sees."""
+
+from __future__ import annotations
+
+import io
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from . import tree
+from .scene import Scene
+
+
+def motion_arrays(scene: Scene) -> dict[str, np.ndarray]:
+    """Arrays of truth/motion.npz: displacement(t) = Re Σ_k mode_k exp(i 2π f_k t / fps), scene units.
+
+    The names are in the contract: objects [O], frequencies_hz [K], and of object i rest_<i> [V, 3] float32,
+    faces_<i> [F, 3] int32, mode_<i> [K, V, 3] complex64.
+    """
+    arrays: dict[str, np.ndarray] = {
+        "objects": np.array([part.name for part in scene.parts]),
+        "frequencies_hz": np.array([mode.frequency_hz for mode in scene.modes]),
+    }
+    for i, (part, shape) in enumerate(zip(scene.parts, scene.shapes(), strict=True)):
+        arrays[f"rest_{i}"] = part.mesh.vertices.astype(np.float32)
+        arrays[f"faces_{i}"] = part.mesh.triangles.astype(np.int32)
+        arrays[f"mode_{i}"] = shape.astype(np.complex64)
+    return arrays
+
+
+def write_motion(path: Path, scene: Scene) -> None:
+    """Writes truth/motion.npz; no pickles."""
+    buffer = io.BytesIO()
+    arrays: dict[str, Any] = motion_arrays(scene)
+    np.savez_compressed(buffer, **arrays)
+    tree.write_bytes(path, buffer.getvalue())
+
+
+def write_exr(path: Path, passes: dict[str, np.ndarray]) -> None:
+    """Writes the data passes as a single-part EXR with the contract's channel names, ZIP, float32.
+
+    Depth.V: planar z, 1e10 where the pixel centre sees nothing (every other channel is 0 there). Normal:
+    smooth normal of the mesh, world axes. Position: world. Displacement: of the point seen, from rest.
+    """
+    import OpenEXR
+
+    channels = {"Depth.V": np.ascontiguousarray(passes["Depth"], np.float32)}
+    for name in ("Normal", "Position", "Displacement"):
+        for axis, letter in enumerate("XYZ"):
+            channels[f"{name}.{letter}"] = np.ascontiguousarray(passes[name][..., axis], np.float32)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = tree.temporary_name(path)
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with OpenEXR.File(header, channels) as file:
+        file.write(str(temporary))
+    os.replace(temporary, path)
+
+
+def read_exr(path: Path) -> dict[str, np.ndarray]:
+    """Depth [H, W] and Normal, Position, Displacement [H, W, 3] float32 of a truth file."""
+    import OpenEXR
+
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        pixels = {name: channel.pixels for name, channel in file.channels().items()}
+    passes = {"Depth": pixels["Depth.V"]}
+    for name in ("Normal", "Position", "Displacement"):
+        passes[name] = np.stack([pixels[f"{name}.{letter}"] for letter in "XYZ"], -1)
+    return passes

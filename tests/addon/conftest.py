@@ -1,0 +1,81 @@
+"""The extension as it is shipped: staged in a temporary folder and imported from there, in pip's Blender."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from tg4mm.splatfile import SplatFile, write_splat
+
+PACKAGE = "tg4mm_extension"
+
+
+def load(name: str, file: Path, folder: Path | None = None) -> ModuleType:
+    """Import one file as the module `name`; with `folder`, as a package."""
+    places = None if folder is None else [str(folder)]
+    spec = importlib.util.spec_from_file_location(name, file, submodule_search_locations=places)
+    assert spec is not None
+    assert spec.loader is not None
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="session")
+def make_extension(repo_root: Path) -> ModuleType:
+    """addon/make_extension.py, imported without the package around it, which needs Blender."""
+    return load("make_extension", repo_root / "addon" / "make_extension.py")
+
+
+@pytest.fixture(scope="session")
+def staged(make_extension: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder that becomes the zip."""
+    return make_extension.stage(tmp_path_factory.mktemp("stage") / PACKAGE)
+
+
+@pytest.fixture
+def extension(staged: Path) -> Iterator[ModuleType]:
+    """The extension, registered in an empty scene."""
+    bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install 'tg4mm[generate]'")
+    module = sys.modules.get(PACKAGE) or load(PACKAGE, staged / "__init__.py", staged)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    module.register()
+    yield module
+    module.unregister()
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+
+
+def some_splat(n: int = 23, freqs_hz: tuple[float, ...] = (3.0, 5.0, 7.5), degree: int = 1) -> SplatFile:
+    """Random Gaussians that move and turn at several frequencies, fps 24."""
+    rng = np.random.default_rng(4)
+    m = len(freqs_hz)
+
+    def phasors(size: float) -> np.ndarray:
+        return (size * (rng.normal(size=(m, n, 3)) + 1j * rng.normal(size=(m, n, 3)))).astype(np.complex64)
+
+    quats = rng.normal(size=(n, 4))
+    return SplatFile(
+        means=rng.normal(size=(n, 3)).astype(np.float32),
+        quats=(quats / np.linalg.norm(quats, axis=1, keepdims=True)).astype(np.float32),
+        scales=rng.uniform(0.01, 0.2, (n, 3)).astype(np.float32),
+        opacities=rng.uniform(0.0, 1.0, n).astype(np.float32),
+        sh=rng.normal(size=(n, (degree + 1) ** 2, 3)).astype(np.float32),
+        freqs_hz=np.array(freqs_hz, dtype=np.float64),
+        displacement=phasors(0.05),
+        rotation=phasors(0.1),
+        fps=24.0,
+        n_timesteps=48,
+    )
+
+
+@pytest.fixture
+def splat_path(tmp_path: Path) -> Path:
+    """`some_splat`, written."""
+    write_splat(tmp_path / "bell.ply", some_splat())
+    return tmp_path / "bell.ply"

@@ -1,0 +1,231 @@
+"""The extension in Blender, headless: what is played equals the splat file's own formula."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tg4mm.splatfile import SplatFile, positions_at, read_splat, rotations_at, write_splat
+
+bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install 'tg4mm[generate]'")
+BLOCKS = ("objects", "meshes", "materials", "node_groups")
+
+
+def blocks() -> dict[str, set[str]]:
+    """Names of everything an import makes."""
+    return {kind: {block.name for block in getattr(bpy.data, kind)} for kind in BLOCKS}
+
+
+def import_splat(path: Path, **options: Any) -> Any:
+    """Import with every Gaussian drawn, at radius 1 σ, and return the object."""
+    assert bpy.ops.import_scene.tg4mm_splat(filepath=str(path), **options) == {"FINISHED"}
+    return bpy.context.object
+
+
+def transforms(obj: Any, frame: float) -> np.ndarray:
+    """[N, 4, 4] of the object's evaluated instances at a frame, fractions allowed."""
+    bpy.context.scene.frame_set(int(np.floor(frame)), subframe=float(frame % 1))
+    evaluated = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    geometry = evaluated.evaluated_geometry()  # owns the cloud: it must live as long
+    data = geometry.instances_pointcloud().attributes["instance_transform"].data
+    flat = np.empty(len(data) * 16, dtype=np.float32)
+    data.foreach_get("value", flat)
+    return flat.reshape(-1, 4, 4).transpose(0, 2, 1).astype(np.float64)
+
+
+def matrices(quats: np.ndarray) -> np.ndarray:
+    """[N, 3, 3] rotations of unit quaternions wxyz [N, 4]."""
+    import mathutils
+
+    return np.array([mathutils.Quaternion(q).to_matrix() for q in quats])
+
+
+def drawn_whole(extension: ModuleType, obj: Any) -> Any:
+    """The object's modifier, set to draw every Gaussian at 1 σ."""
+    modifier = extension.scene.splat_modifier(obj)
+    extension.compat.set_input(modifier, extension.nodes.MIN_OPACITY, 0.0)
+    extension.compat.set_input(modifier, extension.nodes.SIZE, 1.0)
+    return modifier
+
+
+def test_registers_again_after_unregistering(extension: ModuleType) -> None:
+    assert "tg4mm_splat" in dir(bpy.ops.import_scene)
+    extension.unregister()
+    assert "tg4mm_splat" not in dir(bpy.ops.import_scene)
+    assert not hasattr(bpy.types, "VIEW3D_PT_tg4mm")
+    extension.register()
+    assert "tg4mm_splat" in dir(bpy.ops.import_scene)
+    assert hasattr(bpy.types, "VIEW3D_PT_tg4mm")
+
+
+@pytest.mark.parametrize("alpha", [-1.0, 0.0, 0.5, 20.0])
+@pytest.mark.parametrize("frame", [1, 2, 17, 30.25, 250.5])
+def test_instances_are_where_the_formula_puts_them(
+    extension: ModuleType, splat_path: Path, alpha: float, frame: float
+) -> None:
+    obj = import_splat(splat_path)
+    extension.compat.set_input(drawn_whole(extension, obj), extension.nodes.ALPHA, alpha)
+    splat, played = read_splat(splat_path), transforms(obj, frame)
+    t = frame - 1
+    np.testing.assert_allclose(played[:, :3, 3], positions_at(splat, t, alpha), atol=1e-4 * (1 + abs(alpha)))
+    turned = matrices(rotations_at(splat, t, alpha)) * splat.scales[:, None, :]
+    np.testing.assert_allclose(played[:, :3, :3], turned, atol=2e-4 * (1 + abs(alpha)))
+
+
+def test_motion_is_large_enough_for_the_comparison_to_fail(splat_path: Path) -> None:
+    splat = read_splat(splat_path)
+    still = positions_at(splat, 0)
+    assert np.abs(positions_at(splat, 1) - still).max() > 0.05
+    assert np.abs(matrices(rotations_at(splat, 1)) - matrices(rotations_at(splat, 0))).max() > 0.05
+
+
+@pytest.mark.parametrize("band", [(4.0, 6.0), (5.0, 7.5), (0.0, 3.0), (8.0, 9.0)])
+def test_only_modes_inside_the_band_are_magnified(
+    extension: ModuleType, splat_path: Path, band: tuple[float, float]
+) -> None:
+    obj = import_splat(splat_path)
+    modifier = drawn_whole(extension, obj)
+    names = (extension.nodes.ALPHA, extension.nodes.LOW, extension.nodes.HIGH)
+    for name, value in zip(names, (10.0, *band), strict=True):
+        extension.compat.set_input(modifier, name, value)
+    expected = positions_at(read_splat(splat_path), 8.5, 10.0, band)
+    np.testing.assert_allclose(transforms(obj, 9.5)[:, :3, 3], expected, atol=1e-3)
+
+
+def test_first_frame_and_speed_set_the_time(extension: ModuleType, splat_path: Path) -> None:
+    obj = import_splat(splat_path)
+    modifier = drawn_whole(extension, obj)
+    extension.compat.set_input(modifier, extension.nodes.FIRST, 11.0)
+    extension.compat.set_input(modifier, extension.nodes.SPEED, 0.25)
+    expected = positions_at(read_splat(splat_path), (40 - 11) * 0.25)
+    np.testing.assert_allclose(transforms(obj, 40)[:, :3, 3], expected, atol=1e-4)
+
+
+def test_magnification_can_be_keyed(extension: ModuleType, splat_path: Path) -> None:
+    obj = import_splat(splat_path)
+    modifier = drawn_whole(extension, obj)
+    for frame, alpha in ((1, 0.0), (21, 10.0)):
+        extension.compat.set_input(modifier, extension.nodes.ALPHA, alpha)
+        extension.compat.key_input(modifier, extension.nodes.ALPHA, frame)
+    splat = read_splat(splat_path)
+    bpy.context.scene.frame_set(11)
+    halfway = extension.compat.get_input(modifier, extension.nodes.ALPHA)
+    assert 4.9 < halfway < 5.1  # the middle of an eased curve
+    np.testing.assert_allclose(transforms(obj, 11)[:, :3, 3], positions_at(splat, 10, halfway), atol=1e-3)
+
+
+def test_faint_gaussians_are_left_out(extension: ModuleType, splat_path: Path) -> None:
+    obj = import_splat(splat_path)
+    splat = read_splat(splat_path)
+    modifier = extension.scene.splat_modifier(obj)
+    assert len(transforms(obj, 1)) == (splat.opacities >= 0.1).sum() < len(splat)
+    extension.compat.set_input(modifier, extension.nodes.MIN_OPACITY, 0.6)
+    assert len(transforms(obj, 1)) == (splat.opacities >= 0.6).sum() > 0
+
+
+def test_size_is_in_standard_deviations(extension: ModuleType, splat_path: Path) -> None:
+    obj = import_splat(splat_path)
+    modifier = drawn_whole(extension, obj)
+    extension.compat.set_input(modifier, extension.nodes.SIZE, 2.5)
+    lengths = np.linalg.norm(transforms(obj, 1)[:, :3, :3], axis=1)
+    np.testing.assert_allclose(lengths, 2.5 * read_splat(splat_path).scales, rtol=1e-4)
+
+
+def test_file_without_motion_stands_still(extension: ModuleType, tmp_path: Path, splat_path: Path) -> None:
+    moving = read_splat(splat_path)
+    still = SplatFile.static(moving.means, moving.quats, moving.scales, moving.opacities, moving.sh)
+    write_splat(tmp_path / "still.ply", still)
+    bpy.context.scene.render.fps = 30
+    obj = import_splat(tmp_path / "still.ply")
+    drawn_whole(extension, obj)
+    for frame in (1, 13):
+        np.testing.assert_allclose(transforms(obj, frame)[:, :3, 3], still.means, atol=1e-6)
+    assert bpy.context.scene.render.fps == 30
+
+
+def test_colours_are_decoded_from_srgb(extension: ModuleType, splat_path: Path) -> None:
+    obj = import_splat(splat_path)
+    data = obj.data.attributes["colour"].data
+    linear = np.empty(len(data) * 4, dtype=np.float32)
+    data.foreach_get("color", linear)
+    rgb = np.clip(0.5 + 0.28209479 * read_splat(splat_path).sh[:, 0], 0, 1)
+    import mathutils
+
+    expected = np.array([mathutils.Color(c).from_srgb_to_scene_linear() for c in rgb])
+    np.testing.assert_allclose(linear.reshape(-1, 4)[:, :3], expected, atol=1e-4)
+
+
+def test_picture_shows_the_colours_of_the_file(extension: ModuleType, tmp_path: Path) -> None:
+    """Two large Gaussians under the view transform Standard: the pixels are 0.5 + C0·sh, display-referred."""
+    rgb = np.array([[0.9, 0.25, 0.1], [0.2, 0.6, 0.75]])
+    sh = ((rgb - 0.5) / 0.28209479)[:, None].astype(np.float32)
+    means = np.array([[-0.5, 0, 0], [0.5, 0, 0]], np.float32)
+    quats, scales = np.tile(np.float32([1, 0, 0, 0]), (2, 1)), np.full((2, 3), 0.3, np.float32)
+    write_splat(tmp_path / "two.ply", SplatFile.static(means, quats, scales, np.ones(2, np.float32), sh))
+    import_splat(tmp_path / "two.ply")
+    scene = bpy.context.scene
+    camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+    camera.location, camera.data.type, camera.data.ortho_scale = (0, 0, 5), "ORTHO", 2.0
+    scene.collection.objects.link(camera)
+    scene.camera, scene.render.engine = camera, "CYCLES"
+    scene.cycles.samples, scene.cycles.use_denoising = 4, False
+    scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 16, 8, 100
+    scene.view_settings.view_transform, scene.render.dither_intensity = "Standard", 0.0
+    scene.render.filepath = str(tmp_path / "two.png")
+    bpy.ops.render.render(write_still=True)
+    picture = np.asarray(Image.open(tmp_path / "two.png").convert("RGB"), dtype=float) / 255
+    np.testing.assert_allclose(picture[4, [4, 12]], rgb, atol=0.006)
+
+
+def test_timeline_is_taken_from_the_file_unless_declined(extension: ModuleType, splat_path: Path) -> None:
+    scene = bpy.context.scene
+    scene.render.fps, scene.frame_end = 60, 100
+    import_splat(splat_path, timeline=False)
+    assert (scene.render.fps, scene.frame_end) == (60, 100)
+    import_splat(splat_path)
+    assert scene.render.fps / scene.render.fps_base == pytest.approx(24.0)
+    assert (scene.frame_start, scene.frame_end) == (1, 48)
+
+
+def test_bad_file_is_reported_and_leaves_nothing(extension: ModuleType, splat_path: Path) -> None:
+    splat_path.write_bytes(splat_path.read_bytes()[:-9])
+    before = blocks()
+    with pytest.raises(RuntimeError, match=r"bell\.ply: is truncated"):
+        bpy.ops.import_scene.tg4mm_splat(filepath=str(splat_path))
+    with pytest.raises(RuntimeError, match=r"nothing\.ply: cannot be read"):
+        bpy.ops.import_scene.tg4mm_splat(filepath=str(splat_path.with_name("nothing.ply")))
+    assert blocks() == before
+
+
+def test_fault_half_way_leaves_nothing(
+    extension: ModuleType, splat_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = blocks()
+
+    def fail(*_: Any) -> None:
+        raise MemoryError("no room for the links")
+
+    monkeypatch.setattr(extension.nodes, "_instances", fail)
+    with pytest.raises(MemoryError):
+        extension.scene.make_object(read_splat(splat_path), "bell", bpy.context.collection)
+    assert blocks() == before
+
+
+def test_blend_file_plays_without_the_extension(
+    extension: ModuleType, splat_path: Path, tmp_path: Path
+) -> None:
+    obj = import_splat(splat_path)
+    extension.compat.set_input(drawn_whole(extension, obj), extension.nodes.ALPHA, 5.0)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "bell.blend"))
+    extension.unregister()
+    try:
+        bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "bell.blend"))
+        played = transforms(bpy.data.objects["bell"], 12)[:, :3, 3]
+        np.testing.assert_allclose(played, positions_at(read_splat(splat_path), 11, 5.0), atol=1e-3)
+    finally:
+        extension.register()

@@ -1,0 +1,79 @@
+"""Small datasets written for the tests: a NeRF-synthetic folder, and a dataset tree."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+ANGLE_X = 0.7
+SIZE = (12, 8)  # width, height
+
+
+def pose(azimuth: float = 0.3) -> list[list[float]]:
+    """Camera-to-world, OpenGL axes, four units from the origin and looking at it, Z up."""
+    back = np.array([math.cos(azimuth), math.sin(azimuth), 0.5])
+    back /= np.linalg.norm(back)
+    right = np.cross([0, 0, 1], back)
+    right /= np.linalg.norm(right)
+    c2w = np.eye(4)
+    c2w[:3, :4] = np.stack([right, np.cross(back, right), back, 4 * back], axis=1)
+    return c2w.tolist()
+
+
+def write_folder(folder: Path, split: str = "train", views: int = 2, value: int = 100) -> Path:
+    """One NeRF-synthetic folder with a split; every camera keeps its place, whatever the folder."""
+    (folder / split).mkdir(parents=True, exist_ok=True)
+    frames = []
+    for i in range(views):
+        pixels = np.full((SIZE[1], SIZE[0], 4), value + i, np.uint8)
+        Image.fromarray(pixels, "RGBA").save(folder / split / f"r_{i:03d}.png")
+        frames.append({"file_path": f"./{split}/r_{i:03d}", "transform_matrix": pose(0.3 + i), "time": 0.0})
+    (folder / f"transforms_{split}.json").write_text(
+        json.dumps({"camera_angle_x": ANGLE_X, "frames": frames})
+    )
+    return folder
+
+
+def write_tree(root: Path, timesteps: int = 3, scene: dict | None = None) -> Path:
+    """A dataset tree with a train and a test split and ground truth at α = 5."""
+    for t in range(timesteps):
+        write_folder(root / f"{t:03d}", "train", views=2, value=100 + 10 * t)
+        write_folder(root / f"{t:03d}", "test", views=1, value=150 + 10 * t)
+        write_folder(root / "magnified" / "x005" / f"{t:03d}", "test", views=1, value=200 + 10 * t)
+    (root / "scene.json").write_text(json.dumps({"fps": 30} if scene is None else scene))
+    return root
+
+
+def edit(path: Path, change) -> None:
+    """Apply `change` to the JSON in a file, in place."""
+    values = json.loads(path.read_text())
+    change(values)
+    path.write_text(json.dumps(values))
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return write_folder(tmp_path / "mic")
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Path:
+    return write_tree(tmp_path / "mic_5Hz_0_005")
+
+
+@pytest.fixture
+def tools():
+    """The writers above, for tests that need other arguments."""
+    return {
+        "folder": write_folder,
+        "tree": write_tree,
+        "edit": edit,
+        "pose": pose,
+        "angle_x": ANGLE_X,
+        "size": SIZE,
+    }

@@ -1,0 +1,359 @@
+"""Bad datasets: each is refused with one line that names the file and the value."""
+
+import json
+import math
+import os
+import re
+import shutil
+import struct
+import zlib
+
+import numpy as np
+import pytest
+from PIL import Image
+from plyfile import PlyData, PlyElement
+
+from tg4mm.capture import load_capture, load_images
+from tg4mm.errors import CaptureError
+
+
+def refused(call, *parts):
+    """Assert that `call` raises a CaptureError of one line that holds all of `parts`."""
+    with pytest.raises(CaptureError) as caught:
+        call()
+    message = str(caught.value)
+    assert "\n" not in message
+    for part in parts:
+        assert part in message, message
+
+
+def test_refused_itself_notices_a_wrong_message_and_an_accepted_input():
+    def fail():
+        raise CaptureError("one thing")
+
+    with pytest.raises(AssertionError):
+        refused(fail, "another thing")
+    with pytest.raises(pytest.fail.Exception):
+        refused(lambda: None, "one thing")
+
+    def fail_at_length():
+        raise CaptureError("one\nthing")
+
+    with pytest.raises(AssertionError):
+        refused(fail_at_length, "one")
+
+
+def test_missing_folder(tmp_path):
+    refused(lambda: load_capture(tmp_path / "nowhere"), "nowhere", "does not exist")
+
+
+def test_a_file_where_a_folder_is_expected(tmp_path):
+    (tmp_path / "a.txt").write_text("x")
+    refused(lambda: load_capture(tmp_path / "a.txt"), "a.txt", "is not a folder")
+
+
+def test_an_unrecognised_folder_lists_what_is_recognised(tmp_path):
+    (tmp_path / "images").mkdir()
+    refused(lambda: load_capture(tmp_path), str(tmp_path), "recognise", "transforms_train.json", "scene.json")
+
+
+def test_unknown_split(folder):
+    refused(lambda: load_capture(folder, split="../x"), "split '../x'", "train, test, val")
+
+
+def test_missing_split(folder, tree):
+    refused(lambda: load_capture(folder, split="test"), "transforms_test.json", "no 'test' split")
+    (tree / "001" / "transforms_test.json").unlink()
+    refused(lambda: load_capture(tree, split="test"), "001/transforms_test.json", "does not exist")
+
+
+def test_empty_split(folder, tools):
+    tools["edit"](folder / "transforms_train.json", lambda v: v.update(frames=[]))
+    refused(lambda: load_capture(folder), "transforms_train.json", "frames is empty")
+
+
+@pytest.mark.parametrize(
+    ("text", "part"),
+    [
+        ('{"frames": [', "not valid JSON"),
+        ("\xff\xfe", "not valid JSON"),
+        ("[" * 100_000, "not valid JSON"),
+        ("[1, 2]", "[1, 2]; expected a JSON object"),
+        ('{"frames": 7}', "frames is 7"),
+        ('{"camera_angle_x": 0.5}', "frames is missing"),
+        ('{"frames": [3]}', "frame 0 is 3"),
+    ],
+)
+def test_bad_json(folder, text, part):
+    (folder / "transforms_train.json").write_text(text, encoding="latin-1")
+    refused(lambda: load_capture(folder), "transforms_train.json", part)
+
+
+BAD_POSES = {
+    "missing": (None, "transform_matrix is missing"),
+    "nan": (lambda p: p[0].__setitem__(3, math.nan), "holds nan"),
+    "infinite": (lambda p: p[1].__setitem__(3, math.inf), "holds inf"),
+    "text": (lambda p: p[1].__setitem__(3, "1.0"), "holds '1.0'"),
+    "boolean": (lambda p: p[1].__setitem__(3, True), "holds True"),
+    "huge": (lambda p: p[1].__setitem__(3, 10**400), "expected finite numbers"),
+    "three rows": (lambda p: p.pop(), "has shape 3×4"),
+    "ragged": (lambda p: p[0].pop(), "4 rows of unequal length"),
+    "scaled": (lambda p: p[0].__setitem__(slice(0, 3), [2 * x for x in p[0][:3]]), "is not rigid"),
+    "projective": (lambda p: p[3].__setitem__(0, 0.1), "last row is [0.1, 0.0, 0.0, 1.0]"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_POSES)
+def test_bad_pose(folder, tools, name):
+    change, part = BAD_POSES[name]
+
+    def edit(values):
+        if change is None:
+            del values["frames"][1]["transform_matrix"]
+        else:
+            change(values["frames"][1]["transform_matrix"])
+
+    tools["edit"](folder / "transforms_train.json", edit)
+    refused(lambda: load_capture(folder), "transforms_train.json: frame 1", part)
+
+
+def test_a_mirrored_pose_is_not_rigid(folder, tools):
+    def mirror(values):
+        for row in values["frames"][0]["transform_matrix"][:3]:
+            row[0] = -row[0]
+
+    tools["edit"](folder / "transforms_train.json", mirror)
+    refused(lambda: load_capture(folder), "frame 0", "not rigid", "determinant -1")
+
+
+def test_pose_that_is_no_matrix(folder, tools):
+    tools["edit"](folder / "transforms_train.json", lambda v: v["frames"][0].update(transform_matrix="eye"))
+    refused(lambda: load_capture(folder), "frame 0", "has shape none (str)")
+
+
+@pytest.mark.parametrize(
+    ("values", "part"),
+    [
+        ({"camera_angle_x": 0}, "camera_angle_x is 0; expected a finite number above 0 and below 3.14159"),
+        ({"camera_angle_x": 3.2}, "camera_angle_x is 3.2"),
+        ({"camera_angle_x": math.nan}, "camera_angle_x is nan"),
+        ({"camera_angle_x": "0.7"}, "camera_angle_x is '0.7'"),
+        ({"camera_angle_x": None}, "camera_angle_x is None"),
+        ({"fl_x": -3}, "fl_x is -3"),
+        ({"fl_x": 20, "fl_y": 0}, "fl_y is 0"),
+        ({"cx": math.inf}, "cx is inf"),
+        ({"w": 13}, "w is 13; expected 12, as the image is 12×8"),
+        ({"k1": 0.1}, "k1 is 0.1; expected 0: undistort"),
+    ],
+)
+def test_bad_intrinsics(folder, tools, values, part):
+    tools["edit"](folder / "transforms_train.json", lambda v: v.update(values))
+    refused(lambda: load_capture(folder), "transforms_train.json", part)
+
+
+def test_missing_field_of_view(folder, tools):
+    tools["edit"](folder / "transforms_train.json", lambda v: v.pop("camera_angle_x"))
+    refused(lambda: load_capture(folder), "transforms_train.json", "camera_angle_x is missing")
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, "now"])
+def test_time_that_is_not_finite(folder, tools, value):
+    tools["edit"](folder / "transforms_train.json", lambda v: v["frames"][0].update(time=value))
+    refused(lambda: load_capture(folder), "frame 0", f"time is {value!r}")
+
+
+@pytest.mark.parametrize(
+    ("file_path", "part"),
+    [
+        ("../outside", "leads outside"),
+        ("train/../../outside.png", "leads outside"),
+        ("/etc/passwd", "'/etc/passwd' is absolute"),
+        ("C:\\x.png", "is absolute"),
+        ("train/r_777", "r_777 with .png, .jpg, .jpeg does not exist"),
+        ("train/r_777.png", "r_777.png does not exist"),
+        ("train/nul\0.png", "not a usable path"),
+        ("", "file_path is ''"),
+        (5, "file_path is 5"),
+        (None, "file_path is None"),
+    ],
+)
+def test_bad_image_path(folder, tools, file_path, part):
+    shutil.copy(folder / "train/r_000.png", folder.parent / "outside.png")
+    tools["edit"](folder / "transforms_train.json", lambda v: v["frames"][0].update(file_path=file_path))
+    refused(lambda: load_capture(folder), "transforms_train.json: frame 0", part)
+
+
+def test_a_link_that_leaves_the_folder(folder):
+    outside = folder.parent / "outside.png"
+    os.replace(folder / "train/r_001.png", outside)
+    (folder / "train/r_001.png").symlink_to(outside)
+    refused(lambda: load_capture(folder), "frame 1", "r_001.png leads outside", str(folder))
+
+
+@pytest.mark.parametrize("name", ["scene.json", "points3d.ply", "000", "000/transforms_train.json"])
+def test_no_part_of_a_tree_may_be_a_link_to_elsewhere(tree, name):
+    outside = tree.parent / "outside"
+    if (tree / name).exists():
+        os.replace(tree / name, outside)
+    else:
+        outside.write_text("x")
+    (tree / name).symlink_to(outside)
+    refused(lambda: load_capture(tree), "leads outside", name)
+
+
+def test_a_loop_of_links(folder):
+    (folder / "train/r_001.png").unlink()
+    (folder / "train/r_001.png").symlink_to(folder / "train/r_001.png")
+    refused(lambda: load_capture(folder), "r_001")
+
+
+def test_one_image_named_twice(folder, tools):
+    tools["edit"](
+        folder / "transforms_train.json", lambda v: v["frames"][1].update(file_path="train/r_000.png")
+    )
+    refused(lambda: load_capture(folder), "frame 1", "already that of another frame")
+
+
+def test_sizes_that_differ(tree):
+    Image.new("RGBA", (12, 9)).save(tree / "002/train/r_001.png")
+    refused(lambda: load_capture(tree), "002/train/r_001.png: is 12×9 pixels", "000/train/r_000.png is 12×8")
+
+
+@pytest.mark.parametrize(
+    ("scene", "part"),
+    [
+        ({}, "fps is missing"),
+        ({"fps": None}, "fps is None"),
+        ({"fps": 0}, "fps is 0; expected a finite number above 0"),
+        ({"fps": -30}, "fps is -30"),
+        ({"fps": math.nan}, "fps is nan"),
+        ({"fps": math.inf}, "fps is inf"),
+        ({"fps": "30"}, "fps is '30'"),
+        ({"fps": True}, "fps is True"),
+        ({"fps": 30, "n_timesteps": 4}, "n_timesteps is 4, but"),
+        ({"fps": 30, "n_timesteps": 2.5}, "n_timesteps is 2.5"),
+        ({"fps": 30, "unit_scale_m": 0}, "unit_scale_m is 0"),
+        ({"fps": 30, "unit_scale_m": "1 m"}, "unit_scale_m is '1 m'"),
+        ({"fps": 30, "alphas": 5}, "alphas is 5"),
+        ({"fps": 30, "alphas": ["x"]}, "alphas: [0] is 'x'"),
+        ({"fps": 30, "modes": {}}, "modes is {}"),
+        ({"fps": 30, "modes": [1]}, "modes is [1]"),
+        ({"fps": 30, "scene": 3}, "scene is 3"),
+        ({"fps": 30, "engine": "cycles"}, "engine is 'cycles'"),
+        ({"fps": 30, "width": -1}, "width is -1"),
+        ({"fps": 30, "frequency_hz": "5"}, "frequency_hz is '5'"),
+        ({"fps": 30, "format_version": 2}, "format_version is 2; expected 1"),
+        ([30], "[30]; expected a JSON object"),
+    ],
+)
+def test_bad_scene_json(tree, scene, part):
+    (tree / "scene.json").write_text(json.dumps(scene))
+    refused(lambda: load_capture(tree), "scene.json", part)
+
+
+def test_missing_scene_json_says_what_to_write(tree):
+    (tree / "scene.json").unlink()
+    refused(lambda: load_capture(tree), "scene.json", "does not exist", '{"fps": <frames per second>}')
+
+
+def test_gap_in_the_timesteps(tree):
+    shutil.rmtree(tree / "001")
+    refused(lambda: load_capture(tree), "timestep 001 is missing")
+
+
+def test_one_timestep_twice(tree):
+    shutil.copytree(tree / "001", tree / "1")
+    refused(lambda: load_capture(tree), "is timestep 1 again")
+
+
+def test_no_timestep_folders(tmp_path):
+    (tmp_path / "scene.json").write_text('{"fps": 30}')
+    refused(lambda: load_capture(tmp_path), "no timestep folders")
+
+
+def test_ground_truth_that_is_not_there(tree, folder):
+    refused(lambda: load_capture(tree, magnification=10), "x010: does not exist", "α = 10", "magnified/x005")
+    shutil.rmtree(tree / "magnified")
+    refused(lambda: load_capture(tree, magnification=5), "x005", "no magnified/x… folder")
+    refused(lambda: load_capture(folder, magnification=5), "one timestep", "magnified by 5")
+
+
+def test_ground_truth_with_fewer_timesteps_than_the_capture(tree):
+    (tree / "scene.json").write_text('{"fps": 30, "n_timesteps": 3}')
+    shutil.rmtree(tree / "magnified/x005/002")
+    refused(lambda: load_capture(tree, magnification=5), "n_timesteps is 3", "x005 holds 2")
+
+
+@pytest.mark.parametrize("alpha", [2.5, -1, math.nan, math.inf])
+def test_magnification_without_a_folder_name(tree, alpha):
+    refused(lambda: load_capture(tree, magnification=alpha), f"magnification {alpha}")
+
+
+def test_a_truncated_png_is_named(folder):
+    path = folder / "train/r_001.png"
+    Image.effect_noise((12, 8), 50).convert("RGBA").save(path)
+    path.write_bytes(path.read_bytes()[:-40])
+    capture = load_capture(folder)
+    refused(lambda: load_images(capture), "r_001.png: cannot be decoded")
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"GIF89a" + bytes(40), b"\x89PNG\r\n\x1a\n", b"not an image at all"]
+)
+def test_a_file_that_is_no_image(folder, content):
+    (folder / "train/r_000.png").write_bytes(content)
+    refused(lambda: load_capture(folder), "r_000.png")
+
+
+def test_a_cmyk_jpeg(folder):
+    Image.new("CMYK", (12, 8)).save(folder / "train/r_000.png", format="JPEG")
+    refused(lambda: load_capture(folder), "r_000.png: has colour mode CMYK")
+
+
+def test_an_image_that_claims_to_be_enormous(folder):
+    path = folder / "train/r_000.png"
+    data = bytearray(path.read_bytes())
+    data[16:24] = struct.pack(">II", 60_000, 60_000)
+    data[29:33] = struct.pack(">I", zlib.crc32(bytes(data[12:29])))
+    path.write_bytes(bytes(data))
+    refused(lambda: load_capture(folder), "r_000.png: cannot be decoded", "3600000000 pixels")
+
+
+def test_an_image_that_vanishes_or_changes_size_before_it_is_decoded(folder):
+    capture = load_capture(folder)
+    Image.new("RGBA", (5, 5)).save(folder / "train/r_000.png")
+    refused(lambda: load_images(capture), "r_000.png: is 5×5 pixels, expected 12×8")
+    (folder / "train/r_000.png").unlink()
+    refused(lambda: load_images(capture), "r_000.png: cannot be decoded: ", "No such file")
+
+
+def ply(path, data, element="vertex"):
+    PlyData([PlyElement.describe(data, element)]).write(str(path))
+
+
+XYZ = [("x", "f4"), ("y", "f4"), ("z", "f4")]
+
+
+def test_bad_points(folder):
+    path = folder / "points3d.ply"
+    path.write_bytes(b"nonsense")
+    refused(lambda: load_capture(folder), "points3d.ply: is not a readable PLY")
+    ply(path, np.zeros(3, XYZ))
+    path.write_bytes(path.read_bytes()[:-5])
+    refused(lambda: load_capture(folder), "points3d.ply: is not a readable PLY")
+    path.write_bytes(re.sub(rb"vertex \d+", b"vertex 99999999999999", path.read_bytes()))
+    refused(lambda: load_capture(folder), "points3d.ply: is not a readable PLY")
+    ply(path, np.zeros(0, XYZ))
+    refused(lambda: load_capture(folder), "points3d.ply: holds 0 points")
+    ply(path, np.zeros(3, XYZ), element="face")
+    refused(lambda: load_capture(folder), "points3d.ply: has no vertex element")
+    ply(path, np.zeros(3, XYZ[:2]))
+    refused(lambda: load_capture(folder), "points3d.ply: property z is missing; there is x, y")
+    nan = np.zeros(3, XYZ)
+    nan["y"][1] = np.nan
+    ply(path, nan)
+    refused(lambda: load_capture(folder), "points3d.ply: point 1 is [0.0, nan, 0.0]")
+    ply(path, np.zeros(3, [*XYZ, ("red", "f4"), ("green", "f4"), ("blue", "f4")]))
+    refused(lambda: load_capture(folder), "points3d.ply: property red is float32; expected uchar")
+    ply(path, np.zeros(3, [*XYZ, ("red", "u1")]))
+    refused(lambda: load_capture(folder), "points3d.ply: property green is missing")

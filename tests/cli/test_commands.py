@@ -1,0 +1,153 @@
+"""What the commands do with good input: options arrive where they belong, results lie where they should."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.synthetic import make_synthetic_dataset
+from tg4mm.cli import main
+from tg4mm.runs import Run
+from tg4mm.splatfile import positions_at, read_splat
+
+N_TIMESTEPS, SIZE = 6, 32
+
+
+@pytest.fixture(scope="module")
+def run_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run whose model is the one its dataset was rendered from: 5 Hz at 30 Hz, two test cameras."""
+    root = tmp_path_factory.mktemp("cli")
+    gaussians, motion = make_synthetic_dataset(
+        root / "data", n_views=3, n_timesteps=N_TIMESTEPS, size=SIZE, freqs=(5.0,), alphas=(5, 20)
+    )
+    run = Run.create(root / "run", root / "data", "modal", {})
+    run.save_space(gaussians, {})
+    run.save_motion(motion, {})
+    return run.path
+
+
+def tree(folder: Path, pattern: str) -> set[str]:
+    return {str(path.relative_to(folder)) for path in folder.rglob(pattern)}
+
+
+def recorded(folder: Path) -> dict:
+    return json.loads((folder / "render.json").read_text())
+
+
+def test_export_writes_the_splat_file(run_path: Path, tmp_path: Path, capsys) -> None:
+    target = tmp_path / "deep" / "scene.ply"
+    assert main(["export", str(run_path), "--out", str(target)]) == 0
+    assert capsys.readouterr().out == f"{target}\n"
+    np.testing.assert_array_equal(read_splat(target).means, Run.open(run_path).load_space().means)
+
+
+def test_export_of_a_sequence_takes_alpha_and_band(run_path: Path, tmp_path: Path) -> None:
+    main(["export", str(run_path), "--out", str(tmp_path / "a.ply")])
+    splat = read_splat(tmp_path / "a.ply")
+    for name, band in (("inside", (4.0, 6.0)), ("outside", (1.0, 2.0))):
+        options = ["--format", "ply-sequence", "--alpha", "10", "--band", *map(str, band)]
+        assert main(["export", str(run_path), "--out", str(tmp_path / name), *options]) == 0
+        frame = read_splat(tmp_path / name / "frame_0002.ply")
+        np.testing.assert_allclose(frame.means, positions_at(splat, 2, 10.0, band), atol=1e-5)
+
+
+def test_splat_file_refuses_alpha(run_path: Path, tmp_path: Path, capsys) -> None:
+    assert main(["export", str(run_path), "--out", str(tmp_path / "a.ply"), "--alpha", "3"]) == 2
+    assert "--alpha and --band belong to --format ply-sequence" in capsys.readouterr().err
+    assert not (tmp_path / "a.ply").exists()
+
+
+def test_render_takes_the_test_cameras_by_default(run_path: Path, tmp_path: Path) -> None:
+    out = tmp_path / "x20"
+    assert main(["render", str(run_path), "--alpha", "20", "--out", str(out)]) == 0
+    names = {f"{t:03d}/r_{i:03d}.png" for t in range(N_TIMESTEPS) for i in range(2)}
+    assert tree(out, "*.png") == names
+    assert tree(out, "*.mp4") == {"r_000.mp4", "r_001.mp4"}
+    assert (recorded(out)["alpha"], recorded(out)["band_hz"]) == (20.0, None)
+
+
+def test_render_takes_split_band_and_no_video(run_path: Path, tmp_path: Path) -> None:
+    out = tmp_path / "train"
+    options = ["--split", "train", "--band", "4", "6", "--no-video", "--alpha", "-1"]
+    assert main(["render", str(run_path), "--out", str(out), *options]) == 0
+    assert len(tree(out, "*.png")) == 3 * N_TIMESTEPS
+    assert tree(out, "*.mp4") == set()
+    assert (recorded(out)["alpha"], recorded(out)["band_hz"]) == (-1.0, [4.0, 6.0])
+
+
+def test_render_takes_cameras_of_a_file(run_path: Path, tmp_path: Path) -> None:
+    out, cameras = tmp_path / "path", Run.open(run_path).dataset / "000" / "transforms_test.json"
+    assert main(["render", str(run_path), "--alpha", "0", "--out", str(out), "--cameras", str(cameras)]) == 0
+    assert len(tree(out, "*.png")) == 2 * N_TIMESTEPS
+
+
+def test_render_takes_an_orbit_in_slow_motion(run_path: Path, tmp_path: Path) -> None:
+    out = tmp_path / "orbit"
+    options = ["--alpha", "3", "--orbit", "4", "--slow", "2"]
+    assert main(["render", str(run_path), "--out", str(out), *options]) == 0
+    assert tree(out, "*.png") == {f"r_{i:03d}.png" for i in range(4)}
+    assert tree(out, "*.mp4") == {"orbit.mp4"}
+    assert recorded(out)["slow"] == 2.0
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--alpha", "-2"], "--alpha -2"),
+        (["--alpha", "1", "--band", "4", "40"], "(4, 40) Hz reaches past half the frame rate"),
+        (["--alpha", "1", "--slow", "0"], "--slow 0"),
+        (["--alpha", "1", "--cameras", "nowhere.json"], "--cameras nowhere.json"),
+    ],
+)
+def test_render_refuses_bad_values(run_path: Path, tmp_path: Path, capsys, options, message) -> None:
+    assert main(["render", str(run_path), "--out", str(tmp_path / "o"), *options]) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "o").exists()
+
+
+def test_evaluate_prints_a_table_and_writes_the_figures(run_path: Path, tmp_path: Path, capsys) -> None:
+    out = tmp_path / "metrics.json"
+    assert main(["evaluate", str(run_path), "--alphas", "5", "--out", str(out)]) == 0
+    metrics = json.loads(out.read_text())
+    assert [entry["alpha"] for entry in metrics["alphas"]] == [0, 5]
+    printed = capsys.readouterr().out
+    assert "| 5 |" in " ".join(printed.split())
+    assert "nothing moves" in printed
+
+
+def test_evaluate_writes_into_the_run_by_default(run_path: Path) -> None:
+    assert main(["evaluate", str(run_path), "--band", "4", "6"]) == 0
+    metrics = json.loads((run_path / "metrics.json").read_text())
+    assert [entry["alpha"] for entry in metrics["alphas"]] == [0, 5, 20]
+    assert metrics["band_hz"] == [4.0, 6.0]
+
+
+def test_train_hands_its_options_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+    calls = []
+    monkeypatch.setattr("tg4mm.train.train", lambda *arguments: calls.append(arguments))
+    options = ["--set", "space.seed=3", "--set", "motion.x=a=b", "--preset", "modal", "--device", "cpu"]
+    assert main(["train", str(tmp_path), "--out", "run", *options]) == 0
+    assert calls == [(tmp_path, Path("run"), "modal", "cpu", {"space.seed": "3", "motion.x": "a=b"})]
+    assert capsys.readouterr().out == "run\n"
+
+
+def test_generate_hands_everything_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls = []
+
+    def record(arguments: list[str]) -> int:
+        calls.append(list(arguments))
+        return 5
+
+    monkeypatch.setattr("tg4mm.cli.generate.run_generator", record)
+    assert main(["generate", "mic", "--out", "x", "--size", "32", "--help"]) == 5
+    assert calls == [["mic", "--out", "x", "--size", "32", "--help"]]
+
+
+def test_generate_runs_the_generator(capfd) -> None:
+    assert main(["generate", "--help"]) == 0
+    assert "--views" in capfd.readouterr().out
+    assert main(["generate", "no-such-scene", "--out", "x"]) == 2
+    assert "no-such-scene" in capfd.readouterr().err

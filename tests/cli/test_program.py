@@ -1,0 +1,225 @@
+"""The program as a user meets it: exit codes, one line that says what is wrong, help that is fast."""
+
+from __future__ import annotations
+
+import os
+import re
+import resource
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tg4mm import __version__
+
+ROOT = Path(__file__).resolve().parents[2]
+COMMANDS = ("demo", "generate", "train", "render", "evaluate", "export")
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "100", "NO_COLOR": "1"}
+
+
+def tg4mm(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    """Run the program in a process of its own."""
+    command = [sys.executable, "-m", "tg4mm", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, env=ENVIRONMENT)
+
+
+def refused(done: subprocess.CompletedProcess[str]) -> str:
+    """The one line on stderr of a program that refused its input; asserts that it is that."""
+    assert done.returncode == 2, (done.returncode, done.stdout, done.stderr)
+    assert done.stdout == ""
+    assert re.fullmatch(r"tg4mm: [^\n]+\n", done.stderr), done.stderr
+    return done.stderr.strip()
+
+
+@pytest.fixture
+def empty_run(tmp_path: Path) -> Path:
+    """A run folder whose training has made nothing yet."""
+    from tg4mm.runs import Run
+
+    (tmp_path / "data").mkdir()
+    return Run.create(tmp_path / "run", tmp_path / "data", "modal", {}).path
+
+
+def test_version() -> None:
+    done = tg4mm("--version")
+    assert (done.returncode, done.stdout) == (0, f"tg4mm {__version__}\n")
+
+
+def test_help_names_every_command_and_no_other() -> None:
+    done = tg4mm("--help")
+    assert done.returncode == 0
+    listed = re.findall(r"^  (\w+)  ", done.stdout.partition("Commands:")[2], flags=re.M)
+    assert sorted(listed) == sorted(COMMANDS)
+
+
+def test_help_is_fast_and_imports_nothing_heavy() -> None:
+    code = (
+        "import sys\nfor name in ('torch', 'bpy', 'numpy', 'numba', 'PIL'): sys.modules[name] = None\n"
+        "from tg4mm.cli import main\nmain(['train', '--help'])\n"
+    )
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=ENVIRONMENT)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    assert done.returncode == 0, done.stderr
+    assert "--preset" in done.stdout
+    # Processor time, which a busy machine does not stretch.
+    assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 1.0
+
+
+@pytest.mark.parametrize(
+    ("command", "texts"),
+    [
+        ("train", ["[default: modal]", "[default: cpu]", "modal", "cuda", "--set"]),
+        ("render", ["(1 + alpha)", "Hz", "[default: all]", "[default: test]", "--orbit"]),
+        ("evaluate", ["dB", "Hz", "[default: RUN/metrics.json]", "5,10,20,50"]),
+        ("export", ["ply"]),
+        ("demo", ["[default: demo]"]),
+    ],
+)
+def test_help_of_a_command_shows_units_and_defaults(command: str, texts: list[str]) -> None:
+    done = tg4mm(command, "--help")
+    assert done.returncode == 0
+    shown = " ".join(done.stdout.split())
+    for text in texts:
+        assert text in shown
+
+
+def test_no_command_shows_help_and_exits_with_2() -> None:
+    done = tg4mm()
+    assert done.returncode == 2
+    assert "Commands:" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["bake"], r"No such command 'bake'.* \(see tg4mm --help\)"),
+        (["train"], r"Missing argument 'DATASET' \(see tg4mm train --help\)"),
+        (["train", "x", "--out", "y", "--preset", "paper"], "'paper' is not .*'modal'"),
+        (["train", "x", "--out", "y", "--frames", "3"], "No such option:? '?--frames"),
+        (["render", "x", "--out", "y", "--alpha", "big"], "--alpha.*'big'"),
+        (["render", "x", "--out", "y", "--alpha", "1", "--orbit", "0"], "--orbit.*'?0'?"),
+        (["export", "x", "--out", "y", "--format", "usdz"], "'usdz' is not"),
+    ],
+)
+def test_usage_errors_are_one_line(arguments: list[str], message: str) -> None:
+    assert re.search(message, refused(tg4mm(*arguments)))
+
+
+def test_missing_dataset_is_named(tmp_path: Path) -> None:
+    assert f"{tmp_path}/nothing" in refused(tg4mm("train", tmp_path / "nothing", "--out", tmp_path / "run"))
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("pairs", "message"),
+    [
+        (["seed"], "--set 'seed' is not of the form key=value"),
+        (["=3"], "--set '=3' is not of the form key=value"),
+        (["seed=1", "seed=2"], "--set seed is given twice"),
+    ],
+)
+def test_bad_settings_are_refused(tmp_path: Path, pairs: list[str], message: str) -> None:
+    options = [option for pair in pairs for option in ("--set", pair)]
+    assert message in refused(tg4mm("train", tmp_path, "--out", tmp_path / "run", *options))
+
+
+def test_value_of_a_setting_is_all_after_the_first_equals_sign() -> None:
+    from tg4mm.cli.train import split_settings
+
+    assert split_settings(["space.name=mic=a", " n = 4 "]) == {"space.name": "mic=a", "n": "4"}
+
+
+def test_unknown_setting_lists_the_known(tmp_path: Path) -> None:
+    line = refused(tg4mm("train", tmp_path, "--out", tmp_path / "run", "--set", "space.magic=1"))
+    assert "setting 'space.magic' is unknown; there are: space." in line
+
+
+@pytest.mark.parametrize("command", ["render", "evaluate", "export"])
+def test_folder_that_is_no_run_is_named(tmp_path: Path, command: str) -> None:
+    options = ["--alpha", "5"] if command == "render" else []
+    done = tg4mm(command, tmp_path, "--out", tmp_path / "out", *options)
+    assert f"{tmp_path} is not a run folder: it has no config.json" in refused(done)
+    assert not (tmp_path / "out").exists()
+
+
+def test_unfinished_run_is_refused(empty_run: Path, tmp_path: Path) -> None:
+    done = tg4mm("export", empty_run, "--out", tmp_path / "a.ply")
+    assert "its space stage is not finished" in refused(done)
+
+
+def test_render_takes_one_source_of_cameras(empty_run: Path, tmp_path: Path) -> None:
+    done = tg4mm("render", empty_run, "--alpha", 5, "--out", tmp_path / "o", "--split", "test", "--orbit", 3)
+    assert "--split and --orbit exclude each other" in refused(done)
+    done = tg4mm("render", empty_run, "--alpha", 5, "--out", tmp_path / "o", "--orbit", 3, "--no-video")
+    assert "--no-video and --orbit exclude each other" in refused(done)
+
+
+def test_alpha_that_is_no_number_is_named(empty_run: Path) -> None:
+    assert "--alphas '5,x': 'x' is not a number" in refused(tg4mm("evaluate", empty_run, "--alphas", "5,x"))
+
+
+def run_main(body: str) -> subprocess.CompletedProcess[str]:
+    """main() with the export command's body replaced by `body`, as another command of the program."""
+    code = (
+        "import sys; from tg4mm.cli import program\n"
+        f"def probe() -> None:\n    {body}\n"
+        "program.app.command()(probe)\nsys.exit(program.main(['probe']))\n"
+    )
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=ENVIRONMENT)
+
+
+def test_fault_of_the_program_keeps_its_traceback_and_exits_with_1() -> None:
+    done = run_main("[][3]")
+    assert done.returncode == 1
+    assert "Traceback" in done.stderr
+    assert "IndexError" in done.stderr
+
+
+def test_message_of_several_lines_becomes_one() -> None:
+    done = run_main(r"from tg4mm.errors import RunError; raise RunError('a\n  b')")
+    assert refused(done) == "tg4mm: a b"
+
+
+def test_missing_core_package_says_how_to_install_it() -> None:
+    done = run_main("sys.modules['torch'] = None; import torch")
+    assert refused(done) == "tg4mm: this command needs torch: pip install 'tg4mm[core]'"
+
+
+def test_other_missing_module_is_a_fault_of_the_program() -> None:
+    assert run_main("import no_such_module").returncode == 1
+
+
+def test_exit_code_given_by_a_command_is_passed_on() -> None:
+    assert run_main("import typer; raise typer.Exit(7)").returncode == 7
+
+
+def test_interrupt_exits_with_130_and_says_how_to_go_on() -> None:
+    code = (
+        "import sys, time; from tg4mm.cli import program\n"
+        "def probe() -> None:\n    print('ready', flush=True); time.sleep(60)\n"
+        "program.app.command()(probe)\nsys.exit(program.main(['probe']))\n"
+    )
+    command = [sys.executable, "-c", code]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT
+    ) as child:
+        assert child.stdout is not None
+        assert child.stdout.readline() == "ready\n"
+        child.send_signal(signal.SIGINT)
+        _, err = child.communicate(timeout=20)
+    assert child.returncode == 130
+    assert "interrupted; the same command goes on" in err
+    assert "Traceback" not in err
+
+
+def test_generate_without_blender_says_how_to_install_it() -> None:
+    code = (
+        "import sys, importlib.util as u; find = u.find_spec\n"
+        "u.find_spec = lambda name: None if name == 'bpy' else find(name)\n"
+        "from tg4mm.cli import main; sys.exit(main(['generate', 'mic', '--out', 'x']))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=ENVIRONMENT)
+    assert "bpy, which is not installed: pip install 'tg4mm[generate]'" in refused(done)

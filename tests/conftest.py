@@ -1,0 +1,31 @@
+"""What every test shares: few threads, one folder for compiled kernels, the example data."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+# Before numba, torch or numpy are imported. Two workers share two cores, and BLAS spins when it waits.
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+ROOT = Path(__file__).resolve().parent.parent
+os.environ.setdefault("NUMBA_CACHE_DIR", str(ROOT / ".numba_cache"))
+
+import pytest  # noqa: E402
+
+
+@pytest.fixture(scope="session")
+def repo_root() -> Path:
+    """The repository's folder."""
+    return ROOT
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """The folder of example captures, `../shared/data` (or $TG4MM_DATA); without it the test is skipped."""
+    folder = Path(os.environ.get("TG4MM_DATA", ROOT.parent / "shared" / "data"))
+    if not (folder / "mic_5Hz_000").is_dir():
+        pytest.skip(
+            f"no example data: {folder}/mic_5Hz_000 is absent (set TG4MM_DATA to the folder above it)"
+        )
+    return folder

@@ -1,0 +1,217 @@
+"""A whole, tiny run through its processes: the tree, the links, resuming, refusing."""
+
+import io
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("bpy")
+pytest.importorskip("OpenEXR")
+
+from dataset_gen import png, tree
+from dataset_gen.plan import shots
+from dataset_gen.run import generate, missing_files, scene_of
+from dataset_gen.settings import GenerateError, Settings
+
+TINY = Settings(size=32, timesteps=6, views=3, test_views=1, alphas=(5,), samples=2, points=300)
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    return generate(TINY, tmp_path_factory.mktemp("set"), processes=2, stream=io.StringIO())
+
+
+def files(root):
+    return sorted(str(path.relative_to(root)) for path in root.rglob("*") if path.is_file())
+
+
+def test_the_tree_is_that_of_the_contract(made):
+    expected = {"scene.json", "points3d.ply", "truth/motion.npz"}
+    for t in range(6):
+        expected |= {f"{t:03d}/transforms_{s}.json" for s in ("train", "test")}
+        expected |= {f"{t:03d}/train/r_{i:03d}.png" for i in range(3)} | {f"{t:03d}/test/r_000.png"}
+        expected |= {f"magnified/x005/{t:03d}/{n}" for n in ("transforms_test.json", "test/r_000.png")}
+        expected |= {f"truth/test/{t:03d}/r_000.exr"}
+    assert set(files(made)) == expected
+    assert made.name == "mic_5Hz_0_005"
+
+
+def test_each_timestep_reads_as_a_nerf_synthetic_folder(made):
+    image = pytest.importorskip("PIL.Image")
+    for t in range(6):
+        folder = made / f"{t:03d}"
+        data = json.loads((folder / "transforms_train.json").read_text())
+        assert data["frames"][0]["time"] == pytest.approx(t / 30)
+        for frame in data["frames"]:
+            rgba = np.asarray(image.open(folder / (frame["file_path"] + ".png")))
+            assert rgba.shape == (32, 32, 4)
+            assert rgba.dtype == np.uint8
+            assert 0.02 < (rgba[..., 3] > 0).mean() < 0.5
+            assert np.array(frame["transform_matrix"]).shape == (4, 4)
+
+
+def test_poses_are_the_same_at_every_timestep(made):
+    poses = [
+        [f["transform_matrix"] for f in json.loads(path.read_text())["frames"]]
+        for path in sorted(made.glob("*/transforms_train.json"))
+    ]
+    assert len(poses) == 6
+    assert all(pose == poses[0] for pose in poses)
+
+
+def test_scene_json_has_what_readers_need(made):
+    data = json.loads((made / "scene.json").read_text())
+    for key in ("scene", "fps", "n_timesteps", "frequency_hz", "amplitude", "unit_scale_m", "modes", "seed", "engine",
+                "alphas", "background", "width", "height", "blender_version", "package_version", "n_train", "n_test",
+                "format_version"):  # fmt: skip
+        assert key in data
+    assert (data["fps"], data["n_timesteps"], data["background"], data["format_version"]) == (
+        30,
+        6,
+        "transparent",
+        1,
+    )
+    assert data["modes"][0]["kind"] == "bending"
+
+
+def test_timesteps_of_one_state_are_one_file_and_others_are_not(made):
+    def inode(t, split="train"):
+        return os.stat(made / f"{t:03d}/{split}/r_000.png").st_ino
+
+    assert inode(0) == inode(3)
+    assert inode(1) == inode(2)
+    assert inode(4) == inode(5)
+    assert len({inode(0), inode(1), inode(4)}) == 3
+    assert os.stat(made / "magnified/x005/000/test/r_000.png").st_ino == inode(0, "test")
+
+
+def test_a_linked_frame_is_what_rendering_it_gives(made, tmp_path):
+    """Timestep 2 is a link to timestep 1; rendered on its own, in this process, it has the same bytes."""
+    from dataset_gen import build, render
+    from dataset_gen.cameras import train_cameras
+    from dataset_gen.quality import Quality
+
+    stage = build.build(scene_of(TINY), TINY.fps)
+    render.configure(stage, Quality.of(TINY))
+    build.set_state(stage, stage.motion.state(2))
+    build.set_view(stage, train_cameras(3)[1].camera_to_world)
+    render.render_to(stage, tmp_path / "own.png")
+    assert (tmp_path / "own.png").read_bytes() == (made / "002/train/r_001.png").read_bytes()
+
+
+def test_motion_file_reproduces_the_law(made):
+    with np.load(made / "truth/motion.npz", allow_pickle=False) as data:
+        names, frequencies = data["objects"], data["frequencies_hz"]
+        assert frequencies.tolist() == [5.0]
+        motion = scene_of(TINY).motion(30.0)
+        for i in range(len(names)):
+            rest, faces, mode = data[f"rest_{i}"], data[f"faces_{i}"], data[f"mode_{i}"]
+            assert (rest.dtype, faces.dtype, mode.dtype) == (np.float32, np.int32, np.complex64)
+            assert mode.shape == (1, *rest.shape)
+            assert faces.max() < len(rest)
+            at_1 = (mode * np.exp(2j * np.pi * 5 * 1 / 30)).sum(0).real
+            np.testing.assert_allclose(at_1, motion.displacement(i, motion.state(1)), atol=1e-9)
+        assert not data[f"mode_{names.tolist().index('feet')}"].any()
+
+
+def test_points_lie_on_the_surface_with_plausible_colours(made):
+    raw = (made / "points3d.ply").read_bytes()
+    header, body = raw.split(b"end_header\n", 1)
+    assert b"format binary_little_endian 1.0" in header
+    assert b"element vertex 300" in header
+    kinds = [(n, "<f4") for n in ("x", "y", "z", "nx", "ny", "nz")] + [
+        (n, "u1") for n in ("red", "green", "blue")
+    ]
+    rows = np.frombuffer(body, kinds)
+    assert len(rows) == 300
+    xyz = np.column_stack([rows["x"], rows["y"], rows["z"]])
+    assert (np.abs(xyz) < 1.3).all()
+    assert rows["red"].std() > 10
+
+
+def test_resuming_renders_only_what_is_missing(made):
+    before = {
+        name: os.stat(made / name).st_mtime_ns for name in files(made) if name.endswith((".png", ".exr"))
+    }
+    whole = (made / "001/train/r_001.png").read_bytes()
+    for t in (1, 2):  # one state of one view
+        (made / f"{t:03d}/train/r_001.png").unlink()
+    (made / "004/train/r_002.png").unlink()
+    (made / "004/train/r_002.png").write_bytes(whole[:100])  # its twin at timestep 5 is whole
+    (made / ".left.123.tmp.png").write_bytes(b"half")
+    seen = io.StringIO()
+    assert generate(TINY, made.parent, processes=1, stream=seen) == made
+    assert "rendering 2/2" in seen.getvalue()
+    assert (made / "001/train/r_001.png").read_bytes() == whole
+    assert png.complete(made / "004/train/r_002.png", 32, 32)
+    assert not (made / ".left.123.tmp.png").exists()
+    touched = {name for name, time in before.items() if os.stat(made / name).st_mtime_ns != time}
+    assert touched == {"001/train/r_001.png", "002/train/r_001.png"}
+
+
+def test_a_complete_set_is_left_alone(made):
+    seen = io.StringIO()
+    generate(TINY, made.parent, stream=seen)
+    assert seen.getvalue() == ""
+
+
+def test_a_changed_configuration_is_refused(made):
+    with pytest.raises(GenerateError, match=r"holds another dataset: seed is 0, asked for 7"):
+        generate(Settings(**{**TINY.to_json(), "alphas": (5,), "seed": 7}), made.parent)
+
+
+def test_missing_files_are_named(made, tmp_path):
+    every = shots(TINY, scene_of(TINY).motion(30.0))
+    assert missing_files(made, TINY, every) == []
+    assert "005/train/r_002.png" in missing_files(tmp_path, TINY, every)
+
+
+def test_truncated_and_foreign_pictures_are_not_complete(made, tmp_path):
+    data = (made / "000/train/r_000.png").read_bytes()
+    path = tmp_path / "a.png"
+    for content, good in ((data, True), (data[:-1], False), (b"", False), (b"GIF89a" + data[6:], False)):
+        path.write_bytes(content)
+        assert png.complete(path, 32, 32) is good
+    assert not png.complete(path, 64, 64)
+    exr = (made / "truth/test/000/r_000.exr").read_bytes()
+    path = tmp_path / "a.exr"
+    path.write_bytes(exr)
+    assert tree.exr_complete(path, 32, 32)
+    assert not tree.exr_complete(path, 64, 64)
+
+
+@pytest.mark.slow
+def test_killed_runs_go_on(tmp_path):
+    command = [sys.executable, "-m", "dataset_gen", "mic", "--out", str(tmp_path), "--preset", "smoke"]
+    process = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True)
+    assert process.stderr is not None
+    line = process.stderr.readline()  # the first progress line
+    assert line.startswith("rendering")
+    process.kill()
+    process.wait()
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    total = int(done.stderr.strip().splitlines()[-2].split()[1].split("/")[1])
+    assert 0 < total < 22
+    assert "complete" in done.stderr
+
+
+@pytest.mark.slow
+def test_inside_blender_the_same_arguments_work(tmp_path):
+    """As `blender --background --python blender_main.py -- …` would: bpy loaded, argv whole, package not on the path."""
+    script = ROOT / "dataset_gen/blender_main.py"
+    code = (
+        "import bpy, runpy, sys\n"
+        f"sys.argv = ['blender', '--background', '--python', {str(script)!r}, '--', 'mic', '--out', {str(tmp_path)!r},"
+        " '--preset', 'smoke', '--timesteps', '2', '--truth', 'none']\n"
+        "for name in ('PIL', 'rich', 'typer', 'plyfile', 'OpenEXR', 'torch'): sys.modules[name] = None\n"
+        f"runpy.run_path({str(script)!r}, run_name='__main__')"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "mic_5Hz_0_005/points3d.ply").exists()

@@ -1,0 +1,180 @@
+"""Displacement error, direction, leak and amplitude against closed forms."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tg4mm.evaluate.displacement import displacement_figures, frequency_figures
+from tg4mm.motion.modal import ModalMotion
+
+FPS, T, N = 30.0, 30, 40
+
+
+def motion(modes: dict[float, np.ndarray], fps: float = FPS, n_timesteps: int = T) -> ModalMotion:
+    displacement = np.stack(list(modes.values())).astype(np.complex64)
+    return ModalMotion(np.array(list(modes)), displacement, np.zeros_like(displacement), fps, n_timesteps)
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(0)
+
+
+@pytest.fixture
+def true(rng) -> ModalMotion:
+    return motion({3.0: 1e-3 * (rng.standard_normal((N, 3)) + 1j * rng.standard_normal((N, 3)))})
+
+
+def test_the_truth_itself_has_no_error(true) -> None:
+    figures = displacement_figures(true, true, np.ones(N))
+    assert figures["relative_error"] == 0.0
+    row = figures["per_frequency"][0]
+    assert row["amplitude_ratio"] == 1.0
+    assert row["direction_error_deg"] == pytest.approx(0, abs=1e-5)
+    assert row["phase_error_deg"] == pytest.approx(0, abs=1e-5)
+
+
+def test_no_motion_has_an_error_of_one(true) -> None:
+    still = replace(true, displacement=0 * true.displacement)
+    figures = displacement_figures(still, true, np.ones(N))
+    assert figures["relative_error"] == 1.0
+    assert figures["per_frequency"][0]["amplitude_ratio"] == 0.0
+    assert figures["per_frequency"][0]["direction_error_deg"] is None
+
+
+@pytest.mark.parametrize("gain", [0.5, 1.2, -1.0])
+def test_a_gain_is_its_own_error(true, gain) -> None:
+    figures = displacement_figures(replace(true, displacement=gain * true.displacement), true, np.ones(N))
+    assert figures["relative_error"] == pytest.approx(abs(gain - 1), rel=1e-5)
+    assert figures["per_frequency"][0]["amplitude_ratio"] == pytest.approx(abs(gain), rel=1e-5)
+
+
+def test_a_phase_error_is_found_with_its_sign(true) -> None:
+    """Shifted by φ, a sinusoid is off by 2 sin(φ/2) of its rms."""
+    phi = np.radians(18)
+    figures = displacement_figures(
+        replace(true, displacement=np.exp(1j * phi) * true.displacement), true, np.ones(N)
+    )
+    assert figures["relative_error"] == pytest.approx(2 * np.sin(phi / 2), rel=1e-5)
+    row = figures["per_frequency"][0]
+    assert row["phase_error_deg"] == pytest.approx(18, rel=1e-5)
+    assert row["direction_error_deg"] == pytest.approx(0, abs=1e-4)
+    assert row["relative_error"] == pytest.approx(2 * np.sin(phi / 2), rel=1e-5)
+
+
+def test_a_turned_direction_is_found_and_weighted(rng) -> None:
+    """Half of the weight turned by 30°, with an opposite sign that is a matter of phase, not of direction."""
+    along = np.zeros((4, 3))
+    along[:, 0] = 2e-3
+    turned = along.copy()
+    turned[2:] = -2e-3 * np.array([np.cos(np.pi / 6), np.sin(np.pi / 6), 0])
+    row = frequency_figures(motion({3.0: -1j * turned}), motion({3.0: -1j * along}), np.array([1, 1, 3, 3]))[
+        0
+    ]
+    assert row["direction_error_deg"] == pytest.approx(0.75 * 30, rel=1e-5)
+    assert row["amplitude_true"] == pytest.approx(2e-3)
+
+
+def test_the_error_is_the_weighted_rms_over_time_and_gaussians(true, rng) -> None:
+    noise = motion({3.0: 1e-4 * rng.standard_normal((N, 3)), 7.0: 2e-4j * rng.standard_normal((N, 3))})
+    estimated = motion({3.0: true.displacement[0] + noise.displacement[0], 7.0: noise.displacement[1]})
+    weights = rng.uniform(0, 5, N)
+    t = np.arange(T)[:, None, None]
+
+    def series(m: ModalMotion) -> np.ndarray:
+        return sum(
+            (d * np.exp(2j * np.pi * f * t / FPS)).real
+            for f, d in zip(m.freqs_hz, m.displacement, strict=True)
+        )
+
+    def rms(x: np.ndarray) -> float:
+        return float(np.sqrt(((x**2).sum(2) * weights).sum() / (T * weights.sum())))
+
+    expected = rms(series(estimated) - series(true)) / rms(series(true))
+    figures = displacement_figures(estimated, true, weights)
+    assert figures["relative_error"] == pytest.approx(expected, rel=1e-6)
+    assert figures["rms_true"] == pytest.approx(rms(series(true)), rel=1e-6)
+    assert displacement_figures(estimated, true, 7 * weights)["relative_error"] == pytest.approx(
+        expected, rel=1e-6
+    )
+    assert abs(displacement_figures(estimated, true, np.ones(N))["relative_error"] - expected) > 1e-4
+
+
+def test_what_no_camera_sees_does_not_count(true) -> None:
+    wrong = true.displacement.copy()
+    wrong[:, 5] += 1.0
+    weights = np.ones(N)
+    assert displacement_figures(replace(true, displacement=wrong), true, weights)["relative_error"] > 10
+    weights[5] = 0
+    assert displacement_figures(replace(true, displacement=wrong), true, weights)["relative_error"] == 0
+
+
+def test_a_known_leak_is_measured() -> None:
+    """Half of the Gaussians move by 1, the others stand still (one creeps below 1 %) and are given 0.05."""
+    true, estimated = np.zeros((4, 3)), np.zeros((4, 3))
+    true[:2, 2], true[3, 2] = 1e-3, 0.5e-5
+    estimated[:2, 2], estimated[2:, 0] = 1e-3, 0.05e-3
+    weights = np.array([2.0, 2.0, 1.0, 1.0])
+    figures = displacement_figures(motion({3.0: estimated}), motion({3.0: true}), weights)
+    assert figures["static_leak"] == pytest.approx(0.05, rel=1e-5)
+    assert figures["static_share"] == pytest.approx(1 / 3)
+    none_still = displacement_figures(motion({3.0: estimated[:2]}), motion({3.0: true[:2]}), weights[:2])
+    assert none_still["static_leak"] is None
+
+
+def test_a_scene_at_rest_has_no_relative_figures() -> None:
+    figures = displacement_figures(
+        motion({3.0: np.ones((2, 3))}), motion({3.0: np.zeros((2, 3))}), np.ones(2)
+    )
+    assert figures["relative_error"] is None
+    assert figures["static_leak"] is None
+    assert figures["rms_estimated"] == pytest.approx(np.sqrt(1.5))
+    assert figures["per_frequency"][0]["amplitude_ratio"] is None
+
+
+def test_lengths_are_in_mm_only_when_the_scale_is_known(true) -> None:
+    plain = displacement_figures(true, true, np.ones(N))
+    scaled = displacement_figures(true, true, np.ones(N), unit_scale_m=0.2)
+    assert not [k for k in [*plain, *plain["per_frequency"][0]] if k.endswith("_mm")]
+    assert scaled["rms_true_mm"] == pytest.approx(200 * plain["rms_true"])
+    row = scaled["per_frequency"][0]
+    assert row["amplitude_true_mm"] == pytest.approx(200 * row["amplitude_true"])
+
+
+def test_each_frequency_is_judged_by_itself() -> None:
+    a, b = np.zeros((2, 3)), np.zeros((2, 3))
+    a[:, 0], b[:, 1] = 1e-3, 4e-3
+    rows = frequency_figures(motion({5.0: b * 0.5, 3.0: a, 9.0: b}), motion({3.0: a, 5.0: b}), np.ones(2))
+    assert [r["frequency_hz"] for r in rows] == [3.0, 5.0]
+    assert [r["amplitude_ratio"] for r in rows] == pytest.approx([1.0, 0.5], rel=1e-6)
+    assert [r["amplitude_true"] for r in rows] == pytest.approx([1e-3, 4e-3], rel=1e-6)
+
+
+def test_a_frequency_between_bins_is_compared_by_what_both_do_there() -> None:
+    """4.5 Hz seen for one second, rebuilt from its DFT bins: none holds 4.5 Hz, yet it is the same motion."""
+    shape = np.array([[1e-3, 0, 0], [0, 2e-3, 0]])
+    true = motion({4.5: -1j * shape})
+    t = np.arange(T)
+    spectrum = np.fft.rfft(np.sin(2 * np.pi * 4.5 * t / FPS)) * 2 / T
+    spectrum[[0, -1]] /= 2
+    bins = motion({float(f): c * shape for f, c in zip(np.fft.rfftfreq(T, 1 / FPS), spectrum, strict=True)})
+    figures = displacement_figures(bins, true, np.ones(2))
+    assert figures["relative_error"] < 1e-5
+    assert figures["per_frequency"][0]["amplitude_ratio"] == pytest.approx(1, rel=1e-5)
+    assert figures["per_frequency"][0]["relative_error"] < 1e-5
+
+
+@pytest.mark.parametrize("frequency", [0.0, 15.0])
+def test_the_ends_of_the_spectrum_are_not_counted_twice(frequency) -> None:
+    row = frequency_figures(*[motion({frequency: np.full((2, 3), 1e-3)})] * 2, np.ones(2))[0]
+    assert row["amplitude_true"] == pytest.approx(np.sqrt(3) * 1e-3, rel=1e-6)
+
+
+def test_what_does_not_fit_together_is_refused(true) -> None:
+    with pytest.raises(ValueError, match="'weights': 39"):
+        displacement_figures(true, true, np.ones(N - 1))
+    with pytest.raises(ValueError, match=r"\(25.0, 30\), \(30.0, 30\)"):
+        displacement_figures(replace(true, fps=25.0), true, np.ones(N))
+    with pytest.raises(ValueError, match="sum is 0"):
+        displacement_figures(true, true, np.zeros(N))

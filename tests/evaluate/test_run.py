@@ -1,0 +1,276 @@
+"""Evaluation of whole runs on a small dataset whose exact model is known."""
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import tg4mm.evaluate.run as module
+from tests.synthetic import make_synthetic_dataset
+from tg4mm.errors import CaptureError
+from tg4mm.evaluate import EvaluationError, evaluate_run, format_table
+from tg4mm.evaluate.metrics import psnr
+from tg4mm.gaussians import Gaussians
+from tg4mm.motion.modal import ModalMotion
+from tg4mm.runs import Run
+
+STATIC, OURS, CEILING = "nothing moves", "ours", "ceiling"
+EXTRAS = {"n_views": 3, "n_timesteps": 10, "size": 40, "n_test": 2, "alphas": (5, 20)}
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory) -> tuple[Path, Gaussians, ModalMotion]:
+    root = tmp_path_factory.mktemp("scene") / "posts_3Hz_0_02"
+    return root, *make_synthetic_dataset(root, **EXTRAS)
+
+
+def make_run(folder: Path, dataset: Path, gaussians: Gaussians, motion: ModalMotion | None) -> Run:
+    run = Run.create(folder / "run", dataset, "modal", {"seed": 0})
+    run.save_space(gaussians, {})
+    if motion is not None:
+        run.save_motion(motion, {})
+    return run
+
+
+@pytest.fixture
+def half(scene, tmp_path) -> Run:
+    """A run that found half of the amplitude, in the right place and phase."""
+    root, gaussians, motion = scene
+    return make_run(tmp_path, root, gaussians, replace(motion, displacement=0.5 * motion.displacement))
+
+
+def rows_of(metrics: dict, alpha: int) -> dict:
+    return next(e["rows"] for e in metrics["alphas"] if e["alpha"] == alpha)
+
+
+def test_the_exact_motion_reaches_the_ceiling_and_the_ceiling_the_ground_truth(scene, tmp_path) -> None:
+    root, gaussians, motion = scene
+    metrics = evaluate_run(make_run(tmp_path, root, gaussians, motion))
+    assert [e["alpha"] for e in metrics["alphas"]] == [0, 5, 20]
+    assert [e["n_images"] for e in metrics["alphas"]] == [20, 20, 20]
+    for alpha in (0, 5, 20):
+        rows = rows_of(metrics, alpha)
+        assert rows[CEILING]["psnr_db"] > 45  # 8-bit files allow no more than about 59
+        assert rows[CEILING]["ssim"] > 0.998
+        assert rows[OURS]["psnr_db"] == pytest.approx(rows[CEILING]["psnr_db"], abs=0.05)
+    assert metrics["displacement"]["relative_error"] < 1e-3
+    assert metrics["displacement"]["static_leak"] < 1e-3
+    assert rows_of(metrics, 20)[STATIC]["psnr_db"] < rows_of(metrics, 20)[CEILING]["psnr_db"] - 10
+    assert rows_of(metrics, 20)[STATIC]["flip"] > 2 * rows_of(metrics, 20)[CEILING]["flip"]
+
+
+def test_half_the_amplitude_is_half_an_error_and_a_gap_that_grows(half) -> None:
+    metrics = evaluate_run(half)
+    assert metrics["displacement"]["relative_error"] == pytest.approx(0.5, abs=1e-3)
+    assert metrics["displacement_error"] == {
+        STATIC: 1.0,
+        OURS: metrics["displacement"]["relative_error"],
+        CEILING: 0.0,
+    }
+    row = metrics["displacement"]["per_frequency"][0]
+    assert row["frequency_hz"] == 3.0
+    assert row["amplitude_ratio"] == pytest.approx(0.5, abs=1e-3)
+    assert row["direction_error_deg"] < 0.1
+    assert row["amplitude_true_mm"] == pytest.approx(100 * row["amplitude_true"])  # 0.1 m a unit
+    gaps = {e["alpha"]: e["gap_to_ceiling"] for e in metrics["alphas"]}
+    for key in ("psnr_db", "ssim", "flip"):
+        assert 0 < gaps[5][key] < gaps[20][key]
+        between = rows_of(metrics, 20)
+        low, high = sorted((between[STATIC][key], between[CEILING][key]))
+        assert low < between[OURS][key] < high
+    assert gaps[20]["lpips"] is None
+    assert gaps[20]["psnr_db"] == pytest.approx(
+        rows_of(metrics, 20)[CEILING]["psnr_db"] - rows_of(metrics, 20)[OURS]["psnr_db"]
+    )
+
+
+def test_caching_changes_no_number_and_saves_work(half, monkeypatch) -> None:
+    calls = []
+    monkeypatch.setattr(module, "psnr", lambda a, b: calls.append(1) or psnr(a, b))
+    cached = evaluate_run(half, out=half.path / "cached.json")
+    n_cached = len(calls)
+    plain = evaluate_run(half, out=half.path / "plain.json", use_cache=False)
+    n_plain = len(calls) - n_cached
+    assert n_plain == 3 * 3 * 20
+    # A sine of 3 Hz at 30 Hz has 5 poses, whatever the number of timesteps: the rest pose is shared.
+    assert n_cached < 0.6 * n_plain
+    for a, b in zip(cached["alphas"], plain["alphas"], strict=True):
+        for name, row in a["rows"].items():
+            for key, value in row.items():
+                assert value == (None if value is None else pytest.approx(b["rows"][name][key], rel=1e-5)), (
+                    name,
+                    key,
+                )
+    assert cached["displacement"] == plain["displacement"]
+
+
+def test_the_file_is_what_is_returned_and_strict_json(half) -> None:
+    metrics = evaluate_run(half, alphas=[5])
+
+    def refuse(text: str) -> None:
+        raise AssertionError(text)
+
+    assert json.loads((half.path / "metrics.json").read_text(), parse_constant=refuse) == metrics
+    assert (metrics["format"], metrics["version"]) == ("tg4mm-metrics", 1)
+    assert metrics["metrics"] == ["psnr_db", "ssim", "flip"]
+    assert [e["alpha"] for e in metrics["alphas"]] == [0, 5]
+    assert sorted(p.name for p in half.path.iterdir() if p.name.startswith(".")) == []
+
+
+def test_what_is_absent_is_said(scene, tmp_path) -> None:
+    root, gaussians, motion = scene
+    bare = tmp_path / "bare"
+    shutil.copytree(
+        root, bare, ignore=shutil.ignore_patterns("truth", "magnified", "test", "transforms_test.json")
+    )
+    metrics = evaluate_run(make_run(tmp_path, bare, gaussians, motion), alphas=[5])
+    assert metrics["alphas"] == []
+    assert metrics["displacement"] is None
+    assert set(metrics["absent"]) == {"LPIPS", "α = 0", "α = 5", "ceiling"}
+    assert "no weights given" in metrics["absent"]["LPIPS"]
+    text = format_table(metrics)
+    assert "No images to score." in text
+    for what in metrics["absent"]:
+        assert f"Not measured: {what}: " in text
+
+
+def test_a_capture_of_one_timestep_is_scored_at_rest(scene, tmp_path) -> None:
+    root, gaussians, _ = scene
+    metrics = evaluate_run(make_run(tmp_path, root / "000", gaussians, None))
+    assert list(rows_of(metrics, 0)) == [STATIC]
+    assert rows_of(metrics, 0)[STATIC]["psnr_db"] > 45
+    assert "ours" in metrics["absent"]
+    assert metrics["alphas"][0]["gap_to_ceiling"] is None
+    assert "nothing moves" in format_table(metrics)
+
+
+def test_without_truth_there_is_no_ceiling(scene, tmp_path) -> None:
+    root, gaussians, motion = scene
+    copy = tmp_path / "copy"
+    shutil.copytree(root, copy, ignore=shutil.ignore_patterns("truth"))
+    metrics = evaluate_run(make_run(tmp_path, copy, gaussians, motion), alphas=[20])
+    assert list(rows_of(metrics, 20)) == [STATIC, OURS]
+    assert metrics["displacement"] is None
+    assert metrics["alphas"][1]["gap_to_ceiling"] is None
+
+
+def test_what_is_there_but_broken_is_an_error(scene, tmp_path) -> None:
+    root, gaussians, motion = scene
+    copy = tmp_path / "copy"
+    shutil.copytree(root, copy)
+    run = make_run(tmp_path, copy, gaussians, motion)
+    (copy / "003" / "transforms_test.json").write_text("{")
+    with pytest.raises(CaptureError, match=r"003/transforms_test\.json"):
+        evaluate_run(run)
+    (copy / "truth" / "motion.npz").write_bytes(b"PK")
+    with pytest.raises(CaptureError, match=r"motion\.npz is torn"):
+        evaluate_run(run)
+
+
+def test_unusable_requests_are_refused(half, scene, tmp_path) -> None:
+    with pytest.raises(EvaluationError, match="-3"):
+        evaluate_run(half, alphas=[-3])
+    with pytest.raises(CaptureError, match="half the frame rate"):
+        evaluate_run(half, band=(4, 40))
+    with pytest.raises(EvaluationError, match=r"nowhere\.pth does not exist"):
+        evaluate_run(half, lpips_weights=tmp_path / "nowhere.pth")
+    root, gaussians, motion = scene
+    other = make_run(tmp_path / "other", root, gaussians, replace(motion, n_timesteps=12))
+    with pytest.raises(EvaluationError, match=r"trained on 12 timesteps at 30 Hz, but .* holds 10 at 30 Hz"):
+        evaluate_run(other)
+    assert not (other.path / "metrics.json").exists()
+
+
+def test_an_alpha_without_ground_truth_is_named(half) -> None:
+    metrics = evaluate_run(half, alphas=[5, 7.5])
+    assert "there: 5, 20" in metrics["absent"]["α = 7.5"]
+    assert [e["alpha"] for e in metrics["alphas"]] == [0, 5]
+
+
+def test_a_killed_evaluation_goes_on_where_it_was(half, monkeypatch) -> None:
+    expected = evaluate_run(half, out=half.path / "whole.json")
+    scored = []
+    original = module.Scorer.score
+
+    def interrupted(self, methods, capture, images, alpha, update):
+        if alpha == 20:
+            raise KeyboardInterrupt
+        return original(self, methods, capture, images, alpha, update)
+
+    monkeypatch.setattr(module.Scorer, "score", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        evaluate_run(half)
+    assert not (half.path / "metrics.json").exists()
+
+    def counting(self, methods, capture, images, alpha, update):
+        scored.append(alpha)
+        return original(self, methods, capture, images, alpha, update)
+
+    monkeypatch.setattr(module.Scorer, "score", counting)
+    metrics = evaluate_run(half)
+    assert scored == [20]
+    assert metrics["alphas"] == expected["alphas"]
+
+
+def test_a_changed_run_is_not_resumed(half, scene, monkeypatch) -> None:
+    original = module.Scorer.score
+
+    def interrupted(self, methods, capture, images, alpha, update):
+        if alpha == 20:
+            raise KeyboardInterrupt
+        return original(self, methods, capture, images, alpha, update)
+
+    monkeypatch.setattr(module.Scorer, "score", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        evaluate_run(half)
+    monkeypatch.setattr(module.Scorer, "score", original)
+    half.save_motion(scene[2], {})
+    metrics = evaluate_run(half)
+    assert rows_of(metrics, 5)[OURS]["psnr_db"] == pytest.approx(
+        rows_of(metrics, 5)[CEILING]["psnr_db"], abs=0.05
+    )
+
+
+def test_a_band_is_judged_by_itself_and_motion_outside_it_is_noted(tmp_path) -> None:
+    root = tmp_path / "two"
+    gaussians, motion = make_synthetic_dataset(root, **EXTRAS | {"freqs": (3.0, 6.0), "alphas": (20,)})
+    wrong = motion.displacement.copy()
+    wrong[1] *= 0.5  # what is outside the band is off
+    run = make_run(tmp_path, root, gaussians, replace(motion, displacement=wrong))
+    metrics = evaluate_run(run, band=(2, 4))
+    assert metrics["band_hz"] == [2.0, 4.0]
+    assert metrics["displacement"]["in_band"]["relative_error"] < 1e-3
+    assert metrics["displacement"]["relative_error"] > 0.1
+    assert metrics["notes"] == ["The ground truth also magnifies motion at 6 Hz, outside the band 2 to 4 Hz."]
+    everything = evaluate_run(run)
+    assert everything["notes"] == []
+    assert rows_of(metrics, 20)[CEILING] == rows_of(everything, 20)[CEILING]
+    assert rows_of(metrics, 20)[OURS]["psnr_db"] < rows_of(everything, 20)[OURS]["psnr_db"] - 0.5
+
+
+def test_the_table_holds_every_figure(half) -> None:
+    metrics = evaluate_run(half)
+    lines = format_table(metrics).splitlines()
+    assert lines[0].split("|")[1:-1][2].strip() == "PSNR dB ↑"
+    cells = [[c.strip() for c in line.split("|")[1:-1]] for line in lines if line.startswith("|")][2:]
+    assert len(cells) == 9
+    assert len({len(line) for line in lines if line.startswith("|")}) == 1
+    for alpha, name, *values in cells:
+        row = rows_of(metrics, int(alpha))[name]
+        assert values[:3] == [f"{row['psnr_db']:.2f}", f"{row['ssim']:.4f}", f"{row['flip']:.4f}"]
+        assert values[3] == f"{metrics['displacement_error'][name]:.3f}"
+    assert any(line.startswith("3 Hz: amplitude ") and "mm" in line for line in lines)
+
+
+def test_images_too_small_for_a_metric_lack_it(tmp_path) -> None:
+    root = tmp_path / "small"
+    gaussians, motion = make_synthetic_dataset(
+        root, **EXTRAS | {"size": 8, "n_timesteps": 5, "alphas": (), "freqs": (6.0,)}
+    )
+    metrics = evaluate_run(make_run(tmp_path, root, gaussians, motion))
+    assert rows_of(metrics, 0)[OURS]["ssim"] is None
+    assert np.isfinite(rows_of(metrics, 0)[OURS]["psnr_db"])
+    assert "8×8" in metrics["absent"]["SSIM"]

@@ -1,0 +1,239 @@
+"""The exact motion: an analytic bending beam, rigid motion, objects that stand still, and broken files."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tg4mm.errors import CaptureError
+from tg4mm.evaluate.truth import Truth, TruthObject, exact_motion, load_truth
+
+FPS, T = 30.0, 30
+LENGTH, HALF = 2.0, 0.1  # of the beam, along x, and half its square section
+AMPLITUDE = 0.005 * np.exp(0.4j)
+
+
+def box_mesh(n_along: int = 40, n_across: int = 4) -> tuple[np.ndarray, np.ndarray]:
+    """Surface of the beam, x in 0..LENGTH, as a triangle mesh with shared vertices within each side."""
+    x, s = np.linspace(0, LENGTH, n_along + 1), np.linspace(-HALF, HALF, n_across + 1)
+    vertices, faces = [], []
+    for side in range(4):
+        grid = np.stack(np.meshgrid(x, s, indexing="ij"), -1)
+        fixed = np.full(grid.shape[:2], HALF if side < 2 else -HALF)
+        y, z = (grid[..., 1], fixed) if side % 2 else (fixed, grid[..., 1])
+        start = sum(map(len, vertices))
+        vertices.append(np.stack([grid[..., 0], y, z], -1).reshape(-1, 3))
+        index = start + np.arange(grid[..., 0].size).reshape(grid.shape[:2])
+        a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
+        faces += [np.stack(t, -1).reshape(-1, 3) for t in ((a, b, c), (a, c, d))]
+    return np.concatenate(vertices), np.concatenate(faces)
+
+
+def bending(points: np.ndarray) -> np.ndarray:
+    """Euler-Bernoulli bending w(x) = A x² along z: sections stay plane, u = (−z w', 0, w). [N, 3] complex."""
+    x, z = points[:, 0], points[:, 2]
+    return np.stack([-z * 2 * AMPLITUDE * x, 0 * x, AMPLITUDE * x**2], 1)
+
+
+def bending_rotation(points: np.ndarray) -> np.ndarray:
+    """Half the curl of `bending`: (∂u_x/∂z − ∂u_z/∂x)/2 = −w' about y."""
+    w_prime = 2 * AMPLITUDE * points[:, 0]
+    return np.stack([0 * w_prime, -w_prime, 0 * w_prime], 1)
+
+
+def truth_of(*objects: TruthObject, freqs: tuple[float, ...] = (3.0,)) -> Truth:
+    return Truth(np.array(freqs), objects, FPS, T)
+
+
+@pytest.fixture(scope="module")
+def beam() -> TruthObject:
+    vertices, faces = box_mesh()
+    return TruthObject("beam", vertices, faces, bending(vertices)[None])
+
+
+def surface_points(rng: np.random.Generator, n: int, margin: float) -> np.ndarray:
+    """Points on the beam's four long sides, at least `margin` from its ends."""
+    along, across = rng.uniform(margin, LENGTH - margin, n), rng.uniform(-HALF, HALF, n)
+    side, sign = rng.integers(0, 2, n), rng.choice([-HALF, HALF], n)
+    return np.stack([along, np.where(side, sign, across), np.where(side, across, sign)], 1)
+
+
+def test_points_on_a_bending_beam_move_as_the_analytic_field(beam) -> None:
+    points = surface_points(np.random.default_rng(0), 500, 0.0)
+    motion = exact_motion(truth_of(beam), points)
+    assert motion.displacement.shape == (1, 500, 3)
+    assert (motion.fps, motion.n_timesteps) == (FPS, T)
+    scale = abs(AMPLITUDE) * LENGTH**2
+    # What is left is the mesh's own: the field is piecewise linear there, −z w' is off by up to w'' h² / 4.
+    mesh_error = abs(AMPLITUDE) * 2 * (LENGTH / 40) ** 2 / 4
+    error = np.abs(motion.displacement[0] - bending(points)).max()
+    assert mesh_error / 20 < error < 1.01 * mesh_error < 1e-3 * scale
+
+
+def test_their_rotation_is_half_the_curl(beam) -> None:
+    points = surface_points(np.random.default_rng(1), 500, 0.05)
+    rotation = exact_motion(truth_of(beam), points).rotation[0]
+    error = np.linalg.norm(rotation - bending_rotation(points), axis=1)
+    scale = abs(AMPLITUDE) * 2 * LENGTH
+    assert error.max() < 0.03 * scale
+    assert np.sqrt((error**2).mean()) < 0.01 * scale
+
+
+def test_the_oracle_notices_a_wrong_sign(beam) -> None:
+    points = surface_points(np.random.default_rng(1), 50, 0.5)
+    rotation = exact_motion(truth_of(beam), points).rotation[0]
+    assert np.linalg.norm(rotation + bending_rotation(points), axis=1).min() > 0.1 * abs(AMPLITUDE)
+
+
+def test_a_point_off_the_surface_moves_as_the_nearest_surface_point(beam) -> None:
+    on = surface_points(np.random.default_rng(2), 100, 0.1)
+    on = on[np.abs(on[:, 2]) == HALF]
+    off = on + np.array([0, 0, 0.05]) * np.sign(on[:, 2:])
+    a, b = (exact_motion(truth_of(beam), p).displacement for p in (on, off))
+    np.testing.assert_allclose(b, a, atol=1e-6)
+    assert len(on) > 20
+
+
+def test_a_rigid_rotation_is_found_exactly_also_on_a_flat_plate() -> None:
+    """A plate shows no gradient along its normal; its out-of-plane rotation must not come out halved."""
+    grid = np.linspace(-1, 1, 6)
+    plate = np.array([(x, y, 0.5) for x in grid for y in grid])
+    quads = [(6 * i + j, 6 * i + 6 + j, 6 * i + 7 + j, 6 * i + j + 1) for i in range(5) for j in range(5)]
+    faces = np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
+    omega, shift = np.array([0.02j, -0.01, 0.03 + 0.01j]), np.array([0.1, 0.2j, 0.0])
+    plate_object = TruthObject("plate", plate, faces, (shift + np.cross(omega, plate))[None])
+    points = np.random.default_rng(3).uniform([-1, -1, 0.5], [1, 1, 0.5], (50, 3))
+    motion = exact_motion(truth_of(plate_object), points)
+    np.testing.assert_allclose(motion.rotation[0], np.tile(omega, (50, 1)), atol=1e-6)
+    np.testing.assert_allclose(motion.displacement[0], shift + np.cross(omega, points), atol=1e-7)
+
+
+def test_in_plane_shear_turns_by_half_the_curl() -> None:
+    """u = (γ y, 0, 0) has curl −γ about z: an antisymmetric part of −γ/2, not a rotation by γ."""
+    rng = np.random.default_rng(0)
+    vertices = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    shear = np.stack([0.01 * vertices[:, 1], 0 * vertices[:, 0], 0 * vertices[:, 0]], 1)
+    square = TruthObject("square", vertices, np.array([[0, 1, 2], [0, 2, 3]]), shear[None] + 0j)
+    points = rng.uniform([-0.8, -0.8, 0], [0.8, 0.8, 0], (200, 3))
+    rotation = exact_motion(truth_of(square), points).rotation[0].real
+    np.testing.assert_allclose(rotation[:, 2], -0.005, rtol=1e-5)
+    np.testing.assert_allclose(rotation[:, :2], 0, atol=1e-9)
+
+
+def test_what_stands_still_gives_zeros_and_the_nearest_object_decides(beam) -> None:
+    vertices, faces = box_mesh(4, 2)
+    floor = TruthObject("floor", vertices - [0, 0, 1], faces, np.zeros((1, len(vertices), 3), complex))
+    points = np.array([[1.5, 0, HALF], [1.5, 0, -1 + HALF], [1.5, 0, -0.46], [1.5, 0, -0.54]])
+    for objects in ((beam, floor), (floor, beam)):
+        motion = exact_motion(truth_of(*objects), points)
+        assert np.abs(motion.displacement[0]).max(1).astype(bool).tolist() == [True, False, True, False]
+        assert np.abs(motion.rotation[0]).max(1).astype(bool).tolist() == [True, False, True, False]
+
+
+def test_several_modes_keep_their_order(beam) -> None:
+    two = TruthObject("beam", beam.rest, beam.faces, np.concatenate([0 * beam.modes, beam.modes]))
+    motion = exact_motion(truth_of(two, freqs=(7.0, 3.0)), np.array([[1.0, 0, HALF]]))
+    np.testing.assert_array_equal(motion.freqs_hz, [7.0, 3.0])
+    assert not motion.displacement[0].any()
+    assert motion.displacement[1].any()
+
+
+def test_points_of_a_wrong_shape_are_refused(beam) -> None:
+    with pytest.raises(ValueError, match=r"\(3, 2\), expected \[N, 3\]"):
+        exact_motion(truth_of(beam), np.zeros((3, 2)))
+
+
+def good_arrays() -> dict[str, np.ndarray]:
+    vertices, faces = box_mesh(3, 1)
+    return {
+        "objects": np.array(["beam"]),
+        "frequencies_hz": np.array([3.0]),
+        "rest_0": vertices.astype(np.float32),
+        "faces_0": faces.astype(np.int32),
+        "mode_0": bending(vertices)[None].astype(np.complex64),
+    }
+
+
+def write(root: Path, arrays: dict[str, np.ndarray]) -> Path:
+    (root / "truth").mkdir(exist_ok=True)
+    np.savez_compressed(root / "truth" / "motion.npz", **arrays)
+    return root / "truth" / "motion.npz"
+
+
+def test_a_written_file_reads_back(tmp_path) -> None:
+    arrays = good_arrays()
+    write(tmp_path, arrays)
+    truth = load_truth(tmp_path, FPS, T)
+    assert truth.objects[0].name == "beam"
+    np.testing.assert_array_equal(truth.freqs_hz, [3.0])
+    np.testing.assert_array_equal(truth.objects[0].rest, arrays["rest_0"])
+    np.testing.assert_array_equal(truth.objects[0].faces, arrays["faces_0"])
+    np.testing.assert_array_equal(truth.objects[0].modes, arrays["mode_0"])
+    assert exact_motion(truth, arrays["rest_0"][:2]).displacement.shape == (1, 2, 3)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("mode_0", None, "has no mode_0"),
+        ("objects", None, "has no objects"),
+        ("objects", np.array([], dtype=str), "objects is empty"),
+        ("frequencies_hz", np.array([3.0, 5.0]), r"mode_0 has shape \(1, 32, 3\), expected \(2, 32, 3\)"),
+        ("frequencies_hz", np.array([-3.0]), "-3 Hz"),
+        ("frequencies_hz", np.array([np.nan]), "frequencies_hz holds a value that is not finite"),
+        ("faces_0", np.array([[0, 1, 32]]), r"faces_0 \(beam\) has vertices 0 to 32, expected 0 to 31"),
+        ("faces_0", np.array([[0, -1, 2]]), "vertices -1 to 2"),
+        ("faces_0", np.array([[0.0, 1, 2]]), "faces_0 has type float64"),
+        ("rest_0", np.full((32, 3), np.inf, np.float32), "rest_0 holds a value that is not finite"),
+        ("rest_0", np.zeros((32, 2), np.float32), r"rest_0 has shape \(32, 2\), expected \('any', 3\)"),
+        ("mode_0", np.zeros((1, 32, 3)), "mode_0 has type float64"),
+        ("rest_0", np.array([object()]), "torn or not an .npz of plain arrays: Object arrays"),
+    ],
+)
+def test_a_broken_file_is_refused_with_its_fault(tmp_path, key, value, message) -> None:
+    arrays = good_arrays()
+    arrays.pop(key)
+    if value is not None:
+        arrays[key] = value
+    write(tmp_path, arrays)
+    with pytest.raises(CaptureError, match=message) as caught:
+        load_truth(tmp_path, FPS, T)
+    assert "motion.npz" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("length", [0, 10, 200, -30])
+def test_a_truncated_file_is_refused(tmp_path, length) -> None:
+    file = write(tmp_path, good_arrays())
+    file.write_bytes(file.read_bytes()[:length])
+    with pytest.raises(CaptureError, match=r"motion\.npz is torn"):
+        load_truth(tmp_path, FPS, T)
+
+
+def test_flipped_bytes_are_refused(tmp_path) -> None:
+    file = write(tmp_path, good_arrays())
+    data = bytearray(file.read_bytes())
+    middle = len(data) // 2
+    data[middle : middle + 8] = bytes(b ^ 0xFF for b in data[middle : middle + 8])
+    file.write_bytes(bytes(data))
+    with pytest.raises(CaptureError, match=r"motion\.npz"):
+        load_truth(tmp_path, FPS, T)
+
+
+def test_a_plain_array_or_nothing_in_its_place_is_refused(tmp_path) -> None:
+    with pytest.raises(CaptureError, match=r"motion\.npz does not exist"):
+        load_truth(tmp_path, FPS, T)
+    (tmp_path / "truth").mkdir()
+    with (tmp_path / "truth" / "motion.npz").open("wb") as file:
+        np.save(file, np.zeros(3))
+    with pytest.raises(CaptureError, match=r"torn or not an \.npz"):
+        load_truth(tmp_path, FPS, T)
+
+
+def test_a_link_out_of_the_dataset_is_refused(tmp_path) -> None:
+    outside, root = tmp_path / "outside", tmp_path / "root"
+    outside.mkdir()
+    (root / "truth").mkdir(parents=True)
+    (root / "truth" / "motion.npz").symlink_to(write(outside, good_arrays()))
+    with pytest.raises(CaptureError, match="leads out of the dataset's folder"):
+        load_truth(root, FPS, T)

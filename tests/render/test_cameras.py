@@ -1,0 +1,140 @@
+"""Orbits look where the capture looks and keep up; transforms files are read exactly or refused."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.synthetic import CENTRE, RADIUS
+from tg4mm.capture import Capture, load_capture
+from tg4mm.errors import CaptureError, RunError
+from tg4mm.render import cameras_from_file, capture_cameras, look_at_point, orbit
+from tg4mm.render.cameras import look_at, transforms_json
+
+
+@pytest.fixture
+def capture(dataset: Path) -> Capture:
+    return load_capture(dataset)
+
+
+def test_the_point_looked_at_is_the_one_the_cameras_were_aimed_at(capture):
+    np.testing.assert_allclose(look_at_point(capture.viewmats), CENTRE, atol=1e-9)
+
+
+def test_orbit_cameras_look_at_the_centre_and_keep_up(capture):
+    cameras = orbit(capture, 7)
+    for camera in cameras:
+        to_centre = (CENTRE - camera.position) / np.linalg.norm(CENTRE - camera.position)
+        np.testing.assert_allclose(camera.forward, to_centre, atol=1e-9)
+        np.testing.assert_allclose(camera.viewmat[:3, :3] @ camera.viewmat[:3, :3].T, np.eye(3), atol=1e-12)
+        assert camera.viewmat[0, 2] == pytest.approx(0, abs=1e-12)  # the horizon is level
+        assert camera.viewmat[1, 2] < 0  # and image-down points down
+
+
+def test_orbit_is_a_level_circle_with_the_median_radius_and_elevation(capture):
+    cameras = orbit(capture, 5)
+    arms = np.array([camera.position for camera in cameras]) - CENTRE
+    np.testing.assert_allclose(np.linalg.norm(arms, axis=1), RADIUS, rtol=1e-9)
+    np.testing.assert_allclose(arms[:, 2], arms[0, 2])
+    first = capture.viewmats[:3]
+    heights = [(-v[:3, :3].T @ v[:3, 3] - CENTRE)[2] / RADIUS for v in first]
+    assert math.asin(arms[0, 2] / RADIUS) == pytest.approx(np.median(np.arcsin(heights)))
+    azimuths = np.unwrap(np.arctan2(arms[:, 1], arms[:, 0]))
+    np.testing.assert_allclose(np.diff(azimuths), 2 * math.pi / 5)
+
+
+def test_a_fixed_camera_needs_a_centre_to_orbit_around(capture):
+    rows = np.flatnonzero(capture.camera_ids == 0)
+    arrays = {name: getattr(capture, name)[rows] for name in ("viewmats", "Ks", "timesteps", "camera_ids")}
+    fixed = replace(capture, **arrays, paths=tuple(capture.paths[i] for i in rows))
+    with pytest.raises(RunError, match="one direction only"):
+        orbit(fixed, 4)
+    cameras = orbit(fixed, 4, centre=np.array([0.0, 0.0, 0.3]))
+    for camera in cameras:
+        offset = np.array([0.0, 0.0, 0.3]) - camera.position
+        np.testing.assert_allclose(camera.forward, offset / np.linalg.norm(offset), atol=1e-9)
+
+
+def test_cameras_that_look_outwards_have_nothing_to_orbit_around(capture):
+    turned = capture.viewmats.copy()
+    turned[:, 0] *= -1
+    turned[:, 2] *= -1  # half a turn about the image's vertical axis
+    with pytest.raises(RunError, match="look inwards"):
+        look_at_point(turned)
+
+
+def test_an_orbit_of_no_frames_is_refused(capture):
+    with pytest.raises(RunError, match="--orbit 0"):
+        orbit(capture, 0)
+
+
+def test_straight_down_is_a_valid_view():
+    viewmat = look_at(np.array([0.0, 0.0, 5.0]), np.zeros(3))
+    assert np.linalg.det(viewmat[:3, :3]) == pytest.approx(1)
+    np.testing.assert_allclose(viewmat[2, :3], [0, 0, -1], atol=1e-12)
+
+
+def test_capture_cameras_are_named_after_their_pictures(capture):
+    cameras = capture_cameras(capture)
+    assert [camera.name for camera in cameras] == ["r_000", "r_001", "r_002"]
+    np.testing.assert_array_equal(cameras[1].viewmat, capture.viewmats[1])
+
+
+def test_a_datasets_transforms_give_the_captures_cameras(capture, dataset):
+    cameras = cameras_from_file(dataset / "000" / "transforms_train.json", (32, 32))
+    for camera, expected in zip(cameras, capture_cameras(capture), strict=True):
+        assert camera.name == expected.name
+        np.testing.assert_allclose(camera.viewmat, expected.viewmat, atol=1e-12)
+        np.testing.assert_allclose(camera.K, expected.K, atol=1e-9)
+
+
+def test_written_cameras_are_read_back(capture, tmp_path):
+    cameras = orbit(capture, 3)
+    path = tmp_path / "orbit.json"
+    path.write_text(json.dumps(transforms_json(cameras)))
+    for back, camera in zip(cameras_from_file(path), cameras, strict=True):
+        assert (back.name, back.width, back.height) == (camera.name, camera.width, camera.height)
+        np.testing.assert_allclose(back.viewmat, camera.viewmat, atol=1e-12)
+        np.testing.assert_allclose(back.K, camera.K)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"frames": []}, "no frames"),
+        ({"frames": 3}, "no frames"),
+        ({"frames": [{"transform_matrix": [[1, 0], [0, 1]]}]}, "invertible 4×4"),
+        ({"frames": [{"transform_matrix": np.zeros((4, 4)).tolist()}]}, "invertible 4×4"),
+        ({"frames": [{}]}, "frame 0: KeyError"),
+        ({"camera_angle_x": 0.0}, "frame 0"),
+        ({"w": 0}, "size 0×8"),
+    ],
+)
+def test_bad_camera_files_are_refused_with_the_reason(tmp_path, change, message):
+    good = {"camera_angle_x": 0.7, "w": 8, "h": 8, "frames": [{"transform_matrix": np.eye(4).tolist()}]}
+    path = tmp_path / "cameras.json"
+    path.write_text(json.dumps(good))
+    assert len(cameras_from_file(path)) == 1
+    path.write_text(json.dumps({**good, **change}))
+    with pytest.raises(CaptureError, match=message) as caught:
+        cameras_from_file(path)
+    assert str(path) in str(caught.value)
+
+
+def test_a_camera_file_that_is_absent_or_not_json_is_refused(tmp_path):
+    with pytest.raises(CaptureError, match="No such file"):
+        cameras_from_file(tmp_path / "none.json")
+    (tmp_path / "bad.json").write_text("{")
+    with pytest.raises(CaptureError, match="not a transforms JSON"):
+        cameras_from_file(tmp_path / "bad.json")
+
+
+def test_a_camera_file_without_size_needs_one(tmp_path):
+    path = tmp_path / "cameras.json"
+    path.write_text(json.dumps({"camera_angle_x": 0.7, "frames": [{"transform_matrix": np.eye(4).tolist()}]}))
+    with pytest.raises(CaptureError, match="no picture size"):
+        cameras_from_file(path)
+    assert cameras_from_file(path, (12, 8))[0].width == 12

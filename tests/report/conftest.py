@@ -1,0 +1,43 @@
+"""A small dataset with ground truth, a run of its exact model, and the scores of that run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.synthetic import make_synthetic_dataset
+from tg4mm.evaluate import evaluate_run
+from tg4mm.runs import Run
+
+
+@pytest.fixture(scope="session")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    root = tmp_path_factory.mktemp("report")
+    model = make_synthetic_dataset(
+        root / "sway", n_views=4, n_timesteps=12, size=48, freqs=(2.5, 5.0), amplitude=0.01, alphas=(5, 20)
+    )
+    made = Run.create(root / "run", root / "sway", "modal", {"seed": 0})
+    made.save_space(model[0], {"seconds": 61.0, "peak_memory_mib": 512.0, "psnr_db": 31.5})
+    made.save_motion(model[1], {"seconds": 30.0})
+    return made
+
+
+@pytest.fixture(scope="session")
+def metrics(run: Run) -> dict[str, Any]:
+    return evaluate_run(run)
+
+
+@pytest.fixture
+def bare_run(tmp_path: Path) -> Run:
+    """A run on the least a dataset can be: training images, fps, nothing else."""
+    model = make_synthetic_dataset(
+        tmp_path / "bare", n_views=3, n_timesteps=6, size=32, freqs=(5.0,), n_test=0
+    )
+    (tmp_path / "bare" / "scene.json").write_text('{"fps": 30}')
+    (tmp_path / "bare" / "truth" / "motion.npz").unlink()
+    made = Run.create(tmp_path / "run", tmp_path / "bare", "modal", {})
+    made.save_space(model[0], {})
+    made.save_motion(model[1], {})
+    return made

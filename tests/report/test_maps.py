@@ -1,0 +1,82 @@
+"""What is read off the model is what was put in."""
+
+import numpy as np
+import pytest
+
+from tests.synthetic import make_synthetic_dataset
+from tg4mm.capture import load_capture
+from tg4mm.errors import RunError
+from tg4mm.evaluate.weights import blending_weights
+from tg4mm.motion.modal import ModalMotion
+from tg4mm.render import capture_cameras
+from tg4mm.report.maps import (
+    image_motion,
+    leading_modes,
+    main_direction,
+    motion_maps,
+    peak_displacement,
+    strongest,
+)
+
+
+def test_peak_displacement_is_the_greatest_length_over_a_period():
+    rng = np.random.default_rng(0)
+    phasors = rng.normal(size=(50, 3)) + 1j * rng.normal(size=(50, 3))
+    turns = np.exp(1j * np.linspace(0, 2 * np.pi, 2000))
+    lengths = np.linalg.norm((phasors[:, None] * turns[:, None]).real, axis=2)
+    np.testing.assert_allclose(peak_displacement(phasors), lengths.max(1), rtol=1e-5)
+
+
+def test_main_direction_ignores_phase_and_sign():
+    axis = np.array([0.6, 0.0, -0.8])
+    phasors = np.exp(1j * np.arange(7))[:, None] * axis
+    np.testing.assert_allclose(main_direction(phasors, np.ones(7)), -axis, atol=1e-12)
+
+
+def motion_of(*amplitudes: float) -> ModalMotion:
+    displacement = np.zeros((len(amplitudes), 2, 3), np.complex64)
+    displacement[:, 0, 0] = amplitudes
+    freqs = np.arange(1.0, len(amplitudes) + 1)
+    return ModalMotion(freqs, displacement, np.zeros_like(displacement), 30.0, 30)
+
+
+def test_leading_modes_are_the_strong_ones_in_the_band():
+    motion = motion_of(1.0, 0.2, 3.0, 2.0)
+    weights = np.ones(2)
+    assert leading_modes(motion, weights, None) == [2, 3]
+    assert leading_modes(motion, weights, (0.5, 2.5)) == [0]
+    assert leading_modes(motion, weights, (1.5, 3.5), most=5) == [2]
+    assert strongest(motion, weights, (0.5, 2.5)) == 0
+    assert leading_modes(motion, np.array([0.0, 1.0]), None, most=1)  # nothing seen moves: still an answer
+    with pytest.raises(RunError, match=r"band \(8, 9\) Hz holds none.*1, 2, 3, 4 Hz"):
+        strongest(motion, weights, (8.0, 9.0))
+
+
+def test_maps_show_the_true_amplitude_and_phase_of_each_part(tmp_path):
+    gaussians, motion = make_synthetic_dataset(
+        tmp_path, n_views=2, n_timesteps=2, size=64, freqs=(3.0, 5.0), amplitude=0.01, n_test=0
+    )
+    capture = load_capture(tmp_path)
+    camera = capture_cameras(capture)[1]
+    direction = np.array([0.8, 0.0, 0.6])
+    maps = motion_maps(gaussians, motion, 1, direction, camera)
+    moving = maps.amplitude > 0.0095
+    assert 30 < moving.sum() < 1500  # the ball
+    assert maps.amplitude.max() == pytest.approx(0.01, rel=1e-3)
+    np.testing.assert_allclose(maps.phase[moving], -np.pi / 2, atol=0.05)  # a sine: zero at timestep 0
+    assert (maps.amplitude[maps.opacity < 1e-6] == 0).all()
+    weights = blending_weights(gaussians, capture)
+    assert image_motion(gaussians, motion.displacement[1], weights, camera) > 0
+    assert image_motion(gaussians, motion.displacement[1] * 0, weights, camera) == 0
+
+
+def test_motion_along_the_view_is_not_seen_in_the_picture(tmp_path):
+    gaussians, _ = make_synthetic_dataset(tmp_path, n_views=1, n_timesteps=1, size=32, n_test=0)
+    camera = capture_cameras(load_capture(tmp_path))[0]
+    towards = gaussians.means.numpy() - camera.position
+    weights = np.ones(len(gaussians))
+    assert image_motion(gaussians, towards, weights, camera) < 1e-3
+    across = np.tile(camera.viewmat[0, :3] * 0.01, (len(gaussians), 1))
+    depth = (towards @ camera.forward).mean()
+    expected = camera.K[0, 0] * 0.01 / depth
+    assert image_motion(gaussians, across, weights, camera) == pytest.approx(expected, rel=0.1)

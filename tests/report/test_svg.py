@@ -1,0 +1,109 @@
+"""Charts from known numbers are valid XML with marks where the numbers say."""
+
+from xml.etree import ElementTree
+
+import pytest
+
+from tg4mm.report.svg import Series, bar_chart, colour_bar, nice_ticks, number, phase_bar, score_chart
+
+
+def parse(svg):
+    return ElementTree.fromstring(str(svg))
+
+
+def texts(svg):
+    return [element.text for element in parse(svg).iter("text")]
+
+
+def test_bars_are_as_high_as_their_numbers():
+    bars = list(parse(bar_chart([1, 2, 3], [2.0, 1.0, 0.5], [True, False, True], "f", "a")).iter("rect"))
+    heights = [float(bar.get("height")) for bar in bars]
+    assert heights[0] / heights[1] == pytest.approx(2, rel=0.01)
+    assert heights[1] / heights[2] == pytest.approx(2, rel=0.01)
+    assert [bar.get("class") for bar in bars] == ["fill-ours", "fill-still", "fill-ours"]
+    bottoms = {round(float(bar.get("y")) + float(bar.get("height")), 1) for bar in bars}
+    assert len(bottoms) == 1
+
+
+def test_bars_of_nothing_do_not_fail():
+    assert len(list(parse(bar_chart([1.0], [0.0], [True], "f", "a")).iter("rect"))) == 1
+    parse(bar_chart([], [], [], "f", "a"))
+
+
+def test_curves_pass_through_their_values():
+    series = [Series("ours", [0.9, 0.8, 0.7], "ours"), Series("ceiling", [0.9, None, 0.9], "ceiling")]
+    root = parse(score_chart(["0", "5", "20"], series, "α", "SSIM"))
+    ours, ceiling = (
+        [tuple(map(float, p.split(","))) for p in line.get("points").split()]
+        for line in root.iter("polyline")
+    )
+    assert len(ours) == 3
+    assert len(ceiling) == 2
+    assert ours[1][1] - ours[0][1] == pytest.approx(ours[2][1] - ours[1][1], abs=0.2)
+    assert ours[0][1] == ceiling[0][1]
+    assert {"ours", "ceiling", "SSIM", "α", "20"} <= set(
+        texts(score_chart(["0", "5", "20"], series, "α", "SSIM"))
+    )
+
+
+def test_end_labels_do_not_lie_on_each_other():
+    series = [Series(name, [0.9, 0.9], "ours") for name in ("a", "b", "c")]
+    labels = [
+        e for e in parse(score_chart(["0", "5"], series, "x", "y")).iter("text") if e.text in {"a", "b", "c"}
+    ]
+    heights = sorted(float(e.get("y")) for e in labels)
+    assert heights[1] - heights[0] >= 15
+    assert heights[2] - heights[1] >= 15
+
+
+def test_text_is_escaped():
+    svg = bar_chart([1], [1], [True], "<script>x</script>", 'a"&b')
+    assert "<script>" not in svg
+    assert texts(svg)[0] == 'a"&b'
+    assert "<script>" not in colour_bar(1.0, "<script>", "<b>")
+
+
+def test_colour_bars_have_ticks_up_to_the_top():
+    assert {"0", "0.5", "1"} <= set(texts(colour_bar(1.0, "mm", "size")))
+    assert "size (mm)" in texts(colour_bar(1.0, "mm", "size"))
+    assert "180°" in texts(phase_bar())
+    parse(colour_bar(0.0, "mm", "size"))
+
+
+def test_equal_bars_have_equal_markup():
+    assert colour_bar(0.3, "mm", "size") == colour_bar(0.3, "mm", "size")
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "expected"),
+    [
+        (0, 1, [0, 0.25, 0.5, 0.75, 1]),
+        (0, 0.013, [0, 0.005, 0.01]),
+        (0.88, 1.0, [0.9, 0.95, 1.0]),
+        (2, 2, [2]),
+    ],
+)
+def test_ticks_are_round_numbers_inside(low, high, expected):
+    assert nice_ticks(low, high) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0, "0"),
+        (5, "5"),
+        (0.00641234, "0.00641"),
+        (123456.0, "123456"),
+        (100.0, "100"),
+        (1234567.0, "1.23·10⁶"),
+        (0.00001234, "1.23·10⁻⁵"),
+        (float("nan"), "–"),
+        (-2.5, "-2.5"),
+    ],
+)
+def test_numbers_are_short(value, text):
+    assert number(value) == text
+
+
+def test_numbers_in_tables_keep_their_zeros():
+    assert number(0.22, trim=False) == "0.220"

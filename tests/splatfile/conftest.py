@@ -1,0 +1,110 @@
+"""Splat files of random content, and PLY files put together by hand."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+from tg4mm.splatfile import SplatFile
+
+
+def random_splat(seed=0, n=5, k=4, m=2, fps=30.0, n_timesteps=30, unit_scale_m=0.5) -> SplatFile:
+    """A moving scene of N Gaussians and M modes."""
+    rng = np.random.default_rng(seed)
+
+    def normal(*shape):
+        return rng.normal(size=shape).astype(np.float32)
+
+    def phasors():
+        return (normal(m, n, 3) + 1j * normal(m, n, 3)).astype(np.complex64)
+
+    return SplatFile(
+        means=normal(n, 3),
+        quats=normal(n, 4),
+        scales=np.exp(normal(n, 3) - 4),
+        opacities=rng.uniform(0.01, 0.99, n).astype(np.float32),
+        sh=normal(n, k, 3),
+        freqs_hz=rng.uniform(0.5, 14, m),
+        displacement=phasors(),
+        rotation=phasors() * np.float32(0.1),
+        fps=fps,
+        n_timesteps=n_timesteps,
+        unit_scale_m=unit_scale_m,
+        time_origin_s=0.25,
+    )
+
+
+def assert_same(a: SplatFile, b: SplatFile) -> None:
+    """Every field equal: to the bit, but scales to 1e-5 of their size and opacities to 1e-7."""
+    for name in (field.name for field in fields(SplatFile)):
+        one, other = getattr(a, name), getattr(b, name)
+        if name == "scales":
+            np.testing.assert_allclose(one, other, rtol=1e-5, atol=0, err_msg=name)
+        elif name == "opacities":
+            np.testing.assert_allclose(one, other, rtol=0, atol=1e-7, err_msg=name)
+        elif isinstance(one, np.ndarray):
+            assert one.dtype == other.dtype, name
+            np.testing.assert_array_equal(one, other, err_msg=name)
+        else:
+            assert one == other, name
+
+
+NAMES = [
+    "x",
+    "y",
+    "z",
+    "f_dc_0",
+    "f_dc_1",
+    "f_dc_2",
+    "opacity",
+    "scale_0",
+    "scale_1",
+    "scale_2",
+    "rot_0",
+    "rot_1",
+    "rot_2",
+    "rot_3",
+]
+
+
+def plain_ply(
+    properties=None, count=2, data=None, before=(), after=(), head="binary_little_endian 1.0"
+) -> bytes:
+    """A PLY by hand: vertex properties {name: (type, numpy type)}, header lines `before` and `after` them."""
+    if properties is None:
+        properties = dict.fromkeys(NAMES, ("float", "<f4"))
+    if data is None:
+        data = np.zeros(count, [(name, kind) for name, (_, kind) in properties.items()])
+        for i, name in enumerate(properties):
+            if data[name].dtype.kind == "f":
+                data[name] = 0.25 * (i + 1) + np.arange(len(data))
+        data = data.tobytes()
+    lines = ["ply", f"format {head}", *before, f"element vertex {count}"]
+    lines += [f"property {kind} {name}" for name, (kind, _) in properties.items()]
+    return "\n".join([*lines, *after, "end_header\n"]).encode("latin-1") + data
+
+
+@pytest.fixture
+def make():
+    """`random_splat`, `plain_ply`, `assert_same` and the names of a plain file's properties."""
+
+    class Make:
+        splat = staticmethod(random_splat)
+        ply = staticmethod(plain_ply)
+        same = staticmethod(assert_same)
+        names = NAMES
+
+    return Make
+
+
+@pytest.fixture(scope="module")
+def make_module():
+    """`make` for hypothesis, which wants fixtures that outlive an example."""
+
+    class Make:
+        splat = staticmethod(random_splat)
+        same = staticmethod(assert_same)
+
+    return Make

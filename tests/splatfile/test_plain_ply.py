@@ -1,0 +1,109 @@
+"""3DGS files of other programs: any order, float or double, any degree, further properties and elements."""
+
+import random
+
+import numpy as np
+import pytest
+
+from tg4mm.splatfile import read_splat
+
+
+def rows(*values):
+    return [[v + i for v in values] for i in range(2)]
+
+
+def check_plain(splat):
+    """The content `plain_ply` writes: property i of vertex j is (i + 1)/4 + j, in its default order."""
+    assert splat.means.tolist() == rows(0.25, 0.5, 0.75)
+    assert splat.sh[:, 0].tolist() == rows(1.0, 1.25, 1.5)
+    np.testing.assert_allclose(splat.opacities, 1 / (1 + np.exp([-1.75, -2.75])), rtol=1e-6)
+    np.testing.assert_allclose(splat.scales, np.exp(rows(2.0, 2.25, 2.5)), rtol=1e-6)
+    assert splat.quats.tolist() == rows(2.75, 3.0, 3.25, 3.5)
+    assert (splat.n_modes, splat.fps, splat.n_timesteps, splat.unit_scale_m) == (0, 0.0, 1, None)
+    assert {a.dtype for a in (splat.means, splat.quats, splat.scales, splat.opacities, splat.sh)} == {
+        np.dtype(np.float32)
+    }
+
+
+@pytest.fixture
+def read(tmp_path):
+    def read_bytes(data):
+        (tmp_path / "a.ply").write_bytes(data)
+        return read_splat(tmp_path / "a.ply")
+
+    return read_bytes
+
+
+def test_a_plain_file(read, make):
+    splat = read(make.ply())
+    check_plain(splat)
+    assert splat.sh_degree == 0
+
+
+def test_check_plain_itself_notices_another_content(read, make):
+    data = bytearray(make.ply())
+    data[-1] ^= 0x01
+    with pytest.raises(AssertionError):
+        check_plain(read(bytes(data)))
+
+
+def in_order(make, order, kinds, extra=()):
+    """The default content with its properties in another order and of other types, and further properties."""
+    values = {name: 0.25 * (i + 1) + np.arange(2) for i, name in enumerate(make.names)}
+    properties = {name: kinds[i % len(kinds)] for i, name in enumerate(order)} | dict(extra)
+    data = np.zeros(2, [(name, kind) for name, (_, kind) in properties.items()])
+    for name in order:
+        data[name] = values[name]
+    return make.ply(properties, data=data.tobytes())
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_any_order_of_float_and_double_among_other_properties(read, make, seed):
+    order = list(make.names)
+    random.Random(seed).shuffle(order)
+    kinds = [("float", "<f4"), ("double", "<f8"), ("float32", "<f4")]
+    extra = {
+        "red": ("uchar", "u1"),
+        "nx": ("float", "<f4"),
+        "id": ("int", "<i4"),
+        "mode_name": ("short", "<i2"),
+    }
+    check_plain(read(in_order(make, order, kinds, extra)))
+
+
+@pytest.mark.parametrize(("count", "degree"), [(0, 0), (9, 1), (24, 2), (45, 3)])
+def test_every_degree_is_channel_major(read, make, count, degree):
+    names = [*make.names, *(f"f_rest_{i}" for i in range(count))]
+    data = np.zeros(1, [(name, "<f4") for name in names])
+    data["rot_0"] = 1
+    for i in range(count):
+        data[f"f_rest_{i}"] = i
+    splat = read(make.ply(dict.fromkeys(names, ("float", "<f4")), count=1, data=data.tobytes()))
+    assert splat.sh_degree == degree
+    per_channel = count // 3
+    for channel in range(3):
+        assert splat.sh[0, 1:, channel].tolist() == [channel * per_channel + i for i in range(per_channel)]
+
+
+def test_comments_and_windows_line_ends(read, make):
+    data = make.ply(before=["comment Exported by ä", "comment", "obj_info n 3", ""])
+    check_plain(read(data))
+    head, _, body = data.partition(b"end_header\n")
+    check_plain(read(head.replace(b"\n", b"\r\n") + b"end_header\r\n" + body))
+
+
+def test_elements_before_and_after_are_skipped(read, make):
+    before = ["element chunk 3", "property float a", "property uchar b"]
+    after = [
+        "element face 0",
+        "property list uchar int vertex_indices",
+        "element extra 1",
+        "property double c",
+    ]
+    data = make.ply(before=before, after=after)
+    head, _, body = data.partition(b"end_header\n")
+    check_plain(read(head + b"end_header\n" + b"\xff" * 15 + body + b"\xff" * 8))
+
+
+def test_quaternions_are_kept_as_stored(read, make):
+    assert np.linalg.norm(read(make.ply()).quats[0]) == pytest.approx(6.2749501)

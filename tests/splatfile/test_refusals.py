@@ -1,0 +1,263 @@
+"""Splat files that are refused: one line with file and value, and nothing large allocated."""
+
+import json
+import re
+import tracemalloc
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tg4mm.errors import SplatFileError
+from tg4mm.splatfile import SplatFile, read_splat, write_splat
+
+
+@pytest.fixture
+def refused(tmp_path):
+    def check(data, *parts):
+        path = tmp_path / "bad.ply"
+        path.write_bytes(data)
+        with pytest.raises(SplatFileError) as caught:
+            read_splat(path)
+        message = str(caught.value)
+        assert message.startswith(f"{path}: ")
+        assert "\n" not in message
+        for part in parts:
+            assert part in message, message
+
+    return check
+
+
+@pytest.fixture
+def good(make, tmp_path):
+    """The bytes of a file with two modes."""
+    write_splat(tmp_path / "good.ply", make.splat())
+    return (tmp_path / "good.ply").read_bytes()
+
+
+def header_edit(data, change):
+    """The file with another `comment tg4mm`."""
+    line = re.search(rb"comment tg4mm (.*)\n", data)
+    values = json.loads(line[1])
+    change(values)
+    return data.replace(line[0], b"comment tg4mm " + json.dumps(values).encode() + b"\n")
+
+
+def test_refused_itself_notices_a_good_file_and_a_wrong_message(refused, good):
+    with pytest.raises(pytest.fail.Exception):
+        refused(good)
+    with pytest.raises(AssertionError):
+        refused(good[:-1], "too long")
+
+
+def test_missing_file_and_folder(tmp_path):
+    with pytest.raises(SplatFileError, match=r"none\.ply: cannot be read: No such file"):
+        read_splat(tmp_path / "none.ply")
+    with pytest.raises(SplatFileError, match="cannot be read: Is a directory"):
+        read_splat(tmp_path)
+
+
+@settings(deadline=None)
+@given(st.integers(0, 10_000))
+def test_a_file_cut_anywhere_is_refused(make_module, tmp_path_factory, cut):
+    path = tmp_path_factory.getbasetemp() / "cut.ply"
+    write_splat(path, make_module.splat())
+    data = path.read_bytes()
+    path.write_bytes(data[: cut % len(data)])
+    with pytest.raises(SplatFileError, match=r"truncated|end_header|is not a PLY|format"):
+        read_splat(path)
+
+
+def test_wrong_length(refused, good):
+    refused(good[:-1], "is truncated", f"{len(good) - 1} bytes, expected {len(good)} for 5 vertices")
+    refused(good + b"\0", "is too long", f"{len(good) + 1} bytes, expected {len(good)}")
+
+
+@pytest.mark.parametrize("count", ["6", "4", "99999999999", "999999999999999999"])
+def test_wrong_counts(refused, good, count):
+    refused(
+        good.replace(b"vertex 5", b"vertex " + count.encode()), "bytes, expected", f"for {count} vertices"
+    )
+
+
+@pytest.mark.parametrize("count", ["-5", "5.0", "1e9", "9" * 30, "0x5", "٣"])
+def test_counts_that_are_no_counts(refused, good, count):
+    refused(good.replace(b"vertex 5", b"vertex " + count.encode()), "no usable count")
+
+
+def test_an_absurd_count_allocates_nothing(refused, good):
+    tracemalloc.start()
+    refused(good.replace(b"vertex 5", b"vertex 9999999999"), "is truncated")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 10e6
+
+
+def test_no_gaussians(refused, make):
+    refused(make.ply(count=0), "0 entries")
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("name", ["y", "f_dc_2", "opacity", "scale_1", "rot_3", "f_rest_4", "mode_1_im_rz"])
+def test_values_that_are_not_finite(refused, good, name, value):
+    head, _, body = good.partition(b"end_header\n")
+    names = re.findall(r"property float (\S+)", head.decode())
+    table = np.frombuffer(body, "<f4").reshape(5, -1).copy()
+    table[3, names.index(name)] = value
+    refused(head + b"end_header\n" + table.tobytes(), f"vertex 3: {name} is {value}")
+
+
+def test_a_double_past_float32_s_range(refused, make):
+    properties = dict.fromkeys(make.names, ("double", "<f8"))
+    refused(make.ply(properties, count=1, data=np.full(14, 1e300).tobytes()), "vertex 0:", "is 1e+300")
+
+
+def test_a_scale_whose_exponential_overflows(refused, make):
+    data = np.full(14, 1.0, "<f4")
+    data[make.names.index("scale_2")] = 100
+    refused(make.ply(count=1, data=data.tobytes()), "scales[0, 2] is inf")
+
+
+def test_a_quaternion_of_zero(refused, make):
+    data = np.full((3, 14), 1.0, "<f4")
+    data[1:, 10:] = 0
+    refused(make.ply(count=3, data=data.tobytes()), "quats[1] is zero, as 2 are")
+
+
+@pytest.mark.parametrize("form", ["ascii 1.0", "binary_big_endian 1.0", "binary_little_endian 2.0", ""])
+def test_other_formats(refused, make, form):
+    refused(make.ply(head=form), form or "no format line", "expected format binary_little_endian 1.0")
+
+
+@pytest.mark.parametrize(
+    ("data", "part"),
+    [
+        (b"", "is not a PLY"),
+        (b"plyx\nend_header\n", "is not a PLY"),
+        (b"\x89PNG\r\n\x1a\n" + bytes(99), "is not a PLY"),
+        (b"ply\nend_header\n", "has no format line"),
+        (b"ply\nformat binary_little_endian 1.0\nelement vertex 3\n", "no end_header line"),
+        (b"ply\n" + b"x" * 3_000_000, "no end_header line"),
+        (b"ply\n" + b"comment x\n" * 300_000, "no end_header line"),
+        (b"ply\nformat binary_little_endian 1.0\nend_header\n", "header has 0 vertex elements"),
+        (
+            b"ply\nformat binary_little_endian 1.0\nproperty float x\nend_header\n",
+            "'property float x' is not understood",
+        ),
+        (b"ply\nformat binary_little_endian 1.0\nhello\nend_header\n", "'hello' is not understood"),
+    ],
+)
+def test_headers_that_are_none(refused, data, part):
+    refused(data, part)
+
+
+def test_properties(refused, make):
+    plain = dict.fromkeys(make.names, ("float", "<f4"))
+    without = {name: kind for name, kind in plain.items() if name not in ("scale_2", "rot_0")}
+    refused(make.ply(without), "property scale_2 is missing, 2 in all")
+    refused(
+        make.ply({"packed_position": ("uint", "<u4")}), "property x is missing", "export them uncompressed"
+    )
+    refused(make.ply({**plain, "opacity": ("uchar", "u1")}), "property opacity is a whole number type")
+    refused(make.ply({**plain, "opacity": ("half", "<f2")}), "'property half opacity' has no type")
+    refused(make.ply(after=["property float x"]), "property x appears twice")
+    refused(make.ply(after=["property list uchar int i"]), "element vertex has a list property, i")
+    face = ["element face 2", "property list uchar int vertex_indices"]
+    refused(make.ply(after=face), "element face has a list property, vertex_indices")
+    refused(make.ply(after=["element vertex 2", "property float x"]), "header has 2 vertex elements")
+
+
+@pytest.mark.parametrize(
+    "indices", [range(3), range(8), range(46), range(1, 10), [0, 1, 2, 3, 4, 5, 6, 7, 9]]
+)
+def test_f_rest_counts(refused, make, indices):
+    names = [*make.names, *(f"f_rest_{i}" for i in indices)]
+    refused(
+        make.ply(dict.fromkeys(names, ("float", "<f4"))),
+        f"has {len(indices)} f_rest properties; expected",
+    )
+
+
+def test_frequencies_and_modes_that_do_not_match(refused, good):
+    refused(
+        header_edit(good, lambda v: v["frequencies_hz"].append(9.0)),
+        "24 mode properties; 3 frequencies_hz need 36",
+    )
+    refused(
+        header_edit(good, lambda v: v["frequencies_hz"].pop()), "24 mode properties; 1 frequencies_hz need 12"
+    )
+    refused(good.replace(b"mode_1_re_x", b"mode_2_re_x"), "24 mode properties; 2 frequencies_hz need 24")
+    refused(re.sub(rb"comment tg4mm .*\n", b"", good), "24 mode properties but no 'comment tg4mm' line")
+
+
+@pytest.mark.parametrize(
+    ("change", "part"),
+    [
+        ({"format_version": 2}, "format_version is 2; this reader knows 1"),
+        ({"format_version": None}, "format_version is None"),
+        ({"format_version": True}, "format_version is True"),
+        ({"format_version": "1"}, "format_version is '1'"),
+        ({"frequencies_hz": None}, "frequencies_hz is None"),
+        ({"frequencies_hz": ["5", 6]}, "frequencies_hz is ['5', 6]"),
+        ({"frequencies_hz": [float("nan"), 6]}, "frequencies_hz is [nan, 6]"),
+        ({"frequencies_hz": [-1, 6]}, "freqs_hz reach down to -1"),
+        ({"fps": None}, "fps is 0; expected a finite number above 0"),
+        ({"fps": 0}, "fps is 0"),
+        ({"fps": -30}, "fps is -30"),
+        ({"fps": "30"}, "fps is 30; expected a finite number"),
+        ({"fps": float("inf")}, "fps is inf"),
+        ({"fps": 10**400}, "fps is 1000"),
+        ({"n_timesteps": 0}, "n_timesteps is 0"),
+        ({"n_timesteps": 2.5}, "n_timesteps is 2.5; expected a whole number"),
+        ({"unit_scale_m": 0}, "unit_scale_m is 0"),
+        ({"unit_scale_m": []}, "unit_scale_m is []"),
+        ({"time_origin_s": float("nan")}, "time_origin_s is nan"),
+    ],
+)
+def test_bad_values_in_the_header_line(refused, good, change, part):
+    refused(header_edit(good, lambda v: v.update(change)), part)
+
+
+@pytest.mark.parametrize(
+    ("text", "part"),
+    [("{", "is not valid JSON"), ("[1]", "holds [1]; expected an object"), ("[" * 50_000, "not valid")],
+)
+def test_a_header_line_that_is_no_object(refused, good, text, part):
+    refused(re.sub(rb"comment tg4mm .*\n", f"comment tg4mm {text}\n".encode(), good), part)
+
+
+def test_two_header_lines(refused, good):
+    line = re.search(rb"comment tg4mm .*\n", good)[0]
+    refused(good.replace(line, line + line), "two 'comment tg4mm' lines")
+
+
+@pytest.mark.parametrize(
+    ("change", "part"),
+    [
+        ({"means": np.zeros((4, 3))}, r"quats has shape \(5, 4\), expected \(4, 4\)"),
+        ({"displacement": np.zeros((2, 5, 2))}, r"displacement has shape \(2, 5, 2\), expected \(2, 5, 3\)"),
+        ({"freqs_hz": np.ones(3)}, r"displacement has shape \(2, 5, 3\), expected \(3, 5, 3\)"),
+        ({"sh": np.zeros((5, 5, 3))}, r"sh has shape \(5, 5, 3\), expected \(5, 1 \| 4 \| 9 \| 16, 3\)"),
+        ({"means": np.full((5, 3), np.nan)}, r"means\[0, 0\] is nan"),
+        ({"rotation": np.full((2, 5, 3), 1j * np.inf)}, r"rotation\[0, 0, 0\] is"),
+        ({"scales": np.full((5, 3), -1.0)}, "scales reach down to -1"),
+        ({"opacities": np.full(5, 1.5)}, "opacities span 1.5 to 1.5; expected 0 to 1"),
+        ({"quats": np.zeros((5, 4))}, r"quats\[0\] is zero, as 5 are"),
+        ({"fps": 0.0}, "fps is 0"),
+        ({"n_timesteps": 0}, "n_timesteps is 0"),
+        ({"unit_scale_m": float("nan")}, "unit_scale_m is nan"),
+        ({"time_origin_s": float("inf")}, "time_origin_s is inf"),
+    ],
+)
+def test_a_splat_that_could_not_be_read_back_cannot_be_made(make, change, part):
+    with pytest.raises(SplatFileError, match=part):
+        replace(make.splat(), **change)
+
+
+def test_an_empty_splat_cannot_be_made():
+    with pytest.raises(SplatFileError, match="there are 0"):
+        SplatFile.static(
+            np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 1, 3))
+        )

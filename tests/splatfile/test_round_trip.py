@@ -1,0 +1,178 @@
+"""A file read back is what was written; other programs read it as a plain 3DGS PLY."""
+
+import json
+import os
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from plyfile import PlyData
+
+from tg4mm.errors import SplatFileError
+from tg4mm.splatfile import SplatFile, read_splat, write_splat
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    return tmp_path_factory.mktemp("splat") / "a.ply"
+
+
+def cases():
+    return st.tuples(
+        st.integers(0, 2**32 - 1), st.integers(1, 20), st.sampled_from([1, 4, 9, 16]), st.integers(0, 4)
+    )
+
+
+@settings(deadline=None)
+@given(case=cases(), scale=st.none() | st.floats(1e-6, 1e6), origin=st.floats(-1e9, 1e9))
+def test_a_file_read_back_is_the_file_written(path, make_module, case, scale, origin):
+    seed, n, k, m = case
+    splat = replace(make_module.splat(seed, n, k, m, unit_scale_m=scale), time_origin_s=origin)
+    write_splat(path, splat)
+    make_module.same(read_splat(path), splat)
+
+
+def test_assert_same_itself_notices_each_difference(make):
+    splat = make.splat()
+    for name in ("means", "quats", "scales", "opacities", "sh", "freqs_hz", "displacement", "rotation"):
+        changed = getattr(splat, name).copy()
+        changed[0] += 1e-3 if name == "opacities" else 0.01
+        with pytest.raises(AssertionError):
+            make.same(splat, replace(splat, **{name: changed}))
+    for name in ("fps", "n_timesteps", "unit_scale_m", "time_origin_s"):
+        with pytest.raises(AssertionError):
+            make.same(splat, replace(splat, **{name: getattr(splat, name) + 1}))
+
+
+def test_another_reader_sees_the_3dgs_layout(make, tmp_path):
+    splat = make.splat(n=7, k=16, m=2)
+    write_splat(tmp_path / "a.ply", splat)
+    ply = PlyData.read(str(tmp_path / "a.ply"))
+    names = [p.name for p in ply["vertex"].properties]
+    rest = [f"f_rest_{i}" for i in range(45)]
+    plain = [
+        "x",
+        "y",
+        "z",
+        "nx",
+        "ny",
+        "nz",
+        "f_dc_0",
+        "f_dc_1",
+        "f_dc_2",
+        *rest,
+        "opacity",
+        "scale_0",
+        "scale_1",
+    ]
+    plain += ["scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
+    kinds = [
+        "re_x",
+        "re_y",
+        "re_z",
+        "im_x",
+        "im_y",
+        "im_z",
+        "re_rx",
+        "re_ry",
+        "re_rz",
+        "im_rx",
+        "im_ry",
+        "im_rz",
+    ]
+    assert names == plain + [f"mode_{k}_{kind}" for k in range(2) for kind in kinds]
+    assert not ply.text
+    assert ply.byte_order == "<"
+    v = ply["vertex"].data
+    for i, axis in enumerate("xyz"):
+        np.testing.assert_array_equal(v[axis], splat.means[:, i])
+        np.testing.assert_array_equal(v[f"n{axis}"], 0)
+        np.testing.assert_array_equal(v[f"f_dc_{i}"], splat.sh[:, 0, i])
+        np.testing.assert_allclose(v[f"scale_{i}"], np.log(splat.scales[:, i]), rtol=1e-6)
+        np.testing.assert_array_equal(v[f"mode_1_re_{axis}"], splat.displacement[1, :, i].real)
+        np.testing.assert_array_equal(v[f"mode_1_im_{axis}"], splat.displacement[1, :, i].imag)
+        np.testing.assert_array_equal(v[f"mode_0_re_r{axis}"], splat.rotation[0, :, i].real)
+        np.testing.assert_array_equal(v[f"mode_0_im_r{axis}"], splat.rotation[0, :, i].imag)
+        for coefficient in range(15):  # channel-major: red's fifteen, then green's, then blue's
+            np.testing.assert_array_equal(
+                v[f"f_rest_{15 * i + coefficient}"], splat.sh[:, 1 + coefficient, i]
+            )
+    for i in range(4):
+        np.testing.assert_array_equal(v[f"rot_{i}"], splat.quats[:, i])
+    np.testing.assert_allclose(1 / (1 + np.exp(-v["opacity"].astype(float))), splat.opacities, atol=1e-7)
+
+
+def test_the_header_line_says_what_the_modes_mean(make, tmp_path):
+    splat = make.splat()
+    write_splat(tmp_path / "a.ply", splat)
+    (comment,) = PlyData.read(str(tmp_path / "a.ply")).comments
+    assert comment.startswith("tg4mm {")
+    assert json.loads(comment.removeprefix("tg4mm ")) == {
+        "format_version": 1,
+        "fps": 30.0,
+        "n_timesteps": 30,
+        "frequencies_hz": splat.freqs_hz.tolist(),
+        "unit_scale_m": 0.5,
+        "time_origin_s": 0.25,
+    }
+
+
+def test_a_static_scene_has_no_modes_and_an_unknown_fps(make, tmp_path):
+    moving = make.splat()
+    still = SplatFile.static(moving.means, moving.quats, moving.scales, moving.opacities, moving.sh)
+    write_splat(tmp_path / "a.ply", still)
+    make.same(read_splat(tmp_path / "a.ply"), still)
+    assert (still.n_modes, still.fps, still.n_timesteps, still.unit_scale_m) == (0, 0.0, 1, None)
+
+
+def test_the_ends_of_opacity_and_scale_survive(make, tmp_path):
+    splat = replace(
+        make.splat(n=3),
+        opacities=np.array([0, 1, 0.5], np.float32),
+        scales=np.array([[0, 1e-30, 1e-12], [1, 1e30, 1e-6], [1, 1, 1]], np.float32),
+    )
+    write_splat(tmp_path / "a.ply", splat)
+    read = read_splat(tmp_path / "a.ply")
+    np.testing.assert_allclose(read.opacities, [2**-24, 1 - 2**-24, 0.5], rtol=1e-6)
+    np.testing.assert_allclose(read.scales, [[1e-12, 1e-12, 1e-12], [1, 1e30, 1e-6], [1, 1, 1]], rtol=1e-5)
+    make.same(read, replace(splat, scales=np.maximum(splat.scales, np.float32(1e-12))))
+
+
+def test_float64_and_strided_arrays_are_written_as_float32(make, tmp_path):
+    splat = make.splat()
+    wide = replace(
+        splat,
+        means=np.asfortranarray(splat.means.astype(np.float64)),
+        sh=np.asfortranarray(splat.sh.astype(np.float64)),
+        displacement=splat.displacement.astype(np.complex128),
+    )
+    write_splat(tmp_path / "a.ply", wide)
+    make.same(read_splat(tmp_path / "a.ply"), splat)
+
+
+def test_a_failed_write_leaves_the_old_file_and_no_other(make, tmp_path):
+    path = tmp_path / "a.ply"
+    write_splat(path, make.splat())
+    before = path.read_bytes()
+    broken = replace(make.splat(), means=np.full((5, 3), 1e300))
+    with pytest.raises(SplatFileError, match=r"a\.ply: a value of size 1e\+300 is past float32's range"):
+        write_splat(path, broken)
+    assert path.read_bytes() == before
+    assert os.listdir(tmp_path) == ["a.ply"]
+
+
+def test_a_folder_that_does_not_exist_is_named(make, tmp_path):
+    with pytest.raises(SplatFileError, match=r"nowhere/a\.ply: cannot be written: No such file"):
+        write_splat(tmp_path / "nowhere" / "a.ply", make.splat())
+
+
+def test_a_large_file_reads_in_under_two_seconds(make, tmp_path):
+    splat = make.splat(n=200_000, k=16, m=8)
+    write_splat(tmp_path / "a.ply", splat)
+    start = time.process_time()
+    read = read_splat(tmp_path / "a.ply")
+    assert time.process_time() - start < 2.0
+    make.same(read, splat)

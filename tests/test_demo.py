@@ -1,0 +1,136 @@
+"""The demo's order, resuming and refusals; generating and training are replaced by quick exact ones."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import tg4mm.demo as demo
+from tests.synthetic import make_synthetic_dataset
+from tg4mm.errors import RunError, Tg4mmError
+from tg4mm.runs import Run
+from tg4mm.splatfile import read_splat
+
+
+class Said(list):
+    """Collects what the demo says."""
+
+    def __call__(self, text: str) -> None:
+        self.append(text)
+
+    def count(self, words: str) -> int:
+        return sum(words in line for line in self)
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A dataset made without Blender, and its exact model in place of a trained one."""
+    made = {}
+
+    def generate(places: demo.Places, size: int) -> None:
+        options = {"n_views": 3, "n_timesteps": 6, "size": size, "freqs": (5.0,), "alphas": (20,)}
+        made["model"] = make_synthetic_dataset(places.data / "sway_5Hz_0_02", **options)
+
+    def train(places: demo.Places) -> None:
+        run = Run.create(places.run, places.dataset, "modal", {})
+        run.save_space(made["model"][0], {"seconds": 1.0})
+        run.save_motion(made["model"][1], {"seconds": 1.0})
+
+    monkeypatch.setattr(demo, "_generate", generate)
+    monkeypatch.setattr(demo, "_train", train)
+    monkeypatch.setattr(demo, "ORBIT_FRAMES", 4)
+
+
+def test_the_demo_makes_everything_and_a_second_call_makes_nothing(quick, tmp_path):
+    out = tmp_path / "demo"
+    report = demo.run_demo(out, 32, said := Said())
+    assert report == out / "report.html"
+    text = report.read_text(encoding="utf-8")
+    assert text.count("<video ") == 4
+    assert "splat file" in text
+    assert read_splat(out / "splat.ply").n_modes == 1
+    assert sorted(path.name for path in out.iterdir()) == sorted(
+        ["data", "run", "magnified", "orbit", "splat.ply", "report.html", "demo.json"]
+    )
+    assert said.count("already done") == 0
+    assert said.count(str(report)) == 1
+    before = {path: path.stat().st_mtime_ns for path in out.rglob("*") if path.is_file()}
+    demo.run_demo(out, 32, said := Said())
+    assert said.count("already done") == 7
+    assert {path: path.stat().st_mtime_ns for path in out.rglob("*") if path.is_file()} == before
+
+
+def test_after_a_kill_it_goes_on_with_the_step_that_was_not_finished(quick, tmp_path, monkeypatch):
+    def killed(places):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(demo, "_evaluate", killed)
+        with pytest.raises(KeyboardInterrupt):
+            demo.run_demo(tmp_path, 32, Said())
+    demo.run_demo(tmp_path, 32, said := Said())
+    assert said.count("already done") == 4
+    assert (tmp_path / "report.html").exists()
+
+
+def test_a_missing_result_is_made_again_with_all_that_follows(quick, tmp_path):
+    demo.run_demo(tmp_path, 32, Said())
+    (tmp_path / "run" / "metrics.json").unlink()
+    demo.run_demo(tmp_path, 32, said := Said())
+    assert said.count("already done") == 4
+
+
+def test_pictures_of_an_older_model_are_made_again(quick, tmp_path, monkeypatch):
+    demo.run_demo(tmp_path, 32, Said())
+    run = Run.open(tmp_path / "run")
+    space = run.load_space()
+    (tmp_path / "run" / "motion.safetensors").unlink()
+    old = (tmp_path / "magnified" / "003" / "r_000.png").read_bytes()
+    make = demo._train
+
+    def darker(places):
+        make(places)
+        run.save_space(
+            type(space)(space.means, space.quats, space.scales, space.opacities * 0.5, space.sh), {}
+        )
+
+    monkeypatch.setattr(demo, "_train", darker)
+    demo.run_demo(tmp_path, 32, Said())
+    assert (tmp_path / "magnified" / "003" / "r_000.png").read_bytes() != old
+
+
+def test_another_size_or_a_foreign_folder_is_refused(quick, tmp_path):
+    demo.run_demo(tmp_path / "a", 32, Said())
+    with pytest.raises(Tg4mmError, match=r"--size 48: .* holds a demo of 32 pixels"):
+        demo.run_demo(tmp_path / "a", 48, Said())
+    (tmp_path / "b").mkdir()
+    (tmp_path / "b" / "thesis.txt").touch()
+    with pytest.raises(Tg4mmError, match="is not empty"):
+        demo.run_demo(tmp_path / "b", 32, Said())
+    with pytest.raises(Tg4mmError, match="--size 4"):
+        demo.run_demo(tmp_path / "c", 4, Said())
+
+
+def test_a_broken_record_is_named(tmp_path):
+    (tmp_path / "demo.json").write_text(json.dumps({"format": "tg4mm-demo"}))
+    with pytest.raises(RunError, match=r"demo\.json: is not the record"):
+        demo.run_demo(tmp_path, 32, Said())
+
+
+def test_a_generator_that_fails_stops_the_demo(tmp_path, monkeypatch):
+    import tg4mm.cli.generate as generate
+
+    monkeypatch.setattr(generate, "run_generator", lambda arguments: 2)
+    with pytest.raises(Tg4mmError, match="status 2"):
+        demo.run_demo(tmp_path, 32, Said())
+    assert not (tmp_path / "demo.json").exists()
+
+
+def test_two_datasets_are_one_too_many(tmp_path: Path):
+    for name in ("a", "b"):
+        (tmp_path / "data" / name).mkdir(parents=True)
+        (tmp_path / "data" / name / "scene.json").write_text("{}")
+    with pytest.raises(Tg4mmError, match="it holds: a, b"):
+        _ = demo.Places(tmp_path).dataset

@@ -1,0 +1,76 @@
+"""What is exported is what was trained: splat files read back, numbered files show the magnified motion."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.synthetic import make_synthetic_dataset
+from tg4mm.errors import RunError, Tg4mmError
+from tg4mm.export import export_ply, export_ply_sequence, to_splat
+from tg4mm.runs import Run
+from tg4mm.splatfile import positions_at, read_splat
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Run:
+    gaussians, motion = make_synthetic_dataset(
+        tmp_path / "data", n_views=1, n_timesteps=5, size=16, freqs=(3.0, 6.0), n_test=0
+    )
+    made = Run.create(tmp_path / "run", tmp_path / "data", "modal", {})
+    made.save_space(gaussians, {})
+    made.save_motion(motion, {})
+    return made
+
+
+def test_a_splat_file_holds_the_model(run, tmp_path):
+    splat = read_splat(export_ply(run, tmp_path / "deep" / "splat.ply"))
+    gaussians, motion = run.load_space(), run.load_motion()
+    np.testing.assert_array_equal(splat.means, gaussians.means)
+    np.testing.assert_array_equal(splat.sh, gaussians.sh)
+    np.testing.assert_allclose(splat.scales, gaussians.scales, rtol=1e-5)
+    np.testing.assert_allclose(splat.opacities, gaussians.opacities, atol=1e-6)
+    np.testing.assert_array_equal(splat.displacement, motion.displacement)
+    np.testing.assert_array_equal(splat.freqs_hz, [3.0, 6.0])
+    assert (splat.fps, splat.n_timesteps, splat.unit_scale_m) == (30.0, 5, 0.1)
+
+
+def test_a_sequence_holds_the_magnified_positions(run, tmp_path):
+    out = export_ply_sequence(run, tmp_path / "frames", alpha=4.0, band=(2.0, 4.0))
+    assert [path.name for path in sorted(out.iterdir())] == [f"frame_{t:04d}.ply" for t in range(5)]
+    splat = to_splat(run.load_space(), run.load_motion())
+    for t in range(5):
+        frame = read_splat(out / f"frame_{t:04d}.ply")
+        np.testing.assert_allclose(frame.means, positions_at(splat, t, 4.0, (2.0, 4.0)), atol=1e-6)
+        assert (frame.n_modes, frame.unit_scale_m) == (0, 0.1)
+
+
+def test_chosen_timesteps_only(run, tmp_path):
+    out = export_ply_sequence(run, tmp_path / "frames", timesteps=[3])
+    assert [path.name for path in out.iterdir()] == ["frame_0003.ply"]
+    with pytest.raises(Tg4mmError, match="timestep 5 is outside 0 … 4"):
+        export_ply_sequence(run, tmp_path / "frames", timesteps=[5])
+
+
+def test_without_motion_the_file_is_static(run, tmp_path):
+    still = Run.create(tmp_path / "still", tmp_path / "data", "modal", {})
+    still.save_space(run.load_space(), {})
+    assert read_splat(export_ply(still, tmp_path / "a.ply")).n_modes == 0
+    with pytest.raises(RunError, match="--alpha 3"):
+        export_ply_sequence(still, tmp_path / "frames", alpha=3.0)
+
+
+def test_a_motion_of_other_gaussians_is_refused(run):
+    motion = run.load_motion()
+    fewer = replace(motion, displacement=motion.displacement[:, 1:], rotation=motion.rotation[:, 1:])
+    with pytest.raises(RunError, match="the scene has"):
+        to_splat(run.load_space(), fewer)
+
+
+def test_folders_and_files_are_told_apart(run, tmp_path):
+    with pytest.raises(Tg4mmError, match="is a folder"):
+        export_ply(run, tmp_path)
+    (tmp_path / "file").touch()
+    with pytest.raises(Tg4mmError, match="is a file"):
+        export_ply_sequence(run, tmp_path / "file")

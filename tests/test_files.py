@@ -1,0 +1,52 @@
+"""Atomic files: the target is the old content or the new one, never a part, and nothing is left behind."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tg4mm.files import to_json, write_atomic, write_json
+
+
+def test_failing_writer_leaves_the_old_file_and_no_temporary(tmp_path: Path) -> None:
+    target = tmp_path / "a.json"
+    write_json(target, {"v": 1})
+
+    def fail(temporary: Path) -> None:
+        temporary.write_text("half")
+        raise OSError("disk full")
+
+    with pytest.raises(OSError, match="disk full"):
+        write_atomic(target, fail)
+    assert target.read_text() == '{\n  "v": 1\n}\n'
+    assert [p.name for p in tmp_path.iterdir()] == ["a.json"]
+
+
+def test_target_does_not_exist_while_it_is_written(tmp_path: Path) -> None:
+    target = tmp_path / "a"
+    seen = []
+
+    def write(temporary: Path) -> None:
+        temporary.write_text("whole")
+        seen.append((target.exists(), temporary.parent == target.parent))
+
+    write_atomic(target, write)
+    assert seen == [(False, True)]
+    assert target.read_text() == "whole"
+
+
+def test_json_without_nan(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        write_json(tmp_path / "a.json", {"v": float("nan")})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_to_json_makes_plain_types_and_names_what_it_cannot_hold() -> None:
+    value = {"a": (1, np.float32(0.5)), "b": Path("x/y"), "c": [True, None, np.int64(3)]}
+    assert to_json(value, "s") == {"a": [1, 0.5], "b": "x/y", "c": [True, None, 3]}
+    with pytest.raises(TypeError, match=r"s\.a\[1\] = inf is not a JSON value"):
+        to_json({"a": [0, float("inf")]}, "s")
+    with pytest.raises(TypeError, match="s has the key 3, which is not text"):
+        to_json({3: 1}, "s")

@@ -1,0 +1,56 @@
+"""What may be imported without what: the core without Blender, what Blender reads without torch."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+BLOCKED = "import sys\nfor name in {blocked!r}: sys.modules[name] = None\n"
+
+
+def run_without(blocked: list[str], code: str, root: Path) -> subprocess.CompletedProcess[str]:
+    """Run code in a fresh Python in which importing any of `blocked` raises ImportError."""
+    program = BLOCKED.format(blocked=blocked) + code
+    return subprocess.run([sys.executable, "-c", program], cwd=root, capture_output=True, text=True)
+
+
+def modules(root: Path, package: str) -> list[str]:
+    """The dotted names of all modules of a package, `__main__` apart."""
+    files = sorted((root / package).rglob("*.py"))
+    names = [".".join(f.relative_to(root).with_suffix("").parts) for f in files if f.name != "__main__.py"]
+    return [name.removesuffix(".__init__") for name in names]
+
+
+def test_a_blocked_module_fails_the_check(repo_root: Path) -> None:
+    done = run_without(["json"], "import tg4mm.files", repo_root)
+    assert done.returncode == 1
+    assert "import of json halted" in done.stderr
+
+
+def test_every_module_of_the_core_imports_without_blender(repo_root: Path) -> None:
+    names = modules(repo_root, "tg4mm")
+    assert {"tg4mm", "tg4mm.runs", "tg4mm.cli.program"} <= set(names)
+    code = f"import importlib\nfor name in {names!r}: importlib.import_module(name)\n"
+    done = run_without(["bpy", "mathutils", "bmesh"], code, repo_root)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("name", ["tg4mm", "tg4mm.capture", "tg4mm.cli", "tg4mm.splatfile"])
+def test_what_needs_no_torch_imports_without_it(repo_root: Path, name: str) -> None:
+    done = run_without(["torch", "bpy", "numba", "scipy"], f"import {name}", repo_root)
+    assert done.returncode == 0, done.stderr
+
+
+def test_splat_file_reader_needs_numpy_alone(repo_root: Path) -> None:
+    code = (
+        "before = set(sys.modules)\n"
+        "import tg4mm.splatfile\n"
+        "new = {n.partition('.')[0] for n in set(sys.modules) - before}\n"
+        "foreign = new - set(sys.stdlib_module_names) - {'tg4mm', 'numpy'}\n"
+        "assert not {n for n in foreign if 'cython' not in n}, foreign\n"  # numpy's own
+    )
+    done = run_without(["torch", "bpy", "plyfile", "PIL"], code, repo_root)
+    assert done.returncode == 0, done.stderr

@@ -1,0 +1,99 @@
+"""Progress: lines carry counts, time left and figures; a terminal gets a bar."""
+
+from __future__ import annotations
+
+import io
+import os
+import pty
+import subprocess
+import sys
+
+import pytest
+
+from tg4mm.progress import PlainProgress, clock_text, progress
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def lines(start: int, steps: list[tuple[float, int]]) -> list[str]:
+    """What is printed for a job of 100 units; steps are (seconds since the one before, done)."""
+    stream, clock = io.StringIO(), Clock()
+    job = PlainProgress("space", 100, "it", start, stream, clock)
+    for seconds, done in steps:
+        clock.now += seconds
+        job.update(done, psnr=28.34567)
+    job.finish()
+    return stream.getvalue().splitlines()
+
+
+def test_line_holds_counts_elapsed_time_left_and_figures() -> None:
+    assert lines(0, [(10.0, 20)]) == [
+        "space: 20/100 it, 0:10 elapsed, 0:40 left, psnr 28.35",
+        "space: 20/100 it, took 0:10, psnr 28.35",
+    ]
+
+
+def test_at_most_one_line_in_five_seconds_and_one_at_the_end() -> None:
+    printed = lines(0, [(1.0, i) for i in range(1, 13)])
+    assert [line.split(" it")[0] for line in printed] == ["space: 5/100", "space: 10/100", "space: 12/100"]
+
+
+def test_time_left_after_a_resume_counts_only_what_this_process_did() -> None:
+    assert "0:40 left" in lines(50, [(10.0, 60)])[0]
+
+
+def test_time_left_is_unknown_before_the_first_unit() -> None:
+    assert "time left unknown" in lines(50, [(10.0, 50)])[0]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(0.4, "0:00"), (59.6, "1:00"), (61, "1:01"), (3725, "1:02:05")]
+)
+def test_clock_text(seconds: float, text: str) -> None:
+    assert clock_text(seconds) == text
+
+
+def test_without_a_terminal_plain_lines_go_to_stderr(capsys: pytest.CaptureFixture[str]) -> None:
+    with progress("render", 3, unit="frames") as update:
+        for i in range(3):
+            update(i + 1, alpha=5)
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err == "render: 3/3 frames, took 0:00, alpha 5\n"
+
+
+def test_an_exception_passes_and_no_end_is_reported(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(ZeroDivisionError), progress("render", 3) as update:
+        update(1 // 0)
+    assert "took" not in capsys.readouterr().err
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
+def test_terminal_gets_a_bar_also_inside_another() -> None:
+    code = (
+        "from tg4mm.progress import progress\n"
+        "with progress('outer', 2) as a:\n"
+        "    with progress('inner [x]', 4, unit='frames', start=1) as b:\n"
+        "        b(4, psnr=30.5)\n"
+        "    a(2)\n"
+    )
+    master, slave = pty.openpty()
+    environment = {**os.environ, "TERM": "xterm", "COLUMNS": "120"}
+    subprocess.run([sys.executable, "-c", code], check=True, stderr=slave, env=environment)
+    os.close(slave)
+    text = b""
+    try:
+        while chunk := os.read(master, 65536):
+            text += chunk
+    except OSError:  # Linux: the other end is closed
+        pass
+    os.close(master)
+    shown = text.decode()
+    for part in ("outer", "inner [x]", "4/4", "frames", "psnr 30.5", "left", "━"):
+        assert part in shown

@@ -1,0 +1,345 @@
+"""The run folder: files read back as written, a kill costs nothing finished, foreign files are refused."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import save_file
+
+from tg4mm.errors import RunError
+from tg4mm.gaussians import Gaussians
+from tg4mm.motion.modal import ModalMotion
+from tg4mm.runs import Run
+
+SETTINGS = {"seed": 0, "iterations": 100, "band_hz": [4.0, 6.0], "size": None}
+
+
+def gaussians(n: int = 7, seed: int = 0) -> Gaussians:
+    g = torch.Generator().manual_seed(seed)
+    means, quats = torch.randn(n, 3, generator=g), torch.randn(n, 4, generator=g)
+    scales, opacities = torch.rand(n, 3, generator=g), torch.rand(n, generator=g)
+    return Gaussians(means, quats, scales, opacities, torch.randn(n, 4, 3, generator=g))
+
+
+def modal(n: int = 7, k: int = 2) -> ModalMotion:
+    rng = np.random.default_rng(1)
+    draw = lambda: (rng.normal(size=(k, n, 3)) + 1j * rng.normal(size=(k, n, 3))).astype(np.complex64)  # noqa: E731
+    return ModalMotion(np.arange(1.0, k + 1), draw(), draw(), fps=30.0, n_timesteps=30)
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Run:
+    (tmp_path / "data").mkdir()
+    return Run.create(tmp_path / "run", tmp_path / "data", "modal", SETTINGS)
+
+
+def refused(match: str) -> pytest.RaisesExc:
+    """RunError whose message is one line and matches."""
+    return pytest.raises(RunError, match=r"\A[^\n]*" + match + r"[^\n]*\Z")
+
+
+class TestResults:
+    def test_gaussians_read_back_equal_those_written(self, run: Run) -> None:
+        assert not run.has_space
+        run.save_space(gaussians(), {"seconds": 1.0})
+        assert run.has_space
+        back = Run.open(run.path).load_space()
+        for name in ("means", "quats", "scales", "opacities", "sh"):
+            assert torch.equal(getattr(back, name), getattr(gaussians(), name))
+
+    def test_motion_read_back_equals_that_written(self, run: Run) -> None:
+        run.save_space(gaussians(), {})
+        assert run.load_motion() is None
+        run.save_motion(modal(), {})
+        back = run.load_motion()
+        assert back is not None
+        assert run.has_motion
+        for name in ("freqs_hz", "displacement", "rotation"):
+            written, read = getattr(modal(), name), getattr(back, name)
+            assert read.dtype == written.dtype
+            np.testing.assert_array_equal(read, written)
+        assert (back.fps, back.n_timesteps) == (30.0, 30)
+
+    def test_motion_before_space_is_refused(self, run: Run) -> None:
+        with refused("has no space.safetensors"):
+            run.save_motion(modal(), {})
+
+    def test_motion_of_other_gaussians_is_refused(self, run: Run) -> None:
+        run.save_space(gaussians(7), {})
+        with refused(r"displacement has shape \(2, 8, 3\), expected \(2, 7, 3\)"):
+            run.save_motion(modal(8), {})
+        run.save_motion(modal(7), {})
+        run.save_space(gaussians(6), {})
+        with refused(r"motion.safetensors: displacement has shape \(2, 7, 3\), expected \(2, 6, 3\)"):
+            run.load_motion()
+
+    def test_space_that_is_not_there_is_named(self, run: Run) -> None:
+        with refused("space stage is not finished"):
+            run.load_space()
+
+    @pytest.mark.parametrize("keep", [0, 4, 100, -1])
+    def test_truncated_file_is_refused(self, run: Run, keep: int) -> None:
+        run.save_space(gaussians(), {})
+        file = run.path / "space.safetensors"
+        file.write_bytes(file.read_bytes()[:keep])
+        with refused("space.safetensors is truncated or not a safetensors file"):
+            run.load_space()
+
+    def test_foreign_safetensors_file_is_refused(self, run: Run) -> None:
+        save_file({"means": torch.zeros(1, 3)}, run.path / "space.safetensors", metadata={"format": "pt"})
+        with refused("was not written by tg4mm: format 'pt'"):
+            run.load_space()
+
+    @pytest.mark.parametrize(
+        ("change", "message"),
+        [
+            ({"version": "2"}, "has version 2, expected 1"),
+            ({"kind": '"motion"'}, "has kind 'motion', expected 'space'"),
+            ({"config": "3"}, "has config 3, expected an object"),
+            ({"kind": "{"}, "has a header that is not JSON"),
+        ],
+    )
+    def test_wrong_header_is_refused(self, run: Run, change: dict[str, str], message: str) -> None:
+        meta = {"format": "tg4mm", "kind": '"space"', "version": "1", "config": "{}"} | change
+        save_file({"means": torch.zeros(1, 3)}, run.path / "space.safetensors", metadata=meta)
+        with refused(re.escape(message)):
+            run.load_space()
+
+    def test_missing_tensor_is_refused(self, run: Run) -> None:
+        meta = {"format": "tg4mm", "kind": '"space"', "version": "1", "config": "{}"}
+        save_file({"means": torch.zeros(1, 3)}, run.path / "space.safetensors", metadata=meta)
+        with refused(r"holds the tensors \['means'\], expected \['means', 'opacities'"):
+            run.load_space()
+
+    def test_value_that_is_not_finite_is_refused(self, run: Run) -> None:
+        bad = gaussians()
+        bad.scales[3, 1] = float("nan")
+        run.save_space(bad, {})
+        with refused("space.safetensors: scales holds a value that is not finite"):
+            run.load_space()
+
+
+class TestCreate:
+    def test_same_request_resumes(self, run: Run) -> None:
+        run.save_space(gaussians(), {"seconds": 2.0})
+        again = Run.create(run.path, run.dataset, "modal", {**SETTINGS, "band_hz": (4.0, 6.0)})
+        assert again.has_space
+        assert again.log()["space"]["seconds"] == 2.0
+        assert again.settings == SETTINGS
+
+    @pytest.mark.parametrize(
+        ("change", "message"),
+        [
+            ({"iterations": 200}, "iterations = 100, asked is 200"),
+            ({"size": 512}, "size = null, asked is 512"),
+            ({"extra": 1}, r"extra = \(not set\), asked is 1"),
+            ({"seed": 1, "size": 3}, "seed = 0, asked is 1"),
+        ],
+    )
+    def test_first_differing_setting_is_named(self, run: Run, change: dict, message: str) -> None:
+        with refused("was made with " + message):
+            Run.create(run.path, run.dataset, "modal", {**SETTINGS, **change})
+
+    def test_nested_setting_is_named_as_the_command_line_does(self, tmp_path: Path) -> None:
+        Run.create(
+            tmp_path / "run", tmp_path, "modal", {"space": {"seed": 0, "sh": 2}, "motion": {"bins": []}}
+        )
+        with refused(r"space\.sh = 2, asked is 3"):
+            Run.create(
+                tmp_path / "run", tmp_path, "modal", {"space": {"seed": 0, "sh": 3}, "motion": {"bins": [1]}}
+            )
+        with refused(r"motion\.bins = \[\], asked is \(not set\)"):
+            Run.create(tmp_path / "run", tmp_path, "modal", {"space": {"seed": 0, "sh": 2}})
+
+    def test_setting_that_is_gone_is_named(self, run: Run) -> None:
+        with refused(r"size = null, asked is \(not set\)"):
+            Run.create(run.path, run.dataset, "modal", {k: v for k, v in SETTINGS.items() if k != "size"})
+
+    def test_other_preset_or_dataset_is_refused(self, run: Run, tmp_path: Path) -> None:
+        with refused('preset = "modal", asked is "paper"'):
+            Run.create(run.path, run.dataset, "paper", SETTINGS)
+        with refused(f'dataset = "{tmp_path}/data", asked is "{tmp_path}/other"'):
+            Run.create(run.path, tmp_path / "other", "modal", SETTINGS)
+
+    def test_folder_with_foreign_files_is_refused_and_untouched(self, tmp_path: Path) -> None:
+        (tmp_path / "holiday.txt").write_text("photos")
+        with refused("is not a run folder: it holds 'holiday.txt' and no config.json"):
+            Run.create(tmp_path, tmp_path, "modal", {})
+        assert [p.name for p in tmp_path.iterdir()] == ["holiday.txt"]
+
+    def test_file_in_place_of_the_folder_is_refused(self, tmp_path: Path) -> None:
+        (tmp_path / "run").write_text("")
+        with refused("is a file"):
+            Run.create(tmp_path / "run", tmp_path, "modal", {})
+
+    @pytest.mark.parametrize("value", [float("nan"), {1, 2}, b"x", {3: 4}])
+    def test_setting_that_json_cannot_hold_is_refused(self, tmp_path: Path, value: object) -> None:
+        with refused("a run cannot store settings.lr"):
+            Run.create(tmp_path / "run", tmp_path, "modal", {"lr": value})
+        assert not (tmp_path / "run").exists()
+
+    def test_leftovers_of_killed_writers_are_removed_and_of_living_ones_kept(self, run: Run) -> None:
+        dead = subprocess.Popen([sys.executable, "-c", ""])
+        dead.wait()
+        gone, kept = (run.path / f".space.safetensors.{pid}.tmp" for pid in (dead.pid, os.getpid()))
+        gone.touch()
+        kept.touch()
+        Run.create(run.path, run.dataset, "modal", SETTINGS)
+        assert not gone.exists()
+        assert kept.exists()
+
+
+class TestOpen:
+    def test_missing_folder_and_folder_without_config_are_refused(self, tmp_path: Path) -> None:
+        with refused("nowhere does not exist"):
+            Run.open(tmp_path / "nowhere")
+        with refused("is not a run folder: it has no config.json"):
+            Run.open(tmp_path)
+
+    @pytest.mark.parametrize(
+        ("text", "message"),
+        [
+            ('{"format": "tg', "is not readable JSON"),
+            ("[1]", "holds list, expected an object"),
+            ('{"scene": "mic"}', "is not a tg4mm run: format None, kind None"),
+            ('{"format": "tg4mm", "kind": "run", "version": 9}', "has version 9; this program reads 1"),
+            ('{"format": "tg4mm", "kind": "run", "version": 1, "dataset": 5}', "dataset is 5, expected str"),
+        ],
+    )
+    def test_bad_config_is_refused(self, tmp_path: Path, text: str, message: str) -> None:
+        (tmp_path / "config.json").write_text(text)
+        with refused(re.escape(message)):
+            Run.open(tmp_path)
+
+    def test_dataset_and_run_may_be_moved_together(self, tmp_path: Path) -> None:
+        (tmp_path / "here" / "data").mkdir(parents=True)
+        Run.create(tmp_path / "here" / "run", tmp_path / "here" / "data", "modal", {})
+        (tmp_path / "here").rename(tmp_path / "there")
+        assert Run.open(tmp_path / "there" / "run").dataset == tmp_path / "there" / "data"
+        Run.create(tmp_path / "there" / "run", tmp_path / "there" / "data", "modal", {})
+
+    def test_config_says_what_made_the_run(self, run: Run) -> None:
+        config = json.loads((run.path / "config.json").read_text())
+        assert config["settings"] == SETTINGS
+        assert config["preset"] == "modal"
+        assert (
+            config["versions"]["torch"] == torch.__version__.partition("+")[0] or config["versions"]["torch"]
+        )
+        assert config["versions"].keys() >= {"tg4mm", "python", "torch", "numpy"}
+
+
+class TestCheckpoint:
+    def test_reads_back_every_kind_of_tensor_and_the_state(self, run: Run) -> None:
+        base = torch.arange(6.0)
+        tensors = {
+            "view": base.view(2, 3),
+            "same": base,  # shares memory with the view
+            "bytes": torch.get_rng_state(),
+            "complex": torch.complex(base, -base),
+            "empty": torch.zeros(0, 3),
+            "strided": base.view(2, 3).T,
+            "grad": torch.ones(2, requires_grad=True),
+            "scalar": torch.tensor(3, dtype=torch.int64),
+        }
+        state = {"iteration": 7, "losses": [0.5, 0.25], "nested": {"k": None}}
+        run.save_checkpoint("space", tensors, state)
+        loaded = run.load_checkpoint("space")
+        assert loaded is not None
+        assert loaded[1] == state
+        assert loaded[0].keys() == tensors.keys()
+        for name, tensor in tensors.items():
+            assert torch.equal(loaded[0][name], tensor.detach()), name
+            assert loaded[0][name].dtype == tensor.dtype
+
+    def test_stages_are_apart_and_drop_forgets_one(self, run: Run) -> None:
+        for stage in ("space", "motion"):
+            run.save_checkpoint(stage, {}, {"of": stage})
+        run.drop_checkpoint("space")
+        run.drop_checkpoint("space")
+        assert run.load_checkpoint("space") is None
+        assert run.load_checkpoint("motion") == ({}, {"of": "motion"})
+
+    def test_torn_checkpoint_is_refused_with_the_way_out(self, run: Run) -> None:
+        run.save_checkpoint("space", {"a": torch.ones(100)}, {})
+        file = run.path / "checkpoint_space.safetensors"
+        file.write_bytes(file.read_bytes()[:-50])
+        with refused("is truncated .*; delete it to start the space stage again"):
+            run.load_checkpoint("space")
+
+    def test_checkpoint_of_other_settings_or_stage_is_refused(self, run: Run, tmp_path: Path) -> None:
+        other = Run.create(tmp_path / "other", run.dataset, "modal", {**SETTINGS, "seed": 5})
+        other.save_checkpoint("space", {}, {})
+        run.save_checkpoint("motion", {}, {})
+        file = run.path / "checkpoint_space.safetensors"
+        for source in (other.path / file.name, run.path / "checkpoint_motion.safetensors"):
+            file.write_bytes(source.read_bytes())
+            with refused("belongs to a run with other settings, or to another stage"):
+                run.load_checkpoint("space")
+
+    def test_state_that_json_cannot_hold_is_an_error_and_keeps_the_old_one(self, run: Run) -> None:
+        run.save_checkpoint("space", {}, {"i": 1})
+        with pytest.raises(TypeError, match=r"state\.lr = nan is not a JSON value"):
+            run.save_checkpoint("space", {}, {"lr": float("nan")})
+        assert run.load_checkpoint("space") == ({}, {"i": 1})
+
+    def test_kill_at_any_moment_leaves_a_whole_checkpoint(self, run: Run) -> None:
+        """Writes without pause in a child, SIGKILLs it at several moments; tensors and state must agree."""
+        code = (
+            "import sys, torch; from tg4mm.runs import Run\n"
+            "run = Run.open(sys.argv[1]); i = int(sys.argv[2])\n"
+            "while True:\n"
+            "    i += 1; run.save_checkpoint('space', {'a': torch.full((500_000,), float(i))}, {'i': i})\n"
+            "    print(i, flush=True)\n"
+        )
+        last = 0
+        for delay in (0.0, 0.003, 0.011):
+            command = [sys.executable, "-c", code, str(run.path), str(last)]
+            with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as child:
+                assert child.stdout is not None
+                written = int(child.stdout.readline())
+                time.sleep(delay)
+                child.send_signal(signal.SIGKILL)
+                rest = child.stdout.read().split()
+            written = int(rest[-1]) if rest else written
+            loaded = Run.create(run.path, run.dataset, "modal", SETTINGS).load_checkpoint("space")
+            assert loaded is not None
+            last = loaded[1]["i"]
+            assert last in (written, written + 1)  # the rename may be done and the print not
+            assert torch.equal(loaded[0]["a"], torch.full((500_000,), float(last)))
+            assert not list(run.path.glob(".*.tmp"))
+
+
+class TestLog:
+    def test_seconds_add_up_memory_keeps_the_most_the_rest_is_replaced(self, run: Run) -> None:
+        assert run.log() == {}
+        run.record("space", {"seconds": 2.0, "peak_memory_mib": 300.0, "psnr": 20.0})
+        Run.open(run.path).record("space", {"seconds": 3.5, "peak_memory_mib": 200.0, "psnr": 25.0})
+        run.record("motion", {"seconds": 1})
+        assert run.log() == {
+            "space": {"seconds": 5.5, "peak_memory_mib": 300.0, "psnr": 25.0},
+            "motion": {"seconds": 1.0},
+        }
+
+    def test_results_bring_their_figures(self, run: Run) -> None:
+        run.save_space(gaussians(), {"seconds": 1.0, "gaussians": np.int64(7)})
+        run.save_motion(modal(), {"loss": np.float32(0.5)})
+        assert run.log() == {"space": {"seconds": 1.0, "gaussians": 7}, "motion": {"loss": 0.5}}
+
+    def test_infinite_psnr_becomes_null(self, run: Run) -> None:
+        run.record("space", {"psnr": float("inf"), "per_view": [1.0, float("nan")]})
+        assert run.log()["space"] == {"psnr": None, "per_view": [1.0, None]}
+
+    def test_torn_log_is_refused(self, run: Run) -> None:
+        (run.path / "log.json").write_text('{"space": {')
+        with refused("log.json is not readable JSON"):
+            run.record("space", {"seconds": 1.0})

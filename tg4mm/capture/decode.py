@@ -1,0 +1,69 @@
+"""One PNG or JPEG → RGBA, straight alpha, 8 or 16 bits; grey, palette or RGB, with or without alpha."""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from tg4mm.capture import png16
+from tg4mm.errors import CaptureError
+
+THREADS = min(8, os.cpu_count() or 1)
+FORMATS = ("PNG", "JPEG")
+MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA")  # Pillow's names; CMYK and others are refused
+# What Pillow raises on a damaged file, depending on where the damage is.
+_DAMAGE = (OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.error, Image.DecompressionBombError)
+
+
+@dataclass(frozen=True)
+class ImageHeader:
+    """What the first bytes of an image file say."""
+
+    width: int  # pixels
+    height: int  # pixels
+    bits: int  # per channel, 8 or 16
+
+
+def image_header(path: Path) -> ImageHeader:
+    """Size and depth without decoding; CaptureError if it is no PNG or JPEG, or CMYK and the like."""
+    try:
+        with path.open("rb") as file:
+            header = png16.read_header(file.read(png16.HEADER_BYTES))
+        if header is not None and header.bits == 16:
+            return ImageHeader(header.width, header.height, 16)
+        with Image.open(path, formats=FORMATS) as image:
+            if image.mode not in MODES:
+                raise CaptureError(f"{path}: has colour mode {image.mode}; expected grey, RGB or RGBA")
+            return ImageHeader(*image.size, 8)
+    except CaptureError:
+        raise
+    except _DAMAGE as error:
+        raise _unreadable(path, error) from error
+
+
+def decode(path: Path) -> np.ndarray:
+    """[H, W, 4] uint8 (uint16 for a 16-bit PNG); files without alpha get the largest value there.
+
+    Raises CaptureError if the file is truncated or damaged.
+    """
+    try:
+        if image_header(path).bits == 16:  # Pillow would keep the high byte only
+            return png16.decode(path.read_bytes())
+        with Image.open(path, formats=FORMATS) as image:
+            return np.asarray(image.convert("RGBA"))
+    except CaptureError:
+        raise
+    except _DAMAGE as error:
+        raise _unreadable(path, error) from error
+
+
+def _unreadable(path: Path, error: BaseException) -> CaptureError:
+    if isinstance(error, Image.UnidentifiedImageError):
+        return CaptureError(f"{path}: is neither a PNG nor a JPEG")
+    return CaptureError(f"{path}: cannot be decoded: {' '.join(str(error).split())}")

@@ -1,0 +1,177 @@
+"""16-bit PNG decoded by numpy, since Pillow keeps only the high byte (PNG specification, §§ 9 and 11)."""
+
+from __future__ import annotations
+
+import functools
+import struct
+import threading
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+SIGNATURE = b"\x89PNG\r\n\x1a\n"
+HEADER_BYTES = 33  # signature and IHDR
+CHANNELS = {0: 1, 2: 3, 4: 2, 6: 4}  # colour type: grey, RGB, grey + alpha, RGBA
+_COMPILING = threading.Lock()
+MAX_PIXELS = 2 * 89_478_485  # Pillow's own limit against decompression bombs
+
+
+@dataclass(frozen=True)
+class PngHeader:
+    """IHDR."""
+
+    width: int
+    height: int
+    bits: int
+    colour_type: int
+    interlaced: bool
+
+
+def read_header(start: bytes) -> PngHeader | None:
+    """IHDR from a file's first bytes; None if they are no PNG's."""
+    if len(start) < HEADER_BYTES or not start.startswith(SIGNATURE) or start[12:16] != b"IHDR":
+        return None
+    width, height, bits, colour_type, _, _, interlace = struct.unpack_from(">IIBBBBB", start, 16)
+    return PngHeader(width, height, bits, colour_type, interlace != 0)
+
+
+def decode(data: bytes) -> np.ndarray:
+    """[H, W, 4] uint16 RGBA, straight alpha, 65535 where the file has none. ValueError for a damaged file."""
+    header = read_header(data[:HEADER_BYTES])
+    if header is None or header.bits != 16 or header.colour_type not in CHANNELS:
+        raise ValueError("not a 16-bit PNG")
+    if header.interlaced:
+        raise ValueError("interlaced 16-bit PNG; write it without interlacing")
+    if not 0 < header.width * header.height <= MAX_PIXELS:
+        raise ValueError(f"{header.width}×{header.height} pixels, more than {MAX_PIXELS}")
+    packed, transparent = _chunks(data)
+    channels = CHANNELS[header.colour_type]
+    stride = 1 + 2 * channels * header.width
+    inflater = zlib.decompressobj()
+    raw = inflater.decompress(packed, header.height * stride)
+    if len(raw) != header.height * stride:
+        raise ValueError(f"pixel data is {len(raw)} bytes, expected {header.height * stride}")
+    rows = np.frombuffer(raw, np.uint8).reshape(header.height, stride)
+    pixels = unfilter(rows[:, 0], rows[:, 1:].reshape(header.height, header.width, 2 * channels))
+    return _rgba(pixels.view(">u2").astype(np.uint16), transparent)
+
+
+def unfilter(filters: np.ndarray, filtered: np.ndarray) -> np.ndarray:
+    """Undo PNG's row filters: filters [H], filtered [H, W, B] uint8 → [H, W, B] uint8, B bytes a pixel."""
+    if filters.max(initial=0) > 4:
+        raise ValueError(f"unknown row filter {filters.max()}")
+    if filters.max(initial=0) <= 2:
+        return _unfilter_by_row(filters, filtered)
+    by_byte = _compiled_by_byte()
+    return (by_byte or _unfilter_by_diagonal)(filters, filtered)
+
+
+def _unfilter_by_row(filters: np.ndarray, filtered: np.ndarray) -> np.ndarray:
+    """None, Sub and Up: a row at a time."""
+    out = filtered.copy()
+    for r, kind in enumerate(filters):
+        if kind == 1:
+            np.cumsum(filtered[r], axis=0, dtype=np.uint8, out=out[r])
+        elif kind == 2 and r > 0:
+            out[r] += out[r - 1]
+    return out
+
+
+def _unfilter_by_byte(filters: np.ndarray, filtered: np.ndarray) -> np.ndarray:
+    """All five filters, a byte at a time: the specification's own words, to be compiled."""
+    height, width, size = filtered.shape
+    out = np.zeros((height + 1, width + 1, size), np.int16)  # row 0 and column 0: the zeros outside the image
+    for r in range(height):
+        kind = filters[r]
+        for x in range(width):
+            for b in range(size):
+                left, up, corner = out[r + 1, x, b], out[r, x + 1, b], out[r, x, b]
+                guess = 0
+                if kind == 1:
+                    guess = left
+                elif kind == 2:
+                    guess = up
+                elif kind == 3:
+                    guess = (left + up) >> 1
+                elif kind == 4:
+                    to_left, to_up, to_corner = (
+                        abs(up - corner),
+                        abs(left - corner),
+                        abs(left + up - 2 * corner),
+                    )
+                    guess = corner
+                    if to_left <= to_up and to_left <= to_corner:
+                        guess = left
+                    elif to_up <= to_corner:
+                        guess = up
+                out[r + 1, x + 1, b] = (filtered[r, x, b] + guess) & 255
+    return out[1:, 1:].astype(np.uint8)
+
+
+@functools.cache
+def _compile() -> Callable[[np.ndarray, np.ndarray], np.ndarray] | None:
+    try:
+        import numba
+    except ImportError:  # numba comes with the core extra, and reading must work without it
+        return None
+    return numba.njit(nogil=True, cache=True)(_unfilter_by_byte)
+
+
+def _compiled_by_byte() -> Callable[[np.ndarray, np.ndarray], np.ndarray] | None:
+    """`_unfilter_by_byte` compiled, once for all threads; None without numba."""
+    with _COMPILING:
+        return _compile()
+
+
+def _unfilter_by_diagonal(filters: np.ndarray, filtered: np.ndarray) -> np.ndarray:
+    """The same without numba: a pixel needs left, upper, corner neighbours, so a diagonal goes at once."""
+    height, width, size = filtered.shape
+    kind = filters[:, None]
+    out = np.zeros((height + 1, width + 1, size), np.int16)  # row 0 and column 0: the zeros outside the image
+    for d in range(height + width - 1):
+        r = np.arange(max(0, d - width + 1), min(height, d + 1))
+        x = d - r
+        left, up, corner = out[r + 1, x], out[r, x + 1], out[r, x]
+        to_left, to_up, to_corner = np.abs(up - corner), np.abs(left - corner), np.abs(left + up - 2 * corner)
+        paeth = np.where(
+            (to_left <= to_up) & (to_left <= to_corner), left, np.where(to_up <= to_corner, up, corner)
+        )
+        k = kind[r]
+        guess = np.select([k == 1, k == 2, k == 3, k == 4], [left, up, (left + up) >> 1, paeth], np.int16(0))
+        out[r + 1, x + 1] = (filtered[r, x] + guess) & 255
+    return np.ascontiguousarray(out[1:, 1:].astype(np.uint8))
+
+
+def _chunks(data: bytes) -> tuple[bytes, bytes]:
+    """The joined IDAT chunks, and tRNS (or b""); ValueError if a chunk is cut off or its CRC is wrong."""
+    packed, transparent, at = [], b"", len(SIGNATURE)
+    while True:
+        if at + 12 > len(data):
+            raise ValueError("file is truncated")
+        (length,) = struct.unpack_from(">I", data, at)
+        if at + 12 + length > len(data):
+            raise ValueError("file is truncated")
+        kind, body = data[at + 4 : at + 8], data[at + 8 : at + 8 + length]
+        if zlib.crc32(kind + body) != struct.unpack_from(">I", data, at + 8 + length)[0]:
+            raise ValueError(f"chunk {kind!r} has a wrong checksum")
+        if kind == b"IDAT":
+            packed.append(body)
+        elif kind == b"tRNS":
+            transparent = body
+        elif kind == b"IEND":
+            return b"".join(packed), transparent
+        at += 12 + length
+
+
+def _rgba(pixels: np.ndarray, transparent: bytes) -> np.ndarray:
+    """[H, W, 1 | 2 | 3 | 4] → [H, W, 4]; `transparent` is tRNS, the clear colour of a file without alpha."""
+    channels = pixels.shape[-1]
+    rgba = np.full((*pixels.shape[:2], 4), 65535, np.uint16)
+    rgba[..., :3] = pixels[..., :3] if channels >= 3 else pixels[..., :1]
+    if channels in (2, 4):
+        rgba[..., 3] = pixels[..., -1]
+    elif len(transparent) == 2 * channels:
+        rgba[(pixels == np.frombuffer(transparent, ">u2")).all(axis=-1), 3] = 0
+    return rgba

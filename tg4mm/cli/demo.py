@@ -1,0 +1,24 @@
+"""`tg4mm demo`: the whole main job, small, from nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for everything; finished steps in it are kept.")] = Path(
+        "demo"
+    ),
+    size: Annotated[int, typer.Option(help="Width and height of the pictures, pixels.")] = 128,
+) -> None:
+    """Do the whole job, small, from nothing.
+
+    Renders a vibrating scene in Blender, trains, magnifies the motion by α = 20, compares it with the ground
+    truth, exports the splat file, and shows it all in OUT/report.html.
+    """
+    from tg4mm.demo import run_demo
+
+    run_demo(out, size, typer.echo)

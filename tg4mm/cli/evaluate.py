@@ -1,0 +1,60 @@
+"""`tg4mm evaluate`: a run against the ground truth of its dataset."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tg4mm.errors import Tg4mmError
+
+
+def evaluate(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder made by tg4mm train.")],
+    alphas: Annotated[
+        str | None,
+        typer.Option(
+            metavar="A,A,…", help="Magnification factors, e.g. 5,10,20,50. [default: all with ground truth]"
+        ),
+    ] = None,
+    band: Annotated[
+        tuple[float, float] | None,
+        typer.Option(metavar="LO HI", help="Magnify only modes with LO ≤ f ≤ HI, Hz. [default: all]"),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Where the figures go. [default: RUN/metrics.json]")
+    ] = None,
+    lpips_weights: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Local file(s) with AlexNet trunk and LPIPS heads; without them no LPIPS is given."
+        ),
+    ] = None,
+) -> None:
+    """Score a run against its dataset's ground truth.
+
+    PSNR (dB), SSIM, FLIP and LPIPS on the test cameras, and the displacement error, each beside what "nothing
+    moves" scores and, where the exact motion is known, beside the ceiling.
+    """
+    wanted = parse_alphas(alphas)
+    from tg4mm.evaluate import evaluate_run, format_table
+    from tg4mm.runs import Run
+
+    metrics = evaluate_run(
+        Run.open(run), alphas=wanted, out=out, band=band, lpips_weights=lpips_weights or None
+    )
+    typer.echo(format_table(metrics), nl=False)
+
+
+def parse_alphas(text: str | None) -> list[float] | None:
+    """`5,10,20` as numbers. Raises Tg4mmError naming the part that is none."""
+    if text is None:
+        return None
+    numbers = []
+    for part in text.split(","):
+        try:
+            numbers.append(float(part))
+        except ValueError:
+            raise Tg4mmError(f"--alphas {text!r}: {part!r} is not a number") from None
+    return numbers

@@ -1,0 +1,123 @@
+"""The commands put together, and the exit codes: 1 a fault of the program, 2 bad input, 130 interrupted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated
+
+import typer
+
+from tg4mm import __version__
+from tg4mm.cli.demo import demo
+from tg4mm.cli.evaluate import evaluate
+from tg4mm.cli.export import export
+from tg4mm.cli.generate import generate
+from tg4mm.cli.render import render
+from tg4mm.cli.train import train
+from tg4mm.errors import Tg4mmError
+
+BAD_INPUT, INTERRUPTED = 2, 130
+# What the extra `core` brings; without it the commands that train, render or evaluate cannot run.
+_CORE = {
+    "torch",
+    "numba",
+    "scipy",
+    "skimage",
+    "safetensors",
+    "OpenEXR",
+    "flip_evaluator",
+    "jinja2",
+    "imageio",
+    "psutil",
+}
+
+app = typer.Typer(
+    name="tg4mm",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+# Everything after `generate`, --help included, is dataset_gen's own.
+_PASS_ALL = {
+    "allow_extra_args": True,
+    "ignore_unknown_options": True,
+    "allow_interspersed_args": False,
+    "help_option_names": [],
+}
+app.command()(demo)
+app.command(context_settings=_PASS_ALL)(generate)
+for _command in (train, render, evaluate, export):
+    app.command()(_command)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"tg4mm {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def tg4mm(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    """3D motion magnification: subtle vibration in a 3D scene, magnified, from any viewpoint.
+
+    Lengths are in scene units, frequencies in Hz, times in timesteps. A magnification factor α turns a
+    displacement δ into (1 + α) δ.
+    """
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the program on `argv` (default: the command line) and return its exit code."""
+    try:
+        arguments = None if argv is None else list(argv)
+        result = app(args=arguments, prog_name="tg4mm", standalone_mode=False)
+    except Tg4mmError as error:
+        return _fail(str(error))
+    except KeyboardInterrupt:
+        return _interrupted()
+    except ModuleNotFoundError as error:
+        if error.name not in _CORE:
+            raise
+        return _fail(f"this command needs {error.name}: pip install 'tg4mm[core]'")
+    except Exception as error:
+        # Usage errors as typer reports them; their class has moved between its versions.
+        if not hasattr(error, "format_message"):
+            raise
+        return _usage(error)
+    if result == INTERRUPTED:  # newer versions of typer turn Ctrl+C into this
+        return _interrupted()
+    return result if isinstance(result, int) else 0
+
+
+def _usage(error: Exception) -> int:
+    context = getattr(error, "ctx", None)
+    if type(error).__name__ == "NoArgsIsHelpError" and context is not None:
+        typer.echo(context.get_help(), err=True)
+        return BAD_INPUT
+    command = context.command_path if context is not None else "tg4mm"
+    message = " ".join(error.format_message().split()).rstrip(".")  # type: ignore[attr-defined]
+    return _fail(f"{message}{_offending(error, message)} (see {command} --help)")
+
+
+def _offending(error: Exception, message: str) -> str:
+    """The value that typer's message leaves out where pydantic did the conversion."""
+    try:
+        value = error.__cause__.errors()[0]["input"]  # type: ignore[union-attr]
+    except (AttributeError, LookupError, TypeError):
+        return ""
+    return "" if repr(value) in message else f", got {value!r}"
+
+
+def _fail(message: str) -> int:
+    typer.echo(f"tg4mm: {' '.join(message.split())}", err=True)
+    return BAD_INPUT
+
+
+def _interrupted() -> int:
+    typer.echo("\ntg4mm: interrupted; the same command goes on where this one stopped", err=True)
+    return INTERRUPTED

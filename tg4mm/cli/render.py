@@ -1,0 +1,91 @@
+"""`tg4mm render`: pictures and videos of a run, its motion magnified."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tg4mm.errors import Tg4mmError
+
+if TYPE_CHECKING:
+    from tg4mm.render import Camera
+    from tg4mm.runs import Run
+
+
+class Split(StrEnum):
+    """Which cameras of the dataset."""
+
+    test = "test"
+    train = "train"
+
+
+def render(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder made by tg4mm train.")],
+    alpha: Annotated[
+        float, typer.Option(help="Magnification: a displacement δ becomes (1 + alpha) δ; 0 as captured.")
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for the pictures; complete ones are kept.")],
+    band: Annotated[
+        tuple[float, float] | None,
+        typer.Option(metavar="LO HI", help="Magnify only modes with LO ≤ f ≤ HI, Hz. [default: all]"),
+    ] = None,
+    split: Annotated[Split | None, typer.Option(help="Cameras of the dataset. [default: test]")] = None,
+    cameras: Annotated[
+        Path | None, typer.Option(help="Cameras of a transforms JSON (NeRF or nerfstudio).")
+    ] = None,
+    orbit: Annotated[int | None, typer.Option(min=1, help="Pictures of one turn around the scene.")] = None,
+    slow: Annotated[float, typer.Option(help="Slow motion: 2 plays at half speed.")] = 1.0,
+    video: Annotated[bool, typer.Option(help="Also write an mp4 for each camera.")] = True,
+) -> None:
+    """Render pictures and videos of a run, its motion magnified.
+
+    Writes OUT/<timestep>/<camera>.png and OUT/<camera>.mp4; with --orbit, OUT/r_000.png … and OUT/orbit.mp4.
+    One of --split, --cameras and --orbit says from where.
+    """
+    given = [n for n, v in (("--split", split), ("--cameras", cameras), ("--orbit", orbit)) if v is not None]
+    if len(given) > 1:
+        raise Tg4mmError(f"{given[0]} and {given[1]} exclude each other")
+    if orbit is not None and not video:
+        raise Tg4mmError("--no-video and --orbit exclude each other: an orbit is a video")
+    from tg4mm.render import RenderRequest, render_orbit, render_sequence
+    from tg4mm.runs import Run
+
+    opened = Run.open(run)
+    request = RenderRequest(alpha=alpha, band=band, slow=slow)
+    if orbit is not None:
+        render_orbit(opened, orbit_cameras(opened, orbit), request, out)
+    else:
+        chosen = (
+            split_cameras(opened, split or Split.test) if cameras is None else file_cameras(opened, cameras)
+        )
+        render_sequence(opened, chosen, request, out, video=video)
+    typer.echo(str(out))
+
+
+def split_cameras(run: Run, split: Split) -> tuple[Camera, ...]:
+    """The cameras of one split of the run's dataset."""
+    from tg4mm.capture import load_capture
+    from tg4mm.render import capture_cameras
+
+    return capture_cameras(load_capture(run.dataset, split=split.value))
+
+
+def file_cameras(run: Run, path: Path) -> tuple[Camera, ...]:
+    """The cameras of a file; pictures are as large as the dataset's where the file does not say."""
+    from tg4mm.capture import load_capture
+    from tg4mm.render import cameras_from_file
+
+    capture = load_capture(run.dataset)
+    return cameras_from_file(path, (capture.width, capture.height))
+
+
+def orbit_cameras(run: Run, n: int) -> tuple[Camera, ...]:
+    """`n` cameras on a circle around what the dataset's cameras look at, or else the Gaussians' middle."""
+    from tg4mm.capture import load_capture
+    from tg4mm.render import orbit
+
+    centre = run.load_space().means.median(dim=0).values.numpy()
+    return orbit(load_capture(run.dataset), n, centre)

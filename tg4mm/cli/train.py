@@ -1,0 +1,72 @@
+"""`tg4mm train`: Gaussians at rest, then their motion, from a dataset."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tg4mm.errors import Tg4mmError
+
+
+class Preset(StrEnum):
+    """How motion is modelled; see docs/method.md."""
+
+    modal = "modal"
+
+
+class Device(StrEnum):
+    """Where tensors live."""
+
+    cpu = "cpu"
+    cuda = "cuda"
+
+
+def train(
+    dataset: Annotated[
+        Path,
+        typer.Argument(metavar="DATASET", help="A dataset folder (docs/conventions.md lists the layouts)."),
+    ],
+    out: Annotated[Path, typer.Option(help="Run folder; an unfinished one is resumed.")],
+    preset: Annotated[
+        Preset, typer.Option(help="modal: one fit of complex modes to all timesteps.")
+    ] = Preset.modal,
+    device: Annotated[Device, typer.Option(help="cuda needs the extra `cuda` (gsplat).")] = Device.cpu,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="Override one setting, e.g. space.iterations=3000; may be repeated. "
+            "An unknown key lists those there are.",
+        ),
+    ] = None,
+) -> None:
+    """Fit Gaussians at rest, then their motion, to a dataset.
+
+    Defaults follow the dataset's size, timesteps and views. The same command resumes a run that was stopped.
+    """
+    chosen = split_settings(settings or [])
+    from tg4mm.train import train as train_run
+
+    train_run(dataset, out, preset.value, device.value, chosen)
+    typer.echo(str(out))
+
+
+def split_settings(pairs: Sequence[str]) -> dict[str, str]:
+    """`key=value` texts as a dictionary of texts.
+
+    Raises Tg4mmError for a text without `=`, or a key given twice.
+    """
+    settings: dict[str, str] = {}
+    for pair in pairs:
+        key, equals, text = pair.partition("=")
+        if not equals or not key.strip():
+            raise Tg4mmError(f"--set {pair!r} is not of the form key=value")
+        if key.strip() in settings:
+            raise Tg4mmError(f"--set {key.strip()} is given twice")
+        settings[key.strip()] = text.strip()
+    return settings

@@ -1,0 +1,241 @@
+"""The whole main job, small, from nothing: generate, train, render, evaluate, export, report."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tg4mm.errors import RunError, Tg4mmError
+from tg4mm.files import write_json
+
+STEPS_FILE = "demo.json"
+ALPHA = 20.0
+ORBIT_FRAMES = 120
+Printer = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where the demo keeps what, under one folder."""
+
+    root: Path
+
+    @property
+    def data(self) -> Path:
+        return self.root / "data"
+
+    @property
+    def dataset(self) -> Path:
+        """The one dataset in data/. Raises Tg4mmError if there is none or more."""
+        found = sorted(path.parent for path in self.data.glob("*/scene.json"))
+        if len(found) != 1:
+            names = ", ".join(path.name for path in found) or "none"
+            raise Tg4mmError(f"{self.data} should hold one dataset, it holds: {names}")
+        return found[0]
+
+    @property
+    def run(self) -> Path:
+        return self.root / "run"
+
+    @property
+    def metrics(self) -> Path:
+        return self.run / "metrics.json"
+
+    @property
+    def magnified(self) -> Path:
+        return self.root / "magnified"
+
+    @property
+    def orbit(self) -> Path:
+        return self.root / "orbit"
+
+    @property
+    def splat(self) -> Path:
+        return self.root / "splat.ply"
+
+    @property
+    def report(self) -> Path:
+        return self.root / "report.html"
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step: what it does, the file or folder that shows it was done, and how."""
+
+    name: str
+    title: str
+    result: Path
+    work: Callable[[], object]
+
+
+def run_demo(out: Path, size: int = 128, say: Printer = print) -> Path:
+    """Do the main job at `size`×`size` pixels under the folder `out`; returns the report's path.
+
+    Finished steps are skipped, so the same call goes on after a kill. Raises Tg4mmError where `out` holds a
+    demo of another size, or a step fails.
+    """
+    if size < 16:
+        raise Tg4mmError(f"--size {size}: needs at least 16 pixels")
+    places = Places(Path(out))
+    steps = demo_steps(places, size)
+    began = time.monotonic()
+    done = _read_done(places.root, size)
+    redo = False  # what follows a step that was done anew is done anew
+    for i, step in enumerate(steps, 1):
+        label = f"[{i}/{len(steps)}] {step.title}"
+        if not redo and step.name in done and step.result.exists():
+            say(f"{label}: already done")
+            continue
+        redo = True
+        say(f"{label} …")
+        start = time.monotonic()
+        step.work()
+        done = {
+            **{s.name: done[s.name] for s in steps[: i - 1]},
+            step.name: round(time.monotonic() - start, 2),
+        }
+        write_json(
+            places.root / STEPS_FILE, {"format": "tg4mm-demo", "version": 1, "size": size, "done": done}
+        )
+        say(f"{label}: {_clock(time.monotonic() - start)}")
+    _say_results(places, _clock(time.monotonic() - began), say)
+    return places.report
+
+
+def demo_steps(places: Places, size: int) -> list[Step]:
+    """The steps in order; each calls what the command line calls."""
+    return [
+        Step(
+            "generate", f"Generate the mic scene, {size}×{size}", places.data, lambda: _generate(places, size)
+        ),
+        Step(
+            "train",
+            "Train: Gaussians at rest, then their motion",
+            places.run / "motion.safetensors",
+            lambda: _train(places),
+        ),
+        Step("render", f"Render the test cameras, α = {ALPHA:g}", places.magnified, lambda: _render(places)),
+        Step("orbit", f"Render an orbit, α = {ALPHA:g}", places.orbit / "orbit.mp4", lambda: _orbit(places)),
+        Step("evaluate", "Compare with ground truth", places.metrics, lambda: _evaluate(places)),
+        Step("export", "Export the splat file", places.splat, lambda: _export(places)),
+        Step("report", "Write the report", places.report, lambda: _report(places)),
+    ]
+
+
+def _read_done(root: Path, size: int) -> dict[str, float]:
+    path = root / STEPS_FILE
+    if not path.exists():
+        if root.exists() and any(root.iterdir()) and not (root / "data").is_dir():
+            raise Tg4mmError(f"--out {root}: is not empty and holds no demo; choose another folder")
+        return {}
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+        found, done = record["size"], dict(record["done"])
+    except (ValueError, KeyError, TypeError):
+        raise RunError(f"{path}: is not the record of a demo; remove it or choose another --out") from None
+    if found != size:
+        raise Tg4mmError(f"--size {size}: {root} holds a demo of {found} pixels; choose another --out")
+    return done
+
+
+def _generate(places: Places, size: int) -> None:
+    from tg4mm.cli.generate import run_generator
+
+    status = run_generator(["mic", "--out", str(places.data), "--size", str(size)])
+    if status != 0:
+        raise Tg4mmError(f"the dataset generator ended with status {status}; its message stands above")
+
+
+def _train(places: Places) -> None:
+    from tg4mm.train import train
+
+    train(places.dataset, places.run, "modal", "cpu", {})
+
+
+def _request() -> Any:
+    from tg4mm.render import RenderRequest
+
+    return RenderRequest(alpha=ALPHA)
+
+
+def _render(places: Places) -> None:
+    from tg4mm.capture import load_capture
+    from tg4mm.render import capture_cameras, render_sequence
+    from tg4mm.runs import Run
+
+    cameras = capture_cameras(load_capture(places.dataset, split="test"))
+    render_sequence(Run.open(places.run), cameras, _request(), _fresh(places.magnified, places.run))
+
+
+def _orbit(places: Places) -> None:
+    from tg4mm.capture import load_capture
+    from tg4mm.render import orbit, render_orbit
+    from tg4mm.runs import Run
+
+    cameras = orbit(load_capture(places.dataset), ORBIT_FRAMES)
+    render_orbit(Run.open(places.run), cameras, _request(), _fresh(places.orbit, places.run))
+
+
+def _fresh(folder: Path, run: Path) -> Path:
+    """The folder, removed if its pictures are of another model: the demo made both, so it need not refuse."""
+    import shutil
+
+    from tg4mm.render.sequence import RECORD, model_hash
+
+    try:
+        recorded = json.loads((folder / RECORD).read_text(encoding="utf-8")).get("model")
+    except (OSError, ValueError, AttributeError):
+        recorded = None
+    if folder.exists() and recorded != model_hash(run):
+        shutil.rmtree(folder)
+    return folder
+
+
+def _evaluate(places: Places) -> None:
+    from tg4mm.evaluate import evaluate_run, format_table
+    from tg4mm.runs import Run
+
+    print(format_table(evaluate_run(Run.open(places.run), out=places.metrics)), end="")
+
+
+def _export(places: Places) -> None:
+    from tg4mm.export import export_ply
+    from tg4mm.runs import Run
+
+    export_ply(Run.open(places.run), places.splat)
+
+
+def _report(places: Places) -> None:
+    from tg4mm.report import ReportOptions, write_report
+    from tg4mm.runs import Run
+
+    metrics = json.loads(places.metrics.read_text(encoding="utf-8"))
+    files = {"splat file": places.splat, "magnified pictures": places.magnified, "orbit": places.orbit}
+    options = ReportOptions(alpha=ALPHA, orbit=places.orbit, files=files)
+    write_report(Run.open(places.run), places.dataset, metrics, places.report, options)
+
+
+def _clock(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"
+
+
+def _say_results(places: Places, took: str, say: Printer) -> None:
+    films = sorted(places.magnified.glob("*.mp4"))
+    say(f"\nDone in {took}. Open first:\n")
+    say(f"  {places.report}    everything on one page, in any browser\n")
+    say("Also there:\n")
+    rows = [(films[0], "the magnified video of one test camera")] if films else []
+    rows += [
+        (places.orbit / "orbit.mp4", "the magnified scene from a moving camera"),
+        (places.splat, "the scene with its motion: any splat viewer, or Blender with the tg4mm extension"),
+        (places.metrics, "the scores"),
+        (places.dataset, "the dataset with its ground truth"),
+        (places.run, "the trained run, for tg4mm render, evaluate and export"),
+    ]
+    for path, what in rows:
+        say(f"  {path}    {what}")

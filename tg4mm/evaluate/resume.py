@@ -1,0 +1,65 @@
+"""What a killed evaluation has finished, so that the next one goes on there."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tg4mm.capture import Capture, ImageStack
+from tg4mm.evaluate.lpips import Lpips
+from tg4mm.evaluate.scores import Method, Scorer, camera_key, content_key
+from tg4mm.files import write_json
+
+_VERSION = 1  # of how scores are made: raise it when the same input would score otherwise
+
+
+class Resume:
+    """Finished α, by fingerprint, in a hidden file beside the result."""
+
+    def __init__(self, target: Path) -> None:
+        self._file = target.with_name(f".{target.name}.partial.tmp")
+
+    def get(self, key: str) -> dict[str, Any] | None:
+        return self._read().get(key)
+
+    def put(self, key: str, entry: dict[str, Any]) -> None:
+        self._file.parent.mkdir(parents=True, exist_ok=True)
+        write_json(self._file, self._read() | {key: entry})
+
+    def drop(self) -> None:
+        self._file.unlink(missing_ok=True)
+
+    def _read(self) -> dict[str, Any]:
+        try:
+            kept = json.loads(self._file.read_text(encoding="utf-8"))
+        except (OSError, ValueError):  # absent, or not ours: nothing to go on from
+            return {}
+        return kept if isinstance(kept, dict) else {}
+
+
+def fingerprint(
+    scorer: Scorer, methods: list[Method], capture: Capture, images: ImageStack, alpha: float
+) -> str:
+    """Digest of everything an α's scores depend on, so that only what is still true is resumed."""
+    digest = hashlib.blake2b(digest_size=16)
+    settings = [_VERSION, alpha, sorted(scorer.metrics), [(m.name, m.band) for m in methods]]
+    digest.update(json.dumps(settings).encode())
+    for tensor in _tensors(scorer):
+        digest.update(np.ascontiguousarray(tensor.cpu().numpy()).tobytes())
+    for motion in (m.motion for m in methods if m.motion is not None):
+        for array in (motion.freqs_hz, motion.displacement, motion.rotation):
+            digest.update(np.ascontiguousarray(array).tobytes())
+    for i, t in enumerate(capture.timesteps.tolist()):
+        digest.update(camera_key(capture, i) + content_key(images, i) + t.to_bytes(8, "little"))
+    return digest.hexdigest()
+
+
+def _tensors(scorer: Scorer) -> list[Any]:
+    found = [getattr(scorer.gaussians, f.name) for f in fields(scorer.gaussians)]
+    lpips = scorer.metrics.get("lpips")
+    return found + ([*lpips.weights, *lpips.biases, *lpips.heads] if isinstance(lpips, Lpips) else [])

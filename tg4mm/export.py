@@ -1,0 +1,100 @@
+"""A run as files for other programs: one splat file with its motion, or numbered static ones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from tg4mm.capture import load_capture
+from tg4mm.errors import RunError, Tg4mmError
+from tg4mm.gaussians import Gaussians
+from tg4mm.motion.modal import ModalMotion
+from tg4mm.progress import progress
+from tg4mm.runs import Run
+from tg4mm.splatfile import SplatFile, write_splat
+
+
+def to_splat(
+    gaussians: Gaussians, motion: ModalMotion | None, unit_scale_m: float | None = None
+) -> SplatFile:
+    """The Gaussians, and their motion if any, as a splat file holds them (design §4.3).
+
+    Raises SplatFileError for values that such a file cannot hold, RunError where the two do not fit.
+    """
+    means, quats, scales, opacities, sh = (
+        tensor.detach().cpu().numpy().astype(np.float32)
+        for tensor in (gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh)
+    )
+    if motion is None:
+        return SplatFile.static(means, quats, scales, opacities, sh, unit_scale_m)
+    if motion.displacement.shape[1] != len(means):
+        raise RunError(
+            f"the motion is of {motion.displacement.shape[1]} Gaussians, the scene has {len(means)}"
+        )
+    return SplatFile(
+        means=means,
+        quats=quats,
+        scales=scales,
+        opacities=opacities,
+        sh=sh,
+        freqs_hz=np.asarray(motion.freqs_hz, np.float64),
+        displacement=np.asarray(motion.displacement, np.complex64),
+        rotation=np.asarray(motion.rotation, np.complex64),
+        fps=float(motion.fps),
+        n_timesteps=int(motion.n_timesteps),
+        unit_scale_m=unit_scale_m,
+    )
+
+
+def unit_scale_of(run: Run) -> float | None:
+    """Metres per scene unit of the run's dataset; None if unknown or the dataset is gone."""
+    if not run.dataset.is_dir():
+        return None
+    return load_capture(run.dataset).unit_scale_m
+
+
+def export_ply(run: Run, out: Path) -> Path:
+    """Write the run as one splat file that any viewer opens at rest, and ours plays.
+
+    Raises Tg4mmError for an `out` that is a folder, RunError for a run without a space stage.
+    """
+    if out.is_dir():
+        raise Tg4mmError(f"--out {out}: is a folder; expected a file such as {out / 'splat.ply'}")
+    splat = to_splat(run.load_space(), run.load_motion(), unit_scale_of(run))
+    out.parent.mkdir(parents=True, exist_ok=True)
+    write_splat(out, splat)
+    return out
+
+
+def export_ply_sequence(
+    run: Run,
+    out: Path,
+    alpha: float = 0.0,
+    band: tuple[float, float] | None = None,
+    timesteps: Sequence[int] | None = None,
+) -> Path:
+    """Write OUT/frame_0000.ply …, one static splat file per timestep with the motion magnified by `alpha`.
+
+    Raises Tg4mmError for an `out` that is a file or a timestep that does not exist, and what rendering with
+    this alpha and band would.
+    """
+    from tg4mm.render.sequence import RenderRequest, pose_of
+
+    if out.exists() and not out.is_dir():
+        raise Tg4mmError(f"--out {out}: is a file; expected a folder for numbered files")
+    pose, n_timesteps, _ = pose_of(run, RenderRequest(alpha=alpha, band=band))
+    wanted = range(n_timesteps) if timesteps is None else timesteps
+    for t in wanted:
+        if not 0 <= t < n_timesteps:
+            raise Tg4mmError(f"timestep {t} is outside 0 … {n_timesteps - 1}")
+    static = to_splat(run.load_space(), None, unit_scale_of(run))
+    out.mkdir(parents=True, exist_ok=True)
+    with progress("export", len(wanted), unit="files") as update:
+        for i, t in enumerate(wanted):
+            moment = to_splat(pose(float(t)), None)
+            write_splat(out / f"frame_{t:04d}.ply", replace(static, means=moment.means, quats=moment.quats))
+            update(i + 1)
+    return out

@@ -1,0 +1,18 @@
+"""Settings of the motion stage, preset `modal`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class MotionConfig:
+    """How the motion is fitted. The weights are relative to what the images say about a Gaussian on average."""
+
+    components: int = 16  # at most so many temporal components; fewer where the rest is noise
+    neighbours: float = 0.1  # weight of the term that keeps neighbouring Gaussians moving alike
+    ridge: float = 1e-3  # weight that draws motion to zero where nothing is known
+    triplane: int = 32  # finest resolution of the motion triplane; 8, 16 … up to it
+    iterations: int = 40  # of conjugate gradients, at most, for each component
+    tolerance: float = 1e-3  # relative residual at which conjugate gradients stop
+    relinearise: int = 1  # further rounds with the residual of the actual renders

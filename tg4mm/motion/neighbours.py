@@ -1,0 +1,64 @@
+"""The neighbourhood of every Gaussian: which move alike, and the rotation that neighbours' displacements imply."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_matrix, csr_matrix
+from scipy.spatial import cKDTree
+
+COUNT = 12  # neighbours of a Gaussian
+_SINGULAR = 0.02  # ridge on the inertia of a neighbourhood, as a share of its trace: a straight wire has no twist
+
+
+@dataclass(frozen=True)
+class Neighbourhoods:
+    """Sparse operators on a field [N, 3]."""
+
+    laplacian: csr_matrix  # [N, N] symmetric, positive semidefinite, mean diagonal 1
+    rotation: csr_matrix  # [3N, 3N]: displacement (row-major [N, 3]) -> rotation vectors, radians
+
+
+def neighbourhoods(means: np.ndarray, count: int = COUNT) -> Neighbourhoods:
+    """Operators of the `count` nearest neighbours; means [N, 3] in scene units."""
+    n = len(means)
+    count = min(count, n - 1)
+    distance, index = cKDTree(means).query(means, k=count + 1)
+    distance, index = distance[:, 1:], index[:, 1:]
+    reach = np.maximum(distance.mean(1, keepdims=True), 1e-12)
+    weight = np.exp(-0.5 * (distance / reach) ** 2)
+    rows = np.repeat(np.arange(n), count)
+    graph = coo_matrix((weight.ravel(), (rows, index.ravel())), shape=(n, n)).tocsr()
+    graph = (graph + graph.T) / 2
+    degree = np.asarray(graph.sum(1)).ravel()
+    laplacian = (coo_matrix((degree, (np.arange(n), np.arange(n))), shape=(n, n)).tocsr() - graph) / degree.mean()
+    return Neighbourhoods(laplacian.astype(np.float32), _rigid_rotation(means, index, weight))
+
+
+def _cross_matrices(v: np.ndarray) -> np.ndarray:
+    """[..., 3] -> [..., 3, 3], so that the matrix times u is v × u."""
+    x, y, z = np.moveaxis(v, -1, 0)
+    zero = np.zeros_like(x)
+    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).reshape(*v.shape[:-1], 3, 3)
+
+
+def _rigid_rotation(means: np.ndarray, index: np.ndarray, weight: np.ndarray) -> csr_matrix:
+    """The ω_i that minimises Σ_j w_ij |u_j − u_i − ω_i × (x_j − x_i)|², linear in u.
+
+    Unlike a gradient fit this is well posed on a surface, where nothing is known along the normal.
+    """
+    n, count = index.shape
+    arm = means[index] - means[:, None]
+    cross = _cross_matrices(arm)
+    inertia = np.einsum("nj,njab,njac->nbc", weight, cross, cross)  # Σ w (|d|² − d dᵀ)
+    trace = np.trace(inertia, axis1=1, axis2=2)
+    inertia += (_SINGULAR * trace + 1e-30)[:, None, None] * np.eye(3)
+    blocks = np.einsum("nab,nj,njbc->njac", np.linalg.inv(inertia), weight, cross)  # [N, J, 3, 3]
+    blocks = np.concatenate([blocks, -blocks.sum(1, keepdims=True)], 1)
+    columns = np.concatenate([index, np.arange(n)[:, None]], 1)
+    row = 3 * np.arange(n)[:, None, None, None] + np.arange(3)[:, None]
+    column = 3 * columns[:, :, None, None] + np.arange(3)
+    row, column = np.broadcast_to(row, blocks.shape), np.broadcast_to(column, blocks.shape)
+    matrix = coo_matrix((blocks.ravel().astype(np.float32), (row.ravel(), column.ravel())), shape=(3 * n, 3 * n))
+    return matrix.tocsr()

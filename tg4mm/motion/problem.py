@@ -1,0 +1,73 @@
+"""The least-squares problem of one temporal component: data, neighbours and prior, as one symmetric operator."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from tg4mm.motion.config import MotionConfig
+from tg4mm.motion.linear import DOF, RestView
+from tg4mm.motion.neighbours import Neighbourhoods
+
+
+@dataclass(frozen=True)
+class MotionProblem:
+    """Find θ [P, 3] so that the displacement u = S θ [N, 3], with the rotation it implies, explains the images.
+
+    Minimises Σ_views |J (u, Cu) − D|² + h (λ Σ u·Lu + μ |θ|²), where h is the mean over Gaussians of what the
+    images say about one coordinate, so that λ and μ do not depend on size, contrast or number of the images.
+    """
+
+    views: list[RestView]
+    sampling: csr_matrix  # S [N, P]
+    around: Neighbourhoods  # L and C
+    scale: float  # h
+    config: MotionConfig
+
+    @property
+    def n_parameters(self) -> int:
+        return self.sampling.shape[1]
+
+    def field(self, theta: np.ndarray) -> np.ndarray:
+        """θ [P, 3] -> displacement and rotation [N, DOF] float32."""
+        u = self.sampling @ theta
+        return with_rotation(u, self.around)
+
+    def normal(self, theta: np.ndarray) -> np.ndarray:
+        """The symmetric operator of the problem applied to θ [P, 3]."""
+        motion = self.field(theta)
+        v_motion = np.zeros((len(motion), DOF), np.float32)
+        for view in self.views:
+            view.pull(view.push(motion), v_motion)
+        v_u = self._to_displacement(v_motion)
+        v_u += self.scale * self.config.neighbours * (self.around.laplacian @ motion[:, :3])
+        return self.sampling.T @ v_u + self.scale * self.config.ridge * theta
+
+    def right_hand_side(self, pictures: np.ndarray) -> np.ndarray:
+        """The transposed operator applied to component images [V, H, W, 3]: [P, 3]."""
+        v_motion = np.zeros((self.sampling.shape[0], DOF), np.float32)
+        for view, picture in zip(self.views, pictures, strict=True):
+            view.pull(picture, v_motion)
+        return self.sampling.T @ self._to_displacement(v_motion)
+
+    def _to_displacement(self, v_motion: np.ndarray) -> np.ndarray:
+        turned = self.around.rotation.T @ np.ascontiguousarray(v_motion[:, 3:]).ravel()
+        return v_motion[:, :3] + turned.reshape(-1, 3)
+
+
+def with_rotation(u: np.ndarray, around: Neighbourhoods) -> np.ndarray:
+    """Displacement [N, 3] and the rotation vectors it implies, [N, DOF] float32."""
+    u = np.ascontiguousarray(u, np.float32)
+    return np.concatenate([u, (around.rotation @ u.ravel()).reshape(-1, 3)], 1)
+
+
+def information_scale(views: list[RestView], n: int, rng: np.random.Generator, probes: int = 2) -> float:
+    """Mean over Gaussians and coordinates of the diagonal of JᵀJ for displacement, by random signs (Hutchinson)."""
+    total = 0.0
+    for _ in range(probes):
+        motion = np.zeros((n, DOF), np.float32)
+        motion[:, :3] = rng.choice(np.array([-1, 1], np.float32), (n, 3))
+        total += sum(float((view.push(motion).astype(np.float64) ** 2).sum()) for view in views)
+    return total / (probes * 3 * n)

@@ -1,0 +1,185 @@
+"""Cameras to render from: those of a capture, an orbit around what it looks at, or a transforms JSON file."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tg4mm.capture.model import Capture
+from tg4mm.errors import CaptureError, RunError
+
+_OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+@dataclass(frozen=True)
+class Camera:
+    """One pinhole camera. Conventions: docs/conventions.md."""
+
+    name: str  # file stem of its pictures, for example r_000
+    viewmat: np.ndarray  # [4, 4] float64, world-to-camera, OpenCV axes
+    K: np.ndarray  # [3, 3] float64, pixels, pixel centres at +0.5
+    width: int  # pixels
+    height: int  # pixels
+
+    @property
+    def position(self) -> np.ndarray:
+        """[3] where the camera stands, scene units."""
+        return -self.viewmat[:3, :3].T @ self.viewmat[:3, 3]
+
+    @property
+    def forward(self) -> np.ndarray:
+        """[3] unit vector along which the camera looks, world axes."""
+        return self.viewmat[2, :3]
+
+
+def capture_cameras(capture: Capture) -> tuple[Camera, ...]:
+    """The different cameras of a capture, each under the name of its first picture."""
+    cameras, names = [], set()
+    for camera_id in dict.fromkeys(capture.camera_ids.tolist()):
+        i = int(np.flatnonzero(capture.camera_ids == camera_id)[0])
+        name = capture.paths[i].stem
+        if name in names:  # a moving camera gives several poses one file name
+            name = f"{name}_{camera_id:03d}"
+        names.add(name)
+        cameras.append(Camera(name, capture.viewmats[i], capture.Ks[i], capture.width, capture.height))
+    return tuple(cameras)
+
+
+def look_at_point(viewmats: np.ndarray) -> np.ndarray:
+    """The point [3] nearest to all optical axes in the least-squares sense; viewmats are [C, 4, 4].
+
+    Raises RunError where the axes (nearly) coincide or are parallel, or where most cameras look away from it.
+    """
+    forward = viewmats[:, 2, :3]
+    positions = -np.einsum("cji,cj->ci", viewmats[:, :3, :3], viewmats[:, :3, 3])
+    across = np.eye(3) - forward[:, :, None] * forward[:, None, :]  # removes what lies along each axis
+    normal = across.sum(0)
+    if np.linalg.cond(normal) > 1e6:
+        raise RunError(f"the {len(viewmats)} cameras look in one direction only: no point to orbit around")
+    point = np.linalg.solve(normal, np.einsum("cij,cj->i", across, positions))
+    ahead = np.einsum("ci,ci->c", point - positions, forward)
+    if np.mean(ahead > 0) <= 0.5:
+        raise RunError(f"only {np.mean(ahead > 0):.0%} of the cameras look inwards: no point to orbit around")
+    return point
+
+
+def look_at(position: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """World-to-camera [4, 4], OpenCV axes, of a camera at `position` that looks at `target` with +Z up."""
+    z = (target - position) / np.linalg.norm(target - position)
+    x = np.cross(z, [0.0, 0.0, 1.0])
+    # Straight down or up there is no horizon; any direction across will do.
+    x = np.array([1.0, 0.0, 0.0]) if np.linalg.norm(x) < 1e-9 else x / np.linalg.norm(x)
+    rotation = np.stack([x, np.cross(z, x), z])
+    viewmat = np.eye(4)
+    viewmat[:3, :3] = rotation
+    viewmat[:3, 3] = -rotation @ position
+    return viewmat
+
+
+def orbit(capture: Capture, n: int, centre: np.ndarray | None = None) -> tuple[Camera, ...]:
+    """`n` cameras evenly spaced on a level circle, from the azimuth of the capture's first camera on.
+
+    Radius, elevation and focal length are the medians of the capture's cameras. `centre` [3] is used where
+    the cameras look at no common point (a single fixed camera); without it that is a RunError.
+    """
+    if n < 1:
+        raise RunError(f"--orbit {n}: needs at least one frame")
+    try:
+        target = look_at_point(capture.viewmats)
+    except RunError:
+        if centre is None:
+            raise
+        target = np.asarray(centre, dtype=float)
+    positions = -np.einsum("cji,cj->ci", capture.viewmats[:, :3, :3], capture.viewmats[:, :3, 3])
+    arms = positions - target
+    distances = np.linalg.norm(arms, axis=1)
+    radius = float(np.median(distances))
+    elevation = float(np.median(np.arcsin(np.clip(arms[:, 2] / distances, -1.0, 1.0))))
+    elevation = float(np.clip(elevation, math.radians(-85), math.radians(85)))
+    start = math.atan2(arms[0, 1], arms[0, 0])
+    focal = float(np.median(capture.Ks[:, 0, 0]))
+    K = np.array([[focal, 0, capture.width / 2], [0, focal, capture.height / 2], [0, 0, 1.0]])
+    cameras = []
+    for i in range(n):
+        azimuth = start + 2 * math.pi * i / n
+        level = np.array([math.cos(azimuth), math.sin(azimuth)]) * math.cos(elevation)
+        position = target + radius * np.array([*level, math.sin(elevation)])
+        cameras.append(Camera(f"r_{i:03d}", look_at(position, target), K, capture.width, capture.height))
+    return tuple(cameras)
+
+
+def cameras_from_file(path: Path, size: tuple[int, int] | None = None) -> tuple[Camera, ...]:
+    """The cameras of a NeRF-synthetic or nerfstudio transforms JSON, in the file's order.
+
+    `size` (width, height) in pixels is used where the file does not give `w` and `h`. Raises CaptureError.
+    """
+    try:
+        data = json.loads(Path(path).read_text(encoding="utf-8"))
+        frames = data["frames"]
+    except OSError as error:
+        raise CaptureError(f"--cameras {path}: {error.strerror or error}") from None
+    except (ValueError, KeyError, TypeError):
+        raise CaptureError(f"--cameras {path}: not a transforms JSON with a list of frames") from None
+    if not isinstance(frames, list) or not frames:
+        raise CaptureError(f"--cameras {path}: no frames")
+    cameras = [_camera_of_frame(path, i, {**data, **frame}, size) for i, frame in enumerate(frames)]
+    names = [camera.name for camera in cameras]
+    if len(set(names)) < len(names):  # several folders with equal file names: number them
+        cameras = [Camera(f"r_{i:03d}", c.viewmat, c.K, c.width, c.height) for i, c in enumerate(cameras)]
+    return tuple(cameras)
+
+
+def _camera_of_frame(path: Path, i: int, entry: dict[str, Any], size: tuple[int, int] | None) -> Camera:
+    where = f"--cameras {path}: frame {i}"
+    try:
+        c2w = np.asarray(entry["transform_matrix"], dtype=float)
+        width = int(entry["w"] if "w" in entry else _required(size, where)[0])
+        height = int(entry["h"] if "h" in entry else _required(size, where)[1])
+        if "fl_x" in entry:
+            fx = float(entry["fl_x"])
+        else:
+            fx = width / (2 * math.tan(float(entry["camera_angle_x"]) / 2))
+        fy = float(entry.get("fl_y", fx))
+        cx, cy = float(entry.get("cx", width / 2)), float(entry.get("cy", height / 2))
+        name = Path(str(entry.get("file_path", f"r_{i:03d}"))).stem
+    except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
+        if isinstance(error, CaptureError):
+            raise
+        raise CaptureError(f"{where}: {type(error).__name__} {error}") from None
+    if c2w.shape != (4, 4) or not np.isfinite(c2w).all() or abs(np.linalg.det(c2w[:3, :3])) < 1e-9:
+        raise CaptureError(f"{where}: transform_matrix is not a finite, invertible 4×4 matrix")
+    if width < 1 or height < 1 or not math.isfinite(fx) or fx <= 0:
+        raise CaptureError(f"{where}: size {width}×{height}, focal length {fx} pixels")
+    K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
+    return Camera(name, np.linalg.inv(c2w @ _OPENGL_FROM_OPENCV), K, width, height)
+
+
+def _required(size: tuple[int, int] | None, where: str) -> tuple[int, int]:
+    if size is None:
+        raise CaptureError(f"{where}: no picture size (w, h)")
+    return size
+
+
+def transforms_json(cameras: tuple[Camera, ...]) -> dict[str, Any]:
+    """The cameras as a nerfstudio-style dictionary; `cameras_from_file` reads it back."""
+    frames = []
+    for camera in cameras:
+        c2w = np.linalg.inv(camera.viewmat) @ _OPENGL_FROM_OPENCV
+        frames.append(
+            {
+                "file_path": camera.name,
+                "transform_matrix": c2w.tolist(),
+                "w": camera.width,
+                "h": camera.height,
+                "fl_x": float(camera.K[0, 0]),
+                "fl_y": float(camera.K[1, 1]),
+                "cx": float(camera.K[0, 2]),
+                "cy": float(camera.K[1, 2]),
+            }
+        )
+    return {"camera_model": "OPENCV", "frames": frames}

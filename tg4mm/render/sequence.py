@@ -1,0 +1,190 @@
+"""A run rendered over time from given cameras; complete pictures stay, foreign ones are refused."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tg4mm.capture import check_band
+from tg4mm.errors import RunError
+from tg4mm.files import remove_leftovers, write_json
+from tg4mm.gaussians import Gaussians
+from tg4mm.progress import progress
+from tg4mm.render.cameras import Camera, transforms_json
+from tg4mm.render.frames import is_complete_png, write_png
+from tg4mm.render.image import WHITE, render_image
+from tg4mm.render.video import video_of_files
+from tg4mm.runs import Run
+
+RECORD = "render.json"
+STILL_FPS = 30.0  # pictures a second of an orbit around a scene that has no time of its own
+Pose = Callable[[float], Gaussians]  # timestep, may be fractional, to the Gaussians at that time
+
+
+@dataclass(frozen=True)
+class RenderRequest:
+    """What is rendered; recorded in DIR/render.json, so that DIR never holds pictures of two requests."""
+
+    alpha: float = 0.0  # a displacement δ becomes (1 + alpha) δ, [TG4MM] Eq. (9)
+    band: tuple[float, float] | None = None  # Hz; None magnifies every frequency
+    method: str = "modal"
+    background: tuple[float, float, float] = WHITE
+    slow: float = 1.0  # 2 = videos at half speed
+
+
+def render_sequence(
+    run: Run,
+    cameras: Sequence[Camera],
+    request: RenderRequest,
+    out: Path,
+    timesteps: Sequence[int] | None = None,
+    video: bool = True,
+) -> Path:
+    """Write OUT/<t>/<camera>.png for every timestep (default: all) and camera, and OUT/<camera>.mp4.
+
+    Pictures that are complete are kept. Raises RunError where OUT holds another request, where the run has
+    no motion but alpha is not 0, or where a timestep does not exist.
+    """
+    pose, n_timesteps, fps = pose_of(run, request)
+    wanted = list(range(n_timesteps)) if timesteps is None else [int(t) for t in timesteps]
+    for t in wanted:
+        if not 0 <= t < n_timesteps:
+            raise RunError(f"timestep {t} is outside 0 … {n_timesteps - 1}")
+    claim(out, run, request, cameras, "sequence")
+    files = {(t, camera.name): out / f"{t:03d}" / f"{camera.name}.png" for t in wanted for camera in cameras}
+    jobs = [(float(t), camera, files[t, camera.name]) for t in wanted for camera in cameras]
+    render_missing(jobs, pose, request, f"rendering, α = {request.alpha:g}")
+    if video and len(wanted) > 1:
+        speed = "" if request.slow == 1 else f"_slow{request.slow:g}"
+        for camera in cameras:
+            pictures = [files[t, camera.name] for t in wanted]
+            _video_once(out / f"{camera.name}{speed}.mp4", pictures, fps / request.slow)
+    return out
+
+
+def render_orbit(run: Run, cameras: Sequence[Camera], request: RenderRequest, out: Path) -> Path:
+    """Write OUT/r_000.png …, one per camera, while time runs on, and OUT/orbit.mp4.
+
+    The motion is a function of time, so slow motion has its own frames in between: frame i shows the
+    time i / slow and plays at the capture's frame rate. Past the capture's last timestep the modes go on.
+    """
+    pose, _, fps = pose_of(run, request)
+    claim(out, run, request, cameras, "orbit")
+    jobs = [(i / request.slow, camera, out / f"{camera.name}.png") for i, camera in enumerate(cameras)]
+    render_missing(jobs, pose, request, f"orbit, α = {request.alpha:g}")
+    pictures = [path for _, _, path in jobs]
+    if len(pictures) > 1:
+        _video_once(out / "orbit.mp4", pictures, fps)
+    return out
+
+
+def pose_of(run: Run, request: RenderRequest) -> tuple[Pose, int, float]:
+    """The magnified Gaussians as a function of the timestep, the number of timesteps, and fps in Hz."""
+    from tg4mm.motion.apply import moved
+
+    _check(request)
+    gaussians = run.load_space()
+    motion = run.load_motion()
+    if motion is None:
+        if request.alpha != 0:
+            raise RunError(
+                f"--alpha {request.alpha:g}: {run.path} has no motion, only --alpha 0 can be rendered"
+            )
+        return (lambda t: gaussians), 1, STILL_FPS
+    band = request.band
+    if band is not None:
+        check_band(band, motion.fps)
+    return (lambda t: moved(gaussians, motion, t, request.alpha, band)), motion.n_timesteps, motion.fps
+
+
+def _check(request: RenderRequest) -> None:
+    if not math.isfinite(request.alpha) or request.alpha < -1:
+        raise RunError(
+            f"--alpha {request.alpha:g}: must be a finite number of at least -1 (which stops the motion)"
+        )
+    if not math.isfinite(request.slow) or request.slow <= 0:
+        raise RunError(f"--slow {request.slow:g}: must be above 0 (2 = half speed)")
+    if request.method != "modal":
+        raise RunError(f"--method {request.method}: unknown here; known: modal")
+
+
+def render_missing(
+    jobs: Sequence[tuple[float, Camera, Path]], pose: Pose, request: RenderRequest, label: str
+) -> int:
+    """Render the (time, camera, file) jobs whose file is not complete; returns how many were rendered."""
+    todo = [job for job in jobs if not is_complete_png(job[2], job[1].width, job[1].height)]
+    current: tuple[float, Gaussians] | None = None
+    done = len(jobs) - len(todo)
+    with progress(label, len(jobs), unit="pictures", start=done) as update:
+        update(done)
+        for time, camera, path in todo:
+            if current is None or current[0] != time:
+                current = (time, pose(time))
+            size = (camera.width, camera.height)
+            picture = render_image(current[1], camera.viewmat, camera.K, *size, background=request.background)
+            write_png(path, picture)
+            done += 1
+            update(done)
+    return len(todo)
+
+
+def _video_once(path: Path, pictures: Sequence[Path], fps: float) -> None:
+    newest = max(picture.stat().st_mtime for picture in pictures)
+    if not path.exists() or path.stat().st_mtime < newest:
+        video_of_files(path, pictures, fps)
+
+
+def claim(out: Path, run: Run, request: RenderRequest, cameras: Sequence[Camera], kind: str) -> None:
+    """Record the request in OUT/render.json, or refuse an OUT that holds another one. Raises RunError."""
+    record = _record(run, request, cameras, kind)
+    path = out / RECORD
+    remove_leftovers(out)
+    if not path.exists():
+        if out.exists() and any(out.rglob("*.png")):
+            raise RunError(f"{out} holds pictures but no {RECORD}: choose another --out")
+        out.mkdir(parents=True, exist_ok=True)
+        write_json(path, record)
+        return
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError:
+        raise RunError(f"{path}: not JSON; remove it or choose another --out") from None
+    for key, value in record.items():
+        old = found.get(key) if isinstance(found, dict) else None
+        if old != value and key != "cameras":
+            raise RunError(f"{out} was rendered with {key} {old!r}, now {value!r}: choose another --out")
+        if old != value:
+            raise RunError(f"{out} was rendered from other cameras: choose another --out")
+
+
+def _record(run: Run, request: RenderRequest, cameras: Sequence[Camera], kind: str) -> dict[str, Any]:
+    poses = json.dumps(transforms_json(tuple(cameras)), sort_keys=True)
+    return {
+        "format": "tg4mm-render",
+        "version": 1,
+        "kind": kind,
+        "alpha": request.alpha,
+        "band_hz": list(request.band) if request.band is not None else None,
+        "method": request.method,
+        "background": list(request.background),
+        "slow": request.slow if kind == "orbit" else 1.0,
+        "model": model_hash(run.path),
+        "cameras": hashlib.sha256(poses.encode()).hexdigest(),
+    }
+
+
+def model_hash(run_path: Path) -> str:
+    """SHA-256 over the run's model files: equal models give equal pictures."""
+    digest = hashlib.sha256()
+    for name in ("space.safetensors", "motion.safetensors"):
+        path = run_path / name
+        digest.update(name.encode())
+        if path.exists():
+            with path.open("rb") as file:
+                digest.update(hashlib.file_digest(file, "sha256").digest())
+    return digest.hexdigest()

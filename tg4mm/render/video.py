@@ -1,0 +1,85 @@
+"""H.264 video that browsers play: yuv420p, even sizes, BT.709, repeated so that it lasts some seconds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from tg4mm.errors import RunError
+from tg4mm.files import write_atomic
+from tg4mm.render.frames import read_png
+
+
+def loops_to_last(n_frames: int, fps: float, seconds: float) -> int:
+    """How many times `n_frames` at `fps` must be repeated to last at least `seconds`."""
+    return max(1, math.ceil(seconds * fps / max(n_frames, 1) - 1e-9))
+
+
+def even_size(image: np.ndarray) -> np.ndarray:
+    """The picture [H, W, 3] with its last row or column repeated where a side is odd (yuv420p needs even)."""
+    height, width = image.shape[:2]
+    return np.pad(image, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+
+
+def write_mp4(
+    path: Path, frames: Sequence[np.ndarray], fps: float, loops: int = 1, scale: int = 1, quality: int = 17
+) -> None:
+    """Write uint8 pictures [H, W, 3] of one size as mp4, `loops` times over; `fps` in frames per second.
+
+    `scale` enlarges whole-numbered (bicubic), since 4:2:0 chroma would smear small pictures. `quality` is
+    x264's constant rate factor, smaller is better.
+    """
+    if not len(frames):
+        raise RunError(f"{path}: no frames to write")
+    if not math.isfinite(fps) or fps <= 0:
+        raise RunError(f"{path}: {fps} frames per second")
+    shapes = {frame.shape for frame in frames}
+    if len(shapes) > 1:
+        raise RunError(f"{path}: frames of different sizes {sorted(shapes)}")
+    if frames[0].dtype != np.uint8:
+        raise ValueError(f"frames are {frames[0].dtype}, expected uint8")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    prepared = [even_size(frame) for frame in frames] * loops
+    write_atomic(path, lambda temporary: _encode(temporary, prepared, fps, scale, quality))
+
+
+def _encode(path: Path, frames: Sequence[np.ndarray], fps: float, scale: int, quality: int) -> None:
+    import imageio_ffmpeg
+
+    height, width = frames[0].shape[:2]
+    size = f"scale={width * scale}:{height * scale}:flags=bicubic:out_color_matrix=bt709:out_range=tv"
+    writer = imageio_ffmpeg.write_frames(
+        str(path),
+        (width, height),
+        fps=fps,
+        codec="libx264",
+        pix_fmt_in="rgb24",
+        pix_fmt_out="yuv420p",
+        macro_block_size=2,
+        quality=None,
+        ffmpeg_log_level="error",
+        output_params=[
+            *("-vf", size, "-crf", str(quality), "-preset", "slow", "-movflags", "+faststart"),
+            *("-f", "mp4"),  # the temporary name does not say so
+            *("-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709"),
+            *("-threads", "2"),
+        ],
+    )
+    writer.send(None)
+    try:
+        for frame in frames:
+            writer.send(np.ascontiguousarray(frame))
+    except OSError as error:
+        raise RunError(f"{path}: ffmpeg stopped ({error})") from None
+    finally:
+        writer.close()
+
+
+def video_of_files(path: Path, pictures: Sequence[Path], fps: float, seconds: float = 4.0) -> None:
+    """An mp4 of picture files in order, repeated to last at least `seconds`; small ones are enlarged."""
+    frames = [read_png(picture) for picture in pictures]
+    scale = max(1, math.ceil(256 / max(frames[0].shape[:2]))) if frames else 1
+    write_mp4(path, frames, fps, loops_to_last(len(frames), fps, seconds), scale)

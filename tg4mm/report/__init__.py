@@ -1,0 +1,5 @@
+"""The report of a run: one self-contained HTML file with videos, figures and scores."""
+
+from tg4mm.report.write import ReportOptions, write_report
+
+__all__ = ["ReportOptions", "write_report"]

@@ -1,0 +1,155 @@
+"""The parts of a page, and the page as one self-contained HTML file.
+
+Every string is escaped by the template (jinja2 with autoescape); what is already markup says so by its type.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import jinja2
+import numpy as np
+from markupsafe import Markup
+
+from tg4mm.render.frames import png_bytes
+
+_HERE = Path(__file__).parent
+Words = str | Markup
+
+
+@dataclass(frozen=True)
+class Stat:
+    """A headline figure."""
+
+    label: str
+    value: str
+    unit: str = ""
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A picture, a video or a drawing inside a figure."""
+
+    kind: str  # "img", "video", "svg" or "missing"
+    label: str = ""
+    source: str = ""  # data URI of an image or video
+    poster: str = ""  # data URI shown before a video plays
+    drawing: Markup = field(default_factory=Markup)
+    alt: str = ""
+    style: str = ""  # CSS classes: crisp (enlarge with sharp pixels), bare (no ground of its own)
+    shape: str = ""  # CSS aspect-ratio, "" = the picture's own
+
+
+@dataclass(frozen=True)
+class Figure:
+    """Panels side by side over one caption. `legend` is a drawing under them, for example a colour bar."""
+
+    panels: Sequence[Panel]
+    caption: Words
+    columns: int = 0  # 0 = as many as there are panels
+    legend: Markup = field(default_factory=Markup)
+    controls: bool = False  # buttons to pause and slow the videos
+    width: str = "wide"  # "wide", "narrow" as the text, or "small"
+    kind: str = "figure"
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of text; the first column heads its row."""
+
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    caption: Words
+    styles: Sequence[str] = ()  # CSS class of each row
+    left: int = 1  # how many leading columns are flush left
+    kind: str = "table"
+
+
+@dataclass(frozen=True)
+class Text:
+    """A paragraph; `style` "note" sets it apart."""
+
+    words: Words
+    style: str = ""
+    kind: str = "text"
+
+
+@dataclass(frozen=True)
+class Commands:
+    """Commands to copy, each with what it does."""
+
+    lines: Sequence[tuple[str, str]]
+    kind: str = "commands"
+
+
+Block = Figure | Table | Text | Commands
+
+
+@dataclass(frozen=True)
+class Section:
+    """A numbered section."""
+
+    title: str
+    blocks: Sequence[Block]
+
+
+@dataclass(frozen=True)
+class Page:
+    """A whole report."""
+
+    title: str
+    kicker: str
+    summary: Words
+    stats: Sequence[Stat]
+    lead: Sequence[Block]  # between the headline figures and the first section
+    sections: Sequence[Section]
+    footer: Words
+
+
+def data_uri(kind: str, data: bytes) -> str:
+    """`data` as a data: URI of the media type `kind`."""
+    return f"data:{kind};base64,{base64.b64encode(data).decode()}"
+
+
+def picture(image: np.ndarray, label: str = "", alt: str = "", crisp: bool = False, shape: str = "") -> Panel:
+    """A panel with a picture, uint8 or float in 0..1, [H, W, 3 | 4]; `crisp` enlarges with sharp pixels."""
+    source = data_uri("image/png", png_bytes(image))
+    styles = [name for name, wanted in (("crisp", crisp), ("bare", image.shape[-1] == 4)) if wanted]
+    return Panel("img", label, source, alt=alt or label, style=" ".join(styles), shape=shape)
+
+
+def film(mp4: bytes, first: np.ndarray, label: str = "", alt: str = "") -> Panel:
+    """A panel with a video; `first` is the picture shown until it plays."""
+    height, width = first.shape[:2]
+    poster = data_uri("image/png", png_bytes(first))
+    return Panel(
+        "video", label, data_uri("video/mp4", mp4), poster, alt=alt or label, shape=f"{width} / {height}"
+    )
+
+
+def drawing(svg: Markup, label: str = "") -> Panel:
+    """A panel with an inline SVG."""
+    return Panel("svg", label, drawing=svg)
+
+
+def missing(reason: str, label: str = "") -> Panel:
+    """A panel that says why there is nothing to see."""
+    return Panel("missing", label, alt=reason)
+
+
+def render_page(page: Page) -> str:
+    """The page as one HTML document without anything to load."""
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(_HERE),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    # Our own files, not data: they go in as they are.
+    style, script = (Markup((_HERE / name).read_text(encoding="utf-8")) for name in ("style.css", "sync.js"))
+    return environment.get_template("template.html").render(page=page, style=style, script=script)

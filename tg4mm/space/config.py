@@ -1,0 +1,19 @@
+"""Settings of the space stage."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class SpaceConfig:
+    """How the static Gaussians are fitted. Learning rates and their decay: `parameters.py`."""
+
+    iterations: int = 5000  # one view each
+    max_gaussians: int = 0  # 0: 200 · √(pixels the object covers in a view), within 2,000 … 500,000
+    sh_degree: int = 3  # reached step by step in the first 40 % of the iterations
+    l2: float = 10.0  # weight of the squared error beside L1; 0 is [TG4MM] Eq. (16)
+    dssim: float = 0.0  # share of D-SSIM, [3DGS] Eq. (7)
+    init: str = "auto"  # "points", "hull", "random", or "auto": the first of these that the data allow
+    init_points: int = 10_000
+    seed: int = 0

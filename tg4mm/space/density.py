@@ -1,0 +1,72 @@
+"""Adaptive density control: Gaussians go where the error is, within a fixed budget.
+
+[3DGS] splits where the view-space gradient is large. Here a Gaussian's chance to be split is its share of the
+picture's error since the last time (`view.py`), which finds thin structures whose gradients cancel; those that
+have faded or grown past the scene are removed and their places given to new ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from tg4mm.rasterize.reference import rotation_matrices
+from tg4mm.space.parameters import ParameterAdam
+
+EVERY = 100  # iterations
+FIRST = 200  # iteration
+LAST = 0.7  # share of all iterations
+GROWTH = 0.1  # new Gaussians each time, as a share of those there
+FADED = 0.005  # opacity below which a Gaussian is removed
+HUGE = 0.5  # largest scale, as a share of the scene's extent, beyond which it is removed
+SHRINK = 1.5  # the two halves of a split are narrower by this factor
+APART = 0.7  # and stand on either side, this share of a random point of the old one away
+DIM = 0.8  # opacity of each half, as a share of the old one's
+
+
+@dataclass(frozen=True)
+class DensityChange:
+    """What one round did."""
+
+    removed: int
+    split: int
+
+
+def is_due(iteration: int, iterations: int) -> bool:
+    return iteration >= FIRST and iteration % EVERY == 0 and iteration < LAST * iterations
+
+
+def split_rows(parameters: dict[str, Tensor], rows: Tensor, generator: torch.Generator) -> dict[str, Tensor]:
+    """Two narrower Gaussians for each of `rows`, on either side of it along a random point drawn from it."""
+    old = {name: p.detach()[rows] for name, p in parameters.items()}
+    noise = torch.randn(len(rows), 3, generator=generator).to(old["means"].device)
+    offset = torch.einsum("nij,nj->ni", rotation_matrices(old["quats"]), noise * old["log_scales"].exp()) * APART
+    old["log_scales"] = old["log_scales"] - torch.log(torch.tensor(SHRINK))
+    old["logits"] = torch.logit((old["logits"].sigmoid() * DIM).clamp(1e-3, 0.999))
+    halves = {name: torch.cat([value, value]) for name, value in old.items()}
+    halves["means"] = torch.cat([old["means"] + offset, old["means"] - offset])
+    return halves
+
+
+def control_density(
+    adam: ParameterAdam, error: Tensor, extent: float, max_gaussians: int, generator: torch.Generator
+) -> DensityChange:
+    """One round. `error` [N]: each Gaussian's share of the error since the last round."""
+    p = adam.parameters
+    with torch.no_grad():
+        alive = (p["logits"].sigmoid() >= FADED) & (p["log_scales"].exp().amax(1) <= HUGE * extent)
+        n_alive = int(alive.sum())
+        removed = len(alive) - n_alive
+        room = min(max_gaussians - n_alive, int(GROWTH * len(alive)) + removed)
+        chance = torch.where(alive, error.clamp_min(0), torch.zeros_like(error)).cpu()
+        room = min(room, int((chance > 0).sum()))
+        if room > 0:
+            chosen = torch.multinomial(chance, room, replacement=False, generator=generator).to(alive.device)
+        else:
+            chosen = torch.empty(0, dtype=torch.long, device=alive.device)
+        keep = alive.clone()
+        keep[chosen] = False
+        adam.replace(torch.nonzero(keep)[:, 0], split_rows(p, chosen, generator))
+    return DensityChange(removed, len(chosen))

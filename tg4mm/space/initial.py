@@ -1,0 +1,147 @@
+"""Where the first Gaussians stand: points3d.ply, the visual hull of the masks, or the cameras' common space."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from tg4mm.capture import SurfacePoints
+from tg4mm.errors import CaptureError
+from tg4mm.space.targets import RestViews
+
+HULL_GRID = 144  # cells along the longest side of the hull's box
+
+
+@dataclass(frozen=True)
+class InitialPoints:
+    """Coloured points with a spacing that tells how large a Gaussian on each should be."""
+
+    xyz: np.ndarray  # [M, 3] float32, scene units
+    rgb: np.ndarray  # [M, 3] float32 in 0..1
+    spacing: np.ndarray  # [M] float32, scene units, rms distance to the three nearest
+    source: str  # "points", "hull" or "random"
+
+
+def working_box(views: RestViews) -> tuple[np.ndarray, float]:
+    """Centre [3] and half side (scene units) of the cube that the cameras look at together.
+
+    The centre is the point nearest to all optical axes (least squares); the half side is what the widest camera
+    sees at that distance.
+    """
+    R = views.viewmats[:, :3, :3].astype(np.float64)
+    origins = -np.einsum("vji,vj->vi", R, views.viewmats[:, :3, 3].astype(np.float64))
+    axes = R[:, 2]
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+    A, b = across.sum(0), np.einsum("vij,vj->i", across, origins)
+    # a small pull to a point in front of the mean camera settles parallel axes
+    depth = np.median(np.linalg.norm(origins - origins.mean(0), axis=1)) + 1e-6
+    prior = origins.mean(0) + depth * axes.mean(0)
+    centre = np.linalg.solve(A + 1e-3 * np.eye(3), b + 1e-3 * prior)
+    distance = np.linalg.norm(origins - centre, axis=1)
+    half_field = np.maximum(views.size[0] / views.Ks[:, 0, 0], views.size[1] / views.Ks[:, 1, 1]) / 2
+    return centre, float(np.max(distance * half_field))
+
+
+def _project(xyz: np.ndarray, views: RestViews, v: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pixel columns, rows (clipped into the image) and a mask of what lies inside the image of view v."""
+    width, height = views.size
+    cam = xyz @ views.viewmats[v, :3, :3].T + views.viewmats[v, :3, 3]
+    z = np.maximum(cam[:, 2], 1e-6)
+    u = np.floor(cam[:, 0] / z * views.Ks[v, 0, 0] + views.Ks[v, 0, 2]).astype(np.int64)
+    w = np.floor(cam[:, 1] / z * views.Ks[v, 1, 1] + views.Ks[v, 1, 2]).astype(np.int64)
+    inside = (cam[:, 2] > 1e-6) & (u >= 0) & (u < width) & (w >= 0) & (w < height)
+    return np.clip(u, 0, width - 1), np.clip(w, 0, height - 1), inside
+
+
+def _in_hull(xyz: np.ndarray, views: RestViews, masks: np.ndarray) -> np.ndarray:
+    """True where no view that sees the point sees background there, and some view sees it."""
+    hull, seen = np.ones(len(xyz), bool), np.zeros(len(xyz), bool)
+    for v in range(len(masks)):
+        u, w, inside = _project(xyz, views, v)
+        hull &= masks[v, w, u] | ~inside
+        seen |= inside
+    return hull & seen
+
+
+def _grid(low: np.ndarray, high: np.ndarray, cells: int) -> tuple[np.ndarray, float, tuple[int, int, int]]:
+    step = float((high - low).max()) / cells
+    counts = np.maximum(np.ceil((high - low) / step).astype(int), 1)
+    axes = [low[k] + (np.arange(counts[k]) + 0.5) * step for k in range(3)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+    return points.astype(np.float32), step, (int(counts[0]), int(counts[1]), int(counts[2]))
+
+
+def hull_points(views: RestViews, count: int, rng: np.random.Generator) -> np.ndarray | None:
+    """Up to `count` points on the shell of the visual hull of the alpha masks; None if the masks cut nothing away.
+
+    A coarse grid over the working box finds the hull's box, a fine one its shell: cells inside with a neighbour
+    outside.
+    """
+    masks = views.alpha > 0.5
+    if masks.all() or not masks.any():
+        return None
+    grown = masks.copy()  # a coarse cell must not miss thin parts between its samples
+    for shift in ((0, 1), (0, -1), (1, 0), (-1, 0)):
+        grown |= np.roll(masks, shift, axis=(1, 2))
+    centre, half = working_box(views)
+    coarse, step, _ = _grid(centre - half, centre + half, 96)
+    kept = coarse[_in_hull(coarse, views, grown)]
+    if len(kept) == 0:
+        return None
+    fine, step, shape = _grid(kept.min(0) - step, kept.max(0) + step, HULL_GRID)
+    hull = np.zeros(np.array(shape) + 2, bool)
+    hull[1:-1, 1:-1, 1:-1] = _in_hull(fine, views, masks).reshape(shape)
+    interior = np.ones(shape, bool)
+    for axis in range(3):
+        for side in (0, 2):
+            cut = [slice(1, -1)] * 3
+            cut[axis] = slice(side, side + shape[axis])
+            interior &= hull[tuple(cut)]
+    shell = fine[(hull[1:-1, 1:-1, 1:-1] & ~interior).ravel()]
+    if len(shell) == 0:
+        return None
+    chosen = shell[rng.choice(len(shell), min(count, len(shell)), replace=False)]
+    return (chosen + rng.uniform(-step / 2, step / 2, chosen.shape)).astype(np.float32)
+
+
+def mean_colours(xyz: np.ndarray, views: RestViews) -> np.ndarray:
+    """Mean over the views of the pixel each point falls on: [M, 3] in 0..1, grey where no view sees it."""
+    total, count = np.zeros((len(xyz), 3)), np.zeros(len(xyz))
+    for v in range(len(views.rgb)):
+        u, w, inside = _project(xyz, views, v)
+        total += views.rgb[v, w, u] * inside[:, None]
+        count += inside
+    return np.where(count[:, None] > 0, total / np.maximum(count, 1)[:, None], 0.5).astype(np.float32)
+
+
+def initial_points(
+    views: RestViews, points: SurfacePoints | None, kind: str, count: int, rng: np.random.Generator
+) -> InitialPoints:
+    """Choose and thin the initial points. `kind` is "auto", "points", "hull" or "random".
+
+    Raises CaptureError where the asked-for source is not there.
+    """
+    if kind not in {"auto", "points", "hull", "random"}:
+        raise CaptureError(f"init is {kind!r}, expected auto, points, hull or random")
+    xyz, rgb, source = None, None, kind
+    if kind == "points" and points is None:
+        raise CaptureError("init is 'points', but the dataset has no points3d.ply")
+    if points is not None and kind in {"auto", "points"}:
+        chosen = rng.choice(len(points.xyz), min(count, len(points.xyz)), replace=False)
+        xyz, rgb, source = points.xyz[chosen].astype(np.float32), points.rgb[chosen] / np.float32(255), "points"
+    if xyz is None and kind in {"auto", "hull"}:
+        xyz, source = hull_points(views, count, rng), "hull"
+        if xyz is None and kind == "hull":
+            raise CaptureError("init is 'hull', but the images have no alpha mask that cuts a hull out")
+    if xyz is None:
+        centre, half = working_box(views)
+        xyz, source = rng.uniform(centre - half, centre + half, (count, 3)).astype(np.float32), "random"
+    if rgb is None:
+        rgb = mean_colours(xyz, views)
+    if len(xyz) < 4:
+        raise CaptureError(f"initialisation from {source} found {len(xyz)} points, at least 4 are needed")
+    distance, _ = cKDTree(xyz).query(xyz, k=4)
+    spacing = np.sqrt(np.mean(distance[:, 1:] ** 2, axis=1)).astype(np.float32)
+    return InitialPoints(xyz, rgb.astype(np.float32), np.maximum(spacing, 1e-6), source)

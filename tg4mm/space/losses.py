@@ -1,0 +1,38 @@
+"""The photometric loss of the space stage."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn.functional import conv2d
+
+_SIGMA, _RADIUS = 1.5, 5  # SSIM's 11 × 11 window
+_C1, _C2 = 0.01**2, 0.03**2
+
+
+def _window(channels: int, like: Tensor) -> Tensor:
+    x = torch.arange(-_RADIUS, _RADIUS + 1, dtype=like.dtype, device=like.device)
+    g = torch.exp(-(x**2) / (2 * _SIGMA**2))
+    return (g / g.sum()).expand(channels, 1, -1)
+
+
+def ssim(a: Tensor, b: Tensor) -> Tensor:
+    """Mean structural similarity of two images [H, W, 3] in 0..1, differentiable; Gaussian window, zero border."""
+    planes = torch.cat([x.permute(2, 0, 1) for x in (a, b, a * a, b * b, a * b)])[None]
+    window = _window(planes.shape[1], planes)
+    blurred = conv2d(planes, window[:, :, :, None], padding=(_RADIUS, 0), groups=planes.shape[1])
+    blurred = conv2d(blurred, window[:, :, None, :], padding=(0, _RADIUS), groups=planes.shape[1])
+    ma, mb, saa, sbb, sab = blurred[0].split(a.shape[-1])
+    va, vb, cov = saa - ma * ma, sbb - mb * mb, sab - ma * mb
+    return (((2 * ma * mb + _C1) * (2 * cov + _C2)) / ((ma**2 + mb**2 + _C1) * (va + vb + _C2))).mean()
+
+
+def photometric_loss(rendered: Tensor, target: Tensor, l2: float, dssim: float) -> Tensor:
+    """(1 − λ) (L1 + l2 · MSE) + λ (1 − SSIM) / 2 of images [H, W, 3]; [TG4MM] Eq. (16) where l2 = λ = 0."""
+    difference = rendered - target
+    loss = difference.abs().mean()
+    if l2 > 0:
+        loss = loss + l2 * (difference * difference).mean()
+    if dssim > 0:
+        loss = (1 - dssim) * loss + dssim * (1 - ssim(rendered, target)) / 2
+    return loss

@@ -1,0 +1,94 @@
+"""The free parameters of static Gaussians and their Adam optimiser, which survives adding and removing rows."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from tg4mm.gaussians import Gaussians
+from tg4mm.space.initial import InitialPoints
+
+SH_C0 = 0.28209479177387814
+# Learning rates of the first iteration; that of the means is per unit of the scene's extent.
+LEARNING_RATES = {"means": 4e-4, "quats": 2e-3, "log_scales": 1e-2, "logits": 3e-2, "sh0": 5e-3, "shn": 2.5e-4}
+_MEANS_DECAY = 0.01  # factor at the end, exponential all along
+_DECAY = 0.1  # of the others, exponential over the second half
+
+
+def initial_parameters(points: InitialPoints, sh_degree: int, generator: torch.Generator) -> dict[str, Tensor]:
+    """One isotropic Gaussian of opacity 0.3 on each point, as wide as the points are apart."""
+    n = len(points.xyz)
+    sh0 = (torch.from_numpy(points.rgb) - 0.5) / SH_C0
+    quats = torch.nn.functional.normalize(torch.randn(n, 4, generator=generator), dim=1)
+    return {
+        "means": torch.from_numpy(points.xyz),
+        "quats": quats,
+        "log_scales": torch.from_numpy(np.log(points.spacing))[:, None].repeat(1, 3),
+        "logits": torch.full((n,), math.log(0.3 / 0.7)),
+        "sh0": sh0[:, None],
+        "shn": torch.zeros(n, (sh_degree + 1) ** 2 - 1, 3),
+    }
+
+
+def activate(parameters: dict[str, Tensor]) -> Gaussians:
+    """The Gaussians that the free parameters stand for; gradients flow."""
+    p = parameters
+    return Gaussians(
+        p["means"], p["quats"], p["log_scales"].exp(), p["logits"].sigmoid(), torch.cat([p["sh0"], p["shn"]], 1)
+    )
+
+
+class ParameterAdam:
+    """torch's fused Adam over named parameters with rows that come and go."""
+
+    def __init__(self, parameters: dict[str, Tensor], extent: float, moments: dict[str, Tensor] | None = None) -> None:
+        """`moments` continues an earlier optimiser: what `moments()` returned."""
+        self._extent = extent
+        self._build(parameters, moments)
+
+    def _build(self, parameters: dict[str, Tensor], moments: dict[str, Tensor] | None) -> None:
+        self.parameters = {k: v.detach().clone().requires_grad_() for k, v in parameters.items()}
+        groups = [{"params": [p], "name": k, "lr": LEARNING_RATES[k]} for k, p in self.parameters.items()]
+        self._adam = torch.optim.Adam(groups, eps=1e-15, fused=True)
+        if moments is not None:
+            for name, p in self.parameters.items():
+                self._adam.state[p] = {
+                    "step": moments["step"].clone(),
+                    "exp_avg": moments[f"{name}.m"],
+                    "exp_avg_sq": moments[f"{name}.v"],
+                }
+
+    def step(self, progress: float) -> None:
+        """One step with the learning rates at `progress` in 0..1 of the whole fit; gradients are cleared."""
+        for group in self._adam.param_groups:
+            rate = LEARNING_RATES[group["name"]]
+            if group["name"] == "means":
+                group["lr"] = rate * self._extent * _MEANS_DECAY**progress
+            else:
+                group["lr"] = rate * _DECAY ** max(0.0, 2 * progress - 1)
+        self._adam.step()
+        self._adam.zero_grad(set_to_none=True)
+
+    def moments(self) -> dict[str, Tensor]:
+        """Adam's state by name: `<name>.m`, `<name>.v`, and `step`. Empty before the first step."""
+        state = {name: self._adam.state[p] for name, p in self.parameters.items()}
+        if not state["means"]:
+            return {}
+        out = {"step": state["means"]["step"]}
+        for name, s in state.items():
+            out |= {f"{name}.m": s["exp_avg"], f"{name}.v": s["exp_avg_sq"]}
+        return out
+
+    def replace(self, keep: Tensor, added: dict[str, Tensor]) -> None:
+        """Keep the rows `keep` (indices) and append `added`, whose moments start at zero."""
+        moments = self.moments()
+        parameters = {}
+        for name, p in self.parameters.items():
+            parameters[name] = torch.cat([p.detach()[keep], added[name]])
+            for kind in (".m", ".v") if moments else ():
+                old = moments[name + kind][keep]
+                moments[name + kind] = torch.cat([old, torch.zeros_like(added[name])])
+        self._build(parameters, moments or None)

@@ -1,0 +1,157 @@
+"""The space stage: fit static Gaussians to the rest views, with checkpoints and progress."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from tg4mm.capture import SurfacePoints
+from tg4mm.errors import Tg4mmError
+from tg4mm.gaussians import Gaussians
+from tg4mm.memory import peak_memory_mib
+from tg4mm.progress import progress
+from tg4mm.runs import Run
+from tg4mm.space.config import SpaceConfig
+from tg4mm.space.density import control_density, is_due
+from tg4mm.space.initial import initial_points, working_box
+from tg4mm.space.losses import photometric_loss
+from tg4mm.space.parameters import ParameterAdam, activate, initial_parameters
+from tg4mm.space.targets import RestViews
+from tg4mm.space.view import render_view
+
+CHECKPOINT_EVERY_S = 20.0
+_STAGE = "space"
+
+
+def resolved(config: SpaceConfig, views: RestViews) -> SpaceConfig:
+    """The settings with what follows from the data filled in. Raises Tg4mmError on a value out of range."""
+    checks = {
+        "iterations": (config.iterations >= 1, ">= 1"),
+        "max_gaussians": (config.max_gaussians >= 0, ">= 0"),
+        "sh_degree": (0 <= config.sh_degree <= 3, "0 to 3"),
+        "l2": (math.isfinite(config.l2) and config.l2 >= 0, ">= 0"),
+        "dssim": (0 <= config.dssim <= 1, "0 to 1"),
+        "init_points": (config.init_points >= 4, ">= 4"),
+    }
+    for name, (good, expected) in checks.items():
+        if not good:
+            raise Tg4mmError(f"setting space.{name} is {getattr(config, name)}, expected {expected}")
+    if config.max_gaussians:
+        return config
+    covered = float(views.alpha.sum() / len(views.alpha))
+    return replace(config, max_gaussians=int(np.clip(200 * math.sqrt(covered), 2_000, 500_000)))
+
+
+@dataclass
+class _Fit:
+    """Everything that changes from one iteration to the next."""
+
+    adam: ParameterAdam
+    error: Tensor  # [N] shares since the last density control
+    generator: torch.Generator
+    iteration: int = 0
+    order: list[int] = field(default_factory=list)  # views left in this round
+    psnr: float = 0.0  # running mean over training views
+
+    def tensors(self) -> dict[str, Tensor]:
+        moments = {f"adam.{k}": v for k, v in self.adam.moments().items()}
+        rest = {"error": self.error, "generator": self.generator.get_state()}
+        return {k: v.detach().cpu().contiguous() for k, v in (self.adam.parameters | moments | rest).items()}
+
+    def state(self, extent: float) -> dict[str, Any]:
+        return {"iteration": self.iteration, "order": self.order, "psnr": self.psnr, "extent": extent}
+
+
+def _restored(checkpoint: tuple[dict[str, Tensor], dict[str, Any]], device: str) -> tuple[_Fit, float]:
+    tensors, state = checkpoint
+    generator = torch.Generator()
+    generator.set_state(tensors.pop("generator"))
+    error = tensors.pop("error").to(device)
+    moments = {k.removeprefix("adam."): tensors.pop(k) for k in list(tensors) if k.startswith("adam.")}
+    moments = {k: v if k == "step" and device == "cpu" else v.to(device) for k, v in moments.items()}
+    parameters = {k: v.to(device) for k, v in tensors.items()}
+    adam = ParameterAdam(parameters, state["extent"], moments or None)
+    return _Fit(adam, error, generator, state["iteration"], state["order"], state["psnr"]), state["extent"]
+
+
+def _started(
+    views: RestViews, points: SurfacePoints | None, config: SpaceConfig, device: str
+) -> tuple[_Fit, float, str]:
+    generator = torch.Generator().manual_seed(config.seed)
+    count = min(config.init_points, config.max_gaussians)
+    first = initial_points(views, points, config.init, count, np.random.default_rng(config.seed))
+    extent = float(np.linalg.norm(first.xyz - first.xyz.mean(0), axis=1).max())
+    extent = min(extent, 2 * working_box(views)[1]) or 1.0
+    parameters = {k: v.to(device) for k, v in initial_parameters(first, config.sh_degree, generator).items()}
+    adam = ParameterAdam(parameters, extent)
+    return _Fit(adam, torch.zeros(len(first.xyz), device=device), generator), extent, first.source
+
+
+def _iterate(fit: _Fit, cameras: tuple[Tensor, Tensor, Tensor], config: SpaceConfig, extent: float) -> None:
+    """One view: render, compare, step; and now and then density control."""
+    viewmats, Ks, targets = cameras
+    if not fit.order:
+        fit.order = torch.randperm(len(targets), generator=fit.generator).tolist()
+    v = fit.order.pop()
+    done = fit.iteration / config.iterations
+    degree = min(config.sh_degree, int(10 * done))
+    height, width = targets.shape[1:3]
+    view = render_view(activate(fit.adam.parameters), viewmats[v], Ks[v], (width, height), degree)
+    loss = photometric_loss(view.rgb, targets[v], config.l2, config.dssim)
+    difference = (view.rgb.detach() - targets[v])
+    (loss + (view.carrier * difference.abs().sum(-1)).sum()).backward()
+    fit.error += view.shares()
+    psnr = -10 * math.log10(max(float((difference**2).mean()), 1e-10))
+    fit.psnr = psnr if fit.iteration == 0 else 0.95 * fit.psnr + 0.05 * psnr
+    fit.adam.step(done)
+    fit.iteration += 1
+    if is_due(fit.iteration, config.iterations):
+        control_density(fit.adam, fit.error, extent, config.max_gaussians, fit.generator)
+        fit.error = torch.zeros(len(fit.adam.parameters["means"]), device=fit.error.device)
+
+
+def train_space(
+    run: Run, views: RestViews, points: SurfacePoints | None, config: SpaceConfig, device: str = "cpu"
+) -> Gaussians:
+    """Fit static Gaussians to the rest views and save them in the run; go on from a checkpoint if there is one.
+
+    points: initialisation without SfM, or None. Returns the Gaussians (on the CPU). The run's log gets seconds,
+    peak_memory_mib, n_gaussians, iterations, init and psnr_train (dB, running mean of the last views).
+    Raises Tg4mmError on settings out of range, CaptureError where there is nothing to start from.
+    """
+    config = resolved(config, views)
+    checkpoint = run.load_checkpoint(_STAGE)
+    began = time.monotonic()
+    if checkpoint is None:
+        fit, extent, source = _started(views, points, config, device)
+        run.record(_STAGE, {"init": source})
+    else:
+        fit, extent = _restored(checkpoint, device)
+    cameras = tuple(torch.from_numpy(a).to(device) for a in (views.viewmats, views.Ks, views.rgb))
+    saved = time.monotonic()
+    with progress("space stage", config.iterations, start=fit.iteration) as update:
+        while fit.iteration < config.iterations:
+            _iterate(fit, (cameras[0], cameras[1], cameras[2]), config, extent)
+            update(fit.iteration, psnr_db=round(fit.psnr, 2), gaussians=len(fit.error))
+            if time.monotonic() - saved > CHECKPOINT_EVERY_S:
+                run.save_checkpoint(_STAGE, fit.tensors(), fit.state(extent))
+                saved = time.monotonic()
+                run.record(_STAGE, {"seconds": saved - began})
+                began = saved
+    gaussians = activate(fit.adam.parameters).detach().to("cpu")
+    figures = {
+        "seconds": time.monotonic() - began,
+        "peak_memory_mib": peak_memory_mib(),
+        "n_gaussians": len(gaussians),
+        "iterations": config.iterations,
+        "psnr_train": fit.psnr,
+    }
+    run.save_space(gaussians, figures)
+    run.drop_checkpoint(_STAGE)
+    return gaussians

@@ -1,0 +1,140 @@
+"""The header of a PLY: elements, properties, the tg4mm line; everything checked before any data is read."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, field
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from ..errors import SplatFileError
+from . import layout
+
+MAX_HEADER_BYTES = 1 << 20
+TYPES = {
+    **dict.fromkeys(("char", "int8"), "<i1"),
+    **dict.fromkeys(("uchar", "uint8"), "<u1"),
+    **dict.fromkeys(("short", "int16"), "<i2"),
+    **dict.fromkeys(("ushort", "uint16"), "<u2"),
+    **dict.fromkeys(("int", "int32"), "<i4"),
+    **dict.fromkeys(("uint", "uint32"), "<u4"),
+    **dict.fromkeys(("float", "float32"), "<f4"),
+    **dict.fromkeys(("double", "float64"), "<f8"),
+}
+
+
+@dataclass(frozen=True)
+class Element:
+    """One `element` line and the `property` lines below it."""
+
+    name: str
+    count: int
+    properties: dict[str, str] = field(default_factory=dict)  # name → numpy type, "list" for a list
+
+    @property
+    def dtype(self) -> np.dtype:
+        """One record, packed."""
+        return np.dtype(list(self.properties.items()))
+
+    @property
+    def nbytes(self) -> int:
+        """Size of the element's data; without lists."""
+        return self.count * self.dtype.itemsize if self.properties else 0
+
+
+@dataclass(frozen=True)
+class Header:
+    """A whole header. Messages carry no file name; the reader puts it in front."""
+
+    elements: tuple[Element, ...]
+    about: dict[str, Any] | None  # what `comment tg4mm` says; None for a plain 3DGS PLY
+    nbytes: int  # length of the header itself
+
+
+def read_header(file: BinaryIO) -> Header:
+    """Parse the header at the start of `file`; SplatFileError if it is not one this reader can follow."""
+    lines, nbytes = _lines(file)
+    elements: list[Element] = []
+    about = None
+    for line in lines:
+        words = line.split()
+        if line.startswith(layout.MARK):
+            if about is not None:
+                raise SplatFileError("header has two 'comment tg4mm' lines")
+            about = _about(line[len(layout.MARK) :])
+        elif not words or words[0] in ("comment", "obj_info", "format"):
+            continue
+        elif words[0] == "element" and len(words) == 3:
+            elements.append(Element(words[1], _count(line)))
+        elif words[0] == "property" and elements and len(words) >= 3:
+            _add_property(elements[-1], words, line)
+        else:
+            raise SplatFileError(f"header line {line[:60]!r} is not understood")
+    return Header(tuple(elements), about, nbytes)
+
+
+def _lines(file: BinaryIO) -> tuple[list[str], int]:
+    """The lines between the first and end_header, and its length; checks magic and format."""
+    if file.readline(8).rstrip() != b"ply":
+        raise SplatFileError("is not a PLY: its first line is not 'ply'")
+    lines: list[str] = []
+    while True:
+        raw = file.readline(MAX_HEADER_BYTES)
+        if not raw.endswith(b"\n") or file.tell() > MAX_HEADER_BYTES:
+            raise SplatFileError(f"header has no end_header line in the first {file.tell()} bytes")
+        line = raw.decode("latin-1").strip()
+        if line == "end_header":
+            break
+        lines.append(line)
+    formats = [line for line in lines if line.startswith("format ")]
+    if formats != ["format binary_little_endian 1.0"]:
+        raise SplatFileError(
+            f"has {' and '.join(formats) or 'no format line'}; expected format binary_little_endian 1.0"
+        )
+    return lines, file.tell()
+
+
+def _count(line: str) -> int:
+    text = line.split()[2]
+    if not (text.isascii() and text.isdigit() and len(text) < 19):
+        raise SplatFileError(f"header line {line[:60]!r} has no usable count")
+    return int(text)
+
+
+def _add_property(element: Element, words: list[str], line: str) -> None:
+    name, kind = words[-1], "list" if words[1] == "list" else TYPES.get(words[1])
+    if kind is None or (kind != "list" and len(words) != 3):
+        raise SplatFileError(f"header line {line[:60]!r} has no type known to PLY")
+    if name in element.properties:
+        raise SplatFileError(f"property {name} appears twice")
+    element.properties[name] = kind
+
+
+def _about(text: str) -> dict[str, Any]:
+    try:
+        about = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise SplatFileError(f"'comment tg4mm' is not valid JSON: {error}") from error
+    if not isinstance(about, dict):
+        raise SplatFileError(f"'comment tg4mm' holds {text[:60]}; expected an object {{…}}")
+    version = about.get("format_version")
+    if version != layout.FORMAT_VERSION or isinstance(version, bool):
+        raise SplatFileError(f"format_version is {version!r}; this reader knows {layout.FORMAT_VERSION}")
+    frequencies = about.get("frequencies_hz")
+    if not isinstance(frequencies, list) or not all(_is_number(f) for f in frequencies):
+        raise SplatFileError(f"frequencies_hz is {str(frequencies)[:60]}; expected a list of finite numbers")
+    for key in ("fps", "unit_scale_m", "time_origin_s", "n_timesteps"):
+        if about.get(key) is not None and not _is_number(about[key]):
+            raise SplatFileError(f"{key} is {str(about[key])[:60]}; expected a finite number")
+    if about.get("n_timesteps") is not None and about["n_timesteps"] != int(about["n_timesteps"]):
+        raise SplatFileError(f"n_timesteps is {about['n_timesteps']}; expected a whole number")
+    return about
+
+
+def _is_number(value: Any) -> bool:
+    try:
+        return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    except OverflowError:
+        return False

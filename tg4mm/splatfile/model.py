@@ -1,0 +1,116 @@
+"""What a splat file holds, in memory: Gaussians with activated values, and the phasors of their modes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from ..errors import SplatFileError
+
+SH_COUNTS = (1, 4, 9, 16)  # K = (degree + 1)² for degree 0 to 3
+
+
+@dataclass(frozen=True)
+class SplatFile:
+    """N Gaussians and M modes of motion (M = 0: a static scene). Conventions: docs/conventions.md.
+
+    x(t, α) = x + Σ_k (1 + α·g_k) Re[m_k exp(i 2π f_k t / fps)], g_k = 1 for f_k inside the band, else 0.
+
+    Raises SplatFileError on construction if a shape, a range or the finiteness of a value is wrong.
+    """
+
+    means: np.ndarray  # [N, 3] float32, scene units, the rest position x
+    quats: np.ndarray  # [N, 4] float32, wxyz, as stored (normalise where used), never zero
+    scales: np.ndarray  # [N, 3] float32, linear, scene units, at least 0
+    opacities: np.ndarray  # [N] float32, 0..1
+    sh: np.ndarray  # [N, K, 3] float32, K = (degree + 1)²
+    freqs_hz: np.ndarray  # [M] float64
+    displacement: np.ndarray  # [M, N, 3] complex64, scene units
+    rotation: np.ndarray  # [M, N, 3] complex64, rotation vectors, radians, world axes
+    fps: float = 0.0  # Hz; 0.0 if unknown, which only a static file may be
+    n_timesteps: int = 1  # T
+    unit_scale_m: float | None = None  # metres per scene unit; None if unknown
+    time_origin_s: float = 0.0  # seconds at timestep 0, on the recording's clock
+
+    @classmethod
+    def static(
+        cls,
+        means: np.ndarray,
+        quats: np.ndarray,
+        scales: np.ndarray,
+        opacities: np.ndarray,
+        sh: np.ndarray,
+        unit_scale_m: float | None = None,
+    ) -> SplatFile:
+        """A scene in which nothing moves."""
+        none = np.zeros((0, len(means), 3), np.complex64)
+        return cls(means, quats, scales, opacities, sh, np.zeros(0), none, none, unit_scale_m=unit_scale_m)
+
+    def __post_init__(self) -> None:
+        self._check_shapes()
+        self._check_values()
+        self._check_times()
+
+    def __len__(self) -> int:
+        """N, the number of Gaussians."""
+        return len(self.means)
+
+    @property
+    def n_modes(self) -> int:
+        """M."""
+        return len(self.freqs_hz)
+
+    @property
+    def sh_degree(self) -> int:
+        """0 to 3."""
+        return SH_COUNTS.index(self.sh.shape[1])
+
+    def _check_shapes(self) -> None:
+        n, m = self.means.shape[0], self.freqs_hz.shape[0]
+        if n == 0:
+            raise SplatFileError("a splat file needs at least one Gaussian, there are 0")
+        expected = {
+            "means": (n, 3),
+            "quats": (n, 4),
+            "scales": (n, 3),
+            "opacities": (n,),
+            "freqs_hz": (m,),
+            "displacement": (m, n, 3),
+            "rotation": (m, n, 3),
+        }
+        for name, shape in expected.items():
+            if getattr(self, name).shape != shape:
+                raise SplatFileError(f"{name} has shape {getattr(self, name).shape}, expected {shape}")
+        if self.sh.ndim != 3 or self.sh.shape not in [(n, k, 3) for k in SH_COUNTS]:
+            raise SplatFileError(f"sh has shape {self.sh.shape}, expected ({n}, 1 | 4 | 9 | 16, 3)")
+
+    def _check_values(self) -> None:
+        for name in (f.name for f in fields(self) if isinstance(getattr(self, f.name), np.ndarray)):
+            if not np.isfinite(getattr(self, name)).all():
+                bad = np.argwhere(~np.isfinite(getattr(self, name)))[0].tolist()
+                raise SplatFileError(
+                    f"{name}{bad} is {getattr(self, name)[tuple(bad)]}; expected finite numbers"
+                )
+        if self.scales.min() < 0:
+            raise SplatFileError(f"scales reach down to {self.scales.min():g}; expected at least 0")
+        if self.opacities.min() < 0 or self.opacities.max() > 1:
+            raise SplatFileError(
+                f"opacities span {self.opacities.min():g} to {self.opacities.max():g}; expected 0 to 1"
+            )
+        zero = np.flatnonzero(~self.quats.any(axis=1))
+        if len(zero):
+            raise SplatFileError(f"quats[{zero[0]}] is zero, as {len(zero)} are; expected a rotation")
+        if self.n_modes and self.freqs_hz.min() < 0:
+            raise SplatFileError(f"freqs_hz reach down to {self.freqs_hz.min():g}; expected at least 0 Hz")
+
+    def _check_times(self) -> None:
+        if not math.isfinite(self.fps) or self.fps < 0 or (self.n_modes and self.fps == 0):
+            raise SplatFileError(f"fps is {self.fps:g}; expected a finite number above 0")
+        if self.n_timesteps < 1:
+            raise SplatFileError(f"n_timesteps is {self.n_timesteps}; expected at least 1")
+        if self.unit_scale_m is not None and not 0 < self.unit_scale_m < math.inf:
+            raise SplatFileError(f"unit_scale_m is {self.unit_scale_m:g}; expected a finite number above 0")
+        if not math.isfinite(self.time_origin_s):
+            raise SplatFileError(f"time_origin_s is {self.time_origin_s:g}; expected a finite number")

@@ -1,0 +1,80 @@
+"""Training from a dataset to a run folder: settings, then the space stage, then the motion stage."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import torch
+
+from tg4mm.capture import load_capture, load_images
+from tg4mm.errors import Tg4mmError
+from tg4mm.motion import MotionConfig, train_motion
+from tg4mm.runs import Run
+from tg4mm.space import SpaceConfig, rest_views, train_space
+
+PRESETS = ("modal",)
+C = TypeVar("C")
+_STAGES = {"space": SpaceConfig, "motion": MotionConfig}
+
+
+def parse_settings(pairs: Mapping[str, str]) -> dict[str, Any]:
+    """Configurations of all stages from `{"space.iterations": "3000", …}`.
+
+    Raises Tg4mmError for a name that is none, with those there are, and for a value of the wrong type.
+    """
+    chosen: dict[str, dict[str, Any]] = {stage: {} for stage in _STAGES}
+    for name, text in pairs.items():
+        stage, _, key = name.partition(".")
+        fields = {f.name: f for f in dataclasses.fields(_STAGES[stage])} if stage in _STAGES else {}
+        if key not in fields:
+            known = [f"{s}.{f.name}" for s, c in _STAGES.items() for f in dataclasses.fields(c)]
+            raise Tg4mmError(f"setting {name!r} is unknown; there are: {', '.join(known)}")
+        kind = type(fields[key].default)
+        try:
+            chosen[stage][key] = kind(text)
+        except ValueError:
+            raise Tg4mmError(f"setting {name} is {text!r}, expected {kind.__name__}") from None
+    return {stage: config(**chosen[stage]) for stage, config in _STAGES.items()}
+
+
+def check_device(device: str) -> str:
+    """`device` if it can be used. Raises Tg4mmError for an unknown one, or cuda where there is none."""
+    if device not in {"cpu", "cuda"}:
+        raise Tg4mmError(f"device is {device!r}, expected cpu or cuda")
+    if device == "cuda" and not torch.cuda.is_available():
+        raise Tg4mmError("device is cuda, but torch finds no CUDA device here")
+    return device
+
+
+def train(
+    dataset: Path | str,
+    run_path: Path | str,
+    preset: str = "modal",
+    device: str = "cpu",
+    settings: Mapping[str, str] | None = None,
+) -> Run:
+    """Train on a dataset (design §4.2, any layout `load_capture` reads) into the folder `run_path`.
+
+    Stages that are complete there are skipped, an unfinished one goes on from its checkpoint. A capture of one
+    timestep ends after the space stage. settings: `{"space.iterations": "3000", …}`.
+    Raises Tg4mmError (CaptureError, RunError) on bad input.
+    """
+    if preset not in PRESETS:
+        raise Tg4mmError(f"preset is {preset!r}, expected {' or '.join(PRESETS)}")
+    check_device(device)
+    configs = parse_settings(settings or {})
+    capture = load_capture(dataset, split="train")
+    plain = {stage: dataclasses.asdict(config) for stage, config in configs.items()}
+    run = Run.create(run_path, capture.root, preset, plain)
+    needs_motion = capture.n_timesteps > 1
+    if run.has_space and (run.has_motion or not needs_motion):
+        return run
+    images = load_images(capture)
+    if not run.has_space:
+        train_space(run, rest_views(capture, images), capture.points, configs["space"], device)
+    if needs_motion:
+        train_motion(run, capture, images, configs["motion"], device)
+    return run
