@@ -25,7 +25,11 @@ class Gaussians:
             actual = tuple(getattr(self, name).shape)
             if actual != shape:
                 raise ValueError(f"{name} has shape {actual}, expected {shape}")
-        if self.sh.ndim != 3 or self.sh.shape[0] != n or self.sh.shape[1:] not in {(1, 3), (4, 3), (9, 3), (16, 3)}:
+        if (
+            self.sh.ndim != 3
+            or self.sh.shape[0] != n
+            or self.sh.shape[1:] not in {(1, 3), (4, 3), (9, 3), (16, 3)}
+        ):
             raise ValueError(f"sh has shape {tuple(self.sh.shape)}, expected ({n}, 1 | 4 | 9 | 16, 3)")
 
     def __len__(self) -> int:

@@ -11,7 +11,8 @@ import torch
 
 from tg4mm.capture import load_capture, load_images
 from tg4mm.errors import Tg4mmError
-from tg4mm.motion import MotionConfig, train_motion
+from tg4mm.motion.config import MotionConfig
+from tg4mm.motion.train import train_motion
 from tg4mm.runs import Run
 from tg4mm.space import SpaceConfig, rest_views, train_space
 
@@ -32,7 +33,7 @@ def parse_settings(pairs: Mapping[str, str]) -> dict[str, Any]:
         if key not in fields:
             known = [f"{s}.{f.name}" for s, c in _STAGES.items() for f in dataclasses.fields(c)]
             raise Tg4mmError(f"setting {name!r} is unknown; there are: {', '.join(known)}")
-        kind = type(fields[key].default)
+        kind: Any = type(fields[key].default)
         try:
             chosen[stage][key] = kind(text)
         except ValueError:

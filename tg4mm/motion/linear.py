@@ -87,7 +87,10 @@ class RestView:
 
 def _arrays(gaussians: Gaussians) -> tuple[np.ndarray, ...]:
     g = gaussians
-    return tuple(np.ascontiguousarray(a.cpu().numpy(), np.float32) for a in (g.means, g.quats, g.scales, g.opacities, g.sh))
+    return tuple(
+        np.ascontiguousarray(a.cpu().numpy(), np.float32)
+        for a in (g.means, g.quats, g.scales, g.opacities, g.sh)
+    )
 
 
 def _turned_by_axes(quats: np.ndarray) -> np.ndarray:
@@ -106,7 +109,10 @@ def rest_view(gaussians: Gaussians, camera: FixedCamera, size: tuple[int, int]) 
     splats = empty_splats(len(means))
     project_forward(means, quats, scales, opacities, sh, degree, False, packed, width, height, splats)
     bins = bin_splats(splats, width, height)
-    image, transmittance = np.empty((height, width, FEATURES), np.float32), np.empty((height, width), np.float32)
+    image, transmittance = (
+        np.empty((height, width, FEATURES), np.float32),
+        np.empty((height, width), np.float32),
+    )
     blend_forward(splats, bins.tile_start, bins.pair_gaussian, width, height, image, transmittance)
     visible = bins.order[: bins.n_visible]
     turned = _turned_by_axes(quats)[visible]
@@ -117,7 +123,7 @@ def rest_view(gaussians: Gaussians, camera: FixedCamera, size: tuple[int, int]) 
         grads = [np.zeros_like(a) for a in (means, quats, scales, opacities, sh)]
         project_backward(
             means, quats, scales, sh, degree, False, packed, width, height, splats, v_splats,
-            *grads, np.zeros((0, 12), np.float32), False,
+            *grads, np.zeros((0, 12), np.float32), False,  # type: ignore[call-arg]
         )  # fmt: skip
         jacobian[:, c, :3] = grads[0][visible]
         jacobian[:, c, 3:] = np.einsum("nkq,nq->nk", turned, grads[1][visible])

@@ -2,22 +2,44 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.spatial import cKDTree
 
 COUNT = 12  # neighbours of a Gaussian
-_SINGULAR = 0.02  # ridge on the inertia of a neighbourhood, as a share of its trace: a straight wire has no twist
+_SINGULAR = (
+    0.02  # ridge on the inertia of a neighbourhood, as a share of its trace: a straight wire has no twist
+)
 
 
 @dataclass(frozen=True)
 class Neighbourhoods:
-    """Sparse operators on a field [N, 3]."""
+    """Linear operators on a displacement field [N, 3], float32."""
 
-    laplacian: csr_matrix  # [N, N] symmetric, positive semidefinite, mean diagonal 1
     rotation: csr_matrix  # [3N, 3N]: displacement (row-major [N, 3]) -> rotation vectors, radians
+    _differences: csr_matrix  # [M, N]: √w_ij (u_j − u_i) for the M = N · count pairs
+    _arms: np.ndarray  # [M, 3]: √w_ij (x_j − x_i)
+    _owner: np.ndarray  # [M] i
+    _scale: float  # 1 / mean diagonal of the unscaled stiffness
+
+    def rotations(self, u: np.ndarray) -> np.ndarray:
+        """[N, 3] displacement -> [N, 3] the rotation of every Gaussian's neighbourhood, radians."""
+        return (self.rotation @ np.ascontiguousarray(u).ravel()).reshape(-1, 3)
+
+    def from_rotations(self, v: np.ndarray) -> np.ndarray:
+        """The transpose of `rotations`."""
+        return (self.rotation.T @ np.ascontiguousarray(v).ravel()).reshape(-1, 3)
+
+    def stiffness(self, u: np.ndarray) -> np.ndarray:
+        """Gradient / 2 of Σ w_ij |u_j − u_i − ω_i × (x_j − x_i)|², ω_i as of `rotations`; mean diagonal 1.
+
+        Rigid motions cost nothing; what bends or stretches does.
+        """
+        left = self._differences @ u - np.cross(self.rotations(u)[self._owner], self._arms)
+        turn = np.cross(self._arms, left).reshape(len(u), -1, 3).sum(1)
+        return ((self._differences.T @ left - self.from_rotations(turn)) * self._scale).astype(np.float32)
 
 
 def neighbourhoods(means: np.ndarray, count: int = COUNT) -> Neighbourhoods:
@@ -28,12 +50,18 @@ def neighbourhoods(means: np.ndarray, count: int = COUNT) -> Neighbourhoods:
     distance, index = distance[:, 1:], index[:, 1:]
     reach = np.maximum(distance.mean(1, keepdims=True), 1e-12)
     weight = np.exp(-0.5 * (distance / reach) ** 2)
-    rows = np.repeat(np.arange(n), count)
-    graph = coo_matrix((weight.ravel(), (rows, index.ravel())), shape=(n, n)).tocsr()
-    graph = (graph + graph.T) / 2
-    degree = np.asarray(graph.sum(1)).ravel()
-    laplacian = (coo_matrix((degree, (np.arange(n), np.arange(n))), shape=(n, n)).tocsr() - graph) / degree.mean()
-    return Neighbourhoods(laplacian.astype(np.float32), _rigid_rotation(means, index, weight))
+    root = np.sqrt(weight).ravel()
+    owner, pair = np.repeat(np.arange(n), count), np.arange(n * count)
+    entries = (
+        np.concatenate([root, -root]),
+        (np.concatenate([pair, pair]), np.concatenate([index.ravel(), owner])),
+    )
+    differences = coo_matrix(entries, shape=(n * count, n)).tocsr().astype(np.float32)
+    arms = ((means[index] - means[:, None]).reshape(-1, 3) * root[:, None]).astype(np.float32)
+    unscaled = Neighbourhoods(_rigid_rotation(means, index, weight), differences, arms, owner, 1.0)
+    signs = np.random.default_rng(0).choice(np.array([-1, 1], np.float32), (n, 3))
+    diagonal = float((signs * unscaled.stiffness(signs)).mean())  # Hutchinson's estimate of its mean
+    return replace(unscaled, _scale=1 / diagonal)
 
 
 def _cross_matrices(v: np.ndarray) -> np.ndarray:
@@ -48,7 +76,7 @@ def _rigid_rotation(means: np.ndarray, index: np.ndarray, weight: np.ndarray) ->
 
     Unlike a gradient fit this is well posed on a surface, where nothing is known along the normal.
     """
-    n, count = index.shape
+    n = len(means)
     arm = means[index] - means[:, None]
     cross = _cross_matrices(arm)
     inertia = np.einsum("nj,njab,njac->nbc", weight, cross, cross)  # Σ w (|d|² − d dᵀ)
@@ -60,5 +88,7 @@ def _rigid_rotation(means: np.ndarray, index: np.ndarray, weight: np.ndarray) ->
     row = 3 * np.arange(n)[:, None, None, None] + np.arange(3)[:, None]
     column = 3 * columns[:, :, None, None] + np.arange(3)
     row, column = np.broadcast_to(row, blocks.shape), np.broadcast_to(column, blocks.shape)
-    matrix = coo_matrix((blocks.ravel().astype(np.float32), (row.ravel(), column.ravel())), shape=(3 * n, 3 * n))
+    matrix = coo_matrix(
+        (blocks.ravel().astype(np.float32), (row.ravel(), column.ravel())), shape=(3 * n, 3 * n)
+    )
     return matrix.tocsr()

@@ -16,13 +16,13 @@ from tg4mm.motion.neighbours import Neighbourhoods
 class MotionProblem:
     """Find θ [P, 3] so that the displacement u = S θ [N, 3], with the rotation it implies, explains the images.
 
-    Minimises Σ_views |J (u, Cu) − D|² + h (λ Σ u·Lu + μ |θ|²), where h is the mean over Gaussians of what the
+    Minimises Σ_views |J (u, Cu) − D|² + h (λ u·Ku + μ |θ|²), where h is the mean over Gaussians of what the
     images say about one coordinate, so that λ and μ do not depend on size, contrast or number of the images.
     """
 
     views: list[RestView]
     sampling: csr_matrix  # S [N, P]
-    around: Neighbourhoods  # L and C
+    around: Neighbourhoods  # K and C
     scale: float  # h
     config: MotionConfig
 
@@ -42,7 +42,7 @@ class MotionProblem:
         for view in self.views:
             view.pull(view.push(motion), v_motion)
         v_u = self._to_displacement(v_motion)
-        v_u += self.scale * self.config.neighbours * (self.around.laplacian @ motion[:, :3])
+        v_u += self.scale * self.config.neighbours * self.around.stiffness(motion[:, :3])
         return self.sampling.T @ v_u + self.scale * self.config.ridge * theta
 
     def right_hand_side(self, pictures: np.ndarray) -> np.ndarray:
@@ -53,14 +53,13 @@ class MotionProblem:
         return self.sampling.T @ self._to_displacement(v_motion)
 
     def _to_displacement(self, v_motion: np.ndarray) -> np.ndarray:
-        turned = self.around.rotation.T @ np.ascontiguousarray(v_motion[:, 3:]).ravel()
-        return v_motion[:, :3] + turned.reshape(-1, 3)
+        return v_motion[:, :3] + self.around.from_rotations(v_motion[:, 3:])
 
 
 def with_rotation(u: np.ndarray, around: Neighbourhoods) -> np.ndarray:
     """Displacement [N, 3] and the rotation vectors it implies, [N, DOF] float32."""
     u = np.ascontiguousarray(u, np.float32)
-    return np.concatenate([u, (around.rotation @ u.ravel()).reshape(-1, 3)], 1)
+    return np.concatenate([u, around.rotations(u)], 1)
 
 
 def information_scale(views: list[RestView], n: int, rng: np.random.Generator, probes: int = 2) -> float:

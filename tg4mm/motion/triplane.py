@@ -50,8 +50,6 @@ def sampling_matrix(means: np.ndarray, finest: int) -> csr_matrix:
     """
     low, high = np.percentile(means, [1, 99], axis=0)
     unit = (means - low) / np.maximum(high - low, 1e-12).max()
-    levels = [
-        _plane(unit[:, axes], resolution) for resolution in resolutions(finest) for axes in _PLANES
-    ]
+    levels = [_plane(unit[:, axes], resolution) for resolution in resolutions(finest) for axes in _PLANES]
     levels.append(identity(len(means), format="csr") * _FREE_SHARE)
     return hstack(levels).tocsr().astype(np.float32)

@@ -140,10 +140,11 @@ def _camera_of_frame(path: Path, i: int, entry: dict[str, Any], size: tuple[int,
         c2w = np.asarray(entry["transform_matrix"], dtype=float)
         width = int(entry["w"] if "w" in entry else _required(size, where)[0])
         height = int(entry["h"] if "h" in entry else _required(size, where)[1])
-        if "fl_x" in entry:
-            fx = float(entry["fl_x"])
-        else:
-            fx = width / (2 * math.tan(float(entry["camera_angle_x"]) / 2))
+        fx = (
+            float(entry["fl_x"])
+            if "fl_x" in entry
+            else width / (2 * math.tan(float(entry["camera_angle_x"]) / 2))
+        )
         fy = float(entry.get("fl_y", fx))
         cx, cy = float(entry.get("cx", width / 2)), float(entry.get("cy", height / 2))
         name = Path(str(entry.get("file_path", f"r_{i:03d}"))).stem

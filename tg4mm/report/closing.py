@@ -64,9 +64,10 @@ def _stage(name: str, figures: Any) -> list[str]:
 
 def _figure(key: str, value: float) -> str:
     text = f"{value:,.0f}" if value == round(value) and abs(value) < 1e12 else number(value, 4)
-    if key in {"psnr", "psnr_db"}:
-        return f"PSNR {text} dB"
-    return f"{key.replace('_', ' ')} {text}"
+    words = key.removeprefix("n_").removesuffix("_db").replace("_", " ")
+    if words.startswith("psnr"):
+        return f"PSNR{words.removeprefix('psnr')} {text} dB"
+    return f"{words} {text}"
 
 
 def size_on_disk(path: Path) -> int:

@@ -42,7 +42,9 @@ def split_rows(parameters: dict[str, Tensor], rows: Tensor, generator: torch.Gen
     """Two narrower Gaussians for each of `rows`, on either side of it along a random point drawn from it."""
     old = {name: p.detach()[rows] for name, p in parameters.items()}
     noise = torch.randn(len(rows), 3, generator=generator).to(old["means"].device)
-    offset = torch.einsum("nij,nj->ni", rotation_matrices(old["quats"]), noise * old["log_scales"].exp()) * APART
+    offset = (
+        torch.einsum("nij,nj->ni", rotation_matrices(old["quats"]), noise * old["log_scales"].exp()) * APART
+    )
     old["log_scales"] = old["log_scales"] - torch.log(torch.tensor(SHRINK))
     old["logits"] = torch.logit((old["logits"].sigmoid() * DIM).clamp(1e-3, 0.999))
     halves = {name: torch.cat([value, value]) for name, value in old.items()}

@@ -130,7 +130,11 @@ def initial_points(
         raise CaptureError("init is 'points', but the dataset has no points3d.ply")
     if points is not None and kind in {"auto", "points"}:
         chosen = rng.choice(len(points.xyz), min(count, len(points.xyz)), replace=False)
-        xyz, rgb, source = points.xyz[chosen].astype(np.float32), points.rgb[chosen] / np.float32(255), "points"
+        xyz, rgb, source = (
+            points.xyz[chosen].astype(np.float32),
+            points.rgb[chosen] / np.float32(255),
+            "points",
+        )
     if xyz is None and kind in {"auto", "hull"}:
         xyz, source = hull_points(views, count, rng), "hull"
         if xyz is None and kind == "hull":

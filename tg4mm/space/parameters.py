@@ -13,12 +13,21 @@ from tg4mm.space.initial import InitialPoints
 
 SH_C0 = 0.28209479177387814
 # Learning rates of the first iteration; that of the means is per unit of the scene's extent.
-LEARNING_RATES = {"means": 4e-4, "quats": 2e-3, "log_scales": 1e-2, "logits": 3e-2, "sh0": 5e-3, "shn": 2.5e-4}
+LEARNING_RATES = {
+    "means": 4e-4,
+    "quats": 2e-3,
+    "log_scales": 1e-2,
+    "logits": 3e-2,
+    "sh0": 5e-3,
+    "shn": 2.5e-4,
+}
 _MEANS_DECAY = 0.01  # factor at the end, exponential all along
 _DECAY = 0.1  # of the others, exponential over the second half
 
 
-def initial_parameters(points: InitialPoints, sh_degree: int, generator: torch.Generator) -> dict[str, Tensor]:
+def initial_parameters(
+    points: InitialPoints, sh_degree: int, generator: torch.Generator
+) -> dict[str, Tensor]:
     """One isotropic Gaussian of opacity 0.3 on each point, as wide as the points are apart."""
     n = len(points.xyz)
     sh0 = (torch.from_numpy(points.rgb) - 0.5) / SH_C0
@@ -37,14 +46,20 @@ def activate(parameters: dict[str, Tensor]) -> Gaussians:
     """The Gaussians that the free parameters stand for; gradients flow."""
     p = parameters
     return Gaussians(
-        p["means"], p["quats"], p["log_scales"].exp(), p["logits"].sigmoid(), torch.cat([p["sh0"], p["shn"]], 1)
+        p["means"],
+        p["quats"],
+        p["log_scales"].exp(),
+        p["logits"].sigmoid(),
+        torch.cat([p["sh0"], p["shn"]], 1),
     )
 
 
 class ParameterAdam:
     """torch's fused Adam over named parameters with rows that come and go."""
 
-    def __init__(self, parameters: dict[str, Tensor], extent: float, moments: dict[str, Tensor] | None = None) -> None:
+    def __init__(
+        self, parameters: dict[str, Tensor], extent: float, moments: dict[str, Tensor] | None = None
+    ) -> None:
         """`moments` continues an earlier optimiser: what `moments()` returned."""
         self._extent = extent
         self._build(parameters, moments)

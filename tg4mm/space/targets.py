@@ -35,7 +35,9 @@ def rest_views(capture: Capture, images: ImageStack) -> RestViews:
     first = np.sort(first)
     groups = [np.flatnonzero(capture.camera_ids == capture.camera_ids[i]) for i in first]
     rgb = np.stack([np.mean([images.rgb(i) for i in group], axis=0, dtype=np.float64) for group in groups])
-    alpha = np.stack([np.mean([images.alpha(i) for i in group], axis=0, dtype=np.float64) for group in groups])
+    alpha = np.stack(
+        [np.mean([images.alpha(i) for i in group], axis=0, dtype=np.float64) for group in groups]
+    )
     return RestViews(
         viewmats=capture.viewmats[first].astype(np.float32),
         Ks=capture.Ks[first].astype(np.float32),

@@ -104,7 +104,7 @@ def _iterate(fit: _Fit, cameras: tuple[Tensor, Tensor, Tensor], config: SpaceCon
     height, width = targets.shape[1:3]
     view = render_view(activate(fit.adam.parameters), viewmats[v], Ks[v], (width, height), degree)
     loss = photometric_loss(view.rgb, targets[v], config.l2, config.dssim)
-    difference = (view.rgb.detach() - targets[v])
+    difference = view.rgb.detach() - targets[v]
     (loss + (view.carrier * difference.abs().sum(-1)).sum()).backward()
     fit.error += view.shares()
     psnr = -10 * math.log10(max(float((difference**2).mean()), 1e-10))

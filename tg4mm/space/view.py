@@ -27,7 +27,9 @@ class RenderedView:
     shares: Callable[[], Tensor]  # [N] Σ weight × gradient of the carrier; call it after backward()
 
 
-def render_view(gaussians: Gaussians, viewmat: Tensor, K: Tensor, size: tuple[int, int], degree: int) -> RenderedView:
+def render_view(
+    gaussians: Gaussians, viewmat: Tensor, K: Tensor, size: tuple[int, int], degree: int
+) -> RenderedView:
     """Render one camera (viewmat [4, 4], K [3, 3]) at size (width, height) with SH up to `degree`."""
     if gaussians.means.is_cuda:
         return _render_cuda(gaussians, viewmat, K, size, degree)
@@ -36,7 +38,9 @@ def render_view(gaussians: Gaussians, viewmat: Tensor, K: Tensor, size: tuple[in
 
     g = gaussians
     view = View(*size, NEAR, FAR, EPS2D, degree, False)
-    image, transmittance, record = rasterize_cpu(g.means, g.quats, g.scales, g.opacities, g.sh, viewmat, K, view)
+    image, transmittance, record = rasterize_cpu(
+        g.means, g.quats, g.scales, g.opacities, g.sh, viewmat, K, view
+    )
 
     def shares() -> Tensor:
         assert record.v_splats is not None, "shares() before backward()"
@@ -45,7 +49,9 @@ def render_view(gaussians: Gaussians, viewmat: Tensor, K: Tensor, size: tuple[in
     return RenderedView(image[..., :3] + WHITE * transmittance[..., None], image[..., 3], shares)
 
 
-def _render_cuda(gaussians: Gaussians, viewmat: Tensor, K: Tensor, size: tuple[int, int], degree: int) -> RenderedView:
+def _render_cuda(
+    gaussians: Gaussians, viewmat: Tensor, K: Tensor, size: tuple[int, int], degree: int
+) -> RenderedView:
     from gsplat import spherical_harmonics
 
     from tg4mm.rasterize import rasterization

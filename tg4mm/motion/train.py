@@ -1,0 +1,156 @@
+"""The motion stage, preset `modal`: one fit for all timesteps, with checkpoints and progress.
+
+For every temporal component of the images' changes, a displacement field that explains it (least squares, by
+conjugate gradients). The result is one phasor per Gaussian and DFT bin.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from tg4mm.capture import Capture, ImageStack
+from tg4mm.errors import Tg4mmError
+from tg4mm.gaussians import Gaussians
+from tg4mm.memory import peak_memory_mib
+from tg4mm.motion.config import MotionConfig
+from tg4mm.motion.differences import fixed_cameras, phasors, temporal_components
+from tg4mm.motion.linear import DOF, rest_view
+from tg4mm.motion.modal import ModalMotion
+from tg4mm.motion.neighbours import neighbourhoods
+from tg4mm.motion.problem import MotionProblem, information_scale
+from tg4mm.motion.solve import CGState, start, step
+from tg4mm.motion.triplane import sampling_matrix
+from tg4mm.progress import progress
+from tg4mm.runs import Run
+
+CHECKPOINT_EVERY_S = 20.0
+_STAGE = "motion"
+
+
+def checked(config: MotionConfig) -> MotionConfig:
+    """`config`. Raises Tg4mmError on a value out of range."""
+    checks = {
+        "components": (config.components >= 1, ">= 1"),
+        "neighbours": (math.isfinite(config.neighbours) and config.neighbours >= 0, ">= 0"),
+        "ridge": (math.isfinite(config.ridge) and config.ridge > 0, "> 0"),
+        "triplane": (8 <= config.triplane <= 512, "8 to 512"),
+        "iterations": (config.iterations >= 1, ">= 1"),
+        "tolerance": (0 < config.tolerance < 1, "between 0 and 1"),
+    }
+    for name, (good, expected) in checks.items():
+        if not good:
+            raise Tg4mmError(f"setting motion.{name} is {getattr(config, name)}, expected {expected}")
+    return config
+
+
+@dataclass
+class _Fit:
+    """Where the fit stands: `shapes` [R, N, DOF] so far, and the field being solved for."""
+
+    shapes: np.ndarray
+    component: int = 0
+    cg: CGState | None = None
+
+    def tensors(self) -> dict[str, Tensor]:
+        arrays = {"shapes": self.shapes}
+        if self.cg is not None:
+            arrays |= {"x": self.cg.x, "residual": self.cg.residual, "direction": self.cg.direction}
+        return {k: torch.from_numpy(np.ascontiguousarray(v)) for k, v in arrays.items()}
+
+    def state(self) -> dict[str, Any]:
+        cg = self.cg and {"initial": self.cg.initial, "iteration": self.cg.iteration}
+        return {"component": self.component, "cg": cg}
+
+
+def _restored(checkpoint: tuple[dict[str, Tensor], dict[str, Any]]) -> _Fit:
+    tensors, state = checkpoint
+    a = {k: v.numpy() for k, v in tensors.items()}
+    cg = state["cg"] and CGState(a["x"], a["residual"], a["direction"], **state["cg"])
+    return _Fit(a["shapes"], state["component"], cg or None)
+
+
+class _Stage:
+    """The data of one run of the stage, and its loop over components and iterations."""
+
+    def __init__(
+        self, run: Run, capture: Capture, images: ImageStack, gaussians: Gaussians, config: MotionConfig
+    ) -> None:
+        self.run, self.config = run, config
+        self.fps, self.n_timesteps = capture.fps, capture.n_timesteps
+        self.cameras = fixed_cameras(capture)
+        self.components = temporal_components(images, self.cameras, config.components)
+        size = (capture.width, capture.height)
+        views = [rest_view(gaussians, camera, size) for camera in self.cameras]
+        means = gaussians.means.numpy()
+        scale = information_scale(views, len(means), np.random.default_rng(config.seed))
+        self.problem = MotionProblem(
+            views, sampling_matrix(means, config.triplane), neighbourhoods(means), scale, config
+        )
+        self.saved = time.monotonic()
+
+    def motion(self, shapes: np.ndarray) -> ModalMotion:
+        freqs, values = phasors(self.components.basis, shapes, self.fps)
+        return ModalMotion(freqs, values[..., :3], values[..., 3:], self.fps, self.n_timesteps)
+
+    def fit(self, fit: _Fit) -> _Fit:
+        """Solve for every component that is not solved yet. One unit of progress is one iteration."""
+        most, n_components = self.config.iterations, len(self.components.basis)
+        began = fit.component * most + (fit.cg.iteration if fit.cg else 0)
+        with progress("motion stage", n_components * most, start=began) as update:
+            while fit.component < n_components:
+                self._solve(fit, update)
+        return fit
+
+    def _solve(self, fit: _Fit, update: Any) -> None:
+        """One component, from where `fit.cg` stands."""
+        base = fit.component * self.config.iterations
+        cg = fit.cg or start(self.problem.right_hand_side(self.components.images[:, fit.component]))
+        while cg.iteration < self.config.iterations and cg.relative_residual > self.config.tolerance:
+            cg = fit.cg = step(cg, self.problem.normal)
+            update(base + cg.iteration, component=fit.component + 1, residual=round(cg.relative_residual, 4))
+            if time.monotonic() - self.saved > CHECKPOINT_EVERY_S:
+                self.run.save_checkpoint(_STAGE, fit.tensors(), fit.state())
+                self.saved = time.monotonic()
+        fit.shapes[fit.component] = self.problem.field(cg.x)
+        fit.component, fit.cg = fit.component + 1, None
+        update(base + self.config.iterations)
+
+
+def train_motion(
+    run: Run, capture: Capture, images: ImageStack, config: MotionConfig, device: str = "cpu"
+) -> ModalMotion:
+    """Fit the motion of the run's Gaussians to a capture of T > 1 timesteps and save it in the run.
+
+    Works with the cameras that stay put over all timesteps. The run's log gets seconds, peak_memory_mib,
+    components, views, frequencies_hz and the share of the images' changes that the kept components hold.
+    The fit runs on the CPU whatever the device. Raises CaptureError where no camera stays put, Tg4mmError on
+    settings out of range.
+    """
+    config = checked(config)
+    began = time.monotonic()
+    gaussians = run.load_space()
+    stage = _Stage(run, capture, images, gaussians, config)
+    checkpoint = run.load_checkpoint(_STAGE)
+    n_components = len(stage.components.basis)
+    empty = np.zeros((n_components, len(gaussians), DOF), np.float32)
+    fit = stage.fit(_restored(checkpoint) if checkpoint else _Fit(empty))
+    motion = stage.motion(fit.shapes)
+    energy = stage.components.energy
+    figures = {
+        "seconds": time.monotonic() - began,
+        "peak_memory_mib": peak_memory_mib(),
+        "components": n_components,
+        "views": len(stage.cameras),
+        "n_frequencies": len(motion.freqs_hz),
+        "explained_by_components": float(energy[:n_components].sum() / max(energy.sum(), 1e-30)),
+    }
+    run.save_motion(motion, figures)
+    run.drop_checkpoint(_STAGE)
+    return motion
