@@ -30,7 +30,7 @@ class Settings:
     views: int = 30  # training cameras
     test_views: int = 5
     alphas: tuple[float, ...] = (5, 10, 20, 50)  # magnification factors of the ground truth
-    samples: int = 64  # light paths per pixel
+    samples: int = 96  # light paths per pixel
     seed: int = 0  # of the renderer
     truth: str = "test"  # splits with per-pixel truth
     points: int = 20000  # of points3d.ply

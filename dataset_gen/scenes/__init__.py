@@ -5,6 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from ..scene import Scene
-from .mic import mic
+from . import mic
 
-SCENES: dict[str, Callable[[float, float], Scene]] = {"mic": mic}
+SCENES: dict[str, Callable[[float, float], Scene]] = {"mic": mic.build}

@@ -78,19 +78,16 @@ _CABLE = [
 ]  # fmt: skip
 
 
-def mic(frequency_hz: float, amplitude: float) -> Scene:
+def build(frequency_hz: float, amplitude: float) -> Scene:
     """The microphone, bending at `frequency_hz`, its fastest point by `amplitude` scene units."""
     bending = Mode("bending", frequency_hz, amplitude, Cantilever(ROD_BASE, ROD_TOP - ROD_BASE, SWAY))
     return Scene(
         name="mic",
         parts=(*_microphone(), *_stand(), *_tripod(), *_cable()),
-        lights=(
-            AreaLight((3.2, -3.0, 3.6), 2.6, 130.0, (1.0, 0.95, 0.88)),
-            AreaLight((-4.0, -0.6, 2.2), 2.2, 60.0, (0.82, 0.9, 1.0)),
-            AreaLight((0.8, 4.2, 1.8), 2.4, 75.0, (1.0, 0.9, 0.78)),
-        ),
+        # One soft box and a sky with a strong gradient: further lamps would add noise sooner than shape.
+        lights=(AreaLight((3.2, -3.0, 3.6), 3.0, 170.0, (1.0, 0.94, 0.85)),),
         modes=(bending,),
-        sky=((0.26, 0.21, 0.18), (0.42, 0.4, 0.39), (0.62, 0.68, 0.8)),
+        sky=((0.2, 0.15, 0.12), (0.46, 0.43, 0.42), (0.8, 0.92, 1.15)),
     )
 
 
@@ -113,7 +110,7 @@ def _microphone() -> tuple[Part, ...]:
 
 
 def _weave(
-    count: int = 34, radius: float = RADIUS - 0.016, low: float = 0.22, high: float = 0.81
+    count: int = 24, radius: float = RADIUS - 0.016, low: float = 0.22, high: float = 0.81
 ) -> list[m.Mesh]:
     """The grille's side: wires at ±45° that go over and under each other in turn; `count` each way, even.
 
@@ -131,17 +128,17 @@ def _weave(
             # Number of the wire being crossed: whole at crossings; neighbours lie on opposite sides.
             crossing = (angle + height if hand > 0 else angle - height) * count / (2 * np.pi)
             crossing -= 0.0 if hand > 0 else 0.5
-            reach = radius + hand * 0.0065 * np.cos(np.pi * (crossing + number))
+            reach = radius + hand * 0.008 * np.cos(np.pi * (crossing + number))
             path = np.column_stack([reach * np.cos(angle), reach * np.sin(angle), low + radius * height])
-            wires.append(m.sweep(path, m.circle(0.0066, 5), up=path[0] * [1, 1, 0], caps=False))
+            wires.append(m.sweep(path, m.circle(0.0088, 6), up=path[0] * [1, 1, 0], caps=False))
     return wires
 
 
 def _dome() -> list[m.Mesh]:
     """The grille's front: rings and meridians on a shallow dome."""
-    base, bulge, wire = RADIUS - 0.026, 0.085, m.circle(0.007, 5)
+    base, bulge, wire = RADIUS - 0.026, 0.085, m.circle(0.0085, 6)
     wires = []
-    for ring_radius in base * np.arange(1, 6) / 6.0:
+    for ring_radius in base * np.arange(1, 5) / 5.0:
         angle = np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False)
         z = np.full_like(angle, 0.868 + bulge * (1.0 - (ring_radius / base) ** 2))
         ring = np.column_stack([ring_radius * np.cos(angle), ring_radius * np.sin(angle), z])

@@ -32,7 +32,7 @@ _STAGE = "space"
 def resolved(config: SpaceConfig, views: RestViews) -> SpaceConfig:
     """The settings with what follows from the data filled in. Raises Tg4mmError on a value out of range."""
     checks = {
-        "iterations": (config.iterations >= 1, ">= 1"),
+        "iterations": (config.iterations >= 0, ">= 0"),
         "max_gaussians": (config.max_gaussians >= 0, ">= 0"),
         "sh_degree": (0 <= config.sh_degree <= 3, "0 to 3"),
         "l2": (math.isfinite(config.l2) and config.l2 >= 0, ">= 0"),
@@ -42,10 +42,14 @@ def resolved(config: SpaceConfig, views: RestViews) -> SpaceConfig:
     for name, (good, expected) in checks.items():
         if not good:
             raise Tg4mmError(f"setting space.{name} is {getattr(config, name)}, expected {expected}")
-    if config.max_gaussians:
-        return config
     covered = float(views.alpha.sum() / len(views.alpha))
-    return replace(config, max_gaussians=int(np.clip(200 * math.sqrt(covered), 2_000, 500_000)))
+    iterations = int(np.clip(150 * covered ** (1 / 3), 1_000, 30_000))
+    most = int(np.clip(200 * math.sqrt(covered), 2_000, 500_000))
+    return replace(
+        config,
+        iterations=config.iterations or iterations,
+        max_gaussians=config.max_gaussians or most,
+    )
 
 
 @dataclass
