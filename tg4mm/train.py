@@ -12,9 +12,11 @@ import torch
 from tg4mm.capture import load_capture, load_images
 from tg4mm.errors import Tg4mmError
 from tg4mm.motion.config import MotionConfig
+from tg4mm.motion.train import checked as checked_motion
 from tg4mm.motion.train import train_motion
 from tg4mm.runs import Run
 from tg4mm.space import SpaceConfig, rest_views, train_space
+from tg4mm.space.train import checked as checked_space
 
 PRESETS = ("modal",)
 C = TypeVar("C")
@@ -67,6 +69,9 @@ def train(
         raise Tg4mmError(f"preset is {preset!r}, expected {' or '.join(PRESETS)}")
     check_device(device)
     configs = parse_settings(settings or {})
+    # before the run folder exists, which would keep the bad value, and before minutes of the space stage
+    checked_space(configs["space"])
+    checked_motion(configs["motion"])
     capture = load_capture(dataset, split="train")
     plain = {stage: dataclasses.asdict(config) for stage, config in configs.items()}
     run = Run.create(run_path, capture.root, preset, plain)

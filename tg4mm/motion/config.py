@@ -10,9 +10,9 @@ class MotionConfig:
     """How the motion is fitted. The weights are relative to what the images say about a Gaussian on average."""
 
     components: int = 16  # at most so many temporal components; fewer where the rest is noise
-    neighbours: float = 1000.0  # weight of the term that keeps neighbourhoods rigid
+    neighbours: float = 500.0  # weight of the term that keeps neighbourhoods rigid
     ridge: float = 1e-3  # weight that draws motion to zero where nothing is known
-    triplane: int = 8  # finest resolution of the motion triplane: 8, 16, 32 …
-    iterations: int = 40  # of conjugate gradients, at most, for each component
-    tolerance: float = 1e-2  # relative residual at which conjugate gradients stop
+    triplane: int = 16  # finest resolution of the motion triplane: 8, 16, 32 …
+    iterations: int = 80  # of conjugate gradients, at most, for each component
+    tolerance: float = 3e-3  # relative residual at which conjugate gradients stop
     seed: int = 0

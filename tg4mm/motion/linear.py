@@ -15,10 +15,14 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.motion.differences import FixedCamera
 from tg4mm.rasterize.kernels.binning import Bins, bin_splats, gather_gradient
 from tg4mm.rasterize.kernels.blend import blend_backward, blend_forward, blend_tangent
-from tg4mm.rasterize.kernels.layout import CA, CB, CC, FEAT, FEATURES, MX, MY, SPLAT_WIDTH
+from tg4mm.rasterize.kernels.layout import ALPHA_MIN, CA, CB, CC, FEAT, FEATURES, MX, MY, SPLAT_WIDTH
 from tg4mm.rasterize.kernels.project import empty_splats, pack_camera, project_backward, project_forward
 from tg4mm.space.view import EPS2D, FAR, NEAR
 
+# A picture's cut-off at 1/255 takes the rim off every Gaussian. The rim moves along: as a step, of which a derivative
+# inside the rim knows nothing. That would make faint Gaussians answer too weakly (by 1/255 over their opacity), so the
+# Jacobian is taken with hardly any cut-off.
+ALPHA_MIN_LINEAR = ALPHA_MIN / 30
 DOF = 6  # displacement (scene units) and rotation vector (radians, world axes)
 _COLUMNS = np.array([MX, MY, CA, CB, CC, FEAT, FEAT + 1, FEAT + 2])
 
@@ -66,7 +70,9 @@ class RestView:
         _push(self.jacobian, self._rows, _COLUMNS, motion, d_splats)
         out = np.empty((height, width, 4), np.float32)
         bins = self.bins
-        blend_tangent(self.splats, d_splats, bins.tile_start, bins.pair_gaussian, width, height, out)
+        blend_tangent(
+            self.splats, d_splats, bins.tile_start, bins.pair_gaussian, width, height, out, ALPHA_MIN_LINEAR
+        )
         return out[..., :3] + out[..., 3:]
 
     def pull(self, picture: np.ndarray, v_motion: np.ndarray) -> None:
@@ -78,7 +84,7 @@ class RestView:
         bins = self.bins
         blend_backward(
             self.splats, bins.tile_start, bins.pair_gaussian, width, height,
-            self.image, self.transmittance, v_image, np.ascontiguousarray(picture.sum(-1)), v_pairs,
+            self.image, self.transmittance, v_image, np.ascontiguousarray(picture.sum(-1)), v_pairs, ALPHA_MIN_LINEAR,
         )  # fmt: skip
         v_splats = np.empty((len(v_motion), SPLAT_WIDTH), np.float32)
         gather_gradient(bins.order, bins.n_visible, bins.gaussian_start, bins.pair_slot, v_pairs, v_splats)
@@ -101,11 +107,11 @@ def _turned_by_axes(quats: np.ndarray) -> np.ndarray:
 
 
 def rest_view(gaussians: Gaussians, camera: FixedCamera, size: tuple[int, int]) -> RestView:
-    """Render a camera (size: width, height) at rest and take its Jacobian."""
+    """A camera (size: width, height) at rest, with its Jacobian."""
     width, height = size
     means, quats, scales, opacities, sh = _arrays(gaussians)
     degree = gaussians.sh_degree
-    packed = pack_camera(camera.viewmat, camera.K, NEAR, FAR, EPS2D)
+    packed = pack_camera(camera.viewmat, camera.K, NEAR, FAR, EPS2D, ALPHA_MIN_LINEAR)
     splats = empty_splats(len(means))
     project_forward(means, quats, scales, opacities, sh, degree, False, packed, width, height, splats)
     bins = bin_splats(splats, width, height)
@@ -113,7 +119,9 @@ def rest_view(gaussians: Gaussians, camera: FixedCamera, size: tuple[int, int]) 
         np.empty((height, width, FEATURES), np.float32),
         np.empty((height, width), np.float32),
     )
-    blend_forward(splats, bins.tile_start, bins.pair_gaussian, width, height, image, transmittance)
+    blend_forward(
+        splats, bins.tile_start, bins.pair_gaussian, width, height, image, transmittance, ALPHA_MIN_LINEAR
+    )
     visible = bins.order[: bins.n_visible]
     turned = _turned_by_axes(quats)[visible]
     jacobian = np.empty((len(visible), len(_COLUMNS), DOF), np.float32)

@@ -43,6 +43,7 @@ def checked(config: MotionConfig) -> MotionConfig:
         "triplane": (8 <= config.triplane <= 512, "8 to 512"),
         "iterations": (config.iterations >= 1, ">= 1"),
         "tolerance": (0 < config.tolerance < 1, "between 0 and 1"),
+        "seed": (config.seed >= 0, ">= 0"),
     }
     for name, (good, expected) in checks.items():
         if not good:
@@ -80,7 +81,13 @@ class _Stage:
     """The data of one run of the stage, and its loop over components and iterations."""
 
     def __init__(
-        self, run: Run, capture: Capture, images: ImageStack, gaussians: Gaussians, config: MotionConfig
+        self,
+        run: Run,
+        capture: Capture,
+        images: ImageStack,
+        gaussians: Gaussians,
+        config: MotionConfig,
+        began: float,
     ) -> None:
         self.run, self.config = run, config
         self.fps, self.n_timesteps = capture.fps, capture.n_timesteps
@@ -94,6 +101,7 @@ class _Stage:
             views, sampling_matrix(means, config.triplane), neighbourhoods(means), scale, config
         )
         self.saved = time.monotonic()
+        self.began = began  # what log.json does not hold yet
 
     def motion(self, shapes: np.ndarray) -> ModalMotion:
         freqs, values = phasors(self.components.basis, shapes, self.fps)
@@ -118,6 +126,8 @@ class _Stage:
             if time.monotonic() - self.saved > CHECKPOINT_EVERY_S:
                 self.run.save_checkpoint(_STAGE, fit.tensors(), fit.state())
                 self.saved = time.monotonic()
+                self.run.record(_STAGE, {"seconds": self.saved - self.began})
+                self.began = self.saved
         fit.shapes[fit.component] = self.problem.field(cg.x)
         fit.component, fit.cg = fit.component + 1, None
         update(base + self.config.iterations)
@@ -136,7 +146,7 @@ def train_motion(
     config = checked(config)
     began = time.monotonic()
     gaussians = run.load_space()
-    stage = _Stage(run, capture, images, gaussians, config)
+    stage = _Stage(run, capture, images, gaussians, config, began)
     checkpoint = run.load_checkpoint(_STAGE)
     n_components = len(stage.components.basis)
     empty = np.zeros((n_components, len(gaussians), DOF), np.float32)
@@ -144,7 +154,7 @@ def train_motion(
     motion = stage.motion(fit.shapes)
     energy = stage.components.energy
     figures = {
-        "seconds": time.monotonic() - began,
+        "seconds": time.monotonic() - stage.began,
         "peak_memory_mib": peak_memory_mib(),
         "components": n_components,
         "views": len(stage.cameras),

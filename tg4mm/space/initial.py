@@ -11,6 +11,7 @@ from tg4mm.capture import SurfacePoints
 from tg4mm.errors import CaptureError
 from tg4mm.space.targets import RestViews
 
+INITS = ("auto", "points", "hull", "random")
 HULL_GRID = 144  # cells along the longest side of the hull's box
 
 
@@ -123,8 +124,8 @@ def initial_points(
 
     Raises CaptureError where the asked-for source is not there.
     """
-    if kind not in {"auto", "points", "hull", "random"}:
-        raise CaptureError(f"init is {kind!r}, expected auto, points, hull or random")
+    if kind not in INITS:
+        raise CaptureError(f"init is {kind!r}, expected {', '.join(INITS)}")
     xyz, rgb, source = None, None, kind
     if kind == "points" and points is None:
         raise CaptureError("init is 'points', but the dataset has no points3d.ply")

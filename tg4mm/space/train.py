@@ -19,7 +19,7 @@ from tg4mm.progress import progress
 from tg4mm.runs import Run
 from tg4mm.space.config import SpaceConfig
 from tg4mm.space.density import control_density, is_due
-from tg4mm.space.initial import initial_points, working_box
+from tg4mm.space.initial import INITS, initial_points, working_box
 from tg4mm.space.losses import photometric_loss
 from tg4mm.space.parameters import ParameterAdam, activate, initial_parameters
 from tg4mm.space.targets import RestViews
@@ -29,19 +29,27 @@ CHECKPOINT_EVERY_S = 20.0
 _STAGE = "space"
 
 
-def resolved(config: SpaceConfig, views: RestViews) -> SpaceConfig:
-    """The settings with what follows from the data filled in. Raises Tg4mmError on a value out of range."""
+def checked(config: SpaceConfig) -> SpaceConfig:
+    """`config`. Raises Tg4mmError on a value out of range."""
     checks = {
         "iterations": (config.iterations >= 0, ">= 0"),
-        "max_gaussians": (config.max_gaussians >= 0, ">= 0"),
+        "max_gaussians": (config.max_gaussians == 0 or config.max_gaussians >= 4, "0 or >= 4"),
         "sh_degree": (0 <= config.sh_degree <= 3, "0 to 3"),
         "l2": (math.isfinite(config.l2) and config.l2 >= 0, ">= 0"),
         "dssim": (0 <= config.dssim <= 1, "0 to 1"),
+        "init": (config.init in INITS, ", ".join(INITS)),
         "init_points": (config.init_points >= 4, ">= 4"),
+        "seed": (config.seed >= 0, ">= 0"),
     }
     for name, (good, expected) in checks.items():
         if not good:
             raise Tg4mmError(f"setting space.{name} is {getattr(config, name)}, expected {expected}")
+    return config
+
+
+def resolved(config: SpaceConfig, views: RestViews) -> SpaceConfig:
+    """The settings with what follows from the data filled in. Raises Tg4mmError on a value out of range."""
+    config = checked(config)
     covered = float(views.alpha.sum() / len(views.alpha))
     iterations = int(np.clip(150 * covered ** (1 / 3), 1_000, 30_000))
     most = int(np.clip(200 * math.sqrt(covered), 2_000, 500_000))

@@ -59,12 +59,14 @@ def _live_rows(state, live):
 
 
 @njit(parallel=True, fastmath=True, cache=True)
-def blend_forward(splats, tile_start, pair_gaussian, width, height, image, transmittance):
+def blend_forward(
+    splats, tile_start, pair_gaussian, width, height, image, transmittance, alpha_min=ALPHA_MIN
+):
     """Composite. `image` [H, W, FEATURES] and `transmittance` [H, W] are written; no background is added."""
     n_x = (width + TILE - 1) // TILE
     n_y = (height + TILE - 1) // TILE
     one, half = float32(1.0), float32(0.5)
-    alpha_min, alpha_max, t_min = float32(ALPHA_MIN), float32(ALPHA_MAX), float32(T_MIN)
+    alpha_min, alpha_max, t_min = float32(alpha_min), float32(ALPHA_MAX), float32(T_MIN)
     for tile in prange(n_x * n_y):
         state = np.zeros((1 + FEATURES, TILE, TILE), np.float32)
         state[0] = one
@@ -108,8 +110,9 @@ def blend_forward(splats, tile_start, pair_gaussian, width, height, image, trans
 
 @njit(parallel=True, fastmath=True, cache=True)
 def blend_backward(
-    splats, tile_start, pair_gaussian, width, height, image, transmittance, v_image, v_transmittance, v_pairs
-):
+    splats, tile_start, pair_gaussian, width, height, image, transmittance, v_image, v_transmittance, v_pairs,
+    alpha_min=ALPHA_MIN,
+):  # fmt: skip
     """Gradient of every (tile, Gaussian) pair, to `v_pairs` [P, FEAT + FEATURES], in the columns of `splats`.
 
     v_image [H, W, FEATURES] and v_transmittance [H, W] are the loss's gradients by what blend_forward wrote.
@@ -117,7 +120,7 @@ def blend_backward(
     n_x = (width + TILE - 1) // TILE
     n_y = (height + TILE - 1) // TILE
     one, half, zero = float32(1.0), float32(0.5), float32(0.0)
-    alpha_min, alpha_max, t_min = float32(ALPHA_MIN), float32(ALPHA_MAX), float32(T_MIN)
+    alpha_min, alpha_max, t_min = float32(alpha_min), float32(ALPHA_MAX), float32(T_MIN)
     for tile in prange(n_x * n_y):
         # planes: transmittance, what is still to come (as seen by the loss), gradient by the features
         state = np.zeros((2 + FEATURES, TILE, TILE), np.float32)
@@ -210,7 +213,7 @@ def blend_backward(
 
 
 @njit(parallel=True, fastmath=True, cache=True)
-def blend_tangent(splats, d_splats, tile_start, pair_gaussian, width, height, d_image):
+def blend_tangent(splats, d_splats, tile_start, pair_gaussian, width, height, d_image, alpha_min=ALPHA_MIN):
     """Forward mode: how the composite changes when `splats` moves along `d_splats` [N, FEAT + 3].
 
     d_image [H, W, 4] is written: change of the first three features and of the transmittance. Opacity is held
@@ -219,7 +222,7 @@ def blend_tangent(splats, d_splats, tile_start, pair_gaussian, width, height, d_
     n_x = (width + TILE - 1) // TILE
     n_y = (height + TILE - 1) // TILE
     one, half, zero = float32(1.0), float32(0.5), float32(0.0)
-    alpha_min, alpha_max, t_min = float32(ALPHA_MIN), float32(ALPHA_MAX), float32(T_MIN)
+    alpha_min, alpha_max, t_min = float32(alpha_min), float32(ALPHA_MAX), float32(T_MIN)
     for tile in prange(n_x * n_y):
         # planes: transmittance, its tangent, tangents of three features
         state = np.zeros((5, TILE, TILE), np.float32)

@@ -13,9 +13,11 @@ CC: Final = 4
 OP: Final = 5  # opacity
 FEAT: Final = 6  # first of the FEATURES blended channels (colour, depth)
 FEATURES: Final = 4
-POWER: Final = 10  # ln(255 · opacity): blending skips what lies further out; <= 0 means invisible
+POWER: Final = 10  # ln(opacity / alpha_min): blending skips what lies further out; <= 0 means invisible
 DEPTH: Final = 11  # z in the camera, scene units
-EX: Final = 12  # half extents in x and y of the ellipse inside which alpha >= 1/255, pixels; kept, because
+EX: Final = (
+    12  # half extents in x and y of the ellipse inside which alpha >= alpha_min, pixels; kept, because
+)
 EY: Final = 13  # from the conic of a thin ellipse they would be lost to cancellation
 SPLAT_WIDTH: Final = 14
 

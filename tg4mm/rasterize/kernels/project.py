@@ -10,6 +10,7 @@ import numpy as np
 from numba import float32, njit, prange
 
 from tg4mm.rasterize.kernels.layout import (
+    ALPHA_MIN,
     CA,
     CB,
     CC,
@@ -28,16 +29,16 @@ from tg4mm.rasterize.kernels.sh import basis, basis_vjp
 
 # Columns of `camera` [20] float32.
 _FX, _FY, _CX, _CY = 12, 13, 14, 15  # after W row-major (0..8) and t (9..11)
-_NEAR, _FAR, _EPS2D = 16, 17, 18
+_NEAR, _FAR, _EPS2D, _ALPHA_MIN = 16, 17, 18, 19
 
 
-def pack_camera(viewmat, K, near, far, eps2d):
+def pack_camera(viewmat, K, near, far, eps2d, alpha_min=ALPHA_MIN):
     """Pack one camera: viewmat [4, 4] world-to-camera and K [3, 3] in pixels, to [20] float32."""
     cam = np.zeros(20, np.float32)
     cam[:9] = viewmat[:3, :3].ravel()
     cam[9:12] = viewmat[:3, 3]
     cam[12:16] = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
-    cam[16:19] = near, min(far, 3e38), eps2d
+    cam[16:20] = near, min(far, 3e38), eps2d, alpha_min
     return cam
 
 
@@ -94,7 +95,7 @@ def project_forward(
             splats[i, POWER] = float32(-1.0)
             mx, my, mz = means[i, 0], means[i, 1], means[i, 2]
             x, y, z = _camera_space(cam, mx, my, mz)
-            power = math.log(max(opacities[i], float32(1e-20)) * float32(255.0))
+            power = math.log(max(opacities[i], float32(1e-20)) / cam[_ALPHA_MIN])
             if not (z > cam[_NEAR] and z < cam[_FAR] and power > float32(0.0)):
                 continue
             r00, r01, r02, r10, r11, r12, r20, r21, r22, _, _, _, _, _ = _rotation(quats, i)
