@@ -7,9 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-import torch
-
 from tg4mm.capture import load_capture, load_images
+from tg4mm.device import check_device
 from tg4mm.errors import Tg4mmError
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.train import checked as checked_motion
@@ -41,15 +40,6 @@ def parse_settings(pairs: Mapping[str, str]) -> dict[str, Any]:
         except ValueError:
             raise Tg4mmError(f"setting {name} is {text!r}, expected {kind.__name__}") from None
     return {stage: config(**chosen[stage]) for stage, config in _STAGES.items()}
-
-
-def check_device(device: str) -> str:
-    """`device` if it can be used. Raises Tg4mmError for an unknown one, or cuda where there is none."""
-    if device not in {"cpu", "cuda"}:
-        raise Tg4mmError(f"device is {device!r}, expected cpu or cuda")
-    if device == "cuda" and not torch.cuda.is_available():
-        raise Tg4mmError("device is cuda, but torch finds no CUDA device here")
-    return device
 
 
 def train(

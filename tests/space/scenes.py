@@ -36,7 +36,9 @@ def rays(viewmat: np.ndarray, K: np.ndarray, size: int) -> tuple[np.ndarray, np.
     x, y = np.meshgrid(np.arange(size) + 0.5, np.arange(size) + 0.5)
     cam = np.stack([(x - K[0, 2]) / K[0, 0], (y - K[1, 2]) / K[1, 1], np.ones_like(x)], -1)
     directions = cam @ viewmat[:3, :3]
-    return -viewmat[:3, :3].T @ viewmat[:3, 3], directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+    return -viewmat[:3, :3].T @ viewmat[:3, 3], directions / np.linalg.norm(
+        directions, axis=-1, keepdims=True
+    )
 
 
 def capsule_mask(
@@ -51,7 +53,9 @@ def capsule_mask(
     return np.linalg.norm(to - (to * d).sum(-1, keepdims=True) * d, axis=-1) < radius
 
 
-def views_of(viewmats: np.ndarray, K: np.ndarray, alpha: np.ndarray, rgb: np.ndarray | None = None) -> RestViews:
+def views_of(
+    viewmats: np.ndarray, K: np.ndarray, alpha: np.ndarray, rgb: np.ndarray | None = None
+) -> RestViews:
     """RestViews of masks alpha [V, H, W]; white pictures unless rgb [V, H, W, 3] is given."""
     rgb = np.ones((*alpha.shape, 3)) if rgb is None else rgb
     return RestViews(

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from tg4mm.cli.device import Device, DeviceOption
 from tg4mm.errors import Tg4mmError
 
 
@@ -31,18 +32,27 @@ def evaluate(
             help="Local file(s) with AlexNet trunk and LPIPS heads; without them no LPIPS is given."
         ),
     ] = None,
+    device: DeviceOption = Device.cpu,
 ) -> None:
     """Score a run against its dataset's ground truth.
 
     PSNR (dB), SSIM, FLIP and LPIPS on the test cameras, and the displacement error, each beside what "nothing
-    moves" scores and, where the exact motion is known, beside the ceiling.
+    moves" scores and, where the exact motion is known, beside the ceiling. With --device cuda the pictures are
+    rendered there; the metrics are computed on the CPU.
     """
     wanted = parse_alphas(alphas)
+    from tg4mm.device import check_device
     from tg4mm.evaluate import evaluate_run, format_table
     from tg4mm.runs import Run
 
+    check_device(device.value)
     metrics = evaluate_run(
-        Run.open(run), alphas=wanted, out=out, band=band, lpips_weights=lpips_weights or None
+        Run.open(run),
+        alphas=wanted,
+        out=out,
+        band=band,
+        lpips_weights=lpips_weights or None,
+        device=device.value,
     )
     typer.echo(format_table(metrics), nl=False)
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from tg4mm.cli.device import Device, DeviceOption
 from tg4mm.errors import Tg4mmError
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ def render(
     orbit: Annotated[int | None, typer.Option(min=1, help="Pictures of one turn around the scene.")] = None,
     slow: Annotated[float, typer.Option(help="Slow motion: 2 plays at half speed.")] = 1.0,
     video: Annotated[bool, typer.Option(help="Also write an mp4 for each camera.")] = True,
+    device: DeviceOption = Device.cpu,
 ) -> None:
     """Render pictures and videos of a run, its motion magnified.
 
@@ -50,18 +52,20 @@ def render(
         raise Tg4mmError(f"{given[0]} and {given[1]} exclude each other")
     if orbit is not None and not video:
         raise Tg4mmError("--no-video and --orbit exclude each other: an orbit is a video")
+    from tg4mm.device import check_device
     from tg4mm.render import RenderRequest, render_orbit, render_sequence
     from tg4mm.runs import Run
 
+    check_device(device.value)
     opened = Run.open(run)
     request = RenderRequest(alpha=alpha, band=band, slow=slow)
     if orbit is not None:
-        render_orbit(opened, orbit_cameras(opened, orbit), request, out)
+        render_orbit(opened, orbit_cameras(opened, orbit), request, out, device=device.value)
     else:
         chosen = (
             split_cameras(opened, split or Split.test) if cameras is None else file_cameras(opened, cameras)
         )
-        render_sequence(opened, chosen, request, out, video=video)
+        render_sequence(opened, chosen, request, out, video=video, device=device.value)
     typer.echo(str(out))
 
 

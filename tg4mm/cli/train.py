@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from tg4mm.cli.device import Device, DeviceOption
 from tg4mm.errors import Tg4mmError
 
 
@@ -16,13 +17,6 @@ class Preset(StrEnum):
     """How motion is modelled; see docs/method.md."""
 
     modal = "modal"
-
-
-class Device(StrEnum):
-    """Where tensors live."""
-
-    cpu = "cpu"
-    cuda = "cuda"
 
 
 def train(
@@ -34,7 +28,7 @@ def train(
     preset: Annotated[
         Preset, typer.Option(help="modal: one fit of complex modes to all timesteps.")
     ] = Preset.modal,
-    device: Annotated[Device, typer.Option(help="cuda needs the extra `cuda` (gsplat).")] = Device.cpu,
+    device: DeviceOption = Device.cpu,
     settings: Annotated[
         list[str] | None,
         typer.Option(

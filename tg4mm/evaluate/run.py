@@ -64,6 +64,7 @@ def evaluate_run(
 
     `alphas`: magnification factors with ground truth, None for all there are; 0, the test split itself, is
     always scored. `band` (Hz): what "ours" magnifies, None for all frequencies; ground truth magnifies all.
+    `device`: where pictures are rendered; metrics are computed on the CPU, so each picture is brought there once.
     `lpips_weights`: see `tg4mm.evaluate.lpips`. `use_cache=False` scores every image anew (same numbers,
     slower).
 

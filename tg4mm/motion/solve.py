@@ -1,26 +1,30 @@
-"""Conjugate gradients that can be stopped and taken up again."""
+"""Conjugate gradients that can be stopped and taken up again, on numpy arrays or torch tensors."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+import torch
+
+Array = Any  # np.ndarray or Tensor; a state holds one kind
 
 
 @dataclass(frozen=True)
 class CGState:
     """Where the solution of A x = b stands."""
 
-    x: np.ndarray
-    residual: np.ndarray  # b − A x
-    direction: np.ndarray
+    x: Array
+    residual: Array  # b − A x
+    direction: Array
     initial: float  # |b|²
     iteration: int = 0
 
     @property
     def squared_residual(self) -> float:
-        return float((self.residual.astype(np.float64) ** 2).sum())
+        return _inner(self.residual, self.residual)
 
     @property
     def relative_residual(self) -> float:
@@ -28,24 +32,45 @@ class CGState:
         return (self.squared_residual / self.initial) ** 0.5 if self.initial > 0 else 0.0
 
 
-def start(b: np.ndarray) -> CGState:
+def start(b: Array) -> CGState:
     """From x = 0."""
-    return CGState(np.zeros_like(b), b, b, float((b.astype(np.float64) ** 2).sum()))
+    zero = np.zeros_like(b) if isinstance(b, np.ndarray) else torch.zeros_like(b)
+    return CGState(zero, b, b, _inner(b, b))
 
 
-def step(state: CGState, operator: Callable[[np.ndarray], np.ndarray]) -> CGState:
+def step(state: CGState, operator: Callable[[Array], Array]) -> CGState:
     """One iteration; `operator` is symmetric and positive. Returns the state unchanged once it is exact."""
     before = state.squared_residual
     if before == 0:
         return state
     image = operator(state.direction)
-    length = before / float((state.direction.astype(np.float64) * image).sum())
-    residual = (state.residual - length * image).astype(state.x.dtype)
+    length = before / _inner(state.direction, image)
+    residual = _cast(state.residual - length * image, state.x)
     new = replace(
         state,
-        x=(state.x + length * state.direction).astype(state.x.dtype),
+        x=_cast(state.x + length * state.direction, state.x),
         residual=residual,
         iteration=state.iteration + 1,
     )
     turn = new.squared_residual / before
-    return replace(new, direction=(residual + turn * state.direction).astype(state.x.dtype))
+    return replace(new, direction=_cast(residual + turn * state.direction, state.x))
+
+
+def placed(state: CGState, device: str) -> CGState:
+    """The state on a torch device; arrays stay arrays on the CPU."""
+    if device == "cpu":
+        return state
+    x, residual, direction = (
+        torch.from_numpy(a).to(device) for a in (state.x, state.residual, state.direction)
+    )
+    return replace(state, x=x, residual=residual, direction=direction)
+
+
+def _inner(a: Array, b: Array) -> float:
+    """Σ a b, summed in float64."""
+    wide = a.astype(np.float64) if isinstance(a, np.ndarray) else a.double()
+    return float((wide * b).sum())
+
+
+def _cast(a: Array, like: Array) -> Array:
+    return a.astype(like.dtype) if isinstance(a, np.ndarray) else a.to(like.dtype)

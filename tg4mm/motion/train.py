@@ -16,16 +16,18 @@ import torch
 from torch import Tensor
 
 from tg4mm.capture import Capture, ImageStack
+from tg4mm.device import gpu_figures, reset_gpu_peak
 from tg4mm.errors import Tg4mmError
 from tg4mm.gaussians import Gaussians
 from tg4mm.memory import peak_memory_mib
 from tg4mm.motion.config import MotionConfig
+from tg4mm.motion.device import DeviceProblem
 from tg4mm.motion.differences import fixed_cameras, phasors, temporal_components
 from tg4mm.motion.linear import DOF, rest_view
 from tg4mm.motion.modal import ModalMotion
 from tg4mm.motion.neighbours import neighbourhoods
 from tg4mm.motion.problem import MotionProblem, information_scale
-from tg4mm.motion.solve import CGState, start, step
+from tg4mm.motion.solve import CGState, placed, start, step
 from tg4mm.motion.triplane import sampling_matrix
 from tg4mm.progress import progress
 from tg4mm.runs import Run
@@ -63,18 +65,24 @@ class _Fit:
         arrays = {"shapes": self.shapes}
         if self.cg is not None:
             arrays |= {"x": self.cg.x, "residual": self.cg.residual, "direction": self.cg.direction}
-        return {k: torch.from_numpy(np.ascontiguousarray(v)) for k, v in arrays.items()}
+        return {k: torch.from_numpy(_on_cpu(v)) for k, v in arrays.items()}
 
     def state(self) -> dict[str, Any]:
         cg = self.cg and {"initial": self.cg.initial, "iteration": self.cg.iteration}
         return {"component": self.component, "cg": cg}
 
 
-def _restored(checkpoint: tuple[dict[str, Tensor], dict[str, Any]]) -> _Fit:
+def _restored(checkpoint: tuple[dict[str, Tensor], dict[str, Any]], device: str = "cpu") -> _Fit:
     tensors, state = checkpoint
     a = {k: v.numpy() for k, v in tensors.items()}
-    cg = state["cg"] and CGState(a["x"], a["residual"], a["direction"], **state["cg"])
-    return _Fit(a["shapes"], state["component"], cg or None)
+    cg = None
+    if state["cg"]:
+        cg = placed(CGState(a["x"], a["residual"], a["direction"], **state["cg"]), device)
+    return _Fit(a["shapes"], state["component"], cg)
+
+
+def _on_cpu(values: np.ndarray | Tensor) -> np.ndarray:
+    return np.ascontiguousarray(values if isinstance(values, np.ndarray) else values.cpu().numpy())
 
 
 class _Stage:
@@ -88,8 +96,9 @@ class _Stage:
         gaussians: Gaussians,
         config: MotionConfig,
         began: float,
+        device: str = "cpu",
     ) -> None:
-        self.run, self.config = run, config
+        self.run, self.config, self.device = run, config, device
         self.fps, self.n_timesteps = capture.fps, capture.n_timesteps
         self.cameras = fixed_cameras(capture)
         self.components = temporal_components(images, self.cameras, config.components)
@@ -97,8 +106,11 @@ class _Stage:
         views = [rest_view(gaussians, camera, size) for camera in self.cameras]
         means = gaussians.means.numpy()
         scale = information_scale(views, len(means), np.random.default_rng(config.seed))
-        self.problem = MotionProblem(
+        problem = MotionProblem(
             views, sampling_matrix(means, config.triplane), neighbourhoods(means), scale, config
+        )
+        self.problem: MotionProblem | DeviceProblem = (
+            problem if device == "cpu" else DeviceProblem(problem, device)
         )
         self.saved = time.monotonic()
         self.began = began  # what log.json does not hold yet
@@ -128,7 +140,7 @@ class _Stage:
                 self.saved = time.monotonic()
                 self.run.record(_STAGE, {"seconds": self.saved - self.began})
                 self.began = self.saved
-        fit.shapes[fit.component] = self.problem.field(cg.x)
+        fit.shapes[fit.component] = _on_cpu(self.problem.field(cg.x))
         fit.component, fit.cg = fit.component + 1, None
         update(base + self.config.iterations)
 
@@ -140,22 +152,25 @@ def train_motion(
 
     Works with the cameras that stay put over all timesteps. The run's log gets seconds, peak_memory_mib,
     components, views, frequencies_hz and the share of the images' changes that the kept components hold.
-    The fit runs on the CPU whatever the device. Raises CaptureError where no camera stays put, Tg4mmError on
-    settings out of range.
+    On CUDA the iterations run there (`device.py`); reading the images, their components, the neighbourhoods and one
+    projection of each view are done once on the CPU. Raises CaptureError where no camera stays put, Tg4mmError on
+    settings out of range or where the device's memory is too small.
     """
     config = checked(config)
     began = time.monotonic()
     gaussians = run.load_space()
-    stage = _Stage(run, capture, images, gaussians, config, began)
+    reset_gpu_peak(device)
+    stage = _Stage(run, capture, images, gaussians, config, began, device)
     checkpoint = run.load_checkpoint(_STAGE)
     n_components = len(stage.components.basis)
     empty = np.zeros((n_components, len(gaussians), DOF), np.float32)
-    fit = stage.fit(_restored(checkpoint) if checkpoint else _Fit(empty))
+    fit = stage.fit(_restored(checkpoint, device) if checkpoint else _Fit(empty))
     motion = stage.motion(fit.shapes)
     energy = stage.components.energy
     figures = {
         "seconds": time.monotonic() - stage.began,
         "peak_memory_mib": peak_memory_mib(),
+        **gpu_figures(device),
         "components": n_components,
         "views": len(stage.cameras),
         "n_frequencies": len(motion.freqs_hz),

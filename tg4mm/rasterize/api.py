@@ -7,7 +7,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from tg4mm.errors import Tg4mmError
 from tg4mm.rasterize.kernels.layout import FEATURES
 
 RENDER_MODES = ("RGB", "D", "ED", "RGB+D", "RGB+ED")
@@ -74,7 +73,9 @@ def rasterization(
     if width < 1 or height < 1:
         raise ValueError(f"image size is {width}×{height}, expected at least 1×1")
     if means.is_cuda:
-        return _gsplat(
+        from tg4mm.rasterize.cuda import rasterize_cuda
+
+        return rasterize_cuda(
             means, quats, scales, opacities, colors, viewmats, Ks, width, height,
             near_plane=near_plane, far_plane=far_plane, eps2d=eps2d,
             sh_degree=sh_degree, backgrounds=backgrounds, render_mode=render_mode,
@@ -131,11 +132,3 @@ def _cpu_view(
         depth = image[..., FEATURES - 1 :]
         parts.append(depth / alpha.clamp_min(1e-10) if "ED" in render_mode else depth)
     return parts[0] if len(parts) == 1 else torch.cat(parts, -1), alpha, records
-
-
-def _gsplat(*args: Any, **kwargs: Any) -> tuple[Tensor, Tensor, dict[str, Any]]:
-    try:
-        from gsplat import rasterization as gsplat_rasterization
-    except ImportError as error:
-        raise Tg4mmError('device cuda needs gsplat: pip install "tg4mm[cuda]"') from error
-    return gsplat_rasterization(*args, packed=False, **kwargs)

@@ -44,13 +44,14 @@ def render_sequence(
     out: Path,
     timesteps: Sequence[int] | None = None,
     video: bool = True,
+    device: str = "cpu",
 ) -> Path:
     """Write OUT/<t>/<camera>.png for every timestep (default: all) and camera, and OUT/<camera>.mp4.
 
-    Pictures that are complete are kept. Raises RunError where OUT holds another request, where the run has
-    no motion but alpha is not 0, or where a timestep does not exist.
+    Pictures that are complete are kept, whatever device they come from. Raises RunError where OUT holds another
+    request, where the run has no motion but alpha is not 0, or where a timestep does not exist.
     """
-    pose, n_timesteps, fps = pose_of(run, request)
+    pose, n_timesteps, fps = pose_of(run, request, device)
     wanted = list(range(n_timesteps)) if timesteps is None else [int(t) for t in timesteps]
     for t in wanted:
         if not 0 <= t < n_timesteps:
@@ -67,13 +68,15 @@ def render_sequence(
     return out
 
 
-def render_orbit(run: Run, cameras: Sequence[Camera], request: RenderRequest, out: Path) -> Path:
+def render_orbit(
+    run: Run, cameras: Sequence[Camera], request: RenderRequest, out: Path, device: str = "cpu"
+) -> Path:
     """Write OUT/r_000.png …, one per camera, while time runs on, and OUT/orbit.mp4.
 
     The motion is a function of time, so slow motion has its own frames in between: frame i shows the
     time i / slow and plays at the capture's frame rate. Past the capture's last timestep the modes go on.
     """
-    pose, _, fps = pose_of(run, request)
+    pose, _, fps = pose_of(run, request, device)
     claim(out, run, request, cameras, "orbit")
     jobs = [(i / request.slow, camera, out / f"{camera.name}.png") for i, camera in enumerate(cameras)]
     render_missing(jobs, pose, request, f"orbit, α = {request.alpha:g}")
@@ -83,12 +86,12 @@ def render_orbit(run: Run, cameras: Sequence[Camera], request: RenderRequest, ou
     return out
 
 
-def pose_of(run: Run, request: RenderRequest) -> tuple[Pose, int, float]:
-    """The magnified Gaussians as a function of the timestep, the number of timesteps, and fps in Hz."""
-    from tg4mm.motion.apply import moved
+def pose_of(run: Run, request: RenderRequest, device: str = "cpu") -> tuple[Pose, int, float]:
+    """The magnified Gaussians (on `device`) as a function of the timestep, the number of timesteps, and fps in Hz."""
+    from tg4mm.motion.apply import mover
 
     _check(request)
-    gaussians = run.load_space()
+    gaussians = run.load_space().to(device)
     motion = run.load_motion()
     if motion is None:
         if request.alpha != 0:
@@ -99,7 +102,8 @@ def pose_of(run: Run, request: RenderRequest) -> tuple[Pose, int, float]:
     band = request.band
     if band is not None:
         check_band(band, motion.fps)
-    return (lambda t: moved(gaussians, motion, t, request.alpha, band)), motion.n_timesteps, motion.fps
+    at = mover(gaussians, motion)
+    return (lambda t: at(t, request.alpha, band)), motion.n_timesteps, motion.fps
 
 
 def _check(request: RenderRequest) -> None:

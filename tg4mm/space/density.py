@@ -39,13 +39,18 @@ def is_due(iteration: int, iterations: int) -> bool:
 
 
 def split_rows(parameters: dict[str, Tensor], rows: Tensor, generator: torch.Generator) -> dict[str, Tensor]:
-    """Two narrower Gaussians for each of `rows`, on either side of it along a random point drawn from it."""
+    """Two narrower Gaussians for each of `rows`, on either side of it along a random point drawn from it.
+
+    The generator's device may be another than the parameters'.
+    """
     old = {name: p.detach()[rows] for name, p in parameters.items()}
-    noise = torch.randn(len(rows), 3, generator=generator).to(old["means"].device)
+    noise = torch.randn(len(rows), 3, generator=generator, device=generator.device).to(old["means"].device)
     offset = (
         torch.einsum("nij,nj->ni", rotation_matrices(old["quats"]), noise * old["log_scales"].exp()) * APART
     )
-    old["log_scales"] = old["log_scales"] - torch.log(torch.tensor(SHRINK))
+    old["log_scales"] = old["log_scales"] - torch.log(
+        torch.tensor(SHRINK)
+    )  # a CPU scalar goes with any device
     old["logits"] = torch.logit((old["logits"].sigmoid() * DIM).clamp(1e-3, 0.999))
     halves = {name: torch.cat([value, value]) for name, value in old.items()}
     halves["means"] = torch.cat([old["means"] + offset, old["means"] - offset])
@@ -55,14 +60,17 @@ def split_rows(parameters: dict[str, Tensor], rows: Tensor, generator: torch.Gen
 def control_density(
     adam: ParameterAdam, error: Tensor, extent: float, max_gaussians: int, generator: torch.Generator
 ) -> DensityChange:
-    """One round. `error` [N]: each Gaussian's share of the error since the last round."""
+    """One round. `error` [N]: each Gaussian's share of the error since the last round.
+
+    Chances are drawn where the generator lives; beside it, only counts leave the device.
+    """
     p = adam.parameters
     with torch.no_grad():
         alive = (p["logits"].sigmoid() >= FADED) & (p["log_scales"].exp().amax(1) <= HUGE * extent)
         n_alive = int(alive.sum())
         removed = len(alive) - n_alive
         room = min(max_gaussians - n_alive, int(GROWTH * len(alive)) + removed)
-        chance = torch.where(alive, error.clamp_min(0), torch.zeros_like(error)).cpu()
+        chance = torch.where(alive, error.clamp_min(0), torch.zeros_like(error)).to(generator.device)
         room = min(room, int((chance > 0).sum()))
         if room > 0:
             chosen = torch.multinomial(chance, room, replacement=False, generator=generator).to(alive.device)

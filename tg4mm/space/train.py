@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from tg4mm.capture import SurfacePoints
+from tg4mm.device import full_precision, gpu_figures, reset_gpu_peak
 from tg4mm.errors import Tg4mmError
 from tg4mm.gaussians import Gaussians
 from tg4mm.memory import peak_memory_mib
@@ -26,6 +27,7 @@ from tg4mm.space.targets import RestViews
 from tg4mm.space.view import render_view
 
 CHECKPOINT_EVERY_S = 20.0
+SHOW_EVERY_S = 0.25  # a figure shown is a number fetched from the device, for which the host waits
 _STAGE = "space"
 
 
@@ -66,30 +68,45 @@ class _Fit:
 
     adam: ParameterAdam
     error: Tensor  # [N] shares since the last density control
-    generator: torch.Generator
+    psnr: Tensor  # [] float64, running mean over training views, dB
+    generator: torch.Generator  # on the CPU: the order of the views
+    draws: torch.Generator  # on the device: density control; on the CPU the same one
     iteration: int = 0
     order: list[int] = field(default_factory=list)  # views left in this round
-    psnr: float = 0.0  # running mean over training views
 
     def tensors(self) -> dict[str, Tensor]:
         moments = {f"adam.{k}": v for k, v in self.adam.moments().items()}
         rest = {"error": self.error, "generator": self.generator.get_state()}
+        if self.draws is not self.generator:
+            rest["draws"] = self.draws.get_state()
         return {k: v.detach().cpu().contiguous() for k, v in (self.adam.parameters | moments | rest).items()}
 
     def state(self, extent: float) -> dict[str, Any]:
-        return {"iteration": self.iteration, "order": self.order, "psnr": self.psnr, "extent": extent}
+        return {"iteration": self.iteration, "order": self.order, "psnr": float(self.psnr), "extent": extent}
+
+
+def _draws(generator: torch.Generator, device: str, state: Tensor | None = None) -> torch.Generator:
+    """The generator of density control. Without a state (a run that comes from another device) it starts anew."""
+    if device == "cpu":
+        return generator
+    draws = torch.Generator(device).manual_seed(generator.initial_seed())
+    if state is not None:
+        draws.set_state(state)
+    return draws
 
 
 def _restored(checkpoint: tuple[dict[str, Tensor], dict[str, Any]], device: str) -> tuple[_Fit, float]:
     tensors, state = checkpoint
     generator = torch.Generator()
     generator.set_state(tensors.pop("generator"))
+    draws = _draws(generator, device, tensors.pop("draws", None))
     error = tensors.pop("error").to(device)
+    psnr = torch.tensor(state["psnr"], dtype=torch.float64, device=device)
     moments = {k.removeprefix("adam."): tensors.pop(k) for k in list(tensors) if k.startswith("adam.")}
     moments = {k: v if k == "step" and device == "cpu" else v.to(device) for k, v in moments.items()}
     parameters = {k: v.to(device) for k, v in tensors.items()}
     adam = ParameterAdam(parameters, state["extent"], moments or None)
-    return _Fit(adam, error, generator, state["iteration"], state["order"], state["psnr"]), state["extent"]
+    return _Fit(adam, error, psnr, generator, draws, state["iteration"], state["order"]), state["extent"]
 
 
 def _started(
@@ -102,11 +119,17 @@ def _started(
     extent = min(extent, 2 * working_box(views)[1]) or 1.0
     parameters = {k: v.to(device) for k, v in initial_parameters(first, config.sh_degree, generator).items()}
     adam = ParameterAdam(parameters, extent)
-    return _Fit(adam, torch.zeros(len(first.xyz), device=device), generator), extent, first.source
+    error = torch.zeros(len(first.xyz), device=device)
+    psnr = torch.zeros((), dtype=torch.float64, device=device)
+    return _Fit(adam, error, psnr, generator, _draws(generator, device)), extent, first.source
 
 
 def _iterate(fit: _Fit, cameras: tuple[Tensor, Tensor, Tensor], config: SpaceConfig, extent: float) -> None:
-    """One view: render, compare, step; and now and then density control."""
+    """One view: render, compare, step; and now and then density control.
+
+    But for density control nothing here waits for the device (gsplat does, once in a render, for the number of
+    its tile pairs).
+    """
     viewmats, Ks, targets = cameras
     if not fit.order:
         fit.order = torch.randperm(len(targets), generator=fit.generator).tolist()
@@ -119,12 +142,12 @@ def _iterate(fit: _Fit, cameras: tuple[Tensor, Tensor, Tensor], config: SpaceCon
     difference = view.rgb.detach() - targets[v]
     (loss + (view.carrier * difference.abs().sum(-1)).sum()).backward()
     fit.error += view.shares()
-    psnr = -10 * math.log10(max(float((difference**2).mean()), 1e-10))
+    psnr = -10 * torch.log10((difference**2).mean().double().clamp_min(1e-10))
     fit.psnr = psnr if fit.iteration == 0 else 0.95 * fit.psnr + 0.05 * psnr
     fit.adam.step(done)
     fit.iteration += 1
     if is_due(fit.iteration, config.iterations):
-        control_density(fit.adam, fit.error, extent, config.max_gaussians, fit.generator)
+        control_density(fit.adam, fit.error, extent, config.max_gaussians, fit.draws)
         fit.error = torch.zeros(len(fit.adam.parameters["means"]), device=fit.error.device)
 
 
@@ -135,9 +158,12 @@ def train_space(
 
     points: initialisation without SfM, or None. Returns the Gaussians (on the CPU). The run's log gets seconds,
     peak_memory_mib, n_gaussians, iterations, init and psnr_train (dB, running mean of the last views).
+    On CUDA everything that an iteration needs lives there, in float32 throughout: rounding of targets or parameters
+    to 16 bits would be as large as the differences that the motion stage reads (a fiftieth of a pixel).
     Raises Tg4mmError on settings out of range, CaptureError where there is nothing to start from.
     """
     config = resolved(config, views)
+    reset_gpu_peak(device)
     checkpoint = run.load_checkpoint(_STAGE)
     began = time.monotonic()
     if checkpoint is None:
@@ -147,10 +173,16 @@ def train_space(
         fit, extent = _restored(checkpoint, device)
     cameras = tuple(torch.from_numpy(a).to(device) for a in (views.viewmats, views.Ks, views.rgb))
     saved = time.monotonic()
-    with progress("space stage", config.iterations, start=fit.iteration) as update:
+    shown, figure = -math.inf, 0.0
+    with (
+        progress("space stage", config.iterations, start=fit.iteration) as update,
+        full_precision(device),
+    ):
         while fit.iteration < config.iterations:
             _iterate(fit, (cameras[0], cameras[1], cameras[2]), config, extent)
-            update(fit.iteration, psnr_db=round(fit.psnr, 2), gaussians=len(fit.error))
+            if time.monotonic() - shown > SHOW_EVERY_S:
+                shown, figure = time.monotonic(), round(float(fit.psnr), 2)
+            update(fit.iteration, psnr_db=figure, gaussians=len(fit.error))
             if time.monotonic() - saved > CHECKPOINT_EVERY_S:
                 run.save_checkpoint(_STAGE, fit.tensors(), fit.state(extent))
                 saved = time.monotonic()
@@ -160,9 +192,10 @@ def train_space(
     figures = {
         "seconds": time.monotonic() - began,
         "peak_memory_mib": peak_memory_mib(),
+        **gpu_figures(device),
         "n_gaussians": len(gaussians),
         "iterations": config.iterations,
-        "psnr_train": fit.psnr,
+        "psnr_train": float(fit.psnr),
     }
     run.save_space(gaussians, figures)
     run.drop_checkpoint(_STAGE)

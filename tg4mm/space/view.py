@@ -52,6 +52,8 @@ def render_view(
 def _render_cuda(
     gaussians: Gaussians, viewmat: Tensor, K: Tensor, size: tuple[int, int], degree: int
 ) -> RenderedView:
+    """Colours are made here, not by gsplat's rasterization: the carrier must ride beside them, and gsplat would
+    invert viewmat with a wait for the device."""
     from gsplat import spherical_harmonics
 
     from tg4mm.rasterize import rasterization

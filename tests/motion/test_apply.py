@@ -1,0 +1,183 @@
+"""Motion magnified: exact factors, exact bands, rotations that are rotations."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from tg4mm.gaussians import Gaussians
+from tg4mm.motion.apply import displacement_at, moved, rotated, rotation_at
+from tg4mm.motion.modal import ModalMotion
+from tg4mm.splatfile import SplatFile, positions_at, rotations_at
+
+N, FPS = 20, 30.0
+FREQS = np.array([2.0, 5.0, 8.0])
+TIMES = (0, 1, 7, 12.5)
+
+
+def gaussians(dtype: torch.dtype = torch.float32) -> Gaussians:
+    g = torch.Generator().manual_seed(0)
+    draw = lambda *shape: torch.randn(*shape, generator=g, dtype=torch.float64).to(dtype)  # noqa: E731
+    return Gaussians(draw(N, 3), draw(N, 4), draw(N, 3).exp(), draw(N).sigmoid(), draw(N, 4, 3))
+
+
+def motion(freqs: np.ndarray = FREQS, size: float = 0.1, seed: int = 1) -> ModalMotion:
+    rng = np.random.default_rng(seed)
+    real, imaginary = size * rng.normal(size=(2, 2, len(freqs), N, 3))
+    displacement, rotation = (real + 1j * imaginary).astype(np.complex64)
+    return ModalMotion(freqs, displacement, rotation, FPS, 30)
+
+
+def one(m: ModalMotion, k: int) -> ModalMotion:
+    return replace(m, freqs_hz=m.freqs_hz[[k]], displacement=m.displacement[[k]], rotation=m.rotation[[k]])
+
+
+def by_hand(m: ModalMotion, phasors: np.ndarray, t: float, gains: list[float]) -> np.ndarray:
+    total = np.zeros((N, 3))
+    for f, phasor, gain in zip(m.freqs_hz, phasors, gains, strict=True):
+        angle = 2 * np.pi * f * t / FPS
+        total += gain * (phasor.real * np.cos(angle) - phasor.imag * np.sin(angle))
+    return total
+
+
+@pytest.mark.parametrize("t", TIMES)
+def test_alpha_zero_is_the_capture(t: float) -> None:
+    m = motion()
+    for band in (None, (0.0, 14.0), (4.0, 6.0)):
+        np.testing.assert_allclose(
+            displacement_at(m, t, 0.0, band), by_hand(m, m.displacement, t, [1] * 3), atol=1e-6
+        )
+        np.testing.assert_allclose(
+            rotation_at(m, t, 0.0, band), by_hand(m, m.rotation, t, [1] * 3), atol=1e-6
+        )
+
+
+@pytest.mark.parametrize("alpha", [5.0, 50.0, -1.0, 0.5])
+@pytest.mark.parametrize("t", TIMES)
+def test_motion_grows_by_one_plus_alpha(alpha: float, t: float) -> None:
+    """[TG4MM] Eq. (9)."""
+    m = motion()
+    for at in (displacement_at, rotation_at):
+        np.testing.assert_allclose(at(m, t, alpha), (1 + alpha) * at(m, t), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("t", TIMES)
+def test_what_lies_outside_the_band_stays_as_it_was(t: float) -> None:
+    m = motion()
+    expected = by_hand(m, m.displacement, t, [1, 21, 1])
+    np.testing.assert_allclose(displacement_at(m, t, 20.0, (4.0, 6.0)), expected, atol=1e-5)
+    np.testing.assert_allclose(
+        rotation_at(m, t, 20.0, (4.0, 6.0)), by_hand(m, m.rotation, t, [1, 21, 1]), atol=1e-5
+    )
+    np.testing.assert_allclose(displacement_at(m, t, 20.0, (9.0, 10.0)), displacement_at(m, t), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("band", "gains"),
+    [
+        ((2.0, 5.0), [11, 11, 1]),
+        ((5.0, 8.0), [1, 11, 11]),
+        ((5.0, 5.5), [1, 11, 1]),
+        ((4.5, 5.0), [1, 11, 1]),
+        ((np.nextafter(5.0, 9), 7.9), [1, 1, 1]),
+        ((2.1, np.nextafter(5.0, 0)), [1, 1, 1]),
+        ((0.0, 15.0), [11, 11, 11]),
+    ],
+)
+def test_both_ends_belong_to_the_band(band: tuple[float, float], gains: list[float]) -> None:
+    m = motion()
+    np.testing.assert_allclose(
+        displacement_at(m, 3, 10.0, band), by_hand(m, m.displacement, 3, gains), atol=1e-5
+    )
+
+
+def test_modes_add_up() -> None:
+    m = motion()
+    total = sum(displacement_at(one(m, k), 4.0, 3.0) for k in range(3))
+    np.testing.assert_allclose(displacement_at(m, 4.0, 3.0), total, atol=1e-6)
+
+
+def test_a_motion_of_no_modes_is_rest() -> None:
+    m = motion(np.zeros(0))
+    np.testing.assert_array_equal(displacement_at(m, 3, 5.0), np.zeros((N, 3)))
+    assert torch.equal(moved(gaussians(), m, 3, 5.0).means, gaussians().means)
+
+
+class TestRotated:
+    @pytest.mark.parametrize("size", [1e-9, 1e-3, 1.0, 3.0, 10.0])
+    def test_it_is_scipys_rotation(self, size: float) -> None:
+        """Applied from the left: about the world's axes, not the Gaussian's own."""
+        q = gaussians(torch.float64).quats
+        r = size * np.random.default_rng(2).normal(size=(N, 3))
+        expected = Rotation.from_rotvec(r) * Rotation.from_quat(q.numpy()[:, [1, 2, 3, 0]])
+        found = rotated(q, torch.from_numpy(r)).numpy()
+        apart = (expected * Rotation.from_quat(found[:, [1, 2, 3, 0]]).inv()).magnitude()
+        assert apart.max() < 1e-7
+        np.testing.assert_allclose(
+            np.linalg.norm(found, axis=1), torch.linalg.vector_norm(q, dim=1), rtol=1e-12
+        )
+
+    def test_no_rotation_changes_nothing_and_has_a_gradient(self) -> None:
+        q, r = gaussians(torch.float64).quats, torch.zeros(N, 3, dtype=torch.float64, requires_grad=True)
+        turned = rotated(q, r)
+        assert torch.equal(turned.detach(), q)
+        turned.sum().backward()
+        assert r.grad is not None
+        assert torch.isfinite(r.grad).all()
+
+
+class TestMoved:
+    @pytest.mark.parametrize("band", [None, (4.0, 6.0)])
+    @pytest.mark.parametrize("t", TIMES)
+    def test_it_agrees_with_the_splat_file(self, t: float, band: tuple[float, float] | None) -> None:
+        g, m = gaussians(), motion()
+        arrays = [a.numpy() for a in (g.means, g.quats, g.scales, g.opacities, g.sh)]
+        splat = SplatFile(*arrays, m.freqs_hz, m.displacement, m.rotation, FPS, 30)
+        found = moved(g, m, t, 4.0, band)
+        np.testing.assert_allclose(found.means, positions_at(splat, t, 4.0, band), atol=3e-6)
+        quats = torch.nn.functional.normalize(found.quats, dim=1).numpy()
+        np.testing.assert_allclose(quats, rotations_at(splat, t, 4.0, band), atol=3e-6)
+
+    def test_the_rest_is_left_alone(self) -> None:
+        g = gaussians()
+        means = g.means.clone()
+        found = moved(g, motion(), 3, 10.0)
+        for name in ("scales", "opacities", "sh"):
+            assert getattr(found, name) is getattr(g, name)
+        assert torch.equal(g.means, means)
+        assert (found.means - means).abs().amax() > 0.1
+        assert found.means.dtype == found.quats.dtype == torch.float32
+
+    def test_no_motion_is_the_scene_at_rest(self) -> None:
+        g = gaussians()
+        assert moved(g, None, 3, 100.0) is g
+
+    def test_a_rigid_motion_of_the_whole_scene_commutes_with_magnification(self) -> None:
+        turn, shift = Rotation.from_rotvec([0.5, -1.0, 0.3]), np.array([1.0, 2.0, -3.0])
+
+        def placed(g: Gaussians) -> Gaussians:
+            quats = turn * Rotation.from_quat(g.quats.numpy()[:, [1, 2, 3, 0]])
+            means = turn.apply(g.means.numpy()) + shift
+            return replace(
+                g, means=torch.from_numpy(means), quats=torch.from_numpy(quats.as_quat()[:, [3, 0, 1, 2]])
+            )
+
+        def turned(phasors: np.ndarray) -> np.ndarray:
+            return phasors @ turn.as_matrix().T
+
+        g, m = gaussians(torch.float64), motion()
+        other = replace(m, displacement=turned(m.displacement), rotation=turned(m.rotation))
+        one, two = placed(moved(g, m, 7, 20.0, (4, 6))), moved(placed(g), other, 7, 20.0, (4, 6))
+        np.testing.assert_allclose(one.means, two.means, atol=1e-5)
+        same = Rotation.from_quat(one.quats.numpy()[:, [1, 2, 3, 0]])
+        assert (same * Rotation.from_quat(two.quats.numpy()[:, [1, 2, 3, 0]]).inv()).magnitude().max() < 1e-5
+
+    def test_a_motion_of_other_gaussians_is_refused(self) -> None:
+        m = motion()
+        m = replace(m, displacement=m.displacement[:, :-1], rotation=m.rotation[:, :-1])
+        with pytest.raises(ValueError, match="the motion has 19 Gaussians, the scene 20"):
+            moved(gaussians(), m, 0)

@@ -1,0 +1,135 @@
+"""The Jacobian of rendering: against differences of the dense twin in float64, and its transpose."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from tests.rasterize.oracle import Scene, assert_close, make_scene
+from tg4mm.gaussians import Gaussians
+from tg4mm.motion.differences import FixedCamera
+from tg4mm.motion.linear import ALPHA_MIN_LINEAR, DOF, RestView, rest_view
+from tg4mm.rasterize import reference
+from tg4mm.rasterize.reference import rasterize_dense
+
+SCENES = {
+    "ordinary": make_scene(0),
+    "thin": make_scene(3, scale=(0.005, 0.4)),
+    "crowded": make_scene(5, n=120, spread=0.6, scale=(0.03, 0.15)),
+}
+COLUMNS = {"displacement": slice(0, 3), "rotation": slice(3, 6), "both": slice(0, 6)}
+
+
+def view_of(scene: Scene) -> RestView:
+    tensors = (scene.means, scene.quats, scene.scales, scene.opacities, scene.colors)
+    camera = FixedCamera(scene.viewmats[0].float().numpy(), scene.Ks[0].float().numpy(), np.arange(1))
+    return rest_view(Gaussians(*(t.float() for t in tensors)), camera, (scene.width, scene.height))
+
+
+def motion_of(scene: Scene, columns: slice, seed: int = 0) -> np.ndarray:
+    motion = np.zeros((len(scene.means), DOF), np.float32)
+    draw = np.random.default_rng(seed).normal(size=motion.shape)
+    motion[:, columns] = draw[:, columns]
+    return motion
+
+
+def over_white(scene: Scene, motion: np.ndarray) -> torch.Tensor:
+    """The twin's picture [H, W, 3] over white, every Gaussian shifted and turned (about the world axes)."""
+    shift, turn = motion[:, :3], Rotation.from_rotvec(motion[:, 3:])
+    rest = Rotation.from_quat(scene.quats.numpy()[:, [1, 2, 3, 0]])
+    quats = (turn * rest).as_quat()[:, [3, 0, 1, 2]]
+    image, alpha = rasterize_dense(
+        scene.means + torch.from_numpy(shift), torch.from_numpy(quats), scene.scales, scene.opacities,
+        scene.colors, scene.viewmats[0], scene.Ks[0], scene.width, scene.height,
+    )  # fmt: skip
+    return image + 1 - alpha[..., None]
+
+
+def differences(scene: Scene, motion: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
+    """Central differences along `motion` [H, W, 3], and which pixels [H, W, 1] cross no threshold meanwhile."""
+    found = []
+    for step in (1e-6, 3e-6):
+        d = motion.astype(np.float64) * step
+        found.append((over_white(scene, d) - over_white(scene, -d)) / (2 * step))
+    # a step is worth its height over 2 · step: three times less at three times the step
+    apart = (found[0] - found[1]).abs().amax(-1, keepdim=True)
+    return found[0], apart < 1e-4 * found[0].abs().max()
+
+
+@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("columns", COLUMNS)
+def test_push_is_the_derivative_of_the_picture(
+    name: str, columns: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reference, "ALPHA_MIN", ALPHA_MIN_LINEAR)
+    scene = SCENES[name]
+    motion = motion_of(scene, COLUMNS[columns])
+    expected, safe = differences(scene, motion)
+    assert safe.double().mean() > 0.97
+    assert expected.abs().max() > 0.1
+    pushed = torch.from_numpy(view_of(scene).push(motion))
+    assert_close("change", pushed * safe, expected * safe, 3e-4)
+    with pytest.raises(AssertionError):  # the comparison can fail
+        assert_close("change", pushed * safe * 1.002, expected * safe, 3e-4)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_rotations_are_about_the_world_axes(axis: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One Gaussian, turned about one axis at a time."""
+    monkeypatch.setattr(reference, "ALPHA_MIN", ALPHA_MIN_LINEAR)
+    scene = make_scene(1, n=1, spread=0.1, scale=(0.05, 0.5))
+    motion = np.zeros((1, DOF), np.float32)
+    motion[0, 3 + axis] = 1
+    expected, safe = differences(scene, motion)
+    assert expected.abs().max() > 1e-2
+    assert_close("change", torch.from_numpy(view_of(scene).push(motion)) * safe, expected * safe, 3e-4)
+
+
+@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("columns", COLUMNS)
+def test_pull_is_the_transpose_of_push(name: str, columns: str) -> None:
+    scene = SCENES[name]
+    view, motion = view_of(scene), motion_of(scene, COLUMNS[columns])
+    for seed in range(3):
+        picture = np.random.default_rng(seed).normal(size=(scene.height, scene.width, 3)).astype(np.float32)
+        pulled = np.zeros_like(motion)
+        view.pull(picture, pulled)
+        terms = pulled.astype(np.float64) * motion
+        forward = (view.push(motion).astype(np.float64) * picture).sum()
+        assert abs(forward - terms.sum()) < 1e-4 * np.linalg.norm(view.push(motion)) * np.linalg.norm(picture)
+        assert abs(forward - terms.sum()) < 1e-4 * np.abs(terms).sum()
+
+
+def test_pull_adds_to_what_is_there() -> None:
+    scene = SCENES["ordinary"]
+    view, picture = view_of(scene), np.ones((scene.height, scene.width, 3), np.float32)
+    once, onto = np.zeros((40, DOF), np.float32), np.full((40, DOF), 2.0, np.float32)
+    view.pull(picture, once)
+    view.pull(picture, onto)
+    np.testing.assert_allclose(onto, once + 2, rtol=1e-5, atol=1e-4)
+    assert np.abs(once).max() > 0.1
+
+
+def test_what_the_camera_does_not_see_says_nothing() -> None:
+    scene = make_scene(0)
+    scene.means[:5] += 20 * (scene.viewmats[0, :3, :3].T @ torch.tensor([0, 0, -1.0], dtype=torch.float64))
+    view = view_of(scene)
+    motion = np.zeros((40, DOF), np.float32)
+    motion[:5] = 1
+    assert np.abs(view.push(motion)).max() == 0
+    pulled = np.zeros((40, DOF), np.float32)
+    view.pull(np.ones((scene.height, scene.width, 3), np.float32), pulled)
+    assert (pulled[:5] == 0).all()
+    assert (pulled[5:] != 0).any()
+
+
+def test_a_small_motion_changes_the_real_picture_as_predicted() -> None:
+    """The picture that is rendered, cut-off at 1/255 and all: a hundredth of a unit, a fraction of a pixel."""
+    scene = SCENES["ordinary"]
+    motion = 0.004 * motion_of(scene, COLUMNS["displacement"])
+    change = (over_white(scene, motion.astype(float)) - over_white(scene, -motion.astype(float))).numpy() / 2
+    pushed = view_of(scene).push(motion)
+    assert np.linalg.norm(pushed - change) < 0.1 * np.linalg.norm(change)
+    assert (pushed * change).sum() / (change**2).sum() == pytest.approx(1, abs=0.03)

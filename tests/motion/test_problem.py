@@ -1,0 +1,77 @@
+"""The least-squares problem of one component: its operator, its right-hand side, its scale."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.motion.test_linear import view_of
+from tests.rasterize.oracle import make_scene
+from tg4mm.motion.config import MotionConfig
+from tg4mm.motion.linear import DOF
+from tg4mm.motion.neighbours import neighbourhoods
+from tg4mm.motion.problem import MotionProblem, information_scale
+from tg4mm.motion.triplane import sampling_matrix
+
+N = 40
+
+
+def problem(neighbours: float = 3.0, ridge: float = 0.1) -> MotionProblem:
+    """Two cameras look at one cloud of 40 Gaussians."""
+    scene = make_scene(0, cameras=2)
+    views = [
+        view_of(replace(scene, viewmats=scene.viewmats[c : c + 1], Ks=scene.Ks[c : c + 1])) for c in (0, 1)
+    ]
+    means = scene.means.numpy()
+    scale = information_scale(views, N, np.random.default_rng(0))
+    config = MotionConfig(neighbours=neighbours, ridge=ridge)
+    return MotionProblem(views, sampling_matrix(means, 8), neighbourhoods(means), scale, config)
+
+
+def draw(seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).normal(size=(problem().n_parameters, 3)).astype(np.float32)
+
+
+def inner(a: np.ndarray, b: np.ndarray) -> float:
+    return float((a.astype(np.float64) * b).sum())
+
+
+def test_the_operator_is_symmetric() -> None:
+    p, a, b = problem(), draw(1), draw(2)
+    scale = np.sqrt(inner(a, p.normal(a)) * inner(b, p.normal(b)))
+    assert abs(inner(a, p.normal(b)) - inner(b, p.normal(a))) < 1e-4 * scale
+
+
+@pytest.mark.parametrize(("neighbours", "ridge"), [(0.0, 1e-9), (3.0, 1e-9), (0.0, 0.1), (3.0, 0.1)])
+def test_its_energy_is_the_sum_that_is_minimised(neighbours: float, ridge: float) -> None:
+    """θ·Aθ = Σ |J (u, Cu)|² + h (λ u·Ku + μ |θ|²), each term by itself."""
+    p, theta = problem(neighbours, ridge), draw(1)
+    u = p.sampling @ theta
+    field = np.concatenate([u, p.around.rotations(u)], 1)
+    data = sum(inner(view.push(field), view.push(field)) for view in p.views)
+    expected = data + p.scale * (neighbours * inner(u, p.around.stiffness(u)) + ridge * inner(theta, theta))
+    assert inner(theta, p.normal(theta)) == pytest.approx(expected, rel=1e-4)
+    assert p.normal(theta).dtype == np.float32
+
+
+def test_the_right_hand_side_is_the_transpose_of_what_a_field_shows() -> None:
+    p, theta, rng = problem(), draw(1), np.random.default_rng(3)
+    shown = [view.push(p.field(theta)) for view in p.views]
+    pictures = np.stack([rng.normal(size=s.shape) for s in shown]).astype(np.float32)
+    expected = sum(inner(s, d) for s, d in zip(shown, pictures, strict=True))
+    size = np.linalg.norm(np.stack(shown)) * np.linalg.norm(pictures)
+    assert abs(inner(p.right_hand_side(pictures), theta) - expected) < 1e-5 * size
+
+
+def test_the_scale_is_the_mean_diagonal_of_the_information() -> None:
+    """Column by column, against random signs."""
+    p, total = problem(), 0.0
+    for i in range(N):
+        for k in range(3):
+            motion = np.zeros((N, DOF), np.float32)
+            motion[i, k] = 1
+            total += sum(inner(view.push(motion), view.push(motion)) for view in p.views)
+    many = information_scale(p.views, N, np.random.default_rng(1), probes=200)
+    assert many == pytest.approx(total / (3 * N), rel=0.1)

@@ -1,0 +1,228 @@
+"""The motion stage on pictures whose motion is known: how near it comes, and that a kill costs nothing."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.space.test_train import Killed, killed_after
+from tests.synthetic import make_synthetic_dataset
+from tg4mm.capture import Capture, ImageStack, load_capture, load_images
+from tg4mm.errors import CaptureError, Tg4mmError
+from tg4mm.evaluate.displacement import displacement_figures
+from tg4mm.evaluate.weights import blending_weights
+from tg4mm.motion import ModalMotion, MotionConfig
+from tg4mm.motion import train as stage
+from tg4mm.motion.train import train_motion
+from tg4mm.runs import Run
+
+FREQS = (3.0, 6.0)  # the post's and the ball's
+SHORT = MotionConfig(components=2, iterations=5, tolerance=1e-6)
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, ModalMotion]:
+    """A run whose Gaussians are exact, of a set of a tenth of a pixel, and the true motion of them."""
+    root = tmp_path_factory.mktemp("motion")
+    gaussians, motion = make_synthetic_dataset(
+        root / "data",
+        n_views=6,
+        n_timesteps=10,
+        size=64,
+        freqs=FREQS,
+        amplitude=0.005,
+        alphas=(),
+        n_test=0,
+        detail=2,
+    )
+    run = Run.create(root / "run", root / "data", "modal", {})
+    run.save_space(gaussians, {})
+    return run, motion
+
+
+@pytest.fixture(scope="module")
+def fitted(scene: tuple[Run, ModalMotion]) -> tuple[ModalMotion, Capture]:
+    run, _ = scene
+    capture = load_capture(run.dataset)
+    config = MotionConfig(components=2, iterations=25, tolerance=1e-2)
+    return train_motion(run, capture, load_images(capture), config), capture
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Capture, ImageStack]:
+    """784 Gaussians, three cameras, five timesteps."""
+    root = tmp_path_factory.mktemp("small")
+    gaussians, _ = make_synthetic_dataset(
+        root / "data", n_views=3, n_timesteps=5, size=32, freqs=(6.0,), alphas=(), n_test=0
+    )
+    run = Run.create(root / "run", root / "data", "modal", {})
+    run.save_space(gaussians, {})
+    capture = load_capture(root / "data")
+    return run, capture, load_images(capture)
+
+
+@pytest.fixture
+def new_run(small: tuple[Run, Capture, ImageStack], tmp_path: Path) -> Callable[[], Run]:
+    """A copy of the small run, space stage done, each time it is called."""
+
+    def copy() -> Run:
+        path = tmp_path / f"run{len(list(tmp_path.iterdir()))}"
+        shutil.copytree(small[0].path, path)
+        return Run.open(path)
+
+    return copy
+
+
+def equal(a: ModalMotion, b: ModalMotion) -> bool:
+    return all(np.array_equal(getattr(a, n), getattr(b, n)) for n in ("freqs_hz", "displacement", "rotation"))
+
+
+def test_the_displacement_is_found(scene, fitted) -> None:
+    """.28, most of it rigidity across the gaps of a coarse scene. Nothing moves: 1; half the motion: .5."""
+    (run, true), (found, capture) = scene, fitted
+    weights = blending_weights(run.load_space(), capture)
+    figures = displacement_figures(found, true, weights)
+    assert figures["relative_error"] < 0.4
+    assert figures["static_leak"] < 0.2
+    for row, amplitude in zip(figures["per_frequency"], (0.86, 1.01), strict=True):
+        assert row["amplitude_ratio"] == pytest.approx(amplitude, abs=0.1)
+        assert row["direction_error_deg"] < 12
+        assert abs(row["phase_error_deg"]) < 3
+    for factor in (0.0, 0.5):  # what the thresholds are there to tell apart
+        less = replace(true, displacement=np.complex64(factor) * true.displacement)
+        assert displacement_figures(less, true, weights)["relative_error"] > 0.4
+
+
+def test_every_part_moves_in_its_own_bin_and_phase(scene, fitted) -> None:
+    """Sine phase: −i times the shape. The post is the middle of the mesh's rows, the ball their end."""
+    (_, true), (found, _) = scene, fitted
+    np.testing.assert_allclose(found.freqs_hz, [3, 6, 9, 12, 15])
+    for k, frequency in enumerate(FREQS):
+        part = np.linalg.norm(true.displacement[k], axis=1) > 0.003
+        assert part.sum() > 100
+        strength = np.linalg.norm(found.displacement[:, part], axis=(1, 2))
+        assert found.freqs_hz[strength.argmax()] == frequency
+        assert strength[k] > 5 * np.delete(strength, k).max()
+        ratio = (found.displacement[k, part] * true.displacement[k, part].conj()).sum()
+        assert abs(np.angle(ratio)) < np.radians(3)
+
+
+def test_the_post_turns_as_it_bends(scene, fitted) -> None:
+    """u = (0, a z²/1.3², 0), so its rotation about x is −2 a z / 1.3²: the slope, in the middle of the post."""
+    (run, true), (found, _) = scene, fitted
+    z = run.load_space().means[:, 2].numpy()
+    post = (np.linalg.norm(true.displacement[0], axis=1) > 0.001) & (z > 0.5) & (z < 1.1)
+    slope = -2 * 0.005 * z[post] / 1.3**2
+    turned = found.rotation[0, post]
+    assert (turned[:, 0].imag * -slope).sum() / (slope**2).sum() == pytest.approx(1, abs=0.25)
+    assert np.linalg.norm(turned[:, 1:]) < 0.4 * np.linalg.norm(turned[:, 0])
+
+
+def test_the_run_holds_the_motion_and_its_figures(scene, fitted) -> None:
+    (run, _), (found, _) = scene, fitted
+    saved = run.load_motion()
+    assert saved is not None
+    assert equal(saved, found)
+    assert (saved.fps, saved.n_timesteps) == (30.0, 10)
+    log = run.log()["motion"]
+    assert (log["components"], log["views"], log["n_frequencies"]) == (2, 6, 5)
+    assert 0 < log["seconds"] < 600
+    assert 50 < log["peak_memory_mib"] < 16_000
+    assert 0.95 < log["explained_by_components"] <= 1
+    assert run.load_checkpoint("motion") is None
+
+
+def test_the_same_settings_give_the_same_bits(small, new_run: Callable[[], Run]) -> None:
+    _, capture, images = small
+    one, same = (train_motion(new_run(), capture, images, SHORT) for _ in range(2))
+    assert equal(one, same)
+    assert np.abs(one.displacement).max() > 1e-4
+    assert not equal(one, train_motion(new_run(), capture, images, replace(SHORT, neighbours=1.0)))
+
+
+@pytest.mark.parametrize("killed_at", [1, 2, 5, 6, 7, 8, 12])
+def test_killed_once_it_ends_as_if_it_had_not_been(
+    killed_at: int, small, new_run: Callable[[], Run], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Five iterations of each of two components and their ends: twelve updates, a checkpoint at every iteration."""
+    _, capture, images = small
+    expected = train_motion(new_run(), capture, images, SHORT)
+    monkeypatch.setattr(stage, "CHECKPOINT_EVERY_S", -1.0)
+    run = new_run()
+    with monkeypatch.context() as patch:
+        patch.setattr(stage, "progress", killed_after(killed_at))
+        with pytest.raises(Killed):
+            train_motion(run, capture, images, SHORT)
+    assert not run.has_motion
+    assert (run.load_checkpoint("motion") is None) == (killed_at == 1)
+    assert equal(train_motion(run, capture, images, SHORT), expected)
+
+
+def test_killed_at_every_second_iteration_it_ends_the_same(
+    small, new_run: Callable[[], Run], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, capture, images = small
+    expected = train_motion(new_run(), capture, images, SHORT)
+    monkeypatch.setattr(stage, "CHECKPOINT_EVERY_S", -1.0)
+    monkeypatch.setattr(stage, "progress", killed_after(3))
+    run, states = new_run(), []
+    for _ in range(20):
+        try:
+            found = train_motion(run, capture, images, SHORT)
+            break
+        except Killed:
+            checkpoint = run.load_checkpoint("motion")
+            assert checkpoint is not None
+            states.append((checkpoint[1]["component"], checkpoint[1]["cg"]["iteration"]))
+    assert equal(found, expected)
+    assert states == sorted(states)
+    assert len(states) >= 4
+    assert {component for component, _ in states} == {0, 1}
+
+
+def test_pictures_that_do_not_change_give_no_motion(small, new_run: Callable[[], Run]) -> None:
+    _, capture, images = small
+    still = images.data.copy()
+    for camera in range(3):
+        rows = capture.camera_ids == camera
+        still[rows] = still[rows][:1]
+    found = train_motion(new_run(), capture, ImageStack(still), SHORT)
+    assert np.abs(found.displacement).max() < 1e-6
+
+
+def test_without_a_fixed_camera_it_says_so(small, new_run: Callable[[], Run]) -> None:
+    _, capture, images = small
+    wandering = replace(capture, camera_ids=np.arange(len(capture)))
+    match = rf"\A{capture.root}: no camera has one image at each of the 5 timesteps[^\n]*\Z"
+    with pytest.raises(CaptureError, match=match):
+        train_motion(new_run(), wandering, images, SHORT)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "match"),
+    [
+        ({"components": 0}, "motion.components is 0, expected >= 1"),
+        ({"neighbours": -1.0}, "motion.neighbours is -1.0, expected >= 0"),
+        ({"neighbours": float("inf")}, "motion.neighbours is inf"),
+        ({"ridge": 0.0}, "motion.ridge is 0.0, expected > 0"),
+        ({"ridge": float("nan")}, "motion.ridge is nan"),
+        ({"triplane": 7}, "motion.triplane is 7, expected 8 to 512"),
+        ({"triplane": 513}, "motion.triplane is 513, expected 8 to 512"),
+        ({"iterations": 0}, "motion.iterations is 0, expected >= 1"),
+        ({"tolerance": 0.0}, "motion.tolerance is 0.0, expected between 0 and 1"),
+        ({"tolerance": 1.0}, "motion.tolerance is 1.0"),
+        ({"tolerance": float("nan")}, "motion.tolerance is nan"),
+        ({"seed": -1}, "motion.seed is -1, expected >= 0"),
+    ],
+)
+def test_settings_out_of_range_are_refused(
+    wrong: dict, match: str, small, new_run: Callable[[], Run]
+) -> None:
+    _, capture, images = small
+    with pytest.raises(Tg4mmError, match=rf"\Asetting [^\n]*{match}[^\n]*\Z"):
+        train_motion(new_run(), capture, images, MotionConfig(**wrong))

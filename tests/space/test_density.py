@@ -1,0 +1,149 @@
+"""Adaptive density control: budget, what fades, what is split and how."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from tests.space.test_parameters import gradients, take_step
+from tg4mm.rasterize.reference import rotation_matrices
+from tg4mm.space.density import APART, DIM, SHRINK, control_density, is_due, split_rows
+from tg4mm.space.parameters import ParameterAdam
+
+EXTENT = 2.0
+
+
+def parameters(n: int, opacity: float = 0.5, scale: float = 0.05, seed: int = 0) -> dict[str, Tensor]:
+    """n Gaussians; sh0's first entry is the row's number."""
+    g = torch.Generator().manual_seed(seed)
+    sh0 = torch.zeros(n, 1, 3)
+    sh0[:, 0, 0] = torch.arange(n)
+    return {
+        "means": torch.randn(n, 3, generator=g),
+        "quats": torch.randn(n, 4, generator=g),
+        "log_scales": (scale * (0.5 + torch.rand(n, 3, generator=g))).log(),
+        "logits": torch.full((n,), opacity).logit(),
+        "sh0": sh0,
+        "shn": torch.randn(n, 3, 3, generator=g),
+    }
+
+
+def generator(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def numbers(adam: ParameterAdam) -> list[int]:
+    return adam.parameters["sh0"][:, 0, 0].int().tolist()
+
+
+def test_the_halves_of_a_split_keep_the_mass_centre() -> None:
+    p = parameters(50)
+    rows = torch.tensor([3, 7, 40])
+    halves = split_rows(p, rows, generator())
+    a, b = halves["means"][:3], halves["means"][3:]
+    np.testing.assert_allclose((a + b) / 2, p["means"][rows], atol=1e-6)
+    assert ((a - b).abs().amax(1) > 1e-3).all()
+    for name in ("quats", "sh0", "shn"):
+        assert torch.equal(halves[name], torch.cat([p[name][rows]] * 2))
+    np.testing.assert_allclose(halves["logits"].sigmoid(), 0.5 * DIM, rtol=1e-5)
+    shrunk = torch.cat([p["log_scales"][rows]] * 2).exp() / SHRINK
+    np.testing.assert_allclose(halves["log_scales"].exp(), shrunk, rtol=1e-5)
+
+
+def test_the_halves_stand_where_the_old_one_stood() -> None:
+    """Over many splits of one Gaussian the offsets have APART² of its covariance."""
+    p = parameters(1, scale=0.3)
+    halves = split_rows(p, torch.zeros(4000, dtype=torch.long), generator())
+    offset = (halves["means"][:4000] - p["means"]).double()
+    B = rotation_matrices(p["quats"])[0].double() * p["log_scales"].exp().double()
+    expected = APART**2 * B @ B.T
+    np.testing.assert_allclose(offset.T @ offset / 4000, expected, atol=0.08 * expected.abs().max())
+
+
+def test_the_budget_is_kept_to_the_last_gaussian() -> None:
+    adam = ParameterAdam(parameters(40), EXTENT)
+    change = control_density(adam, torch.ones(40), EXTENT, 43, generator())
+    assert (change.removed, change.split) == (0, 3)
+    assert len(adam.parameters["means"]) == 43
+
+
+@pytest.mark.parametrize("most", [40, 12])
+def test_a_full_budget_splits_none(most: int) -> None:
+    adam = ParameterAdam(parameters(40), EXTENT)
+    change = control_density(adam, torch.ones(40), EXTENT, most, generator())
+    assert (change.removed, change.split) == (0, 0)
+    assert numbers(adam) == list(range(40))
+
+
+def test_growth_is_a_tenth_beside_what_was_removed() -> None:
+    p = parameters(40)
+    p["logits"][:5] = -8.0
+    adam = ParameterAdam(p, EXTENT)
+    change = control_density(adam, torch.ones(40), EXTENT, 1000, generator())
+    assert (change.removed, change.split) == (5, 4 + 5)
+    assert len(adam.parameters["means"]) == 40 - 5 + 9
+
+
+def test_faded_and_huge_gaussians_are_removed_and_never_split() -> None:
+    """However large their share of the error."""
+    p = parameters(20)
+    p["logits"][3] = torch.tensor(0.004).logit()
+    p["logits"][4] = torch.tensor(0.006).logit()
+    p["log_scales"][8, 1] = np.log(0.51 * EXTENT)
+    p["log_scales"][9, 1] = np.log(0.49 * EXTENT)
+    error = torch.zeros(20)
+    error[[3, 8]] = 1e6
+    error[5] = 1.0
+    adam = ParameterAdam(p, EXTENT)
+    change = control_density(adam, error, EXTENT, 1000, generator())
+    assert (change.removed, change.split) == (2, 1)
+    assert sorted(numbers(adam)) == sorted([i for i in range(20) if i not in {3, 5, 8}] + [5, 5])
+
+
+def test_where_there_is_no_error_nothing_is_split() -> None:
+    adam = ParameterAdam(parameters(20), EXTENT)
+    assert control_density(adam, torch.zeros(20), EXTENT, 1000, generator()).split == 0
+
+
+def test_the_chance_is_the_share_of_the_error() -> None:
+    """10 Gaussians, one split a round: over 600 rounds the counts follow the error (χ², 9 degrees: 99.9 % < 27.9)."""
+    error = torch.tensor([0.0, 1, 1, 2, 2, 3, 3, 4, 4, 20])
+    counts, start = np.zeros(10), parameters(10)
+    for seed in range(600):
+        adam = ParameterAdam(start, EXTENT)
+        control_density(adam, error, EXTENT, 1000, generator(seed))
+        assert len(adam.parameters["means"]) == 11
+        counts[numbers(adam)[-1]] += 1
+    expected = 600 * (error / error.sum()).numpy()
+    assert counts[0] == 0
+    assert ((counts - expected)[1:] ** 2 / expected[1:]).sum() < 27.9
+    # the check can fail: an even chance would not pass
+    assert ((600 / 9 - expected)[1:] ** 2 / expected[1:]).sum() > 27.9
+
+
+def test_rows_that_stay_keep_their_moments() -> None:
+    adam = ParameterAdam(parameters(20), EXTENT)
+    take_step(adam, gradients(adam.parameters, 0))
+    before, error = adam.moments()["means.m"].clone(), torch.zeros(20)
+    error[6] = 1.0
+    control_density(adam, error, EXTENT, 1000, generator())
+    kept = torch.tensor([i for i in range(20) if i != 6])
+    assert torch.equal(adam.moments()["means.m"][:19], before[kept])
+    assert (adam.moments()["means.m"][19:] == 0).all()
+
+
+def test_the_same_generator_splits_the_same() -> None:
+    results = []
+    for seed in (1, 1, 2):
+        adam = ParameterAdam(parameters(60), EXTENT)
+        control_density(adam, torch.ones(60), EXTENT, 1000, generator(seed))
+        results.append(adam.parameters["means"].detach())
+    assert torch.equal(results[0], results[1])
+    assert not torch.equal(results[0], results[2])
+
+
+def test_it_is_due_between_the_start_and_the_last_third() -> None:
+    due = [i for i in range(1, 1001) if is_due(i, 1000)]
+    assert due == [200, 300, 400, 500, 600]

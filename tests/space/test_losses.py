@@ -1,0 +1,72 @@
+"""The photometric loss: SSIM against scikit-image's, gradients against differences, the paper's L1 as a limit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from skimage.metrics import structural_similarity
+from torch import Tensor
+
+from tg4mm.space.losses import photometric_loss, ssim
+
+
+def pair(height: int, width: int, seed: int = 0, noise: float = 0.1) -> tuple[Tensor, Tensor]:
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[:height, :width]
+    a = 0.5 + 0.4 * np.sin(x[..., None] / [3.0, 4.0, 5.0] + y[..., None] / 6.0)
+    return torch.tensor(a), torch.tensor((a + noise * rng.normal(size=a.shape)).clip(0, 1))
+
+
+def skimage_ssim(a: Tensor, b: Tensor) -> np.ndarray:
+    """The map [H, W, 3]: Gaussian window 11 × 11, σ 1.5, population covariance; mirrored border."""
+    _, full = structural_similarity(
+        a.numpy(), b.numpy(), data_range=1.0, channel_axis=-1, gaussian_weights=True, sigma=1.5,
+        use_sample_covariance=False, full=True,
+    )  # fmt: skip
+    return full
+
+
+def test_ssim_is_that_of_scikit_image_of_the_picture_on_black() -> None:
+    """Ours pads with zeros where scikit-image mirrors: on a black ground both see the same, border included."""
+    a, b = pair(24, 31)
+    on_black = [torch.nn.functional.pad(x, (0, 0, 10, 10, 10, 10)) for x in (a, b)]
+    expected = skimage_ssim(*on_black)[10:-10, 10:-10]
+    assert ssim(a, b).item() == pytest.approx(expected.mean(), abs=1e-12)
+    # what mirroring would give is another number, so the border is part of the comparison
+    assert abs(skimage_ssim(a, b).mean() - expected.mean()) > 0.01
+
+
+def test_away_from_the_border_it_is_scikit_images() -> None:
+    """Pictures that differ only inside: the border, where both treatments see equal pictures, counts 1 in each."""
+    a, b = pair(40, 31)
+    b[:10], b[-10:], b[:, :10], b[:, -10:] = a[:10], a[-10:], a[:, :10], a[:, -10:]
+    expected = skimage_ssim(a, b).mean()
+    assert expected < 0.97
+    assert ssim(a, b).item() == pytest.approx(expected, abs=1e-12)
+
+
+def test_ssim_of_equal_pictures_is_one_and_symmetric() -> None:
+    a, b = pair(20, 24)
+    assert ssim(a, a).item() == pytest.approx(1, abs=1e-12)
+    assert ssim(a, b).item() == pytest.approx(ssim(b, a).item(), abs=1e-14)
+    assert ssim(a, 1 - a).item() < 0
+
+
+@pytest.mark.parametrize(("l2", "dssim"), [(0.0, 0.0), (10.0, 0.0), (0.0, 1.0), (10.0, 0.2)])
+def test_gradients_are_those_of_differences(l2: float, dssim: float) -> None:
+    a, b = pair(7, 6, noise=0.3)
+    assert torch.autograd.gradcheck(lambda x: photometric_loss(x, b, l2, dssim), a.requires_grad_())
+
+
+def test_without_the_rest_it_is_l1() -> None:
+    """[TG4MM] Eq. (16)."""
+    a, b = pair(9, 8)
+    assert photometric_loss(a, b, 0.0, 0.0).item() == pytest.approx(np.abs(a.numpy() - b.numpy()).mean())
+
+
+def test_the_parts_are_weighted_as_written() -> None:
+    a, b = pair(16, 16)
+    l1, mse = np.abs(a.numpy() - b.numpy()).mean(), ((a.numpy() - b.numpy()) ** 2).mean()
+    expected = 0.8 * (l1 + 10 * mse) + 0.2 * (1 - ssim(a, b).item()) / 2
+    assert photometric_loss(a, b, 10.0, 0.2).item() == pytest.approx(expected, rel=1e-12)

@@ -1,0 +1,144 @@
+"""The optimiser: torch's own Adam, whose rows may come and go."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from tg4mm.space.initial import InitialPoints
+from tg4mm.space.parameters import LEARNING_RATES, SH_C0, ParameterAdam, activate, initial_parameters
+
+N, EXTENT = 6, 1.7
+
+
+def points(n: int = N) -> InitialPoints:
+    rng = np.random.default_rng(0)
+    xyz, rgb, spacing = rng.normal(size=(n, 3)), rng.uniform(size=(n, 3)), rng.uniform(0.01, 0.2, n)
+    return InitialPoints(*(a.astype(np.float32) for a in (xyz, rgb, spacing)), "points")
+
+
+def parameters(degree: int = 1) -> dict[str, Tensor]:
+    return initial_parameters(points(), degree, torch.Generator().manual_seed(0))
+
+
+def gradients(like: dict[str, Tensor], seed: int) -> dict[str, Tensor]:
+    g = torch.Generator().manual_seed(seed)
+    return {k: torch.randn(v.shape, generator=g) for k, v in like.items()}
+
+
+def take_step(adam: ParameterAdam, grads: dict[str, Tensor], progress: float = 0.0) -> None:
+    for name, p in adam.parameters.items():
+        p.grad = grads[name].clone()
+    adam.step(progress)
+
+
+def rows(values: dict[str, Tensor], keep: Tensor) -> dict[str, Tensor]:
+    return {k: v[keep] for k, v in values.items()}
+
+
+@pytest.mark.parametrize("degree", [0, 3])
+def test_initial_gaussians_are_round_and_show_the_colour(degree: int) -> None:
+    start = points()
+    g = activate(initial_parameters(start, degree, torch.Generator().manual_seed(0)))
+    assert g.sh.shape == (N, (degree + 1) ** 2, 3)
+    np.testing.assert_allclose(g.means, start.xyz)
+    np.testing.assert_allclose(g.scales, np.repeat(start.spacing[:, None], 3, 1), rtol=1e-5)
+    np.testing.assert_allclose(g.opacities, 0.3, rtol=1e-5)
+    np.testing.assert_allclose(0.5 + SH_C0 * g.sh[:, 0], start.rgb, atol=1e-6)
+    assert (g.sh[:, 1:] == 0).all()
+    np.testing.assert_allclose(torch.linalg.vector_norm(g.quats, dim=1), 1, rtol=1e-6)
+
+
+def rate(name: str, progress: float) -> float:
+    """The schedule in words: means fall to 1 % exponentially, the others to 10 % over the second half."""
+    if name == "means":
+        return 4e-4 * EXTENT * 0.01**progress
+    return LEARNING_RATES[name] * (1 if progress <= 0.5 else 0.1 ** ((progress - 0.5) / 0.5))
+
+
+def test_it_is_torch_adam_while_nothing_comes_or_goes() -> None:
+    adam = ParameterAdam(parameters(), EXTENT)
+    plain = {k: v.clone().requires_grad_() for k, v in parameters().items()}
+    groups = [{"params": [p], "name": k} for k, p in plain.items()]
+    reference = torch.optim.Adam(groups, eps=1e-15, foreach=False, fused=False)
+    for i, progress in enumerate([0.0, 0.2, 0.5, 0.7, 1.0]):
+        grads = gradients(plain, i)
+        take_step(adam, grads, progress)
+        for group in reference.param_groups:
+            group["lr"] = rate(group["name"], progress)
+        for name, p in plain.items():
+            p.grad = grads[name]
+        reference.step()
+    for name, p in plain.items():
+        np.testing.assert_allclose(adam.parameters[name].detach(), p.detach(), rtol=2e-6, atol=1e-7)
+        assert (p.detach() - parameters()[name]).abs().max() > 3 * LEARNING_RATES[name] * 0.1
+
+
+def test_given_parameters_are_left_as_they_are() -> None:
+    given = parameters()
+    before = {k: v.clone() for k, v in given.items()}
+    take_step(ParameterAdam(given, EXTENT), gradients(given, 0))
+    assert all(torch.equal(given[k], before[k]) for k in given)
+
+
+def test_gradients_are_cleared_by_a_step() -> None:
+    adam = ParameterAdam(parameters(), EXTENT)
+    take_step(adam, gradients(adam.parameters, 0))
+    assert all(p.grad is None for p in adam.parameters.values())
+
+
+def test_kept_rows_keep_their_moments_and_new_ones_start_at_zero() -> None:
+    adam = ParameterAdam(parameters(), EXTENT)
+    for i in range(3):
+        take_step(adam, gradients(adam.parameters, i))
+    before = {k: v.clone() for k, v in adam.moments().items()}
+    keep, added = torch.tensor([4, 0, 2]), rows(parameters(), torch.tensor([1, 5]))
+    adam.replace(keep, added)
+    after = adam.moments()
+    assert after["step"] == before["step"] == 3
+    for name in adam.parameters:
+        for kind in (".m", ".v"):
+            assert torch.equal(after[name + kind][:3], before[name + kind][keep])
+            assert (before[name + kind] != 0).any()
+            assert (after[name + kind][3:] == 0).all()
+            assert after[name + kind].shape == adam.parameters[name].shape
+        assert torch.equal(adam.parameters[name][3:], added[name])
+
+
+def test_kept_rows_go_on_as_if_nothing_had_happened() -> None:
+    one, other = (ParameterAdam(parameters(), EXTENT) for _ in range(2))
+    keep = torch.tensor([5, 1, 2])
+    for i in range(2):
+        take_step(one, gradients(one.parameters, i))
+        take_step(other, gradients(other.parameters, i))
+    other.replace(keep, rows(parameters(), torch.tensor([0])))
+    for i in range(2, 5):
+        grads = gradients(one.parameters, i)
+        take_step(one, grads, 0.3)
+        take_step(other, {k: torch.cat([v[keep], v[:1]]) for k, v in grads.items()}, 0.3)
+    for name, p in other.parameters.items():
+        np.testing.assert_allclose(p[:3].detach(), one.parameters[name][keep].detach(), rtol=1e-5, atol=1e-9)
+        assert not np.allclose(p[3:].detach(), one.parameters[name][:1].detach(), rtol=1e-5, atol=1e-9)
+
+
+def test_rows_can_change_before_the_first_step() -> None:
+    adam = ParameterAdam(parameters(), EXTENT)
+    assert adam.moments() == {}
+    adam.replace(torch.tensor([0, 1]), rows(parameters(), torch.tensor([3])))
+    take_step(adam, gradients(adam.parameters, 0))
+    assert adam.moments()["means.m"].shape == (3, 3)
+
+
+def test_an_optimiser_continued_from_its_moments_does_the_same() -> None:
+    one = ParameterAdam(parameters(), EXTENT)
+    for i in range(3):
+        take_step(one, gradients(one.parameters, i))
+    saved = {k: v.detach().clone() for k, v in (one.parameters | one.moments()).items()}
+    moments = {k: v for k, v in saved.items() if k not in one.parameters}
+    other = ParameterAdam({k: saved[k] for k in one.parameters}, EXTENT, moments)
+    for adam in (one, other):
+        take_step(adam, gradients(adam.parameters, 9), 0.8)
+    for name, p in one.parameters.items():
+        assert torch.equal(p, other.parameters[name])

@@ -1,0 +1,253 @@
+"""Training from a dataset to a run: settings, stages in order, nothing done twice, kills that are real."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.synthetic import make_synthetic_dataset
+from tg4mm.cli import main
+from tg4mm.errors import CaptureError, RunError, Tg4mmError
+from tg4mm.motion import MotionConfig
+from tg4mm.runs import Run
+from tg4mm.space import SpaceConfig
+from tg4mm.train import check_device, parse_settings, train
+
+SETTINGS = {
+    "space.iterations": "20", "space.max_gaussians": "300", "motion.components": "2", "motion.iterations": "3",
+}  # fmt: skip
+
+
+def one_line(match: str) -> pytest.RaisesExc:
+    return pytest.raises(Tg4mmError, match=rf"\A[^\n]*{match}[^\n]*\Z")
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("train") / "data"
+    make_synthetic_dataset(path, n_views=3, n_timesteps=5, size=32, freqs=(6.0,), alphas=(), n_test=0)
+    return path
+
+
+@pytest.fixture(scope="module")
+def trained(data: Path) -> Run:
+    return train(data, data.parent / "run", settings=SETTINGS)
+
+
+class TestSettings:
+    def test_none_given_are_the_defaults(self) -> None:
+        assert parse_settings({}) == {"space": SpaceConfig(), "motion": MotionConfig()}
+
+    def test_values_have_the_types_of_the_defaults(self) -> None:
+        given = {"space.l2": "1e-3", "space.init": "hull", "motion.components": "4", "space.seed": "7"}
+        configs = parse_settings(given)
+        assert configs["space"] == SpaceConfig(l2=1e-3, init="hull", seed=7)
+        assert configs["motion"] == MotionConfig(components=4)
+        assert type(configs["motion"].components) is int
+        assert type(parse_settings({"motion.neighbours": "10"})["motion"].neighbours) is float
+
+    @pytest.mark.parametrize(
+        "name", ["space.iteration", "iterations", "space", "space.", "colour.iterations", ""]
+    )
+    def test_an_unknown_one_is_refused_with_all_there_are(self, name: str) -> None:
+        with one_line(rf"setting {name!r} is unknown; there are: ") as refused:
+            parse_settings({name: "3"})
+        listed = str(refused.value).split(": ")[-1].split(", ")
+        assert listed == [f"space.{k}" for k in vars(SpaceConfig())] + [
+            f"motion.{k}" for k in vars(MotionConfig())
+        ]
+        parse_settings(dict.fromkeys(listed, "3"))  # and each of those is known
+
+    @pytest.mark.parametrize(
+        ("name", "text", "kind"),
+        [
+            ("space.iterations", "many", "int"),
+            ("space.iterations", "2.5", "int"),
+            ("space.iterations", "", "int"),
+            ("motion.ridge", "1,5", "float"),
+        ],
+    )
+    def test_a_value_of_the_wrong_type_is_refused(self, name: str, text: str, kind: str) -> None:
+        with one_line(f"setting {name} is {re.escape(repr(text))}, expected {kind}"):
+            parse_settings({name: text})
+
+
+class TestRequests:
+    def test_an_unknown_device_is_refused(self) -> None:
+        with one_line("device is 'tpu', expected cpu or cuda"):
+            check_device("tpu")
+        assert check_device("cpu") == "cpu"
+
+    def test_cuda_without_a_device_is_refused(
+        self, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+        with one_line("device is cuda, but torch finds no CUDA device here"):
+            train(data, tmp_path / "run", device="cuda", settings=SETTINGS)
+        assert not (tmp_path / "run").exists()
+        monkeypatch.setattr("torch.cuda.is_available", lambda: True)
+        assert check_device("cuda") == "cuda"
+
+    def test_an_unknown_preset_is_refused(self, data: Path, tmp_path: Path) -> None:
+        with one_line("preset is 'papers', expected modal"):
+            train(data, tmp_path / "run", preset="papers")
+        assert not (tmp_path / "run").exists()
+
+    def test_no_dataset_is_refused(self, tmp_path: Path) -> None:
+        with pytest.raises(CaptureError, match=str(tmp_path / "nowhere")):
+            train(tmp_path / "nowhere", tmp_path / "run")
+        assert not (tmp_path / "run").exists()
+
+    @pytest.mark.parametrize(
+        "wrong",
+        [{"space.seed": "-1"}, {"motion.tolerance": "5"}, {"motion.seed": "-1"}, {"space.init": "sfm"}],
+    )
+    def test_settings_out_of_range_leave_no_run_behind(self, wrong: dict, data: Path, tmp_path: Path) -> None:
+        """Else the folder would be bound to the bad value, and the right one refused. And no minutes are lost."""
+        (name,) = wrong
+        with one_line(f"setting {name} is {wrong[name]}"):
+            train(data, tmp_path / "run", settings=SETTINGS | wrong)
+        assert not (tmp_path / "run").exists()
+
+    def test_the_program_leaves_with_2_and_one_line(self, data: Path, tmp_path: Path, capsys) -> None:
+        for wrong in ("space.iteration=3", "motion.tolerance=5", "space.seed=-1"):
+            assert main(["train", str(data), "--out", str(tmp_path / "run"), "--set", wrong]) == 2
+            error = capsys.readouterr().err
+            assert wrong.split("=")[0] in error
+            assert error.count("\n") == 1
+
+
+class TestStages:
+    def test_both_stages_are_done_and_logged(self, trained: Run) -> None:
+        assert trained.has_space
+        assert trained.has_motion
+        assert trained.settings["space"]["iterations"] == 20
+        for stage in ("space", "motion"):
+            assert trained.log()[stage]["seconds"] > 0
+            assert trained.log()[stage]["peak_memory_mib"] > 0
+        assert trained.log()["space"]["n_gaussians"] == len(trained.load_space())
+        motion = trained.load_motion()
+        assert motion is not None
+        assert motion.displacement.shape == (2, len(trained.load_space()), 3)
+        assert not list(trained.path.glob("checkpoint_*"))
+
+    def test_a_finished_run_is_not_touched(
+        self, trained: Run, data: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        def never(*args: object, **kwargs: object) -> None:
+            raise AssertionError("a finished stage was run again")
+
+        for name in ("train_space", "train_motion", "load_images"):
+            monkeypatch.setattr(f"tg4mm.train.{name}", never)
+        before = {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in trained.path.iterdir()}
+        assert train(data, trained.path, settings=SETTINGS).path == trained.path
+        assert {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in trained.path.iterdir()} == before
+
+    def test_a_finished_space_stage_is_kept_for_the_motion_stage(
+        self, trained: Run, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        class Stopped(Exception):
+            pass
+
+        def stop(*args: object, **kwargs: object) -> None:
+            raise Stopped
+
+        with monkeypatch.context() as patch:
+            patch.setattr("tg4mm.train.train_motion", stop)
+            with pytest.raises(Stopped):
+                train(data, tmp_path / "run", settings=SETTINGS)
+        written = (tmp_path / "run" / "space.safetensors").stat().st_mtime_ns
+        with monkeypatch.context() as patch:
+            patch.setattr("tg4mm.train.train_space", stop)
+            run = train(data, tmp_path / "run", settings=SETTINGS)
+        assert (run.path / "space.safetensors").stat().st_mtime_ns == written
+        same_results(run, trained)
+
+    def test_other_settings_are_refused(self, trained: Run, data: Path) -> None:
+        with pytest.raises(RunError, match=r"made with space.iterations = 20, asked is 21"):
+            train(data, trained.path, settings=SETTINGS | {"space.iterations": "21"})
+
+    def test_one_timestep_ends_after_the_space_stage(self, tmp_path: Path) -> None:
+        path = tmp_path / "data"
+        make_synthetic_dataset(path, n_views=3, n_timesteps=1, size=24, alphas=(), n_test=0)
+        for source, name in ((path, "tree"), (path / "000", "folder")):
+            run = train(source, tmp_path / name, settings=SETTINGS)
+            assert run.has_space
+            assert not run.has_motion
+            assert set(run.log()) == {"space"}
+            assert train(source, tmp_path / name, settings=SETTINGS).has_space
+
+    def test_cameras_that_wander_are_refused_by_name(self, data: Path, tmp_path: Path) -> None:
+        path = tmp_path / "data"
+        make_synthetic_dataset(path, n_views=2, n_timesteps=3, size=24, alphas=(), n_test=0)
+        for t in range(3):
+            file = path / f"{t:03d}" / "transforms_train.json"
+            transforms = json.loads(file.read_text())
+            for frame in transforms["frames"]:
+                frame["transform_matrix"][0][3] += 0.01 * t
+            file.write_text(json.dumps(transforms))
+        with one_line(f"{path}: no camera has one image at each of the 3 timesteps"):
+            train(path, tmp_path / "run", settings=SETTINGS)
+
+
+def same_results(one: Run, other: Run) -> None:
+    for name in ("means", "quats", "scales", "opacities", "sh"):
+        a, b = getattr(one.load_space(), name), getattr(other.load_space(), name)
+        np.testing.assert_array_equal(a.numpy(), b.numpy())
+    a, b = one.load_motion(), other.load_motion()
+    assert a is not None
+    assert b is not None
+    for name in ("freqs_hz", "displacement", "rotation"):
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+
+
+@pytest.mark.slow
+def test_a_program_killed_in_either_stage_ends_as_if_it_had_not_been(data: Path, tmp_path: Path) -> None:
+    """kill -9 as soon as the first checkpoint of a stage is there, then the same command again."""
+    options = [
+        "space.iterations=600",
+        "space.max_gaussians=600",
+        "motion.iterations=60",
+        "motion.tolerance=1e-9",
+    ]
+    code = (
+        "import sys, tg4mm.space.train as s, tg4mm.motion.train as m; from tg4mm.cli import main; "
+        "s.CHECKPOINT_EVERY_S = m.CHECKPOINT_EVERY_S = 0.02; sys.exit(main(sys.argv[1:]))"
+    )
+
+    def program(out: Path) -> subprocess.Popen:
+        sets = [part for option in options for part in ("--set", option)]
+        command = [sys.executable, "-c", code, "train", str(data), "--out", str(out), *sets]
+        return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, env=os.environ)
+
+    def killed(out: Path, checkpoint: str) -> None:
+        process, until = program(out), time.monotonic() + 300
+        try:
+            while not (out / checkpoint).exists():
+                assert process.poll() is None, f"ended before {checkpoint}: {process.stderr.read().decode()}"
+                assert time.monotonic() < until
+                time.sleep(0.002)
+            process.send_signal(signal.SIGKILL)
+        finally:
+            process.kill()
+            process.communicate()
+        assert process.returncode == -signal.SIGKILL
+
+    assert program(tmp_path / "whole").wait(300) == 0
+    killed(tmp_path / "killed", "checkpoint_space.safetensors")
+    assert not (tmp_path / "killed" / "space.safetensors").exists()
+    killed(tmp_path / "killed", "checkpoint_motion.safetensors")
+    assert not (tmp_path / "killed" / "motion.safetensors").exists()
+    assert program(tmp_path / "killed").wait(300) == 0
+    same_results(Run.open(tmp_path / "killed"), Run.open(tmp_path / "whole"))
+    names = {p.name for p in (tmp_path / "killed").iterdir()}
+    assert names == {"config.json", "log.json", "space.safetensors", "motion.safetensors"}
