@@ -1,36 +1,45 @@
-"""Time of the CPU rasteriser, forward and backward, and beside it the dense twin at a size it can bear.
+"""Time of the CPU rasteriser, forward and backward, beside its peers and the arithmetic limit.
 
-    python benchmarks/rasterize.py [--repeats 7]
+    python benchmarks/rasterize.py [--run RUN] [--repeats 9]
 
-Gaussians of about two pixels (standard deviation) fill a ball seen from outside. Each figure is the median;
-the smallest time of the same runs stands in brackets: on a shared machine the two lie apart, and with
-OMP_WAIT_POLICY unset they lie far apart, because idle OpenMP threads spin.
+Synthetic: Gaussians of about two pixels (standard deviation) fill a ball seen from outside, 256² to 1024², 5,000 to
+500,000. With --run (a folder that `tg4mm train` left) also every kernel on the trained Gaussians, seen by a camera of
+the run's dataset. Peers: the dense twin at a size it can bear; of gsplat's torch reference what is pure torch,
+projection and spherical harmonics (its compositing needs CUDA and nerfacc).
+
+Each figure is the median, the smallest time of the same runs stands in brackets: on a shared machine they lie apart.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
-import platform
 import statistics
+import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import numba
+import numpy as np
 import torch
+from common import machine, milliseconds
+from limit import BACKWARD_INSTRUCTIONS, FORWARD_INSTRUCTIONS, clock_ghz, visible_evaluations
 from torch import Tensor
 
+from tg4mm.capture import load_capture
+from tg4mm.memory import peak_memory_mib
 from tg4mm.rasterize import rasterization
+from tg4mm.rasterize.kernels import binning, blend
+from tg4mm.rasterize.kernels import project as projection
+from tg4mm.rasterize.kernels.layout import FEAT, FEATURES
 from tg4mm.rasterize.reference import rasterize_dense
+from tg4mm.runs import Run
+from tg4mm.space.view import EPS2D, FAR, NEAR, render_view
 
-SIZES = (256, 512)  # pixels
-COUNTS = (5_000, 50_000, 200_000)  # Gaussians
+SIZES = (256, 512, 1024)  # pixels
+COUNTS = (5_000, 50_000, 200_000, 500_000)  # Gaussians
 DENSE_SIZE, DENSE_COUNT = 64, 500
-DISTANCE, PIXELS = (
-    3.0,
-    2.0,
-)  # scene units from the camera to the ball's centre; standard deviation of a Gaussian
+DISTANCE = 3.0  # scene units from the camera to the ball's centre
+PIXELS = 2.0  # standard deviation of a Gaussian
 
 
 def scene(n: int, size: int, seed: int = 0) -> tuple[list[Tensor], Tensor, Tensor]:
@@ -90,38 +99,137 @@ def measure(render: Callable[..., tuple[Tensor, int]], n: int, size: int, repeat
 
 def row(name: str, n: int, size: int, t: dict[str, float]) -> str:
     return (
-        f"{name:6s} {n:8d} {size:4d}² {t['pairs']:9.0f} {t['forward']:8.1f} [{t['forward_min']:.1f}] "
+        f"{name:6s} {n:8d} {size:5d}² {t['pairs']:9.0f} {t['forward']:8.1f} [{t['forward_min']:.1f}] "
         f"{t['backward']:8.1f} [{t['backward_min']:.1f}]"
     )
 
 
-def machine() -> str:
-    """Host name, processor and threads in use."""
-    info = Path("/proc/cpuinfo")
-    lines = info.read_text().splitlines() if info.is_file() else []
-    names = [line.split(":")[1].strip() for line in lines if line.startswith("model name")]
-    processor = names[0] if names else platform.processor() or platform.machine()
-    threads = f"{numba.get_num_threads()} numba threads, {torch.get_num_threads()} torch threads"
-    policy = os.environ.get("OMP_WAIT_POLICY", "unset")
-    return f"{platform.node()}: {processor}, {threads}, OMP_WAIT_POLICY {policy}"
-
-
-def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--repeats", type=int, default=7)
-    repeats = parser.parse_args().repeats
-    print(machine())
-    print(f"{'':6s} {'N':>8s} {'size':>5s} {'pairs':>9s}  forward [min] ms  backward [min] ms")
+def synthetic(repeats: int) -> None:
+    """Cost against the number of Gaussians and pixels, and the dense twin at a small size."""
+    print(f"{'':6s} {'N':>8s} {'size':>6s} {'pairs':>9s}  forward [min] ms  backward [min] ms")
     for size in SIZES:
         for n in COUNTS:
             print(row("ours", n, size, measure(ours, n, size, repeats)), flush=True)
+    print(f"peak memory so far, 500,000 Gaussians at 1024² among it: {peak_memory_mib():.0f} MiB")
     small = measure(ours, DENSE_COUNT, DENSE_SIZE, repeats)
     twin = measure(dense, DENSE_COUNT, DENSE_SIZE, repeats)
     print(row("ours", DENSE_COUNT, DENSE_SIZE, small))
     print(row("dense", DENSE_COUNT, DENSE_SIZE, twin))
     ratios = [twin[key] / small[key] for key in ("forward", "backward")]
     print(f"the dense twin takes {ratios[0]:.0f} times as long forward, {ratios[1]:.0f} times backward")
+
+
+class Trained:
+    """The Gaussians of a run and one camera of its dataset."""
+
+    def __init__(self, folder: str) -> None:
+        run = Run.open(folder)
+        self.gaussians, capture = run.load_space(), load_capture(run.dataset)
+        self.size = (capture.width, capture.height)
+        camera = len(capture.viewmats) // 2
+        self.viewmat = torch.from_numpy(np.asarray(capture.viewmats[camera], np.float32))
+        self.K = torch.from_numpy(np.asarray(capture.Ks[camera], np.float32))
+
+    def kernels(self, repeats: int) -> dict[str, tuple[float, float]]:
+        """Milliseconds of every kernel, and the limit of the two that blend."""
+        g, (width, height) = self.gaussians, self.size
+        arrays = [a.numpy() for a in (g.means, g.quats, g.scales, g.opacities, g.sh)]
+        camera = projection.pack_camera(self.viewmat.numpy(), self.K.numpy(), NEAR, FAR, EPS2D)
+        splats = projection.empty_splats(len(g))
+        project = (*arrays, g.sh_degree, False, camera, width, height, splats)
+        projection.project_forward(*project)
+        bins = binning.bin_splats(splats, width, height)
+        lists = (splats, bins.tile_start, bins.pair_gaussian, width, height)
+        image = np.empty((height, width, FEATURES), np.float32)
+        transmittance = np.empty((height, width), np.float32)
+        rng = np.random.default_rng(0)
+        v_image = rng.normal(size=image.shape).astype(np.float32)
+        v_transmittance = rng.normal(size=transmittance.shape).astype(np.float32)
+        v_pairs, v_splats = (
+            np.empty((len(bins.pair_gaussian), FEAT + FEATURES), np.float32),
+            np.zeros_like(splats),
+        )
+        pictures = (image, transmittance, v_image, v_transmittance, v_pairs)
+        gather = (bins.order, bins.n_visible, bins.gaussian_start, bins.pair_slot, v_pairs, v_splats)
+        back = (*arrays[:3], arrays[4], g.sh_degree, False, camera, width, height, splats, v_splats)
+        gradients = (*(np.zeros_like(a) for a in arrays), np.zeros((0, 12), np.float32), False)
+        calls: dict[str, Callable[[], object]] = {
+            "project": lambda: projection.project_forward(*project),
+            "bin": lambda: binning.bin_splats(splats, width, height),
+            "blend": lambda: blend.blend_forward(*lists, image, transmittance),
+            "blend backward": lambda: blend.blend_backward(*lists, *pictures),
+            "gather": lambda: binning.gather_gradient(*gather),
+            "project backward": lambda: projection.project_backward(*back, *gradients),
+        }
+        times = {name: milliseconds(call, repeats) for name, call in calls.items()}
+        evaluations = visible_evaluations(*lists)
+        rate = numba.get_num_threads() * clock_ghz() * 1e6  # vector instructions a millisecond
+        print(f"{len(g)} Gaussians, {len(bins.pair_gaussian)} pairs, {evaluations} visible pixel evaluations")
+        for name, count in (("blend", FORWARD_INSTRUCTIONS), ("blend backward", BACKWARD_INSTRUCTIONS)):
+            limit = evaluations / 16 * count / rate
+            print(
+                f"arithmetic limit of {name}: {limit:.2f} ms; taken: {times[name][0] / limit:.1f} times that"
+            )
+        return times
+
+    def frame(self) -> None:
+        with torch.no_grad():
+            render_view(self.gaussians, self.viewmat, self.K, self.size, self.gaussians.sh_degree)
+
+    def both_passes(self) -> None:
+        g = self.gaussians
+        leaves = [a.detach().requires_grad_() for a in (g.means, g.quats, g.scales, g.opacities, g.sh)]
+        view = render_view(type(g)(*leaves), self.viewmat, self.K, self.size, g.sh_degree)
+        view.rgb.backward(torch.ones_like(view.rgb))
+
+    def gsplat_reference(self) -> None:
+        """Projection and spherical harmonics of gsplat's pure-torch reference."""
+        from gsplat.cuda import _torch_impl as peer
+
+        g = self.gaussians
+        with torch.no_grad():
+            covars, _ = peer._quat_scale_to_covar_preci(g.quats, g.scales)
+            peer._fully_fused_projection(g.means, covars, self.viewmat[None], self.K[None], *self.size)
+            centre = -self.viewmat[:3, :3].T @ self.viewmat[:3, 3]
+            peer._spherical_harmonics(g.sh_degree, g.means - centre, g.sh)
+
+
+def trained(folder: str, repeats: int) -> None:
+    """The kernels and whole passes on trained Gaussians, by number of threads, and gsplat's reference."""
+    scene = Trained(folder)
+    most = numba.config.NUMBA_NUM_THREADS
+    for threads in range(1, most + 1):
+        numba.set_num_threads(threads)
+        print(f"\n{folder}, {scene.size[0]}×{scene.size[1]}, {threads} threads")
+        times = scene.kernels(repeats)
+        times["forward, all"] = milliseconds(scene.frame, repeats)
+        times["forward + backward, all"] = milliseconds(scene.both_passes, repeats)
+        for name, (median, least) in times.items():
+            print(f"  {name:24s} {median:7.2f} [{least:.2f}] ms")
+        print(f"  {1e3 / times['forward, all'][0]:.0f} frames per second")
+    try:
+        peer = milliseconds(scene.gsplat_reference, repeats)[0]
+    except ImportError as error:
+        print(f"gsplat's torch reference cannot be imported: {error}")
+        return
+    ratio = peer / times["project"][0]
+    print(f"gsplat's torch reference, projection + SH only: {peer:.1f} ms, {ratio:.0f} times our `project`")
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--repeats", type=int, default=9)
+    parser.add_argument("--run", help="a run folder with trained Gaussians")
+    parser.add_argument("--only-run", action="store_true", help="leave the synthetic scenes out")
+    options = parser.parse_args()
+    if options.only_run and not options.run:
+        sys.exit("--only-run needs --run")
+    print(machine())
+    if not options.only_run:
+        synthetic(options.repeats)
+    if options.run:
+        trained(options.run, options.repeats)
 
 
 if __name__ == "__main__":

@@ -8,6 +8,8 @@ from pathlib import Path
 # Before numba, torch or numpy are imported. Two workers share two cores, and BLAS spins when it waits.
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
+# As `import tg4mm` does, but a test may import torch before it. Numba's threads share libgomp with torch.
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 ROOT = Path(__file__).resolve().parent.parent
 os.environ.setdefault("NUMBA_CACHE_DIR", str(ROOT / ".numba_cache"))
 

@@ -95,6 +95,7 @@ class TestRequests:
             train(data, tmp_path / "run", device="cuda", settings=SETTINGS)
         assert not (tmp_path / "run").exists()
         monkeypatch.setattr("torch.cuda.is_available", lambda: True)
+        monkeypatch.setattr("tg4mm.rasterize.cuda.require_gsplat", lambda: None)
         assert check_device("cuda") == "cuda"
 
     def test_an_unknown_preset_is_refused(self, data: Path, tmp_path: Path) -> None:

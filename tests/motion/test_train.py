@@ -161,6 +161,7 @@ def test_killed_once_it_ends_as_if_it_had_not_been(
     assert not run.has_motion
     assert (run.load_checkpoint("motion") is None) == (killed_at == 1)
     assert equal(train_motion(run, capture, images, SHORT), expected)
+    assert run.load_checkpoint("motion") is None
 
 
 def test_killed_at_every_second_iteration_it_ends_the_same(

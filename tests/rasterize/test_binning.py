@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from tests.rasterize.oracle import Scene, make_scene, render
-from tg4mm.rasterize.kernels.binning import Bins, depth_order
+from tg4mm.rasterize.kernels import binning
+from tg4mm.rasterize.kernels.binning import Bins, bin_splats, depth_order
 from tg4mm.rasterize.kernels.layout import ALPHA_MIN, DEPTH, POWER, SPLAT_WIDTH, TILE
 from tg4mm.rasterize.reference import project
 
@@ -130,3 +131,19 @@ def test_each_list_runs_from_near_to_far_and_slots_point_back(name: str) -> None
     for k in range(bins.n_visible):
         slots = bins.pair_slot[bins.gaussian_start[k] : bins.gaussian_start[k + 1]]
         assert (bins.pair_gaussian[slots] == bins.order[k]).all()
+
+
+@pytest.mark.parametrize("name", ["ordinary", "large", "faint"])
+def test_lists_that_do_not_fit_are_made_again(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The room for lists is a guess; too small or too large, the lists are the same."""
+    scene = SCENES[name]
+    splats = render([t.detach() for t in scene.tensors(torch.float32)], scene, 3)[2]["projected"][0].splats
+    found = []
+    for guess in (0, 1, 50):
+        monkeypatch.setattr(binning, "_PAIRS_EXPECTED", guess)
+        found.append(bin_splats(splats, scene.width, scene.height))
+    assert len(found[0].pair_gaussian) > 60
+    for key in ("order", "tile_start", "gaussian_start", "pair_gaussian", "pair_slot"):
+        n = found[0].n_visible if key == "order" else None
+        for other in found[1:]:
+            np.testing.assert_array_equal(getattr(found[0], key)[:n], getattr(other, key)[:n])

@@ -1,4 +1,4 @@
-"""The kernels' scalar functions: the exponential, spherical harmonics and their derivatives."""
+"""The kernels' functions: vectors of lanes, the exponential, spherical harmonics and their derivatives."""
 
 from __future__ import annotations
 
@@ -8,14 +8,28 @@ import torch
 from numba import njit
 
 from tg4mm.rasterize.kernels.sh import basis, basis_vjp
-from tg4mm.rasterize.kernels.simd import exp_neg
+from tg4mm.rasterize.kernels.vector import LANES, bits, exp2, lane_sums, load, select, store, store_ten
 from tg4mm.rasterize.reference import sh_colours
 
 
 @njit
-def _exp_neg(x: np.ndarray, out: np.ndarray) -> None:
-    for i in range(len(x)):
-        out[i] = exp_neg(x[i])
+def _exp2(x: np.ndarray, out: np.ndarray) -> None:
+    for i in range(0, len(x), LANES):
+        store(out, i, exp2(load(x, i)))
+
+
+@njit
+def _lane_sums(x: np.ndarray, out: np.ndarray) -> None:
+    a, b, c, d, e = load(x, 0), load(x, 16), load(x, 32), load(x, 48), load(x, 64)
+    f, g, h, i, j = load(x, 80), load(x, 96), load(x, 112), load(x, 128), load(x, 144)
+    store_ten(out, 1, lane_sums(a, b, c, d, e, f, g, h, i, j))
+
+
+@njit
+def _positive(x: np.ndarray, out: np.ndarray) -> int:
+    value = load(x, 0)
+    store(out, 0, select(value > np.float32(0), value, np.float32(-2)))
+    return bits(value > np.float32(0))
 
 
 @njit
@@ -28,19 +42,28 @@ def _basis_vjp(degree: int, d: np.ndarray, v: np.ndarray) -> tuple[float, float,
     return basis_vjp(degree, d[0], d[1], d[2], v)
 
 
-@pytest.mark.parametrize(("low", "high", "bound"), [(0.0, 6.0, 7e-7), (0.0, 80.0, 4e-6)])
-def test_exp_neg_is_as_accurate_as_it_says(low: float, high: float, bound: float) -> None:
-    x = np.linspace(low, high, 400_001, dtype=np.float32)
+def test_exp2_is_as_accurate_as_it_says() -> None:
+    x = -np.linspace(0, 126, 400_000, dtype=np.float32)
     out = np.empty_like(x)
-    _exp_neg(x, out)
-    relative = np.abs(out.astype(np.float64) / np.exp(-x.astype(np.float64)) - 1)
-    assert relative.max() < bound
-
-
-def test_exp_neg_of_zero_is_exactly_one() -> None:
-    out = np.empty(1, np.float32)
-    _exp_neg(np.zeros(1, np.float32), out)
+    _exp2(x, out)
+    assert np.abs(out.astype(np.float64) / np.exp2(x.astype(np.float64)) - 1).max() < 3e-7
     assert out[0] == 1.0
+
+
+def test_lane_sums_keep_the_vectors_apart() -> None:
+    x = np.random.default_rng(0).normal(size=(10, LANES)).astype(np.float32)
+    out = np.full(12, 9.0, np.float32)
+    _lane_sums(x.ravel(), out)
+    np.testing.assert_allclose(out[1:11], x.sum(1, dtype=np.float64), atol=1e-5)
+    assert out[0] == out[11] == 9.0
+
+
+def test_masks_and_selection() -> None:
+    x = np.random.default_rng(1).normal(size=LANES).astype(np.float32)
+    out = np.empty(LANES, np.float32)
+    mask = _positive(x, out)
+    np.testing.assert_array_equal(out, np.where(x > 0, x, np.float32(-2.0)))
+    assert [mask >> k & 1 for k in range(LANES)] == (x > 0).astype(int).tolist()
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])

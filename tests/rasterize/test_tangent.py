@@ -9,7 +9,19 @@ import torch
 from tests.rasterize.oracle import make_scene, render
 from tg4mm.rasterize.kernels.binning import bin_splats, gather_gradient
 from tg4mm.rasterize.kernels.blend import blend_backward, blend_forward, blend_tangent
-from tg4mm.rasterize.kernels.layout import CC, FEAT, FEATURES, MX, OP
+from tg4mm.rasterize.kernels.layout import (
+    CA,
+    CC,
+    FEAT,
+    FEATURES,
+    L22,
+    MX,
+    OP,
+    POWER,
+    R11,
+    SPLAT_WIDTH,
+    SQUARES,
+)
 
 WIDTH, HEIGHT = 50, 37
 SCENES = {
@@ -40,6 +52,15 @@ def tangent(splats: np.ndarray, d_splats: np.ndarray) -> np.ndarray:
     d_image = np.empty((HEIGHT, WIDTH, 4), np.float32)
     blend_tangent(splats, d_splats, bins.tile_start, bins.pair_gaussian, WIDTH, HEIGHT, d_image)
     return d_image
+
+
+def with_squares(splats: np.ndarray) -> np.ndarray:
+    """The splats with the columns that follow from the conic made to follow."""
+    seen = splats[:, POWER] > 0
+    a, b, c = splats[seen, CA : CC + 1].T.astype(np.float64)
+    splats[seen, R11] = 1 / np.sqrt(SQUARES * a)
+    splats[seen, L22] = np.sqrt(SQUARES * (c - b * b / a))
+    return splats
 
 
 def direction(n: int, seed: int) -> np.ndarray:
@@ -86,8 +107,7 @@ def test_it_is_the_derivative_of_the_image(name: str) -> None:
     d[:, MX : MX + 2] *= 0.1
     step, images = 2e-2, []
     for sign in (1, -1):
-        moved = splats.copy()
-        moved[:, : FEAT + 3] += sign * step * d
+        moved = with_squares(splats + sign * step * np.pad(d, ((0, 0), (0, SPLAT_WIDTH - FEAT - 3))))
         image, transmittance = forward(moved, splats)
         images.append(np.concatenate([image[..., :3], transmittance[..., None]], -1).astype(np.float64))
     differences = (images[0] - images[1]) / (2 * step)

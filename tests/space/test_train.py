@@ -151,6 +151,7 @@ def test_killed_once_it_ends_as_if_it_had_not_been(
     assert (checkpoint[1]["iteration"] if checkpoint else 0) == killed_at - 1
     assert equal(train_space(run, views, points, SHORT), expected)
     assert equal(run.load_space(), expected)
+    assert run.load_checkpoint("space") is None
 
 
 def test_killed_after_every_third_iteration_it_ends_the_same(

@@ -131,7 +131,7 @@ def rest_view(gaussians: Gaussians, camera: FixedCamera, size: tuple[int, int]) 
         grads = [np.zeros_like(a) for a in (means, quats, scales, opacities, sh)]
         project_backward(
             means, quats, scales, sh, degree, False, packed, width, height, splats, v_splats,
-            *grads, np.zeros((0, 12), np.float32), False,  # type: ignore[call-arg]
+            *grads, np.zeros((0, 12), np.float32), False,
         )  # fmt: skip
         jacobian[:, c, :3] = grads[0][visible]
         jacobian[:, c, 3:] = np.einsum("nkq,nq->nk", turned, grads[1][visible])

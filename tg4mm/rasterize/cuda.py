@@ -27,11 +27,13 @@ def require_gsplat() -> None:
         raise Tg4mmError(f"device cuda needs gsplat: {_INSTALL}") from error
     if "opacities" not in inspect.signature(gsplat.fully_fused_projection).parameters:
         # it cut every Gaussian at three standard deviations, where an opaque one still has an alpha of 0.011
-        raise Tg4mmError(f"gsplat {gsplat.__version__} is too old, tg4mm needs 1.5.3 or newer: {_INSTALL}")
+        raise Tg4mmError(f"gsplat {gsplat.__version__} is too old, tg4mm needs 1.5 or newer: {_INSTALL}")
     try:
         kernels = importlib.import_module("gsplat.cuda._backend")._C
     except Exception as error:  # the compiler's, ninja's or the loader's; none has a type of its own
-        reason = (str(error).strip() or type(error).__name__).splitlines()[0]
+        # after an OSError of the build gsplat tries to load what was not built, and fails once more
+        first = error.__context__ if isinstance(error.__context__, OSError) else error
+        reason = (str(first).strip() or type(first).__name__).splitlines()[0]
         raise Tg4mmError(f"gsplat's CUDA kernels do not load: {reason}") from error
     if kernels is None:
         raise Tg4mmError(

@@ -3,18 +3,25 @@
 Everything is a stable counting sort over fixed chunks, so the lists do not depend on the number of threads.
 """
 
+# mypy: disable-error-code="call-arg"
+# an intrinsic has one argument more than its calls: the typing context
+
 import math
 
 import numpy as np
 from numba import float32, int32, int64, njit, prange, uint32
 
-from tg4mm.rasterize.kernels.layout import CA, CB, CC, DEPTH, EX, EY, MX, MY, POWER, TILE
+from tg4mm.rasterize.kernels.compiled import kernel
+from tg4mm.rasterize.kernels.layout import CB, CC, DEPTH, EX, EY, L22, MX, MY, POWER, R11, SQUARES, TILE
+from tg4mm.rasterize.kernels.vector import prefetch
 
 _RADIX_BITS = 11
 _CHUNKS = 16  # of the parallel scatter; a constant, so that results never depend on threads
+_AHEAD = 8  # Gaussians asked for ahead of their use: in depth order they lie anywhere in memory
+_PAIRS_EXPECTED = 4  # tiles a Gaussian; where there are more, the lists are made a second time
 
 
-@njit(cache=True)
+@kernel()
 def _radix_pass(keys, order, keys_out, order_out, n, shift, size):
     """One stable counting pass over the digit of `keys` at bit `shift`."""
     count = np.zeros(size + 1, np.int64)
@@ -31,7 +38,7 @@ def _radix_pass(keys, order, keys_out, order_out, n, shift, size):
         count[d] = place + 1
 
 
-@njit(cache=True)
+@kernel()
 def depth_order(splats, keys, order, keys2, order2):
     """Indices of the visible Gaussians by increasing depth, stable, in `order2`. Returns their number.
 
@@ -51,102 +58,127 @@ def depth_order(splats, keys, order, keys2, order2):
     return n
 
 
-@njit(fastmath=True, inline="always")
-def _row_interval(splats, i, y0, y1, n_x):
+@njit(inline="always")
+def _tiles(low, high, n):
+    """Tiles [first, last] of n in a line that have a pixel in low … high, measured from the first pixel's centre.
+
+    Rounding by truncation and a comparison: math.floor would be a call.
+    """
+    a = min(max((low - float32(TILE - 1)) * float32(1.0 / TILE), float32(0.0)), float32(n))
+    b = min(max(high * float32(1.0 / TILE), float32(-1.0)), float32(n - 1))
+    first, last = int32(a), int32(b)
+    return first + int32(float32(first) < a), last - int32(float32(last) > b)
+
+
+@njit(inline="always")
+def _outline(splats, i):
+    """What `_row_interval` needs that is the same in every row."""
+    # dy of the rightmost point; the leftmost is its mirror
+    tangent = -splats[i, CB] / splats[i, CC] * splats[i, EX]
+    limit = float32(2.0 * SQUARES) * splats[i, POWER]
+    slope = -float32(SQUARES) * splats[i, CB] * splats[i, R11] * splats[i, R11]
+    return tangent, limit, slope
+
+
+@njit(inline="always")
+def _row_interval(splats, i, tangent, limit, slope, y0, y1, n_x):
     """Tiles [first, last] in the tile row with pixel centres y0 … y1 that the ellipse of Gaussian i reaches.
 
     The ellipse cut by a band is convex, so its extent in x is taken either at its own extreme point or at the
     nearer edge of the band: exact, no bounding box.
     """
-    a, b, c = splats[i, CA], splats[i, CB], splats[i, CC]
-    reach = splats[i, EY]
+    reach, l22, r11 = splats[i, EY], splats[i, L22], splats[i, R11]
     lo, hi = max(y0 - splats[i, MY], -reach), min(y1 - splats[i, MY], reach)
     if lo > hi:
-        return int64(1), int64(0)
-    tangent = -b / c * splats[i, EX]  # dy of the rightmost point; the leftmost is its mirror
+        return int32(1), int32(0)
     right_y = min(max(tangent, lo), hi)
     left_y = min(max(-tangent, lo), hi)
-    # half the chord at height y is `widest` √(1 - (y / reach)²)
-    one, widest = float32(1.0), math.sqrt(float32(2.0) * splats[i, POWER] / a)
-    right_h, left_h = right_y / reach, left_y / reach
-    right = -b / a * right_y + widest * math.sqrt(max(one - right_h * right_h, float32(0.0)))
-    left = -b / a * left_y - widest * math.sqrt(max(one - left_h * left_h, float32(0.0)))
+    zero, right_q, left_q = float32(0.0), l22 * right_y, l22 * left_y
     x = splats[i, MX] - float32(0.5)  # pixel i has its centre at i + 0.5
-    first = int64(math.ceil((x + left - float32(TILE - 1)) / float32(TILE)))
-    last = int64(math.floor((x + right) / float32(TILE)))
-    return max(first, int64(0)), min(last, int64(n_x - 1))
+    right = x + slope * right_y + r11 * math.sqrt(max(limit - right_q * right_q, zero))
+    left = x + slope * left_y - r11 * math.sqrt(max(limit - left_q * left_q, zero))
+    return _tiles(left, right, n_x)
 
 
-@njit(fastmath=True, inline="always")
+@njit(inline="always")
 def _tile_rows(splats, i, n_y):
     """Tile rows [first, last] that the ellipse of Gaussian i reaches."""
     reach = splats[i, EY]
     y = splats[i, MY] - float32(0.5)
-    first = int64(math.ceil((y - reach - float32(TILE - 1)) / float32(TILE)))
-    last = int64(math.floor((y + reach) / float32(TILE)))
-    return max(first, int64(0)), min(last, int64(n_y - 1))
+    return _tiles(y - reach, y + reach, n_y)
 
 
-@njit(parallel=True, cache=True)
-def count_pairs(splats, order, n_visible, n_x, n_y, per_chunk, per_gaussian):
-    """Number of pairs per (chunk, tile) and per Gaussian of the depth order. Both arrays are overwritten."""
+@kernel(parallel=True)
+def list_pairs(splats, order, n_visible, n_x, n_y, tiles, gaussian_start, per_chunk, needed):
+    """The tiles of every Gaussian in depth order, chunk by chunk, and how many pairs a chunk gives each tile.
+
+    `tiles` [chunks, capacity]: what does not fit is counted in `needed` [chunks] but not written, and the caller
+    comes again with more room. `gaussian_start` [k + 1] gets the end of Gaussian k's pairs within its chunk.
+    """
     size = (n_visible + _CHUNKS - 1) // _CHUNKS
+    room = tiles.shape[1]
     for chunk in prange(_CHUNKS):
-        for tile in range(n_x * n_y):
-            per_chunk[chunk, tile] = 0
+        count = per_chunk[chunk]
+        count[:] = 0
+        total = 0
         for k in range(chunk * size, min(n_visible, (chunk + 1) * size)):
             i = order[k]
-            total = 0
+            prefetch(splats, int64(order[min(k + _AHEAD, n_visible - 1)]))
             first_row, last_row = _tile_rows(splats, i, n_y)
+            tangent, limit, slope = _outline(splats, i)
             for ty in range(first_row, last_row + 1):
                 y0 = float32(ty * TILE) + float32(0.5)
-                first, last = _row_interval(splats, i, y0, y0 + float32(TILE - 1), n_x)
-                for tx in range(first, last + 1):
-                    per_chunk[chunk, ty * n_x + tx] += 1
+                first, last = _row_interval(splats, i, tangent, limit, slope, y0, y0 + float32(TILE - 1), n_x)
+                for tile in range(ty * n_x + first, ty * n_x + last + 1):
+                    count[tile] += 1
+                    if total < room:
+                        tiles[chunk, total] = tile
                     total += 1
-            per_gaussian[k] = total
+            gaussian_start[k + 1] = total
+        needed[chunk] = total
 
 
-@njit(cache=True)
-def offsets(per_chunk, per_gaussian, n_visible, tile_start, gaussian_start):
-    """Turn counts into start positions, in place for `per_chunk`. Returns the number of pairs."""
-    total = 0
-    for tile in range(per_chunk.shape[1]):
-        tile_start[tile] = total
-        for chunk in range(per_chunk.shape[0]):
-            c = per_chunk[chunk, tile]
-            per_chunk[chunk, tile] = total
-            total += c
-    tile_start[per_chunk.shape[1]] = total
-    running = 0
-    for k in range(n_visible):
-        gaussian_start[k] = running
-        running += per_gaussian[k]
-    gaussian_start[n_visible] = running
-    return total
+@kernel()
+def offsets(per_chunk, tile_start):
+    """Turn counts into start positions: `tile_start` [tiles + 1], and in place where each chunk begins in a tile."""
+    n_chunks, n_tiles = per_chunk.shape
+    tile_start[:] = 0
+    for chunk in range(n_chunks):
+        for tile in range(n_tiles):
+            before = tile_start[tile + 1]
+            tile_start[tile + 1] = before + per_chunk[chunk, tile]
+            per_chunk[chunk, tile] = before
+    for tile in range(n_tiles):
+        tile_start[tile + 1] += tile_start[tile]
 
 
-@njit(parallel=True, cache=True)
-def fill_pairs(splats, order, n_visible, n_x, n_y, per_chunk, gaussian_start, pair_gaussian, pair_slot):
+@kernel(parallel=True)
+def fill_pairs(
+    order, n_visible, tiles, needed, tile_start, per_chunk, gaussian_start, pair_gaussian, pair_slot
+):
     """Write each tile's Gaussians in depth order, and for each Gaussian where its pairs went."""
     size = (n_visible + _CHUNKS - 1) // _CHUNKS
+    gaussian_start[0] = 0
     for chunk in prange(_CHUNKS):
+        taken = per_chunk[chunk]
+        base = int64(0)
+        for c in range(chunk):
+            base += needed[c]
+        n = int64(0)
         for k in range(chunk * size, min(n_visible, (chunk + 1) * size)):
             i = order[k]
-            slot = gaussian_start[k]
-            first_row, last_row = _tile_rows(splats, i, n_y)
-            for ty in range(first_row, last_row + 1):
-                y0 = float32(ty * TILE) + float32(0.5)
-                first, last = _row_interval(splats, i, y0, y0 + float32(TILE - 1), n_x)
-                for tx in range(first, last + 1):
-                    place = per_chunk[chunk, ty * n_x + tx]
-                    per_chunk[chunk, ty * n_x + tx] = place + 1
-                    pair_gaussian[place] = int32(i)
-                    pair_slot[slot] = int32(place)
-                    slot += 1
+            end = gaussian_start[k + 1]
+            gaussian_start[k + 1] = base + end
+            for m in range(n, end):
+                tile = tiles[chunk, m]
+                place = tile_start[tile] + taken[tile]
+                taken[tile] += 1
+                pair_gaussian[place] = i
+                pair_slot[base + m] = place
+            n = end
 
 
-@njit(parallel=True, fastmath=True, cache=True)
+@kernel(parallel=True, fastmath=True)
 def gather_gradient(order, n_visible, gaussian_start, pair_slot, v_pairs, v_splats):
     """Sum the gradients of a Gaussian's pairs, in a fixed order; `v_splats` is written where visible."""
     for k in prange(n_visible):
@@ -178,11 +210,20 @@ def bin_splats(splats: np.ndarray, width: int, height: int) -> Bins:
     keys, keys2 = np.empty(n, np.uint32), np.empty(n, np.uint32)
     scratch, order = np.empty(n, np.int32), np.empty(n, np.int32)
     n_visible = depth_order(splats, keys, scratch, keys2, order)
-    per_chunk = np.empty((_CHUNKS, n_x * n_y), np.int64)
-    per_gaussian = np.empty(n_visible, np.int64)
-    count_pairs(splats, order, n_visible, n_x, n_y, per_chunk, per_gaussian)
-    tile_start, gaussian_start = np.empty(n_x * n_y + 1, np.int64), np.empty(n_visible + 1, np.int64)
-    n_pairs = offsets(per_chunk, per_gaussian, n_visible, tile_start, gaussian_start)
+    per_chunk, needed = np.empty((_CHUNKS, n_x * n_y), np.int32), np.empty(_CHUNKS, np.int64)
+    gaussian_start = np.empty(n_visible + 1, np.int32)
+    room = _PAIRS_EXPECTED * (n_visible // _CHUNKS + 1)
+    while True:
+        tiles = np.empty((_CHUNKS, room), np.int32)
+        list_pairs(splats, order, n_visible, n_x, n_y, tiles, gaussian_start, per_chunk, needed)
+        if needed.max() <= room:
+            break
+        room = int(needed.max())
+    n_pairs = int(needed.sum())
+    tile_start = np.empty(n_x * n_y + 1, np.int32)
+    offsets(per_chunk, tile_start)
     pair_gaussian, pair_slot = np.empty(n_pairs, np.int32), np.empty(n_pairs, np.int32)
-    fill_pairs(splats, order, n_visible, n_x, n_y, per_chunk, gaussian_start, pair_gaussian, pair_slot)
+    fill_pairs(
+        order, n_visible, tiles, needed, tile_start, per_chunk, gaussian_start, pair_gaussian, pair_slot
+    )
     return Bins(order, n_visible, tile_start, gaussian_start, pair_gaussian, pair_slot)

@@ -1,274 +1,485 @@
-"""Front-to-back compositing of the tile lists, [3DGS] Eq. (3), and its gradient, also front to back.
+"""Front-to-back compositing of the tile lists, [3DGS] Eq. (3), its gradient, also front to back, and its tangent.
 
 The gradient of a contribution needs the light that comes from behind it. Instead of walking back to front,
 the backward pass starts from the finished image and takes each contribution away as it meets it, so both
-passes run the same recurrence and nothing but the image is kept between them. The state of a tile lies in one
-array, its planes a constant distance apart: that is what lets the compiler vectorise a row of 16 pixels
-without checks.
+passes run the same recurrence and nothing but the image is kept between them.
+
+A tile is 16 blocks of 4 × 4 pixels, a block one vector. For each Gaussian one vector test, a lane a block, says
+which blocks its ellipse may reach; the others are not touched. The exponent is a sum of two squares, p² + q² with
+p, q linear in the pixel, which keeps thin ellipses exact.
 
 A pixel that has stopped carries a negative transmittance: -T, of which nothing comes any more.
+
+Threads take tiles from a common counter, those with long lists first. A tile's result depends on nothing but the tile.
 """
+
+# mypy: disable-error-code="call-arg, var-annotated"
+# an intrinsic has one argument more than its calls: the typing context
 
 import math
 
 import numpy as np
-from numba import float32, njit, prange
+from numba import float32, get_num_threads, int64, njit, prange, uint32
 
+from tg4mm.rasterize.kernels.compiled import kernel
 from tg4mm.rasterize.kernels.layout import (
     ALPHA_MAX,
     ALPHA_MIN,
     CA,
     CB,
     CC,
-    EY,
     FEAT,
     FEATURES,
+    L22,
     MX,
     MY,
     OP,
+    POWER,
+    R11,
+    SQUARES,
     T_MIN,
     TILE,
 )
-from tg4mm.rasterize.kernels.simd import exp_neg
+from tg4mm.rasterize.kernels.vector import (
+    LANES,
+    bits,
+    exp2,
+    fetch_add,
+    fma,
+    lane_sums,
+    load,
+    lowest_bit,
+    magnitude,
+    negative,
+    select,
+    store,
+    store_ten,
+    wide,
+)
 
 _AREA = TILE * TILE
-_CHECK = 8  # Gaussians between two looks at which rows have stopped
+_SIDE = 4  # pixels of a block
+_BLOCKS = _AREA // LANES
+_BATCH = 32  # pairs looked at ahead
+_GRAD = FEAT + FEATURES
+
+# Where pixels and blocks lie: lanes are pixels from their block's centre, then block centres from the tile's corner.
+_LANE = np.arange(LANES)
+_PLACES = np.stack(
+    [_LANE % _SIDE - 1.5, _LANE // _SIDE - 1.5, _LANE % _SIDE * 4 + 2.0, _LANE // _SIDE * 4 + 2.0]
+).astype(np.float32).ravel()  # fmt: skip
 
 
-@njit(fastmath=True, inline="always")
-def _rows(splats, i, y0, rows):
-    """Rows [first, last] of the tile starting at pixel row y0 that the ellipse of Gaussian i reaches."""
-    reach = splats[i, EY]
-    y = splats[i, MY] - float32(0.5) - float32(y0)
-    first = max(math.ceil(y - reach), 0)
-    last = min(math.floor(y + reach), rows - 1)
-    return first, last
+@njit(inline="always")
+def _pixel(r, c, stride):
+    """Place of row r, column c of a tile in the first plane of its state, whose blocks are `stride` apart."""
+    return ((r >> 2) * 4 + (c >> 2)) * stride + (r & 3) * _SIDE + (c & 3)
 
 
-@njit(fastmath=True, inline="always")
-def _live_rows(state, live):
-    """Mark the rows in which a pixel still takes light; returns how many there are."""
-    total = 0
-    for r in range(TILE):
-        best = float32(-1.0)
-        for j in range(TILE):
-            best = max(best, state[0, r, j])
-        live[r] = best > float32(0.0)
-        total += live[r]
-    return total
+@njit(inline="always")
+def _aligned(n):
+    """n float32 at an address that is a multiple of 64: no vector straddles two cache lines."""
+    room = np.empty(n + LANES, np.float32)
+    skip = (-(room.ctypes.data // 4)) % LANES
+    return room[skip : skip + n]
 
 
-@njit(parallel=True, fastmath=True, cache=True)
-def blend_forward(
-    splats, tile_start, pair_gaussian, width, height, image, transmittance, alpha_min=ALPHA_MIN
-):
-    """Composite. `image` [H, W, FEATURES] and `transmittance` [H, W] are written; no background is added."""
+@njit(inline="always")
+def _fill(state, stride, transmittance):
+    """The first plane to `transmittance`, the others to 0. A block's planes follow each other in `state`."""
+    state[:] = float32(0.0)
+    for k in range(_BLOCKS):
+        state[k * stride : k * stride + LANES] = transmittance
+
+
+@njit(inline="always")
+def _squares(splats, i):
+    """l11, l12, l22 of the exponent p² + q² of Gaussian i: p = l11 dx + l12 dy, q = l22 dy."""
+    h = float32(SQUARES) * splats[i, R11]
+    return h * splats[i, CA], h * splats[i, CB], splats[i, L22]
+
+
+@njit(error_model="numpy", inline="always")
+def _look_ahead(splats, pair_gaussian, begin, end, x0, y0, places, masks, offsets):
+    """For the pairs begin … end: which blocks the ellipse may reach, and p and q at the blocks' centres [2 · 16].
+
+    A block's p and q lie within a box around those of its centre; if the box's nearest point to the origin is outside
+    the ellipse, so is the block. Done for a batch ahead, so that the branches of the loop over blocks, which depend
+    on it, do not wait for it.
+    """
+    half, zero = float32(1.5), wide(float32(0.0))
+    for n in range(end - begin):
+        i = pair_gaussian[begin + n]
+        l11, l12, l22 = _squares(splats, i)
+        dx = load(places, int64(2 * LANES)) + (float32(x0) - splats[i, MX])
+        dy = load(places, int64(3 * LANES)) + (float32(y0) - splats[i, MY])
+        p, q = fma(dx, l11, dy * l12), dy * l22
+        store(offsets, n * 2 * LANES, p)
+        store(offsets, n * 2 * LANES + LANES, q)
+        out_p = magnitude(p) - half * (abs(l11) + abs(l12))
+        out_q = magnitude(q) - half * l22
+        out_p = select(out_p > zero, out_p, zero)
+        out_q = select(out_q > zero, out_q, zero)
+        limit = splats[i, POWER] * float32(2.0 * SQUARES)
+        masks[n] = bits(wide(limit) >= fma(out_p, out_p, out_q * out_q))
+
+
+@njit(inline="always")
+def _inside(rows, columns):
+    """Mask of the blocks that have a pixel in the image."""
+    live = uint32(0)
+    for k in range(_BLOCKS):
+        if (k >> 2) * 4 < rows and (k & 3) * 4 < columns:
+            live |= uint32(1) << uint32(k)
+    return live
+
+
+@kernel()
+def _forward_tiles(order, counter, tables, frame, splats, image, transmittance, alpha_min):
+    tile_start, pair_gaussian, places = tables
+    width, height = frame
     n_x = (width + TILE - 1) // TILE
-    n_y = (height + TILE - 1) // TILE
-    one, half = float32(1.0), float32(0.5)
-    alpha_min, alpha_max, t_min = float32(alpha_min), float32(ALPHA_MAX), float32(T_MIN)
-    for tile in prange(n_x * n_y):
-        state = np.zeros((1 + FEATURES, TILE, TILE), np.float32)
-        state[0] = one
-        live = np.ones(TILE, np.uint8)
+    one, zero = float32(1.0), float32(0.0)
+    alpha_max, t_min = float32(ALPHA_MAX), float32(T_MIN)
+    faintest = float32(math.log2(alpha_min))
+    stride = (1 + FEATURES) * LANES
+    state = _aligned(_BLOCKS * stride)
+    offsets = _aligned(_BATCH * 2 * LANES)
+    masks = np.empty(_BATCH, np.uint32)
+    while True:
+        item = fetch_add(counter)
+        if item >= len(order):
+            break
+        tile = order[item]
         x0, y0 = (tile % n_x) * TILE, (tile // n_x) * TILE
         rows, columns = min(TILE, height - y0), min(TILE, width - x0)
-        for p in range(tile_start[tile], tile_start[tile + 1]):
-            if (p - tile_start[tile]) % _CHECK == _CHECK - 1 and _live_rows(state, live) == 0:
-                break
-            i = pair_gaussian[p]
-            first, last = _rows(splats, i, y0, rows)
-            a, b, c, o = splats[i, CA] * half, splats[i, CB], splats[i, CC] * half, splats[i, OP]
+        begin, end = tile_start[tile], tile_start[tile + 1]
+        if begin == end:
+            transmittance[y0 : y0 + rows, x0 : x0 + columns] = one
+            image[y0 : y0 + rows, x0 : x0 + columns] = zero
+            continue
+        _fill(state, stride, one)
+        live = _inside(rows, columns)
+        lane_x, lane_y = load(places, int64(0)), load(places, int64(LANES))
+        for pair in range(begin, end):
+            i = pair_gaussian[pair]
+            at = (pair - begin) % _BATCH
+            if at == 0:
+                ahead = min(end, pair + _BATCH)
+                _look_ahead(splats, pair_gaussian, pair, ahead, x0, y0, places, masks, offsets)
+            todo, at = masks[at] & live, at * 2 * LANES
+            l11, l12, l22 = _squares(splats, i)
+            top = splats[i, POWER] * float32(2.0 * SQUARES) + faintest
+            at_p, at_q = fma(lane_x, l11, lane_y * l12), lane_y * l22
             f0, f1 = splats[i, FEAT], splats[i, FEAT + 1]
             f2, f3 = splats[i, FEAT + 2], splats[i, FEAT + 3]
-            dx0 = float32(x0) + half - splats[i, MX]
-            dy0 = float32(y0) + half - splats[i, MY]
-            for r in range(first, last + 1):
-                if not live[r]:
-                    continue
-                dy = dy0 + float32(r)
-                bdy, cdy = b * dy, c * dy * dy
-                for j in range(TILE):
-                    dx = dx0 + float32(j)
-                    sigma = max((a * dx + bdy) * dx + cdy, float32(0.0))
-                    alpha = min(o * exp_neg(min(sigma, float32(80.0))), alpha_max)
-                    alpha = alpha if alpha >= alpha_min else float32(0.0)
-                    t = state[0, r, j]
-                    nt = t * (one - alpha)
-                    w = t * alpha if nt > t_min else float32(0.0)
-                    state[0, r, j] = nt if nt > t_min else -abs(t)
-                    state[1, r, j] += w * f0
-                    state[2, r, j] += w * f1
-                    state[3, r, j] += w * f2
-                    state[4, r, j] += w * f3
+            while todo != 0:
+                k = lowest_bit(todo)
+                todo &= todo - uint32(1)
+                place = k * stride
+                p, q = at_p + offsets[at + k], at_q + offsets[at + LANES + k]
+                y = fma(negative(q), q, fma(negative(p), p, top))
+                alpha = exp2(y)
+                alpha = select(wide(alpha_max) > alpha, alpha, alpha_max)
+                alpha = select(y >= faintest, alpha, zero)
+                t = load(state, place)
+                nt = fma(negative(t), alpha, t)
+                on = nt > t_min
+                w = select(on, t * alpha, zero)
+                store(state, place, select(on, nt, negative(magnitude(t))))
+                place += LANES
+                store(state, place, fma(w, f0, load(state, place)))
+                place += LANES
+                store(state, place, fma(w, f1, load(state, place)))
+                place += LANES
+                store(state, place, fma(w, f2, load(state, place)))
+                place += LANES
+                store(state, place, fma(w, f3, load(state, place)))
+                if bits(on) == 0:
+                    live &= ~(uint32(1) << uint32(k))
+            if live == 0:
+                break
         for r in range(rows):
             for j in range(columns):
-                transmittance[y0 + r, x0 + j] = abs(state[0, r, j])
+                at = _pixel(r, j, stride)
+                transmittance[y0 + r, x0 + j] = abs(state[at])
                 for k in range(FEATURES):
-                    image[y0 + r, x0 + j, k] = state[1 + k, r, j]
+                    image[y0 + r, x0 + j, k] = state[(1 + k) * LANES + at]
 
 
-@njit(parallel=True, fastmath=True, cache=True)
+@kernel()
+def _backward_tiles(order, counter, tables, frame, splats, pictures, v_pairs, alpha_min):
+    tile_start, pair_gaussian, places = tables
+    width, height = frame
+    image, transmittance, v_image, v_transmittance = pictures
+    n_x = (width + TILE - 1) // TILE
+    one, half, zero = float32(1.0), float32(0.5), float32(0.0)
+    alpha_max, t_min = float32(ALPHA_MAX), float32(T_MIN)
+    faintest = float32(math.log2(alpha_min))
+    # planes: transmittance, what is still to come (as seen by the loss), gradient by the features
+    stride = (2 + FEATURES) * LANES
+    state = _aligned(_BLOCKS * stride)
+    offsets = _aligned(_BATCH * 2 * LANES)
+    masks = np.empty(_BATCH, np.uint32)
+    while True:
+        item = fetch_add(counter)
+        if item >= len(order):
+            break
+        tile = order[item]
+        begin, end = tile_start[tile], tile_start[tile + 1]
+        if begin == end:
+            continue
+        x0, y0 = (tile % n_x) * TILE, (tile // n_x) * TILE
+        rows, columns = min(TILE, height - y0), min(TILE, width - x0)
+        if rows < TILE or columns < TILE:
+            _fill(state, stride, -one)  # outside the image: stopped from the start
+        for r in range(rows):
+            for j in range(columns):
+                at = _pixel(r, j, stride)
+                to_come = v_transmittance[y0 + r, x0 + j] * transmittance[y0 + r, x0 + j]
+                for k in range(FEATURES):
+                    g = v_image[y0 + r, x0 + j, k]
+                    state[(2 + k) * LANES + at] = g
+                    to_come += g * image[y0 + r, x0 + j, k]
+                state[at] = one
+                state[LANES + at] = to_come
+        live = _inside(rows, columns)
+        lane_x, lane_y = load(places, int64(0)), load(places, int64(LANES))
+        for pair in range(begin, end):
+            i = pair_gaussian[pair]
+            nothing = wide(zero)
+            s, sx, sy, sxx, sxy = nothing, nothing, nothing, nothing, nothing
+            syy, h0, h1, h2, h3 = nothing, nothing, nothing, nothing, nothing
+            at = (pair - begin) % _BATCH
+            if at == 0:
+                ahead = min(end, pair + _BATCH)
+                _look_ahead(splats, pair_gaussian, pair, ahead, x0, y0, places, masks, offsets)
+            todo, at = masks[at] & live, at * 2 * LANES
+            l11, l12, l22 = _squares(splats, i)
+            top = splats[i, POWER] * float32(2.0 * SQUARES) + faintest
+            at_p, at_q = fma(lane_x, l11, lane_y * l12), lane_y * l22
+            at_x = lane_x + (float32(x0) - splats[i, MX])
+            at_y = lane_y + (float32(y0) - splats[i, MY])
+            f0, f1 = splats[i, FEAT], splats[i, FEAT + 1]
+            f2, f3 = splats[i, FEAT + 2], splats[i, FEAT + 3]
+            while todo != 0:
+                k = lowest_bit(todo)
+                todo &= todo - uint32(1)
+                place = k * stride
+                p, q = at_p + offsets[at + k], at_q + offsets[at + LANES + k]
+                y = fma(negative(q), q, fma(negative(p), p, top))
+                raw = exp2(y)
+                free = wide(alpha_max) > raw
+                alpha = select(free, raw, alpha_max)
+                alpha = select(y >= faintest, alpha, zero)
+                t = load(state, place)
+                nt = fma(negative(t), alpha, t)
+                on = nt > t_min
+                w = select(on, t * alpha, zero)
+                g0, g1 = load(state, place + 2 * LANES), load(state, place + 3 * LANES)
+                g2, g3 = load(state, place + 4 * LANES), load(state, place + 5 * LANES)
+                light = fma(g3, f3, fma(g2, f2, fma(g1, f1, g0 * f0)))
+                to_come = fma(negative(w), light, load(state, place + LANES))
+                store(state, place, select(on, nt, negative(magnitude(t))))
+                store(state, place + LANES, to_come)
+                # alpha = o e^(-sigma), so its gradient by -sigma is alpha itself; clamped ones give none
+                v = select(on & free, alpha * (t * light - to_come / (one - alpha)), zero)
+                dx, dy = at_x + places[2 * LANES + k], at_y + places[3 * LANES + k]
+                vx, vy = v * dx, v * dy
+                s, sx, sy = s + v, sx + vx, sy + vy
+                sxx, sxy, syy = fma(vx, dx, sxx), fma(vx, dy, sxy), fma(vy, dy, syy)
+                h0, h1, h2, h3 = fma(w, g0, h0), fma(w, g1, h1), fma(w, g2, h2), fma(w, g3, h3)
+                if bits(on) == 0:
+                    live &= ~(uint32(1) << uint32(k))
+            a, b, c = splats[i, CA], splats[i, CB], splats[i, CC]
+            sums = lane_sums(
+                fma(sx, a, sy * b), fma(sx, b, sy * c), sxx * -half, negative(sxy), syy * -half,
+                s * (one / splats[i, OP]), h0, h1, h2, h3,
+            )  # fmt: skip
+            store_ten(v_pairs, int64(pair) * _GRAD, sums)
+            if live == 0:
+                for rest in range((pair + 1) * _GRAD, end * _GRAD):
+                    v_pairs[rest] = zero
+                break
+
+
+@kernel()
+def _tangent_tiles(order, counter, tables, frame, splats, d_splats, d_image, alpha_min):
+    tile_start, pair_gaussian, places = tables
+    width, height = frame
+    n_x = (width + TILE - 1) // TILE
+    one, half, zero = float32(1.0), float32(0.5), float32(0.0)
+    alpha_max, t_min = float32(ALPHA_MAX), float32(T_MIN)
+    faintest = float32(math.log2(alpha_min))
+    # planes: transmittance, its tangent, tangents of three features
+    stride = 5 * LANES
+    state = _aligned(_BLOCKS * stride)
+    offsets = _aligned(_BATCH * 2 * LANES)
+    masks = np.empty(_BATCH, np.uint32)
+    while True:
+        item = fetch_add(counter)
+        if item >= len(order):
+            break
+        tile = order[item]
+        x0, y0 = (tile % n_x) * TILE, (tile // n_x) * TILE
+        rows, columns = min(TILE, height - y0), min(TILE, width - x0)
+        begin, end = tile_start[tile], tile_start[tile + 1]
+        if begin == end:
+            d_image[y0 : y0 + rows, x0 : x0 + columns] = zero
+            continue
+        _fill(state, stride, one)
+        live = _inside(rows, columns)
+        lane_x, lane_y = load(places, int64(0)), load(places, int64(LANES))
+        for pair in range(begin, end):
+            i = pair_gaussian[pair]
+            at = (pair - begin) % _BATCH
+            if at == 0:
+                ahead = min(end, pair + _BATCH)
+                _look_ahead(splats, pair_gaussian, pair, ahead, x0, y0, places, masks, offsets)
+            todo, at = masks[at] & live, at * 2 * LANES
+            l11, l12, l22 = _squares(splats, i)
+            top = splats[i, POWER] * float32(2.0 * SQUARES) + faintest
+            at_p, at_q = fma(lane_x, l11, lane_y * l12), lane_y * l22
+            at_x = lane_x + (float32(x0) - splats[i, MX])
+            at_y = lane_y + (float32(y0) - splats[i, MY])
+            f0, f1, f2 = splats[i, FEAT], splats[i, FEAT + 1], splats[i, FEAT + 2]
+            e0, e1, e2 = d_splats[i, FEAT], d_splats[i, FEAT + 1], d_splats[i, FEAT + 2]
+            ux, uy = d_splats[i, MX], d_splats[i, MY]
+            # minus the change of the exponent: (xx dx + xy dy + x) dx + (yy dy + y) dy
+            xx, xy, yy = -half * d_splats[i, CA], -d_splats[i, CB], -half * d_splats[i, CC]
+            x = splats[i, CA] * ux + splats[i, CB] * uy
+            y_ = splats[i, CB] * ux + splats[i, CC] * uy
+            while todo != 0:
+                k = lowest_bit(todo)
+                todo &= todo - uint32(1)
+                place = k * stride
+                p, q = at_p + offsets[at + k], at_q + offsets[at + LANES + k]
+                y = fma(negative(q), q, fma(negative(p), p, top))
+                raw = exp2(y)
+                free = wide(alpha_max) > raw
+                alpha = select(free, raw, alpha_max)
+                alpha = select(y >= faintest, alpha, zero)
+                dx, dy = at_x + places[2 * LANES + k], at_y + places[3 * LANES + k]
+                rise = fma(fma(dy, xy, fma(dx, xx, x)), dx, fma(dy, yy, y_) * dy)
+                d_alpha = select(free, alpha * rise, zero)
+                t, dt = load(state, place), load(state, place + LANES)
+                nt = fma(negative(t), alpha, t)
+                on = nt > t_min
+                w = select(on, t * alpha, zero)
+                dw = select(on, fma(dt, alpha, t * d_alpha), zero)
+                store(state, place, select(on, nt, negative(magnitude(t))))
+                store(state, place + LANES, dt - dw)
+                place += 2 * LANES
+                store(state, place, fma(dw, f0, fma(w, e0, load(state, place))))
+                place += LANES
+                store(state, place, fma(dw, f1, fma(w, e1, load(state, place))))
+                place += LANES
+                store(state, place, fma(dw, f2, fma(w, e2, load(state, place))))
+                if bits(on) == 0:
+                    live &= ~(uint32(1) << uint32(k))
+            if live == 0:
+                break
+        for r in range(rows):
+            for j in range(columns):
+                at = _pixel(r, j, stride)
+                d_image[y0 + r, x0 + j, 3] = state[LANES + at]
+                for k in range(3):
+                    d_image[y0 + r, x0 + j, k] = state[(2 + k) * LANES + at]
+
+
+@kernel()
+def _longest_first(tile_start):
+    """Tiles by falling length of their lists, to the next power of √2; equal ones as they lie."""
+    n = len(tile_start) - 1
+    count = np.zeros(66, np.int64)
+    rank = np.empty(n, np.uint8)
+    for tile in range(n):
+        length = tile_start[tile + 1] - tile_start[tile]
+        rank[tile] = 64 - min(64, int(2.0 * math.log2(length)) + 1) if length > 0 else 64
+        count[rank[tile] + 1] += 1
+    for k in range(65):
+        count[k + 1] += count[k]
+    order = np.empty(n, np.int32)
+    for tile in range(n):
+        order[count[rank[tile]]] = tile
+        count[rank[tile]] += 1
+    return order
+
+
+@kernel(parallel=True)
+def _forward(workers, order, counter, tables, frame, splats, image, transmittance, alpha_min):
+    for _ in prange(workers):
+        _forward_tiles(order, counter, tables, frame, splats, image, transmittance, alpha_min)
+
+
+@kernel(parallel=True)
+def _backward(workers, order, counter, tables, frame, splats, pictures, v_pairs, alpha_min):
+    for _ in prange(workers):
+        _backward_tiles(order, counter, tables, frame, splats, pictures, v_pairs, alpha_min)
+
+
+@kernel(parallel=True)
+def _tangent(workers, order, counter, tables, frame, splats, d_splats, d_image, alpha_min):
+    for _ in prange(workers):
+        _tangent_tiles(order, counter, tables, frame, splats, d_splats, d_image, alpha_min)
+
+
+def _work(tile_start: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
+    """Number of workers, tiles in the order in which they are taken, and the common counter."""
+    return get_num_threads(), _longest_first(tile_start), np.zeros(1, np.int64)
+
+
+def blend_forward(
+    splats: np.ndarray,
+    tile_start: np.ndarray,
+    pair_gaussian: np.ndarray,
+    width: int,
+    height: int,
+    image: np.ndarray,
+    transmittance: np.ndarray,
+    alpha_min: float = ALPHA_MIN,
+) -> None:
+    """Composite. `image` [H, W, FEATURES] and `transmittance` [H, W] are written; no background is added."""
+    tables, frame = (tile_start, pair_gaussian, _PLACES), (width, height)
+    _forward(*_work(tile_start), tables, frame, splats, image, transmittance, alpha_min)
+
+
 def blend_backward(
-    splats, tile_start, pair_gaussian, width, height, image, transmittance, v_image, v_transmittance, v_pairs,
-    alpha_min=ALPHA_MIN,
-):  # fmt: skip
+    splats: np.ndarray,
+    tile_start: np.ndarray,
+    pair_gaussian: np.ndarray,
+    width: int,
+    height: int,
+    image: np.ndarray,
+    transmittance: np.ndarray,
+    v_image: np.ndarray,
+    v_transmittance: np.ndarray,
+    v_pairs: np.ndarray,
+    alpha_min: float = ALPHA_MIN,
+) -> None:
     """Gradient of every (tile, Gaussian) pair, to `v_pairs` [P, FEAT + FEATURES], in the columns of `splats`.
 
     v_image [H, W, FEATURES] and v_transmittance [H, W] are the loss's gradients by what blend_forward wrote.
     """
-    n_x = (width + TILE - 1) // TILE
-    n_y = (height + TILE - 1) // TILE
-    one, half, zero = float32(1.0), float32(0.5), float32(0.0)
-    alpha_min, alpha_max, t_min = float32(alpha_min), float32(ALPHA_MAX), float32(T_MIN)
-    for tile in prange(n_x * n_y):
-        # planes: transmittance, what is still to come (as seen by the loss), gradient by the features
-        state = np.zeros((2 + FEATURES, TILE, TILE), np.float32)
-        acc = np.zeros((3 + FEATURES, TILE), np.float32)
-        live = np.ones(TILE, np.uint8)
-        x0, y0 = (tile % n_x) * TILE, (tile // n_x) * TILE
-        rows, columns = min(TILE, height - y0), min(TILE, width - x0)
-        state[0] = -one  # outside the image: stopped from the start
-        for r in range(rows):
-            for j in range(columns):
-                to_come = v_transmittance[y0 + r, x0 + j] * transmittance[y0 + r, x0 + j]
-                for k in range(FEATURES):
-                    g = v_image[y0 + r, x0 + j, k]
-                    state[2 + k, r, j] = g
-                    to_come += g * image[y0 + r, x0 + j, k]
-                state[0, r, j] = one
-                state[1, r, j] = to_come
-        stopped = False
-        for p in range(tile_start[tile], tile_start[tile + 1]):
-            if (p - tile_start[tile]) % _CHECK == _CHECK - 1 and not stopped:
-                stopped = _live_rows(state, live) == 0
-            if stopped:
-                for k in range(FEAT + FEATURES):
-                    v_pairs[p, k] = zero
-                continue
-            i = pair_gaussian[p]
-            first, last = _rows(splats, i, y0, rows)
-            a, b, c, o = splats[i, CA] * half, splats[i, CB], splats[i, CC] * half, splats[i, OP]
-            f0, f1 = splats[i, FEAT], splats[i, FEAT + 1]
-            f2, f3 = splats[i, FEAT + 2], splats[i, FEAT + 3]
-            dx0 = float32(x0) + half - splats[i, MX]
-            dy0 = float32(y0) + half - splats[i, MY]
-            for k in range(3 + FEATURES):
-                for j in range(TILE):
-                    acc[k, j] = zero
-            for r in range(first, last + 1):
-                if not live[r]:
-                    continue
-                dy = dy0 + float32(r)
-                bdy, cdy = b * dy, c * dy * dy
-                for j in range(TILE):
-                    dx = dx0 + float32(j)
-                    sigma = max((a * dx + bdy) * dx + cdy, zero)
-                    raw = o * exp_neg(min(sigma, float32(80.0)))
-                    alpha = min(raw, alpha_max)
-                    alpha = alpha if alpha >= alpha_min else zero
-                    t = state[0, r, j]
-                    nt = t * (one - alpha)
-                    on = nt > t_min
-                    w = t * alpha if on else zero
-                    g0, g1, g2, g3 = state[2, r, j], state[3, r, j], state[4, r, j], state[5, r, j]
-                    q = g0 * f0 + g1 * f1 + g2 * f2 + g3 * f3
-                    to_come = state[1, r, j] - w * q
-                    state[0, r, j] = nt if on else -abs(t)
-                    state[1, r, j] = to_come
-                    v_alpha = t * q - to_come / (one - alpha)
-                    # alpha = o e^(-sigma), so its gradient by -sigma is alpha itself; clamped ones give none
-                    v = alpha * v_alpha if on and raw < alpha_max else zero
-                    acc[0, j] += v
-                    acc[1, j] += v * dy
-                    acc[2, j] += v * dy * dy
-                    acc[3, j] += w * g0
-                    acc[4, j] += w * g1
-                    acc[5, j] += w * g2
-                    acc[6, j] += w * g3
-            s, sx, sy, sxx, sxy, syy = zero, zero, zero, zero, zero, zero
-            h0, h1, h2, h3 = zero, zero, zero, zero
-            for j in range(TILE):
-                dx = dx0 + float32(j)
-                s += acc[0, j]
-                sx += acc[0, j] * dx
-                sxx += acc[0, j] * dx * dx
-                sy += acc[1, j]
-                sxy += acc[1, j] * dx
-                syy += acc[2, j]
-                h0 += acc[3, j]
-                h1 += acc[4, j]
-                h2 += acc[5, j]
-                h3 += acc[6, j]
-            v_pairs[p, MX] = float32(2.0) * a * sx + b * sy
-            v_pairs[p, MY] = b * sx + float32(2.0) * c * sy
-            v_pairs[p, CA] = -half * sxx
-            v_pairs[p, CB] = -sxy
-            v_pairs[p, CC] = -half * syy
-            v_pairs[p, OP] = s / o
-            v_pairs[p, FEAT] = h0
-            v_pairs[p, FEAT + 1] = h1
-            v_pairs[p, FEAT + 2] = h2
-            v_pairs[p, FEAT + 3] = h3
+    tables, frame = (tile_start, pair_gaussian, _PLACES), (width, height)
+    pictures = (image, transmittance, v_image, v_transmittance)
+    _backward(*_work(tile_start), tables, frame, splats, pictures, v_pairs.reshape(-1), alpha_min)
 
 
-@njit(parallel=True, fastmath=True, cache=True)
-def blend_tangent(splats, d_splats, tile_start, pair_gaussian, width, height, d_image, alpha_min=ALPHA_MIN):
+def blend_tangent(
+    splats: np.ndarray,
+    d_splats: np.ndarray,
+    tile_start: np.ndarray,
+    pair_gaussian: np.ndarray,
+    width: int,
+    height: int,
+    d_image: np.ndarray,
+    alpha_min: float = ALPHA_MIN,
+) -> None:
     """Forward mode: how the composite changes when `splats` moves along `d_splats` [N, FEAT + 3].
 
     d_image [H, W, 4] is written: change of the first three features and of the transmittance. Opacity is held
     fixed. In these columns the exact adjoint of `blend_backward`.
     """
-    n_x = (width + TILE - 1) // TILE
-    n_y = (height + TILE - 1) // TILE
-    one, half, zero = float32(1.0), float32(0.5), float32(0.0)
-    alpha_min, alpha_max, t_min = float32(alpha_min), float32(ALPHA_MAX), float32(T_MIN)
-    for tile in prange(n_x * n_y):
-        # planes: transmittance, its tangent, tangents of three features
-        state = np.zeros((5, TILE, TILE), np.float32)
-        state[0] = one
-        live = np.ones(TILE, np.uint8)
-        x0, y0 = (tile % n_x) * TILE, (tile // n_x) * TILE
-        rows, columns = min(TILE, height - y0), min(TILE, width - x0)
-        for p in range(tile_start[tile], tile_start[tile + 1]):
-            if (p - tile_start[tile]) % _CHECK == _CHECK - 1 and _live_rows(state, live) == 0:
-                break
-            i = pair_gaussian[p]
-            first, last = _rows(splats, i, y0, rows)
-            a, b, c, o = splats[i, CA] * half, splats[i, CB], splats[i, CC] * half, splats[i, OP]
-            f0, f1, f2 = splats[i, FEAT], splats[i, FEAT + 1], splats[i, FEAT + 2]
-            e0, e1, e2 = d_splats[i, FEAT], d_splats[i, FEAT + 1], d_splats[i, FEAT + 2]
-            ux, uy = d_splats[i, MX], d_splats[i, MY]
-            da, db, dc = d_splats[i, CA] * half, d_splats[i, CB], d_splats[i, CC] * half
-            dx0 = float32(x0) + half - splats[i, MX]
-            dy0 = float32(y0) + half - splats[i, MY]
-            for r in range(first, last + 1):
-                if not live[r]:
-                    continue
-                dy = dy0 + float32(r)
-                bdy, cdy = b * dy, c * dy * dy
-                for j in range(TILE):
-                    dx = dx0 + float32(j)
-                    sigma = max((a * dx + bdy) * dx + cdy, zero)
-                    raw = o * exp_neg(min(sigma, float32(80.0)))
-                    alpha = min(raw, alpha_max)
-                    alpha = alpha if alpha >= alpha_min else zero
-                    t, dt = state[0, r, j], state[1, r, j]
-                    nt = t * (one - alpha)
-                    on = nt > t_min
-                    d_sigma = (da * dx + db * dy) * dx + dc * dy * dy
-                    d_sigma -= (float32(2.0) * a * dx + bdy) * ux + (b * dx + float32(2.0) * c * dy) * uy
-                    d_alpha = -alpha * d_sigma if raw < alpha_max else zero
-                    w = t * alpha if on else zero
-                    dw = dt * alpha + t * d_alpha if on else zero
-                    state[0, r, j] = nt if on else -abs(t)
-                    state[1, r, j] = dt * (one - alpha) - t * d_alpha if on else dt
-                    state[2, r, j] += dw * f0 + w * e0
-                    state[3, r, j] += dw * f1 + w * e1
-                    state[4, r, j] += dw * f2 + w * e2
-        for r in range(rows):
-            for j in range(columns):
-                d_image[y0 + r, x0 + j, 0] = state[2, r, j]
-                d_image[y0 + r, x0 + j, 1] = state[3, r, j]
-                d_image[y0 + r, x0 + j, 2] = state[4, r, j]
-                d_image[y0 + r, x0 + j, 3] = state[1, r, j]
+    tables, frame = (tile_start, pair_gaussian, _PLACES), (width, height)
+    _tangent(*_work(tile_start), tables, frame, splats, d_splats, d_image, alpha_min)

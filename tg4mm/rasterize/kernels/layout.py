@@ -15,11 +15,16 @@ FEAT: Final = 6  # first of the FEATURES blended channels (colour, depth)
 FEATURES: Final = 4
 POWER: Final = 10  # ln(opacity / alpha_min): blending skips what lies further out; <= 0 means invisible
 DEPTH: Final = 11  # z in the camera, scene units
-EX: Final = (
-    12  # half extents in x and y of the ellipse inside which alpha >= alpha_min, pixels; kept, because
-)
-EY: Final = 13  # from the conic of a thin ellipse they would be lost to cancellation
-SPLAT_WIDTH: Final = 14
+# Half extents in x and y of the ellipse inside which alpha >= alpha_min, pixels; kept, because from the conic of a
+# thin ellipse they would be lost to cancellation.
+EX: Final = 12
+EY: Final = 13
+# The exponent as squares: alpha = opacity · 2^-(p² + q²), p = l11 dx + l12 dy, q = l22 dy, where
+# l11 = SQUARES · CA · R11, l12 = SQUARES · CB · R11; L22 from the conic would be lost to cancellation.
+R11: Final = 14  # 1 / sqrt(SQUARES · CA)
+L22: Final = 15
+SPLAT_WIDTH: Final = 16
+SQUARES: Final = 0.7213475204444817  # log2(e) / 2
 
 ALPHA_MIN: Final = 1.0 / 255.0  # [3DGS]: smaller contributions are skipped
 ALPHA_MAX: Final = 0.999  # gsplat: a Gaussian never blocks the light entirely

@@ -9,6 +9,7 @@ import math
 import numpy as np
 from numba import float32, njit, prange
 
+from tg4mm.rasterize.kernels.compiled import kernel
 from tg4mm.rasterize.kernels.layout import (
     ALPHA_MIN,
     CA,
@@ -19,11 +20,14 @@ from tg4mm.rasterize.kernels.layout import (
     EY,
     FEAT,
     FEATURES,
+    L22,
     MX,
     MY,
     OP,
     POWER,
+    R11,
     SPLAT_WIDTH,
+    SQUARES,
 )
 from tg4mm.rasterize.kernels.sh import basis, basis_vjp
 
@@ -73,7 +77,7 @@ def _clamped(xz, centre, focal, size):
     return min((size - centre) / focal + margin, max(-centre / focal - margin, xz))
 
 
-@njit(parallel=True, fastmath=True, cache=True)
+@kernel(parallel=True, fastmath=True)
 def project_forward(
     means, quats, scales, opacities, features, degree, with_depth, cam, width, height, splats
 ):
@@ -136,6 +140,8 @@ def project_forward(
             splats[i, CA], splats[i, CB], splats[i, CC] = m11 * inv, -m01 * inv, m00 * inv
             splats[i, OP], splats[i, POWER], splats[i, DEPTH] = opacities[i], power, z
             splats[i, EX], splats[i, EY] = ex, ey
+            splats[i, R11] = math.sqrt(det / (float32(SQUARES) * m11))
+            splats[i, L22] = math.sqrt(float32(SQUARES) / m11)
             if degree >= 0:
                 dx, dy, dz = mx - ox, my - oy, mz - oz
                 norm = float32(1.0) / math.sqrt(dx * dx + dy * dy + dz * dz)
@@ -181,7 +187,7 @@ def _covariance_vjp(a, b, c, ga, gb, gc, p, q):
     return two * (a * z0 + b * z1), two * (b * z0 + c * z1)
 
 
-@njit(parallel=True, fastmath=True, cache=True)
+@kernel(parallel=True, fastmath=True)
 def project_backward(
     means, quats, scales, features, degree, with_depth, cam, width, height, splats, v_splats,
     v_means, v_quats, v_scales, v_opacities, v_features, v_pose, with_pose,

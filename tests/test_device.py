@@ -1,0 +1,141 @@
+"""--device: refused in one line where it cannot be, the same results where it can."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from tests.cuda import needs_cuda
+from tests.synthetic import make_synthetic_dataset
+from tg4mm.capture import load_capture
+from tg4mm.cli import main
+from tg4mm.device import check_device, full_precision, gpu_figures
+from tg4mm.errors import Tg4mmError
+from tg4mm.evaluate import evaluate_run
+from tg4mm.motion.apply import _moved_there, _phasors_on, moved
+from tg4mm.render import RenderRequest, capture_cameras, render_sequence
+from tg4mm.render.frames import read_png
+from tg4mm.runs import Run
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    root = tmp_path_factory.mktemp("device")
+    gaussians, motion = make_synthetic_dataset(
+        root / "data", n_views=3, n_timesteps=4, size=32, freqs=(5.0,), alphas=(5,)
+    )
+    made = Run.create(root / "run", root / "data", "modal", {})
+    made.save_space(gaussians, {})
+    made.save_motion(motion, {})
+    return made
+
+
+def test_the_cpu_can_always_be_used() -> None:
+    assert check_device("cpu") == "cpu"
+    assert gpu_figures("cpu") == {}
+
+
+def test_an_unknown_device_is_named() -> None:
+    with pytest.raises(Tg4mmError, match=r"\Adevice is 'tpu', expected cpu or cuda\Z"):
+        check_device("tpu")
+
+
+def commands(run: Run, out: Path) -> list[list[str]]:
+    return [
+        ["train", str(run.dataset), "--out", str(out)],
+        ["render", str(run.path), "--alpha", "5", "--out", str(out)],
+        ["evaluate", str(run.path), "--out", str(out / "m.json")],
+    ]
+
+
+@pytest.mark.parametrize("index", range(3))
+def test_cuda_without_a_gpu_is_one_line_and_2(
+    index: int, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    out = tmp_path / "out"
+    assert main([*commands(run, out)[index], "--device", "cuda"]) == 2
+    assert capsys.readouterr().err == "tg4mm: device is cuda, but torch finds no CUDA device here\n"
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("index", range(3))
+def test_cuda_without_gsplat_is_one_line_and_2(
+    index: int, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setitem(sys.modules, "gsplat", None)
+    out = tmp_path / "out"
+    assert main([*commands(run, out)[index], "--device", "cuda"]) == 2
+    assert capsys.readouterr().err == 'tg4mm: device cuda needs gsplat: pip install "tg4mm[cuda]"\n'
+    assert not out.exists()
+
+
+def test_full_precision_ends_with_its_block(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.backends.cudnn, "allow_tf32", True)
+    with full_precision("cuda"):
+        assert not torch.backends.cudnn.allow_tf32
+    assert torch.backends.cudnn.allow_tf32
+    with pytest.raises(KeyError), full_precision("cuda"):
+        raise KeyError
+    assert torch.backends.cudnn.allow_tf32
+    with full_precision("cpu"):
+        assert torch.backends.cudnn.allow_tf32
+
+
+@pytest.mark.parametrize("t", [0, 1, 2.5])
+@pytest.mark.parametrize("band", [None, (4.0, 6.0), (7.0, 9.0)])
+def test_motion_kept_on_a_device_moves_alike(t: float, band: tuple[float, float] | None, run: Run) -> None:
+    """What a GPU does in float32, here on the CPU, against the sum in float64."""
+    gaussians, motion = run.load_space(), run.load_motion()
+    assert motion is not None
+    rng = np.random.default_rng(0)
+    turning = 0.1 * (rng.normal(size=motion.rotation.shape) + 1j * rng.normal(size=motion.rotation.shape))
+    motion = type(motion)(
+        motion.freqs_hz, motion.displacement, turning.astype(np.complex64), motion.fps, motion.n_timesteps
+    )
+    expected = moved(gaussians, motion, t, 20.0, band)
+    found = _moved_there(gaussians, motion, _phasors_on(torch.device("cpu"), motion), t, 20.0, band)
+    torch.testing.assert_close(found.means, expected.means, rtol=0, atol=1e-6)
+    torch.testing.assert_close(found.quats, expected.quats, rtol=0, atol=1e-6)
+    assert not torch.equal(expected.quats, gaussians.quats)
+
+
+@needs_cuda
+def test_pictures_rendered_on_cuda_are_the_cpus(run: Run, tmp_path: Path) -> None:
+    cameras = capture_cameras(load_capture(run.dataset, split="test"))
+    request = RenderRequest(alpha=5)
+    here, there = (
+        render_sequence(run, cameras, request, tmp_path / d, video=False, device=d) for d in ("cpu", "cuda")
+    )
+    for path in here.rglob("*.png"):
+        a, b = read_png(path).astype(int), read_png(there / path.relative_to(here)).astype(int)
+        assert np.abs(a - b).max() <= 3
+        assert np.abs(a - b).mean() < 0.02
+
+
+@needs_cuda
+def test_figures_evaluated_on_cuda_are_the_cpus(run: Run, tmp_path: Path) -> None:
+    here, there = (evaluate_run(run, out=tmp_path / f"{d}.json", device=d) for d in ("cpu", "cuda"))
+    for a, b in zip(here["alphas"], there["alphas"], strict=True):
+        for method, row in a["rows"].items():
+            assert row["ssim"] == pytest.approx(b["rows"][method]["ssim"], abs=1e-4)
+            assert row["psnr_db"] == pytest.approx(b["rows"][method]["psnr_db"], abs=0.05)
+    assert here["displacement_error"]["ours"] == pytest.approx(there["displacement_error"]["ours"], abs=1e-3)
+
+
+@needs_cuda
+def test_the_commands_run_on_cuda(run: Run, tmp_path: Path) -> None:
+    few = ["space.iterations=30", "motion.iterations=5"]
+    trained = tmp_path / "run"
+    options = [x for s in few for x in ("--set", s)]
+    assert main(["train", str(run.dataset), "--out", str(trained), "--device", "cuda", *options]) == 0
+    out = tmp_path / "pictures"
+    assert main(["render", str(trained), "--alpha", "5", "--out", str(out), "--device", "cuda"]) == 0
+    assert main(["evaluate", str(trained), "--device", "cuda"]) == 0
+    shutil.rmtree(trained)

@@ -1,0 +1,62 @@
+"""benchmarks/gpu.py: one line without a GPU, and the whole of it, small, on the CPU."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+from benchmarks.gpu import FULL, main, minutes
+from tests.cuda import needs_cuda
+
+
+def test_without_a_gpu_it_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    out = tmp_path / "gpu.json"
+    assert main(["--out", str(out)]) == 2
+    said = capsys.readouterr()
+    assert said.err.count("\n") == 1
+    assert said.err.startswith("benchmarks/gpu.py: device is cuda, but torch finds no CUDA device here")
+    assert said.out == ""
+    assert not out.exists()
+
+
+def check_smoke(device: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "gpu.json"
+    assert main(["--smoke", "--device", device, "--out", str(out)]) == 0
+    table = capsys.readouterr().out
+    for said in ("5 min 12 s", "2 min 12 s", "not claimed", "these figures measure nothing"):
+        assert said in table
+    result = json.loads(out.read_text())
+    assert result["smoke"] is True
+    assert result["machine"]["device"] == device
+    assert result["space"]["iterations"] == 30
+    assert result["motion"]["views"] == 6
+    assert 0 < result["motion"]["relative_error"] < 0.9  # it did find the sway, which nothing else knows of
+    assert set(result["fps"]) == {"64x64", "96x54"}
+    assert all(f["on_device"] > 0 and f["fetched"] > 0 for f in result["fps"].values())
+
+
+def test_smoke_runs_all_of_it_on_the_cpu(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    check_smoke("cpu", tmp_path, capsys)
+
+
+@needs_cuda
+def test_smoke_runs_all_of_it_on_cuda(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    check_smoke("cuda", tmp_path, capsys)
+
+
+def test_the_full_plan_is_the_papers() -> None:
+    assert FULL.iterations == 20_000
+    assert FULL.sizes == ((512, 512), (1920, 1080))
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(312.2, "5 min 12 s"), (59.94, "59.9 s"), (119.7, "2 min 00 s")]
+)
+def test_times_read_as_the_papers(seconds: float, text: str) -> None:
+    assert minutes(seconds) == text

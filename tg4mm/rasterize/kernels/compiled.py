@@ -1,0 +1,38 @@
+"""`kernel`: numba's njit with a cache on disk that notices a change in any file of this package.
+
+Numba's own cache looks at the file of the function alone, but kernels take constants and helpers from their
+neighbours: after a change there it would go on serving machine code of the old ones.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from numba import njit
+
+
+def _digest() -> str:
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+_SOURCES = _digest()
+
+
+def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Compile with numba's options, divisions as numpy's, cached until any file of this package changes."""
+
+    def decorate(function: Callable[..., Any]) -> Any:
+        dispatcher = njit(cache=True, error_model="numpy", **options)(function)
+        # numba has no public way to say what a cached function depends on
+        index: Any = getattr(getattr(dispatcher, "_cache", None), "_cache_file", None)
+        if hasattr(index, "_source_stamp"):
+            index._source_stamp = (index._source_stamp, _SOURCES)
+        return dispatcher
+
+    return decorate
