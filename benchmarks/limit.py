@@ -12,8 +12,8 @@ from numba import float32, njit
 
 from tg4mm.rasterize.kernels.layout import ALPHA_MAX, ALPHA_MIN, CA, CB, CC, MX, MY, OP, T_MIN, TILE
 
-FORWARD_INSTRUCTIONS = 26
-BACKWARD_INSTRUCTIONS = 49
+FORWARD_INSTRUCTIONS = 25
+BACKWARD_INSTRUCTIONS = 51
 _STEPS = 20_000_000
 
 
