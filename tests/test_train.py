@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -117,6 +118,13 @@ class TestRequests:
         (name,) = wrong
         with one_line(f"setting {name} is {wrong[name]}"):
             train(data, tmp_path / "run", settings=SETTINGS | wrong)
+        assert not (tmp_path / "run").exists()
+
+    def test_settings_that_do_not_fit_the_data_leave_no_run_behind(self, data: Path, tmp_path: Path) -> None:
+        bare = tmp_path / "bare"
+        shutil.copytree(data, bare, ignore=shutil.ignore_patterns("points3d.ply"))
+        with one_line("init is 'points'"):
+            train(bare, tmp_path / "run", settings={"space.init": "points"})
         assert not (tmp_path / "run").exists()
 
     def test_the_program_leaves_with_2_and_one_line(self, data: Path, tmp_path: Path, capsys) -> None:

@@ -185,6 +185,13 @@ class Run:
         """Forget the unfinished stage, if there is one."""
         self._file(f"checkpoint_{stage}").unlink(missing_ok=True)
 
+    def discard(self) -> None:
+        """Take back a folder that was just made: its config.json and log.json, and the folder if empty then."""
+        for name in ("config.json", "log.json"):
+            (self.path / name).unlink(missing_ok=True)
+        if not any(self.path.iterdir()):
+            self.path.rmdir()
+
     # The log.
 
     def record(self, stage: str, info: Mapping[str, Any]) -> None:

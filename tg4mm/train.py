@@ -11,6 +11,7 @@ from tg4mm.capture import load_capture, load_images
 from tg4mm.device import check_device
 from tg4mm.errors import Tg4mmError
 from tg4mm.motion.config import MotionConfig
+from tg4mm.motion.differences import fixed_cameras
 from tg4mm.motion.train import checked as checked_motion
 from tg4mm.motion.train import train_motion
 from tg4mm.runs import Run
@@ -63,14 +64,22 @@ def train(
     checked_space(configs["space"])
     checked_motion(configs["motion"])
     capture = load_capture(dataset, split="train")
-    plain = {stage: dataclasses.asdict(config) for stage, config in configs.items()}
-    run = Run.create(run_path, capture.root, preset, plain)
     needs_motion = capture.n_timesteps > 1
+    if needs_motion:
+        fixed_cameras(capture)  # raises where no camera stays put
+    plain = {stage: dataclasses.asdict(config) for stage, config in configs.items()}
+    is_new = not (Path(run_path) / "config.json").exists()
+    run = Run.create(run_path, capture.root, preset, plain)
     if run.has_space and (run.has_motion or not needs_motion):
         return run
-    images = load_images(capture)
-    if not run.has_space:
-        train_space(run, rest_views(capture, images), capture.points, configs["space"], device)
+    try:
+        images = load_images(capture)
+        if not run.has_space:
+            train_space(run, rest_views(capture, images), capture.points, configs["space"], device)
+    except Tg4mmError:
+        if is_new and not run.has_space:
+            run.discard()  # settings that do not fit these data must not stay with the folder
+        raise
     if needs_motion:
         train_motion(run, capture, images, configs["motion"], device)
     return run

@@ -9,6 +9,7 @@ together: nothing is lost, the first few hold the motion, the others noise, and 
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +18,8 @@ from tg4mm.capture import Capture, ImageStack
 from tg4mm.errors import CaptureError
 
 _RELATIVE_FLOOR = 1e-5  # of the first component's energy: below it is rounding
-_NOISE_FACTOR = 2.0  # times the median energy of all components: below it is noise
+_NOISE_FACTOR = 2.0  # times the energy of the weakest components: below it is noise
+_TIMESTEPS_FOR_NOISE = 8
 
 
 @dataclass(frozen=True)
@@ -61,10 +63,17 @@ def camera_differences(images: ImageStack, camera: FixedCamera) -> np.ndarray:
     return video - video.mean(0, dtype=np.float64).astype(np.float32)
 
 
-def kept_components(energy: np.ndarray, most: int) -> int:
-    """How many components stand out of rounding and noise: `energy` [T] falling. At least 1."""
-    floor = max(_RELATIVE_FLOOR * energy[0], _NOISE_FACTOR * float(np.median(energy)))
-    return int(np.clip((energy > floor).sum(), 1, most))
+def kept_components(energy: np.ndarray) -> int:
+    """How many components stand out of rounding and noise: `energy` [T] falling. At least 1.
+
+    Noise is alike in all components, and one of the T is empty since the mean is taken out; so the weakest quarter of
+    the others tells its level. With fewer than eight timesteps that is no sample, and all but rounding is kept.
+    """
+    floor = _RELATIVE_FLOOR * energy[0]
+    used = len(energy) - 1
+    if len(energy) >= _TIMESTEPS_FOR_NOISE:
+        floor = max(floor, _NOISE_FACTOR * float(energy[used - used // 4 : used].mean()))
+    return max(int((energy[:used] > floor).sum()), 1)
 
 
 def temporal_components(images: ImageStack, cameras: list[FixedCamera], most: int) -> TemporalComponents:
@@ -76,7 +85,13 @@ def temporal_components(images: ImageStack, cameras: list[FixedCamera], most: in
         gram += (flat @ flat.T).astype(np.float64)
     energy, vectors = np.linalg.eigh(gram)
     energy, vectors = np.maximum(energy[::-1], 0), vectors[:, ::-1].T
-    basis = vectors[: kept_components(energy, most)]
+    found = kept_components(energy)
+    if found > most:
+        warnings.warn(
+            f"{found} temporal components stand out of the noise, motion.components keeps the strongest {most}",
+            stacklevel=2,
+        )
+    basis = vectors[: min(found, most)]
     basis = basis - basis.mean(1, keepdims=True)  # zero already, but for rounding
     shape = images.data.shape[1:3]
     components = np.empty((len(cameras), len(basis), *shape, 3), np.float32)

@@ -45,7 +45,7 @@ def checked(config: MotionConfig) -> MotionConfig:
         "triplane": (8 <= config.triplane <= 512, "8 to 512"),
         "iterations": (config.iterations >= 1, ">= 1"),
         "tolerance": (0 < config.tolerance < 1, "between 0 and 1"),
-        "seed": (config.seed >= 0, ">= 0"),
+        "seed": (0 <= config.seed < 1 << 63, "0 to 2⁶³ − 1"),
     }
     for name, (good, expected) in checks.items():
         if not good:

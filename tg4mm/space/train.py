@@ -41,7 +41,7 @@ def checked(config: SpaceConfig) -> SpaceConfig:
         "dssim": (0 <= config.dssim <= 1, "0 to 1"),
         "init": (config.init in INITS, ", ".join(INITS)),
         "init_points": (config.init_points >= 4, ">= 4"),
-        "seed": (config.seed >= 0, ">= 0"),
+        "seed": (0 <= config.seed < 1 << 63, "0 to 2⁶³ − 1"),
     }
     for name, (good, expected) in checks.items():
         if not good:
