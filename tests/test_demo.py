@@ -97,7 +97,10 @@ def test_pictures_of_an_older_model_are_made_again(quick, tmp_path, monkeypatch)
         )
 
     monkeypatch.setattr(demo, "_train", darker)
+    mine = tmp_path / "magnified" / "notes.txt"
+    mine.write_text("mine")
     demo.run_demo(tmp_path, 32, Said())
+    assert mine.read_text() == "mine"
     assert (tmp_path / "magnified" / "003" / "r_000.png").read_bytes() != old
 
 
@@ -105,12 +108,34 @@ def test_another_size_or_a_foreign_folder_is_refused(quick, tmp_path):
     demo.run_demo(tmp_path / "a", 32, Said())
     with pytest.raises(Tg4mmError, match=r"--size 48: .* holds a demo of 32 pixels"):
         demo.run_demo(tmp_path / "a", 48, Said())
-    (tmp_path / "b").mkdir()
-    (tmp_path / "b" / "thesis.txt").touch()
-    with pytest.raises(Tg4mmError, match="is not empty"):
-        demo.run_demo(tmp_path / "b", 32, Said())
-    with pytest.raises(Tg4mmError, match="--size 4"):
-        demo.run_demo(tmp_path / "c", 4, Said())
+    with pytest.raises(Tg4mmError, match="is a file"):
+        demo.run_demo(tmp_path / "a" / "splat.ply", 32, Said())
+    for size in (4, 100_000):
+        with pytest.raises(Tg4mmError, match=f"--size {size}: expected 16 … 4096 pixels"):
+            demo.run_demo(tmp_path / "c", size, Said())
+    assert not (tmp_path / "c").exists()
+
+
+@pytest.mark.parametrize("name", ["thesis.txt", "data/thesis.txt", "magnified/thesis.txt"])
+def test_a_folder_that_holds_anything_but_a_demo_is_left_alone(quick, tmp_path, name):
+    path = tmp_path / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_text("mine")
+    with pytest.raises(Tg4mmError, match=r"is not empty and holds no demo\.json"):
+        demo.run_demo(tmp_path, 32, Said())
+    assert [p for p in tmp_path.rglob("*") if p.is_file()] == [path]
+    assert path.read_text() == "mine"
+
+
+@pytest.mark.parametrize("record", [None, "{", "[]", '{"format": "other", "model": "x"}'])
+def test_pictures_that_no_rendering_of_ours_made_are_kept(tmp_path, record):
+    mine = tmp_path / "orbit" / "mine.png"
+    mine.parent.mkdir()
+    mine.write_bytes(b"mine")
+    if record is not None:
+        (tmp_path / "orbit" / "render.json").write_text(record)
+    demo._fresh(tmp_path / "orbit", tmp_path / "run")
+    assert mine.read_bytes() == b"mine"
 
 
 def test_a_broken_record_is_named(tmp_path):
@@ -125,7 +150,7 @@ def test_a_generator_that_fails_stops_the_demo(tmp_path, monkeypatch):
     monkeypatch.setattr(generate, "run_generator", lambda arguments: 2)
     with pytest.raises(Tg4mmError, match="status 2"):
         demo.run_demo(tmp_path, 32, Said())
-    assert not (tmp_path / "demo.json").exists()
+    assert json.loads((tmp_path / "demo.json").read_text())["done"] == {}
 
 
 def test_two_datasets_are_one_too_many(tmp_path: Path):

@@ -15,6 +15,7 @@ from tg4mm.files import write_json
 STEPS_FILE = "demo.json"
 ALPHA = 20.0
 ORBIT_FRAMES = 120
+SIZES = (16, 4096)  # smallest and largest picture, pixels
 Printer = Callable[[str], None]
 
 
@@ -75,11 +76,11 @@ class Step:
 def run_demo(out: Path, size: int = 128, say: Printer = print) -> Path:
     """Do the main job at `size`×`size` pixels under the folder `out`; returns the report's path.
 
-    Finished steps are skipped, so the same call goes on after a kill. Raises Tg4mmError where `out` holds a
-    demo of another size, or a step fails.
+    Finished steps are skipped, so the same call goes on after a kill. Raises Tg4mmError where `out` holds
+    anything but a demo of this size, or a step fails.
     """
-    if size < 16:
-        raise Tg4mmError(f"--size {size}: needs at least 16 pixels")
+    if not SIZES[0] <= size <= SIZES[1]:
+        raise Tg4mmError(f"--size {size}: expected {SIZES[0]} … {SIZES[1]} pixels")
     places = Places(Path(out))
     steps = demo_steps(places, size)
     began = time.monotonic()
@@ -98,9 +99,7 @@ def run_demo(out: Path, size: int = 128, say: Printer = print) -> Path:
             **{s.name: done[s.name] for s in steps[: i - 1]},
             step.name: round(time.monotonic() - start, 2),
         }
-        write_json(
-            places.root / STEPS_FILE, {"format": "tg4mm-demo", "version": 1, "size": size, "done": done}
-        )
+        _write_done(places.root, size, done)
         say(f"{label}: {_clock(time.monotonic() - start)}")
     _say_results(places, _clock(time.monotonic() - began), say)
     return places.report
@@ -126,11 +125,21 @@ def demo_steps(places: Places, size: int) -> list[Step]:
     ]
 
 
+def _write_done(root: Path, size: int, done: dict[str, float]) -> None:
+    write_json(root / STEPS_FILE, {"format": "tg4mm-demo", "version": 1, "size": size, "done": done})
+
+
 def _read_done(root: Path, size: int) -> dict[str, float]:
+    """Seconds of the finished steps. A new or empty folder becomes a demo's; any other without one is refused."""
     path = root / STEPS_FILE
     if not path.exists():
-        if root.exists() and any(root.iterdir()) and not (root / "data").is_dir():
-            raise Tg4mmError(f"--out {root}: is not empty and holds no demo; choose another folder")
+        if root.exists() and not root.is_dir():
+            raise Tg4mmError(f"--out {root}: is a file; expected a folder")
+        root.mkdir(parents=True, exist_ok=True)
+        # A kill before demo.json was renamed leaves only its temporary file: still an empty folder.
+        if any(not entry.match(f".{STEPS_FILE}.*.tmp") for entry in root.iterdir()):
+            raise Tg4mmError(f"--out {root}: is not empty and holds no {STEPS_FILE}; choose another folder")
+        _write_done(root, size, {})
         return {}
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
@@ -181,17 +190,21 @@ def _orbit(places: Places) -> None:
 
 
 def _fresh(folder: Path, run: Path) -> Path:
-    """The folder, removed if its pictures are of another model: the demo made both, so it need not refuse."""
-    import shutil
+    """The folder, cleared of a rendering of another model: the demo made both, so it need not refuse.
 
-    from tg4mm.render.sequence import RECORD, model_hash
+    Only pictures and videos beside a render.json of ours are deleted; whatever else lies there stays.
+    """
+    from tg4mm.render.sequence import FORMAT, RECORD, model_hash
 
     try:
-        recorded = json.loads((folder / RECORD).read_text(encoding="utf-8")).get("model")
-    except (OSError, ValueError, AttributeError):
-        recorded = None
-    if folder.exists() and recorded != model_hash(run):
-        shutil.rmtree(folder)
+        record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return folder
+    if isinstance(record, dict) and record.get("format") == FORMAT and record.get("model") != model_hash(run):
+        for pattern in ("*.png", "*/*.png", "*.mp4"):
+            for path in folder.glob(pattern):
+                path.unlink()
+        (folder / RECORD).unlink()  # last, so that a kill in between leaves the folder ours
     return folder
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -106,6 +107,45 @@ def test_render_refuses_bad_values(run_path: Path, tmp_path: Path, capsys, optio
     assert main(["render", str(run_path), "--out", str(tmp_path / "o"), *options]) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "o").exists()
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["train", "DATA", "--out", "FILE/x"],
+        ["render", "RUN", "--alpha", "1", "--out", "FILE/x"],
+        ["render", "RUN", "--alpha", "1", "--out", "FILE"],
+        ["evaluate", "RUN", "--out", "FILE/x/m.json"],
+        ["export", "RUN", "--out", "FILE/x/a.ply"],
+        ["export", "RUN", "--out", "FILE/x", "--format", "ply-sequence"],
+    ],
+)
+def test_out_that_cannot_be_made_is_one_line(run_path: Path, tmp_path: Path, capsys, arguments) -> None:
+    (tmp_path / "file").write_text("mine")
+    places = {"RUN": str(run_path), "DATA": str(run_path.parent / "data"), "FILE": str(tmp_path / "file")}
+    for name, path in places.items():
+        arguments = [a.replace(name, path, 1) if a.startswith(name) else a for a in arguments]
+    assert main(arguments) == 2
+    line = capsys.readouterr().err
+    assert re.fullmatch(rf"tg4mm: {re.escape(places['FILE'])}[/x]*: (Not a directory|File exists)\n", line), (
+        line
+    )
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_without_test_cameras_render_names_the_others(tmp_path: Path, capsys) -> None:
+    gaussians, _ = make_synthetic_dataset(tmp_path / "data", n_views=2, n_timesteps=1, size=SIZE, n_test=0)
+    run = Run.create(tmp_path / "run", tmp_path / "data", "modal", {})
+    run.save_space(gaussians, {})
+    command = ["render", str(run.path), "--alpha", "0", "--out", str(tmp_path / "o")]
+    assert main(command) == 2
+    assert "no 'test' split; choose --split train, --orbit N or --cameras FILE" in capsys.readouterr().err
+    assert main([*command, "--split", "test"]) == 2
+    assert "choose" not in capsys.readouterr().err
+    assert main([*command, "--split", "train"]) == 0
+    (tmp_path / "data").rename(tmp_path / "gone")
+    assert main(command) == 2
+    assert "choose" not in capsys.readouterr().err
 
 
 def test_evaluate_prints_a_table_and_writes_the_figures(run_path: Path, tmp_path: Path, capsys) -> None:

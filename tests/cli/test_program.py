@@ -72,7 +72,7 @@ def test_help_is_fast_and_imports_nothing_heavy() -> None:
     ("command", "texts"),
     [
         ("train", ["[default: modal]", "[default: cpu]", "modal", "cuda", "--set"]),
-        ("render", ["(1 + alpha)", "Hz", "[default: all]", "[default: test]", "--orbit"]),
+        ("render", ["(1 + alpha)", "alpha ≥ -1", "Hz", "[default: all]", "[default: test]", "--orbit"]),
         ("evaluate", ["dB", "Hz", "[default: RUN/metrics.json]", "5,10,20,50"]),
         ("export", ["ply"]),
         ("demo", ["[default: demo]"]),
@@ -176,6 +176,25 @@ def test_fault_of_the_program_keeps_its_traceback_and_exits_with_1() -> None:
     assert done.returncode == 1
     assert "Traceback" in done.stderr
     assert "IndexError" in done.stderr
+
+
+@pytest.mark.parametrize("error", ["OSError(28, 'No space left')", "OSError('No space left')"])
+def test_fault_of_the_system_is_one_line(error: str) -> None:
+    assert refused(run_main(f"raise {error}")) == "tg4mm: No space left"
+
+
+def test_reader_that_goes_away_ends_it_quietly() -> None:
+    done = run_main("raise BrokenPipeError(32, 'Broken pipe')")
+    assert (done.returncode, done.stdout, done.stderr) == (1, "", "")
+
+
+def test_demo_refuses_a_file_and_a_size_out_of_range(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("mine")
+    assert f"{tmp_path}/file: is a file" in refused(tg4mm("demo", "--out", tmp_path / "file"))
+    below = refused(tg4mm("demo", "--out", tmp_path / "file" / "x"))
+    assert below == f"tg4mm: {tmp_path}/file/x: Not a directory"
+    assert "--size 100000: expected 16" in refused(tg4mm("demo", "--out", tmp_path / "d", "--size", 100000))
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
 def test_message_of_several_lines_becomes_one() -> None:

@@ -1,6 +1,7 @@
 """LPIPS: weights of our own making against a plain numpy computation; what is not weights is refused."""
 
 import os
+import pickle
 
 import numpy as np
 import pytest
@@ -131,11 +132,18 @@ class Payload:
         return os.mkdir, ("payload_ran",)
 
 
-def test_a_pickle_with_code_is_refused_and_does_not_run(tmp_path, monkeypatch) -> None:
+@pytest.mark.parametrize("protocol", [None, 4])
+def test_a_pickle_with_code_is_refused_in_one_line_and_does_not_run(
+    tmp_path, monkeypatch, recwarn, protocol
+) -> None:
     monkeypatch.chdir(tmp_path)
-    torch.save({"features.0.weight": Payload()}, tmp_path / "evil.pth")
-    with pytest.raises(EvaluationError, match=r"evil\.pth cannot be read"):
+    if protocol is None:
+        torch.save({"features.0.weight": Payload()}, tmp_path / "evil.pth")
+    else:
+        (tmp_path / "evil.pth").write_bytes(pickle.dumps({"features.0.weight": Payload()}, protocol))
+    with pytest.raises(EvaluationError, match=r"evil\.pth cannot be read: Weights only load failed$"):
         load_lpips(tmp_path / "evil.pth")
+    assert not recwarn.list
     assert not (tmp_path / "payload_ran").exists()
 
 

@@ -170,6 +170,13 @@ def test_what_is_there_but_broken_is_an_error(scene, tmp_path) -> None:
         evaluate_run(run)
 
 
+def test_a_place_that_cannot_be_made_is_known_before_scoring(half, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(module, "_score_alpha", lambda *_: pytest.fail("was scored"))
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(NotADirectoryError):
+        evaluate_run(half, out=tmp_path / "file" / "x" / "metrics.json")
+
+
 def test_unusable_requests_are_refused(half, scene, tmp_path) -> None:
     with pytest.raises(EvaluationError, match="-3"):
         evaluate_run(half, alphas=[-3])
@@ -177,6 +184,8 @@ def test_unusable_requests_are_refused(half, scene, tmp_path) -> None:
         evaluate_run(half, band=(4, 40))
     with pytest.raises(EvaluationError, match=r"nowhere\.pth does not exist"):
         evaluate_run(half, lpips_weights=tmp_path / "nowhere.pth")
+    with pytest.raises(EvaluationError, match="is a folder"):
+        evaluate_run(half, out=tmp_path)
     root, gaussians, motion = scene
     other = make_run(tmp_path / "other", root, gaussians, replace(motion, n_timesteps=12))
     with pytest.raises(EvaluationError, match=r"trained on 12 timesteps at 30 Hz, but .* holds 10 at 30 Hz"):

@@ -124,7 +124,6 @@ def test_a_broken_record_is_named(run, cameras, tmp_path):
         (RenderRequest(alpha=float("nan")), None, "--alpha nan"),
         (RenderRequest(alpha=-1.5), None, "--alpha -1.5"),
         (RenderRequest(slow=0), None, "--slow 0"),
-        (RenderRequest(method="magic"), None, "--method magic"),
         (RenderRequest(band=(4.0, 40.0)), None, "half the frame rate"),
         (RenderRequest(), [6], "timestep 6 is outside 0 … 5"),
     ],

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tg4mm.capture import check_band
-from tg4mm.report.closing import _figure, _narrow_band, size_on_disk, size_text, total_seconds
+from tg4mm.report.closing import _figure, _narrow_band, program, size_on_disk, size_text, total_seconds
 from tg4mm.report.summary import both_lengths, clock, length
 
 
@@ -21,6 +21,18 @@ def test_folders_count_all_their_files(tmp_path):
     (tmp_path / "y").write_bytes(b"12")
     assert size_on_disk(tmp_path) == 5
     assert size_on_disk(tmp_path / "y") == 2
+    (tmp_path / "z").hardlink_to(tmp_path / "y")
+    assert size_on_disk(tmp_path) == 5
+
+
+def test_commands_name_the_program_as_the_shell_finds_it(tmp_path, monkeypatch):
+    monkeypatch.setattr("sys.executable", str(tmp_path / "python"))
+    monkeypatch.setenv("PATH", str(tmp_path / "elsewhere"))
+    assert program() == f"{tmp_path}/python -m tg4mm"
+    (tmp_path / "tg4mm").touch(mode=0o755)
+    assert program() == f"{tmp_path}/tg4mm"
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert program() == "tg4mm"
 
 
 @pytest.mark.parametrize(
@@ -29,6 +41,7 @@ def test_folders_count_all_their_files(tmp_path):
         ("psnr_train", 41.42, "PSNR train 41.42 dB"),
         ("psnr_db", 31.5, "PSNR 31.5 dB"),
         ("n_gaussians", 4509, "gaussians 4,509"),
+        ("explained_by_components", 0.9834, "these components hold 98.3 % of the changes in the images"),
     ],
 )
 def test_figures_of_a_stage_in_words(key, value, text):

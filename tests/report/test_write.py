@@ -54,7 +54,8 @@ def test_it_shows_the_true_amplitude_frequency_and_direction(full):
     assert "The strongest motion found is 1 mm at 5 Hz" in said
     assert "0.80, 0.00, 0.60" in said
     assert "shown here 21 times larger" in said
-    assert "1 min 31 s" in said
+    assert "Training time 1 min 31 s" in said
+    assert "defines displacement error, ceiling" in said
 
 
 def test_scores_are_printed_beside_both_anchors(full, metrics):

@@ -12,7 +12,7 @@ def demo(
     out: Annotated[Path, typer.Option(help="Folder for everything; finished steps in it are kept.")] = Path(
         "demo"
     ),
-    size: Annotated[int, typer.Option(help="Width and height of the pictures, pixels.")] = 128,
+    size: Annotated[int, typer.Option(help="Width and height of the pictures, 16 to 4096 pixels.")] = 128,
 ) -> None:
     """Do the whole job, small, from nothing.
 

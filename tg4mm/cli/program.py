@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from typing import Annotated
 
@@ -73,11 +74,15 @@ def tg4mm(
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the program on `argv` (default: the command line) and return its exit code."""
+    warnings.formatwarning = _warning_line  # a user gains nothing from the line of code that warns
     try:
         arguments = None if argv is None else list(argv)
         result = app(args=arguments, prog_name="tg4mm", standalone_mode=False)
     except Tg4mmError as error:
         return _fail(str(error))
+    except OSError as error:  # a path that cannot be read or made, a full disk
+        where = "" if error.filename is None else f"{error.filename}: "
+        return _fail(f"{where}{error.strerror or error}")
     except KeyboardInterrupt:
         return _interrupted()
     except ModuleNotFoundError as error:
@@ -92,6 +97,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     if result == INTERRUPTED:  # newer versions of typer turn Ctrl+C into this
         return _interrupted()
     return result if isinstance(result, int) else 0
+
+
+def _warning_line(message: Warning | str, *_where: object, **_more: object) -> str:
+    return f"tg4mm: {message}\n"
 
 
 def _usage(error: Exception) -> int:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tg4mm.cli.device import Device, DeviceOption
-from tg4mm.errors import Tg4mmError
+from tg4mm.errors import CaptureError, Tg4mmError
 
 if TYPE_CHECKING:
     from tg4mm.render import Camera
@@ -26,7 +26,10 @@ class Split(StrEnum):
 def render(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder made by tg4mm train.")],
     alpha: Annotated[
-        float, typer.Option(help="Magnification: a displacement δ becomes (1 + alpha) δ; 0 as captured.")
+        float,
+        typer.Option(
+            help="Magnification, alpha ≥ -1: a displacement δ becomes (1 + alpha) δ; 0 as captured, -1 at rest."
+        ),
     ],
     out: Annotated[Path, typer.Option(help="Folder for the pictures; complete ones are kept.")],
     band: Annotated[
@@ -62,19 +65,23 @@ def render(
     if orbit is not None:
         render_orbit(opened, orbit_cameras(opened, orbit), request, out, device=device.value)
     else:
-        chosen = (
-            split_cameras(opened, split or Split.test) if cameras is None else file_cameras(opened, cameras)
-        )
+        chosen = split_cameras(opened, split) if cameras is None else file_cameras(opened, cameras)
         render_sequence(opened, chosen, request, out, video=video, device=device.value)
     typer.echo(str(out))
 
 
-def split_cameras(run: Run, split: Split) -> tuple[Camera, ...]:
-    """The cameras of one split of the run's dataset."""
+def split_cameras(run: Run, split: Split | None) -> tuple[Camera, ...]:
+    """The cameras of one split of the run's dataset; None is the test split, with an error that names the others."""
     from tg4mm.capture import load_capture
     from tg4mm.render import capture_cameras
 
-    return capture_cameras(load_capture(run.dataset, split=split.value))
+    try:
+        return capture_cameras(load_capture(run.dataset, split=(split or Split.test).value))
+    except CaptureError as error:
+        if split is not None:
+            raise
+        load_capture(run.dataset)  # raises where more than the test split is wrong
+        raise CaptureError(f"{error}; choose --split train, --orbit N or --cameras FILE") from None
 
 
 def file_cameras(run: Run, path: Path) -> tuple[Camera, ...]:

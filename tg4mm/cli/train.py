@@ -14,7 +14,7 @@ from tg4mm.errors import Tg4mmError
 
 
 class Preset(StrEnum):
-    """How motion is modelled; see docs/method.md."""
+    """How motion is modelled; see docs/decisions.md."""
 
     modal = "modal"
 

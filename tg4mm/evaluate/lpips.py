@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import pickle
 import re
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -125,7 +126,8 @@ def _read(file: Path) -> dict[str, Tensor]:
     try:
         state = load_file(file) if file.suffix == ".safetensors" else _load_pth(file)
     except (SafetensorError, pickle.UnpicklingError, RuntimeError, OSError, EOFError, ValueError) as error:
-        line = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+        # The first sentence: what torch adds to it is advice to run the file's code.
+        line = (str(error).strip() or type(error).__name__).splitlines()[0].partition(". ")[0]
         raise EvaluationError(f"LPIPS weights: {file} cannot be read: {line[:160]}") from None
     if not isinstance(state, dict):
         raise EvaluationError(f"LPIPS weights: {file} holds {type(state).__name__}, expected named tensors")
@@ -136,7 +138,9 @@ def _read(file: Path) -> dict[str, Tensor]:
 
 def _load_pth(file: Path) -> object:
     # A .pth is a pickle: weights_only restricts it to tensors and plain containers, and refuses all else.
-    return torch.load(file, map_location="cpu", weights_only=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # on the pickle's protocol; whether it was read is what counts
+        return torch.load(file, map_location="cpu", weights_only=True)
 
 
 def _take(found: dict[str, tuple[Path, Tensor]], key: str, shape: tuple[int, ...], where: str) -> Tensor:

@@ -95,7 +95,7 @@ def evaluate_run(
     metrics = _metrics(lpips_weights, absent)
     capture = load_capture(run.dataset, split="train")
     subject = _subject(run, capture, band, absent, device)
-    target = Path(out) if out is not None else run.path / "metrics.json"
+    target = _target(run, out)
     scorer = Scorer(subject.gaussians, metrics, use_cache)
     resume = Resume(target)
     entries = [
@@ -117,10 +117,20 @@ def evaluate_run(
         "notes": _notes(subject),
         "seconds": round(time.monotonic() - began, 3),
     }
-    target.parent.mkdir(parents=True, exist_ok=True)
     write_json(target, result)
     resume.drop()
     return result
+
+
+def _target(run: Run, out: Path | str | None) -> Path:
+    """The file for the figures, its folder made: one that cannot be is better known before minutes of scoring."""
+    target = Path(out) if out is not None else run.path / "metrics.json"
+    if target.is_dir():
+        raise EvaluationError(
+            f"--out {target}: is a folder; expected a file such as {target / 'metrics.json'}"
+        )
+    target.parent.mkdir(parents=True, exist_ok=True)
+    return target
 
 
 def _alphas(alphas: Sequence[float] | None, root: Path, absent: dict[str, str]) -> list[int]:

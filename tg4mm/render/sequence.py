@@ -22,6 +22,7 @@ from tg4mm.render.video import video_of_files
 from tg4mm.runs import Run
 
 RECORD = "render.json"
+FORMAT = "tg4mm-render"
 STILL_FPS = 30.0  # pictures a second of an orbit around a scene that has no time of its own
 Pose = Callable[[float], Gaussians]  # timestep, may be fractional, to the Gaussians at that time
 
@@ -32,7 +33,6 @@ class RenderRequest:
 
     alpha: float = 0.0  # a displacement δ becomes (1 + alpha) δ, [TG4MM] Eq. (9)
     band: tuple[float, float] | None = None  # Hz; None magnifies every frequency
-    method: str = "modal"
     background: tuple[float, float, float] = WHITE
     slow: float = 1.0  # 2 = videos at half speed
 
@@ -113,8 +113,6 @@ def _check(request: RenderRequest) -> None:
         )
     if not math.isfinite(request.slow) or request.slow <= 0:
         raise RunError(f"--slow {request.slow:g}: must be above 0 (2 = half speed)")
-    if request.method != "modal":
-        raise RunError(f"--method {request.method}: unknown here; known: modal")
 
 
 def render_missing(
@@ -169,12 +167,11 @@ def claim(out: Path, run: Run, request: RenderRequest, cameras: Sequence[Camera]
 def _record(run: Run, request: RenderRequest, cameras: Sequence[Camera], kind: str) -> dict[str, Any]:
     poses = json.dumps(transforms_json(tuple(cameras)), sort_keys=True)
     return {
-        "format": "tg4mm-render",
+        "format": FORMAT,
         "version": 1,
         "kind": kind,
         "alpha": request.alpha,
         "band_hz": list(request.band) if request.band is not None else None,
-        "method": request.method,
         "background": list(request.background),
         "slow": request.slow if kind == "orbit" else 1.0,
         "model": model_hash(run.path),

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shlex
+import shutil
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -63,6 +65,8 @@ def _stage(name: str, figures: Any) -> list[str]:
 
 
 def _figure(key: str, value: float) -> str:
+    if key == "explained_by_components":
+        return f"these components hold {number(100 * value)} % of the changes in the images"
     text = f"{value:,.0f}" if value == round(value) and abs(value) < 1e12 else number(value, 4)
     words = key.removeprefix("n_").removesuffix("_db").replace("_", " ")
     if words.startswith("psnr"):
@@ -71,10 +75,11 @@ def _figure(key: str, value: float) -> str:
 
 
 def size_on_disk(path: Path) -> int:
-    """Bytes of a file, or of all files of a folder."""
+    """Bytes of a file, or of all files of a folder; one with several names (hard links) counts once."""
     if path.is_file():
         return path.stat().st_size
-    return sum(p.stat().st_size for p in path.rglob("*") if p.is_file())
+    stats = [p.stat() for p in path.rglob("*") if p.is_file()]
+    return sum({(s.st_dev, s.st_ino): s.st_size for s in stats}.values())
 
 
 def size_text(size: int) -> str:
@@ -95,12 +100,20 @@ def total_seconds(log: Mapping[str, Any]) -> float | None:
     return float(sum(found)) if found else None
 
 
+def program() -> str:
+    """How a shell calls this program: by name where it is on PATH, else by the path beside this Python."""
+    if shutil.which("tg4mm"):
+        return "tg4mm"
+    beside = shutil.which("tg4mm", path=str(Path(sys.executable).parent))
+    return shlex.quote(beside) if beside else f"{shlex.quote(sys.executable)} -m tg4mm"
+
+
 def next_section(m: Material) -> Section:
     """Commands to copy, with this run's own paths and numbers."""
-    run = shlex.quote(str(m.run.path))
+    run, tg4mm = shlex.quote(str(m.run.path)), program()
     if m.model.motion is None:
         lines = [
-            ("Render the static model on an orbit", f"tg4mm render {run} --alpha 0 --orbit 120 --out orbit")
+            ("Render the static model on an orbit", f"{tg4mm} render {run} --alpha 0 --orbit 120 --out orbit")
         ]
     else:
         frequency = float(m.model.motion.freqs_hz[m.model.main])
@@ -108,25 +121,25 @@ def next_section(m: Material) -> Section:
         lines = [
             (
                 "Another magnification, from the test cameras",
-                f"tg4mm render {run} --alpha 50 --out render_x50",
+                f"{tg4mm} render {run} --alpha 50 --out render_x50",
             ),
             (
                 f"Only what moves near {number(frequency)} Hz",
-                f"tg4mm render {run} --alpha {m.view.alpha:g} --band {low:g} {high:g} --out render_band",
+                f"{tg4mm} render {run} --alpha {m.view.alpha:g} --band {low:g} {high:g} --out render_band",
             ),
             (
                 "A camera that moves around the scene, at half speed",
-                f"tg4mm render {run} --alpha {m.view.alpha:g} --orbit 240 --slow 2 --out render_orbit",
+                f"{tg4mm} render {run} --alpha {m.view.alpha:g} --orbit 240 --slow 2 --out render_orbit",
             ),
         ]
     lines += [
         (
             "One splat file with the motion in it, for Blender and any splat viewer",
-            f"tg4mm export {run} --format ply --out splat.ply",
+            f"{tg4mm} export {run} --format ply --out splat.ply",
         ),
         (
             "Train on data of your own (a folder per timestep, scene.json with fps)",
-            "tg4mm train DATASET --out RUN",
+            f"{tg4mm} train DATASET --out RUN",
         ),
     ]
     blender = Text(

@@ -29,7 +29,7 @@ class Material:
     view: View
     metrics: dict[str, Any]  # as evaluate_run returns it, {} if nothing was evaluated
     band: tuple[float, float] | None
-    seconds: float | None  # of all stages, None if unknown
+    seconds: float | None  # of training, None if unknown
     orbit: Path | None = None  # a folder of render_orbit: the scene from a moving camera
 
 
@@ -104,7 +104,7 @@ def stats(m: Material) -> list[Stat]:
     """The headline figures; those that need truth say what is missing."""
     found = [*_motion_stats(m), _ssim_stat(m), _error_stat(m)]
     if m.seconds is not None:
-        found.append(Stat("Time taken", clock(m.seconds), note="all stages that the run's log holds"))
+        found.append(Stat("Training time", clock(m.seconds), note="the stages in the run's log"))
     return found
 
 

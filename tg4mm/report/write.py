@@ -79,6 +79,6 @@ def _page(m: Material, files: Mapping[str, Path]) -> Page:
         footer=(
             f"tg4mm {__version__}. Preset {m.run.preset}. Run {m.run.path}. "
             f"Model SHA-256 {model_hash(m.run.path)}. "
-            "Displacement error, ceiling and every other figure as defined in docs/conventions.md."
+            "README.md, “How the numbers are measured”, defines displacement error, ceiling and the other scores."
         ),
     )
