@@ -100,7 +100,7 @@ def test_render_takes_an_orbit_in_slow_motion(run_path: Path, tmp_path: Path) ->
         (["--alpha", "-2"], "--alpha -2"),
         (["--alpha", "1", "--band", "4", "40"], "(4, 40) Hz reaches past half the frame rate"),
         (["--alpha", "1", "--slow", "0"], "--slow 0"),
-        (["--alpha", "1", "--cameras", "nowhere.json"], "--cameras nowhere.json"),
+        (["--alpha", "1", "--cameras", "nowhere.json"], "nowhere.json: cannot be read"),
     ],
 )
 def test_render_refuses_bad_values(run_path: Path, tmp_path: Path, capsys, options, message) -> None:

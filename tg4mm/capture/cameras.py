@@ -11,6 +11,7 @@ from tg4mm.capture.records import Record, as_number
 from tg4mm.errors import CaptureError
 
 RIGID_TOLERANCE = 1e-3  # matrices written with four decimals pass; a scaled or sheared camera does not
+FARTHEST = 1e6  # scene units; float32 rendering holds no more
 DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 
 
@@ -41,6 +42,10 @@ def read_pose(frame: Record, key: str = "transform_matrix") -> np.ndarray:
     if not np.isfinite(pose).all():
         bad = next(x for row in rows for x in row if not math.isfinite(as_number(x)))
         raise CaptureError(f"{frame.where}: {key} holds {bad!r}; expected finite numbers")
+    if np.abs(pose[:3, 3]).max() > FARTHEST:
+        raise CaptureError(
+            f"{frame.where}: {key} stands {np.abs(pose[:3, 3]).max():g} units off; expected at most 1e6"
+        )
     if np.abs(pose[3] - [0, 0, 0, 1]).max() > RIGID_TOLERANCE:
         raise CaptureError(f"{frame.where}: {key} is not rigid: its last row is {rows[3]}, not [0, 0, 0, 1]")
     axes = pose[:3, :3]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,10 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from tg4mm.capture.cameras import read_intrinsics, read_pose, world_to_camera
 from tg4mm.capture.model import Capture
+from tg4mm.capture.records import Record, read_record, shown
 from tg4mm.errors import CaptureError, RunError
 
 _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+_LARGEST = 16_384  # pixels a side
 
 
 @dataclass(frozen=True)
@@ -114,56 +116,41 @@ def orbit(capture: Capture, n: int, centre: np.ndarray | None = None) -> tuple[C
 
 
 def cameras_from_file(path: Path, size: tuple[int, int] | None = None) -> tuple[Camera, ...]:
-    """The cameras of a NeRF-synthetic or nerfstudio transforms JSON, in the file's order.
+    """The cameras of a NeRF-synthetic or nerfstudio transforms JSON, in the file's order; its images need not exist.
 
-    `size` (width, height) in pixels is used where the file does not give `w` and `h`. Raises CaptureError.
+    `size` (width, height) in pixels is used where the file does not give `w` and `h`. Raises CaptureError, as the
+    readers of captures do.
     """
-    try:
-        data = json.loads(Path(path).read_text(encoding="utf-8"))
-        frames = data["frames"]
-    except OSError as error:
-        raise CaptureError(f"--cameras {path}: {error.strerror or error}") from None
-    except (ValueError, KeyError, TypeError):
-        raise CaptureError(f"--cameras {path}: not a transforms JSON with a list of frames") from None
+    file = read_record(Path(path))
+    frames = file.values.get("frames")
     if not isinstance(frames, list) or not frames:
-        raise CaptureError(f"--cameras {path}: no frames")
-    cameras = [_camera_of_frame(path, i, {**data, **frame}, size) for i, frame in enumerate(frames)]
+        raise file.error("frames", "a list of at least one frame")
+    cameras = [_camera_of_frame(file, i, frame, size) for i, frame in enumerate(frames)]
     names = [camera.name for camera in cameras]
     if len(set(names)) < len(names):  # several folders with equal file names: number them
         cameras = [Camera(f"r_{i:03d}", c.viewmat, c.K, c.width, c.height) for i, c in enumerate(cameras)]
     return tuple(cameras)
 
 
-def _camera_of_frame(path: Path, i: int, entry: dict[str, Any], size: tuple[int, int] | None) -> Camera:
-    where = f"--cameras {path}: frame {i}"
-    try:
-        c2w = np.asarray(entry["transform_matrix"], dtype=float)
-        width = int(entry["w"] if "w" in entry else _required(size, where)[0])
-        height = int(entry["h"] if "h" in entry else _required(size, where)[1])
-        fx = (
-            float(entry["fl_x"])
-            if "fl_x" in entry
-            else width / (2 * math.tan(float(entry["camera_angle_x"]) / 2))
-        )
-        fy = float(entry.get("fl_y", fx))
-        cx, cy = float(entry.get("cx", width / 2)), float(entry.get("cy", height / 2))
-        name = Path(str(entry.get("file_path", f"r_{i:03d}"))).stem
-    except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
-        if isinstance(error, CaptureError):
-            raise
-        raise CaptureError(f"{where}: {type(error).__name__} {error}") from None
-    if c2w.shape != (4, 4) or not np.isfinite(c2w).all() or abs(np.linalg.det(c2w[:3, :3])) < 1e-9:
-        raise CaptureError(f"{where}: transform_matrix is not a finite, invertible 4×4 matrix")
-    if width < 1 or height < 1 or not math.isfinite(fx) or fx <= 0:
-        raise CaptureError(f"{where}: size {width}×{height}, focal length {fx} pixels")
-    K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
-    return Camera(name, np.linalg.inv(c2w @ _OPENGL_FROM_OPENCV), K, width, height)
+def _camera_of_frame(file: Record, i: int, values: Any, size: tuple[int, int] | None) -> Camera:
+    where = f"{file.where}: frames[{i}]"
+    if not isinstance(values, dict):
+        raise CaptureError(f"{where}: is {shown(values)}; expected a JSON object")
+    frame = Record(where, values)
+    width, height = (_pixels(frame, file, key, size and size[k]) for k, key in enumerate("wh"))
+    K = read_intrinsics(frame, file, width, height)
+    name = Path(frame.text("file_path")).stem if frame.has("file_path") else f"r_{i:03d}"
+    return Camera(name, world_to_camera(read_pose(frame)), K, width, height)
 
 
-def _required(size: tuple[int, int] | None, where: str) -> tuple[int, int]:
-    if size is None:
-        raise CaptureError(f"{where}: no picture size (w, h)")
-    return size
+def _pixels(frame: Record, file: Record, key: str, default: int | None) -> int:
+    record = frame if frame.has(key) else file
+    if default is not None and not record.has(key):
+        return default
+    value = record.whole(key, 1)
+    if value > _LARGEST:
+        raise record.error(key, f"a whole number of at most {_LARGEST}")
+    return value
 
 
 def transforms_json(cameras: tuple[Camera, ...]) -> dict[str, Any]:
