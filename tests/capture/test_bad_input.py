@@ -96,6 +96,8 @@ BAD_POSES = {
     "text": (lambda p: p[1].__setitem__(3, "1.0"), "holds '1.0'"),
     "boolean": (lambda p: p[1].__setitem__(3, True), "holds True"),
     "huge": (lambda p: p[1].__setitem__(3, 10**400), "expected finite numbers"),
+    "far away": (lambda p: p[2].__setitem__(3, -1e300), "stands 1e+300 units off"),
+    "huge axis": (lambda p: p[0].__setitem__(0, 1e300), "is not rigid"),
     "three rows": (lambda p: p.pop(), "has shape 3×4"),
     "ragged": (lambda p: p[0].pop(), "4 rows of unequal length"),
     "scaled": (lambda p: p[0].__setitem__(slice(0, 3), [2 * x for x in p[0][:3]]), "is not rigid"),
@@ -103,6 +105,7 @@ BAD_POSES = {
 }
 
 
+@pytest.mark.filterwarnings("error")  # a warning would be a second line on the terminal
 @pytest.mark.parametrize("name", BAD_POSES)
 def test_bad_pose(folder, tools, name):
     change, part = BAD_POSES[name]
@@ -134,11 +137,15 @@ def test_pose_that_is_no_matrix(folder, tools):
 @pytest.mark.parametrize(
     ("values", "part"),
     [
-        ({"camera_angle_x": 0}, "camera_angle_x is 0; expected a finite number above 0 and below 3.14159"),
+        (
+            {"camera_angle_x": 0},
+            "camera_angle_x is 0; expected a finite number above 1e-06 and below 3.14159",
+        ),
         ({"camera_angle_x": 3.2}, "camera_angle_x is 3.2"),
         ({"camera_angle_x": math.nan}, "camera_angle_x is nan"),
         ({"camera_angle_x": "0.7"}, "camera_angle_x is '0.7'"),
         ({"camera_angle_x": None}, "camera_angle_x is None"),
+        ({"camera_angle_x": 5e-324}, "camera_angle_x is 5e-324"),
         ({"fl_x": -3}, "fl_x is -3"),
         ({"fl_x": 20, "fl_y": 0}, "fl_y is 0"),
         ({"cx": math.inf}, "cx is inf"),

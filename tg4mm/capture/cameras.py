@@ -11,6 +11,7 @@ from tg4mm.capture.records import Record, as_number
 from tg4mm.errors import CaptureError
 
 RIGID_TOLERANCE = 1e-3  # matrices written with four decimals pass; a scaled or sheared camera does not
+NARROWEST = 1e-6  # radians of field of view; below, the focal length grows past any use and to infinity
 FARTHEST = 1e6  # scene units; float32 rendering holds no more
 DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 
@@ -49,9 +50,10 @@ def read_pose(frame: Record, key: str = "transform_matrix") -> np.ndarray:
     if np.abs(pose[3] - [0, 0, 0, 1]).max() > RIGID_TOLERANCE:
         raise CaptureError(f"{frame.where}: {key} is not rigid: its last row is {rows[3]}, not [0, 0, 0, 1]")
     axes = pose[:3, :3]
-    deviation = float(np.abs(axes.T @ axes - np.eye(3)).max())
-    determinant = float(np.linalg.det(axes))
-    if deviation > RIGID_TOLERANCE or determinant < 0:
+    with np.errstate(over="ignore", invalid="ignore"):  # axes of 1e300 give inf or NaN: refused below
+        deviation = float(np.abs(axes.T @ axes - np.eye(3)).max())
+        determinant = float(np.linalg.det(axes))
+    if not deviation <= RIGID_TOLERANCE or determinant < 0:
         raise CaptureError(
             f"{frame.where}: {key} is not rigid: its axes are off orthonormal by {deviation:.3g}, "
             f"determinant {determinant:.3g}"
@@ -89,7 +91,7 @@ def read_intrinsics(frame: Record, file: Record, width: int, height: int) -> np.
     if source("fl_x") is not None:
         focal = pixels("fl_x", 0.0, low=0.0)
     else:
-        angle = (source("camera_angle_x") or file).number("camera_angle_x", low=0.0, high=math.pi)
+        angle = (source("camera_angle_x") or file).number("camera_angle_x", low=NARROWEST, high=math.pi)
         focal = width / (2 * math.tan(angle / 2))
     fl_y = pixels("fl_y", focal, low=0.0)
     return np.array([[focal, 0, pixels("cx", width / 2)], [0, fl_y, pixels("cy", height / 2)], [0, 0, 1]])

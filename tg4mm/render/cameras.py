@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from tg4mm.capture.cameras import read_intrinsics, read_pose, world_to_camera
+from tg4mm.capture.geometry import nearest_point_equations, optical_axes
 from tg4mm.capture.model import Capture
 from tg4mm.capture.records import Record, read_record, shown
 from tg4mm.errors import CaptureError, RunError
@@ -57,13 +58,11 @@ def look_at_point(viewmats: np.ndarray) -> np.ndarray:
 
     Raises RunError where the axes (nearly) coincide or are parallel, or where most cameras look away from it.
     """
-    forward = viewmats[:, 2, :3]
-    positions = -np.einsum("cji,cj->ci", viewmats[:, :3, :3], viewmats[:, :3, 3])
-    across = np.eye(3) - forward[:, :, None] * forward[:, None, :]  # removes what lies along each axis
-    normal = across.sum(0)
+    positions, forward = optical_axes(viewmats)
+    normal, right = nearest_point_equations(positions, forward)
     if np.linalg.cond(normal) > 1e6:
         raise RunError(f"the {len(viewmats)} cameras look in one direction only: no point to orbit around")
-    point = np.linalg.solve(normal, np.einsum("cij,cj->i", across, positions))
+    point = np.linalg.solve(normal, right)
     ahead = np.einsum("ci,ci->c", point - positions, forward)
     if np.mean(ahead > 0) <= 0.5:
         raise RunError(f"only {np.mean(ahead > 0):.0%} of the cameras look inwards: no point to orbit around")
@@ -97,8 +96,7 @@ def orbit(capture: Capture, n: int, centre: np.ndarray | None = None) -> tuple[C
         if centre is None:
             raise
         target = np.asarray(centre, dtype=float)
-    positions = -np.einsum("cji,cj->ci", capture.viewmats[:, :3, :3], capture.viewmats[:, :3, 3])
-    arms = positions - target
+    arms = optical_axes(capture.viewmats)[0] - target
     distances = np.linalg.norm(arms, axis=1)
     radius = float(np.median(distances))
     elevation = float(np.median(np.arcsin(np.clip(arms[:, 2] / distances, -1.0, 1.0))))

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from tg4mm.capture import SurfacePoints
+from tg4mm.capture.geometry import nearest_point_equations, optical_axes
 from tg4mm.errors import CaptureError
 from tg4mm.space.targets import RestViews
 
@@ -31,11 +32,8 @@ def working_box(views: RestViews) -> tuple[np.ndarray, float]:
     The centre is the point nearest to all optical axes (least squares); the half side is what the widest camera
     sees at that distance.
     """
-    R = views.viewmats[:, :3, :3].astype(np.float64)
-    origins = -np.einsum("vji,vj->vi", R, views.viewmats[:, :3, 3].astype(np.float64))
-    axes = R[:, 2]
-    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-    A, b = across.sum(0), np.einsum("vij,vj->i", across, origins)
+    origins, axes = optical_axes(views.viewmats)
+    A, b = nearest_point_equations(origins, axes)
     # a small pull to a point in front of the mean camera settles parallel axes
     depth = np.median(np.linalg.norm(origins - origins.mean(0), axis=1)) + 1e-6
     prior = origins.mean(0) + depth * axes.mean(0)
