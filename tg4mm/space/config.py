@@ -11,7 +11,7 @@ class SpaceConfig:
 
     iterations: int = 0  # one view each; 0: 150 · ∛(pixels the object covers in a view), 1,000 … 30,000
     max_gaussians: int = 0  # 0: 200 · √(the same), 2,000 … 500,000
-    sh_degree: int = 3  # reached step by step in the first 40 % of the iterations
+    sh_degree: int = 3  # reached step by step in the first 30 % of the iterations
     l2: float = 10.0  # weight of the squared error beside L1; 0 is [TG4MM] Eq. (16)
     dssim: float = 0.0  # share of D-SSIM, [3DGS] Eq. (7)
     init: str = "auto"  # "points", "hull", "random", or "auto": the first of these that the data allow
