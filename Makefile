@@ -8,11 +8,15 @@ PYTHON ?= python3.11
 # fetch a CUDA build instead (Linux, plain PyPI) and you want none:
 #   make TORCH='torch==2.13.0+cpu --extra-index-url https://download.pytorch.org/whl/cpu' …
 TORCH ?= torch==2.13.0
+# Blender 5.2's Python module needs exactly 3.13; where it lies is found on PATH or among pyenv's.
+PYTHON52 ?= $(shell for p in python3.13 "$$(pyenv root 2>/dev/null)"/versions/3.13*/bin/python3.13; do \
+	"$$p" -c 'import sys; assert sys.version_info[:2] == (3, 13)' 2>/dev/null && echo "$$p" && break; done)
+VENV52 := .venv52
 # One thread in each of two workers is faster here than two threads in one.
 WORKERS ?= 2
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile
 
-.PHONY: demo test test-all test-slow lint extension install clean distclean
+.PHONY: demo test test-all test-slow test-52 lint extension install clean distclean
 
 demo: install
 	$(BIN)/tg4mm demo --out demo
@@ -24,7 +28,11 @@ test: lint
 test-slow: install
 	$(PYTEST) -m slow || [ $$? -eq 5 ]
 
-test-all: test test-slow
+# What runs inside Blender, on the other LTS line: Blender 5.2 with Python 3.13, in an environment without torch.
+test-52: $(VENV52)/.installed
+	OMP_NUM_THREADS=1 $(VENV52)/bin/python -m pytest -n $(WORKERS) --dist loadfile -m "not slow" tests/addon tests/dataset_gen
+
+test-all: test test-slow test-52
 
 lint: install
 	$(BIN)/ruff check .
@@ -47,9 +55,16 @@ $(VENV)/.installed: pyproject.toml Makefile
 	$(BIN)/python -m pip install --quiet -e '.[core,generate,dev]'
 	@touch $@
 
+$(VENV52)/.installed: pyproject.toml Makefile
+	@[ -n "$(PYTHON52)" ] || { \
+		echo "Python 3.13, which Blender 5.2's Python module needs, was not found: make PYTHON52=/path test-52" >&2; exit 2; }
+	[ -x $(VENV52)/bin/python ] || $(PYTHON52) -m venv $(VENV52)
+	$(VENV52)/bin/python -m pip install --quiet -e '.[generate,dev]'
+	@touch $@
+
 clean:
 	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .numba_cache
 	find . -name __pycache__ -not -path './$(VENV)/*' -prune -exec rm -rf {} +
 
 distclean: clean
-	rm -rf $(VENV) demo
+	rm -rf $(VENV) $(VENV52) demo

@@ -8,46 +8,90 @@ import bpy
 
 # 5.2 keeps the inputs of a Geometry Nodes modifier as properties, 4.5 as custom properties (design §3).
 _INPUTS_ARE_PROPERTIES = bpy.app.version >= (5, 2, 0)
+_MATERIALS_ALWAYS_HAVE_NODES = bpy.app.version >= (5, 0, 0)
 
 
-def input_identifier(modifier: Any, name: str) -> str:
-    """The identifier, such as Socket_2, of the modifier's input called `name`. KeyError without one."""
+def find_input(modifier: Any, name: str) -> Any:
+    """The interface item of the modifier's input called `name`. KeyError without one."""
     for item in modifier.node_group.interface.items_tree:
         if item.item_type == "SOCKET" and item.in_out == "INPUT" and item.name == name:
-            return item.identifier
+            return item
     raise KeyError(f"{modifier.name} has no input {name!r}")
 
 
+def has_input(modifier: Any, name: str) -> bool:
+    """True if the modifier's node group has an input called `name`."""
+    items = modifier.node_group.interface.items_tree
+    return any(i.item_type == "SOCKET" and i.in_out == "INPUT" and i.name == name for i in items)
+
+
 def get_input(modifier: Any, name: str) -> Any:
-    """The value of a modifier's input."""
-    identifier = input_identifier(modifier, name)
+    """The value of a modifier's input; of a menu, the item's name."""
+    item = find_input(modifier, name)
     if _INPUTS_ARE_PROPERTIES:
-        return getattr(modifier.properties.inputs, identifier).value
-    return modifier[identifier]
+        return getattr(modifier.properties.inputs, item.identifier).value
+    value = modifier[item.identifier]
+    return _menu_names(modifier, item)[value] if item.socket_type == "NodeSocketMenu" else value
 
 
 def set_input(modifier: Any, name: str, value: Any) -> None:
-    """Set a modifier's input and mark its object for evaluation, which Blender does not do from Python."""
-    identifier = input_identifier(modifier, name)
+    """Set a modifier's input and mark its object for evaluation, which Blender does not do from Python.
+
+    The value of a menu is the item's name; ValueError for one that is not there.
+    """
+    item = find_input(modifier, name)
+    if item.socket_type == "NodeSocketMenu":
+        names = _menu_names(modifier, item)
+        if value not in names.values():
+            raise ValueError(f"{name} is {value!r}; expected one of {', '.join(names.values())}")
+        if not _INPUTS_ARE_PROPERTIES:
+            value = next(number for number, known in names.items() if known == value)
     if _INPUTS_ARE_PROPERTIES:
-        getattr(modifier.properties.inputs, identifier).value = value
+        getattr(modifier.properties.inputs, item.identifier).value = value
     else:
-        modifier[identifier] = value
+        modifier[item.identifier] = value
     modifier.id_data.update_tag()
 
 
-def draw_input(layout: Any, modifier: Any, name: str) -> None:
+def draw_input(layout: Any, modifier: Any, name: str, **options: Any) -> None:
     """Draw a modifier's input; the button can be keyed and driven like any other."""
-    identifier = input_identifier(modifier, name)
+    identifier = find_input(modifier, name).identifier
+    options.setdefault("text", name)
     if _INPUTS_ARE_PROPERTIES:
-        layout.prop(getattr(modifier.properties.inputs, identifier), "value", text=name)
+        layout.prop(getattr(modifier.properties.inputs, identifier), "value", **options)
     else:
-        layout.prop(modifier, f'["{identifier}"]', text=name)
+        layout.prop(modifier, f'["{identifier}"]', **options)
+
+
+def input_path(modifier: Any, name: str) -> str:
+    """The path of a modifier's input from its object: for keyframe_insert and driver_add."""
+    identifier = find_input(modifier, name).identifier
+    tail = f".properties.inputs.{identifier}.value" if _INPUTS_ARE_PROPERTIES else f'["{identifier}"]'
+    return f'modifiers["{bpy.utils.escape_identifier(modifier.name)}"]{tail}'
 
 
 def key_input(modifier: Any, name: str, frame: float) -> None:
     """Insert a key of a modifier's input at `frame`."""
-    identifier = input_identifier(modifier, name)
-    tail = f"properties.inputs.{identifier}.value" if _INPUTS_ARE_PROPERTIES else f'["{identifier}"]'
-    dot = "." if _INPUTS_ARE_PROPERTIES else ""
-    modifier.id_data.keyframe_insert(f'modifiers["{modifier.name}"]{dot}{tail}', frame=frame)
+    modifier.id_data.keyframe_insert(input_path(modifier, name), frame=frame)
+
+
+def use_nodes(material: Any) -> None:
+    """Give a new material a node tree, which 5.x does by itself."""
+    if not _MATERIALS_ALWAYS_HAVE_NODES:
+        material.use_nodes = True
+
+
+def match_wildcard(node: Any) -> None:
+    """Let a Remove Named Attribute node take a pattern: a property in 4.5, a socket in 5.2."""
+    if hasattr(node, "pattern_mode"):
+        node.pattern_mode = "WILDCARD"
+    else:
+        node.inputs["Pattern Mode"].default_value = "Wildcard"
+
+
+def _menu_names(modifier: Any, item: Any) -> dict[int, str]:
+    """Number → name of each item of a menu input. Blender numbers them as they are made, from 0."""
+    group = next(node for node in modifier.node_group.nodes if node.bl_idname == "NodeGroupInput")
+    socket = next(out for out in group.outputs if out.identifier == item.identifier)
+    switch = socket.links[0].to_node
+    return {number: enum_item.name for number, enum_item in enumerate(switch.enum_items)}

@@ -24,9 +24,11 @@ def stage(folder: Path) -> Path:
     folder.mkdir(parents=True)
     for name in ("blender_manifest.toml", "LICENSE"):
         shutil.copyfile(ROOT / name, folder / name)
-    for file in sorted((ROOT / "addon").glob("*.py")):
+    for file in sorted((ROOT / "addon").rglob("*.py")):
+        target = folder / file.relative_to(ROOT / "addon")
         if file.name != Path(__file__).name:
-            shutil.copyfile(file, folder / file.name)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(file, target)
     core = folder / "core"
     (core / "splatfile").mkdir(parents=True)
     (core / "__init__.py").write_text('"""The parts of tg4mm that need numpy alone."""\n', encoding="utf-8")

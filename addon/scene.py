@@ -1,111 +1,135 @@
-"""A splat file as a Blender object: loose vertices with attributes, a node tree, an emission material."""
+"""Splat files as Blender objects: a mesh of points, a node tree that plays it, its materials."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import bpy
 import numpy as np
 
-from . import nodes
+from . import names
 from .core.splatfile import SplatFile
+from .made import Made
+from .materials import make_materials
+from .nodes import Content, build_player
+from .points import fill_mesh, main_axis
 
-MODIFIER = "TG4MM"
-MARK = "tg4mm_version"  # custom property that tells our objects; FPS and FREQUENCIES go with it
-FPS, FREQUENCIES = "tg4mm_fps", "tg4mm_frequencies_hz"
-C0 = 0.28209479177387814  # Y_00, the constant spherical harmonic: 1 / (2 √π)
+NAME_LENGTH = 40  # of what a name may have, so that what is added to it still fits
 
 
-def make_object(splat: SplatFile, name: str, collection: Any) -> Any:
-    """Make the object and link it to `collection`. If anything fails, nothing made here is left."""
-    made: list[tuple[Any, Any]] = []  # (block, the list it was made in)
-    try:
-        mesh = _keep(made, bpy.data.meshes, bpy.data.meshes.new(name))
-        fill_mesh(mesh, splat)
-        material = _keep(made, bpy.data.materials, make_material(name))
-        tree = nodes.build_tree(name, splat.freqs_hz.tolist(), splat.fps, material)
-        _keep(made, bpy.data.node_groups, tree)
-        mesh.materials.append(material)
-        obj = _keep(made, bpy.data.objects, bpy.data.objects.new(name, mesh))
-        obj[MARK], obj[FPS], obj[FREQUENCIES] = 1, splat.fps, splat.freqs_hz.tolist()
-        obj.modifiers.new(MODIFIER, "NODES").node_group = tree
-        collection.objects.link(obj)
-    except BaseException:
-        for block, blocks in reversed(made):
-            blocks.remove(block)
-        raise
+def make_objects(splats: Sequence[SplatFile], labels: Sequence[str], collection: Any) -> list[Any]:
+    """Make an object of each and link them to `collection`. If anything fails, nothing made here is left."""
+    with Made() as made:
+        objects = [
+            _object(splat, label[:NAME_LENGTH], made) for splat, label in zip(splats, labels, strict=True)
+        ]
+        for obj in objects:
+            collection.objects.link(obj)
+    return objects
+
+
+def _object(splat: SplatFile, name: str, made: Made) -> Any:
+    mesh = made.keep(bpy.data.meshes.new(name))
+    fill_mesh(mesh, splat)
+    largest = _mode_amplitudes(mesh, splat)
+    content = Content(
+        count=len(splat),
+        sh_degree=splat.sh_degree,
+        freqs_hz=splat.freqs_hz.tolist(),
+        fps=splat.fps,
+        amplitude=max(largest, default=0.0),
+    )
+    obj = _player(name, mesh, content, made)
+    _describe(obj, splat, largest)
     return obj
+
+
+def make_sequence(
+    paths: Sequence[Path],
+    name: str,
+    collection: Any,
+    read: Callable[[Path], SplatFile],
+    step: Callable[[int], None],
+) -> tuple[Any, int]:
+    """Make an object that shows one file after another, a timestep each; returns it and the largest count.
+
+    The frames are objects of a collection that is in no scene; files may differ in the number of Gaussians.
+    `step(i)` is called after each. If anything fails, nothing made here is left.
+    """
+    with Made() as made:
+        base = _free_name(name[:NAME_LENGTH])
+        frames = made.keep(bpy.data.collections.new(f"{base} frames"))
+        most = degree = 0
+        for i, path in enumerate(paths):
+            splat = read(path)
+            most, degree = max(most, len(splat)), max(degree, splat.sh_degree)
+            mesh = made.keep(bpy.data.meshes.new(f"{base} {i:06d}"))
+            fill_mesh(mesh, splat)
+            frames.objects.link(made.keep(bpy.data.objects.new(mesh.name, mesh)))
+            step(i)
+        content = Content(count=most, sh_degree=degree, frames=frames, n_frames=len(paths))
+        obj = _player(base, made.keep(bpy.data.meshes.new(base)), content, made)
+        obj[names.MARK], obj[names.FPS], obj[names.FREQUENCIES] = 1, 0.0, []
+        obj[names.TIMESTEPS] = len(paths)
+        collection.objects.link(obj)
+    return obj, most
 
 
 def splat_modifier(obj: Any) -> Any | None:
     """The modifier that moves the object's splats; None if the object is not one of ours."""
-    if obj is None or MARK not in obj:
+    if obj is None or names.MARK not in obj:
         return None
-    return obj.modifiers.get(MODIFIER)
+    return obj.modifiers.get(names.MODIFIER)
 
 
-def set_timeline(scene: Any, splat: SplatFile) -> None:
-    """Frame 1 … T at the file's frame rate; a file without motion leaves the timeline as it is."""
-    if splat.n_modes == 0:
-        return
-    scene.render.fps = max(1, math.ceil(splat.fps))
-    scene.render.fps_base = scene.render.fps / splat.fps
-    scene.frame_start, scene.frame_end = 1, max(1, splat.n_timesteps)
+def set_timeline(scene: Any, fps: float, n_timesteps: int) -> None:
+    """Frame 1 … T, and the frame rate where it is known; what does not move leaves the timeline as it is."""
+    if fps > 0:
+        scene.render.fps = max(1, math.ceil(fps))
+        scene.render.fps_base = scene.render.fps / fps
+    if fps > 0 or n_timesteps > 1:
+        scene.frame_start, scene.frame_end = 1, max(1, n_timesteps)
 
 
-def fill_mesh(mesh: Any, splat: SplatFile) -> None:
-    """Rest positions as vertices, all else as point attributes that the node tree names."""
-    n = len(splat)
-    mesh.vertices.add(n)
-    mesh.vertices.foreach_set("co", _flat(splat.means))
-    quats = splat.quats / np.linalg.norm(splat.quats, axis=1, keepdims=True)
-    _attribute(mesh, nodes.SCALE, "FLOAT_VECTOR", "vector", splat.scales)
-    _attribute(mesh, nodes.ROTATION, "QUATERNION", "value", quats)
-    _attribute(mesh, nodes.COLOUR, "FLOAT_COLOR", "color", linear_colours(splat.sh))
-    _attribute(mesh, nodes.OPACITY, "FLOAT", "value", splat.opacities)
+def _player(name: str, mesh: Any, content: Content, made: Made) -> Any:
+    """An object with the mesh, its modifier and its materials, in no collection yet."""
+    materials = make_materials(name, made)
+    for material in materials:
+        mesh.materials.append(material)
+    tree = build_player(name, content, materials, made)
+    obj = made.keep(bpy.data.objects.new(name, mesh))
+    obj.modifiers.new(names.MODIFIER, "NODES").node_group = tree
+    return obj
+
+
+def _describe(obj: Any, splat: SplatFile, largest: list[float]) -> None:
+    """Custom properties: what the panel says about the file and what a legend needs."""
+    obj[names.MARK], obj[names.FPS], obj[names.FREQUENCIES] = 1, splat.fps, splat.freqs_hz.tolist()
+    obj[names.TIMESTEPS] = splat.n_timesteps
+    obj[names.MODE_AMPLITUDES] = largest
+    obj[names.MODE_AXES] = [float(x) for phasors in splat.displacement for x in main_axis(phasors)]
+    if splat.unit_scale_m is not None:
+        obj[names.UNIT_SCALE] = splat.unit_scale_m
+
+
+def _mode_amplitudes(mesh: Any, splat: SplatFile) -> list[float]:
+    """The largest amplitude of each mode, scene units."""
+    largest = []
+    values = np.empty(len(splat), np.float32)
     for k in range(splat.n_modes):
-        names, d, r = nodes.phasor_names(k), splat.displacement[k], splat.rotation[k]
-        for part, values in (("re", d.real), ("im", d.imag), ("re_r", r.real), ("im_r", r.imag)):
-            _attribute(mesh, names[part], "FLOAT_VECTOR", "vector", values)
-    mesh.update()
+        mesh.attributes[names.amplitude(k)].data.foreach_get("value", values)
+        largest.append(float(values.max()))
+    return largest
 
 
-def linear_colours(sh: np.ndarray) -> np.ndarray:
-    """[N, 4] scene-linear RGBA of sh [N, K, 3]: the part that does not depend on the view, sRGB decoded.
-
-    Spherical harmonics of [3DGS] give display-referred sRGB, 0.5 + C0·sh_0; emission needs linear light.
-    """
-    srgb = np.clip(0.5 + C0 * sh[:, 0].astype(np.float64), 0.0, 1.0)
-    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-    return np.concatenate([linear, np.ones((len(sh), 1))], axis=1)
-
-
-def make_material(name: str) -> Any:
-    """Emission in the colour of each point, read from the instance."""
-    material = bpy.data.materials.new(name)
-    material.use_nodes = True
-    tree = material.node_tree
-    tree.nodes.clear()
-    colour = tree.nodes.new("ShaderNodeAttribute")
-    colour.attribute_type, colour.attribute_name = "INSTANCER", nodes.COLOUR
-    emission = tree.nodes.new("ShaderNodeEmission")
-    output = tree.nodes.new("ShaderNodeOutputMaterial")
-    tree.links.new(colour.outputs["Color"], emission.inputs["Color"])
-    tree.links.new(emission.outputs["Emission"], output.inputs["Surface"])
-    for i, node in enumerate((colour, emission, output)):
-        node.location = 200 * i, 0
-    return material
-
-
-def _attribute(mesh: Any, name: str, data_type: str, field: str, values: np.ndarray) -> None:
-    mesh.attributes.new(name, data_type, "POINT").data.foreach_set(field, _flat(values))
-
-
-def _flat(values: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(values, dtype=np.float32).ravel()
-
-
-def _keep(made: list[tuple[Any, Any]], blocks: Any, block: Any) -> Any:
-    made.append((block, blocks))
-    return block
+def _free_name(name: str) -> str:
+    """`name`, or with a number after it, such that no object's name starts with it: frames go by their names."""
+    taken = [obj.name for obj in bpy.data.objects]
+    free, number = name, 1
+    while any(other.startswith(free) for other in taken):
+        number += 1
+        free = f"{name} {number}"
+    return free

@@ -1,39 +1,45 @@
-"""From the description of a scene to Blender's data: objects, lights, world, camera. Sets a motion state."""
+"""From the description of a scene to Blender's data: objects, lights, world, camera. Moves the vertices."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
-from .cameras import CAMERA_ANGLE_X
-from .materials import DISPLACEMENT, data_material, sky, surface_material
+from .cameras import CAMERA_ANGLE_X, Camera
+from .materials import DISPLACEMENT, data_material, surface_material, world
 from .scene import AreaLight, Part, Scene
-from .vibration import Motion, State
 
 
 @dataclass(frozen=True)
 class Stage:
     """A scene inside Blender: handles to what the renderer moves."""
 
-    description: Scene
-    motion: Motion
     scene: bpy.types.Scene
     camera: bpy.types.Object
-    objects: tuple[bpy.types.Object, ...]  # in the order of description.parts
+    objects: tuple[bpy.types.Object, ...]  # each a mesh with identity transform: local is world
+    rest: tuple[np.ndarray, ...]  # their vertices at rest, [V, 3] float64, scene units
     data: bpy.types.Material  # of the data passes
 
 
-def build(description: Scene, fps: float) -> Stage:
+def build(description: Scene) -> Stage:
     """Empties Blender's session and builds the scene at rest."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
-    scene.world = sky(description.sky)
+    scene.world = world(description.sky)
     objects = tuple(_part(part, scene) for part in description.parts)
     for number, light in enumerate(description.lights):
         _area_light(light, number, scene)
+    return stage_of(scene, objects, tuple(part.mesh.vertices for part in description.parts))
+
+
+def stage_of(
+    scene: bpy.types.Scene, objects: tuple[bpy.types.Object, ...], rest: tuple[np.ndarray, ...]
+) -> Stage:
+    """A stage of meshes that are already in the scene: adds the camera and what carries the displacement."""
     camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
     camera.data.sensor_fit = "HORIZONTAL"
     camera.data.lens_unit = "FOV"
@@ -41,7 +47,9 @@ def build(description: Scene, fps: float) -> Stage:
     camera.data.clip_start, camera.data.clip_end = 0.01, 100.0
     scene.collection.objects.link(camera)
     scene.camera = camera
-    return Stage(description, description.motion(fps), scene, camera, objects, data_material())
+    for obj in objects:
+        obj.data.attributes.new(DISPLACEMENT, "FLOAT_VECTOR", "POINT")
+    return Stage(scene, camera, objects, rest, data_material())
 
 
 def _part(part: Part, scene: bpy.types.Scene) -> bpy.types.Object:
@@ -56,7 +64,6 @@ def _part(part: Part, scene: bpy.types.Scene) -> bpy.types.Object:
     mesh.update(calc_edges=True)
     uv = mesh.uv_layers.new(name="uv")
     uv.data.foreach_set("uv", part.mesh.uv.astype(np.float32).ravel())
-    mesh.attributes.new(DISPLACEMENT, "FLOAT_VECTOR", "POINT")
     mesh.polygons.foreach_set("use_smooth", np.ones(len(faces), bool))
     mesh.materials.append(surface_material(part.surface))
     obj = bpy.data.objects.new(part.name, mesh)
@@ -71,24 +78,26 @@ def _area_light(light: AreaLight, number: int, scene: bpy.types.Scene) -> None:
     data.color = light.colour
     obj = bpy.data.objects.new(data.name, data)
     obj.location = light.position
-    obj.rotation_euler = Vector(light.position).to_track_quat("Z", "Y").to_euler()
+    obj.rotation_euler = (Vector(light.position) - Vector(light.target)).to_track_quat("Z", "Y").to_euler()
     scene.collection.objects.link(obj)
 
 
-def set_state(stage: Stage, state: State) -> None:
-    """Moves every vertex to rest + displacement and writes the displacement beside it.
+def move(stage: Stage, displacements: Sequence[np.ndarray]) -> None:
+    """Moves every vertex to rest + displacement [V, 3] and writes the displacement beside it.
 
     Plain vertex positions, no modifier: what is rendered is the analytic motion rounded to float32.
     """
-    for number, (part, obj) in enumerate(zip(stage.description.parts, stage.objects, strict=True)):
-        moved = stage.motion.displacement(number, state)
+    for obj, rest, moved in zip(stage.objects, stage.rest, displacements, strict=True):
         mesh = obj.data
-        mesh.vertices.foreach_set("co", (part.mesh.vertices + moved).astype(np.float32).ravel())
+        mesh.vertices.foreach_set("co", (rest + moved).astype(np.float32).ravel())
         mesh.attributes[DISPLACEMENT].data.foreach_set("vector", moved.astype(np.float32).ravel())
         mesh.update()
         mesh.update_tag()
 
 
-def set_view(stage: Stage, camera_to_world: np.ndarray) -> None:
-    """Places the camera; [4, 4], OpenGL axes, which are Blender's own."""
-    stage.camera.matrix_world = Matrix(camera_to_world.tolist())
+def set_view(stage: Stage, camera: Camera) -> None:
+    """Places the camera and sets its lens."""
+    stage.camera.matrix_world = Matrix(camera.camera_to_world.tolist())
+    stage.camera.data.angle = camera.angle_x
+    # Blender moves the picture, we the principal point; both in image widths (square pictures).
+    stage.camera.data.shift_x, stage.camera.data.shift_y = -camera.shift[0], camera.shift[1]

@@ -5,7 +5,8 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from .scene import Surface
+from . import compat
+from .scene import BlenderSky, Environment, Gradient, Surface
 
 DISPLACEMENT = "displacement"  # name of the vertex attribute and of the AOV it feeds
 
@@ -34,8 +35,7 @@ def surface_material(surface: Surface) -> bpy.types.Material:
     material, tree = _empty_tree(surface.name)
     nodes, links = tree.nodes, tree.links
     shader, output = nodes.new("ShaderNodeBsdfPrincipled"), nodes.new("ShaderNodeOutputMaterial")
-    shader.inputs["Metallic"].default_value = surface.metallic
-    shader.inputs["Roughness"].default_value = surface.roughness
+    _reflection(tree, shader, surface)
     colour = nodes.new("ShaderNodeTexImage")
     colour.image = _image(f"{surface.name} colour", surface.colour, colour=True)
     links.new(colour.outputs["Color"], shader.inputs["Base Color"])
@@ -47,6 +47,26 @@ def surface_material(surface: Surface) -> bpy.types.Material:
         links.new(bump.outputs["Normal"], shader.inputs["Normal"])
     links.new(shader.outputs["BSDF"], output.inputs["Surface"])
     return material
+
+
+def _reflection(tree: bpy.types.NodeTree, shader: bpy.types.Node, surface: Surface) -> None:
+    for socket, value in (
+        ("Metallic", surface.metallic),
+        ("Coat Weight", surface.coat),
+        ("Coat Roughness", surface.coat_roughness),
+        ("Transmission Weight", surface.transmission),
+        ("IOR", surface.ior),
+        ("Subsurface Weight", surface.subsurface),
+        ("Subsurface Scale", surface.subsurface_radius),
+        ("Sheen Weight", surface.sheen),
+    ):
+        shader.inputs[socket].default_value = value
+    if isinstance(surface.roughness, np.ndarray):
+        rough = tree.nodes.new("ShaderNodeTexImage")
+        rough.image = _image(f"{surface.name} roughness", surface.roughness, colour=False)
+        tree.links.new(rough.outputs["Color"], shader.inputs["Roughness"])
+    else:
+        shader.inputs["Roughness"].default_value = surface.roughness
 
 
 def data_material() -> bpy.types.Material:
@@ -66,25 +86,55 @@ def data_material() -> bpy.types.Material:
     return material
 
 
-def sky(colours: tuple[tuple[float, float, float], ...]) -> bpy.types.World:
-    """A world that fades from straight below through the horizon to straight above, linear RGB."""
-    world = bpy.data.worlds.new("sky")
-    world.use_nodes = True
-    nodes, links = world.node_tree.nodes, world.node_tree.links
-    nodes.clear()
-    background, output = nodes.new("ShaderNodeBackground"), nodes.new("ShaderNodeOutputWorld")
+def world(sky: Gradient | BlenderSky | Environment) -> bpy.types.World:
+    """The world that lights the scene."""
+    made = bpy.data.worlds.new("sky")
+    made.use_nodes = True
+    tree = made.node_tree
+    tree.nodes.clear()
+    background, output = tree.nodes.new("ShaderNodeBackground"), tree.nodes.new("ShaderNodeOutputWorld")
+    tree.links.new(background.outputs["Background"], output.inputs["Surface"])
+    if isinstance(sky, Gradient):
+        _gradient(tree, background, sky)
+        made.cycles.sampling_method = "NONE"  # smooth: no importance map needed
+        return made
+    background.inputs["Strength"].default_value = sky.strength
+    if isinstance(sky, BlenderSky):
+        light = tree.nodes.new("ShaderNodeTexSky")
+        compat.use_physical_sky(light)
+        light.sun_elevation, light.sun_rotation = sky.sun_elevation, sky.sun_rotation
+        light.sun_size = sky.sun_size
+    else:
+        light = tree.nodes.new("ShaderNodeTexEnvironment")
+        light.image = _hdr("environment", sky.pixels)
+    tree.links.new(light.outputs["Color"], background.inputs["Color"])
+    return made
+
+
+def _hdr(name: str, pixels: np.ndarray) -> bpy.types.Image:
+    height, width = pixels.shape[:2]
+    image = bpy.data.images.new(name, width, height, alpha=False, float_buffer=True)
+    image.colorspace_settings.name = "Linear Rec.709"
+    rgba = np.ones((height, width, 4), np.float32)
+    rgba[..., :3] = pixels
+    image.pixels.foreach_set(rgba.ravel())
+    image.update()
+    return image
+
+
+def _gradient(tree: bpy.types.NodeTree, background: bpy.types.Node, sky: Gradient) -> None:
+    """Colour by the height of the direction."""
+    nodes, links = tree.nodes, tree.links
     direction, split = nodes.new("ShaderNodeTexCoord"), nodes.new("ShaderNodeSeparateXYZ")
     height, ramp = nodes.new("ShaderNodeMapRange"), nodes.new("ShaderNodeValToRGB")
     height.inputs["From Min"].default_value = -1.0
     stops = ramp.color_ramp.elements
-    while len(stops) < len(colours):
+    while len(stops) < len(sky.colours):
         stops.new(0.5)
-    for i, rgb in enumerate(colours):
-        stops[i].position = i / (len(colours) - 1)
+    for i, rgb in enumerate(sky.colours):
+        stops[i].position = i / (len(sky.colours) - 1)
         stops[i].color = (*rgb, 1.0)
     links.new(direction.outputs["Generated"], split.inputs["Vector"])
     links.new(split.outputs["Z"], height.inputs["Value"])
     links.new(height.outputs["Result"], ramp.inputs["Fac"])
     links.new(ramp.outputs["Color"], background.inputs["Color"])
-    links.new(background.outputs["Background"], output.inputs["Surface"])
-    return world

@@ -1,11 +1,12 @@
 """Which pictures have to be rendered, and which are the same picture again.
 
 The principle that makes a dataset cheap: images depend on time and on α only through the motion state, that
-is the displacement gain of each mode at t times (1 + α). The renderer is deterministic for a fixed seed, so
-timesteps of equal state are equal byte for byte. Every distinct (state, view) is rendered once and its file
-is hard-linked (copied where the file system has no links) to all the places that show it. A sine of 5 Hz at
-30 frames per second has three states, 0 and ±sin 60°; the state 0 serves every α. 30 × 30 training images
-then cost 90 renders.
+is the gain of each mode at t, times (1 + α) where it is magnified. The renderer is deterministic for a fixed
+seed, so timesteps of equal state are equal byte for byte. Every distinct (state, camera) is rendered once and
+its file is hard-linked (copied where the file system has no links) to all the places that show it. A sine of
+5 Hz at 30 frames per second has three states, 0 and ±sin 60°; the state 0 serves every α. 30 × 30 training
+images then cost 90 renders. With a sensor model each file gets noise of its own: still one render, but as
+many encodings as files.
 
 Linked files share their bytes: replace a file, do not write into it.
 """
@@ -13,33 +14,44 @@ Linked files share their bytes: replace a file, do not write into it.
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
-from .cameras import Camera, test_cameras, train_cameras
+from .cameras import Camera, cameras_at
 from .settings import Settings
 from .vibration import Motion, State
+
+RANGE = 300  # shots per process at most: memory of a renderer that runs for hours grows
+RESEEDED = "report/reseeded"  # the truth once more with other noise: what a perfect method would score
+_OTHER_SEED = 1_000_003  # added to the seed there
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One image file: where it goes, relative to the dataset's folder, and what it shows."""
+
+    path: str
+    timestep: int
+    alpha: float  # 0: the capture as it was
 
 
 @dataclass(frozen=True)
 class Shot:
-    """One distinct picture: what to render, and where the files go, relative to the dataset's folder."""
+    """One distinct picture: what to render, and where the files go."""
 
     split: str
     camera: Camera
     state: State
-    images: tuple[str, ...]  # PNG
-    truth: tuple[str, ...]  # EXR; empty where no truth is wanted
+    pictures: tuple[Picture, ...]
+    truth: tuple[str, ...]  # EXR files, relative; empty where no truth is wanted
+    paints: bool = False  # its colours go to points3d.ply
+    seed_offset: int = 0
 
     @property
-    def sees_rest(self) -> bool:
-        """True for the shots that colour points3d.ply."""
-        return self.split == "train" and self.state.at_rest
-
-
-def cameras_of(settings: Settings) -> dict[str, list[Camera]]:
-    """Cameras per split."""
-    test = test_cameras(settings.test_views) if settings.test_views else []
-    return {"train": train_cameras(settings.views), "test": test}
+    def files(self) -> tuple[str, ...]:
+        """All files of the shot, relative to the dataset's folder."""
+        return (*(picture.path for picture in self.pictures), *self.truth)
 
 
 def magnified_folder(alpha: float) -> str:
@@ -49,20 +61,75 @@ def magnified_folder(alpha: float) -> str:
 
 def shots(settings: Settings, motion: Motion) -> list[Shot]:
     """All distinct pictures, sorted by state (moving geometry costs more than moving the camera)."""
-    images: dict[tuple[State, str, int], list[str]] = defaultdict(list)
-    truth: dict[tuple[State, str, int], list[str]] = defaultdict(list)
-    cameras = cameras_of(settings)
-    for split, views in cameras.items():
-        for alpha in (0, *(settings.alphas if split == "test" else ())):
-            root = f"{magnified_folder(alpha)}/" if alpha else ""
-            for t in range(settings.timesteps):
+    pictures: dict[tuple[State, str, Camera], list[Picture]] = defaultdict(list)
+    truth: dict[tuple[State, str, Camera], list[str]] = defaultdict(list)
+    for t in range(settings.timesteps):
+        for split, cameras in cameras_at(settings.cameras, t).items():
+            for alpha in (0, *(settings.alphas if split == "test" else ())):
                 state = motion.state(t, alpha)
-                for i, camera in enumerate(views):
-                    images[state, split, i].append(f"{root}{t:03d}/{split}/{camera.name}.png")
+                for camera in cameras:
+                    path = f"{t:03d}/{split}/{camera.name}{settings.pictures.suffix}"
+                    where = f"{magnified_folder(alpha)}/{path}" if alpha else path
+                    pictures[state, split, camera].append(Picture(where, t, alpha))
                     if not alpha and settings.truth in (split, "all"):
-                        truth[state, split, i].append(f"truth/{split}/{t:03d}/{camera.name}.exr")
-    ordered = sorted(images, key=lambda key: (not key[0].at_rest, key[0].gains, key[1] != "train", key[2]))
-    return [
-        Shot(split, cameras[split][i], state, tuple(images[state, split, i]), tuple(truth[state, split, i]))
-        for state, split, i in ordered
+                        truth[state, split, camera].append(f"truth/{split}/{t:03d}/{camera.name}.exr")
+    ordered = sorted(pictures, key=_order)
+    painters = _painters(ordered) if settings.points else set()
+    every = [
+        Shot(
+            split=key[1],
+            camera=key[2],
+            state=key[0],
+            pictures=tuple(pictures[key]),
+            truth=tuple(truth[key]),
+            paints=key in painters,
+        )
+        for key in ordered
     ]
+    return every + _reseeded(settings, every)
+
+
+def _order(key: tuple[State, str, Camera]) -> tuple[bool, tuple[float, ...], bool, int]:
+    state, split, camera = key
+    return not state.at_rest, state.gains, split != "train", camera.index
+
+
+def _painters(keys: Sequence[tuple[State, str, Camera]]) -> set[tuple[State, str, Camera]]:
+    """Of every training camera the picture nearest to rest: the points are those of the rest scene."""
+    nearest: dict[Camera, tuple[State, str, Camera]] = {}
+    for key in keys:
+        state, split, camera = key
+        if split == "train" and (camera not in nearest or _reach(state) < _reach(nearest[camera][0])):
+            nearest[camera] = key
+    return set(nearest.values())
+
+
+def _reach(state: State) -> float:
+    return sum(gain * gain for gain in state.gains)
+
+
+def _reseeded(settings: Settings, every: Sequence[Shot]) -> list[Shot]:
+    """Once more, with another seed: per α the first test camera in the state that lies farthest from rest."""
+    chosen: dict[float, tuple[float, Shot, Picture]] = {}
+    for shot in every:
+        for picture in shot.pictures if shot.split == "test" else ():
+            best = chosen.get(picture.alpha)
+            if best is None or _reach(shot.state) > best[0]:
+                chosen[picture.alpha] = (_reach(shot.state), shot, picture)
+    return [
+        Shot(
+            split=shot.split,
+            camera=shot.camera,
+            state=shot.state,
+            pictures=(Picture(f"{RESEEDED}/{picture.path}", picture.timestep, picture.alpha),),
+            truth=(),
+            seed_offset=_OTHER_SEED,
+        )
+        for _, shot, picture in chosen.values()
+    ]
+
+
+def ranges(count: int, parts: int) -> list[range]:
+    """`count` shots cut into `parts` neighbouring, equal ranges; neighbours share a state."""
+    edges = [count * i // parts for i in range(parts + 1)]
+    return [range(a, b) for a, b in pairwise(edges)]

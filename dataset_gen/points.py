@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from . import tree
-from .cameras import Camera, focal_length
 from .meshes import triangle_areas
-from .scene import Scene
+from .plan import Shot
+from .vibration import Body
 
+FOLDER = ".points"  # working folder: the colours that training views give
 _SPARE = 4  # candidates per wanted point: surfaces inside others are seen by no camera and drop out
 
 
@@ -24,11 +26,11 @@ class Candidates:
     normals: np.ndarray  # [P, 3] float64, of the triangle
 
 
-def sample_surfaces(scene: Scene, count: int, seed: int) -> Candidates:
-    """`count` · 4 points, uniform over the area of all parts, in random order."""
+def sample_surfaces(bodies: Sequence[Body], count: int, seed: int) -> Candidates:
+    """`count` · 4 points, uniform over the area of all bodies, in random order."""
     rng = np.random.default_rng([seed, 1])
-    areas = [triangle_areas(part.mesh.vertices, part.mesh.triangles) for part in scene.parts]
-    corners = np.concatenate([part.mesh.vertices[part.mesh.triangles] for part in scene.parts])
+    areas = [triangle_areas(body.vertices, body.triangles) for body in bodies]
+    corners = np.concatenate([body.vertices[body.triangles] for body in bodies])
     weight = np.concatenate(areas)
     picked = corners[rng.choice(len(corners), size=_SPARE * count, p=weight / weight.sum())]
     a, b = rng.random((2, len(picked)))
@@ -39,15 +41,9 @@ def sample_surfaces(scene: Scene, count: int, seed: int) -> Candidates:
     return Candidates(picked[:, 0] + a[:, None] * edges[0] + b[:, None] * edges[1], normals)
 
 
-def project(positions: np.ndarray, camera: Camera, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
-    """Pixel coordinates [P, 2] (centres at +0.5) and planar depth [P] of world points."""
-    pose = camera.camera_to_world
-    local = (positions - pose[:3, 3]) @ pose[:3, :3]
-    depth = -local[:, 2]
-    focal = focal_length(width)
-    x = focal * local[:, 0] / depth + width / 2
-    y = -focal * local[:, 1] / depth + height / 2
-    return np.column_stack([x, y]), depth
+def view_file(root: Path, shot: Shot) -> Path:
+    """File of the colours that a training view gives to the points."""
+    return root / FOLDER / f"{shot.camera.name}_{shot.pictures[0].timestep:03d}.npz"
 
 
 def merge(views: list[dict[str, np.ndarray]], count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -9,26 +9,34 @@ from .settings import Settings
 
 @dataclass(frozen=True)
 class Quality:
-    """Size, samples and seed of a picture. Threads do not change a byte, so they are not described."""
+    """Size, samples, seed, engine and device of a picture.
+
+    Threads do not change a byte, so they are not described. The device does, in the last bits.
+    """
 
     width: int
     height: int
     samples: int
     seed: int
     threads: int = 0  # 0: all cores
+    engine: str = "cycles"  # or "eevee", for pictures only: truth is always by Cycles
+    device: str = "cpu"  # of Cycles: "cpu", "gpu" or "auto"
 
     @classmethod
     def of(cls, settings: Settings, threads: int = 0) -> Quality:
-        return cls(settings.size, settings.size, settings.samples, settings.seed, threads)
+        size = settings.size
+        return cls(size, size, settings.samples, settings.seed, threads, settings.engine, settings.device)
 
     def describe(self) -> dict[str, object]:
         """What `scene.json` says of the engine beside the seed."""
+        shared: dict[str, object] = {"samples": self.samples, "view_transform": "Standard", "dither": 0.0}
+        if self.engine == "eevee":
+            return {"name": "EEVEE", **shared, "pixel_filter": "BLACKMAN_HARRIS 1.5 px", "ray_tracing": True}
         return {
             "name": "CYCLES",
-            "samples": self.samples,
+            **shared,
+            "device": self.device,
             "denoiser": None,
             "adaptive_sampling": False,
-            "view_transform": "Standard",
-            "dither": 0.0,
             "pixel_filter": "BLACKMAN_HARRIS 1.5 px",
         }

@@ -3,38 +3,69 @@
 Determinism is what this module owes the rest: a state and a view give the same bytes whenever, in whichever
 process they are rendered. So the seed is fixed; adaptive sampling is off; dither is 0; and there is no
 denoiser: it would blur away sub-pixel differences and invent others. The noise that is left is the same in
-all timesteps of one state.
+all timesteps of one state. (EEVEE has no seed; its pictures repeat on one machine, not from one to another.)
+
+A picture leaves Blender as linear light in 32-bit floats, so that one render serves every file format and
+any sensor; `pictures` does the rest.
 """
 
 from __future__ import annotations
 
-import os
+import importlib.util
 import re
 from pathlib import Path
 
 import bpy
 import numpy as np
 
-from . import compat, png
+from . import compat
+from .bounces import bounces_for, transmitting
 from .build import Stage
+from .devices import device_in_use, use_device
 from .materials import DISPLACEMENT
 from .quality import Quality
 from .tree import temporary_name
 
 # Rays of the data passes go through the pixel centre: the narrowest filter Blender has, ±0.005 px.
 _POINT_FILTER = 0.01
+_PIXEL_FILTER = 1.5  # px, of pictures
+_BRIGHTEST = 65504.0  # what the file formats hold; a path that went wrong may be infinite
 
 
-def configure(stage: Stage, quality: Quality) -> None:
-    """Sets the engine; call once after `build`."""
+def configure(stage: Stage, quality: Quality) -> str:
+    """Sets the engine; call once after `build`. Returns the device that renders, "CPU" or "CUDA: <names>".
+
+    Raises GenerateError if a GPU is wanted and Blender finds none.
+    """
     scene = stage.scene
-    render, cycles = scene.render, scene.cycles
-    render.engine = "CYCLES"
-    render.resolution_x, render.resolution_y, render.resolution_percentage = (
-        quality.width,
-        quality.height,
-        100,
-    )
+    _output(scene, quality)
+    device = use_device(scene, quality.device) if quality.engine == "cycles" else "OpenGL or Vulkan"
+    cycles = scene.cycles
+    cycles.use_denoising = False
+    cycles.use_adaptive_sampling = False
+    cycles.sampling_pattern = "TABULATED_SOBOL"
+    bounces_for(scene).apply(scene)
+    cycles.caustics_reflective = cycles.caustics_refractive = False
+    cycles.sample_clamp_indirect = 4.0  # no fireflies from metal seen in metal
+    cycles.film_exposure = 1.0
+    aovs = scene.view_layers[0].aovs
+    if DISPLACEMENT not in aovs:
+        aov = aovs.add()
+        aov.name, aov.type = DISPLACEMENT, "COLOR"
+    if quality.engine == "eevee":
+        _eevee(scene)
+    use_picture(stage, quality)
+    return device
+
+
+def _output(scene: bpy.types.Scene, quality: Quality) -> None:
+    """Size, film and colour, whatever a user's file says of them."""
+    render = scene.render
+    render.resolution_x, render.resolution_y = quality.width, quality.height
+    render.resolution_percentage = 100
+    render.pixel_aspect_x = render.pixel_aspect_y = 1.0
+    render.use_border = render.use_multiview = render.use_motion_blur = False
+    render.use_compositing = render.use_sequencer = render.use_freestyle = False
     render.film_transparent = True
     render.use_persistent_data = True  # cameras change more often than geometry does
     render.dither_intensity = 0.0
@@ -43,41 +74,45 @@ def configure(stage: Stage, quality: Quality) -> None:
     if quality.threads:
         render.threads = quality.threads
     scene.display_settings.display_device = "sRGB"
-    scene.view_settings.view_transform = "Standard"
-    scene.view_settings.look = "None"
-    cycles.device = "CPU"
-    cycles.use_denoising = False
-    cycles.use_adaptive_sampling = False
-    cycles.sampling_pattern = "TABULATED_SOBOL"
-    cycles.max_bounces, cycles.diffuse_bounces, cycles.glossy_bounces = 4, 2, 3
-    cycles.transmission_bounces, cycles.transparent_max_bounces = 0, 0
-    cycles.caustics_reflective = cycles.caustics_refractive = False
-    cycles.sample_clamp_indirect = 4.0  # no fireflies from metal seen in metal
-    cycles.pixel_filter_type = "BLACKMAN_HARRIS"
-    cycles.filter_width = 1.5
-    scene.world.cycles.sampling_method = "NONE"  # the sky is smooth: no importance map needed
-    layer = scene.view_layers[0]
-    aov = layer.aovs.add()
-    aov.name, aov.type = DISPLACEMENT, "COLOR"
-    use_picture(stage, quality)
+    view = scene.view_settings
+    view.view_transform, view.look = "Standard", "None"
+    view.exposure, view.gamma, view.use_curve_mapping = 0.0, 1.0, False
 
 
-def use_picture(stage: Stage, quality: Quality) -> None:
-    """The next renders are pictures."""
-    stage.scene.cycles.samples, stage.scene.cycles.seed = quality.samples, quality.seed
-    stage.scene.cycles.pixel_filter_type = "BLACKMAN_HARRIS"
-    stage.scene.cycles.filter_width = 1.5
+def _eevee(scene: bpy.types.Scene) -> None:
+    """Reflections and refractions by tracing rays on the screen."""
+    scene.eevee.use_raytracing = True
+    for material in transmitting(scene):
+        material.use_raytrace_refraction = True
+
+
+def use_picture(stage: Stage, quality: Quality, seed_offset: int = 0) -> None:
+    """The next renders are pictures; `seed_offset` gives the same picture with other noise."""
+    scene = stage.scene
+    scene.render.engine = compat.eevee() if quality.engine == "eevee" else "CYCLES"
+    scene.eevee.taa_render_samples = quality.samples
+    scene.render.filter_size = _PIXEL_FILTER
+    cycles = scene.cycles
+    cycles.device = device_in_use()
+    cycles.samples, cycles.seed = quality.samples, (quality.seed + seed_offset) % 2**31
+    cycles.pixel_filter_type, cycles.filter_width = "BLACKMAN_HARRIS", _PIXEL_FILTER
     _passes(stage, data=False)
-    compat.set_png(stage.scene.render.image_settings)
+    compat.set_float_exr(scene.render.image_settings)
 
 
 def use_data(stage: Stage) -> None:
-    """The next renders are data: one ray through each pixel centre, plain material, no filtering."""
-    stage.scene.cycles.samples, stage.scene.cycles.seed = 1, 0
-    stage.scene.cycles.pixel_filter_type = "GAUSSIAN"
-    stage.scene.cycles.filter_width = _POINT_FILTER
+    """The next renders are data: one ray through each pixel centre, plain material, no filtering.
+
+    By Cycles on the processor whatever makes the pictures, so that truth is the same everywhere.
+    """
+    scene = stage.scene
+    scene.render.engine = "CYCLES"
+    cycles = scene.cycles
+    cycles.device = "CPU"
+    cycles.samples, cycles.seed = 1, 0
+    cycles.pixel_filter_type, cycles.filter_width = "GAUSSIAN", _POINT_FILTER
     _passes(stage, data=True)
-    compat.set_multilayer_exr(stage.scene.render.image_settings)
+    compat.set_multilayer_exr(scene.render.image_settings)
 
 
 def _passes(stage: Stage, data: bool) -> None:
@@ -86,26 +121,74 @@ def _passes(stage: Stage, data: bool) -> None:
     layer.material_override = stage.data if data else None
 
 
-def render_to(stage: Stage, path: Path) -> None:
-    """Renders the current mode, state and view to a file; complete or absent, never half."""
+def linear_picture(stage: Stage, folder: Path) -> np.ndarray:
+    """The picture of the current state and view: [H, W, 4] float32, linear Rec.709, premultiplied, row 0 on top.
+
+    After `use_picture`. `folder` takes a temporary file, which is gone when this returns.
+    """
+    raw = temporary_name(folder / "linear.exr")
+    try:
+        _render_to(stage, raw)
+        pixels = read_float(raw)
+    finally:
+        raw.unlink(missing_ok=True)
+    return np.nan_to_num(pixels, nan=0.0, posinf=_BRIGHTEST, neginf=0.0)
+
+
+def data_passes(stage: Stage, folder: Path) -> dict[str, np.ndarray]:
+    """What the pixel centres of the current state and view see; after `use_data`.
+
+    Depth [H, W]; Normal, Position, Displacement [H, W, 3] float32; `truth.write_exr` says what they mean.
+    """
+    raw = temporary_name(folder / "passes.exr")
+    try:
+        _render_to(stage, raw)
+        return read_passes(raw)
+    finally:
+        raw.unlink(missing_ok=True)
+
+
+def _render_to(stage: Stage, path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = temporary_name(path)
-    stage.scene.render.filepath = str(temporary)
-    bpy.ops.render.render(write_still=True)
-    if path.suffix == ".png":
-        temporary.write_bytes(png.essential(temporary.read_bytes()))
-    os.replace(temporary, path)
+    stage.scene.render.filepath = str(path)
+    bpy.ops.render.render(write_still=True, scene=stage.scene.name)
+
+
+def read_float(path: Path) -> np.ndarray:
+    """[H, W, 4] float32 of an EXR as Blender writes it, row 0 on top; by Blender itself where OpenEXR is absent."""
+    if importlib.util.find_spec("OpenEXR") is None:
+        return read_float_by_blender(path)
+    import OpenEXR
+
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        channels = file.channels()
+        return np.stack([channels[name].pixels for name in "RGBA"], axis=-1).astype(np.float32, copy=False)
+
+
+def read_float_by_blender(path: Path) -> np.ndarray:
+    """As `read_float`."""
+    image = bpy.data.images.load(str(path))
+    try:
+        image.colorspace_settings.name = "Non-Color"
+        image.alpha_mode = "CHANNEL_PACKED"  # numbers as they are stored
+        width, height = image.size
+        pixels = np.empty(width * height * 4, np.float32)
+        image.pixels.foreach_get(pixels)
+    finally:
+        bpy.data.images.remove(image)
+    return np.ascontiguousarray(pixels.reshape(height, width, 4)[::-1])
 
 
 def read_passes(path: Path) -> dict[str, np.ndarray]:
     """Passes of Blender's multilayer EXR: Depth [H, W]; Normal, Position, Displacement [H, W, 3] float32."""
     import OpenEXR
 
-    channels = OpenEXR.File(str(path), separate_channels=True).channels()
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        channels = {name: channel.pixels for name, channel in file.channels().items()}
     found: dict[str, np.ndarray] = {}
-    for name, channel in channels.items():
+    for name, pixels in channels.items():
         if match := re.search(r"(?:^|\.)(Depth|Normal|Position|displacement)\.([A-Z])$", name):
-            found["".join(match.groups())] = channel.pixels
+            found["".join(match.groups())] = pixels
     depth = found.get("DepthZ", found.get("DepthV"))
     if depth is None:
         raise RuntimeError(f"{path.name}: no depth among the passes {sorted(channels)}")

@@ -1,4 +1,4 @@
-"""A scene as a readable description: parts, surfaces, lights, modes. The renderer is one view of it."""
+"""A scene as a readable description: parts, surfaces, lights, world. The renderer is one view of it."""
 
 from __future__ import annotations
 
@@ -7,19 +7,27 @@ from dataclasses import dataclass
 import numpy as np
 
 from .meshes import Mesh
-from .vibration import Mode, Motion, mode_shapes
+
+Rgb = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
 class Surface:
-    """A material: painted pattern, relief, and how it reflects."""
+    """A material: painted pattern, relief, and how it reflects. Maps lie in the mesh's texture coordinates."""
 
     name: str
     colour: np.ndarray  # [H, W, 3] display-referred sRGB in 0..1; row 0 is v = 0
     relief: np.ndarray | None = None  # [H, W] height in 0..1, engraved or raised by `relief_depth`
     relief_depth: float = 0.004  # scene units
     metallic: float = 0.0
-    roughness: float = 0.5
+    roughness: float | np.ndarray = 0.5  # one number, or a map [H, W]
+    coat: float = 0.0  # weight of a clear varnish
+    coat_roughness: float = 0.03
+    transmission: float = 0.0  # 1: glass or water; light that goes through costs samples
+    ior: float = 1.5
+    subsurface: float = 0.0  # weight of light scattered under the skin
+    subsurface_radius: float = 0.05  # how far it wanders, scene units
+    sheen: float = 0.0  # weight of the bright rim of cloth and velvet
 
 
 @dataclass(frozen=True)
@@ -34,31 +42,46 @@ class Part:
 
 @dataclass(frozen=True)
 class AreaLight:
-    """A soft box that looks at the origin."""
+    """A soft box."""
 
     position: tuple[float, float, float]  # scene units
     size: float  # edge of the square, scene units
     power: float  # watts, as Blender counts them
-    colour: tuple[float, float, float]  # linear RGB
+    colour: Rgb  # linear RGB
+    target: tuple[float, float, float] = (0.0, 0.0, 0.0)  # what it looks at
+
+
+@dataclass(frozen=True)
+class Gradient:
+    """A world that fades through colours from straight below to straight above."""
+
+    colours: tuple[Rgb, ...]  # linear RGB, evenly spaced
+
+
+@dataclass(frozen=True)
+class BlenderSky:
+    """Blender's own physical sky with its sun."""
+
+    sun_elevation: float  # radians
+    sun_rotation: float  # radians about z
+    strength: float = 0.2
+    sun_size: float = 0.05  # radians, larger than the real one: softer shadows, less noise
+
+
+@dataclass(frozen=True)
+class Environment:
+    """A generated HDR: an equirectangular picture all around."""
+
+    pixels: np.ndarray  # [H, 2H, 3] linear RGB ≥ 0; row 0 is straight below, column 0 looks along −x
+    strength: float = 1.0
 
 
 @dataclass(frozen=True)
 class Scene:
-    """What is rendered, and how it vibrates."""
+    """What is rendered. How it vibrates stands beside it, in `<name>.yaml`."""
 
     name: str
     parts: tuple[Part, ...]
     lights: tuple[AreaLight, ...]
-    modes: tuple[Mode, ...]
-    sky: tuple[
-        tuple[float, float, float], ...
-    ]  # linear RGB of the world from straight below to straight above
+    sky: Gradient | BlenderSky | Environment
     unit_scale_m: float | None = None  # metres per scene unit, None if the scene has no true size
-
-    def shapes(self) -> list[np.ndarray]:
-        """Complex mode shapes per part, [K, V, 3], scene units."""
-        return mode_shapes(self.modes, [(part.mesh.vertices, part.follow) for part in self.parts])
-
-    def motion(self, fps: float) -> Motion:
-        """The motion of all parts at a frame rate."""
-        return Motion(self.shapes(), [mode.frequency_hz for mode in self.modes], fps)

@@ -3,54 +3,55 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any
 
-from tg4mm.errors import Tg4mmError
-
-
-class GenerateError(Tg4mmError):
-    """A dataset that cannot be generated as asked. One line, with the option and its value."""
-
+from .cameras import CameraSetup
+from .errors import GenerateError
+from .pictures import PictureFormat
+from .sensor import Sensor
+from .vibration import MotionDescription
 
 TRUTH = ("none", "test", "all")
+KINDS = ("builtin", "blend", "mesh")
+ENGINES = ("cycles", "eevee")
+DEVICES = ("cpu", "gpu", "auto")
 _LIMIT_SIZE = (8, 4096)
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where the geometry comes from: a built-in scene by name, or a user's file."""
+
+    kind: str = "builtin"  # one of KINDS
+    path: str = ""  # of the file, absolute; "" for a built-in scene
 
 
 @dataclass(frozen=True)
 class Settings:
     """Options of a dataset. Raises GenerateError on construction if one is out of range."""
 
-    scene: str = "mic"
+    scene: str  # built-in scene, or what the user's file is called: first part of the folder's name
+    motion: MotionDescription
+    cameras: CameraSetup  # also number of timesteps and frame rate
+    source: Source = field(default_factory=Source)
     size: int = 128  # edge of the square images, pixels
-    timesteps: int = 30
-    fps: float = 30.0  # timesteps per second
-    frequency: float = 5.0  # Hz
-    amplitude: float = 0.005  # largest displacement, scene units
-    views: int = 30  # training cameras
-    test_views: int = 5
-    alphas: tuple[float, ...] = (5, 10, 20, 50)  # magnification factors of the ground truth
+    alphas: tuple[float, ...] = (5, 10, 20, 50, 100)  # magnification factors of the ground truth
     samples: int = 96  # light paths per pixel
-    seed: int = 0  # of the renderer
+    seed: int = 0  # of the renderer, the sensor and whatever else is random
     truth: str = "test"  # splits with per-pixel truth
     points: int = 20000  # of points3d.ply
+    engine: str = "cycles"
+    device: str = "cpu"
+    pictures: PictureFormat = field(default_factory=PictureFormat)
+    sensor: Sensor | None = None  # None: what the renderer gives, without the noise of a camera
 
     def __post_init__(self) -> None:
         _whole("--size", self.size, *_LIMIT_SIZE)
-        _whole("--timesteps", self.timesteps, 1, 1000)  # folders are numbered with three digits
-        _whole("--views", self.views, 1, 1000)
-        _whole("--test-views", self.test_views, 0, 1000)
         _whole("--samples", self.samples, 1, 65536)
         _whole("--seed", self.seed, 0, 2**31 - 1)
         _whole("--points", self.points, 0, 10_000_000)
-        _positive("--fps", self.fps)
-        _positive("--frequency", self.frequency)
-        _positive("--amplitude", self.amplitude)
-        if self.frequency >= self.fps / 2:
-            raise GenerateError(
-                f"--frequency {self.frequency:g} Hz is not below half the frame rate, {self.fps / 2:g} Hz "
-                f"(--fps {self.fps:g})"
-            )
         for alpha in self.alphas:
             if not (math.isfinite(alpha) and 0 < alpha <= 999 and alpha == int(alpha)):
                 raise GenerateError(
@@ -58,20 +59,62 @@ class Settings:
                 )
         if len(set(self.alphas)) != len(self.alphas):
             raise GenerateError(f"--alphas {','.join(f'{a:g}' for a in self.alphas)} names a factor twice")
-        if self.truth not in TRUTH:
-            raise GenerateError(f"--truth {self.truth!r} is none of {', '.join(TRUTH)}")
+        for option, value, choices in (
+            ("--truth", self.truth, TRUTH),
+            ("--engine", self.engine, ENGINES),
+            ("--device", self.device, DEVICES),
+        ):
+            if value not in choices:
+                raise GenerateError(f"{option} {value!r} is none of {', '.join(choices)}")
+        self.pictures.check_sensor(self.sensor)
+
+    @property
+    def timesteps(self) -> int:
+        return self.cameras.n_timesteps
+
+    @property
+    def fps(self) -> float:
+        """Timesteps per second, Hz."""
+        return self.cameras.fps
 
     @property
     def folder(self) -> str:
         """Name of the dataset's folder, "mic_5Hz_0_005": decimal points become underscores."""
-        return f"{self.scene}_{_plain(self.frequency)}Hz_{_plain(self.amplitude)}"
+        main = self.motion.main
+        amplitude = _plain(main.amplitude_px) + "px" if main.amplitude_px else _plain(main.amplitude or 0.0)
+        return f"{self.scene}_{_plain(main.frequency_hz)}Hz_{amplitude}"
 
     def to_json(self) -> dict[str, Any]:
-        return asdict(self)
+        """Plain data; `from_json` gives the same settings again."""
+        return {
+            **{name: getattr(self, name) for name in _PLAIN},
+            "alphas": list(self.alphas),
+            "motion": self.motion.to_json(),
+            "cameras": self.cameras.to_json(),
+            "source": {"kind": self.source.kind, "path": self.source.path},
+            "pictures": asdict(self.pictures),
+            "sensor": self.sensor.to_json() if self.sensor else None,
+        }
 
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> Settings:
-        return cls(**{**data, "alphas": tuple(data["alphas"])})
+        return cls(
+            **{name: data[name] for name in _PLAIN},
+            alphas=tuple(data["alphas"]),
+            motion=MotionDescription.from_json(data["motion"]),
+            cameras=CameraSetup.from_json(data["cameras"]),
+            source=Source(**data["source"]),
+            pictures=PictureFormat(**data["pictures"]),
+            sensor=Sensor.from_json(data["sensor"]) if data["sensor"] else None,
+        )
+
+
+_PLAIN = ("scene", "size", "samples", "seed", "truth", "points", "engine", "device")
+
+
+def motion_file(scene: str) -> Path:
+    """The description of a built-in scene's motion."""
+    return Path(__file__).parent / "scenes" / f"{scene}.yaml"
 
 
 def _whole(option: str, value: int, low: int, high: int) -> None:
@@ -79,14 +122,9 @@ def _whole(option: str, value: int, low: int, high: int) -> None:
         raise GenerateError(f"{option} {value!r} is not a whole number in {low} … {high}")
 
 
-def _positive(option: str, value: float) -> None:
-    if not (math.isfinite(value) and value > 0):
-        raise GenerateError(f"{option} {value!r} is not a positive number")
-
-
 def _plain(value: float) -> str:
     """A number without exponent, its decimal point as an underscore."""
     text = f"{value:.12f}".rstrip("0").rstrip(".")
-    if float(text) == 0.0:
+    if not text or float(text) == 0.0:
         raise GenerateError(f"{value!r} is too small to name a folder after")
     return text.replace(".", "_")

@@ -6,19 +6,17 @@ import contextlib
 import json
 import os
 import shutil
-import struct
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from . import png
-from .cameras import transforms
-from .plan import cameras_of, magnified_folder
-from .scene import Scene
-from .settings import GenerateError, Settings
+from . import exr
+from .cameras import cameras_at, transforms
+from .errors import GenerateError
+from .plan import magnified_folder
+from .settings import Settings
 
 FORMAT_VERSION = 1
-_EXR_HEAD = b"\x76\x2f\x31\x01"
 
 
 def write_bytes(path: Path, data: bytes) -> None:
@@ -44,21 +42,10 @@ def write_json(path: Path, data: Any) -> None:
     write_bytes(path, (json.dumps(data, indent=2) + "\n").encode())
 
 
-def exr_complete(path: Path, width: int, height: int) -> bool:
-    """True for an OpenEXR file of this size. Its header is checked; that it is whole, the rename sees to."""
-    try:
-        with path.open("rb") as file:
-            data = file.read(4096)
-            size = file.seek(0, os.SEEK_END)
-    except OSError:
-        return False
-    window = struct.pack("<4i", 0, 0, width - 1, height - 1)
-    return data.startswith(_EXR_HEAD) and window in data and size > 8 * height
-
-
-def complete(path: Path, width: int, height: int) -> bool:
-    """Whether a picture or truth file is there and whole."""
-    return (png.complete if path.suffix == ".png" else exr_complete)(path, width, height)
+def complete(root: Path, name: str, settings: Settings) -> bool:
+    """Whether a picture or truth file of the set is there, of the right kind and size, and whole."""
+    check = exr.complete if name.startswith("truth/") else settings.pictures.complete
+    return check(root / name, settings.size, settings.size)
 
 
 def link(source: Path, targets: Iterable[Path]) -> None:
@@ -80,29 +67,35 @@ def link(source: Path, targets: Iterable[Path]) -> None:
 
 
 def describe(
-    settings: Settings, scene: Scene, engine: dict[str, object], versions: dict[str, str]
+    settings: Settings, amplitude: float, unit_scale_m: float | None, engine: dict[str, object]
 ) -> dict[str, Any]:
-    """Content of scene.json: everything the files depend on, so two equal descriptions mean equal data."""
+    """Content of scene.json: everything the files depend on, so two equal descriptions mean equal data.
+
+    `amplitude`: of the main mode, scene units.
+    """
+    main = settings.motion.main
     return {
         "format_version": FORMAT_VERSION,
         "scene": settings.scene,
         "fps": settings.fps,
         "n_timesteps": settings.timesteps,
-        "frequency_hz": settings.frequency,
-        "amplitude": settings.amplitude,
-        "unit_scale_m": scene.unit_scale_m,
-        "modes": [mode.describe() for mode in scene.modes],
+        "frequency_hz": main.frequency_hz,
+        "amplitude": amplitude,
+        "unit_scale_m": unit_scale_m,
+        "modes": settings.motion.to_json()["modes"],
         "seed": settings.seed,
         "engine": engine,
         "alphas": list(settings.alphas),
-        "background": "transparent",
+        "background": settings.pictures.background,
+        "images": settings.pictures.images,
         "width": settings.size,
         "height": settings.size,
-        "n_train": settings.views,
-        "n_test": settings.test_views,
+        "cameras": settings.cameras.to_json(),
+        "n_train": settings.cameras.views,
+        "n_test": settings.cameras.test_views,
         "n_points": settings.points,
         "truth": settings.truth,
-        **versions,
+        "sensor": settings.sensor.to_json() if settings.sensor else None,
     }
 
 
@@ -143,17 +136,14 @@ def claim(root: Path, description: dict[str, Any]) -> None:
         raise GenerateError(f"{root} cannot be written: {error.strerror}") from error
 
 
-def write_poses(root: Path, settings: Settings) -> list[Path]:
-    """All transforms_<split>.json of the set: the same poses at every timestep, the time in seconds."""
-    cameras = cameras_of(settings)
-    written = []
+def write_poses(root: Path, settings: Settings) -> None:
+    """All transforms_<split>.json of the set, the time in seconds."""
     for t in range(settings.timesteps):
-        folders = [(root / f"{t:03d}", split) for split in cameras]
-        folders += [(root / magnified_folder(a) / f"{t:03d}", "test") for a in settings.alphas]
-        for folder, split in folders:
-            if cameras[split]:
-                path = folder / f"transforms_{split}.json"
-                data = transforms(cameras[split], split, t / settings.fps, settings.size, settings.size)
-                write_json(path, data)
-                written.append(path)
-    return written
+        for split, cameras in cameras_at(settings.cameras, t).items():
+            folders = [root / f"{t:03d}"]
+            if split == "test":
+                folders += [root / magnified_folder(a) / f"{t:03d}" for a in settings.alphas]
+            size, suffix = settings.size, settings.pictures.suffix
+            for folder in folders if cameras else ():
+                data = transforms(cameras, split, t / settings.fps, size, size, suffix)
+                write_json(folder / f"transforms_{split}.json", data)

@@ -4,36 +4,40 @@ from __future__ import annotations
 
 import io
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from . import tree
-from .scene import Scene
+from .vibration import Body, Motion
 
 
-def motion_arrays(scene: Scene) -> dict[str, np.ndarray]:
-    """Arrays of truth/motion.npz: displacement(t) = Re Σ_k mode_k exp(i 2π f_k t / fps), scene units.
+def motion_arrays(bodies: Sequence[Body], motion: Motion, n_timesteps: int) -> dict[str, np.ndarray]:
+    """Arrays of truth/motion.npz: displacement(t) = Re Σ_k (1 + α magnified_k) mode_k gains_k(t), scene units.
 
-    The names are in the contract: objects [O], frequencies_hz [K], and of object i rest_<i> [V, 3] float32,
+    The names are in the contract: objects [O], frequencies_hz [K] (0 of a drift), gains [K, T] complex128,
+    exp(i 2π f_k t / fps) for a steady vibration, magnified [K] bool, and of object i rest_<i> [V, 3] float32,
     faces_<i> [F, 3] int32, mode_<i> [K, V, 3] complex64.
     """
     arrays: dict[str, np.ndarray] = {
-        "objects": np.array([part.name for part in scene.parts]),
-        "frequencies_hz": np.array([mode.frequency_hz for mode in scene.modes]),
+        "objects": np.array([body.name for body in bodies], dtype=np.str_),
+        "frequencies_hz": motion.frequencies_hz,
+        "gains": motion.gains(n_timesteps),
+        "magnified": motion.magnified,
     }
-    for i, (part, shape) in enumerate(zip(scene.parts, scene.shapes(), strict=True)):
-        arrays[f"rest_{i}"] = part.mesh.vertices.astype(np.float32)
-        arrays[f"faces_{i}"] = part.mesh.triangles.astype(np.int32)
+    for i, (body, shape) in enumerate(zip(bodies, motion.shapes, strict=True)):
+        arrays[f"rest_{i}"] = body.vertices.astype(np.float32)
+        arrays[f"faces_{i}"] = body.triangles.astype(np.int32)
         arrays[f"mode_{i}"] = shape.astype(np.complex64)
     return arrays
 
 
-def write_motion(path: Path, scene: Scene) -> None:
-    """Writes truth/motion.npz; no pickles."""
+def write_motion(path: Path, bodies: Sequence[Body], motion: Motion, n_timesteps: int) -> None:
+    """Writes truth/motion.npz; no pickles. The same motion gives the same bytes."""
     buffer = io.BytesIO()
-    arrays: dict[str, Any] = motion_arrays(scene)
+    arrays: dict[str, Any] = motion_arrays(bodies, motion, n_timesteps)
     np.savez_compressed(buffer, **arrays)
     tree.write_bytes(path, buffer.getvalue())
 

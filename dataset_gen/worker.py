@@ -1,44 +1,42 @@
-"""One process of a run: renders a range of shots and reports every finished one on a line of its own."""
+"""One process inside Blender: renders a range of shots, looks into a user's file, or saves an animation.
+
+Every finished shot is reported by a line of its own. Wrong input ends with status REFUSED and one line on
+standard error.
+"""
 
 from __future__ import annotations
 
 import json
 import os
 import sys
-from collections.abc import Callable
+from functools import partial
 from itertools import groupby
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO
 
-import bpy
-import numpy as np
-from mathutils import Vector
-from mathutils.bvhtree import BVHTree
-
-from . import build, points, render, tree, truth
+from . import build, render, tree, truth
+from .cameras import cameras_at
+from .errors import GenerateError
+from .painter import Painter
 from .plan import Shot, shots
+from .prepare import builtin_bodies, motion_of
+from .processes import DONE, REFUSED
 from .quality import Quality
-from .run import DONE, point_view
 from .scenes import SCENES
 from .settings import Settings
+from .vibration import Body
 
 
 def work(job_path: Path) -> int:
-    """Does the job of a JSON file: {settings, root, shots: numbers, threads}. Returns the exit status."""
+    """Does the task of a JSON file. Returns the exit status."""
     job = json.loads(job_path.read_text())
     report = _own_stdout()
-    settings = Settings.from_json(job["settings"])
-    stage = build.build(SCENES[settings.scene](settings.frequency, settings.amplitude), settings.fps)
-    quality = Quality.of(settings, job["threads"])
-    render.configure(stage, quality)
-    every = shots(settings, stage.motion)
-    painter = _Painter(stage, settings, Path(job["root"]))
-
-    def finished() -> None:
-        report.write(f"{DONE}\n")
-        report.flush()
-
-    render_shots(stage, quality, [every[i] for i in job["shots"]], painter, finished)
+    tasks = {"render": _render_shots, "inspect": _inspect, "animate": _animate}
+    try:
+        tasks[job["task"]](job, report)
+    except GenerateError as error:
+        print(error, file=sys.stderr)
+        return REFUSED
     return 0
 
 
@@ -52,115 +50,114 @@ def _own_stdout() -> TextIO:
     return channel
 
 
-def render_shots(
-    stage: build.Stage, quality: Quality, todo: list[Shot], painter: _Painter, finished: Callable[[], None]
-) -> None:
+def load_stage(settings: Settings) -> tuple[build.Stage, tuple[Body, ...]]:
+    """The scene inside Blender at rest, and its geometry."""
+    if settings.source.kind == "builtin":
+        return build.build(SCENES[settings.scene]()), builtin_bodies(settings.scene)
+    loaded = _open(settings)
+    return loaded.stage, loaded.bodies
+
+
+def _open(settings: Settings) -> Any:
+    from .sources import open_blend, open_mesh
+
+    opened = open_blend if settings.source.kind == "blend" else open_mesh
+    return opened(Path(settings.source.path))
+
+
+def _inspect(job: dict[str, Any], report: TextIO) -> None:
+    from .sources import bodies_file
+
+    bodies_file.save(Path(job["found"]), _open(Settings.from_json(job["settings"])))
+
+
+def _animate(job: dict[str, Any], report: TextIO) -> None:
+    from .animate import save_animation
+
+    settings = Settings.from_json(job["settings"])
+    stage, bodies = load_stage(settings)
+    motion = motion_of(settings, bodies)
+    cameras = partial(cameras_at, settings.cameras)
+    missing = save_animation(stage, motion, settings.timesteps, Path(job["path"]), cameras, settings.size)
+    for name in missing:
+        report.write(f"{name} could not be packed into the file: its own file is missing\n")
+
+
+def _render_shots(job: dict[str, Any], report: TextIO) -> None:
     """Renders shots state by state: all pictures of a state, then all its data passes."""
-    root = painter.root
-    for state, group in groupby(todo, key=lambda shot: shot.state):
+    settings, root = Settings.from_json(job["settings"]), Path(job["root"])
+    stage, bodies = load_stage(settings)
+    motion = motion_of(settings, bodies)
+    quality = Quality.of(settings, job["threads"])
+    render.configure(stage, quality)
+    every = shots(settings, motion)
+    photographer = _Photographer(stage, settings, quality, root, Painter(bodies, settings, root))
+    todo = [every[i] for i in job["shots"]]
+    for (state, _), group in groupby(todo, key=lambda shot: (shot.state, shot.seed_offset)):
         batch = list(group)
-        build.set_state(stage, state)
-        render.use_picture(stage, quality)
-        for shot in batch:
-            _picture(stage, quality, shot, root)
-            if shot.sees_rest:
-                painter.paint(shot)
-            if not shot.truth:
-                finished()
-        render.use_data(stage)
-        for shot in batch:
-            if shot.truth:
-                _truth(stage, quality, shot, root)
-                finished()
+        build.move(stage, [motion.displacement(i, state) for i in range(len(bodies))])
+        for take in (photographer.picture, photographer.truth):
+            for shot in batch:
+                if take(shot):
+                    report.write(f"{DONE}\n")
+                    report.flush()
 
 
-def _existing(root: Path, names: tuple[str, ...], quality: Quality) -> Path | None:
-    """A complete file of a shot, if a former run left one."""
-    paths = (root / name for name in names)
-    return next((path for path in paths if tree.complete(path, quality.width, quality.height)), None)
+class _Photographer:
+    """Takes what a shot asks for, in the current state; a former run's files are kept."""
 
+    def __init__(
+        self, stage: build.Stage, settings: Settings, quality: Quality, root: Path, painter: Painter
+    ) -> None:
+        self._stage, self._settings, self._quality = stage, settings, quality
+        self._root, self._painter = root, painter
 
-def _picture(stage: build.Stage, quality: Quality, shot: Shot, root: Path) -> None:
-    source = _existing(root, shot.images, quality)
-    if source is None:
-        source = root / shot.images[0]
-        build.set_view(stage, shot.camera.camera_to_world)
-        render.render_to(stage, source)
-    tree.link(source, (root / name for name in shot.images))
+    def picture(self, shot: Shot) -> bool:
+        """The pictures of a shot; True if the shot is done with that."""
+        missing = [p for p in shot.pictures if not self._complete(p.path)]
+        if missing or self._painter.wants(shot):
+            if self._settings.sensor is None and not self._painter.wants(shot):
+                self._link_or_render(shot)
+            else:
+                self._render(shot)
+        return not shot.truth
 
+    def _link_or_render(self, shot: Shot) -> None:
+        whole = next((p.path for p in shot.pictures if self._complete(p.path)), None)
+        if whole is None:
+            self._render(shot)
+        else:
+            tree.link(self._root / whole, (self._root / p.path for p in shot.pictures))
 
-def _truth(stage: build.Stage, quality: Quality, shot: Shot, root: Path) -> None:
-    source = _existing(root, shot.truth, quality)
-    if source is None:
-        source = root / shot.truth[0]
-        raw = tree.temporary_name(source.with_name(f"{source.stem}_raw.exr"))
-        build.set_view(stage, shot.camera.camera_to_world)
-        render.render_to(stage, raw)
-        truth.write_exr(source, render.read_passes(raw))
-        raw.unlink()
-    tree.link(source, (root / name for name in shot.truth))
-
-
-class _Painter:
-    """Colours the candidates of points3d.ply from the training pictures of the rest state, view by view."""
-
-    def __init__(self, stage: build.Stage, settings: Settings, root: Path) -> None:
-        self.root = root
-        self._settings = settings
-        self._candidates = points.sample_surfaces(stage.description, settings.points, settings.seed)
-        self._tree: BVHTree | None = None
-        self._stage = stage
-
-    def paint(self, shot: Shot) -> None:
-        """Writes which candidates the view sees (nothing in between) and the colours it gives them."""
-        path = point_view(self.root, shot)
-        if path.exists() or not self._settings.points:
+    def _render(self, shot: Shot) -> None:
+        build.set_view(self._stage, shot.camera)
+        render.use_picture(self._stage, self._quality, shot.seed_offset)
+        linear = render.linear_picture(self._stage, self._root)
+        if self._painter.wants(shot):
+            self._painter.paint(shot, linear)
+        if self._settings.sensor is None:
+            first = self._root / shot.pictures[0].path
+            tree.write_bytes(first, self._settings.pictures.encode(linear))
+            tree.link(first, (self._root / p.path for p in shot.pictures))
             return
-        size = self._settings.size
-        positions, normals = self._candidates.positions, self._candidates.normals
-        eye = shot.camera.camera_to_world[:3, 3]
-        to_eye = eye - positions
-        distance = np.linalg.norm(to_eye, axis=1)
-        facing = np.abs((to_eye * normals).sum(1)) / distance
-        pixel, _ = points.project(positions, shot.camera, size, size)
-        column, row = np.floor(pixel).astype(int).T
-        candidate = (facing > 0.2) & (column >= 0) & (column < size) & (row >= 0) & (row < size)
-        rgba = _load(self.root / shot.images[0], size)
-        index = np.flatnonzero(candidate)
-        index = index[rgba[row[index], column[index], 3] > 0.5]
-        index = index[
-            self._unhidden(positions[index], to_eye[index] / distance[index, None], distance[index])
-        ]
-        arrays = {"index": index, "colour": rgba[row[index], column[index], :3], "weight": facing[index] ** 2}
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = tree.temporary_name(path)
-        np.savez(temporary, **arrays)
-        os.replace(temporary, path)
+        for picture in shot.pictures:
+            # The key names the frame, so that its noise is the same whichever process takes it, and when.
+            key = (self._settings.seed + shot.seed_offset, shot.split, picture.timestep, shot.camera.name)
+            data = self._settings.pictures.encode(linear, self._settings.sensor, (*key, int(picture.alpha)))
+            tree.write_bytes(self._root / picture.path, data)
 
-    def _unhidden(self, positions: np.ndarray, directions: np.ndarray, distance: np.ndarray) -> np.ndarray:
-        if self._tree is None:
-            parts = self._stage.description.parts
-            starts = np.cumsum([0] + [len(part.mesh.vertices) for part in parts[:-1]])
-            vertices = np.concatenate([part.mesh.vertices for part in parts])
-            faces = np.concatenate([part.mesh.triangles + s for part, s in zip(parts, starts, strict=True)])
-            self._tree = BVHTree.FromPolygons(vertices.tolist(), faces.tolist(), all_triangles=True)
-        cast = self._tree.ray_cast
-        lifted = positions + 1e-3 * directions
-        return np.array(
-            [
-                cast(Vector(p), Vector(d), r)[0] is None
-                for p, d, r in zip(lifted.tolist(), directions.tolist(), distance.tolist(), strict=True)
-            ],
-            bool,
-        )
+    def truth(self, shot: Shot) -> bool:
+        """The data passes of a shot; True if there were any to take."""
+        if not shot.truth:
+            return False
+        source = next((name for name in shot.truth if self._complete(name)), None)
+        if source is None:
+            source = shot.truth[0]
+            build.set_view(self._stage, shot.camera)
+            render.use_data(self._stage)
+            truth.write_exr(self._root / source, render.data_passes(self._stage, self._root))
+        tree.link(self._root / source, (self._root / name for name in shot.truth))
+        return True
 
-
-def _load(path: Path, size: int) -> np.ndarray:
-    """A written picture as [H, W, 4] sRGB in 0..1, row 0 at the top."""
-    image = bpy.data.images.load(str(path))
-    image.colorspace_settings.name = "Non-Color"
-    image.alpha_mode = "CHANNEL_PACKED"  # leaves colours as they are stored, not multiplied by alpha
-    pixels = np.empty(size * size * 4, np.float32)
-    image.pixels.foreach_get(pixels)
-    bpy.data.images.remove(image)
-    return pixels.reshape(size, size, 4)[::-1]
+    def _complete(self, name: str) -> bool:
+        return tree.complete(self._root, name, self._settings)

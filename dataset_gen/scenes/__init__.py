@@ -1,10 +1,18 @@
-"""The built-in scenes, by name. A builder takes (frequency_hz, amplitude) and returns the description."""
+"""The built-in scenes, by name: each module's `build()` describes one at rest."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib import import_module
 
 from ..scene import Scene
-from . import mic
 
-SCENES: dict[str, Callable[[float, float], Scene]] = {"mic": mic.build}
+NAMES = ("chair", "drums", "ficus", "hotdog", "lego", "materials", "mic", "ship")
+
+
+def _builder(name: str) -> Callable[[], Scene]:
+    """A scene's module is imported when it is built: each paints its textures with much numpy."""
+    return lambda: import_module(f"{__name__}.{name}").build()
+
+
+SCENES: dict[str, Callable[[], Scene]] = {name: _builder(name) for name in NAMES}

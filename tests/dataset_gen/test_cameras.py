@@ -7,7 +7,17 @@ import numpy as np
 import pytest
 
 from dataset_gen import cameras as views
-from dataset_gen.cameras import CAMERA_ANGLE_X, focal_length, train_cameras, transforms
+from dataset_gen.cameras import (
+    CAMERA_ANGLE_X,
+    Aim,
+    Camera,
+    focal_length,
+    look_at,
+    scene_cameras,
+    train_cameras,
+    transforms,
+)
+from dataset_gen.errors import GenerateError
 
 # Data of [3DMM], where a checkout has it beside it; the table below stands in for it elsewhere.
 PUBLISHED = Path(__file__).resolve().parents[3] / "shared/data/mic_5Hz_000"
@@ -62,3 +72,98 @@ def test_transforms_have_the_original_keys_and_a_time():
     ]
     assert all(frame["time"] == 0.5 for frame in data["frames"])
     assert json.loads(json.dumps(data)) == data
+
+
+def test_intrinsics_stand_in_every_frame_and_at_the_top_where_all_agree():
+    one, two = train_cameras(2)
+    other = Camera(1, two.camera_to_world, angle_x=0.8, shift=(0.01, -0.02))
+    data = transforms([one, other], "train", 0.0, 200, 100)
+    assert (data["w"], data["h"]) == (200, 100)
+    assert not {"fl_x", "fl_y", "cx", "cy"} & set(data)
+    assert data["camera_angle_x"] == CAMERA_ANGLE_X
+    frame = data["frames"][1]
+    assert frame["fl_x"] == frame["fl_y"] == pytest.approx(100 / np.tan(0.4))
+    assert (frame["cx"], frame["cy"]) == pytest.approx((102.0, 46.0))
+    assert data["frames"][0]["cx"] == 100.0
+
+
+def test_only_pictures_that_are_not_png_have_a_suffix():
+    cameras = train_cameras(1)
+    assert transforms(cameras, "test", 0.0, 8, 8, ".png")["frames"][0]["file_path"] == "./test/r_000"
+    assert transforms(cameras, "test", 0.0, 8, 8, ".exr")["frames"][0]["file_path"] == "./test/r_000.exr"
+
+
+def test_cameras_are_equal_by_value():
+    a, b = train_cameras(5), train_cameras(5)
+    assert a == b
+    assert len({*a, *b}) == 5
+    assert a[0] != a[1]
+    assert a[0] != Camera(0, a[0].camera_to_world, a[0].rotation, angle_x=0.7)
+    assert Camera(0, np.eye(4)) == Camera(
+        0, np.diag([1.0, 1.0, 1.0, 1.0]) * [1, -0.0, 1, 1] + np.diag([0, 1, 0, 0])
+    )
+    with pytest.raises(ValueError, match="read-only"):
+        a[0].camera_to_world[0, 0] = 2.0
+
+
+def test_a_camera_comes_back_from_json():
+    camera = Camera(3, train_cameras(4)[3].camera_to_world, 0.1, 0.5, (0.25, -0.125))
+    assert Camera.from_json(json.loads(json.dumps(camera.to_json()))) == camera
+
+
+def test_projection_is_that_of_the_conventions():
+    """docs/conventions.md, by K and the world-to-camera matrix with OpenCV axes, which is another way."""
+    camera = Camera(0, train_cameras(7)[3].camera_to_world, angle_x=0.9, shift=(0.1, -0.05))
+    points = np.random.default_rng(1).uniform(-1, 1, (20, 3))
+    view = np.diag([1.0, -1.0, -1.0, 1.0]) @ np.linalg.inv(camera.camera_to_world)
+    (cx, cy), focal = camera.principal_point(64, 48), camera.focal(64)
+    K = np.array([[focal, 0, cx], [0, focal, cy], [0, 0, 1]])
+    local = (K @ (view[:3, :3] @ points.T + view[:3, 3:])).T
+    pixels, depth = camera.project(points, 64, 48)
+    np.testing.assert_allclose(pixels, local[:, :2] / local[:, 2:], atol=1e-9)
+    np.testing.assert_allclose(depth, local[:, 2], atol=1e-12)
+
+
+def test_the_orbit_around_another_scene_is_moved_and_scaled():
+    aim = Aim((1.0, 2.0, 3.0), 8.0, 0.5)
+    for near, far in zip(train_cameras(6), train_cameras(6, aim), strict=True):
+        np.testing.assert_array_equal(
+            far.camera_to_world[:3, :3].round(12), near.camera_to_world[:3, :3].round(12)
+        )
+        np.testing.assert_allclose(far.position, near.position * 8.0 / Aim().distance + [1, 2, 3], atol=1e-12)
+        assert far.angle_x == 0.5
+
+
+@pytest.mark.parametrize("height", [4.0, -4.0])
+def test_looking_straight_down_or_up_is_a_pose(height):
+    pose = look_at(np.array([0.0, 0.0, height]), np.zeros(3))
+    np.testing.assert_allclose(pose[:3, :3].T @ pose[:3, :3], np.eye(3), atol=1e-15)
+    np.testing.assert_allclose(-pose[:3, 2], [0, 0, -np.sign(height)])
+
+
+def test_scaled_poses_of_a_users_scene_become_rigid():
+    pose = train_cameras(3)[1].camera_to_world @ np.diag([0.5, 2.0, 3.0, 1.0])
+    (camera,) = scene_cameras([pose], [0.7], [(0.1, 0.0)])
+    np.testing.assert_allclose(camera.camera_to_world, train_cameras(3)[1].camera_to_world, atol=1e-12)
+    assert (camera.index, camera.angle_x, camera.shift) == (0, 0.7, (0.1, 0.0))
+
+
+SHEARED = np.eye(4) + np.array([[0, 0.2, 0, 0], [0] * 4, [0] * 4, [0] * 4])
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Camera(2, SHEARED), r"camera 2: its pose is not rigid, off by 0.2"),
+        (lambda: Camera(2, np.diag([-1.0, 1, 1, 1])), r"camera 2: its pose is not rigid"),
+        (lambda: Camera(2, np.full((4, 4), np.nan)), r"camera 2: its pose is not a finite 4×4 matrix"),
+        (lambda: Camera(2, np.eye(4), angle_x=3.1), r"field of view 177.617° is not in"),
+        (lambda: Camera(2, np.eye(4), angle_x=np.nan), r"field of view nan° is not in"),
+        (lambda: Camera(2, np.eye(4), shift=(np.inf, 0)), r"principal point is off by \(inf, 0\)"),
+        (lambda: scene_cameras([np.diag([1.0, 0, 1, 1])], [0.7]), r"camera 0: its pose is flattened"),
+        (lambda: look_at(np.ones(3), np.ones(3)), r"cannot look at its own place"),
+    ],
+)
+def test_unusable_cameras_are_refused(make, message):
+    with pytest.raises(GenerateError, match=message):
+        make()

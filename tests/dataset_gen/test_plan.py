@@ -2,26 +2,30 @@
 
 import pytest
 
-from dataset_gen.plan import shots
-from dataset_gen.run import scene_of
-from dataset_gen.settings import Settings
+from dataset_gen.options import parser, request_from
+from dataset_gen.plan import RESEEDED, ranges, shots
+from dataset_gen.prepare import builtin_bodies, motion_of
 
 
-def plan(**changes):
-    settings = Settings(**changes)
-    return settings, shots(settings, scene_of(settings).motion(settings.fps))
+def plan(*arguments: str):
+    settings = request_from(parser().parse_args(["mic", *arguments, "--out", "x"])).sets[0]
+    every = shots(settings, motion_of(settings, builtin_bodies("mic")))
+    return settings, [s for s in every if not s.seed_offset], [s for s in every if s.seed_offset]
 
 
-def test_the_demo_set_costs_145_renders():
-    _, every = plan()
+def test_the_demo_set_costs_155_renders_and_6_for_the_noise():
+    _, every, again = plan()
     assert sum(shot.split == "train" for shot in every) == 90
-    assert sum(shot.split == "test" for shot in every) == 55
-    assert sum(len(shot.images) for shot in every) == 30 * 30 + 30 * 5 * 5
+    assert sum(shot.split == "test" for shot in every) == 65
+    assert sum(len(shot.pictures) for shot in every) == 30 * 30 + 30 * 5 * 6
+    assert len(again) == 6  # α = 0 and the five
 
 
 def test_every_file_is_named_once():
-    _, every = plan(timesteps=12, views=3, test_views=2, alphas=(5, 100), truth="all", frequency=3.7)
-    names = [name for shot in every for name in (*shot.images, *shot.truth)]
+    _, every, _ = plan(
+        *"--timesteps 12 --views 3 --test-views 2 --alphas 5,100 --truth all --frequency 3.7".split()
+    )
+    names = [name for shot in every for name in shot.files]
     assert len(set(names)) == len(names)
     expected = {f"{t:03d}/train/r_{i:03d}.png" for t in range(12) for i in range(3)}
     expected |= {f"truth/train/{t:03d}/r_{i:03d}.exr" for t in range(12) for i in range(3)}
@@ -36,13 +40,49 @@ def test_every_file_is_named_once():
     ("truth", "splits"), [("none", set()), ("test", {"test"}), ("all", {"test", "train"})]
 )
 def test_truth_is_planned_for_the_splits_asked_for(truth, splits):
-    _, every = plan(truth=truth)
+    _, every, _ = plan("--truth", truth)
     assert {shot.split for shot in every if shot.truth} == splits
 
 
 def test_the_rest_state_comes_first_and_serves_every_alpha():
-    _, every = plan()
+    _, every, _ = plan()
     assert every[0].state.at_rest
     rest = [shot for shot in every if shot.split == "test" and shot.state.at_rest]
     assert len(rest) == 5
-    assert "magnified/x050/000/test/r_000.png" in rest[0].images
+    assert "magnified/x050/000/test/r_000.png" in {picture.path for picture in rest[0].pictures}
+
+
+def test_each_training_camera_colours_the_points_once_near_rest():
+    _, every, _ = plan()
+    painting = [shot for shot in every if shot.paints]
+    assert len({shot.camera for shot in painting}) == len(painting) == 30
+    assert all(shot.split == "train" and shot.state.at_rest for shot in painting)
+
+
+def test_a_hand_held_camera_shares_no_picture():
+    _, every, _ = plan(*"--cameras handheld --timesteps 8 --test-views 1 --alphas 5".split())
+    train = [shot for shot in every if shot.split == "train"]
+    assert len(train) == 8
+    assert all(len(shot.pictures) == 1 for shot in train)
+
+
+def test_a_sweep_is_taken_at_timestep_0_alone():
+    _, every, _ = plan(*"--cameras sweep --views 6 --timesteps 8".split())
+    names = [picture.path for shot in every if shot.split == "train" for picture in shot.pictures]
+    assert sum(name.startswith("000/") for name in names) == 7
+    assert all(sum(name.startswith(f"{t:03d}/") for name in names) == 1 for t in range(1, 8))
+
+
+def test_the_noise_is_measured_where_the_motion_is_largest():
+    _, _, again = plan()
+    assert {picture.alpha for shot in again for picture in shot.pictures} == {0, 5, 10, 20, 50, 100}
+    assert all(picture.path.startswith(RESEEDED) for shot in again for picture in shot.pictures)
+    assert not any(shot.state.at_rest for shot in again)
+
+
+@pytest.mark.parametrize(("count", "parts"), [(10, 3), (7, 7), (300, 1), (301, 2)])
+def test_ranges_cover_everything_once(count, parts):
+    cut = ranges(count, parts)
+    assert [i for part in cut for i in part] == list(range(count))
+    assert len(cut) == parts
+    assert max(map(len, cut)) - min(map(len, cut)) <= 1

@@ -9,106 +9,122 @@ OpenEXR = pytest.importorskip("OpenEXR")
 from mathutils import Vector  # noqa: E402
 from mathutils.bvhtree import BVHTree  # noqa: E402
 
-from dataset_gen import build, points, render, truth  # noqa: E402
-from dataset_gen.cameras import train_cameras  # noqa: E402
+from dataset_gen import build, compat, devices, render, truth  # noqa: E402
+from dataset_gen.bounces import CUT_OUT, GLASS, OPAQUE, bounces_for  # noqa: E402
+from dataset_gen.cameras import Camera, train_cameras  # noqa: E402
+from dataset_gen.errors import GenerateError  # noqa: E402
+from dataset_gen.pictures import PictureFormat  # noqa: E402
+from dataset_gen.prepare import builtin_bodies  # noqa: E402
 from dataset_gen.quality import Quality  # noqa: E402
 from dataset_gen.scenes import SCENES  # noqa: E402
-from dataset_gen.vibration import State  # noqa: E402
+from dataset_gen.settings import motion_file  # noqa: E402
+from dataset_gen.vibration import State, read_motion, solve  # noqa: E402
 
 SIZE = 48
-QUALITY = Quality(SIZE, SIZE, samples=4, seed=0)
+QUALITY = Quality(SIZE, SIZE, samples=4, seed=0, threads=1)
 CAMERAS = train_cameras(30)
+PNG = PictureFormat()
+
+
+@pytest.fixture(scope="module")
+def bodies():
+    return builtin_bodies("mic")
+
+
+@pytest.fixture(scope="module")
+def motion(bodies):
+    return solve(read_motion(motion_file("mic")), bodies, 30.0, None, 0)
 
 
 @pytest.fixture(scope="module")
 def stage():
-    stage = build.build(SCENES["mic"](5.0, 0.005), 30.0)
-    render.configure(stage, QUALITY)
+    stage = build.build(SCENES["mic"]())
+    assert render.configure(stage, QUALITY) == "CPU"
     return stage
 
 
-def picture(stage, path, state, camera=CAMERAS[5], quality=QUALITY):
-    build.set_state(stage, state)
-    render.use_picture(stage, quality)
-    build.set_view(stage, camera.camera_to_world)
-    render.render_to(stage, path)
-    return path.read_bytes()
+@pytest.fixture
+def move(stage, motion, bodies):
+    """Puts the vertices into a state."""
+    return lambda state: build.move(stage, [motion.displacement(i, state) for i in range(len(bodies))])
 
 
-def pixels(path, size=SIZE):
-    """[H, W, 4] integers, row 0 at the top."""
-    image = bpy.data.images.load(str(path))
-    image.colorspace_settings.name = "Non-Color"
-    image.alpha_mode = "CHANNEL_PACKED"
-    out = np.array(image.pixels[:]).reshape(size, size, 4)[::-1]
-    bpy.data.images.remove(image)
-    return np.round(out * 255).astype(int)
+@pytest.fixture
+def picture(stage, move, tmp_path):
+    """Linear light [H, W, 4] of a state."""
+
+    def take(state, camera=CAMERAS[5], quality=QUALITY, seed_offset=0):
+        move(state)
+        render.use_picture(stage, quality, seed_offset)
+        build.set_view(stage, camera)
+        linear = render.linear_picture(stage, tmp_path)
+        assert not list(tmp_path.glob(".*"))  # nothing is left behind
+        return linear
+
+    return take
 
 
-def passes(stage, path, state, camera=CAMERAS[5]):
-    build.set_state(stage, state)
-    render.use_data(stage)
-    build.set_view(stage, camera.camera_to_world)
-    render.render_to(stage, path)
-    return render.read_passes(path)
+@pytest.fixture
+def passes(stage, move, tmp_path):
+    def take(state, camera=CAMERAS[5]):
+        move(state)
+        render.use_data(stage)
+        build.set_view(stage, camera)
+        return render.data_passes(stage, tmp_path)
+
+    return take
 
 
-def test_a_state_gives_the_same_bytes_whatever_was_rendered_before(stage, tmp_path):
-    state = stage.motion.state(1)
-    first = picture(stage, tmp_path / "a.png", state)
-    picture(stage, tmp_path / "b.png", stage.motion.state(4, 50.0), CAMERAS[11])
-    passes(stage, tmp_path / "b.exr", stage.motion.state(0))
-    assert picture(stage, tmp_path / "c.png", state) == first
-    assert picture(stage, tmp_path / "d.png", stage.motion.state(4)) != first
+def test_a_state_gives_the_same_bytes_whatever_was_rendered_before(picture, passes, motion):
+    state = motion.state(1)
+    first = PNG.encode(picture(state))
+    picture(motion.state(4, 50.0), CAMERAS[11])
+    passes(motion.state(0))
+    assert PNG.encode(picture(state)) == first
+    assert PNG.encode(picture(motion.state(4))) != first
 
 
-def test_another_seed_gives_another_picture(stage, tmp_path):
-    state = stage.motion.state(0)
-    other = Quality(SIZE, SIZE, samples=4, seed=1)
-    assert picture(stage, tmp_path / "a.png", state) != picture(
-        stage, tmp_path / "b.png", state, quality=other
-    )
+def test_another_seed_gives_another_picture(picture, motion):
+    first = picture(motion.state(0))
+    other = picture(motion.state(0), quality=Quality(SIZE, SIZE, samples=4, seed=1, threads=1))
+    assert (first != other).any()
+    np.testing.assert_array_equal(picture(motion.state(0), seed_offset=1), other)
 
 
-def test_magnified_is_the_mode_scaled_by_hand(stage, tmp_path):
-    picture(stage, tmp_path / "a.png", stage.motion.state(1, 20.0))
-    by_hand = [
-        part.mesh.vertices + 21.0 * np.sin(np.pi / 3) * -shape[0].imag
-        for part, shape in zip(stage.description.parts, stage.description.shapes(), strict=True)
-    ]
-    for obj, vertices in zip(stage.objects, by_hand, strict=True):
+def test_magnified_is_the_mode_scaled_by_hand(stage, picture, motion, bodies, tmp_path):
+    magnified = picture(motion.state(1, 20.0))
+    for obj, body, shape in zip(stage.objects, bodies, motion.shapes, strict=True):
+        vertices = body.vertices + 21.0 * np.sin(np.pi / 3) * -shape[0].imag
         written = np.empty(vertices.size, np.float32)
         obj.data.vertices.foreach_get("co", written)
         np.testing.assert_allclose(written.reshape(-1, 3), vertices, atol=2e-7)
         obj.data.vertices.foreach_set("co", vertices.astype(np.float32).ravel())
         obj.data.update()
-    render.use_picture(stage, QUALITY)
-    render.render_to(stage, tmp_path / "b.png")
-    difference = np.abs(pixels(tmp_path / "a.png") - pixels(tmp_path / "b.png"))
-    assert (difference > 1).mean() < 0.002  # a vertex in the last bit may send a light path elsewhere
+    by_hand = render.linear_picture(stage, tmp_path)
+    a, b = (PNG.pixels(linear).astype(int) for linear in (magnified, by_hand))
+    assert (np.abs(a - b) > 1).mean() < 0.002  # a vertex in the last bit may send a light path elsewhere
 
 
-def test_depth_reprojects_to_position(stage, tmp_path):
-    data = passes(stage, tmp_path / "a.exr", stage.motion.state(1, 50.0))
+def test_depth_reprojects_to_position(passes, motion):
+    data = passes(motion.state(1, 50.0))
     seen = data["Depth"] < 1e9
     assert 200 < seen.sum() < SIZE * SIZE
     assert (data["Depth"][~seen] == 1e10).all()
-    xy, depth = points.project(data["Position"][seen].astype(float), CAMERAS[5], SIZE, SIZE)
+    xy, depth = CAMERAS[5].project(data["Position"][seen].astype(float), SIZE, SIZE)
     row, column = np.nonzero(seen)
     np.testing.assert_allclose(depth, data["Depth"][seen], atol=2e-5)
     np.testing.assert_allclose(xy, np.column_stack([column + 0.5, row + 0.5]), atol=0.01)
 
 
-def test_displacement_pass_is_the_analytic_motion(stage, tmp_path):
-    state = stage.motion.state(2, 20.0)
-    data = passes(stage, tmp_path / "a.exr", state)
+def test_displacement_pass_is_the_analytic_motion(passes, motion, bodies):
+    state = motion.state(2, 20.0)
+    data = passes(state)
     seen = data["Depth"] < 1e9
     rest = (data["Position"] - data["Displacement"])[seen].astype(float)
-    parts = stage.description.parts
-    starts = np.cumsum([0] + [len(part.mesh.vertices) for part in parts])
-    vertices = np.concatenate([part.mesh.vertices for part in parts])
-    faces = np.concatenate([part.mesh.triangles + s for part, s in zip(parts, starts[:-1], strict=True)])
-    moves = np.concatenate([stage.motion.displacement(i, state) for i in range(len(parts))])
+    starts = np.cumsum([0] + [len(body.vertices) for body in bodies])
+    vertices = np.concatenate([body.vertices for body in bodies])
+    faces = np.concatenate([body.triangles + s for body, s in zip(bodies, starts[:-1], strict=True)])
+    moves = np.concatenate([motion.displacement(i, state) for i in range(len(bodies))])
     surface = BVHTree.FromPolygons(vertices.tolist(), faces.tolist(), all_triangles=True)
     error, distance = [], []
     for point, displacement in zip(rest, data["Displacement"][seen], strict=True):
@@ -125,16 +141,16 @@ def test_displacement_pass_is_the_analytic_motion(stage, tmp_path):
     assert max(error) < 1e-4  # where two parts touch, the nearest triangle may be the other's
 
 
-def test_still_parts_have_exactly_zero_displacement(stage, tmp_path):
-    data = passes(stage, tmp_path / "a.exr", stage.motion.state(1, 50.0))
+def test_still_parts_have_exactly_zero_displacement(passes, motion):
+    data = passes(motion.state(1, 50.0))
     feet = (data["Depth"] < 1e9) & (data["Position"][..., 2] < -0.5)
     feet &= np.hypot(data["Position"][..., 0], data["Position"][..., 1]) < 0.75
     assert feet.sum() > 10
     assert (data["Displacement"][feet] == 0.0).all()
 
 
-def test_normals_are_unit_and_face_the_camera(stage, tmp_path):
-    data = passes(stage, tmp_path / "a.exr", stage.motion.state(0))
+def test_normals_are_unit_and_face_the_camera(passes, motion):
+    data = passes(motion.state(0))
     seen = data["Depth"] < 1e9
     normals = data["Normal"][seen]
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-4)
@@ -142,8 +158,8 @@ def test_normals_are_unit_and_face_the_camera(stage, tmp_path):
     assert ((normals * to_camera).sum(1) > -0.3).mean() > 0.99
 
 
-def test_truth_file_comes_back_as_it_was_written(stage, tmp_path):
-    data = passes(stage, tmp_path / "a.exr", stage.motion.state(1))
+def test_truth_file_comes_back_as_it_was_written(passes, motion, tmp_path):
+    data = passes(motion.state(1))
     truth.write_exr(tmp_path / "b.exr", data)
     back = truth.read_exr(tmp_path / "b.exr")
     for name, values in data.items():
@@ -155,30 +171,177 @@ def test_truth_file_comes_back_as_it_was_written(stage, tmp_path):
         )
 
 
-def test_alpha_is_straight(stage, tmp_path):
-    """With one colour on everything, straight alpha shows that colour in half-covered pixels too."""
-    grey = bpy.data.materials.new("grey")
-    grey.use_nodes = True
-    tree = grey.node_tree
+def emission(name, colour):
+    """A material that shows one linear colour whatever light falls on it."""
+    material = bpy.data.materials.new(name)
+    material.use_nodes = True
+    tree = material.node_tree
     tree.nodes.clear()
-    emission, output = tree.nodes.new("ShaderNodeEmission"), tree.nodes.new("ShaderNodeOutputMaterial")
-    emission.inputs["Color"].default_value = (0.5, 0.5, 0.5, 1.0)
-    tree.links.new(emission.outputs["Emission"], output.inputs["Surface"])
-    build.set_state(stage, stage.motion.state(0))
-    render.use_picture(stage, Quality(SIZE, SIZE, samples=16, seed=0))
-    stage.scene.view_layers[0].material_override = grey
-    build.set_view(stage, CAMERAS[5].camera_to_world)
-    render.render_to(stage, tmp_path / "a.png")
-    image = pixels(tmp_path / "a.png")
+    node, output = tree.nodes.new("ShaderNodeEmission"), tree.nodes.new("ShaderNodeOutputMaterial")
+    node.inputs["Color"].default_value = (*colour, 1.0)
+    tree.links.new(node.outputs["Emission"], output.inputs["Surface"])
+    return material
+
+
+def test_alpha_is_straight(stage, move, motion, tmp_path):
+    """With one colour on everything, straight alpha shows that colour in half-covered pixels too."""
+    move(motion.state(0))
+    render.use_picture(stage, Quality(SIZE, SIZE, samples=16, seed=0, threads=1))
+    stage.scene.view_layers[0].material_override = emission("grey", (0.5, 0.5, 0.5))
+    build.set_view(stage, CAMERAS[5])
+    image = PNG.pixels(render.linear_picture(stage, tmp_path)).astype(int)
     partial = (image[..., 3] > 40) & (image[..., 3] < 215)
     assert partial.sum() > 50
-    assert np.abs(image[partial][:, :3] - 188).max() <= 3  # sRGB of linear 0.5, rounding grows with 1/alpha
+    assert np.abs(image[partial][:, :3] - 188).max() <= 1  # sRGB of linear 0.5
     assert (image[image[..., 3] == 0] == 0).all()
 
 
-def test_rest_gain_zero_is_the_rest_mesh(stage):
-    build.set_state(stage, State((0.0,)))
-    for part, obj in zip(stage.description.parts, stage.objects, strict=True):
-        written = np.empty(part.mesh.vertices.size, np.float32)
+def blenders_png(stage, path):
+    """What Blender itself writes, [H, W, 4] integers."""
+    settings = stage.scene.render.image_settings
+    if compat.is_5():
+        settings.media_type = "IMAGE"
+    settings.file_format, settings.color_mode, settings.color_depth = "PNG", "RGBA", "8"
+    stage.scene.render.filepath = str(path)
+    bpy.ops.render.render(write_still=True)
+    return np.asarray(pytest.importorskip("PIL.Image").open(path)).astype(int)
+
+
+def test_our_png_is_blenders_within_one_grey_level(stage, picture, motion, tmp_path):
+    ours = PNG.pixels(picture(motion.state(1, 20.0))).astype(int)
+    theirs = blenders_png(stage, tmp_path / "a.png")
+    np.testing.assert_allclose(ours[..., 3], theirs[..., 3], atol=1)
+    seen = theirs[..., 3] > 25  # below, Blender's own rounding is divided by an alpha near 0
+    assert (theirs[..., 3] == 255).sum() > 100
+    assert (seen & (theirs[..., 3] < 230)).sum() > 50
+    np.testing.assert_allclose(ours[seen], theirs[seen], atol=1)
+
+
+def test_blender_reads_the_same_floats_where_openexr_is_absent(stage, picture, motion, tmp_path, monkeypatch):
+    picture(motion.state(0))
+    monkeypatch.setattr(render.importlib.util, "find_spec", lambda name: pytest.fail(f"looked for {name}"))
+    path = tmp_path / "a.exr"
+    render._render_to(stage, path)
+    by_blender = render.read_float_by_blender(path)
+    monkeypatch.undo()
+    np.testing.assert_array_equal(render.read_float(path), by_blender)
+    monkeypatch.setattr(render.importlib.util, "find_spec", lambda name: None)
+    np.testing.assert_array_equal(render.read_float(path), by_blender)
+    assert by_blender[..., 3].max() == 1.0
+
+
+def test_a_lens_and_a_principal_point_of_its_own(stage, passes, motion):
+    camera = Camera(0, CAMERAS[5].camera_to_world, angle_x=0.5, shift=(0.15, -0.1))
+    data = passes(motion.state(0), camera)
+    seen = data["Depth"] < 1e9
+    xy, depth = camera.project(data["Position"][seen].astype(float), SIZE, SIZE)
+    row, column = np.nonzero(seen)
+    np.testing.assert_allclose(xy, np.column_stack([column + 0.5, row + 0.5]), atol=0.01)
+    np.testing.assert_allclose(depth, data["Depth"][seen], atol=2e-5)
+
+
+def test_pixels_that_are_no_numbers_do_not_reach_a_file(stage, monkeypatch, tmp_path):
+    wrong = np.array([[[np.nan, np.inf, -np.inf, 1.0]]], np.float32)
+    monkeypatch.setattr(render, "read_float", lambda path: wrong)
+    monkeypatch.setattr(render, "_render_to", lambda stage, path: None)
+    assert render.linear_picture(stage, tmp_path).tolist() == [[[0.0, 65504.0, 0.0, 1.0]]]
+
+
+class Listed:
+    """Cycles' preferences as they are with some devices."""
+
+    def __init__(self, **names):
+        self.devices = [
+            type("Device", (), {"name": n, "type": t, "use": None}) for t, ns in names.items() for n in ns
+        ]
+        self.compute_device_type = "NONE"
+
+    def get_devices_for_type(self, backend):
+        if backend == "METAL":
+            raise TypeError("enum METAL not found")  # as on Linux
+        return [device for device in self.devices if device.type in (backend, "CPU")]
+
+
+def test_the_fastest_kind_of_gpu_is_taken(stage):
+    listed = Listed(CPU=["Xeon"], CUDA=["H200"], OPTIX=["H200"], HIP=["MI300"])
+    assert devices.use_device(stage.scene, "auto", listed) == "OPTIX: H200"
+    assert (listed.compute_device_type, stage.scene.cycles.device) == ("OPTIX", "GPU")
+    assert {d.type: d.use for d in listed.devices} == {
+        "CPU": False,
+        "CUDA": False,
+        "OPTIX": True,
+        "HIP": False,
+    }
+    assert devices.device_in_use(listed) == "GPU"
+    assert devices.use_device(stage.scene, "cpu", listed) == "CPU"
+    assert (listed.compute_device_type, stage.scene.cycles.device) == ("NONE", "CPU")
+
+
+def test_without_a_gpu_auto_takes_the_processor_and_gpu_is_refused(stage):
+    listed = Listed(CPU=["Xeon"])
+    assert devices.use_device(stage.scene, "auto", listed) == "CPU"
+    with pytest.raises(GenerateError, match=r"--device gpu: Blender finds no GPU \(looked for OPTIX, CUDA"):
+        devices.use_device(stage.scene, "gpu", listed)
+
+
+def test_what_blender_finds_here_is_listed_or_refused(stage):
+    found = devices.gpus(devices.cycles_preferences())
+    assert all(names and backend in devices.BACKENDS for backend, names in found.items())
+    if not found:
+        with pytest.raises(GenerateError, match="--device gpu"):
+            render.configure(stage, Quality(SIZE, SIZE, 4, 0, 1, device="gpu"))
+    assert devices.use_device(stage.scene, "cpu") == "CPU"
+
+
+def principled(**values):
+    material = bpy.data.materials.new("made")
+    material.use_nodes = True
+    shader = material.node_tree.nodes["Principled BSDF"]
+    for name, value in values.items():
+        shader.inputs[name.replace("_", " ")].default_value = value
+    return material
+
+
+def in_a_group(node):
+    group = bpy.data.node_groups.new("group", "ShaderNodeTree")
+    group.nodes.new(node)
+    material = principled()
+    material.node_tree.nodes.new("ShaderNodeGroup").node_tree = group
+    return material
+
+
+@pytest.mark.parametrize(
+    ("make", "expected"),
+    [
+        (principled, OPAQUE),
+        (lambda: principled(Transmission_Weight=0.3), GLASS),
+        (lambda: principled(Alpha=0.5), CUT_OUT),
+        (lambda: in_a_group("ShaderNodeBsdfGlass"), GLASS),
+        (lambda: in_a_group("ShaderNodeBsdfTransparent"), CUT_OUT),
+    ],
+)
+def test_light_is_followed_through_what_lets_it_through(make, expected):
+    scene = bpy.data.scenes.new("other")
+    mesh = bpy.data.meshes.new("mesh")
+    mesh.materials.append(make())
+    scene.collection.objects.link(bpy.data.objects.new("object", mesh))
+    assert bounces_for(scene) == expected
+    expected.apply(scene)
+    assert scene.cycles.transmission_bounces == expected.transmission
+    bpy.data.scenes.remove(scene)
+
+
+def test_the_description_names_what_the_bytes_depend_on():
+    one = Quality(8, 8, 4, 0)
+    assert one.describe()["name"] == "CYCLES"
+    assert one.describe() == Quality(8, 8, 4, 0, threads=7).describe()
+    others = [Quality(8, 8, 5, 0), Quality(8, 8, 4, 0, device="gpu"), Quality(8, 8, 4, 0, engine="eevee")]
+    assert all(one.describe() != other.describe() for other in others)
+
+
+def test_rest_gain_zero_is_the_rest_mesh(stage, move, bodies):
+    move(State((0.0,)))
+    for body, obj in zip(bodies, stage.objects, strict=True):
+        written = np.empty(body.vertices.size, np.float32)
         obj.data.vertices.foreach_get("co", written)
-        np.testing.assert_array_equal(written.reshape(-1, 3), part.mesh.vertices.astype(np.float32))
+        np.testing.assert_array_equal(written.reshape(-1, 3), body.vertices.astype(np.float32))

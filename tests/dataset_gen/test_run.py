@@ -13,18 +13,30 @@ import pytest
 pytest.importorskip("bpy")
 pytest.importorskip("OpenEXR")
 
-from dataset_gen import png, tree
-from dataset_gen.plan import shots
-from dataset_gen.run import generate, missing_files, scene_of
-from dataset_gen.settings import GenerateError, Settings
+from dataset_gen import png
+from dataset_gen.errors import GenerateError
+from dataset_gen.options import parser, request_from
+from dataset_gen.prepare import builtin_bodies, motion_of, prepare
+from dataset_gen.processes import RunFailed
+from dataset_gen.run import finish_parts, generate, missing_files, prepare_parts, render_part
+from dataset_gen.scenes import SCENES
+from dataset_gen.settings import Settings
 
-TINY = Settings(size=32, timesteps=6, views=3, test_views=1, alphas=(5,), samples=2, points=300)
+TINY_OPTIONS = "--size 32 --timesteps 6 --views 3 --test-views 1 --alphas 5 --samples 2 --points 300"
+
+
+def tiny(*more: str) -> Settings:
+    options = ["mic", "--out", "x", *TINY_OPTIONS.split(), *more]
+    return request_from(parser().parse_args(options)).sets[0]
+
+
+TINY = tiny()
 ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    return generate(TINY, tmp_path_factory.mktemp("set"), processes=2, stream=io.StringIO())
+    return generate(TINY, tmp_path_factory.mktemp("set"), 2, io.StringIO())
 
 
 def files(root):
@@ -38,7 +50,9 @@ def test_the_tree_is_that_of_the_contract(made):
         expected |= {f"{t:03d}/train/r_{i:03d}.png" for i in range(3)} | {f"{t:03d}/test/r_000.png"}
         expected |= {f"magnified/x005/{t:03d}/{n}" for n in ("transforms_test.json", "test/r_000.png")}
         expected |= {f"truth/test/{t:03d}/r_000.exr"}
-    assert set(files(made)) == expected
+    found = {name for name in files(made) if not name.startswith("report/")}
+    assert found == expected
+    assert (made / "report/index.html").is_file()
     assert made.name == "mic_5Hz_0_005"
 
 
@@ -92,25 +106,28 @@ def test_timesteps_of_one_state_are_one_file_and_others_are_not(made):
     assert os.stat(made / "magnified/x005/000/test/r_000.png").st_ino == inode(0, "test")
 
 
-def test_a_linked_frame_is_what_rendering_it_gives(made, tmp_path):
+def test_a_linked_frame_is_what_rendering_it_gives(made):
     """Timestep 2 is a link to timestep 1; rendered on its own, in this process, it has the same bytes."""
     from dataset_gen import build, render
     from dataset_gen.cameras import train_cameras
     from dataset_gen.quality import Quality
 
-    stage = build.build(scene_of(TINY), TINY.fps)
-    render.configure(stage, Quality.of(TINY))
-    build.set_state(stage, stage.motion.state(2))
-    build.set_view(stage, train_cameras(3)[1].camera_to_world)
-    render.render_to(stage, tmp_path / "own.png")
-    assert (tmp_path / "own.png").read_bytes() == (made / "002/train/r_001.png").read_bytes()
+    motion = motion_of(TINY, builtin_bodies("mic"))
+    quality = Quality.of(TINY)
+    stage = build.build(SCENES["mic"]())
+    render.configure(stage, quality)
+    build.move(stage, [motion.displacement(i, motion.state(2)) for i in range(len(stage.objects))])
+    build.set_view(stage, train_cameras(3)[1])
+    render.use_picture(stage, quality)
+    own = TINY.pictures.encode(render.linear_picture(stage, made))
+    assert own == (made / "002/train/r_001.png").read_bytes()
 
 
 def test_motion_file_reproduces_the_law(made):
     with np.load(made / "truth/motion.npz", allow_pickle=False) as data:
         names, frequencies = data["objects"], data["frequencies_hz"]
         assert frequencies.tolist() == [5.0]
-        motion = scene_of(TINY).motion(30.0)
+        motion = motion_of(TINY, builtin_bodies("mic"))
         for i in range(len(names)):
             rest, faces, mode = data[f"rest_{i}"], data[f"faces_{i}"], data[f"mode_{i}"]
             assert (rest.dtype, faces.dtype, mode.dtype) == (np.float32, np.int32, np.complex64)
@@ -147,7 +164,7 @@ def test_resuming_renders_only_what_is_missing(made):
     (made / "004/train/r_002.png").write_bytes(whole[:100])  # its twin at timestep 5 is whole
     (made / ".left.123.tmp.png").write_bytes(b"half")
     seen = io.StringIO()
-    assert generate(TINY, made.parent, processes=1, stream=seen) == made
+    assert generate(TINY, made.parent, 1, seen) == made
     assert "rendering 2/2" in seen.getvalue()
     assert (made / "001/train/r_001.png").read_bytes() == whole
     assert png.complete(made / "004/train/r_002.png", 32, 32)
@@ -163,28 +180,67 @@ def test_a_complete_set_is_left_alone(made):
 
 
 def test_a_changed_configuration_is_refused(made):
-    with pytest.raises(GenerateError, match=r"holds another dataset: seed is 0, asked for 7"):
-        generate(Settings(**{**TINY.to_json(), "alphas": (5,), "seed": 7}), made.parent)
+    with pytest.raises(GenerateError, match=r"holds another dataset: cameras.seed is 0, asked for 7"):
+        generate(tiny("--seed", "7"), made.parent)
 
 
-def test_missing_files_are_named(made, tmp_path):
-    every = shots(TINY, scene_of(TINY).motion(30.0))
-    assert missing_files(made, TINY, every) == []
-    assert "005/train/r_002.png" in missing_files(tmp_path, TINY, every)
+def test_missing_files_are_named(made):
+    job = prepare(TINY, made.parent)
+    assert missing_files(job) == []
+    kept = (made / "005/train/r_002.png").read_bytes()
+    (made / "005/train/r_002.png").unlink()
+    assert missing_files(job) == ["005/train/r_002.png"]
+    (made / "005/train/r_002.png").write_bytes(kept)
 
 
-def test_truncated_and_foreign_pictures_are_not_complete(made, tmp_path):
-    data = (made / "000/train/r_000.png").read_bytes()
-    path = tmp_path / "a.png"
-    for content, good in ((data, True), (data[:-1], False), (b"", False), (b"GIF89a" + data[6:], False)):
-        path.write_bytes(content)
-        assert png.complete(path, 32, 32) is good
-    assert not png.complete(path, 64, 64)
-    exr = (made / "truth/test/000/r_000.exr").read_bytes()
-    path = tmp_path / "a.exr"
-    path.write_bytes(exr)
-    assert tree.exr_complete(path, 32, 32)
-    assert not tree.exr_complete(path, 64, 64)
+def test_in_parts_the_same_files_come_out(made, tmp_path):
+    stream = io.StringIO()
+    folder = prepare_parts(TINY, tmp_path, 2)
+    assert json.loads((folder / "parts.json").read_text())["parts"] == 2
+    for part in ((2, 2), (1, 2)):
+        assert render_part(TINY, tmp_path, part, 1, stream).is_file()
+    root = finish_parts(TINY, tmp_path, stream)
+    same = [name for name in files(made) if not name.startswith("report/")]
+    assert [name for name in files(root) if not name.startswith("report/")] == same
+    assert all((made / name).read_bytes() == (root / name).read_bytes() for name in same)
+
+
+def test_with_a_part_missing_it_is_not_complete(tmp_path):
+    prepare_parts(TINY, tmp_path, 2)
+    with pytest.raises(RunFailed, match=r"files are missing or damaged, the first is 000/train/r_000.png"):
+        finish_parts(tiny("--points", "0"), tmp_path / "other", io.StringIO())
+    with pytest.raises(GenerateError, match=r"--part 3/2 is not one of"):
+        render_part(TINY, tmp_path, (3, 2), 1, io.StringIO())
+
+
+def test_a_sensor_gives_every_frame_noise_of_its_own(tmp_path):
+    options = (
+        "--sensor",
+        "high-speed",
+        "--timesteps",
+        "4",
+        "--truth",
+        "none",
+        "--points",
+        "0",
+        "--alphas",
+        "5",
+    )
+    root = generate(tiny(*options), tmp_path, 2, io.StringIO())
+    rest = [(root / f"{t:03d}/train/r_000.png").read_bytes() for t in (0, 3)]  # one state
+    assert rest[0] != rest[1]
+    again = generate(tiny(*options), tmp_path / "again", 1, io.StringIO())
+    assert rest == [(again / f"{t:03d}/train/r_000.png").read_bytes() for t in (0, 3)]
+
+
+@pytest.mark.parametrize("kind", ["rig", "sweep", "handheld"])
+def test_every_kind_of_cameras_makes_a_set_that_reads(tmp_path, kind):
+    capture = pytest.importorskip("tg4mm.capture")
+    options = ("--cameras", kind, "--timesteps", "3", "--truth", "none", "--points", "100", "--size", "24")
+    root = generate(tiny(*options), tmp_path, 2, io.StringIO())
+    found = capture.load_capture(root, split="train")
+    assert found.n_timesteps == 3
+    assert len(found) == {"rig": 9, "sweep": 6, "handheld": 3}[kind]
 
 
 @pytest.mark.slow
@@ -194,11 +250,12 @@ def test_killed_runs_go_on(tmp_path):
     assert process.stderr is not None
     line = process.stderr.readline()  # the first progress line
     assert line.startswith("rendering")
+    every = int(line.split()[1].split("/")[1])
     process.kill()
     process.wait()
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
     total = int(done.stderr.strip().splitlines()[-2].split()[1].split("/")[1])
-    assert 0 < total < 22
+    assert 0 < total < every
     assert "complete" in done.stderr
 
 
@@ -209,8 +266,9 @@ def test_inside_blender_the_same_arguments_work(tmp_path):
     code = (
         "import bpy, runpy, sys\n"
         f"sys.argv = ['blender', '--background', '--python', {str(script)!r}, '--', 'mic', '--out', "
-        f"{str(tmp_path)!r}, '--preset', 'smoke', '--timesteps', '2', '--truth', 'none']\n"
-        "for name in ('PIL', 'rich', 'typer', 'plyfile', 'OpenEXR', 'torch'): sys.modules[name] = None\n"
+        f"{str(tmp_path)!r}, '--preset', 'smoke', '--size', '32', '--timesteps', '2', '--truth', 'none']\n"
+        "for name in ('PIL', 'jinja2', 'skimage', 'rich', 'typer', 'plyfile', 'OpenEXR', 'torch'):\n"
+        "    sys.modules[name] = None\n"
         f"runpy.run_path({str(script)!r}, run_name='__main__')"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)

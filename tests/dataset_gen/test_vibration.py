@@ -1,117 +1,340 @@
-"""Mode shapes, motion states, and the law that ties them to time and magnification."""
+"""Motions solved on bodies: amplitudes, phases, parts, time laws, states, and exact linearity in the gain."""
 
 import numpy as np
 import pytest
 
-from dataset_gen.vibration import Cantilever, Mode, Motion, State, mode_shapes
+from dataset_gen.errors import GenerateError
+from dataset_gen.vibration import Body, MotionDescription, State, pixel_displacement, solve
 
-FIELD = Cantilever(base_z=-0.3, length=0.5, direction=(3.0, 4.0))
-
-
-def points(count=200, seed=0):
-    return np.random.default_rng(seed).uniform(-1, 1, (count, 3))
-
-
-def motion(fields, phasors, frequencies, fps=30.0):
-    modes = [
-        Mode(str(i), f, 0.01, field, p)
-        for i, (field, p, f) in enumerate(zip(fields, phasors, frequencies, strict=True))
-    ]
-    rest = points()
-    return mode_shapes(modes, [(rest, np.ones(len(rest)))]), frequencies, fps
+FPS = 30.0
+SWAY = {
+    "name": "sway", "kind": "bending", "frequency": 5, "amplitude": 0.01,
+    "base": [0, 0, -0.3], "tip": [0, 0, 0.2], "direction": [3, 4, 0],
+}  # fmt: skip
+WAVE = {
+    "name": "wave", "kind": "wave", "frequency": 3.7, "amplitude": 0.004,
+    "direction": [1, 0, 0], "wavelength": 0.8, "polarisation": [0, 0, 1],
+}  # fmt: skip
+DRIFT = {"name": "drift", "kind": "drift", "rate": 0.03, "direction": [0, 1, 0], "magnified": False}
+HUM = {"name": "hum", "kind": "translate", "frequency": 5, "amplitude": 0.002, "direction": [0, 1, 1]}
 
 
-class Spin:
-    """A complex field: circular orbits."""
-
-    kind = "orbit"
-
-    def __call__(self, points):
-        return np.outer(1.0 + points[:, 0] ** 2, [1.0, 1j, 0.0])
+def body(name="body", count=200, seed=0, follow=1.0, groups=None):
+    where = np.random.default_rng(seed).uniform(-1, 1, (count, 3))
+    weights = np.broadcast_to(np.asarray(follow, float), (count,))
+    return Body(name, where, np.array([[0, 1, 2]]), weights, groups or {})
 
 
-def test_cantilever_is_zero_at_and_below_the_clamp_and_one_at_the_tip():
-    deflection, slope = FIELD.profile(np.array([-1.0, -0.3, 0.2]))
-    np.testing.assert_array_equal(deflection[:2], 0.0)
-    np.testing.assert_array_equal(slope[:2], 0.0)
-    assert deflection[2] == pytest.approx(1.0, abs=1e-9)
-    below = points() * [1, 1, 0.5] - [0, 0, 0.8]
-    np.testing.assert_array_equal(FIELD(below), 0.0)
+def motion(*modes, bodies=None, fps=FPS, reference=None, seed=0):
+    description = MotionDescription.from_json({"modes": list(modes)}, "x.yaml")
+    return solve(description, bodies or [body()], fps, reference, seed)
 
 
-def test_cantilever_slope_is_the_derivative_of_its_deflection():
-    z = np.linspace(-0.25, 0.6, 50)
-    step = 1e-6
-    numeric = (FIELD.profile(z + step)[0] - FIELD.profile(z - step)[0]) / (2 * step)
-    np.testing.assert_allclose(FIELD.profile(z)[1], numeric, atol=1e-7)
+def series(solved, n=3000, span=10.0, index=0):
+    """Displacements [n, V, 3] over `span` seconds, finely sampled, straight from shapes and time laws."""
+    t = np.linspace(0, span * FPS, n)
+    gains = np.array([law.gain(t, solved.fps) for law in solved.laws])
+    return np.tensordot(gains.T, solved.shapes[index], axes=1).real
 
 
-def test_cantilever_obeys_the_beam_equation():
-    # EI w'''' = ω² m w, so the fourth derivative is (β/L)⁴ w all along the beam.
-    h = 0.01
-    z = np.linspace(-0.25, 0.15, 20)
-    stencil = sum(
-        c * FIELD.profile(z + k * h)[0] for k, c in zip(range(-2, 3), (1, -4, 6, -4, 1), strict=True)
-    )
-    np.testing.assert_allclose(
-        stencil / h**4, (1.8751040687 / 0.5) ** 4 * FIELD.profile(z)[0], rtol=2e-3, atol=0.05
-    )
+# The law.
 
 
-def test_what_stands_on_the_beam_turns_rigidly():
-    high = points() * [0.5, 0.5, 0.2] + [0, 0, 0.6]
-    moved = FIELD(high)
-    # A small rigid motion has an antisymmetric gradient: distances change in second order only.
-    a, b = high[:100], high[100:]
-    stretch = ((a - b) * (moved[:100] - moved[100:])).sum(1)
-    np.testing.assert_allclose(stretch, 0.0, atol=1e-12)
+@pytest.mark.parametrize("alpha", [0.0, 5.0, 0.5, -1.0])
+def test_displacement_is_the_law_of_the_description(alpha):
+    solved = motion(SWAY | {"phase": 30, "decay": 0.7}, WAVE, DRIFT)
+    where = body().vertices
+    for t in (0, 1, 7, 29, 1000):
+        seconds = t / FPS
+        z, lift = solved.shapes[0], np.zeros_like(where)
+        # The bending as the description says it: a sine, 30° ahead, ringing down.
+        bending = np.abs(z[0]) * np.sign((z[0] * 1j * np.exp(-1j * np.pi / 6)).real)
+        lift += (1 + alpha) * bending * np.sin(2 * np.pi * 5 * seconds + np.pi / 6) * np.exp(-seconds / 0.7)
+        travel = 2 * np.pi * (3.7 * seconds - where[:, 0] / 0.8)
+        lift[:, 2] += (1 + alpha) * 0.004 * np.sin(travel)
+        lift[:, 1] += 0.03 * seconds  # the drift is not magnified
+        np.testing.assert_allclose(solved.displacement(0, solved.state(t, alpha)), lift, atol=2e-10)
 
 
-def test_the_largest_displacement_of_the_scene_is_the_amplitude():
-    parts = [(points(50, 1), np.ones(50)), (points(70, 2), np.full(70, 0.5))]
-    shapes = mode_shapes([Mode("bending", 5.0, 0.004, FIELD)], parts)
-    peaks = [np.linalg.norm(np.abs(shape[0]), axis=1).max() for shape in shapes]
-    assert max(peaks) == pytest.approx(0.004)
-    held = mode_shapes([Mode("bending", 5.0, 0.004, FIELD)], [parts[0], (points(70, 2), np.zeros(70))])
-    np.testing.assert_array_equal(held[1], 0.0)
+def test_displacement_is_re_of_shapes_times_gains():
+    solved = motion(SWAY | {"phase": 30, "decay": 0.7}, WAVE, DRIFT)
+    gains = solved.gains(30)
+    assert gains.shape == (3, 30)
+    for t in (0, 1, 13, 29):
+        expected = np.tensordot(gains[:, t], solved.shapes[0], axes=1).real
+        np.testing.assert_allclose(solved.displacement(0, solved.state(t)), expected, atol=1e-11)
+    np.testing.assert_array_equal(solved.frequencies_hz, [5.0, 3.7, 0.0])
+    np.testing.assert_array_equal(solved.magnified, [True, True, False])
 
 
-def test_a_mode_that_moves_nothing_is_refused():
-    with pytest.raises(ValueError, match="'bending' moves no vertex"):
-        mode_shapes([Mode("bending", 5.0, 0.004, FIELD)], [(points() - [0, 0, 2], np.ones(200))])
+def test_displacement_is_exactly_linear_in_the_gains():
+    solved = motion(SWAY, WAVE | {"phase": 20}, HUM)
+    g = np.array(solved.state(7, 3.0).gains)
+    assert len(g) == 4  # the wave needs two
+    one = solved.displacement(0, State(tuple(g)))
+    np.testing.assert_array_equal(solved.displacement(0, State(tuple(-8.0 * g))), -8.0 * one)
+    parts = [solved.displacement(0, State(tuple(np.where(np.arange(4) == i, g, 0.0)))) for i in range(4)]
+    np.testing.assert_allclose(sum(parts), one, atol=1e-17)
 
 
-@pytest.mark.parametrize("alpha", [0.0, 5.0, 0.5])
-def test_displacement_is_the_law_of_the_contract(alpha):
-    shapes, frequencies, fps = motion([FIELD, Spin()], [-1j, 0.6 + 0.8j], [5.0, 3.7])
-    m = Motion(shapes, frequencies, fps)
-    for t in (0, 1, 7, 29):
-        turn = np.exp(2j * np.pi * np.array(frequencies) * t / fps)
-        expected = (1 + alpha) * np.tensordot(turn, shapes[0], axes=1).real
-        np.testing.assert_allclose(m.displacement(0, m.state(t, alpha)), expected, atol=1e-10)
+def test_a_frequency_between_dft_bins_does_not_repeat_within_the_capture():
+    solved = motion(SWAY | {"frequency": 4.3})
+    assert len({solved.state(t).gains for t in range(30)}) == 30
+    spectrum = np.abs(np.fft.rfft([solved.state(t).gains[0] for t in range(30)]))
+    assert spectrum[4] > spectrum[5] > 0.1 * spectrum[4]  # it leaks
 
 
-def test_displacement_is_linear_in_the_gain():
-    shapes, frequencies, fps = motion([FIELD], [-1j], [5.0])
-    m = Motion(shapes, frequencies, fps)
-    one = m.displacement(0, State((1.0,)))
-    np.testing.assert_array_equal(m.displacement(0, State((-8.0,))), -8.0 * one)
+def test_decay_is_to_1_over_e():
+    solved = motion(SWAY | {"decay": 0.5, "phase": 90})
+    a, b = (np.abs(solved.displacement(0, solved.state(t))).max() for t in (0, 30))
+    # Half a second to 1/e, and five whole periods.
+    assert b / a == pytest.approx(np.exp(-2.0), rel=1e-6)
 
 
-def test_a_sine_is_at_rest_in_the_reference_frame_for_every_alpha():
-    shapes, frequencies, fps = motion([FIELD], [-1j], [5.0])
-    m = Motion(shapes, frequencies, fps)
-    assert m.state(0) == m.state(0, 50.0)
-    assert m.state(0).at_rest
-    assert not m.state(1).at_rest
-    np.testing.assert_array_equal(m.displacement(0, m.state(0)), 0.0)
+def test_a_drift_is_a_ramp_per_second():
+    solved = motion(SWAY, DRIFT | {"magnified": True})
+    for alpha in (0.0, 3.0):
+        moved = solved.displacement(0, solved.state(60, alpha)) - solved.displacement(
+            0, solved.state(0, alpha)
+        )
+        np.testing.assert_allclose(moved, np.tile([0, (1 + alpha) * 0.06, 0], (200, 1)), atol=1e-10)
+
+
+def test_alpha_leaves_a_distractor_alone():
+    solved = motion(SWAY, HUM | {"frequency": 11, "magnified": False})
+    alone, hum = motion(SWAY), motion(HUM | {"frequency": 11})
+    for t in (1, 4, 17):
+        both = solved.displacement(0, solved.state(t, 20.0))
+        expected = alone.displacement(0, alone.state(t, 20.0)) + hum.displacement(0, hum.state(t))
+        np.testing.assert_allclose(both, expected, atol=1e-10)
+
+
+# States.
 
 
 def test_states_that_look_the_same_are_equal():
-    shapes, frequencies, fps = motion([FIELD], [-1j], [5.0])
-    m = Motion(shapes, frequencies, fps)
-    assert len({m.state(t) for t in range(30)}) == 3
-    assert len({m.state(t, a) for t in range(30) for a in (0, 5, 10, 20, 50)}) == 11
-    shapes, frequencies, fps = motion([Spin()], [1.0], [5.0])
-    orbit = Motion(shapes, frequencies, fps)
-    assert len({orbit.state(t) for t in range(30)}) == 6  # an orbit passes no point twice in a period
+    sine = motion(SWAY)
+    assert len({sine.state(t) for t in range(30)}) == 3
+    assert len({sine.state(t, a) for t in range(30) for a in (0, 5, 10, 20, 50)}) == 11
+    assert len({motion(WAVE | {"frequency": 5}).state(t) for t in range(30)}) == 6
+
+
+def test_modes_in_phase_need_one_gain_at_any_phase():
+    for phase in (0, 30, 90, 217.3):
+        assert len(motion(SWAY | {"phase": phase}).bases) == 1
+    two = [body("a"), body("b", seed=1)]
+    assert len(motion(SWAY | {"phases": {"b": 180}}, bodies=two).bases) == 1
+    assert len(motion(SWAY | {"phases": {"b": 90}}, bodies=two).bases) == 2
+
+
+def test_a_sine_is_at_rest_in_the_reference_frame_for_every_alpha():
+    solved = motion(SWAY)
+    assert solved.state(0) == solved.state(0, 50.0)
+    assert solved.state(0).at_rest
+    assert not solved.state(1).at_rest
+    np.testing.assert_array_equal(solved.displacement(0, solved.state(0)), 0.0)
+    assert motion(SWAY | {"phase": 90}).state(0).gains == (1.0,)
+    assert not motion(WAVE).state(0).at_rest
+
+
+# Amplitudes, parts, phases.
+
+
+@pytest.mark.parametrize(
+    "mode", [SWAY, WAVE | {"polarisation": "rayleigh"}, SWAY | {"phases": "random"}, HUM | {"phase": 77}]
+)
+def test_the_amplitude_is_the_largest_displacement_over_all_vertices_and_all_time(mode):
+    bodies = [body("a", follow=0.7), body("b", seed=1)]
+    solved = motion(mode, bodies=bodies)
+    largest = [np.linalg.norm(series(solved, index=i), axis=2).max() for i in (0, 1)]
+    assert max(largest) == pytest.approx(mode["amplitude"], rel=1e-4)
+    assert min(largest) > 0.1 * mode["amplitude"]
+
+
+def camera():
+    """Camera-to-world, OpenGL axes, aslant, and its focal lengths in pixels."""
+    back = np.array([2.0, -3.0, 1.5])
+    z = back / np.linalg.norm(back)
+    x = np.cross([0, 0, 1.0], z)
+    x /= np.linalg.norm(x)
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = np.stack([x, np.cross(z, x), z], 1), back
+    return pose, 300.0, 280.0
+
+
+def project(where):
+    """Pixels [..., 2] of world points, principal point at 0, y down."""
+    pose, fl_x, fl_y = camera()
+    local = (where - pose[:3, 3]) @ pose[:3, :3]
+    return np.stack([fl_x * local[..., 0] / -local[..., 2], -fl_y * local[..., 1] / -local[..., 2]], -1)
+
+
+@pytest.mark.parametrize("mode", [SWAY, WAVE | {"polarisation": "rayleigh"}, SWAY | {"phases": "random"}])
+def test_the_amplitude_in_pixels_is_what_the_reference_camera_sees_over_time(mode):
+    bodies = [body("a"), body("b", seed=1)]
+    described = {k: v for k, v in mode.items() if k != "amplitude"} | {"amplitude_px": 0.01}
+    solved = motion(described, bodies=bodies, reference=lambda x, s: pixel_displacement(x, s, *camera()))
+    pixels = [
+        np.linalg.norm(project(b.vertices + series(solved, index=i)) - project(b.vertices), axis=2).max()
+        for i, b in enumerate(bodies)
+    ]
+    assert max(pixels) == pytest.approx(0.01, rel=1e-3)
+
+
+def test_pixel_displacement_does_not_count_what_the_camera_cannot_see():
+    pose, fl_x, fl_y = camera()
+    forward = -pose[:3, 2]
+    seen, behind = pose[:3, 3] + 3 * forward, pose[:3, 3] - 3 * forward
+    beside = seen + 3 * pose[:3, 0]
+    sideways = np.outer([1.0, 1.0, 1.0], 0.01j * pose[:3, 0])
+
+    def pixels(*where, **size):
+        return pixel_displacement(np.array(where), sideways[: len(where)], pose, fl_x, fl_y, **size)
+
+    assert pixels(seen, behind) == pytest.approx(1.0)
+    assert pixels(behind) == 0.0
+    assert pixels(beside) == pytest.approx(1.0)
+    assert pixels(beside, width=400, height=400) == 0.0
+    assert pixels(seen, beside, width=400, height=400) == pytest.approx(1.0)
+
+
+def test_parts_outside_a_mode_stand_still_in_it():
+    bodies = [body("leaf_1"), body("leaf_2", seed=1), body("trunk", seed=2)]
+    solved = motion(SWAY | {"parts": ["leaf_*"]}, HUM | {"parts": "trunk"}, bodies=bodies)
+    moves = [[bool(s[k].any()) for s in solved.shapes] for k in (0, 1)]
+    assert moves == [[True, True, False], [False, False, True]]
+    np.testing.assert_array_equal(solved.shapes[2][0], 0.0)
+
+
+def test_follow_multiplies_the_field():
+    follow = np.linspace(0, 1, 200)
+    held, free = motion(SWAY, bodies=[body(follow=follow), body("b")]), motion(SWAY, bodies=[body("b")])
+    np.testing.assert_allclose(held.shapes[0][0], free.shapes[0][0] * follow[:, None], atol=1e-17)
+    np.testing.assert_array_equal(held.shapes[0][0][0], 0.0)
+
+
+def test_a_phase_per_part_delays_its_sine():
+    bodies = [body("a"), body("b"), body("c")]
+    solved = motion(SWAY | {"phase": 10, "phases": {"*": 5, "b": 40}}, bodies=bodies)
+    a, b = solved.shapes[0], solved.shapes[1]
+    np.testing.assert_allclose(b, a * np.exp(1j * np.radians(35)), atol=1e-15)  # the last glob counts
+    np.testing.assert_array_equal(solved.shapes[2], a)
+    # Ahead by 40 + 10 degrees, and still a sine.
+    moved = np.array([solved.displacement(1, solved.state(t)) for t in range(6)])
+    expected = np.sin(np.pi / 3 * np.arange(6) + np.radians(50))
+    peak = np.abs(b).max()
+    v, axis = np.unravel_index(np.abs(b[0]).argmax(), b[0].shape)
+    assert np.abs(moved[:, v, axis]) == pytest.approx(peak * np.abs(expected), abs=1e-10)
+
+
+def test_random_phases_are_seeded_and_differ_between_parts_and_modes():
+    bodies = [body("a"), body("b")]
+
+    def turns(seed, name="sway"):
+        solved = motion(SWAY | {"name": name, "phases": "random"}, bodies=bodies, seed=seed)
+        v = np.abs(solved.shapes[0][0]).argmax()
+        return [float(np.angle(s[0].ravel()[v])) for s in solved.shapes]
+
+    assert turns(1) == turns(1)
+    assert len({*turns(1), *turns(2), *turns(1, "other")}) == 6
+
+
+def test_a_vertex_group_moves_its_weights():
+    weights = np.linspace(0, 2, 200)
+    mode = {
+        "name": "g",
+        "kind": "group",
+        "frequency": 5,
+        "amplitude": 0.01,
+        "group": "lid",
+        "direction": [0, 0, 1],
+    }
+    solved = motion(mode, bodies=[body("a", groups={"lid": weights}), body("b")])
+    np.testing.assert_allclose(np.abs(solved.shapes[0][0, :, 2]), 0.01 * weights / 2, atol=1e-17)
+    np.testing.assert_array_equal(solved.shapes[1], 0.0)
+
+
+# The mic's motion is what it was before motions were described in YAML.
+
+
+def test_the_mic_bends_as_before(repo_root):
+    pytest.importorskip("yaml")
+    from dataset_gen.vibration import read_motion
+
+    description = read_motion(repo_root / "dataset_gen" / "scenes" / "mic.yaml")
+    follow = np.random.default_rng(5).random(200)
+    bodies = [body("rod", 400), body("cable", seed=1, follow=follow)]
+    solved = solve(description, bodies, FPS, None, 0)
+    raw = [_old_field(b.vertices) * b.follow[:, None] for b in bodies]
+    peak = max(np.linalg.norm(r, axis=1).max() for r in raw)
+    for shape, r in zip(solved.shapes, raw, strict=True):
+        np.testing.assert_allclose(shape[0], -1j * 0.005 / peak * r, rtol=0, atol=1e-14)
+    np.testing.assert_array_equal(solved.frequencies_hz, [5.0])
+
+
+def _old_field(where):
+    """The bending as it was written for the mic alone: upright, clamped at −0.36, 0.46 long, swaying to −10°."""
+    beta, sigma, length = 1.8751040687119611, 0.7340955137589128, 0.10 + 0.36
+    height = where[:, 2] + 0.36
+    b = beta * np.clip(height / length, 0.0, 1.0)
+    w = 0.5 * (np.cosh(b) - np.cos(b) - sigma * (np.sinh(b) - np.sin(b)))
+    slope = 0.5 * (np.sinh(b) + np.sin(b) - sigma * (np.cosh(b) - np.cos(b))) * beta / length
+    w = w + slope * np.maximum(height - length, 0.0)
+    sway = np.array([np.cos(np.radians(-10.0)), np.sin(np.radians(-10.0))])
+    return np.column_stack([w[:, None] * sway, -slope * (where[:, :2] @ sway)])
+
+
+# Mistakes that show on the bodies.
+
+
+@pytest.mark.parametrize(
+    ("mode", "message"),
+    [
+        (SWAY | {"frequency": 15}, "frequency 15 Hz is not below half the frame rate, 15 Hz (fps 30)"),
+        (SWAY | {"parts": ["rod*"]}, "parts: 'rod*' matches no part; there is a, b"),
+        (SWAY | {"phases": {"c": 1}}, "phases: 'c' matches no part; there is a, b"),
+        (SWAY | {"phases": {"a": 1}, "parts": ["b"]}, "phases: 'a' matches no part; there is b"),
+        (SWAY | {"base": [0, 0, 2], "tip": [0, 0, 3]}, "it moves no vertex of a, b"),
+        (
+            {"name": "sway", "kind": "group", "frequency": 5, "amplitude": 1, "group": "q", "direction": [0, 0, 1]},
+            "group: no part has the vertex group 'q'; there is lid",
+        ),
+        (
+            {k: v for k, v in SWAY.items() if k != "amplitude"} | {"amplitude_px": 0.2},
+            "amplitude_px 0.2 needs a reference camera, there is none",
+        ),
+    ],
+)  # fmt: skip
+def test_what_does_not_fit_the_bodies_is_one_line(mode, message):
+    bodies = [body("a", groups={"lid": np.ones(200)}), body("b")]
+    with pytest.raises(GenerateError) as caught:
+        motion(mode, bodies=bodies)
+    assert str(caught.value) == f"x.yaml: mode 'sway': {message}"
+
+
+def test_a_mode_the_reference_camera_does_not_see_is_refused():
+    mode = {k: v for k, v in SWAY.items() if k != "amplitude"} | {"amplitude_px": 0.2}
+    with pytest.raises(GenerateError, match="amplitude_px 0.2: the reference camera sees nothing of it move"):
+        motion(mode, reference=lambda positions, shape: 0.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"vertices": np.zeros((2, 2))}, r"vertices has shape \(2, 2\), expected \(2, 3\)"),
+        ({"vertices": np.full((2, 3), np.nan)}, "vertices holds a value that is not finite"),
+        ({"follow": np.ones(3)}, r"follow has shape \(3,\), expected \(2,\)"),
+        ({"groups": {"lid": np.ones(3)}}, "group 'lid' has shape"),
+        ({"triangles": np.zeros((1, 4), int)}, r"triangles have shape \(1, 4\)"),
+    ],
+)
+def test_arrays_of_a_body_that_do_not_fit_are_refused(change, message):
+    good = {
+        "vertices": np.zeros((2, 3)),
+        "triangles": np.zeros((1, 3), int),
+        "follow": np.ones(2),
+        "groups": {},
+    }
+    Body("b", **good)
+    with pytest.raises(ValueError, match=message):
+        Body("b", **good | change)

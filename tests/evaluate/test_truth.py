@@ -1,12 +1,15 @@
 """The exact motion: an analytic bending beam, rigid motion, objects that stand still, and broken files."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tg4mm.errors import CaptureError
+from tg4mm.evaluate.displacement import displacement_figures
 from tg4mm.evaluate.truth import Truth, TruthObject, exact_motion, load_truth
+from tg4mm.motion.apply import displacement_at
 
 FPS, T = 30.0, 30
 LENGTH, HALF = 2.0, 0.1  # of the beam, along x, and half its square section
@@ -237,3 +240,104 @@ def test_a_link_out_of_the_dataset_is_refused(tmp_path) -> None:
     (root / "truth" / "motion.npz").symlink_to(write(outside, good_arrays()))
     with pytest.raises(CaptureError, match="leads out of the dataset's folder"):
         load_truth(root, FPS, T)
+
+
+# Modes that are no steady sinusoids, or are not magnified.
+
+
+def ring_down(n: int = T) -> np.ndarray:
+    """Gains [2, n]: a 4.3 Hz vibration (between bins) that rings down, and a drift."""
+    t = np.arange(n) / FPS
+    return np.stack([np.exp(2j * np.pi * 4.3 * t - t / 0.4), 1j * t])
+
+
+def two_modes() -> dict[str, np.ndarray]:
+    arrays = good_arrays()
+    mode = arrays["mode_0"]
+    shift = np.zeros_like(mode) + np.array([0, -0.02j, 0], np.complex64)
+    return arrays | {
+        "frequencies_hz": np.array([4.3, 0.0]),
+        "mode_0": np.concatenate([mode, shift]),
+        "gains": ring_down(),
+        "magnified": np.array([True, False]),
+    }
+
+
+@pytest.mark.parametrize("alpha", [0.0, 10.0])
+def test_a_decaying_mode_and_a_drift_move_exactly_as_their_gains_say_at_every_alpha(tmp_path, alpha) -> None:
+    arrays = two_modes()
+    write(tmp_path, arrays)
+    motion = exact_motion(load_truth(tmp_path, FPS, T), arrays["rest_0"].astype(float))
+    for t in (0, 1, 13, T - 1):
+        seconds = t / FPS
+        swing = np.exp(2j * np.pi * 4.3 * seconds) * np.exp(-seconds / 0.4)
+        expected = (1 + alpha) * (arrays["mode_0"][0] * swing).real + np.array([0, 0.02 * seconds, 0])
+        np.testing.assert_allclose(displacement_at(motion, t, alpha), expected, atol=1e-7 * (1 + alpha))
+
+
+def test_the_displacement_error_of_an_exact_ring_down_against_itself_is_zero(tmp_path) -> None:
+    arrays = two_modes()
+    write(tmp_path, arrays)
+    motion = exact_motion(load_truth(tmp_path, FPS, T), arrays["rest_0"].astype(float))
+    weights = np.ones(len(arrays["rest_0"]))
+    assert displacement_figures(motion, motion, weights)["relative_error"] == 0.0
+    steady = replace(motion, gains=None)
+    # A sinusoid that does not ring down is not the same motion: the gains are looked at.
+    assert displacement_figures(steady, motion, weights)["relative_error"] > 0.5
+
+
+def test_the_figures_per_frequency_are_the_fourier_sums_of_the_true_series(tmp_path) -> None:
+    arrays = two_modes()
+    write(tmp_path, arrays)
+    motion = exact_motion(load_truth(tmp_path, FPS, T), arrays["rest_0"].astype(float))
+    series = np.stack([displacement_at(motion, t) for t in range(T)])
+    turn = np.exp(-2j * np.pi * 4.3 * np.arange(T) / FPS)
+    phasor = 2 / T * np.tensordot(turn, series, 1)
+    figures = displacement_figures(motion, motion, np.ones(series.shape[1]))["per_frequency"]
+    row = next(r for r in figures if r["frequency_hz"] == 4.3)
+    assert row["amplitude_true"] == pytest.approx(np.sqrt((np.abs(phasor) ** 2).sum(1).mean()), rel=1e-5)
+
+
+def test_gains_of_plain_sinusoids_that_are_all_magnified_say_nothing_new(tmp_path) -> None:
+    plain = np.exp(2j * np.pi * 3.0 * np.arange(T) / FPS)[None]
+    write(tmp_path, good_arrays() | {"gains": plain, "magnified": np.array([True])})
+    truth = load_truth(tmp_path, FPS, T)
+    assert truth.gains is None
+    assert truth.magnified is None
+    # So the motion is known between timesteps too.
+    assert displacement_at(exact_motion(truth, np.array([[1.0, 0, HALF]])), 0.5).any()
+
+
+def test_a_motion_with_gains_of_its_own_is_known_at_whole_timesteps_only(tmp_path) -> None:
+    write(tmp_path, two_modes())
+    motion = exact_motion(load_truth(tmp_path, FPS, T), np.array([[1.0, 0, HALF]]))
+    for t in (0.5, -1, T):
+        with pytest.raises(ValueError, match=rf"timestep {t:g}: this motion is known at 0 … 29"):
+            displacement_at(motion, t)
+
+
+def test_modes_are_selected_with_their_gains(tmp_path) -> None:
+    write(tmp_path, two_modes())
+    motion = exact_motion(load_truth(tmp_path, FPS, T), np.array([[1.0, 0, HALF]]))
+    drift = motion.selected(np.array([False, True]))
+    np.testing.assert_array_equal(drift.gains, ring_down()[1:])
+    np.testing.assert_array_equal(drift.is_magnified(), [False])
+    np.testing.assert_allclose(displacement_at(drift, 15, 7.0), [[0, 0.01, 0]], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("gains", ring_down(T - 1), r"gains has shape \(2, 29\), expected \(2, 30\)"),
+        ("gains", ring_down()[:1], r"gains has shape \(1, 30\), expected \(2, 30\)"),
+        ("gains", ring_down().real, "gains has type float64, expected complexfloating"),
+        ("gains", np.full((2, T), np.nan + 0j), "gains holds a value that is not finite"),
+        ("magnified", np.array([1, 0]), "magnified has type int64, expected bool"),
+        ("magnified", np.array([True]), r"magnified has shape \(1,\), expected \(2,\)"),
+    ],
+)
+def test_broken_gains_are_refused(tmp_path, key, value, message) -> None:
+    write(tmp_path, two_modes() | {key: value})
+    with pytest.raises(CaptureError, match=message) as caught:
+        load_truth(tmp_path, FPS, T)
+    assert "\n" not in str(caught.value)

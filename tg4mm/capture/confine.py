@@ -6,7 +6,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from tg4mm.errors import CaptureError
 
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr")
 
 
 def inside(root: Path, path: Path, where: str) -> Path:
@@ -21,7 +21,7 @@ def inside(root: Path, path: Path, where: str) -> Path:
 
 
 def image_path(root: Path, folder: Path, file_path: str, where: str) -> Path:
-    """The image that `file_path`, relative to `folder`, means; without a suffix .png, .jpg, .jpeg are tried.
+    """The image that `file_path`, relative to `folder`, means; without a suffix .png, .jpg, .jpeg, .exr are tried.
 
     Raises CaptureError if it is absolute, leaves `root`, or is not there.
     """

@@ -1,4 +1,4 @@
-"""One PNG or JPEG → RGBA, straight alpha, 8 or 16 bits; grey, palette or RGB, with or without alpha."""
+"""One PNG, JPEG or EXR → RGBA, straight alpha, 8 or 16 bits; grey, palette or RGB, with or without alpha."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from tg4mm.capture import png16
+from tg4mm.capture import exr, png16
 from tg4mm.errors import CaptureError
 
 THREADS = min(8, os.cpu_count() or 1)
@@ -27,14 +27,16 @@ class ImageHeader:
 
     width: int  # pixels
     height: int  # pixels
-    bits: int  # per channel, 8 or 16
+    bits: int  # per channel once decoded, 8 or 16
 
 
 def image_header(path: Path) -> ImageHeader:
-    """Size and depth without decoding; CaptureError if it is no PNG or JPEG, or CMYK and the like."""
+    """Size and depth without decoding; CaptureError if it is no PNG, JPEG or EXR, or CMYK and the like."""
     try:
-        with path.open("rb") as file:
-            header = png16.read_header(file.read(png16.HEADER_BYTES))
+        start = _start(path)
+        if start.startswith(exr.SIGNATURE):
+            return ImageHeader(*exr.size(path), 16)
+        header = png16.read_header(start)
         if header is not None and header.bits == 16:
             return ImageHeader(header.width, header.height, 16)
         with Image.open(path, formats=FORMATS) as image:
@@ -48,11 +50,13 @@ def image_header(path: Path) -> ImageHeader:
 
 
 def decode(path: Path) -> np.ndarray:
-    """[H, W, 4] uint8 (uint16 for a 16-bit PNG); files without alpha get the largest value there.
+    """[H, W, 4] uint8 (uint16 for a 16-bit PNG or an EXR); files without alpha get the largest value there.
 
     Raises CaptureError if the file is truncated or damaged.
     """
     try:
+        if _start(path).startswith(exr.SIGNATURE):
+            return exr.decode(path)
         if image_header(path).bits == 16:  # Pillow would keep the high byte only
             return png16.decode(path.read_bytes())
         with Image.open(path, formats=FORMATS) as image:
@@ -63,7 +67,12 @@ def decode(path: Path) -> np.ndarray:
         raise _unreadable(path, error) from error
 
 
+def _start(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return file.read(png16.HEADER_BYTES)
+
+
 def _unreadable(path: Path, error: BaseException) -> CaptureError:
     if isinstance(error, Image.UnidentifiedImageError):
-        return CaptureError(f"{path}: is neither a PNG nor a JPEG")
+        return CaptureError(f"{path}: is neither a PNG, a JPEG nor an EXR")
     return CaptureError(f"{path}: cannot be decoded: {' '.join(str(error).split())}")

@@ -103,17 +103,16 @@ def _mean_squares(estimated: ModalMotion, true: ModalMotion) -> tuple[np.ndarray
 
 
 def _displacement(motion: ModalMotion, t: int) -> np.ndarray:
-    phase = np.exp(2j * np.pi * np.asarray(motion.freqs_hz) * t / motion.fps)
-    return np.tensordot(phase, motion.displacement, axes=1).real
+    return np.tensordot(motion.gains_at(t), motion.displacement, axes=1).real
 
 
 def _phasor_at(motion: ModalMotion, frequency: float) -> np.ndarray:
     """(2/T) Σ_t d(t) exp(−i 2π f t / fps), [N, 3]; 1/T at 0 Hz and half the frame rate, its own images."""
     t = np.arange(motion.n_timesteps)
-    omega = 2 * np.pi * np.asarray(motion.freqs_hz) / motion.fps
-    target = 2 * np.pi * frequency / motion.fps
-    forward = np.exp(1j * np.outer(omega - target, t)).mean(1)
-    backward = np.exp(-1j * np.outer(omega + target, t)).mean(1)
+    gains = np.stack([motion.gains_at(int(i)) for i in t], 1)  # [K, T]
+    against = np.exp(-2j * np.pi * frequency / motion.fps * t)
+    forward = (gains * against).mean(1)
+    backward = (gains.conj() * against).mean(1)
     both = np.tensordot(forward, motion.displacement, 1) + np.tensordot(
         backward, motion.displacement.conj(), 1
     )

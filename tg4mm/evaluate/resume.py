@@ -52,8 +52,9 @@ def fingerprint(
     for tensor in _tensors(scorer):
         digest.update(np.ascontiguousarray(tensor.cpu().numpy()).tobytes())
     for motion in (m.motion for m in methods if m.motion is not None):
-        for array in (motion.freqs_hz, motion.displacement, motion.rotation):
-            digest.update(np.ascontiguousarray(array).tobytes())
+        arrays = (motion.freqs_hz, motion.displacement, motion.rotation, motion.gains, motion.magnified)
+        for array in arrays:
+            digest.update(b"" if array is None else np.ascontiguousarray(array).tobytes())
     for i, t in enumerate(capture.timesteps.tolist()):
         digest.update(camera_key(capture, i) + content_key(images, i) + t.to_bytes(8, "little"))
     return digest.hexdigest()

@@ -256,30 +256,29 @@ def _displacement(subject: _Subject, capture: Capture, absent: dict[str, str]) -
         return None
     figures = displacement_figures(estimated, exact, weights, capture.unit_scale_m)
     if subject.band is not None:
-        inside = [_restricted(m, subject.band) for m in (estimated, exact)]
+        inside = [m.selected(in_band(m.freqs_hz, subject.band)) for m in (estimated, exact)]
         figures["in_band"] = displacement_figures(inside[0], inside[1], weights, capture.unit_scale_m)
     return figures
 
 
-def _restricted(motion: ModalMotion, band: tuple[float, float]) -> ModalMotion:
-    keep = in_band(motion.freqs_hz, band)
-    return replace(
-        motion,
-        freqs_hz=motion.freqs_hz[keep],
-        displacement=motion.displacement[keep],
-        rotation=motion.rotation[keep],
-    )
-
-
 def _notes(subject: _Subject) -> list[str]:
-    if subject.exact is None or subject.band is None:
+    """What "ours" magnifies and the ground truth does not, or the other way round."""
+    exact, band = subject.exact, subject.band
+    if exact is None:
         return []
-    moving = subject.exact.displacement.any(axis=(1, 2))
-    outside = subject.exact.freqs_hz[moving & ~in_band(subject.exact.freqs_hz, subject.band)]
-    if not len(outside):
-        return []
-    listed = ", ".join(f"{f:g}" for f in outside)
-    low, high = subject.band
-    return [
-        f"The ground truth also magnifies motion at {listed} Hz, outside the band {low:g} to {high:g} Hz."
-    ]
+    moving, magnified = exact.displacement.any(axis=(1, 2)), exact.is_magnified()
+    inside = in_band(exact.freqs_hz, band)
+    notes = []
+    if band is not None and (outside := exact.freqs_hz[moving & magnified & ~inside]).size:
+        notes.append(
+            f"The ground truth also magnifies motion at {_hertz(outside)}, "
+            f"outside the band {band[0]:g} to {band[1]:g} Hz."
+        )
+    if (left := exact.freqs_hz[moving & ~magnified & inside]).size:
+        where = "without a band, ours does" if band is None else "which lies inside the band"
+        notes.append(f"The ground truth does not magnify motion at {_hertz(left)}, {where}.")
+    return notes
+
+
+def _hertz(frequencies: np.ndarray) -> str:
+    return ", ".join(f"{f:g}" for f in frequencies) + " Hz"

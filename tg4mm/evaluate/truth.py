@@ -19,6 +19,7 @@ _N_SAMPLES = 200_000  # surface samples of all objects together
 _N_CANDIDATES = 8  # triangles tried for the exact nearest point
 _N_PATCH = 24  # samples of the patch whose rotation is fitted
 _AT_ONCE = 20_000  # points, so that a large scene fits in memory
+_SAME_GAIN = 1e-6  # gains nearer than this to the exponentials are those, stored in single precision
 _FLAT = 0.05  # of the largest variance: a direction with less has no extent, only the surface's curvature
 
 
@@ -34,16 +35,23 @@ class TruthObject:
 
 @dataclass(frozen=True)
 class Truth:
-    """Displacement of vertex v at timestep t: Re Σ_k modes[k, v] exp(i 2π f_k t / fps)."""
+    """Displacement of vertex v at timestep t: Re Σ_k (1 + α magnified[k]) modes[k, v] gains[k, t].
+
+    The gains are exp(i 2π f_k t / fps) unless a mode rings down or drifts.
+    """
 
     freqs_hz: np.ndarray  # [K] float64
     objects: tuple[TruthObject, ...]
     fps: float  # Hz
     n_timesteps: int
+    gains: np.ndarray | None = None  # [K, T] complex128; None: the exponentials
+    magnified: np.ndarray | None = None  # [K] bool; None: all
 
 
 def load_truth(root: Path, fps: float, n_timesteps: int) -> Truth:
     """Read `<root>/truth/motion.npz` (design §4.2) of a dataset of `n_timesteps` at `fps`, without pickles.
+
+    `gains` and `magnified` may be absent: then every mode is a sinusoid and magnified.
 
     Raises CaptureError naming the file and what is wrong with it: absent, torn, an array that is missing, of
     a wrong shape or not finite, a face that points past the vertices.
@@ -73,7 +81,24 @@ def load_truth(root: Path, fps: float, n_timesteps: int) -> Truth:
     objects = tuple(_object(file, arrays, i, str(name), len(freqs)) for i, name in enumerate(names))
     if not objects:
         raise CaptureError(f"{file}: objects is empty")
-    return Truth(freqs, objects, fps, n_timesteps)
+    gains, magnified = _time_laws(file, arrays, freqs, fps, n_timesteps)
+    return Truth(freqs, objects, fps, n_timesteps, gains, magnified)
+
+
+def _time_laws(
+    file: Path, arrays: dict[str, np.ndarray], freqs: np.ndarray, fps: float, n_timesteps: int
+) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """(gains, magnified), None where they say no more than the frequencies do."""
+    gains = magnified = None
+    if "gains" in arrays:
+        shape = (len(freqs), n_timesteps)
+        gains = _array(file, arrays, "gains", shape, np.complexfloating).astype(np.complex128)
+        plain = np.exp(2j * np.pi * np.outer(freqs, np.arange(n_timesteps)) / (fps or 1.0))
+        gains = None if np.abs(gains - plain).max(initial=0.0) < _SAME_GAIN else gains
+    if "magnified" in arrays:
+        magnified = _array(file, arrays, "magnified", (len(freqs),), np.bool_)
+        magnified = None if magnified.all() else magnified
+    return gains, magnified
 
 
 def _object(file: Path, arrays: dict[str, np.ndarray], i: int, name: str, n_modes: int) -> TruthObject:
@@ -141,6 +166,8 @@ def exact_motion(truth: Truth, points: np.ndarray) -> ModalMotion:
         rotation.astype(np.complex64),
         truth.fps,
         truth.n_timesteps,
+        truth.gains,
+        truth.magnified,
     )
 
 

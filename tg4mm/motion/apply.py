@@ -17,11 +17,14 @@ from tg4mm.motion.modal import ModalMotion
 def mode_gains(motion: ModalMotion, t: float, alpha: float, band: tuple[float, float] | None) -> np.ndarray:
     """[K] complex factors (1 + α g_k) exp(i 2π f_k t / fps); g_k = 1 for f_k in `band` (ends included), else 0.
 
-    band None takes every mode in.
+    band None takes every mode in. Gains of the motion's own stand for the exponentials, and modes that are not
+    magnified have g_k = 0.
     """
     freqs = motion.freqs_hz
-    inside = np.ones(len(freqs), bool) if band is None else (freqs >= band[0]) & (freqs <= band[1])
-    return (1 + alpha * inside) * np.exp(2j * np.pi * freqs * t / motion.fps)
+    inside = motion.is_magnified()
+    if band is not None:
+        inside = inside & (freqs >= band[0]) & (freqs <= band[1])
+    return np.asarray((1 + alpha * inside) * motion.gains_at(t))
 
 
 def _sum(phasors: np.ndarray, gains: np.ndarray) -> np.ndarray:

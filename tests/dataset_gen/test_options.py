@@ -1,5 +1,6 @@
 """Bad input is refused with one line that names the option and the value."""
 
+import json
 import re
 import subprocess
 import sys
@@ -7,24 +8,49 @@ from pathlib import Path
 
 import pytest
 
-from dataset_gen.__main__ import PRESETS, main, parser, settings_from
+from dataset_gen.__main__ import main
+from dataset_gen.options import DEFAULTS, PRESETS, Request, parser, request_from
 from dataset_gen.settings import Settings
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
+def request(*arguments: str) -> Request:
+    return request_from(parser().parse_args([*arguments, "--out", "x"]))
+
+
+def settings(*arguments: str) -> Settings:
+    return request(*arguments).sets[0]
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["violin"], r"scene 'violin' is none of mic"),
+        (["violin"], r"scene 'violin' is none of chair, .*, ship, all"),
+        ([], r"give either SCENE, --blend or --mesh; none of them was given"),
+        (["mic", "--blend", "a.blend"], r"scene and blend was given"),
+        (["--blend", "absent.blend"], r"--blend absent.blend: there is no such file"),
+        (
+            ["mic", "--amplitude", "1", "--amplitude-px", "1"],
+            r"--amplitude-px: not allowed with .* --amplitude",
+        ),
+        (["mic", "--motion", "absent.yaml"], r"absent.yaml"),
+        (["mic", "--cameras", "drone"], r"argument --cameras: invalid choice: 'drone'"),
+        (["mic", "--jpeg", "50"], r"--jpeg 50 goes with --sensor"),
+        (["mic", "--sensor", "phone", "--images", "exr"], r"--images exr cannot be combined"),
+        (["mic", "--sensor", "phone"], r"JPEG, which needs --images png8 and --background white"),
+        (["mic", "--part", "3"], r"'3' is not a part such as 3/10"),
+        (["mic", "--parts", "3"], r"--parts 3 goes with --prepare"),
+        (["mic", "--prepare", "--finish"], r"--finish: not allowed with .* --prepare"),
+        (["all", "--save-blend", "a.blend"], r"--save-blend a.blend takes one scene"),
         (["mic", "--amplitude", "0"], r"--amplitude 0.0 is not a positive number"),
         (["mic", "--amplitude", "-1"], r"--amplitude -1.0 is not a positive number"),
-        (["mic", "--amplitude", "nan"], r"--amplitude nan is not a positive number"),
+        (["mic", "--amplitude", "nan"], r"--amplitude nan is not a finite number"),
         (["mic", "--amplitude", "inf"], r"--amplitude inf"),
-        (["mic", "--amplitude", "1e-20"], r"1e-20 is too small"),
+        (["mic", "--amplitude", "1e-20"], r"--amplitude 1e-20 is not a positive number"),
         (
             ["mic", "--frequency", "15"],
-            r"--frequency 15 Hz is not below half the frame rate, 15 Hz \(--fps 30\)",
+            r"mic.yaml: mode 'bending': frequency 15 Hz is not below half the frame rate, 15 Hz \(fps 30\)",
         ),
         (["mic", "--frequency", "0"], r"--frequency 0.0 is not a positive number"),
         (["mic", "--fps", "nan"], r"--fps nan"),
@@ -76,26 +102,53 @@ def test_a_broken_description_is_refused(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("changes", "name"),
+    ("arguments", "name"),
     [
-        ({}, "mic_5Hz_0_005"),
-        ({"frequency": 2.5, "amplitude": 0.01}, "mic_2_5Hz_0_01"),
-        ({"amplitude": 0.00002}, "mic_5Hz_0_00002"),
-        ({"amplitude": 2.0, "fps": 240.0, "frequency": 100.0}, "mic_100Hz_2"),
+        ([], "mic_5Hz_0_005"),
+        (["--frequency", "2.5", "--amplitude", "0.01"], "mic_2_5Hz_0_01"),
+        (["--amplitude", "0.00002"], "mic_5Hz_0_00002"),
+        (["--amplitude", "2", "--fps", "240", "--frequency", "100"], "mic_100Hz_2"),
+        (["--amplitude-px", "0.2"], "mic_5Hz_0_2px"),
     ],
 )
-def test_folder_name(changes, name):
-    assert Settings(**changes).folder == name
+def test_folder_name(arguments, name):
+    assert settings("mic", *arguments).folder == name
 
 
 def test_options_go_before_the_preset_and_the_preset_before_the_defaults():
-    chosen = settings_from(parser().parse_args(["mic", "--out", "x", "--preset", "smoke", "--views", "9"]))
-    assert (chosen.views, chosen.size, chosen.fps) == (9, PRESETS["smoke"]["size"], Settings().fps)
+    chosen = settings("mic", "--preset", "smoke", "--views", "9")
+    assert (chosen.cameras.views, chosen.size, chosen.fps) == (9, PRESETS["smoke"]["size"], DEFAULTS["fps"])
+
+
+def test_all_is_every_built_in_scene_with_its_own_motion():
+    sets = request("all").sets
+    assert [s.scene for s in sets] == [
+        "chair",
+        "drums",
+        "ficus",
+        "hotdog",
+        "lego",
+        "materials",
+        "mic",
+        "ship",
+    ]
+    published = {"mic": 5.0, "chair": 5.0, "hotdog": 5.0, "ficus": 3.0, "ship": 3.0}
+    frequencies = {s.scene: s.motion.main.frequency_hz for s in sets}
+    assert {name: frequencies[name] for name in published} == published
+
+
+def test_the_paper_preset_is_the_papers_configuration():
+    for paper in request("all", "--preset", "paper").sets:
+        assert (paper.size, paper.fps, paper.timesteps) == (512, 30.0, 30)
+        assert (paper.cameras.kind, paper.cameras.views, paper.cameras.test_views) == ("orbit", 30, 10)
+        assert paper.alphas == (5, 10, 20, 50, 100)
 
 
 def test_settings_survive_json():
-    settings = Settings(alphas=(5, 100), frequency=3.7)
-    assert Settings.from_json(settings.to_json()) == settings
+    chosen = settings(
+        "mic", "--alphas", "5,100", "--frequency", "3.7", "--sensor", "high-speed", "--cameras", "rig"
+    )
+    assert Settings.from_json(json.loads(json.dumps(chosen.to_json()))) == chosen
 
 
 def test_help_shows_units_and_defaults(capsys):
@@ -104,10 +157,10 @@ def test_help_shows_units_and_defaults(capsys):
     assert stop.value.code == 0
     text = " ".join(capsys.readouterr().out.split())
     for words in (
-        "largest displacement, scene units (default: 0.005)",
-        "Hz; below half of --fps (default: 5)",
+        "largest displacement of the first mode, scene units",
+        "Hz; below half of --fps",
         "pixels (default: 128)",
-        "(default: 5,10,20,50)",
+        "(default: 5,10,20,50,100)",
     ):
         assert words in text
 
@@ -116,8 +169,8 @@ def test_describing_scenes_needs_neither_bpy_nor_torch():
     code = (
         "import sys; sys.modules['bpy'] = sys.modules['torch'] = sys.modules['PIL'] = None\n"
         "import dataset_gen.__main__, dataset_gen.points, dataset_gen.truth, dataset_gen.tree\n"
-        "from dataset_gen.scenes import SCENES\n"
-        "print(len(SCENES['mic'](5.0, 0.005).shapes()))"
+        "from dataset_gen.prepare import builtin_bodies\n"
+        "print(len(builtin_bodies('mic')))"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     assert int(done.stdout) > 5

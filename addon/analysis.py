@@ -1,0 +1,64 @@
+"""Numbers of a splat object, read from its points: amplitude in the band, and what a legend says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from . import compat, names, scene
+
+
+@dataclass(frozen=True)
+class Legend:
+    """What the colours stand for, for the panel and for a picture's caption."""
+
+    kind: str  # names.AMPLITUDE_COLOUR or names.PHASE_COLOUR
+    low: float  # scene units, or turns
+    high: float
+    high_mm: float | None  # of an amplitude, where the file says how long a scene unit is
+
+
+def active_modes(obj: Any) -> list[int]:
+    """Numbers of the modes that are shown and inside the band."""
+    modifier = scene.splat_modifier(obj)
+    freqs = [float(f) for f in obj[names.FREQUENCIES]]
+    low, high = (compat.get_input(modifier, name) for name in (names.LOW, names.HIGH))
+    shown = names.toggles(freqs)
+    slack = [1e-6 * max(1.0, f) for f in freqs]  # as in the node tree
+    inside = [low < f + s and high > f - s for f, s in zip(freqs, slack, strict=True)]
+    return [k for k, name in enumerate(shown) if inside[k] and compat.get_input(modifier, name)]
+
+
+def band_amplitude(obj: Any) -> np.ndarray:
+    """[N] scene units: √Σ a_k² over the active modes, not magnified; what Colour By: Amplitude shows."""
+    mesh = obj.data
+    total = np.zeros(len(mesh.vertices))
+    values = np.empty(len(total), np.float32)
+    for k in active_modes(obj):
+        mesh.attributes[names.amplitude(k)].data.foreach_get("value", values)
+        total += values.astype(np.float64) ** 2
+    return np.sqrt(total)
+
+
+def fit_colour_range(obj: Any) -> float:
+    """Set the colour range to the largest amplitude in the band, scene units, and return it."""
+    largest = float(band_amplitude(obj).max(initial=0.0))
+    compat.set_input(scene.splat_modifier(obj), names.COLOUR_RANGE, largest)
+    return largest
+
+
+def legend(obj: Any) -> Legend | None:
+    """The legend of an object as it is coloured now; None where the colours are the file's."""
+    modifier = scene.splat_modifier(obj)
+    if modifier is None or not compat.has_input(modifier, names.COLOUR_BY):
+        return None
+    kind = compat.get_input(modifier, names.COLOUR_BY)
+    if kind == names.PHASE_COLOUR:
+        return Legend(kind, 0.0, 1.0, None)
+    if kind != names.AMPLITUDE_COLOUR:
+        return None
+    high = compat.get_input(modifier, names.COLOUR_RANGE)
+    unit = obj.get(names.UNIT_SCALE)
+    return Legend(kind, 0.0, high, None if unit is None else 1000.0 * unit * high)

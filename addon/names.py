@@ -1,0 +1,62 @@
+"""Names the extension's parts share: inputs of the modifier, attributes of the points, custom properties."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+MODIFIER = "TG4MM"
+
+# Inputs of the modifier. Those of motion are there only where the file has modes.
+ALPHA, LOW, HIGH = "Magnification", "Band Low", "Band High"
+FIRST, SPEED, LOOP = "First Frame", "Speed", "Loop"
+DRAW, COLOUR_BY = "Draw As", "Colour By"
+SIZE, RADIUS, MIN_OPACITY = "Size", "Ellipsoid Radius", "Minimum Opacity"
+VIEW_COLOUR, SOLID_COLOUR = "View-Dependent Colour", "Solid View Colours"
+COLOUR_RANGE = "Colour Range"
+ARROW_LENGTH, ARROW_EVERY = "Arrow Length", "Arrow Every"
+# Items of the two menus, in their order.
+ELLIPSOIDS, SPLATS, POINTS, ARROWS = DRAW_ITEMS = ("Ellipsoids", "Splats", "Points", "Arrows")
+FILE_COLOUR, AMPLITUDE_COLOUR, PHASE_COLOUR = COLOUR_ITEMS = ("File", "Amplitude", "Phase")
+
+# Attributes of the mesh's points; the node tree finds them by name.
+SCALE, ROTATION, COLOUR, OPACITY, DISPLACEMENT = "scale", "rotation", "colour", "opacity", "displacement"
+MODE_PREFIX, SH_PREFIX = "mode_", "sh_"
+
+# Custom properties of the object. MARK tells our objects; the others say what the file said.
+MARK, FPS, FREQUENCIES, TIMESTEPS = "tg4mm_version", "tg4mm_fps", "tg4mm_frequencies_hz", "tg4mm_timesteps"
+UNIT_SCALE = "tg4mm_unit_scale_m"  # metres per scene unit; absent if unknown
+MODE_AMPLITUDES = "tg4mm_mode_amplitudes"  # largest amplitude of each mode, scene units
+MODE_AXES = "tg4mm_mode_axes"  # per mode x, y, z: the unit vector against which its phases are measured
+
+
+def phasor(mode: int) -> dict[str, str]:
+    """The vector attributes of a mode: real and imaginary part of displacement and rotation vector."""
+    return {part: f"{MODE_PREFIX}{mode}_{part}" for part in ("re", "im", "re_r", "im_r")}
+
+
+def amplitude(mode: int) -> str:
+    """Float attribute: the largest displacement of the mode, scene units."""
+    return f"{MODE_PREFIX}{mode}_amplitude"
+
+
+def phase(mode: int) -> str:
+    """Float attribute: phase of the mode along its own direction, turns, 0 to 1."""
+    return f"{MODE_PREFIX}{mode}_phase"
+
+
+def sh(k: int) -> str:
+    """Vector attribute: the red, green and blue coefficient k of the spherical harmonics."""
+    return f"{SH_PREFIX}{k}"
+
+
+def toggles(freqs_hz: Sequence[float]) -> list[str]:
+    """Name of the input that shows each mode: its frequency, with a number where two are alike."""
+    names = [f"{f:g} Hz" for f in freqs_hz]
+    counts = Counter(names)
+    seen: Counter[str] = Counter()
+    for k, name in enumerate(names):
+        if counts[name] > 1:
+            seen[name] += 1
+            names[k] = f"{name} ({seen[name]})"
+    return names

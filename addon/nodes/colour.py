@@ -1,0 +1,112 @@
+"""The groups "Colour Map" and "Spherical Harmonics": a colour for each point."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+import numpy as np
+
+from .. import colours, names
+from .graph import Graph
+
+STILL = (0.09, 0.09, 0.09, 1.0)  # what hardly moves has no phase to show
+STILL_BELOW = 0.05  # of the colour range
+
+
+def build_colour_map(name: str) -> Any:
+    """A node group: amplitude (scene units) or phase (turns) to a linear colour."""
+    graph = Graph(bpy.data.node_groups.new(f"{name} Colour Map", "GeometryNodeTree"))
+    for socket in ("Amplitude", "Phase", names.COLOUR_RANGE):
+        graph.interface(socket, "Float")
+    graph.interface("By Phase", "Bool")
+    graph.result("Colour", "Color")
+    inputs = graph.inputs()
+    part = graph.math("DIVIDE", inputs["Amplitude"], inputs[names.COLOUR_RANGE])
+    by_amplitude = _ramp(graph, part, colours.amplitude_map())
+    # Blender's FRACT is x − floor(x), so phases outside 0..1 are fine.
+    hue = _ramp(graph, graph.math("FRACT", inputs["Phase"]), colours.phase_map())
+    moves = graph.compare("GREATER_THAN", part, STILL_BELOW)
+    by_phase = graph.choose("RGBA", moves, STILL, hue)
+    graph.finish(Colour=graph.choose("RGBA", inputs["By Phase"], by_amplitude, by_phase))
+    return graph.tree
+
+
+def build_harmonics(name: str, degree: int) -> Any:
+    """A node group: linear colour of each point seen from the scene's camera; degree 1 to 3.
+
+    max(0, 0.5 + Σ_k sh_k·Y_k(d)) as in docs/conventions.md, d from the camera to the point in object axes.
+    """
+    graph = Graph(bpy.data.node_groups.new(f"{name} Harmonics", "GeometryNodeTree"))
+    graph.result("Colour", "Color")
+    camera = graph.node("GeometryNodeInputActiveCamera").outputs[0]
+    place = graph.call("GeometryNodeObjectInfo", {"Object": camera}, "Location", transform_space="RELATIVE")
+    here = graph.node("GeometryNodeInputPosition").outputs[0]
+    toward = graph.vector("NORMALIZE", graph.vector("SUBTRACT", here, place))
+    total = graph.scaled(graph.attribute(names.sh(0), "FLOAT_VECTOR"), colours.C0)
+    for k, y in enumerate(_basis(graph, toward, degree), start=1):
+        total = graph.vector("ADD", total, graph.scaled(graph.attribute(names.sh(k), "FLOAT_VECTOR"), y))
+    srgb = graph.vector("ADD", total, (0.5, 0.5, 0.5))
+    channels = [_linear(graph, channel) for channel in graph.split(srgb)]
+    colour = graph.call(
+        "FunctionNodeCombineColor", dict(zip(("Red", "Green", "Blue"), channels, strict=True))
+    )
+    graph.finish(Colour=colour)
+    return graph.tree
+
+
+def _basis(graph: Graph, direction: Any, degree: int) -> list[Any]:
+    """Y_1 … Y_K-1 of docs/conventions.md at a unit vector."""
+    x, y, z = graph.split(direction)
+
+    def times(a: Any, b: Any) -> Any:
+        return graph.math("MULTIPLY", a, b)
+
+    def plus(a: Any, factor: float, b: Any) -> Any:
+        return graph.math("MULTIPLY_ADD", b, factor, a)
+
+    basis = [times(y, -0.4886025119029199), times(z, 0.4886025119029199), times(x, -0.4886025119029199)]
+    if degree == 1:
+        return basis
+    xx, yy, zz, xy, yz, xz = times(x, x), times(y, y), times(z, z), times(x, y), times(y, z), times(x, z)
+    difference = plus(xx, -1.0, yy)
+    basis += [
+        times(xy, 1.0925484305920792),
+        times(yz, -1.0925484305920792),
+        times(plus(-0.31539156525252005, 3 * 0.31539156525252005, zz), 1.0),  # x² + y² = 1 − z²
+        times(xz, -1.0925484305920792),
+        times(difference, 0.5462742152960396),
+    ]
+    if degree == 2:
+        return basis
+    ring = plus(-1.0, 5.0, zz)  # 4z² − x² − y²
+    return [
+        *basis,
+        times(times(y, plus(times(xx, 3.0), -1.0, yy)), -0.5900435899266435),
+        times(times(xy, z), 2.890611442640554),
+        times(times(y, ring), -0.4570457994644658),
+        times(times(z, plus(-3.0, 5.0, zz)), 0.3731763325901154),  # 2z² − 3x² − 3y²
+        times(times(x, ring), -0.4570457994644658),
+        times(times(z, difference), 1.445305721320277),
+        times(times(x, plus(xx, -3.0, yy)), -0.5900435899266435),
+    ]
+
+
+def _linear(graph: Graph, value: Any) -> Any:
+    """sRGB of one channel, clamped to 0..1, in linear light."""
+    clamped = graph.math("MINIMUM", graph.math("MAXIMUM", value, 0.0), 1.0)
+    low = graph.math("DIVIDE", clamped, 12.92)
+    high = graph.math("POWER", graph.math("MULTIPLY_ADD", clamped, 1 / 1.055, 0.055 / 1.055), 2.4)
+    return graph.choose("FLOAT", graph.compare("LESS_EQUAL", clamped, 0.04045), high, low)
+
+
+def _ramp(graph: Graph, factor: Any, rows: np.ndarray) -> Any:
+    """Linear interpolation of linear RGB rows at equal steps from 0 to 1."""
+    node = graph.node("ShaderNodeValToRGB")
+    elements = node.color_ramp.elements
+    for i, row in enumerate(rows):
+        place = i / (len(rows) - 1)
+        element = elements[i] if i < 1 else elements.new(place) if i < len(rows) - 1 else elements[-1]
+        element.position, element.color = place, (*row, 1.0)
+    graph.put(factor, node.inputs[0])
+    return node.outputs["Color"]

@@ -1,0 +1,180 @@
+"""The tree of the modifier: points → motion or sequence → colour → shapes.
+
+Self-contained: the .blend plays without the extension, sub-frames and render farms included.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import bpy
+
+from .. import names
+from ..made import Made
+from .colour import build_colour_map, build_harmonics
+from .graph import Graph
+from .motion import Motion, build_motion, use_motion
+from .sequence import build_sequence
+from .shapes import Materials, build_shapes
+
+MANY_ARROWS = 2000  # beyond these an arrow stands for several Gaussians
+
+
+@dataclass(frozen=True)
+class Content:
+    """What a tree is to play: modes of motion, or a collection with an object for every frame, or neither."""
+
+    count: int  # Gaussians
+    sh_degree: int = 0
+    freqs_hz: Sequence[float] = ()
+    fps: float = 0.0  # Hz, of the modes
+    amplitude: float = 0.0  # scene units: the largest that the colours need to show
+    frames: Any = None  # the collection
+    n_frames: int = 0
+
+
+# name, default, least, most, description
+_MOTION = (
+    (names.ALPHA, 0.0, -1.0, 1000.0, "A displacement d becomes (1 + this) d; -1 stops the motion"),
+    (names.LOW, 0.0, 0.0, 1e6, "Lowest frequency that is magnified, Hz"),
+    (names.HIGH, 1e6, 0.0, 1e6, "Highest frequency that is magnified, Hz"),
+)
+_TIME = (
+    (names.FIRST, 1.0, -1e6, 1e6, "Frame that shows timestep 0"),
+    (names.SPEED, 1.0, -1e3, 1e3, "Timesteps per frame; below 1 is slow motion"),
+)
+_LOOK = (
+    (names.SIZE, 1.0, 0.0, 10.0, "Factor on the size of every Gaussian"),
+    (names.RADIUS, 1.6, 0.01, 6.0, "Where an ellipsoid ends, in standard deviations of its Gaussian"),
+    (names.MIN_OPACITY, 0.1, 0.0, 1.0, "Gaussians less opaque than this are not drawn"),
+)
+
+
+def build_player(name: str, content: Content, materials: Materials, made: Made) -> Any:
+    """The node group for the modifier; every group it makes is kept in `made`."""
+    graph = Graph(made.keep(bpy.data.node_groups.new(name, "GeometryNodeTree")))
+    graph.tree.is_modifier = True
+    graph.interface("Geometry", "Geometry")
+    graph.result("Geometry", "Geometry")
+    _declare(graph, content)
+    inputs = graph.inputs()
+    draw = graph.menu(inputs[names.DRAW], _draw_items(content))
+    by = graph.menu(inputs[names.COLOUR_BY], names.COLOUR_ITEMS) if len(content.freqs_hz) else 0
+    _preset_menus(graph)
+    points, motion = inputs["Geometry"], None
+    if content.frames is not None:
+        group = made.keep(build_sequence(name, content.frames, content.n_frames))
+        points = graph.group(
+            group, **{socket: inputs[socket] for socket in (names.FIRST, names.SPEED, names.LOOP)}
+        )[0]
+    elif len(content.freqs_hz):
+        motion = use_motion(graph, made.keep(build_motion(name, content.freqs_hz, content.fps)), inputs)
+        points = _moved(graph, points, motion, draw)
+    points = _coloured(graph, points, inputs, content, by, motion, (name, made))
+    for prefix in (names.MODE_PREFIX, names.SH_PREFIX):
+        # Instances would carry a copy of each attribute of their point.
+        points = graph.without(points, f"{prefix}*")
+    shapes = graph.node("GeometryNodeGroup", node_tree=made.keep(build_shapes(name, materials)))
+    values = {"Points": points, names.DRAW: draw}
+    declared = {socket.name for socket in inputs}
+    for socket in shapes.inputs:
+        if socket.name in values or socket.name in declared:
+            graph.put(values.get(socket.name, inputs.get(socket.name)), socket)
+    graph.finish(Geometry=shapes.outputs[0])
+    return graph.tree
+
+
+def _declare(graph: Graph, content: Content) -> None:
+    """The inputs of the modifier, in the order in which Blender shows them."""
+    moves = len(content.freqs_hz) > 0
+    rows = (*(_MOTION if moves else ()), *(_TIME if moves or content.n_frames else ()), *_LOOK)
+    for name, default, least, most, text in rows:
+        graph.interface(name, "Float", default, min_value=least, max_value=most, description=text)
+    if content.n_frames:
+        graph.interface(names.LOOP, "Bool", False, description="Start again after the last file")
+    graph.interface(names.DRAW, "Menu", description="What is drawn for every Gaussian")
+    if content.sh_degree:
+        text = "Colours as the scene's camera sees them, not the mean over all directions"
+        graph.interface(names.VIEW_COLOUR, "Bool", False, description=text)
+    text = "One mesh, whose colours Solid view shows (Colour: Attribute); for small sets"
+    graph.interface(names.SOLID_COLOUR, "Bool", False, description=text)
+    if moves:
+        _declare_analysis(graph, content)
+
+
+def _declare_analysis(graph: Graph, content: Content) -> None:
+    text = "The file's colours, or the amplitude or the phase of the motion in the band"
+    graph.interface(names.COLOUR_BY, "Menu", description=text)
+    text = "Amplitude that takes the last colour, scene units"
+    graph.interface(names.COLOUR_RANGE, "Float", content.amplitude or 1.0, min_value=0.0, description=text)
+    text = "Length of an arrow over the magnified displacement that it shows"
+    graph.interface(names.ARROW_LENGTH, "Float", 1.0, min_value=0.0, description=text)
+    every = -(-content.count // MANY_ARROWS)
+    text = "Draw an arrow for every n-th Gaussian"
+    graph.interface(names.ARROW_EVERY, "Int", every, min_value=1, description=text)
+    panel = graph.tree.interface.new_panel("Frequencies")
+    for name in names.toggles(content.freqs_hz):
+        graph.interface(name, "Bool", True, description="Play this mode")
+        graph.tree.interface.move_to_parent(graph.tree.interface.items_tree[name], panel, 999)
+
+
+def _draw_items(content: Content) -> tuple[str, ...]:
+    return names.DRAW_ITEMS if len(content.freqs_hz) else names.DRAW_ITEMS[:-1]
+
+
+def _preset_menus(graph: Graph) -> None:
+    """A menu input learns its items by being linked, so its default comes last."""
+    for name, item in ((names.DRAW, names.ELLIPSOIDS), (names.COLOUR_BY, names.FILE_COLOUR)):
+        if name in graph.tree.interface.items_tree:
+            graph.tree.interface.items_tree[name].default_value = item
+
+
+def _moved(graph: Graph, points: Any, motion: Motion, draw: Any) -> Any:
+    """Points moved and turned. Those that arrows are drawn from stay, with the displacement beside them."""
+    arrows = graph.compare("EQUAL", draw, names.DRAW_ITEMS.index(names.ARROWS), "INT")
+    noted = graph.store(points, names.DISPLACEMENT, "FLOAT_VECTOR", motion.offset)
+    moved = graph.call("GeometryNodeSetPosition", {"Geometry": points, "Offset": motion.offset})
+    turned = graph.store(moved, names.ROTATION, "QUATERNION", _rotation(graph, motion.turn))
+    return graph.choose("GEOMETRY", arrows, turned, noted)
+
+
+def _rotation(graph: Graph, turn: Any) -> Any:
+    """exp(turn)·q: the rest rotation, then the rotation vector about the object's axes."""
+    # Axis Angle normalises its axis.
+    angle = {"Axis": turn, "Angle": graph.length(turn)}
+    turned = graph.call("FunctionNodeAxisAngleToRotation", angle)
+    rest = graph.attribute(names.ROTATION, "QUATERNION")
+    inputs = {"Rotation": rest, "Rotate By": turned}
+    return graph.call("FunctionNodeRotateRotation", inputs, rotation_space="GLOBAL")
+
+
+def _coloured(
+    graph: Graph,
+    points: Any,
+    inputs: Any,
+    content: Content,
+    by: Any,
+    motion: Motion | None,
+    kept: tuple[str, Made],
+) -> Any:
+    """Points with the colours asked for; as they are where the file's own rest colours are."""
+    name, made = kept
+    if content.sh_degree:
+        colour = graph.group(made.keep(build_harmonics(name, content.sh_degree)))[0]
+        seen = graph.store(points, names.COLOUR, "FLOAT_COLOR", colour)
+        points = graph.choose("GEOMETRY", inputs[names.VIEW_COLOUR], points, seen)
+    if motion is None:
+        return points
+    by_phase = graph.compare("EQUAL", by, names.COLOUR_ITEMS.index(names.PHASE_COLOUR), "INT")
+    mapped = graph.group(
+        made.keep(build_colour_map(name)),
+        Amplitude=motion.amplitude,
+        Phase=motion.phase,
+        Colour_Range=inputs[names.COLOUR_RANGE],
+        By_Phase=by_phase,
+    )[0]
+    shown = graph.store(points, names.COLOUR, "FLOAT_COLOR", mapped)
+    analysed = graph.compare("GREATER_THAN", by, 0, "INT")
+    return graph.choose("GEOMETRY", analysed, points, shown)

@@ -1,0 +1,115 @@
+"""File > Import > TG4MM splats, and dropping a PLY into the 3D view."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import bpy
+from bpy.props import BoolProperty, CollectionProperty, IntProperty, StringProperty
+from bpy_extras.io_utils import ImportHelper
+
+from .. import loading, scene
+from ..core.errors import SplatFileError
+
+
+class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
+    """Import Gaussian splats with their motion as points that move"""
+
+    bl_idname = "import_scene.tg4mm_splat"
+    bl_label = "Import TG4MM Splats"
+    bl_options = {"REGISTER", "UNDO", "PRESET"}  # noqa: RUF012
+
+    filename_ext = ".ply"
+    filter_glob: StringProperty(default="*.ply", options={"HIDDEN"})  # type: ignore[valid-type]
+    # SKIP_SAVE: else a file of the last import comes along with the next.
+    files: CollectionProperty(  # type: ignore[valid-type]
+        type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"}
+    )
+    directory: StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})  # type: ignore[valid-type]
+    sequence: BoolProperty(  # type: ignore[valid-type]
+        name="Numbered Files Are Frames",
+        description="Static files such as name_0001.ply, name_0002.ply play one after another; "
+        "one of them brings its neighbours along",
+        default=True,
+    )
+    timeline: BoolProperty(  # type: ignore[valid-type]
+        name="Set Timeline",
+        description="Take frame rate (Hz) and frame range from a file with motion",
+        default=True,
+    )
+    most: IntProperty(  # type: ignore[valid-type]
+        name="Most Gaussians",
+        description="Refuse files with more Gaussians in all than this, before reading them",
+        default=5_000_000,
+        min=1,
+    )
+
+    def invoke(self, context: Any, event: Any) -> set[str]:
+        if self.directory and self.files:  # dropped into the view
+            return self.execute(context)
+        return ImportHelper.invoke(self, context, event)
+
+    def execute(self, context: Any) -> set[str]:
+        manager = context.window_manager
+        manager.progress_begin(0, 100)
+        try:
+            loaded = loading.load(
+                self._paths(),
+                context.collection,
+                self.sequence,
+                self.most,
+                lambda part: manager.progress_update(int(100 * part)),
+            )
+        except SplatFileError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        except MemoryError:
+            self.report({"ERROR"}, f"{self._paths()[0]}: not enough memory for it")
+            return {"CANCELLED"}
+        finally:
+            manager.progress_end()
+        if self.timeline:
+            scene.set_timeline(context.scene, loaded.fps, loaded.n_timesteps)
+        _select(context, loaded.objects)
+        self.report({"INFO"}, loaded.message)
+        return {"FINISHED"}
+
+    def _paths(self) -> list[Path]:
+        chosen = [Path(self.directory) / file.name for file in self.files if file.name]
+        return chosen or [Path(self.filepath)]
+
+
+class IO_FH_tg4mm_splat(bpy.types.FileHandler):
+    bl_idname = "IO_FH_tg4mm_splat"
+    bl_label = "TG4MM Splats"
+    bl_import_operator = IMPORT_SCENE_OT_tg4mm_splat.bl_idname
+    bl_file_extensions = ".ply"
+
+    @classmethod
+    def poll_drop(cls, context: Any) -> bool:
+        return context.area is not None and context.area.type in {"VIEW_3D", "OUTLINER"}
+
+
+def _select(context: Any, objects: list[Any]) -> None:
+    for other in context.selected_objects:
+        other.select_set(False)
+    for obj in objects:
+        obj.select_set(True)
+    context.view_layer.objects.active = objects[0]
+
+
+def _menu(self: Any, context: Any) -> None:
+    self.layout.operator(IMPORT_SCENE_OT_tg4mm_splat.bl_idname, text="TG4MM Splats (.ply)")
+
+
+def register() -> None:
+    bpy.utils.register_class(IMPORT_SCENE_OT_tg4mm_splat)
+    bpy.utils.register_class(IO_FH_tg4mm_splat)
+    bpy.types.TOPBAR_MT_file_import.append(_menu)
+
+
+def unregister() -> None:
+    bpy.types.TOPBAR_MT_file_import.remove(_menu)
+    bpy.utils.unregister_class(IO_FH_tg4mm_splat)
+    bpy.utils.unregister_class(IMPORT_SCENE_OT_tg4mm_splat)

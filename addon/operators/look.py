@@ -1,0 +1,86 @@
+"""Operators that set a scene or a view up for splats: true colours, Solid view, the range of the colour map."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from .. import analysis, compat, names, scene
+from ..materials import TRANSPARENT_BOUNCES
+
+
+class _OnSplats(bpy.types.Operator):
+    """An operator on the active splat object"""
+
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        return scene.splat_modifier(context.object) is not None
+
+
+class TG4MM_OT_true_colours(_OnSplats):
+    """Show the colours of the file: view transform Standard, and enough transparent bounces for splats"""
+
+    bl_idname = "tg4mm.true_colours"
+    bl_label = "Set Up True Colours"
+
+    def execute(self, context: Any) -> set[str]:
+        true_colours(context.scene)
+        return {"FINISHED"}
+
+
+class TG4MM_OT_solid_colours(_OnSplats):
+    """Show the colours in Solid view too; slow with more than some ten thousand Gaussians"""
+
+    bl_idname = "tg4mm.solid_colours"
+    bl_label = "Colours in Solid View"
+
+    def execute(self, context: Any) -> set[str]:
+        compat.set_input(scene.splat_modifier(context.object), names.SOLID_COLOUR, True)
+        shading = getattr(context.space_data, "shading", None)
+        if shading is not None:
+            shading.color_type, shading.light = "VERTEX", "FLAT"
+        return {"FINISHED"}
+
+
+class TG4MM_OT_fit_colour_range(_OnSplats):
+    """Let the last colour stand for the largest amplitude of the modes shown in the band"""
+
+    bl_idname = "tg4mm.fit_colour_range"
+    bl_label = "Fit Colour Range"
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        modifier = scene.splat_modifier(context.object)
+        return modifier is not None and compat.has_input(modifier, names.COLOUR_RANGE)
+
+    def execute(self, context: Any) -> set[str]:
+        if not analysis.active_modes(context.object):
+            self.report({"ERROR"}, "No mode is shown inside the band")
+            return {"CANCELLED"}
+        self.report({"INFO"}, f"0 to {analysis.fit_colour_range(context.object):.4g} scene units")
+        return {"FINISHED"}
+
+
+def true_colours(to: Any) -> None:
+    """Set a scene's colour management and Cycles' transparent bounces for splats."""
+    to.view_settings.view_transform, to.view_settings.look = "Standard", "None"
+    to.view_settings.exposure, to.view_settings.gamma = 0.0, 1.0
+    # Cycles may be switched off in this Blender.
+    if hasattr(to, "cycles"):
+        to.cycles.transparent_max_bounces = max(to.cycles.transparent_max_bounces, TRANSPARENT_BOUNCES)
+
+
+_CLASSES = (TG4MM_OT_true_colours, TG4MM_OT_solid_colours, TG4MM_OT_fit_colour_range)
+
+
+def register() -> None:
+    for cls in _CLASSES:
+        bpy.utils.register_class(cls)
+
+
+def unregister() -> None:
+    for cls in reversed(_CLASSES):
+        bpy.utils.unregister_class(cls)

@@ -1,0 +1,1 @@
+"""Painted patterns beyond `textures`: each module is one kind of material."""

@@ -1,0 +1,78 @@
+"""Woven cloth: a damask of flowers in an ogee net on velvet, stripes, cord, fringe."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .solid import fractal, mix, noise, ramp, step, unit
+
+Tones = tuple[tuple[float, float, float], tuple[float, float, float]]  # darkest and brightest sRGB
+
+
+def _flower(x: np.ndarray, y: np.ndarray, size: float) -> np.ndarray:
+    """A rosette with leaves above and below, about the origin."""
+    r, a = np.hypot(x, y) / size, np.arctan2(x, y)
+    petals = step(r, 0.50 * (0.72 + 0.28 * np.cos(8.0 * a)), 0.44 * (0.72 + 0.28 * np.cos(8.0 * a)))
+    eye = step(np.abs(r - 0.17), 0.06, 0.03)
+    shape = petals * (1.0 - 0.9 * eye)
+    for sign in (1.0, -1.0):
+        for lean, reach, width in (
+            (0.0, 0.92, 0.10),
+            (0.55, 0.82, 0.11),
+            (-0.55, 0.82, 0.11),
+            (1.1, 0.66, 0.09),
+            (-1.1, 0.66, 0.09),
+        ):
+            c, s = np.cos(lean), np.sin(lean)
+            along, across = (sign * y * c + x * s) / size, (x * c - sign * y * s) / size
+            t = np.clip((along - 0.45) / (reach - 0.45), 0.0, 1.0)
+            leaf = width * np.maximum(np.sin(np.pi * t), 0.0) ** 0.7
+            body = step(np.abs(across), leaf, 0.75 * leaf - 0.005) * (t > 0.0) * (t < 1.0)
+            shape = np.maximum(shape, body * (1.0 - 0.8 * step(np.abs(across), 0.018, 0.008)))
+    return shape
+
+
+def damask(a: np.ndarray, b: np.ndarray, period: tuple[float, float]) -> np.ndarray:
+    """Mask [H, W] in 0..1 of the ornament at cloth coordinates a, b (scene units); b runs up the cloth."""
+    x, y = a / period[0], b / period[1]
+    wave = np.cos(2.0 * np.pi * x) + np.cos(2.0 * np.pi * y) + 0.22 * np.cos(4.0 * np.pi * y)
+    mask = step(np.abs(wave), 0.26, 0.17) * (1.0 - step(np.abs(wave), 0.085, 0.05))
+    beads = step(np.abs(wave) + 0.16 * np.abs(np.sin(24.0 * np.pi * y)), 0.07, 0.03)
+    mask = np.maximum(mask, beads)
+    size = 0.40 * min(period)
+    for shift in (0.0, 0.5):
+        u, v = (x + shift) % 1.0 - 0.5, (y + shift) % 1.0 - 0.5
+        mask = np.maximum(mask, _flower(u * period[0], v * period[1], size))
+    return mask
+
+
+def velvet(
+    points: np.ndarray,  # [H, W, 3] where the texels lie: the nap varies in space
+    ornament: np.ndarray,  # [H, W] mask
+    ground: Tones,
+    figure: Tones,
+    seed: int,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Picture [H, W, 3], relief and roughness [H, W]: pile with a nap, the ornament raised in shiny thread."""
+    nap = fractal(points, 3.0, 3, seed)
+    fine = noise(points, 60.0, seed + 1)
+    pile = ramp(0.5 + 0.28 * nap + 0.13 * fine, [(0.0, ground[0]), (1.0, ground[1])])
+    thread = ramp(0.55 + 0.2 * nap + 0.2 * fine, [(0.0, figure[0]), (1.0, figure[1])])
+    image = mix(pile, thread, ornament)
+    relief = unit(0.35 + 0.06 * fine + 0.05 * nap + 0.35 * ornament)
+    return unit(image), relief, unit(0.85 - 0.35 * ornament)
+
+
+def cord(
+    height: int, width: int, turns: float, tones: Tones, other: Tones, seed: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Twisted two-coloured cord for a swept tube (u around, v along): picture and relief."""
+    v = ((np.arange(height) + 0.5) / height)[:, None]
+    u = ((np.arange(width) + 0.5) / width)[None]
+    phase = (turns * v + 2.0 * u) % 1.0
+    ridge = np.sqrt(np.abs(np.sin(2.0 * np.pi * phase)))
+    line = np.stack(np.broadcast_arrays(600.0 * v, 3.0 * u, 0.0 * u), -1)
+    grain = noise(line, 1.0, seed)
+    first = ramp(ridge + 0.15 * grain, [(0.0, tones[0]), (1.0, tones[1])])
+    second = ramp(ridge + 0.15 * grain, [(0.0, other[0]), (1.0, other[1])])
+    return unit(mix(first, second, (phase > 0.5).astype(float))), ridge

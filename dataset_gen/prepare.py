@@ -1,0 +1,127 @@
+"""From settings to a job that can be rendered: geometry, motion, the list of pictures; claims the folder."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import importlib.util
+import sys
+import tempfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from . import processes, tree, truth
+from .cameras import cameras_at
+from .errors import GenerateError
+from .plan import Shot, shots
+from .quality import Quality
+from .scenes import SCENES
+from .settings import Settings
+from .vibration import Body, Motion, pixel_displacement, reach, solve
+
+
+@dataclass(frozen=True)
+class Job:
+    """One dataset in the making."""
+
+    settings: Settings  # with the cameras placed
+    root: Path  # the dataset's folder
+    bodies: tuple[Body, ...]
+    motion: Motion
+    shots: tuple[Shot, ...]
+
+
+def prepare(settings: Settings, out: Path) -> Job:
+    """Reads the geometry, claims `out`/<folder> and writes scene.json, the poses and truth/motion.npz.
+
+    Raises GenerateError on bad input, before anything is written.
+    """
+    _check_packages(settings)
+    settings, bodies, unit_scale_m = _geometry(settings)
+    motion = motion_of(settings, bodies)
+    root = out / settings.folder
+    amplitude = max(float(reach(shape[0]).max(initial=0.0)) for shape in motion.shapes)
+    description = tree.describe(settings, amplitude, unit_scale_m, Quality.of(settings).describe())
+    description |= {"blender_version": blender_version(), "package_version": _package_version()}
+    if settings.source.path:
+        description["source"] = {"kind": settings.source.kind, "sha256": _digest(Path(settings.source.path))}
+    tree.claim(root, description)
+    tree.write_poses(root, settings)
+    if not (root / "truth/motion.npz").exists():
+        truth.write_motion(root / "truth/motion.npz", bodies, motion, settings.timesteps)
+    return Job(settings, root, bodies, motion, tuple(shots(settings, motion)))
+
+
+def motion_of(settings: Settings, bodies: tuple[Body, ...]) -> Motion:
+    """The motion of all bodies; amplitudes in pixels are those of training camera 0 at timestep 0."""
+    camera = cameras_at(settings.cameras, 0)["train"][0]
+    focal = camera.focal(settings.size)
+
+    def pixels(positions: np.ndarray, shape: np.ndarray) -> float:
+        return pixel_displacement(positions, shape, camera.camera_to_world, focal, focal)
+
+    return solve(settings.motion, bodies, settings.fps, pixels, settings.seed)
+
+
+def builtin_bodies(name: str) -> tuple[Body, ...]:
+    """The parts of a built-in scene as bodies. Raises GenerateError for an unknown name."""
+    if name not in SCENES:
+        raise GenerateError(f"scene {name!r} is none of {', '.join(sorted(SCENES))}")
+    return tuple(
+        Body(part.name, part.mesh.vertices, part.mesh.triangles, part.follow, {})
+        for part in SCENES[name]().parts
+    )
+
+
+def _geometry(settings: Settings) -> tuple[Settings, tuple[Body, ...], float | None]:
+    """Bodies and scale; a user's file is opened by a process of its own, which Blender takes over."""
+    if settings.source.kind == "builtin":
+        return settings, builtin_bodies(settings.scene), None
+    from .sources import bodies_file
+
+    with tempfile.TemporaryDirectory(prefix="dataset_gen_") as scratch:
+        found = Path(scratch) / "bodies.npz"
+        processes.inspect(settings, found)
+        loaded = bodies_file.load(found)
+    for warning in loaded.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    cameras = settings.cameras.placed(loaded.centre, loaded.radius, loaded.cameras)
+    return replace(settings, cameras=cameras), loaded.bodies, loaded.unit_scale_m
+
+
+def blender_version() -> str:
+    """Version of the Blender that will render, without importing it (that costs seconds) where possible."""
+    if "bpy" in sys.modules:
+        return ".".join(str(n) for n in sys.modules["bpy"].app.version)
+    try:
+        return importlib.metadata.version("bpy")
+    except importlib.metadata.PackageNotFoundError:
+        raise GenerateError(
+            "bpy (Blender as a Python module) is not installed: pip install 'tg4mm[generate]', or run this with "
+            "blender --background --python dataset_gen/blender_main.py -- …"
+        ) from None
+
+
+def _package_version() -> str:
+    from tg4mm import __version__
+
+    return __version__
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _check_packages(settings: Settings) -> None:
+    for wanted, option in (
+        (settings.truth != "none", "--truth"),
+        (settings.pictures.images == "exr", "--images exr"),
+    ):
+        if wanted and importlib.util.find_spec("OpenEXR") is None:
+            raise GenerateError(
+                f"{option} needs the package OpenEXR, which this Python lacks: "
+                f"'{sys.executable}' -m pip install OpenEXR, or use --truth none and PNG images"
+            )

@@ -1,0 +1,183 @@
+"""Render processes: a fresh one per range of pictures, fed and watched; progress with the time left.
+
+A fresh process per range keeps memory from growing over long runs, and a crash costs one range. Several
+processes of one thread each beat one of several threads: at these sizes half of a picture's time is spent
+preparing it, which Cycles does on one core.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import queue
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, TextIO
+
+from .errors import GenerateError
+from .plan import RANGE, ranges
+from .settings import Settings
+
+ENTRY = Path(__file__).with_name("blender_main.py")
+DONE = "done"  # first word of the line a worker writes after each shot
+REFUSED = 3  # exit status of a worker that found the user's input wrong; the last line of its log says how
+
+
+class RunFailed(RuntimeError):
+    """A render process died, or the set is not complete: not the user's input."""
+
+
+def render(
+    settings: Settings, root: Path, todo: Sequence[int], count: int, stream: TextIO, label: str = "rendering"
+) -> None:
+    """Renders the shots with these numbers in `count` processes at once; a failed one stops the others."""
+    if not todo:
+        return
+    pieces = max(min(count, len(todo)), -(-len(todo) // RANGE))
+    waiting: queue.SimpleQueue[list[int]] = queue.SimpleQueue()
+    for part in ranges(len(todo), pieces):
+        waiting.put([todo[i] for i in part])
+    count = min(count, pieces)
+    job = {"task": "render", "settings": settings.to_json(), "root": str(root.resolve())}
+    job["threads"] = max(1, (os.cpu_count() or 1) // count)
+    progress = _Progress(label, len(todo), stream)
+    pool = _Pool(job, progress)
+    try:
+        with tempfile.TemporaryDirectory(prefix="dataset_gen_") as scratch:
+            feeders = [
+                threading.Thread(target=pool.feed, args=(waiting, Path(scratch) / f"{i}.json"))
+                for i in range(count)
+            ]
+            for feeder in feeders:
+                feeder.start()
+            for feeder in feeders:
+                feeder.join()
+    except BaseException:
+        pool.stop()
+        raise
+    progress.close()
+    pool.raise_failure()
+
+
+def single(task: dict[str, Any]) -> None:
+    """One process for one task that is not rendering: looking into a user's file, saving an animation."""
+    with tempfile.TemporaryDirectory(prefix="dataset_gen_") as scratch:
+        path = Path(scratch) / "job.json"
+        path.write_text(json.dumps(task))
+        pool = _Pool({}, None)
+        try:
+            pool.run(path)
+        except BaseException:
+            pool.stop()
+            raise
+    pool.raise_failure()
+
+
+def inspect(settings: Settings, found: Path) -> None:
+    """Writes the bodies of a user's file to `found`. Raises GenerateError if the file is of no use."""
+    single({"task": "inspect", "settings": settings.to_json(), "found": str(found)})
+
+
+class _Pool:
+    """Worker processes and what became of them."""
+
+    def __init__(self, job: dict[str, Any], progress: _Progress | None) -> None:
+        self._job, self._progress = job, progress
+        self._running: set[subprocess.Popen[str]] = set()
+        self._failure = ""
+        self._refused = False
+
+    def feed(self, waiting: queue.SimpleQueue[list[int]], path: Path) -> None:
+        """Takes ranges until there are none left; what goes wrong is kept."""
+        try:
+            for part in _drain(waiting):
+                if self._failure:
+                    return
+                path.write_text(json.dumps({**self._job, "shots": part}))
+                self.run(path)
+        except OSError as error:
+            self._fail(f"a render process could not be started: {error}")
+
+    def run(self, path: Path) -> None:
+        """One process, to its end."""
+        log_path = path.with_suffix(".log")
+        with log_path.open("w") as log:
+            process = subprocess.Popen(_command(path), stdout=subprocess.PIPE, stderr=log, text=True)
+        self._running.add(process)
+        assert process.stdout is not None
+        for line in process.stdout:
+            if line.strip() == DONE and self._progress:
+                self._progress.step()
+        status = process.wait()
+        self._running.discard(process)
+        if status and not self._failure:
+            last = log_path.read_text(errors="replace").strip().splitlines()[-1:] or ["no message"]
+            self._refused = status == REFUSED
+            self._fail(
+                last[0] if self._refused else f"a render process ended with status {status}: {last[0]}"
+            )
+
+    def _fail(self, why: str) -> None:
+        self._failure = self._failure or why
+        self.stop()
+
+    def stop(self) -> None:
+        """Ends all workers; what they finished stays."""
+        self._failure = self._failure or "stopped"
+        for process in list(self._running):
+            process.terminate()
+
+    def raise_failure(self) -> None:
+        """Raises what went wrong: GenerateError where the input is to blame, else RunFailed."""
+        if self._failure:
+            raise GenerateError(self._failure) if self._refused else RunFailed(self._failure)
+
+
+def _drain(waiting: queue.SimpleQueue[list[int]]) -> Iterator[list[int]]:
+    with contextlib.suppress(queue.Empty):
+        while True:
+            yield waiting.get_nowait()
+
+
+def _command(job_path: Path) -> list[str]:
+    """How to start a worker: with Blender if this is Blender, else with this Python and pip's bpy."""
+    bpy = sys.modules.get("bpy")
+    binary = bpy.app.binary_path if bpy is not None else ""
+    script = [str(ENTRY), "--", "--job", str(job_path)]
+    if binary:
+        return [binary, "--background", "--factory-startup", "--python-exit-code", "1", "--python", *script]
+    return [sys.executable, *script]
+
+
+class _Progress:
+    """Pictures done and time left, on one line of a terminal or on a plain line every few seconds."""
+
+    def __init__(self, label: str, total: int, stream: TextIO) -> None:
+        self._label, self._total, self._stream = label, total, stream
+        self._done, self._start, self._shown = 0, time.monotonic(), 0.0
+        self._terminal = stream.isatty()
+        self._lock = threading.Lock()
+
+    def step(self) -> None:
+        with self._lock:
+            self._done += 1
+            now = time.monotonic()
+            if now - self._shown > (0.2 if self._terminal else 5.0) or self._done == self._total:
+                self._shown = now
+                self._show(now - self._start)
+
+    def _show(self, elapsed: float) -> None:
+        left = elapsed / self._done * (self._total - self._done)
+        text = f"{self._label} {self._done}/{self._total}  {elapsed:.0f} s, {left:.0f} s left"
+        self._stream.write(f"\r{text}   " if self._terminal else f"{text}\n")
+        self._stream.flush()
+
+    def close(self) -> None:
+        if self._terminal:
+            self._stream.write("\n")

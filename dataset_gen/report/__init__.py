@@ -1,0 +1,58 @@
+"""The dataset's own report: what is in it, how it moves, how far in pixels, what a perfect method would score.
+
+Everything is read from the files of the finished folder, so a report can be made again at any time:
+`python -m dataset_gen.report FOLDER`. Needs jinja2, Pillow and scikit-image; neither Blender nor torch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+from ..errors import GenerateError
+
+_Result = TypeVar("_Result")
+
+
+def write_report(root: Path) -> Path:
+    """Writes `root`/report/: index.html (self-contained), contact_sheet.png, thumbnail.png, summary.json.
+
+    Returns the page. What the folder lacks (test views, truth, ground truth at an α, second renders) is said
+    to be absent. Raises GenerateError if a package is not installed, or for a folder that is no dataset.
+    """
+
+    def write() -> Path:
+        from .write import write_report as implementation
+
+        return implementation(Path(root))
+
+    return _with_packages(write)
+
+
+def write_overview(parent: Path) -> Path:
+    """Writes `parent`/index.html, a page of all datasets in the folder, and returns it.
+
+    Reads what `write_report` left; a dataset without a report is listed as such. Raises GenerateError if a
+    package is not installed or there is no dataset in `parent`.
+    """
+
+    def write() -> Path:
+        from .overview import write_overview as implementation
+
+        return implementation(Path(parent))
+
+    return _with_packages(write)
+
+
+def _with_packages(write: Callable[[], _Result]) -> _Result:
+    try:
+        return write()
+    except ModuleNotFoundError as error:
+        raise GenerateError(
+            f"the report needs the package {error.name}, which this Python lacks: pip install "
+            "'tg4mm[generate]', then python -m dataset_gen.report FOLDER"
+        ) from error
+
+
+__all__ = ["write_overview", "write_report"]

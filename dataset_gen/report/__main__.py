@@ -1,0 +1,35 @@
+"""Command line: `python -m dataset_gen.report FOLDER…` writes the reports of finished datasets again."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from tg4mm.errors import Tg4mmError
+
+from . import write_overview, write_report
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Returns 0 if all pages were written, 2 on bad input (one line says what)."""
+    parser = argparse.ArgumentParser(prog="python -m dataset_gen.report", description=__doc__)
+    parser.add_argument(
+        "folders", nargs="+", type=Path, metavar="FOLDER", help="of a dataset, with scene.json"
+    )
+    parser.add_argument("--overview", type=Path, metavar="DIR", help="also a page of all datasets in DIR")
+    options = parser.parse_args(argv)
+    try:
+        for folder in options.folders:
+            print(write_report(folder))
+        if options.overview:
+            print(write_overview(options.overview))
+    except Tg4mmError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

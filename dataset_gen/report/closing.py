@@ -1,0 +1,146 @@
+"""Sections of the report on what a perfect method would score, how it was rendered, what it takes on disk."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tg4mm.report.page import Block, Section, Table, Text
+from tg4mm.report.svg import number
+
+from .noise_floor import FloorRow
+from .sections import Findings
+from .sizes import shares
+from .text import decibel, plural, similarity
+
+_SETTINGS = ("engine", "sensor", "seed", "background", "blender_version", "package_version", "source")
+
+
+def floor_section(f: Findings) -> Section:
+    """For each α: nothing moves, two renders of the truth, a perfect method."""
+    title = "What a perfect method would score"
+    if not f.floor:
+        return Section(title, [Text("There are no test views, so there is nothing to score.")])
+    rows: list[list[str]] = []
+    styles: list[str] = []
+    for row in f.floor:
+        own = [
+            ("nothing moves", row.still_own_noise, "still"),
+            ("nothing moves, same noise", row.still, "still"),
+            ("another render of the truth", row.pair, ""),
+        ]
+        for label, score, style in own:
+            if score is not None:
+                cells = [
+                    f"{row.alpha:g}",
+                    label,
+                    decibel(score.psnr_db),
+                    similarity(score.ssim),
+                    str(score.n),
+                ]
+                rows.append(cells)
+                styles.append(style)
+        if row.pair is not None:
+            least = "–" if row.pair.ssim is None else f"≥ {similarity(row.pair.ssim)}"
+            rows.append(
+                [f"{row.alpha:g}", "perfect method", decibel(row.perfect_psnr_db), least, str(row.pair.n)]
+            )
+            styles.append("ours")
+        if styles:
+            styles[-1] = f"{styles[-1]} last".strip()
+    table = Table(["α", "what", "PSNR (dB)", "SSIM", "pictures"], rows, _caption(), styles=styles, left=2)
+    return Section(title, [Text(_words(f.floor)), table])
+
+
+def _words(floor: tuple[FloorRow, ...]) -> str:
+    if all(row.pair is None for row in floor):
+        return (
+            "Not measured: report/reseeded/, a second render of some truth pictures with another seed, is absent. "
+            "The rows say what a method scores that leaves the scene at rest."
+        )
+    text = (
+        "A method that is right in every respect still differs from the truth by the noise of the renderer and of the "
+        "sensor. A second render of the truth with another seed shows how much. "
+    )
+    if any(row.pair is not None and row.pair.psnr_db >= 100 for row in floor):
+        text += "Here the second render is equal: the renderer draws no random numbers, so nothing limits a method. "
+    best, still = floor[-1].perfect_psnr_db, floor[-1].still_own_noise
+    if best is not None and still is not None:
+        gap = best - still.psnr_db
+        text += (
+            f"At α = {floor[-1].alpha:g} a method has {gap:.1f} dB between doing nothing and being perfect."
+        )
+    return text
+
+
+def _caption() -> str:
+    return (
+        "PSNR and SSIM (11×11, σ 1.5) over white against the truth. “Perfect method”: exact and free of noise, 3.01 dB "
+        "above the pair of renders, since the pair differs by the noise of both; for SSIM the pair is a lower bound. "
+        "“Nothing moves”: the rest picture of the same camera, with noise of its own; “same noise”: the set’s own rest "
+        "picture, which shares its seed with the truth and so agrees to the last bit where nothing moves, as no method "
+        "can."
+    )
+
+
+def making_section(f: Findings) -> Section:
+    """Render settings and sizes."""
+    scene = f.dataset.scene
+    rows = [row for key in _SETTINGS if key in scene for row in _flat(key.replace("_", " "), scene[key])]
+    blocks: list[Block] = [Table(["setting", "value"], rows, "From scene.json.", left=9)]
+    blocks.append(Text(_timing(f)))
+    parts = shares(f.dataset.root)
+    table = [
+        [s.kind, f"{s.names:,}", f"{s.files:,}", size_text(s.on_disk), size_text(s.as_named)] for s in parts
+    ]
+    totals = [sum(getattr(s, name) for s in parts) for name in ("names", "files", "on_disk", "as_named")]
+    table.append(["all", f"{totals[0]:,}", f"{totals[1]:,}", size_text(totals[2]), size_text(totals[3])])
+    caption = (
+        "Files. Equal pictures are one file with several names (hard links), counted once, where they come up first; "
+        "“copied” is what a copy takes that does not keep links."
+    )
+    header = ["what", "names", "files", "on disk", "copied"]
+    blocks.append(Table(header, table, caption, styles=[*[""] * (len(table) - 2), "last", ""]))
+    return Section("How it was made", blocks)
+
+
+def _flat(name: str, value: Any) -> list[list[str]]:
+    if isinstance(value, dict):
+        return [
+            row for key, inner in value.items() for row in _flat(f"{name}: {key}".replace("_", " "), inner)
+        ]
+    return [[name, "none" if value is None else str(value)]]
+
+
+def _timing(f: Findings) -> str:
+    timing = f.dataset.scene.get("timing") or _timing_file(f)
+    seconds, pictures = timing.get("seconds"), timing.get("pictures")
+    if not isinstance(seconds, int | float) or not isinstance(pictures, int) or pictures < 1:
+        return "How long the pictures took was not recorded."
+    processes = timing.get("processes")
+    by = (
+        f" by {plural(processes, 'process') if processes == 1 else f'{processes} processes'}"
+        if processes
+        else ""
+    )
+    return (
+        f"{plural(pictures, 'distinct picture')} in {number(seconds)} s{by}: {number(seconds / pictures)} s each, "
+        "data passes included."
+    )
+
+
+def _timing_file(f: Findings) -> dict[str, Any]:
+    import json
+
+    try:
+        found = json.loads((f.dataset.root / "report/timing.json").read_text())
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def size_text(size: int) -> str:
+    """Bytes as 12.3 kB, 4.56 MB (powers of ten)."""
+    for unit, factor in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if size >= factor:
+            return f"{number(size / factor)} {unit}"
+    return f"{size} B"

@@ -1,0 +1,249 @@
+"""A dataset read back from its files: description, cameras, pictures, exact motion."""
+
+from __future__ import annotations
+
+import json
+import re
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tg4mm.capture.confine import inside
+from tg4mm.capture.decode import decode
+from tg4mm.errors import CaptureError
+
+from ..errors import GenerateError
+
+SUFFIXES = (".png", ".jpg", ".jpeg", ".exr")
+SPLITS = ("train", "test")
+
+
+@dataclass(frozen=True)
+class View:
+    """One picture of the dataset: where it lies, when and from where it was taken."""
+
+    split: str
+    timestep: int
+    name: str  # "r_000"
+    image: Path
+    camera_to_world: np.ndarray  # [4, 4], OpenGL axes
+    intrinsics: tuple[float, float, float, float]  # fx, fy, cx, cy, pixels
+    size: tuple[int, int]  # width, height, pixels
+
+
+@dataclass(frozen=True)
+class Body:
+    """One object of truth/motion.npz."""
+
+    name: str
+    rest: np.ndarray  # [V, 3] scene units
+    faces: np.ndarray  # [F, 3]
+    modes: np.ndarray  # [K, V, 3] complex, scene units
+
+
+@dataclass(frozen=True)
+class MotionTruth:
+    """The exact motion: displacement(t) = Re Σ_k mode_k g_k(t), with g_k the gains."""
+
+    frequencies_hz: np.ndarray  # [K]
+    gains: np.ndarray  # [T, K] complex
+    bodies: tuple[Body, ...]
+    magnified: np.ndarray  # [K] bool, whether α applies to the mode
+
+    def largest(self) -> float:
+        """Largest displacement of any vertex at any timestep, scene units."""
+        return float(max((self.size(t) for t in range(len(self.gains))), default=0.0))
+
+    def size(self, timestep: int) -> float:
+        """Largest displacement of any vertex at a timestep, scene units."""
+        moved = (displacement_of(body.modes, self.gains[timestep]) for body in self.bodies)
+        return float(max((np.linalg.norm(d, axis=1).max(initial=0.0) for d in moved), default=0.0))
+
+
+def displacement_of(modes: np.ndarray, gains: np.ndarray) -> np.ndarray:
+    """Displacement [V, 3] of modes [K, V, 3] with gains [K]."""
+    return np.tensordot(gains, modes, axes=1).real
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """What a finished folder holds."""
+
+    root: Path
+    scene: dict[str, Any]
+    fps: float
+    n_timesteps: int
+    views: dict[str, list[View]]  # per split, by timestep, then in the order of the files
+    motion: MotionTruth | None
+    unit_scale_m: float | None = None
+    alphas: tuple[float, ...] = ()
+    strength: tuple[float, ...] = field(default=())  # [T] largest displacement per timestep, () if unknown
+
+    def at(self, split: str, timestep: int) -> list[View]:
+        """Views of a split at a timestep."""
+        return [view for view in self.views[split] if view.timestep == timestep]
+
+    def by_camera(self, split: str) -> dict[str, list[View]]:
+        """Views of a split by their file's name, each list in order of time."""
+        found: dict[str, list[View]] = {}
+        for view in self.views[split]:
+            found.setdefault(view.name, []).append(view)
+        return found
+
+    def truth_file(self, view: View) -> Path:
+        """Where the truth of a view at α = 0 lies, if it was asked for."""
+        return self.root / "truth" / view.split / f"{view.timestep:03d}" / f"{view.name}.exr"
+
+    def magnified(self, view: View, alpha: float) -> Path:
+        """The ground truth picture at α of a test view."""
+        relative = view.image.relative_to(self.root)
+        return self.root / "magnified" / f"x{int(alpha):03d}" / relative
+
+    @property
+    def amplitude(self) -> float:
+        """Largest displacement over all timesteps, scene units; as described where the truth is absent."""
+        return max(self.strength) if self.strength else float(self.scene.get("amplitude") or 0.0)
+
+    def timesteps_by_strength(self) -> list[int]:
+        """Timesteps, those that lie farthest from rest first; in order of time where that is not known."""
+        order = range(self.n_timesteps)
+        if not self.strength:
+            return list(order)
+        # Rounded, so that of timesteps that differ by rounding alone the earliest comes first.
+        return sorted(order, key=lambda t: -round(self.strength[t] / (self.amplitude or 1.0), 4))
+
+    def rest_timestep(self) -> int | None:
+        """The first timestep whose pictures show the rest pose, None if there is none or it is not known."""
+        threshold = 1e-6 * self.amplitude
+        return next((t for t, size in enumerate(self.strength) if size <= threshold), None)
+
+
+def read_dataset(root: Path) -> Dataset:
+    """Reads the folder. Raises GenerateError with file and reason if it is no dataset tree."""
+    scene = _json(root / "scene.json")
+    fps = scene.get("fps")
+    if not isinstance(fps, int | float) or not fps > 0:
+        raise GenerateError(f"{root / 'scene.json'}: fps is {fps!r}, expected a number above 0")
+    folders = sorted(
+        (p for p in root.iterdir() if re.fullmatch(r"[0-9]+", p.name)), key=lambda p: int(p.name)
+    )
+    if not folders:
+        raise GenerateError(f"{root}: holds no timestep folders 000, 001, …")
+    views = {split: [v for folder in folders for v in _views(root, folder, split)] for split in SPLITS}
+    motion = _motion(root / "truth/motion.npz", len(folders), float(fps))
+    alphas = tuple(a for a in scene.get("alphas") or () if isinstance(a, int | float))
+    return Dataset(
+        root=root,
+        scene=scene,
+        fps=float(fps),
+        n_timesteps=len(folders),
+        views=views,
+        motion=motion,
+        unit_scale_m=scene.get("unit_scale_m"),
+        alphas=alphas,
+        strength=tuple(motion.size(t) for t in range(len(folders))) if motion else (),
+    )
+
+
+def read_picture(path: Path) -> np.ndarray:
+    """A picture over white, [H, W, 3] float32 in 0..1, display-referred. Raises GenerateError."""
+    try:
+        if path.suffix == ".exr":
+            return _read_exr_picture(path)
+        pixels = decode(path)
+    except (CaptureError, OSError, RuntimeError) as error:
+        raise GenerateError(f"{path}: cannot be read: {error}") from error
+    values = pixels.astype(np.float32) / np.float32(np.iinfo(pixels.dtype).max)
+    return values[..., :3] * values[..., 3:] + 1 - values[..., 3:]
+
+
+def _read_exr_picture(path: Path) -> np.ndarray:
+    """Scene-linear RGBA, alpha multiplied in as OpenEXR has it: encoded as sRGB, then over white."""
+    import OpenEXR
+
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        found = {name: channel.pixels for name, channel in file.channels().items()}
+    red, green, blue = (found[name].astype(np.float32) for name in "RGB")
+    alpha = found["A"].astype(np.float32) if "A" in found else np.ones_like(red)
+    opaque = np.stack([red, green, blue], -1) / np.maximum(alpha, 1e-6)[..., None]
+    linear = np.clip(opaque, 0.0, 1.0)
+    colour = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    alpha = np.clip(alpha, 0.0, 1.0)[..., None]
+    return (colour * alpha + 1 - alpha).astype(np.float32)
+
+
+def _views(root: Path, folder: Path, split: str) -> list[View]:
+    path = folder / f"transforms_{split}.json"
+    if not path.is_file():
+        return []
+    data = _json(path)
+    return [_view(root, path, split, {**data, **frame}) for frame in data.get("frames", [])]
+
+
+def _view(root: Path, path: Path, split: str, record: dict[str, Any]) -> View:
+    try:
+        stem = path.parent / record["file_path"]
+        named = [stem] if stem.suffix in SUFFIXES else [stem.with_name(stem.name + s) for s in SUFFIXES]
+        image = next((p for p in named if p.is_file()), named[0])
+        width, height = int(record["w"]), int(record["h"])
+        focal = 0.5 * width / float(np.tan(0.5 * float(record["camera_angle_x"])))
+        intrinsics = (
+            float(record.get("fl_x", focal)),
+            float(record.get("fl_y", record.get("fl_x", focal))),
+            float(record.get("cx", width / 2)),
+            float(record.get("cy", height / 2)),
+        )
+        pose = np.array(record["transform_matrix"], np.float64).reshape(4, 4)
+    except (KeyError, TypeError, ValueError) as error:
+        raise GenerateError(f"{path}: a frame is not as expected: {error!r}") from error
+    try:
+        inside(root, image, "file_path")
+    except CaptureError as error:
+        raise GenerateError(str(error)) from error
+    return View(split, int(path.parent.name), image.stem, image, pose, intrinsics, (width, height))
+
+
+def _json(path: Path) -> dict[str, Any]:
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise GenerateError(f"{path}: cannot be read: {error}") from error
+    if not isinstance(data, dict):
+        raise GenerateError(f"{path}: holds no JSON object")
+    return data
+
+
+def _motion(path: Path, n_timesteps: int, fps: float) -> MotionTruth | None:
+    if not path.is_file():
+        return None
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            names = [str(name) for name in data["objects"]]
+            frequencies = np.asarray(data["frequencies_hz"], np.float64)
+            bodies = [
+                Body(name, *(np.asarray(data[f"{array}_{i}"]) for array in ("rest", "faces", "mode")))
+                for i, name in enumerate(names)
+            ]
+            gains = np.asarray(data["gains"]).T if "gains" in data.files else None
+            magnified = data["magnified"] if "magnified" in data.files else np.ones(len(frequencies), bool)
+    except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
+        raise GenerateError(f"{path}: cannot be read: {error}") from error
+    if gains is None:
+        turns = np.outer(np.arange(n_timesteps), frequencies) / fps
+        gains = np.exp(2j * np.pi * turns)
+    if gains.shape != (n_timesteps, len(frequencies)):
+        raise GenerateError(
+            f"{path}: gains have shape {gains.shape}, expected {(n_timesteps, len(frequencies))}"
+        )
+    return MotionTruth(frequencies, gains, tuple(bodies), magnified)
+
+
+def evenly(items: Sequence[Any], most: int) -> list[Any]:
+    """At most `most` of the items, evenly spread, the first among them."""
+    if len(items) <= most:
+        return list(items)
+    return [items[i * len(items) // most] for i in range(most)]

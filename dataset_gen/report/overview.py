@@ -1,0 +1,149 @@
+"""A page of all datasets in a folder: a picture of each with a link to its report, and one row each."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+from markupsafe import Markup
+from PIL import Image
+
+from tg4mm import __version__
+from tg4mm.report.page import Figure, Page, Panel, Section, Stat, Table, Text, missing, picture, render_page
+from tg4mm.report.svg import number
+
+from ..errors import GenerateError
+from .closing import size_text
+from .text import decibel, hertz, percent
+from .write import _save
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One dataset of the folder."""
+
+    root: Path
+    summary: dict[str, Any]  # {} if it has no report
+
+    @property
+    def name(self) -> str:
+        return str(self.summary.get("scene", self.root.name))
+
+
+def write_overview(parent: Path) -> Path:
+    """See `dataset_gen.report.write_overview`."""
+    roots = sorted(path.parent for path in parent.glob("*/scene.json"))
+    if not roots:
+        raise GenerateError(f"{parent}: holds no dataset, a folder with a scene.json")
+    entries = [Entry(root, _summary(root)) for root in roots]
+    page = Page(
+        title="Vibrating scenes with exact motion",
+        kicker="vibration datasets, an overview",
+        summary=f"{_count(len(entries))} in this folder, with cameras, pictures and exact ground truth.",
+        stats=_stats(entries),
+        lead=[],
+        sections=[Section("The scenes", [_grid(entries), _table(entries), *_unreported(entries)])],
+        footer=f"tg4mm {__version__}. Written from the reports of the sets.",
+    )
+    text = render_page(page)
+    _save(parent / "index.html", lambda path: path.write_text(text, encoding="utf-8"))
+    return parent / "index.html"
+
+
+def _count(n: int) -> str:
+    return "One dataset" if n == 1 else f"{n} datasets"
+
+
+def _summary(root: Path) -> dict[str, Any]:
+    try:
+        found = json.loads((root / "report/summary.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    good = isinstance(found, dict) and found.get("format") == "tg4mm-dataset-summary"
+    return found if good else {}
+
+
+def _stats(entries: list[Entry]) -> list[Stat]:
+    known = [e.summary for e in entries if e.summary]
+    pixels = [s["pixels_max"] for s in known if s.get("pixels_max")]
+    value, unit = size_text(sum(s.get("bytes", 0) for s in known)).split(" ")
+    stats = [Stat("Sets", str(len(entries))), Stat("On disk", value, unit, "equal pictures counted once")]
+    if pixels:
+        between = f"{number(min(pixels), 2)} … {number(max(pixels), 2)}"
+        stats.insert(1, Stat("Largest motion in a picture", between, "px", "from set to set, at α = 0"))
+    return stats
+
+
+def _grid(entries: list[Entry]) -> Figure:
+    return Figure(
+        [_panel(entry) for entry in entries], "A training view of each; its name leads to its report.", 4
+    )
+
+
+def _panel(entry: Entry) -> Panel:
+    path = entry.root / "report/thumbnail.png"
+    link = _link(entry)
+    if not path.is_file():
+        return missing("no report yet", link)
+    with Image.open(path) as image:
+        return picture(np.asarray(image.convert("RGB")), link, alt=entry.name)
+
+
+def _link(entry: Entry) -> str:
+    if not entry.summary:
+        return entry.root.name
+    href = f"{quote(entry.root.name)}/report/index.html"
+    return Markup('<a href="{}" style="color: inherit">{}</a>').format(href, entry.root.name)
+
+
+def _table(entries: list[Entry]) -> Table:
+    rows = [_row(entry) for entry in entries if entry.summary]
+    caption = (
+        "Frequencies of the modes; largest displacement of any vertex; largest motion in a test picture and its 95th "
+        "percentile over what moves; share of the surface that stands still; and, at the largest α, the PSNR of "
+        "nothing moving (with noise of its own) and of a perfect method, limited by the noise of the truth alone."
+    )
+    header = [
+        "set",
+        "frequency",
+        "amplitude (units)",
+        "max (px)",
+        "95 % (px)",
+        "still",
+        "α",
+        "nothing moves",
+        "perfect",
+    ]
+    return Table(header, rows, caption)
+
+
+def _row(entry: Entry) -> list[str]:
+    s = entry.summary
+    score = s["scores"][-1] if s.get("scores") else {}
+    still = score.get("still_psnr_db")
+    return [
+        _link(entry),
+        hertz([f for f in s["frequencies_hz"] if f] or [0.0]),
+        number(s["amplitude"]),
+        _number(s.get("pixels_max")),
+        _number(s.get("pixels_p95")),
+        "–" if s.get("still_area") is None else percent(s["still_area"]),
+        "–" if not score else f"{score['alpha']:g}",
+        decibel(still),
+        decibel(score.get("perfect_psnr_db")),
+    ]
+
+
+def _number(value: float | None) -> str:
+    return "–" if value is None else number(value)
+
+
+def _unreported(entries: list[Entry]) -> list[Text]:
+    names = [entry.root.name for entry in entries if not entry.summary]
+    if not names:
+        return []
+    return [Text(f"Without a report, since not finished: {', '.join(names)}.", style="note")]

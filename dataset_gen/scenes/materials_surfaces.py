@@ -1,0 +1,162 @@
+"""Surfaces of the twelve balls and of their tray: one pattern in space for each, painted on the unit ball."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from .. import textures as t
+from ..patterns import minerals, skins, unroll
+from ..patterns.brocade import damask
+from ..patterns.solid import fractal, mix, noise, ramp, step, unit
+from ..patterns.timber import HONEY, WALNUT, wood
+from ..scene import Surface
+
+_SIZE = (256, 544)
+
+
+def _directions() -> np.ndarray:
+    return unroll.of_ball(*_SIZE)
+
+
+def _gold() -> Surface:
+    image, relief, rough = minerals.hammered(_directions(), 1)
+    return Surface("gold", image, relief, 0.02, metallic=0.95, roughness=rough)
+
+
+def _steel() -> Surface:
+    image, relief, rough = minerals.brushed(_directions(), 2)
+    return Surface("steel", image, relief, 0.003, metallic=0.9, roughness=rough)
+
+
+def _copper() -> Surface:
+    image, relief, rough = minerals.patina(_directions(), 3)
+    return Surface("copper", image, relief, 0.008, metallic=0.55, roughness=rough)
+
+
+def _marble() -> Surface:
+    image, relief, rough = minerals.marble(_directions(), 4)
+    return Surface("marble", image, relief, 0.002, roughness=rough, coat=0.5)
+
+
+def _clay() -> Surface:
+    image, relief, rough = minerals.clay(_directions(), 5)
+    return Surface("clay", image, relief, 0.012, roughness=rough)
+
+
+def _leopard() -> Surface:
+    image, relief, rough = skins.leopard(_directions(), 6)
+    return Surface("leopard", image, relief, 0.006, roughness=rough, sheen=0.3)
+
+
+def _leather() -> Surface:
+    image, relief, rough = skins.leather(_directions(), 7)
+    return Surface("leather", image, relief, 0.010, roughness=rough, coat=0.1, coat_roughness=0.3)
+
+
+def _paint() -> Surface:
+    image, _, rough = skins.flakes(_directions(), 8)
+    return Surface("paint", image, metallic=0.35, roughness=rough, coat=1.0)
+
+
+def _glass() -> Surface:
+    image, _, rough = skins.swirl(_directions(), 9)
+    return Surface("glass", image, roughness=rough, coat=1.0, coat_roughness=0.0)
+
+
+def _wood() -> Surface:
+    image, pores = wood(_directions() * 0.4, 22.0, HONEY, 10)
+    return Surface(
+        "wood", image, unit(0.6 - 0.4 * pores), 0.004, roughness=0.35, coat=0.6, coat_roughness=0.08
+    )
+
+
+def _checker() -> Surface:
+    p = _directions()
+    squares = t.checker(*_SIZE, (10, 16))
+    worn, fine = fractal(p, 3.0, 3, 30), fractal(p, 18.0, 2, 31)
+    dark = ramp(0.5 + 0.3 * worn + 0.15 * fine, [(0.0, (0.04, 0.05, 0.09)), (1.0, (0.22, 0.24, 0.34))])
+    light = ramp(0.5 + 0.25 * worn + 0.15 * fine, [(0.0, (0.82, 0.76, 0.64)), (1.0, (0.99, 0.96, 0.9))])
+    return Surface(
+        "checker",
+        unit(mix(dark, light, squares)),
+        unit(0.45 + 0.1 * squares),
+        0.003,
+        roughness=0.22,
+        coat=0.3,
+    )
+
+
+def _velvet() -> Surface:
+    p = _directions()
+    turn, height = np.arctan2(p[..., 1], p[..., 0]), np.arcsin(np.clip(p[..., 2], -1.0, 1.0))
+    figure = damask(turn, height, (2.0 * np.pi / 7.0, np.pi / 3.0))
+    nap, fine = fractal(p, 2.2, 3, 40), noise(p, 20.0, 41)
+    pile = ramp(0.5 + 0.25 * nap + 0.12 * fine, [(0.0, (0.24, 0.04, 0.28)), (1.0, (0.55, 0.16, 0.56))])
+    raised = ramp(0.5 + 0.2 * nap + 0.15 * fine, [(0.0, (0.66, 0.36, 0.66)), (1.0, (0.93, 0.72, 0.86))])
+    return Surface(
+        "velvet",
+        unit(mix(pile, raised, figure)),
+        unit(0.4 + 0.06 * fine + 0.3 * figure),
+        0.006,
+        roughness=0.9,
+        sheen=0.8,
+    )
+
+
+BALLS: dict[str, Callable[[], Surface]] = {
+    "gold": _gold, "steel": _steel, "copper": _copper, "marble": _marble, "clay": _clay, "leopard": _leopard,
+    "leather": _leather, "paint": _paint, "glass": _glass, "wood": _wood, "checker": _checker, "velvet": _velvet,
+}  # fmt: skip
+
+
+def board(texels: np.ndarray, centres: Sequence[np.ndarray]) -> Surface:
+    """Parquet of light and dark squares, the grain crosswise in turn, with a dark inlaid circle under every ball."""
+    x, y = texels[..., 0], texels[..., 1]
+    edge = 0.1375  # four squares between two balls
+    column, row = np.floor(x / edge + 0.5), np.floor(y / edge + 0.5)
+    odd = (column + row) % 2.0
+    shift = (np.sin(column * 12.9 + row * 78.2) * 43758.5) % 1.0
+    inside = np.stack([x + 3.0 * shift, y - 2.0 * shift, texels[..., 2] + shift], -1)
+    turned = inside[..., [1, 0, 2]]
+    grain = np.where(odd[..., None] > 0.5, inside, turned)
+    light, pores = wood(grain, 20.0, HONEY, 50, axis=0)
+    dark = ramp(light.mean(-1), [(0.15, (0.13, 0.07, 0.04)), (0.6, (0.46, 0.29, 0.17))])
+    image = mix(unit(light * 1.12 + 0.06), dark, odd) * (0.86 + 0.24 * shift[..., None])
+    gap = np.minimum(np.abs((x / edge) % 1.0 - 0.5), np.abs((y / edge) % 1.0 - 0.5)) * edge
+    joint = step(gap, 0.0045, 0.002)
+    image = mix(image, (0.08, 0.05, 0.03), 0.8 * joint)
+    near = np.min([np.hypot(x - p[0], y - p[1]) for p in centres], axis=0)
+    inlay = step(np.abs(near - 0.165), 0.012, 0.008)
+    image = mix(image, (0.93, 0.88, 0.76), 0.9 * inlay)
+    return Surface(
+        "board",
+        unit(image),
+        unit(0.6 - 0.3 * joint - 0.2 * pores),
+        0.003,
+        roughness=0.45,
+        coat=0.15,
+        coat_roughness=0.2,
+    )
+
+
+def rim() -> Surface:
+    """Walnut with a row of light lozenges."""
+    h, w = 1280, 64
+    p = unroll.of_tube(0.04, 7.2, h, w)
+    image, pores = wood(p, 30.0, WALNUT, 60)
+    v, u = ((np.arange(h) + 0.5) / h * 96.0)[:, None], ((np.arange(w) + 0.5) / w * 4.0)[None]
+    lozenge = step(np.abs(v % 1.0 - 0.5) * 2.0 + np.abs(u % 1.0 - 0.5) * 2.6, 0.7, 0.6)
+    image = mix(image, (0.93, 0.85, 0.66), 0.9 * lozenge)
+    return Surface(
+        "rim", unit(image), unit(0.6 - 0.4 * pores), 0.003, roughness=0.35, coat=0.3, coat_roughness=0.1
+    )
+
+
+def bead(name: str, turns: float) -> Surface:
+    """Brass, twisted like a rope."""
+    h, w = 1024, 48
+    rope = np.sqrt(np.abs(2.0 * t.diagonal(h, w, turns, 1) - 1.0))
+    image = ramp(rope, [(0.0, (0.30, 0.2, 0.08)), (0.6, (0.78, 0.6, 0.3)), (1.0, (0.98, 0.86, 0.55))])
+    return Surface(name, image, rope, 0.006, metallic=0.6, roughness=0.38)

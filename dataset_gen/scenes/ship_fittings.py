@@ -1,0 +1,138 @@
+"""What stands on the decks of the scene "ship": hatches, ladders, capstan, wheel, boat, casks, anchors."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .. import meshes as m
+from ..scene import Part
+from ..shapes import hull as lines
+from ..shapes import joinery as j
+from ..shapes import rig
+from ..shapes.patch import both, mirrored, shifted, slab
+from . import ship_surfaces as paint
+from .ship_hull import rigid
+from .ship_plan import HULL, deck_at, deck_z
+
+_CAPSTAN = [
+    (0.0, 0.0), (0.042, 0.0), (0.042, 0.008), (0.024, 0.016), (0.02, 0.04), (0.026, 0.055), (0.036, 0.058),
+    (0.036, 0.074), (0.028, 0.08), (0.0, 0.082),
+]  # fmt: skip
+
+
+def parts() -> tuple[Part, ...]:
+    """All fittings."""
+    return (*_deck_work(), *_boat(), *_anchors())
+
+
+def _deck_work() -> tuple[Part, ...]:
+    """Gratings, ladders, capstan, wheel, binnacle, casks, belfry."""
+    work, turned, casks = [], [], []
+    for deck, x, length, width in (("waist", 0.10, 0.10, 0.11), ("waist", -0.15, 0.08, 0.1), ("quarterdeck", -0.37, 0.07, 0.08),
+                                   ("forecastle", 0.47, 0.05, 0.07)):  # fmt: skip
+        low = deck_at(deck, x) + [-length / 2, -width / 2, -0.012]
+        work.append(j.grating(low, low + [length, width, 0.03], 0.012))
+    for side in (-1.0, 1.0):
+        foot, head = deck_at("waist", -0.175, 0.11 * side), deck_at("quarterdeck", -0.245, 0.11 * side)
+        work.append(j.ladder(foot, head + [0.012, 0, 0.012], 0.04, 6))
+        foot, head = deck_at("waist", 0.275, 0.1 * side), deck_at("forecastle", 0.33, 0.1 * side)
+        work.append(j.ladder(foot, head + [-0.012, 0, 0.012], 0.04, 6))
+        foot, head = deck_at("quarterdeck", -0.56, 0.1 * side), deck_at("poop", -0.63, 0.1 * side)
+        work.append(j.ladder(foot, head + [0.012, 0, 0.012], 0.036, 6))
+    spot = deck_at("waist", 0.2)
+    turned.append(shifted(m.revolve(_CAPSTAN, 16), spot))
+    for a in np.linspace(0.0, 2.0 * np.pi, 6, endpoint=False):
+        out = np.array([np.cos(a), np.sin(a), 0.0])
+        turned.append(
+            m.sweep(spot + [0, 0, 0.066] + np.linspace(0.03 * out, 0.075 * out, 3), m.circle(0.0035, 6))
+        )
+    spot = deck_at("quarterdeck", -0.53)
+    turned.append(j.wheel(m.frame(spot + [0, 0, 0.045], (1, 0, 0)), 0.038))
+    work.append(slab(spot + [-0.03, -0.016, -0.006], spot + [-0.006, 0.016, 0.06], 0.2))
+    spot = deck_at("quarterdeck", -0.46 + 0.03)
+    work.append(slab(spot + [-0.012, -0.02, -0.006], spot + [0.012, 0.02, 0.04], 0.2))
+    for x, y in (
+        (0.02, 0.13),
+        (0.055, 0.135),
+        (0.04, -0.135),
+        (-0.11, 0.13),
+        (-0.19, -0.05),
+        (-0.19, -0.015),
+    ):
+        casks.append(j.barrel(_at(deck_at("waist", x, y) - [0, 0, 0.003]), 0.042))
+    return (
+        rigid("hatches", m.join(work), paint.joinery()),
+        rigid("capstan", m.join(turned), paint.turned()),
+        rigid("casks", m.join(casks), paint.cask()),
+    )
+
+
+def _at(point: np.ndarray) -> np.ndarray:
+    at = np.eye(4)
+    at[:3, 3] = point
+    return at
+
+
+def _boat() -> tuple[Part, ...]:
+    """The ship's boat on chocks over the main hatch: a small hull of its own, thwarts and oars in it."""
+    small = lines.Hull(
+        keel_z=0.0, half_beam=0.042, keel_ends=(-0.09, 0.075), sheer_ends=(-0.105, 0.115),
+        sheer_z=(0.052, 0.042, 0.055), tumblehome=0.02,
+    )  # fmt: skip
+    skin = m.join([lines.planking(small, 30, 10), lines.transom(small, 1.0, 8, 8)])
+    rail = lines.strip(small, (0.0, 0.99), 0.0, m.rounded_rectangle(0.006, 0.006, 0.002), stations=30)
+    benches = [slab((x, -0.036, 0.028), (x + 0.016, 0.036, 0.032), 0.1) for x in (-0.06, -0.01, 0.04)]
+    oars = [
+        m.sweep(np.linspace([-0.09, y, 0.038], [0.07, 0.6 * y, 0.042], 4), m.circle(0.0028, 6))
+        for y in (-0.02, -0.01, 0.012)
+    ]
+    chocks = [slab((x, -0.03, -0.012), (x + 0.012, 0.03, 0.012), 0.1) for x in (-0.05, 0.04)]
+    spot = deck_at("waist", 0.10) + [0.0, 0.0, 0.028]
+    wood = m.join([rail, *benches, *oars, *chocks])
+    return rigid("boat", shifted(skin, spot), paint.boat()), rigid(
+        "boat_wood", shifted(wood, spot), paint.joinery()
+    )
+
+
+def _anchors() -> tuple[Part, ...]:
+    """A bower anchor lashed at each bow under its cathead, with its cable into the hawse."""
+    shank = m.sweep(
+        np.linspace([0, 0, 0.0], [0, 0, 0.13], 6),
+        m.circle(1.0, 8),
+        np.linspace(0.0075, 0.005, 6),
+        up=(1, 0, 0),
+    )
+    angle = np.linspace(-1.0, 1.0, 17)
+    arms = np.column_stack([0.06 * np.sin(angle), np.zeros(17), 0.06 - 0.06 * np.cos(angle)])
+    iron = [shank, m.sweep(arms, m.circle(0.0068, 8), 1.0 - 0.45 * np.abs(angle), up=(0, 1, 0))]
+    for side in (-1.0, 1.0):
+        palm = slab((-0.012, -0.013, -0.003), (0.012, 0.013, 0.003))
+        iron.append(
+            palm.moved(m.frame((0.047 * side, 0.0, 0.031), (-0.5 * side, 0.0, 0.85), (0.0, 1.0, 0.0)))
+        )
+    ring = 0.011 * np.column_stack([np.cos(angle * np.pi), np.zeros(17), np.sin(angle * np.pi)])[:-1]
+    iron.append(shifted(m.sweep(ring, m.circle(0.0022, 6), up=(0, 1, 0), closed=True), (0, 0, 0.139)))
+    stock = m.sweep(np.linspace([0, -0.055, 0.118], [0, 0.055, 0.118], 5), m.rounded_rectangle(0.013, 0.013, 0.003),
+                    np.array([0.7, 0.9, 1.1, 0.9, 0.7]))  # fmt: skip
+    foot = HULL.at(0.53, -0.275, 0.012)
+    head = HULL.at(0.545, -0.14, 0.03)
+    at = m.frame(foot, head - foot, (1.0, 0.25, 0.0))
+    cathead = slab((-0.011, -0.075, -0.011), (0.011, 0.05, 0.011), 0.15)
+    u = HULL.station(0.53, -0.1)
+    beam_at = HULL.at(0.53, deck_z("forecastle", u), 0.0) + [0.0, -0.0, 0.012]
+    tie = rig.rope(at[:3, 3] + at[:3, 2] * 0.15, beam_at + [0, -0.07, 0.0], 0.0035)
+    cable = rig.line(
+        m.spline([at[:3, 3] + at[:3, 2] * 0.148, HULL.at(0.58, -0.17, 0.03), HULL.at(0.60, -0.15, 0.004)], 6),
+        0.005,
+        6,
+    )
+    metal = m.join(iron).moved(at)
+    return (
+        rigid("anchors", both(metal), paint.iron()),
+        rigid("catheads", both(m.join([shifted(cathead, beam_at), stock.moved(at)])), paint.oak()),
+        rigid(
+            "anchor_cables",
+            m.join([tie, cable, mirrored(tie), mirrored(cable)]),
+            paint.rope("cable", (0.62, 0.5, 0.33), 29),
+        ),
+    )

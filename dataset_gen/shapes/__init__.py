@@ -1,0 +1,1 @@
+"""Generators of meshes that one or more scenes are built from; each module is one kind of shape."""

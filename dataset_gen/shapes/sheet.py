@@ -1,0 +1,103 @@
+"""Meshes from grids of points: open or closed sheets, and sheets puffed up to bodies (buns, cushions, leaves)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..meshes import Mesh
+
+
+def _quads(index: np.ndarray, uv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Triangles [F, 3] and their texture coordinates [F, 3, 2] of a grid of vertex numbers [R, S]; uv [R, S, 2]."""
+    a, b, c, d = (
+        (slice(0, -1), slice(0, -1)),
+        (slice(0, -1), slice(1, None)),
+        (slice(1, None), slice(1, None)),
+        (slice(1, None), slice(0, -1)),
+    )
+    corners = [(index[k].ravel(), uv[k].reshape(-1, 2)) for k in (a, b, c, d)]
+    pick = [(0, 1, 2), (0, 2, 3)]
+    triangles = np.concatenate([np.column_stack([corners[k][0] for k in p]) for p in pick])
+    coordinates = np.concatenate([np.stack([corners[k][1] for k in p], 1) for p in pick])
+    return triangles, coordinates
+
+
+def _clean(vertices: np.ndarray, triangles: np.ndarray, uv: np.ndarray) -> Mesh:
+    """Without triangles that have no area (poles, welded rims) and without vertices that none uses."""
+    p = vertices[triangles]
+    area = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1)
+    keep = area > 1e-12
+    used, renumbered = np.unique(triangles[keep], return_inverse=True)
+    return Mesh(vertices[used], renumbered.reshape(-1, 3).astype(np.int32), uv[keep])
+
+
+def grid_uv(rows: int, columns: int) -> np.ndarray:
+    """[R, S, 2]: u over the columns, v over the rows, both 0 to 1."""
+    u, v = np.meshgrid(np.linspace(0.0, 1.0, columns), np.linspace(0.0, 1.0, rows))
+    return np.stack([u, v], -1)
+
+
+def sheet(points: np.ndarray, around: bool = False) -> Mesh:
+    """Smooth sheet through points [R, S, 3]; u over the columns, v over the rows.
+
+    The normal is (along the row) × (along the column). With `around` the last column is joined to the first; a row
+    of equal points is welded to a pole.
+    """
+    rows, columns = points.shape[:2]
+    index = np.arange(rows * columns).reshape(rows, columns)
+    for r in (0, rows - 1):
+        if np.ptp(points[r], axis=0).max() < 1e-9:
+            index[r] = index[r, 0]
+    if around:
+        index = np.concatenate([index, index[:, :1]], axis=1)
+    triangles, uv = _quads(index, grid_uv(rows, index.shape[1]))
+    return _clean(points.reshape(-1, 3), triangles, uv)
+
+
+def normals(points: np.ndarray) -> np.ndarray:
+    """Unit normals [R, S, 3] of a grid of points: (along the row) × (along the column)."""
+    across = np.cross(np.gradient(points, axis=1), np.gradient(points, axis=0))
+    return across / np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-12)
+
+
+def puff(middle: np.ndarray, above: np.ndarray, below: np.ndarray, along: np.ndarray | None = None) -> Mesh:
+    """A closed body: the sheet `middle` [R, S, 3] thickened by `above` and `below` [R, S] along its normal.
+
+    Both sides are welded at the border, where the thickness counts as zero. The upper side has v in 0 … ½, the lower
+    one ½ … 1 (mirrored, so that the texture is continuous over the border v = ½). `along` [R, S, 3] or [3] replaces
+    the normal.
+    """
+    rows, columns = middle.shape[:2]
+    direction = normals(middle) if along is None else np.broadcast_to(along, middle.shape)
+    rim = np.zeros((rows, columns), bool)
+    rim[[0, -1]] = rim[:, [0, -1]] = True
+    up = middle + np.where(rim, 0.0, above)[..., None] * direction
+    down = middle - np.where(rim, 0.0, below)[..., None] * direction
+    index = np.arange(rows * columns).reshape(rows, columns)
+    other = np.where(rim, index, index + rows * columns)
+    uv = grid_uv(rows, columns)
+    top = _quads(index, uv * [1.0, 0.5])
+    bottom = _quads(other[:, ::-1], (uv * [1.0, -0.5] + [0.0, 1.0])[:, ::-1])
+    triangles, coordinates = (np.concatenate(pair) for pair in zip(top, bottom, strict=True))
+    return _clean(np.concatenate([up.reshape(-1, 3), down.reshape(-1, 3)]), triangles, coordinates)
+
+
+def puff_points(
+    middle: np.ndarray, above: np.ndarray, below: np.ndarray, along: np.ndarray | None = None
+) -> np.ndarray:
+    """Where the texture of a `puff` of these lies in space: [2R, S, 3], rows from v = 0 to 1."""
+    direction = normals(middle) if along is None else np.broadcast_to(along, middle.shape)
+    up = middle + above[..., None] * direction
+    down = middle - below[..., None] * direction
+    return np.concatenate([up, down[::-1]])
+
+
+def rounded(x: np.ndarray, power: float = 2.5) -> np.ndarray:
+    """Profile of a rounded edge: 1 in the middle of x in −1 … 1, vertical fall to 0 at both ends."""
+    return np.maximum(1.0 - np.abs(x) ** power, 0.0) ** (1.0 / power)
+
+
+def edged(count: int, sharpness: float = 0.7) -> np.ndarray:
+    """`count` values from −1 to 1, closer to each other towards both ends, where rounded edges need them."""
+    even = np.linspace(-1.0, 1.0, count)
+    return (1.0 - sharpness) * even + sharpness * np.sin(0.5 * np.pi * even)

@@ -1,0 +1,131 @@
+"""Opens a user's .blend file as a stage: what it shows at one frame, at rest."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ..cameras import Camera, scene_cameras
+from ..errors import GenerateError
+from . import header, repair
+from .assemble import Origin, assemble
+from .gather import gather
+from .loaded import Loaded
+from .repair import list_names
+
+_NEUTRAL_VIEWS = ("Standard", "Raw", "Default")  # "Default": sRGB of files before 2.80
+
+
+def open_blend(path: Path, *, frame: int | None = None, scene: str | None = None) -> Loaded:
+    """Takes over this process's Blender session with a .blend file.
+
+    Every surface that would render becomes a plain mesh in world space, as evaluated with its modifiers at
+    `frame` (the file's current one by default) of `scene` (the file's active one). Scripts in the file never
+    run. Raises GenerateError, one line, if the file cannot be used.
+    """
+    _open(path.absolute())
+    old = _choose_scene(path, scene)
+    warnings = _lost_libraries() + _silent_drivers()
+    others = [other.name for other in bpy.data.scenes if other != old]
+    if others and scene is None:
+        warnings.append(f"scene {old.name} is used; the file also holds {list_names(others)}")
+    if frame is None:
+        old.frame_set(old.frame_current, subframe=old.frame_subframe)
+    else:
+        old.frame_set(frame)
+    names, cameras = _cameras(old, warnings)
+    exposure = 2.0**old.view_settings.exposure * old.cycles.film_exposure
+    if old.view_settings.view_transform not in _NEUTRAL_VIEWS:
+        warnings.append(
+            f"view transform {old.view_settings.view_transform} is replaced by Standard: colours will differ"
+        )
+    return assemble(
+        gather(old), old, Origin(path, _unit_scale(old), cameras, names, exposure), _light, warnings
+    )
+
+
+def _open(path: Path) -> None:
+    running = (bpy.app.version[0], bpy.app.version[1])
+    header.check(path, running)
+    try:
+        bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False, use_scripts=False)
+    except RuntimeError as error:
+        reason = " ".join(str(error).removeprefix("Error: ").split())
+        raise GenerateError(f"{path} cannot be opened: {reason}") from None
+    if not bpy.data.filepath or not os.path.samefile(bpy.data.filepath, path):
+        raise GenerateError(f"{path} cannot be opened: it is cut off, damaged or not a .blend file")
+    header.check_version(path, (bpy.data.version[0], bpy.data.version[1]), running)
+
+
+def _choose_scene(path: Path, name: str | None) -> bpy.types.Scene:
+    if name is not None:
+        if name not in bpy.data.scenes:
+            known = list_names(scene.name for scene in bpy.data.scenes)
+            raise GenerateError(f"{path} holds no scene {name!r}: there is {known}")
+        bpy.context.window.scene = bpy.data.scenes[name]
+    return bpy.context.scene
+
+
+def _lost_libraries() -> list[str]:
+    lost = [
+        library.filepath
+        for library in bpy.data.libraries
+        if not library.packed_file and not os.path.isfile(bpy.path.abspath(library.filepath))
+    ]
+    return [f"linked library {path} is missing: what it holds is left out" for path in lost]
+
+
+def _silent_drivers() -> list[str]:
+    """Drivers that are Python code beyond arithmetic do not run: what they drive stays as it was saved."""
+    silent = {
+        block.name
+        for blocks in (bpy.data.objects, bpy.data.meshes, bpy.data.materials, bpy.data.shape_keys)
+        for block in blocks
+        if block.animation_data
+        for curve in block.animation_data.drivers
+        if curve.driver.type == "SCRIPTED" and not curve.driver.is_simple_expression
+    }
+    return [f"scripted drivers of {list_names(silent)} do not run: values are as saved"] if silent else []
+
+
+def _cameras(scene: bpy.types.Scene, warnings: list[str]) -> tuple[tuple[str, ...], tuple[Camera, ...]]:
+    """Names and views of the perspective cameras of the scene, the active one first."""
+    objects = sorted(
+        (obj for obj in scene.objects if obj.type == "CAMERA"), key=lambda obj: (obj != scene.camera, obj.name)
+    )
+    other = {obj.name for obj in objects if obj.data.type != "PERSP"}
+    if other:
+        warnings.append(f"cameras {list_names(other)} are not perspective: left out")
+    names, poses, angles, shifts = [], [], [], []
+    for obj in objects:
+        pose = np.array(obj.matrix_world, np.float64)
+        if obj.name in other or abs(np.linalg.det(pose[:3, :3])) < 1e-12:
+            continue
+        angle, shift = _lens(obj, scene)
+        names.append(obj.name)
+        poses.append(pose)
+        angles.append(angle)
+        shifts.append(shift)
+    return tuple(names), scene_cameras(poses, angles, shifts)
+
+
+def _lens(obj: bpy.types.Object, scene: bpy.types.Scene) -> tuple[float, tuple[float, float]]:
+    """Horizontal field of view (radians) in the file's own picture, and the principal point off its centre."""
+    corners = np.array([tuple(corner) for corner in obj.data.view_frame(scene=scene)])
+    low, high, depth = corners[:, :2].min(0), corners[:, :2].max(0), -corners[0, 2]
+    width = high[0] - low[0]
+    centre = 0.5 * (low + high) / width
+    return 2.0 * math.atan(0.5 * width / depth), (float(-centre[0]), float(centre[1]))
+
+
+def _unit_scale(scene: bpy.types.Scene) -> float | None:
+    units = scene.unit_settings
+    return float(units.scale_length) if units.system in ("METRIC", "IMPERIAL") else None
+
+
+def _light(scene: bpy.types.Scene, old: bpy.types.Scene, lit: bool, warnings: list[str]) -> None:
+    scene.world = repair.own_world(old, lit, warnings)

@@ -1,0 +1,88 @@
+"""What opening a user's file found, as one .npz: for the process that plans and does not import Blender."""
+
+from __future__ import annotations
+
+import json
+import os
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..cameras import Camera
+from ..errors import GenerateError
+from ..vibration.bodies import Body
+
+if TYPE_CHECKING:
+    from .loaded import Loaded
+
+_VERSION = 1
+
+
+@dataclass(frozen=True)
+class Found:
+    """`Loaded` without Blender's handles."""
+
+    bodies: tuple[Body, ...]
+    unit_scale_m: float | None  # metres per scene unit
+    cameras: tuple[Camera, ...]
+    camera_names: tuple[str, ...]
+    warnings: tuple[str, ...]
+    centre: tuple[float, float, float]  # scene units
+    radius: float  # scene units
+
+
+def save(path: Path, found: Loaded | Found) -> None:
+    """Writes the file, complete or not at all."""
+    arrays: dict[str, np.ndarray] = {}
+    for i, body in enumerate(found.bodies):
+        arrays |= {f"{i}.vertices": body.vertices, f"{i}.follow": body.follow}
+        arrays[f"{i}.triangles"] = body.triangles
+        arrays |= {f"{i}.group.{j}": weights for j, weights in enumerate(body.groups.values())}
+    head = {
+        "version": _VERSION,
+        "bodies": [{"name": body.name, "groups": list(body.groups)} for body in found.bodies],
+        "unit_scale_m": found.unit_scale_m,
+        "cameras": [camera.to_json() for camera in found.cameras],
+        "camera_names": list(found.camera_names),
+        "warnings": list(found.warnings),
+        "centre": list(found.centre),
+        "radius": found.radius,
+    }
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    with temporary.open("wb") as file:
+        np.savez(file, head=np.frombuffer(json.dumps(head).encode(), np.uint8), **arrays)
+    os.replace(temporary, path)
+
+
+def load(path: Path) -> Found:
+    """Reads what `save` wrote. Raises GenerateError, one line, for any other file."""
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            head = json.loads(data["head"].tobytes())
+            if head["version"] != _VERSION:
+                raise GenerateError(f"{path}: version {head['version']!r} is not {_VERSION}")
+            bodies = tuple(_body(data, i, entry) for i, entry in enumerate(head["bodies"]))
+        x, y, z = head["centre"]
+        return Found(
+            bodies,
+            head["unit_scale_m"],
+            tuple(Camera.from_json(camera) for camera in head["cameras"]),
+            tuple(head["camera_names"]),
+            tuple(head["warnings"]),
+            (x, y, z),
+            head["radius"],
+        )
+    except GenerateError:
+        raise
+    except OSError as error:
+        raise GenerateError(f"{path} cannot be read: {error.strerror or error}") from error
+    except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        raise GenerateError(f"{path} does not hold the geometry of a scene: {error}") from error
+
+
+def _body(data: Any, i: int, entry: dict[str, Any]) -> Body:
+    groups = {name: data[f"{i}.group.{j}"] for j, name in enumerate(entry["groups"])}
+    return Body(entry["name"], data[f"{i}.vertices"], data[f"{i}.triangles"], data[f"{i}.follow"], groups)

@@ -1,0 +1,31 @@
+"""What opening a user's file gives."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from ..build import Stage
+from ..cameras import Camera
+from ..vibration.bodies import Body
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """A user's scene, at rest, in the Blender session of this process."""
+
+    stage: Stage  # its `objects` and `rest` go with `bodies`, one to one
+    bodies: tuple[Body, ...]
+    unit_scale_m: float | None  # metres per scene unit, None where the file does not say
+    cameras: tuple[Camera, ...]  # of the file, the active one first
+    camera_names: tuple[str, ...]  # one for each of `cameras`
+    warnings: tuple[str, ...]  # one line each: what was left out or replaced
+    centre: tuple[float, float, float]  # of the sphere around what is to be looked at, scene units
+    radius: float  # of that sphere, scene units
+    light_paths: Mapping[str, int] = field(default_factory=dict)  # Cycles' bounce limits that the scene needs
+
+    def use_light_paths(self) -> None:
+        """Raises Cycles' bounce limits to what the scene needs; call after `render.configure`."""
+        cycles = self.stage.scene.cycles
+        for name, bounces in self.light_paths.items():
+            setattr(cycles, name, max(bounces, getattr(cycles, name)))

@@ -1,0 +1,206 @@
+"""Opens a mesh file (glTF, OBJ, PLY, STL, USD, FBX) as a stage: centred, of a fixed size, softly lit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+from mathutils import Vector
+
+from ..cameras import scene_cameras
+from ..errors import GenerateError
+from ..materials import world as made_world
+from ..scene import Gradient
+from . import blend
+from .anchors import trees
+from .assemble import Origin, assemble
+from .gather import Gathered, Piece, gather
+from .loaded import Loaded
+from .strands import rest_positions
+
+RADIUS = 1.2  # scene units, of the sphere around the object after scaling
+_SKY = Gradient(((0.25, 0.24, 0.23), (0.55, 0.56, 0.58), (0.8, 0.85, 0.95)))
+_LAMP_AT, _LAMP_SIZE, _LAMP_POWER = (3.2, -2.4, 4.0), 2.5, 350.0  # scene units, watts as Blender counts
+_GREY = (0.45, 0.45, 0.45, 1.0)  # linear
+
+
+@dataclass(frozen=True)
+class _Format:
+    """How Blender reads a kind of file."""
+
+    operator: str  # of bpy.ops
+    addon: str = ""  # that brings the operator along
+    metres: bool = False  # whether the format fixes the unit of length, which the importer turns into metres
+
+
+_GLTF = _Format("import_scene.gltf", "io_scene_gltf2", metres=True)
+_USD = _Format("wm.usd_import", metres=True)
+_FORMATS = {
+    ".glb": _GLTF,
+    ".gltf": _GLTF,
+    ".obj": _Format("wm.obj_import"),
+    ".ply": _Format("wm.ply_import"),
+    ".stl": _Format("wm.stl_import"),
+    ".usd": _USD,
+    ".usda": _USD,
+    ".usdc": _USD,
+    ".usdz": _USD,
+    ".fbx": _Format("wm.fbx_import"),
+}
+_OLD_FBX = _Format("import_scene.fbx", "io_scene_fbx")
+_SHOWS_DETAIL = ("ShaderNodeTex", "ShaderNodeAttribute", "ShaderNodeVertexColor")
+
+
+def open_mesh(path: Path) -> Loaded:
+    """Takes over this process's Blender session with a mesh file, through Blender's own importer.
+
+    The object is centred and scaled so that a sphere of radius 1.2 around its bounding box's centre just holds
+    it; the file's lights give way to a soft light and a sky. Raises GenerateError, one line, if the file
+    cannot be used.
+    """
+    path = path.absolute()
+    format_ = _format_of(path)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    _import(path, format_)
+    scene = bpy.context.scene
+    warnings: list[str] = []
+    names, cameras = blend._cameras(scene, warnings)
+    found = gather(scene)
+    found.lamps.clear()
+    if not found.pieces:
+        raise GenerateError(f"{path} holds no surface: the importer found {_census()}")
+    _colour(found, warnings)
+    scale, centre = _fit(path, found)
+    found.pieces[:] = [_fitted(piece, scale, centre) for piece in found.pieces]
+    poses = [_fitted_matrix(camera.camera_to_world, scale, centre, turn_only=True) for camera in cameras]
+    cameras = scene_cameras(poses, [c.angle_x for c in cameras], [c.shift for c in cameras])
+    origin = Origin(path, 1.0 / scale if format_.metres else None, cameras, names)
+    return assemble(found, scene, origin, _light, warnings)
+
+
+def _format_of(path: Path) -> _Format:
+    format_ = _FORMATS.get(path.suffix.lower())
+    if format_ is None:
+        known = ", ".join(sorted(_FORMATS))
+        raise GenerateError(f"{path}: extension {path.suffix!r} is none of {known}")
+    if not path.is_file():
+        raise GenerateError(f"{path} {'is not a file' if path.exists() else 'does not exist'}")
+    if path.stat().st_size == 0:
+        raise GenerateError(f"{path} is empty")
+    return format_ if _operator(format_) or format_.operator != "wm.fbx_import" else _OLD_FBX
+
+
+def _operator(format_: _Format) -> Callable[..., Any] | None:
+    module, name = format_.operator.split(".")
+    submodule = getattr(bpy.ops, module)
+    return getattr(submodule, name) if name in dir(submodule) else None
+
+
+def _import(path: Path, format_: _Format) -> None:
+    if format_.addon and _operator(format_) is None:
+        import addon_utils
+
+        addon_utils.enable(format_.addon)
+    operator = _operator(format_)
+    if operator is None:
+        raise GenerateError(f"{path}: this Blender cannot read {path.suffix} (no {format_.operator})")
+    try:
+        status = operator(filepath=str(path))
+    except (RuntimeError, OSError, ValueError) as error:
+        lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+        # A traceback says what went wrong in its last line, a report in its first.
+        line = (lines[-1] if "Traceback" in str(error) else lines[0]) if lines else type(error).__name__
+        raise GenerateError(f"{path} cannot be imported: {line.removeprefix('Error: ')}") from None
+    if status != {"FINISHED"}:
+        raise GenerateError(f"{path} cannot be imported: Blender's importer gave up")
+
+
+def _census() -> str:
+    kinds = [obj.type.lower() for obj in bpy.data.objects]
+    return ", ".join(f"{kinds.count(kind)} {kind}" for kind in sorted(set(kinds))) or "nothing"
+
+
+def _fit(path: Path, found: Gathered) -> tuple[float, np.ndarray]:
+    """Scale to the fixed radius, and the centre of the bounding box [3] in the file's units."""
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    places = []
+    for piece in found.pieces:
+        world = rest_positions(piece.shape.mesh) @ piece.matrix[:3, :3].T + piece.matrix[:3, 3]
+        if not np.isfinite(world).all():
+            raise GenerateError(f"{path}: object {piece.name} has vertices that are not finite numbers")
+        low, high = np.minimum(low, world.min(0)), np.maximum(high, world.max(0))
+        places.append(world)
+    centre = 0.5 * (low + high)
+    radius = max(float(np.linalg.norm(world - centre, axis=1).max()) for world in places)
+    if not radius > 0:
+        raise GenerateError(f"{path}: all vertices lie in one point, {centre.tolist()}")
+    return RADIUS / radius, centre
+
+
+def _fitted(piece: Piece, scale: float, centre: np.ndarray) -> Piece:
+    return replace(piece, matrix=_fitted_matrix(piece.matrix, scale, centre))
+
+
+def _fitted_matrix(
+    matrix: np.ndarray, scale: float, centre: np.ndarray, turn_only: bool = False
+) -> np.ndarray:
+    """A placement [4, 4] in the fitted scene; `turn_only` leaves its axes as long as they are."""
+    fitted = np.array(matrix, np.float64)
+    fitted[:3, :3] *= 1.0 if turn_only else scale
+    fitted[:3, 3] = scale * (fitted[:3, 3] - centre)
+    return fitted
+
+
+def _colour(found: Gathered, warnings: list[str]) -> None:
+    """Gives pieces without material their vertex colours, or grey; warns if nothing has any detail."""
+    made: dict[str, bpy.types.Material] = {}
+    coloured = False
+    shapes = {id(piece.shape): piece.shape for piece in found.pieces}
+    dressed = {}
+    for key, shape in shapes.items():
+        materials = shape.materials
+        if not any(materials):
+            colours = shape.mesh.color_attributes
+            layer = colours[max(colours.render_color_index, 0)].name if len(colours) else ""
+            made.setdefault(layer, _material_of(layer))
+            materials = (made[layer],)
+        dressed[key] = replace(shape, materials=materials)
+        coloured = coloured or _has_detail(materials)
+    found.pieces[:] = [replace(piece, shape=dressed[id(piece.shape)]) for piece in found.pieces]
+    if not coloured:
+        warnings.append("no texture and no vertex colours: motion along a plain surface will be hard to see")
+
+
+def _material_of(layer: str) -> bpy.types.Material:
+    """Principled, with a colour attribute or plain grey."""
+    material = bpy.data.materials.new(layer or "grey")
+    if bpy.app.version < (5, 0, 0):
+        material.use_nodes = True
+    tree = material.node_tree
+    shader = next(node for node in tree.nodes if node.bl_idname == "ShaderNodeBsdfPrincipled")
+    shader.inputs["Base Color"].default_value = _GREY
+    if layer:
+        colour = tree.nodes.new("ShaderNodeVertexColor")
+        colour.layer_name = layer
+        tree.links.new(colour.outputs["Color"], shader.inputs["Base Color"])
+    return material
+
+
+def _has_detail(materials: Sequence[bpy.types.Material | None]) -> bool:
+    roots = [material.node_tree for material in materials if material is not None]
+    return any(node.bl_idname.startswith(_SHOWS_DETAIL) for tree in trees(roots) for node in tree.nodes)
+
+
+def _light(scene: bpy.types.Scene, old: bpy.types.Scene, lit: bool, warnings: list[str]) -> None:
+    """A soft box and a sky, whatever the file said."""
+    scene.world = made_world(_SKY)
+    data = bpy.data.lights.new("soft box", "AREA")
+    data.size, data.energy = _LAMP_SIZE, _LAMP_POWER
+    lamp = bpy.data.objects.new("soft box", data)
+    lamp.location = _LAMP_AT
+    lamp.rotation_euler = (-Vector(_LAMP_AT)).to_track_quat("-Z", "Y").to_euler()
+    scene.collection.objects.link(lamp)

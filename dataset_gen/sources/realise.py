@@ -1,0 +1,122 @@
+"""From gathered pieces to plain mesh objects in world space, one per part of the scene."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import bpy
+import numpy as np
+
+from .anchors import Anchors
+from .gather import Piece
+from .repair import Wardrobe, check_finite
+from .strands import rest_positions
+
+_RAYS = ("diffuse", "glossy", "transmission", "volume_scatter", "shadow")
+
+
+def realise(
+    pieces: Sequence[Piece], scene: bpy.types.Scene, wardrobe: Wardrobe, anchors: Anchors
+) -> list[tuple[str, bpy.types.Object, bool]]:
+    """Objects with identity transform and a mesh of their own: name, object, whether the camera sees it.
+
+    Pieces of one name become one object. Vertices keep the order they were evaluated in, pieces in Blender's
+    order. Raises GenerateError for vertices that are not finite.
+    """
+    for piece in pieces:  # all materials first: they tell which attributes are needed
+        for material in piece.shape.materials or (None,):
+            wardrobe.material(material)
+    named: dict[tuple[str, bool], list[Piece]] = {}
+    for piece in pieces:
+        if any(wardrobe.material(m) is not None for m in piece.shape.materials or (None,)):
+            named.setdefault((piece.name, piece.seen), []).append(piece)
+    made = []
+    for (name, seen), group in named.items():
+        objects = [_object(name, _place(piece, wardrobe, anchors), scene) for piece in group]
+        joined = _join(objects)
+        _look_as(joined, group, seen)
+        made.append((name, joined, seen))
+    return made
+
+
+def _object(name: str, mesh: bpy.types.Mesh, scene: bpy.types.Scene) -> bpy.types.Object:
+    obj = bpy.data.objects.new(name, mesh)
+    scene.collection.objects.link(obj)
+    return obj
+
+
+def _join(objects: list[bpy.types.Object]) -> bpy.types.Object:
+    """All objects as the first one, with what any of them has: slots, maps, colours, groups."""
+    first = objects[0]
+    if len(objects) > 1:
+        with bpy.context.temp_override(
+            active_object=first, object=first, selected_objects=objects, selected_editable_objects=objects
+        ):
+            bpy.ops.object.join()
+    return first
+
+
+def _look_as(obj: bpy.types.Object, group: list[Piece], seen: bool) -> None:
+    """What of the original object, beside its mesh, has an effect on the picture."""
+    source = group[0].source
+    obj.color, obj.pass_index = source.color, source.pass_index
+    obj.visible_camera = seen
+    for ray in _RAYS:
+        setattr(obj, f"visible_{ray}", getattr(source, f"visible_{ray}"))
+    for key, value in source.items():  # custom properties, which materials can read
+        if isinstance(value, int | float | str) or hasattr(value, "to_list"):
+            obj[key] = value
+
+
+def _place(piece: Piece, wardrobe: Wardrobe, anchors: Anchors) -> bpy.types.Mesh:
+    """The mesh of a piece as a copy in world space, dressed and anchored."""
+    mesh = piece.shape.mesh.copy()
+    _dress(mesh, piece, wardrobe)
+    local = rest_positions(mesh)
+    linear, shift = piece.matrix[:3, :3], piece.matrix[:3, 3]
+    check_finite(piece.name, local)
+    world = local @ linear.T + shift
+    anchors.write(mesh, piece, local, world)
+    normals = _corner_normals(mesh, linear) if mesh.has_custom_normals else None
+    if np.linalg.det(linear) < 0:
+        normals = None if normals is None else normals[_flipped_corners(mesh)]
+        mesh.flip_normals()
+    mesh.vertices.foreach_set("co", world.astype(np.float32).ravel())
+    mesh.update()
+    if normals is not None:
+        mesh.normals_split_custom_set(normals)
+    return mesh
+
+
+def _dress(mesh: bpy.types.Mesh, piece: Piece, wardrobe: Wardrobe) -> None:
+    """Our materials in every slot; a slot without one, and a mesh without slots, get plain grey."""
+    grey = wardrobe.material(None)
+    slots = [wardrobe.material(m) or grey for m in piece.shape.materials] or [grey]
+    for i, material in enumerate(slots):
+        if i < len(mesh.materials):
+            mesh.materials[i] = material
+        else:
+            mesh.materials.append(material)
+    while len(mesh.materials) > len(slots):
+        mesh.materials.pop(index=len(mesh.materials) - 1)
+
+
+def _corner_normals(mesh: bpy.types.Mesh, linear: np.ndarray) -> np.ndarray | None:
+    """Custom normals [L, 3] in world space; None where the object is flattened."""
+    if abs(np.linalg.det(linear)) <= 1e-12 * max(np.abs(linear).max(), 1e-30) ** 3:
+        return None
+    flat = np.empty(3 * len(mesh.loops), np.float32)
+    mesh.corner_normals.foreach_get("vector", flat)
+    turned = flat.reshape(-1, 3) @ np.linalg.inv(linear)
+    length = np.linalg.norm(turned, axis=1, keepdims=True)
+    return np.asarray(turned / np.where(length > 0, length, 1.0))
+
+
+def _flipped_corners(mesh: bpy.types.Mesh) -> np.ndarray:
+    """Which corner [L] comes where when faces are turned over: the first stays, the others go backwards."""
+    starts, sizes = np.empty((2, len(mesh.polygons)), np.int32)
+    mesh.polygons.foreach_get("loop_start", starts)
+    mesh.polygons.foreach_get("loop_total", sizes)
+    start, size = np.repeat(starts, sizes), np.repeat(sizes, sizes)
+    offset = np.arange(len(start)) - start
+    return start + np.where(offset == 0, 0, size - offset)

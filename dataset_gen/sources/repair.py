@@ -1,0 +1,294 @@
+"""Makes materials, world and lights of a user's file fit to be rendered anywhere, and says what was changed."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+
+import bpy
+import numpy as np
+
+from ..errors import GenerateError
+from ..materials import world as made_world
+from ..scene import Gradient
+from .anchors import Anchors, own_groups, trees
+
+SKY = Gradient(((0.35, 0.34, 0.33), (0.7, 0.7, 0.7), (1.0, 1.0, 1.0)))  # of scenes without any light
+_ENVIRONMENT = (0.25, 1.0)  # linear grey straight below and above, in place of a lost HDR
+_SUFFIX = " tg4mm"  # of our copies of materials while the originals are there
+
+
+def list_names(names: Iterable[str], most: int = 6) -> str:
+    """Names in order for a warning, the tail counted."""
+    ordered = sorted(names)
+    shown = ", ".join(ordered[:most])
+    return shown if len(ordered) <= most else f"{shown} and {len(ordered) - most} more"
+
+
+class Wardrobe:
+    """Our own copies of the user's materials, repaired and anchored; each is made when it is asked for."""
+
+    def __init__(self, anchors: Anchors, warnings: list[str]) -> None:
+        self._anchors, self._warnings = anchors, warnings
+        self._made: dict[bpy.types.Material | None, bpy.types.Material | None] = {}
+        self._groups: dict[bpy.types.NodeTree, bpy.types.NodeTree] = {}
+        self._anchored: set[bpy.types.NodeTree] = set()
+        self._displaced: set[str] = set()
+        self._volumes: set[str] = set()
+
+    def material(self, original: bpy.types.Material | None) -> bpy.types.Material | None:
+        """The copy to be used. None if the material is a volume without a surface."""
+        if original not in self._made:
+            self._made[original] = _plain("tg4mm grey") if original is None else self._copy(original)
+        return self._made[original]
+
+    @property
+    def made(self) -> list[bpy.types.Material]:
+        return [material for material in self._made.values() if material is not None]
+
+    def _copy(self, original: bpy.types.Material) -> bpy.types.Material | None:
+        material = original.copy()
+        material.name = f"{original.name}{_SUFFIX}"
+        material.animation_data_clear()
+        if not has_nodes(material) or material.node_tree is None:
+            _from_viewport(material)
+        tree = material.node_tree
+        tree.animation_data_clear()
+        own_groups(tree, self._groups)
+        for each in trees([tree]):
+            if each not in self._anchored:
+                self._anchored.add(each)
+                self._anchors.rewrite(each)
+        output = tree.get_output_node("CYCLES") or tree.get_output_node("ALL")
+        if output is None:
+            return material
+        if not self._only_a_surface(tree, output, original.name):
+            return None
+        if output.inputs["Displacement"].is_linked and material.displacement_method != "BUMP":
+            material.displacement_method = "BUMP"
+            self._displaced.add(original.name)
+        return material
+
+    def _only_a_surface(self, tree: bpy.types.NodeTree, output: bpy.types.Node, name: str) -> bool:
+        volume = output.inputs["Volume"]
+        if volume.is_linked:
+            self._volumes.add(name)
+            for link in list(volume.links):
+                tree.links.remove(link)
+            return bool(output.inputs["Surface"].is_linked)
+        return True
+
+    def rename(self) -> None:
+        """Gives the copies the names of the originals, once these are gone."""
+        for material in bpy.data.materials:
+            material.name = material.name.removesuffix(_SUFFIX)
+
+    def report(self) -> None:
+        """Adds the warnings about all materials that were made."""
+        self._warnings += repair_images(trees(m.node_tree for m in self.made))
+        for names, text in (
+            (self._displaced, "true displacement is rendered as a bump, which truth does not see"),
+            (self._volumes, "volumes are left out"),
+            (_using(self.made, _transparent), "transparent places are surface to truth, which sees whole faces"),
+            (_using(self.made, _glassy), "truth sees the surface of glass, not what lies behind it"),
+        ):
+            if names:
+                self._warnings.append(f"materials {list_names(names)}: {text}")
+        if self._anchors.unanchored:
+            self._warnings.append(
+                f"materials read {list_names(self._anchors.unanchored)}: what that gives may differ"
+            )
+
+
+def _plain(name: str) -> bpy.types.Material:
+    material = bpy.data.materials.new(name)
+    _from_viewport(material)
+    return material
+
+
+def has_nodes(block: bpy.types.Material | bpy.types.World) -> bool:
+    """Whether its look comes from nodes; from 5.0 on it always does."""
+    return bpy.app.version >= (5, 0, 0) or bool(block.use_nodes)
+
+
+def _from_viewport(material: bpy.types.Material) -> None:
+    """A Principled shader with the colour that the viewport shows: of files without nodes."""
+    if bpy.app.version < (5, 0, 0):
+        material.use_nodes = True
+    tree = material.node_tree
+    tree.nodes.clear()
+    shader, output = tree.nodes.new("ShaderNodeBsdfPrincipled"), tree.nodes.new("ShaderNodeOutputMaterial")
+    tree.links.new(shader.outputs["BSDF"], output.inputs["Surface"])
+    shader.inputs["Base Color"].default_value = (*material.diffuse_color[:3], 1.0)
+    shader.inputs["Metallic"].default_value = material.metallic
+    shader.inputs["Roughness"].default_value = material.roughness
+
+
+def _using(materials: Iterable[bpy.types.Material], test) -> set[str]:  # type: ignore[no-untyped-def]
+    return {
+        material.name.removesuffix(_SUFFIX)
+        for material in materials
+        if any(test(node) for tree in trees([material.node_tree]) for node in tree.nodes)
+    }
+
+
+def _above(node: bpy.types.Node, socket: str, least: float = 0.0) -> bool:
+    """Whether a socket's value is linked or above a number."""
+    found = node.inputs.get(socket)
+    return found is not None and (found.is_linked or found.default_value > least)
+
+
+def _transparent(node: bpy.types.Node) -> bool:
+    if node.bl_idname == "ShaderNodeBsdfPrincipled":
+        alpha = node.inputs["Alpha"]
+        return bool(alpha.is_linked or alpha.default_value < 1.0)
+    return node.bl_idname == "ShaderNodeBsdfTransparent" and bool(node.outputs[0].links)
+
+
+def _glassy(node: bpy.types.Node) -> bool:
+    if node.bl_idname == "ShaderNodeBsdfPrincipled":
+        return _above(node, "Transmission Weight")
+    return node.bl_idname in ("ShaderNodeBsdfGlass", "ShaderNodeBsdfRefraction") and bool(node.outputs[0].links)
+
+
+def _glows(node: bpy.types.Node) -> bool:
+    if node.bl_idname == "ShaderNodeBsdfPrincipled":
+        colour = node.inputs["Emission Color"]
+        black = not colour.is_linked and not any(colour.default_value[:3])
+        return _above(node, "Emission Strength") and not black
+    return (
+        node.bl_idname == "ShaderNodeEmission"
+        and bool(node.outputs[0].links)
+        and _above(node, "Strength")
+    )
+
+
+def light_paths(scene: bpy.types.Scene, materials: Iterable[bpy.types.Material]) -> dict[str, int]:
+    """Cycles' bounce limits that glass and transparent surfaces need, within what the file asked for."""
+    materials = list(materials)
+    cycles, found = scene.cycles, {}
+    if _using(materials, _transparent):
+        found["transparent_max_bounces"] = int(max(8, min(64, cycles.transparent_max_bounces)))
+    if _using(materials, _glassy):
+        found["transmission_bounces"] = int(max(8, min(32, cycles.transmission_bounces)))
+        found["max_bounces"] = found["transmission_bounces"]
+    return found
+
+
+def own_world(scene: bpy.types.Scene, lit: bool, warnings: list[str]) -> bpy.types.World:
+    """The scene's world as a copy with nodes; a grey sky instead if there is no other light at all."""
+    world = scene.world.copy() if scene.world else None
+    if world is not None:
+        world.animation_data_clear()
+        if not has_nodes(world) or world.node_tree is None:
+            _world_from_colour(world)
+        world.node_tree.animation_data_clear()
+        own_groups(world.node_tree, {})
+        warnings += repair_images(trees([world.node_tree]))
+        output = world.node_tree.get_output_node("CYCLES") or world.node_tree.get_output_node("ALL")
+        if output is not None and output.inputs["Volume"].is_linked:
+            world.node_tree.links.remove(output.inputs["Volume"].links[0])
+            warnings.append(f"world {scene.world.name}: its volume is left out")
+        if lit or any(_shines(node) for tree in trees([world.node_tree]) for node in tree.nodes):
+            return world
+    elif lit:
+        world = bpy.data.worlds.new("black")
+        world.color = (0.0, 0.0, 0.0)
+        _world_from_colour(world)
+        return world
+    warnings.append("the file holds no light at all: a grey sky lights it")
+    return made_world(SKY)
+
+
+def _world_from_colour(world: bpy.types.World) -> None:
+    colour = tuple(world.color)
+    if bpy.app.version < (5, 0, 0):
+        world.use_nodes = True
+    tree = world.node_tree
+    tree.nodes.clear()
+    background, output = tree.nodes.new("ShaderNodeBackground"), tree.nodes.new("ShaderNodeOutputWorld")
+    background.inputs["Color"].default_value = (*colour, 1.0)
+    tree.links.new(background.outputs["Background"], output.inputs["Surface"])
+
+
+def _shines(node: bpy.types.Node) -> bool:
+    if node.bl_idname not in ("ShaderNodeBackground", "ShaderNodeEmission") or not node.outputs[0].links:
+        return False
+    colour = node.inputs["Color"]
+    return _above(node, "Strength") and (colour.is_linked or any(colour.default_value[:3]))
+
+
+def glows(materials: Iterable[bpy.types.Material]) -> bool:
+    """Whether any of the materials gives light."""
+    return bool(_using(materials, _glows))
+
+
+def repair_images(all_trees: Iterable[bpy.types.NodeTree]) -> list[str]:
+    """Replaces lost images by neutral ones. Returns a warning for each."""
+    warnings: dict[str, None] = {}
+    for tree in all_trees:
+        for node in tree.nodes:
+            if node.bl_idname not in ("ShaderNodeTexImage", "ShaderNodeTexEnvironment"):
+                continue
+            why = _lost(node.image)
+            if why and (node.image is not None or node.outputs[0].links):
+                environment = node.bl_idname == "ShaderNodeTexEnvironment"
+                node.image = _grey_sky() if environment else _neutral(node)
+                what = "a grey sky of similar strength" if environment else "plain grey"
+                warnings[f"{why}: {what} takes its place"] = None
+    return list(warnings)
+
+
+def _lost(image: bpy.types.Image | None) -> str:
+    """Why an image cannot be shown; "" if it can."""
+    if image is None:
+        return "a texture has no image"
+    if image.source not in ("FILE", "SEQUENCE", "TILED", "MOVIE") or image.packed_file:
+        return ""
+    path = bpy.path.abspath(image.filepath_from_user(), library=image.library)
+    if image.source != "TILED" and not os.path.isfile(path):
+        return f"image {image.name}: {image.filepath or 'its file'} is missing"
+    if image.source in ("FILE", "TILED") and 0 in image.size:
+        return f"image {image.name}: {image.filepath} cannot be read"
+    image.buffers_free()
+    return ""
+
+
+def _grey_sky() -> bpy.types.Image:
+    """A soft grey environment, brighter above."""
+    if (known := bpy.data.images.get("tg4mm grey sky")) is not None:
+        return known
+    height = 32
+    ramp = np.linspace(*_ENVIRONMENT, height)
+    return _image("tg4mm grey sky", np.broadcast_to(ramp[:, None, None], (height, 2 * height, 3)), True)
+
+
+def _neutral(node: bpy.types.Node) -> bpy.types.Image:
+    """Middle grey; straight up where it feeds a normal map."""
+    normal = any(link.to_node.bl_idname == "ShaderNodeNormalMap" for link in node.outputs["Color"].links)
+    name, colour = ("tg4mm flat", (0.5, 0.5, 1.0)) if normal else ("tg4mm neutral", (0.5, 0.5, 0.5))
+    known = bpy.data.images.get(name)
+    return known if known is not None else _image(name, np.broadcast_to(colour, (4, 4, 3)), False)
+
+
+def _image(name: str, pixels: np.ndarray, linear: bool) -> bpy.types.Image:
+    height, width = pixels.shape[:2]
+    image = bpy.data.images.new(name, width, height, alpha=False, float_buffer=linear)
+    image.colorspace_settings.name = "Linear Rec.709" if linear else "Non-Color"
+    rgba = np.ones((height, width, 4), np.float32)
+    rgba[..., :3] = pixels
+    image.pixels.foreach_set(rgba.ravel())
+    image.update()
+    image.pack()
+    return image
+
+
+def check_finite(name: str, vertices: np.ndarray) -> None:
+    """Raises GenerateError if a vertex [V, 3] is not a place."""
+    bad = ~np.isfinite(vertices).all(1)
+    if bad.any():
+        first = int(bad.argmax())
+        raise GenerateError(
+            f"object {name}: vertex {first} lies at {vertices[first].tolist()}, one of {int(bad.sum())} that "
+            "are not finite"
+        )

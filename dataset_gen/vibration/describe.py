@@ -1,0 +1,197 @@
+"""The motion description: modes from a YAML or JSON file, and back to plain data.
+
+Every mistake is one GenerateError line: file, mode, key, value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from ..errors import GenerateError
+from . import kinds, values
+from .files import load
+from .modes import RANDOM, Mode
+from .timelaw import Ramp, Vibration
+
+_ALWAYS = ("name", "kind", "parts", "magnified")
+_VIBRATES = ("frequency", "amplitude", "amplitude_px", "phase", "phases", "decay")
+
+
+@dataclass(frozen=True)
+class MotionDescription:
+    """The modes of a scene; the first is the main one, which names the dataset.
+
+    Raises GenerateError if there is none, if two have one name, or if the first does not vibrate.
+    """
+
+    modes: tuple[Mode, ...]
+    source: str = field(default="motion", compare=False)  # what messages call it: the file
+
+    def __post_init__(self) -> None:
+        if not self.modes:
+            raise GenerateError(f"{self.source}: modes is empty: nothing would move")
+        names = [mode.name for mode in self.modes]
+        for name in names:
+            if names.count(name) > 1:
+                raise GenerateError(f"{self.source}: two modes have the name {name!r}")
+        if not self.modes[0].frequency_hz:
+            raise GenerateError(
+                f"{self.source}: mode {names[0]!r} is the first and so the main one, which needs a frequency; "
+                f"it is of kind {self.modes[0].kind}"
+            )
+
+    @property
+    def main(self) -> Mode:
+        """The first mode: its frequency_hz, and one of amplitude and amplitude_px, name the dataset."""
+        return self.modes[0]
+
+    def with_main(
+        self,
+        frequency_hz: float | None = None,
+        amplitude: float | None = None,
+        amplitude_px: float | None = None,
+    ) -> MotionDescription:
+        """The same with another frequency or amplitude of the main mode; None leaves what is described."""
+        if amplitude is not None and amplitude_px is not None:
+            raise GenerateError(
+                f"--amplitude {amplitude:g} and --amplitude-px {amplitude_px:g} exclude each other"
+            )
+        main = self.main
+        if frequency_hz is not None:
+            main = replace(
+                main, law=replace(_vibration(main), frequency_hz=_option("--frequency", frequency_hz))
+            )
+        if amplitude is not None:
+            main = replace(main, amplitude=_option("--amplitude", amplitude), amplitude_px=None)
+        if amplitude_px is not None:
+            main = replace(main, amplitude=None, amplitude_px=_option("--amplitude-px", amplitude_px))
+        return replace(self, modes=(main, *self.modes[1:]))
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data with the keys of the file; `from_json` gives an equal description."""
+        return {"modes": [_mode_data(mode) for mode in self.modes]}
+
+    @classmethod
+    def from_json(cls, data: Any, source: str = "motion") -> MotionDescription:
+        """From the data of a file. Raises GenerateError with the mode and the key."""
+        try:
+            _check_keys(data, ("modes",), "a motion description")
+            if not isinstance(data.get("modes"), list):
+                raise ValueError(f"modes {values.shown(data.get('modes'))} is not a list")
+        except ValueError as error:
+            raise GenerateError(f"{source}: {error}") from None
+        modes = []
+        for number, entry in enumerate(data["modes"]):
+            try:
+                modes.append(_mode(entry))
+            except ValueError as error:
+                raise GenerateError(f"{source}: mode {_called(entry, number)}: {error}") from None
+        return cls(tuple(modes), source)
+
+
+def read_motion(path: Path) -> MotionDescription:
+    """The description in a YAML or JSON (.json) file. Raises GenerateError, one line with file, mode and key."""
+    return MotionDescription.from_json(load(Path(path)), Path(path).name)
+
+
+def _option(option: str, value: float) -> float:
+    try:
+        return values.positive(value)
+    except ValueError as error:
+        raise GenerateError(f"{option} {error}") from None
+
+
+def _vibration(mode: Mode) -> Vibration:
+    assert isinstance(mode.law, Vibration)  # a description's first mode is
+    return mode.law
+
+
+def _called(entry: Any, number: int) -> str:
+    name = entry.get("name") if isinstance(entry, dict) else None
+    return values.shown(name) if isinstance(name, str) else str(number + 1)
+
+
+def _check_keys(data: Any, allowed: tuple[str, ...], what: str) -> None:
+    if not isinstance(data, dict):
+        raise ValueError(f"{values.shown(data)} is not a mapping of keys to values")
+    for key in data:
+        if key not in allowed:
+            raise ValueError(f"key {values.shown(key)} is not one of {what}: {', '.join(allowed)}")
+
+
+def _mode(data: Any) -> Mode:
+    if not isinstance(data, dict):
+        raise ValueError(f"{values.shown(data)} is not a mapping of keys to values")
+    for key in ("name", "kind"):
+        if data.get(key) is None:
+            raise ValueError(f"{key} is missing")
+    name, kind = (_read(data, key, values.text) for key in ("name", "kind"))
+    if kind not in kinds.KINDS:
+        raise ValueError(f"kind {kind!r} is none of {', '.join(kinds.KINDS)}")
+    drifts = kind == "drift"
+    common = (*_ALWAYS, "rate") if drifts else (*_ALWAYS, *_VIBRATES)
+    _check_keys(data, (*common, *kinds.keys(kind)), f"a mode of kind {kind}")
+    mode = Mode(
+        name=name,
+        field=kinds.read_field(kind, data),
+        law=Ramp()
+        if drifts
+        else Vibration(_needed(data, "frequency"), _read(data, "decay", values.positive)),
+        parts=_read(data, "parts", values.texts) or (),
+        magnified=_read(data, "magnified", values.truth_value, True),
+    )
+    return replace(mode, amplitude=_needed(data, "rate")) if drifts else _with_amplitude(mode, data)
+
+
+def _with_amplitude(mode: Mode, data: Mapping[str, Any]) -> Mode:
+    amplitude, pixels = (_read(data, key, values.positive) for key in ("amplitude", "amplitude_px"))
+    if amplitude is not None and pixels is not None:
+        raise ValueError(f"amplitude {amplitude:g} and amplitude_px {pixels:g} exclude each other")
+    if amplitude is None and pixels is None:
+        raise ValueError("amplitude is missing: amplitude (scene units) or amplitude_px (pixels) is needed")
+    return replace(
+        mode,
+        amplitude=amplitude,
+        amplitude_px=pixels,
+        phase=_read(data, "phase", values.number, 0.0),
+        phases=_read(data, "phases", _phases, ()),
+    )
+
+
+def _read(data: Mapping[str, Any], key: str, reader: Any, default: Any = None) -> Any:
+    """The value of an optional key; null is the same as absent."""
+    if data.get(key) is None:
+        return default
+    try:
+        return reader(data[key])
+    except ValueError as error:
+        raise ValueError(f"{key}: {error}") from None
+
+
+def _needed(data: Mapping[str, Any], key: str) -> float:
+    if data.get(key) is None:
+        raise ValueError(f"{key} is missing")
+    return float(_read(data, key, values.positive))
+
+
+def _phases(value: Any) -> tuple[tuple[str, float], ...] | str:
+    if value == RANDOM:
+        return RANDOM
+    if not isinstance(value, dict) or not value:
+        raise ValueError(f"{values.shown(value)} is neither {RANDOM!r} nor a mapping of parts to degrees")
+    return tuple((values.text(glob), values.number(degrees)) for glob, degrees in value.items())
+
+
+def _mode_data(mode: Mode) -> dict[str, Any]:
+    data: dict[str, Any] = {"name": mode.name, "kind": mode.kind}
+    if isinstance(mode.law, Vibration):
+        data |= {"frequency": mode.law.frequency_hz, "decay": mode.law.decay_s}
+        data |= {"amplitude": mode.amplitude, "amplitude_px": mode.amplitude_px, "phase": mode.phase}
+        data |= {"phases": mode.phases if isinstance(mode.phases, str) else dict(mode.phases) or None}
+    else:
+        data |= {"rate": mode.amplitude}
+    data |= {"parts": list(mode.parts) or None, "magnified": mode.magnified, **kinds.field_data(mode.field)}
+    return {key: value for key, value in data.items() if value is not None}

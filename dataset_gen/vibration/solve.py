@@ -1,0 +1,115 @@
+"""From modes and bodies to the motion: complex mode shapes on all vertices, scaled to their amplitudes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from fnmatch import fnmatchcase
+
+import numpy as np
+
+from ..errors import GenerateError
+from .bodies import Body
+from .describe import MotionDescription
+from .fields import Group
+from .modes import Mode
+from .motion import Motion
+from .reach import reach
+from .timelaw import SINE
+
+Reference = Callable[[np.ndarray, np.ndarray], float]
+_MANY = 8  # names in a message
+
+
+def solve(
+    description: MotionDescription,
+    bodies: Sequence[Body],
+    fps: float,
+    reference: Reference | None,
+    seed: int,
+) -> Motion:
+    """The motion of the bodies.
+
+    A mode is scaled over all bodies together: its largest displacement, over vertices and over a cycle without
+    decay, is its amplitude. `reference(positions [V, 3], shape [V, 3] complex)` gives the largest displacement
+    in pixels of the camera that amplitude_px is meant for. `seed`: of random phases and directions. Raises
+    GenerateError naming file, mode and key if a mode does not fit the bodies or the frame rate.
+    """
+    if len({body.name for body in bodies}) != len(bodies):
+        raise ValueError(f"two bodies have one name: {sorted(body.name for body in bodies)}")
+    modes, solved = description.modes, []
+    for mode in modes:
+        try:
+            solved.append(_shapes(mode, bodies, fps, reference, seed))
+        except ValueError as error:
+            raise GenerateError(f"{description.source}: mode {mode.name!r}: {error}") from None
+    shapes = [np.stack([per_body[i] for per_body in solved]) for i in range(len(bodies))]
+    return Motion(shapes, [mode.law for mode in modes], [mode.magnified for mode in modes], fps)
+
+
+def _shapes(
+    mode: Mode, bodies: Sequence[Body], fps: float, reference: Reference | None, seed: int
+) -> list[np.ndarray]:
+    """Per body the shape [V, 3] complex128 of a mode, scaled."""
+    if mode.frequency_hz >= fps / 2:
+        raise ValueError(
+            f"frequency {mode.frequency_hz:g} Hz is not below half the frame rate, {fps / 2:g} Hz (fps {fps:g})"
+        )
+    moving = _moving(mode, bodies)
+    raw = {body.name: _raw(mode, body, seed) for body in moving}
+    peak = max(float(reach(shape).max(initial=0.0)) for shape in raw.values())
+    if peak == 0.0:
+        raise ValueError(f"it moves no vertex of {_listed(body.name for body in moving)}")
+    scale = mode.amplitude / peak if mode.amplitude else _pixel_scale(mode, moving, raw, reference, peak)
+    still = [np.zeros((len(body.vertices), 3), np.complex128) for body in bodies]
+    return [scale * raw[body.name] if body.name in raw else s for body, s in zip(bodies, still, strict=True)]
+
+
+def _raw(mode: Mode, body: Body, seed: int) -> np.ndarray:
+    vertices = np.asarray(body.vertices, np.float64)
+    shape = mode.field.on(body, (seed,))(vertices) * np.asarray(body.follow, np.float64)[:, None]
+    if not np.isfinite(shape).all():
+        raise ValueError(f"its field overflows on {body.name}: check the sizes in it")
+    return np.asarray(SINE * mode.phasor(body.name, seed) * shape)
+
+
+def _pixel_scale(
+    mode: Mode,
+    moving: Sequence[Body],
+    raw: dict[str, np.ndarray],
+    reference: Reference | None,
+    peak: float,
+) -> float:
+    if reference is None or mode.amplitude_px is None:
+        raise ValueError(f"amplitude_px {mode.amplitude_px:g} needs a reference camera, there is none")
+    pixels = max(float(reference(np.asarray(b.vertices, np.float64), raw[b.name] / peak)) for b in moving)
+    if not (np.isfinite(pixels) and pixels > 0.0):
+        raise ValueError(f"amplitude_px {mode.amplitude_px:g}: the reference camera sees nothing of it move")
+    return mode.amplitude_px / (pixels * peak)
+
+
+def _moving(mode: Mode, bodies: Sequence[Body]) -> list[Body]:
+    """The bodies that take part; checks every glob and the vertex group."""
+    for glob in mode.parts:
+        _matching("parts", glob, [body.name for body in bodies])
+    moving = [body for body in bodies if mode.moves(body.name)]
+    if not moving:
+        raise ValueError("the scene has no parts")
+    if not isinstance(mode.phases, str):
+        for glob, _ in mode.phases:
+            _matching("phases", glob, [body.name for body in moving])
+    if isinstance(mode.field, Group) and not any(mode.field.group in body.groups for body in moving):
+        there = sorted({name for body in moving for name in body.groups})
+        raise ValueError(
+            f"group: no part has the vertex group {mode.field.group!r}; there is {_listed(there) or 'none'}"
+        )
+    return moving
+
+
+def _matching(key: str, glob: str, names: Sequence[str]) -> None:
+    if not any(fnmatchcase(name, glob) for name in names):
+        raise ValueError(f"{key}: {glob!r} matches no part; there is {_listed(names)}")
+
+
+def _listed(names: Iterable[str]) -> str:
+    every = list(names)
+    return ", ".join(every[:_MANY]) + (f" and {len(every) - _MANY} more" if len(every) > _MANY else "")

@@ -1,0 +1,106 @@
+"""Values of a motion description: what a person may write for a number, a point, a direction, and its check.
+
+A reader takes what YAML or JSON gave and returns the typed value, or raises ValueError whose text says what is
+wrong with the value ("-3 is not a positive number"); the caller puts file, mode and key before it.
+"""
+
+from __future__ import annotations
+
+import math
+import reprlib
+from typing import Annotated, Any
+
+Triple = tuple[float, float, float]
+_LARGEST, _SMALLEST = 1e9, 1e-9  # what a length, time or frequency can sensibly be; float32 holds all of it
+
+
+def shown(value: object) -> str:
+    """A value in a message, cut if long."""
+    return " ".join(reprlib.repr(value).split())
+
+
+def number(value: Any) -> float:
+    """A finite number."""
+    if isinstance(value, str) and _is_numeral(value):
+        raise ValueError(f"{value!r} is text, not a number (YAML writes powers of ten as 5.0e-3)")
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError(f"{shown(value)} is not a number")
+    if not (math.isfinite(value) and abs(value) <= _LARGEST):
+        raise ValueError(f"{shown(value)} is not a finite number within ±{_LARGEST:g}")
+    return float(value)
+
+
+def positive(value: Any) -> float:
+    """A number above 0."""
+    checked = number(value)
+    if not checked >= _SMALLEST:
+        raise ValueError(f"{value!r} is not a positive number" + (" ≥ 1e-9" if checked > 0 else ""))
+    return checked
+
+
+def truth_value(value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise ValueError(f"{shown(value)} is neither true nor false")
+    return value
+
+
+def text(value: Any) -> str:
+    """One line of text, not empty."""
+    if not isinstance(value, str) or not value.strip() or not value.isprintable():
+        raise ValueError(f"{shown(value)} is not a line of text")
+    return value
+
+
+def texts(value: Any) -> tuple[str, ...]:
+    """A list of texts, or one text alone."""
+    values = [value] if isinstance(value, str) else value
+    if not isinstance(values, list) or not values:
+        raise ValueError(f"{shown(value)} is not a list of names")
+    return tuple(text(v) for v in values)
+
+
+def vector(value: Any) -> Triple:
+    """Three numbers."""
+    x, y, z = _numbers(value, 3)
+    return x, y, z
+
+
+def direction(value: Any) -> Triple:
+    """Three numbers, not all 0; any length."""
+    checked = vector(value)
+    if not max(abs(c) for c in checked) >= _SMALLEST:
+        raise ValueError(f"{shown(value)} has no direction: it is zero")
+    return checked
+
+
+def pair_of_positive(value: Any) -> tuple[float, float]:
+    _numbers(value, 2)
+    return positive(value[0]), positive(value[1])
+
+
+def whole(value: Any, low: int, high: int) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+        raise ValueError(f"{shown(value)} is not a whole number in {low} … {high}")
+    return value
+
+
+def _numbers(value: Any, count: int) -> list[float]:
+    if not isinstance(value, list | tuple) or len(value) != count:
+        raise ValueError(f"{shown(value)} is not a list of {count} numbers")
+    return [number(v) for v in value]
+
+
+def _is_numeral(value: str) -> bool:
+    try:
+        float(value)
+    except ValueError:
+        return False
+    return True
+
+
+Number = Annotated[float, number]
+Positive = Annotated[float, positive]
+MaybePositive = Annotated[float | None, positive]
+Point = Annotated[Triple, vector]
+Direction = Annotated[Triple, direction]
+Text = Annotated[str, text]

@@ -1,0 +1,235 @@
+"""What is drawn: shapes, colours by amplitude and phase, arrows, and colours that depend on the view."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.addon.conftest import some_splat
+from tg4mm.splatfile import positions_at, read_splat, write_splat
+
+bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install 'tg4mm[generate]'")
+
+from tests.addon.playing import (  # noqa: E402
+    add_camera,
+    drawn_whole,
+    evaluated,
+    import_splat,
+    read,
+    setter,
+    shown_colours,
+    transforms,
+)
+
+TURNS = np.arange(0, 2 * np.pi, 2 * np.pi / 3600)
+
+
+def largest_excursion(phasors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """[N] the longest of Re[m exp(iθ)] over a turn, by trying, and the θ where it is reached."""
+    paths = (phasors[:, None] * np.exp(1j * TURNS)[None, :, None]).real
+    lengths = np.linalg.norm(paths, axis=2)
+    return lengths.max(axis=1), TURNS[lengths.argmax(axis=1)]
+
+
+def sampled(rows: np.ndarray, parts: np.ndarray) -> np.ndarray:
+    """Linear interpolation of rows at equal steps from 0 to 1."""
+    places = np.linspace(0, 1, len(rows))
+    return np.stack([np.interp(parts, places, rows[:, c]) for c in range(3)], axis=1)
+
+
+@pytest.fixture
+def moving(extension: ModuleType, splat_path: Path) -> Any:
+    """The imported object, every Gaussian drawn."""
+    obj = import_splat(splat_path)
+    drawn_whole(extension, obj)
+    return obj
+
+
+def test_amplitude_is_the_longest_excursion(extension: ModuleType, splat_path: Path) -> None:
+    for phasors in read_splat(splat_path).displacement:
+        amplitude, _ = extension.points.strength(phasors, extension.points.main_axis(phasors))
+        np.testing.assert_allclose(amplitude, largest_excursion(phasors)[0], rtol=1e-5)
+
+
+def test_phase_tells_when_a_point_is_out_on_the_side_of_the_axis(
+    extension: ModuleType, splat_path: Path
+) -> None:
+    for phasors in read_splat(splat_path).displacement:
+        axis = extension.points.main_axis(phasors)
+        _, phase = extension.points.strength(phasors, axis)
+        out = (phasors * np.exp(-2j * np.pi * phase)[:, None]).real  # Re[m exp(iωt)] at ωt = −phase
+        np.testing.assert_allclose(np.linalg.norm(out, axis=1), largest_excursion(phasors)[0], rtol=1e-5)
+        assert (out @ axis >= -1e-9).all()
+        assert ((phase >= 0) & (phase < 1)).all()
+
+
+def test_one_motion_has_one_phase_and_its_opposite_half_a_turn_more(extension: ModuleType) -> None:
+    m = np.array([[1, 2, 0.5], [2, 4, 1.0], [-1, -2, -0.5]]) * np.exp(0.7j)
+    _, phase = extension.points.strength(m, extension.points.main_axis(m))
+    assert phase[1] == pytest.approx(phase[0])
+    assert (phase[2] - phase[0]) % 1 == pytest.approx(0.5)
+    assert phase[0] * 2 * np.pi == pytest.approx(0.7)
+
+
+def test_colours_show_the_amplitude_of_the_band(extension: ModuleType, moving: Any, splat_path: Path) -> None:
+    put, names = setter(extension, moving), extension.names
+    put(names.COLOUR_BY, names.AMPLITUDE_COLOUR)
+    each = [largest_excursion(phasors)[0] for phasors in read_splat(splat_path).displacement]
+    for low, high, hidden, kept in ((0, 100, (), (0, 1, 2)), (4, 8, (), (1, 2)), (0, 100, ("3 Hz",), (1, 2))):
+        put(names.LOW, low)
+        put(names.HIGH, high)
+        for name in ("3 Hz", "5 Hz", "7.5 Hz"):
+            put(name, name not in hidden)
+        expected = np.sqrt(sum(each[k] ** 2 for k in kept))
+        np.testing.assert_allclose(extension.analysis.band_amplitude(moving), expected, rtol=1e-4)
+        assert bpy.ops.tg4mm.fit_colour_range() == {"FINISHED"}
+        rows = sampled(extension.colours.amplitude_map(), expected / expected.max())
+        np.testing.assert_allclose(shown_colours(moving), rows, atol=2e-3)
+    legend = extension.analysis.legend(moving)
+    assert (legend.low, legend.high) == (0.0, pytest.approx(expected.max(), rel=1e-4))
+
+
+def test_colours_show_the_phase_of_the_largest_mode(
+    extension: ModuleType, moving: Any, splat_path: Path
+) -> None:
+    put, names = setter(extension, moving), extension.names
+    put(names.COLOUR_BY, names.PHASE_COLOUR)
+    put(names.COLOUR_RANGE, 0.01)  # everything moves far enough to have a phase
+    points = extension.points
+    both = [points.strength(p, points.main_axis(p)) for p in read_splat(splat_path).displacement]
+    amplitudes, phases = (np.stack(list(column)) for column in zip(*both, strict=True))
+    phase = phases[amplitudes.argmax(axis=0), np.arange(phases.shape[1])]
+    np.testing.assert_allclose(
+        shown_colours(moving), sampled(extension.colours.phase_map(), phase), atol=5e-3
+    )
+    put(names.COLOUR_RANGE, 1e3)
+    np.testing.assert_allclose(shown_colours(moving), 0.09, atol=1e-6)
+
+
+def test_phase_map_is_a_circle_of_one_lightness(extension: ModuleType) -> None:
+    rows = extension.colours.phase_map()
+    np.testing.assert_allclose(rows[0], rows[-1], atol=1e-6)
+    luminance = rows @ [0.2126, 0.7152, 0.0722]
+    assert luminance.max() / luminance.min() < 1.35
+    lightness = extension.colours.amplitude_map() @ [0.2126, 0.7152, 0.0722]
+    assert (np.diff(lightness) > 0).all()
+
+
+def test_arrows_run_from_rest_along_the_magnified_displacement(
+    extension: ModuleType, moving: Any, splat_path: Path
+) -> None:
+    put, names = setter(extension, moving), extension.names
+    for name, value in ((names.DRAW, names.ARROWS), (names.ALPHA, 4.0), (names.ARROW_LENGTH, 2.0)):
+        put(name, value)
+    splat = read_splat(splat_path)
+    drawn = transforms(moving, 6)
+    shift = positions_at(splat, 5, 4.0) - splat.means
+    np.testing.assert_allclose(drawn[:, :3, 3], splat.means, atol=1e-5)
+    np.testing.assert_allclose(drawn[:, :3, 2], 2 * shift, atol=2e-3)  # the arrow's own z
+    put(names.ARROW_EVERY, 5)
+    np.testing.assert_allclose(transforms(moving, 6)[:, :3, 3], splat.means[::5], atol=1e-5)
+    put(names.ALPHA, -1.0)
+    geometry = evaluated(moving, 6)
+    still = geometry.instances_pointcloud()
+    assert still is None or len(still.points) == 0
+
+
+def test_arrow_reaches_from_its_origin_to_one(extension: ModuleType, moving: Any) -> None:
+    put, names = setter(extension, moving), extension.names
+    put(names.DRAW, names.ARROWS)
+    geometry = evaluated(moving, 6)
+    references = geometry.instance_references()
+    z = np.array([vertex.co.z for vertex in references[0].mesh.vertices])
+    assert (z.min(), z.max()) == (pytest.approx(0, abs=1e-6), pytest.approx(1))
+
+
+def test_dots_sit_where_the_gaussians_are(extension: ModuleType, moving: Any, splat_path: Path) -> None:
+    put, names = setter(extension, moving), extension.names
+    put(names.DRAW, names.POINTS)
+    put(names.ALPHA, 3.0)
+    geometry = evaluated(moving, 4)
+    splat = read_splat(splat_path)
+    places = read(geometry.pointcloud, "position", "vector", 3)
+    np.testing.assert_allclose(places, positions_at(splat, 3, 3.0), atol=1e-3)
+    radii = read(geometry.pointcloud, "radius", "value", 1)[:, 0]
+    np.testing.assert_allclose(radii, splat.scales.mean(axis=1), rtol=1e-4)
+
+
+def test_splats_end_at_three_deviations(extension: ModuleType, moving: Any, splat_path: Path) -> None:
+    put, names = setter(extension, moving), extension.names
+    put(names.DRAW, names.SPLATS)
+    lengths = np.linalg.norm(transforms(moving, 1)[:, :3, :3], axis=1)
+    np.testing.assert_allclose(lengths, 3 * read_splat(splat_path).scales, rtol=1e-4)
+
+
+def test_solid_view_has_a_mesh_with_an_active_colour(
+    extension: ModuleType, moving: Any, splat_path: Path
+) -> None:
+    assert bpy.ops.tg4mm.solid_colours() == {"FINISHED"}
+    geometry = evaluated(moving, 1)
+    mesh = geometry.mesh
+    assert len(mesh.polygons) == 80 * len(read_splat(splat_path))
+    assert mesh.color_attributes.active_color.name == "colour"
+    colours = read(mesh, "colour", "color", 4)[:, :3]
+    expected = extension.colours.rest_colours(read_splat(splat_path).sh)[:, :3]
+    assert np.abs(colours[:, None] - expected[None]).sum(axis=2).min(axis=1).max() < 1e-4
+
+
+def test_items_of_a_menu_are_checked(extension: ModuleType, moving: Any) -> None:
+    with pytest.raises(ValueError, match="Draw As is 'Cubes'; expected one of Ellipsoids, Splats"):
+        setter(extension, moving)(extension.names.DRAW, "Cubes")
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3])
+def test_colours_seen_by_the_camera_are_those_of_the_harmonics(
+    extension: ModuleType, tmp_path: Path, degree: int
+) -> None:
+    splat = some_splat(60, degree=degree)
+    write_splat(tmp_path / "seen.ply", splat)
+    obj = import_splat(tmp_path / "seen.ply")
+    drawn_whole(extension, obj)
+    put, names = setter(extension, obj), extension.names
+    put(names.VIEW_COLOUR, True)
+    put(names.ALPHA, 10.0)
+    obj.location, obj.rotation_euler = (1.0, -2.0, 0.5), (0.3, 0.5, -1.0)
+    camera = add_camera((3.0, -4.0, 2.0), (8, 8))
+    for place, frame in (((3.0, -4.0, 2.0), 5), ((-2.0, 0.5, 6.0), 8)):
+        camera.location = place
+        bpy.context.view_layer.update()
+        local = np.array(obj.matrix_world.inverted() @ camera.matrix_world.translation)
+        toward = positions_at(splat, frame - 1, 10.0) - local
+        toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+        srgb = np.clip(0.5 + np.einsum("nk,nkc->nc", basis(toward, degree), splat.sh), 0, 1)
+        np.testing.assert_allclose(shown_colours(obj, frame), extension.colours.linear(srgb), atol=3e-3)
+    put(names.VIEW_COLOUR, False)
+    rest = extension.colours.rest_colours(splat.sh)[:, :3]
+    assert np.abs(shown_colours(obj, 8) - rest).max() < 1e-5
+    assert np.abs(extension.colours.linear(srgb) - rest).max() > 0.1
+
+
+def basis(d: np.ndarray, degree: int) -> np.ndarray:
+    """[N, K] the table of docs/conventions.md at unit vectors [N, 3]."""
+    x, y, z = d.T
+    rows = [
+        0.28209479177387814 + 0 * x,
+        -0.4886025119029199 * y,
+        0.4886025119029199 * z,
+        -0.4886025119029199 * x,
+        1.0925484305920792 * x * y,
+        -1.0925484305920792 * y * z,
+        0.31539156525252005 * (2 * z * z - x * x - y * y),
+        -1.0925484305920792 * x * z,
+        0.5462742152960396 * (x * x - y * y),
+        -0.5900435899266435 * y * (3 * x * x - y * y),
+        2.890611442640554 * x * y * z,
+        -0.4570457994644658 * y * (4 * z * z - x * x - y * y),
+        0.3731763325901154 * z * (2 * z * z - 3 * x * x - 3 * y * y),
+        -0.4570457994644658 * x * (4 * z * z - x * x - y * y),
+        1.445305721320277 * z * (x * x - y * y),
+        -0.5900435899266435 * x * (x * x - 3 * y * y),
+    ]
+    return np.stack(rows[: (degree + 1) ** 2], axis=1)

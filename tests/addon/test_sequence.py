@@ -1,0 +1,109 @@
+"""Numbered static files play one after another, whatever their numbers of Gaussians."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from tests.addon.conftest import some_splat
+from tg4mm.splatfile import SplatFile, read_splat, write_splat
+
+bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install 'tg4mm[generate]'")
+
+from tests.addon.playing import blocks, drawn_whole, import_files, import_splat, places, setter  # noqa: E402
+
+COUNTS = (7, 12, 3, 9)
+
+
+@pytest.fixture
+def frames(tmp_path: Path) -> list[Path]:
+    """beat_0008.ply … beat_0011.ply, of different sizes, and neighbours that are no part of them."""
+    paths = [tmp_path / f"beat_{i + 8:04d}.ply" for i in range(len(COUNTS))]
+    for i, (path, n) in enumerate(zip(paths, COUNTS, strict=True)):
+        one = some_splat(n, (), degree=i % 2)
+        still = SplatFile.static(one.means + i, one.quats, one.scales, one.opacities, one.sh)
+        write_splat(path, still)
+    for name in ("beat_0013.ply", "other_0012.ply", "beat.ply"):
+        write_splat(tmp_path / name, some_splat(2, ()))
+    return paths
+
+
+def check(obj, paths: list[Path], shown: dict[float, int]) -> None:
+    for frame, i in shown.items():
+        np.testing.assert_allclose(places(obj, frame), read_splat(paths[i]).means, atol=1e-6)
+
+
+def test_one_file_brings_its_run(extension: ModuleType, frames: list[Path]) -> None:
+    obj = import_splat(frames[2])
+    drawn_whole(extension, obj)
+    check(obj, frames, {1: 0, 2: 1, 3: 2, 4: 3, 2.75: 1, 0: 0, 9: 3})
+    scene = bpy.context.scene
+    assert (scene.frame_start, scene.frame_end) == (1, 4)
+    assert obj.name == "beat"
+    assert not [other for other in scene.objects if other is not obj]
+
+
+def test_chosen_files_play_in_the_order_of_their_numbers(extension: ModuleType, frames: list[Path]) -> None:
+    obj = import_files([frames[3], frames[0]])
+    drawn_whole(extension, obj)
+    check(obj, [frames[0], frames[3]], {1: 0, 2: 1})
+
+
+def test_speed_first_frame_and_loop(extension: ModuleType, frames: list[Path]) -> None:
+    obj = import_splat(frames[0])
+    drawn_whole(extension, obj)
+    put, names = setter(extension, obj), extension.names
+    put(names.FIRST, 11.0)
+    put(names.SPEED, 0.5)
+    check(obj, frames, {11: 0, 12: 0, 13: 1, 17: 3, 30: 3})
+    put(names.LOOP, True)
+    check(obj, frames, {11: 0, 19: 0, 21: 1, 10: 3})
+
+
+def test_many_frames_are_in_order(extension: ModuleType, tmp_path: Path) -> None:
+    one = some_splat(1, ())
+    for i in range(112):
+        moved = SplatFile.static(one.means * 0 + i, one.quats, one.scales, one.opacities, one.sh)
+        write_splat(tmp_path / f"{i + 1}.ply", moved)
+    for _ in range(2):  # the second time names of the first are taken
+        obj = import_splat(tmp_path / "50.ply")
+        drawn_whole(extension, obj)
+        for frame in (1, 2, 9, 10, 11, 99, 100, 112):
+            np.testing.assert_allclose(places(obj, frame), np.full((1, 3), frame - 1.0))
+
+
+def test_numbered_files_can_be_imported_alone(extension: ModuleType, frames: list[Path]) -> None:
+    obj = import_splat(frames[1], sequence=False)
+    drawn_whole(extension, obj)
+    check(obj, frames, {1: 1, 3: 1})
+    import_files(frames[:2], sequence=False)
+    assert len(bpy.context.selected_objects) == 2
+
+
+def test_files_that_move_are_no_frames(extension: ModuleType, tmp_path: Path) -> None:
+    paths = [tmp_path / f"bell_{i}.ply" for i in range(2)]
+    for path in paths:
+        write_splat(path, some_splat())
+    obj = import_splat(paths[0])
+    assert obj.name == "bell_0"
+    import_files(paths)
+    assert len(bpy.context.selected_objects) == 2
+
+
+def test_bad_frame_leaves_nothing(extension: ModuleType, frames: list[Path]) -> None:
+    frames[2].write_bytes(frames[2].read_bytes()[:-4])
+    before = blocks()
+    with pytest.raises(RuntimeError, match=r"beat_0010\.ply: is truncated"):
+        bpy.ops.import_scene.tg4mm_splat(filepath=str(frames[0]))
+    assert blocks() == before
+
+
+def test_run_ends_at_a_gap(extension: ModuleType, frames: list[Path]) -> None:
+    run = extension.numbered.run_around(frames[1])
+    assert run == frames
+    lonely = frames[0].with_name("beat_0013.ply")
+    assert extension.numbered.run_around(lonely) == [lonely]
+    assert extension.numbered.as_sequence([frames[0], lonely.with_name("other_0012.ply")]) is None

@@ -1,0 +1,212 @@
+"""Rig, sweep, handheld and given cameras: which are there when, how they move, and what a reader makes of them."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from dataset_gen.cameras import Camera, CameraSetup, cameras_at, train_cameras, transforms
+from dataset_gen.cameras import test_cameras as orbit_tests
+from dataset_gen.cameras.hand import PLACE_RMS, TURN_RMS, Tremor, rotation_matrix
+from dataset_gen.errors import GenerateError
+from tg4mm.capture import load_capture
+
+RIG = CameraSetup("rig", views=9, test_views=3)
+SWEEP = CameraSetup("sweep", views=12, test_views=3)
+HELD = CameraSetup("handheld", test_views=4, n_timesteps=120, fps=30.0, seed=5)
+GIVEN = CameraSetup(
+    "given", test_views=0, given=tuple(c.numbered(i) for i, c in enumerate(train_cameras(9)[4:7]))
+)
+EVERY = (CameraSetup(), RIG, SWEEP, HELD, GIVEN)
+
+
+@pytest.mark.parametrize("setup", EVERY, ids=lambda s: s.kind)
+def test_names_are_distinct_and_every_camera_sees_the_centre(setup):
+    for t in (0, 1, setup.n_timesteps - 1):
+        for cameras in cameras_at(setup, t).values():
+            assert len({camera.name for camera in cameras}) == len(cameras)
+            for camera in cameras:
+                pixel, depth = camera.project(np.zeros((1, 3)), 100, 100)
+                assert depth[0] > 3.0
+                np.testing.assert_allclose(pixel[0], 50.0, atol=3.0)  # tremor turns it by some pixels
+                assert camera.camera_to_world[2, 1] > 0.5  # upright
+        assert setup.n_train(t) == len(cameras_at(setup, t)["train"])
+
+
+@pytest.mark.parametrize("setup", EVERY, ids=lambda s: s.kind)
+def test_a_setup_comes_back_from_json_with_the_same_cameras(setup):
+    back = CameraSetup.from_json(json.loads(json.dumps(setup.to_json())))
+    assert back == setup
+    assert cameras_at(back, 3) == cameras_at(setup, 3)
+
+
+def test_the_orbit_is_the_published_one_at_every_timestep():
+    for t in (0, 29):
+        assert cameras_at(CameraSetup(), t) == {
+            "train": tuple(train_cameras(30)),
+            "test": tuple(orbit_tests(5)),
+        }
+
+
+@pytest.mark.parametrize("setup", [RIG, SWEEP], ids=lambda s: s.kind)
+def test_fixed_cameras_are_equal_at_all_timesteps_and_tests_are_the_orbits(setup):
+    early, late = cameras_at(setup, 1), cameras_at(setup, 29)
+    assert early == late
+    assert {*early["train"]} <= {*cameras_at(setup, 0)["train"]}
+    assert early["test"] == tuple(orbit_tests(3))
+
+
+@pytest.mark.parametrize("n", [1, 2, 6, 7, 12, 17, 40])
+def test_a_rig_stands_all_around_at_some_elevations_with_different_lenses(n):
+    cameras = cameras_at(replace(RIG, views=n), 0)["train"]
+    assert len(cameras) == n
+    places = np.array([camera.position for camera in cameras])
+    distance = np.linalg.norm(places, axis=1)
+    assert (np.abs(distance / CameraSetup().distance - 1) < 0.021).all()
+    elevations = np.degrees(np.arcsin(places[:, 2] / distance))
+    rows = 1 if n <= 6 else 2 if n <= 16 else 3
+    assert 1 + (np.diff(np.sort(elevations)) > 6).sum() == rows
+    assert len({camera.angle_x for camera in cameras}) == n
+    assert all(0.949 < camera.angle_x / CameraSetup().angle_x < 1.051 for camera in cameras)
+    if n >= 12:  # no gap between neighbours in azimuth above 90 degrees
+        azimuths = np.sort(np.arctan2(places[:, 1], places[:, 0]))
+        assert np.diff([*azimuths, azimuths[0] + 2 * np.pi]).max() < np.pi / 2
+
+
+def test_another_seed_gives_another_rig_and_another_hand():
+    for setup in (RIG, SWEEP, HELD):
+        assert cameras_at(replace(setup, seed=9), 0)["train"] != cameras_at(setup, 0)["train"]
+
+
+def test_after_the_sweep_only_the_fixed_camera_is_left():
+    start, later = cameras_at(SWEEP, 0)["train"], cameras_at(SWEEP, 7)["train"]
+    assert [camera.name for camera in start] == [f"r_{i:03d}" for i in range(13)]
+    assert later == start[:1]
+    azimuths = np.unwrap([np.arctan2(*camera.position[1::-1]) for camera in start[1:]])
+    assert (np.diff(azimuths) > 0.2).all()
+    assert azimuths[-1] - azimuths[0] == pytest.approx(2 * np.pi * 11 / 12, abs=0.3)
+
+
+def test_the_hand_held_camera_moves_a_little_every_frame_and_smoothly():
+    poses = np.array([cameras_at(HELD, t)["train"][0].camera_to_world for t in range(HELD.n_timesteps)])
+    places = poses[:, :3, 3]
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1) / HELD.distance
+    assert steps.min() > 5e-4
+    assert steps.max() < 0.03  # 15 degrees a second are 0.009 a frame, and tremor comes on top
+    jerk = np.linalg.norm(np.diff(places, 2, axis=0), axis=1) / HELD.distance
+    assert jerk.max() < 0.004
+    assert len({cameras_at(HELD, t)["train"][0] for t in range(HELD.n_timesteps)}) == HELD.n_timesteps
+    assert {cameras_at(HELD, t)["train"][0].name for t in range(9)} == {"r_000"}
+
+
+def test_hand_held_test_views_are_fixed_and_lie_beside_the_path():
+    tests = cameras_at(HELD, 0)["test"]
+    assert tests == cameras_at(HELD, 100)["test"]
+    path = np.array([cameras_at(HELD, t)["train"][0].position for t in range(HELD.n_timesteps)])
+    for camera in tests:
+        gap = np.linalg.norm(path - camera.position, axis=1).min() / HELD.distance
+        assert 0.03 < gap < 0.08
+
+
+@pytest.mark.parametrize("fps", [12.0, 30.0, 240.0])
+def test_tremor_is_band_limited_with_the_stated_size_and_a_falling_spectrum(fps):
+    tremor = Tremor.of(3, fps)
+    highest = min(8.0, 0.4 * fps)
+    assert tremor.frequencies_hz.max() <= highest
+    seconds = 200.0
+    series = np.array([np.concatenate(tremor.at(t / fps)) for t in range(int(seconds * fps))])
+    np.testing.assert_allclose(series.std(0), 1.0, atol=0.1)
+    power = np.abs(np.fft.rfft(series * np.hanning(len(series))[:, None], axis=0)) ** 2
+    f = np.fft.rfftfreq(len(series), 1 / fps)
+    assert power[f > highest + 0.1].sum() < 1e-3 * power.sum()
+    density = [power[(f > lo) & (f < 2 * lo)].sum(0).mean() / lo for lo in (0.4, 0.8, 1.6)]
+    assert 2.0 < density[0] / density[1] < 8.0  # 4 where the density of power falls as 1/f²
+    assert 2.0 < density[1] / density[2] < 8.0
+
+
+def test_tremor_on_the_pose_has_the_size_of_a_hands():
+    assert np.degrees(TURN_RMS) == pytest.approx(0.1)
+    assert 0.0005 < PLACE_RMS < 0.003  # millimetres at a metre
+    turn = np.array([0.1, -0.2, 0.3])
+    rotation = rotation_matrix(turn)
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-15)
+    np.testing.assert_allclose(rotation @ turn, turn)
+    assert np.arccos((np.trace(rotation) - 1) / 2) == pytest.approx(np.linalg.norm(turn))
+
+
+def test_a_users_scene_fits_the_picture():
+    setup = CameraSetup(test_views=2).placed((1.0, 2.0, 3.0), 2.0, train_cameras(2))
+    rng = np.random.default_rng(0)
+    ball = rng.normal(size=(500, 3))
+    ball = 2.0 * ball / np.linalg.norm(ball, axis=1, keepdims=True) + [1, 2, 3]
+    pixels, _ = cameras_at(setup, 0)["train"][0].project(ball, 100, 100)
+    assert 0 < pixels.min() < 8
+    assert 92 < pixels.max() < 100
+    assert setup.given == ()
+
+
+def test_cameras_of_a_users_scene_are_taken_as_they_are():
+    found = (Camera(4, train_cameras(3)[1].camera_to_world, angle_x=0.4), train_cameras(3)[2])
+    placed = CameraSetup("given", test_views=0).placed((0, 0, 0), 1.0, found)
+    assert cameras_at(placed, 2)["train"] == (found[0].numbered(0), found[1].numbered(1))
+    assert cameras_at(placed, 2)["test"] == ()
+
+
+@pytest.mark.parametrize("setup", [RIG, SWEEP, HELD], ids=lambda s: s.kind)
+def test_a_reader_gets_the_poses_and_lenses_back(setup, tmp_path):
+    setup = replace(setup, n_timesteps=3)
+    expected = []
+    for t in range(3):
+        cameras = cameras_at(setup, t)["train"]
+        expected += cameras
+        folder = tmp_path / f"{t:03d}"
+        (folder / "train").mkdir(parents=True)
+        data = transforms(cameras, "train", t / setup.fps, 24, 16)
+        (folder / "transforms_train.json").write_text(json.dumps(data))
+        for camera in cameras:
+            Image.new("RGBA", (24, 16)).save(folder / "train" / f"{camera.name}.png")
+    (tmp_path / "scene.json").write_text(json.dumps({"fps": setup.fps}))
+    capture = load_capture(tmp_path)
+    assert [path.stem for path in capture.paths] == [camera.name for camera in expected]
+    for i, camera in enumerate(expected):
+        view = np.diag([1.0, -1.0, -1.0, 1.0]) @ np.linalg.inv(camera.camera_to_world)
+        np.testing.assert_allclose(capture.viewmats[i], view, atol=1e-9)
+        focal, (cx, cy) = camera.focal(24), camera.principal_point(24, 16)
+        np.testing.assert_allclose(capture.Ks[i], [[focal, 0, cx], [0, focal, cy], [0, 0, 1]])
+    assert len(set(capture.camera_ids.tolist())) == {"rig": 9, "sweep": 13, "handheld": 3}[setup.kind]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"kind": "drone"}, r"--cameras 'drone' is none of orbit, rig, sweep, handheld, given"),
+        ({"views": 0}, r"--views 0 is not a whole number in 1 … 1000"),
+        ({"views": True}, r"--views True"),
+        ({"test_views": 1001}, r"--test-views 1001"),
+        ({"n_timesteps": 0}, r"--timesteps 0"),
+        ({"fps": float("nan")}, r"--fps nan is not a positive number"),
+        ({"fps": 0.0}, r"--fps 0.0"),
+        ({"seed": -1}, r"--seed -1"),
+        ({"distance": 0.0}, r"distance 0.0 is not in"),
+        ({"distance": float("nan")}, r"distance nan is not in"),
+        ({"centre": (0.0, float("nan"), 0.0)}, r"centre \(0.0, nan, 0.0\) is not three numbers"),
+        ({"angle_x": 3.0}, r"field of view 3.0 is not in"),
+        ({"given": (train_cameras(2)[1],)}, r"given cameras are numbered \[1\]"),
+    ],
+)
+def test_unusable_setups_are_refused(changes, message):
+    with pytest.raises(GenerateError, match=message):
+        CameraSetup(**changes)
+
+
+def test_what_is_missing_is_said():
+    with pytest.raises(GenerateError, match="--cameras given needs a scene of your own"):
+        cameras_at(CameraSetup("given"), 0)
+    with pytest.raises(GenerateError, match="--cameras given: the file holds no camera"):
+        CameraSetup("given").placed((0, 0, 0), 1.0)
+    with pytest.raises(GenerateError, match=r"the scene has a radius of 0\.0"):
+        CameraSetup().placed((0, 0, 0), 0.0)
+    with pytest.raises(ValueError, match="timestep 30 is not in 0 … 29"):
+        cameras_at(CameraSetup(), 30)

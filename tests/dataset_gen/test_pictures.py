@@ -1,0 +1,179 @@
+"""Picture files from linear light: PNG of 8 and 16 bits, EXR, on white or clear, read back by other readers."""
+
+import io
+
+import numpy as np
+import pytest
+
+from dataset_gen import exr, png
+from dataset_gen.colour import over_white, straight, to_display, to_integers
+from dataset_gen.errors import GenerateError
+from dataset_gen.pictures import PictureFormat
+from dataset_gen.sensor import Sensor
+from tg4mm.capture.decode import decode
+from tg4mm.capture.images import ImageStack
+
+EVERY = [PictureFormat(i, b) for i in ("png8", "png16", "exr") for b in ("transparent", "white")]
+
+
+def light(height=20, width=14, seed=0):
+    """[H, W, 4] linear and premultiplied: a smooth picture with noise, clear, partly and wholly covered."""
+    rng = np.random.default_rng(seed)
+    alpha = np.clip(np.linspace(-0.4, 1.6, width), 0, 1)[None, :, None] * np.ones((height, 1, 1))
+    colour = np.linspace(0, 0.9, height)[:, None, None] + 0.1 * rng.random((height, width, 3))
+    return np.concatenate([colour * alpha, alpha], -1).astype(np.float32)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("channels", [1, 3, 4])
+@pytest.mark.parametrize("smooth", [True, False])
+def test_png_comes_back_as_it_was_written(tmp_path, dtype, channels, smooth):
+    rng = np.random.default_rng(1)
+    top = np.iinfo(dtype).max
+    pixels = rng.integers(0, top, (33, 21, channels), endpoint=True).astype(dtype)
+    if smooth:
+        ramp = np.add.outer(np.arange(33) ** 2, 7 * np.arange(21))[..., None] + 3 * np.arange(channels)
+        pixels = (ramp * (top // 255) % top).astype(dtype)
+    path = tmp_path / "a.png"
+    path.write_bytes(png.encode(pixels))
+    got = decode(path)
+    assert got.dtype == dtype
+    colours = 1 if channels == 1 else 3
+    np.testing.assert_array_equal(got[..., :colours], pixels[..., :colours])
+    np.testing.assert_array_equal(got[..., 3], pixels[..., 3] if channels == 4 else top)
+    assert png.complete(path, 21, 33, 8 * pixels.itemsize, channels)
+
+
+def test_png_is_about_as_small_as_pillows():
+    image = pytest.importorskip("PIL.Image")
+    rows = np.add.outer(np.arange(96), np.arange(128))[..., None] + np.random.default_rng(0).normal(
+        0, 2, (96, 128, 3)
+    )
+    pixels = np.clip(rows, 0, 255).astype(np.uint8)
+    theirs = io.BytesIO()
+    image.fromarray(pixels).save(theirs, "PNG")
+    assert len(png.encode(pixels)) < 1.05 * len(theirs.getvalue())
+
+
+def test_png_of_something_else_is_refused():
+    for pixels in (np.zeros((4, 4), np.uint8), np.zeros((4, 4, 2), np.uint8), np.zeros((4, 4, 3))):
+        with pytest.raises(ValueError, match="expected uint8 or uint16"):
+            png.encode(pixels)
+
+
+@pytest.mark.parametrize("form", EVERY, ids=lambda f: f"{f.images}-{f.background}")
+def test_a_reader_sees_the_same_picture_in_every_format(form, tmp_path):
+    linear = light()
+    path = tmp_path / f"a{form.suffix}"
+    path.write_bytes(form.encode(linear))
+    assert form.complete(path, 14, 20)
+    got = ImageStack(decode(path)[None])
+    colour, alpha = straight(linear)
+    expected = to_display(colour) * alpha[..., None] + 1 - alpha[..., None]
+    np.testing.assert_allclose(
+        got.rgb(0), expected, atol={"png8": 0.0041, "png16": 5e-5, "exr": 1.1e-3}[form.images]
+    )
+    wanted = alpha if form.background == "transparent" else np.ones_like(alpha)
+    np.testing.assert_allclose(got.alpha(0), wanted, atol=0.002)
+
+
+@pytest.mark.parametrize("form", EVERY, ids=lambda f: f"{f.images}-{f.background}")
+def test_torn_and_foreign_files_are_not_complete(form, tmp_path):
+    whole = form.encode(light())
+    path = tmp_path / "a"
+    cases = [(whole, True), (b"", False), (b"GIF89a" + whole[6:], False)]
+    cases += [(whole[:n], False) for n in (3, 30, len(whole) // 2, len(whole) - 1)]
+    for content, good in cases:
+        path.write_bytes(content)
+        assert form.complete(path, 14, 20) is good
+    path.write_bytes(whole)
+    assert not form.complete(path, 14, 21)
+    assert not form.complete(path, 28, 10)
+    assert not form.complete(tmp_path / "absent", 14, 20)
+    for other in EVERY:
+        same = other == form or (other.images == form.images == "exr")  # an EXR's channels are not looked at
+        assert other.complete(path, 14, 20) is same
+
+
+@pytest.mark.parametrize("form", EVERY, ids=lambda f: f"{f.images}-{f.background}")
+def test_the_same_light_gives_the_same_bytes(form):
+    assert form.encode(light()) == form.encode(light())
+    assert form.encode(light()) != form.encode(light(seed=1))
+
+
+def test_exr_keeps_linear_light_premultiplied(tmp_path):
+    OpenEXR = pytest.importorskip("OpenEXR")
+    linear = light() * 3
+    linear[..., 3] /= 3
+    path = tmp_path / "a.exr"
+    path.write_bytes(PictureFormat("exr").encode(linear))
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        channels = file.channels()
+        assert sorted(channels) == ["A", "B", "G", "R"]
+        for i, name in enumerate("RGBA"):
+            np.testing.assert_allclose(channels[name].pixels, linear[..., i], rtol=6e-4, atol=1e-7)
+
+
+def test_exr_clips_to_what_half_floats_hold():
+    assert np.isfinite(np.float16(65504.0))
+    data = exr.encode(np.full((2, 2, 3), 1e9, np.float32))
+    assert len(data) > 100
+
+
+def test_on_white_opaque_pixels_keep_their_brightness():
+    pixels = np.array([[[3.0, 0.5, 0.0, 1.0], [0.0, 0.0, 0.0, 0.0], [0.2, 0.2, 0.2, 0.5]]], np.float32)
+    got = over_white(pixels)
+    np.testing.assert_allclose(got[0, 0], [3.0, 0.5, 0.0])
+    np.testing.assert_allclose(got[0, 1], 1.0)
+    np.testing.assert_allclose(
+        to_display(got[0, 2]), to_display(np.float32([0.4] * 3)) * 0.5 + 0.5, rtol=1e-5
+    )
+
+
+@pytest.mark.parametrize("background", ["transparent", "white"])
+def test_a_sensor_gives_noise_by_key_and_the_right_mean(background):
+    form, sensor = PictureFormat("png16", background), Sensor(full_well=3000.0, read_noise=2.0)
+    linear = np.zeros((64, 64, 4), np.float32)
+    linear[:, 16:, :3], linear[:, 16:, 3] = 0.25, 1.0
+    one, same, other = (form.pixels(linear, sensor, (0, "train", t)) for t in (0, 0, 1))
+    np.testing.assert_array_equal(one, same)
+    assert (one != other).mean() > 0.4
+    target = to_integers(to_display(np.float64(0.25)), 16)
+    assert one[:, 16:, :3].mean() == pytest.approx(float(target), rel=2e-3)
+    if background == "transparent":
+        np.testing.assert_array_equal(one[..., 3], form.pixels(linear)[..., 3])
+        assert (one[:, :16] == 0).all()
+    else:
+        assert one.shape == (64, 64, 3)
+
+
+@pytest.mark.parametrize(
+    ("form", "sensor", "message"),
+    [
+        (PictureFormat("exr"), "scientific", "--images exr cannot be combined"),
+        (PictureFormat("png8"), "phone", "needs --images png8 and --background white"),
+        (PictureFormat("png16", "white"), "phone", "needs --images png8 and --background white"),
+    ],
+)
+def test_formats_that_a_sensor_cannot_have(form, sensor, message):
+    for call in (form.check_sensor, lambda s: form.encode(light(), s, (0,))):
+        with pytest.raises(GenerateError, match=message):
+            call(Sensor.preset(sensor))
+
+
+def test_a_phone_on_white_is_a_jpegs_picture():
+    pytest.importorskip("PIL")
+    picture = PictureFormat("png8", "white").pixels(light(), Sensor.preset("phone"), (0,))
+    assert (picture.dtype, picture.shape) == (np.uint8, (20, 14, 3))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("gif",), "--images 'gif' is none of png8, png16, exr"),
+        (("exr", "red"), "--background 'red' is none of"),
+    ],
+)
+def test_unknown_formats_are_refused(arguments, message):
+    with pytest.raises(GenerateError, match=message):
+        PictureFormat(*arguments)

@@ -1,0 +1,129 @@
+"""The built-in chair: parts, closed bodies, joints, and what may move."""
+
+import numpy as np
+import pytest
+
+from dataset_gen.meshes import triangle_areas
+from dataset_gen.scenes import chair
+from dataset_gen.shapes import cushion
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return chair.build()
+
+
+@pytest.fixture(scope="module")
+def parts(scene):
+    return {part.name: part for part in scene.parts}
+
+
+def volume(mesh):
+    a, b, c = (mesh.vertices[mesh.triangles[:, k]] for k in range(3))
+    return (a * np.cross(b, c)).sum() / 6.0
+
+
+def open_edges(mesh):
+    """Edges that are not walked once in each direction; positions decide, so that doubled seams count as joined."""
+    _, same = np.unique(mesh.vertices.round(7), axis=0, return_inverse=True)
+    t = same.reshape(-1)[mesh.triangles].astype(np.int64)
+    edges = np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]])
+    forth, back = (np.sort(edges @ k) for k in ([len(same), 1], [1, len(same)]))
+    return len(np.setxor1d(forth, back))
+
+
+def test_it_has_moving_and_still_parts(parts):
+    moving = {name for name in parts if name.startswith(("back_", "arm_"))}
+    still = set(parts) - moving
+    assert {"back_frame", "back_pad", "back_nails", "arm_wood", "arm_pads"} <= moving
+    assert {"legs", "feet", "seat_rail", "seat_cushion", "seat_fringe", "seat_nails"} <= still
+
+
+def test_it_has_the_scale_of_the_published_scene(scene):
+    points = np.concatenate([part.mesh.vertices for part in scene.parts])
+    assert np.isfinite(points).all()
+    assert 1.2 < np.linalg.norm(points, axis=1).max() < 1.45
+    assert 60_000 <= sum(len(part.mesh.triangles) for part in scene.parts) <= 300_000
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "legs",
+        "seat_rail",
+        "seat_cushion",
+        "seat_cord",
+        "back_frame",
+        "back_pad",
+        "arm_wood",
+        "arm_pads",
+        "knees",
+    ],
+)
+def test_bodies_are_closed_and_face_outwards(parts, name):
+    assert open_edges(parts[name].mesh) == 0
+    assert volume(parts[name].mesh) > 1e-5
+
+
+def test_an_open_body_would_be_noticed(parts):
+    mesh = parts["seat_cushion"].mesh
+    assert open_edges(type(mesh)(mesh.vertices, mesh.triangles[1:], mesh.uv[1:])) > 0
+
+
+def test_it_stands_on_four_feet_of_equal_height(parts):
+    low = parts["feet"].mesh.vertices
+    low = low[low[:, 2] < chair.GROUND + 1e-9]
+    assert {(x > 0, y > 0) for x, y in low[:, :2]} == {(a, b) for a in (True, False) for b in (True, False)}
+
+
+def test_what_moves_starts_where_the_motion_is_still_zero(parts):
+    # Stiles and posts are rooted in the rail, below the clamped end of the bending mode.
+    for name in ("back_stiles", "arm_wood"):
+        assert parts[name].mesh.vertices[:, 2].min() < chair.RAIL[1]
+    for name in ("back_pad", "back_frame", "arm_pads"):
+        assert parts[name].mesh.vertices[:, 2].min() > 0.12  # clear of the still cushion
+    assert parts["seat_cushion"].mesh.vertices[:, 2].max() < 0.12
+
+
+def test_it_is_symmetric(parts):
+    for name in ("legs", "arm_wood", "back_stiles"):
+        points = parts[name].mesh.vertices
+        half = len(points) // 2
+        np.testing.assert_allclose(points[:half] * [1, -1, 1], points[half:])
+
+
+def test_meshes_and_textures_are_sound(scene):
+    for part in scene.parts:
+        mesh, surface = part.mesh, part.surface
+        assert mesh.triangles.max() < len(mesh.vertices)
+        assert mesh.uv.shape == (*mesh.triangles.shape, 2)
+        assert np.isfinite(mesh.uv).all()
+        assert triangle_areas(mesh.vertices, mesh.triangles).min() > 0
+        for picture in (surface.colour, surface.relief, surface.roughness):
+            if picture is not None:
+                assert np.min(picture) >= 0
+                assert np.max(picture) <= 1
+        assert surface.colour.std(axis=(0, 1)).max() > 0.02  # a plain colour would hide the motion
+
+
+def test_it_is_the_same_each_time(scene):
+    for one, two in zip(scene.parts, chair.build().parts, strict=True):
+        np.testing.assert_array_equal(one.mesh.vertices, two.mesh.vertices)
+        np.testing.assert_array_equal(one.surface.colour, two.surface.colour)
+
+
+def test_an_outline_is_filled_and_rimmed_evenly():
+    outline = cushion.Outline(0.5, 0.3, 2.0)
+    points, share = outline.disc(41)
+    np.testing.assert_allclose(np.hypot(points[..., 0] / 0.5, points[..., 1] / 0.3), share, atol=1e-9)
+    assert share[0].min() == pytest.approx(1.0)
+    steps = np.linalg.norm(np.diff(outline.rim(100), axis=0), axis=1)
+    assert np.ptp(steps) < 0.01 * steps.mean()
+
+
+def test_tufts_are_deepest_at_their_buttons():
+    buttons = cushion.diamonds(3, 3, (0.2, 0.2), (0.0, 0.0))
+    assert len(buttons) == 8
+    depth = cushion.tufts(buttons, buttons, 0.05, 0.04, 0.02)
+    np.testing.assert_allclose(depth, 0.05)
+    assert cushion.tufts(np.array([[5.0, 5.0]]), buttons, 0.05, 0.04, 0.02)[0] < 1e-6

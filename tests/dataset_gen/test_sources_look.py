@@ -1,0 +1,426 @@
+"""How a user's .blend file looks once it is opened: materials, images, lights, world, cameras, settings."""
+
+import math
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+from mathutils import Matrix  # noqa: E402
+
+from dataset_gen import build, render  # noqa: E402
+from dataset_gen.quality import Quality  # noqa: E402
+from dataset_gen.sources import open_blend  # noqa: E402
+from tests.dataset_gen.sources_blends import (  # noqa: E402
+    emission,
+    link,
+    mesh_of,
+    new_scene,
+    render_scene,
+    render_stage,
+    save,
+    tetrahedron,
+    view_from,
+)
+
+TURNED = Matrix.LocRotScale((0.2, -0.3, 0.1), Matrix.Rotation(0.7, 3, "X"), (0.8, 1.2, 0.6))
+POSE = view_from((4.5, 4.0, 3.5), (0.3, 0.3, 0.5))
+FIVE = bpy.app.version >= (5, 0, 0)
+
+
+def noise_of(tree, vector=None):
+    noise = tree.nodes.new("ShaderNodeTexNoise")
+    noise.inputs["Scale"].default_value = 3.0
+    if vector is not None:
+        tree.links.new(vector, noise.inputs["Vector"])
+    return noise.outputs["Color"]
+
+
+def coordinates(name, reference=None):
+    def connect(tree):
+        node = tree.nodes.new("ShaderNodeTexCoord")
+        node.object = bpy.data.objects[reference] if reference else None
+        return noise_of(tree, node.outputs[name])
+
+    return connect
+
+
+def geometry_position(tree):
+    return noise_of(tree, tree.nodes.new("ShaderNodeNewGeometry").outputs["Position"])
+
+
+def object_info(tree):
+    info, join = tree.nodes.new("ShaderNodeObjectInfo"), tree.nodes.new("ShaderNodeVectorMath")
+    tree.links.new(info.outputs["Location"], join.inputs[0])
+    tree.links.new(info.outputs["Random"], join.inputs[1])
+    return join.outputs[0]
+
+
+def inside_a_group(tree):
+    group = bpy.data.node_groups.get("stone") or bpy.data.node_groups.new("stone", "ShaderNodeTree")
+    group.interface.new_socket("Colour", in_out="OUTPUT", socket_type="NodeSocketColor")
+    group.links.new(coordinates("Object")(group), group.nodes.new("NodeGroupOutput").inputs[0])
+    node = tree.nodes.new("ShaderNodeGroup")
+    node.node_tree = group
+    return node.outputs[0]
+
+
+def by_uv(tree):
+    return noise_of(tree, tree.nodes.new("ShaderNodeUVMap").outputs[0])
+
+
+def own_attribute(tree):
+    node = tree.nodes.new("ShaderNodeAttribute")
+    node.attribute_name = "displacement"
+    return node.outputs["Color"]
+
+
+def textured_scene(connect):
+    scene = new_scene()
+    link("reference", None, matrix=Matrix.LocRotScale((1, 1, 0), Matrix.Rotation(1, 3, "Z"), (2, 2, 2)))
+    mesh = tetrahedron()
+    mesh.uv_layers.new(name="UVMap").data.foreach_set("uv", np.arange(24, dtype=np.float32) / 12)
+    mesh.attributes.new("displacement", "FLOAT_COLOR", "POINT").data.foreach_set(
+        "color", np.linspace(0, 1, 16, dtype=np.float32)
+    )
+    mesh.materials.append(emission("paint", connect))
+    link("part", mesh, matrix=TURNED)
+    return scene
+
+
+WAYS = {
+    "object": coordinates("Object"),
+    "generated": coordinates("Generated"),
+    "axes of another object": coordinates("Object", "reference"),
+    "position": geometry_position,
+    "object info": object_info,
+    "group": inside_a_group,
+    "nothing linked": noise_of,
+    "uv": by_uv,
+    "attribute of our name": own_attribute,
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_textures_look_as_in_the_file_and_go_along_with_the_surface(tmp_path, way):
+    scene = textured_scene(WAYS[way])
+    path = save(tmp_path)
+    wanted = render_scene(scene, tmp_path / "file.exr", POSE)
+    loaded = open_blend(path)
+    got = render_stage(loaded.stage, tmp_path / "stage.exr", POSE)
+    covered = (wanted[..., 3] > 0.99) & (got[..., 3] > 0.99)
+    assert covered.sum() > 100
+    assert np.ptp(wanted[covered][:, :3], axis=0).max() > 0.05 or way == "object info"
+    assert wanted[covered][:, :3].max() > 0.05
+    assert np.abs(got - wanted)[covered].max() < 2e-3
+    shift = np.array([0.37, -0.21, 0.4])
+    pose = POSE.copy()
+    pose[:3, 3] += shift
+    moved = render_stage(loaded.stage, tmp_path / "moved.exr", pose, [np.tile(shift, (4, 1))])
+    assert np.abs(moved - got)[covered & (moved[..., 3] > 0.99)].max() < 2e-3
+
+
+def test_a_missing_environment_becomes_a_grey_sky_and_missing_textures_plain_grey(tmp_path):
+    scene = new_scene()
+    mesh = tetrahedron()
+
+    def lost_texture(tree):
+        node = tree.nodes.new("ShaderNodeTexImage")
+        node.image = bpy.data.images.new("wood", 4, 4)
+        node.image.filepath, node.image.source = "//textures/wood.png", "FILE"
+        return node.outputs[0]
+
+    mesh.materials.append(emission("paint", lost_texture))
+    link("part", mesh)
+    scene.world = bpy.data.worlds.new("outdoors")
+    scene.world.use_nodes = True
+    tree = scene.world.node_tree
+    sky = tree.nodes.new("ShaderNodeTexEnvironment")
+    sky.image = bpy.data.images.new("sky", 8, 4)
+    sky.image.filepath, sky.image.source = "//hdri/forest.exr", "FILE"
+    background = next(node for node in tree.nodes if node.bl_idname == "ShaderNodeBackground")
+    background.inputs["Strength"].default_value = 0.5
+    tree.links.new(sky.outputs[0], background.inputs["Color"])
+    loaded = open_blend(save(tmp_path))
+    assert any("forest.exr is missing: a grey sky" in line for line in loaded.warnings)
+    assert any("wood.png is missing: plain grey" in line for line in loaded.warnings)
+    loaded.stage.scene.render.film_transparent = False
+    picture = render_stage(loaded.stage, tmp_path / "a.exr", POSE)
+    assert np.ptp(picture[..., :3], axis=2).max() < 0.02  # no pink anywhere
+    loaded.stage.camera.data.angle = 2.0
+    scene = loaded.stage.scene
+    assert scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value == 0.5
+    assert np.isclose(picture[16, 16, 0], 0.5, atol=0.02)  # the neutral texture, shining with strength 1
+
+
+def test_an_image_that_cannot_be_read_is_replaced_and_packed_ones_stay(tmp_path):
+    new_scene()
+    (tmp_path / "broken.png").write_bytes(b"no picture at all")
+    packed = bpy.data.images.new("packed", 4, 4)
+    packed.pixels.foreach_set(np.tile(np.float32([0.2, 0.4, 0.6, 1.0]), 16))
+    packed.pack()
+    broken = bpy.data.images.new("broken", 4, 4)
+    broken.filepath, broken.source = str(tmp_path / "broken.png"), "FILE"
+    for i, image in enumerate((packed, broken)):
+        mesh = tetrahedron()
+
+        def texture(tree, image=image):
+            node = tree.nodes.new("ShaderNodeTexImage")
+            node.image = image
+            return node.outputs[0]
+
+        mesh.materials.append(emission(image.name, texture))
+        link(image.name, mesh, matrix=Matrix.Translation((3 * i, 0, 0)))
+    loaded = open_blend(save(tmp_path))
+    assert sum("image" in line for line in loaded.warnings) == 1
+    assert any("broken.png cannot be read" in line for line in loaded.warnings)
+    nodes = loaded.stage.scene.objects["packed"].data.materials[0].node_tree.nodes
+    assert next(node for node in nodes if node.bl_idname == "ShaderNodeTexImage").image.name == "packed"
+
+
+@pytest.mark.skipif(FIVE, reason="from 5.0 on every material has nodes")
+def test_materials_and_worlds_without_nodes_look_like_their_viewport_colour(tmp_path):
+    scene = new_scene()
+    mesh = tetrahedron()
+    mesh.materials.append(bpy.data.materials.new("old"))
+    mesh.materials[0].diffuse_color = (0.7, 0.2, 0.1, 1.0)
+    mesh.materials[0].roughness = 0.25
+    link("part", mesh)
+    scene.world = bpy.data.worlds.new("old")
+    scene.world.color = (0.1, 0.2, 0.9)
+    loaded = open_blend(save(tmp_path))
+    nodes = loaded.stage.objects[0].data.materials[0].node_tree.nodes
+    shader = next(node for node in nodes if node.bl_idname == "ShaderNodeBsdfPrincipled")
+    assert np.allclose(shader.inputs["Base Color"].default_value, (0.7, 0.2, 0.1, 1.0))
+    assert np.isclose(shader.inputs["Roughness"].default_value, 0.25)
+    loaded.stage.scene.render.film_transparent = False
+    picture = render_stage(loaded.stage, tmp_path / "a.exr", POSE)
+    loaded.stage.scene.render.film_transparent = False
+    background = loaded.stage.scene.world.node_tree.nodes["Background"].inputs["Color"].default_value
+    assert np.allclose(background[:3], (0.1, 0.2, 0.9))
+    assert not any("sky" in line for line in loaded.warnings)
+    assert picture[..., 2].max() > 2 * picture[..., 0].max() > 0
+
+
+def test_lights_stay_where_they_are_and_what_they_are(tmp_path):
+    scene = new_scene()
+    link("part", tetrahedron())
+    data = bpy.data.lights.new("lamp", "SPOT")
+    data.energy = 500.0
+    parent = link("arm", None, matrix=Matrix.Translation((1, 2, 3)))
+    lamp = link("lamp", data)
+    lamp.parent = parent
+    lamp.location = (0, 0, 2)
+    link("off", bpy.data.lights.new("off", "SUN")).hide_render = True
+    group = bpy.data.collections.new("group")
+    group.objects.link(bpy.data.objects.new("inner", bpy.data.lights.new("inner", "POINT")))
+    place = link("place", None, matrix=Matrix.Translation((7, 0, 0)))
+    place.instance_type, place.instance_collection = "COLLECTION", group
+    data.keyframe_insert("energy", frame=1)
+    scene.frame_set(1)
+    loaded = open_blend(save(tmp_path))
+    lights = {obj.name: obj for obj in loaded.stage.scene.objects if obj.type == "LIGHT"}
+    assert set(lights) == {"lamp", "inner"}
+    assert np.allclose(lights["lamp"].matrix_world.translation, (1, 2, 5))
+    assert np.allclose(lights["inner"].matrix_world.translation, (7, 0, 0))
+    assert (lights["lamp"].data.type, lights["lamp"].data.energy) == ("SPOT", 500.0)
+    assert lights["lamp"].data.animation_data is None
+    assert not any("light" in line for line in loaded.warnings)
+
+
+def test_a_scene_without_any_light_gets_a_sky_and_a_glowing_one_does_not(tmp_path):
+    new_scene()
+    link("part", tetrahedron())
+    dark = open_blend(save(tmp_path, "dark.blend"))
+    assert any("no light at all" in line for line in dark.warnings)
+    picture = render_stage(dark.stage, tmp_path / "a.exr", POSE)
+    assert picture[16, 16, :3].min() > 0.05
+    new_scene()
+    mesh = tetrahedron()
+    mesh.materials.append(emission("glow", lambda tree: tree.nodes.new("ShaderNodeRGB").outputs[0]))
+    link("part", mesh)
+    assert not any("no light" in line for line in open_blend(save(tmp_path, "glow.blend")).warnings)
+
+
+def test_all_cameras_are_found_and_see_what_they_saw(tmp_path):
+    scene = new_scene()
+    scene.render.resolution_x, scene.render.resolution_y = 1920, 1080
+    link("part", tetrahedron())
+    first = link("first", bpy.data.cameras.new("first"), matrix=Matrix.Translation((0, 0, 9)))
+    first.data.angle, first.scale = 0.8, (2, 2, 2)
+    tall = link("tall", bpy.data.cameras.new("tall"), matrix=view_from((5, 0, 1)))
+    tall.data.sensor_fit = "VERTICAL"
+    tall.data.sensor_height, tall.data.lens = 24.0, 24.0
+    tall.data.shift_x = 0.1
+    link("plan", bpy.data.cameras.new("plan")).data.type = "ORTHO"
+    scene.camera = tall
+    loaded = open_blend(save(tmp_path))
+    assert loaded.camera_names == ("tall", "first")
+    seen = dict(zip(loaded.camera_names, loaded.cameras, strict=True))
+    assert np.allclose(seen["first"].camera_to_world, Matrix.Translation((0, 0, 9)), atol=1e-6)
+    assert np.isclose(seen["first"].angle_x, 0.8, atol=1e-6)
+    assert np.allclose(seen["tall"].camera_to_world, view_from((5, 0, 1)), atol=1e-6)
+    assert np.isclose(seen["tall"].angle_x, 2 * math.atan(0.5 * 1920 / 1080), atol=1e-6)
+    assert np.isclose(seen["tall"].shift[0], -0.1 * 1080 / 1920, atol=1e-6)
+    assert any("plan are not perspective" in line for line in loaded.warnings)
+    assert [obj.name for obj in loaded.stage.scene.objects if obj.type == "CAMERA"] == ["camera"]
+    assert loaded.stage.scene.camera == loaded.stage.camera
+
+
+def compositor_that_blackens(scene):
+    """A compositor whose output is black, and a File Output node that would write a file."""
+    if FIVE:
+        tree = bpy.data.node_groups.new("composite", "CompositorNodeTree")
+        tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
+        scene.compositing_node_group = tree
+        output = tree.nodes.new("NodeGroupOutput")
+    else:
+        scene.use_nodes = True
+        tree = scene.node_tree
+        tree.nodes.clear()
+        output = tree.nodes.new("CompositorNodeComposite")
+    colour = tree.nodes.new("CompositorNodeRGB")
+    colour.outputs[0].default_value = (0, 0, 0, 1)
+    tree.links.new(colour.outputs[0], output.inputs[0])
+    return tree.nodes.new("CompositorNodeOutputFile")
+
+
+def test_render_settings_compositor_and_sequencer_do_not_reach_the_picture(tmp_path):
+    scene = new_scene()
+    mesh = tetrahedron()
+
+    def red(tree):
+        node = tree.nodes.new("ShaderNodeRGB")
+        node.outputs[0].default_value = (0.8, 0.1, 0.05, 1)
+        return node.outputs[0]
+
+    mesh.materials.append(emission("red", red))
+    link("part", mesh)
+    files = compositor_that_blackens(scene)
+    (tmp_path / "written").mkdir()
+    if FIVE:
+        files.directory = str(tmp_path / "written")
+    else:
+        files.base_path = str(tmp_path / "written")
+    render_settings = scene.render
+    render_settings.resolution_percentage, render_settings.pixel_aspect_x = 25, 2.0
+    render_settings.use_border = render_settings.use_crop_to_border = True
+    render_settings.border_max_x = render_settings.border_max_y = 0.3
+    render_settings.use_motion_blur = render_settings.use_stamp = render_settings.use_multiview = True
+    render_settings.use_freestyle = render_settings.use_simplify = True
+    render_settings.dither_intensity, render_settings.simplify_subdivision_render = 2.0, 0
+    scene.view_settings.exposure, scene.view_settings.gamma = 1.0, 2.0
+    scene.view_settings.use_curve_mapping = True
+    scene.cycles.use_denoising, scene.cycles.film_exposure = True, 0.5
+    scene.sequence_editor_create()
+    scene.view_layers[0].use_freestyle = True
+    scene.view_layers[0].pass_alpha_threshold = 0.9
+    loaded = open_blend(save(tmp_path))
+    stage = loaded.stage
+    render.configure(stage, Quality(32, 32, samples=1, seed=0, threads=1))
+    fresh = stage.scene.render
+    assert fresh.resolution_percentage == 100
+    assert fresh.pixel_aspect_x == 1.0
+    for name in ("border", "motion_blur", "stamp", "multiview", "freestyle", "simplify"):
+        assert not getattr(fresh, f"use_{name}")
+    assert stage.scene.view_settings.gamma == 1.0
+    assert stage.scene.sequence_editor is None
+    picture = render_stage(stage, tmp_path / "a.exr", POSE)
+    assert picture.shape == (32, 32, 4)
+    # Exposure 1 doubles, the film halves: the brightness of the file is kept.
+    assert np.allclose(picture[16, 16], (0.8, 0.1, 0.05, 1), atol=1e-3)
+    assert not list((tmp_path / "written").iterdir())
+
+
+@pytest.mark.parametrize(
+    ("system", "length", "metres"), [("METRIC", 0.01, 0.01), ("IMPERIAL", 2.0, 2.0), ("NONE", 1.0, None)]
+)
+def test_the_unit_is_known_only_where_the_file_has_a_unit_system(tmp_path, system, length, metres):
+    scene = new_scene()
+    link("part", tetrahedron())
+    scene.unit_settings.system, scene.unit_settings.scale_length = system, length
+    found = open_blend(save(tmp_path)).unit_scale_m
+    assert found == pytest.approx(metres) if metres else found is None
+
+
+def principled(name, **values):
+    material = bpy.data.materials.new(name)
+    if not FIVE:
+        material.use_nodes = True
+    shader = next(n for n in material.node_tree.nodes if n.bl_idname == "ShaderNodeBsdfPrincipled")
+    for socket, value in values.items():
+        shader.inputs[socket.replace("_", " ")].default_value = value
+    return material
+
+
+def test_materials_that_truth_sees_otherwise_are_named(tmp_path):
+    new_scene()
+    displaced = principled("bark")
+    displaced.displacement_method = "BOTH"
+    tree = displaced.node_tree
+    height = tree.nodes.new("ShaderNodeDisplacement")
+    tree.links.new(height.outputs[0], tree.get_output_node("CYCLES").inputs["Displacement"])
+    smoke = principled("smoke")
+    tree = smoke.node_tree
+    output = tree.get_output_node("CYCLES")
+    tree.links.remove(output.inputs["Surface"].links[0])
+    tree.links.new(tree.nodes.new("ShaderNodeVolumePrincipled").outputs[0], output.inputs["Volume"])
+    materials = [principled("leaf", Alpha=0.5), principled("glass", Transmission_Weight=1.0), displaced, smoke, principled("stone")]
+    for i, material in enumerate(materials):
+        mesh = tetrahedron()
+        mesh.materials.append(material)
+        link(material.name, mesh, matrix=Matrix.Translation((3 * i, 0, 0)))
+    loaded = open_blend(save(tmp_path))
+    said = "\n".join(loaded.warnings)
+    assert "materials leaf: transparent places" in said
+    assert "materials glass: truth sees the surface" in said
+    assert "materials bark: true displacement" in said
+    assert "materials smoke: volumes are left out" in said
+    assert "stone" not in said
+    assert {body.name for body in loaded.bodies} == {"leaf", "glass", "bark", "stone"}
+    assert loaded.light_paths["transparent_max_bounces"] >= 8
+    assert loaded.light_paths["transmission_bounces"] >= 8
+    render.configure(loaded.stage, Quality(16, 16, samples=1, seed=0, threads=1))
+    loaded.use_light_paths()
+    assert loaded.stage.scene.cycles.transparent_max_bounces >= 8
+
+
+def test_scripts_in_the_file_never_run_and_scripted_drivers_are_named(tmp_path):
+    new_scene()
+    trace = tmp_path / "trace"
+    text = bpy.data.texts.new("evil.py")
+    text.write(f"open({str(trace)!r}, 'w').close()")
+    text.use_module = True
+    obj = link("part", tetrahedron())
+    driver = obj.driver_add("location", 0).driver
+    driver.expression = f"len(str(open({str(trace)!r}, 'w'))) * 0.0 + 5.0"
+    path = save(tmp_path)
+    trace.unlink(missing_ok=True)
+    loaded = open_blend(path)
+    assert not trace.exists()
+    assert any("scripted drivers of part do not run" in line for line in loaded.warnings)
+    assert not bpy.data.texts
+
+
+def test_the_data_passes_of_a_loaded_stage_are_its_motion(tmp_path):
+    pytest.importorskip("OpenEXR")
+    new_scene()
+    quad = mesh_of("quad", [(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], [(0, 1, 2, 3)])
+    quad.attributes.new("displacement", "FLOAT", "FACE")  # a user's attribute of our name
+    quad.materials.append(principled("glass", Transmission_Weight=1.0))
+    link("quad", quad)
+    loaded = open_blend(save(tmp_path))
+    stage = loaded.stage
+    render.configure(stage, Quality(16, 16, samples=1, seed=0, threads=1))
+    moved = np.array([(0.0, 0.0, 0.1)] * 4) + 0.01 * loaded.bodies[0].vertices
+    build.move(stage, [moved])
+    stage.camera.matrix_world = Matrix(view_from((0.1, 0.2, 4)).tolist())
+    render.use_data(stage)
+    render.render_to(stage, tmp_path / "data.exr")
+    passes = render.read_passes(tmp_path / "data.exr")
+    hit = passes["Depth"] < 1e9
+    assert hit.sum() > 50
+    rest = passes["Position"][hit] - passes["Displacement"][hit]
+    assert np.abs(rest[:, 2]).max() < 1e-5
+    assert np.abs(passes["Displacement"][hit] - (np.array([0, 0, 0.1]) + 0.01 * rest)).max() < 1e-5

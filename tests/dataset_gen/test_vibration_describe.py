@@ -1,0 +1,295 @@
+"""Motion descriptions: what a person writes, its round trip, and every mistake as one line."""
+
+import builtins
+import json
+import sys
+
+import pytest
+
+from dataset_gen.errors import GenerateError
+from dataset_gen.vibration import MotionDescription, Ramp, Vibration, read_motion
+from dataset_gen.vibration.kinds import KINDS
+from dataset_gen.vibration.waves import Region
+
+COMMON = {"frequency": 5, "amplitude": 0.005}
+EVERY_KIND = {
+    "translate": {"direction": [1, 0, 0]},
+    "rock": {"pivot": [0, 0, 0], "axis": [0, 1, 0]},
+    "twist": {"pivot": [0, 0, 0], "axis": [0, 1, 0], "length": 2},
+    "bending": {"base": [0, 0, 0], "tip": [0, 0, 1], "direction": [1, 0, 0], "order": 2},
+    "membrane": {"centre": [0, 0, 0], "normal": [0, 0, 1], "radius": 0.5, "nodes": [1, 2], "thickness": 0.1},
+    "plate": {"centre": [0, 0, 0], "normal": [0, 0, 1], "x": [1, 0, 0], "size": [1, 2], "nodes": [2, 3]},
+    "wave": {
+        "direction": [1, 0, 0], "wavelength": 0.3, "polarisation": "rayleigh", "decay_length": 1, "level": -0.2,
+        "region": {"centre": [0, 0, 0], "radius": 2},
+    },
+    "jiggle": {"held": -0.5, "reach": 0.3, "direction": "random", "seed": 3},
+    "group": {"group": "lid", "direction": [0, 0, 1]},
+    "drift": {"direction": [0, 0, 1]},
+}  # fmt: skip
+SWAY = {"name": "sway", "kind": "bending", **COMMON, **EVERY_KIND["bending"]}
+
+
+def mode(kind, **changes):
+    common = {"rate": 0.1} if kind == "drift" else COMMON
+    return {"name": kind, "kind": kind, **common, **EVERY_KIND[kind], **changes}
+
+
+def read(tmp_path, text, name="motion.yaml"):
+    path = tmp_path / name
+    path.write_text(text, encoding="utf-8")
+    return read_motion(path)
+
+
+def message(data):
+    with pytest.raises(GenerateError) as caught:
+        MotionDescription.from_json(data, "x.yaml")
+    text = str(caught.value)
+    assert "\n" not in text
+    assert text.startswith("x.yaml: ")
+    return text.removeprefix("x.yaml: ")
+
+
+def test_every_kind_reads_and_comes_back_the_same():
+    assert set(EVERY_KIND) == set(KINDS)
+    modes = [mode("bending", phase=-30, phases={"leaf_*": 40}, decay=1.5, parts=["a", "b*"], magnified=False)]
+    modes += [mode(kind) for kind in EVERY_KIND if kind != "bending"]
+    description = MotionDescription.from_json({"modes": modes})
+    again = MotionDescription.from_json(json.loads(json.dumps(description.to_json())))
+    assert again == description
+    assert hash(again) == hash(description)
+    assert [m.kind for m in again.modes][1:] == [kind for kind in EVERY_KIND if kind != "bending"]
+    first = again.modes[0]
+    assert first.law == Vibration(5.0, 1.5)
+    assert (first.phase, first.phases, first.parts, first.magnified) == (
+        -30.0,
+        (("leaf_*", 40.0),),
+        ("a", "b*"),
+        False,
+    )
+    assert again.modes[-1].law == Ramp()
+    assert again.modes[-1].amplitude == 0.1
+    assert again.modes[6].field.region == Region((0.0, 0.0, 0.0), 2.0)
+
+
+def test_two_descriptions_that_differ_are_not_equal():
+    one = MotionDescription.from_json({"modes": [SWAY]})
+    for change in ({"frequency": 6}, {"order": 1}, {"phase": 1}, {"parts": ["a"]}, {"magnified": False}):
+        other = MotionDescription.from_json({"modes": [SWAY | change]})
+        assert other != one
+        assert other.to_json() != one.to_json()
+
+
+def test_yaml_as_a_person_writes_it(tmp_path):
+    pytest.importorskip("yaml")
+    description = read(
+        tmp_path,
+        """
+        # the mast bends, the flag waves
+        modes:
+          - name: mast
+            kind: bending
+            frequency: 3
+            amplitude_px: 0.2
+            base: [0, 0, -1]
+            tip: [0, 0, 1.5]
+            direction: [1, 0, 0]
+            parts: mast
+            phases: random
+          - {name: drift, kind: drift, rate: 1.0e-3, direction: [0, 1, 0], magnified: false}
+        """,
+    )
+    mast, drift = description.modes
+    assert (mast.frequency_hz, mast.amplitude, mast.amplitude_px) == (3.0, None, 0.2)
+    assert (mast.parts, mast.phases) == (("mast",), "random")
+    assert (drift.amplitude, drift.magnified, drift.frequency_hz) == (0.001, False, 0.0)
+    assert description.main is mast
+    assert description.source == "motion.yaml"
+
+
+def test_json_needs_no_pyyaml(tmp_path, monkeypatch):
+    real = builtins.__import__
+
+    def without_yaml(name, *args, **kwargs):
+        if name == "yaml":
+            raise ImportError(name)
+        return real(name, *args, **kwargs)
+
+    monkeypatch.delitem(sys.modules, "yaml", raising=False)
+    monkeypatch.setattr(builtins, "__import__", without_yaml)
+    assert read(tmp_path, json.dumps({"modes": [SWAY]}), "m.json").main.name == "sway"
+    with pytest.raises(GenerateError) as caught:
+        read(tmp_path, "modes: []")
+    assert f"needs PyYAML, which this Python lacks: '{sys.executable}' -m pip install PyYAML" in str(
+        caught.value
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "expected"),
+    [
+        ("m.json", "{", "line 1 is not JSON: Expecting property name"),
+        ("m.json", '{"modes": [], "modes": []}', "key 'modes' is there twice"),
+        ("m.yaml", "modes: [", "line 1 is not YAML: "),
+        ("m.yaml", "modes:\n - a\n  b: 1\n", "line 3 is not YAML: "),
+        ("m.yaml", "modes:\n - {name: a, name: b}", "key 'name' is there twice"),
+        ("m.yaml", "1: 2", "key 1 is not text"),
+        ("m.yaml", "modes: &x [*x]", "is not YAML: found unconstructable recursive node"),
+        ("m.yaml", "modes: !!python/object:os.system {}", "is not YAML: could not determine a constructor"),
+        ("m.yaml", "", "None is not a mapping of keys to values"),
+        ("m.json", "[" * 100000, "recursion"),
+    ],
+)
+def test_text_that_cannot_be_read_is_one_line(tmp_path, name, text, expected):
+    if name.endswith("yaml"):
+        pytest.importorskip("yaml")
+    with pytest.raises(GenerateError) as caught:
+        read(tmp_path, text, name)
+    assert expected in str(caught.value)
+    assert name in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_files_that_cannot_be_read_are_one_line(tmp_path):
+    with pytest.raises(GenerateError, match=r"nowhere\.yaml cannot be read: No such file"):
+        read_motion(tmp_path / "nowhere.yaml")
+    with pytest.raises(GenerateError, match="cannot be read: Is a directory"):
+        read_motion(tmp_path)
+    (tmp_path / "latin.yaml").write_bytes(b"# \xe9")
+    with pytest.raises(GenerateError, match=r"latin\.yaml is not UTF-8 text"):
+        read_motion(tmp_path / "latin.yaml")
+    (tmp_path / "large.json").write_bytes(b" " * (2 << 20))
+    with pytest.raises(GenerateError, match=r"large\.json has 2097152 bytes"):
+        read_motion(tmp_path / "large.json")
+
+
+@pytest.mark.parametrize(
+    ("data", "expected"),
+    [
+        ([], "[] is not a mapping of keys to values"),
+        ({}, "modes None is not a list"),
+        ({"modes": {}}, "modes {} is not a list"),
+        ({"modes": []}, "modes is empty: nothing would move"),
+        ({"modes": [SWAY], "fps": 30}, "key 'fps' is not one of a motion description: modes"),
+        ({"modes": ["sway"]}, "mode 1: 'sway' is not a mapping of keys to values"),
+        ({"modes": [SWAY, {"kind": "rock"}]}, "mode 2: name is missing"),
+        ({"modes": [SWAY, SWAY]}, "two modes have the name 'sway'"),
+        (
+            {"modes": [mode("drift")]},
+            "mode 'drift' is the first and so the main one, which needs a frequency; it is of kind drift",
+        ),
+    ],
+)
+def test_a_broken_frame_is_one_line(data, expected):
+    assert message(data) == expected
+
+
+@pytest.mark.parametrize(
+    ("kind", "change", "expected"),
+    [
+        ("bending", {"kind": "bend"}, "kind 'bend' is none of translate, rock, twist, bending, "),
+        ("bending", {"kind": None}, "kind is missing"),
+        ("bending", {"kind": 3}, "kind: 3 is not a line of text"),
+        ("bending", {"freq": 3}, "key 'freq' is not one of a mode of kind bending: name, kind, parts, "),
+        ("bending", {"pivot": [0, 0, 0]}, "key 'pivot' is not one of a mode of kind bending: "),
+        ("drift", {"frequency": 3}, "key 'frequency' is not one of a mode of kind drift: "),
+        ("bending", {"frequency": None}, "frequency is missing"),
+        ("bending", {"frequency": 0}, "frequency: 0 is not a positive number"),
+        ("bending", {"frequency": -3}, "frequency: -3 is not a positive number"),
+        ("bending", {"frequency": "5e-3"}, "frequency: '5e-3' is text, not a number (YAML writes"),
+        ("bending", {"frequency": "five"}, "frequency: 'five' is not a number"),
+        ("bending", {"frequency": True}, "frequency: True is not a number"),
+        ("bending", {"frequency": float("nan")}, "frequency: nan is not a finite number"),
+        ("bending", {"amplitude": float("inf")}, "amplitude: inf is not a finite number"),
+        ("bending", {"amplitude": 10**400}, "amplitude: 1000"),
+        ("bending", {"amplitude": 1e-300}, "amplitude: 1e-300 is not a positive number ≥ 1e-9"),
+        ("bending", {"amplitude": None}, "amplitude is missing: amplitude (scene units) or amplitude_px"),
+        ("bending", {"amplitude_px": 2}, "amplitude 0.005 and amplitude_px 2 exclude each other"),
+        ("bending", {"phase": [1]}, "phase: [1] is not a number"),
+        ("bending", {"phases": 3}, "phases: 3 is neither 'random' nor a mapping of parts to degrees"),
+        ("bending", {"phases": {"a": "b"}}, "phases: 'b' is not a number"),
+        ("bending", {"decay": 0}, "decay: 0 is not a positive number"),
+        ("bending", {"parts": []}, "parts: [] is not a list of names"),
+        ("bending", {"parts": [3]}, "parts: 3 is not a line of text"),
+        ("bending", {"parts": {"a": 1}}, "parts: {'a': 1} is not a list of names"),
+        ("bending", {"magnified": "no"}, "magnified: 'no' is neither true nor false"),
+        ("bending", {"base": None}, "base is missing: a mode of kind bending needs it"),
+        ("bending", {"base": [0, 0]}, "base: [0, 0] is not a list of 3 numbers"),
+        ("bending", {"base": [0, 0, "z"]}, "base: 'z' is not a number"),
+        ("bending", {"direction": [0, 0, 0]}, "direction: [0, 0, 0] has no direction: it is zero"),
+        ("bending", {"direction": [0, 0, 1]}, "direction (0.0, 0.0, 1.0) is parallel to it"),
+        ("bending", {"tip": [0, 0, 0]}, "tip (0.0, 0.0, 0.0) is the base: the beam has no length"),
+        ("bending", {"order": 4}, "order: 4 is not a whole number in 1 … 3"),
+        ("bending", {"order": 1.0}, "order: 1.0 is not a whole number in 1 … 3"),
+        ("drift", {"rate": None}, "rate is missing"),
+        ("drift", {"rate": -1}, "rate: -1 is not a positive number"),
+        ("twist", {"length": 0}, "length: 0 is not a positive number"),
+        ("rock", {"axis": [0, 0, 0.0]}, "axis: [0, 0, 0.0] has no direction"),
+        ("membrane", {"radius": -1}, "radius: -1 is not a positive number"),
+        ("membrane", {"nodes": [0, 0]}, "nodes: 0 is not a whole number in 1 … 20"),
+        ("membrane", {"nodes": 3}, "nodes: 3 is not a pair of whole numbers"),
+        ("membrane", {"x": [0, 0, 2]}, "x (0.0, 0.0, 2.0) is parallel to it"),
+        ("plate", {"size": [1]}, "size: [1] is not a list of 2 numbers"),
+        ("plate", {"size": [1, 0]}, "size: 0 is not a positive number"),
+        ("plate", {"nodes": [0, 1]}, "nodes: 0 is not a whole number in 1 … 20"),
+        ("plate", {"x": [0, 0, -1]}, "x (0.0, 0.0, -1.0) is parallel to it"),
+        ("wave", {"wavelength": 0}, "wavelength: 0 is not a positive number"),
+        ("wave", {"polarisation": "up"}, "polarisation: 'up' is neither three numbers nor 'rayleigh'"),
+        ("wave", {"direction": [1, 0, 1]}, "direction (1.0, 0.0, 1.0) of a Rayleigh wave must lie in the"),
+        (
+            "wave",
+            {"region": {"centre": [0, 0, 0]}},
+            "region: {'centre': [0, 0, 0]} is not of the form {centre",
+        ),
+        ("wave", {"region": {"centre": [0, 0, 0], "radius": 0}}, "region: 0 is not a positive number"),
+        ("jiggle", {"held": "floor"}, "held: 'floor' is not a number"),
+        ("jiggle", {"direction": "any"}, "direction: 'any' is not a list of 3 numbers"),
+        ("jiggle", {"seed": -1}, "seed: -1 is not a whole number in 0 … "),
+        ("group", {"group": ""}, "group: '' is not a line of text"),
+    ],
+)
+def test_every_mistake_in_a_mode_is_one_line_with_mode_key_and_value(kind, change, expected):
+    text = message({"modes": [SWAY | {"name": "main"}, mode(kind) | change]})
+    assert text.startswith(f"mode '{kind}': ")
+    assert expected in text
+
+
+def test_a_null_is_the_same_as_an_absent_key():
+    empty = dict.fromkeys(("phase", "phases", "decay", "parts", "magnified", "order", "amplitude_px"))
+    plain = {k: v for k, v in SWAY.items() if k != "order"}
+    assert MotionDescription.from_json({"modes": [plain | empty]}) == MotionDescription.from_json(
+        {"modes": [plain]}
+    )
+
+
+def test_the_main_mode_is_overridden_and_the_others_are_not():
+    both = MotionDescription.from_json({"modes": [SWAY | {"decay": 2}, mode("rock")]}, "x.yaml")
+    changed = both.with_main(frequency_hz=3, amplitude_px=0.5)
+    assert changed.main.law == Vibration(3.0, 2.0)
+    assert (changed.main.amplitude, changed.main.amplitude_px) == (None, 0.5)
+    assert changed.modes[1:] == both.modes[1:]
+    assert changed.source == "x.yaml"
+    back = changed.with_main(frequency_hz=5.0, amplitude=0.005)
+    assert back == both
+    assert both.with_main() == both
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"frequency_hz": 0.0}, "--frequency 0.0 is not a positive number"),
+        ({"frequency_hz": float("nan")}, "--frequency nan is not a finite number"),
+        ({"amplitude": -1.0}, "--amplitude -1.0 is not a positive number"),
+        ({"amplitude_px": float("inf")}, "--amplitude-px inf is not a finite number"),
+        ({"amplitude": 1.0, "amplitude_px": 2.0}, "--amplitude 1 and --amplitude-px 2 exclude each other"),
+    ],
+)
+def test_an_unusable_option_is_one_line(change, expected):
+    with pytest.raises(GenerateError) as caught:
+        MotionDescription.from_json({"modes": [SWAY]}).with_main(**change)
+    assert expected in str(caught.value)
+
+
+def test_long_values_are_cut_in_messages():
+    assert len(message({"modes": [SWAY | {"base": list(range(100000))}]})) < 200
+    assert len(message({"modes": [SWAY | {"name": "x" * 100000, "phase": "y" * 100000}]})) < 300
