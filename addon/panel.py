@@ -74,7 +74,8 @@ class VIEW3D_PT_tg4mm_look(_SplatTab, bpy.types.Panel):
             compat.draw_input(layout, modifier, names.RADIUS)
         if drawn == names.ARROWS:
             _draw_all(layout, modifier, names.ARROW_LENGTH, names.ARROW_EVERY)
-        _draw_all(layout, modifier, names.MIN_OPACITY, names.VIEW_COLOUR, names.SOLID_COLOUR)
+        faintest = names.MIN_SPLAT_OPACITY if drawn == names.SPLATS else names.MIN_OPACITY
+        _draw_all(layout, modifier, faintest, names.VIEW_COLOUR, names.SOLID_COLOUR)
         layout.operator("tg4mm.solid_colours", icon="SHADING_SOLID")
         if context.scene.view_settings.view_transform != "Standard":
             layout.operator("tg4mm.true_colours", icon="COLOR")

@@ -67,7 +67,7 @@ class Request:
     """What the command line asks for."""
 
     sets: tuple[Settings, ...]  # one, or one for each built-in scene
-    out: Path
+    out: Path  # not used to save an animation
     count: int  # render processes at once, 0: one per core
     prepare: bool
     parts: int  # with prepare; 0: as many as are sensible
@@ -94,7 +94,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "scene", metavar="SCENE", nargs="?", help=f"one of: {', '.join(NAMES)}; or all of them: {ALL}"
     )
-    p.add_argument("--out", type=Path, required=True, metavar="DIR", help="parent folder of the dataset")
+    p.add_argument("--out", type=Path, metavar="DIR", help="parent folder of the dataset")
     p.add_argument("--preset", choices=sorted(PRESETS), default="demo", help=_presets())
     _source_options(p.add_argument_group("your own scene, instead of SCENE"))
     _motion_options(p.add_argument_group("motion"))
@@ -238,12 +238,14 @@ def request_from(options: argparse.Namespace) -> Request:
         raise GenerateError(f"--parts {options.parts} goes with --prepare and is at least 1")
     values = {**DEFAULTS, **PRESETS[options.preset]}
     values.update({name: v for name in DEFAULTS if (v := getattr(options, name)) is not None})
+    if options.out is None and options.save_blend is None:
+        raise GenerateError("--out DIR is needed: the parent folder of the dataset")
     names = _names(options)
     sets = tuple(_settings(options, values, name, source) for name, source in names)
     if options.save_blend and len(sets) != 1:
         raise GenerateError(f"--save-blend {options.save_blend} takes one scene, not {ALL}")
     return Request(
-        sets, options.out, options.processes, options.prepare, options.parts, options.part, options.finish,
+        sets, options.out or Path(), options.processes, options.prepare, options.parts, options.part, options.finish,
         options.save_blend,
     )  # fmt: skip
 

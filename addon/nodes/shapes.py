@@ -30,32 +30,38 @@ def build_shapes(name: str, materials: Materials) -> Any:
     graph = Graph(bpy.data.node_groups.new(f"{name} Shapes", "GeometryNodeTree"))
     graph.interface("Points", "Geometry")
     graph.interface(names.DRAW, "Int")
-    for socket in (names.SIZE, names.RADIUS, names.MIN_OPACITY, names.ARROW_LENGTH):
+    for socket in (names.SIZE, names.RADIUS, names.MIN_OPACITY, names.MIN_SPLAT_OPACITY, names.ARROW_LENGTH):
         graph.interface(socket, "Float")
     graph.interface(names.ARROW_EVERY, "Int", 1)
     graph.interface(names.SOLID_COLOUR, "Bool")
     graph.result("Geometry", "Geometry")
     inputs = graph.inputs()
     points = inputs["Points"]
-    enough = graph.compare(
-        "GREATER_EQUAL", graph.attribute(names.OPACITY, "FLOAT"), inputs[names.MIN_OPACITY]
-    )
+    opacity = graph.attribute(names.OPACITY, "FLOAT")
+    enough = graph.compare("GREATER_EQUAL", opacity, inputs[names.MIN_OPACITY])
+    # What is see-through adds up, so splats need the faint ones too.
+    faint = graph.compare("GREATER_EQUAL", opacity, inputs[names.MIN_SPLAT_OPACITY])
+    radius = graph.math("MULTIPLY", inputs[names.SIZE], inputs[names.RADIUS])
+    splat_radius = graph.math("MULTIPLY", inputs[names.SIZE], SPLAT_RADIUS)
     solid = graph.choose("MATERIAL", inputs[names.SOLID_COLOUR], materials.solid, materials.points)
     drawn = graph.pick(
         "GEOMETRY",
-        inputs[names.DRAW],
-        _balls(
-            graph, points, enough, graph.math("MULTIPLY", inputs[names.SIZE], inputs[names.RADIUS]), solid
-        ),
-        _balls(
-            graph, points, enough, graph.math("MULTIPLY", inputs[names.SIZE], SPLAT_RADIUS), materials.splat
-        ),
+        _solid_draw(graph, inputs),
+        _balls(graph, points, enough, radius, solid),
+        _balls(graph, points, faint, splat_radius, materials.splat),
         _dots(graph, points, enough, inputs, materials.points),
         _arrows(graph, points, enough, inputs, solid),
     )
     flat = _realized(graph, points, drawn)
     graph.finish(Geometry=graph.choose("GEOMETRY", inputs[names.SOLID_COLOUR], drawn, flat))
     return graph.tree
+
+
+def _solid_draw(graph: Graph, inputs: Any) -> Any:
+    """What to draw: Solid view has no transparency, so it shows splats as ellipsoids."""
+    splats = graph.compare("EQUAL", inputs[names.DRAW], names.DRAW_ITEMS.index(names.SPLATS), "INT")
+    ellipsoids = names.DRAW_ITEMS.index(names.ELLIPSOIDS)
+    return graph.choose("INT", graph.both(splats, inputs[names.SOLID_COLOUR]), inputs[names.DRAW], ellipsoids)
 
 
 def _balls(graph: Graph, points: Any, selection: Any, radius: Any, material: Any) -> Any:
@@ -101,8 +107,8 @@ def _arrows(graph: Graph, points: Any, selection: Any, inputs: Any, material: An
 
 def _arrow(graph: Graph) -> Any:
     """A mesh of length 1 along z, from the origin."""
-    shaft = {"Vertices": 8, "Radius": 0.025, "Depth": 0.7}
-    head = {"Vertices": 12, "Radius Top": 0.0, "Radius Bottom": 0.08, "Depth": 0.3}
+    shaft = {"Vertices": 8, "Radius": 0.035, "Depth": 0.7}
+    head = {"Vertices": 12, "Radius Top": 0.0, "Radius Bottom": 0.1, "Depth": 0.3}
     joined = graph.node("GeometryNodeJoinGeometry")
     # A cylinder's origin is its middle, a cone's its base.
     for kind, sizes, z in (("Cylinder", shaft, 0.35), ("Cone", head, 0.7)):

@@ -16,9 +16,8 @@ def running_glaze(
     It starts above v = `edge` and runs down in tongues as long as `reach`.
     """
     v = ((np.arange(height) + 0.5) / height)[:, None]
-    tongues = noise(1, width, (1, 22), rng) if height == 1 else noise(8, width, (1, 22), rng)[:1]
-    small = noise(8, width, (1, 60), rng)[:1]
-    line = edge - reach * (0.5 + 0.32 * np.tanh(tongues) + 0.16 * np.tanh(small))
+    tongues, small = (noise(8, width, (1, waves), rng)[:1] for waves in (13, 34))
+    line = edge - reach * (0.5 + 0.36 * np.tanh(tongues) + 0.08 * np.tanh(small))
     mask = np.clip((v - line) / 0.012, 0.0, 1.0)
     speck = np.clip(2.5 * noise(height, width, (60, 150), rng) - 4.2, 0.0, 1.0)
     cloud = np.tanh(0.7 * noise(height, width, (6, 14), rng) + 0.4 * noise(height, width, (24, 60), rng))

@@ -8,7 +8,9 @@ from ..scene import Rgb
 from ..textures import diagonal, noise
 
 
-def laid(height: int, width: int, colour: Rgb, rng: np.random.Generator, turns: float = 6.0) -> tuple[np.ndarray, np.ndarray]:
+def laid(
+    height: int, width: int, colour: Rgb, rng: np.random.Generator, turns: float = 6.0
+) -> tuple[np.ndarray, np.ndarray]:
     """Three-strand rope: (picture [H, W, 3], height [H, W]); tiles along v."""
     strands = np.sqrt(np.abs(2.0 * diagonal(height, width, turns, 1) - 1.0))
     spots = np.tanh(noise(height, width, (8, 3), rng))
@@ -29,4 +31,6 @@ def canvas(
     seam = ((near < 0.05) | (np.abs(near - 0.1) < 0.012)).astype(float)[:, None]
     gain = (1.0 + 0.10 * stains + 0.035 * weave) * (0.74 + 0.3 * ridges) * (1.0 - 0.32 * seam)
     tint = np.array([1.0, 0.985, 0.95]) ** (1.0 + stains[..., None])
-    return np.clip(np.array(colour) * gain[..., None] * tint, 0.0, 1.0), np.clip(0.8 * ridges + 0.2 * seam, 0, 1)
+    return np.clip(np.array(colour) * gain[..., None] * tint, 0.0, 1.0), np.clip(
+        0.8 * ridges + 0.2 * seam, 0, 1
+    )

@@ -8,7 +8,9 @@ from ..scene import Rgb
 from ..textures import noise
 
 
-def blade(height: int, width: int, colour: Rgb, veins: Rgb, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def blade(
+    height: int, width: int, colour: Rgb, veins: Rgb, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
     """One face of a leaf: u from base to tip, v across, midrib in the middle: (picture [H, W, 3], relief [H, W])."""
     u = ((np.arange(width) + 0.5) / width)[None]
     across = ((np.arange(height) + 0.5) / height * 2.0 - 1.0)[:, None]
@@ -27,7 +29,7 @@ def blade(height: int, width: int, colour: Rgb, veins: Rgb, rng: np.random.Gener
     image = image * (1.0 - 0.8 * web) + 0.8 * web * np.array(veins)
     tip = np.clip((u - 0.93) / 0.07, 0.0, 1.0)[..., None]  # often a little dry
     image = image * (1.0 - 0.5 * tip) + 0.5 * tip * np.array([0.5, 0.4, 0.16])
-    return np.clip(image, 0.0, 1.0), np.clip(0.75 - 0.6 * web[..., 0] + 0.12 * mottle, 0.0, 1.0)
+    return np.clip(image, 0.0, 1.0), np.clip(0.75 - 0.6 * web[..., 0] + 0.04 * mottle, 0.0, 1.0)
 
 
 def bark(height: int, width: int, colour: Rgb, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:

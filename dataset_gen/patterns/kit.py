@@ -9,13 +9,13 @@ from .. import textures as t
 Rgb = tuple[float, float, float]
 
 
-def glitter(size: int, colour: Rgb, rng: np.random.Generator, flakes: int = 9000) -> np.ndarray:
+def glitter(size: int, colour: Rgb, rng: np.random.Generator, flakes: int = 12000) -> np.ndarray:
     """Tiling sparkle: flakes that catch the light differently, in a deep colour [size, size, 3]."""
-    lightness = 0.55 + 0.1 * t.noise(size, size, (6, 6), rng)
+    lightness = 0.7 + 0.08 * t.noise(size, size, (6, 6), rng)
     y, x = rng.integers(0, size, (2, flakes))
     shine = rng.gamma(1.2, 0.35, flakes)
     for dy, dx in ((0, 0), (0, 1), (1, 0), (1, 1)):
-        lightness[(y + dy) % size, (x + dx) % size] = 0.35 + shine
+        lightness[(y + dy) % size, (x + dx) % size] = 0.45 + shine
     base = t.flat(size, size, colour) * lightness[..., None]
     white = np.clip(lightness - 1.0, 0.0, 0.8)
     return np.clip(t.paint(base, white, (1.0, 0.92, 0.85)), 0.0, 1.0)

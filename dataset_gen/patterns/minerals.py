@@ -15,13 +15,13 @@ Painted = tuple[np.ndarray, np.ndarray, np.ndarray]
 def marble(points: np.ndarray, seed: int) -> Painted:
     """White stone with grey veins of two sizes and rusty breath along them."""
     warp = np.stack([fractal(points, 1.3, 3, seed + k) for k in range(3)], -1)
-    broad = np.abs(fractal(points + 0.22 * warp, 0.9, 2, seed + 3))
-    thin = np.abs(fractal(points + 0.3 * warp, 2.2, 2, seed + 4))
+    broad = np.abs(fractal(points + 0.16 * warp, 1.1, 2, seed + 3))
+    thin = np.abs(fractal(points + 0.14 * warp, 2.3, 1, seed + 4))
     cloud = fractal(points, 2.4, 3, seed + 5)
     image = ramp(0.6 + 0.22 * cloud, [(0.0, (0.74, 0.75, 0.77)), (1.0, (0.96, 0.95, 0.93))])
-    image = mix(image, (0.70, 0.55, 0.38), 0.55 * step(broad, 0.32, 0.05))
-    image = mix(image, (0.17, 0.18, 0.21), 0.9 * step(broad, 0.14, 0.02))
-    image = mix(image, (0.33, 0.34, 0.38), 0.75 * step(thin, 0.10, 0.02))
+    image = mix(image, (0.70, 0.55, 0.38), 0.55 * step(broad, 0.38, 0.05))
+    image = mix(image, (0.17, 0.18, 0.21), 0.9 * step(broad, 0.16, 0.03))
+    image = mix(image, (0.33, 0.34, 0.38), 0.6 * step(thin, 0.13, 0.02))
     return unit(image), unit(0.5 + 0.04 * cloud), np.full(cloud.shape, 0.16)
 
 

@@ -11,10 +11,11 @@ from functools import lru_cache
 import numpy as np
 
 _VOLUME = 64  # voxels per edge of the periodic noise
+_VOLUMES = 3  # different ones; further seeds look elsewhere in the same three
 _GRAIN = 20.0  # waves per edge: a wave is some three voxels, so that linear interpolation stays smooth
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=_VOLUMES)
 def _volume(seed: int) -> np.ndarray:
     """Periodic smooth noise [64³] float32, mean 0, deviation 1."""
     n = _VOLUME
@@ -29,11 +30,12 @@ def noise(points: np.ndarray, frequency: float | Sequence[float] | np.ndarray, s
     """Smooth noise, mean 0, deviation 1; `frequency` = waves per scene unit, one number or one per axis."""
     n = _VOLUME
     where = np.asarray(points, np.float32) * np.asarray(frequency, np.float32) * np.float32(n / _GRAIN)
+    where = where + np.array([17.3, 29.1, 41.7], np.float32) * np.float32(seed // _VOLUMES)
     low = np.floor(where).astype(np.int32)
     t = where - low
     t = t * t * (3.0 - 2.0 * t)
     i, j = low % n, (low + 1) % n
-    volume = _volume(seed)
+    volume = _volume(seed % _VOLUMES)
     x0, x1 = i[..., 0] * (n * n), j[..., 0] * (n * n)
     y0, y1 = i[..., 1] * n, j[..., 1] * n
     z0, z1 = i[..., 2], j[..., 2]

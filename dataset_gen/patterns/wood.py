@@ -19,7 +19,9 @@ class Planks:
     nails: np.ndarray  # [H, W] 1 on the heads of nails
 
 
-def planks(height: int, width: int, rows: int, per_row: float, rng: np.random.Generator, gap: float = 0.1) -> Planks:
+def planks(
+    height: int, width: int, rows: int, per_row: float, rng: np.random.Generator, gap: float = 0.1
+) -> Planks:
     """`rows` strakes of planks, about `per_row` to a row, butts staggered; `gap` of a plank's width is seam."""
     v = (np.arange(height) + 0.5) / height * rows
     u = (np.arange(width) + 0.5) / width
@@ -45,7 +47,11 @@ def grain(height: int, width: int, rng: np.random.Generator, along: int, across:
 
 
 def planked(
-    colour: Rgb, boards: Planks, fibres: np.ndarray, contrast: tuple[float, float] = (0.22, 0.22), seam: Rgb = (0.1, 0.08, 0.06)
+    colour: Rgb,
+    boards: Planks,
+    fibres: np.ndarray,
+    contrast: tuple[float, float] = (0.22, 0.22),
+    seam: Rgb = (0.1, 0.08, 0.06),
 ) -> np.ndarray:
     """Picture [H, W, 3] of planks: `contrast` between planks and of the grain."""
     gain = (1.0 + contrast[0] * boards.tone) * (1.0 + contrast[1] * fibres)
@@ -55,7 +61,9 @@ def planked(
     return np.clip(image * (1.0 - dark) + np.array(seam) * dark, 0.0, 1.0)
 
 
-def timber(height: int, width: int, colour: Rgb, rng: np.random.Generator, contrast: float = 0.3) -> np.ndarray:
+def timber(
+    height: int, width: int, colour: Rgb, rng: np.random.Generator, contrast: float = 0.3
+) -> np.ndarray:
     """Plain wood whose fibres run along v (spars are swept along v): picture [H, W, 3]."""
     fibres = grain(width, height, rng, 6, 26).T
     streak = np.tanh(noise(height, width, (4, 8), rng))

@@ -19,7 +19,7 @@ from . import drums_surfaces as paint
 
 FLOOR = hw.FLOOR
 PLACE = m.frame((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (np.cos(np.radians(18.0)), np.sin(np.radians(18.0)), 0.0))
-_TILE = 0.55  # scene units that one tile of glitter covers
+_TILE = 0.7  # scene units that one tile of glitter covers
 
 BASS = d.Drum(0.36, 0.52, 10, wooden_hoops=True)
 TOMS = (
@@ -29,7 +29,7 @@ TOMS = (
     (d.Drum(0.25, 0.42, 8), (0.64, -0.33, 0.0), (-0.05, -0.06, 1.0)),
 )
 SNARE = (d.Drum(0.22, 0.16, 10), (-0.40, -0.42, 0.02), (0.04, -0.08, 1.0))
-BASS_FRONT = (0.0, 0.42, FLOOR + 0.405)  # middle of the front head
+BASS_FRONT = (0.0, 0.42, FLOOR + 0.416)  # middle of the front head
 _BASS_AXIS = (0.0, 1.0, 0.03)
 
 
@@ -63,7 +63,7 @@ def _metal(mesh: Mesh) -> Mesh:
 def _bass() -> list[tuple[str, Mesh, Surface]]:
     """The bass drum lies on its spurs; its front head is at z = 0 of the frame."""
     at = _at(BASS_FRONT, _BASS_AXIS)
-    back = m.join([d.head(BASS.radius, up=False).moved(d._shifted(0.0, 0.0, -BASS.depth))])
+    back = m.join([d.head(BASS.radius, up=False).moved(d.shifted(0.0, 0.0, -BASS.depth))])
     spurs, tips = [], []
     for side in (-1.0, 1.0):
         top = np.array([side * 0.35, 0.2, FLOOR + 0.33])
@@ -74,7 +74,7 @@ def _bass() -> list[tuple[str, Mesh, Surface]]:
         tips.append(tb.rubber_foot(foot - [0, 0, 0.02], 0.022))
     return [
         ("bass_shell", d.shell(BASS, _TILE).moved(at), paint.shells()),
-        ("bass_hoops", s.cube_mapped(d.hoops(BASS), 0.5).moved(at), paint.bass_hoops()),
+        ("bass_hoops", d.hoops(BASS).moved(at), paint.bass_hoops()),
         ("bass_fittings", _metal(m.join([d.fittings(BASS).moved(at), *spurs])), paint.chrome("bass_fittings")),
         ("bass_front", d.head(BASS.radius, True, 36, 96).moved(at), paint.front_head()),
         ("bass_batter", back.moved(at), paint.batter("bass_batter", 1)),
@@ -89,7 +89,7 @@ def _toms() -> list[tuple[str, Mesh, Surface]]:
         shells.append(d.shell(drum, _TILE).moved(at))
         fittings += [d.hoops(drum).moved(at), d.fittings(drum).moved(at)]
         heads.append(d.head(drum.radius, True).moved(at))
-        below.append(d.head(drum.radius, False, 3).moved(d._shifted(0.0, 0.0, -drum.depth)).moved(at))
+        below.append(d.head(drum.radius, False, 3).moved(d.shifted(0.0, 0.0, -drum.depth)).moved(at))
     for angle in np.radians([20.0, 140.0, 260.0]):
         leg, bracket, foot = hw.floor_leg(TOMS[2][1], TOMS[2][0].radius, angle)
         fittings += [leg, bracket]
@@ -110,9 +110,9 @@ def _snare() -> list[tuple[str, Mesh, Surface]]:
     steel, rubber = hw.snare_stand(where, np.array(normal), drum)
     shell = d.shell(drum, drum.depth)
     sticks = []
-    for x, heading in ((-0.03, 0.5), (0.05, 0.25)):
-        out = np.array([np.sin(heading), np.cos(heading), 0.0])
-        start = np.array([x, -0.18, 0.03]) @ np.diag([1, 1, 1])
+    for x, heading in ((-0.06, 0.3), (0.06, 0.4)):
+        # The butt lies on the head, the neck on the hoop.
+        out, start = (np.sin(heading), np.cos(heading), 0.065), (x, -0.18, 0.0105)
         sticks.append(hw.stick().moved(m.frame(start, out)).moved(_flat_on(where, normal)))
     strainer = [
         s.block((drum.radius - 0.002, -0.03, -0.12), (drum.radius + 0.03, 0.03, -0.05), 0.006).moved(at),
@@ -125,7 +125,7 @@ def _snare() -> list[tuple[str, Mesh, Surface]]:
         ("snare_head", d.head(drum.radius, True, 28, 84).moved(at), paint.batter("snare_head", 3)),
         (
             "snare_below",
-            d.head(drum.radius, False, 3).moved(d._shifted(0.0, 0.0, -drum.depth)).moved(at),
+            d.head(drum.radius, False, 3).moved(d.shifted(0.0, 0.0, -drum.depth)).moved(at),
             paint.resonant(),
         ),
         ("snare_rubber", s.cube_mapped(rubber, 0.2), paint.rubber("snare_rubber")),

@@ -20,7 +20,7 @@ def _rng(number: int) -> np.random.Generator:
 
 def shells() -> Surface:
     """Burgundy sparkle under varnish."""
-    return Surface("shells", kit.glitter(512, (0.62, 0.05, 0.07), _rng(1)), roughness=0.4, coat=0.7)
+    return Surface("shells", kit.glitter(512, (0.85, 0.07, 0.1), _rng(1)), roughness=0.4, coat=0.5)
 
 
 def snare_shell() -> Surface:
@@ -34,25 +34,25 @@ def snare_shell() -> Surface:
 def bass_hoops() -> Surface:
     """Black lacquer with an ivory inlay."""
     image = t.speckle(t.flat(256, 512, (0.13, 0.12, 0.13)), _rng(3), 0.3, (20, 40))
-    image = t.paint(image, t.band(256, 512, 0.36, 0.48), (0.66, 0.1, 0.1))
+    image = t.paint(image, t.band(256, 512, 0.28, 0.4), (0.8, 0.72, 0.5))
     return Surface("bass_hoops", image, roughness=0.35, coat=0.5)
 
 
 @cache
 def _plating() -> np.ndarray:
-    image = t.speckle(t.flat(384, 384, (0.8, 0.8, 0.81)), _rng(4), 0.1, (14, 14))
-    pits = np.clip(t.noise(384, 384, (50, 50), _rng(5)) - 1.9, 0.0, 1.0)
-    return np.asarray(t.paint(image, pits, (0.32, 0.27, 0.22)))
+    image = t.speckle(t.flat(384, 384, (0.86, 0.86, 0.87)), _rng(4), 0.06, (12, 12))
+    pits = np.clip(t.noise(384, 384, (50, 50), _rng(5)) - 2.1, 0.0, 0.8)
+    return np.asarray(t.paint(image, pits, (0.4, 0.34, 0.28)))
 
 
 def chrome(name: str) -> Surface:
     """Chrome plate with pits and stains."""
-    return Surface(name, _plating(), metallic=0.92, roughness=0.22)
+    return Surface(name, _plating(), metallic=0.95, roughness=0.2)
 
 
 def cymbal(name: str, number: int, hammered: float, text: str) -> Surface:
     """Bronze of one cymbal, lathed and hammered in its own way."""
-    image, relief = kit.bronze(768, 1024, _rng(20 + number), hammered, text)
+    image, relief = kit.bronze(512, 1024, _rng(20 + number), hammered, text)
     return Surface(name, image, relief, 0.0015, 0.85, 0.34)
 
 
@@ -109,5 +109,5 @@ def wood() -> Surface:
 
 
 def rug() -> Surface:
-    image, relief = kit.rug(1024, _rng(14))
+    image, relief = kit.rug(768, _rng(14))
     return Surface("rug", image, relief, 0.004, roughness=0.95, sheen=0.2)

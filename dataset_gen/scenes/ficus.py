@@ -54,8 +54,8 @@ def build() -> Scene:
     return Scene(
         name="ficus",
         parts=(*_pot(rng, surface), _trunk(stems), *leaves),
-        lights=(AreaLight((2.8, -2.8, 3.8), 3.0, 210.0, (1.0, 0.95, 0.86)),),
-        sky=Gradient(((0.22, 0.2, 0.18), (0.55, 0.55, 0.54), (0.85, 0.95, 1.12))),
+        lights=(AreaLight((2.8, -2.8, 3.8), 3.0, 235.0, (1.0, 0.95, 0.86)),),
+        sky=Gradient(((0.32, 0.3, 0.26), (0.68, 0.68, 0.66), (0.98, 1.06, 1.18))),
     )
 
 
@@ -97,11 +97,13 @@ def _leaves(places: np.ndarray, rng: np.random.Generator) -> tuple[m.Mesh, m.Mes
     reach = rng.uniform(0.018, 0.036, n)
     t = np.linspace(0.0, 1.0, 4)
     out, up, start = places[:, None, :3, 0], places[:, None, :3, 2], places[:, None, :3, 3]
-    paths = start + (reach[:, None] * t)[..., None] * out + (0.2 * reach[:, None] * t * (1.0 - t))[..., None] * up
+    paths = (
+        start + (reach[:, None] * t)[..., None] * out + (0.2 * reach[:, None] * t * (1.0 - t))[..., None] * up
+    )
     stalks = leaf.stalks(paths, np.full((n, 4), 0.0017) * np.linspace(1.15, 0.85, 4))
     kind = rng.choice(paint.KINDS, n, p=(0.42, 0.36, 0.17, 0.05))
     shapes = leaf.Leaves(
-        length=0.138 * size, width=0.062 * size * rng.uniform(0.85, 1.15, n), droop=rng.uniform(0.15, 1.25, n),
+        length=0.138 * size, width=0.066 * size * rng.uniform(0.85, 1.15, n), droop=rng.uniform(0.15, 1.25, n),
         fold=rng.uniform(0.05, 0.4, n), ripple=rng.uniform(0.05, 0.25, n), phase=rng.uniform(0.0, 6.3, n), band=2 * kind,
     )  # fmt: skip
     ends = places.copy()
@@ -161,9 +163,16 @@ def _fallen(rng: np.random.Generator) -> m.Mesh:
     r = np.array([0.2, 0.15, 0.21, 0.16, 0.19])
     frames = np.tile(np.eye(4), (n, 1, 1))
     turn = rng.uniform(0.0, 2.0 * np.pi, n)
-    frames[:, 0, 0], frames[:, 1, 0], frames[:, 0, 1], frames[:, 1, 1] = np.cos(turn), np.sin(turn), -np.sin(turn), np.cos(turn)
+    frames[:, 0, 0], frames[:, 1, 0], frames[:, 0, 1], frames[:, 1, 1] = (
+        np.cos(turn),
+        np.sin(turn),
+        -np.sin(turn),
+        np.cos(turn),
+    )
     x, y = r * np.cos(angle), r * np.sin(angle)
     frames[:, :3, 3] = np.column_stack([x, y, ground(x, y) + 0.022])
     ones = np.ones(n)
-    shapes = leaf.Leaves(0.1 * ones, 0.045 * ones, 0.15 * ones, 0.15 * ones, 0.15 * ones, turn, np.full(n, 2 * paint.KINDS - 2))
+    shapes = leaf.Leaves(
+        0.1 * ones, 0.045 * ones, 0.15 * ones, 0.15 * ones, 0.15 * ones, turn, np.full(n, 2 * paint.KINDS - 2)
+    )
     return leaf.blades(frames, shapes, paint.STRIPS)

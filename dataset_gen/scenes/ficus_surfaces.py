@@ -74,7 +74,15 @@ def pot() -> Surface:
     inside = t.band(h, w, 0.85, 1.0)
     image = t.paint(image, 0.8 * inside, (0.22, 0.15, 0.11))
     rough = 0.32 + 0.2 * (1.0 - over)
-    return Surface("pot", np.clip(image, 0, 1), np.clip(relief, 0, 1), 0.004, roughness=rough, coat=0.4, coat_roughness=0.15)
+    return Surface(
+        "pot",
+        np.clip(image, 0, 1),
+        np.clip(relief, 0, 1),
+        0.004,
+        roughness=rough,
+        coat=0.4,
+        coat_roughness=0.15,
+    )
 
 
 def saucer() -> Surface:

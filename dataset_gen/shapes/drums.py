@@ -65,10 +65,11 @@ def hoops(drum: Drum) -> Mesh:
     """Both hoops."""
     one = _wooden_hoop(drum.radius) if drum.wooden_hoops else _steel_hoop(drum.radius)
     other = s.mirrored(one, 2)
-    return m.join([one, other.moved(_shifted(0.0, 0.0, -drum.depth))])
+    return m.join([one, other.moved(shifted(0.0, 0.0, -drum.depth))])
 
 
-def _shifted(x: float, y: float, z: float) -> np.ndarray:
+def shifted(x: float, y: float, z: float) -> np.ndarray:
+    """[4, 4] that moves by (x, y, z)."""
     out = np.eye(4)
     out[:3, 3] = x, y, z
     return out
@@ -103,13 +104,13 @@ def _lug(drum: Drum, top: bool) -> Mesh:
     else:
         parts.append(_turned_rod(0.011, -0.014, 0.0, out))
     mesh = m.join(parts)
-    return mesh if top else s.mirrored(mesh, 2).moved(_shifted(0.0, 0.0, -drum.depth))
+    return mesh if top else s.mirrored(mesh, 2).moved(shifted(0.0, 0.0, -drum.depth))
 
 
 def _turned_rod(radius: float, z0: float, z1: float, x: float) -> Mesh:
     b = 0.15 * radius
     outline = [(0.0, z0), (radius - b, z0), (radius, z0 + b), (radius, z1 - b), (radius - b, z1), (0.0, z1)]
-    return m.revolve(outline, 12).moved(_shifted(x, 0.0, 0.0))
+    return m.revolve(outline, 12).moved(shifted(x, 0.0, 0.0))
 
 
 def cymbal(radius: float, bell: float, bow: float, segments: int = 96) -> Mesh:

@@ -44,12 +44,19 @@ def stem(points: np.ndarray, radii: tuple[float, float], flare: float, rng: np.r
     path = spline(points, 10)
     t = np.linspace(0.0, 1.0, len(path))
     radius = radii[0] + (radii[1] - radii[0]) * t
-    knots = 1.0 + 0.1 * np.sin(2.0 * np.pi * (6.5 * t + rng.uniform())) * np.sin(2.0 * np.pi * (2.3 * t + rng.uniform()))
+    knots = 1.0 + 0.1 * np.sin(2.0 * np.pi * (6.5 * t + rng.uniform())) * np.sin(
+        2.0 * np.pi * (2.3 * t + rng.uniform())
+    )
     return Axis(path, radius * knots * (1.0 + flare * np.exp(-t / 0.06)))
 
 
 def limbs(
-    trunk: Axis, count: int, first: float, length: tuple[float, float], rng: np.random.Generator, turn: float = 0.0
+    trunk: Axis,
+    count: int,
+    first: float,
+    length: tuple[float, float],
+    rng: np.random.Generator,
+    turn: float = 0.0,
 ) -> list[Axis]:
     """Limbs around a trunk from a share `first` of its height to its top; they start inside the wood."""
     made = []
@@ -88,7 +95,11 @@ def leaf_places(twig: Axis, spacing: float, rng: np.random.Generator, first: flo
         point, along, _ = twig.at(float(t))
         side = np.cross(along, [0.0, 0.0, 1.0])
         side = side / np.linalg.norm(side) * (1.0 if k % 2 else -1.0)
-        out = 0.75 * along + side * rng.uniform(0.5, 1.2) * (0.2 if k == count - 1 else 1.0) + rng.normal(size=3) * 0.2
+        out = (
+            0.75 * along
+            + side * rng.uniform(0.5, 1.2) * (0.2 if k == count - 1 else 1.0)
+            + rng.normal(size=3) * 0.2
+        )
         out[2] -= rng.uniform(0.0, 0.5)
         out /= np.linalg.norm(out)
         up = np.array([0.0, 0.0, 1.0]) + rng.normal(size=3) * 0.38

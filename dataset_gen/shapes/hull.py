@@ -142,7 +142,12 @@ def bulwark(
 
 
 def deck(
-    hull: Hull, u_ends: tuple[float, float], height: Height, inset: float, stations: int = 48, camber: float = 0.01
+    hull: Hull,
+    u_ends: tuple[float, float],
+    height: Height,
+    inset: float,
+    stations: int = 48,
+    camber: float = 0.01,
 ) -> Mesh:
     """A cambered deck between the bulwarks at a height above the sheer; u along the ship, v across."""
     u = np.linspace(*u_ends, stations)

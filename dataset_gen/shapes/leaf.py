@@ -22,7 +22,9 @@ class Leaves:
     fold: np.ndarray  # rise of the halves beside the midrib, per unit of width
     ripple: np.ndarray  # height of the margin's waves, per unit of width
     phase: np.ndarray  # of those waves, radians
-    band: np.ndarray  # whole number: which band of the picture its upper face takes; the next is the lower face's
+    band: (
+        np.ndarray
+    )  # whole number: which band of the picture its upper face takes; the next is the lower face's
 
     def __len__(self) -> int:
         return len(self.length)
@@ -67,9 +69,9 @@ def _middle(leaves: Leaves, t: np.ndarray, c: np.ndarray) -> np.ndarray:
     step = leaves.length[:, None] / (_ALONG - 1)
     x, z = (np.cumsum(step * f(turn), axis=1) - step * f(turn[:, :1]) for f in (np.cos, np.sin))
     half = 0.5 * leaves.width[:, None] * outline(t)
-    rise = leaves.fold[:, None, None] * np.abs(c) + (leaves.ripple[:, None] * np.sin(11.0 * t + leaves.phase[:, None]))[
-        ..., None
-    ] * c**2 * np.sign(c + 1e-9)
+    rise = leaves.fold[:, None, None] * np.abs(c) + (
+        leaves.ripple[:, None] * np.sin(11.0 * t + leaves.phase[:, None])
+    )[..., None] * c**2 * np.sign(c + 1e-9)
     rise = rise * half[..., None]
     return np.stack(
         [

@@ -8,7 +8,9 @@ from ..meshes import Mesh, join
 from .patch import patch
 
 
-def swell(x: np.ndarray, y: np.ndarray, rng: np.random.Generator, waves: int = 14, height: float = 0.006) -> np.ndarray:
+def swell(
+    x: np.ndarray, y: np.ndarray, rng: np.random.Generator, waves: int = 14, height: float = 0.006
+) -> np.ndarray:
     """Height of a short-crested sea at points, deviation `height`: sines that mostly run along +x, sharpened."""
     out = np.zeros(np.shape(x))
     for _ in range(waves):
@@ -16,7 +18,9 @@ def swell(x: np.ndarray, y: np.ndarray, rng: np.random.Generator, waves: int = 1
         heading = rng.normal(0.4, 0.75)
         phase = 2.0 * np.pi * ((x * np.cos(heading) + y * np.sin(heading)) / length + rng.uniform())
         out += length**0.9 * (np.sin(phase) + 0.22 * np.cos(2.0 * phase))
-    return np.asarray(out * height / (0.72 * np.sqrt(sum(0.09**1.8 * 7.0 ** (1.8 * k) for k in np.linspace(0, 1, waves)))))
+    return np.asarray(
+        out * height / (0.72 * np.sqrt(sum(0.09**1.8 * 7.0 ** (1.8 * k) for k in np.linspace(0, 1, waves))))
+    )
 
 
 def disc(
@@ -33,8 +37,15 @@ def disc(
     surface = patch(top, np.stack([x, y], -1) / (2.0 * radius) + 0.5)
     surface = _welded(surface, rings, segments)
     t = np.linspace(0.0, 1.0, 28)[:, None]  # a rounded shoulder, then the lens
-    out = np.concatenate([np.sin(0.5 * np.pi * t[:-8] / t[-8]) ** 0.8, 1.0 + 0.012 * np.sin(np.pi * np.linspace(0.1, 1.0, 8))[:, None]])
-    drop = np.concatenate([1.0 - 0.45 * (1.0 - np.sqrt(1.0 - 0.98 * out[:-8] ** 4)), np.linspace(0.5, 0.0, 8)[:, None]])
+    out = np.concatenate(
+        [
+            np.sin(0.5 * np.pi * t[:-8] / t[-8]) ** 0.8,
+            1.0 + 0.012 * np.sin(np.pi * np.linspace(0.1, 1.0, 8))[:, None],
+        ]
+    )
+    drop = np.concatenate(
+        [1.0 - 0.45 * (1.0 - np.sqrt(1.0 - 0.98 * out[:-8] ** 4)), np.linspace(0.5, 0.0, 8)[:, None]]
+    )
     z = level - depth * drop + (top[-1, :, 2] - level)[None] * (1.0 - drop)
     out[-1] = 1.0
     ring = np.stack([radius * out * np.cos(angle), radius * out * np.sin(angle), z], -1)

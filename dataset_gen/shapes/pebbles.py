@@ -7,14 +7,18 @@ import numpy as np
 from ..meshes import Mesh
 
 
-def pebbles(places: np.ndarray, sizes: np.ndarray, rng: np.random.Generator, rings: int = 7, segments: int = 10) -> Mesh:
+def pebbles(
+    places: np.ndarray, sizes: np.ndarray, rng: np.random.Generator, rings: int = 7, segments: int = 10
+) -> Mesh:
     """N stones at places [N, 3] (their middles) of sizes [N] (half the longest axis)."""
     count = len(places)
     lat = np.linspace(-0.5 * np.pi, 0.5 * np.pi, rings)
     lon = 2.0 * np.pi * np.arange(segments) / segments
     ball = np.stack(
         np.broadcast_arrays(
-            np.cos(lat)[:, None] * np.cos(lon), np.cos(lat)[:, None] * np.sin(lon), np.sin(lat)[:, None] + 0.0 * lon
+            np.cos(lat)[:, None] * np.cos(lon),
+            np.cos(lat)[:, None] * np.sin(lon),
+            np.sin(lat)[:, None] + 0.0 * lon,
         ),
         -1,
     ).reshape(-1, 3)
@@ -25,7 +29,14 @@ def pebbles(places: np.ndarray, sizes: np.ndarray, rng: np.random.Generator, rin
     points = ball[None] * bump[..., None] * (axes * sizes[:, None])[:, None]
     turn, tilt = rng.uniform(0.0, 2.0 * np.pi, count), rng.normal(0.0, 0.2, count)
     c, s, ct, st = np.cos(turn), np.sin(turn), np.cos(tilt), np.sin(tilt)
-    spin = np.stack([np.stack([c * ct, -s, c * st], -1), np.stack([s * ct, c, s * st], -1), np.stack([-st, 0 * s, ct], -1)], 1)
+    spin = np.stack(
+        [
+            np.stack([c * ct, -s, c * st], -1),
+            np.stack([s * ct, c, s * st], -1),
+            np.stack([-st, 0 * s, ct], -1),
+        ],
+        1,
+    )
     vertices = np.einsum("nij,nvj->nvi", spin, points) + places[:, None]
     r, k = (x.ravel() for x in np.meshgrid(np.arange(rings - 1), np.arange(segments), indexing="ij"))
     right = (k + 1) % segments
@@ -35,7 +46,9 @@ def pebbles(places: np.ndarray, sizes: np.ndarray, rng: np.random.Generator, rin
     corner_u = np.stack([k, k + 1, k + 1, k]) / segments
     corner_v = np.stack([r, r, r + 1, r + 1]) / (rings - 1)
     uv = np.stack([corner_u, corner_v], -1)
-    uv = np.concatenate([uv[[0, 1, 2]].transpose(1, 0, 2)[r > 0], uv[[0, 2, 3]].transpose(1, 0, 2)[r < rings - 2]])
+    uv = np.concatenate(
+        [uv[[0, 1, 2]].transpose(1, 0, 2)[r > 0], uv[[0, 2, 3]].transpose(1, 0, 2)[r < rings - 2]]
+    )
     piece = rng.uniform(0.0, 1.0, (count, 1, 1, 2))  # the picture repeats
     starts = rings * segments * np.arange(count)[:, None, None]
     triangles = (keep[None] + starts).reshape(-1, 3).astype(np.int32)

@@ -102,14 +102,21 @@ def _lumps(rings: int, sides: int, rng: np.random.Generator) -> np.ndarray:
     out = np.zeros((rings, sides))
     for _ in range(14):
         folds, turns = rng.integers(1, 6), rng.uniform(2.0, 14.0)
-        out += rng.uniform(0.4, 1.0) / folds**0.5 * np.cos(
-            folds * angle[None] + 2.0 * np.pi * (turns * along[:, None] + rng.uniform())
+        out += (
+            rng.uniform(0.4, 1.0)
+            / folds**0.5
+            * np.cos(folds * angle[None] + 2.0 * np.pi * (turns * along[:, None] + rng.uniform()))
         )
     return np.asarray(out / np.abs(out).max())
 
 
 def flag(
-    hoist: Vector, size: tuple[float, float], heading: float, waves: float, taper: float = 0.0, droop: float = 0.1
+    hoist: Vector,
+    size: tuple[float, float],
+    heading: float,
+    waves: float,
+    taper: float = 0.0,
+    droop: float = 0.1,
 ) -> Mesh:
     """Bunting that flies from its upper hoist corner towards `heading` (radians) in ripples; u along the fly."""
     fly, height = size
@@ -117,7 +124,10 @@ def flag(
     ripple = 0.07 * fly * u**0.8 * np.sin(2.0 * np.pi * (waves * u - 0.25 * v) - 0.6)
     along = fly * u * (0.97 - 0.03 * np.cos(4.0 * np.pi * waves * u))
     drop = (v - 1.0) * height * (1.0 - taper * u) - 0.5 * height * taper * u - droop * fly * u**2
-    out, across = np.array([np.cos(heading), np.sin(heading), 0.0]), np.array([-np.sin(heading), np.cos(heading), 0])
+    out, across = (
+        np.array([np.cos(heading), np.sin(heading), 0.0]),
+        np.array([-np.sin(heading), np.cos(heading), 0]),
+    )
     points = np.asarray(hoist, float) + along[..., None] * out + ripple[..., None] * across
     points[..., 2] += drop
     return patch(points)

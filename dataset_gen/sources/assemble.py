@@ -14,13 +14,14 @@ from ..build import stage_of
 from ..cameras import Camera
 from ..errors import GenerateError
 from ..vibration.bodies import Body
-from . import repair
-from .anchors import Anchors
+from . import lighting
+from .anchors import Anchors, trees
 from .gather import Gathered, Lamp
 from .loaded import Loaded
+from .names import list_names
 from .realise import realise
-from .repair import Wardrobe, list_names
 from .strands import rest_positions
+from .wardrobe import Wardrobe
 from .weights import group_weights
 
 _FLAT = 0.02  # thickness over width
@@ -57,14 +58,14 @@ def assemble(
     if not objects:
         raise GenerateError(f"{origin.path}: scene {old.name!r} holds nothing but volumes")
     wardrobe.report()
-    paths = repair.light_paths(old, wardrobe.made)
-    for lamp in found.lamps:
-        _lamp(lamp, scene)
-    lit = any(lamp.data.energy > 0 for lamp in found.lamps) or repair.glows(wardrobe.made)
+    lamps = [(lamp.name, _lamp(lamp, scene, origin.exposure)) for lamp in found.lamps]
+    lit = any(lamp.data.energy > 0 for lamp in found.lamps) or lighting.glows(wardrobe.made)
     light(scene, old, lit, notes)
-    scene.cycles.film_exposure = origin.exposure
+    if origin.exposure != 1.0:
+        roots = [block.node_tree for block in (scene.world, *wardrobe.made)]
+        lighting.brighten(trees(roots), origin.exposure)
     _remove_all_but(scene)
-    for name, obj, _ in made:
+    for name, obj in [*lamps, *((name, obj) for name, obj, _ in made)]:
         obj.name = name  # the user's object had it until now
     wardrobe.rename()
     bodies = _bodies(objects)
@@ -73,18 +74,20 @@ def assemble(
     stage.camera.data.clip_end = max(100.0, 100.0 * radius)
     stage.camera.data.clip_start = min(0.01, 0.002 * radius)
     return Loaded(
-        stage, bodies, origin.unit_scale_m, origin.cameras, origin.camera_names, tuple(notes), centre, radius, paths
+        stage, bodies, origin.unit_scale_m, origin.cameras, origin.camera_names, tuple(notes), centre, radius
     )
 
 
-def _lamp(lamp: Lamp, scene: bpy.types.Scene) -> None:
+def _lamp(lamp: Lamp, scene: bpy.types.Scene, exposure: float) -> bpy.types.Object:
     data = lamp.data.copy()
     data.animation_data_clear()
+    data.energy *= exposure
     if data.node_tree is not None:
         data.node_tree.animation_data_clear()
     obj = bpy.data.objects.new(lamp.name, data)
     obj.matrix_world = Matrix(lamp.matrix.tolist())
     scene.collection.objects.link(obj)
+    return obj
 
 
 def _remove_all_but(scene: bpy.types.Scene) -> None:
@@ -115,7 +118,8 @@ def _bodies(objects: Mapping[str, bpy.types.Object]) -> tuple[Body, ...]:
 def _bounds(bodies: Sequence[Body], notes: list[str]) -> tuple[tuple[float, float, float], float]:
     """Centre and radius of a sphere around the parts; a floor or dome much wider than the rest is not counted."""
     by_width = sorted(bodies, key=_width)
-    counted, backdrops = by_width[:1], []
+    counted = by_width[:1]
+    backdrops: list[Body] = []
     for body in by_width[1:]:
         (backdrops if _is_backdrop(body, counted) else counted).append(body)
     if backdrops:
@@ -128,7 +132,9 @@ def _bounds(bodies: Sequence[Body], notes: list[str]) -> tuple[tuple[float, floa
 
 
 def _box(bodies: Sequence[Body]) -> tuple[np.ndarray, np.ndarray]:
-    return np.min([body.vertices.min(0) for body in bodies], 0), np.max([b.vertices.max(0) for b in bodies], 0)
+    return np.min([body.vertices.min(0) for body in bodies], 0), np.max(
+        [b.vertices.max(0) for b in bodies], 0
+    )
 
 
 def _width(body: Body) -> float:

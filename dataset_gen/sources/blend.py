@@ -11,11 +11,12 @@ import numpy as np
 
 from ..cameras import Camera, scene_cameras
 from ..errors import GenerateError
-from . import header, repair
+from . import header
 from .assemble import Origin, assemble
 from .gather import gather
+from .lighting import own_world
 from .loaded import Loaded
-from .repair import list_names
+from .names import list_names
 
 _NEUTRAL_VIEWS = ("Standard", "Raw", "Default")  # "Default": sRGB of files before 2.80
 
@@ -37,7 +38,7 @@ def open_blend(path: Path, *, frame: int | None = None, scene: str | None = None
         old.frame_set(old.frame_current, subframe=old.frame_subframe)
     else:
         old.frame_set(frame)
-    names, cameras = _cameras(old, warnings)
+    names, cameras = file_cameras(old, warnings)
     exposure = 2.0**old.view_settings.exposure * old.cycles.film_exposure
     if old.view_settings.view_transform not in _NEUTRAL_VIEWS:
         warnings.append(
@@ -92,10 +93,11 @@ def _silent_drivers() -> list[str]:
     return [f"scripted drivers of {list_names(silent)} do not run: values are as saved"] if silent else []
 
 
-def _cameras(scene: bpy.types.Scene, warnings: list[str]) -> tuple[tuple[str, ...], tuple[Camera, ...]]:
+def file_cameras(scene: bpy.types.Scene, warnings: list[str]) -> tuple[tuple[str, ...], tuple[Camera, ...]]:
     """Names and views of the perspective cameras of the scene, the active one first."""
     objects = sorted(
-        (obj for obj in scene.objects if obj.type == "CAMERA"), key=lambda obj: (obj != scene.camera, obj.name)
+        (obj for obj in scene.objects if obj.type == "CAMERA"),
+        key=lambda obj: (obj != scene.camera, obj.name),
     )
     other = {obj.name for obj in objects if obj.data.type != "PERSP"}
     if other:
@@ -128,4 +130,4 @@ def _unit_scale(scene: bpy.types.Scene) -> float | None:
 
 
 def _light(scene: bpy.types.Scene, old: bpy.types.Scene, lit: bool, warnings: list[str]) -> None:
-    scene.world = repair.own_world(old, lit, warnings)
+    scene.world = own_world(old, lit, warnings)

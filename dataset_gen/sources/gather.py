@@ -131,9 +131,31 @@ def _take(
     else:
         for shape, suffix in _shapes_of(found, instance, depsgraph):
             name = _name(original, parent) + suffix
-            random = (instance.random_id & 0xFFFFFFFF) / 0xFFFFFFFF
+            number = instance.random_id if instance.is_instance else _number_of(original.name)
+            random = (number & 0xFFFFFFFF) / 0xFFFFFFFF
             seen = original.visible_camera and not original.indirect_only_get(view_layer=layer)
             found.pieces.append(Piece(name, shape, matrix, original, random, seen))
+
+
+def _number_of(name: str) -> int:
+    """The number that Cycles gives an object by its name: Jenkins' hash of (hash of the letters, 0)."""
+    letters = 0
+    for byte in np.frombuffer(name.encode(), np.int8).tolist():
+        letters = (37 * letters + byte) & 0xFFFFFFFF
+    a = b = c = (0xDEADBEEF + (2 << 2) + 13) & 0xFFFFFFFF
+    a = (a + letters) & 0xFFFFFFFF
+
+    def mix(x: int, y: int, turn: int) -> int:
+        turned = (y << turn | y >> (32 - turn)) & 0xFFFFFFFF
+        return ((x ^ y) - turned) & 0xFFFFFFFF
+
+    c = mix(c, b, 14)
+    a = mix(a, c, 11)
+    b = mix(b, a, 25)
+    c = mix(c, b, 16)
+    a = mix(a, c, 4)
+    b = mix(b, a, 14)
+    return mix(c, b, 24)
 
 
 def _name(original: bpy.types.Object, parent: bpy.types.Object | None) -> str:

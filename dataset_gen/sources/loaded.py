@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from ..build import Stage
 from ..cameras import Camera
@@ -22,10 +21,3 @@ class Loaded:
     warnings: tuple[str, ...]  # one line each: what was left out or replaced
     centre: tuple[float, float, float]  # of the sphere around what is to be looked at, scene units
     radius: float  # of that sphere, scene units
-    light_paths: Mapping[str, int] = field(default_factory=dict)  # Cycles' bounce limits that the scene needs
-
-    def use_light_paths(self) -> None:
-        """Raises Cycles' bounce limits to what the scene needs; call after `render.configure`."""
-        cycles = self.stage.scene.cycles
-        for name, bounces in self.light_paths.items():
-            setattr(cycles, name, max(bounces, getattr(cycles, name)))

@@ -15,9 +15,9 @@ from ..cameras import scene_cameras
 from ..errors import GenerateError
 from ..materials import world as made_world
 from ..scene import Gradient
-from . import blend
 from .anchors import trees
 from .assemble import Origin, assemble
+from .blend import file_cameras
 from .gather import Gathered, Piece, gather
 from .loaded import Loaded
 from .strands import rest_positions
@@ -68,7 +68,7 @@ def open_mesh(path: Path) -> Loaded:
     _import(path, format_)
     scene = bpy.context.scene
     warnings: list[str] = []
-    names, cameras = blend._cameras(scene, warnings)
+    names, cameras = file_cameras(scene, warnings)
     found = gather(scene)
     found.lamps.clear()
     if not found.pieces:

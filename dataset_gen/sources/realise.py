@@ -7,10 +7,11 @@ from collections.abc import Sequence
 import bpy
 import numpy as np
 
+from ..errors import GenerateError
 from .anchors import Anchors
 from .gather import Piece
-from .repair import Wardrobe, check_finite
 from .strands import rest_positions
+from .wardrobe import Wardrobe
 
 _RAYS = ("diffuse", "glossy", "transmission", "volume_scatter", "shadow")
 
@@ -74,7 +75,7 @@ def _place(piece: Piece, wardrobe: Wardrobe, anchors: Anchors) -> bpy.types.Mesh
     _dress(mesh, piece, wardrobe)
     local = rest_positions(mesh)
     linear, shift = piece.matrix[:3, :3], piece.matrix[:3, 3]
-    check_finite(piece.name, local)
+    _check_finite(piece.name, local)
     world = local @ linear.T + shift
     anchors.write(mesh, piece, local, world)
     normals = _corner_normals(mesh, linear) if mesh.has_custom_normals else None
@@ -120,3 +121,14 @@ def _flipped_corners(mesh: bpy.types.Mesh) -> np.ndarray:
     start, size = np.repeat(starts, sizes), np.repeat(sizes, sizes)
     offset = np.arange(len(start)) - start
     return start + np.where(offset == 0, 0, size - offset)
+
+
+def _check_finite(name: str, vertices: np.ndarray) -> None:
+    """Raises GenerateError if a vertex [V, 3] is not a place."""
+    bad = ~np.isfinite(vertices).all(1)
+    if bad.any():
+        first = int(bad.argmax())
+        raise GenerateError(
+            f"object {name}: vertex {first} lies at {vertices[first].tolist()}, one of {int(bad.sum())} that "
+            "are not finite"
+        )

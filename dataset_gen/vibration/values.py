@@ -6,7 +6,6 @@ wrong with the value ("-3 is not a positive number"); the caller puts file, mode
 
 from __future__ import annotations
 
-import math
 import reprlib
 from typing import Annotated, Any
 
@@ -22,10 +21,10 @@ def shown(value: object) -> str:
 def number(value: Any) -> float:
     """A finite number."""
     if isinstance(value, str) and _is_numeral(value):
-        raise ValueError(f"{value!r} is text, not a number (YAML writes powers of ten as 5.0e-3)")
+        raise ValueError(f"{shown(value)} is text, not a number (YAML writes powers of ten as 5.0e-3)")
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError(f"{shown(value)} is not a number")
-    if not (math.isfinite(value) and abs(value) <= _LARGEST):
+    if not abs(value) <= _LARGEST:  # nor is NaN; a whole number may be too large for a float
         raise ValueError(f"{shown(value)} is not a finite number within ±{_LARGEST:g}")
     return float(value)
 

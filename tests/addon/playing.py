@@ -41,7 +41,8 @@ def drawn_whole(extension: ModuleType, obj: Any) -> Any:
     """The object's modifier, set to draw every Gaussian at 1 σ."""
     put = setter(extension, obj)
     names = extension.names
-    for name, value in ((names.MIN_OPACITY, 0.0), (names.SIZE, 1.0), (names.RADIUS, 1.0)):
+    least = ((names.MIN_OPACITY, 0.0), (names.MIN_SPLAT_OPACITY, 0.0))
+    for name, value in (*least, (names.SIZE, 1.0), (names.RADIUS, 1.0)):
         put(name, value)
     return extension.scene.splat_modifier(obj)
 

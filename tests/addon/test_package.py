@@ -9,7 +9,9 @@ import sys
 import tomllib
 import zipfile
 from pathlib import Path
+from textwrap import indent
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,10 +21,27 @@ from tg4mm.splatfile import positions_at, read_splat
 
 pytest.importorskip("bpy", reason="needs pip's Blender: pip install 'tg4mm[generate]'")
 
+ADDON = (
+    *(
+        "__init__",
+        "analysis",
+        "colours",
+        "compat",
+        "loading",
+        "made",
+        "materials",
+        "names",
+        "numbered",
+        "panel",
+    ),
+    *("points", "scene"),
+    *(f"nodes/{n}" for n in ("__init__", "colour", "graph", "motion", "player", "sequence", "shapes")),
+    *(f"operators/{n}" for n in ("__init__", "import_splat", "look")),
+)
 CONTENT = {
     "blender_manifest.toml",
     "LICENSE",
-    *(f"{name}.py" for name in ("__init__", "compat", "nodes", "operators", "panel", "scene")),
+    *(f"{name}.py" for name in ADDON),
     *(f"core/{name}.py" for name in ("__init__", "errors")),
     *(
         f"core/splatfile/{n}.py"
@@ -30,22 +49,68 @@ CONTENT = {
     ),
 }
 
-IN_BLENDER = """
+# Each script prints a line RESULT {json}. play() reads where the object's instances are at two frames.
+PLAY = """
 import json, sys, bpy
-zip_path, splat_path = sys.argv[1:]
+def play():
+    places = []
+    for frame, subframe in ((5, 0.0), (7, 0.5)):
+        bpy.context.scene.frame_set(frame, subframe=subframe)
+        depsgraph = bpy.context.evaluated_depsgraph_get()
+        places.append([list(i.matrix_world.translation) for i in depsgraph.object_instances if i.is_instance])
+    return places
+"""
+INSTALL = (
+    PLAY
+    + """
+zip_path, splat_path, blend_path = sys.argv[1:]
 bpy.ops.extensions.package_install_files(filepath=zip_path, repo="user_default", enable_on_install=True)
+known = lambda: "tg4mm_splat" in dir(bpy.ops.import_scene)
+states = [known()]
+import addon_utils
+for switch in (addon_utils.disable, addon_utils.enable):
+    switch("bl_ext.user_default.tg4mm")
+    states.append(known())
 import bl_ext.user_default.tg4mm as extension
 bpy.ops.import_scene.tg4mm_splat(filepath=splat_path)
-obj = bpy.context.object
-modifier = extension.scene.splat_modifier(obj)
-extension.compat.set_input(modifier, extension.nodes.ALPHA, 3.0)
-extension.compat.set_input(modifier, extension.nodes.MIN_OPACITY, 0.0)
-bpy.context.scene.frame_set(5)
-depsgraph = bpy.context.evaluated_depsgraph_get()
-places = [list(i.matrix_world.translation) for i in depsgraph.object_instances if i.is_instance]
+modifier = extension.scene.splat_modifier(bpy.context.object)
+compat, names = extension.compat, extension.names
+compat.set_input(modifier, names.MIN_OPACITY, 0.0)
+for frame, alpha in ((1, 3.0), (6, 3.0), (7, 8.0), (8, 8.0)):
+    compat.set_input(modifier, names.ALPHA, alpha)
+    compat.key_input(modifier, names.ALPHA, frame)
+bpy.ops.wm.save_as_mainfile(filepath=blend_path)
 heavy = sorted({"torch", "PIL", "plyfile", "scipy", "tg4mm"} & set(sys.modules))
-print("RESULT", json.dumps({"places": places, "heavy": heavy}))
+print("RESULT", json.dumps({"places": play(), "heavy": heavy, "states": states}))
 """
+)
+REOPEN = (
+    PLAY
+    + """
+(blend_path,) = sys.argv[1:]
+bpy.ops.wm.open_mainfile(filepath=blend_path)
+present = "tg4mm_splat" in dir(bpy.ops.import_scene)
+print("RESULT", json.dumps({"places": play(), "present": present}))
+"""
+)
+
+
+def in_blender(script: str, resources: Path, *arguments: object) -> dict[str, Any]:
+    """Run a script in a Blender of its own, whose user folder is `resources`; what it printed as RESULT."""
+    environment = {**os.environ, "BLENDER_USER_RESOURCES": str(resources)}
+    # A fault in pip's Blender can hang the interpreter's exit, so scripts leave without it.
+    body = indent(script, "    ")
+    leave = "finally:\n    sys.stdout.flush()\n    os._exit(0)"
+    code = (
+        f"import os, sys, traceback\ntry:\n{body}\nexcept BaseException:\n    traceback.print_exc()\n{leave}"
+    )
+    command = [sys.executable, "-c", code, *map(str, arguments)]
+    done = subprocess.run(
+        command, capture_output=True, text=True, env=environment, cwd=resources.parent, timeout=240
+    )
+    lines = [line for line in done.stdout.splitlines() if line.startswith("RESULT ")]
+    assert lines, done.stdout + done.stderr
+    return json.loads(lines[0].removeprefix("RESULT "))
 
 
 @pytest.fixture(scope="module")
@@ -81,13 +146,17 @@ def test_builder_refuses_a_broken_package(make_extension: ModuleType, staged: Pa
         make_extension.build(broken, tmp_path / "dist")
 
 
-def test_blender_installs_the_zip_and_plays_a_splat(zip_path: Path, splat_path: Path, tmp_path: Path) -> None:
-    environment = {**os.environ, "BLENDER_USER_RESOURCES": str(tmp_path / "resources")}
-    command = [sys.executable, "-c", IN_BLENDER, str(zip_path), str(splat_path)]
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=tmp_path)
-    assert done.returncode == 0, done.stdout + done.stderr
-    line = next(line for line in done.stdout.splitlines() if line.startswith("RESULT "))
-    result = json.loads(line.removeprefix("RESULT "))
-    assert result["heavy"] == []
-    expected = positions_at(read_splat(splat_path), 4, 3.0)
-    np.testing.assert_allclose(np.array(result["places"]), expected, atol=1e-3)
+def test_installed_from_the_zip_it_plays_and_its_blend_files_play_without_it(
+    zip_path: Path, splat_path: Path, tmp_path: Path
+) -> None:
+    blend = tmp_path / "bell.blend"
+    installed = in_blender(INSTALL, tmp_path / "resources", zip_path, splat_path, blend)
+    assert installed["heavy"] == []
+    assert installed["states"] == [True, False, True]
+    splat = read_splat(splat_path)
+    np.testing.assert_allclose(np.array(installed["places"][0]), positions_at(splat, 4, 3.0), atol=1e-3)
+    np.testing.assert_allclose(np.array(installed["places"][1]), positions_at(splat, 6.5, 8.0), atol=1e-3)
+
+    without = in_blender(REOPEN, tmp_path / "other", blend)
+    assert without["present"] is False
+    np.testing.assert_allclose(np.array(without["places"]), np.array(installed["places"]), atol=1e-6)

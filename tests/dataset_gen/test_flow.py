@@ -12,7 +12,7 @@ import pytest
 bpy = pytest.importorskip("bpy")
 OpenEXR = pytest.importorskip("OpenEXR")
 
-from dataset_gen import build, compat, render  # noqa: E402
+from dataset_gen import build, render  # noqa: E402
 from dataset_gen.cameras import train_cameras  # noqa: E402
 from dataset_gen.prepare import builtin_bodies  # noqa: E402
 from dataset_gen.quality import Quality  # noqa: E402

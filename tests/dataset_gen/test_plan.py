@@ -7,8 +7,8 @@ from dataset_gen.plan import RESEEDED, ranges, shots
 from dataset_gen.prepare import builtin_bodies, motion_of
 
 
-def plan(*arguments: str):
-    settings = request_from(parser().parse_args(["mic", *arguments, "--out", "x"])).sets[0]
+def plan(arguments: str = ""):
+    settings = request_from(parser().parse_args(["mic", *arguments.split(), "--out", "x"])).sets[0]
     every = shots(settings, motion_of(settings, builtin_bodies("mic")))
     return settings, [s for s in every if not s.seed_offset], [s for s in every if s.seed_offset]
 
@@ -22,9 +22,7 @@ def test_the_demo_set_costs_155_renders_and_6_for_the_noise():
 
 
 def test_every_file_is_named_once():
-    _, every, _ = plan(
-        *"--timesteps 12 --views 3 --test-views 2 --alphas 5,100 --truth all --frequency 3.7".split()
-    )
+    _, every, _ = plan("--timesteps 12 --views 3 --test-views 2 --alphas 5,100 --truth all --frequency 3.7")
     names = [name for shot in every for name in shot.files]
     assert len(set(names)) == len(names)
     expected = {f"{t:03d}/train/r_{i:03d}.png" for t in range(12) for i in range(3)}
@@ -40,7 +38,7 @@ def test_every_file_is_named_once():
     ("truth", "splits"), [("none", set()), ("test", {"test"}), ("all", {"test", "train"})]
 )
 def test_truth_is_planned_for_the_splits_asked_for(truth, splits):
-    _, every, _ = plan("--truth", truth)
+    _, every, _ = plan(f"--truth {truth}")
     assert {shot.split for shot in every if shot.truth} == splits
 
 
@@ -60,14 +58,14 @@ def test_each_training_camera_colours_the_points_once_near_rest():
 
 
 def test_a_hand_held_camera_shares_no_picture():
-    _, every, _ = plan(*"--cameras handheld --timesteps 8 --test-views 1 --alphas 5".split())
+    _, every, _ = plan("--cameras handheld --timesteps 8 --test-views 1 --alphas 5")
     train = [shot for shot in every if shot.split == "train"]
     assert len(train) == 8
     assert all(len(shot.pictures) == 1 for shot in train)
 
 
 def test_a_sweep_is_taken_at_timestep_0_alone():
-    _, every, _ = plan(*"--cameras sweep --views 6 --timesteps 8".split())
+    _, every, _ = plan("--cameras sweep --views 6 --timesteps 8")
     names = [picture.path for shot in every if shot.split == "train" for picture in shot.pictures]
     assert sum(name.startswith("000/") for name in names) == 7
     assert all(sum(name.startswith(f"{t:03d}/") for name in names) == 1 for t in range(1, 8))

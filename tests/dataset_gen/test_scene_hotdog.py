@@ -1,10 +1,15 @@
 """The built-in hot dogs: parts, closed bodies, contacts, and what may move."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from dataset_gen.meshes import triangle_areas
 from dataset_gen.scenes import hotdog
+from dataset_gen.vibration.bodies import Body
+from dataset_gen.vibration.describe import read_motion
+from dataset_gen.vibration.solve import solve
 
 
 @pytest.fixture(scope="module")
@@ -15,6 +20,13 @@ def scene():
 @pytest.fixture(scope="module")
 def parts(scene):
     return {part.name: part for part in scene.parts}
+
+
+@pytest.fixture(scope="module")
+def shapes(scene):
+    bodies = [Body(p.name, p.mesh.vertices, p.mesh.triangles, p.follow) for p in scene.parts]
+    motion = solve(read_motion(Path(hotdog.__file__).with_suffix(".yaml")), bodies, 30.0, None, 0)
+    return {body.name: shape[0] for body, shape in zip(bodies, motion.shapes, strict=True)}
 
 
 def volume(mesh):
@@ -71,6 +83,28 @@ def test_sauce_rests_on_its_sausage(parts):
         near, _ = tree.query(parts[sauce].mesh.vertices)
         assert near.max() < 0.09
         assert np.quantile(near, 0.1) < 0.02
+
+
+def test_only_what_should_move_moves(shapes):
+    peak = {name: np.linalg.norm(np.abs(shape), axis=1).max() for name, shape in shapes.items()}
+    assert max(peak.values()) == pytest.approx(0.005)
+    for name, size in peak.items():
+        assert (size > 0.0005) == name.startswith(("bun_", "sausage_", "mustard_", "ketchup_", "seeds_")), (
+            name
+        )
+
+
+def test_parts_that_touch_move_together(scene, shapes):
+    spatial = pytest.importorskip("scipy.spatial")
+    group = [part for part in scene.parts if part.name.endswith("_left") or part.name == "plate"]
+    owner = np.repeat(np.arange(len(group)), [len(part.mesh.vertices) for part in group])
+    points = np.concatenate([part.mesh.vertices for part in group])
+    moves = np.concatenate([shapes[part.name] for part in group])
+    pairs = spatial.cKDTree(points).query_pairs(0.012, output_type="ndarray")
+    pairs = pairs[owner[pairs[:, 0]] != owner[pairs[:, 1]]]
+    assert len(pairs) > 100  # parts do touch
+    jump = np.linalg.norm(np.abs(moves[pairs[:, 0]] - moves[pairs[:, 1]]), axis=1)
+    assert jump.max() < 0.1 * 0.005
 
 
 def test_meshes_and_textures_are_sound(scene):

@@ -44,7 +44,18 @@ def volume(mesh):
 
 
 def test_what_makes_a_ship_is_there(parts):
-    assert {"hull", "keel", "wales", "decks", "masts", "yards", "sails", "shrouds", "ratlines", "water"} <= set(parts)
+    assert {
+        "hull",
+        "keel",
+        "wales",
+        "decks",
+        "masts",
+        "yards",
+        "sails",
+        "shrouds",
+        "ratlines",
+        "water",
+    } <= set(parts)
     assert {"rudder", "anchors", "lanterns", "guns", "ensign", "figurehead"} <= set(parts)
     assert 60_000 <= sum(len(part.mesh.triangles) for part in parts.values()) <= 300_000
 

@@ -10,6 +10,10 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from mathutils import Matrix  # noqa: E402
+
+from dataset_gen import build  # noqa: E402
+from dataset_gen.errors import GenerateError  # noqa: E402
+from dataset_gen.sources import open_blend  # noqa: E402
 from tests.dataset_gen.sources_blends import (  # noqa: E402
     emission,
     evaluated,
@@ -22,10 +26,6 @@ from tests.dataset_gen.sources_blends import (  # noqa: E402
     tetrahedron,
     view_from,
 )
-
-from dataset_gen import build  # noqa: E402
-from dataset_gen.errors import GenerateError  # noqa: E402
-from dataset_gen.sources import open_blend  # noqa: E402
 
 ODD = Matrix.LocRotScale((1.0, -2.0, 0.5), Matrix.Rotation(0.7, 3, "X"), (0.5, 2.0, 1.5))
 
@@ -78,7 +78,9 @@ def test_moving_a_loaded_stage_puts_every_vertex_at_rest_plus_displacement(tmp_p
 def test_mirrored_objects_keep_their_faces_and_custom_normals_outside(tmp_path, scale):
     new_scene()
     mesh = tetrahedron()
-    tilted = np.array([(0.0, 0.0, -1.0)] * 3 + [(0.0, -0.8, 0.6)] * 3 + [(0.6, 0.5, 0.6)] * 3 + [(-1.0, 0.1, 0.2)] * 3)
+    tilted = np.array(
+        [(0.0, 0.0, -1.0)] * 3 + [(0.0, -0.8, 0.6)] * 3 + [(0.6, 0.5, 0.6)] * 3 + [(-1.0, 0.1, 0.2)] * 3
+    )
     tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
     mesh.normals_split_custom_set(tilted.tolist())
     link("part", mesh, matrix=Matrix.LocRotScale(None, Matrix.Rotation(0.4, 3, "Z"), scale))
@@ -151,7 +153,10 @@ def test_shape_keys_armatures_constraints_and_animation_are_frozen_at_the_frame(
     assert_same_vertices(loaded.bodies[0], expected)
     scene, moved = loaded.stage.scene, loaded.stage.objects[0]
     assert moved.data.shape_keys is None
-    assert not (moved.modifiers or moved.constraints or moved.animation_data or bpy.data.actions)
+    assert not moved.modifiers
+    assert not moved.constraints
+    assert moved.animation_data is None
+    assert not bpy.data.actions
     scene.frame_set(11)
     assert_same_vertices(loaded.bodies[0], evaluated(moved))
     pulled = open_blend(path, frame=11).bodies[0].vertices
@@ -214,8 +219,14 @@ def test_instances_of_collections_and_of_faces_are_realised(tmp_path):
     for i in range(2):
         empty = link(f"place {i}", None, matrix=Matrix.Translation((4 * i, 0, 1)))
         empty.instance_type, empty.instance_collection = "COLLECTION", group
-    emitter = link("emitter", mesh_of("quads", [(0, 8, 0), (1, 8, 0), (1, 9, 0), (0, 9, 0), (3, 8, 0), (3, 9, 0)],
-                                      [(0, 1, 2, 3), (1, 4, 5, 2)]))
+    emitter = link(
+        "emitter",
+        mesh_of(
+            "quads",
+            [(0, 8, 0), (1, 8, 0), (1, 9, 0), (0, 9, 0), (3, 8, 0), (3, 9, 0)],
+            [(0, 1, 2, 3), (1, 4, 5, 2)],
+        ),
+    )
     emitter.instance_type = "FACES"
     emitter.show_instancer_for_render = False
     leaf = link("leaf", tetrahedron("leaf", 0.1))
@@ -234,7 +245,12 @@ def test_instances_made_by_geometry_nodes_are_realised(tmp_path):
     for direction in ("INPUT", "OUTPUT"):
         tree.interface.new_socket("Geometry", in_out=direction, socket_type="NodeSocketGeometry")
     nodes = tree.nodes
-    kinds = ("GeometryNodeMeshCube", "GeometryNodeInstanceOnPoints", "NodeGroupOutput", "GeometryNodeSetMaterial")
+    kinds = (
+        "GeometryNodeMeshCube",
+        "GeometryNodeInstanceOnPoints",
+        "NodeGroupOutput",
+        "GeometryNodeSetMaterial",
+    )
     cube, place, out, paint = (nodes.new(kind) for kind in kinds)
     tree.links.new(nodes.new("NodeGroupInput").outputs[0], place.inputs["Points"])
     paint.inputs["Material"].default_value = emission(
@@ -251,7 +267,9 @@ def test_instances_made_by_geometry_nodes_are_realised(tmp_path):
     mesh = loaded.stage.objects[0].data
     assert {mesh.materials[face.material_index].name for face in mesh.polygons} == {"gold"}
     centres = body.vertices.reshape(4, 8, 3).mean(1)
-    assert np.allclose(sorted(map(tuple, centres)), sorted([(0, 0, 0), (5, 0, 0), (0, 10, 0), (0, 0, 15)]), atol=1e-5)
+    assert np.allclose(
+        sorted(map(tuple, centres)), sorted([(0, 0, 0), (5, 0, 0), (0, 10, 0), (0, 0, 15)]), atol=1e-5
+    )
 
 
 def test_only_what_renders_is_taken_from_all_view_layers(tmp_path):
@@ -319,7 +337,9 @@ def test_uv_maps_colours_smoothness_and_slots_are_kept(tmp_path):
     mesh.polygons.foreach_set("material_index", [0, 1, 1, 0])
     obj = link("part", mesh, matrix=ODD)
     obj.material_slots[1].link = "OBJECT"
-    obj.material_slots[1].material = emission("brass", lambda tree: tree.nodes.new("ShaderNodeRGB").outputs[0])
+    obj.material_slots[1].material = emission(
+        "brass", lambda tree: tree.nodes.new("ShaderNodeRGB").outputs[0]
+    )
     found = open_blend(save(tmp_path)).stage.objects[0].data
     got = np.empty(24, np.float32)
     found.uv_layers["map"].data.foreach_get("uv", got)
@@ -392,7 +412,9 @@ def test_the_sphere_around_the_scene_leaves_a_wide_floor_out(tmp_path):
 def test_a_scene_of_which_nothing_renders_is_one_line(tmp_path):
     new_scene()
     link("part", tetrahedron()).hide_render = True
-    with pytest.raises(GenerateError, match=r"user\.blend: nothing in scene 'Scene' is a surface that renders"):
+    with pytest.raises(
+        GenerateError, match=r"user\.blend: nothing in scene 'Scene' is a surface that renders"
+    ):
         open_blend(save(tmp_path))
 
 
@@ -438,10 +460,13 @@ def test_opening_is_the_same_in_every_process(tmp_path):
     program = (
         "import sys, hashlib; from pathlib import Path; from dataset_gen.sources import open_blend\n"
         "loaded = open_blend(Path(sys.argv[1]))\n"
-        "print('digest', hashlib.sha256(b''.join(b.name.encode() + b.vertices.tobytes() for b in loaded.bodies)).hexdigest())"
+        "content = b''.join(b.name.encode() + b.vertices.tobytes() for b in loaded.bodies)\n"
+        "print('digest', hashlib.sha256(content).hexdigest())"
     )
     runs = [
-        subprocess.run([sys.executable, "-c", program, str(path)], capture_output=True, text=True, check=True).stdout
+        subprocess.run(
+            [sys.executable, "-c", program, str(path)], capture_output=True, text=True, check=True
+        ).stdout
         for _ in range(2)
     ]
     digests = [[line for line in run.splitlines() if line.startswith("digest")] for run in runs]

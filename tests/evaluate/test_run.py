@@ -260,6 +260,20 @@ def test_a_band_is_judged_by_itself_and_motion_outside_it_is_noted(tmp_path) -> 
     assert rows_of(metrics, 20)[OURS]["psnr_db"] < rows_of(everything, 20)[OURS]["psnr_db"] - 0.5
 
 
+def test_motion_that_the_ground_truth_does_not_magnify_is_noted(tmp_path) -> None:
+    root = tmp_path / "two"
+    gaussians, motion = make_synthetic_dataset(root, **EXTRAS | {"freqs": (3.0, 6.0), "alphas": (20,)})
+    file = root / "truth" / "motion.npz"
+    with np.load(file) as arrays:
+        changed = dict(arrays) | {"magnified": np.array([True, False])}
+    np.savez(file, **changed)
+    run = make_run(tmp_path, root, gaussians, motion)
+    note = "The ground truth does not magnify motion at 6 Hz, "
+    assert evaluate_run(run, alphas=[0])["notes"] == [note + "without a band, ours does."]
+    assert evaluate_run(run, alphas=[0], band=(2, 8))["notes"] == [note + "which lies inside the band."]
+    assert evaluate_run(run, alphas=[0], band=(2, 4))["notes"] == []
+
+
 def test_the_table_holds_every_figure(half) -> None:
     metrics = evaluate_run(half)
     lines = format_table(metrics).splitlines()

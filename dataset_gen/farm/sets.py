@@ -1,0 +1,121 @@
+"""From a farm's configuration to its datasets: folders, numbers of parts, commands. The Snakefile asks for it.
+
+`python -m dataset_gen.farm.sets < config.json` prints a JSON object, folder by folder. It runs in the Python
+that renders, which need not be the one that runs Snakemake.
+"""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from tg4mm.errors import Tg4mmError
+
+from ..errors import GenerateError
+from ..options import parser, request_from
+from .commands import Commands, commands
+
+_KEYS = {"python": str, "out": str, "parts": int, "threads": int, "mem_mb": int, "minutes": int, "options": str,
+         "sets": dict}  # fmt: skip
+_SET_KEYS = ("options", "parts")
+_DEFAULTS: dict[str, Any] = {"parts": 4, "threads": 1, "mem_mb": 4000, "minutes": 240, "options": ""}
+
+
+@dataclass(frozen=True)
+class FarmSet:
+    """One dataset of a farm."""
+
+    name: str  # in the configuration
+    folder: str  # below `out`
+    parts: int
+    commands: Commands
+
+    def to_json(self) -> dict[str, Any]:
+        """Commands as lines for a shell, those of the parts from 1."""
+        return {
+            "name": self.name,
+            "parts": self.parts,
+            "prepare": shlex.join(self.commands.prepare),
+            "part": [shlex.join(command) for command in self.commands.parts],
+            "finish": shlex.join(self.commands.finish),
+        }
+
+
+def farm_sets(config: Mapping[str, Any]) -> list[FarmSet]:
+    """The datasets of a configuration (config.yaml beside the Snakefile explains its keys).
+
+    Raises GenerateError, one line with the key or set, for unknown keys, wrong types, options that
+    `python -m dataset_gen` refuses, and two sets of one folder.
+    """
+    values = _checked(config)
+    found: dict[str, FarmSet] = {}
+    for name, own in values["sets"].items():
+        made = _farm_set(name, own or {}, values)
+        if made.folder in found:
+            other = found[made.folder].name
+            raise GenerateError(f"sets {other!r} and {name!r} have the same folder {made.folder}: rename one by --name "
+                                "or give them an `out` each")  # fmt: skip
+        found[made.folder] = made
+    return list(found.values())
+
+
+def _checked(config: Mapping[str, Any]) -> dict[str, Any]:
+    for key, value in config.items():
+        if key not in _KEYS:
+            raise GenerateError(f"configuration: {key!r} is none of {', '.join(_KEYS)}")
+        if not isinstance(value, _KEYS[key]) or isinstance(value, bool):
+            raise GenerateError(f"configuration: {key} is {value!r}, expected {_KEYS[key].__name__}")
+    for key in ("parts", "threads", "mem_mb", "minutes"):
+        if config.get(key, 1) < 1:
+            raise GenerateError(f"configuration: {key} is {config[key]}, expected at least 1")
+    for key in ("out", "sets"):
+        if not config.get(key):
+            raise GenerateError(f"configuration: {key} is missing")
+    return {**_DEFAULTS, "python": sys.executable, **config}
+
+
+def _farm_set(name: str, own: Any, values: Mapping[str, Any]) -> FarmSet:
+    where = f"set {name!r}"
+    if not isinstance(own, dict):
+        raise GenerateError(f"{where}: is {own!r}, expected {' and '.join(_SET_KEYS)}")
+    if unknown := [key for key in own if key not in _SET_KEYS]:
+        raise GenerateError(f"{where}: {unknown[0]!r} is none of {', '.join(_SET_KEYS)}")
+    parts = own.get("parts", values["parts"])
+    options = own.get("options", name)
+    if not isinstance(parts, int) or isinstance(parts, bool) or parts < 1:
+        raise GenerateError(f"{where}: parts is {parts!r}, expected a whole number of at least 1")
+    if not isinstance(options, str):
+        raise GenerateError(f"{where}: options is {options!r}, expected a string as on the command line")
+    try:
+        arguments = [*shlex.split(values["options"]), *shlex.split(options)]  # its own have the last word
+        request = request_from(parser().parse_args([*arguments, "--out", values["out"]]))
+    except (Tg4mmError, ValueError) as error:
+        raise GenerateError(f"{where}: {error}") from error
+    if len(request.sets) != 1:
+        raise GenerateError(f"{where}: is {len(request.sets)} datasets; name each as a set of its own")
+    if request.prepare or request.part or request.finish or request.save_blend:
+        raise GenerateError(
+            f"{where}: options hold --prepare, --part, --finish or --save-blend, which the farm adds"
+        )
+    made = commands(values["python"], arguments, values["out"], parts, values["threads"])
+    return FarmSet(name, request.sets[0].folder, parts, made)
+
+
+def main() -> int:
+    """Reads a configuration as JSON on standard input. Returns 0, or 2 with one line on bad input."""
+    try:
+        config = json.load(sys.stdin)
+        found = {one.folder: one.to_json() for one in farm_sets(config)}
+    except (Tg4mmError, ValueError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    json.dump(found, sys.stdout)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,74 @@
+"""The file that carries a scene's geometry to the process without Blender; that process stays without it."""
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dataset_gen.cameras import Camera, look_at
+from dataset_gen.errors import GenerateError
+from dataset_gen.sources import bodies_file
+from dataset_gen.sources.bodies_file import Found
+from dataset_gen.vibration.bodies import Body
+
+VERTICES = np.array([[0.1, 0.2, 0.3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+FOUND = Found(
+    bodies=(
+        Body(
+            "a/b ü",
+            VERTICES,
+            np.array([[0, 1, 2]], np.int32),
+            np.ones(3),
+            {"tip.1": np.array([0.0, 0.5, 1.0])},
+        ),
+        Body("bare", VERTICES + 2.0, np.array([[2, 1, 0]], np.int32), np.ones(3), {}),
+    ),
+    unit_scale_m=0.01,
+    cameras=(Camera(0, look_at(np.array([4.0, 1.0, 2.0]), np.zeros(3)), angle_x=0.8, shift=(0.1, 0.0)),),
+    camera_names=("Camera",),
+    warnings=("left out, volume: smoke",),
+    centre=(0.5, 0.25, 1.0),
+    radius=1.5,
+)
+
+
+def test_what_is_read_is_what_was_written(tmp_path):
+    bodies_file.save(tmp_path / "found.npz", FOUND)
+    got = bodies_file.load(tmp_path / "found.npz")
+    assert replace(got, bodies=()) == replace(FOUND, bodies=())
+    assert len(got.bodies) == 2
+    for body, wanted in zip(got.bodies, FOUND.bodies, strict=True):
+        assert body.name == wanted.name
+        assert np.array_equal(body.vertices, wanted.vertices)
+        assert np.array_equal(body.triangles, wanted.triangles)
+        assert np.array_equal(body.follow, wanted.follow)
+        assert {k: v.tolist() for k, v in body.groups.items()} == {
+            k: v.tolist() for k, v in wanted.groups.items()
+        }
+    assert os.listdir(tmp_path) == ["found.npz"]
+
+
+def test_a_scale_that_is_not_known_stays_unknown(tmp_path):
+    bodies_file.save(tmp_path / "found.npz", replace(FOUND, unit_scale_m=None))
+    assert bodies_file.load(tmp_path / "found.npz").unit_scale_m is None
+
+
+def test_a_missing_a_foreign_and_a_truncated_file_are_one_line_each(tmp_path):
+    with pytest.raises(GenerateError, match=r"absent\.npz cannot be read: No such file"):
+        bodies_file.load(tmp_path / "absent.npz")
+    np.savez(tmp_path / "foreign.npz", other=np.zeros(3))
+    with pytest.raises(GenerateError, match="does not hold the geometry"):
+        bodies_file.load(tmp_path / "foreign.npz")
+    bodies_file.save(tmp_path / "found.npz", FOUND)
+    whole = (tmp_path / "found.npz").read_bytes()
+    (tmp_path / "found.npz").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(GenerateError, match="does not hold the geometry"):
+        bodies_file.load(tmp_path / "found.npz")
+
+
+def test_reading_it_imports_no_blender():
+    program = "import sys; sys.modules['bpy'] = None; from dataset_gen.sources import bodies_file, header"
+    subprocess.run([sys.executable, "-c", program], check=True)

@@ -1,0 +1,75 @@
+"""Files that are no .blend, not whole, or newer than this Blender: one line each, before anything is done."""
+
+import gzip
+
+import pytest
+
+from dataset_gen.errors import GenerateError
+from dataset_gen.sources import header
+
+OLD = b"BLENDER-v405" + b"DATA" * 100 + b"ENDB" + bytes(20)
+NEW = b"BLENDER17-01v0502" + b"DATA" * 100 + b"ENDB" + bytes(28)
+
+
+def write(tmp_path, content):
+    path = tmp_path / "user.blend"
+    path.write_bytes(content)
+    return path
+
+
+@pytest.mark.parametrize(
+    "content", [OLD, NEW, gzip.compress(OLD), b"BLENDER_V249" + OLD[12:], b"\x28\xb5\x2f\xfd anything"]
+)
+def test_whole_files_up_to_this_version_pass(tmp_path, content):
+    header.check(write(tmp_path, content), (5, 2))
+
+
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [
+        (b"", "is empty"),
+        (b"# a text\n" * 10, r"is not a \.blend file: it begins with b'# a text'"),
+        (gzip.compress(b"no scene in here"), r"is not a \.blend file: it begins with b'no scene'"),
+        (OLD[:200], "is cut off: the block that closes"),
+        (NEW[:300], "is cut off"),
+        (gzip.compress(OLD)[:-20], "is cut off or damaged"),
+        (gzip.compress(OLD[:200]), "is cut off"),
+    ],
+)
+def test_other_files_are_refused_in_one_line_with_the_path(tmp_path, content, complaint):
+    with pytest.raises(GenerateError, match=rf"user\.blend {complaint}") as caught:
+        header.check(write(tmp_path, content), (5, 2))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("content", [NEW, gzip.compress(NEW)])
+def test_a_file_of_a_newer_blender_is_refused_with_both_versions(tmp_path, content):
+    with pytest.raises(GenerateError, match=r"saved by Blender 5\.2, newer than this Blender 4\.5"):
+        header.check(write(tmp_path, content), (4, 5))
+
+
+def test_a_missing_file_and_a_folder_are_named(tmp_path):
+    with pytest.raises(GenerateError, match=r"absent\.blend does not exist"):
+        header.check(tmp_path / "absent.blend", (4, 5))
+    with pytest.raises(GenerateError, match="is a folder"):
+        header.check(tmp_path, (4, 5))
+
+
+def test_what_blender_saves_passes_and_its_pieces_do_not(tmp_path):
+    pytest.importorskip("bpy")
+    from dataset_gen.sources import open_blend
+    from tests.dataset_gen.sources_blends import link, new_scene, save, tetrahedron
+
+    new_scene()
+    link("part", tetrahedron())
+    for name, options in (("plain.blend", {"compress": False}), ("small.blend", {"compress": True})):
+        path = save(tmp_path, name, **options)
+        assert [body.name for body in open_blend(path).bodies] == ["part"]
+        whole = path.read_bytes()
+        for share in (0.3, 0.6, 0.99):
+            path.write_bytes(whole[: int(share * len(whole))])
+            with pytest.raises(GenerateError, match=name.replace(".", r"\.")) as caught:
+                open_blend(path)
+            assert "\n" not in str(caught.value)
+        path.write_bytes(gzip.compress(whole) if name == "plain.blend" else whole)
+        assert [body.name for body in open_blend(path).bodies] == ["part"]

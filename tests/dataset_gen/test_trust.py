@@ -1,0 +1,242 @@
+"""`generate all --preset smoke`: every scene generates, and its ground truth is what it says, scene by scene."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+OpenEXR = pytest.importorskip("OpenEXR")
+Image = pytest.importorskip("PIL.Image")
+
+from dataset_gen import build, render, truth  # noqa: E402
+from dataset_gen.cameras import Camera, cameras_at  # noqa: E402
+from dataset_gen.options import parser, request_from  # noqa: E402
+from dataset_gen.prepare import builtin_bodies, motion_of  # noqa: E402
+from dataset_gen.quality import Quality  # noqa: E402
+from dataset_gen.scenes import NAMES, SCENES  # noqa: E402
+from dataset_gen.settings import Settings  # noqa: E402
+from dataset_gen.vibration import Body, Motion, State  # noqa: E402
+from tests.dataset_gen.trust import Surface, displacement_errors, expected_flow, unprojected  # noqa: E402
+
+pytestmark = pytest.mark.slow
+ROOT = Path(__file__).resolve().parents[2]
+NOW = 1  # timestep of the checks: nothing is at rest there
+
+
+@dataclass
+class World:
+    """One generated set, and the same scene in this process."""
+
+    root: Path
+    settings: Settings
+    bodies: tuple[Body, ...]
+    motion: Motion
+    stage: build.Stage
+    quality: Quality
+    camera: Camera
+
+    def displacements(self, state: State) -> list[np.ndarray]:
+        return [self.motion.displacement(i, state) for i in range(len(self.bodies))]
+
+    def take(self, displacements: list[np.ndarray]) -> np.ndarray:
+        """Linear light [H, W, 4]."""
+        build.move(self.stage, displacements)
+        build.set_view(self.stage, self.camera)
+        render.use_picture(self.stage, self.quality)
+        return render.linear_picture(self.stage, self.root)
+
+    def exr(self, timestep: int) -> dict[str, np.ndarray]:
+        return truth.read_exr(self.root / f"truth/test/{timestep:03d}/{self.camera.name}.exr")
+
+
+@pytest.fixture(scope="module")
+def sets(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("all")
+    command = [sys.executable, "-m", "dataset_gen", "all", "--preset", "smoke", "--out", str(out)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return out
+
+
+@pytest.fixture(scope="module", params=NAMES)
+def world(request: pytest.FixtureRequest, sets: Path) -> World:
+    options = [request.param, "--preset", "smoke", "--out", str(sets)]
+    settings = request_from(parser().parse_args(options)).sets[0]
+    bodies = builtin_bodies(request.param)
+    quality = Quality.of(settings, 1)
+    stage = build.build(SCENES[request.param]())
+    render.configure(stage, quality)
+    camera = cameras_at(settings.cameras, NOW)["test"][0]
+    return World(
+        sets / settings.folder, settings, bodies, motion_of(settings, bodies), stage, quality, camera
+    )
+
+
+def pixels(path: Path) -> np.ndarray:
+    return np.asarray(Image.open(path)).astype(int)
+
+
+def test_there_is_a_page_that_shows_all(sets: Path) -> None:
+    page = (sets / "index.html").read_text(encoding="utf-8")
+    assert all(name in page for name in NAMES)
+
+
+def test_a_plain_loader_reads_it(world: World) -> None:
+    """As the loaders of NeRF-synthetic do: json, file_path + .png, RGBA over white, focal from camera_angle_x."""
+    for t in range(world.settings.timesteps):
+        for split, count in (("train", 4), ("test", 2)):
+            folder = world.root / f"{t:03d}"
+            meta = json.loads((folder / f"transforms_{split}.json").read_text())
+            assert len(meta["frames"]) == count
+            for frame in meta["frames"]:
+                rgba = pixels(folder / (frame["file_path"] + ".png")) / 255.0
+                rgb = rgba[..., :3] * rgba[..., 3:] + (1 - rgba[..., 3:])
+                pose = np.array(frame["transform_matrix"], dtype=np.float32)
+                assert rgb.shape == (96, 96, 3)
+                assert pose.shape == (4, 4)
+                assert np.linalg.norm(pose[:3, 3]) == pytest.approx(4.0311, abs=1e-3)
+                assert rgb.std() > 0.05  # there is something to be seen
+    assert 0 < meta["camera_angle_x"] < 1
+
+
+def test_the_scene_fills_the_picture_and_is_not_cut_off(world: World) -> None:
+    for split, views in cameras_at(world.settings.cameras, 0).items():
+        for camera in views:
+            alpha = pixels(world.root / f"000/{split}/{camera.name}.png")[..., 3] > 0
+            assert 0.05 < alpha.mean() < 0.8
+            border = np.concatenate([alpha[0], alpha[-1], alpha[:, 0], alpha[:, -1]])
+            assert border.mean() < 0.01
+
+
+def test_it_vibrates_subtly_but_visibly_at_50(world: World) -> None:
+    name = f"test/{world.camera.name}.png"
+    rest, moved = (pixels(world.root / f"{t:03d}/{name}") for t in (0, NOW))
+    magnified = pixels(world.root / f"magnified/x050/{NOW:03d}/{name}")
+    assert 0 < np.abs(rest - moved).mean() < 0.4 * np.abs(rest - magnified).mean()
+
+
+def test_depth_and_pose_lead_onto_the_moved_surface(world: World) -> None:
+    points = unprojected(world.exr(NOW)["Depth"], world.camera)
+    assert len(points) > 300
+    here = Surface.of(world.bodies, world.displacements(world.motion.state(NOW)))
+    # Rays lie within 0.005 px of the pixel's centre: at a grazing surface that is a step along it, not off it.
+    assert np.percentile(here.distance(points), 99) < 3e-4
+    elsewhere = Surface.of(world.bodies, world.displacements(world.motion.state(NOW, 50.0)))
+    assert np.percentile(elsewhere.distance(points), 90) > 1e-3
+
+
+def test_position_is_depth_and_pose(world: World) -> None:
+    data = world.exr(NOW)
+    seen = data["Depth"] < 1e9
+    position = data["Position"][seen].astype(float)
+    xy, depth = world.camera.project(position, 96, 96)
+    row, column = np.nonzero(seen)
+    np.testing.assert_allclose(depth, data["Depth"][seen], atol=2e-5)
+    np.testing.assert_allclose(xy, np.column_stack([column + 0.5, row + 0.5]), atol=0.01)
+    across = np.linalg.norm(position - unprojected(data["Depth"], world.camera), axis=1)
+    assert across.max() < 3e-4
+
+
+def test_the_displacement_pass_is_the_analytic_motion(world: World) -> None:
+    data = world.exr(NOW)
+    seen = data["Depth"] < 1e9
+    position, moved = (data[name][seen].astype(float) for name in ("Position", "Displacement"))
+    rest = Surface.of(world.bodies)
+    displacements = world.displacements(world.motion.state(NOW))
+    assert np.abs(moved).max() > 1e-3
+    errors = displacement_errors(position, moved, rest, displacements)
+    assert np.percentile(errors, 95) < 3e-6
+    # Where two parts touch, the nearest triangle may be the other's.
+    assert np.mean(errors > 1e-4) < 0.01
+    wrong = displacement_errors(position, 1.1 * moved, rest, displacements)
+    assert np.percentile(wrong, 98) > 1e-5
+
+
+def test_the_motion_file_says_the_same(world: World) -> None:
+    with np.load(world.root / "truth/motion.npz", allow_pickle=False) as data:
+        gains = data["gains"][:, NOW]
+        for i, moved in enumerate(world.displacements(world.motion.state(NOW))):
+            stored = np.einsum("kvc,k->vc", data[f"mode_{i}"].astype(complex), gains).real
+            np.testing.assert_allclose(stored, moved, atol=1e-8)
+
+
+def test_optical_flow_is_the_projected_displacement(world: World, tmp_path: Path) -> None:
+    alpha, states = 20.0, {}
+    for t in (NOW, NOW + 1):
+        states[t] = world.displacements(world.motion.state(t, alpha))
+    build.move(world.stage, states[NOW])
+    build.set_view(world.stage, world.camera)
+    render.use_data(world.stage)
+    data = render.data_passes(world.stage, tmp_path)
+    seen = data["Depth"] < 1e9
+    position, moved = (data[name][seen].astype(float) for name in ("Position", "Displacement"))
+    expected = expected_flow(
+        position, moved, Surface.of(world.bodies), states[NOW + 1], world.camera, world.settings.size
+    )
+    got = _flow_to_next(world, states, tmp_path / "v.exr")[seen]
+    error = np.abs(got - expected).max(1)
+    assert np.percentile(error, 98) < 5e-3
+    if np.abs(expected).max() > 0.2:  # at 5 Hz timesteps 1 and 2 are one state
+        assert np.percentile(np.abs(got + expected).max(1), 98) > 0.1
+
+
+def _flow_to_next(world: World, states: dict[int, list[np.ndarray]], path: Path) -> np.ndarray:
+    """[H, W, 2] pixels to the next frame, y down, by Blender's Vector pass of a mesh that two keyframes move."""
+    scene = world.stage.scene
+    for i, obj in enumerate(world.stage.objects):
+        obj.shape_key_add(name="Basis")
+        for t in states:
+            key = obj.shape_key_add(name=str(t), from_mix=False)
+            vertices = world.stage.rest[i] + states[t][i]
+            key.data.foreach_set("co", vertices.astype(np.float32).ravel())
+            for frame in states:
+                key.value = float(frame == t)
+                key.keyframe_insert("value", frame=frame)
+    scene.frame_set(NOW)
+    layer = scene.view_layers[0]
+    layer.use_pass_vector = True
+    scene.render.filepath = str(path)
+    bpy.ops.render.render(write_still=True)
+    layer.use_pass_vector = False
+    for obj in world.stage.objects:
+        obj.shape_key_clear()
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        found = {}
+        for name, channel in file.channels().items():
+            if match := re.search(r"(?:^|\.)Vector\.([A-Z])$", name):
+                found[match.group(1)] = channel.pixels
+    return np.stack([-found["Z"], found["W"]], -1)  # now − next, y up
+
+
+def test_magnified_is_the_mode_scaled_by_hand(world: World) -> None:
+    t, alpha = NOW, 50.0
+    file = pixels(world.root / f"magnified/x050/{t:03d}/test/{world.camera.name}.png")
+    gains = world.motion.gains(t + 1)[:, t]
+    factor = np.where(world.motion.magnified, 1 + alpha, 1.0)
+    by_hand = [np.einsum("kvc,k->vc", shape, factor * gains).real for shape in world.motion.shapes]
+    taken = world.settings.pictures.pixels(world.take(by_hand)).astype(int)
+    # A vertex in the last bit may send a light path elsewhere.
+    assert (np.abs(taken - file).max(-1) > 2).mean() < 0.01
+    unmagnified = pixels(world.root / f"{t:03d}/test/{world.camera.name}.png")
+    assert (np.abs(taken - unmagnified).max(-1) > 2).mean() > 0.02
+
+
+def test_the_same_seed_gives_the_same_bytes(world: World) -> None:
+    linear = world.take(world.displacements(world.motion.state(NOW)))
+    file = world.root / f"{NOW:03d}/test/{world.camera.name}.png"
+    assert world.settings.pictures.encode(linear) == file.read_bytes()
+
+
+def test_timestep_0_is_the_rest_image_where_the_phase_says_so(world: World) -> None:
+    linear = world.take([np.zeros_like(body.vertices) for body in world.bodies])
+    file = world.root / f"000/test/{world.camera.name}.png"
+    same = world.settings.pictures.encode(linear) == file.read_bytes()
+    assert same == world.motion.state(0).at_rest
