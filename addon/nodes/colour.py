@@ -73,7 +73,7 @@ def _basis(graph: Graph, direction: Any, degree: int) -> list[Any]:
     basis += [
         times(xy, 1.0925484305920792),
         times(yz, -1.0925484305920792),
-        times(plus(-0.31539156525252005, 3 * 0.31539156525252005, zz), 1.0),  # x² + y² = 1 − z²
+        plus(-0.31539156525252005, 3 * 0.31539156525252005, zz),  # x² + y² = 1 − z²
         times(xz, -1.0925484305920792),
         times(difference, 0.5462742152960396),
     ]

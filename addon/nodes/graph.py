@@ -156,12 +156,12 @@ class Graph:
     def arrange(self, column: int = 190, row: int = 170) -> None:
         """Lay the nodes out in columns: every node right of what it reads."""
         depth = {node.name: 0 for node in self.tree.nodes}
+        pairs = [(link.from_node.name, link.to_node.name) for link in self.tree.links]
         for _ in depth:
             changed = False
-            for link in self.tree.links:
-                least = depth[link.from_node.name] + 1
-                if depth[link.to_node.name] < least:
-                    depth[link.to_node.name], changed = least, True
+            for source, target in pairs:
+                if depth[target] <= depth[source]:
+                    depth[target], changed = depth[source] + 1, True
             if not changed:
                 break
         rows: dict[int, int] = {}

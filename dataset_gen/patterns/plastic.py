@@ -43,7 +43,9 @@ def moulded(
     lines = _scratches(size, rng, 300)
     light = tuple(0.45 * c + 0.55 * 0.95 for c in colour)
     image = t.paint(image, wear * lines, (light[0], light[1], light[2]))
-    film = np.clip(0.4 * t.noise(size, size, (5, 5), rng) + 0.5 * t.noise(size, size, (34, 34), rng), 0.0, 1.0)
+    film = np.clip(
+        0.4 * t.noise(size, size, (5, 5), rng) + 0.5 * t.noise(size, size, (34, 34), rng), 0.0, 1.0
+    )
     image = t.paint(image, dust * film, _DUST)
     rough = np.clip(0.3 + 0.25 * lines + 0.35 * dust * film + 0.25 * specks, 0.05, 1.0)
     return np.clip(image, 0.0, 1.0), rough

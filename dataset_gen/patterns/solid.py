@@ -27,7 +27,10 @@ def _volume(seed: int) -> np.ndarray:
 
 
 def noise(points: np.ndarray, frequency: float | Sequence[float] | np.ndarray, seed: int = 0) -> np.ndarray:
-    """Smooth noise, mean 0, deviation 1; `frequency` = waves per scene unit, one number or one per axis."""
+    """Smooth noise, mean 0, deviation 1.
+
+    `frequency`: of its finest waves, per scene unit, one number or one per axis; the bulk are some three times as long.
+    """
     n = _VOLUME
     where = np.asarray(points, np.float32) * np.asarray(frequency, np.float32) * np.float32(n / _GRAIN)
     where = where + np.array([17.3, 29.1, 41.7], np.float32) * np.float32(seed // _VOLUMES)

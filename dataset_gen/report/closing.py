@@ -76,9 +76,9 @@ def _caption() -> str:
     return (
         "PSNR and SSIM (11×11, σ 1.5) over white against the truth. “Perfect method”: exact and free of noise, 3.01 dB "
         "above the pair of renders, since the pair differs by the noise of both; for SSIM the pair is a lower bound. "
-        "“Nothing moves”: the rest picture of the same camera, with noise of its own; “same noise”: the set’s own rest "
-        "picture, which shares its seed with the truth and so agrees to the last bit where nothing moves, as no method "
-        "can."
+        "“Nothing moves”: the rest picture of the same camera, with noise of its own; “same noise”: the set’s own picture "
+        "nearest to rest, which shares its seed with the truth and so, without a sensor model, agrees to the last bit "
+        "where nothing moves, as no method can."
     )
 
 

@@ -116,10 +116,9 @@ class Dataset:
         # Rounded, so that of timesteps that differ by rounding alone the earliest comes first.
         return sorted(order, key=lambda t: -round(self.strength[t] / (self.amplitude or 1.0), 4))
 
-    def rest_timestep(self) -> int | None:
-        """The first timestep whose pictures show the rest pose, None if there is none or it is not known."""
-        threshold = 1e-6 * self.amplitude
-        return next((t for t, size in enumerate(self.strength) if size <= threshold), None)
+    def nearest_to_rest(self) -> int:
+        """The timestep whose pictures are nearest to the rest pose; 0 where that is not known."""
+        return min(range(self.n_timesteps), key=lambda t: round(self.strength[t], 12)) if self.strength else 0
 
 
 def read_dataset(root: Path) -> Dataset:

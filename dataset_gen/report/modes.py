@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -63,6 +63,32 @@ def summarise(motion: MotionTruth) -> list[ModeSummary]:
     return found
 
 
+def together(motion: MotionTruth) -> tuple[MotionTruth, list[list[int]]]:
+    """The motion with modes of equal gains added up, and which modes each sum holds.
+
+    What goes alike in time, parts of a scene at one frequency for example, cannot be told apart by time, and is
+    one motion to look at.
+    """
+    groups: list[list[int]] = []
+    for k in range(len(motion.frequencies_hz)):
+        gain = motion.gains[:, k]
+        same = (g for g in groups if np.allclose(motion.gains[:, g[0]], gain, atol=1e-9))
+        group = next(same, None)
+        if group is None:
+            groups.append([k])
+        else:
+            group.append(k)
+    first = [group[0] for group in groups]
+    bodies = (
+        replace(body, modes=np.stack([body.modes[group].sum(axis=0) for group in groups]))
+        for body in motion.bodies
+    )
+    combined = MotionTruth(
+        motion.frequencies_hz[first], motion.gains[:, first], tuple(bodies), motion.magnified[first]
+    )
+    return combined, groups
+
+
 def still_area(motion: MotionTruth) -> float:
     """Share of the surface area that no mode moves."""
     still = total = 0.0
@@ -88,9 +114,9 @@ def _vertex_areas(rest: np.ndarray, faces: np.ndarray) -> np.ndarray:
 def phasor_maps(seen: Seen, motion: MotionTruth) -> np.ndarray | None:
     """Phasors [K, H, W, 3] per pixel that fit the seen displacements best; None if that cannot be done.
 
-    Least squares over the timesteps of `seen`. Two modes of equal gains, or fewer timesteps than unknowns,
-    leave the split open; and from a camera that moves, a pixel sees one surface after another. A pixel
-    that does not see one and the same surface at every timestep, at an edge that moves, is NaN.
+    Least squares over the timesteps of `seen`. Two modes of equal gains (`together` adds them up), or fewer
+    timesteps than unknowns, leave the split open; and from a camera that moves, a pixel sees one surface after
+    another. A pixel that does not see one and the same surface at every timestep, at an edge, is NaN.
     """
     if not seen.fixed:
         return None
@@ -125,9 +151,9 @@ def _present_columns(motion: MotionTruth) -> np.ndarray:
 
 def track_point(dataset: Dataset, seen: Seen | None) -> Track | None:
     """The point that moves most: in the picture of `seen`, else among all vertices; None without truth."""
-    motion = dataset.motion
-    if motion is None:
+    if dataset.motion is None:
         return None
+    motion, _ = together(dataset.motion)
     moving = max(motion.bodies, key=lambda b: np.abs(b.modes).max(initial=0.0), default=None)
     if moving is None or not moving.modes.size:
         return None

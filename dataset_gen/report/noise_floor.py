@@ -55,7 +55,7 @@ class FloorRow:
     alpha: float
     pair: Score | None  # two renders of the truth
     still_own_noise: Score | None  # "nothing moves", rest picture with noise of its own
-    still: Score | None  # "nothing moves", rest picture of the set: shares its noise with the truth
+    still: Score | None  # "nothing moves", the set's picture nearest to rest: shares its noise with the truth
 
     @property
     def perfect_psnr_db(self) -> float | None:
@@ -121,7 +121,7 @@ def _still(
     read: Callable[[Path], np.ndarray],
 ) -> Score | None:
     pairs = [(truth, rest_of(dataset, view)) for view, truth in shown]
-    return score([(truth, rest) for truth, rest in pairs if rest is not None], read)
+    return score([(truth, rest) for truth, rest in pairs if rest not in (None, truth)], read)
 
 
 def _strongest(dataset: Dataset, alpha: float) -> list[tuple[View, Path]]:
@@ -131,10 +131,8 @@ def _strongest(dataset: Dataset, alpha: float) -> list[tuple[View, Path]]:
 
 
 def _rest(dataset: Dataset, view: View) -> Path | None:
-    """The picture of the same camera at rest; cameras that move have none unless this is the timestep."""
-    timestep = dataset.rest_timestep()
-    same = (v for v in dataset.at("test", timestep) if v.name == view.name) if timestep is not None else ()
-    rest = next(iter(same), None)
+    """The picture of the same camera that is nearest to rest; none from a camera that moves."""
+    rest = next((v for v in dataset.at("test", dataset.nearest_to_rest()) if v.name == view.name), None)
     if rest is None or not np.allclose(rest.camera_to_world, view.camera_to_world, atol=1e-9):
         return None
     return rest.image if rest.image.is_file() else None

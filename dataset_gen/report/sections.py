@@ -15,14 +15,12 @@ from tg4mm.report.page import Block, Figure, Section, Table, Text, drawing, pict
 from tg4mm.report.svg import number
 
 from .chart import time_chart
-from .dataset import Dataset, View, read_picture
-from .modes import ModeSummary, Track, parts_text, peak_of_phasor, phasor_maps, spectrum
+from .dataset import Dataset
+from .maps import mode_maps
+from .modes import ModeSummary, Track, parts_text, spectrum
 from .noise_floor import FloorRow
-from .pictures import dotted, enlarged, overlay, ringed
 from .pixels import Seen, ViewMotion
-from .text import hertz, length, percent, plural, unit_of
-
-_MOST_MODES = 6
+from .text import length, percent, plural, unit_of
 
 
 @dataclass(frozen=True)
@@ -70,7 +68,10 @@ def motion_section(f: Findings) -> Section:
     if f.dataset.motion is None:
         absent = "truth/motion.npz is absent, so nothing is known of the modes but what scene.json says."
         return Section("How it moves", [Text(absent)])
-    blocks: list[Block] = [_mode_table(f), *_mode_maps(f)]
+    blocks: list[Block] = [
+        _mode_table(f),
+        *mode_maps(f.dataset, f.seen, f.track, [mode_name(f, k) for k in range(len(f.modes))]),
+    ]
     if f.track is not None:
         blocks += _point(f, f.track)
     return Section("How it moves", blocks)
@@ -111,80 +112,6 @@ def _mode_table(f: Findings) -> Table:
     )
     header = ["mode", "kind", "frequency", "amplitude", "magnified", "of the surface", "moving parts"]
     return Table(header, rows, caption, left=9)
-
-
-def _mode_maps(f: Findings) -> list[Block]:
-    blocks: list[Block] = []
-    motion = f.dataset.motion
-    assert motion is not None
-    maps = {}
-    for name, seen in f.seen.items():
-        phasors = phasor_maps(seen, motion)
-        if phasors is not None:
-            maps[name] = phasors
-    for k in range(min(len(f.modes), _MOST_MODES)):
-        blocks.append(_truth_map(f, k, maps) if maps else _vertex_map(f, k))
-    if f.seen and not maps:
-        said = "The per-pixel truth does not tell the modes apart (the camera moves, or there are too few timesteps)."
-        blocks.append(Text(said))
-    if len(f.modes) > _MOST_MODES:
-        blocks.append(Text(f"{len(f.modes) - _MOST_MODES} further modes have no map here."))
-    return blocks
-
-
-def _truth_map(f: Findings, k: int, maps: Mapping[str, np.ndarray]) -> Figure:
-    motion = f.dataset.motion
-    assert motion is not None
-    gain = float(np.abs(motion.gains[:, k]).max())
-    amounts = {name: gain * peak_of_phasor(phasors[k]) for name, phasors in maps.items()}
-    top = max((float(np.nanmax(a)) for a in amounts.values() if not np.isnan(a).all()), default=0.0)
-    panels = []
-    for name, amount in amounts.items():
-        image = read_picture(f.seen[name].view.image)
-        shown = enlarged(overlay(image, amount, top))
-        if f.track is not None and f.track.view == name:
-            shown = ringed(shown, f.track.pixel, shown.shape[0] // image.shape[0])
-        panels.append(picture(shown, f"test {name}", crisp=True))
-    unit, factor = unit_of(f.dataset)
-    caption = (
-        f"{mode_name(f, k)}, {_frequency(f, k)}: peak displacement, in 3D, of the surface that each pixel's centre "
-        "sees, from the per-pixel truth over the picture in grey. Grey surfaces stand still, "
-        "and grey pixels at an edge see one surface after another. The ring marks the point "
-        "that is shown over time."
-    )
-    return Figure(panels, caption, legend=svg.colour_bar(top * factor, unit, "peak displacement"))
-
-
-def _vertex_map(f: Findings, k: int) -> Figure | Text:
-    motion = f.dataset.motion
-    assert motion is not None
-    view = _any_view(f.dataset)
-    if view is None:
-        return Text("There is no picture to draw the motion into.")
-    gain = float(np.abs(motion.gains[:, k]).max())
-    points = np.concatenate([body.rest for body in motion.bodies]).astype(np.float64)
-    amounts = gain * np.concatenate([peak_of_phasor(body.modes[k]) for body in motion.bodies])
-    top = float(amounts.max(initial=0.0))
-    unit, factor = unit_of(f.dataset)
-    panel = picture(
-        enlarged(dotted(read_picture(view.image), view, points, amounts, top)), view.name, crisp=True
-    )
-    caption = (
-        f"{mode_name(f, k)}, {_frequency(f, k)}: peak displacement, in 3D, of the vertices in this view, hidden ones "
-        "too, from truth/motion.npz. Per-pixel truth is absent."
-    )
-    legend = svg.colour_bar(top * factor, unit, "peak displacement")
-    return Figure([panel], caption, legend=legend, width="small")
-
-
-def _any_view(d: Dataset) -> View | None:
-    views = d.views["test"] or d.views["train"]
-    return next((view for view in views if view.image.is_file()), None)
-
-
-def _frequency(f: Findings, k: int) -> str:
-    frequency = f.modes[k].frequency_hz
-    return hertz([frequency]) if frequency else "a drift"
 
 
 def _point(f: Findings, track: Track) -> list[Block]:

@@ -35,8 +35,8 @@ def unit_of(dataset: Dataset) -> tuple[str, float]:
 
 
 def hertz(frequencies: Sequence[float]) -> str:
-    """Frequencies as "3 Hz and 5 Hz"."""
-    words = [f"{number(f)} Hz" for f in frequencies]
+    """Different frequencies as "3 Hz and 5 Hz"."""
+    words = [f"{number(f)} Hz" for f in sorted(set(frequencies))]
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 

@@ -35,7 +35,7 @@ def brocade(name: str, texels: np.ndarray, up: int, seed: int, pulled: np.ndarra
     pattern = pattern * (1.0 - behind) + 0.8 * stripe * behind
     image, relief, rough = velvet(texels, pattern, _GREEN, _GOLD, seed)
     if pulled is not None:
-        grid = np.concatenate([pulled, np.zeros_like(pulled)])[..., None].repeat(3, -1)
+        grid = np.concatenate([pulled, np.zeros_like(pulled[1:])])[..., None].repeat(3, -1)
         fold = unroll.of_grid(grid, height, width)[..., 0] / pulled.max()
         image = image * (1.0 - 0.45 * fold[..., None])
     return Surface(name, unit(image), relief, 0.005, roughness=rough, sheen=0.35)

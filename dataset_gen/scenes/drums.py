@@ -39,7 +39,8 @@ def build() -> Scene:
     return Scene(
         name="drums",
         parts=tuple(
-            Part(name, mesh.moved(PLACE), surface, np.ones(len(mesh.vertices))) for name, mesh, surface in parts
+            Part(name, mesh.moved(PLACE), surface, np.ones(len(mesh.vertices)))
+            for name, mesh, surface in parts
         ),
         lights=(
             AreaLight((2.4, 3.0, 3.8), 3.2, 170.0, (1.0, 0.95, 0.88)),
@@ -75,7 +76,11 @@ def _bass() -> list[tuple[str, Mesh, Surface]]:
     return [
         ("bass_shell", d.shell(BASS, _TILE).moved(at), paint.shells()),
         ("bass_hoops", d.hoops(BASS).moved(at), paint.bass_hoops()),
-        ("bass_fittings", _metal(m.join([d.fittings(BASS).moved(at), *spurs])), paint.chrome("bass_fittings")),
+        (
+            "bass_fittings",
+            _metal(m.join([d.fittings(BASS).moved(at), *spurs])),
+            paint.chrome("bass_fittings"),
+        ),
         ("bass_front", d.head(BASS.radius, True, 36, 96).moved(at), paint.front_head()),
         ("bass_batter", back.moved(at), paint.batter("bass_batter", 1)),
         ("bass_feet", s.cube_mapped(m.join(tips), 0.2), paint.rubber("bass_feet")),
@@ -140,7 +145,13 @@ def _flat_on(where: tuple, normal: tuple) -> np.ndarray:
 
 def _rug() -> tuple[str, Mesh, Surface]:
     edge, thick = 1.15, 0.012
-    outline = [(0.0, -thick), (edge, -thick), (edge + 0.006, -0.006), (edge, 0.0), *((r, 0.0) for r in (0.8, 0.4, 0.0))]
+    outline = [
+        (0.0, -thick),
+        (edge, -thick),
+        (edge + 0.006, -0.006),
+        (edge, 0.0),
+        *((r, 0.0) for r in (0.8, 0.4, 0.0)),
+    ]
     mesh = m.revolve(outline, 128)
     flat = 0.5 + 0.5 * mesh.vertices[mesh.triangles][..., :2] / (edge + 0.01)
     lying = Mesh(mesh.vertices + [0.0, 0.0, FLOOR], mesh.triangles, flat)

@@ -34,7 +34,9 @@ class Cymbal:
 
 CYMBALS = (
     Cymbal("crash_left", 0.27, (-0.62, 0.30, 0.68), (0.16, -0.3, 0.94), (-0.62, 0.33), 100.0, 0.6, "CRASH"),
-    Cymbal("crash_right", 0.24, (0.40, 0.44, 0.74), (-0.05, -0.3, 0.95), (0.42, 0.56), 60.0, 0.9, "TG4M THIN"),
+    Cymbal(
+        "crash_right", 0.24, (0.40, 0.44, 0.74), (-0.05, -0.3, 0.95), (0.42, 0.56), 60.0, 0.9, "TG4M THIN"
+    ),
     Cymbal("ride", 0.33, (0.72, 0.08, 0.50), (-0.2, -0.26, 0.94), (0.84, 0.36), 15.0, 1.0, "RIDE"),
 )
 HIHAT = Cymbal("hihat_top", 0.215, (-0.80, -0.32, 0.30), (0.0, 0.0, 1.0), (-0.80, -0.32), 200.0, 0.5, "HIHAT")
@@ -54,7 +56,9 @@ def cymbals() -> list[Named]:
     bell, bow = _bell(HIHAT.radius)
     drop = 2.0 * (0.32 * bell + bow) + 0.02
     at = np.asarray(HIHAT.pivot) - [0.0, 0.0, drop]
-    out.append(("hihat_bottom", low.moved(m.frame(at, (0, 0, 1))), paint.cymbal("hihat_bottom", 9, 0.5, "HIHAT")))
+    out.append(
+        ("hihat_bottom", low.moved(m.frame(at, (0, 0, 1))), paint.cymbal("hihat_bottom", 9, 0.5, "HIHAT"))
+    )
     return out
 
 
@@ -142,7 +146,10 @@ def _footboard(length: float) -> list[Mesh]:
     rise = np.radians(14.0)
     at = m.frame((0.0, 0.0, 0.022), (0.0, -np.sin(rise), np.cos(rise)), (1.0, 0.0, 0.0))
     board = s.block((-0.05, 0.0, 0.0), (0.05, length, 0.012), 0.003)
-    ribs = [s.block((-0.04, y, 0.0125), (0.04, y + 0.012, 0.017), 0.002) for y in np.arange(0.03, length - 0.03, 0.03)]
+    ribs = [
+        s.block((-0.04, y, 0.0125), (0.04, y + 0.012, 0.017), 0.002)
+        for y in np.arange(0.03, length - 0.03, 0.03)
+    ]
     base = s.block((-0.045, -0.03, 0.0005), (0.045, 0.05, 0.02), 0.004)
     rails = [tb.rod((x, 0.03, 0.008), (x, length + 0.06, 0.008), 0.005, 8) for x in (-0.035, 0.035)]
     return [*(piece.moved(at) for piece in (board, *ribs)), base, *rails]
@@ -179,11 +186,17 @@ def pedal() -> list[Named]:
         for k in range(11)
     ]
     pieces += links
-    beater = m.revolve([(0.0, -0.035), (0.028, -0.035), (0.036, -0.025), (0.036, 0.02), (0.026, 0.032), (0.0, 0.034)], 24)
+    beater = m.revolve(
+        [(0.0, -0.035), (0.028, -0.035), (0.036, -0.025), (0.036, 0.02), (0.026, 0.032), (0.0, 0.034)], 24
+    )
     felt = beater.moved(m.frame((0.0, -0.178, head + 0.02), (0.0, 1.0, 0.0)))
     return [
         ("pedal", s.cube_mapped(m.join(pieces), 0.3), paint.black("pedal")),
-        ("beater", s.cube_mapped(felt, 0.15), Surface("beater", paint.felt().colour, roughness=0.95, sheen=0.3)),
+        (
+            "beater",
+            s.cube_mapped(felt, 0.15),
+            Surface("beater", paint.felt().colour, roughness=0.95, sheen=0.3),
+        ),
     ]
 
 
@@ -215,8 +228,14 @@ def floor_leg(where: tuple, radius: float, angle: float) -> tuple[Mesh, Mesh, Me
     """One leg of the floor tom: bent rod, its bracket on the shell, rubber foot."""
     out = np.array([np.cos(angle), np.sin(angle), 0.0])
     centre = np.array([where[0], where[1], 0.0])
-    points = [centre + out * (radius + o) + [0, 0, z] for o, z in
-              ((0.03, where[2] - 0.1), (0.03, FLOOR + 0.34), (0.035, FLOOR + 0.28), (0.06, FLOOR + 0.16), (0.06, FLOOR + 0.02))]  # fmt: skip
+    bend = [
+        (0.03, where[2] - 0.1),
+        (0.03, FLOOR + 0.34),
+        (0.035, FLOOR + 0.28),
+        (0.06, FLOOR + 0.16),
+        (0.06, FLOOR + 0.02),
+    ]
+    points = [centre + out * (radius + o) + [0, 0, z] for o, z in bend]
     leg = m.sweep(m.spline(points, 6), m.circle(0.0085, 12))
     bracket = s.block((-0.006, -0.026, -0.035), (0.045, 0.026, 0.035), 0.006).moved(
         m.frame(centre + out * radius + [0, 0, where[2] - 0.22], (0, 0, 1), out)
@@ -263,7 +282,9 @@ def snare_stand(where: tuple, normal: np.ndarray, drum: d.Drum) -> tuple[Mesh, M
     for angle in np.radians([40.0, 160.0, 280.0]):
         out = at[:3, 0] * np.cos(angle) + at[:3, 1] * np.sin(angle)
         tip = low + out * (drum.radius + 0.046)
-        curve = m.spline([hub, hub + 0.1 * out + 0.03 * n, low + 0.2 * out - 0.01 * n, tip + 0.0 * n, tip + 0.05 * n], 5)
+        curve = m.spline(
+            [hub, hub + 0.1 * out + 0.03 * n, low + 0.2 * out - 0.01 * n, tip + 0.0 * n, tip + 0.05 * n], 5
+        )
         metal.append(m.sweep(curve, m.circle(0.008, 10)))
         rubber.append(tb.rod(tip + 0.02 * n, tip + 0.055 * n, 0.0125, 12))
     return m.join(metal), m.join(rubber)

@@ -91,7 +91,9 @@ def leather() -> Surface:
     h = 512
     creases = np.abs(t.noise(h, h, (18, 18), _rng(11)))
     grain = np.clip(0.25 + 0.5 * creases, 0.0, 1.0)
-    image = t.speckle(t.flat(h, h, (0.23, 0.21, 0.2)), _rng(12), 0.25, (30, 30)) * (0.6 + 0.6 * grain[..., None])
+    image = t.speckle(t.flat(h, h, (0.23, 0.21, 0.2)), _rng(12), 0.25, (30, 30)) * (
+        0.6 + 0.6 * grain[..., None]
+    )
     return Surface("seat", np.clip(image, 0.0, 1.0), grain, 0.003, roughness=0.5)
 
 

@@ -104,7 +104,8 @@ def _leaves(places: np.ndarray, rng: np.random.Generator) -> tuple[m.Mesh, m.Mes
     kind = rng.choice(paint.KINDS, n, p=(0.42, 0.36, 0.17, 0.05))
     shapes = leaf.Leaves(
         length=0.138 * size, width=0.066 * size * rng.uniform(0.85, 1.15, n), droop=rng.uniform(0.15, 1.25, n),
-        fold=rng.uniform(0.05, 0.4, n), ripple=rng.uniform(0.05, 0.25, n), phase=rng.uniform(0.0, 6.3, n), band=2 * kind,
+        fold=rng.uniform(0.05, 0.4, n), ripple=rng.uniform(0.05, 0.25, n), phase=rng.uniform(0.0, 6.3, n),
+        band=2 * kind,
     )  # fmt: skip
     ends = places.copy()
     ends[:, :3, 3] = paths[:, -1] - 0.001 * out[:, 0]
@@ -120,7 +121,7 @@ def ground(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 def _pot(rng: np.random.Generator, foliage: Surface) -> tuple[Part, ...]:
     """Pot, saucer, soil, pebbles, and some fallen leaves: all still."""
-    pot, saucer = (m.revolve(np.array(outline) + [0.0, FLOOR], 96) for outline in (_POT, _SAUCER))
+    pot, saucer = (m.revolve([(r, z + FLOOR) for r, z in outline], 96) for outline in (_POT, _SAUCER))
     return (
         _part("pot", pot, paint.pot()),
         _part("saucer", saucer, paint.saucer()),

@@ -112,7 +112,7 @@ def _bun(dog: _Dog) -> tuple[m.Mesh, np.ndarray]:
     """A thick slab of dough bent round the sausage; and where its texture's texels lie, [H, W, 3]."""
     along, across = edged(150, 0.75), edged(96, 0.75)
     x = np.broadcast_to(HALF_BUN * along[:, None], (150, 96))
-    angle = np.broadcast_to(np.pi - _OPENING * across[None], (150, 96))
+    angle = np.pi - _OPENING * across[None] * (1.0 - 0.2 * np.abs(along[:, None]) ** 7)  # round corners
     lean = 0.02 * np.sin(2.3 * x + dog.seed)
     middle = _around(x, angle + lean, RADIUS + _GAP + _INSIDE + 0.0 * x)
     # The ends of the slab are not cut straight: they swing out in the middle of the bun's height.

@@ -23,14 +23,14 @@ def bun(texels: np.ndarray, axis_height: float, seed: int) -> Surface:
     rough = fractal(texels, 7.0, 4, seed)
     fine = fractal(texels, 38.0, 2, seed + 1)
     high = (texels[..., 2] - axis_height) / 0.2
-    baked = 0.66 + 0.2 * np.sin(2.4 * high + 1.0) + 0.13 * rough + 0.06 * fine
+    baked = 0.55 + 0.2 * np.sin(2.4 * high + 1.0) + 0.13 * rough + 0.06 * fine
     crust = ramp(
         baked,
         [
-            (0.0, (0.93, 0.8, 0.55)),
-            (0.35, (0.88, 0.66, 0.34)),
-            (0.65, (0.77, 0.47, 0.18)),
-            (0.95, (0.60, 0.30, 0.09)),
+            (0.0, (0.96, 0.84, 0.58)),
+            (0.35, (0.93, 0.71, 0.36)),
+            (0.65, (0.86, 0.55, 0.22)),
+            (0.95, (0.68, 0.36, 0.12)),
         ],
     )
     near, _ = spots(texels + 0.01 * fine[..., None], 30.0, seed)

@@ -79,16 +79,14 @@ def blade(model: b.BrickModel) -> None:
     angles = np.radians(np.linspace(132.0, 234.0, 22))
     radius = _BLADE[2]
     front, back = _face(angles, radius), _face(angles, radius + 0.62)
-    for k in range(7):
-        y = -7.0 + 2 * k
+    for y in np.arange(-7.0, 7.0, 2.0):
         model.add("blade", s.lamella(front, back, y + 0.012, y + 1.988, 0.05))
     for side in (-1, 1):  # end plates
         y0, y1 = (7.0, 7.4) if side > 0 else (-7.4, -7.0)
         inner, outer = _face(angles, radius - 0.5), _face(angles, radius + 0.7)
         model.add("blade", s.lamella(inner, outer, y0 + 0.012, y1, 0.06))
     top = 0.5 * (front[0] + back[0])
-    for k in range(7):
-        y = -7 + 2 * k
+    for y in np.arange(-7.0, 7.0, 2.0):
         model.brick("blade", (top[0] - 0.62, y, top[1] - 0.2), (1, 2, 0.55))
     _edge(model, front[-1], back[-1])
     _ribs(model)
@@ -106,8 +104,7 @@ def _edge(model: b.BrickModel, front: np.ndarray, back: np.ndarray) -> None:
         model.add("blade_pins", bolt.moved(m.frame((low[0] + 0.55, y, 0.7), (0, 0, 1))))
     a = np.radians(np.linspace(196.0, 214.0, 7))
     near, far = _face(a, _BLADE[2] - 0.05), _face(a, _BLADE[2] + 0.02)
-    for k in range(7):
-        y = -7.0 + 2 * k
+    for y in np.arange(-7.0, 7.0, 2.0):
         sheet = s.lamella(near, far, y + 0.1, y + 1.9)
         model.add("stripes", _striped(sheet, y), mapped=True)
 

@@ -18,7 +18,6 @@ from . import ship_rigging as rigging
 from . import ship_surfaces as paint
 from .ship_plan import HULL, WATER, WATER_RADIUS
 
-
 _SCALE = 1.17  # of the plan, in which the ship is 2 units long and her middle lies forward of the origin
 _SHIFT = np.array([-0.115, 0.0, 0.0])  # before scaling
 _LEVEL = _SCALE * WATER

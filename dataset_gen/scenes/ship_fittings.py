@@ -9,7 +9,7 @@ from ..scene import Part
 from ..shapes import hull as lines
 from ..shapes import joinery as j
 from ..shapes import rig
-from ..shapes.patch import both, mirrored, shifted, slab
+from ..shapes.patch import both, shifted, slab
 from . import ship_surfaces as paint
 from .ship_hull import rigid
 from .ship_plan import HULL, deck_at, deck_z
@@ -25,46 +25,52 @@ def parts() -> tuple[Part, ...]:
     return (*_deck_work(), *_boat(), *_anchors())
 
 
+# Gratings: deck, x of the middle, length, width.
+_GRATINGS = (
+    ("waist", 0.10, 0.10, 0.11),
+    ("waist", -0.15, 0.08, 0.1),
+    ("quarterdeck", -0.37, 0.07, 0.08),
+    ("forecastle", 0.47, 0.05, 0.07),
+)
+# Ladders, one on either side: lower deck and x, upper deck and x, distance from the middle, width.
+_LADDERS = (
+    ("waist", -0.175, "quarterdeck", -0.233, 0.11, 0.04),
+    ("waist", 0.275, "forecastle", 0.318, 0.1, 0.04),
+    ("quarterdeck", -0.56, "poop", -0.618, 0.1, 0.036),
+)
+_CASKS = ((0.02, 0.13), (0.055, 0.135), (0.04, -0.135), (-0.11, 0.13), (-0.19, -0.05), (-0.19, -0.015))
+
+
 def _deck_work() -> tuple[Part, ...]:
-    """Gratings, ladders, capstan, wheel, binnacle, casks, belfry."""
-    work, turned, casks = [], [], []
-    for deck, x, length, width in (("waist", 0.10, 0.10, 0.11), ("waist", -0.15, 0.08, 0.1), ("quarterdeck", -0.37, 0.07, 0.08),
-                                   ("forecastle", 0.47, 0.05, 0.07)):  # fmt: skip
+    """Gratings, ladders, capstan, wheel with its binnacle, casks."""
+    work = []
+    for deck, x, length, width in _GRATINGS:
         low = deck_at(deck, x) + [-length / 2, -width / 2, -0.012]
         work.append(j.grating(low, low + [length, width, 0.03], 0.012))
-    for side in (-1.0, 1.0):
-        foot, head = deck_at("waist", -0.175, 0.11 * side), deck_at("quarterdeck", -0.245, 0.11 * side)
-        work.append(j.ladder(foot, head + [0.012, 0, 0.012], 0.04, 6))
-        foot, head = deck_at("waist", 0.275, 0.1 * side), deck_at("forecastle", 0.33, 0.1 * side)
-        work.append(j.ladder(foot, head + [-0.012, 0, 0.012], 0.04, 6))
-        foot, head = deck_at("quarterdeck", -0.56, 0.1 * side), deck_at("poop", -0.63, 0.1 * side)
-        work.append(j.ladder(foot, head + [0.012, 0, 0.012], 0.036, 6))
-    spot = deck_at("waist", 0.2)
-    turned.append(shifted(m.revolve(_CAPSTAN, 16), spot))
-    for a in np.linspace(0.0, 2.0 * np.pi, 6, endpoint=False):
-        out = np.array([np.cos(a), np.sin(a), 0.0])
-        turned.append(
-            m.sweep(spot + [0, 0, 0.066] + np.linspace(0.03 * out, 0.075 * out, 3), m.circle(0.0035, 6))
-        )
-    spot = deck_at("quarterdeck", -0.53)
-    turned.append(j.wheel(m.frame(spot + [0, 0, 0.045], (1, 0, 0)), 0.038))
-    work.append(slab(spot + [-0.03, -0.016, -0.006], spot + [-0.006, 0.016, 0.06], 0.2))
-    spot = deck_at("quarterdeck", -0.46 + 0.03)
-    work.append(slab(spot + [-0.012, -0.02, -0.006], spot + [0.012, 0.02, 0.04], 0.2))
-    for x, y in (
-        (0.02, 0.13),
-        (0.055, 0.135),
-        (0.04, -0.135),
-        (-0.11, 0.13),
-        (-0.19, -0.05),
-        (-0.19, -0.015),
-    ):
-        casks.append(j.barrel(_at(deck_at("waist", x, y) - [0, 0, 0.003]), 0.042))
+    for low_deck, x0, high_deck, x1, y, width in _LADDERS:
+        rise = deck_at(low_deck, x0, -y), deck_at(high_deck, x1, -y) + [0.0, 0.0, 0.012]
+        work.append(both(j.ladder(*rise, width, 6)))
+    helm = deck_at("quarterdeck", -0.53)
+    work.append(slab(helm + [-0.03, -0.016, -0.006], helm + [-0.006, 0.016, 0.06], 0.2))
+    binnacle = deck_at("quarterdeck", -0.43)
+    work.append(slab(binnacle + [-0.012, -0.02, -0.006], binnacle + [0.012, 0.02, 0.04], 0.2))
+    steering = j.wheel(m.frame(helm + [0.0, 0.0, 0.045], (1.0, 0.0, 0.0)), 0.038)
+    casks = [j.barrel(_at(deck_at("waist", x, y) - [0.0, 0.0, 0.003]), 0.042) for x, y in _CASKS]
     return (
         rigid("hatches", m.join(work), paint.joinery()),
-        rigid("capstan", m.join(turned), paint.turned()),
+        rigid("capstan", m.join([*_capstan(deck_at("waist", 0.2)), steering]), paint.turned()),
         rigid("casks", m.join(casks), paint.cask()),
     )
+
+
+def _capstan(spot: np.ndarray) -> list[m.Mesh]:
+    """The drum with its six bars."""
+    made = [shifted(m.revolve(_CAPSTAN, 16), spot)]
+    for a in np.linspace(0.0, 2.0 * np.pi, 6, endpoint=False):
+        out = np.array([np.cos(a), np.sin(a), 0.0])
+        bar = np.linspace(0.03 * out, 0.075 * out, 3) + spot + [0.0, 0.0, 0.066]
+        made.append(m.sweep(bar, m.circle(0.0035, 6)))
+    return made
 
 
 def _at(point: np.ndarray) -> np.ndarray:
@@ -94,8 +100,8 @@ def _boat() -> tuple[Part, ...]:
     )
 
 
-def _anchors() -> tuple[Part, ...]:
-    """A bower anchor lashed at each bow under its cathead, with its cable into the hawse."""
+def _anchor() -> tuple[m.Mesh, m.Mesh]:
+    """An anchor that stands on its crown, arms along x: (iron, wooden stock)."""
     shank = m.sweep(
         np.linspace([0, 0, 0.0], [0, 0, 0.13], 6),
         m.circle(1.0, 8),
@@ -112,27 +118,25 @@ def _anchors() -> tuple[Part, ...]:
         )
     ring = 0.011 * np.column_stack([np.cos(angle * np.pi), np.zeros(17), np.sin(angle * np.pi)])[:-1]
     iron.append(shifted(m.sweep(ring, m.circle(0.0022, 6), up=(0, 1, 0), closed=True), (0, 0, 0.139)))
-    stock = m.sweep(np.linspace([0, -0.055, 0.118], [0, 0.055, 0.118], 5), m.rounded_rectangle(0.013, 0.013, 0.003),
-                    np.array([0.7, 0.9, 1.1, 0.9, 0.7]))  # fmt: skip
-    foot = HULL.at(0.53, -0.275, 0.012)
-    head = HULL.at(0.545, -0.14, 0.03)
+    stock = m.sweep(
+        np.linspace([0, -0.055, 0.118], [0, 0.055, 0.118], 5), m.rounded_rectangle(0.013, 0.013, 0.003),
+        np.array([0.7, 0.9, 1.1, 0.9, 0.7]),
+    )  # fmt: skip
+    return m.join(iron), stock
+
+
+def _anchors() -> tuple[Part, ...]:
+    """A bower anchor at each bow, hung from its cathead, with its cable into the hawse."""
+    foot, head = HULL.at(0.53, -0.275, 0.012), HULL.at(0.545, -0.14, 0.03)
     at = m.frame(foot, head - foot, (1.0, 0.25, 0.0))
-    cathead = slab((-0.011, -0.075, -0.011), (0.011, 0.05, 0.011), 0.15)
-    u = HULL.station(0.53, -0.1)
-    beam_at = HULL.at(0.53, deck_z("forecastle", u), 0.0) + [0.0, -0.0, 0.012]
-    tie = rig.rope(at[:3, 3] + at[:3, 2] * 0.15, beam_at + [0, -0.07, 0.0], 0.0035)
-    cable = rig.line(
-        m.spline([at[:3, 3] + at[:3, 2] * 0.148, HULL.at(0.58, -0.17, 0.03), HULL.at(0.60, -0.15, 0.004)], 6),
-        0.005,
-        6,
-    )
-    metal = m.join(iron).moved(at)
+    iron, stock = (piece.moved(at) for piece in _anchor())
+    outboard = HULL.at(0.53, deck_z("forecastle", HULL.station(0.53, -0.1))) + [0.0, 0.0, 0.012]
+    cathead = shifted(slab((-0.011, -0.075, -0.011), (0.011, 0.05, 0.011), 0.15), outboard)
+    ring = at[:3, 3] + 0.149 * at[:3, 2]
+    tie = rig.rope(ring, outboard + [0.0, -0.07, 0.0], 0.0035)
+    cable = rig.line(m.spline([ring, HULL.at(0.58, -0.17, 0.03), HULL.at(0.60, -0.15, 0.004)], 6), 0.005, 6)
     return (
-        rigid("anchors", both(metal), paint.iron()),
-        rigid("catheads", both(m.join([shifted(cathead, beam_at), stock.moved(at)])), paint.oak()),
-        rigid(
-            "anchor_cables",
-            m.join([tie, cable, mirrored(tie), mirrored(cable)]),
-            paint.rope("cable", (0.62, 0.5, 0.33), 29),
-        ),
+        rigid("anchors", both(iron), paint.iron()),
+        rigid("catheads", both(m.join([cathead, stock])), paint.oak()),
+        rigid("anchor_cables", both(m.join([tie, cable])), paint.rope("cable", (0.62, 0.5, 0.33), 29)),
     )

@@ -8,7 +8,7 @@ from .. import meshes as m
 from ..scene import Part, Surface
 from ..shapes import hull as lines
 from ..shapes import joinery as j
-from ..shapes.patch import both, box, patch, slab
+from ..shapes.patch import both, box, patch, slab, tiled
 from . import ship_surfaces as paint
 from .ship_plan import BULWARKS, HULL, LEVELS, LINING, deck_z
 
@@ -58,44 +58,50 @@ def _bulwarks() -> tuple[Part, ...]:
     )
 
 
+# Where a deck ends above a lower one: the higher, the lower, which end of the higher, where its wall looks to.
+_BREAKS = (
+    ("quarterdeck", "waist", 1, 1.0),
+    ("poop", "quarterdeck", 1, 1.0),
+    ("forecastle", "waist", 0, -1.0),
+)
+# Openings in such a wall: place across as a share of the half-breadth, width, share of the height, bars.
+_OPENINGS = ((-0.55, 0.05, 0.5, (3, 2)), (0.55, 0.05, 0.5, (3, 2)), (0.0, 0.06, 0.78, (2, 1)))
+
+
 def _decks() -> tuple[Part, ...]:
     """Decks, the bulkheads between their levels with doors and windows, and the rails along their breaks."""
-    decks, walls, frames, panes, balusters, rails = [], [], [], [], [], []
-    for ends, height in LEVELS.values():
-        made = lines.deck(HULL, ends, height, 0.008)
-        decks.append(m.Mesh(made.vertices, made.triangles, made.uv / 0.5))
-    breaks = (
-        ("quarterdeck", "waist", 1, 1.0),
-        ("poop", "quarterdeck", 1, 1.0),
-        ("forecastle", "waist", 0, -1.0),
-    )
-    for high, low, end, facing in breaks:
-        u = LEVELS[high][0][end]
-        x, top, foot = float(HULL.side(u, 1.0)[0]), deck_z(high, u), deck_z(low, u) - 0.006
-        half = float(HULL.breadth(np.array(u), top)) - 0.008
-        wall = slab((x - 0.006, -half, foot), (x + 0.006, half, top + 0.012))
-        walls.append(wall)
-        for y, width, tall, bars in (
-            (-0.55, 0.05, 0.5, (3, 2)),
-            (0.55, 0.05, 0.5, (3, 2)),
-            (0.0, 0.06, 0.78, (2, 1)),
-        ):
-            z = foot + (top - foot) * (0.53 if y else 0.44)
-            at = j.frame_on((x + 0.006 * facing, y * half, z), (facing, 0.0, 0.0))
-            frame, pane = j.window(at, width, (top - foot) * tall, bars)
-            frames.append(frame)
-            panes.append(pane)
-        edge = np.linspace([x, -half, top + 0.012], [x, half, top + 0.012], 9)
-        turned, rail = j.balustrade(edge, 0.048, int(half / 0.011), 0.013)
-        balusters.append(turned)
-        rails.append(rail)
+    sheets = [lines.deck(HULL, ends, height, 0.008) for ends, height in LEVELS.values()]
+    decks = tiled(m.join(sheets), 2.0, 2.0)  # the picture is half a unit long
+    walls, openings, tops = zip(*(_bulkhead(*which) for which in _BREAKS), strict=True)
+    frames, panes = zip(*(piece for wall in openings for piece in wall), strict=True)
     return (
-        rigid("decks", m.join(decks), paint.deck()),
+        rigid("decks", decks, paint.deck()),
         rigid("bulkheads", m.join(walls), paint.bulkhead()),
         rigid("doors", m.join(frames), paint.gilt("doors")),
         rigid("door_panes", m.join(panes), paint.glass("door_panes", (0.22, 0.2, 0.16), 61)),
-        rigid("balusters", m.join([*balusters, *rails]), paint.turned()),
+        rigid("balusters", m.join([piece for top in tops for piece in top]), paint.turned()),
     )
+
+
+def _bulkhead(
+    high: str, low: str, end: int, facing: float
+) -> tuple[m.Mesh, list[tuple[m.Mesh, m.Mesh]], tuple[m.Mesh, m.Mesh]]:
+    """The wall under the edge of a deck, its windows and door (frames, panes), and the balustrade on it."""
+    u = np.array(LEVELS[high][0][end])
+    x, top, foot = (
+        float(HULL.side(u, np.array(1.0))[0]),
+        deck_z(high, float(u)),
+        deck_z(low, float(u)) - 0.006,
+    )
+    half, tall = float(HULL.breadth(u, top)) - 0.008, top - foot
+    openings = []
+    for place, width, share, bars in _OPENINGS:
+        z = foot + tall * (0.53 if place else 0.44)
+        at = j.frame_on((x + 0.006 * facing, place * half, z), (facing, 0.0, 0.0))
+        openings.append(j.window(at, width, tall * share, bars))
+    edge = np.linspace([x, -half, top + 0.012], [x, half, top + 0.012], 9)
+    wall = slab((x - 0.006, -half, foot), (x + 0.006, half, top + 0.012))
+    return wall, openings, j.balustrade(edge, 0.048, int(half / 0.011), 0.013)
 
 
 def _transom_point(y: float, z: float) -> np.ndarray:
@@ -108,52 +114,73 @@ def _transom_point(y: float, z: float) -> np.ndarray:
 def _stern() -> tuple[Part, ...]:
     """Transom with two rows of windows, gallery, carved crown, three lanterns, rudder."""
     top = float(HULL.level(np.array(0.0), HULL.sheer(np.array(0.0)) + BULWARKS["poop"][2]))
-    frames, panes, carving = [], [], []
-    for z, count, spread in ((-0.06, 5, 0.048), (0.035, 5, 0.046)):
-        for k in range(count):
-            at = j.frame_on(_transom_point((k - (count - 1) / 2) * spread, z), (-1.0, 0.0, 0.1))
-            frame, pane = j.window(at, 0.036, 0.056, (2, 3))
-            frames.append(frame)
-            panes.append(pane)
-    for z in (-0.105, -0.016, 0.074):  # mouldings across
-        half = float(HULL.breadth(np.array(0.0), z))
-        path = np.array([_transom_point(y, z) for y in np.linspace(half, -half, 15)])
-        carving.append(m.sweep(path, m.rounded_rectangle(0.012, 0.018, 0.004)))
-    half = float(HULL.breadth(np.array(0.0), 0.1))
-    arch = np.array(
-        [[0.0, y, 0.1 + 0.075 * np.sqrt(1 - (y / half) ** 2)] for y in np.linspace(half, -half, 31)]
+    frames, panes = zip(*(_stern_window(k, z) for z in (-0.06, 0.035) for k in range(-2, 3)), strict=True)
+    # y, height of the foot, size; they stand on the crown
+    metal, lamps = zip(
+        *(_lantern(*spot) for spot in ((0.0, 0.178, 0.075), (-0.07, 0.153, 0.06), (0.07, 0.153, 0.06))),
+        strict=True,
     )
-    arch[:, 0] = _transom_point(0.0, 0.1)[0] - 0.004
-    carving.append(m.sweep(arch, m.rounded_rectangle(0.022, 0.02, 0.006)))
-    crown = np.stack([arch * [1, 1, 0] + [0.004, 0, 0.09], arch + [0.004, 0, 0]])
-    carving.append(patch(crown))
-    gallery = [
-        _transom_point(y, -0.014) - [0.045 - 0.6 * y * y, 0, 0] for y in np.linspace(0.135, -0.135, 17)
-    ]
-    floor = np.stack(
-        [np.array(gallery), np.array([_transom_point(p[1], -0.014) + [0.01, 0, 0] for p in gallery])]
-    )
-    turned, rail = j.balustrade(np.array(gallery) + [0.004, 0, 0], 0.04, 22, 0.012)
-    slab_top, slab_foot = patch(floor, flip=True), patch(floor - [0, 0, 0.01])
-    lanterns = [j.lantern(m.frame((x, y, z), (-0.12, 0, 1)), s) for x, y, z, s in
-                ((-0.845, 0.0, 0.175, 0.075), (-0.83, -0.1, 0.145, 0.06), (-0.83, 0.1, 0.145, 0.06))]  # fmt: skip
-    blade = m.sweep(
-        np.linspace([-0.735, 0, -0.53], [-0.795, 0, -0.12], 12), m.rounded_rectangle(0.07, 0.022, 0.008),
+    rudder = m.sweep(
+        np.linspace([-0.735, 0.0, -0.53], [-0.795, 0.0, -0.12], 12), m.rounded_rectangle(0.07, 0.022, 0.008),
         np.linspace(1.25, 0.75, 12), up=(1.0, 0.0, 0.0),
     )  # fmt: skip
     return (
-        rigid("transom", lines.transom(HULL, top), paint.upper_works("transom", _BROWN, 49)),
+        rigid("transom", lines.transom(HULL, top), paint.transom()),
         rigid("stern_windows", m.join(frames), paint.gilt("stern_windows")),
         rigid("stern_panes", m.join(panes), paint.glass("stern_panes", (0.3, 0.36, 0.38), 62)),
-        rigid("carving", m.join([*carving, slab_top, slab_foot, turned, rail]), paint.gilt("carving")),
-        rigid("lanterns", m.join([metal for metal, _ in lanterns]), paint.gilt("lanterns")),
-        rigid(
-            "lantern_panes",
-            m.join([pane for _, pane in lanterns]),
-            paint.glass("lamp", (0.9, 0.72, 0.35), 63),
-        ),
-        rigid("rudder", blade, paint.wale()),
+        rigid("carving", m.join([*_mouldings(), *_crown(), *_gallery()]), paint.gilt("carving")),
+        rigid("lanterns", m.join(metal), paint.gilt("lanterns")),
+        rigid("lantern_panes", m.join(lamps), paint.glass("lamp", (0.9, 0.72, 0.35), 63)),
+        rigid("rudder", rudder, paint.wale()),
     )
+
+
+def _stern_window(number: int, z: float) -> tuple[m.Mesh, m.Mesh]:
+    """Frame and pane of a stern window, counted from the middle."""
+    at = j.frame_on(_transom_point(0.046 * number, z), (-1.0, 0.0, 0.1))
+    return j.window(at, 0.034, 0.056, (2, 3))
+
+
+def _lantern(y: float, foot: float, size: float) -> tuple[m.Mesh, m.Mesh]:
+    """A stern lantern on its post: (metal, glass)."""
+    x = _transom_point(0.0, 0.1)[0] - 0.002
+    metal, glass = j.lantern(m.frame((x, y, foot), (-0.12, 0.0, 1.0)), size)
+    post = m.sweep(
+        np.linspace([x, y, foot - 0.04], [x, y, foot + 0.004], 4), m.circle(0.006, 8), up=(1.0, 0.0, 0.0)
+    )
+    return m.join([metal, post]), glass
+
+
+def _mouldings() -> list[m.Mesh]:
+    """Ledges across the transom."""
+    made = []
+    for z in (-0.105, -0.016, 0.074):
+        half = float(HULL.breadth(np.array(0.0), z))
+        path = np.array([_transom_point(y, z) for y in np.linspace(half, -half, 15)])
+        made.append(m.sweep(path, m.rounded_rectangle(0.012, 0.018, 0.004)))
+    return made
+
+
+def _crown() -> list[m.Mesh]:
+    """The arched top of the stern with its border."""
+    half = float(HULL.breadth(np.array(0.0), 0.1))
+    y = np.linspace(half, -half, 31)
+    x = np.full(31, _transom_point(0.0, 0.1)[0] - 0.004)
+    arch = np.column_stack([x, y, 0.1 + 0.075 * np.sqrt(np.maximum(1.0 - (y / half) ** 2, 0.0))])
+    field = patch(np.stack([np.column_stack([x, y, np.full(31, 0.09)]), arch]) + [0.004, 0.0, 0.0])
+    back = patch(np.stack([np.column_stack([x, y, np.full(31, 0.09)]), arch]) + [0.012, 0.0, 0.0], flip=True)
+    return [field, back, m.sweep(arch + [0.006, 0.0, 0.0], m.rounded_rectangle(0.022, 0.026, 0.006))]
+
+
+def _gallery() -> list[m.Mesh]:
+    """A balcony behind the cabin windows: floor and balustrade."""
+    y = np.linspace(0.135, -0.135, 17)
+    wall = np.array([_transom_point(each, -0.014) for each in y])
+    edge = wall - np.column_stack([0.045 - 0.6 * y * y, np.zeros(17), np.zeros(17)])
+    floor = np.stack([edge, wall + [0.01, 0.0, 0.0]])
+    rim = patch(np.stack([edge - [0.0, 0.0, 0.01], edge]))
+    turned, rail = j.balustrade(edge + [0.004, 0.0, 0.0], 0.04, 22, 0.012)
+    return [patch(floor, flip=True), patch(floor - [0.0, 0.0, 0.01]), rim, turned, rail]
 
 
 def _head() -> tuple[Part, ...]:

@@ -21,7 +21,7 @@ LEVELS: dict[str, tuple[tuple[float, float], float]] = {
 }
 # Bulwarks: stations, foot and head above the sheer.
 BULWARKS: dict[str, tuple[tuple[float, float], float, float]] = {
-    "waist": ((0.37, 0.72), 0.0, 0.03),
+    "waist": ((0.3705, 0.7195), 0.0, 0.03),
     "quarterdeck": ((0.0, 0.37), 0.0, 0.08),
     "poop": ((0.0, 0.15), 0.08, 0.15),
     "forecastle": ((0.72, 0.985), 0.0, 0.08),

@@ -7,7 +7,7 @@ import numpy as np
 from .. import meshes as m
 from ..scene import Part
 from ..shapes import rig
-from ..shapes.patch import both, mirrored, shifted, slab
+from ..shapes.patch import both, shifted, slab
 from . import ship_surfaces as paint
 from .ship_hull import rigid
 from .ship_plan import BOWSPRIT, BULWARKS, FORE, HULL, MAIN, MASTS, MIZZEN, MastPlan
@@ -47,7 +47,7 @@ def _mast(plan: MastPlan) -> list[m.Mesh]:
 def _platforms(plan: MastPlan) -> list[m.Mesh]:
     """The top, the caps and the crosstrees."""
     r, size = plan.radius, plan.radius / 0.022
-    top = m.revolve(np.array(_TOP) * [size, 1.0], 24)
+    top = m.revolve([(size * r, z) for r, z in _TOP], 24)
     made = [shifted(top, plan.at(plan.top, 0.8 * r))]
     for z, forward, scale in ((plan.top + 0.066, 0.8 * r, 1.0), (plan.crosstrees + 0.04, 2.0 * r, 0.66)):
         made.append(
@@ -154,43 +154,45 @@ def _feet(plan: MastPlan, count: int, spacing: float) -> np.ndarray:
 
 def _standing() -> tuple[Part, ...]:
     """Shrouds with ratlines, topmast shrouds, backstays, stays, and the channels that spread them."""
-    dark, rungs, eyes, boards = [], [], [], []
-    for plan, count in zip(MASTS, (6, 7, 5), strict=True):
-        feet = _feet(plan, count, 0.03)
-        heads = plan.at(plan.top + 0.012) + np.column_stack(
-            [np.linspace(0.01, -0.012, count), np.full(count, -0.9 * plan.radius), np.zeros(count)]
-        )
-        tight, steps = rig.shrouds(feet + 0.036 * (heads - feet), heads, _MID, 0.021)
-        size = plan.radius / 0.022
-        edge = plan.at(plan.top + 0.012) + np.array([[x, -0.07 * size, 0.0] for x in (0.022, 0.002, -0.018)])
-        upper = plan.at(plan.crosstrees + 0.02, 1.6 * plan.radius) + np.array(
-            [[x, -0.008, 0.0] for x in (0.004, 0.0, -0.004)]
-        )
-        topmast, top_steps = rig.shrouds(edge, upper, _THIN, 0.019)
-        dark += [tight, topmast]
-        rungs += [steps, top_steps]
-        eyes.append(rig.deadeyes(feet, heads, 0.0075))
-        low, out = feet[-1] + [-0.02, 0.006, -0.012], feet[0] + [0.02, -0.006, -0.003]
-        wide = [min(low[1], out[1]) - 0.002, max(low[1], out[1]) + 0.035]
-        boards.append(
-            slab(
-                (low[0], wide[0], min(low[2], out[2])),
-                (out[0], wide[1], max(feet[:, 2].max() - 0.003, low[2] + 0.008)),
-                0.2,
-            )
-        )
-        for z, dx in ((plan.crosstrees + 0.02, 0.02), (plan.head - 0.03, 0.05)):
-            dark.append(rig.rope(feet[-1] + [-dx, 0, 0], plan.at(z, 2.0 * plan.radius), _THIN))
+    sides = [_shrouds(plan, count) for plan, count in zip(MASTS, (6, 7, 5), strict=True)]
+    dark, rungs, eyes, boards = (both(m.join(pieces)) for pieces in zip(*sides, strict=True))
     return (
-        rigid(
-            "shrouds",
-            m.join([both(x) for x in dark] + _stays()),
-            paint.rope("shrouds", (0.27, 0.2, 0.14), 24),
-        ),
-        rigid("ratlines", m.join([both(x) for x in rungs]), paint.rope("ratlines", (0.52, 0.42, 0.29), 30)),
-        rigid("deadeyes", m.join([both(x) for x in eyes]), paint.joinery()),
-        rigid("channels", m.join([both(x) for x in boards]), paint.oak()),
+        rigid("shrouds", m.join([dark, *_stays()]), paint.rope("shrouds", (0.27, 0.2, 0.14), 24)),
+        rigid("ratlines", rungs, paint.rope("ratlines", (0.52, 0.42, 0.29), 30)),
+        rigid("deadeyes", eyes, paint.joinery()),
+        rigid("channels", boards, paint.oak()),
     )
+
+
+def _shrouds(plan: MastPlan, count: int) -> tuple[m.Mesh, m.Mesh, m.Mesh, m.Mesh]:
+    """Starboard side of a mast: (shrouds and backstays, ratlines, deadeyes, channel)."""
+    r, size = plan.radius, plan.radius / 0.022
+    feet = _feet(plan, count, 0.03)
+    spread = np.column_stack([np.linspace(0.01, -0.012, count), np.full(count, -0.9 * r), np.zeros(count)])
+    heads = plan.at(plan.top + 0.012) + spread
+    tight, steps = rig.shrouds(feet + 0.036 * (heads - feet), heads, _MID, 0.021)
+    edge = plan.at(plan.top + 0.012) + np.array([[x, -0.07 * size, 0.0] for x in (0.022, 0.002, -0.018)])
+    cross = plan.at(plan.crosstrees + 0.02, 1.6 * r) + np.array(
+        [[x, -0.008, 0.0] for x in (0.004, 0.0, -0.004)]
+    )
+    topmast, top_steps = rig.shrouds(edge, cross, _THIN, 0.019)
+    backstays = [
+        rig.rope(feet[-1] - [dx, 0.0, 0.0], plan.at(z, 2.0 * r), _THIN)
+        for z, dx in ((plan.crosstrees + 0.02, 0.02), (plan.head - 0.03, 0.05))
+    ]
+    return (
+        m.join([tight, topmast, *backstays]),
+        m.join([steps, top_steps]),
+        rig.deadeyes(feet, heads, 0.0075),
+        _channel(feet),
+    )
+
+
+def _channel(feet: np.ndarray) -> m.Mesh:
+    """The board outside the bulwark that the shrouds of a mast are set up to."""
+    aft, fore = feet[-1] - [0.075, 0.0, 0.0], feet[0] + [0.02, 0.0, 0.0]
+    low, high = min(feet[:, 2].min(), feet[:, 2].max() - 0.011), feet[:, 2].max() - 0.003
+    return slab((aft[0], feet[:, 1].min() - 0.006, low), (fore[0], feet[:, 1].max() + 0.037, high), 0.2)
 
 
 def _stays() -> list[m.Mesh]:

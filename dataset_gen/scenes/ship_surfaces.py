@@ -51,6 +51,24 @@ def upper_works(name: str, ground: Rgb, number: int) -> Surface:
     )
 
 
+def transom() -> Surface:
+    """The stern: planks across, gilt scrolls and lozenges above the waterline; u across, v upwards."""
+    h, w = 640, 384
+    boards = wood.planks(h, w, 34, 1.5, _rng(49), 0.12)
+    image = wood.planked((0.34, 0.2, 0.12), boards, wood.grain(h, w, _rng(50), 5, 150), (0.24, 0.24))
+    v = ((np.arange(h) + 0.5) / h)[:, None]
+    u = ((np.arange(w) + 0.5) / w)[None]
+    cross = np.abs((u * 11.0) % 1.0 - 0.5)
+    chain = np.abs(cross * 2.0 + np.abs((v * 21.0) % 1.0 - 0.5) * 1.6 - 0.75) < 0.13
+    scroll = np.abs(np.sin(24.0 * u + 3.0 * np.sin(40.0 * v)) * np.cos(34.0 * v)) > 0.86
+    ink = np.where(v > 0.66, chain | scroll, False).astype(float)
+    moss = np.clip((0.27 - v) / 0.04, 0.0, 0.75) * np.ones((1, w))
+    image = t.paint(t.paint(image, ink, _GILT), moss, (0.16, 0.17, 0.12))
+    return Surface(
+        "transom", np.clip(image, 0, 1), np.maximum(ink, 0.7 * (1.0 - boards.seam)), 0.004, roughness=0.55
+    )
+
+
 def deck() -> Surface:
     """Scrubbed pine, caulked with pitch; one repeat per 0.5 units of ship."""
     h, w = 512, 768

@@ -7,6 +7,7 @@ lie inside another brick.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -87,8 +88,8 @@ def beam(length: int, height: float = BRICK, width: float = 1.0) -> Mesh:
     low = [ring * [1.0, 1.0, -1.0] for ring in rings]
     cell = m.join(
         [
-            *(s.strip(a, b, smooth=i == 1) for i, (a, b) in enumerate(zip(rings, rings[1:], strict=False))),
-            *(s.strip(b, a, smooth=i == 1) for i, (a, b) in enumerate(zip(low, low[1:], strict=False))),
+            *(s.strip(a, b, smooth=i == 1) for i, (a, b) in enumerate(pairwise(rings))),
+            *(s.strip(b, a, smooth=i == 1) for i, (a, b) in enumerate(pairwise(low))),
             s.strip(rings[3], low[3], smooth=True),
         ]
     )
@@ -96,10 +97,7 @@ def beam(length: int, height: float = BRICK, width: float = 1.0) -> Mesh:
     h = height / 2.0 - 0.01
     x0, x1 = 0.5, length - 0.5
     skin = s.facets(
-        [
-            np.array([(x0, y, z), (x0, y, -z), (x1, y, -z), (x1, y, z)])
-            for y, z in ((h, -at), (-h, at))
-        ]
+        [np.array([(x0, y, z), (x0, y, -z), (x1, y, -z), (x1, y, z)]) for y, z in ((h, -at), (-h, at))]
     )
     ends = [
         m.Mesh(e.vertices * [1.0, (height - 0.02) / height, 2.0 * at], e.triangles, e.uv)
@@ -150,7 +148,9 @@ def gear(teeth: int, radius: float, width: float, spokes: int = 6, steps: int = 
         [(0.0, -0.6 * width), (0.3 * radius, -0.6 * width), (0.34 * radius, -0.55 * width),
          (0.34 * radius, 0.55 * width), (0.3 * radius, 0.6 * width), (0.0, 0.6 * width)], 28
     )  # fmt: skip
-    arm = s.block((0.2 * radius, -0.1 * radius, -0.3 * width), (0.72 * radius, 0.1 * radius, 0.3 * width), 0.03)
+    arm = s.block(
+        (0.2 * radius, -0.1 * radius, -0.3 * width), (0.72 * radius, 0.1 * radius, 0.3 * width), 0.03
+    )
     turns = [m.frame((0, 0, 0), (0, 0, 1), (np.cos(a), np.sin(a), 0)) for a in _even(spokes)]
     return m.join([rim, hub, *(arm.moved(t) for t in turns)])
 

@@ -27,7 +27,7 @@ class Drum:
 def shell(drum: Drum, tile: float) -> Mesh:
     """The wall; a texture of `tile` scene units repeats a whole number of times around."""
     z = np.linspace(-drum.depth + 0.004, -0.004, 9)
-    mesh = m.revolve(np.column_stack([np.full(9, drum.radius), z]), 96)
+    mesh = m.revolve([(drum.radius, height) for height in z], 96)
     times = max(1.0, np.round(2 * np.pi * drum.radius / tile))
     return Mesh(mesh.vertices, mesh.triangles, mesh.uv * [times, drum.depth / tile])
 
@@ -80,9 +80,7 @@ def fittings(drum: Drum) -> Mesh:
     pieces = [_lug(drum, top) for top in (True, False)]
     angles = 2 * np.pi * (np.arange(drum.lugs) + 0.5) / drum.lugs
     column = m.join(pieces)
-    return m.join(
-        [column.moved(m.frame((0, 0, 0), (0, 0, 1), (np.cos(a), np.sin(a), 0.0))) for a in angles]
-    )
+    return m.join([column.moved(m.frame((0, 0, 0), (0, 0, 1), (np.cos(a), np.sin(a), 0.0))) for a in angles])
 
 
 def _lug(drum: Drum, top: bool) -> Mesh:
@@ -90,7 +88,9 @@ def _lug(drum: Drum, top: bool) -> Mesh:
     r, out = drum.radius, drum.radius + 0.026
     inset = min(0.1, 0.36 * drum.depth)
     body = m.sweep(
-        np.array([(r - 0.004, 0, -inset), (r + 0.008, 0, -inset), (r + 0.018, 0, -inset), (r + 0.024, 0, -inset)]),
+        np.array(
+            [(r - 0.004, 0, -inset), (r + 0.008, 0, -inset), (r + 0.018, 0, -inset), (r + 0.024, 0, -inset)]
+        ),
         m.rounded_rectangle(0.068, 0.034, 0.012, 4),
         np.array([1.0, 1.0, 0.86, 0.5]),
     )
@@ -124,4 +124,4 @@ def cymbal(radius: float, bell: float, bow: float, segments: int = 96) -> Mesh:
     z = dome + body - (0.32 * bell + bow)
     thin = np.interp(r, [0.0, radius], [0.006, 0.0035])
     under, over = np.column_stack([r, z - thin]), np.column_stack([r, z])[::-1]
-    return m.revolve(np.vstack([under, over]), segments, sharp_deg=60.0)
+    return m.revolve(np.vstack([under, over]).tolist(), segments, sharp_deg=60.0)

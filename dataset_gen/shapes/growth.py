@@ -28,9 +28,15 @@ class Axis:
 
 
 def drooping(
-    start: np.ndarray, heading: np.ndarray, length: float, droop: float, radii: tuple[float, float], rng: np.random.Generator,
-    wander: float = 0.12, points: int = 14,
-) -> Axis:  # fmt: skip
+    start: np.ndarray,
+    heading: np.ndarray,
+    length: float,
+    droop: float,
+    radii: tuple[float, float],
+    rng: np.random.Generator,
+    wander: float = 0.12,
+    points: int = 14,
+) -> Axis:
     """An axis that leaves along `heading` and sinks under its weight, by `droop` × length at its end."""
     t = np.linspace(0.0, 1.0, points)[:, None]
     across = rng.normal(size=(2, 3)) * wander * length
@@ -41,7 +47,7 @@ def drooping(
 
 def stem(points: np.ndarray, radii: tuple[float, float], flare: float, rng: np.random.Generator) -> Axis:
     """A trunk through points, with knots and swellings, flared by `flare` at its foot."""
-    path = spline(points, 10)
+    path = spline(list(points), 10)
     t = np.linspace(0.0, 1.0, len(path))
     radius = radii[0] + (radii[1] - radii[0]) * t
     knots = 1.0 + 0.1 * np.sin(2.0 * np.pi * (6.5 * t + rng.uniform())) * np.sin(

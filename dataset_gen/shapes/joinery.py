@@ -24,12 +24,17 @@ _LANTERN_ROOF = [
 ]  # fmt: skip
 
 
+def _turned(outline: list[tuple[float, float]], size: tuple[float, float], segments: int) -> Mesh:
+    """A turned piece of an outline scaled in radius and height."""
+    return revolve([(size[0] * r, size[1] * z) for r, z in outline], segments)
+
+
 def balustrade(path: np.ndarray, height: float, count: int, rail: float = 0.012) -> tuple[Mesh, Mesh]:
     """Turned balusters along a path [P, 3] under a handrail: (balusters, rail)."""
     at = np.linspace(0.0, 1.0, count)
     along = np.linspace(0.0, 1.0, len(path))
     feet = np.column_stack([np.interp(at, along, path[:, k]) for k in range(3)])
-    turned = revolve(np.array(_BALUSTER) * [0.45 * height, height - 0.4 * rail], 8)
+    turned = _turned(_BALUSTER, (0.45 * height, height - 0.4 * rail), 8)
     turned = Mesh(turned.vertices * [0.5, 0.5, 1.0], turned.triangles, turned.uv)
     top = path + [0.0, 0.0, height]
     return join([shifted(turned, foot) for foot in feet]), sweep(top, circle(0.6 * rail, 8))
@@ -104,7 +109,7 @@ def lantern(at: np.ndarray, height: float) -> tuple[Mesh, Mesh]:
 
 def barrel(at: np.ndarray, height: float) -> Mesh:
     """A cask standing along the z axis of `at`; staves in the texture."""
-    return revolve(np.array(_BARREL) * height, 20).moved(at)
+    return _turned(_BARREL, (height, height), 20).moved(at)
 
 
 def wheel(at: np.ndarray, radius: float, spokes: int = 8) -> Mesh:
@@ -127,7 +132,7 @@ def cannon(at: np.ndarray, length: float) -> Mesh:
         (0.1, 0.05), (0.095, 0.3), (0.105, 0.31), (0.105, 0.34), (0.085, 0.35), (0.07, 0.86), (0.085, 0.9),
         (0.1, 0.96), (0.095, 1.0), (0.05, 1.0), (0.05, 0.9), (0.0, 0.9),
     ]  # fmt: skip
-    return revolve(np.array(outline) * length, 16).moved(at)
+    return _turned(outline, (length, length), 16).moved(at)
 
 
 def frame_on(point: Vector, outwards: Vector, up: Vector = (0.0, 0.0, 1.0)) -> np.ndarray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..meshes import Mesh, join
+from ..meshes import Mesh
 from .patch import patch
 
 

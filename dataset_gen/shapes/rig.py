@@ -44,7 +44,7 @@ def shrouds(feet: np.ndarray, heads: np.ndarray, radius: float, step: float) -> 
 def deadeyes(feet: np.ndarray, heads: np.ndarray, radius: float) -> Mesh:
     """The round blocks that set up shrouds: two at the foot of each."""
     outline = [(0.0, -0.4), (0.8, -0.4), (1.0, -0.15), (1.0, 0.15), (0.8, 0.4), (0.0, 0.4)]
-    eye = revolve(np.array(outline) * radius, 10)
+    eye = revolve([(r * radius, z * radius) for r, z in outline], 10)
     made = []
     for foot, head in zip(feet, heads, strict=True):
         up = (head - foot) / np.linalg.norm(head - foot)

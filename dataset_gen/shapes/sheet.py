@@ -85,11 +85,11 @@ def puff(middle: np.ndarray, above: np.ndarray, below: np.ndarray, along: np.nda
 def puff_points(
     middle: np.ndarray, above: np.ndarray, below: np.ndarray, along: np.ndarray | None = None
 ) -> np.ndarray:
-    """Where the texture of a `puff` of these lies in space: [2R, S, 3], rows from v = 0 to 1."""
+    """Where the texture of a `puff` of these lies in space: [2R − 1, S, 3], rows from v = 0 to 1."""
     direction = normals(middle) if along is None else np.broadcast_to(along, middle.shape)
     up = middle + above[..., None] * direction
     down = middle - below[..., None] * direction
-    return np.concatenate([up, down[::-1]])
+    return np.concatenate([up, down[-2::-1]])
 
 
 def rounded(x: np.ndarray, power: float = 2.5) -> np.ndarray:

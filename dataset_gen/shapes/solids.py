@@ -7,6 +7,7 @@ that shall look round shares them. Volumes are closed and their normals point ou
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -78,7 +79,7 @@ def prism(outline: np.ndarray, z0: float, z1: float, bevel: float = 0.0, smooth:
         _lift(outline, z1 - bevel),
         _lift(inner, z1),
     ]
-    walls = [strip(a, b, smooth) for a, b in zip(rings[:-1], rings[1:], strict=True)]
+    walls = [strip(a, b, smooth) for a, b in pairwise(rings)]
     return join([*walls, _lid(rings[0], up=False), _lid(rings[-1], up=True)])
 
 
@@ -95,9 +96,7 @@ def block(low: Vector, high: Vector, bevel: float = 0.0) -> Mesh:
     return prism(np.array(outline, float), z0, z1, b * 0.999)
 
 
-def pierced(
-    outer: np.ndarray, inner: np.ndarray, z0: float, z1: float, round_outside: bool = False
-) -> Mesh:
+def pierced(outer: np.ndarray, inner: np.ndarray, z0: float, z1: float, round_outside: bool = False) -> Mesh:
     """A plate with a hole: matched counter-clockwise outlines [S, 2], from z0 up to z1; the hole is round."""
     out_low, out_high = _lift(outer, z0), _lift(outer, z1)
     in_low, in_high = _lift(inner, z0), _lift(inner, z1)
@@ -127,7 +126,7 @@ def lamella(front: np.ndarray, back: np.ndarray, y0: float, y1: float, bevel: fl
     if bevel > 0.0:
         rings = [at(rim, y0), at(full, y0 + bevel), at(full, y1 - bevel), at(rim, y1)]
     n = len(front)
-    walls = [strip(b, a) for a, b in zip(rings[:-1], rings[1:], strict=True)]
+    walls = [strip(b, a) for a, b in pairwise(rings)]
     first, last = rings[0], rings[-1]
     caps = [
         strip(first[:n], first[n:][::-1], closed=False),

@@ -29,9 +29,7 @@ def tube(path: np.ndarray, outer: float, inner: float, segments: int = 14) -> Me
     inside = m.sweep(path, m.circle(inner, segments), up=up, caps=False)
     first = [mesh.vertices[:segments] for mesh in (outside, inside)]
     last = [mesh.vertices[-segments:] for mesh in (outside, inside)]
-    return m.join(
-        [outside, s.turned(inside), s.strip(last[0], last[1]), s.strip(first[1], first[0])]
-    )
+    return m.join([outside, s.turned(inside), s.strip(last[0], last[1]), s.strip(first[1], first[0])])
 
 
 def collar(centre: Vector, radius: float, height: float, axis: Vector = _UP) -> Mesh:
@@ -53,7 +51,9 @@ def wing_nut(centre: Vector, axis: Vector, size: float) -> Mesh:
     upright = m.frame((0.0, 0.0, 0.0), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0))
     one = wing.moved(upright)
     other = s.turned(Mesh(one.vertices * [-1.0, 1.0, 1.0], one.triangles, one.uv))
-    return m.join([hub, one, other]).moved(m.frame(centre, axis, _UP if abs(axis[2]) < 0.9 * np.linalg.norm(axis) else _aside(axis)))
+    return m.join([hub, one, other]).moved(
+        m.frame(centre, axis, _UP if abs(axis[2]) < 0.9 * np.linalg.norm(axis) else _aside(axis))
+    )
 
 
 def rubber_foot(centre: Vector, radius: float) -> Mesh:

@@ -17,6 +17,7 @@ from .gather import gather
 from .lighting import own_world
 from .loaded import Loaded
 from .names import list_names
+from .search import find_images
 
 _NEUTRAL_VIEWS = ("Standard", "Raw", "Default")  # "Default": sRGB of files before 2.80
 
@@ -30,7 +31,7 @@ def open_blend(path: Path, *, frame: int | None = None, scene: str | None = None
     """
     _open(path.absolute())
     old = _choose_scene(path, scene)
-    warnings = _lost_libraries() + _silent_drivers()
+    warnings = _lost_libraries() + _silent_drivers() + find_images(path.absolute().parent)
     others = [other.name for other in bpy.data.scenes if other != old]
     if others and scene is None:
         warnings.append(f"scene {old.name} is used; the file also holds {list_names(others)}")

@@ -20,11 +20,13 @@ from .assemble import Origin, assemble
 from .blend import file_cameras
 from .gather import Gathered, Piece, gather
 from .loaded import Loaded
+from .ply import count_not_finite
+from .search import find_images
 from .strands import rest_positions
 
 RADIUS = 1.2  # scene units, of the sphere around the object after scaling
-_SKY = Gradient(((0.25, 0.24, 0.23), (0.55, 0.56, 0.58), (0.8, 0.85, 0.95)))
-_LAMP_AT, _LAMP_SIZE, _LAMP_POWER = (3.2, -2.4, 4.0), 2.5, 350.0  # scene units, watts as Blender counts
+_SKY = Gradient(((0.18, 0.17, 0.16), (0.4, 0.41, 0.43), (0.6, 0.64, 0.72)))
+_LAMP_AT, _LAMP_SIZE, _LAMP_POWER = (3.2, -2.4, 4.0), 2.5, 200.0  # scene units, watts as Blender counts
 _GREY = (0.45, 0.45, 0.45, 1.0)  # linear
 
 
@@ -35,6 +37,7 @@ class _Format:
     operator: str  # of bpy.ops
     addon: str = ""  # that brings the operator along
     metres: bool = False  # whether the format fixes the unit of length, which the importer turns into metres
+    validation: str = ""  # option by which the importer hides vertices that are not finite
 
 
 _GLTF = _Format("import_scene.gltf", "io_scene_gltf2", metres=True)
@@ -42,14 +45,14 @@ _USD = _Format("wm.usd_import", metres=True)
 _FORMATS = {
     ".glb": _GLTF,
     ".gltf": _GLTF,
-    ".obj": _Format("wm.obj_import"),
+    ".obj": _Format("wm.obj_import", validation="validate_meshes"),
     ".ply": _Format("wm.ply_import"),
-    ".stl": _Format("wm.stl_import"),
+    ".stl": _Format("wm.stl_import", validation="use_mesh_validate"),
     ".usd": _USD,
     ".usda": _USD,
     ".usdc": _USD,
     ".usdz": _USD,
-    ".fbx": _Format("wm.fbx_import"),
+    ".fbx": _Format("wm.fbx_import", validation="validate_meshes"),
 }
 _OLD_FBX = _Format("import_scene.fbx", "io_scene_fbx")
 _SHOWS_DETAIL = ("ShaderNodeTex", "ShaderNodeAttribute", "ShaderNodeVertexColor")
@@ -67,7 +70,7 @@ def open_mesh(path: Path) -> Loaded:
     bpy.ops.wm.read_factory_settings(use_empty=True)
     _import(path, format_)
     scene = bpy.context.scene
-    warnings: list[str] = []
+    warnings = find_images(path.parent)
     names, cameras = file_cameras(scene, warnings)
     found = gather(scene)
     found.lamps.clear()
@@ -108,8 +111,10 @@ def _import(path: Path, format_: _Format) -> None:
     operator = _operator(format_)
     if operator is None:
         raise GenerateError(f"{path}: this Blender cannot read {path.suffix} (no {format_.operator})")
+    if path.suffix.lower() == ".ply" and (bad := count_not_finite(path)):
+        raise GenerateError(f"{path}: {bad} of its vertices are not finite numbers")
     try:
-        status = operator(filepath=str(path))
+        status = operator(filepath=str(path), **({format_.validation: False} if format_.validation else {}))
     except (RuntimeError, OSError, ValueError) as error:
         lines = [line.strip() for line in str(error).splitlines() if line.strip()]
         # A traceback says what went wrong in its last line, a report in its first.
@@ -117,6 +122,10 @@ def _import(path: Path, format_: _Format) -> None:
         raise GenerateError(f"{path} cannot be imported: {line.removeprefix('Error: ')}") from None
     if status != {"FINISHED"}:
         raise GenerateError(f"{path} cannot be imported: Blender's importer gave up")
+    for mesh in bpy.data.meshes:
+        if not np.isfinite(rest_positions(mesh)).all():
+            raise GenerateError(f"{path}: mesh {mesh.name} has vertices that are not finite numbers")
+        mesh.validate()
 
 
 def _census() -> str:
@@ -130,8 +139,6 @@ def _fit(path: Path, found: Gathered) -> tuple[float, np.ndarray]:
     places = []
     for piece in found.pieces:
         world = rest_positions(piece.shape.mesh) @ piece.matrix[:3, :3].T + piece.matrix[:3, 3]
-        if not np.isfinite(world).all():
-            raise GenerateError(f"{path}: object {piece.name} has vertices that are not finite numbers")
         low, high = np.minimum(low, world.min(0)), np.maximum(high, world.max(0))
         places.append(world)
     centre = 0.5 * (low + high)

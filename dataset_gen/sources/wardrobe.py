@@ -23,6 +23,7 @@ class Wardrobe:
         self._anchored: set[bpy.types.NodeTree] = set()
         self._displaced: set[str] = set()
         self._volumes: set[str] = set()
+        self._lost: set[str] = set()
 
     def material(self, original: bpy.types.Material | None) -> bpy.types.Material | None:
         """The copy to be used. None if the material is a volume without a surface."""
@@ -40,6 +41,9 @@ class Wardrobe:
         material.animation_data_clear()
         if not has_nodes(material) or material.node_tree is None:
             _from_viewport(material)
+        elif any(map(_is_lost, trees([material.node_tree]))):
+            _from_viewport(material)
+            self._lost.add(original.name)
         tree = material.node_tree
         tree.animation_data_clear()
         own_groups(tree, self._groups)
@@ -75,6 +79,7 @@ class Wardrobe:
         """Adds the warnings about all materials that were made."""
         self._warnings += repair_images(trees(m.node_tree for m in self.made))
         for names, text in (
+            (self._lost, "part of their nodes is lost with a library, a plain colour takes their place"),
             (self._displaced, "true displacement is rendered as a bump, which truth does not see"),
             (self._volumes, "volumes are left out"),
             (
@@ -89,6 +94,11 @@ class Wardrobe:
             self._warnings.append(
                 f"materials read {list_names(self._anchors.unanchored)}: what that gives may differ"
             )
+
+
+def _is_lost(tree: bpy.types.NodeTree) -> bool:
+    """Whether a tree stands for one in a missing library."""
+    return bool(tree.is_missing)
 
 
 def _plain(name: str) -> bpy.types.Material:

@@ -116,7 +116,7 @@ def test_meshes_and_pictures_are_sound(scene):
         mesh, surface = part.mesh, part.surface
         assert np.isfinite(mesh.vertices).all()
         assert np.isfinite(mesh.uv).all()
-        assert 0 <= mesh.triangles.min()
+        assert mesh.triangles.min() >= 0
         assert mesh.triangles.max() < len(mesh.vertices)
         assert mesh.uv.shape == (*mesh.triangles.shape, 2)
         assert triangle_areas(mesh.vertices, mesh.triangles).min() > 0

@@ -16,7 +16,7 @@ from dataset_gen.errors import GenerateError
 from dataset_gen.report import write_overview, write_report
 from dataset_gen.report.__main__ import main
 from dataset_gen.report.dataset import read_dataset, read_picture
-from dataset_gen.report.modes import peak_of_phasor, phasor_maps, spectrum, summarise, track_point
+from dataset_gen.report.modes import peak_of_phasor, phasor_maps, spectrum, summarise, together, track_point
 from dataset_gen.report.noise_floor import find_pairs, noise_floor
 from dataset_gen.report.pictures import contact_rows, overlay, sheet
 from dataset_gen.report.pixels import (
@@ -222,7 +222,7 @@ def test_modes_are_told_apart_in_the_truth_of_the_pixels(plane: Path) -> None:
     np.testing.assert_allclose(still, 0, atol=1e-9)
 
 
-def test_modes_that_go_alike_are_not_told_apart(tmp_path: Path) -> None:
+def test_modes_that_go_alike_are_shown_together(tmp_path: Path) -> None:
     made = Plane(tmp_path / "a", frequencies=(3.0, 3.0))
     made.write()
     made.truth()
@@ -231,7 +231,12 @@ def test_modes_that_go_alike_are_not_told_apart(tmp_path: Path) -> None:
     assert seen is not None
     assert dataset.motion is not None
     assert phasor_maps(seen, dataset.motion) is None
-    assert "does not tell the modes apart" in words(write_report(made.root).read_text())
+    motion, groups = together(dataset.motion)
+    assert groups == [[0, 1]]
+    maps = phasor_maps(seen, motion)
+    assert maps is not None
+    np.testing.assert_allclose(maps[0, SIZE // 2, SIZE // 2], [-1j * SWAY, 0, -1j * HEAVE], atol=1e-6)
+    assert "mode 1 and mode 2 together, 3 Hz" in words(write_report(made.root).read_text())
 
 
 def test_a_camera_that_moves_has_no_maps_per_pixel(tmp_path: Path) -> None:
@@ -245,7 +250,9 @@ def test_a_camera_that_moves_has_no_maps_per_pixel(tmp_path: Path) -> None:
     assert phasor_maps(seen, dataset.motion) is None
     rest = next(row for row in noise_floor(dataset) if row.alpha == 5)
     assert rest.still is None  # the rest picture is from elsewhere
-    check(write_report(made.root).read_text())
+    text = write_report(made.root).read_text()
+    check(text)
+    assert "does not tell the modes apart" in words(text)
 
 
 def test_the_modes_are_summed_up(plane: Path) -> None:
@@ -363,7 +370,7 @@ def test_without_second_renders_only_nothing_moves_is_scored(tmp_path: Path) -> 
     assert "Not measured: report/reseeded/" in said
     assert "perfect method" not in said.split("Not measured")[1].split("PSNR and SSIM")[0]
     assert "nothing moves, same noise" in said
-    assert "Per-pixel truth is absent" in said
+    assert "there is no per-pixel truth that could be used" in said
 
 
 def test_an_absent_picture_is_drawn_as_absent(tmp_path: Path) -> None:

@@ -179,6 +179,57 @@ def test_an_image_that_cannot_be_read_is_replaced_and_packed_ones_stay(tmp_path)
     assert next(node for node in nodes if node.bl_idname == "ShaderNodeTexImage").image.name == "packed"
 
 
+def test_an_image_of_another_machine_is_found_by_its_name_near_the_file(tmp_path):
+    """The original NeRF-synthetic files name their HDRs by absolute paths of their makers' machines."""
+    scene = new_scene()
+    (tmp_path / "user" / "hdri").mkdir(parents=True)
+    real = bpy.data.images.new("real", 8, 4, float_buffer=True)
+    real.pixels.foreach_set(np.tile(np.float32([0.2, 0.9, 0.3, 1.0]), 32))
+    real.filepath_raw, real.file_format = str(tmp_path / "user" / "hdri" / "Forest.HDR"), "HDR"
+    real.save()
+    bpy.data.images.remove(real)
+    link("part", tetrahedron())
+    scene.world = bpy.data.worlds.new("outdoors")
+    scene.world.use_nodes = True
+    tree = scene.world.node_tree
+    sky = tree.nodes.new("ShaderNodeTexEnvironment")
+    sky.image = bpy.data.images.new("sky", 8, 4)
+    sky.image.filepath, sky.image.source = "C:\\Users\\maker\\hdris\\forest.hdr", "FILE"
+    background = next(node for node in tree.nodes if node.bl_idname == "ShaderNodeBackground")
+    tree.links.new(sky.outputs[0], background.inputs["Color"])
+    loaded = open_blend(save(tmp_path / "user"))
+    assert loaded.warnings == (
+        "images found by their names near the file: Forest.HDR",
+        *(line for line in loaded.warnings if "view transform" in line),
+    )
+    loaded.stage.scene.render.film_transparent = False
+    colour = render_stage(loaded.stage, tmp_path / "a.exr", POSE, samples=8)[10:20, 10:20, :3].mean((0, 1))
+    assert colour[1] > 2 * colour[0] > 0
+
+
+def test_a_material_whose_nodes_are_lost_with_a_library_gets_its_viewport_colour(tmp_path):
+    new_scene()
+    group = bpy.data.node_groups.new("stone", "ShaderNodeTree")
+    group.use_fake_user = True
+    library = save(tmp_path, "nodes.blend")
+    new_scene()
+    with bpy.data.libraries.load(str(library), link=True) as (source, target):
+        target.node_groups = source.node_groups
+    mesh = tetrahedron()
+    mesh.materials.append(principled("rock"))
+    mesh.materials[0].diffuse_color = (0.1, 0.5, 0.2, 1.0)
+    mesh.materials[0].node_tree.nodes.new("ShaderNodeGroup").node_tree = target.node_groups[0]
+    link("part", mesh)
+    path = save(tmp_path)
+    assert not any("lost" in line for line in open_blend(path).warnings)
+    library.unlink()
+    loaded = open_blend(path)
+    assert any("materials rock: part of their nodes is lost" in line for line in loaded.warnings)
+    nodes = loaded.stage.objects[0].data.materials[0].node_tree.nodes
+    shader = next(node for node in nodes if node.bl_idname == "ShaderNodeBsdfPrincipled")
+    assert np.allclose(shader.inputs["Base Color"].default_value, (0.1, 0.5, 0.2, 1.0))
+
+
 @pytest.mark.skipif(FIVE, reason="from 5.0 on every material has nodes")
 def test_materials_and_worlds_without_nodes_look_like_their_viewport_colour(tmp_path):
     scene = new_scene()

@@ -217,6 +217,11 @@ def test_what_is_wrong_with_a_file_is_one_line(tmp_path):
     header += b"element face 1\nproperty list uchar int vertex_indices\nend_header\n"
     places = np.array([(0, 0, 0), (np.nan, 0, 0), (0, 1, 0)], "<f4").tobytes()
     refused("nan.ply", header + places + b"\x03" + np.arange(3, dtype="<i4").tobytes(), "not finite")
+    text = header.replace(b"binary_little_endian", b"ascii") + b"0 0 0\n1 -inf 0\n0 1 0\n3 0 1 2\n"
+    refused("nan_text.ply", text, "1 of its vertices are not finite")
+    refused("nan.obj", b"v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n", "not finite")
+    triangle = np.array([(0, 0, 1), (0, 0, 0), (np.inf, 0, 0), (0, 1, 0)], "<f4").tobytes()
+    refused("nan.stl", bytes(80) + np.uint32(1).tobytes() + triangle + bytes(2), "not finite")
     data = {"asset": {"version": "9.0"}, "scenes": [], "nodes": []}
     refused("future.gltf", json.dumps(data).encode(), r"cannot be imported: \S|holds no surface")
 

@@ -1,0 +1,139 @@
+"""The Flamenco job type, run in an ES5.1 interpreter with a stand-in for the manager's `author` module.
+
+The stand-in keeps to what the manager does: a task is copied when it is added to the job, so what is attached
+to it later is lost. A manager and workers cannot be tested here.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import dataset_gen.farm
+from dataset_gen.farm.commands import commands
+
+dukpy = pytest.importorskip(
+    "dukpy", reason="dukpy, a JavaScript interpreter, is not installed: pip install dukpy"
+)
+
+SCRIPT = Path(dataset_gen.farm.__file__).parent / "tg4mm_dataset.js"
+MANAGER = """
+var author = {
+    Task: function (name, type) {
+        var task = { name: name, type: type, commands: [], dependencies: [] };
+        task.addCommand = function (command) { task.commands.push(command); };
+        task.addDependency = function (other) { task.dependencies.push(other.name); };
+        return task;
+    },
+    Command: function (name, parameters) { return { name: name, parameters: parameters }; }
+};
+var job = {
+    settings: dukpy.settings, tasks: [],
+    addTask: function (task) { this.tasks.push(JSON.parse(JSON.stringify(task))); }
+};
+"""
+SETTINGS = {"scene": "mic", "options": "", "out": "/data", "parts": 3, "python": "py", "processes": 0}
+
+
+def job_type() -> dict[str, Any]:
+    return json.loads(dukpy.evaljs([SCRIPT.read_text(), "JSON.stringify(JOB_TYPE)"]))
+
+
+def compiled(**settings: object) -> list[dict[str, Any]]:
+    defaults = {s["key"]: s["default"] for s in job_type()["settings"] if "default" in s}
+    code = [MANAGER, SCRIPT.read_text(), "compileJob(job); JSON.stringify(job.tasks)"]
+    return json.loads(dukpy.evaljs(code, settings={**defaults, **SETTINGS, **settings}))
+
+
+def command_lines(tasks: list[dict[str, Any]]) -> list[tuple[str, ...]]:
+    found = []
+    for task in tasks:
+        (command,) = task["commands"]
+        assert command["name"] == "exec"
+        assert set(command["parameters"]) == {"exe", "args"}
+        found.append((command["parameters"]["exe"], *command["parameters"]["args"]))
+    return found
+
+
+@pytest.mark.parametrize("parts", [1, 3, 12])
+def test_the_commands_are_those_of_every_other_farm(parts: int) -> None:
+    tasks = compiled(parts=parts, processes=2, options="--preset paper --amplitude 0.02")
+    arguments = ["mic", "--preset", "paper", "--amplitude", "0.02"]
+    expected = commands("py", arguments, "/data", parts, 2)
+    assert command_lines(tasks) == [expected.prepare, *expected.parts, expected.finish]
+
+
+def test_parts_wait_for_the_preparation_and_the_end_for_all_parts() -> None:
+    tasks = compiled()
+    assert [task["name"] for task in tasks] == ["prepare", "render-1/3", "render-2/3", "render-3/3", "finish"]
+    assert [task["dependencies"] for task in tasks] == [
+        [],
+        ["prepare"],
+        ["prepare"],
+        ["prepare"],
+        ["render-1/3", "render-2/3", "render-3/3"],
+    ]
+    assert [task["type"] for task in tasks] == ["misc", "blender", "blender", "blender", "misc"]
+
+
+def test_a_blend_file_goes_with_its_motion() -> None:
+    tasks = compiled(scene="", blendfile="/my files/a.blend", motion="/m.yaml")
+    expected = commands("py", ["--blend", "/my files/a.blend", "--motion", "/m.yaml"], "/data", 3)
+    assert command_lines(tasks)[0] == expected.prepare
+
+
+def test_quoted_words_of_the_options_stay_whole() -> None:
+    tasks = compiled(options="""  --motion "/my files/m.yaml"  --name 'a b'c '' """)
+    words = command_lines(tasks)[-1]
+    assert words[4:-3] == ("--motion", "/my files/m.yaml", "--name", "a bc", "")
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"parts": 0}, "parts is 0"),
+        ({"parts": 2.5}, "parts is 2.5"),
+        ({"scene": "", "motion": "/m.yaml"}, "name a scene, or save"),
+        ({"scene": "", "blendfile": "/a.blend"}, "motion is empty"),
+        ({"options": "--name 'a"}, "quote ' is not closed"),
+    ],
+)
+def test_what_cannot_be_rendered_is_refused(settings: dict[str, object], message: str) -> None:
+    with pytest.raises(dukpy.JSRuntimeError, match=message):
+        compiled(**settings)
+
+
+def test_the_settings_are_such_as_flamenco_knows() -> None:
+    described = job_type()
+    assert described["label"]
+    keys = [setting["key"] for setting in described["settings"]]
+    assert len(keys) == len(set(keys))
+    for setting in described["settings"]:
+        assert set(setting) <= {
+            "key", "type", "subtype", "default", "required", "visible", "eval", "evalInfo", "propargs", "description",
+        }  # fmt: skip
+        assert setting["type"] in {"string", "int32", "float", "bool"}
+        assert setting.get("subtype", "file_path") in {
+            "file_path",
+            "dir_path",
+            "file_name",
+            "hashed_file_path",
+        }
+        assert setting.get("visible", "visible") in {"visible", "hidden", "submission", "web"}
+        assert setting["description"]
+
+
+def test_the_script_is_plain_es5() -> None:
+    for word in ("=>", "`", "let ", "const ", "for (const", "..."):
+        assert word not in "\n".join(
+            line for line in SCRIPT.read_text().splitlines() if not line.strip().startswith("//")
+        )
+
+
+def test_expressions_for_the_add_on_are_python() -> None:
+    for setting in job_type()["settings"]:
+        if "eval" in setting:
+            compile(setting["eval"], setting["key"], "eval")

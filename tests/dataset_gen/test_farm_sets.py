@@ -1,0 +1,114 @@
+"""A farm's configuration: which datasets, which folders, which commands."""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+import dataset_gen.farm
+from dataset_gen.errors import GenerateError
+from dataset_gen.farm.commands import commands
+from dataset_gen.farm.sets import farm_sets, main
+from dataset_gen.options import parser, request_from
+
+FARM = Path(dataset_gen.farm.__file__).parent
+SMALL = {"out": "data", "python": "py", "sets": {"mic": None}}
+
+
+def test_every_command_is_one_that_the_generator_understands() -> None:
+    made = commands("py", ["mic", "--size", "64"], "my data", 3, 2)
+    requests = [
+        request_from(parser().parse_args(list(c[3:]))) for c in (made.prepare, *made.parts, made.finish)
+    ]
+    assert all(c[:3] == ("py", "-m", "dataset_gen") for c in (made.prepare, *made.parts, made.finish))
+    assert {r.out for r in requests} == {Path("my data")}
+    assert {r.sets[0].folder for r in requests} == {"mic_5Hz_0_005"}
+    assert (requests[0].prepare, requests[0].parts) == (True, 3)
+    assert [(r.part, r.count) for r in requests[1:4]] == [((1, 3), 2), ((2, 3), 2), ((3, 3), 2)]
+    assert requests[4].finish
+
+
+@pytest.mark.parametrize(("parts", "processes"), [(0, 0), (1, -1)])
+def test_impossible_numbers_are_refused(parts: int, processes: int) -> None:
+    with pytest.raises(ValueError, match="below"):
+        commands("py", [], "out", parts, processes)
+
+
+def test_a_set_is_named_after_its_scene_unless_it_says_otherwise() -> None:
+    sets = {"mic": None, "loud": {"options": "mic --amplitude 0.02", "parts": 7}}
+    found = farm_sets({**SMALL, "parts": 2, "threads": 3, "sets": sets})
+    assert [(s.name, s.folder, s.parts) for s in found] == [
+        ("mic", "mic_5Hz_0_005", 2),
+        ("loud", "mic_5Hz_0_02", 7),
+    ]
+    assert len(found[1].commands.parts) == 7
+    assert found[0].commands.parts[0][-4:] == ("--part", "1/2", "--processes", "3")
+
+
+def test_options_of_a_set_win_over_those_of_all() -> None:
+    sets = {"mic": {"options": "mic --size 64 --amplitude 0.03"}}
+    found = farm_sets({**SMALL, "options": "--size 32 --amplitude 0.01", "sets": sets})
+    request = request_from(parser().parse_args(list(found[0].commands.finish[3:])))
+    assert request.sets[0].size == 64
+    assert found[0].folder == "mic_5Hz_0_03"
+
+
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        ({"out": "data"}, "sets is missing"),
+        ({**SMALL, "out": ""}, "out is missing"),
+        ({**SMALL, "size": 3}, "'size' is none of"),
+        ({**SMALL, "parts": "4"}, "parts is '4'"),
+        ({**SMALL, "parts": True}, "parts is True"),
+        ({**SMALL, "threads": 0}, "threads is 0"),
+        ({**SMALL, "sets": {"mic": 3}}, "set 'mic': is 3"),
+        ({**SMALL, "sets": {"mic": {"size": 3}}}, "'size' is none of options, parts"),
+        ({**SMALL, "sets": {"mic": {"parts": 0}}}, "parts is 0"),
+        ({**SMALL, "sets": {"mic": {"options": 5}}}, "options is 5"),
+        ({**SMALL, "sets": {"mice": None}}, "'mice' is none of"),
+        ({**SMALL, "sets": {"mic": {"options": "mic --size 3x"}}}, "set 'mic': .*'3x'"),
+        ({**SMALL, "sets": {"mic": {"options": "mic 'open"}}}, "set 'mic': No closing quotation"),
+        ({**SMALL, "sets": {"all": None}}, "name each as a set of its own"),
+        ({**SMALL, "sets": {"mic": {"options": "mic --finish"}}}, "which the farm adds"),
+        ({**SMALL, "sets": {"mic": None, "same": {"options": "mic"}}}, "have the same folder mic_5Hz_0_005"),
+    ],
+)
+def test_a_bad_configuration_is_refused_with_one_line(config: dict[str, Any], message: str) -> None:
+    with pytest.raises(GenerateError, match=message) as caught:
+        farm_sets(config)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_module_prints_what_a_shell_can_run(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = {**SMALL, "out": "my data", "parts": 2}
+    monkeypatch.setattr("sys.stdin", io.StringIO(json.dumps(config)))
+    assert main() == 0
+    ((folder, plan),) = json.loads(capsys.readouterr().out).items()
+    assert folder == "mic_5Hz_0_005"
+    assert plan["prepare"] == "py -m dataset_gen mic --out 'my data' --prepare --parts 2"
+    assert plan["part"][1] == "py -m dataset_gen mic --out 'my data' --part 2/2 --processes 1"
+    monkeypatch.setattr("sys.stdin", io.StringIO("{}"))
+    assert main() == 2
+    assert capsys.readouterr().err == "error: configuration: out is missing\n"
+
+
+def test_the_example_configuration_is_accepted() -> None:
+    config = yaml.safe_load((FARM / "config.yaml").read_text())
+    found = farm_sets({"python": "py", **config})
+    assert len(found) == len(config["sets"]) > 3
+    assert "--preset" in found[0].commands.prepare
+
+
+@pytest.mark.parametrize("name", ["local", "slurm", "kubernetes"])
+def test_profiles_are_yaml_and_start_killed_parts_again(name: str) -> None:
+    profile = yaml.safe_load((FARM / "profiles" / name / "config.yaml").read_text())
+    assert profile["rerun-incomplete"] is True
+    assert profile.get("executor") == (None if name == "local" else name)

@@ -1,0 +1,186 @@
+"""The Snakemake workflow: run with a stand-in for the generator, and, slowly, with the generator itself.
+
+Snakemake is looked for in $TG4MM_SNAKEMAKE, beside this Python, and on PATH. Slurm and Kubernetes cannot be
+tested here; what can is that the workflow is accepted with their profiles where the plugins are installed.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import dataset_gen.farm
+
+FARM = Path(dataset_gen.farm.__file__).parent
+ROOT = FARM.parent.parent
+
+# Keeps to the generator's own command line and its files, renders nothing. A file `fail` makes the part it names fail.
+STAND_IN = """#!{python}
+import os, runpy, shutil, sys
+sys.path.insert(0, {root!r})
+from pathlib import Path
+if sys.argv[2] != "dataset_gen":
+    sys.argv = sys.argv[2:]
+    runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
+    sys.exit()
+from dataset_gen.options import parser, request_from
+request = request_from(parser().parse_args(sys.argv[3:]))
+root = request.out / request.sets[0].folder
+what = "prepare" if request.prepare else "finish" if request.finish else "%d/%d" % request.part
+with open({log!r}, "a") as log:
+    log.write(root.name + " " + what + "\\n")
+if request.prepare:
+    if root.exists() and any(root.iterdir()) and not (root / "scene.json").exists():
+        sys.exit("not empty and holds no scene.json")
+    (root / ".parts").mkdir(parents=True, exist_ok=True)
+    (root / "scene.json").write_text("{{}}")
+    (root / ".parts/parts.json").write_text("{{}}")
+elif request.part:
+    if not (root / "scene.json").exists():
+        sys.exit("not prepared")
+    fail = Path({fail!r})
+    if fail.exists() and fail.read_text() == what:
+        sys.exit("this part fails")
+    (root / ".parts" / (what.replace("/", "_of_") + ".done")).touch()
+else:
+    if len(list(root.glob(".parts/*.done"))) != 3:
+        sys.exit("not all parts are done")
+    shutil.rmtree(root / ".parts")
+    (root / "report").mkdir(exist_ok=True)
+    (root / "report/index.html").write_text("done")
+"""
+
+
+def snakemake() -> str:
+    beside = shutil.which("snakemake", path=str(Path(sys.executable).parent))
+    found = os.environ.get("TG4MM_SNAKEMAKE") or beside or shutil.which("snakemake")
+    if not found:
+        pytest.skip(
+            "snakemake is not installed: pip install snakemake, or set TG4MM_SNAKEMAKE to where it lies"
+        )
+    return found
+
+
+class Farm:
+    """A folder with a configuration, and Snakemake started in it."""
+
+    def __init__(self, folder: Path, python: str, sets: dict[str, object], options: str = "") -> None:
+        self.folder, self.out = folder, folder / "my sets"
+        config = {"out": str(self.out), "python": python, "parts": 3, "options": options, "sets": sets}
+        (folder / "config.json").write_text(json.dumps(config))
+
+    def run(self, *more: str, seconds: int = 240) -> subprocess.CompletedProcess[str]:
+        command = [snakemake(), "-s", str(FARM / "Snakefile"), "--configfile", "config.json", *more]
+        environment = {**os.environ, "PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(self.folder / "cache")}
+        return subprocess.run(
+            command, cwd=self.folder, env=environment, capture_output=True, text=True, timeout=seconds
+        )
+
+
+class StandIn(Farm):
+    """A farm whose Python records what it was asked for."""
+
+    def __init__(self, folder: Path, sets: dict[str, object]) -> None:
+        self.log, self.fail = folder / "calls.txt", folder / "fail"
+        program = folder / "python"
+        program.write_text(
+            STAND_IN.format(python=sys.executable, root=str(ROOT), log=str(self.log), fail=str(self.fail))
+        )
+        program.chmod(0o755)
+        super().__init__(folder, str(program), sets)
+
+    def calls(self) -> list[str]:
+        """What was run since the last time, in order."""
+        found = self.log.read_text().splitlines() if self.log.exists() else []
+        self.log.write_text("")
+        return found
+
+
+@pytest.fixture
+def farm(tmp_path: Path) -> StandIn:
+    return StandIn(tmp_path, {"mic": None})
+
+
+def test_every_step_runs_once_and_a_finished_set_is_left_alone(farm: StandIn) -> None:
+    done = farm.run("--cores", "2")
+    assert done.returncode == 0, done.stderr
+    calls = [call.split()[1] for call in farm.calls()]
+    assert calls[0] == "prepare"
+    assert sorted(calls[1:4]) == ["1/3", "2/3", "3/3"]
+    assert calls[4:] == ["finish"]
+    assert (farm.out / "index.html").is_file()
+    again = farm.run("--cores", "2")
+    assert again.returncode == 0, again.stderr
+    assert "Nothing to be done" in again.stderr
+    assert farm.calls() == []
+
+
+@pytest.mark.slow
+def test_a_part_that_failed_is_all_that_runs_again(farm: StandIn) -> None:
+    farm.fail.write_text("2/3")
+    done = farm.run("--cores", "1", "--keep-going")
+    assert done.returncode == 1
+    assert farm.calls()[-1].split()[1] != "finish"
+    assert "this part fails" in (farm.out / ".log/mic_5Hz_0_005/2_of_3.txt").read_text()
+    farm.fail.unlink()
+    again = farm.run("--cores", "1")
+    assert again.returncode == 0, again.stderr
+    assert [call.split()[1] for call in farm.calls()] == ["2/3", "finish"]
+
+
+def test_a_dry_run_names_every_part_of_every_set(tmp_path: Path) -> None:
+    farm = StandIn(tmp_path, {"mic": None, "loud": {"options": "mic --amplitude 0.02", "parts": 2}})
+    done = farm.run("--cores", "2", "--dry-run")
+    assert done.returncode == 0, done.stderr
+    said = done.stdout + done.stderr
+    assert farm.calls() == []
+    assert not farm.out.exists()
+    for target in (
+        "mic_5Hz_0_005/.parts/3_of_3.done",
+        "mic_5Hz_0_02/.parts/2_of_2.done",
+        "my sets/index.html",
+    ):
+        assert target in said
+    assert "3_of_2" not in said
+
+
+def test_what_is_wrong_with_a_configuration_is_said(tmp_path: Path) -> None:
+    done = StandIn(tmp_path, {"mice": None}).run("--cores", "1", "--dry-run")
+    assert done.returncode == 1
+    said = done.stdout + done.stderr
+    assert "set 'mice': scene 'mice' is none of" in said
+    assert "Traceback" not in said
+
+
+@pytest.mark.parametrize("name", ["local", "slurm", "kubernetes"])
+def test_the_profiles_are_accepted(farm: StandIn, name: str) -> None:
+    done = farm.run("--profile", str(FARM / "profiles" / name), "--dry-run")
+    said = done.stdout + done.stderr
+    if "invalid choice" in said or "not installed" in said or "unrecognized arguments" in said:
+        pytest.skip(f"the plugins of profiles/{name} are not installed")
+    assert done.returncode == 0, said
+    assert "3_of_3.done" in said
+
+
+@pytest.mark.slow
+def test_the_generator_itself_is_run_in_parts(tmp_path: Path) -> None:
+    pytest.importorskip("bpy")
+    options = (
+        "--preset smoke --size 16 --timesteps 2 --samples 1 --views 2 --test-views 1 --points 20 --alphas 5"
+    )
+    farm = Farm(tmp_path, sys.executable, {"mic": None}, options)
+    done = farm.run("--cores", "1", seconds=560)
+    assert done.returncode == 0, done.stderr
+    root = farm.out / "mic_5Hz_0_005"
+    assert (root / "001/train/r_001.png").is_file()
+    assert (root / "magnified/x005/001/test/r_000.png").is_file()
+    assert (root / "report/index.html").is_file()
+    assert (root / "points3d.ply").is_file()
+    assert not (root / ".parts").exists()
+    assert (farm.out / "index.html").is_file()
