@@ -28,7 +28,7 @@ from .tree import temporary_name
 
 # Rays of the data passes go through the pixel centre: the narrowest filter Blender has, ±0.005 px.
 _POINT_FILTER = 0.01
-_PIXEL_FILTER = 1.5  # px across, of pictures
+_PIXEL_FILTER = 1.5  # px, of pictures
 _BRIGHTEST = 65504.0  # what the file formats hold; a path that went wrong may be infinite
 
 
@@ -91,7 +91,7 @@ def use_picture(stage: Stage, quality: Quality, seed_offset: int = 0) -> None:
     scene = stage.scene
     scene.render.engine = compat.eevee() if quality.engine == "eevee" else "CYCLES"
     scene.eevee.taa_render_samples = quality.samples
-    scene.render.filter_size = _PIXEL_FILTER / 2  # EEVEE takes it as a radius
+    scene.render.filter_size = _PIXEL_FILTER  # EEVEE's; at equal size its edges are as wide as Cycles'
     cycles = scene.cycles
     cycles.device = device_in_use()
     cycles.samples, cycles.seed = quality.samples, (quality.seed + seed_offset) % 2**31

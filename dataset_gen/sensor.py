@@ -87,7 +87,7 @@ def expose(sensor: Sensor, linear: np.ndarray, key: Key) -> np.ndarray:
     """What the sensor reads for linear light [H, W, 3] ≥ 0, as linear light again, float64.
 
     Clipped at the full well, and at 0, as pictures are whose black level was subtracted: the mean is that of
-    the light except within some read noises of either end.
+    the light except within some standard deviations of either end.
     """
     rng = generator(key)
     white = sensor.full_well * sensor.exposure  # electrons at linear 1.0

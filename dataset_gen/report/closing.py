@@ -12,7 +12,17 @@ from .sections import Findings
 from .sizes import shares
 from .text import decibel, plural, similarity
 
-_SETTINGS = ("engine", "sensor", "seed", "background", "blender_version", "package_version", "source")
+_SETTINGS = (
+    "engine",
+    "images",
+    "sensor",
+    "seed",
+    "background",
+    "cameras",
+    "blender_version",
+    "package_version",
+    "source",
+)
 
 
 def floor_section(f: Findings) -> Section:
@@ -76,9 +86,9 @@ def _caption() -> str:
     return (
         "PSNR and SSIM (11×11, σ 1.5) over white against the truth. “Perfect method”: exact and free of noise, 3.01 dB "
         "above the pair of renders, since the pair differs by the noise of both; for SSIM the pair is a lower bound. "
-        "“Nothing moves”: the rest picture of the same camera, with noise of its own; “same noise”: the set’s own picture "
-        "nearest to rest, which shares its seed with the truth and so, without a sensor model, agrees to the last bit "
-        "where nothing moves, as no method can."
+        "“Nothing moves”: the rest picture of the same camera, with noise of its own; “same noise”: the set’s own "
+        "picture nearest to rest, which shares its seed with the truth and so, without a sensor model, agrees to the "
+        "last bit where nothing moves, as no method can."
     )
 
 

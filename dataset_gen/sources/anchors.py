@@ -7,7 +7,7 @@ into vertex attributes at rest, and the materials read those instead.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
 import bpy
@@ -76,15 +76,21 @@ class Anchors:
             for target in targets:
                 tree.links.new(source, target)
 
-    def write(self, mesh: bpy.types.Mesh, piece: Piece, local: np.ndarray, world: np.ndarray) -> None:
-        """Writes what is needed on a mesh: `local` and `world` [V, 3] are its vertices in the two frames."""
+    def write(
+        self, mesh: bpy.types.Mesh, pieces: Sequence[Piece], local: np.ndarray, world: np.ndarray
+    ) -> None:
+        """Writes what is needed on a mesh made of pieces of one shape, one after the other.
+
+        `local` and `world` [V, 3] are its vertices in the two frames.
+        """
         _free_the_name(mesh)
+        each = len(world) // len(pieces)
         values: dict[str, Callable[[], np.ndarray]] = {
             _LOCAL: lambda: local,
-            _GENERATED: lambda: piece.shape.generated,
+            _GENERATED: lambda: np.tile(pieces[0].shape.generated, (len(pieces), 1)),
             _WORLD: lambda: world,
-            _LOCATION: lambda: np.broadcast_to(piece.matrix[:3, 3], world.shape),
-            _RANDOM: lambda: np.full(len(world), piece.random),
+            _LOCATION: lambda: np.repeat([piece.matrix[:3, 3] for piece in pieces], each, 0),
+            _RANDOM: lambda: np.repeat([piece.random for piece in pieces], each),
         }
         for name in sorted(self.needed):
             if name in self.frames:

@@ -9,7 +9,7 @@ OpenEXR = pytest.importorskip("OpenEXR")
 from mathutils import Vector  # noqa: E402
 from mathutils.bvhtree import BVHTree  # noqa: E402
 
-from dataset_gen import build, compat, devices, render, truth  # noqa: E402
+from dataset_gen import build, compat, devices, exr, render, truth  # noqa: E402
 from dataset_gen.bounces import CUT_OUT, GLASS, OPAQUE, bounces_for  # noqa: E402
 from dataset_gen.cameras import Camera, train_cameras  # noqa: E402
 from dataset_gen.errors import GenerateError  # noqa: E402
@@ -161,6 +161,7 @@ def test_normals_are_unit_and_face_the_camera(passes, motion):
 def test_truth_file_comes_back_as_it_was_written(passes, motion, tmp_path):
     data = passes(motion.state(1))
     truth.write_exr(tmp_path / "b.exr", data)
+    assert exr.complete(tmp_path / "b.exr", SIZE, SIZE)
     back = truth.read_exr(tmp_path / "b.exr")
     for name, values in data.items():
         np.testing.assert_array_equal(back[name], values)

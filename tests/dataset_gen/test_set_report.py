@@ -10,6 +10,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+
+pytest.importorskip("jinja2", reason="the report needs jinja2")
+pytest.importorskip("skimage", reason="the report needs scikit-image")
+
 from PIL import Image
 
 from dataset_gen.errors import GenerateError

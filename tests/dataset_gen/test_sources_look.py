@@ -121,6 +121,46 @@ def test_textures_look_as_in_the_file_and_go_along_with_the_surface(tmp_path, wa
     assert np.abs(moved - got)[covered & (moved[..., 3] > 0.99)].max() < 2e-3
 
 
+def joined(tree):
+    """Everything that differs from instance to instance, in one colour."""
+    mix = tree.nodes.new("ShaderNodeVectorMath")
+    tree.links.new(object_info(tree), mix.inputs[0])
+    tree.links.new(coordinates("Object")(tree), mix.inputs[1])
+    return mix.outputs[0]
+
+
+def test_instances_joined_to_one_part_look_as_they_did_apart(tmp_path):
+    scene = new_scene()
+    mesh = tetrahedron(size=0.5)
+    mesh.normals_split_custom_set([(0.3, 0.4, 0.8)] * 12)
+    mesh.materials.append(emission("paint", joined))
+    group = bpy.data.collections.new("group")
+    for i in range(4):  # the third is mirrored
+        scale = (-0.4 if i == 2 else 0.4, 0.4, 0.3 + 0.1 * i)
+        place = Matrix.LocRotScale((0.5 * i, 0.3 * i - 0.5, 0.2), Matrix.Rotation(i, 3, "Z"), scale)
+        holder = bpy.data.collections.new(f"holder {i}")
+        holder.objects.link(leaf := bpy.data.objects.get("leaf") or bpy.data.objects.new("leaf", mesh))
+        inner = bpy.data.objects.new(f"inner {i}", None)
+        inner.instance_type, inner.instance_collection = "COLLECTION", holder
+        inner.matrix_world = place
+        group.objects.link(inner)
+    empty = link("all", None, matrix=TURNED)
+    empty.instance_type, empty.instance_collection = "COLLECTION", group
+    assert leaf.users_scene == ()
+    path = save(tmp_path)
+    wanted = render_scene(scene, tmp_path / "file.exr", POSE, size=64)
+    loaded = open_blend(path)
+    (body,) = loaded.bodies
+    assert (body.name, len(body.vertices)) == ("all/leaf", 16)
+    got = render_stage(loaded.stage, tmp_path / "stage.exr", POSE, size=64)
+    covered = (wanted[..., 3] > 0.99) & (got[..., 3] > 0.99)
+    assert covered.sum() > 60
+    assert covered.sum() > 0.97 * (wanted[..., 3] > 0.99).sum()
+    assert np.ptp(wanted[covered][:, 0]) > 0.3
+    assert np.median(np.abs(got - wanted)[covered].max(1)) < 1e-3
+    assert (np.abs(got - wanted)[covered].max(1) < 1e-2).mean() > 0.97
+
+
 def test_a_missing_environment_becomes_a_grey_sky_and_missing_textures_plain_grey(tmp_path):
     scene = new_scene()
     mesh = tetrahedron()
