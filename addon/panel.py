@@ -70,7 +70,7 @@ class VIEW3D_PT_tg4mm_look(_SplatTab, bpy.types.Panel):
         layout.use_property_split = True
         _draw_all(layout, modifier, names.DRAW, names.SIZE)
         drawn = compat.get_input(modifier, names.DRAW)
-        if drawn == names.ELLIPSOIDS:
+        if drawn in (names.ELLIPSOIDS, names.POINTS):
             compat.draw_input(layout, modifier, names.RADIUS)
         if drawn == names.ARROWS:
             _draw_all(layout, modifier, names.ARROW_LENGTH, names.ARROW_EVERY)

@@ -134,6 +134,10 @@ def _source_options(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         "--mesh", type=Path, metavar="FILE", help="a glTF, OBJ, PLY, STL, USD or FBX file, brought to size"
     )
+    group.add_argument("--frame", type=int, metavar="N", help="with --blend: the frame (default: the file's)")
+    group.add_argument(
+        "--scene", dest="blend_scene", metavar="NAME", help="with --blend: the scene (default: the file's)"
+    )
     group.add_argument("--name", metavar="NAME", help="first part of the folder's name (default: the file's)")
 
 
@@ -268,7 +272,9 @@ def _names(options: argparse.Namespace) -> list[tuple[str, Source]]:
         raise GenerateError(
             f"--name {name!r}: letters, digits, - and _ only, since a folder is named after it"
         )
-    return [(name, Source(given[0], str(path.resolve())))]
+    if options.blend is None and (options.frame is not None or options.blend_scene is not None):
+        raise GenerateError("--frame and --scene go with --blend")
+    return [(name, Source(given[0], str(path.resolve()), options.frame, options.blend_scene))]
 
 
 def _settings(options: argparse.Namespace, values: dict[str, Any], name: str, source: Source) -> Settings:

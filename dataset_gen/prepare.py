@@ -7,7 +7,7 @@ import importlib.metadata
 import importlib.util
 import sys
 import tempfile
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -46,7 +46,8 @@ def prepare(settings: Settings, out: Path) -> Job:
     description = tree.describe(settings, amplitude, unit_scale_m, Quality.of(settings).describe())
     description |= {"blender_version": blender_version(), "package_version": _package_version()}
     if settings.source.path:
-        description["source"] = {"kind": settings.source.kind, "sha256": _digest(Path(settings.source.path))}
+        source = {**asdict(settings.source), "path": Path(settings.source.path).name}
+        description["source"] = {**source, "sha256": _digest(Path(settings.source.path))}
     tree.claim(root, description)
     tree.write_poses(root, settings)
     if not (root / "truth/motion.npz").exists():

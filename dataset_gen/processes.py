@@ -44,7 +44,7 @@ def render(
     for part in ranges(len(todo), pieces):
         waiting.put([todo[i] for i in part])
     count = min(count, pieces)
-    job = {"task": "render", "settings": settings.to_json(), "root": str(root.resolve())}
+    job: dict[str, Any] = {"task": "render", "settings": settings.to_json(), "root": str(root.resolve())}
     job["threads"] = max(1, (os.cpu_count() or 1) // count)
     progress = _Progress(label, len(todo), stream)
     pool = _Pool(job, progress)

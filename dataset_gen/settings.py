@@ -26,6 +26,8 @@ class Source:
 
     kind: str = "builtin"  # one of KINDS
     path: str = ""  # of the file, absolute; "" for a built-in scene
+    frame: int | None = None  # of a .blend; None: the one it was saved at
+    scene: str | None = None  # of a .blend; None: the one it was saved in
 
 
 @dataclass(frozen=True)
@@ -91,7 +93,7 @@ class Settings:
             "alphas": list(self.alphas),
             "motion": self.motion.to_json(),
             "cameras": self.cameras.to_json(),
-            "source": {"kind": self.source.kind, "path": self.source.path},
+            "source": asdict(self.source),
             "pictures": asdict(self.pictures),
             "sensor": self.sensor.to_json() if self.sensor else None,
         }

@@ -24,6 +24,7 @@ from .processes import DONE, REFUSED
 from .quality import Quality
 from .scenes import SCENES
 from .settings import Settings
+from .sources.loaded import Loaded
 from .vibration import Body
 
 
@@ -58,11 +59,13 @@ def load_stage(settings: Settings) -> tuple[build.Stage, tuple[Body, ...]]:
     return loaded.stage, loaded.bodies
 
 
-def _open(settings: Settings) -> Any:
+def _open(settings: Settings) -> Loaded:
     from .sources import open_blend, open_mesh
 
-    opened = open_blend if settings.source.kind == "blend" else open_mesh
-    return opened(Path(settings.source.path))
+    source = settings.source
+    if source.kind == "mesh":
+        return open_mesh(Path(source.path))
+    return open_blend(Path(source.path), frame=source.frame, scene=source.scene)
 
 
 def _inspect(job: dict[str, Any], report: TextIO) -> None:

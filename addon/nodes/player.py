@@ -47,7 +47,13 @@ _TIME = (
 )
 _LOOK = (
     (names.SIZE, 1.0, 0.0, 10.0, "Factor on the size of every Gaussian"),
-    (names.RADIUS, 1.6, 0.01, 6.0, "Where an ellipsoid ends, in standard deviations of its Gaussian"),
+    (
+        names.RADIUS,
+        1.6,
+        0.01,
+        6.0,
+        "Where an ellipsoid or a dot ends, in standard deviations of its Gaussian",
+    ),
     (names.MIN_OPACITY, 0.1, 0.0, 1.0, "Gaussians less opaque than this are drawn as splats only"),
     (names.MIN_SPLAT_OPACITY, 1 / 255, 0.0, 1.0, "Gaussians less opaque than this are not drawn as splats"),
 )

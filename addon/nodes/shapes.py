@@ -49,7 +49,7 @@ def build_shapes(name: str, materials: Materials) -> Any:
         _solid_draw(graph, inputs),
         _balls(graph, points, enough, radius, solid),
         _balls(graph, points, faint, splat_radius, materials.splat),
-        _dots(graph, points, enough, inputs, materials.points),
+        _dots(graph, points, enough, radius, materials.points),
         _arrows(graph, points, enough, inputs, solid),
     )
     flat = _realized(graph, points, drawn)
@@ -77,12 +77,12 @@ def _balls(graph: Graph, points: Any, selection: Any, radius: Any, material: Any
     return graph.call("GeometryNodeInstanceOnPoints", inputs)
 
 
-def _dots(graph: Graph, points: Any, selection: Any, inputs: Any, material: Any) -> Any:
-    """A point cloud: round dots of the Gaussians' mean size, the quickest to draw."""
+def _dots(graph: Graph, points: Any, selection: Any, radius: Any, material: Any) -> Any:
+    """A point cloud: round dots of the Gaussians' mean size, the quickest to draw; `radius` in deviations."""
     size = graph.vector("MULTIPLY", graph.attribute(names.SCALE, "FLOAT_VECTOR"), (1 / 3, 1 / 3, 1 / 3))
     x, y, z = graph.split(size)
-    radius = graph.math("MULTIPLY", graph.math("ADD", graph.math("ADD", x, y), z), inputs[names.SIZE])
-    cloud = graph.call("GeometryNodeMeshToPoints", {"Mesh": points, "Selection": selection, "Radius": radius})
+    mean = graph.math("MULTIPLY", graph.math("ADD", graph.math("ADD", x, y), z), radius)
+    cloud = graph.call("GeometryNodeMeshToPoints", {"Mesh": points, "Selection": selection, "Radius": mean})
     return graph.painted(cloud, material)
 
 

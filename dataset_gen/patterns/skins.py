@@ -14,11 +14,11 @@ from .solid import cells, fractal, mix, noise, ramp, spots, step, unit
 def leopard(points: np.ndarray, seed: int) -> Painted:
     """Broken rosettes on tawny fur."""
     warp = np.stack([noise(points, 2.4, seed + k) for k in range(3)], -1)
-    near, second, label = cells(points + 0.07 * warp, 3.6, seed, 0.8)
+    near, second, label = cells(points + 0.05 * warp, 3.9, seed, 0.6)
     torn = fractal(points, 3.4, 3, seed + 3)
     hair = fractal(points, [22.0, 22.0, 6.0], 2, seed + 4)
-    size = 0.25 + 0.13 * label
-    ring = step(np.abs(near - size), 0.15, 0.09) * step(torn, -0.95, -0.6) * step(second - near, 0.0, 0.1)
+    size = 0.30 + 0.10 * label
+    ring = step(np.abs(near - size), 0.15, 0.09) * step(torn, -1.0, -0.7) * step(second - near, 0.02, 0.1)
     inside = step(near, size, size - 0.08)
     image = ramp(0.5 + 0.2 * torn + 0.16 * hair, [(0.0, (0.70, 0.47, 0.2)), (1.0, (0.95, 0.78, 0.47))])
     image = mix(image, (0.58, 0.33, 0.11), 0.7 * inside)

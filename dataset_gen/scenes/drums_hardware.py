@@ -39,7 +39,7 @@ CYMBALS = (
     ),
     Cymbal("ride", 0.33, (0.72, 0.08, 0.50), (-0.2, -0.26, 0.94), (0.84, 0.36), 15.0, 1.0, "RIDE"),
 )
-HIHAT = Cymbal("hihat_top", 0.215, (-0.80, -0.32, 0.30), (0.0, 0.0, 1.0), (-0.80, -0.32), 200.0, 0.5, "HIHAT")
+HIHAT = Cymbal("hihat_top", 0.215, (-0.80, -0.32, 0.30), (0.0, 0.0, 1.0), (-0.80, -0.32), 345.0, 0.5, "HIHAT")
 
 
 def _bell(radius: float) -> tuple[float, float]:
@@ -91,7 +91,7 @@ def _top(pivot: np.ndarray, normal: np.ndarray, below: float = 0.075) -> tuple[l
 
 
 def stands() -> list[Named]:
-    """Cymbal stands (the ride's with a boom), the hi-hat's stand with its pedal, all felts and feet."""
+    """Cymbal stands (the ride's with a boom), the hi-hat's stand, all felts and feet."""
     metal, rubber, felts = [], [], []
     for c in (*CYMBALS, HIHAT):
         foot = np.array([*c.foot, FLOOR])
@@ -103,7 +103,6 @@ def stands() -> list[Named]:
         metal += steel
         felts += soft
         metal += _hihat_column(foot, pivot) if c is HIHAT else _arm(foot, pivot, normal)
-    metal += _hihat_pedal()
     return [
         ("stands", s.cube_mapped(m.join(metal), 0.3), paint.chrome("stands")),
         ("stand_feet", s.cube_mapped(m.join(rubber), 0.2), paint.rubber("stand_feet")),
@@ -157,12 +156,12 @@ def _footboard(length: float) -> list[Mesh]:
 
 def _hihat_pedal() -> list[Mesh]:
     """In front of its stand, towards the drummer's seat."""
-    at = m.frame((-0.63, -0.53, FLOOR), (0, 0, 1), (0.78, 0.63, 0.0))
+    at = m.frame((-0.735, -0.56, FLOOR), (0, 0, 1), (0.966, 0.259, 0.0))
     return [piece.moved(at) for piece in _footboard(0.2)]
 
 
 def pedal() -> list[Named]:
-    """The bass drum's pedal: footboard, posts, cam, chain and a felt beater that stands off the head."""
+    """The hi-hat's pedal and the bass drum's: footboard, posts, cam, chain and a felt beater that stands off the head."""
     hinge, head = np.array([0.0, -0.22, FLOOR + 0.24]), FLOOR + 0.42
     at = m.frame((0.0, -0.5, FLOOR), (0, 0, 1), (1, 0, 0))
     pieces = [piece.moved(at) for piece in _footboard(0.25)]
@@ -185,7 +184,7 @@ def pedal() -> list[Named]:
         )
         for k in range(11)
     ]
-    pieces += links
+    pieces += [*links, *_hihat_pedal()]
     beater = m.revolve(
         [(0.0, -0.035), (0.028, -0.035), (0.036, -0.025), (0.036, 0.02), (0.026, 0.032), (0.0, 0.034)], 24
     )
@@ -276,7 +275,7 @@ def snare_stand(where: tuple, normal: np.ndarray, drum: d.Drum) -> tuple[Mesh, M
     low = np.asarray(where) - (drum.depth + 0.03) * n
     hub = low - 0.1 * n
     foot = np.array([hub[0], hub[1], FLOOR])
-    legs, feet = tb.tripod(foot, 0.24, 0.3, np.radians(75.0))
+    legs, feet = tb.tripod(foot, 0.24, 0.3, np.radians(80.0))
     metal, rubber = [legs, *_column(foot, hub), tb.collar(hub, 0.034, 0.05, n)], [feet]
     at = m.frame(low, n, (1.0, 0.0, 0.0))
     for angle in np.radians([40.0, 160.0, 280.0]):

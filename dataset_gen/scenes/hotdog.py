@@ -121,7 +121,10 @@ def _bun(dog: _Dog) -> tuple[m.Mesh, np.ndarray]:
     belly = 0.12 + 0.075 * np.sin(np.pi * np.abs(across)) ** 2  # fat cheeks, thinner bottom and lips
     bulge = 1.0 + 0.07 * noise(middle, 2.2, dog.seed) + 0.025 * noise(middle, 6.0, dog.seed)
     taper = 0.5 + 0.5 * rounded(along, 2.1)[:, None]
-    outside, inside = edge * belly[None] * bulge * taper, _INSIDE * rounded(along, 5.0)[:, None] * edge
+    outside, inside = (
+        edge * belly[None] * bulge * taper,
+        _INSIDE * rounded(along, 6.0)[:, None] * rounded(across, 5.0),
+    )
     mesh = puff(middle, outside, inside)
     texels = of_grid(puff_points(middle, outside, inside), 480, 768)
     return m.Mesh(_flattened(mesh.vertices), mesh.triangles, mesh.uv), _flattened(texels)
@@ -210,7 +213,7 @@ def _on_the_plate() -> tuple[Part, ...]:
     rng = np.random.default_rng([31, 9])
     angle, radius = rng.uniform(0.0, 2.0 * np.pi, 900), 0.99 * np.sqrt(rng.uniform(0.02, 0.98, 900))
     spots = radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-    clear = np.min([np.abs(spots[:, 1] - d.y) for d in _DOGS], 0) > 0.24
+    clear = np.min([np.abs(spots[:, 1] - d.y) for d in _DOGS], 0) > 0.29
     clear |= np.abs(spots[:, 0]) > 0.86
     spots = spots[clear]
     level = np.interp(

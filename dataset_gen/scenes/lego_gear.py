@@ -122,7 +122,7 @@ def _ribs(model: b.BrickModel) -> None:
     behind = _BLADE[0] - _BLADE[2] - 0.62
     beam = b.beam(14).moved(m.frame((behind - 0.3, -7.0, 2.5), (1, 0, 0), (0, 1, 0)))
     model.add("blade", beam)
-    for y in range(-6, 7, 3):
+    for y in np.arange(-6.0, 7.0, 3.0):
         model.add("blade_pins", b.pin().moved(m.frame((behind - 0.79, y, 2.5), (-1, 0, 0))))
     angles = np.radians(np.linspace(140.0, 226.0, 14))
     for y in (-4.6, -1.0, 1.0, 4.6):

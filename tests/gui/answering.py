@@ -1,0 +1,197 @@
+"""Runs inside Blender: answers questions that another process leaves in a folder, a few times a second.
+
+Started by `blender --python answering.py -- FOLDER`. A question is FOLDER/ask.json, {"id", "name", "with"}; the
+answer is FOLDER/answer.json, {"id", "value"} or {"id", "error"}. The names are those of the functions marked
+`@answer`: a question can do no more than they do. They read; only `view` and the like set up a view, which a
+person does with a mouse that has three buttons. What a test is about is done with the mouse.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+
+INTERVAL = 0.05  # s
+FOLDER = Path(sys.argv[sys.argv.index("--") + 1])
+ANSWERS: dict[str, Callable[..., Any]] = {}
+
+
+def answer(function: Callable[..., Any]) -> Callable[..., Any]:
+    ANSWERS[function.__name__] = function
+    return function
+
+
+@answer
+def version() -> list[int]:
+    return list(bpy.app.version)
+
+
+@answer
+def areas() -> list[dict[str, Any]]:
+    """Every area with its regions: pixels from the window's upper left corner."""
+    window = _window()
+    return [
+        {
+            "type": area.type,
+            "regions": {region.type: _box(region, window.height) for region in area.regions},
+        }
+        for area in window.screen.areas
+    ]
+
+
+def _box(region: Any, height: int) -> list[int]:
+    """Left, top, width, height."""
+    return [region.x, height - region.y - region.height, region.width, region.height]
+
+
+@answer
+def tab() -> str:
+    """The tab that the sidebar of the 3D view shows; empty where there is no sidebar."""
+    area = _view()
+    if not area.spaces.active.show_region_ui:
+        return ""
+    return next(region for region in area.regions if region.type == "UI").active_panel_category
+
+
+@answer
+def frame() -> dict[str, Any]:
+    scene = bpy.context.scene
+    playing = any(window.screen.is_animation_playing for window in bpy.context.window_manager.windows)
+    return {
+        "current": scene.frame_current,
+        "first": scene.frame_start,
+        "last": scene.frame_end,
+        "fps": scene.render.fps / scene.render.fps_base,
+        "playing": playing,
+    }
+
+
+@answer
+def active_object() -> str | None:
+    obj = bpy.context.view_layer.objects.active
+    return None if obj is None else obj.name
+
+
+@answer
+def objects() -> list[str]:
+    return [obj.name for obj in bpy.data.objects]
+
+
+@answer
+def inputs() -> dict[str, Any]:
+    """Value of every input of the active object's splat modifier, menus as the names of their items."""
+    modifier = _modifier()
+    values = {}
+    for item in modifier.node_group.interface.items_tree:
+        if item.item_type == "SOCKET" and item.in_out == "INPUT" and item.socket_type != "NodeSocketGeometry":
+            values[item.name] = getattr(modifier.properties.inputs, item.identifier).value
+    return values
+
+
+@answer
+def paths() -> dict[str, str]:
+    """Data path, from its object, of every input of the active object's splat modifier."""
+    modifier = _modifier()
+    return {
+        item.name: f'modifiers["{modifier.name}"].properties.inputs.{item.identifier}.value'
+        for item in modifier.node_group.interface.items_tree
+        if item.item_type == "SOCKET" and item.in_out == "INPUT"
+    }
+
+
+@answer
+def places(file: str) -> int:
+    """Write float32 [N, 3], where the instances of the active object are drawn, as .npy; returns N."""
+    obj = bpy.context.view_layer.objects.active
+    geometry = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).evaluated_geometry()
+    cloud = geometry.instances_pointcloud()
+    flat = np.empty(len(cloud.points) * 16, dtype=np.float32)
+    cloud.attributes["instance_transform"].data.foreach_get("value", flat)
+    np.save(FOLDER / file, flat.reshape(-1, 4, 4)[:, 3, :3])
+    return len(cloud.points)
+
+
+@answer
+def clipboard() -> str:
+    return bpy.context.window_manager.clipboard
+
+
+@answer
+def set_clipboard(text: str) -> None:
+    bpy.context.window_manager.clipboard = text
+
+
+@answer
+def shading(kind: str) -> None:
+    """SOLID, MATERIAL or RENDERED, in every 3D view."""
+    for area in _window().screen.areas:
+        if area.type == "VIEW_3D":
+            area.spaces.active.shading.type = kind
+
+
+@answer
+def view(look_from: list[float], at: list[float], distance: float) -> None:
+    """Turn the 3D view: `look_from` a direction, `at` a point, `distance` in scene units."""
+    import mathutils
+
+    region = _view().spaces.active.region_3d
+    region.view_rotation = mathutils.Vector(look_from).to_track_quat("Z", "Y")
+    region.view_location, region.view_distance, region.view_perspective = at, distance, "PERSP"
+
+
+@answer
+def clear() -> None:
+    """Remove the cube, the lamp and the camera that Blender starts with."""
+    bpy.data.batch_remove(list(bpy.data.objects))
+
+
+@answer
+def bare(overlays: bool) -> None:
+    """With or without grid, axes and outlines."""
+    _view().spaces.active.overlay.show_overlays = overlays
+
+
+def _window() -> Any:
+    return bpy.context.window_manager.windows[0]
+
+
+def _view() -> Any:
+    return max(
+        (area for area in _window().screen.areas if area.type == "VIEW_3D"),
+        key=lambda area: area.width * area.height,
+    )
+
+
+def _modifier() -> Any:
+    obj = bpy.context.view_layer.objects.active
+    return next(modifier for modifier in obj.modifiers if modifier.type == "NODES")
+
+
+def _answer_what_is_asked() -> float:
+    ask = FOLDER / "ask.json"
+    if not ask.exists():
+        return INTERVAL
+    question = json.loads(ask.read_text(encoding="utf-8"))
+    ask.unlink()
+    reply: dict[str, Any] = {"id": question["id"]}
+    try:
+        with bpy.context.temp_override(window=_window()):
+            reply["value"] = ANSWERS[question["name"]](**question["with"])
+    except Exception:  # whatever it was, the other side raises it
+        reply["error"] = traceback.format_exc()
+    partial = FOLDER / "answer.partial"
+    partial.write_text(json.dumps(reply), encoding="utf-8")
+    os.replace(partial, FOLDER / "answer.json")
+    return INTERVAL
+
+
+bpy.context.preferences.view.show_splash = False
+bpy.app.timers.register(_answer_what_is_asked, first_interval=1.0, persistent=True)
