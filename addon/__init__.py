@@ -1,8 +1,8 @@
 """TG4MM in Blender: import a splat file, play its motion, magnify it with a slider."""
 
-from . import operators, panel
+from . import operators, panel, preferences
 
-_MODULES = (operators, panel)
+_MODULES = (preferences, operators, panel)
 
 
 def register() -> None:

@@ -44,7 +44,6 @@ def stage_of(
     camera.data.sensor_fit = "HORIZONTAL"
     camera.data.lens_unit = "FOV"
     camera.data.angle = CAMERA_ANGLE_X
-    camera.data.clip_start, camera.data.clip_end = 0.01, 100.0
     scene.collection.objects.link(camera)
     scene.camera = camera
     for obj in objects:
@@ -99,5 +98,8 @@ def set_view(stage: Stage, camera: Camera) -> None:
     """Places the camera and sets its lens."""
     stage.camera.matrix_world = Matrix(camera.camera_to_world.tolist())
     stage.camera.data.angle = camera.angle_x
+    # From the origin's distance, since a scene of the user's own may be of any size.
+    reach = max(float(np.linalg.norm(camera.position)), 1.0)
+    stage.camera.data.clip_start, stage.camera.data.clip_end = 0.0005 * reach, 25.0 * reach
     # Blender moves the picture, we the principal point; both in image widths (square pictures).
     stage.camera.data.shift_x, stage.camera.data.shift_y = -camera.shift[0], camera.shift[1]

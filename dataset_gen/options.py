@@ -260,6 +260,8 @@ def _names(options: argparse.Namespace) -> list[tuple[str, Source]]:
     if len(given) != 1:
         asked = " and ".join(given) or "none of them"
         raise GenerateError(f"give either SCENE, --blend or --mesh; {asked} was given")
+    if options.blend is None and (options.frame is not None or options.blend_scene is not None):
+        raise GenerateError("--frame and --scene go with --blend")
     if options.scene is not None:
         if options.scene != ALL and options.scene not in NAMES:
             raise GenerateError(f"scene {options.scene!r} is none of {', '.join(NAMES)}, {ALL}")
@@ -272,8 +274,6 @@ def _names(options: argparse.Namespace) -> list[tuple[str, Source]]:
         raise GenerateError(
             f"--name {name!r}: letters, digits, - and _ only, since a folder is named after it"
         )
-    if options.blend is None and (options.frame is not None or options.blend_scene is not None):
-        raise GenerateError("--frame and --scene go with --blend")
     return [(name, Source(given[0], str(path.resolve()), options.frame, options.blend_scene))]
 
 

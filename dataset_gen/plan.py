@@ -17,6 +17,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import PurePosixPath
 
 from .cameras import Camera, cameras_at
 from .settings import Settings
@@ -109,23 +110,26 @@ def _reach(state: State) -> float:
 
 
 def _reseeded(settings: Settings, every: Sequence[Shot]) -> list[Shot]:
-    """Once more, with another seed: per α the first test camera in the state that lies farthest from rest."""
+    """Once more, with another seed: per α the first test camera in the state that lies farthest from rest.
+
+    And the rest pose from the same cameras, at α = −1: what a method scores that leaves everything still.
+    """
     chosen: dict[float, tuple[float, Shot, Picture]] = {}
     for shot in every:
         for picture in shot.pictures if shot.split == "test" else ():
             best = chosen.get(picture.alpha)
             if best is None or _reach(shot.state) > best[0]:
                 chosen[picture.alpha] = (_reach(shot.state), shot, picture)
+    again: dict[str, tuple[Shot, State, Picture]] = {}
+    for _, shot, picture in chosen.values():
+        path = f"{RESEEDED}/{picture.path}"
+        again[path] = (shot, shot.state, Picture(path, picture.timestep, picture.alpha))
+        rest = State(tuple(0.0 for _ in shot.state.gains))
+        path = f"{RESEEDED}/rest/{picture.timestep:03d}/{shot.split}/{PurePosixPath(picture.path).name}"
+        again[path] = (shot, rest, Picture(path, picture.timestep, -1.0))
     return [
-        Shot(
-            split=shot.split,
-            camera=shot.camera,
-            state=shot.state,
-            pictures=(Picture(f"{RESEEDED}/{picture.path}", picture.timestep, picture.alpha),),
-            truth=(),
-            seed_offset=_OTHER_SEED,
-        )
-        for _, shot, picture in chosen.values()
+        Shot(shot.split, shot.camera, state, (picture,), truth=(), seed_offset=_OTHER_SEED)
+        for shot, state, picture in again.values()
     ]
 
 

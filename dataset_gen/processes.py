@@ -25,7 +25,8 @@ from .plan import RANGE, ranges
 from .settings import Settings
 
 ENTRY = Path(__file__).with_name("blender_main.py")
-DONE = "done"  # first word of the line a worker writes after each shot
+DONE = "done"  # the line a worker writes after each shot
+NOTE = "note "  # how a line begins that the user should see
 REFUSED = 3  # exit status of a worker that found the user's input wrong; the last line of its log says how
 
 
@@ -92,6 +93,7 @@ class _Pool:
         self._running: set[subprocess.Popen[str]] = set()
         self._failure = ""
         self._refused = False
+        self._told: set[str] = set()
 
     def feed(self, waiting: queue.SimpleQueue[list[int]], path: Path) -> None:
         """Takes ranges until there are none left; what goes wrong is kept."""
@@ -112,7 +114,9 @@ class _Pool:
         self._running.add(process)
         assert process.stdout is not None
         for line in process.stdout:
-            if line.strip() == DONE and self._progress:
+            if line.startswith(NOTE):
+                self._tell(line.removeprefix(NOTE).strip())
+            elif line.strip() == DONE and self._progress:
                 self._progress.step()
         status = process.wait()
         self._running.discard(process)
@@ -122,6 +126,12 @@ class _Pool:
             self._fail(
                 last[0] if self._refused else f"a render process ended with status {status}: {last[0]}"
             )
+
+    def _tell(self, note: str) -> None:
+        """Once each: every worker finds the same."""
+        if note not in self._told:
+            self._told.add(note)
+            print(note, file=sys.stderr)
 
     def _fail(self, why: str) -> None:
         self._failure = self._failure or why

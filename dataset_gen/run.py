@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TextIO
@@ -39,7 +40,12 @@ def render_missing(job: Job, numbers: Sequence[int], count: int, stream: TextIO)
     """Renders those of the shots with these numbers that are not complete."""
     wants_points = _wants_points(job)
     todo = [i for i in numbers if not _finished(job, job.shots[i], wants_points)]
-    processes.render(job.settings, job.root, todo, count or (os.cpu_count() or 1), stream)
+    count = count or (os.cpu_count() or 1)
+    start = time.monotonic()
+    processes.render(job.settings, job.root, todo, count, stream)
+    if todo:
+        took = {"pictures": len(todo), "seconds": time.monotonic() - start, "processes": count}
+        tree.write_json(job.root / "report/timing.json", took)
 
 
 def finish(job: Job, stream: TextIO) -> Path:

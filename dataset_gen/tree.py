@@ -91,7 +91,7 @@ def describe(
         "width": settings.size,
         "height": settings.size,
         "cameras": settings.cameras.to_json(),
-        "n_train": settings.cameras.views,
+        "n_train": settings.cameras.n_train(0),
         "n_test": settings.cameras.test_views,
         "n_points": settings.points,
         "truth": settings.truth,

@@ -20,7 +20,7 @@ from .errors import GenerateError
 from .painter import Painter
 from .plan import Shot, shots
 from .prepare import builtin_bodies, motion_of
-from .processes import DONE, REFUSED
+from .processes import DONE, NOTE, REFUSED
 from .quality import Quality
 from .scenes import SCENES
 from .settings import Settings
@@ -83,7 +83,7 @@ def _animate(job: dict[str, Any], report: TextIO) -> None:
     cameras = partial(cameras_at, settings.cameras)
     missing = save_animation(stage, motion, settings.timesteps, Path(job["path"]), cameras, settings.size)
     for name in missing:
-        report.write(f"{name} could not be packed into the file: its own file is missing\n")
+        report.write(f"{NOTE}{name} could not be packed into the file: its own file is missing\n")
 
 
 def _render_shots(job: dict[str, Any], report: TextIO) -> None:
@@ -92,7 +92,9 @@ def _render_shots(job: dict[str, Any], report: TextIO) -> None:
     stage, bodies = load_stage(settings)
     motion = motion_of(settings, bodies)
     quality = Quality.of(settings, job["threads"])
-    render.configure(stage, quality)
+    device = render.configure(stage, quality)
+    if settings.device != "cpu":
+        report.write(f"{NOTE}Cycles renders on {device}\n")
     every = shots(settings, motion)
     photographer = _Photographer(stage, settings, quality, root, Painter(bodies, settings, root))
     todo = [every[i] for i in job["shots"]]

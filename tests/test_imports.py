@@ -38,6 +38,12 @@ def test_every_module_of_the_core_imports_without_blender(repo_root: Path) -> No
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.parametrize("name", ["dataset_gen.report.write", "dataset_gen.report.overview"])
+def test_a_datasets_report_needs_neither_torch_nor_blender(repo_root: Path, name: str) -> None:
+    done = run_without(["torch", "bpy", "numba", "flip_evaluator"], f"import {name}", repo_root)
+    assert done.returncode == 0, done.stderr
+
+
 @pytest.mark.parametrize("name", ["tg4mm", "tg4mm.capture", "tg4mm.cli", "tg4mm.splatfile"])
 def test_what_needs_no_torch_imports_without_it(repo_root: Path, name: str) -> None:
     done = run_without(["torch", "bpy", "numba", "scipy"], f"import {name}", repo_root)

@@ -161,7 +161,7 @@ def _hihat_pedal() -> list[Mesh]:
 
 
 def pedal() -> list[Named]:
-    """The hi-hat's pedal and the bass drum's: footboard, posts, cam, chain and a felt beater that stands off the head."""
+    """The hi-hat's pedal and the bass drum's: boards, posts, cam, chain, and a felt beater that stands off the head."""
     hinge, head = np.array([0.0, -0.22, FLOOR + 0.24]), FLOOR + 0.42
     at = m.frame((0.0, -0.5, FLOOR), (0, 0, 1), (1, 0, 0))
     pieces = [piece.moved(at) for piece in _footboard(0.25)]

@@ -13,12 +13,12 @@ def plan(arguments: str = ""):
     return settings, [s for s in every if not s.seed_offset], [s for s in every if s.seed_offset]
 
 
-def test_the_demo_set_costs_155_renders_and_6_for_the_noise():
+def test_the_demo_set_costs_155_renders_and_7_for_the_noise():
     _, every, again = plan()
     assert sum(shot.split == "train" for shot in every) == 90
     assert sum(shot.split == "test" for shot in every) == 65
     assert sum(len(shot.pictures) for shot in every) == 30 * 30 + 30 * 5 * 6
-    assert len(again) == 6  # α = 0 and the five
+    assert len(again) == 7  # α = 0, the five, and rest
 
 
 def test_every_file_is_named_once():
@@ -73,9 +73,9 @@ def test_a_sweep_is_taken_at_timestep_0_alone():
 
 def test_the_noise_is_measured_where_the_motion_is_largest():
     _, _, again = plan()
-    assert {picture.alpha for shot in again for picture in shot.pictures} == {0, 5, 10, 20, 50, 100}
+    assert {picture.alpha for shot in again for picture in shot.pictures} == {-1, 0, 5, 10, 20, 50, 100}
     assert all(picture.path.startswith(RESEEDED) for shot in again for picture in shot.pictures)
-    assert not any(shot.state.at_rest for shot in again)
+    assert [shot.state.at_rest for shot in again].count(True) == 1  # what "nothing moves" is scored by
 
 
 @pytest.mark.parametrize(("count", "parts"), [(10, 3), (7, 7), (300, 1), (301, 2)])

@@ -6,7 +6,6 @@ LPIPS needs weights from the user and lives in `tg4mm.evaluate.lpips`.
 
 from __future__ import annotations
 
-import flip_evaluator
 import numpy as np
 from skimage.metrics import structural_similarity
 
@@ -53,6 +52,8 @@ def flip(image: np.ndarray, truth: np.ndarray) -> float:
 
     Raises ValueError as `psnr`.
     """
+    import flip_evaluator  # here, since PSNR and SSIM are also wanted where FLIP is not installed
+
     image, truth = check_images(image, truth)
     reference, test = (np.ascontiguousarray(i, dtype=np.float32) for i in (truth, image))
     _, mean, _ = flip_evaluator.evaluate(reference, test, "LDR", applyMagma=False)

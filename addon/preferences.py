@@ -1,0 +1,100 @@
+"""Preferences of the extension: how imports start, how numbers are written, where the core is installed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+from bpy.props import EnumProperty, FloatProperty, IntProperty, StringProperty
+
+from . import names
+
+PACKAGE = __package__  # "bl_ext.user_default.tg4mm" where installed
+
+
+class TG4MM_preferences(bpy.types.AddonPreferences):
+    """What holds for every file"""
+
+    bl_idname = PACKAGE
+
+    draw_as: EnumProperty(
+        name="Draw As",
+        description="How splats are drawn after import",
+        items=[
+            ("Ellipsoids", "Ellipsoids", "Opaque ellipsoids: quick, and right for judging motion"),
+            ("Splats", "Splats", "Soft Gaussians, as they were trained: slow"),
+            ("Points", "Points", "One point for each Gaussian, of the ellipsoid's size"),
+            ("Arrows", "Arrows", "An arrow along each Gaussian's displacement"),
+        ],
+        default=names.ELLIPSOIDS,
+    )
+    band_width: FloatProperty(
+        name="Band Around a Peak",
+        description="Width, in Hz, of the band that a peak's button sets; the peak is in its middle",
+        default=1.0,
+        min=0.001,
+        soft_max=20.0,
+        step=10,
+        precision=2,
+    )
+    most: IntProperty(
+        name="Most Gaussians",
+        description="Limit, in Gaussians of all chosen files together, that the import proposes",
+        default=5_000_000,
+        min=1,
+        max=100_000_000,
+    )
+    length_unit: EnumProperty(
+        name="Lengths",
+        description="Unit in which amplitudes and displacements are shown and exported",
+        items=[
+            ("METRIC", "Millimetres", "Millimetres where the file says how long a scene unit is"),
+            ("SCENE", "Scene Units", "Scene units always"),
+        ],
+        default="METRIC",
+    )
+    digits: IntProperty(
+        name="Digits",
+        description="Significant digits of the numbers shown in the panel",
+        default=4,
+        min=2,
+        max=8,
+    )
+    core_python: StringProperty(
+        name="Python of the Core",
+        description="Python of the environment that tg4mm is installed in; needed to generate and to train only",
+        subtype="FILE_PATH",
+    )
+
+    def draw(self, context: Any) -> None:
+        layout = self.layout
+        layout.use_property_split = True
+        column = layout.column(heading="Import")
+        column.prop(self, "draw_as")
+        column.prop(self, "most")
+        column = layout.column(heading="Numbers")
+        column.prop(self, "band_width", text="Band Around a Peak (Hz)")
+        column.prop(self, "length_unit")
+        column.prop(self, "digits")
+        layout.column(heading="Generate and Train").prop(self, "core_python")
+
+
+def get(context: Any) -> Any:
+    """The preferences; where the extension runs without being enabled as one (a test), their defaults."""
+    addon = context.preferences.addons.get(PACKAGE)
+    return TG4MM_defaults if addon is None or addon.preferences is None else addon.preferences
+
+
+class TG4MM_defaults:
+    """What `get` answers without an enabled extension; the same names."""
+
+    draw_as, band_width, most = names.ELLIPSOIDS, 1.0, 5_000_000
+    length_unit, digits, core_python = "METRIC", 4, ""
+
+
+def register() -> None:
+    bpy.utils.register_class(TG4MM_preferences)
+
+
+def unregister() -> None:
+    bpy.utils.unregister_class(TG4MM_preferences)

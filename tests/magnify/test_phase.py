@@ -1,0 +1,150 @@
+"""Phase-based magnification: a known shift grows as it should, and nothing else changes."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+
+import numpy as np
+import pytest
+import torch
+
+from tg4mm.errors import Tg4mmError
+from tg4mm.magnify.filters import TemporalFilter, apply_response, bins
+from tg4mm.magnify.phase import PhaseMagnifier, _give, _take, turn
+from tg4mm.magnify.pyramid import PyramidConfig, crop, pyramid, sub_bands
+
+FPS, T, SIZE = 30.0, 30, 64
+BAND = (3.5, 6.5)
+WAVELENGTH = 16.0  # cells
+SMOOTH = PyramidConfig(twidth=1.0)
+
+
+def response(alpha: float, kind: str = "ideal", n: int = T) -> np.ndarray:
+    return alpha * TemporalFilter(kind).response(BAND, bins(n, FPS), FPS)
+
+
+def shift(amplitude: float, frequency: float = 5.0, n: int = T) -> np.ndarray:
+    """[T] cells, zero at timestep 0."""
+    return amplitude * np.sin(2 * np.pi * frequency * np.arange(n) / FPS)
+
+
+def pattern(dx: np.ndarray, oblique: bool = False) -> np.ndarray:
+    """[T, SIZE, SIZE] float32: a grating within a Gaussian window, moved along x by dx [T] cells."""
+    y, x = np.mgrid[:SIZE, :SIZE] - SIZE / 2
+    moved = x[None] - dx[:, None, None]
+    wave = np.cos(2 * np.pi * (moved + (y if oblique else 0)) / WAVELENGTH)
+    return (np.exp(-(moved**2 + y[None] ** 2) / (2 * 12.0**2)) * wave).astype(np.float32)
+
+
+def linear(video: np.ndarray, factors: np.ndarray) -> np.ndarray:
+    return video + apply_response(video - video[:1], factors)
+
+
+def error(video: np.ndarray, truth: np.ndarray, rest: np.ndarray) -> float:
+    """rms/rms of the change since rest."""
+    return float(np.linalg.norm(video - truth) / np.linalg.norm(truth - rest))
+
+
+@pytest.mark.parametrize("config", [PyramidConfig(), SMOOTH], ids=["published", "smooth"])
+def test_sub_bands_are_the_pyramid_of_plenoptic(config):
+    image = torch.from_numpy(np.random.default_rng(0).standard_normal((1, 1, 32, 32)).astype(np.float32))
+    made = pyramid((32, 32), config)
+    expected = made(image)
+    spectrum = torch.fft.fft2(image[0, 0])
+    bands = list(sub_bands((32, 32), config))
+    assert [(b.scale, b.orientation) for b in bands] == [(s, o) for s in range(3) for o in range(8)]
+    total = torch.zeros(32, 32)
+    for b in bands:
+        coefficients = torch.fft.ifft2(crop(spectrum, b.analysis.shape) * b.analysis)
+        torch.testing.assert_close(coefficients, expected[b.scale][0, 0, b.orientation], atol=1e-5, rtol=0)
+        half = torch.zeros(1, 32, 17, dtype=torch.complex64)
+        _give(half, (torch.fft.fft2(coefficients) * b.synthesis)[None])
+        total += torch.fft.irfft2(half[0], s=(32, 32))
+    oriented = OrderedDict(
+        (k, v if isinstance(k, int) else torch.zeros_like(v)) for k, v in expected.items()
+    )
+    torch.testing.assert_close(total, made.recon_pyr(oriented)[0, 0], atol=1e-4, rtol=0)
+
+
+def test_half_spectra_are_taken_and_given_whole():
+    generator = torch.Generator().manual_seed(0)
+    images = torch.randn(2, 16, 32, generator=generator)
+    half, whole = torch.fft.rfft2(images), torch.fft.fft2(images)
+    for size in ((16, 32), (8, 16), (4, 4)):
+        torch.testing.assert_close(_take(half, size), crop(whole, size), atol=1e-4, rtol=0)
+        some = torch.randn(2, *size, dtype=torch.complex64, generator=generator)
+        padded = torch.zeros(2, 16, 32, dtype=torch.complex64)
+        rows = [(r + 16) % 16 for r in [*range(size[0] // 2), *range(-size[0] // 2, 0)]]
+        columns = [(c + 32) % 32 for c in [*range(size[1] // 2), *range(-size[1] // 2, 0)]]
+        padded[:, torch.tensor(rows)[:, None], torch.tensor(columns)] = some
+        given = torch.zeros_like(half)
+        _give(given, some)
+        torch.testing.assert_close(
+            torch.fft.irfft2(given, s=(16, 32)), torch.fft.ifft2(padded).real, atol=1e-5, rtol=0
+        )
+
+
+def test_streamed_is_the_same_as_whole_pyramids_of_plenoptic():
+    """The twin: every coefficient of every frame at once, with plenoptic's own forward and inverse."""
+    video, factors = pattern(shift(0.3)), response(4.0)
+    made = pyramid((SIZE, SIZE), PyramidConfig())
+    whole = made(torch.from_numpy(video)[:, None])
+    for key, value in whole.items():
+        if isinstance(key, int):
+            flat = value.reshape(T, -1).clone()
+            turn(flat, torch.from_numpy(factors.astype(np.complex64)))
+            whole[key] = value + flat.reshape(value.shape)
+    expected = made.recon_pyr(whole)[:, 0].numpy()
+    np.testing.assert_allclose(PhaseMagnifier((SIZE, SIZE), factors)(video), expected, atol=2e-4)
+
+
+@pytest.mark.parametrize("oblique", [False, True])
+@pytest.mark.parametrize("alpha", [-1.0, -0.5, 5.0, 20.0])
+def test_a_shift_grows_by_one_plus_alpha(alpha, oblique):
+    small = shift(0.1)
+    out = PhaseMagnifier((SIZE, SIZE), response(alpha), SMOOTH)(pattern(small, oblique))
+    truth, rest = pattern((1 + alpha) * small, oblique), pattern(0 * small, oblique)
+    if alpha == -1:
+        assert np.linalg.norm(out - rest) < 0.1 * np.linalg.norm(pattern(small, oblique) - rest)
+    else:
+        assert error(out, truth, rest) < 0.1
+
+
+def test_phase_is_better_than_linear_where_linear_fails():
+    """α · shift of a quarter wavelength and more: values cannot be extrapolated along a line, phases can."""
+    small, rest = shift(0.1), pattern(0 * shift(0.1))
+    for alpha, bound in ((40.0, 0.2), (70.0, 0.35)):  # 4 and 7 cells: 1/4 and 0.44 of a wavelength
+        truth = pattern((1 + alpha) * small)
+        phase = PhaseMagnifier((SIZE, SIZE), response(alpha), SMOOTH)(pattern(small))
+        along_a_line = linear(pattern(small), response(alpha))
+        assert error(phase, truth, rest) < bound < error(along_a_line, truth, rest)
+
+
+def test_no_magnification_is_the_identity():
+    video = pattern(shift(0.3))
+    assert np.array_equal(PhaseMagnifier((SIZE, SIZE), response(0.0))(video), video)
+    still = np.repeat(pattern(np.zeros(1)), T, 0)
+    assert np.array_equal(PhaseMagnifier((SIZE, SIZE), response(50.0))(still), still)
+
+
+def test_motion_outside_the_band_does_not_change():
+    video = pattern(shift(0.3, frequency=11.0))
+    out = PhaseMagnifier((SIZE, SIZE), response(50.0), SMOOTH)(video)
+    # What is left: where a coefficient is nearly zero its phase is not that of a shift.
+    assert np.linalg.norm(out - video) < 0.02 * np.linalg.norm(video - video[0])
+
+
+def test_any_number_of_timesteps_goes():
+    n = 47
+    small = shift(0.1, n=n)
+    out = PhaseMagnifier((SIZE, SIZE), response(5.0, "zero-phase", n), SMOOTH)(pattern(small))
+    # Not whole periods: the ends are taken as neighbours. In the middle it is right.
+    middle = slice(12, 36)
+    assert error(out[middle], pattern(6 * small)[middle], pattern(0 * small)[middle]) < 0.15
+
+
+def test_what_does_not_fit_is_refused():
+    with pytest.raises(Tg4mmError, match="planes of 48×64 cells, expected powers of two of at least 16"):
+        PhaseMagnifier((48, 64), response(1.0))
+    with pytest.raises(ValueError, match=r"video has shape \(30, 32, 64\), expected frames of"):
+        PhaseMagnifier((SIZE, SIZE), response(1.0))(np.zeros((T, 32, SIZE), np.float32))

@@ -1,0 +1,95 @@
+"""What is magnified, and by how much: frequency bands that do not overlap, each with its own α."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tg4mm.capture import check_band
+from tg4mm.errors import Tg4mmError
+from tg4mm.magnify.filters import TemporalFilter
+
+METHODS = ("modal", "linear", "phase")
+
+
+@dataclass(frozen=True)
+class BandGain:
+    """A displacement δ of a frequency inside the band (both ends included) becomes (1 + alpha) δ.
+
+    alpha 0 leaves it, −1 takes it out; between them it is attenuated. Below −1 the motion is turned round:
+    it runs |1 + alpha| times as far, in opposite phase. It is plain arithmetic, with no limit either way.
+    """
+
+    low: float  # Hz
+    high: float  # Hz
+    alpha: float
+
+    @property
+    def band(self) -> tuple[float, float]:
+        return self.low, self.high
+
+
+@dataclass(frozen=True)
+class Magnification:
+    """A method, the bands it magnifies, and the filter that takes them out.
+
+    method None: the run's own (`modal` for the preset modal, `phase` for paper). `everywhere` is the α of all
+    frequencies where there are no bands.
+    """
+
+    bands: tuple[BandGain, ...] = ()
+    everywhere: float = 0.0
+    method: str | None = None
+    filter: TemporalFilter = TemporalFilter()
+
+    def checked(self, fps: float) -> Magnification:
+        """Itself. Raises Tg4mmError for an unknown method, an α that is no number, and bands that overlap;
+        CaptureError for a band that does not fit the frame rate `fps` (Hz)."""
+        if self.method is not None and self.method not in METHODS:
+            raise Tg4mmError(f"method is {self.method!r}, expected {', '.join(METHODS)}")
+        self.filter.checked()
+        for alpha in (self.everywhere, *(b.alpha for b in self.bands)):
+            if not math.isfinite(alpha):
+                raise Tg4mmError(f"alpha is {alpha}, expected a finite number")
+        if self.bands and self.everywhere != 0:
+            raise Tg4mmError(f"alpha {self.everywhere:g} for all frequencies and bands exclude each other")
+        check_bands([b.band for b in self.bands], fps)
+        return self
+
+    @property
+    def is_identity(self) -> bool:
+        """Whether nothing is magnified."""
+        return self.everywhere == 0 and all(b.alpha == 0 for b in self.bands)
+
+    def ideal(self, freqs_hz: np.ndarray) -> np.ndarray:
+        """[K] float64: the α of each frequency, 0 outside all bands."""
+        freqs = np.asarray(freqs_hz, np.float64)
+        gains = np.full(freqs.shape, self.everywhere)
+        for b in self.bands:
+            gains[(freqs >= b.low) & (freqs <= b.high)] = b.alpha
+        return gains
+
+    def response(self, freqs_hz: np.ndarray, fps: float) -> np.ndarray:
+        """[K] complex128: Σ over bands of α times the filter's response at each frequency.
+
+        Without bands the α of all frequencies, 0 Hz included: then a change since timestep 0 grows as a whole.
+        """
+        freqs = np.asarray(freqs_hz, np.float64)
+        total = np.full(freqs.shape, self.everywhere, np.complex128)
+        for b in self.bands:
+            total += b.alpha * self.filter.response(b.band, freqs, fps)
+        return total
+
+
+def check_bands(bands: Sequence[tuple[float, float]], fps: float) -> None:
+    """Raises CaptureError for a band that does not fit `fps` (Hz), Tg4mmError for two that share a frequency."""
+    ordered = sorted(check_band(band, fps) for band in bands)
+    for (low, high), (next_low, next_high) in zip(ordered, ordered[1:], strict=False):
+        if next_low <= high:
+            raise Tg4mmError(
+                f"bands ({low:g}, {high:g}) Hz and ({next_low:g}, {next_high:g}) Hz overlap: "
+                f"{next_low:g} Hz lies in both (ends are inside)"
+            )
