@@ -1,16 +1,23 @@
-"""Iterations per second of both training stages on a run's own data.
+"""Iterations per second of both training stages on a run's own data, each beside what it took the place of.
 
-    python benchmarks/training.py RUN [--iterations 100]
+    python benchmarks/training.py RUN [--iterations 60] [--stage space|motion|both]
 
 RUN is a folder that `tg4mm train` left. Space stage: the run's Gaussians from a random view each, with loss and
-optimiser. Motion stage: conjugate gradient iterations for random pictures; their time does not depend on the pictures.
+optimiser, by torch around the rendering kernels (`ParameterAdam`) and by `fused.py`. Motion stage: conjugate gradient
+iterations for random pictures, whose time does not depend on the pictures, one component at a time and several.
+
+The ways are measured in turn, one iteration of each, so that whatever else the machine does falls on all alike.
+Processor time is that of all threads together; with one thread it hardly depends on the load.
 """
 
 from __future__ import annotations
 
 import argparse
+import statistics
 import time
+from collections.abc import Callable
 
+import numba
 import numpy as np
 import torch
 from common import machine
@@ -21,17 +28,19 @@ from tg4mm.motion.differences import fixed_cameras
 from tg4mm.motion.linear import rest_view
 from tg4mm.motion.neighbours import neighbourhoods
 from tg4mm.motion.problem import MotionProblem, information_scale
-from tg4mm.motion.solve import start, step
 from tg4mm.motion.triplane import sampling_matrix
 from tg4mm.runs import Run
-from tg4mm.space.losses import photometric_loss
-from tg4mm.space.parameters import ParameterAdam, activate
+from tg4mm.space.config import SpaceConfig
+from tg4mm.space.fused import FusedAdam
+from tg4mm.space.parameters import ParameterAdam
 from tg4mm.space.targets import rest_views
-from tg4mm.space.view import render_view
+from tg4mm.space.train import _Fit, _Views
+
+BLOCKS = (1, 2, 4, 8)  # components solved for at once
 
 
-def space_iteration(gaussians, views, generator: torch.Generator):
-    """A function that does one iteration of the space stage, density control left out."""
+def space_iterations(gaussians, views) -> dict[str, Callable[[], object]]:
+    """Functions that do one iteration of the space stage each, density control left out."""
     parameters = {
         "means": gaussians.means,
         "quats": gaussians.quats,
@@ -40,59 +49,86 @@ def space_iteration(gaussians, views, generator: torch.Generator):
         "sh0": gaussians.sh[:, :1],
         "shn": gaussians.sh[:, 1:],
     }
-    adam = ParameterAdam(parameters, 1.0)
-    viewmats, Ks, targets = (torch.from_numpy(a) for a in (views.viewmats, views.Ks, views.rgb))
+    cameras = _Views(views, SpaceConfig(), "cpu")
+    calls: dict[str, Callable[[], object]] = {}
+    for name, kind in (("torch", ParameterAdam), ("fused", FusedAdam)):
+        generator = torch.Generator().manual_seed(0)
+        error, psnr = torch.zeros(len(gaussians)), torch.zeros(())
+        fit = _Fit(kind(parameters, 1.0), error, psnr, generator, generator)
 
-    def iterate() -> None:
-        v = int(torch.randint(len(targets), (), generator=generator))
-        view = render_view(activate(adam.parameters), viewmats[v], Ks[v], views.size, gaussians.sh_degree)
-        loss = photometric_loss(view.rgb, targets[v], 10.0, 0.0)
-        (loss + (view.carrier * (view.rgb.detach() - targets[v]).abs().sum(-1)).sum()).backward()
-        adam.step(0.5)
+        def iterate(fit: _Fit = fit) -> None:
+            v = int(torch.randint(len(cameras), (), generator=fit.generator))
+            cameras.iterate(fit, v, gaussians.sh_degree, 0.5)
 
-    return iterate
+        calls[name] = iterate
+    return calls
 
 
-def per_second(iterate, iterations: int) -> float:
-    """Iterations per second, by their median after three that warm up."""
-    times = []
-    for _ in range(iterations + 3):
-        began = time.perf_counter()
-        iterate()
-        times.append(time.perf_counter() - began)
-    return 1 / float(np.median(times[3:]))
+def motion_iterations(problem: MotionProblem) -> dict[str, Callable[[], object]]:
+    """Functions that apply the operator of the motion stage to several components at once."""
+    rng = np.random.default_rng(0)
+    calls: dict[str, Callable[[], object]] = {}
+    for block in BLOCKS:
+        thetas = rng.standard_normal((block, problem.n_parameters, 3), np.float32)
+        calls[f"{block}"] = lambda thetas=thetas: problem.normals(thetas)
+    return calls
+
+
+def in_turn(calls: dict[str, Callable[[], object]], rounds: int) -> dict[str, tuple[float, float, float]]:
+    """Median and least milliseconds by the clock, and the median of processor time, of every call."""
+    for call in calls.values():
+        call()
+    wall: dict[str, list[float]] = {name: [] for name in calls}
+    cpu: dict[str, list[float]] = {name: [] for name in calls}
+    for _ in range(rounds):
+        for name, call in calls.items():
+            began, used = time.perf_counter(), time.process_time()
+            call()
+            wall[name].append((time.perf_counter() - began) * 1e3)
+            cpu[name].append((time.process_time() - used) * 1e3)
+    return {n: (statistics.median(wall[n]), min(wall[n]), statistics.median(cpu[n])) for n in calls}
+
+
+def table(title: str, calls: dict[str, Callable[[], object]], rounds: int, units: dict[str, int]) -> None:
+    """Print the times with one thread and with all; `units`: of work that a call does."""
+    threads = {1, numba.config.NUMBA_NUM_THREADS}
+    print(f"\n{title}\n{'':8s} {'threads':>7s} {'median':>8s} {'least':>8s} {'processor':>9s} ms a unit, first ÷ this")
+    for count in sorted(threads):
+        numba.set_num_threads(count)
+        torch.set_num_threads(count)
+        times = in_turn(calls, rounds)
+        first = [t / units[next(iter(calls))] for t in times[next(iter(calls))]]
+        for name, values in times.items():
+            per = [t / units[name] for t in values]
+            ratios = " ".join(f"{a / b:5.2f}" for a, b in zip(first, per, strict=True))
+            print(f"{name:8s} {count:7d} {per[0]:8.2f} {per[1]:8.2f} {per[2]:9.2f}   {ratios}", flush=True)
 
 
 def main() -> None:
-    """Print both rates."""
+    """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("run")
-    parser.add_argument("--iterations", type=int, default=100)
+    parser.add_argument("--iterations", type=int, default=60)
+    parser.add_argument("--stage", choices=["space", "motion", "both"], default="both")
     options = parser.parse_args()
     run = Run.open(options.run)
     gaussians, capture = run.load_space(), load_capture(run.dataset)
     images = load_images(capture)
     print(machine())
-    size = f"{capture.width}×{capture.height}"
-    iterate = space_iteration(gaussians, rest_views(capture, images), torch.Generator().manual_seed(0))
-    rate = per_second(iterate, options.iterations)
-    print(f"space stage, {size}, {len(gaussians)} Gaussians: {rate:.1f} iterations per second")
-    config = MotionConfig()
-    views = [rest_view(gaussians, c, (capture.width, capture.height)) for c in fixed_cameras(capture)]
-    means, rng = gaussians.means.numpy(), np.random.default_rng(0)
-    scale = information_scale(views, len(means), rng)
-    problem = MotionProblem(
-        views, sampling_matrix(means, config.triplane), neighbourhoods(means), scale, config
-    )
-    shape = (len(views), capture.height, capture.width, 3)
-    state = start(problem.right_hand_side(rng.standard_normal(shape, np.float32)))
-
-    def solve() -> None:
-        nonlocal state
-        state = step(state, problem.normal)
-
-    rate = per_second(solve, max(3, options.iterations // 10))
-    print(f"motion stage, {len(views)} views: {rate:.2f} conjugate gradient iterations per second")
+    size = f"{capture.width}×{capture.height}, {len(gaussians)} Gaussians"
+    if options.stage != "motion":
+        calls = space_iterations(gaussians, rest_views(capture, images))
+        table(f"space stage, {size}: an iteration", calls, options.iterations, dict.fromkeys(calls, 1))
+    if options.stage != "space":
+        views = [rest_view(gaussians, c, (capture.width, capture.height)) for c in fixed_cameras(capture)]
+        means, config = gaussians.means.numpy(), MotionConfig()
+        scale = information_scale(views, len(means), np.random.default_rng(0))
+        problem = MotionProblem(
+            views, sampling_matrix(means, config.triplane), neighbourhoods(means), scale, config
+        )
+        title = f"motion stage, {size}, {len(views)} views: a component's iteration, so many at once"
+        calls = motion_iterations(problem)
+        table(title, calls, max(3, options.iterations // 10), {name: int(name) for name in calls})
 
 
 if __name__ == "__main__":

@@ -39,7 +39,8 @@ def frame(origin: Vector, axis: Vector, up: Vector = (0.0, 0.0, 1.0)) -> np.ndar
     z = np.asarray(axis, float) / np.linalg.norm(axis)
     x = np.asarray(up, float) - np.dot(up, z) * z
     if np.linalg.norm(x) < 1e-6:
-        x = np.array([1.0, 0.0, 0.0]) - z[0] * z
+        other = np.eye(3)[int(abs(z[0]) > 0.7)]  # x, or y where z lies along x
+        x = other - np.dot(other, z) * z
     x /= np.linalg.norm(x)
     out = np.eye(4)
     out[:3, :3] = np.column_stack([x, np.cross(z, x), z])

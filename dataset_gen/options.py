@@ -146,11 +146,17 @@ def _motion_options(group: argparse._ArgumentGroup) -> None:
         "--motion", type=Path, metavar="FILE", help="YAML or JSON description (default: the scene's own)"
     )
     group.add_argument(
-        "--frequency", type=float, metavar="X", help="of the first mode, Hz; below half of --fps"
+        "--frequency",
+        type=float,
+        metavar="X",
+        help="of the first mode and of those that share its frequency, Hz; below half of --fps",
     )
     amount = group.add_mutually_exclusive_group()
     amount.add_argument(
-        "--amplitude", type=float, metavar="X", help="largest displacement of the first mode, scene units"
+        "--amplitude",
+        type=float,
+        metavar="X",
+        help="largest displacement of the first mode, scene units; modes of its frequency go along in proportion",
     )
     amount.add_argument(
         "--amplitude-px", type=float, metavar="X", help="the same in pixels of the first training camera"

@@ -17,6 +17,7 @@ from .cameras import cameras_at
 from .errors import GenerateError
 from .plan import Shot, shots
 from .quality import Quality
+from .scene import Scene
 from .scenes import SCENES
 from .settings import Settings
 from .vibration import Body, Motion, pixel_displacement, reach, solve
@@ -66,20 +67,30 @@ def motion_of(settings: Settings, bodies: tuple[Body, ...]) -> Motion:
     return solve(settings.motion, bodies, settings.fps, pixels, settings.seed)
 
 
-def builtin_bodies(name: str) -> tuple[Body, ...]:
-    """The parts of a built-in scene as bodies. Raises GenerateError for an unknown name."""
+def builtin(name: str) -> Scene:
+    """The description of a built-in scene. Raises GenerateError for an unknown name."""
     if name not in SCENES:
         raise GenerateError(f"scene {name!r} is none of {', '.join(sorted(SCENES))}")
+    return SCENES[name]()
+
+
+def bodies_of(scene: Scene) -> tuple[Body, ...]:
+    """The parts of a scene as what moves."""
     return tuple(
-        Body(part.name, part.mesh.vertices, part.mesh.triangles, part.follow, {})
-        for part in SCENES[name]().parts
+        Body(part.name, part.mesh.vertices, part.mesh.triangles, part.follow, {}) for part in scene.parts
     )
+
+
+def builtin_bodies(name: str) -> tuple[Body, ...]:
+    """The parts of a built-in scene. Raises GenerateError for an unknown name."""
+    return bodies_of(builtin(name))
 
 
 def _geometry(settings: Settings) -> tuple[Settings, tuple[Body, ...], float | None]:
     """Bodies and scale; a user's file is opened by a process of its own, which Blender takes over."""
     if settings.source.kind == "builtin":
-        return settings, builtin_bodies(settings.scene), None
+        scene = builtin(settings.scene)
+        return settings, bodies_of(scene), scene.unit_scale_m
     from .sources import bodies_file
 
     with tempfile.TemporaryDirectory(prefix="dataset_gen_") as scratch:

@@ -19,10 +19,9 @@ from .cameras import cameras_at
 from .errors import GenerateError
 from .painter import Painter
 from .plan import Shot, shots
-from .prepare import builtin_bodies, motion_of
+from .prepare import bodies_of, builtin, motion_of
 from .processes import DONE, NOTE, REFUSED
 from .quality import Quality
-from .scenes import SCENES
 from .settings import Settings
 from .sources.loaded import Loaded
 from .vibration import Body
@@ -54,7 +53,8 @@ def _own_stdout() -> TextIO:
 def load_stage(settings: Settings) -> tuple[build.Stage, tuple[Body, ...]]:
     """The scene inside Blender at rest, and its geometry."""
     if settings.source.kind == "builtin":
-        return build.build(SCENES[settings.scene]()), builtin_bodies(settings.scene)
+        scene = builtin(settings.scene)
+        return build.build(scene), bodies_of(scene)
     loaded = _open(settings)
     return loaded.stage, loaded.bodies
 

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from tg4mm.errors import RunError
@@ -155,6 +156,38 @@ class Run:
                     f"{expected[0]} frequencies of the {n} Gaussians in {self._file('space')}"
                 )
 
+    # Parts: further results of a preset, bound to this run's settings.
+
+    def part_file(self, name: str) -> Path:
+        """Where the part `name` (`kind` or `kind_number`) lies."""
+        return self._file(name)
+
+    def has_part(self, name: str) -> bool:
+        return self._file(name).is_file()
+
+    def save_part(self, name: str, tensors: Mapping[str, Tensor], **extra: Any) -> None:
+        """Write RUN/<name>.safetensors; `extra` are JSON values for its header."""
+        self._write(name, tensors, **extra)
+
+    def load_part(self, name: str) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        """(tensors, header) of a part. Raises RunError if absent, torn, foreign, not finite, or of another run."""
+        file, (kind, _, stage) = self._file(name), name.partition("_")
+        if not file.is_file():
+            raise RunError(f"{self.path} has no {file.name}: its training is not finished")
+        tensors, header = read_tensors(file, kind, VERSION)
+        if header["config"] != self._identity() or header.get("stage", "") != stage:
+            raise RunError(f"{file} belongs to a run with other settings, or is a part of another name")
+        self._check_finite(file, tensors)
+        return tensors, header
+
+    def part_rows(self, name: str, tensor: str, row: int) -> np.ndarray:
+        """One row of a tensor of a part that `load_part` has accepted, without reading the rest."""
+        try:
+            with safe_open(self._file(name), framework="numpy") as file:
+                return file.get_slice(tensor)[row]
+        except (SafetensorError, OSError) as error:
+            raise RunError(f"{self._file(name)} is truncated or absent: {error}") from None
+
     # Going on after a kill.
 
     def save_checkpoint(self, stage: str, tensors: Mapping[str, Tensor], state: Mapping[str, Any]) -> None:
@@ -235,10 +268,14 @@ class Run:
         tensors, header = read_tensors(file, kind, VERSION)
         if set(tensors) != names:
             raise RunError(f"{file} holds the tensors {sorted(tensors)}, expected {sorted(names)}")
+        self._check_finite(file, tensors)
+        return tensors, header
+
+    @staticmethod
+    def _check_finite(file: Path, tensors: Mapping[str, Tensor]) -> None:
         for name, tensor in tensors.items():
             if not bool(torch.isfinite(torch.view_as_real(tensor) if tensor.is_complex() else tensor).all()):
                 raise RunError(f"{file}: {name} holds a value that is not finite")
-        return tensors, header
 
 
 def _finite(value: Any) -> Any:

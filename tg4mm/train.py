@@ -1,46 +1,60 @@
-"""Training from a dataset to a run folder: settings, then the space stage, then the motion stage."""
+"""Training from a dataset to a run folder: settings, then the stages of the preset, space before motion."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-from tg4mm.capture import load_capture, load_images
+from tg4mm.capture import Capture, ImageStack, load_capture, load_images
 from tg4mm.device import check_device
 from tg4mm.errors import Tg4mmError
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.differences import fixed_cameras
 from tg4mm.motion.train import checked as checked_motion
 from tg4mm.motion.train import train_motion
+from tg4mm.paper import PAPER, PAPER_SMALL, first_views, train_timesteps, train_triplane
+from tg4mm.paper.config import base_config
+from tg4mm.paper.config import checked as checked_paper
+from tg4mm.paper.model import has_model, load_model
 from tg4mm.runs import Run
 from tg4mm.space import SpaceConfig, rest_views, train_space
 from tg4mm.space.train import checked as checked_space
 
-PRESETS = ("modal",)
-C = TypeVar("C")
-_STAGES = {"space": SpaceConfig, "motion": MotionConfig}
+# Every preset's settings, by stage, at their defaults. The space stage of `paper` fits its base Gaussians, with [TG4MM]'s loss.
+_BASE = SpaceConfig(l2=0.0)
+PRESETS: dict[str, dict[str, Any]] = {
+    "modal": {"space": SpaceConfig(), "motion": MotionConfig()},
+    "paper": {"space": _BASE, "paper": PAPER},
+    "paper-small": {"space": _BASE, "paper": PAPER_SMALL},
+}
+_BOOLEANS = {"true": True, "false": False}
 
 
-def parse_settings(pairs: Mapping[str, str]) -> dict[str, Any]:
-    """Configurations of all stages from `{"space.iterations": "3000", …}`.
+def parse_settings(pairs: Mapping[str, str], preset: str = "modal") -> dict[str, Any]:
+    """Configurations of all stages of a preset from `{"space.iterations": "3000", …}`.
 
     Raises Tg4mmError for a name that is none, with those there are, and for a value of the wrong type.
     """
-    chosen: dict[str, dict[str, Any]] = {stage: {} for stage in _STAGES}
+    defaults = PRESETS[preset]
+    chosen: dict[str, dict[str, Any]] = {stage: {} for stage in defaults}
     for name, text in pairs.items():
         stage, _, key = name.partition(".")
-        fields = {f.name: f for f in dataclasses.fields(_STAGES[stage])} if stage in _STAGES else {}
+        fields = [f.name for f in dataclasses.fields(defaults[stage])] if stage in defaults else []
         if key not in fields:
-            known = [f"{s}.{f.name}" for s, c in _STAGES.items() for f in dataclasses.fields(c)]
+            known = [f"{s}.{f.name}" for s, c in defaults.items() for f in dataclasses.fields(c)]
             raise Tg4mmError(f"setting {name!r} is unknown; there are: {', '.join(known)}")
-        kind: Any = type(fields[key].default)
-        try:
-            chosen[stage][key] = kind(text)
-        except ValueError:
-            raise Tg4mmError(f"setting {name} is {text!r}, expected {kind.__name__}") from None
-    return {stage: config(**chosen[stage]) for stage, config in _STAGES.items()}
+        chosen[stage][key] = _value(name, text, type(getattr(defaults[stage], key)))
+    return {stage: dataclasses.replace(config, **chosen[stage]) for stage, config in defaults.items()}
+
+
+def _value(name: str, text: str, kind: Any) -> Any:
+    try:
+        return _BOOLEANS[text.lower()] if kind is bool else kind(text)
+    except (ValueError, KeyError):
+        expected = "true or false" if kind is bool else kind.__name__
+        raise Tg4mmError(f"setting {name} is {text!r}, expected {expected}") from None
 
 
 def train(
@@ -59,21 +73,23 @@ def train(
     if preset not in PRESETS:
         raise Tg4mmError(f"preset is {preset!r}, expected {' or '.join(PRESETS)}")
     check_device(device)
-    configs = parse_settings(settings or {})
+    configs = parse_settings(settings or {}, preset)
     # before the run folder exists, which would keep the bad value, and before minutes of the space stage
-    checked_space(configs["space"])
-    checked_motion(configs["motion"])
+    _check(configs)
     capture = load_capture(dataset, split="train")
     needs_motion = capture.n_timesteps > 1
-    if needs_motion:
+    if needs_motion and "motion" in configs:
         fixed_cameras(capture)  # raises where no camera stays put
     plain = {stage: dataclasses.asdict(config) for stage, config in configs.items()}
     is_new = not (Path(run_path) / "config.json").exists()
     run = Run.create(run_path, capture.root, preset, plain)
-    if run.has_space and (run.has_motion or not needs_motion):
+    if run.has_space and (run.has_motion or not needs_motion) and ("paper" not in configs or has_model(run)):
         return run
     try:
         images = load_images(capture)
+        if "paper" in configs:
+            _train_paper(run, capture, images, configs, device)
+            return run
         if not run.has_space:
             train_space(run, rest_views(capture, images), capture.points, configs["space"], device)
     except Tg4mmError:
@@ -83,3 +99,28 @@ def train(
     if needs_motion:
         train_motion(run, capture, images, configs["motion"], device)
     return run
+
+
+def _check(configs: Mapping[str, Any]) -> None:
+    checked_space(configs["space"])
+    if "motion" in configs:
+        checked_motion(configs["motion"])
+    if "paper" in configs:
+        base_config(configs["space"], checked_paper(configs["paper"]))
+
+
+def _train_paper(
+    run: Run, capture: Capture, images: ImageStack, configs: Mapping[str, Any], device: str
+) -> None:
+    """Base Gaussians, space triplane, motion triplanes. space.safetensors holds the scene at rest, whatever is done yet."""
+    config = configs["paper"]
+    if not has_model(run):
+        views = first_views(capture, images)
+        if not run.has_space:
+            train_space(run, views, capture.points, base_config(configs["space"], config), device)
+        train_triplane(run, run.load_space(), views, config, device)
+    model = load_model(run)
+    if not run.has_motion:
+        run.save_space(model.rest(), {})  # in place of the base Gaussians; the same again after a kill
+    if capture.n_timesteps > 1:
+        train_timesteps(run, model, capture, images, config, device)

@@ -6,6 +6,8 @@ In the spirit and at the scale of NeRF-synthetic's chair: green and gold brocade
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from .. import meshes as m
@@ -31,11 +33,16 @@ _FOOT = [
 ]  # fmt: skip
 
 
+_LOWER = m.frame((0.0, 0.0, -0.03), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0))  # so that no camera cuts the crest off
+
+
 def build() -> Scene:
     """The chair at rest."""
     return Scene(
         name="chair",
-        parts=(*_legs(), *_seat(), *_back(), *_arms()),
+        parts=tuple(
+            replace(part, mesh=part.mesh.moved(_LOWER)) for part in (*_legs(), *_seat(), *_back(), *_arms())
+        ),
         lights=(AreaLight((3.4, -2.2, 3.6), 3.0, 190.0, (1.0, 0.95, 0.87)),),
         sky=Gradient(((0.3, 0.27, 0.24), (0.52, 0.5, 0.49), (0.85, 0.93, 1.08))),
     )

@@ -54,21 +54,34 @@ class MotionDescription:
         amplitude: float | None = None,
         amplitude_px: float | None = None,
     ) -> MotionDescription:
-        """The same with another frequency or amplitude of the main mode; None leaves what is described."""
+        """The same with another frequency or amplitude of the main mode; None leaves what is described.
+
+        Modes of the main one's frequency go along, their amplitudes in proportion: together they are one motion.
+        A mode whose amplitude is not given in the same unit as the main one's keeps it.
+        """
         if amplitude is not None and amplitude_px is not None:
             raise GenerateError(
                 f"--amplitude {amplitude:g} and --amplitude-px {amplitude_px:g} exclude each other"
             )
-        main = self.main
         if frequency_hz is not None:
-            main = replace(
-                main, law=replace(_vibration(main), frequency_hz=_option("--frequency", frequency_hz))
-            )
-        if amplitude is not None:
-            main = replace(main, amplitude=_option("--amplitude", amplitude), amplitude_px=None)
-        if amplitude_px is not None:
-            main = replace(main, amplitude=None, amplitude_px=_option("--amplitude-px", amplitude_px))
-        return replace(self, modes=(main, *self.modes[1:]))
+            _option("--frequency", frequency_hz)
+        wanted = _option("--amplitude", amplitude), _option("--amplitude-px", amplitude_px)
+        return replace(self, modes=tuple(self._along(mode, frequency_hz, wanted) for mode in self.modes))
+
+    def _along(
+        self, mode: Mode, frequency_hz: float | None, wanted: tuple[float | None, float | None]
+    ) -> Mode:
+        """A mode after the main one got another frequency, or one of the amplitudes `wanted` (units, pixels)."""
+        main = self.main
+        if mode.frequency_hz != main.frequency_hz:
+            return mode
+        share = _ratio(mode.amplitude, main.amplitude) or _ratio(mode.amplitude_px, main.amplitude_px)
+        if wanted != (None, None) and share:
+            size, pixels = (None if w is None else share * w for w in wanted)
+            mode = replace(mode, amplitude=size, amplitude_px=pixels)
+        if frequency_hz is not None:
+            mode = replace(mode, law=replace(_vibration(mode), frequency_hz=frequency_hz))
+        return mode
 
     def to_json(self) -> dict[str, Any]:
         """Plain data with the keys of the file; `from_json` gives an equal description."""
@@ -97,7 +110,13 @@ def read_motion(path: Path) -> MotionDescription:
     return MotionDescription.from_json(load(Path(path)), Path(path).name)
 
 
-def _option(option: str, value: float) -> float:
+def _ratio(a: float | None, b: float | None) -> float | None:
+    return None if a is None or b is None else a / b
+
+
+def _option(option: str, value: float | None) -> float | None:
+    if value is None:
+        return None
     try:
         return values.positive(value)
     except ValueError as error:
@@ -105,7 +124,7 @@ def _option(option: str, value: float) -> float:
 
 
 def _vibration(mode: Mode) -> Vibration:
-    assert isinstance(mode.law, Vibration)  # a description's first mode is
+    assert isinstance(mode.law, Vibration)  # a description's first mode is, and what has its frequency
     return mode.law
 
 

@@ -262,16 +262,20 @@ def test_a_null_is_the_same_as_an_absent_key():
     )
 
 
-def test_the_main_mode_is_overridden_and_the_others_are_not():
-    both = MotionDescription.from_json({"modes": [SWAY | {"decay": 2}, mode("rock")]}, "x.yaml")
-    changed = both.with_main(frequency_hz=3, amplitude_px=0.5)
+def test_another_frequency_or_amplitude_takes_modes_of_the_same_frequency_along():
+    first = SWAY | {"frequency": 5, "amplitude": 0.004, "decay": 2}
+    second = mode("rock", name="second") | {"frequency": 5, "amplitude": 0.001}
+    other = mode("rock", name="other") | {"frequency": 10, "amplitude": 0.001}
+    pixels = mode("rock", name="pixels") | {"frequency": 5, "amplitude": None, "amplitude_px": 0.1}
+    every = MotionDescription.from_json({"modes": [first, second, other, pixels]}, "x.yaml")
+    changed = every.with_main(frequency_hz=3, amplitude_px=0.4)
     assert changed.main.law == Vibration(3.0, 2.0)
-    assert (changed.main.amplitude, changed.main.amplitude_px) == (None, 0.5)
-    assert changed.modes[1:] == both.modes[1:]
+    assert [m.frequency_hz for m in changed.modes] == [3.0, 3.0, 10.0, 3.0]
+    assert [m.amplitude for m in changed.modes] == [None, None, 0.001, None]
+    assert [m.amplitude_px for m in changed.modes] == pytest.approx([0.4, 0.1, None, 0.1])
     assert changed.source == "x.yaml"
-    back = changed.with_main(frequency_hz=5.0, amplitude=0.005)
-    assert back == both
-    assert both.with_main() == both
+    assert [m.amplitude for m in every.with_main(amplitude=0.008).modes[:2]] == [0.008, 0.002]
+    assert every.with_main() == every
 
 
 @pytest.mark.parametrize(

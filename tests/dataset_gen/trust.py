@@ -56,7 +56,9 @@ def unprojected(depth: np.ndarray, camera: Camera) -> np.ndarray:
     row, column = np.nonzero(depth < 1e9)
     focal = 0.5 * width / np.tan(0.5 * camera.angle_x)
     z = depth[row, column].astype(np.float64)
-    local = np.column_stack([(column + 0.5 - width / 2) * z / focal, -(row + 0.5 - height / 2) * z / focal, -z])
+    local = np.column_stack(
+        [(column + 0.5 - width / 2) * z / focal, -(row + 0.5 - height / 2) * z / focal, -z]
+    )
     return local @ camera.camera_to_world[:3, :3].T + camera.camera_to_world[:3, 3]
 
 

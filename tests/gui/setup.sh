@@ -62,7 +62,7 @@ install_packages() {
     in_root dpkg --configure -a
     in_root apt-get update -qq
     in_root apt-get install -qq -y --no-install-recommends -o Acquire::Retries=3 -o APT::Keep-Downloaded-Packages=true \
-        -o Dpkg::Use-Pty=0 "${PACKAGES[@]}" >"$ROOT/var/log/tg4mm-install.log"
+        -o Dpkg::Use-Pty=0 "${PACKAGES[@]}"
     in_root apt-get clean
 }
 
@@ -86,7 +86,11 @@ main() {
     check_machine
     make_base
     echo "Blender and a virtual screen, about 1.3 GB"
-    unshare --mount --propagation private bash "$0" --install || fail "apt could not install (run it again to go on)"
+    local log="$ROOT/var/log/tg4mm-install.log"
+    unshare --mount --propagation private bash "$0" --install >"$log" 2>&1 || {
+        tail -n 20 "$log" >&2
+        fail "apt could not install; all of it is in $log. Run it again to go on"
+    }
     local version
     version=$(check_blender)
     echo "$version" >"$DONE"

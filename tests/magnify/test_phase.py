@@ -102,20 +102,20 @@ def test_streamed_is_the_same_as_whole_pyramids_of_plenoptic():
 @pytest.mark.parametrize("alpha", [-1.0, -0.5, 5.0, 20.0])
 def test_a_shift_grows_by_one_plus_alpha(alpha, oblique):
     small = shift(0.1)
-    out = PhaseMagnifier((SIZE, SIZE), response(alpha), SMOOTH)(pattern(small, oblique))
+    out = PhaseMagnifier((SIZE, SIZE), response(alpha))(pattern(small, oblique))
     truth, rest = pattern((1 + alpha) * small, oblique), pattern(0 * small, oblique)
     if alpha == -1:
-        assert np.linalg.norm(out - rest) < 0.1 * np.linalg.norm(pattern(small, oblique) - rest)
+        assert np.linalg.norm(out - rest) < 0.15 * np.linalg.norm(pattern(small, oblique) - rest)
     else:
-        assert error(out, truth, rest) < 0.1
+        assert error(out, truth, rest) < 0.15  # what is left: a window that moves changes amplitudes too
 
 
 def test_phase_is_better_than_linear_where_linear_fails():
     """α · shift of a quarter wavelength and more: values cannot be extrapolated along a line, phases can."""
     small, rest = shift(0.1), pattern(0 * shift(0.1))
-    for alpha, bound in ((40.0, 0.2), (70.0, 0.35)):  # 4 and 7 cells: 1/4 and 0.44 of a wavelength
+    for alpha, bound in ((40.0, 0.1), (70.0, 0.12)):  # 4 and 7 cells: 1/4 and 0.44 of a wavelength
         truth = pattern((1 + alpha) * small)
-        phase = PhaseMagnifier((SIZE, SIZE), response(alpha), SMOOTH)(pattern(small))
+        phase = PhaseMagnifier((SIZE, SIZE), response(alpha))(pattern(small))
         along_a_line = linear(pattern(small), response(alpha))
         assert error(phase, truth, rest) < bound < error(along_a_line, truth, rest)
 
@@ -129,7 +129,7 @@ def test_no_magnification_is_the_identity():
 
 def test_motion_outside_the_band_does_not_change():
     video = pattern(shift(0.3, frequency=11.0))
-    out = PhaseMagnifier((SIZE, SIZE), response(50.0), SMOOTH)(video)
+    out = PhaseMagnifier((SIZE, SIZE), response(50.0))(video)
     # What is left: where a coefficient is nearly zero its phase is not that of a shift.
     assert np.linalg.norm(out - video) < 0.02 * np.linalg.norm(video - video[0])
 
@@ -137,7 +137,7 @@ def test_motion_outside_the_band_does_not_change():
 def test_any_number_of_timesteps_goes():
     n = 47
     small = shift(0.1, n=n)
-    out = PhaseMagnifier((SIZE, SIZE), response(5.0, "zero-phase", n), SMOOTH)(pattern(small))
+    out = PhaseMagnifier((SIZE, SIZE), response(5.0, "zero-phase", n))(pattern(small))
     # Not whole periods: the ends are taken as neighbours. In the middle it is right.
     middle = slice(12, 36)
     assert error(out[middle], pattern(6 * small)[middle], pattern(0 * small)[middle]) < 0.15

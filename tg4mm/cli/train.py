@@ -17,6 +17,8 @@ class Preset(StrEnum):
     """How motion is modelled; see docs/decisions.md."""
 
     modal = "modal"
+    paper = "paper"
+    paper_small = "paper-small"
 
 
 def train(
@@ -26,7 +28,11 @@ def train(
     ],
     out: Annotated[Path, typer.Option(help="Run folder; an unfinished one is resumed.")],
     preset: Annotated[
-        Preset, typer.Option(help="modal: one fit of complex modes to all timesteps.")
+        Preset,
+        typer.Option(
+            help="modal: one fit of complex modes to all timesteps. paper: TG4MM as published, a triplane "
+            "for each timestep; paper-small: the same with numbers that two cores can do."
+        ),
     ] = Preset.modal,
     device: DeviceOption = Device.cpu,
     settings: Annotated[

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from tg4mm.rasterize.reference import rotation_matrices
-from tg4mm.space.parameters import ParameterAdam
+from tg4mm.space.parameters import ParameterRows
 
 EVERY = 100  # iterations
 FIRST = 200  # iteration
@@ -58,7 +58,7 @@ def split_rows(parameters: dict[str, Tensor], rows: Tensor, generator: torch.Gen
 
 
 def control_density(
-    adam: ParameterAdam, error: Tensor, extent: float, max_gaussians: int, generator: torch.Generator
+    adam: ParameterRows, error: Tensor, extent: float, max_gaussians: int, generator: torch.Generator
 ) -> DensityChange:
     """One round. `error` [N]: each Gaussian's share of the error since the last round.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 
 import numpy as np
 import torch
@@ -54,15 +55,47 @@ def activate(parameters: dict[str, Tensor]) -> Gaussians:
     )
 
 
-class ParameterAdam:
-    """torch's fused Adam over named parameters with rows that come and go."""
+def learning_rates(extent: float, progress: float) -> dict[str, float]:
+    """The rates at `progress` in 0..1 of the whole fit, in the order of `LEARNING_RATES`."""
+    decay = _DECAY ** max(0.0, 2 * progress - 1)
+    rates = {name: rate * decay for name, rate in LEARNING_RATES.items()}
+    return rates | {"means": LEARNING_RATES["means"] * extent * _MEANS_DECAY**progress}
+
+
+class ParameterRows(ABC):
+    """Named parameters [N, …] with an optimiser's moments; rows come and go."""
+
+    parameters: dict[str, Tensor]
 
     def __init__(
         self, parameters: dict[str, Tensor], extent: float, moments: dict[str, Tensor] | None = None
     ) -> None:
-        """`moments` continues an earlier optimiser: what `moments()` returned."""
+        """`moments` continues an earlier optimiser: what `moments()` returned. What is given is copied."""
         self._extent = extent
         self._build(parameters, moments)
+
+    @abstractmethod
+    def _build(self, parameters: dict[str, Tensor], moments: dict[str, Tensor] | None) -> None:
+        """Start from these values."""
+
+    @abstractmethod
+    def moments(self) -> dict[str, Tensor]:
+        """Adam's state by name: `<name>.m`, `<name>.v`, and `step`. Empty before the first step."""
+
+    def replace(self, keep: Tensor, added: dict[str, Tensor]) -> None:
+        """Keep the rows `keep` (indices) and append `added`, whose moments start at zero."""
+        moments = self.moments()
+        parameters = {}
+        for name, p in self.parameters.items():
+            parameters[name] = torch.cat([p.detach()[keep], added[name]])
+            for kind in (".m", ".v") if moments else ():
+                old = moments[name + kind][keep]
+                moments[name + kind] = torch.cat([old, torch.zeros_like(added[name])])
+        self._build(parameters, moments or None)
+
+
+class ParameterAdam(ParameterRows):
+    """torch's fused Adam; gradients are those that autograd leaves on `parameters`."""
 
     def _build(self, parameters: dict[str, Tensor], moments: dict[str, Tensor] | None) -> None:
         self.parameters = {k: v.detach().clone().requires_grad_() for k, v in parameters.items()}
@@ -78,17 +111,13 @@ class ParameterAdam:
 
     def step(self, progress: float) -> None:
         """One step with the learning rates at `progress` in 0..1 of the whole fit; gradients are cleared."""
+        rates = learning_rates(self._extent, progress)
         for group in self._adam.param_groups:
-            rate = LEARNING_RATES[group["name"]]
-            if group["name"] == "means":
-                group["lr"] = rate * self._extent * _MEANS_DECAY**progress
-            else:
-                group["lr"] = rate * _DECAY ** max(0.0, 2 * progress - 1)
+            group["lr"] = rates[group["name"]]
         self._adam.step()
         self._adam.zero_grad(set_to_none=True)
 
     def moments(self) -> dict[str, Tensor]:
-        """Adam's state by name: `<name>.m`, `<name>.v`, and `step`. Empty before the first step."""
         state = {name: self._adam.state[p] for name, p in self.parameters.items()}
         if not state["means"]:
             return {}
@@ -96,14 +125,3 @@ class ParameterAdam:
         for name, s in state.items():
             out |= {f"{name}.m": s["exp_avg"], f"{name}.v": s["exp_avg_sq"]}
         return out
-
-    def replace(self, keep: Tensor, added: dict[str, Tensor]) -> None:
-        """Keep the rows `keep` (indices) and append `added`, whose moments start at zero."""
-        moments = self.moments()
-        parameters = {}
-        for name, p in self.parameters.items():
-            parameters[name] = torch.cat([p.detach()[keep], added[name]])
-            for kind in (".m", ".v") if moments else ():
-                old = moments[name + kind][keep]
-                moments[name + kind] = torch.cat([old, torch.zeros_like(added[name])])
-        self._build(parameters, moments or None)

@@ -21,6 +21,7 @@ from tg4mm.runs import Run
 from tg4mm.space.config import SpaceConfig
 from tg4mm.space.density import control_density, is_due
 from tg4mm.space.initial import INITS, initial_points, working_box
+from tg4mm.space.fused import FusedAdam, Iteration
 from tg4mm.space.losses import photometric_loss
 from tg4mm.space.parameters import ParameterAdam, activate, initial_parameters
 from tg4mm.space.targets import RestViews
@@ -28,6 +29,7 @@ from tg4mm.space.view import render_view
 
 CHECKPOINT_EVERY_S = 20.0
 SHOW_EVERY_S = 0.25  # a figure shown is a number fetched from the device, for which the host waits
+FUSED = ("cpu",)  # devices on which `fused.py` makes the iterations; on others torch does
 _STAGE = "space"
 
 
@@ -66,7 +68,7 @@ def resolved(config: SpaceConfig, views: RestViews) -> SpaceConfig:
 class _Fit:
     """Everything that changes from one iteration to the next."""
 
-    adam: ParameterAdam
+    adam: ParameterAdam | FusedAdam
     error: Tensor  # [N] shares since the last density control
     psnr: Tensor  # [] float64, running mean over training views, dB
     generator: torch.Generator  # on the CPU: the order of the views
@@ -104,8 +106,7 @@ def _restored(checkpoint: tuple[dict[str, Tensor], dict[str, Any]], device: str)
     psnr = torch.tensor(state["psnr"], dtype=torch.float64, device=device)
     moments = {k.removeprefix("adam."): tensors.pop(k) for k in list(tensors) if k.startswith("adam.")}
     moments = {k: v if k == "step" and device == "cpu" else v.to(device) for k, v in moments.items()}
-    parameters = {k: v.to(device) for k, v in tensors.items()}
-    adam = ParameterAdam(parameters, state["extent"], moments or None)
+    adam = _optimiser(tensors, state["extent"], device, moments or None)
     return _Fit(adam, error, psnr, generator, draws, state["iteration"], state["order"]), state["extent"]
 
 
@@ -117,34 +118,66 @@ def _started(
     first = initial_points(views, points, config.init, count, np.random.default_rng(config.seed))
     extent = float(np.linalg.norm(first.xyz - first.xyz.mean(0), axis=1).max())
     extent = min(extent, 2 * working_box(views)[1]) or 1.0
-    parameters = {k: v.to(device) for k, v in initial_parameters(first, config.sh_degree, generator).items()}
-    adam = ParameterAdam(parameters, extent)
+    adam = _optimiser(initial_parameters(first, config.sh_degree, generator), extent, device)
     error = torch.zeros(len(first.xyz), device=device)
     psnr = torch.zeros((), dtype=torch.float64, device=device)
     return _Fit(adam, error, psnr, generator, _draws(generator, device)), extent, first.source
 
 
-def _iterate(fit: _Fit, cameras: tuple[Tensor, Tensor, Tensor], config: SpaceConfig, extent: float) -> None:
+def _optimiser(
+    parameters: dict[str, Tensor], extent: float, device: str, moments: dict[str, Tensor] | None = None
+) -> ParameterAdam | FusedAdam:
+    if device in FUSED:
+        return FusedAdam(parameters, extent, moments)
+    return ParameterAdam({k: v.to(device) for k, v in parameters.items()}, extent, moments)
+
+
+class _Views:
+    """The cameras and their pictures where the iterations need them, and one iteration on one of them."""
+
+    def __init__(self, views: RestViews, config: SpaceConfig, device: str) -> None:
+        self._arrays = (views.viewmats, views.Ks, views.rgb)
+        self._tensors = tuple(torch.from_numpy(a).to(device) for a in self._arrays)
+        self._config, self._fused = config, Iteration(config.l2, config.dssim)
+
+    def __len__(self) -> int:
+        return len(self._arrays[0])
+
+    def iterate(self, fit: _Fit, v: int, degree: int, done: float) -> Tensor:
+        """Render view v, compare, step. Returns the mean squared error."""
+        if isinstance(fit.adam, FusedAdam):
+            viewmat, K, target = (a[v] for a in self._arrays)
+            mse = self._fused(fit.adam, viewmat, K, target, degree, done, fit.error.numpy())
+            return torch.tensor(mse, dtype=torch.float64)
+        return self._iterate_torch(fit.adam, fit.error, v, degree, done)
+
+    def _iterate_torch(
+        self, adam: ParameterAdam, error: Tensor, v: int, degree: int, done: float
+    ) -> Tensor:
+        viewmat, K, target = (a[v] for a in self._tensors)
+        height, width = target.shape[:2]
+        view = render_view(activate(adam.parameters), viewmat, K, (width, height), degree)
+        loss = photometric_loss(view.rgb, target, self._config.l2, self._config.dssim)
+        difference = view.rgb.detach() - target
+        (loss + (view.carrier * difference.abs().sum(-1)).sum()).backward()
+        error += view.shares()
+        adam.step(done)
+        return (difference**2).mean().double()
+
+
+def _iterate(fit: _Fit, views: _Views, config: SpaceConfig, extent: float) -> None:
     """One view: render, compare, step; and now and then density control.
 
     But for density control nothing here waits for the device (gsplat does, once in a render, for the number of
     its tile pairs).
     """
-    viewmats, Ks, targets = cameras
     if not fit.order:
-        fit.order = torch.randperm(len(targets), generator=fit.generator).tolist()
+        fit.order = torch.randperm(len(views), generator=fit.generator).tolist()
     v = fit.order.pop()
     done = fit.iteration / config.iterations
     degree = min(config.sh_degree, int(10 * done))
-    height, width = targets.shape[1:3]
-    view = render_view(activate(fit.adam.parameters), viewmats[v], Ks[v], (width, height), degree)
-    loss = photometric_loss(view.rgb, targets[v], config.l2, config.dssim)
-    difference = view.rgb.detach() - targets[v]
-    (loss + (view.carrier * difference.abs().sum(-1)).sum()).backward()
-    fit.error += view.shares()
-    psnr = -10 * torch.log10((difference**2).mean().double().clamp_min(1e-10))
+    psnr = -10 * torch.log10(views.iterate(fit, v, degree, done).clamp_min(1e-10))
     fit.psnr = psnr if fit.iteration == 0 else 0.95 * fit.psnr + 0.05 * psnr
-    fit.adam.step(done)
     fit.iteration += 1
     if is_due(fit.iteration, config.iterations):
         control_density(fit.adam, fit.error, extent, config.max_gaussians, fit.draws)
@@ -171,7 +204,7 @@ def train_space(
         run.record(_STAGE, {"init": source})
     else:
         fit, extent = _restored(checkpoint, device)
-    cameras = tuple(torch.from_numpy(a).to(device) for a in (views.viewmats, views.Ks, views.rgb))
+    cameras = _Views(views, config, device)
     saved = time.monotonic()
     shown, figure = -math.inf, 0.0
     with (
@@ -179,7 +212,7 @@ def train_space(
         full_precision(device),
     ):
         while fit.iteration < config.iterations:
-            _iterate(fit, (cameras[0], cameras[1], cameras[2]), config, extent)
+            _iterate(fit, cameras, config, extent)
             if time.monotonic() - shown > SHOW_EVERY_S:
                 shown, figure = time.monotonic(), round(float(fit.psnr), 2)
             update(fit.iteration, psnr_db=figure, gaussians=len(fit.error))

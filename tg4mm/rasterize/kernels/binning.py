@@ -11,6 +11,7 @@ import math
 import numpy as np
 from numba import float32, int32, int64, njit, prange, uint32
 
+from tg4mm.rasterize.buffers import Buffers, take
 from tg4mm.rasterize.kernels.compiled import kernel
 from tg4mm.rasterize.kernels.layout import CB, CC, DEPTH, EX, EY, L22, MX, MY, POWER, R11, SQUARES, TILE
 from tg4mm.rasterize.kernels.vector import prefetch
@@ -203,26 +204,31 @@ class Bins:
         self.pair_slot = pair_slot  # [P] int32, positions of each Gaussian's pairs
 
 
-def bin_splats(splats: np.ndarray, width: int, height: int) -> Bins:
-    """Sort and distribute the projected Gaussians `splats` [N, SPLAT_WIDTH] to tiles of the image."""
+def bin_splats(splats: np.ndarray, width: int, height: int, buffers: Buffers | None = None) -> Bins:
+    """Sort and distribute the projected Gaussians `splats` [N, SPLAT_WIDTH] to tiles of the image.
+
+    With `buffers` the lists lie there, and hold until the next call with the same ones.
+    """
     n = splats.shape[0]
     n_x, n_y = -(-width // TILE), -(-height // TILE)
-    keys, keys2 = np.empty(n, np.uint32), np.empty(n, np.uint32)
-    scratch, order = np.empty(n, np.int32), np.empty(n, np.int32)
+    keys, keys2 = (take(buffers, name, (n,), np.uint32) for name in ("keys", "keys2"))
+    scratch, order = (take(buffers, name, (n,), np.int32) for name in ("scratch", "order"))
     n_visible = depth_order(splats, keys, scratch, keys2, order)
-    per_chunk, needed = np.empty((_CHUNKS, n_x * n_y), np.int32), np.empty(_CHUNKS, np.int64)
-    gaussian_start = np.empty(n_visible + 1, np.int32)
+    per_chunk, needed = take(buffers, "per_chunk", (_CHUNKS, n_x * n_y), np.int32), np.empty(_CHUNKS, np.int64)
+    gaussian_start = take(buffers, "gaussian_start", (n_visible + 1,), np.int32)
     room = _PAIRS_EXPECTED * (n_visible // _CHUNKS + 1)
     while True:
-        tiles = np.empty((_CHUNKS, room), np.int32)
+        tiles = take(buffers, "tiles", (_CHUNKS, room), np.int32)
         list_pairs(splats, order, n_visible, n_x, n_y, tiles, gaussian_start, per_chunk, needed)
         if needed.max() <= room:
             break
         room = int(needed.max())
     n_pairs = int(needed.sum())
-    tile_start = np.empty(n_x * n_y + 1, np.int32)
+    tile_start = take(buffers, "tile_start", (n_x * n_y + 1,), np.int32)
     offsets(per_chunk, tile_start)
-    pair_gaussian, pair_slot = np.empty(n_pairs, np.int32), np.empty(n_pairs, np.int32)
+    pair_gaussian, pair_slot = (
+        take(buffers, name, (n_pairs,), np.int32) for name in ("pair_gaussian", "pair_slot")
+    )
     fill_pairs(
         order, n_visible, tiles, needed, tile_start, per_chunk, gaussian_start, pair_gaussian, pair_slot
     )

@@ -1,0 +1,211 @@
+"""Programs in the background: started, listened to without waiting, interrupted; plain Python, no Blender.
+
+A `Job` is a chain of programs, each started when the one before has ended well. Whoever owns it calls `poll` a
+few times a second: nothing here ever waits for the program, except `close`, for two seconds at most.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import queue
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+from .reading import Line, Progress, read_line
+
+PATIENCE_S = 5.0  # between one way of ending a program and the next, harder one
+_LISTEN_S = 1.0  # after a program's end, for output that is still under way
+_KEPT = 40  # lines and warnings kept of a program's output
+_MOST_LINES = 2000  # taken in one poll, so that a program that floods its output does not block
+_WINDOWS = sys.platform == "win32"
+
+
+class State(Enum):
+    """Where a job is."""
+
+    RUNNING = "running"
+    DONE = "done"
+    FAILED = "failed"
+    CANCELLED = "cancelled"
+
+
+@dataclass(frozen=True)
+class Step:
+    """One program of a job."""
+
+    label: str  # what it does, "train": the job shows it until the program says more
+    command: tuple[str, ...]
+
+
+class Job:
+    """Programs that run one after another; see the module's text.
+
+    Attributes to read: `state`; `progress`, of the program that runs; `message`, one line, what happened last or
+    what went wrong; `results`, the paths the programs named; `warnings`.
+    """
+
+    def __init__(self, steps: Sequence[Step], environment: Mapping[str, str] | None = None) -> None:
+        """Starts the first program. Raises OSError if that is impossible, ValueError without any."""
+        if not steps:
+            raise ValueError("a job needs at least one program")
+        self._waiting = deque(steps)
+        self._environment = dict(os.environ if environment is None else environment)
+        self.state, self.message = State.RUNNING, ""
+        self.progress = Progress(steps[0].label)
+        self.results: list[str] = []
+        self.warnings: deque[str] = deque(maxlen=_KEPT)
+        self._asked_at: float | None = None  # when the end was asked for
+        self._asked = 0  # how many times
+        self._next()
+
+    @property
+    def running(self) -> bool:
+        return self.state is State.RUNNING
+
+    @property
+    def cancelling(self) -> bool:
+        """Whether it still runs but was told to end."""
+        return self.running and self._asked_at is not None
+
+    def poll(self) -> bool:
+        """Takes in what the program has said and done since; True if something changed. Does not wait."""
+        if not self.running:
+            return False
+        changed = self._listen()
+        if self._asked_at is not None and time.monotonic() - self._asked_at > PATIENCE_S * self._asked:
+            self._end(self._asked)
+            self._asked += 1
+        if self._process.poll() is None:
+            return changed
+        if self._ended_at is None:
+            self._ended_at = time.monotonic()
+        # A grandchild may hold the pipe open for ever: its end is waited for, but not long.
+        if not self._silent and time.monotonic() - self._ended_at < _LISTEN_S:
+            return changed
+        self._finish(self._process.returncode)
+        return True
+
+    def cancel(self) -> None:
+        """Asks the program to end, as Ctrl+C does. `poll` asks harder if it does not, and kills it at last."""
+        if self.running and self._asked_at is None:
+            self._asked_at, self._asked = time.monotonic(), 1
+            self.message = "Stopping"
+            self._end(0)
+
+    def close(self) -> None:
+        """Ends the program now; waits for it, two seconds at most."""
+        if not self.running:
+            return
+        self._asked_at = self._asked_at or time.monotonic()
+        for harder in (1, 2):
+            self._end(harder)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(1.0)
+                break
+        self._finish(self._process.poll())
+
+    def _next(self) -> None:
+        step = self._waiting.popleft()
+        self.progress = Progress(step.label)
+        self._tail: deque[str] = deque(maxlen=_KEPT)
+        self._error = ""
+        self._ended_at: float | None = None
+        self._silent = False
+        self._lines: queue.SimpleQueue[str | None] = queue.SimpleQueue()
+        own_group: dict[str, Any] = (
+            {"creationflags": getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)
+             | getattr(subprocess, "CREATE_NO_WINDOW", 0)}
+            if _WINDOWS
+            else {"start_new_session": True}
+        )  # fmt: skip
+        self._process = subprocess.Popen(
+            step.command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            env=self._environment,
+            **own_group,
+        )
+        assert self._process.stdout is not None
+        arguments = (self._process.stdout.fileno(), self._process.stdout, self._lines)
+        threading.Thread(target=_read, args=arguments, daemon=True).start()
+
+    def _listen(self) -> bool:
+        changed = False
+        for _ in range(_MOST_LINES):
+            try:
+                text = self._lines.get_nowait()
+            except queue.Empty:
+                break
+            if text is None:
+                self._silent = True
+                break
+            changed = True
+            self._take(read_line(text))
+        return changed
+
+    def _take(self, line: Line) -> None:
+        if line.progress is not None:
+            self.progress = line.progress
+            return
+        if line.warning:
+            self.warnings.append(line.warning)
+        if line.error:
+            self._error = line.error
+        if line.result:
+            self.results.append(line.result)
+        if line.text:
+            self._tail.append(line.text)
+
+    def _finish(self, status: int | None) -> None:
+        if self._asked_at is not None:
+            self._end(2)  # whatever the program itself had started
+            self._over(State.CANCELLED, "Stopped")
+        elif status:
+            last = self._error or (self._tail[-1] if self._tail else "it said nothing")
+            self._over(State.FAILED, last if self._error else f"ended with status {status}: {last}")
+        elif self._waiting:
+            try:
+                self._next()
+            except OSError as error:
+                self._over(State.FAILED, f"{error.filename or 'the program'} cannot be run: {error.strerror}")
+        else:
+            self._over(State.DONE, "")
+
+    def _over(self, state: State, message: str) -> None:
+        self.state, self.message = state, message
+
+    def _end(self, how: int) -> None:
+        """Ends the program and what it started: 0 as Ctrl+C does, 1 at once, 2 by force."""
+        with contextlib.suppress(OSError):
+            if not _WINDOWS:
+                # Its own session: the number of the process is that of its group.
+                os.killpg(self._process.pid, (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)[min(how, 2)])
+            elif how == 0:
+                self._process.send_signal(getattr(signal, "CTRL_BREAK_EVENT", signal.SIGTERM))
+            elif self._process.poll() is None:
+                kill = ("taskkill", "/T", "/F", "/PID", str(self._process.pid))
+                subprocess.Popen(kill, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
+def _read(descriptor: int, stream: Any, lines: queue.SimpleQueue[str | None]) -> None:
+    """Puts every line, by \\n or \\r, into the queue, and None at the end."""
+    rest = b""
+    with stream, contextlib.suppress(OSError):
+        while block := os.read(descriptor, 65536):
+            *whole, rest = (rest + block).replace(b"\r", b"\n").split(b"\n")
+            for line in whole:
+                lines.put(line.decode("utf-8", "replace"))
+            rest = rest[-65536:]  # of a line that never ends the end is enough
+    if rest:
+        lines.put(rest.decode("utf-8", "replace"))
+    lines.put(None)

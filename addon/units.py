@@ -1,0 +1,30 @@
+"""Lengths for people: scene units, or millimetres where the file says how long a scene unit is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit of length: what a scene unit is of it, and how many digits numbers have."""
+
+    per_scene_unit: float
+    name: str  # beside a number
+    column: str  # in the name of a column
+    digits: int = 4  # significant
+
+    def text(self, length: float) -> str:
+        """`length` in scene units → "0.034 mm"."""
+        return f"{self.number(length)} {self.name}"
+
+    def number(self, length: float) -> str:
+        """The same without the unit's name."""
+        return f"{length * self.per_scene_unit:.{self.digits}g}"
+
+
+def unit_of(unit_scale_m: float | None, metric: bool = True, digits: int = 4) -> Unit:
+    """Millimetres if the scale (metres per scene unit) is known and wanted, else scene units."""
+    if unit_scale_m is None or not metric:
+        return Unit(1.0, "scene units", "scene_units", digits)
+    return Unit(1000.0 * unit_scale_m, "mm", "mm", digits)

@@ -1,0 +1,42 @@
+"""What the tests in the real program share: the built extension, a small splat file, Blender on a screen."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tg4mm.splatfile import SplatFile, write_splat
+
+from . import session
+
+SPLAT = "drum.ply"
+
+
+def drum(side: int = 24, freqs_hz: tuple[float, ...] = (2.0, 5.0)) -> SplatFile:
+    """A square membrane of side × side coloured Gaussians, 2 units wide, in its modes (1, 1) and (2, 1)."""
+    line = np.linspace(-1.0, 1.0, side)
+    x, y = (grid.ravel() for grid in np.meshgrid(line, line))
+    n = len(x)
+    shapes = [np.sin(np.pi * (k + 1) * (x + 1) / 2) * np.sin(np.pi * (y + 1) / 2) for k in range(2)]
+    displacement = np.zeros((len(freqs_hz), n, 3), dtype=np.complex64)
+    for k, (shape, size) in enumerate(zip(shapes, (0.02, 0.01), strict=True)):
+        displacement[k, :, 2] = size * shape
+    colour = np.stack([(x + 1) / 2, (y + 1) / 2, np.full(n, 0.3)], axis=1)
+    return SplatFile(
+        means=np.stack([x, y, np.zeros(n)], axis=1).astype(np.float32),
+        quats=np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1)),
+        scales=np.full((n, 3), 0.6 / side, dtype=np.float32),
+        opacities=np.full(n, 0.9, dtype=np.float32),
+        sh=((colour - 0.5) / 0.28209479177387814)[:, None].astype(np.float32),
+        freqs_hz=np.array(freqs_hz),
+        displacement=displacement,
+        rotation=np.zeros_like(displacement),
+        fps=24.0,
+        n_timesteps=48,
+        unit_scale_m=0.1,
+    )

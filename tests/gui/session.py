@@ -1,0 +1,255 @@
+"""The real Blender on a virtual screen: started, driven by mouse and keys, looked at, asked for values.
+
+    with Session.start(extension_zip, files=[splat]) as blender:
+        blender.click(40, 12)
+        blender.picture(Path("menu.png"))
+        blender.ask("frame")
+
+What setup.sh built is needed, and root. Positions are pixels from the screen's upper left corner.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+HERE = Path(__file__).resolve().parent
+ROOT = Path(os.environ.get("TG4MM_BLENDER_ROOT", "/var/tmp/tg4mm/blender-5.2"))
+SIZE = (1280, 800)
+START_LIMIT, ANSWER_LIMIT = 240.0, 120.0  # s; software OpenGL compiles shaders for a while
+PAUSE = 0.08  # s between what the hand does, so that Blender sees it one after another
+MISSING_ROOT = f"no Blender in {ROOT}; run tests/gui/setup.sh as root"
+
+
+class SessionError(RuntimeError):
+    """Blender did not start, ended, or did not answer; what it last printed is in the message."""
+
+
+def missing() -> str:
+    """Why no session can start here; empty where one can."""
+    if not (ROOT / ".tg4mm-complete").exists():
+        return MISSING_ROOT
+    return "" if os.geteuid() == 0 else "a chroot needs root"
+
+
+@dataclass(frozen=True)
+class Box:
+    """A region of Blender's window, pixels."""
+
+    left: int
+    top: int
+    width: int
+    height: int
+
+    @property
+    def middle(self) -> tuple[int, int]:
+        return self.left + self.width // 2, self.top + self.height // 2
+
+
+class Session:
+    """A running Blender. Made by `Session.start`."""
+
+    def __init__(self, folder: Path, process: subprocess.Popen[bytes]) -> None:
+        self.folder = folder  # seen from here
+        self.inside = "/" + str(folder.relative_to(ROOT))  # seen by Blender
+        self._process = process
+        self._number = 0
+        self._display = ""
+
+    @classmethod
+    @contextmanager
+    def start(
+        cls, extension: Path, files: Sequence[Path] = (), size: tuple[int, int] = SIZE
+    ) -> Iterator[Session]:
+        """Install the zip the way a person does, start Blender, wait for its window; end it all at the end.
+
+        `files` are copied to where Blender sees them, `inside`. Raises SessionError.
+        """
+        if missing():
+            raise SessionError(missing())
+        folder = Path(tempfile.mkdtemp(prefix="tg4mm-gui-", dir=ROOT / "var" / "tmp"))
+        try:
+            (folder / "home").mkdir()
+            (folder / "resources").mkdir()
+            shutil.copyfile(extension, folder / "extension.zip")
+            shutil.copyfile(HERE / "answering.py", folder / "answering.py")
+            for file in files:
+                shutil.copyfile(file, folder / file.name)
+            process = _launch(folder, size)
+            try:
+                session = cls(folder, process)
+                session._wait_for_window()
+                yield session
+            finally:
+                _end(process)
+        finally:
+            shutil.rmtree(folder)
+
+    # What a person does.
+
+    def move(self, x: float, y: float) -> None:
+        self._xdotool("mousemove", str(round(x)), str(round(y)))
+
+    def click(self, x: float, y: float, button: int = 1) -> None:
+        self.move(x, y)
+        self._xdotool("click", str(button))
+
+    def double_click(self, x: float, y: float) -> None:
+        self.move(x, y)
+        self._xdotool("click", "--repeat", "2", "--delay", "60", "1")
+
+    def drag(self, start: tuple[float, float], by: tuple[int, int], steps: int = 10, button: int = 1) -> None:
+        """Press at `start`, move by pixels in steps, let go. Relative, as a number field holds the pointer."""
+        self.move(*start)
+        self._xdotool("mousedown", str(button))
+        done = (0, 0)
+        for i in range(1, steps + 1):
+            now = (round(by[0] * i / steps), round(by[1] * i / steps))
+            self._xdotool("mousemove_relative", "--", str(now[0] - done[0]), str(now[1] - done[1]))
+            done = now
+        self._xdotool("mouseup", str(button))
+
+    def scroll(self, x: float, y: float, steps: int) -> None:
+        """Turn the wheel at a place; towards the user, down, where positive."""
+        self.move(x, y)
+        self._xdotool("click", "--repeat", str(abs(steps)), "--delay", "50", "5" if steps > 0 else "4")
+
+    def key(self, *keys: str) -> None:
+        """Press keys, each as xdotool writes it: `Return`, `ctrl+a`."""
+        for key in keys:
+            self._xdotool("key", key)
+
+    def write(self, text: str) -> None:
+        self._xdotool("type", "--delay", "25", text)
+
+    # What a person sees.
+
+    def picture(self, path: Path) -> np.ndarray:
+        """Write the whole screen as PNG; returns uint8 [H, W, 3]."""
+        from PIL import Image
+
+        path.parent.mkdir(parents=True, exist_ok=True)
+        shot = self.folder / "screen.png"
+        self._run("import", "-window", "root", f"{self.inside}/{shot.name}")
+        shutil.move(shot, path)
+        with Image.open(path) as image:
+            return np.asarray(image.convert("RGB"))
+
+    def settled(self, path: Path, limit: float = 180.0, every: float = 1.5) -> np.ndarray:
+        """A picture once two in a row are the same: shaders are compiled, samples are taken."""
+        last = self.picture(path)
+        ends = time.monotonic() + limit
+        while time.monotonic() < ends:
+            time.sleep(every)
+            now = self.picture(path)
+            if np.array_equal(now, last):
+                return now
+            last = now
+        raise SessionError(f"the screen was not still after {limit:g} s")
+
+    def region(self, area: str, region: str = "WINDOW") -> Box:
+        """A region of the first area of a type: `region("VIEW_3D", "UI")`."""
+        found = next(a for a in self.ask("areas") if a["type"] == area)
+        return Box(*found["regions"][region])
+
+    # What only Blender knows.
+
+    def ask(self, name: str, **arguments: Any) -> Any:
+        """The answer of a function of answering.py."""
+        self._number += 1
+        question = {"id": self._number, "name": name, "with": arguments}
+        partial = self.folder / "ask.partial"
+        partial.write_text(json.dumps(question), encoding="utf-8")
+        os.replace(partial, self.folder / "ask.json")
+        answer = self.folder / "answer.json"
+        self.wait(answer.exists, f"an answer to {name}", ANSWER_LIMIT, 0.02)
+        reply = json.loads(answer.read_text(encoding="utf-8"))
+        answer.unlink()
+        assert reply["id"] == self._number, f"{reply} is no answer to {question}"
+        if "error" in reply:
+            raise SessionError(f"{name}: {reply['error']}")
+        return reply["value"]
+
+    def places(self) -> np.ndarray:
+        """float32 [N, 3]: where the instances of the active object are drawn, in its own axes."""
+        self.ask("places", file="places.npy")
+        return np.load(self.folder / "places.npy")
+
+    def wait(
+        self, condition: Callable[[], bool], what: str, limit: float = 20.0, every: float = 0.2
+    ) -> None:
+        """Wait until something holds. Raises SessionError when it does not in `limit` seconds."""
+        ends = time.monotonic() + limit
+        while not condition():
+            if self._status() in ("ended", "not installed"):
+                raise SessionError(f"Blender {self._status()} before {what}\n{self.log()}")
+            if time.monotonic() > ends:
+                raise SessionError(f"{what}: not in {limit:g} s\n{self.log()[-2000:]}")
+            time.sleep(every)
+
+    def log(self) -> str:
+        """All that Blender has printed: the installation, then the program."""
+        logs = (self.folder / name for name in ("install.log", "blender.log"))
+        return "".join(log.read_text(encoding="utf-8", errors="replace") for log in logs if log.exists())
+
+    def complaints(self) -> list[str]:
+        """The lines of the log in which Python or Blender complains."""
+        words = ("Traceback", "Error", "rna_uiItem", "unknown", "not found")
+        return [line for line in self.log().splitlines() if any(word in line for word in words)]
+
+    # How.
+
+    def _status(self) -> str:
+        file = self.folder / "status"
+        return file.read_text(encoding="utf-8").strip() if file.exists() else ""
+
+    def _wait_for_window(self) -> None:
+        self.wait(lambda: self._status() == "started", "the virtual screen", START_LIMIT)
+        self._display = ":" + (self.folder / "display").read_text(encoding="utf-8").strip()
+        self.ask_within(START_LIMIT)
+
+    def ask_within(self, limit: float) -> None:
+        """Wait for the first answer, which comes once the window is drawn."""
+        (self.folder / "ask.json").write_text(
+            json.dumps({"id": 0, "name": "version", "with": {}}), encoding="utf-8"
+        )
+        answer = self.folder / "answer.json"
+        self.wait(answer.exists, "Blender's window", limit)
+        answer.unlink()
+
+    def _xdotool(self, *words: str) -> None:
+        self._run("xdotool", *words)
+        time.sleep(PAUSE)
+
+    def _run(self, *words: str) -> None:
+        variables = ("env", "-i", "PATH=/usr/bin:/bin", "HOME=/tmp", f"DISPLAY={self._display}")
+        done = subprocess.run(
+            ["chroot", str(ROOT), *variables, *words], capture_output=True, text=True, timeout=60
+        )
+        if done.returncode != 0:
+            raise SessionError(f"{' '.join(words)}: {done.stderr.strip()}\n{self.log()[-2000:]}")
+
+
+def _launch(folder: Path, size: tuple[int, int]) -> subprocess.Popen[bytes]:
+    """Process and mount namespaces of its own: with its first process end all others, and the mounts."""
+    namespaces = ("unshare", "--mount", "--pid", "--fork", "--kill-child", "--propagation", "private")
+    script = ("/bin/sh", str(HERE / "run_inside.sh"), str(ROOT), "/" + str(folder.relative_to(ROOT)))
+    words = [*namespaces, *script, *(str(n) for n in size)]
+    return subprocess.Popen(words, stdin=subprocess.PIPE)
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    assert process.stdin is not None
+    process.stdin.close()
+    process.wait(timeout=30)

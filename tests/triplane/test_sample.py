@@ -1,0 +1,132 @@
+"""Sampling at fixed points: the same as dense planes in torch, values, gradients and training."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from torch.nn.functional import grid_sample
+
+from tg4mm.triplane import cells_of, sample
+from tg4mm.triplane.cells import PLANES, scene_box
+from tg4mm.triplane.sample import sample_torch
+
+R, C, N = 16, 8, 60
+
+
+@pytest.fixture
+def points() -> np.ndarray:
+    return np.random.default_rng(0).normal(size=(N, 3)) * [1.0, 0.5, 2.0]
+
+
+def dense_sample(planes: torch.Tensor, points: np.ndarray, box: np.ndarray) -> torch.Tensor:
+    """The twin: planes [3, C, R, R] by torch's grid_sample."""
+    unit = torch.from_numpy(((points - box[0]) / (box[1] - box[0]) * 2 - 1)).to(planes)
+    parts = [
+        grid_sample(planes[k : k + 1], unit[None, None][..., list(axes)], "bilinear", "border", True)[0, :, 0].T
+        for k, axes in enumerate(PLANES)
+    ]
+    return torch.cat(parts, 1)
+
+
+def active(planes: torch.Tensor, dense: np.ndarray) -> torch.Tensor:
+    return planes.permute(0, 2, 3, 1).reshape(-1, planes.shape[1])[torch.from_numpy(dense)]
+
+
+def test_values_and_gradients_are_those_of_dense_planes(points):
+    box = scene_box(points)
+    cells = cells_of(points, box, R)
+    planes = torch.randn(3, C, R, R, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    planes.requires_grad_()
+    values = active(planes.detach(), cells.dense).float().requires_grad_()
+    expected, got = dense_sample(planes, points, box), sample(values, cells)
+    torch.testing.assert_close(got.double(), expected, atol=1e-5, rtol=0)
+    torch.testing.assert_close(sample_torch(values.double(), cells), expected, atol=1e-6, rtol=0)
+    v = torch.randn(N, 3 * C, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
+    expected.backward(v)
+    got.backward(v.float())
+    assert planes.grad is not None
+    assert values.grad is not None
+    torch.testing.assert_close(values.grad.double(), active(planes.grad, cells.dense), atol=1e-5, rtol=0)
+    others = np.setdiff1d(np.arange(3 * R * R), cells.dense)
+    assert not active(planes.grad, others).any()
+
+
+def test_adam_on_active_cells_is_adam_on_dense_planes(points):
+    """Cells that no point touches never get a gradient: dense Adam leaves them bit for bit."""
+    box = scene_box(points)
+    cells = cells_of(points, box, R)
+    generator = torch.Generator().manual_seed(3)
+    start = torch.randn(3, C, R, R, generator=generator)
+    target = torch.randn(N, 3 * C, generator=generator)
+    planes = start.clone().requires_grad_()
+    values = active(start, cells.dense).clone().requires_grad_()
+    dense_adam = torch.optim.Adam([planes], lr=1e-2)
+    compact_adam = torch.optim.Adam([values], lr=1e-2, fused=True)
+    for _ in range(50):
+        for optimiser, out in ((dense_adam, dense_sample(planes, points, box)), (compact_adam, sample(values, cells))):
+            optimiser.zero_grad()
+            ((out - target) ** 2).sum().backward()
+            optimiser.step()
+    torch.testing.assert_close(values, active(planes, cells.dense), atol=2e-5, rtol=0)
+    assert (values - active(start, cells.dense)).abs().max() > 0.1  # and they did move
+    others = np.setdiff1d(np.arange(3 * R * R), cells.dense)
+    assert torch.equal(active(planes.detach(), others), active(start, others))
+
+
+def test_weights_sum_to_one_and_the_transpose_holds_every_entry(points):
+    cells = cells_of(points, scene_box(points), R)
+    np.testing.assert_allclose(cells.weight.sum(-1), 1, atol=1e-6)
+    assert cells.first[-1] == 12 * N == len(cells.point)
+    values = torch.randn(len(cells), 4, generator=torch.Generator().manual_seed(0)).requires_grad_()
+    v = torch.randn(N, 12, generator=torch.Generator().manual_seed(1))
+    out = sample(values, cells)
+    out.backward(v)
+    assert values.grad is not None
+    # <S x, v> = <x, Sᵀ v>
+    left, right = (out.double() * v.double()).sum(), (values.double() * values.grad.double()).sum()
+    torch.testing.assert_close(left, right, atol=1e-4, rtol=1e-5)
+
+
+def test_points_of_one_plane_are_found_by_slice(points):
+    cells = cells_of(points, scene_box(points), R)
+    for k in range(3):
+        part = cells.dense[cells.of_plane(k)]
+        assert (part // R**2 == k).all()
+    assert sum(len(cells.dense[cells.of_plane(k)]) for k in range(3)) == len(cells)
+
+
+def test_points_outside_the_box_lie_on_its_border():
+    box = np.array([[0.0, 0, 0], [1, 1, 1]])
+    inside, outside = (cells_of(np.array([p]), box, 8) for p in ([1.0, 0.0, 0.5], [7.0, -3.0, 0.5]))
+    np.testing.assert_array_equal(inside.dense, outside.dense)
+    np.testing.assert_array_equal(inside.weight, outside.weight)
+
+
+def test_a_flat_scene_has_a_box():
+    flat = np.random.default_rng(0).normal(size=(30, 3)) * [1, 1, 0]
+    assert np.isfinite(cells_of(flat, scene_box(flat), 8).weight).all()
+
+
+def test_results_do_not_depend_on_the_number_of_threads(points):
+    import numba
+
+    cells = cells_of(points, scene_box(points), R)
+    values = torch.randn(len(cells), C, generator=torch.Generator().manual_seed(0))
+    before = numba.get_num_threads()
+    results = []
+    for threads in (1, before):
+        numba.set_num_threads(threads)
+        x = values.clone().requires_grad_()
+        out = sample(x, cells)
+        out.square().sum().backward()
+        results.append((out.detach(), x.grad))
+    numba.set_num_threads(before)
+    assert torch.equal(results[0][0], results[1][0])
+    assert torch.equal(results[0][1], results[1][1])
+
+
+def test_values_of_another_shape_are_refused(points):
+    cells = cells_of(points, scene_box(points), R)
+    with pytest.raises(ValueError, match=rf"values have shape \(3, 8\), expected \({len(cells)}, channels\)"):
+        sample(torch.zeros(3, 8), cells)

@@ -1,0 +1,70 @@
+"""Settings of the preset `paper`; the defaults are [TG4MM]'s own numbers (§IV.B), `PAPER_SMALL` those of `paper-small`."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from tg4mm.errors import Tg4mmError
+from tg4mm.space import SpaceConfig
+
+
+@dataclass(frozen=True)
+class PaperConfig:
+    """Both phases of [TG4MM]. One iteration is one view, white background, L1 (Eq. 16)."""
+
+    channels: int = 32  # C, features of a plane
+    resolution: int = 512  # R, cells along each side of a plane; a power of two
+    mlp_layers: int = 0  # before the heads; 8 is "MLP + Decoder" of Table VI, 1 what §IV.B says
+    mlp_width: int = 256
+    iterations: int = 20_000  # of phase 1, of which the first
+    warm_up: int = 3_000  # fit the base Gaussians alone, with density control, as [29] does
+    motion_iterations: int = 7_000  # of phase 2, for each timestep
+    shared: bool = False  # true: motion_iterations is what all timesteps share
+    learning_rate: float = 1e-4  # of Adam, fixed, both phases
+    deviation: float = 0.1  # standard deviation of the planes' first values
+    residual: bool = True  # false: a timestep's planes replace the space planes (Fig. 8)
+    seed: int = 0
+
+    def per_timestep(self, n_timesteps: int) -> int:
+        """Iterations of phase 2 for each of the T − 1 timesteps after the first."""
+        shared = max(self.motion_iterations // max(n_timesteps - 1, 1), 1)
+        return shared if self.shared else self.motion_iterations
+
+
+PAPER = PaperConfig()
+PAPER_SMALL = PaperConfig(
+    channels=16, resolution=64, iterations=3_000, warm_up=1_500, motion_iterations=200, learning_rate=1e-3
+)
+
+
+def checked(config: PaperConfig) -> PaperConfig:
+    """`config`. Raises Tg4mmError on a value out of range."""
+    c = config
+    power = c.resolution > 0 and c.resolution & (c.resolution - 1) == 0
+    checks = {
+        "channels": (1 <= c.channels <= 1024, "1 to 1024"),
+        "resolution": (power and 16 <= c.resolution <= 4096, "a power of two, 16 to 4096"),
+        "mlp_layers": (0 <= c.mlp_layers <= 64, "0 to 64"),
+        "mlp_width": (1 <= c.mlp_width <= 4096, "1 to 4096"),
+        "warm_up": (c.warm_up >= 1, ">= 1"),
+        "iterations": (c.iterations > c.warm_up, f"more than paper.warm_up ({c.warm_up})"),
+        "motion_iterations": (c.motion_iterations >= 1, ">= 1"),
+        "learning_rate": (math.isfinite(c.learning_rate) and c.learning_rate > 0, "> 0"),
+        "deviation": (math.isfinite(c.deviation) and c.deviation > 0, "> 0"),
+        "seed": (0 <= c.seed < 1 << 63, "0 to 2⁶³ − 1"),
+    }
+    for name, (good, expected) in checks.items():
+        if not good:
+            raise Tg4mmError(f"setting paper.{name} is {getattr(c, name)}, expected {expected}")
+    return config
+
+
+def base_config(space: SpaceConfig, config: PaperConfig) -> SpaceConfig:
+    """Settings of the base Gaussians' own fit: `paper.warm_up` iterations. Raises Tg4mmError where both are given."""
+    if space.iterations not in (0, config.warm_up):
+        raise Tg4mmError(
+            f"setting space.iterations is {space.iterations}; with the preset paper it is paper.warm_up "
+            f"({config.warm_up}), and paper.iterations counts both"
+        )
+    return replace(space, iterations=config.warm_up)

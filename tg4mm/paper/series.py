@@ -1,0 +1,54 @@
+"""The decoded motion of a `paper` run as modes: positions and rotations over time, by the discrete Fourier transform.
+
+Lost in it: what the decoder changes in scale, opacity and colour over time. Kept: every timestep's position and rotation,
+exactly. The mean offset from timestep 0 is a mode of 0 Hz.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from tg4mm.motion.modal import ModalMotion
+from tg4mm.paper.model import PaperModel
+
+
+def rotation_between(start: Tensor, end: Tensor) -> Tensor:
+    """[N, 3] rotation vectors, radians, world axes, of the turn that takes quaternions [N, 4] `start` to `end`."""
+    a, b = (torch.nn.functional.normalize(q.double(), dim=1) for q in (start, end))
+    # b ā, of the two signs of a quaternion that with the smaller turn
+    w = (a * b).sum(1)
+    v = a[:, :1] * b[:, 1:] - b[:, :1] * a[:, 1:] - torch.linalg.cross(b[:, 1:], a[:, 1:])
+    v = torch.where((w < 0)[:, None], -v, v)
+    length = torch.linalg.vector_norm(v, dim=1, keepdim=True)
+    angle = 2 * torch.atan2(length, w.abs()[:, None])
+    return torch.where(length > 1e-12, v / length.clamp_min(1e-12) * angle, 2 * v)
+
+
+def modes(series: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies [K] Hz and phasors [K, N, D] complex64 of a series [T, N, D], 0 Hz and all other DFT bins.
+
+    Σ_k Re[m_k exp(i 2π f_k t / fps)] is the series at every timestep.
+    """
+    n = len(series)
+    spectrum = np.fft.rfft(series, axis=0) * (2 / n)
+    spectrum[0] /= 2
+    if n % 2 == 0:
+        spectrum[-1] /= 2
+    return np.fft.rfftfreq(n, 1 / fps), spectrum.astype(np.complex64)
+
+
+@torch.no_grad()
+def modal_of_series(model: PaperModel, planes: Iterable[Tensor], fps: float) -> ModalMotion:
+    """The motion from timestep 0 of what the motion planes (values [A, C] of timesteps 1, 2, …) decode to."""
+    rest = model.rest()
+    changes = [torch.zeros(len(rest), 6, dtype=torch.float64)]
+    for values in planes:
+        now = model.decode(model.embedding(values))
+        shift = now.means.double() - rest.means.double()
+        changes.append(torch.cat([shift, rotation_between(rest.quats, now.quats)], 1))
+    freqs, phasors = modes(torch.stack(changes).numpy(), fps)
+    return ModalMotion(freqs, phasors[..., :3], phasors[..., 3:], fps, len(changes))
