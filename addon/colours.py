@@ -7,6 +7,8 @@ import numpy as np
 C0 = 0.28209479177387814  # Y_00, the constant spherical harmonic: 1 / (2 √π)
 # viridis (Smith, van der Walt, Firing; CC0) at 0, 0.1 … 1: equal steps look equal, and print in grey.
 _VIRIDIS = "440154 482475 414487 355f8d 2a788e 21918c 22a884 44bf70 7ad151 bddf26 fde725"
+STILL = 0.09  # linear grey of what hardly moves: it has no phase to show
+STILL_BELOW = 0.05  # of the colour range
 # OKLab (Ottosson 2020) to linear sRGB: lms' from (L, a, b), then rgb from its cubes.
 _FROM_OKLAB = np.array(
     [
@@ -28,6 +30,12 @@ def linear(srgb: np.ndarray) -> np.ndarray:
     """Display-referred sRGB in 0..1, any shape, to linear light."""
     srgb = np.asarray(srgb, np.float64)
     return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+
+
+def display(rgb: np.ndarray) -> np.ndarray:
+    """Linear light in 0..1, any shape, to display-referred sRGB."""
+    rgb = np.asarray(rgb, np.float64)
+    return np.where(rgb <= 0.0031308, rgb * 12.92, 1.055 * np.maximum(rgb, 0.0) ** (1 / 2.4) - 0.055)
 
 
 def rest_colours(sh: np.ndarray) -> np.ndarray:

@@ -10,8 +10,7 @@ import numpy as np
 from .. import colours, names
 from .graph import Graph
 
-STILL = (0.09, 0.09, 0.09, 1.0)  # what hardly moves has no phase to show
-STILL_BELOW = 0.05  # of the colour range
+STILL = (colours.STILL,) * 3 + (1.0,)
 
 
 def build_colour_map(name: str) -> Any:
@@ -26,7 +25,7 @@ def build_colour_map(name: str) -> Any:
     by_amplitude = _ramp(graph, part, colours.amplitude_map())
     # Blender's FRACT is x − floor(x), so phases outside 0..1 are fine.
     hue = _ramp(graph, graph.math("FRACT", inputs["Phase"]), colours.phase_map())
-    moves = graph.compare("GREATER_THAN", part, STILL_BELOW)
+    moves = graph.compare("GREATER_THAN", part, colours.STILL_BELOW)
     by_phase = graph.choose("RGBA", moves, STILL, hue)
     graph.finish(Colour=graph.choose("RGBA", inputs["By Phase"], by_amplitude, by_phase))
     return graph.tree

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from tg4mm.capture import nerf_synthetic
+from tg4mm.capture import colmap, nerf_synthetic, nerfstudio
 from tg4mm.capture.confine import inside
 from tg4mm.capture.model import Capture
 from tg4mm.capture.scene import read_scene
@@ -17,7 +17,10 @@ LAYOUT = "a dataset tree (scene.json and timestep folders 000, 001, …)"
 
 def recognises(root: Path) -> bool:
     """Whether there are numbered folders, or a scene.json without frames of its own beside it."""
-    return bool(_numbered(root)) or ((root / "scene.json").is_file() and not nerf_synthetic.recognises(root))
+    if _numbered(root):
+        return True
+    single = any(reader.recognises(root) for reader in (nerf_synthetic, nerfstudio, colmap))
+    return (root / "scene.json").is_file() and not single
 
 
 def load(root: Path, split: str, alpha: int) -> Capture:

@@ -1,4 +1,4 @@
-"""points3d.ply: points on the surfaces with colours."""
+"""points3d.ply and its like: points on the surfaces with colours."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from tg4mm.errors import CaptureError
 GREY = 128  # the colour of points that come without one
 
 
-def read_points(root: Path) -> SurfacePoints | None:
-    """root/points3d.ply, None if absent. ASCII or binary; x y z, red green blue as uchar (else grey)."""
-    path = inside(root, root / "points3d.ply", "points3d.ply")
+def read_points(root: Path, name: str = "points3d.ply") -> SurfacePoints | None:
+    """root/<name>, None if absent. ASCII or binary; x y z, red green blue as uchar (else grey)."""
+    path = inside(root, root / name, name)
     if not path.is_file():
         return None
     vertex = _vertices(path)

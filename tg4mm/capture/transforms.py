@@ -1,18 +1,20 @@
-"""One transforms_<split>.json of NeRF-synthetic: its frames as views, and views assembled as a `Capture`."""
+"""Frames of a transforms JSON as views, and views assembled as a `Capture`."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from tg4mm.capture.cameras import camera_ids, read_intrinsics, read_pose, world_to_camera
 from tg4mm.capture.confine import image_path, inside
 from tg4mm.capture.decode import THREADS, image_header
-from tg4mm.capture.model import Capture
+from tg4mm.capture.model import Capture, SurfacePoints
 from tg4mm.capture.points import read_points
 from tg4mm.capture.records import Record, read_record, shown
 from tg4mm.capture.scene import Scene
@@ -46,18 +48,33 @@ def read_views(root: Path, folder: Path, split: str, timestep: int) -> list[View
         raise file.error("frames", "a list of frames")
     if not frames:
         raise CaptureError(f"{path}: frames is empty: the {split!r} split has no images")
+    return views_of_frames(root, folder, file, list(enumerate(frames)), timestep)
+
+
+def views_of_frames(
+    root: Path, folder: Path, file: Record, frames: list[tuple[int, Any]], timestep: int
+) -> list[View]:
+    """Frames, each with its number in the file, as views in order of file name; paths are relative to `folder`.
+
+    Raises CaptureError if a frame is no object, its path or pose is unusable, or two show one image.
+    """
     views: dict[Path, View] = {}
-    for i, values in enumerate(frames):
+    for i, values in frames:
         if not isinstance(values, dict):
-            raise CaptureError(f"{path}: frame {i} is {shown(values)}; expected an object {{…}}")
-        frame = Record(f"{path}: frame {i}", values)
+            raise CaptureError(f"{file.where}: frame {i} is {shown(values)}; expected an object {{…}}")
+        frame = Record(f"{file.where}: frame {i}", values)
         image = image_path(root, folder, frame.text("file_path"), frame.where)
         if image in views:
             raise CaptureError(f"{frame.where}: image {image} is already that of another frame")
         if frame.has("time"):
             frame.number("time")  # the timestep comes from the folder; a time must be finite all the same
         views[image] = View(image, timestep, read_pose(frame), frame, file)
-    return sorted(views.values(), key=lambda view: natural(view.path.relative_to(folder).as_posix()))
+    return in_order(folder, views.values())
+
+
+def in_order(folder: Path, views: Iterable[View]) -> list[View]:
+    """Views in natural order of their images' names below `folder`."""
+    return sorted(views, key=lambda view: natural(view.path.relative_to(folder).as_posix()))
 
 
 def natural(name: str) -> list[tuple[int, str]]:
@@ -65,8 +82,18 @@ def natural(name: str) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdecimal() else (0, part) for part in re.split(r"([0-9]+)", name)]
 
 
-def assemble(root: Path, split: str, views: list[View], scene: Scene, n_timesteps: int) -> Capture:
-    """A `Capture` of these views; opens every image's header, since all must have one size."""
+def assemble(
+    root: Path,
+    split: str,
+    views: list[View],
+    scene: Scene,
+    n_timesteps: int,
+    points: SurfacePoints | None = None,
+) -> Capture:
+    """A `Capture` of these views; opens every image's header, since all must have one size.
+
+    points: None takes points3d.ply, if it is there.
+    """
     with ThreadPoolExecutor(THREADS) as pool:
         sizes = [(h.width, h.height) for h in pool.map(image_header, [view.path for view in views])]
     for view, size in zip(views, sizes, strict=True):
@@ -89,6 +116,6 @@ def assemble(root: Path, split: str, views: list[View], scene: Scene, n_timestep
         camera_ids=camera_ids(viewmats, Ks),
         paths=tuple(view.path for view in views),
         unit_scale_m=scene.unit_scale_m,
-        points=read_points(root),
+        points=read_points(root) if points is None else points,
         scene=scene.values,
     )

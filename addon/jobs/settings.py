@@ -1,0 +1,206 @@
+"""The settings of the panels Generate and Train: properties of the scene, saved with it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+from bpy.props import (
+    BoolProperty,
+    CollectionProperty,
+    EnumProperty,
+    FloatProperty,
+    FloatVectorProperty,
+    IntProperty,
+    IntVectorProperty,
+    PointerProperty,
+    StringProperty,
+)
+
+from . import preview
+from .kinds import KINDS
+
+GENERATE, TRAIN = "tg4mm_generate", "tg4mm_train"  # properties of the scene
+
+
+def _changed(settings: Any, context: Any) -> None:
+    preview.refresh_soon()
+
+
+def _gain_changed(settings: Any, context: Any) -> None:
+    preview.set_gain(settings.gain)
+
+
+def _length(name: str, text: str, default: float, least: float = 0.0) -> Any:
+    return FloatProperty(
+        name=name, description=text, default=default, min=least, soft_max=100.0, unit="LENGTH", precision=4,
+        update=_changed,
+    )  # fmt: skip
+
+
+def _place(name: str, text: str, default: tuple[float, float, float]) -> Any:
+    return FloatVectorProperty(
+        name=name, description=text, default=default, size=3, subtype="TRANSLATION", precision=4, update=_changed
+    )
+
+
+def _heading(name: str, text: str, default: tuple[float, float, float]) -> Any:
+    return FloatVectorProperty(
+        name=name, description=text, default=default, size=3, subtype="XYZ", precision=3, update=_changed
+    )
+
+
+class TG4MM_moving_object(bpy.types.PropertyGroup):
+    """An object that takes part in the motion"""
+
+    object: PointerProperty(type=bpy.types.Object, name="Object")  # type: ignore[valid-type]
+
+
+class TG4MM_generate(bpy.types.PropertyGroup):
+    """How the scene vibrates, and what is rendered of it"""
+
+    # fmt: off
+    moving: CollectionProperty(type=TG4MM_moving_object)  # type: ignore[valid-type]
+    source: EnumProperty(  # type: ignore[valid-type]
+        name="Motion", description="Where the description of the motion comes from", default="PANEL", update=_changed,
+        items=[("PANEL", "One Mode", "One mode, described here"),
+               ("FILE", "File", "Any number of modes, in a file of your own (JSON, or YAML with the core)")])
+    motion_file: StringProperty(  # type: ignore[valid-type]
+        name="Description", description="A motion description: .json or .yaml", subtype="FILE_PATH", update=_changed)
+    kind: EnumProperty(  # type: ignore[valid-type]
+        name="Mode", description="How the objects move", default="bending", update=_changed,
+        items=[(name, kind.label, kind.description) for name, kind in KINDS.items()])
+    frequency: FloatProperty(  # type: ignore[valid-type]
+        name="Frequency", description="Hz; below half of Frames per Second", default=5.0, min=0.001, soft_max=100.0,
+        precision=3, update=_changed)
+    amplitude_in: EnumProperty(  # type: ignore[valid-type]
+        name="Amplitude In", default="SCENE", update=_changed,
+        description="Unit of the amplitude, which is the largest displacement of any vertex",
+        items=[("SCENE", "Scene Units", "Scene units"),
+               ("PIXELS", "Pixels", "Pixels in the first training camera")])
+    amplitude: _length("Amplitude", "Largest displacement, scene units", 0.01, 1e-9)  # type: ignore[valid-type]
+    amplitude_px: FloatProperty(  # type: ignore[valid-type]
+        name="Amplitude", description="Largest displacement, pixels in the first training camera", default=0.3,
+        min=1e-4, soft_max=20.0, precision=3, update=_changed)
+    phase: FloatProperty(  # type: ignore[valid-type]
+        name="Phase", description="0 is a sine: at rest in the first timestep", subtype="ANGLE", update=_changed)
+
+    point: _place("Point", "World coordinates, scene units", (0, 0, 0))  # type: ignore[valid-type]
+    tip: _place("Tip", "The free end, world coordinates, scene units", (0, 0, 1))  # type: ignore[valid-type]
+    axis: _heading("Axis", "World axes, any length", (0, 0, 1))  # type: ignore[valid-type]
+    direction: _heading("Direction", "World axes, any length", (1, 0, 0))  # type: ignore[valid-type]
+    length: _length("Length",  # type: ignore[valid-type]
+                    "Way along the axis over which the twist grows, scene units; 0: everything turns alike", 0.0)
+    order: IntProperty(  # type: ignore[valid-type]
+        name="Order", description="1 is the beam's lowest mode", default=1, min=1, max=3, update=_changed)
+    wavelength: _length("Wavelength", "Scene units", 1.0, 1e-6)  # type: ignore[valid-type]
+    rayleigh: BoolProperty(  # type: ignore[valid-type]
+        name="Rayleigh", description="The surface wave of an elastic solid: points go round ellipses", update=_changed)
+    decay_length: _length("Decay Length",  # type: ignore[valid-type]
+                          "Distance from the surface's z for a fall by 1/e, scene units; 0: no fall", 0.0)
+    level: FloatProperty(  # type: ignore[valid-type]
+        name="Height", description="World z, scene units", unit="LENGTH", precision=4, update=_changed)
+    hold: EnumProperty(  # type: ignore[valid-type]
+        name="Held", description="What holds the soft body", update=_changed,
+        items=[("HEIGHT", "Below a Height", "It sways above a height"),
+               ("POINT", "At a Point", "It sways with the distance from a point")])
+    reach: _length("Reach",  # type: ignore[valid-type]
+                   "Distance from what holds it at which the displacement grows linearly, scene units", 1.0, 1e-6)
+    random: BoolProperty(  # type: ignore[valid-type]
+        name="Random Direction", description="Every object sways its own way", update=_changed)
+    radius: _length("Radius", "Of the rim, scene units", 1.0, 1e-6)  # type: ignore[valid-type]
+    drum_nodes: IntVectorProperty(  # type: ignore[valid-type]
+        name="Nodes", description="Nodal diameters, and nodal circles counting the rim", size=2, default=(0, 1),
+        min=0, max=20, update=_changed)
+    sides: FloatVectorProperty(  # type: ignore[valid-type]
+        name="Sides", description="Scene units", size=2, default=(1, 1), min=1e-6, unit="LENGTH", update=_changed)
+    plate_nodes: IntVectorProperty(  # type: ignore[valid-type]
+        name="Half Waves", description="Along each side", size=2, default=(1, 1), min=1, max=20, update=_changed)
+    thickness: _length("Thickness",  # type: ignore[valid-type]
+                       "How far along the normal it reaches, scene units; 0: without end", 0.0)
+    group: StringProperty(  # type: ignore[valid-type]
+        name="Vertex Group", description="Its weights say how far each vertex goes", update=_changed)
+
+    gain: FloatProperty(  # type: ignore[valid-type]
+        name="Gain", description="The preview shows this many times the displacement; the data have it once",
+        default=20.0, soft_min=0.0, soft_max=200.0, update=_gain_changed)
+    fps: FloatProperty(  # type: ignore[valid-type]
+        name="Frames per Second", description="Timesteps per second, Hz", default=30.0, min=0.01, soft_max=1000.0,
+        precision=2, update=_changed)
+    timesteps: IntProperty(  # type: ignore[valid-type]
+        name="Timesteps", description="Number of frames of the dataset", default=30, min=1, max=1000)
+
+    cameras: EnumProperty(  # type: ignore[valid-type]
+        name="Cameras", description="Where the training pictures are taken from", update=_changed,
+        items=[("orbit", "Orbit", "A spiral around the scene, as in NeRF's synthetic sets"),
+               ("rig", "Rig", "Fixed cameras on arcs around the scene"),
+               ("sweep", "Sweep", "One fixed camera, after a hand-held round at the first timestep"),
+               ("handheld", "Hand-Held", "One camera that moves"),
+               ("given", "The Scene's Own", "The perspective cameras of this scene")])
+    views: IntProperty(  # type: ignore[valid-type]
+        name="Views", description="Training cameras", default=30, min=1, max=1000, update=_changed)
+    test_views: IntProperty(  # type: ignore[valid-type]
+        name="Test Views", description="Cameras of the test pictures", default=5, min=0, max=1000)
+    size: IntProperty(  # type: ignore[valid-type]
+        name="Size", description="Edge of the square pictures, pixels", default=128, min=8, max=4096,
+        subtype="PIXEL", update=_changed)
+    samples: IntProperty(  # type: ignore[valid-type]
+        name="Samples", description="Light paths per pixel", default=96, min=1, max=65536)
+    device: EnumProperty(  # type: ignore[valid-type]
+        name="Device", description="Where Cycles renders",
+        items=[("cpu", "CPU", ""), ("gpu", "GPU", ""), ("auto", "GPU or CPU", "A GPU where there is one")])
+    truth: EnumProperty(  # type: ignore[valid-type]
+        name="Truth per Pixel", default="none",
+        description="Depth, normal, position and displacement of every pixel; the core's Python writes it",
+        items=[("none", "None", "The motion of the vertices alone"), ("test", "Test Views", ""),
+               ("all", "All Views", "Large")])
+    alphas: StringProperty(  # type: ignore[valid-type]
+        name="Magnified", default="5,10,20,50,100",
+        description="Magnification factors of the ground truth: test pictures whose motion is 1 + factor times as "
+                    "large")
+    seed: IntProperty(  # type: ignore[valid-type]
+        name="Seed", description="Of the renderer, and of what is random in the motion", min=0, update=_changed)
+    processes: IntProperty(  # type: ignore[valid-type]
+        name="Processes", description="Render processes at once; 0: one for each core", min=0, max=256)
+    name: StringProperty(  # type: ignore[valid-type]
+        name="Name", description="First part of the dataset folder's name: letters, digits, - and _; empty: the file's")
+    out: StringProperty(  # type: ignore[valid-type]
+        name="Output", description="Folder that the dataset's folder is made in", subtype="DIR_PATH")
+    in_blender: BoolProperty(  # type: ignore[valid-type]
+        name="Render in This Blender", description="Even though the core's Python is known: the same version of "
+        "Blender as this one renders, but without truth per pixel and without a report")
+    # fmt: on
+
+
+class TG4MM_train(bpy.types.PropertyGroup):
+    """From a dataset to splats"""
+
+    # fmt: off
+    dataset: StringProperty(  # type: ignore[valid-type]
+        name="Dataset", description="A dataset's folder", subtype="DIR_PATH")
+    run: StringProperty(  # type: ignore[valid-type]
+        name="Run", description="Folder for what training writes; an unfinished run there goes on", subtype="DIR_PATH")
+    device: EnumProperty(  # type: ignore[valid-type]
+        name="Device", description="Where the core computes",
+        items=[("cpu", "CPU", ""), ("cuda", "CUDA", "An NVIDIA GPU, with gsplat installed")])
+    settings: StringProperty(  # type: ignore[valid-type]
+        name="Settings", description="Settings of training that differ from the defaults, with spaces between: "
+        "space.iterations=3000 motion.iterations=500")
+    # fmt: on
+
+
+_CLASSES = (TG4MM_moving_object, TG4MM_generate, TG4MM_train)
+
+
+def register() -> None:
+    for cls in _CLASSES:
+        bpy.utils.register_class(cls)
+    setattr(bpy.types.Scene, GENERATE, PointerProperty(type=TG4MM_generate))
+    setattr(bpy.types.Scene, TRAIN, PointerProperty(type=TG4MM_train))
+
+
+def unregister() -> None:
+    delattr(bpy.types.Scene, TRAIN)
+    delattr(bpy.types.Scene, GENERATE)
+    for cls in reversed(_CLASSES):
+        bpy.utils.unregister_class(cls)
