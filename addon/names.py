@@ -28,7 +28,12 @@ MODE_PREFIX, SH_PREFIX = "mode_", "sh_"
 MARK, FPS, FREQUENCIES, TIMESTEPS = "tg4mm_version", "tg4mm_fps", "tg4mm_frequencies_hz", "tg4mm_timesteps"
 UNIT_SCALE = "tg4mm_unit_scale_m"  # metres per scene unit; absent if unknown
 MODE_AMPLITUDES = "tg4mm_mode_amplitudes"  # largest amplitude of each mode, scene units
+MODE_RMS = "tg4mm_mode_rms"  # amplitude of each mode, rms over the Gaussians by opacity, scene units
 MODE_AXES = "tg4mm_mode_axes"  # per mode x, y, z: the unit vector against which its phases are measured
+
+# What the probe read last: its label, and per mode re x, im x, re y … of the phasor, scene units.
+PROBE_LABEL, PROBE_PHASORS = "tg4mm_probe_label", "tg4mm_probe_phasors"
+PROBE_OF = "tg4mm_probe_of"  # on a sphere empty: the splat object that it was made for
 
 
 def phasor(mode: int) -> dict[str, str]:

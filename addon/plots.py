@@ -15,7 +15,7 @@ from .canvas import Canvas, Colour
 from .units import Unit
 
 SIDE = 400
-_TEXT = 19.0  # height of capitals
+_TEXT = 17.0  # height of capitals
 _BACK: Colour = (0.11, 0.11, 0.115)
 _FRONT: Colour = (0.86, 0.86, 0.86)
 _FAINT: Colour = (0.32, 0.32, 0.33)
@@ -133,7 +133,7 @@ def phase_legend(still_below: float, unit: Unit) -> np.ndarray:
         canvas.text(centre_x + dx, centre_y + dy, words, _FRONT, _TEXT, anchor)
     grey = float(colours.display(np.array(colours.STILL)))
     canvas.box(_LEFT, 362, _LEFT + 26, 388, (grey, grey, grey))
-    canvas.text(_LEFT + 38, 386, f"below {unit.text(still_below)}", _FRONT, _TEXT)
+    canvas.text(_LEFT + 38, 386, f"< {unit.text(still_below)}", _FRONT, _TEXT)
     return canvas.pixels
 
 

@@ -33,6 +33,8 @@ def fill_mesh(mesh: Any, splat: SplatFile) -> None:
         amplitude, phase = strength(d, main_axis(d))
         _attribute(mesh, names.amplitude(k), "FLOAT", "value", amplitude)
         _attribute(mesh, names.phase(k), "FLOAT", "value", phase)
+    # New points come selected; the probe reads what a person selects.
+    mesh.vertices.foreach_set("select", np.zeros(len(splat), bool))
     mesh.update()
 
 

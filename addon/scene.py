@@ -16,6 +16,7 @@ from .made import Made
 from .materials import make_materials
 from .nodes import Content, build_player
 from .points import fill_mesh, main_axis
+from .spectrum import rms_amplitude
 
 NAME_LENGTH = 40  # of what a name may have, so that what is added to it still fits
 
@@ -85,6 +86,21 @@ def splat_modifier(obj: Any) -> Any | None:
     return obj.modifiers.get(names.MODIFIER)
 
 
+def splat_object(context: Any) -> Any | None:
+    """The active splat object, or the one that the active probe sphere was made for; None without one."""
+    obj = context.object
+    if obj is None:
+        return None
+    target = obj if names.MARK in obj else obj.get(names.PROBE_OF)
+    modifier = splat_modifier(target)
+    return None if modifier is None or modifier.node_group is None else target
+
+
+def moves(obj: Any) -> bool:
+    """True for a splat object with modes of motion."""
+    return splat_modifier(obj) is not None and len(obj[names.FREQUENCIES]) > 0
+
+
 def set_timeline(scene: Any, fps: float, n_timesteps: int) -> None:
     """Frame 1 … T, and the frame rate where it is known; what does not move leaves the timeline as it is."""
     if fps > 0:
@@ -110,6 +126,7 @@ def _describe(obj: Any, splat: SplatFile, largest: list[float]) -> None:
     obj[names.MARK], obj[names.FPS], obj[names.FREQUENCIES] = 1, splat.fps, splat.freqs_hz.tolist()
     obj[names.TIMESTEPS] = splat.n_timesteps
     obj[names.MODE_AMPLITUDES] = largest
+    obj[names.MODE_RMS] = [rms_amplitude(_floats(obj.data, names.amplitude(k)), splat.opacities) for k in range(splat.n_modes)]
     obj[names.MODE_AXES] = [float(x) for phasors in splat.displacement for x in main_axis(phasors)]
     if splat.unit_scale_m is not None:
         obj[names.UNIT_SCALE] = splat.unit_scale_m

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from tg4mm.motion.modal import ModalMotion
 from tg4mm.progress import progress
 from tg4mm.runs import Run
 from tg4mm.splatfile import SplatFile, write_splat
+
+if TYPE_CHECKING:
+    from tg4mm.render.sequence import RenderRequest
 
 
 def to_splat(
@@ -59,6 +62,8 @@ def unit_scale_of(run: Run) -> float | None:
 def export_ply(run: Run, out: Path) -> Path:
     """Write the run as one splat file that any viewer opens at rest, and ours plays.
 
+    Of a `paper` run it holds timestep 0 and, as phasors of all DFT bins (0 Hz for the mean offset from it), every
+    timestep's position and rotation. Lost is what the decoder changes in scale, opacity and colour over time.
     Raises Tg4mmError for an `out` that is a folder, RunError for a run without a space stage.
     """
     if out.is_dir():
@@ -75,26 +80,28 @@ def export_ply_sequence(
     alpha: float = 0.0,
     band: tuple[float, float] | None = None,
     timesteps: Sequence[int] | None = None,
+    request: RenderRequest | None = None,
 ) -> Path:
     """Write OUT/frame_0000.ply …, one static splat file per timestep with the motion magnified by `alpha`.
 
+    `request`: alpha and band, or several bands, with a method, in place of `alpha` and `band`.
     Raises Tg4mmError for an `out` that is a file or a timestep that does not exist, and what rendering with
     this alpha and band would.
     """
     from tg4mm.render.sequence import RenderRequest, pose_of
 
+    request = request or RenderRequest(alpha=alpha, band=band)
     if out.exists() and not out.is_dir():
         raise Tg4mmError(f"--out {out}: is a file; expected a folder for numbered files")
-    pose, n_timesteps, _ = pose_of(run, RenderRequest(alpha=alpha, band=band))
+    pose, n_timesteps, _ = pose_of(run, request)
     wanted = range(n_timesteps) if timesteps is None else timesteps
     for t in wanted:
         if not 0 <= t < n_timesteps:
             raise Tg4mmError(f"timestep {t} is outside 0 … {n_timesteps - 1}")
-    static = to_splat(run.load_space(), None, unit_scale_of(run))
+    scale = unit_scale_of(run)
     out.mkdir(parents=True, exist_ok=True)
     with progress("export", len(wanted), unit="files") as update:
         for i, t in enumerate(wanted):
-            moment = to_splat(pose(float(t)), None)
-            write_splat(out / f"frame_{t:04d}.ply", replace(static, means=moment.means, quats=moment.quats))
+            write_splat(out / f"frame_{t:04d}.ply", to_splat(pose(float(t)), None, scale))
             update(i + 1)
     return out

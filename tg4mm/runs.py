@@ -5,6 +5,7 @@
     RUN/motion.safetensors          modal motion of those Gaussians; absent for a capture of one timestep
     RUN/log.json                    figures of every stage: seconds, peak_memory_mib, psnr, …
     RUN/checkpoint_<stage>.safetensors   state of an unfinished stage
+    RUN/triplane.safetensors, RUN/planes_0001.safetensors …   parts of the preset `paper` (tg4mm/paper/model.py)
 
 Every file is written under a temporary name and renamed. The safetensors files carry metadata
 {format, kind, version, config}; complex tensors are stored as two real ones (`name#re`, `name#im`).
@@ -12,6 +13,7 @@ Every file is written under a temporary name and renamed. The safetensors files 
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -276,6 +278,22 @@ class Run:
         for name, tensor in tensors.items():
             if not bool(torch.isfinite(torch.view_as_real(tensor) if tensor.is_complex() else tensor).all()):
                 raise RunError(f"{file}: {name} holds a value that is not finite")
+
+
+def model_hash(run_path: Path) -> str:
+    """SHA-256 over the run's model files: equal models give equal pictures.
+
+    Motion triplanes of `paper` are in it by the motion that they decode to.
+    """
+    digest = hashlib.sha256()
+    for name in ("space.safetensors", "motion.safetensors", "triplane.safetensors"):
+        path = run_path / name
+        if path.exists() or not name.startswith("triplane"):  # so that other presets' digests stay as they were
+            digest.update(name.encode())
+        if path.exists():
+            with path.open("rb") as file:
+                digest.update(hashlib.file_digest(file, "sha256").digest())
+    return digest.hexdigest()
 
 
 def _finite(value: Any) -> Any:

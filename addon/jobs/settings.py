@@ -162,7 +162,7 @@ class TG4MM_generate(bpy.types.PropertyGroup):
         name="Seed", description="Of the renderer, and of what is random in the motion", min=0, update=_changed)
     processes: IntProperty(  # type: ignore[valid-type]
         name="Processes", description="Render processes at once; 0: one for each core", min=0, max=256)
-    name: StringProperty(  # type: ignore[valid-type]
+    label: StringProperty(  # type: ignore[valid-type]
         name="Name", description="First part of the dataset folder's name: letters, digits, - and _; empty: the file's")
     out: StringProperty(  # type: ignore[valid-type]
         name="Output", description="Folder that the dataset's folder is made in", subtype="DIR_PATH")

@@ -13,6 +13,7 @@ import bpy
 
 from .. import names
 from ..made import Made
+from ..spectrum import whole_band
 from .colour import build_colour_map, build_harmonics
 from .graph import Graph
 from .motion import Motion, build_motion, use_motion

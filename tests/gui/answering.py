@@ -194,4 +194,6 @@ def _answer_what_is_asked() -> float:
 
 
 bpy.context.preferences.view.show_splash = False
+# In a window of its own it would lie across the screen's edge, as no window manager is there to place it.
+bpy.context.preferences.view.filebrowser_display_type = "SCREEN"
 bpy.app.timers.register(_answer_what_is_asked, first_interval=1.0, persistent=True)

@@ -165,7 +165,7 @@ class Session:
 
     # What only Blender knows.
 
-    def ask(self, name: str, **arguments: Any) -> Any:
+    def ask(self, name: str, limit: float = ANSWER_LIMIT, **arguments: Any) -> Any:
         """The answer of a function of answering.py."""
         self._number += 1
         question = {"id": self._number, "name": name, "with": arguments}
@@ -173,7 +173,7 @@ class Session:
         partial.write_text(json.dumps(question), encoding="utf-8")
         os.replace(partial, self.folder / "ask.json")
         answer = self.folder / "answer.json"
-        self.wait(answer.exists, f"an answer to {name}", ANSWER_LIMIT, 0.02)
+        self.wait(answer.exists, f"an answer to {name}", limit, 0.02)
         reply = json.loads(answer.read_text(encoding="utf-8"))
         answer.unlink()
         assert reply["id"] == self._number, f"{reply} is no answer to {question}"
@@ -217,16 +217,9 @@ class Session:
     def _wait_for_window(self) -> None:
         self.wait(lambda: self._status() == "started", "the virtual screen", START_LIMIT)
         self._display = ":" + (self.folder / "display").read_text(encoding="utf-8").strip()
-        self.ask_within(START_LIMIT)
-
-    def ask_within(self, limit: float) -> None:
-        """Wait for the first answer, which comes once the window is drawn."""
-        (self.folder / "ask.json").write_text(
-            json.dumps({"id": 0, "name": "version", "with": {}}), encoding="utf-8"
-        )
-        answer = self.folder / "answer.json"
-        self.wait(answer.exists, "Blender's window", limit)
-        answer.unlink()
+        self.ask("version", limit=START_LIMIT)  # answered once the window is there
+        # Without a window manager nobody gives it the keyboard.
+        self._xdotool("search", "--sync", "--onlyvisible", "--class", "Blender", "windowfocus")
 
     def _xdotool(self, *words: str) -> None:
         self._run("xdotool", *words)

@@ -59,7 +59,7 @@ def test_neither_the_order_of_tiles_nor_who_takes_them_changes_a_bit(scene: Scen
     tensors = [t.detach() for t in scene.tensors(torch.float32)]
     record = render(tensors, scene, 3)[2]["projected"][0]
     splats, bins, (width, height) = record.splats, record.bins, (scene.width, scene.height)
-    tables = (bins.tile_start, bins.pair_gaussian, blend._PLACES)
+    tables = (bins.tile_start, bins.pair_gaussian, blend.PLACES)
     rng = np.random.default_rng(workers)
     v_image = rng.normal(size=(height, width, FEATURES)).astype(np.float32)
     v_transmittance = rng.normal(size=(height, width)).astype(np.float32)

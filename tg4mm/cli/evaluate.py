@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from tg4mm.cli.device import Device, DeviceOption
+from tg4mm.cli.magnify import BandOption, FilterOption, MethodOption, parse_bands, temporal_filter
 from tg4mm.errors import Tg4mmError
 
 
@@ -19,10 +20,9 @@ def evaluate(
             metavar="A,A,…", help="Magnification factors, e.g. 5,10,20,50. [default: all with ground truth]"
         ),
     ] = None,
-    band: Annotated[
-        tuple[float, float] | None,
-        typer.Option(metavar="LO HI", help="Magnify only modes with LO ≤ f ≤ HI, Hz. [default: all]"),
-    ] = None,
+    band: BandOption = None,
+    method: MethodOption = None,
+    filter: FilterOption = None,
     out: Annotated[
         Path | None, typer.Option(help="Where the figures go. [default: RUN/metrics.json]")
     ] = None,
@@ -40,7 +40,7 @@ def evaluate(
     moves" scores and, where the exact motion is known, beside the ceiling. With --device cuda the pictures are
     rendered there; the metrics are computed on the CPU.
     """
-    wanted = parse_alphas(alphas)
+    wanted, bands = parse_alphas(alphas), parse_bands(band)
     from tg4mm.device import check_device
     from tg4mm.evaluate import evaluate_run, format_table
     from tg4mm.runs import Run
@@ -50,7 +50,9 @@ def evaluate(
         Run.open(run),
         alphas=wanted,
         out=out,
-        band=band,
+        bands=bands,
+        method=None if method is None else method.value,
+        filter=temporal_filter(filter),
         lpips_weights=lpips_weights or None,
         device=device.value,
     )

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from tg4mm.cli.magnify import BandOption, FilterOption, MethodOption, paired, parse_bands, temporal_filter
 from tg4mm.errors import Tg4mmError
 
 
@@ -29,27 +30,34 @@ def export(
         ),
     ] = Format.ply,
     alpha: Annotated[
-        float | None, typer.Option(help="Magnification of a sequence: (1 + alpha) δ. [default: 0]")
+        list[float] | None,
+        typer.Option(help="Magnification of a sequence: (1 + alpha) δ, once for each --band. [default: 0]"),
     ] = None,
-    band: Annotated[
-        tuple[float, float] | None,
-        typer.Option(metavar="LO HI", help="Magnified modes of a sequence, Hz. [default: all]"),
-    ] = None,
+    band: BandOption = None,
+    method: MethodOption = None,
+    filter: FilterOption = None,
 ) -> None:
     """Write a run as files for viewers and for Blender.
 
     Lengths are in scene units.
     """
-    if format is Format.ply and (alpha is not None or band is not None):
+    given = {"--method": method is not None, "--filter": filter is not None}
+    if format is Format.ply and (alpha or band or any(given.values())):
+        named = "--alpha and --band" if alpha or band else next(name for name, there in given.items() if there)
+        belong = "belong" if alpha or band else "belongs"
         raise Tg4mmError(
-            "--alpha and --band belong to --format ply-sequence; a splat file holds the motion itself"
+            f"{named} {belong} to --format ply-sequence; a splat file holds the motion itself"
         )
+    magnified = paired(alpha or [0.0], parse_bands(band))
     from tg4mm.export import export_ply, export_ply_sequence
+    from tg4mm.render import RenderRequest
     from tg4mm.runs import Run
 
     opened = Run.open(run)
     if format is Format.ply:
         export_ply(opened, out)
     else:
-        export_ply_sequence(opened, out, alpha or 0.0, band)
+        chosen = None if method is None else method.value
+        request = RenderRequest(method=chosen, filter=temporal_filter(filter), **magnified)
+        export_ply_sequence(opened, out, request=request)
     typer.echo(str(out))

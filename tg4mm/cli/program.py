@@ -13,6 +13,7 @@ from tg4mm.cli.demo import demo
 from tg4mm.cli.evaluate import evaluate
 from tg4mm.cli.export import export
 from tg4mm.cli.generate import generate
+from tg4mm.cli.magnify import BandsCommand
 from tg4mm.cli.render import render
 from tg4mm.cli.train import train
 from tg4mm.errors import Tg4mmError
@@ -30,6 +31,7 @@ _CORE = {
     "jinja2",
     "imageio",
     "psutil",
+    "plenoptic",
 }
 
 app = typer.Typer(
@@ -49,8 +51,9 @@ _PASS_ALL = {
 }
 app.command()(demo)
 app.command(context_settings=_PASS_ALL)(generate)
-for _command in (train, render, evaluate, export):
-    app.command()(_command)
+app.command()(train)
+for _command in (render, evaluate, export):
+    app.command(cls=BandsCommand)(_command)
 
 
 def _version(wanted: bool) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tg4mm.cli.device import Device, DeviceOption
+from tg4mm.cli.magnify import BandOption, FilterOption, MethodOption, paired, parse_bands, temporal_filter
 from tg4mm.errors import CaptureError, Tg4mmError
 
 if TYPE_CHECKING:
@@ -26,16 +27,16 @@ class Split(StrEnum):
 def render(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder made by tg4mm train.")],
     alpha: Annotated[
-        float,
+        list[float],
         typer.Option(
-            help="Magnification, alpha ≥ -1: a displacement δ becomes (1 + alpha) δ; 0 as captured, -1 at rest."
+            help="Magnification: a displacement δ becomes (1 + alpha) δ; 0 as captured, -1 at rest, below it "
+            "reversed. Once for each --band."
         ),
     ],
     out: Annotated[Path, typer.Option(help="Folder for the pictures; complete ones are kept.")],
-    band: Annotated[
-        tuple[float, float] | None,
-        typer.Option(metavar="LO HI", help="Magnify only modes with LO ≤ f ≤ HI, Hz. [default: all]"),
-    ] = None,
+    band: BandOption = None,
+    method: MethodOption = None,
+    filter: FilterOption = None,
     split: Annotated[Split | None, typer.Option(help="Cameras of the dataset. [default: test]")] = None,
     cameras: Annotated[
         Path | None, typer.Option(help="Cameras of a transforms JSON (NeRF or nerfstudio).")
@@ -55,13 +56,15 @@ def render(
         raise Tg4mmError(f"{given[0]} and {given[1]} exclude each other")
     if orbit is not None and not video:
         raise Tg4mmError("--no-video and --orbit exclude each other: an orbit is a video")
+    magnified = paired(alpha, parse_bands(band))
     from tg4mm.device import check_device
     from tg4mm.render import RenderRequest, render_orbit, render_sequence
     from tg4mm.runs import Run
 
     check_device(device.value)
     opened = Run.open(run)
-    request = RenderRequest(alpha=alpha, band=band, slow=slow)
+    chosen_method = None if method is None else method.value
+    request = RenderRequest(slow=slow, method=chosen_method, filter=temporal_filter(filter), **magnified)
     if orbit is not None:
         render_orbit(opened, orbit_cameras(opened, orbit), request, out, device=device.value)
     else:

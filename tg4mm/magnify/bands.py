@@ -37,20 +37,21 @@ class Magnification:
     """A method, the bands it magnifies, and the filter that takes them out.
 
     method None: the run's own (`modal` for the preset modal, `phase` for paper). `everywhere` is the α of all
-    frequencies where there are no bands.
+    frequencies where there are no bands. `modal` has no filter: a mode is inside a band or is not.
     """
 
     bands: tuple[BandGain, ...] = ()
     everywhere: float = 0.0
     method: str | None = None
-    filter: TemporalFilter = TemporalFilter()
+    filter: TemporalFilter | None = None  # None: zero-phase
 
     def checked(self, fps: float) -> Magnification:
         """Itself. Raises Tg4mmError for an unknown method, an α that is no number, and bands that overlap;
         CaptureError for a band that does not fit the frame rate `fps` (Hz)."""
         if self.method is not None and self.method not in METHODS:
             raise Tg4mmError(f"method is {self.method!r}, expected {', '.join(METHODS)}")
-        self.filter.checked()
+        if self.filter is not None:
+            self.filter.checked()
         for alpha in (self.everywhere, *(b.alpha for b in self.bands)):
             if not math.isfinite(alpha):
                 raise Tg4mmError(f"alpha is {alpha}, expected a finite number")
@@ -79,8 +80,9 @@ class Magnification:
         """
         freqs = np.asarray(freqs_hz, np.float64)
         total = np.full(freqs.shape, self.everywhere, np.complex128)
+        temporal = self.filter or TemporalFilter()
         for b in self.bands:
-            total += b.alpha * self.filter.response(b.band, freqs, fps)
+            total += b.alpha * temporal.response(b.band, freqs, fps)
         return total
 
 

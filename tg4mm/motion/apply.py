@@ -14,10 +14,13 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.motion.modal import ModalMotion
 
 
-def mode_gains(motion: ModalMotion, t: float, alpha: float, band: tuple[float, float] | None) -> np.ndarray:
+Alpha = float | np.ndarray  # one for all modes, or [K]: one each
+
+
+def mode_gains(motion: ModalMotion, t: float, alpha: Alpha, band: tuple[float, float] | None) -> np.ndarray:
     """[K] complex factors (1 + α g_k) exp(i 2π f_k t / fps); g_k = 1 for f_k in `band` (ends included), else 0.
 
-    band None takes every mode in. Gains of the motion's own stand for the exponentials, and modes that are not
+    band None takes every mode in; with an α for each mode ([K]) that is how several bands are magnified at once. Gains of the motion's own stand for the exponentials, and modes that are not
     magnified have g_k = 0.
     """
     freqs = motion.freqs_hz
@@ -32,14 +35,14 @@ def _sum(phasors: np.ndarray, gains: np.ndarray) -> np.ndarray:
 
 
 def displacement_at(
-    motion: ModalMotion, t: float, alpha: float = 0.0, band: tuple[float, float] | None = None
+    motion: ModalMotion, t: float, alpha: Alpha = 0.0, band: tuple[float, float] | None = None
 ) -> np.ndarray:
     """[N, 3] displacement from rest in scene units at timestep t (sub-frames allowed), design §4.3."""
     return _sum(motion.displacement, mode_gains(motion, t, alpha, band))
 
 
 def rotation_at(
-    motion: ModalMotion, t: float, alpha: float = 0.0, band: tuple[float, float] | None = None
+    motion: ModalMotion, t: float, alpha: Alpha = 0.0, band: tuple[float, float] | None = None
 ) -> np.ndarray:
     """[N, 3] rotation vectors from rest in radians, world axes, at timestep t."""
     return _sum(motion.rotation, mode_gains(motion, t, alpha, band))
@@ -59,7 +62,7 @@ def moved(
     gaussians: Gaussians,
     motion: ModalMotion | None,
     t: float,
-    alpha: float = 0.0,
+    alpha: Alpha = 0.0,
     band: tuple[float, float] | None = None,
 ) -> Gaussians:
     """The Gaussians at timestep t, motion inside the band magnified by 1 + α. None: nothing moves.
@@ -104,7 +107,7 @@ def _moved_there(
     motion: ModalMotion,
     phasors: Tensor,
     t: float,
-    alpha: float = 0.0,
+    alpha: Alpha = 0.0,
     band: tuple[float, float] | None = None,
 ) -> Gaussians:
     gains = mode_gains(motion, t, alpha, band)

@@ -13,40 +13,45 @@ from numba import float32, njit, prange
 
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.differences import FixedCamera
+from tg4mm.rasterize.buffers import Buffers, take
 from tg4mm.rasterize.kernels.binning import Bins, bin_splats, gather_gradient
-from tg4mm.rasterize.kernels.blend import blend_backward, blend_forward, blend_tangent
-from tg4mm.rasterize.kernels.layout import ALPHA_MIN, CA, CB, CC, FEAT, FEATURES, MX, MY, SPLAT_WIDTH
+from tg4mm.rasterize.kernels.blend import blend_forward
+from tg4mm.rasterize.kernels.layout import ALPHA_MIN, FEATURES
+from tg4mm.rasterize.kernels.linearised import COLUMNS, blend_cotangents, blend_tangents
 from tg4mm.rasterize.kernels.project import empty_splats, pack_camera, project_backward, project_forward
-from tg4mm.space.view import EPS2D, FAR, NEAR
+from tg4mm.space.view import EPS2D, FAR, NEAR, WHITE
 
 # A picture's cut-off at 1/255 takes the rim off every Gaussian. The rim moves along: as a step, of which a derivative
 # inside the rim knows nothing. That would make faint Gaussians answer too weakly (by 1/255 over their opacity), so the
 # Jacobian is taken with hardly any cut-off.
 ALPHA_MIN_LINEAR = ALPHA_MIN / 30
 DOF = 6  # displacement (scene units) and rotation vector (radians, world axes)
-_COLUMNS = np.array([MX, MY, CA, CB, CC, FEAT, FEAT + 1, FEAT + 2])
 
 
 @njit(parallel=True, fastmath=True, cache=True)
-def _push(jacobian, rows, columns, motion, d_splats):
+def _push(jacobian, rows, motions, d_splats):
+    """motions [R, N, DOF] -> d_splats [N, R, 8], where seen."""
     for k in prange(len(rows)):
         i = rows[k]
-        for c in range(len(columns)):
-            total = float32(0.0)
-            for d in range(motion.shape[1]):
-                total += jacobian[k, c, d] * motion[i, d]
-            d_splats[i, columns[c]] = total
+        for r in range(len(motions)):
+            for c in range(jacobian.shape[1]):
+                total = float32(0.0)
+                for d in range(jacobian.shape[2]):
+                    total += jacobian[k, c, d] * motions[r, i, d]
+                d_splats[i, r, c] = total
 
 
 @njit(parallel=True, fastmath=True, cache=True)
-def _pull(jacobian, rows, columns, v_splats, v_motion):
+def _pull(jacobian, rows, v_splats, v_motions):
+    """Adds to v_motions [R, N, DOF] what v_splats [N, R, 8] say."""
     for k in prange(len(rows)):
         i = rows[k]
-        for d in range(v_motion.shape[1]):
-            total = float32(0.0)
-            for c in range(len(columns)):
-                total += jacobian[k, c, d] * v_splats[i, columns[c]]
-            v_motion[i, d] += total
+        for r in range(len(v_motions)):
+            for d in range(jacobian.shape[2]):
+                total = float32(0.0)
+                for c in range(jacobian.shape[1]):
+                    total += jacobian[k, c, d] * v_splats[i, r, c]
+                v_motions[r, i, d] += total
 
 
 @dataclass(frozen=True)
@@ -65,30 +70,41 @@ class RestView:
 
     def push(self, motion: np.ndarray) -> np.ndarray:
         """[N, DOF] float32 -> change of the picture over white [H, W, 3]."""
-        height, width = self.transmittance.shape
-        d_splats = np.zeros((len(motion), FEAT + 3), np.float32)
-        _push(self.jacobian, self._rows, _COLUMNS, motion, d_splats)
-        out = np.empty((height, width, 4), np.float32)
-        bins = self.bins
-        blend_tangent(
-            self.splats, d_splats, bins.tile_start, bins.pair_gaussian, width, height, out, ALPHA_MIN_LINEAR
-        )
-        return out[..., :3] + out[..., 3:]
+        return self.push_all(motion[None])[0]
 
     def pull(self, picture: np.ndarray, v_motion: np.ndarray) -> None:
         """The transpose: adds to `v_motion` [N, DOF] what a picture [H, W, 3] says."""
-        height, width = self.transmittance.shape
-        v_image = np.zeros((height, width, FEATURES), np.float32)
-        v_image[..., :3] = picture
-        v_pairs = np.empty((len(self.bins.pair_gaussian), FEAT + FEATURES), np.float32)
-        bins = self.bins
-        blend_backward(
-            self.splats, bins.tile_start, bins.pair_gaussian, width, height,
-            self.image, self.transmittance, v_image, np.ascontiguousarray(picture.sum(-1)), v_pairs, ALPHA_MIN_LINEAR,
+        self.pull_all(picture[None], v_motion[None])
+
+    def push_all(self, motions: np.ndarray, buffers: Buffers | None = None) -> np.ndarray:
+        """R motions [R, N, DOF] float32 -> R changes of the picture over white [R, H, W, 3], in one pass.
+
+        With `buffers` they lie there, until the next call with the same ones.
+        """
+        bins, n_changes = self.bins, len(motions)
+        d_splats = take(buffers, "d_splats", (motions.shape[1], n_changes, len(COLUMNS)))
+        _push(self.jacobian, self._rows, motions, d_splats)
+        d_images = take(buffers, "d_images", (n_changes, *self.transmittance.shape, 3))
+        blend_tangents(
+            self.splats, d_splats, bins.tile_start, bins.pair_gaussian, WHITE, d_images, ALPHA_MIN_LINEAR
+        )
+        return d_images
+
+    def pull_all(self, pictures: np.ndarray, v_motions: np.ndarray, buffers: Buffers | None = None) -> None:
+        """The transpose: adds to `v_motions` [R, N, DOF] what R pictures [R, H, W, 3] say."""
+        bins, n_changes = self.bins, len(pictures)
+        v_pairs = take(buffers, "v_pairs", (len(bins.pair_gaussian), n_changes, len(COLUMNS)))
+        blend_cotangents(
+            self.splats, bins.tile_start, bins.pair_gaussian, WHITE, self.image, self.transmittance,
+            np.ascontiguousarray(pictures), v_pairs, ALPHA_MIN_LINEAR,
         )  # fmt: skip
-        v_splats = np.empty((len(v_motion), SPLAT_WIDTH), np.float32)
-        gather_gradient(bins.order, bins.n_visible, bins.gaussian_start, bins.pair_slot, v_pairs, v_splats)
-        _pull(self.jacobian, self._rows, _COLUMNS, v_splats, v_motion)
+        v_splats = take(buffers, "d_splats", (v_motions.shape[1], n_changes, len(COLUMNS)))
+        flat = n_changes * len(COLUMNS)
+        gather_gradient(
+            bins.order, bins.n_visible, bins.gaussian_start, bins.pair_slot,
+            v_pairs.reshape(-1, flat), v_splats.reshape(-1, flat),
+        )  # fmt: skip
+        _pull(self.jacobian, self._rows, v_splats, v_motions)
 
 
 def _arrays(gaussians: Gaussians) -> tuple[np.ndarray, ...]:
@@ -124,8 +140,8 @@ def rest_view(gaussians: Gaussians, camera: FixedCamera, size: tuple[int, int]) 
     )
     visible = bins.order[: bins.n_visible]
     turned = _turned_by_axes(quats)[visible]
-    jacobian = np.empty((len(visible), len(_COLUMNS), DOF), np.float32)
-    for c, column in enumerate(_COLUMNS):
+    jacobian = np.empty((len(visible), len(COLUMNS), DOF), np.float32)
+    for c, column in enumerate(COLUMNS):
         v_splats = np.zeros_like(splats)
         v_splats[:, column] = 1
         grads = [np.zeros_like(a) for a in (means, quats, scales, opacities, sh)]

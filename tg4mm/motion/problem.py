@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -10,6 +11,7 @@ from scipy.sparse import csr_matrix
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.linear import DOF, RestView
 from tg4mm.motion.neighbours import Neighbourhoods
+from tg4mm.rasterize.buffers import Buffers
 
 
 @dataclass(frozen=True)
@@ -25,6 +27,7 @@ class MotionProblem:
     around: Neighbourhoods  # K and C
     scale: float  # h
     config: MotionConfig
+    buffers: Buffers = field(default_factory=Buffers, compare=False)
 
     @property
     def n_parameters(self) -> int:
@@ -37,10 +40,17 @@ class MotionProblem:
 
     def normal(self, theta: np.ndarray) -> np.ndarray:
         """The symmetric operator of the problem applied to θ [P, 3]."""
-        motion = self.field(theta)
-        v_motion = np.zeros((len(motion), DOF), np.float32)
+        return self.normals([theta])[0]
+
+    def normals(self, thetas: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """`normal` of several θ, in one pass over the views."""
+        motions = np.stack([self.field(theta) for theta in thetas])
+        v_motions = np.zeros_like(motions)
         for view in self.views:
-            view.pull(view.push(motion), v_motion)
+            view.pull_all(view.push_all(motions, self.buffers), v_motions, self.buffers)
+        return [self._with_prior(*parts) for parts in zip(thetas, motions, v_motions, strict=True)]
+
+    def _with_prior(self, theta: np.ndarray, motion: np.ndarray, v_motion: np.ndarray) -> np.ndarray:
         v_u = self._to_displacement(v_motion)
         v_u += self.scale * self.config.neighbours * self.around.stiffness(motion[:, :3])
         return self.sampling.T @ v_u + self.scale * self.config.ridge * theta

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-import numpy as np
 import torch
 from torch import Tensor
 
+from tg4mm.magnify.linear import series_modes
 from tg4mm.motion.modal import ModalMotion
 from tg4mm.paper.model import PaperModel
 
@@ -28,19 +28,6 @@ def rotation_between(start: Tensor, end: Tensor) -> Tensor:
     return torch.where(length > 1e-12, v / length.clamp_min(1e-12) * angle, 2 * v)
 
 
-def modes(series: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies [K] Hz and phasors [K, N, D] complex64 of a series [T, N, D], 0 Hz and all other DFT bins.
-
-    Σ_k Re[m_k exp(i 2π f_k t / fps)] is the series at every timestep.
-    """
-    n = len(series)
-    spectrum = np.fft.rfft(series, axis=0) * (2 / n)
-    spectrum[0] /= 2
-    if n % 2 == 0:
-        spectrum[-1] /= 2
-    return np.fft.rfftfreq(n, 1 / fps), spectrum.astype(np.complex64)
-
-
 @torch.no_grad()
 def modal_of_series(model: PaperModel, planes: Iterable[Tensor], fps: float) -> ModalMotion:
     """The motion from timestep 0 of what the motion planes (values [A, C] of timesteps 1, 2, …) decode to."""
@@ -50,5 +37,5 @@ def modal_of_series(model: PaperModel, planes: Iterable[Tensor], fps: float) -> 
         now = model.decode(model.embedding(values))
         shift = now.means.double() - rest.means.double()
         changes.append(torch.cat([shift, rotation_between(rest.quats, now.quats)], 1))
-    freqs, phasors = modes(torch.stack(changes).numpy(), fps)
+    freqs, phasors = series_modes(torch.stack(changes).numpy(), fps)
     return ModalMotion(freqs, phasors[..., :3], phasors[..., 3:], fps, len(changes))

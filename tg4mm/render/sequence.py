@@ -10,20 +10,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tg4mm.capture import check_band
 from tg4mm.errors import RunError
 from tg4mm.files import remove_leftovers, write_json
 from tg4mm.gaussians import Gaussians
+from tg4mm.magnify import BandGain, Magnification, TemporalFilter
+from tg4mm.magnify.poses import STILL_FPS, method_of, poses_of
 from tg4mm.progress import progress
 from tg4mm.render.cameras import Camera, transforms_json
 from tg4mm.render.frames import is_complete_png, write_png
 from tg4mm.render.image import WHITE, render_image
 from tg4mm.render.video import video_of_files
-from tg4mm.runs import Run
+from tg4mm.runs import Run, model_hash
 
 RECORD = "render.json"
 FORMAT = "tg4mm-render"
-STILL_FPS = 30.0  # pictures a second of an orbit around a scene that has no time of its own
 Pose = Callable[[float], Gaussians]  # timestep, may be fractional, to the Gaussians at that time
 
 
@@ -35,6 +35,22 @@ class RenderRequest:
     band: tuple[float, float] | None = None  # Hz; None magnifies every frequency
     background: tuple[float, float, float] = WHITE
     slow: float = 1.0  # 2 = videos at half speed
+    bands: tuple[BandGain, ...] = ()  # several, each with its own alpha, in place of alpha and band
+    method: str | None = None  # "modal", "linear", "phase"; None: the run's own
+    filter: TemporalFilter | None = None  # of linear and phase; None: zero-phase
+
+    @property
+    def plan(self) -> Magnification:
+        """What is magnified. Raises RunError where `bands` and alpha or band are both given."""
+        if self.bands and (self.alpha != 0 or self.band is not None):
+            raise RunError("bands with their own alpha, and alpha or band: only one of the two")
+        bands = self.bands or (() if self.band is None else (BandGain(*self.band, self.alpha),))
+        return Magnification(bands, 0.0 if bands else self.alpha, self.method, self.filter)
+
+    @property
+    def label(self) -> str:
+        """α as progress shows it."""
+        return ", ".join(f"{b.alpha:g}" for b in self.bands) or f"{self.alpha:g}"
 
 
 def render_sequence(
@@ -59,7 +75,7 @@ def render_sequence(
     claim(out, run, request, cameras, "sequence")
     files = {(t, camera.name): out / f"{t:03d}" / f"{camera.name}.png" for t in wanted for camera in cameras}
     jobs = [(float(t), camera, files[t, camera.name]) for t in wanted for camera in cameras]
-    render_missing(jobs, pose, request, f"rendering, α = {request.alpha:g}")
+    render_missing(jobs, pose, request, f"rendering, α = {request.label}")
     if video and len(wanted) > 1:
         speed = "" if request.slow == 1 else f"_slow{request.slow:g}"
         for camera in cameras:
@@ -79,7 +95,7 @@ def render_orbit(
     pose, _, fps = pose_of(run, request, device)
     claim(out, run, request, cameras, "orbit")
     jobs = [(i / request.slow, camera, out / f"{camera.name}.png") for i, camera in enumerate(cameras)]
-    render_missing(jobs, pose, request, f"orbit, α = {request.alpha:g}")
+    render_missing(jobs, pose, request, f"orbit, α = {request.label}")
     pictures = [path for _, _, path in jobs]
     if len(pictures) > 1:
         _video_once(out / "orbit.mp4", pictures, fps)
@@ -88,29 +104,15 @@ def render_orbit(
 
 def pose_of(run: Run, request: RenderRequest, device: str = "cpu") -> tuple[Pose, int, float]:
     """The magnified Gaussians (on `device`) as a function of the timestep, the number of timesteps, and fps in Hz."""
-    from tg4mm.motion.apply import mover
-
     _check(request)
-    gaussians = run.load_space().to(device)
-    motion = run.load_motion()
-    if motion is None:
-        if request.alpha != 0:
-            raise RunError(
-                f"--alpha {request.alpha:g}: {run.path} has no motion, only --alpha 0 can be rendered"
-            )
-        return (lambda t: gaussians), 1, STILL_FPS
-    band = request.band
-    if band is not None:
-        check_band(band, motion.fps)
-    at = mover(gaussians, motion)
-    return (lambda t: at(t, request.alpha, band)), motion.n_timesteps, motion.fps
+    poses = poses_of(run, request.plan, device)
+    return poses.at, poses.n_timesteps, poses.fps
 
 
 def _check(request: RenderRequest) -> None:
-    if not math.isfinite(request.alpha) or request.alpha < -1:
-        raise RunError(
-            f"--alpha {request.alpha:g}: must be a finite number of at least -1 (which stops the motion)"
-        )
+    for alpha in (request.alpha, *(b.alpha for b in request.bands)):
+        if not math.isfinite(alpha):
+            raise RunError(f"--alpha {alpha:g}: must be a finite number (-1 stops the motion)")
     if not math.isfinite(request.slow) or request.slow <= 0:
         raise RunError(f"--slow {request.slow:g}: must be above 0 (2 = half speed)")
 
@@ -166,26 +168,20 @@ def claim(out: Path, run: Run, request: RenderRequest, cameras: Sequence[Camera]
 
 def _record(run: Run, request: RenderRequest, cameras: Sequence[Camera], kind: str) -> dict[str, Any]:
     poses = json.dumps(transforms_json(tuple(cameras)), sort_keys=True)
+    method = method_of(run, request.plan)
+    own = method_of(run, Magnification())
+    temporal = request.filter
     return {
         "format": FORMAT,
         "version": 1,
         "kind": kind,
         "alpha": request.alpha,
         "band_hz": list(request.band) if request.band is not None else None,
+        "bands": [[b.low, b.high, b.alpha] for b in request.bands] or None,
+        "method": None if method == own else method,  # null: the run's own
+        "filter": None if temporal is None else [temporal.kind, temporal.taps],
         "background": list(request.background),
         "slow": request.slow if kind == "orbit" else 1.0,
         "model": model_hash(run.path),
         "cameras": hashlib.sha256(poses.encode()).hexdigest(),
     }
-
-
-def model_hash(run_path: Path) -> str:
-    """SHA-256 over the run's model files: equal models give equal pictures."""
-    digest = hashlib.sha256()
-    for name in ("space.safetensors", "motion.safetensors"):
-        path = run_path / name
-        digest.update(name.encode())
-        if path.exists():
-            with path.open("rb") as file:
-                digest.update(hashlib.file_digest(file, "sha256").digest())
-    return digest.hexdigest()

@@ -1,4 +1,4 @@
-"""Front-to-back compositing of the tile lists, [3DGS] Eq. (3), its gradient, also front to back, and its tangent.
+"""Front-to-back compositing of the tile lists, [3DGS] Eq. (3), and its gradient, also front to back.
 
 The gradient of a contribution needs the light that comes from behind it. Instead of walking back to front,
 the backward pass starts from the finished image and takes each contribution away as it meets it, so both
@@ -59,25 +59,25 @@ from tg4mm.rasterize.kernels.vector import (
 
 _AREA = TILE * TILE
 _SIDE = 4  # pixels of a block
-_BLOCKS = _AREA // LANES
-_BATCH = 32  # pairs looked at ahead
+BLOCKS = _AREA // LANES
+BATCH = 32  # pairs looked at ahead
 _GRAD = FEAT + FEATURES
 
 # Where pixels and blocks lie: lanes are pixels from their block's centre, then block centres from the tile's corner.
 _LANE = np.arange(LANES)
-_PLACES = np.stack(
+PLACES = np.stack(
     [_LANE % _SIDE - 1.5, _LANE // _SIDE - 1.5, _LANE % _SIDE * 4 + 2.0, _LANE // _SIDE * 4 + 2.0]
 ).astype(np.float32).ravel()  # fmt: skip
 
 
 @njit(inline="always")
-def _pixel(r, c, stride):
+def pixel(r, c, stride):
     """Place of row r, column c of a tile in the first plane of its state, whose blocks are `stride` apart."""
     return ((r >> 2) * 4 + (c >> 2)) * stride + (r & 3) * _SIDE + (c & 3)
 
 
 @njit(inline="always")
-def _aligned(n):
+def aligned(n):
     """n float32 at an address that is a multiple of 64: no vector straddles two cache lines."""
     room = np.empty(n + LANES, np.float32)
     skip = (-(room.ctypes.data // 4)) % LANES
@@ -85,22 +85,22 @@ def _aligned(n):
 
 
 @njit(inline="always")
-def _fill(state, stride, transmittance):
+def fill(state, stride, transmittance):
     """The first plane to `transmittance`, the others to 0. A block's planes follow each other in `state`."""
     state[:] = float32(0.0)
-    for k in range(_BLOCKS):
+    for k in range(BLOCKS):
         state[k * stride : k * stride + LANES] = transmittance
 
 
 @njit(inline="always")
-def _squares(splats, i):
+def exponent(splats, i):
     """l11, l12, l22 of the exponent p² + q² of Gaussian i: p = l11 dx + l12 dy, q = l22 dy."""
     h = float32(SQUARES) * splats[i, R11]
     return h * splats[i, CA], h * splats[i, CB], splats[i, L22]
 
 
 @njit(error_model="numpy", inline="always")
-def _look_ahead(splats, pair_gaussian, begin, end, x0, y0, places, masks, offsets):
+def look_ahead(splats, pair_gaussian, begin, end, x0, y0, places, masks, offsets):
     """For the pairs begin … end: which blocks the ellipse may reach, and p and q at the blocks' centres [2 · 16].
 
     A block's p and q lie within a box around those of its centre; if the box's nearest point to the origin is outside
@@ -110,7 +110,7 @@ def _look_ahead(splats, pair_gaussian, begin, end, x0, y0, places, masks, offset
     half, zero = float32(1.5), wide(float32(0.0))
     for n in range(end - begin):
         i = pair_gaussian[begin + n]
-        l11, l12, l22 = _squares(splats, i)
+        l11, l12, l22 = exponent(splats, i)
         dx = load(places, int64(2 * LANES)) + (float32(x0) - splats[i, MX])
         dy = load(places, int64(3 * LANES)) + (float32(y0) - splats[i, MY])
         p, q = fma(dx, l11, dy * l12), dy * l22
@@ -125,10 +125,10 @@ def _look_ahead(splats, pair_gaussian, begin, end, x0, y0, places, masks, offset
 
 
 @njit(inline="always")
-def _inside(rows, columns):
+def inside(rows, columns):
     """Mask of the blocks that have a pixel in the image."""
     live = uint32(0)
-    for k in range(_BLOCKS):
+    for k in range(BLOCKS):
         if (k >> 2) * 4 < rows and (k & 3) * 4 < columns:
             live |= uint32(1) << uint32(k)
     return live
@@ -143,9 +143,9 @@ def _forward_tiles(order, counter, tables, frame, splats, image, transmittance, 
     alpha_max, t_min = float32(ALPHA_MAX), float32(T_MIN)
     faintest = float32(math.log2(alpha_min))
     stride = (1 + FEATURES) * LANES
-    state = _aligned(_BLOCKS * stride)
-    offsets = _aligned(_BATCH * 2 * LANES)
-    masks = np.empty(_BATCH, np.uint32)
+    state = aligned(BLOCKS * stride)
+    offsets = aligned(BATCH * 2 * LANES)
+    masks = np.empty(BATCH, np.uint32)
     while True:
         item = fetch_add(counter)
         if item >= len(order):
@@ -158,17 +158,17 @@ def _forward_tiles(order, counter, tables, frame, splats, image, transmittance, 
             transmittance[y0 : y0 + rows, x0 : x0 + columns] = one
             image[y0 : y0 + rows, x0 : x0 + columns] = zero
             continue
-        _fill(state, stride, one)
-        live = _inside(rows, columns)
+        fill(state, stride, one)
+        live = inside(rows, columns)
         lane_x, lane_y = load(places, int64(0)), load(places, int64(LANES))
         for pair in range(begin, end):
             i = pair_gaussian[pair]
-            at = (pair - begin) % _BATCH
+            at = (pair - begin) % BATCH
             if at == 0:
-                ahead = min(end, pair + _BATCH)
-                _look_ahead(splats, pair_gaussian, pair, ahead, x0, y0, places, masks, offsets)
+                ahead = min(end, pair + BATCH)
+                look_ahead(splats, pair_gaussian, pair, ahead, x0, y0, places, masks, offsets)
             todo, at = masks[at] & live, at * 2 * LANES
-            l11, l12, l22 = _squares(splats, i)
+            l11, l12, l22 = exponent(splats, i)
             top = splats[i, POWER] * float32(2.0 * SQUARES) + faintest
             at_p, at_q = fma(lane_x, l11, lane_y * l12), lane_y * l22
             f0, f1 = splats[i, FEAT], splats[i, FEAT + 1]
@@ -201,7 +201,7 @@ def _forward_tiles(order, counter, tables, frame, splats, image, transmittance, 
                 break
         for r in range(rows):
             for j in range(columns):
-                at = _pixel(r, j, stride)
+                at = pixel(r, j, stride)
                 transmittance[y0 + r, x0 + j] = abs(state[at])
                 for k in range(FEATURES):
                     image[y0 + r, x0 + j, k] = state[(1 + k) * LANES + at]
@@ -218,9 +218,9 @@ def _backward_tiles(order, counter, tables, frame, splats, pictures, v_pairs, al
     faintest = float32(math.log2(alpha_min))
     # planes: transmittance, what is still to come (as seen by the loss), gradient by the features
     stride = (2 + FEATURES) * LANES
-    state = _aligned(_BLOCKS * stride)
-    offsets = _aligned(_BATCH * 2 * LANES)
-    masks = np.empty(_BATCH, np.uint32)
+    state = aligned(BLOCKS * stride)
+    offsets = aligned(BATCH * 2 * LANES)
+    masks = np.empty(BATCH, np.uint32)
     while True:
         item = fetch_add(counter)
         if item >= len(order):
@@ -232,10 +232,10 @@ def _backward_tiles(order, counter, tables, frame, splats, pictures, v_pairs, al
         x0, y0 = (tile % n_x) * TILE, (tile // n_x) * TILE
         rows, columns = min(TILE, height - y0), min(TILE, width - x0)
         if rows < TILE or columns < TILE:
-            _fill(state, stride, -one)  # outside the image: stopped from the start
+            fill(state, stride, -one)  # outside the image: stopped from the start
         for r in range(rows):
             for j in range(columns):
-                at = _pixel(r, j, stride)
+                at = pixel(r, j, stride)
                 to_come = v_transmittance[y0 + r, x0 + j] * transmittance[y0 + r, x0 + j]
                 for k in range(FEATURES):
                     g = v_image[y0 + r, x0 + j, k]
@@ -243,19 +243,19 @@ def _backward_tiles(order, counter, tables, frame, splats, pictures, v_pairs, al
                     to_come += g * image[y0 + r, x0 + j, k]
                 state[at] = one
                 state[LANES + at] = to_come
-        live = _inside(rows, columns)
+        live = inside(rows, columns)
         lane_x, lane_y = load(places, int64(0)), load(places, int64(LANES))
         for pair in range(begin, end):
             i = pair_gaussian[pair]
             nothing = wide(zero)
             s, sx, sy, sxx, sxy = nothing, nothing, nothing, nothing, nothing
             syy, h0, h1, h2, h3 = nothing, nothing, nothing, nothing, nothing
-            at = (pair - begin) % _BATCH
+            at = (pair - begin) % BATCH
             if at == 0:
-                ahead = min(end, pair + _BATCH)
-                _look_ahead(splats, pair_gaussian, pair, ahead, x0, y0, places, masks, offsets)
+                ahead = min(end, pair + BATCH)
+                look_ahead(splats, pair_gaussian, pair, ahead, x0, y0, places, masks, offsets)
             todo, at = masks[at] & live, at * 2 * LANES
-            l11, l12, l22 = _squares(splats, i)
+            l11, l12, l22 = exponent(splats, i)
             top = splats[i, POWER] * float32(2.0 * SQUARES) + faintest
             at_p, at_q = fma(lane_x, l11, lane_y * l12), lane_y * l22
             at_x = lane_x + (float32(x0) - splats[i, MX])
@@ -304,90 +304,6 @@ def _backward_tiles(order, counter, tables, frame, splats, pictures, v_pairs, al
 
 
 @kernel()
-def _tangent_tiles(order, counter, tables, frame, splats, d_splats, d_image, alpha_min):
-    tile_start, pair_gaussian, places = tables
-    width, height = frame
-    n_x = (width + TILE - 1) // TILE
-    one, half, zero = float32(1.0), float32(0.5), float32(0.0)
-    alpha_max, t_min = float32(ALPHA_MAX), float32(T_MIN)
-    faintest = float32(math.log2(alpha_min))
-    # planes: transmittance, its tangent, tangents of three features
-    stride = 5 * LANES
-    state = _aligned(_BLOCKS * stride)
-    offsets = _aligned(_BATCH * 2 * LANES)
-    masks = np.empty(_BATCH, np.uint32)
-    while True:
-        item = fetch_add(counter)
-        if item >= len(order):
-            break
-        tile = order[item]
-        x0, y0 = (tile % n_x) * TILE, (tile // n_x) * TILE
-        rows, columns = min(TILE, height - y0), min(TILE, width - x0)
-        begin, end = tile_start[tile], tile_start[tile + 1]
-        if begin == end:
-            d_image[y0 : y0 + rows, x0 : x0 + columns] = zero
-            continue
-        _fill(state, stride, one)
-        live = _inside(rows, columns)
-        lane_x, lane_y = load(places, int64(0)), load(places, int64(LANES))
-        for pair in range(begin, end):
-            i = pair_gaussian[pair]
-            at = (pair - begin) % _BATCH
-            if at == 0:
-                ahead = min(end, pair + _BATCH)
-                _look_ahead(splats, pair_gaussian, pair, ahead, x0, y0, places, masks, offsets)
-            todo, at = masks[at] & live, at * 2 * LANES
-            l11, l12, l22 = _squares(splats, i)
-            top = splats[i, POWER] * float32(2.0 * SQUARES) + faintest
-            at_p, at_q = fma(lane_x, l11, lane_y * l12), lane_y * l22
-            at_x = lane_x + (float32(x0) - splats[i, MX])
-            at_y = lane_y + (float32(y0) - splats[i, MY])
-            f0, f1, f2 = splats[i, FEAT], splats[i, FEAT + 1], splats[i, FEAT + 2]
-            e0, e1, e2 = d_splats[i, FEAT], d_splats[i, FEAT + 1], d_splats[i, FEAT + 2]
-            ux, uy = d_splats[i, MX], d_splats[i, MY]
-            # minus the change of the exponent: (xx dx + xy dy + x) dx + (yy dy + y) dy
-            xx, xy, yy = -half * d_splats[i, CA], -d_splats[i, CB], -half * d_splats[i, CC]
-            x = splats[i, CA] * ux + splats[i, CB] * uy
-            y_ = splats[i, CB] * ux + splats[i, CC] * uy
-            while todo != 0:
-                k = lowest_bit(todo)
-                todo &= todo - uint32(1)
-                place = k * stride
-                p, q = at_p + offsets[at + k], at_q + offsets[at + LANES + k]
-                y = fma(negative(q), q, fma(negative(p), p, top))
-                raw = exp2(y)
-                free = wide(alpha_max) > raw
-                alpha = select(free, raw, alpha_max)
-                alpha = select(y >= faintest, alpha, zero)
-                dx, dy = at_x + places[2 * LANES + k], at_y + places[3 * LANES + k]
-                rise = fma(fma(dy, xy, fma(dx, xx, x)), dx, fma(dy, yy, y_) * dy)
-                d_alpha = select(free, alpha * rise, zero)
-                t, dt = load(state, place), load(state, place + LANES)
-                nt = fma(negative(t), alpha, t)
-                on = nt > t_min
-                w = select(on, t * alpha, zero)
-                dw = select(on, fma(dt, alpha, t * d_alpha), zero)
-                store(state, place, select(on, nt, negative(magnitude(t))))
-                store(state, place + LANES, dt - dw)
-                place += 2 * LANES
-                store(state, place, fma(dw, f0, fma(w, e0, load(state, place))))
-                place += LANES
-                store(state, place, fma(dw, f1, fma(w, e1, load(state, place))))
-                place += LANES
-                store(state, place, fma(dw, f2, fma(w, e2, load(state, place))))
-                if bits(on) == 0:
-                    live &= ~(uint32(1) << uint32(k))
-            if live == 0:
-                break
-        for r in range(rows):
-            for j in range(columns):
-                at = _pixel(r, j, stride)
-                d_image[y0 + r, x0 + j, 3] = state[LANES + at]
-                for k in range(3):
-                    d_image[y0 + r, x0 + j, k] = state[(2 + k) * LANES + at]
-
-
-@kernel()
 def _longest_first(tile_start):
     """Tiles by falling length of their lists, to the next power of √2; equal ones as they lie."""
     n = len(tile_start) - 1
@@ -418,13 +334,7 @@ def _backward(workers, order, counter, tables, frame, splats, pictures, v_pairs,
         _backward_tiles(order, counter, tables, frame, splats, pictures, v_pairs, alpha_min)
 
 
-@kernel(parallel=True)
-def _tangent(workers, order, counter, tables, frame, splats, d_splats, d_image, alpha_min):
-    for _ in prange(workers):
-        _tangent_tiles(order, counter, tables, frame, splats, d_splats, d_image, alpha_min)
-
-
-def _work(tile_start: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
+def work(tile_start: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
     """Number of workers, tiles in the order in which they are taken, and the common counter."""
     return get_num_threads(), _longest_first(tile_start), np.zeros(1, np.int64)
 
@@ -440,8 +350,8 @@ def blend_forward(
     alpha_min: float = ALPHA_MIN,
 ) -> None:
     """Composite. `image` [H, W, FEATURES] and `transmittance` [H, W] are written; no background is added."""
-    tables, frame = (tile_start, pair_gaussian, _PLACES), (width, height)
-    _forward(*_work(tile_start), tables, frame, splats, image, transmittance, alpha_min)
+    tables, frame = (tile_start, pair_gaussian, PLACES), (width, height)
+    _forward(*work(tile_start), tables, frame, splats, image, transmittance, alpha_min)
 
 
 def blend_backward(
@@ -461,25 +371,6 @@ def blend_backward(
 
     v_image [H, W, FEATURES] and v_transmittance [H, W] are the loss's gradients by what blend_forward wrote.
     """
-    tables, frame = (tile_start, pair_gaussian, _PLACES), (width, height)
+    tables, frame = (tile_start, pair_gaussian, PLACES), (width, height)
     pictures = (image, transmittance, v_image, v_transmittance)
-    _backward(*_work(tile_start), tables, frame, splats, pictures, v_pairs.reshape(-1), alpha_min)
-
-
-def blend_tangent(
-    splats: np.ndarray,
-    d_splats: np.ndarray,
-    tile_start: np.ndarray,
-    pair_gaussian: np.ndarray,
-    width: int,
-    height: int,
-    d_image: np.ndarray,
-    alpha_min: float = ALPHA_MIN,
-) -> None:
-    """Forward mode: how the composite changes when `splats` moves along `d_splats` [N, FEAT + 3].
-
-    d_image [H, W, 4] is written: change of the first three features and of the transmittance. Opacity is held
-    fixed. In these columns the exact adjoint of `blend_backward`.
-    """
-    tables, frame = (tile_start, pair_gaussian, _PLACES), (width, height)
-    _tangent(*_work(tile_start), tables, frame, splats, d_splats, d_image, alpha_min)
+    _backward(*work(tile_start), tables, frame, splats, pictures, v_pairs.reshape(-1), alpha_min)

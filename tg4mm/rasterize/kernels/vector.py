@@ -223,21 +223,40 @@ def _fold(builder, a, b):
     return builder.fadd(*(builder.shuffle_vector(a, b, pick) for pick in lanes))
 
 
+def _lane_sums(builder, parts):
+    """One vector whose first lanes are the sums of the lanes of each part (at most 16), by a fixed tree."""
+    parts = list(parts) + [parts[-1]] * (LANES - len(parts))
+    while len(parts) > 1:
+        half: list[ir.Value] = []
+        for k in range(0, len(parts), 2):
+            same = half and parts[k] is parts[k - 2] and parts[k + 1] is parts[k - 1]
+            half.append(half[-1] if same else _fold(builder, parts[k], parts[k + 1]))
+        parts = half
+    return parts[0]
+
+
 @intrinsic
 def lane_sums(typingctx, a, b, c, d, e, f, g, h, i, j):
     """The sum of the lanes of each of ten vectors, in lanes 0 … 9 of one. Always added in the same order."""
+    return vector(*[vector] * 10), lambda context, builder, sig, args: _lane_sums(builder, args)
 
-    def codegen(context, builder, sig, args):
-        parts = list(args) + [args[-1]] * (LANES - len(args))
-        while len(parts) > 1:
-            half: list[ir.Value] = []
-            for k in range(0, len(parts), 2):
-                same = half and parts[k] is parts[k - 2] and parts[k + 1] is parts[k - 1]
-                half.append(half[-1] if same else _fold(builder, parts[k], parts[k + 1]))
-            parts = half
-        return parts[0]
 
-    return vector(*[vector] * 10), codegen
+@intrinsic
+def lane_sums_of_eight(typingctx, a, b, c, d, e, f, g, h):
+    """`lane_sums` of eight vectors, in lanes 0 … 7."""
+    return vector(*[vector] * 8), lambda context, builder, sig, args: _lane_sums(builder, args)
+
+
+def _store_parts(context, builder, sig, args, parts):
+    """Store the lanes first … first + count for each of `parts`."""
+    data = context.make_array(sig.args[0])(context, builder, args[0]).data
+    for first, count in parts:
+        kind = ir.VectorType(_F32, count)
+        lanes = ir.Constant(ir.VectorType(_I32, count), [ir.Constant(_I32, first + k) for k in range(count)])
+        part = builder.shuffle_vector(args[2], args[2], lanes)
+        place = builder.gep(data, [builder.add(args[1], ir.Constant(ir.IntType(64), first))])
+        builder.store(part, builder.bitcast(place, kind.as_pointer()), align=4)
+    return context.get_dummy_value()
 
 
 @intrinsic
@@ -245,16 +264,17 @@ def store_ten(typingctx, array, index, value):
     """Lanes 0 … 9 to the contiguous float32 array [n]."""
 
     def codegen(context, builder, sig, args):
-        data = context.make_array(sig.args[0])(context, builder, args[0]).data
-        for first, count in ((0, 8), (8, 2)):
-            kind = ir.VectorType(_F32, count)
-            lanes = ir.Constant(
-                ir.VectorType(_I32, count), [ir.Constant(_I32, first + k) for k in range(count)]
-            )
-            part = builder.shuffle_vector(args[2], args[2], lanes)
-            place = builder.gep(data, [builder.add(args[1], ir.Constant(ir.IntType(64), first))])
-            builder.store(part, builder.bitcast(place, kind.as_pointer()), align=4)
-        return context.get_dummy_value()
+        return _store_parts(context, builder, sig, args, ((0, 8), (8, 2)))
+
+    return types.none(array, types.int64, vector), codegen
+
+
+@intrinsic
+def store_eight(typingctx, array, index, value):
+    """Lanes 0 … 7 to the contiguous float32 array [n]."""
+
+    def codegen(context, builder, sig, args):
+        return _store_parts(context, builder, sig, args, ((0, 8),))
 
     return types.none(array, types.int64, vector), codegen
 

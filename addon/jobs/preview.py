@@ -1,0 +1,164 @@
+"""The live preview: what is going to move is shown moving, at any gain, by modifiers that are taken away again.
+
+Nothing is kept in Python: whether a preview is on is told by the marked data-blocks, so that undo and redo take
+it away and bring it back like anything else. It never gets into a saved file.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+import numpy as np
+from bpy.app.handlers import persistent
+
+from .. import compat
+from ..generator.dataset_gen.errors import GenerateError
+from ..generator.dataset_gen.vibration import Motion
+from . import describe, objects, preview_nodes
+
+MARK = "tg4mm_preview"  # custom property of our data-blocks
+MODIFIER = "TG4MM Preview"
+_DELAY_S = 0.05  # while a slider is dragged, one refresh for several steps
+_problem = ""
+
+
+def active() -> bool:
+    """Whether a preview is shown."""
+    return any(MARK in tree for tree in bpy.data.node_groups)
+
+
+def problem() -> str:
+    """Why the last refresh took the preview away; empty if it did not."""
+    return _problem
+
+
+def start(context: Any) -> int:
+    """Show the motion that the scene's settings describe; returns how many objects move.
+
+    Raises GenerateError, one line, if they describe none; then there is no preview.
+    """
+    global _problem
+    _problem = ""
+    stop()
+    scene, settings = context.scene, context.scene.tg4mm_generate
+    depsgraph = context.evaluated_depsgraph_get()
+    shown = objects.previewed(context.view_layer)
+    group = settings.group if settings.kind == "group" else ""
+    made = [
+        (obj, body)
+        for obj, body in zip(shown, objects.bodies(shown, depsgraph, group), strict=True)
+        if len(body.vertices)
+    ]
+    bodies = [body for _, body in made]
+    chosen = objects.moving(settings, scene)
+    parts = [glob for glob in objects.parts([o for o in chosen if o in shown], depsgraph) if "/" not in glob]
+    if chosen and not parts and settings.source == "PANEL":
+        raise GenerateError("none of the moving objects is a mesh that is visible here and in renders")
+    if not bodies:
+        raise GenerateError("the scene shows no mesh")
+    motion = describe.motion(settings, describe.description(settings, parts), bodies, scene)
+    tree = preview_nodes.build_tree(MODIFIER, motion, settings.gain, scene.frame_start)
+    tree[MARK] = 1
+    moved = 0
+    for number, (obj, _) in enumerate(made):
+        if motion.basis[number].any():
+            _attach(obj, objects.to_local(obj, depsgraph, motion.basis[number]), tree)
+            moved += 1
+    return moved
+
+
+def stop() -> None:
+    """Take the preview away, every part of it."""
+    trees = [tree for tree in bpy.data.node_groups if MARK in tree]
+    helpers = [obj for obj in bpy.data.objects if MARK in obj]
+    meshes = [mesh for mesh in bpy.data.meshes if MARK in mesh]
+    if not (trees or helpers or meshes):
+        return
+    for obj in bpy.data.objects:
+        if obj.type == "MESH":
+            for modifier in [m for m in obj.modifiers if m.type == "NODES" and m.node_group in trees]:
+                obj.modifiers.remove(modifier)
+    bpy.data.batch_remove([*helpers, *meshes, *trees])
+
+
+def set_gain(gain: float) -> None:
+    """Show the motion at another gain."""
+    for tree in bpy.data.node_groups:
+        if MARK in tree:
+            tree.nodes[preview_nodes.GAIN].outputs[0].default_value = gain
+
+
+def refresh(context: Any = None) -> None:
+    """Compute the preview anew if there is one; if that fails it is gone, and `problem` tells why."""
+    global _problem
+    context = context or bpy.context
+    if not active() or context.mode != "OBJECT":
+        return
+    try:
+        start(context)
+    except (GenerateError, ValueError) as error:
+        _problem = str(error)
+
+
+def refresh_soon() -> None:
+    """`refresh`, from a timer: settings change many times a second while a slider is dragged."""
+    if active() and not bpy.app.background and not bpy.app.timers.is_registered(_refresh_once):
+        bpy.app.timers.register(_refresh_once, first_interval=_DELAY_S)
+
+
+def _refresh_once() -> None:
+    refresh()
+
+
+def _attach(obj: Any, basis: np.ndarray, tree: Any) -> None:
+    """Move an object by basis shapes [G, V, 3] in its own axes."""
+    mesh = bpy.data.meshes.new(MODIFIER)
+    mesh[MARK] = 1
+    mesh.vertices.add(basis.shape[1])
+    for number, shape in enumerate(basis):
+        data = mesh.attributes.new(preview_nodes.attribute(number), "FLOAT_VECTOR", "POINT").data
+        data.foreach_set("vector", shape.astype(np.float32).ravel())
+    helper = bpy.data.objects.new(MODIFIER, mesh)
+    helper[MARK] = 1
+    modifier = obj.modifiers.new(MODIFIER, "NODES")
+    modifier.node_group = tree
+    modifier.show_render = False
+    modifier.show_expanded = False
+    compat.set_input(modifier, preview_nodes.HELPER, helper)
+
+
+@persistent
+def _before_saving(*_: Any) -> None:
+    stop()
+
+
+@persistent
+def _after_loading(*_: Any) -> None:
+    stop()  # of a file that was saved behind our back, by autosave
+
+
+@persistent
+def _after_undo(*_: Any) -> None:
+    refresh_soon()
+
+
+_HANDLERS = (
+    ("save_pre", _before_saving),
+    ("load_post", _after_loading),
+    ("undo_post", _after_undo),
+    ("redo_post", _after_undo),
+)
+
+
+def register() -> None:
+    for where, handler in _HANDLERS:
+        getattr(bpy.app.handlers, where).append(handler)
+
+
+def unregister() -> None:
+    for where, handler in reversed(_HANDLERS):
+        getattr(bpy.app.handlers, where).remove(handler)
+    if bpy.app.timers.is_registered(_refresh_once):
+        bpy.app.timers.unregister(_refresh_once)
+    stop()

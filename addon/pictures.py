@@ -1,0 +1,138 @@
+"""Pictures in panels: drawn by pure functions when a panel first asks for them, kept as icons.
+
+A panel's draw() may change nothing. It asks `icon(function, *arguments)`; what is not there yet is drawn by a timer
+right after, and the panel is drawn again. The same arguments need no second drawing: a picture changes when, and
+only when, what it shows does, whatever changed that (a slider, a key, a driver, undo, another object).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from typing import Any
+
+import bpy
+import bpy.utils.previews
+import numpy as np
+
+MOST = 16  # pictures kept; more than panels show at a time
+_TOLD_OFF = 0.0  # s, between the panel's wish and the drawing
+
+Key = tuple[Hashable, ...]
+
+
+class Pictures:
+    """The icons and what they show; one for the extension, from `register` to `unregister`."""
+
+    def __init__(self) -> None:
+        self._previews = bpy.utils.previews.new()
+        self._free = [f"picture {i}" for i in range(MOST)]
+        self._names: dict[Key, str] = {}  # the longest unused first
+        self._wanted: dict[Key, None] = {}
+        self._last: dict[Hashable, Key] = {}  # of each function, what was shown last
+
+    def icon(self, function: Callable[..., np.ndarray], *arguments: Hashable) -> int:
+        """Number of the icon, or of the one before it while this is not drawn yet; 0 without any."""
+        key: Key = (function, *arguments)
+        if key not in self._names:
+            self._wanted[key] = None
+            key = self._last.get(function, key)
+        if key not in self._names:
+            return 0
+        self._names[key] = self._names.pop(key)
+        return self._previews[self._names[key]].icon_id
+
+    @property
+    def waiting(self) -> int:
+        """How many pictures are asked for and not drawn."""
+        return len(self._wanted)
+
+    def refresh(self) -> None:
+        """Draw what is wanted."""
+        wanted, self._wanted = self._wanted, {}
+        for key in list(wanted)[-MOST:]:
+            self._put(key, key[0](*key[1:]))  # type: ignore[operator]
+
+    def pixels(self, function: Callable[..., np.ndarray], *arguments: Hashable) -> np.ndarray | None:
+        """[H, W, 4] uint8 of a picture as the icon has it, row 0 at the top; None while it is not drawn."""
+        name = self._names.get((function, *arguments))
+        if name is None:
+            return None
+        preview = self._previews[name]
+        width, height = preview.image_size
+        flat = np.empty(width * height, np.int32)
+        preview.image_pixels.foreach_get(flat)
+        return flat.view(np.uint8).reshape(height, width, 4)[::-1]
+
+    def close(self) -> None:
+        bpy.utils.previews.remove(self._previews)
+
+    def _put(self, key: Key, picture: np.ndarray) -> None:
+        if self._free:
+            name = self._free.pop()
+            self._previews.new(name)
+        else:
+            name = self._names.pop(next(iter(self._names)))
+        preview = self._previews[name]
+        preview.image_size = picture.shape[1], picture.shape[0]
+        rows = np.ascontiguousarray((picture[::-1] * 255 + 0.5).clip(0, 255).astype(np.uint8))
+        preview.image_pixels.foreach_set(rows.view(np.int32).ravel())
+        self._names[key], self._last[key[0]] = name, key
+
+
+_pictures: Pictures | None = None
+
+
+def icon(function: Callable[..., np.ndarray], *arguments: Hashable) -> int:
+    """As `Pictures.icon`; has what is wanted drawn soon."""
+    assert _pictures is not None, "the extension is not registered"
+    number = _pictures.icon(function, *arguments)
+    if _pictures.waiting and not bpy.app.timers.is_registered(_refresh):
+        bpy.app.timers.register(_refresh, first_interval=_TOLD_OFF)
+    return number
+
+
+def shared() -> Pictures:
+    """The extension's pictures."""
+    assert _pictures is not None, "the extension is not registered"
+    return _pictures
+
+
+def draw(layout: Any, width: float, function: Callable[..., np.ndarray], *arguments: Hashable) -> None:
+    """A square picture in a panel, `width` in units of a button's height."""
+    layout.template_icon(icon_value=icon(function, *arguments), scale=width)
+
+
+def fitting_width(context: Any, most: float = 11.0) -> float:
+    """The width of a picture, in units of a button's height, that the region has room for."""
+    region = getattr(context, "region", None)
+    if region is None or region.width <= 1:
+        return most
+    unit = 20.0 * context.preferences.system.ui_scale
+    margins = 3.0  # tabs, the panel's own edges
+    return min(most, max(4.0, region.width / unit - margins))
+
+
+def _refresh() -> None:
+    if _pictures is None:
+        return
+    _pictures.refresh()
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                for region in area.regions:
+                    if region.type == "UI":
+                        region.tag_redraw()
+
+
+def register() -> None:
+    global _pictures
+    _pictures = Pictures()
+
+
+def unregister() -> None:
+    global _pictures
+    if bpy.app.timers.is_registered(_refresh):
+        bpy.app.timers.unregister(_refresh)
+    if _pictures is not None:
+        _pictures.close()
+    _pictures = None

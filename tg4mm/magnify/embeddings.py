@@ -1,0 +1,144 @@
+"""Magnified embeddings of a `paper` run over time: made one plane and channel at a time, kept in the run folder.
+
+Each of the 3 C feature planes over time is a video. `phase` magnifies it as [TG4MM] does and samples it at the points;
+`linear` samples first. The result, [3 C, T, N] float32, lies in a memory-mapped file, RUN/magnified/<digest>.f32, so
+neither making nor using it holds more than one video and one timestep; a killed job goes on at the next channel, and a
+second request for the same finds it there. The latest four are kept.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from tg4mm.files import write_json
+from tg4mm.gaussians import Gaussians
+from tg4mm.magnify.bands import Magnification
+from tg4mm.magnify.filters import bins
+from tg4mm.magnify.linear import magnified_series
+from tg4mm.magnify.phase import PhaseMagnifier
+from tg4mm.magnify.pyramid import PyramidConfig
+from tg4mm.paper.model import PaperModel, load_model, plane_video
+from tg4mm.progress import progress
+from tg4mm.runs import Run, model_hash
+from tg4mm.triplane import Cells, Decoder
+
+_VERSION = 1  # of how they are made: raise it when the same request would give other numbers
+_KEPT = 4
+FOLDER = "magnified"
+
+
+class EmbeddingSeries:
+    """Embeddings over time that decode to Gaussians at any time; past the last timestep they begin anew."""
+
+    def __init__(self, embeddings: np.ndarray, model: PaperModel, fps: float, device: str = "cpu") -> None:
+        """embeddings [3 C, T, N]; a memory map will do."""
+        self.embeddings, self.fps, self.device = embeddings, fps, device
+        self._base = {k: v.to(device) for k, v in model.base.items()}
+        self._decoder = Decoder({k: v.to(device) for k, v in model.decoder.parameters.items()})
+
+    @property
+    def n_timesteps(self) -> int:
+        return self.embeddings.shape[1]
+
+    @torch.no_grad()
+    def at(self, t: float) -> Gaussians:
+        """The Gaussians at timestep t; between timesteps by the trigonometric interpolation of the T embeddings."""
+        n = self.n_timesteps
+        if float(t).is_integer():
+            now = np.ascontiguousarray(self.embeddings[:, int(t) % n].T)
+        else:
+            now = np.einsum("s,csn->nc", interpolation(t, n).astype(np.float32), self.embeddings)
+        return self._decoder.decode(self._base, torch.from_numpy(now).to(self.device))
+
+
+def interpolation(t: float, n: int) -> np.ndarray:
+    """[n] weights of the timesteps 0 … n − 1 at time t, of the periodic band-limited function through them."""
+    lag = t - np.arange(n)
+    k = np.arange(1, (n + 1) // 2)
+    weights = 1 + 2 * np.cos(2 * np.pi * np.outer(lag, k) / n).sum(1)
+    if n % 2 == 0:
+        weights += np.cos(np.pi * t) * np.cos(np.pi * np.arange(n))
+    return weights / n
+
+
+def series_of(run: Run, method: str, plan: Magnification, device: str = "cpu") -> EmbeddingSeries:
+    """The run's embeddings magnified by `method`, "linear" or "phase". Raises RunError for files that are torn."""
+    model = load_model(run)
+    motion = run.load_motion()
+    assert motion is not None, "a run without motion has no series"
+    embeddings = _stored(run, model, method, plan, motion.n_timesteps, motion.fps)
+    return EmbeddingSeries(embeddings, model, motion.fps, device)
+
+
+def digest(run: Run, method: str, plan: Magnification) -> str:
+    """What the magnified embeddings depend on, as a file name."""
+    parts = [_VERSION, model_hash(run.path), method, asdict(plan) | {"method": None}, asdict(PyramidConfig())]
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:20]
+
+
+def _stored(
+    run: Run, model: PaperModel, method: str, plan: Magnification, n_timesteps: int, fps: float
+) -> np.ndarray:
+    folder, name = run.path / FOLDER, digest(run, method, plan)
+    shape = (3 * model.channels, n_timesteps, len(model.points))
+    target = folder / f"{name}.f32"
+    if not target.is_file() or target.stat().st_size != 4 * int(np.prod(shape)):
+        folder.mkdir(exist_ok=True)
+        _make(run, model, method, plan.response(bins(n_timesteps, fps), fps), target, shape)
+    os.utime(target)
+    _prune(folder, target)
+    return np.memmap(target, np.float32, "r", shape=shape)
+
+
+def _make(
+    run: Run, model: PaperModel, method: str, response: np.ndarray, target: Path, shape: tuple[int, int, int]
+) -> None:
+    """Fill the file under a temporary name; `<digest>.json` tells how many channels of it are finished."""
+    part, record = target.with_suffix(".part"), target.with_suffix(".json")
+    size = 4 * int(np.prod(shape))
+    goes_on = part.is_file() and part.stat().st_size == size and record.is_file()
+    done = int(json.loads(record.read_text())["done"]) if goes_on else 0
+    out = np.memmap(part, np.float32, "r+" if goes_on else "w+", shape=shape)
+    r = model.planes.shape[-1]
+    magnify = PhaseMagnifier((r, r), response) if method == "phase" else None
+    with progress(f"{method}: feature planes", shape[0], unit="planes", start=done) as update:
+        for i in range(done, shape[0]):
+            k, channel = divmod(i, model.channels)
+            video = plane_video(run, model, shape[1], k, channel)
+            if magnify is not None:
+                out[i] = at_points(magnify(video), model.cells, k)
+            else:
+                out[i] = magnified_series(at_points(video, model.cells, k), response)
+            out.flush()
+            write_json(record, {"done": i + 1})
+            update(i + 1)
+    del out
+    part.replace(target)
+    record.unlink()
+
+
+def at_points(video: np.ndarray, cells: Cells, k: int) -> np.ndarray:
+    """[T, N] a plane's video [T, R, R] at the points, by their bilinear weights on plane k."""
+    flat = video.reshape(len(video), -1)
+    where = cells.dense[cells.index[k]] - k * cells.resolution**2
+    total = np.zeros((len(video), len(where)), np.float32)
+    for j in range(4):
+        total += flat[:, where[:, j]] * cells.weight[k, :, j]
+    return total
+
+
+def _prune(folder: Path, keep: Path) -> None:
+    """Remove all but the latest, and what killed jobs of other requests have left."""
+    for suffix in (".f32", ".part"):
+        files = sorted(folder.glob(f"*{suffix}"), key=lambda f: f.stat().st_mtime, reverse=True)
+        for file in files[_KEPT:]:
+            if file != keep:
+                file.with_suffix(".json").unlink(missing_ok=True)
+                file.unlink()

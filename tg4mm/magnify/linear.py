@@ -1,0 +1,50 @@
+"""Linear magnification: what a Gaussian does over time is filtered, and α times the band is added.
+
+For embeddings (`paper`) it is the series of every channel since timestep 0; for modal motion the displacement and
+rotation series, which gives a modal motion again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from tg4mm.magnify.bands import Magnification
+from tg4mm.magnify.filters import apply_response
+from tg4mm.motion.apply import displacement_at, rotation_at
+from tg4mm.motion.modal import ModalMotion
+
+
+def magnified_series(series: np.ndarray, response: np.ndarray) -> np.ndarray:
+    """series [T, …] plus its change since timestep 0 filtered by `response` [T // 2 + 1] (Σ over bands α · filter)."""
+    return series + apply_response(series - series[:1], response)
+
+
+def magnified_motion(motion: ModalMotion, plan: Magnification) -> ModalMotion:
+    """The motion with every Gaussian's displacement and rotation series over t = 0 … T − 1 filtered and magnified.
+
+    With ideal bands and modes on DFT bins this is multiplying the phasors, what `modal` does. Modes between the bins
+    spread over them, and are magnified as far as they lie in the band.
+    """
+    steps = range(motion.n_timesteps)
+    series = np.stack([np.concatenate([displacement_at(motion, t), rotation_at(motion, t)], 1) for t in steps])
+    freqs, phasors = series_modes(series, motion.fps)
+    phasors = phasors * (1 + plan.response(freqs, motion.fps)).astype(np.complex64)[:, None, None]
+    return replace(
+        motion, freqs_hz=freqs, displacement=phasors[..., :3], rotation=phasors[..., 3:],
+        gains=None, magnified=None,
+    )  # fmt: skip
+
+
+def series_modes(series: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies [K] Hz and phasors [K, …] complex64 of a series [T, …]: 0 Hz and all other DFT bins.
+
+    Σ_k Re[m_k exp(i 2π f_k t / fps)] is the series at every timestep.
+    """
+    n = len(series)
+    spectrum = np.fft.rfft(series, axis=0) * (2 / n)
+    spectrum[0] /= 2
+    if n % 2 == 0:
+        spectrum[-1] /= 2  # the Nyquist bin has no mirror image
+    return np.fft.rfftfreq(n, 1 / fps), spectrum.astype(np.complex64)

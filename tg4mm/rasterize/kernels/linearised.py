@@ -1,0 +1,313 @@
+"""Blending linearised at rest, for least squares: how pictures answer to several small changes at once, and back.
+
+What does not depend on the change (weights, and how a contribution answers to its exponent) is computed once for each
+block of pixels and Gaussian; every change, or right-hand side, then takes a second, short loop over the blocks.
+Opacity is held fixed. Blocks, tiles and threads as in `blend.py`.
+
+With α = o·2^-(p²+q²) and r = -d(exponent), a contribution's weight w = T α changes by T α r + w·(dT/T), and dT/T by
+-r α / (1 - α). The quotient dT/T is what is carried along, so that both directions need the same three numbers.
+"""
+
+# mypy: disable-error-code="call-arg, var-annotated"
+# an intrinsic has one argument more than its calls: the typing context
+
+import math
+
+import numpy as np
+from numba import float32, int64, njit, prange, uint32
+
+from tg4mm.rasterize.kernels.blend import (
+    BATCH,
+    BLOCKS,
+    PLACES,
+    aligned,
+    exponent,
+    fill,
+    inside,
+    look_ahead,
+    pixel,
+    work,
+)
+from tg4mm.rasterize.kernels.compiled import kernel
+from tg4mm.rasterize.kernels.layout import (
+    ALPHA_MAX,
+    CA,
+    CB,
+    CC,
+    FEAT,
+    MX,
+    MY,
+    POWER,
+    SQUARES,
+    T_MIN,
+    TILE,
+)
+from tg4mm.rasterize.kernels.vector import (
+    LANES,
+    bits,
+    exp2,
+    fetch_add,
+    fma,
+    lane_sums_of_eight,
+    load,
+    lowest_bit,
+    magnitude,
+    negative,
+    select,
+    store,
+    store_eight,
+    wide,
+)
+
+COLUMNS = np.array([MX, MY, CA, CB, CC, FEAT, FEAT + 1, FEAT + 2])  # of the splats: what a change has
+_WIDTH = 8  # how many they are
+_CHANGE = 4  # planes of the state for each change
+_KEPT = 5 * LANES  # numbers kept for each block: w, Tα, α/(1 - α), dx, dy
+
+
+@njit(error_model="numpy", inline="always")
+def _weights(splats, i, todo, live, at, x0, y0, faintest, places, offsets, state, stride, kept, found):
+    """What every change needs from the blocks `todo` that Gaussian i reaches, to `kept`, and the next transmittance.
+
+    `found` gets the place of each of these blocks in the state. Returns their number and the blocks still live.
+    """
+    one, zero = float32(1.0), float32(0.0)
+    alpha_max, t_min = float32(ALPHA_MAX), float32(T_MIN)
+    lane_x, lane_y = load(places, int64(0)), load(places, int64(LANES))
+    l11, l12, l22 = exponent(splats, i)
+    top = splats[i, POWER] * float32(2.0 * SQUARES) + faintest
+    at_p, at_q = fma(lane_x, l11, lane_y * l12), lane_y * l22
+    at_x = lane_x + (float32(x0) - splats[i, MX])
+    at_y = lane_y + (float32(y0) - splats[i, MY])
+    n = int64(0)
+    while todo != 0:
+        k = lowest_bit(todo)
+        todo &= todo - uint32(1)
+        place = k * stride
+        p, q = at_p + offsets[at + k], at_q + offsets[at + LANES + k]
+        y = fma(negative(q), q, fma(negative(p), p, top))
+        raw = exp2(y)
+        free = wide(alpha_max) > raw
+        alpha = select(free, raw, alpha_max)
+        alpha = select(y >= faintest, alpha, zero)
+        t = load(state, place)
+        nt = fma(negative(t), alpha, t)
+        on = nt > t_min
+        w = select(on, t * alpha, zero)
+        moving = select(on & free, alpha, zero)
+        store(state, place, select(on, nt, negative(magnitude(t))))
+        store(kept, n * _KEPT, w)
+        store(kept, n * _KEPT + LANES, t * moving)
+        store(kept, n * _KEPT + 2 * LANES, moving / (one - alpha))
+        store(kept, n * _KEPT + 3 * LANES, at_x + places[2 * LANES + k])
+        store(kept, n * _KEPT + 4 * LANES, at_y + places[3 * LANES + k])
+        found[n] = place
+        n += int64(bits(w > zero) != 0)
+        if bits(on) == 0:
+            live &= ~(uint32(1) << uint32(k))
+    return n, live
+
+
+@kernel()
+def _push_tiles(order, counter, tables, frame, splats, d_splats, white, d_images, alpha_min):
+    tile_start, pair_gaussian, places = tables
+    width, height = frame
+    n_changes = len(d_images)
+    n_x = (width + TILE - 1) // TILE
+    half, zero = float32(0.5), float32(0.0)
+    faintest = float32(math.log2(alpha_min))
+    # planes: transmittance, then of every change dT/T and three features
+    stride = (1 + _CHANGE * n_changes) * LANES
+    state, kept = aligned(BLOCKS * stride), aligned(BLOCKS * _KEPT)
+    offsets = aligned(BATCH * 2 * LANES)
+    masks, found = np.empty(BATCH, np.uint32), np.empty(BLOCKS, np.int64)
+    while True:
+        item = fetch_add(counter)
+        if item >= len(order):
+            break
+        tile = order[item]
+        x0, y0 = (tile % n_x) * TILE, (tile // n_x) * TILE
+        rows, columns = min(TILE, height - y0), min(TILE, width - x0)
+        begin, end = tile_start[tile], tile_start[tile + 1]
+        if begin == end:
+            d_images[:, y0 : y0 + rows, x0 : x0 + columns] = zero
+            continue
+        fill(state, stride, float32(1.0))
+        live = inside(rows, columns)
+        for pair in range(begin, end):
+            i = pair_gaussian[pair]
+            at = (pair - begin) % BATCH
+            if at == 0:
+                ahead = min(end, pair + BATCH)
+                look_ahead(splats, pair_gaussian, pair, ahead, x0, y0, places, masks, offsets)
+            todo, at = masks[at] & live, at * 2 * LANES
+            n, live = _weights(
+                splats, i, todo, live, at, x0, y0, faintest, places, offsets, state, stride, kept, found
+            )
+            a, b, c = splats[i, CA], splats[i, CB], splats[i, CC]
+            f0, f1, f2 = splats[i, FEAT], splats[i, FEAT + 1], splats[i, FEAT + 2]
+            for change in range(n_changes if n > 0 else 0):
+                d = d_splats[i, change]
+                e0, e1, e2 = d[5], d[6], d[7]
+                # minus the change of the exponent: (xx dx + xy dy + x) dx + (yy dy + y) dy
+                xx, xy, yy = -half * d[2], -d[3], -half * d[4]
+                x, y = a * d[0] + b * d[1], b * d[0] + c * d[1]
+                plane = (1 + _CHANGE * change) * LANES
+                for m in range(n):
+                    place, source = found[m] + plane, m * _KEPT
+                    w, moved = load(kept, source), load(kept, source + LANES)
+                    dx, dy = load(kept, source + 3 * LANES), load(kept, source + 4 * LANES)
+                    rise = fma(fma(dy, xy, fma(dx, xx, x)), dx, fma(dy, yy, y) * dy)
+                    dt = load(state, place)
+                    dw = fma(w, dt, moved * rise)
+                    store(state, place, fma(negative(load(kept, source + 2 * LANES)), rise, dt))
+                    place += LANES
+                    store(state, place, fma(dw, f0, fma(w, e0, load(state, place))))
+                    place += LANES
+                    store(state, place, fma(dw, f1, fma(w, e1, load(state, place))))
+                    place += LANES
+                    store(state, place, fma(dw, f2, fma(w, e2, load(state, place))))
+            if live == 0:
+                break
+        for change in range(n_changes):
+            plane = (1 + _CHANGE * change) * LANES
+            for r in range(rows):
+                for j in range(columns):
+                    at = pixel(r, j, stride)
+                    behind = white * abs(state[at]) * state[plane + at]
+                    for k in range(3):
+                        d_images[change, y0 + r, x0 + j, k] = behind + state[plane + (1 + k) * LANES + at]
+
+
+@kernel()
+def _pull_tiles(order, counter, tables, frame, splats, pictures, white, v_images, v_pairs, alpha_min):
+    tile_start, pair_gaussian, places = tables
+    width, height = frame
+    image, transmittance = pictures
+    n_changes = len(v_images)
+    n_x = (width + TILE - 1) // TILE
+    half, zero = float32(0.5), float32(0.0)
+    faintest = float32(math.log2(alpha_min))
+    # planes: transmittance, then of every right-hand side what is still to come and the gradient by three features
+    stride = (1 + _CHANGE * n_changes) * LANES
+    state, kept = aligned(BLOCKS * stride), aligned(BLOCKS * _KEPT)
+    offsets = aligned(BATCH * 2 * LANES)
+    masks, found = np.empty(BATCH, np.uint32), np.empty(BLOCKS, np.int64)
+    while True:
+        item = fetch_add(counter)
+        if item >= len(order):
+            break
+        tile = order[item]
+        begin, end = tile_start[tile], tile_start[tile + 1]
+        if begin == end:
+            continue
+        x0, y0 = (tile % n_x) * TILE, (tile // n_x) * TILE
+        rows, columns = min(TILE, height - y0), min(TILE, width - x0)
+        fill(state, stride, float32(-1.0))  # outside the image: stopped from the start
+        for r in range(rows):
+            for j in range(columns):
+                at = pixel(r, j, stride)
+                state[at] = float32(1.0)
+                for change in range(n_changes):
+                    plane, to_come = (1 + _CHANGE * change) * LANES + at, zero
+                    for k in range(3):
+                        g = v_images[change, y0 + r, x0 + j, k]
+                        state[plane + (1 + k) * LANES] = g
+                        to_come += g * (image[y0 + r, x0 + j, k] + white * transmittance[y0 + r, x0 + j])
+                    state[plane] = to_come
+        live = inside(rows, columns)
+        for pair in range(begin, end):
+            i = pair_gaussian[pair]
+            at = (pair - begin) % BATCH
+            if at == 0:
+                ahead = min(end, pair + BATCH)
+                look_ahead(splats, pair_gaussian, pair, ahead, x0, y0, places, masks, offsets)
+            todo, at = masks[at] & live, at * 2 * LANES
+            n, live = _weights(
+                splats, i, todo, live, at, x0, y0, faintest, places, offsets, state, stride, kept, found
+            )
+            a, b, c = splats[i, CA], splats[i, CB], splats[i, CC]
+            f0, f1, f2 = splats[i, FEAT], splats[i, FEAT + 1], splats[i, FEAT + 2]
+            for change in range(n_changes):
+                nothing = wide(zero)
+                sx, sy, sxx, sxy, syy = nothing, nothing, nothing, nothing, nothing
+                h0, h1, h2 = nothing, nothing, nothing
+                plane = (1 + _CHANGE * change) * LANES
+                for m in range(n):
+                    place, source = found[m] + plane, m * _KEPT
+                    w = load(kept, source)
+                    g0, g1 = load(state, place + LANES), load(state, place + 2 * LANES)
+                    g2 = load(state, place + 3 * LANES)
+                    light = fma(g2, f2, fma(g1, f1, g0 * f0))
+                    to_come = fma(negative(w), light, load(state, place))
+                    store(state, place, to_come)
+                    shade = load(kept, source + 2 * LANES) * to_come
+                    v = fma(load(kept, source + LANES), light, negative(shade))
+                    dx, dy = load(kept, source + 3 * LANES), load(kept, source + 4 * LANES)
+                    vx, vy = v * dx, v * dy
+                    sx, sy = sx + vx, sy + vy
+                    sxx, sxy, syy = fma(vx, dx, sxx), fma(vx, dy, sxy), fma(vy, dy, syy)
+                    h0, h1, h2 = fma(w, g0, h0), fma(w, g1, h1), fma(w, g2, h2)
+                sums = lane_sums_of_eight(
+                    fma(sx, a, sy * b), fma(sx, b, sy * c), sxx * -half, negative(sxy), syy * -half, h0, h1, h2
+                )
+                store_eight(v_pairs, (int64(pair) * n_changes + change) * _WIDTH, sums)
+            if live == 0:
+                for rest in range((pair + 1) * n_changes * _WIDTH, end * n_changes * _WIDTH):
+                    v_pairs[rest] = zero
+                break
+
+
+@kernel(parallel=True)
+def _push(workers, order, counter, tables, frame, splats, d_splats, white, d_images, alpha_min):
+    for _ in prange(workers):
+        _push_tiles(order, counter, tables, frame, splats, d_splats, white, d_images, alpha_min)
+
+
+@kernel(parallel=True)
+def _pull(workers, order, counter, tables, frame, splats, pictures, white, v_images, v_pairs, alpha_min):
+    for _ in prange(workers):
+        _pull_tiles(order, counter, tables, frame, splats, pictures, white, v_images, v_pairs, alpha_min)
+
+
+def blend_tangents(
+    splats: np.ndarray,
+    d_splats: np.ndarray,
+    tile_start: np.ndarray,
+    pair_gaussian: np.ndarray,
+    white: float,
+    d_images: np.ndarray,
+    alpha_min: float,
+) -> None:
+    """Forward mode: how the picture over `white` changes when `splats` moves along each of R changes.
+
+    d_splats [N, R, 8] holds the columns COLUMNS; d_images [R, H, W, 3] is written.
+    """
+    height, width = d_images.shape[1:3]
+    tables = (tile_start, pair_gaussian, PLACES)
+    _push(
+        *work(tile_start), tables, (width, height), splats, d_splats, np.float32(white), d_images, alpha_min
+    )
+
+
+def blend_cotangents(
+    splats: np.ndarray,
+    tile_start: np.ndarray,
+    pair_gaussian: np.ndarray,
+    white: float,
+    image: np.ndarray,
+    transmittance: np.ndarray,
+    v_images: np.ndarray,
+    v_pairs: np.ndarray,
+    alpha_min: float,
+) -> None:
+    """The transpose: what R gradients by the picture over `white` [R, H, W, 3] say of every (tile, Gaussian) pair.
+
+    v_pairs [P, R, 8] is written, in the columns COLUMNS. image and transmittance are those of `blend_forward`.
+    """
+    height, width = v_images.shape[1:3]
+    tables, pictures = (tile_start, pair_gaussian, PLACES), (image, transmittance)
+    _pull(
+        *work(tile_start), tables, (width, height), splats, pictures, np.float32(white), v_images,
+        v_pairs.reshape(-1), alpha_min,
+    )  # fmt: skip
