@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from . import compat, names, scene
+from . import colours, compat, names, plots, scene
+from .units import Unit
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,36 @@ def fit_colour_range(obj: Any) -> float:
     largest = float(band_amplitude(obj).max(initial=0.0))
     compat.set_input(scene.splat_modifier(obj), names.COLOUR_RANGE, largest)
     return largest
+
+
+def legend_picture(obj: Any, unit: Unit) -> tuple[Any, ...] | None:
+    """The function of `plots` that draws the legend, and its arguments; None where there is no legend."""
+    shown = legend(obj)
+    if shown is None:
+        return None
+    highest = float(compat.get_input(scene.splat_modifier(obj), names.COLOUR_RANGE))
+    if shown.kind == names.PHASE_COLOUR:
+        return plots.phase_legend, colours.STILL_BELOW * highest, unit
+    return plots.amplitude_legend, highest, unit
+
+
+def band(obj: Any) -> tuple[float, float]:
+    """Low and high of the band, Hz."""
+    low, high = (float(compat.get_input(scene.splat_modifier(obj), name)) for name in (names.LOW, names.HIGH))
+    return low, high
+
+
+def set_band(obj: Any, low: float, high: float) -> None:
+    """Set the band, Hz."""
+    modifier = scene.splat_modifier(obj)
+    compat.set_input(modifier, names.LOW, low)
+    compat.set_input(modifier, names.HIGH, high)
+
+
+def mode_strengths(obj: Any, measure: str) -> list[float]:
+    """Amplitude of each mode, scene units: the largest of all Gaussians (PEAK) or their rms (RMS)."""
+    largest = [float(a) for a in obj[names.MODE_AMPLITUDES]]
+    return largest if measure == "PEAK" else [float(a) for a in obj.get(names.MODE_RMS, largest)]
 
 
 def legend(obj: Any) -> Legend | None:

@@ -8,6 +8,7 @@ import bpy
 from bpy.props import EnumProperty, FloatProperty, IntProperty, StringProperty
 
 from . import names
+from .units import Unit, unit_of
 
 PACKAGE = __package__  # "bl_ext.user_default.tg4mm" where installed
 
@@ -17,7 +18,7 @@ class TG4MM_preferences(bpy.types.AddonPreferences):
 
     bl_idname = PACKAGE
 
-    draw_as: EnumProperty(
+    draw_as: EnumProperty(  # type: ignore[valid-type]
         name="Draw As",
         description="How splats are drawn after import",
         items=[
@@ -28,7 +29,7 @@ class TG4MM_preferences(bpy.types.AddonPreferences):
         ],
         default=names.ELLIPSOIDS,
     )
-    band_width: FloatProperty(
+    band_width: FloatProperty(  # type: ignore[valid-type]
         name="Band Around a Peak",
         description="Width, in Hz, of the band that a peak's button sets; the peak is in its middle",
         default=1.0,
@@ -37,14 +38,14 @@ class TG4MM_preferences(bpy.types.AddonPreferences):
         step=10,
         precision=2,
     )
-    most: IntProperty(
+    most: IntProperty(  # type: ignore[valid-type]
         name="Most Gaussians",
         description="Limit, in Gaussians of all chosen files together, that the import proposes",
         default=5_000_000,
         min=1,
         max=100_000_000,
     )
-    length_unit: EnumProperty(
+    length_unit: EnumProperty(  # type: ignore[valid-type]
         name="Lengths",
         description="Unit in which amplitudes and displacements are shown and exported",
         items=[
@@ -53,14 +54,14 @@ class TG4MM_preferences(bpy.types.AddonPreferences):
         ],
         default="METRIC",
     )
-    digits: IntProperty(
+    digits: IntProperty(  # type: ignore[valid-type]
         name="Digits",
         description="Significant digits of the numbers shown in the panel",
         default=4,
         min=2,
         max=8,
     )
-    core_python: StringProperty(
+    core_python: StringProperty(  # type: ignore[valid-type]
         name="Python of the Core",
         description="Python of the environment that tg4mm is installed in; needed to generate and to train only",
         subtype="FILE_PATH",
@@ -83,6 +84,13 @@ def get(context: Any) -> Any:
     """The preferences; where the extension runs without being enabled as one (a test), their defaults."""
     addon = context.preferences.addons.get(PACKAGE)
     return TG4MM_defaults if addon is None or addon.preferences is None else addon.preferences
+
+
+def unit_for(context: Any, obj: Any) -> Unit:
+    """The unit that lengths of a splat object are shown in."""
+    chosen = get(context)
+    scale = obj.get(names.UNIT_SCALE)
+    return unit_of(None if scale is None else float(scale), chosen.length_unit == "METRIC", chosen.digits)
 
 
 class TG4MM_defaults:

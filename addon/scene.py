@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +35,7 @@ def make_objects(splats: Sequence[SplatFile], labels: Sequence[str], collection:
 def _object(splat: SplatFile, name: str, made: Made) -> Any:
     mesh = made.keep(bpy.data.meshes.new(name))
     fill_mesh(mesh, splat)
-    largest = _mode_amplitudes(mesh, splat)
+    largest = [float(a.max()) for a in _amplitudes(mesh, splat)]
     content = Content(
         count=len(splat),
         sh_degree=splat.sh_degree,
@@ -126,20 +126,18 @@ def _describe(obj: Any, splat: SplatFile, largest: list[float]) -> None:
     obj[names.MARK], obj[names.FPS], obj[names.FREQUENCIES] = 1, splat.fps, splat.freqs_hz.tolist()
     obj[names.TIMESTEPS] = splat.n_timesteps
     obj[names.MODE_AMPLITUDES] = largest
-    obj[names.MODE_RMS] = [rms_amplitude(_floats(obj.data, names.amplitude(k)), splat.opacities) for k in range(splat.n_modes)]
+    obj[names.MODE_RMS] = [rms_amplitude(a, splat.opacities) for a in _amplitudes(obj.data, splat)]
     obj[names.MODE_AXES] = [float(x) for phasors in splat.displacement for x in main_axis(phasors)]
     if splat.unit_scale_m is not None:
         obj[names.UNIT_SCALE] = splat.unit_scale_m
 
 
-def _mode_amplitudes(mesh: Any, splat: SplatFile) -> list[float]:
-    """The largest amplitude of each mode, scene units."""
-    largest = []
+def _amplitudes(mesh: Any, splat: SplatFile) -> Iterator[np.ndarray]:
+    """[N] the amplitude of every Gaussian, scene units, mode by mode; the array is used again."""
     values = np.empty(len(splat), np.float32)
     for k in range(splat.n_modes):
         mesh.attributes[names.amplitude(k)].data.foreach_get("value", values)
-        largest.append(float(values.max()))
-    return largest
+        yield values
 
 
 def _free_name(name: str) -> str:

@@ -99,6 +99,8 @@ def _declare(graph: Graph, content: Content) -> None:
     moves = len(content.freqs_hz) > 0
     rows = (*(_MOTION if moves else ()), *(_TIME if moves or content.n_frames else ()), *_LOOK)
     for name, default, least, most, text in rows:
+        if name == names.HIGH:
+            default = whole_band(content.freqs_hz, content.fps)[1]
         graph.interface(name, "Float", default, min_value=least, max_value=most, description=text)
     if content.n_frames:
         graph.interface(names.LOOP, "Bool", False, description="Start again after the last file")

@@ -1,8 +1,8 @@
 """Operators: each reads its properties, calls a plain function and reports."""
 
-from . import import_splat, look
+from . import band, import_splat, look, probe
 
-_MODULES = (import_splat, look)
+_MODULES = (import_splat, look, band, probe)
 
 
 def register() -> None:

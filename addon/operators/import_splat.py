@@ -9,7 +9,7 @@ import bpy
 from bpy.props import BoolProperty, CollectionProperty, IntProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 
-from .. import loading, scene
+from .. import compat, loading, names, preferences, scene
 from ..core.errors import SplatFileError
 
 
@@ -46,6 +46,8 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
     )
 
     def invoke(self, context: Any, event: Any) -> set[str]:
+        if not self.properties.is_property_set("most"):
+            self.most = preferences.get(context).most
         if self.directory and self.files:  # dropped into the view
             return self.execute(context)
         return ImportHelper.invoke(self, context, event)
@@ -71,6 +73,8 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
             manager.progress_end()
         if self.timeline:
             scene.set_timeline(context.scene, loaded.fps, loaded.n_timesteps)
+        for obj in loaded.objects:
+            _draw_as(obj, preferences.get(context).draw_as)
         _select(context, loaded.objects)
         self.report({"INFO"}, loaded.message)
         return {"FINISHED"}
@@ -89,6 +93,12 @@ class IO_FH_tg4mm_splat(bpy.types.FileHandler):
     @classmethod
     def poll_drop(cls, context: Any) -> bool:
         return context.area is not None and context.area.type in {"VIEW_3D", "OUTLINER"}
+
+
+def _draw_as(obj: Any, wanted: str) -> None:
+    # What does not move has no arrows.
+    if wanted != names.ARROWS or scene.moves(obj):
+        compat.set_input(scene.splat_modifier(obj), names.DRAW, wanted)
 
 
 def _select(context: Any, objects: list[Any]) -> None:

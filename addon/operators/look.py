@@ -6,7 +6,7 @@ from typing import Any
 
 import bpy
 
-from .. import analysis, compat, names, scene
+from .. import analysis, compat, names, preferences, scene
 from ..materials import TRANSPARENT_BOUNCES
 
 
@@ -17,7 +17,7 @@ class _OnSplats(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        return scene.splat_modifier(context.object) is not None
+        return scene.splat_object(context) is not None
 
 
 class TG4MM_OT_true_colours(_OnSplats):
@@ -38,7 +38,7 @@ class TG4MM_OT_solid_colours(_OnSplats):
     bl_label = "Colours in Solid View"
 
     def execute(self, context: Any) -> set[str]:
-        compat.set_input(scene.splat_modifier(context.object), names.SOLID_COLOUR, True)
+        compat.set_input(scene.splat_modifier(scene.splat_object(context)), names.SOLID_COLOUR, True)
         shading = getattr(context.space_data, "shading", None)
         if shading is not None:
             shading.color_type, shading.light = "VERTEX", "FLAT"
@@ -53,14 +53,15 @@ class TG4MM_OT_fit_colour_range(_OnSplats):
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        modifier = scene.splat_modifier(context.object)
-        return modifier is not None and compat.has_input(modifier, names.COLOUR_RANGE)
+        return scene.moves(scene.splat_object(context))
 
     def execute(self, context: Any) -> set[str]:
-        if not analysis.active_modes(context.object):
+        obj = scene.splat_object(context)
+        if not analysis.active_modes(obj):
             self.report({"ERROR"}, "No mode is shown inside the band")
             return {"CANCELLED"}
-        self.report({"INFO"}, f"0 to {analysis.fit_colour_range(context.object):.4g} scene units")
+        unit = preferences.unit_for(context, obj)
+        self.report({"INFO"}, f"0 to {unit.text(analysis.fit_colour_range(obj))}")
         return {"FINISHED"}
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -40,3 +41,31 @@ def drum(side: int = 24, freqs_hz: tuple[float, ...] = (2.0, 5.0)) -> SplatFile:
         n_timesteps=48,
         unit_scale_m=0.1,
     )
+
+
+@pytest.fixture(scope="session")
+def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the screenshots go: $TG4MM_GUI_PICTURES, else a temporary folder."""
+    folder = os.environ.get("TG4MM_GUI_PICTURES")
+    return Path(folder) if folder else tmp_path_factory.mktemp("pictures")
+
+
+@pytest.fixture(scope="session")
+def extension_zip(repo_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The zip as `make extension` builds it."""
+    subprocess.run([sys.executable, "addon/make_extension.py"], cwd=repo_root, check=True)
+    return max((repo_root / "dist").glob("tg4mm-*.zip"), key=lambda path: path.stat().st_mtime)
+
+
+@pytest.fixture(scope="session")
+def splat_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("splat") / SPLAT
+    write_splat(path, drum())
+    return path
+
+
+@pytest.fixture(scope="module")
+def blender(extension_zip: Path, splat_file: Path) -> Iterator[session.Session]:
+    """One Blender for the tests of a module, which go on from each other's state, in their order."""
+    with session.Session.start(extension_zip, [splat_file]) as running:
+        yield running

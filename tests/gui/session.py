@@ -125,6 +125,11 @@ class Session:
         self.move(x, y)
         self._xdotool("click", "--repeat", str(abs(steps)), "--delay", "50", "5" if steps > 0 else "4")
 
+    def wheel_with_control(self, x: float, y: float, button: str) -> None:
+        """One notch with Ctrl held: `4` up, `5` down. Over a menu it takes the next item."""
+        self.move(x, y)
+        self._xdotool("keydown", "ctrl", "click", button, "keyup", "ctrl")
+
     def key(self, *keys: str) -> None:
         """Press keys, each as xdotool writes it: `Return`, `ctrl+a`."""
         for key in keys:

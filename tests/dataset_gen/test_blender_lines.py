@@ -1,0 +1,54 @@
+"""Blender 4.5 and 5.2 make the same set. Runs where both environments are there: `make test-52` makes the second."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("bpy")
+pytest.importorskip("OpenEXR")
+Image = pytest.importorskip("PIL.Image")
+
+from benchmarks.blender_lines import difference, make  # noqa: E402
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    other = ROOT / (".venv52" if sys.version_info < (3, 13) else ".venv") / "bin/python"
+    if not other.exists():
+        pytest.skip(f"no other Blender: {other} is absent (make install test-52)")
+    out = tmp_path_factory.mktemp("lines")
+    return (
+        make(Path(sys.executable), "mic", out / "this", 48, 4),
+        make(other, "mic", out / "other", 48, 4),
+    )
+
+
+def test_both_lines_make_the_same_pictures_and_truth(both: tuple[Path, Path]) -> None:
+    d = difference(*both)
+    assert d.share < 0.02  # with 4 samples one light path that goes elsewhere is many grey levels
+    assert d.mean < 0.02
+    assert d.seen < 1e-3
+    assert d.passes["Depth"] < 1e-4
+    assert d.passes["Position"] < 1e-4
+    assert d.passes["Displacement"] < 1e-6
+
+
+def test_a_difference_would_be_seen(both: tuple[Path, Path], tmp_path: Path) -> None:
+    changed = tmp_path / "changed"
+    shutil.copytree(both[0], changed)
+    path = changed / "000/train/r_000.png"
+    pixels = np.asarray(Image.open(path)).copy()
+    pixels[20:24, 20:24] ^= 64
+    path.unlink()
+    Image.fromarray(pixels).save(path)
+    assert difference(both[0], changed).largest == 64
+    (changed / "001/train/r_000.png").unlink()
+    with pytest.raises(ValueError, match="do not hold the same pictures"):
+        difference(both[0], changed)

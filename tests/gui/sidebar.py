@@ -1,0 +1,131 @@
+"""The sidebar's tab TG4MM by mouse: opening it, finding its controls, importing a file through the menu.
+
+Blender tells no one where a button is, so the pointer is led down the panel and Blender's own shortcut copies what
+lies under it: the data path of a value (Ctrl Shift Alt C) or the Python command of an operator (Ctrl C).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from .session import Session, SessionError
+
+TAB = "TG4MM"
+TAB_STEP, ROW_STEP = 24, 11  # pixels; less than a tab, and half a row, is high
+PAGE = 8  # notches of the wheel that show what was below
+LONGEST = 8  # pages
+
+
+def open_tab(blender: Session) -> None:
+    """N over the view, then click down the tabs until Blender says that ours is the one."""
+    blender.move(*blender.region("VIEW_3D").middle)
+    if not blender.ask("tab"):
+        blender.key("n")
+        blender.wait(lambda: blender.ask("tab") != "", "the sidebar")
+    box = blender.region("VIEW_3D", "UI")
+    for y in range(box.top + TAB_STEP // 2, box.top + box.height, TAB_STEP):
+        blender.click(box.left + box.width - 9, y)
+        if _soon(lambda: blender.ask("tab") == TAB, 0.5):
+            return
+    raise SessionError(f"the sidebar has no tab {TAB}\n{blender.log()}")
+
+
+def find(blender: Session, wanted: str) -> tuple[int, int]:
+    """Where the control is whose data path or Python command ends with `wanted`, brought into view. A value of the
+    active object's modifier is found by the input's name."""
+    wanted = blender.ask("paths").get(wanted, wanted) if not wanted.startswith("bpy.") else wanted
+    box = blender.region("VIEW_3D", "UI")
+    x = box.left + round(0.55 * box.width)
+    blender.scroll(x, box.top + box.height // 2, -PAGE * LONGEST)
+    last: list[str] = []
+    for _ in range(LONGEST):
+        seen = []
+        for y in range(box.top + 10, box.top + box.height - 10, ROW_STEP):
+            under = under_pointer(blender, x, y, operator=wanted.startswith("bpy."))
+            if under.endswith(wanted):
+                return x, y + 4  # not at its edge
+            seen.append(under)
+        if seen == last:
+            break
+        last = seen
+        blender.scroll(x, box.top + box.height // 2, PAGE)
+    raise SessionError(f"no control for {wanted} in the sidebar; the last page: {sorted(set(last))}")
+
+
+def under_pointer(blender: Session, x: int, y: int, operator: bool) -> str:
+    """Data path of the value under the pointer, or the command of the operator; empty where there is none."""
+    blender.ask("set_clipboard", text="")
+    blender.move(x, y)
+    blender.key("ctrl+c" if operator else "ctrl+shift+alt+c")
+    return str(blender.ask("clipboard"))
+
+
+def press(blender: Session, operator: str) -> None:
+    """Click the button of an operator, `bpy.ops.tg4mm.solid_colours()`."""
+    blender.click(*find(blender, operator))
+
+
+def drag_value(blender: Session, name: str, pixels: int) -> float:
+    """Drag a number field sideways; returns the value then."""
+    place = find(blender, name)
+    before = blender.ask("inputs")[name]
+    blender.drag(place, (pixels, 0))
+    if not _soon(lambda: blender.ask("inputs")[name] != before, 5.0):
+        raise SessionError(f"dragging {name} by {pixels} pixels left it at {before}")
+    return float(blender.ask("inputs")[name])
+
+
+def type_value(blender: Session, name: str, text: str) -> None:
+    """Double-click a number field and type into it."""
+    blender.double_click(*find(blender, name))
+    blender.key("ctrl+a")
+    blender.write(text)
+    blender.key("Return")
+    if not _soon(lambda: abs(blender.ask("inputs")[name] - float(text)) < 1e-4, 5.0):
+        raise SessionError(f"{name} is {blender.ask('inputs')[name]} after {text} was typed")
+
+
+def choose(blender: Session, name: str, item: str) -> None:
+    """Turn the wheel with Ctrl held over a menu until it shows `item`."""
+    x, y = find(blender, name)
+    for wheel in ("4", "5"):
+        for _ in range(8):
+            if blender.ask("inputs")[name] == item:
+                return
+            blender.wheel_with_control(x, y, wheel)
+            time.sleep(0.2)
+    raise SessionError(f"the menu {name} has no {item}; it stays at {blender.ask('inputs')[name]}")
+
+
+def import_by_menu(blender: Session, file: str, wait: float = 30.0) -> str:
+    """File > Import > TG4MM Splats, the file's path in the file browser; returns the new object's name."""
+    before = set(blender.ask("objects"))
+    blender.click(42, 14)
+    time.sleep(0.5)
+    blender.key("space")  # the menu's search
+    blender.write("TG4MM Splats")
+    time.sleep(0.5)
+    blender.key("Return")
+    blender.wait(lambda: blender.ask("areas")[0]["type"] == "FILE_BROWSER", "the file browser")
+    time.sleep(0.5)
+    blender.move(*blender.region("FILE_BROWSER").middle)
+    blender.key("ctrl+l", "ctrl+a")
+    blender.write(f"{blender.inside}/{file}")
+    blender.key("Return")
+    time.sleep(0.5)
+    blender.key("Escape")  # leaves the path's field, which keeps the keyboard
+    box = blender.region("FILE_BROWSER", "EXECUTE")
+    blender.click(box.left + box.width - 60, box.top + box.height // 2 - 2)
+    blender.wait(lambda: len(blender.ask("objects")) > len(before), f"an object of {file}", wait)
+    return str(blender.ask("active_object"))
+
+
+def _soon(condition: Callable[[], bool], limit: float) -> bool:
+    """True once the condition holds, False if it does not in `limit` seconds."""
+    ends = time.monotonic() + limit
+    while time.monotonic() < ends:
+        if condition():
+            return True
+        time.sleep(0.05)
+    return condition()
