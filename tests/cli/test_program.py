@@ -72,7 +72,7 @@ def test_help_is_fast_and_imports_nothing_heavy() -> None:
     ("command", "texts"),
     [
         ("train", ["[default: modal]", "[default: cpu]", "modal", "cuda", "--set"]),
-        ("render", ["(1 + alpha)", "alpha ≥ -1", "Hz", "[default: all]", "[default: test]", "--orbit"]),
+        ("render", ["(1 + alpha)", "-1 at rest", "Hz", "[default: all]", "[default: test]", "--orbit"]),
         ("evaluate", ["dB", "Hz", "[default: RUN/metrics.json]", "5,10,20,50"]),
         ("export", ["ply"]),
         ("demo", ["[default: demo]"]),
@@ -97,7 +97,7 @@ def test_no_command_shows_help_and_exits_with_2() -> None:
     [
         (["bake"], r"No such command 'bake'.* \(see tg4mm --help\)"),
         (["train"], r"Missing argument 'DATASET' \(see tg4mm train --help\)"),
-        (["train", "x", "--out", "y", "--preset", "paper"], "'paper' is not .*'modal'"),
+        (["train", "x", "--out", "y", "--preset", "papers"], "'papers' is not .*'modal'"),
         (["train", "x", "--out", "y", "--frames", "3"], "No such option:? '?--frames"),
         (["render", "x", "--out", "y", "--alpha", "big"], "--alpha.*'big'"),
         (["render", "x", "--out", "y", "--alpha", "1", "--orbit", "0"], "--orbit.*'?0'?"),

@@ -122,7 +122,7 @@ def test_a_broken_record_is_named(run, cameras, tmp_path):
     ("request_", "timesteps", "message"),
     [
         (RenderRequest(alpha=float("nan")), None, "--alpha nan"),
-        (RenderRequest(alpha=-1.5), None, "--alpha -1.5"),
+        (RenderRequest(alpha=float("inf")), None, "--alpha inf"),
         (RenderRequest(slow=0), None, "--slow 0"),
         (RenderRequest(band=(4.0, 40.0)), None, "half the frame rate"),
         (RenderRequest(), [6], "timestep 6 is outside 0 … 5"),

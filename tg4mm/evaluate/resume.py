@@ -47,7 +47,8 @@ def fingerprint(
 ) -> str:
     """Digest of everything an α's scores depend on, so that only what is still true is resumed."""
     digest = hashlib.blake2b(digest_size=16)
-    settings = [_VERSION, alpha, sorted(scorer.metrics), [(m.name, m.band) for m in methods]]
+    named = [(m.name, m.band, *([m.posing.label] if m.posing else [])) for m in methods]
+    settings = [_VERSION, alpha, sorted(scorer.metrics), named]
     digest.update(json.dumps(settings).encode())
     for tensor in _tensors(scorer):
         digest.update(np.ascontiguousarray(tensor.cpu().numpy()).tobytes())

@@ -4,28 +4,32 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tg4mm.capture import Capture, check_band, load_capture, load_images
+from tg4mm.capture import Capture, load_capture, load_images
 from tg4mm.errors import CaptureError
 from tg4mm.evaluate.displacement import displacement_figures
 from tg4mm.evaluate.errors import EvaluationError
 from tg4mm.evaluate.lpips import MIN_SIZE, load_lpips
 from tg4mm.evaluate.metrics import SSIM_WINDOW, flip, psnr, ssim
 from tg4mm.evaluate.resume import Resume, fingerprint
-from tg4mm.evaluate.scores import BACKGROUND, Method, Metric, Scorer, in_band
+from tg4mm.evaluate.scores import BACKGROUND, Method, Metric, Posing, Scorer, in_bands
 from tg4mm.evaluate.truth import TRUTH_FILE, exact_motion, load_truth
 from tg4mm.evaluate.weights import blending_weights
 from tg4mm.files import write_json
 from tg4mm.gaussians import Gaussians
+from tg4mm.magnify import BandGain, Magnification, TemporalFilter
+from tg4mm.magnify.bands import check_bands
+from tg4mm.magnify.poses import method_of, poses_of
 from tg4mm.motion.modal import ModalMotion
 from tg4mm.progress import progress
-from tg4mm.runs import Run
+from tg4mm.runs import Run, model_hash
 
 FORMAT, VERSION = "tg4mm-metrics", 1
 STATIC, OURS, CEILING = "nothing moves", "ours", "ceiling"
@@ -39,13 +43,16 @@ class _Subject:
     gaussians: Gaussians
     estimated: ModalMotion | None
     exact: ModalMotion | None
-    band: tuple[float, float] | None
+    bands: tuple[tuple[float, float], ...]
+    posing: Posing | None  # None: modal, by the estimated motion and at most one band
 
     @property
     def methods(self) -> list[Method]:
         found = [Method(STATIC, None)]
-        if self.estimated is not None:
-            found.append(Method(OURS, self.estimated, self.band))
+        if self.estimated is not None and self.posing is not None:
+            found.append(Method(OURS, self.estimated, posing=self.posing))
+        elif self.estimated is not None:
+            found.append(Method(OURS, self.estimated, self.bands[0] if self.bands else None))
         if self.exact is not None:
             found.append(Method(CEILING, self.exact))
         return found
@@ -59,11 +66,15 @@ def evaluate_run(
     lpips_weights: Path | str | Sequence[Path | str] | None = None,
     device: str = "cpu",
     use_cache: bool = True,
+    bands: Sequence[tuple[float, float]] = (),
+    method: str | None = None,
+    filter: TemporalFilter | None = None,
 ) -> dict[str, Any]:
     """Score a run on its dataset's test cameras and write the figures to `out` (default RUN/metrics.json).
 
     `alphas`: magnification factors with ground truth, None for all there are; 0, the test split itself, is
-    always scored. `band` (Hz): what "ours" magnifies, None for all frequencies; ground truth magnifies all.
+    always scored. `band` (Hz): what "ours" magnifies, None for all frequencies; ground truth magnifies all. `bands`:
+    several in its place, all by the same α. `method`, `filter`: as in `tg4mm.magnify.Magnification`.
     `device`: where pictures are rendered; metrics are computed on the CPU, so each picture is brought there once.
     `lpips_weights`: see `tg4mm.evaluate.lpips`. `use_cache=False` scores every image anew (same numbers,
     slower).
@@ -76,7 +87,8 @@ def evaluate_run(
 
         format, version            "tg4mm-metrics", 1
         run, dataset               folders
-        band_hz, background        null | [low, high]; [1, 1, 1]
+        band_hz, background        null | [low, high], with several a list of them; [1, 1, 1]
+        method, filter             "modal" | "linear" | "phase"; null | "zero-phase" | "ideal" | "published"
         metrics                    names of the image metrics that were measured
         alphas                     [{alpha, n_images, rows, gap_to_ceiling}], per α:
           rows                       {method: {psnr_db, ssim, flip, lpips}}, image means, null: not measured
@@ -91,10 +103,11 @@ def evaluate_run(
     began = time.monotonic()
     absent: dict[str, str] = {}
     wanted = _alphas(alphas, run.dataset, absent)
-    band = None if band is None else tuple(band)
+    bands = tuple(bands) or (() if band is None else (tuple(band),))  # type: ignore[assignment]
+    plan = Magnification(method=method, filter=filter)
     metrics = _metrics(lpips_weights, absent)
     capture = load_capture(run.dataset, split="train")
-    subject = _subject(run, capture, band, absent, device)
+    subject = _subject(run, capture, bands, plan, absent, device)
     target = _target(run, out)
     scorer = Scorer(subject.gaussians, metrics, use_cache)
     resume = Resume(target)
@@ -107,7 +120,9 @@ def evaluate_run(
         "version": VERSION,
         "run": str(run.path),
         "dataset": str(run.dataset),
-        "band_hz": None if subject.band is None else list(subject.band),
+        "band_hz": _plain_bands(subject.bands),
+        "method": method_of(run, plan),
+        "filter": _filter_name(run, plan),
         "background": list(BACKGROUND),
         "metrics": [m for m in _HIGHER_IS_BETTER if any(_measured(e, m) for e in entries)],
         "alphas": entries,
@@ -161,7 +176,12 @@ def _metrics(
 
 
 def _subject(
-    run: Run, capture: Capture, band: tuple[float, ...] | None, absent: dict[str, str], device: str
+    run: Run,
+    capture: Capture,
+    bands: Sequence[tuple[float, float]],
+    plan: Magnification,
+    absent: dict[str, str],
+    device: str,
 ) -> _Subject:
     gaussians = run.load_space()
     estimated = run.load_motion()
@@ -182,8 +202,34 @@ def _subject(
         absent["ceiling"] = (
             f"{run.dataset / TRUTH_FILE} does not exist: no exact motion, no displacement error"
         )
-    checked = None if band is None else check_band(band, capture.fps)
-    return _Subject(gaussians.to(device), estimated, exact, checked)
+    check_bands(bands, capture.fps)
+    posing = None if estimated is None else _posing(run, bands, plan, device)
+    return _Subject(gaussians.to(device), estimated, exact, tuple(bands), posing)
+
+
+def _posing(
+    run: Run, bands: Sequence[tuple[float, float]], plan: Magnification, device: str
+) -> Posing | None:
+    """How the run poses and magnifies, None where its motion and one band say it all."""
+    if method_of(run, plan) == "modal" and len(bands) <= 1:
+        return None
+
+    @lru_cache(maxsize=1)
+    def at(alpha: float) -> Callable[[float], Gaussians]:
+        gains = tuple(BandGain(*band, alpha) for band in bands)
+        everywhere = 0.0 if bands else alpha
+        return poses_of(run, replace(plan, bands=gains, everywhere=everywhere), device).at
+
+    return Posing(at, repr((method_of(run, plan), plan, list(bands), model_hash(run.path))))
+
+
+def _plain_bands(bands: Sequence[tuple[float, float]]) -> list[Any] | None:
+    listed = [list(band) for band in bands]
+    return listed[0] if len(listed) == 1 else listed or None
+
+
+def _filter_name(run: Run, plan: Magnification) -> str | None:
+    return None if method_of(run, plan) == "modal" else (plan.filter or TemporalFilter()).kind
 
 
 def _score_alpha(
@@ -255,27 +301,27 @@ def _displacement(subject: _Subject, capture: Capture, absent: dict[str, str]) -
         absent["displacement error"] = "no training camera sees any Gaussian"
         return None
     figures = displacement_figures(estimated, exact, weights, capture.unit_scale_m)
-    if subject.band is not None:
-        inside = [m.selected(in_band(m.freqs_hz, subject.band)) for m in (estimated, exact)]
+    if subject.bands:
+        inside = [m.selected(in_bands(m.freqs_hz, subject.bands)) for m in (estimated, exact)]
         figures["in_band"] = displacement_figures(inside[0], inside[1], weights, capture.unit_scale_m)
     return figures
 
 
 def _notes(subject: _Subject) -> list[str]:
     """What "ours" magnifies and the ground truth does not, or the other way round."""
-    exact, band = subject.exact, subject.band
+    exact, bands = subject.exact, subject.bands
     if exact is None:
         return []
     moving, magnified = exact.displacement.any(axis=(1, 2)), exact.is_magnified()
-    inside = in_band(exact.freqs_hz, band)
+    inside = in_bands(exact.freqs_hz, bands)
     notes = []
-    if band is not None and (outside := exact.freqs_hz[moving & magnified & ~inside]).size:
+    if bands and (outside := exact.freqs_hz[moving & magnified & ~inside]).size:
         notes.append(
             f"The ground truth also magnifies motion at {_hertz(outside)}, "
-            f"outside the band {band[0]:g} to {band[1]:g} Hz."
+            f"outside the band {' and '.join(f'{low:g} to {high:g}' for low, high in bands)} Hz."
         )
     if (left := exact.freqs_hz[moving & ~magnified & inside]).size:
-        where = "without a band, ours does" if band is None else "which lies inside the band"
+        where = "without a band, ours does" if not bands else "which lies inside the band"
         notes.append(f"The ground truth does not magnify motion at {_hertz(left)}, {where}.")
     return notes
 

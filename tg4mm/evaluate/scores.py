@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -27,12 +27,21 @@ _THREADS = 2  # FLIP is parallel inside; a second thread overlaps it with SSIM
 
 
 @dataclass(frozen=True)
+class Posing:
+    """Magnified Gaussians by any method of `tg4mm.magnify`."""
+
+    at: Callable[[float], Callable[[float], Gaussians]]  # alpha -> timestep -> Gaussians
+    label: str  # method, filter and bands, and what else the poses depend on
+
+
+@dataclass(frozen=True)
 class Method:
     """One row of the table: the Gaussians moved by `motion` (None: at rest), magnified in `band`."""
 
     name: str
     motion: ModalMotion | None
     band: tuple[float, float] | None = None
+    posing: Posing | None = None  # in place of motion and band: how the run itself poses and magnifies
 
     def state(self, t: int, alpha: float) -> Key:
         """What the pose at (t, α) depends on: equal keys, equal poses. `()` is the rest pose of every method.
@@ -40,6 +49,8 @@ class Method:
         Per mode the factors of the phasors' real and imaginary parts (g cos θ and −g sin θ, g = 1 + α in the
         band), left out where that part is zero for all Gaussians: motion in phase repeats within its period.
         """
+        if self.posing is not None:
+            return (self.name, alpha, t)
         if self.motion is None:
             return ()
         phase = mode_gains(self.motion, t, alpha, self.band)
@@ -53,6 +64,13 @@ class Method:
         assert self.motion is not None
         both = np.concatenate([self.motion.displacement, self.motion.rotation], axis=2)
         return both.real.any(axis=(1, 2)), both.imag.any(axis=(1, 2))
+
+
+def in_bands(freqs_hz: np.ndarray, bands: Sequence[tuple[float, float]]) -> np.ndarray:
+    """[K] bool: inside one of the bands; every mode if there are none."""
+    if not bands:
+        return in_band(freqs_hz, None)
+    return np.any([in_band(freqs_hz, band) for band in bands], axis=0)
 
 
 def in_band(freqs_hz: np.ndarray, band: tuple[float, float] | None) -> np.ndarray:
@@ -132,6 +150,8 @@ class Scorer:
 
 def pose(gaussians: Gaussians, method: Method, t: int, alpha: float) -> Gaussians:
     """The Gaussians as the method has them at timestep t, magnified by α."""
+    if method.posing is not None:
+        return method.posing.at(alpha)(t)
     if method.motion is None:
         return gaussians
     return moved(gaussians, method.motion, t, alpha=alpha, band=method.band)

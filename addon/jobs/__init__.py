@@ -1,0 +1,17 @@
+"""What runs beside Blender: datasets of the open scene, training; their panels, settings and preview."""
+
+from __future__ import annotations
+
+from . import background, operators, panels, preview, settings
+
+_MODULES = (settings, preview, background, operators, panels)
+
+
+def register() -> None:
+    for module in _MODULES:
+        module.register()
+
+
+def unregister() -> None:
+    for module in reversed(_MODULES):
+        module.unregister()

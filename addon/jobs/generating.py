@@ -1,0 +1,154 @@
+"""From the open scene to a running generator: a copy of the file, the description, the command; and its end."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from .. import names, preferences
+from ..generator.dataset_gen.errors import GenerateError
+from . import background, commands, describe, objects, preview
+from .commands import Host
+from .runner import Job, State
+
+_BLEND, _MOTION = "scene.blend", "motion.json"
+
+
+def core_python(context: Any) -> str:
+    """The core's Python of the preferences; "" if none is named. Raises GenerateError if there is no such file."""
+    named = preferences.get(context).core_python.strip()
+    if not named:
+        return ""
+    # Not resolved further: in a virtual environment it is a link, and what it is called tells which.
+    path = os.path.abspath(bpy.path.abspath(named))
+    if not os.path.isfile(path):
+        raise GenerateError(f"Python of the Core (in the preferences): there is no file {path}")
+    return path
+
+
+def host(context: Any) -> Host:
+    """What will run the generator: the core's Python if it is named, else this Blender. Raises GenerateError."""
+    python = "" if context.scene.tg4mm_generate.in_blender else core_python(context)
+    return commands.core_host(python) if python else commands.blender_host(bpy.app.binary_path, sys.executable)
+
+
+def label(settings: Any) -> str:
+    """The first part of the dataset folder's name."""
+    if settings.label:
+        return str(settings.label)
+    return re.sub(r"[^A-Za-z0-9_-]+", "_", Path(bpy.data.filepath).stem).strip("_") or "scene"
+
+
+def working_folder(settings: Any) -> Path:
+    """Where the copy of the scene lies until the dataset is complete. Raises GenerateError."""
+    if not settings.out.strip():
+        raise GenerateError("Output is empty: choose the folder that the dataset is made in")
+    if settings.out.startswith("//") and not bpy.data.filepath:
+        raise GenerateError(f"Output {settings.out} lies beside the .blend file, which is not saved yet")
+    name = label(settings)
+    if not re.fullmatch(r"[A-Za-z0-9_-]+", name):
+        raise GenerateError(f"Name {name!r}: letters, digits, - and _ only, since a folder is named after it")
+    return Path(os.path.abspath(bpy.path.abspath(settings.out))) / f"{name}.generating"
+
+
+def can_go_on(settings: Any) -> bool:
+    """Whether a dataset of this name was begun and not finished."""
+    try:
+        return (working_folder(settings) / _BLEND).is_file()
+    except GenerateError:
+        return False
+
+
+def generate(context: Any, go_on: bool) -> Job:
+    """Start the generator on a copy of the open scene, or with `go_on` on the copy that a stopped run left.
+
+    Raises GenerateError or OSError, one line.
+    """
+    settings = context.scene.tg4mm_generate
+    chosen = objects.moving(settings, context.scene)
+    parts = objects.parts(chosen, context.evaluated_depsgraph_get())
+    described = describe.description(settings, parts)
+    if described.main.frequency_hz >= settings.fps / 2:
+        raise GenerateError(
+            f"Frequency {described.main.frequency_hz:g} Hz is not below half of Frames per Second, "
+            f"{settings.fps / 2:g} Hz"
+        )
+    runs_in, folder = host(context), working_folder(settings)
+    folder.mkdir(parents=True, exist_ok=True)
+    motion = folder / _MOTION
+    _write(motion, json.dumps(described.to_json(), indent=1))
+    if not go_on:
+        save_copy(folder / _BLEND, context.scene)
+    options = _options(settings, context.scene, runs_in)
+    steps = commands.generate_steps(runs_in, folder / _BLEND, motion, folder.parent, options)
+    return background.start(background.GENERATE, steps, lambda job: _ended(job, folder))
+
+
+def save_copy(path: Path, scene: Any) -> None:
+    """Save the session as a .blend without the preview and without imported splats. Raises GenerateError."""
+    preview.stop()
+    with _splats_hidden(scene):
+        try:
+            bpy.ops.wm.save_as_mainfile(filepath=str(path), copy=True, check_existing=False)
+        except RuntimeError as error:
+            reason = " ".join(str(error).removeprefix("Error: ").split())
+            raise GenerateError(f"{path} cannot be saved: {reason}") from None
+
+
+@contextlib.contextmanager
+def _splats_hidden(scene: Any) -> Iterator[None]:
+    """A dataset shows the scene, not what was made of an earlier one."""
+    splats = [obj for obj in scene.objects if names.MARK in obj and not obj.hide_render]
+    for obj in splats:
+        obj.hide_render = True
+    try:
+        yield
+    finally:
+        for obj in splats:
+            obj.hide_render = False
+
+
+def _options(settings: Any, scene: Any, runs_in: Host) -> dict[str, str | int | float]:
+    return {
+        "name": label(settings),
+        "scene": scene.name,
+        "timesteps": settings.timesteps,
+        "fps": settings.fps,
+        "cameras": settings.cameras,
+        "views": settings.views,
+        "test-views": settings.test_views,
+        "size": settings.size,
+        "samples": settings.samples,
+        "seed": settings.seed,
+        "device": settings.device,
+        "alphas": settings.alphas,
+        "processes": settings.processes,
+        # Blender's own Python lacks OpenEXR, which writes it.
+        "truth": settings.truth if runs_in.is_core else "none",
+    }
+
+
+def _write(path: Path, text: str) -> None:
+    temporary = path.with_suffix(".tmp")
+    temporary.write_text(text, encoding="utf-8")
+    os.replace(temporary, path)
+
+
+def _ended(job: Job, folder: Path) -> None:
+    """Of a finished dataset the copy of the scene goes, and Train is set to it."""
+    if job.state is not State.DONE or not job.results:
+        return
+    for name in (_BLEND, f"{_BLEND}1", _MOTION):
+        (folder / name).unlink(missing_ok=True)
+    with contextlib.suppress(OSError):
+        folder.rmdir()
+    job.message = f"Complete: {job.results[-1]}"
+    bpy.context.scene.tg4mm_train.dataset = job.results[-1]

@@ -1,0 +1,211 @@
+"""The panels Generate and Train in the sidebar of the 3D view, tab TG4MM."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from .. import preferences
+from . import background, generating, kinds, placing, preview
+from .runner import Job, State
+
+
+class _Tab:
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "TG4MM"
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+
+
+class VIEW3D_PT_tg4mm_generate(_Tab, bpy.types.Panel):
+    """A dataset of the open scene, vibrating"""
+
+    bl_label = "Generate"
+    bl_idname = "VIEW3D_PT_tg4mm_generate"
+    bl_order = 10
+
+    def draw(self, context: Any) -> None:
+        layout, settings = self.layout, context.scene.tg4mm_generate
+        layout.use_property_split = True
+        layout.prop(settings, "out")
+        layout.prop(settings, "label", placeholder=generating.label(settings))
+        if preferences.get(context).core_python:
+            layout.prop(settings, "in_blender")
+        layout.label(text=f"Rest pose: frame {context.scene.frame_current}", icon="TIME")
+        if _draw_job(layout, background.GENERATE):
+            return
+        layout.operator("tg4mm.generate", icon="RENDER_ANIMATION")
+        if generating.can_go_on(settings):
+            layout.operator("tg4mm.generate", text="Go On", icon="FILE_REFRESH").go_on = True
+
+
+class VIEW3D_PT_tg4mm_mode(_Tab, bpy.types.Panel):
+    """What moves, and how"""
+
+    bl_label = "Motion"
+    bl_idname = "VIEW3D_PT_tg4mm_mode"
+    bl_parent_id = VIEW3D_PT_tg4mm_generate.bl_idname
+    bl_options = set()  # noqa: RUF012
+
+    def draw(self, context: Any) -> None:
+        layout, settings = self.layout, context.scene.tg4mm_generate
+        layout.use_property_split = True
+        layout.prop(settings, "source", expand=True)
+        if settings.source == "FILE":
+            layout.prop(settings, "motion_file")
+        else:
+            self._draw_objects(layout, settings)
+            self._draw_mode(layout, settings, context)
+        layout.prop(settings, "fps")
+        self._draw_preview(layout, settings, context.scene)
+
+    def _draw_objects(self, layout: Any, settings: Any) -> None:
+        moving = [item.object.name for item in settings.moving if item.object is not None]
+        more = f" and {len(moving) - 3} more" if len(moving) > 3 else ""
+        layout.label(text=f"Moves: {', '.join(moving[:3]) + more or 'everything'}", icon="OBJECT_DATA")
+        row = layout.row(align=True)
+        row.operator("tg4mm.use_selection", text="Selected")
+        row.operator("tg4mm.move_everything", text="Everything")
+
+    def _draw_mode(self, layout: Any, settings: Any, context: Any) -> None:
+        layout.prop(settings, "kind")
+        for entry in kinds.rows(settings):
+            row = layout.row(align=True)
+            if entry.setting == "group" and context.object is not None and context.object.type == "MESH":
+                row.prop_search(settings, "group", context.object, "vertex_groups", text=entry.text)
+                continue
+            row.prop(settings, entry.setting, text=entry.text)
+            if entry.setting in (*placing.PLACES, *placing.HEADINGS, *placing.HEIGHTS):
+                row.operator("tg4mm.mode_from_cursor", text="", icon="PIVOT_CURSOR").setting = entry.setting
+        if settings.kind not in ("translate", "group"):
+            layout.operator("tg4mm.fit_mode", icon="PIVOT_BOUNDBOX")
+        layout.prop(settings, "frequency", text="Frequency (Hz)")
+        row = layout.row(align=True)
+        pixels = settings.amplitude_in == "PIXELS"
+        row.prop(settings, "amplitude_px" if pixels else "amplitude")
+        row.prop(settings, "amplitude_in", text="")
+        layout.prop(settings, "phase")
+
+    def _draw_preview(self, layout: Any, settings: Any, scene: Any) -> None:
+        if not preview.active():
+            layout.operator("tg4mm.preview_start", icon="PLAY")
+            if preview.problem():
+                _draw_lines(layout, preview.problem(), "ERROR")
+            return
+        layout.prop(settings, "gain", slider=True)
+        layout.operator("tg4mm.preview_stop", icon="SNAP_FACE")
+        row = layout.row(align=True)
+        row.operator("screen.animation_play", text="Play or Pause")
+        row.operator("tg4mm.preview_start", text="Refresh", icon="FILE_REFRESH")
+        times = scene.render.fps / scene.render.fps_base / settings.fps
+        if abs(times - 1.0) > 1e-3:
+            layout.label(text=f"The timeline plays it {times:.3g} times as fast", icon="INFO")
+
+
+class VIEW3D_PT_tg4mm_views(_Tab, bpy.types.Panel):
+    """Cameras, pictures and truth of the dataset"""
+
+    bl_label = "Cameras and Pictures"
+    bl_idname = "VIEW3D_PT_tg4mm_views"
+    bl_parent_id = VIEW3D_PT_tg4mm_generate.bl_idname
+
+    def draw(self, context: Any) -> None:
+        layout, settings = self.layout, context.scene.tg4mm_generate
+        layout.use_property_split = True
+        layout.prop(settings, "timesteps")
+        layout.prop(settings, "cameras")
+        if settings.cameras not in ("given", "handheld"):
+            layout.prop(settings, "views")
+        layout.prop(settings, "test_views")
+        for name in ("size", "samples", "device", "seed", "processes", "alphas"):
+            layout.prop(settings, name)
+        if preferences.get(context).core_python and not settings.in_blender:
+            layout.prop(settings, "truth")
+        else:
+            layout.label(text="Truth per pixel needs the core's Python", icon="INFO")
+
+
+class VIEW3D_PT_tg4mm_train(_Tab, bpy.types.Panel):
+    """Splats of a dataset"""
+
+    bl_label = "Train"
+    bl_idname = "VIEW3D_PT_tg4mm_train"
+    bl_order = 11
+
+    def draw(self, context: Any) -> None:
+        layout, settings = self.layout, context.scene.tg4mm_train
+        layout.use_property_split = True
+        if not preferences.get(context).core_python:
+            layout.label(text="Training needs tg4mm in a Python of its own.", icon="INFO")
+            layout.label(text="Name that Python in the preferences.")
+            layout.operator("preferences.addon_show", text="Preferences").module = preferences.PACKAGE
+            return
+        for name in ("dataset", "run", "device", "settings"):
+            layout.prop(settings, name)
+        if not _draw_job(layout, background.TRAIN):
+            layout.operator("tg4mm.train", icon="OUTLINER_OB_POINTCLOUD")
+
+
+def _draw_job(layout: Any, kind: str) -> bool:
+    """Progress and Cancel of a job that runs, or how the last one ended; True if one runs."""
+    job = background.get(kind)
+    if job is None:
+        return False
+    if not job.running:
+        _draw_end(layout, job)
+        return False
+    column = layout.column(align=True)
+    column.progress(factor=job.progress.factor, text=job.message or job.progress.text)
+    row = column.row()
+    row.enabled = not job.cancelling
+    row.operator("tg4mm.cancel_job", icon="CANCEL").kind = kind
+    return True
+
+
+def _draw_end(layout: Any, job: Job) -> None:
+    icons = {State.DONE: "CHECKMARK", State.FAILED: "ERROR", State.CANCELLED: "CANCEL"}
+    _draw_lines(layout, job.message, icons[job.state])
+    for warning in list(job.warnings)[:3]:
+        _draw_lines(layout, warning, "INFO")
+    if len(job.warnings) > 3:
+        layout.label(text=f"and {len(job.warnings) - 3} more warnings", icon="BLANK1")
+
+
+def _draw_lines(layout: Any, text: str, icon: str, width: int = 44) -> None:
+    """A message in lines that fit the sidebar, which cuts what is longer."""
+    column = layout.column(align=True)
+    column.scale_y = 0.8
+    for i, line in enumerate(wrapped(text, width)):
+        column.label(text=line, icon=icon if i == 0 else "BLANK1")
+
+
+def wrapped(text: str, width: int) -> list[str]:
+    """The text in lines of at most `width` characters, paths cut at their separators where possible."""
+    lines = [""]
+    for word in text.replace("/", "/\u200b").replace("\\", "\\\u200b").split(" "):
+        for i, piece in enumerate(word.split("\u200b")):
+            gap = " " if i == 0 and lines[-1] else ""
+            if lines[-1] and len(lines[-1] + gap + piece) > width:
+                lines.append("")
+                gap = ""
+            lines[-1] += gap + piece
+    return [line[i : i + width] for line in lines for i in range(0, max(len(line), 1), width)]
+
+
+_CLASSES = (
+    VIEW3D_PT_tg4mm_generate,
+    VIEW3D_PT_tg4mm_mode,
+    VIEW3D_PT_tg4mm_views,
+    VIEW3D_PT_tg4mm_train,
+)
+
+
+def register() -> None:
+    for cls in _CLASSES:
+        bpy.utils.register_class(cls)
+
+
+def unregister() -> None:
+    for cls in reversed(_CLASSES):
+        bpy.utils.unregister_class(cls)
