@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 
@@ -29,12 +30,10 @@ class Canvas:
         cover, x, y = _stroke(np.asarray(points, float), thickness)
         self._paint(cover, x, y, colour, alpha)
 
-    def text(
-        self, x: float, y: float, words: str, colour: Colour, size: float, anchor: float = 0.0
-    ) -> None:
+    def text(self, x: float, y: float, words: str, colour: Colour, size: float, anchor: float = 0.0) -> None:
         """Words with their baseline at y, capitals `size` high; `anchor`: the part of them left of x."""
         unit = size / (strokes.TOP - strokes.BASE)
-        place = round(x - anchor * text_width(words, size))
+        place = float(round(x - anchor * text_width(words, size)))
         for character in words:
             cover, left, top, width = _glyph(character, unit)
             self._paint(cover, round(place) + left, round(y) + top, colour, 1.0)
@@ -85,7 +84,7 @@ def _stroke(points: np.ndarray, thickness: float) -> tuple[np.ndarray, int, int]
     low = np.floor(points.min(axis=0) - reach).astype(int)
     high = np.ceil(points.max(axis=0) + reach).astype(int)
     cover = np.zeros((high[1] - low[1], high[0] - low[0]))
-    for a, b in zip(points[:-1], points[1:], strict=True) if len(points) > 1 else [(points[0], points[0])]:
+    for a, b in pairwise(points if len(points) > 1 else np.repeat(points, 2, axis=0)):
         first = np.floor(np.minimum(a, b) - reach).astype(int) - low
         last = np.ceil(np.maximum(a, b) + reach).astype(int) - low
         x = np.arange(first[0], last[0]) + low[0] + 0.5

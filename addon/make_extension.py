@@ -1,8 +1,8 @@
 """Build the extension's zip: stage a folder that is the package, then run Blender's own builder on it.
 
 Not part of the extension. The builder lies in the bpy wheel and runs without Blender. A staged folder is
-needed since the package's parts lie in three places: the manifest at the root, addon/, and the reader of the
-splat file in tg4mm/, which inside Blender is the sub-package `core`.
+needed since the package's parts lie in several places: the manifest at the root, addon/, the reader of the
+splat file in tg4mm/, which inside Blender is the sub-package `core`, and the generator, which is `generator`.
 """
 
 from __future__ import annotations
@@ -15,6 +15,13 @@ import tomllib
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
+# The one import with which dataset_gen.vibration leaves its package.
+_ABSOLUTE = "from tg4mm.errors import Tg4mmError\n"
+_EITHER = """if "." in __package__:  # inside the extension
+    from ..tg4mm.errors import Tg4mmError
+else:
+    from tg4mm.errors import Tg4mmError
+"""
 
 
 def stage(folder: Path) -> Path:
@@ -34,7 +41,36 @@ def stage(folder: Path) -> Path:
     (core / "__init__.py").write_text('"""The parts of tg4mm that need numpy alone."""\n', encoding="utf-8")
     for source in (ROOT / "tg4mm" / "errors.py", *sorted((ROOT / "tg4mm" / "splatfile").glob("*.py"))):
         shutil.copyfile(source, core / source.relative_to(ROOT / "tg4mm"))
+    stage_generator(folder / "generator")
     return folder
+
+
+def stage_generator(folder: Path) -> None:
+    """Fill `folder` with dataset_gen, and with what it needs of tg4mm.
+
+    A background process has the folder on its path and finds both there. Blender itself, which must not be given
+    names for all extensions to see, imports dataset_gen.vibration as a part of the extension, relatively.
+    """
+    folder.mkdir()
+    text = '"""The dataset generator: run by background processes; its fields are the preview\'s."""\n'
+    (folder / "__init__.py").write_text(text, encoding="utf-8")
+    for source in generator_files():
+        target = folder / source.relative_to(ROOT)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(source, target)
+    errors = folder / "dataset_gen" / "errors.py"
+    text = errors.read_text(encoding="utf-8")
+    if text.count(_ABSOLUTE) != 1:
+        raise RuntimeError(f"{errors} should hold the line {_ABSOLUTE!r} once")
+    errors.write_text(text.replace(_ABSOLUTE, _EITHER), encoding="utf-8")
+
+
+def generator_files() -> list[Path]:
+    """What the generator consists of, for Blender: not what spreads work over a cluster."""
+    package = ROOT / "dataset_gen"
+    found = [file for kind in ("*.py", "*.yaml") for file in package.rglob(kind)]
+    kept = [file for file in found if "farm" not in file.relative_to(package).parts]
+    return sorted([*kept, ROOT / "tg4mm" / "__init__.py", ROOT / "tg4mm" / "errors.py"])
 
 
 def build(staged: Path, out: Path) -> Path:

@@ -25,7 +25,9 @@ def probe_selection(obj: Any) -> Probe:
         chosen = np.empty(len(mesh.vertices), bool)
         mesh.vertices.foreach_get("select", chosen)
         if not chosen.any():
-            raise PickError("No point is selected: enter Edit Mode (Tab) and click one, or box-select several")
+            raise PickError(
+                "No point is selected: enter Edit Mode (Tab) and click one, or box-select several"
+            )
         return _read(obj, mesh, np.flatnonzero(chosen))
 
 
@@ -37,7 +39,9 @@ def probe_cursor(obj: Any, cursor: Sequence[float]) -> Probe:
     with _readable(obj) as mesh:
         shown = np.flatnonzero(_floats(mesh, names.OPACITY) >= compat.get_input(modifier, faintest))
         if not len(shown):
-            raise PickError(f"No Gaussian is as opaque as {faintest}, {compat.get_input(modifier, faintest):g}")
+            raise PickError(
+                f"No Gaussian is as opaque as {faintest}, {compat.get_input(modifier, faintest):g}"
+            )
         away = _world(obj, mesh)[shown] - np.asarray(cursor, float)
         return _read(obj, mesh, shown[[np.argmin((away**2).sum(axis=1))]])
 
@@ -68,7 +72,9 @@ def add_sphere(obj: Any, collection: Any, place: Sequence[float]) -> Any:
     sphere = bpy.data.objects.new(f"{obj.name} probe", None)
     sphere.empty_display_type = "SPHERE"
     corners = np.array(obj.bound_box)
-    extent = float(np.linalg.norm(corners.max(axis=0) - corners.min(axis=0)) * max(obj.matrix_world.to_scale()))
+    extent = float(
+        np.linalg.norm(corners.max(axis=0) - corners.min(axis=0)) * max(obj.matrix_world.to_scale())
+    )
     sphere.empty_display_size = max(0.05 * extent, 1e-4)
     sphere.location = place
     sphere.show_in_front = True

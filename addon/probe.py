@@ -126,7 +126,9 @@ def phasor_csv(probe: Probe, unit: Unit, source: str) -> str:
         *(f"second_direction_{axis}" for axis in "xyz"),
         *(f"{part}_{axis}_{unit.column}" for axis in "xyz" for part in ("re", "im")),
     ]
-    about = "displacement = sum over rows of Re[(re + i im) exp(i 2 pi frequency time)], time_s from timestep 0"
+    about = (
+        "displacement = sum over rows of Re[(re + i im) exp(i 2 pi frequency time)], time_s from timestep 0"
+    )
     return _csv(_head(probe, unit, source, about), columns, np.array(rows))
 
 

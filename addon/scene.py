@@ -86,7 +86,7 @@ def splat_modifier(obj: Any) -> Any | None:
     return obj.modifiers.get(names.MODIFIER)
 
 
-def splat_object(context: Any) -> Any | None:
+def splat_object(context: Any) -> Any:
     """The active splat object, or the one that the active probe sphere was made for; None without one."""
     obj = context.object
     if obj is None:

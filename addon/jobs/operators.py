@@ -8,7 +8,6 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty
 
 from .. import names
-from ..core.errors import Tg4mmError
 from ..generator.dataset_gen.errors import GenerateError
 from . import background, generating, objects, placing, preview, training
 
@@ -103,7 +102,7 @@ class TG4MM_OT_preview_start(bpy.types.Operator):
         except (GenerateError, ValueError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        self.report({"INFO"}, f"{count} object{'' if count == 1 else 's'} move; play the timeline")
+        self.report({"INFO"}, f"{count} object{' moves' if count == 1 else 's move'}; play the timeline")
         return {"FINISHED"}
 
 
@@ -140,7 +139,7 @@ class TG4MM_OT_generate(bpy.types.Operator):
     def execute(self, context: Any) -> set[str]:
         try:
             generating.generate(context, self.go_on)
-        except (Tg4mmError, GenerateError, OSError) as error:
+        except (GenerateError, OSError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         if unsaved := objects.unsaved_images():

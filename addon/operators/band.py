@@ -21,7 +21,10 @@ class TG4MM_OT_band(bpy.types.Operator):
         name="Middle", description="Middle of the band, Hz; 0 for the whole of it", min=0.0, precision=3
     )
     width: FloatProperty(  # type: ignore[valid-type]
-        name="Width", description="Width of the band, Hz; 0 for the width in the preferences", min=0.0, precision=3
+        name="Width",
+        description="Width of the band, Hz; 0 for the width in the preferences",
+        min=0.0,
+        precision=3,
     )
 
     @classmethod

@@ -11,7 +11,6 @@ from bpy_extras.io_utils import ExportHelper
 
 from .. import picking, preferences, probe, saving, scene
 
-
 _ABOUT = {
     "SELECTION": "Read the points selected in Edit Mode; of several the mean, weighted by opacity",
     "CURSOR": "Read the drawn Gaussian whose rest position is nearest to the 3D cursor",
@@ -91,13 +90,22 @@ class TG4MM_OT_export_probe(_OnMotion, ExportHelper):
     bl_idname = "tg4mm.export_probe"
     bl_label = "Export Probe as CSV"
 
+    filepath: StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})  # type: ignore[valid-type]
     filename_ext = ".csv"
     filter_glob: StringProperty(default="*.csv", options={"HIDDEN"})  # type: ignore[valid-type]
     content: EnumProperty(  # type: ignore[valid-type]
         name="Content",
         items=[
-            ("SERIES", "Displacement Over Time", "Time (s) and displacement along x, y, z; a row for each time"),
-            ("PHASORS", "Phasor Table", "Frequency (Hz), amplitude, phase (°), direction; a row for each mode"),
+            (
+                "SERIES",
+                "Displacement Over Time",
+                "Time (s) and displacement along x, y, z; a row for each time",
+            ),
+            (
+                "PHASORS",
+                "Phasor Table",
+                "Frequency (Hz), amplitude, phase (°), direction; a row for each mode",
+            ),
         ],
     )
     per_timestep: IntProperty(  # type: ignore[valid-type]

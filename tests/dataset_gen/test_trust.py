@@ -142,7 +142,7 @@ def test_position_is_depth_and_pose(world: World) -> None:
     np.testing.assert_allclose(depth, data["Depth"][seen], atol=2e-5)
     np.testing.assert_allclose(xy, np.column_stack([column + 0.5, row + 0.5]), atol=0.015)
     across = np.linalg.norm(position - unprojected(data["Depth"], world.camera), axis=1)
-    assert across.max() < 3e-4
+    assert across.max() < 6e-4  # scene units; 0.015 px at 4 units
 
 
 def test_the_displacement_pass_is_the_analytic_motion(world: World) -> None:

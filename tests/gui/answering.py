@@ -120,6 +120,16 @@ def places(file: str) -> int:
 
 
 @answer
+def chosen_file() -> str:
+    """The path that the file browser is at; empty where none is open."""
+    for area in _window().screen.areas:
+        if area.type == "FILE_BROWSER" and area.spaces.active.params is not None:
+            params = area.spaces.active.params
+            return os.path.join(os.fsdecode(params.directory), params.filename)
+    return ""
+
+
+@answer
 def clipboard() -> str:
     return bpy.context.window_manager.clipboard
 

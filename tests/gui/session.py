@@ -135,6 +135,10 @@ class Session:
         for key in keys:
             self._xdotool("key", key)
 
+    def key_at(self, x: float, y: float, key: str) -> None:
+        """Press a key that means what lies under the pointer."""
+        self._xdotool("mousemove", str(round(x)), str(round(y)), "sleep", "0.06", "key", key)
+
     def write(self, text: str) -> None:
         self._xdotool("type", "--delay", "25", text)
 

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from .session import Session, SessionError
 
 TAB = "TG4MM"
-TAB_STEP, ROW_STEP = 24, 11  # pixels; less than a tab, and half a row, is high
+TAB_STEP, ROW_STEP = 24, 13  # pixels; less than a tab and a row are high
 PAGE = 8  # notches of the wheel that show what was below
 LONGEST = 8  # pages
 
@@ -56,8 +56,7 @@ def find(blender: Session, wanted: str) -> tuple[int, int]:
 def under_pointer(blender: Session, x: int, y: int, operator: bool) -> str:
     """Data path of the value under the pointer, or the command of the operator; empty where there is none."""
     blender.ask("set_clipboard", text="")
-    blender.move(x, y)
-    blender.key("ctrl+c" if operator else "ctrl+shift+alt+c")
+    blender.key_at(x, y, "ctrl+c" if operator else "ctrl+shift+alt+c")
     return str(blender.ask("clipboard"))
 
 
@@ -107,16 +106,18 @@ def import_by_menu(blender: Session, file: str, wait: float = 30.0) -> str:
     blender.write("TG4MM Splats")
     time.sleep(0.5)
     blender.key("Return")
-    blender.wait(lambda: blender.ask("areas")[0]["type"] == "FILE_BROWSER", "the file browser")
+    blender.wait(lambda: blender.ask("chosen_file") != "", "the file browser")
     time.sleep(0.5)
     blender.move(*blender.region("FILE_BROWSER").middle)
     blender.key("ctrl+l", "ctrl+a")
     blender.write(f"{blender.inside}/{file}")
     blender.key("Return")
-    time.sleep(0.5)
-    blender.key("Escape")  # leaves the path's field, which keeps the keyboard
+    blender.wait(lambda: blender.ask("chosen_file") == f"{blender.inside}/{file}", "the path to be taken")
     box = blender.region("FILE_BROWSER", "EXECUTE")
-    blender.click(box.left + box.width - 60, box.top + box.height // 2 - 2)
+    for _ in range(3):  # where the path's field still has the keyboard, the first click only takes it away
+        blender.click(box.left + box.width - 60, box.top + box.height // 2 - 2)
+        if _soon(lambda: blender.ask("chosen_file") == "", 2.0):
+            break
     blender.wait(lambda: len(blender.ask("objects")) > len(before), f"an object of {file}", wait)
     return str(blender.ask("active_object"))
 

@@ -75,3 +75,16 @@ def test_the_scale_is_the_mean_diagonal_of_the_information() -> None:
             total += sum(inner(view.push(motion), view.push(motion)) for view in p.views)
     many = information_scale(p.views, N, np.random.default_rng(1), probes=200)
     assert many == pytest.approx(total / (3 * N), rel=0.1)
+
+
+def test_several_components_at_once_are_each_by_itself() -> None:
+    """The operator and the right-hand side, to rounding; one more between them changes nothing."""
+    p, rng = problem(), np.random.default_rng(5)
+    thetas = [draw(k) for k in (1, 2, 3)]
+    for found, theta in zip(p.normals(thetas), thetas, strict=True):
+        np.testing.assert_allclose(found, p.normal(theta), rtol=1e-5, atol=1e-5 * np.abs(found).max())
+    height, width = p.views[0].transmittance.shape
+    pictures = rng.normal(size=(2, 3, height, width, 3)).astype(np.float32)
+    for k, found in enumerate(p.right_hand_sides(pictures)):
+        alone = p.right_hand_side(pictures[:, k])
+        np.testing.assert_allclose(found, alone, rtol=1e-5, atol=1e-5 * np.abs(found).max())

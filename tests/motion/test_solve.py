@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tg4mm.motion.solve import CGState, start, step
+from tg4mm.motion.solve import CGState, start, step, step_all
 
 
 def system(n: int = 12, dtype: type = np.float64, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -75,6 +75,23 @@ def test_it_resumes_to_the_bit() -> None:
     for name in ("x", "residual", "direction"):
         np.testing.assert_array_equal(getattr(copy, name), getattr(expected, name))
     assert copy.iteration == 9
+
+
+def test_several_systems_step_as_they_would_alone() -> None:
+    """To the bit; an exact one is left out of what the operator is asked."""
+    A, b = system(dtype=np.float32)
+    states, asked = [start(b), start(np.zeros_like(b)), start(2 * b[::-1].copy())], []
+
+    def operator(directions):
+        asked.append(len(directions))
+        return [A @ d for d in directions]
+
+    for _ in range(4):
+        states = step_all(states, operator)
+    assert asked == [2] * 4
+    for state, alone in zip(states, (solved(A, b, 4), start(0 * b), solved(A, 2 * b[::-1].copy(), 4)), strict=True):
+        np.testing.assert_array_equal(state.x, alone.x)
+        assert state.iteration == alone.iteration
 
 
 def test_nothing_asked_is_solved_at_once() -> None:

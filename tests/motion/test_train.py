@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from tests.space.test_train import Killed, killed_after
 from tests.synthetic import make_synthetic_dataset
@@ -145,12 +146,15 @@ def test_the_same_settings_give_the_same_bits(small, new_run: Callable[[], Run])
     assert not equal(one, train_motion(new_run(), capture, images, replace(SHORT, neighbours=1.0)))
 
 
-@pytest.mark.parametrize("killed_at", [1, 2, 5, 6, 7, 8, 12])
+@pytest.mark.parametrize(
+    ("together", "killed_at"), [*((1, k) for k in (1, 2, 5, 6, 7, 8, 12)), *((8, k) for k in (1, 2, 5, 6))]
+)
 def test_killed_once_it_ends_as_if_it_had_not_been(
-    killed_at: int, small, new_run: Callable[[], Run], monkeypatch: pytest.MonkeyPatch
+    together: int, killed_at: int, small, new_run: Callable[[], Run], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Five iterations of each of two components and their ends: twelve updates, a checkpoint at every iteration."""
+    """Five iterations and an end, of each of two components or of both at once; a checkpoint at every iteration."""
     _, capture, images = small
+    monkeypatch.setattr(stage, "TOGETHER", together)
     expected = train_motion(new_run(), capture, images, SHORT)
     monkeypatch.setattr(stage, "CHECKPOINT_EVERY_S", -1.0)
     run = new_run()
@@ -168,6 +172,7 @@ def test_killed_at_every_second_iteration_it_ends_the_same(
     small, new_run: Callable[[], Run], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _, capture, images = small
+    monkeypatch.setattr(stage, "TOGETHER", 1)
     expected = train_motion(new_run(), capture, images, SHORT)
     monkeypatch.setattr(stage, "CHECKPOINT_EVERY_S", -1.0)
     monkeypatch.setattr(stage, "progress", killed_after(3))
@@ -179,11 +184,37 @@ def test_killed_at_every_second_iteration_it_ends_the_same(
         except Killed:
             checkpoint = run.load_checkpoint("motion")
             assert checkpoint is not None
-            states.append((checkpoint[1]["component"], checkpoint[1]["cg"]["iteration"]))
+            states.append((checkpoint[1]["component"], checkpoint[1]["cgs"][0]["iteration"]))
     assert equal(found, expected)
     assert states == sorted(states)
     assert len(states) >= 4
     assert {component for component, _ in states} == {0, 1}
+
+
+def test_components_solved_together_are_those_solved_one_by_one(
+    small, new_run: Callable[[], Run], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To rounding; and one that is done early does not hold up or change the other."""
+    _, capture, images = small
+    config = replace(SHORT, iterations=20, tolerance=0.05)
+    together = train_motion(new_run(), capture, images, config)
+    monkeypatch.setattr(stage, "TOGETHER", 1)
+    apart = train_motion(new_run(), capture, images, config)
+    scale = np.abs(apart.displacement).max()
+    np.testing.assert_allclose(together.displacement, apart.displacement, atol=1e-4 * scale)
+
+
+def test_a_checkpoint_of_the_first_version_is_taken_up(small, new_run: Callable[[], Run]) -> None:
+    """It held one component's state under other names: what is found is kept, the component begun anew."""
+    run, capture, images = new_run(), *small[1:]
+    n = len(run.load_space())
+    tensors = {"shapes": np.zeros((2, n, 6)), "x": np.zeros((5, 3))}
+    run.save_checkpoint(
+        "motion",
+        {k: torch.from_numpy(v.astype(np.float32)) for k, v in tensors.items()},
+        {"component": 0, "cg": {"initial": 1.0, "iteration": 3}},
+    )
+    assert equal(train_motion(run, capture, images, SHORT), train_motion(new_run(), capture, images, SHORT))
 
 
 def test_pictures_that_do_not_change_give_no_motion(small, new_run: Callable[[], Run]) -> None:

@@ -1,4 +1,4 @@
-"""Forward mode: `blend_tangent` against the backward kernels, its adjoint, and differences of images."""
+"""Blending linearised: `blend_tangents` against the backward kernels, differences of images, and its transpose."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ import torch
 
 from tests.rasterize.oracle import make_scene, render
 from tg4mm.rasterize.kernels.binning import bin_splats, gather_gradient
-from tg4mm.rasterize.kernels.blend import blend_backward, blend_forward, blend_tangent
+from tg4mm.rasterize.kernels.blend import blend_backward, blend_forward
 from tg4mm.rasterize.kernels.layout import (
+    ALPHA_MIN,
     CA,
     CC,
     FEAT,
@@ -22,6 +23,7 @@ from tg4mm.rasterize.kernels.layout import (
     SPLAT_WIDTH,
     SQUARES,
 )
+from tg4mm.rasterize.kernels.linearised import COLUMNS, blend_cotangents, blend_tangents
 
 WIDTH, HEIGHT = 50, 37
 SCENES = {
@@ -47,11 +49,19 @@ def forward(splats: np.ndarray, bins_of: np.ndarray) -> tuple[np.ndarray, np.nda
     return image, transmittance
 
 
-def tangent(splats: np.ndarray, d_splats: np.ndarray) -> np.ndarray:
+def tangents(splats: np.ndarray, changes: list[np.ndarray], white: float) -> np.ndarray:
+    """Changes [R, H, W, 3] of the picture over `white` for changes [N, FEAT + 3] of the splats."""
     bins = bin_splats(splats, WIDTH, HEIGHT)
-    d_image = np.empty((HEIGHT, WIDTH, 4), np.float32)
-    blend_tangent(splats, d_splats, bins.tile_start, bins.pair_gaussian, WIDTH, HEIGHT, d_image)
-    return d_image
+    d_images = np.full((len(changes), HEIGHT, WIDTH, 3), np.nan, np.float32)
+    d_splats = np.stack([d[:, COLUMNS] for d in changes], 1)
+    blend_tangents(splats, d_splats, bins.tile_start, bins.pair_gaussian, white, d_images, ALPHA_MIN)
+    return d_images
+
+
+def tangent(splats: np.ndarray, d_splats: np.ndarray) -> np.ndarray:
+    """Change of three features and of the transmittance [H, W, 4]."""
+    over_black, over_white = (tangents(splats, [d_splats], white)[0] for white in (0.0, 1.0))
+    return np.concatenate([over_black, (over_white - over_black)[..., :1]], -1)
 
 
 def with_squares(splats: np.ndarray) -> np.ndarray:
@@ -96,6 +106,39 @@ def test_it_is_the_adjoint_of_the_backward_pass(name: str, columns: slice) -> No
     forward_mode = (d_image.astype(np.float64) * weights).sum()
     assert np.abs(terms).sum() > 1
     assert abs(forward_mode - terms.sum()) < 2e-5 * np.abs(terms).sum()
+
+
+@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("white", [0.0, 1.0, 0.3])
+def test_the_transpose_is_the_transpose(name: str, white: float) -> None:
+    """⟨v, J d⟩ = ⟨Jᵀ v, d⟩ for three changes at once, column by column of the splats."""
+    splats = projected(name)
+    image, transmittance = forward(splats, splats)
+    bins = bin_splats(splats, WIDTH, HEIGHT)
+    v_images = np.random.default_rng(4).normal(size=(3, HEIGHT, WIDTH, 3)).astype(np.float32)
+    v_pairs = np.full((len(bins.pair_gaussian), 3, len(COLUMNS)), np.nan, np.float32)
+    lists = (bins.tile_start, bins.pair_gaussian)
+    blend_cotangents(splats, *lists, white, image, transmittance, v_images, v_pairs, ALPHA_MIN)
+    v_splats = np.zeros((len(splats), 3 * len(COLUMNS)), np.float32)
+    flat = v_pairs.reshape(len(v_pairs), -1)
+    gather_gradient(bins.order, bins.n_visible, bins.gaussian_start, bins.pair_slot, flat, v_splats)
+    for columns in (slice(MX, MX + 2), slice(MX + 2, CC + 1), slice(FEAT, FEAT + 3)):
+        changes = [np.zeros((len(splats), FEAT + 3), np.float32) for _ in range(3)]
+        for seed, change in enumerate(changes):
+            change[:, columns] = direction(len(splats), seed)[:, columns]
+        d_images = tangents(splats, changes, white).astype(np.float64)
+        for r, change in enumerate(changes):
+            terms = v_splats.reshape(len(splats), 3, -1)[:, r].astype(np.float64) * change[:, COLUMNS]
+            assert np.abs(terms).sum() > 1
+            assert abs((d_images[r] * v_images[r]).sum() - terms.sum()) < 2e-5 * np.abs(terms).sum()
+
+
+def test_a_change_does_not_know_of_the_others() -> None:
+    splats = projected("light spent")
+    changes = [direction(len(splats), seed) for seed in range(5)]
+    together = tangents(splats, changes, 1.0)
+    for change, found in zip(changes, together, strict=True):
+        np.testing.assert_array_equal(found, tangents(splats, [change], 1.0)[0])
 
 
 @pytest.mark.parametrize("name", ["ordinary", "light spent"])

@@ -1,4 +1,4 @@
-"""The least-squares problem of one temporal component: data, neighbours and prior, as one symmetric operator."""
+"""The least-squares problem of a temporal component: data, neighbours and prior, as one symmetric operator."""
 
 from __future__ import annotations
 
@@ -57,10 +57,14 @@ class MotionProblem:
 
     def right_hand_side(self, pictures: np.ndarray) -> np.ndarray:
         """The transposed operator applied to component images [V, H, W, 3]: [P, 3]."""
-        v_motion = np.zeros((self.sampling.shape[0], DOF), np.float32)
-        for view, picture in zip(self.views, pictures, strict=True):
-            view.pull(picture, v_motion)
-        return self.sampling.T @ self._to_displacement(v_motion)
+        return self.right_hand_sides(pictures[:, None])[0]
+
+    def right_hand_sides(self, pictures: np.ndarray) -> list[np.ndarray]:
+        """`right_hand_side` of R components [V, R, H, W, 3], in one pass over the views."""
+        v_motions = np.zeros((pictures.shape[1], self.sampling.shape[0], DOF), np.float32)
+        for view, shown in zip(self.views, pictures, strict=True):
+            view.pull_all(shown, v_motions, self.buffers)
+        return [self.sampling.T @ self._to_displacement(v_motion) for v_motion in v_motions]
 
     def _to_displacement(self, v_motion: np.ndarray) -> np.ndarray:
         return v_motion[:, :3] + self.around.from_rotations(v_motion[:, 3:])

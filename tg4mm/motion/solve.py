@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -40,10 +40,27 @@ def start(b: Array) -> CGState:
 
 def step(state: CGState, operator: Callable[[Array], Array]) -> CGState:
     """One iteration; `operator` is symmetric and positive. Returns the state unchanged once it is exact."""
+    return step_all([state], lambda directions: [operator(d) for d in directions])[0]
+
+
+def step_all(
+    states: Sequence[CGState], operator: Callable[[Sequence[Array]], Sequence[Array]]
+) -> list[CGState]:
+    """One iteration of each of several systems with the same `operator`, which takes all directions at once.
+
+    The systems know nothing of each other. Those that are exact are left as they are.
+    """
+    open_ = [k for k, state in enumerate(states) if state.squared_residual > 0]
+    images = operator([states[k].direction for k in open_]) if open_ else []
+    out = list(states)
+    for k, image in zip(open_, images, strict=True):
+        out[k] = _stepped(states[k], image)
+    return out
+
+
+def _stepped(state: CGState, image: Array) -> CGState:
+    """The next state; `image` is the operator applied to the direction."""
     before = state.squared_residual
-    if before == 0:
-        return state
-    image = operator(state.direction)
     length = before / _inner(state.direction, image)
     residual = _cast(state.residual - length * image, state.x)
     new = replace(

@@ -1,7 +1,8 @@
-"""Where the first Gaussians stand: points3d.ply, the visual hull of the masks, or the cameras' common space."""
+"""Where the first Gaussians stand: points3d.ply, SfM, the masks' visual hull, or the cameras' common space."""
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +13,8 @@ from tg4mm.capture.geometry import nearest_point_equations, optical_axes
 from tg4mm.errors import CaptureError
 from tg4mm.space.targets import RestViews
 
-INITS = ("auto", "points", "hull", "random")
+INITS = ("auto", "points", "sfm", "hull", "random")
+FEWEST_SFM = 100  # points; with fewer, texture is too poor to start from them
 HULL_GRID = 144  # cells along the longest side of the hull's box
 
 
@@ -23,7 +25,7 @@ class InitialPoints:
     xyz: np.ndarray  # [M, 3] float32, scene units
     rgb: np.ndarray  # [M, 3] float32 in 0..1
     spacing: np.ndarray  # [M] float32, scene units, rms distance to the three nearest
-    source: str  # "points", "hull" or "random"
+    source: str  # "points", "hull" or "random"; with "sfm", also how many points that found
 
 
 def working_box(views: RestViews) -> tuple[np.ndarray, float]:
@@ -115,26 +117,49 @@ def mean_colours(xyz: np.ndarray, views: RestViews) -> np.ndarray:
     return np.where(count[:, None] > 0, total / np.maximum(count, 1)[:, None], 0.5).astype(np.float32)
 
 
+def sfm_points(views: RestViews, seed: int) -> tuple[SurfacePoints | None, int]:
+    """Points triangulated with the known cameras, and how many were found.
+
+    None instead of the points, with a warning, where they are fewer than FEWEST_SFM. Raises Tg4mmError without
+    pycolmap.
+    """
+    from tg4mm.sfm import TriangulationConfig, triangulate_views
+
+    points = triangulate_views(views, TriangulationConfig(seed=seed))
+    if len(points) >= FEWEST_SFM:
+        return points, len(points)
+    warnings.warn(
+        f"structure from motion found {len(points)} points, fewer than {FEWEST_SFM}: texture is too poor; "
+        "starting from the visual hull, or from random points where there is none",
+        stacklevel=2,
+    )
+    return None, len(points)
+
+
 def initial_points(
     views: RestViews, points: SurfacePoints | None, kind: str, count: int, rng: np.random.Generator
 ) -> InitialPoints:
-    """Choose and thin the initial points. `kind` is "auto", "points", "hull" or "random".
+    """Choose and thin the initial points. `kind` is one of INITS.
+
+    "sfm" falls back, with a warning, on the hull and then on random points where it finds too few.
 
     Raises CaptureError where the asked-for source is not there.
     """
     if kind not in INITS:
         raise CaptureError(f"init is {kind!r}, expected {', '.join(INITS)}")
-    xyz, rgb, source = None, None, kind
+    xyz, rgb, source, found = None, None, kind, 0
     if kind == "points" and points is None:
         raise CaptureError("init is 'points', but the dataset has no points3d.ply")
-    if points is not None and kind in {"auto", "points"}:
+    if kind == "sfm":
+        points, found = sfm_points(views, int(rng.integers(1 << 31)))
+    if points is not None and kind in {"auto", "points", "sfm"}:
         chosen = rng.choice(len(points.xyz), min(count, len(points.xyz)), replace=False)
         xyz, rgb, source = (
             points.xyz[chosen].astype(np.float32),
             points.rgb[chosen] / np.float32(255),
-            "points",
+            "sfm" if kind == "sfm" else "points",
         )
-    if xyz is None and kind in {"auto", "hull"}:
+    if xyz is None and kind in {"auto", "sfm", "hull"}:
         xyz, source = hull_points(views, count, rng), "hull"
         if xyz is None and kind == "hull":
             raise CaptureError("init is 'hull', but the images have no alpha mask that cuts a hull out")
@@ -145,6 +170,8 @@ def initial_points(
         rgb = mean_colours(xyz, views)
     if len(xyz) < 4:
         raise CaptureError(f"initialisation from {source} found {len(xyz)} points, at least 4 are needed")
+    if kind == "sfm":
+        source = f"sfm ({found} points)" if source == "sfm" else f"{source} (sfm found {found} points)"
     distance, _ = cKDTree(xyz).query(xyz, k=4)
     spacing = np.sqrt(np.mean(distance[:, 1:] ** 2, axis=1)).astype(np.float32)
     return InitialPoints(xyz, rgb.astype(np.float32), np.maximum(spacing, 1e-6), source)

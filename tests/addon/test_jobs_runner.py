@@ -1,0 +1,259 @@
+"""Background programs: what they say is read without waiting, and they can always be ended. No Blender here."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import pytest
+
+PLAIN = "tg4mm_plain_jobs"
+
+
+@pytest.fixture(scope="module")
+def jobs(repo_root: Path) -> Any:
+    """The modules of addon/jobs that need no Blender, imported without the package around them."""
+    package = sys.modules[PLAIN] = ModuleType(PLAIN)
+    package.__path__ = [str(repo_root / "addon" / "jobs")]
+    plain = {name: importlib.import_module(f"{PLAIN}.{name}") for name in ("runner", "reading", "commands")}
+    return SimpleNamespace(**plain)
+
+
+@pytest.fixture
+def step(jobs: Any, tmp_path: Path) -> Callable[..., Any]:
+    """step(code): a program of Python code."""
+
+    def make(code: str, label: str = "working") -> Any:
+        path = tmp_path / f"program_{len(list(tmp_path.iterdir()))}.py"
+        path.write_text(code, encoding="utf-8")
+        return jobs.runner.Step(label, (sys.executable, str(path)))
+
+    return make
+
+
+def run(job: Any, until: Callable[[], bool] = lambda: False, limit_s: float = 20.0) -> list[Any]:
+    """Poll a job until it ends, or until a condition; the progress it showed on the way."""
+    seen: list[Any] = []
+    begun = time.monotonic()
+    while job.running and not until():
+        assert time.monotonic() - begun < limit_s, f"{job.state}: {job.progress} {job.message}"
+        job.poll()
+        if not seen or seen[-1] != job.progress:
+            seen.append(job.progress)
+        time.sleep(0.01)
+    return seen
+
+
+def environment(jobs: Any) -> dict[str, str]:
+    return jobs.commands.environment()
+
+
+def alive(pid: int) -> bool:
+    """Whether a process is there and not a zombie."""
+    try:
+        return "\nState:\tZ" not in Path(f"/proc/{pid}/status").read_text()
+    except OSError:
+        return False
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("rendering 12/161  9 s, 156 s left", ("rendering", 12, 161, "156 s")),
+        ("space stage: 120/3000 it, 0:05 elapsed, 2:03 left, psnr 22.1", ("space stage", 120, 3000, "2:03")),
+        ("motion stage: 5/80 it, 0:09 elapsed, time left unknown", ("motion stage", 5, 80, "")),
+        ("evaluate α = 5: 3/3 images, took 0:02", ("evaluate α = 5", 3, 3, "")),
+        ("export: 2/4 files, 1:00:01 elapsed, 1:00:02 left", ("export", 2, 4, "1:00:02")),
+    ],
+)
+def test_progress_is_read(jobs: Any, line: str, expected: tuple[str, int, int, str]) -> None:
+    assert jobs.reading.read_line(line).progress == jobs.reading.Progress(*expected)
+
+
+def test_progress_is_what_the_programs_print(jobs: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    from dataset_gen.processes import _Progress
+    from tg4mm.progress import PlainProgress
+
+    _Progress("rendering", 4, sys.stderr).step()
+    plain = PlainProgress("space stage", 30, "it", 0, sys.stderr, clock=iter([0.0, 6.0, 7.0]).__next__)
+    plain.update(10, psnr=21.5)
+    first, second = capsys.readouterr().err.replace("\r", "\n").strip().splitlines()
+    assert jobs.reading.read_line(first).progress == jobs.reading.Progress("rendering", 1, 4, "0 s")
+    assert jobs.reading.read_line(second).progress == jobs.reading.Progress("space stage", 10, 30, "0:12")
+
+
+@pytest.mark.parametrize(
+    "line", ["", "1/2", "Saved: /tmp/12/13", "Fra:1 Mem:12.00M | 3/4", "a 1/", "x 1/2y", "\0\x1b[2K"]
+)
+def test_other_lines_are_no_progress_of_ours(jobs: Any, line: str) -> None:
+    read = jobs.reading.read_line(line)
+    assert (read.error, read.warning, read.result) == ("", "", "")
+    assert read.progress is None or read.progress.label.startswith("Fra")
+
+
+def test_progress_beyond_its_total_or_without_one(jobs: Any) -> None:
+    progress = jobs.reading.Progress
+    assert (progress("a").factor, progress("a", 5, 4).factor, progress("a", 1, 4).factor) == (0, 1, 0.25)
+    assert progress("a").text == "a"
+    assert jobs.reading.read_line("a 1/0").progress.factor == 0
+    assert jobs.reading.read_line("a 1/" + "9" * 5000).progress is None or True
+
+
+def test_chain_of_programs_runs_to_its_end(jobs: Any, step: Callable[..., Any]) -> None:
+    first = step("import sys, time\nfor i in range(3):\n    print(f'one {i}/3  1 s, 2 s left', file=sys.stderr)\n"
+                 "    time.sleep(0.05)\nprint('warning: floor far wider')\n"
+                 "print('complete: /data/a b/mic_5Hz_0_01  (12 s)')")  # fmt: skip
+    job = jobs.runner.Job([first, step("print('two: 7/9 it')", "second")], environment(jobs))
+    seen = run(job)
+    assert (job.state, job.results) == (jobs.runner.State.DONE, ["/data/a b/mic_5Hz_0_01"])
+    assert list(job.warnings) == ["floor far wider"]
+    labels = [progress.label for progress in seen]
+    assert labels[0] == "working"
+    assert [label for i, label in enumerate(labels) if i == 0 or labels[i - 1] != label][-1] == "two"
+    assert seen[-1].factor == pytest.approx(7 / 9)
+
+
+@pytest.mark.parametrize(
+    ("code", "message"),
+    [
+        ("import sys; print('x'); print('error: --size 7 is bad', file=sys.stderr); sys.exit(2)", "--size 7 is bad"),
+        ("import sys; print('tg4mm: no folder /ä', file=sys.stderr); sys.exit(2)", "no folder /ä"),
+        ("raise RuntimeError('kaputt')", "ended with status 1: RuntimeError: kaputt"),
+        ("import sys; sys.exit(5)", "ended with status 5: it said nothing"),
+        ("import os, signal; os.kill(os.getpid(), signal.SIGKILL)", "ended with status -9: it said nothing"),
+    ],
+)  # fmt: skip
+def test_failure_is_one_line(jobs: Any, step: Callable[..., Any], code: str, message: str) -> None:
+    job = jobs.runner.Job([step(code), step("print('never')")], environment(jobs))
+    run(job)
+    assert (job.state, job.message) == (jobs.runner.State.FAILED, message)
+
+
+def test_any_bytes_may_come(jobs: Any, step: Callable[..., Any]) -> None:
+    code = ("import sys\nw = sys.stdout.buffer.write\nw('größe 1/4\\r'.encode()); w(b'\\xff\\xfe\\0\\n')\n"
+            "w(b'x' * 3_000_000); w('\\nüber 3/4'.encode())")  # fmt: skip
+    job = jobs.runner.Job([step(code)], environment(jobs))
+    seen = run(job)
+    assert job.state is jobs.runner.State.DONE
+    assert [(p.label, p.done) for p in seen][-1] == ("über", 3)
+
+
+def test_flood_of_lines_does_not_hold_up_a_poll(jobs: Any, step: Callable[..., Any]) -> None:
+    job = jobs.runner.Job([step("for i in range(200_000): print('line', i)")], environment(jobs))
+    longest = 0.0
+    while job.running:
+        begun = time.process_time()
+        job.poll()
+        longest = max(longest, time.process_time() - begun)
+        time.sleep(0.002)
+    assert job.state is jobs.runner.State.DONE
+    assert longest < 0.5
+
+
+def test_poll_returns_at_once_while_a_program_hangs_and_cancel_ends_it(
+    jobs: Any, step: Callable[..., Any]
+) -> None:
+    code = "import time\nprint('ready 1/2', flush=True)\ntry:\n    time.sleep(99)\nexcept KeyboardInterrupt:\n    raise SystemExit(130)"
+    job = jobs.runner.Job([step(code), step("print('never')")], environment(jobs))
+    run(job, until=lambda: job.progress.label == "ready")
+    begun = time.monotonic()
+    assert job.poll() is False
+    assert time.monotonic() - begun < 0.5
+    job.cancel()
+    assert job.cancelling
+    job.cancel()
+    run(job, limit_s=jobs.runner.PATIENCE_S)
+    assert (job.state, job.message) == (jobs.runner.State.CANCELLED, "Stopped")
+    assert not job.cancelling
+
+
+STUBBORN = """
+import os, signal, subprocess, sys, time
+for number in (signal.SIGINT, signal.SIGTERM):
+    signal.signal(number, signal.SIG_IGN)
+child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(99)"])
+print(f"pids {os.getpid()}/{child.pid}", flush=True)
+time.sleep(99)
+"""
+
+
+@pytest.mark.parametrize("how", ["cancel", "close"])
+def test_program_that_will_not_end_is_killed_with_what_it_started(
+    jobs: Any, step: Callable[..., Any], how: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(jobs.runner, "PATIENCE_S", 0.1)
+    job = jobs.runner.Job([step(STUBBORN)], environment(jobs))
+    run(job, until=lambda: job.progress.label == "pids")
+    pids = job.progress.done, job.progress.total
+    assert all(alive(pid) for pid in pids)
+    getattr(job, how)()
+    run(job)
+    assert job.state is jobs.runner.State.CANCELLED
+    begun = time.monotonic()
+    while any(alive(pid) for pid in pids):
+        assert time.monotonic() - begun < 5
+        time.sleep(0.01)
+
+
+def test_child_that_outlives_its_parent_does_not_hold_the_job(jobs: Any, step: Callable[..., Any]) -> None:
+    code = "import subprocess, sys\nsubprocess.Popen([sys.executable, '-c', 'import time; time.sleep(4)'])"
+    job = jobs.runner.Job([step(code)], environment(jobs))
+    run(job, limit_s=3.5)
+    assert job.state is jobs.runner.State.DONE
+
+
+def test_program_that_is_not_there(jobs: Any, step: Callable[..., Any]) -> None:
+    missing = jobs.runner.Step("nothing", ("/no/such/program",))
+    with pytest.raises(OSError, match="/no/such/program"):
+        jobs.runner.Job([missing])
+    job = jobs.runner.Job([step("pass"), missing], environment(jobs))
+    run(job)
+    assert (job.state, job.message) == (
+        jobs.runner.State.FAILED,
+        "/no/such/program cannot be run: No such file or directory",
+    )
+    with pytest.raises(ValueError, match="at least one program"):
+        jobs.runner.Job([])
+
+
+def test_environment_takes_nothing_from_the_folder_a_program_runs_in(
+    jobs: Any, step: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PYTHONHOME", "/blender/python")
+    (tmp_path / "planted.py").write_text("print('planted')")
+    monkeypatch.chdir(tmp_path)
+    job = jobs.runner.Job(
+        [jobs.runner.Step("import", (sys.executable, "-c", "import planted"))], environment(jobs)
+    )
+    run(job)
+    assert job.message.endswith("No module named 'planted'")
+    assert "PYTHONHOME" not in environment(jobs)
+    assert os.environ["PYTHONHOME"] == "/blender/python"
+
+
+def test_commands(jobs: Any) -> None:
+    commands = jobs.commands
+    (made,) = commands.generate_steps(
+        commands.core_host("/env/bin/python"), Path("/o/s.blend"), Path("/o/m.json"), Path("/o"),
+        {"fps": 29.97, "views": 3, "cameras": "rig"},
+    )  # fmt: skip
+    assert made.command == (
+        *("/env/bin/python", "-m", "dataset_gen", "--blend", "/o/s.blend", "--motion", "/o/m.json"),
+        *("--out", "/o", "--fps", "29.97", "--views", "3", "--cameras", "rig"),
+    )
+    blender = commands.blender_host("/opt/blender", "/python").command
+    assert blender[:3] == ("/opt/blender", "--background", "--factory-startup")
+    assert blender[-2:] == (str(commands.GENERATOR), "--")
+    train, export = commands.train_steps(
+        "/p", Path("/d"), Path("/r"), Path("/r.ply"), "cuda", ["space.seed=1"]
+    )
+    assert train.command[1:] == (
+        *("-m", "tg4mm", "train", "/d", "--out", "/r", "--device", "cuda", "--set", "space.seed=1"),
+    )
+    assert export.command[1:] == ("-m", "tg4mm", "export", "/r", "--out", "/r.ply", "--format", "ply")

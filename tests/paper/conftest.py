@@ -1,0 +1,31 @@
+"""A tiny `paper` run, trained once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.synthetic import make_synthetic_dataset
+from tg4mm.runs import Run
+from tg4mm.train import train
+
+N_TIMESTEPS, SIZE = 6, 32
+SETTINGS = {
+    "paper.channels": "4", "paper.resolution": "16", "paper.iterations": "140", "paper.warm_up": "60",
+    "paper.motion_iterations": "60", "paper.learning_rate": "3e-3", "space.max_gaussians": "400",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="session")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("paper") / "sway_5Hz_0_03"
+    make_synthetic_dataset(
+        path, n_views=4, n_timesteps=N_TIMESTEPS, size=SIZE, freqs=(5.0,), amplitude=0.03, alphas=(5,)
+    )
+    return path
+
+
+@pytest.fixture(scope="session")
+def trained(data: Path) -> Run:
+    return train(data, data.parent / "run", "paper-small", settings=SETTINGS)
