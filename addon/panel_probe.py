@@ -12,7 +12,7 @@ from . import compat, names, picking, pictures, plots, preferences, probe, scene
 from .panel import _MotionTab
 from .units import Unit
 
-MOST_ROWS = 6
+MOST_ROWS = 4
 SMALLEST = 0.01  # of the largest amplitude: what is below has no row
 PER_TIMESTEP = 8  # samples of the curve
 
@@ -42,14 +42,15 @@ class VIEW3D_PT_tg4mm_probe(_MotionTab, bpy.types.Panel):
             layout.label(text="Nothing probed yet", icon="INFO")
             return
         unit = preferences.unit_for(context, obj)
-        layout.label(text=f"{found.label}: actual motion")
-        layout.label(text="not magnified, α = 0")
-        _draw_rows(layout, found, unit)
+        column = layout.column(align=True)
+        column.label(text=f"{found.label}: actual motion")
+        column.label(text="not magnified, α = 0")
         picture = curve_picture(found, unit, time_part(context, obj, found))
         pictures.draw(layout, pictures.fitting_width(context), *picture)
         row = layout.row(align=True)
         row.operator("tg4mm.export_probe", text="Series CSV", icon="EXPORT").content = "SERIES"
         row.operator("tg4mm.export_probe", text="Table CSV", icon="EXPORT").content = "PHASORS"
+        _draw_rows(layout, found, unit)
 
 
 def shown_ellipses(found: probe.Probe) -> tuple[list[probe.Ellipse], int]:
@@ -62,9 +63,9 @@ def shown_ellipses(found: probe.Probe) -> tuple[list[probe.Ellipse], int]:
 
 def row_texts(ellipse: probe.Ellipse, unit: Unit) -> tuple[str, str, str, str, str]:
     """Frequency, amplitude, phase; direction; second axis."""
-    second = "none: moves along a line"
+    second = "0: moves along a line"
     if ellipse.second > 0:
-        second = f"{unit.number(ellipse.second)} along {_direction(ellipse.second_direction)}"
+        second = f"{unit.number(ellipse.second)}, {_direction(ellipse.second_direction)}"
     return (
         f"{ellipse.frequency_hz:g} Hz",
         unit.text(ellipse.amplitude),
@@ -122,7 +123,8 @@ def _draw_rows(layout: Any, found: probe.Probe, unit: Unit) -> None:
 
 
 def _direction(vector: tuple[float, float, float]) -> str:
-    return "({:.2f}, {:.2f}, {:.2f})".format(*vector)
+    # Adding 0.0 makes of −0.0 a plain 0.
+    return "({:.2f}, {:.2f}, {:.2f})".format(*(round(c, 2) + 0.0 for c in vector))
 
 
 def register() -> None:

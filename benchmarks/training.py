@@ -92,7 +92,9 @@ def in_turn(calls: dict[str, Callable[[], object]], rounds: int) -> dict[str, tu
 def table(title: str, calls: dict[str, Callable[[], object]], rounds: int, units: dict[str, int]) -> None:
     """Print the times with one thread and with all; `units`: of work that a call does."""
     threads = {1, numba.config.NUMBA_NUM_THREADS}
-    print(f"\n{title}\n{'':8s} {'threads':>7s} {'median':>8s} {'least':>8s} {'processor':>9s} ms a unit, first ÷ this")
+    print(
+        f"\n{title}\n{'':8s} {'threads':>7s} {'median':>8s} {'least':>8s} {'processor':>9s} ms a unit, first ÷ this"
+    )
     for count in sorted(threads):
         numba.set_num_threads(count)
         torch.set_num_threads(count)

@@ -37,7 +37,9 @@ def core_python(context: Any) -> str:
 def host(context: Any) -> Host:
     """What will run the generator: the core's Python if it is named, else this Blender. Raises GenerateError."""
     python = "" if context.scene.tg4mm_generate.in_blender else core_python(context)
-    return commands.core_host(python) if python else commands.blender_host(bpy.app.binary_path, sys.executable)
+    return (
+        commands.core_host(python) if python else commands.blender_host(bpy.app.binary_path, sys.executable)
+    )
 
 
 def label(settings: Any) -> str:

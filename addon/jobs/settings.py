@@ -20,6 +20,7 @@ from bpy.props import (
 from . import preview
 from .kinds import KINDS
 
+_RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"}
 GENERATE, TRAIN = "tg4mm_generate", "tg4mm_train"  # properties of the scene
 
 
@@ -40,7 +41,13 @@ def _length(name: str, text: str, default: float, least: float = 0.0) -> Any:
 
 def _place(name: str, text: str, default: tuple[float, float, float]) -> Any:
     return FloatVectorProperty(
-        name=name, description=text, default=default, size=3, subtype="TRANSLATION", precision=4, update=_changed
+        name=name,
+        description=text,
+        default=default,
+        size=3,
+        subtype="TRANSLATION",
+        precision=4,
+        update=_changed,
     )
 
 
@@ -66,7 +73,7 @@ class TG4MM_generate(bpy.types.PropertyGroup):
         items=[("PANEL", "One Mode", "One mode, described here"),
                ("FILE", "File", "Any number of modes, in a file of your own (JSON, or YAML with the core)")])
     motion_file: StringProperty(  # type: ignore[valid-type]
-        name="Description", description="A motion description: .json or .yaml", subtype="FILE_PATH", update=_changed)
+        name="Description", description="A motion description: .json or .yaml", subtype="FILE_PATH", options=_RELATIVE, update=_changed)
     kind: EnumProperty(  # type: ignore[valid-type]
         name="Mode", description="How the objects move", default="bending", update=_changed,
         items=[(name, kind.label, kind.description) for name, kind in KINDS.items()])
@@ -165,7 +172,7 @@ class TG4MM_generate(bpy.types.PropertyGroup):
     label: StringProperty(  # type: ignore[valid-type]
         name="Name", description="First part of the dataset folder's name: letters, digits, - and _; empty: the file's")
     out: StringProperty(  # type: ignore[valid-type]
-        name="Output", description="Folder that the dataset's folder is made in", subtype="DIR_PATH")
+        name="Output", description="Folder that the dataset's folder is made in", subtype="DIR_PATH", options=_RELATIVE)
     in_blender: BoolProperty(  # type: ignore[valid-type]
         name="Render in This Blender", description="Even though the core's Python is known: the same version of "
         "Blender as this one renders, but without truth per pixel and without a report")
@@ -177,9 +184,9 @@ class TG4MM_train(bpy.types.PropertyGroup):
 
     # fmt: off
     dataset: StringProperty(  # type: ignore[valid-type]
-        name="Dataset", description="A dataset's folder", subtype="DIR_PATH")
+        name="Dataset", description="A dataset's folder", subtype="DIR_PATH", options=_RELATIVE)
     run: StringProperty(  # type: ignore[valid-type]
-        name="Run", description="Folder for what training writes; an unfinished run there goes on", subtype="DIR_PATH")
+        name="Run", description="Folder for what training writes; an unfinished run there goes on", subtype="DIR_PATH", options=_RELATIVE)
     device: EnumProperty(  # type: ignore[valid-type]
         name="Device", description="Where the core computes",
         items=[("cpu", "CPU", ""), ("cuda", "CUDA", "An NVIDIA GPU, with gsplat installed")])

@@ -16,32 +16,28 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.addon.conftest import some_splat
 from tg4mm import __version__
-from tg4mm.splatfile import positions_at, read_splat
+from tg4mm.splatfile import positions_at, read_splat, write_splat
 
 pytest.importorskip("bpy", reason="needs pip's Blender: pip install 'tg4mm[generate]'")
 
 ADDON = (
-    *(
-        "__init__",
-        "analysis",
-        "colours",
-        "compat",
-        "loading",
-        "made",
-        "materials",
-        "names",
-        "numbered",
-        "panel",
-    ),
-    *("points", "scene"),
+    *("__init__", "analysis", "canvas", "colours", "compat", "loading", "made", "materials", "names"),
+    *("numbered", "overlay", "panel", "panel_probe", "picking", "pictures", "plots", "points"),
+    *("preferences", "probe", "saving", "scene", "spectrum", "strokes", "units", "view_settings"),
     *(f"nodes/{n}" for n in ("__init__", "colour", "graph", "motion", "player", "sequence", "shapes")),
-    *(f"operators/{n}" for n in ("__init__", "import_splat", "look")),
+    *(f"operators/{n}" for n in ("__init__", "band", "import_splat", "look", "probe")),
+)
+JOBS = (
+    *("__init__", "background", "commands", "describe", "generating", "kinds", "objects", "operators"),
+    *("panels", "placing", "preview", "preview_nodes", "reading", "runner", "settings", "training"),
 )
 CONTENT = {
     "blender_manifest.toml",
     "LICENSE",
     *(f"{name}.py" for name in ADDON),
+    *(f"jobs/{name}.py" for name in JOBS),
     *(f"core/{name}.py" for name in ("__init__", "errors")),
     *(
         f"core/splatfile/{n}.py"
@@ -94,6 +90,34 @@ print("RESULT", json.dumps({"places": play(), "present": present}))
 """
 )
 
+PREFERENCES = """
+import json, sys, bpy
+zip_path, splat_path, still_path = sys.argv[1:]
+bpy.ops.extensions.package_install_files(filepath=zip_path, repo="user_default", enable_on_install=True)
+import bl_ext.user_default.tg4mm as extension
+compat, names, scene = extension.compat, extension.names, extension.scene
+own = extension.preferences.get(bpy.context)
+found = {"own": type(own).__name__, "defaults": {}}
+for name in ("draw_as", "band_width", "most", "length_unit", "digits", "core_python"):
+    found["defaults"][name] = [getattr(own, name), getattr(extension.preferences.TG4MM_defaults, name)]
+described = {p.identifier for p in own.bl_rna.properties if p.description}
+found["undescribed"] = sorted(set(found["defaults"]) - described)
+own.draw_as, own.band_width, own.length_unit, own.digits = "Arrows", 3.0, "SCENE", 2
+own.core_python = "/usr/bin/python3"
+bpy.ops.import_scene.tg4mm_splat(filepath=still_path)
+still = bpy.context.object
+bpy.ops.import_scene.tg4mm_splat(filepath=splat_path)
+obj = bpy.context.object
+found["drawn"] = [compat.get_input(scene.splat_modifier(o), names.DRAW) for o in (still, obj)]
+bpy.ops.tg4mm.band(frequency=5.0)
+found["band"] = extension.analysis.band(obj)
+obj[names.UNIT_SCALE] = 0.1
+found["length"] = extension.preferences.unit_for(bpy.context, obj).text(0.01234)
+own.length_unit = "METRIC"
+found["metric"] = extension.preferences.unit_for(bpy.context, obj).text(0.01234)
+print("RESULT", json.dumps(found))
+"""
+
 
 def in_blender(script: str, resources: Path, *arguments: object) -> dict[str, Any]:
     """Run a script in a Blender of its own, whose user folder is `resources`; what it printed as RESULT."""
@@ -118,9 +142,17 @@ def zip_path(make_extension: ModuleType, staged: Path, tmp_path_factory: pytest.
     return make_extension.build(staged, tmp_path_factory.mktemp("dist"))
 
 
-def test_zip_holds_the_package_and_nothing_else(zip_path: Path) -> None:
+def generator(root: Path) -> set[str]:
+    """What the background jobs run: all of dataset_gen but what spreads work over a cluster."""
+    package = root / "dataset_gen"
+    files = (file.relative_to(root) for file in package.rglob("*") if file.suffix in (".py", ".yaml"))
+    kept = {f"generator/{file.as_posix()}" for file in files if file.parts[1] != "farm"}
+    return kept | {"generator/__init__.py", "generator/tg4mm/__init__.py", "generator/tg4mm/errors.py"}
+
+
+def test_zip_holds_the_package_and_nothing_else(repo_root: Path, zip_path: Path) -> None:
     with zipfile.ZipFile(zip_path) as archive:
-        assert set(archive.namelist()) == CONTENT
+        assert set(archive.namelist()) == CONTENT | generator(repo_root)
 
 
 def test_versions_agree(repo_root: Path, zip_path: Path) -> None:
@@ -160,3 +192,17 @@ def test_installed_from_the_zip_it_plays_and_its_blend_files_play_without_it(
     without = in_blender(REOPEN, tmp_path / "other", blend)
     assert without["present"] is False
     np.testing.assert_allclose(np.array(without["places"]), np.array(installed["places"]), atol=1e-6)
+
+
+def test_preferences_are_there_once_installed_and_are_followed(
+    zip_path: Path, splat_path: Path, tmp_path: Path
+) -> None:
+    write_splat(tmp_path / "still.ply", some_splat(5, (), degree=0))
+    found = in_blender(PREFERENCES, tmp_path / "resources", zip_path, splat_path, tmp_path / "still.ply")
+    assert found["own"] == "TG4MM_preferences"
+    for name, (own, fallback) in found["defaults"].items():
+        assert own == fallback, name
+    assert found["undescribed"] == []
+    assert found["drawn"] == ["Ellipsoids", "Arrows"]  # what does not move has no arrows
+    assert found["band"] == pytest.approx([3.5, 6.5])
+    assert (found["length"], found["metric"]) == ("0.012 scene units", "1.2 mm")

@@ -21,66 +21,157 @@ class Layout:
 
     def __init__(self) -> None:
         self.drawn: list[str] = []
+        self.pictures = 0
 
     def label(self, text: str = "", **_: Any) -> None:
         self.drawn.append(text)
 
-    def operator(self, name: str, **_: Any) -> None:
+    def operator(self, name: str, text: str = "", **_: Any) -> SimpleNamespace:
         assert getattr(getattr(bpy.ops, name.split(".")[0]), name.split(".")[1]).get_rna_type()
-        self.drawn.append(name)
+        self.drawn += [name, text]
+        return SimpleNamespace()
 
-    def prop(self, owner: Any, path: str, text: str = "") -> None:
+    def prop(self, owner: Any, path: str, text: str = "", **_: Any) -> None:
         owner.path_resolve(path)
-        self.drawn.append(text)
+        self.drawn.append(text or path)
+
+    def template_icon(self, icon_value: int, scale: float) -> None:
+        assert scale > 1
+        self.pictures += 1
 
     def column(self, **_: Any) -> Layout:
         return self
 
+    row = box = grid_flow = column
 
-def drawn(extension: ModuleType, obj: Any) -> list[str]:
+
+def laid_out(extension: ModuleType, obj: Any) -> Layout:
     """Everything the panels show for an object, in order."""
-    layout, context = Layout(), SimpleNamespace(object=obj, scene=bpy.context.scene)
-    for cls in extension.panel._CLASSES:
+    layout = Layout()
+    context = SimpleNamespace(
+        object=obj,
+        scene=bpy.context.scene,
+        window_manager=bpy.context.window_manager,
+        preferences=bpy.context.preferences,
+    )
+    for cls in (*extension.panel._CLASSES, extension.panel_probe.VIEW3D_PT_tg4mm_probe):
         if not hasattr(cls, "poll") or cls.poll(context):
             cls.draw(SimpleNamespace(layout=layout), context)
-    return layout.drawn
+    return layout
+
+
+def drawn(extension: ModuleType, obj: Any) -> list[str]:
+    """The same without the pictures."""
+    return laid_out(extension, obj).drawn
 
 
 def test_without_a_splat_it_offers_the_import(extension: ModuleType) -> None:
     shown = drawn(extension, None)
-    assert shown == ["import_scene.tg4mm_splat", "Select an imported splat object"]
+    assert shown == ["import_scene.tg4mm_splat", "Import Splats", "Select imported splats"]
 
 
 def test_moving_file_has_every_control(extension: ModuleType, splat_path: Path) -> None:
     obj = import_splat(splat_path)
     names, put = extension.names, setter(extension, obj)
     shown = drawn(extension, obj)
-    wanted = (names.ALPHA, names.LOW, names.HIGH, names.FIRST, names.SPEED, "3 Hz", "7.5 Hz", names.DRAW)
-    assert set(wanted) | {names.SIZE, names.RADIUS, names.MIN_OPACITY, names.VIEW_COLOUR} <= set(shown)
+    wanted = (names.ALPHA, "Low (Hz)", "High (Hz)", names.FIRST, names.SPEED, "3 Hz", "7.5 Hz", names.DRAW)
+    assert set(wanted) | {names.SIZE, "Radius (σ)", "Min Opacity", "View Colours"} <= set(shown)
     assert "tg4mm.true_colours" in shown
     bpy.ops.tg4mm.true_colours()
     put(names.DRAW, names.ARROWS)
-    put(names.COLOUR_BY, names.AMPLITUDE_COLOUR)
-    put(names.COLOUR_RANGE, 0.25)
     shown = drawn(extension, obj)
-    assert {names.ARROW_LENGTH, names.ARROW_EVERY, "0 to 0.25 scene units"} <= set(shown)
-    assert not {"tg4mm.true_colours", names.RADIUS} & set(shown)
+    assert {names.ARROW_LENGTH, names.ARROW_EVERY} <= set(shown)
+    assert not {"tg4mm.true_colours", "Radius (σ)"} & set(shown)
 
 
-def test_legend_speaks_of_millimetres_where_the_scale_is_known(
+def test_peaks_have_buttons(extension: ModuleType, splat_path: Path) -> None:
+    obj = import_splat(splat_path)
+    shown = drawn(extension, obj)
+    freqs = list(obj[extension.names.FREQUENCIES])
+    peaks = extension.spectrum.peaks(freqs, extension.analysis.mode_strengths(obj, "RMS"))
+    start = shown.index("tg4mm.band")
+    buttons = [text for k in peaks for text in ("tg4mm.band", f"{freqs[k]:g} Hz")] + ["tg4mm.band", "All"]
+    assert shown[start : start + len(buttons)] == buttons
+
+
+def test_colours_by_motion_come_with_a_legend(
     extension: ModuleType, tmp_path: Path, splat_path: Path
 ) -> None:
     known = SplatFile(**{**vars(read_splat(splat_path)), "unit_scale_m": 0.1})
     write_splat(tmp_path / "known.ply", known)
-    obj = import_splat(tmp_path / "known.ply")
-    put = setter(extension, obj)
-    put(extension.names.COLOUR_BY, extension.names.AMPLITUDE_COLOUR)
-    put(extension.names.COLOUR_RANGE, 0.5)
-    assert "0 to 0.5 scene units (50 mm)" in drawn(extension, obj)
+    obj, names = import_splat(tmp_path / "known.ply"), extension.names
+    put, unit = setter(extension, obj), extension.units.unit_of(0.1)
+    assert laid_out(extension, obj).pictures == 1  # the spectrum
+    assert extension.analysis.legend_picture(obj, unit) is None
+    put(names.COLOUR_BY, names.AMPLITUDE_COLOUR)
+    put(names.COLOUR_RANGE, 0.5)
+    assert laid_out(extension, obj).pictures == 2
+    assert extension.analysis.legend_picture(obj, unit) == (extension.plots.amplitude_legend, 0.5, unit)
+    assert extension.analysis.legend(obj).high_mm == pytest.approx(50.0)
+    put(names.COLOUR_BY, names.PHASE_COLOUR)
+    function, still, _ = extension.analysis.legend_picture(obj, unit)
+    assert (function, still) == (extension.plots.phase_legend, pytest.approx(0.025))
+
+
+def test_legend_in_the_view_can_be_switched_off(extension: ModuleType, splat_path: Path) -> None:
+    obj, names = import_splat(splat_path), extension.names
+    setter(extension, obj)(names.COLOUR_BY, names.PHASE_COLOUR)
+    space = SimpleNamespace(overlay=SimpleNamespace(show_overlays=True))
+    settings = SimpleNamespace(tg4mm_view=SimpleNamespace(legend=True))
+    context = SimpleNamespace(
+        object=obj, space_data=space, window_manager=settings, preferences=bpy.context.preferences
+    )
+    wanted = extension.overlay.wanted
+    assert wanted(context)[0] is extension.plots.phase_legend
+    space.overlay.show_overlays = False
+    assert wanted(context) is None
+    space.overlay.show_overlays, settings.tg4mm_view.legend = True, False
+    assert wanted(context) is None
+    settings.tg4mm_view.legend = True
+    obj.hide_set(True)
+    assert wanted(context) is None
+    context.object = None
+    assert wanted(context) is None
+
+
+def test_probe_shows_rows_a_curve_and_exports(extension: ModuleType, splat_path: Path) -> None:
+    obj = import_splat(splat_path)
+    assert "Nothing probed yet" in drawn(extension, obj)
+    assert "tg4mm.export_probe" not in drawn(extension, obj)
+    bpy.ops.tg4mm.probe(source="CURSOR")
+    layout = laid_out(extension, obj)
+    found = extension.picking.stored(obj)
+    assert layout.pictures == 2
+    assert {f"{found.label}: actual motion", "not magnified, α = 0", "Series CSV"} <= set(layout.drawn)
+    for ellipse in extension.probe.ellipses(found):
+        assert f"{ellipse.amplitude:.4g} scene units" in layout.drawn
+    extension.picking.forget(obj)
+    assert "Nothing probed yet" in drawn(extension, obj)
+
+
+def test_labels_fit_the_default_sidebar(extension: ModuleType, splat_path: Path) -> None:
+    obj = import_splat(splat_path)
+    bpy.ops.tg4mm.probe(source="CURSOR")
+    for name in (extension.names.COLOUR_BY,):
+        setter(extension, obj)(name, extension.names.PHASE_COLOUR)
+    too_long = [text for text in drawn(extension, obj) if len(text) > 36]
+    assert too_long == []
+
+
+def test_every_input_has_a_tooltip(extension: ModuleType, splat_path: Path) -> None:
+    obj = import_splat(splat_path)
+    items = extension.scene.splat_modifier(obj).node_group.interface.items_tree
+    for item in items:
+        if item.item_type == "SOCKET" and item.in_out == "INPUT" and item.name != "Geometry":
+            assert item.description, item.name
+    for unit, inputs in (("Hz", ("Band Low", "Band High")), ("scene units", ("Colour Range",))):
+        for name in inputs:
+            assert unit in items[name].description
 
 
 def test_static_file_has_no_motion_controls(extension: ModuleType, tmp_path: Path) -> None:
     write_splat(tmp_path / "still.ply", some_splat(5, (), degree=0))
     shown = drawn(extension, import_splat(tmp_path / "still.ply"))
     assert "This file holds no motion" in shown
-    assert not {extension.names.ALPHA, extension.names.VIEW_COLOUR, extension.names.COLOUR_BY} & set(shown)
+    assert not {extension.names.ALPHA, "View Colours", extension.names.COLOUR_BY} & set(shown)
+    assert not {"tg4mm.band", "tg4mm.probe"} & set(shown)

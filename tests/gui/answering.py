@@ -145,6 +145,7 @@ def shading(kind: str) -> None:
     for area in _window().screen.areas:
         if area.type == "VIEW_3D":
             area.spaces.active.shading.type = kind
+            area.tag_redraw()
 
 
 @answer
@@ -155,6 +156,7 @@ def view(look_from: list[float], at: list[float], distance: float) -> None:
     region = _view().spaces.active.region_3d
     region.view_rotation = mathutils.Vector(look_from).to_track_quat("Z", "Y")
     region.view_location, region.view_distance, region.view_perspective = at, distance, "PERSP"
+    _view().tag_redraw()
 
 
 @answer

@@ -6,15 +6,15 @@ lies under it: the data path of a value (Ctrl Shift Alt C) or the Python command
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable
 
-from .session import Session, SessionError
+from .looking import Header, headers
+from .session import Box, Session, SessionError
 
 TAB = "TG4MM"
-TAB_STEP, ROW_STEP = 24, 13  # pixels; less than a tab and a row are high
-PAGE = 8  # notches of the wheel that show what was below
-LONGEST = 8  # pages
+TAB_STEP, ROW_STEP = 24, 18  # pixels; less than a tab and a row are high
 
 
 def open_tab(blender: Session) -> None:
@@ -32,25 +32,68 @@ def open_tab(blender: Session) -> None:
 
 
 def find(blender: Session, wanted: str) -> tuple[int, int]:
-    """Where the control is whose data path or Python command ends with `wanted`, brought into view. A value of the
-    active object's modifier is found by the input's name."""
-    wanted = blender.ask("paths").get(wanted, wanted) if not wanted.startswith("bpy.") else wanted
+    """Where the control is whose data path or Python command ends with `wanted`, brought into view.
+
+    An input of the active object's modifier is found by its name. What is in sight is searched first; then all
+    panels are folded and opened one after another, and the one that holds it stays open.
+    """
+    path = wanted if wanted.startswith("bpy.") else blender.ask("paths").get(wanted, wanted)
+    box = blender.region("VIEW_3D", "UI")
+    place = _in_rows(blender, path, box.top, box.top + box.height)
+    if place is None:
+        place = _in_panels(blender, path, box)
+    if place is None:
+        raise SessionError(f"no control for {wanted} in the sidebar\n{blender.log()[-2000:]}")
+    return place
+
+
+def _in_rows(blender: Session, path: str, top: int, bottom: int) -> tuple[int, int] | None:
+    """The control of a path among the rows from `top` to `bottom`."""
     box = blender.region("VIEW_3D", "UI")
     x = box.left + round(0.55 * box.width)
-    blender.scroll(x, box.top + box.height // 2, -PAGE * LONGEST)
-    last: list[str] = []
-    for _ in range(LONGEST):
-        seen = []
-        for y in range(box.top + 10, box.top + box.height - 10, ROW_STEP):
-            under = under_pointer(blender, x, y, operator=wanted.startswith("bpy."))
-            if under.endswith(wanted):
-                return x, y + 4  # not at its edge
-            seen.append(under)
-        if seen == last:
-            break
-        last = seen
-        blender.scroll(x, box.top + box.height // 2, PAGE)
-    raise SessionError(f"no control for {wanted} in the sidebar; the last page: {sorted(set(last))}")
+    for y in range(top + 10, bottom - 6, ROW_STEP):
+        if under_pointer(blender, x, y, operator=path.startswith("bpy.")).endswith(path):
+            return x, y
+    return None
+
+
+def _in_panels(blender: Session, path: str, box: Box) -> tuple[int, int] | None:
+    """The same, in panels that are opened for it one at a time, and what they hold with them."""
+    _fold(blender, box)
+    for header in [h for h in _headers(blender, box) if not h.open]:
+        _click_header(blender, header)
+        while inner := [h for h in _inside(blender, box, header) if not h.open]:
+            _click_header(blender, inner[0])
+        after = [h.y for h in _headers(blender, box) if h.y > header.y and h.x <= header.x]
+        place = _in_rows(blender, path, header.y, min([*after, box.top + box.height]))
+        if place is not None:
+            return place
+        _fold(blender, box)
+    return None
+
+
+def _fold(blender: Session, box: Box) -> None:
+    """Fold every panel but the first, which holds the others."""
+    blender.scroll(*box.middle, -30)
+    while opened := [h for h in _headers(blender, box)[1:] if h.open]:
+        _click_header(blender, opened[-1])  # what is above stays where it is
+
+
+def _inside(blender: Session, box: Box, panel: Header) -> list[Header]:
+    """The headers of what a panel holds, from the top."""
+    below = [h for h in _headers(blender, box) if h.y > panel.y]
+    return list(itertools.takewhile(lambda h: h.x > panel.x + 5, below))
+
+
+def _headers(blender: Session, box: Box) -> list[Header]:
+    blender.move(*blender.region("DOPESHEET_EDITOR").middle)  # a header under the pointer is brighter
+    time.sleep(0.3)  # and panels slide
+    return headers(blender.picture(blender.folder / "panels.png"), Box(box.left, box.top, 80, box.height))
+
+
+def _click_header(blender: Session, header: Header) -> None:
+    blender.click(header.x + 40, header.y)
+    time.sleep(0.3)
 
 
 def under_pointer(blender: Session, x: int, y: int, operator: bool) -> str:

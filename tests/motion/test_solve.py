@@ -89,7 +89,9 @@ def test_several_systems_step_as_they_would_alone() -> None:
     for _ in range(4):
         states = step_all(states, operator)
     assert asked == [2] * 4
-    for state, alone in zip(states, (solved(A, b, 4), start(0 * b), solved(A, 2 * b[::-1].copy(), 4)), strict=True):
+    for state, alone in zip(
+        states, (solved(A, b, 4), start(0 * b), solved(A, 2 * b[::-1].copy(), 4)), strict=True
+    ):
         np.testing.assert_array_equal(state.x, alone.x)
         assert state.iteration == alone.iteration
 

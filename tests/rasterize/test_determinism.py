@@ -59,7 +59,6 @@ def test_neither_the_order_of_tiles_nor_who_takes_them_changes_a_bit(scene: Scen
     tensors = [t.detach() for t in scene.tensors(torch.float32)]
     record = render(tensors, scene, 3)[2]["projected"][0]
     splats, bins, (width, height) = record.splats, record.bins, (scene.width, scene.height)
-    tables = (bins.tile_start, bins.pair_gaussian, blend.PLACES)
     rng = np.random.default_rng(workers)
     v_image = rng.normal(size=(height, width, FEATURES)).astype(np.float32)
     v_transmittance = rng.normal(size=(height, width)).astype(np.float32)
@@ -67,6 +66,8 @@ def test_neither_the_order_of_tiles_nor_who_takes_them_changes_a_bit(scene: Scen
     def both(workers: int, order: np.ndarray) -> list[np.ndarray]:
         image, transmittance = np.empty_like(v_image), np.empty_like(v_transmittance)
         v_pairs = np.full((len(bins.pair_gaussian), FEAT + FEATURES), np.nan, np.float32)
+        reached = np.full(len(bins.pair_gaussian), 1 << 31, np.uint32)
+        tables = (bins.tile_start, bins.pair_gaussian, blend.PLACES, reached)
         start = (workers, order.astype(np.int32))
         frame = (width, height)
         pictures = (image, transmittance, v_image, v_transmittance)
@@ -74,7 +75,7 @@ def test_neither_the_order_of_tiles_nor_who_takes_them_changes_a_bit(scene: Scen
         blend._forward(*start, counter, tables, frame, splats, image, transmittance, ALPHA_MIN)
         counter = np.zeros(1, np.int64)
         blend._backward(*start, counter, tables, frame, splats, pictures, v_pairs.reshape(-1), ALPHA_MIN)
-        return [image, transmittance, v_pairs]
+        return [image, transmittance, v_pairs, reached]
 
     n_tiles = len(bins.tile_start) - 1
     expected, actual = both(1, np.arange(n_tiles)), both(workers, rng.permutation(n_tiles))

@@ -248,8 +248,8 @@ def test_the_comparison_refuses_a_kernel_that_is_slightly_off(
     real = getattr(cpu, kernel)
     output = {"gather_gradient": 5, "blend_backward": 9, "project_backward": 11}[kernel]
 
-    def off(*args: object) -> None:
-        real(*args)
+    def off(*args: object, **kwargs: object) -> None:
+        real(*args, **kwargs)
         array = args[output]
         array *= 1.001  # type: ignore[operator]
 

@@ -109,6 +109,7 @@ def test_training_through_gsplats_calls_is_training(
     # too short for density control, in whose draws rounding would grow
     config = SpaceConfig(iterations=12, max_gaussians=500, init_points=300)
     expected = train_space(new_run(), views, points, config)
+    monkeypatch.setattr(stage, "FUSED", ())
     monkeypatch.setattr(stage, "render_view", _render_cuda)
     found = train_space(new_run(), views, points, config)
     assert (expected.opacities - 0.3).abs().max() > 0.03  # where they all start
@@ -138,13 +139,14 @@ def test_the_counter_counts() -> None:
 def test_an_iteration_fetches_nothing(
     views: RestViews, points: SurfacePoints, gsplat_on_cpu: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(stage, "FUSED", ())
     monkeypatch.setattr(stage, "render_view", _render_cuda)
     config = stage.resolved(SpaceConfig(iterations=1000, max_gaussians=500, init_points=300), views)
     fit, extent, _ = stage._started(views, points, config, "cpu")
-    cameras = tuple(torch.from_numpy(a) for a in (views.viewmats, views.Ks, views.rgb))
+    cameras = stage._Views(views, config, "cpu")
     with Fetches() as fetches:
         for _ in range(10):
-            stage._iterate(fit, (cameras[0], cameras[1], cameras[2]), config, extent)
+            stage._iterate(fit, cameras, config, extent)
     assert fetches.count == 0
     assert float(fit.psnr) > 5
 
@@ -208,11 +210,11 @@ def test_an_iteration_on_cuda_waits_only_where_gsplat_does(
     monkeypatch.setattr(stage, "render_view", flat)
     config = stage.resolved(SpaceConfig(iterations=1000, max_gaussians=500, init_points=300), views)
     fit, extent, _ = stage._started(views, points, config, "cuda")
-    cameras = tuple(torch.from_numpy(a).to("cuda") for a in (views.viewmats, views.Ks, views.rgb))
-    stage._iterate(fit, (cameras[0], cameras[1], cameras[2]), config, extent)
+    cameras = stage._Views(views, config, "cuda")
+    stage._iterate(fit, cameras, config, extent)
     torch.cuda.set_sync_debug_mode("error")
     try:
-        stage._iterate(fit, (cameras[0], cameras[1], cameras[2]), config, extent)
+        stage._iterate(fit, cameras, config, extent)
     finally:
         torch.cuda.set_sync_debug_mode("default")
 

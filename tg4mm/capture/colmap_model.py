@@ -7,9 +7,10 @@ nothing that images does not.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -31,6 +32,7 @@ MODELS = {
     10: ("THIN_PRISM_FISHEYE", 12),
 }
 COUNTS = dict(MODELS.values())
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -69,21 +71,21 @@ def read_model(folder: Path) -> ColmapModel:
     for path in paths[:2]:
         if not path.is_file():
             raise CaptureError(f"{path}: does not exist; a COLMAP model has cameras, images and points3D")
-    readers = (_cameras_bin, _images_bin, _points_bin) if suffix == ".bin" else (_cameras, _images, _points)
-    results = []
-    for path, reader in zip(paths, readers, strict=True):
-        if not path.is_file():
-            results.append(None)
-            continue
-        try:
-            results.append(reader(path))
-        except CaptureError:
-            raise
-        except (ValueError, IndexError, struct.error, OverflowError, MemoryError) as error:
-            text = " ".join(str(error).split())
-            raise CaptureError(f"{path}: is truncated or damaged: {text}") from error
-    cameras, images, points = results
-    return ColmapModel(folder, cameras, images, points)  # type: ignore[arg-type]
+    readers = _BINARY if suffix == ".bin" else _TEXT
+    cameras, images = _guarded(paths[0], readers[0]), _guarded(paths[1], readers[1])
+    points = _guarded(paths[2], readers[2]) if paths[2].is_file() else None
+    return ColmapModel(folder, cameras, images, points)
+
+
+def _guarded(path: Path, reader: Callable[[Path], T]) -> T:
+    """What the reader finds; CaptureError where it stumbles."""
+    try:
+        return reader(path)
+    except CaptureError:
+        raise
+    except (ValueError, IndexError, struct.error, OverflowError, MemoryError) as error:
+        text = " ".join(str(error).split())
+        raise CaptureError(f"{path}: is truncated or damaged: {text}") from error
 
 
 def _pose(where: str, quaternion: np.ndarray, translation: np.ndarray) -> np.ndarray:
@@ -198,3 +200,7 @@ def _points(path: Path) -> SurfacePoints | None:
     xyz = np.array([words[1:4] for words in rows], float).reshape(-1, 3)
     rgb = np.array([words[4:7] for words in rows], float).reshape(-1, 3)
     return _surface(path, xyz, rgb)
+
+
+_BINARY = (_cameras_bin, _images_bin, _points_bin)
+_TEXT = (_cameras, _images, _points)

@@ -15,6 +15,7 @@ from tg4mm.cli.export import export
 from tg4mm.cli.generate import generate
 from tg4mm.cli.magnify import BandsCommand
 from tg4mm.cli.render import render
+from tg4mm.cli.sfm import sfm
 from tg4mm.cli.train import train
 from tg4mm.errors import Tg4mmError
 
@@ -52,7 +53,7 @@ _PASS_ALL = {
 app.command()(demo)
 app.command(context_settings=_PASS_ALL)(generate)
 app.command()(train)
-for _command in (render, evaluate, export):
+for _command in (render, evaluate, export, sfm):
     app.command(cls=BandsCommand)(_command)
 
 

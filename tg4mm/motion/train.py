@@ -34,7 +34,9 @@ from tg4mm.progress import progress
 from tg4mm.runs import Run
 
 CHECKPOINT_EVERY_S = 20.0
-TOGETHER = 8  # components that share a pass over the views: half the time of eight passes, memory for eight fields
+TOGETHER = (
+    8  # components that share a pass over the views: half the time of eight passes, memory for eight fields
+)
 _STAGE = "motion"
 
 
@@ -61,7 +63,9 @@ class _Fit:
 
     shapes: np.ndarray
     component: int = 0
-    cgs: list[CGState] = field(default_factory=list)  # of the components from `component` on; empty: not begun
+    cgs: list[CGState] = field(
+        default_factory=list
+    )  # of the components from `component` on; empty: not begun
 
     def tensors(self) -> dict[str, Tensor]:
         out = {"shapes": torch.from_numpy(self.shapes)}

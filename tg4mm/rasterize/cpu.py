@@ -68,8 +68,9 @@ class RasterizeView(torch.autograd.Function):
         image = np.empty((view.height, view.width, FEATURES), np.float32)
         transmittance = np.empty((view.height, view.width), np.float32)
         blend_forward(
-            splats, bins.tile_start, bins.pair_gaussian, view.width, view.height, image, transmittance
-        )
+            splats, bins.tile_start, bins.pair_gaussian, view.width, view.height, image, transmittance,
+            reached=bins.reached,
+        )  # fmt: skip
         record = Projected(splats, bins)
         projected.append(record)
         ctx.saved = arrays, camera, view, record, image, transmittance
@@ -83,6 +84,7 @@ class RasterizeView(torch.autograd.Function):
         blend_backward(
             record.splats, bins.tile_start, bins.pair_gaussian, view.width, view.height,
             image, transmittance, _array(v_image), _array(v_transmittance), v_pairs,
+            reached=bins.reached,
         )  # fmt: skip
         v_splats = np.zeros_like(record.splats)
         gather_gradient(bins.order, bins.n_visible, bins.gaussian_start, bins.pair_slot, v_pairs, v_splats)

@@ -50,7 +50,12 @@ def extract(
     with progress("features", len(names), "pictures") as update:
         for i, name in enumerate(names):
             c.extract_features(
-                database, images, [name], reader_options=reader, extraction_options=options, device=c.Device.cpu
+                database,
+                images,
+                [name],
+                reader_options=reader,
+                extraction_options=options,
+                device=c.Device.cpu,
             )
             counts.append(_feature_count(database, name))
             update(i + 1, features=sum(counts))

@@ -157,10 +157,12 @@ def _match(c: Any, path: Path, views: RestViews, config: TriangulationConfig) ->
 
 
 def _features(db: Any, image_id: int, K: np.ndarray) -> Features:
-    keypoints = np.asarray(db.read_keypoints(image_id), dtype=np.float64).reshape(-1, 6)
+    keypoints = np.asarray(db.read_keypoints(image_id), dtype=np.float64)
     descriptors = db.read_descriptors(image_id)
     data = np.asarray(getattr(descriptors, "data", descriptors))
-    return features_of(keypoints, data.reshape(len(keypoints), -1), K.astype(np.float64))
+    if keypoints.size == 0 or data.size == 0:
+        keypoints, data = np.zeros((0, 2)), np.zeros((0, 128))
+    return features_of(keypoints, data, K.astype(np.float64))
 
 
 def _write_matches(
@@ -180,15 +182,24 @@ def _options(c: Any, views: RestViews, config: TriangulationConfig) -> Any:
     options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = config.seed
     options.min_num_matches = 1  # each match is verified by the known poses, however few a pair has
     options.triangulation.min_angle = options.mapper.filter_min_tri_angle = config.min_angle_deg
-    options.triangulation.ignore_two_view_tracks = len(views.viewmats) > 3
+    options.triangulation.ignore_two_view_tracks = _fewest_views(views) > 2
     return options
 
 
+def _fewest_views(views: RestViews) -> int:
+    """Two rays always meet near enough somewhere on their epipolar lines; a third one tells whether they should."""
+    return 3 if len(views.viewmats) > 3 else 2
+
+
 def _trusted(points: SfmPoints, views: RestViews, config: TriangulationConfig) -> SfmPoints:
-    """Points with a small error that no picture shows as background."""
+    """Points with a small error; where masks cut an object out, those on it, in the space the cameras share."""
+    from tg4mm.space.initial import working_box
+
     masks = views.alpha > 0.5
-    keep = points.errors_px <= config.error_px
+    keep = (points.errors_px <= config.error_px) & (points.n_views >= _fewest_views(views))
     if not masks.all():
         viewmats, Ks = views.viewmats.astype(np.float64), views.Ks.astype(np.float64)
+        centre, half = working_box(views)
+        keep &= np.abs(points.xyz - centre).max(axis=1, initial=0) <= half
         keep &= ~outside_masks(points.xyz.astype(np.float64), viewmats, Ks, masks)
     return points.kept(keep)

@@ -14,6 +14,8 @@ class SpaceConfig:
     sh_degree: int = 3  # reached step by step in the first 30 % of the iterations
     l2: float = 10.0  # weight of the squared error beside L1; 0 is [TG4MM] Eq. (16)
     dssim: float = 0.0  # share of D-SSIM, [3DGS] Eq. (7)
-    init: str = "auto"  # "points", "hull", "random", "auto" (the first that the data allow), or "sfm" (pycolmap)
+    init: str = (
+        "auto"  # "points", "hull", "random", "auto" (the first that the data allow), or "sfm" (pycolmap)
+    )
     init_points: int = 10_000
     seed: int = 0

@@ -95,17 +95,20 @@ class Iteration:
         project_forward(means, quats, scales, opacities, sh, degree, False, camera, width, height, splats)
         bins = bin_splats(splats, width, height, self._buffers)
         tiles = (splats, bins.tile_start, bins.pair_gaussian, width, height)
-        image, transmittance = take("image", (height, width, FEATURES)), take("transmittance", (height, width))
-        blend_forward(*tiles, image, transmittance)
+        image, transmittance = (
+            take("image", (height, width, FEATURES)),
+            take("transmittance", (height, width)),
+        )
+        blend_forward(*tiles, image, transmittance, reached=bins.reached)
         v_image, v_transmittance = take("v_image", image.shape), take("v_transmittance", (height, width))
         squares = take("squares", (height,), np.float64)
         more = self._structure(image, transmittance, target)
         share = 1 - self._dssim
-        compare(
-            image, transmittance, target, WHITE, share, self._l2, more, v_image, v_transmittance, squares
-        )
+        compare(image, transmittance, target, WHITE, share, self._l2, more, v_image, v_transmittance, squares)
         v_pairs = take("v_pairs", (len(bins.pair_gaussian), FEAT + FEATURES))
-        blend_backward(*tiles, image, transmittance, v_image, v_transmittance, v_pairs)
+        blend_backward(
+            *tiles, image, transmittance, v_image, v_transmittance, v_pairs, reached=bins.reached
+        )
         v_splats = take("v_splats", splats.shape)
         gather_gradient(bins.order, bins.n_visible, bins.gaussian_start, bins.pair_slot, v_pairs, v_splats)
         rates, root = adam.next_rates(progress)

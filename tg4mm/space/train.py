@@ -20,8 +20,8 @@ from tg4mm.progress import progress
 from tg4mm.runs import Run
 from tg4mm.space.config import SpaceConfig
 from tg4mm.space.density import control_density, is_due
-from tg4mm.space.initial import INITS, initial_points, working_box
 from tg4mm.space.fused import FusedAdam, Iteration
+from tg4mm.space.initial import INITS, initial_points, working_box
 from tg4mm.space.losses import photometric_loss
 from tg4mm.space.parameters import ParameterAdam, activate, initial_parameters
 from tg4mm.space.targets import RestViews
@@ -151,9 +151,7 @@ class _Views:
             return torch.tensor(mse, dtype=torch.float64)
         return self._iterate_torch(fit.adam, fit.error, v, degree, done)
 
-    def _iterate_torch(
-        self, adam: ParameterAdam, error: Tensor, v: int, degree: int, done: float
-    ) -> Tensor:
+    def _iterate_torch(self, adam: ParameterAdam, error: Tensor, v: int, degree: int, done: float) -> Tensor:
         viewmat, K, target = (a[v] for a in self._tensors)
         height, width = target.shape[:2]
         view = render_view(activate(adam.parameters), viewmat, K, (width, height), degree)

@@ -182,12 +182,15 @@ def fill_pairs(
 @kernel(parallel=True, fastmath=True)
 def gather_gradient(order, n_visible, gaussian_start, pair_slot, v_pairs, v_splats):
     """Sum the gradients of a Gaussian's pairs, in a fixed order; `v_splats` is written where visible."""
+    last = len(pair_slot) - 1
     for k in prange(n_visible):
         i = order[k]
+        prefetch(v_splats, int64(order[min(k + _AHEAD, n_visible - 1)]))
         for c in range(v_splats.shape[1]):
             v_splats[i, c] = float32(0.0)
         for slot in range(gaussian_start[k], gaussian_start[k + 1]):
             place = pair_slot[slot]
+            prefetch(v_pairs, int64(pair_slot[min(slot + 3 * _AHEAD, last)]))
             for c in range(v_pairs.shape[1]):
                 v_splats[i, c] += v_pairs[place, c]
 
@@ -195,13 +198,14 @@ def gather_gradient(order, n_visible, gaussian_start, pair_slot, v_pairs, v_spla
 class Bins:
     """Tile lists of one view: what `bin_splats` returns and blending reads."""
 
-    def __init__(self, order, n_visible, tile_start, gaussian_start, pair_gaussian, pair_slot):
+    def __init__(self, order, n_visible, tile_start, gaussian_start, pair_gaussian, pair_slot, reached):
         self.order = order  # [n_visible] Gaussians by depth
         self.n_visible = n_visible
         self.tile_start = tile_start  # [tiles + 1]
         self.gaussian_start = gaussian_start  # [n_visible + 1]
         self.pair_gaussian = pair_gaussian  # [P] int32, Gaussian of each pair, tile by tile, near to far
         self.pair_slot = pair_slot  # [P] int32, positions of each Gaussian's pairs
+        self.reached = reached  # [P] uint32, blocks of the tile in which a pair is seen; blend_forward writes it
 
 
 def bin_splats(splats: np.ndarray, width: int, height: int, buffers: Buffers | None = None) -> Bins:
@@ -214,7 +218,10 @@ def bin_splats(splats: np.ndarray, width: int, height: int, buffers: Buffers | N
     keys, keys2 = (take(buffers, name, (n,), np.uint32) for name in ("keys", "keys2"))
     scratch, order = (take(buffers, name, (n,), np.int32) for name in ("scratch", "order"))
     n_visible = depth_order(splats, keys, scratch, keys2, order)
-    per_chunk, needed = take(buffers, "per_chunk", (_CHUNKS, n_x * n_y), np.int32), np.empty(_CHUNKS, np.int64)
+    per_chunk, needed = (
+        take(buffers, "per_chunk", (_CHUNKS, n_x * n_y), np.int32),
+        np.empty(_CHUNKS, np.int64),
+    )
     gaussian_start = take(buffers, "gaussian_start", (n_visible + 1,), np.int32)
     room = _PAIRS_EXPECTED * (n_visible // _CHUNKS + 1)
     while True:
@@ -232,4 +239,5 @@ def bin_splats(splats: np.ndarray, width: int, height: int, buffers: Buffers | N
     fill_pairs(
         order, n_visible, tiles, needed, tile_start, per_chunk, gaussian_start, pair_gaussian, pair_slot
     )
-    return Bins(order, n_visible, tile_start, gaussian_start, pair_gaussian, pair_slot)
+    reached = take(buffers, "reached", (n_pairs,), np.uint32)
+    return Bins(order, n_visible, tile_start, gaussian_start, pair_gaussian, pair_slot, reached)

@@ -1,0 +1,72 @@
+"""What the tests of background jobs share: waiting for one by hand, and the panels on a stand-in layout."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import bpy
+
+
+def wait(
+    extension: ModuleType, kind: str, until: Callable[[Any], bool] = lambda job: False, limit_s: float = 120.0
+) -> Any:
+    """Call the timer's function, as Blender would, until a job ends or a condition holds; returns the job."""
+    background = extension.jobs.background
+    job = background.get(kind)
+    begun = time.monotonic()
+    while job.running and not until(job):
+        assert time.monotonic() - begun < limit_s, f"{job.progress} {job.message}"
+        again = background.tick()
+        assert again == (background.INTERVAL_S if background.running(kind) else None)
+        time.sleep(0.02)
+    return job
+
+
+class Layout:
+    """Records what is drawn; reads every property, as drawing does."""
+
+    def __init__(self, drawn: list[str] | None = None) -> None:
+        self.drawn: list[str] = [] if drawn is None else drawn
+
+    def label(self, text: str = "", icon: str = "NONE") -> None:
+        assert icon in bpy.types.UILayout.bl_rna.functions["label"].parameters["icon"].enum_items
+        self.drawn.append(text)
+
+    def operator(self, name: str, **options: Any) -> Any:
+        module, _, function = name.partition(".")
+        assert getattr(getattr(bpy.ops, module), function).get_rna_type()
+        self.drawn.append(f"{name} {options.get('text', '')}".strip())
+        return SimpleNamespace()
+
+    def prop(self, owner: Any, path: str, **options: Any) -> None:
+        owner.path_resolve(path) if hasattr(owner, "path_resolve") else getattr(owner, path)
+        self.drawn.append(path)
+
+    def prop_search(self, owner: Any, path: str, data: Any, found: str, **_: Any) -> None:
+        getattr(data, found)
+        self.prop(owner, path)
+
+    def progress(self, factor: float, text: str) -> None:
+        assert 0 <= factor <= 1
+        self.drawn.append(f"progress {text}")
+
+    def row(self, **_: Any) -> Layout:
+        return Layout(self.drawn)
+
+    column = row
+
+
+def drawn(extension: ModuleType, *panels: str) -> list[str]:
+    """What panels of the jobs show, in order; all of them without names."""
+    layout = Layout()
+    for cls in extension.jobs.panels._CLASSES:
+        if not panels or cls.bl_label in panels:
+            panel = SimpleNamespace(layout=layout)
+            for name in ("_draw_objects", "_draw_mode", "_draw_preview"):
+                if hasattr(cls, name):
+                    setattr(panel, name, getattr(cls, name).__get__(panel))
+            cls.draw(panel, bpy.context)
+    return layout.drawn

@@ -1,0 +1,164 @@
+"""Pictures drawn in numpy: letters, ticks, curves, the legends of the colours."""
+
+from __future__ import annotations
+
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+pytest.importorskip("bpy", reason="needs pip's Blender: pip install 'tg4mm[generate]'")
+
+
+def ink(canvas, background: float = 0.0) -> np.ndarray:
+    """[H, W] how far each pixel is from the background."""
+    return np.abs(canvas.pixels[..., 0] - background)
+
+
+@pytest.fixture
+def Canvas(extension: ModuleType):
+    return lambda width=60, height=40: extension.canvas.Canvas(width, height, (0.0, 0.0, 0.0))
+
+
+WHITE = (1.0, 1.0, 1.0)
+
+
+def test_a_box_covers_its_area(Canvas) -> None:
+    canvas = Canvas()
+    canvas.box(3.25, 5.5, 10.0, 20.0, WHITE)
+    assert ink(canvas).sum() == pytest.approx(6.75 * 14.5, rel=1e-5)
+    assert canvas.pixels[10, 3, 0] == pytest.approx(0.75)
+    canvas.box(-50, -50, -1, -1, WHITE)  # outside
+    assert ink(canvas).sum() == pytest.approx(6.75 * 14.5, rel=1e-5)
+
+
+def test_a_line_covers_its_length_times_its_thickness(Canvas) -> None:
+    for end in ((50.0, 20.0), (10.0, 35.0), (40.0, 35.0)):
+        canvas = Canvas()
+        start = np.array([10.0, 20.0])
+        canvas.line(np.array([start, end]), WHITE, 3.0)
+        area = 3.0 * np.linalg.norm(np.subtract(end, start)) + np.pi * 1.5**2
+        assert ink(canvas).sum() == pytest.approx(area, rel=0.04)
+
+
+def test_what_leaves_the_picture_is_cut(Canvas) -> None:
+    canvas = Canvas()
+    canvas.line(np.array([[-500.0, 20.0], [900.0, 20.0]]), WHITE, 2.0)
+    assert ink(canvas).sum() == pytest.approx(2.0 * 60, rel=0.02)
+    canvas.text(-10, 60, "far out", WHITE, 12)
+
+
+def test_words_stand_on_their_baseline_and_are_as_wide_as_they_say(extension: ModuleType, Canvas) -> None:
+    canvas = Canvas(200, 60)
+    canvas.text(20, 40, "EH08", WHITE, 18.0)
+    rows, columns = np.nonzero(ink(canvas) > 0.3)
+    assert rows.max() == pytest.approx(40, abs=2)
+    assert rows.min() == pytest.approx(22, abs=2)
+    assert columns.min() == pytest.approx(20, abs=2)
+    assert columns.max() == pytest.approx(20 + extension.canvas.text_width("EH08", 18.0), abs=2)
+    right = Canvas(200, 60)
+    right.text(150, 40, "EH08", WHITE, 18.0, anchor=1.0)
+    assert np.nonzero(ink(right) > 0.3)[1].max() == pytest.approx(150, abs=2)
+
+
+def test_every_sign_has_a_shape_of_its_own(extension: ModuleType, Canvas) -> None:
+    seen = {}
+    for sign in extension.strokes._GLYPHS:
+        canvas = Canvas(40, 40)
+        canvas.text(10, 28, sign, WHITE, 16.0)
+        seen[sign] = canvas.pixels.tobytes()
+        assert ink(canvas).sum() > 2
+    same = {("-", "−"), ("0", "O"), ("l", "I")}
+    for a in seen:
+        for b in seen:
+            if a < b and seen[a] == seen[b]:
+                assert (a, b) in same or (b, a) in same
+
+
+def test_the_signs_that_captions_use_are_known(extension: ModuleType) -> None:
+    wanted = "Amplitude (rms), mm scene units Frequency, Hz Time, s Displacement ±-1.234e-05 90° <"
+    assert set(wanted) - {" "} <= set(extension.strokes._GLYPHS)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "most", "expected"),
+    [
+        (0, 10, 5, [0, 2, 4, 6, 8, 10]),
+        (0, 1.96, 5, [0, 0.5, 1, 1.5]),
+        (0, 15, 5, [0, 5, 10, 15]),
+        (0, 3.4e-4, 5, [0, 1e-4, 2e-4, 3e-4]),
+        (0.3, 0.9, 5, [0.4, 0.6, 0.8]),
+        (0, 0, 5, [0]),
+        (0, float("inf"), 5, [0]),
+    ],
+)
+def test_ticks_are_round(
+    extension: ModuleType, low: float, high: float, most: int, expected: list[float]
+) -> None:
+    assert extension.plots.ticks(low, high, most) == pytest.approx(expected)
+
+
+def test_no_more_ticks_than_there_is_room_for(extension: ModuleType) -> None:
+    for span in np.random.default_rng(0).uniform(1e-6, 1e6, 300):
+        found = extension.plots.ticks(0.0, float(span), 5)
+        assert 2 <= len(found) <= 6
+        assert found[-1] <= span * (1 + 1e-9)
+
+
+def test_the_curve_goes_through_its_values(extension: ModuleType) -> None:
+    plots = extension.plots
+    seconds = np.linspace(0, 2, 200)
+    moved = np.stack([np.sin(3 * seconds), np.zeros(200), np.zeros(200)], axis=1)
+    picture = plots.series(seconds, moved, extension.units.unit_of(None))
+    red = picture[..., 0] - picture[..., 2] > 0.3
+    middle, height = (plots._TOP + plots._BOTTOM) / 2, (plots._BOTTOM - plots._TOP) / 2 * 0.94
+    # Up is positive, and the largest value fills the height.
+    for part in (0.1, 0.26, 0.7, 0.95):
+        x = plots._LEFT + (plots._RIGHT - plots._LEFT) * part
+        y = np.flatnonzero(red[74:, int(x)]).mean() + 74.5
+        largest = np.abs(np.sin(3 * seconds)).max()
+        assert y == pytest.approx(middle - height * np.sin(3 * 2 * part) / largest, abs=3)
+
+
+def test_the_current_frame_is_marked_inside_the_recording_only(extension: ModuleType) -> None:
+    plots = extension.plots
+    picture = np.zeros((plots.SIDE, plots.SIDE, 4), np.float32)
+    marked = plots.mark_time(picture, 0.25)
+    columns = np.flatnonzero(marked[200, :, 0] > 0.3)
+    assert columns.mean() + 0.5 == pytest.approx(plots._LEFT + 0.25 * (plots._RIGHT - plots._LEFT), abs=1)
+    assert picture.max() == 0  # its input is as it was
+    for part in (-0.01, 1.01):
+        assert plots.mark_time(picture, part).max() == 0
+
+
+def test_the_bar_of_the_legend_has_the_colours_of_the_points(extension: ModuleType) -> None:
+    plots, colours = extension.plots, extension.colours
+    picture = plots.amplitude_legend(0.02, extension.units.unit_of(0.1))
+    column = picture[:, 60, :3]
+    rows = colours.display(colours.amplitude_map())
+    np.testing.assert_allclose(column[100], rows[-1], atol=0.02)
+    np.testing.assert_allclose(column[375], rows[0], atol=0.02)
+    np.testing.assert_allclose(column[238], rows[5], atol=0.02)
+    assert plots.amplitude_legend(0.0, extension.units.unit_of(None)).shape == picture.shape
+
+
+def test_the_wheel_has_the_colours_of_the_phases(extension: ModuleType) -> None:
+    picture = extension.plots.phase_legend(0.001, extension.units.unit_of(None))
+    rows = extension.colours.display(extension.colours.phase_map())
+    for turn in (0.0, 0.25, 0.5, 0.75, 0.125):
+        x = int(200 + 75 * np.cos(2 * np.pi * turn))
+        y = int(204 - 75 * np.sin(2 * np.pi * turn))
+        np.testing.assert_allclose(picture[y, x, :3], rows[round(turn * 24)], atol=0.03)
+
+
+def test_display_undoes_linear(extension: ModuleType) -> None:
+    values = np.linspace(0, 1, 50)
+    np.testing.assert_allclose(extension.colours.display(extension.colours.linear(values)), values, atol=1e-4)
+
+
+def test_units_are_millimetres_where_they_can_be(extension: ModuleType) -> None:
+    unit_of = extension.units.unit_of
+    assert unit_of(0.1).text(0.0123456) == "1.235 mm"
+    assert unit_of(0.1, digits=2).text(0.0123456) == "1.2 mm"
+    assert unit_of(0.1, metric=False).text(0.0123456) == "0.01235 scene units"
+    assert unit_of(None).text(0.0123456) == "0.01235 scene units"

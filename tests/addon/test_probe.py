@@ -1,0 +1,329 @@
+"""The probe: what it reads is what numpy computes from the file, in every way to choose, and as CSV."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.addon.conftest import some_splat
+from tg4mm.splatfile import positions_at, read_splat, write_splat
+
+bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install 'tg4mm[generate]'")
+
+from tests.addon.playing import import_splat, setter  # noqa: E402
+
+TURNS = np.arange(3600) * 2 * np.pi / 3600
+
+
+@pytest.fixture
+def moving(extension: ModuleType, splat_path: Path) -> Any:
+    return import_splat(splat_path)
+
+
+def mean_of(path: Path, chosen: list[int]) -> np.ndarray:
+    """[M, 3] the mean phasor by opacity."""
+    splat = read_splat(path)
+    w = splat.opacities[chosen].astype(float)
+    return (splat.displacement[:, chosen] * w[None, :, None]).sum(axis=1) / w.sum()
+
+
+def select(obj: Any, chosen: list[int]) -> None:
+    flags = np.zeros(len(obj.data.vertices), bool)
+    flags[chosen] = True
+    obj.data.vertices.foreach_set("select", flags)
+
+
+def reading(extension: ModuleType, obj: Any, source: str) -> Any:
+    assert bpy.ops.tg4mm.probe(source=source) == {"FINISHED"}
+    return extension.picking.stored(obj)
+
+
+def test_a_selected_point_is_read(extension: ModuleType, moving: Any, splat_path: Path) -> None:
+    select(moving, [7])
+    found = reading(extension, moving, "SELECTION")
+    np.testing.assert_allclose(found.phasors, read_splat(splat_path).displacement[:, 7], rtol=1e-6)
+    assert (found.label, list(found.freqs_hz)) == ("Point 7", [3.0, 5.0, 7.5])
+
+
+def test_of_several_the_mean_by_opacity(extension: ModuleType, moving: Any, splat_path: Path) -> None:
+    select(moving, [2, 5, 11])
+    found = reading(extension, moving, "SELECTION")
+    np.testing.assert_allclose(found.phasors, mean_of(splat_path, [2, 5, 11]), rtol=1e-5)
+    assert found.label == "3 points"
+    plain = read_splat(splat_path).displacement[:, [2, 5, 11]].mean(axis=1)
+    assert np.abs(found.phasors - plain).max() > 1e-3
+
+
+def test_in_edit_mode_too(extension: ModuleType, moving: Any, splat_path: Path) -> None:
+    import bmesh
+
+    meshes = len(bpy.data.meshes)
+    bpy.ops.object.mode_set(mode="EDIT")
+    try:
+        with pytest.raises(RuntimeError, match="No point is selected: enter Edit Mode"):
+            bpy.ops.tg4mm.probe(source="SELECTION")
+        bm = bmesh.from_edit_mesh(moving.data)
+        bm.verts.ensure_lookup_table()
+        for i in (4, 9):
+            bm.verts[i].select_set(True)
+        found = reading(extension, moving, "SELECTION")
+    finally:
+        bpy.ops.object.mode_set(mode="OBJECT")
+    np.testing.assert_allclose(found.phasors, mean_of(splat_path, [4, 9]), rtol=1e-5)
+    assert len(bpy.data.meshes) == meshes
+    again = reading(extension, moving, "SELECTION")  # still selected after Edit Mode
+    np.testing.assert_array_equal(again.phasors, found.phasors)
+
+
+def test_nothing_selected_is_said_in_a_line(extension: ModuleType, moving: Any) -> None:
+    with pytest.raises(RuntimeError, match="No point is selected"):
+        bpy.ops.tg4mm.probe(source="SELECTION")
+    assert extension.picking.stored(moving) is None
+    with pytest.raises(RuntimeError, match="No sphere is there: add one"):
+        bpy.ops.tg4mm.probe(source="SPHERE")
+    setter(extension, moving)(extension.names.MIN_OPACITY, 1.0)
+    with pytest.raises(RuntimeError, match="No Gaussian is as opaque as Minimum Opacity, 1"):
+        bpy.ops.tg4mm.probe(source="CURSOR")
+
+
+def test_the_nearest_drawn_gaussian_to_the_cursor(
+    extension: ModuleType, moving: Any, splat_path: Path
+) -> None:
+    splat = read_splat(splat_path)
+    moving.location, moving.rotation_euler, moving.scale = (1.0, -2.0, 0.5), (0.3, 0.5, -1.0), (2.0, 1.0, 0.5)
+    bpy.context.view_layer.update()
+    matrix = np.array(moving.matrix_world)
+    world = splat.means @ matrix[:3, :3].T + matrix[:3, 3]
+    faint = splat.opacities < 0.1
+    assert faint.any()
+    for i in range(len(splat)):
+        bpy.context.scene.cursor.location = world[i]
+        found = reading(extension, moving, "CURSOR")
+        away = np.linalg.norm(world - world[i], axis=1)
+        away[faint] = np.inf
+        assert found.label == f"Point {away.argmin()}"
+        assert (found.label == f"Point {i}") is not faint[i]
+
+
+def test_all_gaussians_in_a_sphere(extension: ModuleType, moving: Any, splat_path: Path) -> None:
+    splat = read_splat(splat_path)
+    moving.location = (0.5, 0.0, 0.0)
+    bpy.context.scene.cursor.location = (0.7, 0.2, 0.1)
+    bpy.context.view_layer.update()
+    assert bpy.ops.tg4mm.add_probe_sphere() == {"FINISHED"}
+    sphere = bpy.context.object
+    assert (sphere.type, sphere.empty_display_type) == ("EMPTY", "SPHERE")
+    sphere.empty_display_size, sphere.scale = 0.5, (2.0, 2.0, 3.0)
+    bpy.context.view_layer.update()
+    off = (splat.means + [0.5, 0, 0] - [0.7, 0.2, 0.1]) / [1.0, 1.0, 1.5]
+    inside = np.flatnonzero(np.linalg.norm(off, axis=1) <= 1.0)
+    assert 1 < len(inside) < len(splat)
+    # The sphere is active; the panel and the operators still mean its splats.
+    assert extension.scene.splat_object(bpy.context) == moving
+    found = reading(extension, moving, "SPHERE")
+    np.testing.assert_allclose(found.phasors, mean_of(splat_path, list(inside)), rtol=1e-5)
+    assert found.label == f"{len(inside)} points"
+    sphere.location = (50.0, 0.0, 0.0)
+    bpy.context.view_layer.update()
+    with pytest.raises(RuntimeError, match="No Gaussian's rest position is inside bell probe"):
+        bpy.ops.tg4mm.probe(source="SPHERE")
+    np.testing.assert_array_equal(extension.picking.stored(moving).phasors, found.phasors)  # as it was
+
+
+def test_a_point_that_is_see_through_has_a_motion(extension: ModuleType) -> None:
+    m = np.array([[[1j, 2, 3]], [[4, 5, 6j]]])
+    np.testing.assert_array_equal(extension.probe.mean_phasor(m, np.zeros(1)), m[:, 0])
+
+
+def test_ellipse_is_the_path(extension: ModuleType, moving: Any, splat_path: Path) -> None:
+    select(moving, [3])
+    found = reading(extension, moving, "SELECTION")
+    for k, e in enumerate(extension.probe.ellipses(found)):
+        path = (found.phasors[k][None] * np.exp(1j * TURNS)[:, None]).real
+        lengths = np.linalg.norm(path, axis=1)
+        assert e.amplitude == pytest.approx(lengths.max(), rel=1e-5)
+        assert e.second == pytest.approx(lengths.min(), rel=1e-3)
+        long, short = np.array(e.direction), np.array(e.second_direction)
+        assert np.linalg.norm(long) == pytest.approx(1) == pytest.approx(np.linalg.norm(short))
+        assert long @ short == pytest.approx(0, abs=1e-9)
+        assert long @ found.axes[k] >= 0
+        turned = TURNS + np.radians(e.phase_deg)
+        along = e.amplitude * np.cos(turned)[:, None] * long + e.second * np.sin(turned)[:, None] * short
+        np.testing.assert_allclose(along, path, atol=1e-12)
+
+
+def test_direction_and_phase_of_a_line(extension: ModuleType) -> None:
+    m = 0.3 * np.array([0.6, 0.0, -0.8]) * np.exp(0.5j)
+    e = extension.probe.ellipse(4.0, m, np.array([1.0, 0.0, 0.0]))
+    assert (e.amplitude, e.phase_deg) == (pytest.approx(0.3), pytest.approx(np.degrees(0.5)))
+    assert e.direction == pytest.approx((0.6, 0.0, -0.8))
+    assert (e.second, e.second_direction) == (0.0, (0.0, 0.0, 0.0))
+    other = extension.probe.ellipse(4.0, m, np.array([0.0, 0.0, 1.0]))
+    assert other.direction == pytest.approx((-0.6, 0.0, 0.8))
+    assert other.phase_deg == pytest.approx(np.degrees(0.5) + 180)
+    still = extension.probe.ellipse(4.0, 0 * m, np.array([1.0, 0.0, 0.0]))
+    assert (still.amplitude, still.phase_deg, still.direction) == (0.0, 0.0, (0.0, 0.0, 0.0))
+
+
+def test_phase_is_that_of_the_colours(extension: ModuleType, moving: Any) -> None:
+    for i in range(5):
+        select(moving, [i])
+        found = reading(extension, moving, "SELECTION")
+        for k, e in enumerate(extension.probe.ellipses(found)):
+            turns = moving.data.attributes[extension.names.phase(k)].data[i].value
+            assert (e.phase_deg / 360 - turns + 0.5) % 1 == pytest.approx(0.5, abs=1e-5)
+
+
+def test_series_is_the_motion_that_was_measured(extension: ModuleType, moving: Any, splat_path: Path) -> None:
+    setter(extension, moving)(extension.names.ALPHA, 30.0)
+    bpy.ops.tg4mm.band(frequency=5.0)
+    select(moving, [6])
+    splat, found = read_splat(splat_path), reading(extension, moving, "SELECTION")
+    seconds, moved = extension.probe.series(found)
+    assert len(seconds) == splat.n_timesteps
+    for t in (0, 1, 20, 47):
+        assert seconds[t] == pytest.approx(t / splat.fps)
+        np.testing.assert_allclose(moved[t], (positions_at(splat, t) - splat.means)[6], atol=1e-6)
+    fine, between = extension.probe.series(found, 4)
+    np.testing.assert_allclose(between[::4], moved, atol=1e-12)
+    assert fine[-1] == seconds[-1]
+    np.testing.assert_allclose(between[5], (positions_at(splat, 1.25) - splat.means)[6], atol=1e-6)
+
+
+def table(path: Path) -> tuple[list[str], list[dict[str, float]]]:
+    lines = path.read_text(encoding="utf-8").splitlines()
+    head = [line for line in lines if line.startswith("#")]
+    rows = list(csv.DictReader(lines[len(head) :]))
+    return head, [{key: float(value) for key, value in row.items()} for row in rows]
+
+
+@pytest.mark.parametrize(("scale", "unit", "factor"), [(None, "scene_units", 1.0), (0.25, "mm", 250.0)])
+def test_csv_holds_the_series_and_the_phasors(
+    extension: ModuleType, tmp_path: Path, splat_path: Path, scale: float | None, unit: str, factor: float
+) -> None:
+    splat = replace(read_splat(splat_path), unit_scale_m=scale)
+    write_splat(tmp_path / "scaled.ply", splat)
+    obj = import_splat(tmp_path / "scaled.ply")
+    select(obj, [8])
+    reading(extension, obj, "SELECTION")
+    out = tmp_path / "out.csv"
+    assert bpy.ops.tg4mm.export_probe(filepath=str(out), content="SERIES") == {"FINISHED"}
+    head, rows = table(out)
+    assert unit.replace("_", " ") in head[-1]
+    assert len(rows) == splat.n_timesteps
+    assert list(rows[0]) == ["time_s", f"x_{unit}", f"y_{unit}", f"z_{unit}"]
+    for t in (0, 13, 47):
+        moved = [rows[t][f"{axis}_{unit}"] for axis in "xyz"]
+        np.testing.assert_allclose(
+            moved, factor * (positions_at(splat, t) - splat.means)[8], rtol=1e-3, atol=1e-5
+        )
+        assert rows[t]["time_s"] == pytest.approx(t / 24)
+    done = bpy.ops.tg4mm.export_probe(filepath=str(out), content="SERIES", per_timestep=3)
+    assert done == {"FINISHED"}
+    assert len(table(out)[1]) == 3 * 47 + 1  # over what was there
+    assert bpy.ops.tg4mm.export_probe(filepath=str(out), content="PHASORS") == {"FINISHED"}
+    head, rows = table(out)
+    for k, row in enumerate(rows):
+        m = [complex(row[f"re_{axis}_{unit}"], row[f"im_{axis}_{unit}"]) for axis in "xyz"]
+        np.testing.assert_allclose(m, factor * splat.displacement[k, 8], rtol=1e-5)
+        assert row["frequency_hz"] == splat.freqs_hz[k]
+        path = np.linalg.norm((np.array(m)[None] * np.exp(1j * TURNS)[:, None]).real, axis=1)
+        assert row[f"amplitude_{unit}"] == pytest.approx(path.max(), rel=1e-5)
+        assert row[f"second_axis_{unit}"] == pytest.approx(path.min(), rel=1e-3)
+    assert [path.name for path in tmp_path.iterdir() if "partial" in path.name] == []
+
+
+def test_a_name_with_a_line_break_stays_in_the_head(
+    extension: ModuleType, moving: Any, tmp_path: Path
+) -> None:
+    select(moving, [1])
+    reading(extension, moving, "SELECTION")
+    moving.name = "bell\n1,2,3,4"
+    assert bpy.ops.tg4mm.export_probe(filepath=str(tmp_path / "a.csv"), content="SERIES") == {"FINISHED"}
+    assert len(table(tmp_path / "a.csv")[1]) == 48
+
+
+def test_export_without_a_reading_or_a_folder(extension: ModuleType, moving: Any, tmp_path: Path) -> None:
+    with pytest.raises(RuntimeError, match="Nothing is probed yet"):
+        bpy.ops.tg4mm.export_probe(filepath=str(tmp_path / "a.csv"))
+    select(moving, [1])
+    reading(extension, moving, "SELECTION")
+    with pytest.raises(RuntimeError, match=r"none/a\.csv: cannot be written: No such file"):
+        bpy.ops.tg4mm.export_probe(filepath=str(tmp_path / "none" / "a.csv"))
+    assert not (tmp_path / "none").exists()
+
+
+def test_failed_write_keeps_what_was_there(
+    extension: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "kept.csv"
+    path.write_text("old", encoding="utf-8")
+
+    def full(*_: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(extension.saving.os, "replace", full)
+    with pytest.raises(OSError, match="No space left"):
+        extension.saving.write_text(path, "new")
+    assert path.read_text(encoding="utf-8") == "old"
+    assert [other.name for other in tmp_path.iterdir()] == ["kept.csv"]
+
+
+def test_a_still_file_cannot_be_probed(extension: ModuleType, tmp_path: Path) -> None:
+    write_splat(tmp_path / "still.ply", some_splat(5, (), degree=0))
+    import_splat(tmp_path / "still.ply")
+    assert not bpy.ops.tg4mm.probe.poll()
+    assert not bpy.ops.tg4mm.export_probe.poll()
+    assert not bpy.ops.tg4mm.add_probe_sphere.poll()
+
+
+def test_a_lost_attribute_is_said(extension: ModuleType, moving: Any) -> None:
+    select(moving, [1])
+    moving.data.attributes.remove(moving.data.attributes["mode_1_im"])
+    with pytest.raises(RuntimeError, match="Attribute 'mode_1_im' of the points is gone"):
+        bpy.ops.tg4mm.probe(source="SELECTION")
+
+
+def test_a_reading_is_saved_with_the_file(extension: ModuleType, moving: Any, tmp_path: Path) -> None:
+    select(moving, [2, 3])
+    found = reading(extension, moving, "SELECTION")
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "probe.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "probe.blend"))
+    again = extension.picking.stored(bpy.data.objects["bell"])
+    np.testing.assert_array_equal(again.phasors, found.phasors)
+    np.testing.assert_array_equal(again.axes, found.axes)
+    assert (again.label, again.fps, again.n_timesteps) == (found.label, 24.0, 48)
+
+
+def test_curve_marks_the_current_frame(extension: ModuleType, moving: Any) -> None:
+    put, names = setter(extension, moving), extension.names
+    select(moving, [2])
+    found = reading(extension, moving, "SELECTION")
+    part = extension.panel_probe.time_part
+    for first, speed, frame, expected in ((1, 1.0, 1, 0.0), (1, 1.0, 48, 1.0), (11, 0.5, 58, 0.5)):
+        put(names.FIRST, float(first))
+        put(names.SPEED, speed)
+        bpy.context.scene.frame_set(frame)
+        assert part(bpy.context, moving, found) == pytest.approx(expected)
+    unit = extension.units.unit_of(None)
+    function, *arguments = extension.panel_probe.curve_picture(found, unit, 0.5)
+    expected = extension.plots.series(*extension.probe.series(found, 8), unit)
+    np.testing.assert_array_equal(function(*arguments), extension.plots.mark_time(expected, 0.5))
+
+
+def test_rows_are_the_largest_by_frequency(extension: ModuleType) -> None:
+    amplitudes = np.array([1.0, 0.001, 8.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0])
+    phasors = np.zeros((9, 3), complex)
+    phasors[:, 1] = amplitudes
+    found = extension.probe.Probe("p", np.arange(9.0), phasors, np.tile([0.0, 1.0, 0.0], (9, 1)), 30.0, 30)
+    rows, left_out = extension.panel_probe.shown_ellipses(found)
+    assert [e.frequency_hz for e in rows] == [2, 6, 7, 8]
+    assert left_out == 5
+    texts = extension.panel_probe.row_texts(rows[0], extension.units.unit_of(0.001))
+    assert texts == ("2 Hz", "8 mm", "0°", "along (0.00, 1.00, 0.00)", "0: moves along a line")

@@ -1,0 +1,190 @@
+"""The spectrum beside the band: how strong each mode is, its peaks, the picture, and when it is drawn anew."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.addon.conftest import some_splat
+from tg4mm.splatfile import read_splat, write_splat
+
+bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install 'tg4mm[generate]'")
+
+from tests.addon.playing import import_splat, setter  # noqa: E402
+
+TURNS = np.exp(2j * np.pi * np.arange(3600) / 3600)
+
+
+def amplitudes(path: Path) -> np.ndarray:
+    """[M, N] the longest excursion of every Gaussian at each frequency, by trying."""
+    phasors = read_splat(path).displacement
+    paths = (phasors[:, :, None, :] * TURNS[None, None, :, None]).real
+    return np.linalg.norm(paths, axis=3).max(axis=2)
+
+
+def picture_of(extension: ModuleType, obj: Any) -> tuple[Any, ...]:
+    return extension.panel.spectrum_picture(bpy.context, obj)
+
+
+def test_strength_is_the_rms_by_opacity_or_the_largest(extension: ModuleType, splat_path: Path) -> None:
+    obj = import_splat(splat_path)
+    a, w = amplitudes(splat_path), read_splat(splat_path).opacities
+    expected = np.sqrt((w * a**2).sum(axis=1) / w.sum())
+    np.testing.assert_allclose(extension.analysis.mode_strengths(obj, "RMS"), expected, rtol=1e-4)
+    np.testing.assert_allclose(extension.analysis.mode_strengths(obj, "PEAK"), a.max(axis=1), rtol=1e-4)
+    assert np.abs(a.max(axis=1) / expected - 1).min() > 0.1
+
+
+def test_rms_of_what_is_see_through_counts_all_alike(extension: ModuleType) -> None:
+    assert extension.spectrum.rms_amplitude(np.array([3.0, 4.0]), np.zeros(2)) == pytest.approx(12.5**0.5)
+
+
+@pytest.mark.parametrize(
+    ("freqs", "strengths", "expected"),
+    [
+        ((1, 2, 3, 4, 5), (0, 5, 1, 3, 0), (2, 4)),
+        ((5, 3, 4, 1, 2), (0, 1, 3, 0, 5), (2, 4)),  # in no order
+        ((1, 2, 3), (9, 2, 1), (1,)),  # the first
+        ((1, 2, 3), (1, 2, 9), (3,)),  # the last
+        ((1, 2, 3, 4), (0, 7, 7, 0), (2,)),  # alike
+        ((1, 2, 3, 4, 5), (0, 100, 1, 4, 0), (2,)),  # 4 is too small
+        ((1, 2, 3), (0, 0, 0), ()),
+        ((), (), ()),
+    ],
+)
+def test_peaks(
+    extension: ModuleType, freqs: tuple[float, ...], strengths: tuple[float, ...], expected: tuple[float, ...]
+) -> None:
+    assert tuple(freqs[k] for k in extension.spectrum.peaks(freqs, strengths)) == expected
+
+
+def test_of_many_peaks_the_largest_are_kept(extension: ModuleType) -> None:
+    freqs = np.arange(40.0)
+    strengths = np.where(freqs % 2 == 1, 50 + freqs, 1.0)
+    found = extension.spectrum.peaks(freqs, strengths)
+    assert [freqs[k] for k in found] == [29, 31, 33, 35, 37, 39]
+
+
+def test_band_around_a_peak_is_set_by_its_button(extension: ModuleType, splat_path: Path) -> None:
+    obj = import_splat(splat_path)
+    assert extension.analysis.band(obj) == (0.0, 12.0)  # half of 24 Hz
+    for width, frequency, expected in (
+        (2.0, 5.0, (4.0, 6.0)),
+        (8.0, 3.0, (0.0, 7.0)),
+        (0.0, 7.5, (7.0, 8.0)),
+    ):
+        assert bpy.ops.tg4mm.band(frequency=frequency, width=width) == {"FINISHED"}
+        assert extension.analysis.band(obj) == pytest.approx(expected)
+    assert extension.analysis.active_modes(obj) == [2]
+    assert bpy.ops.tg4mm.band() == {"FINISHED"}
+    assert extension.analysis.band(obj) == (0.0, 12.0)
+
+
+def test_a_file_without_motion_has_no_band(extension: ModuleType, tmp_path: Path) -> None:
+    write_splat(tmp_path / "still.ply", some_splat(5, (), degree=0))
+    import_splat(tmp_path / "still.ply")
+    assert not bpy.ops.tg4mm.band.poll()
+    with pytest.raises(RuntimeError, match="poll"):
+        bpy.ops.tg4mm.band(frequency=3.0)
+
+
+def test_bars_are_as_high_as_the_modes_are_strong(extension: ModuleType) -> None:
+    plots, unit = extension.plots, extension.units.unit_of(None)
+    freqs, strengths = (2.0, 5.0, 8.0), (0.5, 2.0, 1.0)
+    picture = plots.spectrum(freqs, strengths, (4.0, 6.0), 10.0, "Amplitude", unit)
+    bottom = round(plots._BOTTOM) - 3
+    heights, colours = [], []
+    for f in freqs:
+        x = round(plots._LEFT + (plots._RIGHT - plots._LEFT) * f / 10.0)
+        column = picture[:, x, :3]
+        same = np.abs(column[: bottom + 1] - column[bottom]).max(axis=1) < 0.02
+        heights.append(len(same) - 1 - np.flatnonzero(~same).max())
+        colours.append(tuple(np.round(column[bottom], 2)))
+    np.testing.assert_allclose(np.array(heights) / heights[1], [0.25, 1.0, 0.5], atol=0.03)
+    assert colours[0] == colours[2] != colours[1]  # inside the band and outside
+
+
+def test_the_band_is_shaded_where_it_is(extension: ModuleType) -> None:
+    plots, unit = extension.plots, extension.units.unit_of(None)
+    with_band = plots.spectrum((1.0,), (1.0,), (4.0, 6.0), 10.0, "A", unit)
+    without = plots.spectrum((1.0,), (1.0,), (0.0, 0.0), 10.0, "A", unit)
+    row = round(plots._TOP) + 20
+    shaded = np.flatnonzero(np.abs(with_band - without)[row].max(axis=1) > 0.05)
+    span = plots._RIGHT - plots._LEFT
+    assert shaded.min() == pytest.approx(plots._LEFT + 0.4 * span, abs=3)
+    assert shaded.max() == pytest.approx(plots._LEFT + 0.6 * span, abs=3)
+
+
+def test_the_picture_is_drawn_once_for_each_band(
+    extension: ModuleType, splat_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    obj, pictures = import_splat(splat_path), extension.pictures.shared()
+    drawn, draw = [], extension.plots.spectrum
+    monkeypatch.setattr(extension.plots, "spectrum", lambda *a: drawn.append(a) or draw(*a))
+    key = picture_of(extension, obj)
+    for _ in range(3):  # a panel is drawn many times
+        pictures.icon(*key)
+    assert (pictures.waiting, drawn) == (1, [])
+    pictures.refresh()
+    pictures.icon(*picture_of(extension, obj))
+    assert (pictures.waiting, len(drawn)) == (0, 1)
+    bpy.ops.tg4mm.band(frequency=5.0)
+    pictures.icon(*picture_of(extension, obj))
+    assert pictures.waiting == 1
+    pictures.refresh()
+    assert len(drawn) == 2
+    shown = pictures.pixels(*picture_of(extension, obj))
+    np.testing.assert_allclose(shown / 255, draw(*picture_of(extension, obj)[1:]), atol=0.51 / 255)
+
+
+def test_another_file_has_another_picture(extension: ModuleType, splat_path: Path, tmp_path: Path) -> None:
+    obj = import_splat(splat_path)
+    first = picture_of(extension, obj)
+    splat = read_splat(splat_path)
+    write_splat(tmp_path / "loud.ply", replace(splat, displacement=2 * splat.displacement, unit_scale_m=0.5))
+    loud = picture_of(extension, import_splat(tmp_path / "loud.ply"))
+    np.testing.assert_allclose(loud[2], 2 * np.array(first[2]), rtol=1e-5)
+    assert (first[-1].name, loud[-1].name) == ("scene units", "mm")
+    view = extension.view_settings.of(bpy.context)
+    view.measure = "PEAK"
+    assert picture_of(extension, obj)[2] == tuple(obj[extension.names.MODE_AMPLITUDES])
+    view.measure = "RMS"
+
+
+def test_old_pictures_make_room(extension: ModuleType) -> None:
+    pictures, most = extension.pictures.shared(), extension.pictures.MOST
+    unit = extension.units.unit_of(None)
+    function = extension.plots.amplitude_legend
+    for i in range(most + 3):
+        pictures.icon(function, float(i + 1), unit)
+        pictures.refresh()
+        assert pictures.pixels(function, float(i + 1), unit) is not None
+    assert pictures.pixels(function, 3.0, unit) is None
+    assert pictures.pixels(function, 4.0, unit) is not None
+
+
+def test_a_picture_fits_the_sidebar(extension: ModuleType) -> None:
+    def width(pixels: int, scale: float = 1.0) -> float:
+        system = SimpleNamespace(system=SimpleNamespace(ui_scale=scale))
+        return extension.pictures.fitting_width(
+            SimpleNamespace(region=SimpleNamespace(width=pixels), preferences=system)
+        )
+
+    assert width(220) == pytest.approx(8.0)
+    assert width(440, 2.0) == pytest.approx(8.0)
+    assert width(2000) == 11.0
+    assert width(30) == 4.0
+
+
+def test_drawing_a_panel_writes_nothing(extension: ModuleType, splat_path: Path) -> None:
+    obj = import_splat(splat_path)
+    setter(extension, obj)(extension.names.COLOUR_BY, extension.names.PHASE_COLOUR)
+    before = {key: str(value) for key, value in obj.items()}
+    key = picture_of(extension, obj)
+    extension.pictures.shared().icon(*key)
+    assert {key: str(value) for key, value in obj.items()} == before

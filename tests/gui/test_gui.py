@@ -1,0 +1,177 @@
+"""The extension in the real Blender, by mouse: import, the tab, the slider, playback, display modes.
+
+One Blender for all of it; each test goes on from the one before. `make test-gui` builds what is needed and runs it.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tg4mm.splatfile import SplatFile, positions_at
+
+from . import looking, sidebar
+from .conftest import SPLAT, drum
+from .session import Session, missing
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        os.environ.get("TG4MM_GUI") != "1",
+        reason=f"drives the real Blender on a virtual screen: make test-gui ({missing() or 'ready'})",
+    ),
+]
+SAME = 2e-5  # scene units, of a scene 2 units wide
+
+
+@pytest.fixture(scope="module")
+def splat() -> SplatFile:
+    return drum()
+
+
+def view_of(blender: Session, picture: np.ndarray) -> np.ndarray:
+    """The middle of the 3D view, between the tools and the sidebar."""
+    box = blender.region("VIEW_3D")
+    sides = blender.region("VIEW_3D", "UI").width + 60
+    return picture[box.top + 90 : box.top + box.height, box.left + 100 : box.left + box.width - sides]
+
+
+def expected(blender: Session, splat: SplatFile) -> np.ndarray:
+    """[N, 3] by the core's formula, for the frame and the inputs that Blender has now."""
+    inputs = blender.ask("inputs")
+    return positions_at(splat, blender.ask("frame")["current"] - 1, inputs["Magnification"])
+
+
+def test_the_window_opens_and_the_extension_raises_nothing(blender: Session, pictures: Path) -> None:
+    assert blender.ask("version")[:2] == [5, 2]
+    assert not looking.is_blank(blender.picture(pictures / "01_start.png"))
+    assert blender.complaints() == []
+
+
+def test_the_import_menu_reads_the_file(blender: Session, splat: SplatFile, pictures: Path) -> None:
+    blender.ask("clear")
+    assert sidebar.import_by_menu(blender, SPLAT) == Path(SPLAT).stem
+    blender.ask("view", look_from=[0.3, -1.0, 0.7], at=[0, 0, 0], distance=4.5)
+    frame = blender.ask("frame")
+    assert (frame["first"], frame["last"], frame["fps"]) == (1, splat.n_timesteps, splat.fps)
+    np.testing.assert_allclose(blender.places(), expected(blender, splat), atol=SAME)
+    assert not looking.is_blank(view_of(blender, blender.picture(pictures / "02_imported.png")))
+
+
+def test_the_tab_opens_in_the_sidebar(blender: Session, pictures: Path) -> None:
+    sidebar.open_tab(blender)
+    time.sleep(0.5)
+    picture = blender.picture(pictures / "03_tab.png")
+    assert not looking.is_blank(looking.cut(picture, blender.region("VIEW_3D", "UI")))
+    assert blender.complaints() == []
+
+
+def test_dragging_the_alpha_slider_moves_the_points(
+    blender: Session, splat: SplatFile, pictures: Path
+) -> None:
+    before = blender.places()
+    alpha = sidebar.drag_value(blender, "Magnification", 150)
+    assert alpha > 0.5
+    now = blender.places()
+    np.testing.assert_allclose(now, expected(blender, splat), atol=SAME)
+    grown = (now - splat.means)[:, 2], (before - splat.means)[:, 2]
+    np.testing.assert_allclose(grown[0], (1 + alpha) * grown[1], atol=SAME)
+    assert np.abs(grown[1]).max() > 0.005  # there was something to grow
+    blender.picture(pictures / "04_dragged.png")
+
+
+def test_a_typed_alpha_shows_in_the_view(blender: Session, splat: SplatFile, pictures: Path) -> None:
+    first = blender.picture(pictures / "05_before_typing.png")
+    sidebar.type_value(blender, "Magnification", "25")
+    np.testing.assert_allclose(blender.places(), expected(blender, splat), atol=SAME)
+    second = blender.picture(pictures / "06_alpha_25.png")
+    assert looking.changed(view_of(blender, first), view_of(blender, second)) > 0.01
+    assert blender.complaints() == []
+
+
+def test_the_timeline_plays(blender: Session, splat: SplatFile, pictures: Path) -> None:
+    box = blender.region("VIEW_3D")
+    blender.move(box.left + 300, box.top + 500)
+    blender.key("space")
+    blender.wait(lambda: blender.ask("frame")["playing"], "playback")
+    shots, frames = [], []
+    for i in range(4):
+        frames.append(blender.ask("frame")["current"])
+        shots.append(view_of(blender, blender.picture(pictures / f"07_playing_{i}.png")))
+        blender.wait(lambda: blender.ask("frame")["current"] != frames[-1], "the next frame")
+        time.sleep(0.37)  # no multiple of either period
+    blender.key("space")
+    blender.wait(lambda: not blender.ask("frame")["playing"], "the end of playback")
+    assert len(set(frames)) > 1
+    assert all(looking.changed(a, b) > 0.005 for a, b in zip(shots, shots[1:], strict=False))
+    np.testing.assert_allclose(blender.places(), expected(blender, splat), atol=SAME)
+
+
+def test_a_frequency_is_switched_off(blender: Session, splat: SplatFile, pictures: Path) -> None:
+    blender.click(*sidebar.find(blender, "5 Hz"))
+    blender.wait(lambda: blender.ask("inputs")["5 Hz"] is False, "the 5 Hz mode to be off")
+    alone = SplatFile(**{**vars(splat), "displacement": splat.displacement * [[[1]], [[0]]]})
+    np.testing.assert_allclose(blender.places(), expected(blender, alone), atol=SAME)
+    blender.picture(pictures / "08_one_frequency.png")
+    blender.click(*sidebar.find(blender, "5 Hz"))
+    blender.wait(lambda: blender.ask("inputs")["5 Hz"] is True, "the 5 Hz mode to be on")
+
+
+def test_solid_view_takes_colours(blender: Session, pictures: Path) -> None:
+    box = blender.region("VIEW_3D")
+    blender.click(box.left + 120, box.top + 620)  # beside the drum: an outline would hide it
+    time.sleep(0.5)
+    grey = view_of(blender, blender.picture(pictures / "09_grey.png"))
+    sidebar.press(blender, "bpy.ops.tg4mm.solid_colours()")
+    blender.wait(lambda: blender.ask("inputs")["Solid View Colours"], "colours in Solid view")
+    time.sleep(1.0)
+    colours = view_of(blender, blender.picture(pictures / "10_solid_colours.png"))
+    assert looking.coloured(colours) > looking.coloured(grey) + 0.05
+
+
+def test_display_modes_look_different(blender: Session, pictures: Path) -> None:
+    shots = {}
+    for mode in ("Points", "Arrows", "Splats", "Ellipsoids"):
+        sidebar.choose(blender, "Draw As", mode)
+        blender.move(*blender.region("DOPESHEET_EDITOR").middle)  # no tooltip
+        time.sleep(1.5)
+        shots[mode] = view_of(blender, blender.picture(pictures / f"11_{mode.lower()}.png"))
+        assert not looking.is_blank(shots[mode])
+    for mode in ("Points", "Arrows"):
+        assert looking.changed(shots[mode], shots["Ellipsoids"]) > 0.01, mode
+    assert blender.complaints() == []
+
+
+def test_colours_show_amplitude_and_phase(blender: Session, pictures: Path) -> None:
+    shots = []
+    for by in ("File", "Amplitude", "Phase"):
+        sidebar.choose(blender, "Colour By", by)
+        blender.move(*blender.region("DOPESHEET_EDITOR").middle)
+        time.sleep(1.5)
+        shots.append(view_of(blender, blender.picture(pictures / f"12_{by.lower()}.png")))
+    assert looking.changed(shots[0], shots[1]) > 0.02
+    assert looking.changed(shots[1], shots[2]) > 0.02
+    sidebar.choose(blender, "Colour By", "File")
+
+
+def test_material_preview_shows_the_colours_of_the_file(blender: Session, pictures: Path) -> None:
+    blender.ask("shading", kind="MATERIAL")
+    blender.move(*blender.region("DOPESHEET_EDITOR").middle)
+    shown = view_of(blender, blender.settled(pictures / "13_material.png"))
+    assert looking.coloured(shown) > 0.05
+    assert not looking.is_blank(shown)
+
+
+def test_undo_takes_the_last_change_back(blender: Session) -> None:
+    sidebar.type_value(blender, "Magnification", "3")
+    blender.move(*blender.region("VIEW_3D").middle)
+    blender.key("ctrl+z")
+    blender.wait(lambda: blender.ask("inputs")["Magnification"] == 25.0, "the magnification before")
+
+
+def test_nothing_was_complained_about(blender: Session) -> None:
+    assert blender.complaints() == [], blender.log()

@@ -1,0 +1,122 @@
+"""Unknown cameras: COLMAP's incremental mapper, and what came of it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Sequence
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+from tg4mm.errors import CaptureError
+from tg4mm.progress import progress
+from tg4mm.sfm.engine import colmap, extract, match
+
+EXHAUSTIVE_MOST = 150  # pictures; above, a sequence is matched with its neighbours only
+OVERLAP = 12  # neighbours in a sequence, and then those at 2, 4, 8 … times that
+FEWEST_FEATURES = 20  # in a picture, for it to be placed at all
+FEWEST_INLIERS = 15  # that COLMAP asks of the picture it places
+
+
+def picture_pairs(names: Sequence[str], sequential: bool) -> list[tuple[str, str]]:
+    """Pairs to match: all, or in a sequence the next OVERLAP and then ever rarer ones."""
+    if not sequential:
+        return list(combinations(names, 2))
+    steps = [*range(1, OVERLAP + 1)]
+    step = 2 * OVERLAP
+    while step < len(names):
+        steps.append(step)
+        step *= 2
+    return [(names[i], names[i + s]) for i in range(len(names)) for s in steps if i + s < len(names)]
+
+
+def find_poses(
+    database: Path,
+    images: Path,
+    masks: Path | None,
+    names: Sequence[str],
+    pairs: Sequence[tuple[str, str]],
+    seed: int,
+    threads: int,
+) -> Any:
+    """The pycolmap Reconstruction of most pictures; features and matches in the database are kept and added to.
+
+    Raises CaptureError where there is too little texture or overlap.
+    """
+    counts = extract(database, images, names, masks, threads)
+    poor = [name for name, count in zip(names, counts, strict=True) if count < FEWEST_FEATURES]
+    if len(names) - len(poor) < 3:
+        raise CaptureError(
+            f"too little texture: {len(poor)} of {len(names)} pictures have fewer than {FEWEST_FEATURES} features, "
+            f"{_some(poor)}"
+        )
+    if match(database, pairs, seed, threads) == 0:
+        raise CaptureError(f"no two of the {len(names)} pictures overlap: not one pair could be matched")
+    return _best_model(database, images, len(names), seed, threads)
+
+
+def _best_model(database: Path, images: Path, total: int, seed: int, threads: int) -> Any:
+    c = colmap("structure from motion")
+    c.set_random_seed(seed)
+    folder = database.parent / ".models.tmp"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    placed = 0
+    with progress("poses", total, "pictures") as update:
+
+        def next_image() -> None:
+            nonlocal placed
+            placed = min(placed + 1, total)
+            update(placed)
+
+        models = c.incremental_mapping(
+            database, images, folder, mapper_options(c, seed, threads), next_image_callback=next_image
+        )
+    shutil.rmtree(folder, ignore_errors=True)
+    if not models:
+        raise CaptureError(
+            f"no start found: of the {total} pictures no two show enough of the same from different places"
+        )
+    return max(models.values(), key=lambda model: (model.num_reg_images(), model.num_points3D()))
+
+
+def mapper_options(c: Any, seed: int, threads: int) -> Any:
+    """COLMAP's defaults, but for small sets and small pictures: fewer inliers suffice."""
+    options = c.IncrementalPipelineOptions()
+    options.num_threads = options.mapper.num_threads = threads
+    options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = seed
+    options.min_model_size = 3
+    options.mapper.init_min_num_inliers = 50
+    options.mapper.abs_pose_min_num_inliers = FEWEST_INLIERS
+    return options
+
+
+def save_model(model: Any, folder: Path) -> None:
+    """Write the model as `folder`, whole or not at all."""
+    temporary = folder.with_name(f".{folder.name}.tmp")
+    shutil.rmtree(temporary, ignore_errors=True)
+    temporary.mkdir(parents=True)
+    model.write(temporary)
+    os.replace(temporary, folder)
+
+
+def registered(model: Any) -> dict[str, Any]:
+    """Every placed pycolmap Image by its name."""
+    return {image.name: image for image in model.images.values() if image.has_pose}
+
+
+def _some(names: Sequence[str], most: int = 6) -> str:
+    shown = ", ".join(names[:most])
+    return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
+
+
+def check_registered(names: Sequence[str], placed: dict[str, Any], needs_all: bool) -> list[str]:
+    """The names that were not placed. Raises CaptureError listing them where all are needed, or half are missing."""
+    missing = [name for name in names if name not in placed]
+    if missing and (needs_all or 2 * len(missing) >= len(names) or len(names) - len(missing) < 3):
+        help_ = "; a sweep/ of further pictures between the cameras helps" if needs_all else ""
+        raise CaptureError(
+            f"{len(missing)} of {len(names)} pictures could not be placed: {_some(missing)}{help_}"
+        )
+    return missing

@@ -1,0 +1,83 @@
+"""What `tg4mm sfm` was asked for, kept in the folder it works in, so that only the same request goes on there."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tg4mm.errors import CaptureError
+from tg4mm.files import remove_leftovers, write_json
+from tg4mm.sfm.sources import Sources
+
+NAME = "request.json"
+# Settings that change scene.json alone: asked for anew, that is written again.
+SCENE_ONLY = ("unit_scale_m", "baseline", "fps")
+
+
+@dataclass(frozen=True)
+class Work:
+    """The folder OUT/sfm/ of one request."""
+
+    out: Path
+    folder: Path
+    settings: dict[str, Any]
+
+    def finished(self, fps: float | None) -> dict[str, Any] | None:
+        """What scene.json says of the reconstruction; None if the dataset is not complete, or of another scale."""
+        path = self.out / "scene.json"
+        if not path.is_file():
+            return None
+        scene = json.loads(path.read_text(encoding="utf-8"))
+        scale = {key: self.settings[key] for key in ("unit_scale_m", "baseline")}
+        same = scene.get("fps") == fps and scene.get("sfm", {}).get("scale") == scale
+        return scene["sfm"] if same else None
+
+
+def open_request(out: Path, sources: Sources, settings: dict[str, Any]) -> Work:
+    """OUT/sfm/, made or found again. Raises CaptureError where OUT holds other things, or another request's."""
+    asked = json.loads(json.dumps({"pictures": _files(sources), "settings": settings}))
+    folder = out / "sfm"
+    path = folder / NAME
+    if path.is_file():
+        try:
+            before = json.loads(path.read_text(encoding="utf-8"))
+        except ValueError as error:
+            raise CaptureError(f"{path}: is not valid JSON: {error}") from error
+        _check_same(out, before, asked)
+        remove_leftovers(folder)
+        return Work(out, folder, asked["settings"])
+    # A kill before request.json was renamed leaves its temporary file: that is still nothing.
+    begun = [p.name for p in folder.iterdir() if not p.name.startswith(".")] if folder.is_dir() else []
+    held = [p.name for p in out.iterdir() if p != folder or begun] if out.is_dir() else []
+    if held or (out.exists() and not out.is_dir()):
+        what = f"holds {min(held)}" if held else "is a file"
+        raise CaptureError(f"{out}: {what}; expected a new or empty folder, or one that tg4mm sfm has begun")
+    folder.mkdir(parents=True, exist_ok=True)
+    write_json(path, asked)
+    return Work(out, folder, asked["settings"])
+
+
+def _files(sources: Sources) -> dict[str, list[Any]]:
+    """Path and, for each file, its size and time of change."""
+
+    def stamp(path: Path) -> list[Any]:
+        state = path.stat()
+        return [path.name, state.st_size, state.st_mtime_ns]
+
+    files = {}
+    for clip in sources.every():
+        files[str(clip.path.resolve())] = [stamp(p) for p in (clip.pictures or (clip.path,))]
+    return files
+
+
+def _check_same(out: Path, before: dict[str, Any], asked: dict[str, Any]) -> None:
+    if before.get("pictures") != asked["pictures"]:
+        raise CaptureError(f"{out}: was begun with other pictures, or they have changed; give another --out")
+    for key, value in asked["settings"].items():
+        old = before.get("settings", {}).get(key)
+        if old != value and key not in SCENE_ONLY:
+            raise CaptureError(
+                f"{out}: was begun with {key} = {old}, asked is {value}; give the same or another --out"
+            )
