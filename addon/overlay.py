@@ -11,6 +11,7 @@ from . import analysis, preferences, scene, view_settings
 
 SIDE = 200  # pixels, at a resolution scale of 1
 EDGE = 16
+ABOVE = 44  # room for the box with the last operator's settings
 
 _handler: Any = None
 _drawn: tuple[Any, Any] | None = None  # what was drawn last, and its texture
@@ -40,7 +41,7 @@ def _draw() -> None:
     scale = context.preferences.system.ui_scale
     tools = next((r for r in context.area.regions if r.type == "TOOLS"), None)
     left = EDGE * scale + (tools.width if tools is not None and tools.width > 1 else 0)
-    draw_texture_2d(_drawn[1], (left, EDGE * scale), SIDE * scale, SIDE * scale)
+    draw_texture_2d(_drawn[1], (left, ABOVE * scale), SIDE * scale, SIDE * scale)
 
 
 def _texture(picture: np.ndarray) -> Any:

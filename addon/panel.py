@@ -138,8 +138,12 @@ class VIEW3D_PT_tg4mm_colours(_MotionTab, bpy.types.Panel):
             return
         compat.draw_input(layout, modifier, names.COLOUR_RANGE)
         layout.operator("tg4mm.fit_colour_range", icon="FULLSCREEN_EXIT")
-        layout.prop(view_settings.of(context), "legend")
-        pictures.draw(layout, pictures.fitting_width(context), *picture)
+        view = view_settings.of(context)
+        row = layout.row()
+        row.use_property_split = False  # else its name has half the width
+        row.prop(view, "legend")
+        if not view.legend:
+            pictures.draw(layout, pictures.fitting_width(context), *picture)
 
 
 def spectrum_picture(context: Any, obj: Any) -> tuple[Any, ...]:

@@ -288,7 +288,9 @@ def model_hash(run_path: Path) -> str:
     digest = hashlib.sha256()
     for name in ("space.safetensors", "motion.safetensors", "triplane.safetensors"):
         path = run_path / name
-        if path.exists() or not name.startswith("triplane"):  # so that other presets' digests stay as they were
+        if path.exists() or not name.startswith(
+            "triplane"
+        ):  # so that other presets' digests stay as they were
             digest.update(name.encode())
         if path.exists():
             with path.open("rb") as file:

@@ -22,7 +22,7 @@ from tg4mm.runs import Run
 from tg4mm.space import SpaceConfig, rest_views, train_space
 from tg4mm.space.train import checked as checked_space
 
-# Every preset's settings, by stage, at their defaults. The space stage of `paper` fits its base Gaussians, with [TG4MM]'s loss.
+# Every preset's settings, by stage, at their defaults. The space stage of `paper` fits base Gaussians by [TG4MM]'s loss.
 _BASE = SpaceConfig(l2=0.0)
 PRESETS: dict[str, dict[str, Any]] = {
     "modal": {"space": SpaceConfig(), "motion": MotionConfig()},
@@ -112,7 +112,7 @@ def _check(configs: Mapping[str, Any]) -> None:
 def _train_paper(
     run: Run, capture: Capture, images: ImageStack, configs: Mapping[str, Any], device: str
 ) -> None:
-    """Base Gaussians, space triplane, motion triplanes. space.safetensors holds the scene at rest, whatever is done yet."""
+    """Base Gaussians, space triplane, motion triplanes. space.safetensors is the scene at rest at every stage."""
     config = configs["paper"]
     if not has_model(run):
         views = first_views(capture, images)

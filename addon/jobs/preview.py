@@ -14,7 +14,6 @@ from bpy.app.handlers import persistent
 
 from .. import compat
 from ..generator.dataset_gen.errors import GenerateError
-from ..generator.dataset_gen.vibration import Motion
 from . import describe, objects, preview_nodes
 
 MARK = "tg4mm_preview"  # custom property of our data-blocks

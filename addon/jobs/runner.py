@@ -24,9 +24,15 @@ from .reading import Line, Progress, read_line
 
 PATIENCE_S = 5.0  # between one way of ending a program and the next, harder one
 _LISTEN_S = 1.0  # after a program's end, for output that is still under way
-_KEPT = 40  # lines and warnings kept of a program's output
+_KEPT = 40  # warnings
 _MOST_LINES = 2000  # taken in one poll, so that a program that floods its output does not block
 _WINDOWS = sys.platform == "win32"
+# So that a program can be ended together with what it has started.
+_OWN_GROUP: dict[str, Any] = (
+    {"creationflags": getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)}
+    if _WINDOWS
+    else {"start_new_session": True}
+)
 
 
 class State(Enum):
@@ -57,7 +63,7 @@ class Job:
         """Starts the first program. Raises OSError if that is impossible, ValueError without any."""
         if not steps:
             raise ValueError("a job needs at least one program")
-        self._waiting = deque(steps)
+        self._waiting = deque(steps[1:])
         self._environment = dict(os.environ if environment is None else environment)
         self.state, self.message = State.RUNNING, ""
         self.progress = Progress(steps[0].label)
@@ -65,7 +71,7 @@ class Job:
         self.warnings: deque[str] = deque(maxlen=_KEPT)
         self._asked_at: float | None = None  # when the end was asked for
         self._asked = 0  # how many times
-        self._next()
+        self._program = _Program(steps[0], self._environment)
 
     @property
     def running(self) -> bool:
@@ -80,18 +86,15 @@ class Job:
         """Takes in what the program has said and done since; True if something changed. Does not wait."""
         if not self.running:
             return False
-        changed = self._listen()
+        lines = self._program.heard()
+        for line in lines:
+            self._take(line)
         if self._asked_at is not None and time.monotonic() - self._asked_at > PATIENCE_S * self._asked:
-            self._end(self._asked)
+            self._program.end(self._asked)
             self._asked += 1
-        if self._process.poll() is None:
-            return changed
-        if self._ended_at is None:
-            self._ended_at = time.monotonic()
-        # A grandchild may hold the pipe open for ever: its end is waited for, but not long.
-        if not self._silent and time.monotonic() - self._ended_at < _LISTEN_S:
-            return changed
-        self._finish(self._process.returncode)
+        if not self._program.over():
+            return bool(lines)
+        self._finish()
         return True
 
     def cancel(self) -> None:
@@ -99,7 +102,7 @@ class Job:
         if self.running and self._asked_at is None:
             self._asked_at, self._asked = time.monotonic(), 1
             self.message = "Stopping"
-            self._end(0)
+            self._program.end(0)
 
     def close(self) -> None:
         """Ends the program now; waits for it, two seconds at most."""
@@ -107,75 +110,33 @@ class Job:
             return
         self._asked_at = self._asked_at or time.monotonic()
         for harder in (1, 2):
-            self._end(harder)
+            self._program.end(harder)
             with contextlib.suppress(subprocess.TimeoutExpired):
-                self._process.wait(1.0)
+                self._program.process.wait(1.0)
                 break
-        self._finish(self._process.poll())
-
-    def _next(self) -> None:
-        step = self._waiting.popleft()
-        self.progress = Progress(step.label)
-        self._tail: deque[str] = deque(maxlen=_KEPT)
-        self._error = ""
-        self._ended_at: float | None = None
-        self._silent = False
-        self._lines: queue.SimpleQueue[str | None] = queue.SimpleQueue()
-        own_group: dict[str, Any] = (
-            {"creationflags": getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)
-             | getattr(subprocess, "CREATE_NO_WINDOW", 0)}
-            if _WINDOWS
-            else {"start_new_session": True}
-        )  # fmt: skip
-        self._process = subprocess.Popen(
-            step.command,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            env=self._environment,
-            **own_group,
-        )
-        assert self._process.stdout is not None
-        arguments = (self._process.stdout.fileno(), self._process.stdout, self._lines)
-        threading.Thread(target=_read, args=arguments, daemon=True).start()
-
-    def _listen(self) -> bool:
-        changed = False
-        for _ in range(_MOST_LINES):
-            try:
-                text = self._lines.get_nowait()
-            except queue.Empty:
-                break
-            if text is None:
-                self._silent = True
-                break
-            changed = True
-            self._take(read_line(text))
-        return changed
+        self._finish()
 
     def _take(self, line: Line) -> None:
         if line.progress is not None:
             self.progress = line.progress
-            return
         if line.warning:
             self.warnings.append(line.warning)
-        if line.error:
-            self._error = line.error
         if line.result:
             self.results.append(line.result)
-        if line.text:
-            self._tail.append(line.text)
 
-    def _finish(self, status: int | None) -> None:
+    def _finish(self) -> None:
+        status = self._program.process.poll()
         if self._asked_at is not None:
-            self._end(2)  # whatever the program itself had started
+            self._program.end(2)  # whatever the program itself had started
             self._over(State.CANCELLED, "Stopped")
         elif status:
-            last = self._error or (self._tail[-1] if self._tail else "it said nothing")
-            self._over(State.FAILED, last if self._error else f"ended with status {status}: {last}")
+            error, last = self._program.error, self._program.last or "it said nothing"
+            self._over(State.FAILED, error or f"ended with status {status}: {last}")
         elif self._waiting:
+            step = self._waiting.popleft()
+            self.progress = Progress(step.label)
             try:
-                self._next()
+                self._program = _Program(step, self._environment)
             except OSError as error:
                 self._over(State.FAILED, f"{error.filename or 'the program'} cannot be run: {error.strerror}")
         else:
@@ -184,16 +145,62 @@ class Job:
     def _over(self, state: State, message: str) -> None:
         self.state, self.message = state, message
 
-    def _end(self, how: int) -> None:
-        """Ends the program and what it started: 0 as Ctrl+C does, 1 at once, 2 by force."""
+
+class _Program:
+    """One process in a group of its own, and a thread that listens to it."""
+
+    def __init__(self, step: Step, environment: Mapping[str, str]) -> None:
+        """Raises OSError if it cannot be started."""
+        self.error = self.last = ""  # the last line that says what is wrong; the last line of all
+        self._ended_at: float | None = None
+        self._silent = False
+        self._lines: queue.SimpleQueue[str | None] = queue.SimpleQueue()
+        self.process = subprocess.Popen(
+            step.command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            env=environment,
+            **_OWN_GROUP,
+        )
+        assert self.process.stdout is not None
+        arguments = (self.process.stdout.fileno(), self.process.stdout, self._lines)
+        threading.Thread(target=_read, args=arguments, daemon=True).start()
+
+    def heard(self) -> list[Line]:
+        """What it said since the last call."""
+        found: list[Line] = []
+        with contextlib.suppress(queue.Empty):
+            while len(found) < _MOST_LINES:
+                text = self._lines.get_nowait()
+                if text is None:
+                    self._silent = True
+                    break
+                found.append(read_line(text))
+        for line in found:
+            self.error = line.error or self.error
+            self.last = self.last if line.progress is not None else line.text or self.last
+        return found
+
+    def over(self) -> bool:
+        """Whether it has ended and everything it said was heard."""
+        if self.process.poll() is None:
+            return False
+        if self._ended_at is None:
+            self._ended_at = time.monotonic()
+        # A grandchild may hold the pipe open for ever: its end is waited for, but not long.
+        return self._silent or time.monotonic() - self._ended_at >= _LISTEN_S
+
+    def end(self, how: int) -> None:
+        """Ends it and what it started: 0 as Ctrl+C does, 1 at once, 2 by force."""
         with contextlib.suppress(OSError):
             if not _WINDOWS:
                 # Its own session: the number of the process is that of its group.
-                os.killpg(self._process.pid, (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)[min(how, 2)])
+                os.killpg(self.process.pid, (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)[min(how, 2)])
             elif how == 0:
-                self._process.send_signal(getattr(signal, "CTRL_BREAK_EVENT", signal.SIGTERM))
-            elif self._process.poll() is None:
-                kill = ("taskkill", "/T", "/F", "/PID", str(self._process.pid))
+                self.process.send_signal(getattr(signal, "CTRL_BREAK_EVENT", signal.SIGTERM))
+            elif self.process.poll() is None:
+                kill = ("taskkill", "/T", "/F", "/PID", str(self.process.pid))
                 subprocess.Popen(kill, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 

@@ -73,7 +73,8 @@ class TG4MM_generate(bpy.types.PropertyGroup):
         items=[("PANEL", "One Mode", "One mode, described here"),
                ("FILE", "File", "Any number of modes, in a file of your own (JSON, or YAML with the core)")])
     motion_file: StringProperty(  # type: ignore[valid-type]
-        name="Description", description="A motion description: .json or .yaml", subtype="FILE_PATH", options=_RELATIVE, update=_changed)
+        name="Description", description="A motion description: .json or .yaml", subtype="FILE_PATH",
+        options=_RELATIVE, update=_changed)
     kind: EnumProperty(  # type: ignore[valid-type]
         name="Mode", description="How the objects move", default="bending", update=_changed,
         items=[(name, kind.label, kind.description) for name, kind in KINDS.items()])
@@ -186,7 +187,8 @@ class TG4MM_train(bpy.types.PropertyGroup):
     dataset: StringProperty(  # type: ignore[valid-type]
         name="Dataset", description="A dataset's folder", subtype="DIR_PATH", options=_RELATIVE)
     run: StringProperty(  # type: ignore[valid-type]
-        name="Run", description="Folder for what training writes; an unfinished run there goes on", subtype="DIR_PATH", options=_RELATIVE)
+        name="Run", description="Folder for what training writes; an unfinished run there goes on",
+        subtype="DIR_PATH", options=_RELATIVE)
     device: EnumProperty(  # type: ignore[valid-type]
         name="Device", description="Where the core computes",
         items=[("cpu", "CPU", ""), ("cuda", "CUDA", "An NVIDIA GPU, with gsplat installed")])

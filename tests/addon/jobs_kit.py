@@ -70,3 +70,8 @@ def drawn(extension: ModuleType, *panels: str) -> list[str]:
                     setattr(panel, name, getattr(cls, name).__get__(panel))
             cls.draw(panel, bpy.context)
     return layout.drawn
+
+
+def said(shown: list[str], text: str) -> bool:
+    """Whether a message is among what was drawn, cut into lines wherever."""
+    return "".join(text.split()) in "".join("".join(shown).split())

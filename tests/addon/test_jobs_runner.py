@@ -102,7 +102,7 @@ def test_progress_beyond_its_total_or_without_one(jobs: Any) -> None:
     assert (progress("a").factor, progress("a", 5, 4).factor, progress("a", 1, 4).factor) == (0, 1, 0.25)
     assert progress("a").text == "a"
     assert jobs.reading.read_line("a 1/0").progress.factor == 0
-    assert jobs.reading.read_line("a 1/" + "9" * 5000).progress.factor == pytest.approx(0.0)
+    assert jobs.reading.read_line("a 1/" + "9" * 5000).progress.factor < 1e-6
 
 
 def test_chain_of_programs_runs_to_its_end(jobs: Any, step: Callable[..., Any]) -> None:
@@ -157,7 +157,10 @@ def test_flood_of_lines_does_not_hold_up_a_poll(jobs: Any, step: Callable[..., A
 def test_poll_returns_at_once_while_a_program_hangs_and_cancel_ends_it(
     jobs: Any, step: Callable[..., Any]
 ) -> None:
-    code = "import time\nprint('ready 1/2', flush=True)\ntry:\n    time.sleep(99)\nexcept KeyboardInterrupt:\n    raise SystemExit(130)"
+    code = (
+        "import time\nprint('ready 1/2', flush=True)\n"
+        "try:\n    time.sleep(99)\nexcept KeyboardInterrupt:\n    raise SystemExit(130)"
+    )
     job = jobs.runner.Job([step(code), step("print('never')")], environment(jobs))
     run(job, until=lambda: job.progress.label == "ready")
     begun = time.monotonic()

@@ -166,9 +166,9 @@ def test_generated_trained_imported_by_the_real_core(
     settings.samples, settings.alphas, settings.out, settings.processes = 1, "5", str(tmp_path), 1
     bpy.ops.tg4mm.generate()
     assert wait(extension, "generate").state.value == "done"
-    bpy.context.scene.tg4mm_train.settings = "space.iterations=60 motion.components=2 motion.iterations=10"
+    bpy.context.scene.tg4mm_train.settings = "space.iterations=20 motion.components=2 motion.iterations=10"
     bpy.ops.tg4mm.train()
-    job = wait(extension, KIND)
+    job = wait(extension, KIND, limit_s=300)  # half a minute where nothing else runs
     assert job.state.value == "done", job.message
     assert len(bpy.context.object.data.vertices) > 10
     assert list(bpy.context.object[extension.names.FREQUENCIES])

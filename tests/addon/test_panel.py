@@ -105,7 +105,11 @@ def test_colours_by_motion_come_with_a_legend(
     assert extension.analysis.legend_picture(obj, unit) is None
     put(names.COLOUR_BY, names.AMPLITUDE_COLOUR)
     put(names.COLOUR_RANGE, 0.5)
-    assert laid_out(extension, obj).pictures == 2
+    view = extension.view_settings.of(bpy.context)
+    assert laid_out(extension, obj).pictures == 1  # the legend is in the view
+    view.legend = False
+    assert laid_out(extension, obj).pictures == 2  # and now in the panel
+    view.legend = True
     assert extension.analysis.legend_picture(obj, unit) == (extension.plots.amplitude_legend, 0.5, unit)
     assert extension.analysis.legend(obj).high_mm == pytest.approx(50.0)
     put(names.COLOUR_BY, names.PHASE_COLOUR)

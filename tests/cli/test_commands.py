@@ -98,11 +98,17 @@ def test_render_takes_an_orbit_in_slow_motion(run_path: Path, tmp_path: Path) ->
     ("options", "message"),
     [
         (["--alpha", "inf"], "--alpha inf"),
-        (["--alpha", "1", "--alpha", "2"], "--alpha is given 2 times, --band 0 times: without --band there is one"),
+        (
+            ["--alpha", "1", "--alpha", "2"],
+            "--alpha is given 2 times, --band 0 times: without --band there is one",
+        ),
         (["--alpha", "1", "--band", "1", "2", "--band", "3", "4"], "each band needs its own"),
         (["--alpha", "1", "--band", "4"], "--band '4' is not two frequencies in Hz"),
         (["--alpha", "1", "--band", "4", "--no-video"], "--band '4 --no-video' is not two frequencies"),
-        (["--alpha", "1", "--alpha", "2", "--band", "1", "4", "--band", "3", "5"], "overlap: 3 Hz lies in both"),
+        (
+            ["--alpha", "1", "--alpha", "2", "--band", "1", "4", "--band", "3", "5"],
+            "overlap: 3 Hz lies in both",
+        ),
         (["--alpha", "1", "--method", "phase"], "--method phase"),
         (["--alpha", "1", "--filter", "ideal"], "--filter ideal: the method modal picks modes"),
         (["--alpha", "1", "--band", "4", "40"], "(4, 40) Hz reaches past half the frame rate"),

@@ -45,7 +45,8 @@ def test_the_published_filter_puts_its_phase_error_into_the_result():
         for kind in ("published", "zero-phase")
     )
     series = {
-        name: np.stack([displacement_at(x, t) for t in range(30)]) for name, x in (("wrong", wrong), ("right", right))
+        name: np.stack([displacement_at(x, t) for t in range(30)])
+        for name, x in (("wrong", wrong), ("right", right))
     }
     truth = np.stack([displacement_at(m, t, 50.0) for t in range(30)])
     np.testing.assert_allclose(series["right"], truth, atol=2e-3)

@@ -60,9 +60,7 @@ def test_sub_bands_are_the_pyramid_of_plenoptic(config):
         half = torch.zeros(1, 32, 17, dtype=torch.complex64)
         _give(half, (torch.fft.fft2(coefficients) * b.synthesis)[None])
         total += torch.fft.irfft2(half[0], s=(32, 32))
-    oriented = OrderedDict(
-        (k, v if isinstance(k, int) else torch.zeros_like(v)) for k, v in expected.items()
-    )
+    oriented = OrderedDict((k, v if isinstance(k, int) else torch.zeros_like(v)) for k, v in expected.items())
     torch.testing.assert_close(total, made.recon_pyr(oriented)[0, 0], atol=1e-4, rtol=0)
 
 

@@ -47,7 +47,9 @@ def test_no_magnification_is_the_run_itself(trained, embeddings, method):
     series = series_of(trained, method, plan(0.0, method))
     np.testing.assert_allclose(series.embeddings.transpose(1, 2, 0), expected, atol=1e-5)
     now = series.at(2.0)
-    torch.testing.assert_close(now.means, model.decode(torch.from_numpy(expected[2])).means, atol=1e-5, rtol=0)
+    torch.testing.assert_close(
+        now.means, model.decode(torch.from_numpy(expected[2])).means, atol=1e-5, rtol=0
+    )
 
 
 def test_linear_adds_alpha_times_the_band_of_each_embedding(trained, embeddings):
@@ -71,7 +73,7 @@ def test_motion_grows_with_alpha(trained, method):
     still, once, more = size(-1.0), size(0.0), size(4.0)
     assert still < once < more
     if method == "phase":
-        # What the motion planes add is no shift of what the space planes show, so phases grow, the motion not by as much.
+        # What motion planes add is no shift of what the space planes show: phases grow, motion less.
         assert more < 6 * once
     else:
         assert 3 < more / once < 6  # 1 + alpha = 5
@@ -132,10 +134,25 @@ def test_what_a_run_cannot_do_is_refused(trained):
 
 class TestCommands:
     def test_render(self, trained, tmp_path):
-        options = ["--alpha", "5", "--alpha", "-1", "--band", "4", "6", "--band", "9", "11", "--filter", "ideal"]
+        options = [
+            "--alpha",
+            "5",
+            "--alpha",
+            "-1",
+            "--band",
+            "4",
+            "6",
+            "--band",
+            "9",
+            "11",
+            "--filter",
+            "ideal",
+        ]
         for method, name in ((["--method", "linear"], "linear"), ([], "own")):
             out = tmp_path / name
-            assert main(["render", str(trained.path), *options, *method, "--no-video", "--out", str(out)]) == 0
+            assert (
+                main(["render", str(trained.path), *options, *method, "--no-video", "--out", str(out)]) == 0
+            )
             assert len(list(out.rglob("*.png"))) == 2 * N_TIMESTEPS
         record = json.loads((tmp_path / "linear" / "render.json").read_text())
         assert record["bands"] == [[4, 6, 5], [9, 11, -1]]

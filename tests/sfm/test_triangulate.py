@@ -121,7 +121,9 @@ class TestStart:
     def test_without_texture_the_hull_takes_over_with_a_warning(self) -> None:
         pytest.importorskip("pycolmap")
         plain = views(5, plain=True, floor=False)
-        with pytest.warns(UserWarning, match=r"structure from motion found \d+ points, fewer than 100: texture"):
+        with pytest.warns(
+            UserWarning, match=r"structure from motion found \d+ points, fewer than 100: texture"
+        ):
             first = initial_points(plain, None, "sfm", 300, np.random.default_rng(0))
         assert first.source.startswith("hull (sfm found ")
         assert len(first.xyz) == 300

@@ -36,7 +36,9 @@ def test_heads_are_gelu_and_linear_on_attributes_before_activation(gaussians):
         p += torch.randn(p.shape, generator=g) * 0.1
     x = torch.randn(5, 6, generator=g)
     out, base = decoder.decode(base_of(gaussians), x), base_of(gaussians)
-    residual = {h: gelu(x) @ decoder.parameters[f"{h}.weight"].T + decoder.parameters[f"{h}.bias"] for h in BASE}
+    residual = {
+        h: gelu(x) @ decoder.parameters[f"{h}.weight"].T + decoder.parameters[f"{h}.bias"] for h in BASE
+    }
     torch.testing.assert_close(out.means, base["means"] + residual["means"])
     torch.testing.assert_close(out.scales, (base["log_scales"] + residual["log_scales"]).exp())
     torch.testing.assert_close(out.opacities, (base["logits"] + residual["logits"][:, 0]).sigmoid())
@@ -46,7 +48,10 @@ def test_heads_are_gelu_and_linear_on_attributes_before_activation(gaussians):
 def test_gradients_reach_embedding_base_and_decoder(gaussians):
     g = torch.Generator().manual_seed(1)
     decoder = new_decoder(6, 16, 2, 8, g)
-    parameters = {k: (v + 0.1 * torch.randn(v.shape, generator=g)).requires_grad_() for k, v in decoder.parameters.items()}
+    parameters = {
+        k: (v + 0.1 * torch.randn(v.shape, generator=g)).requires_grad_()
+        for k, v in decoder.parameters.items()
+    }
     base = {k: v.requires_grad_() for k, v in base_of(gaussians).items()}
     x = torch.randn(5, 6, generator=g).requires_grad_()
     out = type(decoder)(parameters).decode(base, x)

@@ -21,9 +21,11 @@ def points() -> np.ndarray:
 
 def dense_sample(planes: torch.Tensor, points: np.ndarray, box: np.ndarray) -> torch.Tensor:
     """The twin: planes [3, C, R, R] by torch's grid_sample."""
-    unit = torch.from_numpy(((points - box[0]) / (box[1] - box[0]) * 2 - 1)).to(planes)
+    unit = torch.from_numpy((points - box[0]) / (box[1] - box[0]) * 2 - 1).to(planes)
     parts = [
-        grid_sample(planes[k : k + 1], unit[None, None][..., list(axes)], "bilinear", "border", True)[0, :, 0].T
+        grid_sample(planes[k : k + 1], unit[None, None][..., list(axes)], "bilinear", "border", True)[
+            0, :, 0
+        ].T
         for k, axes in enumerate(PLANES)
     ]
     return torch.cat(parts, 1)
@@ -64,7 +66,10 @@ def test_adam_on_active_cells_is_adam_on_dense_planes(points):
     dense_adam = torch.optim.Adam([planes], lr=1e-2)
     compact_adam = torch.optim.Adam([values], lr=1e-2, fused=True)
     for _ in range(50):
-        for optimiser, out in ((dense_adam, dense_sample(planes, points, box)), (compact_adam, sample(values, cells))):
+        for optimiser, out in (
+            (dense_adam, dense_sample(planes, points, box)),
+            (compact_adam, sample(values, cells)),
+        ):
             optimiser.zero_grad()
             ((out - target) ** 2).sum().backward()
             optimiser.step()

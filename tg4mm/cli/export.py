@@ -43,11 +43,11 @@ def export(
     """
     given = {"--method": method is not None, "--filter": filter is not None}
     if format is Format.ply and (alpha or band or any(given.values())):
-        named = "--alpha and --band" if alpha or band else next(name for name, there in given.items() if there)
-        belong = "belong" if alpha or band else "belongs"
-        raise Tg4mmError(
-            f"{named} {belong} to --format ply-sequence; a splat file holds the motion itself"
+        named = (
+            "--alpha and --band" if alpha or band else next(name for name, there in given.items() if there)
         )
+        belong = "belong" if alpha or band else "belongs"
+        raise Tg4mmError(f"{named} {belong} to --format ply-sequence; a splat file holds the motion itself")
     magnified = paired(alpha or [0.0], parse_bands(band))
     from tg4mm.export import export_ply, export_ply_sequence
     from tg4mm.render import RenderRequest

@@ -36,17 +36,21 @@ def sfm(
     ],
     out: Annotated[Path, typer.Option(help="Dataset folder; an unfinished one is resumed.")],
     fps: Annotated[
-        float | None, typer.Option(help="Frames per second of fixed cameras, Hz. [default: as their videos say]")
+        float | None,
+        typer.Option(help="Frames per second of fixed cameras, Hz. [default: as their videos say]"),
     ] = None,
     camera_model: Annotated[
         str, typer.Option(help="Lens model, COLMAP's name: SIMPLE_PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, …")
     ] = "SIMPLE_RADIAL",
     focal_px: Annotated[
         float | None,
-        typer.Option(help="First guess of the focal length, pixels. [default: EXIF, or 1.2 times the longer side]"),
+        typer.Option(
+            help="First guess of the focal length, pixels. [default: EXIF, or 1.2 times the longer side]"
+        ),
     ] = None,
     intrinsics: Annotated[
-        Intrinsics, typer.Option(help="shared: one camera and zoom; each: photographs or fixed cameras differ.")
+        Intrinsics,
+        typer.Option(help="shared: one camera and zoom; each: photographs or fixed cameras differ."),
     ] = Intrinsics.shared,
     matching: Annotated[
         Matching, typer.Option(help="auto: every pair of pictures, but neighbours only in a long sequence.")
@@ -57,7 +61,9 @@ def sfm(
     ] = None,
     baseline: Annotated[
         tuple[str, str, float] | None,
-        typer.Option(metavar="A B METRES", help="Distance of two cameras (or photographs), from which the scale follows."),
+        typer.Option(
+            metavar="A B METRES", help="Two cameras or photographs and their distance: gives the scale."
+        ),
     ] = None,
     test_every: Annotated[
         int, typer.Option(help="Hold out every so-many-th camera as the test split; 0: none.")

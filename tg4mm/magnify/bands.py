@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -89,7 +90,7 @@ class Magnification:
 def check_bands(bands: Sequence[tuple[float, float]], fps: float) -> None:
     """Raises CaptureError for a band that does not fit `fps` (Hz), Tg4mmError for two that share a frequency."""
     ordered = sorted(check_band(band, fps) for band in bands)
-    for (low, high), (next_low, next_high) in zip(ordered, ordered[1:], strict=False):
+    for (low, high), (next_low, next_high) in pairwise(ordered):
         if next_low <= high:
             raise Tg4mmError(
                 f"bands ({low:g}, {high:g}) Hz and ({next_low:g}, {next_high:g}) Hz overlap: "

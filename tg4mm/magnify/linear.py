@@ -28,7 +28,9 @@ def magnified_motion(motion: ModalMotion, plan: Magnification) -> ModalMotion:
     spread over them, and are magnified as far as they lie in the band.
     """
     steps = range(motion.n_timesteps)
-    series = np.stack([np.concatenate([displacement_at(motion, t), rotation_at(motion, t)], 1) for t in steps])
+    series = np.stack(
+        [np.concatenate([displacement_at(motion, t), rotation_at(motion, t)], 1) for t in steps]
+    )
     freqs, phasors = series_modes(series, motion.fps)
     phasors = phasors * (1 + plan.response(freqs, motion.fps)).astype(np.complex64)[:, None, None]
     return replace(

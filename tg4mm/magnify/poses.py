@@ -1,4 +1,4 @@
-"""The magnified Gaussians of a run as a function of time, whatever the method: what is rendered, scored and exported."""
+"""The magnified Gaussians of a run over time, whatever the method: what is rendered, scored and exported."""
 
 from __future__ import annotations
 
@@ -26,7 +26,10 @@ class Poses:
 
 
 def method_of(run: Run, plan: Magnification) -> str:
-    """The method asked for, or the run's own. Raises Tg4mmError for one that the run's preset cannot do, or that has no filter."""
+    """The method asked for, or the run's own.
+
+    Raises Tg4mmError for one that the run's preset cannot do, and for a filter where the method has none.
+    """
     method = plan.method or DEFAULT_METHOD.get(run.preset, "modal")
     if method not in METHODS:
         raise Tg4mmError(f"method is {method!r}, expected {', '.join(METHODS)}")
@@ -46,8 +49,8 @@ def method_of(run: Run, plan: Magnification) -> str:
 def poses_of(run: Run, plan: Magnification, device: str = "cpu") -> Poses:
     """The run's Gaussians on `device`, magnified as planned.
 
-    Raises Tg4mmError (RunError, CaptureError) for a plan that does not fit the run: a method its preset cannot do, bands
-    beyond the frame rate or overlapping, any magnification of a run without motion.
+    Raises Tg4mmError (RunError, CaptureError) for a plan that does not fit the run: a method its preset cannot do,
+    bands beyond the frame rate or overlapping, any magnification of a run without motion.
     """
     method = method_of(run, plan)
     motion = run.load_motion()

@@ -1,8 +1,8 @@
 """The complex steerable pyramid as transfer functions, one sub-band at a time.
 
-plenoptic's `SteerablePyramidFreq` [Simoncelli & Freeman 1995] makes the pyramid; its answers to impulses are the transfer
-functions of analysis and synthesis, exactly. With them a sub-band of many images can be computed, changed and put back
-without ever holding a whole pyramid, which takes 4 · (1 + 1/4 + …) · 2 · orientations ≈ 85 bytes a pixel (23 MB at 512²).
+plenoptic's `SteerablePyramidFreq` [Simoncelli & Freeman 1995] makes the pyramid; its answers to impulses are the
+transfer functions of analysis and synthesis, exactly. With them a sub-band of many images can be computed, changed and
+put back without ever holding a whole pyramid: 8 bytes · orientations · (1 + 1/4 + …) ≈ 85 a pixel, 23 MB at 512².
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import warnings
 from collections import OrderedDict
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -38,10 +39,12 @@ class SubBand:
     scale: int
     orientation: int
     analysis: Tensor  # [h, w] complex64, frequencies in the FFT's order
-    synthesis: Tensor  # [h, w] complex64: its part of an image is Re ifft2(pad(fft2(coefficients) · synthesis))
+    synthesis: (
+        Tensor  # [h, w] complex64: its part of an image is Re ifft2(pad(fft2(coefficients) · synthesis))
+    )
 
 
-def pyramid(shape: tuple[int, int], config: PyramidConfig) -> torch.nn.Module:
+def pyramid(shape: tuple[int, int], config: PyramidConfig) -> Any:
     """plenoptic's pyramid for images of `shape` (rows, columns).
 
     Raises Tg4mmError for sizes it is not exact for (odd, not alike when halved) or too small.
@@ -63,7 +66,7 @@ def pyramid(shape: tuple[int, int], config: PyramidConfig) -> torch.nn.Module:
 
 @torch.no_grad()
 def sub_bands(shape: tuple[int, int], config: PyramidConfig | None = None) -> Iterator[SubBand]:
-    """All oriented sub-bands of images of `shape`, finest first. The residuals, which hold no phase, are not among them."""
+    """All oriented sub-bands of images of `shape`, finest first; the residuals hold no phase and are not among them."""
     config = config or PyramidConfig()
     made = pyramid(shape, config)
     impulse = torch.zeros(1, 1, *shape)
@@ -76,7 +79,7 @@ def sub_bands(shape: tuple[int, int], config: PyramidConfig | None = None) -> It
         h, w = analysis.shape[-2:]
         for o in range(config.orientations):
             poke = torch.zeros(2, *answers[scale].shape[1:], dtype=torch.complex64)
-            poke[0, 0, o, 0, 0], poke[1, 0, o, 0, 0] = 1, 1j
+            poke[:, 0, o, 0, 0] = torch.tensor([1, 1j])
             back = made.recon_pyr(OrderedDict(silent | {scale: poke}))[:, 0]
             whole = torch.fft.fft2(torch.complex(back[0], -back[1]))
             yield SubBand(scale, o, analysis[o].clone(), crop(whole, (h, w)))

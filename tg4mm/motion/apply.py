@@ -13,15 +13,14 @@ from torch import Tensor
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.modal import ModalMotion
 
-
 Alpha = float | np.ndarray  # one for all modes, or [K]: one each
 
 
 def mode_gains(motion: ModalMotion, t: float, alpha: Alpha, band: tuple[float, float] | None) -> np.ndarray:
     """[K] complex factors (1 + α g_k) exp(i 2π f_k t / fps); g_k = 1 for f_k in `band` (ends included), else 0.
 
-    band None takes every mode in; with an α for each mode ([K]) that is how several bands are magnified at once. Gains of the motion's own stand for the exponentials, and modes that are not
-    magnified have g_k = 0.
+    band None takes every mode in; with an α for each mode ([K]) that is how several bands are magnified at once.
+    Gains of the motion's own stand for the exponentials, and modes that are not magnified have g_k = 0.
     """
     freqs = motion.freqs_hz
     inside = motion.is_magnified()

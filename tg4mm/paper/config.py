@@ -1,4 +1,4 @@
-"""Settings of the preset `paper`; the defaults are [TG4MM]'s own numbers (§IV.B), `PAPER_SMALL` those of `paper-small`."""
+"""Settings of the preset `paper`: [TG4MM]'s own numbers (§IV.B), and `PAPER_SMALL`, those of `paper-small`."""
 
 from __future__ import annotations
 

@@ -45,7 +45,11 @@ class Fit:
         for name, p in self.parameters.items():
             state = self._adam.state[p]
             if state:
-                out |= {f"m.{name}": state["exp_avg"], f"v.{name}": state["exp_avg_sq"], "step": state["step"]}
+                out |= {
+                    f"m.{name}": state["exp_avg"],
+                    f"v.{name}": state["exp_avg_sq"],
+                    "step": state["step"],
+                }
         return out | {"generator": self.generator.get_state(), "loss": self.loss}
 
     def state(self) -> dict[str, Any]:

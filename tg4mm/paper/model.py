@@ -118,7 +118,9 @@ def load_model(run: Run) -> PaperModel:
     base = {k: tensors.get(f"base.{k}") for k in BASE}
     decoder = {k.removeprefix("decoder."): v for k, v in tensors.items() if k.startswith("decoder.")}
     missing = [f"base.{k}" for k, v in base.items() if v is None] + sorted(_OWN - set(tensors))
-    missing += [f"decoder.{k}.{part}" for k in BASE for part in ("weight", "bias") if f"{k}.{part}" not in decoder]
+    missing += [
+        f"decoder.{k}.{part}" for k in BASE for part in ("weight", "bias") if f"{k}.{part}" not in decoder
+    ]
     if missing:
         raise RunError(f"{file} has no tensor {missing[0]}")
     planes, points = tensors["planes"], tensors["points"]
@@ -176,4 +178,7 @@ def plane_video(run: Run, model: PaperModel, n_timesteps: int, k: int, channel: 
 
 def disk_mib(run: Run) -> float:
     """Size of the run's model files, MiB."""
-    return sum(f.stat().st_size for f in Path(run.path).glob("*.safetensors") if "checkpoint" not in f.name) / 2**20
+    return (
+        sum(f.stat().st_size for f in Path(run.path).glob("*.safetensors") if "checkpoint" not in f.name)
+        / 2**20
+    )

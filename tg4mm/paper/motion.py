@@ -73,7 +73,12 @@ class _Stage:
 
 
 def train_timesteps(
-    run: Run, model: PaperModel, capture: Capture, images: ImageStack, config: PaperConfig, device: str = "cpu"
+    run: Run,
+    model: PaperModel,
+    capture: Capture,
+    images: ImageStack,
+    config: PaperConfig,
+    device: str = "cpu",
 ) -> ModalMotion:
     """Fit the motion planes of timesteps 1 … T − 1, one file each, and save the decoded motion in the run.
 

@@ -1,7 +1,7 @@
 """The decoded motion of a `paper` run as modes: positions and rotations over time, by the discrete Fourier transform.
 
-Lost in it: what the decoder changes in scale, opacity and colour over time. Kept: every timestep's position and rotation,
-exactly. The mean offset from timestep 0 is a mode of 0 Hz.
+Lost in it: what the decoder changes in scale, opacity and colour over time. Kept: every timestep's position and
+rotation, exactly. The mean offset from timestep 0 is a mode of 0 Hz.
 """
 
 from __future__ import annotations

@@ -42,7 +42,7 @@ def rasterization(
     """Render Gaussians from C cameras. Names and meaning of the arguments are gsplat's.
 
     Returns renders [C, H, W, X], alphas [C, H, W, 1] and a dictionary with `projected` (one record a camera,
-    CPU only). X is D colours, a depth channel ("D": Σ w·z, "ED": that divided by alpha), or both. Gradients
+    CPU only; with more than four plain channels for each pass). X is D colours, a depth channel ("D": Σ w·z, "ED": that divided by alpha), or both. Gradients
     reach every tensor but Ks. A background fills colour channels only, as in gsplat.
 
     Raises ValueError with both shapes where a shape is wrong, and Tg4mmError where gsplat is needed and
@@ -80,31 +80,24 @@ def rasterization(
             near_plane=near_plane, far_plane=far_plane, eps2d=eps2d,
             sh_degree=sh_degree, backgrounds=backgrounds, render_mode=render_mode,
         )  # fmt: skip
-    renders, alphas, records = [], [], []
-    for i in range(c):
-        background = None if backgrounds is None else backgrounds[i]
-        render, alpha, record = _cpu_view(
-            (means, quats, scales, opacities), colors, viewmats[i], Ks[i],
-            (width, height, near_plane, far_plane, eps2d), sh_degree, background, render_mode,
-        )  # fmt: skip
-        renders.append(render)
-        alphas.append(alpha)
-        records += record
-    meta = {"projected": records, "width": width, "height": height}
-    return torch.stack(renders), torch.stack(alphas), meta
+    renders, alphas, records = _cpu_views(
+        (means, quats, scales, opacities), colors, viewmats, Ks, (width, height, near_plane, far_plane, eps2d),
+        sh_degree, backgrounds, render_mode,
+    )  # fmt: skip
+    return renders, alphas, {"projected": records, "width": width, "height": height}
 
 
-def _cpu_view(
+def _cpu_views(
     geometry: tuple[Tensor, Tensor, Tensor, Tensor],
     colors: Tensor,
-    viewmat: Tensor,
-    K: Tensor,
+    viewmats: Tensor,
+    Ks: Tensor,
     frame: tuple[int, int, float, float, float],
     sh_degree: int | None,
-    background: Tensor | None,
+    backgrounds: Tensor | None,
     render_mode: str,
 ) -> tuple[Tensor, Tensor, list[Any]]:
-    """One view on the CPU. Channels beyond what one pass blends take further passes."""
+    """All cameras on the CPU. Channels beyond what one pass blends take further passes."""
     from tg4mm.rasterize.cpu import View, rasterize_cpu
 
     wants_colour, wants_depth = "RGB" in render_mode, render_mode != "RGB"
@@ -112,23 +105,33 @@ def _cpu_view(
     if not wants_colour:
         passes = [colors.new_zeros(len(colors), 1, 1)]
     elif sh_degree is not None:
-        passes = [colors[:, : (sh_degree + 1) ** 2]]
+        passes = [colors]
     else:
         step = FEATURES - 1 if wants_depth else FEATURES
         passes = [part[:, None] for part in colors.split(step, dim=1)]
     sh = sh_degree if sh_degree is not None and wants_colour else -1
     view = View(*frame, sh, wants_depth)
-    images, records = [], []
+    images: list[list[Tensor]] = [[] for _ in viewmats]
+    transmittances: tuple[Tensor, ...] = ()
+    records: list[Any] = []
     for features in passes:
-        image, transmittance, record = rasterize_cpu(*geometry, features, viewmat, K, view)
-        images.append(image[..., : features.shape[-1]])
-        records.append(record)
-    alpha = (1 - transmittance)[..., None]
-    parts = []
-    if wants_colour:
-        colour = images[0] if len(images) == 1 else torch.cat(images, -1)
-        parts.append(colour if background is None else colour + transmittance[..., None] * background)
-    if wants_depth:
-        depth = image[..., FEATURES - 1 :]
-        parts.append(depth / alpha.clamp_min(1e-10) if "ED" in render_mode else depth)
-    return parts[0] if len(parts) == 1 else torch.cat(parts, -1), alpha, records
+        pictures, transmittances, projected = rasterize_cpu(*geometry, features, viewmats, Ks, view)
+        for of_view, image in zip(images, pictures, strict=True):
+            of_view.append(image)
+        records += projected
+    renders, alphas = [], []
+    for i, transmittance in enumerate(transmittances):
+        alpha = (1 - transmittance)[..., None]
+        parts = []
+        if wants_colour:
+            shown = [image[..., : part.shape[-1]] for image, part in zip(images[i], passes, strict=True)]
+            colour = shown[0] if len(shown) == 1 else torch.cat(shown, -1)
+            if backgrounds is not None:
+                colour = colour + transmittance[..., None] * backgrounds[i]
+            parts.append(colour)
+        if wants_depth:
+            depth = images[i][-1][..., FEATURES - 1 :]
+            parts.append(depth / alpha.clamp_min(1e-10) if "ED" in render_mode else depth)
+        renders.append(parts[0] if len(parts) == 1 else torch.cat(parts, -1))
+        alphas.append(alpha)
+    return torch.stack(renders), torch.stack(alphas), records

@@ -1,4 +1,4 @@
-"""The CPU path as a torch autograd function around the numba kernels: one view a call."""
+"""The CPU path as a torch autograd function around the numba kernels, for any number of cameras."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from tg4mm.rasterize.buffers import Buffers
 from tg4mm.rasterize.kernels.binning import Bins, bin_splats, gather_gradient
 from tg4mm.rasterize.kernels.blend import blend_backward, blend_forward
 from tg4mm.rasterize.kernels.layout import FEAT, FEATURES
@@ -41,8 +42,12 @@ def _array(tensor: Tensor) -> np.ndarray:
     return np.ascontiguousarray(tensor.detach().numpy(), dtype=np.float32)
 
 
-class RasterizeView(torch.autograd.Function):
-    """(means … opacities, features [N, K, D], viewmat, K) -> [H, W, FEATURES], transmittance [H, W]."""
+class RasterizeViews(torch.autograd.Function):
+    """(means … opacities, features [N, K, D], viewmats, Ks) -> C images and C transmittances.
+
+    Views follow each other, each on all threads; all of them add to the same gradient arrays. One array a view: memory
+    above some 30 MB goes back to the system each time, and fetching it anew costs as much as blending.
+    """
 
     @staticmethod
     def forward(
@@ -52,58 +57,67 @@ class RasterizeView(torch.autograd.Function):
         scales: Tensor,
         opacities: Tensor,
         features: Tensor,
-        viewmat: Tensor,
-        K: Tensor,
+        viewmats: Tensor,
+        Ks: Tensor,
         view: View,
         projected: list[Projected],
-    ) -> tuple[Tensor, Tensor]:
+    ) -> tuple[Tensor, ...]:
         arrays = [_array(a) for a in (means, quats, scales, opacities, features)]
-        camera = pack_camera(_array(viewmat), _array(K), view.near, view.far, view.eps2d)
-        splats = empty_splats(len(means))
-        project_forward(
-            arrays[0], arrays[1], arrays[2], arrays[3], arrays[4], view.degree, view.with_depth, camera,
-            view.width, view.height, splats,
-        )  # fmt: skip
-        bins = bin_splats(splats, view.width, view.height)
-        image = np.empty((view.height, view.width, FEATURES), np.float32)
-        transmittance = np.empty((view.height, view.width), np.float32)
-        blend_forward(
-            splats, bins.tile_start, bins.pair_gaussian, view.width, view.height, image, transmittance,
-            reached=bins.reached,
-        )  # fmt: skip
-        record = Projected(splats, bins)
-        projected.append(record)
-        ctx.saved = arrays, camera, view, record, image, transmittance
-        return torch.from_numpy(image), torch.from_numpy(transmittance)
+        poses = zip(_array(viewmats), _array(Ks), strict=True)
+        cameras = [pack_camera(*pose, view.near, view.far, view.eps2d) for pose in poses]
+        width, height = view.width, view.height
+        images = [np.empty((height, width, FEATURES), np.float32) for _ in cameras]
+        transmittances = [np.empty((height, width), np.float32) for _ in cameras]
+        for camera, image, transmittance in zip(cameras, images, transmittances, strict=True):
+            splats = empty_splats(len(means))
+            project_forward(*arrays, view.degree, view.with_depth, camera, width, height, splats)
+            bins = bin_splats(splats, width, height)
+            blend_forward(
+                splats, bins.tile_start, bins.pair_gaussian, width, height, image, transmittance,
+                reached=bins.reached,
+            )  # fmt: skip
+            projected.append(Projected(splats, bins))
+        ctx.saved = arrays, cameras, view, projected, images, transmittances
+        return tuple(torch.from_numpy(a) for a in (*images, *transmittances))
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        (means, quats, scales, opacities, features), camera, view, record, image, transmittance = ctx.saved
-        bins, (v_image, v_transmittance) = record.bins, gradients
-        v_pairs = np.empty((len(bins.pair_gaussian), FEAT + FEATURES), np.float32)
-        blend_backward(
-            record.splats, bins.tile_start, bins.pair_gaussian, view.width, view.height,
-            image, transmittance, _array(v_image), _array(v_transmittance), v_pairs,
-            reached=bins.reached,
-        )  # fmt: skip
-        v_splats = np.zeros_like(record.splats)
-        gather_gradient(bins.order, bins.n_visible, bins.gaussian_start, bins.pair_slot, v_pairs, v_splats)
-        record.v_splats = v_splats
-        grads = [np.zeros_like(a) for a in (means, quats, scales, opacities, features)]
+        arrays, cameras, view, projected, *pictures = ctx.saved
+        v_pictures = (gradients[: len(cameras)], gradients[len(cameras) :])
+        grads = [np.zeros_like(a) for a in arrays]
         with_pose = bool(ctx.needs_input_grad[5])
-        v_pose = np.zeros((len(means) if with_pose else 0, 12), np.float32)
-        project_backward(
-            means, quats, scales, features, view.degree, view.with_depth, camera, view.width, view.height,
-            record.splats, v_splats, grads[0], grads[1], grads[2], grads[3], grads[4], v_pose, with_pose,
-        )  # fmt: skip
-        v_viewmat = None
-        if with_pose:
-            total = v_pose.sum(0, dtype=np.float64).astype(np.float32)
-            v_viewmat = torch.zeros(4, 4)
-            v_viewmat[:3, :3] = torch.from_numpy(total[:9].reshape(3, 3))
-            v_viewmat[:3, 3] = torch.from_numpy(total[9:])
-        tensors = [torch.from_numpy(g) for g in grads]
-        return (*tensors, v_viewmat, None, None, None)
+        v_pose = np.empty((len(arrays[0]) if with_pose else 0, 12), np.float32)
+        v_viewmats = torch.zeros(len(cameras), 4, 4) if with_pose else None
+        buffers = Buffers()
+        for c, (camera, record) in enumerate(zip(cameras, projected, strict=True)):
+            record.v_splats = _gradient_by_splats(
+                record, view, [a[c] for a in pictures], [_array(a[c]) for a in v_pictures], buffers
+            )
+            means, quats, scales, _, features = arrays
+            v_pose[:] = 0
+            project_backward(
+                means, quats, scales, features, view.degree, view.with_depth, camera, view.width, view.height,
+                record.splats, record.v_splats, *grads, v_pose, with_pose,
+            )  # fmt: skip
+            if v_viewmats is not None:
+                total = torch.from_numpy(v_pose.sum(0, dtype=np.float64).astype(np.float32))
+                v_viewmats[c, :3, :3], v_viewmats[c, :3, 3] = total[:9].reshape(3, 3), total[9:]
+        return (*(torch.from_numpy(g) for g in grads), v_viewmats, None, None, None)
+
+
+def _gradient_by_splats(
+    record: Projected, view: View, pictures: list[np.ndarray], v_pictures: list[np.ndarray], buffers: Buffers
+) -> np.ndarray:
+    """[N, SPLAT_WIDTH]; pictures: image and transmittance, and the gradients by them."""
+    bins = record.bins
+    v_pairs = buffers.take("v_pairs", (len(bins.pair_gaussian), FEAT + FEATURES))
+    blend_backward(
+        record.splats, bins.tile_start, bins.pair_gaussian, view.width, view.height, *pictures, *v_pictures,
+        v_pairs, reached=bins.reached,
+    )  # fmt: skip
+    v_splats = np.zeros_like(record.splats)
+    gather_gradient(bins.order, bins.n_visible, bins.gaussian_start, bins.pair_slot, v_pairs, v_splats)
+    return v_splats
 
 
 def rasterize_cpu(
@@ -112,13 +126,11 @@ def rasterize_cpu(
     scales: Tensor,
     opacities: Tensor,
     features: Tensor,
-    viewmat: Tensor,
-    K: Tensor,
+    viewmats: Tensor,
+    Ks: Tensor,
     view: View,
-) -> tuple[Tensor, Tensor, Projected]:
-    """One view without background: image [H, W, FEATURES], transmittance [H, W], and what was projected."""
+) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...], list[Projected]]:
+    """C views without background: images [H, W, FEATURES], transmittances [H, W], and what was projected."""
     projected: list[Projected] = []
-    image, transmittance = RasterizeView.apply(
-        means, quats, scales, opacities, features, viewmat, K, view, projected
-    )
-    return image, transmittance, projected[0]
+    pictures = RasterizeViews.apply(means, quats, scales, opacities, features, viewmats, Ks, view, projected)
+    return pictures[: len(projected)], pictures[len(projected) :], projected

@@ -14,7 +14,7 @@ from tg4mm.errors import RunError
 from tg4mm.files import remove_leftovers, write_json
 from tg4mm.gaussians import Gaussians
 from tg4mm.magnify import BandGain, Magnification, TemporalFilter
-from tg4mm.magnify.poses import STILL_FPS, method_of, poses_of
+from tg4mm.magnify.poses import method_of, poses_of
 from tg4mm.progress import progress
 from tg4mm.render.cameras import Camera, transforms_json
 from tg4mm.render.frames import is_complete_png, write_png

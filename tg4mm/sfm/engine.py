@@ -91,7 +91,8 @@ def match(database: Path, pairs: Sequence[tuple[str, str]], seed: int, threads: 
             )
             update(first + len(chunk))
     with opened(database) as db:
-        return db.num_verified_image_pairs()
+        _, inliers = db.read_two_view_geometry_num_inliers()  # pairs that failed are there too, with 0
+        return sum(1 for n in inliers if n > 0)
 
 
 class opened:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from itertools import combinations
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 from tg4mm.errors import CaptureError
 from tg4mm.progress import progress
@@ -49,7 +50,7 @@ def find_poses(
     if len(names) - len(poor) < 3:
         raise CaptureError(
             f"too little texture: {len(poor)} of {len(names)} pictures have fewer than {FEWEST_FEATURES} features, "
-            f"{_some(poor)}"
+            f"{shown_names(poor)}"
         )
     if match(database, pairs, seed, threads) == 0:
         raise CaptureError(f"no two of the {len(names)} pictures overlap: not one pair could be matched")
@@ -106,8 +107,9 @@ def registered(model: Any) -> dict[str, Any]:
     return {image.name: image for image in model.images.values() if image.has_pose}
 
 
-def _some(names: Sequence[str], most: int = 6) -> str:
-    shown = ", ".join(names[:most])
+def shown_names(names: Sequence[str], most: int = 6) -> str:
+    """The first of the pictures' names, as the user knows them."""
+    shown = ", ".join(unquote(name) for name in names[:most])
     return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
 
 
@@ -117,6 +119,6 @@ def check_registered(names: Sequence[str], placed: dict[str, Any], needs_all: bo
     if missing and (needs_all or 2 * len(missing) >= len(names) or len(names) - len(missing) < 3):
         help_ = "; a sweep/ of further pictures between the cameras helps" if needs_all else ""
         raise CaptureError(
-            f"{len(missing)} of {len(names)} pictures could not be placed: {_some(missing)}{help_}"
+            f"{len(missing)} of {len(names)} pictures could not be placed: {shown_names(missing)}{help_}"
         )
     return missing

@@ -26,6 +26,7 @@ from tg4mm.sfm.mapping import (
     picture_pairs,
     registered,
     save_model,
+    shown_names,
 )
 from tg4mm.sfm.orient import Similarity, world_of
 from tg4mm.sfm.points import SfmPoints, points_of
@@ -116,14 +117,13 @@ def reconstruct(
     placed = registered(model)
     missing = check_registered(_needed(sources, taken), placed, sources.fixed)
     if missing:
-        warnings.warn(
-            f"{len(missing)} pictures could not be placed and are left out: {', '.join(missing)}",
-            stacklevel=2,
-        )
+        text = f"{len(missing)} pictures could not be placed and are left out: {shown_names(missing)}"
+        warnings.warn(text, stacklevel=2)
     cameras, points = _cameras(sources, taken, placed, model)
     report = _report(model, taken, placed, points, config)
-    scene = {"scene": out.resolve().name, "background": "as photographed", "sfm": report}
-    scene |= {"fps": fps} if sources.fixed else {}
+    scene: dict[str, Any] = {"scene": out.resolve().name, "background": "as photographed", "sfm": report}
+    if sources.fixed:
+        scene["fps"] = fps
     scene["unit_scale_m"] = _unit_scale(cameras, config)
     write_dataset(out, cameras, points, scene, config.test_every)
     return report

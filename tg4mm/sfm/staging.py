@@ -7,6 +7,7 @@ import shutil
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from urllib.parse import quote
 
 import numpy as np
 from PIL import Image
@@ -83,8 +84,9 @@ def stage(taken: list[Shot], folder: Path) -> Path | None:
 
 
 def staged_name(shot: Shot) -> str:
-    """The picture's name below images/; an EXR is staged as a PNG."""
-    return f"{shot.name}.png" if shot.path.suffix.lower() == ".exr" else shot.name
+    """The picture's name below images/: percent-encoded, since COLMAP's lists part names at spaces; EXR as PNG."""
+    name = quote(shot.name, safe="/")
+    return f"{name}.png" if shot.path.suffix.lower() == ".exr" else name
 
 
 def make_database(taken: list[Shot], folder: Path, camera_model: str, focal_px: float | None) -> Path:

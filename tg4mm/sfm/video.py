@@ -28,9 +28,7 @@ def extract_frames(path: Path, folder: Path, most: int | None = None) -> tuple[P
     The folder appears when it is complete; one that is there is taken as it is.
     """
     if not folder.is_dir():
-        import imageio_ffmpeg
-
-        total, _ = imageio_ffmpeg.count_frames_and_secs(str(path))
+        total = _count(path)
         wanted = _even(total, most) if most is not None and total > most else None
         temporary = folder.with_name(f".{folder.name}.tmp")
         shutil.rmtree(temporary, ignore_errors=True)
@@ -47,6 +45,15 @@ def extract_frames(path: Path, folder: Path, most: int | None = None) -> tuple[P
             raise CaptureError(f"{path}: holds no frames")
         os.replace(temporary, folder)
     return tuple(sorted(folder.glob("*.png")))
+
+
+def _count(path: Path) -> int:
+    import imageio_ffmpeg
+
+    try:
+        return imageio_ffmpeg.count_frames_and_secs(str(path))[0]
+    except (OSError, RuntimeError) as error:  # whose text is ffmpeg's whole output
+        raise CaptureError(f"{path}: is not a video that ffmpeg can read") from error
 
 
 def _even(total: int, most: int) -> set[int]:

@@ -38,9 +38,10 @@ def render_view(
 
     g = gaussians
     view = View(*size, NEAR, FAR, EPS2D, degree, False)
-    image, transmittance, record = rasterize_cpu(
-        g.means, g.quats, g.scales, g.opacities, g.sh, viewmat, K, view
+    images, transmittances, (record,) = rasterize_cpu(
+        g.means, g.quats, g.scales, g.opacities, g.sh, viewmat[None], K[None], view
     )
+    image, transmittance = images[0], transmittances[0]
 
     def shares() -> Tensor:
         assert record.v_splats is not None, "shares() before backward()"

@@ -1,7 +1,7 @@
 """Where fixed points touch three feature planes: bilinear weights, and the few cells that have any.
 
-[TG4MM] Eq. (4). The points that a triplane is sampled at never move, so sampling is one constant sparse matrix, and only
-cells that touch a point ever get a gradient. Adam leaves a parameter whose gradient is always zero where it is; so
+[TG4MM] Eq. (4). The points that a triplane is sampled at never move, so sampling is one constant sparse matrix, and
+only cells that touch a point ever get a gradient. Adam leaves a parameter whose gradient is always zero where it is; so
 training the touched ("active") cells alone is training the dense planes, at a hundredth of the cost.
 """
 
@@ -49,7 +49,7 @@ def scene_box(points: np.ndarray) -> np.ndarray:
 def cells_of(points: np.ndarray, box: np.ndarray, resolution: int) -> Cells:
     """The cells that points [N, 3] touch; `box` [2, 3] is normalised to 0..1, cell centres on its border included.
 
-    As `grid_sample` with `align_corners=True, padding_mode="border"` on planes [row = second, column = first coordinate].
+    As `grid_sample` with `align_corners=True, padding_mode="border"` on planes whose rows are the second coordinate.
     """
     unit = np.clip((points.astype(np.float64) - box[0]) / (box[1] - box[0]), 0, 1)
     position = unit * (resolution - 1)

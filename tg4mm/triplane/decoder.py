@@ -16,7 +16,13 @@ from torch.nn.functional import gelu, linear
 
 from tg4mm.gaussians import Gaussians
 
-BASE = ("means", "quats", "log_scales", "logits", "sh")  # attributes before activation, in the order of the heads
+BASE = (
+    "means",
+    "quats",
+    "log_scales",
+    "logits",
+    "sh",
+)  # attributes before activation, in the order of the heads
 
 
 @dataclass(frozen=True)
@@ -53,9 +59,7 @@ class Decoder:
         )
 
 
-def new_decoder(
-    channels: int, n_sh: int, layers: int, width: int, generator: torch.Generator
-) -> Decoder:
+def new_decoder(channels: int, n_sh: int, layers: int, width: int, generator: torch.Generator) -> Decoder:
     """A decoder for embeddings of `channels` = 3 C and n_sh SH coefficients; `layers` × `width` MLP before the heads.
 
     The MLP starts with He's normal weights; the heads at zero.

@@ -53,4 +53,6 @@ def sample_torch(values: Tensor, cells: Cells) -> Tensor:
 @lru_cache(maxsize=2)
 def _on(cells: Cells, device: torch.device) -> tuple[Tensor, Tensor]:
     """Index and weight, brought to a device once."""
-    return torch.from_numpy(cells.index.astype(np.int64)).to(device), torch.from_numpy(cells.weight).to(device)
+    return torch.from_numpy(cells.index.astype(np.int64)).to(device), torch.from_numpy(cells.weight).to(
+        device
+    )

@@ -205,7 +205,9 @@ class Bins:
         self.gaussian_start = gaussian_start  # [n_visible + 1]
         self.pair_gaussian = pair_gaussian  # [P] int32, Gaussian of each pair, tile by tile, near to far
         self.pair_slot = pair_slot  # [P] int32, positions of each Gaussian's pairs
-        self.reached = reached  # [P] uint32, blocks of the tile in which a pair is seen; blend_forward writes it
+        self.reached = (
+            reached  # [P] uint32, blocks of the tile in which a pair is seen; blend_forward writes it
+        )
 
 
 def bin_splats(splats: np.ndarray, width: int, height: int, buffers: Buffers | None = None) -> Bins:

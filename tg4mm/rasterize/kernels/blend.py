@@ -185,7 +185,9 @@ def _forward_tiles(order, counter, tables, frame, splats, image, transmittance, 
                 t = load(state, place)
                 visible = (y >= faintest) & (t > zero)
                 alpha = select(y >= faintest, alpha, zero)
-                met |= uint32(bits(visible) != 0) << uint32(k)  # one that stops here may give nothing, but counts
+                met |= uint32(bits(visible) != 0) << uint32(
+                    k
+                )  # one that stops here may give nothing, but counts
                 nt = fma(negative(t), alpha, t)
                 on = nt > t_min
                 w = select(on, t * alpha, zero)

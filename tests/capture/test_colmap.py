@@ -1,0 +1,217 @@
+"""COLMAP folders: files as pycolmap writes them and by hand, and what is refused."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tg4mm.capture import load_capture, load_images
+from tg4mm.capture.cameras import world_to_camera
+from tg4mm.errors import CaptureError
+
+SIZE = (12, 8)
+NAMES = ("a/r_2.png", "a/r_10.png", "b.png")
+CAMERAS = """# Camera list
+1 PINHOLE 12 8 20 21 6 4.5
+2 SIMPLE_RADIAL 12 8 25 6 4 0
+"""
+# One image without features: its second line is empty.
+IMAGES = """# Image list
+1 0.5 0.5 0.5 0.5 1 2 3 1 a/r_2.png
+3.5 4.5 7 1.0 2.0 -1
+2 1 0 0 0 0 0 4 2 a/r_10.png
+
+3 0 0 1 0 0.5 0 4 1 b.png
+3.5 4.5 9
+"""
+POINTS = """# 3D point list
+7 1.5 2.5 3.5 10 20 30 0.25 1 0
+9 -1 0 1 200 100 0 0.5 3 0
+"""
+
+
+def pictures(root: Path) -> Path:
+    for i, name in enumerate(NAMES):
+        path = root / "images" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        Image.fromarray(np.full((SIZE[1], SIZE[0], 3), 100 + i, np.uint8)).save(path)
+    return root
+
+
+@pytest.fixture
+def text(tmp_path: Path) -> Path:
+    """A COLMAP folder with a text model."""
+    root = pictures(tmp_path / "colmap")
+    sparse = root / "sparse" / "0"
+    sparse.mkdir(parents=True)
+    for name, content in (("cameras", CAMERAS), ("images", IMAGES), ("points3D", POINTS)):
+        (sparse / f"{name}.txt").write_text(content)
+    return root
+
+
+def edit(path: Path, old: str, new: str) -> None:
+    content = path.read_text()
+    assert old in content
+    path.write_text(content.replace(old, new))
+
+
+def refused(root: Path, *parts: str, split: str = "train") -> None:
+    with pytest.raises(CaptureError) as caught:
+        load_capture(root, split)
+    message = str(caught.value)
+    assert "\n" not in message
+    for part in parts:
+        assert part in message, message
+
+
+def check(root: Path) -> None:
+    capture = load_capture(root)
+    assert [p.relative_to(root / "images").as_posix() for p in capture.paths] == list(NAMES)
+    # x y z w → a third of a turn about (1, 1, 1): x to y, y to z, z to x
+    turn = np.array([[0, 0, 1.0], [1, 0, 0], [0, 1, 0]])
+    np.testing.assert_allclose(capture.viewmats[0, :3, :3], turn, atol=1e-12)
+    np.testing.assert_allclose(capture.viewmats[0, :3, 3], [1, 2, 3], atol=1e-12)
+    np.testing.assert_allclose(capture.viewmats[1], [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]])
+    np.testing.assert_allclose(capture.viewmats[2, :3, :3], np.diag([-1.0, 1, -1]), atol=1e-12)
+    assert capture.Ks[0].tolist() == [[20, 0, 6], [0, 21, 4.5], [0, 0, 1]]
+    assert capture.Ks[1].tolist() == [[25, 0, 6], [0, 25, 4], [0, 0, 1]]
+    assert (capture.n_timesteps, capture.fps, capture.unit_scale_m) == (1, 0.0, None)
+    assert load_images(capture).data[:, 0, 0, 0].tolist() == [100, 101, 102]
+    points = capture.points
+    assert points is not None
+    assert points.xyz.tolist() == [[1.5, 2.5, 3.5], [-1, 0, 1]]
+    assert points.rgb.tolist() == [[10, 20, 30], [200, 100, 0]]
+    assert (points.xyz.dtype, points.rgb.dtype) == (np.float32, np.uint8)
+
+
+def test_a_text_model(text: Path) -> None:
+    check(text)
+
+
+def test_a_binary_model_as_pycolmap_writes_it(text: Path) -> None:
+    pycolmap = pytest.importorskip("pycolmap")
+    sparse = text / "sparse" / "0"
+    model = pycolmap.Reconstruction(sparse)
+    for path in sparse.iterdir():
+        path.unlink()
+    model.write_binary(sparse)
+    assert {p.name for p in sparse.iterdir()} >= {"cameras.bin", "images.bin", "points3D.bin"}
+    check(text)
+
+
+def test_a_text_model_as_pycolmap_writes_it(text: Path) -> None:
+    pycolmap = pytest.importorskip("pycolmap")
+    sparse = text / "sparse" / "0"
+    pycolmap.Reconstruction(sparse).write_text(sparse)
+    check(text)
+
+
+def test_pycolmap_sees_points_where_the_capture_does(text: Path) -> None:
+    pycolmap = pytest.importorskip("pycolmap")
+    model = pycolmap.Reconstruction(text / "sparse" / "0")
+    capture = load_capture(text)
+    xyz = np.array([0.3, 0.2, 5.0])
+    image = model.images[2]
+    q = capture.viewmats[1, :3, :3] @ xyz + capture.viewmats[1, :3, 3]
+    ours = (capture.Ks[1] @ q)[:2] / q[2]
+    np.testing.assert_allclose(ours, image.project_point(xyz))
+
+
+def test_the_undistorters_layout_has_no_number(text: Path) -> None:
+    for path in (text / "sparse" / "0").iterdir():
+        shutil.move(path, text / "sparse")
+    (text / "sparse" / "0").rmdir()
+    check(text)
+
+
+def test_poses_pass_through_the_convention_on_disk(text: Path) -> None:
+    viewmat = load_capture(text).viewmats[0]
+    c2w = np.linalg.inv(viewmat) @ np.diag([1.0, -1, -1, 1])
+    np.testing.assert_allclose(world_to_camera(c2w), viewmat, atol=1e-12)
+
+
+def test_a_name_with_a_space_and_one_without_a_rotation_s_last_digit(text: Path) -> None:
+    os.replace(text / "images/b.png", text / "images/b 1.png")
+    edit(text / "sparse/0/images.txt", "b.png", "b 1.png")
+    edit(text / "sparse/0/images.txt", "0.5 0.5 0.5 0.5", "0.5 0.5 0.5 0.5002")
+    capture = load_capture(text)
+    assert capture.paths[2].name == "b 1.png"
+    rotation = capture.viewmats[0, :3, :3]
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+
+
+def test_without_points_there_are_none(text: Path) -> None:
+    (text / "sparse/0/points3D.txt").unlink()
+    assert load_capture(text).points is None
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "parts"),
+    [
+        (
+            "cameras",
+            "25 6 4 0",
+            "25 6 4 0.0125",
+            ("camera 2 is SIMPLE_RADIAL with distortion 0.0125", "undistort"),
+        ),
+        ("cameras", "PINHOLE 12 8 20 21", "OPENCV_FISHEYE 12 8 20 21", ("OPENCV_FISHEYE", "8")),
+        ("cameras", "1 PINHOLE", "5 PINHOLE", ("is of camera 1, which is not among the cameras",)),
+        ("cameras", "12 8 20", "13 8 20", ("w is 13; expected 12",)),
+        (
+            "cameras",
+            "20 21 6 4.5",
+            "20 21 6",
+            ("cameras.txt: is truncated or damaged", "3 parameters, not 4"),
+        ),
+        ("cameras", "20 21 6 4.5", "-20 21 6 4.5", ("fl_x is -20.0",)),
+        ("images", "0.5 0.5 0.5 0.5 1", "0.5 0.5 0.5 2 1", ("image 1: has the pose [0.5, 0.5, 0.5, 2.0",)),
+        ("images", "1 2 3 1 a", "1 nan 3 1 a", ("image 1: has the pose",)),
+        ("images", "a/r_2.png", "a/r_3.png", ("r_3.png does not exist",)),
+        ("images", "a/r_2.png", "../../x.png", ("leads outside the dataset's folder",)),
+        ("images", "1 2 3 1 a", "1 x 3 1 a", ("images.txt: is truncated or damaged",)),
+        ("points3D", "1.5 2.5", "inf 2.5", ("points3D.txt: holds a point that is not finite",)),
+    ],
+)
+def test_bad_models_are_refused(text: Path, file: str, old: str, new: str, parts: tuple[str, ...]) -> None:
+    edit(text / "sparse" / "0" / f"{file}.txt", old, new)
+    refused(text, *parts)
+
+
+def test_a_fisheye_lens_is_refused_with_a_way_out(text: Path) -> None:
+    edit(text / "sparse/0/cameras.txt", "PINHOLE 12 8 20 21 6 4.5", "OPENCV_FISHEYE 12 8 20 21 6 4.5 0 0 0 0")
+    refused(text, "camera 1 is OPENCV_FISHEYE; expected PINHOLE", "tg4mm sfm")
+
+
+def test_truncated_and_foreign_binaries_are_refused(text: Path) -> None:
+    pycolmap = pytest.importorskip("pycolmap")
+    sparse = text / "sparse" / "0"
+    pycolmap.Reconstruction(sparse).write_binary(sparse)
+    whole = {name: (sparse / name).read_bytes() for name in ("cameras.bin", "images.bin", "points3D.bin")}
+    for name, data in whole.items():
+        for end in (4, len(data) // 2, len(data) - 1):
+            (sparse / name).write_bytes(data[:end])
+            refused(text, name, "is truncated or damaged")
+        (sparse / name).write_bytes(data)
+    (sparse / "cameras.bin").write_bytes(struct.pack("<QiiQQ", 1, 1, 99, 12, 8))
+    refused(text, "camera 1 has the model number 99, which is unknown")
+
+
+def test_no_registered_image(text: Path) -> None:
+    (text / "sparse/0/images.txt").write_text("# none\n")
+    refused(text, "holds no registered image")
+
+
+def test_there_is_a_training_split_only(text: Path) -> None:
+    refused(text, "training images only: there is no 'test' split", split="test")
+    with pytest.raises(CaptureError, match="no images magnified by 5"):
+        load_capture(text, magnification=5)
+
+
+def test_images_without_a_model_are_not_recognised(tmp_path: Path) -> None:
+    refused(pictures(tmp_path), "is not a dataset I recognise", "a COLMAP folder (images/ and sparse/0/)")

@@ -1,0 +1,122 @@
+"""nerfstudio's transforms.json: what is read, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from plyfile import PlyData, PlyElement
+
+from tg4mm.capture import load_capture, load_images
+from tg4mm.errors import CaptureError
+
+
+@pytest.fixture
+def studio(tmp_path: Path, tools) -> Path:
+    """Three pictures in images/, intrinsics of the file, as ns-process-data writes them."""
+    folder = tools["folder"](tmp_path / "studio", "images", views=3)
+    (folder / "transforms_images.json").unlink()
+    width, height = tools["size"]
+    lens = {"k1": 0.0, "k2": 0, "p1": 0.0, "p2": 0.0, "camera_model": "OPENCV"}
+    values = {"fl_x": 20.0, "fl_y": 21.0, "cx": 6.0, "cy": 4.5, "w": width, "h": height, **lens}
+    values["frames"] = [
+        {
+            "file_path": f"images/r_{i:03d}.png",
+            "transform_matrix": tools["pose"](0.3 + i),
+            "colmap_im_id": i,
+        }
+        for i in range(3)
+    ]
+    (folder / "transforms.json").write_text(json.dumps(values))
+    return folder
+
+
+def refused(folder: Path, *parts: str, split: str = "train") -> None:
+    with pytest.raises(CaptureError) as caught:
+        load_capture(folder, split)
+    message = str(caught.value)
+    assert "\n" not in message
+    for part in parts:
+        assert part in message, message
+
+
+def test_cameras_are_those_of_the_same_poses_in_nerf_synthetics_layout(studio, tmp_path, tools) -> None:
+    capture = load_capture(studio)
+    twin = load_capture(tools["folder"](tmp_path / "twin", "train", views=3))
+    np.testing.assert_array_equal(capture.viewmats, twin.viewmats)
+    assert capture.Ks[0].tolist() == [[20, 0, 6], [0, 21, 4.5], [0, 0, 1]]
+    assert (capture.n_timesteps, capture.fps, capture.split, capture.points) == (1, 0.0, "train", None)
+    assert load_images(capture).data[:, 0, 0, 0].tolist() == [100, 101, 102]
+
+
+def test_a_frames_own_intrinsics_win(studio, tools) -> None:
+    tools["edit"](studio / "transforms.json", lambda v: v["frames"][1].update(fl_x=30.0))
+    assert load_capture(studio).Ks[:, 0, 0].tolist() == [20, 30, 20]
+
+
+def test_splits_are_the_files_own_lists(studio, tools) -> None:
+    lists = {
+        "train_filenames": ["images/r_002.png", "images/r_000.png"],
+        "test_filenames": ["images/r_001.png"],
+    }
+    tools["edit"](studio / "transforms.json", lambda v: v.update(lists))
+    assert [p.name for p in load_capture(studio).paths] == ["r_000.png", "r_002.png"]
+    assert [p.name for p in load_capture(studio, "test").paths] == ["r_001.png"]
+    refused(studio, "has no val_filenames", "no 'val' split", split="val")
+
+
+def test_without_lists_all_frames_are_training(studio) -> None:
+    assert len(load_capture(studio)) == 3
+    refused(studio, "has no test_filenames", "no 'test' split", split="test")
+
+
+def test_points_come_from_the_named_file(studio, tools) -> None:
+    data = np.zeros(4, dtype=[("x", "f4"), ("y", "f4"), ("z", "f4")])
+    data["x"] = range(4)
+    PlyData([PlyElement.describe(data, "vertex")]).write(str(studio / "sparse_pc.ply"))
+    tools["edit"](studio / "transforms.json", lambda v: v.update(ply_file_path="sparse_pc.ply"))
+    points = load_capture(studio).points
+    assert points is not None
+    assert points.xyz[:, 0].tolist() == [0, 1, 2, 3]
+    tools["edit"](studio / "transforms.json", lambda v: v.update(ply_file_path="gone.ply"))
+    refused(studio, "ply_file_path is 'gone.ply', which does not exist")
+    tools["edit"](studio / "transforms.json", lambda v: v.update(ply_file_path="../x.ply"))
+    refused(studio, "leads outside the dataset's folder")
+
+
+def test_a_scene_json_gives_the_scale(studio) -> None:
+    (studio / "scene.json").write_text(json.dumps({"unit_scale_m": 0.25}))
+    assert load_capture(studio).unit_scale_m == 0.25
+
+
+@pytest.mark.parametrize(
+    ("change", "parts"),
+    [
+        (lambda v: v.update(k1=0.01), ("k1 is 0.01; expected 0: undistort the images first",)),
+        (
+            lambda v: v.update(camera_model="OPENCV_FISHEYE"),
+            ("camera_model is 'OPENCV_FISHEYE'", "undistort"),
+        ),
+        (lambda v: v["frames"][0].update(camera_model="EQUIRECTANGULAR"), ("'EQUIRECTANGULAR'",)),
+        (lambda v: v.update(frames=[]), ("frames is []; expected a list of frames",)),
+        (lambda v: v["frames"].__setitem__(1, 7), ("frame 1 is 7; expected an object",)),
+        (lambda v: v["frames"][0].update(file_path="../../x.png"), ("leads outside",)),
+        (
+            lambda v: v.update(train_filenames=["images/gone.png"]),
+            ("train_filenames names 'images/gone.png'",),
+        ),
+        (lambda v: v.update(train_filenames=[]), ("train_filenames is empty",)),
+        (lambda v: v.update(train_filenames="all"), ("train_filenames is 'all'; expected a list",)),
+        (lambda v: v.update(w=99), ("w is 99; expected 12",)),
+    ],
+)
+def test_bad_files_are_refused(studio, tools, change, parts) -> None:
+    tools["edit"](studio / "transforms.json", change)
+    refused(studio, *parts)
+
+
+def test_no_magnified_pictures(studio) -> None:
+    with pytest.raises(CaptureError, match="no images magnified by 5"):
+        load_capture(studio, magnification=5)
