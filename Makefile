@@ -16,7 +16,7 @@ VENV52 := .venv52
 WORKERS ?= 2
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile
 
-.PHONY: demo test test-all test-slow test-52 lint extension install clean distclean
+.PHONY: demo test test-all test-slow test-52 test-gui lint extension install clean distclean
 
 demo: install
 	$(BIN)/tg4mm demo --out demo
@@ -33,6 +33,11 @@ test-52: $(VENV52)/.installed
 	OMP_NUM_THREADS=1 $(VENV52)/bin/python -m pytest -n $(WORKERS) --dist loadfile -m "not slow" tests/addon tests/dataset_gen
 
 test-all: test test-slow test-52
+
+# The extension in the real Blender 5.2 on a virtual screen, by mouse. As root; the first time it gets 1.3 GB.
+test-gui: install
+	tests/gui/setup.sh
+	OMP_NUM_THREADS=1 TG4MM_GUI=1 $(BIN)/python -m pytest tests/gui
 
 lint: install
 	$(BIN)/ruff check .

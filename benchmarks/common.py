@@ -34,3 +34,17 @@ def milliseconds(call: Callable[[], object], repeats: int) -> tuple[float, float
         call()
         times.append((time.perf_counter() - start) * 1e3)
     return statistics.median(times), min(times)
+
+
+def processor_milliseconds(call: Callable[[], object], repeats: int) -> float:
+    """Smallest processor time of `call`, after one call that loads or compiles; of all threads together.
+
+    With one thread it hardly depends on what else the machine does, unlike time by the clock.
+    """
+    call()
+    times = []
+    for _ in range(repeats):
+        start = time.process_time()
+        call()
+        times.append((time.process_time() - start) * 1e3)
+    return min(times)

@@ -49,7 +49,8 @@ def main() -> None:
     cells = video.size
     print(
         f"{n} × {size}²: {seconds:.1f} s, {seconds / n * 1e3:.0f} ms a frame; peak "
-        f"{peak_memory_mib() - before:.0f} MiB above what the filters hold; bound 20 bytes × {cells} + 100 MB = {(20 * cells + 1e8) / 2**20:.0f} MiB"
+        f"{peak_memory_mib() - before:.0f} MiB above what the filters hold; "
+        f"bound 20 bytes × {cells} + 100 MB = {(20 * cells + 1e8) / 2**20:.0f} MiB"
     )
 
 

@@ -1,11 +1,13 @@
 """Time of the CPU rasteriser, forward and backward, beside its peers and the arithmetic limit.
 
-    python benchmarks/rasterize.py [--run RUN] [--repeats 9]
+    python benchmarks/rasterize.py [--run RUN] [--repeats 9] [--only synthetic | cost | run]
 
 Synthetic: Gaussians of about two pixels (standard deviation) fill a ball seen from outside, 256² to 1024², 5,000 to
-500,000. With --run (a folder that `tg4mm train` left) also every kernel on the trained Gaussians, seen by a camera of
-the run's dataset. Peers: the dense twin at a size it can bear; of gsplat's torch reference what is pure torch,
-projection and spherical harmonics (its compositing needs CUDA and nerfacc).
+500,000. Cost: processor time of one thread of the kernels on the same scenes, and what of it falls to each Gaussian,
+tile pair, pixel and visible pixel evaluation. With --run (a folder that `tg4mm train` left) also every kernel on the
+trained Gaussians, seen by a camera of the run's dataset, by number of threads. Peers: the dense twin at a size it can
+bear; of gsplat's torch reference what is pure torch, projection and spherical harmonics (its compositing needs CUDA
+and nerfacc).
 
 Each figure is the median, the smallest time of the same runs stands in brackets: on a shared machine they lie apart.
 """
@@ -21,18 +23,21 @@ from collections.abc import Callable
 import numba
 import numpy as np
 import torch
-from common import machine, milliseconds
+from common import machine, milliseconds, processor_milliseconds
 from limit import BACKWARD_INSTRUCTIONS, FORWARD_INSTRUCTIONS, clock_ghz, visible_evaluations
+from scipy.optimize import nnls
 from torch import Tensor
 
 from tg4mm.capture import load_capture
 from tg4mm.memory import peak_memory_mib
 from tg4mm.rasterize import rasterization
+from tg4mm.rasterize.buffers import Buffers
 from tg4mm.rasterize.kernels import binning, blend
 from tg4mm.rasterize.kernels import project as projection
 from tg4mm.rasterize.kernels.layout import FEAT, FEATURES
 from tg4mm.rasterize.reference import rasterize_dense
 from tg4mm.runs import Run
+from tg4mm.space.fused import FusedAdam, Iteration
 from tg4mm.space.view import EPS2D, FAR, NEAR, render_view
 
 SIZES = (256, 512, 1024)  # pixels
@@ -111,12 +116,111 @@ def synthetic(repeats: int) -> None:
         for n in COUNTS:
             print(row("ours", n, size, measure(ours, n, size, repeats)), flush=True)
     print(f"peak memory so far, 500,000 Gaussians at 1024² among it: {peak_memory_mib():.0f} MiB")
+    iterations(COUNTS[-1], SIZES[-1])
+    print(f"with three iterations of training on them: {peak_memory_mib():.0f} MiB")
     small = measure(ours, DENSE_COUNT, DENSE_SIZE, repeats)
     twin = measure(dense, DENSE_COUNT, DENSE_SIZE, repeats)
     print(row("ours", DENSE_COUNT, DENSE_SIZE, small))
     print(row("dense", DENSE_COUNT, DENSE_SIZE, twin))
     ratios = [twin[key] / small[key] for key in ("forward", "backward")]
     print(f"the dense twin takes {ratios[0]:.0f} times as long forward, {ratios[1]:.0f} times backward")
+
+
+def iterations(n: int, size: int, count: int = 3) -> None:
+    """Some iterations of the space stage on a random picture."""
+    (means, quats, scales, opacities, sh), viewmat, K = scene(n, size)
+    parameters = {
+        "means": means, "quats": quats, "log_scales": scales.log(), "logits": opacities.logit(),
+        "sh0": sh[:, :1], "shn": sh[:, 1:],
+    }  # fmt: skip
+    adam, iteration = FusedAdam(parameters, 1.0), Iteration(10.0, 0.0)
+    target, error = np.random.default_rng(0).random((size, size, 3), np.float32), np.zeros(n, np.float32)
+    for _ in range(count):
+        iteration(adam, viewmat.numpy(), K.numpy(), target, 3, 0.5, error)
+
+
+class Kernels:
+    """Every kernel as a call on its own, for one view of given Gaussians."""
+
+    def __init__(
+        self, arrays: list[np.ndarray], viewmat: np.ndarray, K: np.ndarray, size: tuple[int, int]
+    ) -> None:
+        width, height = size
+        camera = projection.pack_camera(viewmat, K, NEAR, FAR, EPS2D)
+        splats = projection.empty_splats(len(arrays[0]))
+        project = (*arrays, 3, False, camera, width, height, splats)
+        projection.project_forward(*project)
+        buffers = Buffers()
+        bins = binning.bin_splats(splats, width, height)
+        self.lists = (splats, bins.tile_start, bins.pair_gaussian, width, height)
+        rng = np.random.default_rng(0)
+        image, v_image = np.empty((2, height, width, FEATURES), np.float32)
+        transmittance, v_transmittance = np.empty((2, height, width), np.float32)
+        v_image[:], v_transmittance[:] = (
+            rng.normal(size=v_image.shape),
+            rng.normal(size=v_transmittance.shape),
+        )
+        v_pairs = np.empty((len(bins.pair_gaussian), FEAT + FEATURES), np.float32)
+        v_splats = np.zeros_like(splats)
+        pictures = (image, transmittance, v_image, v_transmittance, v_pairs)
+        gather = (bins.order, bins.n_visible, bins.gaussian_start, bins.pair_slot, v_pairs, v_splats)
+        back = (*arrays[:3], arrays[4], 3, False, camera, width, height, splats, v_splats)
+        gradients = (*(np.zeros_like(a) for a in arrays), np.zeros((0, 12), np.float32), False)
+        self.n_gaussians, self.n_pairs = len(arrays[0]), len(bins.pair_gaussian)
+        reached = bins.reached
+        self.calls: dict[str, Callable[[], object]] = {
+            "project": lambda: projection.project_forward(*project),
+            "bin": lambda: binning.bin_splats(splats, width, height, buffers),
+            "blend": lambda: blend.blend_forward(*self.lists, image, transmittance, reached=reached),
+            "blend backward": lambda: blend.blend_backward(*self.lists, *pictures, reached=reached),
+            "gather": lambda: binning.gather_gradient(*gather),
+            "project backward": lambda: projection.project_backward(*back, *gradients),
+        }
+
+
+def fit(name: str, times: list[float], units: dict[str, list[int]]) -> str:
+    """Times (ms) as a sum of so much for each unit, in words, with R² and the largest deviation.
+
+    Least squares of relative errors, since the scenes span a factor of a hundred; no constant: nothing costs nothing.
+    """
+    x, y = np.array(list(units.values()), float).T, np.array(times)
+    each, _ = nnls(x / y[:, None], np.ones_like(y))
+    fitted = x @ each
+    r2 = 1 - ((y - fitted) ** 2).sum() / ((y - y.mean()) ** 2).sum()
+    off = np.abs(fitted / y - 1).max()
+    terms = " + ".join(f"{1e6 * value:.2f} ns/{unit}" for value, unit in zip(each, units, strict=True))
+    return f"{name:17s} {terms}; R² {r2:.4f}, at most {off:.0%} off"
+
+
+def cost(repeats: int) -> None:
+    """Processor time of one thread against what the work is made of."""
+    numba.set_num_threads(1)
+    found: dict[str, list[float]] = {}
+    counts: dict[str, list[int]] = {"Gaussian": [], "pair": [], "pixel": [], "evaluation": []}
+    print(f"\n{'N':>8s} {'size':>6s} {'pairs':>9s} {'visible':>10s}  ms of processor time, one thread")
+    for size in SIZES:
+        for n in COUNTS:
+            parameters, viewmat, K = scene(n, size)
+            kernels = Kernels([p.numpy() for p in parameters], viewmat.numpy(), K.numpy(), (size, size))
+            evaluations = visible_evaluations(*kernels.lists)
+            for unit, number in zip(counts, (n, kernels.n_pairs, size * size, evaluations), strict=True):
+                counts[unit].append(number)
+            times = {name: processor_milliseconds(call, repeats) for name, call in kernels.calls.items()}
+            for name, value in times.items():
+                found.setdefault(name, []).append(value)
+            shown = ", ".join(f"{name} {value:.2f}" for name, value in times.items())
+            print(f"{n:8d} {size:5d}² {kernels.n_pairs:9d} {evaluations:10d}  {shown}", flush=True)
+    print()
+    by = {
+        "project": ["Gaussian"],
+        "project backward": ["Gaussian"],
+        "bin": ["Gaussian", "pair"],
+        "gather": ["pair"],
+    }
+    for name, times in found.items():
+        for units in (by[name],) if name in by else (["evaluation"], ["evaluation", "pair", "pixel"]):
+            print(fit(name, times, {unit: counts[unit] for unit in units}))
+    numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
 
 
 class Trained:
@@ -132,43 +236,17 @@ class Trained:
 
     def kernels(self, repeats: int) -> dict[str, tuple[float, float]]:
         """Milliseconds of every kernel, and the limit of the two that blend."""
-        g, (width, height) = self.gaussians, self.size
+        g = self.gaussians
         arrays = [a.numpy() for a in (g.means, g.quats, g.scales, g.opacities, g.sh)]
-        camera = projection.pack_camera(self.viewmat.numpy(), self.K.numpy(), NEAR, FAR, EPS2D)
-        splats = projection.empty_splats(len(g))
-        project = (*arrays, g.sh_degree, False, camera, width, height, splats)
-        projection.project_forward(*project)
-        bins = binning.bin_splats(splats, width, height)
-        lists = (splats, bins.tile_start, bins.pair_gaussian, width, height)
-        image = np.empty((height, width, FEATURES), np.float32)
-        transmittance = np.empty((height, width), np.float32)
-        rng = np.random.default_rng(0)
-        v_image = rng.normal(size=image.shape).astype(np.float32)
-        v_transmittance = rng.normal(size=transmittance.shape).astype(np.float32)
-        v_pairs, v_splats = (
-            np.empty((len(bins.pair_gaussian), FEAT + FEATURES), np.float32),
-            np.zeros_like(splats),
-        )
-        pictures = (image, transmittance, v_image, v_transmittance, v_pairs)
-        gather = (bins.order, bins.n_visible, bins.gaussian_start, bins.pair_slot, v_pairs, v_splats)
-        back = (*arrays[:3], arrays[4], g.sh_degree, False, camera, width, height, splats, v_splats)
-        gradients = (*(np.zeros_like(a) for a in arrays), np.zeros((0, 12), np.float32), False)
-        calls: dict[str, Callable[[], object]] = {
-            "project": lambda: projection.project_forward(*project),
-            "bin": lambda: binning.bin_splats(splats, width, height),
-            "blend": lambda: blend.blend_forward(*lists, image, transmittance),
-            "blend backward": lambda: blend.blend_backward(*lists, *pictures),
-            "gather": lambda: binning.gather_gradient(*gather),
-            "project backward": lambda: projection.project_backward(*back, *gradients),
-        }
-        times = {name: milliseconds(call, repeats) for name, call in calls.items()}
-        evaluations = visible_evaluations(*lists)
+        kernels = Kernels(arrays, self.viewmat.numpy(), self.K.numpy(), self.size)
+        times = {name: milliseconds(call, repeats) for name, call in kernels.calls.items()}
+        evaluations = visible_evaluations(*kernels.lists)
         rate = numba.get_num_threads() * clock_ghz() * 1e6  # vector instructions a millisecond
-        print(f"{len(g)} Gaussians, {len(bins.pair_gaussian)} pairs, {evaluations} visible pixel evaluations")
+        print(f"{len(g)} Gaussians, {kernels.n_pairs} pairs, {evaluations} visible pixel evaluations")
         for name, count in (("blend", FORWARD_INSTRUCTIONS), ("blend backward", BACKWARD_INSTRUCTIONS)):
             limit = evaluations / 16 * count / rate
             print(
-                f"arithmetic limit of {name}: {limit:.2f} ms; taken: {times[name][0] / limit:.1f} times that"
+                f"arithmetic limit of {name}: {limit:.2f} ms; taken: {times[name][1] / limit:.1f} times that at least"
             )
         return times
 
@@ -221,14 +299,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=9)
     parser.add_argument("--run", help="a run folder with trained Gaussians")
-    parser.add_argument("--only-run", action="store_true", help="leave the synthetic scenes out")
+    parser.add_argument("--only", choices=["synthetic", "cost", "run"], help="one part alone")
     options = parser.parse_args()
-    if options.only_run and not options.run:
-        sys.exit("--only-run needs --run")
+    if options.only == "run" and not options.run:
+        sys.exit("--only run needs --run")
     print(machine())
-    if not options.only_run:
+    if options.only in (None, "synthetic"):
         synthetic(options.repeats)
-    if options.run:
+    if options.only in (None, "cost"):
+        cost(options.repeats)
+    if options.run and options.only in (None, "run"):
         trained(options.run, options.repeats)
 
 

@@ -1,6 +1,9 @@
 """Time of the first picture in a fresh process: kernels compiled (cold cache) and read from the cache (warm).
 
-python benchmarks/startup.py [--repeats 3]
+    python benchmarks/startup.py [--repeats 3]
+
+The last column is the processor time from the start of Python to the first picture: on a machine that does nothing
+else about the time by the clock, on a shared one what that would be.
 """
 
 from __future__ import annotations
@@ -18,6 +21,7 @@ from common import machine
 _SCRIPT = """
 import time
 start = time.perf_counter()
+import tg4mm
 import torch
 from tg4mm.rasterize import rasterization
 imported = time.perf_counter()
@@ -27,14 +31,17 @@ g = [a.requires_grad_() for a in g]
 view, K = torch.eye(4), torch.tensor([[100.0, 0, 64], [0, 100, 64], [0, 0, 1]])
 view[2, 3] = 4
 image, _, _ = rasterization(*g, view[None], K[None], 128, 128, sh_degree=3)
-forward = time.perf_counter()
+forward, used = time.perf_counter(), time.process_time()
 image.sum().backward()
-print(imported - start, forward - imported, time.perf_counter() - forward)
+print(imported - start, forward - imported, time.perf_counter() - forward, used)
 """
 
 
 def first_call(cache: Path) -> list[float]:
-    """Seconds of import, forward and backward in a fresh process that keeps its kernels in `cache`."""
+    """Seconds of import, forward, backward, and of processor time up to the picture.
+
+    In a fresh process that keeps its kernels in `cache`.
+    """
     environment = os.environ | {"NUMBA_CACHE_DIR": str(cache)}
     done = subprocess.run(
         [sys.executable, "-c", _SCRIPT], env=environment, check=True, capture_output=True, text=True
@@ -48,7 +55,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3, help="of the warm cache")
     repeats = parser.parse_args().repeats
     print(machine())
-    print(f"{'cache':8s} {'import':>8s} {'forward':>8s} {'backward':>8s}  s")
+    print(f"{'cache':8s} {'import':>8s} {'forward':>8s} {'backward':>8s} {'processor':>9s}  s")
     with tempfile.TemporaryDirectory() as folder:
         cold = first_call(Path(folder))
         warm = [first_call(Path(folder)) for _ in range(repeats)]

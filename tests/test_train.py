@@ -111,7 +111,7 @@ class TestRequests:
 
     @pytest.mark.parametrize(
         "wrong",
-        [{"space.seed": "-1"}, {"motion.tolerance": "5"}, {"motion.seed": "-1"}, {"space.init": "sfm"}],
+        [{"space.seed": "-1"}, {"motion.tolerance": "5"}, {"motion.seed": "-1"}, {"space.init": "cloud"}],
     )
     def test_settings_out_of_range_leave_no_run_behind(self, wrong: dict, data: Path, tmp_path: Path) -> None:
         """Else the folder would be bound to the bad value, and the right one refused. And no minutes are lost."""

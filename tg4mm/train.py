@@ -22,7 +22,7 @@ from tg4mm.runs import Run
 from tg4mm.space import SpaceConfig, rest_views, train_space
 from tg4mm.space.train import checked as checked_space
 
-# Every preset's settings, by stage, at their defaults. The space stage of `paper` fits base Gaussians by [TG4MM]'s loss.
+# Every preset's settings, by stage, at their defaults. In `paper`, `space` is the fit of the base Gaussians, by L1.
 _BASE = SpaceConfig(l2=0.0)
 PRESETS: dict[str, dict[str, Any]] = {
     "modal": {"space": SpaceConfig(), "motion": MotionConfig()},

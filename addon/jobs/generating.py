@@ -80,7 +80,7 @@ def generate(context: Any, go_on: bool) -> Job:
     described = describe.description(settings, parts)
     if described.main.frequency_hz >= settings.fps / 2:
         raise GenerateError(
-            f"Frequency {described.main.frequency_hz:g} Hz is not below half of Frames per Second, "
+            f"Frequency {described.main.frequency_hz:g} Hz is not below half of the Frame Rate, "
             f"{settings.fps / 2:g} Hz"
         )
     runs_in, folder = host(context), working_folder(settings)

@@ -10,6 +10,9 @@ from .. import preferences
 from . import background, generating, kinds, placing, preview
 from .runner import Job, State
 
+_NARROW = 280.0  # the sidebar as Blender opens it, pixels at a scale of 1
+_BESIDE, _LETTER = 82.0, 6.4  # what stands beside a line of text; a letter, on average
+
 
 class _Tab:
     bl_space_type = "VIEW_3D"
@@ -27,11 +30,11 @@ class VIEW3D_PT_tg4mm_generate(_Tab, bpy.types.Panel):
 
     def draw(self, context: Any) -> None:
         layout, settings = self.layout, context.scene.tg4mm_generate
-        layout.use_property_split = True
+        _spread(layout)
         layout.prop(settings, "out")
         layout.prop(settings, "label", placeholder=generating.label(settings))
         if preferences.get(context).core_python:
-            layout.prop(settings, "in_blender")
+            layout.column(heading="Render In").prop(settings, "in_blender")
         layout.label(text=f"Rest pose: frame {context.scene.frame_current}", icon="TIME")
         if _draw_job(layout, background.GENERATE):
             return
@@ -50,7 +53,7 @@ class VIEW3D_PT_tg4mm_mode(_Tab, bpy.types.Panel):
 
     def draw(self, context: Any) -> None:
         layout, settings = self.layout, context.scene.tg4mm_generate
-        layout.use_property_split = True
+        _spread(layout)
         layout.prop(settings, "source", expand=True)
         if settings.source == "FILE":
             layout.prop(settings, "motion_file")
@@ -80,7 +83,7 @@ class VIEW3D_PT_tg4mm_mode(_Tab, bpy.types.Panel):
                 row.operator("tg4mm.mode_from_cursor", text="", icon="PIVOT_CURSOR").setting = entry.setting
         if settings.kind not in ("translate", "group"):
             layout.operator("tg4mm.fit_mode", icon="PIVOT_BOUNDBOX")
-        layout.prop(settings, "frequency", text="Frequency (Hz)")
+        layout.prop(settings, "frequency")
         row = layout.row(align=True)
         pixels = settings.amplitude_in == "PIXELS"
         row.prop(settings, "amplitude_px" if pixels else "amplitude")
@@ -100,7 +103,7 @@ class VIEW3D_PT_tg4mm_mode(_Tab, bpy.types.Panel):
         row.operator("tg4mm.preview_start", text="Refresh", icon="FILE_REFRESH")
         times = scene.render.fps / scene.render.fps_base / settings.fps
         if abs(times - 1.0) > 1e-3:
-            layout.label(text=f"The timeline plays it {times:.3g} times as fast", icon="INFO")
+            _draw_lines(layout, f"The timeline plays it {times:.3g} times as fast", "INFO")
 
 
 class VIEW3D_PT_tg4mm_views(_Tab, bpy.types.Panel):
@@ -112,7 +115,7 @@ class VIEW3D_PT_tg4mm_views(_Tab, bpy.types.Panel):
 
     def draw(self, context: Any) -> None:
         layout, settings = self.layout, context.scene.tg4mm_generate
-        layout.use_property_split = True
+        _spread(layout)
         layout.prop(settings, "timesteps")
         layout.prop(settings, "cameras")
         if settings.cameras not in ("given", "handheld"):
@@ -123,7 +126,7 @@ class VIEW3D_PT_tg4mm_views(_Tab, bpy.types.Panel):
         if preferences.get(context).core_python and not settings.in_blender:
             layout.prop(settings, "truth")
         else:
-            layout.label(text="Truth per pixel needs the core's Python", icon="INFO")
+            _draw_lines(layout, "Truth per pixel needs the core's Python", "INFO")
 
 
 class VIEW3D_PT_tg4mm_train(_Tab, bpy.types.Panel):
@@ -135,10 +138,10 @@ class VIEW3D_PT_tg4mm_train(_Tab, bpy.types.Panel):
 
     def draw(self, context: Any) -> None:
         layout, settings = self.layout, context.scene.tg4mm_train
-        layout.use_property_split = True
+        _spread(layout)
         if not preferences.get(context).core_python:
-            layout.label(text="Training needs tg4mm in a Python of its own.", icon="INFO")
-            layout.label(text="Name that Python in the preferences.")
+            text = "Training needs tg4mm in a Python of its own. Name that Python in the preferences."
+            _draw_lines(layout, text, "INFO")
             layout.operator("preferences.addon_show", text="Preferences").module = preferences.PACKAGE
             return
         for name in ("dataset", "run", "device", "settings"):
@@ -172,11 +175,18 @@ def _draw_end(layout: Any, job: Job) -> None:
         layout.label(text=f"and {len(job.warnings) - 3} more warnings", icon="BLANK1")
 
 
-def _draw_lines(layout: Any, text: str, icon: str, width: int = 44) -> None:
+def _spread(layout: Any) -> None:
+    """Names beside fields; none of the settings is to be keyed, so no room for that."""
+    layout.use_property_split, layout.use_property_decorate = True, False
+
+
+def _draw_lines(layout: Any, text: str, icon: str) -> None:
     """A message in lines that fit the sidebar, which cuts what is longer."""
+    region, scale = bpy.context.region, bpy.context.preferences.system.ui_scale
+    pixels = region.width / scale if region is not None and region.type == "UI" else _NARROW
     column = layout.column(align=True)
     column.scale_y = 0.8
-    for i, line in enumerate(wrapped(text, width)):
+    for i, line in enumerate(wrapped(text, max(int((pixels - _BESIDE) / _LETTER), 12))):
         column.label(text=line, icon=icon if i == 0 else "BLANK1")
 
 

@@ -22,7 +22,7 @@ from typing import Any
 
 from .reading import Line, Progress, read_line
 
-PATIENCE_S = 5.0  # between one way of ending a program and the next, harder one
+PATIENCE_S = 3.0  # between one way of ending a program and the next, harder one
 _LISTEN_S = 1.0  # after a program's end, for output that is still under way
 _KEPT = 40  # warnings
 _MOST_LINES = 2000  # taken in one poll, so that a program that floods its output does not block

@@ -79,8 +79,8 @@ class TG4MM_generate(bpy.types.PropertyGroup):
         name="Mode", description="How the objects move", default="bending", update=_changed,
         items=[(name, kind.label, kind.description) for name, kind in KINDS.items()])
     frequency: FloatProperty(  # type: ignore[valid-type]
-        name="Frequency", description="Hz; below half of Frames per Second", default=5.0, min=0.001, soft_max=100.0,
-        precision=3, update=_changed)
+        name="Frequency", description="Hz; below half of the Frame Rate", default=5.0, min=0.001, soft_max=100.0,
+        precision=3, unit="FREQUENCY", update=_changed)
     amplitude_in: EnumProperty(  # type: ignore[valid-type]
         name="Amplitude In", default="SCENE", update=_changed,
         description="Unit of the amplitude, which is the largest displacement of any vertex",
@@ -133,8 +133,8 @@ class TG4MM_generate(bpy.types.PropertyGroup):
         name="Gain", description="The preview shows this many times the displacement; the data have it once",
         default=20.0, soft_min=0.0, soft_max=200.0, update=_gain_changed)
     fps: FloatProperty(  # type: ignore[valid-type]
-        name="Frames per Second", description="Timesteps per second, Hz", default=30.0, min=0.01, soft_max=1000.0,
-        precision=2, update=_changed)
+        name="Frame Rate", description="Timesteps of the dataset per second, Hz", default=30.0, min=0.01,
+        soft_max=1000.0, precision=2, unit="FREQUENCY", update=_changed)
     timesteps: IntProperty(  # type: ignore[valid-type]
         name="Timesteps", description="Number of frames of the dataset", default=30, min=1, max=1000)
 
@@ -175,8 +175,8 @@ class TG4MM_generate(bpy.types.PropertyGroup):
     out: StringProperty(  # type: ignore[valid-type]
         name="Output", description="Folder that the dataset's folder is made in", subtype="DIR_PATH", options=_RELATIVE)
     in_blender: BoolProperty(  # type: ignore[valid-type]
-        name="Render in This Blender", description="Even though the core's Python is known: the same version of "
-        "Blender as this one renders, but without truth per pixel and without a report")
+        name="This Blender", description="This Blender renders, not the one that the core's Python has: the same "
+        "version as yours, but without truth per pixel and without a report")
     # fmt: on
 
 

@@ -113,7 +113,7 @@ def test_stopped_run_goes_on(extension: ModuleType, settings: Any) -> None:
         ({"out": "//here"}, "not saved yet"),
         ({"label": "a b"}, "Name 'a b': letters, digits"),
         ({"label": "../x"}, "Name '../x': letters, digits"),
-        ({"frequency": 15.0}, "Frequency 15 Hz is not below half of Frames per Second, 15 Hz"),
+        ({"frequency": 15.0}, "Frequency 15 Hz is not below half of the Frame Rate, 15 Hz"),
         ({"axis": (0, 0, 0)}, "axis: .* has no direction"),
         ({"source": "FILE", "motion_file": "/no/such.yaml"}, "/no/such.yaml cannot be read"),
     ],
@@ -181,7 +181,7 @@ def test_panels_offer_every_field_of_every_kind(extension: ModuleType, settings:
         assert {"frequency", "amplitude", "fps", "tg4mm.preview_start", "out", "cameras", "size"} <= set(
             shown
         )
-    assert "Truth per pixel needs the core's Python" in shown
+    assert said(shown, "Truth per pixel needs the core's Python")
     assert "Moves: Cube [a]" in shown
     bpy.ops.tg4mm.move_everything()
     assert "Moves: everything" in drawn(extension)
@@ -189,7 +189,7 @@ def test_panels_offer_every_field_of_every_kind(extension: ModuleType, settings:
     bpy.ops.tg4mm.preview_start()
     shown = drawn(extension, "Motion")
     assert {"gain", "tg4mm.preview_stop"} <= set(shown)
-    assert "The timeline plays it 0.8 times as fast" in shown
+    assert said(shown, "The timeline plays it 0.8 times as fast")
     bpy.ops.tg4mm.preview_stop()
 
 

@@ -160,6 +160,17 @@ def view(look_from: list[float], at: list[float], distance: float) -> None:
 
 
 @answer
+def to_frame(number: int) -> None:
+    bpy.context.scene.frame_set(number)
+
+
+@answer
+def deselect() -> None:
+    for obj in bpy.context.view_layer.objects:
+        obj.select_set(False)
+
+
+@answer
 def clear() -> None:
     """Remove the cube, the lamp and the camera that Blender starts with."""
     bpy.data.batch_remove(list(bpy.data.objects))

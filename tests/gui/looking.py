@@ -74,7 +74,7 @@ class Header:
 def headers(picture: np.ndarray, strip: Box) -> list[Header]:
     """The headers of panels in a strip of a screenshot [H, W, 3], from the top."""
     grey = cut(picture, strip).astype(float).mean(axis=2)
-    found = []
+    found: list[Header] = []
     for mark, is_open in ((_FOLDED, False), (_OPEN, True)):
         for y, x in zip(*np.nonzero(_correlation(grey, mark) > _ALIKE), strict=True):
             middle = strip.left + x + mark.shape[1] // 2, strip.top + y + mark.shape[0] // 2

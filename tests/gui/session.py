@@ -26,7 +26,7 @@ import numpy as np
 
 HERE = Path(__file__).resolve().parent
 ROOT = Path(os.environ.get("TG4MM_BLENDER_ROOT", "/var/tmp/tg4mm/blender-5.2"))
-SIZE = (1280, 800)
+SIZE = (1280, 1000)  # high enough for the sidebar's longest panel
 START_LIMIT, ANSWER_LIMIT = 240.0, 120.0  # s; software OpenGL compiles shaders for a while
 PAUSE = 0.08  # s between what the hand does, so that Blender sees it one after another
 MISSING_ROOT = f"no Blender in {ROOT}; run tests/gui/setup.sh as root"
@@ -60,10 +60,10 @@ class Box:
 class Session:
     """A running Blender. Made by `Session.start`."""
 
-    def __init__(self, folder: Path, process: subprocess.Popen[bytes]) -> None:
+    def __init__(self, folder: Path) -> None:
         self.folder = folder  # seen from here
         self.inside = "/" + str(folder.relative_to(ROOT))  # seen by Blender
-        self._process = process
+        self.seen: dict[str, tuple[int, int]] = {}  # where controls were found last
         self._number = 0
         self._display = ""
 
@@ -88,13 +88,13 @@ class Session:
                 shutil.copyfile(file, folder / file.name)
             process = _launch(folder, size)
             try:
-                session = cls(folder, process)
+                session = cls(folder)
                 session._wait_for_window()
                 yield session
             finally:
                 _end(process)
         finally:
-            shutil.rmtree(folder)
+            shutil.rmtree(folder, ignore_errors=True)
 
     # What a person does.
 
@@ -243,6 +243,9 @@ class Session:
 
 def _launch(folder: Path, size: tuple[int, int]) -> subprocess.Popen[bytes]:
     """Process and mount namespaces of its own: with its first process end all others, and the mounts."""
+    for old in folder.parent.glob("tg4mm-gui-*"):  # of a session that was killed
+        if old != folder and time.time() - old.stat().st_mtime > 6 * 3600:
+            shutil.rmtree(old)
     namespaces = ("unshare", "--mount", "--pid", "--fork", "--kill-child", "--propagation", "private")
     script = ("/bin/sh", str(HERE / "run_inside.sh"), str(ROOT), "/" + str(folder.relative_to(ROOT)))
     words = [*namespaces, *script, *(str(n) for n in size)]

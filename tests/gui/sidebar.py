@@ -6,7 +6,6 @@ lies under it: the data path of a value (Ctrl Shift Alt C) or the Python command
 
 from __future__ import annotations
 
-import itertools
 import time
 from collections.abc import Callable
 
@@ -39,11 +38,13 @@ def find(blender: Session, wanted: str) -> tuple[int, int]:
     """
     path = wanted if wanted.startswith("bpy.") else blender.ask("paths").get(wanted, wanted)
     box = blender.region("VIEW_3D", "UI")
-    place = _in_rows(blender, path, box.top, box.top + box.height)
-    if place is None:
-        place = _in_panels(blender, path, box)
+    place = blender.seen.get(path)
+    if place and under_pointer(blender, place[0], place[1], path.startswith("bpy.")).endswith(path):
+        return place
+    place = _in_rows(blender, path, box.top, box.top + box.height) or _in_panels(blender, path, box)
     if place is None:
         raise SessionError(f"no control for {wanted} in the sidebar\n{blender.log()[-2000:]}")
+    blender.seen[path] = place
     return place
 
 
@@ -60,15 +61,17 @@ def _in_rows(blender: Session, path: str, top: int, bottom: int) -> tuple[int, i
 def _in_panels(blender: Session, path: str, box: Box) -> tuple[int, int] | None:
     """The same, in panels that are opened for it one at a time, and what they hold with them."""
     _fold(blender, box)
-    for header in [h for h in _headers(blender, box) if not h.open]:
-        _click_header(blender, header)
-        while inner := [h for h in _inside(blender, box, header) if not h.open]:
-            _click_header(blender, inner[0])
-        after = [h.y for h in _headers(blender, box) if h.y > header.y and h.x <= header.x]
-        place = _in_rows(blender, path, header.y, min([*after, box.top + box.height]))
+    i, shown = 1, _headers(blender, box)
+    while i < len(shown):
+        _click_header(blender, shown[i])
+        now = _headers(blender, box)
+        bottom = now[i + 1].y if i + 1 < len(now) else box.top + box.height
+        place = _in_rows(blender, path, now[i].y, bottom)
         if place is not None:
             return place
-        _fold(blender, box)
+        if len(now) <= len(shown):  # else it holds panels, which come next
+            _click_header(blender, now[i])
+        i, shown = i + 1, _headers(blender, box)
     return None
 
 
@@ -77,12 +80,6 @@ def _fold(blender: Session, box: Box) -> None:
     blender.scroll(*box.middle, -30)
     while opened := [h for h in _headers(blender, box)[1:] if h.open]:
         _click_header(blender, opened[-1])  # what is above stays where it is
-
-
-def _inside(blender: Session, box: Box, panel: Header) -> list[Header]:
-    """The headers of what a panel holds, from the top."""
-    below = [h for h in _headers(blender, box) if h.y > panel.y]
-    return list(itertools.takewhile(lambda h: h.x > panel.x + 5, below))
 
 
 def _headers(blender: Session, box: Box) -> list[Header]:

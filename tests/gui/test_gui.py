@@ -44,7 +44,8 @@ def view_of(blender: Session, picture: np.ndarray) -> np.ndarray:
 def expected(blender: Session, splat: SplatFile) -> np.ndarray:
     """[N, 3] by the core's formula, for the frame and the inputs that Blender has now."""
     inputs = blender.ask("inputs")
-    return positions_at(splat, blender.ask("frame")["current"] - 1, inputs["Magnification"])
+    band = inputs["Band Low"], inputs["Band High"]
+    return positions_at(splat, blender.ask("frame")["current"] - 1, inputs["Magnification"], band)
 
 
 def test_the_window_opens_and_the_extension_raises_nothing(blender: Session, pictures: Path) -> None:
@@ -110,6 +111,19 @@ def test_the_timeline_plays(blender: Session, splat: SplatFile, pictures: Path) 
     assert len(set(frames)) > 1
     assert all(looking.changed(a, b) > 0.005 for a, b in itertools.pairwise(shots))
     np.testing.assert_allclose(blender.places(), expected(blender, splat), atol=SAME)
+
+
+def test_a_band_that_is_typed_magnifies_what_is_in_it(
+    blender: Session, splat: SplatFile, pictures: Path
+) -> None:
+    sidebar.type_value(blender, "Band High", "3")
+    alone = SplatFile(**{**vars(splat), "displacement": splat.displacement * [[[26]], [[1]]]})
+    at = positions_at(alone, blender.ask("frame")["current"] - 1)
+    assert blender.ask("inputs")["Magnification"] == 25.0
+    np.testing.assert_allclose(blender.places(), at, atol=SAME)
+    blender.picture(pictures / "08_band.png")
+    sidebar.press(blender, "bpy.ops.tg4mm.band(frequency=0)")  # All
+    blender.wait(lambda: blender.ask("inputs")["Band High"] > 5, "the whole band")
 
 
 def test_a_frequency_is_switched_off(blender: Session, splat: SplatFile, pictures: Path) -> None:

@@ -172,7 +172,7 @@ class TestChoice:
         [
             ("points", "init is 'points', but the dataset has no points3d.ply"),
             ("hull", "init is 'hull', but the images have no alpha mask"),
-            ("sfm", "init is 'sfm', expected auto, points, hull, random"),
+            ("cloud", "init is 'cloud', expected auto, points, sfm, hull, random"),
         ],
     )
     def test_what_is_not_there_is_refused(self, kind: str, match: str) -> None:

@@ -194,7 +194,7 @@ def test_nothing_given_is_changed(
         ({"l2": float("inf")}, "space.l2 is inf"),
         ({"dssim": 1.01}, "space.dssim is 1.01, expected 0 to 1"),
         ({"dssim": float("nan")}, "space.dssim is nan"),
-        ({"init": "sfm"}, "space.init is sfm, expected auto, points, hull, random"),
+        ({"init": "cloud"}, "space.init is cloud, expected auto, points, sfm, hull, random"),
         ({"init_points": 3}, "space.init_points is 3, expected >= 4"),
         ({"seed": -1}, "space.seed is -1, expected 0 to"),
     ],

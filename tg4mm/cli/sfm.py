@@ -73,8 +73,9 @@ def sfm(
         int, typer.Option(help="Threads; 0: all cores. With 1 the result repeats bit for bit.")
     ] = 0,
 ) -> None:
-    """Find cameras and sparse points with COLMAP, and write a dataset that train reads.
+    """Make a dataset from photographs or videos.
 
+    COLMAP finds cameras and sparse points; train reads the result.
     The dataset's pictures are undistorted; its world has Z up, the scene in the middle and the cameras about
     4 units away. Fixed cameras get one pose each for all their frames.
     """

@@ -1,9 +1,9 @@
 """Temporal band-pass filters by their frequency response, applied on the DFT bins of T timesteps.
 
 `zero-phase`: a Hamming-windowed FIR of odd length about its centre tap; its response is real, so what comes out is
-neither late nor early. `ideal`: 1 inside the band, 0 outside. `published`: the FIR of even length N that [TG4MM] §IV.B
-and [3DMM] describe, put through `ifftshift` and the FFT. It has no centre tap, so the result is half a sample early: 18°
-at 3 Hz and 30° at 5 Hz with fps 30, a motion that is 31 % and 52 % off (2 sin(θ/2)), which α then multiplies.
+neither late nor early. `ideal`: 1 inside the band, 0 outside. `published`: the FIR of even length N of [TG4MM] and
+[3DMM], put through `ifftshift` and the FFT. It has no centre tap, so the result is half a sample early: 18° at 3 Hz and
+30° at 5 Hz with fps 30, a motion that is 31 % and 52 % off (2 sin(θ/2)), which α then multiplies.
 
 Filtering over T timesteps takes the series as periodic, as the FFT does; a response is a function of frequency, so T
 need not be the filter's length. Shorter than the filter, the series wraps around within it.

@@ -73,16 +73,15 @@ def sub_bands(shape: tuple[int, int], config: PyramidConfig | None = None) -> It
     impulse[..., 0, 0] = 1
     answers = made(impulse)
     scales = [k for k in answers if isinstance(k, int)]
-    silent = OrderedDict((k, torch.zeros_like(v).expand(2, *v.shape[1:])) for k, v in answers.items())
     for scale in scales:
         analysis = torch.fft.fft2(answers[scale][0, 0])
-        h, w = analysis.shape[-2:]
+        poke = torch.zeros_like(answers[scale])
+        poke[..., 0, 0] = 1  # every orientation: `bands` picks one
+        poked = OrderedDict(answers | {scale: poke})
         for o in range(config.orientations):
-            poke = torch.zeros(2, *answers[scale].shape[1:], dtype=torch.complex64)
-            poke[:, 0, o, 0, 0] = torch.tensor([1, 1j])
-            back = made.recon_pyr(OrderedDict(silent | {scale: poke}))[:, 0]
-            whole = torch.fft.fft2(torch.complex(back[0], -back[1]))
-            yield SubBand(scale, o, analysis[o].clone(), crop(whole, (h, w)))
+            # Synthesis filters are real in space: one impulse tells all.
+            back = made.recon_pyr(poked, levels=[scale], bands=[o])[0, 0]
+            yield SubBand(scale, o, analysis[o].clone(), crop(torch.fft.fft2(back), analysis.shape[-2:]))
 
 
 def crop(spectrum: Tensor, size: tuple[int, int]) -> Tensor:

@@ -22,7 +22,7 @@ class PaperConfig:
     motion_iterations: int = 7_000  # of phase 2, for each timestep
     shared: bool = False  # true: motion_iterations is what all timesteps share
     learning_rate: float = 1e-4  # of Adam, fixed, both phases
-    deviation: float = 0.1  # standard deviation of the planes' first values
+    deviation: float = 1.0  # standard deviation of the space planes' first values
     residual: bool = True  # false: a timestep's planes replace the space planes (Fig. 8)
     seed: int = 0
 

@@ -41,9 +41,10 @@ def rasterization(
 ) -> tuple[Tensor, Tensor, dict[str, Any]]:
     """Render Gaussians from C cameras. Names and meaning of the arguments are gsplat's.
 
-    Returns renders [C, H, W, X], alphas [C, H, W, 1] and a dictionary with `projected` (one record a camera,
-    CPU only; with more than four plain channels for each pass). X is D colours, a depth channel ("D": Σ w·z, "ED": that divided by alpha), or both. Gradients
-    reach every tensor but Ks. A background fills colour channels only, as in gsplat.
+    Returns renders [C, H, W, X], alphas [C, H, W, 1] and a dictionary with `projected` (CPU only: one record a camera,
+    and again for every pass that more than four plain channels take). X is D colours, a depth channel ("D": Σ w·z,
+    "ED": that divided by alpha), or both. Gradients reach every tensor but Ks. A background fills colour channels
+    only, as in gsplat.
 
     Raises ValueError with both shapes where a shape is wrong, and Tg4mmError where gsplat is needed and
     absent.
@@ -119,19 +120,28 @@ def _cpu_views(
         for of_view, image in zip(images, pictures, strict=True):
             of_view.append(image)
         records += projected
-    renders, alphas = [], []
+    widths = [part.shape[-1] for part in passes] if wants_colour else []
+    renders = []
     for i, transmittance in enumerate(transmittances):
-        alpha = (1 - transmittance)[..., None]
-        parts = []
-        if wants_colour:
-            shown = [image[..., : part.shape[-1]] for image, part in zip(images[i], passes, strict=True)]
-            colour = shown[0] if len(shown) == 1 else torch.cat(shown, -1)
-            if backgrounds is not None:
-                colour = colour + transmittance[..., None] * backgrounds[i]
-            parts.append(colour)
-        if wants_depth:
-            depth = images[i][-1][..., FEATURES - 1 :]
-            parts.append(depth / alpha.clamp_min(1e-10) if "ED" in render_mode else depth)
-        renders.append(parts[0] if len(parts) == 1 else torch.cat(parts, -1))
-        alphas.append(alpha)
-    return torch.stack(renders), torch.stack(alphas), records
+        background = None if backgrounds is None else backgrounds[i]
+        renders.append(_composed(images[i], transmittance, widths, background, render_mode))
+    return torch.stack(renders), torch.stack([1 - t[..., None] for t in transmittances]), records
+
+
+def _composed(
+    images: list[Tensor],
+    transmittance: Tensor,
+    widths: list[int],
+    background: Tensor | None,
+    render_mode: str,
+) -> Tensor:
+    """One camera's passes [H, W, FEATURES], of which `widths` channels are colour, as the mode wants them."""
+    parts = []
+    if widths:
+        shown = [image[..., :width] for image, width in zip(images, widths, strict=True)]
+        colour = shown[0] if len(shown) == 1 else torch.cat(shown, -1)
+        parts.append(colour if background is None else colour + transmittance[..., None] * background)
+    if render_mode != "RGB":
+        depth, alpha = images[-1][..., FEATURES - 1 :], 1 - transmittance[..., None]
+        parts.append(depth / alpha.clamp_min(1e-10) if "ED" in render_mode else depth)
+    return parts[0] if len(parts) == 1 else torch.cat(parts, -1)

@@ -106,9 +106,7 @@ class Iteration:
         share = 1 - self._dssim
         compare(image, transmittance, target, WHITE, share, self._l2, more, v_image, v_transmittance, squares)
         v_pairs = take("v_pairs", (len(bins.pair_gaussian), FEAT + FEATURES))
-        blend_backward(
-            *tiles, image, transmittance, v_image, v_transmittance, v_pairs, reached=bins.reached
-        )
+        blend_backward(*tiles, image, transmittance, v_image, v_transmittance, v_pairs, reached=bins.reached)
         v_splats = take("v_splats", splats.shape)
         gather_gradient(bins.order, bins.n_visible, bins.gaussian_start, bins.pair_slot, v_pairs, v_splats)
         rates, root = adam.next_rates(progress)

@@ -1,0 +1,114 @@
+"""The README's pictures of the extension, out of the real Blender.
+
+    python tests/gui/screenshots.py SPLAT.ply [--low HZ --high HZ] [--alpha 50] [--draw Splats] [--out docs/images]
+
+Imports the file by mouse, opens the tab, magnifies the band, and writes blender_rest.png (α = 0) and
+blender_panel.png (α as asked) at the frame where the motion is largest. Needs what setup.sh built, and root.
+The file of the README is a run's own: `tg4mm demo`, then demo/splat.ply.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+REPO = Path(__file__).resolve().parent.parent.parent
+sys.path.insert(0, str(REPO))
+
+from tests.gui import looking, sidebar  # noqa: E402
+from tests.gui.session import Session  # noqa: E402
+from tg4mm.splatfile import SplatFile, positions_at, read_splat  # noqa: E402
+
+SIZE = (1360, 900)
+LARGEST = 300_000  # bytes of a picture
+LOOK_FROM = (0.9, -1.6, 0.55)
+
+
+def main() -> None:
+    options = _options()
+    splat = read_splat(options.splat)
+    band = (options.low, options.high)
+    with Session.start(_extension(), [options.splat], SIZE) as blender:
+        blender.ask("clear")
+        sidebar.import_by_menu(blender, options.splat.name)
+        sidebar.open_tab(blender)
+        sidebar.press(blender, "bpy.ops.tg4mm.true_colours()")
+        _aim(blender, splat)
+        for name, value in (("Band Low", options.low), ("Band High", options.high)):
+            if splat.n_modes:
+                sidebar.type_value(blender, name, f"{value:g}")
+        sidebar.choose(blender, "Draw As", options.draw)
+        blender.ask("shading", kind="MATERIAL")
+        blender.ask("to_frame", number=1 + _largest(splat, options.alpha, band))
+        for name, alpha in (("blender_rest", 0.0), ("blender_panel", options.alpha)):
+            sidebar.type_value(blender, "Magnification", f"{alpha:g}")
+            _take(blender, options.out / f"{name}.png")
+        if blender.complaints():
+            sys.exit("Blender complained:\n" + "\n".join(blender.complaints()))
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0] if __doc__ else None)
+    parser.add_argument("splat", type=Path, help="splat file with motion")
+    parser.add_argument("--low", type=float, default=0.0, help="lowest frequency that is magnified, Hz")
+    parser.add_argument("--high", type=float, default=1e6, help="highest frequency that is magnified, Hz")
+    parser.add_argument("--alpha", type=float, default=50.0)
+    parser.add_argument("--draw", default="Ellipsoids", help="Ellipsoids, Splats, Points or Arrows")
+    parser.add_argument("--out", type=Path, default=REPO / "docs" / "images")
+    return parser.parse_args()
+
+
+def _extension() -> Path:
+    """The zip, built by the code of `make extension`."""
+    file = REPO / "addon" / "make_extension.py"
+    spec = importlib.util.spec_from_file_location("make_extension", file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return Path(module.build(module.stage(REPO / "build" / "extension"), REPO / "dist"))
+
+
+def _aim(blender: Session, splat: SplatFile) -> None:
+    """Look at the middle of the opaque Gaussians from the front, and leave nothing selected: no outlines."""
+    solid = splat.means[splat.opacities > 0.3]
+    low, high = np.percentile(solid, (1, 99), axis=0)
+    distance = 1.9 * float(np.linalg.norm(high - low) / 2)
+    blender.ask("view", look_from=LOOK_FROM, at=((low + high) / 2).tolist(), distance=distance)
+    blender.ask("deselect")
+
+
+def _largest(splat: SplatFile, alpha: float, band: tuple[float, float]) -> int:
+    """The timestep at which the magnified Gaussians are farthest from rest, rms."""
+    if not splat.n_modes:
+        return 0
+    steps = range(splat.n_timesteps)
+    away = [np.square(positions_at(splat, t, alpha, band) - splat.means).mean() for t in steps]
+    return int(np.argmax(away))
+
+
+def _take(blender: Session, path: Path) -> None:
+    """The 3D view with the sidebar, and the timeline, in 256 colours."""
+    blender.move(*blender.region("DOPESHEET_EDITOR").middle)  # no tooltip, no button lit
+    time.sleep(1.0)
+    picture = blender.settled(blender.folder / "whole.png")
+    view, below = blender.region("VIEW_3D"), blender.region("DOPESHEET_EDITOR")
+    part = picture[view.top : below.top + below.height, view.left : view.left + view.width]
+    if looking.is_blank(part):
+        sys.exit("the screen is blank")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    image = Image.fromarray(part).quantize(256, dither=Image.Dither.NONE)
+    image.save(path, optimize=True)
+    if path.stat().st_size > LARGEST:
+        sys.exit(f"{path} has {path.stat().st_size} bytes, more than {LARGEST}")
+    print(path)
+
+
+if __name__ == "__main__":
+    main()
