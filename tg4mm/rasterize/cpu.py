@@ -90,9 +90,8 @@ class RasterizeViews(torch.autograd.Function):
         v_viewmats = torch.zeros(len(cameras), 4, 4) if with_pose else None
         buffers = Buffers()
         for c, (camera, record) in enumerate(zip(cameras, projected, strict=True)):
-            record.v_splats = _gradient_by_splats(
-                record, view, [a[c] for a in pictures], [_array(a[c]) for a in v_pictures], buffers
-            )
+            around = (pictures[0][c], pictures[1][c], _array(v_pictures[0][c]), _array(v_pictures[1][c]))
+            record.v_splats = _gradient_by_splats(record, view, around, buffers)
             means, quats, scales, _, features = arrays
             v_pose[:] = 0
             project_backward(
@@ -106,14 +105,15 @@ class RasterizeViews(torch.autograd.Function):
 
 
 def _gradient_by_splats(
-    record: Projected, view: View, pictures: list[np.ndarray], v_pictures: list[np.ndarray], buffers: Buffers
+    record: Projected, view: View, pictures: tuple[np.ndarray, ...], buffers: Buffers
 ) -> np.ndarray:
     """[N, SPLAT_WIDTH]; pictures: image and transmittance, and the gradients by them."""
+    image, transmittance, v_image, v_transmittance = pictures
     bins = record.bins
     v_pairs = buffers.take("v_pairs", (len(bins.pair_gaussian), FEAT + FEATURES))
     blend_backward(
-        record.splats, bins.tile_start, bins.pair_gaussian, view.width, view.height, *pictures, *v_pictures,
-        v_pairs, reached=bins.reached,
+        record.splats, bins.tile_start, bins.pair_gaussian, view.width, view.height,
+        image, transmittance, v_image, v_transmittance, v_pairs, reached=bins.reached,
     )  # fmt: skip
     v_splats = np.zeros_like(record.splats)
     gather_gradient(bins.order, bins.n_visible, bins.gaussian_start, bins.pair_slot, v_pairs, v_splats)
