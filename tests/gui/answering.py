@@ -165,6 +165,26 @@ def to_frame(number: int) -> None:
 
 
 @answer
+def put(to: str, value: Any) -> None:
+    """Set an input of the active object's splat modifier, for a picture."""
+    modifier = _modifier()
+    items = modifier.node_group.interface.items_tree
+    item = next(i for i in items if i.item_type == "SOCKET" and i.in_out == "INPUT" and i.name == to)
+    getattr(modifier.properties.inputs, item.identifier).value = value
+    modifier.id_data.update_tag()
+
+
+@answer
+def true_colours() -> None:
+    bpy.ops.tg4mm.true_colours()
+
+
+@answer
+def selected() -> list[str]:
+    return [obj.name for obj in bpy.context.selected_objects]
+
+
+@answer
 def deselect() -> None:
     for obj in bpy.context.view_layer.objects:
         obj.select_set(False)

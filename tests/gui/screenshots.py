@@ -38,16 +38,17 @@ def main() -> None:
         blender.ask("clear")
         sidebar.import_by_menu(blender, options.splat.name)
         sidebar.open_tab(blender)
-        sidebar.press(blender, "bpy.ops.tg4mm.true_colours()")
+        # What follows is set, not clicked: the panels stay as the extension opens them.
+        blender.ask("true_colours")
         _aim(blender, splat)
-        for name, value in (("Band Low", options.low), ("Band High", options.high)):
-            if splat.n_modes:
-                sidebar.type_value(blender, name, f"{value:g}")
-        sidebar.choose(blender, "Draw As", options.draw)
+        if splat.n_modes:
+            blender.ask("put", to="Band Low", value=options.low)
+            blender.ask("put", to="Band High", value=options.high)
+        blender.ask("put", to="Draw As", value=options.draw)
         blender.ask("shading", kind="MATERIAL")
         blender.ask("to_frame", number=1 + _largest(splat, options.alpha, band))
         for name, alpha in (("blender_rest", 0.0), ("blender_panel", options.alpha)):
-            sidebar.type_value(blender, "Magnification", f"{alpha:g}")
+            blender.ask("put", to="Magnification", value=alpha)
             _take(blender, options.out / f"{name}.png")
         if blender.complaints():
             sys.exit("Blender complained:\n" + "\n".join(blender.complaints()))

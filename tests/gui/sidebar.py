@@ -83,9 +83,16 @@ def _fold(blender: Session, box: Box) -> None:
 
 
 def _headers(blender: Session, box: Box) -> list[Header]:
+    """The headers in sight, once they have stopped sliding."""
     blender.move(*blender.region("DOPESHEET_EDITOR").middle)  # a header under the pointer is brighter
-    time.sleep(0.3)  # and panels slide
-    return headers(blender.picture(blender.folder / "panels.png"), Box(box.left, box.top, 80, box.height))
+    strip, last = Box(box.left, box.top, 80, box.height), None
+    for _ in range(20):
+        now = headers(blender.picture(blender.folder / "panels.png"), strip)
+        if now == last:
+            return now
+        last = now
+        time.sleep(0.3)
+    raise SessionError("the sidebar's panels do not come to rest")
 
 
 def _click_header(blender: Session, header: Header) -> None:

@@ -41,6 +41,13 @@ def view_of(blender: Session, picture: np.ndarray) -> np.ndarray:
     return picture[box.top + 90 : box.top + box.height, box.left + 100 : box.left + box.width - sides]
 
 
+def still_view(blender: Session, path: Path) -> np.ndarray:
+    """The same of a new screenshot, without a tooltip, once the screen is still."""
+    blender.move(*blender.region("DOPESHEET_EDITOR").middle)
+    time.sleep(1.0)
+    return view_of(blender, blender.settled(path))
+
+
 def expected(blender: Session, splat: SplatFile) -> np.ndarray:
     """[N, 3] by the core's formula, for the frame and the inputs that Blender has now."""
     inputs = blender.ask("inputs")
@@ -139,12 +146,11 @@ def test_a_frequency_is_switched_off(blender: Session, splat: SplatFile, picture
 def test_solid_view_takes_colours(blender: Session, pictures: Path) -> None:
     box = blender.region("VIEW_3D")
     blender.click(box.left + 120, box.top + 620)  # beside the drum: an outline would hide it
-    time.sleep(0.5)
-    grey = view_of(blender, blender.picture(pictures / "09_grey.png"))
+    blender.wait(lambda: blender.ask("selected") == [], "nothing to be selected")
+    grey = still_view(blender, pictures / "09_grey.png")
     sidebar.press(blender, "bpy.ops.tg4mm.solid_colours()")
     blender.wait(lambda: blender.ask("inputs")["Solid View Colours"], "colours in Solid view")
-    time.sleep(1.0)
-    colours = view_of(blender, blender.picture(pictures / "10_solid_colours.png"))
+    colours = still_view(blender, pictures / "10_solid_colours.png")
     assert looking.coloured(colours) > looking.coloured(grey) + 0.05
 
 
@@ -152,9 +158,7 @@ def test_display_modes_look_different(blender: Session, pictures: Path) -> None:
     shots = {}
     for mode in ("Points", "Arrows", "Splats", "Ellipsoids"):
         sidebar.choose(blender, "Draw As", mode)
-        blender.move(*blender.region("DOPESHEET_EDITOR").middle)  # no tooltip
-        time.sleep(1.5)
-        shots[mode] = view_of(blender, blender.picture(pictures / f"11_{mode.lower()}.png"))
+        shots[mode] = still_view(blender, pictures / f"11_{mode.lower()}.png")
         assert not looking.is_blank(shots[mode])
     for mode in ("Points", "Arrows"):
         assert looking.changed(shots[mode], shots["Ellipsoids"]) > 0.01, mode
@@ -165,9 +169,7 @@ def test_colours_show_amplitude_and_phase(blender: Session, pictures: Path) -> N
     shots = []
     for by in ("File", "Amplitude", "Phase"):
         sidebar.choose(blender, "Colour By", by)
-        blender.move(*blender.region("DOPESHEET_EDITOR").middle)
-        time.sleep(1.5)
-        shots.append(view_of(blender, blender.picture(pictures / f"12_{by.lower()}.png")))
+        shots.append(still_view(blender, pictures / f"12_{by.lower()}.png"))
     assert looking.changed(shots[0], shots[1]) > 0.02
     assert looking.changed(shots[1], shots[2]) > 0.02
     sidebar.choose(blender, "Colour By", "File")
@@ -175,8 +177,7 @@ def test_colours_show_amplitude_and_phase(blender: Session, pictures: Path) -> N
 
 def test_material_preview_shows_the_colours_of_the_file(blender: Session, pictures: Path) -> None:
     blender.ask("shading", kind="MATERIAL")
-    blender.move(*blender.region("DOPESHEET_EDITOR").middle)
-    shown = view_of(blender, blender.settled(pictures / "13_material.png"))
+    shown = still_view(blender, pictures / "13_material.png")
     assert looking.coloured(shown) > 0.05
     assert not looking.is_blank(shown)
 

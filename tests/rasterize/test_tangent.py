@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 import pytest
 import torch
@@ -159,3 +160,27 @@ def test_it_is_the_derivative_of_the_image(name: str) -> None:
     error = np.abs(actual - differences) / np.abs(actual).max()
     assert np.median(error) < 1e-4
     assert (error > 5e-3).mean() < 0.02
+
+
+def test_the_number_of_threads_does_not_change_a_bit() -> None:
+    most = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
+    if most < 2:
+        pytest.skip(f"numba has {most} thread here; comparing thread counts needs 2")
+    splats, before = projected("light spent"), numba.get_num_threads()
+    image, transmittance = forward(splats, splats)
+    bins = bin_splats(splats, WIDTH, HEIGHT)
+    v_images = np.random.default_rng(4).normal(size=(3, HEIGHT, WIDTH, 3)).astype(np.float32)
+    found = []
+    try:
+        for threads in (1, 2):
+            numba.set_num_threads(threads)
+            v_pairs = np.full((len(bins.pair_gaussian), 3, len(COLUMNS)), np.nan, np.float32)
+            lists = (bins.tile_start, bins.pair_gaussian)
+            blend_cotangents(splats, *lists, 1.0, image, transmittance, v_images, v_pairs, ALPHA_MIN)
+            found.append((v_pairs, tangents(splats, [direction(len(splats), k) for k in range(3)], 1.0)))
+    finally:
+        numba.set_num_threads(before)
+    for one, two in zip(*found, strict=True):
+        np.testing.assert_array_equal(one, two)
+        assert np.isfinite(one).all()
+        assert one.any()
