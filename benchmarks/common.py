@@ -37,9 +37,10 @@ def milliseconds(call: Callable[[], object], repeats: int) -> tuple[float, float
 
 
 def processor_milliseconds(call: Callable[[], object], repeats: int) -> float:
-    """Smallest processor time of `call`, after one call that loads or compiles; of all threads together.
+    """Smallest processor time of `call`, after one call that loads or compiles.
 
-    With one thread it hardly depends on what else the machine does, unlike time by the clock.
+    With one thread it hardly depends on what else the machine does, unlike time by the clock. With more it is no sum:
+    the system books short work of other threads late.
     """
     call()
     times = []

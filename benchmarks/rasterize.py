@@ -224,7 +224,7 @@ def cost(repeats: int) -> None:
 
 
 def clocks(call: Callable[[], object], repeats: int) -> tuple[float, float, float]:
-    """Median and least milliseconds by the clock, and the least processor time."""
+    """Median and least milliseconds by the clock, and the least processor time (exact with one thread only)."""
     return (*milliseconds(call, repeats), processor_milliseconds(call, repeats))
 
 
@@ -249,7 +249,8 @@ class Trained:
         print(
             f"{len(g)} Gaussians, {kernels.n_pairs} pairs, {evaluations} visible pixel evaluations, {ghz:.2f} GHz"
         )
-        for name, count in (("blend", FORWARD_INSTRUCTIONS), ("blend backward", BACKWARD_INSTRUCTIONS)):
+        limits = (("blend", FORWARD_INSTRUCTIONS), ("blend backward", BACKWARD_INSTRUCTIONS))
+        for name, count in limits if numba.get_num_threads() == 1 else ():
             limit = evaluations / 16 * count / (ghz * 1e6)  # one vector instruction a cycle
             ratio = times[name][2] / limit
             print(

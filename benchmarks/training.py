@@ -7,7 +7,7 @@ optimiser, by torch around the rendering kernels (`ParameterAdam`) and by `fused
 iterations for random pictures, whose time does not depend on the pictures, one component at a time and several.
 
 The ways are measured in turn, one iteration of each, so that whatever else the machine does falls on all alike.
-Processor time is that of all threads together; with one thread it hardly depends on the load.
+Processor time with one thread hardly depends on the load; with more, the system books short work late.
 """
 
 from __future__ import annotations

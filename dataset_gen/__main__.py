@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 import time
 from collections.abc import Sequence
@@ -17,6 +18,8 @@ from .settings import Settings
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs the generator. Returns 0 done, 2 bad input (one line says what), 1 failed, 130 stopped."""
+    # A scheduler stops jobs with SIGTERM: as Ctrl+C then, so that the render processes end too.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         request = request_from(parser().parse_args(argv))
         for settings in request.sets:
@@ -28,7 +31,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Tg4mmError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    except RunFailed as error:
+    except (RunFailed, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:

@@ -265,10 +265,12 @@ def _names(options: argparse.Namespace) -> list[tuple[str, Source]]:
     given = [option for option in ("scene", "blend", "mesh") if getattr(options, option) is not None]
     if len(given) != 1:
         asked = " and ".join(given) or "none of them"
-        raise GenerateError(f"give either SCENE, --blend or --mesh; {asked} was given")
+        raise GenerateError(f"give either SCENE, --blend or --mesh; {asked} given")
     if options.blend is None and (options.frame is not None or options.blend_scene is not None):
         raise GenerateError("--frame and --scene go with --blend")
     if options.scene is not None:
+        if options.name is not None:
+            raise GenerateError(f"--name {options.name} goes with --blend and --mesh")
         if options.scene != ALL and options.scene not in NAMES:
             raise GenerateError(f"scene {options.scene!r} is none of {', '.join(NAMES)}, {ALL}")
         return [(name, Source()) for name in (NAMES if options.scene == ALL else (options.scene,))]
@@ -302,11 +304,11 @@ def _settings(options: argparse.Namespace, values: dict[str, Any], name: str, so
         ),
         pictures=PictureFormat(values["images"], values["background"]),
         sensor=_sensor(options),
-        **{key: values[key] for key in _PLAIN},
+        **{key: values[key] for key in _AS_THEY_ARE},
     )
 
 
-_PLAIN = ("size", "alphas", "samples", "seed", "truth", "points", "engine", "device")
+_AS_THEY_ARE = ("size", "alphas", "samples", "seed", "truth", "points", "engine", "device")
 
 
 def _sensor(options: argparse.Namespace) -> Sensor | None:

@@ -31,7 +31,7 @@ class Painter:
 
     def wants(self, shot: Shot) -> bool:
         """Whether the shot has colours to give that are not there yet."""
-        if not shot.paints or (self._root / "points3d.ply").exists():
+        if not shot.paints or not points.wanted(self._root, self._settings):
             return False
         return not points.view_file(self._root, shot).exists()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,8 +13,11 @@ import numpy as np
 from . import tree
 from .meshes import triangle_areas
 from .plan import Shot
+from .settings import Settings
 from .vibration import Body
 
+FILE = "points3d.ply"
+_ROW = 27  # bytes of a point: six float32 and three uint8
 FOLDER = ".points"  # working folder: the colours that training views give
 _SPARE = 4  # candidates per wanted point: surfaces inside others are seen by no camera and drop out
 
@@ -39,6 +43,19 @@ def sample_surfaces(bodies: Sequence[Body], count: int, seed: int) -> Candidates
     normals = np.cross(*edges)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     return Candidates(picked[:, 0] + a[:, None] * edges[0] + b[:, None] * edges[1], normals)
+
+
+def wanted(root: Path, settings: Settings) -> bool:
+    """Whether points3d.ply is still to be made: asked for, and not there whole."""
+    if not settings.points:
+        return False
+    try:
+        data = (root / FILE).read_bytes()
+    except OSError:
+        return True
+    header, _, rows = data.partition(b"end_header\n")
+    found = re.search(rb"element vertex (\d+)", header)
+    return found is None or int(found[1]) < 1 or len(rows) != int(found[1]) * _ROW
 
 
 def view_file(root: Path, shot: Shot) -> Path:

@@ -32,28 +32,36 @@ class Job:
     bodies: tuple[Body, ...]
     motion: Motion
     shots: tuple[Shot, ...]
+    unit_scale_m: float | None
 
 
-def prepare(settings: Settings, out: Path) -> Job:
-    """Reads the geometry, claims `out`/<folder> and writes scene.json, the poses and truth/motion.npz.
-
-    Raises GenerateError on bad input, before anything is written.
-    """
+def plan(settings: Settings, out: Path) -> Job:
+    """Reads the geometry and lists the pictures. Raises GenerateError on bad input; nothing is written."""
     _check_packages(settings)
-    settings, bodies, unit_scale_m = _geometry(settings)
+    if settings.device == "gpu":
+        processes.single({"task": "device", "settings": settings.to_json()})
+    settings, bodies, unit_scale_m = placed(settings)
     motion = motion_of(settings, bodies)
     root = out / settings.folder
+    return Job(settings, root, bodies, motion, tuple(shots(settings, motion)), unit_scale_m)
+
+
+def claim(job: Job) -> Job:
+    """Takes the folder and writes scene.json, the poses and truth/motion.npz; returns the job.
+
+    Raises GenerateError if the folder holds anything else.
+    """
+    settings, root, bodies, motion = job.settings, job.root, job.bodies, job.motion
     amplitude = max(float(reach(shape[0]).max(initial=0.0)) for shape in motion.shapes)
-    description = tree.describe(settings, amplitude, unit_scale_m, Quality.of(settings).describe())
+    description = tree.describe(settings, amplitude, job.unit_scale_m, Quality.of(settings).describe())
     description |= {"blender_version": blender_version(), "package_version": _package_version()}
     if settings.source.path:
         source = {**asdict(settings.source), "path": Path(settings.source.path).name}
         description["source"] = {**source, "sha256": _digest(Path(settings.source.path))}
     tree.claim(root, description)
     tree.write_poses(root, settings)
-    if not (root / "truth/motion.npz").exists():
-        truth.write_motion(root / "truth/motion.npz", bodies, motion, settings.timesteps)
-    return Job(settings, root, bodies, motion, tuple(shots(settings, motion)))
+    truth.write_motion(root / "truth/motion.npz", bodies, motion, settings.timesteps)
+    return job
 
 
 def motion_of(settings: Settings, bodies: tuple[Body, ...]) -> Motion:
@@ -86,8 +94,11 @@ def builtin_bodies(name: str) -> tuple[Body, ...]:
     return bodies_of(builtin(name))
 
 
-def _geometry(settings: Settings) -> tuple[Settings, tuple[Body, ...], float | None]:
-    """Bodies and scale; a user's file is opened by a process of its own, which Blender takes over."""
+def placed(settings: Settings) -> tuple[Settings, tuple[Body, ...], float | None]:
+    """The settings with the cameras around the scene, its bodies, and metres per scene unit if known.
+
+    A user's file is opened by a process of its own, which Blender takes over.
+    """
     if settings.source.kind == "builtin":
         scene = builtin(settings.scene)
         return settings, bodies_of(scene), scene.unit_scale_m

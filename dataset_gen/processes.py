@@ -46,7 +46,7 @@ def render(
         waiting.put([todo[i] for i in part])
     count = min(count, pieces)
     job: dict[str, Any] = {"task": "render", "settings": settings.to_json(), "root": str(root.resolve())}
-    job["threads"] = max(1, (os.cpu_count() or 1) // count)
+    job["threads"] = max(1, cores() // count)
     progress = _Progress(label, len(todo), stream)
     pool = _Pool(job, progress)
     try:
@@ -64,6 +64,11 @@ def render(
         raise
     progress.close()
     pool.raise_failure()
+
+
+def cores() -> int:
+    """Processor cores that this process may use, which on a cluster are fewer than there are."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def single(task: dict[str, Any]) -> None:

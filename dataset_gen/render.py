@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import importlib.util
 import re
+import tempfile
 from pathlib import Path
 
 import bpy
@@ -24,7 +25,6 @@ from .build import Stage
 from .devices import device_in_use, use_device
 from .materials import DISPLACEMENT
 from .quality import Quality
-from .tree import temporary_name
 
 # Rays of the data passes go through the pixel centre: the narrowest filter Blender has, ±0.005 px.
 _POINT_FILTER = 0.01
@@ -121,35 +121,30 @@ def _passes(stage: Stage, data: bool) -> None:
     layer.material_override = stage.data if data else None
 
 
-def linear_picture(stage: Stage, folder: Path) -> np.ndarray:
+def linear_picture(stage: Stage) -> np.ndarray:
     """The picture of the current state and view: [H, W, 4] float32, linear Rec.709, premultiplied, row 0 on top.
 
-    After `use_picture`. `folder` takes a temporary file, which is gone when this returns.
+    After `use_picture`.
     """
-    raw = temporary_name(folder / "linear.exr")
-    try:
+    with tempfile.TemporaryDirectory(prefix="dataset_gen_") as scratch:
+        raw = Path(scratch) / "linear.exr"
         _render_to(stage, raw)
         pixels = read_float(raw)
-    finally:
-        raw.unlink(missing_ok=True)
     return np.nan_to_num(pixels, nan=0.0, posinf=_BRIGHTEST, neginf=0.0)
 
 
-def data_passes(stage: Stage, folder: Path) -> dict[str, np.ndarray]:
+def data_passes(stage: Stage) -> dict[str, np.ndarray]:
     """What the pixel centres of the current state and view see; after `use_data`.
 
     Depth [H, W]; Normal, Position, Displacement [H, W, 3] float32; `truth.write_exr` says what they mean.
     """
-    raw = temporary_name(folder / "passes.exr")
-    try:
+    with tempfile.TemporaryDirectory(prefix="dataset_gen_") as scratch:
+        raw = Path(scratch) / "passes.exr"
         _render_to(stage, raw)
         return read_passes(raw)
-    finally:
-        raw.unlink(missing_ok=True)
 
 
 def _render_to(stage: Stage, path: Path) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
     stage.scene.render.filepath = str(path)
     bpy.ops.render.render(write_still=True, scene=stage.scene.name)
 

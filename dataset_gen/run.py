@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-import os
+import json
 import shutil
 import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO
 
 import numpy as np
 
-from . import points, processes, tree
+from . import png, points, processes, tree
 from .errors import GenerateError
 from .plan import RANGE, Shot, ranges
-from .prepare import Job, prepare
+from .prepare import Job, claim, placed, plan
 from .processes import RunFailed
 from .report import write_overview, write_report
 from .settings import Settings
 
+Timing = dict[str, Any]  # pictures, seconds, processes
 PARTS = ".parts"  # working folder of a run in parts: parts.json, and a file for each that is done
 
 
@@ -30,30 +31,39 @@ def generate(settings: Settings, out: Path, count: int = 0, stream: TextIO | Non
     progress goes (standard error). Raises GenerateError on bad input and RunFailed if rendering fails.
     """
     stream = stream or sys.stderr
-    job = prepare(settings, out)
-    tree.clean(job.root)
-    render_missing(job, range(len(job.shots)), count, stream)
+    job = claim(plan(settings, out))
+    timing = render_missing(job, range(len(job.shots)), count, stream)
+    _add_timing(job.root, timing)
     return finish(job, stream)
 
 
-def render_missing(job: Job, numbers: Sequence[int], count: int, stream: TextIO) -> None:
+def render_missing(job: Job, numbers: Sequence[int], count: int, stream: TextIO) -> Timing:
     """Renders those of the shots with these numbers that are not complete."""
-    wants_points = _wants_points(job)
-    todo = [i for i in numbers if not _finished(job, job.shots[i], wants_points)]
-    count = count or (os.cpu_count() or 1)
+    todo = [i for i in numbers if not _finished(job, job.shots[i])]
+    count = count or processes.cores()
     start = time.monotonic()
     processes.render(job.settings, job.root, todo, count, stream)
-    if todo:
-        took = {"pictures": len(todo), "seconds": time.monotonic() - start, "processes": count}
-        tree.write_json(job.root / "report/timing.json", took)
+    return {"pictures": len(todo), "seconds": time.monotonic() - start, "processes": count}
+
+
+def _add_timing(root: Path, *more: Timing) -> None:
+    """Adds to what report/timing.json says of former calls; calls that rendered nothing do not count."""
+    path = root / "report/timing.json"
+    old = [json.loads(path.read_text())] if path.exists() else []
+    every = [*old, *(t for t in more if t["pictures"])]
+    if len(every) > len(old):
+        total = {key: sum(t[key] for t in every) for key in ("pictures", "seconds")}
+        tree.write_json(path, {**total, "processes": max(t["processes"] for t in every)})
 
 
 def finish(job: Job, stream: TextIO) -> Path:
-    """Points, the check that nothing is missing, and the report. Raises RunFailed if something is."""
-    if _wants_points(job):
-        _write_points(job)
+    """The check that nothing is missing, points, and the report. Raises RunFailed if something is."""
     if missing := missing_files(job):
         raise RunFailed(f"{job.root}: {len(missing)} files are missing or damaged, the first is {missing[0]}")
+    if points.wanted(job.root, job.settings):
+        _write_points(job)
+    _add_timing(job.root, *(json.loads(p.read_text()) for p in (job.root / PARTS).glob("*.done")))
+    tree.clean(job.root)
     shutil.rmtree(job.root / points.FOLDER, ignore_errors=True)
     shutil.rmtree(job.root / PARTS, ignore_errors=True)
     if not (job.root / "report/index.html").exists():
@@ -66,13 +76,13 @@ def finish(job: Job, stream: TextIO) -> Path:
 
 def prepare_parts(settings: Settings, out: Path, parts: int = 0) -> Path:
     """Prepares a dataset to be rendered in parts; `parts.json` in the returned folder tells how many."""
-    job = prepare(settings, out)
+    job = plan(settings, out)
     parts = parts or max(1, -(-len(job.shots) // RANGE))
     if not 1 <= parts <= len(job.shots):
         raise GenerateError(
             f"--parts {parts} is not in 1 … {len(job.shots)}, the number of distinct pictures"
         )
-    folder = job.root / PARTS
+    folder = claim(job).root / PARTS
     tree.write_json(folder / "parts.json", {"parts": parts, "shots": len(job.shots)})
     return folder
 
@@ -80,34 +90,45 @@ def prepare_parts(settings: Settings, out: Path, parts: int = 0) -> Path:
 def render_part(settings: Settings, out: Path, part: tuple[int, int], count: int, stream: TextIO) -> Path:
     """Renders part I of N (from 1) and returns the file that says it is done."""
     number, parts = part
-    job = prepare(settings, out)
+    job = plan(settings, out)
     if not 1 <= number <= parts <= len(job.shots):
         raise GenerateError(f"--part {number}/{parts} is not one of 1 … {len(job.shots)} parts")
-    render_missing(job, ranges(len(job.shots), parts)[number - 1], count, stream)
+    timing = render_missing(claim(job), ranges(len(job.shots), parts)[number - 1], count, stream)
     done = job.root / PARTS / f"{number}_of_{parts}.done"
-    tree.write_bytes(done, b"")
+    tree.write_json(done, timing)
     return done
 
 
 def finish_parts(settings: Settings, out: Path, stream: TextIO) -> Path:
     """What is left when all parts are rendered."""
-    return finish(prepare(settings, out), stream)
+    return finish(claim(plan(settings, out)), stream)
 
 
 def missing_files(job: Job) -> list[str]:
     """Files of the set, relative to its folder, that are absent or not whole."""
-    names = [name for shot in job.shots for name in shot.files]
-    missing = [name for name in names if not tree.complete(job.root, name, job.settings)]
-    others = ["truth/motion.npz", *(["points3d.ply"] if job.settings.points else [])]
-    return missing + [name for name in others if not (job.root / name).exists()]
+    missing = [
+        name for shot in job.shots for name in shot.files if not tree.complete(job.root, name, job.settings)
+    ]
+    if points.wanted(job.root, job.settings):
+        views = [points.view_file(job.root, shot) for shot in job.shots if shot.paints]
+        missing += [str(path.relative_to(job.root)) for path in views if not path.exists()]
+    return missing or [
+        name for name in _distinct(job) if name.endswith(".png") and not png.sound(job.root / name)
+    ]
 
 
-def _wants_points(job: Job) -> bool:
-    return job.settings.points > 0 and not (job.root / "points3d.ply").exists()
+def _distinct(job: Job) -> list[str]:
+    """One name of every file; links share their bytes."""
+    seen = {(job.root / name).stat().st_ino: name for shot in job.shots for name in shot.files}
+    return list(seen.values())
 
 
-def _finished(job: Job, shot: Shot, wants_points: bool) -> bool:
-    if wants_points and shot.paints and not points.view_file(job.root, shot).exists():
+def _finished(job: Job, shot: Shot) -> bool:
+    if (
+        points.wanted(job.root, job.settings)
+        and shot.paints
+        and not points.view_file(job.root, shot).exists()
+    ):
         return False
     return all(tree.complete(job.root, name, job.settings) for name in shot.files)
 
@@ -115,22 +136,28 @@ def _finished(job: Job, shot: Shot, wants_points: bool) -> bool:
 def _write_points(job: Job) -> None:
     views = []
     for shot in job.shots:
-        if shot.paints and (path := points.view_file(job.root, shot)).exists():
-            with np.load(path, allow_pickle=False) as data:
+        if shot.paints:
+            with np.load(points.view_file(job.root, shot), allow_pickle=False) as data:
                 views.append({name: data[name] for name in data.files})
     wanted = job.settings.points
     seen, colours = points.merge(views, wanted)
+    if not len(seen):
+        raise RunFailed(
+            f"{job.root}: no training camera sees any of the scene's surface; --points 0 leaves them out"
+        )
     candidates = points.sample_surfaces(job.bodies, wanted, job.settings.seed)
-    points.write_ply(job.root / "points3d.ply", candidates.positions[seen], candidates.normals[seen], colours)
+    points.write_ply(job.root / points.FILE, candidates.positions[seen], candidates.normals[seen], colours)
 
 
 def save_animation(settings: Settings, path: Path) -> Path:
     """Saves the scene with its motion as a .blend that plays."""
     if path.suffix != ".blend":
         raise GenerateError(f"--save-blend {path}: the name should end in .blend")
+    if path.exists():
+        raise GenerateError(f"--save-blend {path}: the file exists already; remove it or choose another name")
+    settings, _, _ = placed(settings)
     path.parent.mkdir(parents=True, exist_ok=True)
-    task = {"task": "animate", "settings": settings.to_json(), "path": str(path.resolve())}
-    processes.single(task)
+    processes.single({"task": "animate", "settings": settings.to_json(), "path": str(path.resolve())})
     return path
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import secrets
 import shutil
+import time
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -17,6 +19,8 @@ from .plan import magnified_folder
 from .settings import Settings
 
 FORMAT_VERSION = 1
+_TEMPORARY = ".*.tmp.*"  # what `temporary_name` makes
+_STALE_S = 3600.0
 
 
 def write_bytes(path: Path, data: bytes) -> None:
@@ -28,14 +32,19 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 
 def temporary_name(path: Path) -> Path:
-    """A name in the same folder that no reader takes for data; `clean` removes what a kill left."""
-    return path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
+    """A name in the same folder that no reader takes for data; `clean` removes what a kill left.
+
+    By chance, not by process number: on a farm two machines may write into one folder under one number.
+    """
+    return path.with_name(f".{path.stem}.{secrets.token_hex(6)}.tmp{path.suffix}")
 
 
 def clean(root: Path) -> None:
-    """Removes temporary files of a killed run."""
-    for left in root.rglob(".*.tmp.*"):
-        left.unlink(missing_ok=True)
+    """Removes temporary files of a killed run; those of the last hour may be another's, at work in the folder."""
+    for left in root.rglob(_TEMPORARY):
+        with contextlib.suppress(FileNotFoundError):
+            if time.time() - left.stat().st_mtime > _STALE_S:
+                left.unlink()
 
 
 def write_json(path: Path, data: Any) -> None:
@@ -128,7 +137,11 @@ def claim(root: Path, description: dict[str, Any]) -> None:
                     f"asked for {new.get(key)!r}; choose another --out or remove it"
                 )
         return
-    if root.exists() and any(root.iterdir()):
+    foreign = [p for p in root.iterdir() if not p.match(_TEMPORARY)] if root.exists() else []
+    if path.exists():  # another process claimed it just now
+        claim(root, description)
+        return
+    if foreign:
         raise GenerateError(f"{root} is not empty and holds no scene.json: choose another --out")
     try:
         write_json(path, description)

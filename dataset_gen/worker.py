@@ -14,8 +14,11 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, TextIO
 
+import bpy
+
 from . import build, render, tree, truth
 from .cameras import cameras_at
+from .devices import use_device
 from .errors import GenerateError
 from .painter import Painter
 from .plan import Shot, shots
@@ -31,7 +34,7 @@ def work(job_path: Path) -> int:
     """Does the task of a JSON file. Returns the exit status."""
     job = json.loads(job_path.read_text())
     report = _own_stdout()
-    tasks = {"render": _render_shots, "inspect": _inspect, "animate": _animate}
+    tasks = {"render": _render_shots, "inspect": _inspect, "animate": _animate, "device": _device}
     try:
         tasks[job["task"]](job, report)
     except GenerateError as error:
@@ -55,11 +58,12 @@ def load_stage(settings: Settings) -> tuple[build.Stage, tuple[Body, ...]]:
     if settings.source.kind == "builtin":
         scene = builtin(settings.scene)
         return build.build(scene), bodies_of(scene)
-    loaded = _open(settings)
+    loaded = open_source(settings)
     return loaded.stage, loaded.bodies
 
 
-def _open(settings: Settings) -> Loaded:
+def open_source(settings: Settings) -> Loaded:
+    """The user's file, in this process."""
     from .sources import open_blend, open_mesh
 
     source = settings.source
@@ -71,7 +75,12 @@ def _open(settings: Settings) -> Loaded:
 def _inspect(job: dict[str, Any], report: TextIO) -> None:
     from .sources import bodies_file
 
-    bodies_file.save(Path(job["found"]), _open(Settings.from_json(job["settings"])))
+    bodies_file.save(Path(job["found"]), open_source(Settings.from_json(job["settings"])))
+
+
+def _device(job: dict[str, Any], report: TextIO) -> None:
+    """Refuses a device that is not there."""
+    use_device(bpy.context.scene, job["settings"]["device"])
 
 
 def _animate(job: dict[str, Any], report: TextIO) -> None:
@@ -137,7 +146,7 @@ class _Photographer:
     def _render(self, shot: Shot) -> None:
         build.set_view(self._stage, shot.camera)
         render.use_picture(self._stage, self._quality, shot.seed_offset)
-        linear = render.linear_picture(self._stage, self._root)
+        linear = render.linear_picture(self._stage)
         if self._painter.wants(shot):
             self._painter.paint(shot, linear)
         if self._settings.sensor is None:
@@ -160,7 +169,7 @@ class _Photographer:
             source = shot.truth[0]
             build.set_view(self._stage, shot.camera)
             render.use_data(self._stage)
-            truth.write_exr(self._root / source, render.data_passes(self._stage, self._root))
+            truth.write_exr(self._root / source, render.data_passes(self._stage))
         tree.link(self._root / source, (self._root / name for name in shot.truth))
         return True
 

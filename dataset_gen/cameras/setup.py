@@ -45,6 +45,10 @@ class CameraSetup:
             raise GenerateError(f"--cameras {self.kind!r} is none of {', '.join(KINDS)}")
         _whole("--views", self.views, 1, 1000)
         _whole("--test-views", self.test_views, 0, 1000)
+        if self.kind == "orbit" and self.views == 2:
+            raise GenerateError(
+                "--views 2: on the orbit both would stand in the same place; 1, or 3 and more"
+            )
         _whole("--timesteps", self.n_timesteps, 1, 1000)  # folders are numbered with three digits
         _whole("--seed", self.seed, 0, 2**31 - 1)
         if not (math.isfinite(self.fps) and self.fps > 0):

@@ -156,5 +156,7 @@ def pixels_section(f: Findings) -> Section:
     words = ""
     if f.still_area is not None:
         words = f"Of the surface area of the scene, {percent(f.still_area)} is moved by no mode. "
-    words += "Multiply by (1 + α) for the motion in the magnified ground truth."
+    words += "Multiply by (1 + α) for the motion in the magnified ground truth"
+    truth = f.dataset.motion
+    words += "." if truth is None or bool(truth.magnified.all()) else ", of the modes that α magnifies."
     return Section("Motion in pixels", [Text(words), Table(header, rows, caption, styles=styles)])

@@ -35,7 +35,7 @@ def picture(name: str, view: int, folder: Path) -> np.ndarray:
     stage = build.build(SCENES[name]())
     render.configure(stage, Quality(SIZE, SIZE, SAMPLES, 0))
     build.set_view(stage, train_cameras(30)[view])
-    return PictureFormat(background="white").pixels(render.linear_picture(stage, folder))
+    return PictureFormat(background="white").pixels(render.linear_picture(stage))
 
 
 def main() -> None:

@@ -30,11 +30,11 @@ for engine in ("cycles", "eevee"):
     quality = Quality(48, 48, samples=16, seed=0, threads=1, engine=engine)
     render.configure(stage, quality)
     build.set_view(stage, train_cameras(30)[5])
-    made[engine] = render.linear_picture(stage, out)
+    made[engine] = render.linear_picture(stage)
     render.use_data(stage)
-    made[engine + "_depth"] = render.data_passes(stage, out)["Depth"]
+    made[engine + "_depth"] = render.data_passes(stage)["Depth"]
     render.use_picture(stage, quality)
-    made[engine + "_again"] = render.linear_picture(stage, out)
+    made[engine + "_again"] = render.linear_picture(stage)
 np.savez(out / "made.npz", **made)
 """
 

@@ -80,7 +80,7 @@ def test_flow_from_vector_is_the_projected_displacement(animated, motion, tmp_pa
     stage = animated
     build.move(stage, displacements(motion, NOW))
     render.use_data(stage)
-    truth = render.data_passes(stage, tmp_path)
+    truth = render.data_passes(stage)
     play(stage, motion)
     vector = vector_pass(stage, tmp_path / "v.exr")
 

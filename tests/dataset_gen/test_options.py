@@ -27,8 +27,8 @@ def settings(*arguments: str) -> Settings:
     ("arguments", "message"),
     [
         (["violin"], r"scene 'violin' is none of chair, .*, ship, all"),
-        ([], r"give either SCENE, --blend or --mesh; none of them was given"),
-        (["mic", "--blend", "a.blend"], r"scene and blend was given"),
+        ([], r"give either SCENE, --blend or --mesh; none of them given"),
+        (["mic", "--blend", "a.blend"], r"scene and blend given"),
         (["--blend", "absent.blend"], r"--blend absent.blend: there is no such file"),
         (
             ["mic", "--amplitude", "1", "--amplitude-px", "1"],
@@ -40,6 +40,8 @@ def settings(*arguments: str) -> Settings:
         (["mic", "--sensor", "phone", "--images", "exr"], r"--images exr cannot be combined"),
         (["mic", "--sensor", "phone"], r"JPEG, which needs --images png8 and --background white"),
         (["mic", "--part", "3"], r"'3' is not a part such as 3/10"),
+        (["mic", "--views", "2"], r"--views 2: on the orbit both would stand"),
+        (["mic", "--name", "me"], r"--name me goes with --blend and --mesh"),
         (["mic", "--parts", "3"], r"--parts 3 goes with --prepare"),
         (["mic", "--prepare", "--finish"], r"--finish: not allowed with .* --prepare"),
         (["all", "--save-blend", "a.blend"], r"--save-blend a.blend takes one scene"),

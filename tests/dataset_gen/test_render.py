@@ -57,7 +57,7 @@ def picture(stage, move, tmp_path):
         move(state)
         render.use_picture(stage, quality, seed_offset)
         build.set_view(stage, camera)
-        linear = render.linear_picture(stage, tmp_path)
+        linear = render.linear_picture(stage)
         assert not list(tmp_path.glob(".*"))  # nothing is left behind
         return linear
 
@@ -70,7 +70,7 @@ def passes(stage, move, tmp_path):
         move(state)
         render.use_data(stage)
         build.set_view(stage, camera)
-        return render.data_passes(stage, tmp_path)
+        return render.data_passes(stage)
 
     return take
 
@@ -100,7 +100,7 @@ def test_magnified_is_the_mode_scaled_by_hand(stage, picture, motion, bodies, tm
         np.testing.assert_allclose(written.reshape(-1, 3), vertices, atol=2e-7)
         obj.data.vertices.foreach_set("co", vertices.astype(np.float32).ravel())
         obj.data.update()
-    by_hand = render.linear_picture(stage, tmp_path)
+    by_hand = render.linear_picture(stage)
     a, b = (PNG.pixels(linear).astype(int) for linear in (magnified, by_hand))
     assert (np.abs(a - b) > 1).mean() < 0.002  # a vertex in the last bit may send a light path elsewhere
 
@@ -190,7 +190,7 @@ def test_alpha_is_straight(stage, move, motion, tmp_path):
     render.use_picture(stage, Quality(SIZE, SIZE, samples=16, seed=0, threads=1))
     stage.scene.view_layers[0].material_override = emission("grey", (0.5, 0.5, 0.5))
     build.set_view(stage, CAMERAS[5])
-    image = PNG.pixels(render.linear_picture(stage, tmp_path)).astype(int)
+    image = PNG.pixels(render.linear_picture(stage)).astype(int)
     partial = (image[..., 3] > 40) & (image[..., 3] < 215)
     assert partial.sum() > 50
     assert np.abs(image[partial][:, :3] - 188).max() <= 1  # sRGB of linear 0.5
@@ -245,7 +245,7 @@ def test_pixels_that_are_no_numbers_do_not_reach_a_file(stage, monkeypatch, tmp_
     wrong = np.array([[[np.nan, np.inf, -np.inf, 1.0]]], np.float32)
     monkeypatch.setattr(render, "read_float", lambda path: wrong)
     monkeypatch.setattr(render, "_render_to", lambda stage, path: None)
-    assert render.linear_picture(stage, tmp_path).tolist() == [[[0.0, 65504.0, 0.0, 1.0]]]
+    assert render.linear_picture(stage).tolist() == [[[0.0, 65504.0, 0.0, 1.0]]]
 
 
 class Listed:

@@ -16,9 +16,9 @@ pytest.importorskip("OpenEXR")
 from dataset_gen import png
 from dataset_gen.errors import GenerateError
 from dataset_gen.options import parser, request_from
-from dataset_gen.prepare import builtin_bodies, motion_of, prepare
+from dataset_gen.prepare import builtin_bodies, motion_of, plan
 from dataset_gen.processes import RunFailed
-from dataset_gen.run import finish_parts, generate, missing_files, prepare_parts, render_part
+from dataset_gen.run import finish_parts, generate, missing_files, prepare_parts, render_part, save_animation
 from dataset_gen.scenes import SCENES
 from dataset_gen.settings import Settings
 
@@ -119,7 +119,7 @@ def test_a_linked_frame_is_what_rendering_it_gives(made):
     build.move(stage, [motion.displacement(i, motion.state(2)) for i in range(len(stage.objects))])
     build.set_view(stage, train_cameras(3)[1])
     render.use_picture(stage, quality)
-    own = TINY.pictures.encode(render.linear_picture(stage, made))
+    own = TINY.pictures.encode(render.linear_picture(stage))
     assert own == (made / "002/train/r_001.png").read_bytes()
 
 
@@ -163,6 +163,7 @@ def test_resuming_renders_only_what_is_missing(made):
     (made / "004/train/r_002.png").unlink()
     (made / "004/train/r_002.png").write_bytes(whole[:100])  # its twin at timestep 5 is whole
     (made / ".left.123.tmp.png").write_bytes(b"half")
+    os.utime(made / ".left.123.tmp.png", (0, 0))  # long ago; a fresh one may be another process's
     seen = io.StringIO()
     assert generate(TINY, made.parent, 1, seen) == made
     assert "rendering 2/2" in seen.getvalue()
@@ -185,7 +186,7 @@ def test_a_changed_configuration_is_refused(made):
 
 
 def test_missing_files_are_named(made):
-    job = prepare(TINY, made.parent)
+    job = plan(TINY, made.parent)
     assert missing_files(job) == []
     kept = (made / "005/train/r_002.png").read_bytes()
     (made / "005/train/r_002.png").unlink()
@@ -197,12 +198,40 @@ def test_in_parts_the_same_files_come_out(made, tmp_path):
     stream = io.StringIO()
     folder = prepare_parts(TINY, tmp_path, 2)
     assert json.loads((folder / "parts.json").read_text())["parts"] == 2
-    for part in ((2, 2), (1, 2)):
-        assert render_part(TINY, tmp_path, part, 1, stream).is_file()
+    assert render_part(TINY, tmp_path, (2, 2), 1, stream).is_file()
+    with pytest.raises(RunFailed, match="files are missing"):
+        finish_parts(TINY, tmp_path, stream)
+    assert not (folder.parent / "points3d.ply").exists()
+    assert render_part(TINY, tmp_path, (1, 2), 1, stream).is_file()
     root = finish_parts(TINY, tmp_path, stream)
     same = [name for name in files(made) if not name.startswith("report/")]
     assert [name for name in files(root) if not name.startswith("report/")] == same
     assert all((made / name).read_bytes() == (root / name).read_bytes() for name in same)
+    both = [json.loads((r / "report/timing.json").read_text())["pictures"] for r in (made, root)]
+    assert both[0] >= both[1] > 0
+
+
+def test_damage_is_found_and_mended(made):
+    path = made / "002/train/r_002.png"
+    whole = path.read_bytes()
+    path.unlink()  # its twin keeps its bytes
+    path.write_bytes(whole[:80] + bytes(20) + whole[100:])
+    assert missing_files(plan(TINY, made.parent)) == ["002/train/r_002.png"]
+    path.unlink()
+    (made / "truth/motion.npz").write_bytes(b"")
+    (made / "points3d.ply").write_bytes(b"")
+    generate(TINY, made.parent, 1, io.StringIO())
+    assert path.read_bytes() == whole
+    assert missing_files(plan(TINY, made.parent)) == []
+    with np.load(made / "truth/motion.npz", allow_pickle=False) as data:
+        assert "mode_0" in data.files
+
+
+def test_an_animation_overwrites_nothing(tmp_path):
+    (tmp_path / "mine.blend").write_text("mine")
+    with pytest.raises(GenerateError, match="the file exists already"):
+        save_animation(TINY, tmp_path / "mine.blend")
+    assert (tmp_path / "mine.blend").read_text() == "mine"
 
 
 def test_with_a_part_missing_it_is_not_complete(tmp_path):

@@ -540,7 +540,7 @@ def test_the_data_passes_of_a_loaded_stage_are_its_motion(tmp_path):
     build.move(stage, [moved])
     stage.camera.matrix_world = Matrix(view_from((0.1, 0.2, 4)).tolist())
     render.use_data(stage)
-    passes = render.data_passes(stage, tmp_path)
+    passes = render.data_passes(stage)
     hit = passes["Depth"] < 1e9
     assert hit.sum() > 50
     rest = passes["Position"][hit] - passes["Displacement"][hit]

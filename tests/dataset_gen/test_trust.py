@@ -51,7 +51,7 @@ class World:
         build.move(self.stage, displacements)
         build.set_view(self.stage, self.camera)
         render.use_picture(self.stage, self.quality)
-        return render.linear_picture(self.stage, self.root)
+        return render.linear_picture(self.stage)
 
     def exr(self, timestep: int) -> dict[str, np.ndarray]:
         return truth.read_exr(self.root / f"truth/test/{timestep:03d}/{self.camera.name}.exr")
@@ -175,7 +175,7 @@ def test_optical_flow_is_the_projected_displacement(world: World, tmp_path: Path
     build.move(world.stage, states[NOW])
     build.set_view(world.stage, world.camera)
     render.use_data(world.stage)
-    data = render.data_passes(world.stage, tmp_path)
+    data = render.data_passes(world.stage)
     seen = data["Depth"] < 1e9
     position, moved = (data[name][seen].astype(float) for name in ("Position", "Displacement"))
     expected = expected_flow(

@@ -57,6 +57,12 @@ class Box:
         return self.left + self.width // 2, self.top + self.height // 2
 
 
+def is_compiling(picture: np.ndarray, view: Box) -> bool:
+    """True while the view's third line of text, which tells that EEVEE compiles its shaders, is there."""
+    line = picture[view.top + 100 : view.top + 118, view.left + 66 : view.left + 200]
+    return bool((line.min(axis=2) > 200).sum() > 20)
+
+
 class Session:
     """A running Blender. Made by `Session.start`."""
 
@@ -155,14 +161,15 @@ class Session:
         with Image.open(path) as image:
             return np.asarray(image.convert("RGB"))
 
-    def settled(self, path: Path, limit: float = 180.0, every: float = 1.5) -> np.ndarray:
-        """A picture once two in a row are the same: shaders are compiled, samples are taken."""
+    def settled(self, path: Path, limit: float = 300.0, every: float = 1.5) -> np.ndarray:
+        """A picture once two in a row are the same and no shaders are being compiled. Raises SessionError."""
         last = self.picture(path)
+        view = self.region("VIEW_3D")
         ends = time.monotonic() + limit
         while time.monotonic() < ends:
             time.sleep(every)
             now = self.picture(path)
-            if np.array_equal(now, last):
+            if np.array_equal(now, last) and not is_compiling(now, view):
                 return now
             last = now
         raise SessionError(f"the screen was not still after {limit:g} s")
