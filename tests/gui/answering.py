@@ -21,6 +21,7 @@ import numpy as np
 
 INTERVAL = 0.05  # s
 FOLDER = Path(sys.argv[sys.argv.index("--") + 1])
+SETTING = {"put", "to_frame", "true_colours", "deselect", "clear", "shading", "view"}
 ANSWERS: dict[str, Callable[..., Any]] = {}
 
 
@@ -145,7 +146,6 @@ def shading(kind: str) -> None:
     for area in _window().screen.areas:
         if area.type == "VIEW_3D":
             area.spaces.active.shading.type = kind
-            area.tag_redraw()
 
 
 @answer
@@ -156,7 +156,6 @@ def view(look_from: list[float], at: list[float], distance: float) -> None:
     region = _view().spaces.active.region_3d
     region.view_rotation = mathutils.Vector(look_from).to_track_quat("Z", "Y")
     region.view_location, region.view_distance, region.view_perspective = at, distance, "PERSP"
-    _view().tag_redraw()
 
 
 @answer
@@ -196,12 +195,6 @@ def clear() -> None:
     bpy.data.batch_remove(list(bpy.data.objects))
 
 
-@answer
-def bare(overlays: bool) -> None:
-    """With or without grid, axes and outlines."""
-    _view().spaces.active.overlay.show_overlays = overlays
-
-
 def _window() -> Any:
     return bpy.context.window_manager.windows[0]
 
@@ -228,6 +221,9 @@ def _answer_what_is_asked() -> float:
     try:
         with bpy.context.temp_override(window=_window()):
             reply["value"] = ANSWERS[question["name"]](**question["with"])
+            if question["name"] in SETTING:  # nothing else tells Blender that the window is out of date
+                for area in _window().screen.areas:
+                    area.tag_redraw()
     except Exception:  # whatever it was, the other side raises it
         reply["error"] = traceback.format_exc()
     partial = FOLDER / "answer.partial"

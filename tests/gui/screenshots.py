@@ -27,13 +27,14 @@ from tg4mm.splatfile import SplatFile, positions_at, read_splat  # noqa: E402
 
 SIZE = (1360, 900)
 LARGEST = 300_000  # bytes of a picture
-LOOK_FROM = (0.9, -1.6, 0.55)
+LOOK_FROM = (-1.2, -1.5, 0.7)
 
 
 def main() -> None:
     options = _options()
     splat = read_splat(options.splat)
     band = (options.low, options.high)
+    shots = []
     with Session.start(_extension(), [options.splat], SIZE) as blender:
         blender.ask("clear")
         sidebar.import_by_menu(blender, options.splat.name)
@@ -49,9 +50,11 @@ def main() -> None:
         blender.ask("to_frame", number=1 + _largest(splat, options.alpha, band))
         for name, alpha in (("blender_rest", 0.0), ("blender_panel", options.alpha)):
             blender.ask("put", to="Magnification", value=alpha)
-            _take(blender, options.out / f"{name}.png")
+            shots.append(_take(blender, options.out / f"{name}.png"))
         if blender.complaints():
             sys.exit("Blender complained:\n" + "\n".join(blender.complaints()))
+    if looking.changed(*shots) < 0.005:
+        sys.exit(f"α = 0 and α = {options.alpha:g} look alike")
 
 
 def _options() -> argparse.Namespace:
@@ -94,7 +97,7 @@ def _largest(splat: SplatFile, alpha: float, band: tuple[float, float]) -> int:
     return int(np.argmax(away))
 
 
-def _take(blender: Session, path: Path) -> None:
+def _take(blender: Session, path: Path) -> np.ndarray:
     """The 3D view with the sidebar, and the timeline, in 256 colours."""
     blender.move(*blender.region("DOPESHEET_EDITOR").middle)  # no tooltip, no button lit
     time.sleep(1.0)
@@ -109,6 +112,7 @@ def _take(blender: Session, path: Path) -> None:
     if path.stat().st_size > LARGEST:
         sys.exit(f"{path} has {path.stat().st_size} bytes, more than {LARGEST}")
     print(path)
+    return part
 
 
 if __name__ == "__main__":
