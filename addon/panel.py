@@ -152,7 +152,7 @@ def spectrum_picture(context: Any, obj: Any) -> tuple[Any, ...]:
     freqs = tuple(float(f) for f in obj[names.FREQUENCIES])
     highest = spectrum.whole_band(freqs, float(obj[names.FPS]))[1]
     strengths = tuple(analysis.mode_strengths(obj, measure))
-    title = {"RMS": "Amplitude, rms", "PEAK": "Largest amplitude"}[measure]
+    title = {"RMS": "Rms", "PEAK": "Largest"}[measure]
     unit = preferences.unit_for(context, obj)
     return plots.spectrum, freqs, strengths, analysis.band(obj), highest, title, unit
 
@@ -180,7 +180,7 @@ def _draw_all(layout: Any, modifier: Any, *inputs: str) -> None:
     """Draw those of the inputs that the modifier has."""
     for name in inputs:
         if compat.has_input(modifier, name):
-            compat.draw_input(layout, modifier, name)
+            compat.draw_input(layout, modifier, name, slider=name == names.ALPHA)
 
 
 def register() -> None:

@@ -38,7 +38,7 @@ class Content:
 
 # name, default, least, most, description
 _MOTION = (
-    (names.ALPHA, 0.0, -1.0, 1000.0, "A displacement d becomes (1 + this) d; -1 stops the motion"),
+    (names.ALPHA, 0.0, -1.0, 500.0, "A displacement d becomes (1 + this) d; -1 stops the motion"),
     (names.LOW, 0.0, 0.0, 1e6, "Lowest frequency that is magnified, Hz"),
     (names.HIGH, 1e6, 0.0, 1e6, "Highest frequency that is magnified, Hz"),
 )

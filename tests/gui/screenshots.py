@@ -34,7 +34,7 @@ def main() -> None:
     options = _options()
     splat = read_splat(options.splat)
     band = (options.low, options.high)
-    shots = []
+    shots: list[np.ndarray] = []
     with Session.start(_extension(), [options.splat], SIZE) as blender:
         blender.ask("clear")
         sidebar.import_by_menu(blender, options.splat.name)
@@ -53,7 +53,7 @@ def main() -> None:
             shots.append(_take(blender, options.out / f"{name}.png"))
         if blender.complaints():
             sys.exit("Blender complained:\n" + "\n".join(blender.complaints()))
-    if looking.changed(*shots) < 0.005:
+    if looking.changed(shots[0], shots[1]) < 0.005:
         sys.exit(f"α = 0 and α = {options.alpha:g} look alike")
 
 
@@ -83,8 +83,11 @@ def _aim(blender: Session, splat: SplatFile) -> None:
     """Look at the middle of the opaque Gaussians from the front, and leave nothing selected: no outlines."""
     solid = splat.means[splat.opacities > 0.3]
     low, high = np.percentile(solid, (1, 99), axis=0)
-    distance = 1.9 * float(np.linalg.norm(high - low) / 2)
-    blender.ask("view", look_from=LOOK_FROM, at=((low + high) / 2).tolist(), distance=distance)
+    distance = 2.5 * float(np.linalg.norm(high - low) / 2)
+    right = np.cross((0.0, 0.0, 1.0), LOOK_FROM)
+    # The sidebar covers the right of the view, so what is looked at stands left of its middle.
+    at = (low + high) / 2 + 0.09 * distance * right / np.linalg.norm(right)
+    blender.ask("view", look_from=LOOK_FROM, at=at.tolist(), distance=distance)
     blender.ask("deselect")
 
 
