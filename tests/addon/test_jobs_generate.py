@@ -32,7 +32,7 @@ def settings(extension: ModuleType, tmp_path: Path) -> Any:
     found.moving.add().object = bpy.data.objects["Cube [a]"]
     found.kind, found.axis, found.point = "rock", (0, 1, 0), (0, 0, -0.5)
     found.frequency, found.fps, found.timesteps, found.amplitude = 7.5, 30.0, 3, 0.1
-    found.views, found.test_views, found.size, found.samples = 2, 1, 32, 1
+    found.views, found.test_views, found.size, found.samples = 3, 1, 32, 1
     found.alphas, found.label, found.processes = "5", "cubes", 1
     found.out = str(tmp_path / "großer Ausgang")
     return found

@@ -113,7 +113,8 @@ def test_chain_of_programs_runs_to_its_end(jobs: Any, step: Callable[..., Any]) 
     seen = run(job)
     assert (job.state, job.results) == (jobs.runner.State.DONE, ["/data/a b/mic_5Hz_0_01"])
     assert list(job.warnings) == ["floor far wider"]
-    assert (seen[0].label, seen[-1].label) == ("working", "two")
+    assert seen[0].label in ("working", "one")  # which of them depends on the machine's load
+    assert seen[-1].label == "two"
     assert seen[-1].factor == pytest.approx(7 / 9)
 
 

@@ -183,7 +183,7 @@ def test_the_same_run_gives_the_same_report(run, metrics, tmp_path):
     [
         (ReportOptions(band=(4.0, 40.0)), CaptureError, "half the frame rate"),
         (ReportOptions(band=(8.0, 9.0)), RunError, "holds none of the model's frequencies"),
-        (ReportOptions(alpha=-3.0), RunError, "--alpha -3"),
+        (ReportOptions(alpha=float("nan")), RunError, "--alpha nan"),
     ],
 )
 def test_bad_requests_leave_no_report(run, metrics, tmp_path, options, error, message):
