@@ -58,7 +58,7 @@ def test_scene_becomes_a_dataset(extension: ModuleType, settings: Any, splat_pat
 
     capture = load_capture(root, split="train")
     assert (capture.n_timesteps, capture.fps) == (3, 30.0)
-    assert load_images(capture).data.shape == (6, 32, 32, 4)
+    assert load_images(capture).data.shape == (9, 32, 32, 4)
     about = json.loads((root / "scene.json").read_text())
     assert about["truth"] == "none"
     assert about["modes"] == extension.jobs.describe.description(settings, ["Cube [[]a]"]).to_json()["modes"]
