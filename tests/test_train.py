@@ -66,7 +66,8 @@ class TestSettings:
         assert listed == [f"space.{k}" for k in vars(SpaceConfig())] + [
             f"motion.{k}" for k in vars(MotionConfig())
         ]
-        parse_settings(dict.fromkeys(listed, "3"))  # and each of those is known
+        for name in listed:  # and each of those is known
+            parse_settings({name: "true" if name == "motion.halves" else "3"})
 
     @pytest.mark.parametrize(
         ("name", "text", "kind"),

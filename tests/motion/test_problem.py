@@ -6,10 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from tests.motion.test_linear import view_of
 from tests.rasterize.oracle import make_scene
 from tg4mm.motion.config import MotionConfig
+from tg4mm.motion.device import DeviceProblem
 from tg4mm.motion.linear import DOF
 from tg4mm.motion.neighbours import neighbourhoods
 from tg4mm.motion.problem import MotionProblem, information_scale
@@ -88,3 +90,17 @@ def test_several_components_at_once_are_each_by_itself() -> None:
     for k, found in enumerate(p.right_hand_sides(pictures)):
         alone = p.right_hand_side(pictures[:, k])
         np.testing.assert_allclose(found, alone, rtol=1e-5, atol=1e-5 * np.abs(found).max())
+
+
+@pytest.mark.parametrize("device", [None, "cpu"])
+def test_the_problems_of_the_parts_add_up_to_the_whole(device: str | None) -> None:
+    """Data and prior both, on numpy arrays and on torch tensors: each part's prior is as much weaker."""
+    p = problem()
+    theta = draw(1)
+    if device is None:
+        whole, parts = p.normal(theta), [p.of_views(np.array([i])).normal(theta) for i in (0, 1)]
+    else:
+        q, t = DeviceProblem(p, device), torch.from_numpy(theta)
+        whole, parts = q.normal(t).numpy(), [q.of_views(np.array([i])).normal(t).numpy() for i in (0, 1)]
+    assert not np.allclose(parts[0], parts[1], atol=1e-2 * np.abs(whole).max())
+    np.testing.assert_allclose(sum(parts), whole, atol=1e-5 * np.abs(whole).max())

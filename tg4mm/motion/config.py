@@ -15,4 +15,5 @@ class MotionConfig:
     triplane: int = 16  # finest resolution of the motion triplane: 8, 16, 32 …
     iterations: int = 80  # of conjugate gradients, at most, for each component
     tolerance: float = 3e-3  # relative residual at which conjugate gradients stop
+    halves: bool = True  # fit each half of the cameras too, which takes twice as long: `halves.py`
     seed: int = 0

@@ -14,6 +14,7 @@ meeting takes 16 bytes then.
 
 from __future__ import annotations
 
+import copy
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -251,6 +252,13 @@ class DeviceProblem:
                 f"the motion stage needs more memory than device {device} has: it holds {len(self.views)} of "
                 f"{len(problem.views)} views; --device cpu needs none of it and takes up the same run"
             ) from None
+
+    def of_views(self, rows: np.ndarray) -> DeviceProblem:
+        """As `MotionProblem.of_views`; shares all memory."""
+        some = copy.copy(self)
+        some.views = [self.views[i] for i in rows]
+        some.scale = self.scale * len(rows) / len(self.views)
+        return some
 
     def field(self, theta: Tensor) -> Tensor:
         """θ [P, 3] -> displacement and rotation [N, DOF] float32."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -32,6 +32,12 @@ class MotionProblem:
     @property
     def n_parameters(self) -> int:
         return self.sampling.shape[1]
+
+    def of_views(self, rows: np.ndarray) -> MotionProblem:
+        """The problem that only some of the views pose, the prior weaker in proportion: alike but for the noise."""
+        return replace(
+            self, views=[self.views[i] for i in rows], scale=self.scale * len(rows) / len(self.views)
+        )
 
     def field(self, theta: np.ndarray) -> np.ndarray:
         """θ [P, 3] -> displacement and rotation [N, DOF] float32."""

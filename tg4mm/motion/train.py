@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import math
 import time
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -24,10 +26,12 @@ from tg4mm.memory import peak_memory_mib
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.device import DeviceProblem
 from tg4mm.motion.differences import fixed_cameras, phasors, temporal_components
+from tg4mm.motion.halves import agreed_gain, deviation, halves
 from tg4mm.motion.linear import DOF, rest_view
 from tg4mm.motion.modal import ModalMotion
 from tg4mm.motion.neighbours import neighbourhoods
 from tg4mm.motion.problem import MotionProblem, information_scale
+from tg4mm.motion.sight import sight_ratio
 from tg4mm.motion.solve import CGState, placed, start, step_all
 from tg4mm.motion.triplane import sampling_matrix
 from tg4mm.progress import progress
@@ -37,6 +41,7 @@ CHECKPOINT_EVERY_S = 20.0
 TOGETHER = (
     8  # components that share a pass over the views: half the time of eight passes, memory for eight fields
 )
+UNCERTAINTY = "uncertainty"  # part of the run: [N] float32, see `_Stage.agreed`
 _STAGE = "motion"
 
 
@@ -59,7 +64,10 @@ def checked(config: MotionConfig) -> MotionConfig:
 
 @dataclass
 class _Fit:
-    """Where the fit stands: `shapes` [R, N, DOF], the first `component` of them found, and what is being solved."""
+    """Where the fit stands: `shapes` [P R, N, DOF], the first `component` of them found, and what is being solved.
+
+    All cameras' R components come first, then, where the cameras are halved (P = 3), those of each half.
+    """
 
     shapes: np.ndarray
     component: int = 0
@@ -117,11 +125,30 @@ class _Stage:
         problem = MotionProblem(
             views, sampling_matrix(means, config.triplane), neighbourhoods(means), scale, config
         )
-        self.problem: MotionProblem | DeviceProblem = (
-            problem if device == "cpu" else DeviceProblem(problem, device)
-        )
+        whole: MotionProblem | DeviceProblem = problem if device == "cpu" else DeviceProblem(problem, device)
+        self.parts = [np.arange(len(views)), *(halves(len(views)) if config.halves else [])]
+        self.problems = [whole, *(whole.of_views(rows) for rows in self.parts[1:])]
+        self.means = means
+        if len(views) == 1:
+            _warn_of_depth(sight_ratio(views[0], self.cameras[0], means, config.seed))
         self.saved = time.monotonic()
         self.began = began  # what log.json does not hold yet
+
+    def agreed(self, shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray | None, dict[str, Any]]:
+        """From all fields [P R, N, DOF]: the final ones [R, N, DOF], the uncertainty [N], figures for the log.
+
+        The uncertainty is the standard deviation of the displacement's noise, rms over timesteps, scene units; None
+        where the cameras are not halved.
+        """
+        if len(self.parts) == 1:
+            return shapes, None, {}
+        whole, a, b = np.split(shapes, 3)
+        gain = agreed_gain(whole[..., :3], a[..., :3], b[..., :3])
+        noise = deviation(a[..., :3], b[..., :3], self.means)
+        power = max(float((whole[..., :3] ** 2).sum()), 1e-30)
+        ratio = float(np.sqrt((noise.astype(np.float64) ** 2).sum() / power))
+        figures = {"gain_of_components": [round(float(g), 4) for g in gain], "noise_to_motion": ratio}
+        return whole * gain[:, None, None], noise / np.float32(math.sqrt(self.n_timesteps)), figures
 
     def motion(self, shapes: np.ndarray) -> ModalMotion:
         freqs, values = phasors(self.components.basis, shapes, self.fps)
@@ -129,10 +156,14 @@ class _Stage:
 
     def fit(self, fit: _Fit) -> _Fit:
         """Solve for every component that is not solved yet. One unit of progress is one iteration of one of them."""
-        n_components = len(self.components.basis)
-        total = n_components * self.config.iterations
-        with progress("motion stage", total, start=self._done(fit)) as update:
-            while fit.component < n_components:
+        n_fields = len(self.components.basis) * len(self.parts)
+        missing = n_fields - len(
+            fit.shapes
+        )  # all at the beginning; those of the halves in a checkpoint of 0.1.0
+        shape = (missing, len(self.means), DOF)
+        fit.shapes = np.concatenate([fit.shapes, np.zeros(shape, np.float32)])
+        with progress("motion stage", n_fields * self.config.iterations, start=self._done(fit)) as update:
+            while fit.component < n_fields:
                 self._solve(fit, update)
         return fit
 
@@ -143,23 +174,21 @@ class _Stage:
         most = self.config.iterations
         return fit.component * most + sum(cg.iteration if self._is_open(cg) else most for cg in fit.cgs)
 
-    def _normals(self, thetas: Sequence[Any]) -> list[Any]:
-        if isinstance(self.problem, MotionProblem):
-            return self.problem.normals(thetas)
-        return [self.problem.normal(theta) for theta in thetas]
-
-    def _begun(self, first: int) -> list[CGState]:
-        """The components from `first` on that are solved for together."""
-        pictures = self.components.images[:, first : first + (TOGETHER if self.device == "cpu" else 1)]
-        if isinstance(self.problem, MotionProblem):
-            return [start(b) for b in self.problem.right_hand_sides(pictures)]
-        return [start(self.problem.right_hand_side(pictures[:, k])) for k in range(pictures.shape[1])]
+    def _begun(self, part: int, first: int) -> list[CGState]:
+        """The components from `first` on that are solved for together, of one part of the cameras."""
+        problem, last = self.problems[part], first + (TOGETHER if self.device == "cpu" else 1)
+        pictures = self.components.images[:, first:last][self.parts[part]]
+        if isinstance(problem, MotionProblem):
+            return [start(b) for b in problem.right_hand_sides(pictures)]
+        return [start(problem.right_hand_side(pictures[:, k])) for k in range(pictures.shape[1])]
 
     def _solve(self, fit: _Fit, update: Any) -> None:
         """A few components at once, each from where its state stands until its own end."""
-        fit.cgs = fit.cgs or self._begun(fit.component)
+        part, first = divmod(fit.component, len(self.components.basis))
+        problem = self.problems[part]
+        fit.cgs = fit.cgs or self._begun(part, first)
         while going := [k for k, cg in enumerate(fit.cgs) if self._is_open(cg)]:
-            stepped = step_all([fit.cgs[k] for k in going], self._normals)
+            stepped = step_all([fit.cgs[k] for k in going], partial(_normals, problem))
             fit.cgs = [stepped[going.index(k)] if k in going else cg for k, cg in enumerate(fit.cgs)]
             worst = max(cg.relative_residual for cg in fit.cgs)
             update(self._done(fit), components=f"{len(going)} at once", residual=round(worst, 4))
@@ -169,9 +198,23 @@ class _Stage:
                 self.run.record(_STAGE, {"seconds": self.saved - self.began})
                 self.began = self.saved
         for k, cg in enumerate(fit.cgs):
-            fit.shapes[fit.component + k] = _on_cpu(self.problem.field(cg.x))
+            fit.shapes[fit.component + k] = _on_cpu(problem.field(cg.x))
         fit.component, fit.cgs = fit.component + len(fit.cgs), []
         update(self._done(fit))
+
+
+def _warn_of_depth(ratio: float) -> None:
+    warnings.warn(
+        f"one camera: motion along its line of sight changes the pictures {ratio:.2g} times as much as motion across, "
+        "so that part of the motion is a guess from neighbours; a second camera from the side would show it",
+        stacklevel=2,
+    )
+
+
+def _normals(problem: MotionProblem | DeviceProblem, thetas: Sequence[Any]) -> list[Any]:
+    if isinstance(problem, MotionProblem):
+        return problem.normals(thetas)
+    return [problem.normal(theta) for theta in thetas]
 
 
 def train_motion(
@@ -180,7 +223,10 @@ def train_motion(
     """Fit the motion of the run's Gaussians to a capture of T > 1 timesteps and save it in the run.
 
     Works with the cameras that stay put over all timesteps. The run's log gets seconds, peak_memory_mib,
-    components, views, frequencies_hz and the share of the images' changes that the kept components hold.
+    components, views, frequencies_hz and the share of the images' changes that the kept components hold. With six
+    cameras or more (and `config.halves`) noise is shrunk by what two halves of them agree on (`halves.py`), and the
+    run gets RUN/uncertainty.safetensors; the log then holds `gain_of_components` and `noise_to_motion`
+    (rms). One camera alone is warned of.
     On CUDA the iterations run there (`device.py`); reading the images, their components, the neighbourhoods and one
     projection of each view are done once on the CPU. Raises CaptureError where no camera stays put, Tg4mmError on
     settings out of range or where the device's memory is too small.
@@ -192,9 +238,10 @@ def train_motion(
     stage = _Stage(run, capture, images, gaussians, config, began, device)
     checkpoint = run.load_checkpoint(_STAGE)
     n_components = len(stage.components.basis)
-    empty = np.zeros((n_components, len(gaussians), DOF), np.float32)
+    empty = np.zeros((0, len(gaussians), DOF), np.float32)
     fit = stage.fit(_restored(checkpoint, device) if checkpoint else _Fit(empty))
-    motion = stage.motion(fit.shapes)
+    shapes, uncertainty, agreement_figures = stage.agreed(fit.shapes)
+    motion = stage.motion(shapes)
     energy = stage.components.energy
     figures = {
         "seconds": time.monotonic() - stage.began,
@@ -204,7 +251,10 @@ def train_motion(
         "views": len(stage.cameras),
         "n_frequencies": len(motion.freqs_hz),
         "explained_by_components": float(energy[:n_components].sum() / max(energy.sum(), 1e-30)),
+        **agreement_figures,
     }
+    if uncertainty is not None:  # before the motion, which tells that the stage is done
+        run.save_part(UNCERTAINTY, {"displacement": torch.from_numpy(uncertainty)})
     run.save_motion(motion, figures)
     run.drop_checkpoint(_STAGE)
     return motion

@@ -1,0 +1,45 @@
+"""What two halves of the cameras agree on: components of noise fade, and every Gaussian gets an uncertainty.
+
+Noise of rendering or of a sensor is another in every camera, motion is the same in all. So the fit is done with all
+cameras, and with each half of them alone, the prior half as strong. Where the halves' fields a and b agree, the fit u
+of all is kept; where they do not, it is drawn to zero, by the gain that brings it nearest to the truth on average
+(Wiener's): Σ a·b / Σ |u|², one for each temporal component. What the prior does wrong is wrong alike in both halves
+and stays.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+LEAST = 6  # cameras: fewer than three in a half do not hold a field in space
+COUNT = 32  # Gaussians of a neighbourhood, with its own
+_AT_ONCE = 1 << 16  # Gaussians whose neighbourhoods are looked up together
+
+
+def halves(n_cameras: int) -> list[np.ndarray]:
+    """Every second camera and the others, so that both see all sides; none with fewer than `LEAST` cameras."""
+    rows = np.arange(n_cameras)
+    return [rows[::2], rows[1::2]] if n_cameras >= LEAST else []
+
+
+def agreed_gain(whole: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """[R] float32, 0 to 1: what to multiply R fields [R, N, 3] by, fitted to all cameras and to one half each."""
+    both = np.einsum("rnc,rnc->r", a, b, dtype=np.float64)
+    power = np.einsum("rnc,rnc->r", whole, whole, dtype=np.float64)
+    return np.clip(both / np.maximum(power, np.finfo(np.float32).tiny), 0, 1).astype(np.float32)
+
+
+def deviation(a: np.ndarray, b: np.ndarray, means: np.ndarray, count: int = COUNT) -> np.ndarray:
+    """[N] float32, scene units: the standard deviation of the noise in R fields together, from the halves [R, N, 3].
+
+    Rms over the `count` Gaussians around each of `means` [N, 3]; of vectors' lengths, root of the sum over components,
+    before any gain. Errors that all cameras share are not in it.
+    """
+    spread = np.einsum("rnc,rnc->n", a - b, a - b) / 4
+    tree, count, out = cKDTree(means), min(count, len(means)), np.empty(len(means), np.float32)
+    for first in range(0, len(means), _AT_ONCE):
+        some = slice(first, first + _AT_ONCE)
+        around = tree.query(means[some], k=count)[1].reshape(-1, count)
+        out[some] = np.sqrt(spread[around].mean(1))
+    return out

@@ -1,0 +1,28 @@
+"""How much less a camera sees of motion along its line of sight than of motion across it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tg4mm.motion.differences import FixedCamera
+from tg4mm.motion.linear import DOF, RestView
+
+
+def sight_ratio(view: RestView, camera: FixedCamera, means: np.ndarray, seed: int = 0) -> float:
+    """Change of the picture (rms) for motion towards the camera over that for motion across, same lengths.
+
+    means [N, 3] in scene units. Signs are random from Gaussian to Gaussian, so that nothing cancels but by chance.
+    0 where no motion across is seen.
+    """
+    turn, shift = camera.viewmat[:3, :3].astype(np.float64), camera.viewmat[:3, 3]
+    along = means + turn.T @ shift  # from the camera's centre −Rᵀt
+    along = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
+    across = np.cross(along, turn[1])
+    across = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
+    signs = np.random.default_rng(seed).choice([-1.0, 1.0], (len(means), 1))
+    seen = []
+    for direction in (along, across):
+        motion = np.zeros((len(means), DOF), np.float32)
+        motion[:, :3] = signs * direction
+        seen.append(float(np.sqrt((view.push(motion).astype(np.float64) ** 2).sum())))
+    return seen[0] / seen[1] if seen[1] > 0 else 0.0
