@@ -8,7 +8,6 @@ import sys
 import numpy as np
 import pytest
 
-
 HOLD = """
 import numpy as np
 from tg4mm.memory import peak_memory_mib, reset_peak_memory
