@@ -1,5 +1,6 @@
 """The animated .blend: opened afresh, without scripts, it moves as the analytic motion says."""
 
+import json
 from functools import partial
 
 import numpy as np
@@ -157,3 +158,23 @@ def test_a_shape_key_s_value_stays_within_its_limits_at_the_largest_alpha(saved)
     for keys in bpy.data.shape_keys:
         for block in keys.evaluated_get(bpy.context.evaluated_depsgraph_get()).key_blocks[1:]:
             assert abs(block.value) < 9.0
+
+
+def test_a_users_scene_is_saved_with_cameras_around_it(tmp_path):
+    """100 units wide and 300 off the origin: the file's cameras and its pixels are those of the data."""
+    from dataset_gen.options import parser, request_from
+    from dataset_gen.run import save_animation as save
+
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.mesh.primitive_cube_add(size=100, location=(300, 0, 0))
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "own.blend"))
+    mode = {"name": "up", "kind": "translate", "frequency": 5, "amplitude_px": 0.5, "direction": [0, 0, 1]}
+    (tmp_path / "m.json").write_text(json.dumps({"modes": [mode]}))
+    options = ["--blend", str(tmp_path / "own.blend"), "--motion", str(tmp_path / "m.json"), "--out", "x"]
+    save(request_from(parser().parse_args(options)).sets[0], tmp_path / "anim.blend")
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "anim.blend"))
+    places = [np.array(o.matrix_world.translation) for o in bpy.data.objects if o.type == "CAMERA"]
+    away = [np.linalg.norm(place - [300, 0, 0]) for place in places]
+    assert len(away) >= 35
+    assert 100 < min(away) <= max(away) < 600
+    assert min(np.linalg.norm(place) for place in places) > 20
