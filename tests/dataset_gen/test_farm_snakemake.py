@@ -172,7 +172,7 @@ def test_the_profiles_are_accepted(farm: StandIn, name: str) -> None:
 def test_the_generator_itself_is_run_in_parts(tmp_path: Path) -> None:
     pytest.importorskip("bpy")
     options = (
-        "--preset smoke --size 16 --timesteps 2 --samples 1 --views 2 --test-views 1 --points 20 --alphas 5"
+        "--preset smoke --size 16 --timesteps 2 --samples 1 --views 3 --test-views 1 --points 20 --alphas 5"
     )
     farm = Farm(tmp_path, sys.executable, {"mic": None}, options)
     done = farm.run("--cores", "1", seconds=560)
