@@ -15,7 +15,7 @@ from tg4mm.rasterize.kernels.binning import bin_splats, gather_gradient
 from tg4mm.rasterize.kernels.blend import blend_backward, blend_forward
 from tg4mm.rasterize.kernels.layout import FEAT, FEATURES, SPLAT_WIDTH
 from tg4mm.rasterize.kernels.project import pack_camera, project_forward
-from tg4mm.space.kernels import BETA1, BETA2, activate, compare, step
+from tg4mm.space.kernels import BETA1, BETA2, activate, compare, scratch_shape, step
 from tg4mm.space.losses import ssim
 from tg4mm.space.parameters import ParameterRows, learning_rates
 from tg4mm.space.view import EPS2D, FAR, NEAR, WHITE
@@ -112,7 +112,7 @@ class Iteration:
         rates, root = adam.next_rates(progress)
         step(
             adam.values, adam.first, adam.second, adam.active, (degree, camera, width, height),
-            splats, v_splats, error, rates, root,
+            splats, v_splats, error, rates, root, take("room", scratch_shape(sh.shape[1])),
         )  # fmt: skip
         return float(squares.sum()) / target.size
 

@@ -8,7 +8,7 @@ itself: the results do not depend on the number of threads.
 import math
 
 import numpy as np
-from numba import float32, float64, njit, prange
+from numba import config, float32, float64, get_thread_id, njit, prange
 
 from tg4mm.rasterize.kernels.compiled import kernel
 from tg4mm.rasterize.kernels.layout import FEAT, FEATURES, POWER
@@ -92,14 +92,20 @@ def _step_sh(values, ms, vs, gradients, rates, root):
             )
 
 
+def scratch_shape(coefficients: int) -> tuple[int, int]:
+    """Of the memory in which `step` works: a row for each thread there can be."""
+    return config.NUMBA_NUM_THREADS, ROWS * (11 + 3 * coefficients)
+
+
 @kernel(parallel=True, fastmath=True)
-def step(values, ms, vs, active, view, splats, v_splats, error, rates, root):
+def step(values, ms, vs, active, view, splats, v_splats, error, rates, root, room):
     """From the gradient by the splats to the next parameters; those and Adam's moments are changed in place.
 
     values, ms, vs: (means [N, 3], quats [N, 4], log_scales [N, 3], logits [N], sh [N, K, 3]) and their moments.
     active: (scales, opacities), written anew. view: (degree, packed camera, width, height) of the picture. `v_splats`
     is read where visible; elsewhere the gradient is 0, which moves a parameter too. error [N] gets the carrier's
     share. SH coefficients beyond the degree are left alone: no view has asked for them yet, their moments are 0.
+    room: what `scratch_shape(K)` says, for the gradients of the rows in work.
     """
     means, quats, log_scales, logits, sh = values
     scales, opacities = active
@@ -111,9 +117,11 @@ def step(values, ms, vs, active, view, splats, v_splats, error, rates, root):
     no_pose = np.empty((0, 12), np.float32)
     for chunk in prange((n + ROWS - 1) // ROWS):
         a, b = chunk * ROWS, min(n, chunk * ROWS + ROWS)
-        v_means, v_quats = np.zeros((b - a, 3), np.float32), np.zeros((b - a, 4), np.float32)
-        v_scales, v_opacities = np.zeros((b - a, 3), np.float32), np.zeros(b - a, np.float32)
-        v_sh = np.zeros((b - a, coefficients, 3), np.float32)
+        own, m = room[get_thread_id()], b - a
+        own[:] = zero
+        v_means, v_quats = own[: 3 * m].reshape((m, 3)), own[3 * m : 7 * m].reshape((m, 4))
+        v_scales, v_opacities = own[7 * m : 10 * m].reshape((m, 3)), own[10 * m : 11 * m]
+        v_sh = own[11 * m : (11 + 3 * coefficients) * m].reshape((m, coefficients, 3))
         backward_rows(
             means[a:b], quats[a:b], scales[a:b], sh[a:b], degree, False, camera, width, height,
             splats[a:b], v_splats[a:b], v_means, v_quats, v_scales, v_opacities, v_sh, no_pose, False,
