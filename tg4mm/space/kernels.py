@@ -12,7 +12,8 @@ from numba import config, float32, float64, get_thread_id, njit, prange
 
 from tg4mm.rasterize.kernels.compiled import kernel
 from tg4mm.rasterize.kernels.layout import FEAT, FEATURES, POWER
-from tg4mm.rasterize.kernels.project import ROWS, backward_rows
+from tg4mm.rasterize.kernels.project import ROWS
+from tg4mm.rasterize.kernels.project_backward import backward_rows
 
 BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-15  # Adam's; torch's defaults but for the last
 # Places in `rates`: the step sizes of the parameters, those of the SH coefficients 0 and 1 … apart.
@@ -94,7 +95,7 @@ def _step_sh(values, ms, vs, gradients, rates, root):
 
 def scratch_shape(coefficients: int) -> tuple[int, int]:
     """Of the memory in which `step` works: a row for each thread there can be."""
-    return config.NUMBA_NUM_THREADS, ROWS * (11 + 3 * coefficients)
+    return config.NUMBA_NUM_THREADS, ROWS * (11 + 3 * coefficients)  # type: ignore[attr-defined]
 
 
 @kernel(parallel=True, fastmath=True)
