@@ -1,8 +1,8 @@
 """TG4MM in Blender: import a splat file, play its motion, magnify it with a slider."""
 
-from . import jobs, operators, overlay, panel, panel_probe, pictures, preferences, view_settings
+from . import colour_range, jobs, operators, overlay, panel, panel_probe, pictures, preferences, view_settings
 
-_MODULES = (preferences, view_settings, pictures, operators, panel, panel_probe, overlay, jobs)
+_MODULES = (preferences, view_settings, colour_range, pictures, operators, panel, panel_probe, overlay, jobs)
 
 
 def register() -> None:

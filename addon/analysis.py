@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from . import colours, compat, names, plots, scene
+from . import colours, compat, names, plots, scene, spectrum
+from .core.errors import Tg4mmError
 from .units import Unit
 
 
@@ -33,19 +34,29 @@ def active_modes(obj: Any) -> list[int]:
 
 
 def band_amplitude(obj: Any) -> np.ndarray:
-    """[N] scene units: √Σ a_k² over the active modes, not magnified; what Colour By: Amplitude shows."""
+    """[N] scene units: √Σ a_k² over the active modes, not magnified; what Colour By: Amplitude shows.
+
+    Raises Tg4mmError if a person has removed the attributes that hold it.
+    """
     mesh = obj.data
     total = np.zeros(len(mesh.vertices))
     values = np.empty(len(total), np.float32)
     for k in active_modes(obj):
-        mesh.attributes[names.amplitude(k)].data.foreach_get("value", values)
+        if (attribute := mesh.attributes.get(names.amplitude(k))) is None:
+            raise Tg4mmError(f"Attribute {names.amplitude(k)!r} of the points is gone; import the file again")
+        attribute.data.foreach_get("value", values)
         total += values.astype(np.float64) ** 2
     return np.sqrt(total)
 
 
 def fit_colour_range(obj: Any) -> float:
-    """Set the colour range to the largest amplitude in the band, scene units, and return it."""
+    """Set the colour range to the largest amplitude in the band, scene units, and return it.
+
+    Raises Tg4mmError where nothing moves in the band.
+    """
     largest = float(band_amplitude(obj).max(initial=0.0))
+    if largest == 0.0:
+        raise Tg4mmError("Nothing moves in the band")
     compat.set_input(scene.splat_modifier(obj), names.COLOUR_RANGE, largest)
     return largest
 
@@ -78,6 +89,13 @@ def mode_strengths(obj: Any, measure: str) -> list[float]:
     """Amplitude of each mode, scene units: the largest of all Gaussians (PEAK) or their rms (RMS)."""
     largest = [float(a) for a in obj[names.MODE_AMPLITUDES]]
     return largest if measure == "PEAK" else [float(a) for a in obj.get(names.MODE_RMS, largest)]
+
+
+def peaks(obj: Any) -> list[float]:
+    """Frequencies, Hz, of the peaks of an object's spectrum."""
+    freqs = [float(f) for f in obj[names.FREQUENCIES]]
+    bin_hz = float(obj[names.FPS]) / max(int(obj[names.TIMESTEPS]), 1)
+    return [freqs[k] for k in spectrum.peaks(freqs, mode_strengths(obj, "RMS"), bin_hz)]
 
 
 def legend(obj: Any) -> Legend | None:

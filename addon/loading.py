@@ -11,7 +11,7 @@ from . import scene
 from .core.errors import SplatFileError
 from .core.splatfile import SplatFile, read_splat
 from .core.splatfile.header import read_header
-from .numbered import as_sequence, name_of, run_around
+from .numbered import as_sequence, missing_beside, name_of, run_around
 
 
 @dataclass(frozen=True)
@@ -93,4 +93,7 @@ def _load_sequence(frames: list[Path], collection: Any, step: Callable[[float], 
     obj, most = scene.make_sequence(
         frames, name_of(frames), collection, read, lambda i: step((i + 1) / len(frames))
     )
-    return Loaded([obj], f"{len(frames)} frames of up to {most:,} Gaussians", 0.0, len(frames))
+    message = f"{len(frames)} frames of up to {most:,} Gaussians"
+    if missing := missing_beside(frames[0]):
+        message += f"; there is no file number {', '.join(map(str, missing[:4]))}"
+    return Loaded([obj], message, 0.0, len(frames))

@@ -53,6 +53,14 @@ def run_around(path: Path) -> list[Path]:
     return [beside[i] for i in range(first, last + 1)]
 
 
+def missing_beside(path: Path) -> list[int]:
+    """The first number of every gap in the numbers of `path` and the files of its stem beside it."""
+    own = stem_and_number(path)
+    parts = map(stem_and_number, path.parent.glob(f"*{path.suffix}"))
+    numbers = {part[1] for part in parts if own is not None and part is not None and part[0] == own[0]}
+    return [n + 1 for n in sorted(numbers)[:-1] if n + 1 not in numbers]
+
+
 def name_of(paths: Sequence[Path]) -> str:
     """A name for a sequence: its stem without what joins it to the number."""
     part = stem_and_number(paths[0])

@@ -1,4 +1,4 @@
-"""The sidebar of the 3D view, tab TG4MM: import, motion, band, look, colours of the active splat object."""
+"""The sidebar of the 3D view, tab TG4MM: import, motion, band, look of the active splat object."""
 
 from __future__ import annotations
 
@@ -6,7 +6,18 @@ from typing import Any
 
 import bpy
 
-from . import analysis, compat, names, pictures, plots, preferences, scene, spectrum, view_settings
+from . import (
+    analysis,
+    colour_range,
+    compat,
+    names,
+    pictures,
+    plots,
+    preferences,
+    scene,
+    spectrum,
+    view_settings,
+)
 
 
 class _Tab:
@@ -40,13 +51,14 @@ class VIEW3D_PT_tg4mm(_Tab, bpy.types.Panel):
     bl_idname = "VIEW3D_PT_tg4mm"
 
     def draw(self, context: Any) -> None:
-        layout = self.layout
-        layout.operator("import_scene.tg4mm_splat", text="Import Splats", icon="IMPORT")
-        obj = scene.splat_object(context)
+        layout, obj = self.layout, scene.splat_object(context)
         if obj is None:
+            layout.operator("import_scene.tg4mm_splat", text="Import Splats", icon="IMPORT")
             layout.label(text="Select imported splats", icon="INFO")
-        else:
-            layout.label(text=obj.name, icon="POINTCLOUD_DATA")
+            return
+        row = layout.row()
+        row.label(text=obj.name, icon="POINTCLOUD_DATA")
+        row.operator("import_scene.tg4mm_splat", text="Import", icon="IMPORT")
 
 
 class VIEW3D_PT_tg4mm_motion(_SplatTab, bpy.types.Panel):
@@ -57,11 +69,12 @@ class VIEW3D_PT_tg4mm_motion(_SplatTab, bpy.types.Panel):
 
     def draw(self, context: Any) -> None:
         layout, modifier = self.layout, scene.splat_modifier(scene.splat_object(context))
-        layout.use_property_split = True
-        if not (compat.has_input(modifier, names.FIRST)):
+        if not compat.has_input(modifier, names.FIRST):
             layout.label(text="This file holds no motion", icon="INFO")
             return
-        _draw_all(layout, modifier, names.ALPHA, names.SPEED, names.FIRST, names.LOOP)
+        column = _fields(layout)
+        _draw_all(column, modifier, names.ALPHA, names.SPEED, names.FIRST)
+        _draw_all(layout, modifier, names.LOOP)
 
 
 class VIEW3D_PT_tg4mm_band(_MotionTab, bpy.types.Panel):
@@ -72,78 +85,72 @@ class VIEW3D_PT_tg4mm_band(_MotionTab, bpy.types.Panel):
 
     def draw(self, context: Any) -> None:
         layout, obj = self.layout, scene.splat_object(context)
-        modifier, view = scene.splat_modifier(obj), view_settings.of(context)
-        pictures.draw(layout, pictures.fitting_width(context), *spectrum_picture(context, obj))
-        layout.row().prop(view, "measure", expand=True)
-        _draw_peaks(layout, obj)
-        column = layout.column(align=True)
-        column.use_property_split = True
+        row = layout.split(factor=0.72)
+        width = 0.72 * pictures.fitting_width(context)
+        pictures.draw(row, width, *spectrum_picture(context, obj))
+        _draw_peaks(row.column(align=True), obj)
+        column, modifier = _fields(layout), scene.splat_modifier(obj)
         compat.draw_input(column, modifier, names.LOW, text="Low (Hz)")
         compat.draw_input(column, modifier, names.HIGH, text="High (Hz)")
 
 
 class VIEW3D_PT_tg4mm_frequencies(_MotionTab, bpy.types.Panel):
-    """Which modes are played at all"""
+    """Which modes are played at all, and what the spectrum shows of them"""
 
-    bl_label = "Play Frequencies"
+    bl_label = "Frequencies"
     bl_idname = "VIEW3D_PT_tg4mm_frequencies"
     bl_parent_id = "VIEW3D_PT_tg4mm_band"
     bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
 
     def draw(self, context: Any) -> None:
-        obj = scene.splat_object(context)
-        grid = self.layout.grid_flow(row_major=True, columns=2, even_columns=True)
+        layout, obj = self.layout, scene.splat_object(context)
+        layout.label(text="Played")
+        grid = layout.grid_flow(row_major=True, columns=2, even_columns=True)
         _draw_all(grid, scene.splat_modifier(obj), *names.toggles(obj[names.FREQUENCIES]))
+        layout.label(text="Shown above")
+        layout.row().prop(view_settings.of(context), "measure", expand=True)
 
 
 class VIEW3D_PT_tg4mm_look(_SplatTab, bpy.types.Panel):
-    """How the active splat object is drawn"""
+    """How the active splat object is drawn and coloured"""
 
     bl_label = "Look"
     bl_idname = "VIEW3D_PT_tg4mm_look"
 
     def draw(self, context: Any) -> None:
-        layout, modifier = self.layout, scene.splat_modifier(scene.splat_object(context))
-        layout.use_property_split = True
-        _draw_all(layout, modifier, names.DRAW, names.SIZE)
-        drawn = compat.get_input(modifier, names.DRAW)
-        if drawn in (names.ELLIPSOIDS, names.POINTS):
-            compat.draw_input(layout, modifier, names.RADIUS, text="Radius (σ)")
-        if drawn == names.ARROWS:
-            _draw_all(layout, modifier, names.ARROW_LENGTH, names.ARROW_EVERY)
-        faintest = names.MIN_SPLAT_OPACITY if drawn == names.SPLATS else names.MIN_OPACITY
-        compat.draw_input(layout, modifier, faintest, text="Min Opacity")
-        if compat.has_input(modifier, names.VIEW_COLOUR):
-            compat.draw_input(layout, modifier, names.VIEW_COLOUR, text="View Colours")
-        compat.draw_input(layout, modifier, names.SOLID_COLOUR, text="Solid Colours")
-        layout.operator("tg4mm.solid_colours", icon="SHADING_SOLID")
+        layout, obj = self.layout, scene.splat_object(context)
+        modifier = scene.splat_modifier(obj)
+        column = _fields(layout)
+        _draw_all(column, modifier, names.DRAW, names.COLOUR_BY)
+        _draw_colour_range(layout, context, obj)
+        if compat.get_input(modifier, names.DRAW) == names.ARROWS:
+            _draw_all(_fields(layout), modifier, names.ARROW_LENGTH, names.ARROW_EVERY)
+        on, shading = compat.get_input(modifier, names.SOLID_COLOUR), _shading(context)
+        if on or shading == "SOLID":  # other views show the colours anyway
+            layout.operator("tg4mm.solid_colours", icon="SHADING_SOLID", depress=on).on = not on
         if context.scene.view_settings.view_transform != "Standard":
             layout.operator("tg4mm.true_colours", icon="COLOR")
 
 
-class VIEW3D_PT_tg4mm_colours(_MotionTab, bpy.types.Panel):
-    """Colours that show amplitude or phase"""
+class VIEW3D_PT_tg4mm_details(_SplatTab, bpy.types.Panel):
+    """Sizes, what is left out, and colours that depend on the view"""
 
-    bl_label = "Colour By"
-    bl_idname = "VIEW3D_PT_tg4mm_colours"
+    bl_label = "Size and Opacity"
+    bl_idname = "VIEW3D_PT_tg4mm_details"
+    bl_parent_id = "VIEW3D_PT_tg4mm_look"
     bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
 
     def draw(self, context: Any) -> None:
-        layout, obj = self.layout, scene.splat_object(context)
-        modifier, unit = scene.splat_modifier(obj), preferences.unit_for(context, obj)
-        layout.use_property_split = True
-        compat.draw_input(layout, modifier, names.COLOUR_BY)
-        picture = analysis.legend_picture(obj, unit)
-        if picture is None:
-            return
-        compat.draw_input(layout, modifier, names.COLOUR_RANGE)
-        layout.operator("tg4mm.fit_colour_range", icon="FULLSCREEN_EXIT")
-        view = view_settings.of(context)
-        row = layout.row()
-        row.use_property_split = False  # else its name has half the width
-        row.prop(view, "legend")
-        if not view.legend:
-            pictures.draw(layout, pictures.fitting_width(context), *picture)
+        modifier = scene.splat_modifier(scene.splat_object(context))
+        column = _fields(self.layout)
+        drawn = compat.get_input(modifier, names.DRAW)
+        _draw_all(column, modifier, names.SIZE)
+        if drawn in (names.ELLIPSOIDS, names.POINTS):
+            compat.draw_input(column, modifier, names.RADIUS, text="Radius (σ)")
+        faintest = names.MIN_SPLAT_OPACITY if drawn == names.SPLATS else names.MIN_OPACITY
+        compat.draw_input(column, modifier, faintest, text="Min Opacity")
+        if compat.has_input(modifier, names.VIEW_COLOUR):
+            compat.draw_input(column, modifier, names.VIEW_COLOUR, text="View Colours")
 
 
 def spectrum_picture(context: Any, obj: Any) -> tuple[Any, ...]:
@@ -159,11 +166,35 @@ def spectrum_picture(context: Any, obj: Any) -> tuple[Any, ...]:
 
 def _draw_peaks(layout: Any, obj: Any) -> None:
     """A button for the band round each peak, and one for everything."""
-    freqs = [float(f) for f in obj[names.FREQUENCIES]]
-    grid = layout.grid_flow(row_major=True, columns=3, even_columns=True, align=True)
-    for k in spectrum.peaks(freqs, analysis.mode_strengths(obj, "RMS")):
-        grid.operator("tg4mm.band", text=f"{freqs[k]:g} Hz").frequency = freqs[k]
-    grid.operator("tg4mm.band", text="All").frequency = 0.0
+    for frequency in analysis.peaks(obj):
+        layout.operator("tg4mm.band", text=f"{frequency:.4g} Hz").frequency = frequency
+    layout.operator("tg4mm.band", text="All").frequency = 0.0
+
+
+def _draw_colour_range(layout: Any, context: Any, obj: Any) -> None:
+    """What belongs to colours by amplitude or phase; nothing for the file's."""
+    picture = analysis.legend_picture(obj, preferences.unit_for(context, obj))
+    if picture is None:
+        return
+    row, view = _fields(layout).row(align=True), view_settings.of(context)
+    colour_range.draw(row, context, obj)
+    row.operator("tg4mm.fit_colour_range", text="", icon="FULLSCREEN_EXIT")
+    layout.prop(view, "legend")
+    if not view.legend:
+        pictures.draw(layout, pictures.fitting_width(context), *picture)
+
+
+def _fields(layout: Any) -> Any:
+    """A column of fields with their names beside them, without gaps."""
+    column = layout.column(align=True)
+    column.use_property_split = True
+    return column
+
+
+def _shading(context: Any) -> str | None:
+    """SOLID, MATERIAL … of the 3D view that is drawn."""
+    shading = getattr(getattr(context, "space_data", None), "shading", None)
+    return None if shading is None else str(shading.type)
 
 
 _CLASSES = (
@@ -172,7 +203,7 @@ _CLASSES = (
     VIEW3D_PT_tg4mm_band,
     VIEW3D_PT_tg4mm_frequencies,
     VIEW3D_PT_tg4mm_look,
-    VIEW3D_PT_tg4mm_colours,
+    VIEW3D_PT_tg4mm_details,
 )
 
 
@@ -183,11 +214,4 @@ def _draw_all(layout: Any, modifier: Any, *inputs: str) -> None:
             compat.draw_input(layout, modifier, name, slider=name == names.ALPHA)
 
 
-def register() -> None:
-    for cls in _CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister() -> None:
-    for cls in reversed(_CLASSES):
-        bpy.utils.unregister_class(cls)
+register, unregister = bpy.utils.register_classes_factory(_CLASSES)

@@ -127,9 +127,4 @@ def _direction(vector: tuple[float, float, float]) -> str:
     return "({:.2f}, {:.2f}, {:.2f})".format(*(round(c, 2) + 0.0 for c in vector))
 
 
-def register() -> None:
-    bpy.utils.register_class(VIEW3D_PT_tg4mm_probe)
-
-
-def unregister() -> None:
-    bpy.utils.unregister_class(VIEW3D_PT_tg4mm_probe)
+register, unregister = bpy.utils.register_classes_factory([VIEW3D_PT_tg4mm_probe])

@@ -16,6 +16,7 @@ from .units import Unit
 
 SIDE = 400
 _TEXT = 17.0  # height of capitals
+_LARGE_TEXT = 23.0  # of the spectrum, which is shown smaller than the others
 _BACK: Colour = (0.11, 0.11, 0.115)
 _FRONT: Colour = (0.86, 0.86, 0.86)
 _FAINT: Colour = (0.32, 0.32, 0.33)
@@ -23,7 +24,7 @@ _BAND: Colour = (0.28, 0.45, 0.70)
 _INSIDE: Colour = (1.0, 0.63, 0.22)
 _OUTSIDE: Colour = (0.55, 0.55, 0.56)
 _AXES: tuple[Colour, ...] = ((0.94, 0.33, 0.36), (0.52, 0.80, 0.25), (0.36, 0.62, 0.98))  # Blender's x, y, z
-_LEFT, _RIGHT, _TOP, _BOTTOM = 14.0, 386.0, 78.0, 326.0  # of the plot's area
+_LEFT, _RIGHT, _TOP, _BOTTOM = 14.0, 386.0, 92.0, 312.0  # of the plot's area
 
 
 def spectrum(
@@ -53,9 +54,9 @@ def spectrum(
         inside = band[0] - slack <= f <= band[1] + slack
         top = _BOTTOM - (_BOTTOM - _TOP) * 0.94 * a / ceiling
         canvas.box(place(f) - half, top, place(f) + half, _BOTTOM, _INSIDE if inside else _OUTSIDE)
-    canvas.text(_LEFT, 32, f"{title}, {unit.name}", _FRONT, _TEXT)
-    canvas.text(_LEFT, 66, f"highest {unit.number(most)}", _INSIDE, _TEXT)
-    _ticks(canvas, 0.0, highest_hz, "Frequency, Hz")
+    canvas.text(_LEFT, 36, f"{title}, {unit.short}", _FRONT, _LARGE_TEXT)
+    canvas.text(_LEFT, 76, f"highest {unit.number(most)}", _INSIDE, _LARGE_TEXT)
+    _ticks(canvas, 0.0, highest_hz, "Frequency, Hz", _LARGE_TEXT, most=3)
     return canvas.pixels
 
 
@@ -75,7 +76,7 @@ def series(seconds: np.ndarray, moved: np.ndarray, unit: Unit) -> np.ndarray:
     canvas.text(_LEFT, 66, f"±{unit.number(most)}", _FRONT, _TEXT)
     for axis, colour in enumerate(_AXES):
         canvas.text(_RIGHT - 90 + 36 * axis, 66, "xyz"[axis], colour, _TEXT)
-    _ticks(canvas, 0.0, last, "Time, s")
+    _ticks(canvas, 0.0, last, "Time, s", _TEXT)
     return canvas.pixels
 
 
@@ -153,13 +154,13 @@ def _frame(canvas: Canvas) -> None:
     canvas.box(_LEFT, _BOTTOM, _RIGHT, _BOTTOM + 2, _FRONT, 0.7)
 
 
-def _ticks(canvas: Canvas, low: float, high: float, title: str) -> None:
+def _ticks(canvas: Canvas, low: float, high: float, title: str, size: float, most: int = 5) -> None:
     """Numbers below the plot's area, and what they are."""
-    for value in ticks(low, high, 5):
+    for value in ticks(low, high, most):
         part = (value - low) / (high - low)
         x = _LEFT + (_RIGHT - _LEFT) * part
         canvas.box(x - 1, _BOTTOM, x + 1, _BOTTOM + 8, _FRONT, 0.7)
         # The first and last number stay inside the picture.
         anchor = 0.0 if part < 0.03 else 1.0 if part > 0.97 else 0.5
-        canvas.text(x, _BOTTOM + 34, f"{value:g}", _FRONT, _TEXT, anchor)
-    canvas.text((_LEFT + _RIGHT) / 2, SIDE - 12, title, _FRONT, _TEXT, 0.5)
+        canvas.text(x, _BOTTOM + 17 + size, f"{value:g}", _FRONT, size, anchor)
+    canvas.text((_LEFT + _RIGHT) / 2, SIDE - 12, title, _FRONT, size, 0.5)

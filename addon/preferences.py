@@ -100,9 +100,4 @@ class TG4MM_defaults:
     length_unit, digits, core_python = "METRIC", 4, ""
 
 
-def register() -> None:
-    bpy.utils.register_class(TG4MM_preferences)
-
-
-def unregister() -> None:
-    bpy.utils.unregister_class(TG4MM_preferences)
+register, unregister = bpy.utils.register_classes_factory([TG4MM_preferences])

@@ -35,13 +35,16 @@ def make_objects(splats: Sequence[SplatFile], labels: Sequence[str], collection:
 def _object(splat: SplatFile, name: str, made: Made) -> Any:
     mesh = made.keep(bpy.data.meshes.new(name))
     fill_mesh(mesh, splat)
-    largest = [float(a.max()) for a in _amplitudes(mesh, splat)]
+    largest, squares = [], np.zeros(len(splat))
+    for amplitudes in _amplitudes(mesh, splat):
+        largest.append(float(amplitudes.max()))
+        squares += amplitudes.astype(np.float64) ** 2
     content = Content(
         count=len(splat),
         sh_degree=splat.sh_degree,
         freqs_hz=splat.freqs_hz.tolist(),
         fps=splat.fps,
-        amplitude=max(largest, default=0.0),
+        amplitude=float(np.sqrt(squares.max(initial=0.0))),
     )
     obj = _player(name, mesh, content, made)
     _describe(obj, splat, largest)

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 PEAK_ABOVE = 0.05  # of the largest amplitude
+DIP = 0.8  # of a peak: how low it must be between it and a larger one, or it is that one's skirt
+NEIGHBOURS = 1.5  # frequency bins; what is farther apart has a bin without motion between
 MOST_PEAKS = 6
 
 
@@ -16,17 +18,31 @@ def rms_amplitude(amplitudes: np.ndarray, weights: np.ndarray) -> float:
     return float(np.sqrt((w * a**2).sum() / w.sum() if w.sum() > 0 else (a**2).mean()))
 
 
-def peaks(freqs_hz: Sequence[float], amplitudes: Sequence[float]) -> list[int]:
-    """Numbers of the modes that are peaks, by frequency: no neighbour is larger, and none too small to matter.
+def peaks(freqs_hz: Sequence[float], amplitudes: Sequence[float], bin_hz: float) -> list[int]:
+    """Numbers of the modes that are peaks, by frequency; at most MOST_PEAKS, the largest.
 
-    At most MOST_PEAKS, the largest. Of neighbours alike the lower counts.
+    A recording of T timesteps tells frequencies apart that lie `bin_hz` = fps / T from each other; what vibrates
+    between two bins leaks into all, less the farther they are. So a mode is a peak if on the way to any larger
+    one there is a dip: a mode below DIP times its own amplitude, or a bin without a mode. Of modes alike the
+    lower counts, and none counts that is too small to matter.
     """
     order = np.argsort(freqs_hz, kind="stable")
-    a = np.concatenate([[-1.0], np.asarray(amplitudes, float)[order], [-1.0]])
-    inner = a[1:-1]
-    found = (inner > a[:-2]) & (inner >= a[2:]) & (inner > 0) & (inner >= PEAK_ABOVE * inner.max(initial=0.0))
-    largest = sorted(np.flatnonzero(found), key=lambda i: -inner[i])[:MOST_PEAKS]
-    return [int(order[i]) for i in sorted(largest)]
+    f, a = np.asarray(freqs_hz, float)[order], np.asarray(amplitudes, float)[order]
+    large = [i for i in range(len(a)) if a[i] > 0 and a[i] >= PEAK_ABOVE * a.max()]
+    found = [i for i in large if _stands_out(f, a, i, -1, bin_hz) and _stands_out(f, a, i, 1, bin_hz)]
+    return [int(order[i]) for i in sorted(sorted(found, key=lambda i: -a[i])[:MOST_PEAKS])]
+
+
+def _stands_out(f: np.ndarray, a: np.ndarray, i: int, step: int, bin_hz: float) -> bool:
+    """True if going from mode i by `step` (−1 down, +1 up) a dip comes before anything larger, or nothing does."""
+    j = i + step
+    while 0 <= j < len(a) and abs(f[j] - f[j - step]) <= NEIGHBOURS * bin_hz:
+        if a[j] < DIP * a[i]:
+            return True
+        if a[j] > a[i] or (a[j] == a[i] and step < 0):
+            return False
+        j += step
+    return True
 
 
 def band_around(frequency_hz: float, width_hz: float) -> tuple[float, float]:

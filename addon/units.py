@@ -18,6 +18,11 @@ class Unit:
         """`length` in scene units → "0.034 mm"."""
         return f"{self.number(length)} {self.name}"
 
+    @property
+    def short(self) -> str:
+        """The name where there is little room."""
+        return self.name.removeprefix("scene ")
+
     def number(self, length: float) -> str:
         """The same without the unit's name."""
         return f"{length * self.per_scene_unit:.{self.digits}g}"

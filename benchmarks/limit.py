@@ -1,20 +1,56 @@
-"""What the arithmetic of blending alone would take: visible pixel evaluations × vector instructions / (cores × clock).
+"""What the arithmetic of blending alone would take, from the machine code of its inner loops.
 
-The instructions are those of the inner loops' machine code on AVX-512 that calculate (no loads, stores or moves), one
-512-bit instruction a cycle and core, as Zen 4 does it. Every lane is taken to be useful, which a 4 × 4 block's are not.
+    python benchmarks/limit.py
+
+compiles both loops anew and prints what they are made of; the constants below are what it printed on Zen 4. Two limits
+follow, in cycles of one core:
+
+- of the evaluations: visible (pixel, Gaussian) / 16 × arithmetic instructions, one a cycle, every lane useful. What no
+  way of cutting a picture into vectors of 16 could beat at that rate.
+- of the blocks: blocks of 4 × 4 pixels in which a Gaussian is seen × the cycles that a block's loop must take. Zen 4
+  works on 512 bits in two halves, on four units of 256 bits, two of which multiply: a vector's multiplications (and
+  multiply-adds) take one cycle each, any other arithmetic half of one, a load or store at least one. Whatever goes on
+  at the same time does so for free, so the largest of the three sums is the limit.
 """
 
+from __future__ import annotations
+
 import math
+import os
+import re
+import subprocess
+import sys
+import tempfile
 import time
+from dataclasses import dataclass
 
 import numpy as np
 from numba import float32, njit
 
+from tg4mm.rasterize.kernels import blend, blend_backward
 from tg4mm.rasterize.kernels.layout import ALPHA_MAX, ALPHA_MIN, CA, CB, CC, MX, MY, OP, T_MIN, TILE
 
-FORWARD_INSTRUCTIONS = 25
-BACKWARD_INSTRUCTIONS = 51
 _STEPS = 20_000_000
+_MOVES = ("vmov", "vbroadcast", "vpbroadcast", "kmov", "kortest", "ktest", "vextract")
+
+
+@dataclass(frozen=True)
+class Loop:
+    """An inner loop's instructions, of 512 bits but for the first."""
+
+    instructions: int
+    arithmetic: int  # those that calculate: no moves, loads or stores of their own
+    multiplications: int  # of these, with or without addition
+    memory: int  # operands in memory, be they whole vectors or one number for all lanes
+
+    @property
+    def cycles(self) -> float:
+        """The least a block can take on Zen 4."""
+        return max(self.multiplications, self.arithmetic / 2, self.memory)
+
+
+FORWARD = Loop(44, 25, 13, 9)
+BACKWARD = Loop(78, 48, 28, 24)
 
 
 @njit(cache=True)
@@ -59,3 +95,66 @@ def visible_evaluations(splats, tile_start, pair_gaussian, width, height):
                         if t <= T_MIN:
                             break
     return total
+
+
+def blocks_seen(reached: np.ndarray) -> int:
+    """How many blocks `blend_forward` found a Gaussian seen in, from its `reached` [P] uint32."""
+    return int(np.unpackbits(reached.view(np.uint8)).sum())
+
+
+def inner_loop(assembly: str) -> list[str]:
+    """Of the loops that hold no other, the one with most multiply-adds; instructions in AT&T's syntax."""
+    labels: dict[str, int] = {}
+    code: list[str] = []
+    for line in assembly.splitlines():
+        if label := re.match(r"^(\.?[\w$.]+):", line):
+            labels[label[1]] = len(code)
+        elif (text := line.strip()) and not text.startswith((".", "#")):
+            code.append(text)
+    loops = []
+    for end, text in enumerate(code):
+        jump = re.match(r"^j\w+\s+(\S+)", text)
+        if jump and labels.get(jump[1], end + 1) <= end:
+            loops.append((labels[jump[1]], end))
+    bodies = [
+        code[a : b + 1] for a, b in loops if not any(a <= c and d <= b and (a, b) != (c, d) for c, d in loops)
+    ]
+    return max(bodies, key=lambda body: sum("fmadd" in text or "fnmadd" in text for text in body))
+
+
+def composition(body: list[str]) -> Loop:
+    """What a loop is made of."""
+    vectors = [text for text in body if "zmm" in text or re.search(r"\bk[0-7]\b|%k[0-7]", text)]
+    arithmetic = [text for text in vectors if not text.startswith(_MOVES)]
+    return Loop(
+        instructions=len(body),
+        arithmetic=len(arithmetic),
+        multiplications=sum(text.startswith(("vfm", "vfn", "vmul")) for text in arithmetic),
+        memory=sum("(" in text and "zmm" in text for text in vectors),
+    )
+
+
+def printed() -> None:
+    """Compile both kernels on a small scene and print what their loops are made of."""
+    from kernels import Kernels, scene
+
+    parameters, viewmat, K = scene(500, 64)
+    kernels = Kernels([p.numpy() for p in parameters], viewmat.numpy(), K.numpy(), (64, 64))
+    for name, kernel in (("blend", blend._forward), ("blend backward", blend_backward._backward)):
+        kernels.calls[name]()
+        loop = composition(inner_loop(kernel.inspect_asm(kernel.signatures[0])))
+        print(f"{name}: {loop}, at least {loop.cycles:g} cycles a block", flush=True)
+
+
+def main() -> None:
+    """`printed` in a process without cached kernels, of which there would be no machine code to see."""
+    if "TG4MM_LIMIT" in os.environ:
+        return printed()
+    with tempfile.TemporaryDirectory() as folder:
+        environment = os.environ | {"NUMBA_CACHE_DIR": folder, "TG4MM_LIMIT": "1"}
+        subprocess.run([sys.executable, __file__], env=environment, check=True)
+    return None
+
+
+if __name__ == "__main__":
+    main()

@@ -24,46 +24,22 @@ import numba
 import numpy as np
 import torch
 from common import machine, milliseconds, processor_milliseconds
-from limit import BACKWARD_INSTRUCTIONS, FORWARD_INSTRUCTIONS, clock_ghz, visible_evaluations
+from kernels import Kernels, scene
+from limit import BACKWARD, FORWARD, blocks_seen, clock_ghz, visible_evaluations
 from scipy.optimize import nnls
 from torch import Tensor
 
 from tg4mm.capture import load_capture
 from tg4mm.memory import peak_memory_mib
 from tg4mm.rasterize import rasterization
-from tg4mm.rasterize.buffers import Buffers
-from tg4mm.rasterize.kernels import binning, blend
-from tg4mm.rasterize.kernels import project as projection
-from tg4mm.rasterize.kernels.layout import FEAT, FEATURES
 from tg4mm.rasterize.reference import rasterize_dense
 from tg4mm.runs import Run
 from tg4mm.space.fused import FusedAdam, Iteration
-from tg4mm.space.view import EPS2D, FAR, NEAR, render_view
+from tg4mm.space.view import render_view
 
 SIZES = (256, 512, 1024)  # pixels
 COUNTS = (5_000, 50_000, 200_000, 500_000)  # Gaussians
 DENSE_SIZE, DENSE_COUNT = 64, 500
-DISTANCE = 3.0  # scene units from the camera to the ball's centre
-PIXELS = 2.0  # standard deviation of a Gaussian
-
-
-def scene(n: int, size: int, seed: int = 0) -> tuple[list[Tensor], Tensor, Tensor]:
-    """Parameters (means … sh of degree 3) of n Gaussians in the unit ball, viewmat [4, 4] and K [3, 3]."""
-    rng = torch.Generator().manual_seed(seed)
-    direction = torch.nn.functional.normalize(torch.randn(n, 3, generator=rng), dim=-1)
-    means = direction * torch.rand(n, 1, generator=rng) ** (1 / 3)
-    focal = 1.2 * size
-    scales = PIXELS * DISTANCE / focal * torch.exp(0.6 * torch.randn(n, 3, generator=rng).clamp(-2, 2))
-    parameters = [
-        means,
-        torch.randn(n, 4, generator=rng),
-        scales,
-        torch.rand(n, generator=rng) * 0.9 + 0.05,
-        torch.randn(n, 16, 3, generator=rng) * 0.2,
-    ]
-    viewmat = torch.eye(4)
-    viewmat[2, 3] = DISTANCE
-    return parameters, viewmat, torch.tensor([[focal, 0, size / 2], [0, focal, size / 2], [0, 0, 1.0]])
 
 
 def ours(parameters: list[Tensor], viewmat: Tensor, K: Tensor, size: int) -> tuple[Tensor, int]:
@@ -139,45 +115,6 @@ def iterations(n: int, size: int, count: int = 3) -> None:
         iteration(adam, viewmat.numpy(), K.numpy(), target, 3, 0.5, error)
 
 
-class Kernels:
-    """Every kernel as a call on its own, for one view of given Gaussians."""
-
-    def __init__(
-        self, arrays: list[np.ndarray], viewmat: np.ndarray, K: np.ndarray, size: tuple[int, int]
-    ) -> None:
-        width, height = size
-        camera = projection.pack_camera(viewmat, K, NEAR, FAR, EPS2D)
-        splats = projection.empty_splats(len(arrays[0]))
-        project = (*arrays, 3, False, camera, width, height, splats)
-        projection.project_forward(*project)
-        buffers = Buffers()
-        bins = binning.bin_splats(splats, width, height)
-        self.lists = (splats, bins.tile_start, bins.pair_gaussian, width, height)
-        rng = np.random.default_rng(0)
-        image, v_image = np.empty((2, height, width, FEATURES), np.float32)
-        transmittance, v_transmittance = np.empty((2, height, width), np.float32)
-        v_image[:], v_transmittance[:] = (
-            rng.normal(size=v_image.shape),
-            rng.normal(size=v_transmittance.shape),
-        )
-        v_pairs = np.empty((len(bins.pair_gaussian), FEAT + FEATURES), np.float32)
-        v_splats = np.zeros_like(splats)
-        pictures = (image, transmittance, v_image, v_transmittance, v_pairs)
-        gather = (bins.order, bins.n_visible, bins.gaussian_start, bins.pair_slot, v_pairs, v_splats)
-        back = (*arrays[:3], arrays[4], 3, False, camera, width, height, splats, v_splats)
-        gradients = (*(np.zeros_like(a) for a in arrays), np.zeros((0, 12), np.float32), False)
-        self.n_gaussians, self.n_pairs = len(arrays[0]), len(bins.pair_gaussian)
-        reached = bins.reached
-        self.calls: dict[str, Callable[[], object]] = {
-            "project": lambda: projection.project_forward(*project),
-            "bin": lambda: binning.bin_splats(splats, width, height, buffers),
-            "blend": lambda: blend.blend_forward(*self.lists, image, transmittance, reached=reached),
-            "blend backward": lambda: blend.blend_backward(*self.lists, *pictures, reached=reached),
-            "gather": lambda: binning.gather_gradient(*gather),
-            "project backward": lambda: projection.project_backward(*back, *gradients),
-        }
-
-
 def fit(name: str, times: list[float], units: dict[str, list[int]]) -> str:
     """Times (ms) as a sum of so much for each unit, in words, with R² and the largest deviation.
 
@@ -245,16 +182,20 @@ class Trained:
         arrays = [a.numpy() for a in (g.means, g.quats, g.scales, g.opacities, g.sh)]
         kernels = Kernels(arrays, self.viewmat.numpy(), self.K.numpy(), self.size)
         times = {name: clocks(call, repeats) for name, call in kernels.calls.items()}
-        evaluations, ghz = visible_evaluations(*kernels.lists), clock_ghz()
+        evaluations, blocks = visible_evaluations(*kernels.lists), blocks_seen(kernels.reached)
+        ghz = clock_ghz()
         print(
-            f"{len(g)} Gaussians, {kernels.n_pairs} pairs, {evaluations} visible pixel evaluations, {ghz:.2f} GHz"
+            f"{len(g)} Gaussians, {kernels.n_pairs} pairs, {evaluations} visible pixel evaluations in {blocks} blocks "
+            f"({evaluations / blocks / 16:.0%} of their lanes), {ghz:.2f} GHz"
         )
-        limits = (("blend", FORWARD_INSTRUCTIONS), ("blend backward", BACKWARD_INSTRUCTIONS))
-        for name, count in limits if numba.get_num_threads() == 1 else ():
-            limit = evaluations / 16 * count / (ghz * 1e6)  # one vector instruction a cycle
-            ratio = times[name][2] / limit
+        limits = (("blend", FORWARD), ("blend backward", BACKWARD))
+        for name, loop in limits if numba.get_num_threads() == 1 else ():
+            cycles = (evaluations / 16 * loop.arithmetic, blocks * loop.cycles)
+            least, of_blocks = (n / (ghz * 1e6) for n in cycles)
+            taken = times[name][2]
             print(
-                f"arithmetic limit of {name}: {limit:.2f} ms of processor time; taken: {ratio:.1f} times that"
+                f"arithmetic limit of {name}: {least:.2f} ms of processor time, {of_blocks:.2f} for 4 × 4 blocks; "
+                f"taken: {taken / least:.1f} and {taken / of_blocks:.1f} times that"
             )
         return times
 

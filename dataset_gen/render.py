@@ -26,7 +26,8 @@ from .devices import device_in_use, use_device
 from .materials import DISPLACEMENT
 from .quality import Quality
 
-# Rays of the data passes go through the pixel centre: the narrowest filter Blender has, ±0.005 px.
+# Rays of the data passes go through the pixel centre: Cycles' first sample does, and there is no other. The narrowest
+# filter that Blender has, in case another line draws it from the filter: σ = 0.0025 px.
 _POINT_FILTER = 0.01
 _PIXEL_FILTER = 1.5  # px, of pictures
 _BRIGHTEST = 65504.0  # what the file formats hold; a path that went wrong may be infinite

@@ -36,6 +36,16 @@ def test_a_splat_file_holds_the_model(run, tmp_path):
     assert (splat.fps, splat.n_timesteps, splat.unit_scale_m) == (30.0, 5, 0.1)
 
 
+def test_only_a_ply_is_overwritten(run, tmp_path):
+    model = run.path / "space.safetensors"
+    before = model.read_bytes()
+    with pytest.raises(Tg4mmError, match=r"--out .*space\.safetensors: exists, and is no PLY file"):
+        export_ply(run, model)
+    assert model.read_bytes() == before
+    for _ in range(2):
+        assert read_splat(export_ply(run, tmp_path / "splat.ply")).n_timesteps == 5
+
+
 def test_a_sequence_holds_the_magnified_positions(run, tmp_path):
     out = export_ply_sequence(run, tmp_path / "frames", alpha=4.0, band=(2.0, 4.0))
     assert [path.name for path in sorted(out.iterdir())] == [f"frame_{t:04d}.ply" for t in range(5)]

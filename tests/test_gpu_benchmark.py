@@ -29,13 +29,15 @@ def check_smoke(device: str, tmp_path: Path, capsys: pytest.CaptureFixture[str])
     out = tmp_path / "gpu.json"
     assert main(["--smoke", "--device", device, "--out", str(out)]) == 0
     table = capsys.readouterr().out
-    for said in ("5 min 12 s", "2 min 12 s", "not claimed", "these figures measure nothing"):
+    for said in ("5 min 12 s", "2 min 12 s", "all timesteps together", "these figures measure nothing"):
         assert said in table
     result = json.loads(out.read_text())
     assert result["smoke"] is True
     assert result["machine"]["device"] == device
     assert result["space"]["iterations"] == 30
     assert result["motion"]["views"] == 6
+    stages = {stage: figures["iterations"] for stage, figures in result["paper"].items()}
+    assert stages == {"space": 20, "triplane": 10, "motion": 10}
     assert 0 < result["motion"]["relative_error"] < 0.9  # it did find the sway, which nothing else knows of
     assert set(result["fps"]) == {"64x64", "96x54"}
     assert all(f["on_device"] > 0 and f["fetched"] > 0 for f in result["fps"].values())
@@ -51,7 +53,8 @@ def test_smoke_runs_all_of_it_on_cuda(tmp_path: Path, capsys: pytest.CaptureFixt
 
 
 def test_the_full_plan_is_the_papers() -> None:
-    assert FULL.iterations == 20_000
+    assert FULL.iterations == FULL.paper.iterations == 20_000
+    assert FULL.paper.motion_iterations == 7_000
     assert FULL.sizes == ((512, 512), (1920, 1080))
 
 

@@ -194,7 +194,8 @@ def _fresh(folder: Path, run: Path) -> Path:
 
     Only pictures and videos beside a render.json of ours are deleted; whatever else lies there stays.
     """
-    from tg4mm.render.sequence import FORMAT, RECORD, model_hash
+    from tg4mm.modelhash import model_hash
+    from tg4mm.render.sequence import FORMAT, RECORD
 
     try:
         record = json.loads((folder / RECORD).read_text(encoding="utf-8"))

@@ -64,14 +64,21 @@ def export_ply(run: Run, out: Path) -> Path:
 
     Of a `paper` run it holds timestep 0 and, as phasors of all DFT bins (0 Hz for the mean offset from it), every
     timestep's position and rotation. Lost is what the decoder changes in scale, opacity and colour over time.
-    Raises Tg4mmError for an `out` that is a folder, RunError for a run without a space stage.
+    Raises Tg4mmError for an `out` that is a folder or a file of another kind, RunError for a run without a space stage.
     """
     if out.is_dir():
         raise Tg4mmError(f"--out {out}: is a folder; expected a file such as {out / 'splat.ply'}")
+    if out.exists() and not _is_ply(out):
+        raise Tg4mmError(f"--out {out}: exists, and is no PLY file; choose another name")
     splat = to_splat(run.load_space(), run.load_motion(), unit_scale_of(run))
     out.parent.mkdir(parents=True, exist_ok=True)
     write_splat(out, splat)
     return out
+
+
+def _is_ply(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.read(3) == b"ply"
 
 
 def export_ply_sequence(

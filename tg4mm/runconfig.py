@@ -16,6 +16,7 @@ from tg4mm.errors import RunError
 
 FORMAT = "tg4mm"
 VERSION = 1
+LOCK = ".lock"  # of the process that trains the run
 _KINDS = {"dataset": str, "dataset_from_run": str, "preset": str, "settings": dict, "versions": dict}
 
 
@@ -72,9 +73,10 @@ def check_empty(path: Path) -> None:
     """Raise RunError if `path` holds anything, so that no run is mixed with foreign files."""
     if path.exists() and not path.is_dir():
         raise RunError(f"run folder {path} is a file")
-    # A kill before config.json was renamed leaves only its temporary file: that is still an empty run.
+    # A kill before config.json was renamed leaves only its temporary file and the lock: still an empty run.
     names = [entry.name for entry in path.iterdir()] if path.is_dir() else []
-    foreign = sorted(name for name in names if not re.fullmatch(r"\.config\.json\.\d+\.tmp", name))
+    ours = rf"\.config\.json\.\d+\.tmp|{re.escape(LOCK)}"
+    foreign = sorted(name for name in names if not re.fullmatch(ours, name))
     if foreign:
         raise RunError(f"{path} is not a run folder: it holds {foreign[0]!r} and no config.json")
 

@@ -13,7 +13,6 @@ Every file is written under a temporary name and renamed. The safetensors files 
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,6 +36,7 @@ from tg4mm.runconfig import (
     read_config,
     read_json,
 )
+from tg4mm.runlog import with_figures
 from tg4mm.tensorfile import read_tensors, write_tensors
 
 _GAUSSIAN_FIELDS = ("means", "quats", "scales", "opacities", "sh")
@@ -230,22 +230,8 @@ class Run:
     # The log.
 
     def record(self, stage: str, info: Mapping[str, Any]) -> None:
-        """Add figures of a stage to log.json, across resumes. NaN and infinity become null.
-
-        `seconds` add up (give those since the last record), `peak_memory_mib` keeps the most, anything else
-        is replaced.
-        """
-        log = self.log()
-        entry = log.setdefault(stage, {})
-        for key, value in info.items():
-            new = to_json(_finite(value), f"{stage}.{key}")
-            old = entry.get(key)
-            if key == "seconds":
-                new = (old or 0.0) + new
-            elif key == "peak_memory_mib" and old is not None:
-                new = max(old, new)
-            entry[key] = new
-        write_json(self.path / "log.json", log)
+        """Add figures of a stage to log.json, by the rules of `with_figures`."""
+        write_json(self.path / "log.json", with_figures(self.log(), stage, info))
 
     def log(self) -> dict[str, Any]:
         """{stage: figures}; {} before anything was recorded."""
@@ -278,32 +264,3 @@ class Run:
         for name, tensor in tensors.items():
             if not bool(torch.isfinite(torch.view_as_real(tensor) if tensor.is_complex() else tensor).all()):
                 raise RunError(f"{file}: {name} holds a value that is not finite")
-
-
-def model_hash(run_path: Path) -> str:
-    """SHA-256 over the run's model files: equal models give equal pictures.
-
-    Motion triplanes of `paper` are in it by the motion that they decode to.
-    """
-    digest = hashlib.sha256()
-    for name in ("space.safetensors", "motion.safetensors", "triplane.safetensors"):
-        path = run_path / name
-        if path.exists() or not name.startswith(
-            "triplane"
-        ):  # so that other presets' digests stay as they were
-            digest.update(name.encode())
-        if path.exists():
-            with path.open("rb") as file:
-                digest.update(hashlib.file_digest(file, "sha256").digest())
-    return digest.hexdigest()
-
-
-def _finite(value: Any) -> Any:
-    """`value` with NaN and infinity as None: the infinite PSNR of equal images must not stop a run."""
-    if isinstance(value, dict):
-        return {k: _finite(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(v) for v in value]
-    if isinstance(value, float | np.floating) and not np.isfinite(value):
-        return None
-    return value

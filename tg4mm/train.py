@@ -18,6 +18,7 @@ from tg4mm.paper import PAPER, PAPER_SMALL, first_views, train_timesteps, train_
 from tg4mm.paper.config import base_config
 from tg4mm.paper.config import checked as checked_paper
 from tg4mm.paper.model import has_model, load_model
+from tg4mm.runlock import claimed
 from tg4mm.runs import Run
 from tg4mm.space import SpaceConfig, rest_views, train_space
 from tg4mm.space.train import checked as checked_space
@@ -68,7 +69,7 @@ def train(
 
     Stages that are complete there are skipped, an unfinished one goes on from its checkpoint. A capture of one
     timestep ends after the space stage. settings: `{"space.iterations": "3000", …}`.
-    Raises Tg4mmError (CaptureError, RunError) on bad input.
+    Raises Tg4mmError (CaptureError, RunError) on bad input; RunError too while another process trains the run.
     """
     if preset not in PRESETS:
         raise Tg4mmError(f"preset is {preset!r}, expected {' or '.join(PRESETS)}")
@@ -77,11 +78,17 @@ def train(
     # before the run folder exists, which would keep the bad value, and before minutes of the space stage
     _check(configs)
     capture = load_capture(dataset, split="train")
-    needs_motion = capture.n_timesteps > 1
-    if needs_motion and "motion" in configs:
+    if capture.n_timesteps > 1 and "motion" in configs:
         fixed_cameras(capture)  # raises where no camera stays put
+    with claimed(run_path):
+        return _train(Path(run_path), capture, preset, configs, device)
+
+
+def _train(run_path: Path, capture: Capture, preset: str, configs: dict[str, Any], device: str) -> Run:
+    """What is left of the stages."""
+    needs_motion = capture.n_timesteps > 1
     plain = {stage: dataclasses.asdict(config) for stage, config in configs.items()}
-    is_new = not (Path(run_path) / "config.json").exists()
+    is_new = not (run_path / "config.json").exists()
     run = Run.create(run_path, capture.root, preset, plain)
     if run.has_space and (run.has_motion or not needs_motion) and ("paper" not in configs or has_model(run)):
         return run

@@ -119,7 +119,7 @@ def _splats_hidden(scene: Any) -> Iterator[None]:
 
 
 def _options(settings: Any, scene: Any, runs_in: Host) -> dict[str, str | int | float]:
-    return {
+    options: dict[str, str | int | float] = {
         "name": label(settings),
         "scene": scene.name,
         "timesteps": settings.timesteps,
@@ -136,6 +136,14 @@ def _options(settings: Any, scene: Any, runs_in: Host) -> dict[str, str | int | 
         # Blender's own Python lacks OpenEXR, which writes it.
         "truth": settings.truth if runs_in.is_core else "none",
     }
+    # The generator refuses what would change nothing.
+    if settings.cameras in ("given", "handheld"):
+        del options["views"]
+    if not settings.test_views:
+        del options["alphas"]
+        if options["truth"] == "test":
+            options["truth"] = "none"
+    return options
 
 
 def _write(path: Path, text: str) -> None:

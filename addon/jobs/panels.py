@@ -121,8 +121,10 @@ class VIEW3D_PT_tg4mm_views(_Tab, bpy.types.Panel):
         if settings.cameras not in ("given", "handheld"):
             layout.prop(settings, "views")
         layout.prop(settings, "test_views")
-        for name in ("size", "samples", "device", "seed", "processes", "alphas"):
+        for name in ("size", "samples", "device", "seed", "processes"):
             layout.prop(settings, name)
+        if settings.test_views:
+            layout.prop(settings, "alphas")
         if preferences.get(context).core_python and not settings.in_blender:
             layout.prop(settings, "truth")
         else:
@@ -211,11 +213,4 @@ _CLASSES = (
 )
 
 
-def register() -> None:
-    for cls in _CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister() -> None:
-    for cls in reversed(_CLASSES):
-        bpy.utils.unregister_class(cls)
+register, unregister = bpy.utils.register_classes_factory(_CLASSES)

@@ -84,7 +84,7 @@ class TG4MM_generate(bpy.types.PropertyGroup):
     amplitude_in: EnumProperty(  # type: ignore[valid-type]
         name="Amplitude In", default="SCENE", update=_changed,
         description="Unit of the amplitude, which is the largest displacement of any vertex",
-        items=[("SCENE", "Scene Units", "Scene units"),
+        items=[("SCENE", "Units", "Scene units"),
                ("PIXELS", "Pixels", "Pixels in the first training camera")])
     amplitude: _length("Amplitude", "Largest displacement, scene units", 0.01, 1e-9)  # type: ignore[valid-type]
     amplitude_px: FloatProperty(  # type: ignore[valid-type]
@@ -198,12 +198,13 @@ class TG4MM_train(bpy.types.PropertyGroup):
     # fmt: on
 
 
-_CLASSES = (TG4MM_moving_object, TG4MM_generate, TG4MM_train)
+_register_classes, _unregister_classes = bpy.utils.register_classes_factory(
+    (TG4MM_moving_object, TG4MM_generate, TG4MM_train)
+)
 
 
 def register() -> None:
-    for cls in _CLASSES:
-        bpy.utils.register_class(cls)
+    _register_classes()
     setattr(bpy.types.Scene, GENERATE, PointerProperty(type=TG4MM_generate))
     setattr(bpy.types.Scene, TRAIN, PointerProperty(type=TG4MM_train))
 
@@ -211,5 +212,4 @@ def register() -> None:
 def unregister() -> None:
     delattr(bpy.types.Scene, TRAIN)
     delattr(bpy.types.Scene, GENERATE)
-    for cls in reversed(_CLASSES):
-        bpy.utils.unregister_class(cls)
+    _unregister_classes()

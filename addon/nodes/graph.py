@@ -128,7 +128,7 @@ class Graph:
         self.put(socket, node.inputs["Menu"])
         return node.outputs[0]
 
-    def attribute(self, name: str, data_type: str) -> Any:
+    def attribute(self, name: Value, data_type: str) -> Any:
         return self.call("GeometryNodeInputNamedAttribute", {"Name": name}, "Attribute", data_type=data_type)
 
     def store(self, geometry: Value, name: str, data_type: str, value: Value) -> Any:

@@ -13,7 +13,17 @@ from typing import Any, NamedTuple
 import bpy
 
 from .. import names
+from ..made import Made
 from .graph import Graph
+
+# Sums over the modes so far, or their largest: Most is an amplitude, Phase that mode's.
+_SUMS = (
+    ("Offset", "Vector"),
+    ("Turn", "Vector"),
+    ("Squares", "Float"),
+    ("Most", "Float"),
+    ("Phase", "Float"),
+)
 
 
 class Motion(NamedTuple):
@@ -25,36 +35,63 @@ class Motion(NamedTuple):
     phase: Any  # turns, of the largest of these modes
 
 
-def build_motion(name: str, freqs_hz: Sequence[float], fps: float) -> Any:
-    """A node group for modes of these frequencies (at least one), timesteps at `fps` Hz."""
-    graph = Graph(bpy.data.node_groups.new(f"{name} Motion", "GeometryNodeTree"))
+def build_motion(name: str, freqs_hz: Sequence[float], fps: float, made: Made) -> Any:
+    """A node group for modes of these frequencies (at least one), timesteps at `fps` Hz; kept in `made`."""
+    mode = made.keep(_build_mode(name))
+    graph = Graph(made.keep(bpy.data.node_groups.new(f"{name} Motion", "GeometryNodeTree")))
     for socket in (names.ALPHA, names.LOW, names.HIGH, names.FIRST, names.SPEED):
         graph.interface(socket, "Float")
     shown = names.toggles(freqs_hz)
     for socket in shown:
         graph.interface(socket, "Bool", True)
-    for socket, kind in (
-        ("Offset", "Vector"),
-        ("Turn", "Vector"),
-        ("Amplitude", "Float"),
-        ("Phase", "Float"),
-    ):
+    for socket, kind in (*_SUMS[:2], ("Amplitude", "Float"), _SUMS[-1]):
         graph.result(socket, kind)
     inputs = graph.inputs()
-    t = elapsed(graph, inputs)
-    flags = []
-    offset = turn = None
+    total: dict[str, Any] = {"Time": elapsed(graph, inputs)}
+    for socket in (names.ALPHA, names.LOW, names.HIGH):
+        total[socket] = inputs[socket]
     for k, (f, socket) in enumerate(zip(freqs_hz, shown, strict=True)):
-        flags.append(graph.math("MULTIPLY", _inside(graph, inputs, f), inputs[socket]))
-        gain = graph.math("MULTIPLY_ADD", flags[k], inputs[names.ALPHA], inputs[socket])
-        angle = graph.math("MULTIPLY", t, 2 * math.pi * float(f) / fps)
-        cosine = graph.math("MULTIPLY", graph.math("COSINE", angle), gain)
-        sine = graph.math("MULTIPLY", graph.math("SINE", angle), gain)
-        part = names.phasor(k)
-        offset = _add_wave(graph, offset, part["re"], part["im"], cosine, sine)
-        turn = _add_wave(graph, turn, part["re_r"], part["im_r"], cosine, sine)
-    amplitude, phase = _strength(graph, flags)
-    graph.finish(Offset=offset, Turn=turn, Amplitude=amplitude, Phase=phase)
+        # The tree computes in float32, in which a band edge typed as 0.1 and a frequency of 0.1 may differ.
+        slack = 1e-6 * max(1.0, f)
+        numbers = {"Above": f + slack, "Below": f - slack, "Angle": 2 * math.pi * float(f) / fps}
+        attributes = {**names.phasor(k), "amplitude": names.amplitude(k), "phase": names.phase(k)}
+        outputs = graph.group(mode, **total, **numbers, **attributes, Shown=inputs[socket])
+        total.update({sum_: outputs[sum_] for sum_, _ in _SUMS})
+    amplitude = graph.math("SQRT", total["Squares"])
+    graph.finish(Offset=total["Offset"], Turn=total["Turn"], Amplitude=amplitude, Phase=total["Phase"])
+    return graph.tree
+
+
+def _build_mode(name: str) -> Any:
+    """A node group that adds one mode to the sums over the modes before.
+
+    All modes share it: Blender's time for changing a tree grows with the tree, so one tree for all of them would
+    take an import of 64 modes a minute.
+    """
+    graph = Graph(bpy.data.node_groups.new(f"{name} Mode", "GeometryNodeTree"))
+    for socket in (*(part.replace("_", " ") for part in names.phasor(0)), "amplitude", "phase"):
+        graph.interface(socket, "String")  # names of attributes
+    for socket in ("Time", names.ALPHA, names.LOW, names.HIGH, "Above", "Below", "Angle"):
+        graph.interface(socket, "Float")
+    graph.interface("Shown", "Bool", True)
+    for socket, kind in _SUMS:
+        graph.interface(socket, kind)
+        graph.result(socket, kind)
+    inputs = graph.inputs()
+    flag = graph.math("MULTIPLY", _inside(graph, inputs), inputs["Shown"])
+    gain = graph.math("MULTIPLY_ADD", flag, inputs[names.ALPHA], inputs["Shown"])
+    angle = graph.math("MULTIPLY", inputs["Time"], inputs["Angle"])
+    wave = [graph.math("MULTIPLY", graph.math(part, angle), gain) for part in ("COSINE", "SINE")]
+    a = graph.math("MULTIPLY", graph.attribute(inputs["amplitude"], "FLOAT"), flag)
+    larger = graph.compare("GREATER_THAN", a, inputs["Most"])
+    phase = graph.attribute(inputs["phase"], "FLOAT")
+    graph.finish(
+        Offset=_add_wave(graph, inputs["Offset"], inputs["re"], inputs["im"], wave),
+        Turn=_add_wave(graph, inputs["Turn"], inputs["re r"], inputs["im r"], wave),
+        Squares=graph.math("MULTIPLY_ADD", a, a, inputs["Squares"]),
+        Most=graph.math("MAXIMUM", a, inputs["Most"]),
+        Phase=graph.choose("FLOAT", larger, inputs["Phase"], phase),
+    )
     return graph.tree
 
 
@@ -72,34 +109,15 @@ def elapsed(graph: Graph, inputs: Any) -> Any:
     return graph.math("MULTIPLY", graph.math("SUBTRACT", frame, inputs[names.FIRST]), inputs[names.SPEED])
 
 
-def _inside(graph: Graph, inputs: Any, f: float) -> Any:
+def _inside(graph: Graph, inputs: Any) -> Any:
     """1 for low ≤ f ≤ high, else 0."""
-    # The tree computes in float32, in which a band edge typed as 0.1 and a frequency of 0.1 may differ.
-    slack = 1e-6 * max(1.0, f)
-    above = graph.math("LESS_THAN", inputs[names.LOW], f + slack)
-    below = graph.math("GREATER_THAN", inputs[names.HIGH], f - slack)
+    above = graph.math("LESS_THAN", inputs[names.LOW], inputs["Above"])
+    below = graph.math("GREATER_THAN", inputs[names.HIGH], inputs["Below"])
     return graph.math("MULTIPLY", above, below)
 
 
-def _add_wave(graph: Graph, total: Any, re: str, im: str, cosine: Any, sine: Any) -> Any:
-    """total + Re[(re + i·im)(cos + i·sin)] = total + re·cos − im·sin."""
-    real = graph.scaled(graph.attribute(re, "FLOAT_VECTOR"), cosine)
-    imaginary = graph.scaled(graph.attribute(im, "FLOAT_VECTOR"), sine)
-    wave = graph.vector("SUBTRACT", real, imaginary)
-    return wave if total is None else graph.vector("ADD", total, wave)
-
-
-def _strength(graph: Graph, flags: Sequence[Any]) -> tuple[Any, Any]:
-    """√Σ a_k² over the modes whose flag is 1, and the phase of the one with the largest a_k."""
-    squares = most = phase = None
-    for k, flag in enumerate(flags):
-        a = graph.math("MULTIPLY", graph.attribute(names.amplitude(k), "FLOAT"), flag)
-        p = graph.attribute(names.phase(k), "FLOAT")
-        square = graph.math("MULTIPLY", a, a)
-        if most is None:
-            squares, most, phase = square, a, p
-            continue
-        squares = graph.math("ADD", squares, square)
-        phase = graph.choose("FLOAT", graph.compare("GREATER_THAN", a, most), phase, p)
-        most = graph.math("MAXIMUM", a, most)
-    return graph.math("SQRT", squares), phase
+def _add_wave(graph: Graph, total: Any, re: Any, im: Any, wave: Sequence[Any]) -> Any:
+    """total + Re[(re + i·im)(cos + i·sin)] = total + re·cos − im·sin; re and im are names of attributes."""
+    real = graph.scaled(graph.attribute(re, "FLOAT_VECTOR"), wave[0])
+    imaginary = graph.scaled(graph.attribute(im, "FLOAT_VECTOR"), wave[1])
+    return graph.vector("ADD", total, graph.vector("SUBTRACT", real, imaginary))

@@ -38,7 +38,8 @@ class Content:
 
 # name, default, least, most, description
 _MOTION = (
-    (names.ALPHA, 0.0, -1.0, 500.0, "A displacement d becomes (1 + this) d; -1 stops the motion"),
+    # The limits are the slider's: any number can be typed.
+    (names.ALPHA, 0.0, -1.0, 100.0, "A displacement d becomes (1 + this) d; -1 stops the motion"),
     (names.LOW, 0.0, 0.0, 1e6, "Lowest frequency that is magnified, Hz"),
     (names.HIGH, 1e6, 0.0, 1e6, "Highest frequency that is magnified, Hz"),
 )
@@ -78,7 +79,7 @@ def build_player(name: str, content: Content, materials: Materials, made: Made) 
             group, **{socket: inputs[socket] for socket in (names.FIRST, names.SPEED, names.LOOP)}
         )[0]
     elif len(content.freqs_hz):
-        motion = use_motion(graph, made.keep(build_motion(name, content.freqs_hz, content.fps)), inputs)
+        motion = use_motion(graph, build_motion(name, content.freqs_hz, content.fps, made), inputs)
         points = _moved(graph, points, motion, draw)
     points = _coloured(graph, points, inputs, content, by, motion, (name, made))
     for prefix in (names.MODE_PREFIX, names.SH_PREFIX):

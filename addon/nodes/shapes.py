@@ -13,6 +13,7 @@ from .. import names
 from .graph import Graph
 
 SUBDIVISIONS = 2  # of the icosphere: 80 triangles
+FEWEST_SUBDIVISIONS = 1  # 20 triangles
 SPLAT_RADIUS = 3.0  # standard deviations; the material's fall-off is made for it
 NO_ARROW = 1e-9  # scene units; a shorter displacement has no direction
 
@@ -49,7 +50,7 @@ def build_shapes(name: str, materials: Materials) -> Any:
         _solid_draw(graph, inputs),
         _balls(graph, points, enough, radius, solid),
         _balls(graph, points, faint, splat_radius, materials.splat),
-        _dots(graph, points, enough, radius, materials.points),
+        _dots(graph, points, enough, radius, materials.points, inputs[names.SOLID_COLOUR]),
         _arrows(graph, points, enough, inputs, solid),
     )
     flat = _realized(graph, points, drawn)
@@ -77,13 +78,28 @@ def _balls(graph: Graph, points: Any, selection: Any, radius: Any, material: Any
     return graph.call("GeometryNodeInstanceOnPoints", inputs)
 
 
-def _dots(graph: Graph, points: Any, selection: Any, radius: Any, material: Any) -> Any:
-    """A point cloud: round dots of the Gaussians' mean size, the quickest to draw; `radius` in deviations."""
+def _dots(graph: Graph, points: Any, selection: Any, radius: Any, material: Any, solid: Any) -> Any:
+    """Round dots of the Gaussians' mean size, `radius` in deviations: a point cloud, the quickest to draw.
+
+    Solid view shows point clouds white, so for it they are small balls.
+    """
     size = graph.vector("MULTIPLY", graph.attribute(names.SCALE, "FLOAT_VECTOR"), (1 / 3, 1 / 3, 1 / 3))
     x, y, z = graph.split(size)
     mean = graph.math("MULTIPLY", graph.math("ADD", graph.math("ADD", x, y), z), radius)
     cloud = graph.call("GeometryNodeMeshToPoints", {"Mesh": points, "Selection": selection, "Radius": mean})
-    return graph.painted(cloud, material)
+    sphere = graph.call(
+        "GeometryNodeMeshIcoSphere", {"Radius": 1.0, "Subdivisions": FEWEST_SUBDIVISIONS}, "Mesh"
+    )
+    balls = graph.call(
+        "GeometryNodeInstanceOnPoints",
+        {
+            "Points": points,
+            "Instance": sphere,
+            "Selection": selection,
+            "Scale": graph.scaled((1.0, 1.0, 1.0), mean),
+        },
+    )
+    return graph.choose("GEOMETRY", solid, graph.painted(cloud, material), graph.painted(balls, material))
 
 
 def _arrows(graph: Graph, points: Any, selection: Any, inputs: Any, material: Any) -> Any:

@@ -50,9 +50,4 @@ class TG4MM_OT_band(bpy.types.Operator):
         return {"FINISHED"}
 
 
-def register() -> None:
-    bpy.utils.register_class(TG4MM_OT_band)
-
-
-def unregister() -> None:
-    bpy.utils.unregister_class(TG4MM_OT_band)
+register, unregister = bpy.utils.register_classes_factory([TG4MM_OT_band])

@@ -28,8 +28,8 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
     )
     directory: StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})  # type: ignore[valid-type]
     sequence: BoolProperty(  # type: ignore[valid-type]
-        name="Numbered Files Are Frames",
-        description="Static files such as name_0001.ply, name_0002.ply play one after another; "
+        name="As Sequence",
+        description="Numbered static files such as name_0001.ply, name_0002.ply play one after another; "
         "one of them brings its neighbours along",
         default=True,
     )
@@ -53,6 +53,8 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
         return ImportHelper.invoke(self, context, event)
 
     def execute(self, context: Any) -> set[str]:
+        if context.mode != "OBJECT":  # else the object that is edited stays so, without being the active one
+            bpy.ops.object.mode_set(mode="OBJECT")
         manager = context.window_manager
         manager.progress_begin(0, 100)
         try:
@@ -102,10 +104,9 @@ def _draw_as(obj: Any, wanted: str) -> None:
 
 
 def _select(context: Any, objects: list[Any]) -> None:
-    for other in context.selected_objects:
+    """Make what was imported active, and select nothing: outlines round thousands of splats hide their colours."""
+    for other in (*context.selected_objects, *objects):
         other.select_set(False)
-    for obj in objects:
-        obj.select_set(True)
     context.view_layer.objects.active = objects[0]
 
 

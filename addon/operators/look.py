@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import bpy
+from bpy.props import BoolProperty
 
 from .. import analysis, compat, names, preferences, scene
+from ..core.errors import Tg4mmError
 from ..materials import TRANSPARENT_BOUNCES
 
 
@@ -32,16 +34,18 @@ class TG4MM_OT_true_colours(_OnSplats):
 
 
 class TG4MM_OT_solid_colours(_OnSplats):
-    """Show the colours in Solid view too; slow with more than some ten thousand Gaussians"""
+    """Show the colours in Solid view too; slow with more than some ten thousand Gaussians. Click again to end it"""
 
     bl_idname = "tg4mm.solid_colours"
     bl_label = "Colours in Solid View"
 
+    on: BoolProperty(name="On", default=True, options={"SKIP_SAVE"})  # type: ignore[valid-type]
+
     def execute(self, context: Any) -> set[str]:
-        compat.set_input(scene.splat_modifier(scene.splat_object(context)), names.SOLID_COLOUR, True)
+        compat.set_input(scene.splat_modifier(scene.splat_object(context)), names.SOLID_COLOUR, self.on)
         shading = getattr(context.space_data, "shading", None)
         if shading is not None:
-            shading.color_type, shading.light = "VERTEX", "FLAT"
+            shading.color_type, shading.light = ("VERTEX", "FLAT") if self.on else ("MATERIAL", "STUDIO")
         return {"FINISHED"}
 
 
@@ -57,11 +61,12 @@ class TG4MM_OT_fit_colour_range(_OnSplats):
 
     def execute(self, context: Any) -> set[str]:
         obj = scene.splat_object(context)
-        if not analysis.active_modes(obj):
-            self.report({"ERROR"}, "No mode is shown inside the band")
+        try:
+            largest = analysis.fit_colour_range(obj)
+        except Tg4mmError as error:
+            self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        unit = preferences.unit_for(context, obj)
-        self.report({"INFO"}, f"0 to {unit.text(analysis.fit_colour_range(obj))}")
+        self.report({"INFO"}, f"0 to {preferences.unit_for(context, obj).text(largest)}")
         return {"FINISHED"}
 
 
@@ -77,11 +82,4 @@ def true_colours(to: Any) -> None:
 _CLASSES = (TG4MM_OT_true_colours, TG4MM_OT_solid_colours, TG4MM_OT_fit_colour_range)
 
 
-def register() -> None:
-    for cls in _CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister() -> None:
-    for cls in reversed(_CLASSES):
-        bpy.utils.unregister_class(cls)
+register, unregister = bpy.utils.register_classes_factory(_CLASSES)

@@ -160,11 +160,4 @@ def _file_name(name: str) -> str:
 _CLASSES = (TG4MM_OT_probe, TG4MM_OT_add_probe_sphere, TG4MM_OT_export_probe)
 
 
-def register() -> None:
-    for cls in _CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister() -> None:
-    for cls in reversed(_CLASSES):
-        bpy.utils.unregister_class(cls)
+register, unregister = bpy.utils.register_classes_factory(_CLASSES)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import GenerateError
+from ..pinhole import project
 
 CAMERA_ANGLE_X = 0.6911112070083618  # NeRF-synthetic's horizontal field of view, radians
 DISTANCE = float(np.hypot(4.0, 0.5))  # of the original cameras from the origin, 4.0311 scene units
@@ -67,12 +68,8 @@ class Camera:
 
     def project(self, positions: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
         """Pixel coordinates [P, 2] and planar depth [P] of world points [P, 3]; depth ≤ 0 is behind it."""
-        local = (positions - self.position) @ self.camera_to_world[:3, :3]
-        depth = -local[:, 2]
-        focal, (cx, cy) = self.focal(width), self.principal_point(width, height)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            pixels = np.column_stack([focal * local[:, 0] / depth + cx, cy - focal * local[:, 1] / depth])
-        return pixels, depth
+        focal = self.focal(width)
+        return project(positions, self.camera_to_world, (focal, focal, *self.principal_point(width, height)))
 
     def numbered(self, index: int) -> Camera:
         """The same camera under another number."""

@@ -16,6 +16,7 @@ from .rig import rig_cameras
 
 KINDS = ("orbit", "rig", "sweep", "handheld", "given")
 _FARTHEST = 1e5  # scene units
+_FASTEST = 1e6  # Hz
 _MARGIN = 1.08  # of the distance at which a sphere around the scene just fits the picture
 
 
@@ -53,6 +54,8 @@ class CameraSetup:
         _whole("--seed", self.seed, 0, 2**31 - 1)
         if not (math.isfinite(self.fps) and self.fps > 0):
             raise GenerateError(f"--fps {self.fps!r} is not a positive number")
+        if not 1e-3 <= self.fps <= _FASTEST:
+            raise GenerateError(f"--fps {self.fps!r} is not in 0.001 … {_FASTEST:g} Hz")
         if len(self.centre) != 3 or not all(abs(x) <= _FARTHEST for x in self.centre):
             raise GenerateError(f"the cameras' centre {self.centre!r} is not three numbers of up to 1e5")
         if not 0 < self.distance <= _FARTHEST:

@@ -16,6 +16,8 @@ from tg4mm.capture.confine import inside
 from tg4mm.capture.decode import decode
 from tg4mm.errors import CaptureError
 
+from ..cameras import focal_length
+from ..colour import straight, to_display
 from ..errors import GenerateError
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".exr")
@@ -168,11 +170,8 @@ def _read_exr_picture(path: Path) -> np.ndarray:
         found = {name: channel.pixels for name, channel in file.channels().items()}
     red, green, blue = (found[name].astype(np.float32) for name in "RGB")
     alpha = found["A"].astype(np.float32) if "A" in found else np.ones_like(red)
-    opaque = np.stack([red, green, blue], -1) / np.maximum(alpha, 1e-6)[..., None]
-    linear = np.clip(opaque, 0.0, 1.0)
-    colour = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    alpha = np.clip(alpha, 0.0, 1.0)[..., None]
-    return (colour * alpha + 1 - alpha).astype(np.float32)
+    colour, alpha = straight(np.stack([red, green, blue, alpha], -1))
+    return to_display(colour) * alpha[..., None] + 1 - alpha[..., None]
 
 
 def _views(root: Path, folder: Path, split: str) -> list[View]:
@@ -189,7 +188,7 @@ def _view(root: Path, path: Path, split: str, record: dict[str, Any]) -> View:
         named = [stem] if stem.suffix in SUFFIXES else [stem.with_name(stem.name + s) for s in SUFFIXES]
         image = next((p for p in named if p.is_file()), named[0])
         width, height = int(record["w"]), int(record["h"])
-        focal = 0.5 * width / float(np.tan(0.5 * float(record["camera_angle_x"])))
+        focal = focal_length(width, float(record["camera_angle_x"]))
         intrinsics = (
             float(record.get("fl_x", focal)),
             float(record.get("fl_y", record.get("fl_x", focal))),

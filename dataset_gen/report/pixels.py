@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from .. import pinhole
 from .dataset import Dataset, MotionTruth, View, displacement_of, evenly
 
 MOVING = 0.01  # of the set's largest displacement: what is displaced by more counts as moving
@@ -51,30 +52,15 @@ class Seen:
         return _nanmax(self.pixels)
 
 
-def world_to_camera(points: np.ndarray, view: View) -> np.ndarray:
-    """World points [..., 3] in camera axes x right, y down, z forward."""
-    pose = view.camera_to_world
-    return (points - pose[:3, 3]) @ pose[:3, :3] * np.array([1.0, -1.0, -1.0])
-
-
 def project(points: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels [..., 2] and depth [...] of world points [..., 3]; pixel centres lie at +0.5."""
-    camera = world_to_camera(points, view)
-    depth = camera[..., 2]
-    safe = np.where(depth > 1e-9, depth, np.nan)
-    fx, fy, cx, cy = view.intrinsics
-    return np.stack([fx * camera[..., 0] / safe + cx, fy * camera[..., 1] / safe + cy], -1), depth
+    """Pixels [..., 2] (NaN behind the camera) and depth [...] of world points [..., 3]."""
+    pixels, depth = pinhole.project(points, view.camera_to_world, view.intrinsics)
+    return np.where((depth > 1e-9)[..., None], pixels, np.nan), depth
 
 
 def unproject(depth: np.ndarray, view: View) -> np.ndarray:
     """World points [H, W, 3] that pixel centres see at planar depths [H, W]."""
-    fx, fy, cx, cy = view.intrinsics
-    height, width = depth.shape
-    x = (np.arange(width) + 0.5 - cx) / fx
-    y = (np.arange(height) + 0.5 - cy) / fy
-    rays = np.stack(np.broadcast_arrays(x[None], -y[:, None], -1.0), -1)
-    pose = view.camera_to_world
-    return depth[..., None] * rays @ pose[:3, :3].T + pose[:3, 3]
+    return pinhole.unproject(depth, view.camera_to_world, view.intrinsics)
 
 
 def projected_motion(position: np.ndarray, displacement: np.ndarray, view: View) -> np.ndarray:

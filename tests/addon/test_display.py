@@ -179,6 +179,59 @@ def test_solid_view_has_a_mesh_with_an_active_colour(
     assert np.abs(colours[:, None] - expected[None]).sum(axis=2).min(axis=1).max() < 1e-4
 
 
+def test_points_are_coloured_balls_in_solid_view(
+    extension: ModuleType, moving: Any, splat_path: Path
+) -> None:
+    put, names = setter(extension, moving), extension.names
+    put(names.DRAW, names.POINTS)
+    assert bpy.ops.tg4mm.solid_colours() == {"FINISHED"}
+    for by, palette in (
+        (names.FILE_COLOUR, extension.colours.rest_colours(read_splat(splat_path).sh)[:, :3]),
+        (names.AMPLITUDE_COLOUR, None),
+    ):
+        put(names.COLOUR_BY, by)
+        geometry = evaluated(moving, 4)
+        mesh, n = geometry.mesh, len(read_splat(splat_path))
+        assert (len(mesh.polygons), mesh.color_attributes.active_color.name) == (20 * n, "colour")
+        colours = read(mesh, "colour", "color", 4)[n:, :3]  # after the points themselves
+        if palette is None:
+            parts = extension.analysis.band_amplitude(moving)
+            palette = sampled(extension.colours.amplitude_map(), parts / parts.max())
+        off = np.abs(colours.reshape(n, 12, 3) - palette[:, None]).max(axis=(1, 2))
+        assert off.max() < 3e-3
+    centres = read(mesh, "position", "vector", 3)[n:].reshape(n, 12, 3).mean(axis=1)
+    np.testing.assert_allclose(centres, positions_at(read_splat(splat_path), 3), atol=1e-3)
+    assert bpy.ops.tg4mm.solid_colours(on=False) == {"FINISHED"}
+    geometry = evaluated(moving, 4)
+    assert len(geometry.pointcloud.points) == n
+
+
+def test_an_import_starts_with_the_range_that_fits_all_modes(extension: ModuleType, splat_path: Path) -> None:
+    obj = import_splat(splat_path)
+    modifier = extension.scene.splat_modifier(obj)
+    each = [largest_excursion(phasors)[0] ** 2 for phasors in read_splat(splat_path).displacement]
+    largest = np.sqrt(sum(each).max())
+    assert extension.compat.get_input(modifier, extension.names.COLOUR_RANGE) == pytest.approx(
+        largest, rel=1e-4
+    )
+    assert largest > 1.05 * np.sqrt(np.max(each))  # more than any mode alone
+
+
+def test_a_range_is_fitted_only_to_what_moves(extension: ModuleType, moving: Any) -> None:
+    put, names = setter(extension, moving), extension.names
+    modifier = extension.scene.splat_modifier(moving)
+    before = extension.compat.get_input(modifier, names.COLOUR_RANGE)
+    put(names.LOW, 20.0)
+    put(names.HIGH, 30.0)
+    with pytest.raises(RuntimeError, match="Nothing moves in the band"):
+        bpy.ops.tg4mm.fit_colour_range()
+    put(names.LOW, 0.0)
+    moving.data.attributes.remove(moving.data.attributes["mode_1_amplitude"])
+    with pytest.raises(RuntimeError, match="'mode_1_amplitude' of the points is gone; import the file again"):
+        bpy.ops.tg4mm.fit_colour_range()
+    assert extension.compat.get_input(modifier, names.COLOUR_RANGE) == before
+
+
 def test_items_of_a_menu_are_checked(extension: ModuleType, moving: Any) -> None:
     with pytest.raises(ValueError, match="Draw As is 'Cubes'; expected one of Ellipsoids, Splats"):
         setter(extension, moving)(extension.names.DRAW, "Cubes")

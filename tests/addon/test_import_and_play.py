@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from tests.addon.conftest import some_splat
 from tg4mm.splatfile import SplatFile, positions_at, read_splat, rotations_at, write_splat
 
 bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install 'tg4mm[generate]'")
@@ -221,6 +222,36 @@ def test_import_is_undone_and_redone(extension: ModuleType, splat_path: Path) ->
     assert bpy.ops.ed.redo() == {"FINISHED"}
     assert blocks() == after != before
     assert np.isfinite(places(bpy.data.objects["bell"], 5)).all()
+
+
+def test_what_is_imported_is_active_and_not_outlined(extension: ModuleType, splat_path: Path) -> None:
+    other = bpy.data.objects.new("other", None)
+    bpy.context.collection.objects.link(other)
+    other.select_set(True)
+    obj = import_splat(splat_path)
+    assert bpy.context.view_layer.objects.active is obj
+    assert list(bpy.context.selected_objects) == []
+
+
+def test_an_import_leaves_edit_mode(extension: ModuleType, splat_path: Path) -> None:
+    bpy.ops.mesh.primitive_cube_add()
+    cube = bpy.context.object
+    bpy.ops.object.mode_set(mode="EDIT")
+    obj = import_splat(splat_path)
+    assert (bpy.context.mode, cube.mode, obj.mode) == ("OBJECT", "OBJECT", "OBJECT")
+
+
+def test_many_modes_are_one_group_used_many_times(extension: ModuleType, tmp_path: Path) -> None:
+    """Blender's time for a change of a tree grows with the tree: 64 modes in one tree took a minute to import."""
+    freqs = tuple(0.18 * k for k in range(1, 65))
+    splat = some_splat(9, freqs)
+    write_splat(tmp_path / "many.ply", splat)
+    obj = import_splat(tmp_path / "many.ply")
+    extension.compat.set_input(drawn_whole(extension, obj), extension.names.ALPHA, 2.0)
+    np.testing.assert_allclose(places(obj, 12), positions_at(splat, 11, 2.0), atol=2e-3)
+    trees = [tree for tree in bpy.data.node_groups if tree.bl_idname == "GeometryNodeTree"]
+    assert max(len(tree.nodes) for tree in trees) < 64 + 40
+    assert sum(tree.name.endswith(" Mode") for tree in trees) == 1
 
 
 def test_dropped_files_go_to_the_importer(extension: ModuleType) -> None:

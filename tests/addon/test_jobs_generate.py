@@ -138,6 +138,16 @@ def test_what_the_generator_finds_wrong_is_one_line(extension: ModuleType, setti
     assert said(drawn(extension, "Generate"), job.message)
 
 
+def test_settings_that_would_change_nothing_are_not_sent(extension: ModuleType, settings: Any) -> None:
+    """The generator refuses --views with one camera, and --alphas without test views."""
+    settings.cameras, settings.test_views, settings.timesteps = "handheld", 0, 2
+    assert "alphas" not in drawn(extension, "Cameras and Pictures")
+    assert bpy.ops.tg4mm.generate() == {"FINISHED"}
+    job = wait(extension, KIND)
+    assert job.state.value == "done", job.message
+    assert len(list(Path(job.results[-1]).glob("*/train/*.png"))) == 2
+
+
 def test_core_python_that_is_not_there(
     extension: ModuleType, settings: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

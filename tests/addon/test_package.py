@@ -23,7 +23,18 @@ from tg4mm.splatfile import positions_at, read_splat, write_splat
 pytest.importorskip("bpy", reason="needs pip's Blender: pip install 'tg4mm[generate]'")
 
 ADDON = (
-    *("__init__", "analysis", "canvas", "colours", "compat", "loading", "made", "materials", "names"),
+    *(
+        "__init__",
+        "analysis",
+        "canvas",
+        "colour_range",
+        "colours",
+        "compat",
+        "loading",
+        "made",
+        "materials",
+        "names",
+    ),
     *("numbered", "overlay", "panel", "panel_probe", "picking", "pictures", "plots", "points"),
     *("preferences", "probe", "saving", "scene", "spectrum", "strokes", "units", "view_settings"),
     *(f"nodes/{n}" for n in ("__init__", "colour", "graph", "motion", "player", "sequence", "shapes")),

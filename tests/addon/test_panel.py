@@ -22,6 +22,7 @@ class Layout:
     def __init__(self) -> None:
         self.drawn: list[str] = []
         self.pictures = 0
+        self.asked: list[tuple[str, SimpleNamespace]] = []  # operators and the properties they are given
 
     def label(self, text: str = "", **_: Any) -> None:
         self.drawn.append(text)
@@ -29,7 +30,8 @@ class Layout:
     def operator(self, name: str, text: str = "", **_: Any) -> SimpleNamespace:
         assert getattr(getattr(bpy.ops, name.split(".")[0]), name.split(".")[1]).get_rna_type()
         self.drawn += [name, text]
-        return SimpleNamespace()
+        self.asked.append((name, SimpleNamespace()))
+        return self.asked[-1][1]
 
     def prop(self, owner: Any, path: str, text: str = "", **_: Any) -> None:
         owner.path_resolve(path)
@@ -42,17 +44,18 @@ class Layout:
     def column(self, **_: Any) -> Layout:
         return self
 
-    row = box = grid_flow = column
+    row = box = grid_flow = split = column
 
 
-def laid_out(extension: ModuleType, obj: Any) -> Layout:
-    """Everything the panels show for an object, in order."""
+def laid_out(extension: ModuleType, obj: Any, shading: str = "MATERIAL") -> Layout:
+    """Everything the panels show for an object in a view with this shading, in order."""
     layout = Layout()
     context = SimpleNamespace(
         object=obj,
         scene=bpy.context.scene,
         window_manager=bpy.context.window_manager,
         preferences=bpy.context.preferences,
+        space_data=SimpleNamespace(shading=SimpleNamespace(type=shading)),
     )
     for cls in (*extension.panel._CLASSES, extension.panel_probe.VIEW3D_PT_tg4mm_probe):
         if not hasattr(cls, "poll") or cls.poll(context):
@@ -87,11 +90,48 @@ def test_moving_file_has_every_control(extension: ModuleType, splat_path: Path) 
 def test_peaks_have_buttons(extension: ModuleType, splat_path: Path) -> None:
     obj = import_splat(splat_path)
     shown = drawn(extension, obj)
-    freqs = list(obj[extension.names.FREQUENCIES])
-    peaks = extension.spectrum.peaks(freqs, extension.analysis.mode_strengths(obj, "RMS"))
+    peaks = ("3 Hz", "5 Hz", "7.5 Hz", "All")  # fps / T is 0.5 Hz: they are far apart
     start = shown.index("tg4mm.band")
-    buttons = [text for k in peaks for text in ("tg4mm.band", f"{freqs[k]:g} Hz")] + ["tg4mm.band", "All"]
-    assert shown[start : start + len(buttons)] == buttons
+    assert shown[start : start + 8] == [text for peak in peaks for text in ("tg4mm.band", peak)]
+
+
+def test_the_button_for_solid_view_is_there_where_it_does_something(
+    extension: ModuleType, splat_path: Path
+) -> None:
+    obj = import_splat(splat_path)
+    assert "tg4mm.solid_colours" not in drawn(extension, obj)
+    for on in (True, False):
+        asked = [
+            given for name, given in laid_out(extension, obj, "SOLID").asked if name == "tg4mm.solid_colours"
+        ]
+        assert [given.on for given in asked] == [on]
+        bpy.ops.tg4mm.solid_colours(on=on)
+        assert ("tg4mm.solid_colours" in drawn(extension, obj)) is on  # in any view it can be ended
+
+
+@pytest.mark.parametrize(
+    ("scale", "label", "factor"), [(0.1, "Range (mm)", 100.0), (None, "Range (units)", 1.0)]
+)
+def test_colour_range_is_shown_in_its_unit_with_four_digits(
+    extension: ModuleType, tmp_path: Path, splat_path: Path, scale: float | None, label: str, factor: float
+) -> None:
+    write_splat(tmp_path / "a.ply", SplatFile(**{**vars(read_splat(splat_path)), "unit_scale_m": scale}))
+    obj, names = import_splat(tmp_path / "a.ply"), extension.names
+    put, module = setter(extension, obj), extension.colour_range
+    put(names.COLOUR_BY, names.AMPLITUDE_COLOUR)
+    assert label in drawn(extension, obj)
+    largest = max(obj[names.MODE_AMPLITUDES]) * factor
+    field = module._field(module.decimals_for(largest))
+    shown = getattr(obj, field)
+    assert shown == pytest.approx(factor * extension.analysis.band_amplitude(obj).max(), rel=1e-5)
+    setattr(obj, field, 2 * shown)
+    modifier = extension.scene.splat_modifier(obj)
+    assert extension.compat.get_input(modifier, names.COLOUR_RANGE) == pytest.approx(2 * shown / factor)
+
+
+def test_as_many_decimals_as_four_digits_need(extension: ModuleType) -> None:
+    lengths = {250.0: 2, 12.5: 2, 1.5: 3, 0.2283: 4, 0.02: 5, 0.002283: 6, 1e-9: 6, 0.0: 6}
+    assert {x: extension.colour_range.decimals_for(x) for x in lengths} == lengths
 
 
 def test_colours_by_motion_come_with_a_legend(

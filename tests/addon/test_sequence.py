@@ -79,8 +79,9 @@ def test_numbered_files_can_be_imported_alone(extension: ModuleType, frames: lis
     obj = import_splat(frames[1], sequence=False)
     drawn_whole(extension, obj)
     check(obj, frames, {1: 1, 3: 1})
+    before = len(bpy.context.scene.objects)
     import_files(frames[:2], sequence=False)
-    assert len(bpy.context.selected_objects) == 2
+    assert len(bpy.context.scene.objects) == before + 2
 
 
 def test_files_that_move_are_no_frames(extension: ModuleType, tmp_path: Path) -> None:
@@ -90,7 +91,7 @@ def test_files_that_move_are_no_frames(extension: ModuleType, tmp_path: Path) ->
     obj = import_splat(paths[0])
     assert obj.name == "bell_0"
     import_files(paths)
-    assert len(bpy.context.selected_objects) == 2
+    assert len(bpy.context.scene.objects) == 3
 
 
 def test_bad_frame_leaves_nothing(extension: ModuleType, frames: list[Path]) -> None:
@@ -99,6 +100,17 @@ def test_bad_frame_leaves_nothing(extension: ModuleType, frames: list[Path]) -> 
     with pytest.raises(RuntimeError, match=r"beat_0010\.ply: is truncated"):
         bpy.ops.import_scene.tg4mm_splat(filepath=str(frames[0]))
     assert blocks() == before
+
+
+def test_an_import_tells_which_numbers_are_missing(extension: ModuleType, frames: list[Path]) -> None:
+    missing = extension.numbered.missing_beside
+    assert missing(frames[0]) == missing(frames[3]) == [12]  # number 13 follows
+    frames[0].with_name("beat_0013.ply").unlink()
+    assert missing(frames[0]) == missing(frames[0].with_name("beat.ply")) == []
+    frames[1].unlink()
+    assert missing(frames[3]) == [9]
+    loaded = extension.loading.load([frames[2]], bpy.context.collection, True, 1000, lambda part: None)
+    assert loaded.message == "2 frames of up to 9 Gaussians; there is no file number 9"
 
 
 def test_run_ends_at_a_gap(extension: ModuleType, frames: list[Path]) -> None:

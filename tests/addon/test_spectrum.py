@@ -60,13 +60,45 @@ def test_rms_of_what_is_see_through_counts_all_alike(extension: ModuleType) -> N
 def test_peaks(
     extension: ModuleType, freqs: tuple[float, ...], strengths: tuple[float, ...], expected: tuple[float, ...]
 ) -> None:
-    assert tuple(freqs[k] for k in extension.spectrum.peaks(freqs, strengths)) == expected
+    assert tuple(freqs[k] for k in extension.spectrum.peaks(freqs, strengths, 1.0)) == expected
+
+
+@pytest.mark.parametrize(
+    ("freqs", "strengths", "bin_hz", "expected"),
+    [
+        ((2, 5), (2.0, 1.0), 0.5, (2, 5)),  # nothing was stored between them
+        ((2, 5), (1.0, 2.0), 1.0, (2, 5)),
+        ((2, 5), (1.0, 2.0), 5.0, (5,)),  # one bin apart
+        ((4, 5, 6, 7), (5.0, 10.0, 4.0, 2.0), 1.0, (5,)),  # a peak with its skirts
+        ((4, 5, 6, 7), (5.0, 10.0, 4.0, 4.5), 1.0, (5,)),  # a ripple is no dip
+        ((4, 5, 6, 7), (5.0, 10.0, 2.0, 4.5), 1.0, (5, 7)),
+    ],
+)
+def test_peaks_are_apart_by_a_dip_or_an_empty_bin(
+    extension: ModuleType,
+    freqs: tuple[float, ...],
+    strengths: tuple[float, ...],
+    bin_hz: float,
+    expected: tuple[float, ...],
+) -> None:
+    assert tuple(freqs[k] for k in extension.spectrum.peaks(freqs, strengths, bin_hz)) == expected
+
+
+@pytest.mark.parametrize(("vibrations", "bins"), [((5.4,), (5,)), ((3.5, 9.3), (3, 9)), ((4.0, 6.0), (4, 6))])
+def test_leakage_of_a_vibration_between_bins_makes_no_peaks(
+    extension: ModuleType, vibrations: tuple[float, ...], bins: tuple[int, ...]
+) -> None:
+    t = np.arange(30) / 30.0  # bins of 1 Hz
+    strengths = np.abs(np.fft.rfft(sum(np.cos(2 * np.pi * f * t) for f in vibrations)))[1:]
+    found = extension.spectrum.peaks(np.arange(1.0, 16.0), strengths, 1.0)
+    assert len(found) == len(vibrations)
+    assert all(abs(k + 1 - b) <= 1 for k, b in zip(found, bins, strict=True))
 
 
 def test_of_many_peaks_the_largest_are_kept(extension: ModuleType) -> None:
     freqs = np.arange(40.0)
     strengths = np.where(freqs % 2 == 1, 50 + freqs, 1.0)
-    found = extension.spectrum.peaks(freqs, strengths)
+    found = extension.spectrum.peaks(freqs, strengths, 1.0)
     assert [freqs[k] for k in found] == [29, 31, 33, 35, 37, 39]
 
 

@@ -235,6 +235,7 @@ def test_sizes_that_differ(tree):
         ({"fps": -30}, "fps is -30"),
         ({"fps": math.nan}, "fps is nan"),
         ({"fps": math.inf}, "fps is inf"),
+        ({"fps": 1e300}, "fps is 1e+300; expected a finite number above 0 and below 1e+09"),
         ({"fps": "30"}, "fps is '30'"),
         ({"fps": True}, "fps is True"),
         ({"fps": 30, "n_timesteps": 4}, "n_timesteps is 4, but"),

@@ -110,7 +110,12 @@ def test_render_takes_an_orbit_in_slow_motion(run_path: Path, tmp_path: Path) ->
             "overlap: 3 Hz lies in both",
         ),
         (["--alpha", "1", "--method", "phase"], "--method phase"),
-        (["--alpha", "1", "--filter", "ideal"], "--filter ideal: the method modal picks modes"),
+        (["--alpha", "1", "--filter", "ideal"], "--filter ideal goes with --band: without one nothing is"),
+        (
+            ["--alpha", "1", "--band", "4", "6", "--filter", "ideal"],
+            "--filter ideal: the method modal picks modes",
+        ),
+        (["--alpha", "1", "--slow", "2", "--no-video"], "--slow 2 and --no-video exclude each other"),
         (["--alpha", "1", "--band", "4", "40"], "(4, 40) Hz reaches past half the frame rate"),
         (["--alpha", "1", "--slow", "0"], "--slow 0"),
         (["--alpha", "1", "--cameras", "nowhere.json"], "nowhere.json: cannot be read"),
@@ -204,3 +209,18 @@ def test_generate_runs_the_generator(capfd) -> None:
     assert "--views" in capfd.readouterr().out
     assert main(["generate", "no-such-scene", "--out", "x"]) == 2
     assert "no-such-scene" in capfd.readouterr().err
+
+
+def test_a_killed_generator_is_said_and_leaves_with_1(monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+    class Killed:
+        def __init__(self, command: list[str]) -> None: ...
+        def __enter__(self) -> Killed:
+            return self
+
+        def __exit__(self, *_: object) -> None: ...
+        def wait(self) -> int:
+            return -9
+
+    monkeypatch.setattr("tg4mm.cli.generate.subprocess.Popen", Killed)
+    assert main(["generate", "mic", "--out", "x"]) == 1
+    assert "ended by signal 9; the same command goes on" in capsys.readouterr().err

@@ -114,3 +114,13 @@ def _render(scene, path, size, samples):
     image.pixels.foreach_get(pixels)
     bpy.data.images.remove(image)
     return pixels.reshape(size, size, 4)[::-1]
+
+
+def bodies_of(loaded):
+    return {body.name: body for body in loaded.bodies}
+
+
+def assert_same_vertices(body, expected, tolerance=2e-6):
+    assert body.vertices.dtype == np.float64
+    assert body.vertices.shape == expected.shape
+    assert np.abs(body.vertices - expected).max() < tolerance

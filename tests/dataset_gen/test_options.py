@@ -40,6 +40,25 @@ def settings(*arguments: str) -> Settings:
         (["mic", "--sensor", "phone", "--images", "exr"], r"--images exr cannot be combined"),
         (["mic", "--sensor", "phone"], r"JPEG, which needs --images png8 and --background white"),
         (["mic", "--part", "3"], r"'3' is not a part such as 3/10"),
+        (["mic", "--jpeg", "0", "--sensor", "none"], r"--jpeg 0 goes with --sensor"),
+        (
+            ["mic", "--cameras", "handheld", "--views", "9"],
+            r"--views 9: with --cameras handheld there is one",
+        ),
+        (["mic", "--cameras", "given"], r"--cameras given needs a scene of your own"),
+        (["mic", "--test-views", "0", "--alphas", "5,10"], r"--alphas 5,10: .* --test-views 0 leaves none"),
+        (["mic", "--test-views", "0", "--truth", "test"], r"--truth test: --test-views 0 leaves none"),
+        (
+            ["mic", "--engine", "eevee", "--device", "gpu"],
+            r"--device gpu is where Cycles runs; --engine eevee",
+        ),
+        (["mic", "--frame", "3"], r"--frame 3 goes with --blend"),
+        (["mic", "--scene", "Scene"], r"--scene Scene goes with --blend"),
+        (["mic", "--prepare", "--parts", "0"], r"--parts 0 goes with --prepare and is at least 1"),
+        (["mic", "--parts", "0"], r"--parts 0 goes with --prepare"),
+        (["mic", "--prepare", "--processes", "2"], r"--processes 2: --prepare renders nothing"),
+        (["mic", "--finish", "--processes", "2"], r"--processes 2: --finish renders nothing"),
+        (["mic", "--save-blend", "a.blend"], r"--out .*out: --save-blend only saves the animation"),
         (["mic", "--views", "2"], r"--views 2: on the orbit both would stand"),
         (["mic", "--name", "me"], r"--name me goes with --blend and --mesh"),
         (["mic", "--parts", "3"], r"--parts 3 goes with --prepare"),
@@ -56,6 +75,7 @@ def settings(*arguments: str) -> Settings:
         ),
         (["mic", "--frequency", "0"], r"--frequency 0.0 is not a positive number"),
         (["mic", "--fps", "nan"], r"--fps nan"),
+        (["mic", "--fps", "1e300"], r"--fps 1e\+300 is not in 0.001 … 1e\+06 Hz"),
         (["mic", "--size", "0"], r"--size 0 is not a whole number in 8"),
         (["mic", "--size", "99999"], r"--size 99999"),
         (["mic", "--size", "big"], r"argument --size: invalid int value: 'big'"),
@@ -79,6 +99,37 @@ def test_bad_input_is_one_line_and_exit_2(arguments, message, tmp_path, capsys):
     assert err.startswith("error: ")
     assert re.search(message, err), err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["--prepare"], "--prepare"),
+        (["--part", "1/2"], "--part 1/2"),
+        (["--samples", "4"], "--samples 4"),
+        (["--alphas", "5,10"], "--alphas 5,10"),
+        (["--sensor", "phone"], "--sensor phone"),
+    ],
+)
+def test_what_an_animation_has_no_use_for_is_refused(arguments, named, tmp_path, capsys):
+    assert main(["mic", "--save-blend", str(tmp_path / "a.blend"), *arguments]) == 2
+    err = capsys.readouterr().err
+    assert err == f"error: {named}: --save-blend only saves the animation, it renders nothing\n"
+
+
+def test_views_of_a_given_file_are_refused(tmp_path, capsys):
+    (tmp_path / "a.blend").touch()
+    options = ["--motion", "m.yaml", "--cameras", "given", "--views", "4", "--out", str(tmp_path / "out")]
+    assert main(["--blend", str(tmp_path / "a.blend"), *options]) == 2
+    assert "--views 4: with --cameras given the file's cameras are taken" in capsys.readouterr().err
+
+
+def test_the_presets_and_defaults_go_with_every_kind_of_camera():
+    for preset in PRESETS:
+        for kind in ("orbit", "rig", "sweep", "handheld"):
+            assert settings("mic", "--preset", preset, "--cameras", kind).cameras.kind == kind
+    assert settings("mic", "--test-views", "0").cameras.test_views == 0
+    assert settings("mic", "--engine", "eevee").device == "cpu"
 
 
 def test_a_foreign_folder_is_refused(tmp_path, capsys):

@@ -1,47 +1,13 @@
 """The built-in chair: parts, closed bodies, joints, and what may move."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from dataset_gen.meshes import triangle_areas
 from dataset_gen.scenes import chair
 from dataset_gen.shapes import cushion
-from dataset_gen.vibration.bodies import Body
-from dataset_gen.vibration.describe import read_motion
-from dataset_gen.vibration.solve import solve
+from tests.dataset_gen.builtin import open_edges, volume
 
-
-@pytest.fixture(scope="module")
-def scene():
-    return chair.build()
-
-
-@pytest.fixture(scope="module")
-def parts(scene):
-    return {part.name: part for part in scene.parts}
-
-
-@pytest.fixture(scope="module")
-def shapes(scene):
-    bodies = [Body(p.name, p.mesh.vertices, p.mesh.triangles, p.follow) for p in scene.parts]
-    motion = solve(read_motion(Path(chair.__file__).with_suffix(".yaml")), bodies, 30.0, None, 0)
-    return {body.name: shape[0] for body, shape in zip(bodies, motion.shapes, strict=True)}
-
-
-def volume(mesh):
-    a, b, c = (mesh.vertices[mesh.triangles[:, k]] for k in range(3))
-    return (a * np.cross(b, c)).sum() / 6.0
-
-
-def open_edges(mesh):
-    """Edges that are not walked once in each direction; positions decide, so that doubled seams count as joined."""
-    _, same = np.unique(mesh.vertices.round(7), axis=0, return_inverse=True)
-    t = same.reshape(-1)[mesh.triangles].astype(np.int64)
-    edges = np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]])
-    forth, back = (np.sort(edges @ k) for k in ([len(same), 1], [1, len(same)]))
-    return len(np.setxor1d(forth, back))
+SCENE = "chair"
 
 
 def test_it_has_moving_and_still_parts(parts):
@@ -122,26 +88,6 @@ def test_parts_that_touch_move_together(scene, shapes):
     assert len(pairs) > 100  # parts do touch
     jump = np.linalg.norm(np.abs(moves[pairs[:, 0]] - moves[pairs[:, 1]]), axis=1)
     assert jump.max() < 0.1 * 0.005
-
-
-def test_meshes_and_textures_are_sound(scene):
-    for part in scene.parts:
-        mesh, surface = part.mesh, part.surface
-        assert mesh.triangles.max() < len(mesh.vertices)
-        assert mesh.uv.shape == (*mesh.triangles.shape, 2)
-        assert np.isfinite(mesh.uv).all()
-        assert triangle_areas(mesh.vertices, mesh.triangles).min() > 0
-        for picture in (surface.colour, surface.relief, surface.roughness):
-            if picture is not None:
-                assert np.min(picture) >= 0
-                assert np.max(picture) <= 1
-        assert surface.colour.std(axis=(0, 1)).max() > 0.02  # a plain colour would hide the motion
-
-
-def test_it_is_the_same_each_time(scene):
-    for one, two in zip(scene.parts, chair.build().parts, strict=True):
-        np.testing.assert_array_equal(one.mesh.vertices, two.mesh.vertices)
-        np.testing.assert_array_equal(one.surface.colour, two.surface.colour)
 
 
 def test_an_outline_is_filled_and_rimmed_evenly():

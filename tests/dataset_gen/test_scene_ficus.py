@@ -1,44 +1,19 @@
 """The built-in ficus: parts, size, leaves as closed shells, what holds what, pictures, and what moves."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-import dataset_gen.scenes as scenes
 from dataset_gen.cameras import test_cameras as the_test_cameras
 from dataset_gen.cameras import train_cameras
-from dataset_gen.meshes import triangle_areas
 from dataset_gen.patterns import foliage
-from dataset_gen.scenes import SCENES, ficus
+from dataset_gen.scenes import ficus
 from dataset_gen.shapes import growth, leaf, pebbles
-from dataset_gen.vibration.bodies import Body
-from dataset_gen.vibration.describe import read_motion
-from dataset_gen.vibration.solve import solve
+from tests.dataset_gen.builtin import volume
 
 STILL = {"pot", "saucer", "soil", "pebbles", "fallen"}
 
 
-@pytest.fixture(scope="module")
-def scene():
-    return SCENES["ficus"]()
-
-
-@pytest.fixture(scope="module")
-def parts(scene):
-    return {part.name: part for part in scene.parts}
-
-
-@pytest.fixture(scope="module")
-def motion(scene):
-    bodies = [Body(p.name, p.mesh.vertices, p.mesh.triangles, p.follow) for p in scene.parts]
-    solved = solve(read_motion(Path(scenes.__file__).parent / "ficus.yaml"), bodies, 30.0, None, 0)
-    return {body.name: np.asarray(shape) for body, shape in zip(bodies, solved.shapes, strict=True)}
-
-
-def volume(mesh):
-    a, b, c = (mesh.vertices[mesh.triangles[:, k]] for k in range(3))
-    return (a * np.cross(b, c)).sum() / 6.0
+SCENE = "ficus"
 
 
 def some_leaves(n):
@@ -82,19 +57,19 @@ def test_pebbles_lie_on_the_soil_inside_the_pot(parts):
     assert parts["saucer"].mesh.vertices[:, 2].min() == ficus.FLOOR
 
 
-def test_the_pot_is_still_and_the_rest_moves(parts, motion):
-    assert {name for name, shapes in motion.items() if not np.abs(shapes).any()} == STILL
+def test_the_pot_is_still_and_the_rest_moves(parts, moves):
+    assert {name for name, shapes in moves.items() if not np.abs(shapes).any()} == STILL
     trunk = parts["trunk"].mesh.vertices[:, 2]
-    np.testing.assert_array_equal(motion["trunk"][:, trunk <= -0.6], 0.0)
-    size = np.linalg.norm(np.abs(motion["trunk"][0]), axis=1)
+    np.testing.assert_array_equal(moves["trunk"][:, trunk <= -0.6], 0.0)
+    size = np.linalg.norm(np.abs(moves["trunk"][0]), axis=1)
     assert size[trunk > 0.7].min() > size[trunk < 0.3].max()
-    largest = [max(np.linalg.norm(np.abs(s[k]), axis=1).max() for s in motion.values()) for k in range(2)]
+    largest = [max(np.linalg.norm(np.abs(s[k]), axis=1).max() for s in moves.values()) for k in range(2)]
     np.testing.assert_allclose(largest, [0.005, 0.002])
 
 
-def test_clusters_rustle_each_in_its_own_time(motion):
+def test_clusters_rustle_each_in_its_own_time(moves):
     turns = []
-    for name, shapes in motion.items():
+    for name, shapes in moves.items():
         if name.startswith("leaves_"):
             peak = shapes[1].ravel()[np.abs(shapes[1]).argmax()]
             turns.append(np.angle(peak) % np.pi)
@@ -102,35 +77,13 @@ def test_clusters_rustle_each_in_its_own_time(motion):
     assert len(np.unique(np.round(turns, 6))) == len(turns)
 
 
-def test_limbs_hardly_slip_where_they_leave_the_trunk(parts, motion):
+def test_limbs_hardly_slip_where_they_leave_the_trunk(parts, moves):
     spatial = pytest.importorskip("scipy.spatial")
     tree = spatial.cKDTree(parts["trunk"].mesh.vertices)
     for name, part in parts.items():
         if name.startswith("leaves_"):
             near, _ = tree.query(part.mesh.vertices)
-            assert np.abs(motion[name][1, near.argmin()]).max() < 0.001, name
-
-
-def test_meshes_and_pictures_are_sound(scene):
-    for part in scene.parts:
-        mesh, surface = part.mesh, part.surface
-        assert np.isfinite(mesh.vertices).all()
-        assert np.isfinite(mesh.uv).all()
-        assert mesh.triangles.min() >= 0
-        assert mesh.triangles.max() < len(mesh.vertices)
-        assert mesh.uv.shape == (*mesh.triangles.shape, 2)
-        assert triangle_areas(mesh.vertices, mesh.triangles).min() > 0
-        for picture in (surface.colour, surface.relief, surface.roughness):
-            if picture is not None:
-                assert np.min(picture) >= 0
-                assert np.max(picture) <= 1
-        assert surface.colour.std(axis=(0, 1)).max() > 0.02  # a plain colour would hide the motion
-
-
-def test_it_is_the_same_each_time(scene):
-    for one, two in zip(scene.parts, SCENES["ficus"]().parts, strict=True):
-        np.testing.assert_array_equal(one.mesh.vertices, two.mesh.vertices)
-        np.testing.assert_array_equal(one.surface.colour, two.surface.colour)
+            assert np.abs(moves[name][1, near.argmin()]).max() < 0.001, name
 
 
 def test_a_leaf_is_a_closed_shell_with_its_upper_face_up():

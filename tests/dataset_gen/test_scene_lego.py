@@ -3,80 +3,11 @@
 import numpy as np
 import pytest
 
-from dataset_gen.meshes import triangle_areas
-from dataset_gen.scenes import SCENES
 from dataset_gen.scenes import lego as module
-from dataset_gen.settings import motion_file
 from dataset_gen.shapes import solids
-from dataset_gen.vibration import Body, read_motion, solve
+from tests.dataset_gen.builtin import size
 
-
-@pytest.fixture(scope="module")
-def scene():
-    return SCENES["lego"]()
-
-
-@pytest.fixture(scope="module")
-def parts(scene):
-    return {part.name: part for part in scene.parts}
-
-
-@pytest.fixture(scope="module")
-def moves(scene):
-    """Mode shapes [K, V, 3] by part."""
-    bodies = [Body(p.name, p.mesh.vertices, p.mesh.triangles, p.follow) for p in scene.parts]
-    solved = solve(read_motion(motion_file("lego")), bodies, 30.0, None, 0)
-    return dict(zip((p.name for p in scene.parts), solved.shapes, strict=True))
-
-
-def size(shape):
-    return float(np.linalg.norm(np.abs(shape), axis=-1).max())
-
-
-def test_it_fits_the_picture_and_the_budget(scene):
-    points = np.concatenate([part.mesh.vertices for part in scene.parts])
-    assert np.isfinite(points).all()
-    assert np.linalg.norm(points, axis=1).max() < 1.45
-    assert np.abs(points).max() > 1.0
-    assert 60_000 <= sum(len(part.mesh.triangles) for part in scene.parts) <= 300_000
-    assert len({part.name for part in scene.parts}) == len(scene.parts)
-
-
-def test_meshes_and_maps_are_sound(scene):
-    for part in scene.parts:
-        mesh, surface = part.mesh, part.surface
-        assert mesh.triangles.min() >= 0
-        assert mesh.triangles.max() < len(mesh.vertices)
-        assert mesh.uv.shape == (*mesh.triangles.shape, 2)
-        assert np.isfinite(mesh.uv).all()
-        assert triangle_areas(mesh.vertices, mesh.triangles).min() > 0
-        assert part.follow.shape == (len(mesh.vertices),)
-        for image in (surface.colour, surface.relief, np.asarray(surface.roughness)):
-            if image is not None:
-                assert image.min() >= 0
-                assert image.max() <= 1
-
-
-def test_every_surface_carries_texture(scene):
-    """Motion shows only where brightness changes along the surface."""
-    for part in scene.parts:
-        assert part.surface.colour.mean(2).std() > 0.008, part.name
-
-
-def test_no_two_triangles_coincide(scene):
-    corners = np.concatenate(
-        [np.sort(p.mesh.vertices[p.mesh.triangles].round(5), axis=1) for p in scene.parts]
-    )
-    centres = np.concatenate([p.mesh.vertices[p.mesh.triangles].mean(1) for p in scene.parts]).round(5)
-    keys = np.concatenate([centres, corners.reshape(len(corners), -1)], axis=1)
-    assert len(np.unique(keys, axis=0)) == len(keys)
-
-
-def test_it_is_the_same_each_time(scene):
-    for one, two in zip(scene.parts, SCENES["lego"]().parts, strict=True):
-        np.testing.assert_array_equal(one.mesh.vertices, two.mesh.vertices)
-        np.testing.assert_array_equal(one.mesh.uv, two.mesh.uv)
-        np.testing.assert_array_equal(one.surface.colour, two.surface.colour)
+SCENE = "lego"
 
 
 MOVING = {"blade", "blade_studs", "blade_pins", "stripes", "teeth", "arms", "pistons", "rods"}

@@ -1,46 +1,13 @@
 """The built-in balls: twelve different ones, each on its ring, and what may move."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from dataset_gen.meshes import triangle_areas
 from dataset_gen.scenes import materials
-from dataset_gen.vibration.bodies import Body
-from dataset_gen.vibration.describe import read_motion
-from dataset_gen.vibration.solve import solve
+from tests.dataset_gen.builtin import open_edges, volume
 
-
-@pytest.fixture(scope="module")
-def scene():
-    return materials.build()
-
-
-@pytest.fixture(scope="module")
-def parts(scene):
-    return {part.name: part for part in scene.parts}
-
-
-@pytest.fixture(scope="module")
-def shapes(scene):
-    bodies = [Body(p.name, p.mesh.vertices, p.mesh.triangles, p.follow) for p in scene.parts]
-    motion = solve(read_motion(Path(materials.__file__).with_suffix(".yaml")), bodies, 30.0, None, 0)
-    return {body.name: shape[0] for body, shape in zip(bodies, motion.shapes, strict=True)}
-
-
-def volume(mesh):
-    a, b, c = (mesh.vertices[mesh.triangles[:, k]] for k in range(3))
-    return (a * np.cross(b, c)).sum() / 6.0
-
-
-def open_edges(mesh):
-    """Edges that are not walked once in each direction; positions decide, so that doubled seams count as joined."""
-    _, same = np.unique(mesh.vertices.round(7), axis=0, return_inverse=True)
-    t = same.reshape(-1)[mesh.triangles].astype(np.int64)
-    edges = np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]])
-    forth, back = (np.sort(edges @ k) for k in ([len(same), 1], [1, len(same)]))
-    return len(np.setxor1d(forth, back))
+SCENE = "materials"
 
 
 def test_three_rows_of_four_balls_on_a_tray(parts):
@@ -117,9 +84,3 @@ def test_meshes_and_textures_are_sound_and_no_two_balls_look_alike(scene):
         assert surface.colour.std(axis=(0, 1)).max() > 0.02  # a plain colour would hide the motion
     looks = [p.surface.colour for p in scene.parts if p.name.startswith("ball_")]
     assert min(np.abs(a - b).mean() for i, a in enumerate(looks) for b in looks[:i]) > 0.05
-
-
-def test_it_is_the_same_each_time(scene):
-    for one, two in zip(scene.parts, materials.build().parts, strict=True):
-        np.testing.assert_array_equal(one.mesh.vertices, two.mesh.vertices)
-        np.testing.assert_array_equal(one.surface.colour, two.surface.colour)

@@ -1,46 +1,20 @@
 """The built-in ship: parts, size, contacts between parts, pictures, and what moves and what does not."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-import dataset_gen.scenes as scenes
 from dataset_gen.cameras import test_cameras as the_test_cameras
 from dataset_gen.cameras import train_cameras
-from dataset_gen.meshes import triangle_areas
-from dataset_gen.scenes import SCENES
 from dataset_gen.scenes.ship_plan import HULL, WATER
 from dataset_gen.shapes import hull as lines
 from dataset_gen.shapes import joinery, ocean, rig
 from dataset_gen.shapes.patch import box, mirrored, slab
-from dataset_gen.vibration.bodies import Body
-from dataset_gen.vibration.describe import read_motion
-from dataset_gen.vibration.solve import solve
+from tests.dataset_gen.builtin import volume
 
 SEA = ("water", "sea_body")
 
 
-@pytest.fixture(scope="module")
-def scene():
-    return SCENES["ship"]()
-
-
-@pytest.fixture(scope="module")
-def parts(scene):
-    return {part.name: part for part in scene.parts}
-
-
-@pytest.fixture(scope="module")
-def motion(scene):
-    bodies = [Body(p.name, p.mesh.vertices, p.mesh.triangles, p.follow) for p in scene.parts]
-    solved = solve(read_motion(Path(scenes.__file__).parent / "ship.yaml"), bodies, 30.0, None, 0)
-    return {body.name: np.asarray(shape) for body, shape in zip(bodies, solved.shapes, strict=True)}
-
-
-def volume(mesh):
-    a, b, c = (mesh.vertices[mesh.triangles[:, k]] for k in range(3))
-    return (a * np.cross(b, c)).sum() / 6.0
+SCENE = "ship"
 
 
 def test_what_makes_a_ship_is_there(parts):
@@ -85,52 +59,29 @@ def test_aloft_everything_touches_something(parts):
         assert np.quantile(near, 0.05) < 0.03, name
 
 
-def test_only_the_sea_body_stands_still(parts, motion):
-    moving = {name for name, shapes in motion.items() if np.abs(shapes).max() > 0}
+def test_only_the_sea_body_stands_still(parts, moves):
+    moving = {name for name, shapes in moves.items() if np.abs(shapes).max() > 0}
     assert set(parts) - moving == {"sea_body"}
     for name in set(parts) - set(SEA):
-        assert np.abs(motion[name][0]).max() > 0  # the roll takes all of the ship along
+        assert np.abs(moves[name][0]).max() > 0  # the roll takes all of the ship along
 
 
-def test_the_water_is_still_at_its_rim_and_moves_only_up_and_down(parts, motion):
+def test_the_water_is_still_at_its_rim_and_moves_only_up_and_down(parts, moves):
     far = np.linalg.norm(parts["water"].mesh.vertices[:, :2], axis=1) > 1.16
     assert far.sum() > 200
-    np.testing.assert_array_equal(motion["water"][:, far], 0.0)
-    np.testing.assert_array_equal(motion["water"][..., :2], 0.0)
-    assert np.abs(motion["water"]).max() == pytest.approx(0.002, rel=0.02)
+    np.testing.assert_array_equal(moves["water"][:, far], 0.0)
+    np.testing.assert_array_equal(moves["water"][..., :2], 0.0)
+    assert np.abs(moves["water"]).max() == pytest.approx(0.002, rel=0.02)
 
 
-def test_the_roll_is_rigid_about_the_keel_and_largest_at_the_main_truck(parts, motion):
-    size = {name: np.linalg.norm(np.abs(shapes[0]), axis=1).max() for name, shapes in motion.items()}
+def test_the_roll_is_rigid_about_the_keel_and_largest_at_the_main_truck(parts, moves):
+    size = {name: np.linalg.norm(np.abs(shapes[0]), axis=1).max() for name, shapes in moves.items()}
     assert max(size.values()) == pytest.approx(0.005)
     assert size["masts"] > 0.0045 > size["decks"] > size["keel"]
-    mesh, shape = parts["hull"].mesh, motion["hull"][0].imag
+    mesh, shape = parts["hull"].mesh, moves["hull"][0].imag
     i, j = np.random.default_rng(0).integers(0, len(mesh.vertices), (2, 500))
     gap, change = mesh.vertices[i] - mesh.vertices[j], shape[i] - shape[j]
     np.testing.assert_allclose((gap * change).sum(1), 0.0, atol=1e-12)  # distances stay
-
-
-def test_meshes_and_pictures_are_sound(scene):
-    assert len({part.name for part in scene.parts}) == len(scene.parts)
-    for part in scene.parts:
-        mesh, surface = part.mesh, part.surface
-        assert np.isfinite(mesh.vertices).all()
-        assert np.isfinite(mesh.uv).all()
-        assert mesh.triangles.min() >= 0
-        assert mesh.triangles.max() < len(mesh.vertices)
-        assert mesh.uv.shape == (*mesh.triangles.shape, 2)
-        assert triangle_areas(mesh.vertices, mesh.triangles).min() > 0
-        for picture in (surface.colour, surface.relief, surface.roughness):
-            if picture is not None:
-                assert np.min(picture) >= 0
-                assert np.max(picture) <= 1
-        assert surface.colour.std(axis=(0, 1)).max() > 0.01  # a plain colour would hide the motion
-
-
-def test_it_is_the_same_each_time(scene):
-    for one, two in zip(scene.parts, SCENES["ship"]().parts, strict=True):
-        np.testing.assert_array_equal(one.mesh.vertices, two.mesh.vertices)
-        np.testing.assert_array_equal(one.surface.colour, two.surface.colour)
 
 
 def test_the_skin_faces_outwards_on_both_sides():

@@ -24,7 +24,13 @@ from dataset_gen.quality import Quality  # noqa: E402
 from dataset_gen.scenes import NAMES, SCENES  # noqa: E402
 from dataset_gen.settings import Settings  # noqa: E402
 from dataset_gen.vibration import Body, Motion, State  # noqa: E402
-from tests.dataset_gen.trust import Surface, displacement_errors, expected_flow, unprojected  # noqa: E402
+from tests.dataset_gen.trust import (  # noqa: E402
+    Surface,
+    displacement_errors,
+    expected_flow,
+    rounding,
+    unprojected,
+)
 
 pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parents[2]
@@ -46,11 +52,11 @@ class World:
     def displacements(self, state: State) -> list[np.ndarray]:
         return [self.motion.displacement(i, state) for i in range(len(self.bodies))]
 
-    def take(self, displacements: list[np.ndarray]) -> np.ndarray:
-        """Linear light [H, W, 4]."""
+    def take(self, displacements: list[np.ndarray], seed_offset: int = 0) -> np.ndarray:
+        """Linear light [H, W, 4]; another offset gives other noise."""
         build.move(self.stage, displacements)
         build.set_view(self.stage, self.camera)
-        render.use_picture(self.stage, self.quality)
+        render.use_picture(self.stage, self.quality, seed_offset)
         return render.linear_picture(self.stage)
 
     def exr(self, timestep: int) -> dict[str, np.ndarray]:
@@ -119,21 +125,28 @@ def test_the_scene_fills_the_picture_and_is_not_cut_off(world: World) -> None:
                 assert xy.max() <= 1
 
 
-def test_it_vibrates_subtly_but_visibly_at_50(world: World) -> None:
+def test_it_vibrates_below_the_noise_and_magnified_by_50_above_it(world: World) -> None:
+    """No share of the change at 50 would do as a bound: where something moves, light paths are drawn anew, and at the
+    8 samples here that is most of the change (ficus: .32 of that at 50; .18 with 64 samples)."""
     name = f"test/{world.camera.name}.png"
     rest, moved = (pixels(world.root / f"{t:03d}/{name}") for t in (0, NOW))
     magnified = pixels(world.root / f"magnified/x050/{NOW:03d}/{name}")
-    assert 0 < np.abs(rest - moved).mean() < 0.4 * np.abs(rest - magnified).mean()
+    again = world.take(world.displacements(world.motion.state(0)), seed_offset=1)
+    noise = np.abs(rest - world.settings.pictures.pixels(again).astype(int)).mean()
+    assert 0 < np.abs(rest - moved).mean() < noise < np.abs(rest - magnified).mean()
 
 
 def test_depth_and_pose_lead_onto_the_moved_surface(world: World) -> None:
-    points = unprojected(world.exr(NOW)["Depth"], world.camera)
+    data = world.exr(NOW)
+    points = unprojected(data["Depth"], world.camera)
     assert len(points) > 300
     here = Surface.of(world.bodies, world.displacements(world.motion.state(NOW)))
-    # Rays lie within 0.005 px of the pixel's centre: at a grazing surface that is a step along it, not off it.
-    assert np.percentile(here.distance(points), 99) < 3e-4
+    # The point seen lies on the surface; the one at its depth on the pixel's ray is beside it by what Position is off.
+    beside = np.linalg.norm(data["Position"][data["Depth"] < 1e9] - points, axis=1)
+    assert (here.distance(points) < beside + 1e-6).all()
+    assert np.percentile(beside, 99) < 1e-5
     elsewhere = Surface.of(world.bodies, world.displacements(world.motion.state(NOW, 50.0)))
-    assert np.percentile(elsewhere.distance(points), 90) > 1e-3
+    assert (elsewhere.distance(points) > 1e-3).mean() > 0.1
 
 
 def test_position_is_depth_and_pose(world: World) -> None:
@@ -142,10 +155,11 @@ def test_position_is_depth_and_pose(world: World) -> None:
     position = data["Position"][seen].astype(float)
     xy, depth = world.camera.project(position, 96, 96)
     row, column = np.nonzero(seen)
-    np.testing.assert_allclose(depth, data["Depth"][seen], atol=2e-5)
-    np.testing.assert_allclose(xy, np.column_stack([column + 0.5, row + 0.5]), atol=0.015)
-    across = np.linalg.norm(position - unprojected(data["Depth"], world.camera), axis=1)
-    assert across.max() < 6e-4  # scene units; 0.015 px at 4 units
+    np.testing.assert_allclose(depth, data["Depth"][seen], atol=1e-6)
+    off = np.abs(xy - np.column_stack([column + 0.5, row + 0.5])).max(1)
+    here = Surface.of(world.bodies, world.displacements(world.motion.state(NOW)))
+    assert (off < 1.5 * rounding(here, position, world.camera, 96)).all()
+    assert np.percentile(off, 99) < 3e-4  # px
 
 
 def test_the_displacement_pass_is_the_analytic_motion(world: World) -> None:
@@ -156,9 +170,7 @@ def test_the_displacement_pass_is_the_analytic_motion(world: World) -> None:
     displacements = world.displacements(world.motion.state(NOW))
     assert np.abs(moved).max() > 1e-3
     errors = displacement_errors(position, moved, rest, displacements)
-    assert np.percentile(errors, 95) < 3e-6
-    # Where two parts touch, the nearest triangle may be the other's.
-    assert np.mean(errors > 1e-4) < 0.01
+    assert errors.max() < 3e-7  # every pixel; 2.5 units in the last place of a position
     wrong = displacement_errors(position, 1.1 * moved, rest, displacements)
     assert np.percentile(wrong, 98) > 1e-5
 

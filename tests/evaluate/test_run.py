@@ -89,7 +89,7 @@ def test_half_the_amplitude_is_half_an_error_and_a_gap_that_grows(half) -> None:
 
 def test_caching_changes_no_number_and_saves_work(half, monkeypatch) -> None:
     calls = []
-    monkeypatch.setattr(module, "psnr", lambda a, b: calls.append(1) or psnr(a, b))
+    monkeypatch.setattr("tg4mm.evaluate.wanted.psnr", lambda a, b: calls.append(1) or psnr(a, b))
     cached = evaluate_run(half, out=half.path / "cached.json")
     n_cached = len(calls)
     plain = evaluate_run(half, out=half.path / "plain.json", use_cache=False)
@@ -175,6 +175,16 @@ def test_a_place_that_cannot_be_made_is_known_before_scoring(half, tmp_path, mon
     (tmp_path / "file").write_text("mine")
     with pytest.raises(NotADirectoryError):
         evaluate_run(half, out=tmp_path / "file" / "x" / "metrics.json")
+
+
+def test_a_foreign_file_is_not_overwritten_by_figures(half) -> None:
+    for name in ("space.safetensors", "config.json"):
+        before = (half.path / name).read_bytes()
+        with pytest.raises(EvaluationError, match=rf"--out .*{name}: exists, and is no tg4mm-metrics"):
+            evaluate_run(half, out=half.path / name)
+        assert (half.path / name).read_bytes() == before
+    with pytest.raises(EvaluationError, match=r"--out /proc/m\.json: cannot be written"):
+        evaluate_run(half, out="/proc/m.json")
 
 
 def test_unusable_requests_are_refused(half, scene, tmp_path) -> None:

@@ -21,7 +21,19 @@ import numpy as np
 
 INTERVAL = 0.05  # s
 FOLDER = Path(sys.argv[sys.argv.index("--") + 1])
-SETTING = {"put", "to_frame", "true_colours", "deselect", "clear", "shading", "view"}
+SETTING = {
+    "put",
+    "to_frame",
+    "true_colours",
+    "deselect",
+    "clear",
+    "shading",
+    "view",
+    "prepare_render",
+    "cube",
+    "set",
+    "make_active",
+}
 ANSWERS: dict[str, Callable[..., Any]] = {}
 
 
@@ -190,6 +202,11 @@ def deselect() -> None:
 
 
 @answer
+def make_active(called: str) -> None:
+    bpy.context.view_layer.objects.active = bpy.data.objects[called]
+
+
+@answer
 def clear() -> None:
     """Remove the cube, the lamp and the camera that Blender starts with."""
     bpy.data.batch_remove(list(bpy.data.objects))
@@ -232,7 +249,12 @@ def _answer_what_is_asked() -> float:
     return INTERVAL
 
 
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+sys.modules["answering"] = sys.modules[__name__]
+import answers_jobs  # noqa: E402, F401
+
 bpy.context.preferences.view.show_splash = False
 # In a window of its own it would lie across the screen's edge, as no window manager is there to place it.
 bpy.context.preferences.view.filebrowser_display_type = "SCREEN"
+bpy.context.preferences.view.render_display_type = "NONE"
 bpy.app.timers.register(_answer_what_is_asked, first_interval=1.0, persistent=True)

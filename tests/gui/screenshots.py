@@ -2,9 +2,9 @@
 
     python tests/gui/screenshots.py SPLAT.ply [--low HZ --high HZ] [--alpha 50] [--draw Splats] [--out docs/images]
 
-Imports the file by mouse, opens the tab, magnifies the band, and writes blender_rest.png (α = 0) and
-blender_panel.png (α as asked) at the frame where the motion is largest. Needs what setup.sh built, and root.
-The file of the README is a run's own: `tg4mm demo`, then demo/splat.ply.
+Imports the file by mouse, opens the tab, magnifies the band, and writes blender_panel.png and
+blender_amplitude.png, ellipsoids coloured by amplitude with the legend, at the frame where the motion is largest.
+Needs what setup.sh built, and root. The file of the README is a run's own: `tg4mm demo`, then demo/splat.ply.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from tests.gui import looking, sidebar  # noqa: E402
 from tests.gui.session import Session  # noqa: E402
 from tg4mm.splatfile import SplatFile, positions_at, read_splat  # noqa: E402
 
-SIZE = (1360, 900)
+SIZE = (1280, 800)
 LARGEST = 300_000  # bytes of a picture
 LOOK_FROM = (-1.2, -1.5, 0.7)
 
@@ -48,9 +48,13 @@ def main() -> None:
         blender.ask("put", to="Draw As", value=options.draw)
         blender.ask("shading", kind="MATERIAL")
         blender.ask("to_frame", number=1 + _largest(splat, options.alpha, band))
-        for name, alpha in (("blender_rest", 0.0), ("blender_panel", options.alpha)):
-            blender.ask("put", to="Magnification", value=alpha)
-            shots.append(_take(blender, options.out / f"{name}.png"))
+        shots.append(_take(blender, blender.folder / "rest.png"))
+        blender.ask("put", to="Magnification", value=options.alpha)
+        shots.append(_take(blender, options.out / "blender_panel.png"))
+        if splat.n_modes:
+            blender.ask("put", to="Draw As", value="Ellipsoids")
+            blender.ask("put", to="Colour By", value="Amplitude")
+            _take(blender, options.out / "blender_amplitude.png")
         if blender.complaints():
             sys.exit("Blender complained:\n" + "\n".join(blender.complaints()))
     if looking.changed(shots[0], shots[1]) < 0.005:

@@ -89,7 +89,8 @@ class Session:
             (folder / "home").mkdir()
             (folder / "resources").mkdir()
             shutil.copyfile(extension, folder / "extension.zip")
-            shutil.copyfile(HERE / "answering.py", folder / "answering.py")
+            for script in ("answering.py", "answers_jobs.py", "dropping.py"):
+                shutil.copyfile(HERE / script, folder / script)
             for file in files:
                 shutil.copyfile(file, folder / file.name)
             process = _launch(folder, size)
@@ -136,6 +137,12 @@ class Session:
         self.move(x, y)
         self._xdotool("keydown", "ctrl", "click", button, "keyup", "ctrl")
 
+    def drop(self, file: str, x: int, y: int) -> None:
+        """Drag one of the session's files onto a place, as from a file manager."""
+        self.move(x, y)
+        window = self._run("xdotool", "search", "--onlyvisible", "--class", "Blender").split()[-1]
+        self._run("python3", f"{self.inside}/dropping.py", window, str(x), str(y), f"{self.inside}/{file}")
+
     def key(self, *keys: str) -> None:
         """Press keys, each as xdotool writes it: `Return`, `ctrl+a`."""
         for key in keys:
@@ -158,6 +165,15 @@ class Session:
         shot = self.folder / "screen.png"
         self._run("import", "-window", "root", f"{self.inside}/{shot.name}")
         shutil.move(shot, path)
+        with Image.open(path) as image:
+            return np.asarray(image.convert("RGB"))
+
+    def take(self, name: str, path: Path) -> np.ndarray:
+        """Move a picture that Blender wrote into the session's folder to `path`; returns uint8 [H, W, 3]."""
+        from PIL import Image
+
+        path.parent.mkdir(parents=True, exist_ok=True)
+        shutil.move(self.folder / name, path)
         with Image.open(path) as image:
             return np.asarray(image.convert("RGB"))
 
@@ -239,13 +255,15 @@ class Session:
         self._run("xdotool", *words)
         time.sleep(PAUSE)
 
-    def _run(self, *words: str) -> None:
+    def _run(self, *words: str) -> str:
+        """Run a program inside, on the screen; returns what it printed."""
         variables = ("env", "-i", "PATH=/usr/bin:/bin", "HOME=/tmp", f"DISPLAY={self._display}")
         done = subprocess.run(
-            ["chroot", str(ROOT), *variables, *words], capture_output=True, text=True, timeout=60
+            ["chroot", str(ROOT), *variables, *words], capture_output=True, text=True, timeout=90
         )
         if done.returncode != 0:
             raise SessionError(f"{' '.join(words)}: {done.stderr.strip()}\n{self.log()[-2000:]}")
+        return done.stdout
 
 
 def _launch(folder: Path, size: tuple[int, int]) -> subprocess.Popen[bytes]:

@@ -30,43 +30,44 @@ def open_tab(blender: Session) -> None:
     raise SessionError(f"the sidebar has no tab {TAB}\n{blender.log()}")
 
 
-def find(blender: Session, wanted: str) -> tuple[int, int]:
+def find(blender: Session, wanted: str, at: float = 0.55) -> tuple[int, int]:
     """Where the control is whose data path or Python command ends with `wanted`, brought into view.
 
-    An input of the active object's modifier is found by its name. What is in sight is searched first; then all
-    panels are folded and opened one after another, and the one that holds it stays open.
+    `at`: where in a row it is looked for, 0 on the left edge of the sidebar and 1 on the right. An input of the
+    active object's modifier is found by its name. What is in sight is searched first; then all panels are folded
+    and opened one after another, and the one that holds it stays open.
     """
-    path = wanted if wanted.startswith("bpy.") else blender.ask("paths").get(wanted, wanted)
+    path = wanted if wanted.startswith(("bpy.", "tg4mm_")) else blender.ask("paths").get(wanted, wanted)
     box = blender.region("VIEW_3D", "UI")
     place = blender.seen.get(path)
     if place and under_pointer(blender, place[0], place[1], path.startswith("bpy.")).endswith(path):
         return place
-    place = _in_rows(blender, path, box.top, box.top + box.height) or _in_panels(blender, path, box)
+    x = box.left + round(at * box.width)
+    place = _in_rows(blender, path, x, box.top, box.top + box.height) or _in_panels(blender, path, x, box)
     if place is None:
         raise SessionError(f"no control for {wanted} in the sidebar\n{blender.log()[-2000:]}")
     blender.seen[path] = place
     return place
 
 
-def _in_rows(blender: Session, path: str, top: int, bottom: int) -> tuple[int, int] | None:
-    """The control of a path among the rows from `top` to `bottom`."""
-    box = blender.region("VIEW_3D", "UI")
-    x = box.left + round(0.55 * box.width)
+def _in_rows(blender: Session, path: str, x: int, top: int, bottom: int) -> tuple[int, int] | None:
+    """The control of a path at x among the rows from `top` to `bottom`."""
     for y in range(top + 10, bottom - 6, ROW_STEP):
         if under_pointer(blender, x, y, operator=path.startswith("bpy.")).endswith(path):
             return x, y
     return None
 
 
-def _in_panels(blender: Session, path: str, box: Box) -> tuple[int, int] | None:
+def _in_panels(blender: Session, path: str, x: int, box: Box) -> tuple[int, int] | None:
     """The same, in panels that are opened for it one at a time, and what they hold with them."""
     _fold(blender, box)
     i, shown = 1, _headers(blender, box)
     while i < len(shown):
-        _click_header(blender, shown[i])
+        if not shown[i].open:  # a panel inside one that was just opened may be
+            _click_header(blender, shown[i])
         now = _headers(blender, box)
         bottom = now[i + 1].y if i + 1 < len(now) else box.top + box.height
-        place = _in_rows(blender, path, now[i].y, bottom)
+        place = _in_rows(blender, path, x, now[i].y, bottom)
         if place is not None:
             return place
         if len(now) <= len(shown):  # else it holds panels, which come next
@@ -107,9 +108,9 @@ def under_pointer(blender: Session, x: int, y: int, operator: bool) -> str:
     return str(blender.ask("clipboard"))
 
 
-def press(blender: Session, operator: str) -> None:
-    """Click the button of an operator, `bpy.ops.tg4mm.solid_colours()`."""
-    blender.click(*find(blender, operator))
+def press(blender: Session, operator: str, at: float = 0.55) -> None:
+    """Click the button of an operator, `bpy.ops.tg4mm.solid_colours(on=True)`."""
+    blender.click(*find(blender, operator, at))
 
 
 def drag_value(blender: Session, name: str, pixels: int) -> float:

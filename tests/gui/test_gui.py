@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 import os
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,8 @@ pytestmark = [
         reason=f"drives the real Blender on a virtual screen: make test-gui ({missing() or 'ready'})",
     ),
 ]
+BESIDE = 0.75  # of the sidebar's width: the buttons beside the spectrum
+F12 = "96"  # its number: by its name xdotool presses it with Alt
 SAME = 2e-5  # scene units, of a scene 2 units wide
 
 
@@ -69,6 +72,10 @@ def test_the_import_menu_reads_the_file(blender: Session, splat: SplatFile, pict
     assert (frame["first"], frame["last"], frame["fps"]) == (1, splat.n_timesteps, splat.fps)
     np.testing.assert_allclose(blender.places(), expected(blender, splat), atol=SAME)
     assert not looking.is_blank(view_of(blender, blender.picture(pictures / "02_imported.png")))
+
+
+def test_what_is_imported_is_active_and_has_no_outline(blender: Session) -> None:
+    assert (blender.ask("active_object"), blender.ask("selected")) == (Path(SPLAT).stem, [])
 
 
 def test_the_tab_opens_in_the_sidebar(blender: Session, pictures: Path) -> None:
@@ -129,7 +136,9 @@ def test_a_band_that_is_typed_magnifies_what_is_in_it(
     assert blender.ask("inputs")["Magnification"] == 25.0
     np.testing.assert_allclose(blender.places(), at, atol=SAME)
     blender.picture(pictures / "08_band.png")
-    sidebar.press(blender, "bpy.ops.tg4mm.band(frequency=0)")  # All
+    sidebar.press(blender, "bpy.ops.tg4mm.band(frequency=5)", at=BESIDE)
+    blender.wait(lambda: blender.ask("inputs")["Band Low"] == 4.5, "the band round the second peak")
+    sidebar.press(blender, "bpy.ops.tg4mm.band(frequency=0)", at=BESIDE)  # All
     blender.wait(lambda: blender.ask("inputs")["Band High"] > 5, "the whole band")
 
 
@@ -144,11 +153,8 @@ def test_a_frequency_is_switched_off(blender: Session, splat: SplatFile, picture
 
 
 def test_solid_view_takes_colours(blender: Session, pictures: Path) -> None:
-    box = blender.region("VIEW_3D")
-    blender.click(box.left + 120, box.top + 620)  # beside the drum: an outline would hide it
-    blender.wait(lambda: blender.ask("selected") == [], "nothing to be selected")
     grey = still_view(blender, pictures / "09_grey.png")
-    sidebar.press(blender, "bpy.ops.tg4mm.solid_colours()")
+    sidebar.press(blender, "bpy.ops.tg4mm.solid_colours(on=True)")
     blender.wait(lambda: blender.ask("inputs")["Solid View Colours"], "colours in Solid view")
     colours = still_view(blender, pictures / "10_solid_colours.png")
     assert looking.coloured(colours) > looking.coloured(grey) + 0.05
@@ -160,6 +166,8 @@ def test_display_modes_look_different(blender: Session, pictures: Path) -> None:
         sidebar.choose(blender, "Draw As", mode)
         shots[mode] = still_view(blender, pictures / f"11_{mode.lower()}.png")
         assert not looking.is_blank(shots[mode])
+    for mode in shots:  # Solid view has no transparency: splats are ellipsoids there
+        assert looking.coloured(shots[mode]) > 0.02, mode
     for mode in ("Points", "Arrows"):
         assert looking.changed(shots[mode], shots["Ellipsoids"]) > 0.01, mode
     assert blender.complaints() == []
@@ -180,6 +188,69 @@ def test_material_preview_shows_the_colours_of_the_file(blender: Session, pictur
     shown = still_view(blender, pictures / "13_material.png")
     assert looking.coloured(shown) > 0.05
     assert not looking.is_blank(shown)
+
+
+def test_the_probe_reads_what_is_in_a_sphere(blender: Session, splat: SplatFile, pictures: Path) -> None:
+    sidebar.press(blender, "bpy.ops.tg4mm.add_probe_sphere()", at=0.83)
+    blender.wait(lambda: "drum probe" in blender.ask("objects"), "a sphere")
+    sidebar.press(blender, "bpy.ops.tg4mm.probe(source='SPHERE')")
+    blender.wait(lambda: blender.ask("probed")["label"] is not None, "a reading")
+    found = blender.ask("probed")
+    radius = 0.05 * np.linalg.norm(np.ptp(splat.means, axis=0))
+    inside = np.linalg.norm(splat.means, axis=1) <= radius
+    assert found["label"] == f"{inside.sum()} points"
+    mean = splat.displacement[:, inside].mean(axis=1)  # all alike opaque
+    read = np.array(found["phasors"]).reshape(2, 3, 2)
+    np.testing.assert_allclose(read[..., 0] + 1j * read[..., 1], mean, atol=1e-6)
+    assert mean[0, 2].real > 0.015
+    blender.move(*blender.region("DOPESHEET_EDITOR").middle)
+    time.sleep(1.0)
+    blender.picture(pictures / "14_probe.png")
+    blender.ask("make_active", called="drum")
+
+
+@pytest.mark.parametrize("engine", ["CYCLES", "BLENDER_EEVEE"])
+def test_f12_renders_the_splats(blender: Session, pictures: Path, engine: str) -> None:
+    blender.ask("prepare_render", engine=engine, size=[160, 120], frames=[3, 5], to="frame_")
+    blender.move(*blender.region("VIEW_3D").middle)
+    blender.key(F12)
+    name = f"15_f12_{engine.lower()}.png"
+    wait_for_render(blender, lambda: blender.ask("save_rendered", file=name))
+    picture = blender.take(name, pictures / name)
+    assert picture.shape[:2] == (120, 160)
+    assert looking.coloured(picture) > 0.1
+
+
+def test_an_animation_renders_frames_that_differ(blender: Session, pictures: Path) -> None:
+    blender.ask("prepare_render", engine="CYCLES", size=[160, 120], frames=[3, 5], to="frame_")
+    blender.move(*blender.region("VIEW_3D").middle)
+    blender.key(f"ctrl+{F12}")
+    names = [f"frame_{frame:04d}.png" for frame in (3, 4, 5)]
+    wait_for_render(blender, lambda: all((blender.folder / name).exists() for name in names))
+    shots = [blender.take(name, pictures / f"16_{name}") for name in names]
+    assert all(looking.changed(a, b) > 0.02 for a, b in itertools.pairwise(shots))
+    assert blender.complaints() == []
+
+
+def wait_for_render(blender: Session, done: Callable[[], bool]) -> None:
+    """Wait until a render that was begun by a key has ended and left what it should."""
+    blender.wait(lambda: not blender.ask("rendering") and done(), "the render", 300.0, 0.5)
+
+
+def test_a_file_is_dropped_into_the_view(blender: Session, splat: SplatFile, pictures: Path) -> None:
+    before = blender.ask("objects")
+    blender.drop(SPLAT, *blender.region("VIEW_3D").middle)
+    time.sleep(1.0)
+    blender.picture(pictures / "17_drop_menu.png")
+    blender.key("t")  # "Import TG4MM Splats"; Blender has an importer of PLY meshes too, and asks
+    blender.wait(lambda: len(blender.ask("objects")) == len(before) + 1, "the dropped file's object", 60.0)
+    assert blender.ask("active_object") == "drum.001"
+    np.testing.assert_allclose(blender.places(), expected(blender, splat), atol=SAME)
+    blender.picture(pictures / "18_dropped.png")
+    blender.move(*blender.region("VIEW_3D").middle)
+    blender.key("ctrl+z")
+    blender.wait(lambda: blender.ask("objects") == before, "the import to be undone")
+    blender.ask("make_active", called="drum")
 
 
 def test_undo_takes_the_last_change_back(blender: Session) -> None:

@@ -18,11 +18,12 @@ from tests.space.test_train import Killed, killed_after
 from tests.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture, load_images
 from tg4mm.errors import Tg4mmError
-from tg4mm.motion import MotionConfig, device
+from tg4mm.motion import MotionConfig, device, meetings
 from tg4mm.motion import train as stage
 from tg4mm.motion.apply import mover
-from tg4mm.motion.device import DeviceProblem, DeviceView, device_view
+from tg4mm.motion.device import DeviceProblem
 from tg4mm.motion.linear import DOF, RestView
+from tg4mm.motion.meetings import DeviceView, device_view
 from tg4mm.motion.solve import start, step
 from tg4mm.motion.train import train_motion
 from tg4mm.runs import Run
@@ -91,7 +92,7 @@ def test_working_in_parts_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> No
     scene = SCENES["crowded"]
     view, motion = view_of(scene), motion_of(scene, COLUMNS["both"])
     whole = device_view(view, "cpu", torch.float32)
-    monkeypatch.setattr(device, "_AT_ONCE", 1000)  # less than one tile's list
+    monkeypatch.setattr(meetings, "_AT_ONCE", 1000)  # less than one tile's list
     parts = device_view(view, "cpu", torch.float32)
     assert len(parts.pixel) == len(whole.pixel) > 5 * 1000
     assert_close("push", pushed(parts, motion), pushed(whole, motion), 1e-5)

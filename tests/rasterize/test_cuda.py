@@ -22,11 +22,23 @@ from tg4mm.rasterize.kernels.layout import ALPHA_MAX, ALPHA_MIN, T_MIN
 WITHOUT = 'gsplat is not installed (pip install "tg4mm[cuda]")'
 
 
-def fake(monkeypatch: pytest.MonkeyPatch, projection: Any, backend: types.ModuleType) -> None:
+def harmonics_of_1_5(degrees_to_use: Any, dirs: Any, coeffs: Any) -> None: ...
+
+
+def harmonics_of_1_6(degrees_to_use: Any, means: Any, viewmats: Any, coeffs: Any) -> None: ...
+
+
+def fake(
+    monkeypatch: pytest.MonkeyPatch,
+    projection: Any,
+    backend: types.ModuleType,
+    harmonics: Any = harmonics_of_1_5,
+) -> None:
     """A gsplat of which the check sees no more than this."""
     package, cuda = types.ModuleType("gsplat"), types.ModuleType("gsplat.cuda")
     package.__version__ = "1.2.3"  # type: ignore[attr-defined]
     package.fully_fused_projection = projection  # type: ignore[attr-defined]
+    package.spherical_harmonics = harmonics  # type: ignore[attr-defined]
     package.__path__, cuda.__path__ = [], []
     modules = {"gsplat": package, "gsplat.cuda": cuda, "gsplat.cuda._backend": backend}
     for name, module in modules.items():
@@ -63,6 +75,12 @@ def test_none_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_an_old_one_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     fake(monkeypatch, old, backend(object()))
     with one_line("gsplat 1.2.3 is too old"):
+        require_gsplat()
+
+
+def test_a_newer_one_with_other_pictures_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    fake(monkeypatch, new, backend(object()), harmonics_of_1_6)
+    with one_line("gsplat 1.2.3 is too new"):
         require_gsplat()
 
 

@@ -7,22 +7,34 @@ import pytest
 import torch
 from numba import njit
 
+from tg4mm.rasterize.kernels.lanes import (
+    lane_sums,
+    load,
+    load_block,
+    mark,
+    planes_of_rows,
+    rows_of_planes,
+    store,
+    store_block,
+)
 from tg4mm.rasterize.kernels.sh import basis, basis_vjp
-from tg4mm.rasterize.kernels.vector import LANES, bits, exp2, lane_sums, load, select, store, store_ten
+from tg4mm.rasterize.kernels.tiles import TABLE, constants
+from tg4mm.rasterize.kernels.vector import LANES, bits, exp2, lowest_bit, select
 from tg4mm.rasterize.reference import sh_colours
 
 
 @njit
-def _exp2(x: np.ndarray, out: np.ndarray) -> None:
+def _exp2(x: np.ndarray, table: np.ndarray, out: np.ndarray) -> None:
+    _, _, powers, _, _ = constants(table)
     for i in range(0, len(x), LANES):
-        store(out, i, exp2(load(x, i)))
+        store(out, i, exp2(load(x, i), powers))
 
 
 @njit
 def _lane_sums(x: np.ndarray, out: np.ndarray) -> None:
     a, b, c, d, e = load(x, 0), load(x, 16), load(x, 32), load(x, 48), load(x, 64)
     f, g, h, i, j = load(x, 80), load(x, 96), load(x, 112), load(x, 128), load(x, 144)
-    store_ten(out, 1, lane_sums(a, b, c, d, e, f, g, h, i, j))
+    store(out, 1, lane_sums(a, b, c, d, e, f, g, h, i, j))
 
 
 @njit
@@ -30,6 +42,38 @@ def _positive(x: np.ndarray, out: np.ndarray) -> int:
     value = load(x, 0)
     store(out, 0, select(value > np.float32(0), value, np.float32(-2)))
     return bits(value > np.float32(0))
+
+
+@njit
+def _planes(x: np.ndarray, out: np.ndarray, back: np.ndarray) -> None:
+    a, b, c, d = planes_of_rows(load(x, 0), load(x, 16), load(x, 32), load(x, 48))
+    store(out, 0, a)
+    store(out, 16, b)
+    store(out, 32, c)
+    store(out, 48, d)
+    a, b, c, d = rows_of_planes(a, b, c, d)
+    store(back, 0, a)
+    store(back, 16, b)
+    store(back, 32, c)
+    store(back, 48, d)
+
+
+@njit
+def _block(x: np.ndarray, at: int, width: int, block: np.ndarray, out: np.ndarray) -> None:
+    value = load_block(x, at, width)
+    store(block, 0, value)
+    store_block(out, at, width, value)
+
+
+@njit
+def _mark(x: np.ndarray, marks: np.ndarray) -> None:
+    for k in range(len(x) // LANES):
+        mark(marks, LANES, load(x, k * LANES) > np.float32(0), np.uint32(1) << np.uint32(k))
+
+
+@njit
+def _lowest_bits(x: np.uint32, y: np.uint64) -> tuple[int, int]:
+    return lowest_bit(x), lowest_bit(y)
 
 
 @njit
@@ -45,17 +89,18 @@ def _basis_vjp(degree: int, d: np.ndarray, v: np.ndarray) -> tuple[float, float,
 def test_exp2_is_as_accurate_as_it_says() -> None:
     x = -np.linspace(0, 126, 400_000, dtype=np.float32)
     out = np.empty_like(x)
-    _exp2(x, out)
+    _exp2(x, TABLE, out)
     assert np.abs(out.astype(np.float64) / np.exp2(x.astype(np.float64)) - 1).max() < 3e-7
     assert out[0] == 1.0
 
 
 def test_lane_sums_keep_the_vectors_apart() -> None:
     x = np.random.default_rng(0).normal(size=(10, LANES)).astype(np.float32)
-    out = np.full(12, 9.0, np.float32)
+    out = np.full(18, 9.0, np.float32)
     _lane_sums(x.ravel(), out)
     np.testing.assert_allclose(out[1:11], x.sum(1, dtype=np.float64), atol=1e-5)
-    assert out[0] == out[11] == 9.0
+    np.testing.assert_array_equal(out[11:17], 0)
+    assert out[0] == out[17] == 9.0
 
 
 def test_masks_and_selection() -> None:
@@ -64,6 +109,41 @@ def test_masks_and_selection() -> None:
     mask = _positive(x, out)
     np.testing.assert_array_equal(out, np.where(x > 0, x, np.float32(-2.0)))
     assert [mask >> k & 1 for k in range(LANES)] == (x > 0).astype(int).tolist()
+
+
+def test_rows_of_pixels_become_planes_of_channels_and_back() -> None:
+    """Four rows of four pixels of four channels."""
+    x = np.arange(64, dtype=np.float32)
+    out, back = np.empty_like(x), np.empty_like(x)
+    _planes(x, out, back)
+    np.testing.assert_array_equal(out.reshape(4, 16), x.reshape(16, 4).T)
+    np.testing.assert_array_equal(back, x)
+
+
+def test_a_block_is_four_pieces_of_rows() -> None:
+    x = np.arange(60, dtype=np.float32).reshape(6, 10)
+    block, out = np.empty(16, np.float32), np.full_like(x, -1)
+    _block(x.ravel(), 13, 10, block, out.ravel())
+    np.testing.assert_array_equal(block.reshape(4, 4), x[1:5, 3:7])
+    expected = np.full_like(x, -1)
+    expected[1:5, 3:7] = x[1:5, 3:7]
+    np.testing.assert_array_equal(out, expected)
+
+
+def test_marks_gather_a_bit_of_every_mask() -> None:
+    x = np.random.default_rng(2).normal(size=(32, LANES)).astype(np.float32)
+    marks = np.zeros(3 * LANES, np.uint32)
+    _mark(x.ravel(), marks)
+    expected = ((x > 0) * (1 << np.arange(32, dtype=np.uint64))[:, None]).sum(0)
+    np.testing.assert_array_equal(marks[LANES : 2 * LANES], expected)
+    assert not marks[:LANES].any()
+    assert not marks[2 * LANES :].any()
+
+
+@pytest.mark.parametrize("bit", [0, 1, 17, 31])
+def test_the_lowest_bit_is_found_in_words_of_either_width(bit: int) -> None:
+    found = _lowest_bits(np.uint32(0xC0000000 | 1 << bit), np.uint64(1 << 63 | 1 << (bit + 30)))
+    assert found == (min(bit, 30), bit + 30)
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])

@@ -9,7 +9,8 @@ import torch
 
 from tests.rasterize.oracle import make_scene, render
 from tg4mm.rasterize.kernels.binning import bin_splats, gather_gradient
-from tg4mm.rasterize.kernels.blend import blend_backward, blend_forward
+from tg4mm.rasterize.kernels.blend import blend_forward
+from tg4mm.rasterize.kernels.blend_backward import blend_backward
 from tg4mm.rasterize.kernels.layout import (
     ALPHA_MIN,
     CA,
@@ -92,7 +93,7 @@ def test_it_is_the_adjoint_of_the_backward_pass(name: str, columns: slice) -> No
     v_image[..., 3:] = 0
     v_transmittance = rng.normal(size=transmittance.shape).astype(np.float32)
     bins = bin_splats(splats, WIDTH, HEIGHT)
-    v_pairs = np.empty((len(bins.pair_gaussian), FEAT + FEATURES), np.float32)
+    v_pairs = np.empty((len(bins.pair_gaussian), splats.shape[1]), np.float32)
     blend_backward(
         splats, bins.tile_start, bins.pair_gaussian, WIDTH, HEIGHT,
         image, transmittance, v_image, v_transmittance, v_pairs,

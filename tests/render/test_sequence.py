@@ -23,6 +23,21 @@ def stamps(folder):
     return {path: path.stat().st_mtime_ns for path in folder.rglob("*.png")}
 
 
+@pytest.mark.parametrize("slow", [1e9, 1e-9])
+def test_a_video_that_no_player_plays_is_refused_before_rendering(run, cameras, tmp_path, slow):
+    with pytest.raises(RunError, match=r"a video of .* pictures a second: expected 0.01 … 10000; see --slow"):
+        render_sequence(run, cameras, RenderRequest(slow=slow), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    render_sequence(run, cameras, RenderRequest(slow=slow), tmp_path / "out", timesteps=[0], video=False)
+
+
+@pytest.mark.parametrize("alpha", [1e308, -1e7])
+def test_a_magnification_beyond_all_measure_is_refused(run, cameras, tmp_path, alpha):
+    with pytest.raises(RunError, match=r"--alpha .*: must be within ±1e\+06"):
+        render_sequence(run, cameras, RenderRequest(alpha=alpha), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.parametrize("alpha", [0, 20])
 def test_the_exact_model_renders_its_ground_truth(run, cameras, dataset, tmp_path, alpha):
     out = render_sequence(run, cameras, RenderRequest(alpha=alpha), tmp_path / "out", video=False)

@@ -74,8 +74,8 @@ def test_a_video_of_files_runs_for_some_seconds(tmp_path):
     ("frames", "fps", "message"),
     [
         ([], 30.0, "no frames"),
-        ([flat(0)], 0.0, "0.0 frames per second"),
-        ([flat(0)], float("nan"), "nan frames per second"),
+        ([flat(0)], 0.0, "a video of 0 pictures a second"),
+        ([flat(0)], float("nan"), "a video of nan pictures a second"),
         ([flat(0), flat(0, 26)], 30.0, "different sizes"),
     ],
 )

@@ -24,6 +24,7 @@ from tg4mm.runs import Run
 from tg4mm.space import RestViews, SpaceConfig, rest_views, train_space
 from tg4mm.space import train as stage
 from tg4mm.space import view as view_module
+from tg4mm.space.checkpoint import pictures_digest
 from tg4mm.space.view import RenderedView, _render_cuda, render_view
 
 SCENE = make_scene(0)
@@ -170,7 +171,7 @@ def test_a_checkpoint_with_a_second_generator_comes_back(
     fit.draws = torch.Generator().manual_seed(5)
     assert "draws" in fit.tensors()
     run = new_run()
-    run.save_checkpoint("space", fit.tensors(), fit.state(extent))
+    fit.save(run, extent, pictures_digest(views))
     checkpoint = run.load_checkpoint("space")
     assert checkpoint is not None
     back, _ = stage._restored(checkpoint, "cpu")

@@ -9,7 +9,17 @@ from torch import Tensor
 
 from tests.space.test_parameters import gradients, take_step
 from tg4mm.rasterize.reference import rotation_matrices
-from tg4mm.space.density import APART, DIM, SHRINK, control_density, is_due, split_rows
+from tg4mm.space.density import (
+    APART,
+    CAUGHT_UP,
+    DIM,
+    EVERY,
+    SHRINK,
+    control_density,
+    growth,
+    is_due,
+    split_rows,
+)
 from tg4mm.space.parameters import ParameterAdam
 
 EXTENT = 2.0
@@ -84,6 +94,36 @@ def test_growth_is_a_tenth_beside_what_was_removed() -> None:
     change = control_density(adam, torch.ones(40), EXTENT, 1000, generator())
     assert (change.removed, change.split) == (5, 4 + 5)
     assert len(adam.parameters["means"]) == 40 - 5 + 9
+
+
+@pytest.mark.parametrize(("start", "most", "iterations"), [(150, 10_000, 2_000), (4, 9_000, 20_000)])
+def test_a_start_far_below_the_budget_reaches_it_in_time(start: int, most: int, iterations: int) -> None:
+    """In equal steps, where tenths would end at a fraction of it."""
+    n, counts = start, []
+    for iteration in filter(lambda i: is_due(i, iterations), range(1, iterations)):
+        n = min(most, n + int(growth(n, most, iteration, iterations) * n))
+        counts.append(n)
+        if iteration + EVERY > CAUGHT_UP * iterations:
+            break
+    assert counts[-1] >= 0.95 * most
+    if start > 10:  # below, whole Gaussians are coarse steps
+        steps = np.array([start, *counts])
+        assert np.ptp(steps[1:] / steps[:-1]) < 0.1
+
+
+@pytest.mark.parametrize(("n", "iteration"), [(10_000, 200), (9_900, 200), (40_000, 3_000), (50_000, 9_000)])
+def test_a_start_near_the_budget_grows_by_tenths(n: int, iteration: int) -> None:
+    """10,000 points of the hull and 40,000 Gaussians over 10,000 iterations."""
+    most = 40_000 if n < 40_000 else n
+    assert growth(n, most, iteration, 10_000) == pytest.approx(0.1)
+
+
+def test_the_late_and_the_hopeless_double() -> None:
+    assert growth(100, 10_000, 1_900, 2_000) == 1.0
+    assert growth(0, 10_000, 200, 2_000) == 1.0
+    adam = ParameterAdam(parameters(40), EXTENT)
+    control_density(adam, torch.ones(40), EXTENT, 1000, generator(), share=1.0)
+    assert len(adam.parameters["means"]) == 80
 
 
 def test_faded_and_huge_gaussians_are_removed_and_never_split() -> None:

@@ -113,8 +113,8 @@ def test_a_step_is_adams_for_given_gradients() -> None:
 
 
 def stage_rates(progress: float) -> dict[str, float]:
-    rates = {"quats": 2e-3, "log_scales": 1e-2, "logits": 3e-2, "sh0": 5e-3, "shn": 2.5e-4}
-    return {"means": 4e-4 * EXTENT * 0.01**progress} | rates
+    rates = {"quats": 2e-3, "log_scales": 2e-2, "logits": 4.5e-2, "sh0": 7.5e-3, "shn": 7.5e-4}
+    return {"means": 1.6e-3 * EXTENT * 0.01**progress} | rates
 
 
 def test_coefficients_no_view_has_asked_for_stay_as_they_are() -> None:

@@ -54,7 +54,7 @@ def test_initial_gaussians_are_round_and_show_the_colour(degree: int) -> None:
 def rate(name: str, progress: float) -> float:
     """The schedule in words: means fall to 1 % exponentially, the others to 10 % over the second half."""
     if name == "means":
-        return 4e-4 * EXTENT * 0.01**progress
+        return 1.6e-3 * EXTENT * 0.01**progress
     return LEARNING_RATES[name] * (1 if progress <= 0.5 else 0.1 ** ((progress - 0.5) / 0.5))
 
 

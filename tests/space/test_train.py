@@ -230,3 +230,27 @@ def test_the_degree_asked_for_is_the_degree_made(
     assert gaussians.sh_degree == degree
     if degree:
         assert (gaussians.sh[:, 9:].abs().amax() > 0).all()
+
+
+def test_a_few_points_grow_to_the_budget(
+    views: RestViews, points: SurfacePoints, data: Path, new_run: Callable[[], Run]
+) -> None:
+    """As few as SfM finds."""
+    few = SurfacePoints(points.xyz[::13], points.rgb[::13])
+    assert len(few.xyz) < 70
+    gaussians = train_space(new_run(), views, few, SpaceConfig(iterations=1000, max_gaussians=1500))
+    assert len(gaussians) > 0.9 * 1500
+    assert psnr_of_test_views(gaussians, data) > 28.0
+
+
+@pytest.mark.parametrize("given", [True, False])
+def test_one_camera_keeps_its_gaussians(
+    given: bool, views: RestViews, points: SurfacePoints, new_run: Callable[[], Run]
+) -> None:
+    """It says nothing of depth, but its own picture can be fitted, from points or from the hull's cone."""
+    one = RestViews(*(getattr(views, name)[:1] for name in ("viewmats", "Ks", "rgb", "alpha", "images")))
+    run = new_run()
+    config = SpaceConfig(iterations=400, max_gaussians=800, init_points=600)
+    gaussians = train_space(run, one, points if given else None, config)
+    assert len(gaussians) > 300
+    assert run.log()["space"]["psnr_train"] > 25.0

@@ -11,6 +11,7 @@ from tg4mm.capture.records import Record, read_record
 from tg4mm.errors import CaptureError
 
 FORMAT_VERSION = 1
+_FASTEST = 1e9  # Hz
 # Keys that nothing here needs but others read: their type is checked, null counts as absent.
 _NUMBERS = ("frequency_hz", "amplitude")
 _COUNTS = ("width", "height", "n_train", "n_test")
@@ -43,7 +44,7 @@ def read_scene(root: Path, needs_fps: bool) -> Scene:
     record = read_record(path)
     _check_types(record)
     return Scene(
-        fps=record.number("fps", low=0.0) if needs_fps or record.has("fps") else 0.0,
+        fps=record.number("fps", low=0.0, high=_FASTEST) if needs_fps or record.has("fps") else 0.0,
         n_timesteps=record.whole("n_timesteps", 1) if record.has("n_timesteps") else None,
         unit_scale_m=record.number("unit_scale_m", low=0.0) if record.has("unit_scale_m") else None,
         values=record.values,

@@ -41,6 +41,7 @@ def evaluate(
     rendered there; the metrics are computed on the CPU.
     """
     wanted, bands = parse_alphas(alphas), parse_bands(band)
+    chosen_filter = temporal_filter(filter, bands)
     from tg4mm.device import check_device
     from tg4mm.evaluate import evaluate_run, format_table
     from tg4mm.runs import Run
@@ -52,7 +53,7 @@ def evaluate(
         out=out,
         bands=bands,
         method=None if method is None else method.value,
-        filter=temporal_filter(filter),
+        filter=chosen_filter,
         lpips_weights=lpips_weights or None,
         device=device.value,
     )

@@ -48,7 +48,8 @@ def export(
         )
         belong = "belong" if alpha or band else "belongs"
         raise Tg4mmError(f"{named} {belong} to --format ply-sequence; a splat file holds the motion itself")
-    magnified = paired(alpha or [0.0], parse_bands(band))
+    bands = parse_bands(band)
+    magnified, chosen_filter = paired(alpha or [0.0], bands), temporal_filter(filter, bands)
     from tg4mm.export import export_ply, export_ply_sequence
     from tg4mm.render import RenderRequest
     from tg4mm.runs import Run
@@ -58,6 +59,6 @@ def export(
         export_ply(opened, out)
     else:
         chosen = None if method is None else method.value
-        request = RenderRequest(method=chosen, filter=temporal_filter(filter), **magnified)
+        request = RenderRequest(method=chosen, filter=chosen_filter, **magnified)
         export_ply_sequence(opened, out, request=request)
     typer.echo(str(out))

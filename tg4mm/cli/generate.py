@@ -18,7 +18,10 @@ def generate(context: typer.Context) -> None:
 
 
 def run_generator(arguments: Sequence[str]) -> int:
-    """Run `python -m dataset_gen` and return its exit code. Raises Tg4mmError where it is not installed."""
+    """Run `python -m dataset_gen` and return its exit code, 1 if it was killed.
+
+    Raises Tg4mmError where it is not installed.
+    """
     for module, remedy in (
         ("dataset_gen", "reinstall tg4mm"),
         ("bpy", "pip install 'tg4mm[generate]' (bpy 4.5 needs Python 3.11)"),
@@ -28,7 +31,14 @@ def run_generator(arguments: Sequence[str]) -> int:
     command = [sys.executable, "-m", "dataset_gen", *arguments]
     with subprocess.Popen(command) as child:
         try:
-            return child.wait()
+            status = child.wait()
         except KeyboardInterrupt:
             child.wait()  # Ctrl+C went to it too; it ends at a whole picture
             raise
+    if status < 0:
+        typer.echo(
+            f"tg4mm: the generator was ended by signal {-status}; the same command goes on from there",
+            err=True,
+        )
+        return 1
+    return status

@@ -98,7 +98,10 @@ def paired(alphas: Sequence[float], bands: Sequence[tuple[float, float]]) -> dic
     return {"bands": gains}
 
 
-def temporal_filter(kind: Filter | None) -> TemporalFilter | None:
+def temporal_filter(kind: Filter | None, bands: Sequence[object]) -> TemporalFilter | None:
+    """The filter asked for. Raises Tg4mmError where there is no band to filter by."""
+    if kind is not None and not bands:
+        raise Tg4mmError(f"--filter {kind.value} goes with --band: without one nothing is filtered")
     from tg4mm.magnify import TemporalFilter
 
     return None if kind is None else TemporalFilter(kind.value)

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from tg4mm import __version__
+from tg4mm.cli.bench import bench
 from tg4mm.cli.demo import demo
 from tg4mm.cli.evaluate import evaluate
 from tg4mm.cli.export import export
@@ -23,6 +24,7 @@ BAD_INPUT, INTERRUPTED = 2, 130
 # What the extra `core` brings; without it the commands that train, render or evaluate cannot run.
 _CORE = {
     "torch",
+    "filelock",
     "numba",
     "scipy",
     "skimage",
@@ -55,6 +57,7 @@ app.command(context_settings=_PASS_ALL)(generate)
 app.command()(train)
 for _command in (render, evaluate, export, sfm):
     app.command(cls=BandsCommand)(_command)
+app.add_typer(bench, name="bench")
 
 
 def _version(wanted: bool) -> None:

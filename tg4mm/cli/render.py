@@ -56,7 +56,10 @@ def render(
         raise Tg4mmError(f"{given[0]} and {given[1]} exclude each other")
     if orbit is not None and not video:
         raise Tg4mmError("--no-video and --orbit exclude each other: an orbit is a video")
-    magnified = paired(alpha, parse_bands(band))
+    if slow != 1 and not video:
+        raise Tg4mmError(f"--slow {slow:g} and --no-video exclude each other: only videos have a speed")
+    bands = parse_bands(band)
+    magnified, chosen_filter = paired(alpha, bands), temporal_filter(filter, bands)
     from tg4mm.device import check_device
     from tg4mm.render import RenderRequest, render_orbit, render_sequence
     from tg4mm.runs import Run
@@ -64,7 +67,7 @@ def render(
     check_device(device.value)
     opened = Run.open(run)
     chosen_method = None if method is None else method.value
-    request = RenderRequest(slow=slow, method=chosen_method, filter=temporal_filter(filter), **magnified)
+    request = RenderRequest(slow=slow, method=chosen_method, filter=chosen_filter, **magnified)
     if orbit is not None:
         render_orbit(opened, orbit_cameras(opened, orbit), request, out, device=device.value)
     else:

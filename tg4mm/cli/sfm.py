@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from tg4mm.errors import Tg4mmError
+
 
 class Intrinsics(StrEnum):
     """Who shares a focal length and a lens."""
@@ -79,6 +81,8 @@ def sfm(
     The dataset's pictures are undistorted; its world has Z up, the scene in the middle and the cameras about
     4 units away. Fixed cameras get one pose each for all their frames.
     """
+    if threads < 0:
+        raise Tg4mmError(f"--threads is {threads}, expected 0 (all cores) or more")
     from tg4mm.sfm.reconstruct import SfmConfig, reconstruct
 
     config = SfmConfig(
@@ -93,7 +97,7 @@ def sfm(
         test_every=test_every,
         seed=seed,
     )
-    report = reconstruct(images, out, config, threads if threads > 0 else -1)
+    report = reconstruct(images, out, config, threads or -1)
     typer.echo(
         f"{report['placed']} of {report['pictures']} pictures placed, {report['points']} points, "
         f"{report['reprojection_error_px']:.2f} px",

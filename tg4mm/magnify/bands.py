@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -14,6 +13,7 @@ from tg4mm.errors import Tg4mmError
 from tg4mm.magnify.filters import TemporalFilter
 
 METHODS = ("modal", "linear", "phase")
+LARGEST_ALPHA = 1e6  # either way; a micrometre becomes a metre, and far beyond it float32 overflows
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class BandGain:
     """A displacement δ of a frequency inside the band (both ends included) becomes (1 + alpha) δ.
 
     alpha 0 leaves it, −1 takes it out; between them it is attenuated. Below −1 the motion is turned round:
-    it runs |1 + alpha| times as far, in opposite phase. It is plain arithmetic, with no limit either way.
+    it runs |1 + alpha| times as far, in opposite phase.
     """
 
     low: float  # Hz
@@ -54,8 +54,8 @@ class Magnification:
         if self.filter is not None:
             self.filter.checked()
         for alpha in (self.everywhere, *(b.alpha for b in self.bands)):
-            if not math.isfinite(alpha):
-                raise Tg4mmError(f"alpha is {alpha}, expected a finite number")
+            if not abs(alpha) <= LARGEST_ALPHA:
+                raise Tg4mmError(f"alpha is {alpha}, expected a finite number within ±{LARGEST_ALPHA:g}")
         if self.bands and self.everywhere != 0:
             raise Tg4mmError(f"alpha {self.everywhere:g} for all frequencies and bands exclude each other")
         check_bands([b.band for b in self.bands], fps)

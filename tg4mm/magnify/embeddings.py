@@ -11,11 +11,15 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import torch
+from filelock import FileLock, Timeout
 
 from tg4mm.files import write_json
 from tg4mm.gaussians import Gaussians
@@ -24,9 +28,10 @@ from tg4mm.magnify.filters import bins
 from tg4mm.magnify.linear import magnified_series
 from tg4mm.magnify.phase import PhaseMagnifier
 from tg4mm.magnify.pyramid import PyramidConfig
+from tg4mm.modelhash import model_hash
 from tg4mm.paper.model import PaperModel, load_model, plane_video
 from tg4mm.progress import progress
-from tg4mm.runs import Run, model_hash
+from tg4mm.runs import Run
 from tg4mm.triplane import Cells, Decoder
 
 _VERSION = 1  # of how they are made: raise it when the same request would give other numbers
@@ -89,12 +94,29 @@ def _stored(
     folder, name = run.path / FOLDER, digest(run, method, plan)
     shape = (3 * model.channels, n_timesteps, len(model.points))
     target = folder / f"{name}.f32"
-    if not target.is_file() or target.stat().st_size != 4 * int(np.prod(shape)):
-        folder.mkdir(exist_ok=True)
-        _make(run, model, method, plan.response(bins(n_timesteps, fps), fps), target, shape)
+    folder.mkdir(exist_ok=True)
+    with _alone(target):
+        if not target.is_file() or target.stat().st_size != 4 * int(np.prod(shape)):
+            _make(run, model, method, plan.response(bins(n_timesteps, fps), fps), target, shape)
     os.utime(target)
     _prune(folder, target)
     return np.memmap(target, np.float32, "r", shape=shape)
+
+
+@contextmanager
+def _alone(target: Path) -> Iterator[None]:
+    """Wait for another process that makes the same file: two would write into one."""
+    lock = FileLock(target.with_suffix(".lock"))
+    try:
+        lock.acquire(blocking=False)
+    except Timeout:
+        warnings.warn(f"waiting for another process that makes {target}", stacklevel=2)
+        lock.acquire()
+    try:
+        yield
+    finally:
+        target.with_suffix(".lock").unlink(missing_ok=True)
+        lock.release()
 
 
 def _make(

@@ -1,10 +1,10 @@
 """What two halves of the cameras agree on: components of noise fade, and every Gaussian gets an uncertainty.
 
-Noise of rendering or of a sensor is another in every camera, motion is the same in all. So the fit is done with all
-cameras, and with each half of them alone, the prior half as strong. Where the halves' fields a and b agree, the fit u
-of all is kept; where they do not, it is drawn to zero, by the gain that brings it nearest to the truth on average
-(Wiener's): Σ a·b / Σ |u|², one for each temporal component. What the prior does wrong is wrong alike in both halves
-and stays.
+Noise of rendering or of a sensor is another in every camera, motion is the same in all. So the cameras are fitted in
+two halves, the prior half as strong in each, which costs as much as one fit to all of them. Where the halves' fields
+a and b agree, their mean u is kept; where they do not, it is drawn to zero, by the gain that brings it nearest to the
+truth on average (Wiener's): Σ a·b / Σ |u|², one for each temporal component. What the prior does wrong is wrong alike
+in both halves and stays.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def halves(n_cameras: int) -> list[np.ndarray]:
 
 
 def agreed_gain(whole: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """[R] float32, 0 to 1: what to multiply R fields [R, N, 3] by, fitted to all cameras and to one half each."""
+    """[R] float32, 0 to 1: what to multiply R fields [R, N, 3] by, the means of those fitted to one half each."""
     both = np.einsum("rnc,rnc->r", a, b, dtype=np.float64)
     power = np.einsum("rnc,rnc->r", whole, whole, dtype=np.float64)
     return np.clip(both / np.maximum(power, np.finfo(np.float32).tiny), 0, 1).astype(np.float32)

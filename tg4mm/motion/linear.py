@@ -18,7 +18,8 @@ from tg4mm.rasterize.kernels.binning import Bins, bin_splats, gather_gradient
 from tg4mm.rasterize.kernels.blend import blend_forward
 from tg4mm.rasterize.kernels.layout import ALPHA_MIN, FEATURES
 from tg4mm.rasterize.kernels.linearised import COLUMNS, blend_cotangents, blend_tangents
-from tg4mm.rasterize.kernels.project import empty_splats, pack_camera, project_backward, project_forward
+from tg4mm.rasterize.kernels.project import empty_splats, pack_camera, project_forward
+from tg4mm.rasterize.kernels.project_backward import project_backward
 from tg4mm.space.view import EPS2D, FAR, NEAR, WHITE
 
 # A picture's cut-off at 1/255 takes the rim off every Gaussian. The rim moves along: as a step, of which a derivative

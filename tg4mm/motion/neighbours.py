@@ -36,8 +36,17 @@ class Neighbourhoods:
         Rigid motions cost nothing; what bends or stretches does.
         """
         left = self._differences @ u - np.cross(self.rotations(u)[self._owner], self._arms)
-        turn = np.cross(self._arms, left).reshape(len(u), -1, 3).sum(1)
-        return ((self._differences.T @ left - self.from_rotations(turn)) * self._scale).astype(np.float32)
+        return (self._from_strains(left) * self._scale).astype(np.float32)
+
+    def from_random_strains(self, rng: np.random.Generator) -> np.ndarray:
+        """[N, 3] whose squares are the diagonal of `stiffness` on average."""
+        signs = rng.choice(np.array([-1, 1], np.float32), self._arms.shape)
+        return np.asarray(self._from_strains(signs) * np.float32(self._scale**0.5))
+
+    def _from_strains(self, strains: np.ndarray) -> np.ndarray:
+        """The transpose of u -> √w_ij (u_j − u_i − ω_i × (x_j − x_i)): [M, 3] -> [N, 3]."""
+        turn = np.cross(self._arms, strains).reshape(self._differences.shape[1], -1, 3).sum(1)
+        return np.asarray(self._differences.T @ strains - self.from_rotations(turn))
 
 
 def neighbourhoods(means: np.ndarray, count: int = COUNT) -> Neighbourhoods:

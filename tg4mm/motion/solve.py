@@ -54,13 +54,15 @@ def step_all(
     images = operator([states[k].direction for k in open_]) if open_ else []
     out = list(states)
     for k, image in zip(open_, images, strict=True):
-        out[k] = _stepped(states[k], image)
+        out[k] = stepped(states[k], image)
     return out
 
 
-def _stepped(state: CGState, image: Array) -> CGState:
-    """The next state; `image` is the operator applied to the direction."""
+def stepped(state: CGState, image: Array) -> CGState:
+    """The next state; `image` is the operator applied to the direction. An exact one stays as it is."""
     before = state.squared_residual
+    if before == 0:
+        return state
     length = before / _inner(state.direction, image)
     residual = _cast(state.residual - length * image, state.x)
     new = replace(

@@ -10,7 +10,7 @@ import math
 import time
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -23,6 +23,7 @@ from tg4mm.device import gpu_figures, reset_gpu_peak
 from tg4mm.errors import Tg4mmError
 from tg4mm.gaussians import Gaussians
 from tg4mm.memory import peak_memory_mib
+from tg4mm.motion.condition import Diagonals, conditioned, diagonals
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.device import DeviceProblem
 from tg4mm.motion.differences import fixed_cameras, phasors, temporal_components
@@ -34,6 +35,7 @@ from tg4mm.motion.problem import MotionProblem, information_scale
 from tg4mm.motion.sight import sight_ratio
 from tg4mm.motion.solve import CGState, placed, start, step_all
 from tg4mm.motion.triplane import sampling_matrix
+from tg4mm.motion.weight import CANDIDATES, DEFAULT, chosen_weight
 from tg4mm.progress import progress
 from tg4mm.runs import Run
 
@@ -41,6 +43,7 @@ CHECKPOINT_EVERY_S = 20.0
 TOGETHER = (
     8  # components that share a pass over the views: half the time of eight passes, memory for eight fields
 )
+_STATE = 2  # of a checkpoint: one of another version is begun anew, as its fields are of other parameters
 UNCERTAINTY = "uncertainty"  # part of the run: [N] float32, see `_Stage.agreed`
 _STAGE = "motion"
 
@@ -66,7 +69,7 @@ def checked(config: MotionConfig) -> MotionConfig:
 class _Fit:
     """Where the fit stands: `shapes` [P R, N, DOF], the first `component` of them found, and what is being solved.
 
-    All cameras' R components come first, then, where the cameras are halved (P = 3), those of each half.
+    Where the cameras are halved (P = 2), those of the first half come first.
     """
 
     shapes: np.ndarray
@@ -89,10 +92,9 @@ class _Fit:
 def _restored(checkpoint: tuple[dict[str, Tensor], dict[str, Any]], device: str = "cpu") -> _Fit:
     tensors, state = checkpoint
     a = {k: v.numpy() for k, v in tensors.items()}
-    # version 0.1.0 solved for one component at a time and wrote "cg": such a component is begun anew
     cgs = [
         placed(CGState(a["x"][k], a["residual"][k], a["direction"][k], **numbers), device)
-        for k, numbers in enumerate(state.get("cgs", []))
+        for k, numbers in enumerate(state["cgs"])
     ]
     return _Fit(a["shapes"], state["component"], cgs)
 
@@ -113,6 +115,7 @@ class _Stage:
         config: MotionConfig,
         began: float,
         device: str = "cpu",
+        neighbours: float | None = None,
     ) -> None:
         self.run, self.config, self.device = run, config, device
         self.fps, self.n_timesteps = capture.fps, capture.n_timesteps
@@ -121,18 +124,34 @@ class _Stage:
         size = (capture.width, capture.height)
         views = [rest_view(gaussians, camera, size) for camera in self.cameras]
         means = gaussians.means.numpy()
-        scale = information_scale(views, len(means), np.random.default_rng(config.seed))
-        problem = MotionProblem(
-            views, sampling_matrix(means, config.triplane), neighbourhoods(means), scale, config
-        )
-        whole: MotionProblem | DeviceProblem = problem if device == "cpu" else DeviceProblem(problem, device)
-        self.parts = [np.arange(len(views)), *(halves(len(views)) if config.halves else [])]
-        self.problems = [whole, *(whole.of_views(rows) for rows in self.parts[1:])]
+        rng = np.random.default_rng(config.seed)
+        scale = information_scale(views, len(means), rng)
+        sampling, around = sampling_matrix(means, config.triplane), neighbourhoods(means)
+        problem = MotionProblem(views, sampling, around, scale, config)
+        self.parts = (halves(len(views)) if config.halves else []) or [np.arange(len(views))]
+        self.neighbours, whole = self._posed(problem, diagonals(problem, rng), neighbours)
+        self.problems = [whole.of_views(rows) for rows in self.parts]
         self.means = means
         if len(views) == 1:
             _warn_of_depth(sight_ratio(views[0], self.cameras[0], means, config.seed))
         self.saved = time.monotonic()
         self.began = began  # what log.json does not hold yet
+
+    def _posed(
+        self, problem: MotionProblem, known: Diagonals, neighbours: float | None
+    ) -> tuple[float, MotionProblem | DeviceProblem]:
+        """The weight of the neighbours, from a checkpoint, the settings or the images, and the problem with it."""
+        asked = self.config.neighbours or (DEFAULT if len(self.parts) == 1 else 0.0)
+        weights = [asked] if asked else [neighbours] if neighbours else list(CANDIDATES)
+        posed: list[Any] = [
+            conditioned(replace(problem, config=replace(self.config, neighbours=w)), known) for w in weights
+        ]
+        if self.device != "cpu":
+            there = DeviceProblem(posed[0], self.device)
+            posed = [there, *(there.posed_as(p) for p in posed[1:])]
+        if len(weights) > 1:
+            weights = [chosen_weight(posed, self.parts, self.components.images[:, 0])]
+        return weights[0], next(p for p in posed if p.config.neighbours == weights[0])
 
     def agreed(self, shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray | None, dict[str, Any]]:
         """From all fields [P R, N, DOF]: the final ones [R, N, DOF], the uncertainty [N], figures for the log.
@@ -142,7 +161,8 @@ class _Stage:
         """
         if len(self.parts) == 1:
             return shapes, None, {}
-        whole, a, b = np.split(shapes, 3)
+        a, b = np.split(shapes, 2)
+        whole = (a + b) / 2
         gain = agreed_gain(whole[..., :3], a[..., :3], b[..., :3])
         noise = deviation(a[..., :3], b[..., :3], self.means)
         power = max(float((whole[..., :3] ** 2).sum()), 1e-30)
@@ -157,11 +177,8 @@ class _Stage:
     def fit(self, fit: _Fit) -> _Fit:
         """Solve for every component that is not solved yet. One unit of progress is one iteration of one of them."""
         n_fields = len(self.components.basis) * len(self.parts)
-        missing = n_fields - len(
-            fit.shapes
-        )  # all at the beginning; those of the halves in a checkpoint of 0.1.0
-        shape = (missing, len(self.means), DOF)
-        fit.shapes = np.concatenate([fit.shapes, np.zeros(shape, np.float32)])
+        if not len(fit.shapes):
+            fit.shapes = np.zeros((n_fields, len(self.means), DOF), np.float32)
         with progress("motion stage", n_fields * self.config.iterations, start=self._done(fit)) as update:
             while fit.component < n_fields:
                 self._solve(fit, update)
@@ -193,7 +210,8 @@ class _Stage:
             worst = max(cg.relative_residual for cg in fit.cgs)
             update(self._done(fit), components=f"{len(going)} at once", residual=round(worst, 4))
             if time.monotonic() - self.saved > CHECKPOINT_EVERY_S:
-                self.run.save_checkpoint(_STAGE, fit.tensors(), fit.state())
+                state = fit.state() | {"version": _STATE, "neighbours": self.neighbours}
+                self.run.save_checkpoint(_STAGE, fit.tensors(), state)
                 self.saved = time.monotonic()
                 self.run.record(_STAGE, {"seconds": self.saved - self.began})
                 self.began = self.saved
@@ -235,8 +253,11 @@ def train_motion(
     began = time.monotonic()
     gaussians = run.load_space()
     reset_gpu_peak(device)
-    stage = _Stage(run, capture, images, gaussians, config, began, device)
     checkpoint = run.load_checkpoint(_STAGE)
+    if checkpoint and checkpoint[1].get("version") != _STATE:
+        checkpoint = None
+    neighbours = checkpoint[1]["neighbours"] if checkpoint else None
+    stage = _Stage(run, capture, images, gaussians, config, began, device, neighbours)
     n_components = len(stage.components.basis)
     empty = np.zeros((0, len(gaussians), DOF), np.float32)
     fit = stage.fit(_restored(checkpoint, device) if checkpoint else _Fit(empty))
@@ -248,6 +269,7 @@ def train_motion(
         "peak_memory_mib": peak_memory_mib(),
         **gpu_figures(device),
         "components": n_components,
+        "neighbours": stage.neighbours,
         "views": len(stage.cameras),
         "n_frequencies": len(motion.freqs_hz),
         "explained_by_components": float(energy[:n_components].sum() / max(energy.sum(), 1e-30)),

@@ -24,6 +24,7 @@ class PaperConfig:
     learning_rate: float = 1e-4  # of Adam, fixed, both phases
     deviation: float = 1.0  # standard deviation of the space planes' first values
     residual: bool = True  # false: a timestep's planes replace the space planes (Fig. 8)
+    difference: bool = False  # true: phase 2 compares changes from timestep 0 with changes; false: Eq. (16)
     seed: int = 0
 
     def per_timestep(self, n_timesteps: int) -> int:

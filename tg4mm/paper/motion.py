@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -18,10 +19,12 @@ from tg4mm.motion.modal import ModalMotion
 from tg4mm.paper.config import PaperConfig
 from tg4mm.paper.fit import Fit, view_loss
 from tg4mm.paper.model import PaperModel, disk_mib, load_planes, planes_name, save_planes
+from tg4mm.paper.rest import AtRest, at_rest
 from tg4mm.paper.series import modal_of_series
 from tg4mm.paper.space import cameras_on, views_at
 from tg4mm.progress import Update, progress
 from tg4mm.runs import Run
+from tg4mm.space import RestViews
 from tg4mm.triplane import Decoder, sample
 
 CHECKPOINT_EVERY_S = 20.0
@@ -32,7 +35,16 @@ _STAGE = "motion"
 class _Stage:
     """The frozen model on its device, and the loop over timesteps."""
 
-    def __init__(self, run: Run, model: PaperModel, config: PaperConfig, began: float, device: str) -> None:
+    def __init__(
+        self,
+        run: Run,
+        model: PaperModel,
+        config: PaperConfig,
+        began: float,
+        device: str,
+        first: AtRest | None = None,
+    ) -> None:
+        self.first = first
         self.run, self.model, self.config, self.device = run, model, config, device
         self.cells = model.cells
         self.rest = model.rest_embedding.to(device)
@@ -47,7 +59,7 @@ class _Stage:
         checkpoint = self.run.load_checkpoint(_STAGE)
         if checkpoint is not None and checkpoint[1]["timestep"] == t:
             fit.restore(*checkpoint)
-        cameras = cameras_on(views, self.device)
+        cameras = cameras_on(self._compared(views), self.device)
         while fit.iteration < iterations:
             own = sample(fit.parameters["values"], self.cells)
             embedding = self.rest + own if self.model.residual else own
@@ -56,6 +68,14 @@ class _Stage:
             self._show(fit, t, iterations, update)
         self.loss = float(fit.loss)
         return fit.parameters["values"].detach().cpu()
+
+    def _compared(self, views: RestViews) -> RestViews:
+        """What phase 2 is compared with: the pictures; or, for the difference loss, what the model renders at rest plus
+        the pictures' change since timestep 0, so that |rendered − that| is |change rendered − change seen|."""
+        if self.first is None:
+            return views
+        same = [self.first.row_of(views, v) for v in range(len(views.rgb))]
+        return replace(views, rgb=views.rgb + self.first.missing[same])
 
     def _show(self, fit: Fit, t: int, iterations: int, update: Update) -> None:
         now = time.monotonic()
@@ -87,7 +107,8 @@ def train_timesteps(
     """
     began = time.monotonic()
     reset_gpu_peak(device)
-    stage = _Stage(run, model, config, began, device)
+    first = at_rest(model, views_at(capture, images, 0)) if config.difference else None
+    stage = _Stage(run, model, config, began, device, first)
     iterations = config.per_timestep(capture.n_timesteps)
     steps = range(1, capture.n_timesteps)
     todo = [t for t in steps if not run.has_part(planes_name(t))]

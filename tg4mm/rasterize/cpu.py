@@ -11,9 +11,11 @@ from torch import Tensor
 
 from tg4mm.rasterize.buffers import Buffers
 from tg4mm.rasterize.kernels.binning import Bins, bin_splats, gather_gradient
-from tg4mm.rasterize.kernels.blend import blend_backward, blend_forward
-from tg4mm.rasterize.kernels.layout import FEAT, FEATURES
-from tg4mm.rasterize.kernels.project import empty_splats, pack_camera, project_backward, project_forward
+from tg4mm.rasterize.kernels.blend import blend_forward
+from tg4mm.rasterize.kernels.blend_backward import blend_backward
+from tg4mm.rasterize.kernels.layout import FEATURES, SPLAT_WIDTH
+from tg4mm.rasterize.kernels.project import empty_splats, pack_camera, project_forward
+from tg4mm.rasterize.kernels.project_backward import project_backward
 
 
 @dataclass(frozen=True)
@@ -110,12 +112,13 @@ def _gradient_by_splats(
     """[N, SPLAT_WIDTH]; pictures: image and transmittance, and the gradients by them."""
     image, transmittance, v_image, v_transmittance = pictures
     bins = record.bins
-    v_pairs = buffers.take("v_pairs", (len(bins.pair_gaussian), FEAT + FEATURES))
+    v_pairs = buffers.take("v_pairs", (len(bins.pair_gaussian), SPLAT_WIDTH))
     blend_backward(
         record.splats, bins.tile_start, bins.pair_gaussian, view.width, view.height,
         image, transmittance, v_image, v_transmittance, v_pairs, reached=bins.reached,
     )  # fmt: skip
-    v_splats = np.zeros_like(record.splats)
+    v_splats = empty_splats(len(record.splats))
+    v_splats[:] = 0
     gather_gradient(bins.order, bins.n_visible, bins.gaussian_start, bins.pair_slot, v_pairs, v_splats)
     return v_splats
 

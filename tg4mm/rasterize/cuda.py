@@ -19,7 +19,7 @@ _INSTALL = 'pip install "tg4mm[cuda]"'
 def require_gsplat() -> None:
     """Load gsplat's kernels, so that what is missing is said before any work; the first time ever that may compile.
 
-    Raises Tg4mmError if gsplat is absent, too old, or without kernels for this machine.
+    Raises Tg4mmError if gsplat is absent, too old, too new, or without kernels for this machine.
     """
     try:
         import gsplat
@@ -27,7 +27,10 @@ def require_gsplat() -> None:
         raise Tg4mmError(f"device cuda needs gsplat: {_INSTALL}") from error
     if "opacities" not in inspect.signature(gsplat.fully_fused_projection).parameters:
         # it cut every Gaussian at three standard deviations, where an opaque one still has an alpha of 0.011
-        raise Tg4mmError(f"gsplat {gsplat.__version__} is too old, tg4mm needs 1.5 or newer: {_INSTALL}")
+        raise Tg4mmError(f"gsplat {gsplat.__version__} is too old, tg4mm needs 1.5: {_INSTALL}")
+    if "dirs" not in inspect.signature(gsplat.spherical_harmonics).parameters:
+        # 1.6 takes means and viewmats instead, and lowered the largest alpha from 0.999 to 0.99: other pictures
+        raise Tg4mmError(f"gsplat {gsplat.__version__} is too new, tg4mm needs 1.5: {_INSTALL}")
     try:
         kernels = importlib.import_module("gsplat.cuda._backend")._C
     except Exception as error:  # the compiler's, ninja's or the loader's; none has a type of its own

@@ -14,13 +14,15 @@ from tg4mm.errors import RunError
 from tg4mm.files import remove_leftovers, write_json
 from tg4mm.gaussians import Gaussians
 from tg4mm.magnify import BandGain, Magnification, TemporalFilter
+from tg4mm.magnify.bands import LARGEST_ALPHA
 from tg4mm.magnify.poses import method_of, poses_of
+from tg4mm.modelhash import model_hash
 from tg4mm.progress import progress
 from tg4mm.render.cameras import Camera, transforms_json
 from tg4mm.render.frames import is_complete_png, write_png
 from tg4mm.render.image import WHITE, render_image
-from tg4mm.render.video import video_of_files
-from tg4mm.runs import Run, model_hash
+from tg4mm.render.video import check_rate, video_of_files
+from tg4mm.runs import Run
 
 RECORD = "render.json"
 FORMAT = "tg4mm-render"
@@ -72,6 +74,8 @@ def render_sequence(
     for t in wanted:
         if not 0 <= t < n_timesteps:
             raise RunError(f"timestep {t} is outside 0 … {n_timesteps - 1}")
+    if video and len(wanted) > 1:
+        check_rate(fps / request.slow)
     claim(out, run, request, cameras, "sequence")
     files = {(t, camera.name): out / f"{t:03d}" / f"{camera.name}.png" for t in wanted for camera in cameras}
     jobs = [(float(t), camera, files[t, camera.name]) for t in wanted for camera in cameras]
@@ -93,6 +97,8 @@ def render_orbit(
     time i / slow and plays at the capture's frame rate. Past the capture's last timestep the modes go on.
     """
     pose, _, fps = pose_of(run, request, device)
+    if len(cameras) > 1:
+        check_rate(fps)
     claim(out, run, request, cameras, "orbit")
     jobs = [(i / request.slow, camera, out / f"{camera.name}.png") for i, camera in enumerate(cameras)]
     render_missing(jobs, pose, request, f"orbit, α = {request.label}")
@@ -113,6 +119,8 @@ def _check(request: RenderRequest) -> None:
     for alpha in (request.alpha, *(b.alpha for b in request.bands)):
         if not math.isfinite(alpha):
             raise RunError(f"--alpha {alpha:g}: must be a finite number (-1 stops the motion)")
+        if abs(alpha) > LARGEST_ALPHA:
+            raise RunError(f"--alpha {alpha:g}: must be within ±{LARGEST_ALPHA:g}")
     if not math.isfinite(request.slow) or request.slow <= 0:
         raise RunError(f"--slow {request.slow:g}: must be above 0 (2 = half speed)")
 

@@ -12,6 +12,16 @@ from tg4mm.errors import RunError
 from tg4mm.files import write_atomic
 from tg4mm.render.frames import read_png
 
+_RATES = (0.01, 10_000.0)  # pictures a second that encoder and players can do
+
+
+def check_rate(fps: float) -> None:
+    """Raises RunError for a rate, in pictures a second, at which no video can play."""
+    if not _RATES[0] <= fps <= _RATES[1]:
+        raise RunError(
+            f"a video of {fps:g} pictures a second: expected {_RATES[0]:g} … {_RATES[1]:g}; see --slow and --no-video"
+        )
+
 
 def loops_to_last(n_frames: int, fps: float, seconds: float) -> int:
     """How many times `n_frames` at `fps` must be repeated to last at least `seconds`."""
@@ -34,8 +44,7 @@ def write_mp4(
     """
     if not len(frames):
         raise RunError(f"{path}: no frames to write")
-    if not math.isfinite(fps) or fps <= 0:
-        raise RunError(f"{path}: {fps} frames per second")
+    check_rate(fps)
     shapes = {frame.shape for frame in frames}
     if len(shapes) > 1:
         raise RunError(f"{path}: frames of different sizes {sorted(shapes)}")

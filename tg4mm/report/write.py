@@ -11,7 +11,7 @@ from tg4mm import __version__
 from tg4mm.capture import check_band, load_capture
 from tg4mm.errors import RunError
 from tg4mm.files import write_atomic
-from tg4mm.render.sequence import model_hash
+from tg4mm.modelhash import model_hash
 from tg4mm.report.accuracy import accuracy_section
 from tg4mm.report.closing import cost_section, next_section, total_seconds
 from tg4mm.report.page import Page, render_page

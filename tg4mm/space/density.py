@@ -18,7 +18,8 @@ from tg4mm.space.parameters import ParameterRows
 EVERY = 100  # iterations
 FIRST = 200  # iteration
 LAST = 0.7  # share of all iterations
-GROWTH = 0.1  # new Gaussians each time, as a share of those there
+GROWTH = 0.1  # new Gaussians each time, as a share of those there, at least while the budget lasts
+CAUGHT_UP = 0.35  # share of all iterations by which a start far below the budget has reached it
 FADED = 0.005  # opacity below which a Gaussian is removed
 HUGE = 0.5  # largest scale, as a share of the scene's extent, beyond which it is removed
 SHRINK = 1.5  # the two halves of a split are narrower by this factor
@@ -36,6 +37,16 @@ class DensityChange:
 
 def is_due(iteration: int, iterations: int) -> bool:
     return iteration >= FIRST and iteration % EVERY == 0 and iteration < LAST * iterations
+
+
+def growth(n: int, max_gaussians: int, iteration: int, iterations: int) -> float:
+    """New Gaussians in this round as a share of the n there are.
+
+    A tenth, or as much as reaches the budget by `CAUGHT_UP` in equal steps: from a few hundred points (SfM), tenths
+    would end far below it. A Gaussian is split at most once a round, so doubling is the most.
+    """
+    rounds = max(1, int(CAUGHT_UP * iterations - iteration) // EVERY + 1)
+    return min(1.0, max(GROWTH, (max_gaussians / max(n, 1)) ** (1 / rounds) - 1))
 
 
 def split_rows(parameters: dict[str, Tensor], rows: Tensor, generator: torch.Generator) -> dict[str, Tensor]:
@@ -58,9 +69,14 @@ def split_rows(parameters: dict[str, Tensor], rows: Tensor, generator: torch.Gen
 
 
 def control_density(
-    adam: ParameterRows, error: Tensor, extent: float, max_gaussians: int, generator: torch.Generator
+    adam: ParameterRows,
+    error: Tensor,  # [N] each Gaussian's share of the error since the last round
+    extent: float,
+    max_gaussians: int,
+    generator: torch.Generator,
+    share: float = GROWTH,
 ) -> DensityChange:
-    """One round. `error` [N]: each Gaussian's share of the error since the last round.
+    """One round. `share`: new Gaussians as a share of those there (`growth`), beside those that replace removed ones.
 
     Chances are drawn where the generator lives; beside it, only counts leave the device.
     """
@@ -69,7 +85,7 @@ def control_density(
         alive = (p["logits"].sigmoid() >= FADED) & (p["log_scales"].exp().amax(1) <= HUGE * extent)
         n_alive = int(alive.sum())
         removed = len(alive) - n_alive
-        room = min(max_gaussians - n_alive, int(GROWTH * len(alive)) + removed)
+        room = min(max_gaussians - n_alive, int(share * len(alive)) + removed)
         chance = torch.where(alive, error.clamp_min(0), torch.zeros_like(error)).to(generator.device)
         room = min(room, int((chance > 0).sum()))
         if room > 0:

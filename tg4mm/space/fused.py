@@ -12,8 +12,9 @@ from torch import Tensor
 
 from tg4mm.rasterize.buffers import Buffers
 from tg4mm.rasterize.kernels.binning import bin_splats, gather_gradient
-from tg4mm.rasterize.kernels.blend import blend_backward, blend_forward
-from tg4mm.rasterize.kernels.layout import FEAT, FEATURES, SPLAT_WIDTH
+from tg4mm.rasterize.kernels.blend import blend_forward
+from tg4mm.rasterize.kernels.blend_backward import blend_backward
+from tg4mm.rasterize.kernels.layout import FEATURES, SPLAT_WIDTH
 from tg4mm.rasterize.kernels.project import pack_camera, project_forward
 from tg4mm.space.kernels import BETA1, BETA2, activate, compare, scratch_shape, step
 from tg4mm.space.losses import ssim
@@ -105,7 +106,7 @@ class Iteration:
         more = self._structure(image, transmittance, target)
         share = 1 - self._dssim
         compare(image, transmittance, target, WHITE, share, self._l2, more, v_image, v_transmittance, squares)
-        v_pairs = take("v_pairs", (len(bins.pair_gaussian), FEAT + FEATURES))
+        v_pairs = take("v_pairs", (len(bins.pair_gaussian), SPLAT_WIDTH))
         blend_backward(*tiles, image, transmittance, v_image, v_transmittance, v_pairs, reached=bins.reached)
         v_splats = take("v_splats", splats.shape)
         gather_gradient(bins.order, bins.n_visible, bins.gaussian_start, bins.pair_slot, v_pairs, v_splats)

@@ -37,7 +37,9 @@ def working_box(views: RestViews) -> tuple[np.ndarray, float]:
     origins, axes = optical_axes(views.viewmats)
     A, b = nearest_point_equations(origins, axes)
     # a small pull to a point in front of the mean camera settles parallel axes
-    depth = np.median(np.linalg.norm(origins - origins.mean(0), axis=1)) + 1e-6
+    depth = np.median(np.linalg.norm(origins - origins.mean(0), axis=1))
+    if depth < 1e-9 * (1 + np.abs(origins).max()):
+        depth = 1.0  # cameras at one place see no distance: one scene unit, well beyond the near plane
     prior = origins.mean(0) + depth * axes.mean(0)
     centre = np.linalg.solve(A + 1e-3 * np.eye(3), b + 1e-3 * prior)
     distance = np.linalg.norm(origins - centre, axis=1)

@@ -15,12 +15,12 @@ from tg4mm.space.initial import InitialPoints
 SH_C0 = 0.28209479177387814
 # Learning rates of the first iteration; that of the means is per unit of the scene's extent.
 LEARNING_RATES = {
-    "means": 4e-4,
+    "means": 1.6e-3,
     "quats": 2e-3,
-    "log_scales": 1e-2,
-    "logits": 3e-2,
-    "sh0": 5e-3,
-    "shn": 2.5e-4,
+    "log_scales": 2e-2,
+    "logits": 4.5e-2,
+    "sh0": 7.5e-3,
+    "shn": 7.5e-4,
 }
 _MEANS_DECAY = 0.01  # factor at the end, exponential all along
 _DECAY = 0.1  # of the others, exponential over the second half

@@ -12,14 +12,16 @@ import torch
 from torch import Tensor
 
 from tg4mm.capture import SurfacePoints
+from tg4mm.capture.geometry import optical_axes
 from tg4mm.device import full_precision, gpu_figures, reset_gpu_peak
-from tg4mm.errors import Tg4mmError
+from tg4mm.errors import RunError, Tg4mmError
 from tg4mm.gaussians import Gaussians
 from tg4mm.memory import peak_memory_mib
 from tg4mm.progress import progress
 from tg4mm.runs import Run
+from tg4mm.space.checkpoint import check_checkpoint, pictures_digest, sealed
 from tg4mm.space.config import SpaceConfig
-from tg4mm.space.density import control_density, is_due
+from tg4mm.space.density import control_density, growth, is_due
 from tg4mm.space.fused import FusedAdam, Iteration
 from tg4mm.space.initial import INITS, initial_points, working_box
 from tg4mm.space.losses import photometric_loss
@@ -83,8 +85,12 @@ class _Fit:
             rest["draws"] = self.draws.get_state()
         return {k: v.detach().cpu().contiguous() for k, v in (self.adam.parameters | moments | rest).items()}
 
-    def state(self, extent: float) -> dict[str, Any]:
-        return {"iteration": self.iteration, "order": self.order, "psnr": float(self.psnr), "extent": extent}
+    def save(self, run: Run, extent: float, pictures: str) -> None:
+        tensors = self.tensors()
+        state = {"iteration": self.iteration, "order": self.order, "psnr": float(self.psnr)}
+        run.save_checkpoint(
+            _STAGE, tensors, sealed(tensors, state | {"extent": extent, "pictures": pictures})
+        )
 
 
 def _draws(generator: torch.Generator, device: str, state: Tensor | None = None) -> torch.Generator:
@@ -95,6 +101,20 @@ def _draws(generator: torch.Generator, device: str, state: Tensor | None = None)
     if state is not None:
         draws.set_state(state)
     return draws
+
+
+def _checkpoint(
+    run: Run, pictures: str, views: RestViews, config: SpaceConfig
+) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
+    """What the stage goes on from, None if it starts. Raises RunError if that cannot be."""
+    checkpoint = run.load_checkpoint(_STAGE)
+    if checkpoint is not None:
+        try:
+            check_checkpoint(*checkpoint, pictures, len(views.rgb), config)
+        except RunError as error:
+            file = run.part_file(f"checkpoint_{_STAGE}")
+            raise RunError(f"{file}: {error}; delete it to start the {_STAGE} stage again") from None
+    return checkpoint
 
 
 def _restored(checkpoint: tuple[dict[str, Tensor], dict[str, Any]], device: str) -> tuple[_Fit, float]:
@@ -110,14 +130,25 @@ def _restored(checkpoint: tuple[dict[str, Tensor], dict[str, Any]], device: str)
     return _Fit(adam, error, psnr, generator, draws, state["iteration"], state["order"]), state["extent"]
 
 
+def _extent(xyz: np.ndarray, views: RestViews) -> float:
+    """How far the points [M, 3] reach from their middle, scene units; at most what the cameras see together.
+
+    Cameras at one place see no distance, and set no limit.
+    """
+    reach = float(np.linalg.norm(xyz - xyz.mean(0), axis=1).max())
+    origins, _ = optical_axes(views.viewmats)
+    if np.ptp(origins, axis=0).max() <= 1e-6 * max(reach, 1e-6):
+        return reach or 1.0
+    return min(reach, 2 * working_box(views)[1]) or 1.0
+
+
 def _started(
     views: RestViews, points: SurfacePoints | None, config: SpaceConfig, device: str
 ) -> tuple[_Fit, float, str]:
     generator = torch.Generator().manual_seed(config.seed)
     count = min(config.init_points, config.max_gaussians)
     first = initial_points(views, points, config.init, count, np.random.default_rng(config.seed))
-    extent = float(np.linalg.norm(first.xyz - first.xyz.mean(0), axis=1).max())
-    extent = min(extent, 2 * working_box(views)[1]) or 1.0
+    extent = _extent(first.xyz, views)
     adam = _optimiser(initial_parameters(first, config.sh_degree, generator), extent, device)
     error = torch.zeros(len(first.xyz), device=device)
     psnr = torch.zeros((), dtype=torch.float64, device=device)
@@ -178,7 +209,9 @@ def _iterate(fit: _Fit, views: _Views, config: SpaceConfig, extent: float) -> No
     fit.psnr = psnr if fit.iteration == 0 else 0.95 * fit.psnr + 0.05 * psnr
     fit.iteration += 1
     if is_due(fit.iteration, config.iterations):
-        control_density(fit.adam, fit.error, extent, config.max_gaussians, fit.draws)
+        most = config.max_gaussians
+        share = growth(len(fit.error), most, fit.iteration, config.iterations)
+        control_density(fit.adam, fit.error, extent, most, fit.draws, share)
         fit.error = torch.zeros(len(fit.adam.parameters["means"]), device=fit.error.device)
 
 
@@ -191,11 +224,13 @@ def train_space(
     peak_memory_mib, n_gaussians, iterations, init and psnr_train (dB, running mean of the last views).
     On CUDA everything that an iteration needs lives there, in float32 throughout: rounding of targets or parameters
     to 16 bits would be as large as the differences that the motion stage reads (a fiftieth of a pixel).
-    Raises Tg4mmError on settings out of range, CaptureError where there is nothing to start from.
+    Raises Tg4mmError on settings out of range, CaptureError where there is nothing to start from, RunError where a
+    checkpoint is not this stage's on these pictures.
     """
     config = resolved(config, views)
     reset_gpu_peak(device)
-    checkpoint = run.load_checkpoint(_STAGE)
+    pictures = pictures_digest(views)
+    checkpoint = _checkpoint(run, pictures, views, config)
     began = time.monotonic()
     if checkpoint is None:
         fit, extent, source = _started(views, points, config, device)
@@ -215,7 +250,7 @@ def train_space(
                 shown, figure = time.monotonic(), round(float(fit.psnr), 2)
             update(fit.iteration, psnr_db=figure, gaussians=len(fit.error))
             if time.monotonic() - saved > CHECKPOINT_EVERY_S:
-                run.save_checkpoint(_STAGE, fit.tensors(), fit.state(extent))
+                fit.save(run, extent, pictures)
                 saved = time.monotonic()
                 run.record(_STAGE, {"seconds": saved - began})
                 began = saved

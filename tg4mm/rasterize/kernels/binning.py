@@ -13,8 +13,9 @@ from numba import float32, int32, int64, njit, prange, uint32
 
 from tg4mm.rasterize.buffers import Buffers, take
 from tg4mm.rasterize.kernels.compiled import kernel
+from tg4mm.rasterize.kernels.lanes import load, prefetch, store
 from tg4mm.rasterize.kernels.layout import CB, CC, DEPTH, EX, EY, L22, MX, MY, POWER, R11, SQUARES, TILE
-from tg4mm.rasterize.kernels.vector import prefetch
+from tg4mm.rasterize.kernels.vector import LANES, wide
 
 _RADIX_BITS = 11
 _CHUNKS = 16  # of the parallel scatter; a constant, so that results never depend on threads
@@ -179,20 +180,29 @@ def fill_pairs(
             n = end
 
 
-@kernel(parallel=True, fastmath=True)
+@kernel(parallel=True)
 def gather_gradient(order, n_visible, gaussian_start, pair_slot, v_pairs, v_splats):
-    """Sum the gradients of a Gaussian's pairs, in a fixed order; `v_splats` is written where visible."""
-    last = len(pair_slot) - 1
+    """Sum the gradients of a Gaussian's pairs, in a fixed order; `v_splats` is written where visible.
+
+    Both [·, W] and contiguous. Sixteen columns at a time, those left over one by one.
+    """
+    width, last = v_pairs.shape[1], len(pair_slot) - 1
+    whole = width - width % LANES
+    pairs, sums = v_pairs.reshape(-1), v_splats.reshape(-1)
     for k in prange(n_visible):
         i = order[k]
         prefetch(v_splats, int64(order[min(k + _AHEAD, n_visible - 1)]))
-        for c in range(v_splats.shape[1]):
+        begin, end = gaussian_start[k], gaussian_start[k + 1]
+        for c in range(0, whole, LANES):
+            total = wide(float32(0.0))
+            for slot in range(begin, end):
+                prefetch(v_pairs, int64(pair_slot[min(slot + 3 * _AHEAD, last)]))
+                total = total + load(pairs, int64(pair_slot[slot]) * width + c)
+            store(sums, int64(i) * width + c, total)
+        for c in range(whole, width):
             v_splats[i, c] = float32(0.0)
-        for slot in range(gaussian_start[k], gaussian_start[k + 1]):
-            place = pair_slot[slot]
-            prefetch(v_pairs, int64(pair_slot[min(slot + 3 * _AHEAD, last)]))
-            for c in range(v_pairs.shape[1]):
-                v_splats[i, c] += v_pairs[place, c]
+            for slot in range(begin, end):
+                v_splats[i, c] += v_pairs[pair_slot[slot], c]
 
 
 class Bins:

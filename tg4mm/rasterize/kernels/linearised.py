@@ -2,7 +2,7 @@
 
 What does not depend on the change (weights, and how a contribution answers to its exponent) is computed once for each
 block of pixels and Gaussian; every change, or right-hand side, then takes a second, short loop over the blocks.
-Opacity is held fixed. Blocks, tiles and threads as in `blend.py`.
+Opacity is held fixed. Blocks, tiles and threads as in `tiles.py`.
 
 With α = o·2^-(p²+q²) and r = -d(exponent), a contribution's weight w = T α changes by T α r + w·(dT/T), and dT/T by
 -r α / (1 - α). The quotient dT/T is what is carried along, so that both directions need the same three numbers.
@@ -14,103 +14,23 @@ With α = o·2^-(p²+q²) and r = -d(exponent), a contribution's weight w = T α
 import math
 
 import numpy as np
-from numba import float32, int64, njit, prange, uint32
+from numba import float32, int64, prange
 
-from tg4mm.rasterize.kernels.blend import (
-    BATCH,
-    BLOCKS,
-    PLACES,
-    aligned,
-    exponent,
-    fill,
-    inside,
-    look_ahead,
-    pixel,
-    work,
-)
 from tg4mm.rasterize.kernels.compiled import kernel
-from tg4mm.rasterize.kernels.layout import (
-    ALPHA_MAX,
-    CA,
-    CB,
-    CC,
-    FEAT,
-    MX,
-    MY,
-    POWER,
-    SQUARES,
-    T_MIN,
-    TILE,
-)
-from tg4mm.rasterize.kernels.vector import (
-    LANES,
-    bits,
-    exp2,
-    fetch_add,
-    fma,
-    lane_sums_of_eight,
-    load,
-    lowest_bit,
-    magnitude,
-    negative,
-    select,
-    store,
-    store_eight,
-    wide,
-)
+from tg4mm.rasterize.kernels.lanes import fetch_add, lane_sums_of_eight, load, store, store_eight
+from tg4mm.rasterize.kernels.layout import CA, CB, CC, FEAT, MX, MY, TILE
+from tg4mm.rasterize.kernels.tiles import BLOCKS, TABLE, aligned, constants, fill, inside, pixel, work
+from tg4mm.rasterize.kernels.vector import LANES, fma, negative, wide
+from tg4mm.rasterize.kernels.weights import BATCH, KEPT, batch_room, look_ahead, weights
 
 COLUMNS = np.array([MX, MY, CA, CB, CC, FEAT, FEAT + 1, FEAT + 2])  # of the splats: what a change has
 _WIDTH = 8  # how many they are
 _CHANGE = 4  # planes of the state for each change
-_KEPT = 5 * LANES  # numbers kept for each block: w, Tα, α/(1 - α), dx, dy
-
-
-@njit(error_model="numpy", inline="always")
-def _weights(splats, i, todo, live, at, x0, y0, faintest, places, offsets, state, stride, kept, found):
-    """What every change needs from the blocks `todo` that Gaussian i reaches, to `kept`, and the next transmittance.
-
-    `found` gets the place of each of these blocks in the state. Returns their number and the blocks still live.
-    """
-    one, zero = float32(1.0), float32(0.0)
-    alpha_max, t_min = float32(ALPHA_MAX), float32(T_MIN)
-    lane_x, lane_y = load(places, int64(0)), load(places, int64(LANES))
-    l11, l12, l22 = exponent(splats, i)
-    top = splats[i, POWER] * float32(2.0 * SQUARES) + faintest
-    at_p, at_q = fma(lane_x, l11, lane_y * l12), lane_y * l22
-    at_x = lane_x + (float32(x0) - splats[i, MX])
-    at_y = lane_y + (float32(y0) - splats[i, MY])
-    n = int64(0)
-    while todo != 0:
-        k = lowest_bit(todo)
-        todo &= todo - uint32(1)
-        place = k * stride
-        p, q = at_p + offsets[at + k], at_q + offsets[at + LANES + k]
-        y = fma(negative(q), q, fma(negative(p), p, top))
-        raw = exp2(y)
-        free = wide(alpha_max) > raw
-        alpha = select(free, raw, alpha_max)
-        alpha = select(y >= faintest, alpha, zero)
-        t = load(state, place)
-        nt = fma(negative(t), alpha, t)
-        on = nt > t_min
-        w = select(on, t * alpha, zero)
-        moving = select(on & free, alpha, zero)
-        store(state, place, select(on, nt, negative(magnitude(t))))
-        store(kept, n * _KEPT, w)
-        store(kept, n * _KEPT + LANES, t * moving)
-        store(kept, n * _KEPT + 2 * LANES, moving / (one - alpha))
-        store(kept, n * _KEPT + 3 * LANES, at_x + places[2 * LANES + k])
-        store(kept, n * _KEPT + 4 * LANES, at_y + places[3 * LANES + k])
-        found[n] = place
-        n += int64(bits(w > zero) != 0)
-        if bits(on) == 0:
-            live &= ~(uint32(1) << uint32(k))
-    return n, live
 
 
 @kernel()
 def _push_tiles(order, counter, tables, frame, splats, d_splats, white, d_images, alpha_min):
-    tile_start, pair_gaussian, places = tables
+    tile_start, pair_gaussian, table = tables
     width, height = frame
     n_changes = len(d_images)
     n_x = (width + TILE - 1) // TILE
@@ -118,9 +38,8 @@ def _push_tiles(order, counter, tables, frame, splats, d_splats, white, d_images
     faintest = float32(math.log2(alpha_min))
     # planes: transmittance, then of every change dT/T and three features
     stride = (1 + _CHANGE * n_changes) * LANES
-    state, kept = aligned(BLOCKS * stride), aligned(BLOCKS * _KEPT)
-    offsets = aligned(BATCH * 2 * LANES)
-    masks, found = np.empty(BATCH, np.uint32), np.empty(BLOCKS, np.int64)
+    held, state, batch = constants(table), aligned(BLOCKS * stride), batch_room()
+    _, _, kept, found = batch
     while True:
         item = fetch_add(counter)
         if item >= len(order):
@@ -138,12 +57,9 @@ def _push_tiles(order, counter, tables, frame, splats, d_splats, white, d_images
             i = pair_gaussian[pair]
             at = (pair - begin) % BATCH
             if at == 0:
-                ahead = min(end, pair + BATCH)
-                look_ahead(splats, pair_gaussian, pair, ahead, x0, y0, places, masks, offsets)
-            todo, at = masks[at] & live, at * 2 * LANES
-            n, live = _weights(
-                splats, i, todo, live, at, x0, y0, faintest, places, offsets, state, stride, kept, found
-            )
+                last = min(end, pair + BATCH)
+                look_ahead(splats, pair_gaussian, pair, last, end, x0, y0, table, batch)
+            n, live = weights(splats, i, at, live, x0, y0, faintest, table, held, state, stride, batch)
             a, b, c = splats[i, CA], splats[i, CB], splats[i, CC]
             f0, f1, f2 = splats[i, FEAT], splats[i, FEAT + 1], splats[i, FEAT + 2]
             for change in range(n_changes if n > 0 else 0):
@@ -154,7 +70,7 @@ def _push_tiles(order, counter, tables, frame, splats, d_splats, white, d_images
                 x, y = a * d[0] + b * d[1], b * d[0] + c * d[1]
                 plane = (1 + _CHANGE * change) * LANES
                 for m in range(n):
-                    place, source = found[m] + plane, m * _KEPT
+                    place, source = found[m] + plane, m * KEPT
                     w, moved = load(kept, source), load(kept, source + LANES)
                     dx, dy = load(kept, source + 3 * LANES), load(kept, source + 4 * LANES)
                     rise = fma(fma(dy, xy, fma(dx, xx, x)), dx, fma(dy, yy, y) * dy)
@@ -181,7 +97,7 @@ def _push_tiles(order, counter, tables, frame, splats, d_splats, white, d_images
 
 @kernel()
 def _pull_tiles(order, counter, tables, frame, splats, pictures, white, v_images, v_pairs, alpha_min):
-    tile_start, pair_gaussian, places = tables
+    tile_start, pair_gaussian, table = tables
     width, height = frame
     image, transmittance = pictures
     n_changes = len(v_images)
@@ -190,9 +106,8 @@ def _pull_tiles(order, counter, tables, frame, splats, pictures, white, v_images
     faintest = float32(math.log2(alpha_min))
     # planes: transmittance, then of every right-hand side what is still to come and the gradient by three features
     stride = (1 + _CHANGE * n_changes) * LANES
-    state, kept = aligned(BLOCKS * stride), aligned(BLOCKS * _KEPT)
-    offsets = aligned(BATCH * 2 * LANES)
-    masks, found = np.empty(BATCH, np.uint32), np.empty(BLOCKS, np.int64)
+    held, state, batch = constants(table), aligned(BLOCKS * stride), batch_room()
+    _, _, kept, found = batch
     while True:
         item = fetch_add(counter)
         if item >= len(order):
@@ -220,12 +135,9 @@ def _pull_tiles(order, counter, tables, frame, splats, pictures, white, v_images
             i = pair_gaussian[pair]
             at = (pair - begin) % BATCH
             if at == 0:
-                ahead = min(end, pair + BATCH)
-                look_ahead(splats, pair_gaussian, pair, ahead, x0, y0, places, masks, offsets)
-            todo, at = masks[at] & live, at * 2 * LANES
-            n, live = _weights(
-                splats, i, todo, live, at, x0, y0, faintest, places, offsets, state, stride, kept, found
-            )
+                last = min(end, pair + BATCH)
+                look_ahead(splats, pair_gaussian, pair, last, end, x0, y0, table, batch)
+            n, live = weights(splats, i, at, live, x0, y0, faintest, table, held, state, stride, batch)
             a, b, c = splats[i, CA], splats[i, CB], splats[i, CC]
             f0, f1, f2 = splats[i, FEAT], splats[i, FEAT + 1], splats[i, FEAT + 2]
             for change in range(n_changes):
@@ -234,7 +146,7 @@ def _pull_tiles(order, counter, tables, frame, splats, pictures, white, v_images
                 h0, h1, h2 = nothing, nothing, nothing
                 plane = (1 + _CHANGE * change) * LANES
                 for m in range(n):
-                    place, source = found[m] + plane, m * _KEPT
+                    place, source = found[m] + plane, m * KEPT
                     w = load(kept, source)
                     g0, g1 = load(state, place + LANES), load(state, place + 2 * LANES)
                     g2 = load(state, place + 3 * LANES)
@@ -291,7 +203,7 @@ def blend_tangents(
     d_splats [N, R, 8] holds the columns COLUMNS; d_images [R, H, W, 3] is written.
     """
     height, width = d_images.shape[1:3]
-    tables = (tile_start, pair_gaussian, PLACES)
+    tables = (tile_start, pair_gaussian, TABLE)
     _push(
         *work(tile_start), tables, (width, height), splats, d_splats, np.float32(white), d_images, alpha_min
     )
@@ -313,7 +225,7 @@ def blend_cotangents(
     v_pairs [P, R, 8] is written, in the columns COLUMNS. image and transmittance are those of `blend_forward`.
     """
     height, width = v_images.shape[1:3]
-    tables, pictures = (tile_start, pair_gaussian, PLACES), (image, transmittance)
+    tables, pictures = (tile_start, pair_gaussian, TABLE), (image, transmittance)
     _pull(
         *work(tile_start), tables, (width, height), splats, pictures, np.float32(white), v_images,
         v_pairs.reshape(-1), alpha_min,

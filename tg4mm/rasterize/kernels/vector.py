@@ -17,8 +17,8 @@ from numba.core.typing.templates import ConcreteTemplate, infer_global, signatur
 from numba.extending import intrinsic, lower_builtin, models, register_model
 
 LANES = 16
-_F32, _I32 = ir.FloatType(), ir.IntType(32)
-_FV, _IV, _MV = (ir.VectorType(t, LANES) for t in (_F32, _I32, ir.IntType(1)))
+F32, I32, I64 = ir.FloatType(), ir.IntType(32), ir.IntType(64)
+FV, IV, MV = (ir.VectorType(t, LANES) for t in (F32, I32, ir.IntType(1)))
 
 
 class _Vector(types.Type):
@@ -41,24 +41,30 @@ vector, mask = _Vector(), _Mask()
 @register_model(_Vector)
 class _VectorModel(models.PrimitiveModel):
     def __init__(self, manager, kind):
-        super().__init__(manager, kind, _FV)
+        super().__init__(manager, kind, FV)
 
 
 @register_model(_Mask)
 class _MaskModel(models.PrimitiveModel):
     def __init__(self, manager, kind):
-        super().__init__(manager, kind, _MV)
+        super().__init__(manager, kind, MV)
 
 
-def _wide(builder, scalar):
-    """A float32 in every lane."""
-    one = builder.insert_element(ir.Constant(_FV, ir.Undefined), scalar, ir.Constant(_I32, 0))
-    lanes = ir.Constant(ir.VectorType(_I32, LANES), [0] * LANES)
-    return builder.shuffle_vector(one, ir.Constant(_FV, ir.Undefined), lanes)
+def constant_lanes(lanes):
+    """Which lanes a shuffle takes."""
+    picked = [ir.Constant(I32, k) for k in lanes]
+    return ir.Constant(ir.VectorType(I32, len(picked)), picked)
+
+
+def as_lanes(builder, scalar):
+    """A float32 or an integer of 32 bits in every lane."""
+    kind = FV if scalar.type == F32 else IV
+    one = builder.insert_element(ir.Constant(kind, ir.Undefined), scalar, ir.Constant(I32, 0))
+    return builder.shuffle_vector(one, ir.Constant(kind, ir.Undefined), constant_lanes([0] * LANES))
 
 
 def _as_vector(builder, value):
-    return value if value.type == _FV else _wide(builder, value)
+    return value if value.type == FV else as_lanes(builder, value)
 
 
 def _register(op, result, emit):
@@ -78,7 +84,9 @@ _register(operator.add, vector, lambda b, x, y: b.fadd(x, y))
 _register(operator.sub, vector, lambda b, x, y: b.fsub(x, y))
 _register(operator.mul, vector, lambda b, x, y: b.fmul(x, y))
 # a reciprocal with one step of Newton's method where the processor has one: 1 to 2 units in the last place
-_register(operator.truediv, vector, lambda b, x, y: b.fdiv(x, y, flags=("arcp", "afn", "ninf", "nnan")))
+_register(
+    operator.truediv, vector, lambda b, x, y: b.fdiv(x, y, flags=("arcp", "afn", "ninf", "nnan", "contract"))
+)
 _register(operator.gt, mask, lambda b, x, y: b.fcmp_ordered(">", x, y))
 _register(operator.ge, mask, lambda b, x, y: b.fcmp_ordered(">=", x, y))
 _register(operator.lt, mask, lambda b, x, y: b.fcmp_ordered("<", x, y))
@@ -94,14 +102,14 @@ def _and(context, builder, sig, args):
     return builder.and_(*args)
 
 
-def _declare(builder, name, result, arguments):
+def declare(builder, name, result, arguments):
     return cgutils.get_or_insert_function(builder.module, ir.FunctionType(result, arguments), name)
 
 
 @intrinsic
 def wide(typingctx, x):
     """A float32 in all lanes."""
-    return vector(types.float32), lambda context, builder, sig, args: _wide(builder, args[0])
+    return vector(types.float32), lambda context, builder, sig, args: as_lanes(builder, args[0])
 
 
 @intrinsic
@@ -109,7 +117,7 @@ def fma(typingctx, a, b, c):
     """a · b + c, rounded once where the processor can. Each a vector or a float32."""
 
     def codegen(context, builder, sig, args):
-        f = _declare(builder, "llvm.fmuladd.v16f32", _FV, [_FV] * 3)
+        f = declare(builder, "llvm.fmuladd.v16f32", FV, [FV] * 3)
         return builder.call(f, [_as_vector(builder, x) for x in args])
 
     return vector(a, b, c), codegen
@@ -126,7 +134,7 @@ def magnitude(typingctx, a):
     """|a|."""
 
     def codegen(context, builder, sig, args):
-        return builder.call(_declare(builder, "llvm.fabs.v16f32", _FV, [_FV]), args)
+        return builder.call(declare(builder, "llvm.fabs.v16f32", FV, [FV]), args)
 
     return vector(vector), codegen
 
@@ -146,162 +154,49 @@ def bits(typingctx, condition):
     """The mask as an integer: lane k is bit k."""
 
     def codegen(context, builder, sig, args):
-        return builder.zext(builder.bitcast(args[0], ir.IntType(LANES)), _I32)
+        return builder.zext(builder.bitcast(args[0], ir.IntType(LANES)), I32)
 
     return types.uint32(mask), codegen
 
 
 @intrinsic
 def lowest_bit(typingctx, x):
-    """The index of the lowest bit that is set; x must not be 0."""
+    """The index of the lowest bit of a uint32 or uint64 that is set; x must not be 0."""
 
     def codegen(context, builder, sig, args):
-        f = _declare(builder, "llvm.cttz.i32", _I32, [_I32, ir.IntType(1)])
-        return builder.zext(builder.call(f, [args[0], ir.Constant(ir.IntType(1), 1)]), ir.IntType(64))
+        kind = args[0].type
+        f = declare(builder, f"llvm.cttz.{kind}", kind, [kind, ir.IntType(1)])
+        found = builder.call(f, [args[0], ir.Constant(ir.IntType(1), 1)])
+        return found if kind == I64 else builder.zext(found, I64)
 
-    return types.int64(types.uint32), codegen
+    return types.int64(x), codegen
 
 
-def _address(context, builder, array_type, array, index):
-    data = context.make_array(array_type)(context, builder, array).data
-    return builder.bitcast(builder.gep(data, [index]), _FV.as_pointer())
+# 2^f for |f| <= 1/2, least relative error, 1.2e-7, by iterated weighted least squares; last, what rounds a float32 by
+# being added to it: the sum's last binary digit is worth 1
+EXP2 = np.array(
+    [0.00132764704, 0.00967554162, 0.0555071328, 0.240221197, 0.693146967, 1.0, 1.5 * 2**23], np.float32
+)
 
 
 @intrinsic
-def load(typingctx, array, index):
-    """Lanes from the contiguous float32 array [n], from the int64 `index` on, which is not checked."""
+def exp2(typingctx, x, coefficients):
+    """2^x for -126 <= x <= 0; below, any value. Relative error below 3e-7. coefficients: EXP2, each in a vector.
 
-    def codegen(context, builder, sig, args):
-        return builder.load(_address(context, builder, sig.args[0], *args), align=4)
-
-    return vector(array, types.int64), codegen
-
-
-@intrinsic
-def store(typingctx, array, index, value):
-    """Lanes to the contiguous float32 array [n], from the int64 `index` on, which is not checked."""
-
-    def codegen(context, builder, sig, args):
-        builder.store(args[2], _address(context, builder, sig.args[0], *args[:2]), align=4)
-        return context.get_dummy_value()
-
-    return types.none(array, types.int64, vector), codegen
-
-
-# least relative error on |f| <= 1/2, 1.2e-7, by iterated weighted least squares
-_EXP2 = (0.00132764704, 0.00967554162, 0.0555071328, 0.240221197, 0.693146967, 1.0)
-
-
-@intrinsic
-def exp2(typingctx, x):
-    """2^x for -126 <= x <= 0; below, any value. Relative error below 3e-7.
-
-    2^n · 2^f with n the nearest integer and |f| <= 1/2, a polynomial for 2^f.
+    2^n · 2^f with n the nearest integer and |f| <= 1/2, a polynomial for 2^f. The low bits of x + 1.5 · 2^23 are n.
     """
 
     def codegen(context, builder, sig, args):
-        def constant(value):
-            return ir.Constant(_FV, [ir.Constant(_F32, float(np.float32(value)))] * LANES)
-
         x = args[0]
-        # truncation of a negative number less a half: the nearest integer
-        n = builder.fptosi(builder.fsub(x, constant(0.5)), _IV)
-        f = builder.fsub(x, builder.sitofp(n, _FV))
-        multiply_add = _declare(builder, "llvm.fmuladd.v16f32", _FV, [_FV] * 3)
-        p = constant(_EXP2[0])
-        for coefficient in _EXP2[1:]:
-            p = builder.call(multiply_add, [p, f, constant(coefficient)])
-        shift = ir.Constant(_IV, [ir.Constant(_I32, 23)] * LANES)
-        return builder.bitcast(builder.add(builder.bitcast(p, _IV), builder.shl(n, shift)), _FV)
+        *polynomial, rounder = cgutils.unpack_tuple(builder, args[1])
+        shifted = builder.fadd(x, rounder)
+        f = builder.fsub(x, builder.fsub(shifted, rounder))
+        multiply_add = declare(builder, "llvm.fmuladd.v16f32", FV, [FV] * 3)
+        p = polynomial[0]
+        for coefficient in polynomial[1:]:
+            p = builder.call(multiply_add, [p, f, coefficient])
+        shift = ir.Constant(IV, [ir.Constant(I32, 23)] * LANES)
+        n = builder.shl(builder.bitcast(shifted, IV), shift)
+        return builder.bitcast(builder.add(builder.bitcast(p, IV), n), FV)
 
-    return vector(vector), codegen
-
-
-def _fold(builder, a, b):
-    """Sums of neighbouring lanes: those of a in the lower half, those of b in the upper."""
-    lanes = [ir.Constant(_IV, [ir.Constant(_I32, 2 * k + odd) for k in range(LANES)]) for odd in (0, 1)]
-    return builder.fadd(*(builder.shuffle_vector(a, b, pick) for pick in lanes))
-
-
-def _lane_sums(builder, parts):
-    """One vector whose first lanes are the sums of the lanes of each part (at most 16), by a fixed tree."""
-    parts = list(parts) + [parts[-1]] * (LANES - len(parts))
-    while len(parts) > 1:
-        half: list[ir.Value] = []
-        for k in range(0, len(parts), 2):
-            same = half and parts[k] is parts[k - 2] and parts[k + 1] is parts[k - 1]
-            half.append(half[-1] if same else _fold(builder, parts[k], parts[k + 1]))
-        parts = half
-    return parts[0]
-
-
-@intrinsic
-def lane_sums(typingctx, a, b, c, d, e, f, g, h, i, j):
-    """The sum of the lanes of each of ten vectors, in lanes 0 … 9 of one. Always added in the same order."""
-    return vector(*[vector] * 10), lambda context, builder, sig, args: _lane_sums(builder, args)
-
-
-@intrinsic
-def lane_sums_of_eight(typingctx, a, b, c, d, e, f, g, h):
-    """`lane_sums` of eight vectors, in lanes 0 … 7."""
-    return vector(*[vector] * 8), lambda context, builder, sig, args: _lane_sums(builder, args)
-
-
-def _store_parts(context, builder, sig, args, parts):
-    """Store the lanes first … first + count for each of `parts`."""
-    data = context.make_array(sig.args[0])(context, builder, args[0]).data
-    for first, count in parts:
-        kind = ir.VectorType(_F32, count)
-        lanes = ir.Constant(ir.VectorType(_I32, count), [ir.Constant(_I32, first + k) for k in range(count)])
-        part = builder.shuffle_vector(args[2], args[2], lanes)
-        place = builder.gep(data, [builder.add(args[1], ir.Constant(ir.IntType(64), first))])
-        builder.store(part, builder.bitcast(place, kind.as_pointer()), align=4)
-    return context.get_dummy_value()
-
-
-@intrinsic
-def store_ten(typingctx, array, index, value):
-    """Lanes 0 … 9 to the contiguous float32 array [n]."""
-
-    def codegen(context, builder, sig, args):
-        return _store_parts(context, builder, sig, args, ((0, 8), (8, 2)))
-
-    return types.none(array, types.int64, vector), codegen
-
-
-@intrinsic
-def store_eight(typingctx, array, index, value):
-    """Lanes 0 … 7 to the contiguous float32 array [n]."""
-
-    def codegen(context, builder, sig, args):
-        return _store_parts(context, builder, sig, args, ((0, 8),))
-
-    return types.none(array, types.int64, vector), codegen
-
-
-@intrinsic
-def fetch_add(typingctx, array):
-    """Add 1 to the first entry of an int64 array and return what it was, atomically: a thread takes its next item."""
-
-    def codegen(context, builder, sig, args):
-        data = context.make_array(sig.args[0])(context, builder, args[0]).data
-        return builder.atomic_rmw("add", data, ir.Constant(ir.IntType(64), 1), "monotonic")
-
-    return types.int64(array), codegen
-
-
-@intrinsic
-def prefetch(typingctx, array, row):
-    """Ask for the first cache line of a row of the C-ordered array [n, m] ahead of its use."""
-
-    def codegen(context, builder, sig, args):
-        made = context.make_array(sig.args[0])(context, builder, args[0])
-        stride = builder.extract_value(made.strides, 0)
-        address = builder.add(builder.ptrtoint(made.data, ir.IntType(64)), builder.mul(args[1], stride))
-        kind = ir.IntType(8).as_pointer()
-        f = _declare(builder, "llvm.prefetch.p0", ir.VoidType(), [kind, _I32, _I32, _I32])
-        hints = [ir.Constant(_I32, x) for x in (0, 3, 1)]  # to read, keep, data
-        builder.call(f, [builder.inttoptr(address, kind), *hints])
-        return context.get_dummy_value()
-
-    return types.none(array, types.int64), codegen
+    return vector(vector, coefficients), codegen

@@ -1,0 +1,160 @@
+"""Ablations: rows differ in what they say they vary and in nothing else, and their tables hold evaluate's numbers."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.bench.conftest import MODAL, PAPER
+from tg4mm.bench.ablate import run_ablation
+from tg4mm.bench.ablation_page import COLUMNS
+from tg4mm.bench.ablations import ABLATIONS, chosen_preset, rows_of
+from tg4mm.bench.amplitudes import alphas_for
+from tg4mm.bench.errors import BenchError
+from tg4mm.bench.measure import Plan
+from tg4mm.bench.request import check_settings, setting_names
+from tg4mm.errors import Tg4mmError
+from tg4mm.magnify import TemporalFilter
+from tg4mm.runs import Run
+from tg4mm.train import train
+
+VARIED = {
+    "initialisation": {"space.init"},
+    "decoder": {"paper.mlp_layers", "paper.mlp_width"},
+    "residual": {"paper.residual"},
+    "difference": {"paper.difference"},
+    "neighbours": {"motion.neighbours"},
+}
+
+
+def every() -> list[tuple[str, str]]:
+    return [(name, preset) for name, ablation in ABLATIONS.items() for preset in ablation.presets]
+
+
+def silent(_: str) -> None:
+    """No messages."""
+
+
+def lines_of(out: Path) -> list[dict]:
+    return json.loads((out / "results.json").read_text(encoding="utf-8"))["lines"]
+
+
+@pytest.mark.parametrize(("name", "preset"), every())
+def test_every_row_can_be_trained_and_no_two_are_the_same(name: str, preset: str) -> None:
+    rows = rows_of(name, preset, {})
+    assert len(rows) >= 2
+    for row in rows:
+        assert set(row.settings) <= setting_names(preset)
+        check_settings(row.settings, preset)
+    kinds = {(json.dumps(dict(r.settings)), r.scorings, r.views, r.amplitude_px) for r in rows}
+    assert len(kinds) == len(rows) == len({r.label for r in rows})
+    assert set(ABLATIONS[name].columns) <= set(COLUMNS)
+    assert ABLATIONS[name].picture in {"ssim", *COLUMNS}
+
+
+@pytest.mark.parametrize("name", VARIED)
+def test_rows_vary_what_they_name(name: str) -> None:
+    preset = chosen_preset(name, None)
+    given = {"space.seed": "3"}
+    for row in rows_of(name, preset, given):
+        assert set(row.settings) - {"space.seed"} <= VARIED[name]
+        assert row.settings["space.seed"] == "3"
+
+
+@pytest.mark.parametrize("preset", ["paper-small", "paper"])
+def test_iterations_vary_one_phase_at_a_time(preset: str) -> None:
+    rows = [dict(r.settings) for r in rows_of("iterations", preset, {})]
+    assert all(len(settings) == 1 for settings in rows)
+    assert {k for settings in rows for k in settings} == {"paper.iterations", "paper.motion_iterations"}
+
+
+def test_multiples_are_of_what_the_user_gives() -> None:
+    found = [
+        r.settings["motion.neighbours"] for r in rows_of("neighbours", "modal", {"motion.neighbours": "20"})
+    ]
+    assert found == ["0", "0.2", "2", "20", "200"]
+    with pytest.raises(BenchError, match=r"motion.neighbours is 0.0"):
+        rows_of("neighbours", "modal", {"motion.neighbours": "0"})
+
+
+def test_magnified_motion_is_the_same_at_every_amplitude() -> None:
+    assert alphas_for(0.2) == (5, 10, 20, 40)
+    assert alphas_for(1.0) == (1, 2, 4, 8)
+    assert alphas_for(0.01) == (100, 200, 400, 800)
+    assert alphas_for(0.005) == (200, 400, 800)  # the generator's names end at 999
+
+
+@pytest.fixture(scope="module")
+def neighbours(data: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    out = tmp_path_factory.mktemp("neighbours") / "out"
+    return out, run_ablation("neighbours", [data], out, None, MODAL, Plan(), silent)
+
+
+def test_runs_have_the_setting_of_their_row_and_share_a_space_stage(
+    neighbours: tuple[Path, str], data: Path
+) -> None:
+    out, _ = neighbours
+    runs = [Run.open(p.parent) for p in sorted(out.glob("runs/*/*/run/config.json"))]
+    weights = {run.settings["motion"]["neighbours"] for run in runs}
+    lines = lines_of(out)
+    assert weights == {line["settings"]["motion"]["neighbours"] for line in lines}
+    assert len(weights) == len(lines) == 5
+    means = [run.load_space().means.numpy() for run in runs]
+    alone = train(data, out.parent / "alone", settings=MODAL)
+    for taken_over in means:
+        np.testing.assert_array_equal(taken_over, alone.load_space().means.numpy())
+    errors = {line["scalars"]["displacement_error"] for line in lines}
+    assert len(errors) == 5
+
+
+def test_the_table_holds_what_was_measured(neighbours: tuple[Path, str]) -> None:
+    out, text = neighbours
+    for line in lines_of(out):
+        (printed,) = [row for row in text.splitlines() if f"| {line['row']} " in row]
+        cells = [cell.strip() for cell in printed.split("|")]
+        assert f"{line['rows']['20']['modal']['ssim']:.4f}" in cells
+        assert f"{line['scalars']['displacement_error']:.1%}" in cells
+    assert text.count("nothing moves") == 1  # all rows have the same Gaussians
+    assert text in (out / "results.md").read_text(encoding="utf-8")
+    assert "polyline" in (out / "results.svg").read_text(encoding="utf-8")
+
+
+def test_filters_are_scored_on_one_run(data: Path, tmp_path: Path) -> None:
+    run_ablation("filter-phase", [data], tmp_path / "out", None, PAPER, Plan(alphas=(20.0,)), silent)
+    assert len(list((tmp_path / "out").glob("runs/*/*/run"))) == 1
+    lines = {line["row"]: line for line in lines_of(tmp_path / "out")}
+    published, zero = (lines[f"linear, {kind}"] for kind in ("published", "zero-phase"))
+    band = published["band_hz"]
+    expected = TemporalFilter("published").response(tuple(band), [5.0], 30.0)[0]
+    assert published["scalars"]["filter_phase_deg"] == pytest.approx(np.degrees(np.angle(expected)))
+    assert published["scalars"]["filter_phase_deg"] == pytest.approx(30.0, abs=0.1)
+    assert zero["scalars"]["filter_phase_deg"] == pytest.approx(0.0, abs=1e-9)
+    with Image.open(tmp_path / "out" / "slices.png") as sheet:
+        assert sheet.height > 7 * 96  # the truth and six rows
+    assert "![Space-time slices](slices.png)" in (tmp_path / "out" / "results.md").read_text(encoding="utf-8")
+    pictures = [line["rows"]["20"][name]["ssim"] for name, line in lines.items()]
+    assert len(set(pictures)) == len(pictures)
+
+
+def test_views_are_left_out_and_a_row_that_cannot_be_is_named(data: Path, tmp_path: Path) -> None:
+    text = run_ablation("views", [data], tmp_path / "out", None, MODAL, Plan(alphas=(20.0,)), silent)
+    lines = {line["row"]: line for line in lines_of(tmp_path / "out")}
+    assert {name: line["n_views"] for name, line in lines.items()} == {
+        "3 views": 3,
+        "5 views": 5,
+        "all views": 5,
+    }
+    assert lines["3 views"]["log"]["motion"]["views"] == 3
+    assert "10 views" not in text
+    page = (tmp_path / "out" / "results.md").read_text(encoding="utf-8")
+    assert f"Left out: {data.name}, 10 views: dataset {data} has 5 training cameras, 10 are asked for" in page
+
+
+def test_no_possible_row_is_an_error(data: Path, tmp_path: Path) -> None:
+    with pytest.raises(Tg4mmError, match="is not what tg4mm generate makes"):
+        run_ablation("amplitude", [data], tmp_path / "out", None, MODAL, Plan(), silent)
+    assert not (tmp_path / "out").exists()

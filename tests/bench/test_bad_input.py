@@ -1,0 +1,84 @@
+"""What the command refuses: exit code 2, one line, nothing written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tg4mm.cli import main
+
+
+def refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    assert main(["bench", *arguments]) == 2
+    message = capsys.readouterr().err
+    assert len(message.strip().splitlines()) == 1, message
+    return message
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--presets", "modal,nerf"], "'nerf'"),
+        (["--presets", "modal,modal"], "modal twice"),
+        (["--presets", ""], "--presets"),
+        (["--alphas", "5,many"], "'many'"),
+        (["--alphas", "-3"], "-3"),
+        (["--alphas", "7"], "ground truth for 5, 20"),
+        (["--same-time", "sometimes"], "sometimes"),
+        (["--set", "space.colour=1"], "space.colour"),
+        (["--set", "space.iterations=-4"], "-4"),
+        (["--set", "paper.resolution=100"], "100"),
+        (["--set", "motion.iterations=x"], "'x'"),
+        (["--lpips-weights", "/nowhere/alex.pth"], "/nowhere/alex.pth"),
+    ],
+)
+def test_options_of_scenes(options: list[str], message: str, data: Path, tmp_path: Path, capsys) -> None:
+    out = tmp_path / "out"
+    assert message in refused(["scenes", str(data), "--out", str(out), *options], capsys)
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["colour"], "initialisation, decoder, residual"),
+        (["decoder", "--preset", "modal"], "paper-small, paper"),
+        (["neighbours", "--set", "paper.channels=4"], "paper.channels"),
+        (["neighbours", "--set", "motion.neighbours=0"], "motion.neighbours"),
+        (["iterations", "--set", "paper.warm_up=2900"], "paper.iterations is 1875"),
+        (["amplitude"], "cannot be made with another amplitude"),
+    ],
+)
+def test_options_of_ablation(arguments: list[str], message: str, data: Path, tmp_path: Path, capsys) -> None:
+    out = tmp_path / "out"
+    given = ["ablation", arguments[0], str(data), "--out", str(out), *arguments[1:]]
+    assert message in refused(given, capsys)
+    assert not out.exists()
+
+
+def test_datasets_that_are_none(tmp_path: Path, capsys) -> None:
+    out = tmp_path / "out"
+    assert "nowhere" in refused(["scenes", "/nowhere", "--out", str(out)], capsys)
+    (tmp_path / "empty").mkdir()
+    assert "empty" in refused(["scenes", str(tmp_path / "empty"), "--out", str(out)], capsys)
+    assert not out.exists()
+
+
+def test_folders_of_something_else_are_left_alone(data: Path, tmp_path: Path, capsys) -> None:
+    foreign = tmp_path / "foreign"
+    foreign.mkdir()
+    (foreign / "letter.txt").write_text("mine")
+    assert "holds no bench.json" in refused(["scenes", str(data), "--out", str(foreign)], capsys)
+    assert [p.name for p in foreign.iterdir()] == ["letter.txt"]
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "bench.json").write_text(
+        '{"format": "tg4mm-bench", "version": 1, "kind": "ablation residual, paper"}'
+    )
+    assert "ablation residual, paper" in refused(["scenes", str(data), "--out", str(other)], capsys)
+    (other / "bench.json").write_text("{")
+    assert "bench.json" in refused(["scenes", str(data), "--out", str(other)], capsys)
+    assert [p.name for p in other.iterdir()] == ["bench.json"]
+    (tmp_path / "file").write_text("")
+    assert "is a file" in refused(["scenes", str(data), "--out", str(tmp_path / "file")], capsys)

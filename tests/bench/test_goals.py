@@ -1,0 +1,129 @@
+"""Verdicts come from the figures: each flips when its figure crosses the goal, and says by how much it is missed."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import pytest
+
+from tg4mm.bench.goals import judge
+from tg4mm.bench.means import group_means
+
+GROUP = "128×128, 0.2 px"
+
+
+def row(modal: float, ceiling: float = 0.99, still: float = 0.9) -> dict[str, Any]:
+    values = {"nothing moves": still, "modal": modal, "ceiling": ceiling}
+    return {name: {"ssim": v, "psnr_db": 30.0, "flip": 0.1, "lpips": None} for name, v in values.items()}
+
+
+def run_of(
+    label: str, gaps: dict[str, float], error: float, leak: float, seconds: tuple[float, float]
+) -> dict:
+    return {
+        "set": label, "row": "modal", "preset": "modal", "ways": ["modal"],
+        "rows": {a: row(0.99 - gap) for a, gap in gaps.items()},
+        "displacement": {"relative_error": error, "static_leak": leak, "per_frequency": []},
+        "seconds": {"space": seconds[0], "motion": seconds[1], "total": sum(seconds)},
+        "peak_memory_mib": 500.0, "n_gaussians": 9000, "mib_on_disk": 3.0,
+    }  # fmt: skip
+
+
+def rival_of(label: str, ssim: dict[str, float], total: float, name: str = "paper-small") -> dict:
+    made = run_of(label, dict.fromkeys(ssim, 0.0), 0.9, 0.1, (total / 2, total / 2))
+    rows = {a: {"linear": {"ssim": v}, "phase": {"ssim": v - 0.01}} for a, v in ssim.items()}
+    return made | {"row": name, "preset": "paper-small", "ways": ["linear", "phase"], "rows": rows}
+
+
+def results(**changes: Any) -> dict[str, Any]:
+    gaps = {"5": 0.0005, "20": 0.0015, "50": 0.004}
+    runs = [run_of("a", gaps, 0.04, 0.015, (30, 20)), run_of("b", gaps, 0.05, 0.02, (30, 25))]
+    runs += [rival_of(label, {"5": 0.98, "20": 0.95, "50": 0.92}, 60.0) for label in ("a", "b")]
+    sets = [{"label": label, "group": GROUP, "amplitude_px": 0.22} for label in ("a", "b")]
+    found: dict[str, Any] = {"sets": sets, "runs": runs}
+    found.update(changes)
+    found["means"] = group_means(found)
+    return found
+
+
+def verdict(found: dict[str, Any], part: str) -> dict[str, Any]:
+    (one,) = [v for v in judge(found) if part in v["goal"]]
+    return one
+
+
+def changed(index: int, path: list[Any], value: Any) -> dict[str, Any]:
+    runs = copy.deepcopy(results()["runs"])
+    target = runs[index]
+    for key in path[:-1]:
+        target = target[key]
+    target[path[-1]] = value
+    return results(runs=runs)
+
+
+def test_all_are_reached_by_figures_at_or_inside_the_goals() -> None:
+    assert {v["goal"]: v["reached"] for v in judge(results())} == {
+        "SSIM within 0.002 of the ceiling at α ≤ 20": True,
+        "SSIM within 0.005 of the ceiling at α = 50": True,
+        "displacement error ≤ 5% at 0.2 px": True,
+        "static leak ≤ 2%": True,
+        "the motion stage is faster than the space stage": True,
+        "modal beats paper-small at every α on every scene, given the same time": True,
+    }
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "part", "shortfall"),
+    [
+        (["rows", "20", "modal", "ssim"], 0.99 - 0.0045, "α ≤ 20", "0.0030 at α = 20, missed by 0.0010"),
+        (["rows", "50", "modal", "ssim"], 0.99 - 0.012, "α = 50", "0.0080 at α = 50, missed by 0.0030"),
+        (["displacement", "relative_error"], 0.11, "displacement error", "8.0%, missed by 3.0%"),
+        (["displacement", "static_leak"], 0.05, "static leak", "3.50%, missed by 1.50%"),
+        (["seconds"], {"space": 30, "motion": 60, "total": 90}, "motion stage", "slower on 1 of 2: a"),
+    ],
+)
+def test_a_mean_beyond_the_goal_misses_it(path: list[Any], value: Any, part: str, shortfall: str) -> None:
+    before, after = verdict(results(), part), verdict(changed(0, path, value), part)
+    assert (before["reached"], after["reached"]) == (True, False)
+    assert shortfall in after["detail"]
+
+
+@pytest.mark.parametrize("method", ["linear", "phase"])
+def test_one_alpha_of_one_scene_is_enough_to_lose_to_the_rival(method: str) -> None:
+    after = verdict(changed(3, ["rows", "20", method, "ssim"], 0.9985), "beats")
+    assert after["reached"] is False
+    assert after["detail"] == "missed in 1 of 6: b at α = 20 by 0.0100"
+
+
+def test_a_rival_that_had_less_time_proves_nothing() -> None:
+    short = changed(2, ["seconds", "total"], 10.0)
+    assert verdict(short, "beats")["reached"] is None
+    assert "had less time than modal on a" in verdict(short, "beats")["detail"]
+    again = rival_of("a", {"5": 0.981, "20": 0.951, "50": 0.921}, 50.0, "paper-small, modal's time")
+    assert verdict(results(runs=[*short["runs"], again]), "beats")["reached"] is True
+
+
+def test_the_error_goal_follows_the_amplitude() -> None:
+    fine = results(sets=[{"label": x, "group": "g", "amplitude_px": 0.02} for x in ("a", "b")])
+    assert verdict(fine, "displacement")["goal"] == "displacement error ≤ 10% at 0.02 px"
+    coarse = results(sets=[{"label": x, "group": "g", "amplitude_px": 3.0} for x in ("a", "b")])
+    assert not [v for v in judge(coarse) if "displacement" in v["goal"]]
+
+
+def test_what_was_not_measured_is_not_judged() -> None:
+    no_alpha = results(runs=[run_of(x, {"5": 0.0}, 0.04, 0.01, (3, 2)) for x in ("a", "b")])
+    assert verdict(no_alpha, "α = 50")["reached"] is None
+    assert verdict(no_alpha, "beats")["reached"] is None
+    assert verdict(changed(0, ["displacement"], None), "leak")["reached"] is True  # of the set that has it
+
+
+def test_sets_of_another_size_are_judged_apart() -> None:
+    sets = [
+        {"label": "a", "group": "one", "amplitude_px": 0.2},
+        {"label": "b", "group": "two", "amplitude_px": 0.2},
+    ]
+    runs = changed(0, ["displacement", "relative_error"], 0.5)["runs"]
+    found = {
+        v["group"]: v["reached"] for v in judge(results(sets=sets, runs=runs)) if "displacement" in v["goal"]
+    }
+    assert found == {"one": False, "two": True}

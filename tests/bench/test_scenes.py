@@ -1,0 +1,144 @@
+"""The main table: its numbers are evaluate's, what is finished is not done again, and times are matched by settings."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.bench.conftest import MODAL, PAPER
+from tg4mm.bench.measure import Plan
+from tg4mm.bench.scenes import ScenesRequest, run_scenes, same_time_training, same_time_trainings
+from tg4mm.errors import RunError
+from tg4mm.evaluate import evaluate_run
+from tg4mm.runs import Run
+from tg4mm.train import parse_settings
+
+REQUEST = ScenesRequest(settings={"modal": MODAL, "paper-small": PAPER}, same_time="never")
+Done = tuple[Path, dict[str, Any]]
+
+
+def silent(_: str) -> None:
+    """No messages."""
+
+
+@pytest.fixture(scope="module")
+def done(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Done:
+    out = tmp_path_factory.mktemp("scenes") / "out"
+    return out, run_scenes([data], out, REQUEST, silent)
+
+
+def entry(results: dict[str, Any], name: str) -> dict[str, Any]:
+    (found,) = [r for r in results["runs"] if r["row"] == name]
+    return found
+
+
+@pytest.mark.parametrize(
+    ("row", "way"), [("modal", "modal"), ("paper-small", "linear"), ("paper-small", "phase")]
+)
+def test_the_numbers_are_those_of_evaluate(
+    done: Done, data: Path, tmp_path: Path, row: str, way: str
+) -> None:
+    out, results = done
+    run = Run.open(out / "runs" / data.name / row / "run")
+    again = evaluate_run(run, out=tmp_path / "m.json", band=results["sets"][0]["band_hz"], method=way)
+    ours = entry(results, row)
+    for scored in again["alphas"]:
+        found = ours["rows"][str(scored["alpha"])]
+        assert found[way] == scored["rows"]["ours"]
+        assert found["nothing moves"] == scored["rows"]["nothing moves"]
+        assert found["ceiling"] == scored["rows"]["ceiling"]
+    assert ours["displacement"] == again["displacement"]
+    assert ours["seconds"]["motion"] == run.log()["motion"]["seconds"]
+
+
+def test_the_page_prints_the_numbers_of_the_json(done: Done, data: Path) -> None:
+    out, results = done
+    page = (out / "results.md").read_text(encoding="utf-8")
+    (line,) = [
+        x for x in page.splitlines() if x.startswith(f"| {data.name} ") and x.split("|")[2].strip() == "20"
+    ]
+    modal, paper = (entry(results, row)["rows"]["20"] for row in ("modal", "paper-small"))
+    values = [modal[m]["ssim"] for m in ("nothing moves", "modal", "ceiling")]
+    values += [paper[m]["ssim"] for m in ("nothing moves", "linear", "phase", "ceiling")]
+    gaps = [modal["ceiling"]["ssim"] - modal["modal"]["ssim"]]
+    gaps += [paper["ceiling"]["ssim"] - paper[m]["ssim"] for m in ("linear", "phase")]
+    assert [c.strip() for c in line.split("|")[3:-1]] == [f"{v:.4f}" for v in values + gaps]
+    made = results["made"]
+    assert all(str(made[key]) in page for key in ("command", "date", "tg4mm", "processor"))
+    assert "![SSIM over magnification" in page
+    assert (out / "results_1.svg").is_file()
+    assert json.loads((out / "results.json").read_text(encoding="utf-8")) == results
+
+
+def test_what_is_finished_is_not_done_again(done: Done, data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out, results = done
+
+    def forbidden(*_: Any, **__: Any) -> None:
+        raise AssertionError("done again")
+
+    for name in ("train", "evaluate_run"):
+        monkeypatch.setattr(f"tg4mm.bench.measure.{name}", forbidden)
+    again = run_scenes([data], out, REQUEST, silent)
+    assert again["runs"] == results["runs"]
+
+
+def test_other_alphas_are_scored_without_training(
+    done: Done, data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, results = done
+    space = out / "runs" / data.name / "modal" / "run" / "space.safetensors"
+    before = space.stat().st_mtime_ns
+    plan = Plan(alphas=(5.0,))
+    again = run_scenes([data], out, replace(REQUEST, presets=("modal",), plan=plan), silent)
+    assert list(entry(again, "modal")["rows"]) == ["0", "5"]
+    assert entry(again, "modal")["rows"]["5"] == entry(results, "modal")["rows"]["5"]
+    assert space.stat().st_mtime_ns == before
+
+
+def test_other_settings_are_refused(done: Done, data: Path) -> None:
+    other = replace(REQUEST, presets=("modal",), settings={"modal": {**MODAL, "space.iterations": "61"}})
+    with pytest.raises(RunError, match=r"space.iterations = 60, asked is 61"):
+        run_scenes([data], done[0], other, silent)
+
+
+class TestSameTime:
+    def test_all_iterations_are_scaled(self) -> None:
+        training = same_time_training("paper-small", {"paper.iterations": "400", "paper.warm_up": "100"}, 1.5)
+        config = parse_settings(training.settings, "paper-small")["paper"]
+        assert (config.warm_up, config.iterations, config.motion_iterations) == (150, 600, 300)
+
+    @pytest.mark.parametrize("factor", [1e-6, 0.01])
+    def test_a_small_share_is_still_trainable(self, factor: float) -> None:
+        config = parse_settings(same_time_training("paper-small", {}, factor).settings, "paper-small")[
+            "paper"
+        ]
+        assert config.iterations > config.warm_up >= 1
+        assert config.motion_iterations >= 1
+
+    @pytest.mark.parametrize(
+        ("rule", "modal_s", "paper_s", "factor"),
+        [
+            ("needed", 90.0, 60.0, 1.5),
+            ("needed", 60.0, 90.0, None),
+            ("always", 60.0, 90.0, 2 / 3),
+            ("never", 90.0, 60.0, None),
+        ],
+    )
+    def test_when(self, rule: str, modal_s: float, paper_s: float, factor: float | None) -> None:
+        figures = {"modal": {"seconds": {"total": modal_s}}, "paper-small": {"seconds": {"total": paper_s}}}
+        found = same_time_trainings(figures, ScenesRequest(same_time=rule))
+        expected = [] if factor is None else [same_time_training("paper-small", {}, factor)]
+        assert found == expected
+
+    def test_it_is_a_row_of_its_own(self, data: Path, tmp_path: Path) -> None:
+        plan = Plan(alphas=(20.0,))
+        request = replace(REQUEST, same_time="always", plan=plan)
+        results = run_scenes([data], tmp_path / "out", request, silent)
+        again, first = (entry(results, f"paper-small{name}") for name in (", modal's time", ""))
+        assert again["overrides"] != first["overrides"]
+        assert {m["row"] for m in results["means"]} == {"modal", "paper-small", "paper-small, modal's time"}
+        assert "paper-small, modal's time: linear" in (tmp_path / "out" / "results.md").read_text("utf-8")

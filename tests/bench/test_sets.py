@@ -1,0 +1,157 @@
+"""What the benchmark knows of a dataset: motion in pixels and its band from the truth; thinned and refused ones."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dataset_gen.arguments import parser
+from tg4mm.bench.amplitudes import generator_arguments
+from tg4mm.bench.errors import BenchError
+from tg4mm.bench.sets import amplitude_name, band_around, check_alphas, goal_amplitude, open_set, open_sets
+from tg4mm.bench.subset import with_views
+from tg4mm.capture import load_capture
+from tg4mm.evaluate.truth import load_truth
+
+
+def one_line(match: str) -> pytest.RaisesExc:
+    return pytest.raises(BenchError, match=rf"\A[^\n]*{match}[^\n]*\Z")
+
+
+def test_pixels_are_those_of_the_projected_vertices(data: Path) -> None:
+    found, capture = open_set(data, "x"), load_capture(data)
+    truth = load_truth(data, capture.fps, capture.n_timesteps)
+    viewmat, k = capture.viewmats[0], capture.Ks[0]
+
+    def pixels(points: np.ndarray) -> np.ndarray:
+        seen = (points @ viewmat[:3, :3].T + viewmat[:3, 3]) @ k.T
+        return seen[:, :2] / seen[:, 2:]
+
+    largest = max(
+        np.linalg.norm(pixels(b.rest + (1e-3 * m * np.exp(1j * phase)).real) - pixels(b.rest), axis=1).max()
+        for b in truth.objects
+        for m in b.modes
+        for phase in np.linspace(0, np.pi, 721)
+    )
+    assert found.amplitude_px == pytest.approx(1e3 * largest, rel=1e-3)
+    assert (found.frequency_hz, found.band_hz, found.alphas) == (5.0, (3.5, 6.5), (5, 20))
+    assert (found.width, found.n_views, found.n_timesteps, found.group) == (32, 5, 6, "32×32, 0.2 px")
+
+
+@pytest.mark.parametrize(
+    ("pixels", "goal", "name"),
+    [
+        (0.22, 0.2, "0.2 px"),
+        (0.44, 0.2, "0.2 px"),
+        (0.0215, 0.02, "0.02 px"),
+        (0.9, None, "0.9 px"),
+        (0.0, None, "0 px"),
+    ],
+)
+def test_which_goal_an_amplitude_stands_for(pixels: float, goal: float | None, name: str) -> None:
+    assert goal_amplitude(pixels) == goal
+    assert amplitude_name(pixels) == name
+
+
+def test_the_band_holds_all_frequencies_and_is_a_band() -> None:
+    assert band_around(np.array([3.0, 5.0]), 30.0) == (1.5, 6.5)
+    low, high = band_around(np.array([1.0, 14.0]), 30.0)
+    assert low == 0.0
+    assert 14.0 < high < 15.0
+
+
+def test_labels_are_unique(data: Path, tmp_path: Path) -> None:
+    other = tmp_path / "px002" / data.name
+    shutil.copytree(data, other)
+    assert [s.label for s in open_sets([data, other])] == [
+        f"{data.parent.name}-{data.name}",
+        f"px002-{data.name}",
+    ]
+
+
+def test_what_cannot_be_benchmarked_is_refused(data: Path, tmp_path: Path) -> None:
+    with one_line("is named twice"):
+        open_sets([data, data / ".." / data.name])
+    with one_line("no dataset is named"):
+        open_sets([])
+    bare = tmp_path / "bare"
+    shutil.copytree(data, bare, ignore=shutil.ignore_patterns("truth"))
+    with one_line(r"bare has no truth/motion.npz"):
+        open_sets([bare])
+    shutil.copytree(data, tmp_path / "plain", ignore=shutil.ignore_patterns("magnified"))
+    with one_line(r"plain has no magnified/x… folder"):
+        open_sets([tmp_path / "plain"])
+    with one_line(r"--alphas 7: dataset .* has ground truth for 5, 20"):
+        check_alphas(open_sets([data]), (7.0,))
+    check_alphas(open_sets([data]), (7.0, 20.0))
+
+
+class TestViews:
+    def test_cameras_are_thinned_evenly_and_the_original_stays(self, data: Path, tmp_path: Path) -> None:
+        whole, before = load_capture(data), (data / "scene.json").read_bytes()
+        thin = load_capture(with_views(open_set(data, "x"), 3, tmp_path / "three"))
+        assert [p.name for p in thin.paths[:3]] == ["r_000.png", "r_002.png", "r_004.png"]
+        np.testing.assert_array_equal(thin.viewmats[:3], whole.viewmats[[0, 2, 4]])
+        assert len(thin) == 3 * thin.n_timesteps
+        assert len(load_capture(data)) == len(whole)
+        assert (data / "scene.json").read_bytes() == before
+        made = open_set(tmp_path / "three" / data.name, "x")
+        assert (made.n_views, made.alphas, made.amplitude_px) == (
+            3,
+            (5, 20),
+            pytest.approx(made.amplitude_px),
+        )
+        test = load_capture(made.root, split="test", magnification=20)
+        np.testing.assert_array_equal(
+            test.viewmats, load_capture(data, split="test", magnification=20).viewmats
+        )
+
+    def test_an_unfinished_copy_is_made_again(self, data: Path, tmp_path: Path) -> None:
+        left = tmp_path / "a" / f".{data.name}.tmp"
+        left.mkdir(parents=True)
+        (left / "half").write_text("")
+        made = with_views(open_set(data, "x"), 2, tmp_path / "a")
+        assert not left.exists()
+        assert not (made / "half").exists()
+
+    def test_too_many_are_refused(self, data: Path, tmp_path: Path) -> None:
+        with one_line("has 5 training cameras, 6 are asked for"):
+            with_views(open_set(data, "x"), 6, tmp_path / "a")
+        assert not (tmp_path / "a").exists()
+
+
+class TestAmplitudes:
+    def test_everything_but_the_amplitude_is_the_datasets_own(self, data: Path, tmp_path: Path) -> None:
+        scene = {
+            "scene": "mic", "fps": 24.0, "frequency_hz": 4.0, "n_test": 2, "seed": 7, "images": "png16",
+            "background": "white", "engine": {"name": "CYCLES", "samples": 11}, "cameras": {"kind": "rig"},
+            "sensor": None,
+        }  # fmt: skip
+        (tmp_path / "scene.json").write_text(json.dumps(scene))
+        found = replace(open_set(data, "x"), root=tmp_path, fps=24.0)
+        arguments = generator_arguments(found, 0.05, tmp_path / "out")
+        options = dict(zip(arguments[1::2], arguments[2::2], strict=True))
+        assert arguments[0] == "mic"
+        assert options["--amplitude-px"] == "0.05"
+        assert options["--alphas"] == "20,40,80,160"
+        wanted = {
+            "--size": "32",
+            "--views": "5",
+            "--timesteps": "6",
+            "--samples": "11",
+            "--seed": "7",
+            "--fps": "24",
+        }
+        wanted |= {"--cameras": "rig", "--images": "png16", "--background": "white", "--test-views": "2"}
+        assert wanted.items() <= options.items()
+        parsed = parser().parse_args(arguments)
+        assert (parsed.amplitude_px, parsed.size, parsed.samples) == (0.05, 32, 11)
+
+    def test_another_kind_of_dataset_is_refused(self, data: Path, tmp_path: Path) -> None:
+        with one_line("cannot be made with another amplitude"):
+            generator_arguments(open_set(data, "x"), 0.05, tmp_path)

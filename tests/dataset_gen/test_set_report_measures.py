@@ -1,0 +1,172 @@
+"""What a dataset's report measures agrees with an analytic set."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("jinja2", reason="the report needs jinja2")
+pytest.importorskip("skimage", reason="the report needs scikit-image")
+
+
+from dataset_gen.report import write_report
+from dataset_gen.report.dataset import read_dataset
+from dataset_gen.report.modes import peak_of_phasor, phasor_maps, spectrum, summarise, together, track_point
+from dataset_gen.report.noise_floor import find_pairs, noise_floor
+from dataset_gen.report.pixels import (
+    motion_from_truth,
+    motion_from_vertices,
+    project,
+    seen_motion,
+    unproject,
+)
+from tests.dataset_gen.planes import DISTANCE, FOCAL, HEAVE, SIGMA, SIZE, SWAY, Plane, check, words
+
+
+def test_projection_and_its_inverse_agree(plane: Path) -> None:
+    view = read_dataset(plane).views["test"][0]
+    depth = np.random.default_rng(0).uniform(1, 9, (SIZE, SIZE))
+    pixel, found = project(unproject(depth, view), view)
+    np.testing.assert_allclose(found, depth, rtol=1e-12)
+    rows, columns = np.mgrid[:SIZE, :SIZE] + 0.5
+    np.testing.assert_allclose(pixel, np.stack([columns, rows], -1), atol=1e-9)
+
+
+def test_motion_in_pixels_is_what_the_pinhole_says(plane: Path) -> None:
+    dataset = read_dataset(plane)
+    seen = seen_motion(dataset, dataset.by_camera("test")["r_000"])
+    assert seen is not None
+    found = motion_from_truth(seen, dataset.amplitude)
+    assert found.source == "truth"
+    sways = np.abs(Plane(plane).displaced[0]).max()
+    # In the middle of the picture, heave moves nothing across it; away from it, it adds to the sway.
+    centre = seen.peak_pixels[SIZE // 2 - 1 : SIZE // 2 + 1, SIZE // 2 - 1 : SIZE // 2 + 1]
+    np.testing.assert_allclose(centre, FOCAL * sways / DISTANCE, rtol=0.02)
+    assert found.maximum >= found.p95 >= found.median > 0.9 * FOCAL * sways / DISTANCE
+    assert found.maximum < FOCAL * (sways + 0.5 * HEAVE) / (DISTANCE - HEAVE)
+    assert 0.4 < found.still < 0.6  # half of the square stands still
+
+
+def test_vertices_give_nearly_the_same_as_pixels(plane: Path) -> None:
+    dataset = read_dataset(plane)
+    views = dataset.by_camera("test")["r_000"]
+    seen = seen_motion(dataset, views)
+    assert seen is not None
+    assert dataset.motion is not None
+    pixels = motion_from_truth(seen, dataset.amplitude)
+    vertices = motion_from_vertices(dataset.motion, views, dataset.amplitude)
+    assert vertices.source == "vertices"
+    for name in ("maximum", "p95", "median"):
+        assert getattr(vertices, name) == pytest.approx(getattr(pixels, name), rel=0.05)
+
+
+def test_modes_are_told_apart_in_the_truth_of_the_pixels(plane: Path) -> None:
+    dataset = read_dataset(plane)
+    seen = seen_motion(dataset, dataset.by_camera("test")["r_000"])
+    assert seen is not None
+    assert dataset.motion is not None
+    maps = phasor_maps(seen, dataset.motion)
+    assert maps is not None
+    middle = maps[:, SIZE // 2, SIZE // 2]
+    np.testing.assert_allclose(middle, [[-1j * SWAY, 0, 0], [0, 0, -1j * HEAVE]], atol=1e-6)
+    still = maps[:, SIZE // 2, 2]
+    np.testing.assert_allclose(still, 0, atol=1e-9)
+
+
+def test_modes_that_go_alike_are_shown_together(tmp_path: Path) -> None:
+    made = Plane(tmp_path / "a", frequencies=(3.0, 3.0))
+    made.write()
+    made.truth()
+    dataset = read_dataset(made.root)
+    seen = seen_motion(dataset, dataset.views["test"])
+    assert seen is not None
+    assert dataset.motion is not None
+    assert phasor_maps(seen, dataset.motion) is None
+    motion, groups = together(dataset.motion)
+    assert groups == [[0, 1]]
+    maps = phasor_maps(seen, motion)
+    assert maps is not None
+    np.testing.assert_allclose(maps[0, SIZE // 2, SIZE // 2], [-1j * SWAY, 0, -1j * HEAVE], atol=1e-6)
+    assert "mode 1 and mode 2 together, 3 Hz" in words(write_report(made.root).read_text())
+
+
+def test_a_camera_that_moves_has_no_maps_per_pixel(tmp_path: Path) -> None:
+    made = Plane(tmp_path / "a", camera_moves=True)
+    made.write()
+    made.truth()
+    dataset = read_dataset(made.root)
+    seen = seen_motion(dataset, dataset.views["test"])
+    assert seen is not None
+    assert dataset.motion is not None
+    assert phasor_maps(seen, dataset.motion) is None
+    rest = next(row for row in noise_floor(dataset) if row.alpha == 5)
+    assert rest.still is None  # the rest picture is from elsewhere
+    text = write_report(made.root).read_text()
+    check(text)
+    assert "does not tell the modes apart" in words(text)
+
+
+def test_the_modes_are_summed_up(plane: Path) -> None:
+    motion = read_dataset(plane).motion
+    assert motion is not None
+    sway, heave = summarise(motion)
+    assert (sway.frequency_hz, heave.frequency_hz) == (3.0, 6.0)
+    assert sway.amplitude == pytest.approx(SWAY, rel=1e-6)
+    assert heave.amplitude == pytest.approx(HEAVE, rel=1e-6)
+    assert sway.parts[0][0] == "square"
+    assert sway.moving_area == pytest.approx(1.0 / 1.9, abs=0.05)
+
+
+def test_a_circular_phasor_has_its_radius_and_a_straight_one_its_length() -> None:
+    assert peak_of_phasor(np.array([3.0, -3j, 0])) == pytest.approx(3)
+    assert peak_of_phasor(np.array([3.0, 4.0, 0]) * np.exp(0.7j)) == pytest.approx(5)
+
+
+def test_the_point_over_time_is_the_analytic_one(plane: Path) -> None:
+    dataset = read_dataset(plane)
+    made = Plane(plane)
+    for seen in (seen_motion(dataset, dataset.views["test"]), None):
+        track = track_point(dataset, seen)
+        assert track is not None
+        assert track.view == ("r_000" if seen else "")
+        expected = np.column_stack([made.displaced[0], 0 * made.displaced[0], made.displaced[1]])
+        np.testing.assert_allclose(track.displacement, expected, atol=1e-6)
+
+
+def test_the_spectrum_of_a_sine_is_its_amplitude_at_its_frequency() -> None:
+    frequencies, amplitudes = spectrum(0.3 * np.sin(2 * np.pi * 5 * np.arange(30) / 30), 30.0)
+    assert frequencies[np.argmax(amplitudes)] == 5
+    assert amplitudes.max() == pytest.approx(0.3)
+    assert spectrum(np.array([2.0, -2.0]), 30.0)[1][-1] == pytest.approx(2)  # at half the frame rate
+
+
+def test_a_perfect_method_scores_what_the_noise_says(plane: Path) -> None:
+    rows = {row.alpha: row for row in noise_floor(read_dataset(plane))}
+    expected = -20 * np.log10(SIGMA)
+    for row in rows.values():
+        assert row.pair is not None
+        assert row.pair.psnr_db == pytest.approx(expected - 3.01, abs=0.3)
+        assert row.perfect_psnr_db == pytest.approx(expected, abs=0.3)
+        assert row.still is not None
+        assert row.still_own_noise is not None
+        assert row.still.psnr_db > row.still_own_noise.psnr_db
+    assert rows[5].still.psnr_db < rows[0].still.psnr_db
+    assert rows[5].still_own_noise.psnr_db < rows[5].perfect_psnr_db
+
+
+def test_pairs_are_found_where_the_second_renders_lie(plane: Path) -> None:
+    pairs = find_pairs(read_dataset(plane))
+    assert [(p.alpha, p.view.timestep) for p in pairs] == [(0, 2), (5, 2)]
+    assert all(p.truth != p.other and p.other.is_file() for p in pairs)
+
+
+def test_equal_second_renders_are_said_to_be_equal(tmp_path: Path) -> None:
+    made = Plane(tmp_path / "a")
+    made.write()
+    made.picture(2, 0, made.root / "report/reseeded/002/test/r_000.png")
+    row = noise_floor(read_dataset(made.root))[0]
+    assert row.pair is not None
+    assert row.pair.psnr_db == row.perfect_psnr_db == 100
+    assert "Here the second render is equal" in words(write_report(made.root).read_text())

@@ -1,0 +1,128 @@
+"""Generate and Train in the real Blender, by mouse: preview, progress, cancel, going on, splats at the end."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from . import looking, sidebar
+from .conftest import SPLAT
+from .session import Session, missing
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        os.environ.get("TG4MM_GUI") != "1",
+        reason=f"drives the real Blender on a virtual screen: make test-gui ({missing() or 'ready'})",
+    ),
+]
+AMPLITUDE, TOP = 0.02, 1.0
+# Stands in for the core's Python, which is not in there: says what the core says, and exports a file.
+CORE = """#!/usr/bin/python3
+import shutil, sys, time
+from pathlib import Path
+_, _, command, *rest = sys.argv[1:]
+out = Path(rest[rest.index("--out") + 1])
+if command == "train":
+    for done in range(1, 41):
+        print(f"space stage: {done}/40 it, 0:01 elapsed, 0:02 left, psnr 22.1", file=sys.stderr, flush=True)
+        time.sleep(0.25)
+    out.mkdir(exist_ok=True)
+else:
+    shutil.copyfile(Path(__file__).parent / "SPLAT", out)
+"""
+
+
+@pytest.fixture(scope="module")
+def blender(extension_zip: Path, splat_file: Path) -> Iterator[Session]:
+    with Session.start(extension_zip, [splat_file]) as running:
+        running.ask("cube", size=2 * TOP)
+        sidebar.open_tab(running)
+        yield running
+
+
+def job(blender: Session, kind: str) -> dict[str, Any]:
+    return blender.ask("job", kind=kind) or {"state": "", "done": 0, "total": 0, "message": "", "results": []}
+
+
+def test_the_preview_moves_the_object_as_far_as_gain_says(blender: Session, pictures: Path) -> None:
+    blender.ask(
+        "put_settings", of="tg4mm_generate", kind="translate", direction=[0, 0, 1], amplitude=AMPLITUDE,
+        frequency=6.0, fps=24.0, gain=10.0, out=f"{blender.inside}/sets", label="cube", timesteps=6, views=3,
+        test_views=1, size=32, samples=64, alphas="5", processes=1,
+    )  # fmt: skip
+    before = blender.ask("highest")
+    sidebar.press(blender, "bpy.ops.tg4mm.preview_start()")
+    blender.wait(lambda: blender.ask("modifiers")[-1:] == ["TG4MM Preview"], "the preview")
+    blender.ask("to_frame", number=2)  # a quarter of a period after the first
+    assert blender.ask("highest") == pytest.approx(before + 10 * AMPLITUDE, abs=1e-4)
+    gain = _dragged(blender, "tg4mm_generate", "gain", 100)
+    assert gain > 11
+    assert blender.ask("highest") == pytest.approx(before + gain * AMPLITUDE, abs=1e-4)
+    blender.picture(pictures / "20_preview.png")
+    sidebar.press(blender, "bpy.ops.tg4mm.preview_stop()")
+    blender.wait(lambda: "TG4MM Preview" not in blender.ask("modifiers"), "the end of the preview")
+    assert blender.ask("highest") == pytest.approx(before, abs=1e-6)
+    blender.ask("to_frame", number=1)
+
+
+def _dragged(blender: Session, of: str, which: str, pixels: int) -> float:
+    before = blender.ask("setting", of=of, which=which)
+    place = sidebar.find(blender, f"{of}.{which}")
+    time.sleep(1.0)  # the view may still be drawing
+    blender.drag(place, (pixels, 0))
+    blender.wait(lambda: blender.ask("setting", of=of, which=which) != before, f"{which} to change")
+    return float(blender.ask("setting", of=of, which=which))
+
+
+def test_a_dataset_is_begun_and_cancelled(blender: Session, pictures: Path) -> None:
+    sidebar.press(blender, "bpy.ops.tg4mm.generate()")
+    blender.wait(lambda: job(blender, "generate")["state"] == "running", "the generator")
+    cancel = sidebar.find(blender, "bpy.ops.tg4mm.cancel_job(kind='generate')")
+    blender.wait(lambda: job(blender, "generate")["done"] > 0, "progress", 60.0, 0.05)
+    blender.picture(pictures / "21_generating.png")
+    blender.click(*cancel)
+    blender.wait(lambda: job(blender, "generate")["state"] == "cancelled", "the generator's end", 60.0)
+    assert blender.complaints() == []
+
+
+def test_it_goes_on_to_a_whole_dataset(blender: Session, pictures: Path) -> None:
+    sidebar.press(blender, "bpy.ops.tg4mm.generate(go_on=True)")
+    seen: list[int] = []
+
+    def ended() -> bool:
+        now = job(blender, "generate")
+        if now["total"] and now["done"] not in seen:
+            seen.append(now["done"])
+        return now["state"] != "running"
+
+    blender.wait(ended, "the dataset", 400.0)
+    found = job(blender, "generate")
+    assert found["state"] == "done", found
+    assert len(seen) > 1  # it told how far it was
+    folder = blender.folder / Path(found["results"][-1]).relative_to(blender.inside)
+    assert json.loads((folder / "scene.json").read_text())["fps"] == 24.0
+    assert len(list(folder.glob("*/train/*.png"))) == 6 * 3
+    assert blender.ask("setting", of="tg4mm_train", which="dataset") == found["results"][-1]
+    assert not looking.is_blank(blender.picture(pictures / "22_generated.png"))
+
+
+def test_training_shows_progress_and_imports_what_was_trained(blender: Session, pictures: Path) -> None:
+    core = blender.folder / "python"
+    core.write_text(CORE.replace("SPLAT", SPLAT))
+    core.chmod(0o755)
+    blender.ask("name_core", python=f"{blender.inside}/python")
+    sidebar.press(blender, "bpy.ops.tg4mm.train()")
+    blender.wait(lambda: job(blender, "train")["done"] > 1, "progress")
+    time.sleep(0.5)
+    blender.picture(pictures / "23_training.png")
+    blender.wait(lambda: job(blender, "train")["state"] != "running", "the end of training", 60.0)
+    assert job(blender, "train")["message"].startswith("Imported: ")
+    assert blender.ask("inputs")["Magnification"] == 0.0  # of the splats, which are active now
+    assert blender.complaints() == []

@@ -1,0 +1,90 @@
+"""The neighbour term's weight by cross-validation: noise asks for more of it, parts that move apart for less."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.motion.test_linear import view_of
+from tests.rasterize.oracle import make_scene
+from tg4mm.motion.condition import conditioned, diagonals
+from tg4mm.motion.config import MotionConfig
+from tg4mm.motion.device import DeviceProblem
+from tg4mm.motion.neighbours import neighbourhoods
+from tg4mm.motion.problem import MotionProblem, information_scale, normals_of, with_rotation
+from tg4mm.motion.triplane import sampling_matrix
+from tg4mm.motion.weight import CANDIDATES, DEFAULT, chosen_weight
+
+N, CAMERAS = 80, 8
+PARTS = [np.arange(CAMERAS)[::2], np.arange(CAMERAS)[1::2]]
+
+
+@pytest.fixture(scope="module")
+def posed() -> list[MotionProblem]:
+    """One problem for each candidate; eight cameras look at one cloud."""
+    scene = make_scene(1, n=N, cameras=CAMERAS)
+    views = [
+        view_of(replace(scene, viewmats=scene.viewmats[c : c + 1], Ks=scene.Ks[c : c + 1]))
+        for c in range(CAMERAS)
+    ]
+    means = scene.means.numpy()
+    rng = np.random.default_rng(0)
+    scale = information_scale(views, len(means), rng)
+    plain = MotionProblem(views, sampling_matrix(means, 8), neighbourhoods(means), scale, MotionConfig())
+    known = diagonals(plain, rng)
+    return [conditioned(replace(plain, config=MotionConfig(neighbours=w)), known) for w in CANDIDATES]
+
+
+def shown(p: MotionProblem, u: np.ndarray, noise: float) -> np.ndarray:
+    """Component images of a displacement, with noise as a share of their rms."""
+    pictures = np.stack([view.push(with_rotation(u, p.around)) for view in p.views])
+    spread = noise * np.sqrt((pictures**2).mean())
+    return (pictures + np.random.default_rng(2).normal(0, spread, pictures.shape)).astype(np.float32)
+
+
+def each_by_itself() -> np.ndarray:
+    return np.random.default_rng(1).normal(size=(N, 3)).astype(np.float32)
+
+
+def as_one() -> np.ndarray:
+    return np.tile(np.float32([1, -0.5, 0.3]), (N, 1))
+
+
+def test_what_moves_each_by_itself_is_hardly_held_together(posed: list[MotionProblem]) -> None:
+    assert chosen_weight(posed, PARTS, shown(posed[0], each_by_itself(), 0.0)) == CANDIDATES[0]
+
+
+def test_noise_asks_for_the_stiffest_where_all_move_as_one(posed: list[MotionProblem]) -> None:
+    assert chosen_weight(posed, PARTS, shown(posed[0], as_one(), 3.0)) == CANDIDATES[-1]
+
+
+def test_the_same_on_a_torch_device(posed: list[MotionProblem]) -> None:
+    first = DeviceProblem(posed[0], "cpu")
+    there = [first, *(first.posed_as(p) for p in posed[1:])]
+    for u, noise in ((each_by_itself(), 0.0), (as_one(), 3.0)):
+        pictures = shown(posed[0], u, noise)
+        assert chosen_weight(there, PARTS, pictures) == chosen_weight(posed, PARTS, pictures)
+
+
+def test_pictures_that_do_not_change_say_nothing(posed: list[MotionProblem]) -> None:
+    still = np.zeros_like(shown(posed[0], as_one(), 0.0))
+    assert chosen_weight(posed, PARTS, still) == DEFAULT
+
+
+def test_several_problems_in_one_pass_are_each_by_itself(posed: list[MotionProblem]) -> None:
+    rng = np.random.default_rng(4)
+    thetas = [rng.normal(size=(p.n_parameters, 3)).astype(np.float32) for p in posed]
+    for p, theta, found in zip(posed, thetas, normals_of(posed, thetas), strict=True):
+        expected = p.normal(theta)
+        np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
+
+
+def test_the_misfit_is_what_a_field_leaves_unexplained(posed: list[MotionProblem]) -> None:
+    p, pictures = posed[0], shown(posed[0], as_one(), 0.5)
+    fields = [with_rotation(f * as_one(), p.around) for f in (0.0, 1.0)]
+    left = [pictures - np.stack([v.push(f) for v in p.views]) for f in fields]
+    expected = [float((x.astype(np.float64) ** 2).sum()) for x in left]
+    np.testing.assert_allclose(p.misfits(fields, pictures), expected, rtol=1e-4)
+    assert expected[1] < expected[0]

@@ -1,0 +1,215 @@
+"""An unfinished space stage that does not fit is refused in one line and stays on disk, whoever wrote it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
+from torch import Tensor
+
+from tests.space.test_train import SHORT, Killed, data, killed_after, points, views  # noqa: F401
+from tg4mm.capture import SurfacePoints
+from tg4mm.errors import RunError
+from tg4mm.runs import Run
+from tg4mm.space import RestViews, SpaceConfig, train_space
+from tg4mm.space import train as stage
+from tg4mm.space.checkpoint import pictures_digest, sealed
+
+Tensors = dict[str, Tensor]
+State = dict[str, Any]
+
+
+@pytest.fixture
+def interrupted(
+    views: RestViews,  # noqa: F811
+    points: SurfacePoints,  # noqa: F811
+    data: Path,  # noqa: F811
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> Run:
+    """A run killed after 12 of 36 iterations, in the middle of its second round of views."""
+    run = Run.create(tmp_path / "run", data, "modal", {})
+    with monkeypatch.context() as patch:
+        patch.setattr(stage, "CHECKPOINT_EVERY_S", -1.0)
+        patch.setattr(stage, "progress", killed_after(13))
+        with pytest.raises(Killed):
+            train_space(run, views, points, SHORT)
+    return run
+
+
+def forge(run: Run, change: Callable[[Tensors, State], None], seal: bool = True) -> None:
+    """Rewrite the checkpoint as someone would who knows the format; with `seal`, the digest as well."""
+    checkpoint = run.load_checkpoint("space")
+    assert checkpoint is not None
+    tensors, state = checkpoint
+    change(tensors, state)
+    run.save_checkpoint("space", tensors, sealed(tensors, state) if seal else state)
+
+
+def put(**values: Any) -> Callable[[Tensors, State], None]:
+    return lambda _, state: state.update(values)
+
+
+def tensor(name: str, change: Callable[[Tensor], Tensor]) -> Callable[[Tensors, State], None]:
+    return lambda tensors, _: tensors.update({name: change(tensors[name]).contiguous()})
+
+
+def without(name: str) -> Callable[[Tensors, State], None]:
+    return lambda tensors, _: tensors.__delitem__(name)
+
+
+def no_rows(tensors: Tensors, _: State) -> None:
+    for name, value in tensors.items():
+        if value.dim() and name != "generator":
+            tensors[name] = value[:0].clone()
+
+
+NAN = float("nan")
+FORGED = {
+    "a negative iteration": (put(iteration=-5), "iteration is -5: no state of 36 iterations on 10 views"),
+    "an iteration past the end": (put(iteration=37), "iteration is 37"),
+    "an iteration in words": (put(iteration="7"), 'iteration is "7"'),
+    "half an iteration": (put(iteration=7.5), "iteration is 7.5"),
+    "no iteration": (put(iteration=None), "iteration is null"),
+    "a view that is not there": (put(order=[10]), r"order is \[10\]"),
+    "a view twice": (put(order=[1, 1]), r"order is \[1, 1\]"),
+    "an order of another kind": (put(order="ab"), 'order is "ab"'),
+    "no psnr": (put(psnr=None), "psnr is null"),
+    "a scene of no extent": (put(extent=0.0), "extent is 0.0"),
+    "another count of steps": (put(iteration=8), "adam.step is 12, expected the iteration, 8"),
+    "no means": (without("means"), "it holds the tensors .*expected .*'means'"),
+    "no generator": (without("generator"), "it holds the tensors .*expected .*'generator'"),
+    "no moments": (without("adam.means.m"), "expected .*'adam.means.m'"),
+    "too short": (tensor("means", lambda t: t[:7]), r"means is torch.float32 \(7, 3\), expected float32 \(\d+, 3\)"),
+    "another degree": (tensor("shn", lambda t: t[:, :3]), r"shn is torch.float32 \(\d+, 3, 3\)"),
+    "double precision": (tensor("means", lambda t: t.double()), "means is torch.float64"),
+    "not a number": (tensor("adam.means.m", lambda t: t * NAN), "adam.means.m holds a value that is not finite"),
+    "negative squares": (tensor("adam.means.v", lambda t: t - 1), "adam.means.v holds -.*, a mean of squares"),
+    "half a generator": (tensor("generator", lambda t: t[:100]), "generator is no state of a random generator"),
+    "a generator of numbers": (tensor("generator", lambda t: t.float()), "generator is no state"),
+    "no Gaussians": (no_rows, "it holds 0 Gaussians, expected 1 to 500"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", list(FORGED))
+def test_a_forged_checkpoint_is_refused(
+    what: str,
+    interrupted: Run,
+    views: RestViews,  # noqa: F811
+    points: SurfacePoints,  # noqa: F811
+) -> None:
+    """With its digest put right. Shapes above all: the kernels would write past their arrays."""
+    change, match = FORGED[what]
+    forge(interrupted, change)
+    file = interrupted.path / "checkpoint_space.safetensors"
+    before = file.read_bytes()
+    with pytest.raises(RunError, match=rf"\A[^\n]*checkpoint_space[^\n]*{match}[^\n]*delete it[^\n]*\Z"):
+        train_space(interrupted, views, points, SHORT)
+    assert file.read_bytes() == before
+    assert not interrupted.has_space
+
+
+def test_a_checkpoint_sealed_anew_unchanged_is_taken(
+    interrupted: Run,
+    views: RestViews,  # noqa: F811
+    points: SurfacePoints,  # noqa: F811
+) -> None:
+    """So that the refusals above are for what was changed."""
+    forge(interrupted, lambda *_: None)
+    train_space(interrupted, views, points, SHORT)
+    assert interrupted.has_space
+
+
+@pytest.mark.parametrize("seal", [True, False])
+def test_a_tensor_that_is_none_of_its_own_is_refused(
+    seal: bool,
+    interrupted: Run,
+    views: RestViews,  # noqa: F811
+    points: SurfacePoints,  # noqa: F811
+) -> None:
+    forge(interrupted, lambda tensors, _: tensors.update(more=torch.zeros(3)), seal)
+    match = "'more'" if seal else "not what was written"
+    with pytest.raises(RunError, match=match):
+        train_space(interrupted, views, points, SHORT)
+
+
+@pytest.mark.parametrize("place", [0.3, 0.6, 0.999])
+def test_one_flipped_bit_is_found(
+    place: float,
+    interrupted: Run,
+    views: RestViews,  # noqa: F811
+    points: SurfacePoints,  # noqa: F811
+) -> None:
+    file = interrupted.path / "checkpoint_space.safetensors"
+    raw = bytearray(file.read_bytes())
+    raw[int(place * len(raw))] ^= 1
+    file.write_bytes(raw)
+    with pytest.raises(RunError, match="not what was written: damaged, edited, or of another version"):
+        train_space(interrupted, views, points, SHORT)
+
+
+def test_one_from_before_digests_is_refused(
+    interrupted: Run,
+    views: RestViews,  # noqa: F811
+    points: SurfacePoints,  # noqa: F811
+) -> None:
+    forge(interrupted, lambda _, state: state.pop("digest"), seal=False)
+    with pytest.raises(RunError, match="of another version; delete it to start the space stage again"):
+        train_space(interrupted, views, points, SHORT)
+
+
+def test_pictures_that_changed_underneath_are_refused(
+    interrupted: Run,
+    views: RestViews,  # noqa: F811
+    points: SurfacePoints,  # noqa: F811
+) -> None:
+    """One pixel of one picture; fewer views; one camera moved."""
+    rgb = views.rgb.copy()
+    rgb[3, 0, 0, 0] -= 1 / 255
+    moved = views.viewmats.copy()
+    moved[2, 0, 3] += 1e-3
+    fewer = {name: getattr(views, name)[:4] for name in ("viewmats", "Ks", "rgb", "alpha", "images")}
+    for changed in (replace(views, rgb=rgb), replace(views, viewmats=moved), RestViews(**fewer)):
+        with pytest.raises(RunError, match="cameras or pictures of the dataset have changed since"):
+            train_space(interrupted, changed, points, SHORT)
+
+
+def test_settings_that_allow_less_are_refused(
+    interrupted: Run,
+    views: RestViews,  # noqa: F811
+    points: SurfacePoints,  # noqa: F811
+) -> None:
+    """A caller without the check of the run's settings."""
+    for other, match in (
+        ({"iterations": 5}, "iteration is 12"),
+        ({"max_gaussians": 250}, "expected 1 to 250"),
+    ):
+        with pytest.raises(RunError, match=match):
+            train_space(interrupted, views, points, SpaceConfig(**vars(SHORT) | other))
+
+
+def test_a_header_of_another_version_is_refused(
+    interrupted: Run,
+    views: RestViews,  # noqa: F811
+    points: SurfacePoints,  # noqa: F811
+) -> None:
+    file = interrupted.path / "checkpoint_space.safetensors"
+    with safe_open(file, framework="pt") as opened:
+        meta = opened.metadata()
+        tensors = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118
+    save_file(tensors, file, metadata=meta | {"version": "99"})
+    with pytest.raises(RunError, match="has version 99, expected 1; delete it"):
+        train_space(interrupted, views, points, SHORT)
+
+
+def test_the_digest_of_pictures_is_theirs(views: RestViews) -> None:  # noqa: F811
+    turned = replace(views, rgb=np.ascontiguousarray(views.rgb[:, ::-1]))
+    assert pictures_digest(views) == pictures_digest(replace(views, rgb=views.rgb.copy()))
+    assert pictures_digest(views) != pictures_digest(turned)

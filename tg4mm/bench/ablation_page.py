@@ -1,0 +1,204 @@
+"""An ablation's table, page and picture, from its results.json."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from tg4mm.bench.chart import curves
+from tg4mm.bench.means import mean
+from tg4mm.bench.page import origin
+from tg4mm.bench.table import NOTHING, shown, table
+from tg4mm.evaluate.run import CEILING, STATIC
+
+# Columns by key of a line's `scalars`: title, format.
+COLUMNS = {
+    "init": ("started from", "{}"),
+    "psnr_rest": ("PSNR α = 0, dB", "{:.2f}"),
+    "n_gaussians": ("Gaussians", "{:,.0f}"),
+    "displacement_error": ("displacement error", "{:.1%}"),
+    "static_leak": ("static leak", "{:.1%}"),
+    "amplitude_ratio": ("amplitude ratio", "{:.3f}"),
+    "direction_error_deg": ("direction off, °", "{:.1f}"),
+    "filter_phase_deg": ("phase, °", "{:+.1f}"),
+    "filter_error": ("filter's error", "{:.1%}"),
+    "space_s": ("space, s", "{:.0f}"),
+    "motion_s": ("motion, s", "{:.0f}"),
+    "total_s": ("both stages, s", "{:.0f}"),
+    "mib_on_disk": ("on disk, MiB", "{:.1f}"),
+}
+SSIM = "ssim"
+
+
+def ablation_table(results: Mapping[str, Any]) -> str:
+    """SSIM of every row and method at every α beside "nothing moves" and the ceiling, and the row's figures."""
+    columns = ssim_columns(results)
+    header = ["set", results["title"], "method", *(f"SSIM {c}" for c in columns)]
+    header += [COLUMNS[key][0] for key in results["columns"]]
+    cells: list[list[str]] = []
+    for data in results["sets"]:
+        lines = [line for line in results["lines"] if line["set"] == data["label"]]
+        cells += _cells(results, lines, columns)
+    if len(results["sets"]) > 1:
+        cells += _cells(results, mean_lines(results, columns), columns)
+    return table(header, cells, text_columns=3)
+
+
+def ssim_columns(results: Mapping[str, Any]) -> list[str]:
+    """Titles of the SSIM columns, of all lines, by α or pixels."""
+    titles = dict.fromkeys(title for line in results["lines"] for title in line["ssim_columns"])
+    return sorted(titles, key=lambda t: float(t.replace("α = ", "").replace(" px", "")))
+
+
+def _cells(
+    results: Mapping[str, Any], lines: Sequence[Mapping[str, Any]], columns: Sequence[str]
+) -> list[list[str]]:
+    """The rows of one dataset. Where all have the same Gaussians, what frames them is printed once."""
+    blank = [""] * len(results["columns"])
+    once = _same_frames(lines, columns)
+    cells = []
+    for i, line in enumerate(lines):
+        own = [_scalar_cell(key, line["scalars"].get(key)) for key in results["columns"]]
+        methods = [(STATIC, blank)] if not once or i == 0 else []
+        methods += [(way, own if j == 0 else blank) for j, way in enumerate(line["ways"])]
+        methods += [(CEILING, blank)] if not once or i == len(lines) - 1 else []
+        for method, figures in methods:
+            named = "" if once and method in {STATIC, CEILING} else line["row"]
+            title = "" if method == line["row"] else method
+            cells.append([line["set"], named, title, *_ssims(line, method, columns), *figures])
+    return cells
+
+
+def _same_frames(lines: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> bool:
+    """Whether all lines show the same for the rest pose and the exact motion: they share their Gaussians."""
+    return all(len({tuple(_ssims(x, name, columns)) for x in lines}) == 1 for name in (STATIC, CEILING))
+
+
+def _scalar_cell(key: str, value: Any) -> str:
+    return NOTHING if value is None else COLUMNS[key][1].format(value)
+
+
+def _ssims(line: Mapping[str, Any], method: str, columns: Sequence[str]) -> list[str]:
+    return [shown(ssim_of(line, method, c), "{:.4f}") for c in columns]
+
+
+def ssim_of(line: Mapping[str, Any], method: str, column: str) -> float | None:
+    alpha = line["ssim_columns"].get(column)
+    return None if alpha is None else line["rows"][alpha].get(method, {}).get(SSIM)
+
+
+def mean_lines(results: Mapping[str, Any], columns: Sequence[str]) -> list[dict[str, Any]]:
+    """Lines like those of a dataset, of means over the datasets; of rows that all of them have."""
+    found = []
+    for row in results["rows"]:
+        lines = [line for line in results["lines"] if line["row"] == row]
+        if len(lines) < len(results["sets"]):
+            continue
+        methods = [STATIC, *lines[0]["ways"], CEILING]
+        found.append(
+            {
+                "set": f"**mean of {len(lines)}**",
+                "row": row,
+                "ways": lines[0]["ways"],
+                "ssim_columns": {c: c for c in columns},
+                "rows": {
+                    c: {m: {SSIM: mean(ssim_of(x, m, c) for x in lines)} for m in methods} for c in columns
+                },
+                "scalars": {key: _mean([x["scalars"].get(key) for x in lines]) for key in results["columns"]},
+            }
+        )
+    return found
+
+
+def _mean(values: Sequence[Any]) -> Any:
+    """Of numbers; texts are kept where all are the same."""
+    if any(isinstance(v, str) for v in values):
+        return values[0] if len(set(values)) == 1 else "differs"
+    return mean(values)
+
+
+def ablation_page(results: Mapping[str, Any], has_picture: bool) -> str:
+    parts = [
+        f"# {results['title']}",
+        f"{results['source']}. Preset `{results['preset']}`.",
+        origin(results["made"]),
+    ]
+    if results["lines"]:
+        parts.append(ablation_table(results))
+    if has_picture:
+        parts.append(f"![{results['title']}](results.svg)")
+    if results.get("slices"):
+        parts += ["![Space-time slices](slices.png)", results["slices"]]
+    if results["remark"]:
+        parts.append(results["remark"])
+    parts.append(_trained_with(results))
+    if results["left_out"]:
+        parts.append(
+            "\n".join(f"- Left out: {x['set']}, {x['row']}: {x['why']}" for x in results["left_out"])
+        )
+    notes = {note: None for line in results["lines"] for note in line["notes"]}
+    parts += [f"Note: {note}" for note in notes]
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def _trained_with(results: Mapping[str, Any]) -> str:
+    """What every row was trained with, beyond the preset."""
+    given = dict.fromkeys(
+        f"- {line['row']}: `{' '.join(f'--set {k}={v}' for k, v in line['overrides'].items())}`"
+        for line in results["lines"]
+        if line["overrides"]
+    )
+    return "Settings:\n\n" + "\n".join(given) if given else ""
+
+
+def picture(results: Mapping[str, Any]) -> str | None:
+    """The chart: SSIM over α with a curve for each row, or a figure over the rows with a curve for each dataset.
+
+    None while there is nothing to draw.
+    """
+    if not results["lines"]:
+        return None
+    return _over_alpha(results) if results["picture"] == SSIM else _over_rows(results)
+
+
+def _over_rows(results: Mapping[str, Any]) -> str:
+    """A figure of the motion; where rows scale different settings, a curve for each of them."""
+    key, names = results["picture"], [c for c in dict.fromkeys(results["curves"]) if c] or [""]
+    several = len(names) > 1
+    ticks = sorted(dict.fromkeys(results["ticks"]), key=_factor) if several else results["ticks"]
+    series: dict[str, list[float | None]] = {}
+    for data in results["sets"]:
+        of_row = {x["row"]: x["scalars"].get(key) for x in results["lines"] if x["set"] == data["label"]}
+        for name in names:
+            rows = zip(results["ticks"], results["curves"], results["rows"], strict=True)
+            at = {tick: of_row.get(row) for tick, curve, row in rows if not several or curve in {"", name}}
+            series[f"{data['label']}, {name}" if several else data["label"]] = [
+                at.get(tick) for tick in ticks
+            ]
+    return curves(ticks, series, results["x_label"] or results["title"], COLUMNS[key][0])
+
+
+def _factor(tick: str) -> float:
+    return float(tick.removeprefix("× "))
+
+
+def _over_alpha(results: Mapping[str, Any]) -> str:
+    """Means over the datasets that have a row; what frames them where it is the same for all rows."""
+    columns = ssim_columns(results)
+    labels = {line["set"] for line in results["lines"]}
+    shared = all(_same_frames([x for x in results["lines"] if x["set"] == s], columns) for s in labels)
+    series: dict[str, list[float | None]] = {}
+
+    def curve(name: str, lines: Sequence[Mapping[str, Any]], method: str) -> None:
+        series[name] = [mean(ssim_of(line, method, c) for line in lines) for c in columns]
+
+    if shared:
+        curve(STATIC, results["lines"], STATIC)
+    for row in results["rows"]:
+        lines = [line for line in results["lines"] if line["row"] == row]
+        for way in lines[0]["ways"] if lines else []:
+            several = len(lines[0]["ways"]) > 1
+            curve(f"{row}, {way}" if several else row, lines, way)
+    if shared:
+        curve(CEILING, results["lines"], CEILING)
+    return curves([c.replace("α = ", "") for c in columns], series, "magnification factor α", "SSIM")

@@ -1,0 +1,87 @@
+"""Means over scenes, for sets of one size and amplitude."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from tg4mm.evaluate.run import CEILING, STATIC
+
+METRICS = ("ssim", "psnr_db", "flip", "lpips")
+
+
+def main_frequency(displacement: Mapping[str, Any] | None) -> dict[str, Any]:
+    """The entry of `displacement_figures` of the frequency that moves most; {} if there is none."""
+    rows = (displacement or {}).get("per_frequency") or []
+    return max(rows, key=lambda row: row["amplitude_true"] or 0.0, default={})
+
+
+def scalars(run: Mapping[str, Any]) -> dict[str, float | None]:
+    """The figures of a run that do not depend on α. Times in seconds, angles in degrees, memory in MiB."""
+    moved = run["displacement"] or {}
+    main = main_frequency(moved)
+    seconds = run["seconds"]
+    return {
+        "displacement_error": moved.get("relative_error"),
+        "displacement_error_in_band": (moved.get("in_band") or {}).get("relative_error"),
+        "static_leak": moved.get("static_leak"),
+        "amplitude_ratio": main.get("amplitude_ratio"),
+        "direction_error_deg": main.get("direction_error_deg"),
+        "phase_error_deg": main.get("phase_error_deg"),
+        "space_s": seconds["space"],
+        "motion_s": seconds["motion"],
+        "motion_to_space": seconds["motion"] / seconds["space"] if seconds["space"] else None,
+        "total_s": seconds["total"],
+        "peak_memory_mib": run["peak_memory_mib"],
+        "n_gaussians": run["n_gaussians"],
+        "mib_on_disk": run["mib_on_disk"],
+    }
+
+
+def mean(values: Iterable[float | None]) -> float | None:
+    """The mean of those that are there, None if none is."""
+    known = [v for v in values if v is not None]
+    return sum(known) / len(known) if known else None
+
+
+def gap(row: Mapping[str, Mapping[str, Any]], way: str, metric: str = "ssim") -> float | None:
+    """How much a way's SSIM (or PSNR) lies below the ceiling of the same Gaussians."""
+    ours, best = (row.get(name, {}).get(metric) for name in (way, CEILING))
+    return None if ours is None or best is None else best - ours
+
+
+def group_means(results: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """[{group, row, preset, n_sets, sets, scalars: {…}, rows: {α: {method: {metric}}}, gaps: {α: {way: SSIM}}}].
+
+    An α counts where every set of the group that has this row has ground truth for it: means of different scenes must
+    not stand in one line.
+    """
+    group_of = {s["label"]: s["group"] for s in results["sets"]}
+    found: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    for run in results["runs"]:
+        found.setdefault((group_of[run["set"]], run["row"]), []).append(run)
+    return [_group_mean(group, row, runs) for (group, row), runs in found.items()]
+
+
+def _group_mean(group: str, row: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
+    common = [a for a in runs[0]["rows"] if all(a in run["rows"] for run in runs)]
+    methods = [STATIC, *runs[0]["ways"], CEILING]
+    values = [scalars(run) for run in runs]
+    return {
+        "group": group,
+        "row": row,
+        "preset": runs[0]["preset"],
+        "n_sets": len(runs),
+        "sets": [run["set"] for run in runs],
+        "scalars": {k: mean(v[k] for v in values) for k in values[0]},
+        "rows": {
+            a: {
+                m: {k: mean(run["rows"][a].get(m, {}).get(k) for run in runs) for k in METRICS}
+                for m in methods
+            }
+            for a in common
+        },
+        "gaps": {
+            a: {w: mean(gap(run["rows"][a], w) for run in runs) for w in runs[0]["ways"]} for a in common
+        },
+    }

@@ -1,0 +1,251 @@
+"""One run of a benchmark: train, score by every method asked for, keep the figures; never anything twice."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import gc
+import shutil
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from tg4mm.bench.sets import BenchSet, check_alphas
+from tg4mm.errors import RunError, Tg4mmError
+from tg4mm.evaluate import evaluate_run
+from tg4mm.evaluate.lpips import load_lpips
+from tg4mm.evaluate.run import CEILING, OURS, STATIC
+from tg4mm.evaluate.scores import Key
+from tg4mm.files import write_json
+from tg4mm.magnify import TemporalFilter
+from tg4mm.memory import reset_peak_memory
+from tg4mm.modelhash import model_hash
+from tg4mm.runconfig import read_json
+from tg4mm.runs import Run
+from tg4mm.train import parse_settings, train
+
+FIGURES = "figures.json"
+VERSION = 1  # of how figures are made: raise it when the same request would give others
+
+
+@dataclass(frozen=True)
+class Scoring:
+    """A way to magnify a trained run."""
+
+    name: str
+    method: str  # "modal", "linear", "phase"
+    filter: str | None = None  # None: the method's own, zero-phase
+
+
+SCORINGS = {
+    "modal": (Scoring("modal", "modal"),),
+    "paper": (Scoring("linear", "linear"), Scoring("phase", "phase")),
+    "paper-small": (Scoring("linear", "linear"), Scoring("phase", "phase")),
+}
+
+
+@dataclass(frozen=True)
+class Training:
+    """A model to train, and how to magnify it. `settings` as in `tg4mm train --set`."""
+
+    name: str  # a folder's name
+    preset: str
+    settings: Mapping[str, str] = field(default_factory=dict)
+    scorings: tuple[Scoring, ...] = ()  # (): those of the preset
+
+    @property
+    def ways(self) -> tuple[Scoring, ...]:
+        return self.scorings or SCORINGS[self.preset]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What holds for all runs of a benchmark."""
+
+    alphas: tuple[float, ...] | None = None  # None: all with ground truth
+    banded: bool = True  # magnify the band around the motion; False: every frequency
+    lpips_weights: tuple[Path, ...] = ()
+    device: str = "cpu"
+
+
+def measure(
+    place: Path, data: BenchSet, training: Training, plan: Plan, donor: Path | None = None
+) -> dict[str, Any]:
+    """Train and score in the folder `place`, or read what an earlier call has left there whole.
+
+    donor: a run folder whose space stage has the same settings and data; it is taken over, since training again would
+    give the same bits. Raises RunError where `place` holds a run of other settings, Tg4mmError where the data do not
+    allow these. Returned: {request, log, model, rows, displacement, …}, see `_figures`.
+    """
+    request = _request(data, training, plan)
+    kept = read_figures(place)
+    if kept is not None and kept["request"] == request:
+        return kept
+    run = _trained(place / "run", data, training, plan.device, donor)
+    scores: dict[Key, dict[str, float]] = {}
+    metrics = {}
+    for way in training.ways:
+        metrics[way.name] = _scored(run, way, data, plan, place, scores)
+        for key in [key for key in scores if key[0][:1] == (OURS,)]:
+            del scores[
+                key
+            ]  # of one way to magnify; what frames it, the rest pose and the exact motion, is of all
+    figures = _figures(run, request, training, metrics)
+    write_json(place / FIGURES, figures)
+    return figures
+
+
+def check_plan(sets: Sequence[BenchSet], plan: Plan) -> None:
+    """Raise Tg4mmError for an α without ground truth and for weights that cannot be read, before hours of training."""
+    check_alphas(sets, plan.alphas)
+    if plan.lpips_weights:
+        load_lpips(plan.lpips_weights)
+
+
+def warm_up(place: Path, data: BenchSet, presets: Iterable[str], device: str) -> None:
+    """Have the kernels compiled and loaded, so that no run's seconds hold that: a training of one iteration each."""
+    for preset in presets:
+        modal = {"space.iterations": "1", "motion.iterations": "1", "motion.components": "1"}
+        paper = {"paper.warm_up": "1", "paper.iterations": "2", "paper.motion_iterations": "1"}
+        folder = place / f".warm-up-{preset}"
+        shutil.rmtree(folder, ignore_errors=True)
+        with contextlib.suppress(Tg4mmError), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            train(data.root, folder, preset, device, modal if preset == "modal" else paper)
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def is_measured(place: Path, data: BenchSet, training: Training, plan: Plan) -> bool:
+    """Whether `measure` would find its figures there."""
+    kept = read_figures(place)
+    return kept is not None and kept["request"] == _request(data, training, plan)
+
+
+def read_figures(place: Path) -> dict[str, Any] | None:
+    """The figures kept in `place`; None if there are none that this version can read."""
+    file = place / FIGURES
+    if not file.is_file():
+        return None
+    try:
+        kept = read_json(file)
+    except RunError:  # torn: the run beside it is still whole, and is scored again
+        return None
+    return kept if kept.get("version") == VERSION and isinstance(kept.get("request"), dict) else None
+
+
+def _request(data: BenchSet, training: Training, plan: Plan) -> dict[str, Any]:
+    """All that the figures depend on, in JSON's types."""
+    configs = parse_settings(training.settings, training.preset)
+    return {
+        "dataset": str(data.root),
+        "digest": data.digest,
+        "preset": training.preset,
+        "settings": {stage: dataclasses.asdict(config) for stage, config in configs.items()},
+        "scorings": [dataclasses.asdict(s) for s in training.ways],
+        "alphas": None if plan.alphas is None else list(plan.alphas),
+        "band_hz": list(data.band_hz) if plan.banded else None,
+        "lpips_weights": [str(p) for p in plan.lpips_weights],
+        "device": plan.device,
+    }
+
+
+def _trained(place: Path, data: BenchSet, training: Training, device: str, donor: Path | None) -> Run:
+    place.parent.mkdir(parents=True, exist_ok=True)
+    gc.collect()
+    reset_peak_memory()  # each run's own peak, though with what is loaded for the runs before it
+    if donor is not None and not (place / "space.safetensors").exists():
+        _take_space(place, data, training, donor)
+    return train(data.root, place, training.preset, device, training.settings)
+
+
+def _take_space(place: Path, data: BenchSet, training: Training, donor: Path) -> None:
+    configs = parse_settings(training.settings, training.preset)
+    plain = {stage: dataclasses.asdict(config) for stage, config in configs.items()}
+    given = Run.open(donor)
+    # The preset paper replaces its base Gaussians by the decoded ones, so there is nothing to take from it.
+    if (given.preset, training.preset) != ("modal", "modal") or given.settings["space"] != plain["space"]:
+        return
+    run = Run.create(place, data.root, training.preset, plain)
+    run.save_space(given.load_space(), given.log()["space"])
+
+
+def _scored(
+    run: Run, way: Scoring, data: BenchSet, plan: Plan, place: Path, scores: dict[Key, dict[str, float]]
+) -> dict[str, Any]:
+    return evaluate_run(
+        run,
+        alphas=plan.alphas,
+        out=place / f"metrics_{_file_name(way.name)}.json",
+        bands=[data.band_hz] if plan.banded else [],
+        method=way.method,
+        filter=None if way.filter is None else TemporalFilter(way.filter),
+        lpips_weights=list(plan.lpips_weights) or None,
+        device=plan.device,
+        scores=scores,
+    )
+
+
+def _figures(
+    run: Run, request: dict[str, Any], training: Training, metrics: Mapping[str, dict[str, Any]]
+) -> dict[str, Any]:
+    """{version, request, log, seconds, model, n_gaussians, mib_on_disk, rows, displacement, notes}.
+
+    rows: {α: {"nothing moves": {ssim, …}, <each way's name>: …, "ceiling": …}}, α as text since JSON has no other keys.
+    """
+    rows: dict[str, dict[str, Any]] = {}
+    for name, figures in metrics.items():
+        for entry in figures["alphas"]:
+            scored = rows.setdefault(f"{entry['alpha']:g}", {})
+            for method, values in entry["rows"].items():
+                scored[name if method == OURS else method] = values
+    order = [STATIC, *metrics, CEILING]
+    first = next(iter(metrics.values()))
+    return {
+        "version": VERSION,
+        "request": request,
+        "log": run.log(),
+        "seconds": stage_seconds(run.log()),
+        "model": model_hash(run.path),
+        "n_gaussians": len(run.load_space()),
+        "mib_on_disk": _mib(run.path),
+        "rows": {a: {m: row[m] for m in order if m in row} for a, row in rows.items()},
+        "displacement": first["displacement"],
+        "seconds_evaluation": {name: figures["seconds"] for name, figures in metrics.items()},
+        "absent": {k: v for figures in metrics.values() for k, v in figures["absent"].items()},
+        "notes": sorted({note for figures in metrics.values() for note in figures["notes"]}),
+    }
+
+
+def stage_seconds(log: Mapping[str, Any]) -> dict[str, float]:
+    """Seconds of the space stage (of `paper`: base and triplane), of the motion stage, and of both."""
+    motion = float(log.get("motion", {}).get("seconds") or 0.0)
+    space = sum(float(entry.get("seconds") or 0.0) for stage, entry in log.items() if stage != "motion")
+    return {"space": space, "motion": motion, "total": space + motion}
+
+
+def peak_mib(log: Mapping[str, Any]) -> float:
+    """The most memory that any stage of a run has held, MiB."""
+    return max((float(entry.get("peak_memory_mib") or 0.0) for entry in log.values()), default=0.0)
+
+
+def _mib(run: Path) -> float:
+    files = (f for f in run.glob("*.safetensors") if not f.name.startswith("checkpoint"))
+    return sum(f.stat().st_size for f in files) / 2**20
+
+
+def _file_name(text: str) -> str:
+    return "".join(c if c.isalnum() or c in "-_." else "_" for c in text)
+
+
+def checked_presets(names: Sequence[str]) -> tuple[str, ...]:
+    """The presets' names. Raises Tg4mmError for one that is none, given twice, or for no name at all."""
+    if not names or names == [""]:
+        raise Tg4mmError(f"--presets is empty, expected some of {', '.join(SCORINGS)}")
+    for i, name in enumerate(names):
+        if name not in SCORINGS:
+            raise Tg4mmError(f"--presets holds {name!r}, expected some of {', '.join(SCORINGS)}")
+        if name in names[:i]:
+            raise Tg4mmError(f"--presets names {name} twice")
+    return tuple(names)

@@ -1,0 +1,164 @@
+"""A dataset as the benchmark sees it: its name, its size, its motion in pixels, and the band that holds it."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tg4mm.bench.errors import BenchError
+from tg4mm.capture import Capture, load_capture
+from tg4mm.evaluate.truth import TRUTH_FILE, Truth, load_truth
+from tg4mm.files import to_json
+
+HALF_BAND_HZ = 1.5  # [TG4MM] §IV.B: 3.5 to 6.5 Hz for motion at 5 Hz, 1.5 to 4.5 Hz for 3 Hz
+GOAL_AMPLITUDES_PX = (0.02, 0.2)  # for which the goals name a displacement error
+_SAME_AMPLITUDE = 3.0  # a set counts as one of those within this factor
+
+
+@dataclass(frozen=True)
+class BenchSet:
+    """One dataset with ground truth."""
+
+    label: str  # unique among the sets of one benchmark, a folder's name
+    root: Path
+    width: int  # pixels
+    height: int
+    n_timesteps: int
+    n_views: int  # training cameras
+    fps: float  # Hz
+    frequency_hz: float  # of the strongest mode
+    amplitude_px: float  # its largest displacement in the first training camera, pixels
+    band_hz: tuple[float, float]
+    alphas: tuple[int, ...]  # with ground truth, above 0
+    digest: str  # of what describes the set, so that figures of another set of that name are not taken for its own
+
+    @property
+    def group(self) -> str:
+        """Sets whose figures are averaged together: of one size and one amplitude."""
+        return f"{self.width}×{self.height}, {amplitude_name(self.amplitude_px)}"
+
+    def plain(self) -> dict[str, Any]:
+        """In JSON's types, as results.json has it."""
+        fields: dict[str, Any] = to_json({**asdict(self), "root": str(self.root), "group": self.group}, "set")
+        return fields
+
+
+def goal_amplitude(pixels: float) -> float | None:
+    """The amplitude of `GOAL_AMPLITUDES_PX` that a motion of so many pixels stands for, None if it is far from all."""
+    near = [
+        a for a in GOAL_AMPLITUDES_PX if pixels > 0 and abs(math.log(pixels / a)) < math.log(_SAME_AMPLITUDE)
+    ]
+    return min(near, key=lambda a: abs(math.log(pixels / a)), default=None)
+
+
+def amplitude_name(pixels: float) -> str:
+    """`0.2 px`: the goal's amplitude where it stands for one, else its own to one digit."""
+    goal = goal_amplitude(pixels)
+    return f"{goal:g} px" if goal is not None else f"{pixels:.1g} px"
+
+
+def open_sets(roots: Sequence[Path]) -> list[BenchSet]:
+    """Read what describes the datasets. Raises BenchError or CaptureError naming the first that will not do."""
+    if not roots:
+        raise BenchError("no dataset is named: give at least one folder")
+    resolved = [Path(root).resolve() for root in roots]
+    for i, root in enumerate(resolved):
+        if root in resolved[:i]:
+            raise BenchError(f"dataset {roots[i]} is named twice")
+    return [open_set(given, label) for given, label in zip(roots, _labels(resolved), strict=True)]
+
+
+def check_alphas(sets: Sequence[BenchSet], alphas: Sequence[float] | None) -> None:
+    """Raise BenchError for a set that has ground truth for none of the α asked for."""
+    for data in sets:
+        if alphas is not None and not set(alphas) & set(data.alphas):
+            asked, there = (", ".join(f"{a:g}" for a in some) for some in (alphas, data.alphas))
+            raise BenchError(f"--alphas {asked}: dataset {data.root} has ground truth for {there}")
+
+
+def _labels(roots: Sequence[Path]) -> list[str]:
+    """The folders' names, with the parent's in front where two are alike."""
+    names = [root.name for root in roots]
+    labels = [n if names.count(n) == 1 else f"{r.parent.name}-{n}" for n, r in zip(names, roots, strict=True)]
+    if len(set(labels)) < len(labels):
+        twice = next(label for label in labels if labels.count(label) > 1)
+        raise BenchError(f"two datasets are both called {twice}: rename one of the folders")
+    return labels
+
+
+def open_set(root: Path, label: str) -> BenchSet:
+    """Read what describes one dataset. Raises CaptureError, and BenchError where ground truth is missing."""
+    root = Path(root)
+    capture = load_capture(root)
+    if capture.n_timesteps < 2:
+        raise BenchError(f"dataset {root} has one timestep: there is no motion to measure")
+    if not (root / TRUTH_FILE).is_file():
+        raise BenchError(f"dataset {root} has no {TRUTH_FILE}: a benchmark needs ground truth")
+    alphas = _alphas(root)
+    if not alphas:
+        raise BenchError(f"dataset {root} has no magnified/x… folder: a benchmark needs ground truth")
+    truth = load_truth(root, capture.fps, capture.n_timesteps)
+    pixels = mode_pixels(truth, capture)
+    magnified = np.ones(len(pixels), bool) if truth.magnified is None else truth.magnified
+    moving = np.flatnonzero((pixels > 0) & magnified & (truth.freqs_hz > 0))
+    if not len(moving):
+        raise BenchError(f"dataset {root}: nothing that is magnified moves in it")
+    strongest = moving[pixels[moving].argmax()]
+    return BenchSet(
+        label=label,
+        root=root.resolve(),
+        width=capture.width,
+        height=capture.height,
+        n_timesteps=capture.n_timesteps,
+        n_views=int((capture.timesteps == 0).sum()),
+        fps=capture.fps,
+        frequency_hz=float(truth.freqs_hz[strongest]),
+        amplitude_px=float(pixels[strongest]),
+        band_hz=band_around(truth.freqs_hz[moving], capture.fps),
+        alphas=alphas,
+        digest=_digest(root),
+    )
+
+
+def band_around(freqs_hz: np.ndarray, fps: float) -> tuple[float, float]:
+    """The frequencies with `HALF_BAND_HZ` on either side, inside 0 … fps/2; Hz."""
+    low = max(float(freqs_hz.min()) - HALF_BAND_HZ, 0.0)
+    return low, min(float(freqs_hz.max()) + HALF_BAND_HZ, fps / 2 - fps / 1000)
+
+
+def mode_pixels(truth: Truth, capture: Capture) -> np.ndarray:
+    """[K] largest displacement of each mode over its cycle, in pixels of the first training camera, to first order."""
+    viewmat, k = capture.viewmats[0], capture.Ks[0]
+    largest = np.zeros(len(truth.freqs_hz))
+    for body in truth.objects:
+        if not len(body.rest):
+            continue
+        x = body.rest @ viewmat[:3, :3].T + viewmat[:3, 3]
+        seen = x[:, 2] > 1e-6
+        if not seen.any():
+            continue
+        x, d = x[seen], body.modes[:, seen] @ viewmat[:3, :3].T  # [V, 3], [K, V, 3]
+        across = (d[..., :2] - d[..., 2:] * (x[:, :2] / x[:, 2:])) / x[:, 2:]
+        pixels = across * np.array([k[0, 0], k[1, 1]])
+        # The longest half-axis of the ellipse Re(p exp(iφ)).
+        power = (np.abs(pixels) ** 2).sum(-1)
+        largest = np.maximum(largest, np.sqrt((power + np.abs((pixels**2).sum(-1))) / 2).max(1))
+    return largest
+
+
+def _alphas(root: Path) -> tuple[int, ...]:
+    names = [p.name for p in (root / "magnified").glob("x*") if p.is_dir()]
+    return tuple(sorted(int(n[1:]) for n in names if n[1:].isdecimal() and int(n[1:]) > 0))
+
+
+def _digest(root: Path) -> str:
+    digest = hashlib.sha256()
+    for file in (root / "scene.json", root / TRUTH_FILE):
+        digest.update(file.read_bytes() if file.is_file() else b"")
+    return digest.hexdigest()[:16]

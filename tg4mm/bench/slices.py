@@ -1,0 +1,100 @@
+"""Space-time slices of an ablation's rows beside the ground truth's, as [TG4MM] Fig. 8 shows them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from tg4mm.capture import Capture, load_capture, load_images
+from tg4mm.evaluate.scores import BACKGROUND, render_views
+from tg4mm.evaluate.slices import most_moving_line, space_time_slice
+from tg4mm.files import write_atomic
+from tg4mm.magnify import BandGain, Magnification, TemporalFilter
+from tg4mm.magnify.poses import poses_of
+from tg4mm.runs import Run
+
+ALPHA = 20  # or the largest below it that has ground truth
+_WIDTH = 720  # pixels of a slice in the picture
+_HEIGHT = 96
+_LABEL = 22
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A run and how it is magnified."""
+
+    label: str
+    run: Path
+    method: str
+    filter: str | None
+
+
+def slices_picture(
+    root: Path, alphas: Sequence[int], band_hz: Sequence[float] | None, shown: Sequence[Shown], out: Path
+) -> str:
+    """Write the picture to `out`; returns a sentence that says what it shows.
+
+    The line of pixels along which most changes over time, in the test camera where that is most; time runs down.
+    """
+    alpha = max([a for a in alphas if a <= ALPHA], default=min(alphas))
+    capture = load_capture(root, split="test", magnification=alpha)
+    camera, truth = _most_moving(capture)
+    axis, index = most_moving_line(truth)
+    rows = {"ground truth": space_time_slice(truth, axis, index)}
+    for one in shown:
+        video = _rendered(one, capture, camera, alpha, band_hz)
+        rows[one.label] = space_time_slice(video, axis, index)
+    if axis == "column":  # [H, T, 3]: time is brought down here too
+        rows = {label: np.swapaxes(piece, 0, 1) for label, piece in rows.items()}
+    picture = _stacked(rows)
+    write_atomic(out, lambda temporary: picture.save(temporary, "PNG"))
+    name = capture.paths[int(np.flatnonzero(capture.camera_ids == camera)[0])].name
+    return f"Space-time slices of {axis} {index} of test camera {name} at α = {alpha}; time runs down."
+
+
+def _most_moving(capture: Capture) -> tuple[int, np.ndarray]:
+    """(camera id, its pictures [T, H, W, 3] over white) of the camera whose pictures vary most over time."""
+    images = load_images(capture)
+    videos = {}
+    for camera in np.unique(capture.camera_ids).tolist():
+        rows = _rows(capture, camera)
+        videos[camera] = np.stack([images.rgb(int(i), background=BACKGROUND) for i in rows])
+    best = max(videos, key=lambda c: float(videos[c].var(0).mean()))
+    return best, videos[best]
+
+
+def _rows(capture: Capture, camera: int) -> np.ndarray:
+    rows = np.flatnonzero(capture.camera_ids == camera)
+    return rows[np.argsort(capture.timesteps[rows], kind="stable")]
+
+
+def _rendered(
+    one: Shown, capture: Capture, camera: int, alpha: int, band_hz: Sequence[float] | None
+) -> np.ndarray:
+    bands = () if band_hz is None else (BandGain(band_hz[0], band_hz[1], alpha),)
+    chosen = None if one.filter is None else TemporalFilter(one.filter)
+    everywhere = float(alpha) if band_hz is None else 0.0
+    plan = Magnification(bands=bands, everywhere=everywhere, method=one.method, filter=chosen)
+    poses = poses_of(Run.open(one.run), plan)
+    rows = _rows(capture, camera)
+    times = capture.timesteps[rows].tolist()
+    views = [render_views(poses.at(t), capture, rows[j : j + 1])[0] for j, t in enumerate(times)]
+    return np.stack(views)
+
+
+def _stacked(rows: Mapping[str, np.ndarray]) -> Image.Image:
+    sheet = Image.new("RGB", (_WIDTH, len(rows) * (_HEIGHT + _LABEL) + 4), "white")
+    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(size=14)
+    for i, (label, piece) in enumerate(rows.items()):
+        top = i * (_HEIGHT + _LABEL)
+        draw.text((2, top + 3), label, fill=(27, 29, 33), font=font)
+        pixels: Any = (piece.clip(0, 1) * 255 + 0.5).astype(np.uint8)
+        sheet.paste(
+            Image.fromarray(pixels).resize((_WIDTH, _HEIGHT), Image.Resampling.NEAREST), (0, top + _LABEL)
+        )
+    return sheet

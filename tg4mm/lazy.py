@@ -1,0 +1,21 @@
+"""Packages whose names are imported when they are first asked for.
+
+What lies in them and needs no torch (pages, charts, picture files, image metrics) can then be imported without it.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Mapping
+from typing import Any
+
+
+def lazily(package: str, where: Mapping[str, str]) -> Callable[[str], Any]:
+    """`__getattr__` of a package: `where` names the module of each of its names, relative to it."""
+
+    def get(name: str) -> Any:
+        if name not in where:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        return getattr(importlib.import_module(f"{package}.{where[name]}"), name)
+
+    return get

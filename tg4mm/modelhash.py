@@ -1,0 +1,45 @@
+"""A digest of what a run has learned: equal models have equal digests, wherever and however they were written."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+
+import numpy as np
+from safetensors import SafetensorError, safe_open
+
+from tg4mm.errors import RunError
+
+_FILES = ("space", "motion", "triplane")
+_NOT_OF_THE_MODEL = ("config", "format")  # the dataset's folder and the settings that led to it
+
+
+def model_hash(run_path: Path) -> str:
+    """SHA-256 over the tensors of a run's model files, with their names, types, shapes and headers.
+
+    Not over the files' bytes: safetensors writes its header in no fixed order. Motion triplanes of `paper` are in it by
+    the motion that they decode to. Raises RunError for a file that is torn.
+    """
+    digest = hashlib.sha256()
+    for name in _FILES:
+        path = run_path / f"{name}.safetensors"
+        if path.is_file():
+            digest.update(name.encode())
+            _update(digest, path)
+    return digest.hexdigest()
+
+
+def _update(digest: hashlib._Hash, path: Path) -> None:
+    try:
+        with safe_open(path, framework="numpy") as file:
+            header = {k: v for k, v in (file.metadata() or {}).items() if k not in _NOT_OF_THE_MODEL}
+            digest.update(json.dumps(header, sort_keys=True).encode())
+            for name in sorted(file.keys()):
+                tensor = np.ascontiguousarray(file.get_tensor(name))
+                digest.update(json.dumps([name, tensor.dtype.str, tensor.shape]).encode())
+                digest.update(tensor.data)
+    except (SafetensorError, OSError) as error:
+        raise RunError(
+            f"{path} is truncated or not a safetensors file: {' '.join(str(error).split())}"
+        ) from None

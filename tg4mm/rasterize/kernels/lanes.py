@@ -1,0 +1,224 @@
+"""Vectors to and from memory and across their lanes: loads and stores, sums, transpositions, and what threads share.
+
+Of the type of `vector.py`. No operation depends on the order of threads.
+"""
+
+from __future__ import annotations
+
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+from tg4mm.rasterize.kernels.vector import (
+    F32,
+    FV,
+    I32,
+    I64,
+    IV,
+    LANES,
+    as_lanes,
+    constant_lanes,
+    declare,
+    vector,
+)
+
+
+def _address(context, builder, array_type, array, index):
+    data = context.make_array(array_type)(context, builder, array).data
+    return builder.bitcast(builder.gep(data, [index]), FV.as_pointer())
+
+
+@intrinsic
+def load(typingctx, array, index):
+    """Lanes from the contiguous float32 array [n], from the int64 `index` on, which is not checked."""
+
+    def codegen(context, builder, sig, args):
+        return builder.load(_address(context, builder, sig.args[0], *args), align=4)
+
+    return vector(array, types.int64), codegen
+
+
+@intrinsic
+def store(typingctx, array, index, value):
+    """Lanes to the contiguous float32 array [n], from the int64 `index` on, which is not checked."""
+
+    def codegen(context, builder, sig, args):
+        builder.store(args[2], _address(context, builder, sig.args[0], *args[:2]), align=4)
+        return context.get_dummy_value()
+
+    return types.none(array, types.int64, vector), codegen
+
+
+def _fold(builder, a, b):
+    """Sums of neighbouring lanes: those of a in the lower half, those of b in the upper."""
+    picks = [constant_lanes(range(odd, 2 * LANES, 2)) for odd in (0, 1)]
+    return builder.fadd(*(builder.shuffle_vector(a, b, pick) for pick in picks))
+
+
+def _lane_sums(builder, parts):
+    """One vector whose first lanes are the sums of the lanes of each part (at most 16), by a fixed tree; then zeros."""
+    parts = list(parts) + [ir.Constant(FV, None)] * (LANES - len(parts))
+    while len(parts) > 1:
+        parts = [_fold(builder, parts[k], parts[k + 1]) for k in range(0, len(parts), 2)]
+    return parts[0]
+
+
+@intrinsic
+def lane_sums(typingctx, a, b, c, d, e, f, g, h, i, j):
+    """The sum of the lanes of each of ten vectors, in lanes 0 … 9 of one, whose others are 0.
+
+    Always added in the same order.
+    """
+    return vector(*[vector] * 10), lambda context, builder, sig, args: _lane_sums(builder, args)
+
+
+@intrinsic
+def lane_sums_of_eight(typingctx, a, b, c, d, e, f, g, h):
+    """`lane_sums` of eight vectors, in lanes 0 … 7."""
+    return vector(*[vector] * 8), lambda context, builder, sig, args: _lane_sums(builder, args)
+
+
+def _store_parts(context, builder, sig, args, parts):
+    """Store the lanes first … first + count for each of `parts`."""
+    data = context.make_array(sig.args[0])(context, builder, args[0]).data
+    for first, count in parts:
+        kind = ir.VectorType(F32, count)
+        lanes = constant_lanes(range(first, first + count))
+        part = builder.shuffle_vector(args[2], args[2], lanes)
+        place = builder.gep(data, [builder.add(args[1], ir.Constant(I64, first))])
+        builder.store(part, builder.bitcast(place, kind.as_pointer()), align=4)
+    return context.get_dummy_value()
+
+
+@intrinsic
+def store_eight(typingctx, array, index, value):
+    """Lanes 0 … 7 to the contiguous float32 array [n]."""
+
+    def codegen(context, builder, sig, args):
+        return _store_parts(context, builder, sig, args, ((0, 8),))
+
+    return types.none(array, types.int64, vector), codegen
+
+
+@intrinsic
+def fetch_add(typingctx, array):
+    """Add 1 to the first entry of an int64 array and return what it was, atomically: a thread takes its next item."""
+
+    def codegen(context, builder, sig, args):
+        data = context.make_array(sig.args[0])(context, builder, args[0]).data
+        return builder.atomic_rmw("add", data, ir.Constant(I64, 1), "monotonic")
+
+    return types.int64(array), codegen
+
+
+@intrinsic
+def prefetch(typingctx, array, row):
+    """Ask for the first cache line of a row of the C-ordered array [n, m] ahead of its use."""
+
+    def codegen(context, builder, sig, args):
+        made = context.make_array(sig.args[0])(context, builder, args[0])
+        stride = builder.extract_value(made.strides, 0)
+        address = builder.add(builder.ptrtoint(made.data, I64), builder.mul(args[1], stride))
+        kind = ir.IntType(8).as_pointer()
+        f = declare(builder, "llvm.prefetch.p0", ir.VoidType(), [kind, I32, I32, I32])
+        hints = [ir.Constant(I32, x) for x in (0, 3, 1)]  # to read, keep, data
+        builder.call(f, [builder.inttoptr(address, kind), *hints])
+        return context.get_dummy_value()
+
+    return types.none(array, types.int64), codegen
+
+
+def _fours(context, builder, sig, args):
+    """Addresses of four vectors of four float32: from an index on, a stride apart."""
+    data, place = context.make_array(sig.args[0])(context, builder, args[0]).data, args[1]
+    for _ in range(4):
+        yield builder.bitcast(builder.gep(data, [place]), ir.VectorType(F32, 4).as_pointer())
+        place = builder.add(place, args[2])
+
+
+@intrinsic
+def load_block(typingctx, array, index, stride):
+    """Four times four float32 of a contiguous array [n], the groups `stride` apart."""
+
+    def codegen(context, builder, sig, args):
+        fours = [builder.load(at, align=4) for at in _fours(context, builder, sig, args)]
+        eight = constant_lanes(range(8))
+        low, high = (builder.shuffle_vector(*fours[k : k + 2], eight) for k in (0, 2))
+        return builder.shuffle_vector(low, high, constant_lanes(range(LANES)))
+
+    return vector(array, types.int64, types.int64), codegen
+
+
+@intrinsic
+def store_block(typingctx, array, index, stride, value):
+    """What `load_block` reads."""
+
+    def codegen(context, builder, sig, args):
+        for k, at in enumerate(_fours(context, builder, sig, args)):
+            part = builder.shuffle_vector(args[3], args[3], constant_lanes(range(4 * k, 4 * k + 4)))
+            builder.store(part, at, align=4)
+        return context.get_dummy_value()
+
+    return types.none(array, types.int64, types.int64, vector), codegen
+
+
+def _within_fours(builder, a, b, c, d):
+    """Lane 4 r + j of the k-th to lane 4 r + k of the j-th: every group of four lanes transposed."""
+    low, high = ([g + s for g in range(0, LANES, 4) for s in p] for p in ((0, 16, 1, 17), (2, 18, 3, 19)))
+    pairs = [
+        builder.shuffle_vector(x, y, constant_lanes(lanes))
+        for lanes in (low, high)
+        for x, y in ((a, b), (c, d))
+    ]
+    low, high = ([g + s for g in range(0, LANES, 4) for s in p] for p in ((0, 1, 16, 17), (2, 3, 18, 19)))
+    return [
+        builder.shuffle_vector(*pairs[k : k + 2], constant_lanes(lanes))
+        for k in (0, 2)
+        for lanes in (low, high)
+    ]
+
+
+def _of_fours(builder, a, b, c, d):
+    """Group r of the k-th to group k of the r-th: four vectors of four groups of four lanes transposed."""
+
+    def groups(x, y, picks):
+        return builder.shuffle_vector(x, y, constant_lanes([4 * g + k for g in picks for k in range(4)]))
+
+    halves = [(groups(x, y, (0, 1, 4, 5)), groups(x, y, (2, 3, 6, 7))) for x, y in ((a, b), (c, d))]
+    return [groups(halves[0][h], halves[1][h], p) for h in (0, 1) for p in ((0, 2, 4, 6), (1, 3, 5, 7))]
+
+
+@intrinsic
+def rows_of_planes(typingctx, a, b, c, d):
+    """Four channels of a block, a lane a pixel, to the block's four rows, channels of a pixel side by side."""
+
+    def codegen(context, builder, sig, args):
+        rows = _of_fours(builder, *_within_fours(builder, *args))
+        return context.make_tuple(builder, sig.return_type, rows)
+
+    return types.UniTuple(vector, 4)(*[vector] * 4), codegen
+
+
+@intrinsic
+def planes_of_rows(typingctx, a, b, c, d):
+    """The inverse of `rows_of_planes`."""
+
+    def codegen(context, builder, sig, args):
+        planes = _within_fours(builder, *_of_fours(builder, *args))
+        return context.make_tuple(builder, sig.return_type, planes)
+
+    return types.UniTuple(vector, 4)(*[vector] * 4), codegen
+
+
+@intrinsic
+def mark(typingctx, array, index, condition, bit):
+    """Set the given bits in those of sixteen entries of a uint32 array, from `index` on, where the mask is set."""
+
+    def codegen(context, builder, sig, args):
+        data = context.make_array(sig.args[0])(context, builder, args[0]).data
+        place = builder.bitcast(builder.gep(data, [args[1]]), IV.as_pointer())
+        bits = builder.select(args[2], as_lanes(builder, args[3]), ir.Constant(IV, None))
+        builder.store(builder.or_(builder.load(place, align=4), bits), place, align=4)
+        return context.get_dummy_value()
+
+    return types.none(array, types.int64, condition, types.uint32), codegen

@@ -1,0 +1,160 @@
+"""What all kernels that blend tiles share: where pixels lie, which blocks a Gaussian may reach, who takes which tile.
+
+A tile is 16 blocks of 4 × 4 pixels, a block one vector. A kernel keeps a row of planes for each block, its state:
+first the transmittance, then what it carries along. For each Gaussian one vector test, a lane a block, says which
+blocks its ellipse may reach; the others are not touched. The exponent is a sum of two squares, p² + q² with p, q linear
+in the pixel, which keeps thin ellipses exact.
+
+A pixel that has stopped carries a negative transmittance: -T, of which nothing comes any more.
+
+Threads take tiles from a common counter, those with long lists first. A tile's result depends on nothing but the tile.
+"""
+
+# mypy: disable-error-code="call-arg, var-annotated"
+# an intrinsic has one argument more than its calls: the typing context
+
+import math
+
+import numpy as np
+from numba import float32, get_num_threads, int64, njit, uint32
+
+from tg4mm.rasterize.kernels.compiled import kernel
+from tg4mm.rasterize.kernels.lanes import load, prefetch
+from tg4mm.rasterize.kernels.layout import ALPHA_MAX, CA, CB, L22, MX, MY, POWER, R11, SQUARES, T_MIN, TILE
+from tg4mm.rasterize.kernels.vector import EXP2, LANES, exp2, fma, magnitude, select, wide
+
+_SIDE = 4  # pixels of a block
+BLOCKS = TILE * TILE // LANES
+_AHEAD = 16  # pairs whose Gaussians are asked for ahead of their use: they lie anywhere in memory
+
+# What kernels read from memory: where pixels and blocks lie (lanes are pixels from their block's centre, then block
+# centres from the tile's corner), then constants that are to stay in registers.
+_LANE = np.arange(LANES)
+_PLACES = [_LANE % _SIDE - 1.5, _LANE // _SIDE - 1.5, _LANE % _SIDE * 4 + 2.0, _LANE // _SIDE * 4 + 2.0]
+TABLE = np.concatenate([*_PLACES, EXP2, [ALPHA_MAX, T_MIN]]).astype(np.float32)
+_POWERS = 4 * LANES
+_LIMITS = _POWERS + len(EXP2)
+
+
+@njit(inline="always")
+def pixel(r, c, stride):
+    """Place of row r, column c of a tile in the first plane of its state, whose blocks are `stride` apart."""
+    return ((r >> 2) * 4 + (c >> 2)) * stride + (r & 3) * _SIDE + (c & 3)
+
+
+@njit(inline="always")
+def corner(k, x0, y0, width):
+    """Place of the first pixel of block k in a picture `width` wide, the tile beginning at x0, y0."""
+    return int64((y0 + (k >> 2) * _SIDE) * width + x0 + (k & 3) * _SIDE)
+
+
+@njit(inline="always")
+def aligned(n):
+    """n float32 at an address that is a multiple of 64: no vector straddles two cache lines."""
+    room = np.empty(n + LANES, np.float32)
+    skip = (-(room.ctypes.data // 4)) % LANES
+    return room[skip : skip + n]
+
+
+@njit(inline="always")
+def fill(state, stride, transmittance):
+    """The first plane to `transmittance`, the others to 0. A block's planes follow each other in `state`."""
+    state[:] = float32(0.0)
+    for k in range(BLOCKS):
+        state[k * stride : k * stride + LANES] = transmittance
+
+
+@njit(inline="always")
+def inside(rows, columns):
+    """Mask of the blocks that have a pixel in the image."""
+    live = uint32(0)
+    for k in range(BLOCKS):
+        if (k >> 2) * 4 < rows and (k & 3) * 4 < columns:
+            live |= uint32(1) << uint32(k)
+    return live
+
+
+@njit(inline="always")
+def constants(table):
+    """Of TABLE, in registers: pixels' x and y from their block's centre, those of `exp2`, and ALPHA_MAX and T_MIN.
+
+    As constants of the code they would be fetched anew, each with its address, in every round of a loop.
+    """
+    powers = (
+        wide(table[_POWERS]), wide(table[_POWERS + 1]), wide(table[_POWERS + 2]), wide(table[_POWERS + 3]),
+        wide(table[_POWERS + 4]), wide(table[_POWERS + 5]), wide(table[_POWERS + 6]),
+    )  # fmt: skip
+    lanes = load(table, int64(0)), load(table, int64(LANES))
+    return lanes[0], lanes[1], powers, wide(table[_LIMITS]), wide(table[_LIMITS + 1])
+
+
+@njit(inline="always")
+def exponent(splats, i):
+    """l11, l12, l22 of the exponent p² + q² of Gaussian i: p = l11 dx + l12 dy, q = l22 dy."""
+    h = float32(SQUARES) * splats[i, R11]
+    return h * splats[i, CA], h * splats[i, CB], splats[i, L22]
+
+
+@njit(inline="always")
+def at_centres(splats, pair_gaussian, pair, end, x0, y0, table):
+    """p and q of a pair's Gaussian at the centres of the tile's blocks, a lane a block; fetches a later pair's."""
+    i = pair_gaussian[pair]
+    prefetch(splats, int64(pair_gaussian[min(pair + _AHEAD, end - 1)]))
+    l11, l12, l22 = exponent(splats, i)
+    dx = load(table, int64(2 * LANES)) + (float32(x0) - splats[i, MX])
+    dy = load(table, int64(3 * LANES)) + (float32(y0) - splats[i, MY])
+    return fma(dx, l11, dy * l12), dy * l22
+
+
+@njit(inline="always")
+def may_reach(splats, i, p, q):
+    """Mask of the blocks that the ellipse of Gaussian i may reach, from `at_centres`.
+
+    A block's p and q lie within a box around those of its centre; if the box's nearest point to the origin is outside
+    the ellipse, so is the block.
+    """
+    half, zero = float32(1.5), float32(0.0)
+    l11, l12, l22 = exponent(splats, i)
+    out_p = magnitude(p) - half * (abs(l11) + abs(l12))
+    out_q = magnitude(q) - half * l22
+    out_p = select(out_p > zero, out_p, zero)
+    out_q = select(out_q > zero, out_q, zero)
+    return wide(splats[i, POWER] * float32(2.0 * SQUARES)) >= fma(out_p, out_p, out_q * out_q)
+
+
+@njit(inline="always")
+def top_of(splats, i, faintest):
+    """log2 of a Gaussian's opacity; faintest: that of the smallest alpha that counts."""
+    return splats[i, POWER] * float32(2.0 * SQUARES) + faintest
+
+
+@njit(inline="always")
+def alphas(y, faintest, alpha_max, powers):
+    """Of y = log2 of the unbounded alpha: alpha, 0 where too faint; where it follows y; where it is bright enough."""
+    raw = exp2(y, powers)
+    free, seen = alpha_max > raw, y >= faintest
+    return select(seen, select(free, raw, alpha_max), float32(0.0)), free, seen
+
+
+@kernel()
+def _longest_first(tile_start):
+    """Tiles by falling length of their lists, to the next power of √2; equal ones as they lie."""
+    n = len(tile_start) - 1
+    count = np.zeros(66, np.int64)
+    rank = np.empty(n, np.uint8)
+    for tile in range(n):
+        length = tile_start[tile + 1] - tile_start[tile]
+        rank[tile] = 64 - min(64, int(2.0 * math.log2(length)) + 1) if length > 0 else 64
+        count[rank[tile] + 1] += 1
+    for k in range(65):
+        count[k + 1] += count[k]
+    order = np.empty(n, np.int32)
+    for tile in range(n):
+        order[count[rank[tile]]] = tile
+        count[rank[tile]] += 1
+    return order
+
+
+def work(tile_start: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
+    """Number of workers, tiles in the order in which they are taken, and the common counter."""
+    return get_num_threads(), _longest_first(tile_start), np.zeros(1, np.int64)

@@ -1,0 +1,39 @@
+"""Figures of a run's stages, across resumes: what adds up, what keeps the most, what is replaced."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from tg4mm.files import to_json
+
+
+def with_figures(log: Mapping[str, Any], stage: str, info: Mapping[str, Any]) -> dict[str, Any]:
+    """`log` ({stage: figures}) with `info` added to a stage. NaN and infinity become null.
+
+    `seconds` add up (give those since the last record), `peak_memory_mib` keeps the most, anything else
+    is replaced. Raises TypeError for what JSON cannot hold.
+    """
+    entry = dict(log.get(stage, {}))
+    for key, value in info.items():
+        new = to_json(_finite(value), f"{stage}.{key}")
+        old = entry.get(key)
+        if key == "seconds":
+            new = (old or 0.0) + new
+        elif key == "peak_memory_mib" and old is not None:
+            new = max(old, new)
+        entry[key] = new
+    return {**log, stage: entry}
+
+
+def _finite(value: Any) -> Any:
+    """`value` with NaN and infinity as None: the infinite PSNR of equal images must not stop a run."""
+    if isinstance(value, dict):
+        return {k: _finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(v) for v in value]
+    if isinstance(value, float | np.floating) and not np.isfinite(value):
+        return None
+    return value
