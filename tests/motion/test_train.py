@@ -50,7 +50,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, ModalMotion]:
 def fitted(scene: tuple[Run, ModalMotion]) -> tuple[ModalMotion, Capture]:
     run, _ = scene
     capture = load_capture(run.dataset)
-    config = MotionConfig(components=2, iterations=25, tolerance=1e-2)
+    config = MotionConfig(components=2, neighbours=500.0, iterations=25, tolerance=1e-2)
     return train_motion(run, capture, load_images(capture), config), capture
 
 

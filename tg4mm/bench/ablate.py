@@ -12,6 +12,7 @@ from typing import Any
 from tg4mm.bench.ablation_page import ablation_page, ablation_table, picture
 from tg4mm.bench.ablations import Ablation, Row, chosen_preset, find_ablation, rows_of
 from tg4mm.bench.amplitudes import TARGETS_PX, generator_arguments, with_amplitude
+from tg4mm.bench.errors import BenchError
 from tg4mm.bench.folder import FORMAT, VERSION, circumstances, open_folder, write_text
 from tg4mm.bench.means import scalars
 from tg4mm.bench.measure import (
@@ -84,6 +85,11 @@ def _check(rows: Sequence[Row], preset: str, sets: Sequence[BenchSet], plan: Pla
     for row in rows:
         check_settings(row.settings, preset)
     check_plan(sets, plan)
+    if plan.alphas is not None and any(row.amplitude_px for row in rows):
+        given = ",".join(f"{a:g}" for a in plan.alphas)
+        raise BenchError(
+            f"--alphas {given}: the amplitudes have α of their own, for 1 to 8 pixels of magnified motion"
+        )
     for data in sets if any(row.amplitude_px for row in rows) else ():
         generator_arguments(data, 1.0, data.root)
 
