@@ -40,7 +40,7 @@ def find(blender: Session, wanted: str, at: float = 0.55) -> tuple[int, int]:
     path = wanted if wanted.startswith(("bpy.", "tg4mm_")) else blender.ask("paths").get(wanted, wanted)
     box = blender.region("VIEW_3D", "UI")
     place = blender.seen.get(path)
-    if place and under_pointer(blender, place[0], place[1], path.startswith("bpy.")).endswith(path):
+    if place and _in_rows(blender, path, place[0], place[1] - 10, place[1] + 10):
         return place
     x = box.left + round(at * box.width)
     place = _in_rows(blender, path, x, box.top, box.top + box.height) or _in_panels(blender, path, x, box)
@@ -51,10 +51,19 @@ def find(blender: Session, wanted: str, at: float = 0.55) -> tuple[int, int]:
 
 
 def _in_rows(blender: Session, path: str, x: int, top: int, bottom: int) -> tuple[int, int] | None:
-    """The control of a path at x among the rows from `top` to `bottom`."""
+    """The control of a path at x among the rows from `top` to `bottom`.
+
+    Over a header or a label Blender copies the path of the value that the pointer was over last. So a path counts
+    only where the value itself can be copied too, which takes a pointer over it, or once another path was met:
+    checkboxes and menus have no value to copy.
+    """
+    is_operator = path.startswith("bpy.")
+    met_another = is_operator  # no operator is copied from elsewhere
     for y in range(top + 10, bottom - 6, ROW_STEP):
-        if under_pointer(blender, x, y, operator=path.startswith("bpy.")).endswith(path):
+        found = under_pointer(blender, x, y, is_operator)
+        if found.endswith(path) and (met_another or under_pointer(blender, x, y, operator=True)):
             return x, y
+        met_another = met_another or bool(found) and not found.endswith(path)
     return None
 
 
@@ -116,11 +125,24 @@ def press(blender: Session, operator: str, at: float = 0.55) -> None:
 def drag_value(blender: Session, name: str, pixels: int) -> float:
     """Drag a number field sideways; returns the value then."""
     place = find(blender, name)
-    before = blender.ask("inputs")[name]
+    return _drag(blender, place, pixels, lambda: float(blender.ask("inputs")[name]), name)
+
+
+def drag_setting(blender: Session, of: str, which: str, pixels: int) -> float:
+    """Drag a setting of the scene's `tg4mm_generate` or `tg4mm_train` sideways; returns the value then."""
+    name = f"{of}.{which}"
+    place = find(blender, name)
+    return _drag(blender, place, pixels, lambda: float(blender.ask("setting", of=of, which=which)), name)
+
+
+def _drag(
+    blender: Session, place: tuple[int, int], pixels: int, value: Callable[[], float], name: str
+) -> float:
+    before = value()
     blender.drag(place, (pixels, 0))
-    if not _soon(lambda: blender.ask("inputs")[name] != before, 5.0):
+    if not _soon(lambda: value() != before, 5.0):
         raise SessionError(f"dragging {name} by {pixels} pixels left it at {before}")
-    return float(blender.ask("inputs")[name])
+    return value()
 
 
 def type_value(blender: Session, name: str, text: str) -> None:
