@@ -9,7 +9,7 @@ import bpy
 from bpy.props import BoolProperty, CollectionProperty, IntProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 
-from .. import compat, loading, names, preferences, scene
+from .. import compat, loading, names, preferences, receiving, scene
 from ..core.errors import SplatFileError
 
 
@@ -55,12 +55,13 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
     def execute(self, context: Any) -> set[str]:
         if context.mode != "OBJECT":  # else the object that is edited stays so, without being the active one
             bpy.ops.object.mode_set(mode="OBJECT")
+        collection = receiving.collection(context)
         manager = context.window_manager
         manager.progress_begin(0, 100)
         try:
             loaded = loading.load(
                 self._paths(),
-                context.collection,
+                collection,
                 self.sequence,
                 self.most,
                 lambda part: manager.progress_update(int(100 * part)),
@@ -78,7 +79,10 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
         for obj in loaded.objects:
             _draw_as(obj, preferences.get(context).draw_as)
         _select(context, loaded.objects)
-        self.report({"INFO"}, loaded.message)
+        message = loaded.message
+        if collection != context.collection:
+            message += f"; in {collection.name}, as {context.collection.name} is hidden or linked"
+        self.report({"INFO"}, message)
         return {"FINISHED"}
 
     def _paths(self) -> list[Path]:

@@ -9,7 +9,7 @@ import bpy
 from bpy.props import EnumProperty, IntProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
 
-from .. import picking, preferences, probe, saving, scene
+from .. import picking, preferences, probe, receiving, saving, scene
 
 _ABOUT = {
     "SELECTION": "Read the points selected in Edit Mode; of several the mean, weighted by opacity",
@@ -76,7 +76,7 @@ class TG4MM_OT_add_probe_sphere(_OnMotion):
 
     def execute(self, context: Any) -> set[str]:
         obj = scene.splat_object(context)
-        sphere = picking.add_sphere(obj, context.collection, context.scene.cursor.location)
+        sphere = picking.add_sphere(obj, receiving.collection(context), context.scene.cursor.location)
         for other in context.selected_objects:
             other.select_set(False)
         sphere.select_set(True)

@@ -63,7 +63,7 @@ def _in_rows(blender: Session, path: str, x: int, top: int, bottom: int) -> tupl
         found = under_pointer(blender, x, y, is_operator)
         if found.endswith(path) and (met_another or under_pointer(blender, x, y, operator=True)):
             return x, y
-        met_another = met_another or bool(found) and not found.endswith(path)
+        met_another = met_another or (bool(found) and not found.endswith(path))
     return None
 
 
