@@ -36,7 +36,17 @@ ADDON = (
         "names",
     ),
     *("numbered", "overlay", "panel", "panel_probe", "picking", "pictures", "plots", "points"),
-    *("preferences", "probe", "saving", "scene", "spectrum", "strokes", "units", "view_settings"),
+    *(
+        "preferences",
+        "probe",
+        "receiving",
+        "saving",
+        "scene",
+        "spectrum",
+        "strokes",
+        "units",
+        "view_settings",
+    ),
     *(f"nodes/{n}" for n in ("__init__", "colour", "graph", "motion", "player", "sequence", "shapes")),
     *(f"operators/{n}" for n in ("__init__", "band", "import_splat", "look", "probe")),
 )

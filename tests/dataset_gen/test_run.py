@@ -22,11 +22,12 @@ from dataset_gen.run import finish_parts, generate, missing_files, prepare_parts
 from dataset_gen.scenes import SCENES
 from dataset_gen.settings import Settings
 
-TINY_OPTIONS = "--size 32 --timesteps 6 --views 3 --test-views 1 --alphas 5 --samples 2 --points 300"
+TINY_OPTIONS = "--size 32 --timesteps 6 --test-views 1 --alphas 5 --samples 2 --points 300"
 
 
 def tiny(*more: str) -> Settings:
-    options = ["mic", "--out", "x", *TINY_OPTIONS.split(), *more]
+    views = () if "handheld" in more else ("--views", "3")  # one camera: refused
+    options = ["mic", "--out", "x", *TINY_OPTIONS.split(), *views, *more]
     return request_from(parser().parse_args(options)).sets[0]
 
 

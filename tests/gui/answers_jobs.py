@@ -18,6 +18,7 @@ def prepare_render(engine: str, size: list[int], frames: list[int], to: str) -> 
     if scene.camera is None:
         scene.camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
         scene.collection.objects.link(scene.camera)
+        bpy.ops.ed.undo_push(message="camera")  # else undoing what comes next takes the camera away too
     place = mathutils.Vector((1.2, -3.6, 2.6))
     scene.camera.location, scene.camera.rotation_euler = place, (-place).to_track_quat("-Z", "Y").to_euler()
     scene.render.engine = engine

@@ -40,34 +40,38 @@ def find(blender: Session, wanted: str, at: float = 0.55) -> tuple[int, int]:
     path = wanted if wanted.startswith(("bpy.", "tg4mm_")) else blender.ask("paths").get(wanted, wanted)
     box = blender.region("VIEW_3D", "UI")
     place = blender.seen.get(path)
-    if place and _in_rows(blender, path, place[0], place[1] - 10, place[1] + 10):
+    met: set[str] = set()
+    if place and _in_rows(blender, path, place[0], place[1] - 10, place[1] + 10, met):
         return place
     x = box.left + round(at * box.width)
-    place = _in_rows(blender, path, x, box.top, box.top + box.height) or _in_panels(blender, path, x, box)
+    place = _in_rows(blender, path, x, box.top, box.top + box.height, met)
+    place = place or _in_panels(blender, path, x, box, met)
     if place is None:
         raise SessionError(f"no control for {wanted} in the sidebar\n{blender.log()[-2000:]}")
     blender.seen[path] = place
     return place
 
 
-def _in_rows(blender: Session, path: str, x: int, top: int, bottom: int) -> tuple[int, int] | None:
+def _in_rows(
+    blender: Session, path: str, x: int, top: int, bottom: int, met: set[str]
+) -> tuple[int, int] | None:
     """The control of a path at x among the rows from `top` to `bottom`.
 
     Over a header or a label Blender copies the path of the value that the pointer was over last. So a path counts
-    only where the value itself can be copied too, which takes a pointer over it, or once another path was met:
-    checkboxes and menus have no value to copy.
+    only where the value itself can be copied too, which takes a pointer over it, or once another path was `met`
+    in this search: checkboxes and menus have no value to copy. No operator is copied from elsewhere.
     """
     is_operator = path.startswith("bpy.")
-    met_another = is_operator  # no operator is copied from elsewhere
     for y in range(top + 10, bottom - 6, ROW_STEP):
         found = under_pointer(blender, x, y, is_operator)
-        if found.endswith(path) and (met_another or under_pointer(blender, x, y, operator=True)):
+        if not found.endswith(path):
+            met.update({found} - {""})
+        elif is_operator or met or under_pointer(blender, x, y, operator=True):
             return x, y
-        met_another = met_another or (bool(found) and not found.endswith(path))
     return None
 
 
-def _in_panels(blender: Session, path: str, x: int, box: Box) -> tuple[int, int] | None:
+def _in_panels(blender: Session, path: str, x: int, box: Box, met: set[str]) -> tuple[int, int] | None:
     """The same, in panels that are opened for it one at a time, and what they hold with them."""
     _fold(blender, box)
     i, shown = 1, _headers(blender, box)
@@ -76,7 +80,7 @@ def _in_panels(blender: Session, path: str, x: int, box: Box) -> tuple[int, int]
             _click_header(blender, shown[i])
         now = _headers(blender, box)
         bottom = now[i + 1].y if i + 1 < len(now) else box.top + box.height
-        place = _in_rows(blender, path, x, now[i].y, bottom)
+        place = _in_rows(blender, path, x, now[i].y, bottom, met)
         if place is not None:
             return place
         if len(now) <= len(shown):  # else it holds panels, which come next

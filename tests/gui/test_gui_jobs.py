@@ -96,7 +96,7 @@ def test_it_goes_on_to_a_whole_dataset(blender: Session, pictures: Path) -> None
     blender.wait(ended, "the dataset", 400.0)
     found = job(blender, "generate")
     assert found["state"] == "done", found
-    assert len(seen) > 1  # it told how far it was
+    assert len(seen) > 1, found  # it told how far it was
     assert seen == sorted(seen)
     folder = blender.folder / Path(found["results"][-1]).relative_to(blender.inside)
     assert json.loads((folder / "scene.json").read_text())["fps"] == 24.0
