@@ -174,7 +174,7 @@ def test_a_checkpoint_with_a_second_generator_comes_back(
     fit.save(run, extent, pictures_digest(views))
     checkpoint = run.load_checkpoint("space")
     assert checkpoint is not None
-    back, _ = stage._restored(checkpoint, "cpu")
+    back, _ = stage._restored(checkpoint, views, "cpu")
     assert back.draws is back.generator
     assert set(back.adam.parameters) == set(fit.adam.parameters)
     assert len(train_space(run, views, points, SHORT)) > 0

@@ -8,7 +8,15 @@ import torch
 from torch import Tensor
 
 from tg4mm.space.initial import InitialPoints
-from tg4mm.space.parameters import LEARNING_RATES, SH_C0, ParameterAdam, activate, initial_parameters
+from tg4mm.space.parameters import (
+    LEARNING_RATES,
+    SH_C0,
+    ParameterAdam,
+    activate,
+    initial_parameters,
+    learning_rates,
+    stride,
+)
 
 N, EXTENT = 6, 1.7
 
@@ -142,3 +150,13 @@ def test_an_optimiser_continued_from_its_moments_does_the_same() -> None:
         take_step(adam, gradients(adam.parameters, 9), 0.8)
     for name, p in one.parameters.items():
         assert torch.equal(p, other.parameters[name])
+
+
+def test_means_step_as_many_pixels_in_pictures_of_any_size() -> None:
+    """From 128 pixels on the first step is the same in pixels; smaller pictures have no longer steps."""
+    steps = {n: learning_rates(stride(2.0, n, n // 2), 0.0)["means"] for n in (64, 128, 256, 512)}
+    assert steps[128] == pytest.approx(2.0 * LEARNING_RATES["means"])
+    assert steps[64] == steps[128]
+    assert steps[256] * 256 == pytest.approx(steps[128] * 128)
+    assert steps[512] * 512 == pytest.approx(steps[128] * 128)
+    assert stride(2.0, 100, 512) == stride(2.0, 512, 100)

@@ -52,7 +52,7 @@ class FusedAdam(ParameterRows):
     def next_rates(self, progress: float) -> tuple[np.ndarray, np.float32]:
         """Count a step: its step sizes [6] by place in `kernels.step`, and the scale of the second moments' roots."""
         self._steps += 1
-        rates = np.array(list(learning_rates(self._extent, progress).values()))
+        rates = np.array(list(learning_rates(self._stride, progress).values()))
         root = 1 / np.sqrt(1 - BETA2**self._steps)
         return (rates / (1 - BETA1**self._steps)).astype(np.float32), np.float32(root)
 

@@ -13,7 +13,7 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.space.initial import InitialPoints
 
 SH_C0 = 0.28209479177387814
-# Learning rates of the first iteration; that of the means is per unit of the scene's extent.
+# Learning rates of the first iteration; that of the means is per unit of `stride`.
 LEARNING_RATES = {
     "means": 1.6e-3,
     "quats": 2e-3,
@@ -22,6 +22,7 @@ LEARNING_RATES = {
     "sh0": 7.5e-3,
     "shn": 7.5e-4,
 }
+_FULL_STRIDE = 128  # pixels: up to this size means are that fast, in larger pictures as many pixels a step
 _MEANS_DECAY = 0.01  # factor at the end, exponential all along
 _DECAY = 0.1  # of the others, exponential over the second half
 
@@ -55,11 +56,16 @@ def activate(parameters: dict[str, Tensor]) -> Gaussians:
     )
 
 
-def learning_rates(extent: float, progress: float) -> dict[str, float]:
+def stride(extent: float, width: int, height: int) -> float:
+    """What the means' rate is per unit of, scene units: the scene's extent, less where pixels are smaller."""
+    return extent * min(1.0, _FULL_STRIDE / max(width, height))
+
+
+def learning_rates(stride: float, progress: float) -> dict[str, float]:
     """The rates at `progress` in 0..1 of the whole fit, in the order of `LEARNING_RATES`."""
     decay = _DECAY ** max(0.0, 2 * progress - 1)
     rates = {name: rate * decay for name, rate in LEARNING_RATES.items()}
-    return rates | {"means": LEARNING_RATES["means"] * extent * _MEANS_DECAY**progress}
+    return rates | {"means": LEARNING_RATES["means"] * stride * _MEANS_DECAY**progress}
 
 
 class ParameterRows(ABC):
@@ -68,10 +74,10 @@ class ParameterRows(ABC):
     parameters: dict[str, Tensor]
 
     def __init__(
-        self, parameters: dict[str, Tensor], extent: float, moments: dict[str, Tensor] | None = None
+        self, parameters: dict[str, Tensor], stride: float, moments: dict[str, Tensor] | None = None
     ) -> None:
         """`moments` continues an earlier optimiser: what `moments()` returned. What is given is copied."""
-        self._extent = extent
+        self._stride = stride
         self._build(parameters, moments)
 
     @abstractmethod
@@ -111,7 +117,7 @@ class ParameterAdam(ParameterRows):
 
     def step(self, progress: float) -> None:
         """One step with the learning rates at `progress` in 0..1 of the whole fit; gradients are cleared."""
-        rates = learning_rates(self._extent, progress)
+        rates = learning_rates(self._stride, progress)
         for group in self._adam.param_groups:
             group["lr"] = rates[group["name"]]
         self._adam.step()

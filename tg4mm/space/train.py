@@ -25,7 +25,7 @@ from tg4mm.space.density import control_density, growth, is_due
 from tg4mm.space.fused import FusedAdam, Iteration
 from tg4mm.space.initial import INITS, initial_points, working_box
 from tg4mm.space.losses import photometric_loss
-from tg4mm.space.parameters import ParameterAdam, activate, initial_parameters
+from tg4mm.space.parameters import ParameterAdam, activate, initial_parameters, stride
 from tg4mm.space.targets import RestViews
 from tg4mm.space.view import render_view
 
@@ -117,7 +117,9 @@ def _checkpoint(
     return checkpoint
 
 
-def _restored(checkpoint: tuple[dict[str, Tensor], dict[str, Any]], device: str) -> tuple[_Fit, float]:
+def _restored(
+    checkpoint: tuple[dict[str, Tensor], dict[str, Any]], views: RestViews, device: str
+) -> tuple[_Fit, float]:
     tensors, state = checkpoint
     generator = torch.Generator()
     generator.set_state(tensors.pop("generator"))
@@ -126,7 +128,7 @@ def _restored(checkpoint: tuple[dict[str, Tensor], dict[str, Any]], device: str)
     psnr = torch.tensor(state["psnr"], dtype=torch.float64, device=device)
     moments = {k.removeprefix("adam."): tensors.pop(k) for k in list(tensors) if k.startswith("adam.")}
     moments = {k: v if k == "step" and device == "cpu" else v.to(device) for k, v in moments.items()}
-    adam = _optimiser(tensors, state["extent"], device, moments or None)
+    adam = _optimiser(tensors, _stride(state["extent"], views), device, moments or None)
     return _Fit(adam, error, psnr, generator, draws, state["iteration"], state["order"]), state["extent"]
 
 
@@ -142,6 +144,10 @@ def _extent(xyz: np.ndarray, views: RestViews) -> float:
     return min(reach, 2 * working_box(views)[1]) or 1.0
 
 
+def _stride(extent: float, views: RestViews) -> float:
+    return stride(extent, views.rgb.shape[2], views.rgb.shape[1])
+
+
 def _started(
     views: RestViews, points: SurfacePoints | None, config: SpaceConfig, device: str
 ) -> tuple[_Fit, float, str]:
@@ -149,18 +155,19 @@ def _started(
     count = min(config.init_points, config.max_gaussians)
     first = initial_points(views, points, config.init, count, np.random.default_rng(config.seed))
     extent = _extent(first.xyz, views)
-    adam = _optimiser(initial_parameters(first, config.sh_degree, generator), extent, device)
+    parameters = initial_parameters(first, config.sh_degree, generator)
+    adam = _optimiser(parameters, _stride(extent, views), device)
     error = torch.zeros(len(first.xyz), device=device)
     psnr = torch.zeros((), dtype=torch.float64, device=device)
     return _Fit(adam, error, psnr, generator, _draws(generator, device)), extent, first.source
 
 
 def _optimiser(
-    parameters: dict[str, Tensor], extent: float, device: str, moments: dict[str, Tensor] | None = None
+    parameters: dict[str, Tensor], stride: float, device: str, moments: dict[str, Tensor] | None = None
 ) -> ParameterAdam | FusedAdam:
     if device in FUSED:
-        return FusedAdam(parameters, extent, moments)
-    return ParameterAdam({k: v.to(device) for k, v in parameters.items()}, extent, moments)
+        return FusedAdam(parameters, stride, moments)
+    return ParameterAdam({k: v.to(device) for k, v in parameters.items()}, stride, moments)
 
 
 class _Views:
@@ -236,7 +243,7 @@ def train_space(
         fit, extent, source = _started(views, points, config, device)
         run.record(_STAGE, {"init": source})
     else:
-        fit, extent = _restored(checkpoint, device)
+        fit, extent = _restored(checkpoint, views, device)
     cameras = _Views(views, config, device)
     saved = time.monotonic()
     shown, figure = -math.inf, 0.0
