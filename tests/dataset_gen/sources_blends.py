@@ -24,6 +24,17 @@ def link(name, data, scene=None, matrix=None):
     return obj
 
 
+def principled(name, **values):
+    """A material of one Principled shader with these inputs, underscores for spaces."""
+    material = bpy.data.materials.new(name)
+    if bpy.app.version < (5, 0, 0):
+        material.use_nodes = True
+    shader = next(n for n in material.node_tree.nodes if n.bl_idname == "ShaderNodeBsdfPrincipled")
+    for socket, value in values.items():
+        shader.inputs[socket.replace("_", " ")].default_value = value
+    return material
+
+
 def mesh_of(name, vertices, faces):
     mesh = bpy.data.meshes.new(name)
     mesh.from_pydata(vertices, [], faces)

@@ -12,6 +12,7 @@ from tests.dataset_gen.sources_blends import (  # noqa: E402
     emission,
     link,
     new_scene,
+    principled,
     render_stage,
     save,
     tetrahedron,
@@ -20,16 +21,6 @@ from tests.dataset_gen.sources_blends import (  # noqa: E402
 
 POSE = view_from((3.2, 2.8, 2.5), (0.4, 0.2, 0.6))
 FIVE = bpy.app.version >= (5, 0, 0)
-
-
-def principled(name, **values):
-    material = bpy.data.materials.new(name)
-    if not FIVE:
-        material.use_nodes = True
-    shader = next(n for n in material.node_tree.nodes if n.bl_idname == "ShaderNodeBsdfPrincipled")
-    for socket, value in values.items():
-        shader.inputs[socket.replace("_", " ")].default_value = value
-    return material
 
 
 def test_a_missing_environment_becomes_a_grey_sky_and_missing_textures_plain_grey(tmp_path):

@@ -15,6 +15,7 @@ from tests.dataset_gen.sources_blends import (  # noqa: E402
     link,
     mesh_of,
     new_scene,
+    principled,
     render_stage,
     save,
     tetrahedron,
@@ -99,16 +100,6 @@ def test_the_unit_is_known_only_where_the_file_has_a_unit_system(tmp_path, syste
     scene.unit_settings.system, scene.unit_settings.scale_length = system, length
     found = open_blend(save(tmp_path)).unit_scale_m
     assert found == pytest.approx(metres) if metres else found is None
-
-
-def principled(name, **values):
-    material = bpy.data.materials.new(name)
-    if not FIVE:
-        material.use_nodes = True
-    shader = next(n for n in material.node_tree.nodes if n.bl_idname == "ShaderNodeBsdfPrincipled")
-    for socket, value in values.items():
-        shader.inputs[socket.replace("_", " ")].default_value = value
-    return material
 
 
 def test_materials_that_truth_sees_otherwise_are_named(tmp_path):
