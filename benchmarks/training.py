@@ -26,9 +26,9 @@ from tg4mm.capture import load_capture, load_images
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.differences import fixed_cameras
 from tg4mm.motion.linear import rest_view
-from tg4mm.motion.neighbours import neighbourhoods
-from tg4mm.motion.problem import MotionProblem, information_scale
-from tg4mm.motion.triplane import sampling_matrix
+from tg4mm.motion.pose import Problems
+from tg4mm.motion.problem import MotionProblem
+from tg4mm.motion.weight import DEFAULT
 from tg4mm.runs import Run
 from tg4mm.space.config import SpaceConfig
 from tg4mm.space.fused import FusedAdam
@@ -123,11 +123,8 @@ def main() -> None:
         table(f"space stage, {size}: an iteration", calls, options.iterations, dict.fromkeys(calls, 1))
     if options.stage != "space":
         views = [rest_view(gaussians, c, (capture.width, capture.height)) for c in fixed_cameras(capture)]
-        means, config = gaussians.means.numpy(), MotionConfig()
-        scale = information_scale(views, len(means), np.random.default_rng(0))
-        problem = MotionProblem(
-            views, sampling_matrix(means, config.triplane), neighbourhoods(means), scale, config
-        )
+        (problem,) = Problems(views, gaussians, MotionConfig(), "cpu").of(None, [DEFAULT])
+        assert isinstance(problem, MotionProblem)
         title = f"motion stage, {size}, {len(views)} views: a component's iteration, so many at once"
         calls = motion_iterations(problem)
         table(title, calls, max(3, options.iterations // 10), {name: int(name) for name in calls})

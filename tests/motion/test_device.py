@@ -18,7 +18,7 @@ from tests.space.test_train import Killed, killed_after
 from tests.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture, load_images
 from tg4mm.errors import Tg4mmError
-from tg4mm.motion import MotionConfig, device, meetings
+from tg4mm.motion import MotionConfig, device, meetings, pose
 from tg4mm.motion import train as stage
 from tg4mm.motion.apply import mover
 from tg4mm.motion.device import DeviceProblem
@@ -117,8 +117,8 @@ def test_the_operator_stays_symmetric(storage: torch.dtype) -> None:
     assert abs(inner(a, p.normal(tb).numpy()) - inner(b, p.normal(ta).numpy())) < 1e-5 * scale
 
 
-def check_problem(where: str, tolerance: float) -> None:
-    ours, theta = problem(), draw(1)
+def check_problem(where: str, tolerance: float, weighted: bool) -> None:
+    ours, theta = problem(weighted=weighted), draw(1)
     other = DeviceProblem(ours, where, torch.float32)
     there = torch.from_numpy(theta).to(where)
     assert_close("field", other.field(there).cpu(), torch.from_numpy(ours.field(theta)), tolerance)
@@ -135,13 +135,15 @@ def check_problem(where: str, tolerance: float) -> None:
     assert_close("solution", theirs.x.cpu(), torch.from_numpy(mine.x), 50 * tolerance)
 
 
-def test_it_is_the_same_problem() -> None:
-    check_problem("cpu", EXACT)
+@pytest.mark.parametrize("weighted", [False, True])
+def test_it_is_the_same_problem(weighted: bool) -> None:
+    check_problem("cpu", EXACT, weighted)
 
 
 @needs_cuda
-def test_on_cuda_it_is_the_same_problem() -> None:
-    check_problem("cuda", 1e-4)
+@pytest.mark.parametrize("weighted", [False, True])
+def test_on_cuda_it_is_the_same_problem(weighted: bool) -> None:
+    check_problem("cuda", 1e-4, weighted)
 
 
 def test_memory_that_is_too_small_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -186,7 +188,7 @@ def another_device(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureReque
         return problems[-1]
 
     real = stage.placed
-    monkeypatch.setattr(stage, "DeviceProblem", on_cpu)
+    monkeypatch.setattr(pose, "DeviceProblem", on_cpu)
     # a torch.device is not the string "cpu", for which arrays would stay arrays
     to_tensors = lambda state, where: state if where == "cpu" else real(state, torch.device("cpu"))  # noqa: E731
     monkeypatch.setattr(stage, "placed", to_tensors)

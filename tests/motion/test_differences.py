@@ -1,4 +1,4 @@
-"""Changes of the pictures in few temporal components, and back to phasors."""
+"""Changes of the pictures in few temporal components, and the noise in them."""
 
 from __future__ import annotations
 
@@ -7,70 +7,16 @@ import pytest
 
 from tests.space.scenes import capture_of
 from tg4mm.capture import ImageStack
-from tg4mm.errors import CaptureError
-from tg4mm.motion.differences import (
-    FixedCamera,
-    camera_differences,
-    fixed_cameras,
-    kept_components,
-    phasors,
-    project,
-    temporal_components,
-)
-
-FPS = 30.0
-
-
-def synthesis(freqs: np.ndarray, values: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Σ_k Re[m_k exp(i 2π f_k t / fps)] at every t: [T, N, D]. Written out, not the code's."""
-    return np.stack(
-        [
-            sum((m * np.exp(2j * np.pi * f * s / FPS)).real for f, m in zip(freqs, values, strict=True))
-            for s in t
-        ]
-    )
+from tg4mm.motion import differences as differences_module
+from tg4mm.motion import video as video_module
+from tg4mm.motion.differences import kept_components, project, temporal_components
+from tg4mm.motion.video import FixedCamera, fixed_cameras
 
 
 def zero_mean_basis(n: int, n_timesteps: int, seed: int = 0) -> np.ndarray:
     a = np.random.default_rng(seed).normal(size=(n_timesteps, n))
     q, _ = np.linalg.qr(a - a.mean(0))
     return q.T
-
-
-class TestPhasors:
-    @pytest.mark.parametrize("n_timesteps", [2, 3, 8, 9, 30, 31])
-    def test_they_give_the_motion_back_at_every_timestep(self, n_timesteps: int) -> None:
-        """Even T has a Nyquist bin, odd T has none."""
-        rng = np.random.default_rng(1)
-        basis = zero_mean_basis(min(3, n_timesteps - 1), n_timesteps)
-        shapes = rng.normal(size=(len(basis), 4, 6))
-        freqs, values = phasors(basis, shapes, FPS)
-        assert values.shape == (n_timesteps // 2, 4, 6)
-        assert values.dtype == np.complex64
-        expected = np.einsum("rt,rnd->tnd", basis, shapes)
-        found = synthesis(freqs, values, np.arange(n_timesteps))
-        np.testing.assert_allclose(found, expected, atol=3e-6)
-        # the comparison can fail: a Nyquist bin counted twice, or a wrong sign of time
-        if n_timesteps % 2 == 0:
-            values[-1] *= 2
-            assert np.abs(synthesis(freqs, values, np.arange(n_timesteps)) - expected).max() > 1e-2
-
-    def test_a_sine_lands_in_its_bin_with_its_phase(self) -> None:
-        """0.3 cos(2π 5 t/30 + 0.7): one bin, phasor 0.3 exp(0.7i)."""
-        t = np.arange(30)
-        basis = np.stack([np.cos(2 * np.pi * 5 * t / 30), np.sin(2 * np.pi * 5 * t / 30)]) / np.sqrt(15)
-        shape = np.array([np.cos(0.7), -np.sin(0.7)])[:, None, None] * 0.3 * np.sqrt(15)
-        freqs, values = phasors(basis, shape, FPS)
-        np.testing.assert_allclose(freqs, np.arange(1, 16))
-        np.testing.assert_allclose(values[4, 0, 0], 0.3 * np.exp(0.7j), rtol=1e-6)
-        assert np.abs(np.delete(values, 4, 0)).max() < 1e-7
-
-    def test_the_mean_over_time_is_left_out(self) -> None:
-        basis = zero_mean_basis(2, 10)
-        shapes = np.ones((2, 1, 1))
-        np.testing.assert_allclose(
-            phasors(basis + 3.0, shapes, FPS)[1], phasors(basis, shapes, FPS)[1], atol=1e-6
-        )
 
 
 class TestKeptComponents:
@@ -101,6 +47,28 @@ class TestKeptComponents:
     def test_the_weakest_tell_the_noise(self, energy: list[float], kept: int) -> None:
         assert kept_components(np.array(energy)) == kept
 
+    @pytest.mark.parametrize("rank", [14, 28])
+    def test_where_pictures_repeat_those_that_are_not_empty_tell(self, rank: int) -> None:
+        energy = np.array([100.0, 50] + [1.0] * (rank - 2) + [0.0] * (30 - rank))
+        assert kept_components(energy, rank) == 2
+        assert kept_components(energy) == (rank if rank == 14 else 2)  # the empty ones would tell of no noise
+
+    def test_fewer_than_seven_are_no_sample(self) -> None:
+        assert kept_components(np.array([9.0, 1, 1, 1, 1, 1] + [0.0] * 24), 6) == 6
+
+    @pytest.mark.parametrize("seed", range(5))
+    @pytest.mark.parametrize(("n_timesteps", "pixels"), [(30, 20_000), (100, 20_000), (9, 2_000)])
+    def test_spread_over_many_pixels_a_weaker_signal_is_kept(
+        self, n_timesteps: int, pixels: int, seed: int
+    ) -> None:
+        """Noise alone stays noise; what adds seven tenths to a component's noise stands out where pixels are many."""
+        rng = np.random.default_rng(seed)
+        noise = rng.normal(size=(n_timesteps, pixels))
+        assert kept_components(spectrum(noise), pixels=pixels) == 1
+        two = zero_mean_basis(2, n_timesteps).T @ rng.normal(size=(2, pixels)) * np.array(0.7**0.5)
+        assert kept_components(spectrum(noise + two), pixels=pixels) == 2
+        assert kept_components(spectrum(noise + two)) == 1  # less than twice the noise
+
     @pytest.mark.parametrize("energy", [[0.0] * 5, [1.0, 0.0]])
     def test_one_is_always_kept(self, energy: list[float]) -> None:
         assert kept_components(np.array(energy)) == 1
@@ -122,32 +90,10 @@ def moving_pictures(
     return data, ids, sorted(list(range(n_timesteps)) * n_cameras)
 
 
-class TestFixedCameras:
-    def test_rows_are_in_order_of_time(self) -> None:
-        data, ids, times = moving_pictures(2, 4)
-        capture, _ = capture_of(ids, times, data)
-        cameras = fixed_cameras(capture)
-        np.testing.assert_array_equal([c.rows for c in cameras], [[0, 2, 4, 6], [1, 3, 5, 7]])
-        assert [c.viewmat[0, 3] for c in cameras] == [0.0, 1.0]
-
-    def test_shuffled_rows_are_sorted(self) -> None:
-        data, _, _ = moving_pictures(1, 4)
-        capture, _ = capture_of([0, 0, 0, 0], [2, 0, 3, 1], data)
-        np.testing.assert_array_equal(fixed_cameras(capture)[0].rows, [1, 3, 0, 2])
-
-    def test_cameras_that_miss_or_double_a_timestep_are_left_out(self) -> None:
-        data, _, _ = moving_pictures(1, 9)
-        ids, times = [0, 1, 2, 0, 1, 2, 0, 2, 2], [0, 0, 0, 1, 1, 1, 2, 2, 2]
-        cameras = fixed_cameras(capture_of(ids, times, data)[0])
-        assert [list(c.rows) for c in cameras] == [[0, 3, 6]]
-
-    def test_none_is_an_error_with_the_path_and_the_number_of_timesteps(self) -> None:
-        data, _, _ = moving_pictures(1, 4)
-        capture, _ = capture_of([0, 1, 2, 3], [0, 1, 2, 3], data)
-        with pytest.raises(
-            CaptureError, match=r"\A/data: no camera has one image at each of the 4 timesteps[^\n]*\Z"
-        ):
-            fixed_cameras(capture)
+def differences(images: ImageStack, camera: FixedCamera) -> np.ndarray:
+    """[T, H, W, 3]: pictures less their mean, written out."""
+    video = np.stack([images.rgb(int(row)) for row in camera.rows]).astype(float)
+    return video - video.mean(0)
 
 
 class TestComponents:
@@ -165,13 +111,6 @@ class TestComponents:
         capture, images = capture_of(ids, times, data)
         return images, fixed_cameras(capture)
 
-    def test_differences_have_no_mean_and_nothing_else_is_lost(self, stack) -> None:
-        images, cameras = stack
-        video = images.data[cameras[1].rows, ..., :3] / 255
-        found = camera_differences(images, cameras[1])
-        np.testing.assert_allclose(found, video - video.mean(0), atol=1e-6)
-        assert found.dtype == np.float32
-
     def test_the_basis_is_orthonormal_and_sums_to_zero(self, stack) -> None:
         basis = temporal_components(*stack, 6).basis
         np.testing.assert_allclose(basis @ basis.T, np.eye(len(basis)), atol=1e-6)
@@ -187,7 +126,7 @@ class TestComponents:
 
     def test_energies_are_the_squared_singular_values_of_all_cameras_together(self, stack) -> None:
         images, cameras = stack
-        video = np.concatenate([camera_differences(images, c).reshape(9, -1) for c in cameras], 1)
+        video = np.concatenate([differences(images, c).reshape(9, -1) for c in cameras], 1)
         components = temporal_components(images, cameras, 6)
         np.testing.assert_allclose(components.energy, spectrum(video.astype(float)), rtol=1e-4, atol=1e-4)
 
@@ -214,3 +153,61 @@ class TestComponents:
         components = temporal_components(images, fixed_cameras(capture), 6)
         assert np.abs(components.images).max() < 1e-6
         assert np.isfinite(components.basis).all()
+
+    def test_what_was_not_kept_is_the_residual(self, stack) -> None:
+        images, cameras = stack
+        components = temporal_components(images, cameras, 6)
+        for v, camera in enumerate(cameras):
+            video = differences(images, camera)
+            left = video - np.einsum("rt,rs,shwc->thwc", components.basis, components.basis, video)
+            np.testing.assert_allclose(components.residual[v], (left**2).sum(0).mean(-1), rtol=0.02)
+        total = components.energy.sum() - components.energy[: len(components.basis)].sum()
+        np.testing.assert_allclose(3 * components.residual.sum(), total, rtol=1e-3)
+
+    @pytest.mark.parametrize("cached", [0, 100, 1 << 30])  # bytes: none, some of one camera, all
+    @pytest.mark.parametrize("strip", [1, 1 << 20])
+    def test_neither_cache_nor_strips_change_anything(
+        self, stack, cached: int, strip: int, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        expected = temporal_components(*stack, 6)
+        monkeypatch.setattr(differences_module, "CACHE_BYTES", cached)
+        monkeypatch.setattr(video_module, "STRIP_VALUES", strip)
+        found = temporal_components(*stack, 6)
+        signs = np.sign((found.basis * expected.basis).sum(1))
+        np.testing.assert_allclose(found.images, expected.images * signs[:, None, None, None], atol=1e-5)
+        np.testing.assert_allclose(found.residual, expected.residual, atol=1e-6)
+
+    def test_with_a_cache_pictures_are_composited_once(self, stack, monkeypatch: pytest.MonkeyPatch) -> None:
+        composited = []
+        whole = video_module.Video._differences
+        monkeypatch.setattr(
+            video_module.Video, "_differences", lambda v, rows: composited.append(rows) or whole(v, rows)
+        )
+        temporal_components(*stack, 6)
+        assert len(composited) == 2  # cameras
+        monkeypatch.setattr(differences_module, "CACHE_BYTES", 0)
+        temporal_components(*stack, 6)
+        assert len(composited) == 2 + 4
+
+    def test_states_that_repeat_are_as_good_as_pictures_of_their_own(self, stack) -> None:
+        """Timesteps 0 … 8 and then 3, 5, 3 again; of the same video written to other pictures bit for bit."""
+        images, cameras = stack
+        again = np.array([*range(9), 3, 5, 3])
+        repeated = [FixedCamera(c.viewmat, c.K, c.rows[again]) for c in cameras]
+        components = temporal_components(images, repeated, 6)
+        assert components.rank == 8
+        video = np.concatenate([differences(images, c).reshape(12, -1) for c in repeated], 1)
+        np.testing.assert_allclose(components.energy, spectrum(video), rtol=1e-4, atol=1e-4)
+        for v, camera in enumerate(repeated):
+            brute = np.einsum("rt,thwc->rhwc", components.basis, differences(images, camera))
+            np.testing.assert_allclose(components.images[v], brute, atol=1e-5)
+
+    def test_cameras_may_repeat_at_other_times(self, stack) -> None:
+        """Each camera has four pictures, but together nine moments differ."""
+        images, cameras = stack
+        one = FixedCamera(cameras[0].viewmat, cameras[0].K, cameras[0].rows[[0, 0, 0, 1, 1, 1, 2, 2, 2]])
+        two = FixedCamera(cameras[1].viewmat, cameras[1].K, cameras[1].rows[[0, 1, 2, 0, 1, 2, 0, 1, 2]])
+        components = temporal_components(images, [one, two], 6)
+        video = np.concatenate([differences(images, c).reshape(9, -1) for c in (one, two)], 1)
+        np.testing.assert_allclose(components.energy, spectrum(video), rtol=1e-4, atol=1e-4)
+        assert components.rank == 4  # two planes, each of rank two

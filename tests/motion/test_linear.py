@@ -22,10 +22,14 @@ SCENES = {
 COLUMNS = {"displacement": slice(0, 3), "rotation": slice(3, 6), "both": slice(0, 6)}
 
 
-def view_of(scene: Scene) -> RestView:
+def gaussians_of(scene: Scene) -> Gaussians:
     tensors = (scene.means, scene.quats, scene.scales, scene.opacities, scene.colors)
+    return Gaussians(*(t.float() for t in tensors))
+
+
+def view_of(scene: Scene) -> RestView:
     camera = FixedCamera(scene.viewmats[0].float().numpy(), scene.Ks[0].float().numpy(), np.arange(1))
-    return rest_view(Gaussians(*(t.float() for t in tensors)), camera, (scene.width, scene.height))
+    return rest_view(gaussians_of(scene), camera, (scene.width, scene.height))
 
 
 def motion_of(scene: Scene, columns: slice, seed: int = 0) -> np.ndarray:

@@ -50,7 +50,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, ModalMotion]:
 def fitted(scene: tuple[Run, ModalMotion]) -> tuple[ModalMotion, Capture]:
     run, _ = scene
     capture = load_capture(run.dataset)
-    config = MotionConfig(components=2, neighbours=500.0, iterations=25, tolerance=1e-2)
+    config = MotionConfig(components=2)
     return train_motion(run, capture, load_images(capture), config), capture
 
 
@@ -84,19 +84,19 @@ def equal(a: ModalMotion, b: ModalMotion) -> bool:
 
 
 def test_the_displacement_is_found(scene, fitted) -> None:
-    """.28, most of it rigidity across the gaps of a coarse scene. Nothing moves: 1; half the motion: .5."""
+    """.12 on a coarse scene. Nothing moves: 1; half the motion: .5."""
     (run, true), (found, capture) = scene, fitted
     weights = blending_weights(run.load_space(), capture)
     figures = displacement_figures(found, true, weights)
-    assert figures["relative_error"] < 0.4
-    assert figures["static_leak"] < 0.2
-    for row, amplitude in zip(figures["per_frequency"], (0.86, 1.01), strict=True):
-        assert row["amplitude_ratio"] == pytest.approx(amplitude, abs=0.1)
-        assert row["direction_error_deg"] < 12
+    assert figures["relative_error"] < 0.2
+    assert figures["static_leak"] < 0.1
+    for row in figures["per_frequency"]:
+        assert row["amplitude_ratio"] == pytest.approx(1, abs=0.1)
+        assert row["direction_error_deg"] < 5
         assert abs(row["phase_error_deg"]) < 3
     for factor in (0.0, 0.5):  # what the thresholds are there to tell apart
         less = replace(true, displacement=np.complex64(factor) * true.displacement)
-        assert displacement_figures(less, true, weights)["relative_error"] > 0.4
+        assert displacement_figures(less, true, weights)["relative_error"] > 0.2
 
 
 def test_every_part_moves_in_its_own_bin_and_phase(scene, fitted) -> None:
@@ -114,13 +114,13 @@ def test_every_part_moves_in_its_own_bin_and_phase(scene, fitted) -> None:
 
 
 def test_the_post_turns_as_it_bends(scene, fitted) -> None:
-    """u = (0, a z²/1.3², 0), so its rotation about x is −2 a z / 1.3²: the slope, in the middle of the post."""
+    """u = (0, a z²/1.3², 0) has the slope 2 a z / 1.3². Its Gaussians are balls, turned half as much."""
     (run, true), (found, _) = scene, fitted
     z = run.load_space().means[:, 2].numpy()
     post = (np.linalg.norm(true.displacement[0], axis=1) > 0.001) & (z > 0.5) & (z < 1.1)
     slope = -2 * 0.005 * z[post] / 1.3**2
     turned = found.rotation[0, post]
-    assert (turned[:, 0].imag * -slope).sum() / (slope**2).sum() == pytest.approx(1, abs=0.25)
+    assert (turned[:, 0].imag * -slope).sum() / (slope**2).sum() == pytest.approx(0.5, abs=0.1)
     assert np.linalg.norm(turned[:, 1:]) < 0.4 * np.linalg.norm(turned[:, 0])
 
 
@@ -243,10 +243,9 @@ def test_without_a_fixed_camera_it_says_so(small, new_run: Callable[[], Run]) ->
         ({"neighbours": float("inf")}, "motion.neighbours is inf"),
         ({"ridge": 0.0}, "motion.ridge is 0.0, expected > 0"),
         ({"ridge": float("nan")}, "motion.ridge is nan"),
-        ({"triplane": 7}, "motion.triplane is 7, expected 8 to 512"),
-        ({"triplane": 513}, "motion.triplane is 513, expected 8 to 512"),
         ({"iterations": 0}, "motion.iterations is 0, expected >= 1"),
-        ({"tolerance": 0.0}, "motion.tolerance is 0.0, expected between 0 and 1"),
+        ({"tolerance": 0.0}, "motion.tolerance is 0.0, expected 1e-6"),
+        ({"tolerance": 1e-7}, "motion.tolerance is 1e-07"),
         ({"tolerance": 1.0}, "motion.tolerance is 1.0"),
         ({"tolerance": float("nan")}, "motion.tolerance is nan"),
         ({"seed": -1}, "motion.seed is -1, expected 0 to"),

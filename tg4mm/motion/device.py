@@ -26,9 +26,9 @@ from torch import Tensor
 
 from tg4mm.errors import Tg4mmError
 from tg4mm.motion.config import MotionConfig
+from tg4mm.motion.graph import ROWS
 from tg4mm.motion.linear import DOF
 from tg4mm.motion.meetings import DeviceView, device_view
-from tg4mm.motion.neighbours import Neighbourhoods
 from tg4mm.motion.problem import MotionProblem
 
 
@@ -53,29 +53,6 @@ class _Operator:
         return _Operator(_sparse(matrix, device), _sparse(matrix.T.tocsr(), device))
 
 
-class _DeviceNeighbourhoods:
-    """`Neighbourhoods` on a device."""
-
-    def __init__(self, around: Neighbourhoods, device: str) -> None:
-        self._rotation = _Operator.of(around.rotation, device)
-        self._differences = _Operator.of(around._differences, device)
-        self._arms = torch.from_numpy(around._arms).to(device)
-        self._owner = torch.from_numpy(np.asarray(around._owner, np.int64)).to(device)
-        self._scale = around._scale
-
-    def rotations(self, u: Tensor) -> Tensor:
-        return (self._rotation.forward @ u.reshape(-1, 1)).reshape(-1, 3)
-
-    def from_rotations(self, v: Tensor) -> Tensor:
-        return (self._rotation.back @ v.reshape(-1, 1)).reshape(-1, 3)
-
-    def stiffness(self, u: Tensor) -> Tensor:
-        turned = torch.linalg.cross(self.rotations(u)[self._owner], self._arms)
-        left = self._differences.forward @ u - turned
-        turn = torch.linalg.cross(self._arms, left).reshape(len(u), -1, 3).sum(1)
-        return (self._differences.back @ left - self.from_rotations(turn)) * self._scale
-
-
 class DeviceProblem:
     """`MotionProblem` on a device: the same names, tensors in place of arrays."""
 
@@ -86,9 +63,11 @@ class DeviceProblem:
         """
         if storage is None:
             storage = torch.float16 if device == "cuda" else torch.float32
-        self.device, self.scale = device, problem.scale
+        self.device = device
+        graph = problem.graph
+        self.stiffness = _sparse(graph.stiffness, device)
+        self._turns = torch.from_numpy(graph.turns).to(device)
         self._take_parameters(problem)
-        self.around = _DeviceNeighbourhoods(problem.around, device)
         self.views: list[DeviceView] = []
         try:
             for view in problem.views:
@@ -101,63 +80,100 @@ class DeviceProblem:
 
     def _take_parameters(self, problem: MotionProblem) -> None:
         self.config: MotionConfig = problem.config
-        self.sampling = _Operator.of(problem.sampling, self.device)
-        damping = np.reshape(problem.damping, (-1, 1)).astype(np.float32)
-        self.damping = torch.from_numpy(damping).to(self.device)
+        self.scale, known = problem.scale, problem.levels
+        self.blocks = torch.from_numpy(known.blocks).to(self.device)
+        self.groups = _Operator.of(known.groups, self.device)
+        self.turn = torch.from_numpy(known.turn).to(self.device)
+        self.weights = None if problem.weights is None else self._there(problem.weights[..., None])
 
     def posed_as(self, problem: MotionProblem) -> DeviceProblem:
-        """The same views and neighbours with the parameters and weights of `problem`; shares their memory."""
+        """The same views and neighbours with the unknowns and weights of `problem`; shares their memory."""
         other = copy.copy(self)
         other._take_parameters(problem)
         return other
 
     def of_views(self, rows: np.ndarray) -> DeviceProblem:
-        """As `MotionProblem.of_views`; shares all memory."""
+        """As `MotionProblem.of_views`; shares all memory but the pixels' weights."""
         some = copy.copy(self)
         some.views = [self.views[i] for i in rows]
         some.scale = self.scale * len(rows) / len(self.views)
+        if self.weights is not None:
+            some.weights = self.weights[torch.from_numpy(np.asarray(rows)).to(self.device)]
         return some
+
+    def _field(self, theta: Tensor) -> Tensor:
+        """As `Levels.field`."""
+        fine = ROWS * len(self.blocks)
+        x = (self.blocks @ theta[:fine].reshape(-1, ROWS, 3)).reshape(-1, 3)
+        return x + self.groups.forward @ (self.turn @ theta[fine:])
+
+    def _from_field(self, v: Tensor) -> Tensor:
+        """As `Levels.from_field`."""
+        fine = (self.blocks.mT @ v.reshape(-1, ROWS, 3)).reshape(-1, 3)
+        return torch.cat([fine, self.turn.T @ (self.groups.back @ v)])
+
+    def _motion(self, x: Tensor) -> Tensor:
+        """As `Graph.motion`."""
+        f = x.reshape(-1, ROWS, 3)
+        return torch.cat([f[:, 0], (f[:, 1:].reshape(-1, 1, 9) @ self._turns)[:, 0]], 1)
+
+    def _from_motion(self, v_motion: Tensor) -> Tensor:
+        """As `Graph.from_motion`."""
+        gradient = (self._turns @ v_motion[:, 3:, None]).reshape(-1, 3, 3)
+        return torch.cat([v_motion[:, None, :3], gradient], 1).reshape(-1, 3)
 
     def field(self, theta: Tensor) -> Tensor:
         """θ [P, 3] -> displacement and rotation [N, DOF] float32."""
-        u = self.sampling.forward @ theta
-        return torch.cat([u, self.around.rotations(u)], 1)
+        return self._motion(self._field(theta))
 
     def normal(self, theta: Tensor) -> Tensor:
         """The symmetric operator of the problem applied to θ [P, 3]."""
-        motion = self.field(theta)
+        x = self._field(theta)
+        motion = self._motion(x)
         v_motion = torch.zeros_like(motion)
-        for view in self.views:
-            view.pull(view.push(motion), v_motion)
-        v_u = self._to_displacement(v_motion)
-        v_u += self.scale * self.config.neighbours * self.around.stiffness(motion[:, :3].contiguous())
-        return self.sampling.back @ v_u + self.scale * self.config.ridge * self.damping * theta
+        for k, view in enumerate(self.views):
+            view.pull(self._weighted(k, view.push(motion)), v_motion)
+        v = self._from_motion(v_motion)
+        v += self.scale * (self.config.neighbours * (self.stiffness @ x) + self.config.ridge * x)
+        return self._from_field(v)
+
+    def normals(self, thetas: Sequence[Tensor]) -> list[Tensor]:
+        """As `MotionProblem.normals`, one after the other."""
+        return [self.normal(theta) for theta in thetas]
 
     def right_hand_side(self, pictures: np.ndarray) -> Tensor:
         """The transposed operator applied to component images [V, H, W, 3]: [P, 3]."""
-        return self.to_parameters(self.seen(pictures))
+        return self.right_hand_sides(pictures[:, None])[0]
 
-    def seen(self, pictures: np.ndarray) -> Tensor:
-        """As `MotionProblem.seen`."""
-        v_motion = torch.zeros(self.sampling.forward.shape[0], DOF, device=self.device)
-        for view, picture in zip(self.views, pictures, strict=True):
-            view.pull(self._there(picture), v_motion)
-        return self._to_displacement(v_motion)
+    def right_hand_sides(self, pictures: np.ndarray) -> list[Tensor]:
+        """As `MotionProblem.right_hand_sides`."""
+        return [self.to_parameters(v) for v in self.seen(pictures)]
 
-    def to_parameters(self, v_u: Tensor) -> Tensor:
+    def seen(self, pictures: np.ndarray) -> list[Tensor]:
+        """As `MotionProblem.seen`: R of [N, DOF]."""
+        out = []
+        for r in range(pictures.shape[1]):
+            v_motion = torch.zeros(len(self.blocks), DOF, device=self.device)
+            for k, view in enumerate(self.views):
+                view.pull(self._weighted(k, self._there(pictures[k, r])), v_motion)
+            out.append(v_motion)
+        return out
+
+    def to_parameters(self, v_motion: Tensor) -> Tensor:
         """As `MotionProblem.to_parameters`."""
-        return self.sampling.back @ v_u
+        return self._from_field(self._from_motion(v_motion))
 
     def misfits(self, fields: Sequence[Tensor], pictures: np.ndarray) -> np.ndarray:
         """As `MotionProblem.misfits`."""
         total = np.zeros(len(fields))
-        for view, picture in zip(self.views, pictures, strict=True):
+        for k, (view, picture) in enumerate(zip(self.views, pictures, strict=True)):
             shown = self._there(picture)
-            total += [float(((view.push(f) - shown).double() ** 2).sum()) for f in fields]
+            left = [(view.push(f) - shown).double() for f in fields]
+            total += [float((d * self._weighted(k, d)).sum()) for d in left]
         return total
+
+    def _weighted(self, k: int, picture: Tensor) -> Tensor:
+        return picture if self.weights is None else picture * self.weights[k]
 
     def _there(self, picture: np.ndarray) -> Tensor:
         return torch.from_numpy(np.ascontiguousarray(picture)).to(self.device)
-
-    def _to_displacement(self, v_motion: Tensor) -> Tensor:
-        return v_motion[:, :3] + self.around.from_rotations(v_motion[:, 3:].contiguous())

@@ -5,6 +5,10 @@ it out of the fit. Displacements of less than a pixel change an image linearly, 
 time a_r(t) the least-squares fit of all timesteps falls apart into one fit for each component image
 Σ_t a_r(t) (I_t − mean I). The functions are the principal components of all differences of all cameras
 together: nothing is lost, the first few hold the motion, the others noise, and the cost does not grow with T.
+
+Memory: what is returned, 4 · V · H · W · (3 R + 1) bytes with R at most `most`; `CACHE_BYTES` of differences; about
+four strips of 32 MiB (`video.py`); from files the pictures of one camera (`pictures.py`). For 30 views of 512², 300
+timesteps at 8 bits and sixteen components that is 1,470 + 128 + 128 + 300 MiB, under 2 GiB.
 """
 
 from __future__ import annotations
@@ -13,22 +17,24 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import gaussian_filter
 
-from tg4mm.capture import Capture, ImageStack
-from tg4mm.errors import CaptureError
+from tg4mm.capture import ImageStack
+from tg4mm.motion.pictures import FilePictures, pictures_of
+from tg4mm.motion.spectrum import phasors as phasors
+from tg4mm.motion.video import FixedCamera as FixedCamera
+from tg4mm.motion.video import Video, video_of
+from tg4mm.motion.video import fixed_cameras as fixed_cameras
 
+CACHE_BYTES = (
+    256 << 20
+)  # of differences kept from the first look for the second; what is more is composited again
 _RELATIVE_FLOOR = 1e-5  # of the first component's energy: below it is rounding
-_NOISE_FACTOR = 2.0  # times the energy of the weakest components: below it is noise
-_TIMESTEPS_FOR_NOISE = 8
-
-
-@dataclass(frozen=True)
-class FixedCamera:
-    """A camera that took an image at every timestep from the same place."""
-
-    viewmat: np.ndarray  # [4, 4] float32
-    K: np.ndarray  # [3, 3] float32
-    rows: np.ndarray  # [T] its image at each timestep, row of the capture
+_NOISE_FACTOR = 2.0  # times the energy of the weakest components: below it is noise, at most
+_MARGIN = 1.1
+_RANK_FOR_NOISE = 7
+_ROUNDING = 1e-7  # of the first component's energy: what sums in float32 leave of nothing
+_SMOOTHING_PX = 1.5  # standard deviation of what evens out estimates of noise
 
 
 @dataclass(frozen=True)
@@ -38,54 +44,43 @@ class TemporalComponents:
     basis: np.ndarray  # [R, T] float64, a_r(t); each sums to zero over time
     energy: np.ndarray  # [T] float64, squared pixel values in every component, kept or not
     images: np.ndarray  # [V, R, H, W, 3] float32
+    residual: np.ndarray  # [V, H, W] float32, energy of all components that were not kept, mean over channels
+    rank: int  # components that are not empty: T − 1, or fewer where pictures repeat
 
 
-def fixed_cameras(capture: Capture) -> list[FixedCamera]:
-    """The cameras with one image at every timestep. Raises CaptureError if there is none."""
-    found = []
-    for camera in range(int(capture.camera_ids.max()) + 1):
-        rows = np.flatnonzero(capture.camera_ids == camera)
-        rows = rows[np.argsort(capture.timesteps[rows], kind="stable")]
-        if np.array_equal(capture.timesteps[rows], np.arange(capture.n_timesteps)):
-            viewmat, K = capture.viewmats[rows[0]], capture.Ks[rows[0]]
-            found.append(FixedCamera(viewmat.astype(np.float32), K.astype(np.float32), rows))
-    if not found:
-        raise CaptureError(
-            f"{capture.root}: no camera has one image at each of the {capture.n_timesteps} timesteps "
-            "from the same pose, which the motion stage needs"
-        )
-    return found
-
-
-def camera_differences(images: ImageStack, camera: FixedCamera) -> np.ndarray:
-    """[T, H, W, 3] float32: the camera's images over white less their mean."""
-    video = np.stack([images.rgb(int(i)) for i in camera.rows])
-    return video - video.mean(0, dtype=np.float64).astype(np.float32)
-
-
-def kept_components(energy: np.ndarray) -> int:
+def kept_components(energy: np.ndarray, rank: int | None = None, pixels: float = 0.0) -> int:
     """How many components stand out of rounding and noise: `energy` [T] falling. At least 1.
 
-    Noise is alike in all components, and one of the T is empty since the mean is taken out; so the weakest quarter of
-    the others tells its level. With fewer than eight timesteps that is no sample, and all but rounding is kept.
+    Noise is alike in all components, but for those that are empty: one of the T, since the mean is taken out, and more
+    where pictures repeat (`rank` are not). So the weakest quarter of the others tells its level. Fewer than seven are
+    no sample, and all but rounding is kept. How far chance lifts the strongest of noise over the weakest goes by the
+    number of `pixels` it is spread over (Marchenko & Pastur 1967); where that is not known, or few, twice is noise.
     """
+    used = len(energy) - 1 if rank is None else rank
     floor = _RELATIVE_FLOOR * energy[0]
-    used = len(energy) - 1
-    if len(energy) >= _TIMESTEPS_FOR_NOISE:
-        floor = max(floor, _NOISE_FACTOR * float(energy[used - used // 4 : used].mean()))
+    if used >= _RANK_FOR_NOISE:
+        root = np.sqrt(used / max(pixels, 2 * used))
+        factor = min(_MARGIN * ((1 + root) / (1 - root)) ** 2, _NOISE_FACTOR)
+        floor = max(floor, factor * float(energy[used - used // 4 : used].mean()))
     return max(int((energy[:used] > floor).sum()), 1)
 
 
-def temporal_components(images: ImageStack, cameras: list[FixedCamera], most: int) -> TemporalComponents:
-    """Principal components over time of the differences of all cameras together, at most `most`."""
-    n_timesteps = len(cameras[0].rows)
-    gram = np.zeros((n_timesteps, n_timesteps))
-    for camera in cameras:
-        flat = camera_differences(images, camera).reshape(n_timesteps, -1)
-        gram += (flat @ flat.T).astype(np.float64)
+def temporal_components(
+    images: ImageStack | FilePictures, cameras: list[FixedCamera], most: int
+) -> TemporalComponents:
+    """Principal components over time of the differences of all cameras together, at most `most`.
+
+    `FilePictures` are read one camera after the other: once each as long as `CACHE_BYTES` holds the differences, of
+    further cameras twice.
+    """
+    pictures = pictures_of(images)
+    videos = [video_of(pictures, camera) for camera in cameras]
+    gram, total, cache = _first_look(videos)
     energy, vectors = np.linalg.eigh(gram)
     energy, vectors = np.maximum(energy[::-1], 0), vectors[:, ::-1].T
-    found = kept_components(energy)
+    states = np.unique(np.stack([video.state for video in videos]), axis=1).shape[1]
+    rank = min(states - 1, int((energy > _ROUNDING * energy[0]).sum()))
+    found = kept_components(energy, rank, _effective_pixels(total))
     if found > most:
         warnings.warn(
             f"{found} temporal components stand out of the noise, motion.components keeps the strongest {most}",
@@ -93,11 +88,53 @@ def temporal_components(images: ImageStack, cameras: list[FixedCamera], most: in
         )
     basis = vectors[: min(found, most)]
     basis = basis - basis.mean(1, keepdims=True)  # zero already, but for rounding
-    shape = images.data.shape[1:3]
-    components = np.empty((len(cameras), len(basis), *shape, 3), np.float32)
-    for v, camera in enumerate(cameras):
-        components[v] = project(camera_differences(images, camera), basis)
-    return TemporalComponents(basis, energy, components)
+    components = np.empty((len(videos), len(basis), *total.shape[1:], 3), np.float32)
+    for v, video in enumerate(videos):
+        of_states = _by_state(basis, video)
+        for rows, strip in cache.get(v) or video.strips():
+            components[v, :, rows] = project(strip, of_states)
+        for image in components[v]:
+            total[v] -= np.einsum("hwc,hwc->hw", image, image) / 3
+    return TemporalComponents(basis, energy, components, np.maximum(total, 0), max(rank, 1))
+
+
+def _first_look(
+    videos: list[Video],
+) -> tuple[np.ndarray, np.ndarray, dict[int, list[tuple[slice, np.ndarray]]]]:
+    """Products of all timesteps [T, T], energy of every pixel [V, H, W] (mean over channels), and what was kept."""
+    n_timesteps, (height, width) = len(videos[0].state), videos[0].pictures.size
+    gram = np.zeros((n_timesteps, n_timesteps))
+    total = np.empty((len(videos), height, width), np.float32)
+    cache: dict[int, list[tuple[slice, np.ndarray]]] = {}
+    free = CACHE_BYTES
+    for v, video in enumerate(videos):
+        free -= len(video.rows) * height * width * 12
+        own = np.zeros((len(video.rows),) * 2)
+        count = (video.share * n_timesteps).astype(np.float32)
+        kept = []
+        for rows, strip in video.strips():
+            flat = strip.reshape(len(strip), -1)
+            own += flat @ flat.T
+            total[v, rows] = (count @ (flat * flat)).reshape(strip.shape[1:]).mean(-1)
+            if free >= 0:
+                kept.append((rows, strip))
+        if kept:
+            cache[v] = kept
+        gram += own[video.state][:, video.state]
+    return gram, total, cache
+
+
+def _effective_pixels(total: np.ndarray) -> float:
+    """Over how many pixels energy [V, H, W] is spread: all if alike in all, 1 if in one."""
+    squares = np.einsum("vhw,vhw->", total, total, dtype=np.float64)
+    return float(total.sum(dtype=np.float64) ** 2 / squares) if squares else 0.0
+
+
+def _by_state(basis: np.ndarray, video: Video) -> np.ndarray:
+    """[R, S]: Σ of a_r(t) over the timesteps that show picture s."""
+    out = np.zeros((len(video.rows), len(basis)))
+    np.add.at(out, video.state, basis.T)
+    return out.T
 
 
 def project(video: np.ndarray, basis: np.ndarray) -> np.ndarray:
@@ -106,16 +143,23 @@ def project(video: np.ndarray, basis: np.ndarray) -> np.ndarray:
     return flat.reshape(len(basis), *video.shape[1:])
 
 
-def phasors(basis: np.ndarray, shapes: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies [K] in Hz and phasors [K, N, D] complex64 of Σ_r a_r(t) shapes[r], for every DFT bin above 0.
+def pixel_noise(components: TemporalComponents, is_noise: np.ndarray) -> np.ndarray:
+    """[V, H, W] float32: variance of the noise in one pixel and channel of one component image.
 
-    basis [R, T], shapes [R, N, D]. Σ_k Re[m_k exp(i 2π f_k t / fps)] gives the motion back at every timestep;
-    only its mean over time is left out, which is the rest pose.
+    From what is not motion: the components that were not kept, and of the kept ones those that `is_noise` [R] bool
+    names. Their energy, mean over channels, is divided by the number of components that hold it and smoothed (Gaussian
+    of 1.5 px, edges reflected). Zeros where there are no such components. Where more components stood out than were
+    asked for, those left out count as noise: the estimate is then too large. Raises ValueError on another R.
     """
-    n_timesteps = basis.shape[1]
-    spectrum = np.fft.rfft(basis, axis=1)[:, 1:] * (2 / n_timesteps)
-    if n_timesteps % 2 == 0:
-        spectrum[:, -1] /= 2  # the Nyquist bin has no mirror image
-    freqs = np.arange(1, n_timesteps // 2 + 1) * fps / n_timesteps
-    values = np.tensordot(spectrum.T, shapes, axes=1)
-    return freqs, values.astype(np.complex64)
+    n_kept = len(components.basis)
+    if np.shape(is_noise) != (n_kept,):
+        raise ValueError(f"is_noise has shape {np.shape(is_noise)}, expected ({n_kept},)")
+    rows = np.flatnonzero(is_noise)
+    freedom = max(components.rank - n_kept, 0) + len(rows)
+    if not freedom:
+        return np.zeros_like(components.residual)
+    energy = components.residual if components.rank > n_kept else np.zeros_like(components.residual)
+    for r in rows:
+        energy = energy + np.einsum("vhwc,vhwc->vhw", *2 * [components.images[:, r]]) / 3
+    sigma = (0, _SMOOTHING_PX, _SMOOTHING_PX)
+    return gaussian_filter(energy / np.float32(freedom), sigma, mode="reflect")

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
+_EXACT = 1e-14  # squared relative residual
 Array = Any  # np.ndarray or Tensor; a state holds one kind
 
 
@@ -21,6 +22,11 @@ class CGState:
     direction: Array
     initial: float  # |b|²
     iteration: int = 0
+
+    @property
+    def is_exact(self) -> bool:
+        """To the digits of float32; going on would only add up what is rounded."""
+        return self.squared_residual <= _EXACT * self.initial
 
     @property
     def squared_residual(self) -> float:
@@ -50,7 +56,7 @@ def step_all(
 
     The systems know nothing of each other. Those that are exact are left as they are.
     """
-    open_ = [k for k, state in enumerate(states) if state.squared_residual > 0]
+    open_ = [k for k, state in enumerate(states) if not state.is_exact]
     images = operator([states[k].direction for k in open_]) if open_ else []
     out = list(states)
     for k, image in zip(open_, images, strict=True):
@@ -61,7 +67,7 @@ def step_all(
 def stepped(state: CGState, image: Array) -> CGState:
     """The next state; `image` is the operator applied to the direction. An exact one stays as it is."""
     before = state.squared_residual
-    if before == 0:
+    if before <= _EXACT * state.initial:
         return state
     length = before / _inner(state.direction, image)
     residual = _cast(state.residual - length * image, state.x)

@@ -10,7 +10,7 @@ import math
 import time
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -23,19 +23,16 @@ from tg4mm.device import gpu_figures, reset_gpu_peak
 from tg4mm.errors import Tg4mmError
 from tg4mm.gaussians import Gaussians
 from tg4mm.memory import peak_memory_mib
-from tg4mm.motion.condition import Diagonals, conditioned, diagonals
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.device import DeviceProblem
 from tg4mm.motion.differences import fixed_cameras, phasors, temporal_components
 from tg4mm.motion.halves import agreed_gain, deviation, halves
 from tg4mm.motion.linear import DOF, rest_view
 from tg4mm.motion.modal import ModalMotion
-from tg4mm.motion.neighbours import neighbourhoods
-from tg4mm.motion.problem import MotionProblem, information_scale
+from tg4mm.motion.pose import Findings, Problems, posed
+from tg4mm.motion.problem import MotionProblem
 from tg4mm.motion.sight import sight_ratio
 from tg4mm.motion.solve import CGState, placed, start, step_all
-from tg4mm.motion.triplane import sampling_matrix
-from tg4mm.motion.weight import CANDIDATES, DEFAULT, chosen_weight
 from tg4mm.progress import progress
 from tg4mm.runs import Run
 
@@ -43,7 +40,7 @@ CHECKPOINT_EVERY_S = 20.0
 TOGETHER = (
     8  # components that share a pass over the views: half the time of eight passes, memory for eight fields
 )
-_STATE = 2  # of a checkpoint: one of another version is begun anew, as its fields are of other parameters
+_STATE = 3  # of a checkpoint: one of another version is begun anew, as its fields are of other parameters
 UNCERTAINTY = "uncertainty"  # part of the run: [N] float32, see `_Stage.agreed`
 _STAGE = "motion"
 
@@ -54,9 +51,8 @@ def checked(config: MotionConfig) -> MotionConfig:
         "components": (config.components >= 1, ">= 1"),
         "neighbours": (math.isfinite(config.neighbours) and config.neighbours >= 0, ">= 0"),
         "ridge": (math.isfinite(config.ridge) and config.ridge > 0, "> 0"),
-        "triplane": (8 <= config.triplane <= 512, "8 to 512"),
         "iterations": (config.iterations >= 1, ">= 1"),
-        "tolerance": (0 < config.tolerance < 1, "between 0 and 1"),
+        "tolerance": (1e-6 <= config.tolerance < 1, "1e-6 (what float32 holds) to 1"),
         "seed": (0 <= config.seed < 1 << 63, "0 to 2⁶³ − 1"),
     }
     for name, (good, expected) in checks.items():
@@ -115,7 +111,7 @@ class _Stage:
         config: MotionConfig,
         began: float,
         device: str = "cpu",
-        neighbours: float | None = None,
+        known: Findings | None = None,
     ) -> None:
         self.run, self.config, self.device = run, config, device
         self.fps, self.n_timesteps = capture.fps, capture.n_timesteps
@@ -124,34 +120,17 @@ class _Stage:
         size = (capture.width, capture.height)
         views = [rest_view(gaussians, camera, size) for camera in self.cameras]
         means = gaussians.means.numpy()
-        rng = np.random.default_rng(config.seed)
-        scale = information_scale(views, len(means), rng)
-        sampling, around = sampling_matrix(means, config.triplane), neighbourhoods(means)
-        problem = MotionProblem(views, sampling, around, scale, config)
         self.parts = (halves(len(views)) if config.halves else []) or [np.arange(len(views))]
-        self.neighbours, whole = self._posed(problem, diagonals(problem, rng), neighbours)
+        problems = Problems(views, gaussians, config, device)
+        self.findings, whole = posed(problems, self.parts, self.components, TOGETHER, known)
         self.problems = [whole.of_views(rows) for rows in self.parts]
+        self.signal = np.flatnonzero(~self.findings.is_noise)
+        self.basis = self.components.basis[self.signal]
         self.means = means
         if len(views) == 1:
             _warn_of_depth(sight_ratio(views[0], self.cameras[0], means, config.seed))
         self.saved = time.monotonic()
         self.began = began  # what log.json does not hold yet
-
-    def _posed(
-        self, problem: MotionProblem, known: Diagonals, neighbours: float | None
-    ) -> tuple[float, MotionProblem | DeviceProblem]:
-        """The weight of the neighbours, from a checkpoint, the settings or the images, and the problem with it."""
-        asked = self.config.neighbours or (DEFAULT if len(self.parts) == 1 else 0.0)
-        weights = [asked] if asked else [neighbours] if neighbours else list(CANDIDATES)
-        posed: list[Any] = [
-            conditioned(replace(problem, config=replace(self.config, neighbours=w)), known) for w in weights
-        ]
-        if self.device != "cpu":
-            there = DeviceProblem(posed[0], self.device)
-            posed = [there, *(there.posed_as(p) for p in posed[1:])]
-        if len(weights) > 1:
-            weights = [chosen_weight(posed, self.parts, self.components.images[:, 0])]
-        return weights[0], next(p for p in posed if p.config.neighbours == weights[0])
 
     def agreed(self, shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray | None, dict[str, Any]]:
         """From all fields [P R, N, DOF]: the final ones [R, N, DOF], the uncertainty [N], figures for the log.
@@ -171,12 +150,12 @@ class _Stage:
         return whole * gain[:, None, None], noise / np.float32(math.sqrt(self.n_timesteps)), figures
 
     def motion(self, shapes: np.ndarray) -> ModalMotion:
-        freqs, values = phasors(self.components.basis, shapes, self.fps)
+        freqs, values = phasors(self.basis, shapes, self.fps)
         return ModalMotion(freqs, values[..., :3], values[..., 3:], self.fps, self.n_timesteps)
 
     def fit(self, fit: _Fit) -> _Fit:
         """Solve for every component that is not solved yet. One unit of progress is one iteration of one of them."""
-        n_fields = len(self.components.basis) * len(self.parts)
+        n_fields = len(self.signal) * len(self.parts)
         if not len(fit.shapes):
             fit.shapes = np.zeros((n_fields, len(self.means), DOF), np.float32)
         with progress("motion stage", n_fields * self.config.iterations, start=self._done(fit)) as update:
@@ -193,15 +172,13 @@ class _Stage:
 
     def _begun(self, part: int, first: int) -> list[CGState]:
         """The components from `first` on that are solved for together, of one part of the cameras."""
-        problem, last = self.problems[part], first + (TOGETHER if self.device == "cpu" else 1)
-        pictures = self.components.images[:, first:last][self.parts[part]]
-        if isinstance(problem, MotionProblem):
-            return [start(b) for b in problem.right_hand_sides(pictures)]
-        return [start(problem.right_hand_side(pictures[:, k])) for k in range(pictures.shape[1])]
+        some = self.signal[first : first + (TOGETHER if self.device == "cpu" else 1)]
+        pictures = self.components.images[:, some][self.parts[part]]
+        return [start(b) for b in self.problems[part].right_hand_sides(pictures)]
 
     def _solve(self, fit: _Fit, update: Any) -> None:
         """A few components at once, each from where its state stands until its own end."""
-        part, first = divmod(fit.component, len(self.components.basis))
+        part, first = divmod(fit.component, len(self.signal))
         problem = self.problems[part]
         fit.cgs = fit.cgs or self._begun(part, first)
         while going := [k for k, cg in enumerate(fit.cgs) if self._is_open(cg)]:
@@ -210,7 +187,7 @@ class _Stage:
             worst = max(cg.relative_residual for cg in fit.cgs)
             update(self._done(fit), components=f"{len(going)} at once", residual=round(worst, 4))
             if time.monotonic() - self.saved > CHECKPOINT_EVERY_S:
-                state = fit.state() | {"version": _STATE, "neighbours": self.neighbours}
+                state = fit.state() | {"version": _STATE, **self.findings.state()}
                 self.run.save_checkpoint(_STAGE, fit.tensors(), state)
                 self.saved = time.monotonic()
                 self.run.record(_STAGE, {"seconds": self.saved - self.began})
@@ -230,9 +207,7 @@ def _warn_of_depth(ratio: float) -> None:
 
 
 def _normals(problem: MotionProblem | DeviceProblem, thetas: Sequence[Any]) -> list[Any]:
-    if isinstance(problem, MotionProblem):
-        return problem.normals(thetas)
-    return [problem.normal(theta) for theta in thetas]
+    return list(problem.normals(thetas))
 
 
 def train_motion(
@@ -256,9 +231,8 @@ def train_motion(
     checkpoint = run.load_checkpoint(_STAGE)
     if checkpoint and checkpoint[1].get("version") != _STATE:
         checkpoint = None
-    neighbours = checkpoint[1]["neighbours"] if checkpoint else None
-    stage = _Stage(run, capture, images, gaussians, config, began, device, neighbours)
-    n_components = len(stage.components.basis)
+    known = Findings.of(checkpoint[1]) if checkpoint else None
+    stage = _Stage(run, capture, images, gaussians, config, began, device, known)
     empty = np.zeros((0, len(gaussians), DOF), np.float32)
     fit = stage.fit(_restored(checkpoint, device) if checkpoint else _Fit(empty))
     shapes, uncertainty, agreement_figures = stage.agreed(fit.shapes)
@@ -268,11 +242,12 @@ def train_motion(
         "seconds": time.monotonic() - stage.began,
         "peak_memory_mib": peak_memory_mib(),
         **gpu_figures(device),
-        "components": n_components,
-        "neighbours": stage.neighbours,
+        "components": len(stage.signal),
+        "components_of_noise": int(stage.findings.is_noise.sum()),
+        "neighbours": stage.findings.neighbours,
         "views": len(stage.cameras),
         "n_frequencies": len(motion.freqs_hz),
-        "explained_by_components": float(energy[:n_components].sum() / max(energy.sum(), 1e-30)),
+        "explained_by_components": float(energy[stage.signal].sum() / max(energy.sum(), 1e-30)),
         **agreement_figures,
     }
     if uncertainty is not None:  # before the motion, which tells that the stage is done

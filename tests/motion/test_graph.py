@@ -1,0 +1,147 @@
+"""The prior on motion: what costs nothing, what does, and the rotation that a gradient of displacement is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tg4mm.motion.graph import BENDING, ROWS, Graph
+from tg4mm.motion.graph import graph as graph_of
+
+OMEGA, SHIFT = np.array([0.02, -0.03, 0.05]), np.array([0.1, 0.2, -0.3])
+
+
+def volume(n: int = 300) -> np.ndarray:
+    return np.random.default_rng(0).uniform(-1, 1, (n, 3))
+
+
+def plane(n: int = 300) -> np.ndarray:
+    """Tilted, without thickness."""
+    uv = np.random.default_rng(1).uniform(-1, 1, (n, 2))
+    return uv @ np.array([[1, 0, 0.5], [0, 1, -0.3]])
+
+
+def wire(n: int = 60) -> np.ndarray:
+    """Straight, along (1, 2, 2) / 3."""
+    return np.linspace(-1, 1, n)[:, None] * np.array([1, 2, 2]) / 3
+
+
+def graph(means: np.ndarray, count: int = 12) -> Graph:
+    """Of balls."""
+    return graph_of(means, np.tile(np.eye(3), (len(means), 1, 1)), np.ones((len(means), 3)), count)
+
+
+SHAPES = {"volume": volume, "plane": plane, "wire": wire}
+
+
+def field(around: Graph, u: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+    """[4N, 3] of displacements [N, 3] and gradients [3 (along), 3 (of)] or [N, 3, 3], per scene unit."""
+    gradient = np.broadcast_to(gradient, (len(u), 3, 3)) * around.reach
+    return np.concatenate([u[:, None], gradient], 1).reshape(-1, 3).astype(np.float32)
+
+
+def energy(around: Graph, x: np.ndarray) -> float:
+    return float((x.astype(np.float64) * (around.stiffness.astype(np.float64) @ x)).sum())
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("kind", ["shift", "turn", "stretch", "shear"])
+def test_what_is_linear_in_space_costs_nothing(shape: str, kind: str) -> None:
+    """And at half its gradient it costs."""
+    means = SHAPES[shape]()
+    around = graph(means)
+    along = {
+        "shift": np.zeros((3, 3)),
+        "turn": np.cross(OMEGA, np.eye(3)),  # rows: ω × e_along
+        "stretch": np.diag([0.05, -0.01, 0.02]),
+        "shear": np.array([[0, 0.04, 0], [0, 0, 0], [0.01, 0, 0]]),
+    }[kind]
+    u = SHIFT + means @ along
+    size = float((field(around, u, along).astype(np.float64) ** 2).sum())
+    rounding = float(np.finfo(np.float32).eps) * size  # of the matrix's entries, about 1 on the diagonal
+    assert abs(energy(around, field(around, u, along))) < rounding
+    if kind != "shift":
+        assert energy(around, field(around, u, along / 2)) > 10 * rounding
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_its_energy_is_the_sum_over_pairs(shape: str) -> None:
+    """Σ w (|u_j − u_i − ½ (A_i + A_j) d|² + b |A_j − A_i|²), pair by pair by hand, up to one factor."""
+    means = SHAPES[shape](40)
+    around, rng = graph(means, count=6), np.random.default_rng(3)
+    fields = [rng.normal(size=(ROWS * 40, 3)) * scale for scale in (1, 2, 5)]
+    fields.append(field(around, means[:, :1] * means, np.eye(3) / 9).astype(np.float64))
+    ratios = [brute_energy(around, means, x, 6) / energy(around, x) for x in fields]
+    np.testing.assert_allclose(ratios, ratios[0], rtol=1e-4)
+
+
+def brute_energy(around: Graph, means: np.ndarray, x: np.ndarray, count: int) -> float:
+    weights: dict[tuple[int, int], float] = {}
+    for i in range(len(means)):
+        distance = np.linalg.norm(means - means[i], axis=1)
+        near = np.argsort(distance, kind="stable")[1 : count + 1]
+        for j in near:
+            w = float(np.exp(-0.5 * (distance[j] / distance[near].mean()) ** 2))
+            pair = (min(i, int(j)), max(i, int(j)))
+            weights[pair] = weights.get(pair, 0.0) + w
+    f, total = x.reshape(-1, ROWS, 3), 0.0
+    for (i, j), w in weights.items():
+        d = (means[j] - means[i]) / around.reach
+        left = f[j, 0] - f[i, 0] - d @ (f[i, 1:] + f[j, 1:]) / 2
+        total += w * ((left**2).sum() + BENDING * ((f[j, 1:] - f[i, 1:]) ** 2).sum())
+    return total
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_stiffness_is_symmetric_and_not_negative(shape: str) -> None:
+    around, rng = graph(SHAPES[shape]()), np.random.default_rng(2)
+    difference = abs(around.stiffness - around.stiffness.T)
+    assert difference.max() <= 1e-6 * abs(around.stiffness).max()
+    for _ in range(5):
+        assert energy(around, rng.normal(size=(around.stiffness.shape[0], 3))) > 0
+
+
+def test_the_mean_diagonal_of_displacement_is_one() -> None:
+    around = graph(volume())
+    assert around.stiffness.diagonal()[::ROWS].mean() == pytest.approx(1, abs=1e-4)
+
+
+def test_a_turn_is_found_from_its_gradient() -> None:
+    means = volume()
+    around = graph(means)
+    x = field(around, SHIFT + np.cross(OMEGA, means), np.cross(OMEGA, np.eye(3)))
+    moved = around.motion(x)
+    assert moved.dtype == np.float32
+    np.testing.assert_allclose(moved[:, :3], SHIFT + np.cross(OMEGA, means), atol=1e-6)
+    np.testing.assert_allclose(moved[:, 3:], np.tile(OMEGA, (300, 1)), atol=1e-6)
+
+
+def test_a_stretch_turns_nothing() -> None:
+    around = graph(volume())
+    assert np.abs(around.motion(field(around, volume(), np.diag([1.0, 2, 3])))[:, 3:]).max() < 1e-6
+
+
+def test_from_motion_is_the_transpose() -> None:
+    around, rng = graph(volume()), np.random.default_rng(4)
+    x, v = rng.normal(size=(ROWS * 300, 3)).astype(np.float32), rng.normal(size=(300, 6)).astype(np.float32)
+    one = (around.motion(x).astype(float) * v).sum()
+    other = (around.from_motion(v).astype(float) * x).sum()
+    assert abs(one - other) < 1e-6 * np.linalg.norm(around.motion(x)) * np.linalg.norm(v)
+
+
+def test_it_does_not_depend_on_the_unit_of_length() -> None:
+    small, large = graph(volume()), graph(1e3 * volume())
+    assert large.reach == pytest.approx(1e3 * small.reach)
+    assert abs(small.stiffness - large.stiffness).max() < 1e-5
+
+
+@pytest.mark.parametrize("n", [2, 4, 13])
+def test_fewer_gaussians_than_neighbours_are_all_neighbours(n: int) -> None:
+    around = graph(volume(n))
+    pairs = around.stiffness[::ROWS, ::ROWS].tocoo()
+    assert ((pairs.row != pairs.col) & (pairs.data != 0)).sum() == n * (n - 1)
+
+
+def test_doubled_points_are_no_trouble() -> None:
+    around = graph(np.repeat(volume(30), 15, axis=0))
+    assert np.isfinite(around.stiffness.data).all()

@@ -1,0 +1,115 @@
+"""Pictures on disk are read as those in memory, and no more often than they must be."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from dataset_gen.png import encode
+from tests.space.scenes import capture_of
+from tg4mm.capture import Capture, load_images
+from tg4mm.errors import CaptureError
+from tg4mm.motion import differences as differences_module
+from tg4mm.motion import pictures as module
+from tg4mm.motion.differences import temporal_components
+from tg4mm.motion.pictures import FilePictures, StackedPictures
+from tg4mm.motion.video import fixed_cameras
+
+SIZE = (5, 6)  # height, width
+
+
+@pytest.fixture
+def capture(tmp_path: Path) -> Capture:
+    """Two cameras, five timesteps; camera 0 sees its first picture again at timestep 3."""
+    data = np.random.default_rng(0).integers(0, 256, (10, *SIZE, 4)).astype(np.uint8)
+    data[6] = data[0]
+    capture, _ = capture_of([0, 1] * 5, [t for t in range(5) for _ in range(2)], data)
+    paths = tuple(tmp_path / f"{i}.png" for i in range(10))
+    for path, image in zip(paths, data, strict=True):
+        Image.fromarray(image).save(path)
+    return replace(capture, root=tmp_path, paths=paths)
+
+
+@pytest.fixture
+def decoded(monkeypatch: pytest.MonkeyPatch) -> Counter[Path]:
+    """How often each file has been decoded."""
+    counts: Counter[Path] = Counter()
+    whole = module.decode
+
+    def counting(path: Path) -> np.ndarray:
+        counts[path] += 1
+        return whole(path)
+
+    monkeypatch.setattr(module, "decode", counting)
+    return counts
+
+
+def with_one_of_16_bits(capture: Capture) -> None:
+    data = np.random.default_rng(1).integers(0, 65536, (*SIZE, 4)).astype(np.uint16)
+    capture.paths[3].write_bytes(encode(data))
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+def test_they_are_those_of_the_stack(capture: Capture, bits: int) -> None:
+    if bits == 16:
+        with_one_of_16_bits(capture)
+    files, stack = FilePictures(capture), load_images(capture)
+    assert (files.size, files.maximum, len(files)) == (SIZE, stack.maximum, 10)
+    for i in range(10):
+        np.testing.assert_array_equal(files.rgb(i), stack.rgb(i))
+        np.testing.assert_array_equal(files.alpha(i), stack.alpha(i))
+    rows, strip = [7, 3, 3], slice(1, 3)
+    found = files.strips(rows)(strip)
+    assert found.dtype == stack.data.dtype
+    np.testing.assert_array_equal(found, StackedPictures(stack).strips(rows)(strip))
+
+
+@pytest.mark.parametrize("cached", [0, 1 << 30])
+def test_their_components_are_those_of_the_stack(
+    capture: Capture, cached: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(differences_module, "CACHE_BYTES", cached)
+    cameras = fixed_cameras(capture)
+    found = temporal_components(FilePictures(capture), cameras, 16)
+    expected = temporal_components(load_images(capture), cameras, 16)
+    np.testing.assert_array_equal(found.basis, expected.basis)
+    np.testing.assert_array_equal(found.images, expected.images)
+    np.testing.assert_array_equal(found.residual, expected.residual)
+
+
+def test_each_is_decoded_once_and_one_that_repeats_not_again(
+    capture: Capture, decoded: Counter[Path]
+) -> None:
+    temporal_components(FilePictures(capture), fixed_cameras(capture), 16)
+    assert decoded == Counter(set(capture.paths) - {capture.paths[6]})
+
+
+def test_where_the_cache_is_small_twice(
+    capture: Capture, decoded: Counter[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first camera's four pictures fit, the second's five do not."""
+    monkeypatch.setattr(differences_module, "CACHE_BYTES", 4 * 30 * 12)
+    temporal_components(FilePictures(capture), fixed_cameras(capture), 16)
+    assert {decoded[capture.paths[i]] for i in (0, 2, 4, 8)} == {1}
+    assert {decoded[path] for path in capture.paths[1::2]} == {2}
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda path: path.unlink(), r"4\.png"),
+        (lambda path: path.write_bytes(path.read_bytes()[:60]), r"4\.png: cannot be decoded"),
+        (lambda path: Image.new("RGBA", (7, 5)).save(path), r"4\.png: is 7×5 pixels, expected 6×5"),
+    ],
+)
+def test_a_spoiled_file_is_an_error_with_its_name(capture: Capture, spoil, message: str) -> None:
+    files = FilePictures(capture)
+    assert files.maximum == 255
+    spoil(capture.paths[4])
+    with pytest.raises(CaptureError, match=message):
+        temporal_components(files, fixed_cameras(capture), 16)

@@ -1,0 +1,180 @@
+"""Functions of time and shapes in space become phasors, and give the motion back."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tg4mm.motion.spectrum import phasors
+
+FPS = 30.0
+
+
+def synthesis(freqs: np.ndarray, values: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Σ_k Re[m_k exp(i 2π f_k t / fps)] at every t: [T, N, D]. Written out, not the code's."""
+    return np.stack(
+        [
+            sum((m * np.exp(2j * np.pi * f * s / FPS)).real for f, m in zip(freqs, values, strict=True))
+            for s in t
+        ]
+    )
+
+
+def zero_mean_basis(n: int, n_timesteps: int, seed: int = 0) -> np.ndarray:
+    a = np.random.default_rng(seed).normal(size=(n_timesteps, n))
+    q, _ = np.linalg.qr(a - a.mean(0))
+    return q.T
+
+
+class TestPhasors:
+    @pytest.mark.parametrize("n_timesteps", [2, 3, 8, 9, 30, 31])
+    def test_they_give_the_motion_back_at_every_timestep(self, n_timesteps: int) -> None:
+        """Even T has a Nyquist bin, odd T has none."""
+        rng = np.random.default_rng(1)
+        basis = zero_mean_basis(min(3, n_timesteps - 1), n_timesteps)
+        shapes = rng.normal(size=(len(basis), 4, 6))
+        freqs, values = phasors(basis, shapes, FPS)
+        assert values.shape == (n_timesteps // 2, 4, 6)
+        assert values.dtype == np.complex64
+        expected = np.einsum("rt,rnd->tnd", basis, shapes)
+        found = synthesis(freqs, values, np.arange(n_timesteps))
+        np.testing.assert_allclose(found, expected, atol=3e-6)
+        # the comparison can fail: a Nyquist bin counted twice, or a wrong sign of time
+        if n_timesteps % 2 == 0:
+            values[-1] *= 2
+            assert np.abs(synthesis(freqs, values, np.arange(n_timesteps)) - expected).max() > 1e-2
+
+    def test_a_sine_lands_in_its_bin_with_its_phase(self) -> None:
+        """0.3 cos(2π 5 t/30 + 0.7): one bin, phasor 0.3 exp(0.7i)."""
+        t = np.arange(30)
+        basis = np.stack([np.cos(2 * np.pi * 5 * t / 30), np.sin(2 * np.pi * 5 * t / 30)]) / np.sqrt(15)
+        shape = np.array([np.cos(0.7), -np.sin(0.7)])[:, None, None] * 0.3 * np.sqrt(15)
+        freqs, values = phasors(basis, shape, FPS)
+        np.testing.assert_allclose(freqs, np.arange(1, 16))
+        np.testing.assert_allclose(values[4, 0, 0], 0.3 * np.exp(0.7j), rtol=1e-6)
+        assert np.abs(np.delete(values, 4, 0)).max() < 1e-7
+
+    def test_the_mean_over_time_is_left_out(self) -> None:
+        basis = zero_mean_basis(2, 10)
+        shapes = np.ones((2, 1, 1))
+        np.testing.assert_allclose(
+            phasors(basis + 3.0, shapes, FPS)[1], phasors(basis, shapes, FPS)[1], atol=1e-6
+        )
+
+
+def video_of(
+    n_timesteps: int, parts: dict[float, np.ndarray], drift: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Principal functions of time [R, T] and shapes [R, N, 6] of sinusoids (Hz → phasors [N, 6]) and drift."""
+    t = np.arange(n_timesteps)
+    video = sum(np.real(np.exp(2j * np.pi * f * t / FPS)[:, None, None] * m) for f, m in parts.items())
+    if drift is not None:
+        video = video + (t / FPS)[:, None, None] * drift
+    flat = (video - video.mean(0)).reshape(n_timesteps, -1)
+    left, strength, right = np.linalg.svd(flat, full_matrices=False)
+    rank = int((strength > 1e-9 * strength[0]).sum())
+    return left[:, :rank].T, (strength[:rank, None] * right[:rank]).reshape(rank, *video.shape[1:])
+
+
+def shape(seed: int) -> np.ndarray:
+    """[5, 6] complex phasors."""
+    rng = np.random.default_rng(seed)
+    return rng.normal(size=(5, 6)) + 1j * rng.normal(size=(5, 6))
+
+
+CAPTURES = [(30, 2.5), (37, 2.5), (30, 5.2), (60, 4.71), (100, 4.71), (300, 4.71)]
+
+
+class TestBetweenBins:
+    @pytest.mark.parametrize(("n_timesteps", "frequency"), CAPTURES)
+    def test_a_sinusoid_is_one_mode(self, n_timesteps: int, frequency: float) -> None:
+        true = shape(0)
+        freqs, values = phasors(*video_of(n_timesteps, {frequency: true}), FPS)
+        strength = np.linalg.norm(values, axis=(1, 2))
+        oscillates = np.flatnonzero(freqs > 0)
+        k = oscillates[strength[oscillates].argmax()]
+        assert freqs[k] == pytest.approx(frequency, abs=1e-4)
+        np.testing.assert_allclose(values[k], true, atol=2e-3)
+        others = np.delete(strength, [0, k])
+        assert freqs[0] == 0
+        assert others.max(initial=0) < 2e-3 * strength[k]
+
+    @pytest.mark.parametrize(("n_timesteps", "frequency"), CAPTURES)
+    def test_its_zero_is_found(self, n_timesteps: int, frequency: float) -> None:
+        """0 Hz leads from the mean over time, where the Gaussians lie, to where the motion is zero."""
+        true = shape(0)
+        freqs, values = phasors(*video_of(n_timesteps, {frequency: true}), FPS)
+        mean = np.exp(2j * np.pi * frequency * np.arange(n_timesteps) / FPS).mean()
+        assert freqs[0] == 0
+        np.testing.assert_allclose(values[0].real, -(mean * true).real, atol=2e-3)
+        np.testing.assert_allclose(values[0].imag, 0, atol=1e-7)
+
+    def test_the_motion_comes_back_at_every_timestep(self) -> None:
+        for n_timesteps, drift in [(30, None), (37, shape(2).real), (64, shape(2).real)]:
+            basis, shapes = video_of(n_timesteps, {2.5: shape(0), 11.3: 0.2 * shape(1)}, drift)
+            freqs, values = phasors(basis, shapes, FPS)
+            found = synthesis(freqs, values, np.arange(n_timesteps))
+            np.testing.assert_allclose(found, np.einsum("rt,rnd->tnd", basis, shapes), atol=2e-5)
+
+    def test_of_a_long_capture_weak_bins_are_left_out(self) -> None:
+        """One percent of the motion's rms at most, and few modes whatever T is."""
+        rng = np.random.default_rng(0)
+        for n_timesteps in (65, 300):
+            basis, shapes = video_of(n_timesteps, {2.51: shape(0), 11.3: 0.2 * shape(1)})
+            extra = rng.normal(size=(1, n_timesteps))
+            basis = np.concatenate([basis, (extra - extra.mean()) / np.linalg.norm(extra)])
+            shapes = np.concatenate([shapes, 0.005 * np.linalg.norm(shapes[0]) * shape(3).real[None] / 5])
+            freqs, values = phasors(basis, shapes, FPS)
+            motion = np.einsum("rt,rnd->tnd", basis, shapes)
+            error = synthesis(freqs, values, np.arange(n_timesteps)) - motion
+            assert np.sqrt((error**2).mean() / (motion**2).mean()) < 0.0101
+            assert len(freqs) < 12
+
+    def test_with_whole_periods_nothing_is_added_to_the_bins(self) -> None:
+        freqs, _ = phasors(*video_of(30, {3.0: shape(0), 5.0: shape(1)}), FPS)
+        np.testing.assert_allclose(freqs, np.arange(1, 16))
+
+
+class TestBands:
+    """What a band holds is a mode as a whole, and nothing of what lies outside."""
+
+    def in_band(
+        self, freqs: np.ndarray, values: np.ndarray, low: float, high: float, t: np.ndarray
+    ) -> np.ndarray:
+        inside = (freqs >= low) & (freqs <= high)
+        return synthesis(freqs[inside], values[inside], t)
+
+    @pytest.mark.parametrize("n_timesteps", [30, 37, 60, 300])
+    @pytest.mark.parametrize("frequency", [5.0, 4.71])
+    def test_drift_and_a_distractor_stay_out(self, n_timesteps: int, frequency: float) -> None:
+        """5 Hz among 11.3 Hz as strong, and a drift of ten times the amplitude a second."""
+        t, true = np.arange(n_timesteps), shape(0)
+        basis, shapes = video_of(n_timesteps, {frequency: true, 11.3: shape(1)}, 10 * shape(2).real)
+        found = self.in_band(*phasors(basis, shapes, FPS), 4, 6, t)
+        wanted = synthesis(np.array([frequency]), true[None], t)
+        error = np.sqrt(((found - wanted) ** 2).mean() / (wanted**2).mean())
+        assert error < 0.02
+        plain = np.fft.rfft(np.einsum("rt,rnd->tnd", basis, shapes), axis=0)  # what bins alone do
+        freqs = np.fft.rfftfreq(n_timesteps, 1 / FPS)
+        plain[(freqs < 4) | (freqs > 6)] = 0
+        by_bins = np.fft.irfft(plain, n_timesteps, axis=0)
+        assert np.sqrt(((by_bins - wanted) ** 2).mean() / (wanted**2).mean()) > 5 * error
+
+    def test_outside_the_tones_band_there_is_nothing_of_it(self) -> None:
+        t = np.arange(37)
+        freqs, values = phasors(*video_of(37, {2.5: shape(0)}), FPS)
+        left = self.in_band(freqs, values, 3, 15, t)
+        assert np.abs(left).max() < 2e-3 * np.abs(shape(0)).max()
+
+    @pytest.mark.parametrize("n_timesteps", [30, 37, 300])
+    def test_a_drift_begins_at_timestep_0(self, n_timesteps: int) -> None:
+        """The slowest mode is the drift's own way; 0 Hz leads to where the sinusoid's zero was before it."""
+        drift, t = 2 * shape(2).real, np.arange(n_timesteps)
+        parts = {4.71: shape(0)}
+        freqs, values = phasors(*video_of(n_timesteps, parts, drift), FPS)
+        assert freqs[0] == 0 < freqs[1] < FPS / n_timesteps / 10
+        way = (t / FPS)[:, None, None] * drift
+        found = synthesis(freqs[1:2], values[1:2], t)
+        np.testing.assert_allclose(found, way, atol=0.01 * np.abs(way).max())
+        mean = synthesis(np.array([4.71]), shape(0)[None], t).mean(0) + way.mean(0)
+        np.testing.assert_allclose(values[0].real, -mean, atol=0.01 * np.abs(way).max())

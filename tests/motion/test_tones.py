@@ -1,0 +1,121 @@
+"""Tones between the bins, and drifts, are found in functions of time; noise and whole periods have none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tg4mm.motion.tones import Tones, found_tones
+
+
+def functions(
+    n_timesteps: int,
+    cycles: tuple[float, ...],
+    drift: float = 0.0,
+    noise: float = 0.0,
+    seed: int = 0,
+    n_pixels: int = 400,
+    decay: float = 0.0,
+) -> np.ndarray:
+    """[R, T]: principal functions of time of many pixels that swing with every tone, by their strength.
+
+    `drift`: rms of what a pixel drifts over the capture; `noise`: standard deviation; `decay`: cycles to 1/e.
+    """
+    rng = np.random.default_rng(seed)
+    t = np.arange(n_timesteps) / n_timesteps
+    video = drift * np.outer(t, rng.normal(size=n_pixels)) + noise * rng.normal(size=(n_timesteps, n_pixels))
+    for c in cycles:
+        law = np.exp(-t * c / decay) if decay else 1
+        for wave in (np.sin, np.cos):
+            video += np.outer(wave(2 * np.pi * c * t) * law, rng.normal(size=n_pixels))
+    left, strength, _ = np.linalg.svd(video - video.mean(0), full_matrices=False)
+    return (left * strength)[:, : min(16, int((strength > 1e-6 * strength[0]).sum()))].T
+
+
+class TestFrequencies:
+    @pytest.mark.parametrize(
+        ("n_timesteps", "cycles"),
+        [
+            (30, (2.5,)),
+            (37, (2.5 * 37 / 30,)),
+            (30, (1.4,)),
+            (12, (3.3,)),
+            (30, (5.3, 11.3)),
+            (60, (4.5, 5.7, 20.2)),
+            (300, (25.4, 113.1)),
+            (31, (13.6,)),  # 0.9 of half the frame rate
+        ],
+    )
+    @pytest.mark.parametrize("drift", [0.0, 1.0])
+    def test_of_clean_motion_they_are_exact(
+        self, n_timesteps: int, cycles: tuple[float, ...], drift: float
+    ) -> None:
+        found = found_tones(functions(n_timesteps, cycles, drift))
+        np.testing.assert_allclose(found.cycles, cycles, atol=2e-3 if drift else 1e-4)
+        assert found.trend == bool(drift)
+
+    @pytest.mark.parametrize("seed", range(4))
+    @pytest.mark.parametrize("cycles", [(2.5,), (5.3, 11.3)])
+    def test_of_noisy_motion_they_are_as_near_as_noise_lets(
+        self, cycles: tuple[float, ...], seed: int
+    ) -> None:
+        """Four standard deviations of the Cramér–Rao bound, √(6 σ² / (π² T Σ a² / 2)) … in cycles per capture."""
+        noise, n_timesteps, n_pixels = 0.3, 30, 400
+        found = found_tones(functions(n_timesteps, cycles, noise=noise, seed=seed, n_pixels=n_pixels))
+        bound = np.sqrt(6 * noise**2 / (np.pi**2 * n_timesteps * 2 * n_pixels))  # Σ a² = 2 for each pixel
+        np.testing.assert_allclose(found.cycles, cycles, atol=4 * bound)
+        assert not found.trend
+
+    def test_near_a_bin_is_on_it(self) -> None:
+        """5.004 cycles beside 8.5: the first is taken for five whole ones."""
+        assert found_tones(functions(30, (5.004, 8.5))).cycles[0] == 5
+        assert found_tones(functions(30, (5.02, 8.5))).cycles[0] == pytest.approx(5.02, abs=1e-3)
+
+
+class TestNone:
+    @pytest.mark.parametrize("noise", [0.0, 0.1])
+    @pytest.mark.parametrize("cycles", [(5.0,), (1.0,), (3.0, 7.0, 12.0)])
+    def test_of_whole_periods(self, cycles: tuple[float, ...], noise: float) -> None:
+        found = found_tones(functions(30, cycles, noise=noise))
+        assert not len(found.cycles)
+        assert not found.trend
+
+    @pytest.mark.parametrize("seed", range(6))
+    @pytest.mark.parametrize(("n_timesteps", "n_pixels"), [(30, 400), (300, 400), (30, 1), (64, 2)])
+    def test_of_noise(self, n_timesteps: int, n_pixels: int, seed: int) -> None:
+        found = found_tones(functions(n_timesteps, (), noise=1.0, n_pixels=n_pixels, seed=seed))
+        assert not len(found.cycles)
+        assert not found.trend
+
+    def test_of_less_than_one_cycle(self) -> None:
+        """Not to be told from a drift and an offset."""
+        assert not len(found_tones(functions(30, (0.6,))).cycles)
+
+    @pytest.mark.parametrize("series", [np.zeros((2, 30)), np.zeros((0, 30)), np.ones((1, 30)), np.eye(3, 6)])
+    def test_of_nothing_or_too_little(self, series: np.ndarray) -> None:
+        assert not len(found_tones(series).cycles)
+
+    def test_an_impulse_has_none(self) -> None:
+        assert not len(found_tones(np.eye(1, 60, 20)).cycles)
+
+
+def test_a_drift_alone_is_a_trend() -> None:
+    found = found_tones(functions(30, (), drift=1.0, noise=0.05))
+    assert found.trend
+    assert not len(found.cycles)
+
+
+def test_of_a_mode_that_rings_down_the_tone_lies_at_its_peak() -> None:
+    """To 1/e in half the capture: what the tone leaves goes to the bins."""
+    found = found_tones(functions(60, (10.4,), decay=5.2))
+    assert len(found.cycles) in (0, 1)
+    np.testing.assert_allclose(found.cycles, 10.4, atol=0.1)
+
+
+def test_the_trend_is_a_straight_line_from_the_first_timestep_on() -> None:
+    t = np.arange(200) / 200
+    line = Tones(np.zeros(0), True).regressors(200)[:, 1]
+    assert line[0] == 0
+    slope, constant = np.polyfit(t, line, 1)
+    assert np.abs(line - slope * t - constant).max() < 0.006 * line.max()
+    assert abs(constant) < 0.006 * line.max()

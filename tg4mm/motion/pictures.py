@@ -1,0 +1,139 @@
+"""A capture's pictures, in memory or on disk, as the motion stage reads them: a camera's distinct ones, by strips.
+
+From disk, what one camera saw is decoded when its turn comes and let go after: T · H · W · 4 bytes at most, 300 MiB for
+300 timesteps of 512² at 8 bits, where all pictures of 30 such cameras would be 9 GiB.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+
+from tg4mm.capture import Capture, ImageStack
+from tg4mm.capture.decode import THREADS, decode, image_header
+from tg4mm.errors import CaptureError
+
+Strips = Callable[[slice], np.ndarray]  # rows of the picture → [S, rows, W, 4], as stored
+
+
+class Pictures(Protocol):
+    """C pictures of one size: RGBA with straight alpha, display-referred sRGB, 8 or 16 bits."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width in pixels."""
+
+    @property
+    def maximum(self) -> int:
+        """The stored value that means 1."""
+
+    def digest(self, i: int) -> bytes:
+        """Equal for pictures that are equal bit for bit (and hardly for others)."""
+
+    def strips(self, rows: Sequence[int]) -> Strips:
+        """Some pictures, to be asked for by rows."""
+
+
+@dataclass(frozen=True)
+class StackedPictures:
+    """Pictures in memory."""
+
+    images: ImageStack
+
+    @property
+    def size(self) -> tuple[int, int]:
+        return self.images.data.shape[1], self.images.data.shape[2]
+
+    @property
+    def maximum(self) -> int:
+        return self.images.maximum
+
+    def digest(self, i: int) -> bytes:
+        return _hash(np.ascontiguousarray(self.images.data[i]).data)
+
+    def strips(self, rows: Sequence[int]) -> Strips:
+        indices = np.asarray(rows)
+        return lambda strip: self.images.data[indices, strip]
+
+
+@dataclass(frozen=True)
+class FilePictures:
+    """Pictures on disk, each decoded when it is asked for. Takes `ImageStack`'s place where only `rgb` and `alpha` are.
+
+    Raises CaptureError for a file that is missing, truncated or damaged, or whose size has changed.
+    """
+
+    capture: Capture
+
+    def __len__(self) -> int:
+        return len(self.capture)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        return self.capture.height, self.capture.width
+
+    @cached_property
+    def maximum(self) -> int:
+        """65535 if any file has 16 bits."""
+        with ThreadPoolExecutor(THREADS) as pool:
+            bits = max(header.bits for header in pool.map(image_header, self.capture.paths))
+        return (1 << bits) - 1
+
+    def digest(self, i: int) -> bytes:
+        """Of the file: equal pictures in unequal files count as two."""
+        path = self.capture.paths[i]
+        try:
+            return _hash(path.read_bytes())
+        except OSError as error:
+            raise CaptureError(f"{path}: cannot be read: {error.strerror}") from error
+
+    def strips(self, rows: Sequence[int]) -> Strips:
+        data = np.empty((len(rows), *self.size, 4), np.uint16 if self.maximum > 255 else np.uint8)
+
+        def load(k: int) -> None:
+            data[k] = self._decoded(rows[k])
+
+        with ThreadPoolExecutor(THREADS) as pool:
+            for _ in pool.map(load, range(len(rows))):
+                pass
+        return lambda strip: data[:, strip]
+
+    def rgb(self, i: int) -> np.ndarray:
+        """[H, W, 3] float32 in 0..1: picture i over white."""
+        return over_white(self._decoded(i)[None], self.maximum)[0]
+
+    def alpha(self, i: int) -> np.ndarray:
+        """[H, W] float32 coverage in 0..1 of picture i."""
+        return self._decoded(i)[..., 3] * np.float32(1 / self.maximum)
+
+    def _decoded(self, i: int) -> np.ndarray:
+        path, (height, width) = self.capture.paths[i], self.size
+        image = decode(path)
+        if image.shape[:2] != (height, width):
+            found = f"{image.shape[1]}×{image.shape[0]}"
+            raise CaptureError(f"{path}: is {found} pixels, expected {width}×{height}")
+        widen = self.maximum > 255 and image.dtype == np.uint8
+        return image.astype(np.uint16) * 257 if widen else image
+
+
+def pictures_of(images: ImageStack | FilePictures) -> Pictures:
+    """The same pictures, as the motion stage reads them."""
+    return StackedPictures(images) if isinstance(images, ImageStack) else images
+
+
+def over_white(raw: np.ndarray, maximum: int) -> np.ndarray:
+    """[S, H, W, 3] float32 in 0..1 of pictures [S, H, W, 4] as stored, blended as `ImageStack.rgb` does."""
+    scale = np.float32(1 / maximum)
+    out = raw[..., :3] * scale
+    alpha = raw[..., 3:]
+    return out if alpha.min() == maximum else out * (alpha * scale) + (1 - alpha * scale)
+
+
+def _hash(data: bytes | memoryview) -> bytes:
+    return hashlib.blake2b(data, digest_size=16).digest()

@@ -1,0 +1,104 @@
+"""The problem that a capture poses: what is noise, how much pixels count, how alike neighbours move."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from tg4mm.gaussians import Gaussians
+from tg4mm.motion.config import MotionConfig
+from tg4mm.motion.device import DeviceProblem
+from tg4mm.motion.differences import TemporalComponents
+from tg4mm.motion.graph import graph
+from tg4mm.motion.levels import information, levels
+from tg4mm.motion.linear import RestView
+from tg4mm.motion.noise import LOOSE, noise_components, pixel_weights
+from tg4mm.motion.problem import MotionProblem, information_scale
+from tg4mm.motion.weight import CANDIDATES, DEFAULT, chosen_weight
+from tg4mm.rasterize.reference import rotation_matrices
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What was found out from the images before the fit; with it a fit can be taken up again."""
+
+    is_noise: np.ndarray  # [R] bool, temporal components
+    neighbours: float
+
+    def state(self) -> dict[str, Any]:
+        return {"is_noise": [bool(v) for v in self.is_noise], "neighbours": self.neighbours}
+
+    @staticmethod
+    def of(state: dict[str, Any]) -> Findings:
+        return Findings(np.array(state["is_noise"], bool), float(state["neighbours"]))
+
+
+class Problems:
+    """Problems of the same views that differ in weights, on the device where they are solved."""
+
+    def __init__(
+        self, views: list[RestView], gaussians: Gaussians, config: MotionConfig, device: str
+    ) -> None:
+        self.views, self.config, self.device = views, config, device
+        self.means = gaussians.means.numpy()
+        axes = rotation_matrices(gaussians.quats).numpy()
+        self.graph = graph(self.means, axes, gaussians.scales.numpy())
+        self._there: DeviceProblem | None = None
+
+    def of(
+        self, weights: np.ndarray | None, neighbours: Sequence[float]
+    ) -> list[MotionProblem | DeviceProblem]:
+        """One for each weight of the neighbours, all with the pixels' weights [V, H, W] or None."""
+        rng = np.random.default_rng(self.config.seed)
+        scale = information_scale(self.views, len(self.means), rng, weights)
+        known = information(self.views, len(self.means), rng, weights)
+        ridge = scale * self.config.ridge
+        return [
+            self._placed(
+                MotionProblem(
+                    self.views,
+                    self.graph,
+                    levels(self.graph, known, self.means, scale * value, ridge),
+                    scale,
+                    replace(self.config, neighbours=value),
+                    weights,
+                )
+            )
+            for value in neighbours
+        ]
+
+    def _placed(self, problem: MotionProblem) -> MotionProblem | DeviceProblem:
+        if self.device == "cpu":
+            return problem
+        if self._there is None:
+            self._there = DeviceProblem(problem, self.device)
+        return self._there.posed_as(problem)
+
+
+def posed(
+    problems: Problems,
+    parts: Sequence[np.ndarray],
+    components: TemporalComponents,
+    at_once: int,
+    known: Findings | None = None,
+) -> tuple[Findings, MotionProblem | DeviceProblem]:
+    """The problem of all cameras, and what was found on the way, or `known` from an earlier time.
+
+    parts: two halves of the cameras; one part, all of them, where they are too few: then noise and weight are not
+    looked for.
+    """
+    asked = problems.config.neighbours or (DEFAULT if len(parts) == 1 else 0.0)
+    if known is None:
+        is_noise = np.zeros(len(components.basis), bool)
+        if len(parts) == 2 and len(is_noise) > 1:
+            (plain,) = problems.of(None, [LOOSE])
+            is_noise = noise_components(plain, parts, components.images, at_once)
+    else:
+        is_noise, asked = known.is_noise, known.neighbours
+    candidates = problems.of(pixel_weights(components, is_noise), [asked] if asked else list(CANDIDATES))
+    if not asked:
+        asked = chosen_weight(candidates, parts, components.images[:, 0])
+    return Findings(is_noise, asked), next(p for p in candidates if p.config.neighbours == asked)
