@@ -36,6 +36,28 @@ def test_a_splat_file_holds_the_model(run, tmp_path):
     assert (splat.fps, splat.n_timesteps, splat.unit_scale_m) == (30.0, 5, 0.1)
 
 
+def test_a_splat_file_rests_at_the_motions_own_zero(run, tmp_path):
+    """A mode of 0 Hz is where that lies: every viewer then plays and magnifies as `tg4mm render` does."""
+    motion = run.load_motion()
+    offset = np.full_like(motion.displacement[:1], 0.25)
+    run.save_motion(
+        replace(
+            motion,
+            freqs_hz=np.array([0.0, *motion.freqs_hz]),
+            displacement=np.concatenate([offset, motion.displacement]),
+            rotation=np.concatenate([0.2 * offset, motion.rotation]),
+        ),
+        {},
+    )
+    splat = read_splat(export_ply(run, tmp_path / "splat.ply"))
+    np.testing.assert_array_equal(splat.freqs_hz, [3.0, 6.0])
+    np.testing.assert_allclose(splat.means, run.load_space().means + 0.25, atol=1e-6)
+    assert np.abs(splat.quats - run.load_space().quats.numpy()).max() > 0.01
+    frames = export_ply_sequence(run, tmp_path / "frames", alpha=4.0, timesteps=[1])
+    shown = read_splat(frames / "frame_0001.ply").means
+    np.testing.assert_allclose(positions_at(splat, 1, 4.0, None), shown, atol=1e-6)
+
+
 def test_only_a_ply_is_overwritten(run, tmp_path):
     model = run.path / "space.safetensors"
     before = model.read_bytes()

@@ -11,6 +11,7 @@ import numpy as np
 from tg4mm.capture import load_capture
 from tg4mm.errors import RunError, Tg4mmError
 from tg4mm.gaussians import Gaussians
+from tg4mm.motion.apply import moved
 from tg4mm.motion.modal import ModalMotion
 from tg4mm.progress import progress
 from tg4mm.runs import Run
@@ -70,10 +71,21 @@ def export_ply(run: Run, out: Path) -> Path:
         raise Tg4mmError(f"--out {out}: is a folder; expected a file such as {out / 'splat.ply'}")
     if out.exists() and not _is_ply(out):
         raise Tg4mmError(f"--out {out}: exists, and is no PLY file; choose another name")
-    splat = to_splat(run.load_space(), run.load_motion(), unit_scale_of(run))
+    gaussians, motion = run.load_space(), run.load_motion()
+    if motion is not None and run.preset == "modal":
+        gaussians, motion = _from_its_zero(gaussians, motion)
+    splat = to_splat(gaussians, motion, unit_scale_of(run))
     out.parent.mkdir(parents=True, exist_ok=True)
     write_splat(out, splat)
     return out
+
+
+def _from_its_zero(gaussians: Gaussians, motion: ModalMotion) -> tuple[Gaussians, ModalMotion]:
+    """The Gaussians at the motion's own zero and the motion from there, without a mode of 0 Hz: nothing to magnify."""
+    still = motion.freqs_hz == 0
+    if not still.any():
+        return gaussians, motion
+    return moved(gaussians, motion.selected(still), 0.0), motion.selected(~still)
 
 
 def _is_ply(path: Path) -> bool:

@@ -12,6 +12,7 @@ from tg4mm.device import check_device
 from tg4mm.errors import Tg4mmError
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.differences import fixed_cameras
+from tg4mm.motion.pictures import FilePictures
 from tg4mm.motion.train import checked as checked_motion
 from tg4mm.motion.train import train_motion
 from tg4mm.paper import PAPER, PAPER_SMALL, first_views, train_timesteps, train_triplane
@@ -25,6 +26,9 @@ from tg4mm.space.train import checked as checked_space
 
 # Every preset's settings, by stage, at their defaults. In `paper`, `space` is the fit of the base Gaussians, by L1.
 _BASE = SpaceConfig(l2=0.0)
+IN_MEMORY = (
+    2 << 30
+)  # bytes of pictures at 8 bits; design §6 counts peak memory, and 300 timesteps of 512² are 9 GiB
 PRESETS: dict[str, dict[str, Any]] = {
     "modal": {"space": SpaceConfig(), "motion": MotionConfig()},
     "paper": {"space": _BASE, "paper": PAPER},
@@ -93,10 +97,10 @@ def _train(run_path: Path, capture: Capture, preset: str, configs: dict[str, Any
     if run.has_space and (run.has_motion or not needs_motion) and ("paper" not in configs or has_model(run)):
         return run
     try:
-        images = load_images(capture)
         if "paper" in configs:
-            _train_paper(run, capture, images, configs, device)
+            _train_paper(run, capture, load_images(capture), configs, device)
             return run
+        images = _pictures(capture)
         if not run.has_space:
             train_space(run, rest_views(capture, images), capture.points, configs["space"], device)
     except Tg4mmError:
@@ -106,6 +110,12 @@ def _train(run_path: Path, capture: Capture, preset: str, configs: dict[str, Any
     if needs_motion:
         train_motion(run, capture, images, configs["motion"], device)
     return run
+
+
+def _pictures(capture: Capture) -> ImageStack | FilePictures:
+    """All pictures in memory, each decoded once; of long captures they stay on disk."""
+    fit = len(capture) * capture.height * capture.width * 4 <= IN_MEMORY
+    return load_images(capture) if fit else FilePictures(capture)
 
 
 def _check(configs: Mapping[str, Any]) -> None:

@@ -19,7 +19,7 @@ def method(
 
 
 def displacement(m: Method, t: int, alpha: float) -> np.ndarray:
-    gain = 1 + alpha * in_band(m.motion.freqs_hz, m.band)
+    gain = 1 + alpha * (in_band(m.motion.freqs_hz, m.band) & (m.motion.freqs_hz > 0))  # 0 Hz stands still
     phase = gain * np.exp(2j * np.pi * m.motion.freqs_hz * t / FPS)
     return np.einsum("k,knc->nc", phase, m.motion.displacement).real
 

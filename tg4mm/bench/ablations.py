@@ -120,7 +120,7 @@ ABLATIONS: dict[str, Ablation] = {
     ),
     "neighbours": Ablation(
         "Weight of the neighbour term",
-        "design §5.3: the term that keeps neighbourhoods moving rigidly",
+        "design §5.3: the term that makes neighbours move alike",
         ("modal",),
         (
             Row("found from the images", {"motion.neighbours": "0"}, tick="found"),

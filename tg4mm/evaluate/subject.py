@@ -34,6 +34,7 @@ class Subject:
     estimated: ModalMotion | None
     exact: ModalMotion | None
     bands: tuple[tuple[float, float], ...]
+    from_zero: bool  # a mode of 0 Hz is the way to the motion's own zero, from which the truth counts
     posing: Posing | None  # None: modal, by the estimated motion and at most one band
 
     @property
@@ -77,7 +78,8 @@ def subject_of(
         )
     check_bands(bands, capture.fps)
     posing = None if estimated is None else _posing(run, bands, plan, device)
-    return Subject(gaussians.to(device), estimated, exact, tuple(bands), posing)
+    from_zero = run.preset == "modal"
+    return Subject(gaussians.to(device), estimated, exact, tuple(bands), from_zero, posing)
 
 
 def _posing(
@@ -105,6 +107,8 @@ def displacement_of(subject: Subject, capture: Capture, absent: dict[str, str]) 
     if not weights.sum() > 0:
         absent["displacement error"] = "no training camera sees any Gaussian"
         return None
+    if subject.from_zero:
+        estimated = estimated.selected(estimated.freqs_hz > 0)
     figures = displacement_figures(estimated, exact, weights, capture.unit_scale_m)
     if subject.bands:
         inside = [m.selected(in_bands(m.freqs_hz, subject.bands)) for m in (estimated, exact)]

@@ -13,7 +13,7 @@ class MotionConfig:
     neighbours: float = 0.0  # weight of the term that makes neighbours move alike; 0: found from the images
     ridge: float = 1e-3  # weight that draws motion to zero where nothing is known
     iterations: int = 30  # of conjugate gradients, at most, for each component
-    tolerance: float = 1e-2  # relative residual at which conjugate gradients stop
+    tolerance: float = 3e-3  # relative residual at which conjugate gradients stop
     halves: bool = (
         True  # fit each half of the cameras by itself and take the mean, which costs no more: `halves.py`
     )

@@ -21,7 +21,7 @@ class ModalMotion:
     fps: float
     n_timesteps: int
     gains: np.ndarray | None = None  # [K, T] complex128; None: the exponentials
-    magnified: np.ndarray | None = None  # [K] bool; None: all
+    magnified: np.ndarray | None = None  # [K] bool; None: all above 0 Hz
 
     def gains_at(self, t: float) -> np.ndarray:
         """[K] complex128: exp(i 2π f_k t / fps), or the motion's own gains.
@@ -35,8 +35,8 @@ class ModalMotion:
         return np.asarray(self.gains[:, int(t)])
 
     def is_magnified(self) -> np.ndarray:
-        """[K] bool."""
-        return np.full(len(self.freqs_hz), True) if self.magnified is None else self.magnified
+        """[K] bool. 0 Hz, the way from the rest pose to the motion's own zero, is not unless said so."""
+        return self.freqs_hz > 0 if self.magnified is None else self.magnified
 
     def selected(self, keep: np.ndarray) -> ModalMotion:
         """The modes `keep` [K] bool alone."""

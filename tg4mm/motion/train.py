@@ -29,6 +29,7 @@ from tg4mm.motion.differences import fixed_cameras, phasors, temporal_components
 from tg4mm.motion.halves import agreed_gain, deviation, halves
 from tg4mm.motion.linear import DOF, rest_view
 from tg4mm.motion.modal import ModalMotion
+from tg4mm.motion.pictures import FilePictures
 from tg4mm.motion.pose import Findings, Problems, posed
 from tg4mm.motion.problem import MotionProblem
 from tg4mm.motion.sight import sight_ratio
@@ -106,7 +107,7 @@ class _Stage:
         self,
         run: Run,
         capture: Capture,
-        images: ImageStack,
+        images: ImageStack | FilePictures,
         gaussians: Gaussians,
         config: MotionConfig,
         began: float,
@@ -211,7 +212,7 @@ def _normals(problem: MotionProblem | DeviceProblem, thetas: Sequence[Any]) -> l
 
 
 def train_motion(
-    run: Run, capture: Capture, images: ImageStack, config: MotionConfig, device: str = "cpu"
+    run: Run, capture: Capture, images: ImageStack | FilePictures, config: MotionConfig, device: str = "cpu"
 ) -> ModalMotion:
     """Fit the motion of the run's Gaussians to a capture of T > 1 timesteps and save it in the run.
 

@@ -53,10 +53,13 @@ def leading_modes(
 ) -> list[int]:
     """Indices of the in-band frequencies with most weighted motion, strongest first.
 
-    At most `most`, each with an rms of at least `share` of the strongest one's.
+    At most `most`, each with an rms of at least `share` of the strongest one's. What takes longer than the capture for
+    a cycle (drift, 0 Hz) counts only where nothing else is in the band.
     """
     rms = np.sqrt(np.einsum("knc,n->k", np.abs(motion.displacement) ** 2, weights))
-    rms = np.where(in_band(motion, band), rms, -1.0)
+    inside = in_band(motion, band)
+    cyclic = inside & (motion.freqs_hz * motion.n_timesteps > (1 - 1e-9) * motion.fps)
+    rms = np.where(cyclic if cyclic.any() else inside, rms, -1.0)
     order = np.argsort(-rms, kind="stable")[:most]
     return [int(k) for k in order if rms[k] >= 0 and rms[k] >= share * rms[order[0]]]
 

@@ -6,11 +6,13 @@ motion stage measures; a camera used once is its own mean. A capture of one time
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from tg4mm.capture import Capture, ImageStack
+from tg4mm.motion.pictures import FilePictures
 
 
 @dataclass(frozen=True)
@@ -29,19 +31,28 @@ class RestViews:
         return self.rgb.shape[2], self.rgb.shape[1]
 
 
-def rest_views(capture: Capture, images: ImageStack) -> RestViews:
-    """Group the images by camera and average each group. Cameras come in order of their first image."""
+def rest_views(capture: Capture, images: ImageStack | FilePictures) -> RestViews:
+    """Group the images by camera and average each group. Cameras come in order of their first image.
+
+    One picture at a time is looked at, so pictures on disk take no more memory than two.
+    """
     _, first = np.unique(capture.camera_ids, return_index=True)
     first = np.sort(first)
     groups = [np.flatnonzero(capture.camera_ids == capture.camera_ids[i]) for i in first]
-    rgb = np.stack([np.mean([images.rgb(i) for i in group], axis=0, dtype=np.float64) for group in groups])
-    alpha = np.stack(
-        [np.mean([images.alpha(i) for i in group], axis=0, dtype=np.float64) for group in groups]
-    )
+    rgb = np.stack([_mean(images.rgb, group) for group in groups])
+    alpha = np.stack([_mean(images.alpha, group) for group in groups])
     return RestViews(
         viewmats=capture.viewmats[first].astype(np.float32),
         Ks=capture.Ks[first].astype(np.float32),
-        rgb=rgb.astype(np.float32),
-        alpha=alpha.astype(np.float32),
+        rgb=rgb,
+        alpha=alpha,
         images=tuple(groups),
     )
+
+
+def _mean(of: Callable[[int], np.ndarray], rows: np.ndarray) -> np.ndarray:
+    """float32, summed in float64."""
+    total = of(int(rows[0])).astype(np.float64)
+    for i in rows[1:]:
+        total += of(int(i))
+    return np.asarray(total / len(rows), np.float32)
