@@ -126,7 +126,7 @@ class TestStart:
         ):
             first = initial_points(plain, None, "sfm", 300, np.random.default_rng(0))
         assert first.source.startswith("hull (sfm found ")
-        assert len(first.xyz) == 300
+        assert len(first.xyz) == initial.FEWEST
 
     def test_without_texture_and_masks_random_points_do(self) -> None:
         pytest.importorskip("pycolmap")

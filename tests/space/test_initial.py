@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from tests.space.scenes import capsule_mask, intrinsics, orbit, rays, views_of
 from tg4mm.capture import SurfacePoints
 from tg4mm.errors import CaptureError
 from tg4mm.space import RestViews, initial
-from tg4mm.space.initial import hull_points, initial_points, mean_colours, working_box
+from tg4mm.space.initial import _project, hull_points, initial_points, mean_colours, working_box
 
 CENTRE, RADIUS = np.array([0.3, -0.2, 0.5]), 0.8
 SIZE = 128
@@ -59,8 +60,8 @@ class TestWorkingBox:
 class TestHull:
     def test_a_balls_hull_lies_on_the_ball_within_a_cell(self, ball: RestViews) -> None:
         cell = 2 * RADIUS / GRID
-        points = hull_points(ball, 4000, rng())
-        assert points is not None
+        points, cells = hull_points(ball, 4000, rng()) or pytest.fail("no hull")
+        assert cells > len(points) == 4000
         distance = np.linalg.norm(points - CENTRE, axis=1) - RADIUS
         # half a diagonal of a cell to either side, and outside what no silhouette of 24 cuts away
         assert distance.min() > -1.8 * cell
@@ -71,8 +72,7 @@ class TestHull:
         assert np.bincount(octant, minlength=8).min() > len(points) / 8 * 0.8
 
     def test_points_are_inside_every_silhouette(self, ball: RestViews) -> None:
-        points = hull_points(ball, 2000, rng())
-        assert points is not None
+        points, _ = hull_points(ball, 2000, rng()) or pytest.fail("no hull")
         pixel = 2 * 4 * np.tan(0.35) / SIZE
         for viewmat in ball.viewmats:
             origin, _ = rays(viewmat, ball.Ks[0], 1)
@@ -87,13 +87,40 @@ class TestHull:
         rod = np.array([CENTRE, tip])
         pixel = 2 * 4 * np.tan(0.35) / 256
         views = silhouettes([(np.array([CENTRE, CENTRE]), 0.3), (rod, 0.75 * pixel)], n=16, size=256)
-        points = hull_points(views, 20_000, rng())
-        assert points is not None
+        points, cells = hull_points(views, 20_000, rng()) or pytest.fail("no hull")
+        assert len(points) == min(cells, 20_000)
         along = tip - CENTRE
         share = (points - CENTRE) @ along / (along @ along)
         aside = np.linalg.norm(points - CENTRE - share[:, None] * along, axis=1)
         found, _ = np.histogram(share[aside < 2 * pixel], bins=np.linspace(0.35, 0.95, 13))
         assert found.min() >= 1
+
+    def test_what_lies_before_few_cameras_is_left_out(self) -> None:
+        """The box's corner lies before one camera, on its ball's silhouette, and in no other picture."""
+        viewmats, K, size, centre = orbit(12, np.zeros(3)), intrinsics(64, angle=0.4), 64, np.zeros(3)
+        turn, _ = Rotation.align_vectors(-viewmats[0, 2, :3], np.full(3, -(3**-0.5)))
+        viewmats[:, :3, :3] = viewmats[:, :3, :3] @ turn.as_matrix()
+        masks = np.stack([capsule_mask(m, K, size, np.array([centre, centre]), 0.5) for m in viewmats])
+        views = views_of(viewmats, K, masks)
+        _, half = working_box(views)
+        corner = np.full((1, 3), 0.95 * half)
+        seen = [_project(corner, views, v)[2][0] for v in range(12)]
+        assert 0 < sum(seen) < 3
+        points, _ = hull_points(views, 4000, rng()) or pytest.fail("no hull")
+        assert np.linalg.norm(points, axis=1).max() < 0.7
+
+    def test_cells_that_no_view_sees_are_left_out(self) -> None:
+        """Cameras above only: the ball's lower side is in no picture, its upper half stays whole."""
+        above = [m for m in orbit(40, CENTRE) if (-m[:3, :3].T @ m[:3, 3])[2] > CENTRE[2] + 2.4]
+        masks = np.stack(
+            [capsule_mask(m, intrinsics(SIZE), SIZE, np.array([CENTRE, CENTRE]), RADIUS) for m in above]
+        )
+        points, _ = hull_points(
+            views_of(np.stack(above), intrinsics(SIZE), masks), 4000, rng()
+        ) or pytest.fail("no hull")
+        height = (points[:, 2] - CENTRE[2]) / RADIUS
+        assert height.min() > -0.75  # the lowest tangent of a ray from these cameras touches at −0.52
+        assert np.histogram(height, bins=np.linspace(0, 1, 6))[0].min() > 0.1 * len(points)
 
     @pytest.mark.parametrize("value", [1.0, 0.0])
     def test_masks_that_cut_nothing_or_all_give_none(self, value: float) -> None:
@@ -109,9 +136,11 @@ class TestHull:
         assert hull_points(views_of(viewmats, intrinsics(64), alpha), 100, rng()) is None
 
     def test_count_and_seed_are_kept(self, ball: RestViews) -> None:
-        one, same = (hull_points(ball, 500, rng()) for _ in range(2))
-        other = hull_points(ball, 500, np.random.default_rng(1))
-        assert one is not None
+        (one, cells), (same, _), (other, _) = (
+            hull_points(ball, 500, np.random.default_rng(seed)) or pytest.fail("no hull")
+            for seed in (0, 0, 1)
+        )
+        assert cells > 500
         assert one.shape == (500, 3)
         np.testing.assert_array_equal(one, same)
         assert not np.array_equal(one, other)
@@ -149,8 +178,14 @@ class TestChoice:
         points = SurfacePoints(np.zeros((8, 3), np.float32), np.zeros((8, 3), np.uint8))
         assert (initial_points(ball, points, "points", 8, rng()).spacing > 0).all()
 
+    @pytest.mark.parametrize(("asked", "taken"), [(60, 60), (300, 100), (3000, 600)])
+    def test_of_the_hulls_points_a_fifth_is_taken(self, ball: RestViews, asked: int, taken: int) -> None:
+        points = initial_points(ball, None, "hull", asked, rng())
+        assert len(points.xyz) == taken < points.found
+
     def test_random_points_fill_the_box(self, ball: RestViews) -> None:
-        points = initial_points(ball, None, "random", 5000, rng())
+        points = initial_points(ball, None, "random", 50_000, rng())
+        assert len(points.xyz) == 5000
         centre, half = working_box(ball)
         inside = np.abs(points.xyz - centre) / half
         assert inside.max() <= 1 + 1e-6

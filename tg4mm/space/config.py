@@ -17,5 +17,5 @@ class SpaceConfig:
     init: str = (
         "auto"  # "points", "hull", "random", "auto" (the first that the data allow), or "sfm" (pycolmap)
     )
-    init_points: int = 10_000
+    init_points: int = 5_000  # at most; a fifth of it from the hull, a tenth at random places
     seed: int = 0
