@@ -6,20 +6,29 @@ import numpy as np
 import pytest
 import torch
 from numba import njit
+from numba.core.errors import TypingError
 
 from tg4mm.rasterize.kernels.lanes import (
     lane_sums,
-    load,
     load_block,
-    mark,
+    marked,
     planes_of_rows,
     rows_of_planes,
-    store,
     store_block,
+)
+from tg4mm.rasterize.kernels.memory import (
+    address,
+    integer,
+    keep,
+    load,
+    number,
+    put_integer,
+    put_number,
+    store,
 )
 from tg4mm.rasterize.kernels.sh import basis, basis_vjp
 from tg4mm.rasterize.kernels.tiles import TABLE, constants
-from tg4mm.rasterize.kernels.vector import LANES, bits, exp2, lowest_bit, select
+from tg4mm.rasterize.kernels.vector import LANES, bits, exp2, lowest_bit, number_of_bits, select
 from tg4mm.rasterize.reference import sh_colours
 
 
@@ -67,8 +76,19 @@ def _block(x: np.ndarray, at: int, width: int, block: np.ndarray, out: np.ndarra
 
 @njit
 def _mark(x: np.ndarray, marks: np.ndarray) -> None:
+    words = load(marks, LANES)
     for k in range(len(x) // LANES):
-        mark(marks, LANES, load(x, k * LANES) > np.float32(0), np.uint32(1) << np.uint32(k))
+        words = marked(words, load(x, k * LANES) > np.float32(0), np.uint32(1) << np.uint32(k))
+    store(marks, LANES, words)
+
+
+@njit
+def _through_addresses(x: np.ndarray, words: np.ndarray) -> None:
+    at, of_words = address(x), address(words)
+    put_number(at, 5, number(x, 2 * 3 + 1) + number(at, 0))
+    put_integer(of_words, 1, integer(of_words, 0) + number_of_bits(integer(of_words, 0)))
+    keep(x)
+    keep(words)
 
 
 @njit
@@ -133,11 +153,24 @@ def test_a_block_is_four_pieces_of_rows() -> None:
 def test_marks_gather_a_bit_of_every_mask() -> None:
     x = np.random.default_rng(2).normal(size=(32, LANES)).astype(np.float32)
     marks = np.zeros(3 * LANES, np.uint32)
-    _mark(x.ravel(), marks)
+    _mark(x.ravel(), marks.view(np.float32))
     expected = ((x > 0) * (1 << np.arange(32, dtype=np.uint64))[:, None]).sum(0)
     np.testing.assert_array_equal(marks[LANES : 2 * LANES], expected)
     assert not marks[:LANES].any()
     assert not marks[2 * LANES :].any()
+
+
+def test_an_address_is_the_array_it_was_taken_of() -> None:
+    x, words = np.arange(6, dtype=np.float32).reshape(2, 3) + 1, np.array([0xF0F, 0], np.uint32)
+    x = np.concatenate([x, x])
+    _through_addresses(x, words)
+    assert x.ravel().tolist() == [1, 2, 3, 4, 5, 3, 1, 2, 3, 4, 5, 6]
+    assert words.tolist() == [0xF0F, 0xF0F + 8]
+
+
+def test_what_is_not_contiguous_has_no_address() -> None:
+    with pytest.raises(TypingError):
+        _through_addresses(np.zeros((4, 4), np.float32)[:, ::2], np.zeros(2, np.uint32))
 
 
 @pytest.mark.parametrize("bit", [0, 1, 17, 31])

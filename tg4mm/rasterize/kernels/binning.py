@@ -13,8 +13,8 @@ from numba import float32, int32, int64, njit, prange, uint32
 
 from tg4mm.rasterize.buffers import Buffers, take
 from tg4mm.rasterize.kernels.compiled import kernel
-from tg4mm.rasterize.kernels.lanes import load, prefetch, store
 from tg4mm.rasterize.kernels.layout import CB, CC, DEPTH, EX, EY, L22, MX, MY, POWER, R11, SQUARES, TILE
+from tg4mm.rasterize.kernels.memory import load, prefetch, store
 from tg4mm.rasterize.kernels.vector import LANES, wide
 
 _RADIX_BITS = 11

@@ -13,88 +13,116 @@ import numpy as np
 from numba import float32, int64, njit, prange, uint32, uint64
 
 from tg4mm.rasterize.kernels.compiled import kernel
-from tg4mm.rasterize.kernels.lanes import fetch_add, load, mark, rows_of_planes, store, store_block
-from tg4mm.rasterize.kernels.layout import ALPHA_MIN, FEAT, FEATURES, TILE
+from tg4mm.rasterize.kernels.lanes import marked, rows_of_planes, store_block
+from tg4mm.rasterize.kernels.layout import ALPHA_MIN, FEAT, FEATURES, SPLAT_WIDTH, TILE
+from tg4mm.rasterize.kernels.memory import (
+    address,
+    ask,
+    fetch_add,
+    integer,
+    keep,
+    load,
+    number,
+    put_integer,
+    put_number,
+    store,
+)
 from tg4mm.rasterize.kernels.tiles import (
+    AHEAD,
     BLOCKS,
+    LINES,
     TABLE,
     aligned,
     alphas,
-    at_centres,
+    ask_for_pairs,
+    centres,
     constants,
     corner,
-    exponent,
-    fill,
     inside,
+    keep_lines,
+    log2_alpha,
     may_reach,
     pixel,
     top_of,
     work,
 )
-from tg4mm.rasterize.kernels.vector import LANES, bits, fma, lowest_bit, magnitude, negative, select
+from tg4mm.rasterize.kernels.vector import LANES, bits, fma, lowest_bit, select, wide
 
-_BATCH = 64  # pairs, a bit each
-_LINES = 4 * LANES  # kept of each: p and q at the blocks' centres, and what they differ by within a block
-_NUMBERS = 8  # the exponent's largest value and the features
-_STRIDE = (1 + FEATURES) * LANES  # planes of a block: transmittance, features
+_HALF = 32
+_BATCH = 2 * _HALF  # pairs, a bit each
+_STRIDE = (2 + FEATURES) * LANES  # planes of a block: transmittance as it runs on, as it stopped, features
 
 
 @njit(error_model="numpy", inline="always")
-def _look_ahead(splats, pair_gaussian, first, last, end, x0, y0, table, faintest, batch):
+def _look_ahead(splats, pair_gaussian, first, last, end, lanes, blocks, faintest, batch):
     """Of the pairs first … last, what blending needs, and for each block which of them may reach it."""
-    lines, numbers, by_block = batch
-    lane_x, lane_y = load(table, int64(0)), load(table, int64(LANES))
-    for k in range(2 * BLOCKS):
-        by_block[k] = uint32(0)
-    for n in range(last - first):
-        i = pair_gaussian[first + n]
-        p, q = at_centres(splats, pair_gaussian, first + n, end, x0, y0, table)
-        l11, l12, l22 = exponent(splats, i)
-        at = n * _LINES
-        store(lines, at, p)
-        store(lines, at + LANES, q)
-        store(lines, at + 2 * LANES, fma(lane_x, l11, lane_y * l12))
-        store(lines, at + 3 * LANES, lane_y * l22)
-        numbers[n, 0] = top_of(splats, i, faintest)
-        for c in range(FEATURES):
-            numbers[n, 1 + c] = splats[i, FEAT + c]
-        mark(by_block, (n >> 5) * BLOCKS, may_reach(splats, i, p, q), uint32(1) << uint32(n & 31))
+    lines, tops, rows, by_block = batch
+    n = int64(0)
+    for half in range(2):
+        words, bit = wide(float32(0.0)), uint32(1)
+        for _ in range(max(0, min(last - first - half * _HALF, _HALF))):
+            pair = first + n
+            ask(splats, int64(integer(pair_gaussian, min(pair + AHEAD, end - 1))) * SPLAT_WIDTH)
+            row = int64(integer(pair_gaussian, pair)) * SPLAT_WIDTH
+            p, q, dx = keep_lines(splats, row, lines, n * LINES, lanes, blocks)
+            put_number(tops, n, top_of(splats, row, faintest))
+            put_integer(rows, n, uint32(row))
+            words = marked(words, may_reach(splats, row, p, q, dx), bit)
+            bit <<= uint32(1)
+            n += 1
+        store(by_block, int64(half * BLOCKS), words)
 
 
 @njit(error_model="numpy", inline="always")
-def _blend_block(k, todo, live, batch, held, faintest, state, reached):
-    """Add the pairs `todo` of a batch to block k. Returns the blocks still live."""
-    lines, numbers, _ = batch
+def _blend_block(k, todo, live, splats, batch, held, faintest, state, reached):
+    """Add the pairs `todo` of a batch to block k. Returns the blocks still live.
+
+    The transmittance runs on where a pixel has stopped: it falls, so that nothing more is added. That way the next pair
+    waits for no comparison.
+    """
+    lines, tops, rows, _ = batch
     _, _, powers, alpha_max, t_min = held
     place, bit = k * _STRIDE, uint32(1) << uint32(k)
-    t = load(state, place)
-    f0, f1 = load(state, place + LANES), load(state, place + 2 * LANES)
-    f2, f3 = load(state, place + 3 * LANES), load(state, place + 4 * LANES)
+    t, left = load(state, place), load(state, place + LANES)
+    f0, f1 = load(state, place + 2 * LANES), load(state, place + 3 * LANES)
+    f2, f3 = load(state, place + 4 * LANES), load(state, place + 5 * LANES)
+    on = t > t_min
     while todo != 0:
         n = lowest_bit(todo)
         todo &= todo - uint64(1)
-        at = n * _LINES
-        p = load(lines, at + 2 * LANES) + lines[at + k]
-        q = load(lines, at + 3 * LANES) + lines[at + LANES + k]
-        y = fma(negative(q), q, fma(negative(p), p, numbers[n, 0]))
+        y = log2_alpha(lines, n * LINES, k, number(tops, n))
         alpha, _, seen = alphas(y, faintest, alpha_max, powers)
         # a pixel that stops here may give nothing, but counts
-        reached[uint64(n)] |= bit if bits(seen & (t > float32(0.0))) != 0 else uint32(0)
-        nt = fma(negative(t), alpha, t)
-        on = nt > t_min
-        w = select(on, t * alpha, float32(0.0))
-        t = select(on, nt, negative(magnitude(t)))
-        f0, f1 = fma(w, numbers[n, 1], f0), fma(w, numbers[n, 2], f1)
-        f2, f3 = fma(w, numbers[n, 3], f2), fma(w, numbers[n, 4], f3)
+        seen_here = bit if bits(on & seen) != 0 else uint32(0)
+        put_integer(reached, n, integer(reached, n) | seen_here)
+        w = t * alpha
+        t = t - w
+        on = t > t_min
+        w, left = select(on, w, float32(0.0)), select(on, t, left)
+        features = int64(integer(rows, n)) + FEAT
+        f0, f1 = fma(w, number(splats, features), f0), fma(w, number(splats, features + 1), f1)
+        f2, f3 = fma(w, number(splats, features + 2), f2), fma(w, number(splats, features + 3), f3)
         if bits(on) == 0:
             live &= ~bit
             break
     store(state, place, t)
-    store(state, place + LANES, f0)
-    store(state, place + 2 * LANES, f1)
-    store(state, place + 3 * LANES, f2)
-    store(state, place + 4 * LANES, f3)
+    store(state, place + LANES, left)
+    store(state, place + 2 * LANES, f0)
+    store(state, place + 3 * LANES, f1)
+    store(state, place + 4 * LANES, f2)
+    store(state, place + 5 * LANES, f3)
     return live
+
+
+@njit(inline="always")
+def _begin(state):
+    """Nothing met yet."""
+    for k in range(BLOCKS):
+        place = int64(k * _STRIDE)
+        store(state, place, wide(float32(1.0)))
+        store(state, place + LANES, wide(float32(1.0)))
+        for c in range(FEATURES):
+            store(state, place + (2 + c) * LANES, wide(float32(0.0)))
 
 
 @njit(inline="always")
@@ -107,10 +135,10 @@ def _write(state, x0, y0, frame, image, transmittance):
         for k in range(BLOCKS):
             place, at = k * _STRIDE, corner(k, x0, y0, width)
             r0, r1, r2, r3 = rows_of_planes(
-                load(state, place + LANES), load(state, place + 2 * LANES), load(state, place + 3 * LANES),
-                load(state, place + 4 * LANES),
+                load(state, place + 2 * LANES), load(state, place + 3 * LANES), load(state, place + 4 * LANES),
+                load(state, place + 5 * LANES),
             )  # fmt: skip
-            store_block(transmittance, at, int64(width), magnitude(load(state, place)))
+            store_block(transmittance, at, int64(width), load(state, place + LANES))
             at *= FEATURES
             store(image, at, r0)
             store(image, at + step, r1)
@@ -120,35 +148,48 @@ def _write(state, x0, y0, frame, image, transmittance):
     for r in range(rows):
         for j in range(columns):
             at, to = pixel(r, j, _STRIDE), (y0 + r) * width + x0 + j
-            transmittance[to] = abs(state[at])
+            transmittance[to] = number(state, LANES + at)
             for k in range(FEATURES):
-                image[to * FEATURES + k] = state[(1 + k) * LANES + at]
+                image[to * FEATURES + k] = number(state, (2 + k) * LANES + at)
 
 
 @njit(inline="always")
-def _write_nothing(x0, y0, frame, image, transmittance):
-    """A tile that no Gaussian reaches."""
+def _write_nothing(tile, n_x, tile_start, frame, image, transmittance):
+    """The tiles of a row that no Gaussian reaches, from one on; nothing where it is not the first of them."""
     width, height = frame
-    columns = min(TILE, width - x0)
+    column = tile % n_x
+    if column > 0 and tile_start[tile - 1] == tile_start[tile]:
+        return
+    stop = tile + 1
+    while stop % n_x != 0 and tile_start[stop] == tile_start[stop + 1]:
+        stop += 1
+    x0, x1, y0 = column * TILE, min(width, (column + stop - tile) * TILE), (tile // n_x) * TILE
+    one = wide(float32(1.0))
     for r in range(y0, min(y0 + TILE, height)):
-        at = r * width + x0
-        transmittance[at : at + columns] = float32(1.0)
-        image[at * FEATURES : (at + columns) * FEATURES] = float32(0.0)
+        at, last = int64(r * width + x0), int64(r * width + x1)
+        image[at * FEATURES : last * FEATURES] = float32(0.0)
+        while at + LANES <= last:
+            store(transmittance, at, one)
+            at += LANES
+        for x in range(at, last):
+            transmittance[x] = float32(1.0)
 
 
 @kernel()
-def _forward_tiles(order, counter, tables, frame, splats, image, transmittance, alpha_min):
+def _forward_tiles(workers, order, counter, tables, frame, splats, image, transmittance, alpha_min):
     tile_start, pair_gaussian, table, reached = tables
     width, height = frame
     n_x = (width + TILE - 1) // TILE
     faintest = float32(math.log2(alpha_min))
     held = constants(table)
-    state = aligned(BLOCKS * _STRIDE)
-    batch = (
-        aligned(_BATCH * _LINES),
-        np.empty((_BATCH, _NUMBERS), np.float32),
-        np.empty(2 * BLOCKS, np.uint32),
-    )
+    room = aligned(BLOCKS * _STRIDE + _BATCH * (LINES + 2) + 2 * BLOCKS)
+    state = address(room)
+    lines = state + 4 * BLOCKS * _STRIDE
+    tops = lines + 4 * _BATCH * LINES
+    rows = tops + 4 * _BATCH
+    by_block = rows + 4 * _BATCH
+    batch = lines, tops, rows, by_block
+    splats, gaussians, seen_in = address(splats), address(pair_gaussian), address(reached)
     image, transmittance = image.reshape(-1), transmittance.reshape(-1)
     while True:
         item = fetch_add(counter)
@@ -156,29 +197,35 @@ def _forward_tiles(order, counter, tables, frame, splats, image, transmittance, 
             break
         tile = order[item]
         x0, y0 = (tile % n_x) * TILE, (tile // n_x) * TILE
-        begin, end = tile_start[tile], tile_start[tile + 1]
+        begin, end = int64(tile_start[tile]), int64(tile_start[tile + 1])
         if begin == end:
-            _write_nothing(x0, y0, frame, image, transmittance)
+            _write_nothing(tile, n_x, tile_start, frame, image, transmittance)
             continue
+        later = order[min(item + workers, len(order) - 1)]
+        ask_for_pairs(splats, gaussians, int64(tile_start[later]), int64(tile_start[later + 1]))
         reached[begin:end] = uint32(0)
-        fill(state, _STRIDE, float32(1.0))
+        _begin(state)
+        blocks = centres(table, x0, y0)
         live = inside(min(TILE, height - y0), min(TILE, width - x0))
         for first in range(begin, end, _BATCH):
             last = min(end, first + _BATCH)
-            _look_ahead(splats, pair_gaussian, first, last, end, x0, y0, table, faintest, batch)
+            _look_ahead(splats, gaussians, first, last, end, held[:2], blocks, faintest, batch)
             for k in range(BLOCKS):
-                todo = uint64(batch[2][k]) | uint64(batch[2][BLOCKS + k]) << uint64(32)
+                todo = uint64(integer(by_block, k)) | uint64(integer(by_block, BLOCKS + k)) << uint64(_HALF)
                 if todo != 0 and (live >> uint32(k)) & uint32(1) != 0:
-                    live = _blend_block(k, todo, live, batch, held, faintest, state, reached[first:last])
+                    live = _blend_block(
+                        k, todo, live, splats, batch, held, faintest, state, seen_in + 4 * first
+                    )
             if live == 0:
                 break
         _write(state, x0, y0, frame, image, transmittance)
+    keep(room)
 
 
 @kernel(parallel=True)
 def _forward(workers, order, counter, tables, frame, splats, image, transmittance, alpha_min):
     for _ in prange(workers):
-        _forward_tiles(order, counter, tables, frame, splats, image, transmittance, alpha_min)
+        _forward_tiles(workers, order, counter, tables, frame, splats, image, transmittance, alpha_min)
 
 
 def blend_forward(

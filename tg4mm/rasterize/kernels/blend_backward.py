@@ -7,7 +7,7 @@ and nothing but the image is kept between them, and where each pair was seen.
 Here a Gaussian's blocks follow each other: its sums stay in registers, the pixels' state lies in memory.
 """
 
-# mypy: disable-error-code="call-arg, var-annotated"
+# mypy: disable-error-code="call-arg, var-annotated, operator"
 # an intrinsic has one argument more than its calls: the typing context
 
 import math
@@ -16,14 +16,7 @@ import numpy as np
 from numba import float32, int64, njit, prange, uint32
 
 from tg4mm.rasterize.kernels.compiled import kernel
-from tg4mm.rasterize.kernels.lanes import (
-    fetch_add,
-    lane_sums,
-    load,
-    load_block,
-    planes_of_rows,
-    store,
-)
+from tg4mm.rasterize.kernels.lanes import lane_sums, load_block, planes_of_rows
 from tg4mm.rasterize.kernels.layout import (
     ALPHA_MIN,
     CA,
@@ -37,35 +30,86 @@ from tg4mm.rasterize.kernels.layout import (
     SPLAT_WIDTH,
     TILE,
 )
+from tg4mm.rasterize.kernels.memory import (
+    address,
+    ask,
+    fetch_add,
+    integer,
+    keep,
+    load,
+    number,
+    put_integer,
+    put_number,
+    store,
+)
 from tg4mm.rasterize.kernels.tiles import (
+    AHEAD,
     BLOCKS,
+    LINES,
     TABLE,
     aligned,
-    alphas,
-    at_centres,
+    alphas_unbounded,
+    ask_for_pairs,
+    ask_for_pixels,
+    centres,
     constants,
     corner,
-    exponent,
-    fill,
-    inside,
+    keep_lines,
+    log2_alpha,
     pixel,
     top_of,
     work,
 )
-from tg4mm.rasterize.kernels.vector import LANES, bits, fma, lowest_bit, magnitude, negative, select, wide
+from tg4mm.rasterize.kernels.vector import LANES, fma, lowest_bit, negative, number_of_bits, select, wide
 
-_BATCH = 32  # pairs looked at ahead
+_BATCH = 12  # pairs looked at ahead; the room for their alphas should stay within the first cache
+_AT_ONCE = 4  # blocks that are listed without a branch between them
+_KEPT = 2 * LANES  # kept of each pair and block: alpha before it is bounded, alpha / (1 - alpha)
 # planes of a block: transmittance, what is still to come (as seen by the loss), gradient by the features
 _STRIDE = (2 + FEATURES) * LANES
 
 
 @njit(error_model="numpy", inline="always")
-def _look_ahead(splats, pair_gaussian, first, last, end, x0, y0, table, offsets):
-    """p and q at the blocks' centres of the pairs first … last, so that the loop over blocks does not wait for them."""
+def _look_ahead(splats, pair_gaussian, reached, first, last, end, lanes, blocks, faintest, batch):
+    """Of the pairs first … last, what their alphas need, and a list of the blocks in which they are seen.
+
+    Returns the list's length. An item is BLOCKS times the pair's place in the batch, plus the block.
+    """
+    lines, tops, items, _ = batch
+    count = int64(0)
     for n in range(last - first):
-        p, q = at_centres(splats, pair_gaussian, first + n, end, x0, y0, table)
-        store(offsets, n * 2 * LANES, p)
-        store(offsets, n * 2 * LANES + LANES, q)
+        ask(splats, int64(integer(pair_gaussian, min(first + n + AHEAD, end - 1))) * SPLAT_WIDTH)
+        row = int64(integer(pair_gaussian, first + n)) * SPLAT_WIDTH
+        keep_lines(splats, row, lines, n * LINES, lanes, blocks)
+        put_number(tops, n, top_of(splats, row, faintest))
+        todo, base = integer(reached, first + n), uint32(n * BLOCKS)
+        while todo != 0:
+            # four at a time, whether they are there or not: most pairs then take a branch that can be foreseen
+            found = int64(number_of_bits(todo))
+            for j in range(_AT_ONCE):
+                put_integer(items, count + j, base + uint32(lowest_bit(todo | uint32(1 << BLOCKS))))
+                todo &= todo - uint32(1)
+            count += min(found, _AT_ONCE)
+    return count
+
+
+@njit(error_model="numpy", inline="always")
+def _alphas_ahead(count, faintest, held, batch):
+    """The alphas of all items, for `_pair_sums`.
+
+    There they would be half of a long chain of operations that wait for each other, of which the processor can hold two
+    blocks' worth: it would wait most of the time.
+    """
+    lines, tops, items, kept = batch
+    _, _, powers, alpha_max, _ = held
+    one = float32(1.0)
+    for c in range(count):
+        item = int64(integer(items, c))
+        n, k = item // BLOCKS, item % BLOCKS
+        y = log2_alpha(lines, n * LINES, k, number(tops, n))
+        alpha, raw = alphas_unbounded(y, faintest, alpha_max, powers)
+        store(kept, c * _KEPT, raw)
+        store(kept, c * _KEPT + LANES, alpha / (one - alpha))
 
 
 @njit(inline="always")
@@ -100,113 +144,119 @@ def _read(state, x0, y0, frame, pictures):
             store(state, place + 4 * LANES, g2)
             store(state, place + 5 * LANES, g3)
         return
-    fill(state, _STRIDE, float32(-1.0))  # outside the image: stopped from the start
+    for k in range(BLOCKS):  # outside the image: stopped from the start
+        store(state, k * _STRIDE, wide(float32(-1.0)))
+        for plane in range(1, 2 + FEATURES):
+            store(state, k * _STRIDE + plane * LANES, wide(float32(0.0)))
     for r in range(rows):
         for j in range(columns):
             at, of = pixel(r, j, _STRIDE), (y0 + r) * width + x0 + j
             to_come = v_transmittance[of] * transmittance[of]
             for k in range(FEATURES):
                 g = v_image[of * FEATURES + k]
-                state[(2 + k) * LANES + at] = g
+                put_number(state, (2 + k) * LANES + at, g)
                 to_come += g * image[of * FEATURES + k]
-            state[at] = float32(1.0)
-            state[LANES + at] = to_come
+            put_number(state, at, float32(1.0))
+            put_number(state, LANES + at, to_come)
 
 
 @njit(error_model="numpy", inline="always")
-def _pair_sums(splats, i, todo, live, x0, y0, faintest, table, held, offsets, at, state):
-    """Gradient of a pair by the columns of `splats`, summed over its blocks `todo`; and the blocks still live."""
-    lane_x, lane_y, powers, alpha_max, t_min = held
+def _pair_sums(splats, row, todo, x0, y0, table, held, kept, state):
+    """Gradient of a pair by the columns of `splats`, summed over its blocks `todo`, of which `kept` has the alphas."""
+    lane_x, lane_y, _, alpha_max, t_min = held
     one, half, zero = float32(1.0), float32(0.5), float32(0.0)
     nothing = wide(zero)
     s, sx, sy, sxx, sxy = nothing, nothing, nothing, nothing, nothing
     syy, h0, h1, h2, h3 = nothing, nothing, nothing, nothing, nothing
-    l11, l12, l22 = exponent(splats, i)
-    top = top_of(splats, i, faintest)
-    at_p, at_q = fma(lane_x, l11, lane_y * l12), lane_y * l22
-    at_x = lane_x + (float32(x0) - splats[i, MX])
-    at_y = lane_y + (float32(y0) - splats[i, MY])
-    f0, f1 = splats[i, FEAT], splats[i, FEAT + 1]
-    f2, f3 = splats[i, FEAT + 2], splats[i, FEAT + 3]
+    at_x = lane_x + (float32(x0) - number(splats, row + MX))
+    at_y = lane_y + (float32(y0) - number(splats, row + MY))
+    f0, f1 = number(splats, row + FEAT), number(splats, row + FEAT + 1)
+    f2, f3 = number(splats, row + FEAT + 2), number(splats, row + FEAT + 3)
     while todo != 0:
         k = lowest_bit(todo)
         todo &= todo - uint32(1)
         place = k * _STRIDE
-        p, q = at_p + offsets[at + k], at_q + offsets[at + LANES + k]
-        y = fma(negative(q), q, fma(negative(p), p, top))
-        alpha, free, _ = alphas(y, faintest, alpha_max, powers)
+        raw, ratio = load(kept, int64(0)), load(kept, int64(LANES))
+        kept += 4 * _KEPT
+        free = alpha_max > raw
         t = load(state, place)
-        nt = fma(negative(t), alpha, t)
+        w = t * select(free, raw, alpha_max)
+        nt = t - w
         on = nt > t_min
-        w = select(on, t * alpha, zero)
+        w = select(on, w, zero)
         g0, g1 = load(state, place + 2 * LANES), load(state, place + 3 * LANES)
         g2, g3 = load(state, place + 4 * LANES), load(state, place + 5 * LANES)
         light = fma(g3, f3, fma(g2, f2, fma(g1, f1, g0 * f0)))
         to_come = fma(negative(w), light, load(state, place + LANES))
-        store(state, place, select(on, nt, negative(magnitude(t))))
+        store(state, place, nt)
         store(state, place + LANES, to_come)
         # alpha = o e^(-sigma), so its gradient by -sigma is alpha itself; clamped ones give none
-        v = select(on & free, alpha * (t * light - to_come / (one - alpha)), zero)
-        dx, dy = at_x + table[2 * LANES + k], at_y + table[3 * LANES + k]
+        v = select(on & free, fma(w, light, negative(ratio * to_come)), zero)
+        dx, dy = at_x + number(table, 2 * LANES + k), at_y + number(table, 3 * LANES + k)
         vx, vy = v * dx, v * dy
         s, sx, sy = s + v, sx + vx, sy + vy
         sxx, sxy, syy = fma(vx, dx, sxx), fma(vx, dy, sxy), fma(vy, dy, syy)
         h0, h1, h2, h3 = fma(w, g0, h0), fma(w, g1, h1), fma(w, g2, h2), fma(w, g3, h3)
-        if bits(on) == 0:
-            live &= ~(uint32(1) << uint32(k))
-    a, b, c = splats[i, CA], splats[i, CB], splats[i, CC]
-    sums = lane_sums(
+    a, b, c = number(splats, row + CA), number(splats, row + CB), number(splats, row + CC)
+    return lane_sums(
         fma(sx, a, sy * b), fma(sx, b, sy * c), sxx * -half, negative(sxy), syy * -half,
-        s * (one / splats[i, OP]), h0, h1, h2, h3,
+        s * (one / number(splats, row + OP)), h0, h1, h2, h3,
     )  # fmt: skip
-    return sums, live
 
 
 @kernel()
-def _backward_tiles(order, counter, tables, frame, splats, pictures, v_pairs, alpha_min):
+def _backward_tiles(workers, order, counter, tables, frame, splats, pictures, v_pairs, alpha_min):
     tile_start, pair_gaussian, table, reached = tables
-    width, height = frame
+    n_x = (frame[0] + TILE - 1) // TILE
     image, transmittance, v_image, v_transmittance = pictures
     flat = image.reshape(-1), transmittance.reshape(-1), v_image.reshape(-1), v_transmittance.reshape(-1)
-    n_x = (width + TILE - 1) // TILE
+    at_pictures = address(image), address(transmittance), address(v_image), address(v_transmittance)
     faintest = float32(math.log2(alpha_min))
     held = constants(table)
-    state = aligned(BLOCKS * _STRIDE)
-    offsets = aligned(_BATCH * 2 * LANES)
+    most = _BATCH * BLOCKS
+    room = aligned(BLOCKS * _STRIDE + _BATCH * (LINES + 1) + most * (_KEPT + 1) + LANES)
+    state = address(room)
+    lines = state + 4 * BLOCKS * _STRIDE
+    kept = lines + 4 * _BATCH * LINES
+    tops = kept + 4 * most * _KEPT
+    batch = lines, tops, tops + 4 * _BATCH, kept
+    splats, gaussians, seen_in = address(splats), address(pair_gaussian), address(reached)
+    places, v_out = address(table), address(v_pairs)
     while True:
         item = fetch_add(counter)
         if item >= len(order):
             break
         tile = order[item]
-        begin, end = tile_start[tile], tile_start[tile + 1]
+        begin, end = int64(tile_start[tile]), int64(tile_start[tile + 1])
         if begin == end:
             continue
         x0, y0 = (tile % n_x) * TILE, (tile // n_x) * TILE
         _read(state, x0, y0, frame, flat)
-        live = inside(min(TILE, height - y0), min(TILE, width - x0))
-        for pair in range(begin, end):
-            at = (pair - begin) % _BATCH
-            if at == 0:
-                last = min(end, pair + _BATCH)
-                _look_ahead(splats, pair_gaussian, pair, last, end, x0, y0, table, offsets)
-            todo = reached[pair] & live
-            if todo == 0:
-                store(v_pairs, int64(pair) * SPLAT_WIDTH, wide(float32(0.0)))
-                continue
-            sums, live = _pair_sums(
-                splats, pair_gaussian[pair], todo, live, x0, y0, faintest, table, held, offsets,
-                at * 2 * LANES, state,
-            )  # fmt: skip
-            store(v_pairs, int64(pair) * SPLAT_WIDTH, sums)
-            if live == 0:
-                v_pairs[(pair + 1) * SPLAT_WIDTH : end * SPLAT_WIDTH] = float32(0.0)
-                break
+        later = order[min(item + workers, len(order) - 1)]
+        ask_for_pixels(later, n_x, frame, at_pictures)
+        ask_for_pairs(splats, gaussians, int64(tile_start[later]), int64(tile_start[later + 1]))
+        blocks = centres(table, x0, y0)
+        for first in range(begin, end, _BATCH):
+            last = min(end, first + _BATCH)
+            count = _look_ahead(
+                splats, gaussians, seen_in, first, last, end, held[:2], blocks, faintest, batch
+            )
+            _alphas_ahead(count, faintest, held, batch)
+            here = kept
+            for pair in range(first, last):
+                todo, sums = integer(seen_in, pair), wide(float32(0.0))
+                if todo != 0:
+                    row = int64(integer(gaussians, pair)) * SPLAT_WIDTH
+                    sums = _pair_sums(splats, row, todo, x0, y0, places, held, here, state)
+                    here += 4 * _KEPT * int64(number_of_bits(todo))
+                store(v_out, pair * SPLAT_WIDTH, sums)
+    keep(room)
 
 
 @kernel(parallel=True)
 def _backward(workers, order, counter, tables, frame, splats, pictures, v_pairs, alpha_min):
     for _ in prange(workers):
-        _backward_tiles(order, counter, tables, frame, splats, pictures, v_pairs, alpha_min)
+        _backward_tiles(workers, order, counter, tables, frame, splats, pictures, v_pairs, alpha_min)
 
 
 def blend_backward(

@@ -1,4 +1,4 @@
-"""Vectors to and from memory and across their lanes: loads and stores, sums, transpositions, and what threads share.
+"""Vectors across their lanes: sums, transpositions, blocks of a picture.
 
 Of the type of `vector.py`. No operation depends on the order of threads.
 """
@@ -9,58 +9,43 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from tg4mm.rasterize.kernels.vector import (
-    F32,
-    FV,
-    I32,
-    I64,
-    IV,
-    LANES,
-    as_lanes,
-    constant_lanes,
-    declare,
-    vector,
-)
+from tg4mm.rasterize.kernels.memory import data_at
+from tg4mm.rasterize.kernels.vector import F32, FV, I64, IV, LANES, as_lanes, constant_lanes, vector
 
 
-def _address(context, builder, array_type, array, index):
-    data = context.make_array(array_type)(context, builder, array).data
-    return builder.bitcast(builder.gep(data, [index]), FV.as_pointer())
+def _picked(builder, a, b, picks):
+    """The sum of shuffles of a and b, one for each of `picks`; a zero (None) stays one."""
+    if a is None:
+        return None
+    other = ir.Constant(FV, None) if b is None else b
+    return builder.fadd(*(builder.shuffle_vector(a, other, constant_lanes(pick)) for pick in picks))
 
 
-@intrinsic
-def load(typingctx, array, index):
-    """Lanes from the contiguous float32 array [n], from the int64 `index` on, which is not checked."""
-
-    def codegen(context, builder, sig, args):
-        return builder.load(_address(context, builder, sig.args[0], *args), align=4)
-
-    return vector(array, types.int64), codegen
+def _each(pattern):
+    """A pattern of four lanes (0 … 3 of the first, 4 … 7 of the second) in every group of four."""
+    return [group + (k if k < 4 else LANES + k - 4) for group in range(0, LANES, 4) for k in pattern]
 
 
-@intrinsic
-def store(typingctx, array, index, value):
-    """Lanes to the contiguous float32 array [n], from the int64 `index` on, which is not checked."""
-
-    def codegen(context, builder, sig, args):
-        builder.store(args[2], _address(context, builder, sig.args[0], *args[:2]), align=4)
-        return context.get_dummy_value()
-
-    return types.none(array, types.int64, vector), codegen
+def _of_groups(pattern):
+    """Groups of four lanes: 0 … 3 of the first, 4 … 7 of the second."""
+    return [4 * group + k for group in pattern for k in range(4)]
 
 
-def _fold(builder, a, b):
-    """Sums of neighbouring lanes: those of a in the lower half, those of b in the upper."""
-    picks = [constant_lanes(range(odd, 2 * LANES, 2)) for odd in (0, 1)]
-    return builder.fadd(*(builder.shuffle_vector(a, b, pick) for pick in picks))
+_INTERLEAVED = _each((0, 4, 1, 5)), _each((2, 6, 3, 7))
+_HALVES = _each((0, 1, 4, 5)), _each((2, 3, 6, 7))
+_GROUP_HALVES = _of_groups((0, 1, 4, 5)), _of_groups((2, 3, 6, 7))
+_GROUP_PAIRS = _of_groups((0, 2, 4, 6)), _of_groups((1, 3, 5, 7))
 
 
 def _lane_sums(builder, parts):
-    """One vector whose first lanes are the sums of the lanes of each part (at most 16), by a fixed tree; then zeros."""
-    parts = list(parts) + [ir.Constant(FV, None)] * (LANES - len(parts))
-    while len(parts) > 1:
-        parts = [_fold(builder, parts[k], parts[k + 1]) for k in range(0, len(parts), 2)]
-    return parts[0]
+    """One vector whose first lanes are the sums of the lanes of each part (at most 16), by a fixed tree; then zeros.
+
+    The first two steps stay within groups of four lanes, where a shuffle is cheapest.
+    """
+    level = list(parts) + [None] * (LANES - len(parts))
+    for picks in (_INTERLEAVED, _HALVES, _GROUP_HALVES, _GROUP_PAIRS):
+        level = [_picked(builder, level[k], level[k + 1], picks) for k in range(0, len(level), 2)]
+    return level[0]
 
 
 @intrinsic
@@ -80,7 +65,7 @@ def lane_sums_of_eight(typingctx, a, b, c, d, e, f, g, h):
 
 def _store_parts(context, builder, sig, args, parts):
     """Store the lanes first … first + count for each of `parts`."""
-    data = context.make_array(sig.args[0])(context, builder, args[0]).data
+    data = data_at(context, builder, sig.args[0], args[0])
     for first, count in parts:
         kind = ir.VectorType(F32, count)
         lanes = constant_lanes(range(first, first + count))
@@ -100,37 +85,9 @@ def store_eight(typingctx, array, index, value):
     return types.none(array, types.int64, vector), codegen
 
 
-@intrinsic
-def fetch_add(typingctx, array):
-    """Add 1 to the first entry of an int64 array and return what it was, atomically: a thread takes its next item."""
-
-    def codegen(context, builder, sig, args):
-        data = context.make_array(sig.args[0])(context, builder, args[0]).data
-        return builder.atomic_rmw("add", data, ir.Constant(I64, 1), "monotonic")
-
-    return types.int64(array), codegen
-
-
-@intrinsic
-def prefetch(typingctx, array, row):
-    """Ask for the first cache line of a row of the C-ordered array [n, m] ahead of its use."""
-
-    def codegen(context, builder, sig, args):
-        made = context.make_array(sig.args[0])(context, builder, args[0])
-        stride = builder.extract_value(made.strides, 0)
-        address = builder.add(builder.ptrtoint(made.data, I64), builder.mul(args[1], stride))
-        kind = ir.IntType(8).as_pointer()
-        f = declare(builder, "llvm.prefetch.p0", ir.VoidType(), [kind, I32, I32, I32])
-        hints = [ir.Constant(I32, x) for x in (0, 3, 1)]  # to read, keep, data
-        builder.call(f, [builder.inttoptr(address, kind), *hints])
-        return context.get_dummy_value()
-
-    return types.none(array, types.int64), codegen
-
-
 def _fours(context, builder, sig, args):
     """Addresses of four vectors of four float32: from an index on, a stride apart."""
-    data, place = context.make_array(sig.args[0])(context, builder, args[0]).data, args[1]
+    data, place = data_at(context, builder, sig.args[0], args[0]), args[1]
     for _ in range(4):
         yield builder.bitcast(builder.gep(data, [place]), ir.VectorType(F32, 4).as_pointer())
         place = builder.add(place, args[2])
@@ -211,14 +168,11 @@ def planes_of_rows(typingctx, a, b, c, d):
 
 
 @intrinsic
-def mark(typingctx, array, index, condition, bit):
-    """Set the given bits in those of sixteen entries of a uint32 array, from `index` on, where the mask is set."""
+def marked(typingctx, words, condition, bit):
+    """`words`, sixteen times 32 bits, with the bits of the uint32 `bit` set in those where the mask is set."""
 
     def codegen(context, builder, sig, args):
-        data = context.make_array(sig.args[0])(context, builder, args[0]).data
-        place = builder.bitcast(builder.gep(data, [args[1]]), IV.as_pointer())
-        bits = builder.select(args[2], as_lanes(builder, args[3]), ir.Constant(IV, None))
-        builder.store(builder.or_(builder.load(place, align=4), bits), place, align=4)
-        return context.get_dummy_value()
+        bits = builder.select(args[1], as_lanes(builder, args[2]), ir.Constant(IV, None))
+        return builder.bitcast(builder.or_(builder.bitcast(args[0], IV), bits), FV)
 
-    return types.none(array, types.int64, condition, types.uint32), codegen
+    return vector(vector, condition, types.uint32), codegen

@@ -17,8 +17,9 @@ import numpy as np
 from numba import float32, int64, prange
 
 from tg4mm.rasterize.kernels.compiled import kernel
-from tg4mm.rasterize.kernels.lanes import fetch_add, lane_sums_of_eight, load, store, store_eight
+from tg4mm.rasterize.kernels.lanes import lane_sums_of_eight, store_eight
 from tg4mm.rasterize.kernels.layout import CA, CB, CC, FEAT, MX, MY, TILE
+from tg4mm.rasterize.kernels.memory import fetch_add, load, store
 from tg4mm.rasterize.kernels.tiles import BLOCKS, TABLE, aligned, constants, fill, inside, pixel, work
 from tg4mm.rasterize.kernels.vector import LANES, fma, negative, wide
 from tg4mm.rasterize.kernels.weights import BATCH, KEPT, batch_room, look_ahead, weights

@@ -10,7 +10,7 @@ A pixel that has stopped carries a negative transmittance: -T, of which nothing 
 Threads take tiles from a common counter, those with long lists first. A tile's result depends on nothing but the tile.
 """
 
-# mypy: disable-error-code="call-arg, var-annotated"
+# mypy: disable-error-code="call-arg, var-annotated, operator"
 # an intrinsic has one argument more than its calls: the typing context
 
 import math
@@ -19,13 +19,29 @@ import numpy as np
 from numba import float32, get_num_threads, int64, njit, uint32
 
 from tg4mm.rasterize.kernels.compiled import kernel
-from tg4mm.rasterize.kernels.lanes import load, prefetch
-from tg4mm.rasterize.kernels.layout import ALPHA_MAX, CA, CB, L22, MX, MY, POWER, R11, SQUARES, T_MIN, TILE
-from tg4mm.rasterize.kernels.vector import EXP2, LANES, exp2, fma, magnitude, select, wide
+from tg4mm.rasterize.kernels.layout import (
+    ALPHA_MAX,
+    CA,
+    CB,
+    EX,
+    FEATURES,
+    L22,
+    MX,
+    MY,
+    POWER,
+    R11,
+    SPLAT_WIDTH,
+    SQUARES,
+    T_MIN,
+    TILE,
+)
+from tg4mm.rasterize.kernels.memory import ask_early, integer, load, number, store
+from tg4mm.rasterize.kernels.vector import EXP2, LANES, exp2, fma, magnitude, negative, select, wide
 
 _SIDE = 4  # pixels of a block
 BLOCKS = TILE * TILE // LANES
-_AHEAD = 16  # pairs whose Gaussians are asked for ahead of their use: they lie anywhere in memory
+LINES = 4 * LANES  # numbers that `keep_lines` writes
+AHEAD = 32  # pairs whose Gaussians are asked for ahead of their use: they lie anywhere in memory
 
 # What kernels read from memory: where pixels and blocks lie (lanes are pixels from their block's centre, then block
 # centres from the tile's corner), then constants that are to stay in registers.
@@ -89,43 +105,94 @@ def constants(table):
 
 
 @njit(inline="always")
-def exponent(splats, i):
-    """l11, l12, l22 of the exponent p² + q² of Gaussian i: p = l11 dx + l12 dy, q = l22 dy."""
-    h = float32(SQUARES) * splats[i, R11]
-    return h * splats[i, CA], h * splats[i, CB], splats[i, L22]
+def exponent(splats, row):
+    """l11, l12, l22 of the exponent p² + q² of the Gaussian at `row`: p = l11 dx + l12 dy, q = l22 dy."""
+    h = float32(SQUARES) * number(splats, row + R11)
+    return h * number(splats, row + CA), h * number(splats, row + CB), number(splats, row + L22)
 
 
 @njit(inline="always")
-def at_centres(splats, pair_gaussian, pair, end, x0, y0, table):
-    """p and q of a pair's Gaussian at the centres of the tile's blocks, a lane a block; fetches a later pair's."""
-    i = pair_gaussian[pair]
-    prefetch(splats, int64(pair_gaussian[min(pair + _AHEAD, end - 1)]))
-    l11, l12, l22 = exponent(splats, i)
-    dx = load(table, int64(2 * LANES)) + (float32(x0) - splats[i, MX])
-    dy = load(table, int64(3 * LANES)) + (float32(y0) - splats[i, MY])
-    return fma(dx, l11, dy * l12), dy * l22
+def centres(table, x0, y0):
+    """x and y of the centres of the blocks of the tile that begins at x0, y0, a lane a block."""
+    return load(table, int64(2 * LANES)) + float32(x0), load(table, int64(3 * LANES)) + float32(y0)
 
 
 @njit(inline="always")
-def may_reach(splats, i, p, q):
-    """Mask of the blocks that the ellipse of Gaussian i may reach, from `at_centres`.
+def at_centres(splats, row, block_x, block_y):
+    """p and q of a Gaussian at the centres of the tile's blocks, and how far right of its own they lie."""
+    l11, l12, l22 = exponent(splats, row)
+    dx, dy = block_x - number(splats, row + MX), block_y - number(splats, row + MY)
+    return fma(dx, l11, dy * l12), dy * l22, dx
+
+
+@njit(inline="always")
+def may_reach(splats, row, p, q, dx):
+    """Mask of the blocks that the ellipse of a Gaussian may reach, from `at_centres`.
 
     A block's p and q lie within a box around those of its centre; if the box's nearest point to the origin is outside
-    the ellipse, so is the block.
+    the ellipse, so is the block. So it is if the ellipse does not extend that far to the left or right.
     """
     half, zero = float32(1.5), float32(0.0)
-    l11, l12, l22 = exponent(splats, i)
+    l11, l12, l22 = exponent(splats, row)
     out_p = magnitude(p) - half * (abs(l11) + abs(l12))
     out_q = magnitude(q) - half * l22
     out_p = select(out_p > zero, out_p, zero)
     out_q = select(out_q > zero, out_q, zero)
-    return wide(splats[i, POWER] * float32(2.0 * SQUARES)) >= fma(out_p, out_p, out_q * out_q)
+    beside = wide(number(splats, row + EX) + half) >= magnitude(dx)
+    return beside & (
+        wide(number(splats, row + POWER) * float32(2.0 * SQUARES)) >= fma(out_p, out_p, out_q * out_q)
+    )
 
 
 @njit(inline="always")
-def top_of(splats, i, faintest):
+def top_of(splats, row, faintest):
     """log2 of a Gaussian's opacity; faintest: that of the smallest alpha that counts."""
-    return splats[i, POWER] * float32(2.0 * SQUARES) + faintest
+    return number(splats, row + POWER) * float32(2.0 * SQUARES) + faintest
+
+
+@njit(inline="always")
+def keep_lines(splats, row, lines, at, lanes, blocks):
+    """Write from `at` on what `log2_alpha` reads: p and q at the centres, and by what they differ within a block.
+
+    Returns `at_centres`. lanes and blocks: x and y of pixels from their block's centre, and `centres`.
+    """
+    l11, l12, l22 = exponent(splats, row)
+    p, q, dx = at_centres(splats, row, blocks[0], blocks[1])
+    store(lines, at, p)
+    store(lines, at + LANES, q)
+    store(lines, at + 2 * LANES, fma(lanes[0], l11, lanes[1] * l12))
+    store(lines, at + 3 * LANES, lanes[1] * l22)
+    return p, q, dx
+
+
+@njit(inline="always")
+def log2_alpha(lines, at, k, top):
+    """log2 of the unbounded alpha in block k, from `keep_lines` and `top_of`."""
+    p = load(lines, at + 2 * LANES) + number(lines, at + k)
+    q = load(lines, at + 3 * LANES) + number(lines, at + LANES + k)
+    return fma(negative(q), q, fma(negative(p), p, top))
+
+
+@njit(inline="always")
+def ask_for_pairs(splats, pair_gaussian, begin, end):
+    """Ask for the Gaussians of the first pairs of a list that comes later."""
+    for pair in range(begin, min(end, begin + 2 * AHEAD)):
+        ask_early(splats, int64(integer(pair_gaussian, pair)) * SPLAT_WIDTH)
+
+
+@njit(inline="always")
+def ask_for_pixels(tile, n_x, frame, pictures):
+    """Ask for the pixels of a tile that comes later."""
+    width, height = frame
+    image, transmittance, v_image, v_transmittance = pictures
+    x0, y0 = (tile % n_x) * TILE, (tile // n_x) * TILE
+    for r in range(y0, min(y0 + TILE, height)):
+        at = int64(r * width + x0)
+        ask_early(transmittance, at)
+        ask_early(v_transmittance, at)
+        for c in range(FEATURES):
+            ask_early(image, at * FEATURES + c * LANES)
+            ask_early(v_image, at * FEATURES + c * LANES)
 
 
 @njit(inline="always")
@@ -134,6 +201,13 @@ def alphas(y, faintest, alpha_max, powers):
     raw = exp2(y, powers)
     free, seen = alpha_max > raw, y >= faintest
     return select(seen, select(free, raw, alpha_max), float32(0.0)), free, seen
+
+
+@njit(inline="always")
+def alphas_unbounded(y, faintest, alpha_max, powers):
+    """Of y: alpha, and what it would be without an upper bound; 0 where too faint."""
+    raw = select(y >= faintest, exp2(y, powers), float32(0.0))
+    return select(alpha_max > raw, raw, alpha_max), raw
 
 
 @kernel()

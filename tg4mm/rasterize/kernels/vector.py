@@ -172,6 +172,16 @@ def lowest_bit(typingctx, x):
     return types.int64(x), codegen
 
 
+@intrinsic
+def number_of_bits(typingctx, x):
+    """How many bits of a uint32 are set."""
+
+    def codegen(context, builder, sig, args):
+        return builder.call(declare(builder, "llvm.ctpop.i32", I32, [I32]), args)
+
+    return types.uint32(types.uint32), codegen
+
+
 # 2^f for |f| <= 1/2, least relative error, 1.2e-7, by iterated weighted least squares; last, what rounds a float32 by
 # being added to it: the sum's last binary digit is worth 1
 EXP2 = np.array(

@@ -9,9 +9,19 @@ Blocks, tiles and state as in `tiles.py`; `linearised.py` says what the numbers 
 import numpy as np
 from numba import float32, int64, njit, uint32
 
-from tg4mm.rasterize.kernels.lanes import load, store
-from tg4mm.rasterize.kernels.layout import MX, MY
-from tg4mm.rasterize.kernels.tiles import BLOCKS, aligned, alphas, at_centres, exponent, may_reach, top_of
+from tg4mm.rasterize.kernels.layout import MX, MY, SPLAT_WIDTH
+from tg4mm.rasterize.kernels.memory import load, prefetch, store
+from tg4mm.rasterize.kernels.tiles import (
+    AHEAD,
+    BLOCKS,
+    aligned,
+    alphas,
+    at_centres,
+    centres,
+    exponent,
+    may_reach,
+    top_of,
+)
 from tg4mm.rasterize.kernels.vector import LANES, bits, fma, lowest_bit, magnitude, negative, select
 
 KEPT = 5 * LANES  # numbers kept for each block: w, Tα, α/(1 - α), dx, dy
@@ -25,11 +35,14 @@ def look_ahead(splats, pair_gaussian, first, last, end, x0, y0, table, batch):
     Ahead, so that the branches of the loop over blocks, which depend on it, do not wait for it.
     """
     masks, offsets, _, _ = batch
+    block_x, block_y = centres(table, x0, y0)
     for n in range(last - first):
-        p, q = at_centres(splats, pair_gaussian, first + n, end, x0, y0, table)
+        prefetch(splats, int64(pair_gaussian[min(first + n + AHEAD, end - 1)]))
+        row = int64(pair_gaussian[first + n]) * SPLAT_WIDTH
+        p, q, dx = at_centres(splats, row, block_x, block_y)
         store(offsets, n * 2 * LANES, p)
         store(offsets, n * 2 * LANES + LANES, q)
-        masks[n] = bits(may_reach(splats, pair_gaussian[first + n], p, q))
+        masks[n] = bits(may_reach(splats, row, p, q, dx))
 
 
 @njit(inline="always")
@@ -51,8 +64,8 @@ def weights(splats, i, n, live, x0, y0, faintest, table, held, state, stride, ba
     masks, offsets, kept, found = batch
     lane_x, lane_y, powers, alpha_max, t_min = held
     one, zero = float32(1.0), float32(0.0)
-    l11, l12, l22 = exponent(splats, i)
-    top = top_of(splats, i, faintest)
+    l11, l12, l22 = exponent(splats, int64(i) * SPLAT_WIDTH)
+    top = top_of(splats, int64(i) * SPLAT_WIDTH, faintest)
     at_p, at_q = fma(lane_x, l11, lane_y * l12), lane_y * l22
     at_x = lane_x + (float32(x0) - splats[i, MX])
     at_y = lane_y + (float32(y0) - splats[i, MY])
@@ -65,9 +78,10 @@ def weights(splats, i, n, live, x0, y0, faintest, table, held, state, stride, ba
         y = fma(negative(q), q, fma(negative(p), p, top))
         alpha, free, _ = alphas(y, faintest, alpha_max, powers)
         t = load(state, place)
-        nt = fma(negative(t), alpha, t)
+        w = t * alpha
+        nt = t - w
         on = nt > t_min
-        w = select(on, t * alpha, zero)
+        w = select(on, w, zero)
         moving = select(on & free, alpha, zero)
         store(state, place, select(on, nt, negative(magnitude(t))))
         source = count * KEPT

@@ -1,0 +1,166 @@
+"""Memory as kernels see it: loads and stores of vectors and numbers, what is asked for ahead, a shared counter.
+
+A place is a contiguous array, or the address of one (`address`). Loops that take arrays from tuples or slice them pay
+for numba's counting of references, two calls for each, with all vector registers saved around them; addresses are plain
+numbers.
+"""
+
+from __future__ import annotations
+
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+from tg4mm.rasterize.kernels.vector import F32, FV, I32, I64, declare, vector
+
+_NEAR, _FAR = 3, 2  # where prefetched lines go: the first cache, the second
+
+
+def data_at(context, builder, kind, place):
+    """Pointer to the first float32 of an array, or of what lies at an address."""
+    if isinstance(kind, types.Integer):
+        return builder.inttoptr(place, F32.as_pointer())
+    return context.make_array(kind)(context, builder, place).data
+
+
+def _entry(context, builder, sig, args, kind=F32):
+    """Pointer to entry args[1] of the place args[0]."""
+    data = builder.bitcast(data_at(context, builder, sig.args[0], args[0]), kind.as_pointer())
+    return builder.gep(data, [args[1]])
+
+
+def _contiguous(place):
+    return isinstance(place, types.Integer) or getattr(place, "layout", None) == "C"
+
+
+@intrinsic
+def address(typingctx, array):
+    """Where a contiguous array lies. Use the array once more after the last access (`keep`), or it is gone before."""
+
+    def codegen(context, builder, sig, args):
+        return builder.ptrtoint(data_at(context, builder, sig.args[0], args[0]), I64)
+
+    return (types.int64(array), codegen) if _contiguous(array) else None
+
+
+@intrinsic
+def keep(typingctx, array):
+    """Nothing, but until here the array is there."""
+    return types.none(array), lambda context, builder, sig, args: context.get_dummy_value()
+
+
+@intrinsic
+def load(typingctx, place, index):
+    """Lanes from a place, from float32 `index` on (int64, not checked)."""
+
+    def codegen(context, builder, sig, args):
+        entry = _entry(context, builder, sig, args)
+        return builder.load(builder.bitcast(entry, FV.as_pointer()), align=4)
+
+    return vector(place, types.int64), codegen
+
+
+@intrinsic
+def store(typingctx, place, index, value):
+    """Lanes to a place, from float32 `index` on (int64, not checked)."""
+
+    def codegen(context, builder, sig, args):
+        entry = _entry(context, builder, sig, args)
+        builder.store(args[2], builder.bitcast(entry, FV.as_pointer()), align=4)
+        return context.get_dummy_value()
+
+    return types.none(place, types.int64, vector), codegen
+
+
+@intrinsic
+def number(typingctx, place, index):
+    """The float32 `index` of a place, counted through all its dimensions, not checked."""
+
+    def codegen(context, builder, sig, args):
+        return builder.load(_entry(context, builder, sig, args), align=4)
+
+    return (types.float32(place, types.int64), codegen) if _contiguous(place) else None
+
+
+@intrinsic
+def put_number(typingctx, place, index, value):
+    """Write what `number` reads."""
+
+    def codegen(context, builder, sig, args):
+        builder.store(args[2], _entry(context, builder, sig, args), align=4)
+        return context.get_dummy_value()
+
+    return types.none(place, types.int64, types.float32), codegen
+
+
+@intrinsic
+def integer(typingctx, at, index):
+    """The uint32 `index` from an address on, not checked."""
+
+    def codegen(context, builder, sig, args):
+        return builder.load(_entry(context, builder, sig, args, I32), align=4)
+
+    return types.uint32(types.int64, types.int64), codegen
+
+
+@intrinsic
+def put_integer(typingctx, at, index, value):
+    """Write what `integer` reads."""
+
+    def codegen(context, builder, sig, args):
+        builder.store(args[2], _entry(context, builder, sig, args, I32), align=4)
+        return context.get_dummy_value()
+
+    return types.none(types.int64, types.int64, types.uint32), codegen
+
+
+def _prefetch(builder, pointer, how_near):
+    kind = ir.IntType(8).as_pointer()
+    f = declare(builder, "llvm.prefetch.p0", ir.VoidType(), [kind, I32, I32, I32])
+    hints = [ir.Constant(I32, x) for x in (0, how_near, 1)]  # to read, data
+    builder.call(f, [builder.bitcast(pointer, kind), *hints])
+
+
+def _asking(how_near):
+    def codegen(context, builder, sig, args):
+        _prefetch(builder, _entry(context, builder, sig, args), how_near)
+        return context.get_dummy_value()
+
+    return codegen
+
+
+@intrinsic
+def ask(typingctx, place, index):
+    """Ask for the cache line of float32 `index` of a place ahead of its use."""
+    return types.none(place, types.int64), _asking(_NEAR)
+
+
+@intrinsic
+def ask_early(typingctx, place, index):
+    """`ask`, for what is needed later: into the second cache."""
+    return types.none(place, types.int64), _asking(_FAR)
+
+
+@intrinsic
+def prefetch(typingctx, array, row):
+    """Ask for the first cache line of a row of the C-ordered array [n, m] ahead of its use."""
+
+    def codegen(context, builder, sig, args):
+        made = context.make_array(sig.args[0])(context, builder, args[0])
+        stride = builder.extract_value(made.strides, 0)
+        at = builder.add(builder.ptrtoint(made.data, I64), builder.mul(args[1], stride))
+        _prefetch(builder, builder.inttoptr(at, F32.as_pointer()), _NEAR)
+        return context.get_dummy_value()
+
+    return types.none(array, types.int64), codegen
+
+
+@intrinsic
+def fetch_add(typingctx, array):
+    """Add 1 to the first entry of an int64 array and return what it was, atomically: a thread takes its next item."""
+
+    def codegen(context, builder, sig, args):
+        data = context.make_array(sig.args[0])(context, builder, args[0]).data
+        return builder.atomic_rmw("add", data, ir.Constant(I64, 1), "monotonic")
+
+    return types.int64(array), codegen
