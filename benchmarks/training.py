@@ -24,10 +24,10 @@ from common import machine
 
 from tg4mm.capture import load_capture, load_images
 from tg4mm.motion.config import MotionConfig
-from tg4mm.motion.differences import fixed_cameras
 from tg4mm.motion.linear import rest_view
 from tg4mm.motion.pose import Problems
 from tg4mm.motion.problem import MotionProblem
+from tg4mm.motion.video import fixed_cameras
 from tg4mm.motion.weight import DEFAULT
 from tg4mm.runs import Run
 from tg4mm.space.config import SpaceConfig

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from tg4mm.capture import Capture, ImageStack, load_capture, load_images
+from tg4mm.capture.pictures import FilePictures
 from tg4mm.device import check_device
 from tg4mm.errors import Tg4mmError
 from tg4mm.motion.config import MotionConfig
-from tg4mm.motion.differences import fixed_cameras
-from tg4mm.motion.pictures import FilePictures
 from tg4mm.motion.train import checked as checked_motion
 from tg4mm.motion.train import train_motion
+from tg4mm.motion.video import fixed_cameras
 from tg4mm.paper import PAPER, PAPER_SMALL, first_views, train_timesteps, train_triplane
 from tg4mm.paper.config import base_config
 from tg4mm.paper.config import checked as checked_paper
@@ -26,9 +26,8 @@ from tg4mm.space.train import checked as checked_space
 
 # Every preset's settings, by stage, at their defaults. In `paper`, `space` is the fit of the base Gaussians, by L1.
 _BASE = SpaceConfig(l2=0.0)
-IN_MEMORY = (
-    2 << 30
-)  # bytes of pictures at 8 bits; design §6 counts peak memory, and 300 timesteps of 512² are 9 GiB
+# Bytes of pictures at 8 bits; design §6 counts peak memory, and 300 timesteps of 512² are 9 GiB
+IN_MEMORY = 2 << 30
 PRESETS: dict[str, dict[str, Any]] = {
     "modal": {"space": SpaceConfig(), "motion": MotionConfig()},
     "paper": {"space": _BASE, "paper": PAPER},

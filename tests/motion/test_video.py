@@ -5,23 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.motion.test_differences import moving_pictures
 from tests.space.scenes import capture_of
 from tg4mm.capture import ImageStack
+from tg4mm.capture.pictures import StackedPictures
 from tg4mm.errors import CaptureError
 from tg4mm.motion import video as module
-from tg4mm.motion.pictures import StackedPictures
 from tg4mm.motion.video import fixed_cameras, video_of
-
-
-def moving_pictures(
-    n_cameras: int, n_timesteps: int, seed: int = 0
-) -> tuple[np.ndarray, list[int], list[int]]:
-    """Noise, opaque, timestep by timestep: data [C, H, W, 4], camera ids, timesteps."""
-    rng = np.random.default_rng(seed)
-    data = rng.integers(0, 256, (n_cameras * n_timesteps, 4, 5, 4)).astype(np.uint8)
-    data[..., 3] = 255
-    ids = list(range(n_cameras)) * n_timesteps
-    return data, ids, sorted(list(range(n_timesteps)) * n_cameras)
 
 
 class TestFixedCameras:

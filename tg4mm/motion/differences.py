@@ -7,8 +7,8 @@ time a_r(t) the least-squares fit of all timesteps falls apart into one fit for 
 together: nothing is lost, the first few hold the motion, the others noise, and the cost does not grow with T.
 
 Memory: what is returned, 4 · V · H · W · (3 R + 1) bytes with R at most `most`; `CACHE_BYTES` of differences; about
-four strips of 32 MiB (`video.py`); from files the pictures of one camera (`pictures.py`). For 30 views of 512², 300
-timesteps at 8 bits and sixteen components that is 1,470 + 128 + 128 + 300 MiB, under 2 GiB.
+four strips of 32 MiB (`video.py`); from files the pictures of one camera (`capture/pictures.py`). For 30 views of 512²,
+300 timesteps at 8 bits and sixteen components that is 1,470 + 128 + 128 + 300 MiB, under 2 GiB.
 """
 
 from __future__ import annotations
@@ -20,15 +20,11 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from tg4mm.capture import ImageStack
-from tg4mm.motion.pictures import FilePictures, pictures_of
-from tg4mm.motion.spectrum import phasors as phasors
-from tg4mm.motion.video import FixedCamera as FixedCamera
-from tg4mm.motion.video import Video, video_of
-from tg4mm.motion.video import fixed_cameras as fixed_cameras
+from tg4mm.capture.pictures import FilePictures, pictures_of
+from tg4mm.motion.video import FixedCamera, Video, video_of
 
-CACHE_BYTES = (
-    256 << 20
-)  # of differences kept from the first look for the second; what is more is composited again
+# Bytes of differences, kept from the first look for the second; what is more is composited again
+CACHE_BYTES = 128 << 20
 _RELATIVE_FLOOR = 1e-5  # of the first component's energy: below it is rounding
 _NOISE_FACTOR = 2.0  # times the energy of the weakest components: below it is noise, at most
 _MARGIN = 1.1

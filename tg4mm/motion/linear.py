@@ -12,7 +12,7 @@ import numpy as np
 from numba import float32, njit, prange
 
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.differences import FixedCamera
+from tg4mm.motion.video import FixedCamera
 from tg4mm.rasterize.buffers import Buffers, take
 from tg4mm.rasterize.kernels.binning import Bins, bin_splats, gather_gradient
 from tg4mm.rasterize.kernels.blend import blend_forward

@@ -8,7 +8,6 @@ which the mean over all is added, so that none counts for more than twice the av
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -43,12 +42,8 @@ def _displacements(problem: Any, images: np.ndarray) -> np.ndarray:
     """[R, N, 3] after a few iterations."""
     states = [start(b) for b in problem.right_hand_sides(images)]
     for _ in range(_ITERATIONS):
-        states = step_all(states, partial(_normals, problem))
+        states = step_all(states, problem.normals)
     return np.stack([_here(problem.field(state.x))[:, :3] for state in states])
-
-
-def _normals(problem: Any, thetas: Sequence[Any]) -> list[Any]:
-    return list(problem.normals(thetas))
 
 
 def _here(values: Any) -> np.ndarray:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tg4mm.motion.differences import FixedCamera
 from tg4mm.motion.linear import DOF, RestView
+from tg4mm.motion.video import FixedCamera
 
 
 def sight_ratio(view: RestView, camera: FixedCamera, means: np.ndarray, seed: int = 0) -> float:

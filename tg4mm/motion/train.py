@@ -9,9 +9,7 @@ from __future__ import annotations
 import math
 import time
 import warnings
-from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,21 +17,21 @@ import torch
 from torch import Tensor
 
 from tg4mm.capture import Capture, ImageStack
+from tg4mm.capture.pictures import FilePictures
 from tg4mm.device import gpu_figures, reset_gpu_peak
 from tg4mm.errors import Tg4mmError
 from tg4mm.gaussians import Gaussians
 from tg4mm.memory import peak_memory_mib
 from tg4mm.motion.config import MotionConfig
-from tg4mm.motion.device import DeviceProblem
-from tg4mm.motion.differences import fixed_cameras, phasors, temporal_components
+from tg4mm.motion.differences import temporal_components
 from tg4mm.motion.halves import agreed_gain, deviation, halves
 from tg4mm.motion.linear import DOF, rest_view
 from tg4mm.motion.modal import ModalMotion
-from tg4mm.motion.pictures import FilePictures
 from tg4mm.motion.pose import Findings, Problems, posed
-from tg4mm.motion.problem import MotionProblem
 from tg4mm.motion.sight import sight_ratio
 from tg4mm.motion.solve import CGState, placed, start, step_all
+from tg4mm.motion.spectrum import phasors
+from tg4mm.motion.video import fixed_cameras
 from tg4mm.progress import progress
 from tg4mm.runs import Run
 
@@ -183,7 +181,7 @@ class _Stage:
         problem = self.problems[part]
         fit.cgs = fit.cgs or self._begun(part, first)
         while going := [k for k, cg in enumerate(fit.cgs) if self._is_open(cg)]:
-            stepped = step_all([fit.cgs[k] for k in going], partial(_normals, problem))
+            stepped = step_all([fit.cgs[k] for k in going], problem.normals)
             fit.cgs = [stepped[going.index(k)] if k in going else cg for k, cg in enumerate(fit.cgs)]
             worst = max(cg.relative_residual for cg in fit.cgs)
             update(self._done(fit), components=f"{len(going)} at once", residual=round(worst, 4))
@@ -205,10 +203,6 @@ def _warn_of_depth(ratio: float) -> None:
         "so that part of the motion is a guess from neighbours; a second camera from the side would show it",
         stacklevel=2,
     )
-
-
-def _normals(problem: MotionProblem | DeviceProblem, thetas: Sequence[Any]) -> list[Any]:
-    return list(problem.normals(thetas))
 
 
 def train_motion(

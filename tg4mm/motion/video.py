@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tg4mm.capture import Capture
+from tg4mm.capture.pictures import Pictures, over_white
 from tg4mm.errors import CaptureError
-from tg4mm.motion.pictures import Pictures, over_white
 
 STRIP_VALUES = 1 << 23  # float32 values of a strip, 32 MiB; compositing it takes about three times that
 

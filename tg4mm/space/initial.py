@@ -33,9 +33,8 @@ class InitialPoints:
     rgb: np.ndarray  # [M, 3] float32 in 0..1
     spacing: np.ndarray  # [M] float32, scene units, rms distance to the three nearest
     source: str  # "points", "hull" or "random"; with "sfm", also how many points that found
-    found: int = (
-        0  # points there were to choose from, the hull's shell cells for instance; 0 where they are drawn
-    )
+    # points there were to choose from, the hull's shell cells for instance; 0 where they are drawn
+    found: int = 0
 
 
 def working_box(views: RestViews) -> tuple[np.ndarray, float]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tg4mm.capture import Capture, ImageStack
-from tg4mm.motion.pictures import FilePictures
+from tg4mm.capture.pictures import FilePictures
 
 
 @dataclass(frozen=True)

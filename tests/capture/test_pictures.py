@@ -13,11 +13,11 @@ from PIL import Image
 from dataset_gen.png import encode
 from tests.space.scenes import capture_of
 from tg4mm.capture import Capture, load_images
+from tg4mm.capture import pictures as module
+from tg4mm.capture.pictures import FilePictures, StackedPictures
 from tg4mm.errors import CaptureError
 from tg4mm.motion import differences as differences_module
-from tg4mm.motion import pictures as module
 from tg4mm.motion.differences import temporal_components
-from tg4mm.motion.pictures import FilePictures, StackedPictures
 from tg4mm.motion.video import fixed_cameras
 
 SIZE = (5, 6)  # height, width
