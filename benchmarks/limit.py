@@ -8,9 +8,10 @@ block, the two loops of the backward pass together. Two limits follow, in cycles
 - of the evaluations: visible (pixel, Gaussian) / 16 × arithmetic instructions, one a cycle, every lane useful. What no
   way of cutting a picture into vectors of 16 could beat at that rate.
 - of the blocks: blocks of 4 × 4 pixels in which a Gaussian is seen × the cycles that a block's loop must take. Zen 4
-  works on 512 bits in two halves, on four units of 256 bits, two of which multiply: a vector's multiplications (and
-  multiply-adds) take one cycle each, any other arithmetic half of one, a load or store at least one. Whatever goes on
-  at the same time does so for free, so the largest of the three sums is the limit.
+  works on 512 bits in two halves, on four units of 256 bits, two of which multiply and compare: a vector's
+  multiplications, multiply-adds and comparisons into a mask take one cycle each (eight of one and eight of the other
+  were measured to take 16.0), all arithmetic half of one, a load or store at least one. Whatever goes on at the same
+  time does so for free, so the largest of the three sums is the limit.
 """
 
 from __future__ import annotations
@@ -41,16 +42,17 @@ class Loop:
     instructions: int
     arithmetic: int  # those that calculate: no moves, loads or stores of their own
     multiplications: int  # of these, with or without addition
+    comparisons: int  # of these, into a mask
     memory: int  # operands in memory, be they whole vectors or one number for all lanes
 
     @property
     def cycles(self) -> float:
         """The least a block can take on Zen 4."""
-        return max(self.multiplications, self.arithmetic / 2, self.memory)
+        return max(self.multiplications + self.comparisons, self.arithmetic / 2, self.memory)
 
 
-FORWARD = Loop(42, 23, 12, 9)
-BACKWARD = Loop(79, 47, 27, 19)
+FORWARD = Loop(41, 23, 12, 2, 9)
+BACKWARD = Loop(80, 47, 27, 3, 19)
 
 
 @njit(cache=True)
@@ -149,6 +151,7 @@ def composition(body: list[str]) -> Loop:
         instructions=len(body),
         arithmetic=len(arithmetic),
         multiplications=sum(text.startswith(("vfm", "vfn", "vmul")) for text in arithmetic),
+        comparisons=sum(text.startswith("vcmp") for text in arithmetic),
         memory=sum("(" in text and "zmm" in text for text in vectors),
     )
 

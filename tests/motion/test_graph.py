@@ -145,3 +145,29 @@ def test_fewer_gaussians_than_neighbours_are_all_neighbours(n: int) -> None:
 def test_doubled_points_are_no_trouble() -> None:
     around = graph(np.repeat(volume(30), 15, axis=0))
     assert np.isfinite(around.stiffness.data).all()
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_products_without_the_matrix_are_those_with_it(shape: str) -> None:
+    around, rng = graph(SHAPES[shape]()), np.random.default_rng(5)
+    x = rng.normal(size=(ROWS * around.n_gaussians, 3)).astype(np.float32)
+    out = rng.normal(size=x.shape).astype(np.float32)
+    expected = out + 3.0 * (around.blocks @ x.astype(float)) + 0.5 * x
+    around.add_prior(x, 3.0, 0.5, out)
+    np.testing.assert_allclose(out, expected, atol=2e-6 * np.abs(expected).max())
+
+
+def test_the_matrix_is_that_of_the_edges_both_ways() -> None:
+    """Dense, edge by edge."""
+    around = graph(volume(40))
+    expected = np.zeros((160, 160))
+    for i in range(40):
+        for edge in range(around.start[i], around.start[i + 1]):
+            row, j = np.zeros((ROWS, 160)), around.other[edge]
+            bond = around.bonds[edge].astype(float)
+            row[0, ROWS * i : ROWS * i + ROWS] = -bond
+            row[0, ROWS * j : ROWS * j + ROWS] = bond * [1, -1, -1, -1]
+            for k in range(1, ROWS):
+                row[k, [ROWS * i + k, ROWS * j + k]] = np.sqrt(BENDING) * bond[0] * np.array([1, -1])
+            expected += row.T @ row / 2  # listed at both ends
+    np.testing.assert_allclose(around.blocks.toarray(), expected, atol=1e-5 * expected.max())

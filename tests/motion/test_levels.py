@@ -7,12 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from scipy.sparse import csr_matrix
+from numba import config, get_num_threads, set_num_threads
+from scipy.sparse import bsr_matrix
 
 from tests.motion.test_problem import problem
-from tg4mm.motion import levels as module
+from tg4mm.motion import groups as module
 from tg4mm.motion.device import DeviceProblem
-from tg4mm.motion.graph import ROWS
+from tg4mm.motion.graph import ROWS, graph
+from tg4mm.motion.groups import Groups, groups_of
 from tg4mm.motion.levels import Levels, information
 from tg4mm.motion.linear import DOF
 from tg4mm.motion.problem import MotionProblem
@@ -23,8 +25,9 @@ def plain(p: MotionProblem) -> MotionProblem:
     """The same problem with the field itself as unknowns: no scaling, and groups that hold nothing."""
     n = p.graph.n_gaussians
     blocks = np.tile(np.eye(ROWS, dtype=np.float32), (n, 1, 1))
-    nothing = csr_matrix((ROWS * n, ROWS), dtype=np.float32)
-    return replace(p, levels=Levels(blocks, nothing, np.eye(ROWS, dtype=np.float32)))
+    nothing = bsr_matrix((ROWS * n, ROWS), blocksize=(ROWS, ROWS), dtype=np.float32)
+    groups = Groups(p.graph, nothing, np.zeros_like(blocks))
+    return replace(p, levels=Levels(blocks, groups, np.eye(ROWS, dtype=np.float32)))
 
 
 def pictures(p: MotionProblem) -> np.ndarray:
@@ -97,6 +100,49 @@ def test_groups_move_linearly_in_space() -> None:
         np.testing.assert_allclose(x[rows, 1:], np.tile(gradient, (len(rows), 1, 1)))
         shift = (means[rows] - means[rows[0]]) / 0.5 @ gradient
         np.testing.assert_allclose(x[rows, 0], x[rows[0], 0] + shift, atol=1e-12)
+
+
+def cloud(monkeypatch: pytest.MonkeyPatch) -> Groups:
+    """Sixteen groups of a cloud of balls."""
+    monkeypatch.setattr(module, "GROUPS", 16)
+    means = np.random.default_rng(0).normal(size=(800, 3)).astype(np.float32)
+    around = graph(means, np.tile(np.eye(3), (800, 1, 1)), np.ones((800, 3)))
+    return groups_of(around, means)
+
+
+def test_fields_of_groups_without_the_matrix_are_those_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And its transpose."""
+    groups, rng = cloud(monkeypatch), np.random.default_rng(1)
+    coarse = rng.normal(size=(ROWS * groups.count, 3)).astype(np.float32)
+    v = rng.normal(size=(ROWS * 800, 3)).astype(np.float32)
+    expected = groups.matrix @ coarse
+    np.testing.assert_allclose(groups.field(coarse), expected, atol=1e-5 * np.abs(expected).max())
+    expected, before = groups.matrix.T @ v.astype(float), v.copy()
+    np.testing.assert_allclose(groups.from_field(v), expected, atol=1e-5 * np.abs(expected).max())
+    assert np.array_equal(v, before)
+
+
+def test_smoothing_makes_fields_cheap_and_keeps_linear_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    groups = cloud(monkeypatch)
+    plain, smooth = groups.plain.toarray(), groups.matrix.toarray()
+    stiff = groups.graph.blocks.toarray()
+    cost = [np.einsum("nk,nk->k", p, stiff @ p) / (p**2).sum(0) for p in (plain, smooth)]
+    assert np.median(cost[1]) < 0.4 * np.median(cost[0])
+    linear = plain @ np.tile(np.eye(ROWS), (groups.count, 1))[:, :1]  # all groups shifted alike
+    np.testing.assert_allclose(smooth @ np.tile(np.eye(ROWS), (groups.count, 1))[:, :1], linear, atol=1e-4)
+
+
+def test_threads_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    if config.NUMBA_NUM_THREADS < 2:
+        pytest.skip("numba has 1 thread here; comparing thread counts needs 2")
+    groups, rng = cloud(monkeypatch), np.random.default_rng(1)
+    v, found = rng.normal(size=(ROWS * 800, 3)).astype(np.float32), []
+    before = get_num_threads()
+    for threads in (1, 2):
+        set_num_threads(threads)
+        found.append(groups.field(groups.from_field(v)))
+    set_num_threads(before)
+    assert np.array_equal(*found)
 
 
 def test_a_torch_device_poses_the_same_problem() -> None:

@@ -9,9 +9,11 @@ from scipy.spatial.transform import Rotation
 
 from tests.rasterize.oracle import Scene, assert_close, make_scene
 from tg4mm.gaussians import Gaussians
+from tg4mm.motion.jacobian import packed, unpacked
 from tg4mm.motion.linear import ALPHA_MIN_LINEAR, DOF, RestView, rest_view
 from tg4mm.motion.video import FixedCamera
 from tg4mm.rasterize import reference
+from tg4mm.rasterize.buffers import Buffers
 from tg4mm.rasterize.reference import rasterize_dense
 
 SCENES = {
@@ -137,3 +139,36 @@ def test_a_small_motion_changes_the_real_picture_as_predicted() -> None:
     pushed = view_of(scene).push(motion)
     assert np.linalg.norm(pushed - change) < 0.1 * np.linalg.norm(change)
     assert (pushed * change).sum() / (change**2).sum() == pytest.approx(1, abs=0.03)
+
+
+@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("n_changes", [1, 3])
+@pytest.mark.parametrize("weighted", [False, True])
+def test_there_and_back_at_once_is_one_after_the_other(name: str, n_changes: int, weighted: bool) -> None:
+    scene, rng = SCENES[name], np.random.default_rng(2)
+    view, n = view_of(scene), len(scene.means)
+    motions = rng.normal(size=(n_changes, n, DOF)).astype(np.float32)
+    pixels = rng.uniform(0.1, 1, view.transmittance.shape).astype(np.float32)
+    expected = rng.normal(size=motions.shape).astype(np.float32)
+    found = expected.copy()  # added to
+    pictures = view.push_all(motions)
+    view.pull_all(pictures * pixels[..., None] if weighted else pictures, expected)
+    view.normal_all(motions, pixels if weighted else None, found)
+    np.testing.assert_allclose(found, expected, atol=2e-5 * np.abs(expected).max())
+
+
+def test_there_and_back_is_the_same_with_kept_buffers() -> None:
+    """Also after a call with more changes, of which they still hold something."""
+    view, rng = view_of(SCENES["crowded"]), np.random.default_rng(3)
+    motions, buffers = rng.normal(size=(4, 120, DOF)).astype(np.float32), Buffers()
+    alone, kept = np.zeros_like(motions[:1]), np.zeros_like(motions[:1])
+    view.normal_all(motions, None, np.zeros_like(motions), buffers)
+    view.normal_all(motions[:1], None, kept, buffers)
+    view.normal_all(motions[:1], None, alone)
+    assert np.array_equal(kept, alone)
+
+
+def test_packing_keeps_every_number() -> None:
+    jacobian = np.random.default_rng(4).normal(size=(7, 8, DOF)).astype(np.float32)
+    jacobian[:, [0, 1, 5, 6, 7], 3:] = 0  # rotation moves no mean and changes no colour
+    assert np.array_equal(unpacked(packed(jacobian)), jacobian)

@@ -12,10 +12,10 @@ from tests.motion.test_linear import gaussians_of, view_of
 from tests.rasterize.oracle import make_scene
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.device import DeviceProblem
-from tg4mm.motion.levels import information, levels
+from tg4mm.motion.levels import Known, information, levels
 from tg4mm.motion.linear import DOF
 from tg4mm.motion.pose import Problems
-from tg4mm.motion.problem import MotionProblem, information_scale
+from tg4mm.motion.problem import MotionProblem
 
 N = 40
 
@@ -26,18 +26,17 @@ def problem(neighbours: float = 3.0, ridge: float = 0.1, weighted: bool = False)
     views = [
         view_of(replace(scene, viewmats=scene.viewmats[c : c + 1], Ks=scene.Ks[c : c + 1])) for c in (0, 1)
     ]
-    means = scene.means.numpy()
     weights = None
     if weighted:
         shape = (2, *views[0].transmittance.shape)
         weights = np.random.default_rng(7).uniform(0.2, 1, shape).astype(np.float32)
     rng = np.random.default_rng(0)
-    scale = information_scale(views, N, rng, weights)
-    around = Problems(views, gaussians_of(scene), MotionConfig(), "cpu").graph
-    known = information(views, N, rng, weights)
-    unknowns = levels(around, known, means, scale * neighbours, scale * ridge)
+    posing = Problems(views, gaussians_of(scene), MotionConfig(), "cpu")
+    seen = information(views, N, rng, weights)
+    scale, known = float(seen[:, 0].mean()), Known.of(posing.groups, seen)
+    unknowns = levels(posing.groups, known, scale * neighbours, scale * ridge)
     config = MotionConfig(neighbours=neighbours, ridge=ridge)
-    return MotionProblem(views, around, unknowns, scale, config, weights)
+    return MotionProblem(views, posing.graph, unknowns, scale, config, weights)
 
 
 def draw(seed: int) -> np.ndarray:
@@ -88,7 +87,7 @@ def test_the_scale_is_the_mean_diagonal_of_the_information() -> None:
             motion = np.zeros((N, DOF), np.float32)
             motion[i, k] = 1
             total += sum(inner(view.push(motion), view.push(motion)) for view in p.views)
-    many = information_scale(p.views, N, np.random.default_rng(1), probes=200)
+    many = information(p.views, N, np.random.default_rng(1), probes=200)[:, 0].mean()
     assert many == pytest.approx(total / (3 * N), rel=0.1)
 
 

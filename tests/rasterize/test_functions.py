@@ -15,6 +15,7 @@ from tg4mm.rasterize.kernels.lanes import (
     planes_of_rows,
     rows_of_planes,
     store_block,
+    with_bit,
 )
 from tg4mm.rasterize.kernels.memory import (
     address,
@@ -28,7 +29,7 @@ from tg4mm.rasterize.kernels.memory import (
 )
 from tg4mm.rasterize.kernels.sh import basis, basis_vjp
 from tg4mm.rasterize.kernels.tiles import TABLE, constants
-from tg4mm.rasterize.kernels.vector import LANES, bits, exp2, lowest_bit, number_of_bits, select
+from tg4mm.rasterize.kernels.vector import LANES, bits, exp2, fma_where, lowest_bit, number_of_bits, select
 from tg4mm.rasterize.reference import sh_colours
 
 
@@ -80,6 +81,19 @@ def _mark(x: np.ndarray, marks: np.ndarray) -> None:
     for k in range(len(x) // LANES):
         words = marked(words, load(x, k * LANES) > np.float32(0), np.uint32(1) << np.uint32(k))
     store(marks, LANES, words)
+
+
+@njit
+def _unmark(marks: np.ndarray, masks: np.ndarray) -> None:
+    for k in range(len(masks)):
+        masks[k] = with_bit(load(marks, LANES), np.uint32(1) << np.uint32(k))
+
+
+@njit
+def _add_where(x: np.ndarray, out: np.ndarray) -> None:
+    a, b, c = load(x, 0), load(x, LANES), load(x, 2 * LANES)
+    store(out, 0, fma_where(a > np.float32(0), a, b, c))
+    store(out, LANES, fma_where(a > np.float32(0), a, np.float32(3), c))
 
 
 @njit
@@ -158,6 +172,17 @@ def test_marks_gather_a_bit_of_every_mask() -> None:
     np.testing.assert_array_equal(marks[LANES : 2 * LANES], expected)
     assert not marks[:LANES].any()
     assert not marks[2 * LANES :].any()
+    masks = np.zeros(32, np.uint32)
+    _unmark(marks.view(np.float32), masks)
+    np.testing.assert_array_equal(masks, ((x > 0) << np.arange(LANES)).sum(1))
+
+
+def test_what_is_masked_is_not_added() -> None:
+    a, b, c = x = np.random.default_rng(3).integers(-9, 9, (3, LANES)).astype(np.float32)
+    out = np.zeros((2, LANES), np.float32)
+    _add_where(x.ravel(), out.ravel())
+    np.testing.assert_array_equal(out, np.where(a > 0, [a * b + c, a * 3 + c], c))
+    assert 0 < (a > 0).sum() < LANES
 
 
 def test_an_address_is_the_array_it_was_taken_of() -> None:

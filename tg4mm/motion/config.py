@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+
+from tg4mm.errors import Tg4mmError
 
 
 @dataclass(frozen=True)
@@ -12,9 +15,27 @@ class MotionConfig:
     components: int = 16  # at most so many temporal components; fewer where the rest is noise
     neighbours: float = 0.0  # weight of the term that makes neighbours move alike; 0: found from the images
     ridge: float = 1e-3  # weight that draws motion to zero where nothing is known
-    iterations: int = 30  # of conjugate gradients, at most, for each component
+    iterations: int = 20  # of conjugate gradients, at most, for each component
     tolerance: float = 3e-3  # relative residual at which conjugate gradients stop
-    halves: bool = (
-        True  # fit each half of the cameras by itself and take the mean, which costs no more: `halves.py`
-    )
+    # fit each half of the cameras by itself and take the mean, which costs no more: `halves.py`
+    halves: bool = True
+    # at most, where things move by more than half a pixel; 0: the linear fit alone: `rounds.py`
+    rounds: int = 4
     seed: int = 0
+
+
+def checked(config: MotionConfig) -> MotionConfig:
+    """`config`. Raises Tg4mmError on a value out of range."""
+    checks = {
+        "components": (config.components >= 1, ">= 1"),
+        "neighbours": (math.isfinite(config.neighbours) and config.neighbours >= 0, ">= 0"),
+        "ridge": (math.isfinite(config.ridge) and config.ridge > 0, "> 0"),
+        "iterations": (config.iterations >= 1, ">= 1"),
+        "tolerance": (1e-6 <= config.tolerance < 1, "1e-6 (what float32 holds) to 1"),
+        "rounds": (config.rounds >= 0, ">= 0"),
+        "seed": (0 <= config.seed < 1 << 63, "0 to 2⁶³ − 1"),
+    }
+    for name, (good, expected) in checks.items():
+        if not good:
+            raise Tg4mmError(f"setting motion.{name} is {getattr(config, name)}, expected {expected}")
+    return config

@@ -26,15 +26,16 @@ from torch import Tensor
 
 from tg4mm.errors import Tg4mmError
 from tg4mm.motion.config import MotionConfig
-from tg4mm.motion.graph import ROWS
 from tg4mm.motion.linear import DOF
 from tg4mm.motion.meetings import DeviceView, device_view
 from tg4mm.motion.problem import MotionProblem
+from tg4mm.motion.stiffness import ROWS
 
 
 def _sparse(matrix: csr_matrix, device: str) -> Tensor:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Sparse CSR tensor support is in beta")
+        matrix = matrix.sorted_indices()
         arrays = (matrix.indptr, matrix.indices, matrix.data.astype(np.float32))
         start, column, value = (torch.from_numpy(np.array(a)) for a in arrays)
         size = (matrix.shape[0], matrix.shape[1])
@@ -82,7 +83,7 @@ class DeviceProblem:
         self.config: MotionConfig = problem.config
         self.scale, known = problem.scale, problem.levels
         self.blocks = torch.from_numpy(known.blocks).to(self.device)
-        self.groups = _Operator.of(known.groups, self.device)
+        self.groups = _Operator.of(known.groups.matrix.tocsr(), self.device)
         self.turn = torch.from_numpy(known.turn).to(self.device)
         self.weights = None if problem.weights is None else self._there(problem.weights[..., None])
 

@@ -10,31 +10,72 @@ its columns: u, then the change of u over one typical distance of neighbours alo
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from scipy.sparse import coo_matrix, csr_matrix, diags, kron
+from scipy.sparse import bsr_matrix, csr_matrix
 from scipy.spatial import cKDTree
 
 from tg4mm.motion.following import following
+from tg4mm.motion.stiffness import BENDING, ROWS, Edges, add_prior
 
 COUNT = 12  # neighbours of a Gaussian
-ROWS = 4  # of a Gaussian's part of a field: displacement, and its gradient along x, y, z
-# Weight of gradients that differ, beside that of displacements that do not fit: docs/decisions.md
-BENDING = 10.0
 
 
 @dataclass(frozen=True)
 class Graph:
-    """Neighbours, the prior's matrix, and what a field says of displacement and rotation."""
+    """Neighbours, the prior's matrix, and what a field says of displacement and rotation.
 
-    # [4N, 4N] float32, symmetric, positive semi-definite; the mean diagonal of the u rows is 1
-    stiffness: csr_matrix
+    An edge's misfit is bond · (σ x_j − x_i), summed over the four rows, with σ = (1, −1, −1, −1): its bond is the root
+    of its weight times 1 and half the way to the other end. Every edge is listed at both ends.
+    """
+
+    start: np.ndarray  # [N + 1] int64: the edges of Gaussian i are start[i] … start[i + 1] − 1
+    other: np.ndarray  # [E] int32: where they lead
+    bonds: np.ndarray  # [E, 4] float32
     turns: np.ndarray  # [N, 9, 3] float32: from a gradient as a field holds it to a rotation vector
     reach: float  # typical distance of neighbours, scene units
 
     @property
     def n_gaussians(self) -> int:
         return len(self.turns)
+
+    @property
+    def edges(self) -> Edges:
+        return self.start, self.other, self.bonds.reshape(-1)
+
+    @cached_property
+    def blocks(self) -> bsr_matrix:
+        """The prior's matrix [4N, 4N] float64, symmetric, positive semi-definite; mean diagonal of the u rows 1.
+
+        The first block of a row is the one on the diagonal.
+        """
+        n, bonds = self.n_gaussians, self.bonds.astype(np.float64)
+        outer = bonds[:, :, None] * bonds[:, None, :]
+        bending = BENDING * outer[:, :1, :1] * np.diag([0.0, 1, 1, 1])
+        own = np.add.reduceat(outer + bending, self.start[:-1])
+        first = self.start + np.arange(n + 1)
+        at_diagonal = np.zeros(first[-1], bool)
+        at_diagonal[first[:-1]] = True
+        data, column = np.empty((len(at_diagonal), ROWS, ROWS)), np.empty(len(at_diagonal), np.int32)
+        data[at_diagonal], column[at_diagonal] = own, np.arange(n)
+        data[~at_diagonal] = -outer * np.array([1.0, -1, -1, -1]) - bending
+        column[~at_diagonal] = self.other
+        return bsr_matrix((data, column, first), shape=(ROWS * n, ROWS * n))
+
+    @cached_property
+    def stiffness(self) -> csr_matrix:
+        """`blocks` by rows, float32."""
+        return self.blocks.tocsr().sorted_indices().astype(np.float32)
+
+    @property
+    def own_blocks(self) -> np.ndarray:
+        """[N, 4, 4] on the diagonal of `blocks`."""
+        return np.asarray(self.blocks.data[self.start[:-1] + np.arange(self.n_gaussians)])
+
+    def add_prior(self, x: np.ndarray, stiff: float, ridge: float, out: np.ndarray) -> None:
+        """Adds stiff · K x + ridge · x to `out`, both [4N, 3] float32, contiguous; K is the prior's matrix."""
+        add_prior(self.edges, x, stiff, ridge, out)
 
     def motion(self, field: np.ndarray) -> np.ndarray:
         """[4N, 3] -> displacement and rotation vector (radians) of every Gaussian, [N, 6] float32."""
@@ -57,20 +98,19 @@ def graph(means: np.ndarray, axes: np.ndarray, scales: np.ndarray, count: int = 
     """
     n = len(means)
     first, second, weight, reach = _edges(means.astype(np.float64), min(count, n - 1))
-    arms = (means[second] - means[first]).astype(np.float64) / reach
-    edges, ones = np.arange(len(first)), np.ones(len(first))
-    # one row for each edge: u_j − u_i − ½ (A_i + A_j) d
-    half = -0.5 * arms
-    rows = np.tile(edges, 2 * ROWS)
-    columns = np.concatenate([ROWS * end + c for end in (second, first) for c in range(ROWS)])
-    values = np.concatenate([ones, *half.T, -ones, *half.T])
-    misfits = coo_matrix((values, (rows, columns)), shape=(len(edges), ROWS * n)).tocsr()
-    ends = (np.concatenate([ones, -ones]), (np.tile(edges, 2), np.concatenate([second, first])))
-    differences = coo_matrix(ends, shape=(len(edges), n)).tocsr()
-    laplacian = differences.T @ diags(weight) @ differences
-    total = misfits.T @ diags(weight) @ misfits + BENDING * kron(laplacian, np.diag([0.0, 1, 1, 1]))
-    stiffness = csr_matrix(total / laplacian.diagonal().mean()).astype(np.float32)
-    return Graph(stiffness, following(axes, scales) / np.float32(reach), reach)
+    owner, other = np.concatenate([first, second]), np.concatenate([second, first])
+    order = np.lexsort((other, owner))
+    owner, other, weight = owner[order], other[order], np.tile(weight, 2)[order]
+    weight *= n / weight.sum()
+    ways = (means[other] - means[owner]).astype(np.float64) / reach
+    bonds = np.sqrt(weight)[:, None] * np.concatenate([np.ones((len(ways), 1)), 0.5 * ways], 1)
+    return Graph(
+        start=np.searchsorted(owner, np.arange(n + 1)),
+        other=other.astype(np.int32),
+        bonds=bonds.astype(np.float32),
+        turns=following(axes, scales) / np.float32(reach),
+        reach=reach,
+    )
 
 
 def _edges(means: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:

@@ -30,6 +30,15 @@ def agreed_gain(whole: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.clip(both / np.maximum(power, np.finfo(np.float32).tiny), 0, 1).astype(np.float32)
 
 
+def agreed_fields(fields: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What fields [P, R, N, DOF] of all cameras or of two halves agree on: [R, N, DOF], and gains [R]."""
+    if len(fields) == 1:
+        return fields[0], np.ones(fields.shape[1], np.float32)
+    whole = (fields[0] + fields[1]) / 2
+    gain = agreed_gain(whole[..., :3], fields[0][..., :3], fields[1][..., :3])
+    return whole * gain[:, None, None], gain
+
+
 def deviation(a: np.ndarray, b: np.ndarray, means: np.ndarray, count: int = COUNT) -> np.ndarray:
     """[N] float32, scene units: the standard deviation of the noise in R fields together, from the halves [R, N, 3].
 

@@ -7,17 +7,19 @@ colour); the blending kernels do the rest. Nothing is approximated but the motio
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numba import float32, njit, prange
 
 from tg4mm.gaussians import Gaussians
+from tg4mm.motion.jacobian import DOF, packed, pull, push, unpacked
 from tg4mm.motion.video import FixedCamera
 from tg4mm.rasterize.buffers import Buffers, take
-from tg4mm.rasterize.kernels.binning import Bins, bin_splats, gather_gradient
+from tg4mm.rasterize.kernels.binning import Bins, bin_splats
 from tg4mm.rasterize.kernels.blend import blend_forward
 from tg4mm.rasterize.kernels.layout import ALPHA_MIN, FEATURES
 from tg4mm.rasterize.kernels.linearised import COLUMNS, blend_cotangents, blend_tangents
+from tg4mm.rasterize.kernels.normal import blend_normal, most_blocks
 from tg4mm.rasterize.kernels.project import empty_splats, pack_camera, project_forward
 from tg4mm.rasterize.kernels.project_backward import project_backward
 from tg4mm.space.view import EPS2D, FAR, NEAR, WHITE
@@ -26,33 +28,6 @@ from tg4mm.space.view import EPS2D, FAR, NEAR, WHITE
 # inside the rim knows nothing. That would make faint Gaussians answer too weakly (by 1/255 over their opacity), so the
 # Jacobian is taken with hardly any cut-off.
 ALPHA_MIN_LINEAR = ALPHA_MIN / 30
-DOF = 6  # displacement (scene units) and rotation vector (radians, world axes)
-
-
-@njit(parallel=True, fastmath=True, cache=True)
-def _push(jacobian, rows, motions, d_splats):
-    """motions [R, N, DOF] -> d_splats [N, R, 8], where seen."""
-    for k in prange(len(rows)):
-        i = rows[k]
-        for r in range(len(motions)):
-            for c in range(jacobian.shape[1]):
-                total = float32(0.0)
-                for d in range(jacobian.shape[2]):
-                    total += jacobian[k, c, d] * motions[r, i, d]
-                d_splats[i, r, c] = total
-
-
-@njit(parallel=True, fastmath=True, cache=True)
-def _pull(jacobian, rows, v_splats, v_motions):
-    """Adds to v_motions [R, N, DOF] what v_splats [N, R, 8] say."""
-    for k in prange(len(rows)):
-        i = rows[k]
-        for r in range(len(v_motions)):
-            for d in range(jacobian.shape[2]):
-                total = float32(0.0)
-                for c in range(jacobian.shape[1]):
-                    total += jacobian[k, c, d] * v_splats[i, r, c]
-                v_motions[r, i, d] += total
 
 
 @dataclass(frozen=True)
@@ -63,7 +38,13 @@ class RestView:
     bins: Bins
     image: np.ndarray  # [H, W, FEATURES]
     transmittance: np.ndarray  # [H, W]
-    jacobian: np.ndarray  # [n_visible, 8, DOF] float32, in the order of bins.order
+    most: tuple[int, int]  # blocks and pairs of a tile, for `blend_normal`
+    answers: np.ndarray  # float32: `packed` Jacobians, in the order of bins.order
+
+    @property
+    def jacobian(self) -> np.ndarray:
+        """[n_visible, 8, DOF] float32, in the order of bins.order."""
+        return unpacked(self.answers)
 
     @property
     def _rows(self) -> np.ndarray:
@@ -84,7 +65,7 @@ class RestView:
         """
         bins, n_changes = self.bins, len(motions)
         d_splats = take(buffers, "d_splats", (motions.shape[1], n_changes, len(COLUMNS)))
-        _push(self.jacobian, self._rows, motions, d_splats)
+        push(self.answers, self._rows, motions, d_splats)
         d_images = take(buffers, "d_images", (n_changes, *self.transmittance.shape, 3))
         blend_tangents(
             self.splats, d_splats, bins.tile_start, bins.pair_gaussian, WHITE, d_images, ALPHA_MIN_LINEAR
@@ -99,13 +80,30 @@ class RestView:
             self.splats, bins.tile_start, bins.pair_gaussian, WHITE, self.image, self.transmittance,
             np.ascontiguousarray(pictures), v_pairs, ALPHA_MIN_LINEAR,
         )  # fmt: skip
-        v_splats = take(buffers, "d_splats", (v_motions.shape[1], n_changes, len(COLUMNS)))
-        flat = n_changes * len(COLUMNS)
-        gather_gradient(
-            bins.order, bins.n_visible, bins.gaussian_start, bins.pair_slot,
-            v_pairs.reshape(-1, flat), v_splats.reshape(-1, flat),
+        self._gather(v_pairs, v_motions)
+
+    def normal_all(
+        self,
+        motions: np.ndarray,
+        weights: np.ndarray | None,
+        v_motions: np.ndarray,
+        buffers: Buffers | None = None,
+    ) -> None:
+        """`push_all`, times the weights of pixels [H, W] or 1, and `pull_all`, in one pass."""
+        bins, n_changes = self.bins, len(motions)
+        d_splats = take(buffers, "d_splats", (motions.shape[1], n_changes, len(COLUMNS)))
+        push(self.answers, self._rows, motions, d_splats)
+        v_pairs = take(buffers, "v_pairs", (len(bins.pair_gaussian), n_changes, len(COLUMNS)))
+        pixels = np.ones_like(self.transmittance) if weights is None else weights
+        blend_normal(
+            self.splats, d_splats, bins.tile_start, bins.pair_gaussian, bins.reached, self.most, WHITE, pixels,
+            v_pairs, ALPHA_MIN_LINEAR,
         )  # fmt: skip
-        _pull(self.jacobian, self._rows, v_splats, v_motions)
+        self._gather(v_pairs, v_motions)
+
+    def _gather(self, v_pairs: np.ndarray, v_motions: np.ndarray) -> None:
+        """Adds to `v_motions` [R, N, DOF] what pairs [P, R, 8] say."""
+        pull(self.answers, self._rows, self.bins.gaussian_start, self.bins.pair_slot, v_pairs, v_motions)
 
 
 def _arrays(gaussians: Gaussians) -> tuple[np.ndarray, ...]:
@@ -128,28 +126,38 @@ def rest_view(gaussians: Gaussians, camera: FixedCamera, size: tuple[int, int]) 
     width, height = size
     means, quats, scales, opacities, sh = _arrays(gaussians)
     degree = gaussians.sh_degree
-    packed = pack_camera(camera.viewmat, camera.K, NEAR, FAR, EPS2D, ALPHA_MIN_LINEAR)
+    packed_camera = pack_camera(camera.viewmat, camera.K, NEAR, FAR, EPS2D, ALPHA_MIN_LINEAR)
     splats = empty_splats(len(means))
-    project_forward(means, quats, scales, opacities, sh, degree, False, packed, width, height, splats)
+    project_forward(means, quats, scales, opacities, sh, degree, False, packed_camera, width, height, splats)
     bins = bin_splats(splats, width, height)
     image, transmittance = (
         np.empty((height, width, FEATURES), np.float32),
         np.empty((height, width), np.float32),
     )
     blend_forward(
-        splats, bins.tile_start, bins.pair_gaussian, width, height, image, transmittance, ALPHA_MIN_LINEAR
-    )
-    visible = bins.order[: bins.n_visible]
-    turned = _turned_by_axes(quats)[visible]
+        splats, bins.tile_start, bins.pair_gaussian, width, height, image, transmittance, ALPHA_MIN_LINEAR,
+        bins.reached,
+    )  # fmt: skip
+    most = most_blocks(bins.tile_start, bins.reached)
+    arrays = means, quats, scales, sh, degree, packed_camera, width, height
+    answers = packed(_jacobian(arrays, splats, bins.order[: bins.n_visible]))
+    return RestView(splats, bins, image, transmittance, most, answers)
+
+
+def _jacobian(arrays: tuple[Any, ...], splats: np.ndarray, visible: np.ndarray) -> np.ndarray:
+    """[n, 8, DOF] float32 of the Gaussians `visible` [n]: each column of the splats pulled back."""
+    means, quats, scales, sh, degree, camera, width, height = arrays
+    turned, v_splats = _turned_by_axes(quats)[visible], np.zeros_like(splats)
+    unused = [np.zeros_like(a) for a in (scales, scales[:, 0], sh)]
     jacobian = np.empty((len(visible), len(COLUMNS), DOF), np.float32)
     for c, column in enumerate(COLUMNS):
-        v_splats = np.zeros_like(splats)
         v_splats[:, column] = 1
-        grads = [np.zeros_like(a) for a in (means, quats, scales, opacities, sh)]
+        v_means, v_quats = np.zeros_like(means), np.zeros_like(quats)
         project_backward(
-            means, quats, scales, sh, degree, False, packed, width, height, splats, v_splats,
-            *grads, np.zeros((0, 12), np.float32), False,
+            means, quats, scales, sh, degree, False, camera, width, height, splats, v_splats,
+            v_means, v_quats, *unused, np.zeros((0, 12), np.float32), False,
         )  # fmt: skip
-        jacobian[:, c, :3] = grads[0][visible]
-        jacobian[:, c, 3:] = np.einsum("nkq,nq->nk", turned, grads[1][visible])
-    return RestView(splats, bins, image, transmittance, jacobian)
+        v_splats[:, column] = 0
+        jacobian[:, c, :3] = v_means[visible]
+        jacobian[:, c, 3:] = np.einsum("nkq,nq->nk", turned, v_quats[visible])
+    return jacobian

@@ -16,7 +16,7 @@ from tg4mm.motion.differences import TemporalComponents, pixel_noise
 from tg4mm.motion.halves import agreed_gain
 from tg4mm.motion.solve import start, step_all
 
-_ITERATIONS = 6
+_ITERATIONS = 3  # two to six tell the same
 LOOSE = 30.0  # weight of the neighbours meanwhile: where much holds them together noise agrees too
 _AGREED = 0.5  # gain below which a component is noise: more than half of its field
 

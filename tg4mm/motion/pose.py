@@ -13,10 +13,11 @@ from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.device import DeviceProblem
 from tg4mm.motion.differences import TemporalComponents
 from tg4mm.motion.graph import graph
-from tg4mm.motion.levels import information, levels
+from tg4mm.motion.groups import groups_of
+from tg4mm.motion.levels import Known, information, levels
 from tg4mm.motion.linear import RestView
 from tg4mm.motion.noise import LOOSE, noise_components, pixel_weights
-from tg4mm.motion.problem import MotionProblem, information_scale
+from tg4mm.motion.problem import MotionProblem
 from tg4mm.motion.weight import CANDIDATES, DEFAULT, chosen_weight
 from tg4mm.rasterize.reference import rotation_matrices
 
@@ -46,6 +47,7 @@ class Problems:
         self.means = gaussians.means.numpy()
         axes = rotation_matrices(gaussians.quats).numpy()
         self.graph = graph(self.means, axes, gaussians.scales.numpy())
+        self.groups = groups_of(self.graph, self.means)
         self._there: DeviceProblem | None = None
 
     def of(
@@ -53,15 +55,15 @@ class Problems:
     ) -> list[MotionProblem | DeviceProblem]:
         """One for each weight of the neighbours, all with the pixels' weights [V, H, W] or None."""
         rng = np.random.default_rng(self.config.seed)
-        scale = information_scale(self.views, len(self.means), rng, weights)
-        known = information(self.views, len(self.means), rng, weights)
+        seen = information(self.views, len(self.means), rng, weights)
+        scale, known = float(seen[:, 0].mean()), Known.of(self.groups, seen)
         ridge = scale * self.config.ridge
         return [
             self._placed(
                 MotionProblem(
                     self.views,
                     self.graph,
-                    levels(self.graph, known, self.means, scale * value, ridge),
+                    levels(self.groups, known, scale * value, ridge),
                     scale,
                     replace(self.config, neighbours=value),
                     weights,

@@ -57,7 +57,7 @@ class MotionProblem:
     def with_prior(self, x: np.ndarray, v_motion: np.ndarray) -> np.ndarray:
         """`normal`, [P, 3], of the θ of a field x, given what the views say of its motion [N, DOF]."""
         v = self.graph.from_motion(v_motion)
-        v += self.scale * (self.config.neighbours * (self.graph.stiffness @ x) + self.config.ridge * x)
+        self.graph.add_prior(x, self.scale * self.config.neighbours, self.scale * self.config.ridge, v)
         return self.levels.from_field(v)
 
     def right_hand_side(self, pictures: np.ndarray) -> np.ndarray:
@@ -99,23 +99,6 @@ def normals_of(problems: Sequence[MotionProblem], thetas: Sequence[np.ndarray]) 
     motions = np.stack([first.graph.motion(x) for x in fields])
     v_motions = np.zeros_like(motions)
     for k, view in enumerate(first.views):
-        view.pull_all(first.weighted(k, view.push_all(motions, first.buffers)), v_motions, first.buffers)
+        weights = None if first.weights is None else first.weights[k]
+        view.normal_all(motions, weights, v_motions, first.buffers)
     return [p.with_prior(x, v) for p, x, v in zip(problems, fields, v_motions, strict=True)]
-
-
-def information_scale(
-    views: list[RestView],
-    n: int,
-    rng: np.random.Generator,
-    weights: np.ndarray | None = None,
-    probes: int = 2,
-) -> float:
-    """Mean over Gaussians and coordinates of the diagonal of JᵀWJ for displacement, by random signs (Hutchinson)."""
-    total = 0.0
-    for _ in range(probes):
-        motion = np.zeros((n, DOF), np.float32)
-        motion[:, :3] = rng.choice(np.array([-1, 1], np.float32), (n, 3))
-        for k, view in enumerate(views):
-            squares = view.push(motion).astype(np.float64) ** 2
-            total += float((squares if weights is None else squares * weights[k, ..., None]).sum())
-    return total / (probes * 3 * n)

@@ -8,17 +8,22 @@ from tg4mm.motion.linear import DOF, RestView
 from tg4mm.motion.video import FixedCamera
 
 
+def directions(camera: FixedCamera, means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit vectors [N, 3] from the camera to the points `means` [N, 3], and across that, along the pictures' rows."""
+    turn, shift = camera.viewmat[:3, :3].astype(np.float64), camera.viewmat[:3, 3]
+    along = means + turn.T @ shift  # from the camera's centre −Rᵀt
+    along = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
+    across = np.cross(along, turn[1])
+    return along, across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
+
+
 def sight_ratio(view: RestView, camera: FixedCamera, means: np.ndarray, seed: int = 0) -> float:
     """Change of the picture (rms) for motion towards the camera over that for motion across, same lengths.
 
     means [N, 3] in scene units. Signs are random from Gaussian to Gaussian, so that nothing cancels but by chance.
     0 where no motion across is seen.
     """
-    turn, shift = camera.viewmat[:3, :3].astype(np.float64), camera.viewmat[:3, 3]
-    along = means + turn.T @ shift  # from the camera's centre −Rᵀt
-    along = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
-    across = np.cross(along, turn[1])
-    across = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
+    along, across = directions(camera, means)
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], (len(means), 1))
     seen = []
     for direction in (along, across):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-import warnings
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,16 +19,19 @@ from torch import Tensor
 from tg4mm.capture import Capture, ImageStack
 from tg4mm.capture.pictures import FilePictures
 from tg4mm.device import gpu_figures, reset_gpu_peak
-from tg4mm.errors import Tg4mmError
 from tg4mm.gaussians import Gaussians
 from tg4mm.memory import peak_memory_mib
 from tg4mm.motion.config import MotionConfig
+from tg4mm.motion.config import checked as checked
 from tg4mm.motion.differences import temporal_components
-from tg4mm.motion.halves import agreed_gain, deviation, halves
+from tg4mm.motion.doubt import doubt
+from tg4mm.motion.halves import agreed_fields, deviation, halves
 from tg4mm.motion.linear import DOF, rest_view
 from tg4mm.motion.modal import ModalMotion
+from tg4mm.motion.noise import pixel_weights
 from tg4mm.motion.pose import Findings, Problems, posed
-from tg4mm.motion.sight import sight_ratio
+from tg4mm.motion.problem import MotionProblem
+from tg4mm.motion.rounds import ABOVE_PX, Rounds
 from tg4mm.motion.solve import CGState, placed, start, step_all
 from tg4mm.motion.spectrum import phasors
 from tg4mm.motion.video import fixed_cameras
@@ -40,24 +43,8 @@ TOGETHER = (
     8  # components that share a pass over the views: half the time of eight passes, memory for eight fields
 )
 _STATE = 3  # of a checkpoint: one of another version is begun anew, as its fields are of other parameters
-UNCERTAINTY = "uncertainty"  # part of the run: [N] float32, see `_Stage.agreed`
-_STAGE = "motion"
-
-
-def checked(config: MotionConfig) -> MotionConfig:
-    """`config`. Raises Tg4mmError on a value out of range."""
-    checks = {
-        "components": (config.components >= 1, ">= 1"),
-        "neighbours": (math.isfinite(config.neighbours) and config.neighbours >= 0, ">= 0"),
-        "ridge": (math.isfinite(config.ridge) and config.ridge > 0, "> 0"),
-        "iterations": (config.iterations >= 1, ">= 1"),
-        "tolerance": (1e-6 <= config.tolerance < 1, "1e-6 (what float32 holds) to 1"),
-        "seed": (0 <= config.seed < 1 << 63, "0 to 2⁶³ − 1"),
-    }
-    for name, (good, expected) in checks.items():
-        if not good:
-            raise Tg4mmError(f"setting motion.{name} is {getattr(config, name)}, expected {expected}")
-    return config
+UNCERTAINTY = "uncertainty"  # part of the run: docs/conventions.md
+_STAGE, ROUNDS = "motion", "rounds"  # checkpoints
 
 
 @dataclass
@@ -118,35 +105,48 @@ class _Stage:
         self.components = temporal_components(images, self.cameras, config.components)
         size = (capture.width, capture.height)
         views = [rest_view(gaussians, camera, size) for camera in self.cameras]
-        means = gaussians.means.numpy()
         self.parts = (halves(len(views)) if config.halves else []) or [np.arange(len(views))]
         problems = Problems(views, gaussians, config, device)
         self.findings, whole = posed(problems, self.parts, self.components, TOGETHER, known)
+        self.at_rest, self.images, self.gaussians = problems.views, images, gaussians
         self.problems = [whole.of_views(rows) for rows in self.parts]
         self.signal = np.flatnonzero(~self.findings.is_noise)
         self.basis = self.components.basis[self.signal]
-        self.means = means
-        if len(views) == 1:
-            _warn_of_depth(sight_ratio(views[0], self.cameras[0], means, config.seed))
         self.saved = time.monotonic()
         self.began = began  # what log.json does not hold yet
 
-    def agreed(self, shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray | None, dict[str, Any]]:
-        """From all fields [P R, N, DOF]: the final ones [R, N, DOF], the uncertainty [N], figures for the log.
+    def agreed(
+        self, all_shapes: np.ndarray, gaussians: Gaussians, target: np.ndarray | None
+    ) -> tuple[np.ndarray, dict[str, Tensor], dict[str, Any]]:
+        """From all fields [P R, N, DOF]: the final ones [R, N, DOF], `UNCERTAINTY`, figures for the log.
 
-        The uncertainty is the standard deviation of the displacement's noise, rms over timesteps, scene units; None
-        where the cameras are not halved.
+        target: component images that the fields explain, if not those of the linear fit.
         """
-        if len(self.parts) == 1:
-            return shapes, None, {}
-        a, b = np.split(shapes, 2)
-        whole = (a + b) / 2
-        gain = agreed_gain(whole[..., :3], a[..., :3], b[..., :3])
-        noise = deviation(a[..., :3], b[..., :3], self.means)
-        power = max(float((whole[..., :3] ** 2).sum()), 1e-30)
+        fields = all_shapes.reshape(len(self.parts), -1, *all_shapes.shape[1:])
+        shapes, gain = agreed_fields(fields)
+        if len(fields) == 1:
+            return shapes, *self._doubt(shapes, gaussians, target)
+        noise = deviation(fields[0][..., :3], fields[1][..., :3], gaussians.means.numpy())
+        power = max(float((fields.mean(0)[..., :3] ** 2).sum()), 1e-30)
         ratio = float(np.sqrt((noise.astype(np.float64) ** 2).sum() / power))
         figures = {"gain_of_components": [round(float(g), 4) for g in gain], "noise_to_motion": ratio}
-        return whole * gain[:, None, None], noise / np.float32(math.sqrt(self.n_timesteps)), figures
+        return shapes, {"displacement": torch.from_numpy(noise) / math.sqrt(self.n_timesteps)}, figures
+
+    def _doubt(
+        self, shapes: np.ndarray, gaussians: Gaussians, target: np.ndarray | None
+    ) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        """Uncertainty and figures where the cameras are too few to be halved; none where it was not asked for."""
+        if not self.config.halves:
+            return {}, {}
+        height, width = self.components.images.shape[2:4]
+        views = [rest_view(gaussians, camera, (width, height)) for camera in self.cameras]
+        problems = Problems(views, gaussians, self.config, "cpu")
+        weights = pixel_weights(self.components, self.findings.is_noise)
+        (problem,) = problems.of(weights, [self.findings.neighbours])
+        assert isinstance(problem, MotionProblem)
+        pictures = self.components.images[:, self.signal] if target is None else target
+        found = doubt(problem, pictures, shapes, gaussians, self.cameras, self.n_timesteps, self.config.seed)
+        return dict(found.tensors), dict(found.figures)
 
     def motion(self, shapes: np.ndarray) -> ModalMotion:
         freqs, values = phasors(self.basis, shapes, self.fps)
@@ -156,7 +156,7 @@ class _Stage:
         """Solve for every component that is not solved yet. One unit of progress is one iteration of one of them."""
         n_fields = len(self.signal) * len(self.parts)
         if not len(fit.shapes):
-            fit.shapes = np.zeros((n_fields, len(self.means), DOF), np.float32)
+            fit.shapes = np.zeros((n_fields, len(self.gaussians), DOF), np.float32)
         with progress("motion stage", n_fields * self.config.iterations, start=self._done(fit)) as update:
             while fit.component < n_fields:
                 self._solve(fit, update)
@@ -186,23 +186,50 @@ class _Stage:
             worst = max(cg.relative_residual for cg in fit.cgs)
             update(self._done(fit), components=f"{len(going)} at once", residual=round(worst, 4))
             if time.monotonic() - self.saved > CHECKPOINT_EVERY_S:
-                state = fit.state() | {"version": _STATE, **self.findings.state()}
-                self.run.save_checkpoint(_STAGE, fit.tensors(), state)
-                self.saved = time.monotonic()
-                self.run.record(_STAGE, {"seconds": self.saved - self.began})
-                self.began = self.saved
+                self._save_fit(fit)
         for k, cg in enumerate(fit.cgs):
             fit.shapes[fit.component + k] = _on_cpu(problem.field(cg.x))
         fit.component, fit.cgs = fit.component + len(fit.cgs), []
         update(self._done(fit))
 
+    def _save_fit(self, fit: _Fit) -> None:
+        self._save(_STAGE, fit.tensors(), fit.state() | {"version": _STATE, **self.findings.state()})
 
-def _warn_of_depth(ratio: float) -> None:
-    warnings.warn(
-        f"one camera: motion along its line of sight changes the pictures {ratio:.2g} times as much as motion across, "
-        "so that part of the motion is a guess from neighbours; a second camera from the side would show it",
-        stacklevel=2,
-    )
+    def _save(self, name: str, tensors: dict[str, Tensor], state: dict[str, Any]) -> None:
+        self.run.save_checkpoint(name, tensors, state)
+        self.saved = time.monotonic()
+        self.run.record(_STAGE, {"seconds": self.saved - self.began})
+        self.began = self.saved
+
+    def beyond(self, fit: _Fit) -> tuple[Gaussians, np.ndarray, np.ndarray | None, dict[str, Any]]:
+        """After the rounds, which start where motion is not small: Gaussians, fields [P R, N, DOF], what component
+        images [V, R, H, W, 3] these explain (None: those there were), figures."""
+        fields = fit.shapes.reshape(len(self.parts), -1, *fit.shapes.shape[1:])
+        rounds = Rounds(
+            self.images, self.cameras, self.components, self.findings, self.parts, self.config, self.device
+        )
+        checkpoint = self.run.load_checkpoint(ROUNDS)
+        where, pixels = rounds.begun(
+            self.gaussians, self.at_rest, fields, self.findings.neighbours, checkpoint
+        )
+        figures: dict[str, Any] = {"pixels_moved": pixels, "rounds": 0}
+        if not self.config.rounds or (pixels <= ABOVE_PX and not where.misfits):
+            return self.gaussians, fit.shapes, None, figures
+        if checkpoint is None:
+            self._save_fit(fit)  # whatever happens now, the linear fit is done
+
+        def keep(tensors: Callable[[], dict[str, Tensor]], state: Callable[[], dict[str, Any]]) -> None:
+            if time.monotonic() - self.saved > CHECKPOINT_EVERY_S:
+                self._save(ROUNDS, tensors(), state())
+
+        total = self.config.rounds * rounds.units
+        with progress("motion rounds", total, start=where.round * rounds.units) as update:
+            where = rounds.run(where, keep, update)
+        self._save(ROUNDS, where.tensors(), where.state())  # before the scene at rest is another
+        figures |= {"rounds": where.round, "misfit_of_rounds": where.misfits, "neighbours": where.neighbours}
+        self.basis = rounds.basis
+        target = rounds.target(where) if len(self.parts) == 1 else None
+        return where.gaussians, where.fields.reshape(-1, *fit.shapes.shape[1:]), target, figures
 
 
 def train_motion(
@@ -212,9 +239,10 @@ def train_motion(
 
     Works with the cameras that stay put over all timesteps. The run's log gets seconds, peak_memory_mib,
     components, views, frequencies_hz and the share of the images' changes that the kept components hold. With six
-    cameras or more (and `config.halves`) noise is shrunk by what two halves of them agree on (`halves.py`), and the
-    run gets RUN/uncertainty.safetensors; the log then holds `gain_of_components` and `noise_to_motion`
-    (rms). One camera alone is warned of.
+    cameras or more (and `config.halves`) noise is shrunk by what two halves of them agree on (`halves.py`); the log
+    then holds `gain_of_components`. From them, or with fewer cameras from samples (`posterior.py`), the run gets
+    RUN/uncertainty.safetensors, and the log `noise_to_motion` (rms). One camera alone is warned of. Where things move
+    by more than half a pixel the fit is repeated (`rounds.py`), and the run's Gaussians become sharper by it.
     On CUDA the iterations run there (`device.py`); reading the images, their components, the neighbourhoods and one
     projection of each view are done once on the CPU. Raises CaptureError where no camera stays put, Tg4mmError on
     settings out of range or where the device's memory is too small.
@@ -230,7 +258,8 @@ def train_motion(
     stage = _Stage(run, capture, images, gaussians, config, began, device, known)
     empty = np.zeros((0, len(gaussians), DOF), np.float32)
     fit = stage.fit(_restored(checkpoint, device) if checkpoint else _Fit(empty))
-    shapes, uncertainty, agreement_figures = stage.agreed(fit.shapes)
+    moved, all_shapes, target, round_figures = stage.beyond(fit)
+    shapes, uncertainty, agreement_figures = stage.agreed(all_shapes, moved, target)
     motion = stage.motion(shapes)
     energy = stage.components.energy
     figures = {
@@ -244,9 +273,13 @@ def train_motion(
         "n_frequencies": len(motion.freqs_hz),
         "explained_by_components": float(energy[stage.signal].sum() / max(energy.sum(), 1e-30)),
         **agreement_figures,
+        **round_figures,
     }
-    if uncertainty is not None:  # before the motion, which tells that the stage is done
-        run.save_part(UNCERTAINTY, {"displacement": torch.from_numpy(uncertainty)})
+    if moved is not gaussians:
+        run.save_space(moved, {})
+    if uncertainty:  # before the motion, which tells that the stage is done
+        run.save_part(UNCERTAINTY, uncertainty)
     run.save_motion(motion, figures)
-    run.drop_checkpoint(_STAGE)
+    for name in (ROUNDS, _STAGE):
+        run.drop_checkpoint(name)
     return motion

@@ -13,7 +13,7 @@ import numpy as np
 from numba import float32, int64, njit, prange, uint32, uint64
 
 from tg4mm.rasterize.kernels.compiled import kernel
-from tg4mm.rasterize.kernels.lanes import marked, rows_of_planes, store_block
+from tg4mm.rasterize.kernels.lanes import marked, rows_of_planes, store_block, with_bit
 from tg4mm.rasterize.kernels.layout import ALPHA_MIN, FEAT, FEATURES, SPLAT_WIDTH, TILE
 from tg4mm.rasterize.kernels.memory import (
     address,
@@ -41,12 +41,11 @@ from tg4mm.rasterize.kernels.tiles import (
     inside,
     keep_lines,
     log2_alpha,
-    may_reach,
     pixel,
-    top_of,
+    reach_of_lines,
     work,
 )
-from tg4mm.rasterize.kernels.vector import LANES, bits, fma, lowest_bit, select, wide
+from tg4mm.rasterize.kernels.vector import LANES, bits, fma_where, lowest_bit, select, wide
 
 _HALF = 32
 _BATCH = 2 * _HALF  # pairs, a bit each
@@ -54,7 +53,7 @@ _STRIDE = (2 + FEATURES) * LANES  # planes of a block: transmittance as it runs 
 
 
 @njit(error_model="numpy", inline="always")
-def _look_ahead(splats, pair_gaussian, first, last, end, lanes, blocks, faintest, batch):
+def _look_ahead(splats, pair_gaussian, first, last, end, table, lanes, blocks, faintest, batch):
     """Of the pairs first … last, what blending needs, and for each block which of them may reach it."""
     lines, tops, rows, by_block = batch
     n = int64(0)
@@ -64,54 +63,67 @@ def _look_ahead(splats, pair_gaussian, first, last, end, lanes, blocks, faintest
             pair = first + n
             ask(splats, int64(integer(pair_gaussian, min(pair + AHEAD, end - 1))) * SPLAT_WIDTH)
             row = int64(integer(pair_gaussian, pair)) * SPLAT_WIDTH
-            p, q, dx = keep_lines(splats, row, lines, n * LINES, lanes, blocks)
-            put_number(tops, n, top_of(splats, row, faintest))
+            kept = keep_lines(splats, row, lines, n * LINES, table, lanes, blocks)
+            reach, limit = reach_of_lines(splats, row, table, kept)
+            put_number(tops, n, limit + faintest)
             put_integer(rows, n, uint32(row))
-            words = marked(words, may_reach(splats, row, p, q, dx), bit)
+            words = marked(words, reach, bit)
             bit <<= uint32(1)
             n += 1
         store(by_block, int64(half * BLOCKS), words)
 
 
 @njit(error_model="numpy", inline="always")
-def _blend_block(k, todo, live, splats, batch, held, faintest, state, reached):
-    """Add the pairs `todo` of a batch to block k. Returns the blocks still live.
+def _blend_block(k, todo, splats, batch, held, faintest, state):
+    """Add the pairs `todo` of a batch to block k. Returns in which of them it is seen, and if it still takes light.
 
     The transmittance runs on where a pixel has stopped: it falls, so that nothing more is added. That way the next pair
-    waits for no comparison.
+    waits for no comparison. Nor does the loop end when no pixel is left: once for every block the processor would
+    foresee it wrongly, which costs as much as the rest of a batch.
     """
     lines, tops, rows, _ = batch
     _, _, powers, alpha_max, t_min = held
-    place, bit = k * _STRIDE, uint32(1) << uint32(k)
+    place, seen_in = k * _STRIDE, uint64(0)
     t, left = load(state, place), load(state, place + LANES)
     f0, f1 = load(state, place + 2 * LANES), load(state, place + 3 * LANES)
     f2, f3 = load(state, place + 4 * LANES), load(state, place + 5 * LANES)
     on = t > t_min
     while todo != 0:
         n = lowest_bit(todo)
-        todo &= todo - uint64(1)
+        rest = todo & (todo - uint64(1))
         y = log2_alpha(lines, n * LINES, k, number(tops, n))
         alpha, _, seen = alphas(y, faintest, alpha_max, powers)
         # a pixel that stops here may give nothing, but counts
-        seen_here = bit if bits(on & seen) != 0 else uint32(0)
-        put_integer(reached, n, integer(reached, n) | seen_here)
+        seen_in |= (todo ^ rest) if bits(on & seen) != 0 else uint64(0)
+        todo = rest
         w = t * alpha
         t = t - w
         on = t > t_min
-        w, left = select(on, w, float32(0.0)), select(on, t, left)
+        left = select(on, t, left)
         features = int64(integer(rows, n)) + FEAT
-        f0, f1 = fma(w, number(splats, features), f0), fma(w, number(splats, features + 1), f1)
-        f2, f3 = fma(w, number(splats, features + 2), f2), fma(w, number(splats, features + 3), f3)
-        if bits(on) == 0:
-            live &= ~bit
-            break
+        f0 = fma_where(on, w, number(splats, features), f0)
+        f1 = fma_where(on, w, number(splats, features + 1), f1)
+        f2 = fma_where(on, w, number(splats, features + 2), f2)
+        f3 = fma_where(on, w, number(splats, features + 3), f3)
     store(state, place, t)
     store(state, place + LANES, left)
     store(state, place + 2 * LANES, f0)
     store(state, place + 3 * LANES, f1)
     store(state, place + 4 * LANES, f2)
     store(state, place + 5 * LANES, f3)
-    return live
+    return seen_in, bits(on) != 0
+
+
+@njit(inline="always")
+def _note_seen(by_block, count, reached):
+    """From the pairs in which each block is seen to the blocks in which each pair is seen."""
+    n = int64(0)
+    for half in range(2):
+        words, bit = load(by_block, int64(half * BLOCKS)), uint32(1)
+        for _ in range(max(0, min(count - half * _HALF, _HALF))):
+            put_integer(reached, n, with_bit(words, bit))
+            bit <<= uint32(1)
+            n += 1
 
 
 @njit(inline="always")
@@ -189,6 +201,7 @@ def _forward_tiles(workers, order, counter, tables, frame, splats, image, transm
     rows = tops + 4 * _BATCH
     by_block = rows + 4 * _BATCH
     batch = lines, tops, rows, by_block
+    table_at = address(table)
     splats, gaussians, seen_in = address(splats), address(pair_gaussian), address(reached)
     image, transmittance = image.reshape(-1), transmittance.reshape(-1)
     while True:
@@ -203,21 +216,24 @@ def _forward_tiles(workers, order, counter, tables, frame, splats, image, transm
             continue
         later = order[min(item + workers, len(order) - 1)]
         ask_for_pairs(splats, gaussians, int64(tile_start[later]), int64(tile_start[later + 1]))
-        reached[begin:end] = uint32(0)
         _begin(state)
         blocks = centres(table, x0, y0)
         live = inside(min(TILE, height - y0), min(TILE, width - x0))
-        for first in range(begin, end, _BATCH):
+        first = begin
+        while first < end and live != 0:
             last = min(end, first + _BATCH)
-            _look_ahead(splats, gaussians, first, last, end, held[:2], blocks, faintest, batch)
+            _look_ahead(splats, gaussians, first, last, end, table_at, held[:2], blocks, faintest, batch)
             for k in range(BLOCKS):
                 todo = uint64(integer(by_block, k)) | uint64(integer(by_block, BLOCKS + k)) << uint64(_HALF)
-                if todo != 0 and (live >> uint32(k)) & uint32(1) != 0:
-                    live = _blend_block(
-                        k, todo, live, splats, batch, held, faintest, state, seen_in + 4 * first
-                    )
-            if live == 0:
-                break
+                bit, seen = uint32(1) << uint32(k), uint64(0)
+                if todo != 0 and live & bit != 0:
+                    seen, alive = _blend_block(k, todo, splats, batch, held, faintest, state)
+                    live &= ~uint32(0) if alive else ~bit
+                put_integer(by_block, k, uint32(seen))
+                put_integer(by_block, BLOCKS + k, uint32(seen >> uint64(_HALF)))
+            _note_seen(by_block, last - first, seen_in + 4 * first)
+            first = last
+        reached[first:end] = uint32(0)
         _write(state, x0, y0, frame, image, transmittance)
     keep(room)
 

@@ -70,7 +70,7 @@ _STRIDE = (2 + FEATURES) * LANES
 
 
 @njit(error_model="numpy", inline="always")
-def _look_ahead(splats, pair_gaussian, reached, first, last, end, lanes, blocks, faintest, batch):
+def _look_ahead(splats, pair_gaussian, reached, first, last, end, table, lanes, blocks, faintest, batch):
     """Of the pairs first … last, what their alphas need, and a list of the blocks in which they are seen.
 
     Returns the list's length. An item is BLOCKS times the pair's place in the batch, plus the block.
@@ -80,7 +80,7 @@ def _look_ahead(splats, pair_gaussian, reached, first, last, end, lanes, blocks,
     for n in range(last - first):
         ask(splats, int64(integer(pair_gaussian, min(first + n + AHEAD, end - 1))) * SPLAT_WIDTH)
         row = int64(integer(pair_gaussian, first + n)) * SPLAT_WIDTH
-        keep_lines(splats, row, lines, n * LINES, lanes, blocks)
+        keep_lines(splats, row, lines, n * LINES, table, lanes, blocks)
         put_number(tops, n, top_of(splats, row, faintest))
         todo, base = integer(reached, first + n), uint32(n * BLOCKS)
         while todo != 0:
@@ -239,7 +239,7 @@ def _backward_tiles(workers, order, counter, tables, frame, splats, pictures, v_
         for first in range(begin, end, _BATCH):
             last = min(end, first + _BATCH)
             count = _look_ahead(
-                splats, gaussians, seen_in, first, last, end, held[:2], blocks, faintest, batch
+                splats, gaussians, seen_in, first, last, end, places, held[:2], blocks, faintest, batch
             )
             _alphas_ahead(count, faintest, held, batch)
             here = kept

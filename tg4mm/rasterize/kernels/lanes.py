@@ -10,7 +10,7 @@ from numba import types
 from numba.extending import intrinsic
 
 from tg4mm.rasterize.kernels.memory import data_at
-from tg4mm.rasterize.kernels.vector import F32, FV, I64, IV, LANES, as_lanes, constant_lanes, vector
+from tg4mm.rasterize.kernels.vector import F32, FV, I32, I64, IV, LANES, as_lanes, constant_lanes, vector
 
 
 def _picked(builder, a, b, picks):
@@ -176,3 +176,15 @@ def marked(typingctx, words, condition, bit):
         return builder.bitcast(builder.or_(builder.bitcast(args[0], IV), bits), FV)
 
     return vector(vector, condition, types.uint32), codegen
+
+
+@intrinsic
+def with_bit(typingctx, words, bit):
+    """Mask, as an integer, of those of sixteen times 32 bits that have the bit of the uint32 `bit` set."""
+
+    def codegen(context, builder, sig, args):
+        found = builder.and_(builder.bitcast(args[0], IV), as_lanes(builder, args[1]))
+        lanes = builder.icmp_unsigned("!=", found, ir.Constant(IV, None))
+        return builder.zext(builder.bitcast(lanes, ir.IntType(LANES)), I32)
+
+    return types.uint32(vector, types.uint32), codegen

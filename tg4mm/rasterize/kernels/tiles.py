@@ -47,9 +47,13 @@ AHEAD = 32  # pairs whose Gaussians are asked for ahead of their use: they lie a
 # centres from the tile's corner), then constants that are to stay in registers.
 _LANE = np.arange(LANES)
 _PLACES = [_LANE % _SIDE - 1.5, _LANE // _SIDE - 1.5, _LANE % _SIDE * 4 + 2.0, _LANE // _SIDE * 4 + 2.0]
-TABLE = np.concatenate([*_PLACES, EXP2, [ALPHA_MAX, T_MIN]]).astype(np.float32)
+_HALF_BLOCK = 1.5  # from a block's centre to that of its outermost pixels
+# TABLE's last: constants as whole vectors, which LLVM cannot take apart into numbers that it would have to spread
+_SPREAD = [np.full(LANES, x) for x in (SQUARES, _HALF_BLOCK)]
+TABLE = np.concatenate([*_PLACES, EXP2, [ALPHA_MAX, T_MIN], *_SPREAD]).astype(np.float32)
 _POWERS = 4 * LANES
 _LIMITS = _POWERS + len(EXP2)
+_SPREAD_AT = _LIMITS + 2
 
 
 @njit(inline="always")
@@ -132,16 +136,20 @@ def may_reach(splats, row, p, q, dx):
     A block's p and q lie within a box around those of its centre; if the box's nearest point to the origin is outside
     the ellipse, so is the block. So it is if the ellipse does not extend that far to the left or right.
     """
-    half, zero = float32(1.5), float32(0.0)
     l11, l12, l22 = exponent(splats, row)
-    out_p = magnitude(p) - half * (abs(l11) + abs(l12))
-    out_q = magnitude(q) - half * l22
-    out_p = select(out_p > zero, out_p, zero)
-    out_q = select(out_q > zero, out_q, zero)
-    beside = wide(number(splats, row + EX) + half) >= magnitude(dx)
-    return beside & (
-        wide(number(splats, row + POWER) * float32(2.0 * SQUARES)) >= fma(out_p, out_p, out_q * out_q)
-    )
+    limit = number(splats, row + POWER) * float32(2.0 * SQUARES)
+    return _within(splats, row, p, q, dx, wide(l11), wide(l12), wide(l22), wide(float32(_HALF_BLOCK)), limit)
+
+
+@njit(inline="always")
+def _within(splats, row, p, q, dx, l11, l12, l22, half, limit):
+    """`may_reach`, the exponent and half a block's width in vectors. limit: of p² + q²."""
+    zero = float32(0.0)
+    out_p = fma(negative(l11 + magnitude(l12)), half, magnitude(p))  # l11 > 0
+    out_q = fma(negative(l22), half, magnitude(q))
+    out_p, out_q = select(out_p > zero, out_p, zero), select(out_q > zero, out_q, zero)
+    beside = wide(number(splats, row + EX) + float32(_HALF_BLOCK)) >= magnitude(dx)
+    return beside & (wide(limit) >= fma(out_p, out_p, out_q * out_q))
 
 
 @njit(inline="always")
@@ -151,18 +159,37 @@ def top_of(splats, row, faintest):
 
 
 @njit(inline="always")
-def keep_lines(splats, row, lines, at, lanes, blocks):
+def keep_lines(splats, row, lines, at, table, lanes, blocks):
     """Write from `at` on what `log2_alpha` reads: p and q at the centres, and by what they differ within a block.
 
-    Returns `at_centres`. lanes and blocks: x and y of pixels from their block's centre, and `centres`.
+    Returns p, q, what `exponent` does as vectors, and how far right the centres lie. table: TABLE's address; lanes and
+    blocks: x and y of pixels from their block's centre, and `centres`.
     """
-    l11, l12, l22 = exponent(splats, row)
-    p, q, dx = at_centres(splats, row, blocks[0], blocks[1])
+    # The factor is a whole vector in memory, which LLVM cannot take apart: calculated as single numbers, each of the
+    # three would have to be spread by a shuffle.
+    h = load(table, int64(_SPREAD_AT)) * number(splats, row + R11)
+    l11, l12, l22 = (
+        h * number(splats, row + CA),
+        h * number(splats, row + CB),
+        wide(number(splats, row + L22)),
+    )
+    dx, dy = blocks[0] - number(splats, row + MX), blocks[1] - number(splats, row + MY)
+    p, q = fma(dx, l11, dy * l12), dy * l22
+    own_p, own_q = fma(lanes[0], l11, lanes[1] * l12), lanes[1] * l22
     store(lines, at, p)
     store(lines, at + LANES, q)
-    store(lines, at + 2 * LANES, fma(lanes[0], l11, lanes[1] * l12))
-    store(lines, at + 3 * LANES, lanes[1] * l22)
-    return p, q, dx
+    store(lines, at + 2 * LANES, own_p)
+    store(lines, at + 3 * LANES, own_q)
+    return p, q, l11, l12, l22, dx
+
+
+@njit(inline="always")
+def reach_of_lines(splats, row, table, kept):
+    """`may_reach` from what `keep_lines` returns, and log2(opacity / smallest alpha)."""
+    p, q, l11, l12, l22, dx = kept
+    half = load(table, int64(_SPREAD_AT + LANES))
+    limit = number(splats, row + POWER) * float32(2.0 * SQUARES)
+    return _within(splats, row, p, q, dx, l11, l12, l22, half, limit), limit
 
 
 @njit(inline="always")

@@ -124,6 +124,25 @@ def fma(typingctx, a, b, c):
 
 
 @intrinsic
+def fma_where(typingctx, condition, a, b, c):
+    """a · b + c where the mask is set, else c; a a vector, b finite.
+
+    AVX-512 masks the instruction itself. Elsewhere a is set to 0, once for all calls with the same mask and a.
+    """
+
+    def codegen(context, builder, sig, args):
+        condition, a, b, c = args[0], *(_as_vector(builder, x) for x in args[1:])
+        _, _, features = context.codegen().magic_tuple()
+        masked = "+avx512f" in features
+        if not masked:
+            a = builder.select(condition, a, ir.Constant(FV, None))
+        f = builder.call(declare(builder, "llvm.fmuladd.v16f32", FV, [FV] * 3), [a, b, c])
+        return builder.select(condition, f, c) if masked else f
+
+    return vector(condition, vector, b, c), codegen
+
+
+@intrinsic
 def negative(typingctx, a):
     """-a."""
     return vector(vector), lambda context, builder, sig, args: builder.fneg(args[0])

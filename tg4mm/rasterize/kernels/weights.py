@@ -45,6 +45,19 @@ def look_ahead(splats, pair_gaussian, first, last, end, x0, y0, table, batch):
         masks[n] = bits(may_reach(splats, row, p, q, dx))
 
 
+@njit(error_model="numpy", inline="always")
+def look_ahead_of_reached(splats, pair_gaussian, reached, first, last, end, x0, y0, table, batch):
+    """`look_ahead` where `blend_forward` has told which blocks are reached."""
+    masks, offsets, _, _ = batch
+    block_x, block_y = centres(table, x0, y0)
+    for n in range(last - first):
+        prefetch(splats, int64(pair_gaussian[min(first + n + AHEAD, end - 1)]))
+        p, q, _ = at_centres(splats, int64(pair_gaussian[first + n]) * SPLAT_WIDTH, block_x, block_y)
+        store(offsets, n * 2 * LANES, p)
+        store(offsets, n * 2 * LANES + LANES, q)
+        masks[n] = reached[first + n]
+
+
 @njit(inline="always")
 def batch_room():
     """Room for `look_ahead`, and for `weights`: `kept` and `found`."""
@@ -55,11 +68,11 @@ def batch_room():
 
 
 @njit(error_model="numpy", inline="always")
-def weights(splats, i, n, live, x0, y0, faintest, table, held, state, stride, batch):
+def weights(splats, i, n, live, x0, y0, faintest, table, held, state, stride, batch, count=0):
     """What every change needs from the blocks that Gaussian i, n-th of its batch, reaches; and the next transmittance.
 
-    `kept` gets it, and `found` the place of each of these blocks in the state. Returns their number and the blocks
-    still live.
+    `kept` gets it from block `count` on, and `found` the place of each of these blocks in the state. Returns how many
+    are there then, and the blocks still live.
     """
     masks, offsets, kept, found = batch
     lane_x, lane_y, powers, alpha_max, t_min = held
@@ -69,7 +82,7 @@ def weights(splats, i, n, live, x0, y0, faintest, table, held, state, stride, ba
     at_p, at_q = fma(lane_x, l11, lane_y * l12), lane_y * l22
     at_x = lane_x + (float32(x0) - splats[i, MX])
     at_y = lane_y + (float32(y0) - splats[i, MY])
-    todo, at, count = masks[n] & live, n * 2 * LANES, int64(0)
+    todo, at, count = masks[n] & live, n * 2 * LANES, int64(count)
     while todo != 0:
         k = lowest_bit(todo)
         todo &= todo - uint32(1)

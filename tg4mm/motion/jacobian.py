@@ -1,0 +1,139 @@
+"""From small motions of Gaussians to their splats and back: one Jacobian for each, packed.
+
+Displacement changes all eight columns of a splat, rotation its conic alone: 33 numbers, kept as 36. A Gaussian's rows
+are summed by one thread in a fixed order.
+"""
+
+# mypy: disable-error-code="call-arg, var-annotated"
+# an intrinsic has one argument more than its calls: the typing context
+
+from __future__ import annotations
+
+import numpy as np
+from llvmlite import ir
+from numba import float32, int64, prange, types
+from numba.extending import intrinsic
+
+from tg4mm.rasterize.kernels.compiled import kernel
+from tg4mm.rasterize.kernels.lanes import lane_sums_of_eight, store_eight
+from tg4mm.rasterize.kernels.memory import ask, data_at, load, number
+from tg4mm.rasterize.kernels.tiles import aligned
+from tg4mm.rasterize.kernels.vector import LANES, constant_lanes, fma, vector, wide
+
+DOF = 6  # displacement (scene units) and rotation vector (radians, world axes)
+COLUMNS = 8  # of a splat: mean, conic, colour
+_CONIC = slice(2, 5)
+_PACKED = 36  # three rows of eight, three of three and a zero
+_TURNS = 24 - 2  # where rotations' rows begin, so that the conic's columns lie in their lanes
+_AHEAD = 24  # pairs asked for ahead of their use
+_CHUNK = 256  # Gaussians that a thread takes at a time
+_ONLY = np.array([2 <= lane < 5 for lane in range(LANES)], np.float32)
+
+
+@intrinsic
+def load_eight(typingctx, array, index):
+    """Lanes 0 … 7 from a contiguous float32 array [n]; the others are 0."""
+
+    def codegen(context, builder, sig, args):
+        place = builder.gep(data_at(context, builder, sig.args[0], args[0]), [args[1]])
+        kind = ir.VectorType(ir.FloatType(), COLUMNS)
+        eight = builder.load(builder.bitcast(place, kind.as_pointer()), align=4)
+        return builder.shuffle_vector(eight, ir.Constant(kind, None), constant_lanes(range(LANES)))
+
+    return vector(array, types.int64), codegen
+
+
+def packed(jacobian: np.ndarray) -> np.ndarray:
+    """[n, 8, 6] -> [36 n + 16] float32, as the kernels read it. Rotation must not change mean nor colour."""
+    n = len(jacobian)
+    out = np.zeros(_PACKED * n + LANES, np.float32)
+    rows = out[: _PACKED * n].reshape(n, _PACKED)
+    rows[:, :24].reshape(n, 3, COLUMNS)[:] = jacobian[:, :, :3].transpose(0, 2, 1)
+    rows[:, 24:].reshape(n, 3, 4)[:, :, :3] = jacobian[:, _CONIC, 3:].transpose(0, 2, 1)
+    return out
+
+
+def unpacked(values: np.ndarray) -> np.ndarray:
+    """The inverse of `packed`."""
+    rows = values[:-LANES].reshape(-1, _PACKED)
+    out = np.zeros((len(rows), COLUMNS, DOF), np.float32)
+    out[:, :, :3] = rows[:, :24].reshape(-1, 3, COLUMNS).transpose(0, 2, 1)
+    out[:, _CONIC, 3:] = rows[:, 24:].reshape(-1, 3, 4)[:, :, :3].transpose(0, 2, 1)
+    return out
+
+
+@kernel()
+def _push_rows(first, last, values, rows, only, motions, shape, d_splats):
+    n_changes, n = shape
+    conic = load(only, int64(0))
+    for k in range(first, last):
+        i, at = int64(rows[k]), int64(k) * _PACKED
+        j0, j1, j2 = load(values, at), load(values, at + 8), load(values, at + 16)
+        at += _TURNS
+        t0, t1, t2 = load(values, at), load(values, at + 4), load(values, at + 8)
+        for r in range(n_changes):
+            m = (r * n + i) * DOF
+            shifted = fma(
+                j0, number(motions, m), fma(j1, number(motions, m + 1), j2 * number(motions, m + 2))
+            )
+            m += 3
+            turned = fma(t0, number(motions, m), fma(t1, number(motions, m + 1), t2 * number(motions, m + 2)))
+            store_eight(d_splats, (i * n_changes + r) * COLUMNS, fma(turned, conic, shifted))
+
+
+@kernel()
+def _pull_rows(first, last, values, rows, only, pairs, shape, v_motions):
+    n_changes, n = shape
+    starts, slots, v_pairs = pairs
+    conic, nothing, width = load(only, int64(0)), wide(float32(0.0)), int64(n_changes * COLUMNS)
+    room, end = aligned(LANES), len(slots) - 1
+    for k in range(first, last):
+        i = int64(rows[k])
+        for r in range(n_changes):
+            total = nothing
+            for slot in range(starts[k], starts[k + 1]):
+                ask(v_pairs, int64(slots[min(slot + _AHEAD, end)]) * width)
+                total = total + load_eight(v_pairs, int64(slots[slot]) * width + r * COLUMNS)
+            at, of_conic = int64(k) * _PACKED, total * conic
+            s0, s1, s2 = load(values, at) * total, load(values, at + 8) * total, load(values, at + 16) * total
+            at += _TURNS
+            s3, s4, s5 = load(values, at), load(values, at + 4), load(values, at + 8)
+            sums = lane_sums_of_eight(
+                s0, s1, s2, s3 * of_conic, s4 * of_conic, s5 * of_conic, nothing, nothing
+            )
+            store_eight(room, int64(0), sums)
+            m = (r * n + i) * DOF
+            for d in range(DOF):
+                v_motions[m + d] += room[d]
+
+
+@kernel(parallel=True)
+def _push(count, values, rows, only, motions, shape, d_splats):
+    for chunk in prange((count + _CHUNK - 1) // _CHUNK):
+        last = min(count, (chunk + 1) * _CHUNK)
+        _push_rows(chunk * _CHUNK, last, values, rows, only, motions, shape, d_splats)
+
+
+@kernel(parallel=True)
+def _pull(count, values, rows, only, pairs, shape, v_motions):
+    for chunk in prange((count + _CHUNK - 1) // _CHUNK):
+        last = min(count, (chunk + 1) * _CHUNK)
+        _pull_rows(chunk * _CHUNK, last, values, rows, only, pairs, shape, v_motions)
+
+
+def push(values: np.ndarray, rows: np.ndarray, motions: np.ndarray, d_splats: np.ndarray) -> None:
+    """Motions [R, N, DOF] -> d_splats [N, R, 8], written for the Gaussians `rows` [n], whose Jacobians are `packed`."""
+    _push(len(rows), values, rows, _ONLY, motions.reshape(-1), motions.shape[:2], d_splats.reshape(-1))
+
+
+def pull(
+    values: np.ndarray,
+    rows: np.ndarray,
+    starts: np.ndarray,
+    slots: np.ndarray,
+    v_pairs: np.ndarray,
+    v_motions: np.ndarray,
+) -> None:
+    """The transpose: adds to `v_motions` [R, N, DOF] what pairs [P, R, 8] say, row k's being slots[starts[k] …]."""
+    pairs = starts, slots, v_pairs.reshape(-1)
+    _pull(len(rows), values, rows, _ONLY, pairs, v_motions.shape[:2], v_motions.reshape(-1))

@@ -1,0 +1,37 @@
+"""How far a motion moves things in the pictures: pixels, over what each camera sees."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tg4mm.motion.linear import RestView
+from tg4mm.motion.video import FixedCamera
+
+PERCENT = 95.0  # of the Gaussians seen move by at most so many pixels
+
+
+def pixels_moved(
+    views: Sequence[RestView], cameras: Sequence[FixedCamera], means: np.ndarray, shift: np.ndarray
+) -> float:
+    """What 95 % of the Gaussians that a view sees move by at most, in all views together; 0 if none is seen.
+
+    means [N, 3] and shift [N, 3] in scene units.
+    """
+    moved = [_lengths(view, camera, means, shift) for view, camera in zip(views, cameras, strict=True)]
+    lengths = np.concatenate(moved)
+    return float(np.percentile(lengths, PERCENT)) if len(lengths) else 0.0
+
+
+def _lengths(view: RestView, camera: FixedCamera, means: np.ndarray, shift: np.ndarray) -> np.ndarray:
+    rows = view.bins.order[: view.bins.n_visible]
+    before, after = (_projected(camera, at[rows].astype(np.float64)) for at in (means, means + shift))
+    return np.linalg.norm(after - before, axis=1)
+
+
+def _projected(camera: FixedCamera, points: np.ndarray) -> np.ndarray:
+    """Pixels [n, 2] of points [n, 3]; behind the camera they are taken as if a little before it."""
+    q = points @ camera.viewmat[:3, :3].T.astype(np.float64) + camera.viewmat[:3, 3]
+    q = q @ camera.K.T.astype(np.float64)
+    return np.asarray(q[:, :2] / np.maximum(q[:, 2:], 1e-6))
