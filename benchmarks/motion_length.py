@@ -29,9 +29,9 @@ from tg4mm.evaluate.weights import blending_weights
 from tg4mm.magnify.linear import series_modes
 from tg4mm.motion import ModalMotion, MotionConfig
 from tg4mm.motion.apply import displacement_at
-from tg4mm.motion.differences import temporal_components
+from tg4mm.motion.pictures.differences import temporal_components
+from tg4mm.motion.pictures.video import fixed_cameras
 from tg4mm.motion.train import train_motion
-from tg4mm.motion.video import fixed_cameras
 from tg4mm.runs import Run
 from tg4mm.space import SpaceConfig, rest_views, train_space
 

@@ -24,11 +24,11 @@ from common import machine
 
 from tg4mm.capture import load_capture, load_images
 from tg4mm.motion.config import MotionConfig
-from tg4mm.motion.linear import rest_view
-from tg4mm.motion.pose import Problems
-from tg4mm.motion.problem import MotionProblem
-from tg4mm.motion.video import fixed_cameras
-from tg4mm.motion.weight import DEFAULT
+from tg4mm.motion.jacobian.linear import rest_view
+from tg4mm.motion.pictures.video import fixed_cameras
+from tg4mm.motion.posing.pose import Problems
+from tg4mm.motion.posing.weight import DEFAULT
+from tg4mm.motion.solver.problem import MotionProblem
 from tg4mm.runs import Run
 from tg4mm.space.config import SpaceConfig
 from tg4mm.space.fused import FusedAdam

@@ -17,8 +17,8 @@ from tg4mm.capture import pictures as module
 from tg4mm.capture.pictures import FilePictures, StackedPictures
 from tg4mm.errors import CaptureError
 from tg4mm.motion import differences as differences_module
-from tg4mm.motion.differences import temporal_components
-from tg4mm.motion.video import fixed_cameras
+from tg4mm.motion.pictures.differences import temporal_components
+from tg4mm.motion.pictures.video import fixed_cameras
 
 SIZE = (5, 6)  # height, width
 

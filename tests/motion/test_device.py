@@ -21,10 +21,10 @@ from tg4mm.errors import Tg4mmError
 from tg4mm.motion import MotionConfig, device, meetings, pose
 from tg4mm.motion import train as stage
 from tg4mm.motion.apply import mover
-from tg4mm.motion.device import DeviceProblem
-from tg4mm.motion.linear import DOF, RestView
-from tg4mm.motion.meetings import DeviceView, device_view
-from tg4mm.motion.solve import start, step
+from tg4mm.motion.jacobian.linear import DOF, RestView
+from tg4mm.motion.jacobian.meetings import DeviceView, device_view
+from tg4mm.motion.solver.device import DeviceProblem
+from tg4mm.motion.solver.solve import start, step
 from tg4mm.motion.train import train_motion
 from tg4mm.runs import Run
 

@@ -9,8 +9,8 @@ from tests.space.scenes import capture_of
 from tg4mm.capture import ImageStack
 from tg4mm.motion import differences as differences_module
 from tg4mm.motion import video as video_module
-from tg4mm.motion.differences import kept_components, project, temporal_components
-from tg4mm.motion.video import FixedCamera, fixed_cameras
+from tg4mm.motion.pictures.differences import kept_components, project, temporal_components
+from tg4mm.motion.pictures.video import FixedCamera, fixed_cameras
 
 
 def zero_mean_basis(n: int, n_timesteps: int, seed: int = 0) -> np.ndarray:

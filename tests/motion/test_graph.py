@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tg4mm.motion.graph import BENDING, ROWS, Graph
-from tg4mm.motion.graph import graph as graph_of
+from tg4mm.motion.prior.graph import BENDING, ROWS, Graph
+from tg4mm.motion.prior.graph import graph as graph_of
 
 OMEGA, SHIFT = np.array([0.02, -0.03, 0.05]), np.array([0.1, 0.2, -0.3])
 

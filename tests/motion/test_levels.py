@@ -12,13 +12,13 @@ from scipy.sparse import bsr_matrix
 
 from tests.motion.test_problem import problem
 from tg4mm.motion import groups as module
-from tg4mm.motion.device import DeviceProblem
-from tg4mm.motion.graph import ROWS, graph
-from tg4mm.motion.groups import Groups, groups_of
-from tg4mm.motion.levels import Levels, information
-from tg4mm.motion.linear import DOF
-from tg4mm.motion.problem import MotionProblem
-from tg4mm.motion.solve import CGState, start, step
+from tg4mm.motion.jacobian.linear import DOF
+from tg4mm.motion.prior.graph import ROWS, graph
+from tg4mm.motion.solver.device import DeviceProblem
+from tg4mm.motion.solver.groups import Groups, groups_of
+from tg4mm.motion.solver.levels import Levels, information
+from tg4mm.motion.solver.problem import MotionProblem
+from tg4mm.motion.solver.solve import CGState, start, step
 
 
 def plain(p: MotionProblem) -> MotionProblem:

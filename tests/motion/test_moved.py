@@ -12,14 +12,14 @@ from tests.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion import MotionConfig
-from tg4mm.motion.device import DeviceProblem
-from tg4mm.motion.linear import DOF, rest_view
-from tg4mm.motion.moved import MovedProblem, shown
-from tg4mm.motion.pixels import pixels_moved
-from tg4mm.motion.polish import at_state
-from tg4mm.motion.pose import Problems
-from tg4mm.motion.problem import MotionProblem
-from tg4mm.motion.video import FixedCamera, fixed_cameras
+from tg4mm.motion.jacobian.linear import DOF, rest_view
+from tg4mm.motion.pictures.video import FixedCamera, fixed_cameras
+from tg4mm.motion.posing.pose import Problems
+from tg4mm.motion.rounds.moved import MovedProblem, shown
+from tg4mm.motion.rounds.pixels import pixels_moved
+from tg4mm.motion.rounds.polish import at_state
+from tg4mm.motion.solver.device import DeviceProblem
+from tg4mm.motion.solver.problem import MotionProblem
 
 SIZE = (32, 32)
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from tests.motion.test_weight import CAMERAS, PARTS, as_one, made, shown
-from tg4mm.motion.device import DeviceProblem
-from tg4mm.motion.differences import TemporalComponents
-from tg4mm.motion.noise import LOOSE, noise_components, pixel_weights
-from tg4mm.motion.problem import MotionProblem
+from tg4mm.motion.pictures.differences import TemporalComponents
+from tg4mm.motion.posing.noise import LOOSE, noise_components, pixel_weights
+from tg4mm.motion.solver.device import DeviceProblem
+from tg4mm.motion.solver.problem import MotionProblem
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,8 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from tests.space.scenes import capture_of
-from tg4mm.motion.differences import TemporalComponents, pixel_noise, temporal_components
-from tg4mm.motion.video import fixed_cameras
+from tg4mm.motion.pictures.differences import TemporalComponents, pixel_noise, temporal_components
+from tg4mm.motion.pictures.video import fixed_cameras
 
 SIZE, VIEWS = 40, 3
 EVENED = 4 * np.pi * 1.5**2  # independent pixels in a Gaussian mean of 1.5 px

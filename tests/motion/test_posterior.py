@@ -16,15 +16,15 @@ from tg4mm.capture import load_capture, load_images
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion import ModalMotion, MotionConfig
 from tg4mm.motion.apply import displacement_at
-from tg4mm.motion.linear import DOF, rest_view
-from tg4mm.motion.pose import Problems
-from tg4mm.motion.posterior import n_solves, posterior
-from tg4mm.motion.problem import MotionProblem
-from tg4mm.motion.roots import stiffness_root
-from tg4mm.motion.sight import directions
-from tg4mm.motion.solve import start, step
+from tg4mm.motion.certainty.posterior import n_solves, posterior
+from tg4mm.motion.certainty.sight import directions
+from tg4mm.motion.jacobian.linear import DOF, rest_view
+from tg4mm.motion.pictures.video import FixedCamera, fixed_cameras
+from tg4mm.motion.posing.pose import Problems
+from tg4mm.motion.prior.roots import stiffness_root
+from tg4mm.motion.solver.problem import MotionProblem
+from tg4mm.motion.solver.solve import start, step
 from tg4mm.motion.train import UNCERTAINTY, train_motion
-from tg4mm.motion.video import FixedCamera, fixed_cameras
 from tg4mm.runs import Run
 
 SIGMA = 0.02

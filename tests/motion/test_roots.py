@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tg4mm.motion.graph import Graph, graph
-from tg4mm.motion.roots import stiffness_root
+from tg4mm.motion.prior.graph import Graph, graph
+from tg4mm.motion.prior.roots import stiffness_root
 
 
 @pytest.fixture(scope="module")

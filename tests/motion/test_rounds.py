@@ -20,9 +20,9 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.motion import ModalMotion, MotionConfig, linearised
 from tg4mm.motion import train as stage
 from tg4mm.motion.apply import moved
-from tg4mm.motion.device import DeviceProblem
-from tg4mm.motion.moved import MovedProblem
-from tg4mm.motion.rounds import ABOVE_PX
+from tg4mm.motion.rounds.moved import MovedProblem
+from tg4mm.motion.rounds.rounds import ABOVE_PX
+from tg4mm.motion.solver.device import DeviceProblem
 from tg4mm.motion.train import train_motion
 from tg4mm.render.image import render_image
 from tg4mm.runs import Run

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tg4mm.capture import ImageStack
-from tg4mm.motion.states import MOST, most_states, state_pictures, states_of
-from tg4mm.motion.video import FixedCamera
+from tg4mm.motion.pictures.states import MOST, most_states, state_pictures, states_of
+from tg4mm.motion.pictures.video import FixedCamera
 
 T = 30
 

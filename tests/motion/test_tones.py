@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tg4mm.motion.tones import Tones, found_tones
+from tg4mm.motion.temporal.tones import Tones, found_tones
 
 
 def functions(

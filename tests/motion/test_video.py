@@ -11,7 +11,7 @@ from tg4mm.capture import ImageStack
 from tg4mm.capture.pictures import StackedPictures
 from tg4mm.errors import CaptureError
 from tg4mm.motion import video as module
-from tg4mm.motion.video import fixed_cameras, video_of
+from tg4mm.motion.pictures.video import fixed_cameras, video_of
 
 
 class TestFixedCameras:

@@ -11,11 +11,11 @@ import pytest
 from tests.motion.test_linear import gaussians_of, view_of
 from tests.rasterize.oracle import make_scene
 from tg4mm.motion.config import MotionConfig
-from tg4mm.motion.device import DeviceProblem
-from tg4mm.motion.linear import DOF
-from tg4mm.motion.pose import Problems
-from tg4mm.motion.problem import MotionProblem, normals_of
-from tg4mm.motion.weight import CANDIDATES, DEFAULT, chosen_weight
+from tg4mm.motion.jacobian.linear import DOF
+from tg4mm.motion.posing.pose import Problems
+from tg4mm.motion.posing.weight import CANDIDATES, DEFAULT, chosen_weight
+from tg4mm.motion.solver.device import DeviceProblem
+from tg4mm.motion.solver.problem import MotionProblem, normals_of
 
 N, CAMERAS = 80, 8
 PARTS = [np.arange(CAMERAS)[::2], np.arange(CAMERAS)[1::2]]

@@ -21,20 +21,20 @@ from tg4mm.capture.pictures import FilePictures
 from tg4mm.device import gpu_figures, reset_gpu_peak
 from tg4mm.gaussians import Gaussians
 from tg4mm.memory import peak_memory_mib
+from tg4mm.motion.certainty.doubt import doubt
+from tg4mm.motion.certainty.halves import agreed_fields, deviation, halves
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.config import checked as checked
-from tg4mm.motion.differences import temporal_components
-from tg4mm.motion.doubt import doubt
-from tg4mm.motion.halves import agreed_fields, deviation, halves
-from tg4mm.motion.linear import DOF, rest_view
+from tg4mm.motion.jacobian.linear import DOF, rest_view
 from tg4mm.motion.modal import ModalMotion
-from tg4mm.motion.noise import pixel_weights
-from tg4mm.motion.pose import Findings, Problems, posed
-from tg4mm.motion.problem import MotionProblem
-from tg4mm.motion.rounds import ABOVE_PX, Rounds
-from tg4mm.motion.solve import CGState, placed, start, step_all
-from tg4mm.motion.spectrum import phasors
-from tg4mm.motion.video import fixed_cameras
+from tg4mm.motion.pictures.differences import temporal_components
+from tg4mm.motion.pictures.video import fixed_cameras
+from tg4mm.motion.posing.noise import pixel_weights
+from tg4mm.motion.posing.pose import Findings, Problems, posed
+from tg4mm.motion.rounds.rounds import ABOVE_PX, Rounds
+from tg4mm.motion.solver.problem import MotionProblem
+from tg4mm.motion.solver.solve import CGState, placed, start, step_all
+from tg4mm.motion.temporal.spectrum import phasors
 from tg4mm.progress import progress
 from tg4mm.runs import Run
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tg4mm.motion.tones import SLOW_TURN, Tones, found_tones
+from tg4mm.motion.temporal.tones import SLOW_TURN, Tones, found_tones
 
 ALL_BINS_UP_TO = 64  # timesteps: of longer captures the weakest bins are left out
 _LEFT_OUT = 1e-4  # of the motion's power, at most: 1 % of its rms

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tg4mm.motion.linear import RestView
-from tg4mm.motion.video import FixedCamera
+from tg4mm.motion.jacobian.linear import RestView
+from tg4mm.motion.pictures.video import FixedCamera
 
 PERCENT = 95.0  # of the Gaussians seen move by at most so many pixels
 

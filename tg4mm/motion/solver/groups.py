@@ -13,8 +13,8 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import bsr_matrix, diags
 
-from tg4mm.motion.graph import Graph
-from tg4mm.motion.stiffness import ROWS, smooth_transposed, smoothed, times_blocks
+from tg4mm.motion.prior.graph import Graph
+from tg4mm.motion.prior.stiffness import ROWS, smooth_transposed, smoothed, times_blocks
 
 GROUPS = 256  # at most: their operator is a dense matrix of four times as many rows
 _LEAST = 16  # Gaussians of a group

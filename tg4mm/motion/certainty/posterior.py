@@ -23,11 +23,11 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
-from tg4mm.motion.halves import COUNT
-from tg4mm.motion.moved import shown
-from tg4mm.motion.problem import MotionProblem
-from tg4mm.motion.roots import stiffness_root
-from tg4mm.motion.solve import start, step_all
+from tg4mm.motion.certainty.halves import COUNT
+from tg4mm.motion.prior.roots import stiffness_root
+from tg4mm.motion.rounds.moved import shown
+from tg4mm.motion.solver.problem import MotionProblem
+from tg4mm.motion.solver.solve import start, step_all
 
 DRAWS = 8  # of each kind; neighbours are averaged over besides
 _FOR_FREEDOM = 4

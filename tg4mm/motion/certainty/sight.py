@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tg4mm.motion.linear import DOF, RestView
-from tg4mm.motion.video import FixedCamera
+from tg4mm.motion.jacobian.linear import DOF, RestView
+from tg4mm.motion.pictures.video import FixedCamera
 
 
 def directions(camera: FixedCamera, means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.apply import rotated
-from tg4mm.motion.video import FixedCamera
+from tg4mm.motion.pictures.video import FixedCamera
 from tg4mm.space.losses import photometric_loss
 from tg4mm.space.parameters import ParameterAdam, activate, stride
 from tg4mm.space.view import render_view

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from tg4mm.motion.differences import TemporalComponents, pixel_noise
-from tg4mm.motion.halves import agreed_gain
-from tg4mm.motion.solve import start, step_all
+from tg4mm.motion.certainty.halves import agreed_gain
+from tg4mm.motion.pictures.differences import TemporalComponents, pixel_noise
+from tg4mm.motion.solver.solve import start, step_all
 
 _ITERATIONS = 3  # two to six tell the same
 LOOSE = 30.0  # weight of the neighbours meanwhile: where much holds them together noise agrees too

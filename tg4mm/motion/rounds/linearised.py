@@ -13,13 +13,13 @@ import numpy as np
 import torch
 
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.device import DeviceProblem
-from tg4mm.motion.linear import RestView, rest_view
-from tg4mm.motion.moved import MovedProblem, Problem, shown
-from tg4mm.motion.polish import Seen, at_state
-from tg4mm.motion.problem import MotionProblem
-from tg4mm.motion.states import States, states_of
-from tg4mm.motion.video import FixedCamera
+from tg4mm.motion.jacobian.linear import RestView, rest_view
+from tg4mm.motion.pictures.states import States, states_of
+from tg4mm.motion.pictures.video import FixedCamera
+from tg4mm.motion.rounds.moved import MovedProblem, Problem, shown
+from tg4mm.motion.rounds.polish import Seen, at_state
+from tg4mm.motion.solver.device import DeviceProblem
+from tg4mm.motion.solver.problem import MotionProblem
 from tg4mm.rasterize import rasterization
 
 KNOTS = 5  # at most: each costs as much as the problem at rest

@@ -16,8 +16,8 @@ import numpy as np
 from scipy.sparse import bsr_matrix, csr_matrix
 from scipy.spatial import cKDTree
 
-from tg4mm.motion.following import following
-from tg4mm.motion.stiffness import BENDING, ROWS, Edges, add_prior
+from tg4mm.motion.prior.following import following
+from tg4mm.motion.prior.stiffness import BENDING, ROWS, Edges, add_prior
 
 COUNT = 12  # neighbours of a Gaussian
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix, vstack
 
-from tg4mm.motion.graph import BENDING, ROWS, Graph
+from tg4mm.motion.prior.graph import BENDING, ROWS, Graph
 
 
 def stiffness_root(graph: Graph, means: np.ndarray) -> csr_matrix:

@@ -11,9 +11,9 @@ import torch
 from torch import Tensor
 
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.polish import Polish
-from tg4mm.motion.solve import CGState, placed
-from tg4mm.motion.states import States, labelled
+from tg4mm.motion.pictures.states import States, labelled
+from tg4mm.motion.rounds.polish import Polish
+from tg4mm.motion.solver.solve import CGState, placed
 
 VERSION = 1  # of a checkpoint
 

@@ -19,21 +19,21 @@ from torch import Tensor
 from tg4mm.capture import ImageStack
 from tg4mm.capture.pictures import FilePictures
 from tg4mm.gaussians import Gaussians
+from tg4mm.motion.certainty.halves import LEAST, agreed_fields
 from tg4mm.motion.config import MotionConfig
-from tg4mm.motion.differences import TemporalComponents
-from tg4mm.motion.halves import LEAST, agreed_fields
-from tg4mm.motion.linear import RestView, rest_view
-from tg4mm.motion.linearised import Linearised, linearised, misfit, remaining
-from tg4mm.motion.noise import pixel_weights
-from tg4mm.motion.pixels import pixels_moved
-from tg4mm.motion.polish import Polish, Seen
-from tg4mm.motion.pose import Findings, Problems
-from tg4mm.motion.problem import MotionProblem
-from tg4mm.motion.solve import start, step
-from tg4mm.motion.states import most_states, state_pictures, states_of
-from tg4mm.motion.video import FixedCamera
-from tg4mm.motion.weight import CANDIDATES, chosen_weight
-from tg4mm.motion.where import VERSION, Where, restored
+from tg4mm.motion.jacobian.linear import RestView, rest_view
+from tg4mm.motion.pictures.differences import TemporalComponents
+from tg4mm.motion.pictures.states import most_states, state_pictures, states_of
+from tg4mm.motion.pictures.video import FixedCamera
+from tg4mm.motion.posing.noise import pixel_weights
+from tg4mm.motion.posing.pose import Findings, Problems
+from tg4mm.motion.posing.weight import CANDIDATES, chosen_weight
+from tg4mm.motion.rounds.linearised import Linearised, linearised, misfit, remaining
+from tg4mm.motion.rounds.pixels import pixels_moved
+from tg4mm.motion.rounds.polish import Polish, Seen
+from tg4mm.motion.rounds.where import VERSION, Where, restored
+from tg4mm.motion.solver.problem import MotionProblem
+from tg4mm.motion.solver.solve import start, step
 
 ABOVE_PX = 0.5  # motion up to so many pixels is in the linear range
 _FALL = 0.05  # of the misfit: what falls by less is not worth another round

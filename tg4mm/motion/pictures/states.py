@@ -14,7 +14,7 @@ from scipy.cluster.hierarchy import fcluster, linkage
 
 from tg4mm.capture import ImageStack
 from tg4mm.capture.pictures import FilePictures, over_white, pictures_of
-from tg4mm.motion.video import STRIP_VALUES, FixedCamera, video_of
+from tg4mm.motion.pictures.video import STRIP_VALUES, FixedCamera, video_of
 
 ALIKE_PX = 0.1  # timesteps that differ by less are one state
 MOST = 24  # states, and fewer where their pictures would take more than

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tg4mm.motion.linear import ALPHA_MIN_LINEAR, RestView
+from tg4mm.motion.jacobian.linear import ALPHA_MIN_LINEAR, RestView
 from tg4mm.rasterize.kernels.layout import ALPHA_MAX, CA, CB, CC, FEAT, MX, MY, OP, T_MIN, TILE
 from tg4mm.space.view import WHITE
 

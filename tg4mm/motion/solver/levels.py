@@ -17,9 +17,9 @@ import numpy as np
 from scipy.linalg import cholesky
 from scipy.linalg.lapack import dtrtri
 
-from tg4mm.motion.groups import Groups
-from tg4mm.motion.linear import DOF, RestView
-from tg4mm.motion.stiffness import ROWS, times_blocks
+from tg4mm.motion.jacobian.linear import DOF, RestView
+from tg4mm.motion.prior.stiffness import ROWS, times_blocks
+from tg4mm.motion.solver.groups import Groups
 
 PROBES = 8  # random pictures for the images' part of the diagonal: 50 % spread, which a preconditioner bears
 

@@ -12,11 +12,11 @@ import torch
 from torch import Tensor
 
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.linear import RestView
-from tg4mm.motion.posterior import Posterior, n_solves, posterior
-from tg4mm.motion.problem import MotionProblem
-from tg4mm.motion.sight import directions, sight_ratio
-from tg4mm.motion.video import FixedCamera
+from tg4mm.motion.certainty.posterior import Posterior, n_solves, posterior
+from tg4mm.motion.certainty.sight import directions, sight_ratio
+from tg4mm.motion.jacobian.linear import RestView
+from tg4mm.motion.pictures.video import FixedCamera
+from tg4mm.motion.solver.problem import MotionProblem
 from tg4mm.progress import progress
 
 

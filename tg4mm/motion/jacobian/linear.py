@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.jacobian import DOF, packed, pull, push, unpacked
-from tg4mm.motion.video import FixedCamera
+from tg4mm.motion.jacobian.packed import DOF, packed, pull, push, unpacked
+from tg4mm.motion.pictures.video import FixedCamera
 from tg4mm.rasterize.buffers import Buffers, take
 from tg4mm.rasterize.kernels.binning import Bins, bin_splats
 from tg4mm.rasterize.kernels.blend import blend_forward

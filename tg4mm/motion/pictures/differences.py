@@ -21,7 +21,7 @@ from scipy.ndimage import gaussian_filter
 
 from tg4mm.capture import ImageStack
 from tg4mm.capture.pictures import FilePictures, pictures_of
-from tg4mm.motion.video import FixedCamera, Video, video_of
+from tg4mm.motion.pictures.video import FixedCamera, Video, video_of
 
 # Bytes of differences, kept from the first look for the second; what is more is composited again
 CACHE_BYTES = 128 << 20

@@ -10,15 +10,15 @@ import numpy as np
 
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.config import MotionConfig
-from tg4mm.motion.device import DeviceProblem
-from tg4mm.motion.differences import TemporalComponents
-from tg4mm.motion.graph import graph
-from tg4mm.motion.groups import groups_of
-from tg4mm.motion.levels import Known, information, levels
-from tg4mm.motion.linear import RestView
-from tg4mm.motion.noise import LOOSE, noise_components, pixel_weights
-from tg4mm.motion.problem import MotionProblem
-from tg4mm.motion.weight import CANDIDATES, DEFAULT, chosen_weight
+from tg4mm.motion.jacobian.linear import RestView
+from tg4mm.motion.pictures.differences import TemporalComponents
+from tg4mm.motion.posing.noise import LOOSE, noise_components, pixel_weights
+from tg4mm.motion.posing.weight import CANDIDATES, DEFAULT, chosen_weight
+from tg4mm.motion.prior.graph import graph
+from tg4mm.motion.solver.device import DeviceProblem
+from tg4mm.motion.solver.groups import groups_of
+from tg4mm.motion.solver.levels import Known, information, levels
+from tg4mm.motion.solver.problem import MotionProblem
 from tg4mm.rasterize.reference import rotation_matrices
 
 

@@ -1,0 +1,1 @@
+"""How pictures answer to small motions."""

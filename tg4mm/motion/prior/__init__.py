@@ -1,0 +1,1 @@
+"""What motion is likely: neighbours move alike."""

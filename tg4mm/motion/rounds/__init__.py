@@ -1,0 +1,1 @@
+"""Motion of more than a pixel, by repeated fits."""

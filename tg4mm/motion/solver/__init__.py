@@ -1,0 +1,1 @@
+"""The least-squares problem and how it is solved."""

@@ -1,0 +1,1 @@
+"""Frequencies, tones and drift of what changes."""
