@@ -71,7 +71,11 @@ class Groups:
         v = v.copy()
         for _ in range(_STEPS):
             smooth_transposed(self.graph.edges, self.smoother, v)
-        return np.asarray(self.plain.T @ v)
+        return np.asarray(self._gathering @ v)
+
+    @cached_property
+    def _gathering(self) -> bsr_matrix:
+        return self.plain.T.tobsr()
 
 
 def groups_of(graph: Graph, means: np.ndarray) -> Groups:
