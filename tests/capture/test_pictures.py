@@ -16,7 +16,7 @@ from tg4mm.capture import Capture, load_images
 from tg4mm.capture import pictures as module
 from tg4mm.capture.pictures import FilePictures, StackedPictures
 from tg4mm.errors import CaptureError
-from tg4mm.motion import differences as differences_module
+from tg4mm.motion.pictures import differences as differences_module
 from tg4mm.motion.pictures.differences import temporal_components
 from tg4mm.motion.pictures.video import fixed_cameras
 

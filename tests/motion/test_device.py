@@ -18,11 +18,14 @@ from tests.space.test_train import Killed, killed_after
 from tests.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture, load_images
 from tg4mm.errors import Tg4mmError
-from tg4mm.motion import MotionConfig, device, meetings, pose
+from tg4mm.motion import MotionConfig
 from tg4mm.motion import train as stage
 from tg4mm.motion.apply import mover
+from tg4mm.motion.jacobian import meetings
 from tg4mm.motion.jacobian.linear import DOF, RestView
 from tg4mm.motion.jacobian.meetings import DeviceView, device_view
+from tg4mm.motion.posing import pose
+from tg4mm.motion.solver import device
 from tg4mm.motion.solver.device import DeviceProblem
 from tg4mm.motion.solver.solve import start, step
 from tg4mm.motion.train import train_motion

@@ -7,8 +7,8 @@ import pytest
 
 from tests.space.scenes import capture_of
 from tg4mm.capture import ImageStack
-from tg4mm.motion import differences as differences_module
-from tg4mm.motion import video as video_module
+from tg4mm.motion.pictures import differences as differences_module
+from tg4mm.motion.pictures import video as video_module
 from tg4mm.motion.pictures.differences import kept_components, project, temporal_components
 from tg4mm.motion.pictures.video import FixedCamera, fixed_cameras
 

@@ -17,9 +17,10 @@ from tg4mm.evaluate.displacement import displacement_figures
 from tg4mm.evaluate.truth import exact_motion, load_truth
 from tg4mm.evaluate.weights import blending_weights
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion import ModalMotion, MotionConfig, linearised
+from tg4mm.motion import ModalMotion, MotionConfig
 from tg4mm.motion import train as stage
 from tg4mm.motion.apply import moved
+from tg4mm.motion.rounds import linearised
 from tg4mm.motion.rounds.moved import MovedProblem
 from tg4mm.motion.rounds.rounds import ABOVE_PX
 from tg4mm.motion.solver.device import DeviceProblem

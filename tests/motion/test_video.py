@@ -10,7 +10,7 @@ from tests.space.scenes import capture_of
 from tg4mm.capture import ImageStack
 from tg4mm.capture.pictures import StackedPictures
 from tg4mm.errors import CaptureError
-from tg4mm.motion import video as module
+from tg4mm.motion.pictures import video as module
 from tg4mm.motion.pictures.video import fixed_cameras, video_of
 
 
