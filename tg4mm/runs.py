@@ -39,6 +39,7 @@ from tg4mm.runconfig import (
 from tg4mm.runlog import with_figures
 from tg4mm.tensorfile import read_tensors, write_tensors
 
+UNCERTAINTY = "uncertainty"  # a part: how uncertain the motion of every Gaussian is, docs/conventions.md
 _GAUSSIAN_FIELDS = ("means", "quats", "scales", "opacities", "sh")
 
 

@@ -14,8 +14,8 @@ from tests.synthetic import make_synthetic_dataset
 from tg4mm.capture import ImageStack, load_capture, load_images
 from tg4mm.motion import MotionConfig
 from tg4mm.motion.certainty.halves import LEAST, agreed_gain, deviation, halves
-from tg4mm.motion.train import UNCERTAINTY, train_motion
-from tg4mm.runs import Run
+from tg4mm.motion.train import train_motion
+from tg4mm.runs import UNCERTAINTY, Run
 
 SIGMA = 0.3
 CONFIG = MotionConfig(components=1, iterations=15, tolerance=1e-3)

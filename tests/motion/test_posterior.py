@@ -24,8 +24,8 @@ from tg4mm.motion.posing.pose import Problems
 from tg4mm.motion.prior.roots import stiffness_root
 from tg4mm.motion.solver.problem import MotionProblem
 from tg4mm.motion.solver.solve import start, step
-from tg4mm.motion.train import UNCERTAINTY, train_motion
-from tg4mm.runs import Run
+from tg4mm.motion.train import train_motion
+from tg4mm.runs import UNCERTAINTY, Run
 
 SIGMA = 0.02
 BALL = 252  # the last Gaussians

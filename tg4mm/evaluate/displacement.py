@@ -27,7 +27,7 @@ def displacement_figures(
     Figures that divide by no motion are None. Raises ValueError if the three do not fit together.
     """
     weights = _check(estimated, true, weights)
-    error2, true2, estimated2 = _mean_squares(estimated, true)  # [N] each
+    error2, true2, estimated2 = mean_squares(estimated, true)  # [N] each
     rms = {k: _rms(v, weights) for k, v in (("error", error2), ("true", true2), ("estimated", estimated2))}
     still = true2 <= STATIC_BELOW**2 * true2.max(initial=0.0)
     figures: dict[str, Any] = {
@@ -91,7 +91,7 @@ def _check(estimated: ModalMotion, true: ModalMotion, weights: np.ndarray) -> np
     return weights
 
 
-def _mean_squares(estimated: ModalMotion, true: ModalMotion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def mean_squares(estimated: ModalMotion, true: ModalMotion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Per Gaussian the mean over timesteps of |estimated − true|², |true|², |estimated|²: [N] each."""
     sums = np.zeros((3, true.displacement.shape[1]))
     for t in range(true.n_timesteps):

@@ -71,7 +71,8 @@ def evaluate_run(
           gap_to_ceiling             {same keys} | null: how much worse "ours" is than the ceiling
         displacement_error         {method: rms/rms} | null; by definition "nothing moves" 1, the ceiling 0
         displacement               `displacement_figures` of "ours" | null; given a band, `in_band` holds the
-                                   same of the modes inside it
+                                   same of the modes inside it; `uncertainty`: `uncertainty_figures`, where
+                                   the run says how sure it is
         absent                     {what: why}
         notes                      [text]
         seconds                    of this call

@@ -14,6 +14,7 @@ from tg4mm.evaluate.displacement import displacement_figures
 from tg4mm.evaluate.errors import EvaluationError
 from tg4mm.evaluate.scores import Method, Posing, in_bands
 from tg4mm.evaluate.truth import TRUTH_FILE, exact_motion, load_truth
+from tg4mm.evaluate.uncertainty import uncertainty_figures
 from tg4mm.evaluate.weights import blending_weights
 from tg4mm.gaussians import Gaussians
 from tg4mm.magnify import BandGain, Magnification
@@ -21,7 +22,7 @@ from tg4mm.magnify.bands import check_bands
 from tg4mm.magnify.poses import method_of, poses_of
 from tg4mm.modelhash import model_hash
 from tg4mm.motion.modal import ModalMotion
-from tg4mm.runs import Run
+from tg4mm.runs import UNCERTAINTY, Run
 
 STATIC, OURS, CEILING = "nothing moves", "ours", "ceiling"
 
@@ -33,6 +34,9 @@ class Subject:
     gaussians: Gaussians
     estimated: ModalMotion | None
     exact: ModalMotion | None
+    uncertainty: (
+        np.ndarray | None
+    )  # [N] standard deviation of the displacement, scene units, if the run says it
     bands: tuple[tuple[float, float], ...]
     from_zero: bool  # a mode of 0 Hz is the way to the motion's own zero, from which the truth counts
     posing: Posing | None  # None: modal, by the estimated motion and at most one band
@@ -79,7 +83,10 @@ def subject_of(
     check_bands(bands, capture.fps)
     posing = None if estimated is None else _posing(run, bands, plan, device)
     from_zero = run.preset == "modal"
-    return Subject(gaussians.to(device), estimated, exact, tuple(bands), from_zero, posing)
+    uncertainty = None
+    if run.has_part(UNCERTAINTY):
+        uncertainty = run.load_part(UNCERTAINTY)[0]["displacement"].numpy()
+    return Subject(gaussians.to(device), estimated, exact, uncertainty, tuple(bands), from_zero, posing)
 
 
 def _posing(
@@ -99,7 +106,10 @@ def _posing(
 
 
 def displacement_of(subject: Subject, capture: Capture, absent: dict[str, str]) -> dict[str, Any] | None:
-    """`displacement_figures` of the run's motion, also of the part in the band, if both motions are there."""
+    """`displacement_figures` of the run's motion, also of the part in the band, if both motions are there.
+
+    `uncertainty` holds `uncertainty_figures` where the run says how sure it is.
+    """
     estimated, exact = subject.estimated, subject.exact
     if estimated is None or exact is None:
         return None
@@ -110,6 +120,8 @@ def displacement_of(subject: Subject, capture: Capture, absent: dict[str, str]) 
     if subject.from_zero:
         estimated = estimated.selected(estimated.freqs_hz > 0)
     figures = displacement_figures(estimated, exact, weights, capture.unit_scale_m)
+    if subject.uncertainty is not None:
+        figures["uncertainty"] = uncertainty_figures(estimated, exact, weights, subject.uncertainty)
     if subject.bands:
         inside = [m.selected(in_bands(m.freqs_hz, subject.bands)) for m in (estimated, exact)]
         figures["in_band"] = displacement_figures(inside[0], inside[1], weights, capture.unit_scale_m)

@@ -45,6 +45,11 @@ def _displacement(figures: dict[str, Any] | None) -> list[str]:
         lines.append(
             f"Static leak {leak:.4f} (rms of motion given to what stands still / rms of true motion)"
         )
+    if sure := figures.get("uncertainty"):
+        lines.append(
+            f"Uncertainty {sure['said']:.2g} units rms as the run says it, {sure['error']:.2g} by the truth; "
+            f"{100 * sure['within_two']:.0f} % of what is seen is off by at most twice what is said"
+        )
     for row in figures["per_frequency"]:
         estimated, true = (_length(row, f"amplitude_{which}") for which in ("estimated", "true"))
         ratio = _number(row["amplitude_ratio"], "{:.3f}")

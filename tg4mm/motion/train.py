@@ -36,14 +36,13 @@ from tg4mm.motion.solver.problem import MotionProblem
 from tg4mm.motion.solver.solve import CGState, placed, start, step_all
 from tg4mm.motion.temporal.spectrum import phasors
 from tg4mm.progress import progress
-from tg4mm.runs import Run
+from tg4mm.runs import UNCERTAINTY, Run
 
 CHECKPOINT_EVERY_S = 20.0
 TOGETHER = (
     8  # components that share a pass over the views: half the time of eight passes, memory for eight fields
 )
 _STATE = 3  # of a checkpoint: one of another version is begun anew, as its fields are of other parameters
-UNCERTAINTY = "uncertainty"  # part of the run: docs/conventions.md
 _STAGE, ROUNDS = "motion", "rounds"  # checkpoints
 
 
