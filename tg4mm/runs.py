@@ -1,8 +1,9 @@
 """The run folder: what training was asked for, what it has made so far, and where it can go on after a kill.
 
     RUN/config.json                 dataset, preset, every setting (the seed is one), versions
-    RUN/space.safetensors           Gaussians at rest
+    RUN/space.safetensors           Gaussians at rest; written again where large motion made them sharper
     RUN/motion.safetensors          modal motion of those Gaussians; absent for a capture of one timestep
+    RUN/uncertainty.safetensors     how uncertain the motion of every Gaussian is
     RUN/log.json                    figures of every stage: seconds, peak_memory_mib, psnr, …
     RUN/checkpoint_<stage>.safetensors   state of an unfinished stage
     RUN/triplane.safetensors, RUN/planes_0001.safetensors …   parts of the preset `paper` (tg4mm/paper/model.py)

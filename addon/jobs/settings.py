@@ -194,7 +194,7 @@ class TG4MM_train(bpy.types.PropertyGroup):
         items=[("cpu", "CPU", ""), ("cuda", "CUDA", "An NVIDIA GPU, with gsplat installed")])
     settings: StringProperty(  # type: ignore[valid-type]
         name="Settings", description="Settings of training that differ from the defaults, with spaces between: "
-        "space.iterations=3000 motion.iterations=500")
+        "space.iterations=3000 motion.rounds=0")
     # fmt: on
 
 

@@ -69,8 +69,7 @@ def _share_within_two(error: np.ndarray, deviation: np.ndarray) -> float:
 
 
 def test_the_truth_of_a_scene_lies_within_two_deviations(trained) -> None:
-    """Across, everywhere; along, of what is seen to move or stand still across. The ball moves along the line of sight
-    alone, which nothing shows: there the truth is three deviations away (docs/decisions.md)."""
+    """Across, everywhere; along, of what is seen to move or stand still across."""
     run, true, camera, _ = trained
     part, _ = run.load_part(UNCERTAINTY)
     along, across = directions(camera, run.load_space().means.numpy())
@@ -78,17 +77,25 @@ def test_the_truth_of_a_scene_lies_within_two_deviations(trained) -> None:
     error, said = _errors(run, true, across)[seen], part["across_sight"].numpy()[seen]
     assert _share_within_two(error, said) > 0.85
     assert (error**2).mean() > 0.04 * (said**2).mean()  # no larger than they must be
-    seen[-BALL:] = False
+    seen[-BALL:] = False  # the next test
     error, said = _errors(run, true, along)[seen], part["along_sight"].numpy()[seen]
     assert _share_within_two(error, said) > 0.85
     assert (error**2).mean() > 0.04 * (said**2).mean()
+
+
+def test_of_what_moves_along_the_sight_alone_it_is_too_sure(trained) -> None:
+    """Nothing in the pictures says how much that is. Known (docs/decisions.md); to be turned round once mended."""
+    run, true, camera, _ = trained
+    along, _ = directions(camera, run.load_space().means.numpy())
+    said = run.load_part(UNCERTAINTY)[0]["along_sight"].numpy()
+    assert _share_within_two(_errors(run, true, along)[-BALL:], said[-BALL:]) < 0.5
 
 
 def test_a_motion_drawn_from_the_prior_lies_where_it_says(posed, trained) -> None:
     """Motion, noise and fit are then all as they are taken to be: 95 % within two deviations."""
     (problem, gaussians), camera = posed, trained[2]
     means, rng = gaussians.means.numpy(), np.random.default_rng(5)
-    root, n = stiffness_root(problem.graph, means), problem.graph.stiffness.shape[0]
+    root, n = stiffness_root(problem.graph), problem.graph.stiffness.shape[0]
     prior = (300.0 * (root.T @ root) + problem.config.ridge * sparse.identity(n)).tocsc()
     noise = np.sqrt(300.0) * (root.T @ rng.standard_normal((root.shape[0], 3)))
     noise += np.sqrt(problem.config.ridge) * rng.standard_normal((n, 3))

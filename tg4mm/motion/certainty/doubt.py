@@ -55,8 +55,8 @@ def doubt(
         view, camera = problem.views[0], cameras[0]
         along, guess = _along_sight(found, view, camera, gaussians, shapes, n_timesteps)
         tensors |= {k: torch.from_numpy(v) for k, v in along.items()}
-        figures["guess_along_sight_percent"] = round(100 * guess, 1)
-        _warn_of_depth(sight_ratio(view, camera, means, seed), guess)
+        percent = figures["guess_along_sight_percent"] = round(100 * guess, 1)
+        _warn_of_depth(sight_ratio(view, camera, means, seed), percent)
     return Doubt(tensors, figures)
 
 
@@ -86,10 +86,10 @@ def _along_sight(
     return {k: np.sqrt(np.maximum(v, 0)).astype(np.float32) for k, v in deviations.items()}, guess
 
 
-def _warn_of_depth(ratio: float, guess: float) -> None:
+def _warn_of_depth(ratio: float, percent: float) -> None:
     warnings.warn(
         f"one camera: motion along its line of sight changes the pictures {ratio:.2g} times as much as motion across, "
-        f"so that {100 * guess:.0f} % of the variance of the motion along it is a guess from neighbours; "
+        f"so that {percent:.0f} % of the variance of the motion along it is a guess from neighbours; "
         "a second camera from the side would show it",
         stacklevel=4,
     )

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 LEAST = 6  # cameras: fewer than three in a half do not hold a field in space
 COUNT = 32  # Gaussians of a neighbourhood, with its own
-_AT_ONCE = 1 << 16  # Gaussians whose neighbourhoods are looked up together
+_AT_ONCE = 1 << 14  # Gaussians whose neighbourhoods are looked up together
 
 
 def halves(n_cameras: int) -> list[np.ndarray]:
@@ -46,9 +46,14 @@ def deviation(a: np.ndarray, b: np.ndarray, means: np.ndarray, count: int = COUN
     before any gain. Errors that all cameras share are not in it.
     """
     spread = np.einsum("rnc,rnc->n", a - b, a - b) / 4
-    tree, count, out = cKDTree(means), min(count, len(means)), np.empty(len(means), np.float32)
+    return np.sqrt(mean_around(spread, means, count)).astype(np.float32)
+
+
+def mean_around(values: np.ndarray, means: np.ndarray, count: int = COUNT) -> np.ndarray:
+    """Of values [N, …], the mean over the `count` Gaussians around each of `means` [N, 3]."""
+    tree, count, out = cKDTree(means), min(count, len(means)), np.empty_like(values)
     for first in range(0, len(means), _AT_ONCE):
         some = slice(first, first + _AT_ONCE)
         around = tree.query(means[some], k=count)[1].reshape(-1, count)
-        out[some] = np.sqrt(spread[around].mean(1))
+        out[some] = values[around].mean(1)
     return out

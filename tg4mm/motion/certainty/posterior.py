@@ -21,9 +21,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import csr_matrix
-from scipy.spatial import cKDTree
 
-from tg4mm.motion.certainty.halves import COUNT
+from tg4mm.motion.certainty.halves import mean_around
 from tg4mm.motion.prior.roots import stiffness_root
 from tg4mm.motion.rounds.moved import shown
 from tg4mm.motion.solver.problem import MotionProblem
@@ -76,10 +75,10 @@ def posterior(
     freedom = _freedom(problem, solver, pictures.shape, rng)
     left = pictures - shown(problem, fields)
     covered = 3 * sum(int((view.transmittance < _COVERED).sum()) for view in problem.views)
-    grown = np.sqrt(covered / max(covered - freedom, 0.1 * covered)).astype(np.float32)
-    noise = [_resigned(left * grown, rng) for _ in range(DRAWS)]
+    left *= np.float32(np.sqrt(max(covered, 1) / max(covered - freedom, 0.1 * covered, 1.0)))
+    noise = [_resigned(left, rng) for _ in range(DRAWS)]
     of_noise = solver.solve(problem.right_hand_sides(np.stack(noise, 1)))
-    root = stiffness_root(problem.graph, means)
+    root = stiffness_root(problem.graph)
     of_prior = solver.solve([_prior_draw(problem, root, rng) for _ in range(DRAWS)])
     scale2 = energy / freedom
     parts = [_covariance(problem, t, means) / np.float32(n_timesteps) for t in (of_noise, of_prior)]
@@ -116,9 +115,9 @@ class _Solver:
 
 def _prior_energy(problem: MotionProblem, x: np.ndarray) -> float:
     """x·P x of a field x [4N, 3]."""
-    x = x.astype(np.float64)
-    stiff = problem.config.neighbours * (problem.graph.stiffness @ x) + problem.config.ridge * x
-    return float(problem.scale * (x * stiff).sum())
+    product = np.zeros_like(x)
+    problem.graph.add_prior(x, problem.config.neighbours, problem.config.ridge, product)
+    return float(problem.scale * (x.astype(np.float64) * product).sum())
 
 
 def _freedom(
@@ -138,14 +137,15 @@ def _freedom(
 def _resigned(left: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """[V, H, W, 3]: the sum of R residuals [V, R, H, W, 3], each with a sign drawn for every block of pixels."""
     v, r, height, width, _ = left.shape
-    blocks = rng.integers(0, 2, (v, r, -(-height // _BLOCK), -(-width // _BLOCK))) * 2 - 1
+    size = (v, r, -(-height // _BLOCK), -(-width // _BLOCK))
+    blocks = rng.choice(np.array([-1, 1], np.float32), size)
     signs = np.repeat(np.repeat(blocks, _BLOCK, 2), _BLOCK, 3)[:, :, :height, :width]
-    return np.asarray((left * signs[..., None]).sum(1), np.float32)
+    return np.asarray(np.einsum("vrhwc,vrhw->vhwc", left, signs), np.float32)
 
 
 def _prior_draw(problem: MotionProblem, root: csr_matrix, rng: np.random.Generator) -> np.ndarray:
     """Right-hand side [P, 3] of a normal draw with covariance P."""
-    n = problem.graph.stiffness.shape[0]
+    n = root.shape[1]
     stiff = root.T @ rng.standard_normal((root.shape[0], 3))
     ridge = rng.standard_normal((n, 3))
     draw = np.sqrt(problem.config.neighbours) * stiff + np.sqrt(problem.config.ridge) * ridge
@@ -156,5 +156,4 @@ def _covariance(problem: MotionProblem, thetas: Sequence[np.ndarray], means: np.
     """[N, 3, 3] float32: mean of u uᵀ over the draws and over the Gaussians around each."""
     u = np.stack([problem.field(t)[:, :3] for t in thetas]).astype(np.float64)
     each = np.einsum("snc,snd->ncd", u, u) / len(u)
-    around = cKDTree(means).query(means, k=min(COUNT, len(means)))[1].reshape(len(means), -1)
-    return each[around].mean(1).astype(np.float32)
+    return mean_around(each, means).astype(np.float32)

@@ -12,26 +12,20 @@ from scipy.sparse import coo_matrix, csr_matrix, vstack
 from tg4mm.motion.prior.graph import BENDING, ROWS, Graph
 
 
-def stiffness_root(graph: Graph, means: np.ndarray) -> csr_matrix:
-    """S [4E, 4N] float64 with SᵀS = `graph.stiffness`, from the graph of Gaussians at means [N, 3].
-
-    An edge's weight stands in the stiffness itself, between its ends' displacements, plus what their gradients add:
-    −w_ij there, since u_j − u_i − ½ (A_i + A_j) d is squared.
-    """
-    n = len(means)
-    between = graph.stiffness[::ROWS, ::ROWS].tocoo()
-    upper = between.row < between.col
-    first, second = between.row[upper].astype(np.int64), between.col[upper].astype(np.int64)
-    root = np.sqrt(np.maximum(-between.data[upper].astype(np.float64), 0))
-    arms = (means[second] - means[first]).astype(np.float64) / graph.reach
-    edges = np.arange(len(first))
-    values = [root, *(-0.5 * arms * root[:, None]).T, -root, *(-0.5 * arms * root[:, None]).T]
-    columns = [ROWS * end + c for end in (second, first) for c in range(ROWS)]
-    shape = (len(edges), ROWS * n)
-    rows = np.tile(edges, 2 * ROWS)
-    parts = [coo_matrix((np.concatenate(values), (rows, np.concatenate(columns))), shape=shape)]
-    bent = np.sqrt(BENDING) * root
+def stiffness_root(graph: Graph) -> csr_matrix:
+    """S [4E, 4N] float64 with SᵀS = `graph.stiffness` of E edges: displacements, then gradients along x, y, z."""
+    n = graph.n_gaussians
+    owner = np.repeat(np.arange(n), np.diff(graph.start))
+    once = owner < graph.other  # every edge is listed at both ends
+    first, second = owner[once], graph.other[once].astype(np.int64)
+    bonds = graph.bonds[once].astype(np.float64)
+    root, half = bonds[:, 0], bonds[:, 1:]
+    edges, shape = np.arange(len(first)), (len(first), ROWS * n)
+    values = np.concatenate([root, *-half.T, -root, *-half.T])
+    columns = np.concatenate([ROWS * end + c for end in (second, first) for c in range(ROWS)])
+    parts = [coo_matrix((values, (np.tile(edges, 2 * ROWS), columns)), shape=shape)]
+    bent = np.sqrt(BENDING) * np.concatenate([root, -root])
     for c in range(1, ROWS):
-        ends = (np.tile(edges, 2), np.concatenate([ROWS * second + c, ROWS * first + c]))
-        parts.append(coo_matrix((np.concatenate([bent, -bent]), ends), shape=shape))
+        ends = np.concatenate([ROWS * second + c, ROWS * first + c])
+        parts.append(coo_matrix((bent, (np.tile(edges, 2), ends)), shape=shape))
     return csr_matrix(vstack(parts))
