@@ -12,8 +12,8 @@ from tg4mm.capture.pictures import FilePictures
 from tg4mm.device import check_device
 from tg4mm.errors import Tg4mmError
 from tg4mm.motion.config import MotionConfig
+from tg4mm.motion.config import checked as checked_motion
 from tg4mm.motion.pictures.video import fixed_cameras
-from tg4mm.motion.train import checked as checked_motion
 from tg4mm.motion.train import train_motion
 from tg4mm.paper import PAPER, PAPER_SMALL, first_views, train_timesteps, train_triplane
 from tg4mm.paper.config import base_config

@@ -172,6 +172,21 @@ def test_the_same_settings_give_the_same_bits(quick: tuple[Run, Run, ModalMotion
     assert not torch.equal(again.load_space().means, scene.load_space().means)
 
 
+def _kill(run: Run, at: int, which: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """At an update of one progress; a checkpoint at each before."""
+    progress = stage.progress
+
+    def killed(label: str, *args: object, **more: object) -> object:
+        return (killed_after(at) if label == which else progress)(label, *args, **more)
+
+    with monkeypatch.context() as patch:
+        # the linear fit's own checkpoints would hide that rounds begin with one
+        patch.setattr(stage, "CHECKPOINT_EVERY_S", -1.0 if at > 1 else 1e9)
+        patch.setattr(stage, "progress", killed)
+        with pytest.raises(Killed):
+            _trained(run, SHORT)
+
+
 @pytest.mark.parametrize("killed_at", [2, 4, 5, 8, 9, 20, 256, 257, 258])
 def test_killed_in_a_round_it_ends_as_if_it_had_not_been(
     killed_at: int, quick: tuple[Run, Run, ModalMotion], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -179,21 +194,41 @@ def test_killed_in_a_round_it_ends_as_if_it_had_not_been(
     """Each half three iterations, then 250 of the scene at rest; a checkpoint at each."""
     scene, whole, expected = quick
     run = _copy(scene, tmp_path / "run")
-    monkeypatch.setattr(stage, "CHECKPOINT_EVERY_S", -1.0)
-    progress = stage.progress
-
-    def killed(label: str, *args: object, **more: object) -> object:
-        return (killed_after(killed_at) if label == "motion rounds" else progress)(label, *args, **more)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(stage, "progress", killed)
-        with pytest.raises(Killed):
-            _trained(run, SHORT)
+    _kill(run, killed_at, "motion rounds", monkeypatch)
     assert not run.has_motion
     assert run.load_checkpoint("motion") is not None
     assert _equal(_trained(run, SHORT), expected)
     for name in ("means", "quats", "scales", "opacities", "sh"):
         assert torch.equal(getattr(run.load_space(), name), getattr(whole.load_space(), name))
+    for name in ("pixels_moved", "rounds", "misfit_of_rounds", "neighbours"):
+        assert run.log()["motion"][name] == whole.log()["motion"][name]
+
+
+@pytest.mark.parametrize("version", [None, 3])
+def test_rounds_of_another_linear_fit_are_not_taken_up(
+    version: int | None, quick: tuple[Run, Run, ModalMotion], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its checkpoint was deleted, or is of another version."""
+    scene, _, expected = quick
+    run = _copy(scene, tmp_path / "run")
+    _kill(run, 9, "motion rounds", monkeypatch)
+    (tensors, state), fit = (run.load_checkpoint(name) for name in ("rounds", "motion"))
+    run.save_checkpoint("rounds", tensors | {"fields": 0.5 * tensors["fields"]}, state)
+    run.drop_checkpoint("motion")
+    if version:
+        run.save_checkpoint("motion", fit[0], fit[1] | {"version": version})
+    assert _equal(_trained(run, SHORT), expected)
+
+
+def test_the_linear_fit_is_kept_beside_rounds_of_another_version(
+    quick: tuple[Run, Run, ModalMotion], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = _copy(quick[0], tmp_path / "run")
+    _kill(run, 2, "motion stage", monkeypatch)
+    run.save_checkpoint("rounds", {"what": torch.zeros(1)}, {"version": 0})
+    assert run.load_checkpoint("motion")[1]["component"] == 0
+    _kill(run, 1, "motion rounds", monkeypatch)
+    assert run.load_checkpoint("motion")[1]["component"] == 2  # one of each half
 
 
 def test_killed_between_its_two_results_it_ends_the_same(
@@ -244,7 +279,7 @@ def test_on_a_device_it_finds_the_same(
     """What CUDA runs, on the CPU's tensors; one round, since fitting the scene at rest forks from the last digits."""
     runs = [_copy(quick[0], tmp_path / name) for name in ("kernels", "device")]
     expected = _trained(runs[0], replace(SHORT, rounds=1))
-    monkeypatch.setattr(linearised, "_placed", lambda problem, device: DeviceProblem(problem, "cpu"))
+    monkeypatch.setattr(linearised, "on_device", lambda problem, device: DeviceProblem(problem, "cpu"))
     found = _trained(runs[1], replace(SHORT, rounds=1))
     scale = np.abs(expected.displacement).max()
     np.testing.assert_allclose(found.displacement, expected.displacement, atol=2e-3 * scale)

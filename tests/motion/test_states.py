@@ -37,6 +37,16 @@ def test_gains_are_the_mean_of_the_timesteps_and_add_up_to_nothing() -> None:
     np.testing.assert_allclose(states.gains.T @ states.count, 0, atol=1e-12)
 
 
+def test_products_of_all_states_are_those_of_all_timesteps() -> None:
+    """The identity, too, of a tone that no state shows."""
+    basis = np.concatenate([_basis(5), _basis(3)]) * np.sqrt(2 / T)
+    states = states_of(basis, np.array([8.0, 8.0, 0.12, 0.12]))
+    assert len(states.gains) == 6
+    np.testing.assert_allclose(states.products.sum(0), np.eye(4), atol=1e-12)
+    shown = states.sums.T @ states.gains
+    np.testing.assert_allclose(np.diag(shown), [1, 1, 0, 0], atol=1e-12)
+
+
 def test_pictures_are_the_mean_of_their_timesteps() -> None:
     rng = np.random.default_rng(0)
     data = rng.integers(0, 256, (T, 5, 4, 4), np.uint8)

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 
 from tg4mm.errors import Tg4mmError
-from tg4mm.motion.train import checked as checked_motion
+from tg4mm.motion.config import checked as checked_motion
 from tg4mm.paper.config import base_config
 from tg4mm.paper.config import checked as checked_paper
 from tg4mm.space.train import checked as checked_space

@@ -19,7 +19,7 @@ class MotionConfig:
     tolerance: float = 3e-3  # relative residual at which conjugate gradients stop
     # fit each half of the cameras by itself and take the mean, which costs no more: `halves.py`
     halves: bool = True
-    # at most, where things move by more than half a pixel; 0: the linear fit alone: `rounds.py`
+    # at most, where 1 % of what is seen moves by more than 0.7 pixels; 0: the linear fit alone: `rounds.py`
     rounds: int = 4
     seed: int = 0
 

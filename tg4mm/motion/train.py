@@ -23,8 +23,7 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.memory import peak_memory_mib
 from tg4mm.motion.certainty.doubt import doubt
 from tg4mm.motion.certainty.halves import agreed_fields, deviation, halves
-from tg4mm.motion.config import MotionConfig
-from tg4mm.motion.config import checked as checked
+from tg4mm.motion.config import MotionConfig, checked
 from tg4mm.motion.jacobian.linear import DOF, rest_view
 from tg4mm.motion.modal import ModalMotion
 from tg4mm.motion.pictures.differences import temporal_components
@@ -32,17 +31,17 @@ from tg4mm.motion.pictures.video import fixed_cameras
 from tg4mm.motion.posing.noise import pixel_weights
 from tg4mm.motion.posing.pose import Findings, Problems, posed
 from tg4mm.motion.rounds.rounds import ABOVE_PX, Rounds
+from tg4mm.motion.rounds.where import usable
 from tg4mm.motion.solver.problem import MotionProblem
-from tg4mm.motion.solver.solve import CGState, placed, start, step_all
+from tg4mm.motion.solver.solve import CGState, on_cpu, placed, start, step_all
 from tg4mm.motion.temporal.spectrum import phasors
 from tg4mm.progress import progress
 from tg4mm.runs import UNCERTAINTY, Run
 
 CHECKPOINT_EVERY_S = 20.0
-TOGETHER = (
-    8  # components that share a pass over the views: half the time of eight passes, memory for eight fields
-)
-_STATE = 3  # of a checkpoint: one of another version is begun anew, as its fields are of other parameters
+# components that share a pass over the views: half the time of eight passes, memory for eight fields
+TOGETHER = 8
+_STATE = 4  # of a checkpoint: one of another version is begun anew, as its fields are of other parameters
 _STAGE, ROUNDS = "motion", "rounds"  # checkpoints
 
 
@@ -55,14 +54,13 @@ class _Fit:
 
     shapes: np.ndarray
     component: int = 0
-    cgs: list[CGState] = field(
-        default_factory=list
-    )  # of the components from `component` on; empty: not begun
+    # of the components from `component` on; empty: not begun
+    cgs: list[CGState] = field(default_factory=list)
 
     def tensors(self) -> dict[str, Tensor]:
         out = {"shapes": torch.from_numpy(self.shapes)}
         for name in ("x", "residual", "direction") if self.cgs else ():
-            out[name] = torch.from_numpy(np.stack([_on_cpu(getattr(cg, name)) for cg in self.cgs]))
+            out[name] = torch.from_numpy(np.stack([on_cpu(getattr(cg, name)) for cg in self.cgs]))
         return out
 
     def state(self) -> dict[str, Any]:
@@ -78,10 +76,6 @@ def _restored(checkpoint: tuple[dict[str, Tensor], dict[str, Any]], device: str 
         for k, numbers in enumerate(state["cgs"])
     ]
     return _Fit(a["shapes"], state["component"], cgs)
-
-
-def _on_cpu(values: np.ndarray | Tensor) -> np.ndarray:
-    return np.ascontiguousarray(values if isinstance(values, np.ndarray) else values.cpu().numpy())
 
 
 class _Stage:
@@ -101,6 +95,7 @@ class _Stage:
         self.run, self.config, self.device = run, config, device
         self.fps, self.n_timesteps = capture.fps, capture.n_timesteps
         self.cameras = fixed_cameras(capture)
+        self.are_all = len(self.cameras) == len(np.unique(capture.camera_ids))
         self.components = temporal_components(images, self.cameras, config.components)
         size = (capture.width, capture.height)
         views = [rest_view(gaussians, camera, size) for camera in self.cameras]
@@ -187,7 +182,7 @@ class _Stage:
             if time.monotonic() - self.saved > CHECKPOINT_EVERY_S:
                 self._save_fit(fit)
         for k, cg in enumerate(fit.cgs):
-            fit.shapes[fit.component + k] = _on_cpu(problem.field(cg.x))
+            fit.shapes[fit.component + k] = on_cpu(problem.field(cg.x))
         fit.component, fit.cgs = fit.component + len(fit.cgs), []
         update(self._done(fit))
 
@@ -205,14 +200,19 @@ class _Stage:
         images [V, R, H, W, 3] these explain (None: those there were), figures."""
         fields = fit.shapes.reshape(len(self.parts), -1, *fit.shapes.shape[1:])
         rounds = Rounds(
-            self.images, self.cameras, self.components, self.findings, self.parts, self.config, self.device
+            self.images,
+            self.cameras,
+            self.components,
+            self.findings,
+            self.parts,
+            self.config,
+            self.device,
+            self.are_all,
         )
-        checkpoint = self.run.load_checkpoint(ROUNDS)
-        where, pixels = rounds.begun(
-            self.gaussians, self.at_rest, fields, self.findings.neighbours, checkpoint
-        )
-        figures: dict[str, Any] = {"pixels_moved": pixels, "rounds": 0}
-        if not self.config.rounds or (pixels <= ABOVE_PX and not where.misfits):
+        checkpoint = usable(self.run.load_checkpoint(ROUNDS))
+        where = rounds.begun(self.gaussians, self.at_rest, fields, self.findings.neighbours, checkpoint)
+        figures: dict[str, Any] = {"pixels_moved": where.pixels, "rounds": 0}
+        if not self.config.rounds or where.pixels <= ABOVE_PX:
             return self.gaussians, fit.shapes, None, figures
         if checkpoint is None:
             self._save_fit(fit)  # whatever happens now, the linear fit is done
@@ -221,13 +221,15 @@ class _Stage:
             if time.monotonic() - self.saved > CHECKPOINT_EVERY_S:
                 self._save(ROUNDS, tensors(), state())
 
+        evidence = rounds.evidence(where.states)
         total = self.config.rounds * rounds.units
         with progress("motion rounds", total, start=where.round * rounds.units) as update:
-            where = rounds.run(where, keep, update)
+            where = rounds.run(where, evidence, keep, update)
         self._save(ROUNDS, where.tensors(), where.state())  # before the scene at rest is another
         figures |= {"rounds": where.round, "misfit_of_rounds": where.misfits, "neighbours": where.neighbours}
         self.basis = rounds.basis
-        target = rounds.target(where) if len(self.parts) == 1 else None
+        is_asked = self.config.halves and len(self.parts) == 1  # by `_doubt`
+        target = rounds.target(where, evidence) if is_asked else None
         return where.gaussians, where.fields.reshape(-1, *fit.shapes.shape[1:]), target, figures
 
 
@@ -240,11 +242,16 @@ def train_motion(
     components, views, frequencies_hz and the share of the images' changes that the kept components hold. With six
     cameras or more (and `config.halves`) noise is shrunk by what two halves of them agree on (`halves.py`); the log
     then holds `gain_of_components`. From them, or with fewer cameras from samples (`posterior.py`), the run gets
-    RUN/uncertainty.safetensors, and the log `noise_to_motion` (rms). One camera alone is warned of. Where things move
-    by more than half a pixel the fit is repeated (`rounds.py`), and the run's Gaussians become sharper by it.
+    RUN/uncertainty.safetensors, and the log `noise_to_motion` (rms) and, from samples, `freedom`. One camera alone is
+    warned of; the log then holds `guess_along_sight_percent`. The log's `pixels_moved` is how far the linear fit moves
+    things. Where 1 % of what is seen moves by more than 0.7 pixels the fit is repeated (`rounds.py`), so many
+    `rounds`, after each of which `misfit_of_rounds` tells what is left of the pictures. If the capture has no cameras
+    but the fixed ones, six or more, rounds sharpen the run's Gaussians, too.
     On CUDA the iterations run there (`device.py`); reading the images, their components, the neighbourhoods and one
-    projection of each view are done once on the CPU. Raises CaptureError where no camera stays put, Tg4mmError on
-    settings out of range or where the device's memory is too small.
+    projection of each view are done once on the CPU. Rounds choose the weight of the neighbours and project the moved
+    views there in each round, and the uncertainty of few cameras is found there altogether.
+    Raises CaptureError where no camera stays put, Tg4mmError on settings out of range or where the device's memory is
+    too small.
     """
     config = checked(config)
     began = time.monotonic()
@@ -253,6 +260,8 @@ def train_motion(
     checkpoint = run.load_checkpoint(_STAGE)
     if checkpoint and checkpoint[1].get("version") != _STATE:
         checkpoint = None
+    if checkpoint is None:
+        run.drop_checkpoint(ROUNDS)  # of another linear fit
     known = Findings.of(checkpoint[1]) if checkpoint else None
     stage = _Stage(run, capture, images, gaussians, config, began, device, known)
     empty = np.zeros((0, len(gaussians), DOF), np.float32)

@@ -27,11 +27,19 @@ class States:
 
     of: np.ndarray  # [T] 0 … K − 1
     gains: np.ndarray  # [K, R] float64, mean of a_r(t) over each state's timesteps
+    products: (
+        np.ndarray
+    )  # [K, R, R] float64, sum of a(t) a(t)ᵀ over them: what differs within a state counts, too
 
     @property
     def count(self) -> np.ndarray:
         """[K] float64, timesteps of each state."""
         return np.bincount(self.of, minlength=len(self.gains)).astype(np.float64)
+
+    @property
+    def sums(self) -> np.ndarray:
+        """[K, R] float64, sum of a_r(t) over each state's timesteps."""
+        return self.gains * self.count[:, None]
 
 
 def states_of(basis: np.ndarray, pixels: np.ndarray, most: int = MOST, alike: float = ALIKE_PX) -> States:
@@ -51,9 +59,11 @@ def states_of(basis: np.ndarray, pixels: np.ndarray, most: int = MOST, alike: fl
 def labelled(basis: np.ndarray, labels: np.ndarray) -> States:
     """The states that `labels` [T] of 0 … K − 1 tell apart."""
     count = np.bincount(labels)
-    gains = np.zeros((len(count), len(basis)))
-    np.add.at(gains, labels, basis.T)
-    return States(labels, gains / count[:, None])
+    sums = np.zeros((len(count), len(basis)))
+    np.add.at(sums, labels, basis.T)
+    products = np.zeros((len(count), len(basis), len(basis)))
+    np.add.at(products, labels, np.einsum("rt,qt->trq", basis, basis))
+    return States(labels, sums / count[:, None], products)
 
 
 def most_states(n_views: int, size: tuple[int, int]) -> int:

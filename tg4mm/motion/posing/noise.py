@@ -14,7 +14,7 @@ import numpy as np
 
 from tg4mm.motion.certainty.halves import agreed_gain
 from tg4mm.motion.pictures.differences import TemporalComponents, pixel_noise
-from tg4mm.motion.solver.solve import start, step_all
+from tg4mm.motion.solver.solve import on_cpu, start, step_all
 
 _ITERATIONS = 3  # two to six tell the same
 LOOSE = 30.0  # weight of the neighbours meanwhile: where much holds them together noise agrees too
@@ -43,11 +43,7 @@ def _displacements(problem: Any, images: np.ndarray) -> np.ndarray:
     states = [start(b) for b in problem.right_hand_sides(images)]
     for _ in range(_ITERATIONS):
         states = step_all(states, problem.normals)
-    return np.stack([_here(problem.field(state.x))[:, :3] for state in states])
-
-
-def _here(values: Any) -> np.ndarray:
-    return np.asarray(values if isinstance(values, np.ndarray) else values.cpu().numpy())
+    return np.stack([on_cpu(problem.field(state.x))[:, :3] for state in states])
 
 
 def pixel_weights(components: TemporalComponents, is_noise: np.ndarray) -> np.ndarray | None:

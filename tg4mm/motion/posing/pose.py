@@ -76,8 +76,13 @@ class Problems:
         if self.device == "cpu":
             return problem
         if self._there is None:
-            self._there = DeviceProblem(problem, self.device)
+            self._there = on_device(problem, self.device)
         return self._there.posed_as(problem)
+
+
+def on_device(problem: MotionProblem, device: str) -> Any:
+    """The problem where it is solved: on the CPU itself, else a DeviceProblem."""
+    return problem if device == "cpu" else DeviceProblem(problem, device)
 
 
 def posed(

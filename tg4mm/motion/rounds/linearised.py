@@ -7,6 +7,7 @@ where things have moved to, and rounds with it drift away (docs/decisions.md).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,13 +15,13 @@ import torch
 
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.jacobian.linear import RestView, rest_view
-from tg4mm.motion.pictures.states import States, states_of
+from tg4mm.motion.pictures.states import states_of
 from tg4mm.motion.pictures.video import FixedCamera
-from tg4mm.motion.rounds.moved import MovedProblem, Problem, shown
-from tg4mm.motion.rounds.polish import Seen, at_state
-from tg4mm.motion.solver.device import DeviceProblem
+from tg4mm.motion.posing.pose import on_device
+from tg4mm.motion.rounds.evidence import Evidence
+from tg4mm.motion.rounds.moved import Array, MovedProblem, Problem, joined, shown
+from tg4mm.motion.rounds.polish import at_state
 from tg4mm.motion.solver.problem import MotionProblem
-from tg4mm.rasterize import rasterization
 
 KNOTS = 5  # at most: each costs as much as the problem at rest
 KNOT_PX = 0.7  # states less apart share one
@@ -31,77 +32,40 @@ class Linearised:
     """Find the motion that explains the pictures, near the one it was made at."""
 
     problem: MovedProblem
-    targets: list[np.ndarray]  # for each knot [V, R, H, W, 3]
-
-
-@torch.no_grad()
-def rendered(gaussians: Gaussians, seen: Seen, device: str) -> np.ndarray:
-    """[V, K, H, W, 3] float32: what the cameras see of the Gaussians moved to every state, over white."""
-    height, width = seen.pictures.shape[2:4]
-    there = gaussians.to(device)
-    viewmats, Ks = (
-        torch.from_numpy(np.stack([getattr(c, name) for c in seen.cameras])).to(device)
-        for name in ("viewmat", "K")
-    )
-    out = np.empty_like(seen.pictures)
-    for k, motion in enumerate(seen.motions):
-        g = at_state(there, torch.from_numpy(motion).to(device))
-        for v in range(len(viewmats)):
-            rgb, _, _ = rasterization(
-                g.means, g.quats, g.scales, g.opacities, g.sh, viewmats[v : v + 1], Ks[v : v + 1],
-                width, height, sh_degree=g.sh_degree, backgrounds=torch.ones(1, 3, device=device),
-            )  # fmt: skip
-            out[v, k] = rgb[0].cpu().numpy()
-    return out
-
-
-def remaining(gaussians: Gaussians, seen: Seen, states: States, device: str) -> np.ndarray:
-    """[V, K, H, W, 3]: pictures less what is rendered, each less its mean over time, which holds what stands still."""
-    left = seen.pictures - rendered(gaussians, seen, device)
-    share = (states.count / states.count.sum()).astype(np.float32)
-    left -= np.einsum("vkhwc,k->vhwc", left, share)[:, None]
-    return left
-
-
-def misfit(left: np.ndarray, states: States) -> float:
-    """Σ over timesteps, pixels and channels of squared differences [V, K, H, W, 3]."""
-    squares = [float(np.einsum("vhwc,vhwc->", s, s, dtype=np.float64)) for s in left.swapaxes(0, 1)]
-    return float(squares @ states.count)
+    sides: list[Array]  # [R P, 3] for each part of the cameras, what its pictures say
 
 
 def linearised(
     rest: MotionProblem,
     gaussians: Gaussians,
-    seen: Seen,
+    evidence: Evidence,
     shapes: np.ndarray,
-    left: np.ndarray,
-    states: States,
     pixels: np.ndarray,
+    parts: Sequence[np.ndarray],
     device: str,
 ) -> Linearised:
     """The problem near `shapes` [R, N, DOF], which move things by `pixels` [R] for gains of 1.
 
-    `rest`: the problem at rest, of which all but the views is taken. `left`: of `remaining`.
+    `rest`: the problem at rest, of which all but the views is taken. One knot's component images are held at a time.
     """
+    left, _ = evidence.remaining(gaussians, shapes, device)
+    states, motions = evidence.states, evidence.seen(shapes).motions
     knots = states_of(states.gains.T, pixels, KNOTS, KNOT_PX)
-    weighted = states.gains * states.count[:, None]
     problems: list[Problem] = []
-    mix, targets = [], []
+    mix, sides = [], []
     for knot in range(len(knots.gains)):
         own = np.flatnonzero(knots.of == knot)
         share = states.count[own] / states.count[own].sum()
-        motion = np.tensordot(share, seen.motions[own], 1).astype(np.float32)
-        problem = _placed(replace(rest, views=_views(gaussians, motion, seen.cameras, rest.views[0])), device)
-        mix.append(weighted[own].T @ states.gains[own])
-        target = np.einsum("vkhwc,kr->vrhwc", left[:, own], weighted[own].astype(np.float32))
-        target += np.einsum("rq,vqhwc->vrhwc", mix[-1].astype(np.float32), shown(problem, shapes))
+        motion = np.tensordot(share, motions[own], 1).astype(np.float32)
+        views = _views(gaussians, motion, evidence.cameras, rest.views[0])
+        problem = on_device(replace(rest, views=views), device)
+        target = evidence.target(left, own, shown(problem, shapes))
+        sides.append([joined(problem.of_views(p).right_hand_sides(target[p])) for p in parts])
+        del target  # before the next one is made
         problems.append(problem)
-        targets.append(target)
-    return Linearised(MovedProblem(problems, np.stack(mix)), targets)
-
-
-def _placed(problem: MotionProblem, device: str) -> Problem:
-    return problem if device == "cpu" else DeviceProblem(problem, device)
+        mix.append(states.products[own].sum(0))
+    summed = [sum(of_part[1:], start=of_part[0]) for of_part in zip(*sides, strict=True)]
+    return Linearised(MovedProblem(problems, np.stack(mix)), summed)
 
 
 def _views(

@@ -1,9 +1,9 @@
 """The problem linearised where things are, not at rest: one Jacobian for every few states that stand nearly alike.
 
 With the states' poses no longer the same, the functions of time do not fall apart: a knot l with Jacobian J_l, whose
-states s have gains a_s and last n_s timesteps, couples them by M_l = Σ n_s a_s a_sᵀ. The operator on all of them
-together is Σ_l M_l ⊗ (the normal operator at knot l), and since the M_l add up to the identity, so do the priors. One
-knot at rest is the plain problem again.
+timesteps t have gains a(t), couples them by M_l = Σ a(t) a(t)ᵀ. The operator on all of them together is
+Σ_l M_l ⊗ (the normal operator at knot l), and since the M_l add up to the identity, so do the priors. One knot at rest
+is the plain problem again.
 """
 
 from __future__ import annotations
@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 import torch
+
+from tg4mm.motion.solver.solve import on_cpu
 
 Problem = Any  # MotionProblem or DeviceProblem
 Array = Any  # np.ndarray or Tensor
@@ -36,21 +38,16 @@ class MovedProblem:
         images = [_mixed(m, knot.normals(parts)) for knot, m in zip(self.knots, self.mix, strict=True)]
         return sum(images[1:], start=images[0])
 
-    def right_hand_side(self, targets: Sequence[np.ndarray]) -> Array:
-        """The transposed operator applied to each knot's component images [V, R, H, W, 3]."""
-        sides = [_joined(knot.right_hand_sides(t)) for knot, t in zip(self.knots, targets, strict=True)]
-        return sum(sides[1:], start=sides[0])
-
     def fields(self, theta: Array) -> np.ndarray:
         """[R, N, DOF] float32 displacement and rotation."""
-        return np.stack([_here(self.knots[0].field(part)) for part in _split(theta, self.mix.shape[1])])
+        return np.stack([on_cpu(self.knots[0].field(part)) for part in _split(theta, self.mix.shape[1])])
 
 
 def shown(problem: Problem, motions: np.ndarray) -> np.ndarray:
     """[V, R, H, W, 3] float32: the changes that R motions [R, N, DOF] make to the views' pictures, linearised."""
     if hasattr(problem, "device"):
         there = torch.from_numpy(np.ascontiguousarray(motions)).to(problem.device)
-        return np.stack([np.stack([_here(view.push(m)) for m in there]) for view in problem.views])
+        return np.stack([np.stack([on_cpu(view.push(m)) for m in there]) for view in problem.views])
     return np.stack([view.push_all(motions) for view in problem.views])
 
 
@@ -59,7 +56,8 @@ def _split(theta: Array, n: int) -> list[Array]:
     return [theta[r * rows : (r + 1) * rows] for r in range(n)]
 
 
-def _joined(parts: Sequence[Array]) -> Array:
+def joined(parts: Sequence[Array]) -> Array:
+    """One below the other, arrays or tensors."""
     return np.concatenate(parts) if isinstance(parts[0], np.ndarray) else torch.cat(list(parts))
 
 
@@ -67,8 +65,4 @@ def _mixed(m: np.ndarray, parts: Sequence[Array]) -> Array:
     """Σ_q m[r, q] parts[q], for all r one below the other."""
     rows = [sum((float(w) * p for w, p in zip(row[1:], parts[1:], strict=True)), start=float(row[0]) * parts[0])
             for row in m]  # fmt: skip
-    return _joined(rows)
-
-
-def _here(values: Array) -> np.ndarray:
-    return np.asarray(values if isinstance(values, np.ndarray) else values.cpu().numpy())
+    return joined(rows)

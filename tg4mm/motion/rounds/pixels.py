@@ -9,14 +9,14 @@ import numpy as np
 from tg4mm.motion.jacobian.linear import RestView
 from tg4mm.motion.pictures.video import FixedCamera
 
-PERCENT = 95.0  # of the Gaussians seen move by at most so many pixels
+PERCENT = 99.0  # of the Gaussians seen move by at most so many pixels
 _CAMERAS = 8  # from so many, spread evenly, the share is known well enough
 
 
 def pixels_moved(
     views: Sequence[RestView], cameras: Sequence[FixedCamera], means: np.ndarray, shift: np.ndarray
 ) -> float:
-    """What 95 % of the Gaussians that a view sees move by at most, in up to eight views together; 0 if none is seen.
+    """What 99 % of the Gaussians that a view sees move by at most, in up to eight views together; 0 if none is seen.
 
     means [N, 3] and shift [N, 3] in scene units.
     """

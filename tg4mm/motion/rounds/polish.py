@@ -30,13 +30,13 @@ _WITHIN = 0.99  # part of the Gaussians that counts for the scene's extent
 
 @dataclass(frozen=True)
 class Seen:
-    """What there is to compare with: K states in V cameras."""
+    """What there is to compare with: K states of T timesteps in V cameras."""
 
     cameras: list[FixedCamera]
     pictures: np.ndarray  # [V, K, H, W, 3] float32 over white
-    motions: (
-        np.ndarray
-    )  # [K, N, 6] float32: displacement (scene units) and rotation vector (radians) at each state
+    # [K, N, 6] float32: displacement (scene units) and rotation vector (radians) at each state
+    motions: np.ndarray
+    of: np.ndarray  # [T] the state of each timestep
 
 
 @dataclass
@@ -59,11 +59,15 @@ class Polish:
         return Polish(ParameterAdam(parameters, step), torch.Generator().manual_seed(seed), iterations, step)
 
     def step(self, seen: Seen) -> None:
-        """Compare one camera's picture of one state, and change the Gaussians."""
-        n_states, height, width = seen.pictures.shape[1:4]
+        """Compare one camera's picture of the state of one timestep, and change the Gaussians.
+
+        A pass takes every timestep of every camera once, so that states count by how long they last.
+        """
+        height, width = seen.pictures.shape[2:4]
         if not self.order:
-            self.order = torch.randperm(len(seen.cameras) * n_states, generator=self.generator).tolist()
-        v, k = divmod(self.order.pop(), n_states)
+            self.order = torch.randperm(len(seen.cameras) * len(seen.of), generator=self.generator).tolist()
+        v, t = divmod(self.order.pop(), len(seen.of))
+        k = int(seen.of[t])
         device = self.adam.parameters["means"].device
         camera = seen.cameras[v]
         viewmat, K, target, motion = (

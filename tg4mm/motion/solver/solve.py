@@ -91,6 +91,11 @@ def placed(state: CGState, device: str) -> CGState:
     return replace(state, x=x, residual=residual, direction=direction)
 
 
+def on_cpu(values: Array) -> np.ndarray:
+    """The array or tensor as a contiguous array."""
+    return np.ascontiguousarray(values if isinstance(values, np.ndarray) else values.cpu().numpy())
+
+
 def _inner(a: Array, b: Array) -> float:
     """Σ a b, summed in float64."""
     wide = a.astype(np.float64) if isinstance(a, np.ndarray) else a.double()

@@ -1,0 +1,76 @@
+"""A mode of hundredths of a pixel beside one of two pixels: rounds for the large one do not cost the small one."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests import synthetic
+from tg4mm.capture import load_capture, load_images
+from tg4mm.motion import ModalMotion, MotionConfig
+from tg4mm.motion.train import train_motion
+from tg4mm.runs import Run
+
+LARGE_HZ, SMALL_HZ = 5.0, 3.0  # the post, two and a half pixels at its tip; the ball, a twenty-fifth
+CONFIG = MotionConfig(components=8, neighbours=30.0)
+
+
+def _made(root: Path) -> tuple[Run, ModalMotion]:
+    modes = synthetic._modes
+
+    def unequal(*args: object) -> list[np.ndarray]:
+        floor, post, ball = modes(*args)
+        return [floor, post, np.float32(0.015) * ball]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(synthetic, "_modes", unequal)
+        gaussians, true = synthetic.make_synthetic_dataset(
+            root / "data", n_views=6, n_timesteps=30, size=64, freqs=(LARGE_HZ, SMALL_HZ), amplitude=0.12,
+            alphas=(), n_test=0, detail=2,
+        )  # fmt: skip
+    run = Run.create(root / "run", root / "data", "modal", {})
+    run.save_space(gaussians, {})
+    return run, true
+
+
+def _error(found: ModalMotion, true: ModalMotion, k: int) -> float:
+    """Relative, of what moves at the truth's frequency k by a third of the most or more."""
+    expected = true.displacement[k]
+    length = np.linalg.norm(expected, axis=1)
+    own = length > length.max() / 3
+    at = found.displacement[np.argmin(np.abs(found.freqs_hz - true.freqs_hz[k]))]
+    return float(np.linalg.norm((at - expected)[own]) / np.linalg.norm(expected[own]))
+
+
+@pytest.fixture(scope="module")
+def errors(tmp_path_factory: pytest.TempPathFactory) -> list[list[float]]:
+    """Of the large mode and the small one, in the linear fit and after three rounds."""
+    root = tmp_path_factory.mktemp("two")
+    run, true = _made(root)
+    capture = load_capture(root / "data")
+    images = load_images(capture)
+    out = []
+    for rounds in (0, 3):
+        shutil.copytree(run.path, root / f"{rounds}")
+        copy = Run.open(root / f"{rounds}")
+        found = train_motion(copy, capture, images, replace(CONFIG, rounds=rounds))
+        assert copy.log()["motion"]["rounds"] == rounds
+        out.append([_error(found, true, k) for k in range(2)])
+    return out
+
+
+def test_rounds_find_the_large_mode(errors: list[list[float]]) -> None:
+    linear, after = (e[0] for e in errors)
+    assert linear > 0.4
+    assert after < 0.15
+
+
+def test_the_small_mode_stays_as_the_linear_fit_found_it(errors: list[list[float]]) -> None:
+    """No state shows it. Erased, its error would be 1."""
+    linear, after = (e[1] for e in errors)
+    assert linear < 0.3
+    assert after < 1.1 * linear
