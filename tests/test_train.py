@@ -14,12 +14,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from tests.synthetic import make_synthetic_dataset
 from tg4mm.cli import main
 from tg4mm.errors import CaptureError, RunError, Tg4mmError
 from tg4mm.motion import MotionConfig
-from tg4mm.runs import Run
+from tg4mm.runs import UNCERTAINTY, Run
 from tg4mm.space import SpaceConfig
 from tg4mm.train import check_device, parse_settings, train
 
@@ -269,4 +270,8 @@ def test_a_program_killed_in_either_stage_ends_as_if_it_had_not_been(data: Path,
     assert program(tmp_path / "killed").wait(300) == 0
     same_results(Run.open(tmp_path / "killed"), Run.open(tmp_path / "whole"))
     names = {p.name for p in (tmp_path / "killed").iterdir()}
-    assert names == {"config.json", "log.json", "space.safetensors", "motion.safetensors"}
+    assert names == {
+        "config.json", "log.json", "space.safetensors", "motion.safetensors", "uncertainty.safetensors"
+    }  # fmt: skip
+    parts = [Run.open(tmp_path / name).load_part(UNCERTAINTY)[0] for name in ("killed", "whole")]
+    assert all(torch.equal(parts[0][k], v) for k, v in parts[1].items())
