@@ -61,11 +61,19 @@ class Kernels:
             rng.normal(size=v_image.shape),
             rng.normal(size=v_transmittance.shape),
         )
-        v_pairs = np.empty((len(bins.pair_gaussian), SPLAT_WIDTH), np.float32)
+        pair_sums = np.empty((len(bins.pair_gaussian), SPLAT_WIDTH), np.float32)
         v_splats = projection.empty_splats(len(splats))
         v_splats[:] = 0
-        pictures = (image, transmittance, v_image, v_transmittance, v_pairs)
-        gather = (bins.order, bins.n_visible, bins.gaussian_start, bins.pair_slot, v_pairs, v_splats)
+        pictures = (image, transmittance, v_image, v_transmittance, pair_sums)
+        gather = (
+            bins.order,
+            bins.n_visible,
+            bins.gaussian_start,
+            bins.pair_slot,
+            splats,
+            pair_sums,
+            v_splats,
+        )
         back = (*arrays[:3], arrays[4], 3, False, camera, width, height, splats, v_splats)
         gradients = (*(np.zeros_like(a) for a in arrays), np.zeros((0, 12), np.float32), False)
         self.n_gaussians, self.n_pairs = len(arrays[0]), len(bins.pair_gaussian)

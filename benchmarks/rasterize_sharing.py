@@ -83,14 +83,14 @@ def passes(splats: np.ndarray, bins: Bins, size: tuple[int, int]) -> dict[str, o
         np.empty((height, width, FEATURES), np.float32),
         np.empty((height, width), np.float32),
     )
-    v_pairs = np.empty((len(bins.pair_gaussian), splats.shape[1]), np.float32)
+    pair_sums = np.empty((len(bins.pair_gaussian), splats.shape[1]), np.float32)
     v_splats, lists = empty_splats(len(splats)), (splats, bins.tile_start, bins.pair_gaussian, width, height)
     slots = (bins.order, bins.n_visible, bins.gaussian_start, bins.pair_slot)
     pictures = (image, transmittance, image, transmittance)
     return {
         "blend": lambda: blend_forward(*lists, image, transmittance, reached=bins.reached),
-        "blend backward": lambda: blend_backward(*lists, *pictures, v_pairs, reached=bins.reached),
-        "gather": lambda: gather_gradient(*slots, v_pairs, v_splats),
+        "blend backward": lambda: blend_backward(*lists, *pictures, pair_sums, reached=bins.reached),
+        "gather": lambda: gather_gradient(*slots, pair_sums, v_splats),
     }
 
 

@@ -66,7 +66,7 @@ def test_neither_the_order_of_tiles_nor_who_takes_them_changes_a_bit(scene: Scen
 
     def both(workers: int, order: np.ndarray) -> list[np.ndarray]:
         image, transmittance = np.empty_like(v_image), np.empty_like(v_transmittance)
-        v_pairs = np.full((len(bins.pair_gaussian), SPLAT_WIDTH), np.nan, np.float32)
+        pair_sums = np.full((len(bins.pair_gaussian), SPLAT_WIDTH), np.nan, np.float32)
         reached = np.full(len(bins.pair_gaussian), 1 << 31, np.uint32)
         tables = (bins.tile_start, bins.pair_gaussian, TABLE, reached)
         start = (workers, order.astype(np.int32))
@@ -75,9 +75,9 @@ def test_neither_the_order_of_tiles_nor_who_takes_them_changes_a_bit(scene: Scen
         counter = np.zeros(1, np.int64)
         blend._forward(*start, counter, tables, frame, splats, image, transmittance, ALPHA_MIN)
         counter = np.zeros(1, np.int64)
-        gradients = (pictures, v_pairs.reshape(-1))
+        gradients = (pictures, pair_sums.reshape(-1))
         blend_backward._backward(*start, counter, tables, frame, splats, *gradients, ALPHA_MIN)
-        return [image, transmittance, v_pairs, reached]
+        return [image, transmittance, pair_sums, reached]
 
     n_tiles = len(bins.tile_start) - 1
     expected, actual = both(1, np.arange(n_tiles)), both(workers, rng.permutation(n_tiles))

@@ -9,13 +9,21 @@ from numba import njit
 from numba.core.errors import TypingError
 
 from tg4mm.rasterize.kernels.lanes import (
+    columns,
     lane_sums,
     load_block,
-    marked,
     planes_of_rows,
+    row_starts,
     rows_of_planes,
     store_block,
-    with_bit,
+)
+from tg4mm.rasterize.kernels.masks import (
+    first_lanes,
+    highest_bits,
+    put_mask,
+    put_places,
+    shifted,
+    two_halves,
 )
 from tg4mm.rasterize.kernels.memory import (
     address,
@@ -76,17 +84,37 @@ def _block(x: np.ndarray, at: int, width: int, block: np.ndarray, out: np.ndarra
 
 
 @njit
-def _mark(x: np.ndarray, marks: np.ndarray) -> None:
-    words = load(marks, LANES)
-    for k in range(len(x) // LANES):
-        words = marked(words, load(x, k * LANES) > np.float32(0), np.uint32(1) << np.uint32(k))
-    store(marks, LANES, words)
+def _mark(x: np.ndarray, masks: np.ndarray, words: np.ndarray, back: np.ndarray) -> None:
+    at = address(masks)
+    for k in range(32):
+        put_mask(at, k, load(x, k * LANES) > np.float32(0))
+    gathered = two_halves(at, 0)
+    store(words, LANES, gathered)
+    for k in range(32):
+        back[31 - k] = highest_bits(gathered)
+        gathered = shifted(gathered, np.uint32(1))
+    keep(masks)
 
 
 @njit
-def _unmark(marks: np.ndarray, masks: np.ndarray) -> None:
-    for k in range(len(masks)):
-        masks[k] = with_bit(load(marks, LANES), np.uint32(1) << np.uint32(k))
+def _places(bits: np.uint32, base: np.uint32, out: np.ndarray) -> None:
+    put_places(address(out), 3, bits, base)
+    keep(out)
+
+
+@njit
+def _records(
+    table: np.ndarray, chosen: np.ndarray, first: int, count: int, starts: np.ndarray, out: np.ndarray
+) -> None:
+    store(starts, 0, row_starts(address(chosen), first, count))
+    a, b, c, d = columns(address(table), address(starts), 12)
+    store(out, 0, a)
+    store(out, LANES, b)
+    store(out, 2 * LANES, c)
+    store(out, 3 * LANES, first_lanes(d, count, np.float32(-1.0)))
+    keep(chosen)
+    keep(table)
+    keep(starts)
 
 
 @njit
@@ -164,17 +192,40 @@ def test_a_block_is_four_pieces_of_rows() -> None:
     np.testing.assert_array_equal(out, expected)
 
 
-def test_marks_gather_a_bit_of_every_mask() -> None:
-    x = np.random.default_rng(2).normal(size=(32, LANES)).astype(np.float32)
-    marks = np.zeros(3 * LANES, np.uint32)
-    _mark(x.ravel(), marks.view(np.float32))
-    expected = ((x > 0) * (1 << np.arange(32, dtype=np.uint64))[:, None]).sum(0)
-    np.testing.assert_array_equal(marks[LANES : 2 * LANES], expected)
-    assert not marks[:LANES].any()
-    assert not marks[2 * LANES :].any()
-    masks = np.zeros(32, np.uint32)
-    _unmark(marks.view(np.float32), masks)
-    np.testing.assert_array_equal(masks, ((x > 0) << np.arange(LANES)).sum(1))
+def test_masks_become_words_and_come_back() -> None:
+    """Two times 16 masks, whose lanes are items, are 16 words, whose bits are items, and those a mask for every item."""
+    x = np.random.default_rng(2).normal(size=(2, 16, LANES)).astype(np.float32)
+    masks, words, back = np.zeros(32, np.uint16), np.zeros(3 * LANES, np.uint32), np.zeros(32, np.uint32)
+    _mark(x.ravel(), masks, words.view(np.float32), back)
+    np.testing.assert_array_equal(masks, ((x > 0) << np.arange(LANES)).sum(2).ravel())
+    found = np.concatenate(x, 1) > 0  # [16 words, 32 items]
+    np.testing.assert_array_equal(words[LANES : 2 * LANES], (found * (1 << np.arange(32))).sum(1))
+    assert not words[:LANES].any()
+    assert not words[2 * LANES :].any()
+    np.testing.assert_array_equal(back, (found.T << np.arange(16)).sum(1))
+
+
+@pytest.mark.parametrize("bits", [0, 1, 0x8000, 0b0100_0000_0010_1001, 0xFFFF])
+def test_places_of_bits_stand_side_by_side(bits: int) -> None:
+    out = np.full(24, 77, np.uint32)
+    _places(np.uint32(bits), np.uint32(160), out)
+    places = [160 + k for k in range(16) if bits >> k & 1]
+    assert out.tolist() == [77] * 3 + places + [0] * (16 - len(places)) + [77] * 5
+
+
+@pytest.mark.parametrize("count", [1, 7, 16])
+def test_sixteen_records_are_turned_round(count: int) -> None:
+    """Columns 12 … 15 of chosen rows; where fewer are chosen, row 0 stands in, and what lies beyond is not read."""
+    rng = np.random.default_rng(3)
+    table = rng.normal(size=(40, 16)).astype(np.float32)
+    chosen = rng.integers(0, 40, 5 + count).astype(np.int32)
+    starts, out = np.zeros(LANES, np.int32), np.zeros((4, LANES), np.float32)
+    _records(table, chosen, 5, count, starts.view(np.float32), out.ravel())
+    rows = np.concatenate([chosen[5:], np.zeros(LANES - count, np.int32)])
+    np.testing.assert_array_equal(starts, 16 * rows)
+    expected = table[rows, 12:].T.copy()
+    expected[3, count:] = -1
+    np.testing.assert_array_equal(out, expected)
 
 
 def test_what_is_masked_is_not_added() -> None:

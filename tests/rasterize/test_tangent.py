@@ -93,13 +93,14 @@ def test_it_is_the_adjoint_of_the_backward_pass(name: str, columns: slice) -> No
     v_image[..., 3:] = 0
     v_transmittance = rng.normal(size=transmittance.shape).astype(np.float32)
     bins = bin_splats(splats, WIDTH, HEIGHT)
-    v_pairs = np.empty((len(bins.pair_gaussian), splats.shape[1]), np.float32)
+    pair_sums = np.empty((len(bins.pair_gaussian), splats.shape[1]), np.float32)
     blend_backward(
         splats, bins.tile_start, bins.pair_gaussian, WIDTH, HEIGHT,
-        image, transmittance, v_image, v_transmittance, v_pairs,
+        image, transmittance, v_image, v_transmittance, pair_sums,
     )  # fmt: skip
     v_splats = np.zeros_like(splats)
-    gather_gradient(bins.order, bins.n_visible, bins.gaussian_start, bins.pair_slot, v_pairs, v_splats)
+    slots = (bins.order, bins.n_visible, bins.gaussian_start, bins.pair_slot)
+    gather_gradient(*slots, splats, pair_sums, v_splats)
     d = np.zeros((len(splats), FEAT + 3), np.float32)
     d[:, columns] = direction(len(splats), 2)[:, columns]
     d_image = tangent(splats, d)
@@ -121,16 +122,15 @@ def test_the_transpose_is_the_transpose(name: str, white: float) -> None:
     v_pairs = np.full((len(bins.pair_gaussian), 3, len(COLUMNS)), np.nan, np.float32)
     lists = (bins.tile_start, bins.pair_gaussian)
     blend_cotangents(splats, *lists, white, image, transmittance, v_images, v_pairs, ALPHA_MIN)
-    v_splats = np.zeros((len(splats), 3 * len(COLUMNS)), np.float32)
-    flat = v_pairs.reshape(len(v_pairs), -1)
-    gather_gradient(bins.order, bins.n_visible, bins.gaussian_start, bins.pair_slot, flat, v_splats)
+    v_splats = np.zeros((len(splats), 3, len(COLUMNS)))
+    np.add.at(v_splats, bins.pair_gaussian, v_pairs)
     for columns in (slice(MX, MX + 2), slice(MX + 2, CC + 1), slice(FEAT, FEAT + 3)):
         changes = [np.zeros((len(splats), FEAT + 3), np.float32) for _ in range(3)]
         for seed, change in enumerate(changes):
             change[:, columns] = direction(len(splats), seed)[:, columns]
         d_images = tangents(splats, changes, white).astype(np.float64)
         for r, change in enumerate(changes):
-            terms = v_splats.reshape(len(splats), 3, -1)[:, r].astype(np.float64) * change[:, COLUMNS]
+            terms = v_splats[:, r] * change[:, COLUMNS]
             assert np.abs(terms).sum() > 1
             assert abs((d_images[r] * v_images[r]).sum() - terms.sum()) < 2e-5 * np.abs(terms).sum()
 

@@ -112,14 +112,16 @@ def _gradient_by_splats(
     """[N, SPLAT_WIDTH]; pictures: image and transmittance, and the gradients by them."""
     image, transmittance, v_image, v_transmittance = pictures
     bins = record.bins
-    v_pairs = buffers.take("v_pairs", (len(bins.pair_gaussian), SPLAT_WIDTH))
+    pair_sums = buffers.take("pair_sums", (len(bins.pair_gaussian), SPLAT_WIDTH))
     blend_backward(
         record.splats, bins.tile_start, bins.pair_gaussian, view.width, view.height,
-        image, transmittance, v_image, v_transmittance, v_pairs, reached=bins.reached,
+        image, transmittance, v_image, v_transmittance, pair_sums, reached=bins.reached,
     )  # fmt: skip
     v_splats = empty_splats(len(record.splats))
     v_splats[:] = 0
-    gather_gradient(bins.order, bins.n_visible, bins.gaussian_start, bins.pair_slot, v_pairs, v_splats)
+    gather_gradient(
+        bins.order, bins.n_visible, bins.gaussian_start, bins.pair_slot, record.splats, pair_sums, v_splats
+    )
     return v_splats
 
 

@@ -106,10 +106,14 @@ class Iteration:
         more = self._structure(image, transmittance, target)
         share = 1 - self._dssim
         compare(image, transmittance, target, WHITE, share, self._l2, more, v_image, v_transmittance, squares)
-        v_pairs = take("v_pairs", (len(bins.pair_gaussian), SPLAT_WIDTH))
-        blend_backward(*tiles, image, transmittance, v_image, v_transmittance, v_pairs, reached=bins.reached)
+        pair_sums = take("pair_sums", (len(bins.pair_gaussian), SPLAT_WIDTH))
+        blend_backward(
+            *tiles, image, transmittance, v_image, v_transmittance, pair_sums, reached=bins.reached
+        )
         v_splats = take("v_splats", splats.shape)
-        gather_gradient(bins.order, bins.n_visible, bins.gaussian_start, bins.pair_slot, v_pairs, v_splats)
+        gather_gradient(
+            bins.order, bins.n_visible, bins.gaussian_start, bins.pair_slot, splats, pair_sums, v_splats
+        )
         rates, root = adam.next_rates(progress)
         step(
             adam.values, adam.first, adam.second, adam.active, (degree, camera, width, height),

@@ -13,9 +13,25 @@ from numba import float32, int32, int64, njit, prange, uint32
 
 from tg4mm.rasterize.buffers import Buffers, take
 from tg4mm.rasterize.kernels.compiled import kernel
-from tg4mm.rasterize.kernels.layout import CB, CC, DEPTH, EX, EY, L22, MX, MY, POWER, R11, SQUARES, TILE
+from tg4mm.rasterize.kernels.layout import (
+    CA,
+    CB,
+    CC,
+    DEPTH,
+    EX,
+    EY,
+    L22,
+    MX,
+    MY,
+    OP,
+    POWER,
+    R11,
+    SPLAT_WIDTH,
+    SQUARES,
+    TILE,
+)
 from tg4mm.rasterize.kernels.memory import load, prefetch, store
-from tg4mm.rasterize.kernels.vector import LANES, wide
+from tg4mm.rasterize.kernels.vector import wide
 
 _RADIX_BITS = 11
 _CHUNKS = 16  # of the parallel scatter; a constant, so that results never depend on threads
@@ -181,28 +197,29 @@ def fill_pairs(
 
 
 @kernel(parallel=True)
-def gather_gradient(order, n_visible, gaussian_start, pair_slot, v_pairs, v_splats):
-    """Sum the gradients of a Gaussian's pairs, in a fixed order; `v_splats` is written where visible.
+def gather_gradient(order, n_visible, gaussian_start, pair_slot, splats, pair_sums, v_splats):
+    """From the `pair_sums` of pairs [P, SPLAT_WIDTH] to the gradient by `splats`, written where visible.
 
-    Both [·, W] and contiguous. Sixteen columns at a time, those left over one by one.
+    The pairs of a Gaussian are summed in a fixed order.
     """
-    width, last = v_pairs.shape[1], len(pair_slot) - 1
-    whole = width - width % LANES
-    pairs, sums = v_pairs.reshape(-1), v_splats.reshape(-1)
+    last, half = len(pair_slot) - 1, float32(0.5)
+    pairs, sums = pair_sums.reshape(-1), v_splats.reshape(-1)
     for k in prange(n_visible):
         i = order[k]
         prefetch(v_splats, int64(order[min(k + _AHEAD, n_visible - 1)]))
-        begin, end = gaussian_start[k], gaussian_start[k + 1]
-        for c in range(0, whole, LANES):
-            total = wide(float32(0.0))
-            for slot in range(begin, end):
-                prefetch(v_pairs, int64(pair_slot[min(slot + 3 * _AHEAD, last)]))
-                total = total + load(pairs, int64(pair_slot[slot]) * width + c)
-            store(sums, int64(i) * width + c, total)
-        for c in range(whole, width):
-            v_splats[i, c] = float32(0.0)
-            for slot in range(begin, end):
-                v_splats[i, c] += v_pairs[pair_slot[slot], c]
+        prefetch(splats, int64(order[min(k + _AHEAD, n_visible - 1)]))
+        total = wide(float32(0.0))
+        for slot in range(gaussian_start[k], gaussian_start[k + 1]):
+            prefetch(pair_sums, int64(pair_slot[min(slot + 3 * _AHEAD, last)]))
+            total = total + load(pairs, int64(pair_slot[slot]) * SPLAT_WIDTH)
+        store(sums, int64(i) * SPLAT_WIDTH, total)
+        x, y = v_splats[i, MX], v_splats[i, MY]
+        a, b, c = splats[i, CA], splats[i, CB], splats[i, CC]
+        v_splats[i, MX], v_splats[i, MY] = a * x + b * y, b * x + c * y
+        v_splats[i, CA] *= -half
+        v_splats[i, CB] = -v_splats[i, CB]
+        v_splats[i, CC] *= -half
+        v_splats[i, OP] /= splats[i, OP]
 
 
 class Bins:

@@ -12,86 +12,61 @@ import math
 import numpy as np
 from numba import float32, int64, njit, prange, uint32, uint64
 
+from tg4mm.rasterize.kernels.ahead import log2_alpha, look_ahead, reaching, room, row_of
 from tg4mm.rasterize.kernels.compiled import kernel
-from tg4mm.rasterize.kernels.lanes import marked, rows_of_planes, store_block, with_bit
-from tg4mm.rasterize.kernels.layout import ALPHA_MIN, FEAT, FEATURES, SPLAT_WIDTH, TILE
+from tg4mm.rasterize.kernels.lanes import rows_of_planes, store_block
+from tg4mm.rasterize.kernels.layout import ALPHA_MIN, FEAT, FEATURES, TILE
+from tg4mm.rasterize.kernels.masks import highest_bits, shifted
 from tg4mm.rasterize.kernels.memory import (
     address,
-    ask,
     fetch_add,
     integer,
     keep,
     load,
     number,
     put_integer,
-    put_number,
     store,
 )
 from tg4mm.rasterize.kernels.tiles import (
-    AHEAD,
     BLOCKS,
-    LINES,
     TABLE,
     aligned,
     alphas,
     ask_for_pairs,
-    centres,
     constants,
     corner,
     inside,
-    keep_lines,
-    log2_alpha,
     pixel,
-    reach_of_lines,
     work,
 )
 from tg4mm.rasterize.kernels.vector import LANES, bits, fma_where, lowest_bit, select, wide
 
-_HALF = 32
-_BATCH = 2 * _HALF  # pairs, a bit each
+_WORD = 32
+_BATCH = 2 * _WORD  # pairs, a bit each
+_ROOM = room(_BATCH)
 _STRIDE = (2 + FEATURES) * LANES  # planes of a block: transmittance as it runs on, as it stopped, features
 
 
 @njit(error_model="numpy", inline="always")
-def _look_ahead(splats, pair_gaussian, first, last, end, table, lanes, blocks, faintest, batch):
-    """Of the pairs first … last, what blending needs, and for each block which of them may reach it."""
-    lines, tops, rows, by_block = batch
-    n = int64(0)
-    for half in range(2):
-        words, bit = wide(float32(0.0)), uint32(1)
-        for _ in range(max(0, min(last - first - half * _HALF, _HALF))):
-            pair = first + n
-            ask(splats, int64(integer(pair_gaussian, min(pair + AHEAD, end - 1))) * SPLAT_WIDTH)
-            row = int64(integer(pair_gaussian, pair)) * SPLAT_WIDTH
-            kept = keep_lines(splats, row, lines, n * LINES, table, lanes, blocks)
-            reach, limit = reach_of_lines(splats, row, table, kept)
-            put_number(tops, n, limit + faintest)
-            put_integer(rows, n, uint32(row))
-            words = marked(words, reach, bit)
-            bit <<= uint32(1)
-            n += 1
-        store(by_block, int64(half * BLOCKS), words)
-
-
-@njit(error_model="numpy", inline="always")
-def _blend_block(k, todo, splats, batch, held, faintest, state):
-    """Add the pairs `todo` of a batch to block k. Returns in which of them it is seen, and if it still takes light.
+def _blend_block(k, splats, batch, by_block, held, faintest, state):
+    """Add the pairs of a batch that may reach block k, and write in which of them it is seen. Does it still take light?
 
     The transmittance runs on where a pixel has stopped: it falls, so that nothing more is added. That way the next pair
     waits for no comparison. Nor does the loop end when no pixel is left: once for every block the processor would
     foresee it wrongly, which costs as much as the rest of a batch.
     """
-    lines, tops, rows, _ = batch
-    _, _, powers, alpha_max, t_min = held
-    place, seen_in = k * _STRIDE, uint64(0)
+    _, lane_y, powers, alpha_max, t_min = held
+    place = k * _STRIDE
     t, left = load(state, place), load(state, place + LANES)
     f0, f1 = load(state, place + 2 * LANES), load(state, place + 3 * LANES)
     f2, f3 = load(state, place + 4 * LANES), load(state, place + 5 * LANES)
     on = t > t_min
+    todo = uint64(integer(by_block, k)) | uint64(integer(by_block, BLOCKS + k)) << uint64(_WORD)
+    seen_in = uint64(0)
     while todo != 0:
         n = lowest_bit(todo)
         rest = todo & (todo - uint64(1))
-        y = log2_alpha(lines, n * LINES, k, number(tops, n))
+        y = log2_alpha(batch, _BATCH, n, k, lane_y)
         alpha, _, seen = alphas(y, faintest, alpha_max, powers)
         # a pixel that stops here may give nothing, but counts
         seen_in |= (todo ^ rest) if bits(on & seen) != 0 else uint64(0)
@@ -100,30 +75,31 @@ def _blend_block(k, todo, splats, batch, held, faintest, state):
         t = t - w
         on = t > t_min
         left = select(on, t, left)
-        features = int64(integer(rows, n)) + FEAT
+        features = row_of(batch, _BATCH, n) + FEAT
         f0 = fma_where(on, w, number(splats, features), f0)
         f1 = fma_where(on, w, number(splats, features + 1), f1)
         f2 = fma_where(on, w, number(splats, features + 2), f2)
         f3 = fma_where(on, w, number(splats, features + 3), f3)
+    put_integer(by_block, k, uint32(seen_in))
+    put_integer(by_block, BLOCKS + k, uint32(seen_in >> uint64(_WORD)))
     store(state, place, t)
     store(state, place + LANES, left)
     store(state, place + 2 * LANES, f0)
     store(state, place + 3 * LANES, f1)
     store(state, place + 4 * LANES, f2)
     store(state, place + 5 * LANES, f3)
-    return seen_in, bits(on) != 0
+    return bits(on) != 0
 
 
 @njit(inline="always")
 def _note_seen(by_block, count, reached):
     """From the pairs in which each block is seen to the blocks in which each pair is seen."""
-    n = int64(0)
-    for half in range(2):
-        words, bit = load(by_block, int64(half * BLOCKS)), uint32(1)
-        for _ in range(max(0, min(count - half * _HALF, _HALF))):
-            put_integer(reached, n, with_bit(words, bit))
-            bit <<= uint32(1)
-            n += 1
+    for first in range(0, count, _WORD):
+        here = min(count - first, int64(_WORD))
+        words = shifted(load(by_block, first // _WORD * BLOCKS), uint32(_WORD - here))
+        for n in range(here):
+            put_integer(reached, first + here - 1 - n, highest_bits(words))
+            words = shifted(words, uint32(1))
 
 
 @njit(inline="always")
@@ -192,16 +168,12 @@ def _forward_tiles(workers, order, counter, tables, frame, splats, image, transm
     tile_start, pair_gaussian, table, reached = tables
     width, height = frame
     n_x = (width + TILE - 1) // TILE
-    faintest = float32(math.log2(alpha_min))
+    faintest, noted = float32(math.log2(alpha_min)), len(reached) > 0
     held = constants(table)
-    room = aligned(BLOCKS * _STRIDE + _BATCH * (LINES + 2) + 2 * BLOCKS)
-    state = address(room)
-    lines = state + 4 * BLOCKS * _STRIDE
-    tops = lines + 4 * _BATCH * LINES
-    rows = tops + 4 * _BATCH
-    by_block = rows + 4 * _BATCH
-    batch = lines, tops, rows, by_block
-    table_at = address(table)
+    memory = aligned(BLOCKS * _STRIDE + _ROOM + 2 * BLOCKS)
+    state = address(memory)
+    batch = state + 4 * BLOCKS * _STRIDE
+    by_block = batch + 4 * _ROOM
     splats, gaussians, seen_in = address(splats), address(pair_gaussian), address(reached)
     image, transmittance = image.reshape(-1), transmittance.reshape(-1)
     while True:
@@ -217,25 +189,27 @@ def _forward_tiles(workers, order, counter, tables, frame, splats, image, transm
         later = order[min(item + workers, len(order) - 1)]
         ask_for_pairs(splats, gaussians, int64(tile_start[later]), int64(tile_start[later + 1]))
         _begin(state)
-        blocks = centres(table, x0, y0)
         live = inside(min(TILE, height - y0), min(TILE, width - x0))
         first = begin
         while first < end and live != 0:
             last = min(end, first + _BATCH)
-            _look_ahead(splats, gaussians, first, last, end, table_at, held[:2], blocks, faintest, batch)
+            look_ahead(splats, gaussians, first, last, end, _BATCH, (x0, y0), held[:2], faintest, batch, True)
+            store(by_block, int64(0), reaching(batch, _BATCH, int64(0)))
+            store(by_block, int64(BLOCKS), reaching(batch, _BATCH, int64(_WORD)))
             for k in range(BLOCKS):
-                todo = uint64(integer(by_block, k)) | uint64(integer(by_block, BLOCKS + k)) << uint64(_HALF)
-                bit, seen = uint32(1) << uint32(k), uint64(0)
-                if todo != 0 and live & bit != 0:
-                    seen, alive = _blend_block(k, todo, splats, batch, held, faintest, state)
-                    live &= ~uint32(0) if alive else ~bit
-                put_integer(by_block, k, uint32(seen))
-                put_integer(by_block, BLOCKS + k, uint32(seen >> uint64(_HALF)))
-            _note_seen(by_block, last - first, seen_in + 4 * first)
+                bit = uint32(1) << uint32(k)
+                if live & bit == 0:
+                    put_integer(by_block, k, uint32(0))
+                    put_integer(by_block, BLOCKS + k, uint32(0))
+                elif not _blend_block(k, splats, batch, by_block, held, faintest, state):
+                    live &= ~bit
+            if noted:
+                _note_seen(by_block, last - first, seen_in + 4 * first)
             first = last
-        reached[first:end] = uint32(0)
+        if noted:
+            reached[first:end] = uint32(0)
         _write(state, x0, y0, frame, image, transmittance)
-    keep(room)
+    keep(memory)
 
 
 @kernel(parallel=True)
@@ -260,6 +234,6 @@ def blend_forward(
     `reached` [P] uint32, if given, gets the blocks of its tile in which each pair is seen, for `blend_backward`.
     """
     if reached is None:
-        reached = np.empty(len(pair_gaussian), np.uint32)
+        reached = np.empty(0, np.uint32)
     tables, frame = (tile_start, pair_gaussian, TABLE, reached), (width, height)
     _forward(*work(tile_start), tables, frame, splats, image, transmittance, alpha_min)

@@ -15,98 +15,77 @@ import math
 import numpy as np
 from numba import float32, int64, njit, prange, uint32
 
+from tg4mm.rasterize.kernels.ahead import log2_alpha, look_ahead, room
 from tg4mm.rasterize.kernels.compiled import kernel
 from tg4mm.rasterize.kernels.lanes import lane_sums, load_block, planes_of_rows
 from tg4mm.rasterize.kernels.layout import (
     ALPHA_MIN,
-    CA,
-    CB,
-    CC,
     FEAT,
     FEATURES,
     MX,
     MY,
-    OP,
     SPLAT_WIDTH,
     TILE,
 )
+from tg4mm.rasterize.kernels.masks import put_places
 from tg4mm.rasterize.kernels.memory import (
     address,
-    ask,
     fetch_add,
     integer,
     keep,
     load,
     number,
-    put_integer,
     put_number,
     store,
 )
 from tg4mm.rasterize.kernels.tiles import (
-    AHEAD,
     BLOCKS,
-    LINES,
     TABLE,
     aligned,
     alphas_unbounded,
     ask_for_pairs,
     ask_for_pixels,
-    centres,
     constants,
     corner,
-    keep_lines,
-    log2_alpha,
     pixel,
-    top_of,
     work,
 )
 from tg4mm.rasterize.kernels.vector import LANES, fma, lowest_bit, negative, number_of_bits, select, wide
 
-_BATCH = 12  # pairs looked at ahead; the room for their alphas should stay within the first cache
-_AT_ONCE = 4  # blocks that are listed without a branch between them
+_BATCH = 16  # pairs looked at ahead; the room for their alphas should stay within the first cache
+_ROOM = room(_BATCH)
 _KEPT = 2 * LANES  # kept of each pair and block: alpha before it is bounded, alpha / (1 - alpha)
 # planes of a block: transmittance, what is still to come (as seen by the loss), gradient by the features
 _STRIDE = (2 + FEATURES) * LANES
 
 
 @njit(error_model="numpy", inline="always")
-def _look_ahead(splats, pair_gaussian, reached, first, last, end, table, lanes, blocks, faintest, batch):
-    """Of the pairs first … last, what their alphas need, and a list of the blocks in which they are seen.
+def _list_seen(reached, first, last, items):
+    """List the blocks in which the pairs first … last are seen. Returns how many.
 
-    Returns the list's length. An item is BLOCKS times the pair's place in the batch, plus the block.
+    An item is BLOCKS times the pair's place in the batch, plus the block.
     """
-    lines, tops, items, _ = batch
     count = int64(0)
     for n in range(last - first):
-        ask(splats, int64(integer(pair_gaussian, min(first + n + AHEAD, end - 1))) * SPLAT_WIDTH)
-        row = int64(integer(pair_gaussian, first + n)) * SPLAT_WIDTH
-        keep_lines(splats, row, lines, n * LINES, table, lanes, blocks)
-        put_number(tops, n, top_of(splats, row, faintest))
-        todo, base = integer(reached, first + n), uint32(n * BLOCKS)
-        while todo != 0:
-            # four at a time, whether they are there or not: most pairs then take a branch that can be foreseen
-            found = int64(number_of_bits(todo))
-            for j in range(_AT_ONCE):
-                put_integer(items, count + j, base + uint32(lowest_bit(todo | uint32(1 << BLOCKS))))
-                todo &= todo - uint32(1)
-            count += min(found, _AT_ONCE)
+        seen_in = integer(reached, first + n)
+        put_places(items, count, seen_in, uint32(n * BLOCKS))
+        count += int64(number_of_bits(seen_in))
     return count
 
 
 @njit(error_model="numpy", inline="always")
-def _alphas_ahead(count, faintest, held, batch):
+def _alphas_ahead(count, items, batch, faintest, held, kept):
     """The alphas of all items, for `_pair_sums`.
 
     There they would be half of a long chain of operations that wait for each other, of which the processor can hold two
     blocks' worth: it would wait most of the time.
     """
-    lines, tops, items, kept = batch
-    _, _, powers, alpha_max, _ = held
+    _, lane_y, powers, alpha_max, _ = held
     one = float32(1.0)
     for c in range(count):
         item = int64(integer(items, c))
         n, k = item // BLOCKS, item % BLOCKS
-        y = log2_alpha(lines, n * LINES, k, number(tops, n))
+        y = log2_alpha(batch, _BATCH, n, k, lane_y)
         alpha, raw = alphas_unbounded(y, faintest, alpha_max, powers)
         store(kept, c * _KEPT, raw)
         store(kept, c * _KEPT + LANES, alpha / (one - alpha))
@@ -162,9 +141,9 @@ def _read(state, x0, y0, frame, pictures):
 
 @njit(error_model="numpy", inline="always")
 def _pair_sums(splats, row, todo, x0, y0, table, held, kept, state):
-    """Gradient of a pair by the columns of `splats`, summed over its blocks `todo`, of which `kept` has the alphas."""
+    """Sums of a pair (layout.py) over its blocks `todo`, of which `kept` has the alphas."""
     lane_x, lane_y, _, alpha_max, t_min = held
-    one, half, zero = float32(1.0), float32(0.5), float32(0.0)
+    zero = float32(0.0)
     nothing = wide(zero)
     s, sx, sy, sxx, sxy = nothing, nothing, nothing, nothing, nothing
     syy, h0, h1, h2, h3 = nothing, nothing, nothing, nothing, nothing
@@ -197,15 +176,11 @@ def _pair_sums(splats, row, todo, x0, y0, table, held, kept, state):
         s, sx, sy = s + v, sx + vx, sy + vy
         sxx, sxy, syy = fma(vx, dx, sxx), fma(vx, dy, sxy), fma(vy, dy, syy)
         h0, h1, h2, h3 = fma(w, g0, h0), fma(w, g1, h1), fma(w, g2, h2), fma(w, g3, h3)
-    a, b, c = number(splats, row + CA), number(splats, row + CB), number(splats, row + CC)
-    return lane_sums(
-        fma(sx, a, sy * b), fma(sx, b, sy * c), sxx * -half, negative(sxy), syy * -half,
-        s * (one / number(splats, row + OP)), h0, h1, h2, h3,
-    )  # fmt: skip
+    return lane_sums(sx, sy, sxx, sxy, syy, s, h0, h1, h2, h3)
 
 
 @kernel()
-def _backward_tiles(workers, order, counter, tables, frame, splats, pictures, v_pairs, alpha_min):
+def _backward_tiles(workers, order, counter, tables, frame, splats, pictures, pair_sums, alpha_min):
     tile_start, pair_gaussian, table, reached = tables
     n_x = (frame[0] + TILE - 1) // TILE
     image, transmittance, v_image, v_transmittance = pictures
@@ -214,14 +189,13 @@ def _backward_tiles(workers, order, counter, tables, frame, splats, pictures, v_
     faintest = float32(math.log2(alpha_min))
     held = constants(table)
     most = _BATCH * BLOCKS
-    room = aligned(BLOCKS * _STRIDE + _BATCH * (LINES + 1) + most * (_KEPT + 1) + LANES)
-    state = address(room)
-    lines = state + 4 * BLOCKS * _STRIDE
-    kept = lines + 4 * _BATCH * LINES
-    tops = kept + 4 * most * _KEPT
-    batch = lines, tops, tops + 4 * _BATCH, kept
+    memory = aligned(BLOCKS * _STRIDE + _ROOM + most * (_KEPT + 1) + LANES)
+    state = address(memory)
+    batch = state + 4 * BLOCKS * _STRIDE
+    kept = batch + 4 * _ROOM
+    items = kept + 4 * most * _KEPT
     splats, gaussians, seen_in = address(splats), address(pair_gaussian), address(reached)
-    places, v_out = address(table), address(v_pairs)
+    places, v_out = address(table), address(pair_sums)
     while True:
         item = fetch_add(counter)
         if item >= len(order):
@@ -235,13 +209,13 @@ def _backward_tiles(workers, order, counter, tables, frame, splats, pictures, v_
         later = order[min(item + workers, len(order) - 1)]
         ask_for_pixels(later, n_x, frame, at_pictures)
         ask_for_pairs(splats, gaussians, int64(tile_start[later]), int64(tile_start[later + 1]))
-        blocks = centres(table, x0, y0)
         for first in range(begin, end, _BATCH):
             last = min(end, first + _BATCH)
-            count = _look_ahead(
-                splats, gaussians, seen_in, first, last, end, places, held[:2], blocks, faintest, batch
+            look_ahead(
+                splats, gaussians, first, last, end, _BATCH, (x0, y0), held[:2], faintest, batch, False
             )
-            _alphas_ahead(count, faintest, held, batch)
+            count = _list_seen(seen_in, first, last, items)
+            _alphas_ahead(count, items, batch, faintest, held, kept)
             here = kept
             for pair in range(first, last):
                 todo, sums = integer(seen_in, pair), wide(float32(0.0))
@@ -250,13 +224,13 @@ def _backward_tiles(workers, order, counter, tables, frame, splats, pictures, v_
                     sums = _pair_sums(splats, row, todo, x0, y0, places, held, here, state)
                     here += 4 * _KEPT * int64(number_of_bits(todo))
                 store(v_out, pair * SPLAT_WIDTH, sums)
-    keep(room)
+    keep(memory)
 
 
 @kernel(parallel=True)
-def _backward(workers, order, counter, tables, frame, splats, pictures, v_pairs, alpha_min):
+def _backward(workers, order, counter, tables, frame, splats, pictures, pair_sums, alpha_min):
     for _ in prange(workers):
-        _backward_tiles(workers, order, counter, tables, frame, splats, pictures, v_pairs, alpha_min)
+        _backward_tiles(workers, order, counter, tables, frame, splats, pictures, pair_sums, alpha_min)
 
 
 def blend_backward(
@@ -269,12 +243,11 @@ def blend_backward(
     transmittance: np.ndarray,
     v_image: np.ndarray,
     v_transmittance: np.ndarray,
-    v_pairs: np.ndarray,
+    pair_sums: np.ndarray,
     alpha_min: float = ALPHA_MIN,
     reached: np.ndarray | None = None,
 ) -> None:
-    """Gradient of every (tile, Gaussian) pair, to `v_pairs` [P, SPLAT_WIDTH], in the columns of `splats`; 0 in
-    those that blending does not read.
+    """What every (tile, Gaussian) pair gives to the gradient, to `pair_sums` [P, SPLAT_WIDTH] as in layout.py.
 
     v_image [H, W, FEATURES] and v_transmittance [H, W] are the loss's gradients by what blend_forward wrote. Without
     its `reached` every Gaussian is looked for in all blocks of its tiles: the same gradients, several times slower.
@@ -283,4 +256,4 @@ def blend_backward(
         reached = np.full(len(pair_gaussian), (1 << BLOCKS) - 1, np.uint32)
     tables, frame = (tile_start, pair_gaussian, TABLE, reached), (width, height)
     pictures = (image, transmittance, v_image, v_transmittance)
-    _backward(*work(tile_start), tables, frame, splats, pictures, v_pairs.reshape(-1), alpha_min)
+    _backward(*work(tile_start), tables, frame, splats, pictures, pair_sums.reshape(-1), alpha_min)

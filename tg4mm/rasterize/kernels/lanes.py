@@ -10,7 +10,18 @@ from numba import types
 from numba.extending import intrinsic
 
 from tg4mm.rasterize.kernels.memory import data_at
-from tg4mm.rasterize.kernels.vector import F32, FV, I32, I64, IV, LANES, as_lanes, constant_lanes, vector
+from tg4mm.rasterize.kernels.vector import (
+    F32,
+    FV,
+    I32,
+    I64,
+    IV,
+    LANES,
+    as_lanes,
+    constant_lanes,
+    declare,
+    vector,
+)
 
 
 def _picked(builder, a, b, picks):
@@ -168,23 +179,51 @@ def planes_of_rows(typingctx, a, b, c, d):
 
 
 @intrinsic
-def marked(typingctx, words, condition, bit):
-    """`words`, sixteen times 32 bits, with the bits of the uint32 `bit` set in those where the mask is set."""
+def row_starts(typingctx, rows, index, count):
+    """Sixteen times 32 bits: 16 times each of the int32 from `index` of an address on; 0 from the count-th on.
+
+    What lies beyond is not read.
+    """
 
     def codegen(context, builder, sig, args):
-        bits = builder.select(args[1], as_lanes(builder, args[2]), ir.Constant(IV, None))
-        return builder.bitcast(builder.or_(builder.bitcast(args[0], IV), bits), FV)
+        at, index, count = args
+        data = builder.inttoptr(at, I32.as_pointer())
+        place = builder.bitcast(builder.gep(data, [index]), IV.as_pointer())
+        lanes = ir.Constant(IV, [ir.Constant(I32, k) for k in range(LANES)])
+        there = builder.icmp_unsigned("<", lanes, as_lanes(builder, builder.trunc(count, I32)))
+        kinds = [IV.as_pointer(), I32, there.type, IV]
+        f = declare(builder, "llvm.masked.load.v16i32.p0", IV, kinds)
+        found = builder.call(f, [place, ir.Constant(I32, 4), there, ir.Constant(IV, None)])
+        shift = ir.Constant(IV, [ir.Constant(I32, 4)] * LANES)
+        return builder.bitcast(builder.shl(found, shift), FV)
 
-    return vector(vector, condition, types.uint32), codegen
+    return vector(types.int64, types.int64, types.int64), codegen
 
 
 @intrinsic
-def with_bit(typingctx, words, bit):
-    """Mask, as an integer, of those of sixteen times 32 bits that have the bit of the uint32 `bit` set."""
+def columns(typingctx, splats, rows, column):
+    """Four columns, from `column` on, of sixteen rows: a lane a row.
+
+    splats: address of float32; rows: that of sixteen int32, where each row begins.
+    """
 
     def codegen(context, builder, sig, args):
-        found = builder.and_(builder.bitcast(args[0], IV), as_lanes(builder, args[1]))
-        lanes = builder.icmp_unsigned("!=", found, ir.Constant(IV, None))
-        return builder.zext(builder.bitcast(lanes, ir.IntType(LANES)), I32)
+        splats, rows, column = args
+        kind = ir.VectorType(F32, 4)
+        data, starts = builder.inttoptr(splats, F32.as_pointer()), builder.inttoptr(rows, I32.as_pointer())
 
-    return types.uint32(vector, types.uint32), codegen
+        def four(k):
+            start = builder.zext(builder.load(builder.gep(starts, [ir.Constant(I64, k)])), I64)
+            place = builder.gep(data, [builder.add(start, column)])
+            return builder.load(builder.bitcast(place, kind.as_pointer()), align=4)
+
+        def together(parts):
+            eight = constant_lanes(range(8))
+            low, high = (builder.shuffle_vector(*parts[k : k + 2], eight) for k in (0, 2))
+            return builder.shuffle_vector(low, high, constant_lanes(range(LANES)))
+
+        # group g of the j-th vector is row 4 g + j
+        fours = [together([four(4 * g + j) for g in range(4)]) for j in range(4)]
+        return context.make_tuple(builder, sig.return_type, _within_fours(builder, *fours))
+
+    return types.UniTuple(vector, 4)(types.int64, types.int64, types.int64), codegen

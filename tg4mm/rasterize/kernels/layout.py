@@ -1,4 +1,7 @@
-"""The packed record of a projected Gaussian and the constants of blending, shared by all kernels."""
+"""The packed record of a projected Gaussian and the constants of blending, shared by all kernels.
+
+`ahead.py` reads the columns MX … CB and EX … L22 four at a time.
+"""
 
 from typing import Final
 
@@ -13,17 +16,20 @@ CC: Final = 4
 OP: Final = 5  # opacity
 FEAT: Final = 6  # first of the FEATURES blended channels (colour, depth)
 FEATURES: Final = 4
-POWER: Final = 10  # ln(opacity / alpha_min): blending skips what lies further out; <= 0 means invisible
-DEPTH: Final = 11  # z in the camera, scene units
+DEPTH: Final = 10  # z in the camera, scene units
 # Half extents in x and y of the ellipse inside which alpha >= alpha_min, pixels; kept, because from the conic of a
 # thin ellipse they would be lost to cancellation.
+EY: Final = 11
 EX: Final = 12
-EY: Final = 13
+POWER: Final = 13  # ln(opacity / alpha_min): blending skips what lies further out; <= 0 means invisible
 # The exponent as squares: alpha = opacity · 2^-(p² + q²), p = l11 dx + l12 dy, q = l22 dy, where
 # l11 = SQUARES · CA · R11, l12 = SQUARES · CB · R11; L22 from the conic would be lost to cancellation.
 R11: Final = 14  # 1 / sqrt(SQUARES · CA)
 L22: Final = 15
 SPLAT_WIDTH: Final = 16
+# A pair's gradient on its way to `gather_gradient`, which multiplies by what all pairs of a Gaussian share: in the
+# columns MX … OP sums over pixels of v dx, v dy, v dx², v dx dy, v dy² and v, where v is the gradient by the logarithm
+# of alpha, dx and dy the pixel from the mean; in the others the gradient itself.
 SQUARES: Final = 0.7213475204444817  # log2(e) / 2
 
 ALPHA_MIN: Final = 1.0 / 255.0  # [3DGS]: smaller contributions are skipped

@@ -19,10 +19,10 @@ from numba import float32, int64, prange
 from tg4mm.rasterize.kernels.compiled import kernel
 from tg4mm.rasterize.kernels.lanes import lane_sums_of_eight, store_eight
 from tg4mm.rasterize.kernels.layout import CA, CB, CC, FEAT, MX, MY, TILE
-from tg4mm.rasterize.kernels.memory import fetch_add, load, store
+from tg4mm.rasterize.kernels.memory import address, fetch_add, keep, load, store
 from tg4mm.rasterize.kernels.tiles import BLOCKS, TABLE, aligned, constants, fill, inside, pixel, work
 from tg4mm.rasterize.kernels.vector import LANES, fma, negative, wide
-from tg4mm.rasterize.kernels.weights import BATCH, KEPT, batch_room, look_ahead, weights
+from tg4mm.rasterize.kernels.weights import BATCH, KEPT, batch_room, look_at_all, weights
 
 COLUMNS = np.array([MX, MY, CA, CB, CC, FEAT, FEAT + 1, FEAT + 2])  # of the splats: what a change has
 _WIDTH = 8  # how many they are
@@ -39,8 +39,9 @@ def _push_tiles(order, counter, tables, frame, splats, d_splats, white, d_images
     faintest = float32(math.log2(alpha_min))
     # planes: transmittance, then of every change dT/T and three features
     stride = (1 + _CHANGE * n_changes) * LANES
-    held, state, batch = constants(table), aligned(BLOCKS * stride), batch_room()
-    _, _, kept, found = batch
+    held, state = constants(table), aligned(BLOCKS * stride)
+    masks, planes, kept, found = batch_room()
+    batch = masks, address(planes), kept, found
     while True:
         item = fetch_add(counter)
         if item >= len(order):
@@ -59,7 +60,7 @@ def _push_tiles(order, counter, tables, frame, splats, d_splats, white, d_images
             at = (pair - begin) % BATCH
             if at == 0:
                 last = min(end, pair + BATCH)
-                look_ahead(splats, pair_gaussian, pair, last, end, x0, y0, table, batch)
+                look_at_all(splats, pair_gaussian, pair, last, end, x0, y0, faintest, held, batch)
             n, live = weights(splats, i, at, live, x0, y0, faintest, table, held, state, stride, batch)
             a, b, c = splats[i, CA], splats[i, CB], splats[i, CC]
             f0, f1, f2 = splats[i, FEAT], splats[i, FEAT + 1], splats[i, FEAT + 2]
@@ -94,6 +95,7 @@ def _push_tiles(order, counter, tables, frame, splats, d_splats, white, d_images
                     behind = white * abs(state[at]) * state[plane + at]
                     for k in range(3):
                         d_images[change, y0 + r, x0 + j, k] = behind + state[plane + (1 + k) * LANES + at]
+    keep(planes)
 
 
 @kernel()
@@ -107,8 +109,9 @@ def _pull_tiles(order, counter, tables, frame, splats, pictures, white, v_images
     faintest = float32(math.log2(alpha_min))
     # planes: transmittance, then of every right-hand side what is still to come and the gradient by three features
     stride = (1 + _CHANGE * n_changes) * LANES
-    held, state, batch = constants(table), aligned(BLOCKS * stride), batch_room()
-    _, _, kept, found = batch
+    held, state = constants(table), aligned(BLOCKS * stride)
+    masks, planes, kept, found = batch_room()
+    batch = masks, address(planes), kept, found
     while True:
         item = fetch_add(counter)
         if item >= len(order):
@@ -137,7 +140,7 @@ def _pull_tiles(order, counter, tables, frame, splats, pictures, white, v_images
             at = (pair - begin) % BATCH
             if at == 0:
                 last = min(end, pair + BATCH)
-                look_ahead(splats, pair_gaussian, pair, last, end, x0, y0, table, batch)
+                look_at_all(splats, pair_gaussian, pair, last, end, x0, y0, faintest, held, batch)
             n, live = weights(splats, i, at, live, x0, y0, faintest, table, held, state, stride, batch)
             a, b, c = splats[i, CA], splats[i, CB], splats[i, CC]
             f0, f1, f2 = splats[i, FEAT], splats[i, FEAT + 1], splats[i, FEAT + 2]
@@ -176,6 +179,7 @@ def _pull_tiles(order, counter, tables, frame, splats, pictures, white, v_images
                 for rest in range((pair + 1) * n_changes * _WIDTH, end * n_changes * _WIDTH):
                     v_pairs[rest] = zero
                 break
+    keep(planes)
 
 
 @kernel(parallel=True)

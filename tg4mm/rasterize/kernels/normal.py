@@ -16,10 +16,10 @@ from numba import float32, int64, njit, prange
 from tg4mm.rasterize.kernels.compiled import kernel
 from tg4mm.rasterize.kernels.lanes import lane_sums_of_eight, store_eight
 from tg4mm.rasterize.kernels.layout import CA, CB, CC, FEAT, SPLAT_WIDTH, TILE
-from tg4mm.rasterize.kernels.memory import fetch_add, load, number, store
+from tg4mm.rasterize.kernels.memory import address, fetch_add, keep, load, number, store
 from tg4mm.rasterize.kernels.tiles import BLOCKS, TABLE, aligned, constants, fill, inside, pixel, work
 from tg4mm.rasterize.kernels.vector import LANES, fma, magnitude, negative, number_of_bits, wide
-from tg4mm.rasterize.kernels.weights import BATCH, KEPT, look_ahead_of_reached, weights
+from tg4mm.rasterize.kernels.weights import BATCH, KEPT, batch_room, look_at_reached, weights
 
 _WIDTH = 8  # columns of a change
 # Planes of the state for each change: dT/T and its picture, then what lies behind and the gradient
@@ -122,8 +122,8 @@ def _normal_tiles(
     faintest = float32(math.log2(alpha_min))
     stride = (1 + _CHANGE * n_changes) * LANES
     held, state, counts = constants(table), aligned(BLOCKS * stride), aligned(BLOCKS * LANES)
-    kept, found = aligned(most[0] * KEPT), np.empty(most[0], np.int64)
-    batch = np.empty(BATCH, np.uint32), aligned(BATCH * 2 * LANES), kept, found
+    masks, planes, kept, found = batch_room(most[0])
+    batch = masks, address(planes), kept, found
     upto = np.empty(most[1] + 1, np.int64)  # of the pairs of a tile: where the kept blocks of each end
     flat, changes, gradients = splats.reshape(-1), d_splats.reshape(-1), v_pairs.reshape(-1)
     while True:
@@ -144,7 +144,9 @@ def _normal_tiles(
             at = (pair - begin) % BATCH
             if at == 0:
                 last = min(end, pair + BATCH)
-                look_ahead_of_reached(splats, pair_gaussian, reached, pair, last, end, x0, y0, table, batch)
+                look_at_reached(
+                    splats, pair_gaussian, reached, pair, last, end, x0, y0, faintest, held, batch
+                )
             before = filled
             filled, live = weights(
                 splats, i, at, live, x0, y0, faintest, table, held, state, stride, batch, filled
@@ -164,6 +166,7 @@ def _normal_tiles(
             for change in range(n_changes):
                 plane, to = (1 + _CHANGE * change) * LANES, (pair * n_changes + change) * _WIDTH
                 _pull_pair(conic, colour, gradients, to, plane, blocks, found, kept, state)
+    keep(planes)
 
 
 @kernel(parallel=True)

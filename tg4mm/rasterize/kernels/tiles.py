@@ -21,39 +21,34 @@ from numba import float32, get_num_threads, int64, njit, uint32
 from tg4mm.rasterize.kernels.compiled import kernel
 from tg4mm.rasterize.kernels.layout import (
     ALPHA_MAX,
-    CA,
-    CB,
-    EX,
     FEATURES,
-    L22,
-    MX,
-    MY,
-    POWER,
-    R11,
     SPLAT_WIDTH,
-    SQUARES,
     T_MIN,
     TILE,
 )
-from tg4mm.rasterize.kernels.memory import ask_early, integer, load, number, store
-from tg4mm.rasterize.kernels.vector import EXP2, LANES, exp2, fma, magnitude, negative, select, wide
+from tg4mm.rasterize.kernels.memory import ask_early, integer, load
+from tg4mm.rasterize.kernels.vector import (
+    EXP2,
+    EXP2_STEPS,
+    LANES,
+    exp2,
+    select,
+    wide,
+)
 
 _SIDE = 4  # pixels of a block
 BLOCKS = TILE * TILE // LANES
-LINES = 4 * LANES  # numbers that `keep_lines` writes
 AHEAD = 32  # pairs whose Gaussians are asked for ahead of their use: they lie anywhere in memory
 
 # What kernels read from memory: where pixels and blocks lie (lanes are pixels from their block's centre, then block
 # centres from the tile's corner), then constants that are to stay in registers.
 _LANE = np.arange(LANES)
 _PLACES = [_LANE % _SIDE - 1.5, _LANE // _SIDE - 1.5, _LANE % _SIDE * 4 + 2.0, _LANE // _SIDE * 4 + 2.0]
-_HALF_BLOCK = 1.5  # from a block's centre to that of its outermost pixels
-# TABLE's last: constants as whole vectors, which LLVM cannot take apart into numbers that it would have to spread
-_SPREAD = [np.full(LANES, x) for x in (SQUARES, _HALF_BLOCK)]
-TABLE = np.concatenate([*_PLACES, EXP2, [ALPHA_MAX, T_MIN], *_SPREAD]).astype(np.float32)
-_POWERS = 4 * LANES
-_LIMITS = _POWERS + len(EXP2)
-_SPREAD_AT = _LIMITS + 2
+_POWERS = len(_PLACES) * LANES
+_STEPS = _POWERS + LANES
+_LIMITS = _STEPS + len(EXP2_STEPS)
+_SKIPPED = np.zeros(LANES - len(EXP2))  # so that vectors begin where a cache line does
+TABLE = np.concatenate([*_PLACES, EXP2, _SKIPPED, EXP2_STEPS, [ALPHA_MAX, T_MIN]]).astype(np.float32)
 
 
 @njit(inline="always")
@@ -102,102 +97,12 @@ def constants(table):
     """
     powers = (
         wide(table[_POWERS]), wide(table[_POWERS + 1]), wide(table[_POWERS + 2]), wide(table[_POWERS + 3]),
-        wide(table[_POWERS + 4]), wide(table[_POWERS + 5]), wide(table[_POWERS + 6]),
+        wide(table[_POWERS + 4]), wide(table[_POWERS + 5]), wide(table[_POWERS + 6]), wide(table[_POWERS + 7]),
+        wide(table[_POWERS + 8]), wide(table[_POWERS + 9]), wide(table[_POWERS + 10]),
+        load(table, int64(_STEPS)), load(table, int64(_STEPS + LANES)),
     )  # fmt: skip
     lanes = load(table, int64(0)), load(table, int64(LANES))
     return lanes[0], lanes[1], powers, wide(table[_LIMITS]), wide(table[_LIMITS + 1])
-
-
-@njit(inline="always")
-def exponent(splats, row):
-    """l11, l12, l22 of the exponent p² + q² of the Gaussian at `row`: p = l11 dx + l12 dy, q = l22 dy."""
-    h = float32(SQUARES) * number(splats, row + R11)
-    return h * number(splats, row + CA), h * number(splats, row + CB), number(splats, row + L22)
-
-
-@njit(inline="always")
-def centres(table, x0, y0):
-    """x and y of the centres of the blocks of the tile that begins at x0, y0, a lane a block."""
-    return load(table, int64(2 * LANES)) + float32(x0), load(table, int64(3 * LANES)) + float32(y0)
-
-
-@njit(inline="always")
-def at_centres(splats, row, block_x, block_y):
-    """p and q of a Gaussian at the centres of the tile's blocks, and how far right of its own they lie."""
-    l11, l12, l22 = exponent(splats, row)
-    dx, dy = block_x - number(splats, row + MX), block_y - number(splats, row + MY)
-    return fma(dx, l11, dy * l12), dy * l22, dx
-
-
-@njit(inline="always")
-def may_reach(splats, row, p, q, dx):
-    """Mask of the blocks that the ellipse of a Gaussian may reach, from `at_centres`.
-
-    A block's p and q lie within a box around those of its centre; if the box's nearest point to the origin is outside
-    the ellipse, so is the block. So it is if the ellipse does not extend that far to the left or right.
-    """
-    l11, l12, l22 = exponent(splats, row)
-    limit = number(splats, row + POWER) * float32(2.0 * SQUARES)
-    return _within(splats, row, p, q, dx, wide(l11), wide(l12), wide(l22), wide(float32(_HALF_BLOCK)), limit)
-
-
-@njit(inline="always")
-def _within(splats, row, p, q, dx, l11, l12, l22, half, limit):
-    """`may_reach`, the exponent and half a block's width in vectors. limit: of p² + q²."""
-    zero = float32(0.0)
-    out_p = fma(negative(l11 + magnitude(l12)), half, magnitude(p))  # l11 > 0
-    out_q = fma(negative(l22), half, magnitude(q))
-    out_p, out_q = select(out_p > zero, out_p, zero), select(out_q > zero, out_q, zero)
-    beside = wide(number(splats, row + EX) + float32(_HALF_BLOCK)) >= magnitude(dx)
-    return beside & (wide(limit) >= fma(out_p, out_p, out_q * out_q))
-
-
-@njit(inline="always")
-def top_of(splats, row, faintest):
-    """log2 of a Gaussian's opacity; faintest: that of the smallest alpha that counts."""
-    return number(splats, row + POWER) * float32(2.0 * SQUARES) + faintest
-
-
-@njit(inline="always")
-def keep_lines(splats, row, lines, at, table, lanes, blocks):
-    """Write from `at` on what `log2_alpha` reads: p and q at the centres, and by what they differ within a block.
-
-    Returns p, q, what `exponent` does as vectors, and how far right the centres lie. table: TABLE's address; lanes and
-    blocks: x and y of pixels from their block's centre, and `centres`.
-    """
-    # The factor is a whole vector in memory, which LLVM cannot take apart: calculated as single numbers, each of the
-    # three would have to be spread by a shuffle.
-    h = load(table, int64(_SPREAD_AT)) * number(splats, row + R11)
-    l11, l12, l22 = (
-        h * number(splats, row + CA),
-        h * number(splats, row + CB),
-        wide(number(splats, row + L22)),
-    )
-    dx, dy = blocks[0] - number(splats, row + MX), blocks[1] - number(splats, row + MY)
-    p, q = fma(dx, l11, dy * l12), dy * l22
-    own_p, own_q = fma(lanes[0], l11, lanes[1] * l12), lanes[1] * l22
-    store(lines, at, p)
-    store(lines, at + LANES, q)
-    store(lines, at + 2 * LANES, own_p)
-    store(lines, at + 3 * LANES, own_q)
-    return p, q, l11, l12, l22, dx
-
-
-@njit(inline="always")
-def reach_of_lines(splats, row, table, kept):
-    """`may_reach` from what `keep_lines` returns, and log2(opacity / smallest alpha)."""
-    p, q, l11, l12, l22, dx = kept
-    half = load(table, int64(_SPREAD_AT + LANES))
-    limit = number(splats, row + POWER) * float32(2.0 * SQUARES)
-    return _within(splats, row, p, q, dx, l11, l12, l22, half, limit), limit
-
-
-@njit(inline="always")
-def log2_alpha(lines, at, k, top):
-    """log2 of the unbounded alpha in block k, from `keep_lines` and `top_of`."""
-    p = load(lines, at + 2 * LANES) + number(lines, at + k)
-    q = load(lines, at + 3 * LANES) + number(lines, at + LANES + k)
-    return fma(negative(q), q, fma(negative(p), p, top))
 
 
 @njit(inline="always")

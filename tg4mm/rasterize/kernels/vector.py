@@ -132,8 +132,7 @@ def fma_where(typingctx, condition, a, b, c):
 
     def codegen(context, builder, sig, args):
         condition, a, b, c = args[0], *(_as_vector(builder, x) for x in args[1:])
-        _, _, features = context.codegen().magic_tuple()
-        masked = "+avx512f" in features
+        masked = has_avx512(context)
         if not masked:
             a = builder.select(condition, a, ir.Constant(FV, None))
         f = builder.call(declare(builder, "llvm.fmuladd.v16f32", FV, [FV] * 3), [a, b, c])
@@ -203,29 +202,60 @@ def number_of_bits(typingctx, x):
 
 # 2^f for |f| <= 1/2, least relative error, 1.2e-7, by iterated weighted least squares; last, what rounds a float32 by
 # being added to it: the sum's last binary digit is worth 1
-EXP2 = np.array(
-    [0.00132764704, 0.00967554162, 0.0555071328, 0.240221197, 0.693146967, 1.0, 1.5 * 2**23], np.float32
-)
+_SERIES = [0.00132764704, 0.00967554162, 0.0555071328, 0.240221197, 0.693146967, 1.0, 1.5 * 2**23]
+# 2^f - 1 over f for |f| <= 1/64, alike, 5e-8; what rounds to 1/32; the bits of a float32 that are not its fraction
+_STEP = 32
+_SHORT_SERIES = [0.240226496, 0.693157335, 1.5 * 2**23 / _STEP, -np.inf]
+EXP2 = np.array(_SERIES + _SHORT_SERIES, np.float32)
+EXP2_STEPS = (2.0 ** (np.arange(_STEP) / _STEP)).astype(np.float32)  # two vectors
+
+
+def has_avx512(context):
+    """Is the code for a processor that looks up 32 numbers at once and masks what it calculates?"""
+    return "+avx512f" in context.codegen().magic_tuple()[2]
+
+
+def _exp2_series(builder, x, multiply_add, constants):
+    *polynomial, rounder = constants
+    shifted = builder.fadd(x, rounder)
+    f = builder.fsub(x, builder.fsub(shifted, rounder))
+    p = polynomial[0]
+    for coefficient in polynomial[1:]:
+        p = builder.call(multiply_add, [p, f, coefficient])
+    shift = ir.Constant(IV, [ir.Constant(I32, 23)] * LANES)
+    return p, builder.shl(builder.bitcast(shifted, IV), shift)
+
+
+def _exp2_steps(builder, x, multiply_add, constants, steps):
+    second, first, rounder, whole = constants
+    shifted = builder.fadd(x, rounder)
+    f = builder.fsub(x, builder.fsub(shifted, rounder))
+    look_up = declare(builder, "llvm.x86.avx512.vpermi2var.ps.512", FV, [FV, IV, FV])
+    n = builder.bitcast(shifted, IV)
+    step = builder.call(look_up, [steps[0], n, steps[1]])  # by the last five bits
+    rise = builder.fmul(builder.call(multiply_add, [second, f, first]), f)
+    shift = ir.Constant(IV, [ir.Constant(I32, 23 - 5)] * LANES)
+    power = builder.and_(builder.shl(n, shift), builder.bitcast(whole, IV))
+    return builder.call(multiply_add, [step, rise, step]), power
 
 
 @intrinsic
-def exp2(typingctx, x, coefficients):
-    """2^x for -126 <= x <= 0; below, any value. Relative error below 3e-7. coefficients: EXP2, each in a vector.
+def exp2(typingctx, x, constants):
+    """2^x for -126 <= x <= 0; below, any value. Relative error below 3e-7. constants: EXP2 and EXP2_STEPS, vectors.
 
     2^n · 2^f with n the nearest integer and |f| <= 1/2, a polynomial for 2^f. The low bits of x + 1.5 · 2^23 are n.
+    With AVX-512 it is the nearest 1/32, whose fraction is looked up, and the rest takes three multiplications instead
+    of five: of those blending has most.
     """
 
     def codegen(context, builder, sig, args):
-        x = args[0]
-        *polynomial, rounder = cgutils.unpack_tuple(builder, args[1])
-        shifted = builder.fadd(x, rounder)
-        f = builder.fsub(x, builder.fsub(shifted, rounder))
+        values = cgutils.unpack_tuple(builder, args[1])
+        series, short, steps = values[: len(_SERIES)], values[len(_SERIES) : len(EXP2)], values[len(EXP2) :]
         multiply_add = declare(builder, "llvm.fmuladd.v16f32", FV, [FV] * 3)
-        p = polynomial[0]
-        for coefficient in polynomial[1:]:
-            p = builder.call(multiply_add, [p, f, coefficient])
-        shift = ir.Constant(IV, [ir.Constant(I32, 23)] * LANES)
-        n = builder.shl(builder.bitcast(shifted, IV), shift)
+        if has_avx512(context):
+            p, n = _exp2_steps(builder, args[0], multiply_add, short, steps)
+        else:
+            p, n = _exp2_series(builder, args[0], multiply_add, series)
         return builder.bitcast(builder.add(builder.bitcast(p, IV), n), FV)
 
-    return vector(vector, coefficients), codegen
+    return vector(vector, constants), codegen

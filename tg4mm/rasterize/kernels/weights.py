@@ -9,62 +9,46 @@ Blocks, tiles and state as in `tiles.py`; `linearised.py` says what the numbers 
 import numpy as np
 from numba import float32, int64, njit, uint32
 
-from tg4mm.rasterize.kernels.layout import MX, MY, SPLAT_WIDTH
-from tg4mm.rasterize.kernels.memory import load, prefetch, store
-from tg4mm.rasterize.kernels.tiles import (
-    AHEAD,
-    BLOCKS,
-    aligned,
-    alphas,
-    at_centres,
-    centres,
-    exponent,
-    may_reach,
-    top_of,
-)
-from tg4mm.rasterize.kernels.vector import LANES, bits, fma, lowest_bit, magnitude, negative, select
+from tg4mm.rasterize.kernels.ahead import log2_alpha, look_ahead, reaching, room
+from tg4mm.rasterize.kernels.layout import MX, MY
+from tg4mm.rasterize.kernels.masks import highest_bits, shifted
+from tg4mm.rasterize.kernels.memory import address, load, store
+from tg4mm.rasterize.kernels.tiles import BLOCKS, aligned, alphas
+from tg4mm.rasterize.kernels.vector import LANES, bits, lowest_bit, magnitude, negative, select
 
 KEPT = 5 * LANES  # numbers kept for each block: w, Tα, α/(1 - α), dx, dy
 BATCH = 32  # pairs looked at ahead
+_PLANES = room(BATCH)
 
 
 @njit(error_model="numpy", inline="always")
-def look_ahead(splats, pair_gaussian, first, last, end, x0, y0, table, batch):
-    """For the pairs first … last: which blocks may be reached, and p and q at the blocks' centres.
-
-    Ahead, so that the branches of the loop over blocks, which depend on it, do not wait for it.
-    """
-    masks, offsets, _, _ = batch
-    block_x, block_y = centres(table, x0, y0)
-    for n in range(last - first):
-        prefetch(splats, int64(pair_gaussian[min(first + n + AHEAD, end - 1)]))
-        row = int64(pair_gaussian[first + n]) * SPLAT_WIDTH
-        p, q, dx = at_centres(splats, row, block_x, block_y)
-        store(offsets, n * 2 * LANES, p)
-        store(offsets, n * 2 * LANES + LANES, q)
-        masks[n] = bits(may_reach(splats, row, p, q, dx))
+def look_at_all(splats, pair_gaussian, first, last, end, x0, y0, faintest, held, batch):
+    """Of the pairs first … last what `weights` needs, and which blocks they may reach."""
+    masks, at, _, _ = batch
+    look_ahead(
+        address(splats), address(pair_gaussian), first, last, end, BATCH, (x0, y0), held[:2], faintest, at, True
+    )  # fmt: skip
+    words = reaching(at, BATCH, int64(0))
+    for n in range(BATCH):
+        masks[BATCH - 1 - n] = highest_bits(words)
+        words = shifted(words, uint32(1))
 
 
 @njit(error_model="numpy", inline="always")
-def look_ahead_of_reached(splats, pair_gaussian, reached, first, last, end, x0, y0, table, batch):
-    """`look_ahead` where `blend_forward` has told which blocks are reached."""
-    masks, offsets, _, _ = batch
-    block_x, block_y = centres(table, x0, y0)
+def look_at_reached(splats, pair_gaussian, reached, first, last, end, x0, y0, faintest, held, batch):
+    """`look_at_all` where `blend_forward` has told which blocks are reached."""
+    masks, at, _, _ = batch
+    look_ahead(
+        address(splats), address(pair_gaussian), first, last, end, BATCH, (x0, y0), held[:2], faintest, at, False
+    )  # fmt: skip
     for n in range(last - first):
-        prefetch(splats, int64(pair_gaussian[min(first + n + AHEAD, end - 1)]))
-        p, q, _ = at_centres(splats, int64(pair_gaussian[first + n]) * SPLAT_WIDTH, block_x, block_y)
-        store(offsets, n * 2 * LANES, p)
-        store(offsets, n * 2 * LANES + LANES, q)
         masks[n] = reached[first + n]
 
 
 @njit(inline="always")
-def batch_room():
-    """Room for `look_ahead`, and for `weights`: `kept` and `found`."""
-    return (
-        np.empty(BATCH, np.uint32), aligned(BATCH * 2 * LANES), aligned(BLOCKS * KEPT),
-        np.empty(BLOCKS, np.int64),
-    )  # fmt: skip
+def batch_room(blocks=BLOCKS):
+    """Room for a batch: masks and planes of its pairs; and for `weights` of so many blocks: `kept` and `found`."""
+    return np.empty(BATCH, np.uint32), aligned(_PLANES), aligned(blocks * KEPT), np.empty(blocks, np.int64)
 
 
 @njit(error_model="numpy", inline="always")
@@ -74,21 +58,17 @@ def weights(splats, i, n, live, x0, y0, faintest, table, held, state, stride, ba
     `kept` gets it from block `count` on, and `found` the place of each of these blocks in the state. Returns how many
     are there then, and the blocks still live.
     """
-    masks, offsets, kept, found = batch
+    masks, planes, kept, found = batch
     lane_x, lane_y, powers, alpha_max, t_min = held
     one, zero = float32(1.0), float32(0.0)
-    l11, l12, l22 = exponent(splats, int64(i) * SPLAT_WIDTH)
-    top = top_of(splats, int64(i) * SPLAT_WIDTH, faintest)
-    at_p, at_q = fma(lane_x, l11, lane_y * l12), lane_y * l22
     at_x = lane_x + (float32(x0) - splats[i, MX])
     at_y = lane_y + (float32(y0) - splats[i, MY])
-    todo, at, count = masks[n] & live, n * 2 * LANES, int64(count)
+    todo, count = masks[n] & live, int64(count)
     while todo != 0:
         k = lowest_bit(todo)
         todo &= todo - uint32(1)
         place = k * stride
-        p, q = at_p + offsets[at + k], at_q + offsets[at + LANES + k]
-        y = fma(negative(q), q, fma(negative(p), p, top))
+        y = log2_alpha(planes, BATCH, n, k, lane_y)
         alpha, free, _ = alphas(y, faintest, alpha_max, powers)
         t = load(state, place)
         w = t * alpha

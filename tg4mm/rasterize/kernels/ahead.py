@@ -1,0 +1,139 @@
+"""Looking ahead at the Gaussians of a tile's list, sixteen at a time: a lane a Gaussian.
+
+What blending needs to know of a Gaussian before it comes to pixels is a handful of numbers and which of the tile's
+blocks its ellipse may reach. Calculated for one Gaussian with a lane a block, each of these numbers would have to be
+spread over the lanes first. Here sixteen records are turned round instead, and a block's answer, a mask of Gaussians,
+is just what a loop over blocks wants.
+
+A batch is a table in memory: planes as long as the batch, a number a Gaussian; then a vector a Gaussian; then, for
+every sixteen Gaussians, sixteen masks of 16 bits, one a block.
+"""
+
+# mypy: disable-error-code="call-arg, var-annotated, operator"
+# an intrinsic has one argument more than its calls: the typing context
+
+from numba import float32, int64, njit
+
+from tg4mm.rasterize.kernels.lanes import columns, row_starts, store_eight
+from tg4mm.rasterize.kernels.layout import EX, MX, SQUARES
+from tg4mm.rasterize.kernels.masks import first_lanes, put_mask, two_halves
+from tg4mm.rasterize.kernels.memory import ask, integer, load, number, store
+from tg4mm.rasterize.kernels.tiles import AHEAD, BLOCKS
+from tg4mm.rasterize.kernels.vector import LANES, fma, magnitude, negative, select, wide
+
+_TOP, _ROW, _L11, _L12, _L22 = BLOCKS + 4, BLOCKS + 5, BLOCKS + 6, BLOCKS + 7, BLOCKS + 8
+_PLANES = BLOCKS + 9  # how many: p at the centres of the blocks, q at those of their rows, then the above
+_HALF_BLOCK = 1.5  # from a block's centre to that of its outermost pixels
+_OWN = LANES  # the vector: by how much p differs from that within a block
+
+
+def room(size):
+    """float32 that a batch of `size` Gaussians needs, a multiple of 16."""
+    return (_PLANES + _OWN) * size + size // LANES * BLOCKS // 2
+
+
+@njit(inline="always")
+def _column(batch, at, dx, l11, l12_dy):
+    """p at the centre of a block, kept at `at`."""
+    p = fma(dx, l11, l12_dy)
+    store(batch, at, p)
+    return p
+
+
+@njit(inline="always")
+def _reaches(p, q, reach_p, beside, limit):
+    """Mask of the Gaussians whose ellipse may reach a block.
+
+    A block's p and q lie within a box around those of its centre; if the box's nearest point to the origin is outside
+    the ellipse, so is the block. So it is if the ellipse does not extend that far to the left or right (`beside`).
+    reach_p: half the box's width; q: the square of how far the box lies off in q.
+    """
+    zero = float32(0.0)
+    out = magnitude(p) - reach_p
+    out = select(out > zero, out, zero)
+    return beside & (limit >= fma(out, out, q))
+
+
+@njit(inline="always")
+def _sixteen(splats, rows, n, size, origin, faintest, count, batch, tested):
+    """The planes of the Gaussians n … n + 15 of a batch, and, if `tested`, which of them may reach each block."""
+    zero, half = float32(0.0), float32(_HALF_BLOCK)
+    mx, my, ca, cb = columns(splats, rows, int64(MX))
+    ex, power, r11, l22 = columns(splats, rows, int64(EX))
+    h = r11 * float32(SQUARES)
+    l11, l12, limit = h * ca, h * cb, power * float32(2.0 * SQUARES)
+    store(batch, _TOP * size + n, limit + faintest)
+    limit = first_lanes(limit, count, float32(-1.0))  # what is not there reaches nothing
+    store(batch, _L11 * size + n, l11)
+    store(batch, _L12 * size + n, l12)
+    store(batch, _L22 * size + n, l22)
+    dx0, dx1 = float32(origin[0]) + float32(2.0) - mx, float32(origin[0]) + float32(6.0) - mx
+    dx2, dx3 = float32(origin[0]) + float32(10.0) - mx, float32(origin[0]) + float32(14.0) - mx
+    side = ex + half
+    beside0, beside1 = side >= magnitude(dx0), side >= magnitude(dx1)
+    beside2, beside3 = side >= magnitude(dx2), side >= magnitude(dx3)
+    reach_p, reach_q = (l11 + magnitude(l12)) * half, l22 * half  # l11 > 0
+    masks = 2 * (_PLANES + _OWN) * size + n  # sixteen to every sixteen Gaussians
+    for r in range(4):
+        dy = float32(origin[1]) + float32(2.0 + 4.0 * r) - my
+        l12_dy, q = dy * l12, dy * l22
+        store(batch, (BLOCKS + r) * size + n, q)
+        at = 4 * r * size + n
+        p0, p1 = _column(batch, at, dx0, l11, l12_dy), _column(batch, at + size, dx1, l11, l12_dy)
+        p2, p3 = (
+            _column(batch, at + 2 * size, dx2, l11, l12_dy),
+            _column(batch, at + 3 * size, dx3, l11, l12_dy),
+        )
+        if tested:
+            out = magnitude(q) - reach_q
+            out = select(out > zero, out, zero)
+            out = out * out
+            put_mask(batch, masks + 4 * r, _reaches(p0, out, reach_p, beside0, limit))
+            put_mask(batch, masks + 4 * r + 1, _reaches(p1, out, reach_p, beside1, limit))
+            put_mask(batch, masks + 4 * r + 2, _reaches(p2, out, reach_p, beside2, limit))
+            put_mask(batch, masks + 4 * r + 3, _reaches(p3, out, reach_p, beside3, limit))
+
+
+@njit(inline="always")
+def look_ahead(splats, pair_gaussian, first, last, end, size, origin, lanes, faintest, batch, tested):
+    """Fill `batch`, room for `size`, with the pairs first … last of a list that ends at `end`.
+
+    origin: first pixel of the tile; lanes: x and y of pixels from their block's centre; faintest: log2 of the smallest
+    alpha that counts. tested: also find out which blocks each may reach, for `reaching`.
+    """
+    for n in range(last - first, size, LANES):
+        if tested:
+            store_eight(batch, (_PLANES + _OWN) * size + n // LANES * LANES // 2, wide(float32(0.0)))
+    for n in range(0, last - first, LANES):
+        for pair in range(min(first + n + AHEAD, end), min(first + n + AHEAD + LANES, end)):
+            ask(splats, int64(integer(pair_gaussian, pair)) << 4)
+        count = min(last - first - n, int64(LANES))
+        rows = row_starts(pair_gaussian, first + n, count)
+        store(batch, _ROW * size + n, rows)
+        _sixteen(splats, batch + 4 * (_ROW * size + n), n, size, origin, faintest, count, batch, tested)
+        own = _PLANES * size + n * _OWN
+        for m in range(n, n + count):
+            l11, l12 = number(batch, _L11 * size + m), number(batch, _L12 * size + m)
+            store(batch, own, fma(lanes[0], l11, lanes[1] * l12))
+            own += _OWN
+
+
+@njit(inline="always")
+def reaching(batch, size, n):
+    """Which of the Gaussians n … n + 31 of a tested batch may reach each block: sixteen times 32 bits."""
+    return two_halves(batch, 2 * (_PLANES + _OWN) * size + n)
+
+
+@njit(inline="always")
+def row_of(batch, size, n):
+    """Where the n-th Gaussian of a batch begins in `splats`."""
+    return int64(integer(batch, _ROW * size + n))
+
+
+@njit(inline="always")
+def log2_alpha(batch, size, n, k, lane_y):
+    """log2 of the unbounded alpha of the n-th Gaussian of a batch in block k, a lane a pixel."""
+    own = _PLANES * size + n * _OWN
+    p = load(batch, own) + number(batch, k * size + n)
+    q = fma(lane_y, number(batch, _L22 * size + n), number(batch, (BLOCKS + (k >> 2)) * size + n))
+    return fma(negative(q), q, fma(negative(p), p, number(batch, _TOP * size + n)))

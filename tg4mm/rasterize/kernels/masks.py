@@ -1,0 +1,103 @@
+"""Masks of sixteen lanes in memory, and what can be made of many of them.
+
+Sixteen words of 32 bits are a vector of `vector.py` whose numbers nobody reads as such.
+"""
+
+from __future__ import annotations
+
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+from tg4mm.rasterize.kernels.vector import FV, I32, I64, IV, LANES, MV, as_lanes, declare, mask, vector
+
+_I16 = ir.IntType(LANES)
+_NUMBERED = ir.Constant(IV, [ir.Constant(I32, k) for k in range(LANES)])
+
+
+@intrinsic
+def put_mask(typingctx, at, index, condition):
+    """Write a mask as the index-th 16 bits of an address."""
+
+    def codegen(context, builder, sig, args):
+        at = builder.gep(builder.inttoptr(args[0], _I16.as_pointer()), [args[1]])
+        builder.store(builder.bitcast(args[2], _I16), at, align=2)
+        return context.get_dummy_value()
+
+    return types.none(types.int64, types.int64, mask), codegen
+
+
+@intrinsic
+def two_halves(typingctx, at, index):
+    """Sixteen times 32 bits: of sixteen times 16 bits, from the index-th of an address on, and the sixteen after."""
+
+    def codegen(context, builder, sig, args):
+        kind = ir.VectorType(_I16, LANES)
+        data = builder.inttoptr(args[0], _I16.as_pointer())
+        low, high = (
+            builder.zext(
+                builder.load(
+                    builder.bitcast(
+                        builder.gep(data, [builder.add(args[1], ir.Constant(I64, k))]), kind.as_pointer()
+                    ),
+                    align=2,
+                ),
+                IV,
+            )
+            for k in (0, LANES)
+        )
+        shift = ir.Constant(IV, [ir.Constant(I32, 16)] * LANES)
+        return builder.bitcast(builder.or_(low, builder.shl(high, shift)), FV)
+
+    return vector(types.int64, types.int64), codegen
+
+
+@intrinsic
+def shifted(typingctx, words, by):
+    """Sixteen times 32 bits, each shifted to the left."""
+
+    def codegen(context, builder, sig, args):
+        return builder.bitcast(builder.shl(builder.bitcast(args[0], IV), as_lanes(builder, args[1])), FV)
+
+    return vector(vector, types.uint32), codegen
+
+
+@intrinsic
+def highest_bits(typingctx, words):
+    """Mask, as an integer, of those of sixteen times 32 bits that have the highest bit set."""
+
+    def codegen(context, builder, sig, args):
+        lanes = builder.icmp_signed("<", builder.bitcast(args[0], IV), ir.Constant(IV, None))
+        return builder.zext(builder.bitcast(lanes, _I16), I32)
+
+    return types.uint32(vector), codegen
+
+
+@intrinsic
+def put_places(typingctx, at, index, bits, base):
+    """Write base + k for each bit k of `bits` that is set, then zeros: sixteen uint32, from the index-th on."""
+
+    def codegen(context, builder, sig, args):
+        at, index, bits, base = args
+        chosen = builder.bitcast(builder.trunc(bits, _I16), MV)
+        f = declare(builder, "llvm.experimental.vector.compress.v16i32", IV, [IV, MV, IV])
+        places = builder.call(
+            f, [builder.add(_NUMBERED, as_lanes(builder, base)), chosen, ir.Constant(IV, None)]
+        )
+        data = builder.gep(builder.inttoptr(at, I32.as_pointer()), [index])
+        builder.store(places, builder.bitcast(data, IV.as_pointer()), align=4)
+        return context.get_dummy_value()
+
+    return types.none(types.int64, types.int64, types.uint32, types.uint32), codegen
+
+
+@intrinsic
+def first_lanes(typingctx, value, count, other):
+    """The first `count` lanes of a vector, then those of another, or a float32."""
+
+    def codegen(context, builder, sig, args):
+        value, count, other = args
+        there = builder.icmp_unsigned("<", _NUMBERED, as_lanes(builder, builder.trunc(count, I32)))
+        return builder.select(there, value, as_lanes(builder, other))
+
+    return vector(vector, types.int64, types.float32), codegen
