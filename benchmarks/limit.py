@@ -51,8 +51,8 @@ class Loop:
         return max(self.multiplications + self.comparisons, self.arithmetic / 2, self.memory)
 
 
-FORWARD = Loop(41, 23, 12, 2, 9)
-BACKWARD = Loop(80, 47, 27, 3, 19)
+FORWARD = Loop(42, 23, 11, 2, 9)
+BACKWARD = Loop(83, 47, 26, 3, 19)
 
 
 @njit(cache=True)

@@ -35,6 +35,7 @@ from tg4mm.rasterize.kernels.memory import (
     keep,
     load,
     number,
+    put_integer,
     put_number,
     store,
 )
@@ -50,10 +51,20 @@ from tg4mm.rasterize.kernels.tiles import (
     pixel,
     work,
 )
-from tg4mm.rasterize.kernels.vector import LANES, fma, lowest_bit, negative, number_of_bits, select, wide
+from tg4mm.rasterize.kernels.vector import (
+    LANES,
+    fma,
+    lowest_bit,
+    negative,
+    number_of_bits,
+    select,
+    wide,
+    with_avx512,
+)
 
 _BATCH = 16  # pairs looked at ahead; the room for their alphas should stay within the first cache
 _ROOM = room(_BATCH)
+_AT_ONCE = 4  # blocks that are listed without a branch between them
 _KEPT = 2 * LANES  # kept of each pair and block: alpha before it is bounded, alpha / (1 - alpha)
 # planes of a block: transmittance, what is still to come (as seen by the loss), gradient by the features
 _STRIDE = (2 + FEATURES) * LANES
@@ -67,9 +78,18 @@ def _list_seen(reached, first, last, items):
     """
     count = int64(0)
     for n in range(last - first):
-        seen_in = integer(reached, first + n)
-        put_places(items, count, seen_in, uint32(n * BLOCKS))
-        count += int64(number_of_bits(seen_in))
+        todo, base = integer(reached, first + n), uint32(n * BLOCKS)
+        if with_avx512():
+            put_places(items, count, todo, base)
+            count += int64(number_of_bits(todo))
+            continue
+        while todo != 0:
+            # four at a time, whether they are there or not: most pairs then take a branch that can be foreseen
+            found = int64(number_of_bits(todo))
+            for j in range(_AT_ONCE):
+                put_integer(items, count + j, base + uint32(lowest_bit(todo | uint32(1 << BLOCKS))))
+                todo &= todo - uint32(1)
+            count += min(found, _AT_ONCE)
     return count
 
 

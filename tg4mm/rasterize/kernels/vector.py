@@ -215,6 +215,14 @@ def has_avx512(context):
     return "+avx512f" in context.codegen().magic_tuple()[2]
 
 
+@intrinsic
+def with_avx512(typingctx):
+    """`has_avx512` as a constant of the code."""
+    return types.boolean(), lambda context, builder, sig, args: ir.Constant(
+        ir.IntType(1), int(has_avx512(context))
+    )
+
+
 def _exp2_series(builder, x, multiply_add, constants):
     *polynomial, rounder = constants
     shifted = builder.fadd(x, rounder)
