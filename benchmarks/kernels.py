@@ -65,16 +65,9 @@ class Kernels:
         v_splats = projection.empty_splats(len(splats))
         v_splats[:] = 0
         pictures = (image, transmittance, v_image, v_transmittance, pair_sums)
-        gather = (
-            bins.order,
-            bins.n_visible,
-            bins.gaussian_start,
-            bins.pair_slot,
-            splats,
-            pair_sums,
-            v_splats,
-        )
-        back = (*arrays[:3], arrays[4], 3, False, camera, width, height, splats, v_splats)
+        slots = (bins.order, bins.n_visible, bins.gaussian_start, bins.pair_slot)
+        gather = (*slots, pair_sums, v_splats)
+        back = (*arrays[:3], arrays[4], 3, False, camera, width, height, splats, v_splats, True)
         gradients = (*(np.zeros_like(a) for a in arrays), np.zeros((0, 12), np.float32), False)
         self.n_gaussians, self.n_pairs = len(arrays[0]), len(bins.pair_gaussian)
         self.reached = reached = bins.reached  # written by `blend`
@@ -83,6 +76,6 @@ class Kernels:
             "bin": lambda: binning.bin_splats(splats, width, height, buffers),
             "blend": lambda: blend_forward(*self.lists, image, transmittance, reached=reached),
             "blend backward": lambda: blend_backward(*self.lists, *pictures, reached=reached),
-            "gather": lambda: binning.gather_gradient(*gather),
+            "gather": lambda: binning.gather_sums(*gather),
             "project backward": lambda: project_backward(*back, *gradients),
         }

@@ -78,7 +78,7 @@ def by_bins(motion: ModalMotion) -> ModalMotion:
     """The same motion at whole timesteps, as all bins of a Fourier transform."""
     series = np.stack([displacement_at(motion, t) for t in range(motion.n_timesteps)])
     freqs, values = series_modes(series - series.mean(0), motion.fps)
-    return replace(motion, freqs_hz=freqs, displacement=values, rotation=0 * values)
+    return replace(motion, freqs_hz=freqs, displacement=values, rotation=0 * values, light=None)
 
 
 def inside(motion: ModalMotion, band: tuple[float, float]) -> ModalMotion:

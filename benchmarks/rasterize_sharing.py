@@ -25,7 +25,7 @@ from tg4mm.capture import load_capture
 from tg4mm.evaluate.metrics import flip, ssim
 from tg4mm.motion.apply import mover
 from tg4mm.rasterize.buffers import Buffers
-from tg4mm.rasterize.kernels.binning import Bins, bin_splats, gather_gradient
+from tg4mm.rasterize.kernels.binning import Bins, bin_splats, gather_sums
 from tg4mm.rasterize.kernels.blend import blend_forward
 from tg4mm.rasterize.kernels.blend_backward import blend_backward
 from tg4mm.rasterize.kernels.layout import DEPTH, EX, EY, FEATURES, MX, MY, POWER
@@ -90,7 +90,7 @@ def passes(splats: np.ndarray, bins: Bins, size: tuple[int, int]) -> dict[str, o
     return {
         "blend": lambda: blend_forward(*lists, image, transmittance, reached=bins.reached),
         "blend backward": lambda: blend_backward(*lists, *pictures, pair_sums, reached=bins.reached),
-        "gather": lambda: gather_gradient(*slots, pair_sums, v_splats),
+        "gather": lambda: gather_sums(*slots, pair_sums, v_splats),
     }
 
 

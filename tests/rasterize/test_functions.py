@@ -193,7 +193,7 @@ def test_a_block_is_four_pieces_of_rows() -> None:
 
 
 def test_masks_become_words_and_come_back() -> None:
-    """Two times 16 masks, whose lanes are items, are 16 words, whose bits are items, and those a mask for every item."""
+    """Two times 16 masks, whose lanes are items, are 16 words, whose bits are items, and those a mask an item."""
     x = np.random.default_rng(2).normal(size=(2, 16, LANES)).astype(np.float32)
     masks, words, back = np.zeros(32, np.uint16), np.zeros(3 * LANES, np.uint32), np.zeros(32, np.uint32)
     _mark(x.ravel(), masks, words.view(np.float32), back)

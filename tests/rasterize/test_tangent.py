@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from tests.rasterize.oracle import make_scene, render
-from tg4mm.rasterize.kernels.binning import bin_splats, gather_gradient
+from tg4mm.rasterize.kernels.binning import bin_splats, gather_sums
 from tg4mm.rasterize.kernels.blend import blend_forward
 from tg4mm.rasterize.kernels.blend_backward import blend_backward
 from tg4mm.rasterize.kernels.layout import (
@@ -82,6 +82,17 @@ def direction(n: int, seed: int) -> np.ndarray:
     return d
 
 
+def gradient(splats: np.ndarray, sums: np.ndarray) -> np.ndarray:
+    """By the columns of the splats, from what pairs sum up (layout.py) [N, SPLAT_WIDTH]."""
+    splats = np.where(
+        splats[:, POWER : POWER + 1] > 0, splats, np.float32(1)
+    )  # the others have no sums either
+    a, b, c = splats[:, CA : CC + 1].astype(np.float64).T
+    x, y, xx, xy, yy, log_alpha = sums[:, MX : OP + 1].astype(np.float64).T
+    columns = [a * x + b * y, b * x + c * y, -xx / 2, -xy, -yy / 2, log_alpha / splats[:, OP]]
+    return np.concatenate([np.stack(columns, 1), sums[:, FEAT:]], 1)
+
+
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("columns", [slice(MX, MX + 2), slice(MX + 2, CC + 1), slice(FEAT, FEAT + 3)])
 def test_it_is_the_adjoint_of_the_backward_pass(name: str, columns: slice) -> None:
@@ -98,13 +109,13 @@ def test_it_is_the_adjoint_of_the_backward_pass(name: str, columns: slice) -> No
         splats, bins.tile_start, bins.pair_gaussian, WIDTH, HEIGHT,
         image, transmittance, v_image, v_transmittance, pair_sums,
     )  # fmt: skip
-    v_splats = np.zeros_like(splats)
-    slots = (bins.order, bins.n_visible, bins.gaussian_start, bins.pair_slot)
-    gather_gradient(*slots, splats, pair_sums, v_splats)
+    sums = np.zeros_like(splats)
+    gather_sums(bins.order, bins.n_visible, bins.gaussian_start, bins.pair_slot, pair_sums, sums)
+    v_splats = gradient(splats, sums)
     d = np.zeros((len(splats), FEAT + 3), np.float32)
     d[:, columns] = direction(len(splats), 2)[:, columns]
     d_image = tangent(splats, d)
-    terms = v_splats[:, : FEAT + 3].astype(np.float64) * d
+    terms = v_splats[:, : FEAT + 3] * d
     weights = np.concatenate([v_image[..., :3], v_transmittance[..., None]], -1)
     forward_mode = (d_image.astype(np.float64) * weights).sum()
     assert np.abs(terms).sum() > 1

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from tg4mm.rasterize.buffers import Buffers
-from tg4mm.rasterize.kernels.binning import Bins, bin_splats, gather_gradient
+from tg4mm.rasterize.kernels.binning import Bins, bin_splats, gather_sums
 from tg4mm.rasterize.kernels.blend import blend_forward
 from tg4mm.rasterize.kernels.blend_backward import blend_backward
 from tg4mm.rasterize.kernels.layout import FEATURES, SPLAT_WIDTH
@@ -98,7 +98,7 @@ class RasterizeViews(torch.autograd.Function):
             v_pose[:] = 0
             project_backward(
                 means, quats, scales, features, view.degree, view.with_depth, camera, view.width, view.height,
-                record.splats, record.v_splats, *grads, v_pose, with_pose,
+                record.splats, record.v_splats, True, *grads, v_pose, with_pose,
             )  # fmt: skip
             if v_viewmats is not None:
                 total = torch.from_numpy(v_pose.sum(0, dtype=np.float64).astype(np.float32))
@@ -119,9 +119,7 @@ def _gradient_by_splats(
     )  # fmt: skip
     v_splats = empty_splats(len(record.splats))
     v_splats[:] = 0
-    gather_gradient(
-        bins.order, bins.n_visible, bins.gaussian_start, bins.pair_slot, record.splats, pair_sums, v_splats
-    )
+    gather_sums(bins.order, bins.n_visible, bins.gaussian_start, bins.pair_slot, pair_sums, v_splats)
     return v_splats
 
 

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from tg4mm.rasterize.buffers import Buffers
-from tg4mm.rasterize.kernels.binning import bin_splats, gather_gradient
+from tg4mm.rasterize.kernels.binning import bin_splats, gather_sums
 from tg4mm.rasterize.kernels.blend import blend_forward
 from tg4mm.rasterize.kernels.blend_backward import blend_backward
 from tg4mm.rasterize.kernels.layout import FEATURES, SPLAT_WIDTH
@@ -111,9 +111,7 @@ class Iteration:
             *tiles, image, transmittance, v_image, v_transmittance, pair_sums, reached=bins.reached
         )
         v_splats = take("v_splats", splats.shape)
-        gather_gradient(
-            bins.order, bins.n_visible, bins.gaussian_start, bins.pair_slot, splats, pair_sums, v_splats
-        )
+        gather_sums(bins.order, bins.n_visible, bins.gaussian_start, bins.pair_slot, pair_sums, v_splats)
         rates, root = adam.next_rates(progress)
         step(
             adam.values, adam.first, adam.second, adam.active, (degree, camera, width, height),

@@ -100,7 +100,7 @@ def scratch_shape(coefficients: int) -> tuple[int, int]:
 
 @kernel(parallel=True, fastmath=True)
 def step(values, ms, vs, active, view, splats, v_splats, error, rates, root, room):
-    """From the gradient by the splats to the next parameters; those and Adam's moments are changed in place.
+    """From the sums of pairs (kernels/layout.py) to the next parameters; those and Adam's moments are changed in place.
 
     values, ms, vs: (means [N, 3], quats [N, 4], log_scales [N, 3], logits [N], sh [N, K, 3]) and their moments.
     active: (scales, opacities), written anew. view: (degree, packed camera, width, height) of the picture. `v_splats`
@@ -125,7 +125,7 @@ def step(values, ms, vs, active, view, splats, v_splats, error, rates, root, roo
         v_sh = own[11 * m : (11 + 3 * coefficients) * m].reshape((m, coefficients, 3))
         backward_rows(
             means[a:b], quats[a:b], scales[a:b], sh[a:b], degree, False, camera, width, height,
-            splats[a:b], v_splats[a:b], v_means, v_quats, v_scales, v_opacities, v_sh, no_pose, False,
+            splats[a:b], v_splats[a:b], True, v_means, v_quats, v_scales, v_opacities, v_sh, no_pose, False,
         )  # fmt: skip
         for i in range(a, b):
             if splats[i, POWER] > zero:

@@ -154,7 +154,7 @@ def _jacobian(arrays: tuple[Any, ...], splats: np.ndarray, visible: np.ndarray) 
         v_splats[:, column] = 1
         v_means, v_quats = np.zeros_like(means), np.zeros_like(quats)
         project_backward(
-            means, quats, scales, sh, degree, False, camera, width, height, splats, v_splats,
+            means, quats, scales, sh, degree, False, camera, width, height, splats, v_splats, False,
             v_means, v_quats, *unused, np.zeros((0, 12), np.float32), False,
         )  # fmt: skip
         v_splats[:, column] = 0

@@ -14,7 +14,6 @@ from numba import float32, int32, int64, njit, prange, uint32
 from tg4mm.rasterize.buffers import Buffers, take
 from tg4mm.rasterize.kernels.compiled import kernel
 from tg4mm.rasterize.kernels.layout import (
-    CA,
     CB,
     CC,
     DEPTH,
@@ -23,7 +22,6 @@ from tg4mm.rasterize.kernels.layout import (
     L22,
     MX,
     MY,
-    OP,
     POWER,
     R11,
     SPLAT_WIDTH,
@@ -197,29 +195,18 @@ def fill_pairs(
 
 
 @kernel(parallel=True)
-def gather_gradient(order, n_visible, gaussian_start, pair_slot, splats, pair_sums, v_splats):
-    """From the `pair_sums` of pairs [P, SPLAT_WIDTH] to the gradient by `splats`, written where visible.
-
-    The pairs of a Gaussian are summed in a fixed order.
-    """
-    last, half = len(pair_slot) - 1, float32(0.5)
+def gather_sums(order, n_visible, gaussian_start, pair_slot, pair_sums, v_splats):
+    """Add up the `pair_sums` [P, SPLAT_WIDTH] of each visible Gaussian, in a fixed order, to its row of `v_splats`."""
+    last = len(pair_slot) - 1
     pairs, sums = pair_sums.reshape(-1), v_splats.reshape(-1)
     for k in prange(n_visible):
         i = order[k]
         prefetch(v_splats, int64(order[min(k + _AHEAD, n_visible - 1)]))
-        prefetch(splats, int64(order[min(k + _AHEAD, n_visible - 1)]))
         total = wide(float32(0.0))
         for slot in range(gaussian_start[k], gaussian_start[k + 1]):
             prefetch(pair_sums, int64(pair_slot[min(slot + 3 * _AHEAD, last)]))
             total = total + load(pairs, int64(pair_slot[slot]) * SPLAT_WIDTH)
         store(sums, int64(i) * SPLAT_WIDTH, total)
-        x, y = v_splats[i, MX], v_splats[i, MY]
-        a, b, c = splats[i, CA], splats[i, CB], splats[i, CC]
-        v_splats[i, MX], v_splats[i, MY] = a * x + b * y, b * x + c * y
-        v_splats[i, CA] *= -half
-        v_splats[i, CB] = -v_splats[i, CB]
-        v_splats[i, CC] *= -half
-        v_splats[i, OP] /= splats[i, OP]
 
 
 class Bins:

@@ -229,10 +229,14 @@ def _backward_tiles(workers, order, counter, tables, frame, splats, pictures, pa
         later = order[min(item + workers, len(order) - 1)]
         ask_for_pixels(later, n_x, frame, at_pictures)
         ask_for_pairs(splats, gaussians, int64(tile_start[later]), int64(tile_start[later + 1]))
-        for first in range(begin, end, _BATCH):
-            last = min(end, first + _BATCH)
+        seen_end = end  # where every pixel has stopped, nothing is seen any more
+        while seen_end > begin and integer(seen_in, seen_end - 1) == 0:
+            seen_end -= 1
+            store(v_out, seen_end * SPLAT_WIDTH, wide(float32(0.0)))
+        for first in range(begin, seen_end, _BATCH):
+            last = min(seen_end, first + _BATCH)
             look_ahead(
-                splats, gaussians, first, last, end, _BATCH, (x0, y0), held[:2], faintest, batch, False
+                splats, gaussians, first, last, seen_end, _BATCH, (x0, y0), held[:2], faintest, batch, False
             )
             count = _list_seen(seen_in, first, last, items)
             _alphas_ahead(count, items, batch, faintest, held, kept)

@@ -27,9 +27,10 @@ POWER: Final = 13  # ln(opacity / alpha_min): blending skips what lies further o
 R11: Final = 14  # 1 / sqrt(SQUARES · CA)
 L22: Final = 15
 SPLAT_WIDTH: Final = 16
-# A pair's gradient on its way to `gather_gradient`, which multiplies by what all pairs of a Gaussian share: in the
-# columns MX … OP sums over pixels of v dx, v dy, v dx², v dx dy, v dy² and v, where v is the gradient by the logarithm
-# of alpha, dx and dy the pixel from the mean; in the others the gradient itself.
+# What blending gives to the gradient is summed over pairs before it is multiplied by what all pairs of a Gaussian
+# share: in the columns MX … OP stand sums over pixels of v dx, v dy, v dx², v dx dy, v dy² and v, where v is the
+# gradient by the logarithm of alpha, dx and dy the pixel from the mean; in the others the gradient itself.
+# `project_backward` multiplies.
 SQUARES: Final = 0.7213475204444817  # log2(e) / 2
 
 ALPHA_MIN: Final = 1.0 / 255.0  # [3DGS]: smaller contributions are skipped

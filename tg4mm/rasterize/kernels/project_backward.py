@@ -66,7 +66,7 @@ def _pose_share(
 
 @kernel(fastmath=True)
 def backward_rows(
-    means, quats, scales, features, degree, with_depth, cam, width, height, splats, v_splats,
+    means, quats, scales, features, degree, with_depth, cam, width, height, splats, v_splats, summed,
     v_means, v_quats, v_scales, v_opacities, v_features, v_pose, with_pose,
 ):  # fmt: skip
     """`project_backward` of the given rows in one thread. Of `v_splats` only rows that are visible are read."""
@@ -105,7 +105,11 @@ def backward_rows(
         p0, p1, p2 = jx * b00 + jxz * b20, jx * b01 + jxz * b21, jx * b02 + jxz * b22
         q0, q1, q2 = jy * b10 + jyz * b20, jy * b11 + jyz * b21, jy * b12 + jyz * b22
         a, b, c = splats[i, CA], splats[i, CB], splats[i, CC]
+        gu, gv, go = v_splats[i, MX], v_splats[i, MY], v_splats[i, OP]
         ga, gb, gc = v_splats[i, CA], half * v_splats[i, CB], v_splats[i, CC]
+        if summed:
+            gu, gv, go = a * gu + b * gv, b * gu + c * gv, go / splats[i, OP]
+            ga, gb, gc = -half * ga, -gb, -half * gc
         vp0, vq0 = _covariance_vjp(a, b, c, ga, gb, gc, p0, q0)
         vp1, vq1 = _covariance_vjp(a, b, c, ga, gb, gc, p1, q1)
         vp2, vq2 = _covariance_vjp(a, b, c, ga, gb, gc, p2, q2)
@@ -141,7 +145,6 @@ def backward_rows(
         v_quats[i, 2] += vy_
         v_quats[i, 3] += vz_
         # position in the camera: through the mean, the Jacobian (only where it is not clamped) and depth
-        gu, gv = v_splats[i, MX], v_splats[i, MY]
         iz2 = iz * iz
         vcx, vcy = jx * gu, jy * gv
         vcz = -(fx * x * gu + fy * y * gv) * iz2 - (vjx * jx + vjy * jy) * iz
@@ -157,7 +160,7 @@ def backward_rows(
             vcz += fy * ty * iz2 * vjyz
         if with_depth:
             vcz += v_splats[i, FEAT + FEATURES - 1]
-        v_opacities[i] += v_splats[i, OP]
+        v_opacities[i] += go
         vmx = cam[0] * vcx + cam[3] * vcy + cam[6] * vcz
         vmy = cam[1] * vcx + cam[4] * vcy + cam[7] * vcz
         vmz = cam[2] * vcx + cam[5] * vcy + cam[8] * vcz
@@ -203,11 +206,12 @@ def backward_rows(
 
 @kernel(parallel=True, fastmath=True)
 def project_backward(
-    means, quats, scales, features, degree, with_depth, cam, width, height, splats, v_splats,
+    means, quats, scales, features, degree, with_depth, cam, width, height, splats, v_splats, summed,
     v_means, v_quats, v_scales, v_opacities, v_features, v_pose, with_pose,
 ):  # fmt: skip
     """Pull `v_splats` [N, SPLAT_WIDTH] back to the parameters, adding to the v_* arrays.
 
+    summed: what `v_splats` holds are sums of pairs (layout.py) and not yet the gradient by `splats`.
     v_pose: [N, 12] each Gaussian's share of the gradient by W (row-major) and t; untouched unless with_pose.
     """
     n = means.shape[0]
@@ -215,6 +219,6 @@ def project_backward(
         a, b = chunk * ROWS, min(n, chunk * ROWS + ROWS)
         backward_rows(
             means[a:b], quats[a:b], scales[a:b], features[a:b], degree, with_depth, cam, width, height,
-            splats[a:b], v_splats[a:b], v_means[a:b], v_quats[a:b], v_scales[a:b], v_opacities[a:b],
+            splats[a:b], v_splats[a:b], summed, v_means[a:b], v_quats[a:b], v_scales[a:b], v_opacities[a:b],
             v_features[a:b], v_pose[a:b], with_pose,
         )  # fmt: skip
