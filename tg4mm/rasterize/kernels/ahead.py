@@ -29,7 +29,8 @@ _OWN = LANES  # the vector: by how much p differs from that within a block
 
 def room(size):
     """float32 that a batch of `size` Gaussians needs, a multiple of 16."""
-    return (_PLANES + _OWN) * size + size // LANES * BLOCKS // 2
+    masks = size // LANES * BLOCKS // 2
+    return (_PLANES + _OWN) * size + -(-masks // LANES) * LANES
 
 
 @njit(inline="always")

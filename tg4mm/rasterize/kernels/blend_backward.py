@@ -62,7 +62,8 @@ from tg4mm.rasterize.kernels.vector import (
     with_avx512,
 )
 
-_BATCH = 16  # pairs looked at ahead; the room for their alphas should stay within the first cache
+_BATCH = 16  # pairs looked at ahead
+_MOST = 128  # blocks of theirs; the room for their alphas should stay within the first cache
 _ROOM = room(_BATCH)
 _AT_ONCE = 4  # blocks that are listed without a branch between them
 _KEPT = 2 * LANES  # kept of each pair and block: alpha before it is bounded, alpha / (1 - alpha)
@@ -72,12 +73,15 @@ _STRIDE = (2 + FEATURES) * LANES
 
 @njit(error_model="numpy", inline="always")
 def _list_seen(reached, first, last, items):
-    """List the blocks in which the pairs first … last are seen. Returns how many.
+    """List the blocks in which the pairs first … last are seen, as far as there is room.
 
-    An item is BLOCKS times the pair's place in the batch, plus the block.
+    Returns how many they are, and the first pair that is not among them. An item is BLOCKS times the pair's place in
+    the batch, plus the block.
     """
     count = int64(0)
     for n in range(last - first):
+        if count > _MOST - BLOCKS:
+            return count, first + n
         todo, base = integer(reached, first + n), uint32(n * BLOCKS)
         if with_avx512():
             put_places(items, count, todo, base)
@@ -90,7 +94,7 @@ def _list_seen(reached, first, last, items):
                 put_integer(items, count + j, base + uint32(lowest_bit(todo | uint32(1 << BLOCKS))))
                 todo &= todo - uint32(1)
             count += min(found, _AT_ONCE)
-    return count
+    return count, last
 
 
 @njit(error_model="numpy", inline="always")
@@ -208,12 +212,11 @@ def _backward_tiles(workers, order, counter, tables, frame, splats, pictures, pa
     at_pictures = address(image), address(transmittance), address(v_image), address(v_transmittance)
     faintest = float32(math.log2(alpha_min))
     held = constants(table)
-    most = _BATCH * BLOCKS
-    memory = aligned(BLOCKS * _STRIDE + _ROOM + most * (_KEPT + 1) + LANES)
+    memory = aligned(BLOCKS * _STRIDE + _ROOM + _MOST * (_KEPT + 1) + LANES)
     state = address(memory)
     batch = state + 4 * BLOCKS * _STRIDE
     kept = batch + 4 * _ROOM
-    items = kept + 4 * most * _KEPT
+    items = kept + 4 * _MOST * _KEPT
     splats, gaussians, seen_in = address(splats), address(pair_gaussian), address(reached)
     places, v_out = address(table), address(pair_sums)
     while True:
@@ -233,12 +236,13 @@ def _backward_tiles(workers, order, counter, tables, frame, splats, pictures, pa
         while seen_end > begin and integer(seen_in, seen_end - 1) == 0:
             seen_end -= 1
             store(v_out, seen_end * SPLAT_WIDTH, wide(float32(0.0)))
-        for first in range(begin, seen_end, _BATCH):
+        first = begin
+        while first < seen_end:
             last = min(seen_end, first + _BATCH)
             look_ahead(
                 splats, gaussians, first, last, seen_end, _BATCH, (x0, y0), held[:2], faintest, batch, False
             )
-            count = _list_seen(seen_in, first, last, items)
+            count, last = _list_seen(seen_in, first, last, items)
             _alphas_ahead(count, items, batch, faintest, held, kept)
             here = kept
             for pair in range(first, last):
@@ -248,6 +252,7 @@ def _backward_tiles(workers, order, counter, tables, frame, splats, pictures, pa
                     sums = _pair_sums(splats, row, todo, x0, y0, places, held, here, state)
                     here += 4 * _KEPT * int64(number_of_bits(todo))
                 store(v_out, pair * SPLAT_WIDTH, sums)
+            first = last
     keep(memory)
 
 
