@@ -68,7 +68,7 @@ class TestSettings:
             f"motion.{k}" for k in vars(MotionConfig())
         ]
         for name in listed:  # and each of those is known
-            parse_settings({name: "true" if name == "motion.halves" else "3"})
+            parse_settings({name: "true" if name in {"motion.halves", "motion.light"} else "3"})
 
     @pytest.mark.parametrize(
         ("name", "text", "kind"),

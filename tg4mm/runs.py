@@ -27,6 +27,7 @@ from torch import Tensor
 from tg4mm.errors import RunError
 from tg4mm.files import remove_leftovers, to_json, write_json
 from tg4mm.gaussians import Gaussians
+from tg4mm.motion.light.model import Light
 from tg4mm.motion.modal import ModalMotion
 from tg4mm.runconfig import (
     VERSION,
@@ -42,6 +43,7 @@ from tg4mm.tensorfile import read_tensors, write_tensors
 
 UNCERTAINTY = "uncertainty"  # a part: how uncertain the motion of every Gaussian is, docs/conventions.md
 _GAUSSIAN_FIELDS = ("means", "quats", "scales", "opacities", "sh")
+_LIGHT_FIELDS = ("light_shapes", "light_series")  # of a motion, both or none
 
 
 @dataclass(frozen=True)
@@ -132,6 +134,9 @@ class Run:
             "displacement": torch.tensor(np.asarray(motion.displacement, dtype=np.complex64)),
             "rotation": torch.tensor(np.asarray(motion.rotation, dtype=np.complex64)),
         }
+        if (light := motion.light) is not None:
+            values = light.shapes.astype(np.float32), light.series.astype(np.complex128)
+            tensors |= {k: torch.tensor(v) for k, v in zip(_LIGHT_FIELDS, values, strict=True)}
         self._write("motion", tensors, fps=motion.fps, n_timesteps=motion.n_timesteps)
 
     def load_motion(self) -> ModalMotion | None:
@@ -139,18 +144,25 @@ class Run:
         if not self.has_motion:
             return None
         file = self._file("motion")
-        tensors, extra = self._read("motion", {"freqs_hz", "displacement", "rotation"})
+        tensors, extra = self._read("motion", {"freqs_hz", "displacement", "rotation"}, set(_LIGHT_FIELDS))
         fps, n_timesteps = extra.get("fps"), extra.get("n_timesteps")
         for name, value in (("fps", fps), ("n_timesteps", n_timesteps)):
             if not isinstance(value, int | float) or value <= 0:
                 raise RunError(f"{file}: {name} is {value!r}, expected a positive number")
         arrays = {name: tensor.numpy() for name, tensor in tensors.items()}
-        motion = ModalMotion(**arrays, fps=float(extra["fps"]), n_timesteps=int(extra["n_timesteps"]))
+        lit = [arrays.pop(name) for name in _LIGHT_FIELDS if name in arrays]
+        motion = ModalMotion(
+            **arrays,
+            fps=float(extra["fps"]),
+            n_timesteps=int(extra["n_timesteps"]),
+            light=Light(*lit) if lit else None,
+        )
         self._check_motion(motion, str(file))
         return motion
 
     def _check_motion(self, motion: ModalMotion, name: str) -> None:
-        n = len(self.load_space())
+        gaussians = self.load_space()
+        n = len(gaussians)
         expected = (len(motion.freqs_hz), n, 3)
         for field in ("displacement", "rotation"):
             shape = getattr(motion, field).shape
@@ -159,6 +171,12 @@ class Run:
                     f"{name}: {field} has shape {shape}, expected {expected}: "
                     f"{expected[0]} frequencies of the {n} Gaussians in {self._file('space')}"
                 )
+        light, sh = motion.light, gaussians.sh.shape
+        if light is not None and not light.fits(expected[0], sh):
+            raise RunError(
+                f"{name}: light has shapes {light.shapes.shape} and series {light.series.shape}, expected "
+                f"[R, {n}, 1 to {sh[1]}, 3] and [{expected[0]}, R]"
+            )
 
     # Parts: further results of a preset, bound to this run's settings.
 
@@ -253,10 +271,13 @@ class Run:
         header = {"kind": kind, "version": VERSION, "config": self._identity(), **extra}
         write_tensors(self._file(name), tensors, header | ({"stage": stage} if stage else {}))
 
-    def _read(self, kind: str, names: set[str]) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    def _read(
+        self, kind: str, names: set[str], optional: set[str] | None = None
+    ) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        """The tensors `names`, and of `optional` all or none."""
         file = self._file(kind)
         tensors, header = read_tensors(file, kind, VERSION)
-        if set(tensors) != names:
+        if set(tensors) not in (names, names | (optional or set())):
             raise RunError(f"{file} holds the tensors {sorted(tensors)}, expected {sorted(names)}")
         self._check_finite(file, tensors)
         return tensors, header

@@ -94,7 +94,7 @@ def series(motion: ModalMotion) -> np.ndarray:
 def by_bins(motion: ModalMotion) -> ModalMotion:
     """The same motion, as the bins of a Fourier transform."""
     freqs, values = series_modes(series(motion), FPS)
-    return replace(motion, freqs_hz=freqs, displacement=values, rotation=0 * values)
+    return replace(motion, freqs_hz=freqs, displacement=values, rotation=0 * values, light=None)
 
 
 def rms(values: np.ndarray) -> float:

@@ -63,7 +63,10 @@ class Method:
         """Whether any Gaussian's phasor of mode k has a real part, an imaginary part: two [K] bool."""
         assert self.motion is not None
         both = np.concatenate([self.motion.displacement, self.motion.rotation], axis=2)
-        return both.real.any(axis=(1, 2)), both.imag.any(axis=(1, 2))
+        has_re, has_im = both.real.any(axis=(1, 2)), both.imag.any(axis=(1, 2))
+        if (light := self.motion.light) is None:
+            return has_re, has_im
+        return has_re | light.parts[0], has_im | light.parts[1]
 
 
 def in_bands(freqs_hz: np.ndarray, bands: Sequence[tuple[float, float]]) -> np.ndarray:

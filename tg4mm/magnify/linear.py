@@ -12,7 +12,7 @@ import numpy as np
 
 from tg4mm.magnify.bands import Magnification
 from tg4mm.magnify.filters import apply_response
-from tg4mm.motion.apply import displacement_at, rotation_at
+from tg4mm.motion.apply import displacement_at, mode_gains, rotation_at
 from tg4mm.motion.modal import ModalMotion
 
 
@@ -22,7 +22,7 @@ def magnified_series(series: np.ndarray, response: np.ndarray) -> np.ndarray:
 
 
 def magnified_motion(motion: ModalMotion, plan: Magnification) -> ModalMotion:
-    """The motion with every Gaussian's displacement and rotation series over t = 0 … T − 1 filtered and magnified.
+    """The motion with displacement, rotation and light of every Gaussian over t = 0 … T − 1 filtered and magnified.
 
     With ideal bands and modes on DFT bins this is multiplying the phasors, what `modal` does. Modes between the bins
     spread over them, and are magnified as far as they lie in the band.
@@ -32,10 +32,16 @@ def magnified_motion(motion: ModalMotion, plan: Magnification) -> ModalMotion:
         [np.concatenate([displacement_at(motion, t), rotation_at(motion, t)], 1) for t in steps]
     )
     freqs, phasors = series_modes(series, motion.fps)
-    phasors = phasors * (1 + plan.response(freqs, motion.fps)).astype(np.complex64)[:, None, None]
+    factors = 1 + plan.response(freqs, motion.fps)
+    phasors = phasors * factors.astype(np.complex64)[:, None, None]
+    light = motion.light
+    if light is not None:
+        values = np.stack([light.coefficients(mode_gains(motion, t, 0.0, None)) for t in steps])
+        series = series_modes(values, motion.fps)[1].astype(np.complex128)
+        light = replace(light, series=series * factors[:, None])
     return replace(
         motion, freqs_hz=freqs, displacement=phasors[..., :3], rotation=phasors[..., 3:],
-        gains=None, magnified=None,
+        gains=None, magnified=None, light=light,
     )  # fmt: skip
 
 

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from tg4mm.gaussians import Gaussians
+from tg4mm.motion.light.lit import lit
 from tg4mm.motion.modal import ModalMotion
 
 Alpha = float | np.ndarray  # one for all modes, or [K]: one each
@@ -64,7 +65,7 @@ def moved(
     alpha: Alpha = 0.0,
     band: tuple[float, float] | None = None,
 ) -> Gaussians:
-    """The Gaussians at timestep t, motion inside the band magnified by 1 + α. None: nothing moves.
+    """The Gaussians at timestep t, motion and light inside the band magnified by 1 + α. None: nothing moves.
 
     Raises ValueError if the motion is of another number of Gaussians.
     """
@@ -76,13 +77,18 @@ def moved(
     like = gaussians.means
     shift = torch.from_numpy(displacement_at(motion, t, alpha, band)).to(like)
     turn = torch.from_numpy(rotation_at(motion, t, alpha, band)).to(like)
-    return replace(gaussians, means=like + shift, quats=rotated(gaussians.quats, turn))
+    sh = gaussians.sh
+    if motion.light is not None:
+        coefficients = motion.light.coefficients(mode_gains(motion, t, alpha, band))
+        sh = lit(sh, torch.from_numpy(motion.light.shapes).to(sh), torch.from_numpy(coefficients).to(sh))
+    return replace(gaussians, means=like + shift, quats=rotated(gaussians.quats, turn), sh=sh)
 
 
 def mover(gaussians: Gaussians, motion: ModalMotion | None) -> Callable[..., Gaussians]:
     """`moved` of this motion as a function of (t, alpha, band), for many timesteps.
 
-    Off the CPU the phasors go to the Gaussians' device once (K · N · 48 bytes), and per timestep only the K gains.
+    Off the CPU the phasors go to the Gaussians' device once (K · N · 48 bytes, and the shapes of light), and per
+    timestep only the gains.
     Raises ValueError if the motion is of another number of Gaussians.
     """
     device = gaussians.means.device
@@ -92,7 +98,8 @@ def mover(gaussians: Gaussians, motion: ModalMotion | None) -> Callable[..., Gau
         raise ValueError(
             f"the motion has {motion.displacement.shape[1]} Gaussians, the scene {len(gaussians)}"
         )
-    return partial(_moved_there, gaussians, motion, _phasors_on(device, motion))
+    shapes = None if motion.light is None else torch.from_numpy(motion.light.shapes).to(device)
+    return partial(_moved_there, gaussians, motion, _phasors_on(device, motion), light_shapes=shapes)
 
 
 def _phasors_on(device: torch.device, motion: ModalMotion) -> Tensor:
@@ -108,9 +115,13 @@ def _moved_there(
     t: float,
     alpha: Alpha = 0.0,
     band: tuple[float, float] | None = None,
+    light_shapes: Tensor | None = None,
 ) -> Gaussians:
     gains = mode_gains(motion, t, alpha, band)
     factors = torch.from_numpy(np.concatenate([gains.real, gains.imag]).astype(np.float32))
     change = (factors.to(phasors.device) @ phasors).reshape(-1, 6)
     means, quats = gaussians.means + change[:, :3], rotated(gaussians.quats, change[:, 3:])
-    return replace(gaussians, means=means, quats=quats)
+    sh = gaussians.sh
+    if motion.light is not None and light_shapes is not None:
+        sh = lit(sh, light_shapes, torch.from_numpy(motion.light.coefficients(gains)).to(sh))
+    return replace(gaussians, means=means, quats=quats, sh=sh)

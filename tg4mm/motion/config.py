@@ -21,6 +21,8 @@ class MotionConfig:
     halves: bool = True
     # at most, where 1 % of what is seen moves by more than 0.7 pixels; 0: the linear fit alone: `rounds.py`
     rounds: int = 4
+    # fit what motion leaves of the pictures by changes of colour, magnified along with it: `light/`
+    light: bool = True
     seed: int = 0
 
 

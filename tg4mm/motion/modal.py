@@ -6,10 +6,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tg4mm.motion.light.model import Light
+
 
 @dataclass(frozen=True)
 class ModalMotion:
     """x(t, α) = x + Σ_k (1 + α·g_k) Re[m_k exp(i 2π f_k t / fps)], g_k = 1 for f_k inside the band, else 0.
+
+    `light`, if any, changes the Gaussians' colours by the same modes, with the same gains.
 
     An exact motion may go otherwise in time (ring down, drift): then `gains` stand for the exponentials. Modes
     that are not `magnified` have g_k = 0 in any band.
@@ -22,6 +26,7 @@ class ModalMotion:
     n_timesteps: int
     gains: np.ndarray | None = None  # [K, T] complex128; None: the exponentials
     magnified: np.ndarray | None = None  # [K] bool; None: all above 0 Hz
+    light: Light | None = None
 
     def gains_at(self, t: float) -> np.ndarray:
         """[K] complex128: exp(i 2π f_k t / fps), or the motion's own gains.
@@ -47,4 +52,5 @@ class ModalMotion:
             rotation=self.rotation[keep],
             gains=None if self.gains is None else self.gains[keep],
             magnified=None if self.magnified is None else self.magnified[keep],
+            light=None if self.light is None else self.light.selected(keep),
         )

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -25,6 +24,10 @@ from tg4mm.motion.certainty.doubt import doubt
 from tg4mm.motion.certainty.halves import agreed_fields, deviation, halves
 from tg4mm.motion.config import MotionConfig, checked
 from tg4mm.motion.jacobian.linear import DOF, rest_view
+from tg4mm.motion.light.answers import lit_views
+from tg4mm.motion.light.fit import Remainder, fitted_light
+from tg4mm.motion.light.model import Light
+from tg4mm.motion.light.problem import LightProblem
 from tg4mm.motion.modal import ModalMotion
 from tg4mm.motion.pictures.differences import temporal_components
 from tg4mm.motion.pictures.video import fixed_cameras
@@ -33,8 +36,9 @@ from tg4mm.motion.posing.pose import Findings, Problems, posed
 from tg4mm.motion.rounds.rounds import ABOVE_PX, Rounds
 from tg4mm.motion.rounds.where import usable
 from tg4mm.motion.solver.problem import MotionProblem
-from tg4mm.motion.solver.solve import CGState, on_cpu, placed, start, step_all
-from tg4mm.motion.temporal.spectrum import phasors
+from tg4mm.motion.solver.solve import CGState, on_cpu, start, step_all
+from tg4mm.motion.standing import Fit
+from tg4mm.motion.temporal.spectrum import modes, of_shapes
 from tg4mm.progress import progress
 from tg4mm.runs import UNCERTAINTY, Run
 
@@ -43,39 +47,6 @@ CHECKPOINT_EVERY_S = 20.0
 TOGETHER = 8
 _STATE = 4  # of a checkpoint: one of another version is begun anew, as its fields are of other parameters
 _STAGE, ROUNDS = "motion", "rounds"  # checkpoints
-
-
-@dataclass
-class _Fit:
-    """Where the fit stands: `shapes` [P R, N, DOF], the first `component` of them found, and what is being solved.
-
-    Where the cameras are halved (P = 2), those of the first half come first.
-    """
-
-    shapes: np.ndarray
-    component: int = 0
-    # of the components from `component` on; empty: not begun
-    cgs: list[CGState] = field(default_factory=list)
-
-    def tensors(self) -> dict[str, Tensor]:
-        out = {"shapes": torch.from_numpy(self.shapes)}
-        for name in ("x", "residual", "direction") if self.cgs else ():
-            out[name] = torch.from_numpy(np.stack([on_cpu(getattr(cg, name)) for cg in self.cgs]))
-        return out
-
-    def state(self) -> dict[str, Any]:
-        cgs = [{"initial": cg.initial, "iteration": cg.iteration} for cg in self.cgs]
-        return {"component": self.component, "cgs": cgs}
-
-
-def _restored(checkpoint: tuple[dict[str, Tensor], dict[str, Any]], device: str = "cpu") -> _Fit:
-    tensors, state = checkpoint
-    a = {k: v.numpy() for k, v in tensors.items()}
-    cgs = [
-        placed(CGState(a["x"][k], a["residual"][k], a["direction"][k], **numbers), device)
-        for k, numbers in enumerate(state["cgs"])
-    ]
-    return _Fit(a["shapes"], state["component"], cgs)
 
 
 class _Stage:
@@ -103,6 +74,7 @@ class _Stage:
         problems = Problems(views, gaussians, config, device)
         self.findings, whole = posed(problems, self.parts, self.components, TOGETHER, known)
         self.at_rest, self.images, self.gaussians = problems.views, images, gaussians
+        self.graph = problems.graph
         self.problems = [whole.of_views(rows) for rows in self.parts]
         self.signal = np.flatnonzero(~self.findings.is_noise)
         self.basis = self.components.basis[self.signal]
@@ -142,11 +114,32 @@ class _Stage:
         found = doubt(problem, pictures, shapes, gaussians, self.cameras, self.n_timesteps, self.config.seed)
         return dict(found.tensors), dict(found.figures)
 
-    def motion(self, shapes: np.ndarray) -> ModalMotion:
-        freqs, values = phasors(self.basis, shapes, self.fps)
-        return ModalMotion(freqs, values[..., :3], values[..., 3:], self.fps, self.n_timesteps)
+    def motion(self, shapes: np.ndarray, light: np.ndarray | None) -> ModalMotion:
+        """From the fields [R, N, DOF] and `light`."""
+        freqs, series = modes(self.basis, shapes, self.fps)
+        values = of_shapes(series, shapes)
+        of_time = self.fps, self.n_timesteps
+        shown = None
+        if light is not None and (rows := np.flatnonzero(light.any((1, 2, 3)))).size:
+            shown = Light(light[rows], series[:, rows])
+        return ModalMotion(freqs, values[..., :3], values[..., 3:], *of_time, light=shown)
 
-    def fit(self, fit: _Fit) -> _Fit:
+    def light(self, shapes: np.ndarray, rounds: int) -> tuple[np.ndarray | None, dict[str, Any]]:
+        """Changes of colour [R, N, K, 3] that go with the fields [R, N, DOF] of the linear fit, figures.
+
+        None where it was not asked for, after rounds, and where cameras are too few to tell light from noise.
+        """
+        if not self.config.light or rounds or len(self.parts) == 1:
+            return None, {}
+        means = self.gaussians.means.numpy()
+        lit = lit_views(self.at_rest, self.cameras, means, self.gaussians.sh_degree > 0)
+        problem = LightProblem.of(lit, pixel_weights(self.components, self.findings.is_noise), self.graph)
+        left = Remainder(self.at_rest, self.components.images, self.signal, shapes)
+        with progress("light", len(left), "components") as update:
+            changes, gains = fitted_light(problem, self.parts, left, means, update)
+        return changes, {"gain_of_light": [round(float(g), 4) for g in gains]}
+
+    def fit(self, fit: Fit) -> Fit:
         """Solve for every component that is not solved yet. One unit of progress is one iteration of one of them."""
         n_fields = len(self.signal) * len(self.parts)
         if not len(fit.shapes):
@@ -154,12 +147,14 @@ class _Stage:
         with progress("motion stage", n_fields * self.config.iterations, start=self._done(fit)) as update:
             while fit.component < n_fields:
                 self._solve(fit, update)
+        if time.monotonic() - self.saved > CHECKPOINT_EVERY_S:
+            self._save_fit(fit)  # what follows takes its time, too
         return fit
 
     def _is_open(self, cg: CGState) -> bool:
         return cg.iteration < self.config.iterations and cg.relative_residual > self.config.tolerance
 
-    def _done(self, fit: _Fit) -> int:
+    def _done(self, fit: Fit) -> int:
         most = self.config.iterations
         return fit.component * most + sum(cg.iteration if self._is_open(cg) else most for cg in fit.cgs)
 
@@ -169,7 +164,7 @@ class _Stage:
         pictures = self.components.images[:, some][self.parts[part]]
         return [start(b) for b in self.problems[part].right_hand_sides(pictures)]
 
-    def _solve(self, fit: _Fit, update: Any) -> None:
+    def _solve(self, fit: Fit, update: Any) -> None:
         """A few components at once, each from where its state stands until its own end."""
         part, first = divmod(fit.component, len(self.signal))
         problem = self.problems[part]
@@ -186,7 +181,7 @@ class _Stage:
         fit.component, fit.cgs = fit.component + len(fit.cgs), []
         update(self._done(fit))
 
-    def _save_fit(self, fit: _Fit) -> None:
+    def _save_fit(self, fit: Fit) -> None:
         self._save(_STAGE, fit.tensors(), fit.state() | {"version": _STATE, **self.findings.state()})
 
     def _save(self, name: str, tensors: dict[str, Tensor], state: dict[str, Any]) -> None:
@@ -195,7 +190,7 @@ class _Stage:
         self.run.record(_STAGE, {"seconds": self.saved - self.began})
         self.began = self.saved
 
-    def beyond(self, fit: _Fit) -> tuple[Gaussians, np.ndarray, np.ndarray | None, dict[str, Any]]:
+    def beyond(self, fit: Fit) -> tuple[Gaussians, np.ndarray, np.ndarray | None, dict[str, Any]]:
         """After the rounds, which start where motion is not small: Gaussians, fields [P R, N, DOF], what component
         images [V, R, H, W, 3] these explain (None: those there were), figures."""
         fields = fit.shapes.reshape(len(self.parts), -1, *fit.shapes.shape[1:])
@@ -247,6 +242,8 @@ def train_motion(
     things. Where 1 % of what is seen moves by more than 0.7 pixels the fit is repeated (`rounds.py`), so many
     `rounds`, after each of which `misfit_of_rounds` tells what is left of the pictures. If the capture has no cameras
     but the fixed ones, six or more, rounds sharpen the run's Gaussians, too.
+    Without rounds, and with halves, what motion leaves of the pictures is fitted by changes of colour (`light/`, if
+    `config.light`): `gain_of_light` in the log is what the halves agree on of each component, 0 for what is dropped.
     On CUDA the iterations run there (`device.py`); reading the images, their components, the neighbourhoods and one
     projection of each view are done once on the CPU. Rounds choose the weight of the neighbours and project the moved
     views there in each round, and the uncertainty of few cameras is found there altogether.
@@ -265,10 +262,11 @@ def train_motion(
     known = Findings.of(checkpoint[1]) if checkpoint else None
     stage = _Stage(run, capture, images, gaussians, config, began, device, known)
     empty = np.zeros((0, len(gaussians), DOF), np.float32)
-    fit = stage.fit(_restored(checkpoint, device) if checkpoint else _Fit(empty))
+    fit = stage.fit(Fit.restored(checkpoint, device) if checkpoint else Fit(empty))
     moved, all_shapes, target, round_figures = stage.beyond(fit)
     shapes, uncertainty, agreement_figures = stage.agreed(all_shapes, moved, target)
-    motion = stage.motion(shapes)
+    light, light_figures = stage.light(shapes, round_figures["rounds"])
+    motion = stage.motion(shapes, light)
     energy = stage.components.energy
     figures = {
         "seconds": time.monotonic() - stage.began,
@@ -282,6 +280,7 @@ def train_motion(
         "explained_by_components": float(energy[stage.signal].sum() / max(energy.sum(), 1e-30)),
         **agreement_figures,
         **round_figures,
+        **light_figures,
     }
     if moved is not gaussians:
         run.save_space(moved, {})

@@ -11,7 +11,19 @@ _LEFT_OUT = 1e-4  # of the motion's power, at most: 1 % of its rms
 
 
 def phasors(basis: np.ndarray, shapes: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies [K] in Hz, ascending, and phasors [K, N, D] complex64 of Σ_r a_r(t) shapes[r].
+    """`modes` as phasors: frequencies [K] in Hz and, of Σ_r a_r(t) shapes[r], [K, N, D] complex64."""
+    freqs, series = modes(basis, shapes, fps)
+    return freqs, of_shapes(series, shapes)
+
+
+def of_shapes(series: np.ndarray, shapes: np.ndarray) -> np.ndarray:
+    """[K, N, D] complex64: what phasors [K, R] of functions of time make of shapes [R, N, D]."""
+    values = np.tensordot(series.astype(np.complex64), shapes, axes=1)
+    return np.asarray(values, np.complex64)
+
+
+def modes(basis: np.ndarray, shapes: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies [K] in Hz, ascending, and phasors [K, R] of the functions of time of Σ_r a_r(t) shapes[r].
 
     basis [R, T], shapes [R, N, D]. Σ_k Re[m_k exp(i 2π f_k t / fps)] gives the motion back at every timestep; only
     its mean over time is left out, which is where the Gaussians lie. The frequencies are all DFT bins above 0. Where
@@ -27,8 +39,7 @@ def phasors(basis: np.ndarray, shapes: np.ndarray, fps: float) -> tuple[np.ndarr
     cycles, series = _with_bins(basis, tones)
     power = np.einsum("kr,rs,ks->k", series.conj(), products, series).real
     keep = _worth_keeping(cycles, power) if n_timesteps > ALL_BINS_UP_TO else np.full(len(cycles), True)
-    values = np.tensordot(series[keep].astype(np.complex64), shapes, axes=1)
-    return cycles[keep] * fps / n_timesteps, values.astype(np.complex64)
+    return cycles[keep] * fps / n_timesteps, series[keep]
 
 
 def _with_bins(basis: np.ndarray, tones: Tones) -> tuple[np.ndarray, np.ndarray]:

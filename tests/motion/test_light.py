@@ -1,0 +1,256 @@
+"""Changes of colour: how pictures answer to them, that noise is none, and that they are limited."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from tests.motion.test_apply import FREQS, gaussians, motion
+from tests.motion.test_linear import SCENES, gaussians_of
+from tests.rasterize.oracle import assert_close, make_scene
+from tests.synthetic import make_synthetic_dataset
+from tg4mm.capture import load_capture
+from tg4mm.evaluate.scores import Method
+from tg4mm.gaussians import Gaussians
+from tg4mm.magnify.bands import BandGain, Magnification
+from tg4mm.magnify.linear import magnified_motion
+from tg4mm.motion.apply import _moved_there, _phasors_on, moved
+from tg4mm.motion.jacobian.linear import ALPHA_MIN_LINEAR, DOF, rest_view
+from tg4mm.motion.light.answers import HARMONIC, LitView, lit_views
+from tg4mm.motion.light.fit import Remainder, fitted_light
+from tg4mm.motion.light.lit import LIMIT, lit
+from tg4mm.motion.light.model import Light
+from tg4mm.motion.light.problem import LightProblem
+from tg4mm.motion.modal import ModalMotion
+from tg4mm.motion.pictures.video import FixedCamera, fixed_cameras
+from tg4mm.motion.prior.graph import graph
+from tg4mm.rasterize import reference
+from tg4mm.rasterize.buffers import Buffers
+from tg4mm.rasterize.reference import rasterize_dense
+
+N = 20  # of `gaussians`
+
+
+def change_of(n: int, changes: int = 1, tilts: bool = True, seed: int = 0) -> np.ndarray:
+    size = (changes, n, 4 if tilts else 1, 3)
+    return np.random.default_rng(seed).normal(size=size).astype(np.float32)
+
+
+def lit_view_of(name: str, tilts: bool) -> LitView:
+    scene = SCENES[name]
+    camera = FixedCamera(scene.viewmats[0].float().numpy(), scene.Ks[0].float().numpy(), np.arange(1))
+    view = rest_view(gaussians_of(scene), camera, (scene.width, scene.height))
+    return lit_views([view], [camera], scene.means.float().numpy(), tilts)[0]
+
+
+@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("tilts", [True, False])
+def test_a_change_shows_as_spherical_harmonics_do(
+    name: str, tilts: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Against the dense twin in float64. Colours far above 0, where they are not clamped."""
+    monkeypatch.setattr(reference, "ALPHA_MIN", ALPHA_MIN_LINEAR)
+    scene = SCENES[name]
+    change = 0.1 * change_of(len(scene.means), tilts=tilts)
+    pictures = []
+    for sign in (1, -1):
+        sh = torch.zeros_like(scene.colors)
+        sh[:, 0] = 20
+        sh[:, : change.shape[2]] += sign * torch.from_numpy(change[0]).double() / HARMONIC
+        pictures.append(
+            rasterize_dense(
+                scene.means, scene.quats, scene.scales, scene.opacities, sh, scene.viewmats[0], scene.Ks[0],
+                scene.width, scene.height,
+            )[0]
+        )  # fmt: skip
+    shown = lit_view_of(name, tilts).show(change, Buffers())[0]
+    assert_close("picture", torch.from_numpy(shown.copy()), (pictures[0] - pictures[1]) / 2, 2e-4)
+
+
+@pytest.mark.parametrize("tilts", [True, False])
+def test_pull_is_the_transpose_and_normal_both(tilts: bool) -> None:
+    view, rng = lit_view_of("crowded", tilts), np.random.default_rng(1)
+    x = change_of(120, 2, tilts)
+    shown = view.show(x, Buffers()).copy()
+    pictures = rng.normal(size=shown.shape).astype(np.float32)
+    pulled = np.zeros_like(x)
+    view.pull(pictures, pulled, Buffers())
+    assert (shown * pictures).sum() == pytest.approx((x * pulled).sum(), rel=1e-3)
+    weights = rng.uniform(0.2, 1, shown.shape[1:3]).astype(np.float32)
+    both, expected = np.zeros_like(x), np.zeros_like(x)
+    view.normal(x, weights, both, Buffers())
+    view.pull(shown * weights[..., None], expected, Buffers())
+    np.testing.assert_allclose(both, expected, atol=1e-4 * np.abs(expected).max())
+
+
+class Lab:
+    """Eight cameras around the synthetic scene, and two components: the images of each are made up."""
+
+    def __init__(self, root: Path) -> None:
+        self.gaussians, _ = make_synthetic_dataset(
+            root, n_views=8, n_timesteps=2, size=48, alphas=(), n_test=0
+        )
+        self.means = self.gaussians.means.numpy()
+        self.cameras = fixed_cameras(load_capture(root))
+        self.views = [rest_view(self.gaussians, camera, (48, 48)) for camera in self.cameras]
+        axes = np.tile(np.eye(3), (len(self.means), 1, 1))
+        self.graph = graph(self.means, axes, self.gaussians.scales.numpy())
+        self.lit = lit_views(self.views, self.cameras, self.means, True)
+        self.shapes = np.zeros((2, len(self.means), DOF), np.float32)
+        self.shapes[0, :, 1] = 0.003
+
+    def fitted(self, pictures: np.ndarray, shapes: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        problem = LightProblem.of(self.lit, None, self.graph)
+        parts = [np.arange(0, 8, 2), np.arange(1, 8, 2)]
+        shapes = self.shapes if shapes is None else shapes
+        left = Remainder(self.views, pictures, np.arange(2), shapes)
+        return fitted_light(problem, parts, left, self.means)
+
+    def shown(self, x: np.ndarray, shapes: np.ndarray) -> np.ndarray:
+        both = zip(self.views, self.lit, strict=True)
+        return np.stack([view.push_all(shapes) + lit.show(x, Buffers()) for view, lit in both])
+
+    def patch(self) -> np.ndarray:
+        """[2, N, 4, 3]: a shadow on the floor in the first component, that looks darker from one side."""
+        x = np.zeros((2, len(self.means), 4, 3), np.float32)
+        size = 0.02 * np.exp(-8 * ((self.means - [0.3, -0.5, 0.0]) ** 2).sum(1))
+        x[0, :, 0] = -size[:, None]
+        x[0, :, 3] = 0.4 * size[:, None]
+        return x
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Lab:
+    return Lab(tmp_path_factory.mktemp("light") / "data")
+
+
+def noise(lab: Lab, size: float) -> np.ndarray:
+    rng = np.random.default_rng(3)
+    return (size * rng.normal(size=(8, 2, 48, 48, 3))).astype(np.float32)
+
+
+def test_light_is_told_from_motion_and_noise(lab: Lab) -> None:
+    """Noise of a tenth of the patch's peak in every pixel; only the first component holds light."""
+    x = lab.patch()
+    pictures = lab.shown(x, lab.shapes) + noise(lab, 0.002)
+    found, gains = lab.fitted(pictures)
+    assert gains[0] > 0.8
+    assert gains[1] == 0
+    assert not found[1].any()
+    # what the cameras see of it: all are above, so they cannot tell the colour's mean from its tilt along z
+    off = lab.shown(found * np.float32(HARMONIC), lab.shapes) - lab.shown(x, lab.shapes)
+    assert np.linalg.norm(off[:, 0]) < 0.3 * np.linalg.norm(lab.shown(x, 0 * lab.shapes)[:, 0])
+    far = np.linalg.norm(lab.means - [0.3, -0.5, 0.0], axis=1) > 1
+    assert np.abs(found[0][far]).max() < 0.1 * np.abs(found[0]).max()
+
+
+def test_noise_alone_has_no_light(lab: Lab) -> None:
+    found, gains = lab.fitted(lab.shown(0 * lab.patch(), lab.shapes) + noise(lab, 0.01))
+    assert not gains.any()
+    assert not found.any()
+
+
+def test_nothing_left_has_no_light(lab: Lab) -> None:
+    found, gains = lab.fitted(lab.shown(0 * lab.patch(), lab.shapes))
+    assert not gains.any()
+    assert not found.any()
+
+
+def test_components_beyond_those_of_one_pass_are_found_alike(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pictures = lab.shown(lab.patch(), lab.shapes) + noise(lab, 0.002)
+    together = lab.fitted(pictures)
+    monkeypatch.setattr("tg4mm.motion.light.fit._TOGETHER", 1)
+    for a, b in zip(lab.fitted(pictures), together, strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-5)
+
+
+def light(size: float = 1e-3, count: int = 4, modes: int = 3) -> Light:
+    rng = np.random.default_rng(5)
+    series = rng.normal(size=(modes, 2)) + 1j * rng.normal(size=(modes, 2))
+    return Light(size * change_of(N, 2, count == 4, seed=6), series)
+
+
+def change_at(m: ModalMotion, t: float, alpha: float, band: tuple[float, float] | None = None) -> np.ndarray:
+    g = gaussians()
+    return (moved(g, m, t, alpha, band).sh - g.sh).numpy()
+
+
+def by_hand(light: Light, t: float, factors: list[float]) -> np.ndarray:
+    turn = np.exp(2j * np.pi * FREQS * t / 30) * factors
+    return np.einsum("r,rnkc->nkc", (turn @ light.series).real, light.shapes)
+
+
+@pytest.mark.parametrize("t", [0, 7, 12.5])
+@pytest.mark.parametrize(("alpha", "factor"), [(0.0, 1), (5.0, 6), (-1.0, 0)])
+def test_a_band_magnifies_light_as_it_does_motion(t: float, alpha: float, factor: float) -> None:
+    m = replace(motion(), light=light())
+    off = change_at(m, t, alpha, (4.0, 6.0)) - by_hand(m.light, t, [1, factor, 1])
+    assert np.linalg.norm(off) < 0.02 * np.linalg.norm(by_hand(m.light, t, [0, 1, 0]))
+
+
+def test_magnified_light_has_a_limit_and_keeps_its_direction() -> None:
+    m = replace(motion(), light=light(0.1))
+    change, plain = change_at(m, 3, 1e6), by_hand(m.light, 3, [1e6 + 1] * 3)
+    sizes = np.linalg.norm(change.reshape(N, -1), axis=1) * HARMONIC
+    np.testing.assert_allclose(sizes, LIMIT, rtol=1e-4)
+    cosine = (change * plain).sum((1, 2)) / np.linalg.norm(plain.reshape(N, -1), axis=1) * HARMONIC / LIMIT
+    np.testing.assert_allclose(cosine, 1, rtol=1e-4)
+
+
+def test_half_the_limit_is_hardly_drawn_in_and_nothing_stays_nothing() -> None:
+    shapes = torch.zeros(1, 2, 1, 3)
+    shapes[0, 0, 0, 0] = LIMIT / 2 / HARMONIC
+    out = lit(torch.zeros(2, 4, 3), shapes, torch.ones(1))
+    assert out[0, 0, 0].item() * HARMONIC == pytest.approx(LIMIT * np.tanh(0.5), rel=1e-5)
+    out[0, 0, 0] = 0
+    assert not out.any()
+
+
+def test_a_mode_of_light_alone_is_a_state_of_its_own() -> None:
+    """What `tg4mm evaluate` renders once must not differ."""
+    still = motion(size=0.0)
+    assert Method("ours", still).state(3, 5.0) == ()
+    bright = Method("ours", replace(still, light=light()))
+    assert bright.state(3, 5.0) != bright.state(4, 5.0)
+
+
+def test_the_linear_method_magnifies_light_too() -> None:
+    m = replace(motion(), light=light())
+    plan = Magnification(bands=(BandGain(4.0, 6.0, 5.0),), method="linear")
+    both = magnified_motion(m, plan)
+    for t in (0, 7):
+        plain = by_hand(m.light, t, [1, 1, 1])
+        grown = by_hand(m.light, t, [1, 6, 1]) - plain
+        off = change_at(both, t, 0.0) - plain - grown
+        assert np.linalg.norm(off) < 0.25 * np.linalg.norm(grown)  # the filter is no ideal one
+
+
+def test_on_a_device_light_is_alike() -> None:
+    """The phasors' way through a matrix product, here on the CPU."""
+    m, g = replace(motion(), light=light(0.01)), gaussians()
+    assert m.light is not None
+    phasors, shapes = _phasors_on(torch.device("cpu"), m), torch.from_numpy(m.light.shapes)
+    found = _moved_there(g, m, phasors, 2.5, 20.0, (4.0, 6.0), light_shapes=shapes)
+    expected = moved(g, m, 2.5, 20.0, (4.0, 6.0))
+    assert not torch.allclose(expected.sh, g.sh, atol=0.01)
+    torch.testing.assert_close(found.sh, expected.sh, rtol=0, atol=1e-6)
+
+
+def test_modes_are_taken_out_with_their_light() -> None:
+    m = replace(motion(), light=light())
+    less = m.selected(np.array([False, True, False]))
+    np.testing.assert_allclose(change_at(less, 7, 0.0), by_hand(m.light, 7, [0, 1, 0]), atol=2e-4)
+
+
+def test_gaussians_of_one_colour_get_no_tilt() -> None:
+    scene = make_scene(0)
+    g = gaussians_of(scene)
+    plain = Gaussians(g.means, g.quats, g.scales, g.opacities, g.sh[:, :1].contiguous())
+    out = lit(plain.sh, torch.from_numpy(change_of(len(plain), 2, tilts=False)), torch.ones(2))
+    assert out.shape == plain.sh.shape

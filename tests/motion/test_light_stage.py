@@ -1,0 +1,178 @@
+"""Light through the whole stage: a shadow that goes with the motion is found, saved and magnified."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from tests import synthetic
+from tests.space.test_train import Killed
+from tg4mm.capture import Capture, ImageStack, load_capture, load_images
+from tg4mm.evaluate.scores import render_views
+from tg4mm.gaussians import Gaussians
+from tg4mm.magnify import Magnification
+from tg4mm.magnify.poses import poses_of
+from tg4mm.motion import ModalMotion, MotionConfig
+from tg4mm.motion import train as stage
+from tg4mm.motion.apply import moved
+from tg4mm.motion.train import train_motion
+from tg4mm.runs import Run
+
+HARMONIC = 0.28209479177387814
+DARK = 0.015  # peak of the shadow's change, of 1: four levels of 8 bits
+SHORT = MotionConfig(components=2, iterations=4)
+
+
+def shadow(means: torch.Tensor) -> torch.Tensor:
+    """[N] how much darker each Gaussian gets at most: a soft patch on the floor."""
+    away = ((means - torch.tensor([0.45, -0.6, 0.0])) ** 2).sum(1)
+    return DARK * torch.exp(-4 * away) * (means[:, 2] < 0.01)
+
+
+def true_sh(gaussians: Gaussians, t: int, alpha: float) -> torch.Tensor:
+    """3 Hz in the post's phase."""
+    sh = gaussians.sh.clone()
+    now = (1 + alpha) * np.sin(2 * np.pi * 3 * t / 30)
+    sh[:, 0] -= (now * shadow(gaussians.means) / HARMONIC)[:, None]
+    return sh
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Capture, ImageStack]:
+    """Eight cameras, ten timesteps, post and ball swaying at 3 Hz while a shadow comes and goes."""
+    root = tmp_path_factory.mktemp("lit")
+    plain = synthetic._at
+
+    def shaded(gaussians: Gaussians, motion: ModalMotion, t: int, alpha: float) -> Gaussians:
+        at = plain(gaussians, motion, t, alpha)
+        return Gaussians(at.means, at.quats, at.scales, at.opacities, true_sh(gaussians, t, alpha))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(synthetic, "_at", shaded)
+        gaussians, _ = synthetic.make_synthetic_dataset(
+            root / "data", n_views=8, n_timesteps=10, size=48, amplitude=0.005, alphas=(), n_test=0
+        )
+    run = Run.create(root / "run", root / "data", "modal", {})
+    run.save_space(gaussians, {})
+    capture = load_capture(root / "data")
+    return run, capture, load_images(capture)
+
+
+@pytest.fixture
+def new_run(made: tuple[Run, Capture, ImageStack], tmp_path: Path) -> Callable[[], Run]:
+    def copy() -> Run:
+        path = tmp_path / f"run{len(list(tmp_path.iterdir()))}"
+        shutil.copytree(made[0].path, path)
+        return Run.open(path)
+
+    return copy
+
+
+@pytest.fixture(scope="module")
+def trained(made: tuple[Run, Capture, ImageStack], tmp_path_factory: pytest.TempPathFactory) -> Run:
+    path = tmp_path_factory.mktemp("trained") / "run"
+    shutil.copytree(made[0].path, path)
+    run = Run.open(path)
+    train_motion(run, *made[1:], MotionConfig())
+    return run
+
+
+def changes(run: Run, t: float, alpha: float) -> np.ndarray:
+    """[N, 3] change of colour, mean over all directions."""
+    at = poses_of(run, Magnification(everywhere=alpha)).at(t)
+    return ((at.sh - run.load_space().sh)[:, 0] * HARMONIC).numpy()
+
+
+@pytest.mark.parametrize(("alpha", "bound"), [(0.0, 0.5), (4.0, 0.5)])
+def test_the_shadow_is_found_and_magnified(trained: Run, alpha: float, bound: float) -> None:
+    """Error .40: motion of the checkered floor explains some of it, and smoothness takes some. Nothing found: 1."""
+    gaussians = trained.load_space()
+    where = (shadow(gaussians.means) > 0.3 * DARK).numpy()
+    assert where.sum() > 8
+    for t in (2, 3, 7):
+        true = ((true_sh(gaussians, t, alpha) - gaussians.sh)[:, 0] * HARMONIC).numpy()
+        off = (changes(trained, t, alpha) - true)[where]
+        assert np.linalg.norm(off) < bound * np.linalg.norm(true[where])
+
+
+def test_light_is_taken_away_with_its_motion(trained: Run) -> None:
+    most = np.abs(changes(trained, 2, 0.0)).max()
+    assert most > 0.4 * DARK
+    assert np.abs(changes(trained, 2, -1.0)).max() < 1e-3 * most
+
+
+def test_the_log_tells_what_was_found(trained: Run) -> None:
+    gains = trained.log()["motion"]["gain_of_light"]
+    assert gains[0] > 0.7
+    assert all(0 <= g <= 1 for g in gains)
+
+
+def test_the_motion_is_the_same_without_light(
+    made: tuple[Run, Capture, ImageStack], new_run: Callable[[], Run]
+) -> None:
+    lit, plain = new_run(), new_run()
+    a = train_motion(lit, *made[1:], SHORT)
+    b = train_motion(plain, *made[1:], MotionConfig(components=2, iterations=4, light=False))
+    assert a.light is not None
+    assert b.light is None
+    assert "gain_of_light" not in plain.log()["motion"]
+    for name in ("freqs_hz", "displacement", "rotation"):
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+
+
+def test_too_few_cameras_have_no_light(
+    made: tuple[Run, Capture, ImageStack], new_run: Callable[[], Run]
+) -> None:
+    run = new_run()
+    motion = train_motion(run, *made[1:], MotionConfig(components=1, iterations=2, halves=False))
+    assert motion.light is None
+    assert "gain_of_light" not in run.log()["motion"]
+
+
+def test_killed_while_light_is_fitted_it_ends_the_same(
+    made: tuple[Run, Capture, ImageStack], new_run: Callable[[], Run], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To the bit, and without solving for the motion again."""
+    expected, run = train_motion(new_run(), *made[1:], SHORT), new_run()
+    monkeypatch.setattr(stage, "CHECKPOINT_EVERY_S", -1.0)
+    with monkeypatch.context() as patch:
+        patch.setattr(stage, "fitted_light", lambda *arguments: (_ for _ in ()).throw(Killed))
+        with pytest.raises(Killed):
+            train_motion(run, *made[1:], SHORT)
+    assert not run.has_motion
+    with monkeypatch.context() as patch:
+        patch.setattr(stage._Stage, "_begun", lambda *arguments: pytest.fail("solved for again"))
+        found = train_motion(run, *made[1:], SHORT)
+    assert found.light is not None
+    assert expected.light is not None
+    np.testing.assert_array_equal(found.displacement, expected.displacement)
+    np.testing.assert_array_equal(found.light.shapes, expected.light.shapes)
+    np.testing.assert_array_equal(found.light.series, expected.light.series)
+    assert run.load_checkpoint("motion") is None
+
+
+def test_pictures_of_the_capture_itself_come_nearer(
+    trained: Run, made: tuple[Run, Capture, ImageStack]
+) -> None:
+    """The true motion with the light found, and without any."""
+    _, capture, images = made
+    gaussians = trained.load_space()
+    rows = np.flatnonzero(capture.timesteps == 2)
+    truth = np.stack([images.rgb(int(i)) for i in rows])
+    shown = poses_of(trained, Magnification()).at(2)
+    error = []
+    for sh in (shown.sh, gaussians.sh):
+        at = moved(replace(gaussians, sh=sh), exact_motion(), 2)
+        error.append(float(((render_views(at, capture, rows) - truth) ** 2).mean()))
+    assert error[0] < 0.5 * error[1]
+
+
+def exact_motion() -> ModalMotion:
+    """The exact motion that the pictures show."""
+    return synthetic._motion(synthetic._parts(1), (3.0,), 0.005, 30.0, 10)

@@ -1,0 +1,71 @@
+"""Light in a run's motion file: beside the motion, optional, and only where it fits."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from safetensors import safe_open
+from safetensors.torch import load_file, save_file
+
+from tests.motion.test_apply import gaussians, motion
+from tests.motion.test_light import N, change_of, light
+from tg4mm.errors import RunError
+from tg4mm.motion.light.model import Light
+from tg4mm.runs import Run
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Run:
+    run = Run.create(tmp_path / "run", tmp_path, "modal", {})
+    run.save_space(gaussians(), {})
+    return run
+
+
+def test_light_read_back_equals_that_written(run: Run) -> None:
+    m = replace(motion(), light=light())
+    run.save_motion(m, {})
+    back = run.load_motion()
+    assert back is not None
+    assert back.light is not None
+    assert back.light.shapes.dtype == np.float32
+    np.testing.assert_array_equal(back.light.shapes, m.light.shapes)
+    np.testing.assert_array_equal(back.light.series, m.light.series)
+
+
+def test_a_motion_of_before_there_was_light_loads(run: Run) -> None:
+    run.save_motion(motion(), {})
+    assert set(load_file(run.part_file("motion"))) == {
+        "freqs_hz", "displacement#re", "displacement#im", "rotation#re", "rotation#im",
+    }  # fmt: skip
+    back = run.load_motion()
+    assert back is not None
+    assert back.light is None
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        Light(change_of(N - 1, 2), light().series),
+        Light(change_of(N, 2), light(modes=2).series),
+        Light(change_of(N, 3), light().series),
+        Light(np.zeros((2, N, 9, 3), np.float32), light().series),  # more than the Gaussians have
+    ],
+)
+def test_light_that_does_not_fit_is_refused(run: Run, bad: Light) -> None:
+    with pytest.raises(RunError, match=r"motion to save: light has shapes \(.*expected \[R, 20, 1 to 4, 3\]"):
+        run.save_motion(replace(motion(), light=bad), {})
+    assert not run.has_motion
+
+
+def test_half_of_a_light_is_refused(run: Run) -> None:
+    run.save_motion(replace(motion(), light=light()), {})
+    file = run.part_file("motion")
+    with safe_open(file, "pt") as old:
+        meta = old.metadata()
+    tensors = {k: v for k, v in load_file(file).items() if k != "light_shapes"}
+    save_file(tensors, file, metadata=meta)
+    with pytest.raises(RunError, match="holds the tensors"):
+        run.load_motion()

@@ -1,0 +1,101 @@
+"""How a picture answers to changes of colour: blending weights, times spherical harmonics of the view's directions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tg4mm.motion.certainty.sight import directions
+from tg4mm.motion.jacobian.linear import DOF, RestView
+from tg4mm.motion.jacobian.packed import COLUMNS, packed
+from tg4mm.motion.pictures.video import FixedCamera
+from tg4mm.rasterize.buffers import Buffers
+from tg4mm.rasterize.kernels.compiled import kernel
+from tg4mm.rasterize.kernels.vector import LANES
+
+_COLOUR = COLUMNS - 3  # first column of a splat's colour
+HARMONIC = 0.28209479177387814  # the first: times its coefficient it is a colour
+_TILT = np.float32(np.sqrt(3.0))  # of degree 1 beside it
+
+
+@dataclass(frozen=True)
+class LitView:
+    """One camera's picture as a linear function of changes of colour x [R, N, K, 3].
+
+    Of K = 1 or 4 coefficients the first is the colour's mean over all directions, the others are its tilt, in units in
+    which all have the same mean square over directions.
+    """
+
+    view: RestView  # its Jacobian takes "displacements" for colours
+    harmonics: np.ndarray  # [N, K] float32
+
+    def show(self, x: np.ndarray, buffers: Buffers) -> np.ndarray:
+        """Changes of the picture [R, H, W, 3], until the next call with the same `buffers`."""
+        return self.view.push_all(self._colours(x, buffers), buffers)
+
+    def pull(self, pictures: np.ndarray, out: np.ndarray, buffers: Buffers) -> None:
+        """The transpose: adds to `out` [R, N, K, 3] what pictures [R, H, W, 3] say."""
+        v = self._nothing(out, buffers, "v_colours")
+        self.view.pull_all(pictures, v, buffers)
+        _gather(self.harmonics, v, out)
+
+    def normal(self, x: np.ndarray, weights: np.ndarray | None, out: np.ndarray, buffers: Buffers) -> None:
+        """`show`, times the weights of pixels [H, W] or 1, and `pull`, in one pass."""
+        v = self._nothing(out, buffers, "v_colours")
+        self.view.normal_all(self._colours(x, buffers), weights, v, buffers)
+        _gather(self.harmonics, v, out)
+
+    def _colours(self, x: np.ndarray, buffers: Buffers) -> np.ndarray:
+        colours = self._nothing(x, buffers, "colours")
+        _spread(self.harmonics, x, colours)
+        return colours
+
+    @staticmethod
+    def _nothing(x: np.ndarray, buffers: Buffers, name: str) -> np.ndarray:
+        room = buffers.take(name, (x.shape[0], x.shape[1], DOF))
+        room[:] = 0
+        return room
+
+
+def lit_views(
+    views: Sequence[RestView], cameras: Sequence[FixedCamera], means: np.ndarray, tilts: bool
+) -> list[LitView]:
+    """Of Gaussians at `means` [N, 3]; with `tilts` K is 4, else 1."""
+    out = []
+    for view, camera in zip(views, cameras, strict=True):
+        harmonics = np.ones((len(means), 4 if tilts else 1), np.float32)
+        if tilts:
+            x, y, z = directions(camera, means)[0].T
+            harmonics[:, 1:] = _TILT * np.stack([-y, z, -x], 1)
+        out.append(LitView(replace(view, answers=_identity(view.bins.n_visible)), harmonics))
+    return out
+
+
+def _identity(n: int) -> np.ndarray:
+    """`packed` Jacobians of n Gaussians whose displacement is a change of colour."""
+    one = np.zeros((1, COLUMNS, DOF), np.float32)
+    one[0, _COLOUR:, :3] = np.eye(3)
+    row, rest = np.split(packed(one), [-LANES])
+    return np.concatenate([np.tile(row, n), rest])
+
+
+@kernel()
+def _spread(harmonics, x, colours):
+    """colours[r, n, :3] = Σ_k harmonics[n, k] x[r, n, k]."""
+    for r in range(x.shape[0]):
+        for n in range(x.shape[1]):
+            for k in range(x.shape[2]):
+                for c in range(3):
+                    colours[r, n, c] += harmonics[n, k] * x[r, n, k, c]
+
+
+@kernel()
+def _gather(harmonics, v_colours, out):
+    """The transpose of `_spread`, added to `out`."""
+    for r in range(out.shape[0]):
+        for n in range(out.shape[1]):
+            for k in range(out.shape[2]):
+                for c in range(3):
+                    out[r, n, k, c] += harmonics[n, k] * v_colours[r, n, c]

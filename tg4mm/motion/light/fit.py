@@ -1,0 +1,111 @@
+"""The light of the temporal components: what motion leaves of their images, as changes of the Gaussians' colour.
+
+Two halves of the cameras are fitted, as for the motion, and their mean is kept as far as they agree around each
+Gaussian: light changes in places. A component on which they agree less than half altogether holds noise, or what is no
+light, and is dropped, after one iteration if it shows by then.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tg4mm.motion.certainty.halves import agreed_gain, mean_around
+from tg4mm.motion.jacobian.linear import RestView
+from tg4mm.motion.light.answers import HARMONIC
+from tg4mm.motion.light.problem import LightProblem
+from tg4mm.motion.solver.solve import CGState, start, step_all
+
+ITERATIONS = 4  # three do as well: docs/decisions.md
+_LOOK = 1  # iterations after which it is told whether the halves agree
+_AGREED = 0.5  # gain below which a component has no light
+_TOGETHER = 8  # components that share a pass over the views
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """What motion leaves of component images."""
+
+    views: Sequence[RestView]
+    pictures: np.ndarray  # [V, …, H, W, 3]
+    rows: np.ndarray  # [R] which of the components
+    shapes: np.ndarray  # [R, N, DOF], their motion
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def of(self, part: np.ndarray, some: slice) -> Iterator[np.ndarray]:
+        """[r, H, W, 3] of each of the views `part`, for `some` of the R components."""
+        for v in part:
+            yield self.pictures[v, self.rows[some]] - self.views[v].push_all(self.shapes[some])
+
+
+def fitted_light(
+    problem: LightProblem,
+    parts: Sequence[np.ndarray],
+    remainder: Remainder,
+    means: np.ndarray,
+    update: Callable[[int], None] | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Changes of the first coefficients of spherical harmonics [R, N, K, 3] float32, and gains [R].
+
+    parts: two halves of the cameras. means [N, 3]: where the Gaussians lie. A component that is dropped has gain and
+    change 0. `update` is called with how many components are done.
+    """
+    halves = [problem.of_views(part) for part in parts]
+    found: list[np.ndarray] = []
+    gains: list[np.ndarray] = []
+    for first in range(0, len(remainder), _TOGETHER):
+        some = slice(first, first + _TOGETHER)
+        sides = [
+            half.right_hand_sides(remainder.of(part, some)) for half, part in zip(halves, parts, strict=True)
+        ]
+        x, gain = agreed_light(halves, sides, means)
+        found.append(x / np.float32(HARMONIC))
+        gains.append(gain)
+        if update is not None:
+            update(first + len(gain))
+    return np.concatenate(found), np.concatenate(gains)
+
+
+def agreed_light(
+    halves: Sequence[LightProblem], sides: Sequence[Sequence[np.ndarray]], means: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Changes of colour [R, N, K, 3] and gains [R] from the problems of two halves and R right-hand sides of each.
+
+    Gaussians lie at `means` [N, 3].
+    """
+    states = [[start(b) for b in some] for some in sides]
+    found = np.zeros((len(states[0]), *states[0][0].x.shape), np.float32)
+    gains, going = np.zeros(len(found), np.float32), np.arange(len(found))
+    for last in (_LOOK, ITERATIONS):
+        states = [_stepped(half, some, last) for half, some in zip(halves, states, strict=True)]
+        a, b = (
+            np.stack([half.colours(s.x) for s in some]) for half, some in zip(halves, states, strict=True)
+        )
+        whole = (a + b) / 2
+        gain = agreed_gain(*(v.reshape(*v.shape[:2], -1) for v in (whole, a, b)))
+        good = np.flatnonzero(gain >= _AGREED)
+        going, states = going[good], [[some[k] for k in good] for some in states]
+        if not len(going):
+            return found, gains
+    whole, a, b = (v[good] for v in (whole, a, b))
+    found[going] = whole * _gain_around(whole, a, b, means)[..., None, None]
+    gains[going] = gain[good]
+    return found, gains
+
+
+def _gain_around(whole: np.ndarray, a: np.ndarray, b: np.ndarray, means: np.ndarray) -> np.ndarray:
+    """[R, N] float32, 0 to 1: `agreed_gain` of the Gaussians around each, of components [R, N, K, 3]."""
+    both, power = (np.einsum("rnkc,rnkc->nr", *pair) for pair in ((a, b), (whole, whole)))
+    both, power = np.split(mean_around(np.concatenate([both, power], 1), means).T, 2)
+    return np.clip(both / np.maximum(power, np.finfo(np.float32).tiny), 0, 1)
+
+
+def _stepped(problem: LightProblem, states: list[CGState], last: int) -> list[CGState]:
+    """The states after iteration `last`."""
+    while any(s.iteration < last and not s.is_exact for s in states):
+        states = step_all(states, problem.normals)
+    return states
