@@ -64,7 +64,8 @@ def export_ply(run: Run, out: Path) -> Path:
     """Write the run as one splat file that any viewer opens at rest, and ours plays.
 
     Of a `paper` run it holds timestep 0 and, as phasors of all DFT bins (0 Hz for the mean offset from it), every
-    timestep's position and rotation. Lost is what the decoder changes in scale, opacity and colour over time.
+    timestep's position and rotation. Lost is what the decoder changes in scale, opacity and colour over
+    time, and of a `modal` run the light that changes.
     Raises Tg4mmError for an `out` that is a folder or a file of another kind, RunError for a run without a space stage.
     """
     if out.is_dir():
