@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -86,6 +87,7 @@ def _from_its_zero(gaussians: Gaussians, motion: ModalMotion) -> tuple[Gaussians
     still = motion.freqs_hz == 0
     if not still.any():
         return gaussians, motion
+    motion = replace(motion, light=None)  # of which a splat file holds nothing
     return moved(gaussians, motion.selected(still), 0.0), motion.selected(~still)
 
 

@@ -174,8 +174,9 @@ class Run:
         light, sh = motion.light, gaussians.sh.shape
         if light is not None and not light.fits(expected[0], sh):
             raise RunError(
-                f"{name}: light has shapes {light.shapes.shape} and series {light.series.shape}, expected "
-                f"[R, {n}, 1 to {sh[1]}, 3] and [{expected[0]}, R]"
+                f"{name}: light has shapes {light.shapes.shape} {light.shapes.dtype} and series {light.series.shape} "
+                f"{light.series.dtype}, expected [R, {n}, 1 or 4 (at most {sh[1]}), 3] float32 and "
+                f"[{expected[0]}, R] complex128"
             )
 
     # Parts: further results of a preset, bound to this run's settings.

@@ -13,8 +13,9 @@ from tests.motion.test_apply import FREQS, gaussians, motion
 from tests.motion.test_linear import SCENES, gaussians_of
 from tests.rasterize.oracle import assert_close, make_scene
 from tests.synthetic import make_synthetic_dataset
-from tg4mm.capture import load_capture
-from tg4mm.evaluate.scores import Method
+from tg4mm.capture import load_capture, load_images
+from tg4mm.evaluate.resume import fingerprint
+from tg4mm.evaluate.scores import Method, Scorer
 from tg4mm.gaussians import Gaussians
 from tg4mm.magnify.bands import BandGain, Magnification
 from tg4mm.magnify.linear import magnified_motion
@@ -28,6 +29,7 @@ from tg4mm.motion.light.problem import LightProblem
 from tg4mm.motion.modal import ModalMotion
 from tg4mm.motion.pictures.video import FixedCamera, fixed_cameras
 from tg4mm.motion.prior.graph import graph
+from tg4mm.motion.temporal.spectrum import modes
 from tg4mm.rasterize import reference
 from tg4mm.rasterize.buffers import Buffers
 from tg4mm.rasterize.reference import rasterize_dense
@@ -40,10 +42,13 @@ def change_of(n: int, changes: int = 1, tilts: bool = True, seed: int = 0) -> np
     return np.random.default_rng(seed).normal(size=size).astype(np.float32)
 
 
-def lit_view_of(name: str, tilts: bool) -> LitView:
+def lit_view_of(name: str, tilts: bool, mean: float = 20.0) -> LitView:
+    """Of Gaussians whose first coefficient is `mean` in all channels."""
     scene = SCENES[name]
     camera = FixedCamera(scene.viewmats[0].float().numpy(), scene.Ks[0].float().numpy(), np.arange(1))
-    view = rest_view(gaussians_of(scene), camera, (scene.width, scene.height))
+    sh = torch.zeros_like(gaussians_of(scene).sh)
+    sh[:, 0] = mean
+    view = rest_view(replace(gaussians_of(scene), sh=sh), camera, (scene.width, scene.height))
     return lit_views([view], [camera], scene.means.float().numpy(), tilts)[0]
 
 
@@ -69,6 +74,18 @@ def test_a_change_shows_as_spherical_harmonics_do(
         )  # fmt: skip
     shown = lit_view_of(name, tilts).show(change, Buffers())[0]
     assert_close("picture", torch.from_numpy(shown.copy()), (pictures[0] - pictures[1]) / 2, 2e-4)
+
+
+def test_a_colour_below_zero_does_not_answer() -> None:
+    """It is clamped, so that no small change of it shows."""
+    name = next(iter(SCENES))
+    change = change_of(len(SCENES[name].means))
+    assert np.abs(lit_view_of(name, True).show(change, Buffers())).max() > 0.1
+    dark = lit_view_of(name, True, mean=-20.0)
+    assert not dark.show(change, Buffers()).any()
+    out = np.zeros_like(change)
+    dark.pull(np.ones((1, *dark.view.transmittance.shape, 3), np.float32), out, Buffers())
+    assert not out.any()
 
 
 @pytest.mark.parametrize("tilts", [True, False])
@@ -254,3 +271,30 @@ def test_gaussians_of_one_colour_get_no_tilt() -> None:
     plain = Gaussians(g.means, g.quats, g.scales, g.opacities, g.sh[:, :1].contiguous())
     out = lit(plain.sh, torch.from_numpy(change_of(len(plain), 2, tilts=False)), torch.ones(2))
     assert out.shape == plain.sh.shape
+
+
+def test_in_a_long_capture_light_keeps_the_frequency_that_hardly_moves() -> None:
+    """Of more than 64 timesteps weak bins are left out; a component weak in motion may hold all the light."""
+    t = np.arange(100) / 100
+    basis = np.sqrt(2 / 100) * np.stack([np.sin(2 * np.pi * 5 * t), np.sin(2 * np.pi * 9 * t)])
+    shapes = np.random.default_rng(0).normal(size=(2, 20, 6)).astype(np.float32)
+    shapes[1] *= 1e-3
+    shown = change_of(20, 2)
+    shown[0] = 0
+    without, _ = modes(basis, shapes, 100.0)
+    freqs, series = modes(basis, shapes, 100.0, shown)
+    np.testing.assert_allclose(without, [5.0])
+    np.testing.assert_allclose(freqs, [5.0, 9.0])
+    np.testing.assert_allclose(np.abs(series), np.sqrt(2 / 100) * np.eye(2), atol=1e-9)
+
+
+def test_a_resumed_evaluation_tells_light_apart(tmp_path: Path) -> None:
+    """Displacement is the same with and without, and with more of it."""
+    g, _ = make_synthetic_dataset(tmp_path / "data", n_views=1, n_timesteps=2, size=16, n_test=1)
+    capture = load_capture(tmp_path / "data", "test")
+    images, scorer = load_images(capture), Scorer(g, {})
+    found = set()
+    for own in (None, light(), light(2e-3)):
+        method = Method("ours", replace(motion(), light=own), None)
+        found.add(fingerprint(scorer, [method], capture, images, 5.0))
+    assert len(found) == 3

@@ -52,10 +52,13 @@ def test_a_motion_of_before_there_was_light_loads(run: Run) -> None:
         Light(change_of(N, 2), light(modes=2).series),
         Light(change_of(N, 3), light().series),
         Light(np.zeros((2, N, 9, 3), np.float32), light().series),  # more than the Gaussians have
+        Light(change_of(N, 2)[:, :, :2], light().series),  # neither the mean alone nor with all tilts
+        Light(change_of(N, 2).astype(np.float64), light().series),
+        Light(change_of(N, 2), light().series.real),
     ],
 )
 def test_light_that_does_not_fit_is_refused(run: Run, bad: Light) -> None:
-    with pytest.raises(RunError, match=r"motion to save: light has shapes \(.*expected \[R, 20, 1 to 4, 3\]"):
+    with pytest.raises(RunError, match=r"motion to save: light has shapes \(.*expected \[R, 20, 1 or 4"):
         run.save_motion(replace(motion(), light=bad), {})
     assert not run.has_motion
 

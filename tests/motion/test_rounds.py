@@ -20,6 +20,7 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.motion import ModalMotion, MotionConfig
 from tg4mm.motion import train as stage
 from tg4mm.motion.apply import moved
+from tg4mm.motion.posing import pose
 from tg4mm.motion.rounds import linearised
 from tg4mm.motion.rounds.moved import MovedProblem
 from tg4mm.motion.rounds.rounds import ABOVE_PX
@@ -271,6 +272,26 @@ def test_what_only_gets_worse_is_not_taken(
     assert _equal(_trained(runs[1], SHORT), expected)
     assert runs[1].log()["motion"]["rounds"] == 0
     assert torch.equal(runs[1].load_space().means, scene.load_space().means)
+
+
+def test_what_is_not_taken_leaves_the_linear_fits_own_components(
+    quick: tuple[Run, Run, ModalMotion], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rounds fit more of them than the linear fit, which light goes with, did."""
+    runs = [_copy(quick[0], tmp_path / name) for name in ("linear", "wrong")]
+    several = replace(SHORT, components=4)
+    told = lambda problem, parts, images, at_once: np.arange(images.shape[1]) > 0  # noqa: E731
+    monkeypatch.setattr(pose, "noise_components", told)
+    expected = _trained(runs[0], replace(several, rounds=0))
+    fields = MovedProblem.fields
+    monkeypatch.setattr(MovedProblem, "fields", lambda self, theta: -3 * fields(self, theta))
+    found = _trained(runs[1], several)
+    assert _equal(found, expected)
+    figures = [run.log()["motion"] for run in runs]
+    assert [f["components"] for f in figures] == [1, 1]
+    assert [f["rounds"] for f in figures] == [0, 0]
+    assert figures[0]["components_of_noise"] > 0
+    assert figures[0].get("gain_of_light") == figures[1].get("gain_of_light")
 
 
 def test_on_a_device_it_finds_the_same(

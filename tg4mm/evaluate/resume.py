@@ -54,7 +54,8 @@ def fingerprint(
         digest.update(np.ascontiguousarray(tensor.cpu().numpy()).tobytes())
     for motion in (m.motion for m in methods if m.motion is not None):
         arrays = (motion.freqs_hz, motion.displacement, motion.rotation, motion.gains, motion.magnified)
-        for array in arrays:
+        light = (None, None) if motion.light is None else (motion.light.shapes, motion.light.series)
+        for array in (*arrays, *light):
             digest.update(b"" if array is None else np.ascontiguousarray(array).tobytes())
     for i, t in enumerate(capture.timesteps.tolist()):
         digest.update(camera_key(capture, i) + content_key(images, i) + t.to_bytes(8, "little"))

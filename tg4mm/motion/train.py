@@ -116,7 +116,7 @@ class _Stage:
 
     def motion(self, shapes: np.ndarray, light: np.ndarray | None) -> ModalMotion:
         """From the fields [R, N, DOF] and `light`."""
-        freqs, series = modes(self.basis, shapes, self.fps)
+        freqs, series = modes(self.basis, shapes, self.fps, light)
         values = of_shapes(series, shapes)
         of_time = self.fps, self.n_timesteps
         shown = None
@@ -221,7 +221,10 @@ class _Stage:
         with progress("motion rounds", total, start=where.round * rounds.units) as update:
             where = rounds.run(where, evidence, keep, update)
         self._save(ROUNDS, where.tensors(), where.state())  # before the scene at rest is another
-        figures |= {"rounds": where.round, "misfit_of_rounds": where.misfits, "neighbours": where.neighbours}
+        figures |= {"rounds": where.round, "misfit_of_rounds": where.misfits}
+        if not where.round:  # the linear fit stands, with its own components
+            return self.gaussians, fit.shapes, None, figures
+        figures["neighbours"] = where.neighbours
         self.basis = rounds.basis
         is_asked = self.config.halves and len(self.parts) == 1  # by `_doubt`
         target = rounds.target(where, evidence) if is_asked else None

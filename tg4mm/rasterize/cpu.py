@@ -37,7 +37,7 @@ class Projected:
 
     splats: np.ndarray  # [N, SPLAT_WIDTH]
     bins: Bins
-    v_splats: np.ndarray | None = None  # filled by the backward pass; rows of invisible Gaussians are zero
+    v_splats: np.ndarray | None = None  # filled by the backward pass, sums as in layout.py; 0 where invisible
 
 
 def _array(tensor: Tensor) -> np.ndarray:

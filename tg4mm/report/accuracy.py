@@ -53,7 +53,9 @@ def _reminder(scored: list[dict[str, Any]]) -> Block:
         return Text(f"{words}. A score says something about motion only beside that one.", "note")
     words += f", and the same model moved exactly right {ceiling:.4f}"
     return Text(
-        f"{words}. A score says something about motion only by where it lies between those two.", "note"
+        f"{words}. A score says something about motion only beside those two; above the second lies what "
+        "shows changes of light that it lacks.",
+        "note",
     )
 
 
@@ -69,7 +71,7 @@ def _score_curves(scored: list[dict[str, Any]]) -> Block:
         "1.5; "
         "mean over all test cameras and timesteps). “Ceiling” applies the exact motion to the same "
         "Gaussians: "
-        "what is lost there is the static model's."
+        "what is lost there is the static model's, and the changes of light that it does not show."
     )
     return Figure([drawing(chart)], caption, width="narrow")
 

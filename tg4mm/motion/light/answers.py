@@ -13,7 +13,7 @@ from tg4mm.motion.jacobian.packed import COLUMNS, packed
 from tg4mm.motion.pictures.video import FixedCamera
 from tg4mm.rasterize.buffers import Buffers
 from tg4mm.rasterize.kernels.compiled import kernel
-from tg4mm.rasterize.kernels.vector import LANES
+from tg4mm.rasterize.kernels.layout import FEAT
 
 _COLOUR = COLUMNS - 3  # first column of a splat's colour
 HARMONIC = 0.28209479177387814  # the first: times its coefficient it is a colour
@@ -69,16 +69,20 @@ def lit_views(
         if tilts:
             x, y, z = directions(camera, means)[0].T
             harmonics[:, 1:] = _TILT * np.stack([-y, z, -x], 1)
-        out.append(LitView(replace(view, answers=_identity(view.bins.n_visible)), harmonics))
+        out.append(LitView(replace(view, answers=_answers(view)), harmonics))
     return out
 
 
-def _identity(n: int) -> np.ndarray:
-    """`packed` Jacobians of n Gaussians whose displacement is a change of colour."""
-    one = np.zeros((1, COLUMNS, DOF), np.float32)
-    one[0, _COLOUR:, :3] = np.eye(3)
-    row, rest = np.split(packed(one), [-LANES])
-    return np.concatenate([np.tile(row, n), rest])
+def _answers(view: RestView) -> np.ndarray:
+    """`packed` Jacobians of the visible Gaussians, whose displacement is a change of colour.
+
+    A channel that is clamped at 0 does not answer.
+    """
+    colours = view.splats[view.bins.order[: view.bins.n_visible], FEAT : FEAT + 3]
+    jacobian = np.zeros((len(colours), COLUMNS, DOF), np.float32)
+    for c in range(3):
+        jacobian[:, _COLOUR + c, c] = colours[:, c] > 0
+    return packed(jacobian)
 
 
 @kernel()

@@ -34,5 +34,7 @@ class Light:
         """Whether it goes with a motion of so many frequencies and Gaussians of spherical harmonics [N, K', 3]."""
         if self.shapes.ndim != 4 or self.series.shape != (n_frequencies, len(self.shapes)):
             return False
+        if self.shapes.dtype != np.float32 or self.series.dtype != np.complex128:
+            return False
         _, n, count, channels = self.shapes.shape
-        return (n, channels) == (sh[0], 3) and 1 <= count <= sh[1]
+        return (n, channels) == (sh[0], 3) and count in (1, 4) and count <= sh[1]

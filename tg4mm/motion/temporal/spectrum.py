@@ -22,24 +22,35 @@ def of_shapes(series: np.ndarray, shapes: np.ndarray) -> np.ndarray:
     return np.asarray(values, np.complex64)
 
 
-def modes(basis: np.ndarray, shapes: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarray]:
+def modes(
+    basis: np.ndarray, shapes: np.ndarray, fps: float, light: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies [K] in Hz, ascending, and phasors [K, R] of the functions of time of Σ_r a_r(t) shapes[r].
 
-    basis [R, T], shapes [R, N, D]. Σ_k Re[m_k exp(i 2π f_k t / fps)] gives the motion back at every timestep; only
+    basis [R, T], shapes [R, N, D], light [R, ...] what else goes with those functions.
+    Σ_k Re[m_k exp(i 2π f_k t / fps)] gives the motion back at every timestep; only
     its mean over time is left out, which is where the Gaussians lie. The frequencies are all DFT bins above 0. Where
     the motion has tones between them or drifts (`tones.py`) there are besides: the tones, of which the bins then hold
     what is left; a frequency of 0.05 bins, which is the drift from timestep 0 on; and 0 Hz, the way from the mean over
     time to the motion's own zero, which no α should magnify. Of more than 64 timesteps the bins that hold next to
-    nothing are left out, 1e-4 of the power together.
+    nothing are left out, 1e-4 of the power together, in which all light weighs as much as all motion.
     """
     n_timesteps = basis.shape[1]
     basis = basis - basis.mean(1, keepdims=True)
     products = np.einsum("rnc,snc->rs", shapes[..., :3], shapes[..., :3], dtype=np.float64)
     tones = found_tones(basis * np.sqrt(np.diag(products))[:, None])
     cycles, series = _with_bins(basis, tones)
+    if light is not None and (own := _products(light)).any():
+        products = products / max(np.trace(products), 1e-30) + own / np.trace(own)
     power = np.einsum("kr,rs,ks->k", series.conj(), products, series).real
     keep = _worth_keeping(cycles, power) if n_timesteps > ALL_BINS_UP_TO else np.full(len(cycles), True)
     return cycles[keep] * fps / n_timesteps, series[keep]
+
+
+def _products(values: np.ndarray) -> np.ndarray:
+    """[R, R] float64: the inner products of R arrays."""
+    flat = values.reshape(len(values), -1).astype(np.float64)
+    return np.asarray(flat @ flat.T)
 
 
 def _with_bins(basis: np.ndarray, tones: Tones) -> tuple[np.ndarray, np.ndarray]:

@@ -1,9 +1,9 @@
-"""What all kernels that blend tiles share: where pixels lie, which blocks a Gaussian may reach, who takes which tile.
+"""What all kernels that blend tiles share: where pixels lie, how a Gaussian's alphas come about, who takes which tile.
 
 A tile is 16 blocks of 4 × 4 pixels, a block one vector. A kernel keeps a row of planes for each block, its state:
-first the transmittance, then what it carries along. For each Gaussian one vector test, a lane a block, says which
-blocks its ellipse may reach; the others are not touched. The exponent is a sum of two squares, p² + q² with p, q linear
-in the pixel, which keeps thin ellipses exact.
+first the transmittance, then what it carries along. `ahead.py` says which blocks a Gaussian's ellipse may reach; the
+others are not touched. The exponent is a sum of two squares, p² + q² with p, q linear in the pixel, which keeps thin
+ellipses exact.
 
 A pixel that has stopped carries a negative transmittance: -T, of which nothing comes any more.
 
