@@ -18,7 +18,8 @@ from tests.space.test_train import Killed, killed_after
 from tests.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture, load_images
 from tg4mm.errors import Tg4mmError
-from tg4mm.motion import MotionConfig, standing
+from tg4mm.motion import MotionConfig
+from tg4mm.motion import fit as fitting
 from tg4mm.motion import train as stage
 from tg4mm.motion.apply import mover
 from tg4mm.motion.jacobian import meetings
@@ -190,11 +191,11 @@ def another_device(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureReque
         problems.append(DeviceProblem(of, "cpu", storage))  # type: ignore[arg-type]
         return problems[-1]
 
-    real = standing.placed
+    real = fitting.placed
     monkeypatch.setattr(pose, "DeviceProblem", on_cpu)
     # a torch.device is not the string "cpu", for which arrays would stay arrays
     to_tensors = lambda state, where: state if where == "cpu" else real(state, torch.device("cpu"))  # noqa: E731
-    monkeypatch.setattr(standing, "placed", to_tensors)
+    monkeypatch.setattr(fitting, "placed", to_tensors)
     monkeypatch.setattr(stage, "gpu_figures", lambda _: {"peak_gpu_memory_mib": 1.0})
     monkeypatch.setattr(stage, "reset_gpu_peak", lambda _: None)
     return problems

@@ -176,12 +176,13 @@ class TestComponents:
         signs = np.sign((found.basis * expected.basis).sum(1))
         np.testing.assert_allclose(found.images, expected.images * signs[:, None, None, None], atol=1e-5)
         np.testing.assert_allclose(found.residual, expected.residual, atol=1e-6)
+        np.testing.assert_allclose(found.mean, expected.mean, atol=1e-6)
 
     def test_with_a_cache_pictures_are_composited_once(self, stack, monkeypatch: pytest.MonkeyPatch) -> None:
         composited = []
-        whole = video_module.Video._differences
+        whole = video_module.over_white
         monkeypatch.setattr(
-            video_module.Video, "_differences", lambda v, rows: composited.append(rows) or whole(v, rows)
+            video_module, "over_white", lambda rows, most: composited.append(rows) or whole(rows, most)
         )
         temporal_components(*stack, 6)
         assert len(composited) == 2  # cameras

@@ -22,7 +22,7 @@ from tg4mm.magnify.linear import magnified_motion
 from tg4mm.motion.apply import _moved_there, _phasors_on, moved
 from tg4mm.motion.jacobian.linear import ALPHA_MIN_LINEAR, DOF, rest_view
 from tg4mm.motion.light.answers import HARMONIC, LitView, lit_views
-from tg4mm.motion.light.fit import Remainder, fitted_light
+from tg4mm.motion.light.fit import Lighting, Remainder
 from tg4mm.motion.light.lit import LIMIT, lit
 from tg4mm.motion.light.model import Light
 from tg4mm.motion.light.problem import LightProblem
@@ -124,8 +124,8 @@ class Lab:
         problem = LightProblem.of(self.lit, None, self.graph)
         parts = [np.arange(0, 8, 2), np.arange(1, 8, 2)]
         shapes = self.shapes if shapes is None else shapes
-        left = Remainder(self.views, pictures, np.arange(2), shapes)
-        return fitted_light(problem, parts, left, self.means)
+        left = Remainder(self.views, pictures, np.arange(2), shapes, None)
+        return Lighting(problem, parts, self.means).fitted(left)
 
     def shown(self, x: np.ndarray, shapes: np.ndarray) -> np.ndarray:
         both = zip(self.views, self.lit, strict=True)

@@ -37,7 +37,7 @@ def test_the_strongest_component_is_never_noise(loose: MotionProblem) -> None:
 
 def components(images: np.ndarray, residual: np.ndarray) -> TemporalComponents:
     n = images.shape[1]
-    return TemporalComponents(np.eye(n, 10), np.ones(10), images, residual, rank=n)
+    return TemporalComponents(np.eye(n, 10), np.ones(10), images, residual, rank=n, mean=images[:, 0])
 
 
 def test_pixels_count_less_the_more_they_flicker() -> None:

@@ -99,7 +99,7 @@ class TestExactly:
         images[0, 1] = np.sqrt(2.0)
         images[0, 0] = 100.0
         components = TemporalComponents(
-            np.zeros((2, 8)), np.zeros(8), images, np.full((1, 9, 9), 6.0, np.float32), 5
+            np.zeros((2, 8)), np.zeros(8), images, np.full((1, 9, 9), 6.0, np.float32), 5, images[:, 0]
         )
         np.testing.assert_allclose(
             pixel_noise(components, np.array([False, True])), (6 + 2) / (3 + 1), rtol=1e-5
@@ -110,7 +110,12 @@ class TestExactly:
         residual = np.zeros((1, 21, 21), np.float32)
         residual[0, 10, 10] = 1
         components = TemporalComponents(
-            np.zeros((1, 8)), np.zeros(8), np.zeros((1, 1, 21, 21, 3), np.float32), residual, 2
+            np.zeros((1, 8)),
+            np.zeros(8),
+            np.zeros((1, 1, 21, 21, 3), np.float32),
+            residual,
+            2,
+            np.zeros((1, 21, 21, 3), np.float32),
         )
         found = pixel_noise(components, np.array([False]))[0]
         assert found.sum() == pytest.approx(1, rel=1e-3)

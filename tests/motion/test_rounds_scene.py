@@ -24,7 +24,7 @@ from tg4mm.motion.rounds.rounds import Rounds
 from tg4mm.motion.train import train_motion
 from tg4mm.runs import Run
 
-SHORT = MotionConfig(components=1, neighbours=300.0, iterations=3, rounds=1, tolerance=1e-6)
+SHORT = MotionConfig(components=1, neighbours=300.0, iterations=6, rounds=1, tolerance=1e-6)
 
 
 @pytest.fixture(scope="module")
@@ -157,5 +157,5 @@ def test_one_knots_component_images_are_held_at_a_time(
 
     monkeypatch.setattr(Evidence, "target", watched)
     _trained(data, tmp_path / "run")
-    assert len(made) == 2
+    assert len(made) > 1
     assert not any(alive)

@@ -18,6 +18,7 @@ from tg4mm.errors import CaptureError, Tg4mmError
 from tg4mm.evaluate.displacement import displacement_figures
 from tg4mm.evaluate.weights import blending_weights
 from tg4mm.motion import ModalMotion, MotionConfig
+from tg4mm.motion import fit as fitting
 from tg4mm.motion import train as stage
 from tg4mm.motion.train import train_motion
 from tg4mm.runs import Run
@@ -154,7 +155,7 @@ def test_killed_once_it_ends_as_if_it_had_not_been(
 ) -> None:
     """Five iterations and an end, of each of two components or of both at once; a checkpoint at every iteration."""
     _, capture, images = small
-    monkeypatch.setattr(stage, "TOGETHER", together)
+    monkeypatch.setattr(fitting, "TOGETHER", together)
     expected = train_motion(new_run(), capture, images, SHORT)
     monkeypatch.setattr(stage, "CHECKPOINT_EVERY_S", -1.0)
     run = new_run()
@@ -172,7 +173,7 @@ def test_killed_at_every_second_iteration_it_ends_the_same(
     small, new_run: Callable[[], Run], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _, capture, images = small
-    monkeypatch.setattr(stage, "TOGETHER", 1)
+    monkeypatch.setattr(fitting, "TOGETHER", 1)
     expected = train_motion(new_run(), capture, images, SHORT)
     monkeypatch.setattr(stage, "CHECKPOINT_EVERY_S", -1.0)
     monkeypatch.setattr(stage, "progress", killed_after(3))
@@ -198,7 +199,7 @@ def test_components_solved_together_are_those_solved_one_by_one(
     _, capture, images = small
     config = replace(SHORT, iterations=20, tolerance=0.05)
     together = train_motion(new_run(), capture, images, config)
-    monkeypatch.setattr(stage, "TOGETHER", 1)
+    monkeypatch.setattr(fitting, "TOGETHER", 1)
     apart = train_motion(new_run(), capture, images, config)
     scale = np.abs(apart.displacement).max()
     np.testing.assert_allclose(together.displacement, apart.displacement, atol=1e-4 * scale)

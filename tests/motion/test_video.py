@@ -77,15 +77,17 @@ class TestVideo:
         seen = np.stack([ImageStack(pictures).rgb(i) for i in range(6, 12)]).astype(float)
         strips = list(video.strips())
         assert len(strips) == {1: 4, 95: 2, 1 << 20: 1}[values]
-        found = np.concatenate([strip for _, strip in strips], 1)
+        found = np.concatenate([strip for *_, strip in strips], 1)
         assert found.dtype == np.float32
         np.testing.assert_allclose(found[video.state], seen - seen.mean(0), atol=2e-7)
-        covered = np.concatenate([np.arange(rows.start, rows.stop) for rows, _ in strips])
+        mean = np.concatenate([mean for _, mean, _ in strips])
+        np.testing.assert_allclose(mean, seen.mean(0), atol=2e-7)
+        covered = np.concatenate([np.arange(rows.start, rows.stop) for rows, *_ in strips])
         np.testing.assert_array_equal(covered, np.arange(4))
 
     def test_sixteen_bits(self) -> None:
         data = np.random.default_rng(0).integers(0, 65536, (3, 2, 2, 4)).astype(np.uint16)
         capture, images = capture_of([0] * 3, [0, 1, 2], data)
-        ((_, found),) = video_of(StackedPictures(images), fixed_cameras(capture)[0]).strips()
+        ((_, _, found),) = video_of(StackedPictures(images), fixed_cameras(capture)[0]).strips()
         seen = np.stack([images.rgb(i) for i in range(3)]).astype(float)
         np.testing.assert_allclose(found, seen - seen.mean(0), atol=2e-7)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -20,14 +21,14 @@ from tg4mm.capture.pictures import FilePictures
 from tg4mm.device import gpu_figures, reset_gpu_peak
 from tg4mm.gaussians import Gaussians
 from tg4mm.memory import peak_memory_mib
+from tg4mm.motion.carried.carried import Carried
 from tg4mm.motion.certainty.doubt import doubt
 from tg4mm.motion.certainty.halves import agreed_fields, deviation, halves
 from tg4mm.motion.config import MotionConfig, checked
-from tg4mm.motion.jacobian.linear import DOF, rest_view
-from tg4mm.motion.light.answers import lit_views
-from tg4mm.motion.light.fit import Remainder, fitted_light
+from tg4mm.motion.fit import TOGETHER, Fit, Solver
+from tg4mm.motion.jacobian.linear import rest_view
+from tg4mm.motion.light.fit import Lighting, Remainder
 from tg4mm.motion.light.model import Light
-from tg4mm.motion.light.problem import LightProblem
 from tg4mm.motion.modal import ModalMotion
 from tg4mm.motion.pictures.differences import temporal_components
 from tg4mm.motion.pictures.video import fixed_cameras
@@ -36,16 +37,12 @@ from tg4mm.motion.posing.pose import Findings, Problems, posed
 from tg4mm.motion.rounds.rounds import ABOVE_PX, Rounds
 from tg4mm.motion.rounds.where import usable
 from tg4mm.motion.solver.problem import MotionProblem
-from tg4mm.motion.solver.solve import CGState, on_cpu, start, step_all
-from tg4mm.motion.standing import Fit
 from tg4mm.motion.temporal.spectrum import modes, of_shapes
 from tg4mm.progress import progress
 from tg4mm.runs import UNCERTAINTY, Run
 
 CHECKPOINT_EVERY_S = 20.0
-# components that share a pass over the views: half the time of eight passes, memory for eight fields
-TOGETHER = 8
-_STATE = 4  # of a checkpoint: one of another version is begun anew, as its fields are of other parameters
+_STATE = 5  # of a checkpoint: one of another version is begun anew, as its fields are of other parameters
 _STAGE, ROUNDS = "motion", "rounds"  # checkpoints
 
 
@@ -78,6 +75,8 @@ class _Stage:
         self.problems = [whole.of_views(rows) for rows in self.parts]
         self.signal = np.flatnonzero(~self.findings.is_noise)
         self.basis = self.components.basis[self.signal]
+        shown = self.components.images
+        self.solver = Solver(self.problems, self.parts, shown, self.signal, config, device)
         self.saved = time.monotonic()
         self.began = began  # what log.json does not hold yet
 
@@ -124,62 +123,71 @@ class _Stage:
             shown = Light(light[rows], series[:, rows])
         return ModalMotion(freqs, values[..., :3], values[..., 3:], *of_time, light=shown)
 
-    def light(self, shapes: np.ndarray, rounds: int) -> tuple[np.ndarray | None, dict[str, Any]]:
-        """Changes of colour [R, N, K, 3] that go with the fields [R, N, DOF] of the linear fit, figures.
+    @cached_property
+    def _rounds(self) -> Rounds:
+        of_capture = self.images, self.cameras, self.components, self.findings
+        return Rounds(*of_capture, self.parts, self.config, self.device, self.are_all)
 
-        None where it was not asked for, after rounds, and where cameras are too few to tell light from noise.
-        """
-        if not self.config.light or rounds or len(self.parts) == 1:
+    @cached_property
+    def _carried(self) -> Carried:
+        return Carried(self.at_rest, self.components.mean, self.basis)
+
+    @cached_property
+    def _lighting(self) -> Lighting | None:
+        """None where light was not asked for, and where cameras are too few to tell it from noise."""
+        if not self.config.light or len(self.parts) == 1:
+            return None
+        weights = pixel_weights(self.components, self.findings.is_noise)
+        return Lighting.of(self.at_rest, self.cameras, self.gaussians, weights, self.graph, self.parts)
+
+    def _remainder(self, shapes: np.ndarray, is_small: bool) -> Remainder:
+        carried = self._carried if is_small else None
+        return Remainder(self.at_rest, self.components.images, self.signal, shapes, carried)
+
+    def light(self, shapes: np.ndarray, is_small: bool) -> tuple[np.ndarray | None, dict[str, Any]]:
+        """Changes of colour [R, N, K, 3] that go with the fields [R, N, DOF] of the linear fit, figures."""
+        if self._lighting is None:
             return None, {}
-        means = self.gaussians.means.numpy()
-        lit = lit_views(self.at_rest, self.cameras, means, self.gaussians.sh_degree > 0)
-        problem = LightProblem.of(lit, pixel_weights(self.components, self.findings.is_noise), self.graph)
-        left = Remainder(self.at_rest, self.components.images, self.signal, shapes)
+        left = self._remainder(shapes, is_small)
         with progress("light", len(left), "components") as update:
-            changes, gains = fitted_light(problem, self.parts, left, means, update)
+            changes, gains = self._lighting.fitted(left, update)
         return changes, {"gain_of_light": [round(float(g), 4) for g in gains]}
 
     def fit(self, fit: Fit) -> Fit:
-        """Solve for every component that is not solved yet. One unit of progress is one iteration of one of them."""
-        n_fields = len(self.signal) * len(self.parts)
-        if not len(fit.shapes):
-            fit.shapes = np.zeros((n_fields, len(self.gaussians), DOF), np.float32)
-        with progress("motion stage", n_fields * self.config.iterations, start=self._done(fit)) as update:
-            while fit.component < n_fields:
-                self._solve(fit, update)
-        if time.monotonic() - self.saved > CHECKPOINT_EVERY_S:
-            self._save_fit(fit)  # what follows takes its time, too
+        """Solve for every component that is not solved yet, in two turns."""
+        with progress("motion stage", self.solver.units, start=self.solver.done(fit)) as update:
+            if not fit.turn:
+                self.solver.run(fit, update, self._keep)
+                self._turn(fit)
+            self.solver.run(fit, update, self._keep)
+        self._keep(fit)  # what follows takes its time, too
         return fit
 
-    def _is_open(self, cg: CGState) -> bool:
-        return cg.iteration < self.config.iterations and cg.relative_residual > self.config.tolerance
+    def _turn(self, fit: Fit) -> None:
+        """From the first turn to the second: take from what is left what the motion shows beyond the derivative."""
+        fields = fit.shapes.reshape(len(self.parts), -1, *fit.shapes.shape[1:])
+        where = self._rounds.begun(self.gaussians, self.at_rest, fields, self.findings.neighbours, None)
+        fit.turn, fit.component, fit.is_small = 1, 0, where.pixels <= ABOVE_PX
+        if not fit.is_small:
+            return
+        changes = None
+        if self._lighting is not None:
+            shapes, _ = agreed_fields(fields)
+            changes, _ = self._lighting.fitted(self._remainder(shapes, True))
+        for part, (rows, own) in enumerate(zip(self.parts, fields, strict=True)):
+            self.solver.take_away(fit, part, (self._beyond(int(v), own, changes) for v in rows))
 
-    def _done(self, fit: Fit) -> int:
-        most = self.config.iterations
-        return fit.component * most + sum(cg.iteration if self._is_open(cg) else most for cg in fit.cgs)
+    def _beyond(self, v: int, shapes: np.ndarray, changes: np.ndarray | None) -> np.ndarray:
+        """[R, H, W, 3]: what component images of a view show beyond the derivative, with changes of colour."""
+        out = self._carried.of(v, shapes)
+        if changes is not None and changes.any():
+            assert self._lighting is not None
+            out += self._lighting.shown(v, changes)
+        return out
 
-    def _begun(self, part: int, first: int) -> list[CGState]:
-        """The components from `first` on that are solved for together, of one part of the cameras."""
-        some = self.signal[first : first + (TOGETHER if self.device == "cpu" else 1)]
-        pictures = self.components.images[:, some][self.parts[part]]
-        return [start(b) for b in self.problems[part].right_hand_sides(pictures)]
-
-    def _solve(self, fit: Fit, update: Any) -> None:
-        """A few components at once, each from where its state stands until its own end."""
-        part, first = divmod(fit.component, len(self.signal))
-        problem = self.problems[part]
-        fit.cgs = fit.cgs or self._begun(part, first)
-        while going := [k for k, cg in enumerate(fit.cgs) if self._is_open(cg)]:
-            stepped = step_all([fit.cgs[k] for k in going], problem.normals)
-            fit.cgs = [stepped[going.index(k)] if k in going else cg for k, cg in enumerate(fit.cgs)]
-            worst = max(cg.relative_residual for cg in fit.cgs)
-            update(self._done(fit), components=f"{len(going)} at once", residual=round(worst, 4))
-            if time.monotonic() - self.saved > CHECKPOINT_EVERY_S:
-                self._save_fit(fit)
-        for k, cg in enumerate(fit.cgs):
-            fit.shapes[fit.component + k] = on_cpu(problem.field(cg.x))
-        fit.component, fit.cgs = fit.component + len(fit.cgs), []
-        update(self._done(fit))
+    def _keep(self, fit: Fit) -> None:
+        if time.monotonic() - self.saved > CHECKPOINT_EVERY_S:
+            self._save_fit(fit)
 
     def _save_fit(self, fit: Fit) -> None:
         self._save(_STAGE, fit.tensors(), fit.state() | {"version": _STATE, **self.findings.state()})
@@ -194,16 +202,7 @@ class _Stage:
         """After the rounds, which start where motion is not small: Gaussians, fields [P R, N, DOF], what component
         images [V, R, H, W, 3] these explain (None: those there were), figures."""
         fields = fit.shapes.reshape(len(self.parts), -1, *fit.shapes.shape[1:])
-        rounds = Rounds(
-            self.images,
-            self.cameras,
-            self.components,
-            self.findings,
-            self.parts,
-            self.config,
-            self.device,
-            self.are_all,
-        )
+        rounds = self._rounds
         checkpoint = usable(self.run.load_checkpoint(ROUNDS))
         where = rounds.begun(self.gaussians, self.at_rest, fields, self.findings.neighbours, checkpoint)
         figures: dict[str, Any] = {"pixels_moved": where.pixels, "rounds": 0}
@@ -264,11 +263,11 @@ def train_motion(
         run.drop_checkpoint(ROUNDS)  # of another linear fit
     known = Findings.of(checkpoint[1]) if checkpoint else None
     stage = _Stage(run, capture, images, gaussians, config, began, device, known)
-    empty = np.zeros((0, len(gaussians), DOF), np.float32)
-    fit = stage.fit(Fit.restored(checkpoint, device) if checkpoint else Fit(empty))
+    begun = Fit.begun(stage.solver.n_fields, len(gaussians))
+    fit = stage.fit(Fit.restored(checkpoint, device) if checkpoint else begun)
     moved, all_shapes, target, round_figures = stage.beyond(fit)
     shapes, uncertainty, agreement_figures = stage.agreed(all_shapes, moved, target)
-    light, light_figures = stage.light(shapes, round_figures["rounds"])
+    light, light_figures = (None, {}) if round_figures["rounds"] else stage.light(shapes, fit.is_small)
     motion = stage.motion(shapes, light)
     energy = stage.components.energy
     figures = {

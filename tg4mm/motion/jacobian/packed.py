@@ -22,7 +22,7 @@ from tg4mm.rasterize.kernels.vector import LANES, constant_lanes, fma, vector, w
 
 DOF = 6  # displacement (scene units) and rotation vector (radians, world axes)
 COLUMNS = 8  # of a splat: mean, conic, colour
-_CONIC = slice(2, 5)
+_CONIC, _COLOUR = slice(2, 5), 5
 _PACKED = 36  # three rows of eight, three of three and a zero
 _TURNS = 24 - 2  # where rotations' rows begin, so that the conic's columns lie in their lanes
 _AHEAD = 24  # pairs asked for ahead of their use
@@ -59,6 +59,14 @@ def unpacked(values: np.ndarray) -> np.ndarray:
     out = np.zeros((len(rows), COLUMNS, DOF), np.float32)
     out[:, :, :3] = rows[:, :24].reshape(-1, 3, COLUMNS).transpose(0, 2, 1)
     out[:, _CONIC, 3:] = rows[:, 24:].reshape(-1, 3, 4)[:, :, :3].transpose(0, 2, 1)
+    return out
+
+
+def as_colours(values: np.ndarray) -> np.ndarray:
+    """Packed Jacobians whose first two colours are the means of those given; all else is 0."""
+    rows, out = values[:-LANES].reshape(-1, _PACKED), np.zeros_like(values)
+    to = out[:-LANES].reshape(-1, _PACKED)[:, :24].reshape(-1, 3, COLUMNS)
+    to[..., _COLOUR : _COLOUR + 2] = rows[:, :24].reshape(-1, 3, COLUMNS)[..., :2]
     return out
 
 

@@ -12,10 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tg4mm.gaussians import Gaussians
+from tg4mm.motion.carried.carried import Carried
 from tg4mm.motion.certainty.halves import agreed_gain, mean_around
 from tg4mm.motion.jacobian.linear import RestView
-from tg4mm.motion.light.answers import HARMONIC
+from tg4mm.motion.light.answers import HARMONIC, lit_views
 from tg4mm.motion.light.problem import LightProblem
+from tg4mm.motion.pictures.video import FixedCamera
+from tg4mm.motion.prior.graph import Graph
 from tg4mm.motion.solver.solve import CGState, start, step_all
 
 ITERATIONS = 3  # six do hardly better: docs/decisions.md
@@ -32,6 +36,7 @@ class Remainder:
     pictures: np.ndarray  # [V, …, H, W, 3]
     rows: np.ndarray  # [R] which of the components
     shapes: np.ndarray  # [R, N, DOF], their motion
+    carried: Carried | None  # what that shows beyond the derivative
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -39,35 +44,58 @@ class Remainder:
     def of(self, part: np.ndarray, some: slice) -> Iterator[np.ndarray]:
         """[r, H, W, 3] of each of the views `part`, for `some` of the R components."""
         for v in part:
-            yield self.pictures[v, self.rows[some]] - self.views[v].push_all(self.shapes[some])
+            left = self.pictures[v, self.rows[some]] - self.views[v].push_all(self.shapes[some])
+            yield left if self.carried is None else left - self.carried.of(v, self.shapes)[some]
 
 
-def fitted_light(
-    problem: LightProblem,
-    parts: Sequence[np.ndarray],
-    remainder: Remainder,
-    means: np.ndarray,
-    update: Callable[[int], None] | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Changes of the first coefficients of spherical harmonics [R, N, K, 3] float32, and gains [R].
+@dataclass(frozen=True)
+class Lighting:
+    """The search for light with two halves of the cameras."""
 
-    parts: two halves of the cameras. means [N, 3]: where the Gaussians lie. A component that is dropped has gain and
-    change 0. `update` is called with how many components are done.
-    """
-    halves = [problem.of_views(part) for part in parts]
-    found: list[np.ndarray] = []
-    gains: list[np.ndarray] = []
-    for first in range(0, len(remainder), _TOGETHER):
-        some = slice(first, first + _TOGETHER)
-        sides = [
-            half.right_hand_sides(remainder.of(part, some)) for half, part in zip(halves, parts, strict=True)
-        ]
-        x, gain = agreed_light(halves, sides, means)
-        found.append(x / np.float32(HARMONIC))
-        gains.append(gain)
-        if update is not None:
-            update(first + len(gain))
-    return np.concatenate(found), np.concatenate(gains)
+    problem: LightProblem
+    parts: Sequence[np.ndarray]
+    means: np.ndarray  # [N, 3], where the Gaussians lie
+
+    @staticmethod
+    def of(
+        views: Sequence[RestView],
+        cameras: Sequence[FixedCamera],
+        gaussians: Gaussians,
+        weights: np.ndarray | None,
+        graph: Graph,
+        parts: Sequence[np.ndarray],
+    ) -> Lighting:
+        """weights [V, H, W]: of pixels; graph: of neighbours; parts: two halves of the cameras."""
+        means = gaussians.means.numpy()
+        lit = lit_views(views, cameras, means, gaussians.sh_degree > 0)
+        return Lighting(LightProblem.of(lit, weights, graph), parts, means)
+
+    def fitted(
+        self, remainder: Remainder, update: Callable[[int], None] | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Changes of the first coefficients of spherical harmonics [R, N, K, 3] float32, and gains [R].
+
+        A component that is dropped has gain and change 0. `update` is called with how many components are done.
+        """
+        halves = [self.problem.of_views(part) for part in self.parts]
+        found: list[np.ndarray] = []
+        gains: list[np.ndarray] = []
+        for first in range(0, len(remainder), _TOGETHER):
+            some = slice(first, first + _TOGETHER)
+            sides = [
+                half.right_hand_sides(remainder.of(part, some))
+                for half, part in zip(halves, self.parts, strict=True)
+            ]
+            x, gain = agreed_light(halves, sides, self.means)
+            found.append(x / np.float32(HARMONIC))
+            gains.append(gain)
+            if update is not None:
+                update(first + len(gain))
+        return np.concatenate(found), np.concatenate(gains)
+
+    def shown(self, v: int, changes: np.ndarray) -> np.ndarray:
+        """[R, H, W, 3]: the pictures in view `v` of changes [R, N, K, 3]; until the next call."""
+        return self.problem.views[v].show(changes * np.float32(HARMONIC), self.problem.buffers)
 
 
 def agreed_light(

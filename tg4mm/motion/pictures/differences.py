@@ -6,9 +6,9 @@ time a_r(t) the least-squares fit of all timesteps falls apart into one fit for 
 Σ_t a_r(t) (I_t − mean I). The functions are the principal components of all differences of all cameras
 together: nothing is lost, the first few hold the motion, the others noise, and the cost does not grow with T.
 
-Memory: what is returned, 4 · V · H · W · (3 R + 1) bytes with R at most `most`; `CACHE_BYTES` of differences; about
+Memory: what is returned, 4 · V · H · W · (3 R + 4) bytes with R at most `most`; `CACHE_BYTES` of differences; about
 four strips of 32 MiB (`video.py`); from files the pictures of one camera (`capture/pictures.py`). For 30 views of 512²,
-300 timesteps at 8 bits and sixteen components that is 1,470 + 128 + 128 + 300 MiB, under 2 GiB.
+300 timesteps at 8 bits and sixteen components that is 1,560 + 128 + 128 + 300 MiB, 2.1 GiB.
 """
 
 from __future__ import annotations
@@ -42,6 +42,7 @@ class TemporalComponents:
     images: np.ndarray  # [V, R, H, W, 3] float32
     residual: np.ndarray  # [V, H, W] float32, energy of all components that were not kept, mean over channels
     rank: int  # components that are not empty: T − 1, or fewer where pictures repeat
+    mean: np.ndarray  # [V, H, W, 3] float32, over time and over white
 
 
 def kept_components(energy: np.ndarray, rank: int | None = None, pixels: float = 0.0) -> int:
@@ -71,7 +72,7 @@ def temporal_components(
     """
     pictures = pictures_of(images)
     videos = [video_of(pictures, camera) for camera in cameras]
-    gram, total, cache = _first_look(videos)
+    gram, total, mean, cache = _first_look(videos)
     energy, vectors = np.linalg.eigh(gram)
     energy, vectors = np.maximum(energy[::-1], 0), vectors[:, ::-1].T
     states = np.unique(np.stack([video.state for video in videos]), axis=1).shape[1]
@@ -87,20 +88,22 @@ def temporal_components(
     components = np.empty((len(videos), len(basis), *total.shape[1:], 3), np.float32)
     for v, video in enumerate(videos):
         of_states = _by_state(basis, video)
-        for rows, strip in cache.get(v) or video.strips():
+        for rows, strip in cache.get(v) or ((rows, strip) for rows, _, strip in video.strips()):
             components[v, :, rows] = project(strip, of_states)
         for image in components[v]:
             total[v] -= np.einsum("hwc,hwc->hw", image, image) / 3
-    return TemporalComponents(basis, energy, components, np.maximum(total, 0), max(rank, 1))
+    return TemporalComponents(basis, energy, components, np.maximum(total, 0), max(rank, 1), mean)
 
 
 def _first_look(
     videos: list[Video],
-) -> tuple[np.ndarray, np.ndarray, dict[int, list[tuple[slice, np.ndarray]]]]:
-    """Products of all timesteps [T, T], energy of every pixel [V, H, W] (mean over channels), and what was kept."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict[int, list[tuple[slice, np.ndarray]]]]:
+    """Products of all timesteps [T, T], energy of every pixel [V, H, W] (mean over channels), means over time
+    [V, H, W, 3], and what was kept."""
     n_timesteps, (height, width) = len(videos[0].state), videos[0].pictures.size
     gram = np.zeros((n_timesteps, n_timesteps))
     total = np.empty((len(videos), height, width), np.float32)
+    mean = np.empty((len(videos), height, width, 3), np.float32)
     cache: dict[int, list[tuple[slice, np.ndarray]]] = {}
     free = CACHE_BYTES
     for v, video in enumerate(videos):
@@ -108,7 +111,8 @@ def _first_look(
         own = np.zeros((len(video.rows),) * 2)
         count = (video.share * n_timesteps).astype(np.float32)
         kept = []
-        for rows, strip in video.strips():
+        for rows, own_mean, strip in video.strips():
+            mean[v, rows] = own_mean
             flat = strip.reshape(len(strip), -1)
             own += flat @ flat.T
             total[v, rows] = (count @ (flat * flat)).reshape(strip.shape[1:]).mean(-1)
@@ -117,7 +121,7 @@ def _first_look(
         if kept:
             cache[v] = kept
         gram += own[video.state][:, video.state]
-    return gram, total, cache
+    return gram, total, mean, cache
 
 
 def _effective_pixels(total: np.ndarray) -> float:

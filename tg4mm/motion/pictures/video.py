@@ -57,23 +57,21 @@ class Video:
         """[S] float64: part of the time that each picture was seen."""
         return np.bincount(self.state, minlength=len(self.rows)) / len(self.state)
 
-    def strips(self) -> Iterator[tuple[slice, np.ndarray]]:
-        """Rows of the picture from top to bottom, with all S pictures over white less their mean over time.
+    def strips(self) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
+        """Rows of the picture from top to bottom, with all S pictures over white: their mean over time, and less that.
 
-        slice, [S, rows, W, 3] float32: at most `STRIP_VALUES` values, or one row.
+        slice, [rows, W, 3] float32, [S, rows, W, 3] float32: at most `STRIP_VALUES` values, or one row.
         """
         height, width = self.pictures.size
         at_once = max(STRIP_VALUES // (len(self.rows) * width * 3), 1)
         raw = self.pictures.strips(self.rows.tolist())
         for top in range(0, height, at_once):
             rows = slice(top, min(top + at_once, height))
-            yield rows, self._differences(raw(rows))
-
-    def _differences(self, raw: np.ndarray) -> np.ndarray:
-        out = over_white(raw, self.pictures.maximum)
-        flat = out.reshape(len(out), -1)
-        flat -= self.share.astype(np.float32) @ flat
-        return out
+            out = over_white(raw(rows), self.pictures.maximum)
+            flat = out.reshape(len(out), -1)
+            mean = self.share.astype(np.float32) @ flat
+            flat -= mean
+            yield rows, mean.reshape(out.shape[1:]), out
 
 
 def video_of(pictures: Pictures, camera: FixedCamera) -> Video:

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import copy
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -146,18 +146,17 @@ class DeviceProblem:
         """The transposed operator applied to component images [V, H, W, 3]: [P, 3]."""
         return self.right_hand_sides(pictures[:, None])[0]
 
-    def right_hand_sides(self, pictures: np.ndarray) -> list[Tensor]:
+    def right_hand_sides(self, pictures: Iterable[np.ndarray]) -> list[Tensor]:
         """As `MotionProblem.right_hand_sides`."""
         return [self.to_parameters(v) for v in self.seen(pictures)]
 
-    def seen(self, pictures: np.ndarray) -> list[Tensor]:
+    def seen(self, pictures: Iterable[np.ndarray]) -> list[Tensor]:
         """As `MotionProblem.seen`: R of [N, DOF]."""
-        out = []
-        for r in range(pictures.shape[1]):
-            v_motion = torch.zeros(len(self.blocks), DOF, device=self.device)
-            for k, view in enumerate(self.views):
-                view.pull(self._weighted(k, self._there(pictures[k, r])), v_motion)
-            out.append(v_motion)
+        out: list[Tensor] = []
+        for k, (view, shown) in enumerate(zip(self.views, pictures, strict=True)):
+            out = out or [torch.zeros(len(self.blocks), DOF, device=self.device) for _ in shown]
+            for picture, v_motion in zip(shown, out, strict=True):
+                view.pull(self._weighted(k, self._there(picture)), v_motion)
         return out
 
     def to_parameters(self, v_motion: Tensor) -> Tensor:

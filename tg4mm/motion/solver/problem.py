@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -64,14 +64,16 @@ class MotionProblem:
         """The transposed operator applied to component images [V, H, W, 3]: [P, 3]."""
         return self.right_hand_sides(pictures[:, None])[0]
 
-    def right_hand_sides(self, pictures: np.ndarray) -> list[np.ndarray]:
-        """`right_hand_side` of R components [V, R, H, W, 3], in one pass over the views."""
+    def right_hand_sides(self, pictures: Iterable[np.ndarray]) -> list[np.ndarray]:
+        """`right_hand_side` of R components, of each view [R, H, W, 3], in one pass over the views."""
         return [self.to_parameters(v) for v in self.seen(pictures)]
 
-    def seen(self, pictures: np.ndarray) -> np.ndarray:
-        """What component images [V, R, H, W, 3] say of each Gaussian's motion, [R, N, DOF]."""
-        v_motions = np.zeros((pictures.shape[1], self.graph.n_gaussians, DOF), np.float32)
+    def seen(self, pictures: Iterable[np.ndarray]) -> np.ndarray:
+        """What component images, of each view [R, H, W, 3], say of each Gaussian's motion, [R, N, DOF]."""
+        v_motions = np.zeros((0, self.graph.n_gaussians, DOF), np.float32)
         for k, (view, shown) in enumerate(zip(self.views, pictures, strict=True)):
+            if not k:
+                v_motions = np.zeros((len(shown), *v_motions.shape[1:]), np.float32)
             view.pull_all(self.weighted(k, shown), v_motions, self.buffers)
         return v_motions
 

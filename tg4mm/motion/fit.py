@@ -1,0 +1,144 @@
+"""The linear fit of the motion: all components and parts of the cameras, a few at once, in two turns.
+
+The first turn explains the component images. What the found motion shows beyond the derivative (`carried/`), and the
+light that goes with it (`light/`), is then taken from what is left, and the second turn solves for the difference that
+this makes. Together they take the iterations of one fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from tg4mm.motion.config import MotionConfig
+from tg4mm.motion.jacobian.linear import DOF
+from tg4mm.motion.solver.device import DeviceProblem
+from tg4mm.motion.solver.problem import MotionProblem
+from tg4mm.motion.solver.solve import CGState, on_cpu, placed, start, step_all
+
+# components that share a pass over the views: half the time of eight passes, memory for eight fields
+TOGETHER = 8
+_SECOND = 0.7  # of the iterations
+
+
+@dataclass
+class Fit:
+    """Where the fit stands: `shapes` [P R, N, DOF], the first `component` of them found, and what is being solved.
+
+    Where the cameras are halved (P = 2), those of the first half come first. `left` [P R, parameters, 3] is b − A x of
+    the first turn; from the second on, the right-hand sides of what that one solves for.
+    """
+
+    shapes: np.ndarray
+    left: np.ndarray
+    turn: int = 0
+    component: int = 0
+    is_small: bool = True  # motion: found after the first turn
+    # of the components from `component` on; empty: not begun
+    cgs: list[CGState] = field(default_factory=list)
+
+    @staticmethod
+    def begun(n_fields: int, n_gaussians: int) -> Fit:
+        return Fit(np.zeros((n_fields, n_gaussians, DOF), np.float32), np.zeros((0, 0, 3), np.float32))
+
+    def tensors(self) -> dict[str, Tensor]:
+        out = {"shapes": torch.from_numpy(self.shapes), "left": torch.from_numpy(self.left)}
+        for name in ("x", "residual", "direction") if self.cgs else ():
+            out[name] = torch.from_numpy(np.stack([on_cpu(getattr(cg, name)) for cg in self.cgs]))
+        return out
+
+    def state(self) -> dict[str, Any]:
+        cgs = [{"initial": cg.initial, "iteration": cg.iteration} for cg in self.cgs]
+        return {"turn": self.turn, "component": self.component, "is_small": self.is_small, "cgs": cgs}
+
+    @staticmethod
+    def restored(checkpoint: tuple[dict[str, Tensor], dict[str, Any]], device: str = "cpu") -> Fit:
+        """From what `tensors` and `state` gave."""
+        tensors, state = checkpoint
+        a = {k: v.numpy() for k, v in tensors.items()}
+        cgs = [
+            placed(CGState(a["x"][k], a["residual"][k], a["direction"][k], **numbers), device)
+            for k, numbers in enumerate(state["cgs"])
+        ]
+        return Fit(a["shapes"], a["left"], state["turn"], state["component"], state["is_small"], cgs)
+
+
+@dataclass(frozen=True)
+class Solver:
+    """Solves for all components of all parts of the cameras."""
+
+    problems: Sequence[MotionProblem | DeviceProblem]  # one for each part
+    parts: Sequence[np.ndarray]  # cameras
+    images: np.ndarray  # [V, …, H, W, 3] component images
+    signal: np.ndarray  # [R] which of them
+    config: MotionConfig
+    device: str
+
+    @property
+    def n_fields(self) -> int:
+        return len(self.parts) * len(self.signal)
+
+    def iterations(self, turn: int) -> int:
+        second = int(_SECOND * self.config.iterations)
+        return second if turn else self.config.iterations - second
+
+    @property
+    def units(self) -> int:
+        """Of progress: one iteration of one component."""
+        return self.n_fields * self.config.iterations
+
+    def done(self, fit: Fit) -> int:
+        before, most = fit.turn * self.n_fields * self.iterations(0), self.iterations(fit.turn)
+        own = sum(cg.iteration if self._is_open(cg, most) else most for cg in fit.cgs)
+        return before + fit.component * most + own
+
+    def run(self, fit: Fit, update: Callable[..., None], keep: Callable[[Fit], None]) -> None:
+        """The rest of a turn. `keep` is called after every iteration."""
+        while fit.component < self.n_fields:
+            self._solve(fit, update, keep)
+        update(self.done(fit))
+
+    def take_away(self, fit: Fit, part: int, pictures: Iterable[np.ndarray]) -> None:
+        """From what is left to one part of the cameras: pictures [R, H, W, 3] of each of its views."""
+        rows = slice(part * len(self.signal), (part + 1) * len(self.signal))
+        fit.left[rows] -= np.stack([on_cpu(b) for b in self.problems[part].right_hand_sides(pictures)])
+
+    def _is_open(self, cg: CGState, most: int) -> bool:
+        return cg.iteration < most and cg.relative_residual > self.config.tolerance
+
+    def _begun(self, fit: Fit) -> list[CGState]:
+        """The components that are solved for together, from where the fit stands."""
+        part, first = divmod(fit.component, len(self.signal))
+        some = self.signal[first : first + (TOGETHER if self.device == "cpu" else 1)]
+        if fit.turn:
+            left = fit.left[fit.component : fit.component + len(some)]
+            return [placed(start(b), self.device) for b in left]
+        return [
+            start(b) for b in self.problems[part].right_hand_sides(self.images[:, some][self.parts[part]])
+        ]
+
+    def _solve(self, fit: Fit, update: Callable[..., None], keep: Callable[[Fit], None]) -> None:
+        """A few components at once, each from where its state stands until its own end."""
+        problem, most = self.problems[fit.component // len(self.signal)], self.iterations(fit.turn)
+        fit.cgs = fit.cgs or self._begun(fit)
+        while going := [k for k, cg in enumerate(fit.cgs) if self._is_open(cg, most)]:
+            stepped = step_all([fit.cgs[k] for k in going], problem.normals)
+            fit.cgs = [stepped[going.index(k)] if k in going else cg for k, cg in enumerate(fit.cgs)]
+            worst = max(cg.relative_residual for cg in fit.cgs)
+            update(self.done(fit), components=f"{len(going)} at once", residual=round(worst, 4))
+            keep(fit)
+        for k, cg in enumerate(fit.cgs, fit.component):
+            fit.shapes[k] += on_cpu(problem.field(cg.x))
+            if not fit.turn:
+                self._leave(fit, k, on_cpu(cg.residual))
+        fit.component, fit.cgs = fit.component + len(fit.cgs), []
+
+    def _leave(self, fit: Fit, k: int, residual: np.ndarray) -> None:
+        if not len(fit.left):
+            fit.left = np.zeros((self.n_fields, *residual.shape), np.float32)
+        fit.left[k] = residual
