@@ -117,7 +117,7 @@ def test_the_log_tells_what_was_found(trained: Run) -> None:
 def test_the_shadow_is_not_taken_for_motion(
     trained: Run, made: tuple[Run, Capture, ImageStack], new_run: Callable[[], Run]
 ) -> None:
-    """The floor under it stands still. What light explains is taken from the pictures before the motion's second turn."""
+    """The floor under it stands still. The motion's second turn is fitted to pictures without what light explains."""
     run = new_run()
     plain = train_motion(run, *made[1:], MotionConfig(light=False))
     assert plain.light is None

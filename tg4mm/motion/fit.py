@@ -8,7 +8,7 @@ this makes. Together they take the iterations of one fit.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -31,11 +31,13 @@ class Fit:
     """Where the fit stands: `shapes` [P R, N, DOF], the first `component` of them found, and what is being solved.
 
     Where the cameras are halved (P = 2), those of the first half come first. `left` [P R, parameters, 3] is b − A x of
-    the first turn; from the second on, the right-hand sides of what that one solves for.
+    the first turn; from the second on, the right-hand sides of what that one solves for. `initial` [P R]: |b|² of the
+    first, by which both turns measure what is left.
     """
 
     shapes: np.ndarray
     left: np.ndarray
+    initial: np.ndarray
     turn: int = 0
     component: int = 0
     is_small: bool = True  # motion: found after the first turn
@@ -44,10 +46,11 @@ class Fit:
 
     @staticmethod
     def begun(n_fields: int, n_gaussians: int) -> Fit:
-        return Fit(np.zeros((n_fields, n_gaussians, DOF), np.float32), np.zeros((0, 0, 3), np.float32))
+        fields, nothing = np.zeros((n_fields, n_gaussians, DOF), np.float32), np.zeros((0, 0, 3), np.float32)
+        return Fit(fields, nothing, np.zeros(n_fields))
 
     def tensors(self) -> dict[str, Tensor]:
-        out = {"shapes": torch.from_numpy(self.shapes), "left": torch.from_numpy(self.left)}
+        out = {name: torch.from_numpy(getattr(self, name)) for name in ("shapes", "left", "initial")}
         for name in ("x", "residual", "direction") if self.cgs else ():
             out[name] = torch.from_numpy(np.stack([on_cpu(getattr(cg, name)) for cg in self.cgs]))
         return out
@@ -65,7 +68,8 @@ class Fit:
             placed(CGState(a["x"][k], a["residual"][k], a["direction"][k], **numbers), device)
             for k, numbers in enumerate(state["cgs"])
         ]
-        return Fit(a["shapes"], a["left"], state["turn"], state["component"], state["is_small"], cgs)
+        where = state["turn"], state["component"], state["is_small"]
+        return Fit(a["shapes"], a["left"], a["initial"], *where, cgs)
 
 
 @dataclass(frozen=True)
@@ -116,8 +120,9 @@ class Solver:
         part, first = divmod(fit.component, len(self.signal))
         some = self.signal[first : first + (TOGETHER if self.device == "cpu" else 1)]
         if fit.turn:
-            left = fit.left[fit.component : fit.component + len(some)]
-            return [placed(start(b), self.device) for b in left]
+            rows = range(fit.component, fit.component + len(some))
+            states = [replace(start(fit.left[k]), initial=float(fit.initial[k])) for k in rows]
+            return [placed(state, self.device) for state in states]
         return [
             start(b) for b in self.problems[part].right_hand_sides(self.images[:, some][self.parts[part]])
         ]
@@ -135,10 +140,11 @@ class Solver:
         for k, cg in enumerate(fit.cgs, fit.component):
             fit.shapes[k] += on_cpu(problem.field(cg.x))
             if not fit.turn:
-                self._leave(fit, k, on_cpu(cg.residual))
+                self._leave(fit, k, cg)
         fit.component, fit.cgs = fit.component + len(fit.cgs), []
 
-    def _leave(self, fit: Fit, k: int, residual: np.ndarray) -> None:
+    def _leave(self, fit: Fit, k: int, cg: CGState) -> None:
+        residual = on_cpu(cg.residual)
         if not len(fit.left):
             fit.left = np.zeros((self.n_fields, *residual.shape), np.float32)
-        fit.left[k] = residual
+        fit.left[k], fit.initial[k] = residual, cg.initial

@@ -1,0 +1,77 @@
+"""The linear fit's two turns: together one solution, of the pictures less what is taken away between them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from tests.motion.test_problem import N, problem
+from tg4mm.motion import fit as module
+from tg4mm.motion.config import MotionConfig
+from tg4mm.motion.fit import Fit, Solver
+from tg4mm.motion.solver.solve import start, step_all
+
+PARTS = [np.array([0]), np.array([1])]
+LONG = MotionConfig(iterations=300, tolerance=1e-6)
+
+
+def pictures(seed: int) -> np.ndarray:
+    """Three components of two cameras."""
+    shape = (2, 3, *problem().views[0].transmittance.shape, 3)
+    return np.random.default_rng(seed).normal(size=shape).astype(np.float32)
+
+
+def solver(images: np.ndarray, config: MotionConfig = LONG) -> Solver:
+    whole = problem()
+    return Solver([whole.of_views(p) for p in PARTS], PARTS, images, np.array([0, 2]), config, "cpu")
+
+
+def both_turns(solving: Solver, taken: np.ndarray | None = None) -> Fit:
+    fit = Fit.begun(solving.n_fields, N)
+    solving.run(fit, lambda *_, **__: None, lambda _: None)
+    fit.turn, fit.component = 1, 0
+    for part, rows in enumerate(PARTS):
+        if taken is not None:
+            solving.take_away(fit, part, taken[rows][:, solving.signal])
+    solving.run(fit, lambda *_, **__: None, lambda _: None)
+    return fit
+
+
+def direct(images: np.ndarray) -> np.ndarray:
+    out, whole = [], problem()
+    for rows in PARTS:
+        part = whole.of_views(rows)
+        states = [start(b) for b in part.right_hand_sides(images[rows][:, [0, 2]])]
+        while max(s.relative_residual for s in states) > 1e-6:
+            states = step_all(states, part.normals)
+        out += [part.field(s.x) for s in states]
+    return np.stack(out)
+
+
+@pytest.mark.parametrize("together", [1, 8])
+@pytest.mark.parametrize("takes", [False, True])
+def test_they_end_where_one_fit_of_what_is_left_would(
+    takes: bool, together: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "TOGETHER", together)
+    images, taken = pictures(1), 0.3 * pictures(2)
+    found = both_turns(solver(images), taken if takes else None).shapes
+    expected = direct(images - taken if takes else images)
+    np.testing.assert_allclose(found, expected, atol=2e-3 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("iterations", [1, 2, 5, 20])
+def test_they_take_the_iterations_of_one_fit(iterations: int) -> None:
+    solving = solver(pictures(1), MotionConfig(iterations=iterations, tolerance=1e-6))
+    assert solving.iterations(0) + solving.iterations(1) == iterations
+    assert solving.iterations(0) >= 1
+    counted: list[int] = []
+    fit = Fit.begun(solving.n_fields, N)
+    keep: Callable[[Fit], None] = lambda fit: counted.append(solving.done(fit))  # noqa: E731
+    solving.run(fit, lambda *_, **__: None, keep)
+    fit.turn, fit.component = 1, 0
+    solving.run(fit, lambda *_, **__: None, keep)
+    assert counted == sorted(counted)
+    assert solving.done(fit) == solving.units == 4 * iterations
