@@ -230,7 +230,8 @@ def _backward_tiles(workers, order, counter, tables, frame, splats, pictures, pa
         x0, y0 = (tile % n_x) * TILE, (tile // n_x) * TILE
         _read(state, x0, y0, frame, flat)
         later = order[min(item + workers, len(order) - 1)]
-        ask_for_pixels(later, n_x, frame, at_pictures)
+        ask_for_pixels(later, n_x, frame, at_pictures[0], at_pictures[1])
+        ask_for_pixels(later, n_x, frame, at_pictures[2], at_pictures[3])
         ask_for_pairs(splats, gaussians, int64(tile_start[later]), int64(tile_start[later + 1]))
         seen_end = end  # where every pixel has stopped, nothing is seen any more
         while seen_end > begin and integer(seen_in, seen_end - 1) == 0:

@@ -38,6 +38,7 @@ from tg4mm.rasterize.kernels.vector import (
 
 _SIDE = 4  # pixels of a block
 BLOCKS = TILE * TILE // LANES
+LOG2_BOUND = math.log2(ALPHA_MAX) - 1e-5  # below it alpha is below its upper bound, whatever is rounded
 AHEAD = 32  # pairs whose Gaussians are asked for ahead of their use: they lie anywhere in memory
 
 # What kernels read from memory: where pixels and blocks lie (lanes are pixels from their block's centre, then block
@@ -98,7 +99,7 @@ def constants(table):
     powers = (
         wide(table[_POWERS]), wide(table[_POWERS + 1]), wide(table[_POWERS + 2]), wide(table[_POWERS + 3]),
         wide(table[_POWERS + 4]), wide(table[_POWERS + 5]), wide(table[_POWERS + 6]), wide(table[_POWERS + 7]),
-        wide(table[_POWERS + 8]), wide(table[_POWERS + 9]), wide(table[_POWERS + 10]),
+        wide(table[_POWERS + 8]), wide(table[_POWERS + 9]),
         load(table, int64(_STEPS)), load(table, int64(_STEPS + LANES)),
     )  # fmt: skip
     lanes = load(table, int64(0)), load(table, int64(LANES))
@@ -113,18 +114,15 @@ def ask_for_pairs(splats, pair_gaussian, begin, end):
 
 
 @njit(inline="always")
-def ask_for_pixels(tile, n_x, frame, pictures):
-    """Ask for the pixels of a tile that comes later."""
+def ask_for_pixels(tile, n_x, frame, image, transmittance):
+    """Ask for the pixels of a tile that are needed later."""
     width, height = frame
-    image, transmittance, v_image, v_transmittance = pictures
     x0, y0 = (tile % n_x) * TILE, (tile // n_x) * TILE
     for r in range(y0, min(y0 + TILE, height)):
         at = int64(r * width + x0)
         ask_early(transmittance, at)
-        ask_early(v_transmittance, at)
         for c in range(FEATURES):
             ask_early(image, at * FEATURES + c * LANES)
-            ask_early(v_image, at * FEATURES + c * LANES)
 
 
 @njit(inline="always")
@@ -133,6 +131,13 @@ def alphas(y, faintest, alpha_max, powers):
     raw = exp2(y, powers)
     free, seen = alpha_max > raw, y >= faintest
     return select(seen, select(free, raw, alpha_max), float32(0.0)), free, seen
+
+
+@njit(inline="always")
+def alphas_of_faint(y, faintest, powers):
+    """Of y that stays below LOG2_BOUND: alpha, 0 where too faint; where it is bright enough."""
+    seen = y >= faintest
+    return select(seen, exp2(y, powers), float32(0.0)), seen
 
 
 @njit(inline="always")

@@ -203,11 +203,16 @@ def number_of_bits(typingctx, x):
 # 2^f for |f| <= 1/2, least relative error, 1.2e-7, by iterated weighted least squares; last, what rounds a float32 by
 # being added to it: the sum's last binary digit is worth 1
 _SERIES = [0.00132764704, 0.00967554162, 0.0555071328, 0.240221197, 0.693146967, 1.0, 1.5 * 2**23]
-# 2^f - 1 over f for |f| <= 1/64, alike, 5e-8; what rounds to 1/32; the bits of a float32 that are not its fraction
-_STEP = 32
-_SHORT_SERIES = [0.240226496, 0.693157335, 1.5 * 2**23 / _STEP, -np.inf]
+# 2^f - 1 over f for |f| <= 1/64, alike, 5e-8; what rounds to 1/32
+_STEP_BITS = 5
+_STEP = 1 << _STEP_BITS
+_SHORT_SERIES = [0.240226496, 0.693157335, 1.5 * 2**23 / _STEP]
 EXP2 = np.array(_SERIES + _SHORT_SERIES, np.float32)
-EXP2_STEPS = (2.0 ** (np.arange(_STEP) / _STEP)).astype(np.float32)  # two vectors
+# 2^(k/32), two vectors; of their bits, as integers, is taken off what k itself adds when n + k/32 is shifted
+_PLACES = np.arange(_STEP, dtype=np.int32)
+EXP2_STEPS = (
+    (2.0 ** (_PLACES / _STEP)).astype(np.float32).view(np.int32) - (_PLACES << 23 - _STEP_BITS)
+).view(np.float32)
 
 
 def has_avx512(context):
@@ -235,16 +240,16 @@ def _exp2_series(builder, x, multiply_add, constants):
 
 
 def _exp2_steps(builder, x, multiply_add, constants, steps):
-    second, first, rounder, whole = constants
+    second, first, rounder = constants
     shifted = builder.fadd(x, rounder)
     f = builder.fsub(x, builder.fsub(shifted, rounder))
     look_up = declare(builder, "llvm.x86.avx512.vpermi2var.ps.512", FV, [FV, IV, FV])
     n = builder.bitcast(shifted, IV)
     step = builder.call(look_up, [steps[0], n, steps[1]])  # by the last five bits
+    shift = ir.Constant(IV, [ir.Constant(I32, 23 - _STEP_BITS)] * LANES)
+    power = builder.bitcast(builder.add(builder.bitcast(step, IV), builder.shl(n, shift)), FV)
     rise = builder.fmul(builder.call(multiply_add, [second, f, first]), f)
-    shift = ir.Constant(IV, [ir.Constant(I32, 23 - 5)] * LANES)
-    power = builder.and_(builder.shl(n, shift), builder.bitcast(whole, IV))
-    return builder.call(multiply_add, [step, rise, step]), power
+    return builder.call(multiply_add, [power, rise, power])
 
 
 @intrinsic
@@ -261,9 +266,8 @@ def exp2(typingctx, x, constants):
         series, short, steps = values[: len(_SERIES)], values[len(_SERIES) : len(EXP2)], values[len(EXP2) :]
         multiply_add = declare(builder, "llvm.fmuladd.v16f32", FV, [FV] * 3)
         if has_avx512(context):
-            p, n = _exp2_steps(builder, args[0], multiply_add, short, steps)
-        else:
-            p, n = _exp2_series(builder, args[0], multiply_add, series)
+            return _exp2_steps(builder, args[0], multiply_add, short, steps)
+        p, n = _exp2_series(builder, args[0], multiply_add, series)
         return builder.bitcast(builder.add(builder.bitcast(p, IV), n), FV)
 
     return vector(vector, constants), codegen

@@ -1,0 +1,80 @@
+"""A tile's pixels to the picture: what its Gaussians gave, and what lies where none is.
+
+Writing to memory far away takes the processor long, and little of it can wait at a time. So pixels are asked for well
+ahead (`ask_for_pixels` of `tiles.py`), and tiles that no Gaussian reaches are written a row here and there in between.
+"""
+
+# mypy: disable-error-code="call-arg, var-annotated"
+# an intrinsic has one argument more than its calls: the typing context
+
+from numba import float32, int64, njit
+
+from tg4mm.rasterize.kernels.lanes import rows_of_planes, store_block
+from tg4mm.rasterize.kernels.layout import FEATURES, TILE
+from tg4mm.rasterize.kernels.memory import integer, load, number, store
+from tg4mm.rasterize.kernels.tiles import BLOCKS, corner, pixel
+from tg4mm.rasterize.kernels.vector import LANES
+
+STRIDE = (2 + FEATURES) * LANES  # planes of a block: transmittance as it runs on, as it stopped, features
+
+
+@njit(inline="always")
+def begin_blocks(state, nothing):
+    """Nothing met yet. nothing: a vector of zeros and one of ones, in registers."""
+    zero, one = nothing
+    for k in range(BLOCKS):
+        place = int64(k * STRIDE)
+        store(state, place, one)
+        store(state, place + LANES, one)
+        for c in range(FEATURES):
+            store(state, place + (2 + c) * LANES, zero)
+
+
+@njit(inline="always")
+def write_tile(state, x0, y0, frame, image, transmittance):
+    """A tile's state to the picture [H · W · FEATURES] and the transmittance [H · W]."""
+    width, height = frame
+    rows, columns = min(TILE, height - y0), min(TILE, width - x0)
+    if rows == TILE and columns == TILE:
+        step = int64(width * FEATURES)
+        for k in range(BLOCKS):
+            place, at = k * STRIDE, corner(k, x0, y0, width)
+            r0, r1, r2, r3 = rows_of_planes(
+                load(state, place + 2 * LANES), load(state, place + 3 * LANES), load(state, place + 4 * LANES),
+                load(state, place + 5 * LANES),
+            )  # fmt: skip
+            store_block(transmittance, at, int64(width), load(state, place + LANES))
+            at *= FEATURES
+            store(image, at, r0)
+            store(image, at + step, r1)
+            store(image, at + 2 * step, r2)
+            store(image, at + 3 * step, r3)
+        return
+    for r in range(rows):
+        for j in range(columns):
+            at, to = pixel(r, j, STRIDE), (y0 + r) * width + x0 + j
+            transmittance[to] = number(state, LANES + at)
+            for k in range(FEATURES):
+                image[to * FEATURES + k] = number(state, (2 + k) * LANES + at)
+
+
+@njit(inline="always")
+def write_blank(first, last, tiles, n_x, frame, nothing, image, transmittance):
+    """Rows first … last of tiles that no Gaussian reaches, of TILE rows each. tiles: address of their indices."""
+    width, height = frame
+    zero, one = nothing
+    for row in range(first, last):
+        tile = int64(integer(tiles, row // TILE))
+        x, y = (tile % n_x) * TILE, (tile // n_x) * TILE + row % TILE
+        at = int64(y * width + x)
+        if y >= height:
+            continue
+        if x + TILE <= width:
+            store(transmittance, at, one)
+            for c in range(FEATURES):
+                store(image, at * FEATURES + c * LANES, zero)
+        else:
+            for to in range(at, at + width - x):
+                transmittance[to] = float32(1.0)
+                for c in range(FEATURES):
+                    image[to * FEATURES + c] = float32(0.0)
