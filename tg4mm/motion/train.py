@@ -246,8 +246,10 @@ def train_motion(
     but the fixed ones, six or more, rounds sharpen the run's Gaussians, too.
     Without rounds, and with halves, what motion leaves of the pictures is fitted by changes of colour (`light/`, if
     `config.light`): `gain_of_light` in the log is what the halves agree on of each component, 0 for what is dropped.
-    On CUDA the iterations run there (`device.py`); reading the images, their components, the neighbourhoods and one
-    projection of each view are done once on the CPU. Rounds choose the weight of the neighbours and project the moved
+    Of motion below 0.7 pixels the linear fit's second turn takes out that light and what pictures show of motion beyond
+    their derivative (`fit.py`, `carried/`).
+    On CUDA the iterations run there (`device.py`); reading the images, their components, the neighbourhoods, one
+    projection of each view, light and what goes beyond the derivative are left to the CPU. Rounds choose the weight of the neighbours and project the moved
     views there in each round, and the uncertainty of few cameras is found there altogether.
     Raises CaptureError where no camera stays put, Tg4mmError on settings out of range or where the device's memory is
     too small.
