@@ -249,8 +249,9 @@ def train_motion(
     Of motion below 0.7 pixels the linear fit's second turn takes out that light and what pictures show of motion beyond
     their derivative (`fit.py`, `carried/`).
     On CUDA the iterations run there (`device.py`); reading the images, their components, the neighbourhoods, one
-    projection of each view, light and what goes beyond the derivative are left to the CPU. Rounds choose the weight of the neighbours and project the moved
-    views there in each round, and the uncertainty of few cameras is found there altogether.
+    projection of each view, light and what goes beyond the derivative are left to the CPU. Rounds choose the weight of
+    the neighbours and project the moved views there in each round, and the uncertainty of few cameras is found there
+    altogether.
     Raises CaptureError where no camera stays put, Tg4mmError on settings out of range or where the device's memory is
     too small.
     """
