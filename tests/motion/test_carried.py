@@ -16,7 +16,6 @@ from tests.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture, load_images
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion import MotionConfig
-from tg4mm.motion import train as stage
 from tg4mm.motion.carried import carried as module
 from tg4mm.motion.carried.carried import Carried
 from tg4mm.motion.carried.flow import flow
@@ -27,7 +26,7 @@ from tg4mm.rasterize.reference import rasterize_dense
 from tg4mm.runs import Run
 
 T, SIZE = 30, 40
-INNER = (slice(None), slice(4, -4), slice(4, -4))  # away from the edges, where derivatives are one-sided
+INNER = (slice(None), slice(2, -2), slice(2, -2))  # away from the edges, where derivatives are one-sided
 
 
 def texture(shift: np.ndarray) -> np.ndarray:
@@ -50,6 +49,7 @@ def predicted(
     monkeypatch: pytest.MonkeyPatch, mean: np.ndarray, basis: np.ndarray, u: np.ndarray
 ) -> np.ndarray:
     """By `Carried` where nothing at all is rendered: then all of the mean is error, and moves along."""
+    assert np.allclose(basis @ basis.T, np.eye(len(basis)), atol=1e-6)
     moves = np.zeros((len(basis), SIZE, SIZE, 3), np.float32)
     moves[..., :2] = (basis @ u)[:, None, None]
     monkeypatch.setattr(module, "flow", lambda *_: moves)
@@ -64,23 +64,67 @@ def relative(found: np.ndarray, expected: np.ndarray) -> float:
     return float(np.linalg.norm(found[INNER] - expected[INNER]) / np.linalg.norm(expected[INNER]))
 
 
-@pytest.mark.parametrize("second", [0.0, 0.25])  # pixels of another direction and frequency
+@pytest.mark.parametrize("other", [0.0, 3.0, 10.0])  # Hz; twice the first couples with it, 0: none
 @pytest.mark.parametrize("amplitude", [0.1, 0.4, 0.7])
 def test_component_images_of_a_texture_are_foretold_to_the_third_order(
-    amplitude: float, second: float, monkeypatch: pytest.MonkeyPatch
+    amplitude: float, other: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Slopes of the mean alone foretell a tenth of the square of the amplitude too little; without that, .5 %."""
     t = np.arange(T) / T
     u = amplitude * np.cos(2 * np.pi * 5 * t + 0.3)[:, None] * [0.8, 0.6]
-    u += second * np.cos(2 * np.pi * 3 * t)[:, None] * [0.6, -0.8]
-    count = 2 if second else 1
-    mean, basis, images = seen(u, count)
+    if other:
+        u += 0.25 * np.cos(2 * np.pi * other * t)[:, None] * [0.6, -0.8]
+    mean, basis, images = seen(u, 2 if other else 1)
     found = predicted(monkeypatch, mean, basis, u)
     right, down = np.gradient(mean, axis=1), np.gradient(mean, axis=0)
     plain = np.stack([-(a * right + b * down) for a, b in basis @ u])
-    assert relative(found, images) < 0.006 + 0.015 * amplitude**2
+    assert relative(found, images) < 0.006 + 0.02 * amplitude**2
     if amplitude >= 0.4:
-        assert relative(found, images) < 0.3 * relative(plain, images)
+        assert relative(found, images) < 0.35 * relative(plain, images)
+
+
+def test_twice_the_frequency_is_no_motion(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A sinusoid's pictures have a second component, that nothing moves by: its squares."""
+    u = 0.5 * np.cos(2 * np.pi * 5 * np.arange(T) / T + 0.3)[:, None] * [0.8, 0.6]
+    mean, basis, images = seen(u, 2)
+    found = predicted(monkeypatch, mean, basis, u)
+    assert np.abs(basis[1] @ u).max() < 0.02 * np.abs(basis[0] @ u).max()
+    assert np.linalg.norm(images[1]) > 0.05 * np.linalg.norm(images[0])
+    assert relative(found[1:], images[1:]) < 0.05
+
+
+def test_weak_motion_of_its_own_frequency_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside a strong one and four others; what blurs the mean blurs the instant as well."""
+    t = np.arange(120) / 120
+    u = 0.6 * np.cos(2 * np.pi * 7 * t)[:, None] * [0.8, 0.6]
+    for k, frequency in enumerate((11, 23, 31, 41, 59)):
+        u += (0.05 - 0.007 * k) * np.sin(2 * np.pi * frequency * t)[:, None] * [0.6, -0.8]
+    mean, _, _ = seen(u, 1)
+    basis = np.stack([u @ [0.8, 0.6], *(np.sin(2 * np.pi * f * t) for f in (11, 23, 31, 41, 59))])
+    basis /= np.linalg.norm(basis, axis=1, keepdims=True)
+    images = np.tensordot(basis, np.stack([texture(now) for now in u]), 1)
+    found = predicted(monkeypatch, mean, basis, u)
+    for r in (4, 5):
+        share = (found[r][INNER[1:]] * images[r][INNER[1:]]).sum() / (images[r][INNER[1:]] ** 2).sum()
+        assert share == pytest.approx(1, abs=0.02)
+
+
+def test_what_is_mistaken_by_many_pixels_does_not_grow_with_its_cube(monkeypatch: pytest.MonkeyPatch) -> None:
+    t = np.arange(T) / T
+    mean, basis, _ = seen(0.4 * np.cos(2 * np.pi * 5 * t)[:, None] * [0.8, 0.6], 1)
+    sizes = []
+    for wrong in (5.0, 20.0):
+        u = wrong * np.cos(2 * np.pi * 5 * t)[:, None] * [0.8, 0.6]
+        sizes.append(float(np.linalg.norm(predicted(monkeypatch, mean, basis, u))))
+    assert sizes[1] < 4.5 * sizes[0]
+
+
+def test_a_ramp_that_moves_is_a_ramp_up_to_its_edges(monkeypatch: pytest.MonkeyPatch) -> None:
+    ramp = np.mgrid[0:SIZE, 0:SIZE].sum(0)[..., None] * np.full(3, 0.01)
+    u = 0.5 * np.cos(2 * np.pi * 5 * np.arange(T) / T)[:, None] * [1.0, 0.0]
+    basis = (u[:, 0] / np.linalg.norm(u[:, 0]))[None]
+    found = predicted(monkeypatch, ramp, basis, u)
+    np.testing.assert_allclose(found, -0.01 * float(basis[0] @ u[:, 0]), rtol=1e-3)
 
 
 def test_the_flow_is_how_far_splats_move_by_blending_weight() -> None:
@@ -129,9 +173,7 @@ def test_a_pale_scene_moves_no_further_for_that(tmp_path: Path, monkeypatch: pyt
     pale = replace(sharp, sh=0.85 * sharp.sh)
     true = amplitude_of(data, tmp_path / "sharp", sharp)
     carried = amplitude_of(data, tmp_path / "pale", pale)
-    monkeypatch.setattr(
-        stage.Carried, "of", lambda _, v, shapes: np.zeros((len(shapes), 48, 48, 3), np.float32)
-    )
+    monkeypatch.setattr(Carried, "of", lambda _, v, shapes: np.zeros((len(shapes), 48, 48, 3), np.float32))
     plain = amplitude_of(data, tmp_path / "plain", pale)
     assert plain > 1.05 * true
     assert abs(carried - true) < 0.5 * abs(plain - true)

@@ -1,8 +1,8 @@
 """The linear fit of the motion: all components and parts of the cameras, a few at once, in two turns.
 
-The first turn explains the component images. What the found motion shows beyond the derivative (`carried/`), and the
-light that goes with it (`light/`), is then taken from what is left, and the second turn solves for the difference that
-this makes. Together they take the iterations of one fit.
+The first turn explains the component images. What the found motion shows beyond the derivative, and the light that goes
+with it (`beyond.py`), is then taken from what is left if the motion is small, and the second turn solves for the
+difference that this makes. Together they take the iterations of one fit.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Fit:
     initial: np.ndarray
     turn: int = 0
     component: int = 0
-    is_small: bool = True  # motion: found after the first turn
+    is_small: bool = True  # is the motion? told after the first turn
     # of the components from `component` on; empty: not begun
     cgs: list[CGState] = field(default_factory=list)
 
@@ -107,10 +107,13 @@ class Solver:
             self._solve(fit, update, keep)
         update(self.done(fit))
 
-    def take_away(self, fit: Fit, part: int, pictures: Iterable[np.ndarray]) -> None:
-        """From what is left to one part of the cameras: pictures [R, H, W, 3] of each of its views."""
-        rows = slice(part * len(self.signal), (part + 1) * len(self.signal))
-        fit.left[rows] -= np.stack([on_cpu(b) for b in self.problems[part].right_hand_sides(pictures)])
+    def take_away(self, fit: Fit, part: int, pictures: Callable[[slice], Iterable[np.ndarray]]) -> None:
+        """From what is left to one part of the cameras: for some of the R components [r, H, W, 3] of each view."""
+        count = len(self.signal)
+        for first in range(0, count, TOGETHER):
+            some = slice(first, min(first + TOGETHER, count))
+            for k, b in enumerate(self.problems[part].right_hand_sides(pictures(some)), part * count + first):
+                fit.left[k] -= on_cpu(b)
 
     def _is_open(self, cg: CGState, most: int) -> bool:
         return cg.iteration < most and cg.relative_residual > self.config.tolerance
@@ -123,9 +126,8 @@ class Solver:
             rows = range(fit.component, fit.component + len(some))
             states = [replace(start(fit.left[k]), initial=float(fit.initial[k])) for k in rows]
             return [placed(state, self.device) for state in states]
-        return [
-            start(b) for b in self.problems[part].right_hand_sides(self.images[:, some][self.parts[part]])
-        ]
+        pictures = (self.images[v, some] for v in self.parts[part])
+        return [start(b) for b in self.problems[part].right_hand_sides(pictures)]
 
     def _solve(self, fit: Fit, update: Callable[..., None], keep: Callable[[Fit], None]) -> None:
         """A few components at once, each from where its state stands until its own end."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -21,13 +21,12 @@ from tg4mm.capture.pictures import FilePictures
 from tg4mm.device import gpu_figures, reset_gpu_peak
 from tg4mm.gaussians import Gaussians
 from tg4mm.memory import peak_memory_mib
-from tg4mm.motion.carried.carried import Carried
+from tg4mm.motion.beyond import Beyond
 from tg4mm.motion.certainty.doubt import doubt
 from tg4mm.motion.certainty.halves import agreed_fields, deviation, halves
 from tg4mm.motion.config import MotionConfig, checked
 from tg4mm.motion.fit import TOGETHER, Fit, Solver
 from tg4mm.motion.jacobian.linear import rest_view
-from tg4mm.motion.light.fit import Lighting, Remainder
 from tg4mm.motion.light.model import Light
 from tg4mm.motion.modal import ModalMotion
 from tg4mm.motion.pictures.differences import temporal_components
@@ -77,6 +76,16 @@ class _Stage:
         self.basis = self.components.basis[self.signal]
         shown = self.components.images
         self.solver = Solver(self.problems, self.parts, shown, self.signal, config, device)
+        self.beyond = Beyond(
+            views,
+            self.cameras,
+            self.components,
+            self.findings,
+            gaussians,
+            self.graph,
+            self.parts,
+            config.light,
+        )
         self.saved = time.monotonic()
         self.began = began  # what log.json does not hold yet
 
@@ -128,30 +137,14 @@ class _Stage:
         of_capture = self.images, self.cameras, self.components, self.findings
         return Rounds(*of_capture, self.parts, self.config, self.device, self.are_all)
 
-    @cached_property
-    def _carried(self) -> Carried:
-        return Carried(self.at_rest, self.components.mean, self.basis)
-
-    @cached_property
-    def _lighting(self) -> Lighting | None:
-        """None where light was not asked for, and where cameras are too few to tell it from noise."""
-        if not self.config.light or len(self.parts) == 1:
-            return None
-        weights = pixel_weights(self.components, self.findings.is_noise)
-        return Lighting.of(self.at_rest, self.cameras, self.gaussians, weights, self.graph, self.parts)
-
-    def _remainder(self, shapes: np.ndarray, is_small: bool) -> Remainder:
-        carried = self._carried if is_small else None
-        return Remainder(self.at_rest, self.components.images, self.signal, shapes, carried)
-
     def light(self, shapes: np.ndarray, is_small: bool) -> tuple[np.ndarray | None, dict[str, Any]]:
         """Changes of colour [R, N, K, 3] that go with the fields [R, N, DOF] of the linear fit, figures."""
-        if self._lighting is None:
+        if self.beyond.lighting is None:
             return None, {}
-        left = self._remainder(shapes, is_small)
-        with progress("light", len(left), "components") as update:
-            changes, gains = self._lighting.fitted(left, update)
-        return changes, {"gain_of_light": [round(float(g), 4) for g in gains]}
+        with progress("light", len(shapes), "components") as update:
+            found = self.beyond.light(shapes, is_small, update)
+        assert found is not None
+        return found[0], {"gain_of_light": [round(float(g), 4) for g in found[1]]}
 
     def fit(self, fit: Fit) -> Fit:
         """Solve for every component that is not solved yet, in two turns."""
@@ -160,30 +153,23 @@ class _Stage:
                 self.solver.run(fit, update, self._keep)
                 self._turn(fit)
             self.solver.run(fit, update, self._keep)
+        fit.left = fit.left[:0]  # nobody asks for it any more
         self._keep(fit)  # what follows takes its time, too
         return fit
 
     def _turn(self, fit: Fit) -> None:
         """From the first turn to the second: take from what is left what the motion shows beyond the derivative."""
         fields = fit.shapes.reshape(len(self.parts), -1, *fit.shapes.shape[1:])
-        where = self._rounds.begun(self.gaussians, self.at_rest, fields, self.findings.neighbours, None)
-        fit.turn, fit.component, fit.is_small = 1, 0, where.pixels <= ABOVE_PX
-        if not fit.is_small:
+        pixels = self._rounds.begun(
+            self.gaussians, self.at_rest, fields, self.findings.neighbours, None
+        ).pixels
+        fit.turn, fit.component, fit.is_small = 1, 0, pixels <= ABOVE_PX
+        if not fit.is_small or not self.solver.iterations(1):
             return
-        changes = None
-        if self._lighting is not None:
-            shapes, _ = agreed_fields(fields)
-            changes, _ = self._lighting.fitted(self._remainder(shapes, True))
-        for part, (rows, own) in enumerate(zip(self.parts, fields, strict=True)):
-            self.solver.take_away(fit, part, (self._beyond(int(v), own, changes) for v in rows))
-
-    def _beyond(self, v: int, shapes: np.ndarray, changes: np.ndarray | None) -> np.ndarray:
-        """[R, H, W, 3]: what component images of a view show beyond the derivative, with changes of colour."""
-        out = self._carried.of(v, shapes)
-        if changes is not None and changes.any():
-            assert self._lighting is not None
-            out += self._lighting.shown(v, changes)
-        return out
+        light = self.beyond.light(agreed_fields(fields)[0], True)
+        changes = None if light is None else light[0]
+        for part, own in enumerate(fields):
+            self.solver.take_away(fit, part, partial(self.beyond.pictures, part, own, changes))
 
     def _keep(self, fit: Fit) -> None:
         if time.monotonic() - self.saved > CHECKPOINT_EVERY_S:
@@ -198,7 +184,7 @@ class _Stage:
         self.run.record(_STAGE, {"seconds": self.saved - self.began})
         self.began = self.saved
 
-    def beyond(self, fit: Fit) -> tuple[Gaussians, np.ndarray, np.ndarray | None, dict[str, Any]]:
+    def after_rounds(self, fit: Fit) -> tuple[Gaussians, np.ndarray, np.ndarray | None, dict[str, Any]]:
         """After the rounds, which start where motion is not small: Gaussians, fields [P R, N, DOF], what component
         images [V, R, H, W, 3] these explain (None: those there were), figures."""
         fields = fit.shapes.reshape(len(self.parts), -1, *fit.shapes.shape[1:])
@@ -268,7 +254,7 @@ def train_motion(
     stage = _Stage(run, capture, images, gaussians, config, began, device, known)
     begun = Fit.begun(stage.solver.n_fields, len(gaussians))
     fit = stage.fit(Fit.restored(checkpoint, device) if checkpoint else begun)
-    moved, all_shapes, target, round_figures = stage.beyond(fit)
+    moved, all_shapes, target, round_figures = stage.after_rounds(fit)
     shapes, uncertainty, agreement_figures = stage.agreed(all_shapes, moved, target)
     light, light_figures = (None, {}) if round_figures["rounds"] else stage.light(shapes, fit.is_small)
     motion = stage.motion(shapes, light)

@@ -7,9 +7,11 @@ by the motion, the more the larger it is, and slopes of the instant are steeper.
 u of a pixel, with M the mean over time, E = M − the picture at rest, orthonormal functions of time a_s and
 u(t) = Σ a_s(t) u_s, component image s changes, beyond the derivative of the picture at rest, by
 
-    − u_s·∇E + ½ (u_s·∇) 1/T Σ_r (u_r·∇)² M − 1/6 Σ_rqp (Σ_t a_s a_r a_q a_p) (u_r·∇)(u_q·∇)(u_p·∇) M.
+    − u_s·∇E + ½ Σ_rq (Σ_t a_s a_r a_q) (u_r·∇)(u_q·∇) M
+    + ½ (u_s·∇) 1/T Σ_r (u_r·∇)² M − 1/6 Σ_rqp (Σ_t a_s a_r a_q a_p) (u_r·∇)(u_q·∇)(u_p·∇) M.
 
-A sinusoid of amplitude A leaves A²/8 (u·∇)³ M of the last two. Derivation and figures: docs/decisions.md.
+A sinusoid's squares are another component, at twice its frequency, which must not be taken for motion; of an
+amplitude A along e, A²/8 (u·∇)(e·∇)² M is left of the last two. Derivation and figures: docs/decisions.md.
 """
 
 from __future__ import annotations
@@ -28,9 +30,11 @@ from tg4mm.motion.jacobian.linear import RestView
 from tg4mm.rasterize.buffers import Buffers
 from tg4mm.rasterize.kernels.compiled import kernel
 
-_STRONGEST = (
-    4  # components whose cubes count: two frequencies, each with a phase that differs from place to place
-)
+# components whose squares and cubes count, and no others': two frequencies, each with a phase that differs in places
+_STRONGEST = 4
+_FAR = (
+    1.5**2
+)  # pixels², of displacement: beyond it the series does not hold, and squares and cubes grow no more
 _MARGIN = 2  # pixels beside one that its derivatives take in
 
 
@@ -49,72 +53,114 @@ class Carried:
         at_rest = view.image[..., :3] + view.transmittance[..., None]
         moves = flow(view, shapes, self.buffers)
         out = np.empty_like(moves)
-        triples, cubes = self._cubes
         share = np.float32(1 / self.basis.shape[1])
-        _carry(_with_margin(mean - at_rest), _with_margin(mean), moves, share, triples, cubes, out)
+        _carry(
+            _with_margin(mean - at_rest), _with_margin(mean), moves, share, self._squares, self._cubes, out
+        )
         return out
 
     @cached_property
+    def _squares(self) -> tuple[np.ndarray, np.ndarray]:
+        return self._products(2)
+
+    @cached_property
     def _cubes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Triples of components [K, 3], and for each component what their products count, [R, K] float32."""
-        triples = list(combinations_with_replacement(range(min(len(self.basis), _STRONGEST)), 3))
-        cubes = np.empty((len(self.basis), len(triples)))
-        for k, triple in enumerate(triples):
-            orders = 6 / np.prod([factorial(triple.count(r)) for r in set(triple)])
-            cubes[:, k] = self.basis @ self.basis[list(triple)].prod(0) * orders / 6
-        return np.array(triples, np.int64), cubes.astype(np.float32)
+        return self._products(3)
+
+    def _products(self, power: int) -> tuple[np.ndarray, np.ndarray]:
+        """Which components are multiplied [K, power], and by what their product counts for each component [R, K]."""
+        which = list(combinations_with_replacement(range(min(len(self.basis), _STRONGEST)), power))
+        counts = np.empty((len(self.basis), len(which)), np.float32)
+        for k, of in enumerate(which):
+            ways = factorial(power) / np.prod([factorial(of.count(r)) for r in set(of)])
+            counts[:, k] = self.basis @ self.basis[list(of)].prod(0) * ways / factorial(power)
+        return np.array(which, np.int64), counts
 
 
 def _with_margin(picture: np.ndarray) -> np.ndarray:
-    return np.pad(picture, ((_MARGIN, _MARGIN), (_MARGIN, _MARGIN), (0, 0)), mode="edge")
+    """Continued with the slope it has at its edges."""
+    beside = (_MARGIN, _MARGIN)
+    return np.pad(picture, (beside, beside, (0, 0)), mode="reflect", reflect_type="odd")
 
 
 @kernel(parallel=True)
-def _carry(error, mean, moves, share, triples, cubes, out):
+def _carry(error, mean, moves, share, squares, cubes, out):
     for y in prange(moves.shape[1]):
-        _carry_row(y, error, mean, moves, share, triples, cubes, out)
+        _carry_row(y, error, mean, moves, share, squares, cubes, out)
 
 
 @kernel()
-def _carry_row(y, error, mean, moves, share, triples, cubes, out):
+def _carry_row(y, error, mean, moves, share, squares, cubes, out):
     n, _, width, _ = moves.shape
-    thirds = np.empty((n, 4), np.float32)
+    seconds, thirds = np.empty((n, 3), np.float32), np.empty((n, 4), np.float32)
     for x in range(width):
-        _thirds(moves[:, y, x], share, triples, cubes, thirds)
+        u = moves[:, y, x]
+        near = _near(u, share)
+        _of_squares(u, near, squares, seconds)
+        _of_cubes(u, share, near, cubes, thirds)
         for c in range(3):
             right, down = _slopes(error, y, x, c)
+            xx, xy, yy = _second_derivatives(mean, y, x, c)
             xxx, xxy, xyy, yyy = _third_derivatives(mean, y, x, c)
             for s in range(n):
                 out[s, y, x, c] = (
-                    thirds[s, 0] * xxx + thirds[s, 1] * xxy + thirds[s, 2] * xyy + thirds[s, 3] * yyy
-                    - moves[s, y, x, 0] * right - moves[s, y, x, 1] * down
+                    seconds[s, 0] * xx + seconds[s, 1] * xy + seconds[s, 2] * yy
+                    + thirds[s, 0] * xxx + thirds[s, 1] * xxy + thirds[s, 2] * xyy + thirds[s, 3] * yyy
+                    - u[s, 0] * right - u[s, 1] * down
                 )  # fmt: skip
 
 
 @kernel()
-def _thirds(u, share, triples, cubes, out):
-    """[R, 4]: what the derivatives xxx, xxy, xyy, yyy of the mean are multiplied by, for displacements u [R, 2 …]."""
-    xx, xy, yy = float32(0.0), float32(0.0), float32(0.0)
+def _near(u, share):
+    """Of displacements u [R, 2 or more] of one pixel: 1, or by what the square of its amplitude comes to `_FAR`."""
+    total = float32(0.0)
     for r in range(len(u)):
+        total += u[r, 0] * u[r, 0] + u[r, 1] * u[r, 1]
+    most = float32(2.0) * share * total  # a sinusoid's amplitude, squared
+    return float32(_FAR) / most if most > float32(_FAR) else float32(1.0)
+
+
+@kernel()
+def _of_squares(u, near, squares, out):
+    """[R, 3]: what the derivatives xx, xy, yy of the mean are multiplied by."""
+    out[:] = float32(0.0)
+    pairs, counts = squares
+    for k in range(len(pairs)):
+        a, b = u[pairs[k, 0]], u[pairs[k, 1]]
+        xx, xy, yy = a[0] * b[0] * near, (a[0] * b[1] + a[1] * b[0]) * near, a[1] * b[1] * near
+        for s in range(len(u)):
+            out[s, 0] += counts[s, k] * xx
+            out[s, 1] += counts[s, k] * xy
+            out[s, 2] += counts[s, k] * yy
+
+
+@kernel()
+def _of_cubes(u, share, near, cubes, out):
+    """[R, 4]: what the derivatives xxx, xxy, xyy, yyy of the mean are multiplied by."""
+    strongest = min(len(u), _STRONGEST)
+    xx, xy, yy = float32(0.0), float32(0.0), float32(0.0)
+    for r in range(strongest):
         xx += u[r, 0] * u[r, 0]
         xy += u[r, 0] * u[r, 1]
         yy += u[r, 1] * u[r, 1]
-    half = float32(0.5) * share
-    for s in range(len(u)):
+    half = float32(0.5) * share * near
+    out[strongest:] = float32(0.0)
+    for s in range(strongest):
         out[s, 0] = half * u[s, 0] * xx
         out[s, 1] = half * (float32(2.0) * u[s, 0] * xy + u[s, 1] * xx)
         out[s, 2] = half * (float32(2.0) * u[s, 1] * xy + u[s, 0] * yy)
         out[s, 3] = half * u[s, 1] * yy
+    triples, counts = cubes
     for k in range(len(triples)):
         a, b, c = u[triples[k, 0]], u[triples[k, 1]], u[triples[k, 2]]
-        xxx, yyy = a[0] * b[0] * c[0], a[1] * b[1] * c[1]
-        xxy = a[0] * b[0] * c[1] + a[0] * b[1] * c[0] + a[1] * b[0] * c[0]
-        xyy = a[0] * b[1] * c[1] + a[1] * b[0] * c[1] + a[1] * b[1] * c[0]
+        xxx, yyy = a[0] * b[0] * c[0] * near, a[1] * b[1] * c[1] * near
+        xxy = (a[0] * b[0] * c[1] + a[0] * b[1] * c[0] + a[1] * b[0] * c[0]) * near
+        xyy = (a[0] * b[1] * c[1] + a[1] * b[0] * c[1] + a[1] * b[1] * c[0]) * near
         for s in range(len(u)):
-            out[s, 0] -= cubes[s, k] * xxx
-            out[s, 1] -= cubes[s, k] * xxy
-            out[s, 2] -= cubes[s, k] * xyy
-            out[s, 3] -= cubes[s, k] * yyy
+            out[s, 0] -= counts[s, k] * xxx
+            out[s, 1] -= counts[s, k] * xxy
+            out[s, 2] -= counts[s, k] * xyy
+            out[s, 3] -= counts[s, k] * yyy
 
 
 @kernel()
@@ -124,6 +170,22 @@ def _slopes(p, y, x, c):
     right = float32(8.0) * (p[y, x + 1, c] - p[y, x - 1, c]) - (p[y, x + 2, c] - p[y, x - 2, c])
     down = float32(8.0) * (p[y + 1, x, c] - p[y - 1, x, c]) - (p[y + 2, x, c] - p[y - 2, x, c])
     return right / float32(12.0), down / float32(12.0)
+
+
+@kernel()
+def _second_derivatives(p, y, x, c):
+    """To the fourth order, too."""
+    y, x = y + 2, x + 2
+    here = float32(30.0) * p[y, x, c]
+    xx = float32(16.0) * (p[y, x + 1, c] + p[y, x - 1, c]) - (p[y, x + 2, c] + p[y, x - 2, c]) - here
+    yy = float32(16.0) * (p[y + 1, x, c] + p[y - 1, x, c]) - (p[y + 2, x, c] + p[y - 2, x, c]) - here
+    xy = float32(16.0) * _twist(p, y, x, c, 1) - _twist(p, y, x, c, 2)
+    return xx / float32(12.0), xy / float32(48.0), yy / float32(12.0)
+
+
+@kernel()
+def _twist(p, y, x, c, by):
+    return (p[y + by, x + by, c] - p[y + by, x - by, c]) - (p[y - by, x + by, c] - p[y - by, x - by, c])
 
 
 @kernel()
