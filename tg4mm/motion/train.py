@@ -184,6 +184,15 @@ class _Stage:
         self.run.record(_STAGE, {"seconds": self.saved - self.began})
         self.began = self.saved
 
+    def _explained(self, fit: Fit) -> np.ndarray | None:
+        """[V, R, H, W, 3]: component images less what the motion shows beyond the derivative, if `_doubt` asks."""
+        if not fit.is_small or not self.config.halves or len(self.parts) > 1:
+            return None
+        out = self.components.images[:, self.signal]
+        for v, pictures in enumerate(out):
+            pictures -= self.beyond.carried.of(v, fit.shapes)
+        return out
+
     def after_rounds(self, fit: Fit) -> tuple[Gaussians, np.ndarray, np.ndarray | None, dict[str, Any]]:
         """After the rounds, which start where motion is not small: Gaussians, fields [P R, N, DOF], what component
         images [V, R, H, W, 3] these explain (None: those there were), figures."""
@@ -193,7 +202,7 @@ class _Stage:
         where = rounds.begun(self.gaussians, self.at_rest, fields, self.findings.neighbours, checkpoint)
         figures: dict[str, Any] = {"pixels_moved": where.pixels, "rounds": 0}
         if not self.config.rounds or where.pixels <= ABOVE_PX:
-            return self.gaussians, fit.shapes, None, figures
+            return self.gaussians, fit.shapes, self._explained(fit), figures
         if checkpoint is None:
             self._save_fit(fit)  # whatever happens now, the linear fit is done
 
@@ -208,7 +217,7 @@ class _Stage:
         self._save(ROUNDS, where.tensors(), where.state())  # before the scene at rest is another
         figures |= {"rounds": where.round, "misfit_of_rounds": where.misfits}
         if not where.round:  # the linear fit stands, with its own components
-            return self.gaussians, fit.shapes, None, figures
+            return self.gaussians, fit.shapes, self._explained(fit), figures
         figures["neighbours"] = where.neighbours
         self.basis = rounds.basis
         is_asked = self.config.halves and len(self.parts) == 1  # by `_doubt`
