@@ -193,6 +193,22 @@ def test_killed_at_every_second_iteration_it_ends_the_same(
     assert {(turn, component) for turn, component, _ in states} >= {(0, 1), (1, 0), (1, 1)}
 
 
+def test_killed_between_the_turns_it_ends_the_same(
+    small, new_run: Callable[[], Run], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, capture, images = small
+    expected, run = train_motion(new_run(), capture, images, SHORT), new_run()
+    monkeypatch.setattr(stage, "CHECKPOINT_EVERY_S", -1.0)
+    with monkeypatch.context() as patch:
+        patch.setattr(fitting.Solver, "take_away", lambda *_: (_ for _ in ()).throw(Killed))
+        with pytest.raises(Killed):
+            train_motion(run, capture, images, SHORT)
+    checkpoint = run.load_checkpoint("motion")
+    assert checkpoint is not None
+    assert checkpoint[1]["turn"] == 0
+    assert equal(train_motion(run, capture, images, SHORT), expected)
+
+
 def test_components_solved_together_are_those_solved_one_by_one(
     small, new_run: Callable[[], Run], monkeypatch: pytest.MonkeyPatch
 ) -> None:
