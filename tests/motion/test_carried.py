@@ -135,7 +135,9 @@ def test_the_flow_is_how_far_splats_move_by_blending_weight() -> None:
         view_of(replace(scene, means=scene.means + sign * 1e-3 * torch.from_numpy(motion[:, :3]).double()))
         for sign in (1, -1)
     ]
-    shift = (ends[0].splats[:, [MX, MY]] - ends[1].splats[:, [MX, MY]]) / 2e-3
+    shift = np.zeros((len(motion), 2))
+    visible = view.bins.order[: view.bins.n_visible]  # of the others nothing is written in `splats`
+    shift[visible] = (ends[0].splats[visible][:, [MX, MY]] - ends[1].splats[visible][:, [MX, MY]]) / 2e-3
     colours = torch.zeros_like(scene.colors)
     small = 0.4 / np.abs(shift).max()  # colours are 0.5 and that much, which no clamping reaches
     colours[:, 0, :2] = torch.from_numpy(small * shift).double() / 0.28209479177387814

@@ -27,15 +27,11 @@ class Beyond:
     cameras: Sequence[FixedCamera]
     components: TemporalComponents
     findings: Findings
+    signal: np.ndarray  # [R] which of the components
     gaussians: Gaussians
     graph: Graph
     parts: Sequence[np.ndarray]  # of the cameras
     asks_for_light: bool
-
-    @cached_property
-    def signal(self) -> np.ndarray:
-        """[R] which of the components."""
-        return np.flatnonzero(~self.findings.is_noise)
 
     @cached_property
     def carried(self) -> Carried:

@@ -76,16 +76,8 @@ class _Stage:
         self.basis = self.components.basis[self.signal]
         shown = self.components.images
         self.solver = Solver(self.problems, self.parts, shown, self.signal, config, device)
-        self.beyond = Beyond(
-            views,
-            self.cameras,
-            self.components,
-            self.findings,
-            gaussians,
-            self.graph,
-            self.parts,
-            config.light,
-        )
+        of_views = views, self.cameras, self.components, self.findings, self.signal
+        self.beyond = Beyond(*of_views, gaussians, self.graph, self.parts, config.light)
         self.saved = time.monotonic()
         self.began = began  # what log.json does not hold yet
 

@@ -32,9 +32,8 @@ from tg4mm.rasterize.kernels.compiled import kernel
 
 # components whose squares and cubes count, and no others': two frequencies, each with a phase that differs in places
 _STRONGEST = 4
-_FAR = (
-    1.5**2
-)  # pixels², of displacement: beyond it the series does not hold, and squares and cubes grow no more
+# pixels², of displacement: beyond it the series does not hold, and squares and cubes grow no more
+_FAR = 1.5**2
 _MARGIN = 2  # pixels beside one that its derivatives take in
 
 
