@@ -75,6 +75,7 @@ class Kernels:
             "project": lambda: projection.project_forward(*project),
             "bin": lambda: binning.bin_splats(splats, width, height, buffers),
             "blend": lambda: blend_forward(*self.lists, image, transmittance, reached=reached),
+            "blend, picture alone": lambda: blend_forward(*self.lists, image, transmittance),
             "blend backward": lambda: blend_backward(*self.lists, *pictures, reached=reached),
             "gather": lambda: binning.gather_sums(*gather),
             "project backward": lambda: project_backward(*back, *gradients),

@@ -197,7 +197,7 @@ class Trained:
             f"{len(g)} Gaussians, {kernels.n_pairs} pairs, {evaluations} visible pixel evaluations in {blocks} blocks "
             f"({evaluations / blocks / 16:.0%} of their lanes), {ghz:.2f} GHz"
         )
-        limits = (("blend", FORWARD), ("blend backward", BACKWARD))
+        limits = (("blend, picture alone", FORWARD), ("blend", FORWARD), ("blend backward", BACKWARD))
         for name, loop in limits if numba.get_num_threads() == 1 else ():
             cycles = (evaluations / 16 * loop.arithmetic, blocks * loop.cycles)
             least, of_blocks = (n / (ghz * 1e6) for n in cycles)

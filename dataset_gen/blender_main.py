@@ -3,18 +3,36 @@
     blender --background --python dataset_gen/blender_main.py -- mic --out DIR …
 
 Takes the arguments after `--`; the package need not be installed. With `--job FILE` it is one worker of a
-run.
+run, with `--threads N` besides where pip's bpy has to be told, since it reads no command line.
 """
 
+import os
 import sys
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 
+def import_bpy(threads: int) -> None:
+    """Import bpy with so many threads in its pool, 0: all cores.
+
+    The pool (oneTBB) gets as many as there are cores that the process may use at that moment.
+    """
+    if not threads or not hasattr(os, "sched_setaffinity"):
+        return
+    allowed = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, sorted(allowed)[:threads])
+    try:
+        import bpy  # noqa: F401
+    finally:
+        os.sched_setaffinity(0, allowed)
+
+
 def run(arguments: list[str]) -> int:
     """The generator's command line, or one worker."""
     if arguments[:1] == ["--job"]:
+        if arguments[2:3] == ["--threads"]:
+            import_bpy(int(arguments[3]))
         from dataset_gen.worker import work
 
         return work(Path(arguments[1]))

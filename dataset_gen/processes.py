@@ -115,7 +115,8 @@ class _Pool:
         """One process, to its end."""
         log_path = path.with_suffix(".log")
         with log_path.open("w") as log:
-            process = subprocess.Popen(_command(path), stdout=subprocess.PIPE, stderr=log, text=True)
+            command = _command(path, self._job.get("threads", 0))
+            process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True)
         self._running.add(process)
         assert process.stdout is not None
         for line in process.stdout:
@@ -160,14 +161,19 @@ def _drain(waiting: queue.SimpleQueue[list[int]]) -> Iterator[list[int]]:
             yield waiting.get_nowait()
 
 
-def _command(job_path: Path) -> list[str]:
-    """How to start a worker: with Blender if this is Blender, else with this Python and pip's bpy."""
+def _command(job_path: Path, threads: int) -> list[str]:
+    """How to start a worker: with Blender if this is Blender, else with this Python and pip's bpy.
+
+    threads: of Blender's pool, 0: all cores. More than Cycles is told to use would look for work all the time, at the
+    cost of those that have some.
+    """
     bpy = sys.modules.get("bpy")
     binary = bpy.app.binary_path if bpy is not None else ""
-    script = [str(ENTRY), "--", "--job", str(job_path)]
+    script, pool = [str(ENTRY), "--", "--job", str(job_path)], ["--threads", str(threads)]
     if binary:
-        return [binary, "--background", "--factory-startup", "--python-exit-code", "1", "--python", *script]
-    return [sys.executable, *script]
+        quiet = ["--background", "--factory-startup", "--python-exit-code", "1"]
+        return [binary, *quiet, *pool, "--python", *script]
+    return [sys.executable, *script, *pool]
 
 
 class _Progress:
