@@ -23,8 +23,9 @@ from tg4mm.motion import fit as fitting
 from tg4mm.motion import train as stage
 from tg4mm.motion.apply import mover
 from tg4mm.motion.jacobian import meetings
-from tg4mm.motion.jacobian.linear import DOF, RestView
+from tg4mm.motion.jacobian.linear import RestView
 from tg4mm.motion.jacobian.meetings import DeviceView, device_view
+from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.posing import pose
 from tg4mm.motion.solver import device
 from tg4mm.motion.solver.device import DeviceProblem

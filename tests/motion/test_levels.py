@@ -11,7 +11,7 @@ from numba import config, get_num_threads, set_num_threads
 from scipy.sparse import bsr_matrix
 
 from tests.motion.test_problem import problem
-from tg4mm.motion.jacobian.linear import DOF
+from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.prior.graph import ROWS, graph
 from tg4mm.motion.solver import groups as module
 from tg4mm.motion.solver.device import DeviceProblem

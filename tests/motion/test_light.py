@@ -20,7 +20,8 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.magnify.bands import BandGain, Magnification
 from tg4mm.magnify.linear import magnified_motion
 from tg4mm.motion.apply import _moved_there, _phasors_on, moved
-from tg4mm.motion.jacobian.linear import ALPHA_MIN_LINEAR, DOF, rest_view
+from tg4mm.motion.jacobian.linear import ALPHA_MIN_LINEAR, rest_view
+from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.light.answers import HARMONIC, LitView, lit_views
 from tg4mm.motion.light.fit import Lighting, Remainder
 from tg4mm.motion.light.lit import LIMIT, lit

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from tests.rasterize.oracle import Scene, assert_close, make_scene
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.jacobian.linear import ALPHA_MIN_LINEAR, DOF, RestView, rest_view
-from tg4mm.motion.jacobian.packed import packed, unpacked
+from tg4mm.motion.jacobian.linear import ALPHA_MIN_LINEAR, RestView, rest_view
+from tg4mm.motion.jacobian.packed import DOF, packed, unpacked
 from tg4mm.motion.pictures.video import FixedCamera
 from tg4mm.rasterize import reference
 from tg4mm.rasterize.buffers import Buffers

@@ -12,7 +12,8 @@ from tests.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion import MotionConfig
-from tg4mm.motion.jacobian.linear import DOF, rest_view
+from tg4mm.motion.jacobian.linear import rest_view
+from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.pictures.video import FixedCamera, fixed_cameras
 from tg4mm.motion.posing.pose import Problems
 from tg4mm.motion.rounds.moved import MovedProblem, shown

@@ -18,7 +18,8 @@ from tg4mm.motion import ModalMotion, MotionConfig
 from tg4mm.motion.apply import displacement_at
 from tg4mm.motion.certainty.posterior import n_solves, posterior
 from tg4mm.motion.certainty.sight import directions
-from tg4mm.motion.jacobian.linear import DOF, rest_view
+from tg4mm.motion.jacobian.linear import rest_view
+from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.pictures.video import FixedCamera, fixed_cameras
 from tg4mm.motion.posing.pose import Problems
 from tg4mm.motion.prior.roots import stiffness_root

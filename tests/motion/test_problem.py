@@ -11,7 +11,7 @@ import torch
 from tests.motion.test_linear import gaussians_of, view_of
 from tests.rasterize.oracle import make_scene
 from tg4mm.motion.config import MotionConfig
-from tg4mm.motion.jacobian.linear import DOF
+from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.posing.pose import Problems
 from tg4mm.motion.solver.device import DeviceProblem
 from tg4mm.motion.solver.levels import Known, information, levels

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from tg4mm.motion import fit as module
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.fit import Fit, Solver
 from tg4mm.motion.solver.problem import MotionProblem
-from tg4mm.motion.solver.solve import start, step_all
+from tg4mm.motion.solver.solve import CGState, start, step, step_all
 
 PARTS = [np.array([0]), np.array([1])]
 LONG = MotionConfig(iterations=300, tolerance=1e-6)
@@ -41,6 +42,19 @@ def both_turns(solving: Solver, taken: np.ndarray | None = None) -> Fit:
     return fit
 
 
+def count_applications(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Gets, from now on, how many fields each call of the operator takes."""
+    applied: list[int] = []
+    real = MotionProblem.normals
+
+    def counted(self: MotionProblem, thetas: Sequence[np.ndarray]) -> list[np.ndarray]:
+        applied.append(len(thetas))
+        return real(self, thetas)
+
+    monkeypatch.setattr(MotionProblem, "normals", counted)
+    return applied
+
+
 def direct(images: np.ndarray) -> np.ndarray:
     out, whole = [], problem()
     for rows in PARTS:
@@ -64,16 +78,37 @@ def test_they_end_where_one_fit_of_what_is_left_would(
     np.testing.assert_allclose(found, expected, atol=2e-3 * np.abs(expected).max())
 
 
+def begun(solving: Solver, iterations: int) -> list[CGState]:
+    """The strongest component of each part, so far."""
+    found = []
+    for part, rows in zip(solving.problems, PARTS, strict=True):
+        (state,) = [start(b) for b in part.right_hand_sides(solving.images[rows][:, :1])]
+        for _ in range(iterations):
+            state = step(state, part.normal)
+        found.append(state)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("iterations", "saved"), [(3, 6), (6, 12), (7, 0)], ids=["fewer", "the first turn's", "too many"]
+)
+def test_what_has_been_begun_is_gone_on_with(
+    iterations: int, saved: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    applied = count_applications(monkeypatch)
+    solving = solver(pictures(1), MotionConfig(iterations=20, tolerance=1e-6))
+    assert solving.iterations(0) == 6
+    expected = both_turns(solving).shapes
+    plain = sum(applied)
+    known = replace(solving, begun=begun(solving, iterations))
+    applied.clear()
+    assert np.array_equal(both_turns(known).shapes, expected)
+    assert sum(applied) == plain - saved
+
+
 @pytest.mark.parametrize("iterations", [1, 2, 5, 20])
 def test_they_take_the_iterations_of_one_fit(iterations: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    applied: list[int] = []
-    real = MotionProblem.normals
-
-    def counted(self: MotionProblem, thetas: Sequence[np.ndarray]) -> list[np.ndarray]:
-        applied.append(len(thetas))
-        return real(self, thetas)
-
-    monkeypatch.setattr(MotionProblem, "normals", counted)
+    applied = count_applications(monkeypatch)
     solving = solver(pictures(1), MotionConfig(iterations=iterations, tolerance=1e-6))
     fit = both_turns(solving)
     assert sum(applied) == solving.units == 4 * iterations

@@ -11,11 +11,12 @@ import pytest
 from tests.motion.test_linear import gaussians_of, view_of
 from tests.rasterize.oracle import make_scene
 from tg4mm.motion.config import MotionConfig
-from tg4mm.motion.jacobian.linear import DOF
+from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.posing.pose import Problems
 from tg4mm.motion.posing.weight import CANDIDATES, DEFAULT, chosen_weight
 from tg4mm.motion.solver.device import DeviceProblem
 from tg4mm.motion.solver.problem import MotionProblem, normals_of
+from tg4mm.motion.solver.solve import start, step
 
 N, CAMERAS = 80, 8
 PARTS = [np.arange(CAMERAS)[::2], np.arange(CAMERAS)[1::2]]
@@ -58,14 +59,28 @@ def as_one() -> np.ndarray:
 
 
 def test_what_moves_each_by_itself_is_hardly_held_together(posed: list[MotionProblem]) -> None:
-    assert chosen_weight(posed, PARTS, shown(posed[0], each_by_itself(), 0.0)) == CANDIDATES[0]
+    assert chosen_weight(posed, PARTS, shown(posed[0], each_by_itself(), 0.0))[0] == CANDIDATES[0]
 
 
 def test_noise_asks_for_more_of_it(posed: list[MotionProblem]) -> None:
     """All move nearly as one; no noise, and ten times the pictures' rms."""
     u = as_one() + 0.3 * each_by_itself()
-    little, much = (chosen_weight(posed, PARTS, shown(posed[0], u, noise)) for noise in (0.0, 10.0))
+    little, much = (chosen_weight(posed, PARTS, shown(posed[0], u, noise))[0] for noise in (0.0, 10.0))
     assert much > 10 * little
+
+
+def test_what_was_solved_for_on_the_way_is_the_fit_as_far_as_it_came(posed: list[MotionProblem]) -> None:
+    pictures = shown(posed[0], as_one() + 0.3 * each_by_itself(), 0.1)
+    weight, begun = chosen_weight(posed, PARTS, pictures)
+    whole = next(p for p in posed if p.config.neighbours == weight)
+    for part, state in zip(PARTS, begun, strict=True):
+        problem = whole.of_views(part)
+        plain = start(problem.right_hand_side(pictures[part]))
+        for _ in range(state.iteration):
+            plain = step(plain, problem.normal)
+        assert state.iteration > 2
+        for name in ("x", "residual", "direction"):
+            assert np.array_equal(getattr(state, name), getattr(plain, name)), name
 
 
 def test_the_same_on_a_torch_device(posed: list[MotionProblem]) -> None:
@@ -73,12 +88,12 @@ def test_the_same_on_a_torch_device(posed: list[MotionProblem]) -> None:
     there = [first, *(first.posed_as(p) for p in posed[1:])]
     for u, noise in ((each_by_itself(), 0.0), (as_one(), 10.0)):
         pictures = shown(posed[0], u, noise)
-        assert chosen_weight(there, PARTS, pictures) == chosen_weight(posed, PARTS, pictures)
+        assert chosen_weight(there, PARTS, pictures)[0] == chosen_weight(posed, PARTS, pictures)[0]
 
 
 def test_pictures_that_do_not_change_say_nothing(posed: list[MotionProblem]) -> None:
     still = np.zeros_like(shown(posed[0], as_one(), 0.0))
-    assert chosen_weight(posed, PARTS, still) == DEFAULT
+    assert chosen_weight(posed, PARTS, still) == (DEFAULT, [])
 
 
 def test_several_problems_in_one_pass_are_each_by_itself(posed: list[MotionProblem]) -> None:

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from tg4mm.motion.config import MotionConfig
-from tg4mm.motion.jacobian.linear import DOF
+from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.solver.device import DeviceProblem
 from tg4mm.motion.solver.problem import MotionProblem
 from tg4mm.motion.solver.solve import CGState, on_cpu, placed, start, step_all
@@ -82,6 +82,8 @@ class Solver:
     signal: np.ndarray  # [R] which of them
     config: MotionConfig
     device: str
+    # of each part the strongest component, if it has been begun: it need not be again
+    begun: Sequence[CGState] = ()
 
     @property
     def n_fields(self) -> int:
@@ -127,7 +129,10 @@ class Solver:
             states = [replace(start(fit.left[k]), initial=float(fit.initial[k])) for k in rows]
             return [placed(state, self.device) for state in states]
         pictures = (self.images[v, some] for v in self.parts[part])
-        return [start(b) for b in self.problems[part].right_hand_sides(pictures)]
+        states = [start(b) for b in self.problems[part].right_hand_sides(pictures)]
+        if not first and self.begun and self._is_open(self.begun[part], self.iterations(0) + 1):
+            states[0] = self.begun[part]
+        return states
 
     def _solve(self, fit: Fit, update: Callable[..., None], keep: Callable[[Fit], None]) -> None:
         """A few components at once, each from where its state stands until its own end."""

@@ -68,14 +68,14 @@ class _Stage:
         views = [rest_view(gaussians, camera, size) for camera in self.cameras]
         self.parts = (halves(len(views)) if config.halves else []) or [np.arange(len(views))]
         problems = Problems(views, gaussians, config, device)
-        self.findings, whole = posed(problems, self.parts, self.components, TOGETHER, known)
+        self.findings, whole, begun = posed(problems, self.parts, self.components, TOGETHER, known)
         self.at_rest, self.images, self.gaussians = problems.views, images, gaussians
         self.graph = problems.graph
         self.problems = [whole.of_views(rows) for rows in self.parts]
         self.signal = np.flatnonzero(~self.findings.is_noise)
         self.basis = self.components.basis[self.signal]
         shown = self.components.images
-        self.solver = Solver(self.problems, self.parts, shown, self.signal, config, device)
+        self.solver = Solver(self.problems, self.parts, shown, self.signal, config, device, begun)
         of_views = views, self.cameras, self.components, self.findings, self.signal
         self.beyond = Beyond(*of_views, gaussians, self.graph, self.parts, config.light)
         self.saved = time.monotonic()

@@ -94,6 +94,9 @@ def _carry_row(y, error, mean, moves, share, squares, cubes, out):
     seconds, thirds = np.empty((n, 3), np.float32), np.empty((n, 4), np.float32)
     for x in range(width):
         u = moves[:, y, x]
+        if not u.any():  # background
+            out[:, y, x] = float32(0.0)
+            continue
         near = _near(u, share)
         _of_squares(u, near, squares, seconds)
         _of_cubes(u, share, near, cubes, thirds)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tg4mm.motion.jacobian.linear import DOF, RestView
+from tg4mm.motion.jacobian.linear import RestView
+from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.pictures.video import FixedCamera
 
 

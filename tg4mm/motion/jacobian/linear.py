@@ -7,21 +7,20 @@ colour); the blending kernels do the rest. Nothing is approximated but the motio
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.jacobian.packed import DOF, packed, pull, push, unpacked
+from tg4mm.motion.jacobian.packed import packed, pull, push, unpacked
+from tg4mm.motion.jacobian.projection import splat_jacobian
 from tg4mm.motion.pictures.video import FixedCamera
 from tg4mm.rasterize.buffers import Buffers, take
-from tg4mm.rasterize.kernels.binning import Bins, bin_splats
+from tg4mm.rasterize.kernels.binning import Bins, bin_splats, seen
 from tg4mm.rasterize.kernels.blend import blend_forward
 from tg4mm.rasterize.kernels.layout import ALPHA_MIN, FEATURES
 from tg4mm.rasterize.kernels.linearised import COLUMNS, blend_cotangents, blend_tangents
 from tg4mm.rasterize.kernels.normal import blend_normal, most_blocks
 from tg4mm.rasterize.kernels.project import empty_splats, pack_camera, project_forward
-from tg4mm.rasterize.kernels.project_backward import project_backward
 from tg4mm.space.view import EPS2D, FAR, NEAR, WHITE
 
 # A picture's cut-off at 1/255 takes the rim off every Gaussian. The rim moves along: as a step, of which a derivative
@@ -114,13 +113,6 @@ def _arrays(gaussians: Gaussians) -> tuple[np.ndarray, ...]:
     )
 
 
-def _turned_by_axes(quats: np.ndarray) -> np.ndarray:
-    """[N, 3, 4]: change of each quaternion (wxyz) for a small rotation about each world axis."""
-    w, x, y, z = quats.T
-    turned = np.stack([[-x, w, -z, y], [-y, z, w, -x], [-z, -y, x, w]])
-    return 0.5 * turned.transpose(2, 0, 1)
-
-
 def rest_view(gaussians: Gaussians, camera: FixedCamera, size: tuple[int, int]) -> RestView:
     """A camera (size: width, height) at rest, with its Jacobian."""
     width, height = size
@@ -138,26 +130,8 @@ def rest_view(gaussians: Gaussians, camera: FixedCamera, size: tuple[int, int]) 
         splats, bins.tile_start, bins.pair_gaussian, width, height, image, transmittance, ALPHA_MIN_LINEAR,
         bins.reached,
     )  # fmt: skip
+    bins = seen(bins)  # the others would be asked in every iteration
     most = most_blocks(bins.tile_start, bins.reached)
-    arrays = means, quats, scales, sh, degree, packed_camera, width, height
-    answers = packed(_jacobian(arrays, splats, bins.order[: bins.n_visible]))
+    jacobian = splat_jacobian(means, quats, scales, sh, degree, packed_camera, size, splats)
+    answers = packed(jacobian[bins.order[: bins.n_visible]])
     return RestView(splats, bins, image, transmittance, most, answers)
-
-
-def _jacobian(arrays: tuple[Any, ...], splats: np.ndarray, visible: np.ndarray) -> np.ndarray:
-    """[n, 8, DOF] float32 of the Gaussians `visible` [n]: each column of the splats pulled back."""
-    means, quats, scales, sh, degree, camera, width, height = arrays
-    turned, v_splats = _turned_by_axes(quats)[visible], np.zeros_like(splats)
-    unused = [np.zeros_like(a) for a in (scales, scales[:, 0], sh)]
-    jacobian = np.empty((len(visible), len(COLUMNS), DOF), np.float32)
-    for c, column in enumerate(COLUMNS):
-        v_splats[:, column] = 1
-        v_means, v_quats = np.zeros_like(means), np.zeros_like(quats)
-        project_backward(
-            means, quats, scales, sh, degree, False, camera, width, height, splats, v_splats, False,
-            v_means, v_quats, *unused, np.zeros((0, 12), np.float32), False,
-        )  # fmt: skip
-        v_splats[:, column] = 0
-        jacobian[:, c, :3] = v_means[visible]
-        jacobian[:, c, 3:] = np.einsum("nkq,nq->nk", turned, v_quats[visible])
-    return jacobian

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tg4mm.motion.certainty.sight import directions
-from tg4mm.motion.jacobian.linear import DOF, RestView
-from tg4mm.motion.jacobian.packed import COLUMNS, packed
+from tg4mm.motion.jacobian.linear import RestView
+from tg4mm.motion.jacobian.packed import COLUMNS, DOF, packed
 from tg4mm.motion.pictures.video import FixedCamera
 from tg4mm.rasterize.buffers import Buffers
 from tg4mm.rasterize.kernels.compiled import kernel

@@ -19,6 +19,7 @@ from tg4mm.motion.solver.device import DeviceProblem
 from tg4mm.motion.solver.groups import groups_of
 from tg4mm.motion.solver.levels import Known, information, levels
 from tg4mm.motion.solver.problem import MotionProblem
+from tg4mm.motion.solver.solve import CGState
 from tg4mm.rasterize.reference import rotation_matrices
 
 
@@ -91,11 +92,11 @@ def posed(
     components: TemporalComponents,
     at_once: int,
     known: Findings | None = None,
-) -> tuple[Findings, MotionProblem | DeviceProblem]:
+) -> tuple[Findings, MotionProblem | DeviceProblem, list[CGState]]:
     """The problem of all cameras, and what was found on the way, or `known` from an earlier time.
 
     parts: two halves of the cameras; one part, all of them, where they are too few: then noise and weight are not
-    looked for.
+    looked for. Last, how far the strongest component's fit to each part has come already; empty if it has not begun.
     """
     asked = problems.config.neighbours or (DEFAULT if len(parts) == 1 else 0.0)
     if known is None:
@@ -106,6 +107,7 @@ def posed(
     else:
         is_noise, asked = known.is_noise, known.neighbours
     candidates = problems.of(pixel_weights(components, is_noise), [asked] if asked else list(CANDIDATES))
+    begun: list[CGState] = []
     if not asked:
-        asked = chosen_weight(candidates, parts, components.images[:, 0])
-    return Findings(is_noise, asked), next(p for p in candidates if p.config.neighbours == asked)
+        asked, begun = chosen_weight(candidates, parts, components.images[:, 0])
+    return Findings(is_noise, asked), next(p for p in candidates if p.config.neighbours == asked), begun

@@ -29,21 +29,23 @@ def chosen_weight(
     problems: Sequence[Problem],
     parts: Sequence[np.ndarray],
     pictures: np.ndarray,
-) -> float:
+) -> tuple[float, list[CGState]]:
     """The weight for component images [V, H, W, 3], from the problem of each candidate (ascending), all cameras.
 
-    `parts`: two halves of the cameras. `DEFAULT` where the images do not change.
+    And how far their fit to each of `parts`, two halves of the cameras, has come with that weight. `DEFAULT` and
+    nothing where the images do not change.
     """
     if not pictures.any():
-        return DEFAULT
-    errors = np.zeros(len(problems))
+        return DEFAULT, []
+    errors, found = np.zeros(len(problems)), []
     for some, others in (parts, parts[::-1]):
         posed = [p.of_views(some) for p in problems]
         states = _solved(posed, pictures[some])
         fields = [p.field(state.x) for p, state in zip(posed, states, strict=True)]
         errors += problems[0].of_views(others).misfits(fields, pictures[others])
-    good = np.flatnonzero(errors <= _WITHIN * errors.min())
-    return float(problems[good[-1]].config.neighbours)
+        found.append(states)
+    best = int(np.flatnonzero(errors <= _WITHIN * errors.min())[-1])
+    return float(problems[best].config.neighbours), [states[best] for states in found]
 
 
 def _solved(problems: Sequence[Problem], pictures: np.ndarray) -> list[CGState]:

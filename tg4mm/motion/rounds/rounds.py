@@ -176,7 +176,7 @@ class Rounds:
         posed = problems.of(self.weights, [where.neighbours] if is_given else list(CANDIDATES))
         if not is_given:
             target = self._at_rest(problems.views, where.gaussians, shapes, evidence)[:, 0]
-            where.neighbours = chosen_weight(posed, self.parts, target)
+            where.neighbours, _ = chosen_weight(posed, self.parts, target)
         where.is_chosen = True
         (rest,) = (p for p in posed if p.config.neighbours == where.neighbours)
         assert isinstance(rest, MotionProblem)

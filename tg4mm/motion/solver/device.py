@@ -26,8 +26,8 @@ from torch import Tensor
 
 from tg4mm.errors import Tg4mmError
 from tg4mm.motion.config import MotionConfig
-from tg4mm.motion.jacobian.linear import DOF
 from tg4mm.motion.jacobian.meetings import DeviceView, device_view
+from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.prior.stiffness import ROWS
 from tg4mm.motion.solver.problem import MotionProblem
 

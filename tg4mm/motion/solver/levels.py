@@ -16,7 +16,8 @@ from functools import cached_property
 import numpy as np
 import torch
 
-from tg4mm.motion.jacobian.linear import DOF, RestView
+from tg4mm.motion.jacobian.linear import RestView
+from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.prior.stiffness import ROWS, times_blocks
 from tg4mm.motion.solver.groups import Groups
 

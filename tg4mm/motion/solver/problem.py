@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from tg4mm.motion.config import MotionConfig
-from tg4mm.motion.jacobian.linear import DOF, RestView
+from tg4mm.motion.jacobian.linear import RestView
+from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.prior.graph import Graph
 from tg4mm.motion.solver.levels import Levels
 from tg4mm.rasterize.buffers import Buffers

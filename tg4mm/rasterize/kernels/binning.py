@@ -257,3 +257,24 @@ def bin_splats(splats: np.ndarray, width: int, height: int, buffers: Buffers | N
     )
     reached = take(buffers, "reached", (n_pairs,), np.uint32)
     return Bins(order, n_visible, tile_start, gaussian_start, pair_gaussian, pair_slot, reached)
+
+
+def seen(bins: Bins) -> Bins:
+    """The lists without pairs of which nothing is seen, and without Gaussians that have no others.
+
+    For lists that are gone through many times; after `blend_forward` has written `bins.reached`.
+    """
+    keep = bins.reached != 0
+    before = np.concatenate([[0], np.cumsum(keep)]).astype(np.int32)
+    in_slots = keep[bins.pair_slot]
+    start = np.concatenate([[0], np.cumsum(in_slots)]).astype(np.int32)[bins.gaussian_start]
+    has_some = np.diff(start) > 0
+    return Bins(
+        order=bins.order[: bins.n_visible][has_some],
+        n_visible=int(has_some.sum()),
+        tile_start=before[bins.tile_start],
+        gaussian_start=np.append(start[:-1][has_some], start[-1]),
+        pair_gaussian=bins.pair_gaussian[keep],
+        pair_slot=before[bins.pair_slot[in_slots]],
+        reached=bins.reached[keep],
+    )
