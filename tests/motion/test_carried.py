@@ -179,3 +179,23 @@ def test_a_pale_scene_moves_no_further_for_that(tmp_path: Path, monkeypatch: pyt
     plain = amplitude_of(data, tmp_path / "plain", pale)
     assert plain > 1.05 * true
     assert abs(carried - true) < 0.5 * abs(plain - true)
+
+
+def noise(level: float) -> np.ndarray:
+    return np.random.default_rng(3).normal(0, level, (SIZE, SIZE, 3))
+
+
+@pytest.mark.parametrize("level", [0.02, 0.3])
+def test_noise_that_stands_still_is_not_carried(level: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Alone, and beside a texture, whose slopes are .13 a pixel."""
+    u = 0.2 * np.cos(2 * np.pi * 5 * np.arange(T) / T)[:, None] * [0.8, 0.6]
+    mean, basis, images = seen(u, 1)
+    alone = predicted(monkeypatch, 0.5 + noise(level), basis, u)
+    blind = np.ones((SIZE, SIZE), np.float32)
+    both = predicted(monkeypatch, mean + noise(level), basis, u)
+    monkeypatch.setattr(module, "trust", lambda *_: blind)
+    taken = predicted(monkeypatch, 0.5 + noise(level), basis, u)
+    assert np.linalg.norm(alone[INNER]) < 0.35 * np.linalg.norm(taken[INNER])
+    if level < 0.1:
+        share = (both[INNER] * images[INNER]).sum() / (images[INNER] ** 2).sum()
+        assert share == pytest.approx(1, abs=0.05)

@@ -7,11 +7,12 @@ by the motion, the more the larger it is, and slopes of the instant are steeper.
 u of a pixel, with M the mean over time, E = M − the picture at rest, orthonormal functions of time a_s and
 u(t) = Σ a_s(t) u_s, component image s changes, beyond the derivative of the picture at rest, by
 
-    − u_s·∇E + ½ Σ_rq (Σ_t a_s a_r a_q) (u_r·∇)(u_q·∇) M
+    − w u_s·∇E + ½ Σ_rq (Σ_t a_s a_r a_q) (u_r·∇)(u_q·∇) M
     + ½ (u_s·∇) 1/T Σ_r (u_r·∇)² M − 1/6 Σ_rqp (Σ_t a_s a_r a_q a_p) (u_r·∇)(u_q·∇)(u_p·∇) M.
 
-A sinusoid's squares are another component, at twice its frequency, which must not be taken for motion; of an
-amplitude A along e, A²/8 (u·∇)(e·∇)² M is left of the last two. Derivation and figures: docs/decisions.md.
+w, 0 … 1, is how far slopes of E are more than noise that stands still (`steady.py`). A sinusoid's squares are another
+component, at twice its frequency, which must not be taken for motion; of an amplitude A along e, A²/8 (u·∇)(e·∇)² M is
+left of the last two. Derivation and figures: docs/decisions.md.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ import numpy as np
 from numba import float32, prange
 
 from tg4mm.motion.carried.flow import flow
+from tg4mm.motion.carried.steady import slopes, trust
 from tg4mm.motion.jacobian.linear import RestView
 from tg4mm.rasterize.buffers import Buffers
 from tg4mm.rasterize.kernels.compiled import kernel
@@ -45,17 +47,19 @@ class Carried:
     means: np.ndarray  # [V, H, W, 3] over white
     basis: np.ndarray  # [R, T]
     buffers: Buffers = field(default_factory=Buffers, compare=False)
+    trusted: dict[int, np.ndarray] = field(default_factory=dict, compare=False)  # by view, `steady.trust`
 
     def of(self, v: int, shapes: np.ndarray) -> np.ndarray:
         """[R, H, W, 3] float32: what fields [R, N, DOF] change in component images of view `v`, see above."""
         view, mean = self.views[v], self.means[v]
         at_rest = view.image[..., :3] + view.transmittance[..., None]
         moves = flow(view, shapes, self.buffers)
-        out = np.empty_like(moves)
+        out, error = np.empty_like(moves), _with_margin(mean - at_rest)
+        if v not in self.trusted:
+            self.trusted[v] = trust(error, view.transmittance < 0.5)
+        right, down = (slope * self.trusted[v][..., None] for slope in slopes(error))
         share = np.float32(1 / self.basis.shape[1])
-        _carry(
-            _with_margin(mean - at_rest), _with_margin(mean), moves, share, self._squares, self._cubes, out
-        )
+        _carry(right, down, _with_margin(mean), moves, share, self._squares, self._cubes, out)
         return out
 
     @cached_property
@@ -83,13 +87,13 @@ def _with_margin(picture: np.ndarray) -> np.ndarray:
 
 
 @kernel(parallel=True)
-def _carry(error, mean, moves, share, squares, cubes, out):
+def _carry(right, down, mean, moves, share, squares, cubes, out):
     for y in prange(moves.shape[1]):
-        _carry_row(y, error, mean, moves, share, squares, cubes, out)
+        _carry_row(y, right, down, mean, moves, share, squares, cubes, out)
 
 
 @kernel()
-def _carry_row(y, error, mean, moves, share, squares, cubes, out):
+def _carry_row(y, right, down, mean, moves, share, squares, cubes, out):
     n, _, width, _ = moves.shape
     seconds, thirds = np.empty((n, 3), np.float32), np.empty((n, 4), np.float32)
     for x in range(width):
@@ -101,14 +105,13 @@ def _carry_row(y, error, mean, moves, share, squares, cubes, out):
         _of_squares(u, near, squares, seconds)
         _of_cubes(u, share, near, cubes, thirds)
         for c in range(3):
-            right, down = _slopes(error, y, x, c)
             xx, xy, yy = _second_derivatives(mean, y, x, c)
             xxx, xxy, xyy, yyy = _third_derivatives(mean, y, x, c)
             for s in range(n):
                 out[s, y, x, c] = (
                     seconds[s, 0] * xx + seconds[s, 1] * xy + seconds[s, 2] * yy
                     + thirds[s, 0] * xxx + thirds[s, 1] * xxy + thirds[s, 2] * xyy + thirds[s, 3] * yyy
-                    - u[s, 0] * right - u[s, 1] * down
+                    - u[s, 0] * right[y, x, c] - u[s, 1] * down[y, x, c]
                 )  # fmt: skip
 
 
@@ -166,17 +169,8 @@ def _of_cubes(u, share, near, cubes, out):
 
 
 @kernel()
-def _slopes(p, y, x, c):
-    """To the right and down, to the fourth order: fine detail is what the error is made of. p has a margin of 2."""
-    y, x = y + 2, x + 2
-    right = float32(8.0) * (p[y, x + 1, c] - p[y, x - 1, c]) - (p[y, x + 2, c] - p[y, x - 2, c])
-    down = float32(8.0) * (p[y + 1, x, c] - p[y - 1, x, c]) - (p[y + 2, x, c] - p[y - 2, x, c])
-    return right / float32(12.0), down / float32(12.0)
-
-
-@kernel()
 def _second_derivatives(p, y, x, c):
-    """To the fourth order, too."""
+    """To the fourth order, of a picture with a margin of 2."""
     y, x = y + 2, x + 2
     here = float32(30.0) * p[y, x, c]
     xx = float32(16.0) * (p[y, x + 1, c] + p[y, x - 1, c]) - (p[y, x + 2, c] + p[y, x - 2, c]) - here
