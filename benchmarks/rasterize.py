@@ -135,7 +135,7 @@ def fit(name: str, times: list[float], units: dict[str, list[int]]) -> str:
     r2 = 1 - ((y - fitted) ** 2).sum() / ((y - y.mean()) ** 2).sum()
     off = np.abs(fitted / y - 1).max()
     terms = " + ".join(f"{1e6 * value:.2f} ns/{unit}" for value, unit in zip(each, units, strict=True))
-    return f"{name:17s} {terms}; R² {r2:.4f}, at most {off:.0%} off"
+    return f"{name:20s} {terms}; R² {r2:.4f}, at most {off:.0%} off"
 
 
 def cost(repeats: int) -> None:
@@ -186,7 +186,7 @@ class Trained:
         self.K = torch.from_numpy(np.asarray(capture.Ks[camera], np.float32))
 
     def kernels(self, repeats: int) -> dict[str, tuple[float, float, float]]:
-        """Milliseconds of every kernel (median, least, processor), and the limit of the two that blend."""
+        """Milliseconds of every kernel (median, least, processor), and the limit of those that blend."""
         g = self.gaussians
         arrays = [a.numpy() for a in (g.means, g.quats, g.scales, g.opacities, g.sh)]
         kernels = Kernels(arrays, self.viewmat.numpy(), self.K.numpy(), self.size)

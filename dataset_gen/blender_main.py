@@ -3,9 +3,10 @@
     blender --background --python dataset_gen/blender_main.py -- mic --out DIR …
 
 Takes the arguments after `--`; the package need not be installed. With `--job FILE` it is one worker of a
-run, with `--threads N` besides where pip's bpy has to be told, since it reads no command line.
+run; then `--threads N` may follow, for pip's bpy, which reads no command line of Blender's.
 """
 
+import contextlib
 import os
 import sys
 from pathlib import Path
@@ -14,18 +15,21 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 
 def import_bpy(threads: int) -> None:
-    """Import bpy with so many threads in its pool, 0: all cores.
+    """Import bpy with so many threads in its pool; 0: as it is, all cores. On Linux; elsewhere nothing is done.
 
     The pool (oneTBB) gets as many as there are cores that the process may use at that moment.
     """
-    if not threads or not hasattr(os, "sched_setaffinity"):
+    if not threads or not sys.platform.startswith("linux"):
         return
-    allowed = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, sorted(allowed)[:threads])
+    allowed = sorted(os.sched_getaffinity(0))
+    first = os.getpid() % len(allowed)  # workers that start together do not all start on one core
+    os.sched_setaffinity(0, (allowed + allowed)[first : first + min(threads, len(allowed))])
     try:
         import bpy  # noqa: F401
     finally:
-        os.sched_setaffinity(0, allowed)
+        for thread in os.listdir("/proc/self/task"):
+            with contextlib.suppress(OSError):  # one that has ended meanwhile
+                os.sched_setaffinity(int(thread), allowed)
 
 
 def run(arguments: list[str]) -> int:

@@ -19,6 +19,7 @@ from tg4mm.motion import MotionConfig
 from tg4mm.motion.carried import carried as module
 from tg4mm.motion.carried.carried import Carried
 from tg4mm.motion.carried.flow import flow
+from tg4mm.motion.carried.steady import trust
 from tg4mm.motion.train import train_motion
 from tg4mm.rasterize.buffers import Buffers
 from tg4mm.rasterize.kernels.layout import MX, MY
@@ -185,17 +186,26 @@ def noise(level: float) -> np.ndarray:
     return np.random.default_rng(3).normal(0, level, (SIZE, SIZE, 3))
 
 
-@pytest.mark.parametrize("level", [0.02, 0.3])
-def test_noise_that_stands_still_is_not_carried(level: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Alone, and beside a texture, whose slopes are .13 a pixel."""
+def test_noise_that_stands_still_is_not_carried(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Alone, and a little of it beside a texture, whose slopes are .13 a pixel."""
     u = 0.2 * np.cos(2 * np.pi * 5 * np.arange(T) / T)[:, None] * [0.8, 0.6]
     mean, basis, images = seen(u, 1)
-    alone = predicted(monkeypatch, 0.5 + noise(level), basis, u)
-    blind = np.ones((SIZE, SIZE), np.float32)
-    both = predicted(monkeypatch, mean + noise(level), basis, u)
-    monkeypatch.setattr(module, "trust", lambda *_: blind)
-    taken = predicted(monkeypatch, 0.5 + noise(level), basis, u)
+    both = predicted(monkeypatch, mean + noise(0.02), basis, u)
+    assert (both[INNER] * images[INNER]).sum() / (images[INNER] ** 2).sum() == pytest.approx(1, abs=0.05)
+    alone = predicted(monkeypatch, 0.5 + noise(0.3), basis, u)
+    monkeypatch.setattr(module, "trust", lambda *_: np.ones((SIZE, SIZE), np.float32))
+    taken = predicted(monkeypatch, 0.5 + noise(0.3), basis, u)
     assert np.linalg.norm(alone[INNER]) < 0.35 * np.linalg.norm(taken[INNER])
-    if level < 0.1:
-        share = (both[INNER] * images[INNER]).sum() / (images[INNER] ** 2).sum()
-        assert share == pytest.approx(1, abs=0.05)
+
+
+def test_slopes_are_trusted_by_what_they_are_more_than_noise() -> None:
+    everywhere = np.ones((SIZE - 4, SIZE - 4), bool)
+    smooth, rough = texture(np.zeros(2)), noise(0.1)
+    assert trust(smooth, everywhere).min() > 0.9
+    assert trust(rough, everywhere).mean() < 0.15
+    assert 0.3 < trust(smooth + rough, everywhere).mean() < 0.9
+    half = np.where(np.arange(SIZE)[:, None, None] < SIZE // 2, smooth, smooth + rough)
+    quiet = everywhere & (np.arange(SIZE - 4)[:, None] < SIZE // 2 - 4)
+    assert trust(half, quiet).min() > 0.9  # noise is looked for where something is shown
+    assert (trust(rough, ~everywhere) == 1).all()
+    assert (trust(np.full((SIZE, SIZE, 3), 0.5), everywhere) >= 0).all()

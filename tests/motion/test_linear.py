@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -9,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.rasterize.oracle import Scene, assert_close, make_scene
 from tg4mm.gaussians import Gaussians
+from tg4mm.motion.jacobian import linear
 from tg4mm.motion.jacobian.linear import ALPHA_MIN_LINEAR, RestView, rest_view
 from tg4mm.motion.jacobian.packed import DOF, packed, unpacked
 from tg4mm.motion.pictures.video import FixedCamera
@@ -166,6 +169,30 @@ def test_there_and_back_is_the_same_with_kept_buffers() -> None:
     view.normal_all(motions[:1], None, kept, buffers)
     view.normal_all(motions[:1], None, alone)
     assert np.array_equal(kept, alone)
+
+
+def test_what_nobody_sees_is_not_listed_and_not_missed(monkeypatch: pytest.MonkeyPatch) -> None:
+    crowded = SCENES["crowded"]
+    opaque = replace(crowded, opacities=torch.full_like(crowded.opacities, 0.999), scales=4 * crowded.scales)
+    view = view_of(opaque)
+    monkeypatch.setattr(linear, "seen", lambda bins: bins)
+    whole = view_of(opaque)
+    assert len(view.bins.pair_gaussian) < 0.95 * len(whole.bins.pair_gaussian)
+    assert view.bins.n_visible < whole.bins.n_visible
+    assert (view.bins.reached != 0).all()
+    motions = np.stack([motion_of(opaque, COLUMNS["both"], seed) for seed in range(2)])
+    pictures = whole.push_all(motions)
+    assert np.abs(pictures).max() > 0.1
+    assert np.array_equal(view.push_all(motions), pictures)
+    for apply in ("pull", "normal"):
+        found, expected = np.zeros((2, *motions.shape), np.float32)
+        for some, out in ((view, found), (whole, expected)):
+            if apply == "pull":
+                some.pull_all(pictures, out)
+            else:
+                some.normal_all(motions, None, out)
+        assert np.abs(expected).max() > 0.1
+        assert np.array_equal(found, expected), apply
 
 
 def test_packing_keeps_every_number() -> None:

@@ -90,7 +90,7 @@ def begun(solving: Solver, iterations: int) -> list[CGState]:
 
 
 @pytest.mark.parametrize(
-    ("iterations", "saved"), [(3, 6), (6, 12), (7, 0)], ids=["fewer", "the first turn's", "too many"]
+    ("iterations", "saved"), [(3, 6), (6, 12), (7, 0)], ids=["fewer", "all of a turn", "too many"]
 )
 def test_what_has_been_begun_is_gone_on_with(
     iterations: int, saved: int, monkeypatch: pytest.MonkeyPatch

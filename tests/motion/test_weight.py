@@ -83,6 +83,12 @@ def test_what_was_solved_for_on_the_way_is_the_fit_as_far_as_it_came(posed: list
             assert np.array_equal(getattr(state, name), getattr(plain, name)), name
 
 
+def test_a_fit_that_would_have_ended_on_the_way_is_not_gone_on_with(posed: list[MotionProblem]) -> None:
+    pictures = shown(posed[0], as_one() + 0.3 * each_by_itself(), 0.1)
+    easy = [replace(p, config=replace(p.config, tolerance=0.5)) for p in posed]
+    assert chosen_weight(easy, PARTS, pictures) == (chosen_weight(posed, PARTS, pictures)[0], [])
+
+
 def test_the_same_on_a_torch_device(posed: list[MotionProblem]) -> None:
     first = DeviceProblem(posed[0], "cpu")
     there = [first, *(first.posed_as(p) for p in posed[1:])]

@@ -82,8 +82,9 @@ class Solver:
     signal: np.ndarray  # [R] which of them
     config: MotionConfig
     device: str
-    # of each part the strongest component, if it has been begun: it need not be again
-    begun: Sequence[CGState] = ()
+    begun: Sequence[
+        CGState
+    ] = ()  # of each part component 0 as far as it has been solved for already, or none
 
     @property
     def n_fields(self) -> int:
@@ -130,7 +131,7 @@ class Solver:
             return [placed(state, self.device) for state in states]
         pictures = (self.images[v, some] for v in self.parts[part])
         states = [start(b) for b in self.problems[part].right_hand_sides(pictures)]
-        if not first and self.begun and self._is_open(self.begun[part], self.iterations(0) + 1):
+        if self.signal[first] == 0 and self.begun and self.begun[part].iteration <= self.iterations(0):
             states[0] = self.begun[part]
         return states
 

@@ -47,7 +47,7 @@ class Carried:
     means: np.ndarray  # [V, H, W, 3] over white
     basis: np.ndarray  # [R, T]
     buffers: Buffers = field(default_factory=Buffers, compare=False)
-    trusted: dict[int, np.ndarray] = field(default_factory=dict, compare=False)  # by view, `steady.trust`
+    _trusted: dict[int, np.ndarray] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def of(self, v: int, shapes: np.ndarray) -> np.ndarray:
         """[R, H, W, 3] float32: what fields [R, N, DOF] change in component images of view `v`, see above."""
@@ -55,9 +55,9 @@ class Carried:
         at_rest = view.image[..., :3] + view.transmittance[..., None]
         moves = flow(view, shapes, self.buffers)
         out, error = np.empty_like(moves), _with_margin(mean - at_rest)
-        if v not in self.trusted:
-            self.trusted[v] = trust(error, view.transmittance < 0.5)
-        right, down = (slope * self.trusted[v][..., None] for slope in slopes(error))
+        if v not in self._trusted:
+            self._trusted[v] = trust(error, view.transmittance < 0.5)
+        right, down = (slope * self._trusted[v][..., None] for slope in slopes(error))
         share = np.float32(1 / self.basis.shape[1])
         _carry(right, down, _with_margin(mean), moves, share, self._squares, self._cubes, out)
         return out

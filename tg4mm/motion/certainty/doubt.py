@@ -71,7 +71,7 @@ def _along_sight(
     """Deviations [N] along the line of sight and across it, and what part of the motion along it is a guess.
 
     That is the variance of what is not known over that of the motion: what was found, squared, and what is not known.
-    Gaussians in view count by their opacity.
+    Gaussians that are seen count by their opacity.
     """
     along = directions(camera, gaussians.means.numpy())[0]
     variance = np.einsum("nc,ncd,nd->n", along, found.covariance, along)

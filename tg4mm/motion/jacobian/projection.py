@@ -17,8 +17,6 @@ from tg4mm.rasterize.kernels.layout import SPLAT_WIDTH
 from tg4mm.rasterize.kernels.project import ROWS
 from tg4mm.rasterize.kernels.project_backward import backward_rows
 
-_COLUMNS = linearised.COLUMNS
-
 
 @kernel()
 def _of_some(means, quats, scales, sh, degree, camera, width, height, splats, columns, out):
@@ -72,8 +70,8 @@ def splat_jacobian(
     """[N, 8, DOF] float32: derivative of each Gaussian's mean, conic and colour by displacement and rotation.
 
     Of Gaussians [N] as `project_forward` takes them and the `splats` it gave for a packed camera and size (width,
-    height); what it found invisible has no meaning.
+    height); 0 for those it found invisible.
     """
     out = np.empty((len(means), COLUMNS, DOF), np.float32)
-    _of_all(means, quats, scales, sh, degree, camera, *size, splats, _COLUMNS, out)
+    _of_all(means, quats, scales, sh, degree, camera, *size, splats, linearised.COLUMNS, out)
     return out

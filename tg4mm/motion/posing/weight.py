@@ -32,30 +32,35 @@ def chosen_weight(
 ) -> tuple[float, list[CGState]]:
     """The weight for component images [V, H, W, 3], from the problem of each candidate (ascending), all cameras.
 
-    And how far their fit to each of `parts`, two halves of the cameras, has come with that weight. `DEFAULT` and
-    nothing where the images do not change.
+    And how far their fit to each of `parts`, two halves of the cameras, has come with that weight; nothing if it would
+    have ended before. `DEFAULT` and nothing where the images do not change.
     """
     if not pictures.any():
         return DEFAULT, []
-    errors, found = np.zeros(len(problems)), []
+    errors, found, least = np.zeros(len(problems)), [], np.full(len(problems), np.inf)
     for some, others in (parts, parts[::-1]):
         posed = [p.of_views(some) for p in problems]
-        states = _solved(posed, pictures[some])
+        states, residuals = _solved(posed, pictures[some])
         fields = [p.field(state.x) for p, state in zip(posed, states, strict=True)]
         errors += problems[0].of_views(others).misfits(fields, pictures[others])
         found.append(states)
+        least = np.minimum(least, residuals)
     best = int(np.flatnonzero(errors <= _WITHIN * errors.min())[-1])
-    return float(problems[best].config.neighbours), [states[best] for states in found]
+    chosen = problems[best].config
+    is_open = least[best] > chosen.tolerance
+    return float(chosen.neighbours), [states[best] for states in found if is_open]
 
 
-def _solved(problems: Sequence[Problem], pictures: np.ndarray) -> list[CGState]:
-    """A few iterations of each; on the CPU all in the same passes over the views."""
+def _solved(problems: Sequence[Problem], pictures: np.ndarray) -> tuple[list[CGState], np.ndarray]:
+    """A few iterations of each, on the CPU all in the same passes over the views; the least residual of each."""
     shown = problems[0].seen(pictures[:, None])[0]
     states = [start(p.to_parameters(shown)) for p in problems]
+    least = np.full(len(problems), np.inf)
     for _ in range(_ITERATIONS):
+        least = np.minimum(least, [state.relative_residual for state in states])
         if isinstance(problems[0], DeviceProblem):
             states = [step(state, p.normal) for p, state in zip(problems, states, strict=True)]
             continue
         images = normals_of(problems, [state.direction for state in states])
         states = [stepped(state, image) for state, image in zip(states, images, strict=True)]
-    return states
+    return states, np.minimum(least, [state.relative_residual for state in states])
