@@ -82,9 +82,8 @@ class Solver:
     signal: np.ndarray  # [R] which of them
     config: MotionConfig
     device: str
-    begun: Sequence[
-        CGState
-    ] = ()  # of each part component 0 as far as it has been solved for already, or none
+    # of each part component 0 as far as it has been solved for already, or none
+    begun: Sequence[CGState] = ()
 
     @property
     def n_fields(self) -> int:
