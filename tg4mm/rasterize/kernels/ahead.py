@@ -12,14 +12,14 @@ every sixteen Gaussians, sixteen masks of 16 bits, one a block.
 # mypy: disable-error-code="call-arg, var-annotated, operator"
 # an intrinsic has one argument more than its calls: the typing context
 
-from numba import float32, int64, njit, uint32
+from numba import float32, int64, njit
 
 from tg4mm.rasterize.kernels.lanes import columns, row_starts, store_eight
 from tg4mm.rasterize.kernels.layout import EX, MX, SQUARES
 from tg4mm.rasterize.kernels.masks import first_lanes, put_mask, two_halves
 from tg4mm.rasterize.kernels.memory import ask, integer, load, number, store
 from tg4mm.rasterize.kernels.tiles import AHEAD, BLOCKS
-from tg4mm.rasterize.kernels.vector import LANES, bits, fma, magnitude, negative, select, wide
+from tg4mm.rasterize.kernels.vector import LANES, fma, magnitude, negative, select, wide
 
 _TOP, _ROW, _L11, _L12, _L22 = BLOCKS + 4, BLOCKS + 5, BLOCKS + 6, BLOCKS + 7, BLOCKS + 8
 _PLANES = BLOCKS + 9  # how many: p at the centres of the blocks, q at those of their rows, then the above
@@ -96,18 +96,29 @@ def _sixteen(splats, rows, n, size, origin, faintest, count, batch, tested):
 
 
 @njit(inline="always")
+def ask_for_some(splats, pair_gaussian, first, count, end):
+    """Ask for the Gaussians of `count` pairs from `first` on of a list that ends at `end`.
+
+    Few at a time: the processor waits for no more than some twelve lines at once, and stands still if asked for more.
+    """
+    for pair in range(min(first, end), min(first + count, end)):
+        ask(splats, int64(integer(pair_gaussian, pair)) << 4)
+
+
+@njit(inline="always")
 def look_ahead(splats, pair_gaussian, first, last, end, size, origin, lanes, faintest, batch, tested):
     """Fill `batch`, room for `size`, with the pairs first … last of a list that ends at `end`.
 
     origin: first pixel of the tile; lanes: x and y of pixels from their block's centre; faintest: log2 of the smallest
-    alpha that counts. tested: also find out which blocks each may reach, for `reaching`.
+    alpha that counts. tested: also find out which blocks each may reach, for `reaching`; who wants that asks for later
+    pairs (`ask_for_some`) himself.
     """
     for n in range(last - first, size, LANES):
         if tested:
             store_eight(batch, (_PLANES + _OWN) * size + n // LANES * LANES // 2, wide(float32(0.0)))
     for n in range(0, last - first, LANES):
-        for pair in range(min(first + n + AHEAD, end), min(first + n + AHEAD + LANES, end)):
-            ask(splats, int64(integer(pair_gaussian, pair)) << 4)
+        if not tested:
+            ask_for_some(splats, pair_gaussian, first + n + AHEAD, LANES, end)
         count = min(last - first - n, int64(LANES))
         rows = row_starts(pair_gaussian, first + n, count)
         store(batch, _ROW * size + n, rows)
@@ -123,15 +134,6 @@ def look_ahead(splats, pair_gaussian, first, last, end, size, origin, lanes, fai
 def reaching(batch, size, n):
     """Which of the Gaussians n … n + 31 of a tested batch may reach each block: sixteen times 32 bits."""
     return two_halves(batch, 2 * (_PLANES + _OWN) * size + n)
-
-
-@njit(inline="always")
-def brighter(batch, size, bound):
-    """May any of a batch have a log2 of alpha above `bound`? What lies behind the last counts as well."""
-    found = uint32(0)
-    for n in range(0, size, LANES):
-        found |= bits(load(batch, _TOP * size + n) > bound)
-    return found != 0
 
 
 @njit(inline="always")

@@ -12,10 +12,10 @@ import math
 import numpy as np
 from numba import float32, int64, njit, prange, uint32, uint64
 
-from tg4mm.rasterize.kernels.ahead import brighter, log2_alpha, look_ahead, reaching, room, row_of
+from tg4mm.rasterize.kernels.ahead import ask_for_some, log2_alpha, look_ahead, reaching, room, row_of
 from tg4mm.rasterize.kernels.compiled import kernel
 from tg4mm.rasterize.kernels.layout import ALPHA_MIN, FEAT, TILE
-from tg4mm.rasterize.kernels.masks import highest_bits, in_common, put_mask, shifted
+from tg4mm.rasterize.kernels.masks import highest_bits, not_empty, put_mask, shifted
 from tg4mm.rasterize.kernels.memory import (
     address,
     fetch_add,
@@ -29,11 +29,9 @@ from tg4mm.rasterize.kernels.memory import (
 from tg4mm.rasterize.kernels.picture import STRIDE, begin_blocks, write_blank, write_tile
 from tg4mm.rasterize.kernels.tiles import (
     BLOCKS,
-    LOG2_BOUND,
     TABLE,
     aligned,
     alphas,
-    alphas_of_faint,
     ask_for_pairs,
     ask_for_pixels,
     constants,
@@ -44,57 +42,75 @@ from tg4mm.rasterize.kernels.vector import LANES, bits, fma_where, lowest_bit, s
 
 _WORD = 32
 _BATCH = 2 * _WORD  # pairs, a bit each
+_SHARE = (
+    _BATCH // BLOCKS
+)  # of the next batch, whose Gaussians are asked for while this one's blocks are worked on
 _ROOM = room(_BATCH)
-# for every block, behind the two words of `by_block`: masks of the pixels that still take light before a pair, one of
-# 16 bits a pair, then of those in which the pair is bright enough
+# for every block, behind the two words of `by_block`: masks of the pixels that see a pair, one of 16 bits a pair
 _MASKS = 2 * 2 * BLOCKS
-_OF_BLOCK = 2 * _BATCH
+_OF_BLOCK = _BATCH
 
 
 @njit(inline="always")
-def _blend_block(k, splats, batch, by_block, held, faintest, state, bounded):
-    """Add the pairs of a batch that may reach block k, and note in which of them it is seen. Does it still take light?
+def _add(n, y, on, sums, batch, splats, held, faintest, masks, noted):
+    """Add the n-th pair of a batch, y its log2 of alpha in a block: the pixels that still take light, and the sums.
 
-    bounded: whether some alpha may have to be kept below ALPHA_MAX.
+    sums: transmittance, what it was when a pixel stopped, features, and the pairs in which the block is seen.
+    """
+    _, _, powers, alpha_max, t_min = held
+    t, left, f0, f1, f2, f3, seen_in = sums
+    alpha, _, seen = alphas(y, faintest, alpha_max, powers)
+    # a pixel that stops here may give nothing, but counts
+    if noted:
+        if with_avx512():
+            put_mask(masks, n, on & seen)
+        else:
+            seen_in |= uint64(1) << uint64(n) if bits(on & seen) != 0 else uint64(0)
+    w = t * alpha
+    t = t - w
+    on = t > t_min
+    left = select(on, t, left)
+    features = row_of(batch, _BATCH, n) + FEAT
+    f0 = fma_where(on, w, number(splats, features), f0)
+    f1 = fma_where(on, w, number(splats, features + 1), f1)
+    f2 = fma_where(on, w, number(splats, features + 2), f2)
+    f3 = fma_where(on, w, number(splats, features + 3), f3)
+    return on, (t, left, f0, f1, f2, f3, seen_in)
+
+
+@njit(inline="always")
+def _blend_block(k, splats, batch, by_block, held, faintest, state, noted):
+    """Add the pairs of a batch that may reach block k, at least one. Does the block still take light?
+
+    noted: whether to note in which pairs it is seen.
+
+    A pair's exponents are calculated before the pair in front of it is added: a round of the loop is a chain of some
+    60 cycles, of which the processor holds few at a time.
 
     The transmittance runs on where a pixel has stopped: it falls, so that nothing more is added. That way the next pair
     waits for no comparison. Nor does the loop end when no pixel is left: once for every block the processor would
     foresee it wrongly, which costs as much as the rest of a batch.
     """
-    _, lane_y, powers, alpha_max, t_min = held
+    lane_y, t_min = held[1], held[4]
     place = k * STRIDE
     t, left = load(state, place), load(state, place + LANES)
     f0, f1 = load(state, place + 2 * LANES), load(state, place + 3 * LANES)
     f2, f3 = load(state, place + 4 * LANES), load(state, place + 5 * LANES)
-    on = t > t_min
+    on, sums = t > t_min, (t, left, f0, f1, f2, f3, uint64(0))
     todo = uint64(integer(by_block, k)) | uint64(integer(by_block, BLOCKS + k)) << uint64(_WORD)
-    seen_in = uint64(0)
     masks = by_block + 2 * (_MASKS + k * _OF_BLOCK)
+    n = lowest_bit(todo)
+    y = log2_alpha(batch, _BATCH, n, k, lane_y)
+    todo &= todo - uint64(1)
     while todo != 0:
-        n = lowest_bit(todo)
-        rest = todo & (todo - uint64(1))
-        y = log2_alpha(batch, _BATCH, n, k, lane_y)
-        if bounded:
-            alpha, _, seen = alphas(y, faintest, alpha_max, powers)
-        else:
-            alpha, seen = alphas_of_faint(y, faintest, powers)
-        # a pixel that stops here may give nothing, but counts
-        if with_avx512():
-            put_mask(masks, n, on)
-            put_mask(masks, _BATCH + n, seen)
-        else:
-            seen_in |= (todo ^ rest) if bits(on & seen) != 0 else uint64(0)
-        todo = rest
-        w = t * alpha
-        t = t - w
-        on = t > t_min
-        left = select(on, t, left)
-        features = row_of(batch, _BATCH, n) + FEAT
-        f0 = fma_where(on, w, number(splats, features), f0)
-        f1 = fma_where(on, w, number(splats, features + 1), f1)
-        f2 = fma_where(on, w, number(splats, features + 2), f2)
-        f3 = fma_where(on, w, number(splats, features + 3), f3)
-    if not with_avx512():
+        later = lowest_bit(todo)
+        y_later = log2_alpha(batch, _BATCH, later, k, lane_y)
+        todo &= todo - uint64(1)
+        on, sums = _add(n, y, on, sums, batch, splats, held, faintest, masks, noted)
+        n, y = later, y_later
+    on, sums = _add(n, y, on, sums, batch, splats, held, faintest, masks, noted)
+    t, left, f0, f1, f2, f3, seen_in = sums
+    if noted and not with_avx512():
         put_integer(by_block, k, uint32(seen_in))
         put_integer(by_block, BLOCKS + k, uint32(seen_in >> uint64(_WORD)))
     store(state, place, t)
@@ -112,13 +128,11 @@ def _note_seen(by_block, count, reached):
     if with_avx512():
         # Only now: what has just been written in small pieces cannot be read as a whole until it is in the cache.
         for k in range(BLOCKS):
-            on = _MASKS + k * _OF_BLOCK
-            low, high = (
-                in_common(by_block, on, on + _BATCH),
-                in_common(by_block, on + _WORD, on + _BATCH + _WORD),
+            masks = _MASKS + k * _OF_BLOCK
+            put_integer(by_block, k, integer(by_block, k) & not_empty(by_block, masks))
+            put_integer(
+                by_block, BLOCKS + k, integer(by_block, BLOCKS + k) & not_empty(by_block, masks + _WORD)
             )
-            put_integer(by_block, k, integer(by_block, k) & low)
-            put_integer(by_block, BLOCKS + k, integer(by_block, BLOCKS + k) & high)
     for first in range(0, count, _WORD):
         here = min(count - first, int64(_WORD))
         words = shifted(load(by_block, first // _WORD * BLOCKS), uint32(_WORD - here))
@@ -141,18 +155,18 @@ def _forward_tiles(worker, workers, parts, counter, tables, frame, splats, image
     state = address(memory)
     batch = state + 4 * BLOCKS * STRIDE
     by_block = batch + 4 * _ROOM
-    splats, gaussians, seen_in, blank_tiles = (
+    splats, gaussians, seen_in, blank_rows = (
         address(splats),
         address(pair_gaussian),
         address(reached),
         address(blank),
     )
     image, transmittance = image.reshape(-1), transmittance.reshape(-1)
-    # as many rows without Gaussians fall to a pair as there are
-    n_pairs, n_rows = int64(tile_start[len(tile_start) - 1]), int64(len(blank) * TILE)
+    # rows without Gaussians are shared out evenly among the pairs
+    n_pairs, n_rows = int64(tile_start[len(tile_start) - 1]), int64(len(blank))
     if n_pairs == 0:
         first, last = worker * n_rows // workers, (worker + 1) * n_rows // workers
-        write_blank(first, last, blank_tiles, n_x, frame, nothing, image, transmittance)
+        write_blank(first, last, blank_rows, n_x, frame, nothing, image, transmittance)
     item = fetch_add(counter)
     while item < len(order):
         tile = order[item]
@@ -167,24 +181,24 @@ def _forward_tiles(worker, workers, parts, counter, tables, frame, splats, image
         while first < end and live != 0:
             last = min(end, first + _BATCH)
             look_ahead(splats, gaussians, first, last, end, _BATCH, (x0, y0), held[:2], faintest, batch, True)
-            bounded = brighter(batch, _BATCH, float32(LOG2_BOUND))
             store(by_block, int64(0), reaching(batch, _BATCH, int64(0)))
             store(by_block, int64(BLOCKS), reaching(batch, _BATCH, int64(_WORD)))
             due = last * n_rows // n_pairs
             for k in range(BLOCKS):
+                ask_for_some(splats, gaussians, last + _SHARE * k, _SHARE, end)
                 bit = uint32(1) << uint32(k)
                 if live & bit == 0:
                     put_integer(by_block, k, uint32(0))
                     put_integer(by_block, BLOCKS + k, uint32(0))
                 elif integer(by_block, k) | integer(by_block, BLOCKS + k) != 0:
-                    if bounded:
+                    if noted:
                         on = _blend_block(k, splats, batch, by_block, held, faintest, state, True)
                     else:
                         on = _blend_block(k, splats, batch, by_block, held, faintest, state, False)
                     if not on:
                         live &= ~bit
                 if row < due:
-                    write_blank(row, row + 1, blank_tiles, n_x, frame, nothing, image, transmittance)
+                    write_blank(row, row + 1, blank_rows, n_x, frame, nothing, image, transmittance)
                     row += 1
             if noted:
                 _note_seen(by_block, last - first, seen_in + 4 * first)
@@ -194,32 +208,38 @@ def _forward_tiles(worker, workers, parts, counter, tables, frame, splats, image
         # the counter waits until all that was written is in the cache: asked before the picture, not after
         item = fetch_add(counter)
         write_tile(state, x0, y0, frame, image, transmittance)
-        write_blank(row, end * n_rows // n_pairs, blank_tiles, n_x, frame, nothing, image, transmittance)
+        write_blank(row, end * n_rows // n_pairs, blank_rows, n_x, frame, nothing, image, transmittance)
     keep(memory)
     keep(blank)
 
 
 @njit
-def _parts(order, tile_start):
-    """The tiles that have pairs and those that have none, each in the order given."""
-    count = 0
+def _parts(order, tile_start, n_x, height):
+    """The tiles that have pairs, in the order given, and the rows of pixels of those that have none, as they lie.
+
+    A row is row · n_x + column, of pixels and of tiles. As they lie: what is next in memory is written next.
+    """
+    some, blank = np.empty(len(order), np.int32), np.empty(n_x * height, np.int32)
+    n_some, n_blank = 0, 0
     for tile in order:
-        count += tile_start[tile] < tile_start[tile + 1]
-    some, none = np.empty(count, np.int32), np.empty(len(order) - count, np.int32)
-    n = 0
-    for k in range(len(order)):
-        tile = order[k]
-        if tile_start[tile] < tile_start[tile + 1]:
-            some[n] = tile
-            n += 1
-        else:
-            none[k - n] = tile
-    return some, none
+        some[n_some] = tile
+        n_some += tile_start[tile] < tile_start[tile + 1]
+    columns = np.empty(n_x, np.int32)
+    for y in range(0, height, TILE):
+        first, count = y // TILE * n_x, 0
+        for column in range(n_x):
+            columns[count] = column
+            count += tile_start[first + column] == tile_start[first + column + 1]
+        for row in range(y, min(y + TILE, height)):
+            for k in range(count):
+                blank[n_blank + k] = row * n_x + columns[k]
+            n_blank += count
+    return some[:n_some], blank[:n_blank]
 
 
 @kernel(parallel=True)
 def _forward(workers, order, counter, tables, frame, splats, image, transmittance, alpha_min):
-    parts = _parts(order, tables[0])
+    parts = _parts(order, tables[0], (frame[0] + TILE - 1) // TILE, frame[1])
     for worker in prange(workers):
         _forward_tiles(
             worker, workers, parts, counter, tables, frame, splats, image, transmittance, alpha_min

@@ -53,24 +53,16 @@ def two_halves(typingctx, at, index):
 
 
 @intrinsic
-def in_common(typingctx, at, first, second):
-    """Which of 32 masks have a lane in common with those of a second row, as an integer: a bit a mask.
-
-    The rows begin at the first-th and second-th 16 bits of an address.
-    """
+def not_empty(typingctx, at, index):
+    """Which of 32 masks have a lane, as an integer: a bit a mask. The first is the index-th 16 bits of an address."""
 
     def codegen(context, builder, sig, args):
-        count = 2 * LANES
-        kind = ir.VectorType(_I16, count)
-        data = builder.inttoptr(args[0], _I16.as_pointer())
-        rows = [
-            builder.load(builder.bitcast(builder.gep(data, [index]), kind.as_pointer()), align=2)
-            for index in args[1:]
-        ]
-        common = builder.icmp_unsigned("!=", builder.and_(*rows), ir.Constant(kind, None))
-        return builder.bitcast(common, I32)
+        kind = ir.VectorType(_I16, 2 * LANES)
+        data = builder.gep(builder.inttoptr(args[0], _I16.as_pointer()), [args[1]])
+        masks = builder.load(builder.bitcast(data, kind.as_pointer()), align=2)
+        return builder.bitcast(builder.icmp_unsigned("!=", masks, ir.Constant(kind, None)), I32)
 
-    return types.uint32(types.int64, types.int64, types.int64), codegen
+    return types.uint32(types.int64, types.int64), codegen
 
 
 @intrinsic

@@ -7,7 +7,7 @@ ahead (`ask_for_pixels` of `tiles.py`), and tiles that no Gaussian reaches are w
 # mypy: disable-error-code="call-arg, var-annotated"
 # an intrinsic has one argument more than its calls: the typing context
 
-from numba import float32, int64, njit
+from numba import float32, int64, njit, uint32
 
 from tg4mm.rasterize.kernels.lanes import rows_of_planes, store_block
 from tg4mm.rasterize.kernels.layout import FEATURES, TILE
@@ -59,16 +59,17 @@ def write_tile(state, x0, y0, frame, image, transmittance):
 
 
 @njit(inline="always")
-def write_blank(first, last, tiles, n_x, frame, nothing, image, transmittance):
-    """Rows first … last of tiles that no Gaussian reaches, of TILE rows each. tiles: address of their indices."""
-    width, height = frame
+def write_blank(first, last, rows, n_x, frame, nothing, image, transmittance):
+    """Of the rows of tiles that no Gaussian reaches, TILE pixels each, the first-th … last-th.
+
+    rows: address of where they lie, row · n_x + column of the tile.
+    """
+    width = frame[0]
     zero, one = nothing
-    for row in range(first, last):
-        tile = int64(integer(tiles, row // TILE))
-        x, y = (tile % n_x) * TILE, (tile // n_x) * TILE + row % TILE
+    for n in range(first, last):
+        row = integer(rows, n)
+        x, y = int64(row % uint32(n_x)) * TILE, int64(row // uint32(n_x))
         at = int64(y * width + x)
-        if y >= height:
-            continue
         if x + TILE <= width:
             store(transmittance, at, one)
             for c in range(FEATURES):

@@ -38,7 +38,6 @@ from tg4mm.rasterize.kernels.vector import (
 
 _SIDE = 4  # pixels of a block
 BLOCKS = TILE * TILE // LANES
-LOG2_BOUND = math.log2(ALPHA_MAX) - 1e-5  # below it alpha is below its upper bound, whatever is rounded
 AHEAD = 32  # pairs whose Gaussians are asked for ahead of their use: they lie anywhere in memory
 
 # What kernels read from memory: where pixels and blocks lie (lanes are pixels from their block's centre, then block
@@ -131,13 +130,6 @@ def alphas(y, faintest, alpha_max, powers):
     raw = exp2(y, powers)
     free, seen = alpha_max > raw, y >= faintest
     return select(seen, select(free, raw, alpha_max), float32(0.0)), free, seen
-
-
-@njit(inline="always")
-def alphas_of_faint(y, faintest, powers):
-    """Of y that stays below LOG2_BOUND: alpha, 0 where too faint; where it is bright enough."""
-    seen = y >= faintest
-    return select(seen, exp2(y, powers), float32(0.0)), seen
 
 
 @njit(inline="always")
