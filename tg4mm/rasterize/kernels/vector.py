@@ -18,6 +18,7 @@ from numba.extending import intrinsic, lower_builtin, models, register_model
 
 LANES = 16
 F32, I32, I64 = ir.FloatType(), ir.IntType(32), ir.IntType(64)
+_I16 = ir.IntType(LANES)
 FV, IV, MV = (ir.VectorType(t, LANES) for t in (F32, I32, ir.IntType(1)))
 
 
@@ -216,8 +217,8 @@ EXP2_STEPS = (
 
 
 def has_avx512(context):
-    """Is the code for a processor that looks up 32 numbers at once and masks what it calculates?"""
-    return "+avx512f" in context.codegen().magic_tuple()[2]
+    """Is the code for a processor that looks up 32 numbers at once, masks what it calculates and has `vreduceps`?"""
+    return "+avx512dq" in context.codegen().magic_tuple()[2]
 
 
 @intrinsic
@@ -242,7 +243,11 @@ def _exp2_series(builder, x, multiply_add, constants):
 def _exp2_steps(builder, x, multiply_add, constants, steps):
     second, first, rounder = constants
     shifted = builder.fadd(x, rounder)
-    f = builder.fsub(x, builder.fsub(shifted, rounder))
+    reduce = declare(builder, "llvm.x86.avx512.mask.reduce.ps.512", FV, [FV, I32, FV, _I16, I32])
+    # x less its nearest multiple of 2^-_STEP_BITS, all lanes, rounding as set
+    f = builder.call(
+        reduce, [x, ir.Constant(I32, _STEP_BITS << 4 | 8), x, ir.Constant(_I16, -1), ir.Constant(I32, 4)]
+    )
     look_up = declare(builder, "llvm.x86.avx512.vpermi2var.ps.512", FV, [FV, IV, FV])
     n = builder.bitcast(shifted, IV)
     step = builder.call(look_up, [steps[0], n, steps[1]])  # by the last five bits
