@@ -24,7 +24,7 @@ from collections.abc import Callable
 import numba
 import numpy as np
 import torch
-from common import machine, milliseconds, processor_milliseconds
+from common import machine, processor_milliseconds
 from kernels import Kernels, scene
 from limit import BACKWARD, FORWARD, blocks_seen, clock_ghz, visible_evaluations
 from scipy.optimize import nnls
@@ -41,6 +41,7 @@ from tg4mm.space.view import render_view
 SIZES = (256, 512, 1024)  # pixels
 COUNTS = (5_000, 50_000, 200_000, 500_000)  # Gaussians
 DENSE_SIZE, DENSE_COUNT = 64, 500
+ROUND = 10  # calls of one kernel before the next one's turn
 
 
 def ours(parameters: list[Tensor], viewmat: Tensor, K: Tensor, size: int) -> tuple[Tensor, int]:
@@ -169,9 +170,28 @@ def cost(repeats: int) -> None:
     numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
 
 
-def clocks(call: Callable[[], object], repeats: int) -> tuple[float, float, float]:
-    """Median and least milliseconds by the clock, and the least processor time (exact with one thread only)."""
-    return (*milliseconds(call, repeats), processor_milliseconds(call, repeats))
+def in_rounds(calls: dict[str, Callable[[], object]], repeats: int) -> dict[str, tuple[float, float, float]]:
+    """Median and least milliseconds by the clock, and the least processor time (exact with one thread only), of each.
+
+    Each is called some ten times, then the next, and so on round after round: what slows the machine down for a while
+    falls to all of them.
+    """
+    rounds = max(1, repeats // ROUND)
+    times: dict[str, list[tuple[float, float]]] = {name: [] for name in calls}
+    for _ in range(rounds):
+        for name, call in calls.items():
+            call()  # loads or compiles, and fetches what the one before has driven out of the caches
+            for _ in range(-(-repeats // rounds)):
+                start = time.perf_counter(), time.process_time()
+                call()
+                times[name].append(
+                    ((time.perf_counter() - start[0]) * 1e3, (time.process_time() - start[1]) * 1e3)
+                )
+    by_name = {name: tuple(zip(*pairs, strict=True)) for name, pairs in times.items()}
+    return {
+        name: (statistics.median(clock), min(clock), min(processor))
+        for name, (clock, processor) in by_name.items()
+    }
 
 
 class Trained:
@@ -185,12 +205,13 @@ class Trained:
         self.viewmat = torch.from_numpy(np.asarray(capture.viewmats[camera], np.float32))
         self.K = torch.from_numpy(np.asarray(capture.Ks[camera], np.float32))
 
-    def kernels(self, repeats: int) -> dict[str, tuple[float, float, float]]:
-        """Milliseconds of every kernel (median, least, processor), and the limit of those that blend."""
+    def times(self, repeats: int) -> dict[str, tuple[float, float, float]]:
+        """Milliseconds of every kernel and of whole passes (median, least, processor); prints the limit of blending."""
         g = self.gaussians
         arrays = [a.numpy() for a in (g.means, g.quats, g.scales, g.opacities, g.sh)]
         kernels = Kernels(arrays, self.viewmat.numpy(), self.K.numpy(), self.size)
-        times = {name: clocks(call, repeats) for name, call in kernels.calls.items()}
+        passes = {"forward, all": self.frame, "forward + backward, all": self.both_passes}
+        times = in_rounds({**kernels.calls, **passes}, repeats)
         evaluations, blocks = visible_evaluations(*kernels.lists), blocks_seen(kernels.reached)
         ghz = clock_ghz()
         print(
@@ -238,9 +259,7 @@ def trained(folder: str, repeats: int) -> None:
         numba.set_num_threads(threads)
         torch.set_num_threads(threads)
         print(f"\n{folder}, {scene.size[0]}×{scene.size[1]}, {threads} threads")
-        times = scene.kernels(repeats)
-        times["forward, all"] = clocks(scene.frame, repeats)
-        times["forward + backward, all"] = clocks(scene.both_passes, repeats)
+        times = scene.times(repeats)
         for name, (median, least, processor) in times.items():
             print(f"  {name:24s} {median:7.2f} [{least:.2f}] ms, processor {processor:.2f} ms")
         print(
