@@ -48,6 +48,27 @@ def test_time_left_after_a_resume_counts_only_what_this_process_did() -> None:
     assert "0:40 left" in lines(50, [(10.0, 60)])[0]
 
 
+def test_what_the_first_of_many_units_took_does_not_count_for_the_others() -> None:
+    """Kernels are compiled for a minute within the first of 1000 units, of which ten take a second."""
+    stream, clock = io.StringIO(), Clock()
+    job = PlainProgress("space", 1000, "it", 0, stream, clock)
+    for seconds, done in ((60.0, 1), (10.0, 101), (10.0, 201)):
+        clock.now += seconds
+        job.update(done)
+    printed = stream.getvalue().splitlines()
+    assert "1:00 elapsed, time left unknown" in printed[0]
+    assert "1:10 elapsed, 1:30 left" in printed[1]
+    assert "1:20 elapsed, 1:20 left" in printed[2]
+
+
+def test_the_first_of_few_units_tells_the_time_left() -> None:
+    stream, clock = io.StringIO(), Clock()
+    job = PlainProgress("bench", 12, "runs", 0, stream, clock)
+    clock.now += 60.0
+    job.update(1)
+    assert "1:00 elapsed, 11:00 left" in stream.getvalue()
+
+
 def test_time_left_is_unknown_before_the_first_unit() -> None:
     assert "time left unknown" in lines(50, [(10.0, 50)])[0]
 

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from typing import Any, Protocol, TextIO
 
 PLAIN_EVERY_S = 5.0
+_EARLY = 100  # a first report of less than this part of the job is none to tell the time left by
 
 
 class Update(Protocol):
@@ -82,23 +83,31 @@ class PlainProgress:
         self._stream, self._clock = stream, clock
         self._began = self._printed = clock()
         self._done, self._text = start, ""
+        self._base: tuple[float, int] | None = (
+            None  # when, and how far the job was, from where speed is measured
+        )
 
     def update(self, done: int, **figures: Any) -> None:
         self._done, self._text = done, _figures(figures)
         now = self._clock()
+        if self._base is None and done > self._start:
+            # What is done once, compiling kernels say, falls to the first of many units: it tells nothing of the rest.
+            early = (done - self._start) * _EARLY < self._total - self._start
+            self._base = (now, done) if early else (self._began, self._start)
         if now - self._printed >= PLAIN_EVERY_S and done < self._total:
             self._printed = now
             elapsed = now - self._began
-            self._print(f"{clock_text(elapsed)} elapsed, {self._left(elapsed)}")
+            self._print(f"{clock_text(elapsed)} elapsed, {self._left(now)}")
 
     def finish(self) -> None:
         self._print(f"took {clock_text(self._clock() - self._began)}")
 
-    def _left(self, elapsed: float) -> str:
-        made = self._done - self._start
+    def _left(self, now: float) -> str:
+        began, start = self._base or (now, self._done)
+        made = self._done - start
         if made <= 0:
             return "time left unknown"
-        return f"{clock_text(elapsed * (self._total - self._done) / made)} left"
+        return f"{clock_text((now - began) * (self._total - self._done) / made)} left"
 
     def _print(self, times: str) -> None:
         tail = f", {self._text}" if self._text else ""

@@ -24,7 +24,7 @@ from itertools import combinations_with_replacement
 from math import factorial
 
 import numpy as np
-from numba import float32, prange
+from numba import float32, int64, prange
 
 from tg4mm.motion.carried.flow import flow
 from tg4mm.motion.carried.steady import slopes, trust
@@ -89,7 +89,7 @@ def _with_margin(picture: np.ndarray) -> np.ndarray:
 @kernel(parallel=True)
 def _carry(right, down, mean, moves, share, squares, cubes, out):
     for y in prange(moves.shape[1]):
-        _carry_row(y, right, down, mean, moves, share, squares, cubes, out)
+        _carry_row(int64(y), right, down, mean, moves, share, squares, cubes, out)
 
 
 @kernel()

@@ -12,10 +12,10 @@ from __future__ import annotations
 
 import numpy as np
 from llvmlite import ir
-from numba import float32, int64, njit, prange, types
+from numba import float32, int64, prange, types
 from numba.extending import intrinsic
 
-from tg4mm.rasterize.kernels.compiled import kernel
+from tg4mm.rasterize.kernels.compiled import inlined, kernel
 from tg4mm.rasterize.kernels.memory import data_at, number
 from tg4mm.rasterize.kernels.vector import F32, FV, constant_lanes, declare, fma, negative, vector, wide
 
@@ -112,7 +112,7 @@ def transposed_times(typingctx, array, index, value):
     return vector(array, types.int64, vector), codegen
 
 
-@njit(error_model="numpy", inline="always")
+@inlined
 def _product(start, other, bonds, signs, x, i):
     """Rows of Gaussian i of the prior's matrix times a field."""
     own, of_other, bending = load_rows(x, int64(i) * _WIDTH), spread(signs, int64(0)), spread(signs, int64(4))

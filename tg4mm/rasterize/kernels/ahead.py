@@ -12,8 +12,9 @@ every sixteen Gaussians, sixteen masks of 16 bits, one a block.
 # mypy: disable-error-code="call-arg, var-annotated, operator"
 # an intrinsic has one argument more than its calls: the typing context
 
-from numba import float32, int64, njit
+from numba import float32, int64
 
+from tg4mm.rasterize.kernels.compiled import inlined
 from tg4mm.rasterize.kernels.lanes import columns, row_starts, store_eight
 from tg4mm.rasterize.kernels.layout import EX, MX, SQUARES
 from tg4mm.rasterize.kernels.masks import first_lanes, put_mask, two_halves
@@ -33,7 +34,7 @@ def room(size):
     return (_PLANES + _OWN) * size + -(-masks // LANES) * LANES
 
 
-@njit(inline="always")
+@inlined
 def _column(batch, at, dx, l11, l12_dy):
     """p at the centre of a block, kept at `at`."""
     p = fma(dx, l11, l12_dy)
@@ -41,7 +42,7 @@ def _column(batch, at, dx, l11, l12_dy):
     return p
 
 
-@njit(inline="always")
+@inlined
 def _reaches(p, q, reach_p, beside, limit):
     """Mask of the Gaussians whose ellipse may reach a block.
 
@@ -55,7 +56,7 @@ def _reaches(p, q, reach_p, beside, limit):
     return beside & (limit >= fma(out, out, q))
 
 
-@njit(inline="always")
+@inlined
 def _sixteen(splats, rows, n, size, origin, faintest, count, batch, tested):
     """The planes of the Gaussians n … n + 15 of a batch, and, if `tested`, which of them may reach each block."""
     zero, half = float32(0.0), float32(_HALF_BLOCK)
@@ -95,7 +96,7 @@ def _sixteen(splats, rows, n, size, origin, faintest, count, batch, tested):
             put_mask(batch, masks + 4 * r + 3, _reaches(p3, out, reach_p, beside3, limit))
 
 
-@njit(inline="always")
+@inlined
 def ask_for_some(splats, pair_gaussian, first, count, end):
     """Ask for the Gaussians of `count` pairs from `first` on of a list that ends at `end`.
 
@@ -105,7 +106,7 @@ def ask_for_some(splats, pair_gaussian, first, count, end):
         ask(splats, int64(integer(pair_gaussian, pair)) << 4)
 
 
-@njit(inline="always")
+@inlined
 def look_ahead(splats, pair_gaussian, first, last, end, size, origin, lanes, faintest, batch, tested):
     """Fill `batch`, room for `size`, with the pairs first … last of a list that ends at `end`.
 
@@ -130,19 +131,19 @@ def look_ahead(splats, pair_gaussian, first, last, end, size, origin, lanes, fai
             own += _OWN
 
 
-@njit(inline="always")
+@inlined
 def reaching(batch, size, n):
     """Which of the Gaussians n … n + 31 of a tested batch may reach each block: sixteen times 32 bits."""
     return two_halves(batch, 2 * (_PLANES + _OWN) * size + n)
 
 
-@njit(inline="always")
+@inlined
 def row_of(batch, size, n):
     """Where the n-th Gaussian of a batch begins in `splats`."""
     return int64(integer(batch, _ROW * size + n))
 
 
-@njit(inline="always")
+@inlined
 def log2_alpha(batch, size, n, k, lane_y):
     """log2 of the unbounded alpha of the n-th Gaussian of a batch in block k, a lane a pixel."""
     own = _PLANES * size + n * _OWN

@@ -9,10 +9,10 @@ Everything is a stable counting sort over fixed chunks, so the lists do not depe
 import math
 
 import numpy as np
-from numba import float32, int32, int64, njit, prange, uint32
+from numba import float32, int32, int64, prange, uint32
 
 from tg4mm.rasterize.buffers import Buffers, take
-from tg4mm.rasterize.kernels.compiled import kernel
+from tg4mm.rasterize.kernels.compiled import inlined, kernel
 from tg4mm.rasterize.kernels.layout import (
     CB,
     CC,
@@ -74,7 +74,7 @@ def depth_order(splats, keys, order, keys2, order2):
     return n
 
 
-@njit(inline="always")
+@inlined
 def _tiles(low, high, n):
     """Tiles [first, last] of n in a line that have a pixel in low … high, measured from the first pixel's centre.
 
@@ -86,7 +86,7 @@ def _tiles(low, high, n):
     return first + int32(float32(first) < a), last - int32(float32(last) > b)
 
 
-@njit(inline="always")
+@inlined
 def _outline(splats, i):
     """What `_row_interval` needs that is the same in every row."""
     # dy of the rightmost point; the leftmost is its mirror
@@ -96,7 +96,7 @@ def _outline(splats, i):
     return tangent, limit, slope
 
 
-@njit(inline="always")
+@inlined
 def _row_interval(splats, i, tangent, limit, slope, y0, y1, n_x):
     """Tiles [first, last] in the tile row with pixel centres y0 … y1 that the ellipse of Gaussian i reaches.
 
@@ -116,7 +116,7 @@ def _row_interval(splats, i, tangent, limit, slope, y0, y1, n_x):
     return _tiles(left, right, n_x)
 
 
-@njit(inline="always")
+@inlined
 def _tile_rows(splats, i, n_y):
     """Tile rows [first, last] that the ellipse of Gaussian i reaches."""
     reach = splats[i, EY]

@@ -13,7 +13,7 @@ import numpy as np
 from numba import float32, int64, njit, prange, uint32, uint64
 
 from tg4mm.rasterize.kernels.ahead import ask_for_some, log2_alpha, look_ahead, reaching, room, row_of
-from tg4mm.rasterize.kernels.compiled import kernel
+from tg4mm.rasterize.kernels.compiled import inlined, kernel
 from tg4mm.rasterize.kernels.layout import ALPHA_MIN, FEAT, TILE
 from tg4mm.rasterize.kernels.masks import highest_bits, not_empty, put_mask, shifted
 from tg4mm.rasterize.kernels.memory import (
@@ -51,7 +51,7 @@ _MASKS = 2 * 2 * BLOCKS
 _OF_BLOCK = _BATCH
 
 
-@njit(inline="always")
+@inlined
 def _add(n, y, on, sums, batch, splats, held, faintest, masks, noted):
     """Add the n-th pair of a batch, y its log2 of alpha in a block: the pixels that still take light, and the sums.
 
@@ -78,7 +78,7 @@ def _add(n, y, on, sums, batch, splats, held, faintest, masks, noted):
     return on, (t, left, f0, f1, f2, f3, seen_in)
 
 
-@njit(inline="always")
+@inlined
 def _blend_block(k, splats, batch, by_block, held, faintest, state, noted):
     """Add the pairs of a batch that may reach block k, at least one. Does the block still take light?
 
@@ -122,7 +122,7 @@ def _blend_block(k, splats, batch, by_block, held, faintest, state, noted):
     return bits(on) != 0
 
 
-@njit(inline="always")
+@inlined
 def _note_seen(by_block, count, reached):
     """From the pairs in which each block is seen to the blocks in which each pair is seen."""
     if with_avx512():
@@ -242,7 +242,7 @@ def _forward(workers, order, counter, tables, frame, splats, image, transmittanc
     parts = _parts(order, tables[0], (frame[0] + TILE - 1) // TILE, frame[1])
     for worker in prange(workers):
         _forward_tiles(
-            worker, workers, parts, counter, tables, frame, splats, image, transmittance, alpha_min
+            int64(worker), workers, parts, counter, tables, frame, splats, image, transmittance, alpha_min
         )
 
 

@@ -13,10 +13,10 @@ Here a Gaussian's blocks follow each other: its sums stay in registers, the pixe
 import math
 
 import numpy as np
-from numba import float32, int64, njit, prange, uint32
+from numba import float32, int64, prange, uint32
 
 from tg4mm.rasterize.kernels.ahead import log2_alpha, look_ahead, room
-from tg4mm.rasterize.kernels.compiled import kernel
+from tg4mm.rasterize.kernels.compiled import inlined, kernel
 from tg4mm.rasterize.kernels.lanes import lane_sums, load_block, planes_of_rows
 from tg4mm.rasterize.kernels.layout import (
     ALPHA_MIN,
@@ -71,7 +71,7 @@ _KEPT = 2 * LANES  # kept of each pair and block: alpha before it is bounded, al
 _STRIDE = (2 + FEATURES) * LANES
 
 
-@njit(error_model="numpy", inline="always")
+@inlined
 def _list_seen(reached, first, last, items):
     """List the blocks in which the pairs first … last are seen, as far as there is room.
 
@@ -97,7 +97,7 @@ def _list_seen(reached, first, last, items):
     return count, last
 
 
-@njit(error_model="numpy", inline="always")
+@inlined
 def _alphas_ahead(count, items, batch, faintest, held, kept):
     """The alphas of all items, for `_pair_sums`.
 
@@ -115,7 +115,7 @@ def _alphas_ahead(count, items, batch, faintest, held, kept):
         store(kept, c * _KEPT + LANES, alpha / (one - alpha))
 
 
-@njit(inline="always")
+@inlined
 def _planes_of(picture, at, step):
     """The four channels of the block that begins at `at` in a picture [H · W · FEATURES] whose rows are `step` long."""
     return planes_of_rows(
@@ -126,7 +126,7 @@ def _planes_of(picture, at, step):
     )
 
 
-@njit(inline="always")
+@inlined
 def _read(state, x0, y0, frame, pictures):
     """A tile's state, nothing met yet, from the flat pictures and their gradients."""
     width, height = frame
@@ -163,7 +163,7 @@ def _read(state, x0, y0, frame, pictures):
             put_number(state, LANES + at, to_come)
 
 
-@njit(error_model="numpy", inline="always")
+@inlined
 def _pair_sums(splats, row, todo, x0, y0, table, held, kept, state):
     """Sums of a pair (layout.py) over its blocks `todo`, of which `kept` has the alphas."""
     lane_x, lane_y, _, alpha_max, t_min = held

@@ -36,3 +36,13 @@ def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         return dispatcher
 
     return decorate
+
+
+def inlined(function: Callable[..., Any]) -> Any:
+    """Compile a part of kernels, which becomes one with their code.
+
+    By LLVM, which sees what a caller passes as constants. Numba's own `inline="always"` copies a part's Python code
+    into every place it is called from and infers its types there anew: kernels take up to twice as long to compile.
+    Parts with `fastmath` have it all the same, as their last bits depend on what they are optimised together with.
+    """
+    return njit(error_model="numpy", forceinline=True)(function)

@@ -11,9 +11,9 @@ and kept for the way back, which goes from far to near, so that what lies behind
 import math
 
 import numpy as np
-from numba import float32, int64, njit, prange
+from numba import float32, int64, prange
 
-from tg4mm.rasterize.kernels.compiled import kernel
+from tg4mm.rasterize.kernels.compiled import inlined, kernel
 from tg4mm.rasterize.kernels.lanes import lane_sums_of_eight, store_eight
 from tg4mm.rasterize.kernels.layout import CA, CB, CC, FEAT, SPLAT_WIDTH, TILE
 from tg4mm.rasterize.kernels.memory import address, fetch_add, keep, load, number, store
@@ -26,7 +26,7 @@ _WIDTH = 8  # columns of a change
 _CHANGE = 4
 
 
-@njit(error_model="numpy", inline="always")
+@inlined
 def _splat(splats, i):
     """Conic and colour of Gaussian i."""
     row = int64(i) * SPLAT_WIDTH
@@ -34,7 +34,7 @@ def _splat(splats, i):
     return conic, (number(splats, row + FEAT), number(splats, row + FEAT + 1), number(splats, row + FEAT + 2))
 
 
-@njit(error_model="numpy", inline="always")
+@inlined
 def _push_pair(conic, colour, d_splats, at, plane, blocks, found, kept, state):
     """Adds what one change, at `at` of d_splats, does to the kept `blocks` (from, to) of a Gaussian."""
     (a, b, c), (f0, f1, f2), half = conic, colour, float32(0.5)
@@ -59,7 +59,7 @@ def _push_pair(conic, colour, d_splats, at, plane, blocks, found, kept, state):
         store(state, place, fma(dw, f2, fma(w, e2, load(state, place))))
 
 
-@njit(error_model="numpy", inline="always")
+@inlined
 def _pull_pair(conic, colour, v_pairs, at, plane, blocks, found, kept, state):
     """Writes at `at` of v_pairs what a gradient says of a Gaussian in one tile; the state: then it lies behind too."""
     (a, b, c), (f0, f1, f2), half = conic, colour, float32(0.5)
@@ -85,7 +85,7 @@ def _pull_pair(conic, colour, v_pairs, at, plane, blocks, found, kept, state):
     store_eight(v_pairs, at, sums)
 
 
-@njit(error_model="numpy", inline="always")
+@inlined
 def _turn_round(state, stride, n_changes, white, counts):
     """From changes of the picture to gradients, by the weights of pixels, and what lies behind all: the background."""
     for k in range(BLOCKS):
@@ -103,7 +103,7 @@ def _turn_round(state, stride, n_changes, white, counts):
             store(state, place + 3 * LANES, g2)
 
 
-@njit(error_model="numpy", inline="always")
+@inlined
 def _weigh(pixels, y0, x0, rows, columns, counts):
     """The weights of a tile's pixels, block by block; 0 outside the picture."""
     counts[:] = float32(0.0)

@@ -7,8 +7,9 @@ ahead (`ask_for_pixels` of `tiles.py`), and tiles that no Gaussian reaches are w
 # mypy: disable-error-code="call-arg, var-annotated"
 # an intrinsic has one argument more than its calls: the typing context
 
-from numba import float32, int64, njit, uint32
+from numba import float32, int64, uint32
 
+from tg4mm.rasterize.kernels.compiled import inlined
 from tg4mm.rasterize.kernels.lanes import rows_of_planes, store_block
 from tg4mm.rasterize.kernels.layout import FEATURES, TILE
 from tg4mm.rasterize.kernels.memory import integer, load, number, store
@@ -18,7 +19,7 @@ from tg4mm.rasterize.kernels.vector import LANES
 STRIDE = (2 + FEATURES) * LANES  # planes of a block: transmittance as it runs on, as it stopped, features
 
 
-@njit(inline="always")
+@inlined
 def begin_blocks(state, nothing):
     """Nothing met yet. nothing: a vector of zeros and one of ones, in registers."""
     zero, one = nothing
@@ -30,7 +31,7 @@ def begin_blocks(state, nothing):
             store(state, place + (2 + c) * LANES, zero)
 
 
-@njit(inline="always")
+@inlined
 def write_tile(state, x0, y0, frame, image, transmittance):
     """A tile's state to the picture [H · W · FEATURES] and the transmittance [H · W]."""
     width, height = frame
@@ -58,7 +59,7 @@ def write_tile(state, x0, y0, frame, image, transmittance):
                 image[to * FEATURES + k] = number(state, (2 + k) * LANES + at)
 
 
-@njit(inline="always")
+@inlined
 def write_blank(first, last, rows, n_x, frame, nothing, image, transmittance):
     """Of the rows of tiles that no Gaussian reaches, TILE pixels each, the first-th … last-th.
 

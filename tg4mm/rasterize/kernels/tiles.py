@@ -16,9 +16,9 @@ Threads take tiles from a common counter, those with long lists first. A tile's 
 import math
 
 import numpy as np
-from numba import float32, get_num_threads, int64, njit, uint32
+from numba import float32, get_num_threads, int64, uint32
 
-from tg4mm.rasterize.kernels.compiled import kernel
+from tg4mm.rasterize.kernels.compiled import inlined, kernel
 from tg4mm.rasterize.kernels.layout import (
     ALPHA_MAX,
     FEATURES,
@@ -51,19 +51,19 @@ _SKIPPED = np.zeros(LANES - len(EXP2))  # so that vectors begin where a cache li
 TABLE = np.concatenate([*_PLACES, EXP2, _SKIPPED, EXP2_STEPS, [ALPHA_MAX, T_MIN]]).astype(np.float32)
 
 
-@njit(inline="always")
+@inlined
 def pixel(r, c, stride):
     """Place of row r, column c of a tile in the first plane of its state, whose blocks are `stride` apart."""
     return ((r >> 2) * 4 + (c >> 2)) * stride + (r & 3) * _SIDE + (c & 3)
 
 
-@njit(inline="always")
+@inlined
 def corner(k, x0, y0, width):
     """Place of the first pixel of block k in a picture `width` wide, the tile beginning at x0, y0."""
     return int64((y0 + (k >> 2) * _SIDE) * width + x0 + (k & 3) * _SIDE)
 
 
-@njit(inline="always")
+@inlined
 def aligned(n):
     """n float32 at an address that is a multiple of 64: no vector straddles two cache lines."""
     room = np.empty(n + LANES, np.float32)
@@ -71,7 +71,7 @@ def aligned(n):
     return room[skip : skip + n]
 
 
-@njit(inline="always")
+@inlined
 def fill(state, stride, transmittance):
     """The first plane to `transmittance`, the others to 0. A block's planes follow each other in `state`."""
     state[:] = float32(0.0)
@@ -79,7 +79,7 @@ def fill(state, stride, transmittance):
         state[k * stride : k * stride + LANES] = transmittance
 
 
-@njit(inline="always")
+@inlined
 def inside(rows, columns):
     """Mask of the blocks that have a pixel in the image."""
     live = uint32(0)
@@ -89,7 +89,7 @@ def inside(rows, columns):
     return live
 
 
-@njit(inline="always")
+@inlined
 def constants(table):
     """Of TABLE, in registers: pixels' x and y from their block's centre, those of `exp2`, and ALPHA_MAX and T_MIN.
 
@@ -105,14 +105,14 @@ def constants(table):
     return lanes[0], lanes[1], powers, wide(table[_LIMITS]), wide(table[_LIMITS + 1])
 
 
-@njit(inline="always")
+@inlined
 def ask_for_pairs(splats, pair_gaussian, begin, end):
     """Ask for the Gaussians of the first pairs of a list that comes later."""
     for pair in range(begin, min(end, begin + 2 * AHEAD)):
         ask_early(splats, int64(integer(pair_gaussian, pair)) * SPLAT_WIDTH)
 
 
-@njit(inline="always")
+@inlined
 def ask_for_pixels(tile, n_x, frame, image, transmittance):
     """Ask for the pixels of a tile that are needed later."""
     width, height = frame
@@ -124,7 +124,7 @@ def ask_for_pixels(tile, n_x, frame, image, transmittance):
             ask_early(image, at * FEATURES + c * LANES)
 
 
-@njit(inline="always")
+@inlined
 def alphas(y, faintest, alpha_max, powers):
     """Of y = log2 of the unbounded alpha: alpha, 0 where too faint; where it follows y; where it is bright enough."""
     raw = exp2(y, powers)
@@ -132,7 +132,7 @@ def alphas(y, faintest, alpha_max, powers):
     return select(seen, select(free, raw, alpha_max), float32(0.0)), free, seen
 
 
-@njit(inline="always")
+@inlined
 def alphas_unbounded(y, faintest, alpha_max, powers):
     """Of y: alpha, and what it would be without an upper bound; 0 where too faint."""
     raw = select(y >= faintest, exp2(y, powers), float32(0.0))

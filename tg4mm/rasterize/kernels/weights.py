@@ -7,9 +7,10 @@ Blocks, tiles and state as in `tiles.py`; `linearised.py` says what the numbers 
 # an intrinsic has one argument more than its calls: the typing context
 
 import numpy as np
-from numba import float32, int64, njit, uint32
+from numba import float32, int64, uint32
 
 from tg4mm.rasterize.kernels.ahead import log2_alpha, look_ahead, reaching, room
+from tg4mm.rasterize.kernels.compiled import inlined
 from tg4mm.rasterize.kernels.layout import MX, MY
 from tg4mm.rasterize.kernels.masks import highest_bits, shifted
 from tg4mm.rasterize.kernels.memory import address, load, store
@@ -21,7 +22,7 @@ BATCH = 32  # pairs looked at ahead
 _PLANES = room(BATCH)
 
 
-@njit(error_model="numpy", inline="always")
+@inlined
 def look_at_all(splats, pair_gaussian, first, last, end, x0, y0, faintest, held, batch):
     """Of the pairs first … last what `weights` needs, and which blocks they may reach."""
     masks, at, _, _ = batch
@@ -34,7 +35,7 @@ def look_at_all(splats, pair_gaussian, first, last, end, x0, y0, faintest, held,
         words = shifted(words, uint32(1))
 
 
-@njit(error_model="numpy", inline="always")
+@inlined
 def look_at_reached(splats, pair_gaussian, reached, first, last, end, x0, y0, faintest, held, batch):
     """`look_at_all` where `blend_forward` has told which blocks are reached."""
     masks, at, _, _ = batch
@@ -45,13 +46,13 @@ def look_at_reached(splats, pair_gaussian, reached, first, last, end, x0, y0, fa
         masks[n] = reached[first + n]
 
 
-@njit(inline="always")
+@inlined
 def batch_room(blocks=BLOCKS):
     """Room for a batch: masks and planes of its pairs; and for `weights` of so many blocks: `kept` and `found`."""
     return np.empty(BATCH, np.uint32), aligned(_PLANES), aligned(blocks * KEPT), np.empty(blocks, np.int64)
 
 
-@njit(error_model="numpy", inline="always")
+@inlined
 def weights(splats, i, n, live, x0, y0, faintest, table, held, state, stride, batch, count=0):
     """What every change needs from the blocks that Gaussian i, n-th of its batch, reaches; and the next transmittance.
 
