@@ -5,9 +5,9 @@
 Synthetic: Gaussians of about two pixels (standard deviation) fill a ball seen from outside, 256² to 1024², 5,000 to
 500,000. Cost: processor time of one thread of the kernels on the same scenes, and what of it falls to each Gaussian,
 tile pair, pixel and visible pixel evaluation. With --run (a folder that `tg4mm train` left) also every kernel on the
-trained Gaussians, seen by a camera of the run's dataset, by number of threads. Peers: the dense twin at a size it can
-bear; of gsplat's torch reference what is pure torch, projection and spherical harmonics (its compositing needs CUDA
-and nerfacc).
+trained Gaussians, seen by a camera of the run's dataset, in turn and by number of threads. Peers: the dense twin at a
+size it can bear; of gsplat's torch reference what is pure torch, projection and spherical harmonics (its compositing
+needs CUDA and nerfacc).
 
 Each figure is the median, the smallest time of the same runs stands in brackets: on a shared machine they lie apart.
 There the processor time says more, with one thread: OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1.
@@ -41,7 +41,7 @@ from tg4mm.space.view import render_view
 SIZES = (256, 512, 1024)  # pixels
 COUNTS = (5_000, 50_000, 200_000, 500_000)  # Gaussians
 DENSE_SIZE, DENSE_COUNT = 64, 500
-ROUND = 10  # calls of one kernel before the next one's turn
+ROUND = 5  # calls of one kernel before the next one's turn
 
 
 def ours(parameters: list[Tensor], viewmat: Tensor, K: Tensor, size: int) -> tuple[Tensor, int]:
@@ -173,15 +173,15 @@ def cost(repeats: int) -> None:
 def in_rounds(calls: dict[str, Callable[[], object]], repeats: int) -> dict[str, tuple[float, float, float]]:
     """Median and least milliseconds by the clock, and the least processor time (exact with one thread only), of each.
 
-    Each is called some ten times, then the next, and so on round after round: what slows the machine down for a while
-    falls to all of them.
+    Each is called at most ROUND times, then the next, and so on round after round: what slows the machine down for a
+    while falls to all of them.
     """
-    rounds = max(1, repeats // ROUND)
+    rounds = -(-repeats // ROUND)
     times: dict[str, list[tuple[float, float]]] = {name: [] for name in calls}
-    for _ in range(rounds):
+    for n in range(rounds):
         for name, call in calls.items():
             call()  # loads or compiles, and fetches what the one before has driven out of the caches
-            for _ in range(-(-repeats // rounds)):
+            for _ in range(repeats * n // rounds, repeats * (n + 1) // rounds):
                 start = time.perf_counter(), time.process_time()
                 call()
                 times[name].append(

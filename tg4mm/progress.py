@@ -83,9 +83,8 @@ class PlainProgress:
         self._stream, self._clock = stream, clock
         self._began = self._printed = clock()
         self._done, self._text = start, ""
-        self._base: tuple[float, int] | None = (
-            None  # when, and how far the job was, from where speed is measured
-        )
+        # when, and how far the job was, from where its speed is measured
+        self._base: tuple[float, int] | None = None
 
     def update(self, done: int, **figures: Any) -> None:
         self._done, self._text = done, _figures(figures)

@@ -100,7 +100,7 @@ def _sixteen(splats, rows, n, size, origin, faintest, count, batch, tested):
 def ask_for_some(splats, pair_gaussian, first, count, end):
     """Ask for the Gaussians of `count` pairs from `first` on of a list that ends at `end`.
 
-    Few at a time: the processor waits for no more than some twelve lines at once, and stands still if asked for more.
+    Best a few at a time: the processor waits for some twelve lines at once, and stands still if asked for more.
     """
     for pair in range(min(first, end), min(first + count, end)):
         ask(splats, int64(integer(pair_gaussian, pair)) << 4)

@@ -42,9 +42,8 @@ from tg4mm.rasterize.kernels.vector import LANES, bits, fma_where, lowest_bit, s
 
 _WORD = 32
 _BATCH = 2 * _WORD  # pairs, a bit each
-_SHARE = (
-    _BATCH // BLOCKS
-)  # of the next batch, whose Gaussians are asked for while this one's blocks are worked on
+# of the next batch, whose Gaussians are asked for while this one's blocks are worked on
+_SHARE = _BATCH // BLOCKS
 _ROOM = room(_BATCH)
 # for every block, behind the two words of `by_block`: masks of the pixels that see a pair, one of 16 bits a pair
 _MASKS = 2 * 2 * BLOCKS
@@ -215,9 +214,9 @@ def _forward_tiles(worker, workers, parts, counter, tables, frame, splats, image
 
 @njit
 def _parts(order, tile_start, n_x, height):
-    """The tiles that have pairs, in the order given, and the rows of pixels of those that have none, as they lie.
+    """The tiles that have pairs, in the order given, and the rows of pixels of those that have none, for `write_blank`.
 
-    A row is row · n_x + column, of pixels and of tiles. As they lie: what is next in memory is written next.
+    These as they lie: what is next in memory is written next.
     """
     some, blank = np.empty(len(order), np.int32), np.empty(n_x * height, np.int32)
     n_some, n_blank = 0, 0

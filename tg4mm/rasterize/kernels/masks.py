@@ -9,9 +9,8 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from tg4mm.rasterize.kernels.vector import FV, I32, I64, IV, LANES, MV, as_lanes, declare, mask, vector
+from tg4mm.rasterize.kernels.vector import FV, I16, I32, I64, IV, LANES, MV, as_lanes, declare, mask, vector
 
-_I16 = ir.IntType(LANES)
 _NUMBERED = ir.Constant(IV, [ir.Constant(I32, k) for k in range(LANES)])
 
 
@@ -20,8 +19,8 @@ def put_mask(typingctx, at, index, condition):
     """Write a mask as the index-th 16 bits of an address."""
 
     def codegen(context, builder, sig, args):
-        at = builder.gep(builder.inttoptr(args[0], _I16.as_pointer()), [args[1]])
-        builder.store(builder.bitcast(args[2], _I16), at, align=2)
+        at = builder.gep(builder.inttoptr(args[0], I16.as_pointer()), [args[1]])
+        builder.store(builder.bitcast(args[2], I16), at, align=2)
         return context.get_dummy_value()
 
     return types.none(types.int64, types.int64, mask), codegen
@@ -32,8 +31,8 @@ def two_halves(typingctx, at, index):
     """Sixteen times 32 bits: of sixteen times 16 bits, from the index-th of an address on, and the sixteen after."""
 
     def codegen(context, builder, sig, args):
-        kind = ir.VectorType(_I16, LANES)
-        data = builder.inttoptr(args[0], _I16.as_pointer())
+        kind = ir.VectorType(I16, LANES)
+        data = builder.inttoptr(args[0], I16.as_pointer())
         low, high = (
             builder.zext(
                 builder.load(
@@ -57,8 +56,8 @@ def not_empty(typingctx, at, index):
     """Which of 32 masks have a lane, as an integer: a bit a mask. The first is the index-th 16 bits of an address."""
 
     def codegen(context, builder, sig, args):
-        kind = ir.VectorType(_I16, 2 * LANES)
-        data = builder.gep(builder.inttoptr(args[0], _I16.as_pointer()), [args[1]])
+        kind = ir.VectorType(I16, 2 * LANES)
+        data = builder.gep(builder.inttoptr(args[0], I16.as_pointer()), [args[1]])
         masks = builder.load(builder.bitcast(data, kind.as_pointer()), align=2)
         return builder.bitcast(builder.icmp_unsigned("!=", masks, ir.Constant(kind, None)), I32)
 
@@ -81,7 +80,7 @@ def highest_bits(typingctx, words):
 
     def codegen(context, builder, sig, args):
         lanes = builder.icmp_signed("<", builder.bitcast(args[0], IV), ir.Constant(IV, None))
-        return builder.zext(builder.bitcast(lanes, _I16), I32)
+        return builder.zext(builder.bitcast(lanes, I16), I32)
 
     return types.uint32(vector), codegen
 
@@ -92,7 +91,7 @@ def put_places(typingctx, at, index, bits, base):
 
     def codegen(context, builder, sig, args):
         at, index, bits, base = args
-        chosen = builder.bitcast(builder.trunc(bits, _I16), MV)
+        chosen = builder.bitcast(builder.trunc(bits, I16), MV)
         f = declare(builder, "llvm.experimental.vector.compress.v16i32", IV, [IV, MV, IV])
         places = builder.call(
             f, [builder.add(_NUMBERED, as_lanes(builder, base)), chosen, ir.Constant(IV, None)]

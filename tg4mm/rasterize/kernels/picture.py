@@ -61,9 +61,9 @@ def write_tile(state, x0, y0, frame, image, transmittance):
 
 @inlined
 def write_blank(first, last, rows, n_x, frame, nothing, image, transmittance):
-    """Of the rows of tiles that no Gaussian reaches, TILE pixels each, the first-th … last-th.
+    """Write the entries first … last - 1 of a list of rows, TILE pixels each, of tiles that no Gaussian reaches.
 
-    rows: address of where they lie, row · n_x + column of the tile.
+    rows: the list's address. An entry is y · n_x + column, y the row of pixels and column that of tiles.
     """
     width = frame[0]
     zero, one = nothing

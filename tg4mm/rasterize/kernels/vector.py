@@ -18,7 +18,11 @@ from numba.extending import intrinsic, lower_builtin, models, register_model
 
 LANES = 16
 F32, I32, I64 = ir.FloatType(), ir.IntType(32), ir.IntType(64)
-_I16 = ir.IntType(LANES)
+I16 = ir.IntType(LANES)
+_QUIET, _AS_SET = (
+    8,
+    4,
+)  # of `vreduceps`: to the nearest without saying that it is inexact; exceptions as they are set
 FV, IV, MV = (ir.VectorType(t, LANES) for t in (F32, I32, ir.IntType(1)))
 
 
@@ -243,10 +247,11 @@ def _exp2_series(builder, x, multiply_add, constants):
 def _exp2_steps(builder, x, multiply_add, constants, steps):
     second, first, rounder = constants
     shifted = builder.fadd(x, rounder)
-    reduce = declare(builder, "llvm.x86.avx512.mask.reduce.ps.512", FV, [FV, I32, FV, _I16, I32])
-    # x less its nearest multiple of 2^-_STEP_BITS, all lanes, rounding as set
+    reduce = declare(builder, "llvm.x86.avx512.mask.reduce.ps.512", FV, [FV, I32, FV, I16, I32])
+    # x less its nearest multiple of 2^-_STEP_BITS, in all lanes; of two as near the even one, as adding `rounder` takes
     f = builder.call(
-        reduce, [x, ir.Constant(I32, _STEP_BITS << 4 | 8), x, ir.Constant(_I16, -1), ir.Constant(I32, 4)]
+        reduce,
+        [x, ir.Constant(I32, _STEP_BITS << 4 | _QUIET), x, ir.Constant(I16, -1), ir.Constant(I32, _AS_SET)],
     )
     look_up = declare(builder, "llvm.x86.avx512.vpermi2var.ps.512", FV, [FV, IV, FV])
     n = builder.bitcast(shifted, IV)

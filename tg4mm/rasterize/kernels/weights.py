@@ -9,7 +9,7 @@ Blocks, tiles and state as in `tiles.py`; `linearised.py` says what the numbers 
 import numpy as np
 from numba import float32, int64, uint32
 
-from tg4mm.rasterize.kernels.ahead import log2_alpha, look_ahead, reaching, room
+from tg4mm.rasterize.kernels.ahead import ask_for_some, log2_alpha, look_ahead, reaching, room
 from tg4mm.rasterize.kernels.compiled import inlined
 from tg4mm.rasterize.kernels.layout import MX, MY
 from tg4mm.rasterize.kernels.masks import highest_bits, shifted
@@ -26,9 +26,9 @@ _PLANES = room(BATCH)
 def look_at_all(splats, pair_gaussian, first, last, end, x0, y0, faintest, held, batch):
     """Of the pairs first … last what `weights` needs, and which blocks they may reach."""
     masks, at, _, _ = batch
-    look_ahead(
-        address(splats), address(pair_gaussian), first, last, end, BATCH, (x0, y0), held[:2], faintest, at, True
-    )  # fmt: skip
+    flat, gaussians = address(splats), address(pair_gaussian)
+    look_ahead(flat, gaussians, first, last, end, BATCH, (x0, y0), held[:2], faintest, at, True)
+    ask_for_some(flat, gaussians, last, BATCH, end)
     words = reaching(at, BATCH, int64(0))
     for n in range(BATCH):
         masks[BATCH - 1 - n] = highest_bits(words)
