@@ -19,10 +19,8 @@ from numba.extending import intrinsic, lower_builtin, models, register_model
 LANES = 16
 F32, I32, I64 = ir.FloatType(), ir.IntType(32), ir.IntType(64)
 I16 = ir.IntType(LANES)
-_QUIET, _AS_SET = (
-    8,
-    4,
-)  # of `vreduceps`: to the nearest without saying that it is inexact; exceptions as they are set
+# of `vreduceps`: to the nearest without saying that it is inexact; exceptions as they are set
+_QUIET, _AS_SET = 8, 4
 FV, IV, MV = (ir.VectorType(t, LANES) for t in (F32, I32, ir.IntType(1)))
 
 
