@@ -1,22 +1,16 @@
-"""The kernels' functions: vectors of lanes, the exponential, spherical harmonics and their derivatives."""
+"""The kernels' functions: vectors of lanes, in memory and across each other; the exponential, logarithm and root."""
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
-import torch
 from numba import njit
 from numba.core.errors import TypingError
 
-from tg4mm.rasterize.kernels.lanes import (
-    columns,
-    lane_sums,
-    load_block,
-    planes_of_rows,
-    row_starts,
-    rows_of_planes,
-    store_block,
-)
+from tg4mm.rasterize.kernels.functions import exp2
+from tg4mm.rasterize.kernels.lanes import lane_sums, load_block, store_block
 from tg4mm.rasterize.kernels.masks import (
     first_lanes,
     highest_bits,
@@ -30,15 +24,27 @@ from tg4mm.rasterize.kernels.memory import (
     integer,
     keep,
     load,
+    load_first,
     number,
     put_integer,
     put_number,
     store,
+    store_first,
 )
-from tg4mm.rasterize.kernels.sh import basis, basis_vjp
+from tg4mm.rasterize.kernels.rows import (
+    columns,
+    cycled,
+    load_columns,
+    planes_of_rows,
+    planes_of_threes,
+    row_starts,
+    rows_of_planes,
+    store_rows,
+    threes_of_planes,
+    thrice,
+)
 from tg4mm.rasterize.kernels.tiles import TABLE, constants
-from tg4mm.rasterize.kernels.vector import LANES, bits, exp2, fma_where, lowest_bit, number_of_bits, select
-from tg4mm.rasterize.reference import sh_colours
+from tg4mm.rasterize.kernels.vector import LANES, bits, fma_where, lowest_bit, number_of_bits, select
 
 
 @njit
@@ -139,13 +145,49 @@ def _lowest_bits(x: np.uint32, y: np.uint64) -> tuple[int, int]:
 
 
 @njit
-def _basis(degree: int, d: np.ndarray, out: np.ndarray) -> None:
-    basis(degree, d[0], d[1], d[2], out)
+def _of_vectors(x: np.ndarray, logarithms: np.ndarray, roots: np.ndarray, bounded: np.ndarray) -> None:
+    for i in range(0, len(x), LANES):
+        value = load(x, i)
+        store(logarithms, i, math.log(value))
+        store(roots, i, math.sqrt(value))
+        store(bounded, i, max(min(value, np.float32(1)), abs(-load(x, 0))))
 
 
 @njit
-def _basis_vjp(degree: int, d: np.ndarray, v: np.ndarray) -> tuple[float, float, float]:
-    return basis_vjp(degree, d[0], d[1], d[2], v)
+def _threes(x: np.ndarray, out: np.ndarray, back: np.ndarray) -> None:
+    a, b, c = planes_of_threes(load(x, 0), load(x, LANES), load(x, 2 * LANES))
+    store(out, 0, a)
+    store(out, LANES, b)
+    store(out, 2 * LANES, c)
+    a, b, c = threes_of_planes(a, b, c)
+    store(back, 0, a)
+    store(back, LANES, b)
+    store(back, 2 * LANES, c)
+
+
+@njit
+def _repeated(x: np.ndarray, out: np.ndarray) -> None:
+    a, b, c = thrice(load(x, 0))
+    store(out, 0, a)
+    store(out, LANES, b)
+    store(out, 2 * LANES, c)
+    a, b, c = cycled(x[0], x[1], x[2])
+    store(out, 3 * LANES, a)
+    store(out, 4 * LANES, b)
+    store(out, 5 * LANES, c)
+
+
+@njit
+def _turned_round(x: np.ndarray, sums: np.ndarray, back: np.ndarray) -> None:
+    found = load_columns(x, 0)
+    store(sums, 0, found[2] - found[13])
+    store_rows(back, 3, found)
+
+
+@njit
+def _first(x: np.ndarray, count: int, out: np.ndarray) -> None:
+    store(out, 0, load_first(x, 2, count))
+    store_first(out, LANES, count, load(x, 0))
 
 
 def test_exp2_is_as_accurate_as_it_says() -> None:
@@ -154,6 +196,49 @@ def test_exp2_is_as_accurate_as_it_says() -> None:
     _exp2(x, TABLE, out)
     assert np.abs(out.astype(np.float64) / np.exp2(x.astype(np.float64)) - 1).max() < 3e-7
     assert out[0] == 1.0
+
+
+def test_logarithm_root_and_bounds_of_vectors() -> None:
+    x = np.concatenate([np.geomspace(1e-20, 300, 160_000), np.linspace(0.9, 1.1, 160_000)]).astype(np.float32)
+    logarithms, roots, bounded = (np.empty_like(x) for _ in range(3))
+    _of_vectors(x, logarithms, roots, bounded)
+    exact = np.log(x.astype(np.float64))
+    assert (np.abs(logarithms - exact) <= 2e-7 * np.abs(exact)).all()
+    np.testing.assert_array_equal(roots, np.sqrt(x))
+    np.testing.assert_array_equal(bounded, np.maximum(np.minimum(x, 1), np.tile(x[:LANES], len(x) // LANES)))
+
+
+def test_rows_of_three_become_columns_and_come_back() -> None:
+    x = np.arange(48, dtype=np.float32)
+    out, back = np.empty_like(x), np.empty_like(x)
+    _threes(x, out, back)
+    np.testing.assert_array_equal(out.reshape(3, 16), x.reshape(16, 3).T)
+    np.testing.assert_array_equal(back, x)
+
+
+def test_numbers_repeated_and_in_turn() -> None:
+    x, out = np.random.default_rng(5).normal(size=LANES).astype(np.float32), np.empty(96, np.float32)
+    _repeated(x, out)
+    np.testing.assert_array_equal(out[:48], np.repeat(x, 3))
+    np.testing.assert_array_equal(out[48:], np.tile(x[:3], 16))
+
+
+def test_a_square_of_numbers_is_turned_round_and_back() -> None:
+    x = np.random.default_rng(6).normal(size=(LANES, LANES)).astype(np.float32)
+    difference, back = np.empty(LANES, np.float32), np.full(3 + x.size + 1, 7.0, np.float32)
+    _turned_round(x.ravel(), difference, back)
+    np.testing.assert_array_equal(difference, x[:, 2] - x[:, 13])
+    np.testing.assert_array_equal(back[3:-1].reshape(x.shape), x)
+    assert (back[[0, 1, 2, -1]] == 7).all()
+
+
+@pytest.mark.parametrize("count", [-5, 0, 3, 11, 16])
+def test_the_first_lanes_alone_are_read_and_written(count: int) -> None:
+    x, out = np.arange(40, dtype=np.float32), np.full(3 * LANES, -1.0, np.float32)
+    _first(x, count, out)
+    n = max(count, 0)
+    np.testing.assert_array_equal(out[:LANES], np.where(np.arange(LANES) < n, x[2 : 2 + LANES], 0))
+    np.testing.assert_array_equal(out[LANES:], np.concatenate([x[:n], np.full(2 * LANES - n, -1)]))
 
 
 def test_lane_sums_keep_the_vectors_apart() -> None:
@@ -253,63 +338,3 @@ def test_what_is_not_contiguous_has_no_address() -> None:
 def test_the_lowest_bit_is_found_in_words_of_either_width(bit: int) -> None:
     found = _lowest_bits(np.uint32(0xC0000000 | 1 << bit), np.uint64(1 << 63 | 1 << (bit + 30)))
     assert found == (min(bit, 30), bit + 30)
-
-
-@pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_basis_is_the_twins(degree: int) -> None:
-    n = (degree + 1) ** 2
-    for direction in np.random.default_rng(degree).normal(size=(20, 3)):
-        unit = direction / np.linalg.norm(direction)
-        out = np.full(16, 9.0, np.float32)
-        _basis(degree, unit.astype(np.float32), out)
-        coefficients = 0.1 * torch.eye(n, dtype=torch.float64)[:, :, None].repeat(1, 1, 3)
-        twin = (sh_colours(coefficients, torch.from_numpy(unit).expand(n, 3))[:, 0] - 0.5) / 0.1
-        np.testing.assert_allclose(out[:n], twin.numpy(), atol=1e-6)
-        assert (out[n:] == 9.0).all()
-
-
-def polynomials(d: torch.Tensor) -> torch.Tensor:
-    """The 16 basis polynomials at d, not normalised: from Legendre functions, not from the twin."""
-    x, y, z = d.unbind(-1)
-    cos, sin = [torch.ones_like(x)], [torch.zeros_like(x)]  # r^m cos mφ, r^m sin mφ, r² = x² + y²
-    for _ in range(3):
-        cos, sin = cos + [x * cos[-1] - y * sin[-1]], sin + [x * sin[-1] + y * cos[-1]]
-    xx_yy = x * x + y * y
-    # homogeneous forms of d^m P_l / dz^m with 1 = x² + y² + z² put in where 3DGS does
-    legendre = {
-        (0, 0): torch.ones_like(z), (1, 0): z, (1, 1): torch.ones_like(z),
-        (2, 0): (2 * z * z - xx_yy) / 2, (2, 1): 3 * z, (2, 2): torch.full_like(z, 3.0),
-        (3, 0): z * (2 * z * z - 3 * xx_yy) / 2, (3, 1): 1.5 * (4 * z * z - xx_yy),
-        (3, 2): 15 * z, (3, 3): torch.full_like(z, 15.0),
-    }  # fmt: skip
-    out = []
-    for degree in range(4):
-        for m in range(-degree, degree + 1):
-            k = abs(m)
-            ratio = np.prod([float(i) for i in range(degree - k + 1, degree + k + 1)]) if k else 1.0
-            norm = np.sqrt((2 * degree + 1) / (4 * np.pi) / ratio * (2.0 if k else 1.0))
-            sign = -1.0 if k % 2 else 1.0  # Condon–Shortley
-            out.append(sign * norm * legendre[degree, k] * (sin[k] if m < 0 else cos[k]))
-    return torch.stack(out, -1)
-
-
-@pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_basis_vjp_is_the_derivative_of_the_polynomials(degree: int) -> None:
-    """Against autograd through another form of the polynomials, and central differences of the kernel."""
-    n = (degree + 1) ** 2
-    rng = np.random.default_rng(degree)
-    for direction in rng.normal(size=(20, 3)):
-        unit = direction / np.linalg.norm(direction)
-        v = rng.normal(size=16)
-        actual = _basis_vjp(degree, unit.astype(np.float32), v.astype(np.float32))
-        d = torch.from_numpy(unit).requires_grad_()
-        (polynomials(d)[:n] * torch.from_numpy(v[:n])).sum().backward()
-        assert d.grad is not None
-        np.testing.assert_allclose(actual, d.grad.numpy(), atol=1e-5)
-        step, differences = 1e-2, []
-        for axis in np.eye(3) * step:
-            values = np.zeros((2, 16), np.float32)
-            _basis(degree, (unit + axis).astype(np.float32), values[0])
-            _basis(degree, (unit - axis).astype(np.float32), values[1])
-            differences.append((values[0].astype(float) - values[1]) @ v / (2 * step))
-        np.testing.assert_allclose(actual, differences, atol=3e-3)

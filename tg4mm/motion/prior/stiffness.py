@@ -17,7 +17,7 @@ from numba.extending import intrinsic
 
 from tg4mm.rasterize.kernels.compiled import inlined, kernel
 from tg4mm.rasterize.kernels.memory import data_at, number
-from tg4mm.rasterize.kernels.vector import F32, FV, constant_lanes, declare, fma, negative, vector, wide
+from tg4mm.rasterize.kernels.vector import F32, FV, constant_lanes, declare, fma, vector, wide
 
 ROWS = 4  # of a Gaussian's part of a field: displacement, and its gradient along x, y, z
 # Weight of gradients that differ, beside that of displacements that do not fit: docs/decisions.md
@@ -121,8 +121,8 @@ def _product(start, other, bonds, signs, x, i):
     for edge in range(start[i], start[i + 1]):
         there = load_rows(x, int64(other[edge]) * _WIDTH)
         bond, root = spread(bonds, int64(edge) * ROWS), number(bonds, int64(edge) * ROWS)
-        misfit = sum_of_rows(bond * fma(there, of_other, negative(own)))
-        total = fma(negative(bond), misfit, total)
+        misfit = sum_of_rows(bond * fma(there, of_other, -own))
+        total = fma(-bond, misfit, total)
         apart = fma(own - there, root * root, apart)
     return fma(apart, bending, total)
 

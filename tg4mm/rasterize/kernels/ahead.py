@@ -15,12 +15,13 @@ every sixteen Gaussians, sixteen masks of 16 bits, one a block.
 from numba import float32, int64
 
 from tg4mm.rasterize.kernels.compiled import inlined
-from tg4mm.rasterize.kernels.lanes import columns, row_starts, store_eight
+from tg4mm.rasterize.kernels.lanes import store_eight
 from tg4mm.rasterize.kernels.layout import EX, MX, SQUARES
 from tg4mm.rasterize.kernels.masks import first_lanes, put_mask, two_halves
 from tg4mm.rasterize.kernels.memory import ask, integer, load, number, store
+from tg4mm.rasterize.kernels.rows import columns, row_starts
 from tg4mm.rasterize.kernels.tiles import AHEAD, BLOCKS
-from tg4mm.rasterize.kernels.vector import LANES, fma, magnitude, negative, select, wide
+from tg4mm.rasterize.kernels.vector import LANES, fma, select, wide
 
 _TOP, _ROW, _L11, _L12, _L22 = BLOCKS + 4, BLOCKS + 5, BLOCKS + 6, BLOCKS + 7, BLOCKS + 8
 _PLANES = BLOCKS + 9  # how many: p at the centres of the blocks, q at those of their rows, then the above
@@ -51,7 +52,7 @@ def _reaches(p, q, reach_p, beside, limit):
     reach_p: half the box's width; q: the square of how far the box lies off in q.
     """
     zero = float32(0.0)
-    out = magnitude(p) - reach_p
+    out = abs(p) - reach_p
     out = select(out > zero, out, zero)
     return beside & (limit >= fma(out, out, q))
 
@@ -72,9 +73,9 @@ def _sixteen(splats, rows, n, size, origin, faintest, count, batch, tested):
     dx0, dx1 = float32(origin[0]) + float32(2.0) - mx, float32(origin[0]) + float32(6.0) - mx
     dx2, dx3 = float32(origin[0]) + float32(10.0) - mx, float32(origin[0]) + float32(14.0) - mx
     side = ex + half
-    beside0, beside1 = side >= magnitude(dx0), side >= magnitude(dx1)
-    beside2, beside3 = side >= magnitude(dx2), side >= magnitude(dx3)
-    reach_p, reach_q = (l11 + magnitude(l12)) * half, l22 * half  # l11 > 0
+    beside0, beside1 = side >= abs(dx0), side >= abs(dx1)
+    beside2, beside3 = side >= abs(dx2), side >= abs(dx3)
+    reach_p, reach_q = (l11 + abs(l12)) * half, l22 * half  # l11 > 0
     masks = 2 * (_PLANES + _OWN) * size + n  # sixteen to every sixteen Gaussians
     for r in range(4):
         dy = float32(origin[1]) + float32(2.0 + 4.0 * r) - my
@@ -87,7 +88,7 @@ def _sixteen(splats, rows, n, size, origin, faintest, count, batch, tested):
             _column(batch, at + 3 * size, dx3, l11, l12_dy),
         )
         if tested:
-            out = magnitude(q) - reach_q
+            out = abs(q) - reach_q
             out = select(out > zero, out, zero)
             out = out * out
             put_mask(batch, masks + 4 * r, _reaches(p0, out, reach_p, beside0, limit))
@@ -149,4 +150,4 @@ def log2_alpha(batch, size, n, k, lane_y):
     own = _PLANES * size + n * _OWN
     p = load(batch, own) + number(batch, k * size + n)
     q = fma(lane_y, number(batch, _L22 * size + n), number(batch, (BLOCKS + (k >> 2)) * size + n))
-    return fma(negative(q), q, fma(negative(p), p, number(batch, _TOP * size + n)))
+    return fma(-q, q, fma(-p, p, number(batch, _TOP * size + n)))

@@ -17,7 +17,7 @@ from numba import float32, int64, prange, uint32
 
 from tg4mm.rasterize.kernels.ahead import log2_alpha, look_ahead, room
 from tg4mm.rasterize.kernels.compiled import inlined, kernel
-from tg4mm.rasterize.kernels.lanes import lane_sums, load_block, planes_of_rows
+from tg4mm.rasterize.kernels.lanes import lane_sums, load_block
 from tg4mm.rasterize.kernels.layout import (
     ALPHA_MIN,
     FEAT,
@@ -39,6 +39,7 @@ from tg4mm.rasterize.kernels.memory import (
     put_number,
     store,
 )
+from tg4mm.rasterize.kernels.rows import planes_of_rows
 from tg4mm.rasterize.kernels.tiles import (
     BLOCKS,
     TABLE,
@@ -55,7 +56,6 @@ from tg4mm.rasterize.kernels.vector import (
     LANES,
     fma,
     lowest_bit,
-    negative,
     number_of_bits,
     select,
     wide,
@@ -190,11 +190,11 @@ def _pair_sums(splats, row, todo, x0, y0, table, held, kept, state):
         g0, g1 = load(state, place + 2 * LANES), load(state, place + 3 * LANES)
         g2, g3 = load(state, place + 4 * LANES), load(state, place + 5 * LANES)
         light = fma(g3, f3, fma(g2, f2, fma(g1, f1, g0 * f0)))
-        to_come = fma(negative(w), light, load(state, place + LANES))
+        to_come = fma(-w, light, load(state, place + LANES))
         store(state, place, nt)
         store(state, place + LANES, to_come)
         # alpha = o e^(-sigma), so its gradient by -sigma is alpha itself; clamped ones give none
-        v = select(on & free, fma(w, light, negative(ratio * to_come)), zero)
+        v = select(on & free, fma(w, light, -(ratio * to_come)), zero)
         dx, dy = at_x + number(table, 2 * LANES + k), at_y + number(table, 3 * LANES + k)
         vx, vy = v * dx, v * dy
         s, sx, sy = s + v, sx + vx, sy + vy

@@ -21,7 +21,7 @@ from tg4mm.rasterize.kernels.lanes import lane_sums_of_eight, store_eight
 from tg4mm.rasterize.kernels.layout import CA, CB, CC, FEAT, MX, MY, TILE
 from tg4mm.rasterize.kernels.memory import address, fetch_add, keep, load, store
 from tg4mm.rasterize.kernels.tiles import BLOCKS, TABLE, aligned, constants, fill, inside, pixel, work
-from tg4mm.rasterize.kernels.vector import LANES, fma, negative, wide
+from tg4mm.rasterize.kernels.vector import LANES, fma, wide
 from tg4mm.rasterize.kernels.weights import BATCH, KEPT, batch_room, look_at_all, weights
 
 COLUMNS = np.array([MX, MY, CA, CB, CC, FEAT, FEAT + 1, FEAT + 2])  # of the splats: what a change has
@@ -78,7 +78,7 @@ def _push_tiles(order, counter, tables, frame, splats, d_splats, white, d_images
                     rise = fma(fma(dy, xy, fma(dx, xx, x)), dx, fma(dy, yy, y) * dy)
                     dt = load(state, place)
                     dw = fma(w, dt, moved * rise)
-                    store(state, place, fma(negative(load(kept, source + 2 * LANES)), rise, dt))
+                    store(state, place, fma(-load(kept, source + 2 * LANES), rise, dt))
                     place += LANES
                     store(state, place, fma(dw, f0, fma(w, e0, load(state, place))))
                     place += LANES
@@ -155,10 +155,10 @@ def _pull_tiles(order, counter, tables, frame, splats, pictures, white, v_images
                     g0, g1 = load(state, place + LANES), load(state, place + 2 * LANES)
                     g2 = load(state, place + 3 * LANES)
                     light = fma(g2, f2, fma(g1, f1, g0 * f0))
-                    to_come = fma(negative(w), light, load(state, place))
+                    to_come = fma(-w, light, load(state, place))
                     store(state, place, to_come)
                     shade = load(kept, source + 2 * LANES) * to_come
-                    v = fma(load(kept, source + LANES), light, negative(shade))
+                    v = fma(load(kept, source + LANES), light, -shade)
                     dx, dy = load(kept, source + 3 * LANES), load(kept, source + 4 * LANES)
                     vx, vy = v * dx, v * dy
                     sx, sy = sx + vx, sy + vy
@@ -168,7 +168,7 @@ def _pull_tiles(order, counter, tables, frame, splats, pictures, white, v_images
                     fma(sx, a, sy * b),
                     fma(sx, b, sy * c),
                     sxx * -half,
-                    negative(sxy),
+                    -sxy,
                     syy * -half,
                     h0,
                     h1,

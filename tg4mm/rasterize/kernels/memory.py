@@ -11,7 +11,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from tg4mm.rasterize.kernels.vector import F32, FV, I32, I64, declare, vector
+from tg4mm.rasterize.kernels.vector import F32, FV, I32, I64, IV, LANES, as_lanes, declare, vector
 
 _NEAR, _FAR = 3, 2  # where prefetched lines go: the first cache, the second
 
@@ -70,6 +70,39 @@ def store(typingctx, place, index, value):
         return context.get_dummy_value()
 
     return types.none(place, types.int64, vector), codegen
+
+
+def _first(builder, count):
+    """Mask of the first `count` lanes; none if it is not positive."""
+    numbered = ir.Constant(IV, [ir.Constant(I32, k) for k in range(LANES)])
+    return builder.icmp_signed("<", numbered, as_lanes(builder, builder.trunc(count, I32)))
+
+
+@intrinsic
+def load_first(typingctx, place, index, count):
+    """`load` of the first `count` lanes (int64), the others 0; of these no memory is read."""
+
+    def codegen(context, builder, sig, args):
+        there, at = _first(builder, args[2]), FV.as_pointer()
+        f = declare(builder, "llvm.masked.load.v16f32.p0", FV, [at, I32, there.type, FV])
+        entry = builder.bitcast(_entry(context, builder, sig, args), at)
+        return builder.call(f, [entry, ir.Constant(I32, 4), there, ir.Constant(FV, None)])
+
+    return vector(place, types.int64, types.int64), codegen
+
+
+@intrinsic
+def store_first(typingctx, place, index, count, value):
+    """`store` of the first `count` lanes."""
+
+    def codegen(context, builder, sig, args):
+        there, at = _first(builder, args[2]), FV.as_pointer()
+        f = declare(builder, "llvm.masked.store.v16f32.p0", ir.VoidType(), [FV, at, I32, there.type])
+        entry = builder.bitcast(_entry(context, builder, sig, args), at)
+        builder.call(f, [args[3], entry, ir.Constant(I32, 4), there])
+        return context.get_dummy_value()
+
+    return types.none(place, types.int64, types.int64, vector), codegen
 
 
 @intrinsic

@@ -18,7 +18,7 @@ from tg4mm.rasterize.kernels.lanes import lane_sums_of_eight, store_eight
 from tg4mm.rasterize.kernels.layout import CA, CB, CC, FEAT, SPLAT_WIDTH, TILE
 from tg4mm.rasterize.kernels.memory import address, fetch_add, keep, load, number, store
 from tg4mm.rasterize.kernels.tiles import BLOCKS, TABLE, aligned, constants, fill, inside, pixel, work
-from tg4mm.rasterize.kernels.vector import LANES, fma, magnitude, negative, number_of_bits, wide
+from tg4mm.rasterize.kernels.vector import LANES, fma, number_of_bits, wide
 from tg4mm.rasterize.kernels.weights import BATCH, KEPT, batch_room, look_at_reached, weights
 
 _WIDTH = 8  # columns of a change
@@ -50,7 +50,7 @@ def _push_pair(conic, colour, d_splats, at, plane, blocks, found, kept, state):
         rise = fma(fma(dy, xy, fma(dx, xx, x)), dx, fma(dy, yy, y) * dy)
         dt = load(state, place)
         dw = fma(w, dt, moved * rise)
-        store(state, place, fma(negative(load(kept, source + 2 * LANES)), rise, dt))
+        store(state, place, fma(-load(kept, source + 2 * LANES), rise, dt))
         place += LANES
         store(state, place, fma(dw, f0, fma(w, e0, load(state, place))))
         place += LANES
@@ -72,7 +72,7 @@ def _pull_pair(conic, colour, v_pairs, at, plane, blocks, found, kept, state):
         g0, g1 = load(state, place + LANES), load(state, place + 2 * LANES)
         g2 = load(state, place + 3 * LANES)
         light = fma(g2, f2, fma(g1, f1, g0 * f0))
-        v = fma(load(kept, source + LANES), light, negative(load(kept, source + 2 * LANES) * behind))
+        v = fma(load(kept, source + LANES), light, -(load(kept, source + 2 * LANES) * behind))
         store(state, place, fma(w, light, behind))
         dx, dy = load(kept, source + 3 * LANES), load(kept, source + 4 * LANES)
         vx, vy = v * dx, v * dy
@@ -80,7 +80,7 @@ def _pull_pair(conic, colour, v_pairs, at, plane, blocks, found, kept, state):
         sxx, sxy, syy = fma(vx, dx, sxx), fma(vx, dy, sxy), fma(vy, dy, syy)
         h0, h1, h2 = fma(w, g0, h0), fma(w, g1, h1), fma(w, g2, h2)
     sums = lane_sums_of_eight(
-        fma(sx, a, sy * b), fma(sx, b, sy * c), sxx * -half, negative(sxy), syy * -half, h0, h1, h2
+        fma(sx, a, sy * b), fma(sx, b, sy * c), sxx * -half, -sxy, syy * -half, h0, h1, h2
     )
     store_eight(v_pairs, at, sums)
 
@@ -90,7 +90,7 @@ def _turn_round(state, stride, n_changes, white, counts):
     """From changes of the picture to gradients, by the weights of pixels, and what lies behind all: the background."""
     for k in range(BLOCKS):
         first = int64(k) * stride
-        end, count = magnitude(load(state, first)) * white, load(counts, k * LANES)
+        end, count = abs(load(state, first)) * white, load(counts, k * LANES)
         for change in range(n_changes):
             place = first + (1 + _CHANGE * change) * LANES
             shift = end * load(state, place)

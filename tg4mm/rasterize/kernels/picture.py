@@ -10,9 +10,10 @@ ahead (`ask_for_pixels` of `tiles.py`), and tiles that no Gaussian reaches are w
 from numba import float32, int64, uint32
 
 from tg4mm.rasterize.kernels.compiled import inlined
-from tg4mm.rasterize.kernels.lanes import rows_of_planes, store_block
+from tg4mm.rasterize.kernels.lanes import store_block
 from tg4mm.rasterize.kernels.layout import FEATURES, TILE
 from tg4mm.rasterize.kernels.memory import integer, load, number, store
+from tg4mm.rasterize.kernels.rows import rows_of_planes
 from tg4mm.rasterize.kernels.tiles import BLOCKS, corner, pixel
 from tg4mm.rasterize.kernels.vector import LANES
 

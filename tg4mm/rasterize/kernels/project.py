@@ -2,35 +2,33 @@
 
 Formulas as in gsplat and [3DGS]: M = J W Σ Wᵀ Jᵀ + eps2d·I, the perspective Jacobian J taken at a position
 clamped to 1.3 times the field of view.
+
+Sixteen Gaussians at a time, a lane a Gaussian (`vector.py`).
 """
+
+# mypy: disable-error-code="call-arg, arg-type, call-overload, operator, var-annotated"
+# an intrinsic has one argument more than its calls: the typing context; and vectors look like nothing mypy knows
 
 import math
 
 import numpy as np
-from numba import float32, njit, prange
+from numba import float32, int64, njit, prange
 
 from tg4mm.rasterize.buffers import Buffers
-from tg4mm.rasterize.kernels.compiled import kernel
+from tg4mm.rasterize.kernels import functions  # noqa: F401, roots and logarithms of vectors
+from tg4mm.rasterize.kernels.compiled import inlined, kernel
 from tg4mm.rasterize.kernels.layout import (
     ALPHA_MIN,
-    CA,
-    CB,
-    CC,
-    DEPTH,
-    EX,
-    EY,
     FEAT,
     FEATURES,
-    L22,
-    MX,
-    MY,
-    OP,
     POWER,
-    R11,
     SPLAT_WIDTH,
     SQUARES,
 )
-from tg4mm.rasterize.kernels.sh import basis
+from tg4mm.rasterize.kernels.memory import address, keep, load, number, put_number
+from tg4mm.rasterize.kernels.rows import planes_of_rows, planes_of_threes, store_rows
+from tg4mm.rasterize.kernels.sh import colour
+from tg4mm.rasterize.kernels.vector import LANES, bits, fma, select, wide
 
 # Columns of `camera` [20] float32.
 FX, FY, CX, CY = 12, 13, 14, 15  # after W row-major (0..8) and t (9..11)
@@ -48,22 +46,34 @@ def pack_camera(viewmat, K, near, far, eps2d, alpha_min=ALPHA_MIN):
     return cam
 
 
-@njit(fastmath=True, inline="always")
-def rotation_of(quats, i):
-    """Rotation matrix of quaternion i (wxyz, any length > 0) and the inverse of its length."""
-    w, x, y, z = quats[i, 0], quats[i, 1], quats[i, 2], quats[i, 3]
-    inv = float32(1.0) / math.sqrt(max(w * w + x * x + y * y + z * z, float32(1e-30)))
-    w, x, y, z = w * inv, x * inv, y * inv, z * inv
+@inlined
+def unpacked(cam):
+    """A packed camera as twenty numbers, which need no memory."""
+    return (
+        cam[0], cam[1], cam[2], cam[3], cam[4], cam[5], cam[6], cam[7], cam[8], cam[9],
+        cam[10], cam[11], cam[12], cam[13], cam[14], cam[15], cam[16], cam[17], cam[18], cam[19],
+    )  # fmt: skip
+
+
+@inlined
+def rotation(w, x, y, z):
+    """Rotation matrix of a unit quaternion, row by row."""
     one, two = float32(1.0), float32(2.0)
     return (
         one - two * (y * y + z * z), two * (x * y - w * z), two * (x * z + w * y),
         two * (x * y + w * z), one - two * (x * x + z * z), two * (y * z - w * x),
         two * (x * z - w * y), two * (y * z + w * x), one - two * (x * x + y * y),
-        w, x, y, z, inv,
     )  # fmt: skip
 
 
-@njit(fastmath=True, inline="always")
+@inlined
+def unit(w, x, y, z):
+    """A quaternion of any length > 0 with length 1, and the inverse of what it had."""
+    inv = float32(1.0) / math.sqrt(max(w * w + x * x + y * y + z * z, float32(1e-30)))
+    return w * inv, x * inv, y * inv, z * inv, inv
+
+
+@inlined
 def camera_space(cam, x, y, z):
     return (
         cam[0] * x + cam[1] * y + cam[2] * z + cam[9],
@@ -72,14 +82,113 @@ def camera_space(cam, x, y, z):
     )
 
 
-@njit(fastmath=True, inline="always")
+@inlined
+def turned(cam, r00, r01, r02, r10, r11, r12, r20, r21, r22):
+    """W R, row by row."""
+    return (
+        cam[0] * r00 + cam[1] * r10 + cam[2] * r20,
+        cam[0] * r01 + cam[1] * r11 + cam[2] * r21,
+        cam[0] * r02 + cam[1] * r12 + cam[2] * r22,
+        cam[3] * r00 + cam[4] * r10 + cam[5] * r20,
+        cam[3] * r01 + cam[4] * r11 + cam[5] * r21,
+        cam[3] * r02 + cam[4] * r12 + cam[5] * r22,
+        cam[6] * r00 + cam[7] * r10 + cam[8] * r20,
+        cam[6] * r01 + cam[7] * r11 + cam[8] * r21,
+        cam[6] * r02 + cam[7] * r12 + cam[8] * r22,
+    )
+
+
+@inlined
 def clamped(xz, centre, focal, size):
     """x/z limited to the image enlarged by 0.3 of half its field of view on each side (gsplat)."""
     margin = float32(0.15) * size / focal
-    return min((size - centre) / focal + margin, max(-centre / focal - margin, xz))
+    return min(max(xz, -centre / focal - margin), (size - centre) / focal + margin)
 
 
-@kernel(parallel=True, fastmath=True)
+@inlined
+def camera_centre(cam):
+    """-Wᵀ t."""
+    return (
+        -(cam[0] * cam[9] + cam[3] * cam[10] + cam[6] * cam[11]),
+        -(cam[1] * cam[9] + cam[4] * cam[10] + cam[7] * cam[11]),
+        -(cam[2] * cam[9] + cam[5] * cam[10] + cam[8] * cam[11]),
+    )
+
+
+@njit(error_model="numpy")
+def _sixteen(
+    means, quats, scales, opacities, features, starts, degree, with_depth, cam, width, height, splats
+):
+    """`project_forward` of sixteen Gaussians: addresses of the first one's rows. Of `features` only if degree >= 0."""
+    one, half, zero = float32(1.0), float32(0.5), wide(float32(0.0))
+    eps2d, near, far = cam[EPS2D], cam[NEAR], cam[FAR]
+    mx, my, mz = planes_of_threes(load(means, 0), load(means, 16), load(means, 32))
+    x, y, z = camera_space(cam, mx, my, mz)
+    opacity = load(opacities, 0)
+    power = math.log(max(opacity, float32(1e-20)) / cam[LEAST_ALPHA])
+    visible = (z > near) & (z < far) & (power > float32(0.0))
+    if bits(visible) == 0:
+        for k in range(LANES):
+            put_number(splats, int64(k * SPLAT_WIDTH + POWER), float32(-1.0))
+        return
+    qw, qx, qy, qz, _ = unit(
+        *planes_of_rows(load(quats, 0), load(quats, 16), load(quats, 32), load(quats, 48))
+    )
+    n00, n01, n02, n10, n11, n12, n20, n21, n22 = turned(cam, *rotation(qw, qx, qy, qz))
+    # B = W R S, so that the camera-space covariance is B Bᵀ
+    s0, s1, s2 = planes_of_threes(load(scales, 0), load(scales, 16), load(scales, 32))
+    b20, b21, b22 = n20 * s0, n21 * s1, n22 * s2
+    iz = one / z
+    jx, jy = cam[FX] * iz, cam[FY] * iz
+    jxz = jx * (-clamped(x * iz, cam[CX], cam[FX], width))
+    jyz = jy * (-clamped(y * iz, cam[CY], cam[FY], height))
+    # rows of J B
+    p0, p1, p2 = fma(jxz, b20, jx * n00 * s0), fma(jxz, b21, jx * n01 * s1), fma(jxz, b22, jx * n02 * s2)
+    q0, q1, q2 = fma(jyz, b20, jy * n10 * s0), fma(jyz, b21, jy * n11 * s1), fma(jyz, b22, jy * n12 * s2)
+    pp, qq = p0 * p0 + p1 * p1 + p2 * p2, q0 * q0 + q1 * q1 + q2 * q2
+    m00, m11, m01 = pp + eps2d, qq + eps2d, p0 * q0 + p1 * q1 + p2 * q2
+    # |p × q|² + eps (|p|² + |q|²) + eps²: m00 m11 - m01² without its cancellation in thin ellipses
+    c0, c1, c2 = p1 * q2 - p2 * q1, p2 * q0 - p0 * q2, p0 * q1 - p1 * q0
+    det = c0 * c0 + c1 * c1 + c2 * c2 + eps2d * (pp + qq + eps2d)
+    u, v = fma(jx, x, cam[CX]), fma(jy, y, cam[CY])
+    ex, ey = math.sqrt(float32(2.0) * power * m00), math.sqrt(float32(2.0) * power * m11)
+    visible = visible & (det > float32(0.0)) & (det < float32(1e37))
+    visible = (
+        visible & (u + ex >= half) & (width - half >= u - ex) & (v + ey >= half) & (height - half >= v - ey)
+    )
+    inv, red, green, blue = one / det, zero, zero, zero
+    if degree >= 0 and bits(visible) != 0:
+        ox, oy, oz = camera_centre(cam)
+        dx, dy, dz = mx - ox, my - oy, mz - oz
+        norm = one / math.sqrt(dx * dx + dy * dy + dz * dz)
+        red, green, blue = colour(features, starts, degree, dx * norm, dy * norm, dz * norm)
+    last = z if with_depth else zero
+    power = select(visible, power, float32(-1.0))
+    r11, l22 = math.sqrt(det / (float32(SQUARES) * m11)), math.sqrt(float32(SQUARES) / m11)
+    record = (
+        u, v, m11 * inv, zero - m01 * inv, m00 * inv, opacity, red, green,
+        blue, last, z, ey, ex, power, r11, l22,
+    )  # as layout.py says  # fmt: skip
+    store_rows(splats, int64(0), record)
+
+
+@inlined
+def of_rows(arrays, widths, row):
+    """Where a row of six arrays begins: addresses of the arrays, and how many float32 a row of each has."""
+    return (
+        arrays[0] + 4 * widths[0] * row, arrays[1] + 4 * widths[1] * row, arrays[2] + 4 * widths[2] * row,
+        arrays[3] + 4 * widths[3] * row, arrays[4] + 4 * widths[4] * row, arrays[5] + 4 * widths[5] * row,
+    )  # fmt: skip
+
+
+@inlined
+def copy(source, target, count):
+    """`count` float32 from one address to another."""
+    for k in range(count):
+        put_number(target, int64(k), number(source, int64(k)))
+
+
+@kernel(parallel=True)
 def project_forward(
     means, quats, scales, opacities, features, degree, with_depth, cam, width, height, splats
 ):
@@ -88,80 +197,44 @@ def project_forward(
     features: [N, K, 3] SH coefficients where degree >= 0, else [N, 1, D] plain channels, D <= FEATURES.
     with_depth: 1 puts z into the last feature channel.
     """
-    fx, fy, cx, cy = cam[FX], cam[FY], cam[CX], cam[CY]
-    # camera centre -Wᵀ t
-    ox = -(cam[0] * cam[9] + cam[3] * cam[10] + cam[6] * cam[11])
-    oy = -(cam[1] * cam[9] + cam[4] * cam[10] + cam[7] * cam[11])
-    oz = -(cam[2] * cam[9] + cam[5] * cam[10] + cam[8] * cam[11])
-    n = means.shape[0]
+    n, wide_row = means.shape[0], int64(features.shape[1] * features.shape[2])
     w, h = float32(width), float32(height)
+    camera = unpacked(cam)
     for chunk in prange((n + ROWS - 1) // ROWS):
-        sh = np.empty(16, np.float32)
-        for i in range(chunk * ROWS, min(n, chunk * ROWS + ROWS)):
-            splats[i, POWER] = float32(-1.0)
-            mx, my, mz = means[i, 0], means[i, 1], means[i, 2]
-            x, y, z = camera_space(cam, mx, my, mz)
-            power = math.log(max(opacities[i], float32(1e-20)) / cam[LEAST_ALPHA])
-            if not (z > cam[NEAR] and z < cam[FAR] and power > float32(0.0)):
-                continue
-            r00, r01, r02, r10, r11, r12, r20, r21, r22, _, _, _, _, _ = rotation_of(quats, i)
-            # B = W R S, so that the camera-space covariance is B Bᵀ
-            s0, s1, s2 = scales[i, 0], scales[i, 1], scales[i, 2]
-            b00 = (cam[0] * r00 + cam[1] * r10 + cam[2] * r20) * s0
-            b01 = (cam[0] * r01 + cam[1] * r11 + cam[2] * r21) * s1
-            b02 = (cam[0] * r02 + cam[1] * r12 + cam[2] * r22) * s2
-            b10 = (cam[3] * r00 + cam[4] * r10 + cam[5] * r20) * s0
-            b11 = (cam[3] * r01 + cam[4] * r11 + cam[5] * r21) * s1
-            b12 = (cam[3] * r02 + cam[4] * r12 + cam[5] * r22) * s2
-            b20 = (cam[6] * r00 + cam[7] * r10 + cam[8] * r20) * s0
-            b21 = (cam[6] * r01 + cam[7] * r11 + cam[8] * r21) * s1
-            b22 = (cam[6] * r02 + cam[7] * r12 + cam[8] * r22) * s2
-            iz = float32(1.0) / z
-            jx, jy = fx * iz, fy * iz
-            jxz = -jx * clamped(x * iz, cx, fx, w)
-            jyz = -jy * clamped(y * iz, cy, fy, h)
-            # rows of J B
-            p0, p1, p2 = jx * b00 + jxz * b20, jx * b01 + jxz * b21, jx * b02 + jxz * b22
-            q0, q1, q2 = jy * b10 + jyz * b20, jy * b11 + jyz * b21, jy * b12 + jyz * b22
-            pp, qq = p0 * p0 + p1 * p1 + p2 * p2, q0 * q0 + q1 * q1 + q2 * q2
-            m00, m11 = pp + cam[EPS2D], qq + cam[EPS2D]
-            m01 = p0 * q0 + p1 * q1 + p2 * q2
-            # |p × q|² + eps (|p|² + |q|²) + eps²: m00 m11 - m01² without its cancellation in thin ellipses
-            n0, n1, n2 = p1 * q2 - p2 * q1, p2 * q0 - p0 * q2, p0 * q1 - p1 * q0
-            det = n0 * n0 + n1 * n1 + n2 * n2 + cam[EPS2D] * (pp + qq + cam[EPS2D])
-            if not (det > float32(0.0) and det < float32(1e37)):
-                continue
-            u, v = fx * x * iz + cx, fy * y * iz + cy
-            ex, ey = math.sqrt(float32(2.0) * power * m00), math.sqrt(float32(2.0) * power * m11)
-            if u + ex < float32(0.5) or u - ex > w - float32(0.5):
-                continue
-            if v + ey < float32(0.5) or v - ey > h - float32(0.5):
-                continue
-            inv = float32(1.0) / det
-            splats[i, MX], splats[i, MY] = u, v
-            splats[i, CA], splats[i, CB], splats[i, CC] = m11 * inv, -m01 * inv, m00 * inv
-            splats[i, OP], splats[i, POWER], splats[i, DEPTH] = opacities[i], power, z
-            splats[i, EX], splats[i, EY] = ex, ey
-            splats[i, R11] = math.sqrt(det / (float32(SQUARES) * m11))
-            splats[i, L22] = math.sqrt(float32(SQUARES) / m11)
-            if degree >= 0:
-                dx, dy, dz = mx - ox, my - oy, mz - oz
-                norm = float32(1.0) / math.sqrt(dx * dx + dy * dy + dz * dz)
-                basis(degree, dx * norm, dy * norm, dz * norm, sh)
-                c0, c1, c2 = float32(0.5), float32(0.5), float32(0.5)
-                for k in range((degree + 1) * (degree + 1)):
-                    c0 += sh[k] * features[i, k, 0]
-                    c1 += sh[k] * features[i, k, 1]
-                    c2 += sh[k] * features[i, k, 2]
-                splats[i, FEAT] = max(c0, float32(0.0))
-                splats[i, FEAT + 1] = max(c1, float32(0.0))
-                splats[i, FEAT + 2] = max(c2, float32(0.0))
-                splats[i, FEAT + 3] = float32(0.0)
+        begin, end = int64(chunk) * ROWS, min(n, (int64(chunk) + 1) * ROWS)
+        starts = np.empty(LANES, np.int32)
+        for k in range(LANES):
+            starts[k] = k * wide_row
+        # The last of all by way of a copy: more is read and written at once than may be there.
+        room = np.zeros(LANES * (11 + wide_row + SPLAT_WIDTH) + 1, np.float32)
+        at = address(room)
+        rooms = (at, at + 12 * LANES, at + 28 * LANES, at + 40 * LANES, at + 44 * LANES)
+        record = at + 4 * (LANES * (11 + wide_row) + 1)
+        for i in range(begin, end, LANES):
+            m, q, s = address(means) + 12 * i, address(quats) + 16 * i, address(scales) + 12 * i
+            o, f = address(opacities) + 4 * i, address(features) + 4 * wide_row * i
+            here = address(splats) + 4 * SPLAT_WIDTH * i
+            if i + LANES < n:
+                _sixteen(m, q, s, o, f, address(starts), degree, with_depth, camera, w, h, here)
             else:
-                for k in range(FEATURES):
-                    splats[i, FEAT + k] = features[i, 0, k] if k < features.shape[2] else float32(0.0)
-            if with_depth:
-                splats[i, FEAT + FEATURES - 1] = z
+                rest = n - i
+                copy(m, rooms[0], 3 * rest)
+                copy(q, rooms[1], 4 * rest)
+                copy(s, rooms[2], 3 * rest)
+                copy(o, rooms[3], rest)
+                copy(f, rooms[4], wide_row * rest)
+                _sixteen(
+                    rooms[0], rooms[1], rooms[2], rooms[3], rooms[4], address(starts), degree, with_depth, camera,
+                    w, h, record,
+                )  # fmt: skip
+                copy(record, here, SPLAT_WIDTH * rest)
+        keep(room)
+        keep(starts)
+        if degree < 0:
+            for i in range(begin, end):
+                for k in range(min(FEATURES, features.shape[2])):
+                    if not (with_depth and k == FEATURES - 1):
+                        splats[i, FEAT + k] = features[i, 0, k]
 
 
 def empty_splats(n: int) -> np.ndarray:

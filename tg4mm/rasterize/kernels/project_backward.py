@@ -4,18 +4,48 @@ Formulas and names as in `project.py`. No matrix of a Gaussian is kept from the 
 cheaper than reading it.
 """
 
+# mypy: disable-error-code="call-arg, arg-type, call-overload, operator, var-annotated"
+# an intrinsic has one argument more than its calls: the typing context; and vectors look like nothing mypy knows
+
 import math
 
 import numpy as np
-from numba import float32, njit, prange
+from numba import float32, int64, njit, prange
 
-from tg4mm.rasterize.kernels.compiled import kernel
-from tg4mm.rasterize.kernels.layout import CA, CB, CC, FEAT, FEATURES, MX, MY, OP, POWER
-from tg4mm.rasterize.kernels.project import CX, CY, FX, FY, ROWS, camera_space, clamped, rotation_of
-from tg4mm.rasterize.kernels.sh import basis, basis_vjp
+from tg4mm.rasterize.kernels.compiled import inlined, kernel
+from tg4mm.rasterize.kernels.lanes import load_block, store_block
+from tg4mm.rasterize.kernels.layout import CA, CB, CC, FEAT, FEATURES, MX, MY, OP, POWER, SPLAT_WIDTH
+from tg4mm.rasterize.kernels.memory import address, keep, load, store
+from tg4mm.rasterize.kernels.project import (
+    CX,
+    CY,
+    FX,
+    FY,
+    ROWS,
+    camera_centre,
+    camera_space,
+    clamped,
+    copy,
+    of_rows,
+    rotation,
+    turned,
+    unit,
+    unpacked,
+)
+from tg4mm.rasterize.kernels.rows import (
+    load_columns,
+    planes_of_rows,
+    planes_of_threes,
+    rows_of_planes,
+    threes_of_planes,
+)
+from tg4mm.rasterize.kernels.sh import ROOM, colour_vjp
+from tg4mm.rasterize.kernels.vector import LANES, bits, select, wide
+
+_POSE = 12  # numbers of W and t
 
 
-@njit(fastmath=True, inline="always")
+@inlined
 def _quat_vjp(w, x, y, z, inv, g00, g01, g02, g10, g11, g12, g20, g21, g22):
     """Gradient by the unnormalised quaternion of a loss with gradient g by its rotation matrix."""
     two, four = float32(2.0), float32(4.0)
@@ -27,7 +57,7 @@ def _quat_vjp(w, x, y, z, inv, g00, g01, g02, g10, g11, g12, g20, g21, g22):
     return (vw - along * w) * inv, (vx - along * x) * inv, (vy - along * y) * inv, (vz - along * z) * inv
 
 
-@njit(fastmath=True, inline="always")
+@inlined
 def _covariance_vjp(a, b, c, ga, gb, gc, p, q):
     """Gradient by a column (p, q) of P, where M = P Pᵀ + eps and G is the gradient by the conic C = M⁻¹.
 
@@ -40,171 +70,218 @@ def _covariance_vjp(a, b, c, ga, gb, gc, p, q):
     return two * (a * z0 + b * z1), two * (b * z0 + c * z1)
 
 
-@njit(fastmath=True, inline="always")
-def _pose_share(
-    v_pose, i, cam, mx, my, mz, vcx, vcy, vcz, dirx, diry, dirz,
-    w00, w01, w02, w10, w11, w12, w20, w21, w22,
-):  # fmt: skip
-    """Gradient by W and t: through camera-space position, covariance (w..) and the viewing direction.
+@inlined
+def _add_three(at, visible, a, b, c):
+    """Add three columns to sixteen rows of three numbers, 0 where not visible."""
+    nothing = float32(0.0)
+    rows = threes_of_planes(
+        select(visible, a, nothing), select(visible, b, nothing), select(visible, c, nothing)
+    )
+    for k in range(3):
+        store(at, int64(k * LANES), load(at, int64(k * LANES)) + rows[k])
 
-    The direction starts at the camera centre o = -Wᵀ t, so its share is that of -dir by o.
+
+@inlined
+def _add_four(at, width, visible, a, b, c, d):
+    """Add four columns to sixteen rows, `width` numbers apart, 0 where not visible."""
+    nothing = float32(0.0)
+    a, b = select(visible, a, nothing), select(visible, b, nothing)
+    c, d = select(visible, c, nothing), select(visible, d, nothing)
+    rows = rows_of_planes(a, b, c, d)
+    for k in range(4):
+        place = 4 * k * width
+        store_block(at, place, width, load_block(at, place, width) + rows[k])
+
+
+@inlined
+def _axis(slope, centre, focal, size, reciprocal, v_slope, g):
+    """Of an axis of the image, gradient by the place along it and its share of that by z.
+
+    Through the mean, whose gradient is g, and the Jacobian's entry -focal / z · slope, whose gradient is v_slope and in
+    which the slope (x / z, y / z) does not count where it is clamped.
     """
-    tx, ty, tz = cam[9], cam[10], cam[11]
-    v_pose[i, 0] = vcx * mx + w00 + tx * dirx
-    v_pose[i, 1] = vcx * my + w01 + tx * diry
-    v_pose[i, 2] = vcx * mz + w02 + tx * dirz
-    v_pose[i, 3] = vcy * mx + w10 + ty * dirx
-    v_pose[i, 4] = vcy * my + w11 + ty * diry
-    v_pose[i, 5] = vcy * mz + w12 + ty * dirz
-    v_pose[i, 6] = vcz * mx + w20 + tz * dirx
-    v_pose[i, 7] = vcz * my + w21 + tz * diry
-    v_pose[i, 8] = vcz * mz + w22 + tz * dirz
-    v_pose[i, 9] = vcx + cam[0] * dirx + cam[1] * diry + cam[2] * dirz
-    v_pose[i, 10] = vcy + cam[3] * dirx + cam[4] * diry + cam[5] * dirz
-    v_pose[i, 11] = vcz + cam[6] * dirx + cam[7] * diry + cam[8] * dirz
+    held = clamped(slope, centre, focal, size)
+    step = focal * reciprocal * reciprocal * v_slope
+    free, two, one = held == slope, wide(float32(2.0)), wide(float32(1.0))
+    along = focal * reciprocal * g - select(free, step, float32(0.0))
+    return along, step * held * select(free, two, one) - focal * reciprocal * slope * g
 
 
-@kernel(fastmath=True)
+@njit(error_model="numpy")
+def _sixteen(given, sums, view, cam, width, height, room):
+    """`backward_rows` of sixteen Gaussians: addresses of the first one's rows, inputs and sums."""
+    means, quats, scales, features, splats, v_splats = given
+    v_means, v_quats, v_scales, v_opacities, v_features, v_pose = sums
+    degree, with_depth, summed, with_pose, of_features = view
+    one, half, nothing = float32(1.0), float32(0.5), float32(0.0)
+    record, v_record = load_columns(splats, int64(0)), load_columns(v_splats, int64(0))
+    visible = record[POWER] > nothing
+    if bits(visible) == 0:
+        return
+    a, b, c = record[CA], record[CB], record[CC]
+    gu, gv, go = v_record[MX], v_record[MY], v_record[OP]
+    ga, gb, gc = v_record[CA], half * v_record[CB], v_record[CC]
+    if summed:
+        gu, gv, go = a * gu + b * gv, b * gu + c * gv, go / record[OP]
+        ga, gb, gc = -half * ga, -gb, -half * gc
+    mx, my, mz = planes_of_threes(load(means, int64(0)), load(means, int64(16)), load(means, int64(32)))
+    x, y, z = camera_space(cam, mx, my, mz)
+    s0, s1, s2 = planes_of_threes(load(scales, int64(0)), load(scales, int64(16)), load(scales, int64(32)))
+    qw, qx, qy, qz, qinv = unit(
+        *planes_of_rows(
+            load(quats, int64(0)), load(quats, int64(16)), load(quats, int64(32)), load(quats, int64(48))
+        )
+    )
+    r00, r01, r02, r10, r11, r12, r20, r21, r22 = rotation(qw, qx, qy, qz)
+    # N = W R (columns), B = N S
+    n00, n01, n02, n10, n11, n12, n20, n21, n22 = turned(cam, r00, r01, r02, r10, r11, r12, r20, r21, r22)
+    iz = one / z
+    jx, jy = cam[FX] * iz, cam[FY] * iz
+    jxz = -jx * clamped(x * iz, cam[CX], cam[FX], width)
+    jyz = -jy * clamped(y * iz, cam[CY], cam[FY], height)
+    # P = J B with rows p, q; M = P Pᵀ + eps
+    b00, b01, b02 = n00 * s0, n01 * s1, n02 * s2
+    b10, b11, b12 = n10 * s0, n11 * s1, n12 * s2
+    b20, b21, b22 = n20 * s0, n21 * s1, n22 * s2
+    vp0, vq0 = _covariance_vjp(a, b, c, ga, gb, gc, jx * b00 + jxz * b20, jy * b10 + jyz * b20)
+    vp1, vq1 = _covariance_vjp(a, b, c, ga, gb, gc, jx * b01 + jxz * b21, jy * b11 + jyz * b21)
+    vp2, vq2 = _covariance_vjp(a, b, c, ga, gb, gc, jx * b02 + jxz * b22, jy * b12 + jyz * b22)
+    # gradient by B = Jᵀ vP and by the entries of J
+    vjx = vp0 * b00 + vp1 * b01 + vp2 * b02
+    vjxz = vp0 * b20 + vp1 * b21 + vp2 * b22
+    vjy = vq0 * b10 + vq1 * b11 + vq2 * b12
+    vjyz = vq0 * b20 + vq1 * b21 + vq2 * b22
+    vb00, vb01, vb02 = jx * vp0, jx * vp1, jx * vp2
+    vb10, vb11, vb12 = jy * vq0, jy * vq1, jy * vq2
+    vb20, vb21, vb22 = jxz * vp0 + jyz * vq0, jxz * vp1 + jyz * vq1, jxz * vp2 + jyz * vq2
+    _add_three(
+        v_scales,
+        visible,
+        vb00 * n00 + vb10 * n10 + vb20 * n20,
+        vb01 * n01 + vb11 * n11 + vb21 * n21,
+        vb02 * n02 + vb12 * n12 + vb22 * n22,
+    )
+    # by N, then by R = Wᵀ vN
+    vn00, vn01, vn02 = vb00 * s0, vb01 * s1, vb02 * s2
+    vn10, vn11, vn12 = vb10 * s0, vb11 * s1, vb12 * s2
+    vn20, vn21, vn22 = vb20 * s0, vb21 * s1, vb22 * s2
+    vqw, vqx, vqy, vqz = _quat_vjp(
+        qw, qx, qy, qz, qinv,
+        cam[0] * vn00 + cam[3] * vn10 + cam[6] * vn20,
+        cam[0] * vn01 + cam[3] * vn11 + cam[6] * vn21,
+        cam[0] * vn02 + cam[3] * vn12 + cam[6] * vn22,
+        cam[1] * vn00 + cam[4] * vn10 + cam[7] * vn20,
+        cam[1] * vn01 + cam[4] * vn11 + cam[7] * vn21,
+        cam[1] * vn02 + cam[4] * vn12 + cam[7] * vn22,
+        cam[2] * vn00 + cam[5] * vn10 + cam[8] * vn20,
+        cam[2] * vn01 + cam[5] * vn11 + cam[8] * vn21,
+        cam[2] * vn02 + cam[5] * vn12 + cam[8] * vn22,
+    )  # fmt: skip
+    _add_four(v_quats, int64(4), visible, vqw, vqx, vqy, vqz)
+    # position in the camera: through the mean, the Jacobian and depth
+    vcx, by_x = _axis(x * iz, cam[CX], cam[FX], width, iz, vjxz, gu)
+    vcy, by_y = _axis(y * iz, cam[CY], cam[FY], height, iz, vjyz, gv)
+    vcz = by_x + by_y - (vjx * jx + vjy * jy) * iz
+    if with_depth:
+        vcz = vcz + v_record[FEAT + FEATURES - 1]
+    store(v_opacities, int64(0), load(v_opacities, int64(0)) + select(visible, go, nothing))
+    vx, vy, vz = wide(nothing), wide(nothing), wide(nothing)  # by the viewing direction
+    if degree >= 0:
+        ox, oy, oz = camera_centre(cam)
+        dx, dy, dz = mx - ox, my - oy, mz - oz
+        norm = one / math.sqrt(dx * dx + dy * dy + dz * dz)
+        # the clamp at 0 passes no gradient
+        g0 = select(visible & (record[FEAT] > nothing), v_record[FEAT], nothing)
+        g1 = select(visible & (record[FEAT + 1] > nothing), v_record[FEAT + 1], nothing)
+        g2 = select(visible & (record[FEAT + 2] > nothing), v_record[FEAT + 2], nothing)
+        dx, dy, dz = (
+            select(visible, dx * norm, nothing),
+            select(visible, dy * norm, nothing),
+            select(visible, dz * norm, nothing),
+        )
+        vx, vy, vz = colour_vjp(features, v_features, of_features, degree, dx, dy, dz, g0, g1, g2, room)
+        vx, vy, vz = vx * norm, vy * norm, vz * norm
+    _add_three(
+        v_means,
+        visible,
+        cam[0] * vcx + cam[3] * vcy + cam[6] * vcz + vx,
+        cam[1] * vcx + cam[4] * vcy + cam[7] * vcz + vy,
+        cam[2] * vcx + cam[5] * vcy + cam[8] * vcz + vz,
+    )
+    if with_pose:
+        # W and t: through camera-space position, covariance and the viewing direction. The direction starts at the
+        # camera centre o = -Wᵀ t, so its share is that of -(vx, vy, vz) by o.
+        tx, ty, tz = cam[9], cam[10], cam[11]
+        _add_four(
+            v_pose, int64(_POSE), visible,
+            vcx * mx + r00 * vn00 + r01 * vn01 + r02 * vn02 + tx * vx,
+            vcx * my + r10 * vn00 + r11 * vn01 + r12 * vn02 + tx * vy,
+            vcx * mz + r20 * vn00 + r21 * vn01 + r22 * vn02 + tx * vz,
+            vcy * mx + r00 * vn10 + r01 * vn11 + r02 * vn12 + ty * vx,
+        )  # fmt: skip
+        _add_four(
+            v_pose + 16, int64(_POSE), visible,
+            vcy * my + r10 * vn10 + r11 * vn11 + r12 * vn12 + ty * vy,
+            vcy * mz + r20 * vn10 + r21 * vn11 + r22 * vn12 + ty * vz,
+            vcz * mx + r00 * vn20 + r01 * vn21 + r02 * vn22 + tz * vx,
+            vcz * my + r10 * vn20 + r11 * vn21 + r12 * vn22 + tz * vy,
+        )  # fmt: skip
+        _add_four(
+            v_pose + 32, int64(_POSE), visible,
+            vcz * mz + r20 * vn20 + r21 * vn21 + r22 * vn22 + tz * vz,
+            vcx + cam[0] * vx + cam[1] * vy + cam[2] * vz,
+            vcy + cam[3] * vx + cam[4] * vy + cam[5] * vz,
+            vcz + cam[6] * vx + cam[7] * vy + cam[8] * vz,
+        )  # fmt: skip
+
+
+@kernel()
 def backward_rows(
     means, quats, scales, features, degree, with_depth, cam, width, height, splats, v_splats, summed,
     v_means, v_quats, v_scales, v_opacities, v_features, v_pose, with_pose,
 ):  # fmt: skip
     """`project_backward` of the given rows in one thread. Of `v_splats` only rows that are visible are read."""
-    fx, fy, cx, cy = cam[FX], cam[FY], cam[CX], cam[CY]
-    ox = -(cam[0] * cam[9] + cam[3] * cam[10] + cam[6] * cam[11])
-    oy = -(cam[1] * cam[9] + cam[4] * cam[10] + cam[7] * cam[11])
-    oz = -(cam[2] * cam[9] + cam[5] * cam[10] + cam[8] * cam[11])
-    w, h = float32(width), float32(height)
-    two, half = float32(2.0), float32(0.5)
-    sh, v_sh = np.empty(16, np.float32), np.empty(16, np.float32)
-    for i in range(means.shape[0]):
-        if splats[i, POWER] <= float32(0.0):
-            continue
-        mx, my, mz = means[i, 0], means[i, 1], means[i, 2]
-        x, y, z = camera_space(cam, mx, my, mz)
-        r00, r01, r02, r10, r11, r12, r20, r21, r22, qw, qx, qy, qz, qinv = rotation_of(quats, i)
-        s0, s1, s2 = scales[i, 0], scales[i, 1], scales[i, 2]
-        # N = W R (columns), B = N S
-        n00 = cam[0] * r00 + cam[1] * r10 + cam[2] * r20
-        n01 = cam[0] * r01 + cam[1] * r11 + cam[2] * r21
-        n02 = cam[0] * r02 + cam[1] * r12 + cam[2] * r22
-        n10 = cam[3] * r00 + cam[4] * r10 + cam[5] * r20
-        n11 = cam[3] * r01 + cam[4] * r11 + cam[5] * r21
-        n12 = cam[3] * r02 + cam[4] * r12 + cam[5] * r22
-        n20 = cam[6] * r00 + cam[7] * r10 + cam[8] * r20
-        n21 = cam[6] * r01 + cam[7] * r11 + cam[8] * r21
-        n22 = cam[6] * r02 + cam[7] * r12 + cam[8] * r22
-        iz = float32(1.0) / z
-        jx, jy = fx * iz, fy * iz
-        tx, ty = clamped(x * iz, cx, fx, w), clamped(y * iz, cy, fy, h)
-        jxz, jyz = -jx * tx, -jy * ty
-        # P = J B with rows p, q; M = P Pᵀ + eps
-        b00, b01, b02 = n00 * s0, n01 * s1, n02 * s2
-        b10, b11, b12 = n10 * s0, n11 * s1, n12 * s2
-        b20, b21, b22 = n20 * s0, n21 * s1, n22 * s2
-        p0, p1, p2 = jx * b00 + jxz * b20, jx * b01 + jxz * b21, jx * b02 + jxz * b22
-        q0, q1, q2 = jy * b10 + jyz * b20, jy * b11 + jyz * b21, jy * b12 + jyz * b22
-        a, b, c = splats[i, CA], splats[i, CB], splats[i, CC]
-        gu, gv, go = v_splats[i, MX], v_splats[i, MY], v_splats[i, OP]
-        ga, gb, gc = v_splats[i, CA], half * v_splats[i, CB], v_splats[i, CC]
-        if summed:
-            gu, gv, go = a * gu + b * gv, b * gu + c * gv, go / splats[i, OP]
-            ga, gb, gc = -half * ga, -gb, -half * gc
-        vp0, vq0 = _covariance_vjp(a, b, c, ga, gb, gc, p0, q0)
-        vp1, vq1 = _covariance_vjp(a, b, c, ga, gb, gc, p1, q1)
-        vp2, vq2 = _covariance_vjp(a, b, c, ga, gb, gc, p2, q2)
-        # gradient by B = Jᵀ vP and by the entries of J
-        vjx = vp0 * b00 + vp1 * b01 + vp2 * b02
-        vjxz = vp0 * b20 + vp1 * b21 + vp2 * b22
-        vjy = vq0 * b10 + vq1 * b11 + vq2 * b12
-        vjyz = vq0 * b20 + vq1 * b21 + vq2 * b22
-        vb00, vb01, vb02 = jx * vp0, jx * vp1, jx * vp2
-        vb10, vb11, vb12 = jy * vq0, jy * vq1, jy * vq2
-        vb20, vb21, vb22 = jxz * vp0 + jyz * vq0, jxz * vp1 + jyz * vq1, jxz * vp2 + jyz * vq2
-        v_scales[i, 0] += vb00 * n00 + vb10 * n10 + vb20 * n20
-        v_scales[i, 1] += vb01 * n01 + vb11 * n11 + vb21 * n21
-        v_scales[i, 2] += vb02 * n02 + vb12 * n12 + vb22 * n22
-        # by N, then by R = Wᵀ vN
-        vn00, vn01, vn02 = vb00 * s0, vb01 * s1, vb02 * s2
-        vn10, vn11, vn12 = vb10 * s0, vb11 * s1, vb12 * s2
-        vn20, vn21, vn22 = vb20 * s0, vb21 * s1, vb22 * s2
-        vw_, vx_, vy_, vz_ = _quat_vjp(
-            qw, qx, qy, qz, qinv,
-            cam[0] * vn00 + cam[3] * vn10 + cam[6] * vn20,
-            cam[0] * vn01 + cam[3] * vn11 + cam[6] * vn21,
-            cam[0] * vn02 + cam[3] * vn12 + cam[6] * vn22,
-            cam[1] * vn00 + cam[4] * vn10 + cam[7] * vn20,
-            cam[1] * vn01 + cam[4] * vn11 + cam[7] * vn21,
-            cam[1] * vn02 + cam[4] * vn12 + cam[7] * vn22,
-            cam[2] * vn00 + cam[5] * vn10 + cam[8] * vn20,
-            cam[2] * vn01 + cam[5] * vn11 + cam[8] * vn21,
-            cam[2] * vn02 + cam[5] * vn12 + cam[8] * vn22,
-        )  # fmt: skip
-        v_quats[i, 0] += vw_
-        v_quats[i, 1] += vx_
-        v_quats[i, 2] += vy_
-        v_quats[i, 3] += vz_
-        # position in the camera: through the mean, the Jacobian (only where it is not clamped) and depth
-        iz2 = iz * iz
-        vcx, vcy = jx * gu, jy * gv
-        vcz = -(fx * x * gu + fy * y * gv) * iz2 - (vjx * jx + vjy * jy) * iz
-        if tx == x * iz:
-            vcx -= fx * iz2 * vjxz
-            vcz += two * fx * tx * iz2 * vjxz
-        else:
-            vcz += fx * tx * iz2 * vjxz
-        if ty == y * iz:
-            vcy -= fy * iz2 * vjyz
-            vcz += two * fy * ty * iz2 * vjyz
-        else:
-            vcz += fy * ty * iz2 * vjyz
-        if with_depth:
-            vcz += v_splats[i, FEAT + FEATURES - 1]
-        v_opacities[i] += go
-        vmx = cam[0] * vcx + cam[3] * vcy + cam[6] * vcz
-        vmy = cam[1] * vcx + cam[4] * vcy + cam[7] * vcz
-        vmz = cam[2] * vcx + cam[5] * vcy + cam[8] * vcz
-        dirx, diry, dirz = float32(0.0), float32(0.0), float32(0.0)
-        if degree >= 0:
-            dx, dy, dz = mx - ox, my - oy, mz - oz
-            norm = float32(1.0) / math.sqrt(dx * dx + dy * dy + dz * dz)
-            ux, uy, uz = dx * norm, dy * norm, dz * norm
-            basis(degree, ux, uy, uz, sh)
-            # the clamp at 0 passes no gradient
-            g0 = v_splats[i, FEAT] if splats[i, FEAT] > float32(0.0) else float32(0.0)
-            g1 = v_splats[i, FEAT + 1] if splats[i, FEAT + 1] > float32(0.0) else float32(0.0)
-            g2 = v_splats[i, FEAT + 2] if splats[i, FEAT + 2] > float32(0.0) else float32(0.0)
-            for k in range((degree + 1) * (degree + 1)):
-                v_features[i, k, 0] += sh[k] * g0
-                v_features[i, k, 1] += sh[k] * g1
-                v_features[i, k, 2] += sh[k] * g2
-                v_sh[k] = features[i, k, 0] * g0 + features[i, k, 1] * g1 + features[i, k, 2] * g2
-            hx, hy, hz = basis_vjp(degree, ux, uy, uz, v_sh)
-            along = hx * ux + hy * uy + hz * uz
-            dirx, diry, dirz = (
-                (hx - along * ux) * norm,
-                (hy - along * uy) * norm,
-                (hz - along * uz) * norm,
-            )
-        else:
-            for k in range(min(FEATURES, v_features.shape[2])):
-                v_features[i, 0, k] += v_splats[i, FEAT + k]
-        v_means[i, 0] += vmx + dirx
-        v_means[i, 1] += vmy + diry
-        v_means[i, 2] += vmz + dirz
-        if with_pose:
-            _pose_share(
-                v_pose, i, cam, mx, my, mz, vcx, vcy, vcz, dirx, diry, dirz,
-                r00 * vn00 + r01 * vn01 + r02 * vn02, r10 * vn00 + r11 * vn01 + r12 * vn02,
-                r20 * vn00 + r21 * vn01 + r22 * vn02,
-                r00 * vn10 + r01 * vn11 + r02 * vn12, r10 * vn10 + r11 * vn11 + r12 * vn12,
-                r20 * vn10 + r21 * vn11 + r22 * vn12,
-                r00 * vn20 + r01 * vn21 + r02 * vn22, r10 * vn20 + r11 * vn21 + r12 * vn22,
-                r20 * vn20 + r21 * vn21 + r22 * vn22,
-            )  # fmt: skip
+    n, of_features = means.shape[0], int64(features.shape[1] * features.shape[2])
+    camera, w, h = unpacked(cam), float32(width), float32(height)
+    view = (int64(degree), bool(with_depth), bool(summed), bool(with_pose), of_features)
+    given = (
+        address(means), address(quats), address(scales), address(features), address(splats), address(v_splats),
+    )  # fmt: skip
+    sums = (
+        address(v_means), address(v_quats), address(v_scales), address(v_opacities), address(v_features),
+        address(v_pose),
+    )  # fmt: skip
+    of_given = (3, 4, 3, of_features, SPLAT_WIDTH, SPLAT_WIDTH)
+    of_sums = (3, 4, 3, 1, of_features, _POSE if with_pose else 0)
+    room = np.empty(ROOM, np.float32)
+    whole = n - n % LANES
+    for i in range(0, whole, LANES):
+        _sixteen(of_rows(given, of_given, i), of_rows(sums, of_sums, i), view, camera, w, h, address(room))
+    if n > whole:  # by way of a copy
+        most = LANES * max(of_features, int64(SPLAT_WIDTH))
+        part = np.zeros((12, most), np.float32)
+        at = address(part)
+        firsts = (at, at, at, at, at, at)
+        own = of_rows(firsts, (0, 1, 2, 3, 4, 5), most)
+        own_sums = of_rows(firsts, (6, 7, 8, 9, 10, 11), most)
+        for k in range(6):
+            copy(given[k] + 4 * of_given[k] * whole, own[k], of_given[k] * (n - whole))
+            copy(sums[k] + 4 * of_sums[k] * whole, own_sums[k], of_sums[k] * (n - whole))
+        _sixteen(own, own_sums, view, camera, w, h, address(room))
+        for k in range(6):
+            copy(own_sums[k], sums[k] + 4 * of_sums[k] * whole, of_sums[k] * (n - whole))
+        keep(part)
+    keep(room)
+    if degree < 0:
+        for i in range(n):
+            if splats[i, POWER] > float32(0.0):
+                for k in range(min(FEATURES, v_features.shape[2])):
+                    v_features[i, 0, k] += v_splats[i, FEAT + k]
+    keep(means), keep(quats), keep(scales), keep(features), keep(splats), keep(v_splats)
+    keep(v_means), keep(v_quats), keep(v_scales), keep(v_opacities), keep(v_features), keep(v_pose)
 
 
-@kernel(parallel=True, fastmath=True)
+@kernel(parallel=True)
 def project_backward(
     means, quats, scales, features, degree, with_depth, cam, width, height, splats, v_splats, summed,
     v_means, v_quats, v_scales, v_opacities, v_features, v_pose, with_pose,

@@ -19,6 +19,7 @@ import numpy as np
 from numba import float32, get_num_threads, int64, uint32
 
 from tg4mm.rasterize.kernels.compiled import inlined, kernel
+from tg4mm.rasterize.kernels.functions import EXP2, EXP2_STEPS, exp2
 from tg4mm.rasterize.kernels.layout import (
     ALPHA_MAX,
     FEATURES,
@@ -27,14 +28,7 @@ from tg4mm.rasterize.kernels.layout import (
     TILE,
 )
 from tg4mm.rasterize.kernels.memory import ask_early, integer, load
-from tg4mm.rasterize.kernels.vector import (
-    EXP2,
-    EXP2_STEPS,
-    LANES,
-    exp2,
-    select,
-    wide,
-)
+from tg4mm.rasterize.kernels.vector import LANES, select, wide
 
 _SIDE = 4  # pixels of a block
 BLOCKS = TILE * TILE // LANES

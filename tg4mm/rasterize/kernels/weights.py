@@ -15,7 +15,7 @@ from tg4mm.rasterize.kernels.layout import MX, MY
 from tg4mm.rasterize.kernels.masks import highest_bits, shifted
 from tg4mm.rasterize.kernels.memory import address, load, store
 from tg4mm.rasterize.kernels.tiles import BLOCKS, aligned, alphas
-from tg4mm.rasterize.kernels.vector import LANES, bits, lowest_bit, magnitude, negative, select
+from tg4mm.rasterize.kernels.vector import LANES, bits, lowest_bit, select
 
 KEPT = 5 * LANES  # numbers kept for each block: w, Tα, α/(1 - α), dx, dy
 BATCH = 32  # pairs looked at ahead
@@ -77,7 +77,7 @@ def weights(splats, i, n, live, x0, y0, faintest, table, held, state, stride, ba
         on = nt > t_min
         w = select(on, w, zero)
         moving = select(on & free, alpha, zero)
-        store(state, place, select(on, nt, negative(magnitude(t))))
+        store(state, place, select(on, nt, -abs(t)))
         source = count * KEPT
         store(kept, source, w)
         store(kept, source + LANES, t * moving)

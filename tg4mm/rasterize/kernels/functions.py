@@ -1,0 +1,133 @@
+"""Functions of sixteen numbers at once, of the type of `vector.py`: 2^x; math.sqrt and math.log take them as well."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from llvmlite import ir
+from numba.core import cgutils
+from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
+from numba.extending import intrinsic, lower_builtin
+
+from tg4mm.rasterize.kernels.vector import (
+    FV,
+    I16,
+    I32,
+    IV,
+    LANES,
+    declare,
+    has_avx512,
+    vector,
+)
+
+# of `vreduceps`: to the nearest without saying that it is inexact; exceptions as they are set
+_QUIET, _AS_SET = 8, 4
+# 2^f for |f| <= 1/2, least relative error, 1.2e-7, by iterated weighted least squares; last, what rounds a float32 by
+# being added to it: the sum's last binary digit is worth 1
+_SERIES = [0.00132764704, 0.00967554162, 0.0555071328, 0.240221197, 0.693146967, 1.0, 1.5 * 2**23]
+# 2^f - 1 over f for |f| <= 1/64, alike, 5e-8; what rounds to 1/32
+_STEP_BITS = 5
+_STEP = 1 << _STEP_BITS
+_SHORT_SERIES = [0.240226496, 0.693157335, 1.5 * 2**23 / _STEP]
+EXP2 = np.array(_SERIES + _SHORT_SERIES, np.float32)
+# 2^(k/32), two vectors; of their bits, as integers, is taken off what k itself adds when n + k/32 is shifted
+_PLACES = np.arange(_STEP, dtype=np.int32)
+EXP2_STEPS = (
+    (2.0 ** (_PLACES / _STEP)).astype(np.float32).view(np.int32) - (_PLACES << 23 - _STEP_BITS)
+).view(np.float32)
+
+
+def _exp2_series(builder, x, multiply_add, constants):
+    *polynomial, rounder = constants
+    shifted = builder.fadd(x, rounder)
+    f = builder.fsub(x, builder.fsub(shifted, rounder))
+    p = polynomial[0]
+    for coefficient in polynomial[1:]:
+        p = builder.call(multiply_add, [p, f, coefficient])
+    shift = ir.Constant(IV, [ir.Constant(I32, 23)] * LANES)
+    return p, builder.shl(builder.bitcast(shifted, IV), shift)
+
+
+def _exp2_steps(builder, x, multiply_add, constants, steps):
+    second, first, rounder = constants
+    shifted = builder.fadd(x, rounder)
+    reduce = declare(builder, "llvm.x86.avx512.mask.reduce.ps.512", FV, [FV, I32, FV, I16, I32])
+    # x less its nearest multiple of 2^-_STEP_BITS, in all lanes; of two as near the even one, as adding `rounder` takes
+    f = builder.call(
+        reduce,
+        [x, ir.Constant(I32, _STEP_BITS << 4 | _QUIET), x, ir.Constant(I16, -1), ir.Constant(I32, _AS_SET)],
+    )
+    look_up = declare(builder, "llvm.x86.avx512.vpermi2var.ps.512", FV, [FV, IV, FV])
+    n = builder.bitcast(shifted, IV)
+    step = builder.call(look_up, [steps[0], n, steps[1]])  # by the last five bits
+    shift = ir.Constant(IV, [ir.Constant(I32, 23 - _STEP_BITS)] * LANES)
+    power = builder.bitcast(builder.add(builder.bitcast(step, IV), builder.shl(n, shift)), FV)
+    rise = builder.fmul(builder.call(multiply_add, [second, f, first]), f)
+    return builder.call(multiply_add, [power, rise, power])
+
+
+@intrinsic
+def exp2(typingctx, x, constants):
+    """2^x for -126 <= x <= 0; below, any value. Relative error below 3e-7. constants: EXP2 and EXP2_STEPS, vectors.
+
+    2^n · 2^f with n the nearest integer and |f| <= 1/2, a polynomial for 2^f. The low bits of x + 1.5 · 2^23 are n.
+    With AVX-512 it is the nearest 1/32, whose fraction is looked up, and the rest takes three multiplications instead
+    of five: of those blending has most.
+    """
+
+    def codegen(context, builder, sig, args):
+        values = cgutils.unpack_tuple(builder, args[1])
+        series, short, steps = values[: len(_SERIES)], values[len(_SERIES) : len(EXP2)], values[len(EXP2) :]
+        multiply_add = declare(builder, "llvm.fmuladd.v16f32", FV, [FV] * 3)
+        if has_avx512(context):
+            return _exp2_steps(builder, args[0], multiply_add, short, steps)
+        p, n = _exp2_series(builder, args[0], multiply_add, series)
+        return builder.bitcast(builder.add(builder.bitcast(p, IV), n), FV)
+
+    return vector(vector, constants), codegen
+
+
+_HALF_ROOT = 0x3F3504F3  # the bits of √½
+# (ln(1 + f) - f + f²/2) / f³ for √½ <= 1 + f < √2, least error relative to ln(1 + f), 3.2e-8, as above
+_LOGARITHM = [0.0870043039, -0.142674863, 0.149147689, -0.16577585, 0.199630633, -0.250013381, 0.333339095]
+_LN2 = 0.693359375  # to ten binary digits, so that n times it is exact
+_LN2_REST = float(np.log(2)) - _LN2
+
+
+def _square_root(context, builder, sig, args):
+    """Rounded as it should be."""
+    return builder.call(declare(builder, "llvm.sqrt.v16f32", FV, [FV]), args)
+
+
+def _logarithm(context, builder, sig, args):
+    """Of positive normal numbers; error below 2e-7 of it.
+
+    n ln 2 + ln(1 + f) with x = 2^n (1 + f), √½ <= 1 + f < √2, a polynomial for the latter.
+    """
+
+    def of(kind, number):
+        return ir.Constant(kind, [ir.Constant(kind.element, number)] * LANES)
+
+    x = builder.bitcast(args[0], IV)
+    n = builder.ashr(builder.sub(x, of(IV, _HALF_ROOT)), of(IV, 23))
+    f = builder.bitcast(builder.sub(x, builder.shl(n, of(IV, 23))), FV)
+    f, n = builder.fsub(f, of(FV, 1.0)), builder.sitofp(n, FV)
+    multiply_add = declare(builder, "llvm.fmuladd.v16f32", FV, [FV] * 3)
+    series = of(FV, _LOGARITHM[0])
+    for coefficient in _LOGARITHM[1:]:
+        series = builder.call(multiply_add, [series, f, of(FV, coefficient)])
+    square = builder.fmul(f, f)
+    small = builder.fmul(n, of(FV, _LN2_REST))
+    small = builder.call(multiply_add, [builder.fmul(square, f), series, small])
+    small = builder.call(multiply_add, [square, of(FV, -0.5), small])
+    return builder.call(multiply_add, [n, of(FV, _LN2), builder.fadd(small, f)])
+
+
+for _function, _lower in ((math.sqrt, _square_root), (math.log, _logarithm)):
+
+    @infer_global(_function)
+    class _OfVectors(ConcreteTemplate):
+        cases = [signature(vector, vector)]  # noqa: RUF012
+
+    lower_builtin(_function, vector)(_lower)
