@@ -3,33 +3,24 @@
 Everything is a stable counting sort over fixed chunks, so the lists do not depend on the number of threads.
 """
 
-# mypy: disable-error-code="call-arg"
+# mypy: disable-error-code="call-arg, arg-type, var-annotated"
 # an intrinsic has one argument more than its calls: the typing context
 
-import math
-
 import numpy as np
-from numba import float32, int32, int64, prange, uint32
+from numba import float32, int64, prange, uint32
 
 from tg4mm.rasterize.buffers import Buffers, take
-from tg4mm.rasterize.kernels.compiled import inlined, kernel
+from tg4mm.rasterize.kernels.ahead import ask_for_some
+from tg4mm.rasterize.kernels.compiled import kernel
 from tg4mm.rasterize.kernels.layout import (
-    CB,
-    CC,
     DEPTH,
-    EX,
-    EY,
-    L22,
-    MX,
-    MY,
     POWER,
-    R11,
     SPLAT_WIDTH,
-    SQUARES,
     TILE,
 )
-from tg4mm.rasterize.kernels.memory import load, prefetch, store
-from tg4mm.rasterize.kernels.vector import wide
+from tg4mm.rasterize.kernels.memory import address, keep, load, prefetch, store
+from tg4mm.rasterize.kernels.outline import outline_room, outlines, tile_rows, tiles_of_row
+from tg4mm.rasterize.kernels.vector import LANES, wide
 
 _RADIX_BITS = 11
 _CHUNKS = 16  # of the parallel scatter; a constant, so that results never depend on threads
@@ -74,56 +65,6 @@ def depth_order(splats, keys, order, keys2, order2):
     return n
 
 
-@inlined
-def _tiles(low, high, n):
-    """Tiles [first, last] of n in a line that have a pixel in low … high, measured from the first pixel's centre.
-
-    Rounding by truncation and a comparison: math.floor would be a call.
-    """
-    a = min(max((low - float32(TILE - 1)) * float32(1.0 / TILE), float32(0.0)), float32(n))
-    b = min(max(high * float32(1.0 / TILE), float32(-1.0)), float32(n - 1))
-    first, last = int32(a), int32(b)
-    return first + int32(float32(first) < a), last - int32(float32(last) > b)
-
-
-@inlined
-def _outline(splats, i):
-    """What `_row_interval` needs that is the same in every row."""
-    # dy of the rightmost point; the leftmost is its mirror
-    tangent = -splats[i, CB] / splats[i, CC] * splats[i, EX]
-    limit = float32(2.0 * SQUARES) * splats[i, POWER]
-    slope = -float32(SQUARES) * splats[i, CB] * splats[i, R11] * splats[i, R11]
-    return tangent, limit, slope
-
-
-@inlined
-def _row_interval(splats, i, tangent, limit, slope, y0, y1, n_x):
-    """Tiles [first, last] in the tile row with pixel centres y0 … y1 that the ellipse of Gaussian i reaches.
-
-    The ellipse cut by a band is convex, so its extent in x is taken either at its own extreme point or at the
-    nearer edge of the band: exact, no bounding box.
-    """
-    reach, l22, r11 = splats[i, EY], splats[i, L22], splats[i, R11]
-    lo, hi = max(y0 - splats[i, MY], -reach), min(y1 - splats[i, MY], reach)
-    if lo > hi:
-        return int32(1), int32(0)
-    right_y = min(max(tangent, lo), hi)
-    left_y = min(max(-tangent, lo), hi)
-    zero, right_q, left_q = float32(0.0), l22 * right_y, l22 * left_y
-    x = splats[i, MX] - float32(0.5)  # pixel i has its centre at i + 0.5
-    right = x + slope * right_y + r11 * math.sqrt(max(limit - right_q * right_q, zero))
-    left = x + slope * left_y - r11 * math.sqrt(max(limit - left_q * left_q, zero))
-    return _tiles(left, right, n_x)
-
-
-@inlined
-def _tile_rows(splats, i, n_y):
-    """Tile rows [first, last] that the ellipse of Gaussian i reaches."""
-    reach = splats[i, EY]
-    y = splats[i, MY] - float32(0.5)
-    return _tiles(y - reach, y + reach, n_y)
-
-
 @kernel(parallel=True)
 def list_pairs(splats, order, n_visible, n_x, n_y, tiles, gaussian_start, per_chunk, needed):
     """The tiles of every Gaussian in depth order, chunk by chunk, and how many pairs a chunk gives each tile.
@@ -136,27 +77,30 @@ def list_pairs(splats, order, n_visible, n_x, n_y, tiles, gaussian_start, per_ch
     for chunk in prange(_CHUNKS):
         count = per_chunk[chunk]
         count[:] = 0
-        total = 0
-        for k in range(chunk * size, min(n_visible, (chunk + 1) * size)):
-            i = order[k]
-            prefetch(splats, int64(order[min(k + _AHEAD, n_visible - 1)]))
-            first_row, last_row = _tile_rows(splats, i, n_y)
-            tangent, limit, slope = _outline(splats, i)
-            for ty in range(first_row, last_row + 1):
-                y0 = float32(ty * TILE) + float32(0.5)
-                first, last = _row_interval(splats, i, tangent, limit, slope, y0, y0 + float32(TILE - 1), n_x)
-                for tile in range(ty * n_x + first, ty * n_x + last + 1):
-                    count[tile] += 1
-                    if total < room:
-                        tiles[chunk, total] = tile
-                    total += 1
-            gaussian_start[k + 1] = total
+        spans = np.empty(outline_room(n_y), np.float32)
+        room_of_spans, total, end = address(spans), int64(0), min(n_visible, (int64(chunk) + 1) * size)
+        for k in range(int64(chunk) * size, end, LANES):
+            some = min(end - k, int64(LANES))
+            ask_for_some(address(splats), address(order), k + LANES, LANES, end)
+            outlines(address(splats), address(order), k, some, n_x, n_y, room_of_spans)
+            for lane in range(some):
+                first_row, last_row = tile_rows(room_of_spans, lane)
+                for ty in range(first_row, last_row + 1):
+                    first, last = tiles_of_row(room_of_spans, lane, ty - first_row)
+                    for tile in range(ty * n_x + first, ty * n_x + last + 1):
+                        count[tile] += 1
+                        if total < room:
+                            tiles[chunk, total] = tile
+                        total += 1
+                gaussian_start[k + lane + 1] = total
+        keep(spans)
+        keep(order)
         needed[chunk] = total
 
 
 @kernel()
 def offsets(per_chunk, tile_start):
-    """Turn counts into start positions: `tile_start` [tiles + 1], and in place where each chunk begins in a tile."""
+    """Turn counts into start positions: `tile_start` [tiles + 1], and in place where each chunk's pairs of a tile begin."""
     n_chunks, n_tiles = per_chunk.shape
     tile_start[:] = 0
     for chunk in range(n_chunks):
@@ -166,12 +110,13 @@ def offsets(per_chunk, tile_start):
             per_chunk[chunk, tile] = before
     for tile in range(n_tiles):
         tile_start[tile + 1] += tile_start[tile]
+    for chunk in range(n_chunks):
+        for tile in range(n_tiles):
+            per_chunk[chunk, tile] += tile_start[tile]
 
 
 @kernel(parallel=True)
-def fill_pairs(
-    order, n_visible, tiles, needed, tile_start, per_chunk, gaussian_start, pair_gaussian, pair_slot
-):
+def fill_pairs(order, n_visible, tiles, needed, per_chunk, gaussian_start, pair_gaussian, pair_slot):
     """Write each tile's Gaussians in depth order, and for each Gaussian where its pairs went."""
     size = (n_visible + _CHUNKS - 1) // _CHUNKS
     gaussian_start[0] = 0
@@ -187,8 +132,8 @@ def fill_pairs(
             gaussian_start[k + 1] = base + end
             for m in range(n, end):
                 tile = tiles[chunk, m]
-                place = tile_start[tile] + taken[tile]
-                taken[tile] += 1
+                place = taken[tile]
+                taken[tile] = place + 1
                 pair_gaussian[place] = i
                 pair_slot[base + m] = place
             n = end
@@ -252,9 +197,7 @@ def bin_splats(splats: np.ndarray, width: int, height: int, buffers: Buffers | N
     pair_gaussian, pair_slot = (
         take(buffers, name, (n_pairs,), np.int32) for name in ("pair_gaussian", "pair_slot")
     )
-    fill_pairs(
-        order, n_visible, tiles, needed, tile_start, per_chunk, gaussian_start, pair_gaussian, pair_slot
-    )
+    fill_pairs(order, n_visible, tiles, needed, per_chunk, gaussian_start, pair_gaussian, pair_slot)
     reached = take(buffers, "reached", (n_pairs,), np.uint32)
     return Bins(order, n_visible, tile_start, gaussian_start, pair_gaussian, pair_slot, reached)
 

@@ -1,4 +1,4 @@
-"""Functions of sixteen numbers at once, of the type of `vector.py`: 2^x; math.sqrt and math.log take them as well."""
+"""Functions of sixteen numbers at once, of the type of `vector.py`: 2^x, and math's sqrt, log, ceil and floor."""
 
 from __future__ import annotations
 
@@ -124,7 +124,20 @@ def _logarithm(context, builder, sig, args):
     return builder.call(multiply_add, [n, of(FV, _LN2), builder.fadd(small, f)])
 
 
-for _function, _lower in ((math.sqrt, _square_root), (math.log, _logarithm)):
+def _whole(name):
+    def lower(context, builder, sig, args):
+        """Whole numbers as float32."""
+        return builder.call(declare(builder, f"llvm.{name}.v16f32", FV, [FV]), args)
+
+    return lower
+
+
+for _function, _lower in (
+    (math.sqrt, _square_root),
+    (math.log, _logarithm),
+    (math.ceil, _whole("ceil")),
+    (math.floor, _whole("floor")),
+):
 
     @infer_global(_function)
     class _OfVectors(ConcreteTemplate):
