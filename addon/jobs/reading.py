@@ -8,6 +8,8 @@ from dataclasses import dataclass
 # "rendering 12/161  9 s, 156 s left" and "space stage: 120/3000 it, 0:05 elapsed, 2:03 left, psnr 22.1"
 _PROGRESS = re.compile(r"(?P<label>\S.*?):? (?P<done>\d+)/(?P<total>\d+)(?P<rest>[ ,].*)?")
 _LEFT = re.compile(r"(?:^|[ ,])(?P<left>\d[\d:]*(?: s)?) left\b")
+# "compiling kernels for this processor, once: a minute or two in all"
+_COMPILING = re.compile(r"(compiling [^,:]+).*")
 _COMPLETE = re.compile(r"complete: (?P<path>.+?)(?:  \(\d+ s\))?")
 _ERRORS = ("error: ", "tg4mm: ")
 _LONGEST = 400  # characters of a line that is shown
@@ -53,6 +55,8 @@ def read_line(line: str) -> Line:
         left = _LEFT.search(match["rest"] or "")
         done, total = (int(match[name][:12]) for name in ("done", "total"))
         return Line(text, Progress(match["label"], done, total, left["left"] if left else ""))
+    if match := _COMPILING.fullmatch(text):
+        return Line(text, Progress(match[1]))
     if text.startswith("warning: "):
         return Line(text, warning=text.removeprefix("warning: "))
     for mark in _ERRORS:

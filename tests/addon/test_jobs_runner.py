@@ -70,6 +70,10 @@ def alive(pid: int) -> bool:
         ("motion stage: 5/80 it, 0:09 elapsed, time left unknown", ("motion stage", 5, 80, "")),
         ("evaluate α = 5: 3/3 images, took 0:02", ("evaluate α = 5", 3, 3, "")),
         ("export: 2/4 files, 1:00:01 elapsed, 1:00:02 left", ("export", 2, 4, "1:00:02")),
+        (
+            "compiling kernels for this processor, once: a minute or two in all",
+            ("compiling kernels for this processor", 0, 0, ""),
+        ),
     ],
 )
 def test_progress_is_read(jobs: Any, line: str, expected: tuple[str, int, int, str]) -> None:

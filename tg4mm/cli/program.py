@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import warnings
 from collections.abc import Sequence
 from typing import Annotated
@@ -82,6 +83,7 @@ def tg4mm(
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the program on `argv` (default: the command line) and return its exit code."""
     warnings.formatwarning = _warning_line  # a user gains nothing from the line of code that warns
+    _show_log()
     try:
         arguments = None if argv is None else list(argv)
         result = app(args=arguments, prog_name="tg4mm", standalone_mode=False)
@@ -104,6 +106,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     if result == INTERRUPTED:  # newer versions of typer turn Ctrl+C into this
         return _interrupted()
     return result if isinstance(result, int) else 0
+
+
+class _ToStderr(logging.Handler):
+    """Lines of the log where progress is shown as well."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        typer.echo(self.format(record), err=True)
+
+
+def _show_log() -> None:
+    log = logging.getLogger("tg4mm")
+    log.setLevel(logging.INFO)
+    if not any(isinstance(handler, _ToStderr) for handler in log.handlers):
+        log.addHandler(_ToStderr())
 
 
 def _warning_line(message: Warning | str, *_where: object, **_more: object) -> str:

@@ -100,7 +100,7 @@ def list_pairs(splats, order, n_visible, n_x, n_y, tiles, gaussian_start, per_ch
 
 @kernel()
 def offsets(per_chunk, tile_start):
-    """Turn counts into start positions: `tile_start` [tiles + 1], and in place where each chunk's pairs of a tile begin."""
+    """Turn counts into start positions: `tile_start` [tiles + 1], and in place those of each chunk's pairs."""
     n_chunks, n_tiles = per_chunk.shape
     tile_start[:] = 0
     for chunk in range(n_chunks):

@@ -2,16 +2,20 @@
 
 Numba's own cache looks at the file of the function alone, but kernels take constants and helpers from their
 neighbours: after a change there it would go on serving machine code of the old ones.
+
+A process that finds kernels missing from the cache says so, once, to the log `tg4mm`, which the program shows.
 """
 
 from __future__ import annotations
 
 import hashlib
+import logging
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from numba import njit
+from numba.core import event
 
 
 def _digest() -> str:
@@ -22,6 +26,25 @@ def _digest() -> str:
 
 
 _SOURCES = _digest()
+
+
+class _Notice(event.Listener):
+    """Says at the first compilation that it will take a while, and no more."""
+
+    def __init__(self) -> None:
+        self._said = False
+
+    def on_start(self, event: event.Event) -> None:
+        if not self._said:
+            self._said = True
+            _LOG.info("compiling kernels for this processor, once: a minute or two in all")
+
+    def on_end(self, event: event.Event) -> None:
+        pass
+
+
+_LOG = logging.getLogger("tg4mm")
+event.register("numba:compile", _Notice())
 
 
 def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
