@@ -12,6 +12,10 @@ error of what is found can be given too. --smoke needs no dataset; its figures s
 
 from __future__ import annotations
 
+import tg4mm  # noqa: F401, before torch and numba: how their threads wait
+
+# isort: split
+
 import argparse
 import importlib.metadata
 import math

@@ -18,6 +18,10 @@ follow, in cycles of one core:
 
 from __future__ import annotations
 
+import tg4mm  # noqa: F401, before torch and numba: how their threads wait
+
+# isort: split
+
 import math
 import os
 import re

@@ -5,9 +5,9 @@
 Synthetic: Gaussians of about two pixels (standard deviation) fill a ball seen from outside, 256² to 1024², 5,000 to
 500,000. Cost: processor time of one thread of the kernels on the same scenes, and what of it falls to each Gaussian,
 tile pair, pixel and visible pixel evaluation. With --run (a folder that `tg4mm train` left) also every kernel on the
-trained Gaussians, seen by a camera of the run's dataset, in turn and by number of threads. Peers: the dense twin at a
-size it can bear; of gsplat's torch reference what is pure torch, projection and spherical harmonics (its compositing
-needs CUDA and nerfacc).
+trained Gaussians, seen by a camera of the run's dataset, in turn and by number of threads, and batches of cameras.
+Peers: the dense twin at a size it can bear; of gsplat's torch reference what is pure torch, projection and spherical
+harmonics (its compositing needs CUDA and nerfacc).
 
 Each figure is the median, the smallest time of the same runs stands in brackets: on a shared machine they lie apart.
 There the processor time says more, with one thread: OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1.
@@ -15,11 +15,16 @@ There the processor time says more, with one thread: OMP_NUM_THREADS=1 NUMBA_NUM
 
 from __future__ import annotations
 
+import tg4mm  # noqa: F401, before torch and numba: how their threads wait
+
+# isort: split
+
 import argparse
 import statistics
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 
 import numba
 import numpy as np
@@ -41,6 +46,7 @@ from tg4mm.space.view import render_view
 SIZES = (256, 512, 1024)  # pixels
 COUNTS = (5_000, 50_000, 200_000, 500_000)  # Gaussians
 DENSE_SIZE, DENSE_COUNT = 64, 500
+CAMERAS = 8  # of a batch
 ROUND = 5  # calls of one kernel before the next one's turn
 
 
@@ -201,9 +207,11 @@ class Trained:
         run = Run.open(folder)
         self.gaussians, capture = run.load_space(), load_capture(run.dataset)
         self.size = (capture.width, capture.height)
-        camera = len(capture.viewmats) // 2
-        self.viewmat = torch.from_numpy(np.asarray(capture.viewmats[camera], np.float32))
-        self.K = torch.from_numpy(np.asarray(capture.Ks[camera], np.float32))
+        self.viewmats, self.Ks = (
+            torch.from_numpy(np.asarray(a, np.float32)) for a in (capture.viewmats, capture.Ks)
+        )
+        camera = len(self.viewmats) // 2
+        self.viewmat, self.K = self.viewmats[camera], self.Ks[camera]
 
     def times(self, repeats: int) -> dict[str, tuple[float, float, float]]:
         """Milliseconds of every kernel and of whole passes (median, least, processor); prints the limit of blending."""
@@ -239,6 +247,17 @@ class Trained:
         view = render_view(type(g)(*leaves), self.viewmat, self.K, self.size, g.sh_degree)
         view.rgb.backward(torch.ones_like(view.rgb))
 
+    def cameras(self, each: int) -> None:
+        """Both passes of the first `CAMERAS` cameras, `each` in one call."""
+        g = self.gaussians
+        leaves = [a.detach().requires_grad_() for a in (g.means, g.quats, g.scales, g.opacities, g.sh)]
+        for first in range(0, CAMERAS, each):
+            some = slice(first, first + each)
+            images, _, _ = rasterization(
+                *leaves, self.viewmats[some], self.Ks[some], *self.size, sh_degree=g.sh_degree
+            )
+            images.backward(torch.ones_like(images))
+
     def gsplat_reference(self) -> None:
         """Projection and spherical harmonics of gsplat's pure-torch reference."""
         from gsplat.cuda import _torch_impl as peer
@@ -265,6 +284,9 @@ def trained(folder: str, repeats: int) -> None:
         print(
             f"  {1e3 / times['forward, all'][0]:.0f} frames per second, at best {1e3 / times['forward, all'][1]:.0f}"
         )
+        batches = {f"{each} cameras a call": partial(scene.cameras, each) for each in (1, CAMERAS)}
+        for name, (median, least, _) in in_rounds(batches, max(repeats // 10, 3)).items():
+            print(f"  both passes of {CAMERAS} cameras, {name}: {median:.1f} [{least:.1f}] ms")
     try:
         torch.set_num_threads(1)
         peer = processor_milliseconds(scene.gsplat_reference, repeats)

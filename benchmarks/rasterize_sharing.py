@@ -9,6 +9,10 @@ Beside it the two checks without which such lists must not be used, and what els
 
 from __future__ import annotations
 
+import tg4mm  # noqa: F401, before torch and numba: how their threads wait
+
+# isort: split
+
 import argparse
 from pathlib import Path
 from tempfile import TemporaryDirectory

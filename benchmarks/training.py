@@ -12,6 +12,10 @@ Processor time with one thread hardly depends on the load; with more, the system
 
 from __future__ import annotations
 
+import tg4mm  # noqa: F401, before torch and numba: how their threads wait
+
+# isort: split
+
 import argparse
 import statistics
 import time

@@ -8,6 +8,10 @@ active cells. `numba`: ours. All three compute the same (tests/triplane/test_sam
 
 from __future__ import annotations
 
+import tg4mm  # noqa: F401, before torch and numba: how their threads wait
+
+# isort: split
+
 import argparse
 from collections.abc import Callable
 
