@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,7 @@ class CGState:
         """To the digits of float32; going on would only add up what is rounded."""
         return self.squared_residual <= _EXACT * self.initial
 
-    @property
+    @cached_property
     def squared_residual(self) -> float:
         return _inner(self.residual, self.residual)
 
