@@ -47,6 +47,18 @@ def test_version() -> None:
     assert (done.returncode, done.stdout) == (0, f"tg4mm {__version__}\n")
 
 
+def test_the_log_is_shown_once_where_progress_is() -> None:
+    """Also after a second command in the same process, and on a stderr that is another by then, as under a bar."""
+    code = (
+        "import io, logging, sys\nfrom tg4mm.cli import main\nmain(['--version'])\nmain(['--version'])\n"
+        "log = logging.getLogger('tg4mm.deep')\nlog.info('compiling')\nlog.debug('no')\n"
+        "old, sys.stderr = sys.stderr, io.StringIO()\nlog.info('again')\n"
+        "assert sys.stderr.getvalue() == 'again\\n'\nsys.stderr = old\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=ENVIRONMENT)
+    assert (done.returncode, done.stderr) == (0, "compiling\n"), done.stderr
+
+
 def test_help_names_every_command_and_no_other() -> None:
     done = tg4mm("--help")
     assert done.returncode == 0

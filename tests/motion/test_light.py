@@ -121,11 +121,13 @@ class Lab:
         self.shapes = np.zeros((2, len(self.means), DOF), np.float32)
         self.shapes[0, :, 1] = 0.003
 
-    def fitted(self, pictures: np.ndarray, shapes: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def fitted(
+        self, pictures: np.ndarray, shapes: np.ndarray | None = None, asked: tuple[int, ...] = (0, 1)
+    ) -> tuple[np.ndarray, np.ndarray]:
         problem = LightProblem.of(self.lit, None, self.graph)
         parts = [np.arange(0, 8, 2), np.arange(1, 8, 2)]
         shapes = self.shapes if shapes is None else shapes
-        left = Remainder(self.views, pictures, np.arange(2), shapes, None)
+        left = Remainder(self.views, pictures, np.arange(2), shapes, None, np.array(asked, np.int64))
         return Lighting(problem, parts, self.means).fitted(left)
 
     def shown(self, x: np.ndarray, shapes: np.ndarray) -> np.ndarray:
@@ -164,6 +166,25 @@ def test_light_is_told_from_motion_and_noise(lab: Lab) -> None:
     assert np.linalg.norm(off[:, 0]) < 0.3 * np.linalg.norm(lab.shown(x, 0 * lab.shapes)[:, 0])
     far = np.linalg.norm(lab.means - [0.3, -0.5, 0.0], axis=1) > 1
     assert np.abs(found[0][far]).max() < 0.1 * np.abs(found[0]).max()
+
+
+@pytest.mark.parametrize("asked", [(), (1,), (0,)])
+def test_a_component_that_is_not_asked_for_has_no_light_and_changes_none(
+    lab: Lab, asked: tuple[int, ...]
+) -> None:
+    x = lab.patch()
+    x[1] = -x[0, ::-1]  # light elsewhere
+    pictures = lab.shown(x, lab.shapes) + noise(lab, 0.002)
+    whole, all_gains = lab.fitted(pictures)
+    assert (all_gains > 0.5).all()
+    found, gains = lab.fitted(pictures, asked=asked)
+    for k in range(2):
+        if k in asked:
+            np.testing.assert_allclose(gains[k], all_gains[k], rtol=1e-4)
+            np.testing.assert_allclose(found[k], whole[k], atol=1e-4 * np.abs(whole[k]).max())
+        else:
+            assert gains[k] == 0
+            assert not found[k].any()
 
 
 def test_noise_alone_has_no_light(lab: Lab) -> None:

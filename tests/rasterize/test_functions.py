@@ -145,12 +145,24 @@ def _lowest_bits(x: np.uint32, y: np.uint64) -> tuple[int, int]:
 
 
 @njit
-def _of_vectors(x: np.ndarray, logarithms: np.ndarray, roots: np.ndarray, bounded: np.ndarray) -> None:
+def _of_vectors(x: np.ndarray, logarithms: np.ndarray, roots: np.ndarray) -> None:
     for i in range(0, len(x), LANES):
         value = load(x, i)
         store(logarithms, i, math.log(value))
         store(roots, i, math.sqrt(value))
-        store(bounded, i, max(min(value, np.float32(1)), abs(-load(x, 0))))
+
+
+@njit
+def _compared(x: np.ndarray, out: np.ndarray) -> None:
+    a, b, half = load(x, 0), load(x, LANES), np.float32(0.5)
+    store(out, 0, min(a, b))
+    store(out, LANES, max(a, half))
+    store(out, 2 * LANES, abs(a))
+    store(out, 3 * LANES, -a)
+    store(out, 4 * LANES, math.ceil(a))
+    store(out, 5 * LANES, math.floor(a))
+    store(out, 6 * LANES, select(a <= b, a, np.float32(9)))
+    store(out, 7 * LANES, select(a == b, a, np.float32(9)))
 
 
 @njit
@@ -198,14 +210,28 @@ def test_exp2_is_as_accurate_as_it_says() -> None:
     assert out[0] == 1.0
 
 
-def test_logarithm_root_and_bounds_of_vectors() -> None:
+def test_vectors_compare_as_numbers_do() -> None:
+    x = np.random.default_rng(4).normal(size=(2, LANES)).astype(np.float32)
+    x[1, ::5] = x[0, ::5]
+    a, b = x
+    out = np.empty((8, LANES), np.float32)
+    _compared(x.ravel(), out.ravel())
+    expected = [
+        np.minimum(a, b), np.maximum(a, 0.5), np.abs(a), -a, np.ceil(a), np.floor(a),
+        np.where(a <= b, a, 9), np.where(a == b, a, 9),
+    ]  # fmt: skip
+    np.testing.assert_array_equal(out, np.array(expected, np.float32))
+    assert 0 < (a <= b).sum() < LANES
+    assert 0 < (a < 0).sum() < LANES
+
+
+def test_logarithm_and_root_of_vectors() -> None:
     x = np.concatenate([np.geomspace(1e-20, 300, 160_000), np.linspace(0.9, 1.1, 160_000)]).astype(np.float32)
-    logarithms, roots, bounded = (np.empty_like(x) for _ in range(3))
-    _of_vectors(x, logarithms, roots, bounded)
+    logarithms, roots = np.empty_like(x), np.empty_like(x)
+    _of_vectors(x, logarithms, roots)
     exact = np.log(x.astype(np.float64))
     assert (np.abs(logarithms - exact) <= 2e-7 * np.abs(exact)).all()
     np.testing.assert_array_equal(roots, np.sqrt(x))
-    np.testing.assert_array_equal(bounded, np.maximum(np.minimum(x, 1), np.tile(x[:LANES], len(x) // LANES)))
 
 
 def test_rows_of_three_become_columns_and_come_back() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import sys
 import warnings
 from collections.abc import Sequence
 from typing import Annotated
@@ -112,7 +113,9 @@ class _ToStderr(logging.Handler):
     """Lines of the log where progress is shown as well."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        typer.echo(self.format(record), err=True)
+        print(
+            self.format(record), file=sys.stderr
+        )  # typer.echo would write into the middle of a progress bar
 
 
 def _show_log() -> None:

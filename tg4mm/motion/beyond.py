@@ -46,13 +46,17 @@ class Beyond:
         return Lighting.of(self.views, self.cameras, self.gaussians, weights, self.graph, self.parts)
 
     def light(
-        self, shapes: np.ndarray, is_small: bool, update: Callable[[int], None] | None = None
+        self,
+        shapes: np.ndarray,
+        is_small: bool,
+        asked: np.ndarray,
+        update: Callable[[int], None] | None = None,
     ) -> tuple[np.ndarray, np.ndarray] | None:
-        """Of fields [R, N, DOF]: `Lighting.fitted`, or None."""
+        """Of fields [R, N, DOF], for the components `asked` [r]: `Lighting.fitted`, or None."""
         if self.lighting is None:
             return None
         carried = self.carried if is_small else None
-        left = Remainder(self.views, self.components.images, self.signal, shapes, carried)
+        left = Remainder(self.views, self.components.images, self.signal, shapes, carried, asked)
         return self.lighting.fitted(left, update)
 
     def pictures(

@@ -41,6 +41,8 @@ class Fit:
     turn: int = 0
     component: int = 0
     is_small: bool = True  # is the motion? told after the first turn
+    # components that had light between the turns, the others will have none; None: not looked for
+    lit: list[int] | None = None
     # of the components from `component` on; empty: not begun
     cgs: list[CGState] = field(default_factory=list)
 
@@ -57,7 +59,8 @@ class Fit:
 
     def state(self) -> dict[str, Any]:
         cgs = [{"initial": cg.initial, "iteration": cg.iteration} for cg in self.cgs]
-        return {"turn": self.turn, "component": self.component, "is_small": self.is_small, "cgs": cgs}
+        where = {"turn": self.turn, "component": self.component, "is_small": self.is_small, "lit": self.lit}
+        return where | {"cgs": cgs}
 
     @staticmethod
     def restored(checkpoint: tuple[dict[str, Tensor], dict[str, Any]], device: str = "cpu") -> Fit:
@@ -68,7 +71,7 @@ class Fit:
             placed(CGState(a["x"][k], a["residual"][k], a["direction"][k], **numbers), device)
             for k, numbers in enumerate(state["cgs"])
         ]
-        where = state["turn"], state["component"], state["is_small"]
+        where = state["turn"], state["component"], state["is_small"], state["lit"]
         return Fit(a["shapes"], a["left"], a["initial"], *where, cgs)
 
 

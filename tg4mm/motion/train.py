@@ -41,7 +41,7 @@ from tg4mm.progress import progress
 from tg4mm.runs import UNCERTAINTY, Run
 
 CHECKPOINT_EVERY_S = 20.0
-_STATE = 6  # of a checkpoint: one of another version is begun anew, as its fields are of other parameters
+_STATE = 7  # of a checkpoint: one of another version is begun anew, as its fields are of other parameters
 _STAGE, ROUNDS = "motion", "rounds"  # checkpoints
 
 
@@ -129,12 +129,15 @@ class _Stage:
         of_capture = self.images, self.cameras, self.components, self.findings
         return Rounds(*of_capture, self.parts, self.config, self.device, self.are_all)
 
-    def light(self, shapes: np.ndarray, is_small: bool) -> tuple[np.ndarray | None, dict[str, Any]]:
+    def light(self, shapes: np.ndarray, fit: Fit) -> tuple[np.ndarray | None, dict[str, Any]]:
         """Changes of colour [R, N, K, 3] that go with the fields [R, N, DOF] of the linear fit, figures."""
         if self.beyond.lighting is None:
             return None, {}
-        with progress("light", len(shapes), "components") as update:
-            found = self.beyond.light(shapes, is_small, update)
+        asked = np.arange(len(shapes)) if fit.lit is None else np.array(fit.lit, np.int64)
+        if not len(asked):
+            return None, {"gain_of_light": [0.0] * len(shapes)}
+        with progress("light", len(asked), "components") as update:
+            found = self.beyond.light(shapes, fit.is_small, asked, update)
         assert found is not None
         return found[0], {"gain_of_light": [round(float(g), 4) for g in found[1]]}
 
@@ -158,8 +161,9 @@ class _Stage:
         fit.turn, fit.component, fit.is_small = 1, 0, pixels <= ABOVE_PX
         if not fit.is_small or not self.solver.iterations(1):
             return
-        light = self.beyond.light(agreed_fields(fields)[0], True)
+        light = self.beyond.light(agreed_fields(fields)[0], True, np.arange(fields.shape[1]))
         changes = None if light is None else light[0]
+        fit.lit = None if light is None else np.flatnonzero(light[1]).tolist()
         for part, own in enumerate(fields):
             self.solver.take_away(fit, part, partial(self.beyond.pictures, part, own, changes))
 
@@ -257,7 +261,7 @@ def train_motion(
     fit = stage.fit(Fit.restored(checkpoint, device) if checkpoint else begun)
     moved, all_shapes, target, round_figures = stage.after_rounds(fit)
     shapes, uncertainty, agreement_figures = stage.agreed(all_shapes, moved, target)
-    light, light_figures = (None, {}) if round_figures["rounds"] else stage.light(shapes, fit.is_small)
+    light, light_figures = (None, {}) if round_figures["rounds"] else stage.light(shapes, fit)
     motion = stage.motion(shapes, light)
     energy = stage.components.energy
     figures = {

@@ -10,6 +10,7 @@ in both halves and stays.
 from __future__ import annotations
 
 import numpy as np
+from numba import get_num_threads
 from scipy.spatial import cKDTree
 
 LEAST = 6  # cameras: fewer than three in a half do not hold a field in space
@@ -54,6 +55,6 @@ def mean_around(values: np.ndarray, means: np.ndarray, count: int = COUNT) -> np
     tree, count, out = cKDTree(means), min(count, len(means)), np.empty_like(values)
     for first in range(0, len(means), _AT_ONCE):
         some = slice(first, first + _AT_ONCE)
-        around = tree.query(means[some], k=count)[1].reshape(-1, count)
+        around = tree.query(means[some], k=count, workers=get_num_threads())[1].reshape(-1, count)
         out[some] = values[around].mean(1)
     return out

@@ -30,19 +30,17 @@ _TOGETHER = 8  # components that share a pass over the views
 
 @dataclass(frozen=True)
 class Remainder:
-    """What motion leaves of component images."""
+    """What motion leaves of component images: of `asked` [r] among R components."""
 
     views: Sequence[RestView]
     pictures: np.ndarray  # [V, …, H, W, 3]
     rows: np.ndarray  # [R] which of the components
     shapes: np.ndarray  # [R, N, DOF], their motion
     carried: Carried | None  # what that shows beyond the derivative
+    asked: np.ndarray
 
-    def __len__(self) -> int:
-        return len(self.rows)
-
-    def of(self, part: np.ndarray, some: slice) -> Iterator[np.ndarray]:
-        """[r, H, W, 3] of each of the views `part`, for `some` of the R components."""
+    def of(self, part: np.ndarray, some: np.ndarray) -> Iterator[np.ndarray]:
+        """[s, H, W, 3] of each of the views `part`, for `some` of the R components."""
         for v in part:
             left = self.pictures[v, self.rows[some]] - self.views[v].push_all(self.shapes[some])
             yield left if self.carried is None else left - self.carried.of(v, self.shapes)[some]
@@ -75,23 +73,23 @@ class Lighting:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Changes of the first coefficients of spherical harmonics [R, N, K, 3] float32, and gains [R].
 
-        A component that is dropped has gain and change 0. `update` is called with how many components are done.
+        A component that is dropped, or was not asked for, has gain and change 0. `update` is called with how many are
+        done.
         """
         halves = [self.problem.of_views(part) for part in self.parts]
-        found: list[np.ndarray] = []
-        gains: list[np.ndarray] = []
-        for first in range(0, len(remainder), _TOGETHER):
-            some = slice(first, first + _TOGETHER)
+        found = np.zeros((len(remainder.rows), *self.problem.root.shape[:2], 3), np.float32)
+        gains = np.zeros(len(found), np.float32)
+        for first in range(0, len(remainder.asked), _TOGETHER):
+            some = remainder.asked[first : first + _TOGETHER]
             sides = [
                 half.right_hand_sides(remainder.of(part, some))
                 for half, part in zip(halves, self.parts, strict=True)
             ]
-            x, gain = agreed_light(halves, sides, self.means)
-            found.append(x / np.float32(HARMONIC))
-            gains.append(gain)
+            x, gains[some] = agreed_light(halves, sides, self.means)
+            found[some] = x / np.float32(HARMONIC)
             if update is not None:
-                update(first + len(gain))
-        return np.concatenate(found), np.concatenate(gains)
+                update(first + len(some))
+        return found, gains
 
     def shown(self, v: int, changes: np.ndarray) -> np.ndarray:
         """[R, H, W, 3]: the pictures in view `v` of changes [R, N, K, 3]; until the next call."""

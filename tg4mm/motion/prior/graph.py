@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numba import get_num_threads
 from scipy.sparse import bsr_matrix, csr_matrix
 from scipy.spatial import cKDTree
 
@@ -115,7 +116,7 @@ def graph(means: np.ndarray, axes: np.ndarray, scales: np.ndarray, count: int = 
 
 def _edges(means: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """Pairs i < j, one of them among the other's nearest; their weights; the typical distance."""
-    distance, index = cKDTree(means).query(means, k=count + 1)
+    distance, index = cKDTree(means).query(means, k=count + 1, workers=get_num_threads())
     distance, index = distance[:, 1:], index[:, 1:]
     reach = np.maximum(distance.mean(1, keepdims=True), 1e-12)
     weight = np.exp(-0.5 * (distance / reach) ** 2).ravel()

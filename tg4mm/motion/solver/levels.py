@@ -103,9 +103,9 @@ def _inverse_root(matrix: np.ndarray) -> np.ndarray:
     By torch: scipy's two threads wait for each other in a loop, and where something else runs on the second core that
     takes 1.7 s for 1024 rows instead of 0.03.
     """
-    lower = torch.linalg.cholesky(torch.from_numpy(matrix))
-    one = torch.eye(len(matrix), dtype=lower.dtype)
-    return np.ascontiguousarray(torch.linalg.solve_triangular(lower, one, upper=False).T.numpy(), np.float32)
+    lower = torch.linalg.cholesky(torch.from_numpy(matrix)).float()
+    inverse = torch.linalg.solve_triangular(lower, torch.eye(len(matrix)), upper=False)
+    return np.ascontiguousarray(inverse.T.numpy())
 
 
 def _inverse(lower: np.ndarray) -> np.ndarray:

@@ -72,14 +72,14 @@ def stepped(state: CGState, image: Array) -> CGState:
         return state
     length = before / _inner(state.direction, image)
     residual = _cast(state.residual - length * image, state.x)
-    new = replace(
+    turn = _inner(residual, residual) / before
+    return replace(
         state,
         x=_cast(state.x + length * state.direction, state.x),
         residual=residual,
+        direction=_cast(residual + turn * state.direction, state.x),
         iteration=state.iteration + 1,
     )
-    turn = new.squared_residual / before
-    return replace(new, direction=_cast(residual + turn * state.direction, state.x))
 
 
 def placed(state: CGState, device: str) -> CGState:

@@ -94,7 +94,6 @@ def list_pairs(splats, order, n_visible, n_x, n_y, tiles, gaussian_start, per_ch
                         total += 1
                 gaussian_start[k + lane + 1] = total
         keep(spans)
-        keep(order)
         needed[chunk] = total
 
 

@@ -1,6 +1,7 @@
 """The packed record of a projected Gaussian and the constants of blending, shared by all kernels.
 
-`ahead.py` reads the columns MX … CB and EX … L22 four at a time.
+Columns are read four at a time: MX … CB and EX … L22 (`ahead.py`), EY … R11 (`outline.py`). `project.py` writes them in
+this order.
 """
 
 from typing import Final

@@ -35,12 +35,17 @@ def _contiguous(place):
 
 @intrinsic
 def address(typingctx, array):
-    """Where a contiguous array lies. Use the array once more after the last access (`keep`), or it is gone before."""
+    """Where a contiguous array lies, of numbers of 32 or 16 bits.
+
+    One made in the kernel must be used once more after the last access (`keep`), or it is gone before; its arguments
+    are held by the caller.
+    """
 
     def codegen(context, builder, sig, args):
         return builder.ptrtoint(data_at(context, builder, sig.args[0], args[0]), I64)
 
-    return (types.int64(array), codegen) if _contiguous(array) else None
+    is_known = _contiguous(array) and array.dtype.bitwidth in (16, 32)
+    return (types.int64(array), codegen) if is_known else None
 
 
 @intrinsic

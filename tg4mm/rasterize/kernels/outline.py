@@ -13,7 +13,7 @@ from numba import float32, int64
 
 from tg4mm.rasterize.kernels import functions  # noqa: F401, roots of vectors and whole numbers near them
 from tg4mm.rasterize.kernels.compiled import inlined
-from tg4mm.rasterize.kernels.layout import CC, EY, MX, SQUARES, TILE
+from tg4mm.rasterize.kernels.layout import CC, EX, EY, MX, SQUARES, TILE
 from tg4mm.rasterize.kernels.masks import first_lanes
 from tg4mm.rasterize.kernels.memory import number, store
 from tg4mm.rasterize.kernels.rows import columns, row_starts
@@ -48,7 +48,7 @@ def outlines(splats, order, k, count, n_x, n_y, room):
     mx, my, _, cb = columns(splats, starts, int64(MX))
     cc, _, _, _ = columns(splats, starts, int64(CC))
     ey, ex, power, r11 = columns(splats, starts, int64(EY))
-    _, _, _, l22 = columns(splats, starts, int64(EY + 1))
+    _, _, _, l22 = columns(splats, starts, int64(EX))
     tangent = -cb / cc * ex  # dy of the rightmost point; the leftmost is its mirror
     limit = float32(2.0 * SQUARES) * power
     slope = float32(-SQUARES) * cb * r11 * r11

@@ -153,9 +153,8 @@ def _sixteen(
     u, v = fma(jx, x, cam[CX]), fma(jy, y, cam[CY])
     ex, ey = math.sqrt(float32(2.0) * power * m00), math.sqrt(float32(2.0) * power * m11)
     visible = visible & (det > float32(0.0)) & (det < float32(1e37))
-    visible = (
-        visible & (u + ex >= half) & (width - half >= u - ex) & (v + ey >= half) & (height - half >= v - ey)
-    )
+    visible = visible & (u + ex >= half) & (u - ex <= width - half)
+    visible = visible & (v + ey >= half) & (v - ey <= height - half)
     inv, red, green, blue = one / det, zero, zero, zero
     if degree >= 0 and bits(visible) != 0:
         ox, oy, oz = camera_centre(cam)
@@ -166,19 +165,10 @@ def _sixteen(
     power = select(visible, power, float32(-1.0))
     r11, l22 = math.sqrt(det / (float32(SQUARES) * m11)), math.sqrt(float32(SQUARES) / m11)
     record = (
-        u, v, m11 * inv, zero - m01 * inv, m00 * inv, opacity, red, green,
+        u, v, m11 * inv, -m01 * inv, m00 * inv, opacity, red, green,
         blue, last, z, ey, ex, power, r11, l22,
     )  # as layout.py says  # fmt: skip
     store_rows(splats, int64(0), record)
-
-
-@inlined
-def of_rows(arrays, widths, row):
-    """Where a row of six arrays begins: addresses of the arrays, and how many float32 a row of each has."""
-    return (
-        arrays[0] + 4 * widths[0] * row, arrays[1] + 4 * widths[1] * row, arrays[2] + 4 * widths[2] * row,
-        arrays[3] + 4 * widths[3] * row, arrays[4] + 4 * widths[4] * row, arrays[5] + 4 * widths[5] * row,
-    )  # fmt: skip
 
 
 @inlined
@@ -206,7 +196,7 @@ def project_forward(
         for k in range(LANES):
             starts[k] = k * wide_row
         # The last of all by way of a copy: more is read and written at once than may be there.
-        room = np.zeros(LANES * (11 + wide_row + SPLAT_WIDTH) + 1, np.float32)
+        room = np.zeros(LANES * (11 + wide_row + SPLAT_WIDTH) + 1 if end == n else 1, np.float32)
         at = address(room)
         rooms = (at, at + 12 * LANES, at + 28 * LANES, at + 40 * LANES, at + 44 * LANES)
         record = at + 4 * (LANES * (11 + wide_row) + 1)

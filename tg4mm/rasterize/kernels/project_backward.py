@@ -26,7 +26,6 @@ from tg4mm.rasterize.kernels.project import (
     camera_space,
     clamped,
     copy,
-    of_rows,
     rotation,
     turned,
     unit,
@@ -165,18 +164,9 @@ def _sixteen(given, sums, view, cam, width, height, room):
     vn00, vn01, vn02 = vb00 * s0, vb01 * s1, vb02 * s2
     vn10, vn11, vn12 = vb10 * s0, vb11 * s1, vb12 * s2
     vn20, vn21, vn22 = vb20 * s0, vb21 * s1, vb22 * s2
-    vqw, vqx, vqy, vqz = _quat_vjp(
-        qw, qx, qy, qz, qinv,
-        cam[0] * vn00 + cam[3] * vn10 + cam[6] * vn20,
-        cam[0] * vn01 + cam[3] * vn11 + cam[6] * vn21,
-        cam[0] * vn02 + cam[3] * vn12 + cam[6] * vn22,
-        cam[1] * vn00 + cam[4] * vn10 + cam[7] * vn20,
-        cam[1] * vn01 + cam[4] * vn11 + cam[7] * vn21,
-        cam[1] * vn02 + cam[4] * vn12 + cam[7] * vn22,
-        cam[2] * vn00 + cam[5] * vn10 + cam[8] * vn20,
-        cam[2] * vn01 + cam[5] * vn11 + cam[8] * vn21,
-        cam[2] * vn02 + cam[5] * vn12 + cam[8] * vn22,
-    )  # fmt: skip
+    back = cam[0], cam[3], cam[6], cam[1], cam[4], cam[7], cam[2], cam[5], cam[8]
+    by_rotation = turned(back, vn00, vn01, vn02, vn10, vn11, vn12, vn20, vn21, vn22)
+    vqw, vqx, vqy, vqz = _quat_vjp(qw, qx, qy, qz, qinv, *by_rotation)
     _add_four(v_quats, int64(4), visible, vqw, vqx, vqy, vqz)
     # position in the camera: through the mean, the Jacobian and depth
     vcx, by_x = _axis(x * iz, cam[CX], cam[FX], width, iz, vjxz, gu)
@@ -235,12 +225,21 @@ def _sixteen(given, sums, view, cam, width, height, room):
         )  # fmt: skip
 
 
+@inlined
+def _of_rows(arrays, widths, row):
+    """Where a row of six arrays begins: addresses of the arrays, and how many float32 a row of each has."""
+    return (
+        arrays[0] + 4 * widths[0] * row, arrays[1] + 4 * widths[1] * row, arrays[2] + 4 * widths[2] * row,
+        arrays[3] + 4 * widths[3] * row, arrays[4] + 4 * widths[4] * row, arrays[5] + 4 * widths[5] * row,
+    )  # fmt: skip
+
+
 @kernel()
 def backward_rows(
     means, quats, scales, features, degree, with_depth, cam, width, height, splats, v_splats, summed,
     v_means, v_quats, v_scales, v_opacities, v_features, v_pose, with_pose,
 ):  # fmt: skip
-    """`project_backward` of the given rows in one thread. Of `v_splats` only rows that are visible are read."""
+    """`project_backward` of the given rows in one thread. Of `v_splats` only rows that are visible count."""
     n, of_features = means.shape[0], int64(features.shape[1] * features.shape[2])
     camera, w, h = unpacked(cam), float32(width), float32(height)
     view = (int64(degree), bool(with_depth), bool(summed), bool(with_pose), of_features)
@@ -256,14 +255,14 @@ def backward_rows(
     room = np.empty(ROOM, np.float32)
     whole = n - n % LANES
     for i in range(0, whole, LANES):
-        _sixteen(of_rows(given, of_given, i), of_rows(sums, of_sums, i), view, camera, w, h, address(room))
+        _sixteen(_of_rows(given, of_given, i), _of_rows(sums, of_sums, i), view, camera, w, h, address(room))
     if n > whole:  # by way of a copy
         most = LANES * max(of_features, int64(SPLAT_WIDTH))
         part = np.zeros((12, most), np.float32)
         at = address(part)
         firsts = (at, at, at, at, at, at)
-        own = of_rows(firsts, (0, 1, 2, 3, 4, 5), most)
-        own_sums = of_rows(firsts, (6, 7, 8, 9, 10, 11), most)
+        own = _of_rows(firsts, (0, 1, 2, 3, 4, 5), most)
+        own_sums = _of_rows(firsts, (6, 7, 8, 9, 10, 11), most)
         for k in range(6):
             copy(given[k] + 4 * of_given[k] * whole, own[k], of_given[k] * (n - whole))
             copy(sums[k] + 4 * of_sums[k] * whole, own_sums[k], of_sums[k] * (n - whole))
@@ -277,8 +276,6 @@ def backward_rows(
             if splats[i, POWER] > float32(0.0):
                 for k in range(min(FEATURES, v_features.shape[2])):
                     v_features[i, 0, k] += v_splats[i, FEAT + k]
-    keep(means), keep(quats), keep(scales), keep(features), keep(splats), keep(v_splats)
-    keep(v_means), keep(v_quats), keep(v_scales), keep(v_opacities), keep(v_features), keep(v_pose)
 
 
 @kernel(parallel=True)

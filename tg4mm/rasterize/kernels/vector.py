@@ -92,6 +92,7 @@ _register(max, vector, lambda b, x, y: b.select(b.fcmp_ordered(">", x, y), x, y)
 _register(operator.gt, mask, lambda b, x, y: b.fcmp_ordered(">", x, y))
 _register(operator.ge, mask, lambda b, x, y: b.fcmp_ordered(">=", x, y))
 _register(operator.lt, mask, lambda b, x, y: b.fcmp_ordered("<", x, y))
+_register(operator.le, mask, lambda b, x, y: b.fcmp_ordered("<=", x, y))
 _register(operator.eq, mask, lambda b, x, y: b.fcmp_ordered("==", x, y))
 
 
