@@ -88,7 +88,7 @@ def test_basis_vjp_is_the_derivative_of_the_polynomials(degree: int) -> None:
     d = torch.from_numpy(unit).requires_grad_()
     (polynomials(d)[:, :n] * torch.from_numpy(v[:n].T)).sum().backward()
     assert d.grad is not None
-    np.testing.assert_allclose(out.T, d.grad.numpy(), atol=2e-5)
+    np.testing.assert_allclose(out.T, d.grad.numpy(), atol=1e-5)
     step = 1e-2
     rises = [
         values(degree, unit + axis).astype(float) - values(degree, unit - axis) for axis in np.eye(3) * step
