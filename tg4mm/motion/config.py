@@ -15,7 +15,7 @@ class MotionConfig:
     components: int = 16  # at most so many temporal components; fewer where the rest is noise
     neighbours: float = 0.0  # weight of the term that makes neighbours move alike; 0: found from the images
     ridge: float = 1e-3  # weight that draws motion to zero where nothing is known
-    iterations: int = 20  # of conjugate gradients, at most, for each component
+    iterations: int = 14  # of conjugate gradients, at most, for each component
     tolerance: float = 3e-3  # relative residual at which conjugate gradients stop
     # fit each half of the cameras by itself and take the mean, which costs no more: `halves.py`
     halves: bool = True

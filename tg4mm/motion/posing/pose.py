@@ -17,7 +17,7 @@ from tg4mm.motion.posing.weight import CANDIDATES, DEFAULT, chosen_weight
 from tg4mm.motion.prior.graph import graph
 from tg4mm.motion.solver.device import DeviceProblem
 from tg4mm.motion.solver.groups import groups_of
-from tg4mm.motion.solver.levels import Known, information, levels
+from tg4mm.motion.solver.levels import Known, levels, probed
 from tg4mm.motion.solver.problem import MotionProblem
 from tg4mm.motion.solver.solve import CGState
 from tg4mm.rasterize.reference import rotation_matrices
@@ -56,9 +56,8 @@ class Problems:
     ) -> list[MotionProblem | DeviceProblem]:
         """One for each weight of the neighbours, all with the pixels' weights [V, H, W] or None."""
         rng = np.random.default_rng(self.config.seed)
-        seen = information(self.views, len(self.means), rng, weights)
-        scale, known = float(seen[:, 0].mean()), Known.of(self.groups, seen)
-        ridge = scale * self.config.ridge
+        known = Known.of(self.groups, probed(self.views, len(self.means), rng, weights))
+        scale, ridge = known.scale, known.scale * self.config.ridge
         return [
             self._placed(
                 MotionProblem(

@@ -22,6 +22,9 @@ from tg4mm.motion.prior.stiffness import ROWS, times_blocks
 from tg4mm.motion.solver.groups import Groups
 
 PROBES = 8  # random pictures for the images' part of the diagonal: 50 % spread, which a preconditioner bears
+# What images say of a Gaussian counts so many times beside the prior. Patches smaller than a group have no level of
+# their own, and are well seen where the prior alone makes single Gaussians look stiff. By trial: docs/decisions.md.
+_PATCH = 32.0
 
 
 @dataclass(frozen=True)
@@ -56,42 +59,68 @@ class Levels:
 class Known:
     """What the images say of Gaussians and groups, whatever the prior's weight."""
 
+    scale: float  # mean over Gaussians of what is said of one coordinate of displacement
     diagonal: np.ndarray  # [4N] float64
     between: np.ndarray  # [4G, 4G] float64
 
     @staticmethod
-    def of(groups: Groups, known: np.ndarray) -> Known:
-        """From `information` [N, 2]."""
-        diagonal = np.empty((len(known), ROWS))
-        diagonal[:, 0] = known[:, 0]
-        diagonal[:, 1:] = known[:, 1:] / (4 * groups.graph.reach**2)  # a rotation is half the curl
-        return Known(diagonal.ravel(), groups.seen(diagonal.ravel()))
+    def of(groups: Groups, answers: np.ndarray) -> Known:
+        """From `probed` [probes, N, 6].
+
+        Gaussians that move together are seen better than each by itself: neighbours share pixels, and a group says
+        twice to five times what the diagonal alone makes of it. That factor is measured by the same probes.
+        """
+        said = information(answers)
+        diagonal = np.empty((len(said), ROWS))
+        diagonal[:, 0] = said[:, 0]
+        diagonal[:, 1:] = said[:, 1:] / (4 * groups.graph.reach**2)  # a rotation is half the curl
+        between = groups.seen(diagonal.ravel())
+        together = _together(groups, answers, between.diagonal())
+        between *= np.sqrt(together[:, None] * together)
+        return Known(float(said[:, 0].mean()), diagonal.ravel(), between)
 
 
-def information(
+def _together(groups: Groups, answers: np.ndarray, alone: np.ndarray) -> np.ndarray:
+    """[4G]: by what to multiply the diagonal `alone` of groups whose Gaussians are taken one by one.
+
+    The probes' own factor is uncertain by a fifth, hence halfway to the middle of all; and twice that, since the two
+    levels add up. Both found by trial: docs/decisions.md.
+    """
+    fields = (groups.from_field(groups.graph.from_motion(a)).astype(np.float64) for a in answers)
+    factor = sum((v**2).mean(1) for v in fields) / len(answers) / np.maximum(alone, 1e-300)
+    return np.asarray(2 * np.sqrt(factor * np.median(factor)))
+
+
+def probed(
     views: list[RestView],
     n: int,
     rng: np.random.Generator,
     weights: np.ndarray | None = None,
     probes: int = PROBES,
 ) -> np.ndarray:
-    """[N, 2]: what the images say of displacement and of rotation, the diagonal of JᵀWJ, mean over x, y, z.
-
-    For signs z drawn at random, the mean of (Jᵀ z)² is that diagonal, whatever lies beside it.
-    """
+    """[probes, N, DOF] float32: Jᵀ W^½ z of pictures z of random signs, whose mean outer product is JᵀWJ."""
     v_motions = np.zeros((probes, n, DOF), np.float32)
     for k, view in enumerate(views):
         shape = (probes, *view.transmittance.shape, 3)
         shown = (rng.integers(0, 2, shape, np.int8) * 2 - 1).astype(np.float32)
         view.pull_all(shown if weights is None else shown * np.sqrt(weights[k, ..., None]), v_motions)
-    return (v_motions.astype(np.float64) ** 2).mean(0).reshape(n, 2, 3).mean(2)
+    return v_motions
+
+
+def information(answers: np.ndarray) -> np.ndarray:
+    """[N, 2]: what the images say of displacement and of rotation, the diagonal of JᵀWJ, mean over x, y, z.
+
+    From `probed`: the mean of (Jᵀ W^½ z)² is that diagonal, whatever lies beside it.
+    """
+    squares = (answers.astype(np.float64) ** 2).mean(0)
+    return np.asarray(squares.reshape(len(squares), 2, 3).mean(2))
 
 
 def levels(groups: Groups, known: Known, prior: float, ridge: float) -> Levels:
     """The levels of a problem: `prior` h λ, `ridge` h μ."""
     n = len(groups.smoother)
     own = prior * groups.graph.own_blocks
-    own[:, range(ROWS), range(ROWS)] += (known.diagonal + ridge).reshape(n, ROWS)
+    own[:, range(ROWS), range(ROWS)] += (_PATCH * known.diagonal + ridge).reshape(n, ROWS)
     inverse = _inverse(np.linalg.cholesky(own)).transpose(0, 2, 1)
     between = prior * groups.stiffness + known.between + ridge * groups.squares
     return Levels(np.ascontiguousarray(inverse, np.float32), groups, _inverse_root(between))
