@@ -10,13 +10,17 @@ import torch
 from numba import config, get_num_threads, set_num_threads
 from scipy.sparse import bsr_matrix
 
+from tests.motion.test_linear import SCENES, gaussians_of, view_of
 from tests.motion.test_problem import problem
+from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.jacobian.packed import DOF
+from tg4mm.motion.posing.pose import Problems
 from tg4mm.motion.prior.graph import ROWS, graph
 from tg4mm.motion.solver import groups as module
+from tg4mm.motion.solver import levels as levels_module
 from tg4mm.motion.solver.device import DeviceProblem
 from tg4mm.motion.solver.groups import Groups, groups_of
-from tg4mm.motion.solver.levels import Levels, information
+from tg4mm.motion.solver.levels import Known, Levels, information, probed
 from tg4mm.motion.solver.problem import MotionProblem
 from tg4mm.motion.solver.solve import CGState, start, step
 
@@ -52,9 +56,39 @@ def test_the_information_is_the_diagonal_of_the_data() -> None:
             motion = np.zeros((n, DOF), np.float32)
             motion[i, k] = 1
             exact[i, k] = sum(float((view.push(motion).astype(np.float64) ** 2).sum()) for view in p.views)
-    found = information(p.views, n, np.random.default_rng(0), probes=400)
+    found = information(probed(p.views, n, np.random.default_rng(0), probes=400))
     np.testing.assert_allclose(found, exact.reshape(n, 2, 3).mean(2), rtol=0.3, atol=1e-6 * exact.max())
     assert found[:, 0].mean() == pytest.approx(exact[:, :3].mean(), rel=0.03)
+
+
+def test_groups_count_by_what_is_seen_of_them_together() -> None:
+    """Against fields of single groups: more than the sum over their Gaussians, by half the way to the middle, twice."""
+    scene = SCENES["crowded"]
+    gaussians, views = gaussians_of(scene), [view_of(scene)]
+    posing = Problems(views, gaussians, MotionConfig(), "cpu")
+    n, groups = len(gaussians), posing.groups
+    known = Known.of(groups, probed(views, n, np.random.default_rng(0), probes=2000))
+    fields = groups.matrix.toarray().T.astype(np.float32)  # [4G, 4N]
+    exact = np.zeros(len(fields))
+    for k, field in enumerate(fields):
+        for axis in range(3):
+            x = np.zeros((len(field), 3), np.float32)
+            x[:, axis] = field
+            exact[k] += sum(float((view.push(posing.graph.motion(x)) ** 2).sum()) for view in views) / 3
+    factor = exact / (fields.astype(float) ** 2 @ known.diagonal)
+    assert not np.allclose(factor, 1, atol=0.2)
+    expected = fields.astype(float) * known.diagonal @ fields.T.astype(float)
+    together = 2 * np.sqrt(factor * np.median(factor))
+    expected *= np.sqrt(together[:, None] * together)
+    np.testing.assert_allclose(known.between, expected, rtol=0.15, atol=0.01 * expected.max())
+
+
+@pytest.mark.parametrize("n", [1, 5, 255, 256, 300, 1024])
+def test_the_inverse_by_halves_is_the_inverse(n: int) -> None:
+    rng = np.random.default_rng(n)
+    lower = torch.from_numpy(np.tril(rng.normal(size=(n, n)) / n + 2 * np.eye(n))).float()
+    product = levels_module._inverse_lower(lower).double() @ lower.double()
+    torch.testing.assert_close(product, torch.eye(n, dtype=torch.float64), rtol=0, atol=1e-5)
 
 
 def test_from_field_is_the_transpose() -> None:

@@ -14,7 +14,7 @@ from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.posing.pose import Problems
 from tg4mm.motion.solver.device import DeviceProblem
-from tg4mm.motion.solver.levels import Known, information, levels
+from tg4mm.motion.solver.levels import Known, information, levels, probed
 from tg4mm.motion.solver.problem import MotionProblem
 
 N = 40
@@ -32,11 +32,10 @@ def problem(neighbours: float = 3.0, ridge: float = 0.1, weighted: bool = False)
         weights = np.random.default_rng(7).uniform(0.2, 1, shape).astype(np.float32)
     rng = np.random.default_rng(0)
     posing = Problems(views, gaussians_of(scene), MotionConfig(), "cpu")
-    seen = information(views, N, rng, weights)
-    scale, known = float(seen[:, 0].mean()), Known.of(posing.groups, seen)
-    unknowns = levels(posing.groups, known, scale * neighbours, scale * ridge)
+    known = Known.of(posing.groups, probed(views, N, rng, weights))
+    unknowns = levels(posing.groups, known, known.scale * neighbours, known.scale * ridge)
     config = MotionConfig(neighbours=neighbours, ridge=ridge)
-    return MotionProblem(views, posing.graph, unknowns, scale, config, weights)
+    return MotionProblem(views, posing.graph, unknowns, known.scale, config, weights)
 
 
 def draw(seed: int) -> np.ndarray:
@@ -87,7 +86,7 @@ def test_the_scale_is_the_mean_diagonal_of_the_information() -> None:
             motion = np.zeros((N, DOF), np.float32)
             motion[i, k] = 1
             total += sum(inner(view.push(motion), view.push(motion)) for view in p.views)
-    many = information(p.views, N, np.random.default_rng(1), probes=200)[:, 0].mean()
+    many = information(probed(p.views, N, np.random.default_rng(1), probes=200))[:, 0].mean()
     assert many == pytest.approx(total / (3 * N), rel=0.1)
 
 

@@ -14,9 +14,9 @@ from llvmlite import ir
 from numba import float32, int64, prange, types
 from numba.extending import intrinsic
 
-from tg4mm.rasterize.kernels.compiled import kernel
-from tg4mm.rasterize.kernels.lanes import lane_sums_of_eight, store_eight
-from tg4mm.rasterize.kernels.memory import ask, data_at, load, number
+from tg4mm.rasterize.kernels.compiled import inlined, kernel
+from tg4mm.rasterize.kernels.lanes import half_sums_of_eight, store_eight
+from tg4mm.rasterize.kernels.memory import ask, data_at, load, number, store
 from tg4mm.rasterize.kernels.tiles import aligned
 from tg4mm.rasterize.kernels.vector import LANES, constant_lanes, fma, vector, wide
 
@@ -27,20 +27,26 @@ _PACKED = 36  # three rows of eight, three of three and a zero
 _TURNS = 24 - 2  # where rotations' rows begin, so that the conic's columns lie in their lanes
 _AHEAD = 24  # pairs asked for ahead of their use
 _CHUNK = 256  # Gaussians that a thread takes at a time
-_ONLY = np.array([2 <= lane < 5 for lane in range(LANES)], np.float32)
+_ONLY = np.array([2 <= lane < 5 for lane in range(LANES)], np.float32)  # of the first eight lanes: the conic
 
 
-@intrinsic
-def load_eight(typingctx, array, index):
-    """Lanes 0 … 7 from a contiguous float32 array [n]; the others are 0."""
+def _eight(lanes):
+    """An intrinsic that spreads eight numbers of a contiguous float32 array [n] over `lanes`; 8: a zero."""
 
-    def codegen(context, builder, sig, args):
-        place = builder.gep(data_at(context, builder, sig.args[0], args[0]), [args[1]])
-        kind = ir.VectorType(ir.FloatType(), COLUMNS)
-        eight = builder.load(builder.bitcast(place, kind.as_pointer()), align=4)
-        return builder.shuffle_vector(eight, ir.Constant(kind, None), constant_lanes(range(LANES)))
+    def typed(typingctx, array, index):
+        def codegen(context, builder, sig, args):
+            place = builder.gep(data_at(context, builder, sig.args[0], args[0]), [args[1]])
+            kind = ir.VectorType(ir.FloatType(), COLUMNS)
+            eight = builder.load(builder.bitcast(place, kind.as_pointer()), align=4)
+            return builder.shuffle_vector(eight, ir.Constant(kind, None), constant_lanes(lanes))
 
-    return vector(array, types.int64), codegen
+        return vector(array, types.int64), codegen
+
+    return intrinsic(typed)
+
+
+load_eight = _eight([*range(COLUMNS), *[COLUMNS] * COLUMNS])  # and eight zeros
+load_twice = _eight([*range(COLUMNS)] * 2)
 
 
 def packed(jacobian: np.ndarray) -> np.ndarray:
@@ -89,30 +95,44 @@ def _push_rows(first, last, values, rows, only, motions, shape, d_splats):
             store_eight(d_splats, (i * n_changes + r) * COLUMNS, fma(turned, conic, shifted))
 
 
+@inlined
+def _of_pairs(v_pairs, slots, first, last, width, at, are_two):
+    """What pairs say of one change, at `at` of their rows, or of two, one in each half of the lanes."""
+    total, end = wide(float32(0.0)), len(slots) - 1
+    for slot in range(first, last):
+        ask(v_pairs, int64(slots[min(slot + _AHEAD, end)]) * width + at)
+        place = int64(slots[slot]) * width + at
+        total = total + (load(v_pairs, place) if are_two else load_eight(v_pairs, place))
+    return total
+
+
 @kernel()
 def _pull_rows(first, last, values, rows, only, pairs, shape, v_motions):
     n_changes, n = shape
     starts, slots, v_pairs = pairs
-    conic, nothing, width = load(only, int64(0)), wide(float32(0.0)), int64(n_changes * COLUMNS)
-    room, end = aligned(LANES), len(slots) - 1
+    conic, nothing, width = load_twice(only, int64(0)), wide(float32(0.0)), int64(n_changes * COLUMNS)
+    room = aligned(LANES)
     for k in range(first, last):
-        i = int64(rows[k])
-        for r in range(n_changes):
-            total = nothing
-            for slot in range(starts[k], starts[k + 1]):
-                ask(v_pairs, int64(slots[min(slot + _AHEAD, end)]) * width)
-                total = total + load_eight(v_pairs, int64(slots[slot]) * width + r * COLUMNS)
-            at, of_conic = int64(k) * _PACKED, total * conic
-            s0, s1, s2 = load(values, at) * total, load(values, at + 8) * total, load(values, at + 16) * total
-            at += _TURNS
-            s3, s4, s5 = load(values, at), load(values, at + 4), load(values, at + 8)
-            sums = lane_sums_of_eight(
-                s0, s1, s2, s3 * of_conic, s4 * of_conic, s5 * of_conic, nothing, nothing
+        i, at = int64(rows[k]), int64(k) * _PACKED
+        for r in range(0, n_changes, 2):
+            are_two = r + 1 < n_changes
+            total = _of_pairs(v_pairs, slots, starts[k], starts[k + 1], width, int64(r * COLUMNS), are_two)
+            of_conic, turns = total * conic, at + _TURNS
+            sums = half_sums_of_eight(
+                load_twice(values, at) * total,
+                load_twice(values, at + 8) * total,
+                load_twice(values, at + 16) * total,
+                load_twice(values, turns) * of_conic,
+                load_twice(values, turns + 4) * of_conic,
+                load_twice(values, turns + 8) * of_conic,
+                nothing,
+                nothing,
             )
-            store_eight(room, int64(0), sums)
-            m = (r * n + i) * DOF
-            for d in range(DOF):
-                v_motions[m + d] += room[d]
+            store(room, int64(0), sums)
+            for half in range(2 if are_two else 1):
+                m = ((r + half) * n + i) * DOF
+                for d in range(DOF):
+                    v_motions[m + d] += room[COLUMNS * half + d]
 
 
 @kernel(parallel=True)

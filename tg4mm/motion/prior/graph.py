@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 
 from tg4mm.motion.prior.following import following
 from tg4mm.motion.prior.stiffness import BENDING, ROWS, Edges, add_prior
+from tg4mm.motion.prior.turning import turned, turned_back
 
 COUNT = 12  # neighbours of a Gaussian
 
@@ -79,17 +80,12 @@ class Graph:
         add_prior(self.edges, x, stiff, ridge, out)
 
     def motion(self, field: np.ndarray) -> np.ndarray:
-        """[4N, 3] -> displacement and rotation vector (radians) of every Gaussian, [N, 6] float32."""
-        f = field.reshape(-1, ROWS, 3)
-        turned = (f[:, 1:].reshape(-1, 1, 9) @ self.turns)[:, 0]
-        return np.concatenate([f[:, 0], turned], 1).astype(np.float32, copy=False)
+        """[4N, 3] float32 -> displacement and rotation vector (radians) of every Gaussian, [N, 6] float32."""
+        return turned(self.turns, field.reshape(self.n_gaussians, -1))
 
     def from_motion(self, v_motion: np.ndarray) -> np.ndarray:
-        """The transpose of `motion`: [N, 6] -> [4N, 3]."""
-        out = np.empty((len(v_motion), ROWS, 3), np.float32)
-        out[:, 0] = v_motion[:, :3]
-        out[:, 1:] = (self.turns @ v_motion[:, 3:, None]).reshape(-1, 3, 3)
-        return out.reshape(-1, 3)
+        """The transpose of `motion`: [N, 6] -> [4N, 3], float32."""
+        return turned_back(self.turns, v_motion).reshape(-1, 3)
 
 
 def graph(means: np.ndarray, axes: np.ndarray, scales: np.ndarray, count: int = COUNT) -> Graph:

@@ -106,7 +106,7 @@ class Rounds:
             self.basis, self._pixels_of(views, means, shapes), most_states(len(self.cameras), self.size)
         )
         shifts = np.tensordot(states.gains, shapes[..., :3], 1).astype(np.float32)
-        pixels = max(pixels_moved(views, self.cameras, means, shift) for shift in shifts)
+        pixels = float(pixels_moved(views, self.cameras, means, shifts).max())
         return Where(gaussians, fields, neighbours, states, pixels)
 
     def evidence(self, states: States) -> Evidence:
@@ -224,4 +224,4 @@ class Rounds:
 
     def _pixels_of(self, views: list[RestView], means: np.ndarray, shapes: np.ndarray) -> np.ndarray:
         """[R] pixels that each component moves things by for a gain of 1."""
-        return np.array([pixels_moved(views, self.cameras, means, s[:, :3]) for s in shapes])
+        return pixels_moved(views, self.cameras, means, shapes[..., :3])

@@ -42,15 +42,16 @@ _INTERLEAVED = _each((0, 4, 1, 5)), _each((2, 6, 3, 7))
 _HALVES = _each((0, 1, 4, 5)), _each((2, 3, 6, 7))
 _GROUP_HALVES = _of_groups((0, 1, 4, 5)), _of_groups((2, 3, 6, 7))
 _GROUP_PAIRS = _of_groups((0, 2, 4, 6)), _of_groups((1, 3, 5, 7))
+_OF_EACH_HALF = _of_groups((0, 4, 2, 6)), _of_groups((1, 5, 3, 7))
 
 
-def _lane_sums(builder, parts):
+def _lane_sums(builder, parts, last=(_GROUP_HALVES, _GROUP_PAIRS)):
     """One vector whose first lanes are the sums of the lanes of each part (at most 16), by a fixed tree; then zeros.
 
-    The first two steps stay within groups of four lanes, where a shuffle is cheapest.
+    The first two steps stay within groups of four lanes, where a shuffle is cheapest; `last` adds the groups.
     """
-    level = list(parts) + [None] * (LANES - len(parts))
-    for picks in (_INTERLEAVED, _HALVES, _GROUP_HALVES, _GROUP_PAIRS):
+    level = list(parts) + [None] * ((4 << len(last)) - len(parts))
+    for picks in (_INTERLEAVED, _HALVES, *last):
         level = [_picked(builder, level[k], level[k + 1], picks) for k in range(0, len(level), 2)]
     return level[0]
 
@@ -68,6 +69,14 @@ def lane_sums(typingctx, a, b, c, d, e, f, g, h, i, j):
 def lane_sums_of_eight(typingctx, a, b, c, d, e, f, g, h):
     """`lane_sums` of eight vectors, in lanes 0 … 7."""
     return vector(*[vector] * 8), lambda context, builder, sig, args: _lane_sums(builder, args)
+
+
+@intrinsic
+def half_sums_of_eight(typingctx, a, b, c, d, e, f, g, h):
+    """The sums of the lower eight lanes of each of eight vectors, in lanes 0 … 7, and of the upper ones, in 8 … 15."""
+    return vector(*[vector] * 8), lambda context, builder, sig, args: _lane_sums(
+        builder, args, (_OF_EACH_HALF,)
+    )
 
 
 def _store_parts(context, builder, sig, args, parts):
