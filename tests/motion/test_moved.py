@@ -110,7 +110,9 @@ def test_pixels_are_those_of_a_shift_across(posed) -> None:
     one, view = cameras[:1], problem.views[:1]
     shift = np.tile(0.1 * cameras[0].viewmat[0, :3], (len(gaussians), 1))
     focal = 16 / np.tan(0.6911112070083618 / 2)
-    once, twice, never = pixels_moved(view, one, gaussians.means.numpy(), np.stack([shift, 2 * shift, 0 * shift]))
+    once, twice, never = pixels_moved(
+        view, one, gaussians.means.numpy(), np.stack([shift, 2 * shift, 0 * shift])
+    )
     assert focal * 0.1 / 4 < once < focal * 0.1 / 2.6  # 99 % are farther away than the nearest
     assert twice == pytest.approx(2 * once, rel=1e-5)
     assert never == 0

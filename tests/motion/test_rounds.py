@@ -23,14 +23,14 @@ from tg4mm.motion.apply import moved
 from tg4mm.motion.posing import pose
 from tg4mm.motion.rounds import linearised
 from tg4mm.motion.rounds.moved import MovedProblem
-from tg4mm.motion.rounds.rounds import ABOVE_PX
+from tg4mm.motion.rounds.rounds import ABOVE_PX, used_components
 from tg4mm.motion.solver.device import DeviceProblem
 from tg4mm.motion.train import train_motion
 from tg4mm.render.image import render_image
 from tg4mm.runs import Run
 from tg4mm.space import SpaceConfig, rest_views, train_space
 
-CONFIG = MotionConfig(iterations=20, rounds=4)
+CONFIG = MotionConfig(rounds=4)
 SHORT = MotionConfig(components=1, neighbours=300.0, iterations=3, rounds=2, tolerance=1e-6)
 
 
@@ -84,6 +84,19 @@ def found(large: Run, tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Ru
     for run, most in zip(runs, (0, CONFIG.rounds), strict=True):
         _trained(run, replace(CONFIG, rounds=most))
     return runs
+
+
+@pytest.mark.parametrize(
+    ("is_noise", "used"),
+    [
+        ([0, 1, 1], [0, 1, 2]),
+        ([0] + 11 * [1], list(range(8))),  # eight in all
+        ([0, 1, 0] + 9 * [1], list(range(8))),
+        (6 * [0] + 9 * [1], list(range(13))),  # as many others and one
+    ],
+)
+def test_rounds_fit_some_of_the_weak_components_too(is_noise: list[int], used: list[int]) -> None:
+    assert used_components(np.array(is_noise, bool)).tolist() == used
 
 
 def test_two_pixels_are_found_by_rounds(found: tuple[Run, Run]) -> None:

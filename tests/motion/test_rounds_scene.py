@@ -157,5 +157,5 @@ def test_one_knots_component_images_are_held_at_a_time(
 
     monkeypatch.setattr(Evidence, "target", watched)
     _trained(data, tmp_path / "run")
-    assert len(made) == 2  # knots
+    assert len(made) == 3  # knots
     assert not any(alive)

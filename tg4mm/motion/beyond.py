@@ -11,7 +11,7 @@ import numpy as np
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.carried.carried import Carried
 from tg4mm.motion.jacobian.linear import RestView
-from tg4mm.motion.light.fit import Lighting, Remainder
+from tg4mm.motion.light.fit import ITERATIONS, Lighting, Remainder
 from tg4mm.motion.pictures.differences import TemporalComponents
 from tg4mm.motion.pictures.video import FixedCamera
 from tg4mm.motion.posing.noise import pixel_weights
@@ -51,13 +51,14 @@ class Beyond:
         is_small: bool,
         asked: np.ndarray,
         update: Callable[[int], None] | None = None,
+        iterations: int = ITERATIONS,
     ) -> tuple[np.ndarray, np.ndarray] | None:
         """Of fields [R, N, DOF], for the components `asked` [r]: `Lighting.fitted`, or None."""
         if self.lighting is None:
             return None
         carried = self.carried if is_small else None
         left = Remainder(self.views, self.components.images, self.signal, shapes, carried, asked)
-        return self.lighting.fitted(left, update)
+        return self.lighting.fitted(left, update, iterations)
 
     def pictures(
         self, part: int, shapes: np.ndarray, changes: np.ndarray | None, some: slice

@@ -27,6 +27,7 @@ from tg4mm.motion.certainty.halves import agreed_fields, deviation, halves
 from tg4mm.motion.config import MotionConfig, checked
 from tg4mm.motion.fit import TOGETHER, Fit, Solver
 from tg4mm.motion.jacobian.linear import rest_view
+from tg4mm.motion.light.fit import LOOK
 from tg4mm.motion.light.model import Light
 from tg4mm.motion.modal import ModalMotion
 from tg4mm.motion.pictures.differences import temporal_components
@@ -161,7 +162,8 @@ class _Stage:
         fit.turn, fit.component, fit.is_small = 1, 0, pixels <= ABOVE_PX
         if not fit.is_small or not self.solver.iterations(1):
             return
-        light = self.beyond.light(agreed_fields(fields)[0], True, np.arange(fields.shape[1]))
+        every = np.arange(fields.shape[1])
+        light = self.beyond.light(agreed_fields(fields)[0], True, every, iterations=LOOK)
         changes = None if light is None else light[0]
         fit.lit = None if light is None else np.flatnonzero(light[1]).tolist()
         for part, own in enumerate(fields):

@@ -23,7 +23,7 @@ from tg4mm.motion.prior.graph import Graph
 from tg4mm.motion.solver.solve import CGState, start, step_all
 
 ITERATIONS = 3  # six do hardly better: docs/decisions.md
-_LOOK = 1  # iterations after which it is told whether the halves agree
+LOOK = 1  # iterations after which it is told whether the halves agree; enough between the motion's two turns
 _AGREED = 0.5  # gain below which a component has no light
 _TOGETHER = 8  # components that share a pass over the views
 
@@ -69,7 +69,10 @@ class Lighting:
         return Lighting(LightProblem.of(lit, weights, graph), parts, means)
 
     def fitted(
-        self, remainder: Remainder, update: Callable[[int], None] | None = None
+        self,
+        remainder: Remainder,
+        update: Callable[[int], None] | None = None,
+        iterations: int = ITERATIONS,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Changes of the first coefficients of spherical harmonics [R, N, K, 3] float32, and gains [R].
 
@@ -85,7 +88,7 @@ class Lighting:
                 half.right_hand_sides(remainder.of(part, some))
                 for half, part in zip(halves, self.parts, strict=True)
             ]
-            x, gains[some] = agreed_light(halves, sides, self.means)
+            x, gains[some] = agreed_light(halves, sides, self.means, iterations)
             found[some] = x / np.float32(HARMONIC)
             if update is not None:
                 update(first + len(some))
@@ -97,7 +100,10 @@ class Lighting:
 
 
 def agreed_light(
-    halves: Sequence[LightProblem], sides: Sequence[Sequence[np.ndarray]], means: np.ndarray
+    halves: Sequence[LightProblem],
+    sides: Sequence[Sequence[np.ndarray]],
+    means: np.ndarray,
+    iterations: int = ITERATIONS,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Changes of colour [R, N, K, 3] and gains [R] from the problems of two halves and R right-hand sides of each.
 
@@ -106,7 +112,7 @@ def agreed_light(
     states = [[start(b) for b in some] for some in sides]
     found = np.zeros((len(states[0]), *states[0][0].x.shape), np.float32)
     gains, going = np.zeros(len(found), np.float32), np.arange(len(found))
-    for last in (_LOOK, ITERATIONS):
+    for last in (LOOK, iterations):
         states = [_stepped(half, some, last) for half, some in zip(halves, states, strict=True)]
         a, b = (
             np.stack([half.colours(s.x) for s in some]) for half, some in zip(halves, states, strict=True)

@@ -17,7 +17,7 @@ from tg4mm.motion.posing.weight import CANDIDATES, DEFAULT, chosen_weight
 from tg4mm.motion.prior.graph import graph
 from tg4mm.motion.solver.device import DeviceProblem
 from tg4mm.motion.solver.groups import groups_of
-from tg4mm.motion.solver.levels import Known, levels, probed
+from tg4mm.motion.solver.levels import PROBES, Known, levels, probed
 from tg4mm.motion.solver.problem import MotionProblem
 from tg4mm.motion.solver.solve import CGState
 from tg4mm.rasterize.reference import rotation_matrices
@@ -52,11 +52,11 @@ class Problems:
         self._there: DeviceProblem | None = None
 
     def of(
-        self, weights: np.ndarray | None, neighbours: Sequence[float]
+        self, weights: np.ndarray | None, neighbours: Sequence[float], probes: int = PROBES
     ) -> list[MotionProblem | DeviceProblem]:
         """One for each weight of the neighbours, all with the pixels' weights [V, H, W] or None."""
         rng = np.random.default_rng(self.config.seed)
-        known = Known.of(self.groups, probed(self.views, len(self.means), rng, weights))
+        known = Known.of(self.groups, probed(self.views, len(self.means), rng, weights, probes))
         scale, ridge = known.scale, known.scale * self.config.ridge
         return [
             self._placed(
@@ -101,7 +101,7 @@ def posed(
     if known is None:
         is_noise = np.zeros(len(components.basis), bool)
         if len(parts) == 2 and len(is_noise) > 1:
-            (plain,) = problems.of(None, [LOOSE])
+            (plain,) = problems.of(None, [LOOSE], PROBES // 2)  # for two iterations
             is_noise = noise_components(plain, parts, components.images, at_once)
     else:
         is_noise, asked = known.is_noise, known.neighbours

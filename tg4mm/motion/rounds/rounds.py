@@ -21,6 +21,7 @@ from tg4mm.capture.pictures import FilePictures
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.certainty.halves import LEAST, agreed_fields
 from tg4mm.motion.config import MotionConfig
+from tg4mm.motion.fit import TOGETHER
 from tg4mm.motion.jacobian.linear import RestView, rest_view
 from tg4mm.motion.pictures.differences import TemporalComponents
 from tg4mm.motion.pictures.states import States, most_states, states_of
@@ -37,18 +38,23 @@ from tg4mm.motion.solver.problem import MotionProblem
 from tg4mm.motion.solver.solve import start, step
 
 ABOVE_PX = 0.7  # motion up to so many pixels is in the linear range: docs/decisions.md
+_OF_CHOICE = 6  # iterations: what is left after a round tells less of the weight than the whole motion
+_TIMES = (
+    3  # of half the linear fit's iterations: all components together, linearised at several places, need more
+)
 _FALL = 0.05  # of the misfit: what falls by less is not worth another round
 Keep = Callable[[Callable[[], dict[str, Tensor]], Callable[[], dict[str, Any]]], None]
 
 
 def used_components(is_noise: np.ndarray) -> np.ndarray:
-    """Which temporal components rounds fit: those of the linear fit, and of the others as many and one.
+    """Which temporal components rounds fit: those of the linear fit, and as many others and one, or eight in all.
 
     Pictures saturate where things move far, so that the first component is not quite what the motion does in time; the
-    rest of that is in weaker ones. What is noise there after all fades by what the halves agree on.
+    rest of that is in weaker ones. What is noise there after all fades by what the halves agree on; but what moves and
+    is left out counts as noise of its pixels, which then say less.
     """
     linear, others = np.flatnonzero(~is_noise), np.flatnonzero(is_noise)
-    return np.sort(np.concatenate([linear, others[: len(linear) + 1]]))
+    return np.sort(np.concatenate([linear, others[: max(len(linear) + 1, TOGETHER - len(linear))]]))
 
 
 class Rounds:
@@ -72,6 +78,7 @@ class Rounds:
         self._linear = np.flatnonzero(~findings.is_noise[self._used])
         self.weights = pixel_weights(components, ~np.isin(np.arange(len(components.basis)), self._used))
         self.images, self.components = images, components
+        self.iterations = _TIMES * config.iterations // 2
         height, width = components.images.shape[2:4]
         self.size = (width, height)
         # as many as a quarter of the space stage's; few cameras alone would bend a scene that others saw, too
@@ -81,7 +88,7 @@ class Rounds:
     @property
     def units(self) -> int:
         """Of progress, for a round: iterations of polishing, and how many of them those of the fit take."""
-        return len(self.parts) * self.config.iterations * self._costs + self.polishing
+        return len(self.parts) * self.iterations * self._costs + self.polishing
 
     @property
     def _costs(self) -> int:
@@ -176,7 +183,7 @@ class Rounds:
         posed = problems.of(self.weights, [where.neighbours] if is_given else list(CANDIDATES))
         if not is_given:
             target = self._at_rest(problems.views, where.gaussians, shapes, evidence)[:, 0]
-            where.neighbours, _ = chosen_weight(posed, self.parts, target)
+            where.neighbours, _ = chosen_weight(posed, self.parts, target, _OF_CHOICE)
         where.is_chosen = True
         (rest,) = (p for p in posed if p.config.neighbours == where.neighbours)
         assert isinstance(rest, MotionProblem)
@@ -187,9 +194,9 @@ class Rounds:
         part = len(where.found)
         own = problem.problem.of_views(self.parts[part])
         cg = where.cg or start(problem.sides[part])
-        while cg.iteration < self.config.iterations and cg.relative_residual > self.config.tolerance:
+        while cg.iteration < self.iterations and cg.relative_residual > self.config.tolerance:
             cg = where.cg = step(cg, own.normal)
-            done = (part * self.config.iterations + cg.iteration) * self._costs
+            done = (part * self.iterations + cg.iteration) * self._costs
             self._tell(where, done, keep, update, residual=round(cg.relative_residual, 4))
         where.found.append(own.fields(cg.x))
         where.cg = None

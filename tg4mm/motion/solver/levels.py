@@ -104,7 +104,9 @@ def probed(
     for k, view in enumerate(views):
         shape = (probes, *view.transmittance.shape, 3)
         shown = (rng.integers(0, 2, shape, np.int8) * 2 - 1).astype(np.float32)
-        view.pull_all(shown if weights is None else shown * np.sqrt(weights[k, ..., None]), v_motions, buffers)
+        view.pull_all(
+            shown if weights is None else shown * np.sqrt(weights[k, ..., None]), v_motions, buffers
+        )
     return v_motions
 
 
@@ -143,7 +145,9 @@ def _inverse_lower(lower: torch.Tensor) -> torch.Tensor:
     if half < 128:
         return torch.linalg.solve_triangular(lower, torch.eye(len(lower)), upper=False)
     out = torch.zeros_like(lower)
-    out[:half, :half], out[half:, half:] = (_inverse_lower(lower[s, s]) for s in (slice(half), slice(half, None)))
+    out[:half, :half], out[half:, half:] = (
+        _inverse_lower(lower[s, s]) for s in (slice(half), slice(half, None))
+    )
     out[half:, :half] = -(out[half:, half:] @ lower[half:, :half]) @ out[:half, :half]
     return out
 
