@@ -1,0 +1,182 @@
+"""All that runs with --device cuda, on a pretended GPU: everything on one device, and no transfer in an iteration."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from tests.pretend import NAME, Gpu, There, pretended_gpu
+from tests.rasterize.oracle import assert_close
+from tests.space.test_cuda import spherical_harmonics
+from tests.synthetic import make_synthetic_dataset
+from tg4mm.capture import load_capture, load_images
+from tg4mm.evaluate import evaluate_run
+from tg4mm.gaussians import Gaussians
+from tg4mm.motion import MotionConfig
+from tg4mm.motion.train import train_motion
+from tg4mm.paper import PaperConfig, first_views, train_timesteps, train_triplane
+from tg4mm.render import RenderRequest, capture_cameras, render_sequence
+from tg4mm.render.frames import read_png
+from tg4mm.runs import Run
+from tg4mm.space import SpaceConfig, rest_views, train_space
+from tg4mm.space import train as stage
+
+SHORT = SpaceConfig(iterations=12, max_gaussians=500, init_points=300, dssim=0.2)
+PAPER = PaperConfig(channels=4, resolution=32, iterations=12, warm_up=6, motion_iterations=4, shared=True)
+FEW = MotionConfig(components=2, iterations=4, tolerance=1e-6)
+
+
+_PARTS = ("one half of the cameras", "the other")
+
+
+@pytest.fixture
+def gpu(monkeypatch: pytest.MonkeyPatch) -> Iterator[Gpu]:
+    monkeypatch.setattr(stage, "SHOW_EVERY_S", 1e9)  # a figure shown is a number fetched
+    with pretended_gpu(monkeypatch, spherical_harmonics) as there:
+        yield there
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Run]:
+    """A dataset that moves, and a run with its exact Gaussians and motion."""
+    root = tmp_path_factory.mktemp("pretended")
+    gaussians, motion = make_synthetic_dataset(
+        root / "data", n_views=6, n_timesteps=6, size=32, freqs=(5.0,), alphas=(5,), n_test=2
+    )
+    run = Run.create(root / "run", root / "data", "modal", {})
+    run.save_space(gaussians, {})
+    run.save_motion(motion, {})
+    return root / "data", run
+
+
+def counted(gpu: Gpu) -> dict[str, int]:
+    found = dict(gpu.counts)
+    gpu.counts.clear()
+    return found
+
+
+def test_it_reckons_as_the_cpu_and_gradients_do(gpu: Gpu) -> None:
+    here = torch.arange(12.0).reshape(3, 4).requires_grad_()
+    there = here.detach().to(NAME).requires_grad_()
+    for x in (here, there):
+        y = torch.ones(4, 2, device=x.device)
+        ((x @ y).square().sum() + x[1].exp().sum()).backward()
+    assert isinstance(there, There)
+    assert isinstance(there.grad, There)
+    assert there.device.type == NAME
+    torch.testing.assert_close(there.grad.cpu(), here.grad)
+
+
+def test_it_notices_what_is_left_behind_and_what_crosses(gpu: Gpu) -> None:
+    x = torch.ones(3).to(NAME)
+    with pytest.raises(RuntimeError, match="one device"):
+        x + torch.ones(3)
+    with pytest.raises(RuntimeError, match="one device"):
+        torch.cat([x, torch.ones(3)])
+    assert torch.equal((x + torch.tensor(1.0)).cpu(), torch.full((3,), 2.0))  # CUDA takes single numbers, too
+    assert counted(gpu) == {"up": 1, "down": 1, "waits": 0}
+    assert float(x.sum()) == 3
+    assert counted(gpu)["down"] == 1
+    assert len(x[x > 0].cpu()) == 3
+    assert counted(gpu)["waits"] == 1
+    with pytest.raises(RuntimeError):
+        x.numpy()
+
+
+def trained_space(data: Path, path: Path, iterations: int, device: str) -> Gaussians:
+    capture = load_capture(data)
+    views = rest_views(capture, load_images(capture))
+    config = replace(SHORT, iterations=iterations)
+    return train_space(Run.create(path, data, "modal", {}), views, capture.points, config, device)
+
+
+def test_the_space_stage(made: tuple[Path, Run], tmp_path: Path, gpu: Gpu) -> None:
+    found = trained_space(made[0], tmp_path / "there", 12, NAME)
+    of_twelve = counted(gpu)
+    expected = trained_space(made[0], tmp_path / "here", 12, "cpu")
+    assert not counted(gpu)
+    assert_close("means", found.means, expected.means, 2e-3)
+    assert_close("opacities", found.opacities, expected.opacities, 2e-2)
+    trained_space(made[0], tmp_path / "longer", 24, NAME)
+    assert counted(gpu) == of_twelve  # twice the iterations bring nothing more to the host, nor to the device
+
+
+def test_the_space_stage_with_density_control(made: tuple[Path, Run], tmp_path: Path, gpu: Gpu) -> None:
+    assert len(trained_space(made[0], tmp_path / "run", 200, NAME)) > SHORT.init_points
+
+
+def test_the_motion_stage(made: tuple[Path, Run], tmp_path: Path, gpu: Gpu) -> None:
+    data, source = made
+    capture = load_capture(data)
+    images, found, fetched = load_images(capture), [], []
+    for place, iterations in ((NAME, 4), ("cpu", 4), (NAME, 8)):
+        run = Run.create(tmp_path / f"{place}{iterations}", data, "modal", {})
+        run.save_space(source.load_space(), {})
+        counted(gpu)
+        motion = train_motion(run, capture, images, replace(FEW, iterations=iterations), place)
+        found.append(torch.from_numpy(motion.displacement))
+        fetched.append(counted(gpu).get("down", 0))
+    assert_close("displacement", found[0].abs(), found[1].abs(), 1e-2)
+    solved = len(_PARTS) * int(Run.open(tmp_path / f"{NAME}4").log()["motion"]["components"])
+    assert fetched[1] == 0
+    assert fetched[2] - fetched[0] == 3 * 4 * solved  # three sums of every step of conjugate gradients
+
+
+def test_pictures(made: tuple[Path, Run], tmp_path: Path, gpu: Gpu) -> None:
+    data, run = made
+    cameras = capture_cameras(load_capture(data, split="test"))
+    request = RenderRequest(alpha=5)
+    here, there = (
+        render_sequence(run, cameras, request, tmp_path / place, video=False, device=place)
+        for place in ("cpu", NAME)
+    )
+    pictures = sorted(here.rglob("*.png"))
+    assert len(pictures) == gpu.counts["down"] > 0  # a picture crosses once
+    assert gpu.counts["waits"] == 0
+    for path in pictures:
+        a, b = read_png(path).astype(int), read_png(there / path.relative_to(here)).astype(int)
+        assert np.abs(a - b).max() <= 1
+
+
+def test_figures(made: tuple[Path, Run], tmp_path: Path, gpu: Gpu) -> None:
+    here, there = (evaluate_run(made[1], out=tmp_path / f"{d}.json", device=d) for d in ("cpu", NAME))
+    for a, b in zip(here["alphas"], there["alphas"], strict=True):
+        for method, row in a["rows"].items():
+            assert row["ssim"] == pytest.approx(b["rows"][method]["ssim"], abs=1e-5)
+            assert row["psnr_db"] == pytest.approx(b["rows"][method]["psnr_db"], abs=1e-3)
+    assert here["displacement_error"] == there["displacement_error"]
+
+
+def test_the_preset_paper(
+    made: tuple[Path, Run], tmp_path: Path, gpu: Gpu, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data, source = made
+    capture = load_capture(data)
+    images, counts = load_images(capture), []
+    found = []
+    for place, times in ((NAME, 1), ("cpu", 1), (NAME, 2)):
+        run = Run.create(tmp_path / f"{place}{times}", data, "paper", {})
+        config = replace(PAPER, iterations=6 + 6 * times, motion_iterations=PAPER.motion_iterations * times)
+        counted(gpu)
+        views = first_views(capture, images)
+        run.save_space(source.load_space(), {})
+        model = train_triplane(run, source.load_space(), views, config, place)
+        train_timesteps(run, model, capture, images, config, place)
+        found.append(model)
+        counts.append(counted(gpu))
+        if times == 1:
+            out = render_sequence(
+                run, capture_cameras(load_capture(data, split="test"))[:1], RenderRequest(alpha=5),
+                tmp_path / f"pictures_{place}", video=False, device=place,
+            )  # fmt: skip
+            assert any(out.rglob("*.png"))
+    assert counts[1] == {}
+    assert_close("features", found[0].rest_embedding, found[1].rest_embedding, 1e-3)
+    for name, value in found[0].decoder.parameters.items():
+        assert_close(name, value, found[1].decoder.parameters[name], 1e-2)
+    assert counts[2] == counts[0]
