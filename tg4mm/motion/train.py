@@ -42,7 +42,7 @@ from tg4mm.progress import progress
 from tg4mm.runs import UNCERTAINTY, Run
 
 CHECKPOINT_EVERY_S = 20.0
-_STATE = 7  # of a checkpoint: one of another version is begun anew, as its fields are of other parameters
+_STATE = 8  # of a checkpoint: one of another version is begun anew, as its fields are of other parameters
 _STAGE, ROUNDS = "motion", "rounds"  # checkpoints
 
 

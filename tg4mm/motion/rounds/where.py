@@ -16,7 +16,7 @@ from tg4mm.motion.rounds.evidence import Errors
 from tg4mm.motion.rounds.polish import Polish
 from tg4mm.motion.solver.solve import CGState, placed
 
-VERSION = 2  # of a checkpoint
+VERSION = 3  # of a checkpoint
 
 _PLAIN = ("neighbours", "pixels", "misfits", "is_chosen", "is_over")
 
