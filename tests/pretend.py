@@ -2,8 +2,11 @@
 
 What goes wrong first where a program moves to a GPU is not arithmetic: a tensor left behind, a number fetched in every
 iteration, a wait. Without a GPU none of that shows, since everything is on one device. Here an operation on tensors of
-two devices raises, as CUDA does, and whatever crosses to the host, or would wait for the device, is counted. gsplat's
-two calls are made by our CPU path, at which nothing is counted.
+two devices raises, and what crosses to the host or back, or would wait for the device because of its result's size, is
+counted. gsplat's two calls are made by our CPU path, at which nothing is counted.
+
+`register` before the process's first backward pass: torch makes a queue for each device it knows by then. It cannot be
+undone; a process that has it takes it for its accelerator.
 
 It cannot show what CUDA's own kernels do: their results, speed and memory.
 """
@@ -34,7 +37,16 @@ _WAITS = (
     _aten.masked_select.default,
     _aten._unique2.default,
     _aten.unique_dim.default,
+    _aten.unique_consecutive.default,
+    _aten.repeat_interleave.Tensor,
+    _aten.bincount.default,
 )
+_BY_INDEX = (_aten.index.Tensor, _aten.index_put_.default)  # by a mask they wait, too
+_WITHOUT_SCALARS = (
+    _aten.cat.default,
+    _aten.stack.default,
+    _aten.copy_.default,
+)  # others take a number of the CPU's
 
 
 @cache
@@ -105,7 +117,7 @@ class Gpu(TorchDispatchMode):
         return tree_map_only(Tensor, lambda t: known[id(t)] if id(t) in known else There(t), out)
 
     def _watch(self, func: Any, args: Any, asked: Any, tensors: list[Tensor]) -> None:
-        left = [t for t in tensors if not isinstance(t, There) and t.dim()]
+        left = [t for t in tensors if not isinstance(t, There) and (t.dim() or func in _WITHOUT_SCALARS)]
         if func is _aten.copy_.default and left:
             self.counts["up" if isinstance(args[0], There) else "down"] += 1
         elif func is _aten._to_copy.default:
@@ -115,7 +127,7 @@ class Gpu(TorchDispatchMode):
         elif left and len(left) < len(tensors):
             shapes = ", ".join(str(tuple(t.shape)) for t in left)
             raise RuntimeError(f"{func}: expected all tensors on one device, found {shapes} on the CPU")
-        is_mask = func is _aten.index.Tensor and any(t.dtype == torch.bool for t in tensors[1:])
+        is_mask = func in _BY_INDEX and any(t.dtype == torch.bool and t.dim() for t in tensors[1:])
         self.counts["down"] += func in _FETCHES
         self.counts["waits"] += func in _WAITS or is_mask
 
@@ -165,7 +177,6 @@ def gsplat_of(gpu: Gpu, harmonics: Callable[..., Tensor]) -> types.ModuleType:
 
 @contextmanager
 def pretended_gpu(monkeypatch: pytest.MonkeyPatch, harmonics: Callable[..., Tensor]) -> Iterator[Gpu]:
-    register()
     with Gpu() as gpu:
         monkeypatch.setitem(sys.modules, "gsplat", gsplat_of(gpu, harmonics))
         monkeypatch.setattr(torch, "Generator", Generator)

@@ -69,7 +69,8 @@ def activate(log_scales, logits, scales, opacities):
         _activate_rows(log_scales[a:b], logits[a:b], scales[a:b], opacities[a:b])
 
 
-@njit(fastmath=True, inline="always")
+# No fastmath in a step: its last bits would depend on whether this process compiled it or found it in the cache.
+@njit(error_model="numpy", forceinline=True)
 def _adam(value, m, v, gradient, rate, root):
     """One number's step. rate: learning rate / (1 − β1^t); root: 1 / √(1 − β2^t)."""
     m = m + float32(1 - BETA1) * (gradient - m)
@@ -77,13 +78,13 @@ def _adam(value, m, v, gradient, rate, root):
     return value - rate * m / (math.sqrt(v) * root + float32(EPSILON)), m, v
 
 
-@njit(fastmath=True, error_model="numpy")
+@njit(error_model="numpy")
 def _step_flat(values, ms, vs, gradients, rate, root):
     for k in range(len(values)):
         values[k], ms[k], vs[k] = _adam(values[k], ms[k], vs[k], gradients[k], rate, root)
 
 
-@njit(fastmath=True, error_model="numpy")
+@njit(error_model="numpy")
 def _step_sh(values, ms, vs, gradients, rates, root):
     """Arrays [n, coefficients · 3]; the first `len(rates)` of a row are stepped, each at its own rate."""
     for i in range(len(values)):
@@ -98,7 +99,7 @@ def scratch_shape(coefficients: int) -> tuple[int, int]:
     return config.NUMBA_NUM_THREADS, ROWS * (11 + 3 * coefficients)  # type: ignore[attr-defined]
 
 
-@kernel(parallel=True, fastmath=True)
+@kernel(parallel=True)
 def step(values, ms, vs, active, view, splats, v_splats, error, rates, root, room):
     """From the sums of pairs (kernels/layout.py) to the next parameters; those and Adam's moments are changed in place.
 

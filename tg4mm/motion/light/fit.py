@@ -112,7 +112,7 @@ def agreed_light(
     states = [[start(b) for b in some] for some in sides]
     found = np.zeros((len(states[0]), *states[0][0].x.shape), np.float32)
     gains, going = np.zeros(len(found), np.float32), np.arange(len(found))
-    for last in (LOOK, iterations):
+    for last in sorted({LOOK, iterations}):
         states = [_stepped(half, some, last) for half, some in zip(halves, states, strict=True)]
         a, b = (
             np.stack([half.colours(s.x) for s in some]) for half, some in zip(halves, states, strict=True)

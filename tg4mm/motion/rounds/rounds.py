@@ -21,7 +21,6 @@ from tg4mm.capture.pictures import FilePictures
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.certainty.halves import LEAST, agreed_fields
 from tg4mm.motion.config import MotionConfig
-from tg4mm.motion.fit import TOGETHER
 from tg4mm.motion.jacobian.linear import RestView, rest_view
 from tg4mm.motion.pictures.differences import TemporalComponents
 from tg4mm.motion.pictures.states import States, most_states, states_of
@@ -38,10 +37,9 @@ from tg4mm.motion.solver.problem import MotionProblem
 from tg4mm.motion.solver.solve import start, step
 
 ABOVE_PX = 0.7  # motion up to so many pixels is in the linear range: docs/decisions.md
-_OF_CHOICE = 6  # iterations: what is left after a round tells less of the weight than the whole motion
-_TIMES = (
-    3  # of half the linear fit's iterations: all components together, linearised at several places, need more
-)
+# Iterations of the weight's choice, more than before the linear fit: what is left after a round tells less of it.
+_OF_CHOICE = 6
+_COMPONENTS = 8  # that are fitted, at least, where there are as many
 _FALL = 0.05  # of the misfit: what falls by less is not worth another round
 Keep = Callable[[Callable[[], dict[str, Tensor]], Callable[[], dict[str, Any]]], None]
 
@@ -54,7 +52,7 @@ def used_components(is_noise: np.ndarray) -> np.ndarray:
     is left out counts as noise of its pixels, which then say less.
     """
     linear, others = np.flatnonzero(~is_noise), np.flatnonzero(is_noise)
-    return np.sort(np.concatenate([linear, others[: max(len(linear) + 1, TOGETHER - len(linear))]]))
+    return np.sort(np.concatenate([linear, others[: max(len(linear) + 1, _COMPONENTS - len(linear))]]))
 
 
 class Rounds:
@@ -78,7 +76,8 @@ class Rounds:
         self._linear = np.flatnonzero(~findings.is_noise[self._used])
         self.weights = pixel_weights(components, ~np.isin(np.arange(len(components.basis)), self._used))
         self.images, self.components = images, components
-        self.iterations = _TIMES * config.iterations // 2
+        # all components together, linearised at several places: they settle more slowly
+        self.iterations = config.iterations * 3 // 2
         height, width = components.images.shape[2:4]
         self.size = (width, height)
         # as many as a quarter of the space stage's; few cameras alone would bend a scene that others saw, too

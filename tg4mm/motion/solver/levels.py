@@ -22,7 +22,7 @@ from tg4mm.motion.prior.stiffness import ROWS, times_blocks
 from tg4mm.motion.solver.groups import Groups
 from tg4mm.rasterize.buffers import Buffers
 
-PROBES = 8  # random pictures for the images' part of the diagonal: 50 % spread, which a preconditioner bears
+PROBES = 8  # random pictures for the images' part of the diagonals: 50 % spread, which a preconditioner bears
 # What images say of a Gaussian counts so many times beside the prior. Patches smaller than a group have no level of
 # their own, and are well seen where the prior alone makes single Gaussians look stiff. By trial: docs/decisions.md.
 _PATCH = 32.0
@@ -84,8 +84,9 @@ class Known:
 def _together(groups: Groups, answers: np.ndarray, alone: np.ndarray) -> np.ndarray:
     """[4G]: by what to multiply the diagonal `alone` of groups whose Gaussians are taken one by one.
 
-    The probes' own factor is uncertain by a fifth, hence halfway to the middle of all; and twice that, since the two
-    levels add up. Both found by trial: docs/decisions.md.
+    Eight probes know the factor to a third, hence halfway to the middle of all; and twice that, since the two levels
+    add up. Both found by trial: docs/decisions.md. Where most groups are not seen at all that is 0: then the prior
+    alone makes the coarse level, which costs iterations and no accuracy.
     """
     fields = (groups.from_field(groups.graph.from_motion(a)).astype(np.float64) for a in answers)
     factor = sum((v**2).mean(1) for v in fields) / len(answers) / np.maximum(alone, 1e-300)
