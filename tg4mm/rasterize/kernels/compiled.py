@@ -66,6 +66,7 @@ def inlined(function: Callable[..., Any]) -> Any:
 
     By LLVM, which sees what a caller passes as constants. Numba's own `inline="always"` copies a part's Python code
     into every place it is called from and infers its types there anew: kernels take up to 1.8 times as long to compile.
-    Parts with `fastmath` keep `inline="always"`, as their last bits depend on what they are optimised together with.
+    No part may have `fastmath`: its last bits would depend on what it is optimised together with, hence on whether
+    this process compiled it.
     """
     return njit(error_model="numpy", forceinline=True)(function)
