@@ -68,8 +68,8 @@ class Known:
     def of(groups: Groups, answers: np.ndarray) -> Known:
         """From `probed` [probes, N, 6].
 
-        Gaussians that move together are seen better than each by itself: neighbours share pixels, and a group says
-        twice to five times what the diagonal alone makes of it. That factor is measured by the same probes.
+        Gaussians that move together are seen better than each by itself: neighbours share pixels, and of most groups
+        they say two to three times what the diagonal alone makes of it. That factor is measured by the same probes.
         """
         said = information(answers)
         diagonal = np.empty((len(said), ROWS))
