@@ -14,6 +14,7 @@ from tests.synthetic import make_synthetic_dataset
 from tg4mm.capture import ImageStack, load_capture, load_images
 from tg4mm.motion import MotionConfig
 from tg4mm.motion.certainty.halves import LEAST, agreed_gain, deviation, halves
+from tg4mm.motion.prior.graph import nearest
 from tg4mm.motion.train import train_motion
 from tg4mm.runs import UNCERTAINTY, Run
 
@@ -72,7 +73,7 @@ def test_the_deviation_is_that_of_the_noise_in_the_whole() -> None:
     truth, _, a, b, means = fields()
     uneven = np.where(means[:, :1] < 0.5, 1.0, 3.0)
     a, b = (truth + (x - truth) * uneven for x in (a, b))
-    found = deviation(a, b, means)
+    found = deviation(a, b, nearest(means)[1])
     for side in (means[:, 0] < 0.4, means[:, 0] > 0.6):
         error = ((a + b) / 2 - truth)[:, side]
         expected = np.sqrt((error**2).sum((0, 2)).mean())
@@ -82,13 +83,13 @@ def test_the_deviation_is_that_of_the_noise_in_the_whole() -> None:
 def test_what_the_halves_agree_on_exactly_stays_as_it_is() -> None:
     truth, _, _, _, means = fields(n=500)
     np.testing.assert_allclose(agreed_gain(truth, truth, truth), [1, 0], rtol=1e-6)
-    assert not deviation(truth, truth, means).any()
+    assert not deviation(truth, truth, nearest(means)[1]).any()
 
 
 def test_nothing_moves_nothing_is_divided_by_zero() -> None:
     zero, means = np.zeros((1, 5, 3), np.float32), np.random.default_rng(0).random((5, 3))
     assert not agreed_gain(zero, zero, zero).any()
-    assert not deviation(zero, zero, means).any()
+    assert not deviation(zero, zero, nearest(means)[1]).any()
 
 
 @pytest.fixture(scope="module")

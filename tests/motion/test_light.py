@@ -128,7 +128,7 @@ class Lab:
         parts = [np.arange(0, 8, 2), np.arange(1, 8, 2)]
         shapes = self.shapes if shapes is None else shapes
         left = Remainder(self.views, pictures, np.arange(2), shapes, None, np.array(asked, np.int64))
-        return Lighting(problem, parts, self.means).fitted(left)
+        return Lighting(problem, parts, self.graph.around).fitted(left)
 
     def shown(self, x: np.ndarray, shapes: np.ndarray) -> np.ndarray:
         both = zip(self.views, self.lit, strict=True)

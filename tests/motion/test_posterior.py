@@ -105,7 +105,7 @@ def test_a_motion_drawn_from_the_prior_lies_where_it_says(posed, trained) -> Non
     motion *= 0.005 / np.sqrt((motion[:, :3] ** 2).mean())
     shown = problem.views[0].push_all(motion[None])
     shown += 0.05 * np.sqrt((shown**2).mean()) * rng.standard_normal(shown.shape).astype(np.float32)
-    found = posterior(problem, shown[None], means, 1)
+    found = posterior(problem, shown[None], 1)
     state = start(problem.right_hand_side(shown[None, 0]))
     for _ in range(100):
         state = step(state, problem.normal)
@@ -165,33 +165,32 @@ def _pictures(problem: MotionProblem, sigma: float) -> np.ndarray:
 
 
 def test_noise_of_the_pictures_makes_it_less_certain(posed) -> None:
-    problem, gaussians = posed
-    means = gaussians.means.numpy()
-    clean, noisy = (posterior(problem, _pictures(problem, s), means, 5) for s in (0.0, SIGMA))
+    problem, _ = posed
+    clean, noisy = (posterior(problem, _pictures(problem, s), 5) for s in (0.0, SIGMA))
     assert np.trace(noisy.noise, axis1=1, axis2=2).mean() > 5 * np.trace(clean.noise, axis1=1, axis2=2).mean()
 
 
 def test_it_scales_with_the_motion_and_is_repeatable(posed) -> None:
     """Pictures twice as different, deviations twice as large; and the same draws each time."""
-    problem, gaussians = posed
+    problem, _ = posed
     pictures, counted = _pictures(problem, SIGMA), []
-    one = posterior(problem, pictures, gaussians.means.numpy(), 5, update=counted.append)
-    again = posterior(problem, pictures, gaussians.means.numpy(), 5)
-    twice = posterior(problem, 2 * pictures, gaussians.means.numpy(), 5)
+    one = posterior(problem, pictures, 5, update=counted.append)
+    again = posterior(problem, pictures, 5)
+    twice = posterior(problem, 2 * pictures, 5)
     np.testing.assert_array_equal(one.covariance, again.covariance)
     np.testing.assert_allclose(twice.deviation, 2 * one.deviation, rtol=0.02)
     assert counted[-1] == n_solves(1)
 
 
 def test_what_it_counts_as_shown_is_no_more_than_there_is(posed) -> None:
-    problem, gaussians = posed
-    found = posterior(problem, _pictures(problem, SIGMA), gaussians.means.numpy(), 5)
+    problem, _ = posed
+    found = posterior(problem, _pictures(problem, SIGMA), 5)
     assert 3 < found.freedom < 48 * 48 * 3
 
 
 def test_pictures_that_do_not_change_are_no_motion_and_no_doubt(posed) -> None:
-    problem, gaussians = posed
-    found = posterior(problem, 0 * _pictures(problem, 0.0), gaussians.means.numpy(), 5)
+    problem, _ = posed
+    found = posterior(problem, 0 * _pictures(problem, 0.0), 5)
     assert not found.deviation.any()
     assert np.isfinite(torch.from_numpy(found.covariance)).all()
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from tg4mm.errors import Tg4mmError
+
+_FEW = 16_000  # Gaussians, for which the iterations are as configured
 
 
 @dataclass(frozen=True)
@@ -15,7 +17,8 @@ class MotionConfig:
     components: int = 16  # at most so many temporal components; fewer where the rest is noise
     neighbours: float = 0.0  # weight of the term that makes neighbours move alike; 0: found from the images
     ridge: float = 1e-3  # weight that draws motion to zero where nothing is known
-    iterations: int = 14  # of conjugate gradients, at most, for each component
+    # of conjugate gradients, at most, for each component; (N / 16,000)^⅔ times as many for N > 16,000 Gaussians
+    iterations: int = 14
     tolerance: float = 3e-3  # relative residual at which conjugate gradients stop
     # fit each half of the cameras by itself and take the mean, which costs no more: `halves.py`
     halves: bool = True
@@ -41,3 +44,13 @@ def checked(config: MotionConfig) -> MotionConfig:
         if not good:
             raise Tg4mmError(f"setting motion.{name} is {getattr(config, name)}, expected {expected}")
     return config
+
+
+def resolved(config: MotionConfig, n_gaussians: int) -> MotionConfig:
+    """The settings for so many Gaussians. Raises Tg4mmError on a value out of range.
+
+    The coarse level of the solver has the same number of groups for all scenes; the more Gaussians a group has, the
+    more iterations its own shape takes (docs/decisions.md, "more Gaussians, more iterations").
+    """
+    share = max(n_gaussians / _FEW, 1.0) ** (2 / 3)
+    return replace(checked(config), iterations=round(config.iterations * share))

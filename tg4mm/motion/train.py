@@ -24,7 +24,7 @@ from tg4mm.memory import peak_memory_mib
 from tg4mm.motion.beyond import Beyond
 from tg4mm.motion.certainty.doubt import doubt
 from tg4mm.motion.certainty.halves import agreed_fields, deviation, halves
-from tg4mm.motion.config import MotionConfig, checked
+from tg4mm.motion.config import MotionConfig, checked, resolved
 from tg4mm.motion.fit import TOGETHER, Fit, Solver
 from tg4mm.motion.jacobian.linear import rest_view
 from tg4mm.motion.light.fit import LOOK
@@ -34,6 +34,7 @@ from tg4mm.motion.pictures.differences import temporal_components
 from tg4mm.motion.pictures.video import fixed_cameras
 from tg4mm.motion.posing.noise import pixel_weights
 from tg4mm.motion.posing.pose import Findings, Problems, posed
+from tg4mm.motion.prior.graph import nearest
 from tg4mm.motion.rounds.rounds import ABOVE_PX, Rounds
 from tg4mm.motion.rounds.where import usable
 from tg4mm.motion.solver.problem import MotionProblem
@@ -93,7 +94,9 @@ class _Stage:
         shapes, gain = agreed_fields(fields)
         if len(fields) == 1:
             return shapes, *self._doubt(shapes, gaussians, target)
-        noise = deviation(fields[0][..., :3], fields[1][..., :3], gaussians.means.numpy())
+        is_linear = gaussians is self.gaussians
+        around = self.graph.around if is_linear else nearest(gaussians.means.numpy())[1]
+        noise = deviation(fields[0][..., :3], fields[1][..., :3], around)
         power = max(float((fields.mean(0)[..., :3] ** 2).sum()), 1e-30)
         ratio = float(np.sqrt((noise.astype(np.float64) ** 2).sum() / power))
         figures = {"gain_of_components": [round(float(g), 4) for g in gain], "noise_to_motion": ratio}
@@ -248,9 +251,10 @@ def train_motion(
     Raises CaptureError where no camera stays put, Tg4mmError on settings out of range or where the device's memory is
     too small.
     """
-    config = checked(config)
+    checked(config)
     began = time.monotonic()
     gaussians = run.load_space()
+    config = resolved(config, len(gaussians))
     reset_gpu_peak(device)
     checkpoint = run.load_checkpoint(_STAGE)
     if checkpoint and checkpoint[1].get("version") != _STATE:
@@ -272,6 +276,7 @@ def train_motion(
         **gpu_figures(device),
         "components": len(stage.signal),
         "components_of_noise": int(stage.findings.is_noise.sum()),
+        "iterations": config.iterations,
         "neighbours": stage.findings.neighbours,
         "views": len(stage.cameras),
         "n_frequencies": len(motion.freqs_hz),

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.certainty.posterior import Posterior, n_solves, posterior
-from tg4mm.motion.certainty.sight import directions, sight_ratio
+from tg4mm.motion.certainty.sight import lines_of_sight, sight_ratio
 from tg4mm.motion.jacobian.linear import RestView
 from tg4mm.motion.pictures.video import FixedCamera
 from tg4mm.motion.solver.problem import MotionProblem
@@ -41,9 +41,8 @@ def doubt(
 
     One camera alone is warned of, with the part of the motion along its line of sight that is a guess.
     """
-    means = gaussians.means.numpy()
     with progress("uncertainty", n_solves(len(shapes)), "fits") as update:
-        found = posterior(problem, pictures, means, n_timesteps, seed, update)
+        found = posterior(problem, pictures, n_timesteps, seed, update)
     tensors = {
         "displacement": torch.from_numpy(found.deviation),
         "covariance": torch.from_numpy(found.covariance),
@@ -56,7 +55,7 @@ def doubt(
         along, guess = _along_sight(found, view, camera, gaussians, shapes, n_timesteps)
         tensors |= {k: torch.from_numpy(v) for k, v in along.items()}
         percent = figures["guess_along_sight_percent"] = round(100 * guess, 1)
-        _warn_of_depth(sight_ratio(view, camera, means, seed), percent)
+        _warn_of_depth(sight_ratio(view, camera, gaussians.means.numpy(), seed), percent)
     return Doubt(tensors, figures)
 
 
@@ -73,7 +72,7 @@ def _along_sight(
     That is the variance of what is not known over that of the motion: what was found, squared, and what is not known.
     Gaussians that are seen count by their opacity.
     """
-    along = directions(camera, gaussians.means.numpy())[0]
+    along = lines_of_sight(camera, gaussians.means.numpy())
     variance = np.einsum("nc,ncd,nd->n", along, found.covariance, along)
     across = np.maximum(np.trace(found.covariance, axis1=1, axis2=2) - variance, 0) / 2
     shown = (np.einsum("rnc,nc->rn", shapes[..., :3], along) ** 2).sum(0) / n_timesteps

@@ -10,12 +10,9 @@ in both halves and stays.
 from __future__ import annotations
 
 import numpy as np
-from numba import get_num_threads
-from scipy.spatial import cKDTree
 
 LEAST = 6  # cameras: fewer than three in a half do not hold a field in space
-COUNT = 32  # Gaussians of a neighbourhood, with its own
-_AT_ONCE = 1 << 14  # Gaussians whose neighbourhoods are looked up together
+_AT_ONCE = 1 << 14  # Gaussians whose neighbourhoods are averaged together
 
 
 def halves(n_cameras: int) -> list[np.ndarray]:
@@ -40,21 +37,20 @@ def agreed_fields(fields: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return whole * gain[:, None, None], gain
 
 
-def deviation(a: np.ndarray, b: np.ndarray, means: np.ndarray, count: int = COUNT) -> np.ndarray:
+def deviation(a: np.ndarray, b: np.ndarray, around: np.ndarray) -> np.ndarray:
     """[N] float32, scene units: the standard deviation of the noise in R fields together, from the halves [R, N, 3].
 
-    Rms over the `count` Gaussians around each of `means` [N, 3]; of vectors' lengths, root of the sum over components,
+    Rms over the Gaussians `around` each [N, count]; of vectors' lengths, root of the sum over components,
     before any gain. Errors that all cameras share are not in it.
     """
     spread = np.einsum("rnc,rnc->n", a - b, a - b) / 4
-    return np.sqrt(mean_around(spread, means, count)).astype(np.float32)
+    return np.sqrt(mean_around(spread, around)).astype(np.float32)
 
 
-def mean_around(values: np.ndarray, means: np.ndarray, count: int = COUNT) -> np.ndarray:
-    """Of values [N, …], the mean over the `count` Gaussians around each of `means` [N, 3]."""
-    tree, count, out = cKDTree(means), min(count, len(means)), np.empty_like(values)
-    for first in range(0, len(means), _AT_ONCE):
+def mean_around(values: np.ndarray, around: np.ndarray) -> np.ndarray:
+    """Of values [N, …], the mean over the Gaussians `around` each [N, count], as `Graph.around` lists them."""
+    out = np.empty_like(values)
+    for first in range(0, len(values), _AT_ONCE):
         some = slice(first, first + _AT_ONCE)
-        around = tree.query(means[some], k=count, workers=get_num_threads())[1].reshape(-1, count)
-        out[some] = values[around].mean(1)
+        out[some] = values[around[some]].mean(1)
     return out

@@ -58,12 +58,11 @@ class Posterior:
 def posterior(
     problem: MotionProblem,
     pictures: np.ndarray,
-    means: np.ndarray,
     n_timesteps: int,
     seed: int = 0,
     update: Callable[[int], None] | None = None,
 ) -> Posterior:
-    """The posterior of the motion that explains component images [V, R, H, W, 3], of Gaussians at means [N, 3].
+    """The posterior of the motion that explains component images [V, R, H, W, 3].
 
     `update` is called with the number of draws solved for, of `n_solves`.
     """
@@ -81,7 +80,7 @@ def posterior(
     root = stiffness_root(problem.graph)
     of_prior = solver.solve([_prior_draw(problem, root, rng) for _ in range(DRAWS)])
     scale2 = energy / freedom
-    parts = [_covariance(problem, t, means) / np.float32(n_timesteps) for t in (of_noise, of_prior)]
+    parts = [_covariance(problem, t) / np.float32(n_timesteps) for t in (of_noise, of_prior)]
     return Posterior(parts[0], parts[1] * np.float32(scale2), freedom, float(np.sqrt(scale2)))
 
 
@@ -152,8 +151,8 @@ def _prior_draw(problem: MotionProblem, root: csr_matrix, rng: np.random.Generat
     return problem.levels.from_field((np.sqrt(problem.scale) * draw).astype(np.float32))
 
 
-def _covariance(problem: MotionProblem, thetas: Sequence[np.ndarray], means: np.ndarray) -> np.ndarray:
+def _covariance(problem: MotionProblem, thetas: Sequence[np.ndarray]) -> np.ndarray:
     """[N, 3, 3] float32: mean of u uᵀ over the draws and over the Gaussians around each."""
     u = np.stack([problem.field(t)[:, :3] for t in thetas]).astype(np.float64)
     each = np.einsum("snc,snd->ncd", u, u) / len(u)
-    return mean_around(each, means).astype(np.float32)
+    return mean_around(each, problem.graph.around).astype(np.float32)

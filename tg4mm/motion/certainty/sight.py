@@ -9,13 +9,20 @@ from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.pictures.video import FixedCamera
 
 
-def directions(camera: FixedCamera, means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unit vectors [N, 3] from the camera to the points `means` [N, 3], and across that, along the pictures' rows."""
+def lines_of_sight(camera: FixedCamera, means: np.ndarray) -> np.ndarray:
+    """Unit vectors [N, 3] from the camera to the points `means` [N, 3]."""
     turn, shift = camera.viewmat[:3, :3].astype(np.float64), camera.viewmat[:3, 3]
-    along = means + turn.T @ shift  # from the camera's centre −Rᵀt
-    along = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
-    across = np.cross(along, turn[1])
-    return along, across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
+    return _of_length_one(means + turn.T @ shift)  # from the camera's centre −Rᵀt
+
+
+def directions(camera: FixedCamera, means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The lines of sight to the points `means` [N, 3], and unit vectors across them, along the pictures' rows."""
+    along = lines_of_sight(camera, means)
+    return along, _of_length_one(np.cross(along, camera.viewmat[1, :3].astype(np.float64)))
+
+
+def _of_length_one(v: np.ndarray) -> np.ndarray:
+    return np.asarray(v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-12))
 
 
 def sight_ratio(view: RestView, camera: FixedCamera, means: np.ndarray, seed: int = 0) -> float:

@@ -76,6 +76,12 @@ def as_colours(values: np.ndarray) -> np.ndarray:
     return out
 
 
+def mean_rows(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of packed Jacobians, how a displacement moves the mean right and down: [n, 3] each, a view of `values`."""
+    of_displacement = values[:-LANES].reshape(-1, _PACKED)[:, :24].reshape(-1, 3, COLUMNS)
+    return of_displacement[..., 0], of_displacement[..., 1]
+
+
 @kernel()
 def _push_rows(first, last, values, rows, only, motions, shape, d_splats):
     n_changes, n = shape

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tg4mm.motion.certainty.sight import directions
+from tg4mm.motion.certainty.sight import lines_of_sight
 from tg4mm.motion.jacobian.linear import RestView
 from tg4mm.motion.jacobian.packed import COLUMNS, DOF, packed
 from tg4mm.motion.pictures.video import FixedCamera
@@ -67,7 +67,7 @@ def lit_views(
     for view, camera in zip(views, cameras, strict=True):
         harmonics = np.ones((len(means), 4 if tilts else 1), np.float32)
         if tilts:
-            x, y, z = directions(camera, means)[0].T
+            x, y, z = lines_of_sight(camera, means).T
             harmonics[:, 1:] = _TILT * np.stack([-y, z, -x], 1)
         out.append(LitView(replace(view, answers=_answers(view)), harmonics))
     return out

@@ -52,7 +52,7 @@ class Lighting:
 
     problem: LightProblem
     parts: Sequence[np.ndarray]
-    means: np.ndarray  # [N, 3], where the Gaussians lie
+    around: np.ndarray  # [N, count], the Gaussians around each
 
     @staticmethod
     def of(
@@ -64,9 +64,8 @@ class Lighting:
         parts: Sequence[np.ndarray],
     ) -> Lighting:
         """weights [V, H, W]: of pixels; graph: of neighbours; parts: two halves of the cameras."""
-        means = gaussians.means.numpy()
-        lit = lit_views(views, cameras, means, gaussians.sh_degree > 0)
-        return Lighting(LightProblem.of(lit, weights, graph), parts, means)
+        lit = lit_views(views, cameras, gaussians.means.numpy(), gaussians.sh_degree > 0)
+        return Lighting(LightProblem.of(lit, weights, graph), parts, graph.around)
 
     def fitted(
         self,
@@ -88,7 +87,7 @@ class Lighting:
                 half.right_hand_sides(remainder.of(part, some))
                 for half, part in zip(halves, self.parts, strict=True)
             ]
-            x, gains[some] = agreed_light(halves, sides, self.means, iterations)
+            x, gains[some] = agreed_light(halves, sides, self.around, iterations)
             found[some] = x / np.float32(HARMONIC)
             if update is not None:
                 update(first + len(some))
@@ -102,12 +101,12 @@ class Lighting:
 def agreed_light(
     halves: Sequence[LightProblem],
     sides: Sequence[Sequence[np.ndarray]],
-    means: np.ndarray,
+    around: np.ndarray,
     iterations: int = ITERATIONS,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Changes of colour [R, N, K, 3] and gains [R] from the problems of two halves and R right-hand sides of each.
 
-    Gaussians lie at `means` [N, 3].
+    around [N, count]: the Gaussians around each.
     """
     states = [[start(b) for b in some] for some in sides]
     found = np.zeros((len(states[0]), *states[0][0].x.shape), np.float32)
@@ -124,15 +123,15 @@ def agreed_light(
         if not len(going):
             return found, gains
     whole, a, b = (v[good] for v in (whole, a, b))
-    found[going] = whole * _gain_around(whole, a, b, means)[..., None, None]
+    found[going] = whole * _gain_around(whole, a, b, around)[..., None, None]
     gains[going] = gain[good]
     return found, gains
 
 
-def _gain_around(whole: np.ndarray, a: np.ndarray, b: np.ndarray, means: np.ndarray) -> np.ndarray:
+def _gain_around(whole: np.ndarray, a: np.ndarray, b: np.ndarray, around: np.ndarray) -> np.ndarray:
     """[R, N] float32, 0 to 1: `agreed_gain` of the Gaussians around each, of components [R, N, K, 3]."""
     both, power = (np.einsum("rnkc,rnkc->nr", *pair) for pair in ((a, b), (whole, whole)))
-    both, power = np.split(mean_around(np.concatenate([both, power], 1), means).T, 2)
+    both, power = np.split(mean_around(np.concatenate([both, power], 1), around).T, 2)
     return np.clip(both / np.maximum(power, np.finfo(np.float32).tiny), 0, 1)
 
 

@@ -13,7 +13,7 @@ from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.jacobian.linear import RestView
 from tg4mm.motion.pictures.differences import TemporalComponents
 from tg4mm.motion.posing.noise import LOOSE, noise_components, pixel_weights
-from tg4mm.motion.posing.weight import CANDIDATES, DEFAULT, chosen_weight
+from tg4mm.motion.posing.weight import CANDIDATES, DEFAULT, ITERATIONS, chosen_weight
 from tg4mm.motion.prior.graph import graph
 from tg4mm.motion.solver.device import DeviceProblem
 from tg4mm.motion.solver.groups import groups_of
@@ -108,5 +108,6 @@ def posed(
     candidates = problems.of(pixel_weights(components, is_noise), [asked] if asked else list(CANDIDATES))
     begun: list[CGState] = []
     if not asked:
-        asked, begun = chosen_weight(candidates, parts, components.images[:, 0])
+        few = max(ITERATIONS, problems.config.iterations * 2 // 7)
+        asked, begun = chosen_weight(candidates, parts, components.images[:, 0], few)
     return Findings(is_noise, asked), next(p for p in candidates if p.config.neighbours == asked), begun

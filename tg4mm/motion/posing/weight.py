@@ -21,7 +21,7 @@ from tg4mm.motion.solver.solve import CGState, start, step, stepped
 Problem = Any  # MotionProblem or DeviceProblem; all of one kind
 CANDIDATES = (10.0, 30.0, 100.0, 300.0, 1_000.0, 3_000.0)
 DEFAULT = 300.0  # where the cameras are too few to be halved
-ITERATIONS = 4  # their order is settled by then
+ITERATIONS = 4  # at least; their order is settled by then
 _WITHIN = 1.008  # of the least error
 
 

@@ -22,6 +22,7 @@ from tg4mm.motion.prior.stiffness import BENDING, ROWS, Edges, add_prior
 from tg4mm.motion.prior.turning import turned, turned_back
 
 COUNT = 12  # neighbours of a Gaussian
+AROUND = 32  # Gaussians of a neighbourhood over which figures are averaged, with its own
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,7 @@ class Graph:
     bonds: np.ndarray  # [E, 4] float32
     turns: np.ndarray  # [N, 9, 3] float32: from a gradient as a field holds it to a rotation vector
     reach: float  # typical distance of neighbours, scene units
+    around: np.ndarray  # [N, at most AROUND] int32: the Gaussians nearest to each, by distance, with its own
 
     @property
     def n_gaussians(self) -> int:
@@ -94,7 +96,7 @@ def graph(means: np.ndarray, axes: np.ndarray, scales: np.ndarray, count: int = 
     means [N, 3] and scales [N, 3] in scene units, axes [N, 3, 3]: rotation matrices, whose columns the scales go with.
     """
     n = len(means)
-    first, second, weight, reach = _edges(means.astype(np.float64), min(count, n - 1))
+    first, second, weight, reach = _edges(*nearest(means, count + 1))
     owner, other = np.concatenate([first, second]), np.concatenate([second, first])
     order = np.lexsort((other, owner))
     owner, other, weight = owner[order], other[order], np.tile(weight, 2)[order]
@@ -107,16 +109,27 @@ def graph(means: np.ndarray, axes: np.ndarray, scales: np.ndarray, count: int = 
         bonds=bonds.astype(np.float32),
         turns=following(axes, scales) / np.float32(reach),
         reach=reach,
+        around=nearest(means)[1],
     )
 
 
-def _edges(means: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """Pairs i < j, one of them among the other's nearest; their weights; the typical distance."""
-    distance, index = cKDTree(means).query(means, k=count + 1, workers=get_num_threads())
+def nearest(means: np.ndarray, count: int = AROUND) -> tuple[np.ndarray, np.ndarray]:
+    """Distances and indices (int32) of the Gaussians nearest to each of `means`, with its own, by distance.
+
+    [N, count] each; of all where they are fewer.
+    """
+    ranks = np.arange(1, min(count, len(means)) + 1)
+    distance, index = cKDTree(means).query(means, k=ranks, workers=get_num_threads())
+    return distance, index.astype(np.int32)
+
+
+def _edges(distance: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """Pairs i < j, one of them among the other's nearest [N, 1 + count]; their weights; the typical distance."""
     distance, index = distance[:, 1:], index[:, 1:]
+    n, count = index.shape
     reach = np.maximum(distance.mean(1, keepdims=True), 1e-12)
     weight = np.exp(-0.5 * (distance / reach) ** 2).ravel()
-    owner, other = np.repeat(np.arange(len(means)), count), index.ravel()
-    pairs = np.minimum(owner, other) * np.int64(len(means)) + np.maximum(owner, other)
+    owner, other = np.repeat(np.arange(n), count), index.ravel()
+    pairs = np.minimum(owner, other) * np.int64(n) + np.maximum(owner, other)
     unique, of = np.unique(pairs, return_inverse=True)
-    return unique // len(means), unique % len(means), np.bincount(of, weight), float(np.median(reach))
+    return unique // n, unique % n, np.bincount(of, weight), float(np.median(reach))

@@ -107,12 +107,11 @@ class Rounds:
         linear, fields = fields, np.zeros((len(fields), len(self.basis), *fields.shape[2:]), np.float32)
         fields[:, self._linear] = linear
         shapes, _ = agreed_fields(fields)
-        means = gaussians.means.numpy()
         states = states_of(
-            self.basis, self._pixels_of(views, means, shapes), most_states(len(self.cameras), self.size)
+            self.basis, pixels_moved(views, shapes[..., :3]), most_states(len(self.cameras), self.size)
         )
         shifts = np.tensordot(states.gains, shapes[..., :3], 1).astype(np.float32)
-        pixels = float(pixels_moved(views, self.cameras, means, shifts).max())
+        pixels = float(pixels_moved(views, shifts).max())
         return Where(gaussians, fields, neighbours, states, pixels)
 
     def evidence(self, states: States) -> Evidence:
@@ -170,7 +169,7 @@ class Rounds:
         views, g = self._rest(where.gaussians), where.gaussians
         shapes, _ = agreed_fields(where.fields)
         rest = self._posed(Problems(views, g, self.config, "cpu"), where, shapes, evidence)
-        pixels = self._pixels_of(views, g.means.numpy(), shapes)
+        pixels = pixels_moved(views, shapes[..., :3])
         return linearised(rest, g, evidence, shapes, pixels, self.parts, self.device)
 
     def _posed(
@@ -227,7 +226,3 @@ class Rounds:
 
     def _rest(self, gaussians: Gaussians) -> list[RestView]:
         return [rest_view(gaussians, camera, self.size) for camera in self.cameras]
-
-    def _pixels_of(self, views: list[RestView], means: np.ndarray, shapes: np.ndarray) -> np.ndarray:
-        """[R] pixels that each component moves things by for a gain of 1."""
-        return pixels_moved(views, self.cameras, means, shapes[..., :3])

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import bsr_matrix, diags
+from scipy.sparse import bsr_matrix
 
 from tg4mm.motion.prior.graph import Graph
 from tg4mm.motion.prior.stiffness import ROWS, smooth_transposed, smoothed, times_blocks
@@ -57,7 +57,9 @@ class Groups:
 
     def seen(self, diagonal: np.ndarray) -> np.ndarray:
         """[4G, 4G]: Pᵀ D P of a diagonal [4N]."""
-        return np.asarray((self.matrix.T @ (diags(diagonal) @ self.matrix)).toarray())
+        weighted = self.matrix.copy()
+        weighted.data *= np.repeat(diagonal.reshape(-1, ROWS), np.diff(weighted.indptr), axis=0)[..., None]
+        return np.asarray((self.matrix.T @ weighted).toarray())
 
     def field(self, coarse: np.ndarray) -> np.ndarray:
         """P times [4G, 3] float32: [4N, 3] float32."""
