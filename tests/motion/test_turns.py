@@ -78,19 +78,17 @@ def test_they_end_where_one_fit_of_what_is_left_would(
     np.testing.assert_allclose(found, expected, atol=2e-3 * np.abs(expected).max())
 
 
-def begun(solving: Solver, iterations: int) -> list[CGState]:
-    """The strongest component of each part, so far."""
-    found = []
-    for part, rows in zip(solving.problems, PARTS, strict=True):
-        (state,) = [start(b) for b in part.right_hand_sides(solving.images[rows][:, :1])]
-        for _ in range(iterations):
-            state = step(state, part.normal)
-        found.append(state)
-    return found
+def begun(solving: Solver, iterations: int) -> CGState:
+    """The strongest component of the first part, so far."""
+    part = solving.problems[0]
+    (state,) = [start(b) for b in part.right_hand_sides(solving.images[PARTS[0]][:, :1])]
+    for _ in range(iterations):
+        state = step(state, part.normal)
+    return state
 
 
 @pytest.mark.parametrize(
-    ("iterations", "saved"), [(3, 6), (6, 12), (7, 0)], ids=["fewer", "all of a turn", "too many"]
+    ("iterations", "saved"), [(3, 3), (6, 6), (7, 0)], ids=["fewer", "all of a turn", "too many"]
 )
 def test_what_has_been_begun_is_gone_on_with(
     iterations: int, saved: int, monkeypatch: pytest.MonkeyPatch

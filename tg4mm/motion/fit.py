@@ -85,8 +85,7 @@ class Solver:
     signal: np.ndarray  # [R] which of them
     config: MotionConfig
     device: str
-    # of each part component 0 as far as it has been solved for already, or none
-    begun: Sequence[CGState] = ()
+    begun: CGState | None = None  # of the first part component 0, as far as it has been solved for already
 
     @property
     def n_fields(self) -> int:
@@ -133,8 +132,9 @@ class Solver:
             return [placed(state, self.device) for state in states]
         pictures = (self.images[v, some] for v in self.parts[part])
         states = [start(b) for b in self.problems[part].right_hand_sides(pictures)]
-        if self.signal[first] == 0 and self.begun and self.begun[part].iteration <= self.iterations(0):
-            states[0] = self.begun[part]
+        known = None if part or self.signal[first] else self.begun
+        if known is not None and known.iteration <= self.iterations(0):
+            states[0] = known
         return states
 
     def _solve(self, fit: Fit, update: Callable[..., None], keep: Callable[[Fit], None]) -> None:

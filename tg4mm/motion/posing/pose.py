@@ -91,11 +91,11 @@ def posed(
     components: TemporalComponents,
     at_once: int,
     known: Findings | None = None,
-) -> tuple[Findings, MotionProblem | DeviceProblem, list[CGState]]:
+) -> tuple[Findings, MotionProblem | DeviceProblem, CGState | None]:
     """The problem of all cameras, and what was found on the way, or `known` from an earlier time.
 
     parts: two halves of the cameras; one part, all of them, where they are too few: then noise and weight are not
-    looked for. Last, how far the strongest component's fit to each part has come already; empty if it has not begun.
+    looked for. Last, how far the strongest component's fit to the first part has come already.
     """
     asked = problems.config.neighbours or (DEFAULT if len(parts) == 1 else 0.0)
     if known is None:
@@ -106,7 +106,7 @@ def posed(
     else:
         is_noise, asked = known.is_noise, known.neighbours
     candidates = problems.of(pixel_weights(components, is_noise), [asked] if asked else list(CANDIDATES))
-    begun: list[CGState] = []
+    begun: CGState | None = None
     if not asked:
         few = max(ITERATIONS, problems.config.iterations * 2 // 7)
         asked, begun = chosen_weight(candidates, parts, components.images[:, 0], few)

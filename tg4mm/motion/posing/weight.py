@@ -1,10 +1,11 @@
 """How alike neighbours move: the weight of the prior, found from the images by cross-validation.
 
 How far motion reaches before it bends, and how much noise there is, differs from scene to scene by orders of magnitude:
-what holds a noisy capture together ties parts of another to each other. So the strongest component is fitted to each
+what holds a noisy capture together ties parts of another to each other. So the strongest component is fitted to one
 half of the cameras with every candidate, for a few iterations, and judged by how well it foretells the pictures of the
-other half, whose noise it has not seen. Errors of the model (edges, shading) are alike in both halves and draw towards
-weights that are too small; hence the largest weight that is within 0.8 % of the best.
+other half, whose noise it has not seen; the other way round says the same (docs/decisions.md). Errors of the model
+(edges, shading) are alike in both halves and draw towards weights that are too small; hence the largest weight that is
+within 0.8 % of the best.
 """
 
 from __future__ import annotations
@@ -30,26 +31,22 @@ def chosen_weight(
     parts: Sequence[np.ndarray],
     pictures: np.ndarray,
     iterations: int = ITERATIONS,
-) -> tuple[float, list[CGState]]:
+) -> tuple[float, CGState | None]:
     """The weight for component images [V, H, W, 3], from the problem of each candidate (ascending), all cameras.
 
-    And how far their fit to each of `parts`, two halves of the cameras, has come with that weight; nothing if it would
-    have ended before. `DEFAULT` and nothing where the images do not change.
+    And how far the fit to the first of `parts`, two halves of the cameras, has come with that weight; None if it
+    would have ended before. `DEFAULT` and None where the images do not change.
     """
     if not pictures.any():
-        return DEFAULT, []
-    errors, found, least = np.zeros(len(problems)), [], np.full(len(problems), np.inf)
-    for some, others in (parts, parts[::-1]):
-        posed = [p.of_views(some) for p in problems]
-        states, residuals = _solved(posed, pictures[some], iterations)
-        fields = [p.field(state.x) for p, state in zip(posed, states, strict=True)]
-        errors += problems[0].of_views(others).misfits(fields, pictures[others])
-        found.append(states)
-        least = np.minimum(least, residuals)
+        return DEFAULT, None
+    some, others = parts
+    posed = [p.of_views(some) for p in problems]
+    states, least = _solved(posed, pictures[some], iterations)
+    fields = [p.field(state.x) for p, state in zip(posed, states, strict=True)]
+    errors = problems[0].of_views(others).misfits(fields, pictures[others])
     best = int(np.flatnonzero(errors <= _WITHIN * errors.min())[-1])
     chosen = problems[best].config
-    is_open = least[best] > chosen.tolerance
-    return float(chosen.neighbours), [states[best] for states in found if is_open]
+    return float(chosen.neighbours), states[best] if least[best] > chosen.tolerance else None
 
 
 def _solved(
