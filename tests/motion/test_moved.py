@@ -113,3 +113,23 @@ def test_pixels_are_those_of_a_shift_across(posed) -> None:
     assert focal * 0.1 / 4 < once < focal * 0.1 / 2.6  # 99 % are farther away than the nearest
     assert twice == pytest.approx(2 * once, rel=1e-5)
     assert never == 0
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2], ids=["right", "down", "along the sight"])
+def test_pixels_are_those_between_two_projections(posed, axis: int) -> None:
+    """Each Gaussian by another length, along one axis of the camera."""
+    problem, gaussians, cameras = posed
+    view, camera = problem.views[0], cameras[0]
+    lengths = np.random.default_rng(axis).uniform(0, 0.02, (len(gaussians), 1))
+    shift = (lengths * camera.viewmat[axis, :3]).astype(np.float32)
+    seen = view.bins.order[: view.bins.n_visible]
+    means = gaussians.means.numpy().astype(np.float64)[seen]
+    before, after = _projected(camera, means), _projected(camera, means + shift[seen])
+    expected = np.percentile(np.linalg.norm(after - before, axis=1), 99)
+    assert pixels_moved([view], shift[None]) == pytest.approx(expected, rel=0.01)
+
+
+def _projected(camera: FixedCamera, points: np.ndarray) -> np.ndarray:
+    """Pixels [n, 2]."""
+    at = np.hstack([points, np.ones((len(points), 1))]) @ camera.viewmat[:3].T @ camera.K.T
+    return at[:, :2] / at[:, 2:]

@@ -93,7 +93,10 @@ def test_of_what_moves_along_the_sight_alone_it_is_too_sure(trained) -> None:
 
 
 def test_a_motion_drawn_from_the_prior_lies_where_it_says(posed, trained) -> None:
-    """Motion, noise and fit are then all as they are taken to be: 95 % within two deviations."""
+    """Motion, noise and fit are then all as they are taken to be: 95 % within two deviations, of this draw.
+
+    It is too sure of draws that are mostly a sway along the one camera's sight: docs/decisions.md, "more Gaussians".
+    """
     (problem, gaussians), camera = posed, trained[2]
     means, rng = gaussians.means.numpy(), np.random.default_rng(5)
     root, n = stiffness_root(problem.graph), problem.graph.stiffness.shape[0]

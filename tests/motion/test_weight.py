@@ -102,6 +102,21 @@ def test_pictures_that_do_not_change_say_nothing(posed: list[MotionProblem]) -> 
     assert chosen_weight(posed, PARTS, still) == (DEFAULT, None)
 
 
+@pytest.mark.parametrize("still", [0, 1])
+def test_one_half_that_does_not_change_says_nothing(posed: list[MotionProblem], still: int) -> None:
+    pictures = shown(posed[0], as_one(), 0.0)
+    pictures[PARTS[still]] = 0
+    assert chosen_weight(posed, PARTS, pictures) == (DEFAULT, None)
+
+
+def test_the_other_half_is_the_judge(posed: list[MotionProblem]) -> None:
+    """The first half shows a motion of each by itself; it is held back where the second shows the opposite."""
+    pictures = shown(posed[0], each_by_itself(), 0.0)
+    believed = chosen_weight(posed, PARTS, pictures)[0]
+    pictures[PARTS[1]] *= -1
+    assert chosen_weight(posed, PARTS, pictures)[0] > 10 * believed
+
+
 def test_several_problems_in_one_pass_are_each_by_itself(posed: list[MotionProblem]) -> None:
     rng = np.random.default_rng(4)
     thetas = [rng.normal(size=(p.n_parameters, 3)).astype(np.float32) for p in posed]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from tg4mm.errors import Tg4mmError
 
-_FEW = 16_000  # Gaussians, for which the iterations are as configured
+_AS_CONFIGURED = 16_000  # Gaussians: up to so many the iterations are as they are set
 
 
 @dataclass(frozen=True)
@@ -17,7 +17,8 @@ class MotionConfig:
     components: int = 16  # at most so many temporal components; fewer where the rest is noise
     neighbours: float = 0.0  # weight of the term that makes neighbours move alike; 0: found from the images
     ridge: float = 1e-3  # weight that draws motion to zero where nothing is known
-    # of conjugate gradients, at most, for each component; (N / 16,000)^⅔ times as many for N > 16,000 Gaussians
+    # of conjugate gradients, at most, for each component of up to 16,000 Gaussians; of N > 16,000 (N / 16,000)^⅔ times
+    # as many
     iterations: int = 14
     tolerance: float = 3e-3  # relative residual at which conjugate gradients stop
     # fit each half of the cameras by itself and take the mean, which costs no more: `halves.py`
@@ -46,11 +47,15 @@ def checked(config: MotionConfig) -> MotionConfig:
     return config
 
 
-def resolved(config: MotionConfig, n_gaussians: int) -> MotionConfig:
-    """The settings for so many Gaussians. Raises Tg4mmError on a value out of range.
+def more_iterations(n_gaussians: int) -> float:
+    """How many times as many iterations so many Gaussians take as up to 16,000, 1 or more.
 
     The coarse level of the solver has the same number of groups for all scenes; the more Gaussians a group has, the
     more iterations its own shape takes (docs/decisions.md, "more Gaussians, more iterations").
     """
-    share = max(n_gaussians / _FEW, 1.0) ** (2 / 3)
-    return replace(checked(config), iterations=round(config.iterations * share))
+    return float(max(n_gaussians / _AS_CONFIGURED, 1.0) ** (2 / 3))
+
+
+def resolved(config: MotionConfig, n_gaussians: int) -> MotionConfig:
+    """The settings for so many Gaussians. Raises Tg4mmError on a value out of range."""
+    return replace(checked(config), iterations=round(config.iterations * more_iterations(n_gaussians)))

@@ -231,10 +231,10 @@ def train_motion(
 ) -> ModalMotion:
     """Fit the motion of the run's Gaussians to a capture of T > 1 timesteps and save it in the run.
 
-    Works with the cameras that stay put over all timesteps. The run's log gets seconds, peak_memory_mib,
-    components, views, frequencies_hz and the share of the images' changes that the kept components hold. With six
-    cameras or more (and `config.halves`) noise is shrunk by what two halves of them agree on (`halves.py`); the log
-    then holds `gain_of_components`. From them, or with fewer cameras from samples (`posterior.py`), the run gets
+    Works with the cameras that stay put over all timesteps. The run's log gets seconds, peak_memory_mib, iterations
+    (at most, for so many Gaussians), components, views, n_frequencies and the share of the images' changes that the
+    kept components hold. With six cameras or more (and `config.halves`) noise is shrunk by what two halves of them
+    agree on (`halves.py`); the log then holds `gain_of_components`. From them, or with fewer cameras from samples (`posterior.py`), the run gets
     RUN/uncertainty.safetensors, and the log `noise_to_motion` (rms) and, from samples, `freedom`. One camera alone is
     warned of; the log then holds `guess_along_sight_percent`. The log's `pixels_moved` is how far the linear fit moves
     things. Where 1 % of what is seen moves by more than 0.7 pixels the fit is repeated (`rounds.py`), so many
@@ -251,7 +251,7 @@ def train_motion(
     Raises CaptureError where no camera stays put, Tg4mmError on settings out of range or where the device's memory is
     too small.
     """
-    checked(config)
+    checked(config)  # before anything is read
     began = time.monotonic()
     gaussians = run.load_space()
     config = resolved(config, len(gaussians))

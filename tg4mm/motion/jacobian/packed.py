@@ -76,7 +76,7 @@ def as_colours(values: np.ndarray) -> np.ndarray:
     return out
 
 
-def mean_rows(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def jacobian_of_means(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Of packed Jacobians, how a displacement moves the mean right and down: [n, 3] each, a view of `values`."""
     of_displacement = values[:-LANES].reshape(-1, _PACKED)[:, :24].reshape(-1, 3, COLUMNS)
     return of_displacement[..., 0], of_displacement[..., 1]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.config import MotionConfig
+from tg4mm.motion.config import MotionConfig, more_iterations
 from tg4mm.motion.jacobian.linear import RestView
 from tg4mm.motion.pictures.differences import TemporalComponents
 from tg4mm.motion.posing.noise import LOOSE, noise_components, pixel_weights
@@ -95,7 +95,8 @@ def posed(
     """The problem of all cameras, and what was found on the way, or `known` from an earlier time.
 
     parts: two halves of the cameras; one part, all of them, where they are too few: then noise and weight are not
-    looked for. Last, how far the strongest component's fit to the first part has come already.
+    looked for. Last, how far the strongest component's fit to the first part has come already; None
+    where it has not begun, or would have ended.
     """
     asked = problems.config.neighbours or (DEFAULT if len(parts) == 1 else 0.0)
     if known is None:
@@ -108,6 +109,6 @@ def posed(
     candidates = problems.of(pixel_weights(components, is_noise), [asked] if asked else list(CANDIDATES))
     begun: CGState | None = None
     if not asked:
-        few = max(ITERATIONS, problems.config.iterations * 2 // 7)
-        asked, begun = chosen_weight(candidates, parts, components.images[:, 0], few)
+        iterations = round(ITERATIONS * more_iterations(len(problems.means)))
+        asked, begun = chosen_weight(candidates, parts, components.images[:, 0], iterations)
     return Findings(is_noise, asked), next(p for p in candidates if p.config.neighbours == asked), begun

@@ -3,9 +3,9 @@
 How far motion reaches before it bends, and how much noise there is, differs from scene to scene by orders of magnitude:
 what holds a noisy capture together ties parts of another to each other. So the strongest component is fitted to one
 half of the cameras with every candidate, for a few iterations, and judged by how well it foretells the pictures of the
-other half, whose noise it has not seen; the other way round says the same (docs/decisions.md). Errors of the model
-(edges, shading) are alike in both halves and draw towards weights that are too small; hence the largest weight that is
-within 0.8 % of the best.
+other half, whose noise it has not seen; the other way round says the same nearly always (docs/decisions.md). Errors of
+the model (edges, shading) are alike in both halves and draw towards weights that are too small; hence the largest that
+is within 0.8 % of the best.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from tg4mm.motion.solver.solve import CGState, start, step, stepped
 Problem = Any  # MotionProblem or DeviceProblem; all of one kind
 CANDIDATES = (10.0, 30.0, 100.0, 300.0, 1_000.0, 3_000.0)
 DEFAULT = 300.0  # where the cameras are too few to be halved
-ITERATIONS = 4  # at least; their order is settled by then
+ITERATIONS = 4  # of 16,000 Gaussians or fewer: the order of the candidates is settled by then
 _WITHIN = 1.008  # of the least error
 
 
@@ -35,11 +35,11 @@ def chosen_weight(
     """The weight for component images [V, H, W, 3], from the problem of each candidate (ascending), all cameras.
 
     And how far the fit to the first of `parts`, two halves of the cameras, has come with that weight; None if it
-    would have ended before. `DEFAULT` and None where the images do not change.
+    would have ended before. `DEFAULT` and None where the images of a half do not change.
     """
-    if not pictures.any():
-        return DEFAULT, None
     some, others = parts
+    if not (pictures[some].any() and pictures[others].any()):
+        return DEFAULT, None
     posed = [p.of_views(some) for p in problems]
     states, least = _solved(posed, pictures[some], iterations)
     fields = [p.field(state.x) for p, state in zip(posed, states, strict=True)]

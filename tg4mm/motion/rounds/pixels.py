@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tg4mm.motion.jacobian.linear import RestView
-from tg4mm.motion.jacobian.packed import mean_rows
+from tg4mm.motion.jacobian.packed import jacobian_of_means
 
 PERCENT = 99.0  # of the Gaussians seen move by at most so many pixels
 _CAMERAS = 8  # from so many, spread evenly, the share is known well enough
@@ -27,6 +27,6 @@ def pixels_moved(views: Sequence[RestView], shifts: np.ndarray) -> np.ndarray:
 
 def _lengths(view: RestView, shifts: np.ndarray) -> np.ndarray:
     """[S, n] pixels."""
-    right, down = mean_rows(view.answers)
+    right, down = jacobian_of_means(view.answers)
     own = shifts[:, view.bins.order[: view.bins.n_visible]]
     return np.asarray(np.hypot(*(np.einsum("nd,snd->sn", row, own) for row in (right, down))))

@@ -20,7 +20,7 @@ from tg4mm.capture import ImageStack
 from tg4mm.capture.pictures import FilePictures
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.certainty.halves import LEAST, agreed_fields
-from tg4mm.motion.config import MotionConfig
+from tg4mm.motion.config import MotionConfig, more_iterations
 from tg4mm.motion.jacobian.linear import RestView, rest_view
 from tg4mm.motion.pictures.differences import TemporalComponents
 from tg4mm.motion.pictures.states import States, most_states, states_of
@@ -37,7 +37,8 @@ from tg4mm.motion.solver.problem import MotionProblem
 from tg4mm.motion.solver.solve import start, step
 
 ABOVE_PX = 0.7  # motion up to so many pixels is in the linear range: docs/decisions.md
-# Iterations of the weight's choice, more than before the linear fit: what is left after a round tells less of it.
+# Iterations of the weight's choice, of up to 16,000 Gaussians. More than before the linear fit: what is left after a
+# round tells less of it.
 _OF_CHOICE = 6
 _COMPONENTS = 8  # that are fitted, at least, where there are as many
 _FALL = 0.05  # of the misfit: what falls by less is not worth another round
@@ -181,7 +182,8 @@ class Rounds:
         posed = problems.of(self.weights, [where.neighbours] if is_given else list(CANDIDATES))
         if not is_given:
             target = self._at_rest(problems.views, where.gaussians, shapes, evidence)[:, 0]
-            where.neighbours, _ = chosen_weight(posed, self.parts, target, _OF_CHOICE)
+            iterations = round(_OF_CHOICE * more_iterations(len(where.gaussians)))
+            where.neighbours, _ = chosen_weight(posed, self.parts, target, iterations)
         where.is_chosen = True
         (rest,) = (p for p in posed if p.config.neighbours == where.neighbours)
         assert isinstance(rest, MotionProblem)
