@@ -234,12 +234,12 @@ def train_motion(
     Works with the cameras that stay put over all timesteps. The run's log gets seconds, peak_memory_mib, iterations
     (at most, for so many Gaussians), components, views, n_frequencies and the share of the images' changes that the
     kept components hold. With six cameras or more (and `config.halves`) noise is shrunk by what two halves of them
-    agree on (`halves.py`); the log then holds `gain_of_components`. From them, or with fewer cameras from samples (`posterior.py`), the run gets
-    RUN/uncertainty.safetensors, and the log `noise_to_motion` (rms) and, from samples, `freedom`. One camera alone is
-    warned of; the log then holds `guess_along_sight_percent`. The log's `pixels_moved` is how far the linear fit moves
-    things. Where 1 % of what is seen moves by more than 0.7 pixels the fit is repeated (`rounds.py`), so many
-    `rounds`, after each of which `misfit_of_rounds` tells what is left of the pictures. If the capture has no cameras
-    but the fixed ones, six or more, rounds sharpen the run's Gaussians, too.
+    agree on (`halves.py`); the log then holds `gain_of_components`. From them, or with fewer cameras from samples
+    (`posterior.py`), the run gets RUN/uncertainty.safetensors, and the log `noise_to_motion` (rms) and, from samples,
+    `freedom`. One camera alone is warned of; the log then holds `guess_along_sight_percent`. The log's `pixels_moved`
+    is how far the linear fit moves things. Where 1 % of what is seen moves by more than 0.7 pixels the fit is repeated
+    (`rounds.py`), so many `rounds`, after each of which `misfit_of_rounds` tells what is left of the pictures. If the
+    capture has no cameras but the fixed ones, six or more, rounds sharpen the run's Gaussians, too.
     Without rounds, and with halves, what motion leaves of the pictures is fitted by changes of colour (`light/`, if
     `config.light`): `gain_of_light` in the log is what the halves agree on of each component, 0 for what is dropped.
     Of motion below 0.7 pixels the linear fit's second turn takes out that light and what pictures show of motion beyond
