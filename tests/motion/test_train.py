@@ -14,7 +14,7 @@ import torch
 from tests.space.test_train import Killed, killed_after
 from tests.synthetic import make_synthetic_dataset
 from tg4mm.capture import Capture, ImageStack, load_capture, load_images
-from tg4mm.errors import CaptureError, Tg4mmError
+from tg4mm.errors import CaptureError, RunError, Tg4mmError
 from tg4mm.evaluate.displacement import displacement_figures
 from tg4mm.evaluate.weights import blending_weights
 from tg4mm.motion import ModalMotion, MotionConfig
@@ -251,6 +251,15 @@ def test_without_a_fixed_camera_it_says_so(small, new_run: Callable[[], Run]) ->
     match = rf"\A{capture.root}: no camera has one image at each of the 5 timesteps[^\n]*\Z"
     with pytest.raises(CaptureError, match=match):
         train_motion(new_run(), wandering, images, SHORT)
+
+
+def test_gaussians_that_no_camera_sees_are_told_in_one_line(small, new_run: Callable[[], Run]) -> None:
+    run, capture, images = new_run(), *small[1:]
+    gaussians = run.load_space()
+    run.save_space(replace(gaussians, means=gaussians.means + 1_000.0), {})
+    match = rf"\A{run.path}: none of its 784 Gaussians is seen by a camera of {capture.root}[^\n]*\Z"
+    with pytest.raises(RunError, match=match):
+        train_motion(run, capture, images, SHORT)
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ from torch import Tensor
 from tg4mm.capture import Capture, ImageStack
 from tg4mm.capture.pictures import FilePictures
 from tg4mm.device import gpu_figures, reset_gpu_peak
+from tg4mm.errors import RunError
 from tg4mm.gaussians import Gaussians
 from tg4mm.memory import peak_memory_mib
 from tg4mm.motion.beyond import Beyond
@@ -68,6 +69,9 @@ class _Stage:
         self.components = temporal_components(images, self.cameras, config.components)
         size = (capture.width, capture.height)
         views = [rest_view(gaussians, camera, size) for camera in self.cameras]
+        if not any(view.bins.n_visible for view in views):
+            seeing = f"is seen by a camera of {capture.root} that stays put"
+            raise RunError(f"{run.path}: none of its {len(gaussians):,} Gaussians {seeing}")
         self.parts = (halves(len(views)) if config.halves else []) or [np.arange(len(views))]
         problems = Problems(views, gaussians, config, device)
         self.findings, whole, begun = posed(problems, self.parts, self.components, TOGETHER, known)
@@ -94,8 +98,8 @@ class _Stage:
         shapes, gain = agreed_fields(fields)
         if len(fields) == 1:
             return shapes, *self._doubt(shapes, gaussians, target)
-        is_linear = gaussians is self.gaussians
-        around = self.graph.around if is_linear else nearest(gaussians.means.numpy())[1]
+        is_same = gaussians is self.gaussians  # as in the linear fit
+        around = self.graph.around if is_same else nearest(gaussians.means.numpy())[1]
         noise = deviation(fields[0][..., :3], fields[1][..., :3], around)
         power = max(float((fields.mean(0)[..., :3] ** 2).sum()), 1e-30)
         ratio = float(np.sqrt((noise.astype(np.float64) ** 2).sum() / power))
@@ -248,8 +252,8 @@ def train_motion(
     projection of each view, light and what goes beyond the derivative are left to the CPU. Rounds choose the weight of
     the neighbours and project the moved views there in each round, and the uncertainty of few cameras is found there
     altogether.
-    Raises CaptureError where no camera stays put, Tg4mmError on settings out of range or where the device's memory is
-    too small.
+    Raises CaptureError where no camera stays put, RunError where none of those sees a Gaussian, Tg4mmError on settings
+    out of range or where the device's memory is too small.
     """
     checked(config)  # before anything is read
     began = time.monotonic()
