@@ -68,7 +68,7 @@ class Plan:
     iterations: int  # of the space stage
     timesteps: int  # T where the dataset has one
     frames: int  # of the orbit, for each size
-    motion_iterations: int  # of conjugate gradients, at most
+    motion_iterations: int  # of conjugate gradients, at most, of up to 16,000 Gaussians
     paper: PaperConfig
     init_points: int = SpaceConfig().init_points
     sizes: tuple[tuple[int, int], ...] = ((512, 512), (1920, 1080))

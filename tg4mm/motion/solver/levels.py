@@ -1,4 +1,4 @@
-"""Unknowns of like influence, fine and coarse, so that conjugate gradients need a dozen iterations.
+"""Unknowns of like influence, fine and coarse, so that conjugate gradients need few iterations.
 
 What is seen well settles in a few iterations; what hardly costs anything, such as a whole part that sways, takes
 hundreds, since a Gaussian hears of it only from its neighbours. So there are two levels of unknowns that add up: for
