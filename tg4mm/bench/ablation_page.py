@@ -162,7 +162,10 @@ def picture(results: Mapping[str, Any]) -> str | None:
 
 
 def _over_rows(results: Mapping[str, Any]) -> str:
-    """A figure of the motion; where rows scale different settings, a curve for each of them."""
+    """A figure of the motion; where rows scale different settings, a curve for each of them.
+
+    A row that is of another kind than its neighbours stands apart.
+    """
     key, names = results["picture"], [c for c in dict.fromkeys(results["curves"]) if c] or [""]
     several = len(names) > 1
     ticks = sorted(dict.fromkeys(results["ticks"]), key=_factor) if several else results["ticks"]
@@ -175,7 +178,9 @@ def _over_rows(results: Mapping[str, Any]) -> str:
             series[f"{data['label']}, {name}" if several else data["label"]] = [
                 at.get(tick) for tick in ticks
             ]
-    return curves(ticks, series, results["x_label"] or results["title"], COLUMNS[key][0])
+    own = results["curves"]
+    breaks = [] if several else [i for i in range(1, len(own)) if own[i] != own[i - 1]]
+    return curves(ticks, series, results["x_label"] or results["title"], COLUMNS[key][0], breaks)
 
 
 def _factor(tick: str) -> float:

@@ -18,6 +18,8 @@ from tg4mm.report.colour import amount_colours, hex_colour, phase_colours
 
 WIDTH, HEIGHT = 640, 290
 LEFT, RIGHT, TOP, BOTTOM = 76, 16, 18, 50
+_LABELS = 124  # units for the labels at the right end of curves
+_BETWEEN = 17  # units from one label down to the next
 
 
 @dataclass(frozen=True)
@@ -25,8 +27,9 @@ class Series:
     """One curve of a chart."""
 
     label: str
-    values: Sequence[float | None]  # None leaves a gap
+    values: Sequence[float | None]  # None: no point there
     style: str  # CSS class: ours, ceiling, still
+    breaks: Sequence[int] = ()  # positions that no line leads to from the one before
 
 
 def nice_ticks(low: float, high: float, about: int = 5) -> list[float]:
@@ -97,13 +100,17 @@ def bar_chart(
 
 
 def score_chart(x_names: Sequence[str], series: Sequence[Series], x_label: str, y_label: str) -> Markup:
-    """Curves over named positions, evenly spaced, each labelled at its right end."""
+    """Curves over named positions, evenly spaced, each labelled at its right end.
+
+    Labels stay above the names of the positions, as long as there are no more of them than `below` says.
+    """
     values = [v for s in series for v in s.values if v is not None]
     low, high = (min(values), max(values)) if values else (0.0, 1.0)
     margin = (high - low) * 0.1 or 0.01
     low, high = low - margin, high + margin
-    spread = (WIDTH - LEFT - RIGHT - 124) / max(len(x_names) - 1, 1)
-    parts = [_frame(y_label, x_label), _y_axis(low, high)]
+    spread = (WIDTH - LEFT - RIGHT - _LABELS) / max(len(x_names) - 1, 1)
+    right = WIDTH - RIGHT - _LABELS + 18
+    parts = [_frame(y_label, x_label, right), _y_axis(low, high, right)]
     for i, name in enumerate(x_names):
         parts.append(_text(LEFT + 12 + i * spread, HEIGHT - BOTTOM + 18, name, "middle"))
     ends = []
@@ -113,14 +120,17 @@ def score_chart(x_names: Sequence[str], series: Sequence[Series], x_label: str, 
         ]
         if not points:
             continue
-        path = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
-        parts.append(Markup('<polyline class="line-{}" points="{}"/>').format(one.style, path))
+        for first, last in pairwise([0, *one.breaks, len(one.values)]):
+            some = [v is not None for v in one.values]
+            joined = points[sum(some[:first]) : sum(some[:last])]
+            path = " ".join(f"{x:.1f},{y:.1f}" for x, y in joined)
+            parts.append(Markup('<polyline class="line-{}" points="{}"/>').format(one.style, path))
         for x, y in points:
             parts.append(
                 Markup('<circle class="fill-{}" cx="{:.1f}" cy="{:.1f}" r="3.6"/>').format(one.style, x, y)
             )
         ends.append((points[-1], one))
-    for y, ((x, _), one) in zip(_apart([end[0][1] for end in ends], 17), ends, strict=True):
+    for y, ((x, _), one) in zip(_apart([end[0][1] for end in ends]), ends, strict=True):
         parts.append(_text(x + 12, y + 4, one.label, "start", f"label-{one.style}"))
     return _svg(parts, f"{y_label} over {x_label}")
 
@@ -161,12 +171,21 @@ def _bar(stops: list[tuple[float, str]], ticks: list[tuple[float, str]], label: 
     )
 
 
-def _apart(ys: list[float], least: float) -> list[float]:
-    """Label heights moved as little as needed to lie `least` apart, in the order given."""
+def below(labels: int) -> int:
+    """By how many units so many labels at the right end reach below the positions' line."""
+    return max(0, TOP + _BETWEEN * (labels - 1) - (HEIGHT - BOTTOM))
+
+
+def _apart(ys: list[float]) -> list[float]:
+    """Heights of labels, in the order given: moved down so as not to lie on each other, and up again from the end."""
     order = sorted(range(len(ys)), key=lambda i: ys[i])
     placed = list(ys)
     for before, after in pairwise(order):
-        placed[after] = max(placed[after], placed[before] + least)
+        placed[after] = max(placed[after], placed[before] + _BETWEEN)
+    lowest = float(HEIGHT - BOTTOM + below(len(ys)))
+    for i in reversed(order):
+        placed[i] = min(placed[i], lowest)
+        lowest = placed[i] - _BETWEEN
     return placed
 
 
@@ -174,13 +193,13 @@ def _y(value: float, low: float, high: float) -> float:
     return HEIGHT - BOTTOM - (value - low) / (high - low) * (HEIGHT - TOP - BOTTOM)
 
 
-def _y_axis(low: float, high: float) -> Markup:
+def _y_axis(low: float, high: float, right: float = WIDTH - RIGHT) -> Markup:
     parts = []
     ticks = nice_ticks(low, high)
     for tick in ticks:
         y = _y(tick, low, high)
         parts += [
-            _line(LEFT, y, WIDTH - RIGHT, y, "rule"),
+            _line(LEFT, y, right, y, "rule"),
             _text(LEFT - 10, y + 4, _tick(tick, ticks), "end"),
         ]
     return Markup("").join(parts)
@@ -195,14 +214,12 @@ def _tick(value: float, ticks: Sequence[float]) -> str:
     return f"{value:.{places}f}" if value else "0"
 
 
-def _frame(y_label: str, x_label: str) -> Markup:
+def _frame(y_label: str, x_label: str, right: float = WIDTH - RIGHT) -> Markup:
     middle = TOP + (HEIGHT - TOP - BOTTOM) / 2
     turned = Markup(
         '<text class="axis" text-anchor="middle" transform="translate(15 {:.0f}) rotate(-90)">{}</text>'
     )
-    return turned.format(middle, y_label) + _text(
-        LEFT + (WIDTH - LEFT - RIGHT) / 2, HEIGHT - 6, x_label, "middle", "axis"
-    )
+    return turned.format(middle, y_label) + _text((LEFT + right) / 2, HEIGHT - 6, x_label, "middle", "axis")
 
 
 def _line(x1: float, y1: float, x2: float, y2: float, style: str) -> Markup:
