@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -89,6 +90,12 @@ def test_magnified_motion_is_the_same_at_every_amplitude() -> None:
 def neighbours(data: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     out = tmp_path_factory.mktemp("neighbours") / "out"
     return out, run_ablation("neighbours", [data], out, None, MODAL, Plan(), silent)
+
+
+def test_the_weight_that_was_found_stands_apart(neighbours: tuple[Path, str]) -> None:
+    root = ElementTree.parse(neighbours[0] / "results.svg").getroot()
+    lines = [e.get("points", "").split() for e in root.iter() if e.tag.endswith("polyline")]
+    assert [len(line) for line in lines] == [1, 5]
 
 
 def test_runs_have_the_setting_of_their_row_and_share_a_space_stage(

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from xml.etree import ElementTree
 
+import pytest
+
+from tg4mm.bench.ablation_page import picture
 from tg4mm.bench.chart import curves
 from tg4mm.bench.table import shown, table
 
@@ -34,3 +37,22 @@ def test_long_labels_get_room() -> None:
 
     assert width("short") == 640
     assert width("paper-small, modal's time: linear") > 740
+
+
+@pytest.mark.parametrize(
+    ("curves_of", "apart", "points"),
+    [(["k", "k", "", "k"], [False] * 4, [4]), ([""] * 4, [True, False, False, False], [1, 3])],
+    ids=["one setting scaled", "the first of another kind"],
+)
+def test_a_figure_over_the_rows_is_one_line_but_for_what_stands_apart(
+    curves_of: list[str], apart: list[bool], points: list[int]
+) -> None:
+    rows = ["a", "b", "c", "d"]
+    results = {
+        "picture": "displacement_error", "x_label": "", "title": "title", "rows": rows, "ticks": rows,
+        "curves": curves_of, "apart": apart, "sets": [{"label": "mic"}],
+        "lines": [{"set": "mic", "row": r, "scalars": {"displacement_error": 0.1 * k}} for k, r in enumerate(rows)],
+    }  # fmt: skip
+    root = ElementTree.fromstring(picture(results) or "")
+    found = [e.get("points", "").split() for e in root.iter() if e.tag.endswith("polyline")]
+    assert [len(line) for line in found] == points

@@ -125,6 +125,7 @@ def _results(
         "rows": [row.label for row in rows],
         "ticks": [row.tick or row.label for row in rows],
         "curves": [row.curve for row in rows],
+        "apart": [row.apart for row in rows],
         "sets": [s.plain() for s in sets],
         "lines": [],
         "left_out": [],

@@ -162,10 +162,7 @@ def picture(results: Mapping[str, Any]) -> str | None:
 
 
 def _over_rows(results: Mapping[str, Any]) -> str:
-    """A figure of the motion; where rows scale different settings, a curve for each of them.
-
-    A row that is of another kind than its neighbours stands apart.
-    """
+    """A figure of the motion; where rows scale different settings, a curve for each of them."""
     key, names = results["picture"], [c for c in dict.fromkeys(results["curves"]) if c] or [""]
     several = len(names) > 1
     ticks = sorted(dict.fromkeys(results["ticks"]), key=_factor) if several else results["ticks"]
@@ -178,8 +175,8 @@ def _over_rows(results: Mapping[str, Any]) -> str:
             series[f"{data['label']}, {name}" if several else data["label"]] = [
                 at.get(tick) for tick in ticks
             ]
-    own = results["curves"]
-    breaks = [] if several else [i for i in range(1, len(own)) if own[i] != own[i - 1]]
+    apart = results["apart"]
+    breaks = [i for i in range(1, len(apart)) if apart[i] or apart[i - 1]]
     return curves(ticks, series, results["x_label"] or results["title"], COLUMNS[key][0], breaks)
 
 

@@ -24,9 +24,8 @@ class Row:
     views: int = 0  # training cameras; 0: all
     amplitude_px: float = 0.0  # 0: the dataset's own
     tick: str = ""  # in a picture; "": the label
-    # In a picture over the rows: which of several curves it is on, "": on all; where only one is named, apart from the
-    # others.
-    curve: str = ""
+    curve: str = ""  # in a picture over the rows: which curve it is on; "": on all
+    apart: bool = False  # in such a picture: of another kind than the other rows, with no line to them
 
 
 @dataclass(frozen=True)
@@ -125,7 +124,7 @@ ABLATIONS: dict[str, Ablation] = {
         "design §5.3: the term that makes neighbours move alike",
         ("modal",),
         (
-            Row("found from the images", {"motion.neighbours": "0"}, tick="found", curve="found"),
+            Row("found from the images", {"motion.neighbours": "0"}, tick="found", apart=True),
             # 0 stands for "found"; this is as good as none: the smallest weight that was ever of use is 5.
             *(
                 Row(f"weight {w}", {"motion.neighbours": w}, tick=w)
