@@ -25,7 +25,7 @@ from tg4mm.memory import peak_memory_mib
 from tg4mm.motion.beyond import Beyond
 from tg4mm.motion.certainty.doubt import doubt
 from tg4mm.motion.certainty.halves import agreed_fields, deviation, halves
-from tg4mm.motion.config import MotionConfig, checked, resolved
+from tg4mm.motion.config import MotionConfig, resolved
 from tg4mm.motion.fit import TOGETHER, Fit, Solver
 from tg4mm.motion.jacobian.linear import rest_view
 from tg4mm.motion.light.fit import LOOK
@@ -255,7 +255,6 @@ def train_motion(
     Raises CaptureError where no camera stays put, RunError where none of those sees a Gaussian, Tg4mmError on settings
     out of range or where the device's memory is too small.
     """
-    checked(config)  # before anything is read
     began = time.monotonic()
     gaussians = run.load_space()
     config = resolved(config, len(gaussians))

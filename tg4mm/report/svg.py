@@ -115,21 +115,19 @@ def score_chart(x_names: Sequence[str], series: Sequence[Series], x_label: str, 
         parts.append(_text(LEFT + 12 + i * spread, HEIGHT - BOTTOM + 18, name, "middle"))
     ends = []
     for one in series:
-        points = [
-            (LEFT + 12 + i * spread, _y(v, low, high)) for i, v in enumerate(one.values) if v is not None
-        ]
+        points = {
+            i: (LEFT + 12 + i * spread, _y(v, low, high)) for i, v in enumerate(one.values) if v is not None
+        }
         if not points:
             continue
         for first, last in pairwise([0, *one.breaks, len(one.values)]):
-            some = [v is not None for v in one.values]
-            joined = points[sum(some[:first]) : sum(some[:last])]
-            path = " ".join(f"{x:.1f},{y:.1f}" for x, y in joined)
+            path = " ".join("{:.1f},{:.1f}".format(*points[i]) for i in range(first, last) if i in points)
             parts.append(Markup('<polyline class="line-{}" points="{}"/>').format(one.style, path))
-        for x, y in points:
+        for x, y in points.values():
             parts.append(
                 Markup('<circle class="fill-{}" cx="{:.1f}" cy="{:.1f}" r="3.6"/>').format(one.style, x, y)
             )
-        ends.append((points[-1], one))
+        ends.append((points[max(points)], one))
     for y, ((x, _), one) in zip(_apart([end[0][1] for end in ends]), ends, strict=True):
         parts.append(_text(x + 12, y + 4, one.label, "start", f"label-{one.style}"))
     return _svg(parts, f"{y_label} over {x_label}")
