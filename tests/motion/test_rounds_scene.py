@@ -122,13 +122,14 @@ def _counted(function: Callable, calls: list[str]) -> Callable:
 
 
 def test_nothing_is_rendered_or_posed_twice(data, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A round without polishing renders at first, to choose the weight, to linearise, and what it found."""
+    """A round without polishing renders at first, to choose the weight, to linearise, and what it found; in the end
+    what is left is rendered once, to say how sure the motion is."""
     calls: list[str] = []
     monkeypatch.setattr(evidence, "rendered", _counted(evidence.rendered, calls))
     monkeypatch.setattr(Problems, "of", _counted(Problems.of, calls))
     run = _trained(data, tmp_path / "run", replace(SHORT, neighbours=0.0), wandering=6)
     assert run.log()["motion"]["rounds"] == 1
-    assert calls.count("rendered") == 4
+    assert calls.count("rendered") == 5
     assert calls.count("of") == 2  # one of them before the linear fit
 
 
@@ -136,7 +137,7 @@ def test_what_uncertainty_does_not_ask_for_is_not_made(
     data, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     calls: list[str] = []
-    monkeypatch.setattr(Rounds, "target", _counted(Rounds.target, calls))
+    monkeypatch.setattr(Rounds, "_at_rest", _counted(Rounds._at_rest, calls))
     run = _trained(data, tmp_path / "run", replace(SHORT, halves=False))
     assert run.log()["motion"]["rounds"] == 1
     assert not calls
@@ -157,5 +158,5 @@ def test_one_knots_component_images_are_held_at_a_time(
 
     monkeypatch.setattr(Evidence, "target", watched)
     _trained(data, tmp_path / "run")
-    assert len(made) == 3  # knots
+    assert len(made) == 4  # three knots, and what is left in the end
     assert not any(alive)

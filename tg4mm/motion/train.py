@@ -6,14 +6,12 @@ conjugate gradients). The result is one phasor per Gaussian and DFT bin.
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
 from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from tg4mm.capture import Capture, ImageStack
@@ -24,7 +22,8 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.memory import peak_memory_mib
 from tg4mm.motion.beyond import Beyond
 from tg4mm.motion.certainty.doubt import doubt
-from tg4mm.motion.certainty.halves import agreed_fields, deviation, halves
+from tg4mm.motion.certainty.found import Found, of_halves
+from tg4mm.motion.certainty.halves import agreed_fields, halves
 from tg4mm.motion.config import MotionConfig, resolved
 from tg4mm.motion.fit import TOGETHER, Fit, Solver
 from tg4mm.motion.jacobian.linear import rest_view
@@ -35,7 +34,6 @@ from tg4mm.motion.pictures.differences import temporal_components
 from tg4mm.motion.pictures.video import fixed_cameras
 from tg4mm.motion.posing.noise import pixel_weights
 from tg4mm.motion.posing.pose import Findings, Problems, posed
-from tg4mm.motion.prior.graph import nearest
 from tg4mm.motion.rounds.rounds import ABOVE_PX, Rounds
 from tg4mm.motion.rounds.where import usable
 from tg4mm.motion.solver.problem import MotionProblem
@@ -87,40 +85,22 @@ class _Stage:
         self.saved = time.monotonic()
         self.began = began  # what log.json does not hold yet
 
-    def agreed(
-        self, all_shapes: np.ndarray, gaussians: Gaussians, target: np.ndarray | None
-    ) -> tuple[np.ndarray, dict[str, Tensor], dict[str, Any]]:
-        """From all fields [P R, N, DOF]: the final ones [R, N, DOF], `UNCERTAINTY`, figures for the log.
-
-        target: component images that the fields explain, if not those of the linear fit.
-        """
-        fields = all_shapes.reshape(len(self.parts), -1, *all_shapes.shape[1:])
-        shapes, gain = agreed_fields(fields)
-        if len(fields) == 1:
-            return shapes, *self._doubt(shapes, gaussians, target)
-        is_same = gaussians is self.gaussians  # as in the linear fit
-        around = self.graph.around if is_same else nearest(gaussians.means.numpy())[1]
-        noise = deviation(fields[0][..., :3], fields[1][..., :3], around)
-        power = max(float((fields.mean(0)[..., :3] ** 2).sum()), 1e-30)
-        ratio = float(np.sqrt((noise.astype(np.float64) ** 2).sum() / power))
-        figures = {"gain_of_components": [round(float(g), 4) for g in gain], "noise_to_motion": ratio}
-        return shapes, {"displacement": torch.from_numpy(noise) / math.sqrt(self.n_timesteps)}, figures
-
-    def _doubt(
-        self, shapes: np.ndarray, gaussians: Gaussians, target: np.ndarray | None
-    ) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        """Uncertainty and figures where the cameras are too few to be halved; none where it was not asked for."""
+    def agreed(self, found: Found) -> tuple[np.ndarray, dict[str, Tensor], dict[str, Any]]:
+        """The final fields [R, N, DOF], `UNCERTAINTY` if it was asked for, figures for the log."""
+        shapes, gain = agreed_fields(found.fields)
+        if len(found.fields) == 2:
+            tensors, figures = of_halves(found, shapes, self.cameras, self.n_timesteps)
+            return shapes, tensors, {"gain_of_components": [round(float(g), 4) for g in gain], **figures}
         if not self.config.halves:
-            return {}, {}
-        height, width = self.components.images.shape[2:4]
-        views = [rest_view(gaussians, camera, (width, height)) for camera in self.cameras]
-        problems = Problems(views, gaussians, self.config, "cpu")
+            return shapes, {}, {}
+        problems = Problems(found.views, found.gaussians, self.config, "cpu")
         weights = pixel_weights(self.components, self.findings.is_noise)
         (problem,) = problems.of(weights, [self.findings.neighbours])
         assert isinstance(problem, MotionProblem)
-        pictures = self.components.images[:, self.signal] if target is None else target
-        found = doubt(problem, pictures, shapes, gaussians, self.cameras, self.n_timesteps, self.config.seed)
-        return dict(found.tensors), dict(found.figures)
+        pictures = np.stack([found.explained(v, shapes) for v in range(len(found.views))])
+        of_run = self.cameras, self.n_timesteps, self.config.seed
+        doubted = doubt(problem, pictures, shapes, found.gaussians, *of_run)
+        return shapes, dict(doubted.tensors), dict(doubted.figures)
 
     def motion(self, shapes: np.ndarray, light: np.ndarray | None) -> ModalMotion:
         """From the fields [R, N, DOF] and `light`."""
@@ -189,25 +169,25 @@ class _Stage:
         self.run.record(_STAGE, {"seconds": self.saved - self.began})
         self.began = self.saved
 
-    def _explained(self, fit: Fit) -> np.ndarray | None:
-        """[V, R, H, W, 3]: component images less what the motion shows beyond the derivative, if `_doubt` asks."""
-        if not fit.is_small or not self.config.halves or len(self.parts) > 1:
-            return None
-        out = self.components.images[:, self.signal]
-        for v, pictures in enumerate(out):
-            pictures -= self.beyond.carried.of(v, fit.shapes)
-        return out
+    def _found(self, fit: Fit) -> Found:
+        """By the linear fit."""
 
-    def after_rounds(self, fit: Fit) -> tuple[Gaussians, np.ndarray, np.ndarray | None, dict[str, Any]]:
-        """After the rounds, which start where motion is not small: Gaussians, fields [P R, N, DOF], what component
-        images [V, R, H, W, 3] these explain (None: those there were), figures."""
+        def explained(v: int, shapes: np.ndarray) -> np.ndarray:
+            pictures = self.components.images[v, self.signal]
+            return pictures - self.beyond.carried.of(v, shapes) if fit.is_small else pictures
+
+        fields = fit.shapes.reshape(len(self.parts), -1, *fit.shapes.shape[1:])
+        return Found(fields, self.gaussians, self.at_rest, self.graph.around, explained)
+
+    def after_rounds(self, fit: Fit) -> tuple[Found, dict[str, Any]]:
+        """After the rounds, which start where motion is not small; and figures."""
         fields = fit.shapes.reshape(len(self.parts), -1, *fit.shapes.shape[1:])
         rounds = self._rounds
         checkpoint = usable(self.run.load_checkpoint(ROUNDS))
         where = rounds.begun(self.gaussians, self.at_rest, fields, self.findings.neighbours, checkpoint)
         figures: dict[str, Any] = {"pixels_moved": where.pixels, "rounds": 0}
         if not self.config.rounds or where.pixels <= ABOVE_PX:
-            return self.gaussians, fit.shapes, self._explained(fit), figures
+            return self._found(fit), figures
         if checkpoint is None:
             self._save_fit(fit)  # whatever happens now, the linear fit is done
 
@@ -222,12 +202,10 @@ class _Stage:
         self._save(ROUNDS, where.tensors(), where.state())  # before the scene at rest is another
         figures |= {"rounds": where.round, "misfit_of_rounds": where.misfits}
         if not where.round:  # the linear fit stands, with its own components
-            return self.gaussians, fit.shapes, self._explained(fit), figures
+            return self._found(fit), figures
         figures["neighbours"] = where.neighbours
         self.basis = rounds.basis
-        is_asked = self.config.halves and len(self.parts) == 1  # by `_doubt`
-        target = rounds.target(where, evidence) if is_asked else None
-        return where.gaussians, where.fields.reshape(-1, *fit.shapes.shape[1:]), target, figures
+        return rounds.found(where, evidence), figures
 
 
 def train_motion(
@@ -268,8 +246,8 @@ def train_motion(
     stage = _Stage(run, capture, images, gaussians, config, began, device, known)
     begun = Fit.begun(stage.solver.n_fields, len(gaussians))
     fit = stage.fit(Fit.restored(checkpoint, device) if checkpoint else begun)
-    moved, all_shapes, target, round_figures = stage.after_rounds(fit)
-    shapes, uncertainty, agreement_figures = stage.agreed(all_shapes, moved, target)
+    found, round_figures = stage.after_rounds(fit)
+    shapes, uncertainty, agreement_figures = stage.agreed(found)
     light, light_figures = (None, {}) if round_figures["rounds"] else stage.light(shapes, fit)
     motion = stage.motion(shapes, light)
     energy = stage.components.energy
@@ -288,8 +266,8 @@ def train_motion(
         **round_figures,
         **light_figures,
     }
-    if moved is not gaussians:
-        run.save_space(moved, {})
+    if found.gaussians is not gaussians:
+        run.save_space(found.gaussians, {})
     if uncertainty:  # before the motion, which tells that the stage is done
         run.save_part(UNCERTAINTY, uncertainty)
     run.save_motion(motion, figures)

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_matrix
 
+from tg4mm.motion.certainty.alike import BLOCK
 from tg4mm.motion.certainty.halves import mean_around
 from tg4mm.motion.prior.roots import stiffness_root
 from tg4mm.motion.rounds.moved import shown
@@ -31,7 +32,6 @@ from tg4mm.motion.solver.solve import start, step_all
 DRAWS = 8  # of each kind; neighbours are averaged over besides
 _FOR_FREEDOM = 4
 _COVERED = 0.99  # transmittance of a pixel in which there is something
-_BLOCK = 4  # pixels: side of what shares a sign
 _ITERATIONS = 150
 _TOLERANCE = 1e-3
 
@@ -136,9 +136,9 @@ def _freedom(
 def _resigned(left: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """[V, H, W, 3]: the sum of R residuals [V, R, H, W, 3], each with a sign drawn for every block of pixels."""
     v, r, height, width, _ = left.shape
-    size = (v, r, -(-height // _BLOCK), -(-width // _BLOCK))
+    size = (v, r, -(-height // BLOCK), -(-width // BLOCK))
     blocks = rng.choice(np.array([-1, 1], np.float32), size)
-    signs = np.repeat(np.repeat(blocks, _BLOCK, 2), _BLOCK, 3)[:, :, :height, :width]
+    signs = np.repeat(np.repeat(blocks, BLOCK, 2), BLOCK, 3)[:, :, :height, :width]
     return np.asarray(np.einsum("vrhwc,vrhw->vhwc", left, signs), np.float32)
 
 

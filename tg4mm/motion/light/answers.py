@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from tg4mm.motion.certainty.sight import lines_of_sight
+from tg4mm.motion.jacobian.colours import of_colours
 from tg4mm.motion.jacobian.linear import RestView
-from tg4mm.motion.jacobian.packed import COLUMNS, DOF, packed
+from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.pictures.video import FixedCamera
 from tg4mm.rasterize.buffers import Buffers
 from tg4mm.rasterize.kernels.compiled import kernel
 from tg4mm.rasterize.kernels.layout import FEAT
 
-_COLOUR = COLUMNS - 3  # first column of a splat's colour
 HARMONIC = 0.28209479177387814  # the first: times its coefficient it is a colour
 _TILT = np.float32(np.sqrt(3.0))  # of degree 1 beside it
 
@@ -69,20 +69,9 @@ def lit_views(
         if tilts:
             x, y, z = lines_of_sight(camera, means).T
             harmonics[:, 1:] = _TILT * np.stack([-y, z, -x], 1)
-        out.append(LitView(replace(view, answers=_answers(view)), harmonics))
+        colours = view.splats[view.bins.order[: view.bins.n_visible], FEAT : FEAT + 3]
+        out.append(LitView(of_colours(view, colours > 0), harmonics))  # what is clamped at 0 does not answer
     return out
-
-
-def _answers(view: RestView) -> np.ndarray:
-    """`packed` Jacobians of the visible Gaussians, whose displacement is a change of colour.
-
-    A channel that is clamped at 0 does not answer.
-    """
-    colours = view.splats[view.bins.order[: view.bins.n_visible], FEAT : FEAT + 3]
-    jacobian = np.zeros((len(colours), COLUMNS, DOF), np.float32)
-    for c in range(3):
-        jacobian[:, _COLOUR + c, c] = colours[:, c] > 0
-    return packed(jacobian)
 
 
 @kernel()

@@ -11,6 +11,7 @@ not help either, that was all.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from torch import Tensor
 from tg4mm.capture import ImageStack
 from tg4mm.capture.pictures import FilePictures
 from tg4mm.gaussians import Gaussians
+from tg4mm.motion.certainty.found import Found
 from tg4mm.motion.certainty.halves import LEAST, agreed_fields
 from tg4mm.motion.config import MotionConfig, more_iterations
 from tg4mm.motion.jacobian.linear import RestView, rest_view
@@ -28,6 +30,7 @@ from tg4mm.motion.pictures.video import FixedCamera
 from tg4mm.motion.posing.noise import pixel_weights
 from tg4mm.motion.posing.pose import Findings, Problems
 from tg4mm.motion.posing.weight import CANDIDATES, chosen_weight
+from tg4mm.motion.prior.graph import nearest
 from tg4mm.motion.rounds.evidence import Evidence
 from tg4mm.motion.rounds.linearised import Linearised, linearised
 from tg4mm.motion.rounds.pixels import pixels_moved
@@ -131,11 +134,17 @@ class Rounds:
                 self._polish(where, evidence, keep, update)
         return where
 
-    def target(self, where: Where, evidence: Evidence) -> np.ndarray:
-        """[V, R, H, W, 3]: the component images that the motion found explains, linearised at rest."""
-        return self._at_rest(
-            self._rest(where.gaussians), where.gaussians, agreed_fields(where.fields)[0], evidence
-        )
+    def found(self, where: Where, evidence: Evidence) -> Found:
+        """What was found, explaining component images linearised at rest; these are made when they are asked for."""
+        shapes, _ = agreed_fields(where.fields)
+        views = self._rest(where.gaussians) if self.config.halves else []
+
+        @cache
+        def target() -> np.ndarray:
+            return self._at_rest(views, where.gaussians, shapes, evidence)
+
+        around = nearest(where.gaussians.means.numpy())[1]
+        return Found(where.fields, where.gaussians, views, around, lambda v, shapes: target()[v])
 
     def _at_rest(
         self, views: list[RestView], gaussians: Gaussians, shapes: np.ndarray, evidence: Evidence

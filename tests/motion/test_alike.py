@@ -1,0 +1,153 @@
+"""What all cameras get wrong alike: what is left of the pictures as a displacement, what motion varies by around."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.synthetic import make_synthetic_dataset
+from tg4mm.capture import Capture, load_capture, load_images
+from tg4mm.evaluate.displacement import mean_squares
+from tg4mm.evaluate.uncertainty import uncertainty_figures
+from tg4mm.evaluate.weights import blending_weights
+from tg4mm.gaussians import Gaussians
+from tg4mm.motion import ModalMotion, MotionConfig
+from tg4mm.motion.certainty.alike import BLOCK, displacement_left, variation
+from tg4mm.motion.jacobian.colours import blended
+from tg4mm.motion.jacobian.linear import RestView, rest_view
+from tg4mm.motion.jacobian.packed import DOF
+from tg4mm.motion.pictures.video import FixedCamera, fixed_cameras
+from tg4mm.motion.prior.graph import nearest
+from tg4mm.motion.train import train_motion
+from tg4mm.runs import UNCERTAINTY, Run
+
+SIZE = 4 * BLOCK * 3 + 2  # the last blocks are cut off
+
+
+@dataclass(frozen=True)
+class Seen:
+    capture: Capture
+    gaussians: Gaussians
+    motion: ModalMotion
+    cameras: list[FixedCamera]
+    views: list[RestView]
+
+    @property
+    def around(self) -> np.ndarray:
+        return nearest(self.gaussians.means.numpy())[1]
+
+    def left(self, left: list[np.ndarray]) -> np.ndarray:
+        return displacement_left(left, self.views, self.cameras, self.gaussians.means.numpy(), self.around)
+
+    def shows(self, displacement: tuple[float, float, float]) -> list[np.ndarray]:
+        """[1, H, W, 3] of each view: what it changes if everything moves."""
+        fields = np.zeros((1, len(self.gaussians), DOF), np.float32)
+        fields[..., :3] = displacement
+        return [view.push_all(fields) for view in self.views]
+
+    def weights(self) -> np.ndarray:
+        return blending_weights(self.gaussians, self.capture)
+
+
+def _views(gaussians: Gaussians, cameras: list[FixedCamera], size: int) -> list[RestView]:
+    return [rest_view(gaussians, camera, (size, size)) for camera in cameras]
+
+
+@pytest.fixture(scope="module")
+def seen(tmp_path_factory: pytest.TempPathFactory) -> Seen:
+    """Ten cameras; the Gaussians are exact. The post sways, the ball moves, the floor stands still."""
+    root = tmp_path_factory.mktemp("alike") / "data"
+    gaussians, motion = make_synthetic_dataset(
+        root, n_views=10, n_timesteps=5, size=SIZE, freqs=(6.0,), amplitude=0.01, alphas=(), n_test=0
+    )
+    capture = load_capture(root)
+    cameras = fixed_cameras(capture)
+    return Seen(capture, gaussians, motion, cameras, _views(gaussians, cameras, SIZE))
+
+
+def test_a_picture_is_blended_by_what_the_gaussians_cover(seen: Seen) -> None:
+    """All Gaussians together by 1 − transmittance, each by its weight in the renderer's own gradient."""
+    picture = np.random.default_rng(0).random((SIZE, SIZE, 3)).astype(np.float32)
+    for view in seen.views[:3]:
+        covered = ((1 - view.transmittance)[..., None] * picture).sum((0, 1))
+        np.testing.assert_allclose(blended(view, picture).sum(0), covered, rtol=1e-4)
+    total = sum(blended(view, np.ones_like(picture))[:, 0].astype(np.float64) for view in seen.views)
+    weights = seen.weights() / seen.capture.n_timesteps
+    assert np.abs(total - weights).sum() < 0.02 * weights.sum()  # which cuts off at 1/255
+
+
+def test_what_is_left_of_a_shift_is_a_part_of_it_on_each_scale(seen: Seen) -> None:
+    """Of a scene that moves as a whole and whose motion was missed, in any direction and in pictures of any size."""
+    weights = seen.weights()
+    for shift in ((0.01, 0, 0), (0, 0.02, 0), (0.005, 0.005, 0.01)):
+        found = seen.left(seen.shows(shift))
+        share = (weights * found).sum() / weights.sum() / np.dot(shift, shift)
+        assert 0.05 < share < 0.6  # the rest is along the sight, along edges, or cancels within a block
+    twice = [replace(c, K=np.diag([2, 2, 1]).astype(np.float32) @ c.K) for c in seen.cameras]
+    larger = replace(seen, cameras=twice, views=_views(seen.gaussians, twice, 2 * SIZE))
+    ratio = np.average(larger.left(larger.shows((0.01, 0, 0))), weights=weights) / np.average(
+        seen.left(seen.shows((0.01, 0, 0))), weights=weights
+    )
+    assert 0.5 < ratio < 2  # a block is a smaller part of what it shows
+
+
+def test_it_goes_by_the_square_and_noise_counts_little(seen: Seen) -> None:
+    left = seen.shows((0.01, 0, 0))
+    once, twice = seen.left(left), seen.left([2 * pictures for pictures in left])
+    np.testing.assert_allclose(twice, 4 * once, rtol=1e-4)
+    assert not seen.left([0 * pictures for pictures in left]).any()
+    rng = np.random.default_rng(1)
+    noise = [
+        rng.choice([-1, 1], p.shape).astype(np.float32) * p for p in left
+    ]  # of the same power everywhere
+    weights = seen.weights()
+    assert (weights * seen.left(noise)).sum() < 0.35 * (weights * once).sum()
+    np.testing.assert_allclose(seen.left([np.concatenate([p, p]) for p in left]), 2 * once, rtol=1e-4)
+
+
+def test_what_no_camera_sees_counts_as_the_whole_scene(seen: Seen) -> None:
+    means = seen.gaussians.means.clone()
+    means[:40, 2] -= 100.0  # far below, all around each other
+    away = replace(seen.gaussians, means=means)
+    hidden = replace(seen, gaussians=away, views=_views(away, seen.cameras, SIZE))
+    found = hidden.left(hidden.shows((0.01, 0, 0)))
+    assert np.isfinite(found).all()
+    assert found[:40].std() == 0
+    assert found[40:].min() < found[0] < found[40:].max()
+
+
+def test_variation_is_the_variance_among_neighbours(seen: Seen) -> None:
+    rng = np.random.default_rng(2)
+    means = rng.random((300, 3))
+    around = nearest(means)[1]
+    shapes = rng.normal(size=(2, 300, 3)).astype(np.float32) + 5
+    expected = shapes.astype(np.float64)[:, around].var(2).sum((0, 2))
+    np.testing.assert_allclose(variation(shapes, around), expected, rtol=1e-6)
+    assert variation(np.full((2, 300, 3), 7.0, np.float32), around).max() < 1e-9
+
+
+def test_a_run_knows_how_far_off_it_is(seen: Seen, tmp_path: Path) -> None:
+    """Within two deviations for most of what is seen, where noise alone says much too little, and not far too much."""
+    run = Run.create(tmp_path / "run", seen.capture.root, "modal", {})
+    run.save_space(seen.gaussians, {})
+    train_motion(run, seen.capture, load_images(seen.capture), MotionConfig())
+    found = run.load_motion()
+    assert found is not None
+    found = found.selected(found.freqs_hz > 0)
+    part, log = run.load_part(UNCERTAINTY)[0], run.log()["motion"]
+    weights = seen.weights()
+    said, noise = (
+        uncertainty_figures(found, seen.motion, weights, part[name].numpy())
+        for name in ("displacement", "noise")
+    )
+    assert said["within_two"] > 0.85
+    assert noise["within_two"] < said["within_two"] - 0.2
+    assert 0.5 < said["said"] / said["error"] < 3
+    # and it tells places apart: the surer half is off by less
+    error, order = mean_squares(found, seen.motion)[0], np.argsort(part["displacement"].numpy())
+    surer, others = (np.average(error[o], weights=weights[o]) for o in np.array_split(order, 2))
+    assert surer < 0.25 * others
+    assert log["uncertainty_to_motion"] > log["noise_to_motion"] > 0
