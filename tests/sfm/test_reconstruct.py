@@ -166,6 +166,7 @@ def test_a_baseline_gives_the_scale_later(dataset: Path, photographs: Path, tmp_
         (SfmConfig(camera_model="FISH"), "--camera-model is FISH, expected SIMPLE_PINHOLE, "),
         (SfmConfig(focal_px=-3.0), "--focal-px is -3.0, expected above 0"),
         (SfmConfig(fps=30.0), "--fps is 30, but there are no fixed cameras"),
+        (SfmConfig(frames=50), "--frames is 50, but there is no video of a moving camera"),
         (SfmConfig(unit_scale_m=1.0, baseline=("a", "b", 1.0)), "exclude each other"),
         (SfmConfig(test_every=1), "--test-every is 1, expected 0 or >= 2"),
         (SfmConfig(baseline=("a", "b", float("nan"))), "--baseline is nan"),

@@ -57,7 +57,9 @@ def sfm(
     matching: Annotated[
         Matching, typer.Option(help="auto: every pair of pictures, but neighbours only in a long sequence.")
     ] = Matching.auto,
-    frames: Annotated[int, typer.Option(help="Frames taken from a moving camera's video.")] = 100,
+    frames: Annotated[
+        int | None, typer.Option(help="Frames taken from a moving camera's video, evenly. [default: 100]")
+    ] = None,
     unit_scale_m: Annotated[
         float | None, typer.Option(help="Metres per scene unit of the dataset, once you have measured it.")
     ] = None,

@@ -46,6 +46,7 @@ CAMERA_MODELS = (
     "FULL_OPENCV",
 )
 MATCHING = ("auto", "exhaustive", "sequential")
+FRAMES = 100  # taken from a moving camera's video where nothing else is asked for
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ class SfmConfig:
     )
     each: bool = False  # every photograph or fixed camera has intrinsics of its own, else all share them
     matching: str = "auto"  # exhaustive up to EXHAUSTIVE_MOST pictures and for photographs, else sequential
-    frames: int = 100  # taken from a moving camera's video, evenly
+    frames: int | None = None  # taken from a moving camera's video, evenly; None: FRAMES
     fps: float | None = None  # of fixed cameras, Hz; None: as their videos say
     unit_scale_m: float | None = None  # metres per scene unit
     baseline: tuple[str, str, float] | None = None  # two cameras (pictures) and their distance in metres
@@ -77,7 +78,7 @@ def checked(config: SfmConfig) -> SfmConfig:
         "camera-model": (config.camera_model in CAMERA_MODELS, config.camera_model, ", ".join(CAMERA_MODELS)),
         "focal-px": (positive(config.focal_px), config.focal_px, "above 0"),
         "matching": (config.matching in MATCHING, config.matching, ", ".join(MATCHING)),
-        "frames": (config.frames >= FEWEST, config.frames, f">= {FEWEST}"),
+        "frames": (config.frames is None or config.frames >= FEWEST, config.frames, f">= {FEWEST}"),
         "fps": (positive(config.fps), config.fps, "above 0"),
         "unit-scale-m": (positive(config.unit_scale_m), config.unit_scale_m, "above 0"),
         "baseline": (positive(length), length, "a length above 0 m"),
@@ -104,7 +105,7 @@ def reconstruct(
     colmap("tg4mm sfm")
     config = checked(config)
     sources = find_sources(images)
-    fps = _fps(sources, config)
+    fps, config = _fps(sources, config), replace(config, frames=_frames(sources, config))
     work = open_request(out, sources, asdict(config))
     done = work.finished(fps)
     if done is not None:
@@ -143,6 +144,15 @@ def _fps(sources: Sources, config: SfmConfig) -> float | None:
         names = ", ".join(clip.name for clip in sources.clips[:4])
         raise Tg4mmError(f"--fps is missing: fixed cameras ({names}) need their frames per second")
     return video_fps(videos[0].path)
+
+
+def _frames(sources: Sources, config: SfmConfig) -> int:
+    moving = [*([] if sources.fixed else sources.clips), *([sources.sweep] if sources.sweep else [])]
+    if config.frames is not None and not any(clip.is_video for clip in moving):
+        raise Tg4mmError(
+            f"--frames is {config.frames}, but there is no video of a moving camera to take them from"
+        )
+    return config.frames or FRAMES
 
 
 def _with_frames(sources: Sources, work: Path, config: SfmConfig) -> Sources:
