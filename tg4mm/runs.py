@@ -203,6 +203,11 @@ class Run:
         self._check_finite(file, tensors)
         return tensors, header
 
+    def load_uncertainty(self) -> np.ndarray | None:
+        """[N] float32: standard deviation of each Gaussian's displacement, rms over time, scene units; None where the
+        run does not say it. Raises RunError."""
+        return self.load_part(UNCERTAINTY)[0]["displacement"].numpy() if self.has_part(UNCERTAINTY) else None
+
     def part_rows(self, name: str, tensor: str, row: int) -> np.ndarray:
         """One row of a tensor of a part that `load_part` has accepted, without reading the rest."""
         try:

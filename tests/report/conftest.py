@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 
 from tests.synthetic import make_synthetic_dataset
 from tg4mm.evaluate import evaluate_run
-from tg4mm.runs import Run
+from tg4mm.runs import UNCERTAINTY, Run
 
 
 @pytest.fixture(scope="session")
@@ -20,6 +21,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     )
     made = Run.create(root / "run", root / "sway", "modal", {"seed": 0})
     made.save_space(model[0], {"seconds": 61.0, "peak_memory_mib": 512.0, "psnr_db": 31.5})
+    made.save_part(UNCERTAINTY, {"displacement": torch.full((len(model[0]),), 2e-4)})
     made.save_motion(model[1], {"seconds": 30.0})
     return made
 

@@ -16,6 +16,7 @@ from tg4mm.report.maps import (
     motion_maps,
     peak_displacement,
     strongest,
+    uncertainty_map,
 )
 
 
@@ -68,6 +69,20 @@ def test_maps_show_the_true_amplitude_and_phase_of_each_part(tmp_path):
     weights = blending_weights(gaussians, capture)
     assert image_motion(gaussians, motion.displacement[1], weights, camera) > 0
     assert image_motion(gaussians, motion.displacement[1] * 0, weights, camera) == 0
+
+
+def test_uncertainty_shows_as_the_peak_of_a_sinusoid(tmp_path):
+    gaussians, motion = make_synthetic_dataset(tmp_path, n_views=2, n_timesteps=2, size=48, n_test=0)
+    camera = capture_cameras(load_capture(tmp_path))[0]
+    deviation = np.where(motion.displacement[0].any(1), 0.004, 0.001)  # what moves is less sure
+    shown = uncertainty_map(gaussians, deviation, camera)
+    maps = motion_maps(gaussians, motion, 0, np.array([1.0, 0, 0]), camera)
+    moving, still = maps.amplitude > 0.98 * maps.amplitude.max(), (maps.amplitude == 0) & (maps.opacity > 0.5)
+    assert moving.sum() > 10
+    assert still.sum() > 10
+    np.testing.assert_allclose(shown[moving], np.sqrt(2) * 0.004, rtol=0.05)
+    np.testing.assert_allclose(shown[still], np.sqrt(2) * 0.001, rtol=1e-4)
+    assert not shown[maps.opacity < 1e-6].any()
 
 
 def test_motion_along_the_view_is_not_seen_in_the_picture(tmp_path):

@@ -68,6 +68,15 @@ def test_scores_are_printed_beside_both_anchors(full, metrics):
     assert "LPIPS was not measured: no weights given" in said
 
 
+def test_it_shows_how_sure_the_run_is_if_the_run_says_it(full, bare_run, tmp_path):
+    said = words(full)
+    assert "Uncertainty is one standard deviation" in said
+    # The motion is exact: all of it is within what the run says, 0.0002 units of 0.1 m.
+    assert "The run itself says it is off by 0.0002 scene units (20 µm) rms; 100 % of what is seen" in said
+    path = write_report(bare_run, bare_run.dataset, {}, tmp_path / "bare.html")
+    assert "Uncertainty" not in words(path.read_text(encoding="utf-8"))
+
+
 def test_videos_are_embedded_and_start_by_themselves(full):
     sources = re.findall(
         r'<video src="data:video/mp4;base64,([^"]+)"[^>]* autoplay loop muted playsinline>', full

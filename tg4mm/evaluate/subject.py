@@ -22,7 +22,7 @@ from tg4mm.magnify.bands import check_bands
 from tg4mm.magnify.poses import method_of, poses_of
 from tg4mm.modelhash import model_hash
 from tg4mm.motion.modal import ModalMotion
-from tg4mm.runs import UNCERTAINTY, Run
+from tg4mm.runs import Run
 
 STATIC, OURS, CEILING = "nothing moves", "ours", "ceiling"
 
@@ -83,10 +83,8 @@ def subject_of(
     check_bands(bands, capture.fps)
     posing = None if estimated is None else _posing(run, bands, plan, device)
     from_zero = run.preset == "modal"
-    uncertainty = None
-    if run.has_part(UNCERTAINTY):
-        uncertainty = run.load_part(UNCERTAINTY)[0]["displacement"].numpy()
-    return Subject(gaussians.to(device), estimated, exact, uncertainty, tuple(bands), from_zero, posing)
+    said = run.load_uncertainty()
+    return Subject(gaussians.to(device), estimated, exact, said, tuple(bands), from_zero, posing)
 
 
 def _posing(

@@ -151,6 +151,11 @@ def _displacement_words(figures: dict[str, Any], unit_scale_m: float | None) -> 
             f"What stands still, {100 * figures['static_share']:.0f} % of what is seen, was given motion of "
             f"{100 * leak:.1f} % of the rms of what moves (static leak)."
         )
+    if sure := figures.get("uncertainty"):
+        words.append(
+            f"The run itself says it is off by {both_lengths(sure['said'], unit_scale_m)} rms; "
+            f"{100 * sure['within_two']:.0f} % of what is seen is off by at most twice what it says of it."
+        )
     return " ".join(words)
 
 

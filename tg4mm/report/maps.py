@@ -87,6 +87,12 @@ def motion_maps(
     return MotionMaps(peak_displacement(seen), np.angle(seen @ direction), opacity)
 
 
+def uncertainty_map(gaussians: Gaussians, deviation: np.ndarray, camera: Camera) -> np.ndarray:
+    """[H, W] scene units: the peak of a sinusoid whose rms is the standard deviation [N], blended as colours are."""
+    blended, _ = render_features(gaussians, np.sqrt(2) * deviation[:, None].astype(np.float32), camera)
+    return blended[..., 0]
+
+
 def image_motion(gaussians: Gaussians, phasors: np.ndarray, weights: np.ndarray, camera: Camera) -> float:
     """Weighted rms, in pixels, of the motion [N, 3] across the picture of `camera`, of what lies in view."""
     points = gaussians.means.cpu().numpy() @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]

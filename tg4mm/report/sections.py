@@ -20,7 +20,7 @@ from tg4mm.report.figures import (
     scale_top,
     slice_picture,
 )
-from tg4mm.report.maps import in_band, leading_modes, main_direction, motion_maps
+from tg4mm.report.maps import in_band, leading_modes, main_direction, motion_maps, uncertainty_map
 from tg4mm.report.page import Block, Figure, Panel, Section, Text, drawing, film, missing, picture
 from tg4mm.report.sources import contact_images
 from tg4mm.report.summary import Material, unit_of, vector
@@ -119,10 +119,16 @@ def _maps(m: Material) -> Block:
     caption = (
         "The motion of the surface under each pixel, in 3D, read from the model and not from the picture: "
         "peak displacement (the colour scale ends at its 99.5th percentile), and phase at timestep 0 of the "
-        f"motion along {', '.join(axes)}, fading to grey below 20 % of the amplitude scale. Parts in step "
-        "share "
+        f"motion along {', '.join(axes)}, fading to grey below 20 % of the amplitude scale. Parts in step share "
         "one colour; parts half a turn (180°) apart move against each other."
     )
+    if m.model.uncertainty is not None:
+        unsure = uncertainty_map(m.model.gaussians, m.model.uncertainty, m.view.camera)
+        panels.append(picture(map_picture(unsure, top, seen[0][2].opacity), "Uncertainty"))
+        caption += (
+            " Uncertainty is one standard deviation of the displacement, as the run says it, as the peak of a "
+            "sinusoid and on the scale of the amplitude: where it is as bright, the motion is not to be relied on."
+        )
     unit, factor = unit_of(m.train.unit_scale_m)
     legend = Markup('<div class="pair">{}{}</div>').format(
         svg.colour_bar(top * factor, unit, "peak displacement"), svg.phase_bar()

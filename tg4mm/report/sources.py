@@ -52,6 +52,7 @@ class Model:
     motion: ModalMotion | None
     weights: np.ndarray  # [N] blending weight summed over the training views
     main: int  # index of the in-band frequency with most motion
+    uncertainty: np.ndarray | None = None  # [N] standard deviation of the displacement, rms, scene units
 
 
 def load_model(run: Run, train: Capture, band: tuple[float, float] | None) -> Model:
@@ -59,7 +60,8 @@ def load_model(run: Run, train: Capture, band: tuple[float, float] | None) -> Mo
     gaussians = run.load_space()
     motion = run.load_motion()
     weights = blending_weights(gaussians, train)
-    return Model(gaussians, motion, weights, strongest(motion, weights, band) if motion is not None else -1)
+    main = strongest(motion, weights, band) if motion is not None else -1
+    return Model(gaussians, motion, weights, main, run.load_uncertainty())
 
 
 def test_split(dataset: Path) -> Capture | None:
