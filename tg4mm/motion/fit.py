@@ -1,8 +1,9 @@
 """The linear fit of the motion: all components and parts of the cameras, a few at once, in two turns.
 
 The first turn explains the component images. What the found motion shows beyond the derivative, and the light that goes
-with it (`beyond.py`), is then taken from what is left if the motion is small, and the second turn solves for the
-difference that this makes. Together they take the iterations of one fit.
+with it (`beyond.py`), is then taken from what is left if the motion is small, edges of the prior that two halves of the
+cameras find strained are loosened (`prior/joints.py`), and the second turn solves for the difference that this makes.
+Together they take the iterations of one fit.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ from torch import Tensor
 
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.jacobian.packed import DOF
+from tg4mm.motion.prior.graph import Graph
+from tg4mm.motion.prior.joints import loosened, strain
 from tg4mm.motion.solver.device import DeviceProblem
 from tg4mm.motion.solver.problem import MotionProblem
 from tg4mm.motion.solver.solve import CGState, on_cpu, placed, start, step_all
@@ -24,6 +27,7 @@ from tg4mm.motion.solver.solve import CGState, on_cpu, placed, start, step_all
 # components that share a pass over the views: half the time of eight passes, memory for eight fields
 TOGETHER = 8
 _SECOND = 0.7  # of the iterations
+_ARRAYS = ("shapes", "left", "initial", "fields", "strain")  # of a `Fit`
 
 
 @dataclass
@@ -32,7 +36,8 @@ class Fit:
 
     Where the cameras are halved (P = 2), those of the first half come first. `left` [P R, parameters, 3] is b − A x of
     the first turn; from the second on, the right-hand sides of what that one solves for. `initial` [P R]: |b|² of the
-    first, by which both turns measure what is left.
+    first, by which both turns measure what is left. `fields` [P R, 4N, 3]: x of the first turn, if edges are loosened
+    after it, and `strain` [E] by what; empty before and after.
     """
 
     shapes: np.ndarray
@@ -43,6 +48,8 @@ class Fit:
     is_small: bool = True  # is the motion? told after the first turn
     # components that had light between the turns, the others will have none; None: not looked for
     lit: list[int] | None = None
+    fields: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 3), np.float32))
+    strain: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
     # of the components from `component` on; empty: not begun
     cgs: list[CGState] = field(default_factory=list)
 
@@ -52,7 +59,7 @@ class Fit:
         return Fit(fields, nothing, np.zeros(n_fields))
 
     def tensors(self) -> dict[str, Tensor]:
-        out = {name: torch.from_numpy(getattr(self, name)) for name in ("shapes", "left", "initial")}
+        out = {name: torch.from_numpy(getattr(self, name)) for name in _ARRAYS}
         for name in ("x", "residual", "direction") if self.cgs else ():
             out[name] = torch.from_numpy(np.stack([on_cpu(getattr(cg, name)) for cg in self.cgs]))
         return out
@@ -72,7 +79,7 @@ class Fit:
             for k, numbers in enumerate(state["cgs"])
         ]
         where = state["turn"], state["component"], state["is_small"], state["lit"]
-        return Fit(a["shapes"], a["left"], a["initial"], *where, cgs)
+        return Fit(a["shapes"], a["left"], a["initial"], *where, a["fields"], a["strain"], cgs)
 
 
 @dataclass(frozen=True)
@@ -86,6 +93,7 @@ class Solver:
     config: MotionConfig
     device: str
     begun: CGState | None = None  # of the first part component 0, as far as it has been solved for already
+    graph: Graph | None = None  # of the prior, whose edges are loosened between the turns; None: they are not
 
     @property
     def n_fields(self) -> int:
@@ -118,6 +126,24 @@ class Solver:
             some = slice(first, min(first + TOGETHER, count))
             for k, b in enumerate(self.problems[part].right_hand_sides(pictures(some)), part * count + first):
                 fit.left[k] -= on_cpu(b)
+
+    def strain(self, fit: Fit) -> np.ndarray:
+        """[E]: what the first turn's fields of two halves agree on; none if edges are not loosened."""
+        if self.graph is None:
+            return np.zeros(0, np.float32)
+        return strain(self.graph, *np.split(fit.fields, 2))
+
+    def loosened(self, strain: np.ndarray) -> Solver:
+        """With edges loosened where they are strained [E]."""
+        assert self.graph is not None
+        graph = loosened(self.graph, strain)
+        return replace(self, problems=[problem.with_graph(graph) for problem in self.problems])
+
+    def take_over(self, fit: Fit, before: Solver) -> None:
+        """What is left, from the prior `before` the edges were loosened to that of now."""
+        for k, x in enumerate(fit.fields):
+            part = k // len(self.signal)
+            fit.left[k] += on_cpu(before.problems[part].prior(x) - self.problems[part].prior(x))
 
     def _is_open(self, cg: CGState, most: int) -> bool:
         return cg.iteration < most and cg.relative_residual > self.config.tolerance
@@ -158,3 +184,9 @@ class Solver:
         if not len(fit.left):
             fit.left = np.zeros((self.n_fields, *residual.shape), np.float32)
         fit.left[k], fit.initial[k] = residual, cg.initial
+        if self.graph is None:
+            return
+        x = on_cpu(self.problems[k // len(self.signal)].rows(cg.x))
+        if not len(fit.fields):
+            fit.fields = np.zeros((self.n_fields, *x.shape), np.float32)
+        fit.fields[k] = x

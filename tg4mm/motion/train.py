@@ -34,6 +34,7 @@ from tg4mm.motion.pictures.differences import temporal_components
 from tg4mm.motion.pictures.video import fixed_cameras
 from tg4mm.motion.posing.noise import pixel_weights
 from tg4mm.motion.posing.pose import Findings, Problems, posed
+from tg4mm.motion.posing.weight import CANDIDATES
 from tg4mm.motion.rounds.rounds import ABOVE_PX, Rounds
 from tg4mm.motion.rounds.where import usable
 from tg4mm.motion.solver.problem import MotionProblem
@@ -42,7 +43,7 @@ from tg4mm.progress import progress
 from tg4mm.runs import UNCERTAINTY, Run
 
 CHECKPOINT_EVERY_S = 20.0
-_STATE = 8  # of a checkpoint: one of another version is begun anew, as its fields are of other parameters
+_STATE = 9  # of a checkpoint: one of another version is begun anew, as its fields are of other parameters
 _STAGE, ROUNDS = "motion", "rounds"  # checkpoints
 
 
@@ -79,7 +80,9 @@ class _Stage:
         self.signal = np.flatnonzero(~self.findings.is_noise)
         self.basis = self.components.basis[self.signal]
         shown = self.components.images
-        self.solver = Solver(self.problems, self.parts, shown, self.signal, config, device, begun)
+        has_joints = len(self.parts) == 2 and self.findings.neighbours > CANDIDATES[0]
+        graph = self.graph if has_joints else None
+        self.solver = Solver(self.problems, self.parts, shown, self.signal, config, device, begun, graph)
         of_views = views, self.cameras, self.components, self.findings, self.signal
         self.beyond = Beyond(*of_views, gaussians, self.graph, self.parts, config.light)
         self.saved = time.monotonic()
@@ -131,12 +134,14 @@ class _Stage:
 
     def fit(self, fit: Fit) -> Fit:
         """Solve for every component that is not solved yet, in two turns."""
+        if len(fit.strain):
+            self.solver = self.solver.loosened(fit.strain)
         with progress("motion stage", self.solver.units, start=self.solver.done(fit)) as update:
             if not fit.turn:
                 self.solver.run(fit, update, self._keep)
                 self._turn(fit)
             self.solver.run(fit, update, self._keep)
-        fit.left = fit.left[:0]  # nobody asks for it any more
+        fit.left, fit.strain = fit.left[:0], fit.strain[:0]  # nobody asks for them any more
         self._keep(fit)  # what follows takes its time, too
         return fit
 
@@ -147,14 +152,24 @@ class _Stage:
             self.gaussians, self.at_rest, fields, self.findings.neighbours, None
         ).pixels
         fit.turn, fit.component, fit.is_small = 1, 0, pixels <= ABOVE_PX
-        if not fit.is_small or not self.solver.iterations(1):
-            return
+        if fit.is_small and self.solver.iterations(1):
+            self._take_beyond(fit, fields)
+            self._loosen(fit)
+        fit.fields = fit.fields[:0]
+
+    def _take_beyond(self, fit: Fit, fields: np.ndarray) -> None:
         every = np.arange(fields.shape[1])
         light = self.beyond.light(agreed_fields(fields)[0], True, every, iterations=LOOK)
         changes = None if light is None else light[0]
         fit.lit = None if light is None else np.flatnonzero(light[1]).tolist()
         for part, own in enumerate(fields):
             self.solver.take_away(fit, part, partial(self.beyond.pictures, part, own, changes))
+
+    def _loosen(self, fit: Fit) -> None:
+        fit.strain, before = self.solver.strain(fit), self.solver
+        if len(fit.strain):
+            self.solver = before.loosened(fit.strain)
+            self.solver.take_over(fit, before)
 
     def _keep(self, fit: Fit) -> None:
         if time.monotonic() - self.saved > CHECKPOINT_EVERY_S:

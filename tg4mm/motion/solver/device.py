@@ -28,6 +28,7 @@ from tg4mm.errors import Tg4mmError
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.jacobian.meetings import DeviceView, device_view
 from tg4mm.motion.jacobian.packed import DOF
+from tg4mm.motion.prior.graph import Graph
 from tg4mm.motion.prior.stiffness import ROWS
 from tg4mm.motion.solver.problem import MotionProblem
 
@@ -127,6 +128,23 @@ class DeviceProblem:
         """θ [P, 3] -> displacement and rotation [N, DOF] float32."""
         return self._motion(self._field(theta))
 
+    def rows(self, theta: Tensor) -> Tensor:
+        """As `MotionProblem.rows`."""
+        return self._field(theta)
+
+    def with_graph(self, graph: Graph) -> DeviceProblem:
+        """As `MotionProblem.with_graph`."""
+        other = copy.copy(self)
+        other.stiffness = _sparse(graph.stiffness, self.device)
+        return other
+
+    def prior(self, x: np.ndarray) -> Tensor:
+        """As `MotionProblem.prior`."""
+        return self._from_field(self._drawn(self._there(x)))
+
+    def _drawn(self, x: Tensor) -> Tensor:
+        return self.scale * (self.config.neighbours * (self.stiffness @ x) + self.config.ridge * x)
+
     def normal(self, theta: Tensor) -> Tensor:
         """The symmetric operator of the problem applied to θ [P, 3]."""
         x = self._field(theta)
@@ -134,9 +152,7 @@ class DeviceProblem:
         v_motion = torch.zeros_like(motion)
         for k, view in enumerate(self.views):
             view.pull(self._weighted(k, view.push(motion)), v_motion)
-        v = self._from_motion(v_motion)
-        v += self.scale * (self.config.neighbours * (self.stiffness @ x) + self.config.ridge * x)
-        return self._from_field(v)
+        return self._from_field(self._from_motion(v_motion) + self._drawn(x))
 
     def normals(self, thetas: Sequence[Tensor]) -> list[Tensor]:
         """As `MotionProblem.normals`, one after the other."""

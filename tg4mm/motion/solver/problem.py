@@ -47,6 +47,18 @@ class MotionProblem:
         """θ [P, 3] -> displacement and rotation [N, DOF] float32."""
         return self.graph.motion(self.levels.field(theta))
 
+    def rows(self, theta: np.ndarray) -> np.ndarray:
+        """θ [P, 3] -> x [4N, 3] float32, displacements and their gradients."""
+        return self.levels.field(theta)
+
+    def with_graph(self, graph: Graph) -> MotionProblem:
+        """The problem with other weights of edges, in the same unknowns."""
+        return replace(self, graph=graph)
+
+    def prior(self, x: np.ndarray) -> np.ndarray:
+        """[P, 3]: what the prior alone adds to `normal` of the θ of a field x [4N, 3]."""
+        return self.with_prior(x, np.zeros((self.graph.n_gaussians, DOF), np.float32))
+
     def normal(self, theta: np.ndarray) -> np.ndarray:
         """The symmetric operator of the problem applied to θ [P, 3]."""
         return self.normals([theta])[0]
