@@ -15,6 +15,7 @@ from tg4mm.evaluate.uncertainty import uncertainty_figures
 from tg4mm.evaluate.weights import blending_weights
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion import ModalMotion, MotionConfig
+from tg4mm.motion.certainty import alike
 from tg4mm.motion.certainty.alike import BLOCK, displacement_left, variation
 from tg4mm.motion.jacobian.colours import blended
 from tg4mm.motion.jacobian.linear import RestView, rest_view
@@ -117,6 +118,32 @@ def test_what_no_camera_sees_counts_as_the_whole_scene(seen: Seen) -> None:
     assert np.isfinite(found).all()
     assert found[:40].std() == 0
     assert found[40:].min() < found[0] < found[40:].max()
+
+
+def test_blocks_at_the_border_are_means_of_the_pixels_they_have() -> None:
+    even = np.ones((2, SIZE, SIZE + 1, 3), np.float32)
+    np.testing.assert_allclose(alike._of_blocks(even), 6.0)
+    rng = np.random.default_rng(3)
+    picture = rng.normal(size=(1, SIZE, SIZE, 3)).astype(np.float32)
+    corner = picture[0, -(SIZE % BLOCK) :, -(SIZE % BLOCK) :].mean((0, 1))
+    found = alike._of_blocks(picture)
+    assert found.shape == (SIZE, SIZE)
+    assert found[-1, -1] == pytest.approx((corner**2).sum(), rel=1e-5)
+    assert found[0, 0] == pytest.approx((picture[0, :BLOCK, :BLOCK].mean((0, 1)) ** 2).sum(), rel=1e-5)
+
+
+def test_what_is_flat_is_no_reason_for_doubt_without_bounds(seen: Seen) -> None:
+    """Pictures of one colour but for twelve columns, and noise: 0.04 units at most, not 1e17. The scene is 2 wide."""
+    views = []
+    for view in seen.views:
+        image = view.image.copy()
+        image[:, 12:, :3] = 1 - view.transmittance[:, 12:, None]
+        views.append(replace(view, image=image))
+    rng = np.random.default_rng(4)
+    noise = [0.01 * rng.normal(size=(1, SIZE, SIZE, 3)).astype(np.float32) for _ in views]
+    found = np.sqrt(replace(seen, views=views).left(noise))
+    assert 0.01 < found.max() < 0.1
+    assert found.min() > 1e-4
 
 
 def test_variation_is_the_variance_among_neighbours(seen: Seen) -> None:

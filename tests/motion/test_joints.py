@@ -110,7 +110,7 @@ def test_the_second_turn_solves_with_the_edges_loosened() -> None:
     assert fit.fields.shape == (4, 4 * N, 3)
     for k, x in enumerate(fit.fields):
         np.testing.assert_allclose(problem().graph.motion(x), fit.shapes[k], atol=1e-6)
-    found = solving.strain(fit)
+    found = solving.strained(fit)
     assert (found > 0).mean() > 0.3
     second = solving.loosened(found)
     second.take_over(fit, solving)

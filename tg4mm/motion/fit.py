@@ -1,9 +1,9 @@
 """The linear fit of the motion: all components and parts of the cameras, a few at once, in two turns.
 
 The first turn explains the component images. What the found motion shows beyond the derivative, and the light that goes
-with it (`beyond.py`), is then taken from what is left if the motion is small, edges of the prior that two halves of the
-cameras find strained are loosened (`prior/joints.py`), and the second turn solves for the difference that this makes.
-Together they take the iterations of one fit.
+with it (`beyond.py`), is then taken from what is left, and edges of the prior that two halves of the cameras find
+strained are loosened (`prior/joints.py`), both only if the motion is small. The second turn solves for the difference
+that this makes. Together they take the iterations of one fit.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ class Fit:
 
     Where the cameras are halved (P = 2), those of the first half come first. `left` [P R, parameters, 3] is b − A x of
     the first turn; from the second on, the right-hand sides of what that one solves for. `initial` [P R]: |b|² of the
-    first, by which both turns measure what is left. `fields` [P R, 4N, 3]: x of the first turn, if edges are loosened
-    after it, and `strain` [E] by what; empty before and after.
+    first, by which both turns measure what is left. `fields` [P R, 4N, 3]: x of the first turn, where edges may
+    be loosened after it, then `strain` [E], by what they are; empty where nobody asks for them.
     """
 
     shapes: np.ndarray
@@ -127,17 +127,17 @@ class Solver:
             for k, b in enumerate(self.problems[part].right_hand_sides(pictures(some)), part * count + first):
                 fit.left[k] -= on_cpu(b)
 
-    def strain(self, fit: Fit) -> np.ndarray:
+    def strained(self, fit: Fit) -> np.ndarray:
         """[E]: what the first turn's fields of two halves agree on; none if edges are not loosened."""
         if self.graph is None:
             return np.zeros(0, np.float32)
         return strain(self.graph, *np.split(fit.fields, 2))
 
-    def loosened(self, strain: np.ndarray) -> Solver:
-        """With edges loosened where they are strained [E]."""
+    def loosened(self, of_edges: np.ndarray) -> Solver:
+        """With edges loosened by their strain [E]."""
         assert self.graph is not None
-        graph = loosened(self.graph, strain)
-        return replace(self, problems=[problem.with_graph(graph) for problem in self.problems])
+        first: Any = self.problems[0].with_graph(loosened(self.graph, of_edges))
+        return replace(self, problems=[first, *(p.with_prior_of(first) for p in self.problems[1:])])
 
     def take_over(self, fit: Fit, before: Solver) -> None:
         """What is left, from the prior `before` the edges were loosened to that of now."""

@@ -76,13 +76,13 @@ class _Stage:
         self.findings, whole, begun = posed(problems, self.parts, self.components, TOGETHER, known)
         self.at_rest, self.images, self.gaussians = problems.views, images, gaussians
         self.graph = problems.graph
-        self.problems = [whole.of_views(rows) for rows in self.parts]
+        of_parts = [whole.of_views(rows) for rows in self.parts]
         self.signal = np.flatnonzero(~self.findings.is_noise)
         self.basis = self.components.basis[self.signal]
         shown = self.components.images
         has_joints = len(self.parts) == 2 and self.findings.neighbours > CANDIDATES[0]
         graph = self.graph if has_joints else None
-        self.solver = Solver(self.problems, self.parts, shown, self.signal, config, device, begun, graph)
+        self.solver = Solver(of_parts, self.parts, shown, self.signal, config, device, begun, graph)
         of_views = views, self.cameras, self.components, self.findings, self.signal
         self.beyond = Beyond(*of_views, gaussians, self.graph, self.parts, config.light)
         self.saved = time.monotonic()
@@ -90,9 +90,10 @@ class _Stage:
 
     def agreed(self, found: Found) -> tuple[np.ndarray, dict[str, Tensor], dict[str, Any]]:
         """The final fields [R, N, DOF], `UNCERTAINTY` if it was asked for, figures for the log."""
-        shapes, gain = agreed_fields(found.fields)
+        shapes = found.shapes
         if len(found.fields) == 2:
-            tensors, figures = of_halves(found, shapes, self.cameras, self.n_timesteps)
+            tensors, figures = of_halves(found, self.cameras, self.n_timesteps)
+            gain = agreed_fields(found.fields)[1]
             return shapes, tensors, {"gain_of_components": [round(float(g), 4) for g in gain], **figures}
         if not self.config.halves:
             return shapes, {}, {}
@@ -100,7 +101,7 @@ class _Stage:
         weights = pixel_weights(self.components, self.findings.is_noise)
         (problem,) = problems.of(weights, [self.findings.neighbours])
         assert isinstance(problem, MotionProblem)
-        pictures = np.stack([found.explained(v, shapes) for v in range(len(found.views))])
+        pictures = np.stack([found.explained(v) for v in range(len(found.views))])
         of_run = self.cameras, self.n_timesteps, self.config.seed
         doubted = doubt(problem, pictures, shapes, found.gaussians, *of_run)
         return shapes, dict(doubted.tensors), dict(doubted.figures)
@@ -141,12 +142,13 @@ class _Stage:
                 self.solver.run(fit, update, self._keep)
                 self._turn(fit)
             self.solver.run(fit, update, self._keep)
-        fit.left, fit.strain = fit.left[:0], fit.strain[:0]  # nobody asks for them any more
+        fit.left, fit.strain = fit.left[:0].copy(), fit.strain[:0].copy()  # nobody asks for them any more
         self._keep(fit)  # what follows takes its time, too
         return fit
 
     def _turn(self, fit: Fit) -> None:
-        """From the first turn to the second: take from what is left what the motion shows beyond the derivative."""
+        """From the first turn to the second: take from what is left what the motion shows beyond the derivative, and
+        loosen edges of the prior."""
         fields = fit.shapes.reshape(len(self.parts), -1, *fit.shapes.shape[1:])
         pixels = self._rounds.begun(
             self.gaussians, self.at_rest, fields, self.findings.neighbours, None
@@ -155,7 +157,7 @@ class _Stage:
         if fit.is_small and self.solver.iterations(1):
             self._take_beyond(fit, fields)
             self._loosen(fit)
-        fit.fields = fit.fields[:0]
+        fit.fields = fit.fields[:0].copy()  # a slice would hold it all
 
     def _take_beyond(self, fit: Fit, fields: np.ndarray) -> None:
         every = np.arange(fields.shape[1])
@@ -166,7 +168,7 @@ class _Stage:
             self.solver.take_away(fit, part, partial(self.beyond.pictures, part, own, changes))
 
     def _loosen(self, fit: Fit) -> None:
-        fit.strain, before = self.solver.strain(fit), self.solver
+        fit.strain, before = self.solver.strained(fit), self.solver
         if len(fit.strain):
             self.solver = before.loosened(fit.strain)
             self.solver.take_over(fit, before)
@@ -184,15 +186,16 @@ class _Stage:
         self.run.record(_STAGE, {"seconds": self.saved - self.began})
         self.began = self.saved
 
-    def _found(self, fit: Fit) -> Found:
-        """By the linear fit."""
+    def _outcome(self, fit: Fit) -> Found:
+        """Of the linear fit."""
+        fields = fit.shapes.reshape(len(self.parts), -1, *fit.shapes.shape[1:])
+        shapes, _ = agreed_fields(fields)
 
-        def explained(v: int, shapes: np.ndarray) -> np.ndarray:
+        def explained(v: int) -> np.ndarray:
             pictures = self.components.images[v, self.signal]
             return pictures - self.beyond.carried.of(v, shapes) if fit.is_small else pictures
 
-        fields = fit.shapes.reshape(len(self.parts), -1, *fit.shapes.shape[1:])
-        return Found(fields, self.gaussians, self.at_rest, self.graph.around, explained)
+        return Found(fields, shapes, self.gaussians, self.at_rest, self.graph.around, explained)
 
     def after_rounds(self, fit: Fit) -> tuple[Found, dict[str, Any]]:
         """After the rounds, which start where motion is not small; and figures."""
@@ -202,7 +205,7 @@ class _Stage:
         where = rounds.begun(self.gaussians, self.at_rest, fields, self.findings.neighbours, checkpoint)
         figures: dict[str, Any] = {"pixels_moved": where.pixels, "rounds": 0}
         if not self.config.rounds or where.pixels <= ABOVE_PX:
-            return self._found(fit), figures
+            return self._outcome(fit), figures
         if checkpoint is None:
             self._save_fit(fit)  # whatever happens now, the linear fit is done
 
@@ -217,10 +220,10 @@ class _Stage:
         self._save(ROUNDS, where.tensors(), where.state())  # before the scene at rest is another
         figures |= {"rounds": where.round, "misfit_of_rounds": where.misfits}
         if not where.round:  # the linear fit stands, with its own components
-            return self._found(fit), figures
+            return self._outcome(fit), figures
         figures["neighbours"] = where.neighbours
         self.basis = rounds.basis
-        return rounds.found(where, evidence), figures
+        return rounds.outcome(where, evidence), figures
 
 
 def train_motion(
@@ -228,19 +231,21 @@ def train_motion(
 ) -> ModalMotion:
     """Fit the motion of the run's Gaussians to a capture of T > 1 timesteps and save it in the run.
 
-    Works with the cameras that stay put over all timesteps. The run's log gets seconds, peak_memory_mib, iterations
-    (at most, for so many Gaussians), components, views, n_frequencies and the share of the images' changes that the
-    kept components hold. With six cameras or more (and `config.halves`) noise is shrunk by what two halves of them
-    agree on (`halves.py`); the log then holds `gain_of_components`. From them, or with fewer cameras from samples
-    (`posterior.py`), the run gets RUN/uncertainty.safetensors, and the log `noise_to_motion` (rms) and, from samples,
-    `freedom`. One camera alone is warned of; the log then holds `guess_along_sight_percent`. The log's `pixels_moved`
-    is how far the linear fit moves things. Where 1 % of what is seen moves by more than 0.7 pixels the fit is repeated
-    (`rounds.py`), so many `rounds`, after each of which `misfit_of_rounds` tells what is left of the pictures. If the
-    capture has no cameras but the fixed ones, six or more, rounds sharpen the run's Gaussians, too.
+    Works with the cameras that stay put over all timesteps. The run's log gets seconds, peak_memory_mib, iterations (at
+    most, for so many Gaussians), components, views, n_frequencies and the share of the images' changes that the kept
+    components hold. With six cameras or more (and `config.halves`) noise is shrunk by what two halves of them agree on
+    (`halves.py`); the log then holds `gain_of_components`. From them and from what all get wrong alike (`alike.py`), or
+    with fewer cameras from samples (`posterior.py`), the run gets RUN/uncertainty.safetensors, and the log
+    `noise_to_motion` (rms), from halves `uncertainty_to_motion` and from samples `freedom`. One camera alone is warned
+    of; the log then holds `guess_along_sight_percent`. The log's `pixels_moved` is how far the linear fit moves things.
+    Where 1 % of what is seen moves by more than 0.7 pixels the fit is repeated (`rounds.py`), so many `rounds`, after
+    each of which `misfit_of_rounds` tells what is left of the pictures. If the capture has no cameras but the fixed
+    ones, six or more, rounds sharpen the run's Gaussians, too.
     Without rounds, and with halves, what motion leaves of the pictures is fitted by changes of colour (`light/`, if
     `config.light`): `gain_of_light` in the log is what the halves agree on of each component, 0 for what is dropped.
     Of motion below 0.7 pixels the linear fit's second turn takes out that light and what pictures show of motion beyond
-    their derivative (`fit.py`, `carried/`).
+    their derivative (`fit.py`, `carried/`). With halves, and neighbours that count more than the least candidate, it
+    also loosens what both halves find strained (`prior/joints.py`).
     On CUDA the iterations run there (`device.py`); reading the images, their components, the neighbourhoods, one
     projection of each view, light and what goes beyond the derivative are left to the CPU. Rounds choose the weight of
     the neighbours and project the moved views there in each round, and the uncertainty of few cameras is found there

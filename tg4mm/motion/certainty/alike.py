@@ -20,6 +20,8 @@ from tg4mm.motion.pictures.video import FixedCamera
 
 BLOCK = 4  # pixels: side of what an error of the model reaches over
 _OF_LEFT = 0.04  # of the square of the displacement that the remainder could be
+_FLAT = 0.01
+_TINY = float(np.finfo(np.float32).tiny)
 _OF_VARIATION = 2.5  # of the variance over 32 Gaussians
 
 
@@ -51,27 +53,31 @@ def displacement_left(
 
     left: of every view [R, H, W, 3]; means [N, 3], the Gaussians' places. Means of the squares over pixels by the
     blending weights of the Gaussians `around` each [N, count]; over the whole scene where no camera sees any of these.
+    A surface counts as no flatter than a hundredth of the scene's mean squared slope.
     """
-    seen = np.zeros((len(means), 2))  # of what is left, of what a unit of displacement changes
+    seen = np.zeros((len(means), 3))  # of what is left, of what a unit of displacement changes, of pixels
     for pictures, view, camera in zip(left, views, cameras, strict=True):
-        told = blended(
-            view, np.stack([_of_blocks(pictures), *[_slopes(view)] * 2], -1)
-        )  # the last is not used
+        slopes = _slopes(view)
+        told = blended(view, np.stack([_of_blocks(pictures), slopes, np.ones_like(slopes)], -1))
         depth = means @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
-        per_unit = np.sqrt(camera.K[0, 0] * camera.K[1, 1]) / np.where(told[:, 1] > 0, depth, 1)  # pixels
-        seen += told[:, :2] * np.stack([np.ones(len(means)), per_unit**2], 1)
+        per_unit = np.sqrt(camera.K[0, 0] * camera.K[1, 1]) / np.where(told[:, 2] > 0, depth, 1)  # pixels
+        told[:, 1:] *= per_unit[:, None] ** 2
+        seen += told
     around_each, everywhere = mean_around(seen, around), seen.sum(0)
-    some = np.where(around_each[:, 1:] > 0, around_each, everywhere)
-    return np.asarray(some[:, 0] / np.maximum(some[:, 1], np.finfo(np.float32).tiny))
+    changed, flat = (around_each[:, 1], _FLAT * around_each[:, 2] * everywhere[1] / max(everywhere[2], _TINY))
+    found = around_each[:, 0] / np.maximum(np.maximum(changed, flat), _TINY)
+    return np.where(around_each[:, 2] > 0, found, everywhere[0] / max(everywhere[1], _TINY))
 
 
 def _of_blocks(pictures: np.ndarray) -> np.ndarray:
     """[H, W]: squares of the means over blocks of pictures [R, H, W, 3]; sums over pictures and channels."""
     height, width = pictures.shape[1:3]
-    sums = np.add.reduceat(pictures, np.arange(0, height, BLOCK), axis=1)
-    means = np.add.reduceat(sums, np.arange(0, width, BLOCK), axis=2) / np.float32(BLOCK**2)
+    rows, columns = np.arange(0, height, BLOCK), np.arange(0, width, BLOCK)
+    means = np.add.reduceat(np.add.reduceat(pictures, rows, axis=1), columns, axis=2)
+    tall, wide = np.diff(rows, append=height), np.diff(columns, append=width)
+    means /= np.outer(tall, wide).astype(np.float32)[..., None]
     squares = np.einsum("rhwc,rhwc->hw", means, means)
-    return np.asarray(squares.repeat(BLOCK, 0).repeat(BLOCK, 1)[:height, :width])
+    return np.asarray(squares.repeat(tall, 0).repeat(wide, 1))
 
 
 def _slopes(view: RestView) -> np.ndarray:

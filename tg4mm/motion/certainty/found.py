@@ -22,32 +22,33 @@ _VIEWS = 10  # in which it is told what is left
 
 @dataclass(frozen=True)
 class Found:
-    """Fields of all cameras or of two halves, and what they explain."""
+    """Fields of all cameras or of two halves, what these agree on, and what it explains."""
 
     fields: np.ndarray  # [P, R, N, DOF]
+    shapes: np.ndarray  # [R, N, DOF], what they agree on
     gaussians: Gaussians
-    views: list[RestView]  # of those Gaussians; none if nobody asks for uncertainty
+    views: list[RestView]  # of those Gaussians; may be none where nobody asks for uncertainty
     around: np.ndarray  # [N, count], the Gaussians around each
-    # of a view and fields [R, N, DOF]: the component images [R, H, W, 3] that these explain by the derivative at rest
-    explained: Callable[[int, np.ndarray], np.ndarray]
+    # of a view: the component images [R, H, W, 3] that the shapes explain by the derivative at rest
+    explained: Callable[[int], np.ndarray]
 
-    def left(self, shapes: np.ndarray, rows: Sequence[int]) -> Iterator[np.ndarray]:
-        """For some of the views what fields [R, N, DOF] leave of what they explain, [R, H, W, 3]."""
+    def left(self, rows: Sequence[int]) -> Iterator[np.ndarray]:
+        """For some of the views what the shapes leave of what they explain, [R, H, W, 3]."""
         for v in rows:
-            yield self.explained(v, shapes) - self.views[v].push_all(shapes)
+            yield self.explained(v) - self.views[v].push_all(self.shapes)
 
 
 def of_halves(
-    found: Found, shapes: np.ndarray, cameras: Sequence[FixedCamera], n_timesteps: int
+    found: Found, cameras: Sequence[FixedCamera], n_timesteps: int
 ) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """`uncertainty.safetensors`, and figures for the log, of what halves agree on, `shapes` [R, N, DOF]."""
+    """`uncertainty.safetensors`, and figures for the log, of what two halves of the cameras found."""
     halves = found.fields[..., :3]
     noise = deviation(halves[0], halves[1], found.around).astype(np.float64) ** 2
     rows = np.linspace(0, len(cameras) - 1, min(len(cameras), _VIEWS)).round().astype(int).tolist()
     views, seeing = [found.views[v] for v in rows], [cameras[v] for v in rows]
     means = found.gaussians.means.numpy()
-    left = displacement_left(found.left(shapes, rows), views, seeing, means, found.around)
-    variance = noise + alike(left, variation(shapes[..., :3], found.around))
+    left = displacement_left(found.left(rows), views, seeing, means, found.around)
+    variance = noise + alike(left, variation(found.shapes[..., :3], found.around))
     power = max(float((halves.mean(0) ** 2).sum()), 1e-30)
     tensors = {
         name: torch.from_numpy(np.sqrt(v / n_timesteps).astype(np.float32))

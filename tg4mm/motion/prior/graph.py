@@ -50,7 +50,8 @@ class Graph:
 
     @cached_property
     def blocks(self) -> bsr_matrix:
-        """The prior's matrix [4N, 4N] float64, symmetric, positive semi-definite; mean diagonal of the u rows 1.
+        """The prior's matrix [4N, 4N] float64, symmetric, positive semi-definite; mean diagonal of the u rows 1
+        unless edges were loosened.
 
         The first block of a row is the one on the diagonal.
         """

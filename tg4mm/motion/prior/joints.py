@@ -2,7 +2,8 @@
 
 The prior's squares make a jump dear, so that at the border of parts that move differently the field bends over several
 Gaussians on either side. Once the motion is roughly known, an edge whose misfit both halves see counts as in Cauchy's
-robust loss, w / (1 + s / 3s̄) with its strain s and the mean strain s̄ of all (Holland & Welsch 1977).
+robust loss, w / (1 + s / 3s̄) with its strain s and the mean strain s̄ of all edges by their weights w (Holland & Welsch
+1977). Halves then share what was loosened: their difference says a little less of the noise.
 """
 
 from __future__ import annotations

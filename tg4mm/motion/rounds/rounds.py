@@ -134,7 +134,7 @@ class Rounds:
                 self._polish(where, evidence, keep, update)
         return where
 
-    def found(self, where: Where, evidence: Evidence) -> Found:
+    def outcome(self, where: Where, evidence: Evidence) -> Found:
         """What was found, explaining component images linearised at rest; these are made when they are asked for."""
         shapes, _ = agreed_fields(where.fields)
         views = self._rest(where.gaussians) if self.config.halves else []
@@ -144,7 +144,7 @@ class Rounds:
             return self._at_rest(views, where.gaussians, shapes, evidence)
 
         around = nearest(where.gaussians.means.numpy())[1]
-        return Found(where.fields, where.gaussians, views, around, lambda v, shapes: target()[v])
+        return Found(where.fields, shapes, where.gaussians, views, around, lambda v: target()[v])
 
     def _at_rest(
         self, views: list[RestView], gaussians: Gaussians, shapes: np.ndarray, evidence: Evidence

@@ -43,6 +43,13 @@ def _sparse(matrix: csr_matrix, device: str) -> Tensor:
         return torch.sparse_csr_tensor(start, column, value, size, check_invariants=True).to(device)
 
 
+def _too_small(device: str, holds: str) -> Tg4mmError:
+    return Tg4mmError(
+        f"the motion stage needs more memory than device {device} has: {holds}; "
+        "--device cpu needs none of it and takes up the same run"
+    )
+
+
 @dataclass(frozen=True)
 class _Operator:
     """A sparse matrix and its transpose, each stored by rows."""
@@ -75,10 +82,7 @@ class DeviceProblem:
             for view in problem.views:
                 self.views.append(device_view(view, device, storage))
         except torch.OutOfMemoryError:
-            raise Tg4mmError(
-                f"the motion stage needs more memory than device {device} has: it holds {len(self.views)} of "
-                f"{len(problem.views)} views; --device cpu needs none of it and takes up the same run"
-            ) from None
+            raise _too_small(device, f"it holds {len(self.views)} of {len(problem.views)} views") from None
 
     def _take_parameters(self, problem: MotionProblem) -> None:
         self.config: MotionConfig = problem.config
@@ -135,8 +139,17 @@ class DeviceProblem:
     def with_graph(self, graph: Graph) -> DeviceProblem:
         """As `MotionProblem.with_graph`."""
         other = copy.copy(self)
-        other.stiffness = _sparse(graph.stiffness, self.device)
+        try:
+            other.stiffness = _sparse(graph.stiffness, self.device)
+        except torch.OutOfMemoryError:
+            raise _too_small(self.device, "it holds one matrix of the neighbours, not two") from None
         return other
+
+    def with_prior_of(self, other: DeviceProblem) -> DeviceProblem:
+        """As `MotionProblem.with_prior_of`."""
+        same = copy.copy(self)
+        same.stiffness = other.stiffness
+        return same
 
     def prior(self, x: np.ndarray) -> Tensor:
         """As `MotionProblem.prior`."""

@@ -55,6 +55,10 @@ class MotionProblem:
         """The problem with other weights of edges, in the same unknowns."""
         return replace(self, graph=graph)
 
+    def with_prior_of(self, other: MotionProblem) -> MotionProblem:
+        """`with_graph` of another problem, whose memory it shares."""
+        return self.with_graph(other.graph)
+
     def prior(self, x: np.ndarray) -> np.ndarray:
         """[P, 3]: what the prior alone adds to `normal` of the θ of a field x [4N, 3]."""
         return self.with_prior(x, np.zeros((self.graph.n_gaussians, DOF), np.float32))
