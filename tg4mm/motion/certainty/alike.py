@@ -20,9 +20,9 @@ from tg4mm.motion.pictures.video import FixedCamera
 
 BLOCK = 4  # pixels: side of what an error of the model reaches over
 _OF_LEFT = 0.04  # of the square of the displacement that the remainder could be
-_FLAT = 0.01
-_TINY = float(np.finfo(np.float32).tiny)
 _OF_VARIATION = 2.5  # of the variance over 32 Gaussians
+_FLAT = 0.01  # of the scene's mean squared slope: as flat as anything counts
+_TINY = float(np.finfo(np.float32).tiny)
 
 
 def alike(left: np.ndarray, varying: np.ndarray) -> np.ndarray:
@@ -64,8 +64,8 @@ def displacement_left(
         told[:, 1:] *= per_unit[:, None] ** 2
         seen += told
     around_each, everywhere = mean_around(seen, around), seen.sum(0)
-    changed, flat = (around_each[:, 1], _FLAT * around_each[:, 2] * everywhere[1] / max(everywhere[2], _TINY))
-    found = around_each[:, 0] / np.maximum(np.maximum(changed, flat), _TINY)
+    flat = _FLAT * around_each[:, 2] * everywhere[1] / max(everywhere[2], _TINY)
+    found = around_each[:, 0] / np.maximum(np.maximum(around_each[:, 1], flat), _TINY)
     return np.where(around_each[:, 2] > 0, found, everywhere[0] / max(everywhere[1], _TINY))
 
 
