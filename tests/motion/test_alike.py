@@ -95,6 +95,21 @@ def test_what_is_left_of_a_shift_is_a_part_of_it_on_each_scale(seen: Seen) -> No
     assert 0.5 < ratio < 2  # a block is a smaller part of what it shows
 
 
+def test_on_a_ramp_it_is_what_is_left_over_its_slope(seen: Seen) -> None:
+    """r on a slope of g per pixel is r / g pixels, z / f of a unit each."""
+    view, camera, g, r = seen.views[0], seen.cameras[0], 0.02, 0.003
+    image = view.image.copy()
+    image[..., :3] = g * np.arange(SIZE)[:, None] - view.transmittance[..., None]
+    one = replace(seen, cameras=[camera], views=[replace(view, image=image)])
+    found = one.left([np.full((1, SIZE, SIZE, 3), r, np.float32)])
+    depth = seen.gaussians.means.numpy() @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
+    near = np.ptp(depth[seen.around], axis=1) < 0.1 * depth  # neighbours are about as far away
+    shown = blended(view, np.ones((SIZE, SIZE, 3), np.float32))[:, 0] > 0
+    assert (near & shown).sum() > 100
+    expected = (r / g * depth / camera.K[0, 0]) ** 2
+    np.testing.assert_allclose(found[near & shown], expected[near & shown], rtol=0.15)
+
+
 def test_it_goes_by_the_square_and_noise_counts_little(seen: Seen) -> None:
     left = seen.shows((0.01, 0, 0))
     once, twice = seen.left(left), seen.left([2 * pictures for pictures in left])
