@@ -11,6 +11,7 @@ import pytest
 from PIL import Image
 
 ANGLE_X = 0.7
+FPS = 30  # Hz, of the tree
 SIZE = (12, 8)  # width, height
 
 
@@ -25,14 +26,18 @@ def pose(azimuth: float = 0.3) -> list[list[float]]:
     return c2w.tolist()
 
 
-def write_folder(folder: Path, split: str = "train", views: int = 2, value: int = 100) -> Path:
+def write_folder(
+    folder: Path, split: str = "train", views: int = 2, value: int = 100, time_s: float = 0.0
+) -> Path:
     """One NeRF-synthetic folder with a split; every camera keeps its place, whatever the folder."""
     (folder / split).mkdir(parents=True, exist_ok=True)
     frames = []
     for i in range(views):
         pixels = np.full((SIZE[1], SIZE[0], 4), value + i, np.uint8)
         Image.fromarray(pixels, "RGBA").save(folder / split / f"r_{i:03d}.png")
-        frames.append({"file_path": f"./{split}/r_{i:03d}", "transform_matrix": pose(0.3 + i), "time": 0.0})
+        frames.append(
+            {"file_path": f"./{split}/r_{i:03d}", "transform_matrix": pose(0.3 + i), "time": time_s}
+        )
     (folder / f"transforms_{split}.json").write_text(
         json.dumps({"camera_angle_x": ANGLE_X, "frames": frames})
     )
@@ -42,10 +47,10 @@ def write_folder(folder: Path, split: str = "train", views: int = 2, value: int 
 def write_tree(root: Path, timesteps: int = 3, scene: dict | None = None) -> Path:
     """A dataset tree with a train and a test split and ground truth at α = 5."""
     for t in range(timesteps):
-        write_folder(root / f"{t:03d}", "train", views=2, value=100 + 10 * t)
-        write_folder(root / f"{t:03d}", "test", views=1, value=150 + 10 * t)
-        write_folder(root / "magnified" / "x005" / f"{t:03d}", "test", views=1, value=200 + 10 * t)
-    (root / "scene.json").write_text(json.dumps({"fps": 30} if scene is None else scene))
+        write_folder(root / f"{t:03d}", "train", 2, 100 + 10 * t, t / FPS)
+        write_folder(root / f"{t:03d}", "test", 1, 150 + 10 * t, t / FPS)
+        write_folder(root / "magnified" / "x005" / f"{t:03d}", "test", 1, 200 + 10 * t, t / FPS)
+    (root / "scene.json").write_text(json.dumps({"fps": FPS} if scene is None else scene))
     return root
 
 

@@ -250,6 +250,12 @@ def test_sizes_that_differ(tree):
         ({"fps": 30, "engine": "cycles"}, "engine is 'cycles'"),
         ({"fps": 30, "width": -1}, "width is -1"),
         ({"fps": 30, "frequency_hz": "5"}, "frequency_hz is '5'"),
+        (
+            {"fps": 30, "kind": "drone"},
+            "kind is 'drone'; expected one of photos, flat, tripod, handheld, rig",
+        ),
+        ({"fps": 30, "kind": ["rig"]}, "kind is ['rig']"),
+        ({"fps": 30, "pixels_per_unit": "x"}, "pixels_per_unit is 'x'"),
         ({"fps": 30, "format_version": 2}, "format_version is 2; expected 1"),
         ([30], "[30]; expected a JSON object"),
     ],

@@ -97,10 +97,10 @@ def test_timesteps_may_have_different_numbers_of_views(tree, tools):
 
 
 def test_scene_json_is_kept_and_null_counts_as_unknown(tree, tools):
-    scene = {"fps": 25.0, "n_timesteps": 3, "unit_scale_m": None, "alphas": [5], "note": "kept", "seed": 0}
+    scene = {"fps": 30.0, "n_timesteps": 3, "unit_scale_m": None, "alphas": [5], "note": "kept", "seed": 0}
     (tree / "scene.json").write_text(json.dumps(scene))
     capture = load_capture(tree)
-    assert (capture.fps, capture.unit_scale_m, capture.scene) == (25.0, None, scene)
+    assert (capture.fps, capture.unit_scale_m, capture.scene) == (30.0, None, scene)
     tools["edit"](tree / "scene.json", lambda v: v.update(unit_scale_m=0.01))
     assert load_capture(tree).unit_scale_m == 0.01
 

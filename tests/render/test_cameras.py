@@ -48,7 +48,8 @@ def test_orbit_is_a_level_circle_with_the_median_radius_and_elevation(capture):
 
 def test_a_fixed_camera_needs_a_centre_to_orbit_around(capture):
     rows = np.flatnonzero(capture.camera_ids == 0)
-    arrays = {name: getattr(capture, name)[rows] for name in ("viewmats", "Ks", "timesteps", "camera_ids")}
+    names = ("viewmats", "Ks", "timesteps", "camera_ids", "times_s")
+    arrays = {name: getattr(capture, name)[rows] for name in names}
     fixed = replace(capture, **arrays, paths=tuple(capture.paths[i] for i in rows))
     with pytest.raises(RunError, match="one direction only"):
         orbit(fixed, 4)

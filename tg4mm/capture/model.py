@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from tg4mm.capture.timing import KINDS, kind_of_cameras, times_of_timesteps
+
 
 @dataclass(frozen=True)
 class SurfacePoints:
@@ -39,10 +41,22 @@ class Capture:
     unit_scale_m: float | None = None  # metres per scene unit; None if unknown
     points: SurfacePoints | None = None
     scene: dict = field(default_factory=dict)  # scene.json as read, {} if absent
+    kind: str = ""  # one of KINDS; where none is given, what the cameras look like
+    # [C] float64, seconds on the clock of the image's own camera; NaN for a picture of the scene at rest whose time
+    # is not known. Where none are given, t / fps.
+    times_s: np.ndarray = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
+        if self.times_s is None:
+            object.__setattr__(self, "times_s", times_of_timesteps(self.timesteps, self.fps))
+        if not self.kind:
+            kind = kind_of_cameras(self.camera_ids, self.timesteps, self.n_timesteps)
+            object.__setattr__(self, "kind", kind)
+        if self.kind not in KINDS:
+            raise ValueError(f"kind is {self.kind!r}, expected one of {', '.join(KINDS)}")
         c = len(self.paths)
-        expected = {"viewmats": (c, 4, 4), "Ks": (c, 3, 3), "timesteps": (c,), "camera_ids": (c,)}
+        vectors = dict.fromkeys(("timesteps", "camera_ids", "times_s"), (c,))
+        expected = {"viewmats": (c, 4, 4), "Ks": (c, 3, 3), **vectors}
         for name, shape in expected.items():
             actual = getattr(self, name).shape
             if actual != shape:
@@ -51,10 +65,3 @@ class Capture:
     def __len__(self) -> int:
         """C, the number of images."""
         return len(self.paths)
-
-    @property
-    def times_s(self) -> np.ndarray:
-        """[C] float64 seconds since timestep 0 of each image: t / fps."""
-        if self.n_timesteps == 1:
-            return np.zeros(len(self))
-        return self.timesteps / self.fps

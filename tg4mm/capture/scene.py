@@ -8,16 +8,18 @@ from typing import Any
 
 from tg4mm.capture.confine import inside
 from tg4mm.capture.records import Record, read_record
+from tg4mm.capture.timing import KINDS
 from tg4mm.errors import CaptureError
 
 FORMAT_VERSION = 1
 _FASTEST = 1e9  # Hz
 # Keys that nothing here needs but others read: their type is checked, null counts as absent.
-_NUMBERS = ("frequency_hz", "amplitude")
+_NUMBERS = ("frequency_hz", "amplitude", "pixels_per_unit")
 _COUNTS = ("width", "height", "n_train", "n_test")
 _TYPES: dict[str, tuple[type, str]] = {
     "scene": (str, "a string"),
     "background": (str, "a string"),
+    "sfm": (dict, "an object {…}"),
     "engine": (dict, "an object {…}"),
     "modes": (list, "a list of objects"),
     "alphas": (list, "a list of numbers"),
@@ -31,6 +33,7 @@ class Scene:
     fps: float = 0.0  # Hz; 0.0 if unknown
     n_timesteps: int | None = None
     unit_scale_m: float | None = None  # metres per scene unit
+    kind: str = ""  # one of KINDS; "" if it does not say
     values: dict[str, Any] = field(default_factory=dict)
 
 
@@ -47,8 +50,15 @@ def read_scene(root: Path, needs_fps: bool) -> Scene:
         fps=record.number("fps", low=0.0, high=_FASTEST) if needs_fps or record.has("fps") else 0.0,
         n_timesteps=record.whole("n_timesteps", 1) if record.has("n_timesteps") else None,
         unit_scale_m=record.number("unit_scale_m", low=0.0) if record.has("unit_scale_m") else None,
+        kind=_kind(record) if record.has("kind") else "",
         values=record.values,
     )
+
+
+def _kind(record: Record) -> str:
+    if record.values["kind"] not in KINDS:
+        raise record.error("kind", f"one of {', '.join(KINDS)}")
+    return record.values["kind"]
 
 
 def _check_types(record: Record) -> None:

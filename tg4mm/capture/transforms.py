@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
@@ -18,6 +19,7 @@ from tg4mm.capture.model import Capture, SurfacePoints
 from tg4mm.capture.points import read_points
 from tg4mm.capture.records import Record, read_record, shown
 from tg4mm.capture.scene import Scene
+from tg4mm.capture.timing import check_times, times_of_timesteps
 from tg4mm.errors import CaptureError
 
 SPLITS = ("train", "test", "val")
@@ -32,6 +34,7 @@ class View:
     pose: np.ndarray  # [4, 4] camera-to-world, OpenGL axes
     frame: Record
     file: Record
+    time_s: float = math.nan  # the frame's own time; NaN where it has none
 
 
 def read_views(root: Path, folder: Path, split: str, timestep: int) -> list[View]:
@@ -66,9 +69,8 @@ def views_of_frames(
         image = image_path(root, folder, frame.text("file_path"), frame.where)
         if image in views:
             raise CaptureError(f"{frame.where}: image {image} is already that of another frame")
-        if frame.has("time"):
-            frame.number("time")  # the timestep comes from the folder; a time must be finite all the same
-        views[image] = View(image, timestep, read_pose(frame), frame, file)
+        time_s = frame.number("time") if frame.has("time") else math.nan
+        views[image] = View(image, timestep, read_pose(frame), frame, file, time_s)
     return in_order(folder, views.values())
 
 
@@ -101,6 +103,7 @@ def assemble(
             first = f"{views[0].path} is {sizes[0][0]}×{sizes[0][1]}"
             raise CaptureError(f"{view.path}: is {size[0]}×{size[1]} pixels, but {first}")
     width, height = sizes[0]
+    times_s = _times(root, views, scene.fps, n_timesteps)
     viewmats = world_to_camera(np.stack([view.pose for view in views]))
     Ks = np.stack([read_intrinsics(view.frame, view.file, width, height) for view in views])
     return Capture(
@@ -118,4 +121,21 @@ def assemble(
         unit_scale_m=scene.unit_scale_m,
         points=read_points(root) if points is None else points,
         scene=scene.values,
+        kind=scene.kind,
+        times_s=times_s,
     )
+
+
+def _times(root: Path, views: list[View], fps: float, n_timesteps: int) -> np.ndarray:
+    """The frames' own times [C], t / fps where none has any. Raises CaptureError where they contradict fps."""
+    times_s = np.array([view.time_s for view in views])
+    if np.isnan(times_s).all():
+        return times_of_timesteps(np.array([view.timestep for view in views]), fps)
+    for view in views:
+        if math.isnan(view.time_s) and view.timestep > 0:
+            raise CaptureError(f"{view.path}: its frame has no time, though others have")
+    if n_timesteps > 1:
+        cameras = [view.path.stem for view in views]  # a camera's pictures bear one name in all timesteps
+        timesteps = np.array([view.timestep for view in views])
+        check_times(str(root / "scene.json"), times_s, timesteps, cameras, fps)
+    return times_s

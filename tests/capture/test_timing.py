@@ -1,0 +1,132 @@
+"""When a capture's pictures were taken, and of what kind it is."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tg4mm.capture import Capture, load_capture
+from tg4mm.capture.timing import KINDS, check_times, kind_of_cameras
+from tg4mm.errors import CaptureError
+
+
+def of_cameras(cameras: dict[int, list[int]], n_timesteps: int) -> str:
+    """The kind of a capture in which each camera has pictures at these timesteps."""
+    ids = [camera for camera, timesteps in cameras.items() for _ in timesteps]
+    times = [t for timesteps in cameras.values() for t in timesteps]
+    return kind_of_cameras(np.array(ids), np.array(times), n_timesteps)
+
+
+def retime(tree: Path, times: dict[int, float | None], split: str = "train") -> None:
+    """Give the frames of each timestep this time; None takes it away."""
+    for t, time_s in times.items():
+        path = tree / f"{t:03d}" / f"transforms_{split}.json"
+        values = json.loads(path.read_text())
+        for frame in values["frames"]:
+            frame.pop("time", None)
+            if time_s is not None:
+                frame["time"] = time_s
+        path.write_text(json.dumps(values))
+
+
+class TestKind:
+    def test_one_timestep_is_photographs(self) -> None:
+        assert of_cameras({0: [0], 1: [0]}, 1) == "photos"
+
+    def test_cameras_that_stay_are_counted(self) -> None:
+        steps = list(range(20))
+        assert of_cameras({0: steps, 1: [0], 2: [0]}, 20) == "tripod"
+        assert of_cameras({0: steps, 1: steps}, 20) == "rig"
+        assert of_cameras({t: [t] for t in steps}, 20) == "handheld"
+
+    def test_a_camera_that_misses_one_of_many_stayed(self) -> None:
+        assert of_cameras({0: list(range(20)), 1: list(range(19))}, 20) == "rig"
+        assert of_cameras({0: list(range(20)), 1: list(range(10))}, 20) == "tripod"
+
+    def test_scene_json_has_the_last_word(self, tree: Path, tools) -> None:
+        assert load_capture(tree).kind == "rig"
+        for kind in KINDS:
+            tools["edit"](tree / "scene.json", lambda v, kind=kind: v.update(kind=kind))
+            assert load_capture(tree).kind == kind
+
+    def test_a_single_folder_is_photographs(self, folder: Path) -> None:
+        assert load_capture(folder).kind == "photos"
+
+
+class TestTimes:
+    def test_the_frames_own_times_are_taken(self, tree: Path) -> None:
+        retime(tree, {0: 7.0, 1: 7.0332, 2: 7.0668})
+        np.testing.assert_array_equal(load_capture(tree).times_s, [7.0, 7.0, 7.0332, 7.0332, 7.0668, 7.0668])
+
+    def test_without_any_they_follow_from_the_frame_rate(self, tree: Path) -> None:
+        retime(tree, dict.fromkeys(range(3)))
+        np.testing.assert_allclose(load_capture(tree).times_s, np.array([0, 0, 1, 1, 2, 2]) / 30)
+
+    def test_a_picture_of_the_scene_at_rest_has_none(self, tree: Path, tools) -> None:
+        tools["folder"](tree / "000", "train", views=3)
+        path = tree / "000" / "transforms_train.json"
+        tools["edit"](path, lambda v: v["frames"][2].pop("time"))
+        times = load_capture(tree).times_s
+        assert np.isnan(times).tolist() == [False, False, True, False, False, False, False]
+
+    def test_a_later_picture_needs_one(self, tree: Path, tools) -> None:
+        path = tree / "001" / "transforms_train.json"
+        tools["edit"](path, lambda v: v["frames"][1].pop("time"))
+        with pytest.raises(CaptureError, match=r"r_001\.png: its frame has no time, though others have"):
+            load_capture(tree)
+
+    def test_an_edited_frame_rate_is_refused_with_both_numbers(self, tree: Path) -> None:
+        (tree / "scene.json").write_text('{"fps": 60}')
+        with pytest.raises(
+            CaptureError,
+            match=r"scene\.json: fps is 60, but the times of camera r_000 step by 0\.0333333 s \(30 Hz\)",
+        ):
+            load_capture(tree)
+
+    def test_times_that_stand_still_are_refused(self, tree: Path) -> None:
+        retime(tree, dict.fromkeys(range(3), 0.0))
+        with pytest.raises(CaptureError, match=r"fps is 30, .* step by 0 s \(no frame rate\)"):
+            load_capture(tree)
+
+    def test_a_lone_timestep_with_a_late_time_is_none_of_our_business(self, folder: Path) -> None:
+        (folder / "scene.json").write_text('{"fps": 12}')
+        assert load_capture(folder).times_s.tolist() == [0.0, 0.0]
+
+    def test_dropped_frames_are_fine(self) -> None:
+        dropped = np.array([0, 1, 2, 3, 5, 6, 7, 8, 11, 12]) / 30
+        check_times("scene.json", dropped, np.arange(10), ["a"] * 10, 30.0)
+        with pytest.raises(CaptureError):
+            check_times("scene.json", dropped, np.arange(10), ["a"] * 10, 29.0)
+
+    def test_ntsc_and_its_rounding_agree(self) -> None:
+        times = np.arange(30) * 1001 / 30000
+        check_times("scene.json", times, np.arange(30), ["a"] * 30, 29.97)
+
+    def test_a_camera_seen_at_every_tenth_timestep_is_measured_by_tens(self) -> None:
+        check_times("scene.json", np.arange(4) * 10 / 30, np.arange(4) * 10, ["a"] * 4, 30.0)
+
+    def test_each_camera_has_a_clock_of_its_own(self) -> None:
+        times = np.concatenate([np.arange(5) / 30, 100 + np.arange(5) / 30])
+        check_times("scene.json", times, np.tile(np.arange(5), 2), ["a"] * 5 + ["b"] * 5, 30.0)
+
+
+def test_a_capture_made_by_hand_gets_kind_and_times() -> None:
+    capture = Capture(
+        Path(), "train", 4, 4, 10.0, 3, np.tile(np.eye(4), (3, 1, 1)), np.tile(np.eye(3), (3, 1, 1)),
+        np.arange(3), np.zeros(3, int), (Path("a"),) * 3,
+    )  # fmt: skip
+    assert capture.kind == "tripod"
+    np.testing.assert_allclose(capture.times_s, [0, 0.1, 0.2])
+    assert math.isclose(capture.times_s[2], 0.2)
+
+
+def test_a_wrong_length_or_kind_is_refused() -> None:
+    arrays = (np.eye(4)[None], np.eye(3)[None], np.zeros(1, int), np.zeros(1, int), (Path("a"),))
+    with pytest.raises(ValueError, match=r"times_s has shape \(2,\), expected \(1,\)"):
+        Capture(Path(), "train", 4, 4, 0.0, 1, *arrays, times_s=np.zeros(2))
+    with pytest.raises(ValueError, match="kind is 'x', expected one of photos"):
+        Capture(Path(), "train", 4, 4, 0.0, 1, *arrays, kind="x")

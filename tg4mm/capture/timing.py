@@ -1,0 +1,55 @@
+"""When pictures were taken, and what kind of capture their cameras make (docs/conventions.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tg4mm.errors import CaptureError
+
+# photos: a still scene. flat: one fixed camera and nothing else. tripod: one fixed camera, and pictures of the scene at
+# rest. handheld: one camera that moves all the time. rig: several fixed cameras. clips: one camera that filmed from
+# several places, one after another.
+KINDS = ("photos", "flat", "tripod", "handheld", "rig", "clips")
+NEARLY_ALL = 0.9  # of the timesteps, for a camera to count as one that stayed put
+TOLERANCE = 0.01  # of 1 / fps, that the median step of a camera's times may be off
+
+
+def times_of_timesteps(timesteps: np.ndarray, fps: float) -> np.ndarray:
+    """[C] float64, seconds: t / fps; zeros where the frame rate is not known (fps = 0)."""
+    return timesteps / fps if fps else np.zeros(len(timesteps))
+
+
+def kind_of_cameras(camera_ids: np.ndarray, timesteps: np.ndarray, n_timesteps: int) -> str:
+    """One of KINDS, from how many cameras have a picture at (nearly) every timestep. Never flat nor clips."""
+    if n_timesteps == 1:
+        return "photos"
+    pairs = np.unique(np.stack([camera_ids, timesteps]), axis=1)
+    counts = np.unique(pairs[0], return_counts=True)[1]
+    fixed = int((counts >= max(2, NEARLY_ALL * n_timesteps)).sum())
+    return ("handheld", "tripod", "rig")[min(fixed, 2)]
+
+
+def check_times(
+    where: str, times_s: np.ndarray, timesteps: np.ndarray, cameras: Sequence[str], fps: float
+) -> None:
+    """Raise CaptureError where a camera's times contradict fps: the median of their steps is not 1 / fps.
+
+    where: the file that says fps. times_s [C] in seconds (NaN: not known), of pictures by `cameras` [C] at timesteps
+    [C]. Single steps may differ: phones drop frames.
+    """
+    names = np.array(cameras)
+    for camera in dict.fromkeys(cameras):
+        rows = np.flatnonzero((names == camera) & np.isfinite(times_s))
+        rows = rows[np.argsort(timesteps[rows], kind="stable")]
+        between = np.diff(timesteps[rows])
+        if not len(between) or (between == 0).any():
+            continue
+        step = float(np.median(np.diff(times_s[rows]) / between))
+        if not abs(step * fps - 1) <= TOLERANCE:
+            rate = f"{1 / step:.6g} Hz" if step > 0 else "no frame rate"
+            raise CaptureError(
+                f"{where}: fps is {fps:.6g}, but the times of camera {camera} step by {step:.6g} s ({rate}): "
+                "mend fps, or the frames' time"
+            )
