@@ -41,7 +41,7 @@ from tg4mm.evaluate.weights import blending_weights
 from tg4mm.files import write_json
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion import ModalMotion, MotionConfig
-from tg4mm.motion.apply import mover
+from tg4mm.motion.animate import animator
 from tg4mm.motion.train import train_motion
 from tg4mm.paper import PAPER, PaperConfig, first_views, train_timesteps, train_triplane
 from tg4mm.paper.config import base_config
@@ -111,7 +111,7 @@ def frames_per_second(
     views = torch.from_numpy(np.stack([c.viewmat for c in cameras]).astype(np.float32)).to(device)
     white = torch.ones(1, 3, device=device)
     g = gaussians.to(device)
-    at = mover(g, motion)
+    at = animator(g, motion)
 
     def frame(i: int) -> Tensor:
         p = at(i % motion.n_timesteps, ALPHA)

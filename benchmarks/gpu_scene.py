@@ -12,7 +12,7 @@ import torch
 from tg4mm.capture import Capture, ImageStack
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion import ModalMotion
-from tg4mm.motion.apply import mover
+from tg4mm.motion.animate import animator
 from tg4mm.render import render_image
 from tg4mm.render.cameras import look_at
 from tg4mm.render.frames import to_bytes
@@ -64,7 +64,7 @@ def sway(gaussians: Gaussians, n_timesteps: int) -> ModalMotion:
 def moving(gaussians: Gaussians, motion: ModalMotion, capture: Capture) -> tuple[Capture, ImageStack]:
     """The capture (of one timestep) again at every timestep of the motion."""
     T, views = motion.n_timesteps, len(capture)
-    at = mover(gaussians, motion)
+    at = animator(gaussians, motion)
     images = photographed([at(t) for t in range(T)], capture)
     repeated = dataclasses.replace(
         capture,

@@ -28,7 +28,7 @@ from tg4mm.evaluate.truth import exact_motion, load_truth
 from tg4mm.evaluate.weights import blending_weights
 from tg4mm.magnify.linear import series_modes
 from tg4mm.motion import ModalMotion, MotionConfig
-from tg4mm.motion.apply import displacement_at
+from tg4mm.motion.animate import displacement_at
 from tg4mm.motion.pictures.differences import temporal_components
 from tg4mm.motion.pictures.video import fixed_cameras
 from tg4mm.motion.train import train_motion
@@ -52,7 +52,8 @@ class Subject:
         c = self.capture
         rows = c.timesteps < n_timesteps
         paths = tuple(path for path, keep in zip(c.paths, rows, strict=True) if keep)
-        arrays = {name: getattr(c, name)[rows] for name in ("viewmats", "Ks", "timesteps", "camera_ids")}
+        names = ("viewmats", "Ks", "timesteps", "camera_ids", "times_s")
+        arrays = {name: getattr(c, name)[rows] for name in names}
         return replace(c, n_timesteps=n_timesteps, paths=paths, **arrays), ImageStack(self.images.data[rows])
 
     def truth(self, n_timesteps: int) -> ModalMotion:

@@ -27,7 +27,7 @@ from training import in_turn
 
 from tg4mm.capture import load_capture
 from tg4mm.evaluate.metrics import flip, ssim
-from tg4mm.motion.apply import mover
+from tg4mm.motion.animate import animator
 from tg4mm.rasterize.buffers import Buffers
 from tg4mm.rasterize.kernels.binning import Bins, bin_splats, gather_sums
 from tg4mm.rasterize.kernels.blend import blend_forward
@@ -113,7 +113,7 @@ def main() -> None:
     gaussians, capture = run.load_space(), load_capture(run.dataset)
     viewmat, K = (np.asarray(a[options.camera], np.float32) for a in (capture.viewmats, capture.Ks))
     size = (capture.width, capture.height)
-    camera, at = pack_camera(viewmat, K, NEAR, FAR, EPS2D), mover(gaussians, sway(gaussians, 30))
+    camera, at = pack_camera(viewmat, K, NEAR, FAR, EPS2D), animator(gaussians, sway(gaussians, 30))
 
     def projected(g) -> np.ndarray:
         splats = empty_splats(len(g))

@@ -28,7 +28,7 @@ from common import machine
 
 from tg4mm.capture import load_capture, load_images
 from tg4mm.motion.config import MotionConfig
-from tg4mm.motion.jacobian.linear import rest_view
+from tg4mm.motion.jacobian.view import view_jacobian
 from tg4mm.motion.pictures.video import fixed_cameras
 from tg4mm.motion.posing.pose import Problems
 from tg4mm.motion.posing.weight import DEFAULT
@@ -126,7 +126,7 @@ def main() -> None:
         calls = space_iterations(gaussians, rest_views(capture, images))
         table(f"space stage, {size}: an iteration", calls, options.iterations, dict.fromkeys(calls, 1))
     if options.stage != "space":
-        views = [rest_view(gaussians, c, (capture.width, capture.height)) for c in fixed_cameras(capture)]
+        views = [view_jacobian(gaussians, c, (capture.width, capture.height)) for c in fixed_cameras(capture)]
         (problem,) = Problems(views, gaussians, MotionConfig(), "cpu").of(None, [DEFAULT])
         assert isinstance(problem, MotionProblem)
         title = f"motion stage, {size}, {len(views)} views: a component's iteration, so many at once"

@@ -17,7 +17,7 @@ import torch
 from PIL import Image
 
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.modal import ModalMotion
+from tg4mm.motion.modes import ModalMotion
 
 CAMERA_ANGLE_X = 0.6911112070083618  # radians, NeRF-synthetic's
 RADIUS = 4.0  # scene units, camera to the point looked at

@@ -9,7 +9,7 @@ import pytest
 from tests.synthetic import make_synthetic_dataset
 from tg4mm.errors import RunError, Tg4mmError
 from tg4mm.export import export_ply, export_ply_sequence, to_splat
-from tg4mm.motion.light.model import Light
+from tg4mm.motion.appearance_modes import AppearanceModes
 from tg4mm.runs import Run
 from tg4mm.splatfile import positions_at, read_splat
 
@@ -41,7 +41,7 @@ def test_a_splat_file_holds_no_light_not_even_that_of_its_zero(run, tmp_path):
     """Of light that rests at another place than the mean a part alone would be a wrong colour."""
     gaussians, motion = run.load_space(), run.load_motion()
     shapes = np.full((1, len(gaussians), 1, 3), 0.1, np.float32)
-    light = Light(shapes, np.ones((3, 1), np.complex128))
+    light = AppearanceModes(shapes, np.ones((3, 1), np.complex128))
     zero = np.zeros_like(motion.displacement[:1])
     run.save_motion(
         replace(

@@ -18,7 +18,7 @@ from safetensors.torch import save_file
 
 from tg4mm.errors import RunError
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.modal import ModalMotion
+from tg4mm.motion.modes import ModalMotion
 from tg4mm.runs import Run
 
 SETTINGS = {"seed": 0, "iterations": 100, "band_hz": [4.0, 6.0], "size": None}

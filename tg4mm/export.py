@@ -12,8 +12,8 @@ import numpy as np
 from tg4mm.capture import load_capture
 from tg4mm.errors import RunError, Tg4mmError
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.apply import moved
-from tg4mm.motion.modal import ModalMotion
+from tg4mm.motion.animate import animate
+from tg4mm.motion.modes import ModalMotion
 from tg4mm.progress import progress
 from tg4mm.runs import Run
 from tg4mm.splatfile import SplatFile, write_splat
@@ -88,7 +88,7 @@ def _from_its_zero(gaussians: Gaussians, motion: ModalMotion) -> tuple[Gaussians
     if not still.any():
         return gaussians, motion
     motion = replace(motion, light=None)  # of which a splat file holds nothing
-    return moved(gaussians, motion.selected(still), 0.0), motion.selected(~still)
+    return animate(gaussians, motion.selected(still), 0.0), motion.selected(~still)
 
 
 def _is_ply(path: Path) -> bool:

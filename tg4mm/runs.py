@@ -27,8 +27,8 @@ from torch import Tensor
 from tg4mm.errors import RunError
 from tg4mm.files import remove_leftovers, to_json, write_json
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.light.model import Light
-from tg4mm.motion.modal import ModalMotion
+from tg4mm.motion.appearance_modes import AppearanceModes
+from tg4mm.motion.modes import ModalMotion
 from tg4mm.runconfig import (
     VERSION,
     check_empty,
@@ -155,7 +155,7 @@ class Run:
             **arrays,
             fps=float(extra["fps"]),
             n_timesteps=int(extra["n_timesteps"]),
-            light=Light(*lit) if lit else None,
+            light=AppearanceModes(*lit) if lit else None,
         )
         self._check_motion(motion, str(file))
         return motion

@@ -67,7 +67,7 @@ def test_the_evaluation_reads_the_exact_motion_back(tmp_path, motion, alpha):
     pytest.importorskip("scipy")
     pytest.importorskip("torch")
     from tg4mm.evaluate.truth import exact_motion, load_truth
-    from tg4mm.motion.apply import displacement_at
+    from tg4mm.motion.animate import displacement_at
 
     truth.write_motion(tmp_path / "truth" / "motion.npz", bodies(), motion, T)
     corners = np.concatenate([b.vertices for b in bodies()])

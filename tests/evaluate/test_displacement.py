@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tg4mm.evaluate.displacement import displacement_figures, frequency_figures
-from tg4mm.motion.modal import ModalMotion
+from tg4mm.motion.modes import ModalMotion
 
 FPS, T, N = 30.0, 30, 40
 

@@ -14,7 +14,7 @@ from tg4mm.errors import CaptureError
 from tg4mm.evaluate import EvaluationError, evaluate_run, format_table
 from tg4mm.evaluate.metrics import psnr
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.modal import ModalMotion
+from tg4mm.motion.modes import ModalMotion
 from tg4mm.runs import Run
 
 STATIC, OURS, CEILING = "nothing moves", "ours", "ceiling"

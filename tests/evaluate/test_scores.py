@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tg4mm.evaluate.scores import Method, in_band
-from tg4mm.motion.modal import ModalMotion
+from tg4mm.motion.modes import ModalMotion
 
 FPS, T = 30.0, 30
 

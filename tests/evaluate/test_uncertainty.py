@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tg4mm.evaluate.uncertainty import uncertainty_figures
-from tg4mm.motion.modal import ModalMotion
+from tg4mm.motion.modes import ModalMotion
 
 N = 400
 

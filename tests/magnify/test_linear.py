@@ -8,8 +8,8 @@ import pytest
 from tg4mm.magnify import BandGain, Magnification, TemporalFilter
 from tg4mm.magnify.filters import bins
 from tg4mm.magnify.linear import magnified_motion, magnified_series, series_modes
-from tg4mm.motion.apply import displacement_at, rotation_at
-from tg4mm.motion.modal import ModalMotion
+from tg4mm.motion.animate import displacement_at, rotation_at
+from tg4mm.motion.modes import ModalMotion
 
 FPS = 30.0
 IDEAL = TemporalFilter("ideal")

@@ -17,9 +17,9 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.motion import ModalMotion, MotionConfig
 from tg4mm.motion.certainty import alike
 from tg4mm.motion.certainty.alike import BLOCK, displacement_left, variation
-from tg4mm.motion.jacobian.colours import blended
-from tg4mm.motion.jacobian.linear import RestView, rest_view
+from tg4mm.motion.jacobian.colour import blend_sum
 from tg4mm.motion.jacobian.packed import DOF
+from tg4mm.motion.jacobian.view import ViewJacobian, view_jacobian
 from tg4mm.motion.pictures.video import FixedCamera, fixed_cameras
 from tg4mm.motion.prior.graph import nearest
 from tg4mm.motion.train import train_motion
@@ -34,7 +34,7 @@ class Seen:
     gaussians: Gaussians
     motion: ModalMotion
     cameras: list[FixedCamera]
-    views: list[RestView]
+    views: list[ViewJacobian]
 
     @property
     def around(self) -> np.ndarray:
@@ -47,14 +47,14 @@ class Seen:
         """[1, H, W, 3] of each view: what it changes if everything moves."""
         fields = np.zeros((1, len(self.gaussians), DOF), np.float32)
         fields[..., :3] = displacement
-        return [view.push_all(fields) for view in self.views]
+        return [view.jvp(fields) for view in self.views]
 
     def weights(self) -> np.ndarray:
         return blending_weights(self.gaussians, self.capture)
 
 
-def _views(gaussians: Gaussians, cameras: list[FixedCamera], size: int) -> list[RestView]:
-    return [rest_view(gaussians, camera, (size, size)) for camera in cameras]
+def _views(gaussians: Gaussians, cameras: list[FixedCamera], size: int) -> list[ViewJacobian]:
+    return [view_jacobian(gaussians, camera, (size, size)) for camera in cameras]
 
 
 @pytest.fixture(scope="module")
@@ -74,8 +74,8 @@ def test_a_picture_is_blended_by_what_the_gaussians_cover(seen: Seen) -> None:
     picture = np.random.default_rng(0).random((SIZE, SIZE, 3)).astype(np.float32)
     for view in seen.views[:3]:
         covered = ((1 - view.transmittance)[..., None] * picture).sum((0, 1))
-        np.testing.assert_allclose(blended(view, picture).sum(0), covered, rtol=1e-4)
-    total = sum(blended(view, np.ones_like(picture))[:, 0].astype(np.float64) for view in seen.views)
+        np.testing.assert_allclose(blend_sum(view, picture).sum(0), covered, rtol=1e-4)
+    total = sum(blend_sum(view, np.ones_like(picture))[:, 0].astype(np.float64) for view in seen.views)
     weights = seen.weights() / seen.capture.n_timesteps
     assert np.abs(total - weights).sum() < 0.02 * weights.sum()  # which cuts off at 1/255
 
@@ -104,7 +104,7 @@ def test_on_a_ramp_it_is_what_is_left_over_its_slope(seen: Seen) -> None:
     found = one.left([np.full((1, SIZE, SIZE, 3), r, np.float32)])
     depth = seen.gaussians.means.numpy() @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
     near = np.ptp(depth[seen.around], axis=1) < 0.1 * depth  # neighbours are about as far away
-    shown = blended(view, np.ones((SIZE, SIZE, 3), np.float32))[:, 0] > 0
+    shown = blend_sum(view, np.ones((SIZE, SIZE, 3), np.float32))[:, 0] > 0
     assert (near & shown).sum() > 100
     expected = (r / g * depth / camera.K[0, 0]) ** 2
     np.testing.assert_allclose(found[near & shown], expected[near & shown], rtol=0.15)

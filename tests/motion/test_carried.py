@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 import torch
 
-from tests.motion.test_linear import SCENES, motion_of, view_of
+from tests.motion.test_view_jacobian import SCENES, motion_of, view_of
 from tests.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture, load_images
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion import MotionConfig
 from tg4mm.motion.carried import carried as module
 from tg4mm.motion.carried.carried import Carried
-from tg4mm.motion.carried.flow import flow
 from tg4mm.motion.carried.steady import trust
+from tg4mm.motion.jacobian.flow import optical_flow
 from tg4mm.motion.train import train_motion
 from tg4mm.rasterize.buffers import Buffers
 from tg4mm.rasterize.kernels.layout import MX, MY
@@ -53,7 +53,7 @@ def predicted(
     assert np.allclose(basis @ basis.T, np.eye(len(basis)), atol=1e-6)
     moves = np.zeros((len(basis), SIZE, SIZE, 3), np.float32)
     moves[..., :2] = (basis @ u)[:, None, None]
-    monkeypatch.setattr(module, "flow", lambda *_: moves)
+    monkeypatch.setattr(module, "optical_flow", lambda *_: moves)
     black = SimpleNamespace(
         image=np.zeros((SIZE, SIZE, 4), np.float32), transmittance=np.zeros((SIZE, SIZE), np.float32)
     )
@@ -146,7 +146,7 @@ def test_the_flow_is_how_far_splats_move_by_blending_weight() -> None:
         scene.means, scene.quats, scene.scales, scene.opacities, colours, scene.viewmats[0], scene.Ks[0],
         scene.width, scene.height,
     )  # fmt: skip
-    found = flow(view, motion[None], Buffers())[0]
+    found = optical_flow(view, motion[None], Buffers())[0]
     assert found.shape == (*view.transmittance.shape, 3)
     assert not found[..., 2].any()
     expected = (image - 0.5 * alpha[..., None]).numpy()[..., :2] / small

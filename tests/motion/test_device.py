@@ -11,8 +11,8 @@ import pytest
 import torch
 
 from tests.cuda import needs_cuda
-from tests.motion.test_linear import COLUMNS, SCENES, motion_of, view_of
 from tests.motion.test_problem import draw, inner, problem
+from tests.motion.test_view_jacobian import COLUMNS, SCENES, motion_of, view_of
 from tests.rasterize.oracle import assert_close, make_scene
 from tests.space.test_train import Killed, killed_after
 from tests.synthetic import make_synthetic_dataset
@@ -21,15 +21,15 @@ from tg4mm.errors import Tg4mmError
 from tg4mm.motion import MotionConfig
 from tg4mm.motion import fit as fitting
 from tg4mm.motion import train as stage
-from tg4mm.motion.apply import mover
-from tg4mm.motion.jacobian import meetings
-from tg4mm.motion.jacobian.linear import RestView
-from tg4mm.motion.jacobian.meetings import DeviceView, device_view
+from tg4mm.motion.animate import animator
+from tg4mm.motion.jacobian import contributions
+from tg4mm.motion.jacobian.contributions import DeviceViewJacobian, device_view_jacobian
 from tg4mm.motion.jacobian.packed import DOF
+from tg4mm.motion.jacobian.view import ViewJacobian
 from tg4mm.motion.posing import pose
 from tg4mm.motion.solver import device
 from tg4mm.motion.solver.device import DeviceProblem
-from tg4mm.motion.solver.solve import start, step
+from tg4mm.motion.solver.pcg import start, step
 from tg4mm.motion.train import train_motion
 from tg4mm.runs import Run
 
@@ -42,35 +42,35 @@ EXACT, HALF = 2e-5, 2e-3  # of the largest entry: float32 sums in another order;
 SHORT = MotionConfig(components=2, iterations=3, tolerance=1e-6)
 
 
-def pushed(view: DeviceView, motion: np.ndarray) -> torch.Tensor:
-    return view.push(torch.from_numpy(motion).to(view.means.device)).cpu()
+def pushed(view: DeviceViewJacobian, motion: np.ndarray) -> torch.Tensor:
+    return view.jvp(torch.from_numpy(motion).to(view.means.device)).cpu()
 
 
-def pulled(view: RestView | DeviceView, picture: np.ndarray, n: int) -> torch.Tensor:
-    if isinstance(view, RestView):
+def pulled(view: ViewJacobian | DeviceViewJacobian, picture: np.ndarray, n: int) -> torch.Tensor:
+    if isinstance(view, ViewJacobian):
         total = np.zeros((n, DOF), np.float32)
-        view.pull(picture, total)
+        view.vjp(picture[None], total[None])
         return torch.from_numpy(total)
     place = view.means.device
     there = torch.zeros(n, DOF, device=place)
-    view.pull(torch.from_numpy(picture).to(place), there)
+    view.vjp(torch.from_numpy(picture).to(place), there)
     return there.cpu()
 
 
 def compare(name: str, columns: str, where: str, storage: torch.dtype, tolerance: float) -> None:
-    """`push` and `pull` of both kinds of view, and that a thousandth more would be noticed at EXACT."""
+    """`jvp` and `vjp` of both kinds of view, and that a thousandth more would be noticed at EXACT."""
     scene = EVERY_SCENE[name]
     view, motion = view_of(scene), motion_of(scene, COLUMNS[columns])
-    other = device_view(view, where, storage)
-    expected = torch.from_numpy(view.push(motion))
+    other = device_view_jacobian(view, where, storage)
+    expected = torch.from_numpy(view.jvp(motion[None])[0])
     assert expected.abs().max() > 0.1
-    assert_close("push", pushed(other, motion), expected, tolerance)
+    assert_close("jvp", pushed(other, motion), expected, tolerance)
     shape = (scene.height, scene.width, 3)
     picture = np.random.default_rng(1).normal(size=shape).astype(np.float32)
     back = pulled(view, picture, len(motion))
-    assert_close("pull", pulled(other, picture, len(motion)), back, tolerance)
+    assert_close("vjp", pulled(other, picture, len(motion)), back, tolerance)
     with pytest.raises(AssertionError):
-        assert_close("push", 1.001 * expected, expected, EXACT)
+        assert_close("jvp", 1.001 * expected, expected, EXACT)
 
 
 @pytest.mark.parametrize("name", EVERY_SCENE)
@@ -96,18 +96,18 @@ def test_on_cuda_it_pushes_and_pulls_as_the_kernels(
 def test_working_in_parts_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = SCENES["crowded"]
     view, motion = view_of(scene), motion_of(scene, COLUMNS["both"])
-    whole = device_view(view, "cpu", torch.float32)
-    monkeypatch.setattr(meetings, "_AT_ONCE", 1000)  # less than one tile's list
-    parts = device_view(view, "cpu", torch.float32)
+    whole = device_view_jacobian(view, "cpu", torch.float32)
+    monkeypatch.setattr(contributions, "_AT_ONCE", 1000)  # less than one tile's list
+    parts = device_view_jacobian(view, "cpu", torch.float32)
     assert len(parts.pixel) == len(whole.pixel) > 5 * 1000
-    assert_close("push", pushed(parts, motion), pushed(whole, motion), 1e-5)
+    assert_close("jvp", pushed(parts, motion), pushed(whole, motion), 1e-5)
     picture = np.ones((scene.height, scene.width, 3), np.float32)
-    assert_close("pull", pulled(parts, picture, 120), pulled(whole, picture, 120), 1e-5)
+    assert_close("vjp", pulled(parts, picture, 120), pulled(whole, picture, 120), 1e-5)
 
 
 def test_a_view_that_sees_nothing_says_nothing() -> None:
     scene = make_scene(0, distance=-20.0)
-    view = device_view(view_of(scene), "cpu", torch.float16)
+    view = device_view_jacobian(view_of(scene), "cpu", torch.float16)
     assert len(view.pixel) == 0
     assert not pushed(view, motion_of(scene, COLUMNS["both"])).any()
     assert not pulled(view, np.ones((scene.height, scene.width, 3), np.float32), 40).any()
@@ -155,7 +155,7 @@ def test_memory_that_is_too_small_is_one_line(monkeypatch: pytest.MonkeyPatch) -
     def exhausted(*_: object) -> None:
         raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB.\nmore lines")
 
-    monkeypatch.setattr(device, "device_view", exhausted)
+    monkeypatch.setattr(device, "device_view_jacobian", exhausted)
     with pytest.raises(Tg4mmError, match=r"\A[^\n]*device cpu has: it holds 0 of 2 views[^\n]*\Z"):
         DeviceProblem(problem(), "cpu")
 
@@ -263,7 +263,7 @@ def test_a_mover_on_cuda_moves_as_on_the_cpu(new_run: Callable[[], Run]) -> None
     run = new_run()
     fit(run, "cpu")
     gaussians, motion = run.load_space(), run.load_motion()
-    here, there = (mover(gaussians.to(d), motion)(2.5, 20.0, (4.0, 8.0)) for d in ("cpu", "cuda"))
+    here, there = (animator(gaussians.to(d), motion)(2.5, 20.0, (4.0, 8.0)) for d in ("cpu", "cuda"))
     assert there.means.is_cuda
     assert_close("means", there.means, here.means, 1e-6)
     assert_close("quats", there.quats, here.quats, 1e-6)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tg4mm.motion.prior.graph import BENDING, ROWS, Graph
-from tg4mm.motion.prior.graph import graph as graph_of
+from tg4mm.motion.prior.graph import BENDING, ROWS, Graph, build_graph
 
 OMEGA, SHIFT = np.array([0.02, -0.03, 0.05]), np.array([0.1, 0.2, -0.3])
 
@@ -28,7 +27,7 @@ def wire(n: int = 60) -> np.ndarray:
 
 def graph(means: np.ndarray, count: int = 12) -> Graph:
     """Of balls."""
-    return graph_of(means, np.tile(np.eye(3), (len(means), 1, 1)), np.ones((len(means), 3)), count)
+    return build_graph(means, np.tile(np.eye(3), (len(means), 1, 1)), np.ones((len(means), 3)), count)
 
 
 SHAPES = {"volume": volume, "plane": plane, "wire": wire}
@@ -36,7 +35,7 @@ SHAPES = {"volume": volume, "plane": plane, "wire": wire}
 
 def field(around: Graph, u: np.ndarray, gradient: np.ndarray) -> np.ndarray:
     """[4N, 3] of displacements [N, 3] and gradients [3 (along), 3 (of)] or [N, 3, 3], per scene unit."""
-    gradient = np.broadcast_to(gradient, (len(u), 3, 3)) * around.reach
+    gradient = np.broadcast_to(gradient, (len(u), 3, 3)) * around.mean_spacing
     return np.concatenate([u[:, None], gradient], 1).reshape(-1, 3).astype(np.float32)
 
 
@@ -86,7 +85,7 @@ def brute_energy(around: Graph, means: np.ndarray, x: np.ndarray, count: int) ->
             weights[pair] = weights.get(pair, 0.0) + w
     f, total = x.reshape(-1, ROWS, 3), 0.0
     for (i, j), w in weights.items():
-        d = (means[j] - means[i]) / around.reach
+        d = (means[j] - means[i]) / around.mean_spacing
         left = f[j, 0] - f[i, 0] - d @ (f[i, 1:] + f[j, 1:]) / 2
         total += w * ((left**2).sum() + BENDING * ((f[j, 1:] - f[i, 1:]) ** 2).sum())
     return total
@@ -131,7 +130,7 @@ def test_from_motion_is_the_transpose() -> None:
 
 def test_it_does_not_depend_on_the_unit_of_length() -> None:
     small, large = graph(volume()), graph(1e3 * volume())
-    assert large.reach == pytest.approx(1e3 * small.reach)
+    assert large.mean_spacing == pytest.approx(1e3 * small.mean_spacing)
     assert abs(small.stiffness - large.stiffness).max() < 1e-5
 
 
@@ -164,10 +163,10 @@ def test_the_matrix_is_that_of_the_edges_both_ways() -> None:
     for i in range(40):
         for edge in range(around.start[i], around.start[i + 1]):
             row, j = np.zeros((ROWS, 160)), around.other[edge]
-            bond = around.bonds[edge].astype(float)
-            row[0, ROWS * i : ROWS * i + ROWS] = -bond
-            row[0, ROWS * j : ROWS * j + ROWS] = bond * [1, -1, -1, -1]
+            own = around.edge_rows[edge].astype(float)
+            row[0, ROWS * i : ROWS * i + ROWS] = -own
+            row[0, ROWS * j : ROWS * j + ROWS] = own * [1, -1, -1, -1]
             for k in range(1, ROWS):
-                row[k, [ROWS * i + k, ROWS * j + k]] = np.sqrt(BENDING) * bond[0] * np.array([1, -1])
+                row[k, [ROWS * i + k, ROWS * j + k]] = np.sqrt(BENDING) * own[0] * np.array([1, -1])
             expected += row.T @ row / 2  # listed at both ends
     np.testing.assert_allclose(around.blocks.toarray(), expected, atol=1e-5 * expected.max())

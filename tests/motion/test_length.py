@@ -16,7 +16,7 @@ from tg4mm.evaluate.displacement import displacement_figures
 from tg4mm.gaussians import Gaussians
 from tg4mm.magnify.linear import series_modes
 from tg4mm.motion import ModalMotion, MotionConfig
-from tg4mm.motion.apply import displacement_at, moved
+from tg4mm.motion.animate import animate, displacement_at
 from tg4mm.motion.train import train_motion
 from tg4mm.rasterize import rasterization
 from tg4mm.runs import Run
@@ -70,7 +70,7 @@ def fitted(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
     run.save_space(gaussians, {})
     views = load_capture(root / "data")
     rows = [(t, v) for t in range(T) for v in range(VIEWS)]
-    poses = [moved(gaussians, true, t) for t in range(T)]
+    poses = [animate(gaussians, true, t) for t in range(T)]
     data = np.stack([picture(poses[t], views.viewmats[v]) for t, v in rows])
     times, cameras = np.array(rows).T
     capture = Capture(

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import torch
 
-from tests.motion.test_apply import FREQS, gaussians, motion
-from tests.motion.test_linear import SCENES, gaussians_of
+from tests.motion.test_animate import FREQS, gaussians, motion
+from tests.motion.test_view_jacobian import SCENES, gaussians_of
 from tests.rasterize.oracle import assert_close, make_scene
 from tests.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture, load_images
@@ -19,18 +19,17 @@ from tg4mm.evaluate.scores import Method, Scorer
 from tg4mm.gaussians import Gaussians
 from tg4mm.magnify.bands import BandGain, Magnification
 from tg4mm.magnify.linear import magnified_motion
-from tg4mm.motion.apply import _moved_there, _phasors_on, moved
-from tg4mm.motion.jacobian.linear import ALPHA_MIN_LINEAR, rest_view
+from tg4mm.motion.animate import _animate_on_device, _phasors_on, animate
+from tg4mm.motion.appearance_modes import LIMIT, AppearanceModes, apply_appearance
 from tg4mm.motion.jacobian.packed import DOF
+from tg4mm.motion.jacobian.view import ALPHA_MIN_LINEAR, view_jacobian
 from tg4mm.motion.light.answers import HARMONIC, LitView, lit_views
 from tg4mm.motion.light.fit import Lighting, Remainder
-from tg4mm.motion.light.lit import LIMIT, lit
-from tg4mm.motion.light.model import Light
 from tg4mm.motion.light.problem import LightProblem
-from tg4mm.motion.modal import ModalMotion
+from tg4mm.motion.modes import ModalMotion
 from tg4mm.motion.pictures.video import FixedCamera, fixed_cameras
-from tg4mm.motion.prior.graph import graph
-from tg4mm.motion.temporal.spectrum import modes
+from tg4mm.motion.prior.graph import build_graph
+from tg4mm.motion.spectrum import modes_of
 from tg4mm.rasterize import reference
 from tg4mm.rasterize.buffers import Buffers
 from tg4mm.rasterize.reference import rasterize_dense
@@ -49,7 +48,7 @@ def lit_view_of(name: str, tilts: bool, mean: float = 20.0) -> LitView:
     camera = FixedCamera(scene.viewmats[0].float().numpy(), scene.Ks[0].float().numpy(), np.arange(1))
     sh = torch.zeros_like(gaussians_of(scene).sh)
     sh[:, 0] = mean
-    view = rest_view(replace(gaussians_of(scene), sh=sh), camera, (scene.width, scene.height))
+    view = view_jacobian(replace(gaussians_of(scene), sh=sh), camera, (scene.width, scene.height))
     return lit_views([view], [camera], scene.means.float().numpy(), tilts)[0]
 
 
@@ -114,9 +113,9 @@ class Lab:
         )
         self.means = self.gaussians.means.numpy()
         self.cameras = fixed_cameras(load_capture(root))
-        self.views = [rest_view(self.gaussians, camera, (48, 48)) for camera in self.cameras]
+        self.views = [view_jacobian(self.gaussians, camera, (48, 48)) for camera in self.cameras]
         axes = np.tile(np.eye(3), (len(self.means), 1, 1))
-        self.graph = graph(self.means, axes, self.gaussians.scales.numpy())
+        self.graph = build_graph(self.means, axes, self.gaussians.scales.numpy())
         self.lit = lit_views(self.views, self.cameras, self.means, True)
         self.shapes = np.zeros((2, len(self.means), DOF), np.float32)
         self.shapes[0, :, 1] = 0.003
@@ -128,11 +127,11 @@ class Lab:
         parts = [np.arange(0, 8, 2), np.arange(1, 8, 2)]
         shapes = self.shapes if shapes is None else shapes
         left = Remainder(self.views, pictures, np.arange(2), shapes, None, np.array(asked, np.int64))
-        return Lighting(problem, parts, self.graph.around).fitted(left)
+        return Lighting(problem, parts, self.graph.knn).fitted(left)
 
     def shown(self, x: np.ndarray, shapes: np.ndarray) -> np.ndarray:
         both = zip(self.views, self.lit, strict=True)
-        return np.stack([view.push_all(shapes) + lit.show(x, Buffers()) for view, lit in both])
+        return np.stack([view.jvp(shapes) + lit.show(x, Buffers()) for view, lit in both])
 
     def patch(self) -> np.ndarray:
         """[2, N, 4, 3]: a shadow on the floor in the first component, that looks darker from one side."""
@@ -209,18 +208,18 @@ def test_components_beyond_those_of_one_pass_are_found_alike(
         np.testing.assert_allclose(a, b, atol=1e-5)
 
 
-def light(size: float = 1e-3, count: int = 4, modes: int = 3) -> Light:
+def light(size: float = 1e-3, count: int = 4, modes: int = 3) -> AppearanceModes:
     rng = np.random.default_rng(5)
     series = rng.normal(size=(modes, 2)) + 1j * rng.normal(size=(modes, 2))
-    return Light(size * change_of(N, 2, count == 4, seed=6), series)
+    return AppearanceModes(size * change_of(N, 2, count == 4, seed=6), series)
 
 
 def change_at(m: ModalMotion, t: float, alpha: float, band: tuple[float, float] | None = None) -> np.ndarray:
     g = gaussians()
-    return (moved(g, m, t, alpha, band).sh - g.sh).numpy()
+    return (animate(g, m, t, alpha, band).sh - g.sh).numpy()
 
 
-def by_hand(light: Light, t: float, factors: list[float]) -> np.ndarray:
+def by_hand(light: AppearanceModes, t: float, factors: list[float]) -> np.ndarray:
     turn = np.exp(2j * np.pi * FREQS * t / 30) * factors
     return np.einsum("r,rnkc->nkc", (turn @ light.series).real, light.shapes)
 
@@ -245,7 +244,7 @@ def test_magnified_light_has_a_limit_and_keeps_its_direction() -> None:
 def test_half_the_limit_is_hardly_drawn_in_and_nothing_stays_nothing() -> None:
     shapes = torch.zeros(1, 2, 1, 3)
     shapes[0, 0, 0, 0] = LIMIT / 2 / HARMONIC
-    out = lit(torch.zeros(2, 4, 3), shapes, torch.ones(1))
+    out = apply_appearance(torch.zeros(2, 4, 3), shapes, torch.ones(1))
     assert out[0, 0, 0].item() * HARMONIC == pytest.approx(LIMIT * np.tanh(0.5), rel=1e-5)
     out[0, 0, 0] = 0
     assert not out.any()
@@ -275,8 +274,8 @@ def test_on_a_device_light_is_alike() -> None:
     m, g = replace(motion(), light=light(0.01)), gaussians()
     assert m.light is not None
     phasors, shapes = _phasors_on(torch.device("cpu"), m), torch.from_numpy(m.light.shapes)
-    found = _moved_there(g, m, phasors, 2.5, 20.0, (4.0, 6.0), light_shapes=shapes)
-    expected = moved(g, m, 2.5, 20.0, (4.0, 6.0))
+    found = _animate_on_device(g, m, phasors, 2.5, 20.0, (4.0, 6.0), appearance_fields=shapes)
+    expected = animate(g, m, 2.5, 20.0, (4.0, 6.0))
     assert not torch.allclose(expected.sh, g.sh, atol=0.01)
     torch.testing.assert_close(found.sh, expected.sh, rtol=0, atol=1e-6)
 
@@ -291,7 +290,7 @@ def test_gaussians_of_one_colour_get_no_tilt() -> None:
     scene = make_scene(0)
     g = gaussians_of(scene)
     plain = Gaussians(g.means, g.quats, g.scales, g.opacities, g.sh[:, :1].contiguous())
-    out = lit(plain.sh, torch.from_numpy(change_of(len(plain), 2, tilts=False)), torch.ones(2))
+    out = apply_appearance(plain.sh, torch.from_numpy(change_of(len(plain), 2, tilts=False)), torch.ones(2))
     assert out.shape == plain.sh.shape
 
 
@@ -303,8 +302,8 @@ def test_in_a_long_capture_light_keeps_the_frequency_that_hardly_moves() -> None
     shapes[1] *= 1e-3
     shown = change_of(20, 2)
     shown[0] = 0
-    without, _ = modes(basis, shapes, 100.0)
-    freqs, series = modes(basis, shapes, 100.0, shown)
+    without, _ = modes_of(basis, shapes, 100.0)
+    freqs, series = modes_of(basis, shapes, 100.0, shown)
     np.testing.assert_allclose(without, [5.0])
     np.testing.assert_allclose(freqs, [5.0, 9.0])
     np.testing.assert_allclose(np.abs(series), np.sqrt(2 / 100) * np.eye(2), atol=1e-9)

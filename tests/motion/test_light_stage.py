@@ -20,7 +20,7 @@ from tg4mm.magnify import Magnification
 from tg4mm.magnify.poses import poses_of
 from tg4mm.motion import ModalMotion, MotionConfig
 from tg4mm.motion import train as stage
-from tg4mm.motion.apply import moved
+from tg4mm.motion.animate import animate
 from tg4mm.motion.fit import Solver
 from tg4mm.motion.train import train_motion
 from tg4mm.runs import Run
@@ -171,7 +171,7 @@ def test_pictures_of_the_capture_itself_come_nearer(
     shown = poses_of(trained, Magnification()).at(2)
     error = []
     for sh in (shown.sh, gaussians.sh):
-        at = moved(replace(gaussians, sh=sh), exact_motion(), 2)
+        at = animate(replace(gaussians, sh=sh), exact_motion(), 2)
         error.append(float(((render_views(at, capture, rows) - truth) ** 2).mean()))
     assert error[0] < 0.5 * error[1]
 

@@ -12,12 +12,12 @@ from tests.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion import MotionConfig
-from tg4mm.motion.jacobian.linear import rest_view
 from tg4mm.motion.jacobian.packed import DOF
+from tg4mm.motion.jacobian.pixels import pixels_moved
+from tg4mm.motion.jacobian.view import view_jacobian
 from tg4mm.motion.pictures.video import FixedCamera, fixed_cameras
 from tg4mm.motion.posing.pose import Problems
 from tg4mm.motion.rounds.moved import MovedProblem, shown
-from tg4mm.motion.rounds.pixels import pixels_moved
 from tg4mm.motion.rounds.polish import at_state
 from tg4mm.motion.solver.device import DeviceProblem
 from tg4mm.motion.solver.problem import MotionProblem
@@ -32,7 +32,7 @@ def posed(tmp_path_factory: pytest.TempPathFactory) -> tuple[MotionProblem, Gaus
         root, n_views=2, n_timesteps=5, size=32, freqs=(6.0,), alphas=(), n_test=0
     )
     cameras = fixed_cameras(load_capture(root))
-    views = [rest_view(gaussians, camera, SIZE) for camera in cameras]
+    views = [view_jacobian(gaussians, camera, SIZE) for camera in cameras]
     (problem,) = Problems(views, gaussians, MotionConfig(), "cpu").of(None, [300.0])
     assert isinstance(problem, MotionProblem)
     return problem, gaussians, cameras
@@ -43,7 +43,7 @@ def _two(posed) -> MovedProblem:
     problem, gaussians, cameras = posed
     shift = torch.zeros(len(gaussians), DOF)
     shift[:, 0] = 0.2
-    views = [rest_view(at_state(gaussians, shift), camera, SIZE) for camera in cameras]
+    views = [view_jacobian(at_state(gaussians, shift), camera, SIZE) for camera in cameras]
     c, s = np.cos(0.4), np.sin(0.4)
     a, b = np.array([c, s]), np.array([-s, c])
     return MovedProblem([problem, replace(problem, views=views)], np.stack([np.outer(a, a), np.outer(b, b)]))

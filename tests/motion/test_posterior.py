@@ -15,16 +15,16 @@ from tests.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture, load_images
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion import ModalMotion, MotionConfig
-from tg4mm.motion.apply import displacement_at
+from tg4mm.motion.animate import displacement_at
 from tg4mm.motion.certainty.posterior import n_solves, posterior
 from tg4mm.motion.certainty.sight import directions
-from tg4mm.motion.jacobian.linear import rest_view
 from tg4mm.motion.jacobian.packed import DOF
+from tg4mm.motion.jacobian.view import view_jacobian
 from tg4mm.motion.pictures.video import FixedCamera, fixed_cameras
 from tg4mm.motion.posing.pose import Problems
-from tg4mm.motion.prior.roots import stiffness_root
+from tg4mm.motion.prior.square_root import stiffness_root
+from tg4mm.motion.solver.pcg import start, step
 from tg4mm.motion.solver.problem import MotionProblem
-from tg4mm.motion.solver.solve import start, step
 from tg4mm.motion.train import train_motion
 from tg4mm.runs import UNCERTAINTY, Run
 
@@ -59,7 +59,7 @@ def _errors(run: Run, true: ModalMotion, axis: np.ndarray) -> np.ndarray:
 
 
 def _seen(run: Run, camera: FixedCamera) -> np.ndarray:
-    view = rest_view(run.load_space(), camera, (48, 48))
+    view = view_jacobian(run.load_space(), camera, (48, 48))
     seen = np.zeros(len(run.load_space()), bool)
     seen[view.bins.order[: view.bins.n_visible]] = True
     return seen
@@ -106,7 +106,7 @@ def test_a_motion_drawn_from_the_prior_lies_where_it_says(posed, trained) -> Non
     field = spsolve(prior, noise).astype(np.float32)
     motion = problem.graph.motion(field)
     motion *= 0.005 / np.sqrt((motion[:, :3] ** 2).mean())
-    shown = problem.views[0].push_all(motion[None])
+    shown = problem.views[0].jvp(motion[None])
     shown += 0.05 * np.sqrt((shown**2).mean()) * rng.standard_normal(shown.shape).astype(np.float32)
     found = posterior(problem, shown[None], 1)
     state = start(problem.right_hand_side(shown[None, 0]))
@@ -153,7 +153,7 @@ def test_the_warning_and_the_log_say_how_much_is_a_guess(trained) -> None:
 def posed(trained) -> tuple[MotionProblem, Gaussians]:
     run, _, camera, _ = trained
     gaussians = run.load_space()
-    problems = Problems([rest_view(gaussians, camera, (48, 48))], gaussians, MotionConfig(), "cpu")
+    problems = Problems([view_jacobian(gaussians, camera, (48, 48))], gaussians, MotionConfig(), "cpu")
     (problem,) = problems.of(None, [300.0])
     assert isinstance(problem, MotionProblem)
     return problem, gaussians
@@ -163,7 +163,7 @@ def _pictures(problem: MotionProblem, sigma: float) -> np.ndarray:
     """[1, 1, 48, 48, 3] of a motion to and fro, with noise."""
     motion = np.zeros((1, problem.graph.n_gaussians, DOF), np.float32)
     motion[..., 1] = 0.01
-    shown = problem.views[0].push_all(motion)
+    shown = problem.views[0].jvp(motion)
     return (shown + sigma * np.random.default_rng(1).normal(size=shown.shape)).astype(np.float32)[None]
 
 

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import torch
 
-from tests.motion.test_linear import gaussians_of, view_of
+from tests.motion.test_view_jacobian import gaussians_of, view_of
 from tests.rasterize.oracle import make_scene
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.posing.pose import Problems
 from tg4mm.motion.solver.device import DeviceProblem
-from tg4mm.motion.solver.levels import Known, information, levels, probed
+from tg4mm.motion.solver.preconditioner import DiagonalEstimate, information, probe, two_level_preconditioner
 from tg4mm.motion.solver.problem import MotionProblem
 
 N = 40
@@ -32,10 +32,12 @@ def problem(neighbours: float = 3.0, ridge: float = 0.1, weighted: bool = False)
         weights = np.random.default_rng(7).uniform(0.2, 1, shape).astype(np.float32)
     rng = np.random.default_rng(0)
     posing = Problems(views, gaussians_of(scene), MotionConfig(), "cpu")
-    known = Known.of(posing.groups, probed(views, N, rng, weights))
-    unknowns = levels(posing.groups, known, known.scale * neighbours, known.scale * ridge)
+    estimate = DiagonalEstimate.of(posing.groups, probe(views, N, rng, weights))
+    unknowns = two_level_preconditioner(
+        posing.groups, estimate, estimate.scale * neighbours, estimate.scale * ridge
+    )
     config = MotionConfig(neighbours=neighbours, ridge=ridge)
-    return MotionProblem(views, posing.graph, unknowns, known.scale, config, weights)
+    return MotionProblem(views, posing.graph, unknowns, estimate.scale, config, weights)
 
 
 def draw(seed: int) -> np.ndarray:
@@ -60,7 +62,7 @@ def test_its_energy_is_the_sum_that_is_minimised(neighbours: float, ridge: float
     x = p.levels.field(theta)
     motion, data = p.graph.motion(x), 0.0
     for k, view in enumerate(p.views):
-        squares = view.push(motion).astype(np.float64) ** 2
+        squares = view.jvp(motion[None])[0].astype(np.float64) ** 2
         data += float((squares * (1 if p.weights is None else p.weights[k, ..., None])).sum())
     expected = data + p.scale * (neighbours * inner(x, p.graph.stiffness @ x) + ridge * inner(x, x))
     assert inner(theta, p.normal(theta)) == pytest.approx(expected, rel=1e-3)
@@ -70,7 +72,7 @@ def test_its_energy_is_the_sum_that_is_minimised(neighbours: float, ridge: float
 @pytest.mark.parametrize("weighted", [False, True])
 def test_the_right_hand_side_is_the_transpose_of_what_a_field_shows(weighted: bool) -> None:
     p, theta, rng = problem(weighted=weighted), draw(1), np.random.default_rng(3)
-    shown = [view.push(p.field(theta)) for view in p.views]
+    shown = [view.jvp(p.field(theta)[None])[0] for view in p.views]
     pictures = np.stack([rng.normal(size=s.shape) for s in shown]).astype(np.float32)
     counted = pictures if p.weights is None else pictures * p.weights[..., None]
     expected = sum(inner(s, d) for s, d in zip(shown, counted, strict=True))
@@ -85,8 +87,8 @@ def test_the_scale_is_the_mean_diagonal_of_the_information() -> None:
         for k in range(3):
             motion = np.zeros((N, DOF), np.float32)
             motion[i, k] = 1
-            total += sum(inner(view.push(motion), view.push(motion)) for view in p.views)
-    many = information(probed(p.views, N, np.random.default_rng(1), probes=200))[:, 0].mean()
+            total += sum(inner(view.jvp(motion[None])[0], view.jvp(motion[None])[0]) for view in p.views)
+    many = information(probe(p.views, N, np.random.default_rng(1), probes=200))[:, 0].mean()
     assert many == pytest.approx(total / (3 * N), rel=0.1)
 
 

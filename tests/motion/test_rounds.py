@@ -19,7 +19,7 @@ from tg4mm.evaluate.weights import blending_weights
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion import ModalMotion, MotionConfig
 from tg4mm.motion import train as stage
-from tg4mm.motion.apply import moved
+from tg4mm.motion.animate import animate
 from tg4mm.motion.posing import pose
 from tg4mm.motion.rounds import linearised
 from tg4mm.motion.rounds.moved import MovedProblem
@@ -128,7 +128,7 @@ def _pictures_error(run: Run, gaussians: Gaussians) -> float:
     motion = exact_motion(truth, gaussians.means.numpy())
     total = 0.0
     for i in range(len(capture)):
-        there = moved(gaussians, motion, int(capture.timesteps[i]))
+        there = animate(gaussians, motion, int(capture.timesteps[i]))
         size = (capture.width, capture.height)
         shown = render_image(there, capture.viewmats[i], capture.Ks[i], *size)
         total += float(((shown - images.rgb(i, background=(1, 1, 1))) ** 2).mean())

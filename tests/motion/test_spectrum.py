@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tg4mm.motion.temporal.spectrum import phasors
+from tg4mm.motion.spectrum import phasors
 
 FPS = 30.0
 

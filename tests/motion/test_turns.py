@@ -12,8 +12,8 @@ from tests.motion.test_problem import N, problem
 from tg4mm.motion import fit as module
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.fit import Fit, Solver
+from tg4mm.motion.solver.pcg import CGState, start, step, step_all
 from tg4mm.motion.solver.problem import MotionProblem
-from tg4mm.motion.solver.solve import CGState, start, step, step_all
 
 PARTS = [np.array([0]), np.array([1])]
 LONG = MotionConfig(iterations=300, tolerance=1e-6)

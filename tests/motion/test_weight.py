@@ -8,15 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.motion.test_linear import gaussians_of, view_of
+from tests.motion.test_view_jacobian import gaussians_of, view_of
 from tests.rasterize.oracle import make_scene
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.posing.pose import Problems
 from tg4mm.motion.posing.weight import CANDIDATES, DEFAULT, chosen_weight
 from tg4mm.motion.solver.device import DeviceProblem
+from tg4mm.motion.solver.pcg import start, step
 from tg4mm.motion.solver.problem import MotionProblem, normals_of
-from tg4mm.motion.solver.solve import start, step
 
 N, CAMERAS = 80, 8
 PARTS = [np.arange(CAMERAS)[::2], np.arange(CAMERAS)[1::2]]
@@ -45,7 +45,7 @@ def moved(u: np.ndarray) -> np.ndarray:
 
 def shown(p: MotionProblem, u: np.ndarray, noise: float) -> np.ndarray:
     """Component images of a displacement, with noise as a share of their rms."""
-    pictures = np.stack([view.push(moved(u)) for view in p.views])
+    pictures = np.stack([view.jvp(moved(u)[None])[0] for view in p.views])
     spread = noise * np.sqrt((pictures**2).mean())
     return (pictures + np.random.default_rng(2).normal(0, spread, pictures.shape)).astype(np.float32)
 
@@ -128,7 +128,7 @@ def test_several_problems_in_one_pass_are_each_by_itself(posed: list[MotionProbl
 def test_the_misfit_is_what_a_field_leaves_unexplained(posed: list[MotionProblem]) -> None:
     p, pictures = posed[0], shown(posed[0], as_one(), 0.5)
     fields = [moved(f * as_one()) for f in (0.0, 1.0)]
-    left = [pictures - np.stack([v.push(f) for v in p.views]) for f in fields]
+    left = [pictures - np.stack([v.jvp(f[None])[0] for v in p.views]) for f in fields]
     expected = [float((x.astype(np.float64) ** 2).sum()) for x in left]
     np.testing.assert_allclose(p.misfits(fields, pictures), expected, rtol=1e-4)
     assert expected[1] < expected[0]

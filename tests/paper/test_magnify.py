@@ -115,7 +115,7 @@ def test_between_timesteps_embeddings_are_interpolated():
 
 
 def test_rotation_between_quaternions():
-    from tg4mm.motion.apply import rotated
+    from tg4mm.motion.animate import rotated
 
     g = torch.Generator().manual_seed(0)
     q, v = torch.randn(20, 4, generator=g), torch.randn(20, 3, generator=g) * 0.5

@@ -17,7 +17,7 @@ from safetensors.torch import load_file
 
 from tests.paper.conftest import N_TIMESTEPS, SETTINGS
 from tg4mm.errors import RunError, Tg4mmError
-from tg4mm.motion.apply import moved
+from tg4mm.motion.animate import animate
 from tg4mm.paper import PAPER, PAPER_SMALL
 from tg4mm.paper.model import load_model, load_planes, planes_name
 from tg4mm.runs import Run
@@ -125,7 +125,7 @@ class TestTraining:
         torch.testing.assert_close(rest.means, model.rest().means)
         for t in range(N_TIMESTEPS):
             now = model.rest() if t == 0 else model.decode(model.embedding(load_planes(trained, t, model)))
-            by_modes = moved(rest, motion, t)
+            by_modes = animate(rest, motion, t)
             torch.testing.assert_close(by_modes.means, now.means.detach(), atol=1e-5, rtol=0)
             a, b = (torch.nn.functional.normalize(q, dim=1) for q in (by_modes.quats, now.quats.detach()))
             assert (a * b).sum(1).abs().min() > 1 - 1e-5

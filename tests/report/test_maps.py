@@ -7,7 +7,7 @@ from tests.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture
 from tg4mm.errors import RunError
 from tg4mm.evaluate.weights import blending_weights
-from tg4mm.motion.modal import ModalMotion
+from tg4mm.motion.modes import ModalMotion
 from tg4mm.render import capture_cameras
 from tg4mm.report.maps import (
     image_motion,

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from tg4mm.motion.modal import ModalMotion
+from tg4mm.motion.modes import ModalMotion
 
 STATIC_BELOW = 0.01  # of the largest true motion: below it a Gaussian counts as standing still
 

@@ -15,8 +15,8 @@ import torch
 
 from tg4mm.capture import Capture, ImageStack
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.apply import mode_gains, moved
-from tg4mm.motion.modal import ModalMotion
+from tg4mm.motion.animate import animate, mode_gains
+from tg4mm.motion.modes import ModalMotion
 from tg4mm.rasterize import rasterization
 
 BACKGROUND = (1.0, 1.0, 1.0)  # both the rendering and the ground truth are composited on white
@@ -157,7 +157,7 @@ def pose(gaussians: Gaussians, method: Method, t: int, alpha: float) -> Gaussian
         return method.posing.at(alpha)(t)
     if method.motion is None:
         return gaussians
-    return moved(gaussians, method.motion, t, alpha=alpha, band=method.band)
+    return animate(gaussians, method.motion, t, alpha=alpha, band=method.band)
 
 
 def render_views(gaussians: Gaussians, capture: Capture, which: np.ndarray) -> np.ndarray:

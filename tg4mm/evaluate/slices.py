@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from tg4mm.motion.modal import ModalMotion
+from tg4mm.motion.modes import ModalMotion
 
 Axis = Literal["row", "column"]
 

@@ -21,7 +21,7 @@ from tg4mm.magnify import BandGain, Magnification
 from tg4mm.magnify.bands import check_bands
 from tg4mm.magnify.poses import method_of, poses_of
 from tg4mm.modelhash import model_hash
-from tg4mm.motion.modal import ModalMotion
+from tg4mm.motion.modes import ModalMotion
 from tg4mm.runs import Run
 
 STATIC, OURS, CEILING = "nothing moves", "ours", "ceiling"

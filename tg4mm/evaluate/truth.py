@@ -12,7 +12,7 @@ import numpy as np
 
 from tg4mm.errors import CaptureError
 from tg4mm.evaluate.surface import SurfaceSamples, closest_on_triangles, interpolate, sample_surface
-from tg4mm.motion.modal import ModalMotion
+from tg4mm.motion.modes import ModalMotion
 
 TRUTH_FILE = Path("truth") / "motion.npz"
 _N_SAMPLES = 200_000  # surface samples of all objects together

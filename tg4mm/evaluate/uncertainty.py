@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tg4mm.evaluate.displacement import mean_squares
-from tg4mm.motion.modal import ModalMotion
+from tg4mm.motion.modes import ModalMotion
 
 _TIMES = 2.0  # of the standard deviation that is said: beyond it an error was not foreseen
 

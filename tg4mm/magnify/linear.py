@@ -12,8 +12,8 @@ import numpy as np
 
 from tg4mm.magnify.bands import Magnification
 from tg4mm.magnify.filters import apply_response
-from tg4mm.motion.apply import displacement_at, mode_gains, rotation_at
-from tg4mm.motion.modal import ModalMotion
+from tg4mm.motion.animate import displacement_at, mode_gains, rotation_at
+from tg4mm.motion.modes import ModalMotion
 
 
 def magnified_series(series: np.ndarray, response: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ from tg4mm.errors import RunError, Tg4mmError
 from tg4mm.gaussians import Gaussians
 from tg4mm.magnify.bands import METHODS, Magnification
 from tg4mm.magnify.linear import magnified_motion
-from tg4mm.motion.apply import mover
+from tg4mm.motion.animate import animator
 from tg4mm.runs import Run
 
 DEFAULT_METHOD = {"modal": "modal", "paper": "phase", "paper-small": "phase"}
@@ -63,9 +63,9 @@ def poses_of(run: Run, plan: Magnification, device: str = "cpu") -> Poses:
     plan.checked(motion.fps)
     if method == "modal" or (method == "linear" and DEFAULT_METHOD.get(run.preset) == "modal"):
         if method == "linear":
-            at = mover(run.load_space().to(device), magnified_motion(motion, plan))
+            at = animator(run.load_space().to(device), magnified_motion(motion, plan))
             return Poses(at, motion.n_timesteps, motion.fps)
-        at, alphas = mover(run.load_space().to(device), motion), plan.ideal(motion.freqs_hz)
+        at, alphas = animator(run.load_space().to(device), motion), plan.ideal(motion.freqs_hz)
         return Poses(lambda t: at(t, alphas), motion.n_timesteps, motion.fps)
     from tg4mm.magnify.embeddings import series_of
 

@@ -1,6 +1,6 @@
 """The motion stage: how every Gaussian moves, and Gaussians moved and magnified."""
 
 from tg4mm.motion.config import MotionConfig
-from tg4mm.motion.modal import ModalMotion
+from tg4mm.motion.modes import ModalMotion
 
 __all__ = ["ModalMotion", "MotionConfig"]

@@ -10,7 +10,7 @@ import numpy as np
 
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.carried.carried import Carried
-from tg4mm.motion.jacobian.linear import RestView
+from tg4mm.motion.jacobian.view import ViewJacobian
 from tg4mm.motion.light.fit import ITERATIONS, Lighting, Remainder
 from tg4mm.motion.pictures.differences import TemporalComponents
 from tg4mm.motion.pictures.video import FixedCamera
@@ -23,7 +23,7 @@ from tg4mm.motion.prior.graph import Graph
 class Beyond:
     """Of the components that are no noise."""
 
-    views: Sequence[RestView]
+    views: Sequence[ViewJacobian]
     cameras: Sequence[FixedCamera]
     components: TemporalComponents
     findings: Findings

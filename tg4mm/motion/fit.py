@@ -2,8 +2,8 @@
 
 The first turn explains the component images. What the found motion shows beyond the derivative, and the light that goes
 with it (`beyond.py`), is then taken from what is left, and edges of the prior that two halves of the cameras find
-strained are loosened (`prior/joints.py`), both only if the motion is small. The second turn solves for the difference
-that this makes. Together they take the iterations of one fit.
+strained are loosened (`prior/edge_reweighting.py`), both only if the motion is small. The second turn solves for the
+difference that this makes. Together they take the iterations of one fit.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from torch import Tensor
 
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.jacobian.packed import DOF
+from tg4mm.motion.prior.edge_reweighting import edge_residual, reweight_edges
 from tg4mm.motion.prior.graph import Graph
-from tg4mm.motion.prior.joints import loosened, strain
 from tg4mm.motion.solver.device import DeviceProblem
+from tg4mm.motion.solver.pcg import CGState, on_cpu, placed, start, step_all
 from tg4mm.motion.solver.problem import MotionProblem
-from tg4mm.motion.solver.solve import CGState, on_cpu, placed, start, step_all
 
 # components that share a pass over the views: half the time of eight passes, memory for eight fields
 TOGETHER = 8
@@ -131,12 +131,12 @@ class Solver:
         """[E]: what the first turn's fields of two halves agree on; none if edges are not loosened."""
         if self.graph is None:
             return np.zeros(0, np.float32)
-        return strain(self.graph, *np.split(fit.fields, 2))
+        return edge_residual(self.graph, *np.split(fit.fields, 2))
 
     def loosened(self, of_edges: np.ndarray) -> Solver:
         """With edges loosened by their strain [E]."""
         assert self.graph is not None
-        first: Any = self.problems[0].with_graph(loosened(self.graph, of_edges))
+        first: Any = self.problems[0].with_graph(reweight_edges(self.graph, of_edges))
         return replace(self, problems=[first, *(p.with_prior_of(first) for p in self.problems[1:])])
 
     def take_over(self, fit: Fit, before: Solver) -> None:

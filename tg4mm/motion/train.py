@@ -20,16 +20,16 @@ from tg4mm.device import gpu_figures, reset_gpu_peak
 from tg4mm.errors import RunError
 from tg4mm.gaussians import Gaussians
 from tg4mm.memory import peak_memory_mib
+from tg4mm.motion.appearance_modes import AppearanceModes
 from tg4mm.motion.beyond import Beyond
 from tg4mm.motion.certainty.doubt import doubt
 from tg4mm.motion.certainty.found import Found, of_halves
 from tg4mm.motion.certainty.halves import agreed_fields, halves
 from tg4mm.motion.config import MotionConfig, resolved
 from tg4mm.motion.fit import TOGETHER, Fit, Solver
-from tg4mm.motion.jacobian.linear import rest_view
+from tg4mm.motion.jacobian.view import view_jacobian
 from tg4mm.motion.light.fit import LOOK
-from tg4mm.motion.light.model import Light
-from tg4mm.motion.modal import ModalMotion
+from tg4mm.motion.modes import ModalMotion
 from tg4mm.motion.pictures.differences import temporal_components
 from tg4mm.motion.pictures.video import fixed_cameras
 from tg4mm.motion.posing.noise import pixel_weights
@@ -38,7 +38,7 @@ from tg4mm.motion.posing.weight import CANDIDATES
 from tg4mm.motion.rounds.rounds import ABOVE_PX, Rounds
 from tg4mm.motion.rounds.where import usable
 from tg4mm.motion.solver.problem import MotionProblem
-from tg4mm.motion.temporal.spectrum import modes, of_shapes
+from tg4mm.motion.spectrum import apply_series, modes_of
 from tg4mm.progress import progress
 from tg4mm.runs import UNCERTAINTY, Run
 
@@ -67,7 +67,7 @@ class _Stage:
         self.are_all = len(self.cameras) == len(np.unique(capture.camera_ids))
         self.components = temporal_components(images, self.cameras, config.components)
         size = (capture.width, capture.height)
-        views = [rest_view(gaussians, camera, size) for camera in self.cameras]
+        views = [view_jacobian(gaussians, camera, size) for camera in self.cameras]
         if not any(view.bins.n_visible for view in views):
             seeing = f"is seen by a camera of {capture.root} that stays put"
             raise RunError(f"{run.path}: none of its {len(gaussians):,} Gaussians {seeing}")
@@ -108,12 +108,12 @@ class _Stage:
 
     def motion(self, shapes: np.ndarray, light: np.ndarray | None) -> ModalMotion:
         """From the fields [R, N, DOF] and `light`."""
-        freqs, series = modes(self.basis, shapes, self.fps, light)
-        values = of_shapes(series, shapes)
+        freqs, series = modes_of(self.basis, shapes, self.fps, light)
+        values = apply_series(series, shapes)
         of_time = self.fps, self.n_timesteps
         shown = None
         if light is not None and (rows := np.flatnonzero(light.any((1, 2, 3)))).size:
-            shown = Light(light[rows], series[:, rows])
+            shown = AppearanceModes(light[rows], series[:, rows])
         return ModalMotion(freqs, values[..., :3], values[..., 3:], *of_time, light=shown)
 
     @cached_property
@@ -195,7 +195,7 @@ class _Stage:
             pictures = self.components.images[v, self.signal]
             return pictures - self.beyond.carried.of(v, shapes) if fit.is_small else pictures
 
-        return Found(fields, shapes, self.gaussians, self.at_rest, self.graph.around, explained)
+        return Found(fields, shapes, self.gaussians, self.at_rest, self.graph.knn, explained)
 
     def after_rounds(self, fit: Fit) -> tuple[Found, dict[str, Any]]:
         """After the rounds, which start where motion is not small; and figures."""

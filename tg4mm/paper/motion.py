@@ -15,7 +15,7 @@ from torch import Tensor
 from tg4mm.capture import Capture, ImageStack
 from tg4mm.device import full_precision, gpu_figures, reset_gpu_peak
 from tg4mm.memory import peak_memory_mib
-from tg4mm.motion.modal import ModalMotion
+from tg4mm.motion.modes import ModalMotion
 from tg4mm.paper.config import PaperConfig
 from tg4mm.paper.fit import Fit, view_loss
 from tg4mm.paper.model import PaperModel, disk_mib, load_planes, planes_name, save_planes

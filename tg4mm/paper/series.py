@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from tg4mm.magnify.linear import series_modes
-from tg4mm.motion.modal import ModalMotion
+from tg4mm.motion.modes import ModalMotion
 from tg4mm.paper.model import PaperModel
 
 

@@ -12,7 +12,7 @@ from tg4mm.capture import Capture, load_capture, load_images
 from tg4mm.errors import CaptureError
 from tg4mm.evaluate.weights import blending_weights
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.modal import ModalMotion
+from tg4mm.motion.modes import ModalMotion
 from tg4mm.progress import progress
 from tg4mm.render.cameras import Camera, capture_cameras
 from tg4mm.render.frames import to_bytes

@@ -26,9 +26,9 @@ from math import factorial
 import numpy as np
 from numba import float32, int64, prange
 
-from tg4mm.motion.carried.flow import flow
 from tg4mm.motion.carried.steady import slopes, trust
-from tg4mm.motion.jacobian.linear import RestView
+from tg4mm.motion.jacobian.flow import optical_flow
+from tg4mm.motion.jacobian.view import ViewJacobian
 from tg4mm.rasterize.buffers import Buffers
 from tg4mm.rasterize.kernels.compiled import kernel
 
@@ -43,7 +43,7 @@ _MARGIN = 2  # pixels beside one that its derivatives take in
 class Carried:
     """For cameras that saw `means` on average, and R orthonormal functions of time by falling energy."""
 
-    views: Sequence[RestView]
+    views: Sequence[ViewJacobian]
     means: np.ndarray  # [V, H, W, 3] over white
     basis: np.ndarray  # [R, T]
     buffers: Buffers = field(default_factory=Buffers, compare=False)
@@ -53,7 +53,7 @@ class Carried:
         """[R, H, W, 3] float32: what fields [R, N, DOF] change in component images of view `v`, see above."""
         view, mean = self.views[v], self.means[v]
         at_rest = view.image[..., :3] + view.transmittance[..., None]
-        moves = flow(view, shapes, self.buffers)
+        moves = optical_flow(view, shapes, self.buffers)
         out, error = np.empty_like(moves), _with_margin(mean - at_rest)
         if v not in self._trusted:
             self._trusted[v] = trust(error, view.transmittance < 0.5)

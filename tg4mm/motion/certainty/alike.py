@@ -14,8 +14,8 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from tg4mm.motion.certainty.halves import mean_around
-from tg4mm.motion.jacobian.colours import blended
-from tg4mm.motion.jacobian.linear import RestView
+from tg4mm.motion.jacobian.colour import blend_sum
+from tg4mm.motion.jacobian.view import ViewJacobian
 from tg4mm.motion.pictures.video import FixedCamera
 
 BLOCK = 4  # pixels: side of what an error of the model reaches over
@@ -44,7 +44,7 @@ def variation(shapes: np.ndarray, around: np.ndarray) -> np.ndarray:
 
 def displacement_left(
     left: Iterable[np.ndarray],
-    views: Sequence[RestView],
+    views: Sequence[ViewJacobian],
     cameras: Sequence[FixedCamera],
     means: np.ndarray,
     around: np.ndarray,
@@ -58,7 +58,7 @@ def displacement_left(
     seen = np.zeros((len(means), 3))  # of what is left, of what a unit of displacement changes, of pixels
     for pictures, view, camera in zip(left, views, cameras, strict=True):
         slopes = _slopes(view)
-        told = blended(view, np.stack([_of_blocks(pictures), slopes, np.ones_like(slopes)], -1))
+        told = blend_sum(view, np.stack([_of_blocks(pictures), slopes, np.ones_like(slopes)], -1))
         depth = means @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
         per_unit = np.sqrt(camera.K[0, 0] * camera.K[1, 1]) / np.where(told[:, 2] > 0, depth, 1)  # pixels
         told[:, 1:] *= per_unit[:, None] ** 2
@@ -80,7 +80,7 @@ def _of_blocks(pictures: np.ndarray) -> np.ndarray:
     return np.asarray(squares.repeat(tall, 0).repeat(wide, 1))
 
 
-def _slopes(view: RestView) -> np.ndarray:
+def _slopes(view: ViewJacobian) -> np.ndarray:
     """[H, W]: the squared gradient of the picture at rest over white, per pixel; sums over channels."""
     picture = view.image[..., :3] + view.transmittance[..., None]
     down, right = np.gradient(picture, axis=(0, 1))

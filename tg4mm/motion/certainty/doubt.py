@@ -14,7 +14,7 @@ from torch import Tensor
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.certainty.posterior import Posterior, n_solves, posterior
 from tg4mm.motion.certainty.sight import lines_of_sight, sight_ratio
-from tg4mm.motion.jacobian.linear import RestView
+from tg4mm.motion.jacobian.view import ViewJacobian
 from tg4mm.motion.pictures.video import FixedCamera
 from tg4mm.motion.solver.problem import MotionProblem
 from tg4mm.progress import progress
@@ -61,7 +61,7 @@ def doubt(
 
 def _along_sight(
     found: Posterior,
-    view: RestView,
+    view: ViewJacobian,
     camera: FixedCamera,
     gaussians: Gaussians,
     shapes: np.ndarray,

@@ -14,7 +14,7 @@ from torch import Tensor
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.certainty.alike import alike, displacement_left, variation
 from tg4mm.motion.certainty.halves import deviation
-from tg4mm.motion.jacobian.linear import RestView
+from tg4mm.motion.jacobian.view import ViewJacobian
 from tg4mm.motion.pictures.video import FixedCamera
 
 _VIEWS = 10  # in which it is told what is left
@@ -27,7 +27,7 @@ class Found:
     fields: np.ndarray  # [P, R, N, DOF]
     shapes: np.ndarray  # [R, N, DOF], what they agree on
     gaussians: Gaussians
-    views: list[RestView]  # of those Gaussians; may be none where nobody asks for uncertainty
+    views: list[ViewJacobian]  # of those Gaussians; may be none where nobody asks for uncertainty
     around: np.ndarray  # [N, count], the Gaussians around each
     # of a view: the component images [R, H, W, 3] that the shapes explain by the derivative at rest
     explained: Callable[[int], np.ndarray]
@@ -35,7 +35,7 @@ class Found:
     def left(self, rows: Sequence[int]) -> Iterator[np.ndarray]:
         """For some of the views what the shapes leave of what they explain, [R, H, W, 3]."""
         for v in rows:
-            yield self.explained(v) - self.views[v].push_all(self.shapes)
+            yield self.explained(v) - self.views[v].jvp(self.shapes)
 
 
 def of_halves(

@@ -48,7 +48,7 @@ def deviation(a: np.ndarray, b: np.ndarray, around: np.ndarray) -> np.ndarray:
 
 
 def mean_around(values: np.ndarray, around: np.ndarray) -> np.ndarray:
-    """Of values [N, …], the mean over the Gaussians `around` each [N, count], as `Graph.around` lists them."""
+    """Of values [N, …], the mean over the Gaussians `around` each [N, count], as `Graph.knn` lists them."""
     out = np.empty_like(values)
     for first in range(0, len(values), _AT_ONCE):
         some = slice(first, first + _AT_ONCE)

@@ -24,10 +24,10 @@ from scipy.sparse import csr_matrix
 
 from tg4mm.motion.certainty.alike import BLOCK
 from tg4mm.motion.certainty.halves import mean_around
-from tg4mm.motion.prior.roots import stiffness_root
+from tg4mm.motion.prior.square_root import stiffness_root
 from tg4mm.motion.rounds.moved import shown
+from tg4mm.motion.solver.pcg import start, step_all
 from tg4mm.motion.solver.problem import MotionProblem
-from tg4mm.motion.solver.solve import start, step_all
 
 DRAWS = 8  # of each kind; neighbours are averaged over besides
 _FOR_FREEDOM = 4
@@ -155,4 +155,4 @@ def _covariance(problem: MotionProblem, thetas: Sequence[np.ndarray]) -> np.ndar
     """[N, 3, 3] float32: mean of u uᵀ over the draws and over the Gaussians around each."""
     u = np.stack([problem.field(t)[:, :3] for t in thetas]).astype(np.float64)
     each = np.einsum("snc,snd->ncd", u, u) / len(u)
-    return mean_around(each, problem.graph.around).astype(np.float32)
+    return mean_around(each, problem.graph.knn).astype(np.float32)

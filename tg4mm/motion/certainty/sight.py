@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tg4mm.motion.jacobian.linear import RestView
 from tg4mm.motion.jacobian.packed import DOF
+from tg4mm.motion.jacobian.view import ViewJacobian
 from tg4mm.motion.pictures.video import FixedCamera
 
 
@@ -25,7 +25,7 @@ def _of_length_one(v: np.ndarray) -> np.ndarray:
     return np.asarray(v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-12))
 
 
-def sight_ratio(view: RestView, camera: FixedCamera, means: np.ndarray, seed: int = 0) -> float:
+def sight_ratio(view: ViewJacobian, camera: FixedCamera, means: np.ndarray, seed: int = 0) -> float:
     """Change of the picture (rms) for motion towards the camera over that for motion across, same lengths.
 
     means [N, 3] in scene units. Signs are random from Gaussian to Gaussian, so that nothing cancels but by chance.
@@ -37,5 +37,5 @@ def sight_ratio(view: RestView, camera: FixedCamera, means: np.ndarray, seed: in
     for direction in (along, across):
         motion = np.zeros((len(means), DOF), np.float32)
         motion[:, :3] = signs * direction
-        seen.append(float(np.sqrt((view.push(motion).astype(np.float64) ** 2).sum())))
+        seen.append(float(np.sqrt((view.jvp(motion[None]).astype(np.float64) ** 2).sum())))
     return seen[0] / seen[1] if seen[1] > 0 else 0.0

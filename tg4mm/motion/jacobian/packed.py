@@ -1,7 +1,7 @@
-"""From small motions of Gaussians to their splats and back: one Jacobian for each, packed.
+"""Products with the Jacobian of projection: one 8 × 6 block a Gaussian, stored without its zeros.
 
-Displacement changes all eight columns of a splat, rotation its conic alone: 33 numbers, kept as 36. A Gaussian's rows
-are summed by one thread in a fixed order.
+Displacement changes all eight columns of a splat, rotation its conic alone: 33 numbers, padded to 36. Each Gaussian is
+summed by one thread in a fixed order, so that results do not depend on the number of threads.
 """
 
 # mypy: disable-error-code="call-arg, var-annotated"
@@ -24,10 +24,10 @@ DOF = 6  # displacement (scene units) and rotation vector (radians, world axes)
 COLUMNS = 8  # of a splat: mean, conic, colour
 _CONIC, _COLOUR = slice(2, 5), 5
 _PACKED = 36  # three rows of eight, three of three and a zero
-_TURNS = 24 - 2  # where rotations' rows begin, so that the conic's columns lie in their lanes
-_AHEAD = 24  # pairs asked for ahead of their use
-_CHUNK = 256  # Gaussians that a thread takes at a time
-_ONLY = np.array([2 <= lane < 5 for lane in range(LANES)], np.float32)  # of the first eight lanes: the conic
+_ROTATION = 24 - 2  # first row of rotation, shifted so that the conic's columns lie in lanes 2 to 4
+_PREFETCH = 24  # pairs prefetched ahead of their use
+_CHUNK = 256  # Gaussians a thread takes at a time
+_CONIC_LANES = np.array([2 <= lane < 5 for lane in range(LANES)], np.float32)  # 1 there, else 0
 
 
 def _eight(lanes):
@@ -49,8 +49,8 @@ load_eight = _eight([*range(COLUMNS), *[COLUMNS] * COLUMNS])  # and eight zeros
 load_twice = _eight([*range(COLUMNS)] * 2)
 
 
-def packed(jacobian: np.ndarray) -> np.ndarray:
-    """[n, 8, 6] -> [36 n + 16] float32, as the kernels read it. Rotation must not change mean nor colour."""
+def pack(jacobian: np.ndarray) -> np.ndarray:
+    """[n, 8, 6] -> [36 n + 16] float32. Rows of rotation must be 0 but for the conic."""
     n = len(jacobian)
     out = np.zeros(_PACKED * n + LANES, np.float32)
     rows = out[: _PACKED * n].reshape(n, _PACKED)
@@ -59,8 +59,8 @@ def packed(jacobian: np.ndarray) -> np.ndarray:
     return out
 
 
-def unpacked(values: np.ndarray) -> np.ndarray:
-    """The inverse of `packed`."""
+def unpack(values: np.ndarray) -> np.ndarray:
+    """The inverse of `pack`."""
     rows = values[:-LANES].reshape(-1, _PACKED)
     out = np.zeros((len(rows), COLUMNS, DOF), np.float32)
     out[:, :, :3] = rows[:, :24].reshape(-1, 3, COLUMNS).transpose(0, 2, 1)
@@ -68,69 +68,71 @@ def unpacked(values: np.ndarray) -> np.ndarray:
     return out
 
 
-def as_colours(values: np.ndarray) -> np.ndarray:
-    """Packed Jacobians whose first two colours are the means of those given; all else is 0."""
+def mean_rows_as_colours(values: np.ndarray) -> np.ndarray:
+    """Packed blocks whose first two colour rows are the given blocks' mean rows; all else is 0."""
     rows, out = values[:-LANES].reshape(-1, _PACKED), np.zeros_like(values)
     to = out[:-LANES].reshape(-1, _PACKED)[:, :24].reshape(-1, 3, COLUMNS)
     to[..., _COLOUR : _COLOUR + 2] = rows[:, :24].reshape(-1, 3, COLUMNS)[..., :2]
     return out
 
 
-def jacobian_of_means(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of packed Jacobians, how a displacement moves the mean right and down: [n, 3] each, a view of `values`."""
+def mean_rows(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Derivative of the mean's x and y (pixels) by displacement: [n, 3] each, views of `values`."""
     of_displacement = values[:-LANES].reshape(-1, _PACKED)[:, :24].reshape(-1, 3, COLUMNS)
     return of_displacement[..., 0], of_displacement[..., 1]
 
 
 @kernel()
-def _push_rows(first, last, values, rows, only, motions, shape, d_splats):
-    n_changes, n = shape
-    conic = load(only, int64(0))
+def _jvp_range(first, last, values, rows, conic_lanes, motions, shape, d_splats):
+    n_motions, n = shape
+    conic = load(conic_lanes, int64(0))
     for k in range(first, last):
         i, at = int64(rows[k]), int64(k) * _PACKED
         j0, j1, j2 = load(values, at), load(values, at + 8), load(values, at + 16)
-        at += _TURNS
+        at += _ROTATION
         t0, t1, t2 = load(values, at), load(values, at + 4), load(values, at + 8)
-        for r in range(n_changes):
+        for r in range(n_motions):
             m = (r * n + i) * DOF
             shifted = fma(
                 j0, number(motions, m), fma(j1, number(motions, m + 1), j2 * number(motions, m + 2))
             )
             m += 3
-            turned = fma(t0, number(motions, m), fma(t1, number(motions, m + 1), t2 * number(motions, m + 2)))
-            store_eight(d_splats, (i * n_changes + r) * COLUMNS, fma(turned, conic, shifted))
+            rotated = fma(
+                t0, number(motions, m), fma(t1, number(motions, m + 1), t2 * number(motions, m + 2))
+            )
+            store_eight(d_splats, (i * n_motions + r) * COLUMNS, fma(rotated, conic, shifted))
 
 
 @inlined
-def _of_pairs(v_pairs, slots, first, last, width, at, are_two):
-    """What pairs say of one change, at `at` of their rows, or of two, one in each half of the lanes."""
+def _sum_pairs(v_pairs, slots, first, last, width, at, are_two):
+    """Sum over a Gaussian's pairs of one motion's cotangents, at `at` of their rows, or of two: one in each half."""
     total, end = wide(float32(0.0)), len(slots) - 1
     for slot in range(first, last):
-        ask(v_pairs, int64(slots[min(slot + _AHEAD, end)]) * width + at)
+        ask(v_pairs, int64(slots[min(slot + _PREFETCH, end)]) * width + at)
         place = int64(slots[slot]) * width + at
         total = total + (load(v_pairs, place) if are_two else load_eight(v_pairs, place))
     return total
 
 
 @kernel()
-def _pull_rows(first, last, values, rows, only, pairs, shape, v_motions):
-    n_changes, n = shape
+def _vjp_range(first, last, values, rows, conic_lanes, pairs, shape, v_motions):
+    n_motions, n = shape
     starts, slots, v_pairs = pairs
-    conic, nothing, width = load_twice(only, int64(0)), wide(float32(0.0)), int64(n_changes * COLUMNS)
+    conic, nothing, width = load_twice(conic_lanes, int64(0)), wide(float32(0.0)), int64(n_motions * COLUMNS)
     room = aligned(LANES)
     for k in range(first, last):
         i, at = int64(rows[k]), int64(k) * _PACKED
-        for r in range(0, n_changes, 2):
-            are_two = r + 1 < n_changes
-            total = _of_pairs(v_pairs, slots, starts[k], starts[k + 1], width, int64(r * COLUMNS), are_two)
-            of_conic, turns = total * conic, at + _TURNS
+        for r in range(0, n_motions, 2):
+            are_two = r + 1 < n_motions
+            total = _sum_pairs(v_pairs, slots, starts[k], starts[k + 1], width, int64(r * COLUMNS), are_two)
+            of_conic, rotation = total * conic, at + _ROTATION
             sums = half_sums_of_eight(
                 load_twice(values, at) * total,
                 load_twice(values, at + 8) * total,
                 load_twice(values, at + 16) * total,
-                load_twice(values, turns) * of_conic,
-                load_twice(values, turns + 4) * of_conic,
-                load_twice(values, turns + 8) * of_conic,
+                load_twice(values, rotation) * of_conic,
+                load_twice(values, rotation + 4) * of_conic,
+                load_twice(values, rotation + 8) * of_conic,
                 nothing,
                 nothing,
             )
@@ -142,25 +144,25 @@ def _pull_rows(first, last, values, rows, only, pairs, shape, v_motions):
 
 
 @kernel(parallel=True)
-def _push(count, values, rows, only, motions, shape, d_splats):
+def _jvp(count, values, rows, conic_lanes, motions, shape, d_splats):
     for chunk in prange((count + _CHUNK - 1) // _CHUNK):
         last = min(count, (chunk + 1) * _CHUNK)
-        _push_rows(chunk * _CHUNK, last, values, rows, only, motions, shape, d_splats)
+        _jvp_range(chunk * _CHUNK, last, values, rows, conic_lanes, motions, shape, d_splats)
 
 
 @kernel(parallel=True)
-def _pull(count, values, rows, only, pairs, shape, v_motions):
+def _vjp(count, values, rows, conic_lanes, pairs, shape, v_motions):
     for chunk in prange((count + _CHUNK - 1) // _CHUNK):
         last = min(count, (chunk + 1) * _CHUNK)
-        _pull_rows(chunk * _CHUNK, last, values, rows, only, pairs, shape, v_motions)
+        _vjp_range(chunk * _CHUNK, last, values, rows, conic_lanes, pairs, shape, v_motions)
 
 
-def push(values: np.ndarray, rows: np.ndarray, motions: np.ndarray, d_splats: np.ndarray) -> None:
-    """Motions [R, N, DOF] -> d_splats [N, R, 8], written for the Gaussians `rows` [n], whose Jacobians are `packed`."""
-    _push(len(rows), values, rows, _ONLY, motions.reshape(-1), motions.shape[:2], d_splats.reshape(-1))
+def jvp_rows(values: np.ndarray, rows: np.ndarray, motions: np.ndarray, d_splats: np.ndarray) -> None:
+    """Motions [R, N, DOF] -> d_splats [N, R, 8], written for the Gaussians `rows` [n] with packed blocks `values`."""
+    _jvp(len(rows), values, rows, _CONIC_LANES, motions.reshape(-1), motions.shape[:2], d_splats.reshape(-1))
 
 
-def pull(
+def vjp_rows(
     values: np.ndarray,
     rows: np.ndarray,
     starts: np.ndarray,
@@ -168,6 +170,9 @@ def pull(
     v_pairs: np.ndarray,
     v_motions: np.ndarray,
 ) -> None:
-    """The transpose: adds to `v_motions` [R, N, DOF] what pairs [P, R, 8] say, row k's being slots[starts[k] …]."""
+    """The transpose: adds to `v_motions` [R, N, DOF] from cotangents of tile–Gaussian pairs [P, R, 8].
+
+    Those of row k are v_pairs[slots[starts[k] … starts[k + 1] − 1]].
+    """
     pairs = starts, slots, v_pairs.reshape(-1)
-    _pull(len(rows), values, rows, _ONLY, pairs, v_motions.shape[:2], v_motions.reshape(-1))
+    _vjp(len(rows), values, rows, _CONIC_LANES, pairs, v_motions.shape[:2], v_motions.reshape(-1))

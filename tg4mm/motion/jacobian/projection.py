@@ -1,6 +1,6 @@
-"""How a Gaussian's splat answers to its own small motion: projection's gradient of each column, a block at a time.
+"""The Jacobian of projection: derivative of each Gaussian's splat by its displacement and rotation.
 
-A few hundred Gaussians' gradients stay in the cache and never become arrays of all parameters.
+Projection's backward pass, once for each column, over chunks of Gaussians that stay in the cache.
 """
 
 # mypy: disable-error-code="no-untyped-call"

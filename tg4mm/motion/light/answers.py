@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from tg4mm.motion.certainty.sight import lines_of_sight
-from tg4mm.motion.jacobian.colours import of_colours
-from tg4mm.motion.jacobian.linear import RestView
+from tg4mm.motion.jacobian.colour import colour_jacobian
 from tg4mm.motion.jacobian.packed import DOF
+from tg4mm.motion.jacobian.view import ViewJacobian
 from tg4mm.motion.pictures.video import FixedCamera
 from tg4mm.rasterize.buffers import Buffers
 from tg4mm.rasterize.kernels.compiled import kernel
@@ -28,23 +28,23 @@ class LitView:
     which all have the same mean square over directions.
     """
 
-    view: RestView  # its Jacobian takes "displacements" for colours
+    view: ViewJacobian  # its Jacobian takes "displacements" for colours
     harmonics: np.ndarray  # [N, K] float32
 
     def show(self, x: np.ndarray, buffers: Buffers) -> np.ndarray:
         """Changes of the picture [R, H, W, 3], until the next call with the same `buffers`."""
-        return self.view.push_all(self._colours(x, buffers), buffers)
+        return self.view.jvp(self._colours(x, buffers), buffers)
 
     def pull(self, pictures: np.ndarray, out: np.ndarray, buffers: Buffers) -> None:
         """The transpose: adds to `out` [R, N, K, 3] what pictures [R, H, W, 3] say."""
         v = self._nothing(out, buffers, "v_colours")
-        self.view.pull_all(pictures, v, buffers)
+        self.view.vjp(pictures, v, buffers)
         _gather(self.harmonics, v, out)
 
     def normal(self, x: np.ndarray, weights: np.ndarray | None, out: np.ndarray, buffers: Buffers) -> None:
         """`show`, times the weights of pixels [H, W] or 1, and `pull`, in one pass."""
         v = self._nothing(out, buffers, "v_colours")
-        self.view.normal_all(self._colours(x, buffers), weights, v, buffers)
+        self.view.gauss_newton_product(self._colours(x, buffers), weights, v, buffers)
         _gather(self.harmonics, v, out)
 
     def _colours(self, x: np.ndarray, buffers: Buffers) -> np.ndarray:
@@ -60,7 +60,7 @@ class LitView:
 
 
 def lit_views(
-    views: Sequence[RestView], cameras: Sequence[FixedCamera], means: np.ndarray, tilts: bool
+    views: Sequence[ViewJacobian], cameras: Sequence[FixedCamera], means: np.ndarray, tilts: bool
 ) -> list[LitView]:
     """Of Gaussians at `means` [N, 3]; with `tilts` K is 4, else 1."""
     out = []
@@ -70,7 +70,9 @@ def lit_views(
             x, y, z = lines_of_sight(camera, means).T
             harmonics[:, 1:] = _TILT * np.stack([-y, z, -x], 1)
         colours = view.splats[view.bins.order[: view.bins.n_visible], FEAT : FEAT + 3]
-        out.append(LitView(of_colours(view, colours > 0), harmonics))  # what is clamped at 0 does not answer
+        out.append(
+            LitView(colour_jacobian(view, colours > 0), harmonics)
+        )  # what is clamped at 0 does not answer
     return out
 
 

@@ -15,12 +15,12 @@ import numpy as np
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.carried.carried import Carried
 from tg4mm.motion.certainty.halves import agreed_gain, mean_around
-from tg4mm.motion.jacobian.linear import RestView
+from tg4mm.motion.jacobian.view import ViewJacobian
 from tg4mm.motion.light.answers import HARMONIC, lit_views
 from tg4mm.motion.light.problem import LightProblem
 from tg4mm.motion.pictures.video import FixedCamera
 from tg4mm.motion.prior.graph import Graph
-from tg4mm.motion.solver.solve import CGState, start, step_all
+from tg4mm.motion.solver.pcg import CGState, start, step_all
 
 ITERATIONS = 3  # six do hardly better: docs/decisions.md
 LOOK = 1  # iterations after which it is told whether the halves agree; enough between the motion's two turns
@@ -32,7 +32,7 @@ _TOGETHER = 8  # components that share a pass over the views
 class Remainder:
     """What motion leaves of component images: of `asked` [r] among R components."""
 
-    views: Sequence[RestView]
+    views: Sequence[ViewJacobian]
     pictures: np.ndarray  # [V, …, H, W, 3]
     rows: np.ndarray  # [R] which of the components
     shapes: np.ndarray  # [R, N, DOF], their motion
@@ -42,7 +42,7 @@ class Remainder:
     def of(self, part: np.ndarray, some: np.ndarray) -> Iterator[np.ndarray]:
         """[s, H, W, 3] of each of the views `part`, for `some` of the R components."""
         for v in part:
-            left = self.pictures[v, self.rows[some]] - self.views[v].push_all(self.shapes[some])
+            left = self.pictures[v, self.rows[some]] - self.views[v].jvp(self.shapes[some])
             yield left if self.carried is None else left - self.carried.of(v, self.shapes)[some]
 
 
@@ -56,7 +56,7 @@ class Lighting:
 
     @staticmethod
     def of(
-        views: Sequence[RestView],
+        views: Sequence[ViewJacobian],
         cameras: Sequence[FixedCamera],
         gaussians: Gaussians,
         weights: np.ndarray | None,
@@ -65,7 +65,7 @@ class Lighting:
     ) -> Lighting:
         """weights [V, H, W]: of pixels; graph: of neighbours; parts: two halves of the cameras."""
         lit = lit_views(views, cameras, gaussians.means.numpy(), gaussians.sh_degree > 0)
-        return Lighting(LightProblem.of(lit, weights, graph), parts, graph.around)
+        return Lighting(LightProblem.of(lit, weights, graph), parts, graph.knn)
 
     def fitted(
         self,

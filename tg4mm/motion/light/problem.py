@@ -89,7 +89,7 @@ def _rows(views: Sequence[LitView], weights: np.ndarray | None) -> np.ndarray:
 
 def _laplacian(graph: Graph) -> csr_matrix:
     """Of the graph's edges with its weights; mean diagonal 1."""
-    n, weight = graph.n_gaussians, graph.bonds[:, 0] ** 2
+    n, weight = graph.n_gaussians, graph.edge_rows[:, 0] ** 2
     beside = csr_matrix((weight, graph.other, graph.start), shape=(n, n))
     degree = np.asarray(beside.sum(1)).ravel()
     return csr_matrix((diags(degree) - beside) / degree.mean(), dtype=np.float32)

@@ -14,7 +14,7 @@ import numpy as np
 
 from tg4mm.motion.certainty.halves import agreed_gain
 from tg4mm.motion.pictures.differences import TemporalComponents, pixel_noise
-from tg4mm.motion.solver.solve import on_cpu, start, step_all
+from tg4mm.motion.solver.pcg import on_cpu, start, step_all
 
 _ITERATIONS = 2  # two to six tell the same
 LOOSE = 30.0  # weight of the neighbours meanwhile: where much holds them together noise agrees too

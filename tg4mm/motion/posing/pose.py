@@ -10,16 +10,16 @@ import numpy as np
 
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.config import MotionConfig, more_iterations
-from tg4mm.motion.jacobian.linear import RestView
+from tg4mm.motion.jacobian.view import ViewJacobian
 from tg4mm.motion.pictures.differences import TemporalComponents
 from tg4mm.motion.posing.noise import LOOSE, noise_components, pixel_weights
 from tg4mm.motion.posing.weight import CANDIDATES, DEFAULT, ITERATIONS, chosen_weight
-from tg4mm.motion.prior.graph import graph
+from tg4mm.motion.prior.graph import build_graph
+from tg4mm.motion.solver.aggregates import aggregate
 from tg4mm.motion.solver.device import DeviceProblem
-from tg4mm.motion.solver.groups import groups_of
-from tg4mm.motion.solver.levels import PROBES, Known, levels, probed
+from tg4mm.motion.solver.pcg import CGState
+from tg4mm.motion.solver.preconditioner import PROBES, DiagonalEstimate, probe, two_level_preconditioner
 from tg4mm.motion.solver.problem import MotionProblem
-from tg4mm.motion.solver.solve import CGState
 from tg4mm.rasterize.reference import rotation_matrices
 
 
@@ -42,13 +42,13 @@ class Problems:
     """Problems of the same views that differ in weights, on the device where they are solved."""
 
     def __init__(
-        self, views: list[RestView], gaussians: Gaussians, config: MotionConfig, device: str
+        self, views: list[ViewJacobian], gaussians: Gaussians, config: MotionConfig, device: str
     ) -> None:
         self.views, self.config, self.device = views, config, device
         self.means = gaussians.means.numpy()
         axes = rotation_matrices(gaussians.quats).numpy()
-        self.graph = graph(self.means, axes, gaussians.scales.numpy())
-        self.groups = groups_of(self.graph, self.means)
+        self.graph = build_graph(self.means, axes, gaussians.scales.numpy())
+        self.groups = aggregate(self.graph, self.means)
         self._there: DeviceProblem | None = None
 
     def of(
@@ -56,14 +56,14 @@ class Problems:
     ) -> list[MotionProblem | DeviceProblem]:
         """One for each weight of the neighbours, all with the pixels' weights [V, H, W] or None."""
         rng = np.random.default_rng(self.config.seed)
-        known = Known.of(self.groups, probed(self.views, len(self.means), rng, weights, probes))
-        scale, ridge = known.scale, known.scale * self.config.ridge
+        estimate = DiagonalEstimate.of(self.groups, probe(self.views, len(self.means), rng, weights, probes))
+        scale, ridge = estimate.scale, estimate.scale * self.config.ridge
         return [
             self._placed(
                 MotionProblem(
                     self.views,
                     self.graph,
-                    levels(self.groups, known, scale * value, ridge),
+                    two_level_preconditioner(self.groups, estimate, scale * value, ridge),
                     scale,
                     replace(self.config, neighbours=value),
                     weights,

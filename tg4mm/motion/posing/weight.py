@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from tg4mm.motion.solver.device import DeviceProblem
+from tg4mm.motion.solver.pcg import CGState, start, step, stepped
 from tg4mm.motion.solver.problem import normals_of
-from tg4mm.motion.solver.solve import CGState, start, step, stepped
 
 Problem = Any  # MotionProblem or DeviceProblem; all of one kind
 CANDIDATES = (10.0, 30.0, 100.0, 300.0, 1_000.0, 3_000.0)

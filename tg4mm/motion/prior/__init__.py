@@ -1,1 +1,1 @@
-"""What motion is likely: neighbours move alike."""
+"""The prior on motion: squared second-order total generalised variation on a graph of neighbours."""

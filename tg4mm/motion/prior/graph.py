@@ -1,10 +1,9 @@
-"""Which Gaussians move alike: the prior on the motion, as one sparse matrix.
+"""The prior on motion: squared second-order total generalised variation on a graph of nearest neighbours.
 
-Every Gaussian has a displacement u_i and a gradient of displacement A_i of its own. Neighbours i, j at x_i, x_j should
-agree: u_j − u_i = ½ (A_i + A_j)(x_j − x_i), and their gradients should be alike. That is second-order total
-generalised variation on a graph (Bredies, Kunisch & Pock 2010), squared: translation, rotation, shear and stretch cost
-nothing, bending little, jumps much. It is the same for x, y and z, so a field is [N, 4, 3] and the matrix works on
-its columns: u, then the change of u over one typical distance of neighbours along x, y and z.
+Every Gaussian has a displacement u_i and a displacement gradient A_i of its own. An edge i, j between x_i and x_j costs
+|u_j − u_i − ½ (A_i + A_j)(x_j − x_i)|² and, weighted, |A_j − A_i|² (Bredies, Kunisch & Pock 2010, squared): affine
+motion is free, bending is cheap, jumps are dear. It is the same for x, y and z, so a field is [N, 4, 3] and the matrix
+acts on its columns: u, then the change of u over the mean spacing along x, y and z.
 """
 
 from __future__ import annotations
@@ -17,46 +16,45 @@ from numba import get_num_threads
 from scipy.sparse import bsr_matrix, csr_matrix
 from scipy.spatial import cKDTree
 
-from tg4mm.motion.prior.following import following
-from tg4mm.motion.prior.stiffness import BENDING, ROWS, Edges, add_prior
-from tg4mm.motion.prior.turning import turned, turned_back
+from tg4mm.motion.prior.rotation import from_motion, gradient_to_rotation, to_motion
+from tg4mm.motion.prior.tgv import BENDING, ROWS, Edges, add_prior
 
-COUNT = 12  # neighbours of a Gaussian
-AROUND = 32  # Gaussians of a neighbourhood over which figures are averaged, with its own
+COUNT = 12  # neighbours of a Gaussian in the graph
+KNN = 32  # Gaussians, with itself, over which statistics around a Gaussian are averaged
 
 
 @dataclass(frozen=True)
 class Graph:
-    """Neighbours, the prior's matrix, and what a field says of displacement and rotation.
+    """Edges and the prior's matrix, and the map from fields to displacement and rotation.
 
-    An edge's misfit is bond · (σ x_j − x_i), summed over the four rows, with σ = (1, −1, −1, −1): its bond is the root
-    of its weight times 1 and half the way to the other end. Every edge is listed at both ends.
+    The residual of edge (i, j) is row · (σ x_j − x_i), summed over the four rows of a field, with σ = (1, −1, −1, −1);
+    its `edge_rows` are the root of its weight times (1, half the way from i to j). Every edge is listed at both ends.
     """
 
     start: np.ndarray  # [N + 1] int64: the edges of Gaussian i are start[i] … start[i + 1] − 1
-    other: np.ndarray  # [E] int32: where they lead
-    bonds: np.ndarray  # [E, 4] float32
-    turns: np.ndarray  # [N, 9, 3] float32: from a gradient as a field holds it to a rotation vector
-    reach: float  # typical distance of neighbours, scene units
-    around: np.ndarray  # [N, at most AROUND] int32: the Gaussians nearest to each, by distance, with its own
+    other: np.ndarray  # [E] int32: the other end of an edge
+    edge_rows: np.ndarray  # [E, 4] float32
+    gradient_to_rotation: np.ndarray  # [N, 9, 3] float32: a field's gradient to a rotation vector
+    mean_spacing: float  # median over Gaussians of the mean distance to neighbours, scene units
+    knn: np.ndarray  # [N, at most KNN] int32: the Gaussians nearest to each, by distance, itself first
 
     @property
     def n_gaussians(self) -> int:
-        return len(self.turns)
+        return len(self.gradient_to_rotation)
 
     @property
     def edges(self) -> Edges:
-        return self.start, self.other, self.bonds.reshape(-1)
+        return self.start, self.other, self.edge_rows.reshape(-1)
 
     @cached_property
     def blocks(self) -> bsr_matrix:
         """The prior's matrix [4N, 4N] float64, symmetric, positive semi-definite; mean diagonal of the u rows 1
-        unless edges were loosened.
+        unless edges were reweighted.
 
         The first block of a row is the one on the diagonal.
         """
-        n, bonds = self.n_gaussians, self.bonds.astype(np.float64)
-        outer = bonds[:, :, None] * bonds[:, None, :]
+        n, rows = self.n_gaussians, self.edge_rows.astype(np.float64)
+        outer = rows[:, :, None] * rows[:, None, :]
         bending = BENDING * outer[:, :1, :1] * np.diag([0.0, 1, 1, 1])
         own = np.add.reduceat(outer + bending, self.start[:-1])
         first = self.start + np.arange(n + 1)
@@ -78,46 +76,46 @@ class Graph:
         """[N, 4, 4] on the diagonal of `blocks`."""
         return np.asarray(self.blocks.data[self.start[:-1] + np.arange(self.n_gaussians)])
 
-    def add_prior(self, x: np.ndarray, stiff: float, ridge: float, out: np.ndarray) -> None:
-        """Adds stiff · K x + ridge · x to `out`, both [4N, 3] float32, contiguous; K is the prior's matrix."""
-        add_prior(self.edges, x, stiff, ridge, out)
+    def add_prior(self, x: np.ndarray, smoothness: float, ridge: float, out: np.ndarray) -> None:
+        """Adds smoothness · K x + ridge · x to `out`, both [4N, 3] float32, contiguous; K is the prior's matrix."""
+        add_prior(self.edges, x, smoothness, ridge, out)
 
     def motion(self, field: np.ndarray) -> np.ndarray:
         """[4N, 3] float32 -> displacement and rotation vector (radians) of every Gaussian, [N, 6] float32."""
-        return turned(self.turns, field.reshape(self.n_gaussians, -1))
+        return to_motion(self.gradient_to_rotation, field.reshape(self.n_gaussians, -1))
 
     def from_motion(self, v_motion: np.ndarray) -> np.ndarray:
         """The transpose of `motion`: [N, 6] -> [4N, 3], float32."""
-        return turned_back(self.turns, v_motion).reshape(-1, 3)
+        return from_motion(self.gradient_to_rotation, v_motion).reshape(-1, 3)
 
 
-def graph(means: np.ndarray, axes: np.ndarray, scales: np.ndarray, count: int = COUNT) -> Graph:
-    """The graph of the `count` nearest neighbours, either way, of N > 1 Gaussians.
+def build_graph(means: np.ndarray, axes: np.ndarray, scales: np.ndarray, count: int = COUNT) -> Graph:
+    """The symmetrised graph of the `count` nearest neighbours of N > 1 Gaussians.
 
     means [N, 3] and scales [N, 3] in scene units, axes [N, 3, 3]: rotation matrices, whose columns the scales go with.
     """
     n = len(means)
-    first, second, weight, reach = _edges(*nearest(means, count + 1))
+    first, second, weight, spacing = _edges(*nearest(means, count + 1))
     owner, other = np.concatenate([first, second]), np.concatenate([second, first])
     order = np.lexsort((other, owner))
     owner, other, weight = owner[order], other[order], np.tile(weight, 2)[order]
     weight *= n / weight.sum()
-    ways = (means[other] - means[owner]).astype(np.float64) / reach
-    bonds = np.sqrt(weight)[:, None] * np.concatenate([np.ones((len(ways), 1)), 0.5 * ways], 1)
+    ways = (means[other] - means[owner]).astype(np.float64) / spacing
+    edge_rows = np.sqrt(weight)[:, None] * np.concatenate([np.ones((len(ways), 1)), 0.5 * ways], 1)
     return Graph(
         start=np.searchsorted(owner, np.arange(n + 1)),
         other=other.astype(np.int32),
-        bonds=bonds.astype(np.float32),
-        turns=following(axes, scales) / np.float32(reach),
-        reach=reach,
-        around=nearest(means)[1],
+        edge_rows=edge_rows.astype(np.float32),
+        gradient_to_rotation=gradient_to_rotation(axes, scales) / np.float32(spacing),
+        mean_spacing=spacing,
+        knn=nearest(means)[1],
     )
 
 
-def nearest(means: np.ndarray, count: int = AROUND) -> tuple[np.ndarray, np.ndarray]:
-    """Distances and indices (int32) of the Gaussians nearest to each of `means`, with its own, by distance.
+def nearest(means: np.ndarray, count: int = KNN) -> tuple[np.ndarray, np.ndarray]:
+    """Distances and indices (int32) of the Gaussians nearest to each of `means`, itself first.
 
-    [N, count] each; of all where they are fewer.
+    [N, count] each; fewer columns where there are fewer Gaussians.
     """
     ranks = np.arange(1, min(count, len(means)) + 1)
     distance, index = cKDTree(means).query(means, k=ranks, workers=get_num_threads())
@@ -125,12 +123,12 @@ def nearest(means: np.ndarray, count: int = AROUND) -> tuple[np.ndarray, np.ndar
 
 
 def _edges(distance: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """Pairs i < j, one of them among the other's nearest [N, 1 + count]; their weights; the typical distance."""
+    """Pairs i < j, one of them among the other's nearest [N, 1 + count]; their weights; the mean spacing."""
     distance, index = distance[:, 1:], index[:, 1:]
     n, count = index.shape
-    reach = np.maximum(distance.mean(1, keepdims=True), 1e-12)
-    weight = np.exp(-0.5 * (distance / reach) ** 2).ravel()
+    spacing = np.maximum(distance.mean(1, keepdims=True), 1e-12)
+    weight = np.exp(-0.5 * (distance / spacing) ** 2).ravel()
     owner, other = np.repeat(np.arange(n), count), index.ravel()
     pairs = np.minimum(owner, other) * np.int64(n) + np.maximum(owner, other)
     unique, of = np.unique(pairs, return_inverse=True)
-    return unique // n, unique % n, np.bincount(of, weight), float(np.median(reach))
+    return unique // n, unique % n, np.bincount(of, weight), float(np.median(spacing))

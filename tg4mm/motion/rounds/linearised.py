@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.jacobian.linear import RestView, rest_view
+from tg4mm.motion.jacobian.view import ViewJacobian, view_jacobian
 from tg4mm.motion.pictures.states import states_of
 from tg4mm.motion.pictures.video import FixedCamera
 from tg4mm.motion.posing.pose import on_device
@@ -69,8 +69,8 @@ def linearised(
 
 
 def _views(
-    gaussians: Gaussians, motion: np.ndarray, cameras: list[FixedCamera], like: RestView
-) -> list[RestView]:
+    gaussians: Gaussians, motion: np.ndarray, cameras: list[FixedCamera], like: ViewJacobian
+) -> list[ViewJacobian]:
     height, width = like.transmittance.shape
     moved = at_state(gaussians, torch.from_numpy(motion))
-    return [rest_view(moved, camera, (width, height)) for camera in cameras]
+    return [view_jacobian(moved, camera, (width, height)) for camera in cameras]

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from tg4mm.motion.solver.solve import on_cpu
+from tg4mm.motion.solver.pcg import on_cpu
 
 Problem = Any  # MotionProblem or DeviceProblem
 Array = Any  # np.ndarray or Tensor
@@ -47,8 +47,8 @@ def shown(problem: Problem, motions: np.ndarray) -> np.ndarray:
     """[V, R, H, W, 3] float32: the changes that R motions [R, N, DOF] make to the views' pictures, linearised."""
     if hasattr(problem, "device"):
         there = torch.from_numpy(np.ascontiguousarray(motions)).to(problem.device)
-        return np.stack([np.stack([on_cpu(view.push(m)) for m in there]) for view in problem.views])
-    return np.stack([view.push_all(motions) for view in problem.views])
+        return np.stack([np.stack([on_cpu(view.jvp(m)) for m in there]) for view in problem.views])
+    return np.stack([view.jvp(motions) for view in problem.views])
 
 
 def _split(theta: Array, n: int) -> list[Array]:

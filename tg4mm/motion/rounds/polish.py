@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.apply import rotated
+from tg4mm.motion.animate import rotated
 from tg4mm.motion.pictures.video import FixedCamera
 from tg4mm.space.losses import photometric_loss
 from tg4mm.space.parameters import ParameterAdam, activate, stride

@@ -23,7 +23,8 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.motion.certainty.found import Found
 from tg4mm.motion.certainty.halves import LEAST, agreed_fields
 from tg4mm.motion.config import MotionConfig, more_iterations
-from tg4mm.motion.jacobian.linear import RestView, rest_view
+from tg4mm.motion.jacobian.pixels import pixels_moved
+from tg4mm.motion.jacobian.view import ViewJacobian, view_jacobian
 from tg4mm.motion.pictures.differences import TemporalComponents
 from tg4mm.motion.pictures.states import States, most_states, states_of
 from tg4mm.motion.pictures.video import FixedCamera
@@ -33,11 +34,10 @@ from tg4mm.motion.posing.weight import CANDIDATES, chosen_weight
 from tg4mm.motion.prior.graph import nearest
 from tg4mm.motion.rounds.evidence import Evidence
 from tg4mm.motion.rounds.linearised import Linearised, linearised
-from tg4mm.motion.rounds.pixels import pixels_moved
 from tg4mm.motion.rounds.polish import Polish
 from tg4mm.motion.rounds.where import Checkpoint, Where, restored
+from tg4mm.motion.solver.pcg import start, step
 from tg4mm.motion.solver.problem import MotionProblem
-from tg4mm.motion.solver.solve import start, step
 
 ABOVE_PX = 0.7  # motion up to so many pixels is in the linear range: docs/decisions.md
 # Iterations of the weight's choice, of up to 16,000 Gaussians. More than before the linear fit: what is left after a
@@ -100,7 +100,7 @@ class Rounds:
     def begun(
         self,
         gaussians: Gaussians,
-        views: list[RestView],
+        views: list[ViewJacobian],
         fields: np.ndarray,
         neighbours: float,
         checkpoint: Checkpoint | None,
@@ -147,10 +147,10 @@ class Rounds:
         return Found(where.fields, shapes, where.gaussians, views, around, lambda v: target()[v])
 
     def _at_rest(
-        self, views: list[RestView], gaussians: Gaussians, shapes: np.ndarray, evidence: Evidence
+        self, views: list[ViewJacobian], gaussians: Gaussians, shapes: np.ndarray, evidence: Evidence
     ) -> np.ndarray:
         left, _ = evidence.remaining(gaussians, shapes, self.device)
-        shown = np.stack([view.push_all(shapes) for view in views])
+        shown = np.stack([view.jvp(shapes) for view in views])
         return evidence.target(left, np.arange(len(evidence.states.gains)), shown)
 
     def _fit(self, where: Where, evidence: Evidence, keep: Keep, update: Callable[..., None]) -> None:
@@ -235,5 +235,5 @@ class Rounds:
         update(where.round * self.units + done, round=where.round + 1, **figures)
         keep(where.tensors, where.state)
 
-    def _rest(self, gaussians: Gaussians) -> list[RestView]:
-        return [rest_view(gaussians, camera, self.size) for camera in self.cameras]
+    def _rest(self, gaussians: Gaussians) -> list[ViewJacobian]:
+        return [view_jacobian(gaussians, camera, self.size) for camera in self.cameras]

@@ -14,7 +14,7 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.motion.pictures.states import States, labelled
 from tg4mm.motion.rounds.evidence import Errors
 from tg4mm.motion.rounds.polish import Polish
-from tg4mm.motion.solver.solve import CGState, placed
+from tg4mm.motion.solver.pcg import CGState, placed
 
 VERSION = 3  # of a checkpoint
 

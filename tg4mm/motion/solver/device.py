@@ -1,15 +1,15 @@
-"""The motion stage's problem on a torch device: the same Jacobian, as a list of what meets where.
+"""The motion stage's problem on a torch device: the same Jacobian, as a list of pixel–Gaussian contributions.
 
 gsplat has no forward mode, and its cut-off of small alphas is compiled in at 1/255, which makes faint Gaussians
-answer too weakly (`linear.py`); a difference of two renders would not be the transpose of its backward pass. But
-the problem is linearised at rest once: every meeting of a pixel and a Gaussian has one weight (what the Gaussian's
+answer too weakly (`view.py`); a difference of two renders would not be the transpose of its backward pass. But
+the problem is linearised at rest once: every contribution of a Gaussian to a pixel has one weight (what the Gaussian's
 colour does there) and one slope (what its exponent does), which stay the same through all iterations. The CPU
-kernels project and sort each view once; the meetings are listed on the device, and from then on nothing is
+kernels project and sort each view once; the contributions are listed on the device, and from then on nothing is
 rendered and nothing leaves the device but the three sums of a step of conjugate gradients.
 
-Weights and slopes are kept in float16 on CUDA, sums are taken in float32: `push` and `pull` read the same rounded
+Weights and slopes are kept in float16 on CUDA, sums are taken in float32: `jvp` and `vjp` read the same rounded
 numbers, so the operator stays symmetric, and 5e-4 on single entries is far below the noise of the images. A
-meeting takes 16 bytes then.
+contribution takes 16 bytes then.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from torch import Tensor
 
 from tg4mm.errors import Tg4mmError
 from tg4mm.motion.config import MotionConfig
-from tg4mm.motion.jacobian.meetings import DeviceView, device_view
+from tg4mm.motion.jacobian.contributions import DeviceViewJacobian, device_view_jacobian
 from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.prior.graph import Graph
-from tg4mm.motion.prior.stiffness import ROWS
+from tg4mm.motion.prior.tgv import ROWS
 from tg4mm.motion.solver.problem import MotionProblem
 
 
@@ -75,12 +75,12 @@ class DeviceProblem:
         self.device = device
         graph = problem.graph
         self.stiffness = _sparse(graph.stiffness, device)
-        self._turns = torch.from_numpy(graph.turns).to(device)
+        self._turns = torch.from_numpy(graph.gradient_to_rotation).to(device)
         self._take_parameters(problem)
-        self.views: list[DeviceView] = []
+        self.views: list[DeviceViewJacobian] = []
         try:
             for view in problem.views:
-                self.views.append(device_view(view, device, storage))
+                self.views.append(device_view_jacobian(view, device, storage))
         except torch.OutOfMemoryError:
             raise _too_small(device, f"it holds {len(self.views)} of {len(problem.views)} views") from None
 
@@ -88,8 +88,8 @@ class DeviceProblem:
         self.config: MotionConfig = problem.config
         self.scale, known = problem.scale, problem.levels
         self.blocks = torch.from_numpy(known.blocks).to(self.device)
-        self.groups = _Operator.of(known.groups.matrix.tocsr(), self.device)
-        self.turn = torch.from_numpy(known.turn).to(self.device)
+        self.groups = _Operator.of(known.aggregates.matrix.tocsr(), self.device)
+        self.turn = torch.from_numpy(known.coarse_factor).to(self.device)
         self.weights = None if problem.weights is None else self._there(problem.weights[..., None])
 
     def posed_as(self, problem: MotionProblem) -> DeviceProblem:
@@ -108,13 +108,13 @@ class DeviceProblem:
         return some
 
     def _field(self, theta: Tensor) -> Tensor:
-        """As `Levels.field`."""
+        """As `TwoLevelPreconditioner.field`."""
         fine = ROWS * len(self.blocks)
         x = (self.blocks @ theta[:fine].reshape(-1, ROWS, 3)).reshape(-1, 3)
         return x + self.groups.forward @ (self.turn @ theta[fine:])
 
     def _from_field(self, v: Tensor) -> Tensor:
-        """As `Levels.from_field`."""
+        """As `TwoLevelPreconditioner.from_field`."""
         fine = (self.blocks.mT @ v.reshape(-1, ROWS, 3)).reshape(-1, 3)
         return torch.cat([fine, self.turn.T @ (self.groups.back @ v)])
 
@@ -164,7 +164,7 @@ class DeviceProblem:
         motion = self._motion(x)
         v_motion = torch.zeros_like(motion)
         for k, view in enumerate(self.views):
-            view.pull(self._weighted(k, view.push(motion)), v_motion)
+            view.vjp(self._weighted(k, view.jvp(motion)), v_motion)
         return self._from_field(self._from_motion(v_motion) + self._drawn(x))
 
     def normals(self, thetas: Sequence[Tensor]) -> list[Tensor]:
@@ -185,7 +185,7 @@ class DeviceProblem:
         for k, (view, shown) in enumerate(zip(self.views, pictures, strict=True)):
             out = out or [torch.zeros(len(self.blocks), DOF, device=self.device) for _ in shown]
             for picture, v_motion in zip(shown, out, strict=True):
-                view.pull(self._weighted(k, self._there(picture)), v_motion)
+                view.vjp(self._weighted(k, self._there(picture)), v_motion)
         return out
 
     def to_parameters(self, v_motion: Tensor) -> Tensor:
@@ -197,7 +197,7 @@ class DeviceProblem:
         total = np.zeros(len(fields))
         for k, (view, picture) in enumerate(zip(self.views, pictures, strict=True)):
             shown = self._there(picture)
-            left = [(view.push(f) - shown).double() for f in fields]
+            left = [(view.jvp(f) - shown).double() for f in fields]
             total += [float((d * self._weighted(k, d)).sum()) for d in left]
         return total
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from tg4mm.motion.config import MotionConfig
-from tg4mm.motion.jacobian.linear import RestView
 from tg4mm.motion.jacobian.packed import DOF
+from tg4mm.motion.jacobian.view import ViewJacobian
 from tg4mm.motion.prior.graph import Graph
-from tg4mm.motion.solver.levels import Levels
+from tg4mm.motion.solver.preconditioner import TwoLevelPreconditioner
 from tg4mm.rasterize.buffers import Buffers
 
 
@@ -22,12 +22,12 @@ class MotionProblem:
     Minimises Σ_views Σ_pixels W |J m(x) − D|² + h (λ x·Kx + μ |x|²), where m is the motion of a field (displacement
     and rotation), K the graph's stiffness, and h the mean over Gaussians of what the images say about one coordinate of
     displacement, so that λ and μ do not depend on size, contrast or number of the images. The unknowns are θ [P, 3]
-    with x = B θ (`levels.py`), which conjugate gradients need few iterations for.
+    with x = B θ (`preconditioner.py`), which conjugate gradients need few iterations for.
     """
 
-    views: list[RestView]
+    views: list[ViewJacobian]
     graph: Graph  # K and m
-    levels: Levels  # B
+    levels: TwoLevelPreconditioner  # B
     scale: float  # h
     config: MotionConfig
     weights: np.ndarray | None = None  # W [V, H, W] float32; None: 1
@@ -91,7 +91,7 @@ class MotionProblem:
         for k, (view, shown) in enumerate(zip(self.views, pictures, strict=True)):
             if not k:
                 v_motions = np.zeros((len(shown), *v_motions.shape[1:]), np.float32)
-            view.pull_all(self.weighted(k, shown), v_motions, self.buffers)
+            view.vjp(self.weighted(k, shown), v_motions, self.buffers)
         return v_motions
 
     def to_parameters(self, v_motion: np.ndarray) -> np.ndarray:
@@ -102,7 +102,7 @@ class MotionProblem:
         """[R] Σ W |difference|² between what R fields [N, DOF] show and component images [V, H, W, 3]."""
         total, motions = np.zeros(len(fields)), np.stack(fields)
         for k, (view, picture) in enumerate(zip(self.views, pictures, strict=True)):
-            left = view.push_all(motions, self.buffers) - picture
+            left = view.jvp(motions, self.buffers) - picture
             total += (left.astype(np.float64) * self.weighted(k, left)).sum((1, 2, 3))
         return total
 
@@ -119,5 +119,5 @@ def normals_of(problems: Sequence[MotionProblem], thetas: Sequence[np.ndarray]) 
     v_motions = np.zeros_like(motions)
     for k, view in enumerate(first.views):
         weights = None if first.weights is None else first.weights[k]
-        view.normal_all(motions, weights, v_motions, first.buffers)
+        view.gauss_newton_product(motions, weights, v_motions, first.buffers)
     return [p.with_prior(x, v) for p, x, v in zip(problems, fields, v_motions, strict=True)]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tg4mm.motion.prior.graph import Graph, graph
-from tg4mm.motion.prior.roots import stiffness_root
+from tg4mm.motion.prior.graph import Graph, build_graph
+from tg4mm.motion.prior.square_root import stiffness_root
 
 
 @pytest.fixture(scope="module")
@@ -14,7 +14,7 @@ def cloud() -> Graph:
     rng = np.random.default_rng(0)
     means = rng.random((60, 3)).astype(np.float32)
     axes = np.tile(np.eye(3, dtype=np.float32), (60, 1, 1))
-    return graph(means, axes, rng.uniform(0.01, 0.1, (60, 3)).astype(np.float32))
+    return build_graph(means, axes, rng.uniform(0.01, 0.1, (60, 3)).astype(np.float32))
 
 
 def test_its_square_is_the_prior(cloud: Graph) -> None:

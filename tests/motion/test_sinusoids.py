@@ -1,11 +1,11 @@
-"""Tones between the bins, and drifts, are found in functions of time; noise and whole periods have none."""
+"""Sinusoids between the bins, and drifts, are found in functions of time; noise and whole periods have none."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from tg4mm.motion.temporal.tones import Tones, found_tones
+from tg4mm.motion.sinusoids import Sinusoids, find_sinusoids
 
 
 def functions(
@@ -50,7 +50,7 @@ class TestFrequencies:
     def test_of_clean_motion_they_are_exact(
         self, n_timesteps: int, cycles: tuple[float, ...], drift: float
     ) -> None:
-        found = found_tones(functions(n_timesteps, cycles, drift))
+        found = find_sinusoids(functions(n_timesteps, cycles, drift))
         np.testing.assert_allclose(found.cycles, cycles, atol=2e-3 if drift else 1e-4)
         assert found.trend == bool(drift)
 
@@ -61,60 +61,60 @@ class TestFrequencies:
     ) -> None:
         """Four standard deviations of the Cramér–Rao bound, √(6 σ² / (π² T Σ a² / 2)) … in cycles per capture."""
         noise, n_timesteps, n_pixels = 0.3, 30, 400
-        found = found_tones(functions(n_timesteps, cycles, noise=noise, seed=seed, n_pixels=n_pixels))
+        found = find_sinusoids(functions(n_timesteps, cycles, noise=noise, seed=seed, n_pixels=n_pixels))
         bound = np.sqrt(6 * noise**2 / (np.pi**2 * n_timesteps * 2 * n_pixels))  # Σ a² = 2 for each pixel
         np.testing.assert_allclose(found.cycles, cycles, atol=4 * bound)
         assert not found.trend
 
     def test_near_a_bin_is_on_it(self) -> None:
         """5.004 cycles beside 8.5: the first is taken for five whole ones."""
-        assert found_tones(functions(30, (5.004, 8.5))).cycles[0] == 5
-        assert found_tones(functions(30, (5.02, 8.5))).cycles[0] == pytest.approx(5.02, abs=1e-3)
+        assert find_sinusoids(functions(30, (5.004, 8.5))).cycles[0] == 5
+        assert find_sinusoids(functions(30, (5.02, 8.5))).cycles[0] == pytest.approx(5.02, abs=1e-3)
 
 
 class TestNone:
     @pytest.mark.parametrize("noise", [0.0, 0.1])
     @pytest.mark.parametrize("cycles", [(5.0,), (1.0,), (3.0, 7.0, 12.0)])
     def test_of_whole_periods(self, cycles: tuple[float, ...], noise: float) -> None:
-        found = found_tones(functions(30, cycles, noise=noise))
+        found = find_sinusoids(functions(30, cycles, noise=noise))
         assert not len(found.cycles)
         assert not found.trend
 
     @pytest.mark.parametrize("seed", range(6))
     @pytest.mark.parametrize(("n_timesteps", "n_pixels"), [(30, 400), (300, 400), (30, 1), (64, 2)])
     def test_of_noise(self, n_timesteps: int, n_pixels: int, seed: int) -> None:
-        found = found_tones(functions(n_timesteps, (), noise=1.0, n_pixels=n_pixels, seed=seed))
+        found = find_sinusoids(functions(n_timesteps, (), noise=1.0, n_pixels=n_pixels, seed=seed))
         assert not len(found.cycles)
         assert not found.trend
 
     def test_of_less_than_one_cycle(self) -> None:
         """Not to be told from a drift and an offset."""
-        assert not len(found_tones(functions(30, (0.6,))).cycles)
+        assert not len(find_sinusoids(functions(30, (0.6,))).cycles)
 
     @pytest.mark.parametrize("series", [np.zeros((2, 30)), np.zeros((0, 30)), np.ones((1, 30)), np.eye(3, 6)])
     def test_of_nothing_or_too_little(self, series: np.ndarray) -> None:
-        assert not len(found_tones(series).cycles)
+        assert not len(find_sinusoids(series).cycles)
 
     def test_an_impulse_has_none(self) -> None:
-        assert not len(found_tones(np.eye(1, 60, 20)).cycles)
+        assert not len(find_sinusoids(np.eye(1, 60, 20)).cycles)
 
 
 def test_a_drift_alone_is_a_trend() -> None:
-    found = found_tones(functions(30, (), drift=1.0, noise=0.05))
+    found = find_sinusoids(functions(30, (), drift=1.0, noise=0.05))
     assert found.trend
     assert not len(found.cycles)
 
 
 def test_of_a_mode_that_rings_down_the_tone_lies_at_its_peak() -> None:
     """To 1/e in half the capture: what the tone leaves goes to the bins."""
-    found = found_tones(functions(60, (10.4,), decay=5.2))
+    found = find_sinusoids(functions(60, (10.4,), decay=5.2))
     assert len(found.cycles) in (0, 1)
     np.testing.assert_allclose(found.cycles, 10.4, atol=0.1)
 
 
 def test_the_trend_is_a_straight_line_from_the_first_timestep_on() -> None:
     t = np.arange(200) / 200
-    line = Tones(np.zeros(0), True).regressors(200)[:, 1]
+    line = Sinusoids(np.zeros(0), True).regressors(200)[:, 1]
     assert line[0] == 0
     slope, constant = np.polyfit(t, line, 1)
     assert np.abs(line - slope * t - constant).max() < 0.006 * line.max()

@@ -1,4 +1,4 @@
-"""Light in a run's motion file: beside the motion, optional, and only where it fits."""
+"""AppearanceModes in a run's motion file: beside the motion, optional, and only where it fits."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import pytest
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
-from tests.motion.test_apply import gaussians, motion
+from tests.motion.test_animate import gaussians, motion
 from tests.motion.test_light import N, change_of, light
 from tg4mm.errors import RunError
-from tg4mm.motion.light.model import Light
+from tg4mm.motion.appearance_modes import AppearanceModes
 from tg4mm.runs import Run
 
 
@@ -48,16 +48,18 @@ def test_a_motion_of_before_there_was_light_loads(run: Run) -> None:
 @pytest.mark.parametrize(
     "bad",
     [
-        Light(change_of(N - 1, 2), light().series),
-        Light(change_of(N, 2), light(modes=2).series),
-        Light(change_of(N, 3), light().series),
-        Light(np.zeros((2, N, 9, 3), np.float32), light().series),  # more than the Gaussians have
-        Light(change_of(N, 2)[:, :, :2], light().series),  # neither the mean alone nor with all tilts
-        Light(change_of(N, 2).astype(np.float64), light().series),
-        Light(change_of(N, 2), light().series.real),
+        AppearanceModes(change_of(N - 1, 2), light().series),
+        AppearanceModes(change_of(N, 2), light(modes=2).series),
+        AppearanceModes(change_of(N, 3), light().series),
+        AppearanceModes(np.zeros((2, N, 9, 3), np.float32), light().series),  # more than the Gaussians have
+        AppearanceModes(
+            change_of(N, 2)[:, :, :2], light().series
+        ),  # neither the mean alone nor with all tilts
+        AppearanceModes(change_of(N, 2).astype(np.float64), light().series),
+        AppearanceModes(change_of(N, 2), light().series.real),
     ],
 )
-def test_light_that_does_not_fit_is_refused(run: Run, bad: Light) -> None:
+def test_light_that_does_not_fit_is_refused(run: Run, bad: AppearanceModes) -> None:
     with pytest.raises(RunError, match=r"motion to save: light has shapes \(.*expected \[R, 20, 1 or 4"):
         run.save_motion(replace(motion(), light=bad), {})
     assert not run.has_motion

@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.light.lit import lit
-from tg4mm.motion.modal import ModalMotion
+from tg4mm.motion.appearance_modes import apply_appearance
+from tg4mm.motion.modes import ModalMotion
 
 Alpha = float | np.ndarray  # one for all modes, or [K]: one each
 
@@ -37,7 +37,7 @@ def _sum(phasors: np.ndarray, gains: np.ndarray) -> np.ndarray:
 def displacement_at(
     motion: ModalMotion, t: float, alpha: Alpha = 0.0, band: tuple[float, float] | None = None
 ) -> np.ndarray:
-    """[N, 3] displacement from rest in scene units at timestep t (sub-frames allowed), design §4.3."""
+    """[N, 3] displacement from rest in scene units at timestep t (sub-frames allowed)."""
     return _sum(motion.displacement, mode_gains(motion, t, alpha, band))
 
 
@@ -49,7 +49,7 @@ def rotation_at(
 
 
 def rotated(quats: Tensor, rotation: Tensor) -> Tensor:
-    """Quaternions [N, 4] (wxyz) turned by rotation vectors [N, 3] about the world axes."""
+    """Quaternions [N, 4] (wxyz) rotated by rotation vectors [N, 3] about the world axes."""
     angle = torch.linalg.vector_norm(rotation, dim=-1, keepdim=True)
     half = angle / 2
     # sin(x)/x by torch.sinc, smooth at zero
@@ -58,14 +58,14 @@ def rotated(quats: Tensor, rotation: Tensor) -> Tensor:
     return torch.cat([w * a - (v * b).sum(-1, keepdim=True), w * b + a * v + torch.linalg.cross(v, b)], -1)
 
 
-def moved(
+def animate(
     gaussians: Gaussians,
     motion: ModalMotion | None,
     t: float,
     alpha: Alpha = 0.0,
     band: tuple[float, float] | None = None,
 ) -> Gaussians:
-    """The Gaussians at timestep t, motion and light inside the band magnified by 1 + α. None: nothing moves.
+    """The Gaussians at timestep t, motion and appearance inside the band magnified by 1 + α. None: at rest.
 
     Raises ValueError if the motion is of another number of Gaussians.
     """
@@ -76,30 +76,33 @@ def moved(
         raise ValueError(f"the motion has {n} Gaussians, the scene {len(gaussians)}")
     like = gaussians.means
     shift = torch.from_numpy(displacement_at(motion, t, alpha, band)).to(like)
-    turn = torch.from_numpy(rotation_at(motion, t, alpha, band)).to(like)
+    rotation = torch.from_numpy(rotation_at(motion, t, alpha, band)).to(like)
     sh = gaussians.sh
     if motion.light is not None:
         coefficients = motion.light.coefficients(mode_gains(motion, t, alpha, band))
-        sh = lit(sh, torch.from_numpy(motion.light.shapes).to(sh), torch.from_numpy(coefficients).to(sh))
-    return replace(gaussians, means=like + shift, quats=rotated(gaussians.quats, turn), sh=sh)
+        sh = apply_appearance(
+            sh, torch.from_numpy(motion.light.shapes).to(sh), torch.from_numpy(coefficients).to(sh)
+        )
+    return replace(gaussians, means=like + shift, quats=rotated(gaussians.quats, rotation), sh=sh)
 
 
-def mover(gaussians: Gaussians, motion: ModalMotion | None) -> Callable[..., Gaussians]:
-    """`moved` of this motion as a function of (t, alpha, band), for many timesteps.
+def animator(gaussians: Gaussians, motion: ModalMotion | None) -> Callable[..., Gaussians]:
+    """`animate` with this motion as a function of (t, alpha, band), for many timesteps.
 
-    Off the CPU the phasors go to the Gaussians' device once (K · N · 48 bytes, and the shapes of light), and per
-    timestep only the gains.
-    Raises ValueError if the motion is of another number of Gaussians.
+    Off the CPU the phasors go to the Gaussians' device once (K · N · 48 bytes, and the fields of appearance), per
+    timestep only the gains. Raises ValueError if the motion is of another number of Gaussians.
     """
     device = gaussians.means.device
     if motion is None or device.type == "cpu":
-        return partial(moved, gaussians, motion)
+        return partial(animate, gaussians, motion)
     if motion.displacement.shape[1] != len(gaussians):
         raise ValueError(
             f"the motion has {motion.displacement.shape[1]} Gaussians, the scene {len(gaussians)}"
         )
     shapes = None if motion.light is None else torch.from_numpy(motion.light.shapes).to(device)
-    return partial(_moved_there, gaussians, motion, _phasors_on(device, motion), light_shapes=shapes)
+    return partial(
+        _animate_on_device, gaussians, motion, _phasors_on(device, motion), appearance_fields=shapes
+    )
 
 
 def _phasors_on(device: torch.device, motion: ModalMotion) -> Tensor:
@@ -108,20 +111,22 @@ def _phasors_on(device: torch.device, motion: ModalMotion) -> Tensor:
     return torch.from_numpy(np.concatenate([both.real, -both.imag]).astype(np.float32)).to(device)
 
 
-def _moved_there(
+def _animate_on_device(
     gaussians: Gaussians,
     motion: ModalMotion,
     phasors: Tensor,
     t: float,
     alpha: Alpha = 0.0,
     band: tuple[float, float] | None = None,
-    light_shapes: Tensor | None = None,
+    appearance_fields: Tensor | None = None,
 ) -> Gaussians:
     gains = mode_gains(motion, t, alpha, band)
     factors = torch.from_numpy(np.concatenate([gains.real, gains.imag]).astype(np.float32))
     change = (factors.to(phasors.device) @ phasors).reshape(-1, 6)
     means, quats = gaussians.means + change[:, :3], rotated(gaussians.quats, change[:, 3:])
     sh = gaussians.sh
-    if motion.light is not None and light_shapes is not None:
-        sh = lit(sh, light_shapes, torch.from_numpy(motion.light.coefficients(gains)).to(sh))
+    if motion.light is not None and appearance_fields is not None:
+        sh = apply_appearance(
+            sh, appearance_fields, torch.from_numpy(motion.light.coefficients(gains)).to(sh)
+        )
     return replace(gaussians, means=means, quats=quats, sh=sh)

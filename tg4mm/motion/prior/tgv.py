@@ -1,8 +1,8 @@
-"""Products of the prior's matrix and of 4 × 4 blocks with a field, a Gaussian at a time.
+"""Matrix-free products with the prior: squared second-order total generalised variation (Bredies, Kunisch & Pock 2010).
 
 A Gaussian's part of a field is four rows (displacement, and its change along x, y, z) of three columns: one vector,
-four lanes a row, the fourth of no use. An edge needs four numbers, so the matrix itself is never read. Every Gaussian's
-rows are summed by one thread in a fixed order.
+four lanes a row, the fourth unused. An edge needs four numbers, so the matrix is never formed. Each Gaussian's rows
+are summed by one thread in a fixed order.
 """
 
 # mypy: disable-error-code="call-arg, var-annotated"
@@ -20,12 +20,12 @@ from tg4mm.rasterize.kernels.memory import data_at, number
 from tg4mm.rasterize.kernels.vector import F32, FV, constant_lanes, declare, fma, vector, wide
 
 ROWS = 4  # of a Gaussian's part of a field: displacement, and its gradient along x, y, z
-# Weight of gradients that differ, beside that of displacements that do not fit: docs/decisions.md
+# Weight of differences of gradients against that of edge residuals, chosen on generated scenes
 BENDING = 10.0
 _WIDTH = 3 * ROWS  # numbers of a Gaussian
-_CHUNK = 256  # Gaussians that a thread takes at a time
+_CHUNK = 256  # Gaussians a thread takes at a time
 _EACH_ROW = [lane // 4 for lane in range(16)]
-# signs of the other end's rows in a misfit, and what counts of the difference of two ends
+# signs σ of the other end's rows in a residual; weights of the rows in the difference of two ends
 _SIGNS = np.array([1, -1, -1, -1, 0, BENDING, BENDING, BENDING], np.float32)
 
 
@@ -86,11 +86,11 @@ def sum_of_rows(typingctx, value):
 
     def codegen(context, builder, sig, args):
         total = args[0]
-        for turn in (8, 4):
-            turned = builder.shuffle_vector(
-                total, total, constant_lanes([(k + turn) % 16 for k in range(16)])
+        for shift in (8, 4):
+            rotated = builder.shuffle_vector(
+                total, total, constant_lanes([(k + shift) % 16 for k in range(16)])
             )
-            total = builder.fadd(total, turned)
+            total = builder.fadd(total, rotated)
         return total
 
     return vector(vector), codegen
@@ -113,44 +113,46 @@ def transposed_times(typingctx, array, index, value):
 
 
 @inlined
-def _product(start, other, bonds, signs, x, i):
+def _product(start, other, edge_rows, signs, x, i):
     """Rows of Gaussian i of the prior's matrix times a field."""
-    own, of_other, bending = load_rows(x, int64(i) * _WIDTH), spread(signs, int64(0)), spread(signs, int64(4))
+    own, sigma, bending = load_rows(x, int64(i) * _WIDTH), spread(signs, int64(0)), spread(signs, int64(4))
     total = wide(float32(0.0))
-    apart = total
+    differences = total
     for edge in range(start[i], start[i + 1]):
         there = load_rows(x, int64(other[edge]) * _WIDTH)
-        bond, root = spread(bonds, int64(edge) * ROWS), number(bonds, int64(edge) * ROWS)
-        misfit = sum_of_rows(bond * fma(there, of_other, -own))
-        total = fma(-bond, misfit, total)
-        apart = fma(own - there, root * root, apart)
-    return fma(apart, bending, total)
+        row, root = spread(edge_rows, int64(edge) * ROWS), number(edge_rows, int64(edge) * ROWS)
+        residual = sum_of_rows(row * fma(there, sigma, -own))
+        total = fma(-row, residual, total)
+        differences = fma(own - there, root * root, differences)
+    return fma(differences, bending, total)
 
 
 @kernel()
-def _prior_of(first, last, edges, signs, x, stiff, ridge, out):
-    start, other, bonds = edges
+def _prior_of(first, last, edges, signs, x, smoothness, ridge, out):
+    start, other, edge_rows = edges
     for i in range(first, last):
         at = int64(i) * _WIDTH
-        pulled = fma(_product(start, other, bonds, signs, x, i), stiff, load_rows(out, at))
-        store_rows(out, at, fma(load_rows(x, at), ridge, pulled))
+        smooth = fma(_product(start, other, edge_rows, signs, x, i), smoothness, load_rows(out, at))
+        store_rows(out, at, fma(load_rows(x, at), ridge, smooth))
 
 
 @kernel()
 def _smoothed(first, last, edges, signs, blocks, x, out):
-    start, other, bonds = edges
+    start, other, edge_rows = edges
     for i in range(first, last):
         at = int64(i) * _WIDTH
-        moved = transposed_times(blocks, int64(i) * ROWS * ROWS, _product(start, other, bonds, signs, x, i))
-        store_rows(out, at, load_rows(x, at) - moved)
+        step = transposed_times(
+            blocks, int64(i) * ROWS * ROWS, _product(start, other, edge_rows, signs, x, i)
+        )
+        store_rows(out, at, load_rows(x, at) - step)
 
 
 @kernel()
 def _less_product(first, last, edges, signs, x, out):
-    start, other, bonds = edges
+    start, other, edge_rows = edges
     for i in range(first, last):
         at = int64(i) * _WIDTH
-        store_rows(out, at, load_rows(out, at) - _product(start, other, bonds, signs, x, i))
+        store_rows(out, at, load_rows(out, at) - _product(start, other, edge_rows, signs, x, i))
 
 
 @kernel()
@@ -162,9 +164,9 @@ def _blockwise(first, last, blocks, x, out, keep):
 
 
 @kernel(parallel=True)
-def _add_prior(n, edges, signs, x, stiff, ridge, out):
+def _add_prior(n, edges, signs, x, smoothness, ridge, out):
     for chunk in prange((n + _CHUNK - 1) // _CHUNK):
-        _prior_of(chunk * _CHUNK, min(n, (chunk + 1) * _CHUNK), edges, signs, x, stiff, ridge, out)
+        _prior_of(chunk * _CHUNK, min(n, (chunk + 1) * _CHUNK), edges, signs, x, smoothness, ridge, out)
 
 
 @kernel(parallel=True)
@@ -185,32 +187,32 @@ def _multiply_blocks(n, blocks, x, out, keep):
         _blockwise(chunk * _CHUNK, min(n, (chunk + 1) * _CHUNK), blocks, x, out, keep)
 
 
-# Of `graph.py`: start [N + 1] int64, other end [E] int32, bonds [4 E] float32. Fields [4N, 3] and blocks [N, 4, 4] are
-# float32 and contiguous.
+# As `Graph.edges` gives them: start [N + 1] int64, other end [E] int32, edge rows [4 E] float32. Fields [4N, 3] and
+# blocks [N, 4, 4] are float32 and contiguous.
 Edges = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
-def add_prior(edges: Edges, x: np.ndarray, stiff: float, ridge: float, out: np.ndarray) -> None:
-    """Adds stiff · K x + ridge · x to `out`."""
+def add_prior(edges: Edges, x: np.ndarray, smoothness: float, ridge: float, out: np.ndarray) -> None:
+    """Adds smoothness · K x + ridge · x to `out`."""
     n = len(x) // ROWS
-    _add_prior(n, edges, _SIGNS, x.reshape(-1), np.float32(stiff), np.float32(ridge), out.reshape(-1))
+    _add_prior(n, edges, _SIGNS, x.reshape(-1), np.float32(smoothness), np.float32(ridge), out.reshape(-1))
 
 
 def smoothed(edges: Edges, blocks: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """x − M K x, M of symmetric blocks."""
+    """(I − M K) x, with M block diagonal of symmetric blocks: one Jacobi step."""
     out = np.empty_like(x)
     _smooth(len(blocks), edges, _SIGNS, blocks.reshape(-1), x.reshape(-1), out.reshape(-1))
     return out
 
 
 def smooth_transposed(edges: Edges, blocks: np.ndarray, v: np.ndarray) -> None:
-    """v − K M v in place of v: the transpose of `smoothed`."""
+    """(I − K M) v in place of v: the transpose of `smoothed`."""
     product = times_blocks(blocks, v)
     _subtract_product(len(blocks), edges, _SIGNS, product.reshape(-1), v.reshape(-1))
 
 
 def times_blocks(blocks: np.ndarray, x: np.ndarray, onto: np.ndarray | None = None) -> np.ndarray:
-    """Mᵀ x of blocks M, or, in its place, `onto` with that added."""
+    """Mᵀ x of blocks M; with `onto`, added to it in place."""
     out, keep = (np.zeros_like(x), 0.0) if onto is None else (onto, 1.0)
     _multiply_blocks(len(blocks), blocks.reshape(-1), x.reshape(-1), out.reshape(-1), np.float32(keep))
     return out

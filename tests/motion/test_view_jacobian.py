@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from tests.rasterize.oracle import Scene, assert_close, make_scene
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.jacobian import linear
-from tg4mm.motion.jacobian.linear import ALPHA_MIN_LINEAR, RestView, rest_view
-from tg4mm.motion.jacobian.packed import DOF, packed, unpacked
+from tg4mm.motion.jacobian import view as module
+from tg4mm.motion.jacobian.packed import DOF, pack, unpack
+from tg4mm.motion.jacobian.view import ALPHA_MIN_LINEAR, ViewJacobian, view_jacobian
 from tg4mm.motion.pictures.video import FixedCamera
 from tg4mm.rasterize import reference
 from tg4mm.rasterize.buffers import Buffers
@@ -32,9 +32,9 @@ def gaussians_of(scene: Scene) -> Gaussians:
     return Gaussians(*(t.float() for t in tensors))
 
 
-def view_of(scene: Scene) -> RestView:
+def view_of(scene: Scene) -> ViewJacobian:
     camera = FixedCamera(scene.viewmats[0].float().numpy(), scene.Ks[0].float().numpy(), np.arange(1))
-    return rest_view(gaussians_of(scene), camera, (scene.width, scene.height))
+    return view_jacobian(gaussians_of(scene), camera, (scene.width, scene.height))
 
 
 def motion_of(scene: Scene, columns: slice, seed: int = 0) -> np.ndarray:
@@ -78,7 +78,7 @@ def test_push_is_the_derivative_of_the_picture(
     expected, safe = differences(scene, motion)
     assert safe.double().mean() > 0.97
     assert expected.abs().max() > 0.1
-    pushed = torch.from_numpy(view_of(scene).push(motion))
+    pushed = torch.from_numpy(view_of(scene).jvp(motion[None])[0])
     assert_close("change", pushed * safe, expected * safe, 3e-4)
     with pytest.raises(AssertionError):  # the comparison can fail
         assert_close("change", pushed * safe * 1.002, expected * safe, 3e-4)
@@ -93,7 +93,9 @@ def test_rotations_are_about_the_world_axes(axis: int, monkeypatch: pytest.Monke
     motion[0, 3 + axis] = 1
     expected, safe = differences(scene, motion)
     assert expected.abs().max() > 1e-2
-    assert_close("change", torch.from_numpy(view_of(scene).push(motion)) * safe, expected * safe, 3e-4)
+    assert_close(
+        "change", torch.from_numpy(view_of(scene).jvp(motion[None])[0]) * safe, expected * safe, 3e-4
+    )
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -104,10 +106,12 @@ def test_pull_is_the_transpose_of_push(name: str, columns: str) -> None:
     for seed in range(3):
         picture = np.random.default_rng(seed).normal(size=(scene.height, scene.width, 3)).astype(np.float32)
         pulled = np.zeros_like(motion)
-        view.pull(picture, pulled)
+        view.vjp(picture[None], pulled[None])
         terms = pulled.astype(np.float64) * motion
-        forward = (view.push(motion).astype(np.float64) * picture).sum()
-        assert abs(forward - terms.sum()) < 1e-4 * np.linalg.norm(view.push(motion)) * np.linalg.norm(picture)
+        forward = (view.jvp(motion[None])[0].astype(np.float64) * picture).sum()
+        assert abs(forward - terms.sum()) < 1e-4 * np.linalg.norm(view.jvp(motion[None])[0]) * np.linalg.norm(
+            picture
+        )
         assert abs(forward - terms.sum()) < 1e-4 * np.abs(terms).sum()
 
 
@@ -115,8 +119,8 @@ def test_pull_adds_to_what_is_there() -> None:
     scene = SCENES["ordinary"]
     view, picture = view_of(scene), np.ones((scene.height, scene.width, 3), np.float32)
     once, onto = np.zeros((40, DOF), np.float32), np.full((40, DOF), 2.0, np.float32)
-    view.pull(picture, once)
-    view.pull(picture, onto)
+    view.vjp(picture[None], once[None])
+    view.vjp(picture[None], onto[None])
     np.testing.assert_allclose(onto, once + 2, rtol=1e-5, atol=1e-4)
     assert np.abs(once).max() > 0.1
 
@@ -127,9 +131,9 @@ def test_what_the_camera_does_not_see_says_nothing() -> None:
     view = view_of(scene)
     motion = np.zeros((40, DOF), np.float32)
     motion[:5] = 1
-    assert np.abs(view.push(motion)).max() == 0
+    assert np.abs(view.jvp(motion[None])[0]).max() == 0
     pulled = np.zeros((40, DOF), np.float32)
-    view.pull(np.ones((scene.height, scene.width, 3), np.float32), pulled)
+    view.vjp(np.ones((scene.height, scene.width, 3), np.float32)[None], pulled[None])
     assert (pulled[:5] == 0).all()
     assert (pulled[5:] != 0).any()
 
@@ -139,7 +143,7 @@ def test_a_small_motion_changes_the_real_picture_as_predicted() -> None:
     scene = SCENES["ordinary"]
     motion = 0.004 * motion_of(scene, COLUMNS["displacement"])
     change = (over_white(scene, motion.astype(float)) - over_white(scene, -motion.astype(float))).numpy() / 2
-    pushed = view_of(scene).push(motion)
+    pushed = view_of(scene).jvp(motion[None])[0]
     assert np.linalg.norm(pushed - change) < 0.1 * np.linalg.norm(change)
     assert (pushed * change).sum() / (change**2).sum() == pytest.approx(1, abs=0.03)
 
@@ -154,9 +158,9 @@ def test_there_and_back_at_once_is_one_after_the_other(name: str, n_changes: int
     pixels = rng.uniform(0.1, 1, view.transmittance.shape).astype(np.float32)
     expected = rng.normal(size=motions.shape).astype(np.float32)
     found = expected.copy()  # added to
-    pictures = view.push_all(motions)
-    view.pull_all(pictures * pixels[..., None] if weighted else pictures, expected)
-    view.normal_all(motions, pixels if weighted else None, found)
+    pictures = view.jvp(motions)
+    view.vjp(pictures * pixels[..., None] if weighted else pictures, expected)
+    view.gauss_newton_product(motions, pixels if weighted else None, found)
     np.testing.assert_allclose(found, expected, atol=2e-5 * np.abs(expected).max())
 
 
@@ -165,9 +169,9 @@ def test_there_and_back_is_the_same_with_kept_buffers() -> None:
     view, rng = view_of(SCENES["crowded"]), np.random.default_rng(3)
     motions, buffers = rng.normal(size=(4, 120, DOF)).astype(np.float32), Buffers()
     alone, kept = np.zeros_like(motions[:1]), np.zeros_like(motions[:1])
-    view.normal_all(motions, None, np.zeros_like(motions), buffers)
-    view.normal_all(motions[:1], None, kept, buffers)
-    view.normal_all(motions[:1], None, alone)
+    view.gauss_newton_product(motions, None, np.zeros_like(motions), buffers)
+    view.gauss_newton_product(motions[:1], None, kept, buffers)
+    view.gauss_newton_product(motions[:1], None, alone)
     assert np.array_equal(kept, alone)
 
 
@@ -175,22 +179,22 @@ def test_what_nobody_sees_is_not_listed_and_not_missed(monkeypatch: pytest.Monke
     crowded = SCENES["crowded"]
     opaque = replace(crowded, opacities=torch.full_like(crowded.opacities, 0.999), scales=4 * crowded.scales)
     view = view_of(opaque)
-    monkeypatch.setattr(linear, "seen", lambda bins: bins)
+    monkeypatch.setattr(module, "seen", lambda bins: bins)
     whole = view_of(opaque)
     assert len(view.bins.pair_gaussian) < 0.95 * len(whole.bins.pair_gaussian)
     assert view.bins.n_visible < whole.bins.n_visible
     assert (view.bins.reached != 0).all()
     motions = np.stack([motion_of(opaque, COLUMNS["both"], seed) for seed in range(2)])
-    pictures = whole.push_all(motions)
+    pictures = whole.jvp(motions)
     assert np.abs(pictures).max() > 0.1
-    assert np.array_equal(view.push_all(motions), pictures)
-    for apply in ("pull", "normal"):
+    assert np.array_equal(view.jvp(motions), pictures)
+    for apply in ("vjp", "normal"):
         found, expected = np.zeros((2, *motions.shape), np.float32)
         for some, out in ((view, found), (whole, expected)):
-            if apply == "pull":
-                some.pull_all(pictures, out)
+            if apply == "vjp":
+                some.vjp(pictures, out)
             else:
-                some.normal_all(motions, None, out)
+                some.gauss_newton_product(motions, None, out)
         assert np.abs(expected).max() > 0.1
         assert np.array_equal(found, expected), apply
 
@@ -198,4 +202,4 @@ def test_what_nobody_sees_is_not_listed_and_not_missed(monkeypatch: pytest.Monke
 def test_packing_keeps_every_number() -> None:
     jacobian = np.random.default_rng(4).normal(size=(7, 8, DOF)).astype(np.float32)
     jacobian[:, [0, 1, 5, 6, 7], 3:] = 0  # rotation moves no mean and changes no colour
-    assert np.array_equal(unpacked(packed(jacobian)), jacobian)
+    assert np.array_equal(unpack(pack(jacobian)), jacobian)

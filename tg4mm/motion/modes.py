@@ -1,4 +1,4 @@
-"""Modal motion: per Gaussian one complex displacement and rotation per frequency (design §4.3 and §5.3)."""
+"""Modal motion: one complex displacement and rotation (phasor) per Gaussian and frequency."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tg4mm.motion.light.model import Light
+from tg4mm.motion.appearance_modes import AppearanceModes
 
 
 @dataclass(frozen=True)
 class ModalMotion:
     """x(t, α) = x + Σ_k (1 + α·g_k) Re[m_k exp(i 2π f_k t / fps)], g_k = 1 for f_k inside the band, else 0.
 
-    `light`, if any, changes the Gaussians' colours by the same modes, with the same gains.
+    `light`, if any, changes the Gaussians' colours by the same modes, with the same gains g_k.
 
-    An exact motion may go otherwise in time (ring down, drift): then `gains` stand for the exponentials. Modes
+    A motion that is not a sum of sinusoids (ring-down, drift) has its own `gains` in place of the exponentials. Modes
     that are not `magnified` have g_k = 0 in any band.
     """
 
@@ -26,12 +26,12 @@ class ModalMotion:
     n_timesteps: int
     gains: np.ndarray | None = None  # [K, T] complex128; None: the exponentials
     magnified: np.ndarray | None = None  # [K] bool; None: all above 0 Hz
-    light: Light | None = None
+    light: AppearanceModes | None = None
 
     def gains_at(self, t: float) -> np.ndarray:
         """[K] complex128: exp(i 2π f_k t / fps), or the motion's own gains.
 
-        Those are known at whole timesteps: raises ValueError for any other t.
+        Those are defined at whole timesteps: raises ValueError for any other t.
         """
         if self.gains is None:
             return np.asarray(np.exp(2j * np.pi * np.asarray(self.freqs_hz) * t / self.fps))
@@ -40,11 +40,11 @@ class ModalMotion:
         return np.asarray(self.gains[:, int(t)])
 
     def is_magnified(self) -> np.ndarray:
-        """[K] bool. 0 Hz, the way from the rest pose to the motion's own zero, is not unless said so."""
+        """[K] bool. By default all but 0 Hz, the offset from the rest pose to the motion's own zero."""
         return self.freqs_hz > 0 if self.magnified is None else self.magnified
 
     def selected(self, keep: np.ndarray) -> ModalMotion:
-        """The modes `keep` [K] bool alone."""
+        """Only the modes `keep` [K] bool."""
         return replace(
             self,
             freqs_hz=self.freqs_hz[keep],

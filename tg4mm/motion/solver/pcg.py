@@ -1,4 +1,8 @@
-"""Conjugate gradients that can be stopped and taken up again, on numpy arrays or torch tensors."""
+"""Conjugate gradients on numpy arrays or torch tensors, one iteration at a time, several systems at once.
+
+The preconditioner is a change of variables in the operator (`preconditioner.py`), so these are the plain recurrences
+(Hestenes & Stiefel 1952).
+"""
 
 from __future__ import annotations
 
@@ -16,7 +20,7 @@ Array = Any  # np.ndarray or Tensor; a state holds one kind
 
 @dataclass(frozen=True)
 class CGState:
-    """Where the solution of A x = b stands."""
+    """The iterate of A x = b."""
 
     x: Array
     residual: Array  # b − A x
@@ -26,7 +30,7 @@ class CGState:
 
     @property
     def is_exact(self) -> bool:
-        """To the digits of float32; going on would only add up what is rounded."""
+        """Whether converged to float32's digits; more iterations would only add rounding errors."""
         return self.squared_residual <= _EXACT * self.initial
 
     @cached_property
@@ -46,16 +50,16 @@ def start(b: Array) -> CGState:
 
 
 def step(state: CGState, operator: Callable[[Array], Array]) -> CGState:
-    """One iteration; `operator` is symmetric and positive. Returns the state unchanged once it is exact."""
+    """One iteration; `operator` is symmetric positive definite. Returns the state unchanged once it is exact."""
     return step_all([state], lambda directions: [operator(d) for d in directions])[0]
 
 
 def step_all(
     states: Sequence[CGState], operator: Callable[[Sequence[Array]], Sequence[Array]]
 ) -> list[CGState]:
-    """One iteration of each of several systems with the same `operator`, which takes all directions at once.
+    """One iteration of each of several independent systems; `operator` is applied to all directions at once.
 
-    The systems know nothing of each other. Those that are exact are left as they are.
+    Those that are exact stay as they are.
     """
     open_ = [k for k, state in enumerate(states) if not state.is_exact]
     images = operator([states[k].direction for k in open_]) if open_ else []
@@ -70,14 +74,14 @@ def stepped(state: CGState, image: Array) -> CGState:
     before = state.squared_residual
     if before <= _EXACT * state.initial:
         return state
-    length = before / _inner(state.direction, image)
-    residual = _cast(state.residual - length * image, state.x)
-    turn = _inner(residual, residual) / before
+    alpha = before / _inner(state.direction, image)
+    residual = _cast(state.residual - alpha * image, state.x)
+    beta = _inner(residual, residual) / before
     return replace(
         state,
-        x=_cast(state.x + length * state.direction, state.x),
+        x=_cast(state.x + alpha * state.direction, state.x),
         residual=residual,
-        direction=_cast(residual + turn * state.direction, state.x),
+        direction=_cast(residual + beta * state.direction, state.x),
         iteration=state.iteration + 1,
     )
 

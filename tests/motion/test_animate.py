@@ -10,8 +10,8 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.apply import displacement_at, moved, rotated, rotation_at
-from tg4mm.motion.modal import ModalMotion
+from tg4mm.motion.animate import animate, displacement_at, rotated, rotation_at
+from tg4mm.motion.modes import ModalMotion
 from tg4mm.splatfile import SplatFile, positions_at, rotations_at
 
 N, FPS = 20, 30.0
@@ -104,7 +104,7 @@ def test_modes_add_up() -> None:
 def test_a_motion_of_no_modes_is_rest() -> None:
     m = motion(np.zeros(0))
     np.testing.assert_array_equal(displacement_at(m, 3, 5.0), np.zeros((N, 3)))
-    assert torch.equal(moved(gaussians(), m, 3, 5.0).means, gaussians().means)
+    assert torch.equal(animate(gaussians(), m, 3, 5.0).means, gaussians().means)
 
 
 class TestRotated:
@@ -137,7 +137,7 @@ class TestMoved:
         g, m = gaussians(), motion()
         arrays = [a.numpy() for a in (g.means, g.quats, g.scales, g.opacities, g.sh)]
         splat = SplatFile(*arrays, m.freqs_hz, m.displacement, m.rotation, FPS, 30)
-        found = moved(g, m, t, 4.0, band)
+        found = animate(g, m, t, 4.0, band)
         np.testing.assert_allclose(found.means, positions_at(splat, t, 4.0, band), atol=3e-6)
         quats = torch.nn.functional.normalize(found.quats, dim=1).numpy()
         np.testing.assert_allclose(quats, rotations_at(splat, t, 4.0, band), atol=3e-6)
@@ -145,7 +145,7 @@ class TestMoved:
     def test_the_rest_is_left_alone(self) -> None:
         g = gaussians()
         means = g.means.clone()
-        found = moved(g, motion(), 3, 10.0)
+        found = animate(g, motion(), 3, 10.0)
         for name in ("scales", "opacities", "sh"):
             assert getattr(found, name) is getattr(g, name)
         assert torch.equal(g.means, means)
@@ -154,7 +154,7 @@ class TestMoved:
 
     def test_no_motion_is_the_scene_at_rest(self) -> None:
         g = gaussians()
-        assert moved(g, None, 3, 100.0) is g
+        assert animate(g, None, 3, 100.0) is g
 
     def test_a_rigid_motion_of_the_whole_scene_commutes_with_magnification(self) -> None:
         turn, shift = Rotation.from_rotvec([0.5, -1.0, 0.3]), np.array([1.0, 2.0, -3.0])
@@ -171,7 +171,7 @@ class TestMoved:
 
         g, m = gaussians(torch.float64), motion()
         other = replace(m, displacement=turned(m.displacement), rotation=turned(m.rotation))
-        one, two = placed(moved(g, m, 7, 20.0, (4, 6))), moved(placed(g), other, 7, 20.0, (4, 6))
+        one, two = placed(animate(g, m, 7, 20.0, (4, 6))), animate(placed(g), other, 7, 20.0, (4, 6))
         np.testing.assert_allclose(one.means, two.means, atol=1e-5)
         same = Rotation.from_quat(one.quats.numpy()[:, [1, 2, 3, 0]])
         assert (same * Rotation.from_quat(two.quats.numpy()[:, [1, 2, 3, 0]]).inv()).magnitude().max() < 1e-5
@@ -180,4 +180,4 @@ class TestMoved:
         m = motion()
         m = replace(m, displacement=m.displacement[:, :-1], rotation=m.rotation[:, :-1])
         with pytest.raises(ValueError, match="the motion has 19 Gaussians, the scene 20"):
-            moved(gaussians(), m, 0)
+            animate(gaussians(), m, 0)

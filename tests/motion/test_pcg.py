@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tg4mm.motion.solver.solve import CGState, start, step, step_all
+from tg4mm.motion.solver.pcg import CGState, start, step, step_all
 
 
 def system(n: int = 12, dtype: type = np.float64, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:

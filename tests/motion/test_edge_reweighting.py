@@ -25,11 +25,11 @@ from tg4mm.motion import fit as fitting
 from tg4mm.motion import train as stage
 from tg4mm.motion.fit import Fit
 from tg4mm.motion.posing.weight import CANDIDATES
-from tg4mm.motion.prior import joints
-from tg4mm.motion.prior.graph import Graph, graph
-from tg4mm.motion.prior.joints import loosened, strain
+from tg4mm.motion.prior import edge_reweighting
+from tg4mm.motion.prior.edge_reweighting import edge_residual, reweight_edges
+from tg4mm.motion.prior.graph import Graph, build_graph
 from tg4mm.motion.solver.device import DeviceProblem
-from tg4mm.motion.solver.solve import start, step_all
+from tg4mm.motion.solver.pcg import start, step_all
 from tg4mm.motion.train import train_motion
 from tg4mm.runs import Run
 
@@ -39,12 +39,12 @@ COUNT = 400
 def cloud() -> tuple[np.ndarray, Graph]:
     rng = np.random.default_rng(0)
     means = rng.random((COUNT, 3))
-    return means, graph(means, np.tile(np.eye(3), (COUNT, 1, 1)), np.full((COUNT, 3), 0.02))
+    return means, build_graph(means, np.tile(np.eye(3), (COUNT, 1, 1)), np.full((COUNT, 3), 0.02))
 
 
 def field(g: Graph, u: np.ndarray, gradient: np.ndarray) -> np.ndarray:
     """[1, 4N, 3] of displacements u [N, 3] and one gradient [3, 3] (d u_c / d x_k at [k, c]) everywhere."""
-    rows = np.concatenate([u[:, None], np.tile(gradient * g.reach, (len(u), 1, 1))], 1)
+    rows = np.concatenate([u[:, None], np.tile(gradient * g.mean_spacing, (len(u), 1, 1))], 1)
     return rows.reshape(1, -1, 3).astype(np.float32)
 
 
@@ -56,8 +56,8 @@ def test_what_is_linear_in_space_strains_nothing() -> None:
     means, g = cloud()
     gradient = np.random.default_rng(1).normal(size=(3, 3))
     x = field(g, means @ gradient + [1, 2, 3], gradient)
-    assert strain(g, x, x).max() < 1e-9
-    assert strain(g, 0.5 * x, 0.5 * x).max() < 1e-9
+    assert edge_residual(g, x, x).max() < 1e-9
+    assert edge_residual(g, 0.5 * x, 0.5 * x).max() < 1e-9
 
 
 def test_a_jump_strains_the_edges_across_it_by_its_square() -> None:
@@ -65,11 +65,13 @@ def test_a_jump_strains_the_edges_across_it_by_its_square() -> None:
     left = means[:, 0] < 0.5
     x = field(g, np.where(left[:, None], [0.3, 0, -0.4], 0.0), np.zeros((3, 3)))
     owner, other = ends(g)
-    np.testing.assert_allclose(strain(g, x, x), np.where(left[owner] != left[other], 0.25, 0), atol=1e-6)
+    np.testing.assert_allclose(
+        edge_residual(g, x, x), np.where(left[owner] != left[other], 0.25, 0), atol=1e-6
+    )
     twice = np.concatenate([x, x])
-    np.testing.assert_allclose(strain(g, twice, twice), 2 * strain(g, x, x), rtol=1e-6)
-    assert not strain(g, x, -x).any()  # the halves contradict each other
-    assert not strain(g, x, 0 * x).any()
+    np.testing.assert_allclose(edge_residual(g, twice, twice), 2 * edge_residual(g, x, x), rtol=1e-6)
+    assert not edge_residual(g, x, -x).any()  # the halves contradict each other
+    assert not edge_residual(g, x, 0 * x).any()
 
 
 def test_what_the_halves_do_not_agree_on_strains_little() -> None:
@@ -78,24 +80,24 @@ def test_what_the_halves_do_not_agree_on_strains_little() -> None:
     rng = np.random.default_rng(2)
     a, b = (field(g, rng.normal(size=(COUNT, 3)), np.zeros((3, 3))) for _ in range(2))
     a, b = (np.concatenate([v] + [np.roll(v, k, 1) for k in range(4, 120, 4)]) for v in (a, b))
-    assert strain(g, a, b).mean() < 0.1 * strain(g, a, a).mean()
+    assert edge_residual(g, a, b).mean() < 0.1 * edge_residual(g, a, a).mean()
 
 
 def test_strained_edges_count_less_and_the_matrix_stays_what_it_is() -> None:
     _, g = cloud()
     owner, other = ends(g)
     of_edge = (((owner + other) * 7919) % 13 / 13.0) ** 4  # the same from both ends
-    looser = loosened(g, of_edge.astype(np.float32))
-    before, after = (graph.bonds[:, 0].astype(np.float64) ** 2 for graph in (g, looser))
+    looser = reweight_edges(g, of_edge.astype(np.float32))
+    before, after = (graph.edge_rows[:, 0].astype(np.float64) ** 2 for graph in (g, looser))
     mean = (before * of_edge).sum() / before.sum()
     np.testing.assert_allclose(after / before, 1 / (1 + of_edge / (3 * mean)), rtol=1e-5)
     matrix = looser.stiffness.toarray()
     np.testing.assert_allclose(matrix, matrix.T, atol=1e-5 * np.abs(matrix).max())
     assert np.linalg.eigvalsh(matrix.astype(np.float64)).min() > -1e-5 * np.abs(matrix).max()
-    assert loosened(g, np.zeros(len(other), np.float32)) is g
+    assert reweight_edges(g, np.zeros(len(other), np.float32)) is g
     alone = np.zeros(len(other), np.float32)
     alone[0] = 1.0
-    weakest = loosened(g, alone).bonds[0, 0] / g.bonds[0, 0]
+    weakest = reweight_edges(g, alone).edge_rows[0, 0] / g.edge_rows[0, 0]
     assert weakest == pytest.approx(0.1, rel=1e-5)  # a hundredth of its weight
 
 
@@ -132,7 +134,7 @@ def check_device(where: str, tolerance: float) -> None:
     ours = problem()
     other = DeviceProblem(ours, where, torch.float32)
     x = np.random.default_rng(3).normal(size=(4 * N, 3)).astype(np.float32)
-    looser = loosened(
+    looser = reweight_edges(
         ours.graph, np.random.default_rng(4).random(len(ours.graph.other)).astype(np.float32) ** 8
     )
     for a, b in ((ours, other), (ours.with_graph(looser), other.with_graph(looser))):
@@ -199,7 +201,7 @@ def test_what_stands_still_is_given_less_of_its_neighbours_motion(
     six: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run, _ = trained(six, tmp_path / "joints", 3_000.0)
-    monkeypatch.setattr(joints, "_TIMES", 1e9)  # nothing is ever strained
+    monkeypatch.setattr(edge_reweighting, "_SCALE", 1e9)  # nothing is ever strained
     other, _ = trained(six, tmp_path / "none", 3_000.0)
     capture = load_capture(six / "data")
     weights = blending_weights(run.load_space(), capture)
@@ -217,13 +219,13 @@ def test_where_the_prior_is_loose_already_no_edge_is_loosened(
     six: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     calls: list[int] = []
-    real = fitting.loosened
+    real = fitting.reweight_edges
 
     def counted(g: Graph, of_edges: np.ndarray) -> Graph:
         calls.append(len(of_edges))
         return real(g, of_edges)
 
-    monkeypatch.setattr(fitting, "loosened", counted)
+    monkeypatch.setattr(fitting, "reweight_edges", counted)
     trained(six, tmp_path / "loose", CANDIDATES[0])
     assert not calls
     trained(six, tmp_path / "stiff", CANDIDATES[1])

@@ -1,4 +1,4 @@
-"""Every meeting of a pixel and a Gaussian of one view, listed on a torch device, and what changes there."""
+"""The rendering Jacobian of one view as a list of pixel–Gaussian contributions on a torch device."""
 
 from __future__ import annotations
 
@@ -9,29 +9,29 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tg4mm.motion.jacobian.linear import ALPHA_MIN_LINEAR, RestView
+from tg4mm.motion.jacobian.view import ALPHA_MIN_LINEAR, ViewJacobian
 from tg4mm.rasterize.kernels.layout import ALPHA_MAX, CA, CB, CC, FEAT, MX, MY, OP, T_MIN, TILE
 from tg4mm.space.view import WHITE
 
-_AT_ONCE = 1 << 22  # meetings, and candidates for one, that are worked on together
+_AT_ONCE = 1 << 22  # contributions, and candidates for one, worked on together: bounds the memory
 
 
 @dataclass(frozen=True)
-class DeviceView:
-    """`RestView` as M meetings of n visible Gaussians with the pixels of one view."""
+class DeviceViewJacobian:
+    """`ViewJacobian` as M contributions of n visible Gaussians to the pixels of one view."""
 
     size: tuple[int, int]  # width, height
     rows: Tensor  # [n] int64, which Gaussians
-    jacobian: Tensor  # [n, 8, DOF] float32, of `RestView`
+    jacobian: Tensor  # [n, 8, DOF] float32, of `ViewJacobian`
     means: Tensor  # [n, 2] pixels
     conics: Tensor  # [n, 3]
     pixel: Tensor  # [M] int32, row-major
     gaussian: Tensor  # [M] int32, 0 … n − 1
     weight: Tensor  # [M] transmittance × alpha
-    slope: Tensor  # [M, 3] change of the pixel over white for a change of the exponent σ (alpha = o exp(−σ))
+    slope: Tensor  # [M, 3] derivative of the pixel over white by the exponent σ (alpha = o exp(−σ))
 
-    def push(self, motion: Tensor) -> Tensor:
-        """[N, DOF] float32 -> change of the picture over white [H, W, 3]."""
+    def jvp(self, motion: Tensor) -> Tensor:
+        """J m: [N, DOF] float32 -> change of the picture over white [H, W, 3]."""
         d = torch.einsum("ncd,nd->nc", self.jacobian, motion[self.rows])
         a, b, c = self.conics.unbind(1)
         # dσ = A dx² + B dx dy + C dy² + D dx + E dy, with (dx, dy) from the Gaussian's mean to the pixel
@@ -46,8 +46,8 @@ class DeviceView:
             out.index_add_(0, self.pixel[some], change)
         return out.reshape(height, width, 3)
 
-    def pull(self, picture: Tensor, v_motion: Tensor) -> None:
-        """The transpose: adds to `v_motion` [N, DOF] what a picture [H, W, 3] says."""
+    def vjp(self, picture: Tensor, v_motion: Tensor) -> None:
+        """Adds Jᵀ p of a picture [H, W, 3] to `v_motion` [N, DOF]."""
         flat = picture.reshape(-1, 3)
         sums = torch.zeros(len(self.rows), 8, device=picture.device)
         for some in self._parts():
@@ -74,8 +74,8 @@ class DeviceView:
         return torch.stack([dx * dx, dx * dy, dy * dy, dx, dy], 1)
 
 
-def device_view(view: RestView, device: str, storage: torch.dtype) -> DeviceView:
-    """`view` with its meetings listed on the device; weights and slopes of type `storage`."""
+def device_view_jacobian(view: ViewJacobian, device: str, storage: torch.dtype) -> DeviceViewJacobian:
+    """`view` with its contributions listed on the device; weights and slopes of type `storage`."""
     order = view.bins.order[: view.bins.n_visible]
     rank = np.zeros(len(view.splats), np.int32)
     rank[order] = np.arange(len(order), dtype=np.int32)
@@ -83,11 +83,13 @@ def device_view(view: RestView, device: str, storage: torch.dtype) -> DeviceView
     pairs = torch.from_numpy(rank[view.bins.pair_gaussian]).to(device)
     height, width = view.transmittance.shape
     starts = np.asarray(view.bins.tile_start, np.int64)
-    parts = [_no_meetings(device, storage)]
+    parts = [_no_contributions(device, storage)]
     for tiles in _tile_groups(starts):
-        parts.append(_meetings(splats, pairs, torch.from_numpy(tiles).to(device), (width, height), storage))
+        parts.append(
+            _contributions(splats, pairs, torch.from_numpy(tiles).to(device), (width, height), storage)
+        )
     pixel, gaussian, weight, slope = (torch.cat(columns) for columns in zip(*parts, strict=True))
-    return DeviceView(
+    return DeviceViewJacobian(
         size=(width, height),
         rows=torch.from_numpy(order.astype(np.int64)).to(device),
         jacobian=torch.from_numpy(view.jacobian).to(device),
@@ -100,13 +102,13 @@ def device_view(view: RestView, device: str, storage: torch.dtype) -> DeviceView
     )
 
 
-def _no_meetings(device: str, storage: torch.dtype) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def _no_contributions(device: str, storage: torch.dtype) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     index = torch.zeros(0, dtype=torch.int32, device=device)
     return index, index, index.to(storage), index.new_zeros(0, 3).to(storage)
 
 
 def _tile_groups(starts: np.ndarray) -> Iterator[np.ndarray]:
-    """Tiles with lists of like length together, as [tiles, 3] int64: tile, start and length (above 0) of its list."""
+    """Tiles grouped by length of list, each group [tiles, 3] int64: tile, start and length (above 0) of its list."""
     lengths = np.diff(starts)
     order = np.argsort(-lengths, kind="stable")[: np.count_nonzero(lengths)]
     first = 0
@@ -116,10 +118,10 @@ def _tile_groups(starts: np.ndarray) -> Iterator[np.ndarray]:
         first += len(some)
 
 
-def _meetings(
+def _contributions(
     splats: Tensor, pairs: Tensor, tiles: Tensor, size: tuple[int, int], storage: torch.dtype
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Pixel, Gaussian, weight and slope of every meeting in a group of tiles [t, 3]: [3DGS] Eq. (3), differentiated.
+    """Pixel, Gaussian, weight and slope of every contribution in tiles [t, 3]: [3DGS] Eq. (3), differentiated.
 
     With behind_k = Σ_{i > k} w_i c_i + T_end · white, a pixel changes by alpha_k (behind_k / (1 − alpha_k) − T_k c_k)
     for a change of σ_k.
@@ -156,7 +158,7 @@ def _pixels(tile: Tensor, width: int) -> tuple[Tensor, Tensor]:
 
 
 def _alphas(splats: Tensor, g: Tensor, there: Tensor, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
-    """Alphas [t, L, TILE²] of Gaussians g [t, L] and whether they follow σ (they do below ALPHA_MAX)."""
+    """Alphas [t, L, TILE²] of Gaussians g [t, L] and whether they depend on σ (not where clamped to ALPHA_MAX)."""
     s = splats[g]
     mx, my, a, b, c, opacity = (s[..., column, None] for column in (MX, MY, CA, CB, CC, OP))
     dx, dy = x[:, None] + 0.5 - mx, y[:, None] + 0.5 - my

@@ -1,0 +1,142 @@
+"""The rendering Jacobian of one view at rest: JVP, VJP and Gauss-Newton product, several right-hand sides at once.
+
+Per Gaussian an 8 × 6 block takes displacement and rotation to its splat (mean, conic, colour); the linearised blending
+kernels take splats to pixels. It is the exact derivative of the rendered picture; no finite differences.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from tg4mm.gaussians import Gaussians
+from tg4mm.motion.jacobian.packed import jvp_rows, pack, unpack, vjp_rows
+from tg4mm.motion.jacobian.projection import splat_jacobian
+from tg4mm.rasterize.buffers import Buffers, take
+from tg4mm.rasterize.kernels.binning import Bins, bin_splats, seen
+from tg4mm.rasterize.kernels.blend import blend_forward
+from tg4mm.rasterize.kernels.layout import ALPHA_MIN, FEATURES
+from tg4mm.rasterize.kernels.linearised import COLUMNS, blend_cotangents, blend_tangents
+from tg4mm.rasterize.kernels.normal import blend_normal, most_blocks
+from tg4mm.rasterize.kernels.project import empty_splats, pack_camera, project_forward
+from tg4mm.space.view import EPS2D, FAR, NEAR, WHITE
+
+# Rendering drops alphas below 1/255, which cuts the rim off every Gaussian. The cut moves with the Gaussian, and that
+# step is not in the derivative inside it: faint Gaussians would get too small a Jacobian (by 1/255 over their opacity).
+# A much lower threshold makes the error negligible.
+ALPHA_MIN_LINEAR = ALPHA_MIN / 30
+
+
+class PosedView(Protocol):
+    """A camera as far as the Jacobian needs it (OpenCV convention)."""
+
+    @property
+    def viewmat(self) -> np.ndarray:
+        """[4, 4] float32, world to camera."""
+
+    @property
+    def K(self) -> np.ndarray:
+        """[3, 3] float32, pixels."""
+
+
+@dataclass(frozen=True)
+class ViewJacobian:
+    """One view's picture of the Gaussians at rest and its Jacobian."""
+
+    splats: np.ndarray  # [N, SPLAT_WIDTH]
+    bins: Bins
+    image: np.ndarray  # [H, W, FEATURES]
+    transmittance: np.ndarray  # [H, W]
+    most: tuple[int, int]  # largest numbers of blocks and pairs of a tile, for `blend_normal`
+    packed: np.ndarray  # float32: the 8 × 6 blocks as `pack` stores them, in the order of bins.order
+
+    @property
+    def jacobian(self) -> np.ndarray:
+        """[n_visible, 8, DOF] float32, in the order of bins.order."""
+        return unpack(self.packed)
+
+    @property
+    def _rows(self) -> np.ndarray:
+        return self.bins.order[: self.bins.n_visible]
+
+    def jvp(self, motions: np.ndarray, buffers: Buffers | None = None) -> np.ndarray:
+        """J m: R motions [R, N, DOF] float32 -> R changes of the picture over white [R, H, W, 3].
+
+        With `buffers` the result is theirs: valid until the next call with the same ones.
+        """
+        bins, n_motions = self.bins, len(motions)
+        d_splats = take(buffers, "d_splats", (motions.shape[1], n_motions, len(COLUMNS)))
+        jvp_rows(self.packed, self._rows, motions, d_splats)
+        d_images = take(buffers, "d_images", (n_motions, *self.transmittance.shape, 3))
+        blend_tangents(
+            self.splats, d_splats, bins.tile_start, bins.pair_gaussian, WHITE, d_images, ALPHA_MIN_LINEAR
+        )
+        return d_images
+
+    def vjp(self, pictures: np.ndarray, v_motions: np.ndarray, buffers: Buffers | None = None) -> None:
+        """Adds Jᵀ p of R pictures [R, H, W, 3] to `v_motions` [R, N, DOF]."""
+        bins, n_motions = self.bins, len(pictures)
+        v_pairs = take(buffers, "v_pairs", (len(bins.pair_gaussian), n_motions, len(COLUMNS)))
+        blend_cotangents(
+            self.splats, bins.tile_start, bins.pair_gaussian, WHITE, self.image, self.transmittance,
+            np.ascontiguousarray(pictures), v_pairs, ALPHA_MIN_LINEAR,
+        )  # fmt: skip
+        self._gather(v_pairs, v_motions)
+
+    def gauss_newton_product(
+        self,
+        motions: np.ndarray,
+        weights: np.ndarray | None,
+        v_motions: np.ndarray,
+        buffers: Buffers | None = None,
+    ) -> None:
+        """Adds Jᵀ W J m to `v_motions`, both [R, N, DOF], in one pass; W are weights of pixels [H, W], None: 1."""
+        bins, n_motions = self.bins, len(motions)
+        d_splats = take(buffers, "d_splats", (motions.shape[1], n_motions, len(COLUMNS)))
+        jvp_rows(self.packed, self._rows, motions, d_splats)
+        v_pairs = take(buffers, "v_pairs", (len(bins.pair_gaussian), n_motions, len(COLUMNS)))
+        pixels = np.ones_like(self.transmittance) if weights is None else weights
+        blend_normal(
+            self.splats, d_splats, bins.tile_start, bins.pair_gaussian, bins.reached, self.most, WHITE, pixels,
+            v_pairs, ALPHA_MIN_LINEAR,
+        )  # fmt: skip
+        self._gather(v_pairs, v_motions)
+
+    def _gather(self, v_pairs: np.ndarray, v_motions: np.ndarray) -> None:
+        """Adds to `v_motions` [R, N, DOF] the cotangents of tile–Gaussian pairs [P, R, 8]."""
+        vjp_rows(self.packed, self._rows, self.bins.gaussian_start, self.bins.pair_slot, v_pairs, v_motions)
+
+
+def _arrays(gaussians: Gaussians) -> tuple[np.ndarray, ...]:
+    g = gaussians
+    return tuple(
+        np.ascontiguousarray(a.cpu().numpy(), np.float32)
+        for a in (g.means, g.quats, g.scales, g.opacities, g.sh)
+    )
+
+
+def view_jacobian(gaussians: Gaussians, camera: PosedView, size: tuple[int, int]) -> ViewJacobian:
+    """The Jacobian of the Gaussians' picture from `camera`, of size (width, height)."""
+    width, height = size
+    means, quats, scales, opacities, sh = _arrays(gaussians)
+    degree = gaussians.sh_degree
+    packed_camera = pack_camera(camera.viewmat, camera.K, NEAR, FAR, EPS2D, ALPHA_MIN_LINEAR)
+    splats = empty_splats(len(means))
+    project_forward(means, quats, scales, opacities, sh, degree, False, packed_camera, width, height, splats)
+    bins = bin_splats(splats, width, height)
+    image, transmittance = (
+        np.empty((height, width, FEATURES), np.float32),
+        np.empty((height, width), np.float32),
+    )
+    blend_forward(
+        splats, bins.tile_start, bins.pair_gaussian, width, height, image, transmittance, ALPHA_MIN_LINEAR,
+        bins.reached,
+    )  # fmt: skip
+    bins = seen(bins)  # drop hidden pairs: every iteration would visit them
+    most = most_blocks(bins.tile_start, bins.reached)
+    jacobian = splat_jacobian(means, quats, scales, sh, degree, packed_camera, size, splats)
+    return ViewJacobian(
+        splats, bins, image, transmittance, most, pack(jacobian[bins.order[: bins.n_visible]])
+    )

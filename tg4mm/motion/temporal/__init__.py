@@ -1,1 +1,0 @@
-"""Frequencies, tones and drift of what changes."""
