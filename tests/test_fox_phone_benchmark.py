@@ -1,0 +1,324 @@
+"""benchmarks/fox_phone.py: figures that know a right answer from a wrong one, on a small truth of our own."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from benchmarks.fox_phone import main, reduced, scored
+from benchmarks.fox_phone_scores import (
+    clip_phase_figures,
+    comparison,
+    false_peaks,
+    mac,
+    phase_errors_deg,
+    phasor_at,
+    picture_flow,
+)
+from benchmarks.fox_phone_sets import Shot, averaged, frame_record, project, visible
+from benchmarks.fox_phone_truth import IDENTITY, Similarity, Truth, similarity
+from tg4mm.files import write_json
+from tg4mm.gaussians import Gaussians
+from tg4mm.motion import ModalMotion
+from tg4mm.runs import Run
+
+F1, F2, FPS, T = 3.4, 7.0, 30.0, 30
+SIZE = 64
+K = np.array([[80.0, 0, 32], [0, 80.0, 32], [0, 0, 1]])
+
+
+def rotation(rng: np.random.Generator) -> np.ndarray:
+    q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    return q * np.sign(np.linalg.det(q))
+
+
+def poses(rng: np.random.Generator, count: int) -> np.ndarray:
+    """[count, 4, 4] camera-to-world, some 2 units before the plane z = 0, looking at it."""
+    c2w = np.tile(np.eye(4), (count, 1, 1))
+    c2w[:, :3, 3] = np.column_stack([rng.uniform(-0.2, 0.2, (count, 2)), -2 + rng.uniform(-0.1, 0.1, count)])
+    return c2w
+
+
+def carried(c2w: np.ndarray, world: Similarity) -> np.ndarray:
+    """Camera-to-world of the truth's world in the run's."""
+    return np.stack([np.linalg.inv(world.viewmat_of(pose)) for pose in c2w])
+
+
+@pytest.fixture
+def world() -> Similarity:
+    rng = np.random.default_rng(3)
+    return Similarity(1.7, rotation(rng), rng.normal(size=3))
+
+
+def phasors(rng: np.random.Generator, *shape: int) -> np.ndarray:
+    return rng.normal(size=shape) + 1j * rng.normal(size=shape)
+
+
+def test_flow_is_the_difference_of_projections() -> None:
+    rng = np.random.default_rng(0)
+    means = rng.uniform(-0.5, 0.5, (20, 3)) + [0, 0, 3]
+    vectors = rng.normal(size=(20, 3))
+    viewmat = np.eye(4)
+    viewmat[:3, :3] = rotation(rng)
+    viewmat[:3, 3] = [0.1, -0.2, 8]
+    there, _ = project(means + 1e-6 * vectors, np.linalg.inv(viewmat), K)
+    here, _ = project(means, np.linalg.inv(viewmat), K)
+    assert np.allclose((there - here) / 1e-6, picture_flow(means, vectors, viewmat, K), atol=1e-3)
+
+
+def test_modes_beside_a_frequency_count_by_what_they_add_up_to() -> None:
+    rng = np.random.default_rng(0)
+    shape = phasors(rng, 1, 5, 3)
+    assert np.allclose(phasor_at(np.array([3.4]), shape, 3.4, 3.0), shape[0])
+    both = np.concatenate([shape, shape])
+    seen = phasor_at(np.array([3.39, 3.41]), both, 3.4, 3.0)
+    t = (np.arange(3000) + 0.5) / 1000
+    beats = (np.exp(2j * np.pi * -0.01 * t) + np.exp(2j * np.pi * 0.01 * t)).mean()
+    assert np.allclose(seen, beats * shape[0], rtol=1e-6)
+    assert np.all(phasor_at(np.array([3.3, 7.0]), both, 3.4, 3.0) == 0)
+
+
+def moving_patch() -> tuple[np.ndarray, np.ndarray]:
+    """A true field [20, 20, 2] of which a quarter moves, and its weights."""
+    true = np.zeros((20, 20, 2), complex)
+    true[:10, :10] = [0.3, 0.4j]
+    return true, np.ones((20, 20))
+
+
+def test_a_common_phase_is_told_and_not_held_against() -> None:
+    true, weights = moving_patch()
+    found = comparison(true * np.exp(0.3j), true, weights)
+    assert found["error"] == pytest.approx(0, abs=1e-12)
+    assert found["phase_deg"] == pytest.approx(np.degrees(0.3))
+    assert found["amplitude_ratio"] == pytest.approx(1)
+    assert found["mac"] == pytest.approx(1)
+    assert found["leak"] == 0
+
+
+def test_wrong_answers_are_told_apart() -> None:
+    true, weights = moving_patch()
+    small = comparison(0.9 * true, true, weights)
+    assert small["error"] == pytest.approx(0.1)
+    assert small["amplitude_ratio"] == pytest.approx(0.9)
+    leaking = true.copy()
+    leaking[10:, 10:] = [0.0, 0.05]
+    figures = comparison(leaking, true, weights)
+    assert figures["error"] == pytest.approx(0, abs=1e-12)
+    assert figures["leak"] == pytest.approx(0.1 * np.sqrt(1 / 3))
+    assert figures["mac"] < 0.995
+    across = comparison(true[..., ::-1] * [1, -1], true, weights)
+    assert across["direction_deg"] > 10
+    nothing = comparison(0 * true, true, weights)
+    assert nothing["error"] == pytest.approx(1)
+    assert nothing["direction_deg"] == 90
+
+
+def test_weights_say_what_counts() -> None:
+    true, weights = moving_patch()
+    wrong = true.copy()
+    wrong[:, :5] = 7.0
+    weights[:, :5] = 0
+    assert comparison(wrong, true, weights)["error"] == pytest.approx(0, abs=1e-12)
+
+
+def test_mac_ignores_scale_and_phase_and_is_zero_of_orthogonal_shapes() -> None:
+    rng = np.random.default_rng(0)
+    a, weights = phasors(rng, 50, 3), rng.uniform(size=50)
+    assert mac(a, (2 - 3j) * a, weights) == pytest.approx(1)
+    assert mac(np.eye(3)[[0]], np.eye(3)[[1]], np.ones(1)) == 0
+
+
+def test_false_peaks_are_far_from_the_truth_and_strong() -> None:
+    freqs = np.array([0.0, 0.41, 3.42, 3.6, 7.0, 9.0])
+    amplitudes = np.array([9.0, 0.5, 0.6, 0.04, 0.3, 0.031])
+    found = false_peaks(freqs, amplitudes, [F1, F2], 0.3)
+    assert [peak["frequency_hz"] for peak in found] == [0.41, 3.6, 9.0]
+
+
+def test_phases_of_clips_are_known_up_to_one_in_common() -> None:
+    true = np.array([10.0, 350.0, 200.0])
+    assert np.allclose(phase_errors_deg(true + 77, true), 0, atol=1e-9)
+    assert np.abs(phase_errors_deg(true + [0, 0, 30], true)).max() == pytest.approx(20, abs=1)
+
+
+def test_clip_phases_follow_the_ratio_of_frequencies() -> None:
+    truth = {"f_hz": [F1, F2], "clips": {"phases": [1.0, 2.5, 0.3]}}
+    found = {
+        f"cam_{c:02d}": {"3.41": np.degrees(p), "7.0": np.degrees(p * F2 / F1) + 40}
+        for c, p in enumerate(truth["clips"]["phases"])
+    }
+    rows = clip_phase_figures(found, truth)
+    assert [row["frequency_hz"] for row in rows] == [F1, F2]
+    assert all(abs(e) < 1e-9 for row in rows for e in row["errors_deg"].values())
+    found["cam_01"]["3.41"] += 30
+    assert rows != clip_phase_figures(found, truth)
+    assert clip_phase_figures({"cam_00": {"5.0": 1.0}}, truth) == []
+
+
+def test_similarity_is_found_from_poses(world: Similarity) -> None:
+    rng = np.random.default_rng(1)
+    true = poses(rng, 6)
+    true[:, :3, :3] = [rotation(rng) for _ in true]
+    found = similarity(carried(true, world), true)
+    assert found.scale == pytest.approx(world.scale)
+    assert np.allclose(found.rotation, world.rotation)
+    assert np.allclose(found.shift, world.shift)
+    with pytest.raises(ValueError, match="one place"):
+        similarity(np.tile(np.eye(4), (3, 1, 1)), true[:3])
+
+
+def test_cameras_see_the_same_in_both_worlds(world: Similarity) -> None:
+    rng = np.random.default_rng(1)
+    true, points = poses(rng, 1)[0], rng.normal(size=(9, 3))
+    expected, _ = project(world.to_truth(points), true, K)
+    found, _ = project(points, np.linalg.inv(world.viewmat_of(true)), K)
+    assert np.allclose(found, expected)
+
+
+def test_points_behind_others_are_not_visible() -> None:
+    uv = np.array([[5.0, 5.0], [5.5, 5.5], [40.0, 5.0], [70.0, 5.0]])
+    assert visible(uv, np.array([1.0, 2.0, 2.0, 1.0]), (SIZE, SIZE)).tolist() == [True, False, True, False]
+
+
+def test_pictures_are_reduced_by_area() -> None:
+    picture = np.arange(4 * 6 * 3, dtype=np.uint8).reshape(4, 6, 3)
+    half = averaged(picture, 2)
+    assert half.shape == (2, 3, 3)
+    assert abs(float(half[1, 2, 0]) - picture[2:, 4:, 0].mean()) <= 0.5
+    assert np.array_equal(averaged(picture, 1), picture)
+    assert np.allclose(reduced(picture / 255.0, 3), half / 255.0, atol=0.5 / 255)
+
+
+# A whole run.
+
+
+def write_truth(folder: Path) -> Truth:
+    """A plate of 24 × 24 points whose middle moves up at the one frequency, whose left edge out at the other."""
+    rng = np.random.default_rng(5)
+    side = np.linspace(-0.7, 0.7, 24)
+    x, y = (a.ravel() for a in np.meshgrid(side, side))
+    means = np.stack(
+        [x, y, rng.uniform(-0.02, 0.02, len(x))], 1
+    )  # uneven: the order in depth is no matter of rounding
+    first, second = np.zeros_like(means), np.zeros_like(means)
+    first[:, 1] = 0.01 * np.exp(-(x**2 + y**2) / 0.1) * (x**2 + y**2 < 0.25)
+    second[:, 2] = 0.02 * np.clip(-x - 0.4, 0, None)
+    folder.mkdir()
+    arrays = {"means": means, "opacities": np.full(len(means), 0.95, np.float32)}
+    np.savez(folder / "gauss.npz", shape_3_4Hz=first, shape_7Hz=second, **arrays)
+    sweep = poses(rng, 6)
+    values = {
+        "f_hz": [F1, F2], "fps": FPS, "K": K.tolist(), "W": SIZE, "H": SIZE,
+        "cams_sweep": sweep.tolist(), "c2w_fixed": sweep[2].tolist(), "c2w_novel": sweep[3].tolist(),
+        "clips": {"cams": [0, 1, 2], "phases": [0.0, 1.0, 2.0]}, "hand": poses(rng, T).tolist(),
+    }  # fmt: skip
+    (folder / "truth.json").write_text(json.dumps(values))
+    return Truth.load(folder)
+
+
+def write_tripod(folder: Path, truth: Truth, world: Similarity) -> None:
+    """A tripod's dataset in the run's world: photographs 0, 1, 3 and one fixed camera, all white."""
+    white = Image.fromarray(np.full((SIZE, SIZE, 3), 255, np.uint8))
+    values = truth.values
+    for t in range(T):
+        shots = [Shot(t, "cam_00", np.array(values["c2w_fixed"]), t / FPS, np.zeros(0))]
+        if t == 0:
+            shots += [
+                Shot(0, f"{i:03d}", np.array(values["cams_sweep"][i]), None, np.zeros(0)) for i in (0, 1, 3)
+            ]
+        frames = []
+        for shot in shots:
+            moved = Shot(t, shot.name, np.linalg.inv(world.viewmat_of(shot.c2w)), shot.time_s, shot.picture)
+            frames.append(frame_record(moved, K, (SIZE, SIZE)))
+            file = folder / f"{t:03d}" / "train" / f"{shot.name}.png"
+            file.parent.mkdir(parents=True, exist_ok=True)
+            white.save(file)
+        write_json(folder / f"{t:03d}" / "transforms_train.json", {"frames": frames})
+    write_json(folder / "scene.json", {"format_version": 1, "kind": "tripod", "fps": FPS, "n_timesteps": T})
+
+
+def write_run(folder: Path, dataset: Path, truth: Truth, world: Similarity, gain: complex) -> Run:
+    """Gaussians at the truth's means in the run's world, moving `gain` times as they should at the first frequency."""
+    run = Run.create(folder, dataset, "modal", {})
+    n = len(truth.means)
+    means = (truth.means - world.shift) @ world.rotation / world.scale
+    like = truth.splats()
+    means_t = torch.from_numpy(means).float()
+    run.save_space(Gaussians(means_t, like.quats, like.scales / world.scale, like.opacities, like.sh), {})
+    modes = world.vectors_to_run(truth.phasors(truth.means))
+    modes[0] *= gain
+    freqs = np.array([F1, F2])
+    motion = ModalMotion(freqs, modes.astype(np.complex64), np.zeros((2, n, 3), np.complex64), FPS, T)
+    run.save_motion(motion, {"clip_phases_deg": {"cam_00": {"3.4": 0.0}, "cam_01": {"3.4": np.degrees(1.0)}}})
+    return run
+
+
+def test_sampled_phasors_are_the_truths_sines(tmp_path: Path) -> None:
+    truth = write_truth(tmp_path / "truth")
+    t = 0.123
+    exact = truth.shapes[1] * np.sin(2 * np.pi * F2 * t + 1.0)
+    sampled = (truth.phasors(truth.means)[1] * np.exp(2j * np.pi * F2 * t)).real
+    assert np.allclose(sampled, exact, atol=1e-9)
+
+
+def test_an_exact_run_in_a_world_of_its_own_scores_no_error(tmp_path: Path, world: Similarity) -> None:
+    truth = write_truth(tmp_path / "truth")
+    write_tripod(tmp_path / "set", truth, world)
+    run = write_run(tmp_path / "run", tmp_path / "set", truth, world, 1.0)
+    figures = scored(run, truth, pictures=False)
+    assert figures["scale"] == pytest.approx(world.scale)
+    assert figures["camera_rms"] < 1e-9
+    assert figures["false_peaks"] == []
+    for row in figures["frequencies"]:
+        assert row["found"]
+        assert row["picture"]["error"] < 1e-3
+        assert row["picture_apart"]["error"] < 0.02
+        assert row["space"]["error"] < 1e-3
+        assert row["space"]["mac"] == pytest.approx(1, abs=1e-5)
+        assert row["picture"]["phase_deg"] == pytest.approx(0, abs=0.1)
+    assert figures["clip_phases"][0]["errors_deg"] == pytest.approx({"cam_00": 0, "cam_01": 0}, abs=1e-6)
+
+
+def test_a_wrong_run_is_scored_as_wrong_as_it_is(
+    tmp_path: Path, world: Similarity, capsys: pytest.CaptureFixture[str]
+) -> None:
+    truth = write_truth(tmp_path / "truth")
+    write_tripod(tmp_path / "set", truth, world)
+    write_run(tmp_path / "run", tmp_path / "set", truth, world, 0.8 * np.exp(0.5j))
+    out = tmp_path / "scores.json"
+    arguments = [
+        str(tmp_path / "run"),
+        "--truth",
+        str(tmp_path / "truth"),
+        "--out",
+        str(out),
+        "--no-pictures",
+    ]
+    assert main(arguments) == 0
+    row = json.loads(out.read_text())["frequencies"][0]
+    for name in ("picture", "space"):
+        assert row[name]["error"] == pytest.approx(0.2, abs=0.01)
+        assert row[name]["amplitude_ratio"] == pytest.approx(0.8, abs=0.01)
+        assert row[name]["phase_deg"] == pytest.approx(np.degrees(0.5), abs=0.5)
+    assert "3.4 Hz: found" in capsys.readouterr().out
+
+
+def test_a_run_that_is_none_ends_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([str(tmp_path / "nowhere"), "--truth", str(tmp_path)]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_names_lead_to_true_poses(tmp_path: Path) -> None:
+    truth = write_truth(tmp_path / "truth")
+    sweep = np.array(truth.values["cams_sweep"])
+    assert np.array_equal(truth.c2w("003", 0, "tripod"), sweep[3])
+    assert np.array_equal(truth.c2w("sweep_003", 0, "tripod"), sweep[3])
+    assert np.array_equal(truth.c2w("cam_01", 9, "clips"), sweep[1])
+    assert np.array_equal(truth.c2w("cam_00", 9, "handheld"), truth.values["hand"][9])
+    assert truth.c2w("other", 0, "tripod") is None
+    assert truth.camera("c2w_fixed", (32, 32), IDENTITY).K[0, 0] == 40
