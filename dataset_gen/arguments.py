@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from .cameras import KINDS as CAMERA_KINDS
+from .effects import CODECS
 from .errors import GenerateError
 from .pictures import BACKGROUNDS, IMAGES
 from .scenes import NAMES
@@ -15,6 +16,7 @@ from .settings import DEVICES, ENGINES, TRUTH
 
 ALL = "all"
 ALPHAS = (5, 10, 20, 50, 100)
+CLIPS = 7  # places that one camera films from, where --views does not say it
 # What an option is where neither the command line nor the preset says it.
 DEFAULTS: dict[str, Any] = {
     "size": 128,
@@ -23,6 +25,13 @@ DEFAULTS: dict[str, Any] = {
     "cameras": "orbit",
     "views": 30,
     "test_views": 5,
+    "clock_offsets": 0.0,
+    "shake": 0.0,
+    "exposure_drift": 0.0,
+    "flicker": 0.0,
+    "flicker_hz": 100.0,
+    "codec": "none",
+    "crf": 20,
     "samples": 96,
     "seed": 0,
     "points": 20000,
@@ -50,8 +59,14 @@ _HELP = {
     "size": "edge of the square images, pixels",
     "timesteps": "number of timesteps",
     "fps": "timesteps per second, Hz",
-    "views": "training cameras of an orbit or a rig; pictures of a sweep",
-    "test_views": "test cameras, 10 in the published data",
+    "views": f"training cameras of an orbit or a rig; pictures of a sweep; clips, which are {CLIPS} by default",
+    "test_views": "test cameras, 10 in the published data; of flat one, its own",
+    "clock_offsets": "cameras that film together start up to this much apart, seconds",
+    "shake": "every camera turns about its own centre, at 1 … 10 Hz: rms shift of the picture, pixels",
+    "exposure_drift": "slow change of brightness, percent peak to peak; of colour, a third of that",
+    "flicker": "of the light, percent peak to peak",
+    "flicker_hz": "with --flicker: Hz",
+    "crf": "with --codec: rate factor, 0 … 51; more is worse",
     "samples": "light paths per pixel",
     "seed": "of the renderer, the sensor, the points and shaky hands",
     "points": "points in points3d.ply, 0 for none",
@@ -82,6 +97,7 @@ def parser() -> argparse.ArgumentParser:
     _motion_options(p.add_argument_group("motion"))
     _camera_options(p.add_argument_group("cameras"))
     _picture_options(p.add_argument_group("pictures and truth"))
+    _effect_options(p.add_argument_group("effects of real cameras, on training pictures, all off by default"))
     _work_options(p.add_argument_group("the work"))
     return p
 
@@ -150,10 +166,10 @@ def _motion_options(group: argparse._ArgumentGroup) -> None:
 def _camera_options(group: argparse._ArgumentGroup) -> None:
     text = (
         "orbit: NeRF-synthetic's spiral; rig: fixed, around the scene; sweep: one fixed, after a handheld round; "
-        "handheld: one, all along; given: those of the .blend file"
+        "handheld: one, all along; clips: one, from place after place; flat: one fixed; given: those of the .blend file"
     )
     _choice(group, "cameras", CAMERA_KINDS, text)
-    for name in ("views", "test_views"):
+    for name in ("views", "test_views", "clock_offsets"):
         _number(group, name)
 
 
@@ -178,6 +194,14 @@ def _picture_options(group: argparse._ArgumentGroup) -> None:
                             f"its size (default: {','.join(map(str, ALPHAS))})")  # fmt: skip
     _choice(group, "truth", TRUTH, "splits with per-pixel depth, normal, position and displacement; 5 MB a view and "
             "distinct state at 512 px, so not all by default")  # fmt: skip
+
+
+def _effect_options(group: argparse._ArgumentGroup) -> None:
+    for name in ("shake", "exposure_drift", "flicker", "flicker_hz"):
+        _number(group, name)
+    _choice(group, "codec", CODECS, "each camera's pictures go through a video")
+    _number(group, "crf")
+    group.add_argument("--keep-video", action="store_true", help="with --codec: keep the videos, in video/")
 
 
 def _work_options(group: argparse._ArgumentGroup) -> None:

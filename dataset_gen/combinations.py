@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from .arguments import ALL
+from .cameras import SINGLE
 from .errors import GenerateError
 
 # What an animation, which is not rendered, has no use for.
@@ -21,6 +22,13 @@ _OF_PICTURES = (
     "jpeg",
     "alphas",
     "truth",
+    "shake",
+    "exposure_drift",
+    "flicker",
+    "flicker_hz",
+    "codec",
+    "crf",
+    "keep_video",
 )
 _OF_WORK = ("out", "prepare", "part", "finish", "parts", "processes")
 
@@ -69,9 +77,11 @@ def _source(options: argparse.Namespace) -> Iterator[str]:
 
 def _cameras(options: argparse.Namespace, values: Mapping[str, Any]) -> Iterator[str]:
     kind = values["cameras"]
-    if options.views is not None and kind in ("handheld", "given"):
-        there = "there is one camera" if kind == "handheld" else "the file's cameras are taken, all of them"
+    if options.views is not None and kind in SINGLE:
+        there = "the file's cameras are taken, all of them" if kind == "given" else "there is one camera"
         yield f"--views {options.views}: with --cameras {kind} {there}"
+    if kind == "flat" and (options.test_views or 0) > 1:
+        yield f"--test-views {options.test_views}: --cameras flat has one at most, the camera's own"
     if kind == "given" and options.blend is None and options.mesh is None:
         yield "--cameras given needs a scene of your own (--blend FILE) that holds cameras"
     if not values["test_views"]:
@@ -86,6 +96,12 @@ def _pictures(options: argparse.Namespace, values: Mapping[str, Any]) -> Iterato
         yield f"--device {options.device} is where Cycles runs; --engine {values['engine']} has no choice"
     if options.jpeg is not None and options.sensor in (None, "none"):
         yield f"--jpeg {options.jpeg} goes with --sensor"
+    if options.flicker_hz is not None and not values["flicker"]:
+        yield f"--flicker-hz {options.flicker_hz:g} goes with --flicker"
+    if values["codec"] == "none":
+        for name in ("crf", "keep_video"):
+            if getattr(options, name) not in (None, False):
+                yield f"{_given(options, name)} goes with --codec"
 
 
 def _given(options: argparse.Namespace, name: str) -> str:
@@ -93,4 +109,5 @@ def _given(options: argparse.Namespace, name: str) -> str:
     value = getattr(options, name)
     if isinstance(value, tuple):
         value = ("/" if name == "part" else ",").join(f"{v:g}" for v in value)
-    return f"--{name}" if value is True else f"--{name} {value}"
+    option = f"--{name.replace('_', '-')}"
+    return option if value is True else f"{option} {value}"

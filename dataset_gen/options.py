@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from .arguments import ALL, ALPHAS, DEFAULTS, PRESETS, parser
+from .arguments import ALL, ALPHAS, CLIPS, DEFAULTS, PRESETS, parser
 from .cameras import CameraSetup
 from .combinations import check_together
+from .effects import Effects
 from .errors import GenerateError
 from .pictures import PictureFormat
 from .scenes import NAMES
@@ -41,6 +42,8 @@ def request_from(options: argparse.Namespace) -> Request:
     """
     values = {**DEFAULTS, **PRESETS[options.preset]}
     values.update({name: v for name in DEFAULTS if (v := getattr(options, name)) is not None})
+    if values["cameras"] == "clips" and options.views is None:
+        values["views"] = min(values["views"], CLIPS)
     check_together(options, values)
     names = _names(options)
     sets = tuple(_settings(options, values, name, source) for name, source in names)
@@ -87,9 +90,19 @@ def _settings(options: argparse.Namespace, values: dict[str, Any], name: str, so
             n_timesteps=values["timesteps"],
             fps=values["fps"],
             seed=values["seed"],
+            clock_offset_s=values["clock_offsets"],
         ),
         pictures=PictureFormat(values["images"], values["background"]),
         sensor=_sensor(options),
+        effects=Effects(
+            shake_px=values["shake"],
+            exposure_drift=values["exposure_drift"],
+            flicker=values["flicker"],
+            flicker_hz=values["flicker_hz"],
+            codec=values["codec"],
+            crf=values["crf"],
+            keep_video=options.keep_video,
+        ),
         **{key: values[key] for key in _AS_THEY_ARE},
     )
 

@@ -57,28 +57,47 @@ class PictureFormat:
                 f"--sensor {sensor.name} compresses with JPEG, which needs --images png8 and --background white"
             )
 
-    def pixels(self, linear: np.ndarray, sensor: Sensor | None = None, key: Key = ()) -> np.ndarray:
+    def pixels(
+        self,
+        linear: np.ndarray,
+        sensor: Sensor | None = None,
+        key: Key = (),
+        gain: np.ndarray | None = None,
+    ) -> np.ndarray:
         """The numbers that the file will hold, [H, W, C]: uint8 or uint16 for PNG, float32 for EXR.
 
         Parameters: `linear` [H, W, 4] float32, linear Rec.709 and premultiplied, row 0 on top; `sensor`, and
-        the key of its noise: what no other picture has, (seed, split, timestep, view, α) say.
+        the key of its noise: what no other picture has, (seed, split, timestep, view, α) say; `gain` [3], factors
+        on red, green and blue before the sensor, background and all.
         """
         if linear.ndim != 3 or linear.shape[2] != 4:
             raise ValueError(f"linear has shape {linear.shape}, expected (H, W, 4)")
         if sensor is not None:
             self.check_sensor(sensor)
         opaque = self.background == "white"
-        if self.images == "exr":
-            return over_white(linear) if opaque else linear
+        if gain is not None and not opaque:
+            raise ValueError("a gain acts on the background too: it needs an opaque picture")
+        if self.images == "exr" and not opaque:
+            return linear
         colour, alpha = (over_white(linear), None) if opaque else straight(linear)
+        if gain is not None:
+            colour = colour * gain.astype(colour.dtype)
+        if self.images == "exr":
+            return colour
         if sensor is not None:
             return capture(sensor, colour, alpha, key, self.bits)
         rgb = to_integers(to_display(colour), self.bits)
         return rgb if alpha is None else np.concatenate([rgb, to_integers(alpha, self.bits)[..., None]], -1)
 
-    def encode(self, linear: np.ndarray, sensor: Sensor | None = None, key: Key = ()) -> bytes:
+    def encode(
+        self,
+        linear: np.ndarray,
+        sensor: Sensor | None = None,
+        key: Key = (),
+        gain: np.ndarray | None = None,
+    ) -> bytes:
         """The file of one picture; parameters as for `pixels`."""
-        numbers = self.pixels(linear, sensor, key)
+        numbers = self.pixels(linear, sensor, key, gain)
         return exr.encode(numbers) if self.images == "exr" else png.encode(numbers)
 
     def complete(self, path: Path, width: int, height: int) -> bool:

@@ -5,8 +5,8 @@ is the gain of each mode at t, times (1 + α) where it is magnified. The rendere
 seed, so timesteps of equal state are equal byte for byte. Every distinct (state, camera) is rendered once and
 its file is hard-linked (copied where the file system has no links) to all the places that show it. A sine of
 5 Hz at 30 frames per second has three states, 0 and ±sin 60°; the state 0 serves every α. 30 × 30 training
-images then cost 90 renders. With a sensor model each file gets noise of its own: still one render, but as
-many encodings as files.
+images then cost 90 renders. What a camera does to its pictures (shake, gain, noise, codec) makes files differ, and
+costs encodings, not renders.
 
 Linked files share their bytes: replace a file, do not write into it.
 """
@@ -19,13 +19,16 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import PurePosixPath
 
-from .cameras import Camera, cameras_at
+from .cameras import Camera, CameraSetup, cameras_at, films, scene_time
+from .effects import Record
 from .settings import Settings
 from .vibration import Motion, State
 
 RANGE = 300  # shots per process at most: memory of a renderer that runs for hours grows
 RESEEDED = "report/reseeded"  # the truth once more with other noise: what a perfect method would score
 _OTHER_SEED = 1_000_003  # added to the seed there
+UNCODED = ".uncoded"  # working folder: pictures before they go through a video
+_PAINTERS = 60  # views that colour the points, at most about so many
 
 
 @dataclass(frozen=True)
@@ -60,34 +63,61 @@ def magnified_folder(alpha: float) -> str:
     return f"magnified/x{int(alpha):03d}"
 
 
+def picture_path(settings: Settings, timestep: int, camera: Camera, split: str = "train") -> str:
+    """Where a picture at α = 0 lies, relative to the dataset's folder."""
+    return f"{timestep:03d}/{split}/{camera.name}{settings.pictures.suffix}"
+
+
 def shots(settings: Settings, motion: Motion) -> list[Shot]:
-    """All distinct pictures, sorted by state (moving geometry costs more than moving the camera)."""
+    """All distinct pictures, sorted by state (moving geometry costs more than moving the camera).
+
+    The truth of a camera that shakes is what it saw where it really was: shots without pictures.
+    """
+    record = Record(settings.effects, settings.cameras, settings.size, settings.seed)
     pictures: dict[tuple[State, str, Camera], list[Picture]] = defaultdict(list)
     truth: dict[tuple[State, str, Camera], list[str]] = defaultdict(list)
     for t in range(settings.timesteps):
         for split, cameras in cameras_at(settings.cameras, t).items():
             for alpha in (0, *(settings.alphas if split == "test" else ())):
-                state = motion.state(t, alpha)
                 for camera in cameras:
-                    path = f"{t:03d}/{split}/{camera.name}{settings.pictures.suffix}"
-                    where = f"{magnified_folder(alpha)}/{path}" if alpha else path
+                    state = _state(settings.cameras, motion, split, camera, t, alpha)
+                    where = _folder(settings, split, camera, alpha) + picture_path(settings, t, camera, split)
                     pictures[state, split, camera].append(Picture(where, t, alpha))
                     if not alpha and settings.truth in (split, "all"):
-                        truth[state, split, camera].append(f"truth/{split}/{t:03d}/{camera.name}.exr")
-    ordered = sorted(pictures, key=_order)
-    painters = _painters(ordered) if settings.points else set()
+                        seen = state, split, record.true_camera(split, camera, t)
+                        truth[seen].append(f"truth/{split}/{t:03d}/{camera.name}.exr")
+    ordered = sorted({**pictures, **truth}, key=_order)
+    painters = _painters(sorted(pictures, key=_order)) if settings.points else set()
     every = [
         Shot(
             split=key[1],
             camera=key[2],
             state=key[0],
-            pictures=tuple(pictures[key]),
-            truth=tuple(truth[key]),
+            pictures=tuple(pictures.get(key, ())),
+            truth=tuple(truth.get(key, ())),
             paints=key in painters,
         )
         for key in ordered
     ]
-    return every + _reseeded(settings, every)
+    return every + _reseeded(motion, every)
+
+
+def _folder(settings: Settings, split: str, camera: Camera, alpha: float) -> str:
+    """Where the renderer puts pictures, "" or with a slash at its end."""
+    if alpha:
+        return f"{magnified_folder(alpha)}/"
+    coded = settings.effects.coded and split == "train" and films(settings.cameras, camera)
+    return f"{UNCODED}/" if coded else ""
+
+
+def _state(
+    setup: CameraSetup, motion: Motion, split: str, camera: Camera, timestep: int, alpha: float
+) -> State:
+    """What a camera sees at a timestep; of training cameras at that of their own clocks."""
+    if split == "test":
+        return motion.state(timestep, alpha)
+    time_s = scene_time(setup, camera, timestep)
+    return motion.rest if time_s is None else motion.state(time_s * setup.fps, alpha)
 
 
 def _order(key: tuple[State, str, Camera]) -> tuple[bool, tuple[float, ...], bool, int]:
@@ -96,20 +126,25 @@ def _order(key: tuple[State, str, Camera]) -> tuple[bool, tuple[float, ...], boo
 
 
 def _painters(keys: Sequence[tuple[State, str, Camera]]) -> set[tuple[State, str, Camera]]:
-    """Of every training camera the picture nearest to rest: the points are those of the rest scene."""
+    """Of every training camera the picture nearest to rest: the points are those of the rest scene.
+
+    Of very many cameras (each frame of a hand-held one is a camera) some, evenly spread.
+    """
     nearest: dict[Camera, tuple[State, str, Camera]] = {}
     for key in keys:
         state, split, camera = key
         if split == "train" and (camera not in nearest or _reach(state) < _reach(nearest[camera][0])):
             nearest[camera] = key
-    return set(nearest.values())
+    found = list(nearest.values())
+    step = -(-len(found) // _PAINTERS)
+    return set(found[::step])
 
 
 def _reach(state: State) -> float:
     return sum(gain * gain for gain in state.gains)
 
 
-def _reseeded(settings: Settings, every: Sequence[Shot]) -> list[Shot]:
+def _reseeded(motion: Motion, every: Sequence[Shot]) -> list[Shot]:
     """Once more, with another seed: per α the first test camera in the state that lies farthest from rest.
 
     And the rest pose from the same cameras, at α = −1: what a method scores that leaves everything still.
@@ -124,9 +159,8 @@ def _reseeded(settings: Settings, every: Sequence[Shot]) -> list[Shot]:
     for _, shot, picture in chosen.values():
         path = f"{RESEEDED}/{picture.path}"
         again[path] = (shot, shot.state, Picture(path, picture.timestep, picture.alpha))
-        rest = State(tuple(0.0 for _ in shot.state.gains))
         path = f"{RESEEDED}/rest/{picture.timestep:03d}/{shot.split}/{PurePosixPath(picture.path).name}"
-        again[path] = (shot, rest, Picture(path, picture.timestep, -1.0))
+        again[path] = (shot, motion.rest, Picture(path, picture.timestep, -1.0))
     return [
         Shot(shot.split, shot.camera, state, (picture,), truth=(), seed_offset=_OTHER_SEED)
         for shot, state, picture in again.values()

@@ -12,8 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from . import processes, tree, truth
-from .cameras import cameras_at
+from . import processes, tree, true_cameras, truth
+from .cameras import CameraSetup, cameras_at
+from .effects import codec
 from .errors import GenerateError
 from .plan import Shot, shots
 from .quality import Quality
@@ -61,6 +62,7 @@ def claim(job: Job) -> Job:
     tree.claim(root, description)
     tree.write_poses(root, settings)
     truth.write_motion(root / "truth/motion.npz", bodies, motion, settings.timesteps)
+    true_cameras.write_cameras(root, settings, motion)
     return job
 
 
@@ -101,7 +103,8 @@ def placed(settings: Settings) -> tuple[Settings, tuple[Body, ...], float | None
     """
     if settings.source.kind == "builtin":
         scene = builtin(settings.scene)
-        return settings, bodies_of(scene), scene.unit_scale_m
+        bodies = bodies_of(scene)
+        return replace(settings, cameras=_framing(settings.cameras, bodies)), bodies, scene.unit_scale_m
     from .sources import bodies_file
 
     with tempfile.TemporaryDirectory(prefix="dataset_gen_") as scratch:
@@ -111,7 +114,12 @@ def placed(settings: Settings) -> tuple[Settings, tuple[Body, ...], float | None
     for warning in loaded.warnings:
         print(f"warning: {warning}", file=sys.stderr)
     cameras = settings.cameras.placed(loaded.centre, loaded.radius, loaded.cameras)
+    cameras = _framing(cameras, loaded.bodies)
     return replace(settings, cameras=cameras), loaded.bodies, loaded.unit_scale_m
+
+
+def _framing(cameras: CameraSetup, bodies: tuple[Body, ...]) -> CameraSetup:
+    return cameras.framing(np.concatenate([body.vertices for body in bodies]))
 
 
 def blender_version() -> str:
@@ -139,6 +147,8 @@ def _digest(path: Path) -> str:
 
 
 def _check_packages(settings: Settings) -> None:
+    if settings.effects.coded:
+        codec.check_package()
     for wanted, option in (
         (settings.truth != "none", "--truth"),
         (settings.pictures.images == "exr", "--images exr"),

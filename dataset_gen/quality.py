@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from .settings import Settings
 
@@ -26,6 +26,11 @@ class Quality:
     def of(cls, settings: Settings, threads: int = 0) -> Quality:
         size = settings.size
         return cls(size, size, settings.samples, settings.seed, threads, settings.engine, settings.device)
+
+    def finer(self, size: int, fineness: int) -> Quality:
+        """Of a larger picture whose pixels are `fineness` times as many along an edge: as many light paths in all."""
+        samples = max(1, round(self.samples / fineness**2))
+        return replace(self, width=size, height=size, samples=samples)
 
     def describe(self) -> dict[str, object]:
         """What `scene.json` says of the engine beside the seed."""

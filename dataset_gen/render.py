@@ -39,6 +39,7 @@ def configure(stage: Stage, quality: Quality) -> str:
     Raises GenerateError if a GPU is wanted and Blender finds none.
     """
     scene = stage.scene
+    set_size(stage, quality)
     _output(scene, quality)
     device = use_device(scene, quality.device) if quality.engine == "cycles" else "OpenGL or Vulkan"
     cycles = scene.cycles
@@ -62,7 +63,6 @@ def configure(stage: Stage, quality: Quality) -> str:
 def _output(scene: bpy.types.Scene, quality: Quality) -> None:
     """Size, film and colour, whatever a user's file says of them."""
     render = scene.render
-    render.resolution_x, render.resolution_y = quality.width, quality.height
     render.resolution_percentage = 100
     render.pixel_aspect_x = render.pixel_aspect_y = 1.0
     render.use_border = render.use_multiview = render.use_motion_blur = False
@@ -87,8 +87,15 @@ def _eevee(scene: bpy.types.Scene) -> None:
         material.use_raytrace_refraction = True
 
 
+def set_size(stage: Stage, quality: Quality) -> None:
+    """Size of the next renders, pixels."""
+    render = stage.scene.render
+    render.resolution_x, render.resolution_y = quality.width, quality.height
+
+
 def use_picture(stage: Stage, quality: Quality, seed_offset: int = 0) -> None:
     """The next renders are pictures; `seed_offset` gives the same picture with other noise."""
+    set_size(stage, quality)
     scene = stage.scene
     scene.render.engine = compat.eevee() if quality.engine == "eevee" else "CYCLES"
     scene.eevee.taa_render_samples = quality.samples

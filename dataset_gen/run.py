@@ -12,9 +12,9 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from . import png, points, processes, tree
+from . import coded, png, points, processes, tree
 from .errors import GenerateError
-from .plan import RANGE, Shot, ranges
+from .plan import RANGE, UNCODED, Shot, ranges
 from .prepare import Job, claim, placed, plan
 from .processes import RunFailed
 from .report import write_overview, write_report
@@ -32,6 +32,7 @@ def generate(settings: Settings, out: Path, count: int = 0, stream: TextIO | Non
     """
     stream = stream or sys.stderr
     job = claim(plan(settings, out))
+    coded.begin(job.root, job.settings)
     timing = render_missing(job, range(len(job.shots)), count, stream)
     _add_timing(job.root, timing)
     return finish(job, stream)
@@ -57,7 +58,8 @@ def _add_timing(root: Path, *more: Timing) -> None:
 
 
 def finish(job: Job, stream: TextIO) -> Path:
-    """The check that nothing is missing, points, and the report. Raises RunFailed if something is."""
+    """Videos, the check that nothing is missing, points, and the report. Raises RunFailed if something is."""
+    coded.finish(job.root, job.settings)
     if missing := missing_files(job):
         raise RunFailed(f"{job.root}: {len(missing)} files are missing or damaged, the first is {missing[0]}")
     if points.wanted(job.root, job.settings):
@@ -66,6 +68,7 @@ def finish(job: Job, stream: TextIO) -> Path:
     tree.clean(job.root)
     shutil.rmtree(job.root / points.FOLDER, ignore_errors=True)
     shutil.rmtree(job.root / PARTS, ignore_errors=True)
+    coded.clean(job.root, job.settings)
     if not (job.root / "report/index.html").exists():
         try:
             write_report(job.root)
@@ -106,9 +109,7 @@ def finish_parts(settings: Settings, out: Path, stream: TextIO) -> Path:
 
 def missing_files(job: Job) -> list[str]:
     """Files of the set, relative to its folder, that are absent or not whole."""
-    missing = [
-        name for shot in job.shots for name in shot.files if not tree.complete(job.root, name, job.settings)
-    ]
+    missing = [name for name in _files(job) if not tree.complete(job.root, name, job.settings)]
     if points.wanted(job.root, job.settings):
         views = [points.view_file(job.root, shot) for shot in job.shots if shot.paints]
         missing += [str(path.relative_to(job.root)) for path in views if not path.exists()]
@@ -119,8 +120,13 @@ def missing_files(job: Job) -> list[str]:
 
 def _distinct(job: Job) -> list[str]:
     """One name of every file; links share their bytes."""
-    seen = {(job.root / name).stat().st_ino: name for shot in job.shots for name in shot.files}
+    seen = {(job.root / name).stat().st_ino: name for name in _files(job)}
     return list(seen.values())
+
+
+def _files(job: Job) -> list[str]:
+    """Every file of the finished set."""
+    return [name.removeprefix(f"{UNCODED}/") for shot in job.shots for name in shot.files]
 
 
 def _finished(job: Job, shot: Shot) -> bool:

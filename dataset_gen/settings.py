@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from .cameras import CameraSetup
+from .effects import Effects
 from .errors import GenerateError
 from .pictures import PictureFormat
 from .sensor import Sensor
@@ -48,6 +49,7 @@ class Settings:
     device: str = "cpu"
     pictures: PictureFormat = field(default_factory=PictureFormat)
     sensor: Sensor | None = None  # None: what the renderer gives, without the noise of a camera
+    effects: Effects = field(default_factory=Effects)
 
     def __post_init__(self) -> None:
         _whole("--size", self.size, *_LIMIT_SIZE)
@@ -69,6 +71,7 @@ class Settings:
             if value not in choices:
                 raise GenerateError(f"{option} {value!r} is none of {', '.join(choices)}")
         self.pictures.check_sensor(self.sensor)
+        self.effects.check(self.pictures, self.size, self.timesteps)
 
     @property
     def timesteps(self) -> int:
@@ -96,6 +99,7 @@ class Settings:
             "source": asdict(self.source),
             "pictures": asdict(self.pictures),
             "sensor": self.sensor.to_json() if self.sensor else None,
+            "effects": self.effects.to_json(),
         }
 
     @classmethod
@@ -108,6 +112,7 @@ class Settings:
             source=Source(**data["source"]),
             pictures=PictureFormat(**data["pictures"]),
             sensor=Sensor.from_json(data["sensor"]) if data["sensor"] else None,
+            effects=Effects(**data["effects"]),
         )
 
 

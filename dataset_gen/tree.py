@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from . import exr
-from .cameras import cameras_at, transforms
+from .cameras import cameras_at, films, transforms
 from .errors import GenerateError
-from .plan import magnified_folder
+from .plan import UNCODED, magnified_folder
 from .settings import Settings
 
 FORMAT_VERSION = 1
@@ -52,7 +52,12 @@ def write_json(path: Path, data: Any) -> None:
 
 
 def complete(root: Path, name: str, settings: Settings) -> bool:
-    """Whether a picture or truth file of the set is there, of the right kind and size, and whole."""
+    """Whether a picture or truth file of the set is there, of the right kind and size, and whole.
+
+    Of a picture that goes through a video: whether it or what the video made of it is there.
+    """
+    if name.startswith(f"{UNCODED}/") and complete(root, name.removeprefix(f"{UNCODED}/"), settings):
+        return True
     check = exr.complete if name.startswith("truth/") else settings.pictures.complete
     return check(root / name, settings.size, settings.size)
 
@@ -86,6 +91,7 @@ def describe(
     return {
         "format_version": FORMAT_VERSION,
         "scene": settings.scene,
+        "kind": settings.cameras.capture_kind,
         "fps": settings.fps,
         "n_timesteps": settings.timesteps,
         "frequency_hz": main.frequency_hz,
@@ -101,10 +107,12 @@ def describe(
         "height": settings.size,
         "cameras": settings.cameras.to_json(),
         "n_train": settings.cameras.n_train(0),
-        "n_test": settings.cameras.test_views,
+        "n_test": settings.cameras.n_test,
+        "n_at_rest": settings.cameras.n_train(0) - 1 if settings.cameras.kind == "sweep" else 0,
         "n_points": settings.points,
         "truth": settings.truth,
         "sensor": settings.sensor.to_json() if settings.sensor else None,
+        "effects": settings.effects.to_json() if settings.effects.any else None,
     }
 
 
@@ -150,13 +158,15 @@ def claim(root: Path, description: dict[str, Any]) -> None:
 
 
 def write_poses(root: Path, settings: Settings) -> None:
-    """All transforms_<split>.json of the set, the time in seconds."""
+    """All transforms_<split>.json of the set, times in seconds on each camera's own clock."""
     for t in range(settings.timesteps):
         for split, cameras in cameras_at(settings.cameras, t).items():
             folders = [root / f"{t:03d}"]
             if split == "test":
                 folders += [root / magnified_folder(a) / f"{t:03d}" for a in settings.alphas]
             size, suffix = settings.size, settings.pictures.suffix
+            resting = {c for c in cameras if split == "train" and not films(settings.cameras, c)}
+            times = [None if c in resting else t / settings.fps for c in cameras]
             for folder in folders if cameras else ():
-                data = transforms(cameras, split, t / settings.fps, size, size, suffix)
+                data = transforms(cameras, split, times, size, size, suffix)
                 write_json(folder / f"transforms_{split}.json", data)

@@ -9,19 +9,22 @@ from __future__ import annotations
 import json
 import os
 import sys
+from collections.abc import Callable
 from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import Any, TextIO
 
 import bpy
+import numpy as np
 
 from . import build, render, tree, truth
 from .cameras import cameras_at
 from .devices import use_device
+from .effects import Record, warp
 from .errors import GenerateError
 from .painter import Painter
-from .plan import Shot, shots
+from .plan import Picture, Shot, shots
 from .prepare import bodies_of, builtin, motion_of
 from .processes import DONE, NOTE, REFUSED
 from .quality import Quality
@@ -117,6 +120,11 @@ def _render_shots(job: dict[str, Any], report: TextIO) -> None:
                     report.flush()
 
 
+Take = Callable[
+    [Picture | None], np.ndarray
+]  # linear light [H, W, 4] of a picture; of none, the camera at rest
+
+
 class _Photographer:
     """Takes what a shot asks for, in the current state; a former run's files are kept."""
 
@@ -125,16 +133,25 @@ class _Photographer:
     ) -> None:
         self._stage, self._settings, self._quality = stage, settings, quality
         self._root, self._painter = root, painter
+        self._record = Record(settings.effects, settings.cameras, settings.size, settings.seed)
 
     def picture(self, shot: Shot) -> bool:
         """The pictures of a shot; True if the shot is done with that."""
         missing = [p for p in shot.pictures if not self._complete(p.path)]
         if missing or self._painter.wants(shot):
-            if self._settings.sensor is None and not self._painter.wants(shot):
+            if self._alike(shot) and not self._painter.wants(shot):
                 self._link_or_render(shot)
             else:
                 self._render(shot)
         return not shot.truth
+
+    def _alike(self, shot: Shot) -> bool:
+        """Whether all pictures of the shot are the same."""
+        gain = self._record.gain(shot.split, shot.camera, 0)
+        return self._settings.sensor is None and gain is None and not self._shakes(shot)
+
+    def _shakes(self, shot: Shot) -> bool:
+        return self._record.shakes(shot.split, shot.camera)
 
     def _link_or_render(self, shot: Shot) -> None:
         whole = next((p.path for p in shot.pictures if self._complete(p.path)), None)
@@ -144,21 +161,44 @@ class _Photographer:
             tree.link(self._root / whole, (self._root / p.path for p in shot.pictures))
 
     def _render(self, shot: Shot) -> None:
-        build.set_view(self._stage, shot.camera)
-        render.use_picture(self._stage, self._quality, shot.seed_offset)
-        linear = render.linear_picture(self._stage)
+        take = self._shaken(shot) if self._shakes(shot) else self._steady(shot)
         if self._painter.wants(shot):
-            self._painter.paint(shot, linear)
-        if self._settings.sensor is None:
+            self._painter.paint(shot, take(None))
+        if self._alike(shot):
             first = self._root / shot.pictures[0].path
-            tree.write_bytes(first, self._settings.pictures.encode(linear))
+            tree.write_bytes(first, self._encode(shot, shot.pictures[0], take))
             tree.link(first, (self._root / p.path for p in shot.pictures))
             return
         for picture in shot.pictures:
-            # The key names the frame, so that its noise is the same whichever process takes it, and when.
-            key = (self._settings.seed + shot.seed_offset, shot.split, picture.timestep, shot.camera.name)
-            data = self._settings.pictures.encode(linear, self._settings.sensor, (*key, int(picture.alpha)))
-            tree.write_bytes(self._root / picture.path, data)
+            tree.write_bytes(self._root / picture.path, self._encode(shot, picture, take))
+
+    def _steady(self, shot: Shot) -> Take:
+        build.set_view(self._stage, shot.camera)
+        render.use_picture(self._stage, self._quality, shot.seed_offset)
+        linear = render.linear_picture(self._stage)
+        return lambda picture: linear
+
+    def _shaken(self, shot: Shot) -> Take:
+        """One rendering with a margin serves all turns of the camera."""
+        camera, size = shot.camera, self._settings.size
+        margin = self._record.margin(camera)
+        quality = self._quality.finer(warp.fine_size(size, margin), warp.FINENESS)
+        build.set_view(self._stage, warp.fine_camera(camera, size, margin))
+        render.use_picture(self._stage, quality, shot.seed_offset)
+        fine = render.linear_picture(self._stage)
+
+        def take(picture: Picture | None) -> np.ndarray:
+            turn = np.zeros(3) if picture is None else self._record.turn(camera, picture.timestep)
+            return warp.frame(fine, camera, size, margin, turn)
+
+        return take
+
+    def _encode(self, shot: Shot, picture: Picture, take: Take) -> bytes:
+        # The key names the frame, so that its noise is the same whichever process takes it, and when.
+        key = (self._settings.seed + shot.seed_offset, shot.split, picture.timestep, shot.camera.name)
+        gain = self._record.gain(shot.split, shot.camera, picture.timestep)
+        pictures, sensor = self._settings.pictures, self._settings.sensor
+        return pictures.encode(take(picture), sensor, (*key, int(picture.alpha)), gain)
 
     def truth(self, shot: Shot) -> bool:
         """The data passes of a shot; True if there were any to take."""
@@ -168,6 +208,7 @@ class _Photographer:
         if source is None:
             source = shot.truth[0]
             build.set_view(self._stage, shot.camera)
+            render.set_size(self._stage, self._quality)
             render.use_data(self._stage)
             truth.write_exr(self._root / source, render.data_passes(self._stage))
         tree.link(self._root / source, (self._root / name for name in shot.truth))

@@ -1,4 +1,4 @@
-"""Where pictures are taken from: orbit, rig, sweep, handheld and given cameras, and their JSON. Pure numpy.
+"""Where and when pictures are taken: orbit, rig, sweep, handheld, clips, flat and given cameras. Pure numpy.
 
 A camera-to-world matrix has OpenGL axes (x right, y up, looks along −z), as in NeRF-synthetic.
 """
@@ -15,22 +15,27 @@ from .camera import (
     look_at_origin,
     scene_cameras,
 )
+from .clocks import clock_offsets, films, scene_time
 from .orbit import spiral, test_cameras, train_cameras
-from .setup import KINDS, CameraSetup, cameras_at
+from .setup import KINDS, SINGLE, CameraSetup, cameras_at
 from .transforms import transforms
 
 __all__ = [
     "CAMERA_ANGLE_X",
     "DISTANCE",
     "KINDS",
+    "SINGLE",
     "Aim",
     "Camera",
     "CameraSetup",
     "cameras_at",
+    "clock_offsets",
+    "films",
     "focal_length",
     "look_at",
     "look_at_origin",
     "scene_cameras",
+    "scene_time",
     "spiral",
     "test_cameras",
     "train_cameras",

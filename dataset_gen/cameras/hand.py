@@ -29,11 +29,13 @@ class Tremor:
     phases: np.ndarray  # [6, K], radians
 
     @classmethod
-    def of(cls, seed: int, fps: float) -> Tremor:
-        """Tremor for pictures at `fps` Hz: up to 8 Hz, and never above 0.4 of the frame rate."""
-        rng = np.random.default_rng([seed, 0x4A2D])
-        highest = min(_HIGHEST, _NYQUIST_SHARE * fps)
-        lowest = min(_LOWEST, highest / 8.0)
+    def of(
+        cls, seed: int | tuple[int, ...], fps: float, band_hz: tuple[float, float] = (_LOWEST, _HIGHEST)
+    ) -> Tremor:
+        """Tremor for pictures at `fps` Hz: in a band, by default up to 8 Hz, never above 0.4 of the frame rate."""
+        rng = np.random.default_rng([*(seed if isinstance(seed, tuple) else (seed,)), 0x4A2D])
+        highest = min(band_hz[1], _NYQUIST_SHARE * fps)
+        lowest = min(band_hz[0], highest / 8.0)
         spread = (np.arange(_TONES) + rng.random((6, _TONES))) / _TONES
         frequencies = lowest * (highest / lowest) ** spread
         fade = np.clip((highest - frequencies) / (0.25 * highest), 0.0, 1.0)

@@ -1,4 +1,4 @@
-"""A rig: synchronised fixed cameras on arcs around the scene, each with a lens of its own."""
+"""Fixed cameras on arcs around the scene: a rig, each with a lens of its own, or one camera's places for clips."""
 
 from __future__ import annotations
 
@@ -19,11 +19,19 @@ def rig_cameras(n: int, aim: Aim, seed: int) -> list[Camera]:
 
     Fields of view lie within 5 % of the aim's, places within 1.5° and 2 % of the regular ones.
     """
-    rng = np.random.default_rng([seed, 0x716])
+    return _mounted(n, aim, np.random.default_rng([seed, 0x716]), _LENS)
+
+
+def clip_cameras(n: int, aim: Aim, seed: int) -> list[Camera]:
+    """One camera in `n` places, as those of a rig; its lens stays the same."""
+    return _mounted(n, aim, np.random.default_rng([seed, 0xC11F]), 0.0)
+
+
+def _mounted(n: int, aim: Aim, rng: np.random.Generator, spread: float) -> list[Camera]:
     cameras: list[Camera] = []
     for azimuth, elevation in _places(n):
         off = rng.uniform(-1.0, 1.0, 4)
-        lens = replace(aim, angle_x=aim.angle_x * (1.0 + _LENS * float(off[3])))
+        lens = replace(aim, angle_x=aim.angle_x * (1.0 + spread * float(off[3])))
         place = aim.place(azimuth + _PLACE * off[0], elevation + _PLACE * off[1], 1.0 + _DEPTH * off[2])
         cameras.append(lens.look_from(len(cameras), place))
     return cameras

@@ -8,13 +8,20 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from ..errors import GenerateError
 from .camera import CAMERA_ANGLE_X, DISTANCE, Aim, Camera
+from .framing import farther
 from .handheld import beside_path, fixed_camera, handheld_camera, sweep_cameras
 from .orbit import test_cameras, train_cameras
-from .rig import rig_cameras
+from .rig import clip_cameras, rig_cameras
 
-KINDS = ("orbit", "rig", "sweep", "handheld", "given")
+KINDS = ("orbit", "rig", "sweep", "handheld", "clips", "flat", "given")
+SINGLE = ("handheld", "flat", "given")  # kinds that take no number of views
+_TOGETHER = ("orbit", "rig", "given")  # cameras that film at the same time, each with a clock
+# What a capture of several timesteps is called in scene.json.
+_CAPTURE = {"orbit": "rig", "rig": "rig", "sweep": "tripod", "given": "rig"}
 _FARTHEST = 1e5  # scene units
 _FASTEST = 1e6  # Hz
 _MARGIN = 1.08  # of the distance at which a sphere around the scene just fits the picture
@@ -25,9 +32,10 @@ class CameraSetup:
     """The cameras of a dataset and its clock. Raises GenerateError on construction if a value is unusable.
 
     Kinds, training cameras: `orbit`, `views` on the published spiral at every timestep; `rig`, `views` fixed
-    ones on arcs, each with its own lens; `sweep`, one fixed camera, and at timestep 0 also `views` of a
-    hand-held sweep; `handheld`, one moving camera, whatever `views` says; `given`, those in `given`.
-    Test cameras are fixed: those of the orbit, but beside its path for `handheld`.
+    ones on arcs, each with its own lens; `sweep`, one fixed camera, and beside its first picture also `views` of
+    a hand-held sweep around the scene at rest; `handheld`, one moving camera, whatever `views` says; `clips`, one
+    camera that films from `views` places one after another; `flat`, one fixed camera; `given`, those in `given`.
+    Test cameras are fixed: those of the orbit, but beside its path for `handheld`, and its own for `flat`.
     """
 
     kind: str = "orbit"
@@ -40,6 +48,10 @@ class CameraSetup:
     distance: float = DISTANCE  # from the centre, scene units
     angle_x: float = CAMERA_ANGLE_X  # horizontal field of view, radians
     given: tuple[Camera, ...] = ()  # of kind "given" alone
+    clock_offset_s: float = 0.0  # how far the clocks of cameras that film together are off at most, seconds
+    clearance: float = (
+        1.0  # training cameras other than the orbit's stand this many times as far away (`framing`)
+    )
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -62,6 +74,12 @@ class CameraSetup:
             raise GenerateError(f"the cameras' distance {self.distance!r} is not in 0 … 1e5 scene units")
         if not 0.001 <= self.angle_x <= 2.9:
             raise GenerateError(f"the field of view {self.angle_x!r} is not in 0.001 … 2.9 radians")
+        if not (math.isfinite(self.clock_offset_s) and 0 <= self.clock_offset_s <= 1e4):
+            raise GenerateError(f"--clock-offsets {self.clock_offset_s!r} is not in 0 … 1e4 seconds")
+        if self.clock_offset_s and self.kind not in _TOGETHER:
+            raise GenerateError(
+                f"--clock-offsets {self.clock_offset_s:g}: with --cameras {self.kind} no two cameras film at once"
+            )
         if [camera.index for camera in self.given] != list(range(len(self.given))):
             raise GenerateError(f"given cameras are numbered {[c.index for c in self.given]}, not 0, 1, …")
 
@@ -81,14 +99,50 @@ class CameraSetup:
             given=tuple(c.numbered(i) for i, c in enumerate(cameras)) if self.kind == "given" else (),
         )
 
+    def framing(self, points: np.ndarray) -> CameraSetup:
+        """The same, training cameras moved back until each has all `points` [P, 3] in its picture.
+
+        Not the orbit's, whose places are published, nor given ones.
+        """
+        if self.kind in ("orbit", "given"):
+            return self
+        times = range(self.n_timesteps) if self.kind == "handheld" else (0,)
+
+        def cameras(clearance: float) -> list[Camera]:
+            setup = replace(self, clearance=clearance)
+            return [camera for t in times for camera in cameras_at(setup, t)["train"]]
+
+        return replace(self, clearance=farther(points, cameras))
+
     @property
     def aim(self) -> Aim:
+        """Of the orbit and of the test cameras."""
         return Aim(self.centre, self.distance, self.angle_x)
+
+    @property
+    def stand(self) -> Aim:
+        """Of the other training cameras."""
+        return Aim(self.centre, self.distance * self.clearance, self.angle_x)
 
     def n_train(self, timestep: int) -> int:
         """Training cameras at a timestep."""
         sweep = self.views if timestep == 0 else 0
-        return {"sweep": 1 + sweep, "handheld": 1, "given": len(self.given)}.get(self.kind, self.views)
+        own = {"sweep": 1 + sweep, "handheld": 1, "flat": 1, "given": len(self.given)}
+        return own.get(self.kind, self.views)
+
+    @property
+    def n_test(self) -> int:
+        """Test cameras."""
+        return min(self.test_views, 1) if self.kind == "flat" else self.test_views
+
+    @property
+    def capture_kind(self) -> str:
+        """The kind of capture that scene.json names: photos, flat, tripod, handheld, rig or clips."""
+        if self.n_timesteps == 1:
+            return "photos"
+        if self.kind in _TOGETHER and self.n_train(0) == 1:
+            return "flat"
+        return _CAPTURE.get(self.kind, self.kind)
 
     def to_json(self) -> dict[str, Any]:
         """Plain data; `from_json` gives an equal setup."""
@@ -120,13 +174,16 @@ def cameras_at(setup: CameraSetup, timestep: int) -> dict[str, tuple[Camera, ...
 def _train(setup: CameraSetup, timestep: int, begins: bool) -> tuple[Camera, ...]:
     if setup.kind == "orbit":
         return tuple(train_cameras(setup.views, setup.aim))
+    aim = setup.stand
     if setup.kind == "rig":
-        return tuple(rig_cameras(setup.views, setup.aim, setup.seed))
-    if setup.kind == "sweep":
-        sweep = sweep_cameras(setup.views, setup.aim, setup.seed) if begins else ()
-        return (fixed_camera(setup.aim), *sweep)
+        return tuple(rig_cameras(setup.views, aim, setup.seed))
+    if setup.kind == "clips":
+        return tuple(clip_cameras(setup.views, aim, setup.seed))
+    if setup.kind in ("flat", "sweep"):
+        sweep = sweep_cameras(setup.views, aim, setup.seed) if begins else ()
+        return (fixed_camera(aim), *sweep)
     if setup.kind == "handheld":
-        return (handheld_camera(timestep / setup.fps, setup.fps, setup.aim, setup.seed),)
+        return (handheld_camera(timestep / setup.fps, setup.fps, aim, setup.seed),)
     return setup.given
 
 
@@ -134,9 +191,11 @@ def _train(setup: CameraSetup, timestep: int, begins: bool) -> tuple[Camera, ...
 def _test(setup: CameraSetup) -> tuple[Camera, ...]:
     if not setup.test_views:
         return ()
+    if setup.kind == "flat":
+        return (fixed_camera(setup.stand),)
     if setup.kind == "handheld":
         duration = (setup.n_timesteps - 1) / setup.fps
-        return tuple(beside_path(setup.test_views, duration, setup.aim, setup.seed))
+        return tuple(beside_path(setup.test_views, duration, setup.stand, setup.seed))
     return tuple(test_cameras(setup.test_views, setup.aim))
 
 

@@ -9,9 +9,16 @@ from .camera import Camera
 
 
 def transforms(
-    cameras: Sequence[Camera], split: str, time_s: float, width: int, height: int, suffix: str = ""
+    cameras: Sequence[Camera],
+    split: str,
+    times_s: Sequence[float | None],
+    width: int,
+    height: int,
+    suffix: str = "",
 ) -> dict[str, object]:
     """Content of `transforms_<split>.json`: NeRF-synthetic's keys, time in seconds, intrinsics as extras.
+
+    `times_s`: of every camera's picture, on its own clock; None where it shows the scene at rest, which has no time.
 
     Every frame has fl_x, fl_y, cx, cy, w, h (pixels); those on which all frames agree stand at the top
     too. camera_angle_x, which plain loaders go by, is that of the first camera: with lenses that differ, only a
@@ -19,7 +26,10 @@ def transforms(
     """
     if not cameras:
         raise ValueError(f"no cameras for transforms_{split}.json")
-    frames = [_frame(camera, split, time_s, width, height, suffix) for camera in cameras]
+    frames = [
+        _frame(camera, split, time_s, width, height, suffix)
+        for camera, time_s in zip(cameras, times_s, strict=True)
+    ]
     shared = {
         key: frames[0][key]
         for key in ("fl_x", "fl_y", "cx", "cy", "w", "h")
@@ -28,12 +38,14 @@ def transforms(
     return {"camera_angle_x": cameras[0].angle_x, **shared, "frames": frames}
 
 
-def _frame(camera: Camera, split: str, time_s: float, width: int, height: int, suffix: str) -> dict[str, Any]:
+def _frame(
+    camera: Camera, split: str, time_s: float | None, width: int, height: int, suffix: str
+) -> dict[str, Any]:
     focal, (cx, cy) = camera.focal(width), camera.principal_point(width, height)
     return {
         "file_path": f"./{split}/{camera.name}{'' if suffix == '.png' else suffix}",
         "rotation": camera.rotation,
-        "time": time_s,
+        **({} if time_s is None else {"time": time_s}),
         "transform_matrix": camera.camera_to_world.tolist(),
         "fl_x": focal,
         "fl_y": focal,

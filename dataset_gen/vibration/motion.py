@@ -83,8 +83,13 @@ class Motion:
         gains = self._gains(np.asarray(timesteps, np.float64)) * self._factors(alpha)[:, None]
         return np.array([b.gain(gains) for b in self.bases]).reshape(len(self.bases), -1)
 
-    def state(self, timestep: int, alpha: float = 0.0) -> State:
-        """The state at a timestep, every displacement of a magnified mode (1 + α) times its size."""
+    @property
+    def rest(self) -> State:
+        """The state in which nothing is displaced."""
+        return State(tuple(0.0 for _ in self.bases))
+
+    def state(self, timestep: float, alpha: float = 0.0) -> State:
+        """The state at a timestep, fractions allowed; displacements of magnified modes (1 + α) times their size."""
         # Rounding makes sin 60° and sin 120° the same number; + 0.0 makes −0 and 0 one.
         gains = self.basis_gains(np.array([timestep]), alpha)[:, 0].round(_ROUND) + 0.0
         return State(tuple(gains.tolist()))

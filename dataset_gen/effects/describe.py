@@ -1,0 +1,83 @@
+"""Which effects a record has: one frozen description, checked on entry, that scene.json repeats."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from ..errors import GenerateError
+from ..pictures import PictureFormat
+
+CODECS = ("none", "h264")
+_MOST_SHAKE = 20.0  # pixels
+_MOST_PERCENT = 90.0
+
+
+@dataclass(frozen=True)
+class Effects:
+    """Effects on the training pictures of a record, each off by default, in any combination.
+
+    Pictures of a sweep, which are photographs, have none, nor have test views and magnified truth. Raises
+    GenerateError on construction if a value is out of range.
+    """
+
+    shake_px: float = 0.0  # rms shift of the picture by a camera that shakes about its own centre
+    exposure_drift: float = (
+        0.0  # percent, peak to peak over the record; white balance drifts by a third of it
+    )
+    flicker: float = 0.0  # percent, peak to peak, of the light
+    flicker_hz: float = 100.0
+    codec: str = "none"  # what the pictures of each camera go through as one video
+    crf: int = 20  # x264's constant rate factor: 0 keeps everything, 51 almost nothing
+    keep_video: bool = False
+
+    def __post_init__(self) -> None:
+        _within("--shake", self.shake_px, _MOST_SHAKE, "pixels")
+        _within("--exposure-drift", self.exposure_drift, _MOST_PERCENT, "percent")
+        _within("--flicker", self.flicker, _MOST_PERCENT, "percent")
+        if not (math.isfinite(self.flicker_hz) and 0 < self.flicker_hz <= 1e6):
+            raise GenerateError(f"--flicker-hz {self.flicker_hz!r} is not in 0 … 1e6 Hz")
+        if self.codec not in CODECS:
+            raise GenerateError(f"--codec {self.codec!r} is none of {', '.join(CODECS)}")
+        if self.crf not in range(52):
+            raise GenerateError(f"--crf {self.crf!r} is not a whole number in 0 … 51")
+
+    @property
+    def gain(self) -> bool:
+        """Whether the brightness of a frame is its own."""
+        return self.exposure_drift > 0 or self.flicker > 0
+
+    @property
+    def coded(self) -> bool:
+        """Whether the pictures of each camera go through a video."""
+        return self.codec != "none"
+
+    @property
+    def any(self) -> bool:
+        return self.gain or self.coded or self.shake_px > 0
+
+    def check(self, pictures: PictureFormat, size: int, timesteps: int) -> None:
+        """Raises GenerateError where such a record cannot be, one line with the option and what to do."""
+        white, option = (
+            pictures.background == "white",
+            "--exposure-drift" if self.exposure_drift else "--flicker",
+        )
+        if self.any and timesteps < 2:
+            raise GenerateError(
+                "--timesteps 1: shake, drift, flicker and a codec need a record of 2 and more"
+            )
+        if self.gain and not white:
+            raise GenerateError(f"{option} acts on the whole picture: use --background white")
+        if self.coded and (not white or pictures.images != "png8"):
+            raise GenerateError(f"--codec {self.codec} needs --background white and --images png8")
+        if self.coded and size % 2:
+            raise GenerateError(f"--size {size}: --codec {self.codec} at 4:2:0 needs an even number")
+
+    def to_json(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+def _within(option: str, value: float, most: float, unit: str) -> None:
+    if not (math.isfinite(value) and 0 <= value <= most):
+        raise GenerateError(f"{option} {value!r} is not in 0 … {most:g} {unit}")
