@@ -1,4 +1,4 @@
-"""The cache of compiled kernels: used by the next process, dropped when a neighbour's file changes."""
+"""The cache of compiled kernels: used by the next process, dropped when a file of kernels or simd changes."""
 
 from __future__ import annotations
 
@@ -8,19 +8,21 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tg4mm.rasterize import kernels
 
 SCRIPT = """
 import logging
 import numpy as np
-from small.use import ask
+from small.kernels.use import answer
 logging.basicConfig(level=logging.INFO, format="%(message)s")
-ask(np.zeros(1, np.float32))
-print(int(ask(np.zeros(1))), sum(ask.stats.cache_hits.values()))
+answer(np.zeros(1, np.float32))
+print(int(answer(np.zeros(1))), sum(answer.stats.cache_hits.values()))
 """
 
 
-def answer(folder: Path) -> tuple[int, int, int]:
+def outcome(folder: Path) -> tuple[int, int, int]:
     """What the kernel says in a fresh process, how often it came from the cache, and how many lines were logged."""
     environment = os.environ | {"NUMBA_CACHE_DIR": str(folder / "cache"), "PYTHONPATH": str(folder)}
     done = subprocess.run(
@@ -37,17 +39,20 @@ def answer(folder: Path) -> tuple[int, int, int]:
     return int(value), int(hits), len(lines)
 
 
-def test_a_change_in_a_neighbours_file_is_noticed(tmp_path: Path) -> None:
+@pytest.mark.parametrize("folder", ["kernels", "simd"])
+def test_a_change_in_another_file_is_noticed(tmp_path: Path, folder: str) -> None:
     """And that kernels are compiled, two here, is said in one line, or not at all."""
     package = tmp_path / "small"
-    package.mkdir()
-    shutil.copy(Path(kernels.__file__).parent / "compiled.py", package)
-    (package / "constants.py").write_text("ANSWER = 41\n")
-    (package / "use.py").write_text(
-        "from small.compiled import kernel\nfrom small.constants import ANSWER\n\n\n"
-        "@kernel()\ndef ask(x):\n    return x[0] + ANSWER\n"
+    (package / "kernels").mkdir(parents=True)
+    (package / "simd").mkdir()
+    shutil.copy(Path(kernels.__file__).parent / "compiled.py", package / "kernels")
+    constants = package / folder / "constants.py"
+    constants.write_text("ANSWER = 41\n")
+    (package / "kernels" / "use.py").write_text(
+        f"from small.kernels.compiled import kernel\nfrom small.{folder}.constants import ANSWER\n\n\n"
+        "@kernel()\ndef answer(x):\n    return x[0] + ANSWER\n"
     )
-    assert answer(tmp_path) == (41, 0, 1)
-    assert answer(tmp_path) == (41, 2, 0)
-    (package / "constants.py").write_text("ANSWER = 42\n")
-    assert answer(tmp_path) == (42, 0, 1)
+    assert outcome(tmp_path) == (41, 0, 1)
+    assert outcome(tmp_path) == (41, 2, 0)
+    constants.write_text("ANSWER = 42\n")
+    assert outcome(tmp_path) == (42, 0, 1)

@@ -10,15 +10,13 @@ summed by one thread in a fixed order, so that results do not depend on the numb
 from __future__ import annotations
 
 import numpy as np
-from llvmlite import ir
-from numba import float32, int64, prange, types
-from numba.extending import intrinsic
+from numba import float32, int64, prange
 
 from tg4mm.rasterize.kernels.compiled import inlined, kernel
-from tg4mm.rasterize.kernels.lanes import half_sums_of_eight, store_eight
-from tg4mm.rasterize.kernels.memory import ask, data_at, load, number, store
 from tg4mm.rasterize.kernels.tiles import aligned
-from tg4mm.rasterize.kernels.vector import LANES, constant_lanes, fma, vector, wide
+from tg4mm.rasterize.simd.lanes import half_sums_of_eight, load_eight, load_twice, store_eight
+from tg4mm.rasterize.simd.memory import load, number, prefetch, store
+from tg4mm.rasterize.simd.vector import LANES, broadcast, fma
 
 DOF = 6  # displacement (scene units) and rotation vector (radians, world axes)
 COLUMNS = 8  # of a splat: mean, conic, colour
@@ -28,25 +26,6 @@ _ROTATION = 24 - 2  # first row of rotation, shifted so that the conic's columns
 _PREFETCH = 24  # pairs prefetched ahead of their use
 _CHUNK = 256  # Gaussians a thread takes at a time
 _CONIC_LANES = np.array([2 <= lane < 5 for lane in range(LANES)], np.float32)  # 1 there, else 0
-
-
-def _eight(lanes):
-    """An intrinsic that spreads eight numbers of a contiguous float32 array [n] over `lanes`; 8: a zero."""
-
-    def typed(typingctx, array, index):
-        def codegen(context, builder, sig, args):
-            place = builder.gep(data_at(context, builder, sig.args[0], args[0]), [args[1]])
-            kind = ir.VectorType(ir.FloatType(), COLUMNS)
-            eight = builder.load(builder.bitcast(place, kind.as_pointer()), align=4)
-            return builder.shuffle_vector(eight, ir.Constant(kind, None), constant_lanes(lanes))
-
-        return vector(array, types.int64), codegen
-
-    return intrinsic(typed)
-
-
-load_eight = _eight([*range(COLUMNS), *[COLUMNS] * COLUMNS])  # and eight zeros
-load_twice = _eight([*range(COLUMNS)] * 2)
 
 
 def pack(jacobian: np.ndarray) -> np.ndarray:
@@ -106,9 +85,9 @@ def _jvp_range(first, last, values, rows, conic_lanes, motions, shape, d_splats)
 @inlined
 def _sum_pairs(v_pairs, slots, first, last, width, at, are_two):
     """Sum over a Gaussian's pairs of one motion's cotangents, at `at` of their rows, or of two: one in each half."""
-    total, end = wide(float32(0.0)), len(slots) - 1
+    total, end = broadcast(float32(0.0)), len(slots) - 1
     for slot in range(first, last):
-        ask(v_pairs, int64(slots[min(slot + _PREFETCH, end)]) * width + at)
+        prefetch(v_pairs, int64(slots[min(slot + _PREFETCH, end)]) * width + at)
         place = int64(slots[slot]) * width + at
         total = total + (load(v_pairs, place) if are_two else load_eight(v_pairs, place))
     return total
@@ -118,7 +97,11 @@ def _sum_pairs(v_pairs, slots, first, last, width, at, are_two):
 def _vjp_range(first, last, values, rows, conic_lanes, pairs, shape, v_motions):
     n_motions, n = shape
     starts, slots, v_pairs = pairs
-    conic, nothing, width = load_twice(conic_lanes, int64(0)), wide(float32(0.0)), int64(n_motions * COLUMNS)
+    conic, nothing, width = (
+        load_twice(conic_lanes, int64(0)),
+        broadcast(float32(0.0)),
+        int64(n_motions * COLUMNS),
+    )
     room = aligned(LANES)
     for k in range(first, last):
         i, at = int64(rows[k]), int64(k) * _PACKED

@@ -1,7 +1,7 @@
 """Matrix-free products with the prior: squared second-order total generalised variation (Bredies, Kunisch & Pock 2010).
 
-A Gaussian's part of a field is four rows (displacement, and its change along x, y, z) of three columns: one vector,
-four lanes a row, the fourth unused. An edge needs four numbers, so the matrix is never formed. Each Gaussian's rows
+A Gaussian's part of a field is four rows (displacement, and its change along x, y, z) of three columns: one vector
+(`simd/field.py`). An edge needs four numbers, so the matrix is never formed. Each Gaussian's rows
 are summed by one thread in a fixed order.
 """
 
@@ -11,117 +11,33 @@ are summed by one thread in a fixed order.
 from __future__ import annotations
 
 import numpy as np
-from llvmlite import ir
-from numba import float32, int64, prange, types
-from numba.extending import intrinsic
+from numba import float32, int64, prange
 
 from tg4mm.rasterize.kernels.compiled import inlined, kernel
-from tg4mm.rasterize.kernels.memory import data_at, number
-from tg4mm.rasterize.kernels.vector import F32, FV, constant_lanes, declare, fma, vector, wide
+from tg4mm.rasterize.simd.field import broadcast_rows, load_field, store_field, sum_rows, transposed_times
+from tg4mm.rasterize.simd.memory import number
+from tg4mm.rasterize.simd.vector import broadcast, fma
 
 ROWS = 4  # of a Gaussian's part of a field: displacement, and its gradient along x, y, z
 # Weight of differences of gradients against that of edge residuals, chosen on generated scenes
 BENDING = 10.0
 _WIDTH = 3 * ROWS  # numbers of a Gaussian
 _CHUNK = 256  # Gaussians a thread takes at a time
-_EACH_ROW = [lane // 4 for lane in range(16)]
 # signs σ of the other end's rows in a residual; weights of the rows in the difference of two ends
 _SIGNS = np.array([1, -1, -1, -1, 0, BENDING, BENDING, BENDING], np.float32)
-
-
-def _at(context, builder, sig, args, count, offset=0):
-    """Pointer to `count` float32 of the place args[0], `offset` after entry args[1]."""
-    place = builder.gep(data_at(context, builder, sig.args[0], args[0]), [args[1]])
-    place = builder.gep(place, [ir.Constant(ir.IntType(64), offset)])
-    return builder.bitcast(place, ir.VectorType(F32, count).as_pointer())
-
-
-def _spread(context, builder, sig, args, offset=0):
-    four = builder.load(_at(context, builder, sig, args, 4, offset), align=4)
-    return builder.shuffle_vector(four, four, constant_lanes(_EACH_ROW))
-
-
-@intrinsic
-def spread(typingctx, array, index):
-    """Four float32 of a contiguous array [n], one for each row."""
-
-    def codegen(context, builder, sig, args):
-        return _spread(context, builder, sig, args)
-
-    return vector(array, types.int64), codegen
-
-
-@intrinsic
-def load_rows(typingctx, array, index):
-    """Four rows of three float32 of a contiguous array [n]."""
-
-    def codegen(context, builder, sig, args):
-        low = builder.load(_at(context, builder, sig, args, 8), align=4)
-        high = builder.load(_at(context, builder, sig, args, 4, 8), align=4)
-        high = builder.shuffle_vector(high, high, constant_lanes([0, 1, 2, 3] * 2))
-        return builder.shuffle_vector(
-            low, high, constant_lanes([3 * (k // 4) + min(k % 4, 2) for k in range(16)])
-        )
-
-    return vector(array, types.int64), codegen
-
-
-@intrinsic
-def store_rows(typingctx, array, index, value):
-    """What `load_rows` reads."""
-
-    def codegen(context, builder, sig, args):
-        lanes = [k for k in range(16) if k % 4 < 3]
-        for offset, some in ((0, lanes[:8]), (8, lanes[8:])):
-            part = builder.shuffle_vector(args[2], args[2], constant_lanes(some))
-            builder.store(part, _at(context, builder, sig, args, len(some), offset), align=4)
-        return context.get_dummy_value()
-
-    return types.none(array, types.int64, vector), codegen
-
-
-@intrinsic
-def sum_of_rows(typingctx, value):
-    """The sum of the four rows, in each row."""
-
-    def codegen(context, builder, sig, args):
-        total = args[0]
-        for shift in (8, 4):
-            rotated = builder.shuffle_vector(
-                total, total, constant_lanes([(k + shift) % 16 for k in range(16)])
-            )
-            total = builder.fadd(total, rotated)
-        return total
-
-    return vector(vector), codegen
-
-
-@intrinsic
-def transposed_times(typingctx, array, index, value):
-    """Mᵀ times four rows, of the 4 × 4 block M that begins at `index` of a contiguous float32 array [n]."""
-
-    def codegen(context, builder, sig, args):
-        total, multiply_add = ir.Constant(FV, None), declare(builder, "llvm.fmuladd.v16f32", FV, [FV] * 3)
-        for row in range(ROWS):
-            column = _spread(context, builder, sig, args, ROWS * row)
-            lanes = constant_lanes([ROWS * row + k % 4 for k in range(16)])
-            there = builder.shuffle_vector(args[2], args[2], lanes)
-            total = builder.call(multiply_add, [column, there, total])
-        return total
-
-    return vector(array, types.int64, vector), codegen
 
 
 @inlined
 def _product(start, other, edge_rows, signs, x, i):
     """Rows of Gaussian i of the prior's matrix times a field."""
-    own, sigma, bending = load_rows(x, int64(i) * _WIDTH), spread(signs, int64(0)), spread(signs, int64(4))
-    total = wide(float32(0.0))
+    own = load_field(x, int64(i) * _WIDTH)
+    sigma, bending = broadcast_rows(signs, int64(0)), broadcast_rows(signs, int64(4))
+    total = broadcast(float32(0.0))
     differences = total
     for edge in range(start[i], start[i + 1]):
-        there = load_rows(x, int64(other[edge]) * _WIDTH)
-        row, root = spread(edge_rows, int64(edge) * ROWS), number(edge_rows, int64(edge) * ROWS)
-        residual = sum_of_rows(row * fma(there, sigma, -own))
+        there = load_field(x, int64(other[edge]) * _WIDTH)
+        row, root = broadcast_rows(edge_rows, int64(edge) * ROWS), number(edge_rows, int64(edge) * ROWS)
+        residual = sum_rows(row * fma(there, sigma, -own))
         total = fma(-row, residual, total)
         differences = fma(own - there, root * root, differences)
     return fma(differences, bending, total)
@@ -132,8 +48,8 @@ def _prior_of(first, last, edges, signs, x, smoothness, ridge, out):
     start, other, edge_rows = edges
     for i in range(first, last):
         at = int64(i) * _WIDTH
-        smooth = fma(_product(start, other, edge_rows, signs, x, i), smoothness, load_rows(out, at))
-        store_rows(out, at, fma(load_rows(x, at), ridge, smooth))
+        smooth = fma(_product(start, other, edge_rows, signs, x, i), smoothness, load_field(out, at))
+        store_field(out, at, fma(load_field(x, at), ridge, smooth))
 
 
 @kernel()
@@ -144,7 +60,7 @@ def _smoothed(first, last, edges, signs, blocks, x, out):
         step = transposed_times(
             blocks, int64(i) * ROWS * ROWS, _product(start, other, edge_rows, signs, x, i)
         )
-        store_rows(out, at, load_rows(x, at) - step)
+        store_field(out, at, load_field(x, at) - step)
 
 
 @kernel()
@@ -152,15 +68,15 @@ def _less_product(first, last, edges, signs, x, out):
     start, other, edge_rows = edges
     for i in range(first, last):
         at = int64(i) * _WIDTH
-        store_rows(out, at, load_rows(out, at) - _product(start, other, edge_rows, signs, x, i))
+        store_field(out, at, load_field(out, at) - _product(start, other, edge_rows, signs, x, i))
 
 
 @kernel()
 def _blockwise(first, last, blocks, x, out, keep):
     for i in range(first, last):
         at = int64(i) * _WIDTH
-        product = transposed_times(blocks, int64(i) * ROWS * ROWS, load_rows(x, at))
-        store_rows(out, at, fma(load_rows(out, at), keep, product))
+        product = transposed_times(blocks, int64(i) * ROWS * ROWS, load_field(x, at))
+        store_field(out, at, fma(load_field(out, at), keep, product))
 
 
 @kernel(parallel=True)

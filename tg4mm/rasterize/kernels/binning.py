@@ -10,7 +10,7 @@ import numpy as np
 from numba import float32, int64, prange, uint32
 
 from tg4mm.rasterize.buffers import Buffers, take
-from tg4mm.rasterize.kernels.ahead import ask_for_some
+from tg4mm.rasterize.kernels.block_culling import prefetch_gaussians
 from tg4mm.rasterize.kernels.compiled import kernel
 from tg4mm.rasterize.kernels.layout import (
     DEPTH,
@@ -18,13 +18,13 @@ from tg4mm.rasterize.kernels.layout import (
     SPLAT_WIDTH,
     TILE,
 )
-from tg4mm.rasterize.kernels.memory import address, keep, load, prefetch, store
-from tg4mm.rasterize.kernels.outline import outline_room, outlines, tile_rows, tiles_of_row
-from tg4mm.rasterize.kernels.vector import LANES, wide
+from tg4mm.rasterize.kernels.tile_extents import extents_room, tile_extents, tile_rows, tiles_of_row
+from tg4mm.rasterize.simd.memory import address, keep, load, prefetch_row, store
+from tg4mm.rasterize.simd.vector import LANES, broadcast
 
 _RADIX_BITS = 11
 _CHUNKS = 16  # of the parallel scatter; a constant, so that results never depend on threads
-_AHEAD = 8  # Gaussians asked for ahead of their use: in depth order they lie anywhere in memory
+_PREFETCH = 8  # Gaussians prefetched ahead of their use: in depth order they lie anywhere in memory
 _PAIRS_EXPECTED = 4  # tiles a Gaussian; where there are more, the lists are made a second time
 
 
@@ -77,12 +77,12 @@ def list_pairs(splats, order, n_visible, n_x, n_y, tiles, gaussian_start, per_ch
     for chunk in prange(_CHUNKS):
         count = per_chunk[chunk]
         count[:] = 0
-        spans = np.empty(outline_room(n_y), np.float32)
+        spans = np.empty(extents_room(n_y), np.float32)
         room_of_spans, total, end = address(spans), int64(0), min(n_visible, (int64(chunk) + 1) * size)
         for k in range(int64(chunk) * size, end, LANES):
             some = min(end - k, int64(LANES))
-            ask_for_some(address(splats), address(order), k + LANES, LANES, end)
-            outlines(address(splats), address(order), k, some, n_x, n_y, room_of_spans)
+            prefetch_gaussians(address(splats), address(order), k + LANES, LANES, end)
+            tile_extents(address(splats), address(order), k, some, n_x, n_y, room_of_spans)
             for lane in range(some):
                 first_row, last_row = tile_rows(room_of_spans, lane)
                 for ty in range(first_row, last_row + 1):
@@ -145,10 +145,10 @@ def gather_sums(order, n_visible, gaussian_start, pair_slot, pair_sums, v_splats
     pairs, sums = pair_sums.reshape(-1), v_splats.reshape(-1)
     for k in prange(n_visible):
         i = order[k]
-        prefetch(v_splats, int64(order[min(k + _AHEAD, n_visible - 1)]))
-        total = wide(float32(0.0))
+        prefetch_row(v_splats, int64(order[min(k + _PREFETCH, n_visible - 1)]))
+        total = broadcast(float32(0.0))
         for slot in range(gaussian_start[k], gaussian_start[k + 1]):
-            prefetch(pair_sums, int64(pair_slot[min(slot + 3 * _AHEAD, last)]))
+            prefetch_row(pair_sums, int64(pair_slot[min(slot + 3 * _PREFETCH, last)]))
             total = total + load(pairs, int64(pair_slot[slot]) * SPLAT_WIDTH)
         store(sums, int64(i) * SPLAT_WIDTH, total)
 

@@ -12,11 +12,30 @@ import math
 import numpy as np
 from numba import float32, int64, njit, prange, uint32, uint64
 
-from tg4mm.rasterize.kernels.ahead import ask_for_some, log2_alpha, look_ahead, reaching, room, row_of
+from tg4mm.rasterize.kernels.block_culling import (
+    fill_batch,
+    log2_alpha,
+    prefetch_gaussians,
+    reaching,
+    room,
+    row_of,
+)
 from tg4mm.rasterize.kernels.compiled import inlined, kernel
 from tg4mm.rasterize.kernels.layout import ALPHA_MIN, FEAT, TILE
-from tg4mm.rasterize.kernels.masks import highest_bits, not_empty, put_mask, shifted
-from tg4mm.rasterize.kernels.memory import (
+from tg4mm.rasterize.kernels.picture import STRIDE, begin_blocks, write_blank, write_tile
+from tg4mm.rasterize.kernels.tiles import (
+    BLOCKS,
+    TABLE,
+    aligned,
+    alphas,
+    constants,
+    inside,
+    prefetch_pairs,
+    prefetch_pixels,
+    work,
+)
+from tg4mm.rasterize.simd.masks import highest_bits, not_empty, put_mask, shifted
+from tg4mm.rasterize.simd.memory import (
     address,
     fetch_add,
     integer,
@@ -26,23 +45,11 @@ from tg4mm.rasterize.kernels.memory import (
     put_integer,
     store,
 )
-from tg4mm.rasterize.kernels.picture import STRIDE, begin_blocks, write_blank, write_tile
-from tg4mm.rasterize.kernels.tiles import (
-    BLOCKS,
-    TABLE,
-    aligned,
-    alphas,
-    ask_for_pairs,
-    ask_for_pixels,
-    constants,
-    inside,
-    work,
-)
-from tg4mm.rasterize.kernels.vector import LANES, bits, fma_where, lowest_bit, select, wide, with_avx512
+from tg4mm.rasterize.simd.vector import LANES, broadcast, ctz, fma_where, movemask, select, with_avx512
 
 _WORD = 32
 _BATCH = 2 * _WORD  # pairs, a bit each
-# of the next batch, whose Gaussians are asked for while this one's blocks are worked on
+# pairs of the next batch prefetched with each block of this one
 _SHARE = _BATCH // BLOCKS
 _ROOM = room(_BATCH)
 # for every block, behind the two words of `by_block`: masks of the pixels that see a pair, one of 16 bits a pair
@@ -64,7 +71,7 @@ def _add(n, y, on, sums, batch, splats, held, faintest, masks, noted):
         if with_avx512():
             put_mask(masks, n, on & seen)
         else:
-            seen_in |= uint64(1) << uint64(n) if bits(on & seen) != 0 else uint64(0)
+            seen_in |= uint64(1) << uint64(n) if movemask(on & seen) != 0 else uint64(0)
     w = t * alpha
     t = t - w
     on = t > t_min
@@ -98,11 +105,11 @@ def _blend_block(k, splats, batch, by_block, held, faintest, state, noted):
     on, sums = t > t_min, (t, left, f0, f1, f2, f3, uint64(0))
     todo = uint64(integer(by_block, k)) | uint64(integer(by_block, BLOCKS + k)) << uint64(_WORD)
     masks = by_block + 2 * (_MASKS + k * _OF_BLOCK)
-    n = lowest_bit(todo)
+    n = ctz(todo)
     y = log2_alpha(batch, _BATCH, n, k, lane_y)
     todo &= todo - uint64(1)
     while todo != 0:
-        later = lowest_bit(todo)
+        later = ctz(todo)
         y_later = log2_alpha(batch, _BATCH, later, k, lane_y)
         todo &= todo - uint64(1)
         on, sums = _add(n, y, on, sums, batch, splats, held, faintest, masks, noted)
@@ -118,7 +125,7 @@ def _blend_block(k, splats, batch, by_block, held, faintest, state, noted):
     store(state, place + 3 * LANES, f1)
     store(state, place + 4 * LANES, f2)
     store(state, place + 5 * LANES, f3)
-    return bits(on) != 0
+    return movemask(on) != 0
 
 
 @inlined
@@ -149,7 +156,7 @@ def _forward_tiles(worker, workers, parts, counter, tables, frame, splats, image
     faintest, noted = float32(math.log2(alpha_min)), len(reached) > 0
     held = constants(table)
     # as a constant of the code, zero is written in more and smaller pieces
-    nothing = held[4] - held[4], wide(float32(1.0))
+    nothing = held[4] - held[4], broadcast(float32(1.0))
     memory = aligned(BLOCKS * STRIDE + _ROOM + (_MASKS + BLOCKS * _OF_BLOCK) // 2)
     state = address(memory)
     batch = state + 4 * BLOCKS * STRIDE
@@ -172,19 +179,19 @@ def _forward_tiles(worker, workers, parts, counter, tables, frame, splats, image
         x0, y0 = (tile % n_x) * TILE, (tile // n_x) * TILE
         begin, end = int64(tile_start[tile]), int64(tile_start[tile + 1])
         later = order[min(item + workers, len(order) - 1)]
-        ask_for_pairs(splats, gaussians, int64(tile_start[later]), int64(tile_start[later + 1]))
-        ask_for_pixels(tile, n_x, frame, image, transmittance)
+        prefetch_pairs(splats, gaussians, int64(tile_start[later]), int64(tile_start[later + 1]))
+        prefetch_pixels(tile, n_x, frame, image, transmittance)
         begin_blocks(state, nothing)
         live = inside(min(TILE, height - y0), min(TILE, width - x0))
         first, row = begin, begin * n_rows // n_pairs
         while first < end and live != 0:
             last = min(end, first + _BATCH)
-            look_ahead(splats, gaussians, first, last, end, _BATCH, (x0, y0), held[:2], faintest, batch, True)
+            fill_batch(splats, gaussians, first, last, end, _BATCH, (x0, y0), held[:2], faintest, batch, True)
             store(by_block, int64(0), reaching(batch, _BATCH, int64(0)))
             store(by_block, int64(BLOCKS), reaching(batch, _BATCH, int64(_WORD)))
             due = last * n_rows // n_pairs
             for k in range(BLOCKS):
-                ask_for_some(splats, gaussians, last + _SHARE * k, _SHARE, end)
+                prefetch_gaussians(splats, gaussians, last + _SHARE * k, _SHARE, end)
                 bit = uint32(1) << uint32(k)
                 if live & bit == 0:
                     put_integer(by_block, k, uint32(0))

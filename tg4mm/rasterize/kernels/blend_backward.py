@@ -15,9 +15,8 @@ import math
 import numpy as np
 from numba import float32, int64, prange, uint32
 
-from tg4mm.rasterize.kernels.ahead import log2_alpha, look_ahead, room
+from tg4mm.rasterize.kernels.block_culling import fill_batch, log2_alpha, room
 from tg4mm.rasterize.kernels.compiled import inlined, kernel
-from tg4mm.rasterize.kernels.lanes import lane_sums, load_block
 from tg4mm.rasterize.kernels.layout import (
     ALPHA_MIN,
     FEAT,
@@ -27,8 +26,21 @@ from tg4mm.rasterize.kernels.layout import (
     SPLAT_WIDTH,
     TILE,
 )
-from tg4mm.rasterize.kernels.masks import put_places
-from tg4mm.rasterize.kernels.memory import (
+from tg4mm.rasterize.kernels.tiles import (
+    BLOCKS,
+    TABLE,
+    aligned,
+    alphas_unbounded,
+    constants,
+    corner,
+    pixel,
+    prefetch_pairs,
+    prefetch_pixels,
+    work,
+)
+from tg4mm.rasterize.simd.lanes import lane_sums, load_block
+from tg4mm.rasterize.simd.masks import put_places
+from tg4mm.rasterize.simd.memory import (
     address,
     fetch_add,
     integer,
@@ -39,30 +51,18 @@ from tg4mm.rasterize.kernels.memory import (
     put_number,
     store,
 )
-from tg4mm.rasterize.kernels.rows import planes_of_rows
-from tg4mm.rasterize.kernels.tiles import (
-    BLOCKS,
-    TABLE,
-    aligned,
-    alphas_unbounded,
-    ask_for_pairs,
-    ask_for_pixels,
-    constants,
-    corner,
-    pixel,
-    work,
-)
-from tg4mm.rasterize.kernels.vector import (
+from tg4mm.rasterize.simd.rows import transpose
+from tg4mm.rasterize.simd.vector import (
     LANES,
+    broadcast,
+    ctz,
     fma,
-    lowest_bit,
-    number_of_bits,
+    popcount,
     select,
-    wide,
     with_avx512,
 )
 
-_BATCH = 16  # pairs looked at ahead
+_BATCH = 16  # pairs of a batch
 _MOST = 128  # blocks of theirs; the room for their alphas should stay within the first cache
 _ROOM = room(_BATCH)
 _AT_ONCE = 4  # blocks that are listed without a branch between them
@@ -85,13 +85,13 @@ def _list_seen(reached, first, last, items):
         todo, base = integer(reached, first + n), uint32(n * BLOCKS)
         if with_avx512():
             put_places(items, count, todo, base)
-            count += int64(number_of_bits(todo))
+            count += int64(popcount(todo))
             continue
         while todo != 0:
             # four at a time, whether they are there or not: most pairs then take a branch that can be foreseen
-            found = int64(number_of_bits(todo))
+            found = int64(popcount(todo))
             for j in range(_AT_ONCE):
-                put_integer(items, count + j, base + uint32(lowest_bit(todo | uint32(1 << BLOCKS))))
+                put_integer(items, count + j, base + uint32(ctz(todo | uint32(1 << BLOCKS))))
                 todo &= todo - uint32(1)
             count += min(found, _AT_ONCE)
     return count, last
@@ -118,7 +118,7 @@ def _alphas_ahead(count, items, batch, faintest, held, kept):
 @inlined
 def _planes_of(picture, at, step):
     """The four channels of the block that begins at `at` in a picture [H · W · FEATURES] whose rows are `step` long."""
-    return planes_of_rows(
+    return transpose(
         load(picture, at),
         load(picture, at + step),
         load(picture, at + 2 * step),
@@ -140,7 +140,7 @@ def _read(state, x0, y0, frame, pictures):
             g0, g1, g2, g3 = _planes_of(v_image, at * FEATURES, step)
             i0, i1, i2, i3 = _planes_of(image, at * FEATURES, step)
             to_come = to_come + g0 * i0 + g1 * i1 + g2 * i2 + g3 * i3
-            store(state, place, wide(float32(1.0)))
+            store(state, place, broadcast(float32(1.0)))
             store(state, place + LANES, to_come)
             store(state, place + 2 * LANES, g0)
             store(state, place + 3 * LANES, g1)
@@ -148,9 +148,9 @@ def _read(state, x0, y0, frame, pictures):
             store(state, place + 5 * LANES, g3)
         return
     for k in range(BLOCKS):  # outside the image: stopped from the start
-        store(state, k * _STRIDE, wide(float32(-1.0)))
+        store(state, k * _STRIDE, broadcast(float32(-1.0)))
         for plane in range(1, 2 + FEATURES):
-            store(state, k * _STRIDE + plane * LANES, wide(float32(0.0)))
+            store(state, k * _STRIDE + plane * LANES, broadcast(float32(0.0)))
     for r in range(rows):
         for j in range(columns):
             at, of = pixel(r, j, _STRIDE), (y0 + r) * width + x0 + j
@@ -168,7 +168,7 @@ def _pair_sums(splats, row, todo, x0, y0, table, held, kept, state):
     """Sums of a pair (layout.py) over its blocks `todo`, of which `kept` has the alphas."""
     lane_x, lane_y, _, alpha_max, t_min = held
     zero = float32(0.0)
-    nothing = wide(zero)
+    nothing = broadcast(zero)
     s, sx, sy, sxx, sxy = nothing, nothing, nothing, nothing, nothing
     syy, h0, h1, h2, h3 = nothing, nothing, nothing, nothing, nothing
     at_x = lane_x + (float32(x0) - number(splats, row + MX))
@@ -176,7 +176,7 @@ def _pair_sums(splats, row, todo, x0, y0, table, held, kept, state):
     f0, f1 = number(splats, row + FEAT), number(splats, row + FEAT + 1)
     f2, f3 = number(splats, row + FEAT + 2), number(splats, row + FEAT + 3)
     while todo != 0:
-        k = lowest_bit(todo)
+        k = ctz(todo)
         todo &= todo - uint32(1)
         place = k * _STRIDE
         raw, ratio = load(kept, int64(0)), load(kept, int64(LANES))
@@ -230,28 +230,28 @@ def _backward_tiles(workers, order, counter, tables, frame, splats, pictures, pa
         x0, y0 = (tile % n_x) * TILE, (tile // n_x) * TILE
         _read(state, x0, y0, frame, flat)
         later = order[min(item + workers, len(order) - 1)]
-        ask_for_pixels(later, n_x, frame, at_pictures[0], at_pictures[1])
-        ask_for_pixels(later, n_x, frame, at_pictures[2], at_pictures[3])
-        ask_for_pairs(splats, gaussians, int64(tile_start[later]), int64(tile_start[later + 1]))
+        prefetch_pixels(later, n_x, frame, at_pictures[0], at_pictures[1])
+        prefetch_pixels(later, n_x, frame, at_pictures[2], at_pictures[3])
+        prefetch_pairs(splats, gaussians, int64(tile_start[later]), int64(tile_start[later + 1]))
         seen_end = end  # where every pixel has stopped, nothing is seen any more
         while seen_end > begin and integer(seen_in, seen_end - 1) == 0:
             seen_end -= 1
-            store(v_out, seen_end * SPLAT_WIDTH, wide(float32(0.0)))
+            store(v_out, seen_end * SPLAT_WIDTH, broadcast(float32(0.0)))
         first = begin
         while first < seen_end:
             last = min(seen_end, first + _BATCH)
-            look_ahead(
+            fill_batch(
                 splats, gaussians, first, last, seen_end, _BATCH, (x0, y0), held[:2], faintest, batch, False
             )
             count, last = _list_seen(seen_in, first, last, items)
             _alphas_ahead(count, items, batch, faintest, held, kept)
             here = kept
             for pair in range(first, last):
-                todo, sums = integer(seen_in, pair), wide(float32(0.0))
+                todo, sums = integer(seen_in, pair), broadcast(float32(0.0))
                 if todo != 0:
                     row = int64(integer(gaussians, pair)) * SPLAT_WIDTH
                     sums = _pair_sums(splats, row, todo, x0, y0, places, held, here, state)
-                    here += 4 * _KEPT * int64(number_of_bits(todo))
+                    here += 4 * _KEPT * int64(popcount(todo))
                 store(v_out, pair * SPLAT_WIDTH, sums)
             first = last
     keep(memory)

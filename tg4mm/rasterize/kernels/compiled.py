@@ -1,7 +1,7 @@
-"""`kernel`: numba's njit with a cache on disk that notices a change in any file of this package.
+"""`kernel`: numba's njit with a cache on disk that a change in any file of kernels/ or simd/ invalidates.
 
-Numba's own cache looks at the file of the function alone, but kernels take constants and helpers from their
-neighbours: after a change there it would go on serving machine code of the old ones.
+Numba's own cache looks at the file of the function alone, but kernels take constants and helpers from other files of
+these two folders: after a change there it would go on serving machine code of the old ones.
 
 A process that finds kernels missing from the cache says so, once, to the log `tg4mm`, which the program shows.
 """
@@ -19,8 +19,9 @@ from numba.core import event
 
 
 def _digest() -> str:
-    digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.glob("*.py")):
+    """Of all files of kernels/, where this file is, and of simd/ beside it."""
+    digest, package = hashlib.sha256(), Path(__file__).parents[1]
+    for path in (p for folder in ("kernels", "simd") for p in sorted((package / folder).glob("*.py"))):
         digest.update(path.read_bytes())
     return digest.hexdigest()
 
@@ -48,7 +49,7 @@ event.register("numba:compile", _Notice())
 
 
 def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Compile with numba's options, divisions as numpy's, cached until any file of this package changes."""
+    """Compile with numba's options, divisions as numpy's, cached until any file of kernels/ or simd/ changes."""
 
     def decorate(function: Callable[..., Any]) -> Any:
         dispatcher = njit(cache=True, error_model="numpy", **options)(function)

@@ -1,7 +1,7 @@
 """The packed record of a projected Gaussian and the constants of blending, shared by all kernels.
 
-Columns are read four at a time: MX … CB and EX … L22 (`ahead.py`), EY … R11 (`outline.py`). `project.py` writes them in
-this order.
+Columns are read four at a time: MX … CB and EX … L22 (`block_culling.py`), EY … R11 (`tile_extents.py`).
+`project.py` writes them in this order.
 """
 
 from typing import Final

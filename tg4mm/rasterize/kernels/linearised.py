@@ -1,7 +1,7 @@
-"""Blending linearised at rest, for least squares: how pictures answer to several small changes at once, and back.
+"""JVP and VJP of blending at rest, several tangents or cotangents at once.
 
-What does not depend on the change (weights, and how a contribution answers to its exponent) is computed once for each
-block of pixels and Gaussian; every change, or right-hand side, then takes a second, short loop over the blocks.
+What does not depend on the tangent (weights, and derivatives by the exponent) is computed once for each block of pixels
+and Gaussian; every tangent, or cotangent, then takes a second, short loop over the blocks.
 Opacity is held fixed. Blocks, tiles and threads as in `tiles.py`.
 
 With α = o·2^-(p²+q²) and r = -d(exponent), a contribution's weight w = T α changes by T α r + w·(dT/T), and dT/T by
@@ -17,12 +17,12 @@ import numpy as np
 from numba import float32, int64, prange
 
 from tg4mm.rasterize.kernels.compiled import kernel
-from tg4mm.rasterize.kernels.lanes import lane_sums_of_eight, store_eight
 from tg4mm.rasterize.kernels.layout import CA, CB, CC, FEAT, MX, MY, TILE
-from tg4mm.rasterize.kernels.memory import address, fetch_add, keep, load, store
 from tg4mm.rasterize.kernels.tiles import BLOCKS, TABLE, aligned, constants, fill, inside, pixel, work
-from tg4mm.rasterize.kernels.vector import LANES, fma, wide
 from tg4mm.rasterize.kernels.weights import BATCH, KEPT, batch_room, look_at_all, weights
+from tg4mm.rasterize.simd.lanes import lane_sums_of_eight, store_eight
+from tg4mm.rasterize.simd.memory import address, fetch_add, keep, load, store
+from tg4mm.rasterize.simd.vector import LANES, broadcast, fma
 
 COLUMNS = np.array([MX, MY, CA, CB, CC, FEAT, FEAT + 1, FEAT + 2])  # of the splats: what a change has
 _WIDTH = 8  # how many they are
@@ -30,7 +30,7 @@ _CHANGE = 4  # planes of the state for each change
 
 
 @kernel()
-def _push_tiles(order, counter, tables, frame, splats, d_splats, white, d_images, alpha_min):
+def _jvp_tiles(order, counter, tables, frame, splats, d_splats, white, d_images, alpha_min):
     tile_start, pair_gaussian, table = tables
     width, height = frame
     n_changes = len(d_images)
@@ -99,7 +99,7 @@ def _push_tiles(order, counter, tables, frame, splats, d_splats, white, d_images
 
 
 @kernel()
-def _pull_tiles(order, counter, tables, frame, splats, pictures, white, v_images, v_pairs, alpha_min):
+def _vjp_tiles(order, counter, tables, frame, splats, pictures, white, v_images, v_pairs, alpha_min):
     tile_start, pair_gaussian, table = tables
     width, height = frame
     image, transmittance = pictures
@@ -145,7 +145,7 @@ def _pull_tiles(order, counter, tables, frame, splats, pictures, white, v_images
             a, b, c = splats[i, CA], splats[i, CB], splats[i, CC]
             f0, f1, f2 = splats[i, FEAT], splats[i, FEAT + 1], splats[i, FEAT + 2]
             for change in range(n_changes):
-                nothing = wide(zero)
+                nothing = broadcast(zero)
                 sx, sy, sxx, sxy, syy = nothing, nothing, nothing, nothing, nothing
                 h0, h1, h2 = nothing, nothing, nothing
                 plane = (1 + _CHANGE * change) * LANES
@@ -183,15 +183,15 @@ def _pull_tiles(order, counter, tables, frame, splats, pictures, white, v_images
 
 
 @kernel(parallel=True)
-def _push(workers, order, counter, tables, frame, splats, d_splats, white, d_images, alpha_min):
+def _jvp(workers, order, counter, tables, frame, splats, d_splats, white, d_images, alpha_min):
     for _ in prange(workers):
-        _push_tiles(order, counter, tables, frame, splats, d_splats, white, d_images, alpha_min)
+        _jvp_tiles(order, counter, tables, frame, splats, d_splats, white, d_images, alpha_min)
 
 
 @kernel(parallel=True)
-def _pull(workers, order, counter, tables, frame, splats, pictures, white, v_images, v_pairs, alpha_min):
+def _vjp(workers, order, counter, tables, frame, splats, pictures, white, v_images, v_pairs, alpha_min):
     for _ in prange(workers):
-        _pull_tiles(order, counter, tables, frame, splats, pictures, white, v_images, v_pairs, alpha_min)
+        _vjp_tiles(order, counter, tables, frame, splats, pictures, white, v_images, v_pairs, alpha_min)
 
 
 def blend_tangents(
@@ -209,9 +209,7 @@ def blend_tangents(
     """
     height, width = d_images.shape[1:3]
     tables = (tile_start, pair_gaussian, TABLE)
-    _push(
-        *work(tile_start), tables, (width, height), splats, d_splats, np.float32(white), d_images, alpha_min
-    )
+    _jvp(*work(tile_start), tables, (width, height), splats, d_splats, np.float32(white), d_images, alpha_min)
 
 
 def blend_cotangents(
@@ -231,7 +229,7 @@ def blend_cotangents(
     """
     height, width = v_images.shape[1:3]
     tables, pictures = (tile_start, pair_gaussian, TABLE), (image, transmittance)
-    _pull(
+    _vjp(
         *work(tile_start), tables, (width, height), splats, pictures, np.float32(white), v_images,
         v_pairs.reshape(-1), alpha_min,
     )  # fmt: skip

@@ -1,8 +1,8 @@
-"""The linearised picture there and back at once: how splats change, what that shows, and what the showing says of them.
+"""The Gauss-Newton product JᵀWJ of blending at rest: JVP, pixel weights and VJP of a tile in one pass.
 
-Conjugate gradients need JᵀWJ and never the picture between, which `linearised.py` makes in one pass and reads in
-another. Here a tile is pushed and pulled while it is in the cache: weights and slopes of its meetings are computed once
-and kept for the way back, which goes from far to near, so that what lies behind a contribution is what was met before.
+Conjugate gradients need JᵀWJ and never the picture in between, which `linearised.py` writes in one pass and reads in
+another. Here a tile stays in the cache: weights and slopes of its contributions are computed once and kept for the VJP,
+which goes from far to near, so that what lies behind a contribution has been summed already.
 """
 
 # mypy: disable-error-code="call-arg, var-annotated, operator"
@@ -14,12 +14,12 @@ import numpy as np
 from numba import float32, int64, prange
 
 from tg4mm.rasterize.kernels.compiled import inlined, kernel
-from tg4mm.rasterize.kernels.lanes import lane_sums_of_eight, store_eight
 from tg4mm.rasterize.kernels.layout import CA, CB, CC, FEAT, SPLAT_WIDTH, TILE
-from tg4mm.rasterize.kernels.memory import address, fetch_add, keep, load, number, store
 from tg4mm.rasterize.kernels.tiles import BLOCKS, TABLE, aligned, constants, fill, inside, pixel, work
-from tg4mm.rasterize.kernels.vector import LANES, fma, number_of_bits, wide
 from tg4mm.rasterize.kernels.weights import BATCH, KEPT, batch_room, look_at_reached, weights
+from tg4mm.rasterize.simd.lanes import lane_sums_of_eight, store_eight
+from tg4mm.rasterize.simd.memory import address, fetch_add, keep, load, number, store
+from tg4mm.rasterize.simd.vector import LANES, broadcast, fma, popcount
 
 _WIDTH = 8  # columns of a change
 # Planes of the state for each change: dT/T and its picture, then what lies behind and the gradient
@@ -35,7 +35,7 @@ def _splat(splats, i):
 
 
 @inlined
-def _push_pair(conic, colour, d_splats, at, plane, blocks, found, kept, state):
+def _jvp_pair(conic, colour, d_splats, at, plane, blocks, found, kept, state):
     """Adds what one change, at `at` of d_splats, does to the kept `blocks` (from, to) of a Gaussian."""
     (a, b, c), (f0, f1, f2), half = conic, colour, float32(0.5)
     d0, d1 = number(d_splats, at), number(d_splats, at + 1)
@@ -60,10 +60,10 @@ def _push_pair(conic, colour, d_splats, at, plane, blocks, found, kept, state):
 
 
 @inlined
-def _pull_pair(conic, colour, v_pairs, at, plane, blocks, found, kept, state):
+def _vjp_pair(conic, colour, v_pairs, at, plane, blocks, found, kept, state):
     """Writes at `at` of v_pairs what a gradient says of a Gaussian in one tile; the state: then it lies behind too."""
     (a, b, c), (f0, f1, f2), half = conic, colour, float32(0.5)
-    nothing = wide(float32(0.0))
+    nothing = broadcast(float32(0.0))
     sx, sy, sxx, sxy, syy = nothing, nothing, nothing, nothing, nothing
     h0, h1, h2 = nothing, nothing, nothing
     for m in range(blocks[0], blocks[1]):
@@ -156,7 +156,7 @@ def _normal_tiles(
             conic, colour = _splat(flat, i)
             for change in range(n_changes if before < filled else 0):
                 plane, source = (1 + _CHANGE * change) * LANES, (int64(i) * n_changes + change) * _WIDTH
-                _push_pair(conic, colour, changes, source, plane, blocks, found, kept, state)
+                _jvp_pair(conic, colour, changes, source, plane, blocks, found, kept, state)
         _weigh(pixels, y0, x0, rows, columns, counts)
         _turn_round(state, stride, n_changes, white, counts)
         for back in range(end - begin):
@@ -165,7 +165,7 @@ def _normal_tiles(
             blocks = upto[pair - begin], upto[pair - begin + 1]
             for change in range(n_changes):
                 plane, to = (1 + _CHANGE * change) * LANES, (pair * n_changes + change) * _WIDTH
-                _pull_pair(conic, colour, gradients, to, plane, blocks, found, kept, state)
+                _vjp_pair(conic, colour, gradients, to, plane, blocks, found, kept, state)
     keep(planes)
 
 
@@ -186,7 +186,7 @@ def most_blocks(tile_start, reached):
     for tile in range(len(tile_start) - 1):
         count = 0
         for pair in range(tile_start[tile], tile_start[tile + 1]):
-            count += int64(number_of_bits(reached[pair]))
+            count += int64(popcount(reached[pair]))
         most, longest = max(most, count), max(longest, tile_start[tile + 1] - tile_start[tile])
     return most, longest
 

@@ -1,7 +1,7 @@
 """A tile's pixels to the picture: what its Gaussians gave, and what lies where none is.
 
 Writing to memory far away takes the processor long, and little of it can wait at a time. So pixels are asked for well
-ahead (`ask_for_pixels` of `tiles.py`), and tiles that no Gaussian reaches are written a row here and there in between.
+ahead (`prefetch_pixels` of `tiles.py`), and tiles that no Gaussian reaches are written a row here and there in between.
 """
 
 # mypy: disable-error-code="call-arg, var-annotated"
@@ -10,12 +10,12 @@ ahead (`ask_for_pixels` of `tiles.py`), and tiles that no Gaussian reaches are w
 from numba import float32, int64, uint32
 
 from tg4mm.rasterize.kernels.compiled import inlined
-from tg4mm.rasterize.kernels.lanes import store_block
 from tg4mm.rasterize.kernels.layout import FEATURES, TILE
-from tg4mm.rasterize.kernels.memory import integer, load, number, store
-from tg4mm.rasterize.kernels.rows import rows_of_planes
 from tg4mm.rasterize.kernels.tiles import BLOCKS, corner, pixel
-from tg4mm.rasterize.kernels.vector import LANES
+from tg4mm.rasterize.simd.lanes import store_block
+from tg4mm.rasterize.simd.memory import integer, load, number, store
+from tg4mm.rasterize.simd.rows import interleave
+from tg4mm.rasterize.simd.vector import LANES
 
 STRIDE = (2 + FEATURES) * LANES  # planes of a block: transmittance as it runs on, as it stopped, features
 
@@ -41,7 +41,7 @@ def write_tile(state, x0, y0, frame, image, transmittance):
         step = int64(width * FEATURES)
         for k in range(BLOCKS):
             place, at = k * STRIDE, corner(k, x0, y0, width)
-            r0, r1, r2, r3 = rows_of_planes(
+            r0, r1, r2, r3 = interleave(
                 load(state, place + 2 * LANES), load(state, place + 3 * LANES), load(state, place + 4 * LANES),
                 load(state, place + 5 * LANES),
             )  # fmt: skip

@@ -15,7 +15,6 @@ import numpy as np
 from numba import float32, int64, njit, prange
 
 from tg4mm.rasterize.buffers import Buffers
-from tg4mm.rasterize.kernels import functions  # noqa: F401, roots and logarithms of vectors
 from tg4mm.rasterize.kernels.compiled import inlined, kernel
 from tg4mm.rasterize.kernels.layout import (
     ALPHA_MIN,
@@ -25,10 +24,11 @@ from tg4mm.rasterize.kernels.layout import (
     SPLAT_WIDTH,
     SQUARES,
 )
-from tg4mm.rasterize.kernels.memory import address, keep, load, number, put_number
-from tg4mm.rasterize.kernels.rows import planes_of_rows, planes_of_threes, store_rows
 from tg4mm.rasterize.kernels.sh import colour
-from tg4mm.rasterize.kernels.vector import LANES, bits, fma, select, wide
+from tg4mm.rasterize.simd import functions  # noqa: F401, roots and logarithms of vectors
+from tg4mm.rasterize.simd.memory import address, keep, load, number, put_number
+from tg4mm.rasterize.simd.rows import store_rows, transpose, transpose_threes
+from tg4mm.rasterize.simd.vector import LANES, broadcast, fma, movemask, select
 
 # Columns of `camera` [20] float32.
 FX, FY, CX, CY = 12, 13, 14, 15  # after W row-major (0..8) and t (9..11)
@@ -120,23 +120,21 @@ def _sixteen(
     means, quats, scales, opacities, features, starts, degree, with_depth, cam, width, height, splats
 ):
     """`project_forward` of sixteen Gaussians: addresses of the first one's rows. Of `features` only if degree >= 0."""
-    one, half, zero = float32(1.0), float32(0.5), wide(float32(0.0))
+    one, half, zero = float32(1.0), float32(0.5), broadcast(float32(0.0))
     eps2d, near, far = cam[EPS2D], cam[NEAR], cam[FAR]
-    mx, my, mz = planes_of_threes(load(means, 0), load(means, 16), load(means, 32))
+    mx, my, mz = transpose_threes(load(means, 0), load(means, 16), load(means, 32))
     x, y, z = camera_space(cam, mx, my, mz)
     opacity = load(opacities, 0)
     power = math.log(max(opacity, float32(1e-20)) / cam[LEAST_ALPHA])
     visible = (z > near) & (z < far) & (power > float32(0.0))
-    if bits(visible) == 0:
+    if movemask(visible) == 0:
         for k in range(LANES):
             put_number(splats, int64(k * SPLAT_WIDTH + POWER), float32(-1.0))
         return
-    qw, qx, qy, qz, _ = unit(
-        *planes_of_rows(load(quats, 0), load(quats, 16), load(quats, 32), load(quats, 48))
-    )
+    qw, qx, qy, qz, _ = unit(*transpose(load(quats, 0), load(quats, 16), load(quats, 32), load(quats, 48)))
     n00, n01, n02, n10, n11, n12, n20, n21, n22 = turned(cam, *rotation(qw, qx, qy, qz))
     # B = W R S, so that the camera-space covariance is B Bᵀ
-    s0, s1, s2 = planes_of_threes(load(scales, 0), load(scales, 16), load(scales, 32))
+    s0, s1, s2 = transpose_threes(load(scales, 0), load(scales, 16), load(scales, 32))
     b20, b21, b22 = n20 * s0, n21 * s1, n22 * s2
     iz = one / z
     jx, jy = cam[FX] * iz, cam[FY] * iz
@@ -156,7 +154,7 @@ def _sixteen(
     visible = visible & (u + ex >= half) & (u - ex <= width - half)
     visible = visible & (v + ey >= half) & (v - ey <= height - half)
     inv, red, green, blue = one / det, zero, zero, zero
-    if degree >= 0 and bits(visible) != 0:
+    if degree >= 0 and movemask(visible) != 0:
         ox, oy, oz = camera_centre(cam)
         dx, dy, dz = mx - ox, my - oy, mz - oz
         norm = one / math.sqrt(dx * dx + dy * dy + dz * dz)

@@ -13,9 +13,7 @@ import numpy as np
 from numba import float32, int64, njit, prange
 
 from tg4mm.rasterize.kernels.compiled import inlined, kernel
-from tg4mm.rasterize.kernels.lanes import load_block, store_block
 from tg4mm.rasterize.kernels.layout import CA, CB, CC, FEAT, FEATURES, MX, MY, OP, POWER, SPLAT_WIDTH
-from tg4mm.rasterize.kernels.memory import address, keep, load, store
 from tg4mm.rasterize.kernels.project import (
     CX,
     CY,
@@ -31,15 +29,17 @@ from tg4mm.rasterize.kernels.project import (
     unit,
     unpacked,
 )
-from tg4mm.rasterize.kernels.rows import (
-    load_columns,
-    planes_of_rows,
-    planes_of_threes,
-    rows_of_planes,
-    threes_of_planes,
-)
 from tg4mm.rasterize.kernels.sh import ROOM, colour_vjp
-from tg4mm.rasterize.kernels.vector import LANES, bits, select, wide
+from tg4mm.rasterize.simd.lanes import load_block, store_block
+from tg4mm.rasterize.simd.memory import address, keep, load, store
+from tg4mm.rasterize.simd.rows import (
+    interleave,
+    interleave_threes,
+    load_columns,
+    transpose,
+    transpose_threes,
+)
+from tg4mm.rasterize.simd.vector import LANES, broadcast, movemask, select
 
 _POSE = 12  # numbers of W and t
 
@@ -73,7 +73,7 @@ def _covariance_vjp(a, b, c, ga, gb, gc, p, q):
 def _add_three(at, visible, a, b, c):
     """Add three columns to sixteen rows of three numbers, 0 where not visible."""
     nothing = float32(0.0)
-    rows = threes_of_planes(
+    rows = interleave_threes(
         select(visible, a, nothing), select(visible, b, nothing), select(visible, c, nothing)
     )
     for k in range(3):
@@ -86,7 +86,7 @@ def _add_four(at, width, visible, a, b, c, d):
     nothing = float32(0.0)
     a, b = select(visible, a, nothing), select(visible, b, nothing)
     c, d = select(visible, c, nothing), select(visible, d, nothing)
-    rows = rows_of_planes(a, b, c, d)
+    rows = interleave(a, b, c, d)
     for k in range(4):
         place = 4 * k * width
         store_block(at, place, width, load_block(at, place, width) + rows[k])
@@ -101,7 +101,7 @@ def _axis(slope, centre, focal, size, reciprocal, v_slope, g):
     """
     held = clamped(slope, centre, focal, size)
     step = focal * reciprocal * reciprocal * v_slope
-    free, two, one = held == slope, wide(float32(2.0)), wide(float32(1.0))
+    free, two, one = held == slope, broadcast(float32(2.0)), broadcast(float32(1.0))
     along = focal * reciprocal * g - select(free, step, float32(0.0))
     return along, step * held * select(free, two, one) - focal * reciprocal * slope * g
 
@@ -115,7 +115,7 @@ def _sixteen(given, sums, view, cam, width, height, room):
     one, half, nothing = float32(1.0), float32(0.5), float32(0.0)
     record, v_record = load_columns(splats, int64(0)), load_columns(v_splats, int64(0))
     visible = record[POWER] > nothing
-    if bits(visible) == 0:
+    if movemask(visible) == 0:
         return
     a, b, c = record[CA], record[CB], record[CC]
     gu, gv, go = v_record[MX], v_record[MY], v_record[OP]
@@ -123,11 +123,11 @@ def _sixteen(given, sums, view, cam, width, height, room):
     if summed:
         gu, gv, go = a * gu + b * gv, b * gu + c * gv, go / record[OP]
         ga, gb, gc = -half * ga, -gb, -half * gc
-    mx, my, mz = planes_of_threes(load(means, int64(0)), load(means, int64(16)), load(means, int64(32)))
+    mx, my, mz = transpose_threes(load(means, int64(0)), load(means, int64(16)), load(means, int64(32)))
     x, y, z = camera_space(cam, mx, my, mz)
-    s0, s1, s2 = planes_of_threes(load(scales, int64(0)), load(scales, int64(16)), load(scales, int64(32)))
+    s0, s1, s2 = transpose_threes(load(scales, int64(0)), load(scales, int64(16)), load(scales, int64(32)))
     qw, qx, qy, qz, qinv = unit(
-        *planes_of_rows(
+        *transpose(
             load(quats, int64(0)), load(quats, int64(16)), load(quats, int64(32)), load(quats, int64(48))
         )
     )
@@ -175,7 +175,7 @@ def _sixteen(given, sums, view, cam, width, height, room):
     if with_depth:
         vcz = vcz + v_record[FEAT + FEATURES - 1]
     store(v_opacities, int64(0), load(v_opacities, int64(0)) + select(visible, go, nothing))
-    vx, vy, vz = wide(nothing), wide(nothing), wide(nothing)  # by the viewing direction
+    vx, vy, vz = broadcast(nothing), broadcast(nothing), broadcast(nothing)  # by the viewing direction
     if degree >= 0:
         ox, oy, oz = camera_centre(cam)
         dx, dy, dz = mx - ox, my - oy, mz - oz

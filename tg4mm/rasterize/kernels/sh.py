@@ -9,9 +9,9 @@ Of sixteen Gaussians at a time (`vector.py`).
 from numba import float32, int64
 
 from tg4mm.rasterize.kernels.compiled import inlined
-from tg4mm.rasterize.kernels.memory import load, load_first, number, store, store_first
-from tg4mm.rasterize.kernels.rows import columns, cycled, load_columns, planes_of_threes, store_rows, thrice
-from tg4mm.rasterize.kernels.vector import LANES, fma, wide
+from tg4mm.rasterize.simd.memory import load, load_first, number, store, store_first
+from tg4mm.rasterize.simd.rows import columns, cycled, load_columns, store_rows, thrice, transpose_threes
+from tg4mm.rasterize.simd.vector import LANES, broadcast, fma
 
 ROOM = (2 * LANES + 3) * LANES  # float32 that the gradient of sixteen Gaussians needs beside their own
 
@@ -30,7 +30,7 @@ C34 = float32(1.445305721320277)
 @inlined
 def basis(degree, x, y, z):
     """The 16 basis values of the unit directions (x, y, z); 0 above the degree."""
-    zero = wide(float32(0.0))
+    zero = broadcast(float32(0.0))
     b1, b2, b3, b4, b5, b6, b7, b8 = zero, zero, zero, zero, zero, zero, zero, zero
     b9, b10, b11, b12, b13, b14, b15 = zero, zero, zero, zero, zero, zero, zero
     xx, yy, zz = x * x, y * y, z * z
@@ -47,13 +47,13 @@ def basis(degree, x, y, z):
         b13 = -C32 * x * (float32(4.0) * zz - xx - yy)
         b14 = C34 * z * (xx - yy)
         b15 = -C30 * x * (xx - float32(3.0) * yy)
-    return wide(C0), b1, b2, b3, b4, b5, b6, b7, b8, b9, b10, b11, b12, b13, b14, b15
+    return broadcast(C0), b1, b2, b3, b4, b5, b6, b7, b8, b9, b10, b11, b12, b13, b14, b15
 
 
 @inlined
 def basis_vjp(degree, x, y, z, v):
     """Gradient by (x, y, z) of Σ v[k] · basis[k], the formulas above taken as polynomials; v: 16 vectors."""
-    vx, vy, vz = wide(float32(0.0)), wide(float32(0.0)), wide(float32(0.0))
+    vx, vy, vz = broadcast(float32(0.0)), broadcast(float32(0.0)), broadcast(float32(0.0))
     two, three, six, eight = float32(2.0), float32(3.0), float32(6.0), float32(8.0)
     xx, yy, zz = x * x, y * y, z * z
     if degree > 0:
@@ -129,7 +129,7 @@ def _three_vectors(place, degree, used):
     """A Gaussian's first `used` numbers of 48."""
     if degree > 2:
         return load(place, int64(0)), load(place, int64(LANES)), load(place, int64(2 * LANES))
-    zero = wide(float32(0.0))
+    zero = broadcast(float32(0.0))
     return load_first(place, int64(0), used), load_first(place, int64(LANES), used - LANES), zero
 
 
@@ -155,7 +155,7 @@ def colour_vjp(features, v_features, width, degree, x, y, z, g0, g1, g2, room):
             number(colours, int64(2 * LANES + n)),
         )
         f0, f1, f2 = _three_vectors(f, degree, used)
-        s0, s1, s2 = planes_of_threes(f0 * c0, f1 * c1, f2 * c2)
+        s0, s1, s2 = transpose_threes(f0 * c0, f1 * c1, f2 * c2)
         store(by_basis, int64(n * LANES), s0 + s1 + s2)
         v0, v1, v2 = _three_vectors(v_f, degree, used)
         v0, v1, v2 = fma(b0, c0, v0), fma(b1, c1, v1), fma(b2, c2, v2)

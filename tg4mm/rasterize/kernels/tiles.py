@@ -1,9 +1,9 @@
 """What all kernels that blend tiles share: where pixels lie, how a Gaussian's alphas come about, who takes which tile.
 
 A tile is 16 blocks of 4 × 4 pixels, a block one vector. A kernel keeps a row of planes for each block, its state:
-first the transmittance, then what it carries along. `ahead.py` says which blocks a Gaussian's ellipse may reach; the
-others are not touched. The exponent is a sum of two squares, p² + q² with p, q linear in the pixel, which keeps thin
-ellipses exact.
+first the transmittance, then what it carries along. `block_culling.py` finds the blocks that a Gaussian's ellipse may
+reach; the others are not touched. The exponent is a sum of two squares, p² + q² with p, q linear in the pixel, which
+keeps thin ellipses exact.
 
 A pixel that has stopped carries a negative transmittance: -T, of which nothing comes any more.
 
@@ -19,7 +19,6 @@ import numpy as np
 from numba import float32, get_num_threads, int64, uint32
 
 from tg4mm.rasterize.kernels.compiled import inlined, kernel
-from tg4mm.rasterize.kernels.functions import EXP2, EXP2_STEPS, exp2
 from tg4mm.rasterize.kernels.layout import (
     ALPHA_MAX,
     FEATURES,
@@ -27,12 +26,13 @@ from tg4mm.rasterize.kernels.layout import (
     T_MIN,
     TILE,
 )
-from tg4mm.rasterize.kernels.memory import ask_early, integer, load
-from tg4mm.rasterize.kernels.vector import LANES, select, wide
+from tg4mm.rasterize.simd.functions import EXP2, EXP2_STEPS, exp2
+from tg4mm.rasterize.simd.memory import integer, load, prefetch_far
+from tg4mm.rasterize.simd.vector import LANES, broadcast, select
 
 _SIDE = 4  # pixels of a block
 BLOCKS = TILE * TILE // LANES
-AHEAD = 32  # pairs whose Gaussians are asked for ahead of their use: they lie anywhere in memory
+PREFETCH = 32  # pairs whose Gaussians are prefetched ahead of their use: they lie anywhere in memory
 
 # What kernels read from memory: where pixels and blocks lie (lanes are pixels from their block's centre, then block
 # centres from the tile's corner), then constants that are to stay in registers.
@@ -90,32 +90,33 @@ def constants(table):
     As constants of the code they would be fetched anew, each with its address, in every round of a loop.
     """
     powers = (
-        wide(table[_POWERS]), wide(table[_POWERS + 1]), wide(table[_POWERS + 2]), wide(table[_POWERS + 3]),
-        wide(table[_POWERS + 4]), wide(table[_POWERS + 5]), wide(table[_POWERS + 6]), wide(table[_POWERS + 7]),
-        wide(table[_POWERS + 8]), wide(table[_POWERS + 9]),
+        broadcast(table[_POWERS]), broadcast(table[_POWERS + 1]), broadcast(table[_POWERS + 2]),
+        broadcast(table[_POWERS + 3]), broadcast(table[_POWERS + 4]), broadcast(table[_POWERS + 5]),
+        broadcast(table[_POWERS + 6]), broadcast(table[_POWERS + 7]), broadcast(table[_POWERS + 8]),
+        broadcast(table[_POWERS + 9]),
         load(table, int64(_STEPS)), load(table, int64(_STEPS + LANES)),
     )  # fmt: skip
     lanes = load(table, int64(0)), load(table, int64(LANES))
-    return lanes[0], lanes[1], powers, wide(table[_LIMITS]), wide(table[_LIMITS + 1])
+    return lanes[0], lanes[1], powers, broadcast(table[_LIMITS]), broadcast(table[_LIMITS + 1])
 
 
 @inlined
-def ask_for_pairs(splats, pair_gaussian, begin, end):
-    """Ask for the Gaussians of the first pairs of a list that comes later."""
-    for pair in range(begin, min(end, begin + 2 * AHEAD)):
-        ask_early(splats, int64(integer(pair_gaussian, pair)) * SPLAT_WIDTH)
+def prefetch_pairs(splats, pair_gaussian, begin, end):
+    """Prefetch the Gaussians of the first pairs of a later list."""
+    for pair in range(begin, min(end, begin + 2 * PREFETCH)):
+        prefetch_far(splats, int64(integer(pair_gaussian, pair)) * SPLAT_WIDTH)
 
 
 @inlined
-def ask_for_pixels(tile, n_x, frame, image, transmittance):
-    """Ask for the pixels of a tile that are needed later."""
+def prefetch_pixels(tile, n_x, frame, image, transmittance):
+    """Prefetch the pixels of a later tile."""
     width, height = frame
     x0, y0 = (tile % n_x) * TILE, (tile // n_x) * TILE
     for r in range(y0, min(y0 + TILE, height)):
         at = int64(r * width + x0)
-        ask_early(transmittance, at)
+        prefetch_far(transmittance, at)
         for c in range(FEATURES):
-            ask_early(image, at * FEATURES + c * LANES)
+            prefetch_far(image, at * FEATURES + c * LANES)
 
 
 @inlined

@@ -9,16 +9,16 @@ Blocks, tiles and state as in `tiles.py`; `linearised.py` says what the numbers 
 import numpy as np
 from numba import float32, int64, uint32
 
-from tg4mm.rasterize.kernels.ahead import ask_for_some, log2_alpha, look_ahead, reaching, room
+from tg4mm.rasterize.kernels.block_culling import fill_batch, log2_alpha, prefetch_gaussians, reaching, room
 from tg4mm.rasterize.kernels.compiled import inlined
 from tg4mm.rasterize.kernels.layout import MX, MY
-from tg4mm.rasterize.kernels.masks import highest_bits, shifted
-from tg4mm.rasterize.kernels.memory import address, load, store
 from tg4mm.rasterize.kernels.tiles import BLOCKS, aligned, alphas
-from tg4mm.rasterize.kernels.vector import LANES, bits, lowest_bit, select
+from tg4mm.rasterize.simd.masks import highest_bits, shifted
+from tg4mm.rasterize.simd.memory import address, load, store
+from tg4mm.rasterize.simd.vector import LANES, ctz, movemask, select
 
 KEPT = 5 * LANES  # numbers kept for each block: w, Tα, α/(1 - α), dx, dy
-BATCH = 32  # pairs looked at ahead
+BATCH = 32  # pairs of a batch
 _PLANES = room(BATCH)
 
 
@@ -27,8 +27,8 @@ def look_at_all(splats, pair_gaussian, first, last, end, x0, y0, faintest, held,
     """Of the pairs first … last what `weights` needs, and which blocks they may reach."""
     masks, at, _, _ = batch
     flat, gaussians = address(splats), address(pair_gaussian)
-    look_ahead(flat, gaussians, first, last, end, BATCH, (x0, y0), held[:2], faintest, at, True)
-    ask_for_some(flat, gaussians, last, BATCH, end)
+    fill_batch(flat, gaussians, first, last, end, BATCH, (x0, y0), held[:2], faintest, at, True)
+    prefetch_gaussians(flat, gaussians, last, BATCH, end)
     words = reaching(at, BATCH, int64(0))
     for n in range(BATCH):
         masks[BATCH - 1 - n] = highest_bits(words)
@@ -39,7 +39,7 @@ def look_at_all(splats, pair_gaussian, first, last, end, x0, y0, faintest, held,
 def look_at_reached(splats, pair_gaussian, reached, first, last, end, x0, y0, faintest, held, batch):
     """`look_at_all` where `blend_forward` has told which blocks are reached."""
     masks, at, _, _ = batch
-    look_ahead(
+    fill_batch(
         address(splats), address(pair_gaussian), first, last, end, BATCH, (x0, y0), held[:2], faintest, at, False
     )  # fmt: skip
     for n in range(last - first):
@@ -66,7 +66,7 @@ def weights(splats, i, n, live, x0, y0, faintest, table, held, state, stride, ba
     at_y = lane_y + (float32(y0) - splats[i, MY])
     todo, count = masks[n] & live, int64(count)
     while todo != 0:
-        k = lowest_bit(todo)
+        k = ctz(todo)
         todo &= todo - uint32(1)
         place = k * stride
         y = log2_alpha(planes, BATCH, n, k, lane_y)
@@ -85,7 +85,7 @@ def weights(splats, i, n, live, x0, y0, faintest, table, held, state, stride, ba
         store(kept, source + 3 * LANES, at_x + table[2 * LANES + k])
         store(kept, source + 4 * LANES, at_y + table[3 * LANES + k])
         found[count] = place
-        count += int64(bits(w > zero) != 0)
-        if bits(on) == 0:
+        count += int64(movemask(w > zero) != 0)
+        if movemask(on) == 0:
             live &= ~(uint32(1) << uint32(k))
     return count, live

@@ -9,9 +9,10 @@ import pytest
 from numba import njit
 from numba.core.errors import TypingError
 
-from tg4mm.rasterize.kernels.functions import exp2
-from tg4mm.rasterize.kernels.lanes import lane_sums, load_block, store_block
-from tg4mm.rasterize.kernels.masks import (
+from tg4mm.rasterize.kernels.tiles import TABLE, constants
+from tg4mm.rasterize.simd.functions import exp2
+from tg4mm.rasterize.simd.lanes import lane_sums, load_block, store_block
+from tg4mm.rasterize.simd.masks import (
     first_lanes,
     highest_bits,
     put_mask,
@@ -19,7 +20,7 @@ from tg4mm.rasterize.kernels.masks import (
     shifted,
     two_halves,
 )
-from tg4mm.rasterize.kernels.memory import (
+from tg4mm.rasterize.simd.memory import (
     address,
     integer,
     keep,
@@ -31,20 +32,19 @@ from tg4mm.rasterize.kernels.memory import (
     store,
     store_first,
 )
-from tg4mm.rasterize.kernels.rows import (
+from tg4mm.rasterize.simd.rows import (
     columns,
     cycled,
+    interleave,
+    interleave_threes,
     load_columns,
-    planes_of_rows,
-    planes_of_threes,
     row_starts,
-    rows_of_planes,
     store_rows,
-    threes_of_planes,
     thrice,
+    transpose,
+    transpose_threes,
 )
-from tg4mm.rasterize.kernels.tiles import TABLE, constants
-from tg4mm.rasterize.kernels.vector import LANES, bits, fma_where, lowest_bit, number_of_bits, select
+from tg4mm.rasterize.simd.vector import LANES, ctz, fma_where, movemask, popcount, select
 
 
 @njit
@@ -65,17 +65,17 @@ def _lane_sums(x: np.ndarray, out: np.ndarray) -> None:
 def _positive(x: np.ndarray, out: np.ndarray) -> int:
     value = load(x, 0)
     store(out, 0, select(value > np.float32(0), value, np.float32(-2)))
-    return bits(value > np.float32(0))
+    return movemask(value > np.float32(0))
 
 
 @njit
 def _planes(x: np.ndarray, out: np.ndarray, back: np.ndarray) -> None:
-    a, b, c, d = planes_of_rows(load(x, 0), load(x, 16), load(x, 32), load(x, 48))
+    a, b, c, d = transpose(load(x, 0), load(x, 16), load(x, 32), load(x, 48))
     store(out, 0, a)
     store(out, 16, b)
     store(out, 32, c)
     store(out, 48, d)
-    a, b, c, d = rows_of_planes(a, b, c, d)
+    a, b, c, d = interleave(a, b, c, d)
     store(back, 0, a)
     store(back, 16, b)
     store(back, 32, c)
@@ -134,14 +134,14 @@ def _add_where(x: np.ndarray, out: np.ndarray) -> None:
 def _through_addresses(x: np.ndarray, words: np.ndarray) -> None:
     at, of_words = address(x), address(words)
     put_number(at, 5, number(x, 2 * 3 + 1) + number(at, 0))
-    put_integer(of_words, 1, integer(of_words, 0) + number_of_bits(integer(of_words, 0)))
+    put_integer(of_words, 1, integer(of_words, 0) + popcount(integer(of_words, 0)))
     keep(x)
     keep(words)
 
 
 @njit
 def _lowest_bits(x: np.uint32, y: np.uint64) -> tuple[int, int]:
-    return lowest_bit(x), lowest_bit(y)
+    return ctz(x), ctz(y)
 
 
 @njit
@@ -167,11 +167,11 @@ def _compared(x: np.ndarray, out: np.ndarray) -> None:
 
 @njit
 def _threes(x: np.ndarray, out: np.ndarray, back: np.ndarray) -> None:
-    a, b, c = planes_of_threes(load(x, 0), load(x, LANES), load(x, 2 * LANES))
+    a, b, c = transpose_threes(load(x, 0), load(x, LANES), load(x, 2 * LANES))
     store(out, 0, a)
     store(out, LANES, b)
     store(out, 2 * LANES, c)
-    a, b, c = threes_of_planes(a, b, c)
+    a, b, c = interleave_threes(a, b, c)
     store(back, 0, a)
     store(back, LANES, b)
     store(back, 2 * LANES, c)

@@ -1,4 +1,4 @@
-"""Functions of sixteen numbers at once, of the type of `vector.py`: 2^x, and math's sqrt, log, ceil and floor."""
+"""Functions of vectors: exp2, and math's sqrt, log, ceil and floor."""
 
 from __future__ import annotations
 
@@ -10,18 +10,9 @@ from numba.core import cgutils
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin
 
-from tg4mm.rasterize.kernels.vector import (
-    FV,
-    I16,
-    I32,
-    IV,
-    LANES,
-    declare,
-    has_avx512,
-    vector,
-)
+from tg4mm.rasterize.simd.vector import FV, I16, I32, IV, LANES, declare, has_avx512, vector
 
-# of `vreduceps`: to the nearest without saying that it is inexact; exceptions as they are set
+# of `vreduceps`: round to nearest, suppress the inexact exception; exception mode as set
 _QUIET, _AS_SET = 8, 4
 # 2^f for |f| <= 1/2, least relative error, 1.2e-7, by iterated weighted least squares; last, what rounds a float32 by
 # being added to it: the sum's last binary digit is worth 1
@@ -72,8 +63,8 @@ def exp2(typingctx, x, constants):
     """2^x for -126 <= x <= 0; below, any value. Relative error below 3e-7. constants: EXP2 and EXP2_STEPS, vectors.
 
     2^n · 2^f with n the nearest integer and |f| <= 1/2, a polynomial for 2^f. The low bits of x + 1.5 · 2^23 are n.
-    With AVX-512 it is the nearest 1/32, whose fraction is looked up, and the rest takes three multiplications instead
-    of five: of those blending has most.
+    With AVX-512 n is the nearest multiple of 1/32, whose power is looked up, and the polynomial takes three
+    multiplications instead of five.
     """
 
     def codegen(context, builder, sig, args):

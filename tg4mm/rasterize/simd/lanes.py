@@ -1,7 +1,4 @@
-"""Vectors across their lanes: sums, blocks of a picture.
-
-Of the type of `vector.py`. No operation depends on the order of threads.
-"""
+"""Sums across the lanes of vectors by a fixed tree, and loads and stores of parts of vectors."""
 
 from __future__ import annotations
 
@@ -9,15 +6,8 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from tg4mm.rasterize.kernels.memory import data_at
-from tg4mm.rasterize.kernels.vector import (
-    F32,
-    FV,
-    I64,
-    LANES,
-    constant_lanes,
-    vector,
-)
+from tg4mm.rasterize.simd.memory import data_at
+from tg4mm.rasterize.simd.vector import F32, FV, I64, LANES, constant_lanes, vector
 
 
 def _picked(builder, a, b, picks):
@@ -89,6 +79,25 @@ def _store_parts(context, builder, sig, args, parts):
         place = builder.gep(data, [builder.add(args[1], ir.Constant(I64, first))])
         builder.store(part, builder.bitcast(place, kind.as_pointer()), align=4)
     return context.get_dummy_value()
+
+
+def _eight(lanes):
+    """An intrinsic that loads eight numbers of a contiguous float32 array [n] and shuffles them; lane 8 is a zero."""
+
+    def typed(typingctx, array, index):
+        def codegen(context, builder, sig, args):
+            place = builder.gep(data_at(context, builder, sig.args[0], args[0]), [args[1]])
+            kind = ir.VectorType(F32, 8)
+            eight = builder.load(builder.bitcast(place, kind.as_pointer()), align=4)
+            return builder.shuffle_vector(eight, ir.Constant(kind, None), constant_lanes(lanes))
+
+        return vector(array, types.int64), codegen
+
+    return intrinsic(typed)
+
+
+load_eight = _eight([*range(8), *[8] * 8])  # then eight zeros
+load_twice = _eight([*range(8)] * 2)
 
 
 @intrinsic

@@ -1,7 +1,4 @@
-"""Rows of a table turned round: a lane a row, a vector a column, and back.
-
-Of the type of `vector.py`. No operation depends on the order of threads.
-"""
+"""Transposes: sixteen rows of a table to columns, a lane a row, and back (array of structures, structure of arrays)."""
 
 from __future__ import annotations
 
@@ -10,8 +7,8 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from tg4mm.rasterize.kernels.memory import data_at
-from tg4mm.rasterize.kernels.vector import (
+from tg4mm.rasterize.simd.memory import data_at
+from tg4mm.rasterize.simd.vector import (
     F32,
     FV,
     I32,
@@ -58,8 +55,8 @@ def _together(builder, parts):
 
 
 @intrinsic
-def rows_of_planes(typingctx, a, b, c, d):
-    """Four channels of a block, a lane a pixel, to the block's four rows, channels of a pixel side by side."""
+def interleave(typingctx, a, b, c, d):
+    """The inverse of `transpose`: four channels, a lane a pixel, to pixels with their channels side by side."""
 
     def codegen(context, builder, sig, args):
         rows = _of_fours(builder, *_within_fours(builder, *args))
@@ -69,8 +66,8 @@ def rows_of_planes(typingctx, a, b, c, d):
 
 
 @intrinsic
-def planes_of_rows(typingctx, a, b, c, d):
-    """The inverse of `rows_of_planes`."""
+def transpose(typingctx, a, b, c, d):
+    """Sixteen rows of four numbers, one behind the other in four vectors, to their four columns."""
 
     def codegen(context, builder, sig, args):
         planes = _within_fours(builder, *_of_fours(builder, *args))
@@ -134,7 +131,7 @@ def _chosen(builder, vectors, wanted):
 
 
 @intrinsic
-def planes_of_threes(typingctx, a, b, c):
+def transpose_threes(typingctx, a, b, c):
     """Sixteen rows of three numbers, one behind the other in three vectors, to their three columns."""
 
     def codegen(context, builder, sig, args):
@@ -145,8 +142,8 @@ def planes_of_threes(typingctx, a, b, c):
 
 
 @intrinsic
-def threes_of_planes(typingctx, a, b, c):
-    """The inverse of `planes_of_threes`."""
+def interleave_threes(typingctx, a, b, c):
+    """The inverse of `transpose_threes`."""
 
     def codegen(context, builder, sig, args):
         places = [k % 3 * LANES + k // 3 for k in range(3 * LANES)]
@@ -208,7 +205,7 @@ def store_rows(typingctx, place, index, columns):
 
 @intrinsic
 def load_columns(typingctx, place, index):
-    """The inverse of `store_rows`. What of it nobody uses is not calculated."""
+    """The inverse of `store_rows`. LLVM removes columns that are not used."""
 
     def codegen(context, builder, sig, args):
         data, kind = data_at(context, builder, sig.args[0], args[0]), ir.VectorType(F32, 4)

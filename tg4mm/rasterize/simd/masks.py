@@ -1,6 +1,6 @@
-"""Masks of sixteen lanes in memory, and what can be made of many of them.
+"""Masks of sixteen lanes in memory, 16 bits each, and bit operations on many of them at once.
 
-Sixteen words of 32 bits are a vector of `vector.py` whose numbers nobody reads as such.
+Sixteen words of 32 bits are a vector of `vector.py` that is not read as float32.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from tg4mm.rasterize.kernels.vector import FV, I16, I32, I64, IV, LANES, MV, as_lanes, declare, mask, vector
+from tg4mm.rasterize.simd.vector import FV, I16, I32, I64, IV, LANES, MV, as_lanes, declare, mask, vector
 
 _NUMBERED = ir.Constant(IV, [ir.Constant(I32, k) for k in range(LANES)])
 
@@ -28,7 +28,7 @@ def put_mask(typingctx, at, index, condition):
 
 @intrinsic
 def two_halves(typingctx, at, index):
-    """Sixteen times 32 bits: of sixteen times 16 bits, from the index-th of an address on, and the sixteen after."""
+    """Sixteen words of 32 bits from 32 of 16 bits at an address: the first sixteen are low halves, the others high."""
 
     def codegen(context, builder, sig, args):
         kind = ir.VectorType(I16, LANES)
@@ -53,7 +53,7 @@ def two_halves(typingctx, at, index):
 
 @intrinsic
 def not_empty(typingctx, at, index):
-    """Which of 32 masks have a lane, as an integer: a bit a mask. The first is the index-th 16 bits of an address."""
+    """Which of 32 masks are not empty, as an integer: a bit a mask. The first is the index-th 16 bits of an address."""
 
     def codegen(context, builder, sig, args):
         kind = ir.VectorType(I16, 2 * LANES)
@@ -87,7 +87,7 @@ def highest_bits(typingctx, words):
 
 @intrinsic
 def put_places(typingctx, at, index, bits, base):
-    """Write base + k for each bit k of `bits` that is set, then zeros: sixteen uint32, from the index-th on."""
+    """Write base + k for each bit k of `movemask` that is set, then zeros: sixteen uint32, from the index-th on."""
 
     def codegen(context, builder, sig, args):
         at, index, bits, base = args

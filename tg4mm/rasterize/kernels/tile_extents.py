@@ -1,4 +1,4 @@
-"""Which tiles the ellipses of Gaussians reach, row by row of tiles: sixteen Gaussians at a time, a lane a Gaussian.
+"""Tile extents of Gaussians: which tiles an ellipse reaches, by row of tiles; sixteen at a time, a lane a Gaussian.
 
 An ellipse cut by a band of pixels is convex, so its extent in x is taken either at its own extreme point or at the
 nearer edge of the band: exact, no bounding box.
@@ -11,19 +11,19 @@ import math
 
 from numba import float32, int64
 
-from tg4mm.rasterize.kernels import functions  # noqa: F401, roots of vectors and whole numbers near them
 from tg4mm.rasterize.kernels.compiled import inlined
 from tg4mm.rasterize.kernels.layout import CC, EX, EY, MX, SQUARES, TILE
-from tg4mm.rasterize.kernels.masks import first_lanes
-from tg4mm.rasterize.kernels.memory import number, store
-from tg4mm.rasterize.kernels.rows import columns, row_starts
-from tg4mm.rasterize.kernels.vector import LANES, bits, select, wide
+from tg4mm.rasterize.simd import functions  # noqa: F401, roots of vectors and whole numbers near them
+from tg4mm.rasterize.simd.masks import first_lanes
+from tg4mm.rasterize.simd.memory import number, store
+from tg4mm.rasterize.simd.rows import columns, row_starts
+from tg4mm.rasterize.simd.vector import LANES, broadcast, movemask, select
 
 _STARTS, _FIRST_ROW, _LAST_ROW, _SPANS = 0, LANES, 2 * LANES, 3 * LANES  # places in the room
 
 
 @inlined
-def outline_room(n_y):
+def extents_room(n_y):
     """float32 that sixteen Gaussians need in a picture of n_y rows of tiles."""
     return _SPANS + 2 * LANES * n_y
 
@@ -37,7 +37,7 @@ def _tiles(low, high, n):
 
 
 @inlined
-def outlines(splats, order, k, count, n_x, n_y, room):
+def tile_extents(splats, order, k, count, n_x, n_y, room):
     """Of the Gaussians that stand at k … k + count - 1, at most 16, in `order`: the tiles they reach, to `room`.
 
     splats, order, room: addresses. For `tile_rows` and `tiles_of_row`.
@@ -58,7 +58,7 @@ def outlines(splats, order, k, count, n_x, n_y, room):
     store(room, int64(_FIRST_ROW), first_row)
     store(room, int64(_LAST_ROW), last_row)
     row, place = first_row, int64(_SPANS)
-    while bits(last_row >= row) != 0:
+    while movemask(last_row >= row) != 0:
         top = row * float32(TILE) + half - my
         low, high = max(top, -ey), min(top + float32(TILE - 1), ey)
         right_y, left_y = min(max(tangent, low), high), min(max(-tangent, low), high)
@@ -67,7 +67,7 @@ def outlines(splats, order, k, count, n_x, n_y, room):
         left = x + slope * left_y - r11 * math.sqrt(max(limit - left_q * left_q, zero))
         first, last = _tiles(left, right, n_x)
         store(room, place, first)
-        store(room, place + LANES, select(high >= low, last, wide(float32(-1.0))))
+        store(room, place + LANES, select(high >= low, last, broadcast(float32(-1.0))))
         row, place = row + float32(1.0), place + 2 * LANES
 
 

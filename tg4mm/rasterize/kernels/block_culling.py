@@ -1,9 +1,8 @@
-"""Looking ahead at the Gaussians of a tile's list, sixteen at a time: a lane a Gaussian.
+"""Block culling: which blocks of 4 × 4 pixels of a tile each Gaussian may reach; a lane a Gaussian.
 
-What blending needs to know of a Gaussian before it comes to pixels is a handful of numbers and which of the tile's
-blocks its ellipse may reach. Calculated for one Gaussian with a lane a block, each of these numbers would have to be
-spread over the lanes first. Here sixteen records are turned round instead, and a block's answer, a mask of Gaussians,
-is just what a loop over blocks wants.
+Before its pixels, blending needs a handful of numbers of a Gaussian and the blocks its ellipse may reach. With a lane a
+block each of these numbers would have to be broadcast first. Here sixteen records are transposed instead, and a block's
+result is a mask of Gaussians, which is what a loop over blocks wants.
 
 A batch is a table in memory: planes as long as the batch, a number a Gaussian; then a vector a Gaussian; then, for
 every sixteen Gaussians, sixteen masks of 16 bits, one a block.
@@ -15,13 +14,13 @@ every sixteen Gaussians, sixteen masks of 16 bits, one a block.
 from numba import float32, int64
 
 from tg4mm.rasterize.kernels.compiled import inlined
-from tg4mm.rasterize.kernels.lanes import store_eight
 from tg4mm.rasterize.kernels.layout import EX, MX, SQUARES
-from tg4mm.rasterize.kernels.masks import first_lanes, put_mask, two_halves
-from tg4mm.rasterize.kernels.memory import ask, integer, load, number, store
-from tg4mm.rasterize.kernels.rows import columns, row_starts
-from tg4mm.rasterize.kernels.tiles import AHEAD, BLOCKS
-from tg4mm.rasterize.kernels.vector import LANES, fma, select, wide
+from tg4mm.rasterize.kernels.tiles import BLOCKS, PREFETCH
+from tg4mm.rasterize.simd.lanes import store_eight
+from tg4mm.rasterize.simd.masks import first_lanes, put_mask, two_halves
+from tg4mm.rasterize.simd.memory import integer, load, number, prefetch, store
+from tg4mm.rasterize.simd.rows import columns, row_starts
+from tg4mm.rasterize.simd.vector import LANES, broadcast, fma, select
 
 _TOP, _ROW, _L11, _L12, _L22 = BLOCKS + 4, BLOCKS + 5, BLOCKS + 6, BLOCKS + 7, BLOCKS + 8
 _PLANES = BLOCKS + 9  # how many: p at the centres of the blocks, q at those of their rows, then the above
@@ -98,29 +97,29 @@ def _sixteen(splats, rows, n, size, origin, faintest, count, batch, tested):
 
 
 @inlined
-def ask_for_some(splats, pair_gaussian, first, count, end):
-    """Ask for the Gaussians of `count` pairs from `first` on of a list that ends at `end`.
+def prefetch_gaussians(splats, pair_gaussian, first, count, end):
+    """Prefetch the Gaussians of `count` pairs from `first` on of a list that ends at `end`.
 
-    Best a few at a time: the processor waits for some twelve lines at once, and stands still if asked for more.
+    Best a few at a time: a core has some twelve line fill buffers and stalls when they are full.
     """
     for pair in range(min(first, end), min(first + count, end)):
-        ask(splats, int64(integer(pair_gaussian, pair)) << 4)
+        prefetch(splats, int64(integer(pair_gaussian, pair)) << 4)
 
 
 @inlined
-def look_ahead(splats, pair_gaussian, first, last, end, size, origin, lanes, faintest, batch, tested):
+def fill_batch(splats, pair_gaussian, first, last, end, size, origin, lanes, faintest, batch, tested):
     """Fill `batch`, room for `size`, with the pairs first … last of a list that ends at `end`.
 
     origin: first pixel of the tile; lanes: x and y of pixels from their block's centre; faintest: log2 of the smallest
-    alpha that counts. tested: also find out which blocks each may reach, for `reaching`; who wants that asks for later
-    pairs (`ask_for_some`) himself.
+    alpha that counts. tested: also find the blocks each may reach, for `reaching`; the caller then prefetches later
+    pairs (`prefetch_gaussians`) itself.
     """
     for n in range(last - first, size, LANES):
         if tested:
-            store_eight(batch, (_PLANES + _OWN) * size + n // LANES * LANES // 2, wide(float32(0.0)))
+            store_eight(batch, (_PLANES + _OWN) * size + n // LANES * LANES // 2, broadcast(float32(0.0)))
     for n in range(0, last - first, LANES):
         if not tested:
-            ask_for_some(splats, pair_gaussian, first + n + AHEAD, LANES, end)
+            prefetch_gaussians(splats, pair_gaussian, first + n + PREFETCH, LANES, end)
         count = min(last - first - n, int64(LANES))
         rows = row_starts(pair_gaussian, first + n, count)
         store(batch, _ROW * size + n, rows)

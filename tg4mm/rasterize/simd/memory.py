@@ -1,8 +1,8 @@
-"""Memory as kernels see it: loads and stores of vectors and numbers, what is asked for ahead, a shared counter.
+"""Memory: loads and stores of vectors and numbers, prefetches, an atomic counter.
 
 A place is a contiguous array, or the address of one (`address`). Loops that take arrays from tuples or slice them pay
-for numba's counting of references, two calls for each, with all vector registers saved around them; addresses are plain
-numbers.
+for numba's reference counting, two calls for each, with all vector registers saved around them; addresses are plain
+integers. Nothing is checked.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from tg4mm.rasterize.kernels.vector import F32, FV, I32, I64, IV, LANES, as_lanes, declare, vector
+from tg4mm.rasterize.simd.vector import F32, FV, I32, I64, IV, LANES, as_lanes, declare, vector
 
 _NEAR, _FAR = 3, 2  # where prefetched lines go: the first cache, the second
 
@@ -35,10 +35,10 @@ def _contiguous(place):
 
 @intrinsic
 def address(typingctx, array):
-    """Where a contiguous array lies, of numbers of 32 or 16 bits.
+    """The address of a contiguous array of 32- or 16-bit numbers.
 
-    One made in the kernel must be used once more after the last access (`keep`), or it is gone before; its arguments
-    are held by the caller.
+    An array made in the kernel must be used once more after the last access (`keep`), or it is freed before; arrays
+    that are the kernel's arguments are held by the caller.
     """
 
     def codegen(context, builder, sig, args):
@@ -50,7 +50,7 @@ def address(typingctx, array):
 
 @intrinsic
 def keep(typingctx, array):
-    """Nothing, but until here the array is there."""
+    """Does nothing, but keeps the array alive until here."""
     return types.none(array), lambda context, builder, sig, args: context.get_dummy_value()
 
 
@@ -152,36 +152,36 @@ def put_integer(typingctx, at, index, value):
     return types.none(types.int64, types.int64, types.uint32), codegen
 
 
-def _prefetch(builder, pointer, how_near):
+def _prefetch(builder, pointer, level):
     kind = ir.IntType(8).as_pointer()
     f = declare(builder, "llvm.prefetch.p0", ir.VoidType(), [kind, I32, I32, I32])
-    hints = [ir.Constant(I32, x) for x in (0, how_near, 1)]  # to read, data
+    hints = [ir.Constant(I32, x) for x in (0, level, 1)]  # to read, data
     builder.call(f, [builder.bitcast(pointer, kind), *hints])
 
 
-def _asking(how_near):
+def _prefetching(level):
     def codegen(context, builder, sig, args):
-        _prefetch(builder, _entry(context, builder, sig, args), how_near)
+        _prefetch(builder, _entry(context, builder, sig, args), level)
         return context.get_dummy_value()
 
     return codegen
 
 
 @intrinsic
-def ask(typingctx, place, index):
-    """Ask for the cache line of float32 `index` of a place ahead of its use."""
-    return types.none(place, types.int64), _asking(_NEAR)
+def prefetch(typingctx, place, index):
+    """Prefetch the cache line of float32 `index` of a place, into the first cache."""
+    return types.none(place, types.int64), _prefetching(_NEAR)
 
 
 @intrinsic
-def ask_early(typingctx, place, index):
-    """`ask`, for what is needed later: into the second cache."""
-    return types.none(place, types.int64), _asking(_FAR)
+def prefetch_far(typingctx, place, index):
+    """`prefetch` into the second cache, for later use."""
+    return types.none(place, types.int64), _prefetching(_FAR)
 
 
 @intrinsic
-def prefetch(typingctx, array, row):
-    """Ask for the first cache line of a row of the C-ordered array [n, m] ahead of its use."""
+def prefetch_row(typingctx, array, row):
+    """Prefetch the first cache line of a row of the C-ordered array [n, m], into the first cache."""
 
     def codegen(context, builder, sig, args):
         made = context.make_array(sig.args[0])(context, builder, args[0])
@@ -195,7 +195,7 @@ def prefetch(typingctx, array, row):
 
 @intrinsic
 def fetch_add(typingctx, array):
-    """Add 1 to the first entry of an int64 array and return what it was, atomically: a thread takes its next item."""
+    """Atomically add 1 to the first entry of an int64 array and return the old value: a thread takes its next item."""
 
     def codegen(context, builder, sig, args):
         data = context.make_array(sig.args[0])(context, builder, args[0]).data

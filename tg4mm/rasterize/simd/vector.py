@@ -1,8 +1,7 @@
-"""Sixteen float32 side by side as a numba type: a kernel says itself what one vector instruction does.
+"""Sixteen float32 as a numba type, its operators and masks.
 
-LLVM's loop vectoriser decides by the shape of a loop and checks for aliasing; here nothing is left to decide. The
-type is LLVM's <16 x float>: one register with AVX-512, two with AVX2, four with SSE or NEON. `a * b + c` is not
-fused; `fma` is, where the processor can. No operation depends on the order of threads.
+The type is LLVM's <16 x float>: one register with AVX-512, two with AVX2, four with SSE or NEON. `a * b + c` is not
+fused; `fma` is, where the processor can.
 """
 
 from __future__ import annotations
@@ -51,7 +50,7 @@ class _MaskModel(models.PrimitiveModel):
 
 
 def constant_lanes(lanes):
-    """Which lanes a shuffle takes."""
+    """The mask operand of a shuffle."""
     picked = [ir.Constant(I32, k) for k in lanes]
     return ir.Constant(ir.VectorType(I32, len(picked)), picked)
 
@@ -131,7 +130,7 @@ def declare(builder, name, result, arguments):
 
 
 @intrinsic
-def wide(typingctx, x):
+def broadcast(typingctx, x):
     """A float32 in all lanes."""
     return vector(types.float32), lambda context, builder, sig, args: as_lanes(builder, args[0])
 
@@ -176,7 +175,7 @@ def select(typingctx, condition, a, b):
 
 
 @intrinsic
-def bits(typingctx, condition):
+def movemask(typingctx, condition):
     """The mask as an integer: lane k is bit k."""
 
     def codegen(context, builder, sig, args):
@@ -186,8 +185,8 @@ def bits(typingctx, condition):
 
 
 @intrinsic
-def lowest_bit(typingctx, x):
-    """The index of the lowest bit of a uint32 or uint64 that is set; x must not be 0."""
+def ctz(typingctx, x):
+    """Count of trailing zeros of a uint32 or uint64: the index of its lowest set bit; x must not be 0."""
 
     def codegen(context, builder, sig, args):
         kind = args[0].type
@@ -199,8 +198,8 @@ def lowest_bit(typingctx, x):
 
 
 @intrinsic
-def number_of_bits(typingctx, x):
-    """How many bits of a uint32 are set."""
+def popcount(typingctx, x):
+    """The number of set bits of a uint32."""
 
     def codegen(context, builder, sig, args):
         return builder.call(declare(builder, "llvm.ctpop.i32", I32, [I32]), args)
@@ -209,7 +208,7 @@ def number_of_bits(typingctx, x):
 
 
 def has_avx512(context):
-    """Is the code for a processor that looks up 32 numbers at once, masks what it calculates and has `vreduceps`?"""
+    """Whether the target has AVX-512 (DQ): 32-entry look-ups, masked arithmetic, `vreduceps`."""
     return "+avx512dq" in context.codegen().magic_tuple()[2]
 
 
