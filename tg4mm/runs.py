@@ -134,7 +134,7 @@ class Run:
             "displacement": torch.tensor(np.asarray(motion.displacement, dtype=np.complex64)),
             "rotation": torch.tensor(np.asarray(motion.rotation, dtype=np.complex64)),
         }
-        if (light := motion.light) is not None:
+        if (light := motion.appearance) is not None:
             values = light.shapes.astype(np.float32), light.series.astype(np.complex128)
             tensors |= {k: torch.tensor(v) for k, v in zip(_LIGHT_FIELDS, values, strict=True)}
         self._write("motion", tensors, fps=motion.fps, n_timesteps=motion.n_timesteps)
@@ -155,7 +155,7 @@ class Run:
             **arrays,
             fps=float(extra["fps"]),
             n_timesteps=int(extra["n_timesteps"]),
-            light=AppearanceModes(*lit) if lit else None,
+            appearance=AppearanceModes(*lit) if lit else None,
         )
         self._check_motion(motion, str(file))
         return motion
@@ -171,7 +171,7 @@ class Run:
                     f"{name}: {field} has shape {shape}, expected {expected}: "
                     f"{expected[0]} frequencies of the {n} Gaussians in {self._file('space')}"
                 )
-        light, sh = motion.light, gaussians.sh.shape
+        light, sh = motion.appearance, gaussians.sh.shape
         if light is not None and not light.fits(expected[0], sh):
             raise RunError(
                 f"{name}: light has shapes {light.shapes.shape} {light.shapes.dtype} and series {light.series.shape} "

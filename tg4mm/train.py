@@ -13,8 +13,8 @@ from tg4mm.device import check_device
 from tg4mm.errors import Tg4mmError
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.config import checked as checked_motion
-from tg4mm.motion.pictures.video import fixed_cameras
-from tg4mm.motion.train import train_motion
+from tg4mm.motion.observations import frames_of
+from tg4mm.motion.stage import train_motion
 from tg4mm.paper import PAPER, PAPER_SMALL, first_views, train_timesteps, train_triplane
 from tg4mm.paper.config import base_config
 from tg4mm.paper.config import checked as checked_paper
@@ -82,7 +82,7 @@ def train(
     _check(configs)
     capture = load_capture(dataset, split="train")
     if capture.n_timesteps > 1 and "motion" in configs:
-        fixed_cameras(capture)  # raises where no camera stays put
+        frames_of(capture)  # raises where too few pictures show motion
     with claimed(run_path):
         return _train(Path(run_path), capture, preset, configs, device)
 

@@ -64,7 +64,7 @@ class Method:
         assert self.motion is not None
         both = np.concatenate([self.motion.displacement, self.motion.rotation], axis=2)
         has_re, has_im = both.real.any(axis=(1, 2)), both.imag.any(axis=(1, 2))
-        if (light := self.motion.light) is None:
+        if (light := self.motion.appearance) is None:
             return has_re, has_im
         return has_re | light.parts[0], has_im | light.parts[1]
 

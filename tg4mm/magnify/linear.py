@@ -34,7 +34,7 @@ def magnified_motion(motion: ModalMotion, plan: Magnification) -> ModalMotion:
     freqs, phasors = series_modes(series, motion.fps)
     factors = 1 + plan.response(freqs, motion.fps)
     phasors = phasors * factors.astype(np.complex64)[:, None, None]
-    light = motion.light
+    light = motion.appearance
     if light is not None:
         values = np.stack([light.coefficients(mode_gains(motion, t, 0.0, None)) for t in steps])
         series = series_modes(values, motion.fps)[1].astype(np.complex128)

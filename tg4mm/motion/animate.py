@@ -78,10 +78,10 @@ def animate(
     shift = torch.from_numpy(displacement_at(motion, t, alpha, band)).to(like)
     rotation = torch.from_numpy(rotation_at(motion, t, alpha, band)).to(like)
     sh = gaussians.sh
-    if motion.light is not None:
-        coefficients = motion.light.coefficients(mode_gains(motion, t, alpha, band))
+    if motion.appearance is not None:
+        coefficients = motion.appearance.coefficients(mode_gains(motion, t, alpha, band))
         sh = apply_appearance(
-            sh, torch.from_numpy(motion.light.shapes).to(sh), torch.from_numpy(coefficients).to(sh)
+            sh, torch.from_numpy(motion.appearance.shapes).to(sh), torch.from_numpy(coefficients).to(sh)
         )
     return replace(gaussians, means=like + shift, quats=rotated(gaussians.quats, rotation), sh=sh)
 
@@ -99,7 +99,7 @@ def animator(gaussians: Gaussians, motion: ModalMotion | None) -> Callable[..., 
         raise ValueError(
             f"the motion has {motion.displacement.shape[1]} Gaussians, the scene {len(gaussians)}"
         )
-    shapes = None if motion.light is None else torch.from_numpy(motion.light.shapes).to(device)
+    shapes = None if motion.appearance is None else torch.from_numpy(motion.appearance.shapes).to(device)
     return partial(
         _animate_on_device, gaussians, motion, _phasors_on(device, motion), appearance_fields=shapes
     )
@@ -125,8 +125,8 @@ def _animate_on_device(
     change = (factors.to(phasors.device) @ phasors).reshape(-1, 6)
     means, quats = gaussians.means + change[:, :3], rotated(gaussians.quats, change[:, 3:])
     sh = gaussians.sh
-    if motion.light is not None and appearance_fields is not None:
+    if motion.appearance is not None and appearance_fields is not None:
         sh = apply_appearance(
-            sh, appearance_fields, torch.from_numpy(motion.light.coefficients(gains)).to(sh)
+            sh, appearance_fields, torch.from_numpy(motion.appearance.coefficients(gains)).to(sh)
         )
     return replace(gaussians, means=means, quats=quats, sh=sh)

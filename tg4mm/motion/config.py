@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from tg4mm.errors import Tg4mmError
 
 _AS_CONFIGURED = 16_000  # Gaussians: up to so many the iterations are as they are set
+NUISANCE = ("auto", "none", "exposure", "all")
 
 
 @dataclass(frozen=True)
@@ -15,18 +16,17 @@ class MotionConfig:
     """How the motion is fitted. The weights are relative to what the images say about a Gaussian on average."""
 
     components: int = 16  # at most so many temporal components; fewer where the rest is noise
-    neighbours: float = 0.0  # weight of the term that makes neighbours move alike; 0: found from the images
+    smoothness_weight: float = 0.0  # of the prior that neighbours move alike; 0: found from the images
     ridge: float = 1e-3  # weight that draws motion to zero where nothing is known
     # of conjugate gradients, at most, for each component of up to 16,000 Gaussians; of N > 16,000 (N / 16,000)^⅔ times
     # as many
     iterations: int = 14
     tolerance: float = 3e-3  # relative residual at which conjugate gradients stop
-    # fit each half of the cameras by itself and take the mean, which costs no more: `halves.py`
-    halves: bool = True
-    # at most, where 1 % of what is seen moves by more than 0.7 pixels; 0: the linear fit alone: `rounds.py`
-    rounds: int = 4
-    # fit what motion leaves of the pictures by changes of colour, magnified along with it: `light/`
-    light: bool = True
+    split_half: bool = True  # fit each half of the data by itself and take the mean
+    gauss_newton: int = 4  # iterations at most, where 1 % of what is seen moves by more than 0.7 pixels
+    appearance: bool = True  # fit what motion leaves of the pictures by changes of colour, magnified along with it
+    # projected out of every frame: auto finds out; none; exposure (gain and offset); all (exposure and camera pose)
+    nuisance: str = "auto"
     seed: int = 0
 
 
@@ -34,11 +34,15 @@ def checked(config: MotionConfig) -> MotionConfig:
     """`config`. Raises Tg4mmError on a value out of range."""
     checks = {
         "components": (config.components >= 1, ">= 1"),
-        "neighbours": (math.isfinite(config.neighbours) and config.neighbours >= 0, ">= 0"),
+        "smoothness_weight": (
+            math.isfinite(config.smoothness_weight) and config.smoothness_weight >= 0,
+            ">= 0",
+        ),
         "ridge": (math.isfinite(config.ridge) and config.ridge > 0, "> 0"),
         "iterations": (config.iterations >= 1, ">= 1"),
         "tolerance": (1e-6 <= config.tolerance < 1, "1e-6 (what float32 holds) to 1"),
-        "rounds": (config.rounds >= 0, ">= 0"),
+        "gauss_newton": (config.gauss_newton >= 0, ">= 0"),
+        "nuisance": (config.nuisance in NUISANCE, ", ".join(NUISANCE)),
         "seed": (0 <= config.seed < 1 << 63, "0 to 2⁶³ − 1"),
     }
     for name, (good, expected) in checks.items():
@@ -50,8 +54,8 @@ def checked(config: MotionConfig) -> MotionConfig:
 def more_iterations(n_gaussians: int) -> float:
     """How many times as many iterations so many Gaussians take as up to 16,000, 1 or more.
 
-    The coarse level of the solver has the same number of groups for all scenes; the more Gaussians a group has, the
-    more iterations its own shape takes (docs/decisions.md, "more Gaussians, more iterations").
+    The coarse level of the preconditioner has the same number of aggregates for all scenes; the more Gaussians an
+    aggregate has, the more iterations its own shape takes.
     """
     return float(max(n_gaussians / _AS_CONFIGURED, 1.0) ** (2 / 3))
 

@@ -13,7 +13,7 @@ from tg4mm.motion.appearance_modes import AppearanceModes
 class ModalMotion:
     """x(t, α) = x + Σ_k (1 + α·g_k) Re[m_k exp(i 2π f_k t / fps)], g_k = 1 for f_k inside the band, else 0.
 
-    `light`, if any, changes the Gaussians' colours by the same modes, with the same gains g_k.
+    `appearance`, if any, changes the Gaussians' colours by the same modes, with the same gains g_k.
 
     A motion that is not a sum of sinusoids (ring-down, drift) has its own `gains` in place of the exponentials. Modes
     that are not `magnified` have g_k = 0 in any band.
@@ -26,7 +26,7 @@ class ModalMotion:
     n_timesteps: int
     gains: np.ndarray | None = None  # [K, T] complex128; None: the exponentials
     magnified: np.ndarray | None = None  # [K] bool; None: all above 0 Hz
-    light: AppearanceModes | None = None
+    appearance: AppearanceModes | None = None
 
     def gains_at(self, t: float) -> np.ndarray:
         """[K] complex128: exp(i 2π f_k t / fps), or the motion's own gains.
@@ -52,5 +52,5 @@ class ModalMotion:
             rotation=self.rotation[keep],
             gains=None if self.gains is None else self.gains[keep],
             magnified=None if self.magnified is None else self.magnified[keep],
-            light=None if self.light is None else self.light.selected(keep),
+            appearance=None if self.appearance is None else self.appearance.selected(keep),
         )

@@ -1,111 +1,114 @@
-"""Conjugate gradients on numpy arrays or torch tensors, one iteration at a time, several systems at once.
-
-The preconditioner is a change of variables in the operator (`preconditioner.py`), so these are the plain recurrences
-(Hestenes & Stiefel 1952).
-"""
+"""Conjugate gradients for one coupled system or several independent ones at once, on numpy arrays or torch tensors."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 
-_EXACT = 1e-14  # squared relative residual
-Array = Any  # np.ndarray or Tensor; a state holds one kind
+from tg4mm.motion.solver.operator import Array, Operator
+
+_EXACT = 1e-14  # squared relative residual: to the digits of float32, going on would only add up rounding
 
 
 @dataclass(frozen=True)
-class CGState:
-    """The iterate of A x = b."""
+class Solution:
+    """θ [R, P, 3] (or of any shape [R, …]) and what is left of the right-hand sides, b − A θ."""
 
-    x: Array
-    residual: Array  # b − A x
-    direction: Array
-    initial: float  # |b|²
-    iteration: int = 0
-
-    @property
-    def is_exact(self) -> bool:
-        """Whether converged to float32's digits; more iterations would only add rounding errors."""
-        return self.squared_residual <= _EXACT * self.initial
-
-    @cached_property
-    def squared_residual(self) -> float:
-        return _inner(self.residual, self.residual)
+    theta: Array
+    residual: Array
+    norms: np.ndarray  # [S] |b|² of each system; S = 1 where they are coupled, else R
+    iterations: int
 
     @property
     def relative_residual(self) -> float:
-        """|b − A x| / |b|; 0 if b is 0."""
-        return (self.squared_residual / self.initial) ** 0.5 if self.initial > 0 else 0.0
+        """The largest |b − A θ| / |b|."""
+        return float(np.sqrt(np.max(_squares(self.residual, len(self.norms)) / np.maximum(self.norms, 1e-300))))
 
 
-def start(b: Array) -> CGState:
-    """From x = 0."""
-    zero = np.zeros_like(b) if isinstance(b, np.ndarray) else torch.zeros_like(b)
-    return CGState(zero, b, b, _inner(b, b))
+def pcg(
+    operator: Operator,
+    b: Array,
+    iterations: int,
+    tolerance: float,
+    norms: np.ndarray | None = None,
+    update: Callable[[int, float], None] | None = None,
+) -> Solution:
+    """Solve A θ = b [R, P, 3] from θ = 0, by at most so many iterations of each system.
 
-
-def step(state: CGState, operator: Callable[[Array], Array]) -> CGState:
-    """One iteration; `operator` is symmetric positive definite. Returns the state unchanged once it is exact."""
-    return step_all([state], lambda directions: [operator(d) for d in directions])[0]
-
-
-def step_all(
-    states: Sequence[CGState], operator: Callable[[Sequence[Array]], Sequence[Array]]
-) -> list[CGState]:
-    """One iteration of each of several independent systems; `operator` is applied to all directions at once.
-
-    Those that are exact stay as they are.
+    A system ends at a relative residual of `tolerance`, measured against `norms` [S] (|b|² unless given). `update` is
+    called with the iterations done and the largest relative residual.
     """
-    open_ = [k for k, state in enumerate(states) if not state.is_exact]
-    images = operator([states[k].direction for k in open_]) if open_ else []
-    out = list(states)
-    for k, image in zip(open_, images, strict=True):
-        out[k] = stepped(states[k], image)
-    return out
+    n = 1 if operator.is_coupled else len(b)
+    theta, residual, direction = _zeros(b), _copy(b), _copy(b)
+    squares = _squares(b, n)
+    norms = squares if norms is None else norms
+    limit = np.maximum(max(tolerance**2, _EXACT) * norms, 1e-300)
+    done = 0
+    for _ in range(iterations):
+        going = np.flatnonzero(squares > limit)
+        if not len(going):
+            break
+        rows = range(len(b)) if operator.is_coupled else going
+        _step(operator, theta, residual, direction, squares, list(rows), n)
+        done += 1
+        if update is not None:
+            update(done, float(np.sqrt((squares / np.maximum(norms, 1e-300)).max())))
+    return Solution(theta, residual, norms, done)
 
 
-def stepped(state: CGState, image: Array) -> CGState:
-    """The next state; `image` is the operator applied to the direction. An exact one stays as it is."""
-    before = state.squared_residual
-    if before <= _EXACT * state.initial:
-        return state
-    alpha = before / _inner(state.direction, image)
-    residual = _cast(state.residual - alpha * image, state.x)
-    beta = _inner(residual, residual) / before
-    return replace(
-        state,
-        x=_cast(state.x + alpha * state.direction, state.x),
-        residual=residual,
-        direction=_cast(residual + beta * state.direction, state.x),
-        iteration=state.iteration + 1,
-    )
+def _step(
+    operator: Operator,
+    theta: Array,
+    residual: Array,
+    direction: Array,
+    squares: np.ndarray,
+    rows: list[int],
+    n: int,
+) -> None:
+    """One iteration of the systems `rows`, in place."""
+    images = operator.products(direction, None if n == 1 and len(rows) == len(theta) else rows)
+    systems = [rows] if operator.is_coupled else [[r] for r in rows]
+    for s, own in zip([0] if operator.is_coupled else rows, systems, strict=True):
+        products = [_inner(direction[r], images[rows.index(r)]) for r in own]
+        length = squares[s] / sum(products)
+        for r in own:
+            theta[r] += length * direction[r]
+            residual[r] -= length * images[rows.index(r)]
+        after = sum(_inner(residual[r], residual[r]) for r in own)
+        for r in own:
+            direction[r] *= after / squares[s]
+            direction[r] += residual[r]
+        squares[s] = after
 
 
-def placed(state: CGState, device: str) -> CGState:
-    """The state on a torch device; arrays stay arrays on the CPU."""
-    if device == "cpu":
-        return state
-    x, residual, direction = (
-        torch.from_numpy(a).to(device) for a in (state.x, state.residual, state.direction)
-    )
-    return replace(state, x=x, residual=residual, direction=direction)
+def sent(values: np.ndarray, device: str) -> Array:
+    """The array on a torch device; on the CPU itself."""
+    return values if device == "cpu" else torch.from_numpy(np.ascontiguousarray(values)).to(device)
 
 
-def on_cpu(values: Array) -> np.ndarray:
+def fetched(values: Array) -> np.ndarray:
     """The array or tensor as a contiguous array."""
     return np.ascontiguousarray(values if isinstance(values, np.ndarray) else values.cpu().numpy())
 
 
+def _squares(values: Array, n: int) -> np.ndarray:
+    each = np.array([_inner(one, one) for one in values])
+    return each if n == len(each) and n > 1 else each.sum(keepdims=True) if n == 1 else each
+
+
 def _inner(a: Array, b: Array) -> float:
     """Σ a b, summed in float64."""
-    wide = a.astype(np.float64) if isinstance(a, np.ndarray) else a.double()
-    return float((wide * b).sum())
+    if isinstance(a, np.ndarray):
+        return float(np.dot(a.ravel().astype(np.float64), b.ravel()))
+    return float((a.double() * b).sum())
 
 
-def _cast(a: Array, like: Array) -> Array:
-    return a.astype(like.dtype) if isinstance(a, np.ndarray) else a.to(like.dtype)
+def _zeros(b: Array) -> Array:
+    return np.zeros_like(b) if isinstance(b, np.ndarray) else torch.zeros_like(b)
+
+
+def _copy(b: Array) -> Array:
+    return b.copy() if isinstance(b, np.ndarray) else b.clone()

@@ -1,0 +1,124 @@
+"""Appearance: what motion leaves of the target images, as changes of the Gaussians' colour.
+
+Two halves of the cameras are fitted, as for the motion, and their mean is kept as far as they agree around each
+Gaussian: gloss and shadows change in places. A component on which they agree less than half altogether holds noise, or
+no appearance, and is dropped, after one iteration if it shows by then.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tg4mm.gaussians import Gaussians
+from tg4mm.motion.appearance.problem import AppearanceProblem
+from tg4mm.motion.appearance.views import HARMONIC, appearance_views
+from tg4mm.motion.higher_order import TaylorTerms
+from tg4mm.motion.jacobian.view import PosedView, ViewJacobian
+from tg4mm.motion.prior.graph import Graph
+from tg4mm.motion.solver.operator import Fold
+from tg4mm.motion.solver.pcg import pcg
+from tg4mm.motion.split_half import mean_over_neighbours, reliability
+
+ITERATIONS = 3  # six do hardly better
+LOOK = 1  # iterations after which it is told whether the halves agree; enough between the motion's two passes
+_AGREED = 0.5  # gain below which a component has none
+_TOGETHER = 8  # components that share a pass over the views
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """What motion leaves of target images: of `asked` [r] among R components."""
+
+    views: Sequence[ViewJacobian]
+    pictures: np.ndarray  # [V, …, H, W, 3]
+    rows: np.ndarray  # [R] which of the components
+    fields: np.ndarray  # [R, N, 6], their motion
+    terms: TaylorTerms | None  # what that shows beyond the derivative
+    asked: np.ndarray
+
+    def of(self, fold: Fold, some: np.ndarray) -> Iterator[np.ndarray]:
+        """[s, H, W, 3] of each view of a fold, for `some` of the R components."""
+        for v in fold.views:
+            left = self.pictures[v, self.rows[some]] - self.views[v].jvp(self.fields[some])
+            yield left if self.terms is None else left - self.terms.of(v, self.fields)[some]
+
+
+@dataclass(frozen=True)
+class AppearanceFit:
+    """The search for changes of colour with two halves of the cameras."""
+
+    problem: AppearanceProblem
+    folds: Sequence[Fold]
+    knn: np.ndarray  # [N, count], the nearest Gaussians of each
+
+    @staticmethod
+    def of(
+        views: Sequence[ViewJacobian],
+        cameras: Sequence[PosedView],
+        gaussians: Gaussians,
+        weights: np.ndarray | None,
+        graph: Graph,
+        folds: Sequence[Fold],
+    ) -> AppearanceFit:
+        """weights [V, H, W]: of pixels; graph: of neighbours; folds: two halves of the cameras."""
+        own = appearance_views(views, cameras, gaussians.means.numpy(), gaussians.sh_degree > 0)
+        return AppearanceFit(AppearanceProblem.of(own, weights, graph), folds, graph.knn)
+
+    def fitted(
+        self, remainder: Remainder, update: Callable[[int], None] | None = None, iterations: int = ITERATIONS
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Changes of the first coefficients of spherical harmonics [R, N, K, 3] float32, and gains [R].
+
+        A component that is dropped, or was not asked for, has gain and change 0. `update` is called with how many are
+        done.
+        """
+        halves = [self.problem.of_views(fold.views) for fold in self.folds]
+        found = np.zeros((len(remainder.rows), *self.problem.root.shape[:2], 3), np.float32)
+        gains = np.zeros(len(found), np.float32)
+        for first in range(0, len(remainder.asked), _TOGETHER):
+            some = remainder.asked[first : first + _TOGETHER]
+            sides = [
+                half.right_hand_sides(remainder.of(fold, some))
+                for half, fold in zip(halves, self.folds, strict=True)
+            ]
+            x, gains[some] = shared_appearance(halves, sides, self.knn, iterations)
+            found[some] = x / np.float32(HARMONIC)
+            if update is not None:
+                update(first + len(some))
+        return found, gains
+
+    def shown(self, v: int, changes: np.ndarray) -> np.ndarray:
+        """[R, H, W, 3]: the pictures in view `v` of changes [R, N, K, 3]; until the next call."""
+        return self.problem.views[v].jvp(changes * np.float32(HARMONIC), self.problem.buffers)
+
+
+def shared_appearance(
+    halves: Sequence[AppearanceProblem], sides: Sequence[np.ndarray], knn: np.ndarray, iterations: int = ITERATIONS
+) -> tuple[np.ndarray, np.ndarray]:
+    """Changes of colour [R, N, K, 3] and gains [R] from the problems of two halves and R right-hand sides of each."""
+    found, gains = np.zeros_like(sides[0]), np.zeros(len(sides[0]), np.float32)
+    going = np.arange(len(found))
+    for count in sorted({LOOK, iterations}):
+        a, b = (
+            half.colours(pcg(half, own[going], count, 0.0).theta) for half, own in zip(halves, sides, strict=True)
+        )
+        mean = (a + b) / 2
+        gain = reliability(*(v.reshape(*v.shape[:2], -1) for v in (mean, a, b)))
+        good = gain >= _AGREED
+        going = going[good]
+        if not len(going):
+            return found, gains
+    mean, a, b = (v[good] for v in (mean, a, b))
+    found[going] = mean * _gain_around(mean, a, b, knn)[..., None, None]
+    gains[going] = gain[good]
+    return found, gains
+
+
+def _gain_around(mean: np.ndarray, a: np.ndarray, b: np.ndarray, knn: np.ndarray) -> np.ndarray:
+    """[R, N] float32, 0 to 1: `reliability` over the nearest Gaussians of each, of components [R, N, K, 3]."""
+    both, power = (np.einsum("rnkc,rnkc->nr", *pair) for pair in ((a, b), (mean, mean)))
+    both, power = np.split(mean_over_neighbours(np.concatenate([both, power], 1), knn).T, 2)
+    return np.clip(both / np.maximum(power, np.finfo(np.float32).tiny), 0, 1)

@@ -1,0 +1,96 @@
+"""The least-squares problem of a change of colour: the pictures' part, and a prior that neighbours change alike."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.sparse import csr_matrix, diags
+
+from tg4mm.motion.appearance.views import AppearanceView
+from tg4mm.motion.prior.graph import Graph
+from tg4mm.rasterize.buffers import Buffers
+
+ALIKE = 2.0  # λ: weight of neighbours that change alike; both found on eight generated scenes
+SMALL = 0.2  # μ: weight that draws changes to zero
+
+
+@dataclass(frozen=True)
+class AppearanceProblem:
+    """Find the change of colour x [N, K, 3] that explains pictures.
+
+    Minimises Σ_views Σ_pixels W |A x − D|² + h (λ x·Lx + μ |x|²), with A the blending weights, L the graph's
+    Laplacian (mean diagonal 1), and h the mean over Gaussians of the diagonal of AᵀWA. The unknowns θ = x √d are
+    scaled by the operator's rows (d), so that what is hardly seen is found in as many iterations as the rest.
+    """
+
+    views: Sequence[AppearanceView]
+    weights: np.ndarray | None  # W [V, H, W]; None: 1
+    laplacian: csr_matrix  # [N, N] float32
+    scale: float  # h
+    root: np.ndarray  # [N, K, 1] float32, √d
+    share: float = 1.0  # of the views: the prior is weaker in proportion
+    is_coupled: bool = False  # the systems are independent
+    buffers: Buffers = field(default_factory=Buffers, compare=False)
+
+    @staticmethod
+    def of(views: Sequence[AppearanceView], weights: np.ndarray | None, graph: Graph) -> AppearanceProblem:
+        laplacian = _laplacian(graph)
+        seen = _rows(views, weights)
+        scale = max(float(seen[:, 0].mean()), 1e-12)
+        d = seen + scale * (ALIKE * laplacian.diagonal()[:, None] + SMALL)
+        return AppearanceProblem(views, weights, laplacian, scale, np.sqrt(d, dtype=np.float32)[..., None])
+
+    def of_views(self, rows: np.ndarray) -> AppearanceProblem:
+        """The problem that only some of the views pose."""
+        weights = None if self.weights is None else self.weights[rows]
+        views, share = [self.views[i] for i in rows], len(rows) / len(self.views)
+        return replace(self, views=views, weights=weights, share=share)
+
+    def colours(self, theta: np.ndarray) -> np.ndarray:
+        """x of θ, both [..., N, K, 3]."""
+        return np.asarray(theta / self.root, np.float32)
+
+    def right_hand_sides(self, pictures: Iterable[np.ndarray]) -> np.ndarray:
+        """The transposed operator applied to R pictures [R, H, W, 3] of each view: [R, N, K, 3]."""
+        out = np.zeros((0, *self.root.shape[:2], 3), np.float32)
+        for k, (view, shown) in enumerate(zip(self.views, pictures, strict=True)):
+            if not k:
+                out = np.zeros((len(shown), *out.shape[1:]), np.float32)
+            weighted = shown if self.weights is None else shown * self.weights[k, ..., None]
+            view.vjp(weighted, out, self.buffers)
+        return np.asarray(out / self.root)
+
+    def products(self, theta: np.ndarray, rows: Sequence[int] | None = None) -> np.ndarray:
+        """The symmetric operator of the problem applied to several θ [R, N, K, 3], in one pass over the views."""
+        x = self.colours(theta if rows is None else theta[list(rows)])
+        out = np.zeros_like(x)
+        for k, view in enumerate(self.views):
+            view.gauss_newton_product(x, None if self.weights is None else self.weights[k], out, self.buffers)
+        strength = np.float32(self.scale * self.share)
+        for one, image in zip(x, out, strict=True):
+            unlike = (self.laplacian @ one.reshape(len(one), -1)).reshape(one.shape)
+            image += strength * (np.float32(ALIKE) * unlike + np.float32(SMALL) * one)
+        return np.asarray(out / self.root)
+
+
+def _rows(views: Sequence[AppearanceView], weights: np.ndarray | None) -> np.ndarray:
+    """[N, K] float32: sums of the operator's rows without the prior, which are no less than its diagonal."""
+    n, count = views[0].harmonics.shape
+    total, buffers = np.zeros((n, count), np.float32), Buffers()
+    ones = np.ones((1, n, 1, 3), np.float32)
+    for k, view in enumerate(views):
+        seen = np.zeros_like(ones)
+        plain = replace(view, harmonics=view.harmonics[:, :1])
+        plain.gauss_newton_product(ones, None if weights is None else weights[k], seen, buffers)
+        total += seen[0, :, :, 0] * view.harmonics**2
+    return np.maximum(total, 0)
+
+
+def _laplacian(graph: Graph) -> csr_matrix:
+    """Of the graph's edges with its weights; mean diagonal 1."""
+    n, weight = graph.n_gaussians, graph.edge_rows[:, 0] ** 2
+    beside = csr_matrix((weight, graph.other, graph.start), shape=(n, n))
+    degree = np.asarray(beside.sum(1)).ravel()
+    return csr_matrix((diags(degree) - beside) / degree.mean(), dtype=np.float32)

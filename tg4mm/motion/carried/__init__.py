@@ -1,1 +1,0 @@
-"""What pictures show of motion beyond the derivative of the Gaussians at rest."""

@@ -1,1 +1,0 @@
-"""How sure the motion is."""

@@ -1,0 +1,105 @@
+"""What Gauss-Newton iterations compare with: every state's pictures, and the changes within states.
+
+A state's picture is the mean over timesteps between which nothing moves by much. A mode smaller than that, beside a
+large one, is averaged out of all states. What it changes in the pictures stays here as target images, less what the
+states' pictures hold of them, and is small enough to be explained linearly: from the capture itself in each iteration,
+and not from what the iteration before found, which every iteration would smooth once more.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from tg4mm.gaussians import Gaussians
+from tg4mm.motion.observations import Observations, PosedFrames
+from tg4mm.motion.refine import MovedPictures, at_state
+from tg4mm.motion.states import States, state_pictures
+from tg4mm.rasterize import rasterization
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Σ over timesteps, pixels and channels of squared differences of states' pictures."""
+
+    changes: float  # each picture less its mean over time, which holds what stands still
+    whole: float
+
+    def within(self, other: Errors) -> bool:
+        """Whether neither is larger."""
+        return self.changes <= other.changes and self.whole <= other.whole
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Of K states and R components in V synchronous cameras."""
+
+    cameras: list[PosedFrames]
+    states: States
+    pictures: np.ndarray  # [V, K, H, W, 3] float32 over white
+    within: np.ndarray  # [V, R, H, W, 3] float32: target images of the changes within states
+
+    @staticmethod
+    def of(observations: Observations, states: States, images: np.ndarray) -> Evidence:
+        """`images`: target images [V, R, H, W, 3] of the functions of time of `states`."""
+        pictures = state_pictures(observations, states)
+        within = np.empty(images.shape, np.float32)
+        for v, image in enumerate(images):
+            within[v] = image - np.tensordot(states.sums.T.astype(np.float32), pictures[v], 1)
+        return Evidence(observations.frames, states, pictures, within)
+
+    def moved(self, fields: np.ndarray) -> MovedPictures:
+        """With the motion of fields [R, N, 6]."""
+        motions = np.tensordot(self.states.gains, fields, 1).astype(np.float32)
+        return MovedPictures(self.cameras, self.pictures, motions, self.states.of)
+
+    def remaining(self, gaussians: Gaussians, fields: np.ndarray, device: str) -> tuple[np.ndarray, Errors]:
+        """[V, K, H, W, 3]: pictures less what is rendered, each less its mean over time; and how much that is."""
+        left = rendered(gaussians, self.moved(fields), device)
+        np.subtract(self.pictures, left, out=left)
+        whole = self._squares(left)
+        share = (self.states.count / self.states.count.sum()).astype(np.float32)
+        for of_camera in left:
+            of_camera -= np.tensordot(share, of_camera, 1)
+        return left, Errors(self._squares(left), whole)
+
+    def _squares(self, left: np.ndarray) -> float:
+        squares = [float(np.einsum("vhwc,vhwc->", s, s, dtype=np.float64)) for s in left.swapaxes(0, 1)]
+        return float(squares @ self.states.count)
+
+    def target(self, left: np.ndarray, own: np.ndarray, shown: np.ndarray) -> np.ndarray:
+        """[V, R, H, W, 3]: the target images that the motion explains, of the states `own` where it was linearised.
+
+        left: of `remaining`. shown [V, R, H, W, 3]: what the motion found so far changes there, for gains of 1. What
+        changes within states is taken as spread evenly over time.
+        """
+        sums = self.states.sums[own]
+        mix = (sums.T @ self.states.gains[own]).astype(np.float32)
+        share = np.float32(self.states.count[own].sum() / self.states.count.sum())
+        out = share * self.within
+        for v, changes in enumerate(out):
+            changes += np.tensordot(sums.T.astype(np.float32), left[v, own], 1)
+            changes += np.tensordot(mix, shown[v], 1)
+        return np.asarray(out)
+
+
+@torch.no_grad()
+def rendered(gaussians: Gaussians, seen: MovedPictures, device: str) -> np.ndarray:
+    """[V, K, H, W, 3] float32: what the cameras see of the Gaussians moved to every state, over white."""
+    height, width = seen.pictures.shape[2:4]
+    there = gaussians.to(device)
+    viewmats, Ks = (
+        torch.from_numpy(np.stack([getattr(c, name) for c in seen.cameras])).to(device) for name in ("viewmat", "K")
+    )
+    out = np.empty_like(seen.pictures)
+    for k, motion in enumerate(seen.motions):
+        g = at_state(there, torch.from_numpy(motion).to(device))
+        for v in range(len(viewmats)):
+            rgb, _, _ = rasterization(
+                g.means, g.quats, g.scales, g.opacities, g.sh, viewmats[v : v + 1], Ks[v : v + 1],
+                width, height, sh_degree=g.sh_degree, backgrounds=torch.ones(1, 3, device=device),
+            )  # fmt: skip
+            out[v, k] = rgb[0].cpu().numpy()
+    return out

@@ -1,0 +1,128 @@
+"""What few cameras do not show of the motion: samples of the posterior's part that comes from the prior.
+
+A fit that minimises |J x − y|² / σ² + x·P x / τ² has an error with the covariance A⁻¹ (σ² JᵀJ + τ² P) A⁻¹,
+A = JᵀJ + P. The first part is noise, which two halves of the data tell (`split_half.py`). The second is motion that the
+pictures do not show, of which the prior made nothing: along the sight of a single camera, behind an edge. It is drawn:
+motion edge by edge from the prior (`prior/square_root.py`), and each draw is solved for as the motion was (perturb and
+MAP: Papandreou & Yuille 2010).
+
+How large motion is, τ², is read off the fit: x·P x is τ² times the number of coordinates that the pictures do show,
+tr A⁻¹JᵀJ (MacKay 1992), and that number is found with noise of variance 1. So unseen motion is taken to be as large and
+as smooth as the seen.
+
+What is seen less is found after more iterations. The draws are solved for to a smaller residual than the motion itself:
+stopped early they would say that what hardly changes the pictures is known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from tg4mm.motion.jacobian.packed import DOF
+from tg4mm.motion.jacobian.view import PosedView, ViewJacobian
+from tg4mm.motion.prior.square_root import stiffness_root
+from tg4mm.motion.solver.cpu import CpuOperator
+from tg4mm.motion.solver.pcg import pcg
+from tg4mm.motion.split_half import mean_over_neighbours
+
+DRAWS = 6  # neighbours are averaged over besides
+_FOR_FREEDOM = 2
+ITERATIONS = 60
+_TOLERANCE = 1e-2
+
+
+@dataclass(frozen=True)
+class Unseen:
+    """What the pictures do not show of the displacement, mean over T timesteps."""
+
+    covariance: np.ndarray  # [N, 3, 3] float32, scene units squared
+    freedom: float  # coordinates of the motion that the pictures show, of one component
+    prior_scale: float  # τ, in the fit's own units
+
+
+def unseen_motion(
+    operator: CpuOperator,
+    gradient_fields: np.ndarray,
+    n_timesteps: int,
+    seed: int = 0,
+    update: Callable[[int], None] | None = None,
+) -> Unseen:
+    """For the operator of one uncoupled field and all R fields x [R, 4N, 3] that were found."""
+    rng = np.random.default_rng(seed)
+    energy = sum(_prior_energy(operator, x) for x in gradient_fields)
+    white = _white_pictures(operator, rng)
+    freedom_sides = operator.right_hand_sides(white)
+    root = stiffness_root(operator.graph)
+    draws = np.stack([_prior_draw(operator, root, rng) for _ in range(DRAWS)])
+    sides = np.concatenate([freedom_sides, draws])
+    solution = pcg(
+        operator, sides, ITERATIONS, _TOLERANCE,
+        update=lambda i, r: update(i) if update is not None else None,
+    )  # fmt: skip
+    products = np.einsum("rpc,rpc->r", freedom_sides, solution.theta[:_FOR_FREEDOM], dtype=np.float64)
+    freedom = max(float(products.mean()), 1.0)
+    scale2 = energy / freedom
+    u = operator.fields(solution.theta[_FOR_FREEDOM:])[..., :3].astype(np.float64)
+    each = np.einsum("snc,snd->ncd", u, u) / len(u)
+    covariance = mean_over_neighbours(each, operator.graph.knn) * (scale2 / n_timesteps)
+    return Unseen(covariance.astype(np.float32), freedom, float(np.sqrt(scale2)))
+
+
+def _white_pictures(operator: CpuOperator, rng: np.random.Generator) -> list[np.ndarray]:
+    """Noise of variance 1 / W: Jᵀ W of it has the covariance Jᵀ W J."""
+    out = []
+    for k, view in enumerate(operator.views):
+        shape = (_FOR_FREEDOM, *view.transmittance.shape, 3)
+        white = rng.standard_normal(shape, dtype=np.float32)
+        if operator.weights is not None:
+            white /= np.sqrt(np.maximum(operator.weights[k], 1e-6))[..., None]
+        out.append(white)
+    return out
+
+
+def _prior_energy(operator: CpuOperator, x: np.ndarray) -> float:
+    """x·P x of a field x [4N, 3]."""
+    product = np.zeros_like(x)
+    operator.graph.add_prior(x, operator.smoothness_weight, operator.ridge, product)
+    return float(operator.scale * np.einsum("pc,pc->", x, product, dtype=np.float64))
+
+
+def _prior_draw(operator: CpuOperator, root: csr_matrix, rng: np.random.Generator) -> np.ndarray:
+    """Right-hand side [P, 3] of a normal draw with covariance P."""
+    stiff = root.T @ rng.standard_normal((root.shape[0], 3))
+    ridge = rng.standard_normal((root.shape[1], 3))
+    draw = np.sqrt(operator.smoothness_weight) * stiff + np.sqrt(operator.ridge) * ridge
+    return operator.preconditioner.from_field((np.sqrt(operator.scale) * draw).astype(np.float32))
+
+
+def viewing_rays(camera: PosedView, means: np.ndarray) -> np.ndarray:
+    """Unit vectors [N, 3] from the camera to the points `means` [N, 3]."""
+    turn, shift = camera.viewmat[:3, :3].astype(np.float64), camera.viewmat[:3, 3]
+    return _unit(means + turn.T @ shift)  # from the camera's centre −Rᵀt
+
+
+def along_and_across(camera: PosedView, means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The rays to the points `means` [N, 3], and unit vectors across them, along the pictures' rows."""
+    along = viewing_rays(camera, means)
+    return along, _unit(np.cross(along, camera.viewmat[1, :3].astype(np.float64)))
+
+
+def _unit(v: np.ndarray) -> np.ndarray:
+    return np.asarray(v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-12))
+
+
+def depth_sensitivity(view: ViewJacobian, camera: PosedView, means: np.ndarray, seed: int = 0) -> float:
+    """Change of the picture (rms) for motion towards the camera over that for motion across, same lengths.
+
+    means [N, 3] in scene units. Signs are random from Gaussian to Gaussian, so that nothing cancels but by chance.
+    0 where no motion across is seen.
+    """
+    signs = np.random.default_rng(seed).choice([-1.0, 1.0], (len(means), 1))
+    motions = np.zeros((2, len(means), DOF), np.float32)
+    motions[..., :3] = signs * np.stack(along_and_across(camera, means))
+    along, across = np.sqrt((view.jvp(motions).astype(np.float64) ** 2).sum((1, 2, 3)))
+    return float(along / across) if across > 0 else 0.0

@@ -1,0 +1,142 @@
+"""Which frequencies a scene vibrates at, from series of several clocks with times of their own (dropped frames, clips).
+
+Least-squares spectra (Lomb 1976, Scargle 1982) of every region's shift, each in units of its own noise, are averaged
+over regions and clocks. A peak that stands out of the other frequencies is a frequency; its sinusoids are fitted to all
+series and taken out, and the next is looked for in what is left. All frequencies found are then refined together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from tg4mm.motion.temporal import sinusoids
+
+MOST = 6
+_OVERSAMPLED = 6  # frequencies tried per 1 / duration
+_CAP = 300.0  # of a series' power over its noise: a few that move much do not hide the rest
+_STANDS_OUT = 8.0  # robust deviations above the median over frequencies
+_LEAST = 1.25  # times that median
+_WEAK = 0.01  # of the strongest peak's power above noise: weaker is taken for leakage
+_APART = 0.75  # over the duration, Hz
+
+
+@dataclass(frozen=True)
+class Frequencies:
+    """Frequencies by falling strength, and the spectrum in which they were found."""
+
+    hz: np.ndarray  # [K]
+    deviation_hz: np.ndarray  # [K] standard deviation by noise (Cramér-Rao)
+    grid_hz: np.ndarray  # [M]
+    spectrum: np.ndarray  # [M] mean power over noise, 1 where there is noise alone
+
+
+def find_frequencies(
+    series: Sequence[np.ndarray], times: Sequence[np.ndarray], lowest_hz: float, highest_hz: float
+) -> Frequencies:
+    """Of series [F_c, S_c] of each clock at times [F_c] in seconds, between two frequencies."""
+    duration = max(float(np.ptp(t)) for t in times)
+    grid = np.arange(lowest_hz, highest_hz, 1 / (_OVERSAMPLED * duration))
+    clean = [_without_slow(y, t, lowest_hz) for y, t in zip(series, times, strict=True)]
+    noise = [_noise(y, t, grid) for y, t in zip(clean, times, strict=True)]
+    found: list[float] = []
+    first: np.ndarray | None = None
+    strongest = 0.0
+    while len(found) < MOST:
+        left = [_without(y, t, np.array(found)) for y, t in zip(clean, times, strict=True)]
+        spectrum = _spectrum(left, times, noise, grid)
+        first = spectrum if first is None else first
+        allowed = np.ones(len(grid), bool)
+        for f in found:
+            allowed &= np.abs(grid - f) > _APART / duration
+        if not allowed.any():
+            break
+        peak = int(np.where(allowed, spectrum, -1).argmax())
+        median = float(np.median(spectrum))
+        spread = 1.4826 * float(np.median(np.abs(spectrum - median)))
+        above = float(spectrum[peak]) - median
+        strongest = max(strongest, above)
+        if above < max(_STANDS_OUT * spread, (_LEAST - 1) * median, _WEAK * strongest):
+            break
+        found.append(float(grid[peak]))
+        found = _refined(clean, times, noise, found, 1 / duration)
+    hz = np.array(found)
+    assert first is not None
+    return Frequencies(hz, _deviation(clean, times, noise, hz), grid, first)
+
+
+def _without_slow(y: np.ndarray, t: np.ndarray, lowest_hz: float) -> np.ndarray:
+    """Less a constant and polynomials that turn more slowly than the lowest frequency."""
+    degree = max(int(2 * lowest_hz * np.ptp(t) / 2), 1)
+    x = np.polynomial.legendre.legvander(2 * (t - t.min()) / max(float(np.ptp(t)), 1e-12) - 1, degree)
+    return y - x @ np.linalg.lstsq(x, y, rcond=None)[0]
+
+
+def _power(y: np.ndarray, t: np.ndarray, grid: np.ndarray) -> np.ndarray:
+    """[M, S]: power of each series at each frequency; mean 1 for white noise of variance 1."""
+    functions = sinusoids(t, grid)  # [2M, F]
+    products = (functions @ y).reshape(len(grid), 2, -1)
+    return (products**2).sum(1) / len(t)
+
+
+def _noise(y: np.ndarray, t: np.ndarray, grid: np.ndarray) -> np.ndarray:
+    """[S]: variance of each series' noise, by the median over frequencies (of an exponential distribution)."""
+    return np.median(_power(y, t, grid), axis=0) / np.log(2)
+
+
+def _spectrum(
+    series: Sequence[np.ndarray], times: Sequence[np.ndarray], noise: Sequence[np.ndarray], grid: np.ndarray
+) -> np.ndarray:
+    total, count = np.zeros(len(grid)), 0
+    for y, t, n in zip(series, times, noise, strict=True):
+        used = n > 0
+        total += np.minimum(_power(y[:, used], t, grid) / n[used], _CAP).sum(1)
+        count += int(used.sum())
+    return total / max(count, 1)
+
+
+def _without(y: np.ndarray, t: np.ndarray, hz: np.ndarray) -> np.ndarray:
+    if not len(hz):
+        return y
+    x = sinusoids(t, hz).T
+    return y - x @ np.linalg.lstsq(x, y, rcond=None)[0]
+
+
+def _refined(
+    series: Sequence[np.ndarray], times: Sequence[np.ndarray], noise: Sequence[np.ndarray], hz: list[float], step: float
+) -> list[float]:
+    """All frequencies moved to where least is left, by at most `step` (variable projection)."""
+    weighted = [_strong(y[:, n > 0] / np.sqrt(n[n > 0])) for y, n in zip(series, noise, strict=True)]
+    scale = np.sqrt(sum(float((y**2).sum()) for y in weighted)) or 1.0
+
+    def misfit(f: np.ndarray) -> np.ndarray:
+        return np.concatenate([_without(y, t, f).ravel() for y, t in zip(weighted, times, strict=True)]) / scale
+
+    start = np.array(hz)
+    best = least_squares(misfit, start, bounds=(start - step, start + step), xtol=1e-9, ftol=1e-10, max_nfev=30)
+    return [float(f) for f in best.x]
+
+
+def _strong(y: np.ndarray, most: int = 64) -> np.ndarray:
+    """The series with the most power, which decide."""
+    return y[:, np.argsort((y**2).sum(0))[::-1][:most]]
+
+
+def _deviation(
+    series: Sequence[np.ndarray], times: Sequence[np.ndarray], noise: Sequence[np.ndarray], hz: np.ndarray
+) -> np.ndarray:
+    """Cramér-Rao bound of each frequency: σ_f² = 6 / (π² T² Σ SNR), with Σ over series of a² F / 2σ²."""
+    out = []
+    for f in hz:
+        information = 0.0
+        for y, t, n in zip(series, times, noise, strict=True):
+            used = n > 0
+            x = sinusoids(t, np.array([f])).T
+            amplitude2 = (np.linalg.lstsq(x, y[:, used], rcond=None)[0] ** 2).sum(0)
+            snr = len(t) * amplitude2 / (2 * n[used])
+            information += float(np.maximum(snr - 1, 0).sum()) * float(np.ptp(t)) ** 2
+        out.append(np.sqrt(3 / (2 * np.pi**2 * max(information, 1e-12))))
+    return np.array(out)

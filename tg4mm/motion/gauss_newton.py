@@ -1,0 +1,286 @@
+"""Motion of more than a pixel by Gauss-Newton: fit, move, look what is left, fit again.
+
+A picture changes in proportion to motion as long as that is less than about a pixel, and the scene at rest was fitted to
+a mean over time that larger motion blurs. So where the linear fit moves things by more than 0.7 pixels it is repeated:
+every iteration renders what the motion found so far shows, fits the motion to what is left with Jacobians where things
+have moved to, and then the scene at rest to all pictures (`refine.py`). An iteration counts only if the new motion
+leaves less of the pictures than the old one; if not, half its step is tried, and if that does not help either, that was
+all.
+
+The states are taken together once more, coarsely: states less than 0.7 pixels apart share a knot, at which the views
+are linearised. A knot l with Jacobian J_l, whose timesteps t have the functions of time a(t), couples the fields by
+M_l = Σ a(t) a(t)ᵀ = C_lᵀ C_l: to the solver it is further views with the mixing matrix C_l.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+import torch
+
+from tg4mm.gaussians import Gaussians
+from tg4mm.motion.checkpoints import Parts
+from tg4mm.motion.config import MotionConfig, more_iterations
+from tg4mm.motion.evidence import Errors, Evidence
+from tg4mm.motion.hyperparameters import CANDIDATES, Hyperparameters, chosen_weight, pixel_weights
+from tg4mm.motion.jacobian.pixels import pixels_moved
+from tg4mm.motion.jacobian.view import ViewJacobian, view_jacobian
+from tg4mm.motion.nuisance import Nuisance, Projection
+from tg4mm.motion.observations import Observations
+from tg4mm.motion.problem import Problem
+from tg4mm.motion.refine import at_state, refine_rest_scene
+from tg4mm.motion.solver.cpu import CpuOperator
+from tg4mm.motion.solver.cuda import DeviceOperator, DeviceViews
+from tg4mm.motion.solver.operator import Array, Fold
+from tg4mm.motion.solver.pcg import pcg
+from tg4mm.motion.split_half import LEAST, wiener_shrink
+from tg4mm.motion.states import States, most_states, states_of
+from tg4mm.motion.temporal import TargetImages
+from tg4mm.progress import progress
+
+ABOVE_PX = 0.7  # motion up to so many pixels is in the linear range
+KNOTS = 5  # at most: each costs as much as the problem at rest
+KNOT_PX = 0.7  # states less apart share one
+_FOR_WEIGHT = 6  # iterations for the candidate weights: what is left after an iteration tells less of them
+_COMPONENTS = 8  # that are fitted, at least, where there are as many
+_FALL = 0.05  # of the misfit: what falls by less is not worth another iteration
+
+
+@dataclass(frozen=True)
+class GaussNewtonState:
+    """Where the iterations stand."""
+
+    gaussians: Gaussians
+    fields: np.ndarray  # [P, R, N, 6] of each fold
+    smoothness_weight: float
+    errors: Errors  # that they leave
+    is_over: bool = False
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """For a checkpoint."""
+        out = {f"gaussians.{f.name}": getattr(self.gaussians, f.name).numpy() for f in fields(self.gaussians)}
+        figures = self.smoothness_weight, self.errors.changes, self.errors.whole, float(self.is_over)
+        return out | {"fields": self.fields, "figures": np.array(figures)}
+
+    @staticmethod
+    def restored(arrays: dict[str, np.ndarray]) -> GaussNewtonState:
+        """From what `arrays` gave."""
+        gaussians = {k.partition(".")[2]: torch.from_numpy(v) for k, v in arrays.items() if k.startswith("gaussians.")}
+        weight, changes, whole, is_over = (float(f) for f in arrays["figures"])
+        return GaussNewtonState(
+            Gaussians(**gaussians), arrays["fields"], weight, Errors(changes, whole), bool(is_over)
+        )
+
+
+def used_components(is_noise: np.ndarray) -> np.ndarray:
+    """Which temporal components are fitted: those of the linear fit, and as many others and one, or eight in all.
+
+    Pictures saturate where things move far, so that the first component is not quite what the motion does in time; the
+    rest of that is in weaker ones. What is noise there after all fades by what the halves agree on; but what moves and
+    is left out counts as noise of its pixels, which then say less.
+    """
+    linear, others = np.flatnonzero(~is_noise), np.flatnonzero(is_noise)
+    return np.sort(np.concatenate([linear, others[: max(len(linear) + 1, _COMPONENTS - len(linear))]]))
+
+
+def states_moved(
+    views: Sequence[ViewJacobian], basis: np.ndarray, shapes: np.ndarray, size: tuple[int, int]
+) -> tuple[States, float]:
+    """The states of functions of time [R, T] that go with fields [R, N, 6], and the largest motion in pixels."""
+    states = states_of(basis, pixels_moved(views, shapes[..., :3]), most_states(len(views), size))
+    shifts = np.tensordot(states.gains, shapes[..., :3], 1).astype(np.float32)
+    return states, float(pixels_moved(views, shifts).max())
+
+
+class GaussNewton:
+    """What all iterations share: pictures, components, folds, settings."""
+
+    def __init__(
+        self,
+        observations: Observations,
+        targets: TargetImages,
+        hyper: Hyperparameters,
+        folds: Sequence[Fold],
+        nuisances: Sequence[Nuisance],
+        config: MotionConfig,
+        device: str,
+    ) -> None:
+        self.used = used_components(hyper.is_noise)
+        self.basis, self.images = targets.basis[self.used], targets.images[:, self.used]
+        self.linear = np.flatnonzero(~hyper.is_noise[self.used])
+        self.weights = pixel_weights(targets, ~np.isin(np.arange(len(targets.basis)), self.used))
+        self.observations, self.folds, self.nuisances, self.means = observations, folds, nuisances, targets.mean
+        self.config, self.device, self.size = config, device, observations.size
+        # all components together, linearised at several places: they settle more slowly
+        self.iterations = config.iterations * 3 // 2
+        width, height = self.size
+        # as many as a quarter of the space stage's; few cameras alone would bend a scene that others saw, too
+        enough = len(observations.frames) >= LEAST and observations.is_whole
+        self.refining = int(np.clip(40 * (width * height / 4) ** (1 / 3), 250, 7_500)) if enough else 0
+
+    def run(
+        self, gaussians: Gaussians, views: Sequence[ViewJacobian], fields: np.ndarray, weight: float, parts: Parts
+    ) -> tuple[GaussNewtonState, list[float], Evidence]:
+        """From the linear fit's fields [P, R', N, 6]: the last state, the misfit before and after each iteration."""
+        start = np.zeros((len(fields), len(self.basis), *fields.shape[2:]), np.float32)
+        start[:, self.linear] = fields
+        shapes, _ = wiener_shrink(start)
+        states, _ = states_moved(views, self.basis, shapes, self.size)
+        evidence = Evidence.of(self.observations, states, self.images)
+        errors = evidence.remaining(gaussians, shapes, self.device)[1]
+        state, misfits = GaussNewtonState(gaussians, start, weight, errors), [errors.changes]
+        units = len(self.folds) * self.iterations * self._costs + self.refining
+        with progress("Gauss-Newton", self.config.gauss_newton * units, "steps") as update:
+            for k in range(self.config.gauss_newton):
+
+                def tell(done: int, k: int = k, **figures: Any) -> None:
+                    update(k * units + done, iteration=k + 1, **figures)
+
+                begun = state
+                state = GaussNewtonState.restored(
+                    parts(f"gauss_newton_{k}", lambda s=begun, k=k, tell=tell: self._iterated(s, evidence, k, tell).arrays())
+                )
+                if state.errors.changes < begun.errors.changes:
+                    misfits.append(state.errors.changes)
+                if state.is_over:
+                    break
+        return state, misfits, evidence
+
+    @property
+    def _costs(self) -> int:
+        """Steps of refining that an iteration of conjugate gradients takes."""
+        return max(2 * len(self.observations.frames) // len(self.folds), 1)
+
+    def _iterated(
+        self, state: GaussNewtonState, evidence: Evidence, k: int, tell: Callable[..., None]
+    ) -> GaussNewtonState:
+        """One iteration: its motion if it is accepted, then the scene at rest."""
+        new, weight = self._fitted(state, evidence, tell)
+        for length in (1.0, 0.5):
+            stepped = (state.fields + np.float32(length) * (new - state.fields)).astype(np.float32)
+            shapes, _ = wiener_shrink(stepped)
+            errors = evidence.remaining(state.gaussians, shapes, self.device)[1]
+            if errors.changes < state.errors.changes:
+                gaussians, after = self._refined(state.gaussians, shapes, evidence, errors, k, tell)
+                is_over = after.changes > (1 - _FALL) * state.errors.changes
+                return GaussNewtonState(gaussians, stepped, weight, after, is_over)
+        return replace(state, is_over=True)
+
+    def _refined(
+        self,
+        gaussians: Gaussians,
+        shapes: np.ndarray,
+        evidence: Evidence,
+        errors: Errors,
+        k: int,
+        tell: Callable[..., None],
+    ) -> tuple[Gaussians, Errors]:
+        """The scene at rest for this motion; the one before stays where it shows the pictures better."""
+        if not self.refining:
+            return gaussians, errors
+        before = len(self.folds) * self.iterations * self._costs
+        new = refine_rest_scene(
+            gaussians, evidence.moved(shapes), self.refining, self.config.seed + k, self.device,
+            lambda done: tell(before + done),
+        )  # fmt: skip
+        after = evidence.remaining(new, shapes, self.device)[1]
+        return (new, after) if after.within(errors) else (gaussians, errors)
+
+    def _fitted(
+        self, state: GaussNewtonState, evidence: Evidence, tell: Callable[..., None]
+    ) -> tuple[np.ndarray, float]:
+        """[P, R, N, 6]: what each fold finds in this iteration; and the smoothness weight, chosen anew for it."""
+        views = self.at_rest(state.gaussians)
+        problem = Problem.of(views, state.gaussians, self.config, self.device)
+        shapes, _ = wiener_shrink(state.fields)
+        weight = state.smoothness_weight
+        if not self.config.smoothness_weight and len(self.folds) == 2:
+            target = self.target_at_rest(views, state.gaussians, shapes, evidence)[:, :1]
+            iterations = round(_FOR_WEIGHT * more_iterations(len(state.gaussians)))
+            weight = chosen_weight(target, problem, self.folds, self.weights, iterations)
+        knots = self._knots(state.gaussians, views, shapes, evidence)
+        found = []
+        for p, fold in enumerate(self.folds):
+            operator, b = self._operator(problem, knots, fold, weight)
+            done = p * self.iterations * self._costs
+            solution = pcg(
+                operator, b, self.iterations, self.config.tolerance,
+                update=lambda i, r, done=done: tell(done + i * self._costs, residual=round(r, 4)),
+            )  # fmt: skip
+            found.append(operator.fields(solution.theta))
+        return np.stack(found), weight
+
+    def _knots(
+        self, gaussians: Gaussians, views: Sequence[ViewJacobian], shapes: np.ndarray, evidence: Evidence
+    ) -> list[_Knot]:
+        left, _ = evidence.remaining(gaussians, shapes, self.device)
+        states, motions = evidence.states, evidence.moved(shapes).motions
+        knots = states_of(states.gains.T, pixels_moved(views, shapes[..., :3]), KNOTS, KNOT_PX)
+        out = []
+        for knot in range(len(knots.gains)):
+            own = np.flatnonzero(knots.of == knot)
+            share = states.count[own] / states.count[own].sum()
+            motion = torch.from_numpy(np.tensordot(share, motions[own], 1).astype(np.float32))
+            moved = self.at_rest(at_state(gaussians, motion))
+            shown = np.stack([view.jvp(shapes) for view in moved])
+            out.append(_Knot(moved, evidence.target(left, own, shown), _root(states.products[own].sum(0))))
+        return out
+
+    def _operator(
+        self, problem: Problem, knots: Sequence[_Knot], fold: Fold, weight: float
+    ) -> tuple[CpuOperator | DeviceOperator, Array]:
+        """The problem of one fold with all knots' views, and its right-hand sides."""
+        rest = problem.on_cpu(fold, self.weights, weight)
+        views = [knot.views[v] for knot in knots for v in fold.views]
+        targets = [knot.target[v] for knot in knots for v in fold.views]
+        weights = None if rest.weights is None else np.concatenate([rest.weights] * len(knots))
+        plain = replace(rest, views=views, weights=weights, projections=self._projections(views, fold, weights))
+        mixing = [knot.mixing for knot in knots for _ in fold.views]
+        if self.device == "cpu":
+            return replace(plain, mixing=mixing), plain.right_hand_sides(targets)
+        there = DeviceViews(views, problem.graph, self.device)
+        b = DeviceOperator(plain, there).right_hand_sides(targets)
+        return DeviceOperator(replace(plain, mixing=mixing), there), b
+
+    def _projections(
+        self, views: Sequence[ViewJacobian], fold: Fold, weights: np.ndarray | None
+    ) -> list[Projection] | None:
+        if not self.nuisances or not self.nuisances[0].active.any():
+            return None
+        rows = [int(fold.views[k % len(fold.views)]) for k in range(len(views))]
+        return [
+            Projection.of(replace(self.nuisances[v], view=view), self.means[v], None if weights is None else weights[k])
+            for k, (view, v) in enumerate(zip(views, rows, strict=True))
+        ]
+
+    def at_rest(self, gaussians: Gaussians) -> list[ViewJacobian]:
+        """The views of all cameras."""
+        return [view_jacobian(gaussians, camera, self.size) for camera in self.observations.frames]
+
+    def target_at_rest(
+        self, views: Sequence[ViewJacobian], gaussians: Gaussians, shapes: np.ndarray, evidence: Evidence
+    ) -> np.ndarray:
+        """[V, R, H, W, 3]: the target images that the motion explains when linearised at rest."""
+        left, _ = evidence.remaining(gaussians, shapes, self.device)
+        shown = np.stack([view.jvp(shapes) for view in views])
+        return evidence.target(left, np.arange(len(evidence.states.gains)), shown)
+
+
+@dataclass(frozen=True)
+class _Knot:
+    views: list[ViewJacobian]
+    target: np.ndarray  # [V, R, H, W, 3], already multiplied by C_lᵀ
+    mixing: np.ndarray  # C_l [ρ, R]
+
+
+def _root(products: np.ndarray) -> np.ndarray:
+    """C [ρ, R] float32 with Cᵀ C = `products` [R, R]."""
+    values, vectors = np.linalg.eigh(products)
+    keep = values > 1e-9 * max(float(values[-1]), 1e-30)
+    return (vectors[:, keep] * np.sqrt(values[keep])).T.astype(np.float32)
+
+
+__all__ = ["ABOVE_PX", "CANDIDATES", "GaussNewton", "GaussNewtonState", "states_moved", "used_components"]

@@ -1,0 +1,132 @@
+"""What is found out before the fit: components of noise, weights of pixels, and how smooth the motion is.
+
+Noise. A temporal component is noise where two halves of the data do not agree on its field after a few iterations. What
+such components hold tells how noisy every pixel is: shadows and gloss of a renderer, dark places of a sensor. Pixels
+count by the inverse of their variance, to which the mean over all is added, so that none counts for more than twice the
+average one.
+
+Smoothness. How far motion reaches before it bends, and how much noise there is, differs from scene to scene by orders of
+magnitude. So the strongest component is fitted to one half with every candidate weight of the prior, for a few
+iterations, and judged by how well it predicts the other half, whose noise it has not seen (cross-validation). Errors of
+the model (edges, shading) are alike in both halves and draw towards weights that are too small; hence the largest weight
+that is within 0.8 % of the best.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tg4mm.motion.config import MotionConfig, more_iterations
+from tg4mm.motion.problem import Problem
+from tg4mm.motion.solver.cpu import CpuOperator, SharedPass
+from tg4mm.motion.solver.operator import Fold
+from tg4mm.motion.solver.pcg import pcg
+from tg4mm.motion.split_half import reliability
+from tg4mm.motion.temporal import TargetImages, pixel_noise
+
+CANDIDATES = (10.0, 30.0, 100.0, 300.0, 1_000.0, 3_000.0)
+DEFAULT = 300.0  # where the data are not halved, or nothing changes
+_WITHIN = 1.008  # of the least error
+_FEW = 4  # iterations for the candidates, of 16,000 Gaussians or fewer: their order is settled by then
+_LOOSE = 30.0  # smoothness weight while noise is looked for: where much holds them together noise agrees too
+_FOR_NOISE = 2  # iterations; two to six tell the same
+_AGREED = 0.5  # gain below which a component is noise: more than half of its field
+_AT_ONCE = 8  # components that share a pass over the views
+
+
+@dataclass(frozen=True)
+class Hyperparameters:
+    """What was found out from the pictures before the fit."""
+
+    is_noise: np.ndarray  # [R] bool, temporal components
+    smoothness_weight: float
+
+    @property
+    def signal(self) -> np.ndarray:
+        """Which components are fitted."""
+        return np.flatnonzero(~self.is_noise)
+
+
+def select_hyperparameters(
+    targets: TargetImages, problem: Problem, folds: Sequence[Fold], config: MotionConfig
+) -> Hyperparameters:
+    """Noise components and the smoothness weight; given weights stand, one fold tells nothing."""
+    n = len(targets.basis)
+    is_noise = np.zeros(n, bool)
+    if len(folds) == 2 and n > 1 and targets.mixing is None:
+        is_noise = noise_components(targets, problem, folds)
+    weight = config.smoothness_weight
+    if not weight:
+        iterations = round(_FEW * more_iterations(problem.n_gaussians))
+        weights = pixel_weights(targets, is_noise)
+        images = targets.images[:, :1] if targets.mixing is None else targets.images
+        weight = DEFAULT if len(folds) == 1 else chosen_weight(images, problem, folds, weights, iterations)
+    return Hyperparameters(is_noise, float(weight))
+
+
+def noise_components(targets: TargetImages, problem: Problem, folds: Sequence[Fold]) -> np.ndarray:
+    """[R] bool: the components on which two folds do not agree. The strongest never counts as noise."""
+    gains = []
+    operators = [problem.operator(fold, None, _LOOSE, probes=4) for fold in folds]
+    for first in range(0, targets.images.shape[1], _AT_ONCE):
+        some = slice(first, first + _AT_ONCE)
+        a, b = (
+            _displacements(operator, (targets.images[v, some] for v in fold.views))
+            for operator, fold in zip(operators, folds, strict=True)
+        )
+        gains.append(reliability((a + b) / 2, a, b))
+    is_noise = np.concatenate(gains) < _AGREED
+    is_noise[0] = False
+    return np.asarray(is_noise)
+
+
+def _displacements(operator: Any, images: Any) -> np.ndarray:
+    """[R, N, 3] after a few iterations."""
+    solution = pcg(operator, operator.right_hand_sides(images), _FOR_NOISE, 1e-6)
+    return operator.fields(solution.theta)[..., :3]
+
+
+def chosen_weight(
+    images: np.ndarray,
+    problem: Problem,
+    folds: Sequence[Fold],
+    weights: np.ndarray | None,
+    iterations: int,
+) -> float:
+    """The smoothness weight for target images [V, ρ, H, W, 3], fitted to one fold and judged by the other.
+
+    `DEFAULT` where the images of a fold do not change.
+    """
+    some, others = folds
+    if not (images[some.views].any() and images[others.views].any()):
+        return DEFAULT
+    judge = problem.operator(others, weights, CANDIDATES[0])
+    operators = [problem.operator(some, weights, value) for value in CANDIDATES]
+    fields = few_iterations(operators, [images[v] for v in some.views], iterations)
+    errors = [judge.misfit(f, (images[v] for v in others.views)) for f in fields]
+    best = int(np.flatnonzero(np.array(errors) <= _WITHIN * min(errors))[-1])
+    return CANDIDATES[best]
+
+
+def few_iterations(operators: Sequence[Any], images: Sequence[np.ndarray], iterations: int) -> list[np.ndarray]:
+    """Fields [R, N, 6] of each operator after so many iterations; on the CPU uncoupled ones share their passes."""
+    if not isinstance(operators[0], CpuOperator) or operators[0].is_coupled:
+        solutions = [pcg(o, o.right_hand_sides(images), iterations, 1e-6) for o in operators]
+        return [o.fields(s.theta) for o, s in zip(operators, solutions, strict=True)]
+    together = SharedPass(operators)
+    theta = pcg(together, together.right_hand_sides(images), iterations, 1e-6).theta
+    return [o.fields(t[None]) for o, t in zip(operators, theta, strict=True)]
+
+
+def pixel_weights(targets: TargetImages, is_noise: np.ndarray) -> np.ndarray | None:
+    """[V, H, W] float32, at most 1, from the variance of what is noise; None where nothing is known of it."""
+    alone = targets.mixing is None
+    variance = pixel_noise(targets, is_noise if alone else np.zeros(targets.images.shape[1], bool))
+    noisy = variance[variance > 0]
+    if not len(noisy):
+        return None
+    return np.asarray(1 / (1 + variance / noisy.mean(dtype=np.float64)), np.float32)

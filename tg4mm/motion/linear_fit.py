@@ -1,0 +1,117 @@
+"""The linear fit: every fold's fields by conjugate gradients, in two passes with a deferred correction between.
+
+The first pass explains the target images. What the found motion shows beyond the derivative (`higher_order.py`), and the
+change of appearance that goes with it (`appearance/`), is then taken from what is left, and edges of the prior that two
+folds find strained are reweighted, both only if the motion is small. The second pass solves for the difference that this
+makes: A δ = b − A x − Jᵀ W (what is beyond). Together they take the iterations of one fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tg4mm.motion.checkpoints import Arrays, Parts
+from tg4mm.motion.config import MotionConfig
+from tg4mm.motion.hyperparameters import CANDIDATES, Hyperparameters
+from tg4mm.motion.prior.edge_reweighting import edge_residual, reweight_edges
+from tg4mm.motion.problem import Problem
+from tg4mm.motion.solver.operator import Fold
+from tg4mm.motion.solver.pcg import fetched, pcg, sent
+from tg4mm.motion.temporal import TargetImages
+from tg4mm.progress import progress
+
+TOGETHER = 8  # components that share a pass over the views: half the time of eight passes, memory for eight fields
+_SECOND = 0.7  # of the iterations
+# of one fold p, given its fields [R, N, 6] of the first pass and some of the components: pictures of each of its views
+Correction = Callable[[int, np.ndarray, slice], Sequence[np.ndarray]]
+
+
+@dataclass(frozen=True)
+class LinearFit:
+    """Solves for all components of all folds."""
+
+    problem: Problem
+    targets: TargetImages
+    hyper: Hyperparameters
+    weights: np.ndarray | None  # [V, H, W] of pixels
+    folds: Sequence[Fold]
+    config: MotionConfig
+    parts: Parts
+
+    def operator(self, fold: Fold) -> Any:
+        """The problem that a fold poses."""
+        return self.problem.operator(fold, self.weights, self.hyper.smoothness_weight)
+
+    def first_pass(self) -> list[Arrays]:
+        """Of each fold: `fields` [R, N, 6], `x` [R, 4N, 3], `residual` [R, P, 3] and `norms` of the equations."""
+        return [self.parts(f"first_pass_{p}", lambda p=p: self._first(p)) for p in range(len(self.folds))]
+
+    def second_pass(self, first: Sequence[Arrays], correction: Correction | None) -> np.ndarray:
+        """[P, R, N, 6]: the fields with what a second pass adds; `correction` None: the first pass goes on."""
+        graph = self._reweighted(first) if correction is not None else None
+        return np.stack(
+            [
+                self.parts(f"second_pass_{p}", lambda p=p: self._second(p, first[p], correction, graph))["fields"]
+                for p in range(len(self.folds))
+            ]
+        )
+
+    @property
+    def _iterations(self) -> tuple[int, int]:
+        second = int(_SECOND * self.config.iterations)
+        return self.config.iterations - second, second
+
+    def _chunks(self) -> list[slice]:
+        n = self.targets.images.shape[1] if self.targets.mixing is not None else len(self.hyper.signal)
+        step = n if self.targets.mixing is not None else (TOGETHER if self.problem.device == "cpu" else 1)
+        return [slice(a, min(a + step, n)) for a in range(0, n, step)]
+
+    def _images(self, fold: Fold, some: slice) -> list[np.ndarray]:
+        rows = slice(None) if self.targets.mixing is not None else self.hyper.signal[some]
+        return [self.targets.images[v, rows] for v in fold.views]
+
+    def _first(self, p: int) -> Arrays:
+        fold, iterations = self.folds[p], self._iterations[0]
+        operator, out, chunks = self.operator(fold), [], self._chunks()
+        with progress(f"motion, half {p + 1}", len(chunks) * iterations, "iterations") as update:
+            for k, some in enumerate(chunks):
+                b = operator.right_hand_sides(self._images(fold, some))
+                tell = _telling(update, k * iterations)
+                solution = pcg(operator, b, iterations, self.config.tolerance, update=tell)
+                theta = solution.theta
+                own = operator.fields(theta), operator.gradient_fields(theta), fetched(solution.residual)
+                out.append((*own, solution.norms))
+        names = "fields", "x", "residual", "norms"
+        return {name: np.concatenate(arrays) for name, arrays in zip(names, zip(*out, strict=True), strict=True)}
+
+    def _second(self, p: int, first: Arrays, correction: Correction | None, graph: Any) -> Arrays:
+        fold, iterations = self.folds[p], self._iterations[1]
+        before, out, chunks = self.operator(fold), [], self._chunks()
+        operator = before if graph is None else before.with_graph(graph)
+        with progress(f"motion, half {p + 1}, corrected", len(chunks) * iterations, "iterations") as update:
+            for k, some in enumerate(chunks):
+                b = first["residual"][some].copy()
+                if correction is not None:
+                    b -= fetched(operator.right_hand_sides(correction(p, first["fields"], some)))
+                if graph is not None:
+                    x = first["x"][some]
+                    b += fetched(before.prior_products(x)) - fetched(operator.prior_products(x))
+                norms = first["norms"] if before.is_coupled else first["norms"][some]
+                tell = _telling(update, k * iterations)
+                solution = pcg(operator, sent(b, self.problem.device), iterations, self.config.tolerance, norms, tell)
+                out.append(first["fields"][some] + operator.fields(solution.theta))
+        return {"fields": np.concatenate(out)}
+
+    def _reweighted(self, first: Sequence[Arrays]) -> Any:
+        """The graph with edges reweighted; None where only one fold, or the least weight, was chosen."""
+        if len(first) < 2 or self.hyper.smoothness_weight <= CANDIDATES[0]:
+            return None
+        return reweight_edges(self.problem.graph, edge_residual(self.problem.graph, first[0]["x"], first[1]["x"]))
+
+
+def _telling(update: Callable[..., None], before: int) -> Callable[[int, float], None]:
+    return lambda done, residual: update(before + done, residual=round(residual, 4))

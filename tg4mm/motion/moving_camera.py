@@ -1,0 +1,2 @@
+def fit_moving_camera(*a):
+    raise NotImplementedError

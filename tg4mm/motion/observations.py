@@ -1,0 +1,147 @@
+"""What the motion stage sees: posed cameras, the pictures each took, and when (docs/method.md, "Observation model")."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from tg4mm.capture import Capture, ImageStack
+from tg4mm.capture.pictures import FilePictures, Pictures, over_white, pictures_of
+from tg4mm.errors import CaptureError
+
+STRIP_VALUES = 1 << 23  # float32 values of a strip, 32 MiB; compositing it takes about three times that
+_CLOCK = 0.02  # of a frame: cameras whose time stamps differ by less are synchronous
+_FEWEST = 8  # pictures of a moving camera
+_PERIODS = 2.0  # of the lowest frequency that a record must hold
+
+
+@dataclass(frozen=True)
+class PosedFrames:
+    """The F pictures that were taken with one pose and one lens."""
+
+    name: str
+    viewmat: np.ndarray  # [4, 4] float32, world-to-camera, OpenCV axes
+    K: np.ndarray  # [3, 3] float32, pixels
+    rows: np.ndarray  # [F] of the capture's pictures
+    times_s: np.ndarray  # [F] float64, seconds on this camera's own clock
+
+
+@dataclass(frozen=True)
+class Observations:
+    """All pictures of a capture that show motion.
+
+    `clock` is one of: `synchronous`, fixed cameras with the same regular times; `independent`, fixed cameras each with
+    a clock (or a start of the vibration) of its own; `moving`, every picture with a pose of its own.
+    """
+
+    kind: str  # of the capture: flat, tripod, handheld, rig, clips
+    clock: str
+    frames: list[PosedFrames]  # V poses
+    pictures: Pictures
+    fps: float  # Hz
+    n_timesteps: int
+    is_whole: bool  # no other pictures made the scene at rest
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in pixels."""
+        height, width = self.pictures.size
+        return width, height
+
+    @cached_property
+    def is_opaque(self) -> bool:
+        """Whether pictures show a background, by the first of each of up to four poses."""
+        step = max(len(self.frames) // 4, 1)
+        rows = [int(f.rows[0]) for f in self.frames[::step]]
+        raw = self.pictures.strips(rows)
+        return bool((raw(slice(None))[..., 3] == self.pictures.maximum).all())
+
+    @property
+    def duration_s(self) -> float:
+        """Of the longest record of one clock."""
+        if self.clock == "moving":
+            times = np.concatenate([f.times_s for f in self.frames])
+            return float(np.ptp(times)) + 1 / self.fps
+        return max(float(np.ptp(f.times_s)) for f in self.frames) + 1 / self.fps
+
+    @property
+    def lowest_hz(self) -> float:
+        """The lowest frequency of which the record holds two periods."""
+        return _PERIODS / self.duration_s
+
+
+def observe(capture: Capture, images: ImageStack | FilePictures) -> Observations:
+    """The observations in a capture of T > 1 timesteps. Raises CaptureError where too few pictures show motion."""
+    clock, frames = frames_of(capture)
+    is_whole = sum(len(f.rows) for f in frames) == len(capture)
+    of_time = capture.fps, capture.n_timesteps
+    return Observations(capture.kind, clock, frames, pictures_of(images), *of_time, is_whole)
+
+
+def frames_of(capture: Capture) -> tuple[str, list[PosedFrames]]:
+    """The clock of `Observations`, and the poses with their pictures; those without a time show the scene at rest.
+
+    Raises CaptureError where there are too few pictures to show motion.
+    """
+    fixed = fixed_cameras(capture)
+    if fixed:
+        return "independent" if capture.kind == "clips" or not _are_synchronous(fixed) else "synchronous", fixed
+    rows = np.flatnonzero(np.isfinite(capture.times_s))
+    rows = rows[np.argsort(capture.times_s[rows], kind="stable")]
+    if len(rows) < _FEWEST or len(rows) < capture.n_timesteps / 2:
+        raise CaptureError(
+            f"{capture.root}: no camera stays put, and {len(rows)} pictures have a time, too few to show motion; "
+            "expected a fixed camera with a picture at every timestep, or one moving camera's video"
+        )
+    return "moving", [_frames(capture, np.array([row])) for row in rows]
+
+
+def fixed_cameras(capture: Capture) -> list[PosedFrames]:
+    """The cameras that took at least half as many pictures from one pose as the one with the most, and 2 or more."""
+    has_time = np.isfinite(capture.times_s)
+    counts = np.bincount(capture.camera_ids[has_time], minlength=int(capture.camera_ids.max()) + 1)
+    if counts.max(initial=0) < 2:
+        return []
+    found = []
+    for camera in np.flatnonzero(2 * counts >= counts.max()):
+        rows = np.flatnonzero((capture.camera_ids == camera) & has_time)
+        found.append(_frames(capture, rows[np.argsort(capture.times_s[rows], kind="stable")]))
+    return found
+
+
+def _frames(capture: Capture, rows: np.ndarray) -> PosedFrames:
+    first = rows[0]
+    return PosedFrames(
+        capture.paths[first].stem,
+        capture.viewmats[first].astype(np.float32),
+        capture.Ks[first].astype(np.float32),
+        rows,
+        capture.times_s[rows],
+    )
+
+
+def _are_synchronous(frames: list[PosedFrames]) -> bool:
+    """Whether all cameras have the same times, evenly spaced, to a fiftieth of a frame."""
+    times = frames[0].times_s
+    if len(times) < 3:
+        return all(len(f.times_s) == len(times) for f in frames)
+    step = float(np.median(np.diff(times)))
+    regular = np.abs(times - times[0] - step * np.arange(len(times))).max() < _CLOCK * step
+    same = all(len(f.times_s) == len(times) and np.abs(f.times_s - times).max() < _CLOCK * step for f in frames)
+    return bool(same and (regular or len(frames) == 1))
+
+
+def strips(pictures: Pictures, frames: PosedFrames) -> Iterator[tuple[slice, np.ndarray]]:
+    """Rows of the picture from top to bottom: slice and [F, rows, W, 3] float32 over white, all F pictures.
+
+    At most `STRIP_VALUES` values at a time, or one row.
+    """
+    height, width = pictures.size
+    at_once = max(STRIP_VALUES // (len(frames.rows) * width * 3), 1)
+    raw = pictures.strips(frames.rows.tolist())
+    for top in range(0, height, at_once):
+        rows = slice(top, min(top + at_once, height))
+        yield rows, over_white(raw(rows), pictures.maximum)

@@ -1,1 +1,0 @@
-"""Motion of more than a pixel, by repeated fits."""

@@ -1,0 +1,157 @@
+"""The motion problem on the CPU: numba kernels for the Jacobian and the prior, numpy for the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from tg4mm.motion.jacobian.packed import DOF
+from tg4mm.motion.jacobian.view import ViewJacobian
+from tg4mm.motion.nuisance import Projection
+from tg4mm.motion.prior.graph import Graph
+from tg4mm.motion.solver.preconditioner import TwoLevelPreconditioner
+from tg4mm.rasterize.buffers import Buffers
+
+
+@dataclass(frozen=True)
+class CpuOperator:
+    """`Operator` on numpy arrays."""
+
+    views: Sequence[ViewJacobian]
+    graph: Graph
+    preconditioner: TwoLevelPreconditioner
+    scale: float  # h
+    smoothness_weight: float
+    ridge: float
+    weights: np.ndarray | None = None  # W [V, H, W] float32; None: 1
+    projections: Sequence[Projection] | None = None  # one a view; None: nothing is projected out
+    mixing: Sequence[np.ndarray] | None = None  # C_v [ρ, R]; None: the identity
+    buffers: Buffers = field(default_factory=Buffers, compare=False)
+
+    @property
+    def is_coupled(self) -> bool:
+        return self.mixing is not None
+
+    def right_hand_sides(self, pictures: Iterable[np.ndarray]) -> np.ndarray:
+        """`Operator.right_hand_sides`."""
+        return np.stack([self.preconditioner.from_field(self.graph.from_motion(v)) for v in self.gathered(pictures)])
+
+    def gathered(self, pictures: Iterable[np.ndarray]) -> np.ndarray:
+        """[R, N, 6]: Σ_v C_vᵀ Jᵀ W of target images."""
+        out: np.ndarray | None = None
+        for k, (view, shown) in enumerate(zip(self.views, pictures, strict=True)):
+            if self.projections is not None:
+                shown = self.projections[k].out_of(shown)
+            if self.weights is not None:
+                shown = shown * self.weights[k, ..., None]
+            own = np.zeros((len(shown), self.graph.n_gaussians, DOF), np.float32)
+            view.vjp(np.ascontiguousarray(shown), own, self.buffers)
+            own = self._unmixed(k, own)
+            out = own if out is None else out + own
+        assert out is not None
+        return out
+
+    def products(self, theta: np.ndarray, rows: Sequence[int] | None = None) -> np.ndarray:
+        """`Operator.products`."""
+        return products_of([self], [theta if rows is None else theta[list(rows)]])[0]
+
+    def fields(self, theta: np.ndarray) -> np.ndarray:
+        """`Operator.fields`."""
+        return np.stack([self.graph.motion(self.preconditioner.field(t)) for t in theta])
+
+    def gradient_fields(self, theta: np.ndarray) -> np.ndarray:
+        """`Operator.gradient_fields`."""
+        return np.stack([self.preconditioner.field(t) for t in theta])
+
+    def prior_products(self, x: np.ndarray) -> np.ndarray:
+        """`Operator.prior_products`."""
+        nothing = np.zeros((self.graph.n_gaussians, DOF), np.float32)
+        return np.stack([self.with_prior(one, nothing) for one in x])
+
+    def with_prior(self, x: np.ndarray, v_motion: np.ndarray) -> np.ndarray:
+        """[P, 3]: the operator on a field x [4N, 3], given JᵀWJ of its motion [N, 6]."""
+        v = self.graph.from_motion(v_motion)
+        self.graph.add_prior(x, self.scale * self.smoothness_weight, self.scale * self.ridge, v)
+        return self.preconditioner.from_field(v)
+
+    def misfit(self, fields: np.ndarray, pictures: Iterable[np.ndarray]) -> float:
+        """`Operator.misfit`."""
+        total = 0.0
+        for k, (view, shown) in enumerate(zip(self.views, pictures, strict=True)):
+            left = view.jvp(self.mixed(k, fields), self.buffers) - shown
+            if self.projections is not None:
+                left = self.projections[k].out_of(left)
+            weighted = left if self.weights is None else left * self.weights[k, ..., None]
+            total += float(np.vdot(left.astype(np.float64), weighted))
+        return total
+
+    def with_graph(self, graph: Graph) -> CpuOperator:
+        """`Operator.with_graph`."""
+        return replace(self, graph=graph)
+
+    def mixed(self, k: int, fields: np.ndarray) -> np.ndarray:
+        """What view k's target images show of fields [R, N, 6]: [ρ, N, 6]."""
+        if self.mixing is None:
+            return np.ascontiguousarray(fields)
+        return np.tensordot(self.mixing[k], fields, 1)
+
+    def _unmixed(self, k: int, own: np.ndarray) -> np.ndarray:
+        return own if self.mixing is None else np.tensordot(self.mixing[k].T, own, 1)
+
+
+def products_of(operators: Sequence[CpuOperator], thetas: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Products of operators that share views, weights and mixing, in one pass over the views."""
+    first = operators[0]
+    x = [[o.preconditioner.field(t) for t in theta] for o, theta in zip(operators, thetas, strict=True)]
+    counts = [len(own) for own in x]
+    motions = np.stack([first.graph.motion(one) for own in x for one in own])
+    v_motions = np.zeros_like(motions)
+    for k in range(len(first.views)):
+        _add_view(first, k, motions, counts, v_motions)
+    out, rows = [], iter(v_motions)
+    for operator, own in zip(operators, x, strict=True):
+        out.append(np.stack([operator.with_prior(one, next(rows)) for one in own]))
+    return out
+
+
+def _add_view(first: CpuOperator, k: int, motions: np.ndarray, counts: list[int], v_motions: np.ndarray) -> None:
+    """Adds C_vᵀ Jᵀ W (1 − Q Qᵀ W) J C_v of one view to `v_motions`, both [Σ counts, N, 6]."""
+    weights = None if first.weights is None else first.weights[k]
+    shown: Any = motions
+    if first.mixing is not None:
+        ends = np.cumsum([0, *counts])
+        shown = np.concatenate([first.mixed(k, motions[a:b]) for a, b in zip(ends, ends[1:], strict=False)])
+    alone = first.mixing is None and first.projections is None
+    own = v_motions if alone else np.zeros_like(shown)
+    first.views[k].gauss_newton_product(shown, weights, own, first.buffers)
+    if first.projections is not None:
+        first.projections[k].correct(shown, own)
+    if first.mixing is None:
+        if not alone:
+            v_motions += own
+        return
+    rank = len(first.mixing[k])
+    for i, (a, n) in enumerate(zip(np.cumsum([0, *counts]), counts, strict=False)):
+        v_motions[a : a + n] += np.tensordot(first.mixing[k].T, own[i * rank : (i + 1) * rank], 1)
+
+
+@dataclass(frozen=True)
+class SharedPass:
+    """Operators that share views and weights as one uncoupled problem of one field each: one pass for all of them."""
+
+    operators: Sequence[CpuOperator]
+    is_coupled: bool = False
+
+    def right_hand_sides(self, pictures: Iterable[np.ndarray]) -> np.ndarray:
+        """[operators, P, 3] of one target image of each view, [1, H, W, 3]."""
+        (v,) = self.operators[0].gathered(pictures)
+        return np.stack([o.preconditioner.from_field(o.graph.from_motion(v)) for o in self.operators])
+
+    def products(self, theta: np.ndarray, rows: Sequence[int] | None = None) -> np.ndarray:
+        """`Operator.products`, row r by operator r."""
+        some = range(len(self.operators)) if rows is None else rows
+        own = [self.operators[r] for r in some]
+        return np.concatenate(products_of(own, [theta[r : r + 1] for r in some]))

@@ -1,0 +1,112 @@
+"""The motion stage of a run: observations in, motion, uncertainty and figures out, and going on after a kill.
+
+RUN/checkpoint_motion.safetensors holds the finished parts of an unfinished fit (`checkpoints.py`), with a digest: a part
+that was damaged is computed anew.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import time
+from collections.abc import Callable, Mapping
+
+import numpy as np
+import torch
+
+from tg4mm.capture import Capture, ImageStack
+from tg4mm.capture.pictures import FilePictures
+from tg4mm.device import gpu_figures, reset_gpu_peak
+from tg4mm.errors import RunError
+from tg4mm.gaussians import Gaussians
+from tg4mm.memory import peak_memory_mib
+from tg4mm.motion.checkpoints import Arrays
+from tg4mm.motion.config import MotionConfig
+from tg4mm.motion.modes import ModalMotion
+from tg4mm.motion.observations import observe
+from tg4mm.motion.pipeline import fit_motion
+from tg4mm.runs import UNCERTAINTY, Run
+
+_STAGE = "motion"
+_VERSION = 10  # of a checkpoint: parts of another version are computed anew
+_LOG = logging.getLogger("tg4mm")
+
+
+def train_motion(
+    run: Run, capture: Capture, images: ImageStack | FilePictures, config: MotionConfig, device: str = "cpu"
+) -> ModalMotion:
+    """Fit the motion of the run's Gaussians to a capture of T > 1 timesteps and save it in the run (`fit_motion`).
+
+    The run gets motion.safetensors, uncertainty.safetensors where it can be told, and in its log the figures that
+    docs/conventions.md lists; large motion also sharpens space.safetensors. What cannot be told is warned of, a line
+    each. Raises CaptureError where there are too few pictures to show motion, RunError where none of them sees a
+    Gaussian, Tg4mmError on settings out of range or where the device's memory is too small.
+    """
+    began = time.monotonic()
+    gaussians = run.load_space()
+    reset_gpu_peak(device)
+    observations = observe(capture, images)
+    parts = StoredParts(run, gaussians, began)
+    try:
+        fit = fit_motion(gaussians, observations, config, device, parts)
+    except RunError as error:
+        raise RunError(f"{run.path}: {error}") from None
+    figures = {
+        "seconds": time.monotonic() - parts.began,
+        "peak_memory_mib": peak_memory_mib(),
+        **gpu_figures(device),
+        **fit.figures,
+        "notes": fit.notes,
+    }
+    for note in fit.notes:
+        _LOG.warning(note)
+    if fit.gaussians is not gaussians:
+        run.save_space(fit.gaussians, {})
+    if fit.uncertainty:  # before the motion, which tells that the stage is done
+        run.save_part(UNCERTAINTY, {k: torch.from_numpy(v) for k, v in fit.uncertainty.items()})
+    run.save_motion(fit.motion, figures)
+    run.drop_checkpoint(_STAGE)
+    return fit.motion
+
+
+class StoredParts:
+    """`Parts` that lie in the run's checkpoint."""
+
+    def __init__(self, run: Run, gaussians: Gaussians, began: float) -> None:
+        self.run, self.began = run, began  # began: what log.json does not hold yet
+        self._scene = _digest({"means": gaussians.means.numpy(), "sh": gaussians.sh.numpy()})
+        self._arrays: Arrays = {}
+        self._digests: dict[str, str] = {}
+        checkpoint = run.load_checkpoint(_STAGE)
+        if checkpoint is None or checkpoint[1].get("version") != _VERSION:
+            return
+        tensors, state = checkpoint
+        if state.get("scene") == self._scene:
+            self._arrays = {k: v.numpy() for k, v in tensors.items()}
+            self._digests = dict(state.get("digests", {}))
+
+    def __call__(self, name: str, compute: Callable[[], Arrays]) -> Arrays:
+        """`Parts`."""
+        kept = {k.partition("/")[2]: v for k, v in self._arrays.items() if k.partition("/")[0] == name}
+        if kept and self._digests.get(name) == _digest(kept):
+            return kept
+        found = compute()
+        self._arrays = {k: v for k, v in self._arrays.items() if k.partition("/")[0] != name}
+        self._arrays |= {f"{name}/{k}": np.ascontiguousarray(v) for k, v in found.items()}
+        self._digests[name] = _digest(found)
+        tensors = {k: torch.from_numpy(v) for k, v in self._arrays.items()}
+        state = {"version": _VERSION, "scene": self._scene, "digests": self._digests}
+        self.run.save_checkpoint(_STAGE, tensors, state)
+        now = time.monotonic()
+        self.run.record(_STAGE, {"seconds": now - self.began})
+        self.began = now
+        return found
+
+
+def _digest(arrays: Mapping[str, np.ndarray]) -> str:
+    digest = hashlib.blake2b(digest_size=16)
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        digest.update(f"{name} {array.dtype} {array.shape}".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()

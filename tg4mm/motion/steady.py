@@ -1,0 +1,2 @@
+def fit_independent_clocks(*a):
+    raise NotImplementedError

@@ -1,0 +1,191 @@
+"""How uncertain the motion of every Gaussian is: noise, by two halves of the data, and errors that both halves share.
+
+What all cameras get wrong alike no two halves of them show: errors of the model and of the prior. Two things tell of
+them, both read off the result. What motion leaves of the pictures: noise hardly adds up over a block of pixels, errors
+of the model do, and that block's mean over the slope of the picture is the displacement that it could be; a small part
+of it is. And what the motion varies by from one Gaussian to those around it: the prior has them move alike, so that at a
+joint, an edge or a contact what is one side's and what the other's is mostly its guess. How much either counts was
+calibrated on generated scenes, whose motion is known (docs/method.md, "Uncertainty").
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from tg4mm.gaussians import Gaussians
+from tg4mm.motion.few_view_posterior import ITERATIONS, depth_sensitivity, unseen_motion, viewing_rays
+from tg4mm.motion.jacobian.colour import blend_sum
+from tg4mm.motion.jacobian.view import PosedView, ViewJacobian
+from tg4mm.motion.solver.cpu import CpuOperator
+from tg4mm.motion.split_half import deviation, mean_over_neighbours
+from tg4mm.progress import progress
+
+BLOCK = 4  # pixels: side of what an error of the model reaches over
+_OF_RESIDUAL = 0.04  # of the square of the displacement that the residual could be
+_OF_VARIATION = 2.5  # of the variance over 32 Gaussians
+_FLAT = 0.01  # of the scene's mean squared slope: as flat as anything counts
+_TINY = float(np.finfo(np.float32).tiny)
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a fit found, as far as uncertainty asks for it."""
+
+    folds: np.ndarray  # [2, R, N, 6] of two halves of the data
+    shapes: np.ndarray  # [R, N, 6], what they agree on
+    gaussians: Gaussians
+    knn: np.ndarray  # [N, count], the nearest Gaussians of each
+    views: Sequence[ViewJacobian]  # some of those Gaussians
+    cameras: Sequence[PosedView]
+    residuals: Iterable[np.ndarray]  # of each of those views: what the shapes leave of its target images
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Standard deviations of each Gaussian's displacement, rms over time, scene units."""
+
+    arrays: dict[str, np.ndarray]  # RUN/uncertainty.safetensors
+    figures: dict[str, Any]
+    notes: list[str] = field(default_factory=list)
+
+
+def of_halves(found: Found, n_timesteps: int) -> Uncertainty:
+    """From two halves of the data, and what both leave of the pictures; of many cameras that is all."""
+    halves = found.folds[..., :3]
+    noise = deviation(halves[0], halves[1], found.knn).astype(np.float64) ** 2
+    variance = noise + _model_error(found)
+    arrays = {
+        name: np.sqrt(v / n_timesteps).astype(np.float32) for name, v in (("displacement", variance), ("noise", noise))
+    }
+    power = max(float((halves.mean(0) ** 2).sum()), 1e-30)
+    ratios = {"noise_to_motion": noise, "uncertainty_to_motion": variance}
+    return Uncertainty(arrays, {name: math.sqrt(float(v.sum()) / power) for name, v in ratios.items()})
+
+
+def of_few_views(found: Found, operator: CpuOperator, gradient_fields: np.ndarray, n_timesteps: int, seed: int) -> Uncertainty:
+    """As `of_halves`, with what few cameras do not show; one camera alone gets the share along its sight."""
+    with progress("uncertainty", ITERATIONS, "iterations") as update:
+        unseen = unseen_motion(operator, gradient_fields, n_timesteps, seed, update)
+    difference = (found.folds[0] - found.folds[1])[..., :3]
+    each = np.einsum("rnc,rnd->ncd", difference, difference) / (4 * n_timesteps)
+    noise = mean_over_neighbours(each, found.knn)
+    model = _model_error(found) / (3 * n_timesteps)
+    covariance = (noise + unseen.covariance + model[:, None, None] * np.eye(3)).astype(np.float32)
+    variance = np.trace(covariance, axis1=1, axis2=2)
+    power = max(float((found.shapes[..., :3].astype(np.float64) ** 2).sum()) / n_timesteps, 1e-30)
+    of_noise = np.trace(noise, axis1=1, axis2=2)
+    arrays = {
+        "displacement": np.sqrt(variance).astype(np.float32),
+        "noise": np.sqrt(of_noise).astype(np.float32),
+        "covariance": covariance,
+    }
+    figures: dict[str, Any] = {
+        "noise_to_motion": math.sqrt(float(of_noise.sum()) / power),
+        "uncertainty_to_motion": math.sqrt(float(variance.sum()) / power),
+        "freedom": unseen.freedom,
+    }
+    if len(found.cameras) > 1:
+        return Uncertainty(arrays, figures)
+    own, guess = _along_sight(found, covariance, n_timesteps)
+    figures["guess_along_sight_percent"] = round(100 * guess, 1)
+    ratio = depth_sensitivity(found.views[0], found.cameras[0], found.gaussians.means.numpy(), seed)
+    note = (
+        f"one camera: motion along its line of sight changes the pictures {ratio:.2g} times as much as motion across, "
+        f"so that {100 * guess:.0f} % of the variance of the motion along it is the prior's guess; "
+        "a second camera from the side would show it"
+    )
+    return Uncertainty(arrays | own, figures, [note])
+
+
+def _along_sight(found: Found, covariance: np.ndarray, n_timesteps: int) -> tuple[dict[str, np.ndarray], float]:
+    """Deviations [N] along the line of sight and across it, and what part of the motion along it is a guess.
+
+    That is the variance of what is not known over that of the motion: what was found, squared, and what is not known.
+    Gaussians that are seen count by their opacity.
+    """
+    along = viewing_rays(found.cameras[0], found.gaussians.means.numpy())
+    variance = np.einsum("nc,ncd,nd->n", along, covariance, along)
+    across = np.maximum(np.trace(covariance, axis1=1, axis2=2) - variance, 0) / 2
+    shown = (np.einsum("rnc,nc->rn", found.shapes[..., :3], along) ** 2).sum(0) / n_timesteps
+    weights = np.zeros(len(found.gaussians))
+    bins = found.views[0].bins
+    rows = bins.order[: bins.n_visible]
+    weights[rows] = found.gaussians.opacities.numpy()[rows]
+    unknown = float((weights * variance).sum())
+    guess = unknown / max(unknown + float((weights * shown).sum()), 1e-30)
+    deviations = {"along_sight": variance, "across_sight": across}
+    return {k: np.sqrt(np.maximum(v, 0)).astype(np.float32) for k, v in deviations.items()}, guess
+
+
+def _model_error(found: Found) -> np.ndarray:
+    """[N] variance, summed over functions of time."""
+    means = found.gaussians.means.numpy()
+    left = displacement_left(found.residuals, found.views, found.cameras, means, found.knn)
+    return model_error_variance(left, variation(found.shapes[..., :3], found.knn))
+
+
+def model_error_variance(left: np.ndarray, varying: np.ndarray) -> np.ndarray:
+    """Variance of the displacement [N], of the squares [N] that `displacement_left` and `variation` give."""
+    return _OF_RESIDUAL * left + _OF_VARIATION * varying
+
+
+def variation(shapes: np.ndarray, knn: np.ndarray) -> np.ndarray:
+    """[N] float64, scene units squared: variance of R fields [R, N, 3] over the nearest Gaussians `knn` [N, count].
+
+    Sums over fields and over x, y, z.
+    """
+    out = np.zeros(shapes.shape[1])
+    for shape in shapes.astype(np.float64):
+        squares = np.einsum("nc,nc->n", shape, shape)
+        out += mean_over_neighbours(squares, knn) - (mean_over_neighbours(shape, knn) ** 2).sum(1)
+    return np.maximum(out, 0)
+
+
+def displacement_left(
+    residuals: Iterable[np.ndarray],
+    views: Sequence[ViewJacobian],
+    cameras: Sequence[PosedView],
+    means: np.ndarray,
+    knn: np.ndarray,
+) -> np.ndarray:
+    """[N] float64, scene units squared: the displacement that could be what is left of target images.
+
+    residuals: of every view [R, H, W, 3]; means [N, 3], the Gaussians' places. Means of the squares over pixels by the
+    blending weights of the nearest Gaussians `knn` [N, count]; over the whole scene where no camera sees any of these.
+    A surface counts as no flatter than a hundredth of the scene's mean squared slope.
+    """
+    seen = np.zeros((len(means), 3))  # of what is left, of what a unit of displacement changes, of pixels
+    for pictures, view, camera in zip(residuals, views, cameras, strict=True):
+        slopes = _slopes(view)
+        told = blend_sum(view, np.stack([_of_blocks(pictures), slopes, np.ones_like(slopes)], -1))
+        depth = means @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
+        per_unit = np.sqrt(camera.K[0, 0] * camera.K[1, 1]) / np.where(told[:, 2] > 0, depth, 1)  # pixels
+        told[:, 1:] *= per_unit[:, None] ** 2
+        seen += told
+    around_each, everywhere = mean_over_neighbours(seen, knn), seen.sum(0)
+    flat = _FLAT * around_each[:, 2] * everywhere[1] / max(everywhere[2], _TINY)
+    found = around_each[:, 0] / np.maximum(np.maximum(around_each[:, 1], flat), _TINY)
+    return np.where(around_each[:, 2] > 0, found, everywhere[0] / max(everywhere[1], _TINY))
+
+
+def _of_blocks(pictures: np.ndarray) -> np.ndarray:
+    """[H, W]: squares of the means over blocks of pictures [R, H, W, 3]; sums over pictures and channels."""
+    height, width = pictures.shape[1:3]
+    rows, columns = np.arange(0, height, BLOCK), np.arange(0, width, BLOCK)
+    means = np.add.reduceat(np.add.reduceat(pictures, rows, axis=1), columns, axis=2)
+    tall, wide = np.diff(rows, append=height), np.diff(columns, append=width)
+    means /= np.outer(tall, wide).astype(np.float32)[..., None]
+    squares = np.einsum("rhwc,rhwc->hw", means, means)
+    return np.asarray(squares.repeat(tall, 0).repeat(wide, 1))
+
+
+def _slopes(view: ViewJacobian) -> np.ndarray:
+    """[H, W]: the squared gradient of the picture at rest over white, per pixel; sums over channels."""
+    picture = view.image[..., :3] + view.transmittance[..., None]
+    down, right = np.gradient(picture, axis=(0, 1))
+    return np.asarray((down**2 + right**2).sum(-1))
