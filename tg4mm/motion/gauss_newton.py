@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -139,11 +140,9 @@ class GaussNewton:
                 def tell(done: int, k: int = k, **figures: Any) -> None:
                     update(k * units + done, iteration=k + 1, **figures)
 
-                begun = state
-                state = GaussNewtonState.restored(
-                    parts(f"gauss_newton_{k}", lambda s=begun, k=k, tell=tell: self._iterated(s, evidence, k, tell).arrays())
-                )
-                if state.errors.changes < begun.errors.changes:
+                before, compute = state, partial(self._iterated_arrays, state, evidence, k, tell)
+                state = GaussNewtonState.restored(parts(f"gauss_newton_{k}", compute))
+                if state.errors.changes < before.errors.changes:
                     misfits.append(state.errors.changes)
                 if state.is_over:
                     break
@@ -153,6 +152,11 @@ class GaussNewton:
     def _costs(self) -> int:
         """Steps of refining that an iteration of conjugate gradients takes."""
         return max(2 * len(self.observations.frames) // len(self.folds), 1)
+
+    def _iterated_arrays(
+        self, state: GaussNewtonState, evidence: Evidence, k: int, tell: Callable[..., None]
+    ) -> dict[str, np.ndarray]:
+        return self._iterated(state, evidence, k, tell).arrays()
 
     def _iterated(
         self, state: GaussNewtonState, evidence: Evidence, k: int, tell: Callable[..., None]
@@ -206,12 +210,13 @@ class GaussNewton:
         for p, fold in enumerate(self.folds):
             operator, b = self._operator(problem, knots, fold, weight)
             done = p * self.iterations * self._costs
-            solution = pcg(
-                operator, b, self.iterations, self.config.tolerance,
-                update=lambda i, r, done=done: tell(done + i * self._costs, residual=round(r, 4)),
-            )  # fmt: skip
+            update = partial(self._tell_solve, tell, done)
+            solution = pcg(operator, b, self.iterations, self.config.tolerance, update=update)
             found.append(operator.fields(solution.theta))
         return np.stack(found), weight
+
+    def _tell_solve(self, tell: Callable[..., None], before: int, done: int, residual: float) -> None:
+        tell(before + done * self._costs, residual=round(residual, 4))
 
     def _knots(
         self, gaussians: Gaussians, views: Sequence[ViewJacobian], shapes: np.ndarray, evidence: Evidence

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -48,14 +49,14 @@ class LinearFit:
 
     def first_pass(self) -> list[Arrays]:
         """Of each fold: `fields` [R, N, 6], `x` [R, 4N, 3], `residual` [R, P, 3] and `norms` of the equations."""
-        return [self.parts(f"first_pass_{p}", lambda p=p: self._first(p)) for p in range(len(self.folds))]
+        return [self.parts(f"first_pass_{p}", partial(self._first, p)) for p in range(len(self.folds))]
 
     def second_pass(self, first: Sequence[Arrays], correction: Correction | None) -> np.ndarray:
         """[P, R, N, 6]: the fields with what a second pass adds; `correction` None: the first pass goes on."""
         graph = self._reweighted(first) if correction is not None else None
         return np.stack(
             [
-                self.parts(f"second_pass_{p}", lambda p=p: self._second(p, first[p], correction, graph))["fields"]
+                self.parts(f"second_pass_{p}", partial(self._second, p, first[p], correction, graph))["fields"]
                 for p in range(len(self.folds))
             ]
         )

@@ -23,7 +23,7 @@ from tg4mm.motion.jacobian.view import PosedView, ViewJacobian
 
 GAIN, OFFSET, ROTATION, TRANSLATION = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 EXPOSURE, POSE = slice(0, 6), slice(6, 12)
-_COUNT = 12
+COLUMNS = 12
 _TINY = 1e-6  # of the largest eigenvalue of the columns' products: below it a column says nothing new
 EXPOSURE_SHARE = 1e-3  # of the changes' energy: less exposure than that stays
 
@@ -107,7 +107,7 @@ def rigid_fields(camera: PosedView, means: np.ndarray) -> np.ndarray:
 def inner_products(nuisance: Nuisance, mean: np.ndarray, rows: slice, flat: np.ndarray) -> np.ndarray:
     """[12, F] float64: products of all columns with a strip of F changes, flattened [F, rows · W · 3]."""
     strip, own = flat.reshape(len(flat), -1, 3), mean[rows].reshape(-1, 3)
-    out = np.zeros((_COUNT, len(flat)))
+    out = np.zeros((COLUMNS, len(flat)))
     for c in range(3):
         channel = strip[..., c]
         out[c], out[3 + c] = channel @ own[:, c], channel.sum(1, dtype=np.float64)
@@ -162,10 +162,10 @@ class Projection:
 
 
 def exposure(
-    nuisances: Sequence[Nuisance], means: np.ndarray, products: Sequence[np.ndarray], grams: Sequence[np.ndarray]
+    nuisances: Sequence[Nuisance], means: Sequence[np.ndarray], products: Sequence[np.ndarray], grams: Sequence[np.ndarray]
 ) -> tuple[float, float, float]:
     """Gain and offset (rms over frames and cameras, percent) and the share of the changes' energy that they hold."""
-    active = np.arange(_COUNT) < 6
+    active = np.arange(COLUMNS) < 6
     gains, offsets, energy, total = [], [], 0.0, 0.0
     for nuisance, mean, own, gram in zip(nuisances, means, products, grams, strict=True):
         n = nuisance.coefficients(mean, own, active)

@@ -54,7 +54,7 @@ class RegionSeries:
 
 def labels_of(aggregates: Aggregates) -> np.ndarray:
     """[N] int: the region of every Gaussian, the aggregates of the solver's coarse level."""
-    return np.asarray(aggregates.plain.indices)
+    return np.asarray(aggregates.tentative.indices)
 
 
 def fixed_camera_series(

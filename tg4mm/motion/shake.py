@@ -8,6 +8,7 @@ move least decide: they must move by more than noise, and by what one shift, rol
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,8 +36,8 @@ class BlockShifts:
         down, right = np.gradient(picture, axis=(0, 1))
         slopes = -np.stack([right, down]).astype(np.float32)
         gram = np.zeros((BLOCKS, BLOCKS, 2, 2))
-        for i, j, part in _parts(picture.shape[:2]):
-            flat = slopes[:, part[0], part[1]].reshape(2, -1)
+        for i, j, (tall, wide) in _parts(picture.shape[:2]):
+            flat = slopes[:, tall, wide].reshape(2, -1)
             gram[i, j] = flat @ flat.T
         return BlockShifts(slopes, gram, np.zeros((BLOCKS, BLOCKS, 2, n_frames)), np.zeros((BLOCKS, BLOCKS)))
 
@@ -71,7 +72,7 @@ class BlockShifts:
         return moved, bool(moved > _LEAST_PX and share > _EXPLAINED)
 
 
-def _parts(size: tuple[int, int]):
+def _parts(size: tuple[int, ...]) -> Iterator[tuple[int, int, tuple[slice, slice]]]:
     rows, columns = (np.linspace(0, n, BLOCKS + 1).round().astype(int) for n in size)
     for i in range(BLOCKS):
         for j in range(BLOCKS):

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from tg4mm.motion.nuisance import Nuisance, inner_products, without
+from tg4mm.motion.nuisance import COLUMNS, Nuisance, inner_products, without
 from tg4mm.motion.observations import Observations, PosedFrames, strips
 from tg4mm.motion.shake import BlockShifts
 
@@ -89,7 +89,8 @@ def first_look(
     for v, frames in enumerate(observations.frames):
         blocks = BlockShifts.of(_at_rest(nuisances[v]), len(frames.rows)) if looks_for_shake else None
         free -= len(frames.rows) * height * width * 12
-        gram, products, kept = np.zeros((len(frames.rows),) * 2), 0.0, []
+        n_frames, kept = len(frames.rows), []
+        gram, products = np.zeros((n_frames, n_frames)), np.zeros((COLUMNS, n_frames))
         for rows, strip in strips(observations.pictures, frames):
             mean[v, rows] = strip.mean(0, dtype=np.float64)
             strip -= mean[v, rows]
@@ -97,12 +98,12 @@ def first_look(
                 blocks.add(rows, strip)
             flat = strip.reshape(len(strip), -1)
             gram += flat @ flat.T
-            products = products + inner_products(nuisances[v], mean[v], rows, flat)
+            products += inner_products(nuisances[v], mean[v], rows, flat)
             total[v, rows] = np.einsum("fhwc,fhwc->hw", strip, strip) / 3
             if free >= 0:
                 kept.append((rows, strip))
         grams.append(gram)
-        columns.append(np.asarray(products))
+        columns.append(products)
         if kept:
             cache[v] = kept
         if blocks is not None:

@@ -39,17 +39,29 @@ class Fold:
         return np.broadcast_to(self.pixels, (len(self.views), *size)).copy() if own is None else own * self.pixels
 
 
-class Operator(Protocol):
-    """The normal equations of one fold, as products. `theta` and what comes back are [R, P, 3]."""
+class System(Protocol):
+    """What conjugate gradients ask of symmetric positive equations in θ [R, …]."""
 
-    smoothness_weight: float  # λ
-    is_coupled: bool  # a mixing matrix ties the R fields together: one system, not R
-
-    def right_hand_sides(self, pictures: Iterable[np.ndarray]) -> Array:
-        """Jᵀ W of target images, of each view [ρ, H, W, 3], as [R, P, 3]."""
+    @property
+    def is_coupled(self) -> bool:
+        """Whether the R parts of θ are one system, not R."""
 
     def products(self, theta: Array, rows: Sequence[int] | None = None) -> Array:
         """The operator applied to θ; of uncoupled systems to some rows of it."""
+
+
+class Operator(System, Protocol):
+    """The normal equations of one fold, as products. `theta` and what comes back are [R, P, 3].
+
+    A mixing matrix couples the R fields.
+    """
+
+    @property
+    def smoothness_weight(self) -> float:
+        """λ."""
+
+    def right_hand_sides(self, pictures: Iterable[np.ndarray]) -> Array:
+        """Jᵀ W of target images, of each view [ρ, H, W, 3], as [R, P, 3]."""
 
     def fields(self, theta: Array) -> np.ndarray:
         """θ -> [R, N, 6] float32: displacement (scene units) and rotation vector (radians)."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from tg4mm.motion.solver.operator import Array, Operator
+from tg4mm.motion.solver.operator import Array, System
 
 _EXACT = 1e-14  # squared relative residual: to the digits of float32, going on would only add up rounding
 
@@ -29,7 +29,7 @@ class Solution:
 
 
 def pcg(
-    operator: Operator,
+    operator: System,
     b: Array,
     iterations: int,
     tolerance: float,
@@ -60,7 +60,7 @@ def pcg(
 
 
 def _step(
-    operator: Operator,
+    operator: System,
     theta: Array,
     residual: Array,
     direction: Array,
