@@ -9,39 +9,14 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
+from tests.motion.scenes import COLUMNS, SCENES, motion_of, view_of
 from tests.rasterize.oracle import Scene, assert_close, make_scene
-from tg4mm.gaussians import Gaussians
 from tg4mm.motion.jacobian import view as module
 from tg4mm.motion.jacobian.packed import DOF, pack, unpack
-from tg4mm.motion.jacobian.view import ALPHA_MIN_LINEAR, ViewJacobian, view_jacobian
-from tg4mm.motion.pictures.video import FixedCamera
+from tg4mm.motion.jacobian.view import ALPHA_MIN_LINEAR
 from tg4mm.rasterize import reference
 from tg4mm.rasterize.buffers import Buffers
 from tg4mm.rasterize.reference import rasterize_dense
-
-SCENES = {
-    "ordinary": make_scene(0),
-    "thin": make_scene(3, scale=(0.005, 0.4)),
-    "crowded": make_scene(5, n=120, spread=0.6, scale=(0.03, 0.15)),
-}
-COLUMNS = {"displacement": slice(0, 3), "rotation": slice(3, 6), "both": slice(0, 6)}
-
-
-def gaussians_of(scene: Scene) -> Gaussians:
-    tensors = (scene.means, scene.quats, scene.scales, scene.opacities, scene.colors)
-    return Gaussians(*(t.float() for t in tensors))
-
-
-def view_of(scene: Scene) -> ViewJacobian:
-    camera = FixedCamera(scene.viewmats[0].float().numpy(), scene.Ks[0].float().numpy(), np.arange(1))
-    return view_jacobian(gaussians_of(scene), camera, (scene.width, scene.height))
-
-
-def motion_of(scene: Scene, columns: slice, seed: int = 0) -> np.ndarray:
-    motion = np.zeros((len(scene.means), DOF), np.float32)
-    draw = np.random.default_rng(seed).normal(size=motion.shape)
-    motion[:, columns] = draw[:, columns]
-    return motion
 
 
 def over_white(scene: Scene, motion: np.ndarray) -> torch.Tensor:
@@ -69,7 +44,7 @@ def differences(scene: Scene, motion: np.ndarray) -> tuple[torch.Tensor, torch.T
 
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("columns", COLUMNS)
-def test_push_is_the_derivative_of_the_picture(
+def test_the_jvp_is_the_derivative_of_the_picture(
     name: str, columns: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(reference, "ALPHA_MIN", ALPHA_MIN_LINEAR)
@@ -78,10 +53,10 @@ def test_push_is_the_derivative_of_the_picture(
     expected, safe = differences(scene, motion)
     assert safe.double().mean() > 0.97
     assert expected.abs().max() > 0.1
-    pushed = torch.from_numpy(view_of(scene).jvp(motion[None])[0])
-    assert_close("change", pushed * safe, expected * safe, 3e-4)
+    shown = torch.from_numpy(view_of(scene).jvp(motion[None])[0])
+    assert_close("change", shown * safe, expected * safe, 3e-4)
     with pytest.raises(AssertionError):  # the comparison can fail
-        assert_close("change", pushed * safe * 1.002, expected * safe, 3e-4)
+        assert_close("change", shown * safe * 1.002, expected * safe, 3e-4)
 
 
 @pytest.mark.parametrize("axis", range(3))
@@ -100,14 +75,14 @@ def test_rotations_are_about_the_world_axes(axis: int, monkeypatch: pytest.Monke
 
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("columns", COLUMNS)
-def test_pull_is_the_transpose_of_push(name: str, columns: str) -> None:
+def test_the_vjp_is_the_transpose(name: str, columns: str) -> None:
     scene = SCENES[name]
     view, motion = view_of(scene), motion_of(scene, COLUMNS[columns])
     for seed in range(3):
         picture = np.random.default_rng(seed).normal(size=(scene.height, scene.width, 3)).astype(np.float32)
-        pulled = np.zeros_like(motion)
-        view.vjp(picture[None], pulled[None])
-        terms = pulled.astype(np.float64) * motion
+        gathered = np.zeros_like(motion)
+        view.vjp(picture[None], gathered[None])
+        terms = gathered.astype(np.float64) * motion
         forward = (view.jvp(motion[None])[0].astype(np.float64) * picture).sum()
         assert abs(forward - terms.sum()) < 1e-4 * np.linalg.norm(view.jvp(motion[None])[0]) * np.linalg.norm(
             picture
@@ -115,7 +90,7 @@ def test_pull_is_the_transpose_of_push(name: str, columns: str) -> None:
         assert abs(forward - terms.sum()) < 1e-4 * np.abs(terms).sum()
 
 
-def test_pull_adds_to_what_is_there() -> None:
+def test_the_vjp_adds_to_what_is_there() -> None:
     scene = SCENES["ordinary"]
     view, picture = view_of(scene), np.ones((scene.height, scene.width, 3), np.float32)
     once, onto = np.zeros((40, DOF), np.float32), np.full((40, DOF), 2.0, np.float32)
@@ -132,10 +107,10 @@ def test_what_the_camera_does_not_see_says_nothing() -> None:
     motion = np.zeros((40, DOF), np.float32)
     motion[:5] = 1
     assert np.abs(view.jvp(motion[None])[0]).max() == 0
-    pulled = np.zeros((40, DOF), np.float32)
-    view.vjp(np.ones((scene.height, scene.width, 3), np.float32)[None], pulled[None])
-    assert (pulled[:5] == 0).all()
-    assert (pulled[5:] != 0).any()
+    gathered = np.zeros((40, DOF), np.float32)
+    view.vjp(np.ones((scene.height, scene.width, 3), np.float32)[None], gathered[None])
+    assert (gathered[:5] == 0).all()
+    assert (gathered[5:] != 0).any()
 
 
 def test_a_small_motion_changes_the_real_picture_as_predicted() -> None:
@@ -143,15 +118,15 @@ def test_a_small_motion_changes_the_real_picture_as_predicted() -> None:
     scene = SCENES["ordinary"]
     motion = 0.004 * motion_of(scene, COLUMNS["displacement"])
     change = (over_white(scene, motion.astype(float)) - over_white(scene, -motion.astype(float))).numpy() / 2
-    pushed = view_of(scene).jvp(motion[None])[0]
-    assert np.linalg.norm(pushed - change) < 0.1 * np.linalg.norm(change)
-    assert (pushed * change).sum() / (change**2).sum() == pytest.approx(1, abs=0.03)
+    shown = view_of(scene).jvp(motion[None])[0]
+    assert np.linalg.norm(shown - change) < 0.1 * np.linalg.norm(change)
+    assert (shown * change).sum() / (change**2).sum() == pytest.approx(1, abs=0.03)
 
 
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("n_changes", [1, 3])
 @pytest.mark.parametrize("weighted", [False, True])
-def test_there_and_back_at_once_is_one_after_the_other(name: str, n_changes: int, weighted: bool) -> None:
+def test_the_gauss_newton_product_is_one_after_the_other(name: str, n_changes: int, weighted: bool) -> None:
     scene, rng = SCENES[name], np.random.default_rng(2)
     view, n = view_of(scene), len(scene.means)
     motions = rng.normal(size=(n_changes, n, DOF)).astype(np.float32)
@@ -164,7 +139,7 @@ def test_there_and_back_at_once_is_one_after_the_other(name: str, n_changes: int
     np.testing.assert_allclose(found, expected, atol=2e-5 * np.abs(expected).max())
 
 
-def test_there_and_back_is_the_same_with_kept_buffers() -> None:
+def test_the_gauss_newton_product_is_the_same_with_kept_buffers() -> None:
     """Also after a call with more changes, of which they still hold something."""
     view, rng = view_of(SCENES["crowded"]), np.random.default_rng(3)
     motions, buffers = rng.normal(size=(4, 120, DOF)).astype(np.float32), Buffers()
@@ -188,7 +163,7 @@ def test_what_nobody_sees_is_not_listed_and_not_missed(monkeypatch: pytest.Monke
     pictures = whole.jvp(motions)
     assert np.abs(pictures).max() > 0.1
     assert np.array_equal(view.jvp(motions), pictures)
-    for apply in ("vjp", "normal"):
+    for apply in ("vjp", "gauss_newton_product"):
         found, expected = np.zeros((2, *motions.shape), np.float32)
         for some, out in ((view, found), (whole, expected)):
             if apply == "vjp":
