@@ -87,7 +87,7 @@ def _from_its_zero(gaussians: Gaussians, motion: ModalMotion) -> tuple[Gaussians
     still = motion.freqs_hz == 0
     if not still.any():
         return gaussians, motion
-    motion = replace(motion, light=None)  # of which a splat file holds nothing
+    motion = replace(motion, appearance=None)  # of which a splat file holds nothing
     return animate(gaussians, motion.selected(still), 0.0), motion.selected(~still)
 
 

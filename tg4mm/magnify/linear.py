@@ -41,7 +41,7 @@ def magnified_motion(motion: ModalMotion, plan: Magnification) -> ModalMotion:
         light = replace(light, series=series * factors[:, None])
     return replace(
         motion, freqs_hz=freqs, displacement=phasors[..., :3], rotation=phasors[..., 3:],
-        gains=None, magnified=None, light=light,
+        gains=None, magnified=None, appearance=light,
     )  # fmt: skip
 
 

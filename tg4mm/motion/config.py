@@ -24,7 +24,9 @@ class MotionConfig:
     tolerance: float = 3e-3  # relative residual at which conjugate gradients stop
     split_half: bool = True  # fit each half of the data by itself and take the mean
     gauss_newton: int = 4  # iterations at most, where 1 % of what is seen moves by more than 0.7 pixels
-    appearance: bool = True  # fit what motion leaves of the pictures by changes of colour, magnified along with it
+    appearance: bool = (
+        True  # fit what motion leaves of the pictures by changes of colour, magnified along with it
+    )
     # projected out of every frame: auto finds out; none; exposure (gain and offset); all (exposure and camera pose)
     nuisance: str = "auto"
     seed: int = 0

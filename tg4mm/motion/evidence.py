@@ -91,7 +91,8 @@ def rendered(gaussians: Gaussians, seen: MovedPictures, device: str) -> np.ndarr
     height, width = seen.pictures.shape[2:4]
     there = gaussians.to(device)
     viewmats, Ks = (
-        torch.from_numpy(np.stack([getattr(c, name) for c in seen.cameras])).to(device) for name in ("viewmat", "K")
+        torch.from_numpy(np.stack([getattr(c, name) for c in seen.cameras])).to(device)
+        for name in ("viewmat", "K")
     )
     out = np.empty_like(seen.pictures)
     for k, motion in enumerate(seen.motions):

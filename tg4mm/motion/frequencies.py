@@ -106,17 +106,25 @@ def _without(y: np.ndarray, t: np.ndarray, hz: np.ndarray) -> np.ndarray:
 
 
 def _refined(
-    series: Sequence[np.ndarray], times: Sequence[np.ndarray], noise: Sequence[np.ndarray], hz: list[float], step: float
+    series: Sequence[np.ndarray],
+    times: Sequence[np.ndarray],
+    noise: Sequence[np.ndarray],
+    hz: list[float],
+    step: float,
 ) -> list[float]:
     """All frequencies moved to where least is left, by at most `step` (variable projection)."""
     weighted = [_strong(y[:, n > 0] / np.sqrt(n[n > 0])) for y, n in zip(series, noise, strict=True)]
     scale = np.sqrt(sum(float((y**2).sum()) for y in weighted)) or 1.0
 
     def misfit(f: np.ndarray) -> np.ndarray:
-        return np.concatenate([_without(y, t, f).ravel() for y, t in zip(weighted, times, strict=True)]) / scale
+        return (
+            np.concatenate([_without(y, t, f).ravel() for y, t in zip(weighted, times, strict=True)]) / scale
+        )
 
     start = np.array(hz)
-    best = least_squares(misfit, start, bounds=(start - step, start + step), xtol=1e-9, ftol=1e-10, max_nfev=30)
+    best = least_squares(
+        misfit, start, bounds=(start - step, start + step), xtol=1e-9, ftol=1e-10, max_nfev=30
+    )
     return [float(f) for f in best.x]
 
 

@@ -1,11 +1,11 @@
 """Motion of more than a pixel by Gauss-Newton: fit, move, look what is left, fit again.
 
-A picture changes in proportion to motion as long as that is less than about a pixel, and the scene at rest was fitted to
-a mean over time that larger motion blurs. So where the linear fit moves things by more than 0.7 pixels it is repeated:
-every iteration renders what the motion found so far shows, fits the motion to what is left with Jacobians where things
-have moved to, and then the scene at rest to all pictures (`refine.py`). An iteration counts only if the new motion
-leaves less of the pictures than the old one; if not, half its step is tried, and if that does not help either, that was
-all.
+A picture changes in proportion to motion as long as that is less than about a pixel, and the scene at rest was fitted
+to a mean over time that larger motion blurs. So where the linear fit moves things by more than 0.7 pixels it
+is repeated: every iteration renders what the motion found so far shows, fits the motion to what is left with Jacobians
+where things have moved to, and then the scene at rest to all pictures (`refine.py`). An iteration counts only if the
+new motion leaves less of the pictures than the old one; if not, half its step is tried, and if that does not
+help either, that was all.
 
 The states are taken together once more, coarsely: states less than 0.7 pixels apart share a knot, at which the views
 are linearised. A knot l with Jacobian J_l, whose timesteps t have the functions of time a(t), couples the fields by
@@ -69,7 +69,9 @@ class GaussNewtonState:
     @staticmethod
     def restored(arrays: dict[str, np.ndarray]) -> GaussNewtonState:
         """From what `arrays` gave."""
-        gaussians = {k.partition(".")[2]: torch.from_numpy(v) for k, v in arrays.items() if k.startswith("gaussians.")}
+        gaussians = {
+            k.partition(".")[2]: torch.from_numpy(v) for k, v in arrays.items() if k.startswith("gaussians.")
+        }
         weight, changes, whole, is_over = (float(f) for f in arrays["figures"])
         return GaussNewtonState(
             Gaussians(**gaussians), arrays["fields"], weight, Errors(changes, whole), bool(is_over)
@@ -113,7 +115,12 @@ class GaussNewton:
         self.basis, self.images = targets.basis[self.used], targets.images[:, self.used]
         self.linear = np.flatnonzero(~hyper.is_noise[self.used])
         self.weights = pixel_weights(targets, ~np.isin(np.arange(len(targets.basis)), self.used))
-        self.observations, self.folds, self.nuisances, self.means = observations, folds, nuisances, targets.mean
+        self.observations, self.folds, self.nuisances, self.means = (
+            observations,
+            folds,
+            nuisances,
+            targets.mean,
+        )
         self.config, self.device, self.size = config, device, observations.size
         # all components together, linearised at several places: they settle more slowly
         self.iterations = config.iterations * 3 // 2
@@ -123,7 +130,12 @@ class GaussNewton:
         self.refining = int(np.clip(40 * (width * height / 4) ** (1 / 3), 250, 7_500)) if enough else 0
 
     def run(
-        self, gaussians: Gaussians, views: Sequence[ViewJacobian], fields: np.ndarray, weight: float, parts: Parts
+        self,
+        gaussians: Gaussians,
+        views: Sequence[ViewJacobian],
+        fields: np.ndarray,
+        weight: float,
+        parts: Parts,
     ) -> tuple[GaussNewtonState, list[float], Evidence]:
         """From the linear fit's fields [P, R', N, 6]: the last state, the misfit before and after each iteration."""
         start = np.zeros((len(fields), len(self.basis), *fields.shape[2:]), np.float32)
@@ -242,7 +254,9 @@ class GaussNewton:
         views = [knot.views[v] for knot in knots for v in fold.views]
         targets = [knot.target[v] for knot in knots for v in fold.views]
         weights = None if rest.weights is None else np.concatenate([rest.weights] * len(knots))
-        plain = replace(rest, views=views, weights=weights, projections=self._projections(views, fold, weights))
+        plain = replace(
+            rest, views=views, weights=weights, projections=self._projections(views, fold, weights)
+        )
         mixing = [knot.mixing for knot in knots for _ in fold.views]
         if self.device == "cpu":
             return replace(plain, mixing=mixing), plain.right_hand_sides(targets)
@@ -257,7 +271,9 @@ class GaussNewton:
             return None
         rows = [int(fold.views[k % len(fold.views)]) for k in range(len(views))]
         return [
-            Projection.of(replace(self.nuisances[v], view=view), self.means[v], None if weights is None else weights[k])
+            Projection.of(
+                replace(self.nuisances[v], view=view), self.means[v], None if weights is None else weights[k]
+            )
             for k, (view, v) in enumerate(zip(views, rows, strict=True))
         ]
 

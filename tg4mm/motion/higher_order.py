@@ -1,7 +1,7 @@
 """Taylor terms: what a motion changes in the target images beyond the derivative of rendering.
 
-A picture that moves by u changes by −u·∇M + ½ (u·∇)² M − …, M its mean over time. With orthonormal functions of time a_s
-and u(t) = Σ a_s(t) u_s, the second-order term is in target image s
+A picture that moves by u changes by −u·∇M + ½ (u·∇)² M − …, M its mean over time. With orthonormal functions of time
+a_s and u(t) = Σ a_s(t) u_s, the second-order term is in target image s
 
     ½ Σ_rq (Σ_t a_s a_r a_q) (u_r·∇)(u_q·∇) M.
 
@@ -43,7 +43,9 @@ class TaylorTerms:
         """[R, H, W, 3] float32: the second-order term of fields [R, N, 6] in the target images of view `v`."""
         flow = optical_flow(self.views[v], fields, self.buffers)
         out = np.empty_like(flow)
-        _second_order(_with_margin(self.means[v]), flow, np.float32(1 / self.basis.shape[1]), self._pairs(), out)
+        _second_order(
+            _with_margin(self.means[v]), flow, np.float32(1 / self.basis.shape[1]), self._pairs(), out
+        )
         return out
 
     def _pairs(self) -> tuple[np.ndarray, np.ndarray]:

@@ -5,11 +5,11 @@ such components hold tells how noisy every pixel is: shadows and gloss of a rend
 count by the inverse of their variance, to which the mean over all is added, so that none counts for more than twice the
 average one.
 
-Smoothness. How far motion reaches before it bends, and how much noise there is, differs from scene to scene by orders of
-magnitude. So the strongest component is fitted to one half with every candidate weight of the prior, for a few
+Smoothness. How far motion reaches before it bends, and how much noise there is, differs from scene to scene by orders
+of magnitude. So the strongest component is fitted to one half with every candidate weight of the prior, for a few
 iterations, and judged by how well it predicts the other half, whose noise it has not seen (cross-validation). Errors of
-the model (edges, shading) are alike in both halves and draw towards weights that are too small; hence the largest weight
-that is within 0.8 % of the best.
+the model (edges, shading) are alike in both halves and draw towards weights that are too small; hence the largest
+weight that is within 0.8 % of the best.
 """
 
 from __future__ import annotations
@@ -112,7 +112,9 @@ def chosen_weight(
     return CANDIDATES[best]
 
 
-def few_iterations(operators: Sequence[Any], images: Sequence[np.ndarray], iterations: int) -> list[np.ndarray]:
+def few_iterations(
+    operators: Sequence[Any], images: Sequence[np.ndarray], iterations: int
+) -> list[np.ndarray]:
     """Fields [R, N, 6] of each operator after so many iterations; on the CPU uncoupled ones share their passes."""
     if not isinstance(operators[0], CpuOperator) or operators[0].is_coupled:
         solutions = [pcg(o, o.right_hand_sides(images), iterations, 1e-6) for o in operators]

@@ -1,9 +1,9 @@
 """The linear fit: every fold's fields by conjugate gradients, in two passes with a deferred correction between.
 
-The first pass explains the target images. What the found motion shows beyond the derivative (`higher_order.py`), and the
-change of appearance that goes with it (`appearance/`), is then taken from what is left, and edges of the prior that two
-folds find strained are reweighted, both only if the motion is small. The second pass solves for the difference that this
-makes: A δ = b − A x − Jᵀ W (what is beyond). Together they take the iterations of one fit.
+The first pass explains the target images. What the found motion shows beyond the derivative (`higher_order.py`), and
+the change of appearance that goes with it (`appearance/`), is then taken from what is left, and edges of the prior
+that two folds find strained are reweighted, both only if the motion is small. The second pass solves for the
+difference that this makes: A δ = b − A x − Jᵀ W (what is beyond). Together they take the iterations of one fit.
 """
 
 from __future__ import annotations
@@ -25,7 +25,9 @@ from tg4mm.motion.solver.pcg import fetched, pcg, sent
 from tg4mm.motion.temporal import TargetImages
 from tg4mm.progress import progress
 
-TOGETHER = 8  # components that share a pass over the views: half the time of eight passes, memory for eight fields
+TOGETHER = (
+    8  # components that share a pass over the views: half the time of eight passes, memory for eight fields
+)
 _SECOND = 0.7  # of the iterations
 # of one fold p, given its fields [R, N, 6] of the first pass and some of the components: pictures of each of its views
 Correction = Callable[[int, np.ndarray, slice], Sequence[np.ndarray]]
@@ -56,7 +58,9 @@ class LinearFit:
         graph = self._reweighted(first) if correction is not None else None
         return np.stack(
             [
-                self.parts(f"second_pass_{p}", partial(self._second, p, first[p], correction, graph))["fields"]
+                self.parts(f"second_pass_{p}", partial(self._second, p, first[p], correction, graph))[
+                    "fields"
+                ]
                 for p in range(len(self.folds))
             ]
         )
@@ -87,7 +91,9 @@ class LinearFit:
                 own = operator.fields(theta), operator.gradient_fields(theta), fetched(solution.residual)
                 out.append((*own, solution.norms))
         names = "fields", "x", "residual", "norms"
-        return {name: np.concatenate(arrays) for name, arrays in zip(names, zip(*out, strict=True), strict=True)}
+        return {
+            name: np.concatenate(arrays) for name, arrays in zip(names, zip(*out, strict=True), strict=True)
+        }
 
     def _second(self, p: int, first: Arrays, correction: Correction | None, graph: Any) -> Arrays:
         fold, iterations = self.folds[p], self._iterations[1]
@@ -103,7 +109,9 @@ class LinearFit:
                     b += fetched(before.prior_products(x)) - fetched(operator.prior_products(x))
                 norms = first["norms"] if before.is_coupled else first["norms"][some]
                 tell = _telling(update, k * iterations)
-                solution = pcg(operator, sent(b, self.problem.device), iterations, self.config.tolerance, norms, tell)
+                solution = pcg(
+                    operator, sent(b, self.problem.device), iterations, self.config.tolerance, norms, tell
+                )
                 out.append(first["fields"][some] + operator.fields(solution.theta))
         return {"fields": np.concatenate(out)}
 
@@ -111,7 +119,9 @@ class LinearFit:
         """The graph with edges reweighted; None where only one fold, or the least weight, was chosen."""
         if len(first) < 2 or self.hyper.smoothness_weight <= CANDIDATES[0]:
             return None
-        return reweight_edges(self.problem.graph, edge_residual(self.problem.graph, first[0]["x"], first[1]["x"]))
+        return reweight_edges(
+            self.problem.graph, edge_residual(self.problem.graph, first[0]["x"], first[1]["x"])
+        )
 
 
 def _telling(update: Callable[..., None], before: int) -> Callable[[int, float], None]:

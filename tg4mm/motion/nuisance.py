@@ -162,7 +162,10 @@ class Projection:
 
 
 def exposure(
-    nuisances: Sequence[Nuisance], means: Sequence[np.ndarray], products: Sequence[np.ndarray], grams: Sequence[np.ndarray]
+    nuisances: Sequence[Nuisance],
+    means: Sequence[np.ndarray],
+    products: Sequence[np.ndarray],
+    grams: Sequence[np.ndarray],
 ) -> tuple[float, float, float]:
     """Gain and offset (rms over frames and cameras, percent) and the share of the changes' energy that they hold."""
     active = np.arange(COLUMNS) < 6

@@ -53,13 +53,19 @@ def look_at(
     }
     if looks:
         figures["shake_px"] = round(pixels, 4)
-    return Seen(look, [n.with_active(active) for n in nuisances], figures, _notes(observations, active, pixels))
+    return Seen(
+        look, [n.with_active(active) for n in nuisances], figures, _notes(observations, active, pixels)
+    )
 
 
 def _notes(observations: Observations, active: np.ndarray, pixels: float) -> list[str]:
     if not active[POSE].any():
         return []
-    shake = f"the camera shakes by {pixels:.2g} px (rms), which is taken out" if pixels else "camera shake is taken out"
+    shake = (
+        f"the camera shakes by {pixels:.2g} px (rms), which is taken out"
+        if pixels
+        else "camera shake is taken out"
+    )
     if len(observations.frames) == 1:
         shake += "; a motion of the whole picture as one cannot be told from it"
     return [shake]

@@ -88,7 +88,9 @@ def frames_of(capture: Capture) -> tuple[str, list[PosedFrames]]:
     """
     fixed = fixed_cameras(capture)
     if fixed:
-        return "independent" if capture.kind == "clips" or not _are_synchronous(fixed) else "synchronous", fixed
+        return "independent" if capture.kind == "clips" or not _are_synchronous(
+            fixed
+        ) else "synchronous", fixed
     rows = np.flatnonzero(np.isfinite(capture.times_s))
     rows = rows[np.argsort(capture.times_s[rows], kind="stable")]
     if len(rows) < _FEWEST or len(rows) < capture.n_timesteps / 2:
@@ -130,7 +132,9 @@ def _are_synchronous(frames: list[PosedFrames]) -> bool:
         return all(len(f.times_s) == len(times) for f in frames)
     step = float(np.median(np.diff(times)))
     regular = np.abs(times - times[0] - step * np.arange(len(times))).max() < _CLOCK * step
-    same = all(len(f.times_s) == len(times) and np.abs(f.times_s - times).max() < _CLOCK * step for f in frames)
+    same = all(
+        len(f.times_s) == len(times) and np.abs(f.times_s - times).max() < _CLOCK * step for f in frames
+    )
     return bool(same and (regular or len(frames) == 1))
 
 

@@ -41,7 +41,7 @@ _JUDGED = 10  # views in which it is told what is left of the pictures
 def fit_motion(
     gaussians: Gaussians,
     observations: Observations,
-    config: MotionConfig = MotionConfig(),
+    config: MotionConfig | None = None,
     device: str = "cpu",
     parts: Parts = computed,
 ) -> MotionFit:
@@ -52,7 +52,7 @@ def fit_motion(
     left to the CPU. Raises RunError where no camera sees a Gaussian, Tg4mmError on settings out of range or where the
     device's memory is too small.
     """
-    config = resolved(config, len(gaussians))
+    config = resolved(config or MotionConfig(), len(gaussians))
     if observations.clock == "moving":
         return fit_moving_camera(gaussians, observations, config, device, parts)
     views = rest_views(gaussians, observations)
@@ -96,7 +96,9 @@ class _Synchronous:
         shapes, gains = wiener_shrink(folds)
         if len(folds) == 2:
             figures["reliability"] = [round(float(g), 4) for g in gains]
-        uncertain = self._uncertainty(folds, shapes, self._residuals(shapes, is_small), self.gaussians, self.views)
+        uncertain = self._uncertainty(
+            folds, shapes, self._residuals(shapes, is_small), self.gaussians, self.views
+        )
         appearance = self._appearance(shapes, is_small)
         if appearance is not None:
             figures["appearance_reliability"] = [round(float(g), 4) for g in appearance[1]]
@@ -132,7 +134,9 @@ class _Synchronous:
 
     @cached_property
     def linear(self) -> LinearFit:
-        return LinearFit(self.problem, self.targets, self.hyper, self.weights, self.folds, self.config, self.parts)
+        return LinearFit(
+            self.problem, self.targets, self.hyper, self.weights, self.folds, self.config, self.parts
+        )
 
     @cached_property
     def _first(self) -> list[Arrays]:
@@ -163,7 +167,12 @@ class _Synchronous:
             return None
         asked = np.arange(len(shapes))
         left = Remainder(
-            self.views, self.targets.images, self.hyper.signal, shapes, self._terms if is_small else None, asked
+            self.views,
+            self.targets.images,
+            self.hyper.signal,
+            shapes,
+            self._terms if is_small else None,
+            asked,
         )
         if iterations is not None:
             return self._appearance_fit.fitted(left, None, iterations)
@@ -220,13 +229,23 @@ class _Synchronous:
 
     def _by_gauss_newton(self, folds: np.ndarray, figures: dict[str, Any]) -> MotionFit:
         loop = GaussNewton(
-            self.observations, self.targets, self.hyper, self.folds, self.seen.nuisances, self.config, self.device
+            self.observations,
+            self.targets,
+            self.hyper,
+            self.folds,
+            self.seen.nuisances,
+            self.config,
+            self.device,
         )
         weight = self.hyper.smoothness_weight
         state, misfits, evidence = loop.run(self.gaussians, self.views, folds, weight, self.parts)
         shapes, gains = wiener_shrink(state.fields)
         views = loop.at_rest(state.gaussians)
-        figures |= {"gauss_newton": len(misfits) - 1, "misfits": misfits, "smoothness_weight": state.smoothness_weight}
+        figures |= {
+            "gauss_newton": len(misfits) - 1,
+            "misfits": misfits,
+            "smoothness_weight": state.smoothness_weight,
+        }
         if len(folds) == 2:
             figures["reliability"] = [round(float(g), 4) for g in gains]
         target = loop.target_at_rest(views, state.gaussians, shapes, evidence)
@@ -257,7 +276,11 @@ class _Synchronous:
         }
 
     def _result(
-        self, gaussians: Gaussians, motion: ModalMotion, uncertain: Uncertainty | None, figures: dict[str, Any]
+        self,
+        gaussians: Gaussians,
+        motion: ModalMotion,
+        uncertain: Uncertainty | None,
+        figures: dict[str, Any],
     ) -> MotionFit:
         notes = [*self.seen.notes]
         if uncertain is not None:

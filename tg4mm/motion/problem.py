@@ -34,6 +34,9 @@ class Problem:
     nuisances: Sequence[Nuisance] = ()  # one a view; none: nothing is projected out
     means: np.ndarray | None = None  # [V, H, W, 3] mean pictures, for the nuisances
     mixing: Sequence[np.ndarray] | None = None  # C_v [ρ, R]
+    projections: Sequence[Projection] | None = (
+        None  # of views whose weights are final; None: made for each fold
+    )
     _kept: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False)
 
     @staticmethod
@@ -98,7 +101,10 @@ class Problem:
         if key not in self._kept:
             rng = np.random.default_rng(self.config.seed)
             answers = probe(list(self.views), self.n_gaussians, rng, self._shares(weights), probes)
-            self._kept[key] = DiagonalEstimate.of(self.aggregates, answers), weights  # held, so that its id stays its own
+            self._kept[key] = (
+                DiagonalEstimate.of(self.aggregates, answers),
+                weights,
+            )  # held: its id would be used again
         return self._kept[key][0]
 
     def _shares(self, weights: np.ndarray | None) -> np.ndarray | None:
@@ -109,6 +115,8 @@ class Problem:
         return shares if weights is None else shares * weights
 
     def _projections(self, fold: Fold, weights: np.ndarray | None) -> list[Projection] | None:
+        if self.projections is not None:
+            return [self.projections[v] for v in fold.views]
         if not self.nuisances or not self.nuisances[0].active.any():
             return None
         assert self.means is not None

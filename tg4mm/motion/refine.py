@@ -68,7 +68,8 @@ def refine_rest_scene(
 def _compare(adam: ParameterAdam, seen: MovedPictures, v: int, k: int, device: str) -> None:
     camera, (height, width) = seen.cameras[v], seen.pictures.shape[2:4]
     viewmat, K, target, motion = (
-        torch.from_numpy(a).to(device) for a in (camera.viewmat, camera.K, seen.pictures[v, k], seen.motions[k])
+        torch.from_numpy(a).to(device)
+        for a in (camera.viewmat, camera.K, seen.pictures[v, k], seen.motions[k])
     )
     there = at_state(activate(adam.parameters), motion)
     view = render_view(there, viewmat, K, (width, height), there.sh_degree)

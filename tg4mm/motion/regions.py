@@ -1,8 +1,8 @@
 """How regions of Gaussians shift in a camera's picture, frame by frame: what frequencies and phases are found from.
 
 A region's shift along the picture's rows and columns in one frame is the least-squares answer of that frame's change
-through the Jacobian, nuisance projected out: b = Eᵀ Jᵀ Δ summed over the region, A = Eᵀ Jᵀ J E, shift = A⁻¹ b with E the
-camera's right and down axes. Nothing is smoothed over space or time, so its noise is that of the pictures.
+through the Jacobian, nuisance projected out: b = Eᵀ Jᵀ Δ summed over the region, A = Eᵀ Jᵀ J E, shift = A⁻¹ b with E
+the camera's right and down axes. Nothing is smoothed over space or time, so its noise is that of the pictures.
 """
 
 from __future__ import annotations
@@ -36,7 +36,9 @@ class RegionSeries:
         values, vectors = np.linalg.eigh(self.normals)
         limit = _SEEN * np.median(values[..., 1][values[..., 1] > 0]) if (values > 0).any() else 1.0
         root = np.where(values > limit, 1 / np.sqrt(np.maximum(values, 1e-30)), 0)
-        b = np.einsum("fgij,fgi->fgj", np.broadcast_to(vectors, (len(self.sides), *vectors.shape[1:])), self.sides)
+        b = np.einsum(
+            "fgij,fgi->fgj", np.broadcast_to(vectors, (len(self.sides), *vectors.shape[1:])), self.sides
+        )
         return (root * b).reshape(len(b), -1)
 
     def phasors(self, functions: np.ndarray) -> np.ndarray:
@@ -90,7 +92,11 @@ def moving_camera_series(
 
 
 def _sides(
-    view: ViewJacobian, axes: np.ndarray, projection: Projection | None, labels: np.ndarray, changes: np.ndarray
+    view: ViewJacobian,
+    axes: np.ndarray,
+    projection: Projection | None,
+    labels: np.ndarray,
+    changes: np.ndarray,
 ) -> np.ndarray:
     if projection is not None:
         changes = projection.out_of(changes)
@@ -101,7 +107,9 @@ def _sides(
     return _summed(out[..., :3] @ axes.T, labels)
 
 
-def _normals(view: ViewJacobian, axes: np.ndarray, projection: Projection | None, labels: np.ndarray) -> np.ndarray:
+def _normals(
+    view: ViewJacobian, axes: np.ndarray, projection: Projection | None, labels: np.ndarray
+) -> np.ndarray:
     """[G, 2, 2], by Hutchinson's estimator: with a random sign on each region, products between regions cancel."""
     rng = np.random.default_rng(0)
     count = int(labels.max()) + 1

@@ -17,6 +17,8 @@ class MotionFit:
 
     gaussians: Gaussians  # at rest; others than those given where large motion made them sharper
     motion: ModalMotion
-    uncertainty: dict[str, np.ndarray]  # RUN/uncertainty.safetensors (docs/conventions.md); empty: not asked for
+    uncertainty: dict[
+        str, np.ndarray
+    ]  # RUN/uncertainty.safetensors (docs/conventions.md); empty: not asked for
     figures: dict[str, Any]  # for the log
     notes: list[str] = field(default_factory=list)  # what cannot be told, a line each

@@ -1,7 +1,7 @@
 """The motion stage of a run: observations in, motion, uncertainty and figures out, and going on after a kill.
 
-RUN/checkpoint_motion.safetensors holds the finished parts of an unfinished fit (`checkpoints.py`), with a digest: a part
-that was damaged is computed anew.
+RUN/checkpoint_motion.safetensors holds the finished parts of an unfinished fit (`checkpoints.py`), with a digest: a
+part that was damaged is computed anew.
 """
 
 from __future__ import annotations

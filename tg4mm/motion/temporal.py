@@ -167,7 +167,7 @@ def sinusoid_targets(
 
 
 def sinusoids(times_s: np.ndarray, freqs_hz: np.ndarray) -> np.ndarray:
-    """[2K, F]: cos 2πf_k t and −sin 2πf_k t by turns, so that Re[m exp(i 2πf t)] = Re m · row 2k + Im m · row 2k + 1."""
+    """[2K, F]: cos 2πf_k t and −sin 2πf_k t by turns: Re[m exp(i 2πf t)] = Re m · row 2k + Im m · row 2k + 1."""
     angles = 2 * np.pi * np.asarray(freqs_hz)[:, None] * times_s
     return np.stack([np.cos(angles), -np.sin(angles)], 1).reshape(-1, len(times_s))
 
@@ -187,7 +187,10 @@ def _projected(
     width, height = observations.size
     images = np.empty((len(bases), len(bases[0]), height, width, 3), np.float32)
     total = np.stack(
-        [t - n.energy(m, c) for t, n, m, c in zip(look.total, nuisances, look.mean, look.columns, strict=True)]
+        [
+            t - n.energy(m, c)
+            for t, n, m, c in zip(look.total, nuisances, look.mean, look.columns, strict=True)
+        ]
     )
     for v, (frames, basis) in enumerate(zip(observations.frames, bases, strict=True)):
         cached = look.cache.get(v) or _changes(observations, frames, look.mean[v])

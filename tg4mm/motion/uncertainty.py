@@ -3,8 +3,8 @@
 What all cameras get wrong alike no two halves of them show: errors of the model and of the prior. Two things tell of
 them, both read off the result. What motion leaves of the pictures: noise hardly adds up over a block of pixels, errors
 of the model do, and that block's mean over the slope of the picture is the displacement that it could be; a small part
-of it is. And what the motion varies by from one Gaussian to those around it: the prior has them move alike, so that at a
-joint, an edge or a contact what is one side's and what the other's is mostly its guess. How much either counts was
+of it is. And what the motion varies by from one Gaussian to those around it: the prior has them move alike, so that
+at a joint, an edge or a contact what is one side's and what the other's is mostly its guess. How much either counts was
 calibrated on generated scenes, whose motion is known (docs/method.md, "Uncertainty").
 """
 
@@ -60,14 +60,17 @@ def of_halves(found: Found, n_timesteps: int) -> Uncertainty:
     noise = deviation(halves[0], halves[1], found.knn).astype(np.float64) ** 2
     variance = noise + _model_error(found)
     arrays = {
-        name: np.sqrt(v / n_timesteps).astype(np.float32) for name, v in (("displacement", variance), ("noise", noise))
+        name: np.sqrt(v / n_timesteps).astype(np.float32)
+        for name, v in (("displacement", variance), ("noise", noise))
     }
     power = max(float((halves.mean(0) ** 2).sum()), 1e-30)
     ratios = {"noise_to_motion": noise, "uncertainty_to_motion": variance}
     return Uncertainty(arrays, {name: math.sqrt(float(v.sum()) / power) for name, v in ratios.items()})
 
 
-def of_few_views(found: Found, operator: CpuOperator, gradient_fields: np.ndarray, n_timesteps: int, seed: int) -> Uncertainty:
+def of_few_views(
+    found: Found, operator: CpuOperator, gradient_fields: np.ndarray, n_timesteps: int, seed: int
+) -> Uncertainty:
     """As `of_halves`, with what few cameras do not show; one camera alone gets the share along its sight."""
     with progress("uncertainty", ITERATIONS, "iterations") as update:
         unseen = unseen_motion(operator, gradient_fields, n_timesteps, seed, update)
@@ -102,7 +105,9 @@ def of_few_views(found: Found, operator: CpuOperator, gradient_fields: np.ndarra
     return Uncertainty(arrays | own, figures, [note])
 
 
-def _along_sight(found: Found, covariance: np.ndarray, n_timesteps: int) -> tuple[dict[str, np.ndarray], float]:
+def _along_sight(
+    found: Found, covariance: np.ndarray, n_timesteps: int
+) -> tuple[dict[str, np.ndarray], float]:
     """Deviations [N] along the line of sight and across it, and what part of the motion along it is a guess.
 
     That is the variance of what is not known over that of the motion: what was found, squared, and what is not known.

@@ -96,14 +96,18 @@ class AppearanceFit:
 
 
 def shared_appearance(
-    halves: Sequence[AppearanceProblem], sides: Sequence[np.ndarray], knn: np.ndarray, iterations: int = ITERATIONS
+    halves: Sequence[AppearanceProblem],
+    sides: Sequence[np.ndarray],
+    knn: np.ndarray,
+    iterations: int = ITERATIONS,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Changes of colour [R, N, K, 3] and gains [R] from the problems of two halves and R right-hand sides of each."""
     found, gains = np.zeros_like(sides[0]), np.zeros(len(sides[0]), np.float32)
     going = np.arange(len(found))
     for count in sorted({LOOK, iterations}):
         a, b = (
-            half.colours(pcg(half, own[going], count, 0.0).theta) for half, own in zip(halves, sides, strict=True)
+            half.colours(pcg(half, own[going], count, 0.0).theta)
+            for half, own in zip(halves, sides, strict=True)
         )
         mean = (a + b) / 2
         gain = reliability(*(v.reshape(*v.shape[:2], -1) for v in (mean, a, b)))

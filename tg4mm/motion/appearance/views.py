@@ -1,4 +1,4 @@
-"""The Jacobian of a picture by changes of colour: blending weights, times spherical harmonics of the view's directions."""
+"""The Jacobian of a picture by changes of colour: blending weights, times spherical harmonics of the directions."""
 
 from __future__ import annotations
 
@@ -40,7 +40,9 @@ class AppearanceView:
         self.view.vjp(pictures, v, buffers)
         _gather(self.harmonics, v, out)
 
-    def gauss_newton_product(self, x: np.ndarray, weights: np.ndarray | None, out: np.ndarray, buffers: Buffers) -> None:
+    def gauss_newton_product(
+        self, x: np.ndarray, weights: np.ndarray | None, out: np.ndarray, buffers: Buffers
+    ) -> None:
         """`jvp`, times the weights of pixels [H, W] or 1, and `vjp`, in one pass."""
         v = self._nothing(out, buffers, "v_colours")
         self.view.gauss_newton_product(self._colours(x, buffers), weights, v, buffers)

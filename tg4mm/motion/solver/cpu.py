@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -37,7 +38,9 @@ class CpuOperator:
 
     def right_hand_sides(self, pictures: Iterable[np.ndarray]) -> np.ndarray:
         """`Operator.right_hand_sides`."""
-        return np.stack([self.preconditioner.from_field(self.graph.from_motion(v)) for v in self.gathered(pictures)])
+        return np.stack(
+            [self.preconditioner.from_field(self.graph.from_motion(v)) for v in self.gathered(pictures)]
+        )
 
     def gathered(self, pictures: Iterable[np.ndarray]) -> np.ndarray:
         """[R, N, 6]: Σ_v C_vᵀ Jᵀ W of target images."""
@@ -117,13 +120,15 @@ def products_of(operators: Sequence[CpuOperator], thetas: Sequence[np.ndarray]) 
     return out
 
 
-def _add_view(first: CpuOperator, k: int, motions: np.ndarray, counts: list[int], v_motions: np.ndarray) -> None:
+def _add_view(
+    first: CpuOperator, k: int, motions: np.ndarray, counts: list[int], v_motions: np.ndarray
+) -> None:
     """Adds C_vᵀ Jᵀ W (1 − Q Qᵀ W) J C_v of one view to `v_motions`, both [Σ counts, N, 6]."""
     weights = None if first.weights is None else first.weights[k]
     shown: Any = motions
     if first.mixing is not None:
         ends = np.cumsum([0, *counts])
-        shown = np.concatenate([first.mixed(k, motions[a:b]) for a, b in zip(ends, ends[1:], strict=False)])
+        shown = np.concatenate([first.mixed(k, motions[a:b]) for a, b in pairwise(ends)])
     alone = first.mixing is None and first.projections is None
     own = v_motions if alone else np.zeros_like(shown)
     first.views[k].gauss_newton_product(shown, weights, own, first.buffers)

@@ -1,11 +1,11 @@
 """The motion problem on a torch device: the same Jacobian, as a list of pixel–Gaussian contributions.
 
 gsplat has no forward mode, and its cut-off of small alphas is compiled in at 1/255, which makes faint Gaussians
-respond too weakly (`jacobian/view.py`); a difference of two renders would not be the transpose of its backward pass. But
-the problem is linearised at rest once: every contribution of a Gaussian to a pixel has one weight (what the Gaussian's
-colour does there) and one slope (what its exponent does), which stay the same through all iterations. The CPU kernels
-project and sort each view once; the contributions are listed on the device, and from then on nothing is rendered and
-nothing leaves the device but the sums of a step of conjugate gradients.
+respond too weakly (`jacobian/view.py`); a difference of two renders would not be the transpose of its backward pass.
+But the problem is linearised at rest once: every contribution of a Gaussian to a pixel has one weight (what
+the Gaussian's colour does there) and one slope (what its exponent does), which stay the same through all
+iterations. The CPU kernels project and sort each view once; the contributions are listed on the device, and from
+then on nothing is rendered and nothing leaves the device but the sums of a step of conjugate gradients.
 
 Weights and slopes are kept in float16 on CUDA, sums are taken in float32: both directions read the same rounded
 numbers, so the operator stays symmetric, and 5e-4 on single entries is far below the noise of the images. A
@@ -65,7 +65,9 @@ class _Transposable:
 class DeviceViews:
     """Views' contributions and the graph's constants on a device, shared by all operators of one fit."""
 
-    def __init__(self, views: Sequence[Any], graph: Graph, device: str, storage: torch.dtype | None = None) -> None:
+    def __init__(
+        self, views: Sequence[Any], graph: Graph, device: str, storage: torch.dtype | None = None
+    ) -> None:
         """`storage` of weights and slopes: None for float16 on CUDA, float32 elsewhere.
 
         Raises Tg4mmError where the device's memory does not hold the views.
@@ -87,7 +89,11 @@ class DeviceOperator:
 
     def __init__(self, operator: CpuOperator, there: DeviceViews) -> None:
         self.there, self.device = there, there.device
-        self.smoothness_weight, self.ridge, self.scale = operator.smoothness_weight, operator.ridge, operator.scale
+        self.smoothness_weight, self.ridge, self.scale = (
+            operator.smoothness_weight,
+            operator.ridge,
+            operator.scale,
+        )
         self.is_coupled = operator.is_coupled
         self.views = [there.by_view[id(view)] for view in operator.views]
         pre = operator.preconditioner

@@ -36,7 +36,11 @@ class Fold:
         own = None if weights is None else weights[self.views]
         if self.pixels is None:
             return own
-        return np.broadcast_to(self.pixels, (len(self.views), *size)).copy() if own is None else own * self.pixels
+        return (
+            np.broadcast_to(self.pixels, (len(self.views), *size)).copy()
+            if own is None
+            else own * self.pixels
+        )
 
 
 class System(Protocol):

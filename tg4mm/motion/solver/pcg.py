@@ -25,7 +25,9 @@ class Solution:
     @property
     def relative_residual(self) -> float:
         """The largest |b − A θ| / |b|."""
-        return float(np.sqrt(np.max(_squares(self.residual, len(self.norms)) / np.maximum(self.norms, 1e-300))))
+        return float(
+            np.sqrt(np.max(_squares(self.residual, len(self.norms)) / np.maximum(self.norms, 1e-300)))
+        )
 
 
 def pcg(
