@@ -9,8 +9,9 @@ from typing import Any
 
 from tg4mm.capture import Capture, ImageStack, load_capture, load_images
 from tg4mm.capture.pictures import FilePictures
+from tg4mm.capture.readers import READERS
 from tg4mm.device import check_device
-from tg4mm.errors import Tg4mmError
+from tg4mm.errors import CaptureError, Tg4mmError
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.config import checked as checked_motion
 from tg4mm.motion.observations import frames_of
@@ -22,6 +23,7 @@ from tg4mm.paper.model import has_model, load_model
 from tg4mm.runlock import claimed
 from tg4mm.runs import Run
 from tg4mm.space import SpaceConfig, rest_views, train_space
+from tg4mm.space.plane import train_plane
 from tg4mm.space.train import checked as checked_space
 
 # Every preset's settings, by stage, at their defaults. In `paper`, `space` is the fit of the base Gaussians, by L1.
@@ -80,11 +82,21 @@ def train(
     configs = parse_settings(settings or {}, preset)
     # before the run folder exists, which would keep the bad value, and before minutes of the space stage
     _check(configs)
-    capture = load_capture(dataset, split="train")
+    capture = _capture(Path(dataset))
     if capture.n_timesteps > 1 and "motion" in configs:
         frames_of(capture)  # raises where too few pictures show motion
     with claimed(run_path):
         return _train(Path(run_path), capture, preset, configs, device)
+
+
+def _capture(dataset: Path) -> Capture:
+    """The capture of a dataset. For a video or pictures, CaptureError with the command that makes a dataset."""
+    if dataset.is_file() or (dataset.is_dir() and not any(reader.recognises(dataset) for reader in READERS)):
+        from tg4mm.sfm.sources import suggested_command
+
+        if (command := suggested_command(dataset)) is not None:
+            raise CaptureError(f"{dataset}: is no dataset yet; make one with: {command}")
+    return load_capture(dataset, split="train")
 
 
 def _train(run_path: Path, capture: Capture, preset: str, configs: dict[str, Any], device: str) -> Run:
@@ -100,7 +112,9 @@ def _train(run_path: Path, capture: Capture, preset: str, configs: dict[str, Any
             _train_paper(run, capture, load_images(capture), configs, device)
             return run
         images = _pictures(capture)
-        if not run.has_space:
+        if not run.has_space and capture.kind == "flat":
+            train_plane(run, rest_views(capture, images), configs["space"], device)
+        elif not run.has_space:
             train_space(run, rest_views(capture, images), capture.points, configs["space"], device)
     except Tg4mmError:
         if is_new and not run.has_space:

@@ -212,7 +212,11 @@ class _SteadyFit:
         folds = folds_of(len(problem.views), self.observations.size, False, self.config.split_half)
 
         def select() -> Arrays:
-            hyper = select_hyperparameters(targets, problem, folds, self.config)
+            # the strongest frequency alone: others, more than 1 / duration away, hardly show in its sinusoids
+            mixing = [m[:2, :2] for m in targets.mixing or []]
+            strongest = replace(targets, basis=targets.basis[:2], images=targets.images[:, :2], mixing=mixing)
+            alone = replace(problem, mixing=mixing, _kept={})
+            hyper = select_hyperparameters(strongest, alone, folds, self.config)
             return {"smoothness_weight": np.array(hyper.smoothness_weight)}
 
         weight = float(self.parts("hyperparameters", select)["smoothness_weight"])
