@@ -11,7 +11,7 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
-from tg4mm.capture.decode import decode as read_png
+import numpy as np
 
 from . import png, tree
 from .cameras import Camera, cameras_at, films
@@ -74,9 +74,17 @@ def _video(root: Path, camera: Camera) -> Path:
     return root / VIDEOS / f"{camera.name}.mp4"
 
 
+def _read(path: Path) -> np.ndarray:
+    """[H, W, 3] uint8."""
+    from PIL import Image  # not in Blender's own Python, which has no codec either
+
+    with Image.open(path) as image:
+        return np.asarray(image.convert("RGB"))
+
+
 def _code(root: Path, settings: Settings, camera: Camera) -> None:
     names = _names(settings, camera)
-    pictures = (read_png(root / UNCODED / name)[..., :3] for name in names)
+    pictures = (_read(root / UNCODED / name) for name in names)
     video = _video(root, camera) if settings.effects.keep_video else root / UNCODED / f"{camera.name}.mp4"
     tree.write_bytes(video, codec.encode(pictures, settings.size, settings.fps, settings.effects.crf))
     for name, picture in zip(names, codec.decode(video), strict=True):

@@ -72,6 +72,12 @@ class Settings:
                 raise GenerateError(f"{option} {value!r} is none of {', '.join(choices)}")
         self.pictures.check_sensor(self.sensor)
         self.effects.check(self.pictures, self.size, self.timesteps)
+        passing = next((mode for mode in self.motion.modes if not mode.steady), None)
+        if self.cameras.kind == "clips" and passing is not None:
+            raise GenerateError(
+                f"--cameras clips needs a steady vibration; mode {passing.name!r} "
+                f"{'rings down' if passing.frequency_hz else 'is a drift'}"
+            )
 
     @property
     def timesteps(self) -> int:

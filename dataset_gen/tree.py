@@ -165,8 +165,7 @@ def write_poses(root: Path, settings: Settings) -> None:
             if split == "test":
                 folders += [root / magnified_folder(a) / f"{t:03d}" for a in settings.alphas]
             size, suffix = settings.size, settings.pictures.suffix
-            resting = {c for c in cameras if split == "train" and not films(settings.cameras, c)}
-            times = [None if c in resting else t / settings.fps for c in cameras]
+            still = [c for c in cameras if split == "train" and not films(settings.cameras, c)]
             for folder in folders if cameras else ():
-                data = transforms(cameras, split, times, size, size, suffix)
+                data = transforms(cameras, split, t / settings.fps, size, size, suffix, still)
                 write_json(folder / f"transforms_{split}.json", data)

@@ -120,9 +120,8 @@ def _render_shots(job: dict[str, Any], report: TextIO) -> None:
                     report.flush()
 
 
-Take = Callable[
-    [Picture | None], np.ndarray
-]  # linear light [H, W, 4] of a picture; of none, the camera at rest
+# Linear light [H, W, 4] of one of a shot's pictures; of None, as the camera stands.
+Take = Callable[[Picture | None], np.ndarray]
 
 
 class _Photographer:

@@ -63,7 +63,7 @@ def reference_camera(settings: Any, bodies: Sequence[Body], scene: Any) -> Camer
         angle = 2.0 * math.atan(0.5 * width / -corners[0, 2])
         found = scene_cameras([np.array(scene.camera.matrix_world)], [angle], [(0.0, 0.0)])
     setup = CameraSetup(
-        kind=settings.cameras, views=settings.views, test_views=0, n_timesteps=1, fps=settings.fps,
-        seed=settings.seed,
+        kind=settings.cameras, views=settings.views, test_views=0, n_timesteps=settings.timesteps,
+        fps=settings.fps, seed=settings.seed,
     )  # fmt: skip
-    return cameras_at(setup.placed(centre.tolist(), radius, found), 0)["train"][0]
+    return cameras_at(setup.placed(centre.tolist(), radius, found).framing(points), 0)["train"][0]

@@ -14,6 +14,7 @@ from typing import Any
 import bpy
 
 from .. import names, preferences
+from ..generator.dataset_gen.cameras import SINGLE
 from ..generator.dataset_gen.errors import GenerateError
 from . import background, commands, describe, objects, preview
 from .commands import Host
@@ -137,8 +138,10 @@ def _options(settings: Any, scene: Any, runs_in: Host) -> dict[str, str | int | 
         "truth": settings.truth if runs_in.is_core else "none",
     }
     # The generator refuses what would change nothing.
-    if settings.cameras in ("given", "handheld"):
+    if settings.cameras in SINGLE:
         del options["views"]
+    if settings.cameras == "flat":
+        options["test-views"] = min(settings.test_views, 1)
     if not settings.test_views:
         del options["alphas"]
         if options["truth"] == "test":

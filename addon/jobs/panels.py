@@ -7,6 +7,7 @@ from typing import Any
 import bpy
 
 from .. import preferences
+from ..generator.dataset_gen.cameras import SINGLE
 from . import background, generating, kinds, placing, preview
 from .runner import Job, State
 
@@ -118,7 +119,7 @@ class VIEW3D_PT_tg4mm_views(_Tab, bpy.types.Panel):
         _spread(layout)
         layout.prop(settings, "timesteps")
         layout.prop(settings, "cameras")
-        if settings.cameras not in ("given", "handheld"):
+        if settings.cameras not in SINGLE:
             layout.prop(settings, "views")
         layout.prop(settings, "test_views")
         for name in ("size", "samples", "device", "seed", "processes"):

@@ -144,6 +144,8 @@ class TG4MM_generate(bpy.types.PropertyGroup):
                ("rig", "Rig", "Fixed cameras on arcs around the scene"),
                ("sweep", "Sweep", "One fixed camera, after a hand-held round at the first timestep"),
                ("handheld", "Hand-Held", "One camera that moves"),
+               ("clips", "Clips", "One camera that films from one place after another"),
+               ("flat", "Flat", "One fixed camera"),
                ("given", "The Scene's Own", "The perspective cameras of this scene")])
     views: IntProperty(  # type: ignore[valid-type]
         name="Views", description="Training cameras", default=30, min=1, max=1000, update=_changed)
@@ -194,7 +196,7 @@ class TG4MM_train(bpy.types.PropertyGroup):
         items=[("cpu", "CPU", ""), ("cuda", "CUDA", "An NVIDIA GPU, with gsplat installed")])
     settings: StringProperty(  # type: ignore[valid-type]
         name="Settings", description="Settings of training that differ from the defaults, with spaces between: "
-        "space.iterations=3000 motion.rounds=0")
+        "space.iterations=3000 motion.gauss_newton=0")
     # fmt: on
 
 

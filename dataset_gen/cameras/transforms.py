@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 from .camera import Camera
@@ -11,24 +11,24 @@ from .camera import Camera
 def transforms(
     cameras: Sequence[Camera],
     split: str,
-    times_s: Sequence[float | None],
+    time_s: float,
     width: int,
     height: int,
     suffix: str = "",
+    at_rest: Collection[Camera] = (),
 ) -> dict[str, object]:
     """Content of `transforms_<split>.json`: NeRF-synthetic's keys, time in seconds, intrinsics as extras.
 
-    `times_s`: of every camera's picture, on its own clock; None where it shows the scene at rest, which has no time.
-
     Every frame has fl_x, fl_y, cx, cy, w, h (pixels); those on which all frames agree stand at the top
     too. camera_angle_x, which plain loaders go by, is that of the first camera: with lenses that differ, only a
-    loader of the frames' own values is right. `suffix`: of the image files where it is not ".png".
+    loader of the frames' own values is right. `suffix`: of the image files where it is not ".png". `at_rest`: cameras
+    whose pictures show the scene before it moves, and have no time.
     """
     if not cameras:
         raise ValueError(f"no cameras for transforms_{split}.json")
     frames = [
-        _frame(camera, split, time_s, width, height, suffix)
-        for camera, time_s in zip(cameras, times_s, strict=True)
+        _frame(camera, split, None if camera in at_rest else time_s, width, height, suffix)
+        for camera in cameras
     ]
     shared = {
         key: frames[0][key]

@@ -11,6 +11,7 @@ KINDS = (
     "magnified ground truth",
     "per-pixel truth",
     "exact motion",
+    "videos",
     "surface points",
     "description and poses",
 )
@@ -53,6 +54,8 @@ def _kind(relative: Path) -> str:
     parts = relative.parts
     if relative.suffix == ".json":
         return "description and poses"
+    if parts[0] == "video":
+        return "videos"
     if parts[0] == "truth":
         return "exact motion" if relative.name == "motion.npz" else "per-pixel truth"
     if parts[0] == "magnified":

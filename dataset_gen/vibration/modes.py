@@ -9,7 +9,7 @@ import numpy as np
 
 from .fields import Field, body_seed
 from .geometry import phasor
-from .timelaw import TimeLaw
+from .timelaw import TimeLaw, Vibration
 
 RANDOM = "random"
 
@@ -40,6 +40,11 @@ class Mode:
     def frequency_hz(self) -> float:
         """0 for a drift."""
         return self.law.frequency_hz
+
+    @property
+    def steady(self) -> bool:
+        """Whether it goes on for ever, the same in every period."""
+        return isinstance(self.law, Vibration) and self.law.decay_s is None
 
     def moves(self, part: str) -> bool:
         """Whether a part takes part in the mode."""

@@ -15,11 +15,13 @@ from tg4mm.capture import load_capture
 
 RIG = CameraSetup("rig", views=9, test_views=3)
 SWEEP = CameraSetup("sweep", views=12, test_views=3)
+CLIPS = CameraSetup("clips", views=5, test_views=3)
+FLAT = CameraSetup("flat")
 HELD = CameraSetup("handheld", test_views=4, n_timesteps=120, fps=30.0, seed=5)
 GIVEN = CameraSetup(
     "given", test_views=0, given=tuple(c.numbered(i) for i, c in enumerate(train_cameras(9)[4:7]))
 )
-EVERY = (CameraSetup(), RIG, SWEEP, HELD, GIVEN)
+EVERY = (CameraSetup(), RIG, SWEEP, HELD, CLIPS, FLAT, GIVEN)
 
 
 @pytest.mark.parametrize("setup", EVERY, ids=lambda s: s.kind)
@@ -154,7 +156,7 @@ def test_cameras_of_a_users_scene_are_taken_as_they_are():
     assert cameras_at(placed, 2)["test"] == ()
 
 
-@pytest.mark.parametrize("setup", [RIG, SWEEP, HELD], ids=lambda s: s.kind)
+@pytest.mark.parametrize("setup", [RIG, SWEEP, HELD, CLIPS, FLAT], ids=lambda s: s.kind)
 def test_a_reader_gets_the_poses_and_lenses_back(setup, tmp_path):
     setup = replace(setup, n_timesteps=3)
     expected = []
@@ -175,13 +177,16 @@ def test_a_reader_gets_the_poses_and_lenses_back(setup, tmp_path):
         np.testing.assert_allclose(capture.viewmats[i], view, atol=1e-9)
         focal, (cx, cy) = camera.focal(24), camera.principal_point(24, 16)
         np.testing.assert_allclose(capture.Ks[i], [[focal, 0, cx], [0, focal, cy], [0, 0, 1]])
-    assert len(set(capture.camera_ids.tolist())) == {"rig": 9, "sweep": 13, "handheld": 3}[setup.kind]
+    assert (
+        len(set(capture.camera_ids.tolist()))
+        == {"rig": 9, "sweep": 13, "handheld": 3, "clips": 5, "flat": 1}[setup.kind]
+    )
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"kind": "drone"}, r"--cameras 'drone' is none of orbit, rig, sweep, handheld, given"),
+        ({"kind": "drone"}, r"--cameras 'drone' is none of orbit, rig, sweep, handheld, clips, flat, given"),
         ({"views": 0}, r"--views 0 is not a whole number in 1 … 1000"),
         ({"views": True}, r"--views True"),
         ({"test_views": 1001}, r"--test-views 1001"),

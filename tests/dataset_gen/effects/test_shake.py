@@ -1,0 +1,127 @@
+"""A camera that shakes: how far, how fast, and that a warped rendering is what the turned camera sees."""
+
+import numpy as np
+import pytest
+
+from dataset_gen.cameras import CameraSetup, cameras_at, train_cameras
+from dataset_gen.colour import over_white, to_display
+from dataset_gen.effects import warp
+from dataset_gen.effects.shake import largest_shift, turned, turns
+from dataset_gen.quality import Quality
+
+CAMERA = cameras_at(CameraSetup("rig", views=5), 0)["train"][3]
+SIZE = 128
+
+
+def shifts(camera, vectors, places):
+    return np.array([warp.pixels_before(camera, SIZE, v, places) - places for v in vectors])
+
+
+def test_the_picture_shifts_by_the_stated_rms_about_its_nominal_place():
+    vectors = turns(CAMERA, SIZE, 0.5, 300, 30.0, 7)
+    places = np.random.default_rng(0).uniform(0, SIZE, (500, 2))
+    moved = shifts(CAMERA, vectors, places)
+    assert np.sqrt((moved**2).sum(-1).mean()) == pytest.approx(0.5, rel=0.03)
+    np.testing.assert_allclose(vectors.mean(0), 0.0, atol=1e-12)
+    assert np.abs(moved.mean(0)).max() < 0.01
+    assert largest_shift(CAMERA, SIZE, vectors) >= np.linalg.norm(moved, axis=-1).max() - 1e-9
+
+
+@pytest.mark.parametrize("fps", [30.0, 240.0])
+def test_shake_is_tremor_between_1_and_10_hz(fps):
+    n = int(40 * fps)
+    vectors = turns(CAMERA, SIZE, 1.0, n, fps, 7)
+    power = (np.abs(np.fft.rfft(vectors * np.hanning(n)[:, None], axis=0)) ** 2).sum(1)
+    f = np.fft.rfftfreq(n, 1 / fps)
+    assert power[(f > 0.9) & (f < 10.1)].sum() > 0.99 * power.sum()
+    assert power[(f > 1) & (f < 3)].sum() > 3 * power[(f > 7) & (f < 9)].sum()
+    assert power[(f > 5) & (f < 9)].sum() > 0.003 * power.sum()
+
+
+def test_every_camera_and_seed_shakes_its_own_way():
+    others = cameras_at(CameraSetup("rig", views=5), 0)["train"]
+    every = [turns(c, SIZE, 0.5, 60, 30.0, 7) for c in others] + [turns(CAMERA, SIZE, 0.5, 60, 30.0, 8)]
+    flat = np.array([v.ravel() for v in every])
+    correlation = np.corrcoef(flat)
+    assert np.abs(correlation - np.eye(6))[[3, 5]].max() < 1.0 - 1e-6
+    np.testing.assert_array_equal(turns(CAMERA, SIZE, 0.5, 60, 30.0, 7), every[3])
+
+
+def test_the_homography_is_that_of_the_turned_camera():
+    """A world point: where the turned camera sees it leads back to where the camera as it stands sees it."""
+    points = np.random.default_rng(1).uniform(-1, 1, (200, 3))
+    vector = np.array([0.02, -0.03, 0.05])
+    shaken = turned(CAMERA, vector)
+    np.testing.assert_array_equal(shaken.position, CAMERA.position)
+    before = warp.pixels_before(CAMERA, SIZE, vector, shaken.project(points, SIZE, SIZE)[0])
+    np.testing.assert_allclose(before, CAMERA.project(points, SIZE, SIZE)[0], atol=1e-9)
+    wrong = warp.pixels_before(CAMERA, SIZE, -vector, shaken.project(points, SIZE, SIZE)[0])
+    assert np.abs(wrong - CAMERA.project(points, SIZE, SIZE)[0]).max() > 1.0
+
+
+def test_the_fine_camera_sees_the_same_with_a_margin():
+    points = np.random.default_rng(1).uniform(-1, 1, (50, 3))
+    edge = warp.fine_size(SIZE, 6)
+    fine = warp.fine_camera(CAMERA, SIZE, 6).project(points, edge, edge)[0]
+    np.testing.assert_allclose(fine / warp.FINENESS - 6, CAMERA.project(points, SIZE, SIZE)[0], atol=1e-9)
+
+
+def test_a_smooth_picture_is_shifted_exactly():
+    camera, margin = train_cameras(30)[0], 6
+    edge = warp.fine_size(SIZE, margin)
+    vector = np.array([0.004, -0.006, 0.01])
+
+    def scene(pixels):
+        return 0.5 + 0.3 * np.sin(pixels[..., 0] / 9) * np.cos(pixels[..., 1] / 7)
+
+    def centres(n):
+        return np.stack(np.meshgrid(np.arange(n) + 0.5, np.arange(n) + 0.5), -1)
+
+    fine = np.repeat(scene(centres(edge) / warp.FINENESS - margin)[..., None], 4, -1).astype(np.float32)
+    shaken = warp.frame(fine, camera, SIZE, margin, vector)
+    wanted = scene(warp.pixels_before(camera, SIZE, vector, centres(SIZE)))
+    assert np.abs(shaken[..., 0] - wanted).max() < 0.006  # the filter flattens a wave of 44 pixels by 1 %
+    assert np.abs(shaken[..., 0] - scene(centres(SIZE))).max() > 0.05
+
+
+def test_too_small_a_margin_is_an_error():
+    camera = train_cameras(30)[0]
+    fine = np.zeros((warp.fine_size(SIZE, 3),) * 2 + (4,), np.float32)
+    with pytest.raises(ValueError, match="a margin of 3 pixels is too small"):
+        warp.frame(fine, camera, SIZE, 3, np.array([0.03, 0.0, 0.0]))
+    with pytest.raises(
+        ValueError, match=r"the fine picture has shape \(268, 268, 4\), expected \(272, 272, 4\)"
+    ):
+        warp.frame(fine, camera, SIZE, 4, np.zeros(3))
+
+
+def test_a_warped_rendering_is_what_the_turned_camera_sees():
+    pytest.importorskip("bpy")
+    from dataset_gen import build, render
+    from dataset_gen.scenes import SCENES
+
+    size, margin, camera = 40, 5, train_cameras(30)[5]
+    vector = np.array([0.5, -0.37, 0.3]) / camera.focal(size)
+    stage = build.build(SCENES["mic"]())
+    quality = Quality(size, size, samples=256, seed=0, threads=1)
+    render.configure(stage, quality)
+
+    def take(view, quality, seed=0):
+        build.set_view(stage, view)
+        render.use_picture(stage, quality, seed)
+        return render.linear_picture(stage)
+
+    def grey(linear):
+        return 255.0 * to_display(over_white(linear))
+
+    direct, again = (grey(take(turned(camera, vector), quality, seed)) for seed in (0, 1))
+    fine = take(warp.fine_camera(camera, size, margin), quality.finer(warp.fine_size(size, margin), 2))
+    object_ = direct.min(-1) < 250
+
+    def rms(difference):
+        return float(np.sqrt((difference[object_] ** 2).mean()))
+
+    noise = rms(direct - again)
+    assert rms(grey(warp.frame(fine, camera, size, margin, vector)) - direct) < 1.3 * noise
+    assert rms(grey(warp.frame(fine, camera, size, margin, 0 * vector)) - direct) > 8 * noise
+    assert rms(grey(warp.frame(fine, camera, size, margin, -vector)) - direct) > 12 * noise
