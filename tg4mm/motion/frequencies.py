@@ -8,7 +8,7 @@ series and taken out, and the next is looked for in what is left. All frequencie
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -18,9 +18,9 @@ from tg4mm.motion.temporal import sinusoids
 MOST = 6
 _OVERSAMPLED = 6  # frequencies tried per 1 / duration
 _CAP = 300.0  # of a series' power over its noise: a few that move much do not hide the rest
-_STANDS_OUT = 8.0  # robust deviations above the median over frequencies
+_STANDS_OUT = 8.0  # robust deviations above the median over an octave
 _LEAST = 1.25  # times that median
-_WEAK = 0.01  # of the strongest peak's power above noise: weaker is taken for leakage
+_WEAK = 0.01  # of the strongest peak's power above the floor: weaker is taken for leakage
 _APART = 0.75  # over the duration, Hz
 
 
@@ -32,6 +32,10 @@ class Frequencies:
     deviation_hz: np.ndarray  # [K] standard deviation by noise (Cramér-Rao)
     grid_hz: np.ndarray  # [M]
     spectrum: np.ndarray  # [M] mean power over noise, 1 where there is noise alone
+
+    def selected(self, keep: np.ndarray) -> Frequencies:
+        """Some of the frequencies [K] bool."""
+        return replace(self, hz=self.hz[keep], deviation_hz=self.deviation_hz[keep])
 
 
 def find_frequencies(
@@ -55,17 +59,29 @@ def find_frequencies(
         if not allowed.any():
             break
         peak = int(np.where(allowed, spectrum, -1).argmax())
-        median = float(np.median(spectrum))
-        spread = 1.4826 * float(np.median(np.abs(spectrum - median)))
-        above = float(spectrum[peak]) - median
+        floor, spread = _floor(spectrum, grid, duration)
+        above = float(spectrum[peak] - floor[peak])
         strongest = max(strongest, above)
-        if above < max(_STANDS_OUT * spread, (_LEAST - 1) * median, _WEAK * strongest):
+        if above < max(_STANDS_OUT * spread[peak], (_LEAST - 1) * floor[peak], _WEAK * strongest):
             break
         found.append(float(grid[peak]))
         found = _refined(clean, times, noise, found, 1 / duration)
     hz = np.array(found)
     assert first is not None
-    return Frequencies(hz, _deviation(clean, times, noise, hz), grid, first)
+    bound = _deviation(clean, times, noise, hz)
+    scatter = _scatter(clean, times, noise, hz, 1 / duration)
+    return Frequencies(hz, np.hypot(bound, scatter), grid, first)
+
+
+def _floor(spectrum: np.ndarray, grid: np.ndarray, duration: float) -> tuple[np.ndarray, np.ndarray]:
+    """[M] each: running median and robust deviation over an octave, since noise rises to low frequencies."""
+    floor, spread = np.empty_like(spectrum), np.empty_like(spectrum)
+    for k, f in enumerate(grid):
+        half = max(0.35 * f, 2 / duration)
+        own = spectrum[(grid >= f - half) & (grid <= f + half)]
+        floor[k] = np.median(own)
+        spread[k] = 1.4826 * np.median(np.abs(own - floor[k]))
+    return floor, spread
 
 
 def _without_slow(y: np.ndarray, t: np.ndarray, lowest_hz: float) -> np.ndarray:
@@ -126,6 +142,33 @@ def _refined(
         misfit, start, bounds=(start - step, start + step), xtol=1e-9, ftol=1e-10, max_nfev=30
     )
     return [float(f) for f in best.x]
+
+
+def _scatter(
+    series: Sequence[np.ndarray],
+    times: Sequence[np.ndarray],
+    noise: Sequence[np.ndarray],
+    hz: np.ndarray,
+    step: float,
+) -> np.ndarray:
+    """[K]: standard error of the frequencies, from how they differ between clocks, or between thirds of the record."""
+    if not len(hz):
+        return np.zeros(0)
+    each = []
+    if len(series) >= 3:
+        groups = [([y], [t], [n]) for y, t, n in zip(series, times, noise, strict=True)]
+    else:
+        groups = []
+        for rows in np.array_split(np.arange(len(times[0])), 3):
+            kept = np.setdiff1d(np.arange(len(times[0])), rows)
+            groups.append(([series[0][kept]], [times[0][kept]], [noise[0]]))
+    for own in groups:
+        each.append(_refined(*own, list(hz), step / 2))
+    spread = np.std(np.array(each), axis=0, ddof=1)
+    count = len(groups)
+    return (
+        spread / np.sqrt(count) if len(series) >= 3 else spread * (count - 1) / np.sqrt(count)
+    )  # the jackknife's
 
 
 def _strong(y: np.ndarray, most: int = 64) -> np.ndarray:

@@ -44,6 +44,7 @@ _TURNS = 2  # of fields and phases on the pictures themselves
 _STARTS = 24  # random phases that the region shifts' turns begin from
 _REGION_TURNS = 40
 _HIGHEST = 0.98  # of half the frame rate
+_AGREED = 0.5  # reliability below which a frequency is noise
 _FRAMES = 8  # that share a pass
 _LINEAR_PX = 0.7
 
@@ -74,7 +75,14 @@ def fit_independent_clocks(
     phases = region_phases(series, found.hz, config.seed)
     fit = _SteadyFit(problem, observations, targets, found.hz, config, parts)
     for turn in range(_TURNS):
-        phases = fit.updated(phases, turn)
+        phases, is_agreed = fit.updated(phases, turn)
+    if not is_agreed.any():
+        return without_motion(gaussians, observations, figures, seen.notes)
+    if not is_agreed.all():
+        found, phases = found.selected(is_agreed), phases[:, is_agreed]
+        figures |= _frequency_figures(found)
+        targets = sinusoid_targets(observations, seen.look, seen.nuisances, found.hz)
+        fit = replace(fit, targets=targets, hz=found.hz)
     folds, hyper = fit.fields(phases, "steady")
     shapes, gains = wiener_shrink(folds)
     figures |= {
@@ -229,15 +237,16 @@ class _SteadyFit:
             return np.stack([f["fields"] for f in first]), hyper
         return linear.second_pass(first, None), hyper
 
-    def updated(self, phases: np.ndarray, turn: int) -> np.ndarray:
-        """θ = arg⟨J m, C⟩ of every camera's pictures, less the first camera's."""
+    def updated(self, phases: np.ndarray, turn: int) -> tuple[np.ndarray, np.ndarray]:
+        """θ = arg⟨J m, C⟩ [C, K] of every camera's pictures, less the first camera's; [K]: do the halves agree?"""
 
         def compute() -> Arrays:
             few = max(self.config.iterations // 2, 6)
-            shapes, _ = wiener_shrink(self.fields(phases, f"turn_{turn}", few)[0])
-            return {"phases": self._phases(shapes)}
+            shapes, gains = wiener_shrink(self.fields(phases, f"turn_{turn}", few)[0])
+            return {"phases": self._phases(shapes), "gains": gains.reshape(-1, 2).max(1)}
 
-        return self.parts(f"phases_{turn}", compute)["phases"]
+        kept = self.parts(f"phases_{turn}", compute)
+        return kept["phases"], kept["gains"] >= _AGREED
 
     def _phases(self, shapes: np.ndarray) -> np.ndarray:
         assert self.targets.mixing is not None

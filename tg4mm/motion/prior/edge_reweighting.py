@@ -3,7 +3,7 @@
 The prior's squares make a jump dear: at the border of parts that move differently the field bends over several
 Gaussians on either side. Once the motion is roughly known, an edge is reweighted as by Cauchy's robust loss,
 w / (1 + s / 3s̄), with its squared residual s and the mean s̄ of all edges by their weights w (Holland & Welsch 1977).
-Only a residual that two folds of the cameras share counts, so that noise loosens nothing.
+Only a residual that two folds of the cameras share counts, so that noise changes no weight.
 The folds then share the new weights: their difference underestimates the noise a little.
 """
 
