@@ -27,6 +27,7 @@ from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.hyperparameters import DEFAULT, chosen_weight
 from tg4mm.motion.jacobian.pixels import pixels_moved
 from tg4mm.motion.jacobian.view import ViewJacobian, view_jacobian
+from tg4mm.motion.limits import frequency_notes
 from tg4mm.motion.nuisance import POSE, Nuisance, Projection
 from tg4mm.motion.observations import Observations, PosedFrames
 from tg4mm.motion.problem import Problem
@@ -40,7 +41,8 @@ from tg4mm.motion.temporal import sinusoids
 from tg4mm.motion.uncertainty import Found, of_halves
 from tg4mm.progress import progress
 
-_ROUNDS = 3  # of poses and refining
+_ROUNDS = 3  # of poses and refining, at most
+_STILL_PX = 0.05  # rms correction of the poses below which another round brings nothing
 _POSE_STEPS = 2
 _ROBUST = 3.0  # robust deviations: residuals beyond count less
 _SLOW_BELOW = 0.5  # of the lowest frequency: slow functions reach up to it
@@ -79,6 +81,7 @@ def fit_moving_camera(
     notes = ["the camera moves: a motion of the whole scene as one cannot be told from its own"]
     if not len(found.hz):
         return without_motion(gaussians, observations, figures, notes)
+    notes += frequency_notes(found.hz, observations)
     fit = _MovingFit(problem, seen, projections, observations, found.hz, config, parts)
     folds, weight = fit.folds()
     shapes, gains = wiener_shrink(folds[:, : 2 * len(found.hz)])
@@ -125,6 +128,8 @@ def _agreed_scene(
         gaussians = _gaussians(kept)
         frames = [replace(f, viewmat=v) for f, v in zip(frames, kept["viewmats"], strict=True)]
         moved.append(round(float(kept["pixels"]), 4))
+        if moved[-1] < _STILL_PX:
+            break
     return gaussians, frames, {"pose_corrections_px": moved}
 
 

@@ -19,6 +19,7 @@ from tg4mm.motion.gauss_newton import ABOVE_PX, GaussNewton, states_moved
 from tg4mm.motion.higher_order import TaylorTerms
 from tg4mm.motion.hyperparameters import Hyperparameters, pixel_weights, select_hyperparameters
 from tg4mm.motion.jacobian.view import ViewJacobian, view_jacobian
+from tg4mm.motion.limits import frequency_notes, peaks
 from tg4mm.motion.linear_fit import LinearFit
 from tg4mm.motion.modes import ModalMotion
 from tg4mm.motion.moving_camera import fit_moving_camera
@@ -285,5 +286,7 @@ class _Synchronous:
         notes = [*self.seen.notes]
         if uncertain is not None:
             figures, notes = figures | uncertain.figures, [*notes, *uncertain.notes]
-        figures["n_frequencies"] = len(motion.freqs_hz)
+        hz = peaks(motion, self.observations.lowest_hz)
+        figures |= {"n_frequencies": len(motion.freqs_hz), "frequencies_hz": [round(float(f), 4) for f in hz]}
+        notes += frequency_notes(hz, self.observations)
         return MotionFit(gaussians, motion, {} if uncertain is None else uncertain.arrays, figures, notes)

@@ -27,6 +27,7 @@ from tg4mm.motion.frequencies import Frequencies, find_frequencies
 from tg4mm.motion.hyperparameters import Hyperparameters, pixel_weights, select_hyperparameters
 from tg4mm.motion.jacobian.pixels import pixels_moved
 from tg4mm.motion.jacobian.view import ViewJacobian
+from tg4mm.motion.limits import frequency_notes
 from tg4mm.motion.linear_fit import LinearFit
 from tg4mm.motion.modes import ModalMotion
 from tg4mm.motion.nuisance import Projection, without
@@ -92,7 +93,8 @@ def fit_independent_clocks(
         **_phase_figures(observations, phases, found.hz),
     }
     uncertain = fit.uncertainty(phases, hyper, folds, shapes) if len(folds) == 2 else None
-    notes = [*seen.notes, *_notes(observations, figures), *([] if uncertain is None else uncertain.notes)]
+    own = [*_notes(observations, figures), *frequency_notes(found.hz, observations)]
+    notes = [*seen.notes, *own, *([] if uncertain is None else uncertain.notes)]
     if uncertain is not None:
         figures |= uncertain.figures
     motion = motion_of(shapes, found.hz, fit.scale, observations)

@@ -1,0 +1,50 @@
+"""What a capture cannot tell of the frequencies found in it, a line each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tg4mm.motion.modes import ModalMotion
+from tg4mm.motion.observations import Observations
+
+_MAINS_HZ = (100.0, 120.0)  # light flickers at twice the mains' 50 or 60 Hz
+_NEAR_NYQUIST = 0.8
+_PEAK = 0.03  # of the strongest mode's rms: what counts as a peak
+
+
+def peaks(motion: ModalMotion, lowest_hz: float) -> np.ndarray:
+    """[K] Hz by falling strength: modes with two periods in the record, no weaker than 3 % of the strongest.
+
+    A frequency counts once, by its strongest mode: what lies within half the lowest frequency of a stronger one is it.
+    """
+    rms = np.sqrt((np.abs(motion.displacement) ** 2).sum(2).mean(1)) if len(motion.freqs_hz) else np.zeros(0)
+    out: list[float] = []
+    for k in np.argsort(rms)[::-1]:
+        f = float(motion.freqs_hz[k])
+        if rms[k] < _PEAK * rms.max() or f < lowest_hz:
+            continue
+        if all(abs(f - other) > lowest_hz / 2 for other in out):
+            out.append(f)
+    return np.array(out)
+
+
+def frequency_notes(hz: Sequence[float] | np.ndarray, observations: Observations) -> list[str]:
+    """Frequencies at which flickering light or a faster vibration would look the same."""
+    fps, resolution = observations.fps, 1 / observations.duration_s
+    out = []
+    for f in hz:
+        for mains in _MAINS_HZ:
+            alias = abs(mains - round(mains / fps) * fps)
+            if alias > resolution and abs(f - alias) < resolution / 2:
+                out.append(
+                    f"{f:.4g} Hz is where light that flickers at {mains:g} Hz appears at {fps:.4g} frames/s: "
+                    "switch the light off, or change the frame rate, to tell it from motion"
+                )
+        if f > _NEAR_NYQUIST * fps / 2:
+            out.append(
+                f"{f:.4g} Hz is close to half the frame rate: a vibration of {fps - f:.4g} Hz would look the same; "
+                "a higher frame rate tells them apart"
+            )
+    return out
