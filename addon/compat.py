@@ -6,7 +6,7 @@ from typing import Any
 
 import bpy
 
-# 5.2 keeps the inputs of a Geometry Nodes modifier as properties, 4.5 as custom properties (design §3).
+# 5.2 keeps the inputs of a Geometry Nodes modifier as properties, 4.5 as custom properties.
 _INPUTS_ARE_PROPERTIES = bpy.app.version >= (5, 2, 0)
 _MATERIALS_ALWAYS_HAVE_NODES = bpy.app.version >= (5, 0, 0)
 

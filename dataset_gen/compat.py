@@ -1,4 +1,4 @@
-"""Differences between Blender 4.5 and 5.2, in one place (design §3)."""
+"""Differences between Blender 4.5 and 5.2, in one place."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The dataset on disk (design §4.2): scene.json, poses, atomic writing, linking, what a complete file is."""
+"""The dataset on disk (docs/conventions.md): scene.json, poses, atomic writing, linking, what a complete file is."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ def make_synthetic_dataset(
     n_test: int = 2,
     detail: int = 1,
 ) -> tuple[Gaussians, ModalMotion]:
-    """Write a dataset tree (design.md §4.2) of `size`×`size` pictures; returns the exact model of it.
+    """Write a dataset tree (docs/conventions.md) of `size`×`size` pictures; returns the exact model of it.
 
     `freqs` in Hz: the post sways at the first, the ball at the last. `amplitude` in scene units. `detail`
     multiplies the number of Gaussians along each direction. Displacements are zero at timestep 0.

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 def to_splat(
     gaussians: Gaussians, motion: ModalMotion | None, unit_scale_m: float | None = None
 ) -> SplatFile:
-    """The Gaussians, and their motion if any, as a splat file holds them (design §4.3).
+    """The Gaussians, and their motion if any, as a splat file holds them (docs/conventions.md, "Splat file").
 
     Raises SplatFileError for values that such a file cannot hold, RunError where the two do not fit.
     """

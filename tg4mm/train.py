@@ -28,7 +28,7 @@ from tg4mm.space.train import checked as checked_space
 
 # Every preset's settings, by stage, at their defaults. In `paper`, `space` is the fit of the base Gaussians, by L1.
 _BASE = SpaceConfig(l2=0.0)
-# Bytes of pictures at 8 bits; design §6 counts peak memory, and 300 timesteps of 512² are 9 GiB
+# Bytes of pictures at 8 bits: more stay on disk. 300 timesteps of 512² in 30 views are 9 GiB
 IN_MEMORY = 2 << 30
 PRESETS: dict[str, dict[str, Any]] = {
     "modal": {"space": SpaceConfig(), "motion": MotionConfig()},
@@ -70,7 +70,7 @@ def train(
     device: str = "cpu",
     settings: Mapping[str, str] | None = None,
 ) -> Run:
-    """Train on a dataset (design §4.2, any layout `load_capture` reads) into the folder `run_path`.
+    """Train on a dataset (any layout of docs/conventions.md) into the folder `run_path`.
 
     Stages that are complete there are skipped, an unfinished one goes on from its checkpoint. A capture of one
     timestep ends after the space stage. settings: `{"space.iterations": "3000", …}`.

@@ -85,7 +85,7 @@ def test_the_truth_of_a_scene_lies_within_two_deviations(trained) -> None:
 
 
 def test_of_what_moves_along_the_sight_alone_it_is_too_sure(trained) -> None:
-    """Nothing in the pictures says how much that is. Known (docs/decisions.md); to be turned round once mended."""
+    """Nothing in the pictures says how much that is. Known (docs/method.md); to be turned round once mended."""
     run, true, camera, _ = trained
     along, _ = directions(camera, run.load_space().means.numpy())
     said = run.load_part(UNCERTAINTY)[0]["along_sight"].numpy()
@@ -95,7 +95,7 @@ def test_of_what_moves_along_the_sight_alone_it_is_too_sure(trained) -> None:
 def test_a_motion_drawn_from_the_prior_lies_where_it_says(posed, trained) -> None:
     """Motion, noise and fit are then all as they are taken to be: 95 % within two deviations, of this draw.
 
-    It is too sure of draws that are mostly a sway along the one camera's sight: docs/decisions.md, "more Gaussians".
+    It is too sure of draws that are mostly a sway along the one camera's sight: docs/method.md, "Uncertainty".
     """
     (problem, gaussians), camera = posed, trained[2]
     means, rng = gaussians.means.numpy(), np.random.default_rng(5)

@@ -100,7 +100,7 @@ ABLATIONS: dict[str, Ablation] = {
     ),
     "filter-phase": Ablation(
         "Phase of the temporal filter",
-        "design §5.4: a FIR of even length has no centre tap, so its output is half a sample early",
+        "A FIR of even length has no centre tap, so its output is half a sample early",
         ("paper-small", "paper", "modal"),
         (),
         ("filter_phase_deg", "filter_error"),
@@ -110,7 +110,7 @@ ABLATIONS: dict[str, Ablation] = {
     ),
     "difference": Ablation(
         "Difference loss",
-        "design §5.3: compare changes from timestep 0 with changes, which takes static errors out of the fit",
+        "Compare changes from timestep 0 with changes, which takes static errors out of the fit",
         ("paper-small", "paper"),
         (
             Row("pictures (Eq. 16)", {"paper.difference": "false"}),
@@ -121,7 +121,7 @@ ABLATIONS: dict[str, Ablation] = {
     ),
     "neighbours": Ablation(
         "Weight of the neighbour term",
-        "design §5.3: the term that makes neighbours move alike",
+        "The prior, which makes neighbours move alike",
         ("modal",),
         (
             Row("found from the images", {"motion.neighbours": "0"}, tick="found", apart=True),
@@ -137,7 +137,7 @@ ABLATIONS: dict[str, Ablation] = {
     ),
     "views": Ablation(
         "Number of training cameras",
-        "issue 4: how few cameras will do",
+        "How few cameras will do",
         ("modal", "paper-small", "paper"),
         tuple(Row(f"{n} views", views=n, tick=str(n)) for n in (3, 5, 10, 15, 20))
         + (Row("all views", tick="all"),),
@@ -149,7 +149,7 @@ ABLATIONS: dict[str, Ablation] = {
     ),
     "amplitude": Ablation(
         "Amplitude of the motion",
-        "issue 4: from a hundredth of a pixel to one",
+        "From a hundredth of a pixel to one",
         ("modal", "paper-small", "paper"),
         tuple(
             Row(f"{a:g} px", amplitude_px=a, tick=f"{a:g}") for a in (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)

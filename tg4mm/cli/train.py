@@ -14,7 +14,7 @@ from tg4mm.errors import Tg4mmError
 
 
 class Preset(StrEnum):
-    """How motion is modelled; see docs/decisions.md."""
+    """How motion is modelled: by docs/method.md (modal), or as in [TG4MM]."""
 
     modal = "modal"
     paper = "paper"

@@ -1,4 +1,4 @@
-"""How far an estimated motion is from the true one: displacement error, direction, leak (design §6)."""
+"""How far an estimated motion is from the true one: displacement error, direction, leak."""
 
 from __future__ import annotations
 

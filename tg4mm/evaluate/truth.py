@@ -49,7 +49,7 @@ class Truth:
 
 
 def load_truth(root: Path, fps: float, n_timesteps: int) -> Truth:
-    """Read `<root>/truth/motion.npz` (design §4.2) of a dataset of `n_timesteps` at `fps`, without pickles.
+    """Read `<root>/truth/motion.npz` (docs/conventions.md) of a dataset of `n_timesteps` at `fps`, without pickles.
 
     `gains` and `magnified` may be absent: then every mode is a sinusoid and magnified.
 

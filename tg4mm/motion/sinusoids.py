@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-TREND_CYCLES = 0.05  # per capture: a sine so slow that it is a with_trend line within half a percent
+TREND_CYCLES = 0.05  # per capture: a sine so slow that it is a straight line within half a percent
 _MOST = 8  # sinusoids
 _WEAKEST = 1e-4  # of the power: weaker sinusoids stay in the bins
 _PEAK = 10.0  # times the mean power of one dimension of the residual: what counts as a peak

@@ -1,9 +1,9 @@
 """From pictures over time to target images: per view a few images, each the pictures' product with a function of time.
 
 Displacements of less than a pixel change a picture in proportion, so that all frames of a fixed camera say no more than
-their products with the functions of time that the motion has. With Q_v the orthonormal functions that view v is
-projected on, its target images are y_v = Q_vᵀ (I − mean) and the model is y_v = J_v (C_v x), where x holds one
-displacement field for each of R shared functions of time and C_v, the mixing matrix, says how these look in Q_v.
+their products with the functions of time that the motion has. With Ψ_v the orthonormal functions that view v is
+projected on, its target images are y_v = (I − mean) Ψ_v and the model is y_v = J_v (C_v x), where x holds one
+displacement field for each of R shared functions of time and C_v, the mixing matrix, says how these look in Ψ_v.
 
 Synchronous cameras: the functions are the principal components of all changes of all cameras together, C_v = 1, so that
 the R fields can be solved for one by one. Cameras with clocks of their own: cosines and sines of known frequencies. A
@@ -35,7 +35,7 @@ _SMOOTHING_PX = 1.5  # standard deviation of what evens out estimates of noise
 
 @dataclass(frozen=True)
 class TargetImages:
-    """What V views saw of R functions of time. `mixing` None: C_v is the identity, and Q_v the basis."""
+    """What V views saw of R functions of time. `mixing` None: C_v is the identity, and Ψ_v the basis."""
 
     basis: np.ndarray  # [R, T] float64, orthonormal functions of time; each sums to zero over time
     energy: np.ndarray  # [T] float64, squared pixel values in every component, kept or not
