@@ -115,13 +115,17 @@ def chosen_weight(
 def few_iterations(
     operators: Sequence[Any], images: Sequence[np.ndarray], iterations: int
 ) -> list[np.ndarray]:
-    """Fields [R, N, 6] of each operator after so many iterations; on the CPU uncoupled ones share their passes."""
-    if not isinstance(operators[0], CpuOperator) or operators[0].is_coupled:
+    """Fields [R, N, 6] of each operator after so many iterations; on the CPU they share their passes over the views."""
+    if not isinstance(operators[0], CpuOperator):
         solutions = [pcg(o, o.right_hand_sides(images), iterations, 1e-6) for o in operators]
         return [o.fields(s.theta) for o, s in zip(operators, solutions, strict=True)]
     together = SharedPass(operators)
-    theta = pcg(together, together.right_hand_sides(images), iterations, 1e-6).theta
-    return [o.fields(t[None]) for o, t in zip(operators, theta, strict=True)]
+    b = together.right_hand_sides(images)
+    own = len(b) // len(operators) if operators[0].is_coupled else 1
+    theta = pcg(together, b, iterations, 1e-6, together=own).theta
+    return [
+        o.fields(t) for o, t in zip(operators, theta.reshape(len(operators), -1, *b.shape[1:]), strict=True)
+    ]
 
 
 def pixel_weights(targets: TargetImages, is_noise: np.ndarray) -> np.ndarray | None:

@@ -46,6 +46,8 @@ _STILL_PX = 0.05  # rms correction of the poses below which another round brings
 _POSE_STEPS = 2
 _ROBUST = 3.0  # robust deviations: residuals beyond count less
 _SLOW_BELOW = 0.5  # of the lowest frequency: slow functions reach up to it
+_THINNED = 3  # every third frame is enough to choose the smoothness weight
+_MOST_ITERATIONS = 18  # of conjugate gradients
 _JUDGED = 10
 _ALL = np.ones(12, bool)
 
@@ -308,7 +310,8 @@ class _MovingFit:
         def select() -> Arrays:
             weight = self.config.smoothness_weight
             if not weight:
-                weight = DEFAULT if len(folds) == 1 else chosen_weight(images, problem, folds, weights, 4)
+                few = [replace(fold, views=fold.views[::_THINNED]) for fold in folds]
+                weight = DEFAULT if len(folds) == 1 else chosen_weight(images, problem, few, weights, 4)
             return {"smoothness_weight": np.array(weight)}
 
         weight = float(self.parts("hyperparameters", select)["smoothness_weight"])
@@ -318,9 +321,10 @@ class _MovingFit:
             def solve(p: int = p, fold: Any = fold) -> Arrays:
                 operator = problem.operator(fold, weights, weight)
                 b = operator.right_hand_sides(images[v] for v in fold.views)
-                with progress(f"motion, half {p + 1}", self.config.iterations, "iterations") as update:
+                iterations = min(self.config.iterations, _MOST_ITERATIONS)
+                with progress(f"motion, half {p + 1}", iterations, "iterations") as update:
                     solution = pcg(
-                        operator, b, self.config.iterations, self.config.tolerance,
+                        operator, b, iterations, self.config.tolerance,
                         update=lambda i, r: update(i, residual=round(r, 4)),
                     )  # fmt: skip
                 return {"fields": operator.fields(solution.theta)}

@@ -145,18 +145,32 @@ def _add_view(
 
 @dataclass(frozen=True)
 class SharedPass:
-    """Operators that share views and weights as one uncoupled problem of one field each: one pass for all of them."""
+    """Operators that share views and weights as one block-diagonal operator: one pass over the views for all of them.
+
+    θ holds the R fields of the first operator, then those of the second … Each operator is a system of its own.
+    """
 
     operators: Sequence[CpuOperator]
-    is_coupled: bool = False
+
+    @property
+    def is_coupled(self) -> bool:
+        """The operators are not."""
+        return False
 
     def right_hand_sides(self, pictures: Iterable[np.ndarray]) -> np.ndarray:
-        """[operators, P, 3] of one target image of each view, [1, H, W, 3]."""
-        (v,) = self.operators[0].gathered(pictures)
-        return np.stack([o.preconditioner.from_field(o.graph.from_motion(v)) for o in self.operators])
+        """As of each operator, one below the other."""
+        gathered = self.operators[0].gathered(pictures)
+        return np.stack(
+            [o.preconditioner.from_field(o.graph.from_motion(v)) for o in self.operators for v in gathered]
+        )
 
     def products(self, theta: np.ndarray, rows: Sequence[int] | None = None) -> np.ndarray:
-        """`Operator.products`, row r by operator r."""
-        some = range(len(self.operators)) if rows is None else rows
-        own = [self.operators[r] for r in some]
-        return np.concatenate(products_of(own, [theta[r : r + 1] for r in some]))
+        """`Operator.products`; `rows` of whole operators."""
+        n = len(theta) // len(self.operators)
+        own = range(len(self.operators)) if rows is None else sorted({r // n for r in rows})
+        parts = products_of([self.operators[k] for k in own], [theta[k * n : (k + 1) * n] for k in own])
+        images = np.concatenate(parts)
+        if rows is None:
+            return images
+        places = {r: i for i, r in enumerate(k * n + j for k in own for j in range(n))}
+        return images[[places[r] for r in rows]]

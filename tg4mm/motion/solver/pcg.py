@@ -37,24 +37,26 @@ def pcg(
     tolerance: float,
     norms: np.ndarray | None = None,
     update: Callable[[int, float], None] | None = None,
+    together: int | None = None,
 ) -> Solution:
     """Solve A θ = b [R, P, 3] from θ = 0, by at most so many iterations of each system.
 
     A system ends at a relative residual of `tolerance`, measured against `norms` [S] (|b|² unless given). `update` is
-    called with the iterations done and the largest relative residual.
+    called with the iterations done and the largest relative residual. `together`: how many parts of θ make up a system;
+    None for all of them where they are coupled, else one.
     """
-    n = 1 if operator.is_coupled else len(b)
+    together = together or (len(b) if operator.is_coupled else 1)
+    n = len(b) // together
     theta, residual, direction = _zeros(b), _copy(b), _copy(b)
     squares = _squares(b, n)
-    norms = squares if norms is None else norms
+    norms = squares.copy() if norms is None else norms
     limit = np.maximum(max(tolerance**2, _EXACT) * norms, 1e-300)
     done = 0
     for _ in range(iterations):
         going = np.flatnonzero(squares > limit)
         if not len(going):
             break
-        rows = range(len(b)) if operator.is_coupled else going
-        _step(operator, theta, residual, direction, squares, list(rows), n)
+        _step(operator, (theta, residual, direction), squares, going.tolist(), together)
         done += 1
         if update is not None:
             update(done, float(np.sqrt((squares / np.maximum(norms, 1e-300)).max())))
@@ -62,23 +64,20 @@ def pcg(
 
 
 def _step(
-    operator: System,
-    theta: Array,
-    residual: Array,
-    direction: Array,
-    squares: np.ndarray,
-    rows: list[int],
-    n: int,
+    operator: System, state: tuple[Array, Array, Array], squares: np.ndarray, going: list[int], together: int
 ) -> None:
-    """One iteration of the systems `rows`, in place."""
-    images = operator.products(direction, None if n == 1 and len(rows) == len(theta) else rows)
-    systems = [rows] if operator.is_coupled else [[r] for r in rows]
-    for s, own in zip([0] if operator.is_coupled else rows, systems, strict=True):
-        products = [_inner(direction[r], images[rows.index(r)]) for r in own]
-        length = squares[s] / sum(products)
-        for r in own:
+    """One iteration of the systems `going`, in place."""
+    theta, residual, direction = state
+    rows = [s * together + k for s in going for k in range(together)]
+    images = operator.products(direction, None if len(rows) == len(theta) else rows)
+    for i, s in enumerate(going):
+        own = range(s * together, (s + 1) * together)
+        of_own = range(i * together, (i + 1) * together)
+        curvature = sum(_inner(direction[r], images[q]) for r, q in zip(own, of_own, strict=True))
+        length = squares[s] / curvature
+        for r, q in zip(own, of_own, strict=True):
             theta[r] += length * direction[r]
-            residual[r] -= length * images[rows.index(r)]
+            residual[r] -= length * images[q]
         after = sum(_inner(residual[r], residual[r]) for r in own)
         for r in own:
             direction[r] *= after / squares[s]
@@ -97,8 +96,7 @@ def fetched(values: Array) -> np.ndarray:
 
 
 def _squares(values: Array, n: int) -> np.ndarray:
-    each = np.array([_inner(one, one) for one in values])
-    return each if n == len(each) and n > 1 else each.sum(keepdims=True) if n == 1 else each
+    return np.array([_inner(one, one) for one in values]).reshape(n, -1).sum(1)
 
 
 def _inner(a: Array, b: Array) -> float:
