@@ -29,10 +29,10 @@ from tg4mm.motion.solver.cpu import CpuOperator
 from tg4mm.motion.solver.pcg import pcg
 from tg4mm.motion.split_half import mean_over_neighbours
 
-DRAWS = 6  # neighbours are averaged over besides
+DRAWS = 4  # neighbours are averaged over besides
 _FOR_FREEDOM = 2
-ITERATIONS = 60
-_TOLERANCE = 1e-2
+ITERATIONS = 100
+_TOLERANCE = 3e-3
 
 
 @dataclass(frozen=True)

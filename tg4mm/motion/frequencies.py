@@ -179,7 +179,7 @@ def _strong(y: np.ndarray, most: int = 64) -> np.ndarray:
 def _deviation(
     series: Sequence[np.ndarray], times: Sequence[np.ndarray], noise: Sequence[np.ndarray], hz: np.ndarray
 ) -> np.ndarray:
-    """Cramér-Rao bound of each frequency: σ_f² = 6 / (π² T² Σ SNR), with Σ over series of a² F / 2σ²."""
+    """Cramér-Rao bound of each frequency: σ_f² = 3 / (π² D² Σ SNR), D the duration, Σ over series of a² F / 2σ²."""
     out = []
     for f in hz:
         information = 0.0
@@ -189,5 +189,5 @@ def _deviation(
             amplitude2 = (np.linalg.lstsq(x, y[:, used], rcond=None)[0] ** 2).sum(0)
             snr = len(t) * amplitude2 / (2 * n[used])
             information += float(np.maximum(snr - 1, 0).sum()) * float(np.ptp(t)) ** 2
-        out.append(np.sqrt(3 / (2 * np.pi**2 * max(information, 1e-12))))
+        out.append(np.sqrt(3 / (np.pi**2 * max(information, 1e-12))))
     return np.array(out)

@@ -13,7 +13,9 @@ from tg4mm.capture.pictures import FilePictures, Pictures, over_white, pictures_
 from tg4mm.errors import CaptureError
 
 STRIP_VALUES = 1 << 23  # float32 values of a strip, 32 MiB; compositing it takes about three times that
-_CLOCK = 0.02  # of a frame: cameras whose time stamps differ by less are synchronous
+_CLOCK = (
+    0.1  # of a frame: time stamps that differ by less, from each other and from even steps, are one clock's
+)
 _FEWEST = 8  # pictures of a moving camera
 _PERIODS = 2.0  # of the lowest frequency that a record must hold
 
@@ -126,16 +128,15 @@ def _frames(capture: Capture, rows: np.ndarray) -> PosedFrames:
 
 
 def _are_synchronous(frames: list[PosedFrames]) -> bool:
-    """Whether all cameras have the same times, evenly spaced, to a fiftieth of a frame."""
+    """Whether all cameras have the same times, evenly spaced, to a tenth of a frame."""
     times = frames[0].times_s
+    if any(len(f.times_s) != len(times) for f in frames):
+        return False
     if len(times) < 3:
-        return all(len(f.times_s) == len(times) for f in frames)
-    step = float(np.median(np.diff(times)))
-    regular = np.abs(times - times[0] - step * np.arange(len(times))).max() < _CLOCK * step
-    same = all(
-        len(f.times_s) == len(times) and np.abs(f.times_s - times).max() < _CLOCK * step for f in frames
-    )
-    return bool(same and (regular or len(frames) == 1))
+        return True
+    step = float(np.ptp(times)) / (len(times) - 1)
+    even = times[0] + step * np.arange(len(times))
+    return all(np.abs(f.times_s - even).max() < _CLOCK * step for f in frames)
 
 
 def strips(pictures: Pictures, frames: PosedFrames) -> Iterator[tuple[slice, np.ndarray]]:

@@ -168,13 +168,9 @@ class _Synchronous:
             return None
         asked = np.arange(len(shapes))
         left = Remainder(
-            self.views,
-            self.targets.images,
-            self.hyper.signal,
-            shapes,
-            self._terms if is_small else None,
-            asked,
-        )
+            self.views, self.targets.images, self.hyper.signal, shapes, self._terms if is_small else None, asked,
+            self.seen.nuisances, self.targets.mean,
+        )  # fmt: skip
         if iterations is not None:
             return self._appearance_fit.fitted(left, None, iterations)
         with progress("appearance", len(asked), "components") as update:

@@ -84,15 +84,15 @@ def fit_independent_clocks(
         figures |= _frequency_figures(found)
         targets = sinusoid_targets(observations, seen.look, seen.nuisances, found.hz)
         fit = replace(fit, targets=targets, hz=found.hz)
-    folds, hyper = fit.fields(phases, "steady")
-    shapes, gains = wiener_shrink(folds)
+    fields = fit.fields(phases, "steady")
+    shapes, gains = wiener_shrink(fields.folds)
     figures |= {
-        "smoothness_weight": hyper.smoothness_weight,
+        "smoothness_weight": fields.hyper.smoothness_weight,
         "reliability": [round(float(g), 4) for g in gains],
         "pixels_moved": float(np.hypot(*pixels_moved(views, shapes[:2, :, :3] * np.float32(fit.scale)))),
         **_phase_figures(observations, phases, found.hz),
     }
-    uncertain = fit.uncertainty(phases, hyper, folds, shapes) if len(folds) == 2 else None
+    uncertain = fit.uncertainty(phases, fields, shapes) if len(fields.folds) == 2 else None
     own = [*_notes(observations, figures), *frequency_notes(found.hz, observations)]
     notes = [*seen.notes, *own, *([] if uncertain is None else uncertain.notes)]
     if uncertain is not None:
@@ -193,6 +193,13 @@ def without_motion(
 
 
 @dataclass(frozen=True)
+class _Fields:
+    folds: np.ndarray  # [P, 2K, N, 6]
+    x: np.ndarray  # [2K, 4N, 3] displacement and its gradient, of the first pass, mean of the folds
+    hyper: Hyperparameters
+
+
+@dataclass(frozen=True)
 class _SteadyFit:
     """Fields for given phases, and phases for given fields."""
 
@@ -214,10 +221,8 @@ class _SteadyFit:
         mixing = [m @ rotations(p) for m, p in zip(self.targets.mixing, phases, strict=True)]
         return replace(self.targets, mixing=mixing), replace(self.problem, mixing=mixing, _kept={})
 
-    def fields(
-        self, phases: np.ndarray, name: str, iterations: int | None = None
-    ) -> tuple[np.ndarray, Hyperparameters]:
-        """[P, 2K, N, 6] of the folds."""
+    def fields(self, phases: np.ndarray, name: str, iterations: int | None = None) -> _Fields:
+        """Of the folds."""
         targets, problem = self.with_phases(phases)
         folds = folds_of(len(problem.views), self.observations.size, False, self.config.split_half)
 
@@ -235,16 +240,17 @@ class _SteadyFit:
         config = self.config if iterations is None else replace(self.config, iterations=iterations)
         linear = LinearFit(problem, targets, hyper, weights, folds, config, _named(self.parts, name))
         first = linear.first_pass()
+        x = np.mean([f["x"] for f in first], axis=0)
         if iterations is not None:
-            return np.stack([f["fields"] for f in first]), hyper
-        return linear.second_pass(first, None), hyper
+            return _Fields(np.stack([f["fields"] for f in first]), x, hyper)
+        return _Fields(linear.second_pass(first, None), x, hyper)
 
     def updated(self, phases: np.ndarray, turn: int) -> tuple[np.ndarray, np.ndarray]:
         """θ = arg⟨J m, C⟩ [C, K] of every camera's pictures, less the first camera's; [K]: do the halves agree?"""
 
         def compute() -> Arrays:
             few = max(self.config.iterations // 2, 6)
-            shapes, gains = wiener_shrink(self.fields(phases, f"turn_{turn}", few)[0])
+            shapes, gains = wiener_shrink(self.fields(phases, f"turn_{turn}", few).folds)
             return {"phases": self._phases(shapes), "gains": gains.reshape(-1, 2).max(1)}
 
         kept = self.parts(f"phases_{turn}", compute)
@@ -264,9 +270,7 @@ class _SteadyFit:
                 out[v, k] = np.arctan2(imaginary, real)
         return out - out[:1]
 
-    def uncertainty(
-        self, phases: np.ndarray, hyper: Hyperparameters, folds: np.ndarray, shapes: np.ndarray
-    ) -> Uncertainty:
+    def uncertainty(self, phases: np.ndarray, fields: _Fields, shapes: np.ndarray) -> Uncertainty:
         """As of synchronous cameras."""
         targets, problem = self.with_phases(phases)
         assert targets.mixing is not None
@@ -275,15 +279,17 @@ class _SteadyFit:
             left = targets.images[v] - view.jvp(np.tensordot(targets.mixing[v], shapes, 1))
             residuals.append(without(problem.nuisances[v], targets.mean[v], left))
         frames = self.observations.frames
-        found = Found(folds, shapes, problem.gaussians, problem.graph.knn, problem.views, frames, residuals)
+        found = Found(
+            fields.folds, shapes, problem.gaussians, problem.graph.knn, problem.views, frames, residuals
+        )
         n_timesteps = round(float(np.mean([len(f.rows) for f in frames])))
         if len(problem.views) >= LEAST:
             return of_halves(found, n_timesteps)
-        weights = pixel_weights(targets, hyper.is_noise)
-        alone = replace(problem.on_cpu(problem.everything, weights, hyper.smoothness_weight), mixing=None)
-        x = np.zeros((len(shapes), 4 * problem.n_gaussians, 3), np.float32)
-        x.reshape(len(shapes), -1, 4, 3)[:, :, 0] = shapes[..., :3]
-        return of_few_views(found, alone, x, n_timesteps, self.config.seed)
+        weights = pixel_weights(targets, fields.hyper.is_noise)
+        alone = replace(
+            problem.on_cpu(problem.everything, weights, fields.hyper.smoothness_weight), mixing=None
+        )
+        return of_few_views(found, alone, fields.x, n_timesteps, self.config.seed)
 
 
 def _named(parts: Parts, name: str) -> Parts:

@@ -17,6 +17,7 @@ from tg4mm.motion.appearance.problem import AppearanceProblem
 from tg4mm.motion.appearance.views import HARMONIC, appearance_views
 from tg4mm.motion.higher_order import TaylorTerms
 from tg4mm.motion.jacobian.view import PosedView, ViewJacobian
+from tg4mm.motion.nuisance import Nuisance, without
 from tg4mm.motion.prior.graph import Graph
 from tg4mm.motion.solver.operator import Fold
 from tg4mm.motion.solver.pcg import pcg
@@ -38,12 +39,16 @@ class Remainder:
     fields: np.ndarray  # [R, N, 6], their motion
     terms: TaylorTerms | None  # what that shows beyond the derivative
     asked: np.ndarray
+    nuisances: Sequence[Nuisance] = ()  # of each view; none: nothing is projected out
+    means: np.ndarray | None = None  # [V, H, W, 3] mean pictures, for the nuisances
 
     def of(self, fold: Fold, some: np.ndarray) -> Iterator[np.ndarray]:
         """[s, H, W, 3] of each view of a fold, for `some` of the R components."""
         for v in fold.views:
             left = self.pictures[v, self.rows[some]] - self.views[v].jvp(self.fields[some])
-            yield left if self.terms is None else left - self.terms.of(v, self.fields)[some]
+            if self.terms is not None:
+                left -= self.terms.of(v, self.fields)[some]
+            yield left if self.means is None else without(self.nuisances[v], self.means[v], left)
 
 
 @dataclass(frozen=True)

@@ -136,6 +136,9 @@ def _normal_tiles(
             continue
         x0, y0 = (tile % n_x) * TILE, (tile // n_x) * TILE
         rows, columns = min(TILE, height - y0), min(TILE, width - x0)
+        if not _counts(pixels, y0, x0, rows, columns):
+            gradients[begin * n_changes * _WIDTH : end * n_changes * _WIDTH] = float32(0.0)
+            continue
         fill(state, stride, float32(1.0))
         live, filled = inside(rows, columns), int64(0)
         upto[0] = 0
@@ -167,6 +170,16 @@ def _normal_tiles(
                 plane, to = (1 + _CHANGE * change) * LANES, (pair * n_changes + change) * _WIDTH
                 _vjp_pair(conic, colour, gradients, to, plane, blocks, found, kept, state)
     keep(planes)
+
+
+@kernel()
+def _counts(pixels, y0, x0, rows, columns):
+    """Whether any pixel of a tile has a weight."""
+    for y in range(y0, y0 + rows):
+        for x in range(x0, x0 + columns):
+            if pixels[y, x] != float32(0.0):
+                return True
+    return False
 
 
 @kernel(parallel=True)
