@@ -25,7 +25,7 @@ GAIN, OFFSET, ROTATION, TRANSLATION = slice(0, 3), slice(3, 6), slice(6, 9), sli
 EXPOSURE, POSE = slice(0, 6), slice(6, 12)
 COLUMNS = 12
 _TINY = 1e-6  # of the largest eigenvalue of the columns' products: below it a column says nothing new
-EXPOSURE_SHARE = 1e-3  # of the changes' energy: less exposure than that stays
+EXPOSURE_SHARE = 5e-3  # of the changes' energy: of cut-out pictures less exposure than that stays
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,8 @@ def look_at(
 ) -> Seen:
     """Read all pictures once; exposure and shake of the cameras as the settings say, or as the pictures show.
 
-    A shake is looked for where pictures have a background: of a cut-out object no part is known to stand still.
+    Pictures with a background are a real camera's: their exposure is always taken out, and a shake is looked for. Of a
+    cut-out object no part is known to stand still, and its exposure is taken out where it shows.
     """
     looks = config.nuisance == "auto" and observations.is_opaque
     possible = np.zeros(12, bool)
@@ -43,7 +44,7 @@ def look_at(
     pixels, is_shaking = look.shake
     active = possible.copy()
     if config.nuisance == "auto":
-        active[EXPOSURE] = share > EXPOSURE_SHARE
+        active[EXPOSURE] = observations.is_opaque or share > EXPOSURE_SHARE
         active[POSE] = is_shaking
     figures = {
         "exposure_gain_percent": round(gain, 4),

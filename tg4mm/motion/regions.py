@@ -16,6 +16,7 @@ from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.jacobian.view import PosedView, ViewJacobian
 from tg4mm.motion.nuisance import Projection
 from tg4mm.motion.solver.aggregates import Aggregates
+from tg4mm.progress import progress
 
 _PROBES = 4
 _AT_ONCE = 8  # frames that share a pass
@@ -85,9 +86,11 @@ def moving_camera_series(
     """Of a moving camera's frames [H, W, 3] less what is rendered at rest, each with its own Jacobian."""
     axes = np.stack([camera.viewmat[:2, :3].astype(np.float64) for camera in cameras])
     sides, normals = [], []
-    for view, own, projection, change in zip(views, axes, projections, changes, strict=True):
-        sides.append(_sides(view, own, projection, labels, change[None])[0])
-        normals.append(_normals(view, own, projection, labels))
+    with progress("region shifts", len(views), "frames") as update:
+        for view, own, projection, change in zip(views, axes, projections, changes, strict=True):
+            sides.append(_sides(view, own, projection, labels, change[None])[0])
+            normals.append(_normals(view, own, projection, labels))
+            update(len(sides))
     return RegionSeries(times_s, np.stack(sides), np.stack(normals), axes)
 
 
