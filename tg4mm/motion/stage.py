@@ -10,6 +10,7 @@ import hashlib
 import logging
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import fields
 
 import numpy as np
 import torch
@@ -27,7 +28,7 @@ from tg4mm.motion.observations import observe
 from tg4mm.motion.pipeline import fit_motion
 from tg4mm.runs import UNCERTAINTY, Run
 
-_STAGE = "motion"
+_STAGE, _SCENE = "motion", "scene"
 _VERSION = 10  # of a checkpoint: parts of another version are computed anew
 _LOG = logging.getLogger("tg4mm")
 
@@ -43,10 +44,10 @@ def train_motion(
     Gaussian, Tg4mmError on settings out of range or where the device's memory is too small.
     """
     began = time.monotonic()
-    gaussians = run.load_space()
     reset_gpu_peak(device)
     observations = observe(capture, images)
-    parts = StoredParts(run, gaussians, began)
+    parts = StoredParts(run, began)
+    gaussians = parts.gaussians
     try:
         fit = fit_motion(gaussians, observations, config, device, parts)
     except RunError as error:
@@ -61,6 +62,7 @@ def train_motion(
     for note in fit.notes:
         _LOG.warning(note)
     if fit.gaussians is not gaussians:
+        parts.expect_scene(fit.gaussians)
         run.save_space(fit.gaussians, {})
     if fit.uncertainty:  # before the motion, which tells that the stage is done
         run.save_part(UNCERTAINTY, {k: torch.from_numpy(v) for k, v in fit.uncertainty.items()})
@@ -70,20 +72,27 @@ def train_motion(
 
 
 class StoredParts:
-    """`Parts` that lie in the run's checkpoint."""
+    """`Parts` that lie in the run's checkpoint, and the Gaussians that they belong to."""
 
-    def __init__(self, run: Run, gaussians: Gaussians, began: float) -> None:
+    def __init__(self, run: Run, began: float) -> None:
         self.run, self.began = run, began  # began: what log.json does not hold yet
-        self._scene = _digest({"means": gaussians.means.numpy(), "sh": gaussians.sh.numpy()})
+        self.gaussians = run.load_space()
+        self._scene = _digest(_arrays_of(self.gaussians))
         self._arrays: Arrays = {}
         self._digests: dict[str, str] = {}
         checkpoint = run.load_checkpoint(_STAGE)
         if checkpoint is None or checkpoint[1].get("version") != _VERSION:
             return
         tensors, state = checkpoint
-        if state.get("scene") == self._scene:
-            self._arrays = {k: v.numpy() for k, v in tensors.items()}
-            self._digests = dict(state.get("digests", {}))
+        if self._scene not in (state.get("scene"), state.get("expected_scene")):
+            return
+        if self._scene != state.get("scene"):  # stopped between saving the sharper Gaussians and the motion
+            self.gaussians = Gaussians(
+                **{name: tensors[f"{_SCENE}/{name}"] for name in _arrays_of(self.gaussians)}
+            )
+            self._scene = state["scene"]
+        self._arrays = {k: v.numpy() for k, v in tensors.items()}
+        self._digests = dict(state.get("digests", {}))
 
     def __call__(self, name: str, compute: Callable[[], Arrays]) -> Arrays:
         """`Parts`."""
@@ -94,13 +103,25 @@ class StoredParts:
         self._arrays = {k: v for k, v in self._arrays.items() if k.partition("/")[0] != name}
         self._arrays |= {f"{name}/{k}": np.ascontiguousarray(v) for k, v in found.items()}
         self._digests[name] = _digest(found)
-        tensors = {k: torch.from_numpy(v) for k, v in self._arrays.items()}
-        state = {"version": _VERSION, "scene": self._scene, "digests": self._digests}
-        self.run.save_checkpoint(_STAGE, tensors, state)
+        self._save()
         now = time.monotonic()
         self.run.record(_STAGE, {"seconds": now - self.began})
         self.began = now
         return found
+
+    def expect_scene(self, gaussians: Gaussians) -> None:
+        """The run's Gaussians are about to become these: the checkpoint keeps those that its parts belong to."""
+        self._arrays |= {f"{_SCENE}/{k}": v for k, v in _arrays_of(self.gaussians).items()}
+        self._save(expected_scene=_digest(_arrays_of(gaussians)))
+
+    def _save(self, **more: str) -> None:
+        tensors = {k: torch.from_numpy(v) for k, v in self._arrays.items()}
+        state = {"version": _VERSION, "scene": self._scene, "digests": self._digests, **more}
+        self.run.save_checkpoint(_STAGE, tensors, state)
+
+
+def _arrays_of(gaussians: Gaussians) -> Arrays:
+    return {f.name: getattr(gaussians, f.name).numpy() for f in fields(gaussians)}
 
 
 def _digest(arrays: Mapping[str, np.ndarray]) -> str:
