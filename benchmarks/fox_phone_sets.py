@@ -1,8 +1,9 @@
 """Dataset trees of the phone captures of the fox's room with their true poses: what a perfect SfM would hand over.
 
-    python benchmarks/fox_phone_sets.py CAPTURES OUT [--only tripod handheld clips] [--sizes full half]
+    python benchmarks/fox_phone_sets.py CAPTURES OUT [--only tripod handheld clips flat] [--sizes full half]
 
-CAPTURES holds tripod/, handheld/, clips/ and truth/; OUT gets tripod, handheld, clips and the same as …_half.
+CAPTURES holds tripod/, handheld/, clips/ and truth/; OUT gets tripod, handheld, clips, flat (the tripod's video alone,
+its camera at the origin looking along +y) and the same as …_half.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from tg4mm.capture.model import SurfacePoints
 from tg4mm.files import write_json
 from tg4mm.sfm.dataset import write_points
 
-KINDS = ("tripod", "handheld", "clips")
+KINDS = ("tripod", "handheld", "clips", "flat")
 SIZES = {
     "full": ("", 1),
     "half": ("_half", 2),
@@ -32,6 +33,8 @@ N_POINTS = 20_000
 # Added to the photographs' positions, scene units: one was taken from the very place of the fixed camera, and the
 # reader holds pictures of equal poses for pictures of one camera
 APART = 1e-6
+# Camera-to-world, OpenCV axes, of a flat capture's camera
+FLAT_C2W = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
@@ -64,7 +67,10 @@ def sweep(captures: Path, truth: dict[str, Any]) -> list[tuple[str, np.ndarray, 
 def shots(captures: Path, truth: dict[str, Any], kind: str) -> Iterator[Shot]:
     """All pictures of one capture, in order of video, then time."""
     fps = truth["fps"]
-    if kind == "tripod":
+    if kind == "flat":
+        for t, picture in enumerate(frames_of(captures / "tripod" / "cam_00.mp4")):
+            yield Shot(t, "cam_00", FLAT_C2W, t / fps, picture)
+    elif kind == "tripod":
         for name, c2w, picture in sweep(captures, truth):
             apart = c2w.copy()
             apart[:3, 3] += APART
@@ -97,11 +103,16 @@ def frame_record(shot: Shot, K: np.ndarray, size: tuple[int, int]) -> dict[str, 
     return record if shot.time_s is None else record | {"time": shot.time_s}
 
 
+def flat_intrinsics(size: tuple[int, int]) -> np.ndarray:
+    """[3, 3] of a camera of which nothing is known: as long as the picture's longer side (width, height)."""
+    f = float(max(size))
+    return np.array([[f, 0, size[0] / 2], [0, f, size[1] / 2], [0, 0, 1]])
+
+
 def write_set(out: Path, captures: Path, truth: dict[str, Any], kind: str, side: int) -> None:
     """One dataset tree; scene.json comes last."""
-    K = np.array(truth["K"])
-    K[:2] /= side
     size = truth["W"] // side, truth["H"] // side
+    K = flat_intrinsics(size) if kind == "flat" else np.array(truth["K"]) / [[side], [side], [1]]
     frames: dict[int, list[dict[str, Any]]] = {}
     with ThreadPoolExecutor(2) as pool:
         for shot in shots(captures, truth, kind):
@@ -111,7 +122,8 @@ def write_set(out: Path, captures: Path, truth: dict[str, Any], kind: str, side:
             frames.setdefault(shot.timestep, []).append(frame_record(shot, K, size))
     for t, records in frames.items():
         write_json(out / f"{t:03d}" / "transforms_train.json", {"frames": records})
-    write_points(out / "points3d.ply", surface_points(captures, truth))
+    if kind != "flat":
+        write_points(out / "points3d.ply", surface_points(captures, truth))
     scene = {"kind": kind, "fps": truth["fps"], "n_timesteps": len(frames), "background": "as photographed"}
     write_json(out / "scene.json", {"format_version": 1, **scene})
 
