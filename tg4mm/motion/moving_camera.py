@@ -6,13 +6,15 @@ left of a frame is motion, noise, and what the scene at rest still gets wrong. T
 viewpoint. So the functions of time that are fitted hold, besides the sinusoids, a constant and slow polynomials, whose
 fields are let go.
 
-Motion that looks like the camera's own, of the whole picture as one, cannot be told from it and is taken out.
+Motion that looks like the camera's own, of the whole picture as one, cannot be told from it: of all motions that
+explain the frames, the one is taken in which most of the scene stands still (`gauge.py`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -24,7 +26,9 @@ from tg4mm.errors import RunError
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.checkpoints import Arrays, Parts
 from tg4mm.motion.config import MotionConfig
+from tg4mm.motion.gauge import stillness, with_still_background
 from tg4mm.motion.hyperparameters import DEFAULT, chosen_weight
+from tg4mm.motion.jacobian.colour import blend_sum
 from tg4mm.motion.jacobian.pixels import pixels_moved
 from tg4mm.motion.jacobian.view import ViewJacobian, view_jacobian
 from tg4mm.motion.limits import frequency_notes
@@ -34,7 +38,8 @@ from tg4mm.motion.problem import Problem
 from tg4mm.motion.refine import MovedPictures, refine_rest_scene
 from tg4mm.motion.regions import RegionSeries, labels_of, moving_camera_series
 from tg4mm.motion.result import MotionFit
-from tg4mm.motion.solver.pcg import pcg
+from tg4mm.motion.solver.operator import Fold
+from tg4mm.motion.solver.pcg import fetched, pcg, sent
 from tg4mm.motion.split_half import folds_of, wiener_shrink
 from tg4mm.motion.steady import frequencies_of, motion_of, without_motion
 from tg4mm.motion.temporal import sinusoids
@@ -86,7 +91,7 @@ def fit_moving_camera(
     notes += frequency_notes(found.hz, observations)
     fit = _MovingFit(problem, seen, projections, observations, found.hz, config, parts)
     folds, weight = fit.folds()
-    shapes, gains = wiener_shrink(folds[:, : 2 * len(found.hz)])
+    shapes, gains = wiener_shrink(folds)
     scale = fit.scale
     moved = pixels_moved(problem.views[:: max(len(seen) // 8, 1)], shapes[:2, :, :3] * np.float32(scale))
     figures |= {
@@ -299,7 +304,7 @@ class _MovingFit:
         return np.concatenate([self.scale * sinusoids(times, self.hz), slow])
 
     def folds(self) -> tuple[np.ndarray, float]:
-        """[P, R, N, 6] of each half of the frames, and the smoothness weight."""
+        """[P, 2K, N, 6] of each half of the frames, and the smoothness weight."""
         functions = self.functions.astype(np.float32)
         weights = np.stack([s.weights for s in self.seen])
         images = np.stack([s.left for s in self.seen])[:, None]
@@ -315,22 +320,79 @@ class _MovingFit:
             return {"smoothness_weight": np.array(weight)}
 
         weight = float(self.parts("hyperparameters", select)["smoothness_weight"])
-        found = []
-        for p, fold in enumerate(folds):
+        first = [
+            self.parts(f"moving_{p}", lambda p=p: self._first(problem, folds[p], images, weights, weight, p))
+            for p in range(len(folds))
+        ]
+        n = 2 * len(self.hz)
+        mean = self.still(np.mean([f["fields"] for f in first], axis=0)[:n])
+        second = [
+            self.parts(
+                f"still_{p}", lambda p=p: self._second(problem, folds[p], weights, weight, first[p], mean, p)
+            )
+            for p in range(len(folds))
+        ]
+        return np.stack([self.still(f["fields"][:n]) for f in second]), weight
 
-            def solve(p: int = p, fold: Any = fold) -> Arrays:
-                operator = problem.operator(fold, weights, weight)
-                b = operator.right_hand_sides(images[v] for v in fold.views)
-                iterations = min(self.config.iterations, _MOST_ITERATIONS)
-                with progress(f"motion, half {p + 1}", iterations, "iterations") as update:
-                    solution = pcg(
-                        operator, b, iterations, self.config.tolerance,
-                        update=lambda i, r: update(i, residual=round(r, 4)),
-                    )  # fmt: skip
-                return {"fields": operator.fields(solution.theta)}
+    @property
+    def _iterations(self) -> int:
+        return min(self.config.iterations, _MOST_ITERATIONS)
 
-            found.append(self.parts(f"moving_{p}", solve)["fields"])
-        return np.stack(found), weight
+    def _first(
+        self, problem: Problem, fold: Fold, images: np.ndarray, weights: np.ndarray, weight: float, p: int
+    ) -> Arrays:
+        operator = problem.operator(fold, weights, weight)
+        b = operator.right_hand_sides(images[v] for v in fold.views)
+        with progress(f"motion, half {p + 1}", self._iterations, "iterations") as update:
+            tell = _telling(update)
+            solution = pcg(operator, b, self._iterations, self.config.tolerance, update=tell)
+        x = operator.gradient_fields(solution.theta)
+        return {
+            "fields": operator.fields(solution.theta),
+            "x": x,
+            "residual": fetched(solution.residual),
+            "norms": solution.norms,
+        }
+
+    def _second(
+        self,
+        problem: Problem,
+        fold: Fold,
+        weights: np.ndarray,
+        weight: float,
+        first: Arrays,
+        mean: np.ndarray,
+        p: int,
+    ) -> Arrays:
+        """What changes where few Gaussians are preferred to move (`gauge.py`)."""
+        before = problem.operator(fold, weights, weight)
+        operator = before.with_stillness(stillness(mean))
+        b = (
+            first["residual"]
+            + fetched(before.prior_products(first["x"]))
+            - fetched(operator.prior_products(first["x"]))
+        )
+        iterations = self._iterations * 2 // 3
+        with progress(f"motion, half {p + 1}, background still", iterations, "iterations") as update:
+            b = sent(b, self.problem.device)
+            tell = _telling(update)
+            solution = pcg(operator, b, iterations, self.config.tolerance, first["norms"], tell)
+        return {"fields": first["fields"] + operator.fields(solution.theta)}
+
+    def still(self, fields: np.ndarray) -> np.ndarray:
+        """Fields [2K, N, 6] with the background still, each frequency by itself."""
+        means, seen = self.problem.gaussians.means.numpy(), self._seen_weights
+        pairs = [with_still_background(fields[k : k + 2], means, seen) for k in range(0, len(fields), 2)]
+        return np.concatenate(pairs)
+
+    @cached_property
+    def _seen_weights(self) -> np.ndarray:
+        """[N]: how much is seen of each Gaussian, in some frames."""
+        total = np.zeros(self.problem.n_gaussians)
+        for own in self.seen[:: max(len(self.seen) // _JUDGED, 1)]:
+            ones = np.ones((*own.view.transmittance.shape, 3), np.float32)
+            total += blend_sum(own.view, ones)[:, 0]
+        return total
 
     def found(self, folds: np.ndarray, shapes: np.ndarray) -> Found:
         """For the uncertainty: residuals of some frames, as if each had been seen by all functions of time."""
@@ -341,5 +403,8 @@ class _MovingFit:
             field = np.tensordot(functions[:n, f], shapes, 1)[None]
             residuals.append(self.seen[f].left[None] - self.seen[f].view.jvp(field))
         views, cameras = [self.seen[f].view for f in rows], [self.seen[f].frame for f in rows]
-        own = folds[:, :n]
-        return Found(own, shapes, self.problem.gaussians, self.problem.graph.knn, views, cameras, residuals)
+        return Found(folds, shapes, self.problem.gaussians, self.problem.graph.knn, views, cameras, residuals)
+
+
+def _telling(update: Callable[..., None]) -> Callable[[int, float], None]:
+    return lambda done, residual: update(done, residual=round(residual, 4))

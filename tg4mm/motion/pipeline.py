@@ -92,7 +92,7 @@ class _Synchronous:
         changes = self._appearance(shapes, True, LOOK) if is_small else None
         folds = self.linear.second_pass(first, self._correction(changes) if is_small else None)
         figures: dict[str, Any] = {"pixels_moved": pixels, "gauss_newton": 0, **self._figures()}
-        if not is_small and self.config.gauss_newton:
+        if not is_small and self.config.gauss_newton and self.observations.kind != "flat":
             return self._by_gauss_newton(folds, figures)
         shapes, gains = wiener_shrink(folds)
         if len(folds) == 2:
@@ -280,6 +280,11 @@ class _Synchronous:
         figures: dict[str, Any],
     ) -> MotionFit:
         notes = [*self.seen.notes]
+        if self.observations.kind == "flat" and (pixels := figures["pixels_moved"]) > ABOVE_PX:
+            notes.append(
+                f"things move by {pixels:.2g} px, more than the {ABOVE_PX} px that a flat capture is fitted for: "
+                "amplitudes come out too small"
+            )
         if uncertain is not None:
             figures, notes = figures | uncertain.figures, [*notes, *uncertain.notes]
         hz = peaks(motion, self.observations.lowest_hz)

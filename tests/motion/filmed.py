@@ -1,0 +1,83 @@
+"""The synthetic scene filmed by cameras with clocks of their own, and by one that moves: exact observations."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+from tests.synthetic import CAMERA_ANGLE_X, _at, _gaussians, _motion, _parts, _viewmats
+from tg4mm.capture import ImageStack
+from tg4mm.capture.pictures import pictures_of
+from tg4mm.gaussians import Gaussians
+from tg4mm.motion.modes import ModalMotion
+from tg4mm.motion.observations import Observations, PosedFrames
+from tg4mm.rasterize import rasterization
+
+FPS, SIZE = 30.0, 48
+
+
+def scene(frequency: float, amplitude: float = 0.01) -> tuple[Gaussians, ModalMotion]:
+    """The Gaussians at rest and their exact motion at `frequency` Hz."""
+    parts = _parts(1)
+    return _gaussians(parts, 1), _motion(parts, (frequency,), amplitude, FPS, 10_000)
+
+
+def K_of(size: int) -> np.ndarray:
+    """[3, 3] of square pictures."""
+    focal = size / (2 * math.tan(CAMERA_ANGLE_X / 2))
+    return np.array([[focal, 0, size / 2], [0, focal, size / 2], [0, 0, 1]], np.float32)
+
+
+@torch.no_grad()
+def picture(gaussians: Gaussians, viewmat: np.ndarray, size: int = SIZE) -> np.ndarray:
+    """[H, W, 4] uint16 over white, opaque."""
+    g = gaussians
+    rgb, _, _ = rasterization(
+        g.means, g.quats, g.scales, g.opacities, g.sh, torch.as_tensor(viewmat, dtype=torch.float32)[None],
+        torch.from_numpy(K_of(size))[None], size, size, sh_degree=0, backgrounds=torch.ones(1, 3),
+    )  # fmt: skip
+    out = np.full((size, size, 4), 65535, np.uint16)
+    out[..., :3] = (rgb[0].clamp(0, 1).numpy() * 65535 + 0.5).astype(np.uint16)
+    return out
+
+
+def clips(
+    gaussians: Gaussians, motion: ModalMotion, starts: Sequence[float], n_frames: int, kind: str = "clips"
+) -> Observations:
+    """One clip from each of several places, each begun at `starts` timesteps of the motion, its clock at 0."""
+    frames, pictures = [], []
+    for c, viewmat in enumerate(_viewmats(len(starts), 0.0)):
+        rows = np.arange(len(pictures), len(pictures) + n_frames)
+        pictures += [picture(_at(gaussians, motion, starts[c] + t, 0), viewmat) for t in range(n_frames)]
+        times = np.arange(n_frames) / FPS
+        frames.append(PosedFrames(f"cam_{c:02d}", viewmat.astype(np.float32), K_of(SIZE), rows, times))
+    stack = pictures_of(ImageStack(np.stack(pictures)))
+    return Observations(kind, "independent", frames, stack, FPS, n_frames, True)
+
+
+def walk(
+    gaussians: Gaussians, motion: ModalMotion | None, n_frames: int, tremor: float = 0.0
+) -> Observations:
+    """One camera that moves around the scene all the time; `tremor` radians that its known poses are off by."""
+    rng = np.random.default_rng(1)
+    frames, pictures = [], []
+    for t in range(n_frames):
+        viewmat = _viewmats(40, 0.1 + 6 * t / n_frames)[0]
+        now = gaussians if motion is None else _at(gaussians, motion, t, 0)
+        pictures.append(picture(now, viewmat))
+        off = np.eye(4)
+        x, y, z = rng.normal(size=3) * tremor
+        off[:3, :3] = [[1, -z, y], [z, 1, -x], [-y, x, 1]]
+        known = (off @ viewmat).astype(np.float32)
+        frames.append(PosedFrames(f"{t:03d}", known, K_of(SIZE), np.array([t]), np.array([t / FPS])))
+    stack = pictures_of(ImageStack(np.stack(pictures)))
+    return Observations("handheld", "moving", frames, stack, FPS, n_frames, True)
+
+
+def error_of(found: np.ndarray, true: np.ndarray, opacities: np.ndarray) -> float:
+    """rms/rms of complex displacements [N, 3], weighted by opacity."""
+    weights = opacities[:, None]
+    return float(np.sqrt((weights * np.abs(found - true) ** 2).sum() / (weights * np.abs(true) ** 2).sum()))

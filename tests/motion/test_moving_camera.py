@@ -1,0 +1,45 @@
+"""A camera that moves all the time: its poses are corrected, and the motion before it is found."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from tests.motion.filmed import error_of, scene, walk
+from tg4mm.motion.config import MotionConfig
+from tg4mm.motion.moving_camera import _corrected_poses
+from tg4mm.motion.pipeline import fit_motion
+
+FREQUENCY = 3.4  # Hz
+
+
+def test_the_motion_of_the_scene_is_found_though_poses_are_off() -> None:
+    torch.manual_seed(0)
+    gaussians, motion = scene(FREQUENCY)
+    fit = fit_motion(gaussians, walk(gaussians, motion, 60, tremor=1e-3), MotionConfig(appearance=False))
+    nearest = int(np.abs(fit.motion.freqs_hz - FREQUENCY).argmin())
+    assert fit.motion.freqs_hz[nearest] == pytest.approx(FREQUENCY, abs=0.05)
+    found, true = fit.motion.displacement[nearest], motion.displacement[0]
+    opacities = gaussians.opacities.numpy()
+    assert error_of(found, true, opacities) < 0.6
+    mac = np.abs(np.vdot(found, true)) ** 2 / (np.vdot(found, found) * np.vdot(true, true)).real
+    assert mac > 0.8
+    assert any("the camera moves" in note for note in fit.notes)
+
+
+def test_poses_that_are_off_are_corrected() -> None:
+    gaussians, _ = scene(FREQUENCY)
+    off, exact = walk(gaussians, None, 8, tremor=2e-3), walk(gaussians, None, 8)
+    corrected, exposures, pixels = _corrected_poses(gaussians, off, 0)
+    before = max(np.abs(a.viewmat - b.viewmat).max() for a, b in zip(off.frames, exact.frames, strict=True))
+    after = max(np.abs(a.viewmat - b.viewmat).max() for a, b in zip(corrected, exact.frames, strict=True))
+    assert after < 0.2 * before
+    assert pixels > 0.02
+    assert np.abs(exposures).max() < 0.02
+
+
+def test_a_still_scene_has_no_motion() -> None:
+    gaussians, _ = scene(FREQUENCY)
+    fit = fit_motion(gaussians, walk(gaussians, None, 40), MotionConfig(appearance=False))
+    assert len(fit.motion.freqs_hz) == 0

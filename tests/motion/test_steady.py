@@ -1,0 +1,68 @@
+"""Cameras with clocks of their own: frequency, phases and 3D motion of a steady vibration."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.motion.filmed import FPS, clips, error_of, scene
+from tg4mm.motion.config import MotionConfig
+from tg4mm.motion.pipeline import fit_motion
+from tg4mm.motion.result import MotionFit
+from tg4mm.motion.steady import clock_offset, rotations
+
+FREQUENCY = 3.4  # Hz: between the DFT bins of these clips
+STARTS = (0.0, 3.0, 11.0, 6.0, 1.5, 8.0)  # timesteps
+
+
+@pytest.fixture(scope="module")
+def fitted() -> tuple[MotionFit, np.ndarray, np.ndarray]:
+    gaussians, motion = scene(FREQUENCY)
+    fit = fit_motion(gaussians, clips(gaussians, motion, STARTS, 40), MotionConfig(appearance=False))
+    return fit, motion.displacement[0], gaussians.opacities.numpy()
+
+
+def test_the_frequency_is_found_and_nothing_else(fitted: tuple[MotionFit, np.ndarray, np.ndarray]) -> None:
+    (hz,) = fitted[0].motion.freqs_hz
+    assert hz == pytest.approx(FREQUENCY, abs=0.03)
+
+
+def test_the_phases_of_the_clips_are_found(fitted: tuple[MotionFit, np.ndarray, np.ndarray]) -> None:
+    figures = fitted[0].figures["clip_phases_deg"]
+    found = np.array([next(iter(own.values())) for own in figures.values()])
+    true = 360 * FREQUENCY * np.array(STARTS) / FPS
+    assert np.abs((found - true + 180) % 360 - 180).max() < 5
+
+
+def test_the_motion_is_found_in_3d(fitted: tuple[MotionFit, np.ndarray, np.ndarray]) -> None:
+    fit, true, opacities = fitted
+    assert error_of(fit.motion.displacement[0], true, opacities) < 0.25
+    assert error_of(0 * true, true, opacities) == 1
+
+
+def test_a_rig_is_told_the_offsets_of_its_clocks() -> None:
+    gaussians, motion = scene(FREQUENCY)
+    starts = (0.0, 1.0, 2.0, -1.0, 0.5, -2.0)
+    fit = fit_motion(gaussians, clips(gaussians, motion, starts, 40, "rig"), MotionConfig(appearance=False))
+    offsets = np.array(list(fit.figures["clock_offsets_s"].values()))
+    assert np.abs(offsets - np.array(starts) / FPS).max() < 0.005
+    assert any("offsets" in note for note in fit.notes)
+
+
+def test_noise_alone_is_no_motion() -> None:
+    gaussians, motion = scene(FREQUENCY, amplitude=1e-9)
+    fit = fit_motion(gaussians, clips(gaussians, motion, STARTS, 24), MotionConfig(appearance=False))
+    assert len(fit.motion.freqs_hz) == 0
+    assert "no frequency" in fit.notes[-1]
+
+
+def test_an_offset_is_the_one_nearest_to_zero() -> None:
+    hz = np.array([3.4, 7.0])
+    assert clock_offset(2 * np.pi * hz * 0.021, hz) == pytest.approx(0.021, abs=2e-3)
+    assert clock_offset(-2 * np.pi * hz * 0.05, hz) == pytest.approx(-0.05, abs=2e-3)
+
+
+def test_rotations_turn_pairs_as_phasors_are_turned() -> None:
+    m, angle = 0.3 - 0.8j, 0.7
+    turned = rotations(np.array([angle])) @ np.array([m.real, m.imag])
+    assert complex(*turned) == pytest.approx(m * np.exp(1j * angle), abs=1e-6)
