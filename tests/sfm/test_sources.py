@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.sfm.scenes import save
+from tg4mm.cli import main
 from tg4mm.errors import CaptureError
+from tg4mm.sfm.kind import possible_kinds
 from tg4mm.sfm.mapping import OVERLAP, picture_pairs
-from tg4mm.sfm.sources import check_frames, find_sources
-from tg4mm.sfm.staging import check_sizes, shots, stage, staged_name
+from tg4mm.sfm.sources import find_sources, suggested_command
+from tg4mm.sfm.staging import check_sizes, photograph_shots, stage, staged_name, sweep_shots
 
 PIXELS = np.full((6, 8, 4), 200, np.uint8)
 
@@ -21,38 +24,58 @@ def fill(folder: Path, n: int, shape: tuple[int, int] = (6, 8)) -> None:
         save(folder / f"f_{i}.png", np.full((*shape, 4), 100 + i, np.uint8))
 
 
+def videos(folder: Path, *names: str) -> None:
+    """Files that are videos by name; what lies on disk is told without opening them."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in names:
+        (folder / name).write_bytes(b"")
+
+
 def test_photographs(tmp_path: Path) -> None:
     fill(tmp_path, 12)
     (tmp_path / "notes.txt").write_text("x")
     (tmp_path / ".hidden.png").write_text("x")
     sources = find_sources(tmp_path)
-    assert (sources.fixed, sources.sweep) == (False, None)
-    assert [p.name for p in sources.clips[0].pictures] == [f"f_{i}.png" for i in range(12)]  # 2 before 10
-    taken = shots(sources, each=False)
-    assert {shot.group for shot in taken} == {"shared"}
-    assert len({shot.group for shot in shots(sources, each=True)}) == 12
+    assert (sources.clips, sources.sweep, possible_kinds(sources)) == ((), None, ("photos",))
+    assert sources.photographs is not None
+    assert [p.name for p in sources.photographs.pictures] == [f"f_{i}.png" for i in range(12)]  # 2 before 10
+    assert {shot.group for shot in photograph_shots(sources.photographs, each=False)} == {"shared"}
+    assert len({shot.group for shot in photograph_shots(sources.photographs, each=True)}) == 12
 
 
-def test_fixed_cameras_and_their_sweep(tmp_path: Path) -> None:
-    for name, n in (("cam_0", 3), ("cam_1", 3), ("sweep", 5)):
+@pytest.mark.parametrize(
+    ("names", "kinds"),
+    [
+        (["a.mp4"], ("flat", "handheld", "photos")),
+        (["a.mp4", "sweep.mov"], ("tripod", "handheld")),
+        (["a.mp4", "b.mp4"], ("rig", "clips")),
+        (["a.mp4", "b.mp4", "sweep.mp4"], ("rig", "clips")),
+    ],
+)
+def test_what_recordings_can_be(tmp_path: Path, names: list[str], kinds: tuple[str, ...]) -> None:
+    videos(tmp_path / "in", *names)
+    sources = find_sources(tmp_path / "in")
+    assert possible_kinds(sources) == kinds
+    assert [clip.name for clip in sources.clips] == [Path(n).stem for n in names if "sweep" not in n]
+
+
+def test_folders_of_frames_are_recordings_too(tmp_path: Path) -> None:
+    for name, n in (("cam_0", 3), ("cam_1", 2), ("sweep", 5)):
         fill(tmp_path / name, n)
     (tmp_path / "empty").mkdir()
     sources = find_sources(tmp_path)
-    assert sources.fixed
-    assert [clip.name for clip in sources.clips] == ["cam_0", "cam_1"]
-    assert check_frames(sources) == 3
-    taken = shots(sources, each=False)
-    assert [shot.name for shot in taken[:2]] == ["cam_0/f_0.png", "cam_1/f_0.png"]
-    assert len(taken) == 2 + 5
-    assert [shot.group for shot in taken[2:]] == ["sweep"] * 5
-    assert [shot.group for shot in shots(sources, each=True)[:2]] == ["cam_0/f_0.png", "cam_1/f_0.png"]
+    assert [(clip.name, len(clip.pictures)) for clip in sources.clips] == [("cam_0", 3), ("cam_1", 2)]
+    assert sources.sweep is not None
+    assert len(sources.sweep.pictures) == 5
 
 
-def test_cameras_out_of_step_are_refused(tmp_path: Path) -> None:
-    fill(tmp_path / "cam_0", 3)
-    fill(tmp_path / "cam_1", 2)
-    with pytest.raises(CaptureError, match="camera cam_1 has 2 frames, cam_0 has 3"):
-        check_frames(find_sources(tmp_path))
+def test_a_sweep_of_the_recordings_size_shares_their_lens(tmp_path: Path) -> None:
+    fill(tmp_path / "a", 2)
+    fill(tmp_path / "b", 1, (8, 6))
+    pictures = sorted(tmp_path.glob("*/*.png"))
+    groups = [shot.group for shot in sweep_shots(pictures, (8, 6), each=False)]
+    assert groups == ["shared", "shared", "sweep 6×8"]
+    assert "shared" not in [shot.group for shot in sweep_shots(pictures, (8, 6), each=True)]
 
 
 def test_what_is_refused(tmp_path: Path) -> None:
@@ -61,27 +84,82 @@ def test_what_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.txt").write_text("x")
     with pytest.raises(CaptureError, match=r"a\.txt: is neither a folder nor a video"):
         find_sources(tmp_path / "a.txt")
-    with pytest.raises(CaptureError, match="holds no pictures; expected pictures, one video"):
+    with pytest.raises(CaptureError, match="holds no pictures; expected photographs, one video"):
         find_sources(tmp_path)
     fill(tmp_path / "two", 2)
     with pytest.raises(CaptureError, match="two: holds 2 pictures, at least 3 are needed"):
         find_sources(tmp_path / "two")
-    fill(tmp_path / "lone" / "cam", 4)
-    with pytest.raises(CaptureError, match="lone: holds one fixed camera, cam; at least 2 are needed"):
+    videos(tmp_path / "lone", "sweep.mp4")
+    with pytest.raises(CaptureError, match="lone: holds nothing but sweep; expected"):
         find_sources(tmp_path / "lone")
     fill(tmp_path / "mixed", 4)
     fill(tmp_path / "mixed" / "cam", 4)
-    with pytest.raises(CaptureError, match="mixed: holds pictures and cam beside them"):
+    with pytest.raises(
+        CaptureError, match=r"mixed: holds pictures and cam beside them; .* belong into sweep/"
+    ):
         find_sources(tmp_path / "mixed")
+    videos(tmp_path / "twice", "cam.mp4", "cam.mov")
+    with pytest.raises(CaptureError, match="twice: camera cam is there twice"):
+        find_sources(tmp_path / "twice")
+
+
+@pytest.mark.parametrize(
+    "file",
+    [
+        "scene.json",
+        "transforms_train.json",
+        "transforms.json",
+        "000/transforms_train.json",
+        "sparse/0/images.bin",
+    ],
+)
+def test_a_dataset_is_said_to_be_one(tmp_path: Path, capsys: pytest.CaptureFixture[str], file: str) -> None:
+    path = tmp_path / "in it" / file
+    path.parent.mkdir(parents=True)
+    path.write_text("{}")
+    assert main(["sfm", str(tmp_path / "in it"), "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert (
+        error == f"tg4mm: {tmp_path}/in it: is a dataset already: tg4mm train '{tmp_path}/in it' --out RUN\n"
+    )
+
+
+class TestSuggestion:
+    def test_a_video_and_a_folder_of_photographs_get_a_command(self, tmp_path: Path) -> None:
+        videos(tmp_path / "my films", "cam.mp4")
+        fill(tmp_path / "photos", 4)
+        for path in (tmp_path / "my films" / "cam.mp4", tmp_path / "my films", tmp_path / "photos"):
+            command = suggested_command(path)
+            assert command is not None
+            words = shlex.split(command)
+            assert words[:4] == ["tg4mm", "sfm", str(path), "--out"]
+            assert not Path(words[4]).exists()
+
+    def test_anything_else_gets_none(self, tmp_path: Path) -> None:
+        (tmp_path / "scene.json").write_text("{}")
+        (tmp_path / "a.txt").write_text("x")
+        for path in (tmp_path, tmp_path / "a.txt", tmp_path / "nowhere", str(tmp_path / "a.txt")):
+            assert suggested_command(path) is None
 
 
 def test_sizes_may_differ_only_where_intrinsics_do(tmp_path: Path) -> None:
-    fill(tmp_path / "cam_0", 1)
-    fill(tmp_path / "cam_1", 1, (8, 6))
-    sources = find_sources(tmp_path)
-    check_sizes(shots(sources, each=True))
-    with pytest.raises(CaptureError, match=r"f_0\.png: is 6×8 pixels, but .* is 8×6; .*--intrinsics each"):
-        check_sizes(shots(sources, each=False))
+    fill(tmp_path, 2)
+    fill(tmp_path / "other", 1, (8, 6))
+    (tmp_path / "other" / "f_0.png").rename(tmp_path / "g.png")
+    photographs = find_sources_of(tmp_path)
+    check_sizes(photograph_shots(photographs, each=True))
+    with pytest.raises(CaptureError, match=r"g\.png: is 6×8 pixels, but .* is 8×6; .*--intrinsics each"):
+        check_sizes(photograph_shots(photographs, each=False))
+
+
+def find_sources_of(folder: Path):
+    """The photographs of a folder, whatever folders lie beside them."""
+    for path in folder.iterdir():
+        if path.is_dir():
+            path.rmdir()
+    photographs = find_sources(folder).photographs
+    assert photographs is not None
+    return photographs
 
 
 def test_transparent_pictures_are_staged_over_white_with_a_mask(tmp_path: Path) -> None:
@@ -91,7 +169,7 @@ def test_transparent_pictures_are_staged_over_white_with_a_mask(tmp_path: Path) 
     half[:, :4, 3] = 0
     for i in range(3):
         save(tmp_path / "in" / f"{i}.png", half if i else PIXELS | 255, opaque=False)
-    taken = shots(find_sources(tmp_path / "in"), each=False)
+    taken = photograph_shots(find_sources_of(tmp_path / "in"), each=False)
     masks = stage(taken, tmp_path / "work")
     assert masks == tmp_path / "work" / "masks"
     clear, solid = taken[1], taken[0]

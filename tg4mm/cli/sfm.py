@@ -1,4 +1,4 @@
-"""`tg4mm sfm`: a dataset from photographs, a video, or several fixed cameras."""
+"""`tg4mm sfm`: a dataset from photographs or videos."""
 
 from __future__ import annotations
 
@@ -26,20 +26,46 @@ class Matching(StrEnum):
     sequential = "sequential"
 
 
+class Kind(StrEnum):
+    """Kinds of capture (tg4mm.capture.timing.KINDS)."""
+
+    photos = "photos"
+    flat = "flat"
+    tripod = "tripod"
+    handheld = "handheld"
+    rig = "rig"
+    clips = "clips"
+
+
 def sfm(
     images: Annotated[
         Path,
         typer.Argument(
-            metavar="IMAGES",
-            help="A folder of photographs; or one video of a moving camera; or a folder with a folder of frames, "
-            "or a video, for each fixed camera (cam_00/0000.png …) and perhaps sweep/, further pictures of the "
-            "scene that help to place them.",
+            metavar="INPUT",
+            help="A folder of photographs; or one video, of a fixed camera or of one that moves; or a folder with a "
+            "video (or a folder of frames) for each fixed camera, cam_00.mp4 …, and perhaps sweep/ (photographs) or "
+            "sweep.mp4, pictures of the scene at rest from all around.",
         ),
     ],
     out: Annotated[Path, typer.Option(help="Dataset folder; an unfinished one is resumed.")],
+    kind: Annotated[
+        Kind | None,
+        typer.Option(
+            help="photos: a still scene. flat: one fixed camera and nothing else, in pixels. tripod: one fixed camera "
+            "and a sweep. handheld: one camera that moves. rig: several fixed cameras. clips: one camera that filmed "
+            "a steady vibration from several places, one after another. [default: told from what is there]"
+        ),
+    ] = None,
     fps: Annotated[
         float | None,
-        typer.Option(help="Frames per second of fixed cameras, Hz. [default: as their videos say]"),
+        typer.Option(help="Frames per second that were filmed, Hz. [default: as the videos say]"),
+    ] = None,
+    start: Annotated[
+        float, typer.Option("--from", metavar="SECONDS", help="Where in every recording to begin.")
+    ] = 0.0,
+    until: Annotated[
+        float | None,
+        typer.Option(metavar="SECONDS", help="Where in every recording to end. [default: its end]"),
     ] = None,
     camera_model: Annotated[
         str, typer.Option(help="Lens model, COLMAP's name: SIMPLE_PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, …")
@@ -58,7 +84,10 @@ def sfm(
         Matching, typer.Option(help="auto: every pair of pictures, but neighbours only in a long sequence.")
     ] = Matching.auto,
     frames: Annotated[
-        int | None, typer.Option(help="Frames taken from a moving camera's video, evenly. [default: 100]")
+        int | None,
+        typer.Option(
+            help="Sharp frames of a moving camera that poses are first found from. [default: every second, 80 at most]"
+        ),
     ] = None,
     unit_scale_m: Annotated[
         float | None, typer.Option(help="Metres per scene unit of the dataset, once you have measured it.")
@@ -79,30 +108,34 @@ def sfm(
 ) -> None:
     """Make a dataset from photographs or videos.
 
-    COLMAP finds cameras and sparse points; train reads the result.
+    COLMAP finds cameras and sparse points, the videos say the times; train reads the result.
     The dataset's pictures are undistorted; its world has Z up, the scene in the middle and the cameras about
-    4 units away. Fixed cameras get one pose each for all their frames.
+    4 units away. A fixed camera gets one pose for all its frames, one that moves a pose for each.
     """
     if threads < 0:
         raise Tg4mmError(f"--threads is {threads}, expected 0 (all cores) or more")
     from tg4mm.sfm.reconstruct import SfmConfig, reconstruct
 
     config = SfmConfig(
+        kind=None if kind is None else kind.value,
         camera_model=camera_model,
         focal_px=focal_px,
         each=intrinsics is Intrinsics.each,
         matching=matching.value,
         frames=frames,
         fps=fps,
+        start_s=start,
+        stop_s=until,
         unit_scale_m=unit_scale_m,
         baseline=baseline,
         test_every=test_every,
         seed=seed,
     )
     report = reconstruct(images, out, config, threads or -1)
-    typer.echo(
-        f"{report['placed']} of {report['pictures']} pictures placed, {report['points']} points, "
-        f"{report['reprojection_error_px']:.2f} px",
-        err=True,
-    )
+    if "placed" in report:
+        typer.echo(
+            f"{report['placed']} of {report['pictures']} pictures placed, {report['points']} points, "
+            f"{report['reprojection_error_px']:.2f} px",
+            err=True,
+        )
     typer.echo(str(out))

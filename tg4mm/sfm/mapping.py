@@ -54,16 +54,18 @@ def find_poses(
         )
     if match(database, pairs, seed, threads) == 0:
         raise CaptureError(f"no two of the {len(names)} pictures overlap: not one pair could be matched")
-    return _best_model(database, images, len(names), seed, threads)
+    return _best_model(database, images, names, seed, threads)
 
 
-def _best_model(database: Path, images: Path, total: int, seed: int, threads: int) -> Any:
+def _best_model(database: Path, images: Path, names: Sequence[str], seed: int, threads: int) -> Any:
     c = colmap("structure from motion")
     c.set_random_seed(seed)
     folder = database.parent / ".models.tmp"
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
-    placed = 0
+    placed, total = 0, len(names)
+    options = mapper_options(c, seed, threads)
+    options.image_names = list(names)  # others in the database are placed later
     with progress("poses", total, "pictures") as update:
 
         def next_image() -> None:
@@ -71,9 +73,7 @@ def _best_model(database: Path, images: Path, total: int, seed: int, threads: in
             placed = min(placed + 1, total)
             update(placed)
 
-        models = c.incremental_mapping(
-            database, images, folder, mapper_options(c, seed, threads), next_image_callback=next_image
-        )
+        models = c.incremental_mapping(database, images, folder, options, next_image_callback=next_image)
     shutil.rmtree(folder, ignore_errors=True)
     if not models:
         raise CaptureError(
@@ -113,12 +113,12 @@ def shown_names(names: Sequence[str], most: int = 6) -> str:
     return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
 
 
-def check_registered(names: Sequence[str], placed: dict[str, Any], needs_all: bool) -> list[str]:
-    """The names that were not placed. Raises CaptureError listing them where all are needed, or half are missing."""
+def check_registered(names: Sequence[str], placed: dict[str, Any], fewest: int) -> list[str]:
+    """The names that were not placed. Raises CaptureError listing them where half are, or fewer than `fewest` were."""
     missing = [name for name in names if name not in placed]
-    if missing and (needs_all or 2 * len(missing) >= len(names) or len(names) - len(missing) < 3):
-        help_ = "; a sweep/ of further pictures between the cameras helps" if needs_all else ""
+    if missing and (2 * len(missing) >= len(names) or len(names) - len(missing) < fewest):
         raise CaptureError(
-            f"{len(missing)} of {len(names)} pictures could not be placed: {shown_names(missing)}{help_}"
+            f"{len(missing)} of {len(names)} pictures could not be placed: {shown_names(missing)}; "
+            "a sweep/ of further pictures between them helps"
         )
     return missing

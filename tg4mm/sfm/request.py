@@ -12,8 +12,8 @@ from tg4mm.files import remove_leftovers, write_json
 from tg4mm.sfm.sources import Sources
 
 NAME = "request.json"
-# Settings that change scene.json alone: asked for anew, that is written again.
-SCENE_ONLY = ("unit_scale_m", "baseline", "fps")
+# Settings that change scene.json and the frames' times alone: asked for anew, those are written again.
+SCENE_ONLY = ("unit_scale_m", "baseline", "length", "fps")
 
 
 @dataclass(frozen=True)
@@ -24,15 +24,18 @@ class Work:
     folder: Path
     settings: dict[str, Any]
 
-    def finished(self, fps: float | None) -> dict[str, Any] | None:
+    @property
+    def scene_only(self) -> dict[str, Any]:
+        """The settings that change scene.json and the frames' times alone."""
+        return {key: self.settings[key] for key in SCENE_ONLY if key in self.settings}
+
+    def finished(self) -> dict[str, Any] | None:
         """What scene.json says of the reconstruction; None if the dataset is not complete, or of another scale."""
         path = self.out / "scene.json"
         if not path.is_file():
             return None
-        scene = json.loads(path.read_text(encoding="utf-8"))
-        scale = {key: self.settings[key] for key in ("unit_scale_m", "baseline")}
-        same = scene.get("fps") == fps and scene.get("sfm", {}).get("scale") == scale
-        return scene["sfm"] if same else None
+        report = json.loads(path.read_text(encoding="utf-8")).get("sfm", {})
+        return report if report.get("asked") == self.scene_only else None
 
 
 def open_request(out: Path, sources: Sources, settings: dict[str, Any]) -> Work:

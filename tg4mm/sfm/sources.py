@@ -1,47 +1,38 @@
-"""What lies in the folder of pictures: photographs, one camera's video, or several fixed cameras."""
+"""What lies on disk: photographs, one recording, or several, perhaps with a sweep; and the command that takes it."""
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
 from tg4mm.capture.confine import IMAGE_SUFFIXES
 from tg4mm.capture.transforms import natural
 from tg4mm.errors import CaptureError
+from tg4mm.sfm.clip import NAMES, VIDEO_SUFFIXES, Clip
 
-VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm")
-SWEEP = "sweep"  # name of the folder or video of further pictures, which only help to find the poses
+SWEEP = "sweep"  # name of the folder or video of pictures of the scene at rest
 FEWEST = 3  # pictures from which poses can be found
 LAYOUTS = (
-    "expected pictures, one video, or for several fixed cameras a folder or a video each "
-    f"(cam_00/0000.png …) and, if you like, {SWEEP}/"
+    "expected photographs, one video, or a video (or a folder of frames) for each fixed camera and, if you like, "
+    f"{SWEEP}/ with pictures of the scene at rest"
 )
-
-
-@dataclass(frozen=True)
-class Clip:
-    """Pictures in order: those of a folder, or the frames of a video."""
-
-    name: str
-    path: Path  # folder or video
-    pictures: tuple[Path, ...] = ()  # empty for a video until its frames are extracted
-
-    @property
-    def is_video(self) -> bool:
-        return self.path.suffix.lower() in VIDEO_SUFFIXES and self.path.is_file()
+# Files by which a dataset that `tg4mm train` reads is told from pictures.
+DATASET = ("scene.json", "transforms*.json", "*/transforms_*.json", "sparse/images.*", "sparse/0/images.*")
 
 
 @dataclass(frozen=True)
 class Sources:
-    """Either photographs (one clip, T = 1) or fixed cameras (a clip each, T frames), and perhaps a sweep."""
+    """Either photographs, or recordings (one clip for each camera or place), and perhaps a sweep."""
 
-    fixed: bool
-    clips: tuple[Clip, ...]
+    path: Path  # as given
+    photographs: Clip | None = None
+    clips: tuple[Clip, ...] = ()
     sweep: Clip | None = None
 
     def every(self) -> tuple[Clip, ...]:
         """All clips, the sweep last."""
-        return self.clips if self.sweep is None else (*self.clips, self.sweep)
+        return tuple(clip for clip in (self.photographs, *self.clips, self.sweep) if clip is not None)
 
 
 def find_sources(path: Path) -> Sources:
@@ -50,50 +41,47 @@ def find_sources(path: Path) -> Sources:
         raise CaptureError(f"{path}: does not exist")
     if path.is_file():
         if path.suffix.lower() not in VIDEO_SUFFIXES:
-            raise CaptureError(f"{path}: is neither a folder nor a video ({', '.join(VIDEO_SUFFIXES)})")
-        return Sources(False, (Clip(path.stem, path),))
+            raise CaptureError(f"{path}: is neither a folder nor a video ({NAMES})")
+        return Sources(path, clips=(Clip(path.stem, path),))
+    if is_dataset(path):
+        raise CaptureError(f"{path}: is a dataset already: tg4mm train {shlex.quote(str(path))} --out RUN")
     pictures = _pictures(path)
     clips = [clip for clip in map(_clip, _entries(path)) if clip is not None]
-    if pictures and any(clip.name != SWEEP for clip in clips):
-        other = next(clip.name for clip in clips if clip.name != SWEEP)
-        raise CaptureError(f"{path}: holds pictures and {other} beside them; {LAYOUTS}")
     sweep = next((clip for clip in clips if clip.name == SWEEP), None)
+    cameras = tuple(clip for clip in clips if clip is not sweep)
     if pictures:
-        if sweep is not None:
+        if clips:
             raise CaptureError(
-                f"{path}: a {SWEEP} helps fixed cameras only; put its pictures beside the others"
+                f"{path}: holds pictures and {clips[0].name} beside them; pictures of the scene at rest belong "
+                f"into {SWEEP}/; {LAYOUTS}"
             )
         if len(pictures) < FEWEST:
             raise CaptureError(f"{path}: holds {len(pictures)} pictures, at least {FEWEST} are needed")
-        return Sources(False, (Clip(path.name, path, pictures),))
-    cameras = tuple(clip for clip in clips if clip is not sweep)
-    _check_names(path, cameras)
-    return Sources(True, cameras, sweep)
-
-
-def _check_names(path: Path, cameras: tuple[Clip, ...]) -> None:
+        return Sources(path, photographs=Clip(path.name, path, pictures))
     if not cameras:
-        raise CaptureError(f"{path}: holds no pictures; {LAYOUTS}")
-    if len(cameras) < 2:
-        raise CaptureError(
-            f"{path}: holds one fixed camera, {cameras[0].name}; at least 2 are needed, or pass {cameras[0].path}"
-        )
+        only = f"nothing but {SWEEP}" if sweep else "no pictures"
+        raise CaptureError(f"{path}: holds {only}; {LAYOUTS}")
     names = [camera.name for camera in cameras]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
         raise CaptureError(f"{path}: camera {twice} is there twice")
+    return Sources(path, clips=cameras, sweep=sweep)
 
 
-def check_frames(sources: Sources) -> int:
-    """T, the frames of each fixed camera. Raises CaptureError where they differ: cameras would not be in step."""
-    counts = {clip.name: len(clip.pictures) for clip in sources.clips}
-    first = next(iter(counts))
-    for name, count in counts.items():
-        if count != counts[first]:
-            raise CaptureError(
-                f"camera {name} has {count} frames, {first} has {counts[first]}: synchronised cameras have equally many"
-            )
-    return counts[first]
+def is_dataset(path: Path) -> bool:
+    """Whether the folder is one that `tg4mm train` reads."""
+    return any(next(path.glob(pattern), None) is not None for pattern in DATASET)
+
+
+def suggested_command(path: Path | str) -> str | None:
+    """The `tg4mm sfm` command line for a video, or for a folder of photographs or videos; None for anything else."""
+    path = Path(path)
+    try:
+        find_sources(path)
+    except (CaptureError, OSError):
+        return None
+    out = path.with_name(f"{path.stem}_dataset")
+    return f"tg4mm sfm {shlex.quote(str(path))} --out {shlex.quote(str(out))}"
 
 
 def _entries(path: Path) -> list[Path]:

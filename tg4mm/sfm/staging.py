@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,8 +16,10 @@ from PIL import Image
 from tg4mm.capture.decode import THREADS, decode, image_header
 from tg4mm.errors import CaptureError
 from tg4mm.files import write_atomic
+from tg4mm.sfm.clip import Clip
 from tg4mm.sfm.engine import colmap, opened
-from tg4mm.sfm.sources import SWEEP, Sources
+from tg4mm.sfm.sources import SWEEP
+from tg4mm.sfm.survey import Survey
 
 
 @dataclass(frozen=True)
@@ -26,22 +29,38 @@ class Shot:
     name: str  # below images/, with /
     path: Path  # the original
     group: str  # pictures of one group share their intrinsics
+    clip: str  # name of the clip that it is of
+    index: int = 0  # of a moving camera's frame
 
 
-def shots(sources: Sources, each: bool) -> list[Shot]:
-    """Every photograph, or the first frame of every fixed camera and the whole sweep.
+def photograph_shots(photographs: Clip, each: bool) -> list[Shot]:
+    """Every photograph. each: every one has intrinsics of its own."""
+    names = [f"photographs/{path.name}" for path in photographs.pictures]
+    return [
+        Shot(name, path, name if each else "shared", photographs.name)
+        for name, path in zip(names, photographs.pictures, strict=True)
+    ]
 
-    each: every photograph or fixed camera has intrinsics of its own; a sweep's are always shared.
-    """
-    found = []
-    for clip in sources.clips:
-        pictures = clip.pictures[:1] if sources.fixed else clip.pictures
-        for path in pictures:
-            name = f"{clip.name if sources.fixed else 'photographs'}/{path.name}"
-            found.append(Shot(name, path, name if each else "shared"))
-    if sources.sweep is not None:
-        found += [Shot(f"{SWEEP}/{path.name}", path, SWEEP) for path in sources.sweep.pictures]
-    return found
+
+def camera_shots(surveys: Sequence[Survey], each: bool) -> list[Shot]:
+    """The mean picture of every fixed camera. each: every camera has intrinsics of its own."""
+    return [Shot(f"cameras/{s.mean.name}", s.mean, s.name if each else "shared", s.name) for s in surveys]
+
+
+def frame_shots(clip: Clip, frames: Sequence[Path]) -> list[Shot]:
+    """All frames of a camera that moves."""
+    return [Shot(f"frames/{path.name}", path, "shared", clip.name, i) for i, path in enumerate(frames)]
+
+
+def sweep_shots(pictures: Sequence[Path], size: tuple[int, int], each: bool) -> list[Shot]:
+    """Pictures of the scene at rest. Those of the recordings' size are taken for the same camera's, unless `each`."""
+    shots = []
+    for path in pictures:
+        header = image_header(path)
+        own = (header.width, header.height)
+        group = "shared" if own == size and not each else f"{SWEEP} {own[0]}×{own[1]}"
+        shots.append(Shot(f"{SWEEP}/{path.name}", path, group, SWEEP))
+    return shots
 
 
 def check_sizes(taken: list[Shot]) -> None:
@@ -109,7 +128,7 @@ def make_database(taken: list[Shot], folder: Path, camera_model: str, focal_px: 
         options = c.ImageReaderOptions()
         options.camera_model = camera_model
         names = [staged_name(shot) for shot in members]
-        if focal_px is not None and members[0].group != SWEEP:
+        if focal_px is not None:
             options.camera_params = _params(c, folder / "images" / names[0], camera_model, focal_px)
         c.import_images(temporary, folder / "images", c.CameraMode.SINGLE, names, options)
     with opened(temporary) as db:

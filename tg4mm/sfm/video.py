@@ -1,71 +1,149 @@
-"""The frames of a video as pictures in a folder, through imageio's ffmpeg."""
+"""Videos through PyAV: what the container says, and the frames one by one with their exact times."""
 
 from __future__ import annotations
 
 import math
-import os
-import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import datetime
+from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from PIL import Image
 
-from tg4mm.errors import CaptureError
-from tg4mm.progress import progress
+from tg4mm.errors import CaptureError, Tg4mmError
 
-
-def video_fps(path: Path) -> float:
-    """Frames per second as the file says. Raises CaptureError where it is no video or does not say."""
-    fps = float(_opened(path)[1].get("fps") or 0)
-    if not math.isfinite(fps) or fps <= 0:
-        raise CaptureError(f"{path}: does not say its frames per second; give --fps")
-    return fps
+# What FFmpeg's decoders write to their log when they cover up damage and hand out a frame all the same.
+DAMAGE = ("error while decoding", "invalid nal unit size", "partial file", "corrupt")
+HAIR_S = 1e-6  # seconds by which a decimal may miss the fraction it means
+TURNS = {0: 0, 90: 1, 180: 2, -180: 2, -90: 3}  # display rotation in degrees → np.rot90's k
 
 
-def extract_frames(path: Path, folder: Path, most: int | None = None) -> tuple[Path, ...]:
-    """folder/00000.png …, every frame of the video, or `most` of them evenly over its length.
+@dataclass(frozen=True)
+class VideoInfo:
+    """What a container says of its video; none of it is certain until all frames are decoded."""
 
-    The folder appears when it is complete; one that is there is taken as it is.
+    rates: tuple[Fraction, ...]  # frames per second: average, then nominal; empty if it does not say
+    tick: Fraction  # seconds, in whole numbers of which time stamps are written
+    duration_s: float | None
+    total: int  # frames, an estimate; 0 if unknown
+    created: datetime | None  # when the recording began, where the camera wrote it down
+
+
+@dataclass(frozen=True)
+class VideoFrame:
+    """One decoded frame, upright."""
+
+    time: Fraction  # seconds since the video's first frame, as the container has it
+    rgb: np.ndarray  # [H, W, 3] uint8
+
+
+def av_module() -> Any:
+    """PyAV. Raises Tg4mmError where it is absent."""
+    try:
+        import av
+        import av.logging
+    except ImportError as error:
+        raise Tg4mmError(f"reading videos needs PyAV ({error}): pip install 'tg4mm[sfm]'") from None
+    av.logging.set_level(av.logging.ERROR)  # so that damage which FFmpeg covers up can be seen
+    return av
+
+
+def video_info(path: Path) -> VideoInfo:
+    """The container's own figures. Raises CaptureError where it is no video that can be decoded."""
+    with _opened(path) as container:
+        stream = container.streams.video[0]
+        rates = [stream.average_rate, stream.base_rate, stream.guessed_rate]
+        known = tuple(dict.fromkeys(Fraction(rate) for rate in rates if rate))
+        duration = _duration(container, stream)
+        total = stream.frames or round((duration or 0) * float(known[0] if known else 0))
+        return VideoInfo(known, Fraction(stream.time_base), duration, total, _created(container, stream))
+
+
+def video_frames(path: Path, start_s: float = 0.0, stop_s: float = math.inf) -> Iterator[VideoFrame]:
+    """Frames from start_s up to stop_s (seconds since the first), in order, turned upright as the container asks.
+
+    Raises CaptureError, naming the second, where decoding fails, damage is covered up, or the file ends early.
     """
-    if not folder.is_dir():
-        total = _count(path)
-        wanted = _even(total, most) if most is not None and total > most else None
-        temporary = folder.with_name(f".{folder.name}.tmp")
-        shutil.rmtree(temporary, ignore_errors=True)
-        temporary.mkdir(parents=True)
-        frames, meta = _opened(path)
-        width, height = meta["size"]
-        with progress(f"frames of {path.name}", total, "frames") as update:
-            for i, data in enumerate(frames):
-                if wanted is None or i in wanted:
-                    picture = np.frombuffer(data, np.uint8).reshape(height, width, 3)
-                    Image.fromarray(picture).save(temporary / f"{i:05d}.png", compress_level=1)
-                update(min(i + 1, total))
-        if not any(temporary.iterdir()):
-            raise CaptureError(f"{path}: holds no frames")
-        os.replace(temporary, folder)
-    return tuple(sorted(folder.glob("*.png")))
+    av = av_module()
+    first: Fraction | None = None
+    time, step = Fraction(0), Fraction(0)
+    with av.logging.Capture(False) as log, _opened(path) as container:
+        stream = container.streams.video[0]
+        stream.codec_context.thread_type = "NONE"  # its log then belongs to the frame that comes next
+        log.clear()
+        frames = container.decode(stream)
+        while True:
+            try:
+                frame = next(frames, None)
+            except av.FFmpegError as error:
+                raise _damaged(path, time, _duration(container, stream)) from error
+            if first is not None and any(word in text.lower() for _, _, text in log for word in DAMAGE):
+                raise _damaged(path, time, _duration(container, stream))
+            log.clear()
+            if frame is None:
+                break
+            if frame.pts is None:
+                raise CaptureError(
+                    f"{path}: its frames have no time stamps; put it into an MP4 or MKV container"
+                )
+            stamp = frame.pts * Fraction(frame.time_base)
+            first = stamp if first is None else first
+            step, time = max(step, stamp - first - time), stamp - first
+            if time >= stop_s - HAIR_S:
+                return
+            if time >= start_s - HAIR_S:
+                yield VideoFrame(time, _upright(frame))
+        duration = _duration(container, stream)
+    if first is None:
+        raise CaptureError(f"{path}: holds no frames")
+    if duration is not None and float(time + 2 * step) < duration - 0.05:
+        raise _damaged(path, time, duration)
 
 
-def _count(path: Path) -> int:
-    import imageio_ffmpeg
+def _upright(frame: Any) -> np.ndarray:
+    rgb = frame.to_ndarray(format="rgb24")
+    turns = TURNS.get(round(frame.rotation), 0)
+    return np.ascontiguousarray(np.rot90(rgb, turns)) if turns else rgb
 
+
+def _opened(path: Path) -> Any:
+    """The container, with a video in it whose decoder is known."""
+    av = av_module()
     try:
-        return imageio_ffmpeg.count_frames_and_secs(str(path))[0]
-    except (OSError, RuntimeError) as error:  # whose text is ffmpeg's whole output
-        raise CaptureError(f"{path}: is not a video that ffmpeg can read") from error
+        with av.logging.Capture(False):
+            container = av.open(str(path))
+    except (av.FFmpegError, OSError, ValueError) as error:
+        raise CaptureError(f"{path}: is not a video that can be decoded") from error
+    # A stream without codec context takes the whole process down when it is decoded.
+    if not container.streams.video or container.streams.video[0].codec_context is None:
+        container.close()
+        raise CaptureError(f"{path}: holds no video that can be decoded")
+    return container
 
 
-def _even(total: int, most: int) -> set[int]:
-    return set(np.linspace(0, total - 1, most).round().astype(int).tolist())
+def _duration(container: Any, stream: Any) -> float | None:
+    """Seconds of the video stream; the container's length is that of its longest stream."""
+    if stream.duration:
+        return float(stream.duration * stream.time_base)
+    if container.duration and len(container.streams) == 1:
+        return container.duration / 1e6
+    return None
 
 
-def _opened(path: Path):
-    """The generator of frames (bytes, RGB) and what ffmpeg says of the video."""
-    import imageio_ffmpeg
-
-    frames = imageio_ffmpeg.read_frames(str(path))
+def _created(container: Any, stream: Any) -> datetime | None:
+    text = stream.metadata.get("creation_time") or container.metadata.get("creation_time")
     try:
-        return frames, next(frames)
-    except (OSError, RuntimeError, StopIteration, KeyError) as error:
-        raise CaptureError(f"{path}: is not a video that ffmpeg can read") from error
+        return datetime.fromisoformat(text.replace("Z", "+00:00")) if text else None
+    except ValueError:
+        return None
+
+
+def _damaged(path: Path, time: Fraction, duration: float | None) -> CaptureError:
+    whole = "" if duration is None else f" of {duration:.2f} s"
+    last = math.floor(time * 100) / 100  # rounded up, --until would ask for what cannot be decoded
+    return CaptureError(
+        f"{path}: is damaged or cut off: decoding stops at {last:.2f} s{whole}; "
+        f"take what comes before with --until {last:.2f}, or record it again"
+    )

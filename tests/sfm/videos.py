@@ -1,0 +1,87 @@
+"""Small videos written with PyAV, whole and spoilt."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import numpy as np
+from PIL import Image
+
+SIZE = (160, 120)  # width, height
+
+
+def texture(size: tuple[int, int] = SIZE, seed: int = 0) -> np.ndarray:
+    """[H, W, 3] float64 in 0 … 255: smooth blobs, so that what a codec leaves can still be tracked."""
+    width, height = size
+    rng = np.random.default_rng(seed)
+    coarse = rng.integers(30, 226, (max(3, height // 8), max(3, width // 8), 3), np.uint8)
+    return np.asarray(Image.fromarray(coarse).resize(size, Image.Resampling.BICUBIC), np.float64)
+
+
+def still(n: int, shifts: Sequence[int] | None = None, noise: float = 4.0, size=SIZE) -> list[np.ndarray]:
+    """n noisy pictures of one thing, frame i moved to the right by shifts[i] pixels."""
+    rng = np.random.default_rng(1)
+    wide = texture((size[0] + 128, size[1]))
+    frames = []
+    for i in range(n):
+        start = 64 - (shifts[i] if shifts is not None else 0)
+        cut = wide[:, start : start + size[0]]
+        frames.append(np.clip(cut + rng.normal(0, noise, cut.shape), 0, 255).astype(np.uint8))
+    return frames
+
+
+def write_video(
+    path: Path,
+    frames: Sequence[np.ndarray],
+    rate: Fraction | int = 30,
+    times: Sequence[int] | None = None,
+    time_base: Fraction | None = None,
+    rotation: int | None = None,
+    created: str | None = None,
+    crf: int = 14,
+) -> Path:
+    """H.264 in the container that the name asks for, which lists its frames before them (so that a cut one opens).
+
+    times: of each frame, in whole numbers of time_base; without, frame k is at k / rate.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    options = {"movflags": "faststart"} if path.suffix in (".mp4", ".mov") else {}
+    with av.open(str(path), "w", options=options) as container:
+        if created is not None:
+            container.metadata["creation_time"] = created
+        stream = container.add_stream("libx264", rate=rate)
+        stream.height, stream.width = frames[0].shape[:2]
+        stream.pix_fmt = "yuv420p"
+        stream.codec_context.gop_size = 10
+        stream.codec_context.options = {"crf": str(crf), "preset": "veryfast"}
+        base = Fraction(1) / rate if time_base is None else time_base
+        stream.time_base = stream.codec_context.time_base = base
+        if rotation is not None:
+            stream.set_display_rotation(rotation)
+        for i, pixels in enumerate(frames):
+            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format="rgb24")
+            frame.pts, frame.time_base = (i if times is None else times[i]), base
+            for packet in stream.encode(frame):
+                container.mux(packet)
+        for packet in stream.encode():
+            container.mux(packet)
+    return path
+
+
+def cut_off(path: Path, share: float) -> Path:
+    """Leave only the first part of a file."""
+    data = path.read_bytes()
+    path.write_bytes(data[: int(len(data) * share)])
+    return path
+
+
+def spoil(path: Path, share: float, length: int = 2000) -> Path:
+    """Overwrite some bytes in the middle with noise."""
+    data = bytearray(path.read_bytes())
+    at = int(len(data) * share)
+    data[at : at + length] = np.random.default_rng(0).integers(0, 256, length, np.uint8).tobytes()
+    path.write_bytes(bytes(data))
+    return path

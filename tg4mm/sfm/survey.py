@@ -1,0 +1,239 @@
+"""One look through a recording: its times, how its camera moves, how sharp it is, its mean; and what is wrong with it.
+
+sfm/survey/<clip>.json and .png, so that a look is taken once.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import warnings
+from collections.abc import Iterable
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+from scipy.ndimage import laplace
+
+from tg4mm.errors import CaptureError
+from tg4mm.files import write_atomic, write_json
+from tg4mm.progress import progress
+from tg4mm.sfm.clip import Clip, Frame, Window, clip_frames, frame_rate, regular_times, uneven_steps
+from tg4mm.sfm.steadiness import Knock, ShiftMeter, find_knock, reduced, stays
+from tg4mm.sfm.video import VideoInfo, video_info
+
+BLACK = 16  # of 255: a recording whose brightest hundredth never reaches it shows nothing
+FROZEN = 1e-3  # of 255: mean change from frame to frame below which nothing but the codec works
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What a look through a clip's T pictures found."""
+
+    name: str
+    path: Path  # of the clip
+    mean: Path  # its mean picture, RGB or RGBA, 8 bits
+    size: tuple[int, int]  # width and height in pixels
+    fps: Fraction | None  # as the container has it; None for a folder
+    times: tuple[Fraction, ...] | None  # T, seconds since the first frame; None for a folder
+    shifts_px: np.ndarray  # [T, 2] of the whole picture from the first one; NaN: no likeness
+    sharpness: np.ndarray  # [T] variance of the Laplacian
+    created_s: float | None  # when the recording began, seconds since 1970
+
+    def __len__(self) -> int:
+        """T, the number of pictures."""
+        return len(self.sharpness)
+
+    def clock(self, fps: float | None = None) -> tuple[float, np.ndarray]:
+        """Frames per second and the times [T] in seconds; fps, where given, is what it was filmed at.
+
+        Raises CaptureError where neither a container nor fps tells.
+        """
+        if self.times is None or self.fps is None:
+            if fps is None:
+                raise CaptureError(
+                    f"--fps is missing: the pictures of {self.name} need their frames per second"
+                )
+            return fps, np.arange(len(self)) / fps
+        stretch = 1.0 if fps is None else float(self.fps) / fps
+        return fps or float(self.fps), np.array([float(time) for time in self.times]) * stretch
+
+    def knock(self) -> Knock | None:
+        """The moment at which a camera that stays before and after moved."""
+        times = self.times or [Fraction(k, 30) for k in range(len(self))]
+        return find_knock(self.shifts_px, np.array([float(time) for time in times]))
+
+    def is_fixed(self) -> bool:
+        """Whether the camera stayed put, but for one knock perhaps."""
+        knock = self.knock()
+        parts = [self.shifts_px] if knock is None else np.split(self.shifts_px, [knock.frame])
+        return all(stays(part, max(self.size)) for part in parts)
+
+
+def survey_clip(clip: Clip, folder: Path, window: Window) -> Survey:
+    """Look through a clip, or read what an earlier look wrote to `folder`.
+
+    Raises CaptureError for a recording that is damaged, black, frozen, or holds fewer than two frames.
+    """
+    path = folder / f"{clip.name}.json"
+    if not path.is_file():
+        folder.mkdir(parents=True, exist_ok=True)
+        write_json(path, _looked_through(clip, folder, window))
+    return _read(clip, folder, json.loads(path.read_text(encoding="utf-8")))
+
+
+def _looked_through(clip: Clip, folder: Path, window: Window) -> dict[str, Any]:
+    info = video_info(clip.path) if clip.is_video else None
+    total = (info.total if info else len(clip.pictures)) or 1
+    look = _Look(clip)
+    with progress(f"reading {clip.name}", total, "frames") as update:
+        for frame in clip_frames(clip, window):
+            look.add(frame)
+            update(min(frame.index + 1, total))
+    if len(look.sharpness) < 2:
+        span = "" if window.is_all else f" from {window.start_s:g} s to {window.stop_s:g} s"
+        raise CaptureError(f"{clip.path}: holds {len(look.sharpness)} frames{span}, at least 2 are needed")
+    look.check()
+    write_atomic(folder / f"{clip.name}.png", lambda temporary: look.mean().save(temporary, format="PNG"))
+    return look.record(info)
+
+
+def _read(clip: Clip, folder: Path, record: dict[str, Any]) -> Survey:
+    times, fps = record["times"], record["fps"]
+    shifts = [[np.nan if x is None else x for x in row] for row in record["shifts_px"]]
+    return Survey(
+        name=clip.name,
+        path=clip.path,
+        mean=folder / f"{clip.name}.png",
+        size=(record["width"], record["height"]),
+        fps=None if fps is None else Fraction(fps),
+        times=None if times is None else tuple(Fraction(time) for time in times),
+        shifts_px=np.array(shifts),
+        sharpness=np.array(record["sharpness"]),
+        created_s=record["created_s"],
+    )
+
+
+class _Look:
+    """What is gathered frame by frame."""
+
+    def __init__(self, clip: Clip) -> None:
+        self.clip = clip
+        self.times: list[Fraction | None] = []
+        self.shifts: list[tuple[float, float]] = []
+        self.sharpness: list[float] = []
+        self._changes: list[float] = []
+        self._brightest = 0.0
+        self._sum: np.ndarray | None = None  # of colour · alpha, and of alpha where there is any
+        self._meter: ShiftMeter | None = None
+        self._before: np.ndarray | None = None
+
+    def add(self, frame: Frame) -> None:
+        pixels = frame.pixels if frame.pixels.dtype == np.uint8 else (frame.pixels >> 8).astype(np.uint8)
+        if pixels.shape[2] == 4 and (pixels[..., 3] == 255).all():
+            pixels = pixels[..., :3]
+        self._add_to_sum(frame, pixels)
+        grey, k = reduced(pixels[..., 1])  # green carries most of the light, and is there without arithmetic
+        if self._meter is None or self._before is None:
+            self._meter = ShiftMeter(grey)
+        else:
+            self._changes.append(float(np.abs(grey - self._before).mean()))
+        self._before = grey
+        x, y = self._meter.shift(grey)
+        self.times.append(frame.time)
+        self.shifts.append((x * k, y * k))
+        self.sharpness.append(float(laplace(grey).var()))
+        self._brightest = max(self._brightest, float(np.quantile(grey, 0.99)))
+
+    def _add_to_sum(self, frame: Frame, pixels: np.ndarray) -> None:
+        if pixels.shape[2] == 4:
+            alpha = pixels[..., 3:] / np.float32(255)
+            pixels = np.concatenate([pixels[..., :3] * alpha, 255 * alpha], axis=2)
+        if self._sum is None:
+            self._sum = np.zeros(pixels.shape, np.float32)
+        if self._sum.shape != pixels.shape:
+            where = frame.path or self.clip.path
+            (h, w, _), (first_h, first_w, _) = pixels.shape, self._sum.shape
+            raise CaptureError(
+                f"{where}: frame {frame.index} is {w}×{h} pixels, the first is {first_w}×{first_h}"
+                + (", or only some are transparent" if (h, w) == (first_h, first_w) else "")
+            )
+        self._sum += pixels
+
+    def check(self) -> None:
+        path = self.clip.path
+        if self._brightest < BLACK:
+            raise CaptureError(f"{path}: is black: its brightest pixels reach {self._brightest:.0f} of 255")
+        if float(np.median(self._changes)) < FROZEN:
+            raise CaptureError(f"{path}: is frozen: its {len(self.sharpness)} frames are one picture")
+
+    def mean(self) -> Image.Image:
+        assert self._sum is not None
+        values = self._sum / len(self.sharpness)
+        if values.shape[2] == 4:
+            values[..., :3] /= np.maximum(values[..., 3:], 1e-3) / 255
+        return Image.fromarray((np.clip(values, 0, 255) + 0.5).astype(np.uint8))
+
+    def record(self, info: VideoInfo | None) -> dict[str, Any]:
+        assert self._sum is not None
+        fps, times = self._clock(info)
+        return {
+            "width": self._sum.shape[1],
+            "height": self._sum.shape[0],
+            "fps": None if fps is None else str(fps),
+            "times": None if times is None else [str(time) for time in times],
+            "shifts_px": [[None if np.isnan(x) else round(x, 4) for x in row] for row in self.shifts],
+            "sharpness": self.sharpness,
+            "created_s": info.created.timestamp() if info is not None and info.created is not None else None,
+        }
+
+    def _clock(self, info: VideoInfo | None) -> tuple[Fraction | None, list[Fraction] | None]:
+        times = [time for time in self.times if time is not None]
+        if info is None or len(times) < len(self.times):
+            return None, None
+        fps = frame_rate(self.clip.path, times, info.rates, info.tick)
+        return fps, regular_times(times, fps, info.tick)
+
+
+def warn_uneven(surveys: Iterable[Survey]) -> None:
+    """A warning for each recording whose frame rate varies."""
+    for survey in surveys:
+        if survey.times is None:
+            continue
+        steps = uneven_steps(np.array([float(time) for time in survey.times]))
+        if steps is not None:
+            warnings.warn(
+                f"{survey.path.name}: its frame rate varies, steps of {steps[0] * 1e3:.1f} to "
+                f"{steps[1] * 1e3:.1f} ms; each frame keeps its own time",
+                stacklevel=2,
+            )
+
+
+def check_fixed(surveys: Iterable[Survey]) -> None:
+    """Raise CaptureError for a camera that was to stay put and was knocked, with the time, or moves all along."""
+    for survey in surveys:
+        knock = survey.knock()
+        if survey.is_fixed() and knock is not None:
+            raise CaptureError(f"{survey.path}: {_knocked(survey, knock)}")
+        if not survey.is_fixed():
+            middle = np.nanmedian(survey.shifts_px, axis=0)
+            away = np.nanmax(np.linalg.norm(survey.shifts_px - middle, axis=1), initial=0)
+            raise CaptureError(
+                f"{survey.path}: is no fixed camera: its picture wanders by {away:.0f} pixels; "
+                "one that moves all the time is --kind handheld"
+            )
+
+
+def _knocked(survey: Survey, knock: Knock) -> str:
+    moved = f"the whole picture moves by {knock.shift_px:.1f} pixels"
+    if survey.times is None:
+        return (
+            f"the camera was knocked before picture {knock.frame}: {moved}; take away those before or after"
+        )
+    moment = math.floor(knock.time_s * 1000) / 1000  # rounded up, --until would take the frame after it
+    return (
+        f"the camera was knocked at {moment:.3f} s: {moved}; take --until {moment:.3f} or --from {moment:.3f}"
+    )
