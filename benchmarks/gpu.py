@@ -42,7 +42,7 @@ from tg4mm.files import write_json
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion import ModalMotion, MotionConfig
 from tg4mm.motion.animate import animator
-from tg4mm.motion.train import train_motion
+from tg4mm.motion.stage import train_motion
 from tg4mm.paper import PAPER, PaperConfig, first_views, train_timesteps, train_triplane
 from tg4mm.paper.config import base_config
 from tg4mm.rasterize import rasterization

@@ -29,9 +29,11 @@ from tg4mm.evaluate.weights import blending_weights
 from tg4mm.magnify.linear import series_modes
 from tg4mm.motion import ModalMotion, MotionConfig
 from tg4mm.motion.animate import displacement_at
-from tg4mm.motion.pictures.differences import temporal_components
-from tg4mm.motion.pictures.video import fixed_cameras
-from tg4mm.motion.train import train_motion
+from tg4mm.motion.nuisance_choice import look_at
+from tg4mm.motion.observations import observe
+from tg4mm.motion.pipeline import rest_views as views_at_rest
+from tg4mm.motion.stage import train_motion
+from tg4mm.motion.temporal import principal_components
 from tg4mm.runs import Run
 from tg4mm.space import SpaceConfig, rest_views, train_space
 
@@ -79,7 +81,7 @@ def by_bins(motion: ModalMotion) -> ModalMotion:
     """The same motion at whole timesteps, as all bins of a Fourier transform."""
     series = np.stack([displacement_at(motion, t) for t in range(motion.n_timesteps)])
     freqs, values = series_modes(series - series.mean(0), motion.fps)
-    return replace(motion, freqs_hz=freqs, displacement=values, rotation=0 * values, light=None)
+    return replace(motion, freqs_hz=freqs, displacement=values, rotation=0 * values, appearance=None)
 
 
 def inside(motion: ModalMotion, band: tuple[float, float]) -> ModalMotion:
@@ -89,13 +91,16 @@ def inside(motion: ModalMotion, band: tuple[float, float]) -> ModalMotion:
 def row(subject: Subject, n_timesteps: int, decode: float, band: tuple[float, float]) -> tuple[float, ...]:
     """What HEAD says, of the first timesteps."""
     capture, images = subject.first(n_timesteps)
-    config = MotionConfig()
+    config, gaussians = MotionConfig(), subject.run.load_space()
+    observations = observe(capture, images)
+    views = views_at_rest(gaussians, observations)
     began = time.process_time()
-    components = temporal_components(images, fixed_cameras(capture), config.components)
+    seen = look_at(observations, views, gaussians, config)
+    targets = principal_components(observations, seen.look, seen.nuisances, config.components)
     reading = time.process_time() - began
     with tempfile.TemporaryDirectory() as folder:
         run = Run.create(Path(folder) / "run", capture.root, "modal", {})
-        run.save_space(subject.run.load_space(), {})
+        run.save_space(gaussians, {})
         began = time.process_time()
         found = train_motion(run, capture, images, config)
         solving = time.process_time() - began - reading
@@ -107,7 +112,7 @@ def row(subject: Subject, n_timesteps: int, decode: float, band: tuple[float, fl
     pairs += [(inside(a, band), inside(b, band)) for a, b in pairs]
     errors = [displacement_figures(a, b, subject.weights)["relative_error"] for a, b in pairs]
     share = n_timesteps / subject.capture.n_timesteps
-    return n_timesteps, decode * share, reading, solving, len(components.basis), len(found.freqs_hz), *errors
+    return n_timesteps, decode * share, reading, solving, len(targets.basis), len(found.freqs_hz), *errors
 
 
 def subject_of(data: Path, folder: Path, noise: float, iterations: int) -> tuple[Subject, float]:

@@ -28,11 +28,11 @@ from common import machine
 
 from tg4mm.capture import load_capture, load_images
 from tg4mm.motion.config import MotionConfig
+from tg4mm.motion.hyperparameters import DEFAULT
 from tg4mm.motion.jacobian.view import view_jacobian
-from tg4mm.motion.pictures.video import fixed_cameras
-from tg4mm.motion.posing.pose import Problems
-from tg4mm.motion.posing.weight import DEFAULT
-from tg4mm.motion.solver.problem import MotionProblem
+from tg4mm.motion.observations import fixed_cameras
+from tg4mm.motion.problem import Problem
+from tg4mm.motion.solver.cpu import CpuOperator
 from tg4mm.runs import Run
 from tg4mm.space.config import SpaceConfig
 from tg4mm.space.fused import FusedAdam
@@ -68,13 +68,13 @@ def space_iterations(gaussians, views) -> dict[str, Callable[[], object]]:
     return calls
 
 
-def motion_iterations(problem: MotionProblem) -> dict[str, Callable[[], object]]:
+def motion_iterations(operator: CpuOperator) -> dict[str, Callable[[], object]]:
     """Functions that apply the operator of the motion stage to several components at once."""
     rng = np.random.default_rng(0)
     calls: dict[str, Callable[[], object]] = {}
     for block in BLOCKS:
-        thetas = rng.standard_normal((block, problem.n_parameters, 3), np.float32)
-        calls[f"{block}"] = lambda thetas=thetas: problem.normals(thetas)
+        theta = rng.standard_normal((block, operator.preconditioner.n_parameters, 3), np.float32)
+        calls[f"{block}"] = lambda theta=theta: operator.products(theta)
     return calls
 
 
@@ -127,10 +127,9 @@ def main() -> None:
         table(f"space stage, {size}: an iteration", calls, options.iterations, dict.fromkeys(calls, 1))
     if options.stage != "space":
         views = [view_jacobian(gaussians, c, (capture.width, capture.height)) for c in fixed_cameras(capture)]
-        (problem,) = Problems(views, gaussians, MotionConfig(), "cpu").of(None, [DEFAULT])
-        assert isinstance(problem, MotionProblem)
+        problem = Problem.of(views, gaussians, MotionConfig(), "cpu")
         title = f"motion stage, {size}, {len(views)} views: a component's iteration, so many at once"
-        calls = motion_iterations(problem)
+        calls = motion_iterations(problem.on_cpu(problem.everything, None, DEFAULT))
         table(title, calls, max(3, options.iterations // 10), {name: int(name) for name in calls})
 
 

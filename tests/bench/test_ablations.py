@@ -27,7 +27,7 @@ VARIED = {
     "decoder": {"paper.mlp_layers", "paper.mlp_width"},
     "residual": {"paper.residual"},
     "difference": {"paper.difference"},
-    "neighbours": {"motion.neighbours"},
+    "smoothness": {"motion.smoothness_weight"},
 }
 
 
@@ -87,25 +87,25 @@ def test_magnified_motion_is_the_same_at_every_amplitude() -> None:
 
 
 @pytest.fixture(scope="module")
-def neighbours(data: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    out = tmp_path_factory.mktemp("neighbours") / "out"
-    return out, run_ablation("neighbours", [data], out, None, MODAL, Plan(), silent)
+def smoothness(data: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    out = tmp_path_factory.mktemp("smoothness") / "out"
+    return out, run_ablation("smoothness", [data], out, None, MODAL, Plan(), silent)
 
 
-def test_the_weight_that_was_found_stands_apart(neighbours: tuple[Path, str]) -> None:
-    root = ElementTree.parse(neighbours[0] / "results.svg").getroot()
+def test_the_weight_that_was_found_stands_apart(smoothness: tuple[Path, str]) -> None:
+    root = ElementTree.parse(smoothness[0] / "results.svg").getroot()
     lines = [e.get("points", "").split() for e in root.iter() if e.tag.endswith("polyline")]
     assert [len(line) for line in lines] == [1, 5]
 
 
 def test_runs_have_the_setting_of_their_row_and_share_a_space_stage(
-    neighbours: tuple[Path, str], data: Path
+    smoothness: tuple[Path, str], data: Path
 ) -> None:
-    out, _ = neighbours
+    out, _ = smoothness
     runs = [Run.open(p.parent) for p in sorted(out.glob("runs/*/*/run/config.json"))]
-    weights = {run.settings["motion"]["neighbours"] for run in runs}
+    weights = {run.settings["motion"]["smoothness_weight"] for run in runs}
     lines = lines_of(out)
-    assert weights == {line["settings"]["motion"]["neighbours"] for line in lines}
+    assert weights == {line["settings"]["motion"]["smoothness_weight"] for line in lines}
     assert len(weights) == len(lines) == 6
     means = [run.load_space().means.numpy() for run in runs]
     alone = train(data, out.parent / "alone", settings=MODAL)
@@ -116,8 +116,8 @@ def test_runs_have_the_setting_of_their_row_and_share_a_space_stage(
     assert len(errors) == 5
 
 
-def test_the_table_holds_what_was_measured(neighbours: tuple[Path, str]) -> None:
-    out, text = neighbours
+def test_the_table_holds_what_was_measured(smoothness: tuple[Path, str]) -> None:
+    out, text = smoothness
     for line in lines_of(out):
         (printed,) = [row for row in text.splitlines() if f"| {line['row']} " in row]
         cells = [cell.strip() for cell in printed.split("|")]

@@ -44,7 +44,7 @@ def test_options_of_scenes(options: list[str], message: str, data: Path, tmp_pat
     [
         (["colour"], "initialisation, decoder, residual"),
         (["decoder", "--preset", "modal"], "paper-small, paper"),
-        (["neighbours", "--set", "paper.channels=4"], "paper.channels"),
+        (["smoothness", "--set", "paper.channels=4"], "paper.channels"),
         (["iterations", "--set", "paper.warm_up=2900"], "paper.iterations is 1875"),
         (["amplitude", "--alphas", "5"], "--alphas 5: the amplitudes have"),
         (["amplitude"], "cannot be made with another amplitude"),

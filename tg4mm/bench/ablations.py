@@ -119,21 +119,21 @@ ABLATIONS: dict[str, Ablation] = {
         remark="Varied in phase 2 of the paper's method. In `modal` it cannot be switched off honestly: its functions "
         "of time are orthogonal to the constant, so static errors drop out of the normal equations exactly.",
     ),
-    "neighbours": Ablation(
-        "Weight of the neighbour term",
+    "smoothness": Ablation(
+        "Smoothness weight",
         "The prior, which makes neighbours move alike",
         ("modal",),
         (
-            Row("found from the images", {"motion.neighbours": "0"}, tick="found", apart=True),
+            Row("found from the images", {"motion.smoothness_weight": "0"}, tick="found", apart=True),
             # 0 stands for "found"; this is as good as none: the smallest weight that was ever of use is 5.
             *(
-                Row(f"weight {w}", {"motion.neighbours": w}, tick=w)
+                Row(f"weight {w}", {"motion.smoothness_weight": w}, tick=w)
                 for w in ("1e-6", "5", "50", "500", "5000")
             ),
         ),
         ("displacement_error", "static_leak", "amplitude_ratio", "direction_error_deg", "motion_s"),
         picture="displacement_error",
-        x_label="weight of the neighbour term",
+        x_label="smoothness weight",
     ),
     "views": Ablation(
         "Number of training cameras",

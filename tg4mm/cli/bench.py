@@ -121,7 +121,7 @@ def ablation(
     lpips_weights: Lpips = None,
     device: DeviceOption = Device.cpu,
 ) -> None:
-    """Vary one thing and compare: initialisation, decoder, residual, iterations, filter-phase, difference, neighbours,
+    """Vary one thing and compare: initialisation, decoder, residual, iterations, filter-phase, difference, smoothness,
     views, amplitude.
 
     Prints the table, and writes OUT/results.json, OUT/results.md and OUT/results.svg. amplitude generates its datasets
