@@ -12,7 +12,7 @@ from tests.sfm.scenes import save
 from tg4mm.cli import main
 from tg4mm.errors import CaptureError
 from tg4mm.sfm.kind import possible_kinds
-from tg4mm.sfm.mapping import OVERLAP, picture_pairs
+from tg4mm.sfm.mapping import EVERY, OVERLAP, picture_pairs
 from tg4mm.sfm.sources import find_sources, suggested_command
 from tg4mm.sfm.staging import check_sizes, photograph_shots, stage, staged_name, sweep_shots
 
@@ -184,8 +184,18 @@ def test_transparent_pictures_are_staged_over_white_with_a_mask(tmp_path: Path) 
 
 def test_every_pair_or_a_sequence() -> None:
     names = [f"{i:03d}" for i in range(100)]
-    assert len(picture_pairs(names[:6], sequential=False)) == 15
-    pairs = picture_pairs(names, sequential=True)
+    assert len(picture_pairs(names[:6])) == 15
+    pairs = picture_pairs(names, sequence=100)
     assert len(set(pairs)) == len(pairs)
     steps = {int(b) - int(a) for a, b in pairs}
     assert steps == {*range(1, OVERLAP + 1), 2 * OVERLAP, 4 * OVERLAP, 8 * OVERLAP}
+
+
+def test_a_sweep_beside_a_sequence_is_matched_with_all_of_its_own_and_some_frames() -> None:
+    names = [f"{i:03d}" for i in range(40)] + ["a", "b", "c"]
+    pairs = picture_pairs(names, sequence=40)
+    assert {pair for pair in pairs if "a" in pair} == {
+        ("a", "b"),
+        ("a", "c"),
+        *((f"{i:03d}", "a") for i in range(0, 40, EVERY)),
+    }

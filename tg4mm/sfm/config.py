@@ -31,7 +31,7 @@ class SfmConfig:
         None  # pixels, a first guess that is refined; None: EXIF, or 1.2 × the longer side
     )
     each: bool = False  # every photograph or fixed camera has intrinsics of its own, else all share them
-    matching: str = "auto"  # exhaustive up to EXHAUSTIVE_MOST pictures and for photographs, else sequential
+    matching: str = "auto"  # sequential for more than EXHAUSTIVE_MOST frames of one video, else exhaustive
     frames: int | None = (
         None  # sharp ones that a moving camera's poses are first found from; None: one of a window
     )

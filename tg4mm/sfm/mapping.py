@@ -14,22 +14,26 @@ from tg4mm.errors import CaptureError
 from tg4mm.progress import progress
 from tg4mm.sfm.engine import colmap, extract, match
 
-EXHAUSTIVE_MOST = 150  # pictures; above, a sequence is matched with its neighbours only
+EXHAUSTIVE_MOST = 40  # frames of a sequence; above, each is matched with its neighbours only
+EVERY = 4  # frames of a sequence that other pictures are matched with
 OVERLAP = 12  # neighbours in a sequence, and then those at 2, 4, 8 … times that
 FEWEST_FEATURES = 20  # in a picture, for it to be placed at all
 FEWEST_INLIERS = 15  # that COLMAP asks of the picture it places
 
 
-def picture_pairs(names: Sequence[str], sequential: bool) -> list[tuple[str, str]]:
-    """Pairs to match: all, or in a sequence the next OVERLAP and then ever rarer ones."""
-    if not sequential:
-        return list(combinations(names, 2))
+def picture_pairs(names: Sequence[str], sequence: int = 0) -> list[tuple[str, str]]:
+    """Pairs to match: all, but of the first `sequence` pictures, frames in order, each with the next OVERLAP and then
+    ever rarer ones; others with every EVERY-th of those.
+    """
+    frames, others = list(names[:sequence]), list(names[sequence:])
     steps = [*range(1, OVERLAP + 1)]
     step = 2 * OVERLAP
-    while step < len(names):
+    while step < len(frames):
         steps.append(step)
         step *= 2
-    return [(names[i], names[i + s]) for i in range(len(names)) for s in steps if i + s < len(names)]
+    pairs = [(frames[i], frames[i + s]) for i in range(len(frames)) for s in steps if i + s < len(frames)]
+    pairs += [(frame, other) for frame in frames[::EVERY] for other in others]
+    return pairs + list(combinations(others, 2))
 
 
 def find_poses(

@@ -202,10 +202,10 @@ def _model(job: _Job, taken: list[Shot]) -> Any:
 def _first_model(job: _Job, taken: list[Shot], place: Workplace) -> Any:
     """The pycolmap Reconstruction of these pictures alone, found by trying which fit."""
     config, names = job.config, [staged_name(shot) for shot in taken]
-    sequential = config.matching == "sequential" or (
-        config.matching == "auto" and job.sources.photographs is None and len(names) > EXHAUSTIVE_MOST
-    )
-    pairs = picture_pairs(names, sequential)
+    frames = sum(shot.clip != SWEEP for shot in taken) if job.sources.clips else len(taken)
+    ordered = job.kind.name == "handheld" or (job.kind.name == "photos" and bool(job.sources.clips))
+    many = ordered and config.matching == "auto" and frames > EXHAUSTIVE_MOST
+    pairs = picture_pairs(names, frames if many or config.matching == "sequential" else 0)
     model = find_poses(place.database, place.images, place.masks, names, pairs, config.seed, job.threads)
     _check_placed(job, taken, registered(model), quiet=True)
     return straightened(model, job.threads)
