@@ -115,11 +115,14 @@ def write_set(out: Path, captures: Path, truth: dict[str, Any], kind: str, side:
     K = flat_intrinsics(size) if kind == "flat" else np.array(truth["K"]) / [[side], [side], [1]]
     frames: dict[int, list[dict[str, Any]]] = {}
     with ThreadPoolExecutor(2) as pool:
+        saved = []
         for shot in shots(captures, truth, kind):
             file = out / f"{shot.timestep:03d}" / "train" / f"{shot.name}.png"
             file.parent.mkdir(parents=True, exist_ok=True)
-            pool.submit(_save, file, shot.picture, side)
+            saved.append(pool.submit(_save, file, shot.picture, side))
             frames.setdefault(shot.timestep, []).append(frame_record(shot, K, size))
+        for done in saved:
+            done.result()  # raises what saving raised
     for t, records in frames.items():
         write_json(out / f"{t:03d}" / "transforms_train.json", {"frames": records})
     if kind != "flat":
