@@ -18,8 +18,8 @@ from tg4mm.motion.temporal import sinusoids
 MOST = 6
 _OVERSAMPLED = 6  # frequencies tried per 1 / duration
 _CAP = 300.0  # of a series' power over its noise: a few that move much do not hide the rest
-_STANDS_OUT = 8.0  # robust deviations above the median over an octave
-_LEAST = 1.25  # times that median
+_STANDS_OUT = 10.0  # robust deviations of the noise above it
+_LEAST = 1.3  # times the noise
 _WEAK = 0.01  # of the strongest peak's power above the floor: weaker is taken for leakage
 _APART = 0.75  # over the duration, Hz
 
@@ -74,13 +74,17 @@ def find_frequencies(
 
 
 def _floor(spectrum: np.ndarray, grid: np.ndarray, duration: float) -> tuple[np.ndarray, np.ndarray]:
-    """[M] each: running median and robust deviation over an octave, since noise rises to low frequencies."""
+    """[M] each: the noise and its robust deviation, from the lower half of the spectrum around every frequency.
+
+    Noise rises to low frequencies; what lies above the median may be a peak's flank.
+    """
     floor, spread = np.empty_like(spectrum), np.empty_like(spectrum)
     for k, f in enumerate(grid):
-        half = max(0.35 * f, 2 / duration)
+        half = max(0.5 * f, 6 / duration)
         own = spectrum[(grid >= f - half) & (grid <= f + half)]
-        floor[k] = np.median(own)
-        spread[k] = 1.4826 * np.median(np.abs(own - floor[k]))
+        lower = own[own <= np.median(own)]
+        floor[k] = np.median(lower)
+        spread[k] = 1.4826 * np.median(np.abs(lower - floor[k]))
     return floor, spread
 
 

@@ -71,8 +71,9 @@ class LinearFit:
         return self.config.iterations - second, second
 
     def _chunks(self) -> list[slice]:
-        n = self.targets.images.shape[1] if self.targets.mixing is not None else len(self.hyper.signal)
-        step = n if self.targets.mixing is not None else (TOGETHER if self.problem.device == "cpu" else 1)
+        if self.targets.mixing is not None:
+            return [slice(None)]
+        n, step = len(self.hyper.signal), TOGETHER if self.problem.device == "cpu" else 1
         return [slice(a, min(a + step, n)) for a in range(0, n, step)]
 
     def _images(self, fold: Fold, some: slice) -> list[np.ndarray]:

@@ -101,7 +101,7 @@ class StoredParts:
             return kept
         found = compute()
         self._arrays = {k: v for k, v in self._arrays.items() if k.partition("/")[0] != name}
-        self._arrays |= {f"{name}/{k}": np.ascontiguousarray(v) for k, v in found.items()}
+        self._arrays |= {f"{name}/{k}": np.asarray(v, order="C") for k, v in found.items()}
         self._digests[name] = _digest(found)
         self._save()
         now = time.monotonic()
@@ -127,7 +127,7 @@ def _arrays_of(gaussians: Gaussians) -> Arrays:
 def _digest(arrays: Mapping[str, np.ndarray]) -> str:
     digest = hashlib.blake2b(digest_size=16)
     for name in sorted(arrays):
-        array = np.ascontiguousarray(arrays[name])
+        array = np.asarray(arrays[name], order="C")
         digest.update(f"{name} {array.dtype} {array.shape}".encode())
         digest.update(array.tobytes())
     return digest.hexdigest()
