@@ -11,23 +11,24 @@ import pytest
 import torch
 
 from tests.adam import assert_same_steps, oblong, watch_paper, watch_space
+from tests.motion.test_stage import stop_after
 from tests.pretend import NAME, Gpu, There, pretended_gpu, register
 from tests.rasterize.oracle import assert_close
 from tests.space.test_cuda import spherical_harmonics
+from tests.space.test_train import Killed
 from tests.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture, load_images
 from tg4mm.evaluate import evaluate_run
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion import MotionConfig
-from tg4mm.motion import train as motion_stage
-from tg4mm.motion.train import train_motion
+from tg4mm.motion.stage import train_motion
 from tg4mm.paper import PaperConfig, first_views, train_timesteps, train_triplane
 from tg4mm.paper import motion as paper_motion
 from tg4mm.paper import space as paper_space
 from tg4mm.render import RenderRequest, capture_cameras, render_sequence
 from tg4mm.render.frames import read_png
 from tg4mm.runs import Run
-from tg4mm.space import SpaceConfig, rest_views, train_space
+from tg4mm.space import SpaceConfig, density, rest_views, train_space
 from tg4mm.space import train as stage
 
 SHORT = SpaceConfig(iterations=12, max_gaussians=500, init_points=300, dssim=0.2)
@@ -40,10 +41,9 @@ register()  # while tests are collected: before any backward pass
 
 @pytest.fixture
 def gpu(monkeypatch: pytest.MonkeyPatch) -> Iterator[Gpu]:
-    for module in (stage, motion_stage, paper_space, paper_motion):
+    for module in (stage, paper_space, paper_motion):
         for name in ("SHOW_EVERY_S", "CHECKPOINT_EVERY_S"):  # what is shown or saved is fetched
-            if hasattr(module, name):
-                monkeypatch.setattr(module, name, 1e9)
+            monkeypatch.setattr(module, name, 1e9)
     with pretended_gpu(monkeypatch, spherical_harmonics) as there:
         yield there
 
@@ -122,8 +122,12 @@ def test_the_space_stage(
     assert counted(gpu) == of_twelve  # twice the iterations bring nothing more to the host, nor to the device
 
 
-def test_the_space_stage_with_density_control(made: tuple[Path, Run], tmp_path: Path, gpu: Gpu) -> None:
-    assert len(trained_space(made[0], tmp_path / "run", 200, NAME)) > SHORT.init_points
+def test_the_space_stage_with_density_control(
+    made: tuple[Path, Run], tmp_path: Path, gpu: Gpu, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(density, "FIRST", 10)
+    monkeypatch.setattr(density, "EVERY", 5)
+    assert len(trained_space(made[0], tmp_path / "run", 30, NAME)) > SHORT.init_points
 
 
 def test_the_motion_stage(made: tuple[Path, Run], tmp_path: Path, gpu: Gpu) -> None:
@@ -142,8 +146,45 @@ def test_the_motion_stage(made: tuple[Path, Run], tmp_path: Path, gpu: Gpu) -> N
         Run.open(tmp_path / f"{NAME}4").log()["motion"]["components"]
     )  # by two halves of the cameras
     assert crossed[1] == {}
-    sums = 3 * 4 * solved  # three of every step of conjugate gradients
+    sums = 2 * 4 * solved  # two of every step of conjugate gradients
     assert crossed[2] == crossed[0] | {"down": crossed[0]["down"] + sums}
+
+
+def test_a_motion_stage_killed_there_ends_here(
+    made: tuple[Path, Run], tmp_path: Path, gpu: Gpu, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data, source = made
+    capture = load_capture(data)
+    images, found = load_images(capture), []
+    for place in ("cpu", NAME):
+        run = Run.create(tmp_path / place, data, "modal", {})
+        run.save_space(source.load_space(), {})
+        if place == NAME:
+            with monkeypatch.context() as patch:
+                stop_after(3, patch)
+                with pytest.raises(Killed):
+                    train_motion(run, capture, images, FEW, place)
+        found.append(
+            torch.view_as_real(torch.from_numpy(train_motion(run, capture, images, FEW).displacement))
+        )
+    assert_close("displacement", found[1], found[0], 1e-2)
+
+
+def test_motion_of_more_than_a_pixel(tmp_path: Path, gpu: Gpu) -> None:
+    """One Gauss-Newton iteration: refining the scene at rest forks from the last digits."""
+    gaussians, _ = make_synthetic_dataset(
+        tmp_path / "data", n_views=6, n_timesteps=5, size=32, freqs=(6.0,), amplitude=0.2, alphas=(), n_test=0
+    )
+    capture = load_capture(tmp_path / "data")
+    images, found = load_images(capture), []
+    config = replace(FEW, components=1, smoothness_weight=300.0, gauss_newton=1)
+    for place in ("cpu", NAME):
+        run = Run.create(tmp_path / place, tmp_path / "data", "modal", {})
+        run.save_space(gaussians, {})
+        motion = train_motion(run, capture, images, config, place)
+        assert run.log()["motion"]["gauss_newton"] == 1
+        found.append(torch.view_as_real(torch.from_numpy(motion.displacement)))
+    assert_close("displacement", found[1], found[0], 1e-2)
 
 
 def test_pictures(made: tuple[Path, Run], tmp_path: Path, gpu: Gpu) -> None:

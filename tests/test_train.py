@@ -55,7 +55,7 @@ class TestSettings:
         assert configs["space"] == SpaceConfig(l2=1e-3, init="hull", seed=7)
         assert configs["motion"] == MotionConfig(components=4)
         assert type(configs["motion"].components) is int
-        assert type(parse_settings({"motion.neighbours": "10"})["motion"].neighbours) is float
+        assert type(parse_settings({"motion.ridge": "10"})["motion"].ridge) is float
 
     @pytest.mark.parametrize(
         "name", ["space.iteration", "iterations", "space", "space.", "colour.iterations", ""]
@@ -68,7 +68,7 @@ class TestSettings:
             f"motion.{k}" for k in vars(MotionConfig())
         ]
         for name in listed:  # and each of those is known
-            parse_settings({name: "true" if name in {"motion.halves", "motion.light"} else "3"})
+            parse_settings({name: "true" if name in {"motion.split_half", "motion.appearance"} else "3"})
 
     @pytest.mark.parametrize(
         ("name", "text", "kind"),
@@ -240,8 +240,8 @@ def test_a_program_killed_in_either_stage_ends_as_if_it_had_not_been(data: Path,
         "motion.tolerance=1e-6",
     ]
     code = (
-        "import sys, tg4mm.space.train as s, tg4mm.motion.train as m; from tg4mm.cli import main; "
-        "s.CHECKPOINT_EVERY_S = m.CHECKPOINT_EVERY_S = 0.02; sys.exit(main(sys.argv[1:]))"
+        "import sys, tg4mm.space.train as s; from tg4mm.cli import main; "
+        "s.CHECKPOINT_EVERY_S = 0.02; sys.exit(main(sys.argv[1:]))"
     )
 
     def program(out: Path) -> subprocess.Popen:

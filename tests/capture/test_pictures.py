@@ -11,23 +11,22 @@ import pytest
 from PIL import Image
 
 from dataset_gen.png import encode
+from tests.motion.test_temporal import components
 from tests.space.scenes import capture_of
 from tg4mm.capture import Capture, load_images
 from tg4mm.capture import pictures as module
 from tg4mm.capture.pictures import FilePictures, StackedPictures
 from tg4mm.errors import CaptureError
-from tg4mm.motion.pictures import differences as differences_module
-from tg4mm.motion.pictures.differences import temporal_components
-from tg4mm.motion.pictures.video import fixed_cameras
+from tg4mm.motion import temporal as temporal_module
+from tg4mm.motion.observations import observe
 
 SIZE = (5, 6)  # height, width
 
 
 @pytest.fixture
 def capture(tmp_path: Path) -> Capture:
-    """Two cameras, five timesteps; camera 0 sees its first picture again at timestep 3."""
+    """Two cameras, five timesteps."""
     data = np.random.default_rng(0).integers(0, 256, (10, *SIZE, 4)).astype(np.uint8)
-    data[6] = data[0]
     capture, _ = capture_of([0, 1] * 5, [t for t in range(5) for _ in range(2)], data)
     paths = tuple(tmp_path / f"{i}.png" for i in range(10))
     for path, image in zip(paths, data, strict=True):
@@ -73,29 +72,26 @@ def test_they_are_those_of_the_stack(capture: Capture, bits: int) -> None:
 def test_their_components_are_those_of_the_stack(
     capture: Capture, cached: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(differences_module, "CACHE_BYTES", cached)
-    cameras = fixed_cameras(capture)
-    found = temporal_components(FilePictures(capture), cameras, 16)
-    expected = temporal_components(load_images(capture), cameras, 16)
+    monkeypatch.setattr(temporal_module, "CACHE_BYTES", cached)
+    found = components(observe(capture, FilePictures(capture)), 16)
+    expected = components(observe(capture, load_images(capture)), 16)
     np.testing.assert_array_equal(found.basis, expected.basis)
     np.testing.assert_array_equal(found.images, expected.images)
     np.testing.assert_array_equal(found.residual, expected.residual)
 
 
-def test_each_is_decoded_once_and_one_that_repeats_not_again(
-    capture: Capture, decoded: Counter[Path]
-) -> None:
-    temporal_components(FilePictures(capture), fixed_cameras(capture), 16)
-    assert decoded == Counter(set(capture.paths) - {capture.paths[6]})
+def test_each_is_decoded_once(capture: Capture, decoded: Counter[Path]) -> None:
+    components(observe(capture, FilePictures(capture)), 16)
+    assert decoded == Counter(capture.paths)
 
 
 def test_where_the_cache_is_small_twice(
     capture: Capture, decoded: Counter[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The first camera's four pictures fit, the second's five do not."""
-    monkeypatch.setattr(differences_module, "CACHE_BYTES", 4 * 30 * 12)
-    temporal_components(FilePictures(capture), fixed_cameras(capture), 16)
-    assert {decoded[capture.paths[i]] for i in (0, 2, 4, 8)} == {1}
+    """The first camera's five pictures fit, the second's do not."""
+    monkeypatch.setattr(temporal_module, "CACHE_BYTES", 5 * 30 * 12)
+    components(observe(capture, FilePictures(capture)), 16)
+    assert {decoded[path] for path in capture.paths[::2]} == {1}
     assert {decoded[path] for path in capture.paths[1::2]} == {2}
 
 
@@ -112,4 +108,4 @@ def test_a_spoiled_file_is_an_error_with_its_name(capture: Capture, spoil, messa
     assert files.maximum == 255
     spoil(capture.paths[4])
     with pytest.raises(CaptureError, match=message):
-        temporal_components(files, fixed_cameras(capture), 16)
+        components(observe(capture, files), 16)

@@ -11,7 +11,7 @@ from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
 from tests.motion.test_animate import gaussians, motion
-from tests.motion.test_light import N, change_of, light
+from tests.motion.test_appearance import N, appearance, change_of
 from tg4mm.errors import RunError
 from tg4mm.motion.appearance_modes import AppearanceModes
 from tg4mm.runs import Run
@@ -24,49 +24,51 @@ def run(tmp_path: Path) -> Run:
     return run
 
 
-def test_light_read_back_equals_that_written(run: Run) -> None:
-    m = replace(motion(), light=light())
+def test_what_is_read_back_equals_that_written(run: Run) -> None:
+    m = replace(motion(), appearance=appearance())
     run.save_motion(m, {})
     back = run.load_motion()
     assert back is not None
-    assert back.light is not None
-    assert back.light.shapes.dtype == np.float32
-    np.testing.assert_array_equal(back.light.shapes, m.light.shapes)
-    np.testing.assert_array_equal(back.light.series, m.light.series)
+    assert back.appearance is not None
+    assert back.appearance.shapes.dtype == np.float32
+    np.testing.assert_array_equal(back.appearance.shapes, m.appearance.shapes)
+    np.testing.assert_array_equal(back.appearance.series, m.appearance.series)
 
 
-def test_a_motion_of_before_there_was_light_loads(run: Run) -> None:
+def test_a_motion_without_any_loads(run: Run) -> None:
     run.save_motion(motion(), {})
     assert set(load_file(run.part_file("motion"))) == {
         "freqs_hz", "displacement#re", "displacement#im", "rotation#re", "rotation#im",
     }  # fmt: skip
     back = run.load_motion()
     assert back is not None
-    assert back.light is None
+    assert back.appearance is None
 
 
 @pytest.mark.parametrize(
     "bad",
     [
-        AppearanceModes(change_of(N - 1, 2), light().series),
-        AppearanceModes(change_of(N, 2), light(modes=2).series),
-        AppearanceModes(change_of(N, 3), light().series),
-        AppearanceModes(np.zeros((2, N, 9, 3), np.float32), light().series),  # more than the Gaussians have
+        AppearanceModes(change_of(N - 1, 2), appearance().series),
+        AppearanceModes(change_of(N, 2), appearance(modes=2).series),
+        AppearanceModes(change_of(N, 3), appearance().series),
         AppearanceModes(
-            change_of(N, 2)[:, :, :2], light().series
+            np.zeros((2, N, 9, 3), np.float32), appearance().series
+        ),  # more than the Gaussians have
+        AppearanceModes(
+            change_of(N, 2)[:, :, :2], appearance().series
         ),  # neither the mean alone nor with all tilts
-        AppearanceModes(change_of(N, 2).astype(np.float64), light().series),
-        AppearanceModes(change_of(N, 2), light().series.real),
+        AppearanceModes(change_of(N, 2).astype(np.float64), appearance().series),
+        AppearanceModes(change_of(N, 2), appearance().series.real),
     ],
 )
-def test_light_that_does_not_fit_is_refused(run: Run, bad: AppearanceModes) -> None:
+def test_what_does_not_fit_is_refused(run: Run, bad: AppearanceModes) -> None:
     with pytest.raises(RunError, match=r"motion to save: light has shapes \(.*expected \[R, 20, 1 or 4"):
-        run.save_motion(replace(motion(), light=bad), {})
+        run.save_motion(replace(motion(), appearance=bad), {})
     assert not run.has_motion
 
 
-def test_half_of_a_light_is_refused(run: Run) -> None:
-    run.save_motion(replace(motion(), light=light()), {})
+def test_half_of_it_is_refused(run: Run) -> None:
+    run.save_motion(replace(motion(), appearance=appearance()), {})
     file = run.part_file("motion")
     with safe_open(file, "pt") as old:
         meta = old.metadata()

@@ -12,7 +12,7 @@ from tg4mm.errors import Tg4mmError
 from tg4mm.motion import MotionConfig
 from tg4mm.motion import config as of_motion
 from tg4mm.motion.config import more_iterations, resolved
-from tg4mm.motion.train import train_motion
+from tg4mm.motion.stage import train_motion
 from tg4mm.runs import Run
 
 
@@ -49,7 +49,7 @@ def test_a_run_of_many_takes_more_and_says_so(tmp_path: Path, monkeypatch: pytes
         monkeypatch.setattr(of_motion, "_AS_CONFIGURED", n)
         run = Run.create(tmp_path / str(n), tmp_path / "data", "modal", {})
         run.save_space(gaussians, {})
-        config = MotionConfig(components=1, iterations=2, tolerance=1e-6, light=False)
+        config = MotionConfig(components=1, iterations=2, tolerance=1e-6, appearance=False)
         found.append((train_motion(run, capture, load_images(capture), config), run.log()["motion"]))
     assert [log["iterations"] for _, log in found] == [2, 8]
     few, many = (motion.displacement for motion, _ in found)

@@ -2,35 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
-from tests.cuda import needs_cuda
-from tests.motion.test_problem import N, problem
-from tests.motion.test_turns import PARTS, both_turns, pictures, solver
-from tests.rasterize.oracle import assert_close
-from tests.space.test_train import Killed, killed_after
 from tests.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture, load_images
 from tg4mm.evaluate.displacement import displacement_figures
 from tg4mm.evaluate.truth import exact_motion, load_truth
 from tg4mm.evaluate.weights import blending_weights
 from tg4mm.motion import MotionConfig
-from tg4mm.motion import fit as fitting
-from tg4mm.motion import train as stage
-from tg4mm.motion.fit import Fit
-from tg4mm.motion.posing.weight import CANDIDATES
 from tg4mm.motion.prior import edge_reweighting
 from tg4mm.motion.prior.edge_reweighting import edge_residual, reweight_edges
 from tg4mm.motion.prior.graph import Graph, build_graph
-from tg4mm.motion.solver.device import DeviceProblem
-from tg4mm.motion.solver.pcg import start, step_all
-from tg4mm.motion.train import train_motion
+from tg4mm.motion.stage import train_motion
 from tg4mm.runs import Run
 
 COUNT = 400
@@ -101,64 +87,10 @@ def test_strained_edges_count_less_and_the_matrix_stays_what_it_is() -> None:
     assert weakest == pytest.approx(0.1, rel=1e-5)  # a hundredth of its weight
 
 
-def test_the_second_turn_solves_with_the_edges_loosened() -> None:
-    """What both turns find is the solution of the loosened problem, and another than without."""
-    images = pictures(1)
-    plain = solver(images)
-    solving = replace(plain, graph=problem().graph)
-    fit = Fit.begun(solving.n_fields, N)
-    silent: Callable[..., None] = lambda *_, **__: None  # noqa: E731
-    solving.run(fit, silent, silent)
-    assert fit.fields.shape == (4, 4 * N, 3)
-    for k, x in enumerate(fit.fields):
-        np.testing.assert_allclose(problem().graph.motion(x), fit.shapes[k], atol=1e-6)
-    found = solving.strained(fit)
-    assert (found > 0).mean() > 0.3
-    second = solving.loosened(found)
-    second.take_over(fit, solving)
-    fit.turn, fit.component = 1, 0
-    second.run(fit, silent, silent)
-    expected = []
-    for part, rows in enumerate(PARTS):
-        own = second.problems[part]
-        states = [start(b) for b in own.right_hand_sides(images[rows][:, [0, 2]])]
-        while max(s.relative_residual for s in states) > 1e-6:
-            states = step_all(states, own.normals)
-        expected += [own.field(s.x) for s in states]
-    largest = np.abs(expected).max()
-    np.testing.assert_allclose(fit.shapes, expected, atol=2e-3 * largest)
-    assert np.abs(both_turns(plain).shapes - expected).max() > 0.02 * largest
-
-
-def check_device(where: str, tolerance: float) -> None:
-    ours = problem()
-    other = DeviceProblem(ours, where, torch.float32)
-    x = np.random.default_rng(3).normal(size=(4 * N, 3)).astype(np.float32)
-    looser = reweight_edges(
-        ours.graph, np.random.default_rng(4).random(len(ours.graph.other)).astype(np.float32) ** 8
-    )
-    for a, b in ((ours, other), (ours.with_graph(looser), other.with_graph(looser))):
-        assert_close("prior", b.prior(x).cpu(), torch.from_numpy(a.prior(x)), tolerance)
-    theta = np.random.default_rng(5).normal(size=(ours.n_parameters, 3)).astype(np.float32)
-    there = torch.from_numpy(theta).to(where)
-    assert_close("rows", other.rows(there).cpu(), torch.from_numpy(ours.rows(theta)), tolerance)
-    change = ours.prior(x) - ours.with_graph(looser).prior(x)
-    assert np.abs(change).max() > 0.01 * np.abs(ours.prior(x)).max()
-
-
-def test_a_device_takes_looser_edges_too() -> None:
-    check_device("cpu", 2e-5)
-
-
-@needs_cuda
-def test_cuda_takes_looser_edges_too() -> None:
-    check_device("cuda", 1e-4)
-
-
 @pytest.fixture(scope="module")
 def six(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Six cameras; the post sways beside a ball that moves otherwise, on a floor that stands still."""
-    root = tmp_path_factory.mktemp("joints")
+    root = tmp_path_factory.mktemp("edges")
     gaussians, _ = make_synthetic_dataset(
         root / "data", n_views=6, n_timesteps=5, size=32, freqs=(6.0,), alphas=(), n_test=0, amplitude=0.005
     )
@@ -167,66 +99,29 @@ def six(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-def trained(six: Path, path: Path, neighbours: float) -> tuple[Run, np.ndarray]:
+def trained(six: Path, path: Path, weight: float) -> tuple[Run, np.ndarray]:
     gaussians = Run.open(six / "run").load_space()
     run = Run.open(path) if path.exists() else Run.create(path, six / "data", "modal", {})
     if not run.has_space:
         run.save_space(gaussians, {})
     capture = load_capture(six / "data")
-    config = MotionConfig(components=1, iterations=10, tolerance=1e-6, neighbours=neighbours)
+    config = MotionConfig(components=1, iterations=10, tolerance=1e-6, smoothness_weight=weight)
     return run, train_motion(run, capture, load_images(capture), config).displacement
-
-
-def test_a_run_killed_in_the_second_turn_goes_on_with_the_same_edges(
-    six: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    expected = trained(six, tmp_path / "whole", 300.0)[1]
-    monkeypatch.setattr(stage, "CHECKPOINT_EVERY_S", -1.0)
-    with monkeypatch.context() as patch:
-        patch.setattr(
-            stage, "progress", killed_after(3 + 3 + 4)
-        )  # the first turns of both halves are three each
-        with pytest.raises(Killed):
-            trained(six, tmp_path / "killed", 300.0)
-    checkpoint = Run.open(tmp_path / "killed").load_checkpoint("motion")
-    assert checkpoint is not None
-    tensors, state = checkpoint
-    assert state["turn"] == 1
-    assert tensors["strain"].max() > 0
-    assert not tensors["fields"].numel()  # nobody asks for them any more
-    assert np.array_equal(trained(six, tmp_path / "killed", 300.0)[1], expected)
 
 
 def test_what_stands_still_is_given_less_of_its_neighbours_motion(
     six: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run, _ = trained(six, tmp_path / "joints", 3_000.0)
+    run, _ = trained(six, tmp_path / "reweighted", 3_000.0)
     monkeypatch.setattr(edge_reweighting, "_SCALE", 1e9)  # nothing is ever strained
     other, _ = trained(six, tmp_path / "none", 3_000.0)
     capture = load_capture(six / "data")
     weights = blending_weights(run.load_space(), capture)
     truth = load_truth(six / "data", capture.fps, capture.n_timesteps)
     exact = exact_motion(truth, run.load_space().means.numpy())
-    with_joints, without = (
+    reweighted, without = (
         displacement_figures(m.selected(m.freqs_hz > 0), exact, weights)
         for m in map(Run.load_motion, (run, other))
     )
-    assert with_joints["static_leak"] < 0.9 * without["static_leak"]
-    assert with_joints["relative_error"] < without["relative_error"]
-
-
-def test_where_the_prior_is_loose_already_no_edge_is_loosened(
-    six: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    calls: list[int] = []
-    real = fitting.reweight_edges
-
-    def counted(g: Graph, of_edges: np.ndarray) -> Graph:
-        calls.append(len(of_edges))
-        return real(g, of_edges)
-
-    monkeypatch.setattr(fitting, "reweight_edges", counted)
-    trained(six, tmp_path / "loose", CANDIDATES[0])
-    assert not calls
-    trained(six, tmp_path / "stiff", CANDIDATES[1])
-    assert len(calls) == 1
+    assert reweighted["static_leak"] < 0.9 * without["static_leak"]
+    assert reweighted["relative_error"] < without["relative_error"]

@@ -17,7 +17,7 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.magnify.linear import series_modes
 from tg4mm.motion import ModalMotion, MotionConfig
 from tg4mm.motion.animate import animate, displacement_at
-from tg4mm.motion.train import train_motion
+from tg4mm.motion.stage import train_motion
 from tg4mm.rasterize import rasterization
 from tg4mm.runs import Run
 
@@ -94,7 +94,7 @@ def series(motion: ModalMotion) -> np.ndarray:
 def by_bins(motion: ModalMotion) -> ModalMotion:
     """The same motion, as the bins of a Fourier transform."""
     freqs, values = series_modes(series(motion), FPS)
-    return replace(motion, freqs_hz=freqs, displacement=values, rotation=0 * values, light=None)
+    return replace(motion, freqs_hz=freqs, displacement=values, rotation=0 * values, appearance=None)
 
 
 def rms(values: np.ndarray) -> float:

@@ -1,111 +1,172 @@
-"""Conjugate gradients: they solve, they stop, and they go on where they were."""
+"""Conjugate gradients: they solve, they stop where they should, and systems are each by itself or coupled."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
 import numpy as np
 import pytest
+import torch
 
-from tg4mm.motion.solver.pcg import CGState, start, step, step_all
+from tg4mm.motion.solver.operator import Array
+from tg4mm.motion.solver.pcg import Solution, fetched, pcg, sent
 
 
-def system(n: int = 12, dtype: type = np.float64, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """A symmetric positive matrix of condition 50 and a right-hand side [n, 3]."""
-    rng = np.random.default_rng(seed)
+@dataclass
+class Matrix:
+    """A symmetric positive matrix, on each of R systems of [n, 3], or with `couple` [R, R] between them."""
+
+    A: Array
+    couple: np.ndarray | None = None
+    asked: list[int] = field(default_factory=list)  # rows of each call
+
+    @property
+    def is_coupled(self) -> bool:
+        return self.couple is not None
+
+    def products(self, theta: Array, rows: Sequence[int] | None = None) -> Array:
+        some = theta if rows is None else theta[list(rows)]
+        self.asked.append(len(some))
+        if self.couple is None:
+            return self.A @ some
+        return np.einsum("rs,snc->rnc", self.couple, self.A @ some).astype(theta.dtype)
+
+
+def system(n: int = 12, dtype: type = np.float64, systems: int = 1) -> tuple[Matrix, np.ndarray]:
+    """Of condition 50, and right-hand sides [R, n, 3]."""
+    rng = np.random.default_rng(0)
     q, _ = np.linalg.qr(rng.normal(size=(n, n)))
     A = (q * np.linspace(1, 50, n)) @ q.T
-    return A.astype(dtype), rng.normal(size=(n, 3)).astype(dtype)
+    return Matrix(A.astype(dtype)), rng.normal(size=(systems, n, 3)).astype(dtype)
 
 
-def solved(A: np.ndarray, b: np.ndarray, steps: int) -> CGState:
-    state = start(b)
-    for _ in range(steps):
-        state = step(state, lambda x: A @ x)
-    return state
+def exact(matrix: Matrix, b: np.ndarray) -> np.ndarray:
+    A = np.asarray(matrix.A, float)
+    whole = np.kron(np.eye(len(b)) if matrix.couple is None else matrix.couple, A)
+    return np.linalg.solve(whole, b.reshape(-1, 3).astype(float)).reshape(b.shape)
 
 
-@pytest.mark.parametrize(("dtype", "tolerance"), [(np.float64, 1e-10), (np.float32, 2e-4)])
+@pytest.mark.parametrize(("dtype", "tolerance"), [(np.float64, 1e-6), (np.float32, 2e-4)])
 def test_a_random_system_is_solved(dtype: type, tolerance: float) -> None:
-    A, b = system(dtype=dtype)
-    state = solved(A, b, 40)
-    exact = np.linalg.solve(A.astype(float), b.astype(float))
-    assert np.abs(state.x - exact).max() < tolerance
-    assert state.relative_residual < tolerance
-    assert state.x.dtype == state.residual.dtype == state.direction.dtype == dtype
-    assert np.abs(solved(A, b, 3).x - exact).max() > 10 * tolerance
+    matrix, b = system(dtype=dtype)
+    found = pcg(matrix, b, 40, 0.0)
+    assert np.abs(found.theta - exact(matrix, b)).max() < tolerance
+    assert found.relative_residual < tolerance
+    assert found.theta.dtype == found.residual.dtype == dtype
+    assert np.abs(pcg(matrix, b, 3, 0.0).theta - exact(matrix, b)).max() > 10 * tolerance
 
 
-def test_the_unknowns_are_one_vector_whatever_their_shape() -> None:
-    """Three right-hand sides side by side are one problem of 36 unknowns: exact after 36 steps, all but rounding."""
-    A, b = system()
-    state = solved(np.kron(A, np.eye(3)), b.reshape(-1, 1), 25)
-    np.testing.assert_allclose(solved(A, b, 25).x.reshape(-1, 1), state.x, rtol=1e-6, atol=1e-9)
+def test_coupled_systems_are_solved_as_one() -> None:
+    matrix, b = system(systems=3)
+    matrix.couple = np.array([[2.0, 0.5, 0], [0.5, 1, -0.3], [0, -0.3, 3]])
+    found = pcg(matrix, b, 108, 1e-9)
+    np.testing.assert_allclose(found.theta, exact(matrix, b), atol=1e-5)
+    assert found.norms.shape == (1,)
+    assert found.norms[0] == pytest.approx((b**2).sum())
 
 
-def test_the_residual_is_b_minus_a_x() -> None:
-    A, b = system()
-    state = solved(A, b, 5)
-    np.testing.assert_allclose(state.residual, b - A @ state.x, atol=1e-12)
-    expected = np.linalg.norm(b - A @ state.x) / np.linalg.norm(b)
-    assert state.relative_residual == pytest.approx(expected, rel=1e-10)
-    assert state.iteration == 5
+def test_groups_are_each_a_system_as_they_would_be_alone() -> None:
+    """Two of two parts each; the one that asks for less ends first."""
+    matrix, b = system(systems=4)
+    b[:2] = np.linalg.eigh(matrix.A)[1][:, :1]  # an eigenvector: solved by one iteration
+    found = pcg(matrix, b, 30, 1e-6, together=2)
+    assert found.norms.shape == (2,)
+    assert matrix.asked[0] == 4
+    assert matrix.asked[-1] == 2
+    np.testing.assert_allclose(found.theta, exact(matrix, b), atol=1e-4)
+    one = pcg(matrix, b[2:], 5, 0.0, together=2).theta
+    np.testing.assert_array_equal(pcg(matrix, b, 5, 0.0, together=2).theta[2:], one)
+    assert np.abs(one - pcg(matrix, b[2:], 5, 0.0).theta).max() > 1e-6  # not one by one
 
 
-def test_directions_are_conjugate_and_the_energy_falls() -> None:
-    A, b = system()
-    state, directions, energies = start(b), [], []
-    for _ in range(8):
-        directions.append(state.direction)
-        state = step(state, lambda x: A @ x)
-        energies.append(float((state.x * (A @ state.x)).sum() / 2 - (state.x * b).sum()))
-    gram = np.array([[(p * (A @ q)).sum() for q in directions] for p in directions])
-    scale = np.sqrt(np.outer(np.diag(gram), np.diag(gram)))
-    assert np.abs(gram / scale - np.eye(8)).max() < 1e-8
+def test_the_residual_is_b_less_the_product() -> None:
+    matrix, b = system(systems=2)
+    found = pcg(matrix, b, 5, 0.0)
+    left = b - matrix.A @ found.theta
+    np.testing.assert_allclose(found.residual, left, atol=1e-12)
+    each = np.linalg.norm(left, axis=(1, 2)) / np.linalg.norm(b, axis=(1, 2))
+    assert found.relative_residual == pytest.approx(each.max(), rel=1e-10)
+    assert found.iterations == 5
+
+
+def test_the_energy_falls_with_each_iteration() -> None:
+    matrix, b = system()
+    energies = []
+    for count in range(1, 9):
+        x = pcg(matrix, b, count, 0.0).theta
+        energies.append(float((x * (matrix.A @ x)).sum() / 2 - (x * b).sum()))
     assert (np.diff(energies) < 0).all()
+    best = exact(matrix, b)
+    assert energies[-1] > float((best * (matrix.A @ best)).sum() / 2 - (best * b).sum())
 
 
-def test_it_resumes_to_the_bit() -> None:
-    A, b = system(dtype=np.float32)
-    state = solved(A, b, 4)
-    copy = CGState(
-        state.x.copy(), state.residual.copy(), state.direction.copy(), state.initial, state.iteration
-    )
-    for _ in range(5):
-        copy = step(copy, lambda x: A @ x)
-    expected = solved(A, b, 9)
-    for name in ("x", "residual", "direction"):
-        np.testing.assert_array_equal(getattr(copy, name), getattr(expected, name))
-    assert copy.iteration == 9
+def test_each_iteration_is_the_best_in_its_krylov_space() -> None:
+    """Directions are conjugate: the answer after k is the minimum over span(b, A b, … Aᵏ⁻¹ b)."""
+    matrix, b = system()
+    A, k = np.kron(matrix.A, np.eye(3)), 5
+    krylov = np.linalg.qr(np.stack([np.linalg.matrix_power(A, i) @ b.ravel() for i in range(k)], 1))[0]
+    best = krylov @ np.linalg.solve(krylov.T @ A @ krylov, krylov.T @ b.ravel())
+    np.testing.assert_allclose(pcg(matrix, b, k, 0.0).theta.ravel(), best, atol=1e-8)
 
 
-def test_several_systems_step_as_they_would_alone() -> None:
-    """To the bit; an exact one is left out of what the operator is asked."""
-    A, b = system(dtype=np.float32)
-    states, asked = [start(b), start(np.zeros_like(b)), start(2 * b[::-1].copy())], []
+def test_several_systems_are_solved_as_they_would_be_alone() -> None:
+    """To the bit; one that asks nothing is left out of what the operator is asked."""
+    matrix, b = system(dtype=np.float32, systems=3)
+    b[1] = 0
+    together = pcg(matrix, b, 4, 0.0)
+    assert matrix.asked == [2] * 4
+    for r in range(3):
+        np.testing.assert_array_equal(together.theta[r], pcg(matrix, b[r : r + 1], 4, 0.0).theta[0])
+    assert not together.theta[1].any()
 
-    def operator(directions):
-        asked.append(len(directions))
-        return [A @ d for d in directions]
 
-    for _ in range(4):
-        states = step_all(states, operator)
-    assert asked == [2] * 4
-    for state, alone in zip(
-        states, (solved(A, b, 4), start(0 * b), solved(A, 2 * b[::-1].copy(), 4)), strict=True
-    ):
-        np.testing.assert_array_equal(state.x, alone.x)
-        assert state.iteration == alone.iteration
+def test_a_system_that_has_reached_the_tolerance_goes_no_further() -> None:
+    matrix, b = system(n=60, systems=2)
+    b[0] = np.linalg.eigh(matrix.A)[1][:, :1]  # an eigenvector: solved by one iteration
+    found = pcg(matrix, b, 30, 1e-3)
+    assert matrix.asked[0] == 2
+    assert matrix.asked[1:] == [1] * (found.iterations - 1)
+    assert 1e-4 < found.relative_residual < 1e-3
+    assert found.iterations < 30
+
+
+def test_the_tolerance_is_measured_against_the_norms_given() -> None:
+    """A second pass begins with a small residual: of what was asked first it is little."""
+    matrix, b = system()
+    assert pcg(matrix, b, 30, 0.1, norms=100.0 * (b**2).sum((1, 2))).iterations == 0
+    assert pcg(matrix, b, 30, 0.1).iterations > 0
 
 
 def test_nothing_asked_is_solved_at_once() -> None:
-    state = start(np.zeros((4, 3), np.float32))
-    assert state.relative_residual == 0
-    assert step(state, lambda x: 1 / x) is state
+    matrix, b = system(dtype=np.float32)
+    found = pcg(matrix, 0 * b, 10, 1e-6)
+    assert (found.iterations, found.relative_residual) == (0, 0)
+    assert not matrix.asked
 
 
-def test_states_are_not_changed_by_a_step() -> None:
-    A, b = system()
-    state = solved(A, b, 2)
-    before = state.x.copy(), state.residual.copy(), b.copy()
-    step(state, lambda x: A @ x)
-    for was, now in zip(before, (state.x, state.residual, b), strict=True):
-        np.testing.assert_array_equal(was, now)
+def test_what_it_is_given_stays_as_it_is() -> None:
+    matrix, b = system()
+    before = b.copy()
+    pcg(matrix, b, 5, 0.0)
+    np.testing.assert_array_equal(b, before)
+
+
+def test_it_tells_iterations_and_the_largest_residual() -> None:
+    matrix, b = system(systems=2)
+    told: list[tuple[int, float]] = []
+    found = pcg(matrix, b, 6, 0.0, update=lambda *args: told.append(args))
+    assert [done for done, _ in told] == [1, 2, 3, 4, 5, 6]
+    assert told[-1][1] == pytest.approx(found.relative_residual)
+
+
+def test_tensors_are_solved_as_arrays_are() -> None:
+    matrix, b = system(dtype=np.float32, systems=2)
+    there = Matrix(torch.from_numpy(matrix.A))
+    a: Solution = pcg(matrix, b, 6, 0.0)
+    t: Solution = pcg(there, torch.from_numpy(b), 6, 0.0)
+    assert isinstance(t.theta, torch.Tensor)
+    np.testing.assert_allclose(t.theta.numpy(), a.theta, atol=1e-5)
+    assert t.relative_residual == pytest.approx(a.relative_residual, rel=1e-3)
+    np.testing.assert_array_equal(fetched(t.theta), t.theta.numpy())
+    assert sent(b, "cpu") is b

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
+from tests.motion.test_temporal import components
 from tests.space.scenes import capture_of
-from tg4mm.motion.pictures.differences import TemporalComponents, pixel_noise, temporal_components
-from tg4mm.motion.pictures.video import fixed_cameras
+from tg4mm.motion.observations import observe
+from tg4mm.motion.temporal import TargetImages, pixel_noise
 
 SIZE, VIEWS = 40, 3
 EVENED = 4 * np.pi * 1.5**2  # independent pixels in a Gaussian mean of 1.5 px
@@ -23,7 +24,7 @@ def deviation() -> np.ndarray:
     return 0.005 + 0.035 * np.stack([wave, wave[::-1, :] ** 2, 1 - wave])
 
 
-def noisy(states: np.ndarray, seed: int = 0, motion: float = 0.0) -> TemporalComponents:
+def noisy(states: np.ndarray, seed: int = 0, motion: float = 0.0) -> TargetImages:
     """Components of pictures of 16 bits: grey, noise of known deviation per state, a pattern that swings."""
     rng = np.random.default_rng(seed)
     n_timesteps = len(states)
@@ -37,7 +38,7 @@ def noisy(states: np.ndarray, seed: int = 0, motion: float = 0.0) -> TemporalCom
     capture, images = capture_of(ids, sorted(list(range(n_timesteps)) * VIEWS), data)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return temporal_components(images, fixed_cameras(capture), 16)
+        return components(observe(capture, images), 16)
 
 
 def check(found: np.ndarray, freedom: int, frames_per_state: float, biased: float = 0.0) -> None:
@@ -57,59 +58,59 @@ def check(found: np.ndarray, freedom: int, frames_per_state: float, biased: floa
 class TestNoiseOfKnownVariance:
     def test_thirty_timesteps(self) -> None:
         """One component is kept of noise, and named noise: all 29 degrees of freedom count."""
-        components = noisy(np.arange(30))
-        assert components.rank == 29
-        check(pixel_noise(components, np.full(len(components.basis), True)), 29, 1)
+        found = noisy(np.arange(30))
+        assert found.rank == 29
+        check(pixel_noise(found, np.full(len(found.basis), True)), 29, 1)
 
     def test_beside_motion_what_is_left_tells(self) -> None:
         """A component of motion, eight times the noise, is kept and not named noise: 28 are left."""
-        components = noisy(np.arange(30), motion=0.08)
-        assert len(components.basis) == 1
-        found = pixel_noise(components, np.array([False]))
-        check(found, 28, 1)
-        assert pixel_noise(components, np.array([True])).mean() > 3 * found.mean()
+        found = noisy(np.arange(30), motion=0.08)
+        assert len(found.basis) == 1
+        variance = pixel_noise(found, np.array([False]))
+        check(variance, 28, 1)
+        assert pixel_noise(found, np.array([True])).mean() > 3 * variance.mean()
 
     def test_repeated_states(self) -> None:
         """Four pictures, each seen twice in eight timesteps: rank three, noise twice as strong in each."""
-        components = noisy(np.array([0, 1, 2, 3, 0, 1, 2, 3]))
-        assert components.rank == 3
-        assert len(components.basis) == 3
-        check(pixel_noise(components, np.full(3, True)), 3, 2)
+        found = noisy(np.array([0, 1, 2, 3, 0, 1, 2, 3]))
+        assert found.rank == 3
+        assert len(found.basis) == 3
+        check(pixel_noise(found, np.full(3, True)), 3, 2)
 
     def test_part_of_the_kept_ones(self) -> None:
         """Two of three equal components of noise: as much, but for the strongest which is left out (a few percent)."""
-        components = noisy(np.array([0, 1, 2, 3, 0, 1, 2, 3]))
-        check(pixel_noise(components, np.array([False, True, True])), 2, 2, biased=0.05)
+        found = noisy(np.array([0, 1, 2, 3, 0, 1, 2, 3]))
+        check(pixel_noise(found, np.array([False, True, True])), 2, 2, biased=0.05)
 
     def test_eight_timesteps_without_repeats(self) -> None:
-        components = noisy(np.arange(8))
-        check(pixel_noise(components, np.full(len(components.basis), True)), 7, 1)
+        found = noisy(np.arange(8))
+        check(pixel_noise(found, np.full(len(found.basis), True)), 7, 1)
 
 
 class TestExactly:
     def test_nothing_named_and_nothing_left_is_zero(self) -> None:
-        components = noisy(np.array([0, 1, 2, 3, 0, 1, 2, 3]))
-        found = pixel_noise(components, np.full(3, False))
-        assert found.shape == (VIEWS, SIZE, SIZE)
-        assert not found.any()
+        found = noisy(np.array([0, 1, 2, 3, 0, 1, 2, 3]))
+        variance = pixel_noise(found, np.full(3, False))
+        assert variance.shape == (VIEWS, SIZE, SIZE)
+        assert not variance.any()
 
     def test_energy_is_divided_among_kept_and_left_out(self) -> None:
         """Made up: residual 6 of rank 5 with two kept, the second of energy 2 in one pixel, before evening out."""
         images = np.zeros((1, 2, 9, 9, 3), np.float32)
         images[0, 1] = np.sqrt(2.0)
         images[0, 0] = 100.0
-        components = TemporalComponents(
+        targets = TargetImages(
             np.zeros((2, 8)), np.zeros(8), images, np.full((1, 9, 9), 6.0, np.float32), 5, images[:, 0]
         )
         np.testing.assert_allclose(
-            pixel_noise(components, np.array([False, True])), (6 + 2) / (3 + 1), rtol=1e-5
+            pixel_noise(targets, np.array([False, True])), (6 + 2) / (3 + 1), rtol=1e-5
         )
-        np.testing.assert_allclose(pixel_noise(components, np.array([False, False])), 6 / 3, rtol=1e-5)
+        np.testing.assert_allclose(pixel_noise(targets, np.array([False, False])), 6 / 3, rtol=1e-5)
 
     def test_it_is_evened_out_by_a_pixel_and_a_half(self) -> None:
         residual = np.zeros((1, 21, 21), np.float32)
         residual[0, 10, 10] = 1
-        components = TemporalComponents(
+        targets = TargetImages(
             np.zeros((1, 8)),
             np.zeros(8),
             np.zeros((1, 1, 21, 21, 3), np.float32),
@@ -117,12 +118,12 @@ class TestExactly:
             2,
             np.zeros((1, 21, 21, 3), np.float32),
         )
-        found = pixel_noise(components, np.array([False]))[0]
+        found = pixel_noise(targets, np.array([False]))[0]
         assert found.sum() == pytest.approx(1, rel=1e-3)
         y = np.arange(21) - 10
         assert (found.sum(1) * y**2).sum() == pytest.approx(1.5**2, rel=0.02)
 
     def test_another_number_of_components_is_refused(self) -> None:
-        components = noisy(np.array([0, 1, 2, 3, 0, 1, 2, 3]))
+        found = noisy(np.array([0, 1, 2, 3, 0, 1, 2, 3]))
         with pytest.raises(ValueError, match=r"is_noise has shape \(2,\), expected \(3,\)"):
-            pixel_noise(components, np.full(2, True))
+            pixel_noise(found, np.full(2, True))

@@ -10,46 +10,43 @@ import torch
 from numba import config, get_num_threads, set_num_threads
 from scipy.sparse import bsr_matrix
 
-from tests.motion.test_problem import problem
-from tests.motion.test_view_jacobian import SCENES, gaussians_of, view_of
+from tests.motion.scenes import SCENES, gaussians_of, inner, operator, problem, view_of
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.jacobian.packed import DOF
-from tg4mm.motion.posing.pose import Problems
 from tg4mm.motion.prior.graph import ROWS, build_graph
+from tg4mm.motion.problem import Problem
 from tg4mm.motion.solver import aggregates as module
 from tg4mm.motion.solver import preconditioner as preconditioner_module
 from tg4mm.motion.solver.aggregates import Aggregates, aggregate
-from tg4mm.motion.solver.device import DeviceProblem
-from tg4mm.motion.solver.pcg import CGState, start, step
+from tg4mm.motion.solver.cpu import CpuOperator
+from tg4mm.motion.solver.pcg import pcg
 from tg4mm.motion.solver.preconditioner import DiagonalEstimate, TwoLevelPreconditioner, information, probe
-from tg4mm.motion.solver.problem import MotionProblem
 
 
-def plain(p: MotionProblem) -> MotionProblem:
+def plain(o: CpuOperator) -> CpuOperator:
     """The same problem with the field itself as unknowns: no scaling, and aggregates that hold nothing."""
-    n = p.graph.n_gaussians
+    n = o.graph.n_gaussians
     blocks = np.tile(np.eye(ROWS, dtype=np.float32), (n, 1, 1))
     nothing = bsr_matrix((ROWS * n, ROWS), blocksize=(ROWS, ROWS), dtype=np.float32)
-    aggregates = Aggregates(p.graph, nothing, np.zeros_like(blocks))
-    return replace(p, levels=TwoLevelPreconditioner(blocks, aggregates, np.eye(ROWS, dtype=np.float32)))
+    aggregates = Aggregates(o.graph, nothing, np.zeros_like(blocks))
+    return replace(
+        o, preconditioner=TwoLevelPreconditioner(blocks, aggregates, np.eye(ROWS, dtype=np.float32))
+    )
 
 
-def pictures(p: MotionProblem) -> np.ndarray:
-    height, width = p.views[0].transmittance.shape
-    return np.random.default_rng(3).normal(size=(len(p.views), height, width, 3)).astype(np.float32)
-
-
-def solved(p: MotionProblem, steps: int) -> CGState:
-    state = start(p.right_hand_side(pictures(p)))
-    for _ in range(steps):
-        state = step(state, p.normal)
-    return state
+def solved(o: CpuOperator, iterations: int) -> np.ndarray:
+    """[N, 6]."""
+    shape = (1, *o.views[0].transmittance.shape, 3)
+    rng = np.random.default_rng(3)
+    pictures = [rng.normal(size=shape).astype(np.float32) for _ in o.views]
+    (field,) = o.fields(pcg(o, o.right_hand_sides(pictures), iterations, 0.0).theta)
+    return field
 
 
 def test_the_information_is_the_diagonal_of_the_data() -> None:
     """Against single motions of every Gaussian; mean over x, y, z."""
     p = problem()
-    n = p.graph.n_gaussians
+    n = p.n_gaussians
     exact = np.zeros((n, DOF))
     for i in range(n):
         for k in range(DOF):
@@ -63,12 +60,12 @@ def test_the_information_is_the_diagonal_of_the_data() -> None:
     assert found[:, 0].mean() == pytest.approx(exact[:, :3].mean(), rel=0.03)
 
 
-def test_groups_count_by_what_is_seen_of_them_together() -> None:
+def test_aggregates_count_by_what_is_seen_of_them_together() -> None:
     """Against fields of single aggregates: more than the sum over their Gaussians, halfway to the median, twice."""
     scene = SCENES["crowded"]
     gaussians, views = gaussians_of(scene), [view_of(scene)]
-    posing = Problems(views, gaussians, MotionConfig(), "cpu")
-    n, aggregates = len(gaussians), posing.groups
+    whole = Problem.of(views, gaussians, MotionConfig(), "cpu")
+    n, aggregates = len(gaussians), whole.aggregates
     estimate = DiagonalEstimate.of(aggregates, probe(views, n, np.random.default_rng(0), probes=2000))
     fields = aggregates.matrix.toarray().T.astype(np.float32)  # [4G, 4N]
     exact = np.zeros(len(fields))
@@ -76,7 +73,7 @@ def test_groups_count_by_what_is_seen_of_them_together() -> None:
         for axis in range(3):
             x = np.zeros((len(field), 3), np.float32)
             x[:, axis] = field
-            exact[k] += sum(float((view.jvp(posing.graph.motion(x)[None]) ** 2).sum()) for view in views) / 3
+            exact[k] += sum(float((view.jvp(whole.graph.motion(x)[None]) ** 2).sum()) for view in views) / 3
     factor = exact / (fields.astype(float) ** 2 @ estimate.diagonal)
     assert np.median(factor) > 1.05
     expected = fields.astype(float) * estimate.diagonal @ fields.T.astype(float)
@@ -94,28 +91,28 @@ def test_the_inverse_by_halves_is_the_inverse(n: int) -> None:
 
 
 def test_from_field_is_the_transpose() -> None:
-    p, rng = problem(), np.random.default_rng(1)
-    theta = rng.normal(size=(p.n_parameters, 3)).astype(np.float32)
-    v = rng.normal(size=(ROWS * p.graph.n_gaussians, 3)).astype(np.float32)
-    one = (p.levels.field(theta).astype(float) * v).sum()
-    other = (p.levels.from_field(v).astype(float) * theta).sum()
-    assert abs(one - other) < 1e-5 * np.linalg.norm(p.levels.field(theta)) * np.linalg.norm(v)
+    pre, rng = operator(problem()).preconditioner, np.random.default_rng(1)
+    theta = rng.normal(size=(pre.n_parameters, 3)).astype(np.float32)
+    v = rng.normal(size=(len(pre.blocks) * ROWS, 3)).astype(np.float32)
+    one, other = inner(pre.field(theta), v), inner(pre.from_field(v), theta)
+    assert abs(one - other) < 1e-5 * np.linalg.norm(pre.field(theta)) * np.linalg.norm(v)
 
 
 def test_the_minimum_stays_the_same_field() -> None:
-    one, same = (p.field(solved(p, steps).x) for p, steps in ((plain(problem()), 3000), (problem(), 100)))
+    o = operator(problem())
+    one, same = solved(plain(o), 3000), solved(o, 100)
     assert np.abs(one).max() > 0
     np.testing.assert_allclose(one, same, atol=2e-2 * np.abs(one).max())
 
 
-def test_it_is_reached_in_fewer_steps() -> None:
-    far, end = [], problem().field(solved(problem(), 100).x)
-    for p in (plain(problem()), problem()):
-        far.append(np.linalg.norm(p.field(solved(p, 20).x) - end))
+def test_it_is_reached_in_fewer_iterations() -> None:
+    o = operator(problem())
+    end = solved(o, 100)
+    far = [np.linalg.norm(solved(some, 20) - end) for some in (plain(o), o)]
     assert far[1] < 0.3 * far[0]
 
 
-def test_groups_hold_every_gaussian_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_aggregates_hold_every_gaussian_once(monkeypatch: pytest.MonkeyPatch) -> None:
     means = np.random.default_rng(0).normal(size=(1000, 3))
     parts = module._split(means)
     assert sorted(np.concatenate(parts)) == list(range(1000))
@@ -126,7 +123,7 @@ def test_groups_hold_every_gaussian_once(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_groups_move_linearly_in_space() -> None:
-    """Fields of aggregates cost the prior nothing inside a group."""
+    """Fields of aggregates cost the prior nothing inside one."""
     p = problem()
     means = np.random.default_rng(0).normal(size=(p.graph.n_gaussians, 3))
     between = module._tentative(means, 0.5)
@@ -146,7 +143,7 @@ def cloud(monkeypatch: pytest.MonkeyPatch) -> Aggregates:
     return aggregate(around, means)
 
 
-def test_fields_of_groups_without_the_matrix_are_those_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fields_of_aggregates_without_the_matrix_are_those_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """And its transpose."""
     aggregates, rng = cloud(monkeypatch), np.random.default_rng(1)
     coarse = rng.normal(size=(ROWS * aggregates.count, 3)).astype(np.float32)
@@ -181,11 +178,3 @@ def test_threads_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
         found.append(aggregates.field(aggregates.from_field(v)))
     set_num_threads(before)
     assert np.array_equal(*found)
-
-
-def test_a_torch_device_poses_the_same_problem() -> None:
-    p = problem(ridge=5.0)
-    theta = np.random.default_rng(1).normal(size=(p.n_parameters, 3)).astype(np.float32)
-    expected = p.normal(theta)
-    found = DeviceProblem(p, "cpu").normal(torch.from_numpy(theta)).numpy()
-    np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tg4mm.capture import ImageStack
-from tg4mm.motion.pictures.states import MOST, most_states, state_pictures, states_of
-from tg4mm.motion.pictures.video import FixedCamera
+from tests.space.scenes import capture_of
+from tg4mm.motion.observations import observe
+from tg4mm.motion.states import MOST, most_states, state_pictures, states_of
 
 T = 30
 
@@ -38,7 +38,7 @@ def test_gains_are_the_mean_of_the_timesteps_and_add_up_to_nothing() -> None:
 
 
 def test_products_of_all_states_are_those_of_all_timesteps() -> None:
-    """The identity, too, of a tone that no state shows."""
+    """The identity, too, of a sinusoid that no state shows."""
     basis = np.concatenate([_basis(5), _basis(3)]) * np.sqrt(2 / T)
     states = states_of(basis, np.array([8.0, 8.0, 0.12, 0.12]))
     assert len(states.gains) == 6
@@ -51,9 +51,9 @@ def test_pictures_are_the_mean_of_their_timesteps() -> None:
     rng = np.random.default_rng(0)
     data = rng.integers(0, 256, (T, 5, 4, 4), np.uint8)
     data[..., 3] = 255
-    camera = FixedCamera(np.eye(4, dtype=np.float32), np.eye(3, dtype=np.float32), np.arange(T))
+    capture, images = capture_of([0] * T, list(range(T)), data)
     states = states_of(_basis(5), np.array([10.0, 10.0]))
-    found = state_pictures(ImageStack(data), [camera], states)
+    found = state_pictures(observe(capture, images), states)
     assert found.shape == (1, 6, 5, 4, 3)
     for k in range(6):
         np.testing.assert_allclose(found[0, k], data[states.of == k, ..., :3].mean(0) / 255, atol=1e-5)

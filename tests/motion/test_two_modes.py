@@ -1,4 +1,4 @@
-"""A mode of hundredths of a pixel beside one of two pixels: rounds for the large one do not cost the small one."""
+"""A mode of hundredths of a pixel beside one of two pixels: iterations for the large one do not cost the small one."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ import pytest
 from tests import synthetic
 from tg4mm.capture import load_capture, load_images
 from tg4mm.motion import ModalMotion, MotionConfig
-from tg4mm.motion.train import train_motion
+from tg4mm.motion.stage import train_motion
 from tg4mm.runs import Run
 
 LARGE_HZ, SMALL_HZ = 5.0, 3.0  # the post, two and a half pixels at its tip; the ball, a twenty-fifth
-CONFIG = MotionConfig(components=8, neighbours=30.0)
+CONFIG = MotionConfig(components=8, smoothness_weight=30.0)
 
 
 def _made(root: Path) -> tuple[Run, ModalMotion]:
@@ -48,22 +48,22 @@ def _error(found: ModalMotion, true: ModalMotion, k: int) -> float:
 
 @pytest.fixture(scope="module")
 def errors(tmp_path_factory: pytest.TempPathFactory) -> list[list[float]]:
-    """Of the large mode and the small one, in the linear fit and after three rounds."""
+    """Of the large mode and the small one, in the linear fit and after three Gauss-Newton iterations."""
     root = tmp_path_factory.mktemp("two")
     run, true = _made(root)
     capture = load_capture(root / "data")
     images = load_images(capture)
     out = []
-    for rounds in (0, 3):
-        shutil.copytree(run.path, root / f"{rounds}")
-        copy = Run.open(root / f"{rounds}")
-        found = train_motion(copy, capture, images, replace(CONFIG, rounds=rounds))
-        assert copy.log()["motion"]["rounds"] == rounds
+    for count in (0, 3):
+        shutil.copytree(run.path, root / f"{count}")
+        copy = Run.open(root / f"{count}")
+        found = train_motion(copy, capture, images, replace(CONFIG, gauss_newton=count))
+        assert copy.log()["motion"]["gauss_newton"] == count
         out.append([_error(found, true, k) for k in range(2)])
     return out
 
 
-def test_rounds_find_the_large_mode(errors: list[list[float]]) -> None:
+def test_the_large_mode_is_found(errors: list[list[float]]) -> None:
     linear, after = (e[0] for e in errors)
     assert linear > 0.4
     assert after < 0.15

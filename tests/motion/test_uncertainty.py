@@ -1,7 +1,8 @@
-"""What all cameras get wrong alike: what is left of the pictures as a displacement, what motion varies by around."""
+"""How uncertain the motion is: noise by two halves, and what is left of the pictures and varies among neighbours."""
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -9,20 +10,20 @@ import numpy as np
 import pytest
 
 from tests.synthetic import make_synthetic_dataset
-from tg4mm.capture import Capture, load_capture, load_images
+from tg4mm.capture import Capture, ImageStack, load_capture, load_images
 from tg4mm.evaluate.displacement import mean_squares
 from tg4mm.evaluate.uncertainty import uncertainty_figures
 from tg4mm.evaluate.weights import blending_weights
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion import ModalMotion, MotionConfig
-from tg4mm.motion.certainty import alike
-from tg4mm.motion.certainty.alike import BLOCK, displacement_left, variation
+from tg4mm.motion import uncertainty as module
 from tg4mm.motion.jacobian.colour import blend_sum
 from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.jacobian.view import ViewJacobian, view_jacobian
-from tg4mm.motion.pictures.video import FixedCamera, fixed_cameras
+from tg4mm.motion.observations import PosedFrames, fixed_cameras
 from tg4mm.motion.prior.graph import nearest
-from tg4mm.motion.train import train_motion
+from tg4mm.motion.stage import train_motion
+from tg4mm.motion.uncertainty import BLOCK, displacement_left, variation
 from tg4mm.runs import UNCERTAINTY, Run
 
 SIZE = 4 * BLOCK * 3 + 2  # the last blocks are cut off
@@ -33,15 +34,15 @@ class Seen:
     capture: Capture
     gaussians: Gaussians
     motion: ModalMotion
-    cameras: list[FixedCamera]
+    cameras: list[PosedFrames]
     views: list[ViewJacobian]
 
     @property
-    def around(self) -> np.ndarray:
+    def knn(self) -> np.ndarray:
         return nearest(self.gaussians.means.numpy())[1]
 
     def left(self, left: list[np.ndarray]) -> np.ndarray:
-        return displacement_left(left, self.views, self.cameras, self.gaussians.means.numpy(), self.around)
+        return displacement_left(left, self.views, self.cameras, self.gaussians.means.numpy(), self.knn)
 
     def shows(self, displacement: tuple[float, float, float]) -> list[np.ndarray]:
         """[1, H, W, 3] of each view: what it changes if everything moves."""
@@ -53,14 +54,14 @@ class Seen:
         return blending_weights(self.gaussians, self.capture)
 
 
-def _views(gaussians: Gaussians, cameras: list[FixedCamera], size: int) -> list[ViewJacobian]:
+def _views(gaussians: Gaussians, cameras: list[PosedFrames], size: int) -> list[ViewJacobian]:
     return [view_jacobian(gaussians, camera, (size, size)) for camera in cameras]
 
 
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory: pytest.TempPathFactory) -> Seen:
     """Ten cameras; the Gaussians are exact. The post sways, the ball moves, the floor stands still."""
-    root = tmp_path_factory.mktemp("alike") / "data"
+    root = tmp_path_factory.mktemp("uncertainty") / "data"
     gaussians, motion = make_synthetic_dataset(
         root, n_views=10, n_timesteps=5, size=SIZE, freqs=(6.0,), amplitude=0.01, alphas=(), n_test=0
     )
@@ -103,7 +104,7 @@ def test_on_a_ramp_it_is_what_is_left_over_its_slope(seen: Seen) -> None:
     one = replace(seen, cameras=[camera], views=[replace(view, image=image)])
     found = one.left([np.full((1, SIZE, SIZE, 3), r, np.float32)])
     depth = seen.gaussians.means.numpy() @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
-    near = np.ptp(depth[seen.around], axis=1) < 0.1 * depth  # neighbours are about as far away
+    near = np.ptp(depth[seen.knn], axis=1) < 0.1 * depth  # neighbours are about as far away
     shown = blend_sum(view, np.ones((SIZE, SIZE, 3), np.float32))[:, 0] > 0
     assert (near & shown).sum() > 100
     expected = (r / g * depth / camera.K[0, 0]) ** 2
@@ -137,17 +138,17 @@ def test_what_no_camera_sees_counts_as_the_whole_scene(seen: Seen) -> None:
 
 def test_blocks_at_the_border_are_means_of_the_pixels_they_have() -> None:
     even = np.ones((2, SIZE, SIZE + 1, 3), np.float32)
-    np.testing.assert_allclose(alike._of_blocks(even), 6.0)
+    np.testing.assert_allclose(module._of_blocks(even), 6.0)
     rng = np.random.default_rng(3)
     picture = rng.normal(size=(1, SIZE, SIZE, 3)).astype(np.float32)
     corner = picture[0, -(SIZE % BLOCK) :, -(SIZE % BLOCK) :].mean((0, 1))
-    found = alike._of_blocks(picture)
+    found = module._of_blocks(picture)
     assert found.shape == (SIZE, SIZE)
     assert found[-1, -1] == pytest.approx((corner**2).sum(), rel=1e-5)
     assert found[0, 0] == pytest.approx((picture[0, :BLOCK, :BLOCK].mean((0, 1)) ** 2).sum(), rel=1e-5)
 
 
-def test_what_is_flat_is_no_reason_for_doubt_without_bounds(seen: Seen) -> None:
+def test_what_is_flat_is_no_reason_for_uncertainty_without_bounds(seen: Seen) -> None:
     """Pictures of one colour but for twelve columns, and noise: 0.04 units at most, not 1e17. The scene is 2 wide."""
     views = []
     for view in seen.views:
@@ -164,11 +165,11 @@ def test_what_is_flat_is_no_reason_for_doubt_without_bounds(seen: Seen) -> None:
 def test_variation_is_the_variance_among_neighbours(seen: Seen) -> None:
     rng = np.random.default_rng(2)
     means = rng.random((300, 3))
-    around = nearest(means)[1]
+    knn = nearest(means)[1]
     shapes = rng.normal(size=(2, 300, 3)).astype(np.float32) + 5
-    expected = shapes.astype(np.float64)[:, around].var(2).sum((0, 2))
-    np.testing.assert_allclose(variation(shapes, around), expected, rtol=1e-6)
-    assert variation(np.full((2, 300, 3), 7.0, np.float32), around).max() < 1e-9
+    expected = shapes.astype(np.float64)[:, knn].var(2).sum((0, 2))
+    np.testing.assert_allclose(variation(shapes, knn), expected, rtol=1e-6)
+    assert variation(np.full((2, 300, 3), 7.0, np.float32), knn).max() < 1e-9
 
 
 def test_a_run_knows_how_far_off_it_is(seen: Seen, tmp_path: Path) -> None:
@@ -193,3 +194,56 @@ def test_a_run_knows_how_far_off_it_is(seen: Seen, tmp_path: Path) -> None:
     surer, others = (np.average(error[o], weights=weights[o]) for o in np.array_split(order, 2))
     assert surer < 0.25 * others
     assert log["uncertainty_to_motion"] > log["noise_to_motion"] > 0
+
+
+CONFIG = MotionConfig(components=1, iterations=15, tolerance=1e-3)
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """Six cameras; the Gaussians are exact."""
+    root = tmp_path_factory.mktemp("halves")
+    gaussians, _ = make_synthetic_dataset(
+        root / "data", n_views=6, n_timesteps=5, size=32, freqs=(6.0,), alphas=(), n_test=0
+    )
+    run = Run.create(root / "run", root / "data", "modal", {})
+    run.save_space(gaussians, {})
+    return run
+
+
+def _noisy(images: ImageStack) -> ImageStack:
+    noise = np.random.default_rng(0).normal(0, 25, images.data.shape)
+    data = np.clip(images.data + noise, 0, 255).astype(images.data.dtype)
+    data[..., 3:] = images.data[..., 3:]
+    return replace(images, data=data)
+
+
+def _trained(scene: Run, path: Path, images: ImageStack, config: MotionConfig) -> Run:
+    shutil.copytree(scene.path, path)
+    run = Run.open(path)
+    train_motion(run, load_capture(run.dataset), images, config)
+    return run
+
+
+def test_a_run_gets_its_uncertainty_which_grows_with_noise(scene: Run, tmp_path: Path) -> None:
+    images = load_images(load_capture(scene.dataset))
+    runs = [
+        _trained(scene, tmp_path / k, i, CONFIG) for k, i in (("clean", images), ("noisy", _noisy(images)))
+    ]
+    clean, noisy = (run.load_part(UNCERTAINTY)[0] for run in runs)
+    for name, times in (("noise", 1.5), ("displacement", 1.0)):
+        a, b = (part[name].numpy() for part in (clean, noisy))
+        assert a.shape == (len(scene.load_space()),)
+        assert np.isfinite(a).all()
+        assert np.linalg.norm(b) > times * np.linalg.norm(a)
+    assert (noisy["displacement"] > noisy["noise"]).all()
+    logs = [run.log()["motion"] for run in runs]
+    assert logs[1]["noise_to_motion"] > logs[0]["noise_to_motion"]
+    assert logs[1]["reliability"][0] < logs[0]["reliability"][0] <= 1
+
+
+def test_without_folds_there_is_none(scene: Run, tmp_path: Path) -> None:
+    images = load_images(load_capture(scene.dataset))
+    run = _trained(scene, tmp_path / "run", images, replace(CONFIG, split_half=False))
+    assert not run.has_part(UNCERTAINTY)
+    assert "noise_to_motion" not in run.log()["motion"]

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import torch
 
+from tests.motion.scenes import SCENES, camera_of, gaussians_of
 from tests.motion.test_animate import FREQS, gaussians, motion
-from tests.motion.test_view_jacobian import SCENES, gaussians_of
 from tests.rasterize.oracle import assert_close, make_scene
 from tests.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture, load_images
@@ -20,15 +20,16 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.magnify.bands import BandGain, Magnification
 from tg4mm.magnify.linear import magnified_motion
 from tg4mm.motion.animate import _animate_on_device, _phasors_on, animate
+from tg4mm.motion.appearance.fit import AppearanceFit, Remainder
+from tg4mm.motion.appearance.problem import AppearanceProblem
+from tg4mm.motion.appearance.views import HARMONIC, AppearanceView, appearance_views
 from tg4mm.motion.appearance_modes import LIMIT, AppearanceModes, apply_appearance
 from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.jacobian.view import ALPHA_MIN_LINEAR, view_jacobian
-from tg4mm.motion.light.answers import HARMONIC, LitView, lit_views
-from tg4mm.motion.light.fit import Lighting, Remainder
-from tg4mm.motion.light.problem import LightProblem
 from tg4mm.motion.modes import ModalMotion
-from tg4mm.motion.pictures.video import FixedCamera, fixed_cameras
+from tg4mm.motion.observations import fixed_cameras
 from tg4mm.motion.prior.graph import build_graph
+from tg4mm.motion.solver.operator import Fold
 from tg4mm.motion.spectrum import modes_of
 from tg4mm.rasterize import reference
 from tg4mm.rasterize.buffers import Buffers
@@ -42,14 +43,14 @@ def change_of(n: int, changes: int = 1, tilts: bool = True, seed: int = 0) -> np
     return np.random.default_rng(seed).normal(size=size).astype(np.float32)
 
 
-def lit_view_of(name: str, tilts: bool, mean: float = 20.0) -> LitView:
+def view_of_colours(name: str, tilts: bool, mean: float = 20.0) -> AppearanceView:
     """Of Gaussians whose first coefficient is `mean` in all channels."""
     scene = SCENES[name]
-    camera = FixedCamera(scene.viewmats[0].float().numpy(), scene.Ks[0].float().numpy(), np.arange(1))
+    camera = camera_of(scene)
     sh = torch.zeros_like(gaussians_of(scene).sh)
     sh[:, 0] = mean
     view = view_jacobian(replace(gaussians_of(scene), sh=sh), camera, (scene.width, scene.height))
-    return lit_views([view], [camera], scene.means.float().numpy(), tilts)[0]
+    return appearance_views([view], [camera], scene.means.float().numpy(), tilts)[0]
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -72,7 +73,7 @@ def test_a_change_shows_as_spherical_harmonics_do(
                 scene.width, scene.height,
             )[0]
         )  # fmt: skip
-    shown = lit_view_of(name, tilts).show(change, Buffers())[0]
+    shown = view_of_colours(name, tilts).jvp(change, Buffers())[0]
     assert_close("picture", torch.from_numpy(shown.copy()), (pictures[0] - pictures[1]) / 2, 2e-4)
 
 
@@ -80,27 +81,27 @@ def test_a_colour_below_zero_does_not_answer() -> None:
     """It is clamped, so that no small change of it shows."""
     name = next(iter(SCENES))
     change = change_of(len(SCENES[name].means))
-    assert np.abs(lit_view_of(name, True).show(change, Buffers())).max() > 0.1
-    dark = lit_view_of(name, True, mean=-20.0)
-    assert not dark.show(change, Buffers()).any()
+    assert np.abs(view_of_colours(name, True).jvp(change, Buffers())).max() > 0.1
+    dark = view_of_colours(name, True, mean=-20.0)
+    assert not dark.jvp(change, Buffers()).any()
     out = np.zeros_like(change)
-    dark.pull(np.ones((1, *dark.view.transmittance.shape, 3), np.float32), out, Buffers())
+    dark.vjp(np.ones((1, *dark.view.transmittance.shape, 3), np.float32), out, Buffers())
     assert not out.any()
 
 
 @pytest.mark.parametrize("tilts", [True, False])
-def test_pull_is_the_transpose_and_normal_both(tilts: bool) -> None:
-    view, rng = lit_view_of("crowded", tilts), np.random.default_rng(1)
+def test_the_vjp_is_the_transpose_and_the_product_both(tilts: bool) -> None:
+    view, rng = view_of_colours("crowded", tilts), np.random.default_rng(1)
     x = change_of(120, 2, tilts)
-    shown = view.show(x, Buffers()).copy()
+    shown = view.jvp(x, Buffers()).copy()
     pictures = rng.normal(size=shown.shape).astype(np.float32)
-    pulled = np.zeros_like(x)
-    view.pull(pictures, pulled, Buffers())
-    assert (shown * pictures).sum() == pytest.approx((x * pulled).sum(), rel=1e-3)
+    gathered = np.zeros_like(x)
+    view.vjp(pictures, gathered, Buffers())
+    assert (shown * pictures).sum() == pytest.approx((x * gathered).sum(), rel=1e-3)
     weights = rng.uniform(0.2, 1, shown.shape[1:3]).astype(np.float32)
     both, expected = np.zeros_like(x), np.zeros_like(x)
-    view.normal(x, weights, both, Buffers())
-    view.pull(shown * weights[..., None], expected, Buffers())
+    view.gauss_newton_product(x, weights, both, Buffers())
+    view.vjp(shown * weights[..., None], expected, Buffers())
     np.testing.assert_allclose(both, expected, atol=1e-4 * np.abs(expected).max())
 
 
@@ -116,22 +117,22 @@ class Lab:
         self.views = [view_jacobian(self.gaussians, camera, (48, 48)) for camera in self.cameras]
         axes = np.tile(np.eye(3), (len(self.means), 1, 1))
         self.graph = build_graph(self.means, axes, self.gaussians.scales.numpy())
-        self.lit = lit_views(self.views, self.cameras, self.means, True)
+        self.colours = appearance_views(self.views, self.cameras, self.means, True)
         self.shapes = np.zeros((2, len(self.means), DOF), np.float32)
         self.shapes[0, :, 1] = 0.003
 
     def fitted(
         self, pictures: np.ndarray, shapes: np.ndarray | None = None, asked: tuple[int, ...] = (0, 1)
     ) -> tuple[np.ndarray, np.ndarray]:
-        problem = LightProblem.of(self.lit, None, self.graph)
-        parts = [np.arange(0, 8, 2), np.arange(1, 8, 2)]
+        problem = AppearanceProblem.of(self.colours, None, self.graph)
+        folds = [Fold(np.arange(0, 8, 2)), Fold(np.arange(1, 8, 2))]
         shapes = self.shapes if shapes is None else shapes
         left = Remainder(self.views, pictures, np.arange(2), shapes, None, np.array(asked, np.int64))
-        return Lighting(problem, parts, self.graph.knn).fitted(left)
+        return AppearanceFit(problem, folds, self.graph.knn).fitted(left)
 
     def shown(self, x: np.ndarray, shapes: np.ndarray) -> np.ndarray:
-        both = zip(self.views, self.lit, strict=True)
-        return np.stack([view.jvp(shapes) + lit.show(x, Buffers()) for view, lit in both])
+        both = zip(self.views, self.colours, strict=True)
+        return np.stack([view.jvp(shapes) + colours.jvp(x, Buffers()) for view, colours in both])
 
     def patch(self) -> np.ndarray:
         """[2, N, 4, 3]: a shadow on the floor in the first component, that looks darker from one side."""
@@ -152,8 +153,8 @@ def noise(lab: Lab, size: float) -> np.ndarray:
     return (size * rng.normal(size=(8, 2, 48, 48, 3))).astype(np.float32)
 
 
-def test_light_is_told_from_motion_and_noise(lab: Lab) -> None:
-    """Noise of a tenth of the patch's peak in every pixel; only the first component holds light."""
+def test_a_change_of_colour_is_told_from_motion_and_noise(lab: Lab) -> None:
+    """Noise of a tenth of the patch's peak in every pixel; only the first component holds a change."""
     x = lab.patch()
     pictures = lab.shown(x, lab.shapes) + noise(lab, 0.002)
     found, gains = lab.fitted(pictures)
@@ -168,11 +169,11 @@ def test_light_is_told_from_motion_and_noise(lab: Lab) -> None:
 
 
 @pytest.mark.parametrize("asked", [(), (1,), (0,)])
-def test_a_component_that_is_not_asked_for_has_no_light_and_changes_none(
+def test_a_component_that_is_not_asked_for_has_none_and_changes_no_other(
     lab: Lab, asked: tuple[int, ...]
 ) -> None:
     x = lab.patch()
-    x[1] = -x[0, ::-1]  # light elsewhere
+    x[1] = -x[0, ::-1]  # elsewhere
     pictures = lab.shown(x, lab.shapes) + noise(lab, 0.002)
     whole, all_gains = lab.fitted(pictures)
     assert (all_gains > 0.5).all()
@@ -186,13 +187,13 @@ def test_a_component_that_is_not_asked_for_has_no_light_and_changes_none(
             assert not found[k].any()
 
 
-def test_noise_alone_has_no_light(lab: Lab) -> None:
+def test_noise_alone_has_none(lab: Lab) -> None:
     found, gains = lab.fitted(lab.shown(0 * lab.patch(), lab.shapes) + noise(lab, 0.01))
     assert not gains.any()
     assert not found.any()
 
 
-def test_nothing_left_has_no_light(lab: Lab) -> None:
+def test_nothing_left_has_none(lab: Lab) -> None:
     found, gains = lab.fitted(lab.shown(0 * lab.patch(), lab.shapes))
     assert not gains.any()
     assert not found.any()
@@ -203,12 +204,12 @@ def test_components_beyond_those_of_one_pass_are_found_alike(
 ) -> None:
     pictures = lab.shown(lab.patch(), lab.shapes) + noise(lab, 0.002)
     together = lab.fitted(pictures)
-    monkeypatch.setattr("tg4mm.motion.light.fit._TOGETHER", 1)
+    monkeypatch.setattr("tg4mm.motion.appearance.fit._TOGETHER", 1)
     for a, b in zip(lab.fitted(pictures), together, strict=True):
         np.testing.assert_allclose(a, b, atol=1e-5)
 
 
-def light(size: float = 1e-3, count: int = 4, modes: int = 3) -> AppearanceModes:
+def appearance(size: float = 1e-3, count: int = 4, modes: int = 3) -> AppearanceModes:
     rng = np.random.default_rng(5)
     series = rng.normal(size=(modes, 2)) + 1j * rng.normal(size=(modes, 2))
     return AppearanceModes(size * change_of(N, 2, count == 4, seed=6), series)
@@ -219,22 +220,22 @@ def change_at(m: ModalMotion, t: float, alpha: float, band: tuple[float, float] 
     return (animate(g, m, t, alpha, band).sh - g.sh).numpy()
 
 
-def by_hand(light: AppearanceModes, t: float, factors: list[float]) -> np.ndarray:
+def by_hand(own: AppearanceModes, t: float, factors: list[float]) -> np.ndarray:
     turn = np.exp(2j * np.pi * FREQS * t / 30) * factors
-    return np.einsum("r,rnkc->nkc", (turn @ light.series).real, light.shapes)
+    return np.einsum("r,rnkc->nkc", (turn @ own.series).real, own.shapes)
 
 
 @pytest.mark.parametrize("t", [0, 7, 12.5])
 @pytest.mark.parametrize(("alpha", "factor"), [(0.0, 1), (5.0, 6), (-1.0, 0)])
-def test_a_band_magnifies_light_as_it_does_motion(t: float, alpha: float, factor: float) -> None:
-    m = replace(motion(), light=light())
-    off = change_at(m, t, alpha, (4.0, 6.0)) - by_hand(m.light, t, [1, factor, 1])
-    assert np.linalg.norm(off) < 0.02 * np.linalg.norm(by_hand(m.light, t, [0, 1, 0]))
+def test_a_band_magnifies_it_as_it_does_motion(t: float, alpha: float, factor: float) -> None:
+    m = replace(motion(), appearance=appearance())
+    off = change_at(m, t, alpha, (4.0, 6.0)) - by_hand(m.appearance, t, [1, factor, 1])
+    assert np.linalg.norm(off) < 0.02 * np.linalg.norm(by_hand(m.appearance, t, [0, 1, 0]))
 
 
-def test_magnified_light_has_a_limit_and_keeps_its_direction() -> None:
-    m = replace(motion(), light=light(0.1))
-    change, plain = change_at(m, 3, 1e6), by_hand(m.light, 3, [1e6 + 1] * 3)
+def test_magnified_it_has_a_limit_and_keeps_its_direction() -> None:
+    m = replace(motion(), appearance=appearance(0.1))
+    change, plain = change_at(m, 3, 1e6), by_hand(m.appearance, 3, [1e6 + 1] * 3)
     sizes = np.linalg.norm(change.reshape(N, -1), axis=1) * HARMONIC
     np.testing.assert_allclose(sizes, LIMIT, rtol=1e-4)
     cosine = (change * plain).sum((1, 2)) / np.linalg.norm(plain.reshape(N, -1), axis=1) * HARMONIC / LIMIT
@@ -250,40 +251,40 @@ def test_half_the_limit_is_hardly_drawn_in_and_nothing_stays_nothing() -> None:
     assert not out.any()
 
 
-def test_a_mode_of_light_alone_is_a_state_of_its_own() -> None:
+def test_a_mode_of_appearance_alone_is_a_state_of_its_own() -> None:
     """What `tg4mm evaluate` renders once must not differ."""
     still = motion(size=0.0)
     assert Method("ours", still).state(3, 5.0) == ()
-    bright = Method("ours", replace(still, light=light()))
+    bright = Method("ours", replace(still, appearance=appearance()))
     assert bright.state(3, 5.0) != bright.state(4, 5.0)
 
 
-def test_the_linear_method_magnifies_light_too() -> None:
-    m = replace(motion(), light=light())
+def test_the_linear_method_magnifies_it_too() -> None:
+    m = replace(motion(), appearance=appearance())
     plan = Magnification(bands=(BandGain(4.0, 6.0, 5.0),), method="linear")
     both = magnified_motion(m, plan)
     for t in (0, 7):
-        plain = by_hand(m.light, t, [1, 1, 1])
-        grown = by_hand(m.light, t, [1, 6, 1]) - plain
+        plain = by_hand(m.appearance, t, [1, 1, 1])
+        grown = by_hand(m.appearance, t, [1, 6, 1]) - plain
         off = change_at(both, t, 0.0) - plain - grown
         assert np.linalg.norm(off) < 0.25 * np.linalg.norm(grown)  # the filter is no ideal one
 
 
-def test_on_a_device_light_is_alike() -> None:
+def test_on_a_device_it_is_alike() -> None:
     """The phasors' way through a matrix product, here on the CPU."""
-    m, g = replace(motion(), light=light(0.01)), gaussians()
-    assert m.light is not None
-    phasors, shapes = _phasors_on(torch.device("cpu"), m), torch.from_numpy(m.light.shapes)
+    m, g = replace(motion(), appearance=appearance(0.01)), gaussians()
+    assert m.appearance is not None
+    phasors, shapes = _phasors_on(torch.device("cpu"), m), torch.from_numpy(m.appearance.shapes)
     found = _animate_on_device(g, m, phasors, 2.5, 20.0, (4.0, 6.0), appearance_fields=shapes)
     expected = animate(g, m, 2.5, 20.0, (4.0, 6.0))
     assert not torch.allclose(expected.sh, g.sh, atol=0.01)
     torch.testing.assert_close(found.sh, expected.sh, rtol=0, atol=1e-6)
 
 
-def test_modes_are_taken_out_with_their_light() -> None:
-    m = replace(motion(), light=light())
+def test_modes_are_taken_out_with_their_appearance() -> None:
+    m = replace(motion(), appearance=appearance())
     less = m.selected(np.array([False, True, False]))
-    np.testing.assert_allclose(change_at(less, 7, 0.0), by_hand(m.light, 7, [0, 1, 0]), atol=2e-4)
+    np.testing.assert_allclose(change_at(less, 7, 0.0), by_hand(m.appearance, 7, [0, 1, 0]), atol=2e-4)
 
 
 def test_gaussians_of_one_colour_get_no_tilt() -> None:
@@ -294,8 +295,8 @@ def test_gaussians_of_one_colour_get_no_tilt() -> None:
     assert out.shape == plain.sh.shape
 
 
-def test_in_a_long_capture_light_keeps_the_frequency_that_hardly_moves() -> None:
-    """Of more than 64 timesteps weak bins are left out; a component weak in motion may hold all the light."""
+def test_in_a_long_capture_it_keeps_the_frequency_that_hardly_moves() -> None:
+    """Of more than 64 timesteps weak bins are left out; a component weak in motion may hold all the colour."""
     t = np.arange(100) / 100
     basis = np.sqrt(2 / 100) * np.stack([np.sin(2 * np.pi * 5 * t), np.sin(2 * np.pi * 9 * t)])
     shapes = np.random.default_rng(0).normal(size=(2, 20, 6)).astype(np.float32)
@@ -309,13 +310,13 @@ def test_in_a_long_capture_light_keeps_the_frequency_that_hardly_moves() -> None
     np.testing.assert_allclose(np.abs(series), np.sqrt(2 / 100) * np.eye(2), atol=1e-9)
 
 
-def test_a_resumed_evaluation_tells_light_apart(tmp_path: Path) -> None:
+def test_a_resumed_evaluation_tells_it_apart(tmp_path: Path) -> None:
     """Displacement is the same with and without, and with more of it."""
     g, _ = make_synthetic_dataset(tmp_path / "data", n_views=1, n_timesteps=2, size=16, n_test=1)
     capture = load_capture(tmp_path / "data", "test")
     images, scorer = load_images(capture), Scorer(g, {})
     found = set()
-    for own in (None, light(), light(2e-3)):
-        method = Method("ours", replace(motion(), light=own), None)
+    for own in (None, appearance(), appearance(2e-3)):
+        method = Method("ours", replace(motion(), appearance=own), None)
         found.add(fingerprint(scorer, [method], capture, images, 5.0))
     assert len(found) == 3

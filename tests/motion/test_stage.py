@@ -1,7 +1,8 @@
-"""The motion stage on pictures whose motion is known: how near it comes, and that a kill costs nothing."""
+"""The motion stage on pictures whose motion is known: how near it comes, and that a kill costs one part at most."""
 
 from __future__ import annotations
 
+import logging
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -9,22 +10,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
-from tests.space.test_train import Killed, killed_after
+from tests.space.test_train import Killed
 from tests.synthetic import make_synthetic_dataset
 from tg4mm.capture import Capture, ImageStack, load_capture, load_images
 from tg4mm.errors import CaptureError, RunError, Tg4mmError
 from tg4mm.evaluate.displacement import displacement_figures
 from tg4mm.evaluate.weights import blending_weights
 from tg4mm.motion import ModalMotion, MotionConfig
-from tg4mm.motion import fit as fitting
-from tg4mm.motion import train as stage
-from tg4mm.motion.train import train_motion
+from tg4mm.motion import linear_fit as fitting
+from tg4mm.motion.checkpoints import Arrays
+from tg4mm.motion.stage import StoredParts, train_motion
 from tg4mm.runs import Run
 
 FREQS = (3.0, 6.0)  # the post's and the ball's
 SHORT = MotionConfig(components=2, iterations=5, tolerance=1e-6)
+NEVER = -1
+PARTS = ("hyperparameters", "first_pass_0", "first_pass_1", "second_pass_0", "second_pass_1")
 
 
 @pytest.fixture(scope="module")
@@ -144,69 +146,101 @@ def test_the_same_settings_give_the_same_bits(small, new_run: Callable[[], Run])
     one, same = (train_motion(new_run(), capture, images, SHORT) for _ in range(2))
     assert equal(one, same)
     assert np.abs(one.displacement).max() > 1e-4
-    assert not equal(one, train_motion(new_run(), capture, images, replace(SHORT, neighbours=1.0)))
+    assert not equal(one, train_motion(new_run(), capture, images, replace(SHORT, smoothness_weight=1.0)))
 
 
-@pytest.mark.parametrize(
-    ("together", "killed_at"), [*((1, k) for k in (1, 2, 5, 6, 7, 8, 12)), *((8, k) for k in (1, 2, 5, 6))]
-)
-def test_killed_once_it_ends_as_if_it_had_not_been(
-    together: int, killed_at: int, small, new_run: Callable[[], Run], monkeypatch: pytest.MonkeyPatch
+def stop_after(count: int, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """From now on the process dies once so many parts have been saved; gets the names of what is computed."""
+    computed: list[str] = []
+    real = StoredParts.__call__
+
+    def killed(self: StoredParts, name: str, compute: Callable[[], Arrays]) -> Arrays:
+        found = real(self, name, lambda: computed.append(name) or compute())
+        if len(computed) == count:
+            raise Killed
+        return found
+
+    monkeypatch.setattr(StoredParts, "__call__", killed)
+    return computed
+
+
+@pytest.mark.parametrize("killed_after", range(1, len(PARTS) + 1))
+def test_killed_after_a_part_it_goes_on_after_it(
+    killed_after: int, small, new_run: Callable[[], Run], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Five iterations and an end, of each of two components or of both at once; a checkpoint at every iteration."""
+    """To the bit; and what was saved is not computed again."""
     _, capture, images = small
-    monkeypatch.setattr(fitting, "TOGETHER", together)
     expected = train_motion(new_run(), capture, images, SHORT)
-    monkeypatch.setattr(stage, "CHECKPOINT_EVERY_S", -1.0)
     run = new_run()
     with monkeypatch.context() as patch:
-        patch.setattr(stage, "progress", killed_after(killed_at))
-        with pytest.raises(Killed):
-            train_motion(run, capture, images, SHORT)
+        assert tuple(kill(run, killed_after, small, patch)) == PARTS[:killed_after]
     assert not run.has_motion
-    assert (run.load_checkpoint("motion") is None) == (killed_at == 1)
+    computed = stop_after(NEVER, monkeypatch)
     assert equal(train_motion(run, capture, images, SHORT), expected)
+    assert tuple(computed) == PARTS[killed_after:]
     assert run.load_checkpoint("motion") is None
+    assert run.log()["motion"]["seconds"] > 0
 
 
-def test_killed_at_every_second_iteration_it_ends_the_same(
-    small, new_run: Callable[[], Run], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    _, capture, images = small
-    monkeypatch.setattr(fitting, "TOGETHER", 1)
-    expected = train_motion(new_run(), capture, images, SHORT)
-    monkeypatch.setattr(stage, "CHECKPOINT_EVERY_S", -1.0)
-    monkeypatch.setattr(stage, "progress", killed_after(3))
-    run, states = new_run(), []
-    for _ in range(20):
-        try:
-            found = train_motion(run, capture, images, SHORT)
-            break
-        except Killed:
-            checkpoint = run.load_checkpoint("motion")
-            assert checkpoint is not None
-            at = checkpoint[1]
-            states.append((at["turn"], at["component"], at["cgs"][0]["iteration"]))
-    assert equal(found, expected)
-    assert states == sorted(states)
-    assert len(states) >= 4
-    assert {(turn, component) for turn, component, _ in states} >= {(0, 1), (1, 0), (1, 1)}
+def kill(run: Run, killed_after: int, small, patch: pytest.MonkeyPatch) -> list[str]:
+    computed = stop_after(killed_after, patch)
+    with pytest.raises(Killed):
+        train_motion(run, *small[1:], SHORT)
+    return computed
 
 
-def test_killed_between_the_turns_it_ends_the_same(
+def test_killed_after_every_part_it_ends_the_same(
     small, new_run: Callable[[], Run], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _, capture, images = small
     expected, run = train_motion(new_run(), capture, images, SHORT), new_run()
-    monkeypatch.setattr(stage, "CHECKPOINT_EVERY_S", -1.0)
-    with monkeypatch.context() as patch:
-        patch.setattr(fitting.Solver, "take_away", lambda *_: (_ for _ in ()).throw(Killed))
-        with pytest.raises(Killed):
-            train_motion(run, capture, images, SHORT)
-    checkpoint = run.load_checkpoint("motion")
-    assert checkpoint is not None
-    assert checkpoint[1]["turn"] == 0
+    for _ in PARTS:
+        with monkeypatch.context() as patch:
+            kill(run, 1, small, patch)
     assert equal(train_motion(run, capture, images, SHORT), expected)
+
+
+@pytest.mark.parametrize("damage", ["a flipped bit", "another version", "another scene", "no digest"])
+def test_a_checkpoint_that_is_not_what_was_saved_is_computed_anew(
+    damage: str, small, new_run: Callable[[], Run], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a flipped bit the part that has it, else all of them."""
+    _, capture, images = small
+    expected, run = train_motion(new_run(), capture, images, SHORT), new_run()
+    with monkeypatch.context() as patch:
+        kill(run, 4, small, patch)
+    saved = run.load_checkpoint("motion")
+    assert saved is not None
+    tensors, state = saved
+    again: tuple[str, ...] = PARTS
+    if damage == "a flipped bit":
+        bits = tensors["first_pass_1/fields"].numpy().view(np.uint32)
+        bits.flat[bits.size // 2] ^= 1 << 20
+        again = ("first_pass_1", "second_pass_1")
+    elif damage == "another version":
+        state["version"] -= 1
+    elif damage == "another scene":
+        state["scene"] = "0" * 32
+    else:
+        state["digests"] = {}
+    run.save_checkpoint("motion", tensors, state)
+    computed = stop_after(NEVER, monkeypatch)
+    assert equal(train_motion(run, capture, images, SHORT), expected)
+    assert tuple(computed) == again
+
+
+def test_a_checkpoint_of_another_scene_is_not_taken_up(
+    small, new_run: Callable[[], Run], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The space stage was done again."""
+    _, capture, images = small
+    run, other = new_run(), new_run()
+    with monkeypatch.context() as patch:
+        kill(run, 3, small, patch)
+    gaussians = run.load_space()
+    for each in (run, other):
+        each.save_space(replace(gaussians, means=gaussians.means + 0.01), {})
+    assert equal(train_motion(run, capture, images, SHORT), train_motion(other, capture, images, SHORT))
 
 
 def test_components_solved_together_are_those_solved_one_by_one(
@@ -222,17 +256,24 @@ def test_components_solved_together_are_those_solved_one_by_one(
     np.testing.assert_allclose(together.displacement, apart.displacement, atol=1e-4 * scale)
 
 
-def test_a_checkpoint_of_the_first_version_is_taken_up(small, new_run: Callable[[], Run]) -> None:
-    """It held one component's state under other names: what is found is kept, the component begun anew."""
-    run, capture, images = new_run(), *small[1:]
-    n = len(run.load_space())
-    tensors = {"shapes": np.zeros((2, n, 6)), "x": np.zeros((5, 3))}
-    run.save_checkpoint(
-        "motion",
-        {k: torch.from_numpy(v.astype(np.float32)) for k, v in tensors.items()},
-        {"component": 0, "cg": {"initial": 1.0, "iteration": 3}},
-    )
-    assert equal(train_motion(run, capture, images, SHORT), train_motion(new_run(), capture, images, SHORT))
+def test_what_cannot_be_told_is_a_warning_of_one_line_and_in_the_log(
+    small, new_run: Callable[[], Run], caplog: pytest.LogCaptureFixture
+) -> None:
+    """Of one camera, the motion along its sight."""
+    _, capture, images = small
+    keep = np.flatnonzero(capture.camera_ids == 0)
+    one = replace(
+        capture, viewmats=capture.viewmats[keep], Ks=capture.Ks[keep], timesteps=capture.timesteps[keep],
+        camera_ids=capture.camera_ids[keep], times_s=capture.times_s[keep],
+        paths=tuple(capture.paths[i] for i in keep),
+    )  # fmt: skip
+    run = new_run()
+    with caplog.at_level(logging.WARNING, "tg4mm"):
+        train_motion(run, one, ImageStack(images.data[keep]), SHORT)
+    said = [record.getMessage() for record in caplog.records]
+    assert said == run.log()["motion"]["notes"]
+    (line,) = [text for text in said if "line of sight" in text]
+    assert "\n" not in line
 
 
 def test_pictures_that_do_not_change_give_no_motion(small, new_run: Callable[[], Run]) -> None:
@@ -245,10 +286,11 @@ def test_pictures_that_do_not_change_give_no_motion(small, new_run: Callable[[],
     assert np.abs(found.displacement).max() < 1e-6
 
 
-def test_without_a_fixed_camera_it_says_so(small, new_run: Callable[[], Run]) -> None:
+def test_without_a_fixed_camera_and_with_few_pictures_it_says_so(small, new_run: Callable[[], Run]) -> None:
     _, capture, images = small
     wandering = replace(capture, camera_ids=np.arange(len(capture)))
-    match = rf"\A{capture.root}: no camera has one image at each of the 5 timesteps[^\n]*\Z"
+    wandering = replace(wandering, times_s=np.where(np.arange(len(capture)) < 4, capture.times_s, np.nan))
+    match = rf"\A{capture.root}: no camera stays put, and 4 pictures have a time, too few[^\n]*\Z"
     with pytest.raises(CaptureError, match=match):
         train_motion(new_run(), wandering, images, SHORT)
 
@@ -257,7 +299,7 @@ def test_gaussians_that_no_camera_sees_are_told_in_one_line(small, new_run: Call
     run, capture, images = new_run(), *small[1:]
     gaussians = run.load_space()
     run.save_space(replace(gaussians, means=gaussians.means + 1_000.0), {})
-    match = rf"\A{run.path}: none of its 784 Gaussians is seen by a camera of {capture.root}[^\n]*\Z"
+    match = rf"\A{run.path}: none of the 784 Gaussians is seen by a camera that shows motion\Z"
     with pytest.raises(RunError, match=match):
         train_motion(run, capture, images, SHORT)
 
@@ -266,8 +308,8 @@ def test_gaussians_that_no_camera_sees_are_told_in_one_line(small, new_run: Call
     ("wrong", "match"),
     [
         ({"components": 0}, "motion.components is 0, expected >= 1"),
-        ({"neighbours": -1.0}, "motion.neighbours is -1.0, expected >= 0"),
-        ({"neighbours": float("inf")}, "motion.neighbours is inf"),
+        ({"smoothness_weight": -1.0}, "motion.smoothness_weight is -1.0, expected >= 0"),
+        ({"smoothness_weight": float("inf")}, "motion.smoothness_weight is inf"),
         ({"ridge": 0.0}, "motion.ridge is 0.0, expected > 0"),
         ({"ridge": float("nan")}, "motion.ridge is nan"),
         ({"iterations": 0}, "motion.iterations is 0, expected >= 1"),
@@ -276,6 +318,8 @@ def test_gaussians_that_no_camera_sees_are_told_in_one_line(small, new_run: Call
         ({"tolerance": 1.0}, "motion.tolerance is 1.0"),
         ({"tolerance": float("nan")}, "motion.tolerance is nan"),
         ({"seed": -1}, "motion.seed is -1, expected 0 to"),
+        ({"gauss_newton": -1}, "motion.gauss_newton is -1, expected >= 0"),
+        ({"nuisance": "pose"}, "motion.nuisance is pose, expected auto, none, exposure, all"),
     ],
 )
 def test_settings_out_of_range_are_refused(

@@ -1,0 +1,109 @@
+"""Frequencies are found between bins, with frames dropped, from clocks of their own; and in noise there are none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tg4mm.motion.frequencies import Frequencies, find_frequencies
+
+FPS, SERIES = 30.0, 80
+HZ = (3.437, 7.113)
+BAND = (0.7, 13.5)
+
+
+def times(n_frames: int = 90, dropped: int = 6, seed: int = 0) -> np.ndarray:
+    """Seconds, of a phone: some frames are missing, steps are not quite even."""
+    rng = np.random.default_rng(seed)
+    kept = np.sort(rng.choice(np.arange(1, n_frames - 1), n_frames - 2 - dropped, replace=False))
+    return (np.array([0, *kept, n_frames - 1]) + 0.02 * rng.normal(size=n_frames - dropped)) / FPS
+
+
+def moving(
+    t: np.ndarray, seed: int, hz: tuple[float, ...] = HZ, strength: float = 1.0, noise: float = 1.0
+) -> np.ndarray:
+    """[F, S]: noise of variance 1; half of the series move with the first frequency, a tenth with the second."""
+    rng = np.random.default_rng(seed)
+    y = noise * rng.normal(size=(len(t), SERIES))
+    for k, f in enumerate(hz):
+        own = rng.random(SERIES) < (0.5, 0.1)[k]
+        amplitude = strength * own * rng.uniform(0.5, 1.5, SERIES)
+        y += amplitude * np.cos(2 * np.pi * f * t[:, None] + rng.uniform(0, 2 * np.pi, SERIES))
+    return y
+
+
+def check(found: Frequencies, hz: tuple[float, ...]) -> None:
+    """These, within three of the deviations that it states, which are small; and nothing else."""
+    assert len(found.hz) == len(hz)
+    for f in hz:
+        k = int(np.argmin(np.abs(found.hz - f)))
+        assert abs(found.hz[k] - f) < 3 * found.deviation_hz[k]
+        assert found.deviation_hz[k] < 0.03
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_two_between_bins_are_found_and_nothing_else(seed: int) -> None:
+    """Three seconds: bins are a third of a Hz apart."""
+    t = times(seed=seed)
+    found = find_frequencies([moving(t, seed)], [t], *BAND)
+    check(found, HZ)
+    assert abs(found.hz[0] - HZ[0]) < 0.1  # the strongest first
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_in_noise_there_are_none(seed: int) -> None:
+    t = times(seed=seed)
+    y = np.random.default_rng(seed).normal(size=(len(t), SERIES)) * np.geomspace(1, 100, SERIES)
+    assert not len(find_frequencies([y], [t], *BAND).hz)
+
+
+def test_where_noise_is_alone_the_spectrum_is_one() -> None:
+    t = times()
+    found = find_frequencies([np.random.default_rng(3).normal(size=(len(t), 400))], [t], *BAND)
+    assert found.spectrum.mean() == pytest.approx(1, abs=0.05)
+
+
+def test_clips_with_phases_of_their_own_are_put_together() -> None:
+    """Four clips, of which no one series is like another's."""
+    clocks = [times(60, 3, seed) + 17.3 * seed for seed in range(4)]
+    series = [moving(t, seed, strength=0.6) for seed, t in enumerate(clocks)]
+    check(find_frequencies(series, clocks, 1.1, 13.5), HZ)
+
+
+def test_a_drift_is_no_frequency() -> None:
+    t = times()
+    y = moving(t, 0) + np.linspace(0, 30, len(t))[:, None] + 4 * (t[:, None] - 1.2) ** 2
+    check(find_frequencies([y], [t], *BAND), HZ)
+
+
+def test_noise_that_rises_to_low_frequencies_is_no_frequency() -> None:
+    rng, t = np.random.default_rng(5), times()
+    y = np.cumsum(rng.normal(size=(len(t), SERIES)), 0)
+    assert not len(find_frequencies([y], [t], *BAND).hz)
+
+
+def test_a_series_that_says_nothing_is_left_out() -> None:
+    """A region that no camera sees is 0 at all times."""
+    t = times()
+    y = moving(t, 0)
+    y[:, ::3] = 0
+    check(find_frequencies([y], [t], *BAND), HZ)
+
+
+def test_the_deviation_is_that_of_the_errors() -> None:
+    """Rms over twelve draws of error over deviation: about 1."""
+    ratios = []
+    for seed in range(12):
+        t = times(seed=seed)
+        found = find_frequencies([moving(t, 100 + seed, HZ[:1], strength=0.4)], [t], *BAND)
+        assert len(found.hz) == 1
+        ratios.append((found.hz[0] - HZ[0]) / found.deviation_hz[0])
+    assert 0.4 < np.sqrt(np.mean(np.square(ratios))) < 1.6
+
+
+def test_some_of_them_can_be_selected() -> None:
+    t = times()
+    found = find_frequencies([moving(t, 0)], [t], *BAND)
+    less = found.selected(found.hz > 5)
+    check(less, HZ[1:])
+    assert less.spectrum is found.spectrum

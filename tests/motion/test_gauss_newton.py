@@ -1,0 +1,389 @@
+"""Motion of two pixels: what the linear fit misses is found by Gauss-Newton, and a kill costs one iteration."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from tests.motion.test_stage import NEVER, stop_after
+from tests.space.test_train import Killed
+from tests.synthetic import make_synthetic_dataset
+from tg4mm.capture import load_capture, load_images
+from tg4mm.evaluate.displacement import displacement_figures
+from tg4mm.evaluate.truth import exact_motion, load_truth
+from tg4mm.evaluate.weights import blending_weights
+from tg4mm.gaussians import Gaussians
+from tg4mm.motion import ModalMotion, MotionConfig
+from tg4mm.motion import gauss_newton as module
+from tg4mm.motion.animate import animate
+from tg4mm.motion.evidence import Evidence
+from tg4mm.motion.gauss_newton import ABOVE_PX, GaussNewton, GaussNewtonState, states_moved, used_components
+from tg4mm.motion.hyperparameters import Hyperparameters
+from tg4mm.motion.nuisance import nuisances_of
+from tg4mm.motion.observations import observe
+from tg4mm.motion.problem import Problem
+from tg4mm.motion.solver.cuda import DeviceViews
+from tg4mm.motion.split_half import folds_of
+from tg4mm.motion.stage import train_motion
+from tg4mm.motion.temporal import first_look, principal_components
+from tg4mm.render.image import render_image
+from tg4mm.runs import Run
+from tg4mm.space import SpaceConfig, rest_views, train_space
+
+CONFIG = MotionConfig(gauss_newton=4)
+SHORT = MotionConfig(components=1, smoothness_weight=300.0, iterations=3, gauss_newton=2, tolerance=1e-6)
+LINEAR = 5  # parts of the linear fit
+
+
+def _scene(root: Path, amplitude: float, size: int = 64, detail: int = 2) -> Run:
+    gaussians, _ = make_synthetic_dataset(
+        root / "data",
+        n_views=6,
+        n_timesteps=5,
+        size=size,
+        freqs=(6.0,),
+        amplitude=amplitude,
+        alphas=(),
+        n_test=0,
+        detail=detail,
+    )
+    run = Run.create(root / "run", root / "data", "modal", {})
+    run.save_space(gaussians, {})
+    return run
+
+
+@pytest.fixture(scope="module")
+def large(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """Two pixels; the Gaussians are exact."""
+    return _scene(tmp_path_factory.mktemp("large"), 0.09)
+
+
+def _copy(run: Run, path: Path) -> Run:
+    shutil.copytree(run.path, path)
+    return Run.open(path)
+
+
+def _trained(run: Run, config: MotionConfig, device: str = "cpu") -> ModalMotion:
+    capture = load_capture(run.dataset)
+    return train_motion(run, capture, load_images(capture), config, device)
+
+
+def _error(run: Run) -> float:
+    capture = load_capture(run.dataset)
+    gaussians, motion = run.load_space(), run.load_motion()
+    assert motion is not None
+    true = exact_motion(load_truth(run.dataset, capture.fps, capture.n_timesteps), gaussians.means.numpy())
+    found = motion.selected(motion.freqs_hz > 0)
+    return displacement_figures(found, true, blending_weights(gaussians, capture))["relative_error"]
+
+
+@pytest.fixture(scope="module")
+def found(large: Run, tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Run]:
+    """The linear fit alone, and Gauss-Newton."""
+    root = tmp_path_factory.mktemp("found")
+    runs = _copy(large, root / "linear"), _copy(large, root / "repeated")
+    for run, most in zip(runs, (0, CONFIG.gauss_newton), strict=True):
+        _trained(run, replace(CONFIG, gauss_newton=most))
+    return runs
+
+
+@pytest.mark.parametrize(
+    ("is_noise", "used"),
+    [
+        ([0, 1, 1], [0, 1, 2]),
+        ([0] + 11 * [1], list(range(8))),  # eight in all
+        ([0, 1, 0] + 9 * [1], list(range(8))),
+        (6 * [0] + 9 * [1], list(range(13))),  # as many others and one
+    ],
+)
+def test_some_of_the_weak_components_are_fitted_too(is_noise: list[int], used: list[int]) -> None:
+    assert used_components(np.array(is_noise, bool)).tolist() == used
+
+
+@pytest.mark.slow
+def test_two_pixels_are_found(found: tuple[Run, Run]) -> None:
+    """Error .18 after four iterations, .52 of the linear fit."""
+    linear, after = (_error(run) for run in found)
+    assert linear > 0.4
+    assert after < 0.2
+
+
+@pytest.mark.slow
+def test_every_iteration_leaves_less_of_the_pictures(found: tuple[Run, Run]) -> None:
+    log = found[1].log()["motion"]
+    assert log["pixels_moved"] > ABOVE_PX
+    assert len(log["misfits"]) == log["gauss_newton"] + 1
+    assert (np.diff(log["misfits"]) < 0).all()
+    assert log["misfits"][-1] < 0.1 * log["misfits"][0]
+    assert found[0].log()["motion"]["gauss_newton"] == 0
+
+
+@pytest.mark.slow
+def test_no_checkpoint_stays(found: tuple[Run, Run]) -> None:
+    for run in found:
+        assert not list(run.path.glob("checkpoint_*"))
+
+
+def _pictures_error(run: Run, gaussians: Gaussians) -> float:
+    """Mean squared error of the captured pictures, the Gaussians moved as the truth does."""
+    capture = load_capture(run.dataset)
+    images = load_images(capture)
+    truth = load_truth(run.dataset, capture.fps, capture.n_timesteps)
+    motion = exact_motion(truth, gaussians.means.numpy())
+    total = 0.0
+    for i in range(len(capture)):
+        there = animate(gaussians, motion, int(capture.timesteps[i]))
+        size = (capture.width, capture.height)
+        shown = render_image(there, capture.viewmats[i], capture.Ks[i], *size)
+        total += float(((shown - images.rgb(i, background=(1, 1, 1))) ** 2).mean())
+    return total / len(capture)
+
+
+@pytest.mark.slow
+def test_a_scene_blurred_by_its_motion_is_sharp_again(large: Run, tmp_path: Path) -> None:
+    """Fitted to the mean over time, as the space stage does, it is far from what one timestep shows."""
+    capture = load_capture(large.dataset)
+    run = Run.create(tmp_path / "run", large.dataset, "modal", {})
+    train_space(
+        run,
+        rest_views(capture, load_images(capture)),
+        capture.points,
+        SpaceConfig(iterations=400, sh_degree=0),
+    )
+    blurred = run.load_space()
+    _trained(run, CONFIG)
+    sharp = run.load_space()
+    assert len(sharp) == len(blurred)
+    assert _pictures_error(run, sharp) < 0.6 * _pictures_error(run, blurred)
+
+
+def test_small_motion_is_left_as_it_was(tmp_path: Path) -> None:
+    """To the last bit, and the scene at rest too."""
+    small = _scene(tmp_path / "small", 0.005, size=32, detail=1)
+    runs = [_copy(small, tmp_path / f"{k}") for k in range(2)]
+    motions = [_trained(run, replace(CONFIG, gauss_newton=k)) for k, run in enumerate(runs)]
+    assert _equal(*motions)
+    assert 0 < runs[1].log()["motion"]["pixels_moved"] < ABOVE_PX
+    assert (runs[0].path / "space.safetensors").read_bytes() == (
+        runs[1].path / "space.safetensors"
+    ).read_bytes()
+
+
+def _equal(a: ModalMotion, b: ModalMotion) -> bool:
+    return all(np.array_equal(getattr(a, n), getattr(b, n)) for n in ("freqs_hz", "displacement", "rotation"))
+
+
+@pytest.fixture(scope="module")
+def quick(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Run, ModalMotion]:
+    """A small scene of large motion; a run of it that nobody killed, and what it found."""
+    root = tmp_path_factory.mktemp("quick")
+    scene = _scene(root, 0.2, size=32, detail=1)
+    whole = _copy(scene, root / "whole")
+    return scene, whole, _trained(whole, SHORT)
+
+
+def test_the_same_settings_give_the_same_bits(quick: tuple[Run, Run, ModalMotion], tmp_path: Path) -> None:
+    scene, whole, expected = quick
+    again = _copy(scene, tmp_path / "again")
+    assert _equal(_trained(again, SHORT), expected)
+    assert whole.log()["motion"]["gauss_newton"] >= 1
+    assert torch.equal(again.load_space().means, whole.load_space().means)
+    assert not torch.equal(again.load_space().means, scene.load_space().means)
+
+
+@pytest.mark.parametrize("iterations", [0, 1, 2])
+def test_killed_after_an_iteration_it_goes_on_after_it(
+    iterations: int, quick: tuple[Run, Run, ModalMotion], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To the bit, the scene at rest too; what was done is not done again."""
+    scene, whole, expected = quick
+    run = _copy(scene, tmp_path / "run")
+    with monkeypatch.context() as patch:
+        stop_after(LINEAR + iterations, patch)
+        with pytest.raises(Killed):
+            _trained(run, SHORT)
+    assert not run.has_motion
+    computed = stop_after(NEVER, monkeypatch)
+    assert _equal(_trained(run, SHORT), expected)
+    assert computed == [f"gauss_newton_{k}" for k in range(iterations, whole.log()["motion"]["gauss_newton"])]
+    assert _same_scene(run, whole)
+    for name in ("pixels_moved", "gauss_newton", "misfits", "smoothness_weight"):
+        assert run.log()["motion"][name] == whole.log()["motion"][name]
+
+
+def _same_scene(a: Run, b: Run) -> bool:
+    names = ("means", "quats", "scales", "opacities", "sh")
+    return all(torch.equal(getattr(a.load_space(), n), getattr(b.load_space(), n)) for n in names)
+
+
+def test_killed_between_its_two_results_it_ends_the_same(
+    quick: tuple[Run, Run, ModalMotion], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The scene at rest is already the new one, the motion not there yet."""
+    scene, whole, expected = quick
+    run = _copy(scene, tmp_path / "run")
+
+    def killed(self: Run, *_: object) -> None:
+        raise Killed
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Run, "save_motion", killed)
+        with pytest.raises(Killed):
+            _trained(run, SHORT)
+    assert not torch.equal(run.load_space().means, scene.load_space().means)
+    assert _equal(_trained(run, SHORT), expected)
+    assert torch.equal(run.load_space().means, whole.load_space().means)
+
+
+def test_what_only_gets_worse_is_not_taken(
+    quick: tuple[Run, Run, ModalMotion], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An iteration whose motion points away leaves everything as the linear fit had it."""
+    scene = quick[0]
+    runs = [_copy(scene, tmp_path / name) for name in ("linear", "wrong")]
+    expected = _trained(runs[0], replace(SHORT, gauss_newton=0))
+    monkeypatch.setattr(GaussNewton, "_fitted", lambda self, state, *_: (-3 * state.fields, 300.0))
+    found = _trained(runs[1], SHORT)
+    np.testing.assert_array_equal(found.freqs_hz, expected.freqs_hz)
+    size = np.abs(expected.displacement).max()
+    np.testing.assert_allclose(found.displacement, expected.displacement, atol=1e-6 * size)
+    log = runs[1].log()["motion"]
+    assert (log["gauss_newton"], len(log["misfits"])) == (0, 1)
+    assert _same_scene(runs[1], scene)
+
+
+def test_half_a_step_is_taken_where_a_whole_one_overshoots(
+    quick: tuple[Run, Run, ModalMotion], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = GaussNewton._fitted
+
+    def too_far(self: GaussNewton, state: GaussNewtonState, *args: Any) -> tuple[np.ndarray, float]:
+        new, weight = real(self, state, *args)
+        return state.fields + 2 * (new - state.fields), weight
+
+    once = replace(SHORT, gauss_newton=1)
+    runs = [_copy(quick[0], tmp_path / name) for name in ("plain", "too far")]
+    expected = _trained(runs[0], once)
+    monkeypatch.setattr(GaussNewton, "_fitted", too_far)
+    found = _trained(runs[1], once)
+    assert runs[1].log()["motion"]["gauss_newton"] == 1
+    size = np.abs(expected.displacement).max()
+    np.testing.assert_allclose(found.displacement, expected.displacement, atol=1e-3 * size)
+
+
+class Lab:
+    """One iteration's problem, on the scene of `quick`."""
+
+    def __init__(self, scene: Run, scale: float) -> None:
+        """`scale`: how large the motion found so far is, of the true one."""
+        capture = load_capture(scene.dataset)
+        self.gaussians, self.observations = scene.load_space(), observe(capture, load_images(capture))
+        self.views = [module.view_jacobian(self.gaussians, f, (32, 32)) for f in self.observations.frames]
+        nothing = np.zeros(12, bool)
+        nuisances = nuisances_of(self.views, self.observations.frames, self.gaussians.means.numpy(), nothing)
+        targets = principal_components(
+            self.observations, first_look(self.observations, nuisances), nuisances, 2
+        )
+        hyper = Hyperparameters(np.zeros(len(targets.basis), bool), 300.0)
+        self.folds = folds_of(6, (32, 32), False)
+        self.loop = GaussNewton(
+            self.observations, targets, hyper, self.folds, nuisances, MotionConfig(), "cpu"
+        )
+        truth = exact_motion(
+            load_truth(scene.dataset, capture.fps, capture.n_timesteps), self.gaussians.means.numpy()
+        )
+        t = np.arange(capture.n_timesteps)
+        turn = np.exp(2j * np.pi * np.outer(truth.freqs_hz, t) / capture.fps)
+        moves = np.einsum("kt,knc->tnc", turn, truth.displacement).real
+        self.shapes = np.zeros((len(self.loop.basis), len(self.gaussians), 6), np.float32)
+        self.shapes[..., :3] = scale * np.tensordot(self.loop.basis, moves, 1)
+        states, self.pixels = states_moved(self.views, self.loop.basis, self.shapes, (32, 32))
+        self.evidence = Evidence.of(self.observations, states, self.loop.images)
+        self.problem = Problem.of(self.views, self.gaussians, MotionConfig(), "cpu")
+        self.knots = self.loop._knots(self.gaussians, self.views, self.shapes, self.evidence)
+
+
+@pytest.fixture(scope="module")
+def lab(quick: tuple[Run, Run, ModalMotion]) -> Lab:
+    return Lab(quick[0], 1.0)
+
+
+def test_functions_of_time_are_all_in_the_knots(lab: Lab) -> None:
+    """Σ C_lᵀ C_l = Σ_t a(t) a(t)ᵀ = 1; large motion has several."""
+    assert lab.pixels > ABOVE_PX
+    assert 1 < len(lab.knots) <= module.KNOTS
+    total = sum(knot.mixing.T @ knot.mixing for knot in lab.knots)
+    np.testing.assert_allclose(total, np.eye(len(lab.loop.basis)), atol=1e-5)
+
+
+def test_one_knot_at_rest_is_the_linear_problem(quick: tuple[Run, Run, ModalMotion]) -> None:
+    """Where nothing has moved yet; so are its target images."""
+    still = Lab(quick[0], 0.0)
+    assert len(still.knots) == 1
+    fold = still.folds[0]
+    operator, b = still.loop._operator(still.problem, still.knots, fold, 300.0)
+    plain = still.problem.on_cpu(fold, still.loop.weights, 300.0)
+    theta = np.random.default_rng(0).normal(size=(len(still.loop.basis), *b.shape[1:])).astype(np.float32)
+    expected = plain.products(theta)
+    np.testing.assert_allclose(operator.products(theta), expected, atol=1e-4 * np.abs(expected).max())
+    sides = plain.right_hand_sides([still.loop.images[v] for v in fold.views])
+    np.testing.assert_allclose(b, sides, atol=1e-3 * np.abs(sides).max())
+
+
+def test_the_operator_of_several_knots_is_symmetric_and_couples_components(lab: Lab) -> None:
+    operator, b = lab.loop._operator(lab.problem, lab.knots, lab.folds[0], 300.0)
+    x, y = np.random.default_rng(1).normal(size=(2, *b.shape)).astype(np.float32)
+    xy, yx, xx, yy = (
+        float((p.astype(float) * operator.products(q)).sum()) for p, q in ((x, y), (y, x), (x, x), (y, y))
+    )
+    assert abs(xy - yx) < 1e-4 * np.sqrt(xx * yy)
+    assert xx > 0
+    alone = x.copy()
+    alone[1:] = 0
+    both = operator.products(alone)
+    assert np.linalg.norm(both[1:]) > 1e-3 * np.linalg.norm(both[:1])
+
+
+def test_of_the_true_motion_target_images_are_what_it_shows(lab: Lab) -> None:
+    """Nothing is left of the pictures, so that what each knot must explain is what its views show of the motion."""
+    errors = lab.evidence.remaining(lab.gaussians, lab.shapes, "cpu")[1]
+    still = lab.evidence.remaining(lab.gaussians, 0 * lab.shapes, "cpu")[1]
+    assert errors.changes < 0.02 * still.changes
+    assert errors.within(still)
+    off, whole = 0.0, 0.0
+    for knot in lab.knots:
+        for v, view in enumerate(knot.views):
+            shown = view.jvp(np.tensordot(knot.mixing.T @ knot.mixing, lab.shapes, 1).astype(np.float32))
+            off += float(((knot.target[v] - shown) ** 2).sum())
+            whole += float((shown**2).sum())
+    assert off < 0.1 * whole
+
+
+def test_on_a_device_the_problem_is_the_same(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What CUDA runs, on the CPU's tensors."""
+    here, b = lab.loop._operator(lab.problem, lab.knots, lab.folds[0], 300.0)
+    monkeypatch.setattr(
+        module, "DeviceViews", lambda views, graph, _: DeviceViews(views, graph, "cpu", torch.float32)
+    )
+    monkeypatch.setattr(lab.loop, "device", "cuda")
+    there, c = lab.loop._operator(lab.problem, lab.knots, lab.folds[0], 300.0)
+    theta = np.random.default_rng(2).normal(size=b.shape).astype(np.float32)
+    expected, found = here.products(theta), there.products(torch.from_numpy(theta)).numpy()
+    np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
+    np.testing.assert_allclose(c.numpy(), b, atol=1e-4 * np.abs(b).max())
+
+
+def test_a_state_read_back_is_the_one_written(lab: Lab) -> None:
+    fields = np.stack([lab.shapes] * 2)
+    errors = lab.evidence.remaining(lab.gaussians, lab.shapes, "cpu")[1]
+    state = GaussNewtonState(lab.gaussians, fields, 30.0, errors, True)
+    back = GaussNewtonState.restored(state.arrays())
+    assert (back.smoothness_weight, back.errors, back.is_over) == (30.0, errors, True)
+    np.testing.assert_array_equal(back.fields, fields)
+    assert torch.equal(back.gaussians.means, lab.gaussians.means)

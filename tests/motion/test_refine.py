@@ -1,0 +1,134 @@
+"""The scene at rest, refined with the motion known: from whose cameras, how states count, and when it stays."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from tests.synthetic import make_synthetic_dataset
+from tg4mm.capture import Capture, load_capture, load_images
+from tg4mm.gaussians import Gaussians
+from tg4mm.motion import MotionConfig, gauss_newton, refine
+from tg4mm.motion.observations import fixed_cameras
+from tg4mm.motion.refine import MovedPictures, at_state, refine_rest_scene
+from tg4mm.motion.stage import train_motion
+from tg4mm.runs import Run
+
+SHORT = MotionConfig(components=1, smoothness_weight=300.0, iterations=6, gauss_newton=1, tolerance=1e-6)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Gaussians]:
+    """Seven cameras; the Gaussians are where they should be, but blurred."""
+    root = tmp_path_factory.mktemp("seven") / "data"
+    gaussians, _ = make_synthetic_dataset(
+        root, n_views=7, n_timesteps=5, size=32, freqs=(6.0,), amplitude=0.2, alphas=(), n_test=0
+    )
+    return root, replace(gaussians, scales=1.5 * gaussians.scales)
+
+
+def _trained(
+    data: tuple[Path, Gaussians], path: Path, config: MotionConfig = SHORT, wandering: int | None = None
+) -> Run:
+    """`wandering`: a camera that stays nowhere."""
+    capture = load_capture(data[0])
+    run = Run.create(path, data[0], "modal", {})
+    run.save_space(data[1], {})
+    train_motion(
+        run, capture if wandering is None else _without(capture, wandering), load_images(capture), config
+    )
+    return run
+
+
+def _without(capture: Capture, camera: int) -> Capture:
+    ids = capture.camera_ids.copy()
+    rows = np.flatnonzero(ids == camera)
+    ids[rows] = ids.max() + np.arange(len(rows))
+    return replace(capture, camera_ids=ids)
+
+
+def _is_as_before(run: Run, gaussians: Gaussians) -> bool:
+    found = run.load_space()
+    names = ("means", "quats", "scales", "opacities", "sh")
+    return all(torch.equal(getattr(found, n), getattr(gaussians, n)) for n in names)
+
+
+def test_fixed_cameras_alone_sharpen_the_scene(data, tmp_path: Path) -> None:
+    assert not _is_as_before(_trained(data, tmp_path / "run"), data[1])
+
+
+def test_a_scene_that_other_cameras_saw_stays(data, tmp_path: Path) -> None:
+    """Six fixed cameras and one that wanders: the motion is found, the scene is not theirs alone."""
+    run = _trained(data, tmp_path / "run", wandering=6)
+    log = run.log()["motion"]
+    assert (log["views"], log["gauss_newton"]) == (6, 1)
+    assert _is_as_before(run, data[1])
+
+
+@pytest.mark.parametrize("brightened", [0.0, 0.5])
+def test_gaussians_that_show_the_pictures_worse_are_not_taken(
+    brightened: float, data, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What changes is off; or sharper as it ought to be, but all of it too bright at all times."""
+    real = refine_rest_scene
+
+    def worse(*args: Any) -> Gaussians:
+        g = real(*args)
+        return replace(g, means=g.means + (0.0 if brightened else 0.2), sh=g.sh + brightened)
+
+    monkeypatch.setattr(gauss_newton, "refine_rest_scene", worse)
+    run = _trained(data, tmp_path / "run")
+    assert run.log()["motion"]["gauss_newton"] == 1
+    assert np.diff(run.log()["motion"]["misfits"])[0] < 0
+    assert _is_as_before(run, data[1])
+
+
+def _moved(data: tuple[Path, Gaussians]) -> MovedPictures:
+    """Of two cameras: at rest for three of four timesteps, shifted in the other; black pictures."""
+    motions = np.zeros((2, len(data[1]), 6), np.float32)
+    motions[1, :, 0] = 0.1
+    pictures = np.zeros((2, 2, 32, 32, 3), np.float32)
+    return MovedPictures(fixed_cameras(load_capture(data[0]))[:2], pictures, motions, np.array([0, 0, 1, 0]))
+
+
+def test_states_count_by_how_long_they_last(data, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[int] = []
+
+    def recorded(g: Gaussians, motion: torch.Tensor) -> Gaussians:
+        drawn.append(int(motion[0, 0] > 0))
+        return at_state(g, motion)
+
+    monkeypatch.setattr(refine, "at_state", recorded)
+    told: list[int] = []
+    refine_rest_scene(data[1], _moved(data), 8, 0, "cpu", told.append)
+    assert (drawn.count(0), drawn.count(1)) == (6, 2)
+    assert told == [1, 2, 3, 4, 5, 6, 7, 8]
+
+
+def test_the_seed_decides_the_order_and_nothing_else_does(data) -> None:
+    seen = _moved(data)
+    one, same, other = (refine_rest_scene(data[1], seen, 3, seed, "cpu") for seed in (0, 0, 1))
+    assert torch.equal(one.means, same.means)
+    assert not torch.equal(one.means, other.means)
+    assert len(one) == len(data[1])
+
+
+def test_one_moment_of_gaussians_is_displaced_and_turned(data) -> None:
+    """By a quarter turn about z, of the quaternion (1, 0, 0, 0): (√½, 0, 0, √½)."""
+    motion = torch.zeros(len(data[1]), 6)
+    motion[:, 1], motion[:, 5] = 0.25, np.pi / 2
+    there = at_state(data[1], motion)
+    torch.testing.assert_close(there.means, data[1].means + torch.tensor([0, 0.25, 0]))
+    expected = torch.tensor([0.5**0.5, 0, 0, 0.5**0.5]).expand(len(there), 4)
+    torch.testing.assert_close(there.quats, expected, atol=1e-6, rtol=0)
+
+
+def test_one_fold_alone_has_no_uncertainty(data, tmp_path: Path) -> None:
+    run = _trained(data, tmp_path / "run", replace(SHORT, split_half=False))
+    assert run.log()["motion"]["gauss_newton"] == 1
+    assert not run.has_part("uncertainty")

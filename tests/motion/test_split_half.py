@@ -1,0 +1,151 @@
+"""Folds of the data, and what two of them agree on: noise shrinks, motion stays, the deviation is the noise's."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tg4mm.motion.prior.graph import nearest
+from tg4mm.motion.solver.operator import Fold
+from tg4mm.motion.split_half import (
+    LEAST,
+    chessboard,
+    deviation,
+    folds_of,
+    mean_over_neighbours,
+    reliability,
+    wiener_shrink,
+)
+
+SIGMA = 0.3
+SIZE = (80, 48)
+
+
+@pytest.mark.parametrize("n", [LEAST, LEAST + 1, 30])
+def test_many_cameras_are_halved_by_camera(n: int) -> None:
+    a, b = folds_of(n, SIZE, False)
+    assert a.pixels is b.pixels is None
+    assert sorted([*a.views, *b.views]) == list(range(n))
+    assert abs(len(a.views) - len(b.views)) <= 1
+    assert (np.diff(a.views) == 2).all()  # neighbours on the orbit part
+
+
+@pytest.mark.parametrize("n", [1, LEAST - 1])
+def test_few_cameras_are_halved_by_pixels(n: int) -> None:
+    a, b = folds_of(n, SIZE, False)
+    assert list(a.views) == list(b.views) == list(range(n))
+    assert a.pixels is not None
+    np.testing.assert_array_equal(a.pixels + b.pixels, 1)
+    assert a.pixels.mean() == pytest.approx(0.5, abs=0.01)
+
+
+def test_a_moving_cameras_frames_are_halved_by_time() -> None:
+    a, b = folds_of(21, SIZE, True)
+    assert list(a.views) == list(range(10))
+    assert list(b.views) == list(range(10, 21))
+
+
+def test_one_fold_is_everything() -> None:
+    (fold,) = folds_of(3, SIZE, False, halved=False)
+    assert list(fold.views) == [0, 1, 2]
+    assert fold.pixels is None
+
+
+@pytest.mark.parametrize(("size", "side"), [((640, 480), 16), ((300, 256), 16), ((64, 80), 4), ((9, 9), 1)])
+def test_squares_are_macroblocks_and_smaller_in_small_pictures(size: tuple[int, int], side: int) -> None:
+    """Whole squares of one value, neighbours of the other."""
+    board = chessboard(size)
+    assert board.shape == size[::-1]
+    assert board.dtype == np.float32
+    assert set(np.unique(board)) == {0, 1}
+    y, x = np.mgrid[: size[1], : size[0]] // side
+    np.testing.assert_array_equal(board, (x + y) % 2)
+
+
+def test_a_fold_of_pixels_has_the_weights_that_its_pixels_have() -> None:
+    board = chessboard((32, 32))
+    weights = np.random.default_rng(0).uniform(0.1, 1, (3, 32, 32)).astype(np.float32)
+    rows = np.array([0, 2])
+    np.testing.assert_array_equal(Fold(rows, board).weighted(weights, (32, 32)), weights[rows] * board)
+    np.testing.assert_array_equal(Fold(rows, board).weighted(None, (32, 32)), np.stack([board] * 2))
+    np.testing.assert_array_equal(Fold(rows).weighted(weights, (32, 32)), weights[rows])
+    assert Fold(rows).weighted(None, (32, 32)) is None
+
+
+def fields(seed: int = 0, n: int = 3000) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """(truth, whole, a, b, means): one component moves, one is noise alone; `whole` is the halves' mean."""
+    rng = np.random.default_rng(seed)
+    means = rng.random((n, 3))
+    truth = np.zeros((2, n, 3))
+    truth[0] = (0.3, -0.3, 0.2)
+    a, b = (truth + SIGMA * rng.normal(size=truth.shape) for _ in range(2))
+    return truth, (a + b) / 2, a, b, means
+
+
+def test_motion_is_kept_and_a_component_of_noise_is_not() -> None:
+    truth, whole, a, b, _ = fields()
+    gain = reliability(whole, a, b)
+    assert gain[1] < 0.1
+    shrunk = whole * gain[:, None, None]
+    assert np.linalg.norm(shrunk - truth) < 0.6 * np.linalg.norm(whole - truth)
+
+
+def test_the_gain_is_wieners() -> None:
+    """S / (S + N) with the power of the motion and of the noise in `whole`, which no other gain betters."""
+    truth, whole, a, b, _ = fields(n=6000)
+    signal, noise = 0.22, 3 * SIGMA**2 / 2
+    gain = reliability(whole, a, b)[0]
+    assert gain == pytest.approx(signal / (signal + noise), abs=0.01)
+    error = {g: np.linalg.norm(g * whole[0] - truth[0]) for g in (gain - 0.05, gain, gain + 0.05)}
+    assert min(error, key=lambda g: error[g]) == gain
+
+
+def test_halves_that_contradict_each_other_give_nothing() -> None:
+    a = np.random.default_rng(0).normal(size=(1, 50, 3))
+    assert reliability(0.1 * a, a, -a)[0] == 0
+
+
+def test_the_deviation_is_that_of_the_noise_in_the_whole() -> None:
+    """Here three times as strong on one side as on the other."""
+    truth, _, a, b, means = fields()
+    uneven = np.where(means[:, :1] < 0.5, 1.0, 3.0)
+    a, b = (truth + (x - truth) * uneven for x in (a, b))
+    found = deviation(a, b, nearest(means)[1])
+    for side in (means[:, 0] < 0.4, means[:, 0] > 0.6):
+        error = ((a + b) / 2 - truth)[:, side]
+        expected = np.sqrt((error**2).sum((0, 2)).mean())
+        np.testing.assert_allclose(np.sqrt((found[side] ** 2).mean()), expected, rtol=0.05)
+
+
+def test_what_the_halves_agree_on_exactly_stays_as_it_is() -> None:
+    truth, _, _, _, means = fields(n=500)
+    np.testing.assert_allclose(reliability(truth, truth, truth), [1, 0], rtol=1e-6)
+    assert not deviation(truth, truth, nearest(means)[1]).any()
+
+
+def test_nothing_moves_nothing_is_divided_by_zero() -> None:
+    zero, means = np.zeros((1, 5, 3), np.float32), np.random.default_rng(0).random((5, 3))
+    assert not reliability(zero, zero, zero).any()
+    assert not deviation(zero, zero, nearest(means)[1]).any()
+
+
+def test_shrinking_is_the_mean_times_the_gain_of_displacement() -> None:
+    """Rotations go along with it."""
+    _, _, a, b, _ = fields(n=200)
+    halves = np.stack([np.concatenate([x, 5 * x], 2) for x in (a, b)])
+    shrunk, gain = wiener_shrink(halves)
+    np.testing.assert_allclose(gain, reliability((a + b) / 2, a, b))
+    np.testing.assert_allclose(shrunk, gain[:, None, None] * halves.mean(0), rtol=1e-6)
+
+
+def test_one_fold_alone_stays_as_it_is() -> None:
+    _, _, a, _, _ = fields(n=50)
+    found, gain = wiener_shrink(a[None])
+    np.testing.assert_array_equal(found, a)
+    assert (gain == 1).all()
+
+
+def test_means_over_neighbours_are_means_over_them() -> None:
+    rng = np.random.default_rng(0)
+    values, knn = rng.normal(size=(40_000, 2)), rng.integers(0, 40_000, (40_000, 3))
+    np.testing.assert_allclose(mean_over_neighbours(values, knn), values[knn].mean(1))
