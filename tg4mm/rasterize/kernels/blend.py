@@ -211,7 +211,7 @@ def _forward_tiles(worker, workers, parts, counter, tables, frame, splats, image
             first = last
         if noted:
             reached[first:end] = uint32(0)
-        # the counter waits until all that was written is in the cache: asked before the picture, not after
+        # an atomic waits until all writes are in the cache: so before the picture is written, not after
         item = fetch_add(counter)
         write_tile(state, x0, y0, frame, image, transmittance)
         write_blank(row, end * n_rows // n_pairs, blank_rows, n_x, frame, nothing, image, transmittance)

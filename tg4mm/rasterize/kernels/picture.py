@@ -1,7 +1,7 @@
 """A tile's pixels to the picture: what its Gaussians gave, and what lies where none is.
 
-Writing to memory far away takes the processor long, and little of it can wait at a time. So pixels are asked for well
-ahead (`prefetch_pixels` of `tiles.py`), and tiles that no Gaussian reaches are written a row here and there in between.
+Writes to memory outside the caches are slow, and few can be in flight at a time. So pixels are prefetched
+(`prefetch_pixels` of `tiles.py`), and tiles that no Gaussian reaches are written a row here and there in between.
 """
 
 # mypy: disable-error-code="call-arg, var-annotated"

@@ -1,4 +1,4 @@
-"""What every change of a linearised picture needs of a Gaussian's blocks: weights, and how they answer to the exponent.
+"""Blending weights of a Gaussian's blocks and their derivatives by the exponent, for the linearised picture.
 
 Blocks, tiles and state as in `tiles.py`; `linearised.py` says what the numbers are for.
 """
