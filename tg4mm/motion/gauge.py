@@ -1,4 +1,6 @@
-"""What stands still when the camera does not: a shaking or moving camera leaves six motions of the scene undetermined.
+"""Motions that the pictures leave open, and which of them is taken.
+
+A shaking or moving camera leaves six motions of the scene undetermined.
 
 To fields that explain the pictures any rigid motion of the whole scene may be added, since the camera's unknown pose
 takes it up. Of all these the one is taken in which most of the scene stands still: the rigid motion that is nearest to
@@ -50,3 +52,14 @@ def stillness(fields: np.ndarray) -> np.ndarray:
     length = np.sqrt((fields[..., :3].astype(np.float64) ** 2).sum((0, 2)))
     median = float(np.median(length)) + 1e-30
     return (_STILL / np.maximum(length / median, 0.1)).astype(np.float32)
+
+
+def in_plane(fields: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Fields [..., N, 6] in the plane across `normal` [3]: displacement within it, rotation about it.
+
+    For a flat capture, whose one camera shows nothing of the rest.
+    """
+    out = fields.copy()
+    out[..., :3] -= (fields[..., :3] @ normal)[..., None] * normal
+    out[..., 3:] = (fields[..., 3:] @ normal)[..., None] * normal
+    return out

@@ -15,6 +15,7 @@ from tg4mm.motion.appearance.fit import LOOK, AppearanceFit, Remainder
 from tg4mm.motion.appearance_modes import AppearanceModes
 from tg4mm.motion.checkpoints import Arrays, Parts, computed
 from tg4mm.motion.config import MotionConfig, resolved
+from tg4mm.motion.gauge import in_plane
 from tg4mm.motion.gauss_newton import ABOVE_PX, GaussNewton, states_moved
 from tg4mm.motion.higher_order import TaylorTerms
 from tg4mm.motion.hyperparameters import Hyperparameters, pixel_weights, select_hyperparameters
@@ -91,6 +92,8 @@ class _Synchronous:
         is_small = pixels <= ABOVE_PX
         changes = self._appearance(shapes, True, LOOK) if is_small else None
         folds = self.linear.second_pass(first, self._correction(changes) if is_small else None)
+        if self.observations.kind == "flat":
+            folds = in_plane(folds, self.observations.frames[0].viewmat[2, :3])
         figures: dict[str, Any] = {"pixels_moved": pixels, "gauss_newton": 0, **self._figures()}
         if not is_small and self.config.gauss_newton and self.observations.kind != "flat":
             return self._by_gauss_newton(folds, figures)
@@ -218,7 +221,7 @@ class _Synchronous:
         cameras = [self.observations.frames[v] for v in self._judged]
         own = [views[v] for v in self._judged]
         found = Found(folds, shapes, gaussians, self.problem.graph.knn, own, cameras, residuals)
-        if len(views) >= LEAST:
+        if len(views) >= LEAST or self.observations.kind == "flat":
             return of_halves(found, self.observations.n_timesteps)
         operator = self.problem.on_cpu(self.problem.everything, self.weights, self.hyper.smoothness_weight)
         x = np.mean([f["x"] for f in self._first], axis=0)
@@ -280,6 +283,8 @@ class _Synchronous:
         figures: dict[str, Any],
     ) -> MotionFit:
         notes = [*self.seen.notes]
+        if self.observations.kind == "flat":
+            notes.append("a flat capture shows motion across the sight alone, in pixels of its picture")
         if self.observations.kind == "flat" and (pixels := figures["pixels_moved"]) > ABOVE_PX:
             notes.append(
                 f"things move by {pixels:.2g} px, more than the {ABOVE_PX} px that a flat capture is fitted for: "
