@@ -94,10 +94,11 @@ class _Synchronous:
         folds = self.linear.second_pass(first, self._correction(changes) if is_small else None)
         if self.observations.kind == "flat":
             folds = in_plane(folds, self.observations.frames[0].viewmat[2, :3])
-        figures: dict[str, Any] = {"pixels_moved": pixels, "gauss_newton": 0, **self._figures()}
-        if not is_small and self.config.gauss_newton and self.observations.kind != "flat":
-            return self._by_gauss_newton(folds, figures)
         shapes, gains = wiener_shrink(folds)
+        _, pixels = states_moved(self.views, self.basis, shapes, self.observations.size)
+        figures: dict[str, Any] = {"pixels_moved": pixels, "gauss_newton": 0, **self._figures()}
+        if pixels > ABOVE_PX and self.config.gauss_newton and self.observations.kind != "flat":
+            return self._by_gauss_newton(folds, figures)
         if len(folds) == 2:
             figures["reliability"] = [round(float(g), 4) for g in gains]
         uncertain = self._uncertainty(
