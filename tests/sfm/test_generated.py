@@ -11,7 +11,8 @@ import pytest
 from scipy.spatial import cKDTree
 
 from tg4mm.capture import Capture, load_capture, load_images
-from tg4mm.sfm import SfmPoints, triangulate
+from tg4mm.sfm import SfmPoints, triangulate_views
+from tg4mm.space.targets import rest_views
 
 pytestmark = pytest.mark.slow
 
@@ -30,7 +31,7 @@ def lego(tmp_path_factory: pytest.TempPathFactory, repo_root: Path) -> Capture:
 
 @pytest.fixture(scope="module")
 def found(lego: Capture) -> SfmPoints:
-    return triangulate(lego, load_images(lego))
+    return triangulate_views(rest_views(lego, load_images(lego)))
 
 
 def test_points_lie_on_the_surface(lego: Capture, found: SfmPoints) -> None:

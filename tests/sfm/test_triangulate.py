@@ -12,11 +12,12 @@ from tests.sfm.scenes import intrinsics, orbit, picture, sample, surface_distanc
 from tests.space.scenes import views_of
 from tg4mm.capture import Capture, ImageStack
 from tg4mm.errors import Tg4mmError
-from tg4mm.sfm import SfmPoints, TriangulationConfig, triangulate, triangulate_views
+from tg4mm.sfm import SfmPoints, TriangulationConfig, triangulate_views
 from tg4mm.sfm.points import outside_masks
 from tg4mm.sfm.triangulate import view_pairs
 from tg4mm.space import RestViews, initial
 from tg4mm.space.initial import initial_points
+from tg4mm.space.targets import rest_views
 
 SIZE = (180, 180)
 K = intrinsics(*SIZE, 200.0)
@@ -99,7 +100,7 @@ def test_a_capture_is_averaged_over_time_first() -> None:
         camera_ids=ids,
         paths=tuple(range(10)),  # type: ignore[arg-type]
     )
-    points = triangulate(capture, ImageStack(data))
+    points = triangulate_views(rest_views(capture, ImageStack(data)))
     alpha = pictures[..., 3] / 255
     rgb = pictures[..., :3] / 255 * alpha[..., None] + 1 - alpha[..., None]
     still = triangulate_views(views_of(viewmats, K, alpha, rgb))
@@ -155,8 +156,10 @@ class TestPairs:
         assert {min(j - i, 40 - j + i) for i, j in pairs} == {1, 2}
 
 
-def test_importing_the_package_needs_neither_torch_nor_pycolmap() -> None:
-    code = "import sys; sys.modules['torch'] = sys.modules['pycolmap'] = sys.modules['bpy'] = None; import tg4mm.sfm"
+def test_importing_the_package_needs_no_other_part_of_the_program_nor_torch_nor_pycolmap() -> None:
+    absent = ("torch", "pycolmap", "av", "bpy", "tg4mm.space", "tg4mm.motion")
+    modules = "tg4mm.sfm, tg4mm.sfm.sources, tg4mm.sfm.reconstruct"
+    code = f"import sys; [sys.modules.__setitem__(name, None) for name in {absent}]; import {modules}"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
 

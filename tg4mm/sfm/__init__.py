@@ -2,6 +2,6 @@
 
 from tg4mm.sfm.engine import available
 from tg4mm.sfm.points import SfmPoints
-from tg4mm.sfm.triangulate import TriangulationConfig, triangulate, triangulate_views
+from tg4mm.sfm.triangulate import TriangulationConfig, triangulate_views
 
-__all__ = ["SfmPoints", "TriangulationConfig", "available", "triangulate", "triangulate_views"]
+__all__ = ["SfmPoints", "TriangulationConfig", "available", "triangulate_views"]

@@ -5,19 +5,40 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 from PIL import Image
 
+from tg4mm.capture.geometry import working_box
 from tg4mm.progress import progress
 from tg4mm.sfm.engine import colmap, extract, opened
 from tg4mm.sfm.guided import Features, essential, features_of, guided_matches
 from tg4mm.sfm.points import SfmPoints, outside_masks, points_of
 
-if TYPE_CHECKING:
-    from tg4mm.capture import Capture, ImageStack
-    from tg4mm.space.targets import RestViews
+
+class PosedViews(Protocol):
+    """V pictures of the scene at rest, composited over white, with their cameras."""
+
+    @property
+    def viewmats(self) -> np.ndarray:
+        """[V, 4, 4] world-to-camera, OpenCV axes."""
+
+    @property
+    def Ks(self) -> np.ndarray:
+        """[V, 3, 3] pixels."""
+
+    @property
+    def rgb(self) -> np.ndarray:
+        """[V, H, W, 3] in 0..1."""
+
+    @property
+    def alpha(self) -> np.ndarray:
+        """[V, H, W] in 0..1."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in pixels."""
 
 
 @dataclass(frozen=True)
@@ -34,16 +55,7 @@ class TriangulationConfig:
     seed: int = 0
 
 
-def triangulate(
-    capture: Capture, images: ImageStack, config: TriangulationConfig = TriangulationConfig()
-) -> SfmPoints:
-    """`triangulate_views` of a capture's pictures at rest."""
-    from tg4mm.space.targets import rest_views
-
-    return triangulate_views(rest_views(capture, images), config)
-
-
-def triangulate_views(views: RestViews, config: TriangulationConfig = TriangulationConfig()) -> SfmPoints:
+def triangulate_views(views: PosedViews, config: TriangulationConfig = TriangulationConfig()) -> SfmPoints:
     """Points that at least three pictures show (two, where there are no more than three), in scene units.
 
     Poses and intrinsics are kept as they are. Features lie on the alpha masks only, and so do the points.
@@ -70,7 +82,7 @@ def triangulate_views(views: RestViews, config: TriangulationConfig = Triangulat
     return points
 
 
-def _write_pictures(folder: Path, views: RestViews) -> list[str]:
+def _write_pictures(folder: Path, views: PosedViews) -> list[str]:
     """images/0000.png … and masks/0000.png.png …, white on the object, as COLMAP names them."""
     for part in ("images", "masks"):
         (folder / part).mkdir()
@@ -84,7 +96,7 @@ def _write_pictures(folder: Path, views: RestViews) -> list[str]:
     return names
 
 
-def _known_model(c: Any, views: RestViews, names: list[str]) -> Any:
+def _known_model(c: Any, views: PosedViews, names: list[str]) -> Any:
     """A pycolmap Reconstruction of pinholes at the known poses, picture i with camera and number i + 1."""
     model = c.Reconstruction()
     width, height = views.size
@@ -134,7 +146,7 @@ def view_pairs(viewmats: np.ndarray, max_axes_deg: float, neighbours: int) -> li
     return sorted(pairs)
 
 
-def _match(c: Any, path: Path, views: RestViews, config: TriangulationConfig) -> None:
+def _match(c: Any, path: Path, views: PosedViews, config: TriangulationConfig) -> None:
     """Guided matches of all pairs, written as verified ones."""
     viewmats = [_rigid(viewmat) for viewmat in views.viewmats]
     pairs = view_pairs(views.viewmats, config.max_axes_deg, config.neighbours)
@@ -176,7 +188,7 @@ def _write_matches(
     db.write_two_view_geometry(*ids, geometry)
 
 
-def _options(c: Any, views: RestViews, config: TriangulationConfig) -> Any:
+def _options(c: Any, views: PosedViews, config: TriangulationConfig) -> Any:
     options = c.IncrementalPipelineOptions()
     options.num_threads = options.mapper.num_threads = 1
     options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = config.seed
@@ -186,20 +198,18 @@ def _options(c: Any, views: RestViews, config: TriangulationConfig) -> Any:
     return options
 
 
-def _fewest_views(views: RestViews) -> int:
+def _fewest_views(views: PosedViews) -> int:
     """Two rays always meet near enough somewhere on their epipolar lines; a third one tells whether they should."""
     return 3 if len(views.viewmats) > 3 else 2
 
 
-def _trusted(points: SfmPoints, views: RestViews, config: TriangulationConfig) -> SfmPoints:
+def _trusted(points: SfmPoints, views: PosedViews, config: TriangulationConfig) -> SfmPoints:
     """Points with a small error; where masks cut an object out, those on it, in the space the cameras share."""
-    from tg4mm.space.initial import working_box
-
     masks = views.alpha > 0.5
     keep = (points.errors_px <= config.error_px) & (points.n_views >= _fewest_views(views))
     if not masks.all():
         viewmats, Ks = views.viewmats.astype(np.float64), views.Ks.astype(np.float64)
-        centre, half = working_box(views)
+        centre, half = working_box(viewmats, Ks, views.size)
         keep &= np.abs(points.xyz - centre).max(axis=1, initial=0) <= half
         keep &= ~outside_masks(points.xyz.astype(np.float64), viewmats, Ks, masks)
     return points.kept(keep)

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from tg4mm.capture import SurfacePoints
-from tg4mm.capture.geometry import nearest_point_equations, optical_axes
+from tg4mm.capture import SurfacePoints, geometry
 from tg4mm.errors import CaptureError
 from tg4mm.space.targets import RestViews
 
@@ -38,22 +37,8 @@ class InitialPoints:
 
 
 def working_box(views: RestViews) -> tuple[np.ndarray, float]:
-    """Centre [3] and half side (scene units) of the cube that the cameras look at together.
-
-    The centre is the point nearest to all optical axes (least squares); the half side is what the widest camera
-    sees at that distance.
-    """
-    origins, axes = optical_axes(views.viewmats)
-    A, b = nearest_point_equations(origins, axes)
-    # a small pull to a point in front of the mean camera settles parallel axes
-    depth = np.median(np.linalg.norm(origins - origins.mean(0), axis=1))
-    if depth < 1e-9 * (1 + np.abs(origins).max()):
-        depth = 1.0  # cameras at one place see no distance: one scene unit, well beyond the near plane
-    prior = origins.mean(0) + depth * axes.mean(0)
-    centre = np.linalg.solve(A + 1e-3 * np.eye(3), b + 1e-3 * prior)
-    distance = np.linalg.norm(origins - centre, axis=1)
-    half_field = np.maximum(views.size[0] / views.Ks[:, 0, 0], views.size[1] / views.Ks[:, 1, 1]) / 2
-    return centre, float(np.max(distance * half_field))
+    """Centre [3] and half side (scene units) of the cube that the cameras look at together."""
+    return geometry.working_box(views.viewmats, views.Ks, views.size)
 
 
 def _project(xyz: np.ndarray, views: RestViews, v: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
