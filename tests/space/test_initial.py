@@ -10,7 +10,7 @@ from tests.space.scenes import capsule_mask, intrinsics, orbit, rays, views_of
 from tg4mm.capture import SurfacePoints
 from tg4mm.errors import CaptureError
 from tg4mm.space import RestViews, initial
-from tg4mm.space.initial import _project, hull_points, initial_points, mean_colours, working_box
+from tg4mm.space.initial import _project, hull_points, hull_shell, initial_points, mean_colours, working_box
 
 CENTRE, RADIUS = np.array([0.3, -0.2, 0.5]), 0.8
 SIZE = 128
@@ -32,9 +32,20 @@ def ball() -> RestViews:
     return silhouettes([(np.array([CENTRE, CENTRE]), RADIUS)])
 
 
+@pytest.fixture(scope="module")
+def shell(ball: RestViews) -> tuple[np.ndarray, float] | None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(initial, "HULL_GRID", GRID)
+        return hull_shell(ball)
+
+
 @pytest.fixture(autouse=True)
-def _small_grid(monkeypatch: pytest.MonkeyPatch) -> None:
+def _small_grid(
+    monkeypatch: pytest.MonkeyPatch, ball: RestViews, shell: tuple[np.ndarray, float] | None
+) -> None:
+    """The ball's shell, which takes a second, is found once for all tests."""
     monkeypatch.setattr(initial, "HULL_GRID", GRID)
+    monkeypatch.setattr(initial, "hull_shell", lambda views: shell if views is ball else hull_shell(views))
 
 
 def rng() -> np.random.Generator:
