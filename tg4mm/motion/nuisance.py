@@ -18,6 +18,7 @@ from functools import cached_property
 
 import numpy as np
 
+from tg4mm.motion.jacobian.colour import without_colour
 from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.jacobian.view import PosedView, ViewJacobian
 
@@ -42,8 +43,12 @@ class Nuisance:
 
     @cached_property
     def pose(self) -> np.ndarray:
-        """[6, H, W, 3] float32: what a unit rotation (radians) and translation about the camera change."""
-        return np.array(self.view.jvp(rigid_fields(self.camera, self.means)))
+        """[6, H, W, 3] float32: what a unit rotation (radians) and translation about the camera change.
+
+        A camera that turns about itself sees every Gaussian from the same side, and so in the same colour.
+        """
+        rotations, translations = np.split(rigid_fields(self.camera, self.means), 2)
+        return np.concatenate([without_colour(self.view).jvp(rotations), self.view.jvp(translations)])
 
     def columns(self, mean: np.ndarray, active: np.ndarray | None = None) -> np.ndarray:
         """[k, H, W, 3] float32: the active columns for a mean picture [H, W, 3]."""

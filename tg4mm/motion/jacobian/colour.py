@@ -23,6 +23,13 @@ def colour_jacobian(view: ViewJacobian, active: np.ndarray) -> ViewJacobian:
     return replace(view, packed=pack(jacobian))
 
 
+def without_colour(view: ViewJacobian) -> ViewJacobian:
+    """The view with colours that no motion changes, as if they were the same from all sides."""
+    jacobian = view.jacobian
+    jacobian[:, _COLOUR:] = 0
+    return replace(view, packed=pack(jacobian))
+
+
 def blend_sum(view: ViewJacobian, picture: np.ndarray) -> np.ndarray:
     """[N, 3] float32: a picture [H, W, 3] summed over pixels by each Gaussian's blending weights."""
     out = np.zeros((1, len(view.splats), DOF), np.float32)
