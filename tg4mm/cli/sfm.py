@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from tg4mm.errors import Tg4mmError
+
+if TYPE_CHECKING:
+    from tg4mm.sfm.scale import Length
 
 
 class Intrinsics(StrEnum):
@@ -98,6 +101,21 @@ def sfm(
             metavar="A B METRES", help="Two cameras or photographs and their distance: gives the scale."
         ),
     ] = None,
+    length: Annotated[
+        tuple[str, float, float, str, float, float, float] | None,
+        typer.Option(
+            metavar="IMAGE X Y IMAGE X Y METRES",
+            help="A known length on the thing itself: its two ends, each a picture's name and pixels from its left and "
+            "upper edge (as the picture was given), and metres. Gives the scale.",
+        ),
+    ] = None,
+    length_file: Annotated[
+        Path | None,
+        typer.Option(
+            help="The same in a JSON or YAML file, an end shown in several pictures: "
+            "{metres: 0.35, points: [{000.jpg: [210, 345], 008.jpg: [180, 350]}, {000.jpg: [410, 350]}]}"
+        ),
+    ] = None,
     test_every: Annotated[
         int, typer.Option(help="Hold out every so-many-th camera as the test split; 0: none.")
     ] = 0,
@@ -116,6 +134,8 @@ def sfm(
         raise Tg4mmError(f"--threads is {threads}, expected 0 (all cores) or more")
     from tg4mm.sfm.reconstruct import SfmConfig, reconstruct
 
+    if length is not None and length_file is not None:
+        raise Tg4mmError("--length and --length-file exclude each other: both say how large the scene is")
     config = SfmConfig(
         kind=None if kind is None else kind.value,
         camera_model=camera_model,
@@ -128,6 +148,7 @@ def sfm(
         stop_s=until,
         unit_scale_m=unit_scale_m,
         baseline=baseline,
+        length=_length(length, length_file),
         test_every=test_every,
         seed=seed,
     )
@@ -138,4 +159,25 @@ def sfm(
             f"{report['reprojection_error_px']:.2f} px",
             err=True,
         )
+    if "length" in report:
+        found = report["length"]
+        ends = " and ".join(f"({', '.join(f'{x:.4f}' for x in point)})" for point in found["points"])
+        typer.echo(
+            f"length: {found['metres']:g} m between {ends} is {found['units']:.5g} units, "
+            f"± {found['uncertainty_percent']:.2g} %",
+            err=True,
+        )
     typer.echo(str(out))
+
+
+def _length(
+    given: tuple[str, float, float, str, float, float, float] | None, path: Path | None
+) -> Length | None:
+    from tg4mm.sfm.scale import Length, read_length
+
+    if path is not None:
+        return read_length(path)
+    if given is None:
+        return None
+    first, second, metres = given[:3], given[3:6], given[6]
+    return Length(((first,), (second,)), metres)

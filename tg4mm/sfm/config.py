@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from tg4mm.errors import Tg4mmError
 from tg4mm.sfm.clip import Window
+from tg4mm.sfm.scale import Length, checked_length
 from tg4mm.sfm.sources import FEWEST
 
 CAMERA_MODELS = (
@@ -40,6 +41,7 @@ class SfmConfig:
     stop_s: float | None = None
     unit_scale_m: float | None = None  # metres per scene unit
     baseline: tuple[str, str, float] | None = None  # two cameras (pictures) and their distance in metres
+    length: Length | None = None  # on the thing itself
     test_every: int = 0  # every so-many-th camera is a test camera
     seed: int = 0
 
@@ -76,6 +78,12 @@ def checked(config: SfmConfig) -> SfmConfig:
     for name, (good, value, expected) in checks.items():
         if not good:
             raise Tg4mmError(f"--{name} is {value}, expected {expected}")
-    if config.unit_scale_m is not None and config.baseline is not None:
-        raise Tg4mmError("--unit-scale-m and --baseline exclude each other: both say how large the scene is")
+    scales = {
+        "--unit-scale-m": config.unit_scale_m,
+        "--baseline": config.baseline,
+        "--length": config.length and checked_length(config.length),
+    }
+    given = [name for name, value in scales.items() if value is not None]
+    if len(given) > 1:
+        raise Tg4mmError(f"{' and '.join(given)} exclude each other: each says how large the scene is")
     return config

@@ -35,7 +35,7 @@ from tg4mm.sfm.mapping import (
 from tg4mm.sfm.place import Placement, clock_of, placed_tracks
 from tg4mm.sfm.register import Workplace, register_frames
 from tg4mm.sfm.request import Work, open_request
-from tg4mm.sfm.scale import baseline_scale
+from tg4mm.sfm.scale import baseline_scale, measured_length
 from tg4mm.sfm.sources import FEWEST, SWEEP, Sources, find_sources
 from tg4mm.sfm.staging import (
     Shot,
@@ -117,10 +117,8 @@ def _scene(job: _Job) -> dict[str, Any]:
 
 
 def _flat(job: _Job) -> dict[str, Any]:
-    if job.config.baseline is not None or job.config.unit_scale_m is not None:
-        raise Tg4mmError(
-            "a flat capture is measured in pixels: --unit-scale-m and --baseline say nothing of it"
-        )
+    if any(value is not None for value in (job.config.baseline, job.config.unit_scale_m, job.config.length)):
+        raise Tg4mmError("a flat capture is measured in pixels: a length or a baseline says nothing of it")
     clock = clock_of(job.surveys, job.config.fps)
     survey, clip = job.surveys[0], job.sources.clips[0]
     report = {"kind": job.kind.name, "asked": job.work.scene_only}
@@ -144,6 +142,9 @@ def _posed(job: _Job) -> dict[str, Any]:
         scene["fps"] = clock.fps
     if config.baseline is not None:
         scene["unit_scale_m"] = baseline_scale(placement.tracks, config.baseline)
+    if config.length is not None:
+        measured = measured_length(config.length, taken, placed, model, placement.world)
+        scene["unit_scale_m"], report["length"] = measured.unit_scale_m, measured.record()
     write_dataset(job.work.out, placement.tracks, placement.points, scene, config.test_every)
     return report
 
