@@ -17,6 +17,7 @@ from tg4mm.motion.observations import Observations, PosedFrames
 from tg4mm.rasterize import rasterization
 
 FPS, SIZE = 30.0, 48
+_NOISE = np.random.default_rng(7)  # of the sensor: one step of 8 bits
 
 
 def scene(frequency: float, amplitude: float = 0.01) -> tuple[Gaussians, ModalMotion]:
@@ -40,7 +41,8 @@ def picture(gaussians: Gaussians, viewmat: np.ndarray, size: int = SIZE) -> np.n
         torch.from_numpy(K_of(size))[None], size, size, sh_degree=0, backgrounds=torch.ones(1, 3),
     )  # fmt: skip
     out = np.full((size, size, 4), 65535, np.uint16)
-    out[..., :3] = (rgb[0].clamp(0, 1).numpy() * 65535 + 0.5).astype(np.uint16)
+    noisy = rgb[0].numpy() + _NOISE.normal(size=(size, size, 3)) * 0.004
+    out[..., :3] = (noisy.clip(0, 1) * 65535 + 0.5).astype(np.uint16)
     return out
 
 

@@ -22,7 +22,7 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.motion import ModalMotion, MotionConfig
 from tg4mm.motion import gauss_newton as module
 from tg4mm.motion.animate import animate
-from tg4mm.motion.evidence import Evidence
+from tg4mm.motion.evidence import Errors, Evidence
 from tg4mm.motion.gauss_newton import ABOVE_PX, GaussNewton, GaussNewtonState, states_moved, used_components
 from tg4mm.motion.hyperparameters import Hyperparameters
 from tg4mm.motion.nuisance import nuisances_of
@@ -258,25 +258,6 @@ def test_what_only_gets_worse_is_not_taken(
     assert _same_scene(runs[1], scene)
 
 
-def test_half_a_step_is_taken_where_a_whole_one_overshoots(
-    quick: tuple[Run, Run, ModalMotion], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    real = GaussNewton._fitted
-
-    def too_far(self: GaussNewton, state: GaussNewtonState, *args: Any) -> tuple[np.ndarray, float]:
-        new, weight = real(self, state, *args)
-        return state.fields + 2 * (new - state.fields), weight
-
-    once = replace(SHORT, gauss_newton=1)
-    runs = [_copy(quick[0], tmp_path / name) for name in ("plain", "too far")]
-    expected = _trained(runs[0], once)
-    monkeypatch.setattr(GaussNewton, "_fitted", too_far)
-    found = _trained(runs[1], once)
-    assert runs[1].log()["motion"]["gauss_newton"] == 1
-    size = np.abs(expected.displacement).max()
-    np.testing.assert_allclose(found.displacement, expected.displacement, atol=1e-3 * size)
-
-
 class Lab:
     """One iteration's problem, on the scene of `quick`."""
 
@@ -354,7 +335,7 @@ def test_of_the_true_motion_target_images_are_what_it_shows(lab: Lab) -> None:
     """Nothing is left of the pictures, so that what each knot must explain is what its views show of the motion."""
     errors = lab.evidence.remaining(lab.gaussians, lab.shapes, "cpu")[1]
     still = lab.evidence.remaining(lab.gaussians, 0 * lab.shapes, "cpu")[1]
-    assert errors.changes < 0.02 * still.changes
+    assert errors.changes < 0.08 * still.changes
     assert errors.within(still)
     off, whole = 0.0, 0.0
     for knot in lab.knots:
@@ -377,6 +358,36 @@ def test_on_a_device_the_problem_is_the_same(lab: Lab, monkeypatch: pytest.Monke
     expected, found = here.products(theta), there.products(torch.from_numpy(theta)).numpy()
     np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
     np.testing.assert_allclose(c.numpy(), b, atol=1e-4 * np.abs(b).max())
+
+
+@pytest.mark.parametrize(("best", "taken"), [(1.0, 1.0), (0.5, 0.5), (0.6, 0.5), (-1.0, None)])
+def test_half_a_step_is_taken_where_a_whole_one_goes_too_far(
+    best: float, taken: float | None, lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is left goes by the distance from `best` of the way; where neither leaves less, that was all."""
+    way = np.ones_like(lab.shapes)
+
+    class Distance:
+        def remaining(self, gaussians: Gaussians, shapes: np.ndarray, device: str) -> tuple[None, Errors]:
+            off = abs(float(shapes.mean()) - best)
+            return None, Errors(off, off)
+
+    monkeypatch.setattr(lab.loop, "refining", 0)
+    monkeypatch.setattr(lab.loop, "_fitted", lambda *_: (np.stack([way] * 2), 30.0))
+    start = GaussNewtonState(
+        lab.gaussians, np.zeros((2, *way.shape), np.float32), 300.0, Errors(abs(best), 9.0)
+    )
+    evidence: Any = Distance()
+    after = lab.loop._iterated(start, evidence, 0, lambda *_, **__: None)
+    if taken is None:
+        assert after.is_over
+        assert after.fields is start.fields
+        assert after.smoothness_weight == 300.0
+    else:
+        np.testing.assert_allclose(after.fields, taken, rtol=1e-6)
+        assert after.errors.changes == pytest.approx(abs(best - taken), abs=1e-6)
+        assert not after.is_over
+        assert after.smoothness_weight == 30.0
 
 
 def test_a_state_read_back_is_the_one_written(lab: Lab) -> None:

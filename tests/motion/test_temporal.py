@@ -290,7 +290,7 @@ class TestNuisance:
         found = principal_components(observations, look, nuisances, 6)
         kept = (found.images.astype(float) ** 2).sum()
         assert found.residual.min() >= 0
-        assert 3 * found.residual.sum() < 0.02 * kept
+        assert 3 * found.residual.sum() < 0.1 * kept
         assert 3 * look.total.sum() > 1.5 * kept
 
 

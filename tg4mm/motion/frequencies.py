@@ -18,10 +18,13 @@ from tg4mm.motion.temporal import sinusoids
 MOST = 6
 _OVERSAMPLED = 6  # frequencies tried per 1 / duration
 _CAP = 300.0  # of a series' power over its noise: a few that move much do not hide the rest
-_STANDS_OUT = 10.0  # robust deviations of the noise above it
+_STANDS_OUT = 5.0  # robust deviations of the noise's logarithm above it
 _LEAST = 1.3  # times the noise
-_WEAK = 0.01  # of the strongest peak's power above the floor: weaker is taken for leakage
-_APART = 0.75  # over the duration, Hz
+_CLIPS = 8  # rounds in which peaks are left out of the noise
+_WEAK = 0.03  # of the strongest peak's power above the floor: weaker is taken for leakage
+_APART = (
+    1.5  # over the duration, Hz: nearer ones are one whose amplitude changes, as a camera moves around it
+)
 
 
 @dataclass(frozen=True)
@@ -59,13 +62,16 @@ def find_frequencies(
         if not allowed.any():
             break
         peak = int(np.where(allowed, spectrum, -1).argmax())
-        floor, spread = _floor(spectrum, grid, duration)
-        above = float(spectrum[peak] - floor[peak])
-        strongest = max(strongest, above)
-        if above < max(_STANDS_OUT * spread[peak], (_LEAST - 1) * floor[peak], _WEAK * strongest):
+        floor, spread = _floor(spectrum, grid, allowed)
+        above = float(np.log(max(spectrum[peak], 1e-12)) - floor[peak])
+        power = float(spectrum[peak] - np.exp(floor[peak]))
+        strongest = max(strongest, power)
+        if above < max(_STANDS_OUT * spread, np.log(_LEAST)) or power < _WEAK * strongest:
             break
-        found.append(float(grid[peak]))
-        found = _refined(clean, times, noise, found, 1 / duration)
+        more = _refined(clean, times, noise, [*found, float(grid[peak])], 1 / duration)
+        if len(more) > 1 and np.diff(np.sort(more)).min() < 0.5 * _APART / duration:
+            break
+        found = more
     hz = np.array(found)
     assert first is not None
     bound = _deviation(clean, times, noise, hz)
@@ -73,19 +79,22 @@ def find_frequencies(
     return Frequencies(hz, np.hypot(bound, scatter), grid, first)
 
 
-def _floor(spectrum: np.ndarray, grid: np.ndarray, duration: float) -> tuple[np.ndarray, np.ndarray]:
-    """[M] each: the noise and its robust deviation, from the lower half of the spectrum around every frequency.
+def _floor(spectrum: np.ndarray, grid: np.ndarray, allowed: np.ndarray) -> tuple[np.ndarray, float]:
+    """[M] log of the noise's spectrum, a parabola over log frequency, and the robust deviation from it.
 
-    Noise rises to low frequencies; what lies above the median may be a peak's flank.
+    Of the `allowed` frequencies [M] bool. Peaks are clipped: what lies more than two deviations above is left out, and
+    the rest is fitted again.
     """
-    floor, spread = np.empty_like(spectrum), np.empty_like(spectrum)
-    for k, f in enumerate(grid):
-        half = max(0.5 * f, 6 / duration)
-        own = spectrum[(grid >= f - half) & (grid <= f + half)]
-        lower = own[own <= np.median(own)]
-        floor[k] = np.median(lower)
-        spread[k] = 1.4826 * np.median(np.abs(lower - floor[k]))
-    return floor, spread
+    x, y = np.log(grid / grid[0]), np.log(np.maximum(spectrum, 1e-12))
+    kept, spread = allowed, 0.0
+    fitted = np.full(len(y), float(np.median(y[allowed])))
+    for k in range(_CLIPS):
+        if k:
+            fitted = np.polyval(np.polyfit(x[kept], y[kept], 2 if kept.sum() > 20 else 0), x)
+        left = y - fitted
+        spread = 1.4826 * float(np.median(np.abs(left[kept])))
+        kept = allowed & (left < max(2 * spread, 1e-6))
+    return fitted, spread
 
 
 def _without_slow(y: np.ndarray, t: np.ndarray, lowest_hz: float) -> np.ndarray:

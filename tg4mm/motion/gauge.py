@@ -12,7 +12,6 @@ from __future__ import annotations
 import numpy as np
 
 _ROUNDS = 30
-_STILL = 0.05  # κ of a Gaussian that moves as much as the median, relative to what the images determine
 _SMALL = 0.05  # of the median distance: nearer than that counts no more
 
 
@@ -42,16 +41,6 @@ def with_still_background(fields: np.ndarray, means: np.ndarray, weights: np.nda
     out[..., :3] -= np.einsum("nci,ri->rnc", design, rigid).astype(np.float32)
     out[..., 3:] -= rigid[:, None, 3:].astype(np.float32)
     return out
-
-
-def stillness(fields: np.ndarray) -> np.ndarray:
-    """κ [N] for fields [R, N, 6]: the weight of |u|² with which least squares prefers few moving Gaussians.
-
-    Inversely as the length of what was found, as in iteratively reweighted least squares of Σ |u| (a sparse motion).
-    """
-    length = np.sqrt((fields[..., :3].astype(np.float64) ** 2).sum((0, 2)))
-    median = float(np.median(length)) + 1e-30
-    return (_STILL / np.maximum(length / median, 0.1)).astype(np.float32)
 
 
 def in_plane(fields: np.ndarray, normal: np.ndarray) -> np.ndarray:

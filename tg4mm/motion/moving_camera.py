@@ -26,7 +26,7 @@ from tg4mm.errors import RunError
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.checkpoints import Arrays, Parts
 from tg4mm.motion.config import MotionConfig
-from tg4mm.motion.gauge import stillness, with_still_background
+from tg4mm.motion.gauge import with_still_background
 from tg4mm.motion.hyperparameters import DEFAULT, chosen_weight
 from tg4mm.motion.jacobian.colour import blend_sum
 from tg4mm.motion.jacobian.pixels import pixels_moved
@@ -39,7 +39,7 @@ from tg4mm.motion.refine import MovedPictures, refine_rest_scene
 from tg4mm.motion.regions import RegionSeries, labels_of, moving_camera_series
 from tg4mm.motion.result import MotionFit
 from tg4mm.motion.solver.operator import Fold
-from tg4mm.motion.solver.pcg import fetched, pcg, sent
+from tg4mm.motion.solver.pcg import pcg
 from tg4mm.motion.split_half import folds_of, wiener_shrink
 from tg4mm.motion.steady import frequencies_of, motion_of, without_motion
 from tg4mm.motion.temporal import sinusoids
@@ -53,6 +53,7 @@ _ROBUST = 3.0  # robust deviations: residuals beyond count less
 _SLOW_BELOW = 0.5  # of the lowest frequency: slow functions reach up to it
 _THINNED = 3  # every third frame is enough to choose the smoothness weight
 _MOST_ITERATIONS = 18  # of conjugate gradients
+_AGREED = 0.7  # reliability below which a frequency is noise, or what the scene at rest gets wrong
 _JUDGED = 10
 _ALL = np.ones(12, bool)
 
@@ -92,6 +93,13 @@ def fit_moving_camera(
     fit = _MovingFit(problem, seen, projections, observations, found.hz, config, parts)
     folds, weight = fit.folds()
     shapes, gains = wiener_shrink(folds)
+    is_agreed = gains.reshape(-1, 2).max(1) >= _AGREED
+    if not is_agreed.any():
+        return without_motion(gaussians, observations, figures, notes)
+    rows = np.repeat(is_agreed, 2)
+    found, folds, shapes, gains = found.selected(is_agreed), folds[:, rows], shapes[rows], gains[rows]
+    fit, figures["frequencies_hz"] = replace(fit, hz=found.hz), [round(float(f), 4) for f in found.hz]
+    figures["frequency_deviation_hz"] = [round(float(f), 5) for f in found.deviation_hz]
     scale = fit.scale
     moved = pixels_moved(problem.views[:: max(len(seen) // 8, 1)], shapes[:2, :, :3] * np.float32(scale))
     figures |= {
@@ -320,64 +328,23 @@ class _MovingFit:
             return {"smoothness_weight": np.array(weight)}
 
         weight = float(self.parts("hyperparameters", select)["smoothness_weight"])
-        first = [
-            self.parts(f"moving_{p}", lambda p=p: self._first(problem, folds[p], images, weights, weight, p))
-            for p in range(len(folds))
-        ]
         n = 2 * len(self.hz)
-        mean = self.still(np.mean([f["fields"] for f in first], axis=0)[:n])
-        second = [
-            self.parts(
-                f"still_{p}", lambda p=p: self._second(problem, folds[p], weights, weight, first[p], mean, p)
-            )
+        found = [
+            self.parts(f"moving_{p}", lambda p=p: self._solved(problem, folds[p], images, weights, weight, p))
             for p in range(len(folds))
         ]
-        return np.stack([self.still(f["fields"][:n]) for f in second]), weight
+        return np.stack([self.still(f["fields"][:n]) for f in found]), weight
 
-    @property
-    def _iterations(self) -> int:
-        return min(self.config.iterations, _MOST_ITERATIONS)
-
-    def _first(
+    def _solved(
         self, problem: Problem, fold: Fold, images: np.ndarray, weights: np.ndarray, weight: float, p: int
     ) -> Arrays:
         operator = problem.operator(fold, weights, weight)
         b = operator.right_hand_sides(images[v] for v in fold.views)
-        with progress(f"motion, half {p + 1}", self._iterations, "iterations") as update:
+        iterations = min(self.config.iterations, _MOST_ITERATIONS)
+        with progress(f"motion, half {p + 1}", iterations, "iterations") as update:
             tell = _telling(update)
-            solution = pcg(operator, b, self._iterations, self.config.tolerance, update=tell)
-        x = operator.gradient_fields(solution.theta)
-        return {
-            "fields": operator.fields(solution.theta),
-            "x": x,
-            "residual": fetched(solution.residual),
-            "norms": solution.norms,
-        }
-
-    def _second(
-        self,
-        problem: Problem,
-        fold: Fold,
-        weights: np.ndarray,
-        weight: float,
-        first: Arrays,
-        mean: np.ndarray,
-        p: int,
-    ) -> Arrays:
-        """What changes where few Gaussians are preferred to move (`gauge.py`)."""
-        before = problem.operator(fold, weights, weight)
-        operator = before.with_stillness(stillness(mean))
-        b = (
-            first["residual"]
-            + fetched(before.prior_products(first["x"]))
-            - fetched(operator.prior_products(first["x"]))
-        )
-        iterations = self._iterations * 2 // 3
-        with progress(f"motion, half {p + 1}, background still", iterations, "iterations") as update:
-            b = sent(b, self.problem.device)
-            tell = _telling(update)
-            solution = pcg(operator, b, iterations, self.config.tolerance, first["norms"], tell)
-        return {"fields": first["fields"] + operator.fields(solution.theta)}
+            solution = pcg(operator, b, iterations, self.config.tolerance, update=tell)
+        return {"fields": operator.fields(solution.theta)}
 
     def still(self, fields: np.ndarray) -> np.ndarray:
         """Fields [2K, N, 6] with the background still, each frequency by itself."""

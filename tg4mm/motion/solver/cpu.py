@@ -13,7 +13,6 @@ from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.jacobian.view import ViewJacobian
 from tg4mm.motion.nuisance import Projection
 from tg4mm.motion.prior.graph import Graph
-from tg4mm.motion.prior.tgv import ROWS
 from tg4mm.motion.solver.preconditioner import TwoLevelPreconditioner
 from tg4mm.rasterize.buffers import Buffers
 
@@ -31,9 +30,6 @@ class CpuOperator:
     weights: np.ndarray | None = None  # W [V, H, W] float32; None: 1
     projections: Sequence[Projection] | None = None  # one a view; None: nothing is projected out
     mixing: Sequence[np.ndarray] | None = None  # C_v [ρ, R]; None: the identity
-    stillness: np.ndarray | None = (
-        None  # κ [N] float32: weight of each Gaussian's squared displacement; None: 0
-    )
     buffers: Buffers = field(default_factory=Buffers, compare=False)
 
     @property
@@ -82,8 +78,6 @@ class CpuOperator:
         """[P, 3]: the operator on a field x [4N, 3], given JᵀWJ of its motion [N, 6]."""
         v = self.graph.from_motion(v_motion)
         self.graph.add_prior(x, self.scale * self.smoothness_weight, self.scale * self.ridge, v)
-        if self.stillness is not None:
-            v[::ROWS] += np.float32(self.scale) * self.stillness[:, None] * x[::ROWS]
         return self.preconditioner.from_field(v)
 
     def misfit(self, fields: np.ndarray, pictures: Iterable[np.ndarray]) -> float:
@@ -100,10 +94,6 @@ class CpuOperator:
     def with_graph(self, graph: Graph) -> CpuOperator:
         """`Operator.with_graph`."""
         return replace(self, graph=graph)
-
-    def with_stillness(self, stillness: np.ndarray) -> CpuOperator:
-        """`Operator.with_stillness`."""
-        return replace(self, stillness=stillness.astype(np.float32))
 
     def mixed(self, k: int, fields: np.ndarray) -> np.ndarray:
         """What view k's target images show of fields [R, N, 6]: [ρ, N, 6]."""

@@ -107,7 +107,6 @@ class DeviceOperator:
         if operator.projections is not None:
             self.pulled = [self._sent(p.pulled).flatten(1) for p in operator.projections]
         self.mixing = None if operator.mixing is None else [self._sent(m) for m in operator.mixing]
-        self.stillness = None if operator.stillness is None else self._sent(operator.stillness[:, None])
 
     def right_hand_sides(self, pictures: Iterable[np.ndarray]) -> Tensor:
         """`Operator.right_hand_sides`."""
@@ -181,12 +180,6 @@ class DeviceOperator:
             raise _too_small(self.device, "it holds one matrix of the neighbours, not two") from None
         return other
 
-    def with_stillness(self, stillness: np.ndarray) -> DeviceOperator:
-        """`Operator.with_stillness`."""
-        other = copy.copy(self)
-        other.stillness = self._sent(stillness.astype(np.float32)[:, None])
-        return other
-
     def _field(self, theta: Tensor) -> Tensor:
         """As `TwoLevelPreconditioner.field`."""
         fine = ROWS * len(self.blocks)
@@ -209,10 +202,7 @@ class DeviceOperator:
         return torch.cat([v_motion[:, None, :3], gradient], 1).reshape(-1, 3)
 
     def _prior(self, x: Tensor) -> Tensor:
-        out = self.scale * (self.smoothness_weight * (self.stiffness @ x) + self.ridge * x)
-        if self.stillness is not None:
-            out[::ROWS] += self.scale * self.stillness * x[::ROWS]
-        return out
+        return self.scale * (self.smoothness_weight * (self.stiffness @ x) + self.ridge * x)
 
     def _mixed(self, k: int, motions: list[Tensor]) -> list[Tensor]:
         if self.mixing is None:

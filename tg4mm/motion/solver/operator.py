@@ -81,6 +81,3 @@ class Operator(System, Protocol):
 
     def with_graph(self, graph: Graph) -> Operator:
         """The problem with other edge weights, in the same unknowns."""
-
-    def with_stillness(self, stillness: np.ndarray) -> Operator:
-        """The problem with h Σ_n κ_n |u_n|² added, κ [N]."""
