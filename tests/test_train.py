@@ -197,7 +197,9 @@ class TestStages:
             assert set(run.log()) == {"space"}
             assert train(source, tmp_path / name, settings=SETTINGS).has_space
 
-    def test_cameras_that_wander_in_few_pictures_are_refused_by_name(self, data: Path, tmp_path: Path) -> None:
+    def test_cameras_that_wander_in_few_pictures_are_refused_by_name(
+        self, data: Path, tmp_path: Path
+    ) -> None:
         path = tmp_path / "data"
         make_synthetic_dataset(path, n_views=2, n_timesteps=3, size=24, alphas=(), n_test=0)
         for t in range(3):

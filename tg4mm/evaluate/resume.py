@@ -54,7 +54,11 @@ def fingerprint(
         digest.update(np.ascontiguousarray(tensor.cpu().numpy()).tobytes())
     for motion in (m.motion for m in methods if m.motion is not None):
         arrays = (motion.freqs_hz, motion.displacement, motion.rotation, motion.gains, motion.magnified)
-        light = (None, None) if motion.appearance is None else (motion.appearance.shapes, motion.appearance.series)
+        light = (
+            (None, None)
+            if motion.appearance is None
+            else (motion.appearance.shapes, motion.appearance.series)
+        )
         for array in (*arrays, *light):
             digest.update(b"" if array is None else np.ascontiguousarray(array).tobytes())
     for i, t in enumerate(capture.timesteps.tolist()):
