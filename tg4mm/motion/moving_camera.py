@@ -329,10 +329,13 @@ class _MovingFit:
 
         weight = float(self.parts("hyperparameters", select)["smoothness_weight"])
         n = 2 * len(self.hz)
-        found = [
-            self.parts(f"moving_{p}", lambda p=p: self._solved(problem, folds[p], images, weights, weight, p))
-            for p in range(len(folds))
-        ]
+        found = []
+        for p, fold in enumerate(folds):
+
+            def solve(fold: Fold = fold, p: int = p) -> Arrays:
+                return self._solved(problem, fold, images, weights, weight, p)
+
+            found.append(self.parts(f"moving_{p}", solve))
         return np.stack([self.still(f["fields"][:n]) for f in found]), weight
 
     def _solved(
