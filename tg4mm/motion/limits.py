@@ -20,10 +20,11 @@ def peaks(motion: ModalMotion, lowest_hz: float) -> np.ndarray:
     A frequency counts once, by its strongest mode: what lies within half the lowest frequency of a stronger one is it.
     """
     rms = np.sqrt((np.abs(motion.displacement) ** 2).sum(2).mean(1)) if len(motion.freqs_hz) else np.zeros(0)
+    strongest = rms[motion.freqs_hz >= lowest_hz].max(initial=0)  # a drift is none
     out: list[float] = []
     for k in np.argsort(rms)[::-1]:
         f = float(motion.freqs_hz[k])
-        if rms[k] < _PEAK * rms.max() or f < lowest_hz:
+        if rms[k] < _PEAK * strongest or f < lowest_hz:
             continue
         if all(abs(f - other) > lowest_hz / 2 for other in out):
             out.append(f)
