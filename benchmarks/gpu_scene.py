@@ -74,6 +74,7 @@ def moving(gaussians: Gaussians, motion: ModalMotion, capture: Capture) -> tuple
         Ks=np.tile(capture.Ks, (T, 1, 1)),
         timesteps=np.repeat(np.arange(T), views),
         camera_ids=np.tile(capture.camera_ids, T),
+        times_s=np.repeat(np.arange(T), views) / FPS,
         paths=capture.paths * T,
     )
     return repeated, images
@@ -89,5 +90,6 @@ def rest_view_of(capture: Capture) -> Capture:
         Ks=capture.Ks[first],
         timesteps=np.zeros(len(first), np.int64),
         camera_ids=np.arange(len(first)),
+        times_s=np.zeros(len(first)),
         paths=tuple(capture.paths[i] for i in first),
     )

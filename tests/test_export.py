@@ -49,7 +49,7 @@ def test_a_splat_file_holds_no_light_not_even_that_of_its_zero(run, tmp_path):
             freqs_hz=np.array([0.0, *motion.freqs_hz]),
             displacement=np.concatenate([zero, motion.displacement]),
             rotation=np.concatenate([zero, motion.rotation]),
-            light=light,
+            appearance=light,
         ),
         {},
     )

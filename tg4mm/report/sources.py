@@ -144,6 +144,7 @@ def _only(capture: Capture, rows: np.ndarray) -> Capture:
         Ks=capture.Ks[rows],
         timesteps=capture.timesteps[rows],
         camera_ids=capture.camera_ids[rows],
+        times_s=capture.times_s[rows],
         paths=tuple(capture.paths[i] for i in rows),
     )
 
