@@ -45,7 +45,7 @@ def look_at(
     active = possible.copy()
     if config.nuisance == "auto":
         active[EXPOSURE] = observations.is_opaque or share > EXPOSURE_SHARE
-        active[POSE] = is_shaking
+        active[POSE] = is_shaking and not _may_drift(observations)
     figures = {
         "exposure_gain_percent": round(gain, 4),
         "exposure_offset_percent": round(offset, 4),
@@ -57,6 +57,11 @@ def look_at(
     return Seen(
         look, [n.with_active(active) for n in nuisances], figures, _notes(observations, active, pixels)
     )
+
+
+def _may_drift(observations: Observations) -> bool:
+    """Whether a shift of whole pictures may be the scene's: several synchronous cameras tell its motion as one."""
+    return observations.clock == "synchronous" and len(observations.frames) > 1
 
 
 def _notes(observations: Observations, active: np.ndarray, pixels: float) -> list[str]:
