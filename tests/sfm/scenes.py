@@ -82,7 +82,7 @@ def picture(
             continue
         with np.errstate(divide="ignore", invalid="ignore"):
             t = (level - origin[axis]) / directions[..., axis]
-        place = (origin + t[..., None] * directions - centre) / half
+            place = (origin + t[..., None] * directions - centre) / half
         a, b = [i for i in range(3) if i != axis]
         hit = (t > 0) & (t < nearest) & (np.abs(place[..., a]) <= 1) & (np.abs(place[..., b]) <= 1)
         nearest[hit] = t[hit]

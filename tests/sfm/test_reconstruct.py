@@ -21,7 +21,7 @@ from tg4mm.sfm import reconstruct as module
 from tg4mm.sfm.reconstruct import SfmConfig, reconstruct
 
 pytest.importorskip("pycolmap")
-SIZE, FOCAL, BEND = (240, 180), 250.0, 0.08
+SIZE, FOCAL, BEND = (240, 180), 250.0, 0.35
 N = 12
 
 

@@ -1,7 +1,8 @@
-"""Lenses whose bend the pictures do not ask for, taken for pinholes: those pictures stay as they are, not resampled.
+"""Lenses that may as well be pinholes, taken for such: their pictures then stay as they are, not resampled.
 
-A few pictures determine a lens badly: bend, focal length and depth trade places with hardly any change of the
-reprojection error. Phones straighten their videos themselves, so the simpler lens is the better guess where it will do.
+Bend, focal length and shape of the scene trade places with hardly any change of the reprojection error, and a bend
+takes up errors that all pictures share. Phones straighten their videos themselves, so the pinhole is the better guess
+where the features, which lie where there is texture, do not object to it.
 """
 
 from __future__ import annotations
@@ -13,25 +14,16 @@ import numpy as np
 
 from tg4mm.sfm.engine import colmap
 
-STRAIGHT_PX = 0.5  # bend of a lens that is taken for a pinhole whatever the others are
-GROWTH = 0.05  # of the sum of squared reprojection errors, for which all lenses are
-SAMPLES = 33  # places looked at along each side of the picture
-
-
-def bend_px(camera: Any) -> float:
-    """The largest distance, within the picture, between where a pycolmap Camera and its pinhole see the same ray."""
-    u, v = np.meshgrid(np.linspace(0, camera.width, SAMPLES), np.linspace(0, camera.height, SAMPLES))
-    pixels = np.stack([u.ravel(), v.ravel()], axis=1)
-    rays = np.asarray(camera.cam_from_img(pixels))
-    K = np.asarray(camera.calibration_matrix())
-    straight = rays[:, :2] * [K[0, 0], K[1, 1]] + K[:2, 2]
-    return float(np.linalg.norm(straight - pixels, axis=1).max())
+GROWTH = 0.05  # of the sum of squared reprojection errors, up to which all lenses are taken for pinholes
+SLIGHT_PX = 0.5  # largest bend of a lens that is taken for one whatever the others are
+STEPS = 50  # of an adjustment, as COLMAP's mapper takes
+TOLERANCE = 1e-6  # relative change of the squared error at which it ends
 
 
 def straightened(model: Any, threads: int) -> Any:
     """The pycolmap Reconstruction with pinholes for all lenses, if those explain the pictures as well.
 
-    Else for lenses that bend less than STRAIGHT_PX, the others kept. Focal lengths, poses and points are adjusted;
+    Else for lenses that bend less than SLIGHT_PX, the others kept. Focal lengths, poses and points are adjusted;
     `model` is left as it is.
     """
     bent = [i for i, camera in model.cameras.items() if not camera.is_undistorted()]
@@ -40,8 +32,18 @@ def straightened(model: Any, threads: int) -> Any:
     straight = _with_pinholes(model, bent, threads)
     if squared_error(straight) <= (1 + GROWTH) * squared_error(model):
         return straight
-    slight = [i for i in bent if bend_px(model.cameras[i]) <= STRAIGHT_PX]
+    slight = [i for i in bent if bend_px(model.cameras[i]) <= SLIGHT_PX]
     return _with_pinholes(model, slight, threads) if slight else model
+
+
+def bend_px(camera: Any) -> float:
+    """The largest distance at the picture's corners and edges between what a camera and its pinhole see."""
+    w, h = camera.width, camera.height
+    pixels = np.array([(x * w, y * h) for x in (0, 0.5, 1) for y in (0, 0.5, 1) if (x, y) != (0.5, 0.5)])
+    rays = np.asarray(camera.cam_from_img(pixels))
+    K = np.asarray(camera.calibration_matrix())
+    straight = rays[:, :2] * [K[0, 0], K[1, 1]] + K[:2, 2]
+    return float(np.linalg.norm(straight - pixels, axis=1).max())
 
 
 def squared_error(model: Any) -> float:
@@ -50,26 +52,26 @@ def squared_error(model: Any) -> float:
     return float(sum(point.error**2 * point.track.length() for point in model.points3D.values()))
 
 
-def _with_pinholes(model: Any, cameras: list[int], threads: int) -> Any:
-    model = copy.deepcopy(model)
-    for i in cameras:
-        params = np.array(model.cameras[i].params)
-        params[list(model.cameras[i].extra_params_idxs())] = 0
-        model.cameras[i].params = params
-    adjust(model, threads, focal=True)
-    return model
-
-
-def adjust(model: Any, threads: int, focal: bool) -> None:
-    """Bundle adjustment of all placed pictures and points, in place; of lenses the focal length at most."""
+def adjust(model: Any, threads: int) -> None:
+    """Bundle adjustment of all placed pictures and points, in place; of lenses the focal length alone."""
     c = colmap("tg4mm sfm")
     options = c.BundleAdjustmentOptions()
-    options.refine_focal_length, options.refine_extra_params = focal, False
-    options.print_summary = False
-    options.ceres.solver_options.num_threads = threads
+    options.refine_extra_params = options.print_summary = False
+    solver = options.ceres.solver_options
+    solver.num_threads, solver.max_num_iterations, solver.function_tolerance = threads, STEPS, TOLERANCE
     config = c.BundleAdjustmentConfig()
     for i in model.reg_image_ids():
         config.add_image(i)
     config.fix_gauge(c.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
     c.create_default_bundle_adjuster(options, config, model).solve()
     model.update_point_3d_errors()
+
+
+def _with_pinholes(model: Any, cameras: list[int], threads: int) -> Any:
+    model = copy.deepcopy(model)
+    for i in cameras:
+        params = np.array(model.cameras[i].params)
+        params[list(model.cameras[i].extra_params_idxs())] = 0
+        model.cameras[i].params = params
+    adjust(model, threads)
+    return model
