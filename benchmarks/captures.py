@@ -87,7 +87,7 @@ def finish(case: Case, common: Sequence[str], settings: Sequence[str], band: Seq
     if case.metrics.is_file():
         return ""
     made = [sys.executable, "-m", "dataset_gen", case.scene, "--out", str(case.folder / "set")]
-    if said := _run([*made, "--alphas", str(ALPHA), "--truth", "none", *common, *case.options]):
+    if said := _run([*made, "--alphas", str(ALPHA), "--truth", "none", *case.options, *common]):
         return said
     (root,) = (path.parent for path in (case.folder / "set").glob("*/scene.json"))
     tg4mm, run = [sys.executable, "-m", "tg4mm"], str(case.folder / "run")

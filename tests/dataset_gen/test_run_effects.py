@@ -113,7 +113,7 @@ def test_clips_are_read_as_frames_of_several_cameras(tmp_path):
 
 
 def test_a_flat_set_is_tested_from_its_own_camera(tmp_path):
-    root = made(tmp_path, "--cameras flat".replace("--test-views 1", ""))
+    root = made(tmp_path, "--cameras flat")
     assert (root / "002/train/r_000.png").read_bytes() == (root / "002/test/r_000.png").read_bytes()
     assert (root / "magnified/x020/002/test/r_000.png").is_file()
 
@@ -191,6 +191,7 @@ def test_truth_of_a_shaking_camera_is_what_it_saw_where_it_was(tmp_path):
     assert np.abs(camera.project(points, 32, 32)[0] - centres).max() > 0.3
 
 
+@pytest.mark.slow
 def test_a_complete_set_is_left_alone_and_a_damaged_one_is_mended(every):
     seen = io.StringIO()
     settings = tiny("--views 3", EVERY)
@@ -207,6 +208,7 @@ def test_a_complete_set_is_left_alone_and_a_damaged_one_is_mended(every):
     assert not (every / UNCODED).exists()
 
 
+@pytest.mark.slow
 def test_a_run_that_was_stopped_before_its_videos_goes_on(every, tmp_path):
     settings = tiny("--views 3", EVERY)
     prepare_parts(settings, tmp_path, 2)
