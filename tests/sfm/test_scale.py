@@ -121,6 +121,22 @@ def test_rough_ground_is_less_certain(scene: Scene) -> None:
     assert Scene(noise=0.1).measure(*ends).uncertainty_percent > 2 * scene.measure(*ends).uncertainty_percent
 
 
+def test_places_are_those_of_the_picture_set_upright(scene: Scene) -> None:
+    """A photograph that is stored sideways is looked at, and pointed into, upright."""
+    import dataclasses
+
+    sideways = Scene()
+    sideways.taken = [dataclasses.replace(shot, turns=3) for shot in sideways.taken]
+
+    def upright(pixel: tuple[str, float, float]) -> tuple[str, float, float]:
+        name, x, y = pixel
+        return name, SIZE[1] - y, x  # np.rot90(…, 3): clockwise
+
+    ends = [tuple(scene.at(name, end) for name in ("001", "004")) for end in ENDS]
+    found = sideways.measure(*(tuple(upright(pixel) for pixel in end) for end in ends))
+    np.testing.assert_allclose(found.points, scene.measure(*ends).points)
+
+
 class TestRefused:
     def test_a_picture_that_is_not_there(self, scene: Scene) -> None:
         with pytest.raises(

@@ -42,7 +42,7 @@ class Track:
 
     def copied(self, source: Path | None) -> bool:
         """Whether the file is the dataset's picture as it is: a pinhole's is copied byte by byte."""
-        return self.lens.source is None and source is not None and source.suffix.lower() in COPIED
+        return self.lens.keeps and source is not None and source.suffix.lower() in COPIED
 
     def file(self, row: int) -> str:
         """The name of the picture that is made of the clip's picture `row`."""

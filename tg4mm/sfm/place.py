@@ -16,7 +16,7 @@ from tg4mm.sfm.points import SfmPoints, points_of
 from tg4mm.sfm.sources import SWEEP, Sources
 from tg4mm.sfm.staging import Shot, staged_name
 from tg4mm.sfm.survey import Survey
-from tg4mm.sfm.undistort import Lens, lenses
+from tg4mm.sfm.undistort import Key, Lens, lenses, quarter_turned
 
 RATES_AGREE = 0.01  # relative, of cameras whose frames go into the same timesteps
 
@@ -70,14 +70,16 @@ def placed_tracks(
     images = [placed[staged_name(shot)] for shot in shots]
     viewmats = np.tile(np.eye(4), (len(images), 1, 1))
     viewmats[:, :3] = [image.cam_from_world().matrix() for image in images]
-    rest = {image.camera_id for shot, image in zip(shots, images, strict=True) if shot.clip == SWEEP}
-    main = {image.camera_id for shot, image in zip(shots, images, strict=True) if shot.clip != SWEEP}
-    lens = lenses({i: model.cameras[i] for i in main | rest}, fitted=rest - main)
-    turned = np.stack([lens[image.camera_id].viewmats(v) for image, v in zip(images, viewmats, strict=True)])
+    keys = _keys(shots, [image.camera_id for image in images], model)
+    rest = {key for shot, key in zip(shots, keys, strict=True) if shot.clip == SWEEP}
+    main = {key for shot, key in zip(shots, keys, strict=True) if shot.clip != SWEEP}
+    lens = lenses({key: model.cameras[key[0]] for key in main | rest}, fitted=rest - main)
+    turned = np.stack([lens[key].viewmat(viewmat) for key, viewmat in zip(keys, viewmats, strict=True)])
+    upright = np.stack([quarter_turned(v, shot.turns) for shot, v in zip(shots, viewmats, strict=True)])
     found = points_of(model)
     xyz = found.xyz.astype(np.float64)
-    world = world_of(turned, xyz)
-    cameras = _Cameras(shots, [lens[image.camera_id] for image in images], world.viewmats(turned))
+    world = world_of(upright, xyz)
+    cameras = _Cameras(shots, [lens[key] for key in keys], world.viewmats(turned))
     moved = SfmPoints(world.points(xyz).astype(np.float32), found.rgb, found.errors_px, found.n_views)
     if clock is None:
         tracks = cameras.photographs()
@@ -87,6 +89,18 @@ def placed_tracks(
         may_test = kind != "tripod"
         tracks = [track for clip in sources.clips for track in cameras.fixed(clip, clock, window, may_test)]
     return Placement(tracks + ([] if clock is None else cameras.sweep()), moved, world)
+
+
+def _keys(shots: Sequence[Shot], camera_ids: Sequence[int], model: Any) -> list[Key]:
+    """Camera and turn of each picture: upright where that lies as most pictures do, turned to lie so where not."""
+    sizes = [(model.cameras[i].width, model.cameras[i].height) for i in camera_ids]
+    wide = [w >= h for w, h in (shot.upright(size) for shot, size in zip(shots, sizes, strict=True))]
+    main = [is_wide for shot, is_wide in zip(shots, wide, strict=True) if shot.clip != SWEEP]
+    most = 2 * sum(main) >= len(main)
+    return [
+        (i, shot.turns if is_wide == most else 1 - shot.turns % 2)
+        for i, shot, is_wide in zip(camera_ids, shots, wide, strict=True)
+    ]
 
 
 @dataclass(frozen=True)

@@ -134,18 +134,20 @@ def _located(end: tuple[Pixel, ...], taken: Sequence[Shot], placed: Mapping[str,
     """Where a point is: triangulated from several pictures, by the points around it in a single one."""
     sights = []
     for name, x, y in end:
-        image = _image(name, taken, placed)
+        shot = _shot(name, taken, placed)
+        image = placed[staged_name(shot)]
         camera = model.cameras[image.camera_id]
-        if not (0 <= x <= camera.width and 0 <= y <= camera.height):
-            raise Tg4mmError(
-                f"--length: {name} is {camera.width}×{camera.height} pixels, {x:g}, {y:g} lies outside"
-            )
+        width, height = shot.upright((camera.width, camera.height))
+        if not (0 <= x <= width and 0 <= y <= height):
+            raise Tg4mmError(f"--length: {name} is {width}×{height} pixels, {x:g}, {y:g} lies outside")
+        for _ in range(-shot.turns % 4):  # turned on until it lies as it is stored
+            x, y, width, height = y, width - x, height, width
         sights.append(Sight(name, image, camera, np.array([x, y])))
     return triangulated(sights) if len(sights) > 1 else depth_among_points(sights[0], model)
 
 
-def _image(name: str, taken: Sequence[Shot], placed: Mapping[str, Any]) -> Any:
-    """The pycolmap Image that the user calls `name`: a file's name or stem, or a fixed camera's."""
+def _shot(name: str, taken: Sequence[Shot], placed: Mapping[str, Any]) -> Shot:
+    """The placed picture that the user calls `name`: a file's name or stem, or a fixed camera's."""
     for shot in taken:
         names = {shot.name, shot.path.name, shot.path.stem}
         names |= {f"{SWEEP}_{shot.path.stem}"} if shot.clip == SWEEP else set()
@@ -155,7 +157,7 @@ def _image(name: str, taken: Sequence[Shot], placed: Mapping[str, Any]) -> Any:
         if name in names or stem in names:
             if staged_name(shot) not in placed:
                 raise Tg4mmError(f"--length: {name} could not be placed")
-            return placed[staged_name(shot)]
+            return shot
     known = ", ".join(shot.path.name for shot in taken[:6])
     raise Tg4mmError(f"--length names {name}, which is no picture; there are {known} …")
 

@@ -31,13 +31,18 @@ class Shot:
     group: str  # pictures of one group share their intrinsics
     clip: str  # name of the clip that it is of
     index: int = 0  # of a moving camera's frame
+    turns: int = 0  # quarter turns counterclockwise that bring it upright, as its EXIF says
+
+    def upright(self, size: tuple[int, int]) -> tuple[int, int]:
+        """Width and height once turned upright."""
+        return (size[1], size[0]) if self.turns % 2 else size
 
 
 def photograph_shots(photographs: Clip, each: bool) -> list[Shot]:
     """Every photograph. each: every one has intrinsics of its own."""
     names = [f"photographs/{path.name}" for path in photographs.pictures]
     return [
-        Shot(name, path, name if each else "shared", photographs.name)
+        Shot(name, path, name if each else "shared", photographs.name, turns=exif_turns(path))
         for name, path in zip(names, photographs.pictures, strict=True)
     ]
 
@@ -59,8 +64,16 @@ def sweep_shots(pictures: Sequence[Path], size: tuple[int, int], each: bool) -> 
         header = image_header(path)
         own = (header.width, header.height)
         group = "shared" if own == size and not each else f"{SWEEP} {own[0]}×{own[1]}"
-        shots.append(Shot(f"{SWEEP}/{path.name}", path, group, SWEEP))
+        shots.append(Shot(f"{SWEEP}/{path.name}", path, group, SWEEP, turns=exif_turns(path)))
     return shots
+
+
+def exif_turns(path: Path) -> int:
+    """Quarter turns counterclockwise that a photograph's EXIF orientation asks for; COLMAP takes it as it is stored."""
+    if path.suffix.lower() == ".exr":
+        return 0
+    with Image.open(path) as image:
+        return {3: 2, 6: 3, 8: 1}.get(image.getexif().get(0x0112, 1), 0)
 
 
 def check_sizes(taken: list[Shot]) -> None:

@@ -6,8 +6,8 @@ size for several cameras, and works out the same map again for every frame; a te
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,9 @@ from tg4mm.errors import CaptureError
 from tg4mm.sfm.engine import colmap
 
 SMALLEST_SHARE = 0.75  # of the largest picture that the smallest must have in either direction
-_QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+# Axes of a camera turned by 90° counterclockwise, as np.rot90 turns a picture: right was down, down was left.
+_QUARTER = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+Key = tuple[int, int]  # number of a camera, and quarter turns counterclockwise of its pictures
 
 
 @dataclass(frozen=True)
@@ -28,22 +30,24 @@ class Lens:
     size: tuple[int, int]  # width and height of the new pictures
     # [2, H, W] row and column (of pixel centres, from 0) to take, after averaging over `block`; None: as they are
     source: np.ndarray | None
+    turns: int = 0  # quarter turns counterclockwise, that the pinhole's picture is turned by
     block: int = 1  # pixels along each side averaged first, where the new pictures are smaller
-    turn: np.ndarray = field(default_factory=lambda: np.eye(3))  # [3, 3] axes of the new camera from the old
 
-    def viewmats(self, viewmats: np.ndarray) -> np.ndarray:
-        """[…, 4, 4] world-to-camera of the pinhole, from that of the camera."""
-        turn = np.eye(4)
-        turn[:3, :3] = self.turn
-        return turn @ viewmats
+    @property
+    def keeps(self) -> bool:
+        """Whether pictures stay as they are."""
+        return self.source is None and self.turns % 4 == 0
+
+    def viewmat(self, viewmat: np.ndarray) -> np.ndarray:
+        """[4, 4] world-to-camera of the pinhole, from that of the camera."""
+        return quarter_turned(viewmat, self.turns)
 
     def apply(self, image: np.ndarray) -> np.ndarray:
         """[h, w, 3 or 4] with straight alpha, 8 or 16 bits → [H, W, 3 or 4] uint8, bilinear on colour · alpha."""
         if self.source is None and image.dtype == np.uint8:
-            return image
+            return np.ascontiguousarray(np.rot90(image, self.turns))
         pixels = image.astype(np.float32) / np.iinfo(image.dtype).max
-        if self.source is not None:
-            pixels = self._moved(pixels)
+        pixels = np.rot90(pixels, self.turns) if self.source is None else self._moved(pixels)
         return (np.clip(pixels, 0, 1) * 255 + 0.5).astype(np.uint8)
 
     def _moved(self, pixels: np.ndarray) -> np.ndarray:
@@ -63,14 +67,21 @@ class Lens:
         return moved
 
 
-def lenses(cameras: dict[int, Any], fitted: Iterable[int] = ()) -> dict[int, Lens]:
-    """A `Lens` for each pycolmap Camera, all with pictures of one size: the largest that all have.
+def quarter_turned(viewmat: np.ndarray, turns: int) -> np.ndarray:
+    """[4, 4] world-to-camera of the same camera, its picture turned counterclockwise by so many times 90°."""
+    turn = np.eye(4)
+    turn[:3, :3] = np.linalg.matrix_power(_QUARTER, turns % 4)
+    return turn @ viewmat
 
-    fitted: cameras whose pictures are scaled, cut and turned by 90° to the size of the others' instead of having a say
-    in it. Raises CaptureError where the others' pictures differ so much that a common size would cut much away.
+
+def lenses(cameras: Mapping[Key, Any], fitted: Iterable[Key] = ()) -> dict[Key, Lens]:
+    """A `Lens` for each pycolmap Camera and turn of its pictures, all of one size: the largest that all have.
+
+    fitted: cameras whose pictures are scaled and cut to the size of the others' instead of having a say in it.
+    Raises CaptureError where the others' pictures differ so much that a common size would cut much away.
     """
-    pinholes = {i: _pinhole(camera) for i, camera in cameras.items()}
-    sizes = np.array([(p.width, p.height) for i, p in pinholes.items() if i not in set(fitted)])
+    pinholes = {key: _pinhole(camera, key[1]) for key, camera in cameras.items()}
+    sizes = np.array([pinhole.size for key, pinhole in pinholes.items() if key not in set(fitted)])
     width, height = (int(x) for x in sizes.min(axis=0))
     if (sizes.min(axis=0) < SMALLEST_SHARE * sizes.max(axis=0)).any():
         shown = ", ".join(sorted({f"{w}×{h}" for w, h in sizes.tolist()}))
@@ -78,50 +89,52 @@ def lenses(cameras: dict[int, Any], fitted: Iterable[int] = ()) -> dict[int, Len
             f"cameras have pictures of {shown} pixels, which one dataset cannot hold: scale them alike"
         )
     return {
-        i: _fitted(cameras[i], pinholes[i], width, height)
-        if i in set(fitted)
-        else _lens(cameras[i], _cut(pinholes[i], 1.0, width, height), width, height)
-        for i in cameras
+        key: _lens(camera, key[1], pinholes[key].cut(width, height, key in set(fitted)), (width, height))
+        for key, camera in cameras.items()
     }
 
 
-def _pinhole(camera: Any) -> Any:
-    """The pinhole that COLMAP chooses; it would cut a pixel off a camera that is one already."""
+@dataclass(frozen=True)
+class _Pinhole:
+    """A pinhole's turned picture, and by how much it is scaled."""
+
+    K: np.ndarray  # [3, 3] pixels
+    size: tuple[int, int]  # width and height
+    scale: float = 1.0
+
+    def cut(self, width: int, height: int, may_scale: bool) -> _Pinhole:
+        """The middle of the picture; scaled first, if it may be, to cover that size."""
+        scale = max(width / self.size[0], height / self.size[1]) if may_scale else 1.0
+        K = self.K.copy()
+        K[:2] *= scale
+        for axis, (n, wanted) in enumerate(zip(self.size, (width, height), strict=True)):
+            excess = n * scale - wanted
+            # whole pixels where nothing is scaled, so that a picture as it is stays as it is
+            K[axis, 2] -= excess // 2 if scale == 1 else excess / 2
+        return _Pinhole(K, (width, height), scale)
+
+
+def _pinhole(camera: Any, turns: int) -> _Pinhole:
+    """The pinhole that COLMAP chooses, turned; it would cut a pixel off a camera that is one already."""
     c = colmap("undistortion")
-    return camera if camera.is_undistorted() else c.undistort_camera(c.UndistortCameraOptions(), camera)
+    if not camera.is_undistorted():
+        camera = c.undistort_camera(c.UndistortCameraOptions(), camera)
+    K, (w, h) = np.array(camera.calibration_matrix(), dtype=np.float64), (camera.width, camera.height)
+    for _ in range(turns % 4):
+        K = np.array([[K[1, 1], 0, K[1, 2]], [0, K[0, 0], w - K[0, 2]], [0, 0, 1]])
+        w, h = h, w
+    return _Pinhole(K, (w, h))
 
 
-def _fitted(camera: Any, pinhole: Any, width: int, height: int) -> Lens:
-    """The picture turned upright or lying as the others, scaled to cover their size, the rest cut off."""
-    if (pinhole.width, pinhole.height) == (width, height):
-        return _lens(camera, _cut(pinhole, 1.0, width, height), width, height)
-    turned = (pinhole.width - pinhole.height) * (width - height) < 0
-    w, h = (height, width) if turned else (width, height)
-    scale = max(w / pinhole.width, h / pinhole.height)
-    K = _cut(pinhole, scale, w, h)
-    if turned:
-        # across becomes down: u' = height − v, v' = u
-        K = np.array([[K[1, 1], 0, h - K[1, 2]], [0, K[0, 0], K[0, 2]], [0, 0, 1]])
-    return _lens(camera, K, width, height, int(1 / scale) if scale <= 0.5 else 1, turned)
-
-
-def _cut(pinhole: Any, scale: float, width: int, height: int) -> np.ndarray:
-    """K of the middle of the pinhole's picture, scaled and cut to width × height."""
-    K = np.array(pinhole.calibration_matrix(), dtype=np.float64)
-    K[:2] *= scale
-    excess = (pinhole.width * scale - width, pinhole.height * scale - height)
-    # whole pixels where nothing is scaled, so that a picture as it is stays as it is
-    K[0, 2] -= excess[0] / 2 if scale != 1 else excess[0] // 2
-    K[1, 2] -= excess[1] / 2 if scale != 1 else excess[1] // 2
-    return K
-
-
-def _lens(camera: Any, K: np.ndarray, width: int, height: int, block: int = 1, turned: bool = False) -> Lens:
-    if not turned and camera.is_undistorted() and (camera.width, camera.height) == (width, height):
-        return Lens(K, (width, height), None)
-    turn = _QUARTER if turned else np.eye(3)
+def _lens(camera: Any, turns: int, pinhole: _Pinhole, size: tuple[int, int]) -> Lens:
+    K, (width, height) = pinhole.K, size
+    own = (camera.height, camera.width) if turns % 2 else (camera.width, camera.height)
+    if camera.is_undistorted() and own == size:
+        return Lens(K, size, None, turns)
+    block = int(1 / pinhole.scale) if pinhole.scale <= 0.5 else 1
     u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     rays = np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones_like(u)], axis=-1)
-    seen = np.asarray(camera.img_from_cam(rays.reshape(-1, 3) @ turn)).reshape(height, width, 2)
+    unturned = rays.reshape(-1, 3) @ np.linalg.matrix_power(_QUARTER, turns % 4)
+    seen = np.asarray(camera.img_from_cam(unturned)).reshape(height, width, 2)
     source = np.stack([seen[..., 1], seen[..., 0]]) / block - 0.5
-    return Lens(K, (width, height), source.astype(np.float32), block, turn)
+    return Lens(K, size, source.astype(np.float32), turns, block)
