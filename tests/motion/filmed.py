@@ -17,7 +17,6 @@ from tg4mm.motion.observations import Observations, PosedFrames
 from tg4mm.rasterize import rasterization
 
 FPS, SIZE = 30.0, 48
-_NOISE = np.random.default_rng(7)  # of the sensor: one step of 8 bits
 
 
 def scene(frequency: float, amplitude: float = 0.01) -> tuple[Gaussians, ModalMotion]:
@@ -33,15 +32,17 @@ def K_of(size: int) -> np.ndarray:
 
 
 @torch.no_grad()
-def picture(gaussians: Gaussians, viewmat: np.ndarray, size: int = SIZE) -> np.ndarray:
-    """[H, W, 4] uint16 over white, opaque."""
+def picture(
+    gaussians: Gaussians, viewmat: np.ndarray, noise: np.random.Generator, size: int = SIZE
+) -> np.ndarray:
+    """[H, W, 4] uint16 over white, opaque; with a sensor's noise of one step of 8 bits."""
     g = gaussians
     rgb, _, _ = rasterization(
         g.means, g.quats, g.scales, g.opacities, g.sh, torch.as_tensor(viewmat, dtype=torch.float32)[None],
         torch.from_numpy(K_of(size))[None], size, size, sh_degree=0, backgrounds=torch.ones(1, 3),
     )  # fmt: skip
     out = np.full((size, size, 4), 65535, np.uint16)
-    noisy = rgb[0].numpy() + _NOISE.normal(size=(size, size, 3)) * 0.004
+    noisy = rgb[0].numpy() + noise.normal(size=(size, size, 3)) * 0.004
     out[..., :3] = (noisy.clip(0, 1) * 65535 + 0.5).astype(np.uint16)
     return out
 
@@ -50,10 +51,11 @@ def clips(
     gaussians: Gaussians, motion: ModalMotion, starts: Sequence[float], n_frames: int, kind: str = "clips"
 ) -> Observations:
     """One clip from each of several places, each begun at `starts` timesteps of the motion, its clock at 0."""
-    frames, pictures = [], []
+    frames, pictures, noise = [], [], np.random.default_rng(7)
     for c, viewmat in enumerate(_viewmats(len(starts), 0.0)):
         rows = np.arange(len(pictures), len(pictures) + n_frames)
-        pictures += [picture(_at(gaussians, motion, starts[c] + t, 0), viewmat) for t in range(n_frames)]
+        moved = [_at(gaussians, motion, starts[c] + t, 0) for t in range(n_frames)]
+        pictures += [picture(g, viewmat, noise) for g in moved]
         times = np.arange(n_frames) / FPS
         frames.append(PosedFrames(f"cam_{c:02d}", viewmat.astype(np.float32), K_of(SIZE), rows, times))
     stack = pictures_of(ImageStack(np.stack(pictures)))
@@ -61,15 +63,15 @@ def clips(
 
 
 def walk(
-    gaussians: Gaussians, motion: ModalMotion | None, n_frames: int, tremor: float = 0.0
+    gaussians: Gaussians, motion: ModalMotion | None, n_frames: int, tremor: float = 0.0, seed: int = 1
 ) -> Observations:
     """One camera that moves around the scene all the time; `tremor` radians that its known poses are off by."""
-    rng = np.random.default_rng(1)
+    rng, noise = np.random.default_rng(seed), np.random.default_rng(seed + 1)
     frames, pictures = [], []
     for t in range(n_frames):
         viewmat = _viewmats(40, 0.1 + 6 * t / n_frames)[0]
         now = gaussians if motion is None else _at(gaussians, motion, t, 0)
-        pictures.append(picture(now, viewmat))
+        pictures.append(picture(now, viewmat, noise))
         off = np.eye(4)
         x, y, z = rng.normal(size=3) * tremor
         off[:3, :3] = [[1, -z, y], [z, 1, -x], [-y, x, 1]]

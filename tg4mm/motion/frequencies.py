@@ -19,7 +19,7 @@ MOST = 6
 _OVERSAMPLED = 6  # frequencies tried per 1 / duration
 _CAP = 300.0  # of a series' power over its noise: a few that move much do not hide the rest
 _STANDS_OUT = 5.0  # robust deviations of the noise's logarithm above it
-_LEAST = 1.3  # times the noise
+LEAST = 1.3  # times the noise: weaker peaks are noise, however smooth its spectrum is
 _CLIPS = 8  # rounds in which peaks are left out of the noise
 _WEAK = 0.03  # of the strongest peak's power above the floor: weaker is taken for leakage
 _APART = (
@@ -42,9 +42,16 @@ class Frequencies:
 
 
 def find_frequencies(
-    series: Sequence[np.ndarray], times: Sequence[np.ndarray], lowest_hz: float, highest_hz: float
+    series: Sequence[np.ndarray],
+    times: Sequence[np.ndarray],
+    lowest_hz: float,
+    highest_hz: float,
+    least: float = LEAST,
 ) -> Frequencies:
-    """Of series [F_c, S_c] of each clock at times [F_c] in seconds, between two frequencies."""
+    """Of series [F_c, S_c] of each clock at times [F_c] in seconds, between two frequencies.
+
+    A peak counts from `least` times the noise's power.
+    """
     duration = max(float(np.ptp(t)) for t in times)
     grid = np.arange(lowest_hz, highest_hz, 1 / (_OVERSAMPLED * duration))
     clean = [_without_slow(y, t, lowest_hz) for y, t in zip(series, times, strict=True)]
@@ -66,7 +73,7 @@ def find_frequencies(
         above = float(np.log(max(spectrum[peak], 1e-12)) - floor[peak])
         power = float(spectrum[peak] - np.exp(floor[peak]))
         strongest = max(strongest, power)
-        if above < max(_STANDS_OUT * spread, np.log(_LEAST)) or power < _WEAK * strongest:
+        if above < max(_STANDS_OUT * spread, np.log(least)) or power < _WEAK * strongest:
             break
         more = _refined(clean, times, noise, [*found, float(grid[peak])], 1 / duration)
         if len(more) > 1 and np.diff(np.sort(more)).min() < 0.5 * _APART / duration:

@@ -40,7 +40,7 @@ from tg4mm.motion.regions import RegionSeries, labels_of, moving_camera_series
 from tg4mm.motion.result import MotionFit
 from tg4mm.motion.solver.operator import Fold
 from tg4mm.motion.solver.pcg import pcg
-from tg4mm.motion.split_half import folds_of, wiener_shrink
+from tg4mm.motion.split_half import folds_of, reliability, wiener_shrink
 from tg4mm.motion.steady import frequencies_of, motion_of, without_motion
 from tg4mm.motion.temporal import sinusoids
 from tg4mm.motion.uncertainty import Found, of_halves
@@ -53,6 +53,9 @@ _ROBUST = 3.0  # robust deviations: residuals beyond count less
 _SLOW_BELOW = 0.5  # of the lowest frequency: slow functions reach up to it
 _THINNED = 3  # every third frame is enough to choose the smoothness weight
 _MOST_ITERATIONS = 18  # of conjugate gradients
+# What the scene at rest gets wrong changes with the viewpoint, and so in time: up to twice the noise's power in short
+# records of a still scene.
+_LEAST_POWER = 3.0
 _AGREED = 0.7  # reliability below which a frequency is noise, or what the scene at rest gets wrong
 _JUDGED = 10
 _ALL = np.ones(12, bool)
@@ -77,7 +80,7 @@ def fit_moving_camera(
     seen, projections = _seen(gaussians, observations)
     problem = Problem.of([s.view for s in seen], gaussians, config, device)
     series = _series(seen, projections, problem, parts)
-    found = frequencies_of(observations, [series])
+    found = frequencies_of(observations, [series], _LEAST_POWER)
     figures: dict[str, Any] = {
         **refined,
         "views": len(seen),
@@ -93,7 +96,7 @@ def fit_moving_camera(
     fit = _MovingFit(problem, seen, projections, observations, found.hz, config, parts)
     folds, weight = fit.folds()
     shapes, gains = wiener_shrink(folds)
-    is_agreed = gains.reshape(-1, 2).max(1) >= _AGREED
+    is_agreed = _reliability_of_pairs(folds) >= _AGREED
     if not is_agreed.any():
         return without_motion(gaussians, observations, figures, notes)
     rows = np.repeat(is_agreed, 2)
@@ -113,6 +116,14 @@ def fit_moving_camera(
         uncertain = of_halves(fit.found(folds, shapes), observations.n_timesteps)
         arrays, figures, notes = uncertain.arrays, figures | uncertain.figures, [*notes, *uncertain.notes]
     return MotionFit(gaussians, motion_of(shapes, found.hz, scale, observations), arrays, figures, notes)
+
+
+def _reliability_of_pairs(folds: np.ndarray) -> np.ndarray:
+    """[K] of each frequency's sine and cosine together, of the fields [2, 2K, N, 6] of two halves; 1 of one fold."""
+    if len(folds) == 1:
+        return np.ones(folds.shape[1] // 2)
+    a, b = (half[..., :3].reshape(half.shape[0] // 2, -1, 3) for half in folds)
+    return reliability((a + b) / 2, a, b)
 
 
 def pictures_of(observations: Observations) -> Iterator[np.ndarray]:

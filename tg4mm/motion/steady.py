@@ -23,6 +23,7 @@ from tg4mm.capture.pictures import over_white
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.checkpoints import Arrays, Parts
 from tg4mm.motion.config import MotionConfig
+from tg4mm.motion.frequencies import LEAST as LEAST_POWER
 from tg4mm.motion.frequencies import Frequencies, find_frequencies
 from tg4mm.motion.hyperparameters import Hyperparameters, pixel_weights, select_hyperparameters
 from tg4mm.motion.jacobian.pixels import pixels_moved
@@ -131,12 +132,16 @@ def changes_of(observations: Observations, frames: PosedFrames, mean: np.ndarray
         yield over_white(raw(slice(None)), observations.pictures.maximum) - mean
 
 
-def frequencies_of(observations: Observations, series: Sequence[RegionSeries]) -> Frequencies:
-    """From all clocks' region shifts, between two periods in the record and half the frame rate."""
+def frequencies_of(
+    observations: Observations, series: Sequence[RegionSeries], least: float = LEAST_POWER
+) -> Frequencies:
+    """From all clocks' region shifts, between two periods in the record and half the frame rate.
+
+    Those whose power is at least `least` times that of the noise.
+    """
     highest = _HIGHEST * observations.fps / 2
-    return find_frequencies(
-        [s.whitened() for s in series], [s.times_s for s in series], observations.lowest_hz, highest
-    )
+    shifts, times = [s.whitened() for s in series], [s.times_s for s in series]
+    return find_frequencies(shifts, times, observations.lowest_hz, highest, least)
 
 
 def region_phases(series: Sequence[RegionSeries], hz: np.ndarray, seed: int) -> np.ndarray:
