@@ -130,6 +130,7 @@ def test_the_space_stage_with_density_control(
     assert len(trained_space(made[0], tmp_path / "run", 30, NAME)) > SHORT.init_points
 
 
+@pytest.mark.slow
 def test_the_motion_stage(made: tuple[Path, Run], tmp_path: Path, gpu: Gpu) -> None:
     data, source = made
     capture = load_capture(data)
@@ -150,6 +151,7 @@ def test_the_motion_stage(made: tuple[Path, Run], tmp_path: Path, gpu: Gpu) -> N
     assert crossed[2] == crossed[0] | {"down": crossed[0]["down"] + sums}
 
 
+@pytest.mark.slow
 def test_a_motion_stage_killed_there_ends_here(
     made: tuple[Path, Run], tmp_path: Path, gpu: Gpu, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -170,6 +172,7 @@ def test_a_motion_stage_killed_there_ends_here(
     assert_close("displacement", found[1], found[0], 1e-2)
 
 
+@pytest.mark.slow
 def test_motion_of_more_than_a_pixel(tmp_path: Path, gpu: Gpu) -> None:
     """One Gauss-Newton iteration: refining the scene at rest forks from the last digits."""
     gaussians, _ = make_synthetic_dataset(

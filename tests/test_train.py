@@ -233,6 +233,7 @@ def test_pictures_that_stay_on_disk_give_the_same_bits(
     same_results(trained, train(data, tmp_path / "run", settings=SETTINGS))
 
 
+@pytest.mark.slow
 def test_a_program_killed_in_either_stage_ends_as_if_it_had_not_been(data: Path, tmp_path: Path) -> None:
     """kill -9 as soon as the first checkpoint of a stage is there, then the same command again."""
     options = [

@@ -30,6 +30,7 @@ def both(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     )
 
 
+@pytest.mark.slow
 def test_both_lines_make_the_same_pictures_and_truth(both: tuple[Path, Path]) -> None:
     d = difference(*both)
     assert d.share < 0.02  # with 4 samples one light path that goes elsewhere is many grey levels

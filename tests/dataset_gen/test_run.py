@@ -195,6 +195,7 @@ def test_missing_files_are_named(made):
     (made / "005/train/r_002.png").write_bytes(kept)
 
 
+@pytest.mark.slow
 def test_in_parts_the_same_files_come_out(made, tmp_path):
     stream = io.StringIO()
     folder = prepare_parts(TINY, tmp_path, 2)
@@ -243,6 +244,7 @@ def test_with_a_part_missing_it_is_not_complete(tmp_path):
         render_part(TINY, tmp_path, (3, 2), 1, io.StringIO())
 
 
+@pytest.mark.slow
 def test_a_sensor_gives_every_frame_noise_of_its_own(tmp_path):
     options = (
         "--sensor",

@@ -60,6 +60,7 @@ def test_without_effects_nothing_is_said_of_the_cameras(plain):
     assert not (plain / "truth/cameras.json").exists()
 
 
+@pytest.mark.slow
 def test_a_tripods_sweep_shows_the_scene_at_rest(tmp_path):
     root = made(tmp_path, "--cameras sweep --views 2 --motion", str(_cosine(tmp_path)))
     scene = json.loads((root / "scene.json").read_text())
@@ -82,6 +83,7 @@ def _cosine(folder):
     return path
 
 
+@pytest.mark.slow
 def test_cameras_with_clocks_of_their_own_show_the_scene_at_their_own_times(tmp_path):
     options = "--cameras rig --views 3 --clock-offsets 0.3"
     root = made(tmp_path, options)
@@ -100,6 +102,7 @@ def test_cameras_with_clocks_of_their_own_show_the_scene_at_their_own_times(tmp_
     assert states["002/test/r_000.png"] == motion.state(2)
 
 
+@pytest.mark.slow
 def test_clips_are_read_as_frames_of_several_cameras(tmp_path):
     capture = pytest.importorskip("tg4mm.capture")
     root = made(tmp_path, "--cameras clips --views 3 --frequency 3.4")
@@ -112,6 +115,7 @@ def test_clips_are_read_as_frames_of_several_cameras(tmp_path):
     assert json.loads((root / "scene.json").read_text())["kind"] == "clips"
 
 
+@pytest.mark.slow
 def test_a_flat_set_is_tested_from_its_own_camera(tmp_path):
     root = made(tmp_path, "--cameras flat")
     assert (root / "002/train/r_000.png").read_bytes() == (root / "002/test/r_000.png").read_bytes()
@@ -170,6 +174,7 @@ def test_gains_are_in_the_pictures(tmp_path, plain):
     assert 0.15 < spread < 0.25
 
 
+@pytest.mark.slow
 def test_test_views_and_magnified_truth_stay_as_they_are(every, plain):
     sharp = made(every.parent / "sharp", "--views 3 --background white --sensor phone --jpeg 0")
     for name in ("002/test/r_000.png", "magnified/x020/002/test/r_000.png"):
@@ -177,6 +182,7 @@ def test_test_views_and_magnified_truth_stay_as_they_are(every, plain):
     assert (every / "002/train/r_000.png").read_bytes() != (sharp / "002/train/r_000.png").read_bytes()
 
 
+@pytest.mark.slow
 def test_truth_of_a_shaking_camera_is_what_it_saw_where_it_was(tmp_path):
     root = made(tmp_path, "--views 3 --shake 3 --truth all")
     settings = tiny("--views 3 --shake 3 --truth all")

@@ -41,6 +41,7 @@ def peak_mib(n: int) -> float:
     return float(done.stdout)
 
 
+@pytest.mark.slow
 def test_peak_memory_is_within_20_bytes_a_cell_and_100_mb() -> None:
     few, many = 100, 300
     cells = many * SIZE**2

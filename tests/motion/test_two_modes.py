@@ -63,12 +63,14 @@ def errors(tmp_path_factory: pytest.TempPathFactory) -> list[list[float]]:
     return out
 
 
+@pytest.mark.slow
 def test_the_large_mode_is_found(errors: list[list[float]]) -> None:
     linear, after = (e[0] for e in errors)
     assert linear > 0.4
     assert after < 0.15
 
 
+@pytest.mark.slow
 def test_the_small_mode_stays_as_the_linear_fit_found_it(errors: list[list[float]]) -> None:
     """No state shows it. Erased, its error would be 1."""
     linear, after = (e[1] for e in errors)

@@ -107,6 +107,7 @@ def test_a_killed_one_goes_on(tripod: Path, tripod_dataset: Path, tmp_path: Path
         assert (out / file).read_bytes() == (tripod_dataset / file).read_bytes(), file
 
 
+@pytest.mark.slow
 def test_photographs_of_another_size_and_lens_are_brought_to_the_films(tripod: Path, tmp_path: Path) -> None:
     folder = tmp_path / "in"
     shutil.copytree(tripod, folder)
@@ -197,6 +198,7 @@ def test_every_frame_of_a_handheld_camera_gets_its_own_pose(walk: np.ndarray, tm
     assert place_error(capture, list(range(24)), np.roll(walk, 1, axis=0)) > 0.1
 
 
+@pytest.mark.slow
 def test_frames_that_cannot_be_placed_are_left_out_and_keep_the_others_times(
     walk: np.ndarray, tmp_path: Path
 ) -> None:
