@@ -15,7 +15,7 @@ from tg4mm.evaluate.lpips import Lpips
 from tg4mm.evaluate.scores import Method, Scorer, camera_key, content_key
 from tg4mm.files import write_json
 
-_VERSION = 1  # of how scores are made: raise it when the same input would score otherwise
+_VERSION = 2  # of how scores are made: raise it when the same input would score otherwise
 
 
 class Resume:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from tg4mm.capture import load_capture, load_images
+from tg4mm.evaluate.change import change_figures, closure
 from tg4mm.evaluate.resume import Resume, fingerprint
 from tg4mm.evaluate.scores import BACKGROUND, Key, Scorer
 from tg4mm.evaluate.subject import CEILING, OURS, STATIC, Subject, displacement_of, notes_of, subject_of
@@ -66,9 +67,12 @@ def evaluate_run(
         band_hz, background        null | [low, high], with several a list of them; [1, 1, 1]
         method, filter             "modal" | "linear" | "phase"; null | "zero-phase" | "ideal" | "published"
         metrics                    names of the image metrics that were measured
-        alphas                     [{alpha, n_images, rows, gap_to_ceiling}], per α:
+        alphas                     [{alpha, n_images, rows, gap_to_ceiling, closure, …}], per α:
           rows                       {method: {psnr_db, ssim, flip, lpips}}, image means, null: not measured
           gap_to_ceiling             {same keys} | null: how much worse "ours" is than the ceiling
+          closure                    SSIM of "ours" from "nothing moves" (0) to the ceiling (1) | null
+          change_gain                of the picture's change on the ceiling's, `change_figures` | null
+          change_residual            what of the change is not the ceiling's, relative to it | null
         displacement_error         {method: rms/rms} | null; by definition "nothing moves" 1, the ceiling 0
         displacement               `displacement_figures` of "ours" | null; given a band, `in_band` holds the
                                    same of the modes inside it; `uncertainty`: `uncertainty_figures`, where
@@ -138,10 +142,27 @@ def _score_alpha(
     with progress(f"evaluate α = {alpha}", len(images) * len(methods), unit="images") as update:
         scores = scorer.score(methods, capture, images, float(alpha), update)
     rows = {name: _means(values) for name, values in scores.items()}
-    gap = _gap(rows[OURS], rows[CEILING]) if OURS in rows and CEILING in rows else None
-    entry = {"alpha": alpha, "n_images": len(images), "rows": rows, "gap_to_ceiling": gap}
+    entry = {"alpha": alpha, "n_images": len(images), "rows": rows, **_against_ceiling(rows)}
+    changes: dict[str, float | None] = {"change_gain": None, "change_residual": None}
+    if OURS in rows and CEILING in rows:
+        named = {m.name: m for m in methods}
+        with progress(f"change of the pictures α = {alpha}", len(images), unit="images") as update:
+            moved = scorer.gaussians, named[OURS], named[CEILING], capture, float(alpha), update
+            changes = change_figures(*moved)
+    entry |= changes
     resume.put(key, entry)
     return entry
+
+
+def _against_ceiling(rows: dict[str, dict[str, float | None]]) -> dict[str, Any]:
+    if OURS not in rows or CEILING not in rows:
+        return {"gap_to_ceiling": None, "closure": None}
+    ssim = [rows[name]["ssim"] for name in (OURS, STATIC, CEILING)]
+    known = [value for value in ssim if value is not None]
+    return {
+        "gap_to_ceiling": _gap(rows[OURS], rows[CEILING]),
+        "closure": closure(*known) if len(known) == 3 else None,
+    }
 
 
 def _means(values: list[dict[str, float]]) -> dict[str, float | None]:

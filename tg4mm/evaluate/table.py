@@ -18,7 +18,19 @@ def format_table(metrics: dict[str, Any]) -> str:
             error = (metrics["displacement_error"] or {}).get(name)
             rows.append([f"{entry['alpha']:g}", name, *values, _number(error, "{:.3f}")])
     lines = _align(rows) if len(rows) > 1 else ["No images to score."]
+    lines += _changes(metrics["alphas"])
     return "\n".join([*lines, *_displacement(metrics["displacement"]), *_remarks(metrics)]) + "\n"
+
+
+def _changes(entries: list[dict[str, Any]]) -> list[str]:
+    """A line for each α with a ceiling: how much of what the exact motion would show is shown."""
+    return [
+        f"α = {entry['alpha']:g}: closure {_number(entry['closure'], '{:.2f}')} (SSIM, nothing moves 0, ceiling 1); "
+        f"the picture's change is {_number(entry['change_gain'], '{:.2f}')} of the ceiling's, "
+        f"{_number(entry['change_residual'], '{:.2f}')} beside it"
+        for entry in entries
+        if entry["closure"] is not None
+    ]
 
 
 def _align(rows: list[list[str]]) -> list[str]:
