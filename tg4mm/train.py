@@ -16,7 +16,7 @@ from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.config import checked as checked_motion
 from tg4mm.motion.observations import frames_of
 from tg4mm.motion.stage import train_motion
-from tg4mm.paper import PAPER, PAPER_SMALL, first_views, train_timesteps, train_triplane
+from tg4mm.paper import PAPER, PAPER_TUNED, first_views, train_timesteps, train_triplane
 from tg4mm.paper.config import base_config
 from tg4mm.paper.config import checked as checked_paper
 from tg4mm.paper.model import has_model, load_model
@@ -33,7 +33,7 @@ IN_MEMORY = 2 << 30
 PRESETS: dict[str, dict[str, Any]] = {
     "modal": {"space": SpaceConfig(), "motion": MotionConfig()},
     "paper": {"space": _BASE, "paper": PAPER},
-    "paper-small": {"space": _BASE, "paper": PAPER_SMALL},
+    "paper-tuned": {"space": _BASE, "paper": PAPER_TUNED},
 }
 _BOOLEANS = {"true": True, "false": False}
 

@@ -65,7 +65,7 @@ def test_rows_vary_what_they_name(name: str) -> None:
         assert row.settings["space.seed"] == "3"
 
 
-@pytest.mark.parametrize("preset", ["paper-small", "paper"])
+@pytest.mark.parametrize("preset", ["paper-tuned", "paper"])
 def test_iterations_vary_one_phase_at_a_time(preset: str) -> None:
     rows = [dict(r.settings) for r in rows_of("iterations", preset, {})]
     assert all(len(settings) == 1 for settings in rows)

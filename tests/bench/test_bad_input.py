@@ -43,7 +43,7 @@ def test_options_of_scenes(options: list[str], message: str, data: Path, tmp_pat
     ("arguments", "message"),
     [
         (["colour"], "initialisation, decoder, residual"),
-        (["decoder", "--preset", "modal"], "paper-small, paper"),
+        (["decoder", "--preset", "modal"], "paper-tuned, paper"),
         (["smoothness", "--set", "paper.channels=4"], "paper.channels"),
         (["iterations", "--set", "paper.warm_up=2900"], "paper.iterations is 1875"),
         (["amplitude", "--alphas", "5"], "--alphas 5: the amplitudes have"),

@@ -45,8 +45,8 @@ def test_killed_twice(data: Path, tmp_path: Path) -> None:
     modal = runs / "modal" / "figures.json"
     # In the middle of the second run's timesteps, then while it is scored.
     for sign in (
-        runs / "paper-small" / "run" / "planes_0002.safetensors",
-        runs / "paper-small" / "metrics_linear.json",
+        runs / "paper-tuned" / "run" / "planes_0002.safetensors",
+        runs / "paper-tuned" / "metrics_linear.json",
     ):
         with subprocess.Popen(
             command(data, killed), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=dict(os.environ)

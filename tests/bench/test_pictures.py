@@ -36,7 +36,7 @@ def test_long_labels_get_room() -> None:
         return float(root.get("viewBox", "").split()[2])
 
     assert width("short") == 640
-    assert width("paper-small, modal's time: linear") > 740
+    assert width("paper-tuned, modal's time: linear") > 740
 
 
 @pytest.mark.parametrize(

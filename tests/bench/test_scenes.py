@@ -17,7 +17,7 @@ from tg4mm.evaluate import evaluate_run
 from tg4mm.runs import Run
 from tg4mm.train import parse_settings
 
-REQUEST = ScenesRequest(settings={"modal": MODAL, "paper-small": PAPER}, same_time="never")
+REQUEST = ScenesRequest(settings={"modal": MODAL, "paper-tuned": PAPER}, same_time="never")
 Done = tuple[Path, dict[str, Any]]
 
 
@@ -37,7 +37,7 @@ def entry(results: dict[str, Any], name: str) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(
-    ("row", "way"), [("modal", "modal"), ("paper-small", "linear"), ("paper-small", "phase")]
+    ("row", "way"), [("modal", "modal"), ("paper-tuned", "linear"), ("paper-tuned", "phase")]
 )
 def test_the_numbers_are_those_of_evaluate(
     done: Done, data: Path, tmp_path: Path, row: str, way: str
@@ -61,7 +61,7 @@ def test_the_page_prints_the_numbers_of_the_json(done: Done, data: Path) -> None
     (line,) = [
         x for x in page.splitlines() if x.startswith(f"| {data.name} ") and x.split("|")[2].strip() == "20"
     ]
-    modal, paper = (entry(results, row)["rows"]["20"] for row in ("modal", "paper-small"))
+    modal, paper = (entry(results, row)["rows"]["20"] for row in ("modal", "paper-tuned"))
     values = [modal[m]["ssim"] for m in ("nothing moves", "modal", "ceiling")]
     values += [paper[m]["ssim"] for m in ("nothing moves", "linear", "phase", "ceiling")]
     gaps = [modal["ceiling"]["ssim"] - modal["modal"]["ssim"]]
@@ -107,13 +107,13 @@ def test_other_settings_are_refused(done: Done, data: Path) -> None:
 
 class TestSameTime:
     def test_all_iterations_are_scaled(self) -> None:
-        training = same_time_training("paper-small", {"paper.iterations": "400", "paper.warm_up": "100"}, 1.5)
-        config = parse_settings(training.settings, "paper-small")["paper"]
+        training = same_time_training("paper-tuned", {"paper.iterations": "400", "paper.warm_up": "100"}, 1.5)
+        config = parse_settings(training.settings, "paper-tuned")["paper"]
         assert (config.warm_up, config.iterations, config.motion_iterations) == (150, 600, 300)
 
     @pytest.mark.parametrize("factor", [1e-6, 0.01])
     def test_a_small_share_is_still_trainable(self, factor: float) -> None:
-        config = parse_settings(same_time_training("paper-small", {}, factor).settings, "paper-small")[
+        config = parse_settings(same_time_training("paper-tuned", {}, factor).settings, "paper-tuned")[
             "paper"
         ]
         assert config.iterations > config.warm_up >= 1
@@ -129,16 +129,16 @@ class TestSameTime:
         ],
     )
     def test_when(self, rule: str, modal_s: float, paper_s: float, factor: float | None) -> None:
-        figures = {"modal": {"seconds": {"total": modal_s}}, "paper-small": {"seconds": {"total": paper_s}}}
+        figures = {"modal": {"seconds": {"total": modal_s}}, "paper-tuned": {"seconds": {"total": paper_s}}}
         found = same_time_trainings(figures, ScenesRequest(same_time=rule))
-        expected = [] if factor is None else [same_time_training("paper-small", {}, factor)]
+        expected = [] if factor is None else [same_time_training("paper-tuned", {}, factor)]
         assert found == expected
 
     def test_it_is_a_row_of_its_own(self, data: Path, tmp_path: Path) -> None:
         plan = Plan(alphas=(20.0,))
         request = replace(REQUEST, same_time="always", plan=plan)
         results = run_scenes([data], tmp_path / "out", request, silent)
-        again, first = (entry(results, f"paper-small{name}") for name in (", modal's time", ""))
+        again, first = (entry(results, f"paper-tuned{name}") for name in (", modal's time", ""))
         assert again["overrides"] != first["overrides"]
-        assert {m["row"] for m in results["means"]} == {"modal", "paper-small", "paper-small, modal's time"}
-        assert "paper-small, modal's time: linear" in (tmp_path / "out" / "results.md").read_text("utf-8")
+        assert {m["row"] for m in results["means"]} == {"modal", "paper-tuned", "paper-tuned, modal's time"}
+        assert "paper-tuned, modal's time: linear" in (tmp_path / "out" / "results.md").read_text("utf-8")

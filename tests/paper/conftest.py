@@ -13,7 +13,8 @@ from tg4mm.train import train
 N_TIMESTEPS, SIZE = 6, 32
 SETTINGS = {
     "paper.channels": "4", "paper.resolution": "16", "paper.iterations": "140", "paper.warm_up": "60",
-    "paper.motion_iterations": "60", "paper.learning_rate": "3e-3", "space.max_gaussians": "400",
+    "paper.motion_iterations": "60", "paper.learning_rate": "3e-3", "paper.motion_learning_rate": "3e-3",
+    "paper.moved": "all", "paper.difference": "false", "space.max_gaussians": "400",
 }  # fmt: skip
 
 
@@ -28,4 +29,4 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def trained(data: Path) -> Run:
-    return train(data, data.parent / "run", "paper-small", settings=SETTINGS)
+    return train(data, data.parent / "run", "paper-tuned", settings=SETTINGS)

@@ -64,7 +64,7 @@ def test_the_setting_trains_another_motion_of_the_same_scene(
 ) -> None:
     settings = {**SETTINGS, "paper.motion_iterations": "20"}
     runs = {
-        on: train(data, tmp_path / on, "paper-small", settings={**settings, "paper.difference": on})
+        on: train(data, tmp_path / on, "paper-tuned", settings={**settings, "paper.difference": on})
         for on in ("true", "false")
     }
     spaces = [load_model(run).planes.numpy() for run in runs.values()]

@@ -18,7 +18,7 @@ from safetensors.torch import load_file
 from tests.paper.conftest import N_TIMESTEPS, SETTINGS
 from tg4mm.errors import RunError, Tg4mmError
 from tg4mm.motion.animate import animate
-from tg4mm.paper import PAPER, PAPER_SMALL
+from tg4mm.paper import PAPER, PAPER_TUNED
 from tg4mm.paper.model import load_model, load_planes, planes_name
 from tg4mm.runs import Run
 from tg4mm.train import parse_settings, train
@@ -53,7 +53,7 @@ class TestSettings:
         configs = parse_settings({}, "paper")
         assert configs["paper"] == PAPER
         assert (configs["space"].l2, configs["space"].dssim, configs["space"].sh_degree) == (0.0, 0.0, 3)
-        assert parse_settings({}, "paper-small")["paper"] == PAPER_SMALL
+        assert parse_settings({}, "paper-tuned")["paper"] == PAPER_TUNED
         # two triplanes of the published size are its 192 MB
         assert 2 * 3 * PAPER.channels * PAPER.resolution**2 * 4 / 2**20 == 192
 
@@ -132,11 +132,11 @@ class TestTraining:
 
     def test_a_finished_run_is_left_alone(self, trained: Run, data: Path) -> None:
         before = {f: f.stat().st_mtime_ns for f in trained.path.glob("*.safetensors")}
-        train(data, trained.path, "paper-small", settings=SETTINGS)
+        train(data, trained.path, "paper-tuned", settings=SETTINGS)
         assert {f: f.stat().st_mtime_ns for f in trained.path.glob("*.safetensors")} == before
 
     def test_without_residual_the_planes_replace(self, data: Path, tmp_path: Path) -> None:
-        run = train(data, tmp_path / "run", "paper-small", settings=SETTINGS | {"paper.residual": "false"})
+        run = train(data, tmp_path / "run", "paper-tuned", settings=SETTINGS | {"paper.residual": "false"})
         model = load_model(run)
         assert model.residual is False
         zero = torch.zeros(len(model.cells), model.channels)
@@ -158,7 +158,7 @@ class TestResume:
             "import sys; from tg4mm.train import train; import tg4mm.paper.space as a, tg4mm.paper.motion as b, "
             "tg4mm.space.train as c\n"
             "a.CHECKPOINT_EVERY_S = b.CHECKPOINT_EVERY_S = c.CHECKPOINT_EVERY_S = 0.0\n"
-            f"train({str(data)!r}, {str(run)!r}, 'paper-small', settings={SETTINGS!r})"
+            f"train({str(data)!r}, {str(run)!r}, 'paper-tuned', settings={SETTINGS!r})"
         )
         job = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.DEVNULL)
         deadline = time.monotonic() + 120
@@ -167,7 +167,7 @@ class TestResume:
         time.sleep(0.1)
         os.kill(job.pid, signal.SIGKILL)
         assert job.wait() == -signal.SIGKILL, "the run ended before it was killed"
-        train(data, run, "paper-small", settings=SETTINGS)
+        train(data, run, "paper-tuned", settings=SETTINGS)
         again, once = stored(run), stored(trained.path)
         assert again.keys() == once.keys()
         assert [name for name in once if not torch.equal(again[name], once[name])] == []

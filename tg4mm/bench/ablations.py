@@ -58,7 +58,7 @@ ABLATIONS: dict[str, Ablation] = {
     "initialisation": Ablation(
         "Initialisation",
         "[TG4MM] Table IV, whose other start (VGGT) needs learned weights that are not part of this program",
-        ("modal", "paper-small", "paper"),
+        ("modal", "paper-tuned", "paper"),
         (
             Row("hull", {"space.init": "hull"}),
             Row("points3d.ply", {"space.init": "points"}),
@@ -70,7 +70,7 @@ ABLATIONS: dict[str, Ablation] = {
     "decoder": Ablation(
         "Decoder",
         "[TG4MM] Table VI: heads alone, or an MLP of 8 layers × 256 before them; one layer is what its §IV.B says",
-        ("paper-small", "paper"),
+        ("paper-tuned", "paper"),
         (
             Row("decoder only", {"paper.mlp_layers": "0"}),
             Row("MLP 1 × 256 + decoder", {"paper.mlp_layers": "1", "paper.mlp_width": "256"}),
@@ -81,7 +81,7 @@ ABLATIONS: dict[str, Ablation] = {
     "residual": Ablation(
         "Residual triplanes",
         "[TG4MM] Fig. 8: a timestep's planes are added to the space planes (Eq. 6), or take their place",
-        ("paper-small", "paper"),
+        ("paper-tuned", "paper"),
         (
             Row("with residual", {"paper.residual": "true"}),
             Row("without residual", {"paper.residual": "false"}),
@@ -92,7 +92,7 @@ ABLATIONS: dict[str, Ablation] = {
     "iterations": Ablation(
         "Iterations of both stages",
         "[TG4MM] Fig. 10: one phase's iterations vary while the other's stay",
-        ("paper-small", "paper", "modal"),
+        ("paper-tuned", "paper", "modal"),
         (),  # by preset, see `rows_of`
         ("psnr_rest", "displacement_error", "static_leak", "space_s", "motion_s"),
         picture="displacement_error",
@@ -101,7 +101,7 @@ ABLATIONS: dict[str, Ablation] = {
     "filter-phase": Ablation(
         "Phase of the temporal filter",
         "A FIR of even length has no centre tap, so its output is half a sample early",
-        ("paper-small", "paper", "modal"),
+        ("paper-tuned", "paper", "modal"),
         (),
         ("filter_phase_deg", "filter_error"),
         slices=True,
@@ -111,7 +111,7 @@ ABLATIONS: dict[str, Ablation] = {
     "difference": Ablation(
         "Difference loss",
         "Compare changes from timestep 0 with changes, which takes static errors out of the fit",
-        ("paper-small", "paper"),
+        ("paper-tuned", "paper"),
         (
             Row("pictures (Eq. 16)", {"paper.difference": "false"}),
             Row("differences", {"paper.difference": "true"}),
@@ -138,7 +138,7 @@ ABLATIONS: dict[str, Ablation] = {
     "views": Ablation(
         "Number of training cameras",
         "How few cameras will do",
-        ("modal", "paper-small", "paper"),
+        ("modal", "paper-tuned", "paper"),
         tuple(Row(f"{n} views", views=n, tick=str(n)) for n in (3, 5, 10, 15, 20))
         + (Row("all views", tick="all"),),
         ("displacement_error", "static_leak", "amplitude_ratio", "direction_error_deg", "total_s"),
@@ -150,7 +150,7 @@ ABLATIONS: dict[str, Ablation] = {
     "amplitude": Ablation(
         "Amplitude of the motion",
         "From a hundredth of a pixel to one",
-        ("modal", "paper-small", "paper"),
+        ("modal", "paper-tuned", "paper"),
         tuple(
             Row(f"{a:g} px", amplitude_px=a, tick=f"{a:g}") for a in (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
         ),

@@ -42,7 +42,7 @@ class Scoring:
 SCORINGS = {
     "modal": (Scoring("modal", "modal"),),
     "paper": (Scoring("linear", "linear"), Scoring("phase", "phase")),
-    "paper-small": (Scoring("linear", "linear"), Scoring("phase", "phase")),
+    "paper-tuned": (Scoring("linear", "linear"), Scoring("phase", "phase")),
 }
 
 

@@ -31,7 +31,7 @@ class ScenesRequest:
     """What to run. same_time: when a `paper` preset is trained once more, for as long as `modal` took: see
     `same_time_training`."""
 
-    presets: tuple[str, ...] = ("modal", "paper-small")
+    presets: tuple[str, ...] = ("modal", "paper-tuned")
     settings: dict[str, dict[str, str]] = field(default_factory=dict)  # by preset, as `--set`
     same_time: str = "needed"
     plan: Plan = field(default_factory=Plan)

@@ -69,8 +69,8 @@ def scenes(
     datasets: Datasets,
     out: Out,
     presets: Annotated[
-        str, typer.Option(metavar="P,P,…", help="Some of modal, paper-small, paper.")
-    ] = "modal,paper-small",
+        str, typer.Option(metavar="P,P,…", help="Some of modal, paper-tuned, paper.")
+    ] = "modal,paper-tuned",
     alphas: Alphas = None,
     band: Banded = True,
     same_time: Annotated[

@@ -12,7 +12,7 @@ from tg4mm.magnify.linear import magnified_motion
 from tg4mm.motion.animate import animator
 from tg4mm.runs import Run
 
-DEFAULT_METHOD = {"modal": "modal", "paper": "phase", "paper-small": "phase"}
+DEFAULT_METHOD = {"modal": "modal", "paper": "phase", "paper-tuned": "phase"}
 STILL_FPS = 30.0  # pictures a second of a scene that has no time of its own
 
 

@@ -1,13 +1,13 @@
 """The preset `paper`: [TG4MM] as published. A space triplane, then one motion triplane for each timestep."""
 
-from tg4mm.paper.config import PAPER, PAPER_SMALL, PaperConfig
+from tg4mm.paper.config import PAPER, PAPER_TUNED, PaperConfig
 from tg4mm.paper.model import PaperModel
 from tg4mm.paper.motion import train_timesteps
 from tg4mm.paper.space import first_views, train_triplane
 
 __all__ = [
     "PAPER",
-    "PAPER_SMALL",
+    "PAPER_TUNED",
     "PaperConfig",
     "PaperModel",
     "first_views",

@@ -19,6 +19,7 @@ from torch import Tensor
 
 from tg4mm.errors import RunError
 from tg4mm.gaussians import Gaussians
+from tg4mm.paper.config import MOVED
 from tg4mm.runs import Run
 from tg4mm.triplane import Cells, Decoder, cells_of, sample
 from tg4mm.triplane.decoder import BASE
@@ -37,6 +38,7 @@ class PaperModel:
     base: dict[str, Tensor]  # attributes before activation, see `triplane.decoder.BASE`
     decoder: Decoder
     residual: bool = True
+    moved: str = "all"  # what motion planes change, a key of `MOVED`
 
     @cached_property
     def cells(self) -> Cells:
@@ -60,8 +62,17 @@ class PaperModel:
         own = sample(motion, self.cells)
         return self.rest_embedding + own if self.residual else own
 
+    @cached_property
+    def held(self) -> dict[str, Tensor]:
+        """{head: [N, D]} residuals at rest of the heads that motion does not act through."""
+        if self.moved == "all":
+            return {}
+        with torch.no_grad():
+            at_rest = self.decoder.residuals(self.rest_embedding)
+        return {head: value for head, value in at_rest.items() if head not in MOVED[self.moved]}
+
     def decode(self, embedding: Tensor) -> Gaussians:
-        return self.decoder.decode(self.base, embedding)
+        return self.decoder.decode(self.base, embedding, self.held)
 
     def rest(self) -> Gaussians:
         """The Gaussians at timestep 0."""
@@ -108,7 +119,7 @@ def save_model(run: Run, model: PaperModel) -> None:
     tensors = {"planes": model.planes, "points": model.points, "box": model.box}
     tensors |= {f"base.{k}": v for k, v in model.base.items()}
     tensors |= {f"decoder.{k}": v for k, v in model.decoder.parameters.items()}
-    run.save_part(TRIPLANE, tensors, residual=model.residual)
+    run.save_part(TRIPLANE, tensors, residual=model.residual, moved=model.moved)
 
 
 def load_model(run: Run) -> PaperModel:
@@ -128,8 +139,10 @@ def load_model(run: Run) -> PaperModel:
         raise RunError(f"{file}: planes have shape {tuple(planes.shape)}, expected (3, C, R, R)")
     model = PaperModel(
         planes, points, tensors["box"], {k: v for k, v in base.items() if v is not None}, Decoder(decoder),
-        bool(header.get("residual", True)),
+        bool(header.get("residual", True)), str(header.get("moved", "all")),
     )  # fmt: skip
+    if model.moved not in MOVED:
+        raise RunError(f"{file}: what motion changes is {model.moved!r}, expected {' or '.join(MOVED)}")
     try:
         model.rest()
     except (RuntimeError, ValueError, IndexError) as error:

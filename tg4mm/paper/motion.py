@@ -49,13 +49,14 @@ class _Stage:
         self.cells = model.cells
         self.rest = model.rest_embedding.to(device)
         self.base = {k: v.to(device) for k, v in model.base.items()}
+        self.held = {k: v.to(device) for k, v in model.held.items()}
         self.decoder = Decoder({k: v.to(device) for k, v in model.decoder.parameters.items()})
         self.began, self.saved, self.shown, self.figure = began, time.monotonic(), -math.inf, 0.0
 
     def fit(self, t: int, views, iterations: int, update: Update) -> Tensor:
         """[A, C] the motion planes of timestep t."""
         zero = {"values": torch.zeros(len(self.cells), self.model.channels)}
-        fit = Fit(zero, self.config.learning_rate, self.config.seed + t, self.device)
+        fit = Fit(zero, self.config.motion_learning_rate, self.config.seed + t, self.device)
         checkpoint = self.run.load_checkpoint(_STAGE)
         if checkpoint is not None and checkpoint[1]["timestep"] == t:
             fit.restore(*checkpoint)
@@ -63,7 +64,7 @@ class _Stage:
         while fit.iteration < iterations:
             own = sample(fit.parameters["values"], self.cells)
             embedding = self.rest + own if self.model.residual else own
-            gaussians = self.decoder.decode(self.base, embedding)
+            gaussians = self.decoder.decode(self.base, embedding, self.held)
             fit.step(view_loss(gaussians, cameras, fit.next_view(len(views.rgb))))
             self._show(fit, t, iterations, update)
         self.loss = float(fit.loss)

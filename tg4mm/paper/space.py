@@ -58,7 +58,7 @@ def started(base: Gaussians, config: PaperConfig) -> PaperModel:
     decoder = new_decoder(3 * config.channels, n_sh, config.mlp_layers, config.mlp_width, generator)
     points = base.means.clone()
     box = torch.from_numpy(scene_box(points.numpy()))
-    return PaperModel(planes, points, box, base_of(base), decoder, config.residual)
+    return PaperModel(planes, points, box, base_of(base), decoder, config.residual, config.moved)
 
 
 def _parameters(model: PaperModel) -> dict[str, torch.Tensor]:
@@ -74,7 +74,7 @@ def _finished(model: PaperModel, fit: Fit) -> PaperModel:
     final = {k: v.detach().cpu() for k, v in fit.parameters.items()}
     return PaperModel(
         with_active(model.planes, model.cells, final["values"]), model.points, model.box,
-        _group(final, "base."), Decoder(_group(final, "decoder.")), model.residual,
+        _group(final, "base."), Decoder(_group(final, "decoder.")), model.residual, model.moved,
     )  # fmt: skip
 
 

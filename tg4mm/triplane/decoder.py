@@ -47,9 +47,14 @@ class Decoder:
         parts = linear(x, weight, bias).split([len(p[f"{head}.bias"]) for head in BASE], 1)
         return dict(zip(BASE, parts, strict=True))
 
-    def decode(self, base: Mapping[str, Tensor], embedding: Tensor) -> Gaussians:
-        """The Gaussians of an embedding [N, 3 C] on top of `base` (`base_of`); gradients flow to all three."""
-        d = self.residuals(embedding)
+    def decode(
+        self, base: Mapping[str, Tensor], embedding: Tensor, held: Mapping[str, Tensor] | None = None
+    ) -> Gaussians:
+        """The Gaussians of an embedding [N, 3 C] on top of `base` (`base_of`); gradients flow to all three.
+
+        Heads named in `held` {head: [N, D]} give what stands there, whatever the embedding.
+        """
+        d = self.residuals(embedding) | (held or {})
         return Gaussians(
             base["means"] + d["means"],
             base["quats"] + d["quats"],
