@@ -7,7 +7,7 @@ import torch
 from torch.nn.functional import gelu
 
 from tg4mm.gaussians import Gaussians
-from tg4mm.triplane.decoder import BASE, base_of, new_decoder
+from tg4mm.triplane.decoder import BASE, base_below, base_of, new_decoder
 
 
 @pytest.fixture
@@ -20,10 +20,12 @@ def gaussians() -> Gaussians:
 
 
 @pytest.mark.parametrize("layers", [0, 8])
-def test_it_starts_at_the_base(gaussians, layers):
+def test_on_the_base_below_them_an_embedding_decodes_to_the_gaussians(gaussians, layers):
     decoder = new_decoder(12, 16, layers, 32, torch.Generator().manual_seed(0))
-    out = decoder.decode(base_of(gaussians), torch.randn(5, 12))
+    embedding = torch.randn(5, 12)
+    out = decoder.decode(base_below(gaussians, decoder, embedding), embedding)
     assert decoder.n_layers == layers
+    assert all(decoder.parameters[f"{head}.weight"].any() for head in BASE)
     for name in ("means", "scales", "opacities", "sh"):
         torch.testing.assert_close(getattr(out, name), getattr(gaussians, name))
     torch.testing.assert_close(out.quats, torch.nn.functional.normalize(gaussians.quats, dim=1))
@@ -43,6 +45,17 @@ def test_heads_are_gelu_and_linear_on_attributes_before_activation(gaussians):
     torch.testing.assert_close(out.scales, (base["log_scales"] + residual["log_scales"]).exp())
     torch.testing.assert_close(out.opacities, (base["logits"] + residual["logits"][:, 0]).sigmoid())
     torch.testing.assert_close(out.sh, base["sh"] + residual["sh"].reshape(5, 16, 3))
+
+
+def test_heads_that_are_held_give_the_same_for_every_embedding(gaussians):
+    decoder = new_decoder(6, 16, 0, 0, torch.Generator().manual_seed(2))
+    x, y = torch.randn(2, 5, 6)
+    held = {head: decoder.residuals(x)[head] for head in ("log_scales", "logits", "sh")}
+    base = base_of(gaussians)
+    one, other = decoder.decode(base, x, held), decoder.decode(base, y, held)
+    for name in ("scales", "opacities", "sh"):
+        torch.testing.assert_close(getattr(one, name), getattr(other, name), rtol=0, atol=0)
+    assert not torch.allclose(one.means, other.means)
 
 
 def test_gradients_reach_embedding_base_and_decoder(gaussians):

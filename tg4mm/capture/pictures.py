@@ -6,7 +6,6 @@ From disk, what one camera saw is decoded when its turn comes and let go after: 
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -33,9 +32,6 @@ class Pictures(Protocol):
     def maximum(self) -> int:
         """The stored value that means 1."""
 
-    def digest(self, i: int) -> bytes:
-        """Equal for pictures that are equal bit for bit (and hardly for others)."""
-
     def strips(self, rows: Sequence[int]) -> Strips:
         """Some pictures, to be asked for by rows."""
 
@@ -53,9 +49,6 @@ class StackedPictures:
     @property
     def maximum(self) -> int:
         return self.images.maximum
-
-    def digest(self, i: int) -> bytes:
-        return _hash(np.ascontiguousarray(self.images.data[i]).data)
 
     def strips(self, rows: Sequence[int]) -> Strips:
         indices = np.asarray(rows)
@@ -84,14 +77,6 @@ class FilePictures:
         with ThreadPoolExecutor(THREADS) as pool:
             bits = max(header.bits for header in pool.map(image_header, self.capture.paths))
         return (1 << bits) - 1
-
-    def digest(self, i: int) -> bytes:
-        """Of the file: equal pictures in unequal files count as two."""
-        path = self.capture.paths[i]
-        try:
-            return _hash(path.read_bytes())
-        except OSError as error:
-            raise CaptureError(f"{path}: cannot be read: {error.strerror}") from error
 
     def strips(self, rows: Sequence[int]) -> Strips:
         data = np.empty((len(rows), *self.size, 4), np.uint16 if self.maximum > 255 else np.uint8)
@@ -133,7 +118,3 @@ def over_white(raw: np.ndarray, maximum: int) -> np.ndarray:
     out = raw[..., :3] * scale
     alpha = raw[..., 3:]
     return out if alpha.min() == maximum else out * (alpha * scale) + (1 - alpha * scale)
-
-
-def _hash(data: bytes | memoryview) -> bytes:
-    return hashlib.blake2b(data, digest_size=16).digest()

@@ -28,7 +28,8 @@ class PaperConfig:
     motion_iterations: int = 7_000  # of phase 2, for each timestep
     shared: bool = False  # true: motion_iterations is what all timesteps share
     learning_rate: float = 1e-4  # of Adam, fixed, phase 1
-    motion_learning_rate: float = 1e-4  # of Adam, fixed, phase 2
+    motion_learning_rate: float = 1e-4  # of Adam, phase 2
+    motion_rate_falls_to: float = 1.0  # share of that rate at the end of a timestep; 1: fixed
     moved: str = "all"  # what motion planes change of a Gaussian: all, or its pose (position and rotation)
     deviation: float = 1.0  # standard deviation of the space planes' first values
     residual: bool = True  # false: a timestep's planes replace the space planes (Fig. 8)
@@ -44,7 +45,7 @@ class PaperConfig:
 PAPER = PaperConfig()
 PAPER_TUNED = PaperConfig(
     channels=16, resolution=64, iterations=3_000, warm_up=1_500, motion_iterations=600, learning_rate=1e-3,
-    motion_learning_rate=5e-3, moved="pose", difference=True,
+    motion_rate_falls_to=0.03, moved="pose", difference=True,
 )  # fmt: skip
 
 
@@ -62,6 +63,7 @@ def checked(config: PaperConfig) -> PaperConfig:
         "motion_iterations": (c.motion_iterations >= 1, ">= 1"),
         "learning_rate": (math.isfinite(c.learning_rate) and c.learning_rate > 0, "> 0"),
         "motion_learning_rate": (math.isfinite(c.motion_learning_rate) and c.motion_learning_rate > 0, "> 0"),
+        "motion_rate_falls_to": (0 < c.motion_rate_falls_to <= 1, "above 0, up to 1"),
         "moved": (c.moved in MOVED, " or ".join(MOVED)),
         "deviation": (math.isfinite(c.deviation) and c.deviation > 0, "> 0"),
         "seed": (0 <= c.seed < 1 << 63, "0 to 2⁶³ − 1"),

@@ -18,10 +18,21 @@ Cameras = tuple[Tensor, Tensor, Tensor]  # viewmats [V, 4, 4], Ks [V, 3, 3], pic
 
 
 class Fit:
-    """Named parameters, torch's fused Adam at a fixed rate, and a random order of views."""
+    """Named parameters, torch's fused Adam, and a random order of views.
 
-    def __init__(self, parameters: Mapping[str, Tensor], rate: float, seed: int, device: str = "cpu") -> None:
-        self.device = device
+    The rate falls exponentially to `final` times what it is at the start; 1: it is fixed.
+    """
+
+    def __init__(
+        self,
+        parameters: Mapping[str, Tensor],
+        rate: float,
+        iterations: int,
+        seed: int,
+        device: str = "cpu",
+        final: float = 1.0,
+    ) -> None:
+        self.device, self._rate, self._final, self.iterations = device, rate, final, iterations
         self.parameters = {k: v.detach().clone().to(device).requires_grad_() for k, v in parameters.items()}
         self._adam = torch.optim.Adam(list(self.parameters.values()), lr=rate, eps=_EPS, fused=True)
         self.generator = torch.Generator().manual_seed(seed)
@@ -37,6 +48,7 @@ class Fit:
 
     def step(self, loss: Tensor) -> None:
         loss.backward()
+        self._adam.param_groups[0]["lr"] = self._rate * self._final ** (self.iteration / self.iterations)
         self._adam.step()
         self._adam.zero_grad(set_to_none=True)
         now = loss.detach()

@@ -56,7 +56,8 @@ class _Stage:
     def fit(self, t: int, views, iterations: int, update: Update) -> Tensor:
         """[A, C] the motion planes of timestep t."""
         zero = {"values": torch.zeros(len(self.cells), self.model.channels)}
-        fit = Fit(zero, self.config.motion_learning_rate, self.config.seed + t, self.device)
+        c = self.config
+        fit = Fit(zero, c.motion_learning_rate, iterations, c.seed + t, self.device, c.motion_rate_falls_to)
         checkpoint = self.run.load_checkpoint(_STAGE)
         if checkpoint is not None and checkpoint[1]["timestep"] == t:
             fit.restore(*checkpoint)

@@ -20,7 +20,7 @@ from tg4mm.runs import Run
 from tg4mm.space import RestViews
 from tg4mm.triplane import Decoder, cells_of, new_decoder, sample
 from tg4mm.triplane.cells import scene_box
-from tg4mm.triplane.decoder import base_of
+from tg4mm.triplane.decoder import base_below
 
 CHECKPOINT_EVERY_S = 20.0
 SHOW_EVERY_S = 0.25
@@ -50,7 +50,7 @@ def cameras_on(views: RestViews, device: str) -> Cameras:
 
 
 def started(base: Gaussians, config: PaperConfig) -> PaperModel:
-    """The model before phase 1: random planes, a decoder that leaves the base as it is."""
+    """The model before phase 1: random planes and heads, on a base from which they decode to the Gaussians `base`."""
     generator = torch.Generator().manual_seed(config.seed)
     shape = (3, config.channels, config.resolution, config.resolution)
     planes = torch.randn(shape, generator=generator) * config.deviation
@@ -58,7 +58,9 @@ def started(base: Gaussians, config: PaperConfig) -> PaperModel:
     decoder = new_decoder(3 * config.channels, n_sh, config.mlp_layers, config.mlp_width, generator)
     points = base.means.clone()
     box = torch.from_numpy(scene_box(points.numpy()))
-    return PaperModel(planes, points, box, base_of(base), decoder, config.residual, config.moved)
+    cells = cells_of(points.numpy(), box.numpy(), config.resolution)
+    below = base_below(base, decoder, sample(active(planes, cells), cells))
+    return PaperModel(planes, points, box, below, decoder, config.residual, config.moved)
 
 
 def _parameters(model: PaperModel) -> dict[str, torch.Tensor]:
@@ -89,11 +91,11 @@ def train_triplane(
     reset_gpu_peak(device)
     model = started(base, config)
     cells = cells_of(model.points.numpy(), model.box.numpy(), config.resolution)
-    fit = Fit(_parameters(model), config.learning_rate, config.seed, device)
+    total = config.iterations - config.warm_up
+    fit = Fit(_parameters(model), config.learning_rate, total, config.seed, device)
     if (checkpoint := run.load_checkpoint(_STAGE)) is not None:
         fit.restore(*checkpoint)
     cameras = cameras_on(views, device)
-    total = config.iterations - config.warm_up
     saved, shown, figure = time.monotonic(), -math.inf, 0.0
     with progress("space triplane", total, start=fit.iteration) as update, full_precision(device):
         while fit.iteration < total:

@@ -1,7 +1,7 @@
 """The Gaussian decoder: five heads of GELU and a linear layer that give residuals to base attributes, [TG4MM] Eq. (8).
 
 Residuals are added before activation: to the log of the scale, the logit of the opacity, the quaternion before it is
-normalised, position and SH as they are. The heads' weights and biases start at zero, so decoding starts at the base.
+normalised, position and SH as they are.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Decoder:
 
         Heads named in `held` {head: [N, D]} give what stands there, whatever the embedding.
         """
-        d = self.residuals(embedding) | (held or {})
+        d = self.residuals(embedding) | dict(held or {})
         return Gaussians(
             base["means"] + d["means"],
             base["quats"] + d["quats"],
@@ -67,7 +67,8 @@ class Decoder:
 def new_decoder(channels: int, n_sh: int, layers: int, width: int, generator: torch.Generator) -> Decoder:
     """A decoder for embeddings of `channels` = 3 C and n_sh SH coefficients; `layers` × `width` MLP before the heads.
 
-    The MLP starts with He's normal weights; the heads at zero.
+    Weights are random, He's normal in the MLP, Glorot's uniform in the heads; biases are zero. Heads that started at
+    zero would stay small on base Gaussians that fit already, and small heads answer to motion planes by next to nothing.
     """
     parameters: dict[str, Tensor] = {}
     n_in = channels
@@ -77,9 +78,17 @@ def new_decoder(channels: int, n_sh: int, layers: int, width: int, generator: to
         parameters[f"mlp{i}.bias"] = torch.zeros(width)
         n_in = width
     for head, size in zip(BASE, (3, 4, 3, 1, 3 * n_sh), strict=True):
-        parameters[f"{head}.weight"] = torch.zeros(size, n_in)
+        bound = math.sqrt(6 / (size + n_in))
+        parameters[f"{head}.weight"] = (2 * torch.rand(size, n_in, generator=generator) - 1) * bound
         parameters[f"{head}.bias"] = torch.zeros(size)
     return Decoder(parameters)
+
+
+def base_below(gaussians: Gaussians, decoder: Decoder, embedding: Tensor) -> dict[str, Tensor]:
+    """The base on top of which `embedding` [N, 3 C] decodes to the Gaussians."""
+    with torch.no_grad():
+        residuals = decoder.residuals(embedding)
+    return {k: v - residuals[k].reshape(v.shape) for k, v in base_of(gaussians).items()}
 
 
 def base_of(gaussians: Gaussians) -> dict[str, Tensor]:
