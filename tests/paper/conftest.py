@@ -14,7 +14,7 @@ N_TIMESTEPS, SIZE = 6, 32
 SETTINGS = {
     "paper.channels": "4", "paper.resolution": "16", "paper.iterations": "140", "paper.warm_up": "60",
     "paper.motion_iterations": "60", "paper.learning_rate": "3e-3", "paper.motion_learning_rate": "1e-3",
-    "paper.moved": "all", "paper.difference": "false", "space.max_gaussians": "400",
+    "paper.difference": "false", "space.max_gaussians": "400",
 }  # fmt: skip
 
 

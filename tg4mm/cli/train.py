@@ -31,7 +31,8 @@ def train(
         Preset,
         typer.Option(
             help="modal: one fit of complex modes to all timesteps. paper: TG4MM as published, a triplane "
-            "for each timestep; paper-tuned: the same with what makes it find more of the motion in less time (docs/paper.md)."
+            "for each timestep; paper-tuned: the same with departures that find more of the "
+            "motion in less time (docs/paper.md)."
         ),
     ] = Preset.modal,
     device: DeviceOption = Device.cpu,

@@ -46,7 +46,6 @@ class EmbeddingSeries:
         """embeddings [3 C, T, N]; a memory map will do."""
         self.embeddings, self.fps, self.device = embeddings, fps, device
         self._base = {k: v.to(device) for k, v in model.base.items()}
-        self._held = {k: v.to(device) for k, v in model.held.items()}
         self._decoder = Decoder({k: v.to(device) for k, v in model.decoder.parameters.items()})
 
     @property
@@ -61,7 +60,7 @@ class EmbeddingSeries:
             now = np.ascontiguousarray(self.embeddings[:, int(t) % n].T)
         else:
             now = np.einsum("s,csn->nc", interpolation(t, n).astype(np.float32), self.embeddings)
-        return self._decoder.decode(self._base, torch.from_numpy(now).to(self.device), self._held)
+        return self._decoder.decode(self._base, torch.from_numpy(now).to(self.device))
 
 
 def interpolation(t: float, n: int) -> np.ndarray:

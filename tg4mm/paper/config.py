@@ -10,9 +10,6 @@ from dataclasses import dataclass, replace
 
 from tg4mm.errors import Tg4mmError
 from tg4mm.space import SpaceConfig
-from tg4mm.triplane.decoder import BASE
-
-MOVED = {"all": BASE, "pose": ("means", "quats")}  # heads of the decoder that motion planes act through
 
 
 @dataclass(frozen=True)
@@ -30,7 +27,6 @@ class PaperConfig:
     learning_rate: float = 1e-4  # of Adam, fixed, phase 1
     motion_learning_rate: float = 1e-4  # of Adam, phase 2
     motion_rate_falls_to: float = 1.0  # share of that rate at the end of a timestep; 1: fixed
-    moved: str = "all"  # what motion planes change of a Gaussian: all, or its pose (position and rotation)
     deviation: float = 1.0  # standard deviation of the space planes' first values
     residual: bool = True  # false: a timestep's planes replace the space planes (Fig. 8)
     difference: bool = False  # true: phase 2 compares changes from timestep 0 with changes; false: Eq. (16)
@@ -45,7 +41,7 @@ class PaperConfig:
 PAPER = PaperConfig()
 PAPER_TUNED = PaperConfig(
     channels=16, resolution=64, iterations=3_000, warm_up=1_500, motion_iterations=600, learning_rate=1e-3,
-    motion_rate_falls_to=0.03, moved="pose", difference=True,
+    motion_rate_falls_to=0.03, difference=True,
 )  # fmt: skip
 
 
@@ -64,7 +60,6 @@ def checked(config: PaperConfig) -> PaperConfig:
         "learning_rate": (math.isfinite(c.learning_rate) and c.learning_rate > 0, "> 0"),
         "motion_learning_rate": (math.isfinite(c.motion_learning_rate) and c.motion_learning_rate > 0, "> 0"),
         "motion_rate_falls_to": (0 < c.motion_rate_falls_to <= 1, "above 0, up to 1"),
-        "moved": (c.moved in MOVED, " or ".join(MOVED)),
         "deviation": (math.isfinite(c.deviation) and c.deviation > 0, "> 0"),
         "seed": (0 <= c.seed < 1 << 63, "0 to 2⁶³ − 1"),
     }

@@ -19,7 +19,6 @@ from torch import Tensor
 
 from tg4mm.errors import RunError
 from tg4mm.gaussians import Gaussians
-from tg4mm.paper.config import MOVED
 from tg4mm.runs import Run
 from tg4mm.triplane import Cells, Decoder, cells_of, sample
 from tg4mm.triplane.decoder import BASE
@@ -38,7 +37,6 @@ class PaperModel:
     base: dict[str, Tensor]  # attributes before activation, see `triplane.decoder.BASE`
     decoder: Decoder
     residual: bool = True
-    moved: str = "all"  # what motion planes change, a key of `MOVED`
 
     @cached_property
     def cells(self) -> Cells:
@@ -62,17 +60,8 @@ class PaperModel:
         own = sample(motion, self.cells)
         return self.rest_embedding + own if self.residual else own
 
-    @cached_property
-    def held(self) -> dict[str, Tensor]:
-        """{head: [N, D]} residuals at rest of the heads that motion does not act through."""
-        if self.moved == "all":
-            return {}
-        with torch.no_grad():
-            at_rest = self.decoder.residuals(self.rest_embedding)
-        return {head: value for head, value in at_rest.items() if head not in MOVED[self.moved]}
-
     def decode(self, embedding: Tensor) -> Gaussians:
-        return self.decoder.decode(self.base, embedding, self.held)
+        return self.decoder.decode(self.base, embedding)
 
     def rest(self) -> Gaussians:
         """The Gaussians at timestep 0."""
@@ -119,7 +108,7 @@ def save_model(run: Run, model: PaperModel) -> None:
     tensors = {"planes": model.planes, "points": model.points, "box": model.box}
     tensors |= {f"base.{k}": v for k, v in model.base.items()}
     tensors |= {f"decoder.{k}": v for k, v in model.decoder.parameters.items()}
-    run.save_part(TRIPLANE, tensors, residual=model.residual, moved=model.moved)
+    run.save_part(TRIPLANE, tensors, residual=model.residual)
 
 
 def load_model(run: Run) -> PaperModel:
@@ -139,10 +128,8 @@ def load_model(run: Run) -> PaperModel:
         raise RunError(f"{file}: planes have shape {tuple(planes.shape)}, expected (3, C, R, R)")
     model = PaperModel(
         planes, points, tensors["box"], {k: v for k, v in base.items() if v is not None}, Decoder(decoder),
-        bool(header.get("residual", True)), str(header.get("moved", "all")),
+        bool(header.get("residual", True)),
     )  # fmt: skip
-    if model.moved not in MOVED:
-        raise RunError(f"{file}: what motion changes is {model.moved!r}, expected {' or '.join(MOVED)}")
     try:
         model.rest()
     except (RuntimeError, ValueError, IndexError) as error:

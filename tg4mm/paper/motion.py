@@ -49,7 +49,6 @@ class _Stage:
         self.cells = model.cells
         self.rest = model.rest_embedding.to(device)
         self.base = {k: v.to(device) for k, v in model.base.items()}
-        self.held = {k: v.to(device) for k, v in model.held.items()}
         self.decoder = Decoder({k: v.to(device) for k, v in model.decoder.parameters.items()})
         self.began, self.saved, self.shown, self.figure = began, time.monotonic(), -math.inf, 0.0
 
@@ -65,7 +64,7 @@ class _Stage:
         while fit.iteration < iterations:
             own = sample(fit.parameters["values"], self.cells)
             embedding = self.rest + own if self.model.residual else own
-            gaussians = self.decoder.decode(self.base, embedding, self.held)
+            gaussians = self.decoder.decode(self.base, embedding)
             fit.step(view_loss(gaussians, cameras, fit.next_view(len(views.rgb))))
             self._show(fit, t, iterations, update)
         self.loss = float(fit.loss)

@@ -60,7 +60,7 @@ def started(base: Gaussians, config: PaperConfig) -> PaperModel:
     box = torch.from_numpy(scene_box(points.numpy()))
     cells = cells_of(points.numpy(), box.numpy(), config.resolution)
     below = base_below(base, decoder, sample(active(planes, cells), cells))
-    return PaperModel(planes, points, box, below, decoder, config.residual, config.moved)
+    return PaperModel(planes, points, box, below, decoder, config.residual)
 
 
 def _parameters(model: PaperModel) -> dict[str, torch.Tensor]:
@@ -76,7 +76,7 @@ def _finished(model: PaperModel, fit: Fit) -> PaperModel:
     final = {k: v.detach().cpu() for k, v in fit.parameters.items()}
     return PaperModel(
         with_active(model.planes, model.cells, final["values"]), model.points, model.box,
-        _group(final, "base."), Decoder(_group(final, "decoder.")), model.residual, model.moved,
+        _group(final, "base."), Decoder(_group(final, "decoder.")), model.residual,
     )  # fmt: skip
 
 

@@ -47,14 +47,9 @@ class Decoder:
         parts = linear(x, weight, bias).split([len(p[f"{head}.bias"]) for head in BASE], 1)
         return dict(zip(BASE, parts, strict=True))
 
-    def decode(
-        self, base: Mapping[str, Tensor], embedding: Tensor, held: Mapping[str, Tensor] | None = None
-    ) -> Gaussians:
-        """The Gaussians of an embedding [N, 3 C] on top of `base` (`base_of`); gradients flow to all three.
-
-        Heads named in `held` {head: [N, D]} give what stands there, whatever the embedding.
-        """
-        d = self.residuals(embedding) | dict(held or {})
+    def decode(self, base: Mapping[str, Tensor], embedding: Tensor) -> Gaussians:
+        """The Gaussians of an embedding [N, 3 C] on top of `base` (`base_of`); gradients flow to all three."""
+        d = self.residuals(embedding)
         return Gaussians(
             base["means"] + d["means"],
             base["quats"] + d["quats"],
@@ -68,7 +63,7 @@ def new_decoder(channels: int, n_sh: int, layers: int, width: int, generator: to
     """A decoder for embeddings of `channels` = 3 C and n_sh SH coefficients; `layers` × `width` MLP before the heads.
 
     Weights are random, He's normal in the MLP, Glorot's uniform in the heads; biases are zero. Heads that started at
-    zero would stay small on base Gaussians that fit already, and small heads answer to motion planes by next to nothing.
+    zero would stay small on base Gaussians that fit already, and small heads hardly answer to motion planes.
     """
     parameters: dict[str, Tensor] = {}
     n_in = channels
