@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from tests.bench.conftest import MODAL, PAPER
-from tg4mm.bench.measure import Plan
+from tg4mm.bench.measure import SEEN, Plan
 from tg4mm.bench.scenes import ScenesRequest, run_scenes, same_time_training, same_time_trainings
 from tg4mm.errors import RunError
 from tg4mm.evaluate import evaluate_run
@@ -48,7 +48,7 @@ def test_the_numbers_are_those_of_evaluate(
     ours = entry(results, row)
     for scored in again["alphas"]:
         found = ours["rows"][str(scored["alpha"])]
-        assert found[way] == scored["rows"]["ours"]
+        assert found[way] == scored["rows"]["ours"] | {key: scored[key] for key in SEEN}
         assert found["nothing moves"] == scored["rows"]["nothing moves"]
         assert found["ceiling"] == scored["rows"]["ceiling"]
     assert ours["displacement"] == again["displacement"]
@@ -58,7 +58,7 @@ def test_the_numbers_are_those_of_evaluate(
 def test_the_page_prints_the_numbers_of_the_json(done: Done, data: Path) -> None:
     out, results = done
     page = (out / "results.md").read_text(encoding="utf-8")
-    (line,) = [
+    line, seen = [
         x for x in page.splitlines() if x.startswith(f"| {data.name} ") and x.split("|")[2].strip() == "20"
     ]
     modal, paper = (entry(results, row)["rows"]["20"] for row in ("modal", "paper-tuned"))
@@ -67,6 +67,8 @@ def test_the_page_prints_the_numbers_of_the_json(done: Done, data: Path) -> None
     gaps = [modal["ceiling"]["ssim"] - modal["modal"]["ssim"]]
     gaps += [paper["ceiling"]["ssim"] - paper[m]["ssim"] for m in ("linear", "phase")]
     assert [c.strip() for c in line.split("|")[3:-1]] == [f"{v:.4f}" for v in values + gaps]
+    shown = [modal["modal"], paper["linear"], paper["phase"]]
+    assert [c.strip() for c in seen.split("|")[3:-1]] == [f"{way[key]:.2f}" for way in shown for key in SEEN]
     made = results["made"]
     assert all(str(made[key]) in page for key in ("command", "date", "tg4mm", "processor"))
     assert "![SSIM over magnification" in page
@@ -109,7 +111,7 @@ class TestSameTime:
     def test_all_iterations_are_scaled(self) -> None:
         training = same_time_training("paper-tuned", {"paper.iterations": "400", "paper.warm_up": "100"}, 1.5)
         config = parse_settings(training.settings, "paper-tuned")["paper"]
-        assert (config.warm_up, config.iterations, config.motion_iterations) == (150, 600, 300)
+        assert (config.warm_up, config.iterations, config.motion_iterations) == (150, 600, 900)
 
     @pytest.mark.parametrize("factor", [1e-6, 0.01])
     def test_a_small_share_is_still_trainable(self, factor: float) -> None:

@@ -27,7 +27,8 @@ from tg4mm.runs import Run
 from tg4mm.train import parse_settings, train
 
 FIGURES = "figures.json"
-VERSION = 1  # of how figures are made: raise it when the same request would give others
+SEEN = ("closure", "change_gain", "change_residual")  # how much of a motion is seen, of one way to magnify
+VERSION = 2  # of how figures are made: raise it when the same request would give others
 
 
 @dataclass(frozen=True)
@@ -192,14 +193,16 @@ def _figures(
 ) -> dict[str, Any]:
     """{version, request, log, seconds, model, n_gaussians, mib_on_disk, rows, displacement, notes}.
 
-    rows: {α: {"nothing moves": {ssim, …}, <each way's name>: …, "ceiling": …}}, α as text since JSON has no other keys.
+    rows: {α: {"nothing moves": {ssim, …}, <each way's name>: …, "ceiling": …}}, α as text since JSON has no other keys;
+    a way's row also holds closure, change_gain, change_residual as `evaluate_run` defines them.
     """
     rows: dict[str, dict[str, Any]] = {}
     for name, figures in metrics.items():
         for entry in figures["alphas"]:
             scored = rows.setdefault(f"{entry['alpha']:g}", {})
             for method, values in entry["rows"].items():
-                scored[name if method == OURS else method] = values
+                seen = {k: entry[k] for k in SEEN} if method == OURS else {}
+                scored[name if method == OURS else method] = values | seen
     order = [STATIC, *metrics, CEILING]
     first = next(iter(metrics.values()))
     return {

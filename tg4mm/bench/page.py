@@ -11,6 +11,11 @@ from tg4mm.bench.table import NOTHING, shown, table
 from tg4mm.evaluate.run import CEILING, STATIC
 
 _VERDICTS = {True: "reached", False: "**missed**", None: "not judged"}
+_SEEN = (("closure", "closure"), ("change_gain", "gain"), ("change_residual", "residual"))
+_SEEN_TEXT = (
+    "Closure: where SSIM lies between nothing moves (0) and the ceiling (1). Gain and residual: the picture's change "
+    "by the method, regressed on its change by the exact motion of the same Gaussians; 1 and 0 would be exact."
+)
 _COSTS = (
     ("displacement_error", "displacement error", "{:.1%}"),
     ("static_leak", "static leak", "{:.1%}"),
@@ -32,6 +37,7 @@ def scenes_page(results: Mapping[str, Any], pictures: Mapping[str, str]) -> str:
         sets = [s["label"] for s in results["sets"] if s["group"] == group]
         parts += [f"## {group}", _sets_line(results, sets)]
         parts += ["### SSIM over magnification", _picture(pictures, group), ssim_table(results, group)]
+        parts += ["### How much of the motion is seen", _SEEN_TEXT, change_table(results, group)]
         parts += ["### Motion and cost", cost_table(results, group)]
     parts += list(_remarks(results))
     return "\n\n".join(part for part in parts if part) + "\n"
@@ -149,6 +155,29 @@ def ssim_table(results: Mapping[str, Any], group: str) -> str:
     return table(header, lines)
 
 
+def change_table(results: Mapping[str, Any], group: str) -> str:
+    """A line per set and α, then the means: how much of the motion each method shows."""
+    ways = [(row, m) for row, m in _columns(results, group) if m not in {STATIC, CEILING}]
+    header = ["set", "α", *(f"{_title(*way)}: {title}" for way in ways for _, title in _SEEN)]
+    lines: list[list[str]] = []
+    for label in (s["label"] for s in results["sets"] if s["group"] == group):
+        rows = {r["row"]: r["rows"] for r in results["runs"] if r["set"] == label}
+        lines += [[label, a, *_seen(rows, a, ways)] for a in _alphas(rows)]
+    means = {m["row"]: m for m in results["means"] if m["group"] == group}
+    rows = {name: m["rows"] for name, m in means.items()}
+    lines += [[f"**mean of {_count(means)}**", a, *_seen(rows, a, ways)] for a in _alphas(rows)]
+    return table(header, lines)
+
+
+def _alphas(rows: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    return sorted({a for own in rows.values() for a in own if float(a) > 0}, key=float)
+
+
+def _seen(rows: Mapping[str, Mapping[str, Any]], alpha: str, ways: list[tuple[str, str]]) -> list[str]:
+    values = [rows.get(row, {}).get(alpha, {}).get(m, {}) for row, m in ways]
+    return [shown(value.get(key), "{:.2f}") for value in values for key, _ in _SEEN]
+
+
 def _count(means: Mapping[str, Any]) -> str:
     numbers = sorted({m["n_sets"] for m in means.values()})
     return str(numbers[0]) if len(numbers) == 1 else f"{numbers[0]} to {numbers[-1]}"
@@ -205,4 +234,4 @@ def _remarks(results: Mapping[str, Any]) -> Iterator[str]:
         yield "## Notes\n\n" + "\n".join(f"- {', '.join(labels)}: {note}" for note, labels in notes.items())
 
 
-__all__ = ["NOTHING", "cost_table", "goals_table", "origin", "scenes_page", "ssim_table"]
+__all__ = ["NOTHING", "change_table", "cost_table", "goals_table", "origin", "scenes_page", "ssim_table"]
