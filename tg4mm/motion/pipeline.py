@@ -25,9 +25,10 @@ from tg4mm.motion.linear_fit import LinearFit
 from tg4mm.motion.modes import ModalMotion
 from tg4mm.motion.moving_camera import fit_moving_camera
 from tg4mm.motion.nuisance import without
-from tg4mm.motion.nuisance_choice import Seen, look_at
+from tg4mm.motion.nuisance_choice import Seen, look_again, look_at
 from tg4mm.motion.observations import Observations
 from tg4mm.motion.problem import Problem
+from tg4mm.motion.registration import stabilised
 from tg4mm.motion.result import MotionFit
 from tg4mm.motion.solver.operator import Fold
 from tg4mm.motion.spectrum import apply_series, modes_of
@@ -59,6 +60,10 @@ def fit_motion(
         return fit_moving_camera(gaussians, observations, config, device, parts)
     views = rest_views(gaussians, observations)
     seen = look_at(observations, views, gaussians, config)
+    if seen.is_shaking:
+        gaussians, observations, pixels = stabilised(gaussians, observations, config, device, parts)
+        views = rest_views(gaussians, observations)
+        seen = look_again(observations, views, gaussians, seen, pixels)
     if observations.clock == "independent":
         return fit_independent_clocks(gaussians, observations, views, seen, config, device, parts)
     return _Synchronous(gaussians, observations, views, seen, config, device, parts).fit()

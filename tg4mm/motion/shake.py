@@ -1,24 +1,31 @@
-"""Whether a fixed camera shakes: does what moves least in its pictures move as one?
+"""Whether fixed cameras shake: does what moves least in their pictures move as one, and in each camera by itself?
 
 The picture is looked at in 8 × 8 blocks. Each block's shift in every frame is the least-squares answer of its pixels by
 the picture's slopes (Lucas & Kanade 1981). A camera that shakes moves every block, by a shift, a roll and a zoom of the
 whole picture; a scene that moves before a camera that does not leaves some blocks where they are. So the blocks that
 move least decide: they must move by more than noise, and by what one shift, roll and zoom makes of all of them.
+
+A scene that moves as a whole looks the same to one camera. Several that film at the same times tell the two apart: one
+rigid motion of the scene, six numbers for each timestep, must look right in all of them (`own_turns`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from tg4mm.motion.jacobian.view import PosedView
+from tg4mm.motion.nuisance import EXPOSURE, POSE, ROTATION
+
 BLOCKS = 8  # along each side
 _TEXTURE = 0.05  # of the mean block's: less tells no shift
 _STILLEST = 0.25  # of the blocks with texture
-_LEAST_PX = 0.01  # rms; less is none
+LEAST_PX = 0.01  # rms; less is none
 _EXPLAINED = 0.7  # of the stillest blocks' power must be that of one pose
 _ROUNDS = 5  # of reweighting
+_TINY = 1e-9  # of the largest eigenvalue: below it a column says nothing new
 
 
 @dataclass
@@ -69,7 +76,7 @@ class BlockShifts:
         stillest = np.argsort(power)[: max(int(_STILLEST * len(power)), 2)]
         moved = float(np.sqrt(power[stillest].mean() / shifts.shape[2]))
         share = 1 - unexplained[stillest].sum() / max(power[stillest].sum(), 1e-30)
-        return moved, bool(moved > _LEAST_PX and share > _EXPLAINED)
+        return moved, bool(moved > LEAST_PX and share > _EXPLAINED)
 
 
 def _parts(size: tuple[int, ...]) -> Iterator[tuple[int, int, tuple[slice, slice]]]:
@@ -97,3 +104,76 @@ def _one_pose(places: np.ndarray, shifts: np.ndarray, weights: np.ndarray) -> np
         error = np.sqrt(((shifts - fitted) ** 2).mean((1, 2)))
         trust = weights / weights.max() / (1 + (error / max(float(np.median(error)), 1e-12)) ** 2)
     return fitted
+
+
+def own_turns(
+    cameras: Sequence[PosedView],
+    grams: Sequence[np.ndarray],
+    products: Sequence[np.ndarray],
+    energy: float,
+    n_pixels: int,
+) -> tuple[float, float]:
+    """What synchronous cameras' pictures shift by beyond one rigid motion of the scene: pixels (rms), and its share.
+
+    grams V of [12, 12]: products of the nuisance columns; products V of [12, F]: theirs with the changes of F frames;
+    energy: of all changes; n_pixels: of a picture. The share is the part of the energy that a common rigid motion and
+    turns of each camera by itself explain together and the common motion alone does not, noise taken off; exposure is
+    fitted first. It is near 0 for a scene that moves as a whole, near 1 for many cameras that shake.
+    """
+    gram, side = _normal_equations(cameras, grams, products)
+    n_cameras, n_frames = len(cameras), side.shape[1]
+    own = np.tile(np.arange(9), n_cameras)
+    kind = np.concatenate([np.where(own < 6, 0, 1), np.full(6, 2)])  # exposure, own turns, common motion
+    light, common, whole = (_solved(gram, side, k) for k in (kind == 0, kind != 1, kind >= 0))
+    at_first, by_common, by_all = (float((side * n).sum()) for n in (light, common, whole))
+    noise = max(energy - by_all, 0) / (3 * n_pixels * n_cameras * n_frames)  # of one value
+    beyond = max(by_all - by_common - 3 * n_cameras * n_frames * noise, 0)
+    left = side - gram @ np.where((kind == 2)[:, None], common, 0)
+    turns = _solved(gram, left, kind < 2)[kind == 1].reshape(n_cameras, 3, n_frames)
+    pixels = np.stack([np.diag(c.K)[:2, None] * t[1::-1] for c, t in zip(cameras, turns, strict=True)])
+    share = beyond / max(by_all - at_first, 1e-30)
+    kept = beyond / max(by_all - by_common, 1e-30)
+    return float(np.sqrt(kept * (pixels**2).sum(1).mean())), share
+
+
+def _normal_equations(
+    cameras: Sequence[PosedView], grams: Sequence[np.ndarray], products: Sequence[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """[9 V + 6, 9 V + 6] and [9 V + 6, F]: every camera's exposure and turns, then the scene's common rigid motion."""
+    own = np.r_[EXPOSURE, ROTATION]
+    n = len(own) * len(cameras)
+    gram, side = np.zeros((n + 6, n + 6)), np.zeros((n + 6, products[0].shape[1]))
+    for v, (camera, g, p) in enumerate(zip(cameras, grams, products, strict=True)):
+        here, seen_as = slice(len(own) * v, len(own) * (v + 1)), _as_pose(camera.viewmat)
+        gram[here, here] = g[np.ix_(own, own)]
+        gram[here, n:] = g[own, POSE] @ seen_as
+        gram[n:, here] = gram[here, n:].T
+        gram[n:, n:] += seen_as.T @ g[POSE, POSE] @ seen_as
+        side[here] = p[own]
+        side[n:] += seen_as.T @ p[POSE]
+    return gram, side
+
+
+def _as_pose(viewmat: np.ndarray) -> np.ndarray:
+    """[6, 6]: from a rigid motion (rotation about the world's origin, translation) to the coefficients of the six pose
+
+    columns of a camera, which turn and shift the scene about its centre and along its axes.
+    """
+    axes = viewmat[:3, :3].astype(np.float64)
+    x, y, z = -axes.T @ viewmat[:3, 3]
+    out = np.zeros((6, 6))
+    out[:3, :3] = out[3:, 3:] = axes
+    out[3:, :3] = axes @ [[0, z, -y], [-z, 0, x], [y, -x, 0]]  # rotation × centre
+    return out
+
+
+def _solved(gram: np.ndarray, side: np.ndarray, active: np.ndarray) -> np.ndarray:
+    """Least squares of the active unknowns, 0 for the others: as `side`."""
+    scale = np.sqrt(np.maximum(np.diag(gram)[active], 1e-30))
+    values, vectors = np.linalg.eigh(gram[np.ix_(active, active)] / np.outer(scale, scale))
+    inverse = np.where(values > _TINY * values[-1], 1 / np.maximum(values, 1e-30), 0)
+    out = np.zeros_like(side)
+    out[active] = (vectors @ (inverse[:, None] * (vectors.T @ (side[active] / scale[:, None])))) / scale[
+        :, None
+    ]
+    return out

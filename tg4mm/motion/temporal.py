@@ -71,6 +71,7 @@ class FirstLook:
     total: np.ndarray  # [V, H, W] energy of the changes, mean over channels
     mean: np.ndarray  # [V, H, W, 3]
     columns: list[np.ndarray]  # V of [12, F]: products of the nuisance columns with the changes
+    column_grams: list[np.ndarray]  # V of [12, 12]: products of the nuisance columns, 0 for inactive ones
     cache: dict[int, list[tuple[slice, np.ndarray]]]  # of some views the changes, by strips
     shake: tuple[float, bool]  # of the cameras: pixels (rms), and whether it is one
 
@@ -82,7 +83,7 @@ def first_look(
     width, height = observations.size
     n = len(observations.frames)
     total, mean = np.empty((n, height, width), np.float32), np.empty((n, height, width, 3), np.float32)
-    grams, columns = [], []
+    grams, columns, column_grams = [], [], []
     cache: dict[int, list[tuple[slice, np.ndarray]]] = {}
     free = CACHE_BYTES
     shakes = []
@@ -104,13 +105,20 @@ def first_look(
                 kept.append((rows, strip))
         grams.append(gram)
         columns.append(products)
+        column_grams.append(_column_gram(nuisances[v], mean[v]))
         if kept:
             cache[v] = kept
         if blocks is not None:
             shakes.append(blocks.shake())
     pixels = float(np.sqrt(np.mean([p**2 for p, _ in shakes]))) if shakes else 0.0
     shake = pixels, bool(shakes and np.mean([s for _, s in shakes]) > 0.5)
-    return FirstLook(grams, total, mean, columns, cache, shake)
+    return FirstLook(grams, total, mean, columns, column_grams, cache, shake)
+
+
+def _column_gram(nuisance: Nuisance, mean: np.ndarray) -> np.ndarray:
+    out = np.zeros((COLUMNS, COLUMNS))
+    out[np.ix_(nuisance.active, nuisance.active)] = nuisance.gram(mean)
+    return out
 
 
 def _at_rest(nuisance: Nuisance) -> np.ndarray:
