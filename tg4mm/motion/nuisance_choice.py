@@ -78,7 +78,9 @@ def look_at(
         figures["shake_px"] = round(pixels, 4)
     figures["nuisance"] = [n for n, s in (("exposure", EXPOSURE), ("pose", POSE)) if active[s].any()]
     chosen = [n.with_active(active) for n in nuisances]
-    return Seen(look, chosen, figures, _notes(observations, active, pixels), is_shaking)
+    return Seen(
+        look, chosen, figures, _notes(observations, active, pixels if is_shaking else 0.0), is_shaking
+    )
 
 
 def look_again(
@@ -108,17 +110,12 @@ def _own_shake(observations: Observations, look: FirstLook) -> tuple[float, floa
 
 
 def _notes(observations: Observations, active: np.ndarray, pixels: float) -> list[str]:
+    """pixels: 0 for a shake that was not found, but is taken out all the same."""
     if not active[POSE].any():
         return []
-    if _are_several(observations):
-        if not pixels:
-            return ["camera shake is taken out"]
-        return [f"the cameras shake by {pixels:.2g} px (rms), each by itself, which is taken out"]
-    shake = (
-        f"the camera shakes by {pixels:.2g} px (rms), which is taken out"
-        if pixels
-        else "camera shake is taken out"
-    )
     if len(observations.frames) == 1:
-        shake += "; a motion of the whole picture as one cannot be told from it"
-    return [shake]
+        found = f"the camera shakes by {pixels:.2g} px (rms), which" if pixels else "camera shake"
+        return [f"{found} is taken out; a motion of the whole picture as one cannot be told from it"]
+    return [
+        "camera shake is taken out" + (f": {pixels:.2g} px (rms), each camera by itself" if pixels else "")
+    ]
