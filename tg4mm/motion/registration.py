@@ -54,9 +54,6 @@ class RegisteredPictures:
     def maximum(self) -> int:
         return 1
 
-    def digest(self, i: int) -> bytes:
-        return self.pictures.digest(i) + self.homographies[i].tobytes()
-
     def strips(self, rows: Sequence[int]) -> Strips:
         raw = self.pictures.strips(rows)
         homographies = self.homographies[np.asarray(rows)]
