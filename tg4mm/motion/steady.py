@@ -22,6 +22,7 @@ import numpy as np
 from tg4mm.capture.pictures import over_white
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.checkpoints import Arrays, Parts
+from tg4mm.motion.coarse import coarser
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.frequencies import LEAST as LEAST_POWER
 from tg4mm.motion.frequencies import Frequencies, find_frequencies
@@ -290,9 +291,9 @@ class _SteadyFit:
         n_timesteps = round(float(np.mean([len(f.rows) for f in frames])))
         if len(problem.views) >= LEAST:
             return of_halves(found, n_timesteps)
-        weights = pixel_weights(targets, fields.hyper.is_noise)
+        small, weights = coarser(problem, frames, pixel_weights(targets, fields.hyper.is_noise))
         alone = replace(
-            problem.on_cpu(problem.everything, weights, fields.hyper.smoothness_weight), mixing=None
+            small.on_cpu(small.everything, weights, fields.hyper.smoothness_weight), mixing=None
         )
         return of_few_views(found, alone, fields.x, n_timesteps, self.config.seed)
 
