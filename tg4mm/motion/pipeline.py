@@ -14,6 +14,7 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.motion.appearance.fit import LOOK, AppearanceFit, Remainder
 from tg4mm.motion.appearance_modes import AppearanceModes
 from tg4mm.motion.checkpoints import Arrays, Parts, computed
+from tg4mm.motion.coarse import coarser
 from tg4mm.motion.config import MotionConfig, resolved
 from tg4mm.motion.gauge import in_plane
 from tg4mm.motion.gauss_newton import ABOVE_PX, GaussNewton, states_moved
@@ -229,7 +230,8 @@ class _Synchronous:
         found = Found(folds, shapes, gaussians, self.problem.graph.knn, own, cameras, residuals)
         if len(views) >= LEAST or self.observations.kind == "flat":
             return of_halves(found, self.observations.n_timesteps)
-        operator = self.problem.on_cpu(self.problem.everything, self.weights, self.hyper.smoothness_weight)
+        small, weights = coarser(self.problem, self.observations.frames, self.weights)
+        operator = small.on_cpu(small.everything, weights, self.hyper.smoothness_weight)
         x = np.mean([f["x"] for f in self._first], axis=0)
         return of_few_views(found, operator, x, self.observations.n_timesteps, self.config.seed)
 
