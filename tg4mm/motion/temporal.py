@@ -106,6 +106,7 @@ def first_look(
         grams.append(gram)
         columns.append(products)
         column_grams.append(_column_gram(nuisances[v], mean[v]))
+        nuisances[v].__dict__.pop("pose", None)  # 72 bytes a pixel, made again where it is asked for
         if kept:
             cache[v] = kept
         if blocks is not None:
