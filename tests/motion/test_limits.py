@@ -48,3 +48,12 @@ def test_close_to_half_the_frame_rate_the_other_frequency_is_said() -> None:
     (line,) = frequency_notes([13.0], observed(30.0))
     assert "a vibration of 17 Hz would look the same" in line
     assert not frequency_notes([11.0], observed(30.0))
+
+
+def test_where_most_modes_are_noise_a_peak_stands_out_of_them() -> None:
+    hz = [1.0 + k / 3 for k in range(40)]
+    noise = 0.008 + 0.02 * np.random.default_rng(0).random(40)
+    noise[:2] = 0.045, 0.04  # the largest of them
+    strength = noise.tolist()
+    strength[7], strength[20] = 1.0, 0.2
+    np.testing.assert_allclose(peaks(moving(hz, strength), 0.67), [hz[7], hz[20]])

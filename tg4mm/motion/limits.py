@@ -12,19 +12,25 @@ from tg4mm.motion.observations import Observations
 _MAINS_HZ = (100.0, 120.0)  # light flickers at twice the mains' 50 or 60 Hz
 _NEAR_NYQUIST = 0.8
 _PEAK = 0.03  # of the strongest mode's rms: what counts as a peak
+_ABOVE_FLOOR = 6.0  # times the median mode's rms, where there are modes enough for most of them to be noise
+_ENOUGH_MODES = 12
 
 
 def peaks(motion: ModalMotion, lowest_hz: float) -> np.ndarray:
     """[K] Hz by falling strength: modes with two periods in the record, no weaker than 3 % of the strongest.
 
-    A frequency counts once, by its strongest mode: what lies within half the lowest frequency of a stronger one is it.
+    Of many modes most are noise: then a peak is six times the median one too. A frequency counts once, by its strongest
+    mode: what lies within half the lowest frequency of a stronger one is it.
     """
     rms = np.sqrt((np.abs(motion.displacement) ** 2).sum(2).mean(1)) if len(motion.freqs_hz) else np.zeros(0)
-    strongest = rms[motion.freqs_hz >= lowest_hz].max(initial=0)  # a drift is none
+    able = rms[motion.freqs_hz >= lowest_hz]  # a drift is none
+    least = _PEAK * able.max(initial=0)
+    if len(able) >= _ENOUGH_MODES:
+        least = max(least, _ABOVE_FLOOR * float(np.median(able)))
     out: list[float] = []
     for k in np.argsort(rms)[::-1]:
         f = float(motion.freqs_hz[k])
-        if rms[k] < _PEAK * strongest or f < lowest_hz:
+        if rms[k] < least or f < lowest_hz:
             continue
         if all(abs(f - other) > lowest_hz / 2 for other in out):
             out.append(f)
