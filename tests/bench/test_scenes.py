@@ -111,7 +111,7 @@ class TestSameTime:
     def test_all_iterations_are_scaled(self) -> None:
         training = same_time_training("paper-tuned", {"paper.iterations": "400", "paper.warm_up": "100"}, 1.5)
         config = parse_settings(training.settings, "paper-tuned")["paper"]
-        assert (config.warm_up, config.iterations, config.motion_iterations) == (150, 600, 900)
+        assert (config.warm_up, config.iterations, config.motion_iterations) == (150, 600, 300)
 
     @pytest.mark.parametrize("factor", [1e-6, 0.01])
     def test_a_small_share_is_still_trainable(self, factor: float) -> None:

@@ -148,21 +148,21 @@ class TestCommands:
             "--filter",
             "ideal",
         ]
-        for method, name in ((["--method", "linear"], "linear"), ([], "own")):
+        for method, name in ((["--method", "phase"], "phase"), ([], "own")):
             out = tmp_path / name
             assert (
                 main(["render", str(trained.path), *options, *method, "--no-video", "--out", str(out)]) == 0
             )
             assert len(list(out.rglob("*.png"))) == 2 * N_TIMESTEPS
-        record = json.loads((tmp_path / "linear" / "render.json").read_text())
+        record = json.loads((tmp_path / "phase" / "render.json").read_text())
         assert record["bands"] == [[4, 6, 5], [9, 11, -1]]
-        assert (record["method"], record["filter"]) == ("linear", ["ideal", 0])
+        assert (record["method"], record["filter"]) == ("phase", ["ideal", 0])
         assert json.loads((tmp_path / "own" / "render.json").read_text())["method"] is None
 
     def test_evaluate(self, trained, tmp_path, capsys):
         out = tmp_path / "m.json"
         options = ["--alphas", "5", "--band", "4", "6", "--out", str(out)]
-        assert main(["evaluate", str(trained.path), *options, "--filter", "ideal"]) == 0
+        assert main(["evaluate", str(trained.path), *options, "--method", "phase", "--filter", "ideal"]) == 0
         phase = json.loads(out.read_text())
         assert (phase["method"], phase["filter"], phase["band_hz"]) == ("phase", "ideal", [4, 6])
         assert main(["evaluate", str(trained.path), *options, "--method", "modal"]) == 0

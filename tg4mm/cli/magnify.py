@@ -62,7 +62,7 @@ MethodOption = Annotated[
     Method | None,
     typer.Option(
         help="modal: by modes. linear: filter what each Gaussian does. phase: the phases of feature planes "
-        "(paper runs only). [default: modal, of paper runs phase]"
+        "(paper runs only). [default: modal; of paper runs phase, of paper-tuned linear]"
     ),
 ]
 FilterOption = Annotated[

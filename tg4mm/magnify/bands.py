@@ -37,8 +37,9 @@ class BandGain:
 class Magnification:
     """A method, the bands it magnifies, and the filter that takes them out.
 
-    method None: the run's own (`modal` for the preset modal, `phase` for paper). `everywhere` is the α of all
-    frequencies where there are no bands. `modal` has no filter: a mode is inside a band or is not.
+    method None: the run's own (`modal` for the preset modal, `phase` for paper, `linear` for paper-tuned).
+    `everywhere` is the α of all frequencies where there are no bands. `modal` has no filter: a mode is inside a band or
+    is not.
     """
 
     bands: tuple[BandGain, ...] = ()

@@ -12,7 +12,7 @@ from tg4mm.magnify.linear import magnified_motion
 from tg4mm.motion.animate import animator
 from tg4mm.runs import Run
 
-DEFAULT_METHOD = {"modal": "modal", "paper": "phase", "paper-tuned": "phase"}
+DEFAULT_METHOD = {"modal": "modal", "paper": "phase", "paper-tuned": "linear"}
 STILL_FPS = 30.0  # pictures a second of a scene that has no time of its own
 
 
@@ -33,7 +33,7 @@ def method_of(run: Run, plan: Magnification) -> str:
     method = plan.method or DEFAULT_METHOD.get(run.preset, "modal")
     if method not in METHODS:
         raise Tg4mmError(f"method is {method!r}, expected {', '.join(METHODS)}")
-    if method == "phase" and DEFAULT_METHOD.get(run.preset, "modal") != "phase":
+    if method == "phase" and DEFAULT_METHOD.get(run.preset, "modal") == "modal":
         raise Tg4mmError(
             f"--method phase: {run.path} was trained with the preset {run.preset}, which has no feature planes; "
             "there are modal and linear"

@@ -40,7 +40,7 @@ class PaperConfig:
 
 PAPER = PaperConfig()
 PAPER_TUNED = PaperConfig(
-    channels=16, resolution=64, iterations=3_000, warm_up=1_500, motion_iterations=600, learning_rate=1e-3,
+    channels=16, resolution=64, iterations=3_000, warm_up=1_500, motion_iterations=200,
     motion_rate_falls_to=0.03, difference=True,
 )  # fmt: skip
 
