@@ -292,9 +292,7 @@ class _SteadyFit:
         if len(problem.views) >= LEAST:
             return of_halves(found, n_timesteps)
         small, weights = coarser(problem, frames, pixel_weights(targets, fields.hyper.is_noise))
-        alone = replace(
-            small.on_cpu(small.everything, weights, fields.hyper.smoothness_weight), mixing=None
-        )
+        alone = replace(small.on_cpu(small.everything, weights, fields.hyper.smoothness_weight), mixing=None)
         return of_few_views(found, alone, fields.x, n_timesteps, self.config.seed)
 
 
