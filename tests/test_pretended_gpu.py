@@ -32,7 +32,11 @@ from tg4mm.space import SpaceConfig, density, rest_views, train_space
 from tg4mm.space import train as stage
 
 SHORT = SpaceConfig(iterations=12, max_gaussians=500, init_points=300, dssim=0.2)
-PAPER = PaperConfig(channels=4, resolution=32, iterations=12, warm_up=6, motion_iterations=10, shared=True)
+# Small rates: Adam's first steps are as long for a gradient of rounding as for any other, and later gradients tell.
+PAPER = PaperConfig(
+    channels=4, resolution=32, iterations=12, warm_up=6, motion_iterations=10, shared=True,
+    learning_rate=1e-5, motion_learning_rate=1e-5,
+)  # fmt: skip
 FEW = MotionConfig(components=2, iterations=4, tolerance=1e-6)
 
 
@@ -215,12 +219,18 @@ def test_figures(made: tuple[Path, Run], tmp_path: Path, gpu: Gpu) -> None:
     assert here["displacement_error"] == there["displacement_error"]
 
 
+def scattered(gaussians: Gaussians) -> Gaussians:
+    """A little off their places: of two at the same depth, rounding would decide which is in front."""
+    noise = torch.randn(gaussians.means.shape, generator=torch.Generator().manual_seed(2))
+    return replace(gaussians, means=gaussians.means + 0.01 * noise)
+
+
 def test_the_preset_paper(
     made: tuple[Path, Run], tmp_path: Path, gpu: Gpu, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     data, source = made
     capture = load_capture(data)
-    images, counts, base = load_images(capture), [], oblong(source.load_space())
+    images, counts, base = load_images(capture), [], scattered(oblong(source.load_space()))
     watched = watch_paper(monkeypatch)
     for place, times in ((NAME, 1), ("cpu", 1), (NAME, 2)):
         run = Run.create(tmp_path / f"{place}{times}", data, "paper", {})
