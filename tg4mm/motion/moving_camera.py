@@ -53,9 +53,10 @@ _ROBUST = 3.0  # robust deviations: residuals beyond count less
 _SLOW_BELOW = 0.5  # of the lowest frequency: slow functions reach up to it
 _THINNED = 3  # every third frame is enough to choose the smoothness weight
 _MOST_ITERATIONS = 18  # of conjugate gradients
-# What the scene at rest gets wrong changes with the viewpoint, and so in time: up to twice the noise's power in short
-# records of a still scene.
-_LEAST_POWER = 3.0
+_LEAST_POWER = 1.5  # of a frequency, times the noise's
+# What the scene at rest gets wrong changes with the viewpoint, and so in time: up to six times along the path of a
+# camera that goes around a still scene, with eight times the noise's power.
+_PERIODS = 8.0
 _AGREED = 0.7  # reliability below which a frequency is noise, or what the scene at rest gets wrong
 _JUDGED = 10
 _ALL = np.ones(12, bool)
@@ -80,7 +81,8 @@ def fit_moving_camera(
     seen, projections = _seen(gaussians, observations)
     problem = Problem.of([s.view for s in seen], gaussians, config, device)
     series = _series(seen, projections, problem, parts)
-    found = frequencies_of(observations, [series], _LEAST_POWER)
+    lowest_hz = _PERIODS / observations.duration_s
+    found = frequencies_of(observations, [series], _LEAST_POWER, lowest_hz)
     figures: dict[str, Any] = {
         **refined,
         "views": len(seen),
@@ -89,7 +91,10 @@ def fit_moving_camera(
         "frequencies_hz": [round(float(f), 4) for f in found.hz],
         "frequency_deviation_hz": [round(float(f), 5) for f in found.deviation_hz],
     }
-    notes = ["the camera moves: a motion of the whole scene as one cannot be told from its own"]
+    notes = [
+        "the camera moves: a motion of the whole scene as one cannot be told from its own, nor one below "
+        f"{lowest_hz:.2g} Hz (eight periods in the record) from what changes with the viewpoint"
+    ]
     if not len(found.hz):
         return without_motion(gaussians, observations, figures, notes)
     notes += frequency_notes(found.hz, observations)

@@ -134,15 +134,19 @@ def changes_of(observations: Observations, frames: PosedFrames, mean: np.ndarray
 
 
 def frequencies_of(
-    observations: Observations, series: Sequence[RegionSeries], least: float = LEAST_POWER
+    observations: Observations,
+    series: Sequence[RegionSeries],
+    least: float = LEAST_POWER,
+    lowest_hz: float = 0.0,
 ) -> Frequencies:
-    """From all clocks' region shifts, between two periods in the record and half the frame rate.
+    """From all clocks' region shifts, between two periods in the record (or `lowest_hz`) and half the frame rate.
 
     Those whose power is at least `least` times that of the noise.
     """
+    lowest_hz = max(lowest_hz, observations.lowest_hz)
     highest = _HIGHEST * observations.fps / 2
     shifts, times = [s.whitened() for s in series], [s.times_s for s in series]
-    return find_frequencies(shifts, times, observations.lowest_hz, highest, least)
+    return find_frequencies(shifts, times, lowest_hz, highest, least)
 
 
 def region_phases(series: Sequence[RegionSeries], hz: np.ndarray, seed: int) -> np.ndarray:
