@@ -9,7 +9,7 @@ from tests.motion.filmed import FPS, clips, error_of, scene
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.pipeline import fit_motion
 from tg4mm.motion.result import MotionFit
-from tg4mm.motion.steady import clock_offset, rotations
+from tg4mm.motion.steady import clock_offset, rotations, without_motion
 
 FREQUENCY = 3.4  # Hz: between the DFT bins of these clips
 STARTS = (0.0, 3.0, 11.0, 6.0, 1.5, 8.0)  # timesteps
@@ -67,3 +67,14 @@ def test_rotations_turn_pairs_as_phasors_are_turned() -> None:
     m, angle = 0.3 - 0.8j, 0.7
     turned = rotations(np.array([angle])) @ np.array([m.real, m.imag])
     assert complex(*turned) == pytest.approx(m * np.exp(1j * angle), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("hz", "said"), [([], "no frequency stands out"), ([3.4], "do not agree on the motion at 3.4 Hz")]
+)
+def test_a_run_without_motion_says_why(hz: list[float], said: str) -> None:
+    gaussians, motion = scene(3.4)
+    observations = clips(gaussians, motion, [0.0], 4)
+    fit = without_motion(gaussians, observations, {"frequencies_hz": hz}, [])
+    assert len(fit.motion.freqs_hz) == 0
+    assert said in fit.notes[0]

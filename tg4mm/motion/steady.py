@@ -195,10 +195,13 @@ def motion_of(shapes: np.ndarray, hz: np.ndarray, scale: float, observations: Ob
 def without_motion(
     gaussians: Gaussians, observations: Observations, figures: dict[str, Any], notes: Sequence[str]
 ) -> MotionFit:
-    """Where no frequency stands out of the noise."""
+    """Where no frequency stands out of the noise, or the two halves of the data agree on no motion."""
     empty = np.zeros((0, len(gaussians), 3), np.complex64)
     motion = ModalMotion(np.zeros(0), empty, empty, observations.fps, observations.n_timesteps)
     note = "no frequency stands out of the noise: the run holds no motion"
+    if hz := figures["frequencies_hz"]:
+        named = ", ".join(f"{f:.4g}" for f in hz)
+        note = f"two halves of the data do not agree on the motion at {named} Hz: the run holds none"
     return MotionFit(gaussians, motion, {}, figures | {"n_frequencies": 0}, [*notes, note])
 
 
