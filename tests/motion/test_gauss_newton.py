@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,7 @@ from tg4mm.motion.nuisance import nuisances_of
 from tg4mm.motion.observations import observe
 from tg4mm.motion.problem import Problem
 from tg4mm.motion.solver.cuda import DeviceViews
+from tg4mm.motion.solver.operator import Fold
 from tg4mm.motion.split_half import folds_of
 from tg4mm.motion.stage import train_motion
 from tg4mm.motion.temporal import first_look, principal_components
@@ -289,6 +291,14 @@ class Lab:
         self.problem = Problem.of(self.views, self.gaussians, MotionConfig(), "cpu")
         self.knots = self.loop._knots(self.gaussians, self.views, self.shapes, self.evidence)
 
+    def targets(self, fold: Fold) -> Iterator[np.ndarray]:
+        left, _ = self.evidence.remaining(self.gaussians, self.shapes, "cpu")
+        return module._targets(self.knots, fold, left, self.shapes, self.evidence)
+
+    def operator(self, fold: Fold) -> Any:
+        """And its right-hand sides."""
+        return self.loop._operator(self.problem, self.knots, fold, 300.0, self.targets(fold))
+
 
 @pytest.fixture(scope="module")
 def lab(quick: tuple[Run, Run, ModalMotion]) -> Lab:
@@ -308,7 +318,7 @@ def test_one_knot_at_rest_is_the_linear_problem(quick: tuple[Run, Run, ModalMoti
     still = Lab(quick[0], 0.0)
     assert len(still.knots) == 1
     fold = still.folds[0]
-    operator, b = still.loop._operator(still.problem, still.knots, fold, 300.0)
+    operator, b = still.operator(fold)
     plain = still.problem.on_cpu(fold, still.loop.weights, 300.0)
     theta = np.random.default_rng(0).normal(size=(len(still.loop.basis), *b.shape[1:])).astype(np.float32)
     expected = plain.products(theta)
@@ -318,7 +328,7 @@ def test_one_knot_at_rest_is_the_linear_problem(quick: tuple[Run, Run, ModalMoti
 
 
 def test_the_operator_of_several_knots_is_symmetric_and_couples_components(lab: Lab) -> None:
-    operator, b = lab.loop._operator(lab.problem, lab.knots, lab.folds[0], 300.0)
+    operator, b = lab.operator(lab.folds[0])
     x, y = np.random.default_rng(1).normal(size=(2, *b.shape)).astype(np.float32)
     xy, yx, xx, yy = (
         float((p.astype(float) * operator.products(q)).sum()) for p, q in ((x, y), (y, x), (x, x), (y, y))
@@ -338,22 +348,23 @@ def test_of_the_true_motion_target_images_are_what_it_shows(lab: Lab) -> None:
     assert errors.changes < 0.08 * still.changes
     assert errors.within(still)
     off, whole = 0.0, 0.0
-    for knot in lab.knots:
-        for v, view in enumerate(knot.views):
-            shown = view.jvp(np.tensordot(knot.mixing.T @ knot.mixing, lab.shapes, 1).astype(np.float32))
-            off += float(((knot.target[v] - shown) ** 2).sum())
-            whole += float((shown**2).sum())
+    everything = Fold(np.arange(len(lab.views)))
+    places = [(knot, view) for knot in lab.knots for view in knot.views]
+    for (knot, view), target in zip(places, lab.targets(everything), strict=True):
+        shown = view.jvp(np.tensordot(knot.mixing.T @ knot.mixing, lab.shapes, 1).astype(np.float32))
+        off += float(((target - shown) ** 2).sum())
+        whole += float((shown**2).sum())
     assert off < 0.1 * whole
 
 
 def test_on_a_device_the_problem_is_the_same(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
     """What CUDA runs, on the CPU's tensors."""
-    here, b = lab.loop._operator(lab.problem, lab.knots, lab.folds[0], 300.0)
+    here, b = lab.operator(lab.folds[0])
     monkeypatch.setattr(
         module, "DeviceViews", lambda views, graph, _: DeviceViews(views, graph, "cpu", torch.float32)
     )
     monkeypatch.setattr(lab.loop, "device", "cuda")
-    there, c = lab.loop._operator(lab.problem, lab.knots, lab.folds[0], 300.0)
+    there, c = lab.operator(lab.folds[0])
     theta = np.random.default_rng(2).normal(size=b.shape).astype(np.float32)
     expected, found = here.products(theta), there.products(torch.from_numpy(theta)).numpy()
     np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())

@@ -69,20 +69,19 @@ class Evidence:
         squares = [float(np.einsum("vhwc,vhwc->", s, s, dtype=np.float64)) for s in left.swapaxes(0, 1)]
         return float(squares @ self.states.count)
 
-    def target(self, left: np.ndarray, own: np.ndarray, shown: np.ndarray) -> np.ndarray:
-        """[V, R, H, W, 3]: the target images that the motion explains, of the states `own` where it was linearised.
+    def target(self, v: int, left: np.ndarray, own: np.ndarray, shown: np.ndarray) -> np.ndarray:
+        """[R, H, W, 3]: camera v's target images that the motion explains, of the states `own` where it was linearised.
 
-        left: of `remaining`. shown [V, R, H, W, 3]: what the motion found so far changes there, for gains of 1. What
+        left: of `remaining`. shown [R, H, W, 3]: what the motion found so far changes there, for gains of 1. What
         changes within states is taken as spread evenly over time.
         """
         sums = self.states.sums[own]
         mix = (sums.T @ self.states.gains[own]).astype(np.float32)
         share = np.float32(self.states.count[own].sum() / self.states.count.sum())
-        out = share * self.within
-        for v, changes in enumerate(out):
-            changes += np.tensordot(sums.T.astype(np.float32), left[v, own], 1)
-            changes += np.tensordot(mix, shown[v], 1)
-        return np.asarray(out)
+        changes = share * self.within[v]
+        changes += np.tensordot(sums.T.astype(np.float32), left[v, own], 1)
+        changes += np.tensordot(mix, shown, 1)
+        return np.asarray(changes)
 
 
 @torch.no_grad()

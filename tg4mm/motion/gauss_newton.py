@@ -14,7 +14,7 @@ M_l = Σ a(t) a(t)ᵀ = C_lᵀ C_l: to the solver it is further views with the m
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import Any
@@ -218,9 +218,11 @@ class GaussNewton:
             iterations = round(_FOR_WEIGHT * more_iterations(len(state.gaussians)))
             weight = chosen_weight(target, problem, self.folds, self.weights, iterations)
         knots = self._knots(state.gaussians, views, shapes, evidence)
+        left, _ = evidence.remaining(state.gaussians, shapes, self.device)
         found = []
         for p, fold in enumerate(self.folds):
-            operator, b = self._operator(problem, knots, fold, weight)
+            targets = _targets(knots, fold, left, shapes, evidence)
+            operator, b = self._operator(problem, knots, fold, weight, targets)
             done = p * self.iterations * self._costs
             update = partial(self._tell_solve, tell, done)
             solution = pcg(operator, b, self.iterations, self.config.tolerance, update=update)
@@ -233,7 +235,6 @@ class GaussNewton:
     def _knots(
         self, gaussians: Gaussians, views: Sequence[ViewJacobian], shapes: np.ndarray, evidence: Evidence
     ) -> list[_Knot]:
-        left, _ = evidence.remaining(gaussians, shapes, self.device)
         states, motions = evidence.states, evidence.moved(shapes).motions
         knots = states_of(states.gains.T, pixels_moved(views, shapes[..., :3]), KNOTS, KNOT_PX)
         out = []
@@ -242,17 +243,20 @@ class GaussNewton:
             share = states.count[own] / states.count[own].sum()
             motion = torch.from_numpy(np.tensordot(share, motions[own], 1).astype(np.float32))
             moved = self.at_rest(at_state(gaussians, motion))
-            shown = np.stack([view.jvp(shapes) for view in moved])
-            out.append(_Knot(moved, evidence.target(left, own, shown), _root(states.products[own].sum(0))))
+            out.append(_Knot(moved, own, _root(states.products[own].sum(0))))
         return out
 
     def _operator(
-        self, problem: Problem, knots: Sequence[_Knot], fold: Fold, weight: float
+        self,
+        problem: Problem,
+        knots: Sequence[_Knot],
+        fold: Fold,
+        weight: float,
+        targets: Iterable[np.ndarray],
     ) -> tuple[CpuOperator | DeviceOperator, Array]:
         """The problem of one fold with all knots' views, and its right-hand sides."""
         rest = problem.on_cpu(fold, self.weights, weight)
         views = [knot.views[v] for knot in knots for v in fold.views]
-        targets = [knot.target[v] for knot in knots for v in fold.views]
         weights = None if rest.weights is None else np.concatenate([rest.weights] * len(knots))
         plain = replace(
             rest, views=views, weights=weights, projections=self._projections(views, fold, weights)
@@ -286,15 +290,26 @@ class GaussNewton:
     ) -> np.ndarray:
         """[V, R, H, W, 3]: the target images that the motion explains when linearised at rest."""
         left, _ = evidence.remaining(gaussians, shapes, self.device)
-        shown = np.stack([view.jvp(shapes) for view in views])
-        return evidence.target(left, np.arange(len(evidence.states.gains)), shown)
+        everything = np.arange(len(evidence.states.gains))
+        return np.stack(
+            [evidence.target(v, left, everything, view.jvp(shapes)) for v, view in enumerate(views)]
+        )
 
 
 @dataclass(frozen=True)
 class _Knot:
     views: list[ViewJacobian]
-    target: np.ndarray  # [V, R, H, W, 3], already multiplied by C_lᵀ
+    states: np.ndarray  # which ones share it
     mixing: np.ndarray  # C_l [ρ, R]
+
+
+def _targets(
+    knots: Sequence[_Knot], fold: Fold, left: np.ndarray, shapes: np.ndarray, evidence: Evidence
+) -> Iterator[np.ndarray]:
+    """C_lᵀ times the target images [R, H, W, 3] of each knot and view, one at a time: all are gigabytes at 1080p."""
+    for knot in knots:
+        for v in fold.views:
+            yield evidence.target(v, left, knot.states, knot.views[v].jvp(shapes))
 
 
 def _root(products: np.ndarray) -> np.ndarray:
