@@ -26,7 +26,7 @@ from tg4mm.runs import Run
 FREQS = (3.0, 6.0)  # the post's and the ball's
 SHORT = MotionConfig(components=2, iterations=5, tolerance=1e-6)
 NEVER = -1
-PARTS = ("hyperparameters", "first_pass_0", "first_pass_1", "second_pass_0", "second_pass_1")
+PARTS = ("noise", "smoothness", "first_pass_0", "first_pass_1", "second_pass_0", "second_pass_1")
 
 
 @pytest.fixture(scope="module")
@@ -208,7 +208,7 @@ def test_a_checkpoint_that_is_not_what_was_saved_is_computed_anew(
     _, capture, images = small
     expected, run = train_motion(new_run(), capture, images, SHORT), new_run()
     with monkeypatch.context() as patch:
-        kill(run, 4, small, patch)
+        kill(run, 5, small, patch)
     saved = run.load_checkpoint("motion")
     assert saved is not None
     tensors, state = saved

@@ -117,4 +117,8 @@ def over_white(raw: np.ndarray, maximum: int) -> np.ndarray:
     scale = np.float32(1 / maximum)
     out = raw[..., :3] * scale
     alpha = raw[..., 3:]
-    return out if alpha.min() == maximum else out * (alpha * scale) + (1 - alpha * scale)
+    if alpha.min() < maximum:
+        coverage = alpha * scale
+        out *= coverage
+        out += np.subtract(1, coverage, out=coverage)
+    return out

@@ -19,6 +19,8 @@ from tg4mm.motion.refine import MovedPictures, at_state
 from tg4mm.motion.states import States, state_pictures
 from tg4mm.rasterize import rasterization
 
+_ROWS = 64  # of a picture at a time, where pictures are combined
+
 
 @dataclass(frozen=True)
 class Errors:
@@ -43,12 +45,11 @@ class Evidence:
 
     @staticmethod
     def of(observations: Observations, states: States, images: np.ndarray) -> Evidence:
-        """`images`: target images [V, R, H, W, 3] of the functions of time of `states`."""
+        """`images`: target images [V, R, H, W, 3] of the functions of time of `states`; overwritten."""
         pictures = state_pictures(observations, states)
-        within = np.empty(images.shape, np.float32)
-        for v, image in enumerate(images):
-            within[v] = image - np.tensordot(states.sums.T.astype(np.float32), pictures[v], 1)
-        return Evidence(observations.frames, states, pictures, within)
+        for image, seen in zip(images, pictures, strict=True):
+            _add(image, -states.sums.T, seen)
+        return Evidence(observations.frames, states, pictures, images)
 
     def moved(self, fields: np.ndarray) -> MovedPictures:
         """With the motion of fields [R, N, 6]."""
@@ -78,10 +79,20 @@ class Evidence:
         sums = self.states.sums[own]
         mix = (sums.T @ self.states.gains[own]).astype(np.float32)
         share = np.float32(self.states.count[own].sum() / self.states.count.sum())
-        changes = share * self.within[v]
-        changes += np.tensordot(sums.T.astype(np.float32), left[v, own], 1)
-        changes += np.tensordot(mix, shown, 1)
-        return np.asarray(changes)
+        changes = np.asarray(share * self.within[v])
+        mixed = np.zeros((sums.shape[1], len(left[v])))
+        mixed[:, own] = sums.T
+        _add(changes, mixed, left[v])
+        _add(changes, mix, shown)
+        return changes
+
+
+def _add(images: np.ndarray, matrix: np.ndarray, pictures: np.ndarray) -> None:
+    """Adds matrix [R, K] times pictures [K, H, W, 3] to images [R, H, W, 3], some rows of them at a time."""
+    matrix = matrix.astype(np.float32)
+    for top in range(0, images.shape[1], _ROWS):
+        rows = slice(top, top + _ROWS)
+        images[:, rows] += np.tensordot(matrix, pictures[:, rows], 1)
 
 
 @torch.no_grad()

@@ -112,7 +112,7 @@ class GaussNewton:
         device: str,
     ) -> None:
         self.used = used_components(hyper.is_noise)
-        self.basis, self.images = targets.basis[self.used], targets.images[:, self.used]
+        self.basis, self.targets = targets.basis[self.used], targets
         self.linear = np.flatnonzero(~hyper.is_noise[self.used])
         self.weights = pixel_weights(targets, ~np.isin(np.arange(len(targets.basis)), self.used))
         self.observations, self.folds, self.nuisances, self.means = (
@@ -142,7 +142,7 @@ class GaussNewton:
         start[:, self.linear] = fields
         shapes, _ = wiener_shrink(start)
         states, _ = states_moved(views, self.basis, shapes, self.size)
-        evidence = Evidence.of(self.observations, states, self.images)
+        evidence = Evidence.of(self.observations, states, self.targets.images[:, self.used])
         errors = evidence.remaining(gaussians, shapes, self.device)[1]
         state, misfits = GaussNewtonState(gaussians, start, weight, errors), [errors.changes]
         units = len(self.folds) * self.iterations * self._costs + self.refining

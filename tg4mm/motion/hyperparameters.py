@@ -51,21 +51,28 @@ class Hyperparameters:
         return np.flatnonzero(~self.is_noise)
 
 
-def select_hyperparameters(
-    targets: TargetImages, problem: Problem, folds: Sequence[Fold], config: MotionConfig
-) -> Hyperparameters:
-    """Noise components and the smoothness weight; given weights stand, one fold tells nothing."""
-    n = len(targets.basis)
-    is_noise = np.zeros(n, bool)
-    if len(folds) == 2 and n > 1 and targets.mixing is None:
-        is_noise = noise_components(targets, problem, folds)
-    weight = config.smoothness_weight
-    if not weight:
-        iterations = round(_FEW * more_iterations(problem.n_gaussians))
-        weights = pixel_weights(targets, is_noise)
-        images = targets.images[:, :1] if targets.mixing is None else targets.images
-        weight = DEFAULT if len(folds) == 1 else chosen_weight(images, problem, folds, weights, iterations)
-    return Hyperparameters(is_noise, float(weight))
+def select_noise(targets: TargetImages, problem: Problem, folds: Sequence[Fold]) -> np.ndarray:
+    """[R] bool: `noise_components`; none where there is one fold, one component, or where all are one system."""
+    if len(folds) == 2 and len(targets.basis) > 1 and targets.mixing is None:
+        return noise_components(targets, problem, folds)
+    return np.zeros(len(targets.basis), bool)
+
+
+def select_smoothness(
+    targets: TargetImages,
+    weights: np.ndarray | None,
+    problem: Problem,
+    folds: Sequence[Fold],
+    config: MotionConfig,
+) -> float:
+    """The smoothness weight: the settings', if they have one; `DEFAULT` where one fold tells nothing."""
+    if config.smoothness_weight:
+        return float(config.smoothness_weight)
+    if len(folds) == 1:
+        return DEFAULT
+    iterations = round(_FEW * more_iterations(problem.n_gaussians))
+    images = targets.images[:, :1] if targets.mixing is None else targets.images
+    return chosen_weight(images, problem, folds, weights, iterations)
 
 
 def noise_components(targets: TargetImages, problem: Problem, folds: Sequence[Fold]) -> np.ndarray:

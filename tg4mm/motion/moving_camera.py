@@ -343,7 +343,7 @@ class _MovingFit:
                 weight = DEFAULT if len(folds) == 1 else chosen_weight(images, problem, few, weights, 4)
             return {"smoothness_weight": np.array(weight)}
 
-        weight = float(self.parts("hyperparameters", select)["smoothness_weight"])
+        weight = float(self.parts("smoothness", select)["smoothness_weight"])
         n = 2 * len(self.hz)
         found = []
         for p, fold in enumerate(folds):

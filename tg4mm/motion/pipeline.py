@@ -19,7 +19,12 @@ from tg4mm.motion.config import MotionConfig, resolved
 from tg4mm.motion.gauge import in_plane
 from tg4mm.motion.gauss_newton import ABOVE_PX, GaussNewton, states_moved
 from tg4mm.motion.higher_order import TaylorTerms
-from tg4mm.motion.hyperparameters import Hyperparameters, pixel_weights, select_hyperparameters
+from tg4mm.motion.hyperparameters import (
+    Hyperparameters,
+    pixel_weights,
+    select_noise,
+    select_smoothness,
+)
 from tg4mm.motion.jacobian.view import ViewJacobian, view_jacobian
 from tg4mm.motion.limits import frequency_notes, peaks
 from tg4mm.motion.linear_fit import LinearFit
@@ -131,17 +136,22 @@ class _Synchronous:
         return folds_of(len(self.views), self.observations.size, False, self.config.split_half)
 
     @cached_property
-    def hyper(self) -> Hyperparameters:
-        def select() -> Arrays:
-            found = select_hyperparameters(self.targets, self.problem, self.folds, self.config)
-            return {"is_noise": found.is_noise, "smoothness_weight": np.array(found.smoothness_weight)}
-
-        kept = self.parts("hyperparameters", select)
-        return Hyperparameters(kept["is_noise"].astype(bool), float(kept["smoothness_weight"]))
+    def is_noise(self) -> np.ndarray:
+        """[R] bool, of temporal components."""
+        kept = self.parts("noise", lambda: {"is_noise": select_noise(self.targets, self.problem, self.folds)})
+        return kept["is_noise"].astype(bool)
 
     @cached_property
     def weights(self) -> np.ndarray | None:
-        return pixel_weights(self.targets, self.hyper.is_noise)
+        return pixel_weights(self.targets, self.is_noise)
+
+    @cached_property
+    def hyper(self) -> Hyperparameters:
+        def select() -> Arrays:
+            own = self.targets, self.weights, self.problem, self.folds, self.config
+            return {"smoothness_weight": np.array(select_smoothness(*own))}
+
+        return Hyperparameters(self.is_noise, float(self.parts("smoothness", select)["smoothness_weight"]))
 
     @cached_property
     def linear(self) -> LinearFit:

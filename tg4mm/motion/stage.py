@@ -29,7 +29,7 @@ from tg4mm.motion.pipeline import fit_motion
 from tg4mm.runs import UNCERTAINTY, Run
 
 _STAGE, _SCENE = "motion", "scene"
-_VERSION = 11  # of a checkpoint: parts of another version are computed anew
+_VERSION = 12  # of a checkpoint: parts of another version are computed anew
 _LOG = logging.getLogger("tg4mm")
 
 

@@ -26,7 +26,7 @@ from tg4mm.motion.coarse import coarser
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.frequencies import LEAST as LEAST_POWER
 from tg4mm.motion.frequencies import Frequencies, find_frequencies
-from tg4mm.motion.hyperparameters import Hyperparameters, pixel_weights, select_hyperparameters
+from tg4mm.motion.hyperparameters import Hyperparameters, pixel_weights, select_smoothness
 from tg4mm.motion.jacobian.pixels import pixels_moved
 from tg4mm.motion.jacobian.view import ViewJacobian
 from tg4mm.motion.limits import frequency_notes
@@ -244,10 +244,11 @@ class _SteadyFit:
             mixing = [m[:2, :2] for m in targets.mixing or []]
             strongest = replace(targets, basis=targets.basis[:2], images=targets.images[:, :2], mixing=mixing)
             alone = replace(problem, mixing=mixing, _kept={})
-            hyper = select_hyperparameters(strongest, alone, folds, self.config)
-            return {"smoothness_weight": np.array(hyper.smoothness_weight)}
+            few = pixel_weights(strongest, np.zeros(2, bool))
+            weight = select_smoothness(strongest, few, alone, folds, self.config)
+            return {"smoothness_weight": np.array(weight)}
 
-        weight = float(self.parts("hyperparameters", select)["smoothness_weight"])
+        weight = float(self.parts("smoothness", select)["smoothness_weight"])
         hyper = Hyperparameters(np.zeros(len(targets.basis), bool), weight)
         weights = pixel_weights(targets, hyper.is_noise)
         config = self.config if iterations is None else replace(self.config, iterations=iterations)
