@@ -214,7 +214,7 @@ class GaussNewton:
         shapes, _ = wiener_shrink(state.fields)
         weight = state.smoothness_weight
         if not self.config.smoothness_weight and len(self.folds) == 2:
-            target = self.target_at_rest(views, state.gaussians, shapes, evidence)[:, :1]
+            target = self.target_at_rest(views, state.gaussians, shapes, evidence)[:, :1].copy()
             iterations = round(_FOR_WEIGHT * more_iterations(len(state.gaussians)))
             weight = chosen_weight(target, problem, self.folds, self.weights, iterations)
         knots = self._knots(state.gaussians, views, shapes, evidence)

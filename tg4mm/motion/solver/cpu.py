@@ -47,15 +47,18 @@ class CpuOperator:
     def gathered(self, pictures: Iterable[np.ndarray]) -> np.ndarray:
         """[R, N, 6]: Σ_v C_vᵀ Jᵀ W of target images."""
         out: np.ndarray | None = None
-        for k, (view, pictures_of_view) in enumerate(zip(self.views, pictures, strict=True)):
-            own = np.zeros((len(pictures_of_view), self.graph.n_gaussians, DOF), np.float32)
+        one_by_one = iter(pictures)
+        for k, view in enumerate(self.views):
+            seen = next(one_by_one)
+            own = np.zeros((len(seen), self.graph.n_gaussians, DOF), np.float32)
             for some in _at_once(len(own)):
-                shown = pictures_of_view[some]
+                shown = seen[some]
                 if self.projections is not None:
                     shown = self.projections[k].out_of(shown)
                 if self.weights is not None:
                     shown = shown * self.weights[k, ..., None]
                 view.vjp(np.ascontiguousarray(shown), own[some], self.buffers)
+            del seen, shown  # before the next are made
             own = self._unmixed(k, own)
             out = own if out is None else out + own
         assert out is not None
