@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from . import exr
-from .cameras import cameras_at, films, transforms
+from .cameras import cameras_at, clock_offsets, films, transforms
 from .errors import GenerateError
 from .plan import UNCODED, magnified_folder
 from .settings import Settings
@@ -92,6 +92,7 @@ def describe(
         "format_version": FORMAT_VERSION,
         "scene": settings.scene,
         "kind": settings.cameras.capture_kind,
+        **({"clocks": "independent"} if any(clock_offsets(settings.cameras)) else {}),
         "fps": settings.fps,
         "n_timesteps": settings.timesteps,
         "frequency_hz": main.frequency_hz,

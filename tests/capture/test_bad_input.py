@@ -255,6 +255,7 @@ def test_sizes_that_differ(tree):
             "kind is 'drone'; expected one of photos, flat, tripod, handheld, rig",
         ),
         ({"fps": 30, "kind": ["rig"]}, "kind is ['rig']"),
+        ({"fps": 30, "clocks": "mine"}, "clocks is 'mine'; expected one of synchronous, independent"),
         ({"fps": 30, "pixels_per_unit": "x"}, "pixels_per_unit is 'x'"),
         ({"fps": 30, "format_version": 2}, "format_version is 2; expected 1"),
         ([30], "[30]; expected a JSON object"),

@@ -88,6 +88,7 @@ def test_cameras_with_clocks_of_their_own_show_the_scene_at_their_own_times(tmp_
     options = "--cameras rig --views 3 --clock-offsets 0.3"
     root = made(tmp_path, options)
     truth = json.loads((root / "truth/cameras.json").read_text())
+    assert json.loads((root / "scene.json").read_text())["clocks"] == "independent"
     settings = plan(tiny(options), tmp_path).settings
     offsets = clock_offsets(settings.cameras)
     assert [camera["clock_offset_s"] for camera in truth["cameras"].values()] == list(offsets)

@@ -86,6 +86,15 @@ class TestClock:
         assert self.clock([dropped, dropped]) == "independent"
         assert self.clock([dropped], "tripod") == "independent"
 
+    def test_clocks_that_are_said_to_be_independent_are_though_their_times_agree(self) -> None:
+        """A rig of phones: every video begins at 0."""
+        times = np.arange(20) * STEP
+        capture = captured([0] * 20 + [1] * 20, [*range(20)] * 2, [*times, *times], "rig")
+        assert frames_of(capture)[0] == "synchronous"
+        assert frames_of(replace(capture, clocks="independent"))[0] == "independent"
+        alone = captured([0] * 20, [*range(20)], [*times], "tripod")
+        assert frames_of(replace(alone, clocks="independent"))[0] == "synchronous"
+
     def test_clips_of_one_camera_are_independent_though_their_times_agree(self) -> None:
         times = np.arange(20) * STEP
         assert self.clock([times, times], "clips") == "independent"

@@ -173,6 +173,10 @@ def test_a_baseline_gives_the_scale_later(dataset: Path, photographs: Path, tmp_
         (SfmConfig(start_s=2.0, stop_s=1.5), "--until is 1.5, expected more than --from, 2 s"),
         (SfmConfig(frames=50), "--frames is 50, but there is no video of a moving camera"),
         (SfmConfig(unit_scale_m=1.0, baseline=("a", "b", 1.0)), "exclude each other"),
+        (
+            SfmConfig(synchronous=True),
+            "--synchronous is said of the cameras of a rig, but .* holds 12 photographs",
+        ),
         (SfmConfig(test_every=1), "--test-every is 1, expected 0 or >= 2"),
         (SfmConfig(baseline=("a", "b", float("nan"))), "--baseline is nan"),
     ],
@@ -247,6 +251,7 @@ def test_fixed_cameras_become_a_tree_with_one_pose_each(
     assert main(arguments) == 0
     capture = load_capture(out)
     assert (capture.kind, capture.fps, capture.n_timesteps, capture.unit_scale_m) == ("rig", 30.0, 3, 0.5)
+    assert capture.clocks == "independent"  # nobody said --synchronous
     names = [path.relative_to(out).as_posix() for path in capture.paths]
     cameras_of = [[f"{t:03d}/train/cam_{k}.png" for k in range(3)] for t in range(3)]
     assert names == [

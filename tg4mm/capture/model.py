@@ -42,6 +42,7 @@ class Capture:
     points: SurfacePoints | None = None
     scene: dict = field(default_factory=dict)  # scene.json as read, {} if absent
     kind: str = ""  # one of KINDS; where none is given, what the cameras look like
+    clocks: str = ""  # of several fixed cameras, one of CLOCKS; where none is given, as their times say
     # [C] float64, seconds on the clock of the image's own camera; NaN for a picture of the scene at rest whose time
     # is not known. Where none are given, t / fps.
     times_s: np.ndarray = None  # type: ignore[assignment]

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from tg4mm.capture.confine import inside
 from tg4mm.capture.records import Record, read_record
-from tg4mm.capture.timing import KINDS
+from tg4mm.capture.timing import CLOCKS, KINDS
 from tg4mm.errors import CaptureError
 
 FORMAT_VERSION = 1
@@ -34,6 +35,7 @@ class Scene:
     n_timesteps: int | None = None
     unit_scale_m: float | None = None  # metres per scene unit
     kind: str = ""  # one of KINDS; "" if it does not say
+    clocks: str = ""  # one of CLOCKS; "" if it does not say
     values: dict[str, Any] = field(default_factory=dict)
 
 
@@ -50,15 +52,18 @@ def read_scene(root: Path, needs_fps: bool) -> Scene:
         fps=record.number("fps", low=0.0, high=_FASTEST) if needs_fps or record.has("fps") else 0.0,
         n_timesteps=record.whole("n_timesteps", 1) if record.has("n_timesteps") else None,
         unit_scale_m=record.number("unit_scale_m", low=0.0) if record.has("unit_scale_m") else None,
-        kind=_kind(record) if record.has("kind") else "",
+        kind=_one_of(record, "kind", KINDS),
+        clocks=_one_of(record, "clocks", CLOCKS),
         values=record.values,
     )
 
 
-def _kind(record: Record) -> str:
-    if record.values["kind"] not in KINDS:
-        raise record.error("kind", f"one of {', '.join(KINDS)}")
-    return record.values["kind"]
+def _one_of(record: Record, key: str, values: Sequence[str]) -> str:
+    if not record.has(key):
+        return ""
+    if record.values[key] not in values:
+        raise record.error(key, f"one of {', '.join(values)}")
+    return record.values[key]
 
 
 def _check_types(record: Record) -> None:

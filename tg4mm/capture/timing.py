@@ -12,6 +12,8 @@ from tg4mm.errors import CaptureError
 # rest. handheld: one camera that moves all the time. rig: several fixed cameras. clips: one camera that filmed from
 # several places, one after another.
 KINDS = ("photos", "flat", "tripod", "handheld", "rig", "clips")
+# Of several fixed cameras: synchronous, their times are of one clock; independent, each has a clock of its own.
+CLOCKS = ("synchronous", "independent")
 NEARLY_ALL = 0.9  # of the timesteps, for a camera to count as one that stayed put
 TOLERANCE = 0.01  # of 1 / fps, that the median step of a camera's times may be off
 

@@ -122,6 +122,7 @@ def assemble(
         points=read_points(root) if points is None else points,
         scene=scene.values,
         kind=scene.kind,
+        clocks=scene.clocks,
         times_s=times_s,
     )
 

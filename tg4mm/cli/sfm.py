@@ -116,6 +116,14 @@ def sfm(
             "{metres: 0.35, points: [{000.jpg: [210, 345], 008.jpg: [180, 350]}, {000.jpg: [410, 350]}]}"
         ),
     ] = None,
+    synchronous: Annotated[
+        bool,
+        typer.Option(
+            "--synchronous",
+            help="The cameras of a rig were started by one signal. [default: every camera has a clock of its own, and "
+            "the offsets are found from a steady vibration]",
+        ),
+    ] = False,
     test_every: Annotated[
         int, typer.Option(help="Hold out every so-many-th camera as the test split; 0: none.")
     ] = 0,
@@ -150,6 +158,7 @@ def sfm(
         baseline=baseline,
         length=_length(length, length_file),
         test_every=test_every,
+        synchronous=synchronous,
         seed=seed,
     )
     report = reconstruct(images, out, config, threads or -1)

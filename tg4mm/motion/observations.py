@@ -90,9 +90,8 @@ def frames_of(capture: Capture) -> tuple[str, list[PosedFrames]]:
     """
     fixed = fixed_cameras(capture)
     if fixed:
-        return "independent" if capture.kind == "clips" or not _are_synchronous(
-            fixed
-        ) else "synchronous", fixed
+        own = capture.kind == "clips" or (capture.clocks == "independent" and len(fixed) > 1)
+        return "synchronous" if not own and _are_synchronous(fixed) else "independent", fixed
     rows = np.flatnonzero(np.isfinite(capture.times_s))
     rows = rows[np.argsort(capture.times_s[rows], kind="stable")]
     if len(rows) < _FEWEST or len(rows) < capture.n_timesteps / 2:

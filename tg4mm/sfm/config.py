@@ -42,6 +42,7 @@ class SfmConfig:
     unit_scale_m: float | None = None  # metres per scene unit
     baseline: tuple[str, str, float] | None = None  # two cameras (pictures) and their distance in metres
     length: Length | None = None  # on the thing itself
+    synchronous: bool = False  # cameras of a rig were started by one signal
     test_every: int = 0  # every so-many-th camera is a test camera
     seed: int = 0
 

@@ -22,7 +22,7 @@ from tg4mm.sfm.dataset import write_dataset
 from tg4mm.sfm.engine import colmap
 from tg4mm.sfm.flat import write_flat
 from tg4mm.sfm.frames import KEYS, SWEEP_FRAMES, extract_frames, sharp_rows
-from tg4mm.sfm.kind import Kind, check_kind, told_kind
+from tg4mm.sfm.kind import Kind, check_kind, held, possible_kinds, told_kind
 from tg4mm.sfm.mapping import (
     EXHAUSTIVE_MOST,
     check_registered,
@@ -92,6 +92,10 @@ def reconstruct(images: Path, out: Path, config: SfmConfig = DEFAULTS, threads: 
         check_fixed(surveys)
     if config.test_every and kind.name not in ("photos", "rig", "clips"):
         raise Tg4mmError(f"--test-every is {config.test_every}, but {kind.name} has no camera to hold out")
+    if config.synchronous and kind.name != "rig":
+        raise Tg4mmError(
+            f"--synchronous is said of the cameras of a rig, but {images} is taken for {kind.name}"
+        )
     job = _Job(work, sources, surveys, kind, config, threads)
     return _flat(job) if kind.name == "flat" else _posed(job)
 
@@ -100,6 +104,10 @@ def _check_options(sources: Sources, config: SfmConfig) -> None:
     """Options that what lies on disk has no use for."""
     if sources.photographs is not None and config.fps is not None:
         raise Tg4mmError(f"--fps is {config.fps:g}, but photographs have no frame rate")
+    if config.synchronous and "rig" not in possible_kinds(sources):
+        raise Tg4mmError(
+            f"--synchronous is said of the cameras of a rig, but {sources.path} holds {held(sources)}"
+        )
     frames = [clip.name for clip in sources.clips if not clip.is_video]
     if frames and config.fps is None and config.kind != "photos":
         raise Tg4mmError(
@@ -140,6 +148,8 @@ def _posed(job: _Job) -> dict[str, Any]:
     scene = _scene(job) | {"sfm": report, "unit_scale_m": config.unit_scale_m}
     if clock is not None:
         scene["fps"] = clock.fps
+    if job.kind.name == "rig":
+        scene["clocks"] = "synchronous" if config.synchronous else "independent"
     if config.baseline is not None:
         scene["unit_scale_m"] = baseline_scale(placement.tracks, config.baseline)
     if config.length is not None:
