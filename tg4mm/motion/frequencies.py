@@ -20,6 +20,7 @@ _OVERSAMPLED = 6  # frequencies tried per 1 / duration
 _CAP = 300.0  # of a series' power over its noise: a few that move much do not hide the rest
 _STANDS_OUT = 5.0  # robust deviations of the noise's logarithm above it
 LEAST = 1.3  # times the noise: weaker peaks are noise, however smooth its spectrum is
+_LOUD = 10.0  # times the noise: such a peak has side lobes all over a short record, and is taken out to see the noise
 _CLIPS = 8  # rounds in which peaks are left out of the noise
 _WEAK = 0.03  # of the strongest peak's power above the floor: weaker is taken for leakage
 _APART = (
@@ -69,13 +70,20 @@ def find_frequencies(
         if not allowed.any():
             break
         peak = int(np.where(allowed, spectrum, -1).argmax())
-        floor, spread = _floor(spectrum, grid, allowed)
+        more = _refined(clean, times, noise, [*found, float(grid[peak])], 1 / duration)
+        rest, others = spectrum, allowed
+        if spectrum[peak] > _LOUD:
+            left = [_without(y, t, np.array(more)) for y, t in zip(clean, times, strict=True)]
+            rest = _spectrum(left, times, noise, grid)
+            others = allowed & (np.abs(grid - grid[peak]) > _APART / duration)
+        if not others.any():
+            break
+        floor, spread = _floor(rest, grid, others)
         above = float(np.log(max(spectrum[peak], 1e-12)) - floor[peak])
         power = float(spectrum[peak] - np.exp(floor[peak]))
         strongest = max(strongest, power)
         if above < max(_STANDS_OUT * spread, np.log(least)) or power < _WEAK * strongest:
             break
-        more = _refined(clean, times, noise, [*found, float(grid[peak])], 1 / duration)
         if len(more) > 1 and np.diff(np.sort(more)).min() < 0.5 * _APART / duration:
             break
         found = more
