@@ -73,11 +73,11 @@ class SensorResult:
 
     @cached_property
     def spectrum(self) -> Spectrum:
-        return spectrum_of(self.times_s, self.displacement, self.deviation)
+        return spectrum_of(self.times_s, self.displacement, self.series.noise, self.series.model_share)
 
     @cached_property
     def derivatives(self) -> Derivatives:
-        return derivatives_of(self.times_s, self.displacement, self.deviation, self.spectrum.peaks)
+        return derivatives_of(self.times_s, self.displacement, self.series.noise, self.spectrum.peaks)
 
     @property
     def velocity(self) -> np.ndarray:

@@ -18,7 +18,7 @@ _QUARTILE = float(-np.log(0.75))  # of a spectrum of noise, in units of its mean
 _FEWEST = 12  # samples that a spectrum is judged by
 _TOLD = 1.5  # times as uncertain as without rotations a translation may become
 _TURNS = 10.0  # times as uncertain as a translation: a rotation times the radius beyond it is not told
-UNSEEN = 1e-4  # of the best-seen direction's information: less is not observed
+UNSEEN = 1e-6  # of the best-seen direction's information: less is rounding, and is not observed
 
 
 @dataclass(frozen=True)
@@ -28,17 +28,20 @@ class Series:
     clock: str  # "" where all cameras share one
     times_s: np.ndarray  # [T] seconds
     displacement: np.ndarray  # [T, 3] scene units, along `axes`
-    deviation: np.ndarray  # [T, 3] standard deviation; inf along a direction that is not observed
+    noise: np.ndarray  # [T, 3] standard deviation of the noise; inf along a direction that is not observed
+    deviation: np.ndarray  # [T, 3] standard deviation with errors of the model (`model_error.py`)
     axes: np.ndarray  # [3, 3], rows: unit vectors in the world
     labels: tuple[str, str, str]  # of the axes
     rotation: np.ndarray | None  # [T, 3] radians about the axes through the centre; None where it cannot be told
     rotation_deviation: np.ndarray | None  # [T, 3]
-    noise_factor: np.ndarray  # [3] variance over what independent pixel noise of the weights would give
+    unit_variance: np.ndarray  # [3] (A⁻¹)_kk, mean over time: how well the pictures tell each direction
+    noise_factor: np.ndarray  # [3] variance over unit_variance, one for independent noise of known pixels
+    model_share: np.ndarray  # [3] standard deviation of the model's errors over the motion's length
 
     @property
     def is_observed(self) -> np.ndarray:
         """[3] bool, of the axes."""
-        return np.isfinite(self.deviation).all(0)
+        return np.asarray(np.isfinite(self.noise).all(0))
 
     def world(self) -> np.ndarray:
         """[T, 3] displacement along the world's x, y, z; what is not observed counts as 0."""
@@ -70,8 +73,9 @@ def series_of(
     out = np.where(np.isfinite(deviation), out, 0.0)
     turns = (out[:, 3:] / radius, deviation[:, 3:] / radius) if dof == 6 else (None, None)
     return Series(
-        clock, times_s, out[:, :3], deviation[:, :3], axes, labels, turns[0], turns[1], factor[:3]
-    )
+        clock, times_s, out[:, :3], deviation[:, :3], deviation[:, :3], axes, labels, turns[0], turns[1],
+        variance[:, :3].mean(0), factor[:3], np.zeros(3),
+    )  # fmt: skip
 
 
 def _solved(normals: np.ndarray, sides: np.ndarray, dof: int) -> tuple[np.ndarray, np.ndarray]:

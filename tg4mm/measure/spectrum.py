@@ -43,8 +43,8 @@ class Peak:
 
     @property
     def is_above(self) -> np.ndarray:
-        """[3] bool: whether the amplitude stands out of the floor."""
-        return self.amplitude > self.floor
+        """[3] bool: whether the amplitude stands out of the floor, and of twice its own deviation."""
+        return np.asarray((self.amplitude > self.floor) & (self.amplitude > 2 * self.deviation))
 
     @property
     def phase_deviation(self) -> np.ndarray:
@@ -63,8 +63,13 @@ class Spectrum:
     window: str = "hann, amplitude-corrected"
 
 
-def spectrum_of(times_s: np.ndarray, values: np.ndarray, deviation: np.ndarray) -> Spectrum:
-    """Of values [T, 3] with standard deviations [T, 3] at times [T], which need not be even."""
+def spectrum_of(
+    times_s: np.ndarray, values: np.ndarray, deviation: np.ndarray, model_share: np.ndarray | None = None
+) -> Spectrum:
+    """Of values [T, 3] with noise of standard deviations [T, 3] at times [T], which need not be even.
+
+    model_share [3]: standard deviation of errors that grow with the motion, over its length; of the peaks' deviations.
+    """
     grid = frequency_grid(times_s)
     is_seen = np.isfinite(deviation).all(0)
     values = np.where(is_seen, values, 0.0)
@@ -75,7 +80,7 @@ def spectrum_of(times_s: np.ndarray, values: np.ndarray, deviation: np.ndarray) 
     floor = np.broadcast_to(level, (len(grid), 3))
     amplitude = _amplitude(grid, times_s, values, window)
     hz = _peaks(grid, times_s, values, window, level)
-    return Spectrum(grid, amplitude, floor, _fitted(hz, times_s, values, finite, level))
+    return Spectrum(grid, amplitude, floor, _fitted(hz, times_s, values, finite, level, model_share))
 
 
 def frequency_grid(times_s: np.ndarray) -> np.ndarray:
@@ -169,7 +174,12 @@ def _refined(hz: np.ndarray, times_s: np.ndarray, values: np.ndarray) -> np.ndar
 
 
 def _fitted(
-    hz: np.ndarray, times_s: np.ndarray, values: np.ndarray, deviation: np.ndarray, level: np.ndarray
+    hz: np.ndarray,
+    times_s: np.ndarray,
+    values: np.ndarray,
+    deviation: np.ndarray,
+    level: np.ndarray,
+    model_share: np.ndarray | None,
 ) -> tuple[Peak, ...]:
     if not len(hz):
         return ()
@@ -183,6 +193,8 @@ def _fitted(
     for k in range(n):
         phasor = answer[1 + k] + 1j * answer[1 + n + k]
         both = np.sqrt((variance[1 + k] + variance[1 + n + k]) / 2)
+        if model_share is not None:
+            both = np.hypot(both, model_share * np.linalg.norm(phasor))
         both = np.where(np.isfinite(level), both, np.inf)
         good = mean_square > 0
         snr = float((np.abs(phasor[good]) ** 2 / mean_square[good]).sum()) * len(times_s) / 2
