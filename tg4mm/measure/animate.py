@@ -43,7 +43,7 @@ def write_animations(scene: Prepared, shapes: tuple[Shape, ...], out: Path) -> l
             gain = max(_SHOWN_PX * camera.width / max(pixels, 1e-9), 1.0)
             pictures = []
             for frame, gaussians in enumerate(_period(scene, shape, gain)):
-                pictures.append(to_bytes(np.asarray(render_image(gaussians, camera))))
+                pictures.append(to_bytes(np.asarray(render_image(gaussians, camera.viewmat, camera.K, camera.width, camera.height))))
                 update(k * FRAMES + frame + 1)
             path = folder / f"{f'{shape.frequency_hz:.3f}'.replace('.', '_')}Hz.gif"
             data = _gif(pictures)

@@ -39,7 +39,7 @@ def damping_of(series: Series, peaks: Sequence[Peak], k: int) -> Damping | None:
     times = series.times_s - series.times_s[0]
     duration = float(np.ptp(times))
     values = series.displacement @ direction
-    sigma = np.where(np.isfinite(series.noise), series.noise, 0) @ np.abs(direction)
+    sigma = np.where(series.is_told, series.noise, 0) @ np.abs(direction)
     plain = tones(np.array(others), times) if others else np.ones((len(times), 1))
 
     def left(p: np.ndarray) -> np.ndarray:

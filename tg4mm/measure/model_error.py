@@ -23,7 +23,7 @@ _MOST = 1.0  # of the motion
 
 def with_model_error(series: Series, body: Body, scene: Prepared) -> Series:
     """The series with `model_share` and with it in `deviation`: σ_f² = noise² + (share · |u_f|)²."""
-    size = np.linalg.norm(np.where(series.is_observed, series.displacement, 0), axis=1)
+    size = np.linalg.norm(np.where(series.is_told, series.displacement, 0), axis=1)
     rms = float(np.sqrt((size**2).mean()))
     base = OF_MOTION
     if (known := scene.run.load_uncertainty()) is not None and rms > 0:

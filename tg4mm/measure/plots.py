@@ -59,8 +59,7 @@ def _figure(plt: Any, result: SensorResult, unit: Unit) -> Any:
 
 def _told(result: SensorResult) -> list[int]:
     """Axes worth drawing: observed, and not uncertain by more than ten times the best one."""
-    noise = result.series.deviation.mean(0)
-    return [k for k in range(3) if np.isfinite(noise[k]) and noise[k] <= 10 * noise.min()]
+    return np.flatnonzero(result.series.is_told).tolist()
 
 
 def _waveform(axes: Any, result: SensorResult, unit: Unit) -> None:

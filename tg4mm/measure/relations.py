@@ -74,7 +74,7 @@ def _at(result: SensorResult, hz: np.ndarray, k: int) -> tuple[np.ndarray, np.nd
     answer, n = inverse @ result.displacement, len(hz)
     finite = np.where(result.series.is_observed, result.series.noise, 0)
     variance = inverse**2 @ finite**2
-    phasor = answer[1 + k] + 1j * answer[1 + n + k]
+    phasor = np.where(result.series.is_told, answer[1 + k] + 1j * answer[1 + n + k], 0)
     floor = result.spectrum.floor[0]
     return phasor, np.sqrt((variance[1 + k] + variance[1 + n + k]) / 2), bool((np.abs(phasor) > floor).any())
 
@@ -100,6 +100,6 @@ def _coherence(a: Series, b: Series) -> tuple[np.ndarray, np.ndarray, int]:
 
 
 def _along_main(series: Series) -> np.ndarray:
-    values = np.where(series.is_observed, series.displacement, 0)
+    values = np.where(series.is_told, series.displacement, 0)
     main = np.linalg.eigh(values.T @ values)[1][:, -1]
     return np.asarray(values @ main)

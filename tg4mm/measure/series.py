@@ -16,7 +16,8 @@ from tg4mm.measure.rigid import Equations
 
 _QUARTILE = float(-np.log(0.75))  # of a spectrum of noise, in units of its mean power
 _FEWEST = 12  # samples that a spectrum is judged by
-_TOLD = 1.5  # times as uncertain as without rotations a translation may become
+TOLD = 10.0  # times as uncertain as the best direction: beyond it a direction is not told
+_SURE = 1.5  # times as uncertain as without rotations a translation may become
 _TURNS = 10.0  # times as uncertain as a translation: a rotation times the radius beyond it is not told
 UNSEEN = 1e-6  # of the best-seen direction's information: less is rounding, and is not observed
 
@@ -42,6 +43,12 @@ class Series:
     def is_observed(self) -> np.ndarray:
         """[3] bool, of the axes."""
         return np.asarray(np.isfinite(self.noise).all(0))
+
+    @property
+    def is_told(self) -> np.ndarray:
+        """[3] bool: observed, and not ten times less sure than the best direction, as one camera's sight is."""
+        variance = np.where(self.is_observed, self.unit_variance, np.inf)
+        return np.asarray(variance <= TOLD**2 * variance.min()) & self.is_observed
 
     def world(self) -> np.ndarray:
         """[T, 3] displacement along the world's x, y, z; what is not observed counts as 0."""
@@ -99,7 +106,7 @@ def _tells_rotation(equations: Equations) -> bool:
         return False
     with_turns, alone = np.diag(np.linalg.inv(a)), np.diag(np.linalg.pinv(a[:3, :3]))
     halves = all(np.linalg.eigvalsh(n.mean(0))[0] > 1e-9 * np.trace(a) for n in equations.normals)
-    is_sure = bool((with_turns[:3] <= _TOLD**2 * alone).all())
+    is_sure = bool((with_turns[:3] <= _SURE**2 * alone).all())
     return halves and is_sure and bool(with_turns[3:].max() <= _TURNS**2 * with_turns[:3].max())
 
 

@@ -42,6 +42,12 @@ class Peak:
         return np.abs(self.phasor)
 
     @property
+    def is_told(self) -> np.ndarray:
+        """[3] bool: axes that are seen, and not ten times less sure than the best one, as a single camera's sight is."""
+        floor = np.where(np.isfinite(self.floor), self.floor, np.inf)
+        return np.isfinite(floor) & (floor <= 10 * floor.min())
+
+    @property
     def is_above(self) -> np.ndarray:
         """[3] bool: whether the amplitude stands out of the floor, and of twice its own deviation."""
         return np.asarray((self.amplitude > self.floor) & (self.amplitude > 2 * self.deviation))
@@ -120,11 +126,14 @@ def _peaks(
     """[K] Hz."""
     resolution = grid[1] * _OVERSAMPLED
     usable = (grid >= _LEAST_CYCLES * resolution) & (grid <= grid[-1] - resolution / 2)
+    # axes by their own noise: a single camera's sight must not decide a frequency
+    least = max(1e-9 * float(np.abs(values).max()), 1e-300)  # rounding, where there is no noise at all
+    scale = np.where(np.isfinite(level), np.maximum(level, least), np.inf)
+    values = values / scale
     hz, left, strongest = np.zeros(0), values, 0.0
-    scale = np.where(np.isfinite(level) & (level > 0), level, np.inf)
     while len(hz) < min(_MOST, (len(times_s) - 4) // 3):
         amplitude = _amplitude(grid, times_s, left, window)
-        height = np.where(usable, (amplitude / scale).max(1), 0)
+        height = np.where(usable, amplitude.max(1), 0)
         for other in hz:
             height[np.abs(grid - other) < _APART * resolution] = 0
         at = int(height.argmax())
@@ -132,7 +141,7 @@ def _peaks(
         strongest = max(strongest, size)
         if height[at] <= 1 or size < _LEAST * strongest:
             break
-        axis = int((amplitude[at] / scale).argmax())
+        axis = int(amplitude[at].argmax())
         hz = np.append(hz, _parabola(grid, amplitude[:, axis], at))
         hz = _refined(hz, times_s, values)
         design = tones(hz, times_s)
@@ -201,5 +210,6 @@ def _fitted(
         span = np.ptp(times_s) * len(times_s) / (len(times_s) - 1)
         error = float(np.sqrt(3 / (np.pi**2 * snr)) / span) if snr > 0 else 0.0
         peaks.append(Peak(float(hz[k]), error, phasor, both, level))
-    strength = [float((p.amplitude / np.where(np.isfinite(level), np.maximum(level, 1e-300), np.inf)).max()) for p in peaks]
+    scale = np.where(np.isfinite(level), np.maximum(level, 1e-300), np.inf)
+    strength = [float((p.amplitude / scale).max()) for p in peaks]
     return tuple(peaks[k] for k in np.argsort(strength)[::-1])

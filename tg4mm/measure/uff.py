@@ -22,7 +22,7 @@ MOST_NODES = 1500
 FIRST_GAUSSIAN = 1001
 _LINE = 240  # entries of a trace line, 250 at most
 _NEIGHBOURS = 3
-_TIME, _SPECTRUM = 1, 12  # function types of dataset 58
+_TIME, _SPECTRUM = 1, 0  # function types of dataset 58: time response; general, since 12 is written by few programs
 _DISPLACEMENT = 8  # specific data type
 
 
