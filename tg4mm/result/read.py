@@ -1,0 +1,200 @@
+"""A run's files read as its `Result`."""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tg4mm.capture import Capture, load_capture
+from tg4mm.motion.limits import peaks
+from tg4mm.motion.mode_selection import mode_deviations, worth_keeping
+from tg4mm.motion.modes import ModalMotion
+from tg4mm.motion.observations import frames_of
+from tg4mm.report.figures import scale_top
+from tg4mm.report.maps import peak_displacement
+from tg4mm.result.advice import next_command, suggested_alpha
+from tg4mm.result.bands import suggested_bands
+from tg4mm.result.model import Length, Result, Vibration
+from tg4mm.result.reach import Reach, reach_of
+from tg4mm.result.seen import Seen, seen_by
+from tg4mm.result.tone import Tone, tone_of
+from tg4mm.runs import UNCERTAINTY, Run
+
+_PERIODS = 2.0  # that the record must hold of the lowest frequency
+_LARGEST = 0.995  # of the weight of what is seen lies below the amplitude that is named
+_STEADY = "the fit takes the vibration to be steady"
+
+
+def result_of(run: Run) -> Result:
+    """What the run found. Of a finished run it is the same each time. Raises RunError for one that is not finished."""
+    return _Reading(run).result()
+
+
+@dataclass
+class _Reading:
+    """The files of a run that a result is read from."""
+
+    run: Run
+
+    def __post_init__(self) -> None:
+        self.gaussians = self.run.load_space()
+        self.motion = self.run.load_motion()
+        self.log: dict[str, Any] = self.run.log().get("motion", {})
+        self.capture: Capture | None = load_capture(self.run.dataset) if self.run.dataset.is_dir() else None
+        self.uncertainty = _uncertainty(self.run) if self.motion is not None else {}
+
+    def result(self) -> Result:
+        motion = self.motion
+        if motion is None:
+            return self._still()
+        seen = seen_by(self.gaussians, self.capture)
+        vibrations = self._vibrations(motion, seen)
+        noise, noise_px = self._noise(seen)
+        alpha = suggested_alpha(self._reach(motion, seen, vibrations, noise_px), self.capture)
+        frames = frames_of(self.capture)[1] if self.capture is not None else []
+        return Result(
+            run=self.run.path,
+            kind="" if self.capture is None else self.capture.kind,
+            n_cameras=len(frames),
+            n_timesteps=motion.n_timesteps,
+            fps=motion.fps,
+            vibrations=vibrations,
+            unit_scale_m=None if self.capture is None else self.capture.unit_scale_m,
+            noise=noise,
+            noise_px=noise_px,
+            agreement=tuple(float(r) for r in self.log.get("reliability", ())),
+            cannot=self._cannot(motion, vibrations),
+            alpha=alpha,
+            next_command=next_command(self.run, self.capture, vibrations, alpha),
+        )
+
+    def _still(self) -> Result:
+        """Of a capture of one timestep."""
+        capture = self.capture
+        cannot = ("motion: there is one timestep, at which nothing can move",)
+        return Result(
+            self.run.path, "photos" if capture is None else capture.kind, 0 if capture is None else len(capture), 1, 0.0, (),
+            None if capture is None else capture.unit_scale_m, None, None, (), cannot, 0.0,
+            next_command(self.run, capture, (), 0.0),
+        )  # fmt: skip
+
+    def _vibrations(self, motion: ModalMotion, seen: Seen) -> tuple[Vibration, ...]:
+        duration = motion.n_timesteps / motion.fps
+        known = worth_keeping(motion, self.uncertainty.get("noise"))
+        hz = [f for f in peaks(motion, _PERIODS / duration) if known[_index(motion, f)]]
+        tones = [self._tone(motion, seen, float(f), np.array(hz)) for f in hz]
+        bands = suggested_bands(hz, [tone.deviation_hz for tone in tones], duration, motion.fps)
+        deviations = None
+        if "noise" in self.uncertainty:
+            deviations = mode_deviations(motion, self.uncertainty["displacement"], self.uncertainty["noise"])
+        out = []
+        for f, tone, band in zip(hz, tones, bands, strict=True):
+            k = _index(motion, f)
+            amplitude, place = self._largest(motion.displacement[k], seen, None if deviations is None else deviations[k])
+            out.append(
+                Vibration(
+                    hz=float(f),
+                    deviation_hz=tone.deviation_hz,
+                    amplitude=amplitude,
+                    place=place,
+                    pixels=self._pixels(motion.displacement[k], seen, amplitude),
+                    damping=tone.damping,
+                    damping_deviation=tone.damping_deviation,
+                    why_no_damping=tone.why_no_damping,
+                    band=band,
+                )
+            )
+        return tuple(out)
+
+    def _tone(self, motion: ModalMotion, seen: Seen, hz: float, every: np.ndarray) -> Tone:
+        told = {float(f): float(d) for f, d in zip(*(self.log.get(k, ()) for k in _STATED), strict=False)}
+        if told:  # clocks of their own, or a moving camera: the fit holds these frequencies and nothing else
+            return Tone(told[min(told, key=lambda f: abs(f - hz))], None, None, _STEADY)
+        series = series_of(motion, motion.displacement[_index(motion, hz)], seen.weights)
+        noise = float(self.log.get("noise_to_motion") or 0.0)
+        return tone_of(series, motion.fps, hz, every[every != hz], noise)
+
+    def _largest(
+        self, phasors: np.ndarray, seen: Seen, deviation: np.ndarray | None
+    ) -> tuple[Length, tuple[float, float, float]]:
+        amplitude = peak_displacement(phasors)
+        top = scale_top(amplitude, seen.weights, _LARGEST)
+        there = int(np.argmin(np.where(seen.weights > 0, np.abs(amplitude - top), np.inf)))
+        x, y, z = (float(c) for c in self.gaussians.means[there])
+        return Length(top, None if deviation is None else float(deviation[there])), (x, y, z)
+
+    def _pixels(self, phasors: np.ndarray, seen: Seen, amplitude: Length) -> Length | None:
+        """The deviation is as much of the motion in pixels as it is of that in scene units, but for what only the
+        line of sight hides."""
+        pixels = seen.pixels(phasors)
+        if pixels is None or amplitude.deviation is None or not amplitude.value > 0:
+            return None if pixels is None else Length(pixels)
+        deviation = pixels * amplitude.deviation / amplitude.value
+        if "covariance" in self.uncertainty:
+            own = self.uncertainty["covariance"].astype(np.float64)
+            even = np.trace(own, axis1=1, axis2=2)[:, None, None] / 3 * np.eye(3)
+            deviation *= (seen.rms_pixels(own) or 0.0) / max(seen.rms_pixels(even) or 0.0, 1e-30)
+        return Length(pixels, deviation)
+
+    def _noise(self, seen: Seen) -> tuple[float | None, float | None]:
+        if "noise" not in self.uncertainty:
+            return None, None
+        noise = self.uncertainty["noise"].astype(np.float64)
+        own = np.sqrt(2) * scale_top(noise, seen.weights, 0.5)
+        pixels = seen.rms_pixels((noise**2 / 3)[:, None, None] * np.eye(3))
+        return own, None if pixels is None else np.sqrt(2) * pixels
+
+    def _reach(
+        self, motion: ModalMotion, seen: Seen, vibrations: tuple[Vibration, ...], noise_px: float | None
+    ) -> Reach | None:
+        if not vibrations:
+            return None
+        low, high = vibrations[0].band
+        inside = (motion.freqs_hz >= low) & (motion.freqs_hz <= high)
+        return reach_of(self.gaussians, motion, seen, noise_px, inside.astype(float))
+
+    def _cannot(self, motion: ModalMotion, vibrations: tuple[Vibration, ...]) -> tuple[str, ...]:
+        duration = motion.n_timesteps / motion.fps
+        out = list(self.log.get("notes", ()))
+        out.append(
+            f"frequencies under {_PERIODS / duration:.3g} Hz, from {motion.fps / 2:.4g} Hz on, and two that are nearer than "
+            f"{1 / duration:.3g} Hz: the record covers {duration:.3g} s at {motion.fps:.4g} Hz"
+        )
+        if "noise" not in self.uncertainty and vibrations:
+            out.append(f"how sure the amplitudes are: the preset {self.run.preset} with these settings does not say it")
+        if self.capture is None:
+            out.append(f"pixels and the scale: the dataset {self.run.dataset} is not there")
+        elif self.capture.unit_scale_m is None:
+            out.append(
+                "millimetres: unit_scale_m (metres per scene unit) in "
+                f"{shlex.quote(str(self.capture.root / 'scene.json'))} is not known"
+            )
+        return tuple(out)
+
+
+_STATED = ("frequencies_hz", "frequency_deviation_hz")
+
+
+def series_of(motion: ModalMotion, phasors: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """[T] the motion over time along the shape of a mode, in units of its largest displacement at each Gaussian.
+
+    The shape is the real part of the phasors [N, 3] at the time when they are largest; weights [N].
+    """
+    turned = phasors * np.exp(-0.5j * np.angle(np.einsum("nc,nc,n->", phasors, phasors, weights)))
+    shape = weights[:, None] * turned.real
+    along = np.einsum("knc,nc->k", motion.displacement, shape) / max(float((shape * turned.real).sum()), 1e-30)
+    gains = np.stack([motion.gains_at(t) for t in range(motion.n_timesteps)], 1)
+    return np.asarray((along[:, None] * gains).real.sum(0))
+
+
+def _index(motion: ModalMotion, hz: float) -> int:
+    return int(np.argmin(np.abs(motion.freqs_hz - hz)))
+
+
+def _uncertainty(run: Run) -> dict[str, np.ndarray]:
+    if not run.has_part(UNCERTAINTY):
+        return {}
+    return {name: tensor.numpy() for name, tensor in run.load_part(UNCERTAINTY)[0].items()}
