@@ -126,12 +126,14 @@ def _read(obj: Any, mesh: Any, indices: np.ndarray) -> Probe:
         phasors.append(_vectors(mesh, part["re"])[indices] + 1j * _vectors(mesh, part["im"])[indices])
     opacities = _floats(mesh, names.OPACITY)[indices]
     label = f"Point {indices[0]}" if len(indices) == 1 else f"{len(indices):,} points"
-    return _probe(obj, label, mean_phasor(np.array(phasors), opacities), _deviations(mesh, indices, opacities))
+    return _probe(
+        obj, label, mean_phasor(np.array(phasors), opacities), _deviations(mesh, indices, opacities)
+    )
 
 
 def _deviations(mesh: Any, indices: np.ndarray, opacities: np.ndarray) -> np.ndarray | None:
     """[M] of the amplitudes, None where the file did not say them."""
-    given = []
+    given: list[np.ndarray] = []
     while (name := names.deviation(len(given))) in mesh.attributes:
         given.append(_floats(mesh, name)[indices])
     return mean_deviation(np.array(given), opacities) if given else None

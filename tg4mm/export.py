@@ -72,12 +72,18 @@ def export_ply(run: Run, out: Path) -> Path:
 
     Of a `paper` run it holds timestep 0 and, as phasors of all DFT bins (0 Hz for the mean offset from it), every
     timestep's position and rotation. Modes that hold nothing but noise are left out (`mode_selection.py`); the standard
-    deviation of the others rides along where the run says it. Lost is what the decoder changes in scale, opacity and colour over
-    time, and of a `modal` run the light that changes.
-    Raises Tg4mmError for an `out` that is a folder or a file of another kind, RunError for a run without a space stage.
+    deviation of the others rides along where the run says it. Lost is what the decoder changes in scale, opacity and
+    colour over time, and of a `modal` run the light that changes.
+    Raises Tg4mmError for an `out` that is a folder, a file of another kind or named like one, RunError for a run
+    without a space stage.
     """
     if out.is_dir():
         raise Tg4mmError(f"--out {out}: is a folder; expected a file such as {out / 'splat.ply'}")
+    if out.suffix.lower() != ".ply":
+        named = f"{out.with_suffix('.ply')}" if out.suffix else f"{out}.ply, or {out / 'splat.ply'}"
+        raise Tg4mmError(
+            f"--out {out}: --format ply writes a PLY; expected a name that ends in .ply, such as {named}"
+        )
     if out.exists() and not _is_ply(out):
         raise Tg4mmError(f"--out {out}: exists, and is no PLY file; choose another name")
     gaussians, motion = run.load_space(), run.load_motion()
@@ -133,6 +139,10 @@ def export_ply_sequence(
     request = request or RenderRequest(alpha=alpha, band=band)
     if out.exists() and not out.is_dir():
         raise Tg4mmError(f"--out {out}: is a file; expected a folder for numbered files")
+    if out.suffix.lower() == ".ply":
+        raise Tg4mmError(
+            f"--out {out}: a sequence is a folder of numbered files; expected a name such as {out.stem}"
+        )
     pose, n_timesteps, _ = pose_of(run, request)
     wanted = range(n_timesteps) if timesteps is None else timesteps
     for t in wanted:

@@ -30,13 +30,14 @@ def listed(defaults: Mapping[str, Any]) -> list[str]:
 
 def unknown(name: str, defaults: Mapping[str, Any]) -> Tg4mmError:
     """The error for a name that no setting has, with those that may be meant."""
-    known = [f"{stage}.{field.name}" for stage, config in defaults.items() for field in dataclasses.fields(config)]
-    key = name.rpartition(".")[2]
-    meant = [one for one in known if one.rpartition(".")[2] == key]
-    meant = meant or difflib.get_close_matches(name, known, n=3, cutoff=0.7)
-    if not meant:
-        close = difflib.get_close_matches(key, [one.rpartition(".")[2] for one in known], n=2, cutoff=0.7)
-        meant = [one for one in known if one.rpartition(".")[2] in close]
+    known = [
+        f"{stage}.{field.name}" for stage, config in defaults.items() for field in dataclasses.fields(config)
+    ]
+    stage, _, key = name.rpartition(".")
+    keys = dict.fromkeys(one.rpartition(".")[2] for one in known)
+    close = [key] if key in keys else difflib.get_close_matches(key, keys, n=1, cutoff=0.7)
+    meant = [one for one in known if one.rpartition(".")[2] in close]
+    meant = [one for one in meant if one.startswith(f"{stage}.")] or meant
     question = f"did you mean {' or '.join(meant)}? " if meant else ""
     return Tg4mmError(
         f"setting {name!r} is unknown; {question}tg4mm train --list-settings lists all, with meaning, default and unit"

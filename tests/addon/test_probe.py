@@ -373,9 +373,12 @@ def test_a_file_without_deviations_shows_none(extension: ModuleType, moving: Any
     bpy.context.view_layer.objects.active = moving
     found = reading(extension, moving, "SELECTION")
     assert found.deviations is None
-    assert "±" not in extension.panel_probe.row_texts(
-        extension.probe.ellipses(found)[0], extension.units.unit_of(None)
-    )[1]
+    assert (
+        "±"
+        not in extension.panel_probe.row_texts(
+            extension.probe.ellipses(found)[0], extension.units.unit_of(None)
+        )[1]
+    )
 
 
 def test_a_deviation_is_saved_with_the_file_and_forgotten_with_the_reading(

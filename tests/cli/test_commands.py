@@ -49,7 +49,15 @@ def test_export_of_a_sequence_takes_alpha_and_band(run_path: Path, tmp_path: Pat
     main(["export", str(run_path), "--out", str(tmp_path / "a.ply")])
     splat = read_splat(tmp_path / "a.ply")
     for name, band in (("inside", (4.0, 6.0)), ("outside", (1.0, 2.0))):
-        options = ["--format", "ply-sequence", "--alpha", "10", "--band", *map(str, band)]
+        options = [
+            "--format",
+            "ply-sequence",
+            "--alpha",
+            "10",
+            "--allow-empty-band",
+            "--band",
+            *map(str, band),
+        ]
         assert main(["export", str(run_path), "--out", str(tmp_path / name), *options]) == 0
         frame = read_splat(tmp_path / name / "frame_0002.ply")
         np.testing.assert_allclose(frame.means, positions_at(splat, 2, 10.0, band), atol=1e-5)
@@ -104,7 +112,17 @@ def test_render_takes_an_orbit_in_slow_motion(run_path: Path, tmp_path: Path) ->
         ),
         (["--alpha", "1", "--band", "1", "2", "--band", "3", "4"], "each band needs its own"),
         (["--alpha", "1", "--band", "4"], "--band '4' is not two frequencies in Hz"),
-        (["--alpha", "1", "--band", "4", "--no-video"], "--band '4 --no-video' is not two frequencies"),
+        (
+            ["--alpha", "1", "--band", "4", "--no-video"],
+            "--band '4' is not two frequencies in Hz, LO HI, nor auto",
+        ),
+        (["--alpha", "1", "--band", "--no-video"], "--band '' is not two frequencies in Hz"),
+        (["--alpha", "1", "--band=4", "--no-video"], "--band '4' is not two frequencies in Hz"),
+        (["--alpha", "1", "--band", "-4", "6"], "band (-4, 6) Hz starts below 0 Hz"),
+        (
+            ["--alpha", "1", "--band", "7.2", "7.4"],
+            "--band 7.2 7.4: no motion was found there; no vibration stands out, and the modes lie at 5 Hz; --allow",
+        ),
         (
             ["--alpha", "1", "--alpha", "2", "--band", "1", "4", "--band", "3", "5"],
             "overlap: 3 Hz lies in both",
@@ -186,10 +204,12 @@ def test_evaluate_writes_into_the_run_by_default(run_path: Path) -> None:
 def test_train_hands_its_options_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
     calls = []
     monkeypatch.setattr("tg4mm.train.train", lambda *arguments: calls.append(arguments))
+    monkeypatch.setattr("tg4mm.result.result_of", lambda run: run)
+    monkeypatch.setattr("tg4mm.result.lines_of", lambda result: ["found", "next"])
     options = ["--set", "space.seed=3", "--set", "motion.x=a=b", "--preset", "modal", "--device", "cpu"]
     assert main(["train", str(tmp_path), "--out", "run", *options]) == 0
     assert calls == [(tmp_path, Path("run"), "modal", "cpu", {"space.seed": "3", "motion.x": "a=b"})]
-    assert capsys.readouterr().out == "run\n"
+    assert capsys.readouterr().out == "found\nnext\n"
 
 
 def test_generate_hands_everything_on(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -267,7 +267,9 @@ def test_deviations_of_some_modes_only_are_refused(make, tmp_path):
     path = tmp_path / "a.ply"
     write_splat(path, make.splat(m=2, deviation=True))
     path.write_bytes(path.read_bytes().replace(b"mode_1_sd", b"mode_9_sd"))
-    with pytest.raises(SplatFileError, match=r"has mode_0_sd but no mode_1_sd; expected one for each of 2 modes"):
+    with pytest.raises(
+        SplatFileError, match=r"has mode_0_sd but no mode_1_sd; expected one for each of 2 modes"
+    ):
         read_splat(path)
     write_splat(path, make.splat(m=1, deviation=True))
     path.write_bytes(path.read_bytes().replace(b"float mode_0_sd", b"int32 mode_0_sd"))

@@ -40,7 +40,17 @@ def test_a_file_read_back_is_the_file_written(path, make_module, case, scale, or
 
 def test_assert_same_itself_notices_each_difference(make):
     splat = make.splat(deviation=True)
-    arrays = ("means", "quats", "scales", "opacities", "sh", "freqs_hz", "displacement", "rotation", "deviation")
+    arrays = (
+        "means",
+        "quats",
+        "scales",
+        "opacities",
+        "sh",
+        "freqs_hz",
+        "displacement",
+        "rotation",
+        "deviation",
+    )
     for name in arrays:
         changed = getattr(splat, name).copy()
         changed[0] += 1e-3 if name == "opacities" else 0.01

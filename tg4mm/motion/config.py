@@ -29,7 +29,8 @@ class MotionConfig:
     )
     tolerance: float = setting(3e-3, "relative residual at which conjugate gradients stop")
     split_half: bool = setting(
-        True, "fit each half of the data by itself and take what they agree on; also tells how sure the motion is"
+        True,
+        "fit each half of the data by itself and take what they agree on; also tells how sure the motion is",
     )
     gauss_newton: int = setting(
         4, "at most, where 1 % of what is seen moves by more than 0.7 pixels", "iterations"
@@ -39,7 +40,8 @@ class MotionConfig:
     )
     nuisance: str = setting(
         "auto",
-        "projected out of every frame: auto finds out; none; exposure (gain and offset); all (exposure and camera pose)",
+        "projected out of every frame: auto finds out; none; exposure (gain and offset); "
+        "all (exposure and camera pose)",
     )
     seed: int = setting(0, "of random draws")
 

@@ -1,8 +1,8 @@
 """What of each mode is known: which modes hold nothing but noise, and the standard deviation of the others.
 
 A fit gives a phasor for every bin of the record's Fourier transform, and most of them hold nothing. The run keeps them
-all, since together they are the motion at every timestep and their median tells a peak from noise (`limits.py`); what is
-handed on (a splat file, a band that is asked for) leaves the empty ones out.
+all, since together they are the motion at every timestep and their median tells a peak from noise (`limits.py`); what
+is handed on (a splat file, a band that is asked for) leaves the empty ones out.
 """
 
 from __future__ import annotations

@@ -19,11 +19,15 @@ class PaperConfig:
 
     channels: int = setting(32, "C, features of a plane")
     resolution: int = setting(512, "R, along each side of a plane; a power of two", "cells")
-    mlp_layers: int = setting(0, 'before the heads; 8 is "MLP + Decoder" of Table VI, 1 what §IV.B says', "layers")
+    mlp_layers: int = setting(
+        0, 'before the heads; 8 is "MLP + Decoder" of Table VI, 1 what §IV.B says', "layers"
+    )
     mlp_width: int = setting(256, "of each of these layers", "features")
     iterations: int = setting(20_000, "of phase 1, those of paper.warm_up included", "iterations")
     warm_up: int = setting(
-        3_000, "of phase 1, the first, fit the base Gaussians alone, with density control, as [29] does", "iterations"
+        3_000,
+        "of phase 1, the first, fit the base Gaussians alone, with density control, as [29] does",
+        "iterations",
     )
     motion_iterations: int = setting(7_000, "of phase 2, for each timestep", "iterations")
     shared: bool = setting(False, "true: paper.motion_iterations is what all timesteps share")

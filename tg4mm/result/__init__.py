@@ -1,4 +1,4 @@
-"""What a finished run found, in one object: printed by `train`, taken by `--band auto`, shown by reports and viewers."""
+"""What a finished run found, in one object: `train` prints it, `--band auto` takes it, reports and viewers show it."""
 
 from tg4mm.result.lines import lines_of
 from tg4mm.result.model import Length, Result, Vibration

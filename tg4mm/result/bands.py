@@ -10,7 +10,9 @@ from tg4mm.result.model import Band
 _DEVIATIONS = 3.0
 
 
-def suggested_bands(hz: Sequence[float], deviations_hz: Sequence[float], duration_s: float, fps: float) -> list[Band]:
+def suggested_bands(
+    hz: Sequence[float], deviations_hz: Sequence[float], duration_s: float, fps: float
+) -> list[Band]:
     """A band for each of the frequencies [K], in their order, which does not hold another one of them.
 
     One step of the record's resolution, 1 / duration, to either side, since that is how far a sinusoid's bins reach;

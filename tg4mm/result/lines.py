@@ -35,9 +35,7 @@ def _head(result: Result) -> str:
     seen = f"{result.n_cameras} {'poses of one camera' if result.kind == 'handheld' else 'fixed cameras'}"
     seen = "one fixed camera" if result.n_cameras == 1 else seen
     seen = f"{seen}, " if result.n_cameras else ""
-    return (
-        f"{result.run}: {seen}{result.n_timesteps} timesteps at {result.fps:.4g} Hz, {result.duration_s:.3g} s"
-    )
+    return f"{result.run}: {seen}{result.n_timesteps} timesteps at {result.fps:.4g} Hz, {result.duration_s:.3g} s"
 
 
 def _vibration(v: Vibration, result: Result) -> list[str]:
@@ -54,7 +52,10 @@ def _vibration(v: Vibration, result: Result) -> list[str]:
         percent = Length(100 * v.damping, None if v.damping_deviation is None else 100 * v.damping_deviation)
         damping = f"ratio {with_deviation(percent)} %"
     return [
-        _row(f"{with_deviation(Length(v.hz, v.deviation_hz))} Hz", f"{', '.join(lengths)}, at most, at ({where})"),
+        _row(
+            f"{with_deviation(Length(v.hz, v.deviation_hz))} Hz",
+            f"{', '.join(lengths)}, at most, at ({where})",
+        ),
         _row("", f"damping {damping}"),
     ]
 
@@ -63,7 +64,9 @@ def _noise(result: Result) -> list[str]:
     lines = []
     if result.noise is not None:
         pixels = "" if result.noise_px is None else f"{result.noise_px:.2g} px, "
-        lines.append(_row("noise floor", f"{pixels}{result.noise:.2g} scene units: a motion as large as its noise"))
+        lines.append(
+            _row("noise floor", f"{pixels}{result.noise:.2g} scene units: a motion as large as its noise")
+        )
     if result.agreement:
         shown = ", ".join(f"{r:.4g}" for r in result.agreement[:_MOST])
         more = " …" if len(result.agreement) > _MOST else ""

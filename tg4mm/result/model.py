@@ -26,7 +26,9 @@ class Vibration:
 
     hz: float
     deviation_hz: float
-    amplitude: Length  # scene units: the largest displacement from the middle, 99.5th percentile of what is seen
+    amplitude: (
+        Length  # scene units: the largest displacement from the middle, 99.5th percentile of what is seen
+    )
     place: tuple[float, float, float]  # scene units: where that is, at rest
     pixels: Length | None  # the same in the pictures, 99th percentile of what is seen; None without a dataset
     damping: float | None  # ratio, of the critical; None: not to be told
@@ -46,7 +48,9 @@ class Result:
     fps: float  # Hz
     vibrations: tuple[Vibration, ...]
     unit_scale_m: float | None  # metres per scene unit
-    noise: float | None  # scene units: the amplitude of a motion as large as the noise, median of what is seen
+    noise: (
+        float | None
+    )  # scene units: the amplitude of a motion as large as the noise, median of what is seen
     noise_px: float | None  # the same in the pictures
     agreement: tuple[float, ...]  # 0 … 1: what two halves of the data agree on, of each function of time
     cannot: tuple[str, ...]  # what cannot be told, a line each

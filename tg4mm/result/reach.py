@@ -33,10 +33,6 @@ class Reach:
     noise_px: float | None  # the noise's amplitude; None where it is not known
     turn: float  # radians, and what the displacement changes by per distance: the larger
 
-    def times(self, factor: float) -> Reach:
-        """Of the motion so many times as large."""
-        return Reach(*(None if x is None else x * factor for x in (self.pixels, self.noise_px)), self.turn * factor)
-
     @property
     def too_far(self) -> float:
         """How many times as large as it should be at most; up to 1 it is within its limits."""

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import shlex
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from tg4mm.capture import Capture, load_capture
+from tg4mm.errors import RunError
+from tg4mm.gaussians import Gaussians
 from tg4mm.motion.limits import peaks
 from tg4mm.motion.mode_selection import mode_deviations, worth_keeping
 from tg4mm.motion.modes import ModalMotion
@@ -30,30 +33,45 @@ _STEADY = "the fit takes the vibration to be steady"
 
 def result_of(run: Run) -> Result:
     """What the run found. Of a finished run it is the same each time. Raises RunError for one that is not finished."""
-    return _Reading(run).result()
+    return reading_of(run).result()
 
 
-@dataclass
-class _Reading:
+def reading_of(run: Run) -> Reading:
+    """The files of a run. Raises RunError for one that is not finished."""
+    motion = run.load_motion()
+    capture = load_capture(run.dataset) if run.dataset.is_dir() else None
+    if motion is None and capture is not None and capture.n_timesteps > 1:
+        raise RunError(f"{run.path} has no motion.safetensors: its motion stage is not finished")
+    uncertainty = _uncertainty(run) if motion is not None else {}
+    return Reading(run, run.load_space(), motion, run.log().get("motion", {}), capture, uncertainty)
+
+
+@dataclass(frozen=True)
+class Reading:
     """The files of a run that a result is read from."""
 
     run: Run
+    gaussians: Gaussians
+    motion: ModalMotion | None
+    log: dict[str, Any]  # of the motion stage
+    capture: Capture | None  # None: the dataset is gone
+    uncertainty: dict[str, np.ndarray]  # {}: the run does not say it
 
-    def __post_init__(self) -> None:
-        self.gaussians = self.run.load_space()
-        self.motion = self.run.load_motion()
-        self.log: dict[str, Any] = self.run.log().get("motion", {})
-        self.capture: Capture | None = load_capture(self.run.dataset) if self.run.dataset.is_dir() else None
-        self.uncertainty = _uncertainty(self.run) if self.motion is not None else {}
+    @cached_property
+    def seen(self) -> Seen:
+        return seen_by(self.gaussians, self.capture)
 
     def result(self) -> Result:
+        """`result_of`."""
         motion = self.motion
         if motion is None:
             return self._still()
-        seen = seen_by(self.gaussians, self.capture)
+        seen = self.seen
         vibrations = self._vibrations(motion, seen)
         noise, noise_px = self._noise(seen)
-        alpha = suggested_alpha(self._reach(motion, seen, vibrations, noise_px), self.capture)
+        low, high = vibrations[0].band if vibrations else (0.0, 0.0)
+        strongest = (motion.freqs_hz >= low) & (motion.freqs_hz <= high)
+        alpha = suggested_alpha(self.reach(strongest.astype(float)) if vibrations else None, self.capture)
         frames = frames_of(self.capture)[1] if self.capture is not None else []
         return Result(
             run=self.run.path,
@@ -74,12 +92,21 @@ class _Reading:
     def _still(self) -> Result:
         """Of a capture of one timestep."""
         capture = self.capture
-        cannot = ("motion: there is one timestep, at which nothing can move",)
         return Result(
-            self.run.path, "photos" if capture is None else capture.kind, 0 if capture is None else len(capture), 1, 0.0, (),
-            None if capture is None else capture.unit_scale_m, None, None, (), cannot, 0.0,
-            next_command(self.run, capture, (), 0.0),
-        )  # fmt: skip
+            run=self.run.path,
+            kind="photos" if capture is None else capture.kind,
+            n_cameras=0 if capture is None else len(capture),
+            n_timesteps=1,
+            fps=0.0,
+            vibrations=(),
+            unit_scale_m=None if capture is None else capture.unit_scale_m,
+            noise=None,
+            noise_px=None,
+            agreement=(),
+            cannot=("motion: there is one timestep, at which nothing can move",),
+            alpha=0.0,
+            next_command=next_command(self.run, capture, (), 0.0),
+        )
 
     def _vibrations(self, motion: ModalMotion, seen: Seen) -> tuple[Vibration, ...]:
         duration = motion.n_timesteps / motion.fps
@@ -93,7 +120,9 @@ class _Reading:
         out = []
         for f, tone, band in zip(hz, tones, bands, strict=True):
             k = _index(motion, f)
-            amplitude, place = self._largest(motion.displacement[k], seen, None if deviations is None else deviations[k])
+            amplitude, place = self._largest(
+                motion.displacement[k], seen, None if deviations is None else deviations[k]
+            )
             out.append(
                 Vibration(
                     hz=float(f),
@@ -147,24 +176,24 @@ class _Reading:
         pixels = seen.rms_pixels((noise**2 / 3)[:, None, None] * np.eye(3))
         return own, None if pixels is None else np.sqrt(2) * pixels
 
-    def _reach(
-        self, motion: ModalMotion, seen: Seen, vibrations: tuple[Vibration, ...], noise_px: float | None
-    ) -> Reach | None:
-        if not vibrations:
+    def reach(self, gains: np.ndarray) -> Reach | None:
+        """How far the motion goes with its modes multiplied by `gains` [K]; None for a run without motion."""
+        if self.motion is None:
             return None
-        low, high = vibrations[0].band
-        inside = (motion.freqs_hz >= low) & (motion.freqs_hz <= high)
-        return reach_of(self.gaussians, motion, seen, noise_px, inside.astype(float))
+        told = worth_keeping(self.motion, self.uncertainty.get("noise"))
+        return reach_of(self.gaussians, self.motion, self.seen, self._noise(self.seen)[1], gains * told)
 
     def _cannot(self, motion: ModalMotion, vibrations: tuple[Vibration, ...]) -> tuple[str, ...]:
         duration = motion.n_timesteps / motion.fps
         out = list(self.log.get("notes", ()))
         out.append(
-            f"frequencies under {_PERIODS / duration:.3g} Hz, from {motion.fps / 2:.4g} Hz on, and two that are nearer than "
-            f"{1 / duration:.3g} Hz: the record covers {duration:.3g} s at {motion.fps:.4g} Hz"
+            f"frequencies under {_PERIODS / duration:.3g} Hz, from {motion.fps / 2:.4g} Hz on, and two that are nearer "
+            f"than {1 / duration:.3g} Hz: the record covers {duration:.3g} s at {motion.fps:.4g} Hz"
         )
         if "noise" not in self.uncertainty and vibrations:
-            out.append(f"how sure the amplitudes are: the preset {self.run.preset} with these settings does not say it")
+            out.append(
+                f"how sure the amplitudes are: the preset {self.run.preset} with these settings does not say it"
+            )
         if self.capture is None:
             out.append(f"pixels and the scale: the dataset {self.run.dataset} is not there")
         elif self.capture.unit_scale_m is None:
@@ -185,7 +214,9 @@ def series_of(motion: ModalMotion, phasors: np.ndarray, weights: np.ndarray) -> 
     """
     turned = phasors * np.exp(-0.5j * np.angle(np.einsum("nc,nc,n->", phasors, phasors, weights)))
     shape = weights[:, None] * turned.real
-    along = np.einsum("knc,nc->k", motion.displacement, shape) / max(float((shape * turned.real).sum()), 1e-30)
+    along = np.einsum("knc,nc->k", motion.displacement, shape) / max(
+        float((shape * turned.real).sum()), 1e-30
+    )
     gains = np.stack([motion.gains_at(t) for t in range(motion.n_timesteps)], 1)
     return np.asarray((along[:, None] * gains).real.sum(0))
 

@@ -57,7 +57,9 @@ def tone_of(series: np.ndarray, fps: float, hz: float, others: np.ndarray, noise
     return Tone(float(deviation), *_damping(found[1], float(np.hypot(bound[1], spread[1])), hz, duration))
 
 
-def _damping(decay: float, deviation: float, hz: float, duration: float) -> tuple[float | None, float | None, str]:
+def _damping(
+    decay: float, deviation: float, hz: float, duration: float
+) -> tuple[float | None, float | None, str]:
     if decay > max(_SURE * deviation, _LEAST_DECAY / duration):
         return decay / (2 * np.pi * hz), deviation / (2 * np.pi * hz), ""
     if -decay > max(_SURE * deviation, _LEAST_DECAY / duration):

@@ -120,9 +120,9 @@ def _check_enough(sources: Sources) -> None:
     if sources.sweep is None and 1 < n < FEWEST:
         first = shlex.quote(str(sources.clips[0].path))
         raise CaptureError(
-            f"{sources.path}: holds {n} recordings of cameras that stay put, and nothing else: {n} views are too few to "
-            f"find poses from. Add {SWEEP}/ with photographs of the scene at rest from all around (or {SWEEP}.mp4), or "
-            f"take one camera by itself, in pixels: tg4mm sfm {first} --out DATASET"
+            f"{sources.path}: holds {n} recordings of cameras that stay put, and nothing else: {n} views are too few "
+            f"to find poses from. Add {SWEEP}/ with photographs of the scene at rest from all around (or {SWEEP}.mp4), "
+            f"or take one camera by itself, in pixels: tg4mm sfm {first} --out DATASET"
         )
 
 

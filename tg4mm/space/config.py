@@ -17,7 +17,9 @@ class SpaceConfig:
     max_gaussians: int = setting(
         0, "at most; 0: 200 · √(pixels the object covers in a view), 2,000 … 500,000", "Gaussians"
     )
-    sh_degree: int = setting(3, "of spherical harmonics, 0 … 3; reached step by step in the first 30 % of the iterations")
+    sh_degree: int = setting(
+        3, "of spherical harmonics, 0 … 3; reached step by step in the first 30 % of the iterations"
+    )
     l2: float = setting(10.0, "weight of the squared error beside L1; 0 is [TG4MM] Eq. (16)")
     dssim: float = setting(0.0, "share of D-SSIM in the loss, 0 … 1, [3DGS] Eq. (7)")
     init: str = setting(

@@ -33,7 +33,9 @@ class SplatFile:
     n_timesteps: int = 1  # T
     unit_scale_m: float | None = None  # metres per scene unit; None if unknown
     time_origin_s: float = 0.0  # seconds at timestep 0, on the recording's clock
-    deviation: np.ndarray | None = None  # [M, N] float32, standard deviation of |m_k|, scene units; None: not known
+    deviation: np.ndarray | None = (
+        None  # [M, N] float32, standard deviation of |m_k|, scene units; None: not known
+    )
 
     @classmethod
     def static(
