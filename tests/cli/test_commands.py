@@ -63,6 +63,28 @@ def test_export_of_a_sequence_takes_alpha_and_band(run_path: Path, tmp_path: Pat
         np.testing.assert_allclose(frame.means, positions_at(splat, 2, 10.0, band), atol=1e-5)
 
 
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("x.spz", "expected a name that ends in .ply, such as {}/x.ply"),
+        ("x", "such as {}/x.ply, or {}/x/splat.ply"),
+        ("x/", "such as {}/x.ply, or {}/x/splat.ply"),
+    ],
+)
+def test_a_splat_file_is_named_as_one(run_path: Path, tmp_path: Path, capsys, name: str, said: str) -> None:
+    assert main(["export", str(run_path), "--out", f"{tmp_path}/{name}"]) == 2
+    assert said.replace("{}", str(tmp_path)) in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+    assert main(["export", str(run_path), "--out", f"{tmp_path}/x.PLY"]) == 0
+
+
+def test_a_sequence_is_not_named_as_a_file(run_path: Path, tmp_path: Path, capsys) -> None:
+    out = tmp_path / "x.ply"
+    assert main(["export", str(run_path), "--format", "ply-sequence", "--out", str(out)]) == 2
+    assert "a sequence is a folder of numbered files; expected a name such as x" in capsys.readouterr().err
+    assert not out.exists()
+
+
 def test_splat_file_refuses_alpha(run_path: Path, tmp_path: Path, capsys) -> None:
     assert main(["export", str(run_path), "--out", str(tmp_path / "a.ply"), "--alpha", "3"]) == 2
     assert "--alpha and --band belong to --format ply-sequence" in capsys.readouterr().err
@@ -192,6 +214,22 @@ def test_evaluate_prints_a_table_and_writes_the_figures(run_path: Path, tmp_path
     printed = capsys.readouterr().out
     assert "| 5 |" in " ".join(printed.split())
     assert "nothing moves" in printed
+
+
+def test_evaluate_refuses_an_alpha_without_ground_truth(run_path: Path, tmp_path: Path, capsys) -> None:
+    out = tmp_path / "metrics.json"
+    assert main(["evaluate", str(run_path), "--alphas", "5,3", "--out", str(out)]) == 2
+    assert "--alphas holds α = 3: no such ground truth under" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_evaluate_refuses_a_band_without_motion(run_path: Path, tmp_path: Path, capsys) -> None:
+    out = tmp_path / "metrics.json"
+    command = ["evaluate", str(run_path), "--alphas", "5", "--band", "7", "8", "--out", str(out)]
+    assert main(command) == 2
+    assert "--band 7 8: no motion was found there" in capsys.readouterr().err
+    assert not out.exists()
+    assert main([*command, "--allow-empty-band"]) == 0
 
 
 def test_evaluate_writes_into_the_run_by_default(run_path: Path) -> None:

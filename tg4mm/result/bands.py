@@ -33,4 +33,4 @@ def _rounded(low: float, high: float, f: float) -> Band:
     digits = max(0, math.ceil(-math.log10((high - low) / 20)))
     scale = 10.0**digits
     inner = math.ceil(round(low * scale, 6)) / scale, math.floor(round(high * scale, 6)) / scale
-    return inner if inner[0] <= f <= inner[1] and inner[0] < inner[1] else (low, high)
+    return inner if inner[0] < f < inner[1] else (low, high)

@@ -20,6 +20,8 @@ def lines_of(result: Result) -> list[str]:
         lines.append(_INDENT + f"and {', '.join(f'{v.hz:.4g}' for v in more)} Hz")
     if result.n_timesteps > 1 and not result.vibrations:
         lines.append(_INDENT + "no vibration was found")
+    if result.vibrations:
+        lines.append(_row("", "(where they are largest: 1 % of what is seen moves further)"))
     lines += _noise(result)
     lines += [_row("cannot tell" if i == 0 else "", line) for i, line in enumerate(result.cannot)]
     if result.band is not None:
@@ -54,7 +56,7 @@ def _vibration(v: Vibration, result: Result) -> list[str]:
     return [
         _row(
             f"{with_deviation(Length(v.hz, v.deviation_hz))} Hz",
-            f"{', '.join(lengths)}, at most, at ({where})",
+            f"{', '.join(lengths)} near ({where})",
         ),
         _row("", f"damping {damping}"),
     ]

@@ -27,7 +27,7 @@ class Vibration:
     hz: float
     deviation_hz: float
     amplitude: (
-        Length  # scene units: the largest displacement from the middle, 99.5th percentile of what is seen
+        Length  # scene units: the largest displacement from the middle, 99th percentile of what is seen
     )
     place: tuple[float, float, float]  # scene units: where that is, at rest
     pixels: Length | None  # the same in the pictures, 99th percentile of what is seen; None without a dataset

@@ -54,7 +54,7 @@ def reach_of(
         moved, turned = (gains[k] * phasors[k] for phasors in (motion.displacement, motion.rotation))
         pixels2 += (seen.pixels(moved) or 0.0) ** 2
         apart = moved[rows][near] - moved[rows][:, None]
-        strain2 += np.median((np.abs(apart) ** 2).sum(-1) / distance**2, axis=1)
+        strain2 += _second_largest((np.abs(apart) ** 2).sum(-1) / distance**2)
         turn2 += peak_displacement(turned[rows]) ** 2
     strains = np.sqrt(np.maximum(strain2, turn2))
     return Reach(
@@ -62,6 +62,11 @@ def reach_of(
         noise_px=None if noise_px is None else noise_px * float(np.abs(gains).max(initial=0)),
         turn=scale_top(strains, seen.weights[rows], _TOP) if len(rows) else 0.0,
     )
+
+
+def _second_largest(values: np.ndarray) -> np.ndarray:
+    """[n] of values [n, k]: of neighbours across the gradient there is no difference, and the largest may be a stray."""
+    return np.asarray(np.sort(values, axis=1)[:, -min(2, values.shape[1])])
 
 
 def _neighbours(means: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

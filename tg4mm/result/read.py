@@ -27,7 +27,7 @@ from tg4mm.result.tone import Tone, tone_of
 from tg4mm.runs import UNCERTAINTY, Run
 
 _PERIODS = 2.0  # that the record must hold of the lowest frequency
-_LARGEST = 0.995  # of the weight of what is seen lies below the amplitude that is named
+_LARGEST = 0.99  # of the weight of what is seen lies below the amplitude that is named, as in pixels
 _STEADY = "the fit takes the vibration to be steady"
 
 
@@ -190,6 +190,11 @@ class Reading:
             f"frequencies under {_PERIODS / duration:.3g} Hz, from {motion.fps / 2:.4g} Hz on, and two that are nearer "
             f"than {1 / duration:.3g} Hz: the record covers {duration:.3g} s at {motion.fps:.4g} Hz"
         )
+        if "along_sight" in self.uncertainty and vibrations:
+            out.append(
+                "how far things move towards the only camera: where they do, amplitudes come out too small, by more "
+                "than the ± says"
+            )
         if "noise" not in self.uncertainty and vibrations:
             out.append(
                 f"how sure the amplitudes are: the preset {self.run.preset} with these settings does not say it"

@@ -27,7 +27,7 @@ def auto_band(run: Run) -> tuple[Band, str]:
     result = result_of(run)
     if result.band is None:
         raise Tg4mmError(
-            f"--band auto: no vibration was found in {run.path}; give --band LO HI to look at one all the same"
+            f"--band auto: no vibration was found in {run.path}; --band LO HI looks at one all the same"
         )
     line = f"--band auto: {_shown(result.band)} Hz, around {result.vibrations[0].hz:.4g} Hz"
     if others := result.vibrations[1:]:
