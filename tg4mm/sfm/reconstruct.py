@@ -9,6 +9,7 @@ OUT/…                  the dataset; scene.json, written last, says that it is 
 
 from __future__ import annotations
 
+import shlex
 import sys
 import warnings
 from dataclasses import asdict, dataclass
@@ -90,6 +91,7 @@ def reconstruct(images: Path, out: Path, config: SfmConfig = DEFAULTS, threads: 
     warn_uneven(surveys)
     if kind.name in FIXED:
         check_fixed(surveys)
+        _check_enough(sources)
     if config.test_every and kind.name not in ("photos", "rig", "clips"):
         raise Tg4mmError(f"--test-every is {config.test_every}, but {kind.name} has no camera to hold out")
     if config.synchronous and kind.name != "rig":
@@ -117,6 +119,18 @@ def _check_options(sources: Sources, config: SfmConfig) -> None:
     if config.frames is not None and not moving and len(sources.clips) != 1:
         raise Tg4mmError(
             f"--frames is {config.frames}, but there is no video of a moving camera to take them from"
+        )
+
+
+def _check_enough(sources: Sources) -> None:
+    """Raise CaptureError for so few fixed cameras that their poses cannot be found, and nothing beside them."""
+    n = len(sources.clips)
+    if sources.sweep is None and 1 < n < FEWEST:
+        first = shlex.quote(str(sources.clips[0].path))
+        raise CaptureError(
+            f"{sources.path}: holds {n} recordings of cameras that stay put, and nothing else: {n} views are too few "
+            f"to find poses from. Add {SWEEP}/ with photographs of the scene at rest from all around (or {SWEEP}.mp4), "
+            f"or take one camera by itself, in pixels: tg4mm sfm {first} --out DATASET"
         )
 
 
