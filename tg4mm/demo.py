@@ -229,8 +229,8 @@ def _report(places: Places) -> None:
 
     metrics = json.loads(places.metrics.read_text(encoding="utf-8"))
     files = {"splat file": places.splat, "magnified pictures": places.magnified, "orbit": places.orbit}
-    options = ReportOptions(alpha=ALPHA, orbit=places.orbit, files=files)
-    write_report(Run.open(places.run), places.dataset, metrics, places.report, options)
+    options = ReportOptions(alpha=ALPHA, orbit=places.orbit, files=files, metrics=metrics)
+    write_report(Run.open(places.run), places.report, options)
 
 
 def _clock(seconds: float) -> str:

@@ -14,7 +14,8 @@ from tg4mm.measure.units import Unit, unit_of
 from tg4mm.measure.write import file_name
 
 COLOURS = "#0072b2", "#d55e00", "#009e73"  # Okabe and Ito's, told apart by all eyes
-_STYLE = {
+_MARKED = 200  # samples: of a longer record they would run into each other
+STYLE: dict[Any, Any] = {
     "font.size": 9,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -34,7 +35,7 @@ def write_plots(measurement: Measurement, out: Path) -> list[Path]:
 
     folder, paths = out / "plots", []
     folder.mkdir(parents=True, exist_ok=True)
-    with plt.rc_context(_STYLE):
+    with plt.rc_context(STYLE):
         for result in measurement.sensors:
             figure = _figure(plt, result, unit_of(measurement, result))
             for ending in ("svg", "png"):
@@ -51,8 +52,8 @@ def _figure(plt: Any, result: SensorResult, unit: Unit) -> Any:
     figure = plt.figure(figsize=(10, 6), layout="constrained")
     grid = figure.add_gridspec(2, 3)
     figure.suptitle(f"{result.name}: {int((result.body.weights > 0).sum()):,} Gaussians", x=0.01, ha="left", weight="bold")
-    _waveform(figure.add_subplot(grid[0, :]), result, unit)
-    _spectrum(figure.add_subplot(grid[1, :2]), result, unit)
+    waveform(figure.add_subplot(grid[0, :]), result, unit)
+    spectrum(figure.add_subplot(grid[1, :2]), result, unit)
     _orbit(figure.add_subplot(grid[1, 2]), result, unit)
     return figure
 
@@ -62,11 +63,13 @@ def _told(result: SensorResult) -> list[int]:
     return np.flatnonzero(result.series.is_told).tolist()
 
 
-def _waveform(axes: Any, result: SensorResult, unit: Unit) -> None:
+def waveform(axes: Any, result: SensorResult, unit: Unit) -> None:
+    """Displacement over time with a band of one standard deviation."""
     hidden = [result.labels[k] for k in range(3) if k not in _told(result)]
+    marker = "." if len(result.times_s) <= _MARKED else ""
     for k in _told(result):
         value, error = result.displacement[:, k] * unit.factor, result.deviation[:, k] * unit.factor
-        axes.plot(result.times_s, value, color=COLOURS[k], lw=1.2, marker=".", ms=3, label=result.labels[k])
+        axes.plot(result.times_s, value, color=COLOURS[k], lw=1.2, marker=marker, ms=3, label=result.labels[k])
         axes.fill_between(result.times_s, value - error, value + error, color=COLOURS[k], alpha=0.25, lw=0)
     axes.set(xlabel="time, s", ylabel=f"displacement, {unit.name}")
     axes.set_title(
@@ -82,21 +85,22 @@ def _factors(factor: float) -> tuple[Any, Any]:
     return (lambda v: v * factor), (lambda v: v / factor)
 
 
-def _spectrum(axes: Any, result: SensorResult, unit: Unit) -> None:
-    spectrum = result.spectrum
+def spectrum(axes: Any, result: SensorResult, unit: Unit) -> None:
+    """Amplitude over frequency, noise floor dashed, peaks named."""
+    found = result.spectrum
     for k in _told(result):
-        axes.semilogy(spectrum.freqs_hz, np.maximum(spectrum.amplitude[:, k] * unit.factor, 1e-12), color=COLOURS[k], lw=1.1)
-        axes.semilogy(spectrum.freqs_hz, spectrum.floor[:, k] * unit.factor, color=COLOURS[k], lw=1, ls=(0, (4, 3)))
-    lowest = min((float(spectrum.floor[0, k]) for k in _told(result)), default=1e-9) * unit.factor
-    top = max((float(spectrum.amplitude[:, k].max()) for k in _told(result)), default=1.0) * unit.factor
+        axes.semilogy(found.freqs_hz, np.maximum(found.amplitude[:, k] * unit.factor, 1e-12), color=COLOURS[k], lw=1.1)
+        axes.semilogy(found.freqs_hz, found.floor[:, k] * unit.factor, color=COLOURS[k], lw=1, ls=(0, (4, 3)))
+    lowest = min((float(found.floor[0, k]) for k in _told(result)), default=1e-9) * unit.factor
+    top = max((float(found.amplitude[:, k].max()) for k in _told(result)), default=1.0) * unit.factor
     lowest = min(lowest, top) if lowest > 0 else top / 1e4
-    for peak, orbit in zip(spectrum.peaks, result.orbits, strict=True):
+    for peak, orbit in zip(found.peaks, result.orbits, strict=True):
         axes.annotate(
             f"{peak.frequency_hz:.4g} Hz", (peak.frequency_hz, orbit.amplitude * unit.factor), fontsize=8,
             ha="center", xytext=(0, 6), textcoords="offset points",
         )  # fmt: skip
     axes.set_ylim(lowest / 10, max(top, lowest) * 4)
-    axes.set(xlabel="frequency, Hz", ylabel=f"amplitude, {unit.name}", xlim=(0, spectrum.freqs_hz[-1]))
+    axes.set(xlabel="frequency, Hz", ylabel=f"amplitude, {unit.name}", xlim=(0, found.freqs_hz[-1]))
     axes.set_title("dashed: noise floor; what lies under it is not told from noise", fontsize=8, loc="left")
 
 

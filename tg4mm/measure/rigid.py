@@ -20,7 +20,6 @@ from tg4mm.measure.residuals import HALVES, MeasuredView
 from tg4mm.motion.jacobian.packed import DOF
 
 
-
 @dataclass(frozen=True)
 class Body:
     """A region as a rigid body."""

@@ -8,21 +8,22 @@ from tg4mm.measure.measurement import Measurement, SensorResult
 from tg4mm.measure.orbit import amplitude_deviation
 from tg4mm.measure.units import unit_of
 
-_HEAD = "sensor", "frequency, Hz", "amplitude", "in pixels", "direction", "phase, deg", "damping", ""
+HEAD = "sensor", "frequency, Hz", "amplitude", "in pixels", "direction", "phase, deg", "damping", ""
 
 
 def format_table(measurement: Measurement) -> str:
     """A table, amplitudes zero to peak along each orbit's main axis; phases against the reference sensor."""
-    rows = [list(_HEAD)]
+    rows = [list(HEAD)]
     for result in measurement.sensors:
-        rows += _rows(measurement, result)
-    widths = [max(len(row[k]) for row in rows) for k in range(len(_HEAD))]
+        rows += rows_of(measurement, result)
+    widths = [max(len(row[k]) for row in rows) for k in range(len(HEAD))]
     lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
     reference = f"phases against {measurement.reference}, where its peaks are; amplitudes zero to peak"
     return "\n".join([*lines, "", reference, *(f"note: {note}" for note in measurement.notes)]) + "\n"
 
 
-def _rows(measurement: Measurement, result: SensorResult) -> list[list[str]]:
+def rows_of(measurement: Measurement, result: SensorResult) -> list[list[str]]:
+    """A row of texts for each peak, as `HEAD` names them; one that says so where there is none."""
     unit, out = unit_of(measurement, result), []
     for k, (peak, orbit) in enumerate(zip(result.spectrum.peaks, result.orbits, strict=True)):
         error = amplitude_deviation(peak, orbit)

@@ -22,24 +22,24 @@ _SCORES = (
 )
 
 
-def accuracy_section(m: Material) -> Section:
-    """Scores beside their two anchors, difference maps, displacement error."""
+def accuracy_section(m: Material) -> list[Section]:
+    """Scores beside their two anchors, difference maps, displacement error; [] without ground truth."""
     if not m.metrics:
-        return Section("How true it is", [Text("This run has not been evaluated: run tg4mm evaluate first.")])
+        return []
     blocks: list[Block] = []
     scored = [entry for entry in m.metrics["alphas"] if entry["rows"]]
     if scored:
         blocks += [_reminder(scored), _score_curves(scored), _score_table(m.metrics, scored)]
     else:
         blocks.append(Text("The dataset has no images to compare with, so there are no scores."))
-    if m.model.motion is not None and len(m.view.ours) > 1:
+    if m.model.motion is not None and m.view.truth is not None and len(m.view.ours) > 1:
         blocks.append(_differences(m))
     blocks += _displacement(m)
     if m.metrics["absent"]:
         lines = "; ".join(f"{what}: {why}" for what, why in m.metrics["absent"].items())
         blocks.append(Text(f"Not measured. {lines}."))
     blocks += [Text(note) for note in m.metrics["notes"]]
-    return Section("How true it is", blocks)
+    return [Section("How true it is", blocks)]
 
 
 def _reminder(scored: list[dict[str, Any]]) -> Block:
@@ -98,13 +98,17 @@ def _score_table(metrics: dict[str, Any], scored: list[dict[str, Any]]) -> Block
 def _differences(m: Material) -> Block:
     count = min(6, len(m.view.ours) - 1)
     ours, top = difference_maps(m.view.ours / np.float32(255), count)
-    named = [("Ours", ours)]
-    if m.view.truth is not None:
-        truth, true_top = difference_maps(m.view.truth / np.float32(255), count)
-        top = max(top, true_top)
-        named.append(("Truth", truth))
+    assert m.view.truth is not None
+    truth, true_top = difference_maps(m.view.truth / np.float32(255), count)
+    top = max(top, true_top)
+    named = [("Ours", ours), ("Truth", truth)]
     panels = [
-        picture(map_picture(one, top), f"{name}, {t} → {t + 1}")
+        picture(
+            map_picture(one, top),
+            f"{name}, {t} → {t + 1}",
+            f"difference map: {name}, {t} to {t + 1}",
+            photo=True,
+        )
         for name, maps in named
         for t, one in enumerate(maps)
     ]
@@ -113,7 +117,7 @@ def _differences(m: Material) -> Block:
         "mean of "
         "the colour channels), all on one scale. Bright is where the picture changes. "
     )
-    caption += m.view.why_no_truth or (
+    caption += (
         "The rows should agree; light in the first that is not in the second is motion that is not there."
     )
     legend = svg.colour_bar(top, "of full scale", "change of intensity")

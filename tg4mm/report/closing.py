@@ -1,16 +1,17 @@
-"""The last sections: what it cost, and what to do next."""
+"""The last sections: settings, what it cost, and the commands to repeat it."""
 
 from __future__ import annotations
 
 import shlex
 import shutil
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from tg4mm.files import to_json
+from tg4mm.measure import Sensor
 from tg4mm.report.page import Commands, Section, Table, Text
 from tg4mm.report.summary import Material, clock
 from tg4mm.report.svg import number
@@ -90,16 +91,6 @@ def size_text(size: int) -> str:
     return f"{size} B"
 
 
-def total_seconds(log: Mapping[str, Any]) -> float | None:
-    """Seconds of all stages of a run's log, None if none says."""
-    found = [
-        v["seconds"]
-        for v in log.values()
-        if isinstance(v, dict) and isinstance(v.get("seconds"), int | float)
-    ]
-    return float(sum(found)) if found else None
-
-
 def program() -> str:
     """How a shell calls this program: by name where it is on PATH, else by the path beside this Python."""
     if shutil.which("tg4mm"):
@@ -108,51 +99,89 @@ def program() -> str:
     return shlex.quote(beside) if beside else f"{shlex.quote(sys.executable)} -m tg4mm"
 
 
-def next_section(m: Material) -> Section:
-    """Commands to copy, with this run's own paths and numbers."""
-    run, tg4mm = shlex.quote(str(m.run.path)), program()
-    if m.model.motion is None:
-        lines = [
-            ("Render the static model on an orbit", f"{tg4mm} render {run} --alpha 0 --orbit 120 --out orbit")
-        ]
-    else:
-        frequency = float(m.model.motion.freqs_hz[m.model.main])
-        low, high = _narrow_band(m.model.motion.freqs_hz, m.model.main, m.model.motion.fps)
-        lines = [
-            (
-                "Another magnification, from the test cameras",
-                f"{tg4mm} render {run} --alpha 50 --out render_x50",
-            ),
-            (
-                f"Only what moves near {number(frequency)} Hz",
-                f"{tg4mm} render {run} --alpha {m.view.alpha:g} --band {low:g} {high:g} --out render_band",
-            ),
-            (
-                "A camera that moves around the scene, at half speed",
-                f"{tg4mm} render {run} --alpha {m.view.alpha:g} --orbit 240 --slow 2 --out render_orbit",
-            ),
-        ]
-    lines += [
-        (
-            "One splat file with the motion in it, for Blender and any splat viewer",
-            f"{tg4mm} export {run} --format ply --out splat.ply",
-        ),
-        (
-            "Train on data of your own (a folder per timestep, scene.json with fps)",
-            f"{tg4mm} train DATASET --out RUN",
-        ),
-    ]
+def commands_section(m: Material, sensors: Sequence[Sensor], asked_alpha: float | None) -> Section:
+    """Commands that make all of this again, and what to do next, with this run's own paths and numbers."""
+    run, alpha = str(m.run.path), f"{m.view.alpha:g}"
+    band = [] if m.band is None else ["--band", *(f"{f:g}" for f in m.band)]
+    named = [part for s in sensors for part in ("--sensor", str(s))]
+    lines = [("Train again, the same way", [*_train(m), "--out", f"{run}_again"])]
+    if m.measurement is not None:
+        out = f"{run}_measured"
+        lines.append(("Measure the sensors: CSV, UFF, plots, shapes", ["measure", run, *named, "--out", out]))
+    if m.metrics:
+        lines.append(("Compare with the ground truth", ["evaluate", run]))
+    own = [] if asked_alpha is None else ["--alpha", alpha]
+    lines.append(("Write this page again", ["report", run, *own, *band, *named]))
+    if m.model.motion is not None:
+        lines += _renderings(m, band)
+    splat = "One splat file with the motion in it, for Blender and any splat viewer"
+    lines.append((splat, ["export", run, "--format", "ply", "--out", f"{run}.ply"]))
+    texts = [(what, f"{program()} {shlex.join(words)}") for what, words in lines]
+    texts.insert(
+        0, ("Next, as the run itself advises", f"{program()} {m.result.next_command.removeprefix('tg4mm ')}")
+    )
     blender = Text(
-        "In Blender, install the tg4mm extension and import splat.ply with it: its panel in the sidebar "
-        "has a "
+        "In Blender, install the tg4mm extension and import the splat file with it: its panel in the sidebar has a "
         "slider for α, and the timeline plays the motion."
     )
-    return Section("What to do next", [Commands(lines), blender])
+    return Section("Commands to repeat it", [Commands(texts), blender])
 
 
-def _narrow_band(freqs: np.ndarray, main: int, fps: float) -> tuple[float, float]:
-    """A band that holds frequency `main` and no other, within what `check_band` allows."""
-    here = float(freqs[main])
-    gaps = [abs(float(f) - here) for i, f in enumerate(freqs) if i != main and f != here]
-    half = min([*gaps, 1.0]) / 2
-    return max(0.0, round(here - half, 3)), min(round(here + half, 3), round(0.499 * fps, 3))
+def _renderings(m: Material, band: Sequence[str]) -> list[tuple[str, list[str]]]:
+    run, alpha = str(m.run.path), f"{m.view.alpha:g}"
+    words = ["render", run, "--alpha", alpha, *band]
+    turn = [*words, "--orbit", "240", "--slow", "2", "--out", f"{run}_orbit"]
+    lines = [("A camera that moves around the scene, at half speed", turn)]
+    if m.view.split == "test":
+        lines.insert(
+            0, ("Pictures and videos of this magnification", [*words, "--out", f"{run}_x{alpha}_test"])
+        )
+    return lines
+
+
+def _train(m: Material) -> list[str]:
+    from tg4mm.train import PRESETS
+
+    words = ["train", str(m.run.dataset)]
+    if m.run.preset != "modal":
+        words += ["--preset", m.run.preset]
+    defaults = {stage: asdict(config) for stage, config in PRESETS.get(m.run.preset, {}).items()}
+    for name, value in _flat(m.run.settings):
+        stage, _, key = name.partition(".")
+        if defaults and to_json({key: defaults.get(stage, {}).get(key, value)}, "default") != {key: value}:
+            words += ["--set", f"{name}={str(value).lower() if isinstance(value, bool) else value}"]
+    return words
+
+
+def settings_section(m: Material) -> Section:
+    """What the run was trained with and what this page magnifies."""
+    band = "every frequency" if m.band is None else f"{m.band[0]:g} to {m.band[1]:g} Hz"
+    versions = ", ".join(f"{name} {value}" for name, value in m.run.config.get("versions", {}).items())
+    rows = [
+        ["preset", m.run.preset],
+        *([name, _setting(value)] for name, value in _flat(m.run.settings)),
+        ["α of this page", f"{m.view.alpha:g}"],
+        ["band of this page", band],
+        ["dataset", str(m.run.dataset)],
+        ["trained with", versions or "–"],
+    ]
+    return Section(
+        "Settings", [Table(["setting", "value"], rows, "Settings of the run and of this page.", left=9)]
+    )
+
+
+def _flat(settings: Mapping[str, Any]) -> list[tuple[str, Any]]:
+    out = []
+    for stage, values in settings.items():
+        out += (
+            [(f"{stage}.{k}", v) for k, v in values.items()]
+            if isinstance(values, Mapping)
+            else [(stage, values)]
+        )
+    return out
+
+
+def _setting(value: Any) -> str:
+    if isinstance(value, bool) or value is None:
+        return {True: "true", False: "false", None: "–"}[value]
+    return f"{value:g}" if isinstance(value, float) else str(value)

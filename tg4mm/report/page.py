@@ -6,6 +6,7 @@ Every string is escaped by the template (jinja2 with autoescape); what is alread
 from __future__ import annotations
 
 import base64
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,10 +14,12 @@ from pathlib import Path
 import jinja2
 import numpy as np
 from markupsafe import Markup
+from PIL import Image
 
-from tg4mm.render.frames import png_bytes
+from tg4mm.render.frames import png_bytes, to_bytes
 
 _HERE = Path(__file__).parent
+PHOTO_EDGE = 800  # pixels
 Words = str | Markup
 
 
@@ -37,7 +40,7 @@ class Panel:
     kind: str  # "img", "video", "svg" or "missing"
     label: str = ""
     source: str = ""  # data URI of an image or video
-    poster: str = ""  # data URI shown before a video plays
+    still: str = ""  # data URI of the picture that is printed in place of a video
     drawing: Markup = field(default_factory=Markup)
     alt: str = ""
     style: str = ""  # CSS classes: crisp (enlarge with sharp pixels), bare (no ground of its own)
@@ -53,6 +56,7 @@ class Figure:
     columns: int = 0  # 0 = as many as there are panels
     legend: Markup = field(default_factory=Markup)
     controls: bool = False  # buttons to pause and slow the videos
+    seconds: float = 0.0  # what the videos show once, for a slider; 0: no slider
     width: str = "wide"  # "wide", "narrow" as the text, or "small"
     kind: str = "figure"
 
@@ -71,10 +75,11 @@ class Table:
 
 @dataclass(frozen=True)
 class Text:
-    """A paragraph; `style` "note" sets it apart."""
+    """A paragraph; `style` "note" sets it apart. `plain`: markup that is a block of its own, such as a list."""
 
     words: Words
     style: str = ""
+    plain: bool = False
     kind: str = "text"
 
 
@@ -115,19 +120,42 @@ def data_uri(kind: str, data: bytes) -> str:
     return f"data:{kind};base64,{base64.b64encode(data).decode()}"
 
 
-def picture(image: np.ndarray, label: str = "", alt: str = "", crisp: bool = False, shape: str = "") -> Panel:
-    """A panel with a picture, uint8 or float in 0..1, [H, W, 3 | 4]; `crisp` enlarges with sharp pixels."""
-    source = data_uri("image/png", png_bytes(image))
+def photo_uri(image: np.ndarray) -> str:
+    """A WebP of a picture [H, W, 3 | 4], uint8 or float in 0..1, with some loss, `PHOTO_EDGE` pixels at most."""
+    one = Image.fromarray(image if image.dtype == np.uint8 else to_bytes(image))
+    one.thumbnail((PHOTO_EDGE, PHOTO_EDGE), Image.Resampling.LANCZOS)
+    buffer = io.BytesIO()
+    one.save(buffer, "WEBP", quality=85)
+    return data_uri("image/webp", buffer.getvalue())
+
+
+def picture(
+    image: np.ndarray,
+    label: str = "",
+    alt: str = "",
+    crisp: bool = False,
+    shape: str = "",
+    photo: bool = False,
+) -> Panel:
+    """A panel with a picture, uint8 or float in 0..1, [H, W, 3 | 4]; `crisp` enlarges with sharp pixels.
+
+    `photo`: compressed with loss, and made no larger than a screen shows it.
+    """
+    source = photo_uri(image) if photo else data_uri("image/png", png_bytes(image))
     styles = [name for name, wanted in (("crisp", crisp), ("bare", image.shape[-1] == 4)) if wanted]
     return Panel("img", label, source, alt=alt or label, style=" ".join(styles), shape=shape)
 
 
-def film(mp4: bytes, first: np.ndarray, label: str = "", alt: str = "") -> Panel:
-    """A panel with a video; `first` is the picture shown until it plays."""
-    height, width = first.shape[:2]
-    poster = data_uri("image/png", png_bytes(first))
+def film(mp4: bytes, still: np.ndarray, label: str = "", alt: str = "") -> Panel:
+    """A panel with a video; `still` is the picture that is printed in its place."""
+    height, width = still.shape[:2]
     return Panel(
-        "video", label, data_uri("video/mp4", mp4), poster, alt=alt or label, shape=f"{width} / {height}"
+        "video",
+        label,
+        data_uri("video/mp4", mp4),
+        photo_uri(still),
+        alt=alt or label,
+        shape=f"{width} / {height}",
     )
 
 

@@ -1,21 +1,23 @@
-"""The head of a report: title, headline figures, and the videos side by side."""
+"""The head of a report: title, summary and headline figures, from the run's `Result`."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from markupsafe import Markup
 
 from tg4mm.capture import Capture
-from tg4mm.report.figures import scale_top
-from tg4mm.report.maps import main_direction, peak_displacement
-from tg4mm.report.page import Block, Figure, Panel, Stat, film, missing, picture
-from tg4mm.report.sources import Model, View
+from tg4mm.measure import Measurement
+from tg4mm.report.maps import main_direction
+from tg4mm.report.page import Stat
+from tg4mm.report.sources import Model
 from tg4mm.report.svg import number
-from tg4mm.report.video import clip
+from tg4mm.report.views import View
+from tg4mm.result import Length, Result, Vibration
+from tg4mm.result.lines import with_deviation
 from tg4mm.runs import Run
 
 
@@ -27,10 +29,32 @@ class Material:
     train: Capture
     model: Model
     view: View
-    metrics: dict[str, Any]  # as evaluate_run returns it, {} if nothing was evaluated
+    result: Result
+    metrics: dict[str, Any]  # as evaluate_run returns it, {} if there is no ground truth
+    measurement: Measurement | None  # of sensors; None where there is nothing to measure
+    why_no_sensors: str  # "" where there are some, or no motion
     band: tuple[float, float] | None
-    seconds: float | None  # of training, None if unknown
+    why_alpha: str = ""  # how α was chosen; "" if it was asked for
+    warning: str = ""  # where α goes further than the motion holds
     orbit: Path | None = None  # a folder of render_orbit: the scene from a moving camera
+
+    @property
+    def main(self) -> Vibration | None:
+        """The strongest vibration that is magnified."""
+        inside = (
+            v for v in self.result.vibrations if self.band is None or self.band[0] <= v.hz <= self.band[1]
+        )
+        return next(inside, None)
+
+
+def amount(length: Length, unit_scale_m: float | None) -> tuple[str, str]:
+    """(value ± deviation, unit): mm or µm where the scale is known, else scene units."""
+    if unit_scale_m is None:
+        return with_deviation(length), "scene units"
+    millimetres = length.times(1000.0 * unit_scale_m)
+    if 0 < millimetres.value < 0.1:
+        return with_deviation(millimetres.times(1000.0)), "µm"
+    return with_deviation(millimetres), "mm"
 
 
 def length(value: float, unit_scale_m: float | None, digits: int = 3) -> tuple[str, str]:
@@ -64,15 +88,14 @@ def clock(seconds: float) -> str:
     return f"{total // 3600} h {total % 3600 // 60:02d} min"
 
 
-def main_motion(model: Model) -> tuple[float, float, np.ndarray]:
-    """(frequency Hz, peak displacement in scene units, unit direction [3]) of the strongest in-band mode.
-
-    The peak is the 99.5th percentile over what the cameras see, so that one stray Gaussian does not set it.
-    """
-    assert model.motion is not None
-    phasors = model.motion.displacement[model.main]
-    peak = scale_top(peak_displacement(phasors), model.weights)
-    return float(model.motion.freqs_hz[model.main]), peak, main_direction(phasors, model.weights)
+def total_seconds(log: Mapping[str, Any]) -> float | None:
+    """Seconds of all stages of a run's log, None if none says."""
+    found = [
+        v["seconds"]
+        for v in log.values()
+        if isinstance(v, dict) and isinstance(v.get("seconds"), int | float)
+    ]
+    return float(sum(found)) if found else None
 
 
 def title_of(train: Capture) -> str:
@@ -87,40 +110,65 @@ def row_of(metrics: dict[str, Any], alpha: float) -> dict[str, Any] | None:
 
 def summary(m: Material) -> str:
     """One sentence on what was found."""
-    views = len(set(m.train.camera_ids.tolist()))
-    seen = f"{views} camera{'s' if views != 1 else ''}, {m.train.n_timesteps} timestep"
+    views = m.result.n_cameras
+    what = "pose" if m.view.clock == "moving" else "camera"
+    seen = f"{views} {what}{'s' if views != 1 else ''}, {m.train.n_timesteps} timestep"
     seen += "s" if m.train.n_timesteps != 1 else ""
     if m.model.motion is None:
         return f"A static model from {seen}. A capture of one timestep has no motion to magnify."
-    frequency, peak, _ = main_motion(m.model)
-    amount = " ".join(length(peak, m.train.unit_scale_m))
+    shown = f"shown here {1 + m.view.alpha:g} times larger"
+    if m.main is None:
+        where = "" if m.band is None else f" from {m.band[0]:g} to {m.band[1]:g} Hz"
+        return (
+            f"No vibration was found{where} in {seen} at {number(m.train.fps)} Hz; what there is is {shown}."
+        )
+    value, unit = amount(m.main.amplitude, m.result.unit_scale_m)
+    hz = with_deviation(Length(m.main.hz, m.main.deviation_hz))
+    others = [v for v in m.result.vibrations if v is not m.main]
+    more = f" It also vibrates at {' and '.join(number(v.hz) for v in others[:3])} Hz." if others else ""
     return (
-        f"The strongest motion found is {amount} at {number(frequency)} Hz, measured in 3D from {seen} at "
-        f"{number(m.train.fps)} Hz, and shown here {1 + m.view.alpha:g} times larger."
+        f"The strongest vibration is {value} {unit} at {hz} Hz, measured in 3D from {seen} at "
+        f"{number(m.train.fps)} Hz, and {shown}.{more}"
     )
 
 
 def stats(m: Material) -> list[Stat]:
-    """The headline figures; those that need truth say what is missing."""
-    found = [*_motion_stats(m), _ssim_stat(m), _error_stat(m)]
-    if m.seconds is not None:
-        found.append(Stat("Training time", clock(m.seconds), note="the stages in the run's log"))
+    """The headline figures; those that need ground truth only where there is some."""
+    found = _motion_stats(m)
+    if m.metrics:
+        found += [*_ssim_stat(m), *_error_stat(m)]
+    seconds = total_seconds(m.run.log())
+    if seconds is not None:
+        found.append(Stat("Training time", clock(seconds), note="the stages in the run's log"))
     return found
 
 
 def _motion_stats(m: Material) -> list[Stat]:
     if m.model.motion is None:
         return [Stat("Motion", "none", note="one timestep was captured")]
-    frequency, peak, direction = main_motion(m.model)
-    value, unit = length(peak, m.train.unit_scale_m)
-    where = f"{number(peak)} scene units; " if m.train.unit_scale_m is not None else "scale unknown; "
-    resolution = m.train.fps / m.train.n_timesteps
+    found = _vibration_stats(m) if m.main is not None else [Stat("Vibration", "none", note="none was found")]
+    if m.result.noise is not None:
+        value, unit = amount(Length(float(f"{m.result.noise:.2g}")), m.result.unit_scale_m)
+        pixels = "" if m.result.noise_px is None else f"{m.result.noise_px:.2g} px: "
+        found.append(Stat("Noise floor", value, unit, f"{pixels}a motion as large as its noise"))
+    return found
+
+
+def _vibration_stats(m: Material) -> list[Stat]:
+    assert m.main is not None
+    assert m.model.motion is not None
+    value, unit = amount(m.main.amplitude, m.result.unit_scale_m)
+    pixels = "" if m.main.pixels is None else f"{with_deviation(m.main.pixels)} px; "
+    k = int(np.argmin(np.abs(m.model.motion.freqs_hz - m.main.hz)))
     return [
-        Stat("Amplitude", value, unit, f"{where}peak, 99.5th percentile of what is seen"),
         Stat(
-            "Frequency", number(frequency), "Hz", f"the recording resolves steps of {number(resolution)} Hz"
+            "Frequency",
+            with_deviation(Length(m.main.hz, m.main.deviation_hz)),
+            "Hz",
+            f"a record of {number(m.result.duration_s)} s",
         ),
-        _direction_stat(direction),
+        Stat("Amplitude", value, unit, f"{pixels}peak, 99th percentile of what is seen"),
+        _direction_stat(main_direction(m.model.motion.displacement[k], m.model.weights)),
     ]
 
 
@@ -141,65 +189,22 @@ def vector(direction: np.ndarray) -> str:
     return ", ".join(f"{c:.2f}".replace("-0.00", "0.00").replace("-", "−") for c in direction)
 
 
-def _ssim_stat(m: Material) -> Stat:
+def _ssim_stat(m: Material) -> list[Stat]:
     entry = row_of(m.metrics, m.view.alpha)
     ours = entry["rows"].get("ours", {}).get("ssim") if entry else None
     if entry is None or ours is None:
-        return Stat(f"SSIM at α = {m.view.alpha:g}", "–", note="no ground truth at this magnification")
+        return []
     parts = [
         f"{name} {entry['rows'][name]['ssim']:.4f}"
         for name in ("ceiling", "nothing moves")
         if entry["rows"].get(name, {}).get("ssim") is not None
     ]
-    return Stat(f"SSIM at α = {m.view.alpha:g}", f"{ours:.4f}", note=", ".join(parts))
+    return [Stat(f"SSIM at α = {m.view.alpha:g}", f"{ours:.4f}", note=", ".join(parts))]
 
 
-def _error_stat(m: Material) -> Stat:
+def _error_stat(m: Material) -> list[Stat]:
     figures = m.metrics.get("displacement")
     if not figures or figures.get("relative_error") is None:
-        return Stat("Displacement error", "–", note="the dataset has no exact motion")
+        return []
     absolute = both_lengths(figures["rms_error"], m.train.unit_scale_m)
-    return Stat("Displacement error", f"{100 * figures['relative_error']:.1f}", "%", f"rms {absolute}")
-
-
-def _stills(m: Material) -> list[Block]:
-    panels = [missing(m.view.why_no_input, "Input")]
-    if m.view.input is not None:
-        panels = [picture(m.view.input[0], "Input, as captured")]
-    panels.append(picture(m.view.ours[0], "The static model, rendered"))
-    caption = Markup(
-        "The {split} camera <code>{camera}</code> at timestep 0. There is no motion to play."
-    ).format(split=m.view.split, camera=m.view.camera.name)
-    return [Figure(panels, caption)]
-
-
-def videos(m: Material) -> list[Block]:
-    """Input, ours and truth side by side; one figure, in step."""
-    fps = m.train.fps
-    size = f"{m.train.width} × {m.train.height} pixels"
-    if m.model.motion is None:
-        return _stills(m)
-    magnified = f"α = {m.view.alpha:g}"
-    named = [
-        ("Input, as captured", m.view.input, m.view.why_no_input),
-        (f"Ours, {magnified}", m.view.ours, ""),
-        (f"Ground truth, {magnified}", m.view.truth, m.view.why_no_truth),
-    ]
-    still = m.view.widest_time
-    panels: list[Panel] = [
-        missing(why, label)
-        if video is None
-        else film(clip(video, fps), video[still], label, f"video: {label}")
-        for label, video, why in named
-    ]
-    caption = Markup(
-        "The {split} camera <code>{camera}</code>, which sees most of the motion, in real time ({fps} Hz, "
-        "{size}, repeated). Input is what the camera recorded; ours is the model rendered with every "
-        "displacement "
-        "δ as (1 + {alpha}) δ. Look for edges that stay sharp while they move, and for anything that "
-        "moves in "
-        "ours but not in the truth."
-    ).format(
-        split=m.view.split, camera=m.view.camera.name, fps=number(fps), size=size, alpha=f"{m.view.alpha:g}"
-    )
-    return [Figure(panels, caption, controls=True)]
+    return [Stat("Displacement error", f"{100 * figures['relative_error']:.1f}", "%", f"rms {absolute}")]

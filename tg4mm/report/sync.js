@@ -1,5 +1,5 @@
 "use strict";
-// Videos of one figure run in step; the buttons pause and slow them. Without scripts they still play.
+// Videos of one figure run in step; buttons pause and slow them, a slider goes through the record. Without scripts they still play.
 for (const figure of document.querySelectorAll("figure")) {
   const videos = [...figure.querySelectorAll("video")];
   if (!videos.length) continue;
@@ -31,6 +31,22 @@ for (const figure of document.querySelectorAll("figure")) {
       bar.querySelectorAll("[data-speed]").forEach((b) => b.setAttribute("aria-pressed", String(b === button)));
       align();
     });
+  }
+  const seek = bar.querySelector("[data-seek]");
+  if (seek) {
+    const time = bar.querySelector(".time");
+    const record = Number(seek.max);
+    const say = (now) => { time.textContent = now.toFixed(2) + " s"; seek.setAttribute("aria-valuetext", time.textContent); };
+    const follow = () => {
+      if (!first.paused) { const now = first.currentTime % record; seek.value = now; say(now); }
+      requestAnimationFrame(follow);
+    };
+    seek.addEventListener("input", () => {
+      const now = Math.min(Number(seek.value), record * 0.9999);
+      each((video) => { video.pause(); video.currentTime = now; });
+      say(now);
+    });
+    follow();
   }
   if (matchMedia("(prefers-reduced-motion: reduce)").matches) each((video) => { video.removeAttribute("autoplay"); video.pause(); });
   show();

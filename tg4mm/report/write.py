@@ -1,8 +1,10 @@
-"""A report from a run, its dataset and its scores."""
+"""The report of a run: gathering what it shows, and the page."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import logging
+import os
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,58 +13,97 @@ from tg4mm import __version__
 from tg4mm.capture import check_band, load_capture
 from tg4mm.errors import RunError
 from tg4mm.files import write_atomic
+from tg4mm.magnify import BandGain, Magnification
+from tg4mm.measure import Sensor
 from tg4mm.modelhash import model_hash
 from tg4mm.report.accuracy import accuracy_section
-from tg4mm.report.closing import cost_section, next_section, total_seconds
+from tg4mm.report.closing import commands_section, cost_section, settings_section
+from tg4mm.report.found import limits_section
 from tg4mm.report.page import Page, render_page
 from tg4mm.report.sections import capture_section, motion_section
-from tg4mm.report.sources import choose_alpha, gather_view, load_model
-from tg4mm.report.summary import Material, stats, summary, title_of, videos
+from tg4mm.report.sources import choose_alpha, load_model, metrics_of
+from tg4mm.report.spectra import measured, sensors_section
+from tg4mm.report.summary import Material, stats, summary, title_of
+from tg4mm.report.videos import videos
+from tg4mm.report.views import gather_view
+from tg4mm.result.read import reading_of
+from tg4mm.result.requested import too_far
 from tg4mm.runs import Run
+
+_LOG = logging.getLogger("tg4mm")
 
 
 @dataclass(frozen=True)
 class ReportOptions:
     """What a report shows beyond the run itself."""
 
-    alpha: float | None = None  # None = the magnification nearest 20 that has ground truth
+    alpha: float | None = None  # None: what shows the motion well and its noise does not
     band: tuple[float, float] | None = None  # Hz, magnified; None = every frequency
+    sensors: Sequence[Sensor] = ()  # (): the parts that move alike, what stands still, and the whole scene
     orbit: Path | None = None  # a folder that render_orbit wrote, to show its video
-    files: Mapping[str, Path] = field(
-        default_factory=dict
-    )  # further files or folders to list with their size
+    # Further files or folders to list with their size.
+    files: Mapping[str, Path] = field(default_factory=dict)
+    metrics: Mapping[str, Any] | None = (
+        None  # as `evaluate_run` returns them; None: RUN/metrics.json, or evaluated now
+    )
 
 
-def write_report(
-    run: Run, dataset: Path, metrics: dict[str, Any], out: Path, options: ReportOptions | None = None
-) -> Path:
-    """Write the report of `run` to the file `out`; `metrics` as `evaluate_run` returns them, {} for none.
+def write_report(run: Run, out: Path, options: ReportOptions | None = None) -> Path:
+    """Write the report of `run` to the file `out`; returns it.
 
-    Raises RunError for a run without a space stage, metrics of another kind, or a band without a mode;
-    CaptureError for a bad dataset.
+    Reads the pictures once for the sensors, and scores the run where its dataset has ground truth and no metrics.json
+    is newer than the model. Raises RunError for a run that is not finished, metrics of another kind, or a band without
+    a mode; CaptureError for a bad dataset; MeasureError for a sensor that cannot be measured.
     """
     options = options or ReportOptions()
-    if metrics and metrics.get("format") != "tg4mm-metrics":
-        raise RunError(f"metrics have the format {metrics.get('format')!r}, expected 'tg4mm-metrics'")
-    train = load_capture(dataset)
+    _check_writable(out)
+    train = load_capture(run.dataset)
     band = None if options.band is None else check_band(options.band, train.fps)
-    model = load_model(run, train, band)
-    alpha = choose_alpha(dataset, options.alpha) if model.motion is not None else 0.0
-    view = gather_view(run, train, model, alpha, band)
-    material = Material(run, train, model, view, metrics, band, total_seconds(run.log()), options.orbit)
+    material = _material(run, train, band, options)
     files = {
         "Gaussians": run.path / "space.safetensors",
         "motion": run.path / "motion.safetensors",
-        "dataset": Path(dataset),
+        "dataset": run.dataset,
         **options.files,
     }
-    text = render_page(_page(material, files))
+    text = render_page(_page(material, files, options))
     out.parent.mkdir(parents=True, exist_ok=True)
     write_atomic(out, lambda temporary: temporary.write_text(text, encoding="utf-8"))
     return out
 
 
-def _page(m: Material, files: Mapping[str, Path]) -> Page:
+def _check_writable(out: Path) -> None:
+    """Before minutes of work. Raises RunError."""
+    if out.is_dir():
+        raise RunError(f"--out {out} is a folder; expected a file such as {out / 'report.html'}")
+    there = next(p for p in (out.parent, *out.absolute().parents) if p.exists())
+    if not there.is_dir() or not os.access(there, os.W_OK):
+        raise RunError(f"--out {out}: {there} cannot be written")
+
+
+def _material(run: Run, train: Any, band: tuple[float, float] | None, options: ReportOptions) -> Material:
+    reading = reading_of(run)
+    result = reading.result()
+    model = load_model(reading, train, band)
+    alpha, why_alpha = choose_alpha(reading, options.alpha, band)
+    view = gather_view(run, train, model, alpha, band)
+    measurement, why_no_sensors = (None, "") if model.motion is None else measured(run, options.sensors)
+    metrics = dict(options.metrics) if options.metrics is not None else metrics_of(run)
+    if metrics and metrics.get("format") != "tg4mm-metrics":
+        raise RunError(f"metrics have the format {metrics.get('format')!r}, expected 'tg4mm-metrics'")
+    gains = () if band is None else (BandGain(*band, alpha),)
+    warning = (
+        too_far(run, Magnification(gains, 0.0 if gains else alpha)) if model.motion is not None else None
+    )
+    if warning:
+        _LOG.warning(warning)
+    return Material(
+        run, train, model, view, result, metrics, measurement, why_no_sensors, band, why_alpha, warning or "",
+        options.orbit,
+    )  # fmt: skip
+
+
+def _page(m: Material, files: Mapping[str, Path], options: ReportOptions) -> Page:
     return Page(
         title=title_of(m.train),
         kicker="3D motion magnification, report of a run",
@@ -70,11 +111,14 @@ def _page(m: Material, files: Mapping[str, Path]) -> Page:
         stats=stats(m),
         lead=videos(m),
         sections=[
-            capture_section(m),
             motion_section(m),
-            accuracy_section(m),
+            *sensors_section(m),
+            *accuracy_section(m),
+            limits_section(m),
+            capture_section(m),
+            settings_section(m),
             cost_section(m, files),
-            next_section(m),
+            commands_section(m, options.sensors, options.alpha),
         ],
         footer=(
             f"tg4mm {__version__}. Preset {m.run.preset}. Run {m.run.path}. "
