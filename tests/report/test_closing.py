@@ -1,11 +1,9 @@
 """Costs and commands in words."""
 
-import numpy as np
 import pytest
 
-from tg4mm.capture import check_band
-from tg4mm.report.closing import _figure, _narrow_band, program, size_on_disk, size_text, total_seconds
-from tg4mm.report.summary import both_lengths, clock, length
+from tg4mm.report.closing import _figure, program, size_on_disk, size_text
+from tg4mm.report.summary import both_lengths, clock, length, total_seconds
 
 
 @pytest.mark.parametrize(
@@ -54,16 +52,6 @@ def test_times_add_up_over_stages_that_have_one():
     )
     assert total_seconds({}) is None
     assert [clock(s) for s in (2.04, 48, 200, 3900)] == ["2.0 s", "48 s", "3 min 20 s", "1 h 05 min"]
-
-
-@pytest.mark.parametrize(
-    ("freqs", "main"), [([1.0, 2.0, 3.0], 1), ([14.9], 0), ([0.2, 0.3], 0), ([5.0, 5.0], 0)]
-)
-def test_the_band_offered_holds_the_main_frequency_alone_and_is_valid(freqs, main):
-    low, high = _narrow_band(np.array(freqs), main, 30.0)
-    check_band((low, high), 30.0)
-    inside = [f for f in freqs if low <= f <= high]
-    assert set(inside) == {freqs[main]}
 
 
 def test_metric_lengths_only_where_the_scale_is_known():

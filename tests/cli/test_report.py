@@ -1,0 +1,57 @@
+"""`tg4mm report`: options arrive where they belong; bad ones give one line and no page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.synthetic import make_synthetic_dataset
+from tg4mm.cli import main
+from tg4mm.runs import Run
+
+
+@pytest.fixture(scope="module")
+def run_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("cli_report")
+    model = make_synthetic_dataset(root / "data", n_views=3, n_timesteps=12, size=32, freqs=(5.0,), n_test=0)
+    run = Run.create(root / "run", root / "data", "modal", {})
+    run.save_space(model[0], {})
+    run.save_motion(model[1], {})
+    return run.path
+
+
+def test_it_writes_the_page_into_the_run_and_says_how_large_it_is(run_path, capsys, monkeypatch):
+    monkeypatch.setattr("tg4mm.report.write.metrics_of", lambda run: {})
+    options = ["--alpha", "3", "--band", "4", "6", "--sensor", "ball=sphere:0.5,0.1,0.37,0.4"]
+    assert main(["report", str(run_path), *options]) == 0
+    page = run_path / "report.html"
+    assert capsys.readouterr().out == f"{page}: {page.stat().st_size / 1e6:.1f} MB\n"
+    text = page.read_text(encoding="utf-8")
+    assert "Ours, α = 3" in text
+    assert "4 to 6 Hz" in text
+    assert "Sensor “ball”" in text
+    assert f"report {run_path} --alpha 3 --band 4 6 --sensor ball=sphere:0.5,0.1,0.37,0.4" in text
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--band", "1", "2"], "no motion was found there"),
+        (["--band", "1", "2", "--band", "4", "6"], "--band is given 2 times"),
+        (["--sensor", "a=cube:1"], "'cube'"),
+        (["--sensor", "a=all", "--sensor", "a=all"], "two sensors are called"),
+        (["--alpha", "x"], "x"),
+    ],
+)
+def test_bad_options_give_one_line_and_no_page(run_path, tmp_path, capsys, options, message):
+    out = tmp_path / "page.html"
+    assert main(["report", str(run_path), "--out", str(out), *options]) == 2
+    error = capsys.readouterr().err.strip()
+    assert message in error.splitlines()[-1]
+    assert not out.exists()
+
+
+def test_a_folder_that_is_no_run_is_named(tmp_path, capsys):
+    assert main(["report", str(tmp_path / "none")]) == 2
+    assert "none does not exist" in capsys.readouterr().err

@@ -1,0 +1,85 @@
+"""By how much motion is magnified, and which scores count."""
+
+import json
+import os
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tg4mm.errors import RunError
+from tg4mm.report.sources import choose_alpha, metrics_of
+from tg4mm.result.read import reading_of
+from tg4mm.runs import Run
+
+
+@pytest.fixture(scope="module")
+def reading(run):
+    return reading_of(run)
+
+
+def test_alpha_asked_for_is_taken(reading):
+    assert choose_alpha(reading, 7.5, None) == (7.5, "")
+
+
+def test_without_truth_it_is_what_shows_the_motion_within_its_noise(reading, tmp_path):
+    made = reading.run
+    bare = replace(
+        reading, run=Run(made.path, {**made.config, "dataset": str(tmp_path), "dataset_from_run": "x"})
+    )
+    alpha, why = choose_alpha(bare, None, None)
+    reach = reading.reach(reading.motion.is_magnified().astype(float))
+    assert reach.pixels * (1 + alpha) <= 0.04 * 48 * 1.001
+    assert reach.too_far * (1 + alpha) <= 1
+    assert "4 %" in why
+
+
+def test_with_truth_it_is_one_that_has_some(reading):
+    alpha, why = choose_alpha(reading, None, None)
+    bound = 0.04 * 48 / reading.reach(reading.motion.is_magnified().astype(float)).pixels - 1
+    assert alpha == max(a for a in (5, 20) if a <= bound)
+    assert "ground truth" in why
+
+
+def test_noise_lowers_it(reading, tmp_path):
+    made = reading.run
+    elsewhere = Run(made.path, {**made.config, "dataset": str(tmp_path), "dataset_from_run": "x"})
+    bare = replace(reading, run=elsewhere)
+    noise = np.full_like(reading.uncertainty["displacement"], 0.02)
+    noisy = replace(bare, uncertainty={**reading.uncertainty, "noise": noise})
+    assert choose_alpha(noisy, None, None)[0] < choose_alpha(bare, None, None)[0]
+
+
+def copied(run: Run, tmp_path) -> Run:
+    shutil.copytree(run.path, tmp_path / "run")
+    return replace(Run.open(tmp_path / "run"), config={**run.config})
+
+
+def test_scores_newer_than_the_model_are_taken_and_older_ones_made_again(run, tmp_path, monkeypatch):
+    own = copied(run, tmp_path)
+    calls = []
+    monkeypatch.setattr(
+        "tg4mm.evaluate.evaluate_run", lambda run: calls.append(run) or {"format": "tg4mm-metrics"}
+    )
+    path = own.path / "metrics.json"
+    path.write_text(json.dumps({"format": "tg4mm-metrics", "kept": True}))
+    assert metrics_of(own).get("kept")
+    assert not calls
+    os.utime(path, (1, 1))
+    assert "kept" not in metrics_of(own)
+    assert len(calls) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "message"), [("[", "not JSON"), ("[]", "'list'"), ('{"format": "x"}', "'x'")]
+)
+def test_a_broken_file_of_scores_is_named(run, tmp_path, text, message):
+    own = copied(run, tmp_path)
+    (own.path / "metrics.json").write_text(text)
+    with pytest.raises(RunError, match=message):
+        metrics_of(own)
+
+
+def test_without_ground_truth_there_are_none(bare_run):
+    assert metrics_of(bare_run) == {}
