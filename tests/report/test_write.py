@@ -97,7 +97,7 @@ def test_its_waveform_is_the_sensors(run, tmp_path):
     text = report(run, tmp_path, alpha=5, sensors=[sensor], metrics={})
     assert "Sensor “ball”" in words(text)
     chart = re.search(
-        r'<svg class="chart"[^>]*aria-label="ball: displacement over time".*?</svg>', text, re.S
+        r'<svg class="chart drawn"[^>]*aria-label="ball: displacement over time".*?</svg>', text, re.S
     )
     lines = [
         np.array([[float(x), float(y)] for x, y in re.findall(r"[ML] (\S+) (\S+)", path)])

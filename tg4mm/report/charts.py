@@ -28,7 +28,7 @@ _VARIABLES = {
 }
 _CONTEXT: dict[Any, Any] = {
     **STYLE,
-    "font.size": 10,
+    "font.size": 11,
     "font.family": "DejaVu Sans",
     "svg.fonttype": "none",
     "text.color": INK,
@@ -44,7 +44,7 @@ _CONTEXT: dict[Any, Any] = {
 
 
 def chart(
-    draw: Callable[[Any], None], label: str, size: tuple[float, float] = (5.8, 3.2), columns: int = 1
+    draw: Callable[[Any], None], label: str, size: tuple[float, float] = (5.4, 3.3), columns: int = 1
 ) -> Markup:
     """An inline SVG of what `draw` puts on a matplotlib axes (with `columns` > 1 a list of them), `size` in inches.
 
@@ -52,6 +52,8 @@ def chart(
     """
     with _figure(size, columns) as (figure, axes):
         draw(axes)
+        for one in figure.axes:
+            one.set_title(one.get_title("left"), loc="left", fontsize=9, color=MUTED, wrap=True)
         data = io.StringIO()
         figure.savefig(data, format="svg", metadata={"Date": None, "Creator": None})
     return _inline(data.getvalue(), label)
@@ -84,7 +86,7 @@ def _inline(text: str, label: str) -> Markup:
     box = re.search(r'viewBox="[^"]*"', text)
     assert box is not None  # matplotlib always gives one
     head = Markup(
-        '<svg class="chart" {} role="img" aria-label="{}" xmlns="http://www.w3.org/2000/svg" '
+        '<svg class="chart drawn" {} role="img" aria-label="{}" xmlns="http://www.w3.org/2000/svg" '
         'xmlns:xlink="http://www.w3.org/1999/xlink">'
     ).format(Markup(box[0]), escape(label))
     body = re.sub(r"\n\s*", "\n", text[text.index(">", text.index("<svg")) + 1 :].strip())

@@ -20,6 +20,7 @@ from tg4mm.render.frames import png_bytes, to_bytes
 
 _HERE = Path(__file__).parent
 PHOTO_EDGE = 800  # pixels
+_LEAST_EDGE = 512  # pixels, of what is enlarged smoothly
 Words = str | Markup
 
 
@@ -121,8 +122,12 @@ def data_uri(kind: str, data: bytes) -> str:
 
 
 def photo_uri(image: np.ndarray) -> str:
-    """A WebP of a picture [H, W, 3 | 4], uint8 or float in 0..1, with some loss, `PHOTO_EDGE` pixels at most."""
+    """A WebP of a picture [H, W, 3 | 4], uint8 or float in 0..1, with some loss; large ones are reduced, small ones
+    enlarged."""
     one = Image.fromarray(image if image.dtype == np.uint8 else to_bytes(image))
+    scale = _LEAST_EDGE // max(one.size)
+    if scale > 1:  # what shows it would repeat its pixels
+        one = one.resize((one.width * scale, one.height * scale), Image.Resampling.BICUBIC)
     one.thumbnail((PHOTO_EDGE, PHOTO_EDGE), Image.Resampling.LANCZOS)
     buffer = io.BytesIO()
     one.save(buffer, "WEBP", quality=85)
