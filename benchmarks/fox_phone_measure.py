@@ -59,7 +59,7 @@ def _print(result: SensorResult, scene: Prepared, truth: Truth, world: Similarit
     noise = result.series.noise[0] * np.sqrt(2 / len(result.times_s)) * result.px_per_unit
     for f in range(len(hz)):
         own = design[1 + f] + 1j * design[1 + len(hz) + f]
-        deviation = np.hypot(noise, result.series.model_share * np.linalg.norm(own[result.series.is_observed]))
+        deviation = np.hypot(noise, result.series.model_share * np.linalg.norm(own[result.series.is_told]))
         for k, label in enumerate(result.labels):
             error = abs(own[k] - along[f, k])
             phase = np.degrees(np.angle(own[k] / along[f, k])) if abs(along[f, k]) > 1e-9 else 0.0

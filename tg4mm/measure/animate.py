@@ -73,13 +73,13 @@ def _best(scene: Prepared, shape: Shape) -> tuple[Camera, float]:
     rows = np.flatnonzero(shape.is_above & (scene.seen > 0.5))
     rows = rows if len(rows) else np.flatnonzero(shape.is_above)
     best, most = 0, -1.0
-    for k, view in enumerate(scene.views):
-        across = np.abs(shape.phasors[rows] @ view.frames.viewmat[:2, :3].T)
-        depth = scene.means[rows] @ view.frames.viewmat[2, :3] + view.frames.viewmat[2, 3]
-        pixels = float(np.percentile(np.linalg.norm(across, axis=1) * view.frames.K[0, 0] / np.maximum(depth, 1e-6), 99))
+    for k, frames in enumerate(scene.observations.frames):
+        across = np.abs(shape.phasors[rows] @ frames.viewmat[:2, :3].T)
+        depth = scene.means[rows] @ frames.viewmat[2, :3] + frames.viewmat[2, 3]
+        pixels = float(np.percentile(np.linalg.norm(across, axis=1) * frames.K[0, 0] / np.maximum(depth, 1e-6), 99))
         if pixels > most:
             best, most = k, pixels
-    frames = scene.views[best].frames
+    frames = scene.observations.frames[best]
     width, height = scene.observations.size
     return Camera(frames.name, frames.viewmat.astype(np.float64), frames.K.astype(np.float64), width, height), most
 

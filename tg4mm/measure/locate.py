@@ -86,7 +86,7 @@ def _of_cluster(sensor: Sensor, n: int, clusters: Mapping[int, np.ndarray]) -> n
 
 def _of_pixel(sensor: Sensor, scene: Prepared) -> np.ndarray:
     """The surface seen around a pixel: Gaussians by how much of them blends into the neighbourhood."""
-    names = [v.frames.name for v in scene.views]
+    names = [f.name for f in scene.observations.frames]
     if sensor.camera not in names:
         known = ", ".join(names[:8]) + (" …" if len(names) > 8 else "")
         raise MeasureError(f"sensor {sensor}: {sensor.camera!r} is no camera; there are: {known}")

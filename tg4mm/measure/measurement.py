@@ -176,18 +176,18 @@ def _series(scene: Prepared, clock: Clock, bodies: Sequence, update, k: int) -> 
         own, scene.means, views, clock.sides, scene.modal.fields, clock.series, scene.is_moving
     )
     update(k + 1)
-    slow = scene.slow_functions() if scene.is_moving else None
     return [
-        with_model_error(series_of(e, clock.times_s, body.axes, labels, body.radius, clock.name, slow), body, scene)
+        with_model_error(series_of(e, clock.times_s, body.axes, labels, body.radius, clock.name, scene.slow), body, scene)
         for e, (body, labels) in zip(equations, bodies, strict=True)
     ]
 
 
 def _result(scene: Prepared, sensor: Sensor, body: Body, series: Sequence[Series]) -> SensorResult:
-    scales = [_px_per_unit(v.frames, body.centre) for v in scene.views]
+    frames = scene.observations.frames
+    scales = [_px_per_unit(f, body.centre) for f in frames]
     best = int(np.argmax(scales))
     clips = tuple(series) if len(series) > 1 else ()
-    return SensorResult(sensor, body, series[0], scales[best], scene.views[best].frames.name, clips)
+    return SensorResult(sensor, body, series[0], scales[best], frames[best].name, clips)
 
 
 def _px_per_unit(frames, centre: np.ndarray) -> float:

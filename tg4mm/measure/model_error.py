@@ -16,6 +16,7 @@ import numpy as np
 from tg4mm.measure.prepared import Prepared
 from tg4mm.measure.rigid import Body
 from tg4mm.measure.series import Series
+from tg4mm.runs import UNCERTAINTY
 
 OF_UNCERTAINTY, OF_MOTION = 0.5, 0.015
 _MOST = 1.0  # of the motion
@@ -26,12 +27,22 @@ def with_model_error(series: Series, body: Body, scene: Prepared) -> Series:
     size = np.linalg.norm(np.where(series.is_told, series.displacement, 0), axis=1)
     rms = float(np.sqrt((size**2).mean()))
     base = OF_MOTION
-    if (known := scene.run.load_uncertainty()) is not None and rms > 0:
+    if (known := _along_an_axis(scene)) is not None and rms > 0:
         seen = body.weights * scene.seen
-        own = float(np.sqrt((seen @ known.astype(np.float64) ** 2) / seen.sum() / 3))
+        own = float(np.sqrt((seen @ known.astype(np.float64) ** 2) / seen.sum()))
         base = min(float(np.hypot(OF_UNCERTAINTY * own / rms, OF_MOTION)), _MOST)
     least = np.min(series.unit_variance[series.is_observed], initial=np.inf)
     ratio = np.where(series.is_observed, np.sqrt(series.unit_variance / least), 0)
     share = base * ratio
     deviation = np.sqrt(series.noise**2 + (share * size[:, None]) ** 2)
     return replace(series, model_share=share, deviation=deviation)
+
+
+def _along_an_axis(scene: Prepared) -> np.ndarray | None:
+    """[N] standard deviation of every Gaussian along one axis, scene units: of one camera across its sight."""
+    if not scene.run.has_part(UNCERTAINTY):
+        return None
+    tensors, _ = scene.run.load_part(UNCERTAINTY)
+    if "across_sight" in tensors:
+        return np.asarray(tensors["across_sight"].numpy())
+    return np.asarray(tensors["displacement"].numpy() / np.sqrt(3))

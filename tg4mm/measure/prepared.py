@@ -7,7 +7,6 @@ import os
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -69,6 +68,7 @@ class Prepared:
     clocks: tuple[Clock, ...]
     seen: np.ndarray  # [N] blending weight, pixels, summed over the views
     notes: tuple[str, ...] = ()
+    slow: np.ndarray | None = None  # [S, F] functions of time that a moving camera cannot tell from its own motion
 
     @property
     def means(self) -> np.ndarray:
@@ -78,11 +78,6 @@ class Prepared:
     @property
     def is_moving(self) -> bool:
         return self.observations.clock == "moving"
-
-    @cached_property
-    def moved_px(self) -> float:
-        """How far things move in the pictures, as the run's log says; 0 where it does not."""
-        return float(self.run.log().get("motion", {}).get("pixels_moved") or 0.0)
 
 
 def prepare(run: Run, keep: bool = True) -> Prepared:

@@ -203,7 +203,8 @@ def _fitted(
         phasor = answer[1 + k] + 1j * answer[1 + n + k]
         both = np.sqrt((variance[1 + k] + variance[1 + n + k]) / 2)
         if model_share is not None:
-            both = np.hypot(both, model_share * np.linalg.norm(phasor))
+            told = np.isfinite(level) & (level <= 10 * np.where(np.isfinite(level), level, np.inf).min())
+            both = np.hypot(both, model_share * np.linalg.norm(phasor[told]))
         both = np.where(np.isfinite(level), both, np.inf)
         good = mean_square > 0
         snr = float((np.abs(phasor[good]) ** 2 / mean_square[good]).sum()) * len(times_s) / 2
