@@ -19,7 +19,9 @@ from tg4mm.runs import Run
 FPS, SIZE = 30.0, 48
 PARTS = [len(p.vertices) for p in _parts(1)]
 POST, BALL = slice(PARTS[0], PARTS[0] + PARTS[1]), slice(PARTS[0] + PARTS[1], sum(PARTS))
-BALL_BOX = "ball=box:0.1,-0.4,-0.1,0.95,0.6,0.85"  # holds the ball and a piece of the floor that hides under it
+BALL_BOX = (
+    "ball=box:0.1,-0.4,-0.1,0.95,0.6,0.85"  # holds the ball and a piece of the floor that hides under it
+)
 BALL_SPHERE = "ball=sphere:0.5,0.1,0.37,0.33"
 
 Displacement = Callable[[float], np.ndarray]  # seconds -> [N, 3] scene units
@@ -60,7 +62,12 @@ def pictures(
 
 
 def filmed(
-    path: Path, displacement: Displacement, n_views: int = 6, n_timesteps: int = 45, noise: float = 0.01, seed: int = 0
+    path: Path,
+    displacement: Displacement,
+    n_views: int = 6,
+    n_timesteps: int = 45,
+    noise: float = 0.01,
+    seed: int = 0,
 ) -> Path:
     """A dataset of fixed cameras in `path`/set."""
     gaussians, rng = model(), np.random.default_rng(seed)

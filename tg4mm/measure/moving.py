@@ -47,7 +47,7 @@ class FrameViews(Sequence[MeasuredView]):
     def __len__(self) -> int:
         return len(self.frames)
 
-    def __getitem__(self, k):  # type: ignore[no-untyped-def]
+    def __getitem__(self, k):
         if isinstance(k, slice):
             return [self[i] for i in range(*k.indices(len(self)))]
         k = range(len(self))[k]
@@ -99,7 +99,9 @@ def _passed(
     width, height = observations.size
     is_large = total_bytes([count], n) > IN_MEMORY
     sides = zeros((HALVES, count, n, DOF), run.path if is_large else None)
-    out = FrameViews(gaussians, frames, observations.size, np.zeros((count, height, width), np.float16), np.ones(count))
+    out = FrameViews(
+        gaussians, frames, observations.size, np.zeros((count, height, width), np.float16), np.ones(count)
+    )
     seen = np.zeros(n)
     with progress("pictures", count, "frames") as update:
         for k, picture in enumerate(pictures_of(observations)):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from tg4mm.measure.units import Unit, unit_of
 from tg4mm.measure.write import file_name
 
 COLOURS = "#0072b2", "#d55e00", "#009e73"  # Okabe and Ito's, told apart by all eyes
-_STYLE = {
+_STYLE: dict[Any, Any] = {
     "font.size": 9,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -39,9 +40,11 @@ def write_plots(measurement: Measurement, out: Path) -> list[Path]:
             figure = _figure(plt, result, unit_of(measurement, result))
             for ending in ("svg", "png"):
                 data = io.BytesIO()
-                figure.savefig(data, format=ending, dpi=120, metadata={"Date": None} if ending == "svg" else None)
+                figure.savefig(
+                    data, format=ending, dpi=120, metadata={"Date": None} if ending == "svg" else None
+                )
                 path = folder / f"{file_name(result.name)}.{ending}"
-                write_atomic(path, lambda temporary, data=data: temporary.write_bytes(data.getvalue()))
+                write_atomic(path, partial(Path.write_bytes, data=data.getvalue()))
                 paths.append(path)
             plt.close(figure)
     return paths
@@ -50,7 +53,9 @@ def write_plots(measurement: Measurement, out: Path) -> list[Path]:
 def _figure(plt: Any, result: SensorResult, unit: Unit) -> Any:
     figure = plt.figure(figsize=(10, 6), layout="constrained")
     grid = figure.add_gridspec(2, 3)
-    figure.suptitle(f"{result.name}: {int((result.body.weights > 0).sum()):,} Gaussians", x=0.01, ha="left", weight="bold")
+    figure.suptitle(
+        f"{result.name}: {int((result.body.weights > 0).sum()):,} Gaussians", x=0.01, ha="left", weight="bold"
+    )
     _waveform(figure.add_subplot(grid[0, :]), result, unit)
     _spectrum(figure.add_subplot(grid[1, :2]), result, unit)
     _orbit(figure.add_subplot(grid[1, 2]), result, unit)
@@ -70,7 +75,9 @@ def _waveform(axes: Any, result: SensorResult, unit: Unit) -> None:
         axes.fill_between(result.times_s, value - error, value + error, color=COLOURS[k], alpha=0.25, lw=0)
     axes.set(xlabel="time, s", ylabel=f"displacement, {unit.name}")
     axes.set_title(
-        "band: one standard deviation" + (f"; {', '.join(hidden)} hardly seen, left out" if hidden else ""), fontsize=8, loc="left"
+        "band: one standard deviation" + (f"; {', '.join(hidden)} hardly seen, left out" if hidden else ""),
+        fontsize=8,
+        loc="left",
     )
     axes.legend(ncols=3, loc="upper right")
     if unit.name != "px":
@@ -85,8 +92,15 @@ def _factors(factor: float) -> tuple[Any, Any]:
 def _spectrum(axes: Any, result: SensorResult, unit: Unit) -> None:
     spectrum = result.spectrum
     for k in _told(result):
-        axes.semilogy(spectrum.freqs_hz, np.maximum(spectrum.amplitude[:, k] * unit.factor, 1e-12), color=COLOURS[k], lw=1.1)
-        axes.semilogy(spectrum.freqs_hz, spectrum.floor[:, k] * unit.factor, color=COLOURS[k], lw=1, ls=(0, (4, 3)))
+        axes.semilogy(
+            spectrum.freqs_hz,
+            np.maximum(spectrum.amplitude[:, k] * unit.factor, 1e-12),
+            color=COLOURS[k],
+            lw=1.1,
+        )
+        axes.semilogy(
+            spectrum.freqs_hz, spectrum.floor[:, k] * unit.factor, color=COLOURS[k], lw=1, ls=(0, (4, 3))
+        )
     lowest = min((float(spectrum.floor[0, k]) for k in _told(result)), default=1e-9) * unit.factor
     top = max((float(spectrum.amplitude[:, k].max()) for k in _told(result)), default=1.0) * unit.factor
     lowest = min(lowest, top) if lowest > 0 else top / 1e4
@@ -108,7 +122,13 @@ def _orbit(axes: Any, result: SensorResult, unit: Unit) -> None:
         axes.set_axis_off()
         return
     a, b = pair
-    axes.plot(result.displacement[:, a] * unit.factor, result.displacement[:, b] * unit.factor, ".", ms=3, color="#777777")
+    axes.plot(
+        result.displacement[:, a] * unit.factor,
+        result.displacement[:, b] * unit.factor,
+        ".",
+        ms=3,
+        color="#777777",
+    )
     turn = np.exp(2j * np.pi * np.arange(65) / 64)
     for peak in result.spectrum.peaks[:3]:
         axes.plot(

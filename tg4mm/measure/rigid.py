@@ -1,8 +1,8 @@
 """A region's rigid motion in every frame, by least squares through the Jacobian.
 
 E [K, N, 6] holds the motions of all Gaussians for a unit of each degree of freedom: three translations along the
-sensor's axes, and where the region is large enough three rotations about its centre, each Gaussian by its weight w. With
-the residual's pull-back s_f (`residuals.py`) and the run's modal motion x_f, whose picture was taken out of the residual,
+sensor's axes and three rotations about its centre, each Gaussian by its weight w. With the residual's pull-back s_f
+(`residuals.py`) and the run's modal motion x_f, whose picture was taken out of the residual,
 
     A u_f  =  E·s_f + E·JᵀWJ (w x_f)        A = E·JᵀWJ E
 
@@ -18,7 +18,6 @@ import numpy as np
 
 from tg4mm.measure.residuals import HALVES, MeasuredView
 from tg4mm.motion.jacobian.packed import DOF
-
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 u_f = A⁻¹ b_f from the sum of two halves of the data, whose equations stand apart (`rigid.py`). Pixel noise alone would
 give the covariance A⁻¹ times a number; the noise of real pixels hangs together (codecs, demosaicing, errors of the
 model), so that number is found from the result, for each axis: what the halves' answers differ by in time, over what
-they would at unit noise; and where that is larger, the level that most of the answer's own spectrum does not fall below.
+they would at unit noise; and where that is larger, the level that most of the answer's spectrum does not fall below.
 """
 
 from __future__ import annotations
@@ -33,7 +33,9 @@ class Series:
     deviation: np.ndarray  # [T, 3] standard deviation with errors of the model (`model_error.py`)
     axes: np.ndarray  # [3, 3], rows: unit vectors in the world
     labels: tuple[str, str, str]  # of the axes
-    rotation: np.ndarray | None  # [T, 3] radians about the axes through the centre; None where it cannot be told
+    rotation: (
+        np.ndarray | None
+    )  # [T, 3] radians about the axes through the centre; None where it cannot be told
     rotation_deviation: np.ndarray | None  # [T, 3]
     unit_variance: np.ndarray  # [3] (A⁻¹)_kk, mean over time: how well the pictures tell each direction
     noise_factor: np.ndarray  # [3] variance over unit_variance, one for independent noise of known pixels
@@ -86,7 +88,7 @@ def series_of(
 
 
 def _solved(normals: np.ndarray, sides: np.ndarray, dof: int) -> tuple[np.ndarray, np.ndarray]:
-    """[F, dof] answers and [F, dof] variances at unit noise (inf where nothing is seen), of the first unknowns alone."""
+    """[F, dof] answers and variances at unit noise (inf where nothing is seen), of the first unknowns alone."""
     a = normals[:, :dof, :dof]
     values, vectors = np.linalg.eigh(a)
     is_seen = values > UNSEEN * np.maximum(values[:, -1:], 1e-30)
@@ -100,7 +102,7 @@ def _solved(normals: np.ndarray, sides: np.ndarray, dof: int) -> tuple[np.ndarra
 
 
 def _tells_rotation(equations: Equations) -> bool:
-    """Whether the region is large enough: translations stay as sure as without rotations, and these are told in turn."""
+    """Whether the region is large enough: translations stay as sure as without rotations, and these are told."""
     a = equations.normals.sum(0).mean(0)
     if np.linalg.eigvalsh(a)[0] <= 1e-9 * np.trace(a):
         return False
