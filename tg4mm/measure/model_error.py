@@ -3,8 +3,8 @@
 The run says of every Gaussian how uncertain its motion is (docs/method.md, "Uncertainty"): by what motion leaves of the
 pictures, and by how much it varies among neighbours. A sensor averages over its region and fits nothing but a rigid
 motion, so half of that is left, beside one and a half parts in a hundred of its own motion, along each axis. Both
-numbers are from generated sets with exact truth (docs/measure.md). An error of the model spreads over directions as noise
-would: a single camera's sight takes it up many times over.
+numbers are from generated sets with exact truth (docs/measure.md). An error of the model spreads over directions as
+noise would: a single camera's sight takes it up many times over.
 """
 
 from __future__ import annotations
