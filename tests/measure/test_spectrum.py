@@ -41,14 +41,19 @@ def test_deviations_are_the_scatter_over_many_records() -> None:
 def test_noise_alone_passes_the_floor_in_few_records_of_many() -> None:
     found = sum(bool(spectrum_of(TIMES, *noisy(np.zeros((60, 3)), 1.0, s)).peaks) for s in range(300))
     assert found <= 15  # 1 % of 300, and what finer frequencies than 1 / duration add
-    low = sum(bool(spectrum_of(TIMES, v, s / 1.5).peaks) for v, s in (noisy(np.zeros((60, 3)), 1.0, k) for k in range(50)))
+    low = sum(
+        bool(spectrum_of(TIMES, v, s / 1.5).peaks)
+        for v, s in (noisy(np.zeros((60, 3)), 1.0, k) for k in range(50))
+    )
     assert low > 10  # deviations that are too small are noticed
     assert CHANCE == 0.01
 
 
 def test_two_tones_of_different_strength() -> None:
     values, sigma = noisy(tone(3.3) + tone(6.9, 0.1), 0.01, 3)
-    assert sorted(p.frequency_hz for p in spectrum_of(TIMES, values, sigma).peaks) == pytest.approx([3.3, 6.9], abs=0.02)
+    assert sorted(p.frequency_hz for p in spectrum_of(TIMES, values, sigma).peaks) == pytest.approx(
+        [3.3, 6.9], abs=0.02
+    )
 
 
 def test_uneven_times_do_as_well() -> None:
