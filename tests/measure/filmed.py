@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -68,11 +69,14 @@ def filmed(
     n_timesteps: int = 45,
     noise: float = 0.01,
     seed: int = 0,
+    kind: str = "",
+    walks: bool = False,
 ) -> Path:
-    """A dataset of fixed cameras in `path`/set."""
+    """A dataset in `path`/set: of fixed cameras, or of one that `walks` by a radian around the scene."""
     gaussians, rng = model(), np.random.default_rng(seed)
-    viewmats = np.stack(_viewmats(n_views, 0.0))
+    fixed = np.stack(_viewmats(n_views, 0.0))
     for t in range(n_timesteps):
+        viewmats = np.stack(_viewmats(40, 0.1 + 6 * t / n_timesteps)[:1]) if walks else fixed
         folder = path / "set" / f"{t:03d}"
         (folder / "train").mkdir(parents=True)
         frames = []
@@ -84,17 +88,19 @@ def filmed(
             )
         transforms = {"camera_angle_x": CAMERA_ANGLE_X, "frames": frames}
         (folder / "transforms_train.json").write_text(json.dumps(transforms))
-    (path / "set" / "scene.json").write_text(json.dumps({"fps": FPS, "unit_scale_m": 0.1}))
+    (path / "set" / "scene.json").write_text(
+        json.dumps({"fps": FPS, "unit_scale_m": 0.1} | ({"kind": kind} if kind else {}))
+    )
     return path / "set"
 
 
-def run_of(path: Path, displacement: Displacement, motion: ModalMotion | None = None, **how: float) -> Run:
+def run_of(path: Path, displacement: Displacement, motion: ModalMotion | None = None, **how: Any) -> Run:
     """A run with the exact scene at rest on such a dataset; its motion is `motion`, or none at all."""
-    dataset = filmed(path, displacement, **how)  # type: ignore[arg-type]
+    dataset = filmed(path, displacement, **how)
     run = Run.create(path / "run", dataset, "modal", {"motion": {"nuisance": "none"}})
     gaussians = model()
     run.save_space(gaussians, {})
-    n_timesteps = int(how.get("n_timesteps", 45))
+    n_timesteps = how.get("n_timesteps", 45)
     run.save_motion(motion or modes({}, n_timesteps), {})
     return run
 
