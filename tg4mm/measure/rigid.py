@@ -65,7 +65,7 @@ def equations_of(
     n_frames, count = sides.shape[1], len(views) if is_moving else 1
     normals = np.zeros((len(bodies), HALVES, count, 6, 6))
     known = np.zeros((len(bodies), HALVES, n_frames, 6))
-    own = [(body.weights[:, None] * fields).reshape(len(fields), -1) for body in bodies]
+    own = [(body.weights[:, None] * fields).reshape(len(fields), len(means) * DOF) for body in bodies]
     for k, view in enumerate(views):
         frames = slice(k, k + 1) if is_moving else slice(None)
         for half, weights, projection in view.projections():
