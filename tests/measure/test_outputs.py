@@ -65,7 +65,9 @@ def test_another_program_reads_geometry_shapes_and_waveforms(out: Path) -> None:
             strict=True,
         )
     )
-    assert at[1] == pytest.approx([0.05, 0.01, 0.037], abs=0.012)  # metres: 0.1 a unit; the upper side is seen more
+    assert at[1] == pytest.approx(
+        [0.05, 0.01, 0.037], abs=0.012
+    )  # metres: 0.1 a unit; the upper side is seen more
     assert len(at) > 100
     lines = file.read_sets(kinds.index(82))
     assert {int(n) for n in lines["nodes"]} - {0} <= set(at)
