@@ -33,7 +33,7 @@ def with_model_error(series: Series, body: Body, scene: Prepared) -> Series:
         base = min(float(np.hypot(OF_UNCERTAINTY * own / rms, OF_MOTION)), _MOST)
     least = np.min(series.unit_variance[series.is_observed], initial=np.inf)
     ratio = np.where(series.is_observed, np.sqrt(series.unit_variance / least), 0)
-    share = base * ratio
+    share = np.minimum(np.hypot(base * ratio, series.model_share), np.maximum(ratio, 1))
     deviation = np.sqrt(series.noise**2 + (share * size[:, None]) ** 2)
     return replace(series, model_share=share, deviation=deviation)
 

@@ -72,7 +72,13 @@ def series_of(
     whole, variance = _solved(equations.normals.sum(0), equations.sides.sum(0), dof)
     out = _without(whole, slow)
     difference = _without(answers[0][0] - answers[1][0], slow)
-    free = len(out) / max(len(out) - 1 - (0 if slow is None else len(slow) - 1), 1)
+    # What goes with the motion is an error of the model in each half, not noise: it must not lift the floor.
+    along = np.linalg.lstsq(out[:, :3], difference, rcond=None)[0]
+    of_motion = out[:, :3] @ along
+    difference = difference - of_motion
+    size = float(np.sqrt((out[:, :3] ** 2).sum(1).mean()))
+    share = np.sqrt((of_motion[:, :3] ** 2).mean(0)) / 2 / max(size, 1e-300)
+    free = len(out) / max(len(out) - 4 - (0 if slow is None else len(slow) - 1), 1)
     # Two halves with errors e₁, e₂ of their own: the difference's variance is the sum of theirs.
     expected = answers[0][1] + answers[1][1]
     factor = _ratio(difference**2, expected) * free
@@ -83,7 +89,7 @@ def series_of(
     turns = (out[:, 3:] / radius, deviation[:, 3:] / radius) if dof == 6 else (None, None)
     return Series(
         clock, times_s, out[:, :3], deviation[:, :3], deviation[:, :3], axes, labels, turns[0], turns[1],
-        variance[:, :3].mean(0), factor[:3], np.zeros(3),
+        variance[:, :3].mean(0), factor[:3], share,
     )  # fmt: skip
 
 
