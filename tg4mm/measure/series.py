@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal.windows import blackmanharris
 
 from tg4mm.measure.rigid import Equations
 
@@ -137,6 +138,6 @@ def _floor_factor(answer: np.ndarray, variance: np.ndarray) -> np.ndarray:
     if len(answer) < _FEWEST:
         return np.zeros(answer.shape[1])
     scaled = answer / np.sqrt(np.where(np.isfinite(variance) & (variance > 0), variance, np.inf))
-    window = np.hanning(len(answer) + 1)[:-1][:, None]
+    window = blackmanharris(len(answer), sym=False)[:, None]  # whose side lobes no strong tone fills
     power = np.abs(np.fft.rfft((scaled - scaled.mean(0)) * window, axis=0))[2:-1] ** 2
     return np.asarray(np.quantile(power, 0.25, axis=0) / _QUARTILE / (window**2).sum())
