@@ -1,10 +1,10 @@
 """What all halves of the data get wrong alike: errors of the model, which grow with the motion and are no noise.
 
-The run says of every Gaussian how uncertain its motion is (docs/method.md, "Uncertainty"): by what motion leaves of the
-pictures, and by how much it varies among neighbours. A sensor averages over its region and fits nothing but a rigid
-motion, so half of that is left along each axis: a number from a generated set with exact truth (docs/measure.md). Beside
-it stands what the halves differ by in proportion to the motion. An error of the model spreads over directions as
-noise would: a single camera's sight takes it up many times over.
+The run says of every Gaussian how uncertain its motion is (docs/method.md, "Uncertainty"): by what motion leaves of
+the pictures, and by how much it varies among neighbours. A sensor averages over its region and fits nothing but a
+rigid motion, so half of that is left along each axis: a number from a generated set with exact truth
+(docs/measure.md). Beside it stands what the halves differ by in proportion to the motion. An error of the model
+spreads over directions as noise would: a single camera's sight takes it up many times over.
 """
 
 from __future__ import annotations
