@@ -1,6 +1,6 @@
 """Virtual sensors on the fox's tripod against the exact motion: amplitude and phase in pixels of the tripod's view.
 
-    python benchmarks/fox_phone_measure.py RUN --truth CAPTURES/fox_phone/truth
+python benchmarks/fox_phone_measure.py RUN --truth CAPTURES/fox_phone/truth
 """
 
 from __future__ import annotations
@@ -21,7 +21,9 @@ SENSORS = "nose=pixel:cam_00,302,423,14", "frame=pixel:cam_00,90,192,16", "wall=
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("run", type=Path)
     parser.add_argument("--truth", type=Path, required=True)
     parser.add_argument("--sensor", action="append", help="NAME=REGION beside nose, frame and wall")
@@ -32,7 +34,9 @@ def main() -> None:
     for sensor in sensors:
         print(f"--sensor {sensor}")
     found = measure(scene, sensors)
-    print(f"\n{'sensor':<10} {'Hz':>5} {'axis':<6} {'found, px':>18} {'truth, px':>10} {'phase, deg':>14} {'inside':>7}")
+    print(
+        f"\n{'sensor':<10} {'Hz':>5} {'axis':<6} {'found, px':>18} {'truth, px':>10} {'phase, deg':>14} {'inside':>7}"
+    )
     for result in found.sensors:
         _print(result, scene, truth, world)
 
@@ -59,7 +63,7 @@ def _print(result: SensorResult, scene: Prepared, truth: Truth, world: Similarit
     noise = result.series.noise[0] * np.sqrt(2 / len(result.times_s)) * result.px_per_unit
     for f in range(len(hz)):
         own = design[1 + f] + 1j * design[1 + len(hz) + f]
-        deviation = np.hypot(noise, result.series.model_share * np.linalg.norm(own[result.series.is_observed]))
+        deviation = np.hypot(noise, result.series.model_share * np.linalg.norm(own[result.series.is_told]))
         for k, label in enumerate(result.labels):
             error = abs(own[k] - along[f, k])
             phase = np.degrees(np.angle(own[k] / along[f, k])) if abs(along[f, k]) > 1e-9 else 0.0
@@ -70,7 +74,10 @@ def _print(result: SensorResult, scene: Prepared, truth: Truth, world: Similarit
             )
     for peak, orbit in zip(result.spectrum.peaks, result.orbits, strict=True):
         size = orbit.amplitude * result.px_per_unit
-        print(f"{'':<10} peak at {peak.frequency_hz:.4f} ± {peak.frequency_deviation_hz:.4f} Hz, {size:.4f} px", peak.is_above)
+        print(
+            f"{'':<10} peak at {peak.frequency_hz:.4f} ± {peak.frequency_deviation_hz:.4f} Hz, {size:.4f} px",
+            peak.is_above,
+        )
 
 
 if __name__ == "__main__":

@@ -12,7 +12,9 @@ from tg4mm.errors import Tg4mmError
 
 def measure(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder made by tg4mm train.")],
-    out: Annotated[Path, typer.Option(help="The folder for measure.json, CSV, UFF, plots and animated pictures.")],
+    out: Annotated[
+        Path, typer.Option(help="The folder for measure.json, CSV, UFF, plots and animated pictures.")
+    ],
     sensor: Annotated[
         list[str] | None,
         typer.Option(
@@ -22,13 +24,19 @@ def measure(
             "clusters that move alike, and all]",
         ),
     ] = None,
-    sensors: Annotated[Path | None, typer.Option(metavar="FILE", help="Sensors in a YAML file (docs/measure.md).")] = None,
+    sensors: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Sensors in a YAML file (docs/measure.md).")
+    ] = None,
     reference: Annotated[
-        str | None, typer.Option(help="The sensor that phases and coherence are against. [default: the first]")
+        str | None,
+        typer.Option(help="The sensor that phases and coherence are against. [default: the first]"),
     ] = None,
     keep: Annotated[
         bool,
-        typer.Option("--keep/--no-keep", help="Keep what was read of the pictures in the run's folder for the next time."),
+        typer.Option(
+            "--keep/--no-keep",
+            help="Keep what was read of the pictures in the run's folder for the next time.",
+        ),
     ] = True,
     animate: Annotated[
         bool, typer.Option("--animate/--no-animate", help="Animated pictures of the shape at every peak.")
@@ -48,7 +56,9 @@ def measure(
     asked = [*(read_sensors(sensors) if sensors else []), *(parse_sensor(text) for text in sensor or [])]
     checked_names(asked)
     if reference is not None and asked and reference not in [s.name for s in asked]:
-        raise Tg4mmError(f"--reference {reference!r} is no sensor; there are: {', '.join(s.name for s in asked)}")
+        raise Tg4mmError(
+            f"--reference {reference!r} is no sensor; there are: {', '.join(s.name for s in asked)}"
+        )
     opened = Run.open(run)
     claim(out)
     found = measured(prepare(opened, keep), asked or None, reference)
@@ -69,5 +79,8 @@ def _written(found, out: Path, animate: bool) -> str:
     write_plots(found, out)
     lines = [format_table(found)]
     if animate:
-        lines += [f"{path}: magnified {gain:.3g} times\n" for path, gain in write_animations(found.prepared, found.shapes, out)]
+        lines += [
+            f"{path}: magnified {gain:.3g} times\n"
+            for path, gain in write_animations(found.prepared, found.shapes, out)
+        ]
     return "".join([*lines, f"{out}\n"])

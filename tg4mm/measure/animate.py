@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -43,11 +44,17 @@ def write_animations(scene: Prepared, shapes: tuple[Shape, ...], out: Path) -> l
             gain = max(_SHOWN_PX * camera.width / max(pixels, 1e-9), 1.0)
             pictures = []
             for frame, gaussians in enumerate(_period(scene, shape, gain)):
-                pictures.append(to_bytes(np.asarray(render_image(gaussians, camera.viewmat, camera.K, camera.width, camera.height))))
+                pictures.append(
+                    to_bytes(
+                        np.asarray(
+                            render_image(gaussians, camera.viewmat, camera.K, camera.width, camera.height)
+                        )
+                    )
+                )
                 update(k * FRAMES + frame + 1)
             path = folder / f"{f'{shape.frequency_hz:.3f}'.replace('.', '_')}Hz.gif"
             data = _gif(pictures)
-            write_atomic(path, lambda temporary, data=data: temporary.write_bytes(data))
+            write_atomic(path, partial(Path.write_bytes, data=data))
             written.append((path, gain))
     return written
 
@@ -73,15 +80,19 @@ def _best(scene: Prepared, shape: Shape) -> tuple[Camera, float]:
     rows = np.flatnonzero(shape.is_above & (scene.seen > 0.5))
     rows = rows if len(rows) else np.flatnonzero(shape.is_above)
     best, most = 0, -1.0
-    for k, view in enumerate(scene.views):
-        across = np.abs(shape.phasors[rows] @ view.frames.viewmat[:2, :3].T)
-        depth = scene.means[rows] @ view.frames.viewmat[2, :3] + view.frames.viewmat[2, 3]
-        pixels = float(np.percentile(np.linalg.norm(across, axis=1) * view.frames.K[0, 0] / np.maximum(depth, 1e-6), 99))
+    for k, frames in enumerate(scene.observations.frames):
+        across = np.abs(shape.phasors[rows] @ frames.viewmat[:2, :3].T)
+        depth = scene.means[rows] @ frames.viewmat[2, :3] + frames.viewmat[2, 3]
+        pixels = float(
+            np.percentile(np.linalg.norm(across, axis=1) * frames.K[0, 0] / np.maximum(depth, 1e-6), 99)
+        )
         if pixels > most:
             best, most = k, pixels
-    frames = scene.views[best].frames
+    frames = scene.observations.frames[best]
     width, height = scene.observations.size
-    return Camera(frames.name, frames.viewmat.astype(np.float64), frames.K.astype(np.float64), width, height), most
+    return Camera(
+        frames.name, frames.viewmat.astype(np.float64), frames.K.astype(np.float64), width, height
+    ), most
 
 
 def _gif(pictures: list[np.ndarray]) -> bytes:

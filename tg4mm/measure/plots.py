@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -40,9 +41,11 @@ def write_plots(measurement: Measurement, out: Path) -> list[Path]:
             figure = _figure(plt, result, unit_of(measurement, result))
             for ending in ("svg", "png"):
                 data = io.BytesIO()
-                figure.savefig(data, format=ending, dpi=120, metadata={"Date": None} if ending == "svg" else None)
+                figure.savefig(
+                    data, format=ending, dpi=120, metadata={"Date": None} if ending == "svg" else None
+                )
                 path = folder / f"{file_name(result.name)}.{ending}"
-                write_atomic(path, lambda temporary, data=data: temporary.write_bytes(data.getvalue()))
+                write_atomic(path, partial(Path.write_bytes, data=data.getvalue()))
                 paths.append(path)
             plt.close(figure)
     return paths
@@ -51,7 +54,9 @@ def write_plots(measurement: Measurement, out: Path) -> list[Path]:
 def _figure(plt: Any, result: SensorResult, unit: Unit) -> Any:
     figure = plt.figure(figsize=(10, 6), layout="constrained")
     grid = figure.add_gridspec(2, 3)
-    figure.suptitle(f"{result.name}: {int((result.body.weights > 0).sum()):,} Gaussians", x=0.01, ha="left", weight="bold")
+    figure.suptitle(
+        f"{result.name}: {int((result.body.weights > 0).sum()):,} Gaussians", x=0.01, ha="left", weight="bold"
+    )
     waveform(figure.add_subplot(grid[0, :]), result, unit)
     spectrum(figure.add_subplot(grid[1, :2]), result, unit)
     _orbit(figure.add_subplot(grid[1, 2]), result, unit)
@@ -65,15 +70,19 @@ def _told(result: SensorResult) -> list[int]:
 
 def waveform(axes: Any, result: SensorResult, unit: Unit) -> None:
     """Displacement over time with a band of one standard deviation."""
-    hidden = [result.labels[k] for k in range(3) if k not in _told(result)]
     marker = "." if len(result.times_s) <= _MARKED else ""
+    hidden = [result.labels[k] for k in range(3) if k not in _told(result)]
     for k in _told(result):
         value, error = result.displacement[:, k] * unit.factor, result.deviation[:, k] * unit.factor
-        axes.plot(result.times_s, value, color=COLOURS[k], lw=1.2, marker=marker, ms=3, label=result.labels[k])
+        axes.plot(
+            result.times_s, value, color=COLOURS[k], lw=1.2, marker=marker, ms=3, label=result.labels[k]
+        )
         axes.fill_between(result.times_s, value - error, value + error, color=COLOURS[k], alpha=0.25, lw=0)
     axes.set(xlabel="time, s", ylabel=f"displacement, {unit.name}")
     axes.set_title(
-        "band: one standard deviation" + (f"; {', '.join(hidden)} hardly seen, left out" if hidden else ""), fontsize=8, loc="left"
+        "band: one standard deviation" + (f"; {', '.join(hidden)} hardly seen, left out" if hidden else ""),
+        fontsize=8,
+        loc="left",
     )
     axes.legend(ncols=3, loc="upper right")
     if unit.name != "px":
@@ -89,7 +98,12 @@ def spectrum(axes: Any, result: SensorResult, unit: Unit) -> None:
     """Amplitude over frequency, noise floor dashed, peaks named."""
     found = result.spectrum
     for k in _told(result):
-        axes.semilogy(found.freqs_hz, np.maximum(found.amplitude[:, k] * unit.factor, 1e-12), color=COLOURS[k], lw=1.1)
+        axes.semilogy(
+            found.freqs_hz,
+            np.maximum(found.amplitude[:, k] * unit.factor, 1e-12),
+            color=COLOURS[k],
+            lw=1.1,
+        )
         axes.semilogy(found.freqs_hz, found.floor[:, k] * unit.factor, color=COLOURS[k], lw=1, ls=(0, (4, 3)))
     lowest = min((float(found.floor[0, k]) for k in _told(result)), default=1e-9) * unit.factor
     top = max((float(found.amplitude[:, k].max()) for k in _told(result)), default=1.0) * unit.factor
@@ -112,7 +126,13 @@ def _orbit(axes: Any, result: SensorResult, unit: Unit) -> None:
         axes.set_axis_off()
         return
     a, b = pair
-    axes.plot(result.displacement[:, a] * unit.factor, result.displacement[:, b] * unit.factor, ".", ms=3, color="#777777")
+    axes.plot(
+        result.displacement[:, a] * unit.factor,
+        result.displacement[:, b] * unit.factor,
+        ".",
+        ms=3,
+        color="#777777",
+    )
     turn = np.exp(2j * np.pi * np.arange(65) / 64)
     for peak in result.spectrum.peaks[:3]:
         axes.plot(

@@ -60,7 +60,13 @@ def relation_of(result: SensorResult, reference: SensorResult) -> Relation | Non
             amplitude_deviation(peak, orbit) / max(orbit.amplitude, 1e-300),
         )
         phases.append(
-            PhaseAt(float(hz[k]), amplitude, float((phase + np.pi) % (2 * np.pi) - np.pi), min(error, np.pi), is_above)
+            PhaseAt(
+                float(hz[k]),
+                amplitude,
+                float((phase + np.pi) % (2 * np.pi) - np.pi),
+                min(error, np.pi),
+                is_above,
+            )
         )
     freqs, coherence, segments = _coherence(result.series, reference.series)
     chance = 1 - 0.05 ** (1 / (segments - 1)) if segments > 1 else 1.0

@@ -3,7 +3,7 @@
 u_f = A⁻¹ b_f from the sum of two halves of the data, whose equations stand apart (`rigid.py`). Pixel noise alone would
 give the covariance A⁻¹ times a number; the noise of real pixels hangs together (codecs, demosaicing, errors of the
 model), so that number is found from the result, for each axis: what the halves' answers differ by in time, over what
-they would at unit noise; and where that is larger, the level that most of the answer's own spectrum does not fall below.
+they would at unit noise; and where that is larger, the level that most of the answer's spectrum does not fall below.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal.windows import blackmanharris
 
 from tg4mm.measure.rigid import Equations
 
@@ -33,7 +34,9 @@ class Series:
     deviation: np.ndarray  # [T, 3] standard deviation with errors of the model (`model_error.py`)
     axes: np.ndarray  # [3, 3], rows: unit vectors in the world
     labels: tuple[str, str, str]  # of the axes
-    rotation: np.ndarray | None  # [T, 3] radians about the axes through the centre; None where it cannot be told
+    rotation: (
+        np.ndarray | None
+    )  # [T, 3] radians about the axes through the centre; None where it cannot be told
     rotation_deviation: np.ndarray | None  # [T, 3]
     unit_variance: np.ndarray  # [3] (A⁻¹)_kk, mean over time: how well the pictures tell each direction
     noise_factor: np.ndarray  # [3] variance over unit_variance, one for independent noise of known pixels
@@ -70,7 +73,13 @@ def series_of(
     whole, variance = _solved(equations.normals.sum(0), equations.sides.sum(0), dof)
     out = _without(whole, slow)
     difference = _without(answers[0][0] - answers[1][0], slow)
-    free = len(out) / max(len(out) - 1 - (0 if slow is None else len(slow) - 1), 1)
+    # What goes with the motion is an error of the model in each half, not noise: it must not lift the floor.
+    along = np.linalg.lstsq(out[:, :3], difference, rcond=None)[0]
+    of_motion = out[:, :3] @ along
+    difference = difference - of_motion
+    size = float(np.sqrt((out[:, :3] ** 2).sum(1).mean()))
+    share = np.sqrt((of_motion[:, :3] ** 2).mean(0)) / 2 / max(size, 1e-300)
+    free = len(out) / max(len(out) - 4 - (0 if slow is None else len(slow) - 1), 1)
     # Two halves with errors e₁, e₂ of their own: the difference's variance is the sum of theirs.
     expected = answers[0][1] + answers[1][1]
     factor = _ratio(difference**2, expected) * free
@@ -81,12 +90,12 @@ def series_of(
     turns = (out[:, 3:] / radius, deviation[:, 3:] / radius) if dof == 6 else (None, None)
     return Series(
         clock, times_s, out[:, :3], deviation[:, :3], deviation[:, :3], axes, labels, turns[0], turns[1],
-        variance[:, :3].mean(0), factor[:3], np.zeros(3),
+        variance[:, :3].mean(0), factor[:3], share,
     )  # fmt: skip
 
 
 def _solved(normals: np.ndarray, sides: np.ndarray, dof: int) -> tuple[np.ndarray, np.ndarray]:
-    """[F, dof] answers and [F, dof] variances at unit noise (inf where nothing is seen), of the first unknowns alone."""
+    """[F, dof] answers and variances at unit noise (inf where nothing is seen), of the first unknowns alone."""
     a = normals[:, :dof, :dof]
     values, vectors = np.linalg.eigh(a)
     is_seen = values > UNSEEN * np.maximum(values[:, -1:], 1e-30)
@@ -100,7 +109,7 @@ def _solved(normals: np.ndarray, sides: np.ndarray, dof: int) -> tuple[np.ndarra
 
 
 def _tells_rotation(equations: Equations) -> bool:
-    """Whether the region is large enough: translations stay as sure as without rotations, and these are told in turn."""
+    """Whether the region is large enough: translations stay as sure as without rotations, and these are told."""
     a = equations.normals.sum(0).mean(0)
     if np.linalg.eigvalsh(a)[0] <= 1e-9 * np.trace(a):
         return False
@@ -129,6 +138,6 @@ def _floor_factor(answer: np.ndarray, variance: np.ndarray) -> np.ndarray:
     if len(answer) < _FEWEST:
         return np.zeros(answer.shape[1])
     scaled = answer / np.sqrt(np.where(np.isfinite(variance) & (variance > 0), variance, np.inf))
-    window = np.hanning(len(answer) + 1)[:-1][:, None]
+    window = blackmanharris(len(answer), sym=False)[:, None]  # whose side lobes no strong tone fills
     power = np.abs(np.fft.rfft((scaled - scaled.mean(0)) * window, axis=0))[2:-1] ** 2
     return np.asarray(np.quantile(power, 0.25, axis=0) / _QUARTILE / (window**2).sum())

@@ -1,7 +1,7 @@
 """Amplitude spectrum of a sensor with its noise floor, and the peaks that stand out of it.
 
-The spectrum is 2 |Σ w_f u_f exp(−i 2πν t_f)| / Σ w_f with Hann's window w, so that a sinusoid has its amplitude, zero to
-peak, at its frequency. Noise of standard deviation s_f has there a Rayleigh distribution with the parameter
+The spectrum is 2 |Σ w_f u_f exp(−i 2πν t_f)| / Σ w_f with Hann's window w, so that a sinusoid has its amplitude, zero
+to peak, at its frequency. Noise of standard deviation s_f has there a Rayleigh distribution with the parameter
 √(2 Σ w_f² s_f²) / Σ w_f. The floor is the level that noise alone passes anywhere in the whole spectrum, on any of the
 three axes, in one record of a hundred; what lies under it is not told from noise.
 
@@ -43,7 +43,7 @@ class Peak:
 
     @property
     def is_told(self) -> np.ndarray:
-        """[3] bool: axes that are seen, and not ten times less sure than the best one, as a single camera's sight is."""
+        """[3] bool: axes that are seen, and not ten times less sure than the best one, as one camera's sight is."""
         floor = np.where(np.isfinite(self.floor), self.floor, np.inf)
         return np.isfinite(floor) & (floor <= 10 * floor.min())
 
@@ -203,7 +203,8 @@ def _fitted(
         phasor = answer[1 + k] + 1j * answer[1 + n + k]
         both = np.sqrt((variance[1 + k] + variance[1 + n + k]) / 2)
         if model_share is not None:
-            both = np.hypot(both, model_share * np.linalg.norm(phasor))
+            told = np.isfinite(level) & (level <= 10 * np.where(np.isfinite(level), level, np.inf).min())
+            both = np.hypot(both, model_share * np.linalg.norm(phasor[told]))
         both = np.where(np.isfinite(level), both, np.inf)
         good = mean_square > 0
         snr = float((np.abs(phasor[good]) ** 2 / mean_square[good]).sum()) * len(times_s) / 2

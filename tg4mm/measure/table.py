@@ -24,7 +24,8 @@ def format_table(measurement: Measurement) -> str:
 
 def rows_of(measurement: Measurement, result: SensorResult) -> list[list[str]]:
     """A row of texts for each peak, as `HEAD` names them; one that says so where there is none."""
-    unit, out = unit_of(measurement, result), []
+    unit = unit_of(measurement, result)
+    out: list[list[str]] = []
     for k, (peak, orbit) in enumerate(zip(result.spectrum.peaks, result.orbits, strict=True)):
         error = amplitude_deviation(peak, orbit)
         damping = result.damping[k]
@@ -51,7 +52,9 @@ def rows_of(measurement: Measurement, result: SensorResult) -> list[list[str]]:
 def direction_text(direction: np.ndarray, labels: tuple[str, str, str]) -> str:
     """The main direction, for instance `+0.97 x  −0.24 z`: what is under a twentieth is left out."""
     parts = [
-        f"{'+' if d > 0 else '−'}{abs(d):.2f} {label}" for d, label in zip(direction, labels, strict=True) if abs(d) >= 0.05
+        f"{'+' if d > 0 else '−'}{abs(d):.2f} {label}"
+        for d, label in zip(direction, labels, strict=True)
+        if abs(d) >= 0.05
     ]
     return " ".join(parts)
 

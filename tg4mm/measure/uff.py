@@ -22,7 +22,10 @@ MOST_NODES = 1500
 FIRST_GAUSSIAN = 1001
 _LINE = 240  # entries of a trace line, 250 at most
 _NEIGHBOURS = 3
-_TIME, _SPECTRUM = 1, 0  # function types of dataset 58: time response; general, since 12 is written by few programs
+_TIME, _SPECTRUM = (
+    1,
+    0,
+)  # function types of dataset 58: time response; general, since 12 is written by few programs
 _DISPLACEMENT = 8  # specific data type
 
 
@@ -90,7 +93,13 @@ def _nodes(numbers: np.ndarray, places: np.ndarray) -> dict[str, Any]:
     n = len(numbers)
     x, y, z = places.T
     return pyuff.prepare_15(
-        node_nums=numbers, def_cs=np.zeros(n, int), disp_cs=np.zeros(n, int), color=np.full(n, 8), x=x, y=y, z=z
+        node_nums=numbers,
+        def_cs=np.zeros(n, int),
+        disp_cs=np.zeros(n, int),
+        color=np.full(n, 8),
+        x=x,
+        y=y,
+        z=z,
     )
 
 
@@ -104,9 +113,7 @@ def _lines(means: np.ndarray) -> list[dict[str, Any]]:
     edges = {tuple(sorted((i, int(j)))) for i, row in enumerate(near) for j in row[1:]}
     entries = [int(e) for a, b in sorted(edges) for e in (0, FIRST_GAUSSIAN + a, FIRST_GAUSSIAN + b)]
     return [
-        pyuff.prepare_82(
-            trace_num=k + 1, n_nodes=len(some), color=8, id="neighbours", nodes=np.array(some)
-        )
+        pyuff.prepare_82(trace_num=k + 1, n_nodes=len(some), color=8, id="neighbours", nodes=np.array(some))
         for k, some in enumerate(entries[i : i + _LINE] for i in range(0, len(entries), _LINE))
     ]
 
@@ -115,8 +122,8 @@ def _shape(k: int, hz: float, numbers: np.ndarray, values: np.ndarray) -> dict[s
     import pyuff
 
     return pyuff.prepare_55(
-        model_type=1, id1="tg4mm operating deflection shape", id2=f"{hz:.6g} Hz, displacement, zero to peak", id3="NONE",
-        id4="NONE", id5="NONE", analysis_type=5, data_ch=2, spec_data_type=_DISPLACEMENT, data_type=5,
+        model_type=1, id1="tg4mm operating deflection shape", id2=f"{hz:.6g} Hz, displacement, zero to peak",
+        id3="NONE", id4="NONE", id5="NONE", analysis_type=5, data_ch=2, spec_data_type=_DISPLACEMENT, data_type=5,
         n_data_per_node=3, r1=values[:, 0], r2=values[:, 1], r3=values[:, 2], load_case=1, freq_step_n=k + 1, freq=hz,
         node_nums=numbers,
     )  # fmt: skip
@@ -139,7 +146,12 @@ def _functions(node: int, result: SensorResult, metres: float, unit: str) -> lis
         spectrum = spectrum_of(series.times_s, values, np.zeros_like(values))
         steps = np.diff(series.times_s)
         is_even = bool(np.ptp(steps) < 0.02 * steps.mean())
-        of_time = {"x": series.times_s, "spacing": int(is_even), "start": float(series.times_s[0]), "step": float(steps.mean())}
+        of_time = {
+            "x": series.times_s,
+            "spacing": int(is_even),
+            "start": float(series.times_s[0]),
+            "step": float(steps.mean()),
+        }
         of_hz = {"x": spectrum.freqs_hz, "spacing": 1, "start": 0.0, "step": float(spectrum.freqs_hz[1])}
         for k in range(3):
             name = f"{result.name}{f', clip {series.clock}' if series.clock else ''}{hidden}"

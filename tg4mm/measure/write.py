@@ -50,7 +50,8 @@ def write_json_file(measurement: Measurement, out: Path) -> Path:
         "notes": list(measurement.notes),
         "clusters": {measurement.clusters.names[k]: len(v) for k, v in measurement.clusters.members.items()},
         "shapes": [
-            {"frequency_hz": s.frequency_hz, "gaussians_above_floor": int(s.is_above.sum())} for s in measurement.shapes
+            {"frequency_hz": s.frequency_hz, "gaussians_above_floor": int(s.is_above.sum())}
+            for s in measurement.shapes
         ],
         "sensors": [_sensor(r) for r in measurement.sensors],
     }
@@ -92,7 +93,9 @@ def _series(series: Series) -> dict[str, Any]:
         "model_share": series.model_share.tolist(),
         "is_observed": [bool(b) for b in series.is_observed],
         "rotation_rad": None if series.rotation is None else _plain(series.rotation),
-        "rotation_deviation_rad": None if series.rotation_deviation is None else _plain(series.rotation_deviation),
+        "rotation_deviation_rad": None
+        if series.rotation_deviation is None
+        else _plain(series.rotation_deviation),
     }
 
 
@@ -147,10 +150,22 @@ def write_csv_files(measurement: Measurement, out: Path) -> list[Path]:
     head = "sensor", "clock", "time_s", "axis", f"displacement_{u}", f"deviation_{u}", f"velocity_{u}_per_s"
     series = _written(out / "series.csv", [*head, f"acceleration_{u}_per_s2"], _series_rows(measurement))
     spectra = _written(
-        out / "spectra.csv", ["sensor", "axis", "frequency_hz", f"amplitude_{u}", f"floor_{u}"], _spectrum_rows(measurement)
+        out / "spectra.csv",
+        ["sensor", "axis", "frequency_hz", f"amplitude_{u}", f"floor_{u}"],
+        _spectrum_rows(measurement),
     )
-    names = ["sensor", "axis", "frequency_hz", "frequency_deviation_hz", f"amplitude_{u}", f"deviation_{u}", "phase_rad"]
-    peaks = _written(out / "peaks.csv", [*names, f"floor_{u}", "is_above", "damping_ratio"], _peak_rows(measurement))
+    names = [
+        "sensor",
+        "axis",
+        "frequency_hz",
+        "frequency_deviation_hz",
+        f"amplitude_{u}",
+        f"deviation_{u}",
+        "phase_rad",
+    ]
+    peaks = _written(
+        out / "peaks.csv", [*names, f"floor_{u}", "is_above", "damping_ratio"], _peak_rows(measurement)
+    )
     return [series, spectra, peaks]
 
 
@@ -163,7 +178,13 @@ def _series_rows(measurement: Measurement) -> Iterable[Sequence[Any]]:
                 for k, label in enumerate(series.labels):
                     of_time = (None, None) if own is None else (own.velocity[t, k], own.acceleration[t, k])
                     values = series.displacement[t, k], series.deviation[t, k], *of_time
-                    yield result.name, series.clock, f"{time:.6f}", label, *(_number(v, factor) for v in values)
+                    yield (
+                        result.name,
+                        series.clock,
+                        f"{time:.6f}",
+                        label,
+                        *(_number(v, factor) for v in values),
+                    )
 
 
 def _spectrum_rows(measurement: Measurement) -> Iterable[Sequence[Any]]:
