@@ -152,6 +152,22 @@ class TestRequests:
             assert error.count("\n") == 1
 
 
+class TestResult:
+    def test_training_ends_with_the_result_and_does_so_again(self, data: Path, trained: Run, capsys) -> None:
+        command = ["train", str(data), "--out", str(trained.path)]
+        for name, value in SETTINGS.items():
+            command += ["--set", f"{name}={value}"]
+        shown = []
+        for _ in range(2):
+            assert main(command) == 0
+            shown.append(capsys.readouterr().out)
+        lines = shown[0].splitlines()
+        assert shown[0] == shown[1]
+        assert lines[0].startswith(f"{trained.path}: 3 fixed cameras, 5 timesteps at 30 Hz")
+        assert lines[-1].split()[:4] == ["next", "tg4mm", "render", str(trained.path)]
+        assert 3 < len(lines) < 16
+
+
 class TestStages:
     def test_both_stages_are_done_and_logged(self, trained: Run) -> None:
         assert trained.has_space

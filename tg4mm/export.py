@@ -79,13 +79,13 @@ def export_ply(run: Run, out: Path) -> Path:
     """
     if out.is_dir():
         raise Tg4mmError(f"--out {out}: is a folder; expected a file such as {out / 'splat.ply'}")
+    if out.exists() and not _is_ply(out):
+        raise Tg4mmError(f"--out {out}: exists, and is no PLY file; choose another name")
     if out.suffix.lower() != ".ply":
         named = f"{out.with_suffix('.ply')}" if out.suffix else f"{out}.ply, or {out / 'splat.ply'}"
         raise Tg4mmError(
             f"--out {out}: --format ply writes a PLY; expected a name that ends in .ply, such as {named}"
         )
-    if out.exists() and not _is_ply(out):
-        raise Tg4mmError(f"--out {out}: exists, and is no PLY file; choose another name")
     gaussians, motion = run.load_space(), run.load_motion()
     if motion is not None and run.preset == "modal":
         gaussians, motion = _from_its_zero(gaussians, motion)

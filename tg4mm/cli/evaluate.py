@@ -17,6 +17,7 @@ from tg4mm.cli.magnify import (
     known_bands,
     parse_bands,
     temporal_filter,
+    warn_too_far,
 )
 from tg4mm.errors import Tg4mmError
 
@@ -54,7 +55,7 @@ def evaluate(
     chosen_filter = temporal_filter(filter, asked)
     from tg4mm.device import check_device
     from tg4mm.evaluate import evaluate_run, format_table
-    from tg4mm.evaluate.wanted import check_alphas
+    from tg4mm.evaluate.wanted import check_alphas, target_file
     from tg4mm.magnify import BandGain, Magnification
     from tg4mm.runs import Run
 
@@ -65,6 +66,8 @@ def evaluate(
     gains = tuple(BandGain(*one, largest) for one in bands)
     plan = Magnification(gains, 0.0 if gains else largest, chosen, chosen_filter)
     check_magnified(opened, plan, allow_empty_band)
+    target_file(opened, out)  # raises where it cannot be written
+    warn_too_far(opened, plan)
     metrics = evaluate_run(
         opened,
         alphas=wanted,

@@ -19,6 +19,7 @@ from tg4mm.cli.magnify import (
     paired,
     parse_bands,
     temporal_filter,
+    warn_too_far,
 )
 from tg4mm.errors import Tg4mmError
 
@@ -75,5 +76,6 @@ def export(
         magnified = paired(alphas, known_bands(opened, asked))
         request = RenderRequest(method=chosen, filter=chosen_filter, **magnified)
         check_magnified(opened, request.checked().plan, allow_empty_band)
+        warn_too_far(opened, request.plan)
         export_ply_sequence(opened, out, request=request)
     typer.echo(str(out))

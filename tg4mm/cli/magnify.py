@@ -122,11 +122,17 @@ def known_bands(run: Run, bands: Sequence[tuple[float, float] | None]) -> list[t
 
 
 def check_magnified(run: Run, plan: Magnification, allow_empty: bool) -> None:
-    """Raise Tg4mmError for a band without motion, unless allowed; say where the magnified motion goes too far."""
-    from tg4mm.result.requested import refuse_empty, too_far
+    """Raise Tg4mmError for a band without motion, unless allowed."""
+    from tg4mm.result.requested import refuse_empty
 
     if not allow_empty:
         refuse_empty(run, plan)
+
+
+def warn_too_far(run: Run, plan: Magnification) -> None:
+    """Say where the magnified motion goes further than it holds."""
+    from tg4mm.result.requested import too_far
+
     if (line := too_far(run, plan)) is not None:
         _LOG.warning(line)
 

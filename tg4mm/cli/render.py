@@ -20,6 +20,7 @@ from tg4mm.cli.magnify import (
     paired,
     parse_bands,
     temporal_filter,
+    warn_too_far,
 )
 from tg4mm.errors import CaptureError, Tg4mmError
 
@@ -83,6 +84,7 @@ def render(
     magnified = paired(alpha, known_bands(opened, asked))
     request = RenderRequest(slow=slow, method=chosen_method, filter=chosen_filter, **magnified)
     check_magnified(opened, request.checked().plan, allow_empty_band)
+    warn_too_far(opened, request.plan)
     if orbit is not None:
         render_orbit(opened, orbit_cameras(opened, orbit), request, out, device=device.value)
     else:

@@ -11,13 +11,13 @@ import numpy as np
 
 from tg4mm.motion.modes import ModalMotion
 
-_OF_NOISE = 0.25  # of the median Gaussian's noise variance: what the modes left out may add up to
+_STRAY = 99.0  # percentile: Gaussians that hardly any camera sees must not say how large the noise is
 _ROUNDING = 1e-12  # of the motion's power: what float32 does not hold
 _OF_MOTION = 1e-6  # of the motion's power, where the run does not say its noise
 
 
 def worth_keeping(motion: ModalMotion, noise: np.ndarray | None) -> np.ndarray:
-    """[K] bool: all but the weakest modes, which together (mean square) are less than a quarter of the noise.
+    """[K] bool: all but the weakest modes, as long as those are together (mean square) less than the noise.
 
     noise [N]: standard deviation of each Gaussian's displacement by noise, scene units; None: not known, then a
     millionth of the motion's power takes its place. 0 Hz is kept: it is where the motion's own zero lies.
@@ -27,7 +27,8 @@ def worth_keeping(motion: ModalMotion, noise: np.ndarray | None) -> np.ndarray:
     total = float(power[oscillates].sum())
     allowed = _OF_MOTION * total
     if noise is not None and len(noise):
-        allowed = max(_ROUNDING * total, _OF_NOISE * float(np.median(noise)) ** 2)
+        usual = np.minimum(noise, np.percentile(noise, _STRAY)).astype(np.float64)
+        allowed = max(_ROUNDING * total, float((usual**2).mean()))
     weakest = np.flatnonzero(oscillates)[np.argsort(power[oscillates], kind="stable")]
     keep = np.full(len(power), True)
     keep[weakest[np.cumsum(power[weakest]) <= allowed]] = False

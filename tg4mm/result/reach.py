@@ -65,7 +65,7 @@ def reach_of(
 
 
 def _second_largest(values: np.ndarray) -> np.ndarray:
-    """[n] of values [n, k]: of neighbours across the gradient there is no difference, and the largest may be a stray."""
+    """[n] of values [n, k]: to neighbours across the gradient there is no difference, and the largest may be stray."""
     return np.asarray(np.sort(values, axis=1)[:, -min(2, values.shape[1])])
 
 

@@ -91,7 +91,6 @@ def reconstruct(images: Path, out: Path, config: SfmConfig = DEFAULTS, threads: 
     warn_uneven(surveys)
     if kind.name in FIXED:
         check_fixed(surveys)
-        _check_enough(sources)
     if config.test_every and kind.name not in ("photos", "rig", "clips"):
         raise Tg4mmError(f"--test-every is {config.test_every}, but {kind.name} has no camera to hold out")
     if config.synchronous and kind.name != "rig":
@@ -210,6 +209,7 @@ def _model(job: _Job, taken: list[Shot]) -> Any:
     if sparse.is_dir():
         return c.Reconstruction(sparse)
     check_sizes(taken)
+    _check_enough(job.sources)
     if len(taken) < FEWEST:
         raise CaptureError(
             f"{len(taken)} pictures, at least {FEWEST} are needed; a {SWEEP}/ of further ones helps"
