@@ -84,7 +84,8 @@ def waveform(axes: Any, result: SensorResult, unit: Unit) -> None:
         fontsize=8,
         loc="left",
     )
-    axes.legend(ncols=3, loc="upper right")
+    if _told(result):
+        axes.legend(ncols=3, loc="upper right")
     if unit.name != "px":
         second = axes.secondary_yaxis("right", functions=_factors(result.px_per_unit / unit.factor))
         second.set_ylabel(f"px in {result.best_view}")
