@@ -53,7 +53,10 @@ def chart(
     with _figure(size, columns) as (figure, axes):
         draw(axes)
         for one in figure.axes:
-            one.set_title(one.get_title("left"), loc="left", fontsize=9, color=MUTED, wrap=True)
+            one.set_title(one.get_title("left"), loc="left", fontsize=9, color=MUTED)
+            if (legend := one.get_legend()) is not None:  # over the drawing, not on it
+                legend.set_loc("lower right")
+                legend.set_bbox_to_anchor((1.0, 1.0), transform=one.transAxes)
         data = io.StringIO()
         figure.savefig(data, format="svg", metadata={"Date": None, "Creator": None})
     return _inline(data.getvalue(), label)

@@ -79,7 +79,7 @@ def _peaks(found: Measurement) -> Table:
     )
     if not any(row[-1] for row in rows):
         header, rows = header[:-1], [row[:-1] for row in rows]
-    return Table(header, rows, caption, left=9)
+    return Table(header, rows, caption, left=len(HEAD))
 
 
 def _figure(found: Measurement, result: SensorResult) -> Figure:
