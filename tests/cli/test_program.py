@@ -15,7 +15,7 @@ import pytest
 from tg4mm import __version__
 
 ROOT = Path(__file__).resolve().parents[2]
-COMMANDS = ("demo", "generate", "train", "render", "evaluate", "export", "sfm", "bench")
+COMMANDS = ("demo", "generate", "train", "render", "evaluate", "measure", "report", "export", "sfm", "bench")
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "100", "NO_COLOR": "1"}
 
 
@@ -86,6 +86,7 @@ def test_help_is_fast_and_imports_nothing_heavy() -> None:
         ("train", ["[default: modal]", "[default: cpu]", "modal", "cuda", "--set"]),
         ("render", ["(1 + alpha)", "-1 at rest", "Hz", "[default: all]", "[default: test]", "--orbit"]),
         ("evaluate", ["dB", "Hz", "[default: RUN/metrics.json]", "5,10,20,50"]),
+        ("report", ["(1 + alpha)", "Hz", "[default: RUN/report.html]", "ground truth"]),
         ("export", ["ply"]),
         ("demo", ["[default: demo]"]),
     ],

@@ -34,8 +34,8 @@ def report(
     """Write everything about a run on one page: a file that any browser shows, without a network.
 
     Videos, slices, maps, spectra, what sensors measure, what could not be told, settings and commands to repeat it;
-    where the dataset has ground truth, also how true the result is. Videos of at most 180 pictures (s of the record by
-    its frame rate in Hz).
+    where the dataset has ground truth, also how true the result is. Lengths are in mm where the scale is known, else in
+    scene units.
     """
     asked = parse_bands(band)
     if len(asked) > 1:
