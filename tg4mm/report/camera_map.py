@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -45,7 +46,7 @@ def camera_map(m: Material) -> Block:
     charts = []
     for title, a, b in _VIEWS:
         label = f"cameras and Gaussians {title.lower()}"
-        charts.append(drawing(chart(lambda axes, a=a, b=b: draw(axes, a, b), label, (5.0, 4.2)), title))
+        charts.append(drawing(chart(partial(draw, a=a, b=b), label, (5.0, 4.2)), title))
     caption = (
         "Camera map in the world's axes, z up: squares are training cameras with their lines of sight, the large dot "
         "is the camera of the videos and maps, the box holds 98 % of what is seen of the Gaussians on each axis, small "

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from tg4mm.errors import Tg4mmError
 from tg4mm.evaluate.slices import amplitude_spectrum
-from tg4mm.measure import Measurement, SensorResult
+from tg4mm.measure import Measurement, Sensor, SensorResult, measure
 from tg4mm.measure.plots import spectrum, waveform
 from tg4mm.measure.table import HEAD, rows_of
 from tg4mm.measure.units import unit_of as unit_of_sensor
@@ -16,6 +17,7 @@ from tg4mm.report.charts import CEILING, OURS, STILL, chart
 from tg4mm.report.maps import in_band
 from tg4mm.report.page import Block, Figure, Section, Table, Text, drawing
 from tg4mm.report.summary import Material, unit_of
+from tg4mm.runs import Run
 
 
 def model_spectrum(m: Material) -> Block:
@@ -104,10 +106,8 @@ def _figure(found: Measurement, result: SensorResult) -> Figure:
     return Figure(panels, caption)
 
 
-def measured(run: Any, sensors: Any) -> tuple[Measurement | None, str]:
+def measured(run: Run, sensors: Sequence[Sensor]) -> tuple[Measurement | None, str]:
     """What sensors measure on the run, or why nothing was. Sensors that were asked for must be measured: Tg4mmError."""
-    from tg4mm.measure import measure
-
     try:
         return measure(run, sensors or None), ""
     except Tg4mmError as error:

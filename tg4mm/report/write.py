@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from tg4mm import __version__
-from tg4mm.capture import check_band, load_capture
+from tg4mm.capture import Capture, check_band, load_capture
 from tg4mm.errors import RunError
 from tg4mm.files import write_atomic
 from tg4mm.magnify import BandGain, Magnification
@@ -81,7 +81,7 @@ def _check_writable(out: Path) -> None:
         raise RunError(f"--out {out}: {there} cannot be written")
 
 
-def _material(run: Run, train: Any, band: tuple[float, float] | None, options: ReportOptions) -> Material:
+def _material(run: Run, train: Capture, band: tuple[float, float] | None, options: ReportOptions) -> Material:
     reading = reading_of(run)
     result = reading.result()
     model = load_model(reading, train, band)
