@@ -265,7 +265,7 @@ def test_a_motion_of_nothing_has_a_page_that_says_so(run, metrics, tmp_path):
 
 def test_an_unfinished_run_has_none(run, tmp_path):
     made = Run.create(tmp_path / "run", run.dataset, "modal", {})
-    with pytest.raises(RunError, match="space stage is not finished"):
+    with pytest.raises(RunError, match="is not finished"):
         report(made, tmp_path / "out")
     made.save_space(run.load_space(), {})
     with pytest.raises(RunError, match="motion stage is not finished"):

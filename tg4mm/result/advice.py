@@ -23,9 +23,11 @@ def suggested_alpha(reach: Reach | None, capture: Capture | None) -> float:
 
     reach: of the motion that is magnified, as it is.
     """
-    if reach is None or reach.pixels is None or capture is None or not reach.pixels > 0:
+    if reach is None or reach.pixels is None or capture is None:
         return _DEFAULT
-    wanted = _SHOWN * min(capture.width, capture.height) / reach.pixels
+    wanted = 1 + _DEFAULT
+    if reach.pixels > 0:
+        wanted = _SHOWN * min(capture.width, capture.height) / reach.pixels
     most = min(wanted, 1 / reach.too_far if reach.too_far > 0 else _MOST, _MOST + 1) - 1
     round_ones = [step * 10**power for power in range(3) for step in _STEPS]
     return max((a for a in round_ones if a <= max(most, 1.0)), default=1.0)
