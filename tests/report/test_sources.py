@@ -20,7 +20,7 @@ def reading(run):
 
 
 def test_alpha_asked_for_is_taken(reading):
-    assert choose_alpha(reading, 7.5, None) == (7.5, "")
+    assert choose_alpha(reading, None, 7.5, None) == (7.5, "")
 
 
 def test_without_truth_it_is_what_shows_the_motion_within_its_noise(reading, tmp_path):
@@ -28,7 +28,7 @@ def test_without_truth_it_is_what_shows_the_motion_within_its_noise(reading, tmp
     bare = replace(
         reading, run=Run(made.path, {**made.config, "dataset": str(tmp_path), "dataset_from_run": "x"})
     )
-    alpha, why = choose_alpha(bare, None, None)
+    alpha, why = choose_alpha(bare, bare.result().noise_px, None, None)
     reach = reading.reach(reading.motion.is_magnified().astype(float))
     assert reach.pixels * (1 + alpha) <= 0.04 * 48 * 1.001
     assert reach.too_far * (1 + alpha) <= 1
@@ -36,7 +36,7 @@ def test_without_truth_it_is_what_shows_the_motion_within_its_noise(reading, tmp
 
 
 def test_with_truth_it_is_one_that_has_some(reading):
-    alpha, why = choose_alpha(reading, None, None)
+    alpha, why = choose_alpha(reading, None, None, None)
     bound = 0.04 * 48 / reading.reach(reading.motion.is_magnified().astype(float)).pixels - 1
     assert alpha == max(a for a in (5, 20) if a <= bound)
     assert "ground truth" in why
@@ -48,7 +48,10 @@ def test_noise_lowers_it(reading, tmp_path):
     bare = replace(reading, run=elsewhere)
     noise = np.full_like(reading.uncertainty["displacement"], 0.02)
     noisy = replace(bare, uncertainty={**reading.uncertainty, "noise": noise})
-    assert choose_alpha(noisy, None, None)[0] < choose_alpha(bare, None, None)[0]
+    assert (
+        choose_alpha(noisy, noisy.result().noise_px, None, None)[0]
+        < choose_alpha(bare, bare.result().noise_px, None, None)[0]
+    )
 
 
 def copied(run: Run, tmp_path) -> Run:

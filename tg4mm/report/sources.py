@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -49,11 +49,12 @@ def alphas_with_truth(dataset: Path) -> list[int]:
 
 
 def choose_alpha(
-    reading: Reading, wanted: float | None, band: tuple[float, float] | None
+    reading: Reading, noise_px: float | None, wanted: float | None, band: tuple[float, float] | None
 ) -> tuple[float, str]:
     """`wanted` if given, else what shows the motion well, and a sentence on how it was chosen ("" for `wanted`).
 
-    Where there is ground truth, the largest α of it that is no larger than that.
+    noise_px: the noise's amplitude in the pictures, also where no mode stands out of it; None: not known. Where there is
+    ground truth, the largest α of it that is no larger than that.
     """
     if reading.motion is None:
         return 0.0, ""
@@ -61,7 +62,8 @@ def choose_alpha(
         return float(wanted), ""
     gains = (in_band(reading.motion, band) & reading.motion.is_magnified()).astype(float)
     reach = reading.reach(gains)
-    alpha = suggested_alpha(reach, reading.capture)
+    assert reach is not None  # there is a motion
+    alpha = suggested_alpha(replace(reach, noise_px=noise_px), reading.capture)
     why = (
         "α was chosen so that the largest motion spans about 4 % of the picture's shorter side, as long as its noise "
         "stays below a pixel and parts turn by less than half a radian"

@@ -85,7 +85,7 @@ def _material(run: Run, train: Capture, band: tuple[float, float] | None, option
     reading = reading_of(run)
     result = reading.result()
     model = load_model(reading, train, band)
-    alpha, why_alpha = choose_alpha(reading, options.alpha, band)
+    alpha, why_alpha = choose_alpha(reading, result.noise_px, options.alpha, band)
     view = gather_view(run, train, model, alpha, band)
     measurement, why_no_sensors = (None, "") if model.motion is None else measured(run, options.sensors)
     metrics = dict(options.metrics) if options.metrics is not None else metrics_of(run)
