@@ -53,8 +53,8 @@ def choose_alpha(
 ) -> tuple[float, str]:
     """`wanted` if given, else what shows the motion well, and a sentence on how it was chosen ("" for `wanted`).
 
-    noise_px: the noise's amplitude in the pictures, also where no mode stands out of it; None: not known. Where there is
-    ground truth, the largest α of it that is no larger than that.
+    Where there is ground truth, the largest α of it that is no larger than that. noise_px: the noise's amplitude in the
+    pictures, also where no mode stands out of it; None: not known.
     """
     if reading.motion is None:
         return 0.0, ""
