@@ -56,7 +56,7 @@ def chart(
             one.set_title(one.get_title("left"), loc="left", fontsize=9, color=MUTED)
             if (legend := one.get_legend()) is not None:  # over the drawing, not on it
                 legend.set_loc("lower right")
-                legend.set_bbox_to_anchor((1.0, 1.0), transform=one.transAxes)
+                legend.set_bbox_to_anchor((1.0, 1.06), transform=one.transAxes)
         data = io.StringIO()
         figure.savefig(data, format="svg", metadata={"Date": None, "Creator": None})
     return _inline(data.getvalue(), label)
