@@ -13,6 +13,7 @@ import jinja2
 import numpy as np
 from markupsafe import Markup
 
+from tg4mm import __version__
 from tg4mm.errors import Tg4mmError
 from tg4mm.files import write_atomic
 from tg4mm.motion.modes import ModalMotion
@@ -75,6 +76,7 @@ def render(page: Page) -> str:
     )
     return environment.get_template("page.html").render(
         title=page.scene["title"],
+        version=__version__,
         style=Markup(style),
         program=Markup(program),
         program_hash=Markup(f"sha256-{digest}"),

@@ -52,12 +52,7 @@ export class Orbit {
     this.controls.enableDamping = false;
     this.controls.screenSpacePanning = true;
     this.controls.update();
-    this.controls.saveState();
     this.controls.addEventListener("change", onChange);
-  }
-
-  reset() {
-    this.controls.reset();
   }
 
   dispose() {

@@ -8,8 +8,9 @@ const ALPHA_MIN = 1 / 255; // tg4mm/rasterize/kernels/layout.py
 const EPS_2D = 0.3; // pixels², added to every projected covariance, opacity unchanged
 
 export class Stage {
-  constructor(canvas, scene, data, onDirty) {
+  constructor(canvas, scene, data, onDirty, onError) {
     this.canvas = canvas;
+    this.onError = onError;
     // Straight display values: no tone mapping, no conversion of colours (Spark draws into an sRGB canvas as is).
     this.renderer = new THREE.WebGLRenderer({ canvas, antialias: false, depth: false, stencil: false });
     this.renderer.setPixelRatio(1); // sizes are given in pixels of the screen
