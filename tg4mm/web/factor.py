@@ -20,7 +20,9 @@ class MotionFields:
     g_k. Each field's displacement and rotation have a largest size of 1 once divided by `sizes[r]`.
     """
 
-    fields: np.ndarray  # [R, N, 6] float32: displacement in scene units, rotation vector in radians; over `sizes`
+    fields: (
+        np.ndarray
+    )  # [R, N, 6] float32: displacement in scene units, rotation vector in radians; over `sizes`
     sizes: np.ndarray  # [R, 2] float64: scene units, radians; 0 where a field does not move or not turn
     series: np.ndarray  # [K, R] complex128
 

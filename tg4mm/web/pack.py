@@ -82,7 +82,7 @@ def pack(gaussians: Gaussians, motion: MotionFields, light: AppearanceModes | No
     ]
     values = np.concatenate(columns, axis=1).astype("<f2")
     exact = np.concatenate([means, opacities[:, None]], axis=1).astype("<f4")
-    return Packed(zlib.compress(_apart(exact) + _apart(values), 9), layout, sizes)
+    return Packed(_compressed(_apart(exact) + _apart(values)), layout, sizes)
 
 
 def unpack(block: bytes, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
@@ -98,6 +98,12 @@ def _apart(table: np.ndarray) -> bytes:
     """The bytes of [N, V] values, column after column, all first bytes before all second ones."""
     flat = np.ascontiguousarray(table.T)
     return flat.view(np.uint8).reshape(-1, flat.itemsize).T.tobytes()
+
+
+def _compressed(data: bytes) -> bytes:
+    """A zlib stream. Numbers repeat only where they are 0, so that a search for longer repetitions costs time and size."""
+    compressor = zlib.compressobj(9, strategy=zlib.Z_RLE)
+    return compressor.compress(data) + compressor.flush()
 
 
 def _light(light: AppearanceModes | None, n: int) -> tuple[np.ndarray, np.ndarray]:

@@ -13,7 +13,7 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.motion.limits import peaks
 from tg4mm.motion.modes import ModalMotion
 from tg4mm.render.cameras import Camera, capture_cameras
-from tg4mm.report.maps import image_motion
+from tg4mm.report.maps import image_motion, peak_displacement
 from tg4mm.report.summary import title_of
 from tg4mm.runs import Run
 from tg4mm.web.factor import MotionFields
@@ -21,7 +21,7 @@ from tg4mm.web.pack import Packed
 
 FORMAT_VERSION = 1
 _ALPHAS = (1, 2, 5, 10, 20, 50, 100, 200, 500)
-_SHOWN = 0.015  # of the picture's width: how far the strongest mode's rms motion reaches when the page opens
+_SHOWN = 0.03  # of the picture's width: how far the strongest mode's rms motion reaches when the page opens
 
 
 def camera_json(camera: Camera) -> dict[str, Any]:
@@ -105,7 +105,7 @@ def _motion_json(
         "freqs_hz": [float(f) for f in motion.freqs_hz],
         "magnified": [bool(m) for m in magnified],
         "rms_px": [float(p) for p in pixels],
-        "rms_units": [float(np.sqrt((np.abs(m) ** 2).sum(1).mean())) for m in motion.displacement],
+        "amplitude": [_amplitude(m) for m in motion.displacement],
         "peaks_hz": hz,
         "sizes": fields.sizes.tolist(),
         "series": _parts(fields.series),
@@ -115,10 +115,17 @@ def _motion_json(
     }
 
 
+def _amplitude(phasors: np.ndarray) -> float:
+    """How far the 1 % of Gaussians that move most in a mode [N, 3] move at least, scene units."""
+    return float(np.percentile(peak_displacement(phasors), 99))
+
+
 def _peaks(run: Run, motion: ModalMotion) -> list[float]:
     """Peaks of the spectrum in Hz, strongest first: those of the run's log, else those of its modes."""
     logged = run.log().get("motion", {}).get("frequencies_hz")
-    found = peaks(motion, 2 * motion.fps / motion.n_timesteps) if logged is None else np.asarray(logged, float)
+    found = (
+        peaks(motion, 2 * motion.fps / motion.n_timesteps) if logged is None else np.asarray(logged, float)
+    )
     return [float(f) for f in found]
 
 

@@ -17,6 +17,7 @@ from tg4mm import __version__
 from tg4mm.errors import Tg4mmError
 from tg4mm.files import write_atomic
 from tg4mm.motion.modes import ModalMotion
+from tg4mm.progress import progress
 from tg4mm.runs import Run
 from tg4mm.web.factor import MotionFields, motion_fields
 from tg4mm.web.pack import pack
@@ -54,10 +55,16 @@ def export_html(run: Run, out: Path) -> Path:
 
 def make_page(run: Run) -> Page:
     """The scene and its numbers. Raises what `export_html` does of the run."""
-    gaussians, motion = run.load_space(), run.load_motion()
-    fields = _fields(motion, len(gaussians))
-    packed = pack(gaussians, fields, None if motion is None else motion.appearance)
-    return Page(scene_json(run, gaussians, motion, fields, packed), packed.block)
+    with progress("page", 4, unit="steps") as update:
+        gaussians, motion = run.load_space(), run.load_motion()
+        update(1)
+        fields = _fields(motion, len(gaussians))
+        update(2)
+        packed = pack(gaussians, fields, None if motion is None else motion.appearance)
+        update(3)
+        scene = scene_json(run, gaussians, motion, fields, packed)
+        update(4)
+    return Page(scene, packed.block)
 
 
 def _fields(motion: ModalMotion | None, n: int) -> MotionFields:

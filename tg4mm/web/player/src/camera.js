@@ -5,7 +5,7 @@ import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 const NEAR = 0.01; // as tg4mm's rasteriser has it; scene units
 const FAR = 1e5;
 
-/** Set the projection of a pinhole [K in pixels of w×h] in a window of width×height that shows all of its picture. */
+/** Set the projection of a pinhole [K in pixels of w×h] in a window of width×height that shows all of its picture; returns its scale. */
 export function project(camera, { K, width: w, height: h }, width, height) {
   const s = Math.min(width / w, height / h);
   const fx = s * K[0][0];
@@ -25,6 +25,7 @@ export function project(camera, { K, width: w, height: h }, width, height) {
     0, 0, -1, 0,
   );
   camera.projectionMatrixInverse.copy(camera.projectionMatrix).invert();
+  return s;
 }
 
 /** Put the camera where world-to-camera `viewmat` (OpenCV axes) says. */

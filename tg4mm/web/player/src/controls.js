@@ -1,9 +1,9 @@
 // The panel: shows a state, and calls `change` with what a reader of the page sets in it.
 import { drawSpectrum } from "./spectrum.js";
 import { SPEEDS, bandsOfPeaks, topOf } from "./state.js";
+import { lengthText, short } from "./units.js";
 
 const find = (id) => document.getElementById(id);
-const short = (number, digits = 3) => String(Number(number.toPrecision(digits)));
 const fraction = (speed) => ({ 1: "1×", 0.5: "½", 0.25: "¼", 0.125: "⅛", 0.0625: "1⁄16" })[speed] ?? `${speed}×`;
 
 function button(text, onClick, parent) {
@@ -17,12 +17,12 @@ function button(text, onClick, parent) {
 
 function facts({ layout, motion, unit_scale_m: scale }) {
   const parts = [`${layout.n_gaussians.toLocaleString("en")} Gaussians`];
-  if (motion) {
-    const seconds = motion.n_timesteps / motion.fps;
-    parts.push(`${short(seconds)} s at ${short(motion.fps, 4)} frames/s`);
-    if (motion.peaks_hz.length) parts.push(motion.peaks_hz.map((f) => `${short(f)} Hz`).join(", "));
+  if (!motion) return parts[0];
+  parts.push(`${short(motion.n_timesteps / motion.fps)} s at ${short(motion.fps, 4)} frames/s`);
+  for (const f of motion.peaks_hz.slice(0, 3)) {
+    const k = motion.freqs_hz.reduce((best, g, i, all) => (Math.abs(g - f) < Math.abs(all[best] - f) ? i : best), 0);
+    parts.push(`${short(f)} Hz, up to ${lengthText(motion.amplitude[k], scale)}`);
   }
-  parts.push(scale ? `1 unit = ${short(scale * 1000)} mm` : "lengths in scene units");
   return parts.join(" · ");
 }
 
@@ -43,7 +43,7 @@ export class Controls {
     for (const input of [alpha, find("alpha-number")])
       input.addEventListener("input", () => input.value !== "" && change({ alpha: Number(input.value) }));
     this.top = topOf(motion);
-    this.colour = drawSpectrum(find("spectrum"), motion, this.top);
+    this.colour = drawSpectrum(find("spectrum"), motion, this.top, this.scene.unit_scale_m);
     this.peaks = bandsOfPeaks(motion);
     const chips = find("peaks");
     this.chips = [{ band: null, chip: button("all", () => change({ band: null }), chips) }];

@@ -62,7 +62,7 @@ class Player {
     const sharpness = Math.min(devicePixelRatio || 1, SHARPEST);
     const size = [clientWidth, clientHeight].map((n) => Math.max(1, Math.round(n * sharpness)));
     this.stage.resize(...size);
-    project(this.stage.camera, this.view, ...size);
+    this.stage.setScale(project(this.stage.camera, this.view, ...size));
     this.touch();
   }
 

@@ -46,6 +46,11 @@ export class Stage {
     this.renderer.setSize(width, height, false);
   }
 
+  /** The low-pass at `scale` pixels of the canvas for one of the capture: enlarged with the picture, not shrunk with it. */
+  setScale(scale) {
+    this.spark.preBlurAmount = EPS_2D * Math.max(1, scale) ** 2;
+  }
+
   /** Move the Gaussians and draw them at once; their order may be that of the frame before. */
   draw({ time, alpha, band }) {
     this.splats.pose(time, alpha, band, this.camera);
@@ -71,13 +76,16 @@ export class Stage {
     const before = { size: this.size, matrix: this.camera.matrixWorld.clone() };
     const projection = this.camera.projectionMatrix.clone();
     const { fov } = this.camera;
+    const low = this.spark.preBlurAmount;
     try {
+      this.setScale(1);
       this.resize(view.width, view.height);
       place(this.camera, view.viewmat);
       project(this.camera, view, view.width, view.height);
       await this.drawSorted(state);
       return this.canvas.toDataURL("image/png");
     } finally {
+      this.spark.preBlurAmount = low;
       this.resize(...before.size);
       before.matrix.decompose(this.camera.position, this.camera.quaternion, new THREE.Vector3());
       this.camera.updateMatrixWorld(true);
