@@ -29,7 +29,7 @@ LEAST_DB = 35.0
 
 
 def psnr(a: np.ndarray, b: np.ndarray) -> float:
-    return float(-10 * np.log10(np.mean((a.astype(np.float64) - b) ** 2)))
+    return float(-10 * np.log10(max(np.mean((a.astype(np.float64) - b) ** 2), 1e-12)))
 
 
 def opened(browser: Any, file: Path, address: str = "", **options: Any) -> Any:

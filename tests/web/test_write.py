@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.synthetic import make_synthetic_dataset
 from tg4mm.cli import main
 from tg4mm.errors import RunError, Tg4mmError
 from tg4mm.runs import Run
@@ -65,6 +66,19 @@ def test_an_offset_of_0_hz_is_not_magnified(moving_run, tmp_path):
     run.save_space(moving_run.load_space(), {})
     run.save_motion(replace(motion, freqs_hz=np.array([0.0, 6.0])), {})
     assert make_page(run).scene["motion"]["magnified"] == [False, True]
+
+
+def test_the_page_opens_with_a_camera_that_stays_put(tmp_path):
+    """A picture of a sweep, from close by, would show more motion, but nothing was recorded from there."""
+    gaussians, motion = make_synthetic_dataset(tmp_path / "data", n_views=3, n_timesteps=6, size=16, n_test=0)
+    for t in range(1, 6):
+        file = tmp_path / "data" / f"{t:03d}" / "transforms_train.json"
+        values = json.loads(file.read_text())
+        file.write_text(json.dumps(values | {"frames": values["frames"][1:2]}))
+    run = Run.create(tmp_path / "run", tmp_path / "data", "modal", {})
+    run.save_space(gaussians, {})
+    run.save_motion(motion, {})
+    assert make_page(run).scene["camera"]["name"] == "r_001"
 
 
 def test_bad_outs_are_refused_and_nothing_is_written(moving_run, tmp_path):

@@ -101,7 +101,7 @@ def _apart(table: np.ndarray) -> bytes:
 
 
 def _compressed(data: bytes) -> bytes:
-    """A zlib stream. Numbers repeat only where they are 0, so that a search for longer repetitions costs time and size."""
+    """A zlib stream. Only runs of zeros repeat here: a search for anything else costs time and gains no size."""
     compressor = zlib.compressobj(9, strategy=zlib.Z_RLE)
     return compressor.compress(data) + compressor.flush()
 

@@ -1,6 +1,6 @@
 // The panel: shows a state, and calls `change` with what a reader of the page sets in it.
 import { drawSpectrum } from "./spectrum.js";
-import { SPEEDS, bandsOfPeaks, topOf } from "./state.js";
+import { SPEEDS, bandOfAllPeaks, bandsOfPeaks, topOf } from "./state.js";
 import { lengthText, short } from "./units.js";
 
 const find = (id) => document.getElementById(id);
@@ -47,6 +47,9 @@ export class Controls {
     this.peaks = bandsOfPeaks(motion);
     const chips = find("peaks");
     this.chips = [{ band: null, chip: button("all", () => change({ band: null }), chips) }];
+    const together = bandOfAllPeaks(motion);
+    if (this.peaks.length > 1)
+      this.chips.push({ band: together, chip: button("peaks", () => change({ band: together }), chips) });
     for (const { hz, band } of this.peaks)
       this.chips.push({ band, chip: button(`${short(hz)} Hz`, () => change({ band }), chips) });
     this.low = find("band-low");

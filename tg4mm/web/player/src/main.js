@@ -7,6 +7,8 @@ import { advanced, firstState, stateOfAddress, withState } from "./state.js";
 
 const find = (id) => document.getElementById(id);
 const SHARPEST = 2; // pixels of the canvas for one of the page: more costs time and shows nothing
+const COARSEST = 0.5;
+const SLOW_MS = 80; // a frame, mean over some: from there on fewer pixels are drawn
 
 function say(text) {
   find("notice").textContent = text;
@@ -22,6 +24,8 @@ class Player {
     this.controls = new Controls(scene, (wanted) => this.set(wanted));
     this.touched = true;
     this.busy = 0; // pictures being made: the canvas is theirs
+    this.sharpness = Math.min(devicePixelRatio || 1, SHARPEST);
+    this.mean = 0; // milliseconds a frame takes while it plays
     this.open(scene.camera, scene.target_depth);
     this.listen();
     this.set({});
@@ -59,8 +63,7 @@ class Player {
   fit() {
     if (this.busy) return;
     const { clientWidth, clientHeight } = this.canvas.parentElement;
-    const sharpness = Math.min(devicePixelRatio || 1, SHARPEST);
-    const size = [clientWidth, clientHeight].map((n) => Math.max(1, Math.round(n * sharpness)));
+    const size = [clientWidth, clientHeight].map((n) => Math.max(1, Math.round(n * this.sharpness)));
     this.stage.resize(...size);
     this.stage.setScale(project(this.stage.camera, this.view, ...size));
     this.touch();
@@ -82,12 +85,22 @@ class Player {
       this.state = advanced(this.state, this.scene.motion, Math.min(now - before, 250) / 1000);
       this.controls.showTime(this.state);
       this.touch();
+      this.keepPace(now - before);
     }
     if (this.touched && !this.busy) {
       this.touched = false;
       this.stage.draw(this.state);
     }
     requestAnimationFrame((next) => this.frame(next, now));
+  }
+
+  /** Draw fewer pixels where frames take long; never more again, lest the picture goes to and fro. */
+  keepPace(milliseconds) {
+    this.mean += (Math.min(milliseconds, 1000) - this.mean) / 10;
+    if (this.mean < SLOW_MS || this.sharpness <= COARSEST) return;
+    this.sharpness = Math.max(COARSEST, this.sharpness * 0.7);
+    this.mean = 0;
+    this.fit();
   }
 
   fail(error) {

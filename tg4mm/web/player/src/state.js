@@ -17,13 +17,19 @@ export function bandsOfPeaks(motion) {
   });
 }
 
-/** A state to begin with: everything magnified, at a speed at which the strongest peak can be followed. */
+/** From the lowest peak's band to the highest one's: not drift below nor noise above. Null without a peak: everything. */
+export function bandOfAllPeaks(motion) {
+  const bands = bandsOfPeaks(motion);
+  return bands.length ? [bands[0].band[0], bands.at(-1).band[1]] : null;
+}
+
+/** A state to begin with: all peaks magnified, at a speed at which the strongest peak can be followed. */
 export function firstState(scene) {
   const { motion } = scene;
   if (!motion) return { time: 0, alpha: 0, band: null, speed: 1, playing: false };
   const main = motion.peaks_hz[0] ?? 1;
   const speed = SPEEDS.find((s) => main * s <= SLOW_ENOUGH) ?? SPEEDS.at(-1);
-  return { time: 0, alpha: motion.alpha, band: null, speed, playing: true };
+  return { time: 0, alpha: motion.alpha, band: bandOfAllPeaks(motion), speed, playing: true };
 }
 
 const finite = (value, name) => {
@@ -46,7 +52,7 @@ export function withState(state, wanted) {
   return next;
 }
 
-/** What an address asks for after its #: alpha=20&band=4,6&speed=0.25&time=3&paused; what is no number is left out. */
+/** What an address asks for after its #: alpha=20&band=4,6&speed=0.25&time=3&paused; band=all; what is no number is left out. */
 export function stateOfAddress(hash) {
   const given = new URLSearchParams(hash.replace(/^#/, ""));
   const wanted = {};
@@ -56,6 +62,7 @@ export function stateOfAddress(hash) {
   }
   const band = (given.get("band") ?? "").split(",").map(Number.parseFloat);
   if (band.length === 2 && band.every(Number.isFinite) && band[0] <= band[1]) wanted.band = band;
+  if (given.get("band") === "all") wanted.band = null;
   if (given.has("paused")) wanted.playing = false;
   return wanted;
 }
