@@ -57,6 +57,15 @@ def test_a_colour_past_float16_is_refused(moving_run):
         pack(replace(gaussians, sh=sh), motion_fields(moving_run.load_motion()))
 
 
+def test_more_fields_than_a_page_holds_are_refused(moving_run):
+    gaussians = moving_run.load_space()
+    fields = MotionFields(
+        np.zeros((97, len(gaussians), 6), np.float32), np.ones((97, 2)), np.ones((60, 97), complex)
+    )
+    with pytest.raises(RunError, match="has 97 independent fields; a page holds up to 96"):
+        pack(gaussians, fields)
+
+
 def test_fifty_thousand_gaussians_with_two_modes_fit_in_15_mb(repo_root):
     """Noise, which nothing can compress: a real scene takes less."""
     n, rng = 50_000, np.random.default_rng(0)

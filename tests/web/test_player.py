@@ -18,6 +18,7 @@ from PIL import Image
 
 from tg4mm.capture import load_capture
 from tg4mm.motion.animate import animate
+from tg4mm.motion.modes import ModalMotion
 from tg4mm.render.cameras import Camera, capture_cameras
 from tg4mm.render.image import render_image
 from tg4mm.runs import Run
@@ -183,6 +184,20 @@ def test_a_run_without_motion_is_shown_still(browser, still_run, camera, tmp_pat
     drawn = picture(page, camera)
     assert psnr(drawn, ours(still_run, camera, 0, 0)) >= LEAST_DB
     assert page.complaints == []
+    page.close()
+
+
+def test_as_many_fields_as_a_page_holds_are_drawn(browser, moving_run, camera, tmp_path):
+    """48 modes that have nothing to do with each other: 96 fields."""
+    n, rng = len(moving_run.load_space()), np.random.default_rng(1)
+    noise = rng.normal(0, 5e-4, (2, 48, n, 3)) + 1j * rng.normal(0, 5e-4, (2, 48, n, 3))
+    displacement, rotation = noise.astype(np.complex64)
+    run = Run.create(tmp_path / "run", moving_run.dataset, "modal", {})
+    run.save_space(moving_run.load_space(), {})
+    run.save_motion(ModalMotion(np.linspace(0.2, 14, 48), displacement, rotation, 30.0, 150), {})
+    page = opened(browser, export_html(run, tmp_path / "many.html"), "#paused")
+    assert page.evaluate("() => tg4mm.scene.layout.n_fields") == 96
+    assert psnr(picture(page, camera, alpha=10, time=7.3), ours(run, camera, 7.3, 10)) >= LEAST_DB
     page.close()
 
 

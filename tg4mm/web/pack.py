@@ -19,6 +19,7 @@ from tg4mm.motion.appearance_modes import AppearanceModes
 from tg4mm.web.factor import MotionFields
 
 SH_STEP = 2.0**-9  # coefficients above degree 0 are rounded to this: half a step is a quarter of a grey level
+MOST_FIELDS = 96  # of motion: what WebGL 2 promises in uniforms and texture layers
 _HALF = 65504.0  # float16's largest number
 
 
@@ -60,7 +61,8 @@ def pack(gaussians: Gaussians, motion: MotionFields, light: AppearanceModes | No
 
     Positions and opacities are kept as float32. float16 keeps 11 bits: scales to 0.4 % (e⁻⁸ … e⁸), quaternions to
     5e-4, colours of degree 0 to 5e-4 of themselves, motion to 5e-4 of itself where it is above 1e-4 of the field's
-    largest, else to 6e-8 of that; further spherical harmonics to SH_STEP / 2. RunError for a colour past float16.
+    largest, else to 6e-8 of that; further spherical harmonics to SH_STEP / 2. RunError for a colour past float16, and
+    for a motion of more than MOST_FIELDS fields.
     """
     means, quats, scales, opacities, sh = (
         tensor.detach().cpu().numpy().astype(np.float32)
@@ -70,6 +72,10 @@ def pack(gaussians: Gaussians, motion: MotionFields, light: AppearanceModes | No
     sh[:, 1:] = np.round(sh[:, 1:] / SH_STEP) * SH_STEP
     if np.abs(sh).max(initial=0) > _HALF:
         raise RunError(f"a coefficient of colour is {np.abs(sh).max():g}; a page holds up to {_HALF:g}")
+    if len(motion.fields) > MOST_FIELDS:
+        raise RunError(
+            f"the motion has {len(motion.fields)} independent fields; a page holds up to {MOST_FIELDS}"
+        )
     changes, sizes = _light(light, n)
     layout = Layout(n, sh.shape[1], len(motion.fields), len(sizes), changes.shape[2])
     wxyz = quats / np.linalg.norm(quats, axis=1, keepdims=True)
