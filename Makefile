@@ -1,4 +1,4 @@
-# demo, test, test-all, lint, extension, clean. Each sets up .venv first; the second time that costs nothing.
+# demo, test, test-all, lint, extension, player, clean. Each sets up .venv first; the second time that costs nothing.
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -16,7 +16,7 @@ VENV52 := .venv52
 WORKERS ?= 2
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile
 
-.PHONY: demo test test-all test-slow test-52 test-gui lint extension install clean distclean
+.PHONY: demo test test-all test-slow test-52 test-gui lint extension player install clean distclean
 
 demo: install
 	$(BIN)/tg4mm demo --out demo
@@ -47,6 +47,11 @@ lint: install
 # dist/tg4mm-<version>.zip, for Blender's Edit > Preferences > Get Extensions > Install from Disk.
 extension: install
 	$(BIN)/python addon/make_extension.py
+
+# The program of the HTML pages (tg4mm/web/player/dist), from its sources; needs node 20 and npm. It is committed: only who
+# changes it runs this, and a test says when it is older than its sources.
+player:
+	cd tg4mm/web/player && npm ci && npm run build
 
 install: $(VENV)/.installed
 

@@ -17,6 +17,7 @@ class Format(StrEnum):
 
     ply = "ply"
     ply_sequence = "ply-sequence"
+    html = "html"
 
 
 def export(
@@ -26,7 +27,8 @@ def export(
         Format,
         typer.Option(
             help="ply: the splat file, a 3DGS PLY with motion riding along. "
-            "ply-sequence: a static 3DGS PLY for every timestep."
+            "ply-sequence: a static 3DGS PLY for every timestep. "
+            "html: one page that plays the run in any browser (docs/web.md)."
         ),
     ] = Format.ply,
     alpha: Annotated[
@@ -42,12 +44,13 @@ def export(
     Lengths are in scene units.
     """
     given = {"--method": method is not None, "--filter": filter is not None}
-    if format is Format.ply and (alpha or band or any(given.values())):
+    if format is not Format.ply_sequence and (alpha or band or any(given.values())):
         named = (
             "--alpha and --band" if alpha or band else next(name for name, there in given.items() if there)
         )
         belong = "belong" if alpha or band else "belongs"
-        raise Tg4mmError(f"{named} {belong} to --format ply-sequence; a splat file holds the motion itself")
+        holder = "a page" if format is Format.html else "a splat file"
+        raise Tg4mmError(f"{named} {belong} to --format ply-sequence; {holder} holds the motion itself")
     bands = parse_bands(band)
     magnified, chosen_filter = paired(alpha or [0.0], bands), temporal_filter(filter, bands)
     from tg4mm.export import export_ply, export_ply_sequence
@@ -57,6 +60,10 @@ def export(
     opened = Run.open(run)
     if format is Format.ply:
         export_ply(opened, out)
+    elif format is Format.html:
+        from tg4mm.web.write import export_html
+
+        export_html(opened, out)
     else:
         chosen = None if method is None else method.value
         request = RenderRequest(method=chosen, filter=chosen_filter, **magnified)
