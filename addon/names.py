@@ -31,8 +31,13 @@ MODE_AMPLITUDES = "tg4mm_mode_amplitudes"  # largest amplitude of each mode, sce
 MODE_RMS = "tg4mm_mode_rms"  # amplitude of each mode, rms over the Gaussians by opacity, scene units
 MODE_AXES = "tg4mm_mode_axes"  # per mode x, y, z: the unit vector against which its phases are measured
 
-# What the probe read last: its label, and per mode re x, im x, re y … of the phasor, scene units.
-PROBE_LABEL, PROBE_PHASORS = "tg4mm_probe_label", "tg4mm_probe_phasors"
+# What the probe read last: its label, per mode re x, im x, re y … of the phasor, and the amplitude's standard deviation
+# (absent if the file does not say it), scene units.
+PROBE_LABEL, PROBE_PHASORS, PROBE_DEVIATIONS = (
+    "tg4mm_probe_label",
+    "tg4mm_probe_phasors",
+    "tg4mm_probe_deviations",
+)
 PROBE_OF = "tg4mm_probe_of"  # on a sphere empty: the splat object that it was made for
 
 
@@ -44,6 +49,11 @@ def phasor(mode: int) -> dict[str, str]:
 def amplitude(mode: int) -> str:
     """Float attribute: the largest displacement of the mode, scene units."""
     return f"{MODE_PREFIX}{mode}_amplitude"
+
+
+def deviation(mode: int) -> str:
+    """Float attribute: standard deviation of the mode's amplitude, scene units; only where the file says it."""
+    return f"{MODE_PREFIX}{mode}_sd"
 
 
 def phase(mode: int) -> str:

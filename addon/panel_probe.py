@@ -68,7 +68,7 @@ def row_texts(ellipse: probe.Ellipse, unit: Unit) -> tuple[str, str, str, str, s
         second = f"{unit.number(ellipse.second)}, {_direction(ellipse.second_direction)}"
     return (
         f"{ellipse.frequency_hz:g} Hz",
-        unit.text(ellipse.amplitude),
+        unit.text(ellipse.amplitude, ellipse.deviation),
         f"{ellipse.phase_deg:.0f}°",
         f"along {_direction(ellipse.direction)}",
         second,

@@ -12,7 +12,7 @@ import numpy as np
 
 from . import compat, names, scene
 from .core.errors import Tg4mmError
-from .probe import Probe, mean_phasor
+from .probe import Probe, mean_deviation, mean_phasor
 
 
 class PickError(Tg4mmError):
@@ -86,12 +86,15 @@ def add_sphere(obj: Any, collection: Any, place: Sequence[float]) -> Any:
 def store(obj: Any, probe: Probe) -> None:
     """Keep a probe's reading on its object."""
     pairs = np.stack([probe.phasors.real, probe.phasors.imag], axis=-1)
+    forget(obj)
     obj[names.PROBE_PHASORS], obj[names.PROBE_LABEL] = pairs.ravel().tolist(), probe.label
+    if probe.deviations is not None:
+        obj[names.PROBE_DEVIATIONS] = probe.deviations.tolist()
 
 
 def forget(obj: Any) -> None:
     """Remove a reading."""
-    for name in (names.PROBE_PHASORS, names.PROBE_LABEL):
+    for name in (names.PROBE_PHASORS, names.PROBE_LABEL, names.PROBE_DEVIATIONS):
         if name in obj:
             del obj[name]
 
@@ -103,13 +106,15 @@ def stored(obj: Any) -> Probe | None:
     if not freqs or values.size != 6 * len(freqs):
         return None
     pairs = values.reshape(-1, 3, 2)
-    return _probe(obj, obj[names.PROBE_LABEL], pairs[..., 0] + 1j * pairs[..., 1])
+    deviations = np.array(obj.get(names.PROBE_DEVIATIONS, ()), np.float64)
+    phasors = pairs[..., 0] + 1j * pairs[..., 1]
+    return _probe(obj, obj[names.PROBE_LABEL], phasors, deviations if len(deviations) == len(freqs) else None)
 
 
-def _probe(obj: Any, label: str, phasors: np.ndarray) -> Probe:
+def _probe(obj: Any, label: str, phasors: np.ndarray, deviations: np.ndarray | None) -> Probe:
     freqs = np.array(obj[names.FREQUENCIES], np.float64)
     axes = np.array(obj[names.MODE_AXES], np.float64).reshape(-1, 3)
-    return Probe(label, freqs, phasors, axes, float(obj[names.FPS]), int(obj[names.TIMESTEPS]))
+    return Probe(label, freqs, phasors, axes, float(obj[names.FPS]), int(obj[names.TIMESTEPS]), deviations)
 
 
 def _read(obj: Any, mesh: Any, indices: np.ndarray) -> Probe:
@@ -119,9 +124,19 @@ def _read(obj: Any, mesh: Any, indices: np.ndarray) -> Probe:
     for k in range(len(obj[names.FREQUENCIES])):
         part = names.phasor(k)
         phasors.append(_vectors(mesh, part["re"])[indices] + 1j * _vectors(mesh, part["im"])[indices])
-    mean = mean_phasor(np.array(phasors), _floats(mesh, names.OPACITY)[indices])
+    opacities = _floats(mesh, names.OPACITY)[indices]
     label = f"Point {indices[0]}" if len(indices) == 1 else f"{len(indices):,} points"
-    return _probe(obj, label, mean)
+    return _probe(
+        obj, label, mean_phasor(np.array(phasors), opacities), _deviations(mesh, indices, opacities)
+    )
+
+
+def _deviations(mesh: Any, indices: np.ndarray, opacities: np.ndarray) -> np.ndarray | None:
+    """[M] of the amplitudes, None where the file did not say them."""
+    given: list[np.ndarray] = []
+    while (name := names.deviation(len(given))) in mesh.attributes:
+        given.append(_floats(mesh, name)[indices])
+    return mean_deviation(np.array(given), opacities) if given else None
 
 
 @contextmanager

@@ -33,6 +33,8 @@ def fill_mesh(mesh: Any, splat: SplatFile) -> None:
         amplitude, phase = strength(d, main_axis(d))
         _attribute(mesh, names.amplitude(k), "FLOAT", "value", amplitude)
         _attribute(mesh, names.phase(k), "FLOAT", "value", phase)
+        if splat.deviation is not None:
+            _attribute(mesh, names.deviation(k), "FLOAT", "value", splat.deviation[k])
     # New points come selected; the probe reads what a person selects.
     mesh.vertices.foreach_set("select", np.zeros(len(splat), bool))
     mesh.update()

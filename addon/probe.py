@@ -6,7 +6,7 @@ file. x(t) = Σ_k Re[m_k exp(i 2π f_k t / fps)] (docs/conventions.md).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,6 +27,7 @@ class Ellipse:
     direction: tuple[float, float, float]  # unit vector; zeros where nothing moves
     second: float  # scene units, half the short axis; 0 for a motion along a line
     second_direction: tuple[float, float, float]  # unit vector; zeros for a motion along a line
+    deviation: float | None = None  # standard deviation of the amplitude, scene units; None: not known
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +40,9 @@ class Probe:
     axes: np.ndarray  # [M, 3] the unit vector of each mode against which its phases are measured
     fps: float  # Hz
     n_timesteps: int
+    deviations: np.ndarray | None = (
+        None  # [M] standard deviation of each amplitude, scene units; None: not known
+    )
 
     @property
     def duration_s(self) -> float:
@@ -48,18 +52,34 @@ class Probe:
 
 def mean_phasor(phasors: np.ndarray, opacities: np.ndarray) -> np.ndarray:
     """Σ w m / Σ w, [M, 3] complex128, of phasors [M, n, 3] with opacities [n]; of see-through ones the mean."""
+    return np.einsum("n,mnc->mc", _weights(opacities), np.asarray(phasors, np.complex128))
+
+
+def mean_deviation(deviations: np.ndarray, opacities: np.ndarray) -> np.ndarray:
+    """[M] standard deviation of the mean amplitude, of deviations [M, n] with opacities [n].
+
+    Neighbours are fitted to move alike, so their errors are alike too and do not average out: the mean of the
+    deviations, which is what the deviation of a mean is at most.
+    """
+    return np.einsum("n,mn->m", _weights(opacities), np.asarray(deviations, np.float64))
+
+
+def _weights(opacities: np.ndarray) -> np.ndarray:
     weights = np.asarray(opacities, np.float64)
     if weights.sum() <= 0:
         weights = np.ones_like(weights)
-    return np.einsum("n,mnc->mc", weights / weights.sum(), np.asarray(phasors, np.complex128))
+    return weights / weights.sum()
 
 
 def ellipses(probe: Probe) -> list[Ellipse]:
     """The path at each frequency."""
-    return [
+    found = [
         ellipse(float(f), m, axis)
         for f, m, axis in zip(probe.freqs_hz, probe.phasors, probe.axes, strict=True)
     ]
+    if probe.deviations is None:
+        return found
+    return [replace(e, deviation=float(sd)) for e, sd in zip(found, probe.deviations, strict=True)]
 
 
 def ellipse(frequency_hz: float, phasor: np.ndarray, axis: np.ndarray) -> Ellipse:
@@ -116,6 +136,7 @@ def phasor_csv(probe: Probe, unit: Unit, source: str) -> str:
             *(e.frequency_hz, e.amplitude * factor, e.phase_deg, *e.direction),
             *(e.second * factor, *e.second_direction),
             *(part * factor for value in m for part in (value.real, value.imag)),
+            *(() if e.deviation is None else (e.deviation * factor,)),
         ]
         for e, m in zip(ellipses(probe), probe.phasors, strict=True)
     ]
@@ -126,6 +147,8 @@ def phasor_csv(probe: Probe, unit: Unit, source: str) -> str:
         *(f"second_direction_{axis}" for axis in "xyz"),
         *(f"{part}_{axis}_{unit.column}" for axis in "xyz" for part in ("re", "im")),
     ]
+    if probe.deviations is not None:
+        columns.append(f"amplitude_standard_deviation_{unit.column}")
     about = (
         "displacement = sum over rows of Re[(re + i im) exp(i 2 pi frequency time)], time_s from timestep 0"
     )

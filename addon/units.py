@@ -14,9 +14,10 @@ class Unit:
     column: str  # in the name of a column
     digits: int = 4  # significant
 
-    def text(self, length: float) -> str:
-        """`length` in scene units → "0.034 mm"."""
-        return f"{self.number(length)} {self.name}"
+    def text(self, length: float, deviation: float | None = None) -> str:
+        """`length` in scene units → "0.034 mm"; with its standard deviation, "0.034 ± 0.002 mm"."""
+        sure = "" if deviation is None else f" ± {deviation * self.per_scene_unit:.2g}"
+        return f"{self.number(length)}{sure} {self.name}"
 
     @property
     def short(self) -> str:

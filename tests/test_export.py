@@ -5,11 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from tests.synthetic import make_synthetic_dataset
 from tg4mm.errors import RunError, Tg4mmError
 from tg4mm.export import export_ply, export_ply_sequence, to_splat
 from tg4mm.motion.appearance_modes import AppearanceModes
+from tg4mm.motion.mode_selection import mode_deviations
 from tg4mm.runs import Run
 from tg4mm.splatfile import positions_at, read_splat
 
@@ -126,3 +128,36 @@ def test_folders_and_files_are_told_apart(run, tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(Tg4mmError, match="is a file"):
         export_ply_sequence(run, tmp_path / "file")
+
+
+def with_uncertainty(run: Run, deviation: float, noise: float) -> None:
+    n = len(run.load_space())
+    parts = {"displacement": torch.full((n,), deviation), "noise": torch.full((n,), noise)}
+    run.save_part("uncertainty", parts)
+
+
+def test_modes_of_noise_alone_are_not_written_and_the_others_say_how_sure_they_are(run, tmp_path):
+    motion = run.load_motion()
+    faint = np.complex64(1e-4) * motion.displacement[:1]
+    more = replace(
+        motion,
+        freqs_hz=np.array([3.0, 6.0, 9.0]),
+        displacement=np.concatenate([motion.displacement, faint]),
+        rotation=np.concatenate([motion.rotation, faint]),
+    )
+    run.save_motion(more, {})
+    assert read_splat(export_ply(run, tmp_path / "unknown.ply")).freqs_hz.tolist() == [3.0, 6.0]
+    with_uncertainty(run, 5e-4, 3e-4)
+    splat = read_splat(export_ply(run, tmp_path / "known.ply"))
+    assert splat.freqs_hz.tolist() == [3.0, 6.0]
+    np.testing.assert_array_equal(splat.displacement, motion.displacement)
+    np.testing.assert_allclose(splat.deviation, mode_deviations(more, *sure(run))[:2], rtol=1e-6)
+    assert (splat.deviation > np.sqrt(2) * 3e-4 - 1e-9).all()
+    assert (splat.deviation < 8e-4).all()
+    with_uncertainty(run, 5e-7, 3e-7)  # and what is known well enough is written, however small
+    assert read_splat(export_ply(run, tmp_path / "small.ply")).freqs_hz.tolist() == [3.0, 6.0, 9.0]
+    assert len(run.load_motion().freqs_hz) == 3
+
+
+def sure(run: Run) -> tuple[np.ndarray, np.ndarray]:
+    return run.load_uncertainty(), run.load_noise()

@@ -22,7 +22,7 @@ from tg4mm.errors import CaptureError, RunError, Tg4mmError
 from tg4mm.motion import MotionConfig
 from tg4mm.runs import UNCERTAINTY, Run
 from tg4mm.space import SpaceConfig
-from tg4mm.train import check_device, parse_settings, train
+from tg4mm.train import PRESETS, check_device, parse_settings, train
 
 SETTINGS = {
     "space.iterations": "20", "space.max_gaussians": "300", "motion.components": "2", "motion.iterations": "3",
@@ -58,17 +58,32 @@ class TestSettings:
         assert type(parse_settings({"motion.ridge": "10"})["motion"].ridge) is float
 
     @pytest.mark.parametrize(
-        "name", ["space.iteration", "iterations", "space", "space.", "colour.iterations", ""]
+        ("name", "meant"),
+        [
+            ("space.iteration", "did you mean space.iterations[?]"),
+            ("iterations", "did you mean space.iterations or motion.iterations[?]"),
+            ("colour.iterations", "did you mean space.iterations or motion.iterations[?]"),
+            ("apearance", "did you mean motion.appearance[?]"),
+            ("space", "tg4mm train"),
+            ("space.", "tg4mm train"),
+            ("", "tg4mm train"),
+        ],
     )
-    def test_an_unknown_one_is_refused_with_all_there_are(self, name: str) -> None:
-        with one_line(rf"setting {name!r} is unknown; there are: ") as refused:
+    def test_an_unknown_one_is_refused_with_those_that_may_be_meant(self, name: str, meant: str) -> None:
+        with one_line(rf"setting {name!r} is unknown; {meant}.* --list-settings lists all") as refused:
             parse_settings({name: "3"})
-        listed = str(refused.value).split(": ")[-1].split(", ")
-        assert listed == [f"space.{k}" for k in vars(SpaceConfig())] + [
-            f"motion.{k}" for k in vars(MotionConfig())
-        ]
-        for name in listed:  # and each of those is known
-            parse_settings({name: "true" if name in {"motion.split_half", "motion.appearance"} else "3"})
+        assert meant.startswith("did") == ("did you mean" in str(refused.value))
+
+    def test_all_are_listed_with_default_unit_and_meaning(self, capsys) -> None:
+        assert main(["train", "--list-settings"]) == 0
+        lines = capsys.readouterr().out.splitlines()
+        for preset, defaults in PRESETS.items():
+            start = lines.index(f"--preset {preset}") + 1
+            names = [f"{stage}.{key}" for stage, config in defaults.items() for key in vars(config)]
+            rows = lines[start : start + len(names)]
+            assert [row.split()[0] for row in rows] == names
+            assert all(re.fullmatch(r"  [a-z_.0-9]+ +\S+( \S+)*  +\S.*", row) for row in rows), rows
+        assert any("space.max_gaussians" in line and "0 Gaussians" in line for line in lines)
 
     @pytest.mark.parametrize(
         ("name", "text", "kind"),
@@ -135,6 +150,22 @@ class TestRequests:
             error = capsys.readouterr().err
             assert wrong.split("=")[0] in error
             assert error.count("\n") == 1
+
+
+class TestResult:
+    def test_training_ends_with_the_result_and_does_so_again(self, data: Path, trained: Run, capsys) -> None:
+        command = ["train", str(data), "--out", str(trained.path)]
+        for name, value in SETTINGS.items():
+            command += ["--set", f"{name}={value}"]
+        shown = []
+        for _ in range(2):
+            assert main(command) == 0
+            shown.append(capsys.readouterr().out)
+        lines = shown[0].splitlines()
+        assert shown[0] == shown[1]
+        assert lines[0].startswith(f"{trained.path}: 3 fixed cameras, 5 timesteps at 30 Hz")
+        assert lines[-1].split()[:4] == ["next", "tg4mm", "render", str(trained.path)]
+        assert 3 < len(lines) < 16
 
 
 class TestStages:

@@ -13,6 +13,7 @@ from tg4mm.capture import load_capture
 from tg4mm.errors import RunError, Tg4mmError
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.animate import animate
+from tg4mm.motion.mode_selection import mode_deviations, worth_keeping
 from tg4mm.motion.modes import ModalMotion
 from tg4mm.progress import progress
 from tg4mm.runs import Run
@@ -23,10 +24,14 @@ if TYPE_CHECKING:
 
 
 def to_splat(
-    gaussians: Gaussians, motion: ModalMotion | None, unit_scale_m: float | None = None
+    gaussians: Gaussians,
+    motion: ModalMotion | None,
+    unit_scale_m: float | None = None,
+    deviation: np.ndarray | None = None,
 ) -> SplatFile:
     """The Gaussians, and their motion if any, as a splat file holds them (docs/conventions.md, "Splat file").
 
+    deviation [K, N]: standard deviation of each mode's amplitude, scene units.
     Raises SplatFileError for values that such a file cannot hold, RunError where the two do not fit.
     """
     means, quats, scales, opacities, sh = (
@@ -51,6 +56,7 @@ def to_splat(
         fps=float(motion.fps),
         n_timesteps=int(motion.n_timesteps),
         unit_scale_m=unit_scale_m,
+        deviation=deviation,
     )
 
 
@@ -65,18 +71,28 @@ def export_ply(run: Run, out: Path) -> Path:
     """Write the run as one splat file that any viewer opens at rest, and ours plays.
 
     Of a `paper` run it holds timestep 0 and, as phasors of all DFT bins (0 Hz for the mean offset from it), every
-    timestep's position and rotation. Lost is what the decoder changes in scale, opacity and colour over
-    time, and of a `modal` run the light that changes.
-    Raises Tg4mmError for an `out` that is a folder or a file of another kind, RunError for a run without a space stage.
+    timestep's position and rotation. Modes that hold nothing but noise are left out (`mode_selection.py`); the standard
+    deviation of the others rides along where the run says it. Lost is what the decoder changes in scale, opacity and
+    colour over time, and of a `modal` run the light that changes.
+    Raises Tg4mmError for an `out` that is a folder, a file of another kind or named like one, RunError for a run
+    without a space stage.
     """
     if out.is_dir():
         raise Tg4mmError(f"--out {out}: is a folder; expected a file such as {out / 'splat.ply'}")
     if out.exists() and not _is_ply(out):
         raise Tg4mmError(f"--out {out}: exists, and is no PLY file; choose another name")
+    if out.suffix.lower() != ".ply":
+        named = f"{out.with_suffix('.ply')}" if out.suffix else f"{out}.ply, or {out / 'splat.ply'}"
+        raise Tg4mmError(
+            f"--out {out}: --format ply writes a PLY; expected a name that ends in .ply, such as {named}"
+        )
     gaussians, motion = run.load_space(), run.load_motion()
     if motion is not None and run.preset == "modal":
         gaussians, motion = _from_its_zero(gaussians, motion)
-    splat = to_splat(gaussians, motion, unit_scale_of(run))
+    deviation = None
+    if motion is not None:
+        motion, deviation = _told(motion, run)
+    splat = to_splat(gaussians, motion, unit_scale_of(run), deviation)
     out.parent.mkdir(parents=True, exist_ok=True)
     write_splat(out, splat)
     return out
@@ -89,6 +105,14 @@ def _from_its_zero(gaussians: Gaussians, motion: ModalMotion) -> tuple[Gaussians
         return gaussians, motion
     motion = replace(motion, appearance=None)  # of which a splat file holds nothing
     return animate(gaussians, motion.selected(still), 0.0), motion.selected(~still)
+
+
+def _told(motion: ModalMotion, run: Run) -> tuple[ModalMotion, np.ndarray | None]:
+    """The modes that hold more than noise, and the standard deviations [K, N] of their amplitudes if the run says."""
+    in_all, noise = run.load_uncertainty(), run.load_noise()
+    keep = worth_keeping(motion, noise)
+    deviation = None if in_all is None or noise is None else mode_deviations(motion, in_all, noise)[keep]
+    return motion.selected(keep), deviation
 
 
 def _is_ply(path: Path) -> bool:
@@ -115,6 +139,10 @@ def export_ply_sequence(
     request = request or RenderRequest(alpha=alpha, band=band)
     if out.exists() and not out.is_dir():
         raise Tg4mmError(f"--out {out}: is a file; expected a folder for numbered files")
+    if out.suffix.lower() == ".ply":
+        raise Tg4mmError(
+            f"--out {out}: a sequence is a folder of numbered files; expected a name such as {out.stem}"
+        )
     pose, n_timesteps, _ = pose_of(run, request)
     wanted = range(n_timesteps) if timesteps is None else timesteps
     for t in wanted:

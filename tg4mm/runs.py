@@ -208,6 +208,10 @@ class Run:
         run does not say it. Raises RunError."""
         return self.load_part(UNCERTAINTY)[0]["displacement"].numpy() if self.has_part(UNCERTAINTY) else None
 
+    def load_noise(self) -> np.ndarray | None:
+        """[N] float32: the part of `load_uncertainty` that is noise, which two halves of the data differ by."""
+        return self.load_part(UNCERTAINTY)[0]["noise"].numpy() if self.has_part(UNCERTAINTY) else None
+
     def part_rows(self, name: str, tensor: str, row: int) -> np.ndarray:
         """One row of a tensor of a part that `load_part` has accepted, without reading the rest."""
         try:

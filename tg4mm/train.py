@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from tg4mm.capture import Capture, ImageStack, load_capture, load_images
+from tg4mm.capture import Capture, ImageStack, load_capture, load_images, nerf_synthetic
+from tg4mm.capture.part_of import train_command, whole_dataset
 from tg4mm.capture.pictures import FilePictures
 from tg4mm.capture.readers import READERS
 from tg4mm.device import check_device
@@ -22,6 +24,7 @@ from tg4mm.paper.config import checked as checked_paper
 from tg4mm.paper.model import has_model, load_model
 from tg4mm.runlock import claimed
 from tg4mm.runs import Run
+from tg4mm.settings import unknown
 from tg4mm.space import SpaceConfig, rest_views, train_space
 from tg4mm.space.plane import train_plane
 from tg4mm.space.train import checked as checked_space
@@ -35,13 +38,14 @@ PRESETS: dict[str, dict[str, Any]] = {
     "paper": {"space": _BASE, "paper": PAPER},
     "paper-tuned": {"space": _BASE, "paper": PAPER_TUNED},
 }
+_LOG = logging.getLogger("tg4mm")
 _BOOLEANS = {"true": True, "false": False}
 
 
 def parse_settings(pairs: Mapping[str, str], preset: str = "modal") -> dict[str, Any]:
     """Configurations of all stages of a preset from `{"space.iterations": "3000", …}`.
 
-    Raises Tg4mmError for a name that is none, with those there are, and for a value of the wrong type.
+    Raises Tg4mmError for a name that is none, with those that may be meant, and for a value of the wrong type.
     """
     defaults = PRESETS[preset]
     chosen: dict[str, dict[str, Any]] = {stage: {} for stage in defaults}
@@ -49,8 +53,7 @@ def parse_settings(pairs: Mapping[str, str], preset: str = "modal") -> dict[str,
         stage, _, key = name.partition(".")
         fields = [f.name for f in dataclasses.fields(defaults[stage])] if stage in defaults else []
         if key not in fields:
-            known = [f"{s}.{f.name}" for s, c in defaults.items() for f in dataclasses.fields(c)]
-            raise Tg4mmError(f"setting {name!r} is unknown; there are: {', '.join(known)}")
+            raise unknown(name, defaults)
         chosen[stage][key] = _value(name, text, type(getattr(defaults[stage], key)))
     return {stage: dataclasses.replace(config, **chosen[stage]) for stage, config in defaults.items()}
 
@@ -90,7 +93,15 @@ def train(
 
 
 def _capture(dataset: Path) -> Capture:
-    """The capture of a dataset. For a video or pictures, CaptureError with the command that makes a dataset."""
+    """The capture of a dataset. For a video or pictures, CaptureError with the command that makes a dataset.
+
+    One timestep of a dataset is a still scene, which may be meant; it is said.
+    """
+    if (part := whole_dataset(dataset)) is not None:
+        root, what = part
+        if dataset.resolve().parent != root or not nerf_synthetic.recognises(dataset):
+            raise CaptureError(f"{dataset}: is no dataset, but {what}: {train_command(root)}")
+        _LOG.warning(f"{dataset}: is {what}, by itself a still scene; with its motion: {train_command(root)}")
     if dataset.is_file() or (dataset.is_dir() and not any(reader.recognises(dataset) for reader in READERS)):
         from tg4mm.sfm.sources import suggested_command
 

@@ -327,3 +327,69 @@ def test_rows_are_the_largest_by_frequency(extension: ModuleType) -> None:
     assert left_out == 5
     texts = extension.panel_probe.row_texts(rows[0], extension.units.unit_of(0.001))
     assert texts == ("2 Hz", "8 mm", "0°", "along (0.00, 1.00, 0.00)", "0: moves along a line")
+
+
+@pytest.fixture
+def sure(extension: ModuleType, tmp_path: Path) -> Any:
+    """A file that says how sure its amplitudes are."""
+    splat = some_splat()
+    deviation = np.random.default_rng(1).uniform(0.001, 0.01, (3, len(splat))).astype(np.float32)
+    write_splat(tmp_path / "sure.ply", replace(splat, deviation=deviation))
+    return import_splat(tmp_path / "sure.ply"), splat, deviation
+
+
+def test_the_deviation_of_a_point_and_of_a_region(extension: ModuleType, sure: Any) -> None:
+    """Of a region the mean by opacity, since neighbours err alike; it is not divided by √n."""
+    obj, splat, deviation = sure
+    select(obj, [7])
+    found = reading(extension, obj, "SELECTION")
+    np.testing.assert_allclose(found.deviations, deviation[:, 7], rtol=1e-6)
+    select(obj, [2, 5, 11])
+    found = reading(extension, obj, "SELECTION")
+    w = splat.opacities[[2, 5, 11]].astype(float)
+    np.testing.assert_allclose(found.deviations, deviation[:, [2, 5, 11]] @ w / w.sum(), rtol=1e-6)
+    assert [e.deviation for e in extension.probe.ellipses(found)] == found.deviations.tolist()
+
+
+def test_the_panel_and_the_table_show_it(extension: ModuleType, sure: Any, tmp_path: Path) -> None:
+    obj, _, deviation = sure
+    select(obj, [7])
+    found = reading(extension, obj, "SELECTION")
+    e = extension.probe.ellipses(found)[1]
+    unit = extension.units.unit_of(0.001)  # a scene unit is a millimetre
+    shown = extension.panel_probe.row_texts(e, unit)[1]
+    assert shown == f"{e.amplitude:.4g} ± {deviation[1, 7]:.2g} mm"
+    assert bpy.ops.tg4mm.export_probe(filepath=str(tmp_path / "a.csv"), content="PHASORS") == {"FINISHED"}
+    rows = table(tmp_path / "a.csv")[1]
+    told = [row["amplitude_standard_deviation_scene_units"] for row in rows]
+    np.testing.assert_allclose(told, deviation[:, 7], rtol=1e-6)
+
+
+def test_a_file_without_deviations_shows_none(extension: ModuleType, moving: Any, sure: Any) -> None:
+    select(sure[0], [3])
+    bpy.context.view_layer.objects.active = sure[0]
+    reading(extension, sure[0], "SELECTION")
+    select(moving, [3])
+    bpy.context.view_layer.objects.active = moving
+    found = reading(extension, moving, "SELECTION")
+    assert found.deviations is None
+    assert (
+        "±"
+        not in extension.panel_probe.row_texts(
+            extension.probe.ellipses(found)[0], extension.units.unit_of(None)
+        )[1]
+    )
+
+
+def test_a_deviation_is_saved_with_the_file_and_forgotten_with_the_reading(
+    extension: ModuleType, sure: Any, tmp_path: Path
+) -> None:
+    obj, _, _ = sure
+    select(obj, [2, 3])
+    found = reading(extension, obj, "SELECTION")
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "probe.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "probe.blend"))
+    obj = bpy.data.objects["sure"]
+    np.testing.assert_array_equal(extension.picking.stored(obj).deviations, found.deviations)
+    extension.picking.forget(obj)
+    assert extension.names.PROBE_DEVIATIONS not in obj

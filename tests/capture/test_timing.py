@@ -87,6 +87,24 @@ class TestTimes:
         ):
             load_capture(tree)
 
+    def test_numbered_pictures_show_it_too(self, tree: Path) -> None:
+        """No name comes back in a later timestep, so no camera's own steps can be looked at."""
+        for t in range(3):
+            path = tree / f"{t:03d}" / "transforms_train.json"
+            values = json.loads(path.read_text())
+            for i, frame in enumerate(values["frames"]):
+                old = path.parent / f"{frame['file_path']}.png"
+                frame["file_path"] = f"./train/frame_{t}_{i}"
+                old.rename(path.parent / f"{frame['file_path']}.png")
+            path.write_text(json.dumps(values))
+        retime(tree, {0: 0.0, 1: 1 / 30, 2: 2 / 30})
+        assert load_capture(tree).fps == 30
+        (tree / "scene.json").write_text('{"fps": 300}')
+        with pytest.raises(
+            CaptureError, match=r"fps is 300, but the times of the pictures step by .* \(30 Hz\)"
+        ):
+            load_capture(tree)
+
     def test_times_that_stand_still_are_refused(self, tree: Path) -> None:
         retime(tree, dict.fromkeys(range(3), 0.0))
         with pytest.raises(CaptureError, match=r"fps is 30, .* step by 0 s \(no frame rate\)"):

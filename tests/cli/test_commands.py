@@ -49,10 +49,40 @@ def test_export_of_a_sequence_takes_alpha_and_band(run_path: Path, tmp_path: Pat
     main(["export", str(run_path), "--out", str(tmp_path / "a.ply")])
     splat = read_splat(tmp_path / "a.ply")
     for name, band in (("inside", (4.0, 6.0)), ("outside", (1.0, 2.0))):
-        options = ["--format", "ply-sequence", "--alpha", "10", "--band", *map(str, band)]
+        options = [
+            "--format",
+            "ply-sequence",
+            "--alpha",
+            "10",
+            "--allow-empty-band",
+            "--band",
+            *map(str, band),
+        ]
         assert main(["export", str(run_path), "--out", str(tmp_path / name), *options]) == 0
         frame = read_splat(tmp_path / name / "frame_0002.ply")
         np.testing.assert_allclose(frame.means, positions_at(splat, 2, 10.0, band), atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("x.spz", "expected a name that ends in .ply, such as {}/x.ply"),
+        ("x", "such as {}/x.ply, or {}/x/splat.ply"),
+        ("x/", "such as {}/x.ply, or {}/x/splat.ply"),
+    ],
+)
+def test_a_splat_file_is_named_as_one(run_path: Path, tmp_path: Path, capsys, name: str, said: str) -> None:
+    assert main(["export", str(run_path), "--out", f"{tmp_path}/{name}"]) == 2
+    assert said.replace("{}", str(tmp_path)) in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+    assert main(["export", str(run_path), "--out", f"{tmp_path}/x.PLY"]) == 0
+
+
+def test_a_sequence_is_not_named_as_a_file(run_path: Path, tmp_path: Path, capsys) -> None:
+    out = tmp_path / "x.ply"
+    assert main(["export", str(run_path), "--format", "ply-sequence", "--out", str(out)]) == 2
+    assert "a sequence is a folder of numbered files; expected a name such as x" in capsys.readouterr().err
+    assert not out.exists()
 
 
 def test_splat_file_refuses_alpha(run_path: Path, tmp_path: Path, capsys) -> None:
@@ -104,7 +134,17 @@ def test_render_takes_an_orbit_in_slow_motion(run_path: Path, tmp_path: Path) ->
         ),
         (["--alpha", "1", "--band", "1", "2", "--band", "3", "4"], "each band needs its own"),
         (["--alpha", "1", "--band", "4"], "--band '4' is not two frequencies in Hz"),
-        (["--alpha", "1", "--band", "4", "--no-video"], "--band '4 --no-video' is not two frequencies"),
+        (
+            ["--alpha", "1", "--band", "4", "--no-video"],
+            "--band '4' is not two frequencies in Hz, LO HI, nor auto",
+        ),
+        (["--alpha", "1", "--band", "--no-video"], "--band '' is not two frequencies in Hz"),
+        (["--alpha", "1", "--band=4", "--no-video"], "--band '4' is not two frequencies in Hz"),
+        (["--alpha", "1", "--band", "-4", "6"], "band (-4, 6) Hz starts below 0 Hz"),
+        (
+            ["--alpha", "1", "--band", "7.2", "7.4"],
+            "--band 7.2 7.4: no motion was found there; no vibration stands out, and the modes lie at 5 Hz; --allow",
+        ),
         (
             ["--alpha", "1", "--alpha", "2", "--band", "1", "4", "--band", "3", "5"],
             "overlap: 3 Hz lies in both",
@@ -176,6 +216,22 @@ def test_evaluate_prints_a_table_and_writes_the_figures(run_path: Path, tmp_path
     assert "nothing moves" in printed
 
 
+def test_evaluate_refuses_an_alpha_without_ground_truth(run_path: Path, tmp_path: Path, capsys) -> None:
+    out = tmp_path / "metrics.json"
+    assert main(["evaluate", str(run_path), "--alphas", "5,3", "--out", str(out)]) == 2
+    assert "--alphas holds α = 3: no such ground truth under" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_evaluate_refuses_a_band_without_motion(run_path: Path, tmp_path: Path, capsys) -> None:
+    out = tmp_path / "metrics.json"
+    command = ["evaluate", str(run_path), "--alphas", "5", "--band", "7", "8", "--out", str(out)]
+    assert main(command) == 2
+    assert "--band 7 8: no motion was found there" in capsys.readouterr().err
+    assert not out.exists()
+    assert main([*command, "--allow-empty-band"]) == 0
+
+
 def test_evaluate_writes_into_the_run_by_default(run_path: Path) -> None:
     assert main(["evaluate", str(run_path), "--band", "4", "6"]) == 0
     metrics = json.loads((run_path / "metrics.json").read_text())
@@ -186,10 +242,12 @@ def test_evaluate_writes_into_the_run_by_default(run_path: Path) -> None:
 def test_train_hands_its_options_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
     calls = []
     monkeypatch.setattr("tg4mm.train.train", lambda *arguments: calls.append(arguments))
+    monkeypatch.setattr("tg4mm.result.result_of", lambda run: run)
+    monkeypatch.setattr("tg4mm.result.lines_of", lambda result: ["found", "next"])
     options = ["--set", "space.seed=3", "--set", "motion.x=a=b", "--preset", "modal", "--device", "cpu"]
     assert main(["train", str(tmp_path), "--out", "run", *options]) == 0
     assert calls == [(tmp_path, Path("run"), "modal", "cpu", {"space.seed": "3", "motion.x": "a=b"})]
-    assert capsys.readouterr().out == "run\n"
+    assert capsys.readouterr().out == "found\nnext\n"
 
 
 def test_generate_hands_everything_on(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -227,3 +227,14 @@ def test_a_moving_cameras_video_is_photographs_where_asked(walk: np.ndarray, tmp
     rows = [int(path.stem) for path in capture.paths]
     assert [row // 3 for row in rows] == list(range(8))  # the sharpest of every three
     assert place_error(capture, list(range(8)), walk[rows]) < 0.06
+
+
+def test_two_cameras_that_stay_put_are_named_as_such(tmp_path: Path) -> None:
+    """Two views are no start for poses; said with what to add, and what works as it is."""
+    for i in (0, 1):
+        write_video(tmp_path / "two" / f"cam_{i:02d}.mp4", filmed(np.stack([CAMERAS[i]] * 8), seed=i))
+    with pytest.raises(
+        CaptureError,
+        match=r"two: holds 2 recordings of cameras that stay put, and nothing else: .* Add sweep/ .* tg4mm sfm .*cam",
+    ):
+        reconstruct(tmp_path / "two", tmp_path / "out")

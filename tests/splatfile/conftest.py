@@ -10,7 +10,9 @@ import pytest
 from tg4mm.splatfile import SplatFile
 
 
-def random_splat(seed=0, n=5, k=4, m=2, fps=30.0, n_timesteps=30, unit_scale_m=0.5) -> SplatFile:
+def random_splat(
+    seed=0, n=5, k=4, m=2, fps=30.0, n_timesteps=30, unit_scale_m=0.5, deviation=False
+) -> SplatFile:
     """A moving scene of N Gaussians and M modes."""
     rng = np.random.default_rng(seed)
 
@@ -33,6 +35,7 @@ def random_splat(seed=0, n=5, k=4, m=2, fps=30.0, n_timesteps=30, unit_scale_m=0
         n_timesteps=n_timesteps,
         unit_scale_m=unit_scale_m,
         time_origin_s=0.25,
+        deviation=np.abs(normal(m, n)) if deviation and m else None,
     )
 
 

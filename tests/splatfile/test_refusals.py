@@ -261,3 +261,25 @@ def test_an_empty_splat_cannot_be_made():
         SplatFile.static(
             np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 1, 3))
         )
+
+
+def test_deviations_of_some_modes_only_are_refused(make, tmp_path):
+    path = tmp_path / "a.ply"
+    write_splat(path, make.splat(m=2, deviation=True))
+    path.write_bytes(path.read_bytes().replace(b"mode_1_sd", b"mode_9_sd"))
+    with pytest.raises(
+        SplatFileError, match=r"has mode_0_sd but no mode_1_sd; expected one for each of 2 modes"
+    ):
+        read_splat(path)
+    write_splat(path, make.splat(m=1, deviation=True))
+    path.write_bytes(path.read_bytes().replace(b"float mode_0_sd", b"int32 mode_0_sd"))
+    with pytest.raises(SplatFileError, match="property mode_0_sd is a whole number type"):
+        read_splat(path)
+
+
+def test_deviations_have_a_shape_and_are_not_negative(make):
+    splat = make.splat(n=3, m=2, deviation=True)
+    with pytest.raises(SplatFileError, match=r"deviation has shape \(1, 3\), expected \(2, 3\)"):
+        replace(splat, deviation=splat.deviation[:1])
+    with pytest.raises(SplatFileError, match="deviation reaches down to -1"):
+        replace(splat, deviation=np.full((2, 3), -1, np.float32))

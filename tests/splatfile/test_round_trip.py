@@ -27,17 +27,31 @@ def cases():
 
 
 @settings(deadline=None)
-@given(case=cases(), scale=st.none() | st.floats(1e-6, 1e6), origin=st.floats(-1e9, 1e9))
-def test_a_file_read_back_is_the_file_written(path, make_module, case, scale, origin):
+@given(
+    case=cases(), scale=st.none() | st.floats(1e-6, 1e6), origin=st.floats(-1e9, 1e9), deviation=st.booleans()
+)
+def test_a_file_read_back_is_the_file_written(path, make_module, case, scale, origin, deviation):
     seed, n, k, m = case
-    splat = replace(make_module.splat(seed, n, k, m, unit_scale_m=scale), time_origin_s=origin)
+    splat = make_module.splat(seed, n, k, m, unit_scale_m=scale, deviation=deviation)
+    splat = replace(splat, time_origin_s=origin)
     write_splat(path, splat)
     make_module.same(read_splat(path), splat)
 
 
 def test_assert_same_itself_notices_each_difference(make):
-    splat = make.splat()
-    for name in ("means", "quats", "scales", "opacities", "sh", "freqs_hz", "displacement", "rotation"):
+    splat = make.splat(deviation=True)
+    arrays = (
+        "means",
+        "quats",
+        "scales",
+        "opacities",
+        "sh",
+        "freqs_hz",
+        "displacement",
+        "rotation",
+        "deviation",
+    )
+    for name in arrays:
         changed = getattr(splat, name).copy()
         changed[0] += 1e-3 if name == "opacities" else 0.01
         with pytest.raises(AssertionError):
@@ -45,6 +59,19 @@ def test_assert_same_itself_notices_each_difference(make):
     for name in ("fps", "n_timesteps", "unit_scale_m", "time_origin_s"):
         with pytest.raises(AssertionError):
             make.same(splat, replace(splat, **{name: getattr(splat, name) + 1}))
+
+
+def test_deviations_are_further_properties_which_a_reader_without_them_skips(make, tmp_path):
+    """They come after all that version 1 had, so a file with them is version 1 as well."""
+    splat = make.splat(n=3, m=2, deviation=True)
+    write_splat(tmp_path / "with.ply", splat)
+    write_splat(tmp_path / "without.ply", replace(splat, deviation=None))
+    with_them, without = (PlyData.read(str(tmp_path / f"{n}.ply"))["vertex"] for n in ("with", "without"))
+    names = [p.name for p in without.properties]
+    assert [p.name for p in with_them.properties] == [*names, "mode_0_sd", "mode_1_sd"]
+    np.testing.assert_array_equal(with_them["mode_1_sd"], splat.deviation[1])
+    assert all((with_them[name] == without[name]).all() for name in names)
+    assert read_splat(tmp_path / "without.ply").deviation is None
 
 
 def test_another_reader_sees_the_3dgs_layout(make, tmp_path):

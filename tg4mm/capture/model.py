@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -66,3 +66,15 @@ class Capture:
     def __len__(self) -> int:
         """C, the number of images."""
         return len(self.paths)
+
+    def selected(self, rows: np.ndarray) -> Capture:
+        """Only the images `rows`, whole numbers; camera_ids are those of this capture."""
+        return replace(
+            self,
+            viewmats=self.viewmats[rows],
+            Ks=self.Ks[rows],
+            timesteps=self.timesteps[rows],
+            camera_ids=self.camera_ids[rows],
+            times_s=self.times_s[rows],
+            paths=tuple(self.paths[i] for i in rows),
+        )

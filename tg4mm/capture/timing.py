@@ -39,19 +39,29 @@ def check_times(
     """Raise CaptureError where a camera's times contradict fps: the median of their steps is not 1 / fps.
 
     where: the file that says fps. times_s [C] in seconds (NaN: not known), of pictures by `cameras` [C] at timesteps
-    [C]. Single steps may differ: phones drop frames.
+    [C]. Single steps may differ: phones drop frames. Where no name comes back in a later timestep, as with frames that
+    are numbered, the medians of the timesteps stand for a camera.
     """
-    names = np.array(cameras)
+    names, known = np.array(cameras), np.isfinite(times_s)
+    checked = False
     for camera in dict.fromkeys(cameras):
-        rows = np.flatnonzero((names == camera) & np.isfinite(times_s))
+        rows = np.flatnonzero((names == camera) & known)
         rows = rows[np.argsort(timesteps[rows], kind="stable")]
-        between = np.diff(timesteps[rows])
-        if not len(between) or (between == 0).any():
+        if len(rows) < 2 or (np.diff(timesteps[rows]) == 0).any():
             continue
-        step = float(np.median(np.diff(times_s[rows]) / between))
-        if not abs(step * fps - 1) <= TOLERANCE:
-            rate = f"{1 / step:.6g} Hz" if step > 0 else "no frame rate"
-            raise CaptureError(
-                f"{where}: fps is {fps:.6g}, but the times of camera {camera} step by {step:.6g} s ({rate}): "
-                "mend fps, or the frames' time"
-            )
+        _check_steps(where, f"camera {camera}", times_s[rows], timesteps[rows], fps)
+        checked = True
+    steps = np.unique(timesteps[known])
+    if not checked and len(steps) > 1:
+        medians = np.array([np.median(times_s[known & (timesteps == t)]) for t in steps])
+        _check_steps(where, "the pictures", medians, steps, fps)
+
+
+def _check_steps(where: str, whose: str, times_s: np.ndarray, timesteps: np.ndarray, fps: float) -> None:
+    step = float(np.median(np.diff(times_s) / np.diff(timesteps)))
+    if not abs(step * fps - 1) <= TOLERANCE:
+        rate = f"{1 / step:.6g} Hz" if step > 0 else "no frame rate"
+        raise CaptureError(
+            f"{where}: fps is {fps:.6g}, but the times of {whose} step by {step:.6g} s ({rate}): "
+            "mend fps, or the frames' time"
+        )

@@ -8,7 +8,17 @@ from typing import Annotated
 import typer
 
 from tg4mm.cli.device import Device, DeviceOption
-from tg4mm.cli.magnify import BandOption, FilterOption, MethodOption, parse_bands, temporal_filter
+from tg4mm.cli.magnify import (
+    BandOption,
+    EmptyBandOption,
+    FilterOption,
+    MethodOption,
+    check_magnified,
+    known_bands,
+    parse_bands,
+    temporal_filter,
+    warn_too_far,
+)
 from tg4mm.errors import Tg4mmError
 
 
@@ -32,6 +42,7 @@ def evaluate(
             help="Local file(s) with AlexNet trunk and LPIPS heads; without them no LPIPS is given."
         ),
     ] = None,
+    allow_empty_band: EmptyBandOption = False,
     device: DeviceOption = Device.cpu,
 ) -> None:
     """Score a run against its dataset's ground truth.
@@ -40,19 +51,29 @@ def evaluate(
     moves" scores and, where the exact motion is known, beside the ceiling. With --device cuda the pictures are
     rendered there; the metrics are computed on the CPU.
     """
-    wanted, bands = parse_alphas(alphas), parse_bands(band)
-    chosen_filter = temporal_filter(filter, bands)
+    wanted, asked = parse_alphas(alphas), parse_bands(band)
+    chosen_filter = temporal_filter(filter, asked)
     from tg4mm.device import check_device
     from tg4mm.evaluate import evaluate_run, format_table
+    from tg4mm.evaluate.wanted import check_alphas, target_file
+    from tg4mm.magnify import BandGain, Magnification
     from tg4mm.runs import Run
 
     check_device(device.value)
+    opened, chosen = Run.open(run), None if method is None else method.value
+    largest = max(check_alphas(wanted, opened.dataset), default=0)
+    bands = known_bands(opened, asked)
+    gains = tuple(BandGain(*one, largest) for one in bands)
+    plan = Magnification(gains, 0.0 if gains else largest, chosen, chosen_filter)
+    check_magnified(opened, plan, allow_empty_band)
+    target_file(opened, out)  # raises where it cannot be written
+    warn_too_far(opened, plan)
     metrics = evaluate_run(
-        Run.open(run),
+        opened,
         alphas=wanted,
         out=out,
         bands=bands,
-        method=None if method is None else method.value,
+        method=chosen,
         filter=chosen_filter,
         lpips_weights=lpips_weights or None,
         device=device.value,

@@ -8,7 +8,19 @@ from typing import Annotated
 
 import typer
 
-from tg4mm.cli.magnify import BandOption, FilterOption, MethodOption, paired, parse_bands, temporal_filter
+from tg4mm.cli.magnify import (
+    BandOption,
+    EmptyBandOption,
+    FilterOption,
+    MethodOption,
+    check_magnified,
+    check_paired,
+    known_bands,
+    paired,
+    parse_bands,
+    temporal_filter,
+    warn_too_far,
+)
 from tg4mm.errors import Tg4mmError
 
 
@@ -38,6 +50,7 @@ def export(
     band: BandOption = None,
     method: MethodOption = None,
     filter: FilterOption = None,
+    allow_empty_band: EmptyBandOption = False,
 ) -> None:
     """Write a run as files for viewers and for Blender.
 
@@ -51,8 +64,9 @@ def export(
         belong = "belong" if alpha or band else "belongs"
         holder = "a page" if format is Format.html else "a splat file"
         raise Tg4mmError(f"{named} {belong} to --format ply-sequence; {holder} holds the motion itself")
-    bands = parse_bands(band)
-    magnified, chosen_filter = paired(alpha or [0.0], bands), temporal_filter(filter, bands)
+    alphas, asked = alpha or [0.0], parse_bands(band)
+    check_paired(alphas, asked)
+    chosen_filter = temporal_filter(filter, asked)
     from tg4mm.export import export_ply, export_ply_sequence
     from tg4mm.render import RenderRequest
     from tg4mm.runs import Run
@@ -66,6 +80,9 @@ def export(
         export_html(opened, out)
     else:
         chosen = None if method is None else method.value
+        magnified = paired(alphas, known_bands(opened, asked))
         request = RenderRequest(method=chosen, filter=chosen_filter, **magnified)
+        check_magnified(opened, request.checked().plan, allow_empty_band)
+        warn_too_far(opened, request.plan)
         export_ply_sequence(opened, out, request=request)
     typer.echo(str(out))

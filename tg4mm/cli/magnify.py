@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,7 +13,11 @@ from typer.core import TyperCommand
 from tg4mm.errors import Tg4mmError
 
 if TYPE_CHECKING:
-    from tg4mm.magnify import BandGain, TemporalFilter
+    from tg4mm.magnify import BandGain, Magnification, TemporalFilter
+    from tg4mm.runs import Run
+
+_LOG = logging.getLogger("tg4mm")
+AUTO = "auto"  # the band around the strongest vibration that the run found
 
 
 class Method(StrEnum):
@@ -40,23 +45,40 @@ class BandsCommand(TyperCommand):
 
 
 def joined_bands(args: Sequence[str]) -> list[str]:
-    """["--band", "3", "5"] becomes ["--band", "3 5"]; what lacks a value stays as it is."""
-    joined, rest = [], list(args)
+    """["--band", "3", "5"] becomes ["--band", "3 5"]. A value that is missing is never made up of another option."""
+    joined: list[str] = []
+    rest = list(args)
     while rest:
         token = rest.pop(0)
-        joined.append(token)
         if token == "--":
-            return joined + rest
-        if token == "--band" and len(rest) >= 2:
-            joined.append(f"{rest.pop(0)} {rest.pop(0)}")
+            return [*joined, token, *rest]
+        option, equals, value = token.partition("=")
+        if option != "--band":
+            joined.append(token)
+            continue
+        values = [value] if equals else []
+        while rest and len(values) < 2 and values != [AUTO] and not _is_option(rest[0]):
+            values.append(rest.pop(0))
+        joined += [option, " ".join(values)]
     return joined
+
+
+def _is_option(token: str) -> bool:
+    """Whether it is another option, not a value: a negative number is a value, if a bad one."""
+    return token.startswith("-") and not token[1:2].isdigit() and token[1:2] != "."
 
 
 BandOption = Annotated[
     list[str] | None,
     typer.Option(
-        "--band", metavar="LO HI", help="Magnify only LO ≤ f ≤ HI, Hz; may be repeated. [default: all]"
+        "--band",
+        metavar="LO HI | auto",
+        help="Magnify only LO ≤ f ≤ HI, Hz; may be repeated. auto: around the strongest vibration that was found. "
+        "[default: all]",
     ),
+]
+EmptyBandOption = Annotated[
+    bool, typer.Option("--allow-empty-band", help="Go on where a --band holds no motion.")
 ]
 MethodOption = Annotated[
     Method | None,
@@ -73,25 +95,59 @@ FilterOption = Annotated[
 ]
 
 
-def parse_bands(texts: Sequence[str] | None) -> list[tuple[float, float]]:
-    """`"3 5"` as (3.0, 5.0). Raises Tg4mmError naming what are not two numbers."""
-    bands = []
+def parse_bands(texts: Sequence[str] | None) -> list[tuple[float, float] | None]:
+    """`"3 5"` as (3.0, 5.0), `"auto"` as None. Raises Tg4mmError naming what is neither."""
+    bands: list[tuple[float, float] | None] = []
     for text in texts or ():
+        if text == AUTO:
+            bands.append(None)
+            continue
         try:
             low, high = (float(part) for part in text.split())
         except ValueError:
-            raise Tg4mmError(f"--band {text!r} is not two frequencies in Hz, LO HI") from None
+            raise Tg4mmError(f"--band {text!r} is not two frequencies in Hz, LO HI, nor {AUTO}") from None
         bands.append((low, high))
     return bands
 
 
-def paired(alphas: Sequence[float], bands: Sequence[tuple[float, float]]) -> dict[str, Any]:
-    """alpha, band and bands of a RenderRequest. Raises Tg4mmError where there is not one alpha for each band."""
-    from tg4mm.magnify import BandGain
+def known_bands(run: Run, bands: Sequence[tuple[float, float] | None]) -> list[tuple[float, float]]:
+    """The bands, `auto` as what it stands for, which is said. Raises Tg4mmError where the run has no vibration."""
+    if None not in bands:
+        return [band for band in bands if band is not None]
+    from tg4mm.result.requested import auto_band
 
+    auto, line = auto_band(run)
+    _LOG.info(line)
+    return [auto if band is None else band for band in bands]
+
+
+def check_magnified(run: Run, plan: Magnification, allow_empty: bool) -> None:
+    """Raise Tg4mmError for a band without motion, unless allowed."""
+    from tg4mm.result.requested import refuse_empty
+
+    if not allow_empty:
+        refuse_empty(run, plan)
+
+
+def warn_too_far(run: Run, plan: Magnification) -> None:
+    """Say where the magnified motion goes further than it holds."""
+    from tg4mm.result.requested import too_far
+
+    if (line := too_far(run, plan)) is not None:
+        _LOG.warning(line)
+
+
+def check_paired(alphas: Sequence[float], bands: Sequence[object]) -> None:
+    """Raises Tg4mmError where there is not one alpha for each band."""
     if len(alphas) != max(len(bands), 1):
         need = "each band needs its own" if bands else "without --band there is one"
         raise Tg4mmError(f"--alpha is given {_times(alphas)}, --band {_times(bands)}: {need}")
+
+
+def paired(alphas: Sequence[float], bands: Sequence[tuple[float, float]]) -> dict[str, Any]:
+    """alpha, band and bands of a RenderRequest."""
+    from tg4mm.magnify import BandGain
+
     if len(bands) <= 1:
         return {"alpha": alphas[0], "band": bands[0] if bands else None}
     gains: tuple[BandGain, ...] = tuple(BandGain(*b, a) for b, a in zip(bands, alphas, strict=True))

@@ -9,7 +9,19 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tg4mm.cli.device import Device, DeviceOption
-from tg4mm.cli.magnify import BandOption, FilterOption, MethodOption, paired, parse_bands, temporal_filter
+from tg4mm.cli.magnify import (
+    BandOption,
+    EmptyBandOption,
+    FilterOption,
+    MethodOption,
+    check_magnified,
+    check_paired,
+    known_bands,
+    paired,
+    parse_bands,
+    temporal_filter,
+    warn_too_far,
+)
 from tg4mm.errors import CaptureError, Tg4mmError
 
 if TYPE_CHECKING:
@@ -44,6 +56,7 @@ def render(
     orbit: Annotated[int | None, typer.Option(min=1, help="Pictures of one turn around the scene.")] = None,
     slow: Annotated[float, typer.Option(help="Slow motion: 2 plays at half speed.")] = 1.0,
     video: Annotated[bool, typer.Option(help="Also write an mp4 for each camera.")] = True,
+    allow_empty_band: EmptyBandOption = False,
     device: DeviceOption = Device.cpu,
 ) -> None:
     """Render pictures and videos of a run, its motion magnified.
@@ -58,8 +71,9 @@ def render(
         raise Tg4mmError("--no-video and --orbit exclude each other: an orbit is a video")
     if slow != 1 and not video:
         raise Tg4mmError(f"--slow {slow:g} and --no-video exclude each other: only videos have a speed")
-    bands = parse_bands(band)
-    magnified, chosen_filter = paired(alpha, bands), temporal_filter(filter, bands)
+    asked = parse_bands(band)
+    check_paired(alpha, asked)
+    chosen_filter = temporal_filter(filter, asked)
     from tg4mm.device import check_device
     from tg4mm.render import RenderRequest, render_orbit, render_sequence
     from tg4mm.runs import Run
@@ -67,7 +81,10 @@ def render(
     check_device(device.value)
     opened = Run.open(run)
     chosen_method = None if method is None else method.value
+    magnified = paired(alpha, known_bands(opened, asked))
     request = RenderRequest(slow=slow, method=chosen_method, filter=chosen_filter, **magnified)
+    check_magnified(opened, request.checked().plan, allow_empty_band)
+    warn_too_far(opened, request.plan)
     if orbit is not None:
         render_orbit(opened, orbit_cameras(opened, orbit), request, out, device=device.value)
     else:

@@ -21,6 +21,18 @@ class Preset(StrEnum):
     paper_tuned = "paper-tuned"
 
 
+def _list_settings(wanted: bool) -> None:
+    if not wanted:
+        return
+    from tg4mm.settings import listed
+    from tg4mm.train import PRESETS
+
+    for preset, defaults in PRESETS.items():
+        typer.echo(f"--preset {preset}")
+        typer.echo("\n".join(f"  {line}" for line in listed(defaults)))
+    raise typer.Exit
+
+
 def train(
     dataset: Annotated[
         Path,
@@ -41,20 +53,30 @@ def train(
         typer.Option(
             "--set",
             metavar="KEY=VALUE",
-            help="Override one setting, e.g. space.iterations=3000; may be repeated. "
-            "An unknown key lists those there are.",
+            help="Override one setting, e.g. space.iterations=3000; may be repeated. --list-settings lists them.",
         ),
     ] = None,
+    list_settings: Annotated[
+        bool,
+        typer.Option(
+            "--list-settings",
+            callback=_list_settings,
+            is_eager=True,
+            help="Print the settings of all presets with default, unit and meaning, and exit.",
+        ),
+    ] = False,
 ) -> None:
     """Fit Gaussians at rest, then their motion, to a dataset.
 
-    Defaults follow the dataset's size, timesteps and views. The same command resumes a run that was stopped.
+    Defaults follow the dataset's size, timesteps and views. The same command resumes a run that was stopped, and of a
+    finished one prints the result again.
     """
     chosen = split_settings(settings or [])
+    from tg4mm.result import lines_of, result_of
     from tg4mm.train import train as train_run
 
-    train_run(dataset, out, preset.value, device.value, chosen)
-    typer.echo(str(out))
+    run = train_run(dataset, out, preset.value, device.value, chosen)
+    typer.echo("\n".join(lines_of(result_of(run))))
 
 
 def split_settings(pairs: Sequence[str]) -> dict[str, str]:

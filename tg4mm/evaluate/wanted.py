@@ -60,6 +60,16 @@ def alphas_with_truth(alphas: Sequence[float] | None, root: Path, absent: dict[s
     return [0, *sorted(a for a in found if a > 0 and (alphas is None or a in alphas))]
 
 
+def check_alphas(alphas: Sequence[float] | None, root: Path) -> list[int]:
+    """The α that are scored. Raises EvaluationError for one that is asked for and has no ground truth."""
+    absent: dict[str, str] = {}
+    found = alphas_with_truth(alphas, root, absent)
+    if alphas is not None and absent:
+        what, why = next(iter(absent.items()))
+        raise EvaluationError(f"--alphas holds {what}: {why}")
+    return found
+
+
 def image_metrics(
     lpips_weights: Path | str | Sequence[Path | str] | None, absent: dict[str, str]
 ) -> dict[str, Metric]:

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 from tg4mm.errors import Tg4mmError
+from tg4mm.settings import setting
 
 _AS_CONFIGURED = 16_000  # Gaussians: up to so many the iterations are as they are set
 NUISANCE = ("auto", "none", "exposure", "all")
@@ -15,21 +16,34 @@ NUISANCE = ("auto", "none", "exposure", "all")
 class MotionConfig:
     """How the motion is fitted. The weights are relative to what the images say about a Gaussian on average."""
 
-    components: int = 16  # at most so many temporal components; fewer where the rest is noise
-    smoothness_weight: float = 0.0  # of the prior that neighbours move alike; 0: found from the images
-    ridge: float = 1e-3  # weight that draws motion to zero where nothing is known
-    # of conjugate gradients, at most, for each component of up to 16,000 Gaussians; of N > 16,000 (N / 16,000)^⅔ times
-    # as many
-    iterations: int = 14
-    tolerance: float = 3e-3  # relative residual at which conjugate gradients stop
-    split_half: bool = True  # fit each half of the data by itself and take the mean
-    gauss_newton: int = 4  # iterations at most, where 1 % of what is seen moves by more than 0.7 pixels
-    appearance: bool = (
-        True  # fit what motion leaves of the pictures by changes of colour, magnified along with it
+    components: int = setting(16, "at most; fewer where the rest is noise", "functions of time")
+    smoothness_weight: float = setting(
+        0.0, "of the prior that neighbours move alike; 0: found from the images"
     )
-    # projected out of every frame: auto finds out; none; exposure (gain and offset); all (exposure and camera pose)
-    nuisance: str = "auto"
-    seed: int = 0
+    ridge: float = setting(1e-3, "weight that draws motion to zero where nothing is known")
+    iterations: int = setting(
+        14,
+        "of conjugate gradients, at most, for each component of up to 16,000 Gaussians; "
+        "of N > 16,000 (N / 16,000)^⅔ times as many",
+        "iterations",
+    )
+    tolerance: float = setting(3e-3, "relative residual at which conjugate gradients stop")
+    split_half: bool = setting(
+        True,
+        "fit each half of the data by itself and take what they agree on; also tells how sure the motion is",
+    )
+    gauss_newton: int = setting(
+        4, "at most, where 1 % of what is seen moves by more than 0.7 pixels", "iterations"
+    )
+    appearance: bool = setting(
+        True, "fit what motion leaves of the pictures by changes of colour, magnified along with it"
+    )
+    nuisance: str = setting(
+        "auto",
+        "projected out of every frame: auto finds out; none; exposure (gain and offset); "
+        "all (exposure and camera pose)",
+    )
+    seed: int = setting(0, "of random draws")
 
 
 def checked(config: MotionConfig) -> MotionConfig:

@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass, replace
 
 from tg4mm.errors import Tg4mmError
+from tg4mm.settings import setting
 from tg4mm.space import SpaceConfig
 
 
@@ -16,21 +17,29 @@ from tg4mm.space import SpaceConfig
 class PaperConfig:
     """Both phases of [TG4MM]. One iteration is one view, white background, L1 (Eq. 16)."""
 
-    channels: int = 32  # C, features of a plane
-    resolution: int = 512  # R, cells along each side of a plane; a power of two
-    mlp_layers: int = 0  # before the heads; 8 is "MLP + Decoder" of Table VI, 1 what §IV.B says
-    mlp_width: int = 256
-    iterations: int = 20_000  # of phase 1, of which the first
-    warm_up: int = 3_000  # fit the base Gaussians alone, with density control, as [29] does
-    motion_iterations: int = 7_000  # of phase 2, for each timestep
-    shared: bool = False  # true: motion_iterations is what all timesteps share
-    learning_rate: float = 1e-4  # of Adam, fixed, phase 1
-    motion_learning_rate: float = 1e-4  # of Adam, phase 2
-    motion_rate_falls_to: float = 1.0  # share of that rate at the end of a timestep; 1: fixed
-    deviation: float = 1.0  # standard deviation of the space planes' first values
-    residual: bool = True  # false: a timestep's planes replace the space planes (Fig. 8)
-    difference: bool = False  # true: phase 2 compares changes from timestep 0 with changes; false: Eq. (16)
-    seed: int = 0
+    channels: int = setting(32, "C, features of a plane")
+    resolution: int = setting(512, "R, along each side of a plane; a power of two", "cells")
+    mlp_layers: int = setting(
+        0, 'before the heads; 8 is "MLP + Decoder" of Table VI, 1 what §IV.B says', "layers"
+    )
+    mlp_width: int = setting(256, "of each of these layers", "features")
+    iterations: int = setting(20_000, "of phase 1, those of paper.warm_up included", "iterations")
+    warm_up: int = setting(
+        3_000,
+        "of phase 1, the first, fit the base Gaussians alone, with density control, as [29] does",
+        "iterations",
+    )
+    motion_iterations: int = setting(7_000, "of phase 2, for each timestep", "iterations")
+    shared: bool = setting(False, "true: paper.motion_iterations is what all timesteps share")
+    learning_rate: float = setting(1e-4, "of Adam, fixed, phase 1")
+    motion_learning_rate: float = setting(1e-4, "of Adam, phase 2")
+    motion_rate_falls_to: float = setting(1.0, "share of that rate at the end of a timestep; 1: fixed")
+    deviation: float = setting(1.0, "standard deviation of the space planes' first values")
+    residual: bool = setting(True, "false: a timestep's planes replace the space planes (Fig. 8)")
+    difference: bool = setting(
+        False, "true: phase 2 compares changes from timestep 0 with changes; false: Eq. (16)"
+    )
+    seed: int = setting(0, "of random draws")
 
     def per_timestep(self, n_timesteps: int) -> int:
         """Iterations of phase 2 for each of the T − 1 timesteps after the first."""

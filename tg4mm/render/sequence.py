@@ -49,6 +49,17 @@ class RenderRequest:
         bands = self.bands or (() if self.band is None else (BandGain(*self.band, self.alpha),))
         return Magnification(bands, 0.0 if bands else self.alpha, self.method, self.filter)
 
+    def checked(self) -> RenderRequest:
+        """Itself. Raises RunError for an alpha or a speed that is out of range."""
+        for alpha in (self.alpha, *(b.alpha for b in self.bands)):
+            if not math.isfinite(alpha):
+                raise RunError(f"--alpha {alpha:g}: must be a finite number (-1 stops the motion)")
+            if abs(alpha) > LARGEST_ALPHA:
+                raise RunError(f"--alpha {alpha:g}: must be within ±{LARGEST_ALPHA:g}")
+        if not math.isfinite(self.slow) or self.slow <= 0:
+            raise RunError(f"--slow {self.slow:g}: must be above 0 (2 = half speed)")
+        return self
+
     @property
     def label(self) -> str:
         """α as progress shows it."""
@@ -110,19 +121,8 @@ def render_orbit(
 
 def pose_of(run: Run, request: RenderRequest, device: str = "cpu") -> tuple[Pose, int, float]:
     """The magnified Gaussians (on `device`) as a function of the timestep, the number of timesteps, and fps in Hz."""
-    _check(request)
-    poses = poses_of(run, request.plan, device)
+    poses = poses_of(run, request.checked().plan, device)
     return poses.at, poses.n_timesteps, poses.fps
-
-
-def _check(request: RenderRequest) -> None:
-    for alpha in (request.alpha, *(b.alpha for b in request.bands)):
-        if not math.isfinite(alpha):
-            raise RunError(f"--alpha {alpha:g}: must be a finite number (-1 stops the motion)")
-        if abs(alpha) > LARGEST_ALPHA:
-            raise RunError(f"--alpha {alpha:g}: must be within ±{LARGEST_ALPHA:g}")
-    if not math.isfinite(request.slow) or request.slow <= 0:
-        raise RunError(f"--slow {request.slow:g}: must be above 0 (2 = half speed)")
 
 
 def render_missing(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -133,20 +133,8 @@ def _video_of(capture: Capture, camera_id: int) -> tuple[np.ndarray | None, str]
             None,
             f"No camera stands still: this one took {len(rows)} of the {capture.n_timesteps} timesteps.",
         )
-    images = load_images(_only(capture, rows))
+    images = load_images(capture.selected(rows))
     return np.stack([to_bytes(images.rgb(i)) for i in range(len(rows))]), ""
-
-
-def _only(capture: Capture, rows: np.ndarray) -> Capture:
-    return replace(
-        capture,
-        viewmats=capture.viewmats[rows],
-        Ks=capture.Ks[rows],
-        timesteps=capture.timesteps[rows],
-        camera_ids=capture.camera_ids[rows],
-        times_s=capture.times_s[rows],
-        paths=tuple(capture.paths[i] for i in rows),
-    )
 
 
 def _truth(
@@ -171,5 +159,5 @@ def contact_images(train: Capture, most: int = 30) -> list[np.ndarray]:
     picked = [
         first[i] for i in np.unique(np.linspace(0, len(first) - 1, min(most, len(first))).round().astype(int))
     ]
-    images = load_images(_only(train, np.array(picked)))
+    images = load_images(train.selected(np.array(picked)))
     return [to_bytes(images.rgb(i)) for i in range(len(picked))]

@@ -9,6 +9,7 @@ OUT/…                  the dataset; scene.json, written last, says that it is 
 
 from __future__ import annotations
 
+import shlex
 import sys
 import warnings
 from dataclasses import asdict, dataclass
@@ -120,6 +121,18 @@ def _check_options(sources: Sources, config: SfmConfig) -> None:
         )
 
 
+def _check_enough(sources: Sources) -> None:
+    """Raise CaptureError for so few fixed cameras that their poses cannot be found, and nothing beside them."""
+    n = len(sources.clips)
+    if sources.sweep is None and 1 < n < FEWEST:
+        first = shlex.quote(str(sources.clips[0].path))
+        raise CaptureError(
+            f"{sources.path}: holds {n} recordings of cameras that stay put, and nothing else: {n} views are too few "
+            f"to find poses from. Add {SWEEP}/ with photographs of the scene at rest from all around (or {SWEEP}.mp4), "
+            f"or take one camera by itself, in pixels: tg4mm sfm {first} --out DATASET"
+        )
+
+
 def _scene(job: _Job) -> dict[str, Any]:
     return {"scene": job.work.out.resolve().name, "kind": job.kind.name, "background": "as photographed"}
 
@@ -196,6 +209,7 @@ def _model(job: _Job, taken: list[Shot]) -> Any:
     if sparse.is_dir():
         return c.Reconstruction(sparse)
     check_sizes(taken)
+    _check_enough(job.sources)
     if len(taken) < FEWEST:
         raise CaptureError(
             f"{len(taken)} pictures, at least {FEWEST} are needed; a {SWEEP}/ of further ones helps"

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tg4mm.capture.confine import IMAGE_SUFFIXES
+from tg4mm.capture.part_of import train_command, whole_dataset
 from tg4mm.capture.transforms import natural
 from tg4mm.errors import CaptureError
 from tg4mm.sfm.clip import NAMES, VIDEO_SUFFIXES, Clip
@@ -43,8 +44,10 @@ def find_sources(path: Path) -> Sources:
         if path.suffix.lower() not in VIDEO_SUFFIXES:
             raise CaptureError(f"{path}: is neither a folder nor a video ({NAMES})")
         return Sources(path, clips=(Clip(path.stem, path),))
+    if (part := whole_dataset(path)) is not None:
+        raise CaptureError(f"{path}: is {part[1]}, whose poses are known: {train_command(part[0])}")
     if is_dataset(path):
-        raise CaptureError(f"{path}: is a dataset already: tg4mm train {shlex.quote(str(path))} --out RUN")
+        raise CaptureError(f"{path}: is a dataset already: {train_command(path)}")
     pictures = _pictures(path)
     clips = [clip for clip in map(_clip, _entries(path)) if clip is not None]
     sweep = next((clip for clip in clips if clip.name == SWEEP), None)

@@ -4,18 +4,28 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from tg4mm.settings import setting
+
 
 @dataclass(frozen=True)
 class SpaceConfig:
     """How the static Gaussians are fitted. Learning rates and their decay: `parameters.py`."""
 
-    iterations: int = 0  # one view each; 0: 150 · ∛(pixels the object covers in a view), 1,000 … 30,000
-    max_gaussians: int = 0  # 0: 200 · √(the same), 2,000 … 500,000
-    sh_degree: int = 3  # reached step by step in the first 30 % of the iterations
-    l2: float = 10.0  # weight of the squared error beside L1; 0 is [TG4MM] Eq. (16)
-    dssim: float = 0.0  # share of D-SSIM, [3DGS] Eq. (7)
-    init: str = (
-        "auto"  # "points", "hull", "random", "auto" (the first that the data allow), or "sfm" (pycolmap)
+    iterations: int = setting(
+        0, "one view each; 0: 150 · ∛(pixels the object covers in a view), 1,000 … 30,000", "iterations"
     )
-    init_points: int = 5_000  # at most; a fifth of it from the hull, a tenth at random places
-    seed: int = 0
+    max_gaussians: int = setting(
+        0, "at most; 0: 200 · √(pixels the object covers in a view), 2,000 … 500,000", "Gaussians"
+    )
+    sh_degree: int = setting(
+        3, "of spherical harmonics, 0 … 3; reached step by step in the first 30 % of the iterations"
+    )
+    l2: float = setting(10.0, "weight of the squared error beside L1; 0 is [TG4MM] Eq. (16)")
+    dssim: float = setting(0.0, "share of D-SSIM in the loss, 0 … 1, [3DGS] Eq. (7)")
+    init: str = setting(
+        "auto", "points, hull, random, auto (the first of these that the data allow), or sfm (pycolmap)"
+    )
+    init_points: int = setting(
+        5_000, "at most; a fifth of it from the hull, a tenth at random places", "points"
+    )
+    seed: int = setting(0, "of random draws")

@@ -29,6 +29,11 @@ def mode(k: int) -> tuple[str, ...]:
     return tuple(f"mode_{k}_{part}{axis}" for part in parts for axis in "xyz")
 
 
+def deviation(k: int) -> str:
+    """The property of mode k that holds the standard deviation of its amplitude; a file has all of them or none."""
+    return f"mode_{k}_sd"
+
+
 def log_scale(scales: np.ndarray) -> np.ndarray:
     """Linear scale → log scale."""
     return np.log(np.maximum(scales.astype(np.float64), SMALLEST_SCALE))

@@ -33,6 +33,9 @@ class SplatFile:
     n_timesteps: int = 1  # T
     unit_scale_m: float | None = None  # metres per scene unit; None if unknown
     time_origin_s: float = 0.0  # seconds at timestep 0, on the recording's clock
+    deviation: np.ndarray | None = (
+        None  # [M, N] float32, standard deviation of |m_k|, scene units; None: not known
+    )
 
     @classmethod
     def static(
@@ -80,6 +83,8 @@ class SplatFile:
             "displacement": (m, n, 3),
             "rotation": (m, n, 3),
         }
+        if self.deviation is not None:
+            expected["deviation"] = (m, n)
         for name, shape in expected.items():
             if getattr(self, name).shape != shape:
                 raise SplatFileError(f"{name} has shape {getattr(self, name).shape}, expected {shape}")
@@ -99,6 +104,8 @@ class SplatFile:
             raise SplatFileError(
                 f"opacities span {self.opacities.min():g} to {self.opacities.max():g}; expected 0 to 1"
             )
+        if self.deviation is not None and self.deviation.min(initial=0) < 0:
+            raise SplatFileError(f"deviation reaches down to {self.deviation.min():g}; expected at least 0")
         zero = np.flatnonzero(~self.quats.any(axis=1))
         if len(zero):
             raise SplatFileError(f"quats[{zero[0]}] is zero, as {len(zero)} are; expected a rotation")

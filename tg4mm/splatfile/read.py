@@ -33,10 +33,11 @@ def read_splat(path: str | Path) -> SplatFile:
             header = read_header(file)
             vertex = _check_size(header, os.fstat(file.fileno()).st_size)
             k, m = _check_properties(vertex, header.about)
+            deviations = _deviations(vertex, m)
             file.seek(_offset(header, vertex))
             rest, modes = layout.f_rest(3 * (k - 1)), [layout.mode(i) for i in range(m)]
-            tables = _tables(file, vertex, [*GROUPS, rest, *modes])
-        return _splat(tables, k, header.about or {})
+            *tables, deviation = _tables(file, vertex, [*GROUPS, rest, *modes, deviations])
+        return _splat(tables, k, header.about or {}, deviation.T if deviations else None)
     except OSError as error:
         raise SplatFileError(f"{path}: cannot be read: {error.strerror or error}") from error
     except SplatFileError as error:
@@ -94,6 +95,19 @@ def _check_properties(vertex: Element, about: dict | None) -> tuple[int, int]:
     return 1 + n_rest // 3, m
 
 
+def _deviations(vertex: Element, m: int) -> tuple[str, ...]:
+    """The properties that hold the modes' standard deviations, () if there are none."""
+    names = tuple(layout.deviation(k) for k in range(m))
+    there = [name for name in names if name in vertex.properties]
+    if there and len(there) != m:
+        missing = next(name for name in names if name not in there)
+        raise SplatFileError(f"has {there[0]} but no {missing}; expected one for each of {m} modes, or none")
+    whole = [name for name in there if vertex.properties[name] not in ("<f4", "<f8")]
+    if whole:
+        raise SplatFileError(f"property {whole[0]} is a whole number type; expected float or double")
+    return names if there else ()
+
+
 def _offset(header: Header, vertex: Element) -> int:
     before = header.elements[: header.elements.index(vertex)]
     return header.nbytes + sum(element.nbytes for element in before if element.count)
@@ -122,8 +136,8 @@ def _tables(file: BinaryIO, vertex: Element, groups: list[tuple[str, ...]]) -> l
     return tables
 
 
-def _splat(tables: list[np.ndarray], k: int, about: dict) -> SplatFile:
-    """The activated values of what `_tables` read: GROUPS, f_rest, twelve columns a mode."""
+def _splat(tables: list[np.ndarray], k: int, about: dict, deviation: np.ndarray | None) -> SplatFile:
+    """The activated values of what `_tables` read: GROUPS, f_rest, twelve columns a mode; deviations [M, N]."""
     means, f_dc, logits, scale_logs, quats, f_rest, *modes = tables
     n, m = len(means), len(modes)
     with np.errstate(over="ignore"):
@@ -148,4 +162,5 @@ def _splat(tables: list[np.ndarray], k: int, about: dict) -> SplatFile:
         n_timesteps=1 if about.get("n_timesteps") is None else int(about["n_timesteps"]),
         unit_scale_m=None if about.get("unit_scale_m") is None else float(about["unit_scale_m"]),
         time_origin_s=float(about.get("time_origin_s") or 0.0),
+        deviation=None if deviation is None else np.ascontiguousarray(deviation),
     )

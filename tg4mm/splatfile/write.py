@@ -42,6 +42,8 @@ def write_splat(path: str | Path, splat: SplatFile) -> None:
 def _names(splat: SplatFile) -> list[str]:
     rest = layout.f_rest(3 * (splat.sh.shape[1] - 1))
     modes = [name for k in range(splat.n_modes) for name in layout.mode(k)]
+    if splat.deviation is not None:
+        modes += [layout.deviation(k) for k in range(splat.n_modes)]
     fixed = (layout.POSITION, layout.NORMAL, layout.F_DC, rest, layout.OPACITY, layout.SCALE, layout.ROTATION)
     return [name for names in fixed for name in names] + modes
 
@@ -84,6 +86,8 @@ def _blocks(splat: SplatFile) -> Iterator[np.ndarray]:
         for displacement, rotation in zip(splat.displacement, splat.rotation, strict=True):
             for phasor in (displacement[rows], rotation[rows]):
                 parts += [phasor.real, phasor.imag]
+        if splat.deviation is not None:
+            parts.append(splat.deviation[:, rows].T)
         with np.errstate(over="ignore"):
             block = np.concatenate(parts, axis=1).astype("<f4")
         if not np.isfinite(block).all():

@@ -1,0 +1,57 @@
+"""Modes that hold nothing but noise are told from those that hold motion, and errors are spread over modes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tg4mm.motion.mode_selection import mode_deviations, worth_keeping
+from tg4mm.motion.modes import ModalMotion
+
+
+def of_amplitudes(amplitudes: list[float], freqs: list[float], n: int = 50) -> ModalMotion:
+    """Each mode moves all Gaussians along x by its amplitude."""
+    displacement = np.zeros((len(freqs), n, 3), np.complex64)
+    displacement[..., 0] = np.array(amplitudes)[:, None]
+    return ModalMotion(np.array(freqs), displacement, np.zeros_like(displacement), 30.0, 30)
+
+
+def test_modes_under_the_noise_are_empty() -> None:
+    motion = of_amplitudes([1e-19, 1.0, 0.001, 0.3], [1.0, 2.0, 3.0, 4.0])
+    assert worth_keeping(motion, np.full(50, 0.01)).tolist() == [False, True, False, True]
+    assert worth_keeping(motion, np.full(50, 1e-4)).tolist() == [False, True, True, True]
+
+
+def test_weak_modes_that_add_up_stay() -> None:
+    """A transient is spread over many bins: each is below the noise, all of them are not."""
+    motion = of_amplitudes([1.0, *[0.1] * 8], list(range(1, 10)))
+    kept = worth_keeping(motion, np.full(50, 0.15))
+    assert kept[0]
+    dropped = (0.1**2 / 2) * (~kept).sum()
+    assert 0 < dropped <= 0.15**2 < dropped + 0.1**2 / 2
+    stray = np.full(200, 0.15)
+    stray[0] = 100.0  # seen by no camera, perhaps
+    assert (
+        worth_keeping(of_amplitudes([1.0, *[0.1] * 8], list(range(1, 10)), 200), stray).tolist()
+        == kept.tolist()
+    )
+
+
+def test_without_known_noise_only_rounding_is_dropped() -> None:
+    motion = of_amplitudes([1.0, 0.01, 1e-8], [1.0, 2.0, 3.0])
+    assert worth_keeping(motion, None).tolist() == [True, True, False]
+
+
+def test_zero_hertz_stays_and_stillness_is_empty() -> None:
+    assert worth_keeping(of_amplitudes([0.0, 1.0], [0.0, 5.0]), np.full(50, 0.1)).tolist() == [True, True]
+    assert worth_keeping(of_amplitudes([0.0], [5.0]), np.full(50, 0.1)).tolist() == [False]
+
+
+def test_a_single_mode_takes_the_whole_error_and_a_weak_one_its_share() -> None:
+    """Amplitude: √2 times the rms over time."""
+    deviation, noise = np.full(50, 0.5), np.full(50, 0.3)
+    alone = mode_deviations(of_amplitudes([2.0], [5.0]), deviation, noise)
+    np.testing.assert_allclose(alone, np.sqrt(2) * 0.5, rtol=1e-6)
+    both = mode_deviations(of_amplitudes([2.0, 1.0], [5.0, 7.0]), deviation, noise)
+    np.testing.assert_allclose(both[1], np.sqrt(2 * (0.09 + 0.16 / 5)), rtol=1e-6)
+    assert (both[0] > both[1]).all()
+    assert (both < alone[0, 0]).all()

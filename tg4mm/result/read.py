@@ -1,0 +1,236 @@
+"""A run's files read as its `Result`."""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from tg4mm.capture import Capture, load_capture
+from tg4mm.errors import RunError
+from tg4mm.gaussians import Gaussians
+from tg4mm.motion.limits import peaks
+from tg4mm.motion.mode_selection import mode_deviations, worth_keeping
+from tg4mm.motion.modes import ModalMotion
+from tg4mm.motion.observations import frames_of
+from tg4mm.report.figures import scale_top
+from tg4mm.report.maps import peak_displacement
+from tg4mm.result.advice import next_command, suggested_alpha
+from tg4mm.result.bands import suggested_bands
+from tg4mm.result.model import Length, Result, Vibration
+from tg4mm.result.reach import Reach, reach_of
+from tg4mm.result.seen import Seen, seen_by
+from tg4mm.result.tone import Tone, tone_of
+from tg4mm.runs import UNCERTAINTY, Run
+
+_PERIODS = 2.0  # that the record must hold of the lowest frequency
+_LARGEST = 0.99  # of the weight of what is seen lies below the amplitude that is named, as in pixels
+_STEADY = "the fit takes the vibration to be steady"
+
+
+def result_of(run: Run) -> Result:
+    """What the run found. Of a finished run it is the same each time. Raises RunError for one that is not finished."""
+    return reading_of(run).result()
+
+
+def reading_of(run: Run) -> Reading:
+    """The files of a run. Raises RunError for one that is not finished."""
+    motion = run.load_motion()
+    capture = load_capture(run.dataset) if run.dataset.is_dir() else None
+    if motion is None and capture is not None and capture.n_timesteps > 1:
+        raise RunError(f"{run.path} has no motion.safetensors: its motion stage is not finished")
+    uncertainty = _uncertainty(run) if motion is not None else {}
+    return Reading(run, run.load_space(), motion, run.log().get("motion", {}), capture, uncertainty)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """The files of a run that a result is read from."""
+
+    run: Run
+    gaussians: Gaussians
+    motion: ModalMotion | None
+    log: dict[str, Any]  # of the motion stage
+    capture: Capture | None  # None: the dataset is gone
+    uncertainty: dict[str, np.ndarray]  # {}: the run does not say it
+
+    @cached_property
+    def seen(self) -> Seen:
+        return seen_by(self.gaussians, self.capture)
+
+    def result(self) -> Result:
+        """`result_of`."""
+        motion = self.motion
+        if motion is None:
+            return self._still()
+        seen = self.seen
+        vibrations = self._vibrations(motion, seen)
+        noise, noise_px = self._noise(seen)
+        low, high = vibrations[0].band if vibrations else (0.0, 0.0)
+        strongest = (motion.freqs_hz >= low) & (motion.freqs_hz <= high)
+        alpha = suggested_alpha(self.reach(strongest.astype(float)) if vibrations else None, self.capture)
+        frames = frames_of(self.capture)[1] if self.capture is not None else []
+        return Result(
+            run=self.run.path,
+            kind="" if self.capture is None else self.capture.kind,
+            n_cameras=len(frames),
+            n_timesteps=motion.n_timesteps,
+            fps=motion.fps,
+            vibrations=vibrations,
+            unit_scale_m=None if self.capture is None else self.capture.unit_scale_m,
+            noise=noise,
+            noise_px=noise_px,
+            agreement=tuple(float(r) for r in self.log.get("reliability", ())),
+            cannot=self._cannot(motion, vibrations),
+            alpha=alpha,
+            next_command=next_command(self.run, self.capture, vibrations, alpha),
+        )
+
+    def _still(self) -> Result:
+        """Of a capture of one timestep."""
+        capture = self.capture
+        return Result(
+            run=self.run.path,
+            kind="photos" if capture is None else capture.kind,
+            n_cameras=0 if capture is None else len(capture),
+            n_timesteps=1,
+            fps=0.0,
+            vibrations=(),
+            unit_scale_m=None if capture is None else capture.unit_scale_m,
+            noise=None,
+            noise_px=None,
+            agreement=(),
+            cannot=("motion: there is one timestep, at which nothing can move",),
+            alpha=0.0,
+            next_command=next_command(self.run, capture, (), 0.0),
+        )
+
+    def _vibrations(self, motion: ModalMotion, seen: Seen) -> tuple[Vibration, ...]:
+        duration = motion.n_timesteps / motion.fps
+        known = worth_keeping(motion, self.uncertainty.get("noise"))
+        hz = [f for f in peaks(motion, _PERIODS / duration) if known[_index(motion, f)]]
+        tones = [self._tone(motion, seen, float(f), np.array(hz)) for f in hz]
+        bands = suggested_bands(hz, [tone.deviation_hz for tone in tones], duration, motion.fps)
+        deviations = None
+        if "noise" in self.uncertainty:
+            deviations = mode_deviations(motion, self.uncertainty["displacement"], self.uncertainty["noise"])
+        out = []
+        for f, tone, band in zip(hz, tones, bands, strict=True):
+            k = _index(motion, f)
+            amplitude, place = self._largest(
+                motion.displacement[k], seen, None if deviations is None else deviations[k]
+            )
+            out.append(
+                Vibration(
+                    hz=float(f),
+                    deviation_hz=tone.deviation_hz,
+                    amplitude=amplitude,
+                    place=place,
+                    pixels=self._pixels(motion.displacement[k], seen, amplitude),
+                    damping=tone.damping,
+                    damping_deviation=tone.damping_deviation,
+                    why_no_damping=tone.why_no_damping,
+                    band=band,
+                )
+            )
+        return tuple(out)
+
+    def _tone(self, motion: ModalMotion, seen: Seen, hz: float, every: np.ndarray) -> Tone:
+        told = {float(f): float(d) for f, d in zip(*(self.log.get(k, ()) for k in _STATED), strict=False)}
+        if told:  # clocks of their own, or a moving camera: the fit holds these frequencies and nothing else
+            return Tone(told[min(told, key=lambda f: abs(f - hz))], None, None, _STEADY)
+        series = series_of(motion, motion.displacement[_index(motion, hz)], seen.weights)
+        noise = float(self.log.get("noise_to_motion") or 0.0)
+        return tone_of(series, motion.fps, hz, every[every != hz], noise)
+
+    def _largest(
+        self, phasors: np.ndarray, seen: Seen, deviation: np.ndarray | None
+    ) -> tuple[Length, tuple[float, float, float]]:
+        amplitude = peak_displacement(phasors)
+        top = scale_top(amplitude, seen.weights, _LARGEST)
+        there = int(np.argmin(np.where(seen.weights > 0, np.abs(amplitude - top), np.inf)))
+        x, y, z = (float(c) for c in self.gaussians.means[there])
+        return Length(top, None if deviation is None else float(deviation[there])), (x, y, z)
+
+    def _pixels(self, phasors: np.ndarray, seen: Seen, amplitude: Length) -> Length | None:
+        """The deviation is as much of the motion in pixels as it is of that in scene units, but for what only the
+        line of sight hides."""
+        pixels = seen.pixels(phasors)
+        if pixels is None or amplitude.deviation is None or not amplitude.value > 0:
+            return None if pixels is None else Length(pixels)
+        deviation = pixels * amplitude.deviation / amplitude.value
+        if "covariance" in self.uncertainty:
+            own = self.uncertainty["covariance"].astype(np.float64)
+            even = np.trace(own, axis1=1, axis2=2)[:, None, None] / 3 * np.eye(3)
+            deviation *= (seen.rms_pixels(own) or 0.0) / max(seen.rms_pixels(even) or 0.0, 1e-30)
+        return Length(pixels, deviation)
+
+    def _noise(self, seen: Seen) -> tuple[float | None, float | None]:
+        if "noise" not in self.uncertainty:
+            return None, None
+        noise = self.uncertainty["noise"].astype(np.float64)
+        own = np.sqrt(2) * scale_top(noise, seen.weights, 0.5)
+        pixels = seen.rms_pixels((noise**2 / 3)[:, None, None] * np.eye(3))
+        return own, None if pixels is None else np.sqrt(2) * pixels
+
+    def reach(self, gains: np.ndarray) -> Reach | None:
+        """How far the motion goes with its modes multiplied by `gains` [K]; None for a run without motion."""
+        if self.motion is None:
+            return None
+        told = worth_keeping(self.motion, self.uncertainty.get("noise"))
+        return reach_of(self.gaussians, self.motion, self.seen, self._noise(self.seen)[1], gains * told)
+
+    def _cannot(self, motion: ModalMotion, vibrations: tuple[Vibration, ...]) -> tuple[str, ...]:
+        duration = motion.n_timesteps / motion.fps
+        out = list(self.log.get("notes", ()))
+        out.append(
+            f"frequencies under {_PERIODS / duration:.3g} Hz, from {motion.fps / 2:.4g} Hz on, and two that are nearer "
+            f"than {1 / duration:.3g} Hz: the record covers {duration:.3g} s at {motion.fps:.4g} Hz"
+        )
+        if "along_sight" in self.uncertainty and vibrations:
+            out.append(
+                "how far things move towards the only camera: where they do, amplitudes come out too small, by more "
+                "than the ± says"
+            )
+        if "noise" not in self.uncertainty and vibrations:
+            out.append(
+                f"how sure the amplitudes are: the preset {self.run.preset} with these settings does not say it"
+            )
+        if self.capture is None:
+            out.append(f"pixels and the scale: the dataset {self.run.dataset} is not there")
+        elif self.capture.unit_scale_m is None:
+            out.append(
+                "millimetres: unit_scale_m (metres per scene unit) in "
+                f"{shlex.quote(str(self.capture.root / 'scene.json'))} is not known"
+            )
+        return tuple(out)
+
+
+_STATED = ("frequencies_hz", "frequency_deviation_hz")
+
+
+def series_of(motion: ModalMotion, phasors: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """[T] the motion over time along the shape of a mode, in units of its largest displacement at each Gaussian.
+
+    The shape is the real part of the phasors [N, 3] at the time when they are largest; weights [N].
+    """
+    turned = phasors * np.exp(-0.5j * np.angle(np.einsum("nc,nc,n->", phasors, phasors, weights)))
+    shape = weights[:, None] * turned.real
+    along = np.einsum("knc,nc->k", motion.displacement, shape) / max(
+        float((shape * turned.real).sum()), 1e-30
+    )
+    gains = np.stack([motion.gains_at(t) for t in range(motion.n_timesteps)], 1)
+    return np.asarray((along[:, None] * gains).real.sum(0))
+
+
+def _index(motion: ModalMotion, hz: float) -> int:
+    return int(np.argmin(np.abs(motion.freqs_hz - hz)))
+
+
+def _uncertainty(run: Run) -> dict[str, np.ndarray]:
+    if not run.has_part(UNCERTAINTY):
+        return {}
+    return {name: tensor.numpy() for name, tensor in run.load_part(UNCERTAINTY)[0].items()}
