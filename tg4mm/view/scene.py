@@ -55,7 +55,7 @@ class Scene:
         """Index of the magnified mode in the band that moves most; None where there is none."""
         if self.motion is None or not len(self.motion.freqs_hz):
             return None
-        leading = leading_modes(self.motion, self.weights * 1.0, band, most=1)
+        leading = leading_modes(self.motion, self.weights, band, most=1)
         return next((k for k in leading if self.motion.is_magnified()[k]), None)
 
     def peaks(self) -> np.ndarray:
