@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import webbrowser
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -36,6 +37,8 @@ def view(
     Served to this machine alone (127.0.0.1). Ctrl+C ends it.
     """
     bands = parse_bands(band)
+    if alpha is not None and not math.isfinite(alpha):
+        raise Tg4mmError(f"--alpha {alpha}: expected a finite number")
     if len(bands) > 1:
         raise Tg4mmError(f"--band is given {len(bands)} times: the view magnifies one band at a time")
     try:

@@ -49,7 +49,7 @@ class App:
         self.url = address(self.server)
         self._dress()
         self._panel = Panel(self.server, session)
-        self._cameras = CameraPanel(self.server, session)
+        self._cameras = CameraPanel(self.server, session, self._panel.view)
         self._pixel = PixelPanel(self.server, session)
         SavePanel(self.server, session, folder, canvas_of)
         self._listen()

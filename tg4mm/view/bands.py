@@ -11,6 +11,7 @@ from tg4mm.view.colours import Band
 
 ALL = "all"  # the button for all frequencies
 _BUTTONS = 8  # peaks that get a button of their own
+_FAINT = 0.03  # of the largest peak; what is below is not looked for
 
 
 def band_of_slider(low: float, high: float, nyquist: float) -> Band:
@@ -28,8 +29,9 @@ def band_around(frequency: float, frequencies: np.ndarray, nyquist: float) -> tu
 
 
 def main_peaks(frequencies: np.ndarray, peaks: np.ndarray) -> np.ndarray:
-    """The frequencies that get a button: those that move most, ascending."""
-    return np.sort(frequencies[np.argsort(-peaks, kind="stable")[:_BUTTONS]])
+    """The frequencies that get a button: those that move most, ascending; none below 3 % of the largest peak."""
+    order = np.argsort(-peaks, kind="stable")[:_BUTTONS]
+    return np.sort(frequencies[[k for k in order if peaks[k] >= _FAINT * peaks.max()]])
 
 
 def peak_labels(frequencies: Sequence[float] | np.ndarray) -> tuple[str, ...]:

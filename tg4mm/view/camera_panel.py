@@ -13,12 +13,15 @@ _BEFORE, _AGAIN, _NEXT = "previous", "back to it", "next"
 class CameraPanel:
     """A list of cameras, and buttons to step through it."""
 
-    def __init__(self, server: viser.ViserServer, session: Session) -> None:
+    def __init__(
+        self, server: viser.ViserServer, session: Session, folder: viser.GuiFolderHandle
+    ) -> None:
         self._session = session
         self._cameras = session.scene.cameras
         self._names = tuple(camera.name for camera in self._cameras)
-        with server.gui.add_folder("Camera"):
-            self._list = server.gui.add_dropdown("Camera", self._names, hint="Of the capture. Jumps there.")
+        with folder:
+            hint = "Of the capture. The page jumps there."
+            self._list = server.gui.add_dropdown("Camera", self._names, hint=hint)
             steps = server.gui.add_button_group("Step", (_BEFORE, _AGAIN, _NEXT))
         self._list.on_update(lambda event: event.client and self.jump(event.client, self._chosen()))
         steps.on_click(lambda event: event.client and self._step(event.client, str(steps.value)))

@@ -14,7 +14,7 @@ from tg4mm.report.colour import amount_colours, hex_colour
 from tg4mm.report.svg import nice_ticks, number
 from tg4mm.view.colours import Band
 
-WIDTH, HEIGHT = 360, 150
+WIDTH, HEIGHT = 360, 140
 LEFT, RIGHT, TOP, BOTTOM = 50, 10, 10, 36
 ACCENT = hex_colour(amount_colours(np.array(0.62)))  # of the report's map, told apart on light and dark
 _STYLE = Markup(
@@ -60,7 +60,7 @@ def spectrum_chart(
     frequencies, peaks = np.asarray(frequencies, float), np.asarray(peaks, float)
     top = (float(peaks.max()) if len(peaks) else 0.0) * 1.08 or 1.0
     low, high = (0.0, nyquist) if band is None else band
-    parts = [_axes((0.0, nyquist), (0.0, top), "frequency (Hz)", unit)]
+    parts = [_axes((0.0, nyquist), (0.0, top), "frequency (Hz)", f"peak ({unit})")]
     if band is not None:
         x, right = _x(low, 0, nyquist), _x(high, 0, nyquist)
         parts.append(
@@ -117,6 +117,8 @@ def _hits(
 ) -> list[Markup]:
     """Transparent areas from half way to half way between the stems that have a label."""
     named = [i for i in np.argsort(frequencies, kind="stable") if i < len(labels) and labels[i]]
+    if not named:
+        return []
     middles = [(frequencies[a] + frequencies[b]) / 2 for a, b in zip(named[:-1], named[1:], strict=True)]
     edges = [0.0, *middles, nyquist]
     parts = []

@@ -37,17 +37,17 @@ def gaussian_colours(scene: Scene, colour: Colour, band: Band) -> np.ndarray | N
     """[N, 3] sRGB in 0..1; None for the colours as filmed, and where no frequency is in the band.
 
     Amplitude (peak displacement) and phase (of the motion along its main direction, at timestep 0) are those of the
-    frequency in the band that moves most. Uncertainty is the peak of a sinusoid whose rms is the standard deviation,
-    on the scale of the amplitudes. Phases fade to grey where there is little motion.
+    frequency in the band that moves most; phases fade to grey where there is little motion. Uncertainty is the standard
+    deviation of the displacement, of all frequencies together.
     """
+    if colour is Colour.uncertainty and scene.deviation is not None:
+        return amount_colours(scene.deviation / max(scale_top(scene.deviation, scene.weights), 1e-30))
     k = scene.strongest(band)
     if colour is Colour.picture or k is None or scene.motion is None:
         return None
     phasors = scene.motion.displacement[k]
     amplitude = peak_displacement(phasors)
-    top = _top(scene, k)
-    if colour is Colour.uncertainty and scene.deviation is not None:
-        return amount_colours(np.sqrt(2) * scene.deviation / max(top, 1e-30))
+    top = scale_top(amplitude, scene.weights)
     if colour is Colour.phase:
         angle = np.angle(phasors @ main_direction(phasors, scene.weights))
         share = np.clip((amplitude / max(top, 1e-30) - 0.1) / 0.1, 0.0, 1.0)[:, None]
@@ -59,21 +59,16 @@ def legend(scene: Scene, colour: Colour, band: Band) -> Markup:
     """The scale of the colours, as a drawing under a line that names what is shown; empty for `as filmed`."""
     if colour is Colour.picture or scene.motion is None:
         return Markup()
+    if colour is Colour.uncertainty and scene.deviation is not None:
+        top = scale_top(scene.deviation, scene.weights) * scene.per_unit
+        words = Markup("<p>Standard deviation of the displacement, rms over time.</p>{}")
+        return words.format(colour_bar(top, scene.unit, "standard deviation"))
     k = scene.strongest(band)
     if k is None:
         return Markup("<p>No frequency lies in the band: colours as filmed.</p>")
     at = f"{number(float(scene.motion.freqs_hz[k]))} Hz"
     if colour is Colour.phase:
         return Markup("<p>Motion at {}; grey: below a tenth of the largest.</p>{}").format(at, phase_bar())
-    top = _top(scene, k) * scene.per_unit
-    if colour is Colour.amplitude:
-        return Markup("<p>Motion at {}, as captured.</p>{}").format(
-            at, colour_bar(top, scene.unit, "peak displacement")
-        )
-    words = "<p>Standard deviation · √2, on the scale of the motion at {}.</p>{}"
-    return Markup(words).format(at, colour_bar(top, scene.unit, "peak"))
-
-
-def _top(scene: Scene, k: int) -> float:
-    assert scene.motion is not None
-    return scale_top(peak_displacement(scene.motion.displacement[k]), scene.weights)
+    top = scale_top(peak_displacement(scene.motion.displacement[k]), scene.weights) * scene.per_unit
+    bar = colour_bar(top, scene.unit, "peak displacement")
+    return Markup("<p>Motion at {}, as captured.</p>{}").format(at, bar)

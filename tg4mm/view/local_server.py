@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 import re
 import socket
+import warnings
 from functools import partial
 from threading import Lock
 
@@ -32,6 +34,9 @@ def start_server(port: int) -> LocalServer:
 
     viser itself would go on to the next free port.
     """
+    # Neither a page of another site that is turned away nor one that was closed while its picture was drawn is news.
+    logging.getLogger("websockets").setLevel(logging.CRITICAL + 1)
+    warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
     if not 0 <= port <= 65535:
         raise Tg4mmError(f"--port {port}: expected 0 … 65535")
     _check_free(port)

@@ -29,6 +29,7 @@ class Panel:
         self._rate: float | None = None
         motion = scene.motion
         if motion is None or not len(scene.frequencies):
+            self.view = self._gui.add_folder("View")
             return
         self._nyquist = motion.fps / 2
         self._peaks = scene.peaks()
@@ -38,7 +39,8 @@ class Panel:
             self._add_magnification()
         with self._gui.add_folder("Time"):
             self._add_time()
-        with self._gui.add_folder("Colour"):
+        self.view = self._gui.add_folder("View")
+        with self.view:
             self._add_colour()
         self._show_band()
 
@@ -46,7 +48,9 @@ class Panel:
         alpha = self._session.look.alpha
         top = max(100.0, 5 * alpha)
         hint = "A displacement δ becomes (1 + α) δ: 0 as captured, −1 at rest."
-        slider = self._gui.add_slider("α (factor 1 + α)", -1.0, top, 0.5, alpha, hint=hint)
+        slider = self._gui.add_slider(
+            "α (factor 1 + α)", min=min(-1.0, alpha), max=top, step=0.5, initial_value=alpha, hint=hint
+        )
         slider.on_update(lambda _: self._session.set_look(alpha=float(slider.value)))
         self._spectrum = self._gui.add_html("")
         names = (ALL, *self._names)
@@ -55,7 +59,13 @@ class Panel:
         low, high = self._session.look.band or (0.0, self._nyquist)
         step = self._nyquist / 400
         self._band = self._gui.add_multi_slider(
-            "Band (Hz)", 0.0, self._nyquist, step, (low, high), min_range=step, hint="What is magnified."
+            "Band (Hz)",
+            min=0.0,
+            max=self._nyquist,
+            step=step,
+            initial_value=(low, high),
+            min_range=step,
+            hint="What is magnified.",
         )
         self._band.on_update(lambda event: self._slid(event))
         self._band_words = self._gui.add_html("")
@@ -101,10 +111,14 @@ class Panel:
         self._play.on_click(lambda _: self._toggle())
         end = round(clock.duration, 4)
         hint = "Seconds of the capture."
-        self._time = self._gui.add_slider("Time (s)", 0.0, end, end / 1000, 0.0, hint=hint)
+        self._time = self._gui.add_slider(
+            "Time (s)", min=0.0, max=end, step=end / 1000, initial_value=0.0, hint=hint
+        )
         self._time.on_update(lambda event: self._seek(event))
         hint = "Seconds of the capture for each second: 1 is real time."
-        speed = self._gui.add_slider("Speed (× real)", 0.01, 2.0, 0.01, clock.speed, hint=hint)
+        speed = self._gui.add_slider(
+            "Speed (× real)", min=0.01, max=2.0, step=0.01, initial_value=clock.speed, hint=hint
+        )
         speed.on_update(
             lambda _: self._now_or(lambda c, now: c.changed(now, speed=max(float(speed.value), 0.01)))
         )
@@ -128,8 +142,8 @@ class Panel:
 
     def _show_speed(self) -> None:
         """A warning where the fastest magnified motion shows too few pictures a cycle to be seen as it is."""
-        scene, look = self._session.scene, self._session.look
-        inside = [f for f in scene.frequencies if look.band is None or look.band[0] <= f <= look.band[1]]
+        band = self._session.look.band
+        inside = [f for f in self._buttons if band is None or band[0] <= f <= band[1]]
         cycles = max(inside, default=0.0) * self._session.clock.speed
         words = ""
         if cycles > 0 and (rate := self._rate or 24.0) / cycles < _ALIASED:
@@ -138,7 +152,7 @@ class Panel:
 
     def _add_colour(self) -> None:
         names = tuple(str(c) for c in choices(self._session.scene))
-        chosen = self._gui.add_dropdown("Colour by", names, str(self._session.look.colour))
+        chosen = self._gui.add_dropdown("Colour by", names, initial_value=str(self._session.look.colour))
         self._legend = self._gui.add_html("")
 
         @chosen.on_update

@@ -54,9 +54,7 @@ class Screen:
         fine = wanted == self._shown
         if fine and self._fine:
             return False
-        size = full_size(canvas.width, canvas.height)
-        if not fine:
-            size = min(size, self._pace.size(canvas.width, canvas.height))
+        size = (full_size if fine else self._pace.size)(canvas.width, canvas.height)
         begun = time.perf_counter()
         picture = session.painter.paint(look, seconds, canvas.camera(size))
         self._send(picture, _STILL if fine else _MOVING)
