@@ -111,7 +111,7 @@ def _train(run_path: Path, capture: Capture, preset: str, configs: dict[str, Any
         if "paper" in configs:
             _train_paper(run, capture, load_images(capture), configs, device)
             return run
-        images = _pictures(capture)
+        images = pictures_for(capture)
         if not run.has_space and capture.kind == "flat":
             train_plane(run, rest_views(capture, images), configs["space"], device)
         elif not run.has_space:
@@ -125,7 +125,7 @@ def _train(run_path: Path, capture: Capture, preset: str, configs: dict[str, Any
     return run
 
 
-def _pictures(capture: Capture) -> ImageStack | FilePictures:
+def pictures_for(capture: Capture) -> ImageStack | FilePictures:
     """All pictures in memory, each decoded once; of long captures they stay on disk."""
     fit = len(capture) * capture.height * capture.width * 4 <= IN_MEMORY
     return load_images(capture) if fit else FilePictures(capture)

@@ -1,0 +1,38 @@
+"""Virtual sensors: displacement of regions over time from the pictures, with deviations, spectra and shapes.
+
+    scene = prepare(Run.open("runs/mic"))                     # reads the pictures once; kept in the run's folder
+    found = measure(scene, [parse_sensor("tip=sphere:0,0,1.2,0.1")])
+    tip = found["tip"]
+    tip.times_s, tip.displacement, tip.deviation              # [T], [T, 3], [T, 3] scene units along tip.axes
+    tip.spectrum.freqs_hz, .amplitude, .floor, .peaks         # [F], [F, 3], [F, 3], Peak each
+
+docs/measure.md has the equations.
+"""
+
+from tg4mm.measure.clusters import Clusters
+from tg4mm.measure.errors import MeasureError
+from tg4mm.measure.measurement import Measurement, SensorResult, best_peak, default_sensors, measure
+from tg4mm.measure.prepared import Prepared, prepare
+from tg4mm.measure.sensors import Sensor, parse_sensor, read_sensors
+from tg4mm.measure.series import Series
+from tg4mm.measure.shapes import Shape
+from tg4mm.measure.spectrum import Peak, Spectrum
+
+__all__ = [
+    "Clusters",
+    "MeasureError",
+    "Measurement",
+    "Peak",
+    "Prepared",
+    "Sensor",
+    "SensorResult",
+    "Series",
+    "Shape",
+    "Spectrum",
+    "best_peak",
+    "default_sensors",
+    "measure",
+    "parse_sensor",
+    "prepare",
+    "read_sensors",
+]

@@ -1,0 +1,68 @@
+"""What the pass through the pictures found, kept in the run's folder: RUN/residuals.safetensors."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+
+from tg4mm.errors import RunError
+from tg4mm.modelhash import model_hash
+from tg4mm.runs import Run
+
+PART = "residuals"
+_VERSION = 1  # a file of another is made anew
+_LOG = logging.getLogger("tg4mm")
+
+
+@dataclass(frozen=True)
+class KeptPass:
+    """The file of one run, valid for the Gaussians and the motion that it was made with."""
+
+    run: Run
+    model: str  # digest
+    may_save: bool
+    notes: list[str] = field(default_factory=list)
+
+    @staticmethod
+    def of(run: Run, may_save: bool) -> KeptPass:
+        return KeptPass(run, model_hash(run.path), may_save)
+
+    @property
+    def is_there(self) -> bool:
+        """Whether the run has such a file, of whatever model."""
+        return self.run.has_part(PART)
+
+    def load(self) -> dict[str, np.ndarray] | None:
+        """The arrays; None where there are none, or they belong to another model, or are damaged."""
+        if not self.run.has_part(PART):
+            return None
+        try:
+            tensors, header = self.run.load_part(PART)
+        except RunError as error:
+            _LOG.warning("%s; the pictures are read again", error)
+            return None
+        if header.get("model") != self.model or header.get("pass_version") != _VERSION:
+            return None
+        self.notes[:] = header.get("notes", [])
+        arrays = {name: tensor.numpy() for name, tensor in tensors.items()}
+        if "active" in arrays:
+            arrays["active"] = arrays["active"].astype(bool)
+        return arrays
+
+    def save(self, arrays: Mapping[str, np.ndarray], notes: Sequence[str]) -> None:
+        """Write them where that was asked for; a folder that cannot be written is no error."""
+        if not self.may_save:
+            return
+        tensors = {
+            k: torch.from_numpy(np.ascontiguousarray(v.astype(np.uint8) if v.dtype == bool else v))
+            for k, v in arrays.items()
+        }
+        try:
+            extra = {"model": self.model, "pass_version": _VERSION, "notes": list(notes)}
+            self.run.save_part(PART, tensors, **extra)
+        except OSError as error:
+            _LOG.warning("%s cannot be written (%s): the pictures are read anew each time", PART, error.strerror)

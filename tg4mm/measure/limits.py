@@ -1,0 +1,40 @@
+"""What a measurement cannot tell, a line each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from tg4mm.measure.prepared import Prepared
+from tg4mm.motion.limits import frequency_notes
+
+if TYPE_CHECKING:
+    from tg4mm.measure.measurement import SensorResult
+
+_LINEAR_PX = 1.0  # beyond it a picture does not change in proportion to motion
+
+
+def limits_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[str, ...]:
+    """Of the capture, then of the sensors."""
+    out = list(scene.notes)
+    if scene.capture.kind == "flat":
+        out.append("a flat capture shows motion across the sight alone, in pixels of its picture")
+    elif not scene.is_moving and len(scene.views) == len(scene.clocks) == 1:
+        out.append(
+            "one camera: motion along its line of sight is hardly seen; it is given with its own, large deviation"
+        )
+    if len(scene.clocks) > 1:
+        out.append("every camera has a clock of its own: a series for each, which shows two directions of three")
+    if scene.is_moving:
+        out.append("the camera moves: slow motion, and motion of the whole scene as one, are taken out as its own")
+    for result in results:
+        size = abs(result.displacement).max() * result.px_per_unit
+        if size > _LINEAR_PX:
+            out.append(
+                f"{result.name} moves by up to {size:.2g} px: beyond {_LINEAR_PX:g} px pictures do not change in "
+                "proportion, and amplitudes come out too small"
+            )
+        if not result.spectrum.peaks:
+            out.append(f"{result.name}: nothing stands out of the noise floor")
+    hz = sorted({round(p.frequency_hz, 3) for r in results for p in r.spectrum.peaks})
+    return tuple(out + frequency_notes(hz, scene.observations))

@@ -1,0 +1,123 @@
+"""Displacement of a sensor over time, with a standard deviation for each sample.
+
+u_f = A⁻¹ b_f from the sum of two halves of the data, whose equations stand apart (`rigid.py`). Pixel noise alone would
+give the covariance A⁻¹ times a number; the noise of real pixels hangs together (codecs, demosaicing, errors of the
+model), so that number is found from the result, for each axis: what the halves' answers differ by in time, over what
+they would at unit noise; and where that is larger, the level that most of the answer's own spectrum does not fall below.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tg4mm.measure.rigid import Equations
+
+_QUARTILE = float(-np.log(0.75))  # of a spectrum of noise, in units of its mean power
+_FEWEST = 12  # samples that a spectrum is judged by
+_TOLD = 1.5  # times as uncertain as without rotations a translation may become
+_TURNS = 10.0  # times as uncertain as a translation: a rotation times the radius beyond it is not told
+UNSEEN = 1e-4  # of the best-seen direction's information: less is not observed
+
+
+@dataclass(frozen=True)
+class Series:
+    """One sensor on one clock, about its mean over the record."""
+
+    clock: str  # "" where all cameras share one
+    times_s: np.ndarray  # [T] seconds
+    displacement: np.ndarray  # [T, 3] scene units, along `axes`
+    deviation: np.ndarray  # [T, 3] standard deviation; inf along a direction that is not observed
+    axes: np.ndarray  # [3, 3], rows: unit vectors in the world
+    labels: tuple[str, str, str]  # of the axes
+    rotation: np.ndarray | None  # [T, 3] radians about the axes through the centre; None where it cannot be told
+    rotation_deviation: np.ndarray | None  # [T, 3]
+    noise_factor: np.ndarray  # [3] variance over what independent pixel noise of the weights would give
+
+    @property
+    def is_observed(self) -> np.ndarray:
+        """[3] bool, of the axes."""
+        return np.isfinite(self.deviation).all(0)
+
+    def world(self) -> np.ndarray:
+        """[T, 3] displacement along the world's x, y, z; what is not observed counts as 0."""
+        return np.asarray(self.displacement @ self.axes)
+
+
+def series_of(
+    equations: Equations,
+    times_s: np.ndarray,
+    axes: np.ndarray,
+    labels: tuple[str, str, str],
+    radius: float,
+    clock: str = "",
+    slow: np.ndarray | None = None,
+) -> Series:
+    """The answer of one body on one clock. `slow` [S, F]: functions of time to take out of it (a moving camera's)."""
+    dof = 6 if _tells_rotation(equations) else 3
+    answers = [_solved(equations.normals[h], equations.sides[h], dof) for h in (0, 1)]
+    whole, variance = _solved(equations.normals.sum(0), equations.sides.sum(0), dof)
+    out = _without(whole, slow)
+    difference = _without(answers[0][0] - answers[1][0], slow)
+    free = len(out) / max(len(out) - 1 - (0 if slow is None else len(slow) - 1), 1)
+    # Two halves with errors e₁, e₂ of their own: the difference's variance is the sum of theirs.
+    expected = answers[0][1] + answers[1][1]
+    factor = _ratio(difference**2, expected) * free
+    factor = np.maximum(factor, _floor_factor(out, variance))
+    deviation = np.sqrt(factor * variance)
+    deviation[np.isnan(deviation)] = np.inf
+    out = np.where(np.isfinite(deviation), out, 0.0)
+    turns = (out[:, 3:] / radius, deviation[:, 3:] / radius) if dof == 6 else (None, None)
+    return Series(
+        clock, times_s, out[:, :3], deviation[:, :3], axes, labels, turns[0], turns[1], factor[:3]
+    )
+
+
+def _solved(normals: np.ndarray, sides: np.ndarray, dof: int) -> tuple[np.ndarray, np.ndarray]:
+    """[F, dof] answers and [F, dof] variances at unit noise (inf where nothing is seen), of the first unknowns alone."""
+    a = normals[:, :dof, :dof]
+    values, vectors = np.linalg.eigh(a)
+    is_seen = values > UNSEEN * np.maximum(values[:, -1:], 1e-30)
+    inverse = np.where(is_seen, 1 / np.where(is_seen, values, 1), 0)
+    turned = np.einsum("fij,fi->fj", np.broadcast_to(vectors, (len(sides), dof, dof)), sides[:, :dof])
+    answer = np.einsum("fij,fj->fi", np.broadcast_to(vectors, (len(sides), dof, dof)), inverse * turned)
+    variance = np.einsum("fij,fj,fij->fi", vectors, inverse, vectors)
+    hidden = np.einsum("fij,fj,fij->fi", vectors, (~is_seen).astype(float), vectors)
+    variance = np.where(hidden > 0.5, np.inf, variance)
+    return answer, np.broadcast_to(variance, answer.shape).copy()
+
+
+def _tells_rotation(equations: Equations) -> bool:
+    """Whether the region is large enough: translations stay as sure as without rotations, and these are told in turn."""
+    a = equations.normals.sum(0).mean(0)
+    if np.linalg.eigvalsh(a)[0] <= 1e-9 * np.trace(a):
+        return False
+    with_turns, alone = np.diag(np.linalg.inv(a)), np.diag(np.linalg.pinv(a[:3, :3]))
+    halves = all(np.linalg.eigvalsh(n.mean(0))[0] > 1e-9 * np.trace(a) for n in equations.normals)
+    is_sure = bool((with_turns[:3] <= _TOLD**2 * alone).all())
+    return halves and is_sure and bool(with_turns[3:].max() <= _TURNS**2 * with_turns[:3].max())
+
+
+def _without(answer: np.ndarray, slow: np.ndarray | None) -> np.ndarray:
+    """Less the mean over time, or what the slow functions explain."""
+    if slow is None:
+        return answer - answer.mean(0)
+    return np.asarray(answer - slow.T @ np.linalg.lstsq(slow.T, answer, rcond=None)[0])
+
+
+def _ratio(squares: np.ndarray, expected: np.ndarray) -> np.ndarray:
+    """[K] mean over time of squares over what is expected; 1 where nothing is."""
+    good = np.isfinite(expected) & (expected > 0)
+    shares = np.where(good, squares / np.where(good, expected, 1), np.nan)
+    return np.where(good.any(0), np.nanmean(np.where(good, shares, 0), 0), 1.0)
+
+
+def _floor_factor(answer: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """[K] by the lower quartile of the answer's own spectrum: noise fills it, vibration is in a few of its bins."""
+    if len(answer) < _FEWEST:
+        return np.zeros(answer.shape[1])
+    scaled = answer / np.sqrt(np.where(np.isfinite(variance) & (variance > 0), variance, np.inf))
+    window = np.hanning(len(answer) + 1)[:-1][:, None]
+    power = np.abs(np.fft.rfft((scaled - scaled.mean(0)) * window, axis=0))[2:-1] ** 2
+    return np.asarray(np.quantile(power, 0.25, axis=0) / _QUARTILE / (window**2).sum())

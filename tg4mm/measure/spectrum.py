@@ -1,0 +1,193 @@
+"""Amplitude spectrum of a sensor with its noise floor, and the peaks that stand out of it.
+
+The spectrum is 2 |Σ w_f u_f exp(−i 2πν t_f)| / Σ w_f with Hann's window w, so that a sinusoid has its amplitude, zero to
+peak, at its frequency. Noise of standard deviation s_f has there a Rayleigh distribution with the parameter
+√(2 Σ w_f² s_f²) / Σ w_f. The floor is the level that noise alone passes anywhere in the whole spectrum, on any of the
+three axes, in one record of a hundred; what lies under it is not told from noise.
+
+Peaks are taken one after another, the strongest over its floor first, by a parabola through the logarithms of the
+highest sample and its neighbours; the sinusoids found so far are fitted together by least squares, refined by
+Gauss-Newton on their frequencies, and taken out before the next is looked for. Amplitudes and phases are those of that
+fit, which a window does not widen; their deviations follow from the samples' [Kay 1993, ch. 3].
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+CHANCE = 0.01  # that noise alone passes the floor anywhere
+_OVERSAMPLED = 8
+_MOST = 8  # peaks
+_APART = 1.5  # of 1 / duration: nearer than this two peaks are one
+_LEAST_CYCLES = 1.5  # of the record: slower is drift
+_STEPS = 6  # of Gauss-Newton
+_LEAST = 0.02  # of the strongest peak: harmonics of what is not linear, side lobes that noise left
+
+
+@dataclass(frozen=True)
+class Peak:
+    """A sinusoid, u(t) = Re[phasor exp(i 2π f t)] with t in seconds of the clock."""
+
+    frequency_hz: float
+    frequency_deviation_hz: float
+    phasor: np.ndarray  # [3] complex, scene units, along the series' axes
+    deviation: np.ndarray  # [3] standard deviation of the amplitudes, scene units; inf where not observed
+    floor: np.ndarray  # [3] of the spectrum at this frequency
+
+    @property
+    def amplitude(self) -> np.ndarray:
+        """[3] zero to peak, scene units."""
+        return np.abs(self.phasor)
+
+    @property
+    def is_above(self) -> np.ndarray:
+        """[3] bool: whether the amplitude stands out of the floor."""
+        return self.amplitude > self.floor
+
+    @property
+    def phase_deviation(self) -> np.ndarray:
+        """[3] radians, π at most."""
+        return np.minimum(self.deviation / np.maximum(self.amplitude, 1e-300), np.pi)
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """Of F frequencies from 0 to half the frame rate, eight to each 1 / duration."""
+
+    freqs_hz: np.ndarray  # [F]
+    amplitude: np.ndarray  # [F, 3] zero to peak, scene units
+    floor: np.ndarray  # [F, 3] inf where not observed
+    peaks: tuple[Peak, ...]  # by falling amplitude over floor
+    window: str = "hann, amplitude-corrected"
+
+
+def spectrum_of(times_s: np.ndarray, values: np.ndarray, deviation: np.ndarray) -> Spectrum:
+    """Of values [T, 3] with standard deviations [T, 3] at times [T], which need not be even."""
+    grid = frequency_grid(times_s)
+    is_seen = np.isfinite(deviation).all(0)
+    values = np.where(is_seen, values, 0.0)
+    finite = np.where(np.isfinite(deviation), deviation, 0.0)
+    window = _hann(times_s)
+    level = _rayleigh(window, finite) * np.sqrt(-2 * np.log(CHANCE / (3 * max(len(times_s) // 2, 1))))
+    level = np.where(is_seen, level, np.inf)
+    floor = np.broadcast_to(level, (len(grid), 3))
+    amplitude = _amplitude(grid, times_s, values, window)
+    hz = _peaks(grid, times_s, values, window, level)
+    return Spectrum(grid, amplitude, floor, _fitted(hz, times_s, values, finite, level))
+
+
+def frequency_grid(times_s: np.ndarray) -> np.ndarray:
+    """[F] Hz."""
+    step = float(np.median(np.diff(times_s)))
+    duration = step * len(times_s)
+    count = int(len(times_s) / 2 * _OVERSAMPLED * np.ptp(times_s) / (duration - step)) + 1
+    return np.arange(count) / (duration * _OVERSAMPLED)
+
+
+def tones(hz: np.ndarray, times_s: np.ndarray) -> np.ndarray:
+    """[T, 2K + 1]: a constant, cos 2πf_k t, −sin 2πf_k t."""
+    angles = 2 * np.pi * times_s[:, None] * np.asarray(hz)[None]
+    return np.concatenate([np.ones((len(times_s), 1)), np.cos(angles), -np.sin(angles)], 1)
+
+
+def _hann(times_s: np.ndarray) -> np.ndarray:
+    step = float(np.median(np.diff(times_s)))
+    share = (times_s - times_s[0] + step / 2) / (np.ptp(times_s) + step)
+    return np.sin(np.pi * share) ** 2
+
+
+def _rayleigh(window: np.ndarray, deviation: np.ndarray) -> np.ndarray:
+    """[3] parameter of the amplitude's distribution."""
+    return np.sqrt(2 * (window[:, None] ** 2 * deviation**2).sum(0)) / window.sum()
+
+
+def _amplitude(grid: np.ndarray, times_s: np.ndarray, values: np.ndarray, window: np.ndarray) -> np.ndarray:
+    turned = np.exp(-2j * np.pi * grid[:, None] * times_s) * window
+    own = values - (window @ values) / window.sum()
+    return np.abs(turned @ own) * (2 / window.sum())
+
+
+def _peaks(
+    grid: np.ndarray, times_s: np.ndarray, values: np.ndarray, window: np.ndarray, level: np.ndarray
+) -> np.ndarray:
+    """[K] Hz."""
+    resolution = grid[1] * _OVERSAMPLED
+    usable = (grid >= _LEAST_CYCLES * resolution) & (grid <= grid[-1] - resolution / 2)
+    hz, left, strongest = np.zeros(0), values, 0.0
+    scale = np.where(np.isfinite(level) & (level > 0), level, np.inf)
+    while len(hz) < min(_MOST, (len(times_s) - 4) // 3):
+        amplitude = _amplitude(grid, times_s, left, window)
+        height = np.where(usable, (amplitude / scale).max(1), 0)
+        for other in hz:
+            height[np.abs(grid - other) < _APART * resolution] = 0
+        at = int(height.argmax())
+        size = float(np.linalg.norm(amplitude[at]))
+        strongest = max(strongest, size)
+        if height[at] <= 1 or size < _LEAST * strongest:
+            break
+        axis = int((amplitude[at] / scale).argmax())
+        hz = np.append(hz, _parabola(grid, amplitude[:, axis], at))
+        hz = _refined(hz, times_s, values)
+        design = tones(hz, times_s)
+        left = values - design @ np.linalg.lstsq(design, values, rcond=None)[0]
+    return hz
+
+
+def _parabola(grid: np.ndarray, amplitude: np.ndarray, at: int) -> float:
+    """The frequency of the vertex of a parabola through three logarithms."""
+    if not 0 < at < len(grid) - 1:
+        return float(grid[at])
+    a, b, c = np.log(np.maximum(amplitude[at - 1 : at + 2], 1e-300))
+    curvature = a - 2 * b + c
+    shift = 0.5 * (a - c) / curvature if curvature < 0 else 0.0
+    return float(grid[at] + np.clip(shift, -1, 1) * grid[1])
+
+
+def _refined(hz: np.ndarray, times_s: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Frequencies by Gauss-Newton with the phasors projected out (variable projection, Kaufman's form)."""
+    most = 0.5 / (np.ptp(times_s) + 1e-12)
+    start, middle = hz.copy(), times_s.mean()
+    for _ in range(_STEPS):
+        design = tones(hz, times_s)
+        answer = np.linalg.lstsq(design, values, rcond=None)[0]
+        left = values - design @ answer
+        n = len(hz)
+        slopes = []
+        for k in range(n):
+            a, b = answer[1 + k], answer[1 + n + k]
+            angle = 2 * np.pi * hz[k] * times_s[:, None]
+            slope = 2 * np.pi * (times_s - middle)[:, None] * (-a * np.sin(angle) - b * np.cos(angle))
+            slopes.append(slope - design @ np.linalg.lstsq(design, slope, rcond=None)[0])
+        jacobian = np.stack([s.ravel() for s in slopes], 1)
+        step = np.linalg.lstsq(jacobian, left.ravel(), rcond=None)[0]
+        hz = np.clip(hz + step, start - most, start + most)
+        if np.abs(step).max() < 1e-6 * most:
+            break
+    return hz
+
+
+def _fitted(
+    hz: np.ndarray, times_s: np.ndarray, values: np.ndarray, deviation: np.ndarray, level: np.ndarray
+) -> tuple[Peak, ...]:
+    if not len(hz):
+        return ()
+    design, n = tones(hz, times_s), len(hz)
+    inverse = np.linalg.pinv(design.T @ design)
+    answer = inverse @ design.T @ values
+    gain = (inverse @ design.T) ** 2  # of samples' variances
+    variance = gain @ deviation**2
+    mean_square = (deviation**2).mean(0)
+    peaks = []
+    for k in range(n):
+        phasor = answer[1 + k] + 1j * answer[1 + n + k]
+        both = np.sqrt((variance[1 + k] + variance[1 + n + k]) / 2)
+        both = np.where(np.isfinite(level), both, np.inf)
+        good = mean_square > 0
+        snr = float((np.abs(phasor[good]) ** 2 / mean_square[good]).sum()) * len(times_s) / 2
+        span = np.ptp(times_s) * len(times_s) / (len(times_s) - 1)
+        error = float(np.sqrt(3 / (np.pi**2 * snr)) / span) if snr > 0 else 0.0
+        peaks.append(Peak(float(hz[k]), error, phasor, both, level))
+    strength = [float((p.amplitude / np.where(np.isfinite(level), np.maximum(level, 1e-300), np.inf)).max()) for p in peaks]
+    return tuple(peaks[k] for k in np.argsort(strength)[::-1])
