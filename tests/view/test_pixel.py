@@ -1,12 +1,18 @@
-"""The waveform of a pixel is the blended motion of the Gaussians seen there."""
+"""The waveform of a pixel: the blended motion of the Gaussians seen there, or what the pictures say."""
 
 import numpy as np
 import pytest
 
 from tests.view.conftest import DEVIATION
 from tg4mm.motion.animate import displacement_at
-from tg4mm.view.pixel import modal_waveform
+from tg4mm.view.pixel import Measurer, modal_waveform, seen_at
 from tg4mm.view.scene import open_scene
+
+
+def moving(scene, band):
+    """[N] weights: one on every Gaussian that moves in the band."""
+    k = scene.strongest(band)
+    return (np.abs(scene.motion.displacement[k]).max(axis=1) > 5e-3).astype(float)
 
 
 def test_of_two_gaussians_it_is_their_weighted_mean(scene):
@@ -15,20 +21,43 @@ def test_of_two_gaussians_it_is_their_weighted_mean(scene):
     weights = np.zeros(len(scene.weights))
     weights[order[0]], weights[order[7]] = 0.6, 0.2
     found = modal_waveform(scene, weights)
+    direction = np.array([float(v.replace("−", "-")) for v in found.along.strip("()").split(", ")])
     for i in (3, 40, 77):
         blended = weights @ displacement_at(scene.motion, found.times[i] * scene.motion.fps) / 0.8
-        assert found.displacement[i] == pytest.approx(blended @ found.direction, abs=1e-9)
+        assert found.displacement[i] == pytest.approx(blended @ direction, abs=1e-4)
+    assert np.abs(found.displacement).max() > 5e-3
     np.testing.assert_allclose(found.deviation, DEVIATION, rtol=1e-5)
-    np.testing.assert_allclose(found.point, weights @ scene.gaussians.means.numpy() / 0.8, rtol=1e-5)
+    np.testing.assert_allclose(seen_at(scene, weights), weights @ scene.gaussians.means.numpy() / 0.8, rtol=1e-5)
     assert found.frequencies.tolist() == [2.5, 5.0]
-    assert found.frequencies[found.amplitudes.argmax()] == scene.motion.freqs_hz[k]
+    assert found.peak == (scene.motion.freqs_hz[k], found.amplitudes.max())
     assert np.abs(found.displacement).max() == pytest.approx(found.amplitudes.max(), rel=0.3)
 
 
-def test_background_has_none(scene):
-    assert modal_waveform(scene, np.full(len(scene.weights), 1e-6)) is None
+def test_background_is_no_place(scene):
+    assert seen_at(scene, np.full(len(scene.weights), 1e-6)) is None
 
 
 def test_a_scene_at_rest_has_none(still_run):
     still = open_scene(still_run)
     assert modal_waveform(still, np.ones(len(still.weights))) is None
+
+
+def test_the_pictures_say_the_same(scene):
+    weights = moving(scene, (4.0, 6.0))
+    fitted = modal_waveform(scene, weights)
+    measurer = Measurer(scene)
+    point = seen_at(scene, weights)
+    assert not measurer.is_ready
+    measured = measurer.at(point)
+    assert measurer.is_ready
+    assert measured.peak[0] == pytest.approx(5.0, abs=0.3)
+    assert measured.peak[1] == pytest.approx(fitted.peak[1], rel=0.3)
+    assert measured.displacement.shape == measured.deviation.shape == (12,)
+    assert measured.floor.shape == measured.amplitudes.shape == measured.frequencies.shape
+
+
+def test_the_ball_around_a_point_is_as_large_as_four_pixels(scene):
+    camera = scene.cameras[0]
+    point = camera.position + 2.0 * camera.forward
+    nearest = min(np.linalg.norm(point - c.position) / c.K[0, 0] for c in scene.cameras)
+    assert Measurer(scene).radius(point) == pytest.approx(4 * nearest)

@@ -112,29 +112,27 @@ class App:
         drew = [screen for client, screen in list(self._screens.values()) if _refreshed(client, screen, begun)]
         self._panel.follow(begun)
         if drew:
-            meter.count(begun)
-            if (rate := meter.rate(begun)) is not None:
-                self._panel.tell_rate(rate, drew[-1].size)
+            plays = self._session.clock.running(begun)
+            self._panel.tell(meter.rate(begun) if plays else None, drew[-1].size, plays)
             self._stopping.wait(max(1 / RATE - (time.monotonic() - begun), 0.0))
         else:
             self._session.changed.wait(_IDLE)
 
 
 class _Meter:
-    """Pictures a second, over the last second."""
+    """Rounds a second, while it plays."""
 
     def __init__(self) -> None:
-        self._since, self._count = 0.0, 0
-
-    def count(self, now: float) -> None:
-        if now - self._since > 2.0:  # it stood still in between
-            self._since, self._count = now, 0
-        else:
-            self._count += 1
+        self._since = self._last = 0.0
+        self._count = 0
 
     def rate(self, now: float) -> float | None:
-        """Once a second a number, else None."""
-        if now - self._since < 1.0 or not self._count:
+        """To be asked in every round; once a second a number, else None."""
+        if now - self._last > 0.5:  # it stood still in between
+            self._since, self._count = now, -1
+        self._last = now
+        self._count += 1
+        if now - self._since < 1.0:
             return None
         rate = self._count / (now - self._since)
         self._since, self._count = now, 0

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import threading
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 
+import numba
 import numpy as np
 import torch
 from torch import Tensor
@@ -41,6 +43,10 @@ class Painter:
         self._pose = animator(scene.gaussians, scene.motion, packed=True)
         self._lock = threading.Lock()
         self._coloured: tuple[tuple[Colour, Band], Tensor | None] = (Colour.picture, None), None
+
+    def beside(self) -> AbstractContextManager[object]:
+        """Within it other kernels of numba may run: pictures go on being drawn where its threads allow that."""
+        return self._lock if numba.threading_layer() == "workqueue" else nullcontext()
 
     def paint(self, look: Look, seconds: float, camera: Camera) -> np.ndarray:
         """[height, width, 3] uint8: the scene `seconds` into the capture over white."""

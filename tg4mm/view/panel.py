@@ -24,9 +24,10 @@ class Panel:
     def __init__(self, server: viser.ViserServer, session: Session) -> None:
         self._gui, self._session = server.gui, session
         self._followed = self._touched = 0.0
+        self._rate: float | None = None
+        self._told = ""
         scene = session.scene
         self._status = self._gui.add_html(block(*scene.notes, Markup('<p class="dim">&nbsp;</p>')))
-        self._rate: float | None = None
         motion = scene.motion
         if motion is None or not len(scene.frequencies):
             self.view = self._gui.add_folder("View")
@@ -171,9 +172,12 @@ class Panel:
         if self._play.label != label:
             self._play.label = label
 
-    def tell_rate(self, rate: float | None, size: tuple[int, int]) -> None:
-        """Show pictures a second (None: nothing moves) and the size of the last one."""
+    def tell(self, rate: float | None, size: tuple[int, int], plays: bool) -> None:
+        """Show the size of the last picture and, as it plays, pictures a second; `rate` is None between two counts."""
         shown = f"{size[0]} × {size[1]} pixels"
+        if (plays and rate is None) or (not plays and shown == self._told):
+            return
+        self._told = shown
         words = shown if rate is None else f"{shown}, {rate:.0f} frames/s"
         line = Markup('<p class="dim">{}</p>').format(words)
         self._status.content = block(*self._session.scene.notes, line)

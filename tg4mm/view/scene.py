@@ -103,13 +103,21 @@ def open_scene(run: Run) -> Scene:
     except CaptureError as error:
         notes.append(f"No cameras of the capture: {error}")
     cameras = (overview(gaussians.means.numpy()),) if capture is None else capture_cameras(capture)
-    unit, per_unit = unit_of(None if capture is None else capture.unit_scale_m)
+    unit, per_unit = _unit(capture)
     weights = gaussians.opacities.numpy().astype(np.float64)
     if capture is not None:
         weights = blending_weights(gaussians, _few_cameras(capture))
     return Scene(
         run.path, gaussians, motion, weights, run.load_uncertainty(), cameras, unit, per_unit, tuple(notes)
     )
+
+
+def _unit(capture: Capture | None) -> tuple[str, float]:
+    """(unit, factor) that lengths are shown in: of a flat capture pixels, else mm where the scale is known."""
+    if capture is None:
+        return unit_of(None)
+    pixels = capture.scene.get("pixels_per_unit")
+    return ("px", float(pixels)) if capture.kind == "flat" and pixels else unit_of(capture.unit_scale_m)
 
 
 def _few_cameras(capture: Capture) -> Capture:
