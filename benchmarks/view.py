@@ -39,7 +39,7 @@ from tg4mm.view.clock import Clock
 from tg4mm.view.local_server import LocalServer, start_server, stop_server
 from tg4mm.view.painter import Look
 from tg4mm.view.scene import Scene, open_scene
-from tg4mm.view.screen import Canvas, Screen
+from tg4mm.view.screen import Canvas
 from tg4mm.view.session import Session
 
 CHROMIUM = "/usr/bin/chromium"
@@ -91,7 +91,9 @@ def add_splats(server: LocalServer, gaussians: Gaussians) -> None:
 
 
 def report(name: str, timed: tuple[float, float]) -> None:
-    print(f"{name:46s} {timed[0]:7.1f} ms ({timed[1]:.1f})   {1e3 / timed[0]:6.1f} frames/s ({1e3 / timed[1]:.1f})")
+    print(
+        f"{name:46s} {timed[0]:7.1f} ms ({timed[1]:.1f})   {1e3 / timed[0]:6.1f} frames/s ({1e3 / timed[1]:.1f})"
+    )
 
 
 def steps(shown: Scene, size: int, repeats: int) -> None:
@@ -159,9 +161,7 @@ def main() -> int:
     given = parser.parse_args()
     print(machine())
     shown = (
-        open_scene(Run.open(given.run))
-        if given.run
-        else synthetic(given.gaussians, given.size, given.modes)
+        open_scene(Run.open(given.run)) if given.run else synthetic(given.gaussians, given.size, given.modes)
     )
     assert shown.motion is not None
     print(f"{len(shown.gaussians)} Gaussians, {len(shown.motion.freqs_hz)} frequencies, {given.size}² pixels")

@@ -16,7 +16,9 @@ _SOFTWARE = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftsh
 @contextmanager
 def browser() -> Iterator[Any]:
     """playwright's handle of the browser."""
-    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is absent: pip install playwright")
+    sync_api = pytest.importorskip(
+        "playwright.sync_api", reason="playwright is absent: pip install playwright"
+    )
     path = next((found for name in _NAMES if (found := shutil.which(name))), None)
     if path is None:
         pytest.skip(f"no {' or '.join(_NAMES)} on PATH: apt-get install chromium")

@@ -17,7 +17,7 @@ def test_the_whole_slider_is_no_band():
 @pytest.mark.parametrize("frequency", FREQUENCIES)
 def test_the_band_around_a_peak_holds_that_peak_alone(frequency):
     low, high = band_around(float(frequency), FREQUENCIES, 15.0)
-    inside = FREQUENCIES[(FREQUENCIES >= low) & (FREQUENCIES <= high)]
+    inside = FREQUENCIES[(low <= FREQUENCIES) & (high >= FREQUENCIES)]
     assert inside.tolist() == [frequency]
 
 

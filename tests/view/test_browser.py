@@ -124,7 +124,7 @@ def test_a_click_on_the_background_says_so(opened):
 
 def test_colours_follow_the_choice(opened):
     before = opened.settled()
-    opened.page.locator("input[value='as filmed']").click()
+    opened.page.get_by_role("combobox", name="Colour by").click()
     opened.page.get_by_role("option", name="amplitude").click()
     opened.page.get_by_text("as captured").first.wait_for(timeout=WAIT * 1e3)
     assert np.abs(opened.settled() - before).max() > 60

@@ -62,7 +62,9 @@ def test_a_size_in_whole_pixels_keeps_the_field_of_view():
 def test_the_point_to_turn_around_lies_amid_what_is_seen(camera):
     near, far = camera.position + 2 * camera.forward, camera.position + 5 * camera.forward
     behind = camera.position - camera.forward
-    assert middle_depth(np.stack([near, far, behind]), np.array([1.0, 0.4, 9.0]), camera) == pytest.approx(2.0)
+    assert middle_depth(np.stack([near, far, behind]), np.array([1.0, 0.4, 9.0]), camera) == pytest.approx(
+        2.0
+    )
     assert middle_depth(np.stack([behind]), np.ones(1), camera) == 1.0
 
 

@@ -42,6 +42,8 @@ def test_a_scene_at_rest_has_no_time():
     assert not Clock(0.0, playing=True).running(3.0)
 
 
-@pytest.mark.parametrize(("frequency", "speed"), [(0.5, 1.0), (3.0, 1.0), (5.0, 0.5), (100.0, 0.02), (1e4, 0.01)])
+@pytest.mark.parametrize(
+    ("frequency", "speed"), [(0.5, 1.0), (3.0, 1.0), (5.0, 0.5), (100.0, 0.02), (1e4, 0.01)]
+)
 def test_fast_motion_starts_in_slow_motion(frequency, speed):
     assert slow_enough(frequency) == speed

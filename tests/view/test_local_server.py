@@ -4,10 +4,10 @@ import socket
 
 import psutil
 import pytest
+import viser
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-import viser
 from tg4mm.errors import Tg4mmError
 from tg4mm.view.local_server import LocalServer, address, start_server, stop_server
 
@@ -35,10 +35,14 @@ def test_the_check_would_see_an_open_door():
         assert listening(door.getsockname()[1]) == {"0.0.0.0"}
 
 
-@pytest.mark.parametrize("origin", ["http://evil.example", "https://127.0.0.1.evil.example", "http://evil.example:8474"])
+@pytest.mark.parametrize(
+    "origin", ["http://evil.example", "https://127.0.0.1.evil.example", "http://evil.example:8474"]
+)
 def test_pages_of_other_sites_are_turned_away(server, origin):
     with pytest.raises(InvalidStatus, match="403"):
-        connect(f"ws://127.0.0.1:{server.get_port()}", origin=origin, subprotocols=[f"viser-v{viser.__version__}"])
+        connect(
+            f"ws://127.0.0.1:{server.get_port()}", origin=origin, subprotocols=[f"viser-v{viser.__version__}"]
+        )
 
 
 def test_its_own_page_gets_in(server):

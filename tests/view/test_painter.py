@@ -1,5 +1,7 @@
 """Pictures of the scene: what `tg4mm render` writes, magnified, coloured; and the Gaussians under a pixel."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -32,7 +34,7 @@ def test_magnification_and_moment_change_the_picture(scene, painter):
         painter.paint(look, seconds, camera).astype(int)
         for look, seconds in ((Look(-1.0), 0.1), (Look(0.0), 0.1), (Look(20.0), 0.1), (Look(20.0), 0.3))
     ]
-    for one, other in zip(pictures[:-1], pictures[1:], strict=True):
+    for one, other in pairwise(pictures):
         assert np.abs(one - other).max() > 2
 
 
@@ -49,7 +51,7 @@ def test_colours_show_in_the_picture(scene, painter):
     camera = scene.cameras[0]
     pictures = [painter.paint(Look(0.0, None, c), 0.0, camera).astype(int) for c in choices(scene)]
     assert len(pictures) == 4
-    for one, other in zip(pictures[:-1], pictures[1:], strict=True):
+    for one, other in pairwise(pictures):
         assert np.abs(one - other).max() > 50
 
 

@@ -21,7 +21,7 @@ from tg4mm.view.session import Session
 
 _IDLE = 0.1  # seconds between looks at cameras that say nothing
 _PANEL = 400  # pixels
-_BRAND = tuple(int(round(255 * float(c))) for c in amount_colours(np.array(0.62)))
+_BRAND = tuple(round(255 * float(c)) for c in amount_colours(np.array(0.62)))
 
 
 def canvas_of(client: viser.ClientHandle) -> Canvas:
@@ -109,7 +109,9 @@ class App:
         """One picture for every page that needs one, then wait for the next moment or the next change."""
         begun = time.monotonic()
         self._session.changed.clear()
-        drew = [screen for client, screen in list(self._screens.values()) if _refreshed(client, screen, begun)]
+        drew = [
+            screen for client, screen in list(self._screens.values()) if _refreshed(client, screen, begun)
+        ]
         self._panel.follow(begun)
         if drew:
             plays = self._session.clock.running(begun)

@@ -13,9 +13,7 @@ _BEFORE, _AGAIN, _NEXT = "previous", "back to it", "next"
 class CameraPanel:
     """A list of cameras, and buttons to step through it."""
 
-    def __init__(
-        self, server: viser.ViserServer, session: Session, folder: viser.GuiFolderHandle
-    ) -> None:
+    def __init__(self, server: viser.ViserServer, session: Session, folder: viser.GuiFolderHandle) -> None:
         self._session = session
         self._cameras = session.scene.cameras
         self._names = tuple(camera.name for camera in self._cameras)

@@ -6,6 +6,7 @@ The panel's width is what they are drawn for, so that their text is as large as 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from markupsafe import Markup
@@ -119,7 +120,7 @@ def _hits(
     named = [i for i in np.argsort(frequencies, kind="stable") if i < len(labels) and labels[i]]
     if not named:
         return []
-    middles = [(frequencies[a] + frequencies[b]) / 2 for a, b in zip(named[:-1], named[1:], strict=True)]
+    middles = [(frequencies[a] + frequencies[b]) / 2 for a, b in pairwise(named)]
     edges = [0.0, *middles, nyquist]
     parts = []
     for i, low, high in zip(named, edges[:-1], edges[1:], strict=True):

@@ -16,7 +16,7 @@ import websockets.asyncio.server
 from tg4mm.errors import Tg4mmError
 
 HOST = "127.0.0.1"
-# The browser says which page opens a connection. Those of other sites would otherwise get in through the user's browser.
+# The browser says which page opens a connection; those of other sites would otherwise get in through it.
 _ORIGINS = [None, re.compile(r"http://(127\.0\.0\.1|localhost)(:\d+)?")]
 _starting = Lock()
 

@@ -148,7 +148,8 @@ class Panel:
         cycles = max(inside, default=0.0) * self._session.clock.speed
         words = ""
         if cycles > 0 and (rate := self._rate or 24.0) / cycles < _ALIASED:
-            words = f"{max(inside):g} Hz has {rate / cycles:.1f} pictures a cycle at this speed: slow down to trust what you see."
+            shown = f"{max(inside):g} Hz has {rate / cycles:.1f} pictures a cycle at this speed"
+            words = f"{shown}: slow down to trust what you see."
         self._speed_words.content = block(words)
 
     def _add_colour(self) -> None:

@@ -27,7 +27,9 @@ class Waveform:
     frequencies: np.ndarray  # [B] Hz
     amplitudes: np.ndarray  # [B] zero to peak
     peak: tuple[float, float] | None  # Hz and zero to peak; None where nothing stands out
-    floor: np.ndarray | None = None  # [B] noise floor of the amplitudes; None: of the fitted motion, which has none
+    floor: np.ndarray | None = (
+        None  # [B] noise floor of the amplitudes; None: of the fitted motion, which has none
+    )
     peak_deviation: tuple[float, float] | None = None  # standard deviations of the peak's two numbers
 
 

@@ -21,6 +21,7 @@ _ASK = "Click a pixel of the picture."
 _MISSED = "Nothing there: the pixel shows background."
 _STILL = "Nothing moves in this run."
 _READING = "Reading the capture's pictures once; the terminal shows how far it is …"
+_SHADED = "; shaded: ± one standard deviation"
 _MARK = 0.004  # radius of the mark, of the picture's height where it lies
 _COLOUR = tuple(int(ACCENT[i : i + 2], 16) for i in (1, 3, 5))
 
@@ -33,7 +34,9 @@ class PixelPanel:
         self._measurer = Measurer(session.scene)
         self._busy = threading.Lock()
         self._last: tuple[np.ndarray, np.ndarray] | None = None  # place [3], weights [N]
-        hint = "The samples that the pictures give, with deviations and a noise floor. Reads all pictures once."
+        hint = (
+            "The samples that the pictures give, with deviations and a noise floor. Reads all pictures once."
+        )
         with server.gui.add_folder("Pixel"):
             self._from_pictures = server.gui.add_checkbox("From pictures", False, hint=hint)
             self._from_pictures.visible = bool(len(session.scene.frequencies))
@@ -90,12 +93,12 @@ class PixelPanel:
         if found.floor is not None:
             chart = density_chart(found.frequencies, amplitudes, found.floor * per, f"peak ({unit})")
             radius = number(self._measurer.radius(point) * per)
-            how = f"Measured in the pictures, within {radius} {unit}; shaded: ± one standard deviation; dashed: noise floor."
+            how = f"Measured in the pictures, within {radius} {unit}{_SHADED}; dashed: noise floor."
         else:
             assert scene.motion is not None
             band = self._session.look.band
             chart = spectrum_chart(found.frequencies, amplitudes, scene.motion.fps / 2, unit, band)
-            how = "The fitted motion, as captured" + ("." if deviation is None else "; shaded: ± one standard deviation.")
+            how = f"The fitted motion, as captured{_SHADED if deviation is not None else ''}."
         wave = waveform_chart(found.times, found.displacement * per, unit, deviation)
         where = Markup('<p class="dim">{}</p>').format(f"At ({vector(point)}) scene units. {how}")
         return block(_headline(found, unit, per), wave, chart, where)

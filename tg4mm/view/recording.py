@@ -53,7 +53,7 @@ def save_clip(
 
 def clip_moments(duration: float, speed: float) -> np.ndarray:
     """Seconds of the capture that the pictures of a clip show: one pass, or as much of it as 20 seconds hold."""
-    count = int(round(min(duration / speed, LONGEST) * CLIP_RATE))
+    count = round(min(duration / speed, LONGEST) * CLIP_RATE)
     return np.arange(max(count, 1)) * speed / CLIP_RATE
 
 
