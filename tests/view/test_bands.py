@@ -26,8 +26,13 @@ def test_a_band_ends_where_frequencies_end():
 
 
 def test_faint_frequencies_get_no_button():
-    peaks = np.array([1.0, 0.5, 0.02, 0.04])
-    assert main_peaks(FREQUENCIES, peaks).tolist() == [3.4, 3.6, 12.0]
+    peaks = np.array([1.0, 0.5, 0.02, 0.06])
+    assert main_peaks(FREQUENCIES, peaks, 2.0).tolist() == [3.4, 3.6, 12.0]
+
+
+def test_drift_gets_a_button_only_where_nothing_else_moves():
+    assert main_peaks(np.array([0.1, 5.0]), np.array([9.0, 1.0]), 2.0).tolist() == [5.0]
+    assert main_peaks(np.array([0.1]), np.array([9.0]), 2.0).tolist() == [0.1]
 
 
 def test_labels_tell_close_frequencies_apart():

@@ -25,7 +25,7 @@ def session(scene):
 @pytest.fixture
 def screen(session, sent):
     screen = Screen(session, lambda picture, quality: sent.append((picture, quality)))
-    screen._pace = Pace(pixels=170.0 * 170)  # as on a slow machine
+    screen._pace = Pace(pixels=100.0 * 100)  # as on a slow machine
     return screen
 
 

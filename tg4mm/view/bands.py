@@ -11,7 +11,7 @@ from tg4mm.view.colours import Band
 
 ALL = "all"  # the button for all frequencies
 _BUTTONS = 8  # peaks that get a button of their own
-_FAINT = 0.03  # of the largest peak; what is below is not looked for
+_FAINT = 0.05  # of the largest peak; what is below is not looked for
 
 
 def band_of_slider(low: float, high: float, nyquist: float) -> Band:
@@ -28,8 +28,13 @@ def band_around(frequency: float, frequencies: np.ndarray, nyquist: float) -> tu
     return max(frequency - reach, 0.0), min(frequency + reach, nyquist)
 
 
-def main_peaks(frequencies: np.ndarray, peaks: np.ndarray) -> np.ndarray:
-    """The frequencies that get a button: those that move most, ascending; none below 3 % of the largest peak."""
+def main_peaks(frequencies: np.ndarray, peaks: np.ndarray, duration: float) -> np.ndarray:
+    """The frequencies that get a button: those that move most, ascending; none below 5 % of the largest peak.
+
+    What takes longer for a cycle than the capture's `duration` in seconds is drift, unless there is nothing else.
+    """
+    cyclic = frequencies * duration > 1 - 1e-9
+    peaks = np.where(cyclic, peaks, 0.0) if cyclic.any() else peaks
     order = np.argsort(-peaks, kind="stable")[:_BUTTONS]
     return np.sort(frequencies[[k for k in order if peaks[k] >= _FAINT * peaks.max()]])
 

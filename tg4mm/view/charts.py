@@ -16,7 +16,7 @@ from tg4mm.report.svg import nice_ticks, number
 from tg4mm.view.colours import Band
 
 WIDTH, HEIGHT = 360, 140
-LEFT, RIGHT, TOP, BOTTOM = 50, 10, 10, 36
+LEFT, RIGHT, TOP, BOTTOM = 60, 10, 10, 36
 ACCENT = hex_colour(amount_colours(np.array(0.62)))  # of the report's map, told apart on light and dark
 _STYLE = Markup(
     "<style>"
@@ -154,7 +154,7 @@ def _axes(x: tuple[float, float], y: tuple[float, float], x_label: str, y_label:
     for tick in nice_ticks(*x, about=6):
         parts.append(_text(_x(tick, *x), HEIGHT - BOTTOM + 14, number(tick), "middle"))
     parts.append(_text((LEFT + WIDTH - RIGHT) / 2, HEIGHT - 6, x_label, "middle"))
-    turned = Markup('<text text-anchor="middle" transform="translate(10 {:.0f}) rotate(-90)">{}</text>')
+    turned = Markup('<text text-anchor="middle" transform="translate(9 {:.0f}) rotate(-90)">{}</text>')
     parts.append(turned.format((TOP + HEIGHT - BOTTOM) / 2, y_label))
     return Markup("").join(parts)
 

@@ -6,7 +6,8 @@ import math
 from dataclasses import dataclass, replace
 
 RATE = 30.0  # pictures a second that playing aims at
-_SHORTEST, _FINEST = 160, 2400  # pixels: shorter side of the coarsest picture, longer side of the finest
+_COARSEST = 0.4  # of the canvas' sides; below, fewer pictures a second are better than fewer pixels
+_FINEST = 2400  # pixels, longer side
 
 
 @dataclass(frozen=True)
@@ -18,7 +19,7 @@ class Pace:
     def size(self, width: int, height: int) -> tuple[int, int]:
         """(width, height) of a picture of the canvas' shape, at most the canvas' own."""
         share = math.sqrt(self.pixels / (width * height))
-        return _scaled(width, height, min(1.0, max(share, _SHORTEST / min(width, height))))
+        return _scaled(width, height, min(1.0, max(share, _COARSEST)))
 
     def after(self, seconds: float, drawn: int) -> Pace:
         """The pace after a picture of `drawn` pixels took `seconds`; small misses change nothing."""
@@ -26,7 +27,7 @@ class Pace:
         if 0.6 * aim < seconds <= aim:
             return self
         factor = min(max(aim / max(seconds, 1e-4), 0.6), 1.1)
-        return replace(self, pixels=min(max(drawn * factor, _SHORTEST**2), float(_FINEST) ** 2))
+        return replace(self, pixels=min(max(drawn * factor, 100.0**2), float(_FINEST) ** 2))
 
 
 def full_size(width: int, height: int) -> tuple[int, int]:

@@ -34,7 +34,7 @@ class Panel:
             return
         self._nyquist = motion.fps / 2
         self._peaks = scene.peaks()
-        self._buttons = main_peaks(scene.frequencies, self._peaks)
+        self._buttons = main_peaks(scene.frequencies, self._peaks, scene.duration)
         self._names = peak_labels(self._buttons)
         with self._gui.add_folder("Magnification"):
             self._add_magnification()
