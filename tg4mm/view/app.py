@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import viser
 
-from tg4mm.report.colour import amount_colours
 from tg4mm.view.camera_panel import CameraPanel
+from tg4mm.view.charts import ACCENT_RGB
 from tg4mm.view.local_server import address, start_server, stop_server
 from tg4mm.view.pace import RATE
 from tg4mm.view.panel import Panel
@@ -21,7 +22,6 @@ from tg4mm.view.session import Session
 
 _IDLE = 0.1  # seconds between looks at cameras that say nothing
 _PANEL = 400  # pixels
-_BRAND = tuple(round(255 * float(c)) for c in amount_colours(np.array(0.62)))
 
 
 def canvas_of(client: viser.ClientHandle) -> Canvas:
@@ -58,7 +58,7 @@ class App:
 
     def _dress(self) -> None:
         gui = self.server.gui
-        gui.configure_theme(show_logo=False, show_share_button=False, brand_color=_BRAND)
+        gui.configure_theme(show_logo=False, show_share_button=False, brand_color=ACCENT_RGB)
         gui.set_panel_label(f"tg4mm view: {self._session.scene.path.resolve().name}")
         gui.main_panel.dock_right()
         gui.main_panel.set_width(_PANEL)
@@ -141,7 +141,7 @@ class _Meter:
         return rate
 
 
-def _sender(client: viser.ClientHandle):  # type: ignore[no-untyped-def]
+def _sender(client: viser.ClientHandle) -> Callable[[np.ndarray, int], None]:
     def send(picture: np.ndarray, quality: int) -> None:
         client.scene.set_background_image(picture, format="jpeg", jpeg_quality=quality)
         client.flush()  # else viser waits 16 ms for more

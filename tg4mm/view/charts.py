@@ -18,6 +18,7 @@ from tg4mm.view.colours import Band
 WIDTH, HEIGHT = 360, 140
 LEFT, RIGHT, TOP, BOTTOM = 60, 10, 10, 36
 ACCENT = hex_colour(amount_colours(np.array(0.62)))  # of the report's map, told apart on light and dark
+ACCENT_RGB = int(ACCENT[1:3], 16), int(ACCENT[3:5], 16), int(ACCENT[5:7], 16)
 _STYLE = Markup(
     "<style>"
     ".tg4mm{padding:0 .5em .25em;font-size:.8rem;line-height:1.35;color:var(--mantine-color-text)}"
@@ -145,7 +146,7 @@ def _y(value: float, low: float, high: float) -> float:
 
 def _axes(x: tuple[float, float], y: tuple[float, float], x_label: str, y_label: str) -> Markup:
     parts = []
-    for tick in nice_ticks(*y, about=4):
+    for tick in nice_ticks(*y, about=5):
         at = _y(tick, *y)
         parts += [
             _line(LEFT, at, WIDTH - RIGHT, at, "line-rule"),

@@ -1,4 +1,7 @@
-"""The panel beside the picture: sliders, spectrum, colours, time. Shared by all open pages."""
+"""The panel beside the picture: sliders, spectrum, colours, time. Shared by all open pages.
+
+Controls that are also moved from here are `Any`: viser's `value` can be set, which mypy does not see.
+"""
 
 from __future__ import annotations
 
@@ -59,7 +62,7 @@ class Panel:
         buttons.on_click(lambda _: self._choose(str(buttons.value)))
         low, high = self._session.look.band or (0.0, self._nyquist)
         step = self._nyquist / 400
-        self._band = self._gui.add_multi_slider(
+        self._band: Any = self._gui.add_multi_slider(
             "Band (Hz)",
             min=0.0,
             max=self._nyquist,
@@ -112,7 +115,7 @@ class Panel:
         self._play.on_click(lambda _: self._toggle())
         end = round(clock.duration, 4)
         hint = "Seconds of the capture."
-        self._time = self._gui.add_slider(
+        self._time: Any = self._gui.add_slider(
             "Time (s)", min=0.0, max=end, step=end / 1000, initial_value=0.0, hint=hint
         )
         self._time.on_update(lambda event: self._seek(event))

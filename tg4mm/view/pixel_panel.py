@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from tg4mm.errors import Tg4mmError
 from tg4mm.report.svg import number
-from tg4mm.view.charts import ACCENT, block, density_chart, spectrum_chart, waveform_chart
+from tg4mm.view.charts import ACCENT_RGB, block, density_chart, spectrum_chart, waveform_chart
 from tg4mm.view.pace import full_size
 from tg4mm.view.pixel import Measurer, Waveform, modal_waveform, seen_at, vector
 from tg4mm.view.screen import Canvas
@@ -23,7 +23,6 @@ _STILL = "Nothing moves in this run."
 _READING = "Reading the capture's pictures once; the terminal shows how far it is …"
 _SHADED = "; shaded: ± one standard deviation"
 _MARK = 0.004  # radius of the mark, of the picture's height where it lies
-_COLOUR = tuple(int(ACCENT[i : i + 2], 16) for i in (1, 3, 5))
 
 
 class PixelPanel:
@@ -83,7 +82,7 @@ class PixelPanel:
     def _mark(self, point: np.ndarray, canvas: Canvas) -> None:
         distance = float(np.linalg.norm(point - np.array(canvas.position)))
         radius = _MARK * distance * 2 * np.tan(canvas.fov / 2)
-        self._server.scene.add_icosphere("/pixel", radius=radius, color=_COLOUR, position=tuple(point))
+        self._server.scene.add_icosphere("/pixel", radius=radius, color=ACCENT_RGB, position=tuple(point))
 
     def _words(self, found: Waveform, point: np.ndarray) -> str:
         scene, per = self._session.scene, self._session.scene.per_unit

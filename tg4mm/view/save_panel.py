@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import viser
 
@@ -32,13 +33,13 @@ class SavePanel:
             snapshot = server.gui.add_button("Snapshot (PNG)", hint="This picture at full size.")
             clip = server.gui.add_button("Clip (mp4)", hint="One pass through the capture as it plays here.")
             clip.visible = session.scene.duration > 0
-            self._bar = server.gui.add_progress_bar(0.0, visible=False)
+            self._bar: Any = server.gui.add_progress_bar(0.0, visible=False)
             self._said = server.gui.add_html(block(f"To {folder}"))
-        snapshot.on_click(lambda event: event.client and self._save(event.client, self._snapshot))
-        clip.on_click(lambda event: event.client and self._save(event.client, self._clip))
+        snapshot.on_click(lambda event: self._save(event.client, self._snapshot))
+        clip.on_click(lambda event: self._save(event.client, self._clip))
 
-    def _save(self, client: viser.ClientHandle, write: Callable[[Canvas], Path]) -> None:
-        if not self._busy.acquire(blocking=False):
+    def _save(self, client: viser.ClientHandle | None, write: Callable[[Canvas], Path]) -> None:
+        if client is None or not self._busy.acquire(blocking=False):
             return
         try:
             path = write(self._canvas_of(client))
