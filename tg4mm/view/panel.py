@@ -11,6 +11,7 @@ from typing import Any
 import viser
 from markupsafe import Markup
 
+from tg4mm.report.svg import number
 from tg4mm.view.bands import ALL, band_around, band_of_slider, band_words, main_peaks, peak_labels
 from tg4mm.view.charts import block, spectrum_chart
 from tg4mm.view.colours import Colour, choices, legend
@@ -151,7 +152,7 @@ class Panel:
         cycles = max(inside, default=0.0) * self._session.clock.speed
         words = ""
         if cycles > 0 and (rate := self._rate or 24.0) / cycles < _ALIASED:
-            shown = f"{max(inside):g} Hz has {rate / cycles:.1f} pictures a cycle at this speed"
+            shown = f"{number(float(max(inside)))} Hz has {rate / cycles:.1f} pictures a cycle at this speed"
             words = f"{shown}: slow down to trust what you see."
         self._speed_words.content = block(words)
 

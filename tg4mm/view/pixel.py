@@ -49,14 +49,15 @@ def modal_waveform(scene: Scene, weights: np.ndarray) -> Waveform | None:
         return None
     rows = np.flatnonzero(weights > 1e-4 * weights.sum())
     share = weights[rows] / weights[rows].sum()
-    seen = scene.motion.selected(scene.motion.is_magnified())
-    phasors = np.einsum("n,knc->kc", share, seen.displacement[:, rows])  # [K, 3]
-    order = np.argsort(seen.freqs_hz, kind="stable")
+    kept = np.flatnonzero(scene.motion.is_magnified())
+    kept = kept[np.argsort(scene.motion.freqs_hz[kept], kind="stable")]
+    frequencies = scene.motion.freqs_hz[kept]
+    phasors = np.einsum("n,knc->kc", share, scene.motion.displacement[np.ix_(kept, rows)])  # [K, 3]
     direction = main_direction(phasors, np.ones(len(phasors)))
     amplitudes = peak_displacement(phasors)
     k = int(amplitudes.argmax())
-    times = _times(scene.duration, seen.freqs_hz, float(seen.freqs_hz[k]))
-    turns = np.exp(2j * np.pi * np.outer(times, seen.freqs_hz))
+    times = _times(scene.duration, frequencies, float(frequencies[k]))
+    turns = np.exp(2j * np.pi * np.outer(times, frequencies))
     deviation = None
     if scene.deviation is not None:
         deviation = np.full(len(times), float(np.sqrt(share @ scene.deviation[rows].astype(float) ** 2)))
@@ -65,9 +66,9 @@ def modal_waveform(scene: Scene, weights: np.ndarray) -> Waveform | None:
         times,
         (turns @ (phasors @ direction)).real,
         deviation,
-        seen.freqs_hz[order],
-        amplitudes[order],
-        (float(seen.freqs_hz[k]), float(amplitudes[k])),
+        frequencies,
+        amplitudes,
+        (float(frequencies[k]), float(amplitudes[k])),
     )
 
 

@@ -58,26 +58,27 @@ class PixelPanel:
         self._answer_last()
 
     def _answer_last(self) -> None:
-        if self._last is None:
-            return
-        point, weights = self._last
-        if self._from_pictures.value:
-            self._measure(point)
-            return
-        found = modal_waveform(self._session.scene, weights)
-        self._answer.content = block(_STILL) if found is None else self._words(found, point)
+        """Show what is known of the last pixel; one at a time, lest a slow answer come after a later one."""
+        with self._busy:
+            if self._last is None:
+                return
+            point, weights = self._last
+            if self._from_pictures.value:
+                self._measure(point)
+                return
+            found = modal_waveform(self._session.scene, weights)
+            self._answer.content = block(_STILL) if found is None else self._words(found, point)
 
     def _measure(self, point: np.ndarray) -> None:
-        """Measure there. A click while that is under way waits until it is done."""
-        with self._busy:
-            self._answer.content = block("Measuring …" if self._measurer.is_ready else _READING)
-            try:
-                with self._session.painter.beside():
-                    found = self._measurer.at(point)
-            except (Tg4mmError, OSError) as error:
-                self._answer.content = block(f"Not measured: {error}")
-                return
-            self._answer.content = self._words(found, point)
+        """Measure there; until the pictures are read that lasts."""
+        self._answer.content = block("Measuring …" if self._measurer.is_ready else _READING)
+        try:
+            with self._session.painter.beside():
+                found = self._measurer.at(point)
+        except (Tg4mmError, OSError) as error:
+            self._answer.content = block(f"Not measured: {error}")
+            return
+        self._answer.content = self._words(found, point)
 
     def _mark(self, point: np.ndarray, canvas: Canvas) -> None:
         distance = float(np.linalg.norm(point - np.array(canvas.position)))
