@@ -8,7 +8,7 @@ import torch
 
 from tests.motion.filmed import error_of, scene, walk
 from tg4mm.motion.config import MotionConfig
-from tg4mm.motion.moving_camera import _corrected_poses
+from tg4mm.motion.moving_camera import corrected_poses
 from tg4mm.motion.pipeline import fit_motion
 
 FREQUENCY = 3.4  # Hz
@@ -32,7 +32,7 @@ def test_the_motion_of_the_scene_is_found_though_poses_are_off() -> None:
 def test_poses_that_are_off_are_corrected() -> None:
     gaussians, _ = scene(FREQUENCY)
     off, exact = walk(gaussians, None, 8, tremor=2e-3), walk(gaussians, None, 8)
-    corrected, exposures, pixels = _corrected_poses(gaussians, off, 0)
+    corrected, exposures, pixels = corrected_poses(gaussians, off, 0)
     before = max(np.abs(a.viewmat - b.viewmat).max() for a, b in zip(off.frames, exact.frames, strict=True))
     after = max(np.abs(a.viewmat - b.viewmat).max() for a, b in zip(corrected, exact.frames, strict=True))
     assert after < 0.2 * before

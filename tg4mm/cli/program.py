@@ -17,6 +17,7 @@ from tg4mm.cli.evaluate import evaluate
 from tg4mm.cli.export import export
 from tg4mm.cli.generate import generate
 from tg4mm.cli.magnify import BandsCommand
+from tg4mm.cli.measure import measure
 from tg4mm.cli.render import render
 from tg4mm.cli.sfm import sfm
 from tg4mm.cli.train import train
@@ -38,6 +39,9 @@ _CORE = {
     "imageio",
     "psutil",
     "plenoptic",
+    "matplotlib",
+    "pyuff",
+    "yaml",
 }
 
 app = typer.Typer(
@@ -58,6 +62,7 @@ _PASS_ALL = {
 app.command()(demo)
 app.command(context_settings=_PASS_ALL)(generate)
 app.command()(train)
+app.command()(measure)
 for _command in (render, evaluate, export, sfm, view):
     app.command(cls=BandsCommand)(_command)
 app.add_typer(bench, name="bench")

@@ -44,7 +44,9 @@ def clusters_of(scene: Prepared) -> Clusters:
     least = np.full(n, limit) if deviation is None else np.maximum(limit, _TOLD * deviation)
     moving = np.flatnonzero(seen & (rms > least)) if limit > 0 else np.zeros(0, int)
     still = np.setdiff1d(np.flatnonzero(seen & (rms <= limit)), moving)
-    groups = _grouped(scene, _coordinates(scene, fields[:, moving]), moving, rms) if len(moving) >= _FEWEST else []
+    groups = (
+        _grouped(scene, _coordinates(scene, fields[:, moving]), moving, rms) if len(moving) >= _FEWEST else []
+    )
     members = {k + 1: g for k, g in enumerate(groups)}
     names = {k: f"moving {k}" for k in members}
     if len(still) >= _FEWEST:

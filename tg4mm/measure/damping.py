@@ -39,7 +39,7 @@ def damping_of(series: Series, peaks: Sequence[Peak], k: int) -> Damping | None:
     times = series.times_s - series.times_s[0]
     duration = float(np.ptp(times))
     values = series.displacement @ direction
-    sigma = np.where(np.isfinite(series.deviation), series.deviation, 0) @ np.abs(direction)
+    sigma = np.where(series.is_told, series.noise, 0) @ np.abs(direction)
     plain = tones(np.array(others), times) if others else np.ones((len(times), 1))
 
     def left(p: np.ndarray) -> np.ndarray:
@@ -50,7 +50,9 @@ def damping_of(series: Series, peaks: Sequence[Peak], k: int) -> Damping | None:
 
     start = np.array([peak.frequency_hz, 0.1])
     near = 0.5 / duration
-    found = least_squares(left, start, bounds=([start[0] - near, -8], [start[0] + near, 40]), x_scale=[near, 1.0])
+    found = least_squares(
+        left, start, bounds=([start[0] - near, -8], [start[0] + near, 40]), x_scale=[near, 1.0]
+    )
     rest = float((found.fun**2).sum()) / max(len(times) - plain.shape[1] - 4, 1)
     noise = max(float((sigma**2).mean()), rest)
     covariance = np.linalg.pinv(found.jac.T @ found.jac) * noise

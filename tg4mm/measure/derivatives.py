@@ -1,6 +1,7 @@
-"""Velocity and acceleration: the sinusoids found are differentiated exactly, what is left of the samples by differences.
+"""Velocity and acceleration: sinusoids that were found are differentiated exactly, what is left by differences.
 
-Differences alone would lose much of a vibration a few samples long, 17 % of the velocity at six samples a period."""
+Differences alone would lose much of a vibration a few samples long, 17 % of the velocity at six samples a period.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +38,9 @@ def derivatives_of(
     velocity += np.gradient(left, times_s, axis=0)
     acceleration += _second_difference(left, times_s)
     step = float(np.median(np.diff(times_s)))
-    return Derivatives(velocity, deviation / (np.sqrt(2) * step), acceleration, deviation * np.sqrt(6) / step**2)
+    return Derivatives(
+        velocity, deviation / (np.sqrt(2) * step), acceleration, deviation * np.sqrt(6) / step**2
+    )
 
 
 def _second_difference(values: np.ndarray, times_s: np.ndarray) -> np.ndarray:
@@ -45,8 +48,8 @@ def _second_difference(values: np.ndarray, times_s: np.ndarray) -> np.ndarray:
     if len(values) < 3:
         return out
     before, after = np.diff(times_s)[:-1, None], np.diff(times_s)[1:, None]
-    out[1:-1] = 2 * (
-        (values[2:] - values[1:-1]) / after - (values[1:-1] - values[:-2]) / before
-    ) / (before + after)
+    out[1:-1] = (
+        2 * ((values[2:] - values[1:-1]) / after - (values[1:-1] - values[:-2]) / before) / (before + after)
+    )
     out[0], out[-1] = out[1], out[-2]
     return out

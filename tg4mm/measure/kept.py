@@ -65,4 +65,6 @@ class KeptPass:
             extra = {"model": self.model, "pass_version": _VERSION, "notes": list(notes)}
             self.run.save_part(PART, tensors, **extra)
         except OSError as error:
-            _LOG.warning("%s cannot be written (%s): the pictures are read anew each time", PART, error.strerror)
+            _LOG.warning(
+                "%s cannot be written (%s): the pictures are read anew each time", PART, error.strerror
+            )

@@ -24,11 +24,15 @@ def limits_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[str, ..
             "one camera: motion along its line of sight is hardly seen; it is given with its own, large deviation"
         )
     if len(scene.clocks) > 1:
-        out.append("every camera has a clock of its own: a series for each, which shows two directions of three")
+        out.append(
+            "every camera has a clock of its own: a series for each, which shows two directions of three"
+        )
     if scene.is_moving:
-        out.append("the camera moves: slow motion, and motion of the whole scene as one, are taken out as its own")
+        out.append(
+            "the camera moves: slow motion, and motion of the whole scene as one, are taken out as its own"
+        )
     for result in results:
-        size = abs(result.displacement).max() * result.px_per_unit
+        size = abs(result.displacement[:, result.series.is_told]).max(initial=0.0) * result.px_per_unit
         if size > _LINEAR_PX:
             out.append(
                 f"{result.name} moves by up to {size:.2g} px: beyond {_LINEAR_PX:g} px pictures do not change in "

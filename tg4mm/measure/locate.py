@@ -42,7 +42,9 @@ def weights_of(sensor: Sensor, scene: Prepared, clusters: Mapping[int, np.ndarra
         span = f"from ({_numbers(low)}) to ({_numbers(high)})"
         raise MeasureError(f"sensor {sensor}: holds no Gaussian; the scene reaches {span} scene units")
     if float(weights @ scene.seen) < _SEEN:
-        raise MeasureError(f"sensor {sensor}: no camera that shows motion sees its {int((weights > 0).sum())} Gaussians")
+        raise MeasureError(
+            f"sensor {sensor}: no camera that shows motion sees its {int((weights > 0).sum())} Gaussians"
+        )
     return weights
 
 
@@ -86,7 +88,7 @@ def _of_cluster(sensor: Sensor, n: int, clusters: Mapping[int, np.ndarray]) -> n
 
 def _of_pixel(sensor: Sensor, scene: Prepared) -> np.ndarray:
     """The surface seen around a pixel: Gaussians by how much of them blends into the neighbourhood."""
-    names = [v.frames.name for v in scene.views]
+    names = [f.name for f in scene.observations.frames]
     if sensor.camera not in names:
         known = ", ".join(names[:8]) + (" …" if len(names) > 8 else "")
         raise MeasureError(f"sensor {sensor}: {sensor.camera!r} is no camera; there are: {known}")
@@ -94,7 +96,9 @@ def _of_pixel(sensor: Sensor, scene: Prepared) -> np.ndarray:
     height, width = view.mean.shape[:2]
     x, y, radius = sensor.values
     if not (0 <= x <= width and 0 <= y <= height):
-        raise MeasureError(f"sensor {sensor}: pixel {x:g}, {y:g} lies outside the picture of {width}×{height}")
+        raise MeasureError(
+            f"sensor {sensor}: pixel {x:g}, {y:g} lies outside the picture of {width}×{height}"
+        )
     rows, columns = np.mgrid[:height, :width] + 0.5
     near = ((columns - x) ** 2 + (rows - y) ** 2 <= max(radius, 0.75) ** 2).astype(np.float32)
     inside, whole = blend_sum(view.view, np.stack([near, np.ones_like(near), near], -1))[:, :2].T

@@ -1,4 +1,4 @@
-"""A measurement: every sensor's displacement over time and what follows from it, and the scene's clusters and shapes."""
+"""A measurement: every sensor's displacement over time and what follows from it, the scene's clusters and shapes."""
 
 from __future__ import annotations
 
@@ -73,11 +73,11 @@ class SensorResult:
 
     @cached_property
     def spectrum(self) -> Spectrum:
-        return spectrum_of(self.times_s, self.displacement, self.deviation)
+        return spectrum_of(self.times_s, self.displacement, self.series.noise, self.series.model_share)
 
     @cached_property
     def derivatives(self) -> Derivatives:
-        return derivatives_of(self.times_s, self.displacement, self.deviation, self.spectrum.peaks)
+        return derivatives_of(self.times_s, self.displacement, self.series.noise, self.spectrum.peaks)
 
     @property
     def velocity(self) -> np.ndarray:
@@ -107,7 +107,9 @@ class Measurement:
     prepared: Prepared
     sensors: tuple[SensorResult, ...]
     clusters: Clusters
-    shapes: tuple[Shape, ...]  # operating deflection shapes, one for each frequency that sensors or modes show
+    shapes: tuple[
+        Shape, ...
+    ]  # operating deflection shapes, one for each frequency that sensors or modes show
     reference: str  # name of the sensor that phases are against
     notes: tuple[str, ...] = field(default=())  # what this capture cannot tell, and what is under the floor
 
@@ -142,7 +144,9 @@ def measure(
     if not wanted:
         raise MeasureError("no sensor was named")
     if reference is not None and reference not in [s.name for s in wanted]:
-        raise MeasureError(f"reference {reference!r} is no sensor; there are: {', '.join(s.name for s in wanted)}")
+        raise MeasureError(
+            f"reference {reference!r} is no sensor; there are: {', '.join(s.name for s in wanted)}"
+        )
     bodies = [body_of(weights_of(s, scene, groups.members), scene) for s in wanted]
     with progress("sensors", len(scene.clocks), "clocks") if _is_long(scene, wanted) else _silent() as update:
         series = [_series(scene, clock, bodies, update, k) for k, clock in enumerate(scene.clocks)]
@@ -176,18 +180,20 @@ def _series(scene: Prepared, clock: Clock, bodies: Sequence, update, k: int) -> 
         own, scene.means, views, clock.sides, scene.modal.fields, clock.series, scene.is_moving
     )
     update(k + 1)
-    slow = scene.slow_functions() if scene.is_moving else None
     return [
-        with_model_error(series_of(e, clock.times_s, body.axes, labels, body.radius, clock.name, slow), body, scene)
+        with_model_error(
+            series_of(e, clock.times_s, body.axes, labels, body.radius, clock.name, scene.slow), body, scene
+        )
         for e, (body, labels) in zip(equations, bodies, strict=True)
     ]
 
 
 def _result(scene: Prepared, sensor: Sensor, body: Body, series: Sequence[Series]) -> SensorResult:
-    scales = [_px_per_unit(v.frames, body.centre) for v in scene.views]
+    frames = scene.observations.frames
+    scales = [_px_per_unit(f, body.centre) for f in frames]
     best = int(np.argmax(scales))
     clips = tuple(series) if len(series) > 1 else ()
-    return SensorResult(sensor, body, series[0], scales[best], scene.views[best].frames.name, clips)
+    return SensorResult(sensor, body, series[0], scales[best], frames[best].name, clips)
 
 
 def _px_per_unit(frames, centre: np.ndarray) -> float:

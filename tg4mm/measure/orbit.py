@@ -34,8 +34,8 @@ class Orbit:
 
 
 def orbit_of(peak: Peak) -> Orbit:
-    """The phasor turned so that its real and imaginary part are perpendicular."""
-    m = np.where(np.isfinite(peak.deviation), peak.phasor, 0)
+    """The phasor turned so that its real and imaginary part are perpendicular; in the directions that are told."""
+    m = np.where(peak.is_told, peak.phasor, 0)
     phase = 0.5 * float(np.angle((m**2).sum()))
     turned = m * np.exp(-1j * phase)
     major, minor = turned.real, turned.imag
@@ -46,5 +46,5 @@ def orbit_of(peak: Peak) -> Orbit:
 
 def amplitude_deviation(peak: Peak, orbit: Orbit) -> float:
     """Of the half axis, scene units: the axes' deviations along it."""
-    deviation = np.where(np.isfinite(peak.deviation), peak.deviation, 0)
+    deviation = np.where(peak.is_told, peak.deviation, 0)
     return float(np.sqrt(((orbit.direction * deviation) ** 2).sum()))

@@ -7,7 +7,6 @@ import os
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -40,7 +39,9 @@ from tg4mm.progress import progress
 from tg4mm.runs import Run
 from tg4mm.train import pictures_for
 
-IN_MEMORY = 1 << 30  # bytes of what is kept of the pictures; more lies in a temporary file of the run's folder
+IN_MEMORY = (
+    1 << 30
+)  # bytes of what is kept of the pictures; more lies in a temporary file of the run's folder
 _LOG = logging.getLogger("tg4mm")
 
 
@@ -69,6 +70,9 @@ class Prepared:
     clocks: tuple[Clock, ...]
     seen: np.ndarray  # [N] blending weight, pixels, summed over the views
     notes: tuple[str, ...] = ()
+    slow: np.ndarray | None = (
+        None  # [S, F] functions of time that a moving camera cannot tell from its own motion
+    )
 
     @property
     def means(self) -> np.ndarray:
@@ -79,11 +83,6 @@ class Prepared:
     def is_moving(self) -> bool:
         return self.observations.clock == "moving"
 
-    @cached_property
-    def moved_px(self) -> float:
-        """How far things move in the pictures, as the run's log says; 0 where it does not."""
-        return float(self.run.log().get("motion", {}).get("pixels_moved") or 0.0)
-
 
 def prepare(run: Run, keep: bool = True) -> Prepared:
     """Read the run's pictures once, or take what an earlier call kept (RUN/residuals.safetensors).
@@ -93,7 +92,9 @@ def prepare(run: Run, keep: bool = True) -> Prepared:
     """
     capture = load_capture(run.dataset, split="train")
     if capture.n_timesteps < 2:
-        raise MeasureError(f"{run.path}: its dataset {run.dataset} has one timestep; a measurement needs pictures over time")
+        raise MeasureError(
+            f"{run.path}: its dataset {run.dataset} has one timestep; a measurement needs pictures over time"
+        )
     gaussians, motion = run.load_space(), run.load_motion()
     if motion is None:
         raise MeasureError(f"{run.path} has no motion.safetensors: its training is not finished")
@@ -154,7 +155,9 @@ class _Fixed:
             seen = look_again(observations, views, self.gaussians, seen, pixels)
         return seen, observations
 
-    def _views(self, frames: Sequence[PosedFrames], means: np.ndarray, active: np.ndarray) -> list[MeasuredView]:
+    def _views(
+        self, frames: Sequence[PosedFrames], means: np.ndarray, active: np.ndarray
+    ) -> list[MeasuredView]:
         views = rest_views(self.gaussians, self.observations)
         nuisances = nuisances_of(views, frames, self.gaussians.means.numpy(), active[0])
         is_shared = self.observations.clock == "synchronous"
@@ -188,7 +191,10 @@ class _Fixed:
         counts = [len(c.times_s) for c in clocks]
         n = len(self.gaussians)
         is_large = total_bytes(counts, n) > IN_MEMORY
-        out, sides = list(views), [zeros((HALVES, f, n, DOF), self.run.path if is_large else None) for f in counts]
+        out, sides = (
+            list(views),
+            [zeros((HALVES, f, n, DOF), self.run.path if is_large else None) for f in counts],
+        )
         with progress("pictures", len(views), "cameras") as update:
             done = 0
             for c, clock in enumerate(clocks):

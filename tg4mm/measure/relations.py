@@ -60,7 +60,13 @@ def relation_of(result: SensorResult, reference: SensorResult) -> Relation | Non
             amplitude_deviation(peak, orbit) / max(orbit.amplitude, 1e-300),
         )
         phases.append(
-            PhaseAt(float(hz[k]), amplitude, float((phase + np.pi) % (2 * np.pi) - np.pi), min(error, np.pi), is_above)
+            PhaseAt(
+                float(hz[k]),
+                amplitude,
+                float((phase + np.pi) % (2 * np.pi) - np.pi),
+                min(error, np.pi),
+                is_above,
+            )
         )
     freqs, coherence, segments = _coherence(result.series, reference.series)
     chance = 1 - 0.05 ** (1 / (segments - 1)) if segments > 1 else 1.0
@@ -72,9 +78,9 @@ def _at(result: SensorResult, hz: np.ndarray, k: int) -> tuple[np.ndarray, np.nd
     design = tones(hz, result.times_s)
     inverse = np.linalg.pinv(design)
     answer, n = inverse @ result.displacement, len(hz)
-    finite = np.where(np.isfinite(result.deviation), result.deviation, 0)
+    finite = np.where(result.series.is_observed, result.series.noise, 0)
     variance = inverse**2 @ finite**2
-    phasor = answer[1 + k] + 1j * answer[1 + n + k]
+    phasor = np.where(result.series.is_told, answer[1 + k] + 1j * answer[1 + n + k], 0)
     floor = result.spectrum.floor[0]
     return phasor, np.sqrt((variance[1 + k] + variance[1 + n + k]) / 2), bool((np.abs(phasor) > floor).any())
 
@@ -100,6 +106,6 @@ def _coherence(a: Series, b: Series) -> tuple[np.ndarray, np.ndarray, int]:
 
 
 def _along_main(series: Series) -> np.ndarray:
-    values = np.where(np.isfinite(series.deviation), series.displacement, 0)
+    values = np.where(series.is_told, series.displacement, 0)
     main = np.linalg.eigh(values.T @ values)[1][:, -1]
     return np.asarray(values @ main)

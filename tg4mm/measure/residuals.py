@@ -65,7 +65,7 @@ def leftover(
 ) -> Iterator[tuple[slice, np.ndarray]]:
     """A few frames at a time, [f, H, W, 3]: the changes less Σ_r series[r, f] shown[r] ([R, H, W, 3], J x_r)."""
     rows = view.frames.rows
-    flat = shown.reshape(len(shown), -1)
+    flat = shown.reshape(len(shown), view.mean.size)
     for first in range(0, len(rows), AT_ONCE):
         some = slice(first, first + AT_ONCE)
         raw = observations.pictures.strips(rows[some].tolist())

@@ -1,8 +1,8 @@
 """A region's rigid motion in every frame, by least squares through the Jacobian.
 
 E [K, N, 6] holds the motions of all Gaussians for a unit of each degree of freedom: three translations along the
-sensor's axes, and where the region is large enough three rotations about its centre, each Gaussian by its weight w. With
-the residual's pull-back s_f (`residuals.py`) and the run's modal motion x_f, whose picture was taken out of the residual,
+sensor's axes and three rotations about its centre, each Gaussian by its weight w. With the residual's pull-back s_f
+(`residuals.py`) and the run's modal motion x_f, whose picture was taken out of the residual,
 
     A u_f  =  E·s_f + E·JᵀWJ (w x_f)        A = E·JᵀWJ E
 
@@ -18,7 +18,6 @@ import numpy as np
 
 from tg4mm.measure.residuals import HALVES, MeasuredView
 from tg4mm.motion.jacobian.packed import DOF
-
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,7 @@ def equations_of(
     n_frames, count = sides.shape[1], len(views) if is_moving else 1
     normals = np.zeros((len(bodies), HALVES, count, 6, 6))
     known = np.zeros((len(bodies), HALVES, n_frames, 6))
-    own = [(body.weights[:, None] * fields).reshape(len(fields), -1) for body in bodies]
+    own = [(body.weights[:, None] * fields).reshape(len(fields), len(means) * DOF) for body in bodies]
     for k, view in enumerate(views):
         frames = slice(k, k + 1) if is_moving else slice(None)
         for half, weights, projection in view.projections():

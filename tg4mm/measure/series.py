@@ -3,7 +3,7 @@
 u_f = A⁻¹ b_f from the sum of two halves of the data, whose equations stand apart (`rigid.py`). Pixel noise alone would
 give the covariance A⁻¹ times a number; the noise of real pixels hangs together (codecs, demosaicing, errors of the
 model), so that number is found from the result, for each axis: what the halves' answers differ by in time, over what
-they would at unit noise; and where that is larger, the level that most of the answer's own spectrum does not fall below.
+they would at unit noise; and where that is larger, the level that most of the answer's spectrum does not fall below.
 """
 
 from __future__ import annotations
@@ -16,9 +16,10 @@ from tg4mm.measure.rigid import Equations
 
 _QUARTILE = float(-np.log(0.75))  # of a spectrum of noise, in units of its mean power
 _FEWEST = 12  # samples that a spectrum is judged by
-_TOLD = 1.5  # times as uncertain as without rotations a translation may become
+TOLD = 10.0  # times as uncertain as the best direction: beyond it a direction is not told
+_SURE = 1.5  # times as uncertain as without rotations a translation may become
 _TURNS = 10.0  # times as uncertain as a translation: a rotation times the radius beyond it is not told
-UNSEEN = 1e-4  # of the best-seen direction's information: less is not observed
+UNSEEN = 1e-6  # of the best-seen direction's information: less is rounding, and is not observed
 
 
 @dataclass(frozen=True)
@@ -28,17 +29,28 @@ class Series:
     clock: str  # "" where all cameras share one
     times_s: np.ndarray  # [T] seconds
     displacement: np.ndarray  # [T, 3] scene units, along `axes`
-    deviation: np.ndarray  # [T, 3] standard deviation; inf along a direction that is not observed
+    noise: np.ndarray  # [T, 3] standard deviation of the noise; inf along a direction that is not observed
+    deviation: np.ndarray  # [T, 3] standard deviation with errors of the model (`model_error.py`)
     axes: np.ndarray  # [3, 3], rows: unit vectors in the world
     labels: tuple[str, str, str]  # of the axes
-    rotation: np.ndarray | None  # [T, 3] radians about the axes through the centre; None where it cannot be told
+    rotation: (
+        np.ndarray | None
+    )  # [T, 3] radians about the axes through the centre; None where it cannot be told
     rotation_deviation: np.ndarray | None  # [T, 3]
-    noise_factor: np.ndarray  # [3] variance over what independent pixel noise of the weights would give
+    unit_variance: np.ndarray  # [3] (A⁻¹)_kk, mean over time: how well the pictures tell each direction
+    noise_factor: np.ndarray  # [3] variance over unit_variance, one for independent noise of known pixels
+    model_share: np.ndarray  # [3] standard deviation of the model's errors over the motion's length
 
     @property
     def is_observed(self) -> np.ndarray:
         """[3] bool, of the axes."""
-        return np.isfinite(self.deviation).all(0)
+        return np.asarray(np.isfinite(self.noise).all(0))
+
+    @property
+    def is_told(self) -> np.ndarray:
+        """[3] bool: observed, and not ten times less sure than the best direction, as one camera's sight is."""
+        variance = np.where(self.is_observed, self.unit_variance, np.inf)
+        return np.asarray(variance <= TOLD**2 * variance.min()) & self.is_observed
 
     def world(self) -> np.ndarray:
         """[T, 3] displacement along the world's x, y, z; what is not observed counts as 0."""
@@ -70,12 +82,13 @@ def series_of(
     out = np.where(np.isfinite(deviation), out, 0.0)
     turns = (out[:, 3:] / radius, deviation[:, 3:] / radius) if dof == 6 else (None, None)
     return Series(
-        clock, times_s, out[:, :3], deviation[:, :3], axes, labels, turns[0], turns[1], factor[:3]
-    )
+        clock, times_s, out[:, :3], deviation[:, :3], deviation[:, :3], axes, labels, turns[0], turns[1],
+        variance[:, :3].mean(0), factor[:3], np.zeros(3),
+    )  # fmt: skip
 
 
 def _solved(normals: np.ndarray, sides: np.ndarray, dof: int) -> tuple[np.ndarray, np.ndarray]:
-    """[F, dof] answers and [F, dof] variances at unit noise (inf where nothing is seen), of the first unknowns alone."""
+    """[F, dof] answers and variances at unit noise (inf where nothing is seen), of the first unknowns alone."""
     a = normals[:, :dof, :dof]
     values, vectors = np.linalg.eigh(a)
     is_seen = values > UNSEEN * np.maximum(values[:, -1:], 1e-30)
@@ -89,13 +102,13 @@ def _solved(normals: np.ndarray, sides: np.ndarray, dof: int) -> tuple[np.ndarra
 
 
 def _tells_rotation(equations: Equations) -> bool:
-    """Whether the region is large enough: translations stay as sure as without rotations, and these are told in turn."""
+    """Whether the region is large enough: translations stay as sure as without rotations, and these are told."""
     a = equations.normals.sum(0).mean(0)
     if np.linalg.eigvalsh(a)[0] <= 1e-9 * np.trace(a):
         return False
     with_turns, alone = np.diag(np.linalg.inv(a)), np.diag(np.linalg.pinv(a[:3, :3]))
     halves = all(np.linalg.eigvalsh(n.mean(0))[0] > 1e-9 * np.trace(a) for n in equations.normals)
-    is_sure = bool((with_turns[:3] <= _TOLD**2 * alone).all())
+    is_sure = bool((with_turns[:3] <= _SURE**2 * alone).all())
     return halves and is_sure and bool(with_turns[3:].max() <= _TURNS**2 * with_turns[:3].max())
 
 

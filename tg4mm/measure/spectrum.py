@@ -1,7 +1,7 @@
 """Amplitude spectrum of a sensor with its noise floor, and the peaks that stand out of it.
 
-The spectrum is 2 |Σ w_f u_f exp(−i 2πν t_f)| / Σ w_f with Hann's window w, so that a sinusoid has its amplitude, zero to
-peak, at its frequency. Noise of standard deviation s_f has there a Rayleigh distribution with the parameter
+The spectrum is 2 |Σ w_f u_f exp(−i 2πν t_f)| / Σ w_f with Hann's window w, so that a sinusoid has its amplitude, zero
+to peak, at its frequency. Noise of standard deviation s_f has there a Rayleigh distribution with the parameter
 √(2 Σ w_f² s_f²) / Σ w_f. The floor is the level that noise alone passes anywhere in the whole spectrum, on any of the
 three axes, in one record of a hundred; what lies under it is not told from noise.
 
@@ -42,9 +42,15 @@ class Peak:
         return np.abs(self.phasor)
 
     @property
+    def is_told(self) -> np.ndarray:
+        """[3] bool: axes that are seen, and not ten times less sure than the best one, as one camera's sight is."""
+        floor = np.where(np.isfinite(self.floor), self.floor, np.inf)
+        return np.isfinite(floor) & (floor <= 10 * floor.min())
+
+    @property
     def is_above(self) -> np.ndarray:
-        """[3] bool: whether the amplitude stands out of the floor."""
-        return self.amplitude > self.floor
+        """[3] bool: whether the amplitude stands out of the floor, and of twice its own deviation."""
+        return np.asarray((self.amplitude > self.floor) & (self.amplitude > 2 * self.deviation))
 
     @property
     def phase_deviation(self) -> np.ndarray:
@@ -63,8 +69,13 @@ class Spectrum:
     window: str = "hann, amplitude-corrected"
 
 
-def spectrum_of(times_s: np.ndarray, values: np.ndarray, deviation: np.ndarray) -> Spectrum:
-    """Of values [T, 3] with standard deviations [T, 3] at times [T], which need not be even."""
+def spectrum_of(
+    times_s: np.ndarray, values: np.ndarray, deviation: np.ndarray, model_share: np.ndarray | None = None
+) -> Spectrum:
+    """Of values [T, 3] with noise of standard deviations [T, 3] at times [T], which need not be even.
+
+    model_share [3]: standard deviation of errors that grow with the motion, over its length; of the peaks' deviations.
+    """
     grid = frequency_grid(times_s)
     is_seen = np.isfinite(deviation).all(0)
     values = np.where(is_seen, values, 0.0)
@@ -75,7 +86,7 @@ def spectrum_of(times_s: np.ndarray, values: np.ndarray, deviation: np.ndarray) 
     floor = np.broadcast_to(level, (len(grid), 3))
     amplitude = _amplitude(grid, times_s, values, window)
     hz = _peaks(grid, times_s, values, window, level)
-    return Spectrum(grid, amplitude, floor, _fitted(hz, times_s, values, finite, level))
+    return Spectrum(grid, amplitude, floor, _fitted(hz, times_s, values, finite, level, model_share))
 
 
 def frequency_grid(times_s: np.ndarray) -> np.ndarray:
@@ -115,11 +126,14 @@ def _peaks(
     """[K] Hz."""
     resolution = grid[1] * _OVERSAMPLED
     usable = (grid >= _LEAST_CYCLES * resolution) & (grid <= grid[-1] - resolution / 2)
+    # axes by their own noise: a single camera's sight must not decide a frequency
+    least = max(1e-9 * float(np.abs(values).max()), 1e-300)  # rounding, where there is no noise at all
+    scale = np.where(np.isfinite(level), np.maximum(level, least), np.inf)
+    values = values / scale
     hz, left, strongest = np.zeros(0), values, 0.0
-    scale = np.where(np.isfinite(level) & (level > 0), level, np.inf)
     while len(hz) < min(_MOST, (len(times_s) - 4) // 3):
         amplitude = _amplitude(grid, times_s, left, window)
-        height = np.where(usable, (amplitude / scale).max(1), 0)
+        height = np.where(usable, amplitude.max(1), 0)
         for other in hz:
             height[np.abs(grid - other) < _APART * resolution] = 0
         at = int(height.argmax())
@@ -127,7 +141,7 @@ def _peaks(
         strongest = max(strongest, size)
         if height[at] <= 1 or size < _LEAST * strongest:
             break
-        axis = int((amplitude[at] / scale).argmax())
+        axis = int(amplitude[at].argmax())
         hz = np.append(hz, _parabola(grid, amplitude[:, axis], at))
         hz = _refined(hz, times_s, values)
         design = tones(hz, times_s)
@@ -169,7 +183,12 @@ def _refined(hz: np.ndarray, times_s: np.ndarray, values: np.ndarray) -> np.ndar
 
 
 def _fitted(
-    hz: np.ndarray, times_s: np.ndarray, values: np.ndarray, deviation: np.ndarray, level: np.ndarray
+    hz: np.ndarray,
+    times_s: np.ndarray,
+    values: np.ndarray,
+    deviation: np.ndarray,
+    level: np.ndarray,
+    model_share: np.ndarray | None,
 ) -> tuple[Peak, ...]:
     if not len(hz):
         return ()
@@ -183,11 +202,15 @@ def _fitted(
     for k in range(n):
         phasor = answer[1 + k] + 1j * answer[1 + n + k]
         both = np.sqrt((variance[1 + k] + variance[1 + n + k]) / 2)
+        if model_share is not None:
+            told = np.isfinite(level) & (level <= 10 * np.where(np.isfinite(level), level, np.inf).min())
+            both = np.hypot(both, model_share * np.linalg.norm(phasor[told]))
         both = np.where(np.isfinite(level), both, np.inf)
         good = mean_square > 0
         snr = float((np.abs(phasor[good]) ** 2 / mean_square[good]).sum()) * len(times_s) / 2
         span = np.ptp(times_s) * len(times_s) / (len(times_s) - 1)
         error = float(np.sqrt(3 / (np.pi**2 * snr)) / span) if snr > 0 else 0.0
         peaks.append(Peak(float(hz[k]), error, phasor, both, level))
-    strength = [float((p.amplitude / np.where(np.isfinite(level), np.maximum(level, 1e-300), np.inf)).max()) for p in peaks]
+    scale = np.where(np.isfinite(level), np.maximum(level, 1e-300), np.inf)
+    strength = [float((p.amplitude / scale).max()) for p in peaks]
     return tuple(peaks[k] for k in np.argsort(strength)[::-1])

@@ -148,7 +148,7 @@ def _agreed_scene(
         def compute(
             frames: list[PosedFrames] = frames, gaussians: Gaussians = gaussians, k: int = k
         ) -> Arrays:
-            new, exposures, pixels = _corrected_poses(gaussians, replace(observations, frames=frames), k)
+            new, exposures, pixels = corrected_poses(gaussians, replace(observations, frames=frames), k)
             shown = _refined(gaussians, replace(observations, frames=new), exposures, config.seed + k, device)
             out = {
                 f"g.{n}": getattr(shown, n).numpy() for n in ("means", "quats", "scales", "opacities", "sh")
@@ -172,7 +172,7 @@ def _gaussians(arrays: Arrays) -> Gaussians:
     )
 
 
-def _corrected_poses(
+def corrected_poses(
     gaussians: Gaussians, observations: Observations, k: int
 ) -> tuple[list[PosedFrames], np.ndarray, float]:
     """Frames with corrected poses, gain and offset [F, 6] of each, and the rms correction in pixels."""
@@ -186,7 +186,7 @@ def _corrected_poses(
             first = frame
             for _ in range(_POSE_STEPS):
                 view = view_jacobian(gaussians, frame, observations.size)
-                shown = _at_rest(view)
+                shown = at_rest(view)
                 nuisance = Nuisance(view, frame, means, _ALL)
                 n = _coefficients(nuisance, shown, picture - shown)
                 frame = replace(frame, viewmat=_turned(frame.viewmat, n[POSE]))
@@ -201,7 +201,7 @@ def _corrected_poses(
     return out, np.array(exposures, np.float32), float(np.sqrt(np.mean(squares)))
 
 
-def _at_rest(view: ViewJacobian) -> np.ndarray:
+def at_rest(view: ViewJacobian) -> np.ndarray:
     return view.image[..., :3] + view.transmittance[..., None]
 
 
@@ -264,9 +264,9 @@ def _seen(gaussians: Gaussians, observations: Observations) -> tuple[list[_Frame
             zip(observations.frames, pictures_of(observations), strict=True)
         ):
             view = view_jacobian(gaussians, frame, observations.size)
-            shown = _at_rest(view)
+            shown = at_rest(view)
             left = picture - shown
-            weights = _robust_weights(left)
+            weights = robust_weights(left)
             nuisance = Nuisance(view, frame, means, _ALL)
             projection = Projection.of(nuisance, shown, weights)
             left = projection.out_of(left[None])[0]
@@ -277,7 +277,7 @@ def _seen(gaussians: Gaussians, observations: Observations) -> tuple[list[_Frame
     return out, projections
 
 
-def _robust_weights(left: np.ndarray) -> np.ndarray:
+def robust_weights(left: np.ndarray) -> np.ndarray:
     """[H, W] float32: pixels where much is left (edges, occlusions) count less."""
     size = np.sqrt((left**2).mean(-1))
     spread = 1.4826 * float(np.median(size)) + 1e-6

@@ -1,0 +1,83 @@
+"""Sensors from options and YAML, and what is wrong with them in one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tg4mm.errors import Tg4mmError
+from tg4mm.measure.sensors import STILL, Sensor, parse_sensor, read_sensors
+
+
+@pytest.mark.parametrize(
+    ("text", "sensor"),
+    [
+        ("all", Sensor("all", "all")),
+        ("tip=box:0,0,1,.5,1,2", Sensor("tip", "box", (0, 0, 1, 0.5, 1, 2))),
+        ("tip=sphere:-1,2e-1,0,.3", Sensor("tip", "sphere", (-1, 0.2, 0, 0.3))),
+        ("nose=pixel:cam_00,300,420,14", Sensor("nose", "pixel", (300, 420, 14), "cam_00")),
+        ("nose=pixel:cam_00,300,420", Sensor("nose", "pixel", (300, 420, 4), "cam_00")),
+        ("a=cluster:2", Sensor("a", "cluster", (2,))),
+        ("a=cluster:still", Sensor("a", "cluster", (STILL,))),
+    ],
+)
+def test_an_option_is_a_sensor_and_its_text_is_the_option_again(text: str, sensor: Sensor) -> None:
+    assert parse_sensor(text) == sensor
+    assert parse_sensor(str(sensor)) == sensor
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("tip=cube:1,2,3", "'cube' is no region"),
+        ("tip=sphere:1,2,x,3", "'x' is not a number"),
+        ("tip=sphere:1,2,3", "expected sphere:X,Y,Z,RADIUS"),
+        ("tip=sphere:1,2,3,-1", "radius -1 must be above 0"),
+        ("tip=sphere:1,2,nan,1", "expected sphere"),
+        ("tip=box:1,0,0,0,1,1", "first corner must be the lower one"),
+        ("../tip=all", "sensor name '../tip'"),
+        ("tip=pixel:", "expected pixel:CAMERA,X,Y"),
+        ("tip=cluster:1.5", "no number of a cluster"),
+        ("", "is no region"),
+    ],
+)
+def test_what_is_none_is_refused_with_its_value(text: str, words: str) -> None:
+    with pytest.raises(Tg4mmError) as caught:
+        parse_sensor(text)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_of_sensors(tmp_path: Path) -> None:
+    file = tmp_path / "sensors.yaml"
+    file.write_text(
+        "sensors:\n- {name: tip, sphere: [0, 0, 1.2, 0.1]}\n- {name: wall, pixel: [cam_00, 320, 96, 12]}\n"
+        "- {name: rest, cluster: still}\n- {name: whole, all: true}\n"
+    )
+    assert [str(s) for s in read_sensors(file)] == [
+        "tip=sphere:0,0,1.2,0.1",
+        "wall=pixel:cam_00,320,96,12",
+        "rest=cluster:still",
+        "whole=all",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("sensors: 3", "expected a list"),
+        ("- {name: tip}", "has 0 regions"),
+        ("- {name: tip, sphere: [1, 2, 3, 4], colour: red}", "'colour' is unknown"),
+        ("- [1, 2]", "is no mapping"),
+        ("- {name: a, all: true}\n- {name: A, all: true}", "two sensors are called 'A'"),
+        ("- {name: tip, sphere: [1, 2", "is no YAML"),
+        ("- !!python/object/apply:os.getcwd []", "is no YAML"),
+    ],
+)
+def test_a_file_that_is_wrong_says_where(tmp_path: Path, text: str, words: str) -> None:
+    file = tmp_path / "sensors.yaml"
+    file.write_text(text)
+    with pytest.raises(Tg4mmError, match=words) as caught:
+        read_sensors(file)
+    assert str(file) in str(caught.value) or "two sensors" in str(caught.value)

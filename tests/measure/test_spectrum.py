@@ -1,0 +1,94 @@
+"""Spectra of known series: amplitudes, frequencies between bins, the floor's chance, derivatives, orbits, damping."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tg4mm.measure.derivatives import derivatives_of
+from tg4mm.measure.orbit import orbit_of
+from tg4mm.measure.spectrum import CHANCE, spectrum_of
+
+TIMES = np.arange(60) / 30.0
+
+
+def noisy(values: np.ndarray, sigma: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    noise = sigma * np.random.default_rng(seed).normal(size=(len(TIMES), 3))
+    return values + noise, np.full((len(TIMES), 3), sigma)
+
+
+def tone(hz: float, amplitude: float = 1.0, phase: float = 0.0) -> np.ndarray:
+    return amplitude * np.cos(2 * np.pi * hz * TIMES + phase)[:, None] * np.array([1.0, 0.0, 0.5])
+
+
+@pytest.mark.parametrize("hz", [3.0, 3.13, 3.25, 7.77])
+def test_a_tone_between_bins_has_its_frequency_amplitude_and_phase(hz: float) -> None:
+    values, sigma = noisy(tone(hz, 1.0, 0.6), 0.05, 1)
+    (peak,) = spectrum_of(TIMES, values, sigma).peaks
+    assert peak.frequency_hz == pytest.approx(hz, abs=4 * peak.frequency_deviation_hz)
+    assert peak.amplitude == pytest.approx([1, 0, 0.5], abs=0.05)
+    assert np.angle(peak.phasor[[0, 2]]) == pytest.approx(0.6, abs=0.15)
+
+
+def test_deviations_are_the_scatter_over_many_records() -> None:
+    peaks = [spectrum_of(TIMES, *noisy(tone(4.4), 0.2, seed)).peaks[0] for seed in range(60)]
+    hz = np.array([p.frequency_hz for p in peaks])
+    assert hz.std() == pytest.approx(peaks[0].frequency_deviation_hz, rel=0.3)
+    amplitude = np.array([p.amplitude[0] for p in peaks])
+    assert amplitude.std() == pytest.approx(peaks[0].deviation[0], rel=0.3)
+
+
+def test_noise_alone_passes_the_floor_in_few_records_of_many() -> None:
+    found = sum(bool(spectrum_of(TIMES, *noisy(np.zeros((60, 3)), 1.0, s)).peaks) for s in range(300))
+    assert found <= 15  # 1 % of 300, and what finer frequencies than 1 / duration add
+    low = sum(
+        bool(spectrum_of(TIMES, v, s / 1.5).peaks)
+        for v, s in (noisy(np.zeros((60, 3)), 1.0, k) for k in range(50))
+    )
+    assert low > 10  # deviations that are too small are noticed
+    assert CHANCE == 0.01
+
+
+def test_two_tones_of_different_strength() -> None:
+    values, sigma = noisy(tone(3.3) + tone(6.9, 0.1), 0.01, 3)
+    assert sorted(p.frequency_hz for p in spectrum_of(TIMES, values, sigma).peaks) == pytest.approx(
+        [3.3, 6.9], abs=0.02
+    )
+
+
+def test_uneven_times_do_as_well() -> None:
+    times = TIMES + 0.008 * np.random.default_rng(5).normal(size=60)
+    values = np.cos(2 * np.pi * 5.2 * times)[:, None] * np.ones(3)
+    (peak, *_) = spectrum_of(times, values, np.full((60, 3), 0.02)).peaks
+    assert peak.frequency_hz == pytest.approx(5.2, abs=0.01)
+
+
+def test_a_direction_that_is_not_observed_has_no_peak_and_an_infinite_floor() -> None:
+    values, sigma = noisy(tone(4.0), 0.05, 2)
+    sigma[:, 2] = np.inf
+    spectrum = spectrum_of(TIMES, values, sigma)
+    assert np.isinf(spectrum.floor[:, 2]).all()
+    assert not spectrum.peaks[0].is_above[2]
+    assert np.isfinite(spectrum.peaks[0].amplitude).all()
+
+
+def test_velocity_and_acceleration_of_a_fast_tone() -> None:
+    values, sigma = noisy(tone(8.2), 1e-4, 0)
+    found = derivatives_of(TIMES, values, sigma, spectrum_of(TIMES, values, sigma).peaks)
+    omega = 2 * np.pi * 8.2
+    assert np.abs(found.velocity[:, 0] + omega * np.sin(omega * TIMES)).max() < 0.01 * omega
+    assert np.abs(found.acceleration[:, 0] + omega**2 * np.cos(omega * TIMES)).max() < 0.01 * omega**2
+
+
+def test_differences_alone_lose_a_part_of_it() -> None:
+    values, sigma = noisy(tone(8.2), 1e-4, 0)
+    assert derivatives_of(TIMES, values, sigma, ()).velocity[:, 0].max() < 0.7 * 2 * np.pi * 8.2
+
+
+def test_an_orbit_is_the_ellipse() -> None:
+    angle = 2 * np.pi * 4.0 * TIMES
+    values = np.stack([2 * np.cos(angle + 0.3), np.sin(angle + 0.3), 0 * angle], 1)
+    orbit = orbit_of(spectrum_of(TIMES, values, np.full((60, 3), 1e-3)).peaks[0])
+    assert np.abs(orbit.major) == pytest.approx([2, 0, 0], abs=1e-3)
+    assert np.abs(orbit.minor) == pytest.approx([0, 1, 0], abs=1e-3)
+    assert orbit.flatness == pytest.approx(0.5, abs=1e-3)

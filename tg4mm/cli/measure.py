@@ -1,0 +1,86 @@
+"""`tg4mm measure`: virtual sensors."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tg4mm.errors import Tg4mmError
+
+
+def measure(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder made by tg4mm train.")],
+    out: Annotated[
+        Path, typer.Option(help="The folder for measure.json, CSV, UFF, plots and animated pictures.")
+    ],
+    sensor: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=REGION",
+            help="A sensor; may be given several times. REGION: all, box:X0,Y0,Z0,X1,Y1,Z1, sphere:X,Y,Z,RADIUS (scene "
+            "units), pixel:CAMERA,X,Y[,RADIUS] (pixels of a training view), cluster:NUMBER, cluster:still. [default: "
+            "clusters that move alike, and all]",
+        ),
+    ] = None,
+    sensors: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Sensors in a YAML file (docs/measure.md).")
+    ] = None,
+    reference: Annotated[
+        str | None,
+        typer.Option(help="The sensor that phases and coherence are against. [default: the first]"),
+    ] = None,
+    keep: Annotated[
+        bool,
+        typer.Option(
+            "--keep/--no-keep",
+            help="Keep what was read of the pictures in the run's folder for the next time.",
+        ),
+    ] = True,
+    animate: Annotated[
+        bool, typer.Option("--animate/--no-animate", help="Animated pictures of the shape at every peak.")
+    ] = True,
+) -> None:
+    """Measure displacement over time: virtual sensors on a run.
+
+    Every sensor's motion comes from the pictures frame by frame, with a standard deviation for each sample (scene
+    units; mm where the scale is known), spectrum in Hz with its noise floor, and what stands out of it.
+    """
+    from tg4mm.measure import measure as measured
+    from tg4mm.measure import parse_sensor, prepare, read_sensors
+    from tg4mm.measure.sensors import checked_names
+    from tg4mm.measure.write import claim
+    from tg4mm.runs import Run
+
+    asked = [*(read_sensors(sensors) if sensors else []), *(parse_sensor(text) for text in sensor or [])]
+    checked_names(asked)
+    if reference is not None and asked and reference not in [s.name for s in asked]:
+        raise Tg4mmError(
+            f"--reference {reference!r} is no sensor; there are: {', '.join(s.name for s in asked)}"
+        )
+    opened = Run.open(run)
+    claim(out)
+    found = measured(prepare(opened, keep), asked or None, reference)
+    typer.echo(_written(found, out, animate), nl=False)
+
+
+def _written(found, out: Path, animate: bool) -> str:
+    """The table, and where everything lies."""
+    from tg4mm.measure.animate import write_animations
+    from tg4mm.measure.plots import write_plots
+    from tg4mm.measure.table import format_table
+    from tg4mm.measure.uff import write_uff
+    from tg4mm.measure.write import write_csv_files, write_json_file
+
+    write_json_file(found, out)
+    write_csv_files(found, out)
+    write_uff(found, out / "measure.uff")
+    write_plots(found, out)
+    lines = [format_table(found)]
+    if animate:
+        lines += [
+            f"{path}: magnified {gain:.3g} times\n"
+            for path, gain in write_animations(found.prepared, found.shapes, out)
+        ]
+    return "".join([*lines, f"{out}\n"])

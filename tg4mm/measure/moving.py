@@ -1,0 +1,154 @@
+"""A run of a moving camera made ready: every frame is a view with a pose, Jacobian and nuisance of its own.
+
+The run keeps the scene at rest as it was refined on all frames, not their poses: these are corrected once more, by the
+motion stage's own step. What is left of a frame is I_f − Î_f − J_f M x(τ_f), exposure and pose projected out; the slow
+part of a sensor's answer, which the scene at rest still gets wrong with the viewpoint, is taken out as polynomials.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from tg4mm.capture import Capture
+from tg4mm.gaussians import Gaussians
+from tg4mm.measure.kept import KeptPass
+from tg4mm.measure.modal_fields import ModalFields
+from tg4mm.measure.prepared import IN_MEMORY, Clock, Prepared, zeros
+from tg4mm.measure.residuals import HALVES, MeasuredView, total_bytes
+from tg4mm.motion.jacobian.colour import blend_sum
+from tg4mm.motion.jacobian.packed import DOF
+from tg4mm.motion.jacobian.view import ViewJacobian, view_jacobian
+from tg4mm.motion.modes import ModalMotion
+from tg4mm.motion.moving_camera import at_rest, corrected_poses, pictures_of, robust_weights
+from tg4mm.motion.nuisance import Nuisance
+from tg4mm.motion.observations import Observations, PosedFrames
+from tg4mm.progress import progress
+from tg4mm.runs import Run
+
+_PERIODS = 8.0  # of the lowest frequency that a moving camera tells (`moving_camera.py`)
+_MOST_SLOW = 12  # polynomials' degree
+_ALL = np.ones(12, bool)
+
+
+@dataclass(frozen=True)
+class FrameViews(Sequence[MeasuredView]):
+    """The views of all frames, made when they are asked for: together they take gigabytes."""
+
+    gaussians: Gaussians
+    frames: Sequence[PosedFrames]
+    size: tuple[int, int]
+    weights: np.ndarray  # [F, H, W] float16, relative to `level`
+    level: np.ndarray  # [F]
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __getitem__(self, k):
+        if isinstance(k, slice):
+            return [self[i] for i in range(*k.indices(len(self)))]
+        k = range(len(self))[k]
+        view = view_jacobian(self.gaussians, self.frames[k], self.size)
+        return self.of(k, view, self.weights[k].astype(np.float32) * self.level[k])
+
+    def __iter__(self) -> Iterator[MeasuredView]:
+        return (self[k] for k in range(len(self)))
+
+    def of(self, k: int, view: ViewJacobian, weights: np.ndarray) -> MeasuredView:
+        """Frame k with pixel weights [H, W]; both halves are squares of its picture."""
+        nuisance = Nuisance(view, self.frames[k], self.gaussians.means.numpy(), _ALL)
+        return MeasuredView(view, self.frames[k], nuisance, at_rest(view), weights, (0, 1))
+
+
+def prepare_moving(
+    run: Run,
+    capture: Capture,
+    observations: Observations,
+    gaussians: Gaussians,
+    motion: ModalMotion,
+    modal: ModalFields,
+    kept: KeptPass,
+) -> Prepared:
+    """`prepare` of a camera that moves."""
+    times = np.array([f.times_s[0] for f in observations.frames])
+    series = modal.series(times)
+    arrays = kept.load()
+    if arrays is None:
+        arrays = _passed(run, observations, gaussians, modal, series)
+        if sum(a.nbytes for a in arrays.values()) <= IN_MEMORY:
+            kept.save(arrays, ())
+    frames = [replace(f, viewmat=v) for f, v in zip(observations.frames, arrays["viewmats"], strict=True)]
+    views = FrameViews(gaussians, frames, observations.size, arrays["weights"], arrays["level"])
+    clock = Clock("", tuple(range(len(frames))), times, arrays["sides_0"], series)
+    observations = replace(observations, frames=frames)
+    return Prepared(
+        run, capture, observations, gaussians, motion, modal, views, (clock,), arrays["seen"].astype(np.float64),
+        slow=_slow_functions(times),
+    )  # fmt: skip
+
+
+def _passed(
+    run: Run, observations: Observations, gaussians: Gaussians, modal: ModalFields, series: np.ndarray
+) -> dict[str, np.ndarray]:
+    """One pass through the frames."""
+    frames, _, _ = corrected_poses(gaussians, observations, 0)
+    n, count = len(gaussians), len(frames)
+    width, height = observations.size
+    is_large = total_bytes([count], n) > IN_MEMORY
+    sides = zeros((HALVES, count, n, DOF), run.path if is_large else None)
+    out = FrameViews(
+        gaussians, frames, observations.size, np.zeros((count, height, width), np.float16), np.ones(count)
+    )
+    seen = np.zeros(n)
+    with progress("pictures", count, "frames") as update:
+        for k, picture in enumerate(pictures_of(observations)):
+            view = view_jacobian(gaussians, frames[k], observations.size)
+            left = picture - at_rest(view)
+            if len(modal.fields):
+                field = np.tensordot(series[:, k].astype(np.float32), modal.fields, 1)
+                left -= view.jvp(np.ascontiguousarray(field[None]))[0]
+            _pull_back(out, k, view, left, sides)
+            seen += blend_sum(view, np.ones((height, width, 3), np.float32))[:, 0]
+            update(k + 1)
+    return {
+        "viewmats": np.stack([f.viewmat for f in frames]),
+        "weights": out.weights,
+        "level": out.level,
+        "sides_0": sides,
+        "seen": seen,
+    }
+
+
+def _pull_back(out: FrameViews, k: int, view: ViewJacobian, left: np.ndarray, sides: np.ndarray) -> None:
+    """Weights of frame k, by what is left of it without exposure and pose, and its sides."""
+    height, width = left.shape[:2]
+    first = out.of(k, view, np.ones((height, width), np.float32))
+    coarse = _without(first.nuisance, first.mean, left, robust_weights(left))
+    relative = robust_weights(coarse)
+    out.level[k] = 1 / max(float((relative[..., None] * coarse**2).sum() / (3 * relative.sum())), 1e-12)
+    out.weights[k] = relative
+    own = replace(first, weights=out.weights[k].astype(np.float32) * np.float32(out.level[k]))
+    for half, weights, projection in own.projections():
+        assert projection is not None
+        shown = projection.out_of(left[None]) * weights[..., None]
+        view.vjp(np.ascontiguousarray(shown, np.float32), sides[half, k : k + 1])
+
+
+def _without(nuisance: Nuisance, mean: np.ndarray, left: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """A picture [H, W, 3] less what the columns explain of it, by weighted least squares."""
+    columns = nuisance.columns(mean).reshape(12, -1)
+    weighted = columns * np.repeat(weights.reshape(-1), 3)
+    gram, side = (weighted @ columns.T).astype(np.float64), weighted @ left.reshape(-1)
+    scale = np.sqrt(np.diag(gram)) + 1e-12
+    n = np.linalg.solve(gram / np.outer(scale, scale) + 1e-6 * np.eye(12), side / scale) / scale
+    return np.asarray(left - (n.astype(np.float32) @ columns).reshape(left.shape))
+
+
+def _slow_functions(times_s: np.ndarray) -> np.ndarray:
+    """[S, F]: polynomials up to half the lowest frequency that is told, `_PERIODS` in the record."""
+    span = max(float(np.ptp(times_s)), 1e-9)
+    degree = int(np.clip(round(_PERIODS / 2), 1, min(_MOST_SLOW, len(times_s) // 4)))
+    return legendre.legvander(2 * (times_s - times_s.min()) / span - 1, degree).T

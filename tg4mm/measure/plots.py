@@ -1,0 +1,142 @@
+"""Plots by matplotlib, one page a sensor as SVG and PNG: waveform, spectrum with floor and peaks, orbit."""
+
+from __future__ import annotations
+
+import io
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tg4mm.files import write_atomic
+from tg4mm.measure.measurement import Measurement, SensorResult
+from tg4mm.measure.units import Unit, unit_of
+from tg4mm.measure.write import file_name
+
+COLOURS = "#0072b2", "#d55e00", "#009e73"  # Okabe and Ito's, told apart by all eyes
+_STYLE: dict[Any, Any] = {
+    "font.size": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.alpha": 0.25,
+    "svg.hashsalt": "tg4mm",
+    "legend.frameon": False,
+}
+
+
+def write_plots(measurement: Measurement, out: Path) -> list[Path]:
+    """OUT/plots/<sensor>.svg and .png of every sensor."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    folder, paths = out / "plots", []
+    folder.mkdir(parents=True, exist_ok=True)
+    with plt.rc_context(_STYLE):
+        for result in measurement.sensors:
+            figure = _figure(plt, result, unit_of(measurement, result))
+            for ending in ("svg", "png"):
+                data = io.BytesIO()
+                figure.savefig(
+                    data, format=ending, dpi=120, metadata={"Date": None} if ending == "svg" else None
+                )
+                path = folder / f"{file_name(result.name)}.{ending}"
+                write_atomic(path, partial(Path.write_bytes, data=data.getvalue()))
+                paths.append(path)
+            plt.close(figure)
+    return paths
+
+
+def _figure(plt: Any, result: SensorResult, unit: Unit) -> Any:
+    figure = plt.figure(figsize=(10, 6), layout="constrained")
+    grid = figure.add_gridspec(2, 3)
+    figure.suptitle(
+        f"{result.name}: {int((result.body.weights > 0).sum()):,} Gaussians", x=0.01, ha="left", weight="bold"
+    )
+    _waveform(figure.add_subplot(grid[0, :]), result, unit)
+    _spectrum(figure.add_subplot(grid[1, :2]), result, unit)
+    _orbit(figure.add_subplot(grid[1, 2]), result, unit)
+    return figure
+
+
+def _told(result: SensorResult) -> list[int]:
+    """Axes worth drawing: observed, and not uncertain by more than ten times the best one."""
+    return np.flatnonzero(result.series.is_told).tolist()
+
+
+def _waveform(axes: Any, result: SensorResult, unit: Unit) -> None:
+    hidden = [result.labels[k] for k in range(3) if k not in _told(result)]
+    for k in _told(result):
+        value, error = result.displacement[:, k] * unit.factor, result.deviation[:, k] * unit.factor
+        axes.plot(result.times_s, value, color=COLOURS[k], lw=1.2, marker=".", ms=3, label=result.labels[k])
+        axes.fill_between(result.times_s, value - error, value + error, color=COLOURS[k], alpha=0.25, lw=0)
+    axes.set(xlabel="time, s", ylabel=f"displacement, {unit.name}")
+    axes.set_title(
+        "band: one standard deviation" + (f"; {', '.join(hidden)} hardly seen, left out" if hidden else ""),
+        fontsize=8,
+        loc="left",
+    )
+    axes.legend(ncols=3, loc="upper right")
+    if unit.name != "px":
+        second = axes.secondary_yaxis("right", functions=_factors(result.px_per_unit / unit.factor))
+        second.set_ylabel(f"px in {result.best_view}")
+
+
+def _factors(factor: float) -> tuple[Any, Any]:
+    return (lambda v: v * factor), (lambda v: v / factor)
+
+
+def _spectrum(axes: Any, result: SensorResult, unit: Unit) -> None:
+    spectrum = result.spectrum
+    for k in _told(result):
+        axes.semilogy(
+            spectrum.freqs_hz,
+            np.maximum(spectrum.amplitude[:, k] * unit.factor, 1e-12),
+            color=COLOURS[k],
+            lw=1.1,
+        )
+        axes.semilogy(
+            spectrum.freqs_hz, spectrum.floor[:, k] * unit.factor, color=COLOURS[k], lw=1, ls=(0, (4, 3))
+        )
+    lowest = min((float(spectrum.floor[0, k]) for k in _told(result)), default=1e-9) * unit.factor
+    top = max((float(spectrum.amplitude[:, k].max()) for k in _told(result)), default=1.0) * unit.factor
+    lowest = min(lowest, top) if lowest > 0 else top / 1e4
+    for peak, orbit in zip(spectrum.peaks, result.orbits, strict=True):
+        axes.annotate(
+            f"{peak.frequency_hz:.4g} Hz", (peak.frequency_hz, orbit.amplitude * unit.factor), fontsize=8,
+            ha="center", xytext=(0, 6), textcoords="offset points",
+        )  # fmt: skip
+    axes.set_ylim(lowest / 10, max(top, lowest) * 4)
+    axes.set(xlabel="frequency, Hz", ylabel=f"amplitude, {unit.name}", xlim=(0, spectrum.freqs_hz[-1]))
+    axes.set_title("dashed: noise floor; what lies under it is not told from noise", fontsize=8, loc="left")
+
+
+def _orbit(axes: Any, result: SensorResult, unit: Unit) -> None:
+    told = _told(result)
+    size = np.abs(result.displacement).max(0)
+    pair = sorted(sorted(told, key=lambda k: -size[k])[:2])
+    if len(pair) < 2:
+        axes.set_axis_off()
+        return
+    a, b = pair
+    axes.plot(
+        result.displacement[:, a] * unit.factor,
+        result.displacement[:, b] * unit.factor,
+        ".",
+        ms=3,
+        color="#777777",
+    )
+    turn = np.exp(2j * np.pi * np.arange(65) / 64)
+    for peak in result.spectrum.peaks[:3]:
+        axes.plot(
+            (peak.phasor[a] * turn).real * unit.factor, (peak.phasor[b] * turn).real * unit.factor, lw=1.3,
+            label=f"{peak.frequency_hz:.4g} Hz",
+        )  # fmt: skip
+    axes.set(xlabel=f"{result.labels[a]}, {unit.name}", ylabel=f"{result.labels[b]}, {unit.name}")
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_title("orbit", fontsize=8, loc="left")
+    if result.spectrum.peaks:
+        axes.legend(fontsize=7)

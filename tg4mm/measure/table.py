@@ -1,0 +1,71 @@
+"""What `tg4mm measure` prints: a line for every peak of every sensor, and what cannot be told."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tg4mm.measure.measurement import Measurement, SensorResult
+from tg4mm.measure.orbit import amplitude_deviation
+from tg4mm.measure.units import unit_of
+
+_HEAD = "sensor", "frequency, Hz", "amplitude", "in pixels", "direction", "phase, deg", "damping", ""
+
+
+def format_table(measurement: Measurement) -> str:
+    """A table, amplitudes zero to peak along each orbit's main axis; phases against the reference sensor."""
+    rows = [list(_HEAD)]
+    for result in measurement.sensors:
+        rows += _rows(measurement, result)
+    widths = [max(len(row[k]) for row in rows) for k in range(len(_HEAD))]
+    lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+    reference = f"phases against {measurement.reference}, where its peaks are; amplitudes zero to peak"
+    return "\n".join([*lines, "", reference, *(f"note: {note}" for note in measurement.notes)]) + "\n"
+
+
+def _rows(measurement: Measurement, result: SensorResult) -> list[list[str]]:
+    unit = unit_of(measurement, result)
+    out: list[list[str]] = []
+    for k, (peak, orbit) in enumerate(zip(result.spectrum.peaks, result.orbits, strict=True)):
+        error = amplitude_deviation(peak, orbit)
+        damping = result.damping[k]
+        out.append(
+            [
+                result.name if not out else "",
+                f"{peak.frequency_hz:.4g} ± {peak.frequency_deviation_hz:.1g}",
+                f"{orbit.amplitude * unit.factor:.4g} ± {error * unit.factor:.1g} {unit.name}",
+                f"{orbit.amplitude * result.px_per_unit:.3g} ± {error * result.px_per_unit:.1g} px",
+                direction_text(orbit.direction, result.labels),
+                phase_text(measurement, result, peak.frequency_hz),
+                "" if damping is None else f"{100 * damping.ratio:.2g} ± {100 * damping.deviation:.1g} %",
+                "" if peak.is_above.any() else "not above twice its deviation",
+            ]
+        )
+    if out:
+        return out
+    floor = result.spectrum.floor[0]
+    level = float(np.min(floor[np.isfinite(floor)], initial=np.inf))
+    told = f"under {level * unit.factor:.2g} {unit.name}, {level * result.px_per_unit:.2g} px"
+    return [[result.name, "none", told, "", "", "", "", "nothing above the noise floor"]]
+
+
+def direction_text(direction: np.ndarray, labels: tuple[str, str, str]) -> str:
+    """The main direction, for instance `+0.97 x  −0.24 z`: what is under a twentieth is left out."""
+    parts = [
+        f"{'+' if d > 0 else '−'}{abs(d):.2f} {label}"
+        for d, label in zip(direction, labels, strict=True)
+        if abs(d) >= 0.05
+    ]
+    return " ".join(parts)
+
+
+def phase_text(measurement: Measurement, result: SensorResult, frequency_hz: float) -> str:
+    """Against the reference at that frequency, if it is one of its peaks."""
+    if result.name == measurement.reference:
+        return "reference"
+    if result.relation is None:
+        return ""
+    resolution = 1 / measurement.prepared.observations.duration_s
+    for at in result.relation.phases:
+        if abs(at.frequency_hz - frequency_hz) < resolution / 2 and at.is_above:
+            return f"{np.degrees(at.phase):+.1f} ± {np.degrees(at.deviation):.1f}"
+    return ""

@@ -1,0 +1,222 @@
+"""Everything a measurement leaves in its folder: measure.json, tidy CSV, UFF, plots and animated pictures."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tg4mm.files import to_json, write_atomic, write_json
+from tg4mm.measure.errors import MeasureError
+from tg4mm.measure.measurement import Measurement, SensorResult
+from tg4mm.measure.orbit import amplitude_deviation
+from tg4mm.measure.series import Series
+from tg4mm.measure.units import unit_of
+
+MARK = "measure.json"
+
+
+def claim(out: Path) -> None:
+    """Make the folder. Raises MeasureError where it holds something that is no measurement."""
+    if out.exists() and not out.is_dir():
+        raise MeasureError(f"--out {out} is a file, expected a folder")
+    if out.is_dir() and any(out.iterdir()) and not (out / MARK).exists():
+        raise MeasureError(f"--out {out} is not empty and holds no {MARK}: choose another folder")
+    out.mkdir(parents=True, exist_ok=True)
+
+
+def file_name(name: str) -> str:
+    """A sensor's name as a part of a file's name."""
+    return re.sub(r"[^\w.+-]+", "_", name)
+
+
+def write_json_file(measurement: Measurement, out: Path) -> Path:
+    """OUT/measure.json (docs/measure.md); lengths in scene units, null for what is not observed."""
+    unit = unit_of(measurement)
+    value = {
+        "format": "tg4mm",
+        "kind": "measurement",
+        "version": 1,
+        "run": str(measurement.prepared.run.path),
+        "unit_scale_m": measurement.unit_scale_m,
+        "length_unit": "scene units",
+        "printed_unit": unit.name,
+        "reference": measurement.reference,
+        "notes": list(measurement.notes),
+        "clusters": {measurement.clusters.names[k]: len(v) for k, v in measurement.clusters.members.items()},
+        "shapes": [
+            {"frequency_hz": s.frequency_hz, "gaussians_above_floor": int(s.is_above.sum())}
+            for s in measurement.shapes
+        ],
+        "sensors": [_sensor(r) for r in measurement.sensors],
+    }
+    path = out / MARK
+    write_json(path, to_json(value, MARK))
+    return path
+
+
+def _sensor(result: SensorResult) -> dict[str, Any]:
+    body, series = result.body, result.clips or (result.series,)
+    return {
+        "name": result.name,
+        "region": str(result.sensor).partition("=")[2],
+        "gaussians": int((body.weights > 0).sum()),
+        "centre": body.centre.tolist(),
+        "radius": body.radius,
+        "axes": dict(zip(result.labels, result.axes.tolist(), strict=True)),
+        "px_per_unit": result.px_per_unit,
+        "best_view": result.best_view,
+        "series": [_series(s) for s in series],
+        "spectrum": {
+            "window": result.spectrum.window,
+            "step_hz": float(result.spectrum.freqs_hz[1]),
+            "amplitude": _plain(result.spectrum.amplitude),
+            "floor": _plain(result.spectrum.floor[0]),
+        },
+        "peaks": [_peak(result, k) for k in range(len(result.spectrum.peaks))],
+        "relation": _relation(result),
+    }
+
+
+def _series(series: Series) -> dict[str, Any]:
+    return {
+        "clock": series.clock,
+        "times_s": series.times_s.tolist(),
+        "displacement": _plain(series.displacement),
+        "deviation": _plain(series.deviation),
+        "noise": _plain(series.noise[0]),
+        "model_share": series.model_share.tolist(),
+        "is_observed": [bool(b) for b in series.is_observed],
+        "rotation_rad": None if series.rotation is None else _plain(series.rotation),
+        "rotation_deviation_rad": None
+        if series.rotation_deviation is None
+        else _plain(series.rotation_deviation),
+    }
+
+
+def _peak(result: SensorResult, k: int) -> dict[str, Any]:
+    peak, orbit, damping = result.spectrum.peaks[k], result.orbits[k], result.damping[k]
+    return {
+        "frequency_hz": peak.frequency_hz,
+        "frequency_deviation_hz": peak.frequency_deviation_hz,
+        "amplitude": peak.amplitude.tolist(),
+        "deviation": _plain(peak.deviation),
+        "phase_rad": np.angle(peak.phasor).tolist(),
+        "floor": _plain(peak.floor),
+        "is_above": [bool(b) for b in peak.is_above],
+        "main_amplitude": orbit.amplitude,
+        "main_deviation": amplitude_deviation(peak, orbit),
+        "main_direction": orbit.direction.tolist(),
+        "orbit": {"major": orbit.major.tolist(), "minor": orbit.minor.tolist(), "phase_rad": orbit.phase},
+        "damping_ratio": None if damping is None else damping.ratio,
+        "damping_deviation": None if damping is None else damping.deviation,
+    }
+
+
+def _relation(result: SensorResult) -> dict[str, Any] | None:
+    own = result.relation
+    if own is None:
+        return None
+    return {
+        "reference": own.reference,
+        "phases": [
+            {"frequency_hz": p.frequency_hz, "amplitude": p.amplitude, "phase_rad": p.phase,
+             "deviation_rad": p.deviation, "is_above": p.is_above}
+            for p in own.phases
+        ],
+        "coherence_hz": own.freqs_hz.tolist(),
+        "coherence": own.coherence.tolist(),
+        "segments": own.segments,
+        "chance": own.chance,
+    }  # fmt: skip
+
+
+def _plain(values: np.ndarray) -> list[Any]:
+    """Lists with None for what is not finite, six significant digits."""
+    if values.ndim > 1:
+        return [_plain(v) for v in values]
+    return [float(f"{v:.6g}") if np.isfinite(v) else None for v in values]
+
+
+def write_csv_files(measurement: Measurement, out: Path) -> list[Path]:
+    """OUT/series.csv, spectra.csv and peaks.csv: tidy, one value of one axis a row, units in the header."""
+    unit = unit_of(measurement)
+    u = unit.column
+    head = "sensor", "clock", "time_s", "axis", f"displacement_{u}", f"deviation_{u}", f"velocity_{u}_per_s"
+    series = _written(out / "series.csv", [*head, f"acceleration_{u}_per_s2"], _series_rows(measurement))
+    spectra = _written(
+        out / "spectra.csv",
+        ["sensor", "axis", "frequency_hz", f"amplitude_{u}", f"floor_{u}"],
+        _spectrum_rows(measurement),
+    )
+    names = [
+        "sensor",
+        "axis",
+        "frequency_hz",
+        "frequency_deviation_hz",
+        f"amplitude_{u}",
+        f"deviation_{u}",
+        "phase_rad",
+    ]
+    peaks = _written(
+        out / "peaks.csv", [*names, f"floor_{u}", "is_above", "damping_ratio"], _peak_rows(measurement)
+    )
+    return [series, spectra, peaks]
+
+
+def _series_rows(measurement: Measurement) -> Iterable[Sequence[Any]]:
+    for result in measurement.sensors:
+        factor = unit_of(measurement, result).factor
+        for series in result.clips or (result.series,):
+            own = result.derivatives if series is result.series else None
+            for t, time in enumerate(series.times_s):
+                for k, label in enumerate(series.labels):
+                    of_time = (None, None) if own is None else (own.velocity[t, k], own.acceleration[t, k])
+                    values = series.displacement[t, k], series.deviation[t, k], *of_time
+                    yield (
+                        result.name,
+                        series.clock,
+                        f"{time:.6f}",
+                        label,
+                        *(_number(v, factor) for v in values),
+                    )
+
+
+def _spectrum_rows(measurement: Measurement) -> Iterable[Sequence[Any]]:
+    for result in measurement.sensors:
+        factor, spectrum = unit_of(measurement, result).factor, result.spectrum
+        for f, hz in enumerate(spectrum.freqs_hz):
+            for k, label in enumerate(result.labels):
+                values = spectrum.amplitude[f, k], spectrum.floor[f, k]
+                yield result.name, label, f"{hz:.6g}", *(_number(v, factor) for v in values)
+
+
+def _peak_rows(measurement: Measurement) -> Iterable[Sequence[Any]]:
+    for result in measurement.sensors:
+        factor = unit_of(measurement, result).factor
+        for peak, damping in zip(result.spectrum.peaks, result.damping, strict=True):
+            hz = f"{peak.frequency_hz:.6g}", f"{peak.frequency_deviation_hz:.3g}"
+            for k, label in enumerate(result.labels):
+                values = _number(peak.amplitude[k], factor), _number(peak.deviation[k], factor)
+                phase, floor = f"{np.angle(peak.phasor[k]):.6g}", _number(peak.floor[k], factor)
+                zeta = "" if damping is None else f"{damping.ratio:.4g}"
+                yield result.name, label, *hz, *values, phase, floor, int(peak.is_above[k]), zeta
+
+
+def _number(value: float | None, factor: float) -> str:
+    """Six digits; empty where there is none, inf where nothing is observed."""
+    return "" if value is None else f"{value * factor:.6g}"
+
+
+def _written(path: Path, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> Path:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(head)
+    writer.writerows(rows)
+    write_atomic(path, lambda temporary: temporary.write_text(text.getvalue(), encoding="utf-8"))
+    return path
