@@ -51,6 +51,9 @@ class App:
         self._panel = Panel(self.server, session)
         self._cameras = CameraPanel(self.server, session, self._panel.view)
         self._pixel = PixelPanel(self.server, session)
+        with self._panel.view:
+            dark = self.server.gui.add_checkbox("Dark page", False, hint="The scene stays over white.")
+        dark.on_update(lambda _: self._theme(dark=bool(dark.value)))
         SavePanel(self.server, session, folder, canvas_of)
         self._listen()
         self._thread = threading.Thread(target=self._draw, daemon=True)
@@ -58,10 +61,15 @@ class App:
 
     def _dress(self) -> None:
         gui = self.server.gui
-        gui.configure_theme(show_logo=False, show_share_button=False, brand_color=ACCENT_RGB)
+        self._theme(dark=False)
         gui.set_panel_label(f"tg4mm view: {self._session.scene.path.resolve().name}")
         gui.main_panel.dock_right()
         gui.main_panel.set_width(_PANEL)
+
+    def _theme(self, dark: bool) -> None:
+        self.server.gui.configure_theme(
+            dark_mode=dark, show_logo=False, show_share_button=False, brand_color=ACCENT_RGB
+        )
 
     def _listen(self) -> None:
         server = self.server
