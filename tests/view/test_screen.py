@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
+from tg4mm.runs import Run
 from tg4mm.view.clock import Clock
 from tg4mm.view.pace import Pace
 from tg4mm.view.painter import Look
+from tg4mm.view.scene import open_scene
 from tg4mm.view.screen import Canvas, Screen
 from tg4mm.view.session import Session
 
@@ -55,9 +57,21 @@ def test_playing_draws_again_and_again(screen, session, sent):
     assert np.abs(sent[0][0].astype(int).mean() - 255) > 0.5  # something is in view
 
 
-def test_a_session_at_rest_stays_still(still_run, sent):
-    from tg4mm.view.scene import open_scene
+def test_a_run_without_frequencies_is_shown_and_says_so(run, tmp_path, sent):
+    made = Run.create(tmp_path / "run", run.dataset, "modal", {})
+    made.save_space(run.load_space(), {})
+    made.save_motion(run.load_motion().selected(np.zeros(2, bool)), {})
+    opened = open_scene(made)
+    assert opened.notes == ("No frequency was found in this run: there is nothing to magnify.",)
+    assert opened.duration == 0
+    assert opened.alpha_to_see() == 0
+    session = Session(opened, Look(20.0), Clock(opened.duration, playing=True))
+    screen = Screen(session, lambda picture, quality: sent.append(picture))
+    assert screen.refresh(CANVAS, 0.0)
+    assert sent[0].min() < 200
 
+
+def test_a_session_at_rest_stays_still(still_run, sent):
     session = Session(open_scene(still_run), Look(), Clock(0.0, playing=True))
     screen = Screen(session, lambda picture, quality: sent.append(picture))
     assert [screen.refresh(CANVAS, t) for t in (0.0, 1.0, 2.0)] == [True, True, False]

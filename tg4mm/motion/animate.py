@@ -105,14 +105,15 @@ def animator(
         )
     shapes = None if motion.appearance is None else torch.from_numpy(motion.appearance.shapes).to(device)
     phasors, mixing = _phasors_on(device, motion), None
-    if packed:
+    if packed and len(phasors):
         mixing, phasors = _few_fields(phasors, len(gaussians))
     return partial(_animate_on_device, gaussians, motion, phasors, appearance_fields=shapes, mixing=mixing)
 
 
 def _phasors_on(device: torch.device, motion: ModalMotion) -> Tensor:
     """[2K, 6N] float32: real parts, then negated imaginary parts, of displacement and rotation."""
-    both = np.concatenate([motion.displacement, motion.rotation], 2).reshape(len(motion.freqs_hz), -1)
+    both = np.concatenate([motion.displacement, motion.rotation], 2)
+    both = both.reshape(len(both), 6 * both.shape[1])
     return torch.from_numpy(np.concatenate([both.real, -both.imag]).astype(np.float32)).to(device)
 
 

@@ -42,7 +42,9 @@ class Scene:
     @property
     def duration(self) -> float:
         """Seconds of the capture; 0 where nothing moves."""
-        return 0.0 if self.motion is None else self.motion.n_timesteps / self.motion.fps
+        if self.motion is None or not len(self.frequencies):
+            return 0.0
+        return self.motion.n_timesteps / self.motion.fps
 
     @property
     def frequencies(self) -> np.ndarray:
@@ -96,7 +98,11 @@ def open_scene(run: Run) -> Scene:
     Without the dataset there are no cameras to jump to, and its scale is unknown; a note says so.
     """
     gaussians, motion = run.load_space(), run.load_motion()
-    notes = [] if motion is not None else ["This run has no motion: the scene is shown at rest."]
+    notes = []
+    if motion is None:
+        notes.append("This run has no motion: the scene is shown at rest.")
+    elif not motion.is_magnified().any():
+        notes.append("No frequency was found in this run: there is nothing to magnify.")
     capture = None
     try:
         capture = load_capture(run.dataset)
