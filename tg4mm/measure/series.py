@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal.windows import blackmanharris
 
 from tg4mm.measure.rigid import Equations
 
@@ -72,7 +73,13 @@ def series_of(
     whole, variance = _solved(equations.normals.sum(0), equations.sides.sum(0), dof)
     out = _without(whole, slow)
     difference = _without(answers[0][0] - answers[1][0], slow)
-    free = len(out) / max(len(out) - 1 - (0 if slow is None else len(slow) - 1), 1)
+    # What goes with the motion is an error of the model in each half, not noise: it must not lift the floor.
+    along = np.linalg.lstsq(out[:, :3], difference, rcond=None)[0]
+    of_motion = out[:, :3] @ along
+    difference = difference - of_motion
+    size = float(np.sqrt((out[:, :3] ** 2).sum(1).mean()))
+    share = np.sqrt((of_motion[:, :3] ** 2).mean(0)) / 2 / max(size, 1e-300)
+    free = len(out) / max(len(out) - 4 - (0 if slow is None else len(slow) - 1), 1)
     # Two halves with errors e₁, e₂ of their own: the difference's variance is the sum of theirs.
     expected = answers[0][1] + answers[1][1]
     factor = _ratio(difference**2, expected) * free
@@ -83,7 +90,7 @@ def series_of(
     turns = (out[:, 3:] / radius, deviation[:, 3:] / radius) if dof == 6 else (None, None)
     return Series(
         clock, times_s, out[:, :3], deviation[:, :3], deviation[:, :3], axes, labels, turns[0], turns[1],
-        variance[:, :3].mean(0), factor[:3], np.zeros(3),
+        variance[:, :3].mean(0), factor[:3], share,
     )  # fmt: skip
 
 
@@ -131,6 +138,6 @@ def _floor_factor(answer: np.ndarray, variance: np.ndarray) -> np.ndarray:
     if len(answer) < _FEWEST:
         return np.zeros(answer.shape[1])
     scaled = answer / np.sqrt(np.where(np.isfinite(variance) & (variance > 0), variance, np.inf))
-    window = np.hanning(len(answer) + 1)[:-1][:, None]
+    window = blackmanharris(len(answer), sym=False)[:, None]  # whose side lobes no strong tone fills
     power = np.abs(np.fft.rfft((scaled - scaled.mean(0)) * window, axis=0))[2:-1] ** 2
     return np.asarray(np.quantile(power, 0.25, axis=0) / _QUARTILE / (window**2).sum())
