@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -52,14 +52,26 @@ def write_mp4(
         raise ValueError(f"frames are {frames[0].dtype}, expected uint8")
     path.parent.mkdir(parents=True, exist_ok=True)
     prepared = [even_size(frame) for frame in frames] * loops
-    write_atomic(path, lambda temporary: _encode(temporary, prepared, fps, scale, quality))
+    size = prepared[0].shape[1], prepared[0].shape[0]
+    write_atomic(path, lambda temporary: _encode(temporary, prepared, size, fps, scale, quality))
 
 
-def _encode(path: Path, frames: Sequence[np.ndarray], fps: float, scale: int, quality: int) -> None:
+def stream_mp4(path: Path, frames: Iterable[np.ndarray], size: tuple[int, int], fps: float) -> None:
+    """`write_mp4` of pictures that are made one after another, all of `size` (width, height), even pixels."""
+    check_rate(fps)
+    if size[0] % 2 or size[1] % 2:
+        raise ValueError(f"size is {size[0]}×{size[1]}, expected even numbers")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomic(path, lambda temporary: _encode(temporary, frames, size, fps, 1, 17))
+
+
+def _encode(
+    path: Path, frames: Iterable[np.ndarray], size: tuple[int, int], fps: float, scale: int, quality: int
+) -> None:
     import imageio_ffmpeg
 
-    height, width = frames[0].shape[:2]
-    size = f"scale={width * scale}:{height * scale}:flags=bicubic:out_color_matrix=bt709:out_range=tv"
+    width, height = size
+    filters = f"scale={width * scale}:{height * scale}:flags=bicubic:out_color_matrix=bt709:out_range=tv"
     writer = imageio_ffmpeg.write_frames(
         str(path),
         (width, height),
@@ -71,7 +83,7 @@ def _encode(path: Path, frames: Sequence[np.ndarray], fps: float, scale: int, qu
         quality=None,
         ffmpeg_log_level="error",
         output_params=[
-            *("-vf", size, "-crf", str(quality), "-preset", "slow", "-movflags", "+faststart"),
+            *("-vf", filters, "-crf", str(quality), "-preset", "slow", "-movflags", "+faststart"),
             *("-f", "mp4"),  # the temporary name does not say so
             *("-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709"),
             *("-threads", "2"),
