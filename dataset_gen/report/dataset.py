@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import re
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +13,8 @@ import numpy as np
 from tg4mm.capture.confine import inside
 from tg4mm.capture.decode import decode
 from tg4mm.errors import CaptureError
+from tg4mm.evaluate.truth_file import TRUTH_FILE, load_truth
+from tg4mm.untrusted import read_json
 
 from ..cameras import focal_length
 from ..colour import straight, to_display
@@ -135,7 +135,7 @@ def read_dataset(root: Path) -> Dataset:
     if not folders:
         raise GenerateError(f"{root}: holds no timestep folders 000, 001, …")
     views = {split: [v for folder in folders for v in _views(root, folder, split)] for split in SPLITS}
-    motion = _motion(root / "truth/motion.npz", len(folders), float(fps))
+    motion = _motion(root, len(folders), float(fps))
     alphas = tuple(a for a in scene.get("alphas") or () if isinstance(a, int | float))
     return Dataset(
         root=root,
@@ -207,7 +207,7 @@ def _view(root: Path, path: Path, split: str, record: dict[str, Any]) -> View:
 
 def _json(path: Path) -> dict[str, Any]:
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = read_json(path)
     except (OSError, ValueError) as error:
         raise GenerateError(f"{path}: cannot be read: {error}") from error
     if not isinstance(data, dict):
@@ -215,29 +215,20 @@ def _json(path: Path) -> dict[str, Any]:
     return data
 
 
-def _motion(path: Path, n_timesteps: int, fps: float) -> MotionTruth | None:
-    if not path.is_file():
+def _motion(root: Path, n_timesteps: int, fps: float) -> MotionTruth | None:
+    if not (root / TRUTH_FILE).is_file():
         return None
     try:
-        with np.load(path, allow_pickle=False) as data:
-            names = [str(name) for name in data["objects"]]
-            frequencies = np.asarray(data["frequencies_hz"], np.float64)
-            bodies = [
-                Body(name, *(np.asarray(data[f"{array}_{i}"]) for array in ("rest", "faces", "mode")))
-                for i, name in enumerate(names)
-            ]
-            gains = np.asarray(data["gains"]).T if "gains" in data.files else None
-            magnified = data["magnified"] if "magnified" in data.files else np.ones(len(frequencies), bool)
-    except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
-        raise GenerateError(f"{path}: cannot be read: {error}") from error
+        truth = load_truth(root, fps, n_timesteps)
+    except CaptureError as error:
+        raise GenerateError(str(error)) from error
+    gains, magnified = truth.gains, truth.magnified
     if gains is None:
-        turns = np.outer(np.arange(n_timesteps), frequencies) / fps
-        gains = np.exp(2j * np.pi * turns)
-    if gains.shape != (n_timesteps, len(frequencies)):
-        raise GenerateError(
-            f"{path}: gains have shape {gains.shape}, expected {(n_timesteps, len(frequencies))}"
-        )
-    return MotionTruth(frequencies, gains, tuple(bodies), magnified)
+        gains = np.exp(2j * np.pi * np.outer(truth.freqs_hz, np.arange(n_timesteps)) / fps)
+    if magnified is None:
+        magnified = np.ones(len(truth.freqs_hz), bool)
+    bodies = tuple(Body(one.name, one.rest, one.faces, one.modes) for one in truth.objects)
+    return MotionTruth(truth.freqs_hz, gains.T, bodies, magnified)
 
 
 def evenly(items: Sequence[Any], most: int) -> list[Any]:

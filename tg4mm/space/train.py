@@ -19,7 +19,7 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.memory import peak_memory_mib
 from tg4mm.progress import progress
 from tg4mm.runs import Run
-from tg4mm.space.checkpoint import check_checkpoint, pictures_digest, sealed
+from tg4mm.space.checkpoint import check_checkpoint, pictures_digest
 from tg4mm.space.config import SpaceConfig
 from tg4mm.space.density import control_density, growth, is_due
 from tg4mm.space.fused import FusedAdam, Iteration
@@ -88,9 +88,7 @@ class _Fit:
     def save(self, run: Run, extent: float, pictures: str) -> None:
         tensors = self.tensors()
         state = {"iteration": self.iteration, "order": self.order, "psnr": float(self.psnr)}
-        run.save_checkpoint(
-            _STAGE, tensors, sealed(tensors, state | {"extent": extent, "pictures": pictures})
-        )
+        run.save_checkpoint(_STAGE, tensors, state | {"extent": extent, "pictures": pictures})
 
 
 def _draws(generator: torch.Generator, device: str, state: Tensor | None = None) -> torch.Generator:
