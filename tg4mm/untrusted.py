@@ -27,16 +27,17 @@ DEFLATE = 1032  # bytes, at most, that one byte packed by zlib stands for (zlib'
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
-def read_json(path: Path, most: int = JSON_BYTES) -> Any:
+def read_json(path: Path, most: int = JSON_BYTES, finite: bool = False) -> Any:
     """The data of a JSON file in UTF-8. Raises ValueError as `parse_json` does, and OSError."""
-    return parse_json(_text(path, most), most)
+    return parse_json(_text(path, most), most, finite)
 
 
-def parse_json(text: str | bytes, most: int = JSON_BYTES) -> Any:
+def parse_json(text: str | bytes, most: int = JSON_BYTES, finite: bool = False) -> Any:
     """The data of a JSON text.
 
     Raises ValueError for a text that is longer than `most` or no JSON, has a key twice (the second would silently
-    win), is nested deeper than DEPTH, or holds a whole number past DIGITS or half a surrogate pair.
+    win), is nested deeper than DEPTH, or holds a whole number past DIGITS or half a surrogate pair; with `finite`,
+    for NaN and infinity as well, which programs write into JSON though it has none.
     """
     if len(text) > most:
         raise ValueError(f"has more than {most} bytes")
@@ -46,7 +47,7 @@ def parse_json(text: str | bytes, most: int = JSON_BYTES) -> Any:
         raise ValueError(_DEEP) from None
     except json.JSONDecodeError as error:
         raise ValueError(f"line {error.lineno} is not JSON: {error.msg}") from None
-    _check_values(value, math.inf)
+    _check_values(value, math.inf, finite)
     return value
 
 
@@ -130,16 +131,16 @@ def _without_repeats(pairs: list[tuple[Any, Any]]) -> dict[str, Any]:
     return found
 
 
-def _check_values(value: Any, most: float) -> None:
+def _check_values(value: Any, most: float, finite: bool = False) -> None:
     """Level by level, so that neither depth nor aliases cost more than they are allowed."""
     level, depth, seen = [value], 0, 0
     while level:
         seen, below = seen + len(level), []
         if seen > most:
             raise ValueError(f"stands for more than {most} values")
-        if depth > DEPTH:
-            raise ValueError(_DEEP)
         for item in level:
+            if depth >= DEPTH and isinstance(item, dict | list):
+                raise ValueError(_DEEP)
             if isinstance(item, dict):
                 below += [*item, *item.values()]
             elif isinstance(item, list):
@@ -148,6 +149,8 @@ def _check_values(value: Any, most: float) -> None:
                 _check_text(item)
             elif isinstance(item, int) and abs(item) >= 10**DIGITS:  # YAML's; JSON's were counted as text
                 raise ValueError(f"holds a whole number of more than {DIGITS} digits")
+            elif finite and isinstance(item, float) and not math.isfinite(item):
+                raise ValueError(f"holds {item}, which is no finite number")
         level, depth = below, depth + 1
 
 

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+MOST_ITERATIONS = 100_000_000  # a year of them
+MOST_GAUSSIANS = 100_000_000  # what a run of 20 GB holds
+
 
 @dataclass(frozen=True)
 class SpaceConfig:
