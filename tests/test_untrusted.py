@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
 import struct
@@ -100,10 +101,8 @@ class TestYaml:
     def test_the_longest_is_read_or_refused_in_seconds(self, line: str) -> None:
         began = time.monotonic()
         text = (line * (64 << 10))[: 64 << 10]
-        try:
+        with contextlib.suppress(ValueError):
             parse_yaml(text)
-        except ValueError:
-            pass
         assert time.monotonic() - began < 5
 
 

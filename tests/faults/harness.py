@@ -100,7 +100,7 @@ def _answers(name: str, start: int, count: int, seed: int) -> Iterator[dict[str,
     with os.fdopen(out, "rb", buffering=0) as channel:
         while True:
             ready, _, _ = select.select(
-                [channel], [], [], LIMIT_S + 40.0 * (index == start)
+                [channel], [], [], FIRST_S if index == start else LIMIT_S
             )  # the first one imports
             silent = not ready
             data = channel.read(1 << 16) if ready else b""
