@@ -64,7 +64,7 @@ def _other_array(array: np.ndarray, rng: random.Random) -> np.ndarray | None:
     flat, what = array.reshape(-1), rng.randrange(9)
     if what == 0:
         return None
-    if what == 1:
+    if what == 1 and array.dtype.kind in "fiucb":
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # complex to real
             return array.astype(

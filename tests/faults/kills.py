@@ -15,6 +15,7 @@ import signal
 import sys
 import tempfile
 import time
+import traceback
 from collections.abc import Callable
 from pathlib import Path
 
@@ -37,16 +38,22 @@ SETTINGS: dict[str, dict[str, str]] = {
 _REPLACE = os.replace
 
 
-def in_child(work: Callable[[], object], kill_after_s: float | None = None) -> int:
-    """The wait status of a forked process that did the work, killed after some seconds."""
+def in_child(work: Callable[[], object], said: Path, kill_after_s: float | None = None) -> int:
+    """The wait status of a forked process that did the work, killed after some seconds. What it says goes to a file."""
     child = os.fork()
     if child == 0:
         status = 1
-        try:
-            work()
-            status = 0
-        finally:
-            os._exit(status)
+        with said.open("w") as file:
+            os.dup2(file.fileno(), 1)
+            os.dup2(file.fileno(), 2)
+            try:
+                work()
+                status = 0
+            except BaseException:
+                traceback.print_exc()
+            finally:
+                sys.stderr.flush()
+                os._exit(status)
     if kill_after_s is not None:
         end = time.monotonic() + kill_after_s
         while time.monotonic() < end:
@@ -63,6 +70,7 @@ class Trial:
 
     def __init__(self, root: Path, preset: str) -> None:
         self.root, self.preset, self.data = root, preset, root / "sway_5Hz_0_03"
+        self.said = root / "said.txt"
         self._must(lambda: make_synthetic_dataset(
             self.data, n_views=3, n_timesteps=6, size=24, freqs=(5.0,), amplitude=0.03, alphas=(), n_test=0
         ))  # fmt: skip
@@ -73,8 +81,8 @@ class Trial:
         self.expected = self.content("undisturbed")
 
     def _must(self, work: Callable[[], object]) -> None:
-        if in_child(work):
-            raise RuntimeError("a process that nobody killed has failed; its message stands above")
+        if in_child(work, self.said):
+            raise AssertionError(f"a process that nobody killed has failed: {self.said.read_text()[-2000:]}")
 
     def train(self, name: str) -> None:
         for module in (tg4mm.space.train, tg4mm.paper.space, tg4mm.paper.motion):
@@ -117,7 +125,7 @@ class Trial:
             name, number = f"random_{number}", number + 1
             moments = [rng.uniform(0.0, 1.1 * self.seconds) for _ in range(rng.randint(1, 5))]
             for moment in moments:
-                struck += os.WIFSIGNALED(in_child(lambda n=name: self.train(n), moment))  # type: ignore[misc]
+                struck += os.WIFSIGNALED(in_child(lambda n=name: self.train(n), self.said, moment))  # type: ignore[misc]
             self.check(name, f"killed after {', '.join(f'{m:.3f} s' for m in moments)}")
         return struck
 
@@ -125,7 +133,7 @@ class Trial:
         """A kill after the first rename of a run, after the second of another, and so on. Returns how many."""
         for n in range(1, most + 1):
             name = f"rename_{n}"
-            if not os.WIFSIGNALED(in_child(lambda: self.train_until_rename(name, n))):  # noqa: B023
+            if not os.WIFSIGNALED(in_child(lambda: self.train_until_rename(name, n), self.said)):  # noqa: B023
                 return n - 1
             self.check(name, f"killed after rename {n}")
         return most
