@@ -123,7 +123,8 @@ def _read_all(name: str, numbers: range, seed: int, channel) -> None:
     reader = READERS[name]
     warnings.simplefilter("ignore")
     with tempfile.TemporaryDirectory(prefix="tg4mm-faults-") as scratch, open(os.devnull, "w") as null:
-        os.dup2(null.fileno(), 2)  # libraries complain there
+        os.dup2(null.fileno(), 1)  # libraries complain there
+        os.dup2(null.fileno(), 2)
         root = Path(scratch)
         file = reader.make(root)
         sample = file.read_bytes()
