@@ -168,6 +168,15 @@ class TestNpz:
         path = npz(tmp_path / "a.npz", a=data)
         refused(lambda: read_npz(path), "its header says float64")
 
+    @pytest.mark.parametrize("code", [0x110000, 0xFFFFFFFF, 0xD800])
+    @pytest.mark.parametrize("order", "<>")
+    def test_text_that_is_no_unicode_is_refused(self, tmp_path: Path, code: int, order: str) -> None:
+        text = np.array(["a", "bc"], f"{order}U2")
+        assert read_npz(npz(tmp_path / "a.npz", a=npy(text)))["a"].tolist() == ["a", "bc"]
+        text.view(f"{order}u4")[1] = code
+        path = npz(tmp_path / "a.npz", a=npy(text))
+        refused(lambda: read_npz(path), "a text that is not Unicode")
+
     def test_what_is_no_archive_is_refused(self, tmp_path: Path) -> None:
         (tmp_path / "a.npz").write_bytes(b"PK\x03\x04 and no more")
         refused(lambda: read_npz(tmp_path / "a.npz"), "not a zip file")

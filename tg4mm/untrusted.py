@@ -227,6 +227,10 @@ def _array(data: bytes) -> np.ndarray:
     if dtype.itemsize == 0:
         return np.zeros(shape, dtype)
     flat = np.frombuffer(data, dtype, offset=start)
+    if dtype.kind == "U":
+        codes = flat.view(np.dtype(np.uint32).newbyteorder(dtype.byteorder))
+        if ((codes > 0x10FFFF) | ((codes >= 0xD800) & (codes < 0xE000))).any():
+            raise ValueError("an array holds a text that is not Unicode")
     return flat.reshape(shape, order="F" if fortran else "C")
 
 

@@ -122,6 +122,7 @@ def _answers(name: str, start: int, count: int, seed: int) -> Iterator[dict[str,
 def _read_all(name: str, numbers: range, seed: int, channel) -> None:
     reader = READERS[name]
     warnings.simplefilter("ignore")
+    tempfile.tempdir = "/dev/shm" if Path("/dev/shm").is_dir() else None  # files of milliseconds need no disk
     with tempfile.TemporaryDirectory(prefix="tg4mm-faults-") as scratch, open(os.devnull, "w") as null:
         os.dup2(null.fileno(), 1)  # libraries complain there
         os.dup2(null.fileno(), 2)
@@ -163,12 +164,13 @@ def _outcome(reader: Reader, root: Path) -> str:
 
 
 def _listing(root: Path, file: Path) -> list[tuple[str, int]]:
-    """Names, and sizes but the mutated file's."""
-    found = [p for p in root.rglob("*") if p.is_file()]
-    return sorted(
-        (str(p.relative_to(root)), -1 if p == file or p.name == "log.json" else p.stat().st_size)
-        for p in found
-    )
+    """Names, and sizes but the mutated file's and the log's, which reading a run writes."""
+    found = []
+    for folder, _, names in os.walk(root):
+        for path in (os.path.join(folder, name) for name in names):
+            known = path != str(file) and not path.endswith("log.json")
+            found.append((path, os.stat(path).st_size if known else -1))
+    return sorted(found)
 
 
 def _printed(name: str, tally: Tally, seconds: float) -> str:

@@ -16,6 +16,7 @@ from typing import Any
 Mutation = Callable[[bytes, random.Random], bytes]
 
 WHOLE = (0, 1, -1, 127, 255, 1 << 15, (1 << 31) - 1, 1 << 31, (1 << 32) - 1, (1 << 63) - 1, 10**9)
+_PRINTED = 10**4000  # a larger number Python does not turn into text
 DEEP, ENDLESS, TWICE = "\ue000deep", "\ue000endless", "\ue000twice"  # markers, replaced in the text
 VALUES: tuple[Any, ...] = (
     *(None, True, False, 0, 1, -1, 0.5, -0.0, 1e-320, 1e308, 10**9, 10**12, 2**63, 10**400, 10**4500),
@@ -144,7 +145,7 @@ def written(value: Any) -> bytes:
 
 
 def _long(value: Any) -> bool:
-    return any(isinstance(v, int) and abs(v) > 10**4000 for h in [[value], *_holders(value)] for v in
+    return any(isinstance(v, int) and abs(v) > _PRINTED for h in [[value], *_holders(value)] for v in
                (h.values() if isinstance(h, dict) else h))  # fmt: skip
 
 
@@ -154,7 +155,7 @@ def _dumped(value: Any) -> str:
         return "{" + ", ".join(f"{json.dumps(k)}: {_dumped(v)}" for k, v in value.items()) + "}"
     if isinstance(value, list):
         return "[" + ", ".join(_dumped(v) for v in value) + "]"
-    if isinstance(value, int) and not isinstance(value, bool) and abs(value) > 10**4000:
+    if isinstance(value, int) and not isinstance(value, bool) and abs(value) > _PRINTED:
         return "1" + "0" * 4500
     return json.dumps(value)
 

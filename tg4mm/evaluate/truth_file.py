@@ -92,7 +92,7 @@ def _object(file: Path, arrays: dict[str, np.ndarray], i: int, name: str, n_mode
     )
     if faces.size and not 0 <= faces.min() <= faces.max() < len(rest):
         span = f"{faces.min()} to {faces.max()}, expected 0 to {len(rest) - 1}"
-        raise CaptureError(f"{file}: faces_{i} ({name}) has vertices {span}")
+        raise CaptureError(f"{file}: faces_{i} ({name!r}) has vertices {span}")
     return TruthObject(name, rest, faces, modes)
 
 
