@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -111,8 +112,11 @@ def _read(clip: Clip, folder: Path, record: dict[str, Any]) -> Survey:
     sharpness = np.array(record["sharpness"], np.float64)
     shifts = [[np.nan if x is None else x for x in row] for row in record["shifts_px"]]
     shifts_px = np.array(shifts, np.float64).reshape(len(sharpness), 2)
-    if times is not None and len(times) != len(sharpness):
-        raise ValueError(f"{len(times)} times of {len(sharpness)} pictures")
+    moments = None if times is None else tuple(Fraction(time) for time in times)
+    if moments is not None and len(moments) != len(sharpness):
+        raise ValueError(f"{len(moments)} times of {len(sharpness)} pictures")
+    if moments is not None and any(b <= a for a, b in pairwise(moments)):
+        raise ValueError("times that do not go forward")
     if sharpness.ndim != 1 or not np.isfinite(sharpness).all() or np.isinf(shifts_px).any():
         raise ValueError("a number that is not finite")
     found = Record(clip.name, record)
@@ -122,7 +126,7 @@ def _read(clip: Clip, folder: Path, record: dict[str, Any]) -> Survey:
         mean=folder / f"{clip.name}.png",
         size=(found.whole("width", 1), found.whole("height", 1)),
         fps=None if fps is None else _positive(Fraction(fps)),
-        times=None if times is None else tuple(Fraction(time) for time in times),
+        times=moments,
         shifts_px=shifts_px,
         sharpness=sharpness,
         created_s=found.number("created_s") if found.has("created_s") else None,
