@@ -123,7 +123,8 @@ def load_model(run: Run) -> PaperModel:
     ]
     if missing:
         raise RunError(f"{file} has no tensor {missing[0]}")
-    wrong = [k for k, v in tensors.items() if v.dtype != (torch.float64 if k == "box" else torch.float32)]
+    used = {k: v.dtype for k, v in tensors.items() if k in _OWN or k.startswith(("base.", "decoder."))}
+    wrong = [k for k, v in used.items() if v != (torch.float64 if k == "box" else torch.float32)]
     if wrong:
         raise RunError(f"{file}: {wrong[0]} is {tensors[wrong[0]].dtype}, expected float32 (box: float64)")
     planes, points = tensors["planes"], tensors["points"]
