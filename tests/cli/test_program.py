@@ -15,7 +15,7 @@ import pytest
 from tg4mm import __version__
 
 ROOT = Path(__file__).resolve().parents[2]
-COMMANDS = ("demo", "generate", "train", "render", "evaluate", "export", "sfm", "bench")
+COMMANDS = ("demo", "generate", "train", "render", "evaluate", "measure", "view", "export", "sfm", "bench")
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "100", "NO_COLOR": "1"}
 
 
