@@ -1,4 +1,4 @@
-# demo, test, test-all, lint, extension, clean. Each sets up .venv first; the second time that costs nothing.
+# demo, test, test-all, test-faults, lint, extension, player, clean. Each sets up .venv first; the second time that costs nothing.
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -16,7 +16,7 @@ VENV52 := .venv52
 WORKERS ?= 2
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile
 
-.PHONY: demo test test-all test-slow test-52 test-gui lint extension install clean distclean
+.PHONY: demo test test-all test-slow test-faults test-52 test-gui lint extension player install clean distclean
 
 demo: install
 	$(BIN)/tg4mm demo --out demo
@@ -31,6 +31,11 @@ test-slow: install
 # What runs inside Blender, on the other LTS line: Blender 5.2 with Python 3.13, in an environment without torch.
 test-52: $(VENV52)/.installed
 	OMP_NUM_THREADS=1 $(VENV52)/bin/python -m pytest -n $(WORKERS) --dist loadfile -m "not slow" tests/addon tests/dataset_gen
+
+# What kills, full disks, signals and damaged or hostile files do: docs/faults.md. MUTATIONS: of each reader's files.
+MUTATIONS ?= 500
+test-faults: install
+	TG4MM_MUTATIONS=$(MUTATIONS) $(PYTEST) tests/faults tests/test_untrusted.py tests/test_run_damage.py
 
 test-all: test test-slow test-52
 
@@ -47,6 +52,11 @@ lint: install
 # dist/tg4mm-<version>.zip, for Blender's Edit > Preferences > Get Extensions > Install from Disk.
 extension: install
 	$(BIN)/python addon/make_extension.py
+
+# The program of the HTML pages (tg4mm/web/player/dist), from its sources; needs node 20 and npm. It is committed: only who
+# changes it runs this, and a test says when it is older than its sources.
+player:
+	cd tg4mm/web/player && npm ci && npm run build
 
 install: $(VENV)/.installed
 

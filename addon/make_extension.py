@@ -15,13 +15,11 @@ import tomllib
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-# The one import with which dataset_gen.vibration leaves its package.
-_ABSOLUTE = "from tg4mm.errors import Tg4mmError\n"
-_EITHER = """if "." in __package__:  # inside the extension
-    from ..tg4mm.errors import Tg4mmError
-else:
-    from tg4mm.errors import Tg4mmError
-"""
+# The imports with which dataset_gen.vibration leaves its package, and how they read inside the extension.
+_LEAVING = {
+    "errors.py": ("..", "from tg4mm.errors import Tg4mmError\n"),
+    "vibration/files.py": ("...", "from tg4mm.untrusted import read_json, read_yaml\n"),
+}
 
 
 def stage(folder: Path) -> Path:
@@ -39,7 +37,8 @@ def stage(folder: Path) -> Path:
     core = folder / "core"
     (core / "splatfile").mkdir(parents=True)
     (core / "__init__.py").write_text('"""The parts of tg4mm that need numpy alone."""\n', encoding="utf-8")
-    for source in (ROOT / "tg4mm" / "errors.py", *sorted((ROOT / "tg4mm" / "splatfile").glob("*.py"))):
+    alone = [ROOT / "tg4mm" / name for name in ("errors.py", "untrusted.py")]
+    for source in (*alone, *sorted((ROOT / "tg4mm" / "splatfile").glob("*.py"))):
         shutil.copyfile(source, core / source.relative_to(ROOT / "tg4mm"))
     stage_generator(folder / "generator")
     return folder
@@ -58,11 +57,18 @@ def stage_generator(folder: Path) -> None:
         target = folder / source.relative_to(ROOT)
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(source, target)
-    errors = folder / "dataset_gen" / "errors.py"
-    text = errors.read_text(encoding="utf-8")
-    if text.count(_ABSOLUTE) != 1:
-        raise RuntimeError(f"{errors} should hold the line {_ABSOLUTE!r} once")
-    errors.write_text(text.replace(_ABSOLUTE, _EITHER), encoding="utf-8")
+    for name, (dots, absolute) in _LEAVING.items():
+        _either(folder / "dataset_gen" / name, absolute, absolute.replace("tg4mm", f"{dots}tg4mm", 1))
+
+
+def _either(file: Path, absolute: str, relative: str) -> None:
+    """Let a module import relatively where it is a part of the extension."""
+    text = file.read_text(encoding="utf-8")
+    if text.count(absolute) != 1:
+        raise RuntimeError(f"{file} should hold the line {absolute!r} once")
+    within = 'if not __package__.startswith("dataset_gen"):  # inside the extension'
+    both = f"{within}\n    {relative}else:\n    {absolute}"
+    file.write_text(text.replace(absolute, both), encoding="utf-8")
 
 
 def generator_files() -> list[Path]:
@@ -70,7 +76,7 @@ def generator_files() -> list[Path]:
     package = ROOT / "dataset_gen"
     found = [file for kind in ("*.py", "*.yaml") for file in package.rglob(kind)]
     kept = [file for file in found if "farm" not in file.relative_to(package).parts]
-    return sorted([*kept, ROOT / "tg4mm" / "__init__.py", ROOT / "tg4mm" / "errors.py"])
+    return sorted([*kept, *(ROOT / "tg4mm" / name for name in ("__init__.py", "errors.py", "untrusted.py"))])
 
 
 def build(staged: Path, out: Path) -> Path:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from types import FrameType
 
 from tg4mm.errors import Tg4mmError
 
@@ -18,8 +20,31 @@ from .settings import Settings
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs the generator. Returns 0 done, 2 bad input (one line says what), 1 failed, 130 stopped."""
-    # A scheduler stops jobs with SIGTERM: as Ctrl+C then, so that the render processes end too.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    with _stopped_once():
+        return _run(argv)
+
+
+@contextlib.contextmanager
+def _stopped_once() -> Iterator[None]:
+    """SIGTERM, by which a scheduler stops jobs, is as Ctrl+C: the render processes end, too.
+
+    What comes after the first of the two is ignored, so that nothing interrupts the ending.
+    """
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        for each in before:
+            signal.signal(each, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _run(argv: Sequence[str] | None) -> int:
     try:
         request = request_from(parser().parse_args(argv))
         for settings in request.sets:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -54,11 +53,8 @@ class Painter:
         directions = to_eye[index] / distance[index, None]
         index = index[self._unhidden(positions[index], directions, distance[index])]
         colours = to_display(straight(linear)[0][row[index], column[index]])
-        path = points.view_file(self._root, shot)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = tree.temporary_name(path)
-        np.savez(temporary, index=index, colour=colours, weight=facing[index] ** 2)
-        os.replace(temporary, path)
+        with tree.whole(points.view_file(self._root, shot)) as temporary:
+            np.savez(temporary, index=index, colour=colours, weight=facing[index] ** 2)
 
     def _unhidden(self, positions: np.ndarray, directions: np.ndarray, distance: np.ndarray) -> np.ndarray:
         if self._tree is None:

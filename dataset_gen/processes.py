@@ -118,6 +118,8 @@ class _Pool:
             command = _command(path, self._job.get("threads", 0))
             process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True)
         self._running.add(process)
+        if self._failure:  # all were ended while this one started
+            process.terminate()
         assert process.stdout is not None
         for line in process.stdout:
             if line.startswith(NOTE):

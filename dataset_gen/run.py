@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import sys
 import time
@@ -10,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TextIO
 
-import numpy as np
+from tg4mm.untrusted import read_json, read_npz
 
 from . import coded, png, points, processes, tree
 from .errors import GenerateError
@@ -47,10 +46,21 @@ def render_missing(job: Job, numbers: Sequence[int], count: int, stream: TextIO)
     return {"pictures": len(todo), "seconds": time.monotonic() - start, "processes": count}
 
 
+def _timing(path: Path) -> Timing:
+    """Raises RunFailed for a file that is not what `render_missing` gave."""
+    try:
+        found = read_json(path)
+        return {
+            key: kind(found[key]) for key, kind in (("pictures", int), ("seconds", float), ("processes", int))
+        }
+    except (ValueError, KeyError, TypeError, OverflowError):
+        raise RunFailed(f"{path} is not the record of a rendering; remove it") from None
+
+
 def _add_timing(root: Path, *more: Timing) -> None:
     """Adds to what report/timing.json says of former calls; calls that rendered nothing do not count."""
     path = root / "report/timing.json"
-    old = [json.loads(path.read_text())] if path.exists() else []
+    old = [_timing(path)] if path.exists() else []
     every = [*old, *(t for t in more if t["pictures"])]
     if len(every) > len(old):
         total = {key: sum(t[key] for t in every) for key in ("pictures", "seconds")}
@@ -64,7 +74,7 @@ def finish(job: Job, stream: TextIO) -> Path:
         raise RunFailed(f"{job.root}: {len(missing)} files are missing or damaged, the first is {missing[0]}")
     if points.wanted(job.root, job.settings):
         _write_points(job)
-    _add_timing(job.root, *(json.loads(p.read_text()) for p in (job.root / PARTS).glob("*.done")))
+    _add_timing(job.root, *(_timing(p) for p in (job.root / PARTS).glob("*.done")))
     tree.clean(job.root)
     shutil.rmtree(job.root / points.FOLDER, ignore_errors=True)
     shutil.rmtree(job.root / PARTS, ignore_errors=True)
@@ -143,8 +153,13 @@ def _write_points(job: Job) -> None:
     views = []
     for shot in job.shots:
         if shot.paints:
-            with np.load(points.view_file(job.root, shot), allow_pickle=False) as data:
-                views.append({name: data[name] for name in data.files})
+            file = points.view_file(job.root, shot)
+            try:
+                views.append(read_npz(file))
+            except ValueError as error:
+                raise RunFailed(
+                    f"{file} is damaged ({error}); remove it, and the same command goes on"
+                ) from None
     wanted = job.settings.points
     seen, colours = points.merge(views, wanted)
     if not len(seen):

@@ -8,9 +8,11 @@ import os
 import secrets
 import shutil
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
+
+from tg4mm.untrusted import read_json
 
 from . import exr
 from .cameras import cameras_at, clock_offsets, films, transforms
@@ -25,10 +27,20 @@ _STALE_S = 3600.0
 
 def write_bytes(path: Path, data: bytes) -> None:
     """Writes a file under a temporary name, then renames it."""
+    with whole(path) as temporary:
+        temporary.write_bytes(data)
+
+
+@contextlib.contextmanager
+def whole(path: Path) -> Iterator[Path]:
+    """A name to write to, renamed to `path` at the end; removed where the writing fails, as on a full disk."""
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = temporary_name(path)
-    temporary.write_bytes(data)
-    os.replace(temporary, path)
+    try:
+        yield temporary
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def temporary_name(path: Path) -> Path:
@@ -67,17 +79,13 @@ def link(source: Path, targets: Iterable[Path]) -> None:
     for target in targets:
         if target == source:
             continue
-        target.parent.mkdir(parents=True, exist_ok=True)
-        temporary = temporary_name(target)
-        with contextlib.suppress(FileNotFoundError):
-            temporary.unlink()
-        try:
-            os.link(source, temporary)
-        except OSError:
-            shutil.copyfile(source, temporary)
-        # Renaming a link over another link to the same file does nothing: remove the target first.
-        target.unlink(missing_ok=True)
-        os.replace(temporary, target)
+        with whole(target) as temporary:
+            try:
+                os.link(source, temporary)
+            except OSError:
+                shutil.copyfile(source, temporary)
+            # Renaming a link over another link to the same file does nothing: remove the target first.
+            target.unlink(missing_ok=True)
 
 
 def describe(
@@ -133,7 +141,7 @@ def claim(root: Path, description: dict[str, Any]) -> None:
         raise GenerateError(f"{root} is a file, not a folder")
     if path.exists():
         try:
-            old = json.loads(path.read_text())
+            old = read_json(path)
         except (OSError, ValueError) as error:
             raise GenerateError(f"{path} cannot be read: {error}") from error
         if not isinstance(old, dict):

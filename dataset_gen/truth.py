@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -54,12 +53,9 @@ def write_exr(path: Path, passes: dict[str, np.ndarray]) -> None:
     for name in ("Normal", "Position", "Displacement"):
         for axis, letter in enumerate("XYZ"):
             channels[f"{name}.{letter}"] = np.ascontiguousarray(passes[name][..., axis], np.float32)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = tree.temporary_name(path)
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    with OpenEXR.File(header, channels) as file:
+    with tree.whole(path) as temporary, OpenEXR.File(header, channels) as file:
         file.write(str(temporary))
-    os.replace(temporary, path)
 
 
 def read_exr(path: Path) -> dict[str, np.ndarray]:

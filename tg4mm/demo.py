@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from typing import Any
 
 from tg4mm.errors import RunError, Tg4mmError
 from tg4mm.files import write_json
+from tg4mm.untrusted import read_json
 
 STEPS_FILE = "demo.json"
 ALPHA = 20.0
@@ -142,9 +142,9 @@ def _read_done(root: Path, size: int) -> dict[str, float]:
         _write_done(root, size, {})
         return {}
     try:
-        record = json.loads(path.read_text(encoding="utf-8"))
-        found, done = record["size"], dict(record["done"])
-    except (ValueError, KeyError, TypeError):
+        record = read_json(path)
+        found, done = record["size"], {str(k): float(v) for k, v in record["done"].items()}
+    except (ValueError, KeyError, TypeError, AttributeError):
         raise RunError(f"{path}: is not the record of a demo; remove it or choose another --out") from None
     if found != size:
         raise Tg4mmError(f"--size {size}: {root} holds a demo of {found} pixels; choose another --out")
@@ -198,7 +198,7 @@ def _fresh(folder: Path, run: Path) -> Path:
     from tg4mm.render.sequence import FORMAT, RECORD
 
     try:
-        record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+        record = read_json(folder / RECORD)
     except (OSError, ValueError):
         return folder
     if isinstance(record, dict) and record.get("format") == FORMAT and record.get("model") != model_hash(run):
@@ -225,9 +225,10 @@ def _export(places: Places) -> None:
 
 def _report(places: Places) -> None:
     from tg4mm.report import ReportOptions, write_report
+    from tg4mm.runconfig import read_json as run_json
     from tg4mm.runs import Run
 
-    metrics = json.loads(places.metrics.read_text(encoding="utf-8"))
+    metrics = run_json(places.metrics)
     files = {"splat file": places.splat, "magnified pictures": places.magnified, "orbit": places.orbit}
     options = ReportOptions(alpha=ALPHA, orbit=places.orbit, files=files, metrics=metrics)
     write_report(Run.open(places.run), places.report, options)

@@ -7,12 +7,14 @@ import json
 from pathlib import Path
 
 import numpy as np
-from safetensors import SafetensorError, safe_open
+from safetensors import safe_open
 
 from tg4mm.errors import RunError
+from tg4mm.tensorfile import DIGEST
 
 _FILES = ("space", "motion", "triplane")
-_NOT_OF_THE_MODEL = ("config", "format")  # the dataset's folder and the settings that led to it
+# The dataset's folder and the settings that led to it, and the digest, which those are in.
+_NOT_OF_THE_MODEL = ("config", "format", DIGEST)
 
 
 def model_hash(run_path: Path) -> str:
@@ -39,7 +41,7 @@ def _update(digest: hashlib._Hash, path: Path) -> None:
                 tensor = np.ascontiguousarray(file.get_tensor(name))
                 digest.update(json.dumps([name, tensor.dtype.str, tensor.shape]).encode())
                 digest.update(tensor.data)
-    except (SafetensorError, OSError) as error:
+    except Exception as error:  # the package reports damage by many types
         raise RunError(
             f"{path} is truncated or not a safetensors file: {' '.join(str(error).split())}"
         ) from None

@@ -11,7 +11,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from tg4mm import __version__
+from tg4mm import __version__, untrusted
 from tg4mm.errors import RunError
 
 FORMAT = "tg4mm"
@@ -54,7 +54,7 @@ def read_config(path: Path) -> dict[str, Any]:
 def read_json(file: Path) -> dict[str, Any]:
     """A JSON object. Raises RunError if `file` is torn or holds anything else."""
     try:
-        value = json.loads(file.read_text(encoding="utf-8"))
+        value = untrusted.read_json(file, finite=True)
     except (OSError, ValueError) as error:
         raise RunError(f"{file} is not readable JSON: {error}") from None
     if not isinstance(value, dict):
@@ -66,7 +66,10 @@ def dataset_folder(path: Path, config: Mapping[str, Any]) -> Path:
     """The dataset of a run: where it was, or at the same place relative to the run if both were moved."""
     absolute = Path(config["dataset"])
     beside = (path / config["dataset_from_run"]).resolve()
-    return beside if beside.exists() and not absolute.exists() else absolute
+    try:
+        return beside if beside.exists() and not absolute.exists() else absolute
+    except OSError:  # a name too long for any folder
+        return absolute
 
 
 def check_empty(path: Path) -> None:

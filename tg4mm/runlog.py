@@ -7,7 +7,22 @@ from typing import Any
 
 import numpy as np
 
+from tg4mm.errors import RunError
 from tg4mm.files import to_json
+
+_ADDED_UP = ("seconds", "peak_memory_mib")
+
+
+def checked_log(log: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """`log`. Raises RunError naming `where` unless it is {stage: figures} with numbers for what is added up."""
+    for stage, figures in log.items():
+        if not isinstance(figures, dict):
+            raise RunError(f"{where}: {stage} is {figures!r:.60}, expected an object of figures")
+        for key in _ADDED_UP:
+            value = figures.get(key, 0.0)
+            if isinstance(value, bool) or not isinstance(value, int | float) or value < 0:
+                raise RunError(f"{where}: {stage}.{key} is {value!r:.60}, expected a number of at least 0")
+    return dict(log)
 
 
 def with_figures(log: Mapping[str, Any], stage: str, info: Mapping[str, Any]) -> dict[str, Any]:

@@ -9,7 +9,7 @@
     RUN/triplane.safetensors, RUN/planes_0001.safetensors …   parts of the preset `paper` (tg4mm/paper/model.py)
 
 Every file is written under a temporary name and renamed. The safetensors files carry metadata
-{format, kind, version, config}; complex tensors are stored as two real ones (`name#re`, `name#im`).
+{format, kind, version, config, digest}; complex tensors are stored as two real ones (`name#re`, `name#im`).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from safetensors import SafetensorError, safe_open
+from safetensors import safe_open
 from torch import Tensor
 
 from tg4mm.errors import RunError
@@ -29,6 +29,17 @@ from tg4mm.files import remove_leftovers, to_json, write_json
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.appearance_modes import AppearanceModes
 from tg4mm.motion.modes import ModalMotion
+from tg4mm.runchecks import (
+    GAUSSIANS,
+    LIGHT,
+    MOTION,
+    check_finite,
+    check_frequencies,
+    check_tensors,
+    check_uncertainty,
+    clock_of,
+    gaussians_of,
+)
 from tg4mm.runconfig import (
     VERSION,
     check_empty,
@@ -38,12 +49,10 @@ from tg4mm.runconfig import (
     read_config,
     read_json,
 )
-from tg4mm.runlog import with_figures
-from tg4mm.tensorfile import read_tensors, write_tensors
+from tg4mm.runlog import checked_log, with_figures
+from tg4mm.tensorfile import DIGEST, read_tensors, write_tensors
 
 UNCERTAINTY = "uncertainty"  # a part: how uncertain the motion of every Gaussian is, docs/conventions.md
-_GAUSSIAN_FIELDS = ("means", "quats", "scales", "opacities", "sh")
-_LIGHT_FIELDS = ("light_shapes", "light_series")  # of a motion, both or none
 
 
 @dataclass(frozen=True)
@@ -69,6 +78,7 @@ class Run:
             asked = {"dataset": dataset, "preset": preset, "settings": plain}
             check_same(run.path, run.config, asked)
             remove_leftovers(path)
+            run._drop_finished()
             return run
         check_empty(path)
         path.mkdir(parents=True, exist_ok=True)
@@ -110,18 +120,13 @@ class Run:
     def save_space(self, gaussians: Gaussians, info: Mapping[str, Any]) -> None:
         """Write the Gaussians at rest and record `info` under the stage `space`."""
         self.record("space", info)
-        self._write("space", {name: getattr(gaussians, name) for name in _GAUSSIAN_FIELDS})
+        self._write("space", {name: getattr(gaussians, name) for name in GAUSSIANS})
 
     def load_space(self) -> Gaussians:
         """The Gaussians at rest, float32 on the CPU. Raises RunError if absent, torn or foreign."""
         if not self.has_space:
             raise RunError(f"{self.path} has no space.safetensors: its space stage is not finished")
-        file = self._file("space")
-        tensors, _ = self._read("space", set(_GAUSSIAN_FIELDS))
-        try:
-            return Gaussians(**tensors)
-        except ValueError as error:
-            raise RunError(f"{file}: {error}") from None
+        return gaussians_of(self._file("space"), self._read("space", GAUSSIANS)[0])
 
     def save_motion(self, motion: ModalMotion, info: Mapping[str, Any]) -> None:
         """Write the motion, record `info` under the stage `motion`. Raises RunError if N does not fit."""
@@ -136,7 +141,7 @@ class Run:
         }
         if (light := motion.appearance) is not None:
             values = light.shapes.astype(np.float32), light.series.astype(np.complex128)
-            tensors |= {k: torch.tensor(v) for k, v in zip(_LIGHT_FIELDS, values, strict=True)}
+            tensors |= {k: torch.tensor(v) for k, v in zip(LIGHT, values, strict=True)}
         self._write("motion", tensors, fps=motion.fps, n_timesteps=motion.n_timesteps)
 
     def load_motion(self) -> ModalMotion | None:
@@ -144,17 +149,15 @@ class Run:
         if not self.has_motion:
             return None
         file = self._file("motion")
-        tensors, extra = self._read("motion", {"freqs_hz", "displacement", "rotation"}, set(_LIGHT_FIELDS))
-        fps, n_timesteps = extra.get("fps"), extra.get("n_timesteps")
-        for name, value in (("fps", fps), ("n_timesteps", n_timesteps)):
-            if not isinstance(value, int | float) or value <= 0:
-                raise RunError(f"{file}: {name} is {value!r}, expected a positive number")
+        tensors, header = self._read("motion", MOTION, LIGHT)
+        fps, n_timesteps = clock_of(file, header)
+        check_frequencies(file, tensors["freqs_hz"])
         arrays = {name: tensor.numpy() for name, tensor in tensors.items()}
-        lit = [arrays.pop(name) for name in _LIGHT_FIELDS if name in arrays]
+        lit = [arrays.pop(name) for name in LIGHT if name in arrays]
         motion = ModalMotion(
             **arrays,
-            fps=float(extra["fps"]),
-            n_timesteps=int(extra["n_timesteps"]),
+            fps=fps,
+            n_timesteps=n_timesteps,
             appearance=AppearanceModes(*lit) if lit else None,
         )
         self._check_motion(motion, str(file))
@@ -200,13 +203,16 @@ class Run:
         tensors, header = read_tensors(file, kind, VERSION)
         if header["config"] != self._identity() or header.get("stage", "") != stage:
             raise RunError(f"{file} belongs to a run with other settings, or is a part of another name")
-        self._check_finite(file, tensors)
+        check_finite(file, tensors)
         return tensors, header
 
     def load_uncertainty(self) -> np.ndarray | None:
         """[N] float32: standard deviation of each Gaussian's displacement, rms over time, scene units; None where the
         run does not say it. Raises RunError."""
-        return self.load_part(UNCERTAINTY)[0]["displacement"].numpy() if self.has_part(UNCERTAINTY) else None
+        if not self.has_part(UNCERTAINTY):
+            return None
+        found = self.load_part(UNCERTAINTY)[0].get("displacement")
+        return check_uncertainty(self._file(UNCERTAINTY), found, len(self.load_space())).numpy()
 
     def load_noise(self) -> np.ndarray | None:
         """[N] float32: the part of `load_uncertainty` that is noise, which two halves of the data differ by."""
@@ -217,7 +223,7 @@ class Run:
         try:
             with safe_open(self._file(name), framework="numpy") as file:
                 return file.get_slice(tensor)[row]
-        except (SafetensorError, OSError) as error:
+        except Exception as error:  # the package reports damage by many types
             raise RunError(f"{self._file(name)} is truncated or absent: {error}") from None
 
     # Going on after a kill.
@@ -237,18 +243,26 @@ class Run:
             return None
         try:
             tensors, header = read_tensors(file, "checkpoint", VERSION)
+            if DIGEST not in header:
+                raise RunError(f"{file} is of another version of this program, without a digest")
+            if header["config"] != self._identity() or header.get("stage") != stage:
+                raise RunError(f"{file} belongs to a run with other settings, or to another stage")
+            if not isinstance(header.get("state"), dict):
+                raise RunError(f"{file} holds no state")
         except RunError as error:
             raise RunError(f"{error}; delete it to start the {stage} stage again") from None
-        if header["config"] != self._identity() or header.get("stage") != stage or "state" not in header:
-            raise RunError(
-                f"{file} belongs to a run with other settings, or to another stage; "
-                f"delete it to start the {stage} stage again"
-            )
         return tensors, header["state"]
 
     def drop_checkpoint(self, stage: str) -> None:
         """Forget the unfinished stage, if there is one."""
         self._file(f"checkpoint_{stage}").unlink(missing_ok=True)
+
+    def _drop_finished(self) -> None:
+        """Forget the stages whose result is there: a kill may come between writing that and forgetting them."""
+        for file in self.path.glob("checkpoint_*.safetensors"):
+            stage = file.stem.removeprefix("checkpoint_")
+            if self._file(stage).is_file():
+                self.drop_checkpoint(stage)
 
     def discard(self) -> None:
         """Take back a folder that was just made: its config.json and log.json, and the folder if empty then."""
@@ -264,9 +278,9 @@ class Run:
         write_json(self.path / "log.json", with_figures(self.log(), stage, info))
 
     def log(self) -> dict[str, Any]:
-        """{stage: figures}; {} before anything was recorded."""
+        """{stage: figures}; {} before anything was recorded. Raises RunError if torn or of another form."""
         file = self.path / "log.json"
-        return read_json(file) if file.exists() else {}
+        return checked_log(read_json(file), str(file)) if file.exists() else {}
 
     # Files.
 
@@ -282,18 +296,9 @@ class Run:
         write_tensors(self._file(name), tensors, header | ({"stage": stage} if stage else {}))
 
     def _read(
-        self, kind: str, names: set[str], optional: set[str] | None = None
+        self, kind: str, types: Mapping[str, torch.dtype], optional: Mapping[str, torch.dtype] | None = None
     ) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        """The tensors `names`, and of `optional` all or none."""
         file = self._file(kind)
         tensors, header = read_tensors(file, kind, VERSION)
-        if set(tensors) not in (names, names | (optional or set())):
-            raise RunError(f"{file} holds the tensors {sorted(tensors)}, expected {sorted(names)}")
-        self._check_finite(file, tensors)
+        check_tensors(file, tensors, types, optional or {})
         return tensors, header
-
-    @staticmethod
-    def _check_finite(file: Path, tensors: Mapping[str, Tensor]) -> None:
-        for name, tensor in tensors.items():
-            if not bool(torch.isfinite(torch.view_as_real(tensor) if tensor.is_complex() else tensor).all()):
-                raise RunError(f"{file}: {name} holds a value that is not finite")

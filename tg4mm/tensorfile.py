@@ -1,21 +1,24 @@
-"""Named tensors with a JSON header in one safetensors file, written whole or not at all."""
+"""Named tensors with a JSON header in one safetensors file, written whole or not at all, with a digest of both."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError, safe_open
+from safetensors import safe_open
 from safetensors.torch import save
 from torch import Tensor
 
 from tg4mm.errors import RunError
 from tg4mm.files import write_atomic
+from tg4mm.untrusted import parse_json
 
 FORMAT = "tg4mm"
+DIGEST = "digest"  # header entry: a flipped bit in a number would be a wrong result in silence
 
 
 def write_tensors(path: Path, tensors: Mapping[str, Tensor], header: Mapping[str, Any]) -> None:
@@ -32,7 +35,8 @@ def write_tensors(path: Path, tensors: Mapping[str, Tensor], header: Mapping[str
             stored[name] = tensor
     meta = {k: json.dumps(v, allow_nan=False) for k, v in header.items()} | {"format": FORMAT}
     # Not save_file: killed, it leaves a temporary file under a name that does not tell whose it was.
-    data = save(_apart(stored), metadata=meta)
+    stored = _apart(stored)
+    data = save(stored, metadata=meta | {DIGEST: _digest(stored, meta)})
     write_atomic(path, lambda temporary: temporary.write_bytes(data))
 
 
@@ -50,15 +54,24 @@ def _apart(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
 
 
 def read_tensors(path: Path, kind: str, version: int) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """(tensors, header) of a file that `write_tensors` made. Raises RunError if it is torn, foreign, or of
-    another kind or version."""
+    """(tensors, header) of a file that `write_tensors` made. Raises RunError if it is torn, foreign, of another kind or
+    version, or not as it was written.
+
+    The header lacks DIGEST where the file is from before digests: whoever cannot do without one refuses that.
+    """
     try:
         with safe_open(path, framework="pt") as file:
             meta = file.metadata() or {}
             header = _parse(path, meta, kind, version)
             stored = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except (SafetensorError, OSError) as error:
+    except RunError:
+        raise
+    # The package and torch report damage by many types: SafetensorError, RuntimeError, KeyError of a type.
+    except Exception as error:
         raise RunError(f"{path} is truncated or not a safetensors file: {_one_line(error)}") from None
+    texts = {k: v for k, v in meta.items() if k != DIGEST}
+    if DIGEST in meta and meta[DIGEST] != _digest(stored, texts):
+        raise RunError(f"{path} is damaged or edited: its content is not what was written")
     return _join_complex(path, stored), header
 
 
@@ -66,8 +79,8 @@ def _parse(path: Path, meta: Mapping[str, str], kind: str, version: int) -> dict
     if meta.get("format") != FORMAT:
         raise RunError(f"{path} was not written by tg4mm: format {meta.get('format')!r}")
     try:
-        header = {k: json.loads(v) for k, v in meta.items() if k != "format"}
-    except json.JSONDecodeError as error:
+        header = {k: v if k == DIGEST else parse_json(v) for k, v in meta.items() if k != "format"}
+    except ValueError as error:
         raise RunError(f"{path} has a header that is not JSON: {error}") from None
     for key, expected in (("kind", kind), ("version", version)):
         if header.get(key) != expected:
@@ -81,10 +94,23 @@ def _join_complex(path: Path, stored: dict[str, Tensor]) -> dict[str, Tensor]:
     tensors = {name: t for name, t in stored.items() if "#" not in name}
     for name in {name.partition("#")[0] for name in stored if "#" in name}:
         parts = stored.get(f"{name}#re"), stored.get(f"{name}#im")
-        if parts[0] is None or parts[1] is None or parts[0].shape != parts[1].shape:
+        if parts[0] is None or parts[1] is None or not _match(parts[0], parts[1]):
             raise RunError(f"{path}: the real and imaginary part of {name} do not match")
         tensors[name] = torch.complex(parts[0], parts[1])
     return tensors
+
+
+def _match(re: Tensor, im: Tensor) -> bool:
+    return re.shape == im.shape and re.dtype == im.dtype and re.dtype in (torch.float32, torch.float64)
+
+
+def _digest(stored: Mapping[str, Tensor], meta: Mapping[str, str]) -> str:
+    """SHA-256 of header and tensors (on the CPU, contiguous) with their names, types and shapes."""
+    digest = hashlib.sha256(json.dumps(dict(meta), sort_keys=True).encode())
+    for name, tensor in sorted(stored.items()):
+        digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
+        digest.update(tensor.reshape(-1).view(torch.uint8).numpy().data)
+    return digest.hexdigest()
 
 
 def _one_line(error: Exception) -> str:

@@ -63,7 +63,7 @@ def _value(name: str, text: str, kind: Any) -> Any:
         return _BOOLEANS[text.lower()] if kind is bool else kind(text)
     except (ValueError, KeyError):
         expected = "true or false" if kind is bool else kind.__name__
-        raise Tg4mmError(f"setting {name} is {text!r}, expected {expected}") from None
+        raise Tg4mmError(f"setting {name} is {text[:60]!r}, expected {expected}") from None
 
 
 def train(

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from tg4mm.errors import Tg4mmError
+from tg4mm.untrusted import parse_json
 
 from ..errors import GenerateError
 from ..options import parser, request_from
@@ -108,7 +109,7 @@ def _farm_set(name: str, own: Any, values: Mapping[str, Any]) -> FarmSet:
 def main() -> int:
     """Reads a configuration as JSON on standard input. Returns 0, or 2 with one line on bad input."""
     try:
-        config = json.load(sys.stdin)
+        config = parse_json(sys.stdin.read())
         found = {one.folder: one.to_json() for one in farm_sets(config)}
     except (Tg4mmError, ValueError) as error:
         print(f"error: {error}", file=sys.stderr)

@@ -7,6 +7,7 @@ from typing import Any
 
 from tg4mm.report.page import Block, Section, Table, Text
 from tg4mm.report.svg import number
+from tg4mm.untrusted import read_json
 
 from .noise_floor import FloorRow
 from .sections import Findings
@@ -145,10 +146,8 @@ def _timing(f: Findings) -> str:
 
 
 def _timing_file(f: Findings) -> dict[str, Any]:
-    import json
-
     try:
-        found = json.loads((f.dataset.root / "report/timing.json").read_text())
+        found = read_json(f.dataset.root / "report/timing.json")
     except (OSError, ValueError):
         return {}
     return found if isinstance(found, dict) else {}

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import re
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,11 +10,14 @@ from typing import Any
 
 import numpy as np
 
+from tg4mm.capture.cameras import read_intrinsics, read_pose
 from tg4mm.capture.confine import inside
 from tg4mm.capture.decode import decode
+from tg4mm.capture.records import Record, read_record
+from tg4mm.capture.scene import read_scene
 from tg4mm.errors import CaptureError
+from tg4mm.evaluate.truth_file import TRUTH_FILE, load_truth
 
-from ..cameras import focal_length
 from ..colour import straight, to_display
 from ..errors import GenerateError
 
@@ -125,26 +126,27 @@ class Dataset:
 
 def read_dataset(root: Path) -> Dataset:
     """Reads the folder. Raises GenerateError with file and reason if it is no dataset tree."""
-    scene = _json(root / "scene.json")
-    fps = scene.get("fps")
-    if not isinstance(fps, int | float) or not fps > 0:
-        raise GenerateError(f"{root / 'scene.json'}: fps is {fps!r}, expected a number above 0")
+    try:
+        described = read_scene(root, needs_fps=True)
+    except CaptureError as error:
+        raise GenerateError(str(error)) from error
+    scene, fps = described.values, described.fps
     folders = sorted(
         (p for p in root.iterdir() if re.fullmatch(r"[0-9]+", p.name)), key=lambda p: int(p.name)
     )
     if not folders:
         raise GenerateError(f"{root}: holds no timestep folders 000, 001, …")
     views = {split: [v for folder in folders for v in _views(root, folder, split)] for split in SPLITS}
-    motion = _motion(root / "truth/motion.npz", len(folders), float(fps))
+    motion = _motion(root, len(folders), fps)
     alphas = tuple(a for a in scene.get("alphas") or () if isinstance(a, int | float))
     return Dataset(
         root=root,
         scene=scene,
-        fps=float(fps),
+        fps=fps,
         n_timesteps=len(folders),
         views=views,
         motion=motion,
-        unit_scale_m=scene.get("unit_scale_m"),
+        unit_scale_m=described.unit_scale_m,
         alphas=alphas,
         strength=tuple(motion.size(t) for t in range(len(folders))) if motion else (),
     )
@@ -178,66 +180,42 @@ def _views(root: Path, folder: Path, split: str) -> list[View]:
     path = folder / f"transforms_{split}.json"
     if not path.is_file():
         return []
-    data = _json(path)
-    return [_view(root, path, split, {**data, **frame}) for frame in data.get("frames", [])]
-
-
-def _view(root: Path, path: Path, split: str, record: dict[str, Any]) -> View:
     try:
-        stem = path.parent / record["file_path"]
-        named = [stem] if stem.suffix in SUFFIXES else [stem.with_name(stem.name + s) for s in SUFFIXES]
-        image = next((p for p in named if p.is_file()), named[0])
-        width, height = int(record["w"]), int(record["h"])
-        focal = focal_length(width, float(record["camera_angle_x"]))
-        intrinsics = (
-            float(record.get("fl_x", focal)),
-            float(record.get("fl_y", record.get("fl_x", focal))),
-            float(record.get("cx", width / 2)),
-            float(record.get("cy", height / 2)),
-        )
-        pose = np.array(record["transform_matrix"], np.float64).reshape(4, 4)
-    except (KeyError, TypeError, ValueError) as error:
-        raise GenerateError(f"{path}: a frame is not as expected: {error!r}") from error
-    try:
-        inside(root, image, "file_path")
-    except CaptureError as error:
+        file = read_record(path)
+        frames = file.values.get("frames", [])
+        if not isinstance(frames, list) or not all(isinstance(frame, dict) for frame in frames):
+            raise file.error("frames", "a list of objects")
+        return [_view(root, path, split, Record(f"{path}: frame {i}", v), file) for i, v in enumerate(frames)]
+    except (CaptureError, OSError) as error:
         raise GenerateError(str(error)) from error
-    return View(split, int(path.parent.name), image.stem, image, pose, intrinsics, (width, height))
 
 
-def _json(path: Path) -> dict[str, Any]:
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise GenerateError(f"{path}: cannot be read: {error}") from error
-    if not isinstance(data, dict):
-        raise GenerateError(f"{path}: holds no JSON object")
-    return data
+def _view(root: Path, path: Path, split: str, frame: Record, file: Record) -> View:
+    stem = path.parent / frame.text("file_path")
+    named = [stem] if stem.suffix in SUFFIXES else [stem.with_name(stem.name + s) for s in SUFFIXES]
+    image = next((p for p in named if inside(root, p, "file_path").is_file()), named[0])
+    width, height = ((frame if frame.has(key) else file).whole(key, 1) for key in "wh")
+    K = read_intrinsics(frame, file, width, height)
+    intrinsics = float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])
+    return View(
+        split, int(path.parent.name), image.stem, image, read_pose(frame), intrinsics, (width, height)
+    )
 
 
-def _motion(path: Path, n_timesteps: int, fps: float) -> MotionTruth | None:
-    if not path.is_file():
+def _motion(root: Path, n_timesteps: int, fps: float) -> MotionTruth | None:
+    if not (root / TRUTH_FILE).is_file():
         return None
     try:
-        with np.load(path, allow_pickle=False) as data:
-            names = [str(name) for name in data["objects"]]
-            frequencies = np.asarray(data["frequencies_hz"], np.float64)
-            bodies = [
-                Body(name, *(np.asarray(data[f"{array}_{i}"]) for array in ("rest", "faces", "mode")))
-                for i, name in enumerate(names)
-            ]
-            gains = np.asarray(data["gains"]).T if "gains" in data.files else None
-            magnified = data["magnified"] if "magnified" in data.files else np.ones(len(frequencies), bool)
-    except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
-        raise GenerateError(f"{path}: cannot be read: {error}") from error
+        truth = load_truth(root, fps, n_timesteps)
+    except CaptureError as error:
+        raise GenerateError(str(error)) from error
+    gains, magnified = truth.gains, truth.magnified
     if gains is None:
-        turns = np.outer(np.arange(n_timesteps), frequencies) / fps
-        gains = np.exp(2j * np.pi * turns)
-    if gains.shape != (n_timesteps, len(frequencies)):
-        raise GenerateError(
-            f"{path}: gains have shape {gains.shape}, expected {(n_timesteps, len(frequencies))}"
-        )
-    return MotionTruth(frequencies, gains, tuple(bodies), magnified)
+        gains = np.exp(2j * np.pi * np.outer(truth.freqs_hz, np.arange(n_timesteps)) / fps)
+    if magnified is None:
+        magnified = np.ones(len(truth.freqs_hz), bool)
+    bodies = tuple(Body(one.name, one.rest, one.faces, one.modes) for one in truth.objects)
+    return MotionTruth(truth.freqs_hz, gains.T, bodies, magnified)
 
 
 def evenly(items: Sequence[Any], most: int) -> list[Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from PIL import Image
 from tg4mm import __version__
 from tg4mm.report.page import Figure, Page, Panel, Section, Stat, Table, Text, missing, picture, render_page
 from tg4mm.report.svg import number
+from tg4mm.untrusted import read_json
 
 from ..errors import GenerateError
 from .closing import size_text
@@ -60,7 +60,7 @@ def _count(n: int) -> str:
 
 def _summary(root: Path) -> dict[str, Any]:
     try:
-        found = json.loads((root / "report/summary.json").read_text(encoding="utf-8"))
+        found = read_json(root / "report/summary.json")
     except (OSError, ValueError):
         return {}
     good = isinstance(found, dict) and found.get("format") == "tg4mm-dataset-summary"

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json
-import os
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tg4mm.untrusted import parse_json, read_npz
+
+from .. import tree
 from ..cameras import Camera
 from ..errors import GenerateError
 from ..vibration.bodies import Body
@@ -51,20 +52,18 @@ def save(path: Path, found: Loaded | Found) -> None:
         "centre": list(found.centre),
         "radius": found.radius,
     }
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    with temporary.open("wb") as file:
-        np.savez(file, head=np.frombuffer(json.dumps(head).encode(), np.uint8), **arrays)
-    os.replace(temporary, path)
+    with tree.whole(path) as temporary:
+        np.savez(temporary, head=np.frombuffer(json.dumps(head).encode(), np.uint8), **arrays)
 
 
 def load(path: Path) -> Found:
     """Reads what `save` wrote. Raises GenerateError, one line, for any other file."""
     try:
-        with np.load(path, allow_pickle=False) as data:
-            head = json.loads(data["head"].tobytes())
-            if head["version"] != _VERSION:
-                raise GenerateError(f"{path}: version {head['version']!r} is not {_VERSION}")
-            bodies = tuple(_body(data, i, entry) for i, entry in enumerate(head["bodies"]))
+        data = read_npz(path)
+        head = parse_json(data["head"].tobytes())
+        if head["version"] != _VERSION:
+            raise GenerateError(f"{path}: version {head['version']!r} is not {_VERSION}")
+        bodies = tuple(_body(data, i, entry) for i, entry in enumerate(head["bodies"]))
         x, y, z = head["centre"]
         return Found(
             bodies,
@@ -79,7 +78,7 @@ def load(path: Path) -> Found:
         raise
     except OSError as error:
         raise GenerateError(f"{path} cannot be read: {error.strerror or error}") from error
-    except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise GenerateError(f"{path} does not hold the geometry of a scene: {error}") from error
 
 

@@ -59,7 +59,7 @@ CONTENT = {
     "LICENSE",
     *(f"{name}.py" for name in ADDON),
     *(f"jobs/{name}.py" for name in JOBS),
-    *(f"core/{name}.py" for name in ("__init__", "errors")),
+    *(f"core/{name}.py" for name in ("__init__", "errors", "untrusted")),
     *(
         f"core/splatfile/{n}.py"
         for n in ("__init__", "formula", "header", "layout", "model", "read", "write")
@@ -168,7 +168,8 @@ def generator(root: Path) -> set[str]:
     package = root / "dataset_gen"
     files = (file.relative_to(root) for file in package.rglob("*") if file.suffix in (".py", ".yaml"))
     kept = {f"generator/{file.as_posix()}" for file in files if file.parts[1] != "farm"}
-    return kept | {"generator/__init__.py", "generator/tg4mm/__init__.py", "generator/tg4mm/errors.py"}
+    tg4mm = {f"generator/tg4mm/{name}.py" for name in ("__init__", "errors", "untrusted")}
+    return kept | {"generator/__init__.py"} | tg4mm
 
 
 def test_zip_holds_the_package_and_nothing_else(repo_root: Path, zip_path: Path) -> None:

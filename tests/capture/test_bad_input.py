@@ -95,7 +95,7 @@ BAD_POSES = {
     "infinite": (lambda p: p[1].__setitem__(3, math.inf), "holds inf"),
     "text": (lambda p: p[1].__setitem__(3, "1.0"), "holds '1.0'"),
     "boolean": (lambda p: p[1].__setitem__(3, True), "holds True"),
-    "huge": (lambda p: p[1].__setitem__(3, 10**400), "expected finite numbers"),
+    "huge": (lambda p: p[1].__setitem__(3, 10**400), "holds a whole number of 401 digits"),
     "far away": (lambda p: p[2].__setitem__(3, -1e300), "stands 1e+300 units off"),
     "huge axis": (lambda p: p[0].__setitem__(0, 1e300), "is not rigid"),
     "three rows": (lambda p: p.pop(), "has shape 3×4"),
@@ -117,7 +117,9 @@ def test_bad_pose(folder, tools, name):
             change(values["frames"][1]["transform_matrix"])
 
     tools["edit"](folder / "transforms_train.json", edit)
-    refused(lambda: load_capture(folder), "transforms_train.json: frame 1", part)
+    refused(
+        lambda: load_capture(folder), "transforms_train.json: " + ("" if name == "huge" else "frame 1"), part
+    )
 
 
 def test_a_mirrored_pose_is_not_rigid(folder, tools):
@@ -372,3 +374,49 @@ def test_bad_points(folder):
     refused(lambda: load_capture(folder), "points3d.ply: property red is float32; expected uchar")
     ply(path, np.zeros(3, [*XYZ, ("red", "u1")]))
     refused(lambda: load_capture(folder), "points3d.ply: property green is missing")
+
+
+@pytest.mark.parametrize("value", [[], {}, [["a"]], 3, None, "a" * 5000, "a\0b", "../../../etc/passwd"])
+def test_a_nerfstudio_file_path_of_any_kind_is_one_line(folder, value):
+    values = json.loads((folder / "transforms_train.json").read_text())
+    (folder / "transforms_train.json").unlink()
+    values |= {"train_filenames": [frame["file_path"] for frame in values["frames"]]}
+    values["frames"].append(dict(values["frames"][0], file_path=value))
+    (folder / "transforms.json").write_text(json.dumps(values))
+    if isinstance(value, str):  # text that the split does not list is none of its frames
+        assert len(load_capture(folder)) == 2
+    else:
+        refused(lambda: load_capture(folder), "transforms.json: frame 2", "file_path")
+
+
+def tiny_png(width, height, bits, colour_type):
+    """A PNG of some 65 bytes whose header promises whatever it likes."""
+    chunks = [(b"IHDR", struct.pack(">IIBBBBB", width, height, bits, colour_type, 0, 0, 0))]
+    chunks += [(b"IDAT", zlib.compress(b"\0" * 40)), (b"IEND", b"")]
+    sealed = (struct.pack(">I", len(b)) + k + b + struct.pack(">I", zlib.crc32(k + b)) for k, b in chunks)
+    return b"\x89PNG\r\n\x1a\n" + b"".join(sealed)
+
+
+@pytest.mark.parametrize(("bits", "colour_type"), [(8, 6), (16, 6), (1, 0), (8, 2)])
+def test_a_picture_that_promises_more_than_it_can_hold_is_refused_unopened(folder, bits, colour_type):
+    """Before the memory of all pictures together is asked for: 13,000² pixels are 700 MB each."""
+    for path in (folder / "train").glob("*.png"):
+        path.write_bytes(tiny_png(13_000, 13_000, bits, colour_type))
+    refused(lambda: load_capture(folder), "13000×13000 pixels do not fit in its", "bytes")
+
+
+def test_a_plain_picture_packs_as_well_as_any_and_is_read(folder):
+    """The bound is on what zlib can do at best: one colour all over comes nearest to it."""
+    for mode, size in (("1", (8000, 4000)), ("L", (3000, 2000)), ("RGBA", (2000, 1500))):
+        for path in (folder / "train").glob("*.png"):
+            Image.new(mode, size).save(path, optimize=True)
+        assert load_capture(folder).width == size[0]
+
+
+def test_pictures_that_no_memory_holds_are_one_line(folder, monkeypatch):
+    def empty(shape, kind):
+        raise MemoryError
+
+    capture = load_capture(folder)
+    monkeypatch.setattr(np, "empty", empty)
+    refused(lambda: load_images(capture), "2 pictures of 12×8 pixels need 0.0 GiB of memory")

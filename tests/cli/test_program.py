@@ -15,7 +15,9 @@ import pytest
 from tg4mm import __version__
 
 ROOT = Path(__file__).resolve().parents[2]
-COMMANDS = ("demo", "generate", "train", "render", "evaluate", "measure", "report", "export", "sfm", "bench")
+COMMANDS = (
+    "demo", "generate", "train", "render", "evaluate", "measure", "report", "view", "export", "sfm", "bench",
+)  # fmt: skip
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "100", "NO_COLOR": "1"}
 
 

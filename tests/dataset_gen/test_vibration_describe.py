@@ -130,14 +130,24 @@ def test_json_needs_no_pyyaml(tmp_path, monkeypatch):
     [
         ("m.json", "{", "line 1 is not JSON: Expecting property name"),
         ("m.json", '{"modes": [], "modes": []}', "key 'modes' is there twice"),
-        ("m.yaml", "modes: [", "line 1 is not YAML: "),
+        ("m.yaml", "modes: [", " is not YAML: "),
         ("m.yaml", "modes:\n - a\n  b: 1\n", "line 3 is not YAML: "),
         ("m.yaml", "modes:\n - {name: a, name: b}", "key 'name' is there twice"),
         ("m.yaml", "1: 2", "key 1 is not text"),
         ("m.yaml", "modes: &x [*x]", "is not YAML: found unconstructable recursive node"),
-        ("m.yaml", "modes: !!python/object:os.system {}", "is not YAML: could not determine a constructor"),
+        (
+            "m.yaml",
+            "modes: !!python/object:os.system {}",
+            "line 1 has the tag tag:yaml.org,2002:python/object:os.system",
+        ),
+        ("m.yaml", "modes: [{frequency: !!bool foo}]", "line 1 has the tag tag:yaml.org,2002:bool"),
+        ("m.yaml", "modes: [{frequency: !!int ''}]", "line 1 has the tag"),
+        ("m.yaml", "modes: [{frequency: !!timestamp x}]", "line 1 has the tag"),
+        ("m.yaml", "modes: [{frequency: !!map [1]}]", "line 1 has the tag"),
+        ("m.yaml", "[" * 60000, "is nested more than 64 deep"),
+        ("m.yaml", "# " + "x" * (64 << 10), "has more than 65536 bytes"),
         ("m.yaml", "", "None is not a mapping of keys to values"),
-        ("m.json", "[" * 100000, "recursion"),
+        ("m.json", "[" * 100000, "is nested more than 64 deep"),
     ],
 )
 def test_text_that_cannot_be_read_is_one_line(tmp_path, name, text, expected):
@@ -156,10 +166,10 @@ def test_files_that_cannot_be_read_are_one_line(tmp_path):
     with pytest.raises(GenerateError, match="cannot be read: Is a directory"):
         read_motion(tmp_path)
     (tmp_path / "latin.yaml").write_bytes(b"# \xe9")
-    with pytest.raises(GenerateError, match=r"latin\.yaml is not UTF-8 text"):
+    with pytest.raises(GenerateError, match=r"latin\.yaml: is not UTF-8 text"):
         read_motion(tmp_path / "latin.yaml")
     (tmp_path / "large.json").write_bytes(b" " * (2 << 20))
-    with pytest.raises(GenerateError, match=r"large\.json has 2097152 bytes"):
+    with pytest.raises(GenerateError, match=r"large\.json: has more than 1048576 bytes"):
         read_motion(tmp_path / "large.json")
 
 

@@ -27,7 +27,7 @@ def test_eight_times_as_many_take_four_times_as_many() -> None:
 
 
 def test_what_is_out_of_range_is_refused_before_it_is_multiplied() -> None:
-    with pytest.raises(Tg4mmError, match=r"\Asetting motion.iterations is 0, expected >= 1\Z"):
+    with pytest.raises(Tg4mmError, match=r"\Asetting motion.iterations is 0, expected 1 to 1,000,000\Z"):
         resolved(MotionConfig(iterations=0), 10**6)
 
 

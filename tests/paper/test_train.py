@@ -200,7 +200,7 @@ class TestRefusals:
     def test_shapes_that_do_not_fit_are_refused(self, copy: Run) -> None:
         model = load_model(copy)
         copy.save_part(planes_name(1), {"values": torch.zeros(4, 3)})
-        with pytest.raises(RunError, match=r"values have shape \(4, 3\), expected \(4, \d+\)"):
+        with pytest.raises(RunError, match=r"values have shape \(4, 3\) torch.float32, expected \(4, \d+\)"):
             load_planes(copy, 1, model)
         tensors, _ = copy.load_part("triplane")
         copy.save_part("triplane", tensors | {"sh": tensors["box"]}, residual=True)

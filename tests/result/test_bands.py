@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tg4mm.capture import check_band
@@ -24,6 +24,7 @@ def test_neighbours_and_half_the_frame_rate_are_kept_out() -> None:
     assert suggested_bands([14.5], [0.01], 1.0, 30.0)[0][1] < 15.0
 
 
+@settings(deadline=None)
 @given(
     hz=st.lists(st.floats(0.7, 14.9), min_size=1, max_size=5, unique=True),
     deviation=st.floats(1e-5, 3.0),

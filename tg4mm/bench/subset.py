@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 from tg4mm.bench.errors import BenchError
 from tg4mm.bench.sets import BenchSet
 from tg4mm.files import write_json
+from tg4mm.untrusted import read_json
 
 TRAIN = "transforms_train.json"
 
@@ -51,7 +51,7 @@ def _same_file(source: str, target: str) -> None:
 
 
 def _write_thinned(source: Path, target: Path, kept: set[int]) -> None:
-    content: dict[str, Any] = json.loads(source.read_text(encoding="utf-8"))
+    content: dict[str, Any] = read_json(source)
     content["frames"] = [frame for i, frame in enumerate(content["frames"]) if i in kept]
     target.unlink(missing_ok=True)
     write_json(target, content)
@@ -59,6 +59,6 @@ def _write_thinned(source: Path, target: Path, kept: set[int]) -> None:
 
 def _record(root: Path, n_views: int) -> None:
     file = root / "scene.json"
-    scene = json.loads(file.read_text(encoding="utf-8"))
+    scene = read_json(file)
     file.unlink()  # the name only: the original keeps its content
     write_json(file, scene | {"n_train": n_views})

@@ -13,12 +13,19 @@ from PIL import Image
 
 from tg4mm.capture import exr, png16
 from tg4mm.errors import CaptureError
+from tg4mm.untrusted import DEFLATE
 
 THREADS = min(8, os.cpu_count() or 1)
 FORMATS = ("PNG", "JPEG")
 MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA")  # Pillow's names; CMYK and others are refused
 # What Pillow raises on a damaged file, depending on where the damage is.
-_DAMAGE = (OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.error, Image.DecompressionBombError)
+_DAMAGE: tuple[type[BaseException], ...] = (
+    *(OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.error, MemoryError, OverflowError),
+    *(RuntimeError, IndexError, KeyError, TypeError, AttributeError, Image.DecompressionBombError),
+)
+# Pixels, at most, that one byte of a file stands for. Of a PNG: of one bit each, packed by zlib. A JPEG has a bit or
+# more for every 64 pixels, an EXR two bytes a pixel, packed by zlib.
+_PIXELS_PER_BYTE = 8 * DEFLATE
 
 
 @dataclass(frozen=True)
@@ -31,7 +38,20 @@ class ImageHeader:
 
 
 def image_header(path: Path) -> ImageHeader:
-    """Size and depth without decoding; CaptureError if it is no PNG, JPEG or EXR, or CMYK and the like."""
+    """Size and depth without decoding.
+
+    Raises CaptureError if it is no PNG, JPEG or EXR, or CMYK and the like, or promises more pixels than a file of its
+    length can hold.
+    """
+    header = _header(path)
+    length = path.stat().st_size
+    if not 0 < header.width * header.height <= length * _PIXELS_PER_BYTE:
+        promised = f"{header.width}×{header.height} pixels"
+        raise CaptureError(f"{path}: cannot be decoded: {promised} do not fit in its {length} bytes")
+    return header
+
+
+def _header(path: Path) -> ImageHeader:
     try:
         start = _start(path)
         if start.startswith(exr.SIGNATURE):
@@ -56,6 +76,7 @@ def decode(path: Path) -> np.ndarray:
     """
     try:
         if _start(path).startswith(exr.SIGNATURE):
+            image_header(path)
             return exr.decode(path)
         if image_header(path).bits == 16:  # Pillow would keep the high byte only
             return png16.decode(path.read_bytes())

@@ -58,7 +58,13 @@ def load_images(capture: Capture) -> ImageStack:
     c, height, width = len(capture), capture.height, capture.width
     with ThreadPoolExecutor(THREADS) as pool:
         bits = max(header.bits for header in pool.map(image_header, capture.paths))
-        data = np.empty((c, height, width, 4), np.uint16 if bits == 16 else np.uint8)
+        try:
+            data = np.empty((c, height, width, 4), np.uint16 if bits == 16 else np.uint8)
+        except MemoryError:
+            need = c * height * width * bits / 2 / 2**30
+            raise CaptureError(
+                f"{capture.root}: {c} pictures of {width}×{height} pixels need {need:.1f} GiB of memory"
+            ) from None
 
         def load(i: int) -> None:
             image = decode(capture.paths[i])

@@ -57,9 +57,11 @@ def _of_split(file: Record, frames: list[Any], split: str) -> list[tuple[int, An
     chosen = [
         (i, values)
         for i, values in enumerate(frames)
-        if not isinstance(values, dict) or values.get("file_path") in wanted
+        if not isinstance(values, dict)
+        or not isinstance(values.get("file_path"), str)
+        or values["file_path"] in wanted
     ]
-    missing = wanted - {values.get("file_path") for _, values in chosen if isinstance(values, dict)}
+    missing = wanted - {str(values.get("file_path")) for _, values in chosen if isinstance(values, dict)}
     if missing:
         raise CaptureError(f"{file.where}: {key} names {shown(sorted(missing)[0])}, which no frame has")
     if not chosen:

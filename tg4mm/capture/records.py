@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from tg4mm.errors import CaptureError
+from tg4mm.untrusted import read_json
 
 
 def shown(value: Any, limit: int = 60) -> str:
@@ -70,10 +70,10 @@ class Record:
 def read_record(path: Path) -> Record:
     """A JSON file whose top level is an object."""
     try:
-        values = json.loads(path.read_text(encoding="utf-8-sig"))
+        values = read_json(path)
     except OSError as error:
         raise CaptureError(f"{path}: cannot be read: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:  # JSONDecodeError and UnicodeDecodeError are ValueErrors
+    except ValueError as error:
         raise CaptureError(f"{path}: is not valid JSON: {error}") from error
     if not isinstance(values, dict):
         raise CaptureError(f"{path}: holds {shown(values)}; expected a JSON object {{…}}")

@@ -29,6 +29,7 @@ class Format(StrEnum):
 
     ply = "ply"
     ply_sequence = "ply-sequence"
+    html = "html"
 
 
 def export(
@@ -38,7 +39,8 @@ def export(
         Format,
         typer.Option(
             help="ply: the splat file, a 3DGS PLY with motion riding along. "
-            "ply-sequence: a static 3DGS PLY for every timestep."
+            "ply-sequence: a static 3DGS PLY for every timestep. "
+            "html: one page that plays the run in any browser (docs/web.md)."
         ),
     ] = Format.ply,
     alpha: Annotated[
@@ -55,12 +57,13 @@ def export(
     Lengths are in scene units.
     """
     given = {"--method": method is not None, "--filter": filter is not None}
-    if format is Format.ply and (alpha or band or any(given.values())):
+    if format is not Format.ply_sequence and (alpha or band or any(given.values())):
         named = (
             "--alpha and --band" if alpha or band else next(name for name, there in given.items() if there)
         )
         belong = "belong" if alpha or band else "belongs"
-        raise Tg4mmError(f"{named} {belong} to --format ply-sequence; a splat file holds the motion itself")
+        holder = "a page" if format is Format.html else "a splat file"
+        raise Tg4mmError(f"{named} {belong} to --format ply-sequence; {holder} holds the motion itself")
     alphas, asked = alpha or [0.0], parse_bands(band)
     check_paired(alphas, asked)
     chosen_filter = temporal_filter(filter, asked)
@@ -71,6 +74,10 @@ def export(
     opened = Run.open(run)
     if format is Format.ply:
         export_ply(opened, out)
+    elif format is Format.html:
+        from tg4mm.web.write import export_html
+
+        export_html(opened, out)
     else:
         chosen = None if method is None else method.value
         magnified = paired(alphas, known_bands(opened, asked))

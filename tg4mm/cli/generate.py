@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import importlib.util
+import signal
 import subprocess
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from types import FrameType
 
 import typer
 
@@ -29,11 +33,12 @@ def run_generator(arguments: Sequence[str]) -> int:
         if importlib.util.find_spec(module) is None:
             raise Tg4mmError(f"generate needs the Python package {module}, which is not installed: {remedy}")
     command = [sys.executable, "-m", "dataset_gen", *arguments]
-    with subprocess.Popen(command) as child:
+    with _passing_signals_on() as children, subprocess.Popen(command) as child:
+        children.append(child)
         try:
             status = child.wait()
         except KeyboardInterrupt:
-            child.wait()  # Ctrl+C went to it too; it ends at a whole picture
+            child.wait()  # it ends at a whole picture
             raise
     if status < 0:
         typer.echo(
@@ -42,3 +47,28 @@ def run_generator(arguments: Sequence[str]) -> int:
         )
         return 1
     return status
+
+
+@contextmanager
+def _passing_signals_on() -> Iterator[list[subprocess.Popen]]:
+    """SIGTERM and SIGINT end the processes of the list, too: a scheduler sends them to this process alone.
+
+    After a Ctrl+C at a terminal, which all of them got, the second signal does nothing.
+    """
+    children: list[subprocess.Popen] = []
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        for child in children:
+            child.terminate()
+        raise KeyboardInterrupt
+
+    # On Windows a process cannot be asked to end, and Ctrl+C reaches all of them.
+    if sys.platform == "win32" or threading.current_thread() is not threading.main_thread():
+        yield children
+        return
+    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield children
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

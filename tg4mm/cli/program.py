@@ -22,6 +22,7 @@ from tg4mm.cli.render import render
 from tg4mm.cli.report import report
 from tg4mm.cli.sfm import sfm
 from tg4mm.cli.train import train
+from tg4mm.cli.view import view
 from tg4mm.errors import Tg4mmError
 
 BAD_INPUT, INTERRUPTED = 2, 130
@@ -63,7 +64,7 @@ app.command()(demo)
 app.command(context_settings=_PASS_ALL)(generate)
 app.command()(train)
 app.command()(measure)
-for _command in (render, evaluate, report, export, sfm):
+for _command in (render, evaluate, report, view, export, sfm):
     app.command(cls=BandsCommand)(_command)
 app.add_typer(bench, name="bench")
 

@@ -8,7 +8,6 @@ trunk `features.<i>.weight|bias` or `net.slice<j>.<i>.weight|bias`, i in 0, 3, 6
 
 from __future__ import annotations
 
-import pickle
 import re
 import warnings
 from collections.abc import Sequence
@@ -18,7 +17,6 @@ from pathlib import Path
 import numpy as np
 import torch
 import torch.nn.functional as F
-from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch import Tensor
 
@@ -125,7 +123,8 @@ def _read(file: Path) -> dict[str, Tensor]:
         )
     try:
         state = load_file(file) if file.suffix == ".safetensors" else _load_pth(file)
-    except (SafetensorError, pickle.UnpicklingError, RuntimeError, OSError, EOFError, ValueError) as error:
+    # Both packages report damage by many types: SafetensorError, UnpicklingError, IndexError of torch's unpickler.
+    except Exception as error:
         # The first sentence: what torch adds to it is advice to run the file's code.
         line = (str(error).strip() or type(error).__name__).splitlines()[0].partition(". ")[0]
         raise EvaluationError(f"LPIPS weights: {file} cannot be read: {line[:160]}") from None

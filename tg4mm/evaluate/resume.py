@@ -14,6 +14,7 @@ from tg4mm.capture import Capture, ImageStack
 from tg4mm.evaluate.lpips import Lpips
 from tg4mm.evaluate.scores import Method, Scorer, camera_key, content_key
 from tg4mm.files import write_json
+from tg4mm.untrusted import read_json
 
 _VERSION = 2  # of how scores are made: raise it when the same input would score otherwise
 
@@ -36,7 +37,7 @@ class Resume:
 
     def _read(self) -> dict[str, Any]:
         try:
-            kept = json.loads(self._file.read_text(encoding="utf-8"))
+            kept = read_json(self._file)
         except (OSError, ValueError):  # absent, or not ours: nothing to go on from
             return {}
         return kept if isinstance(kept, dict) else {}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -15,6 +14,7 @@ from tg4mm.evaluate.lpips import MIN_SIZE, load_lpips
 from tg4mm.evaluate.metrics import SSIM_WINDOW, flip, psnr, ssim
 from tg4mm.evaluate.scores import Metric
 from tg4mm.runs import Run
+from tg4mm.untrusted import read_json
 
 FORMAT = "tg4mm-metrics"
 
@@ -38,7 +38,7 @@ def target_file(run: Run, out: Path | str | None) -> Path:
 
 def _is_ours(target: Path) -> bool:
     try:
-        found = json.loads(target.read_text(encoding="utf-8"))
+        found = read_json(target)
     except (OSError, ValueError):
         return False
     return isinstance(found, dict) and found.get("format") == FORMAT

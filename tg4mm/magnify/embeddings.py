@@ -33,6 +33,7 @@ from tg4mm.paper.model import PaperModel, load_model, plane_video
 from tg4mm.progress import progress
 from tg4mm.runs import Run
 from tg4mm.triplane import Cells, Decoder
+from tg4mm.untrusted import read_json
 
 _VERSION = 1  # of how they are made: raise it when the same request would give other numbers
 _KEPT = 4
@@ -126,7 +127,8 @@ def _make(
     part, record = target.with_suffix(".part"), target.with_suffix(".json")
     size = 4 * int(np.prod(shape))
     goes_on = part.is_file() and part.stat().st_size == size and record.is_file()
-    done = int(json.loads(record.read_text())["done"]) if goes_on else 0
+    done = _finished(record, shape[0]) if goes_on else 0
+    goes_on = done > 0
     out = np.memmap(part, np.float32, "r+" if goes_on else "w+", shape=shape)
     r = model.planes.shape[-1]
     magnify = PhaseMagnifier((r, r), response) if method == "phase" else None
@@ -144,6 +146,15 @@ def _make(
     del out
     part.replace(target)
     record.unlink()
+
+
+def _finished(record: Path, n_channels: int) -> int:
+    """Channels that are finished; 0 where the record does not say."""
+    try:
+        done = read_json(record)["done"]
+    except (ValueError, KeyError, TypeError):
+        return 0
+    return done if type(done) is int and 0 <= done <= n_channels else 0
 
 
 def at_points(video: np.ndarray, cells: Cells, k: int) -> np.ndarray:

@@ -49,15 +49,15 @@ class MotionConfig:
 def checked(config: MotionConfig) -> MotionConfig:
     """`config`. Raises Tg4mmError on a value out of range."""
     checks = {
-        "components": (config.components >= 1, ">= 1"),
+        "components": (1 <= config.components <= 100_000, "1 to 100,000"),
         "smoothness_weight": (
             math.isfinite(config.smoothness_weight) and config.smoothness_weight >= 0,
             ">= 0",
         ),
         "ridge": (math.isfinite(config.ridge) and config.ridge > 0, "> 0"),
-        "iterations": (config.iterations >= 1, ">= 1"),
+        "iterations": (1 <= config.iterations <= 1_000_000, "1 to 1,000,000"),
         "tolerance": (1e-6 <= config.tolerance < 1, "1e-6 (what float32 holds) to 1"),
-        "gauss_newton": (config.gauss_newton >= 0, ">= 0"),
+        "gauss_newton": (0 <= config.gauss_newton <= 1_000, "0 to 1,000"),
         "nuisance": (config.nuisance in NUISANCE, ", ".join(NUISANCE)),
         "seed": (0 <= config.seed < 1 << 63, "0 to 2⁶³ − 1"),
     }

@@ -1,7 +1,6 @@
 """The motion stage of a run: observations in, motion, uncertainty and figures out, and going on after a kill.
 
-RUN/checkpoint_motion.safetensors holds the finished parts of an unfinished fit (`checkpoints.py`), with a digest: a
-part that was damaged is computed anew.
+RUN/checkpoint_motion.safetensors holds the finished parts of an unfinished fit (`checkpoints.py`).
 """
 
 from __future__ import annotations
@@ -79,7 +78,6 @@ class StoredParts:
         self.gaussians = run.load_space()
         self._scene = _digest(_arrays_of(self.gaussians))
         self._arrays: Arrays = {}
-        self._digests: dict[str, str] = {}
         checkpoint = run.load_checkpoint(_STAGE)
         if checkpoint is None or checkpoint[1].get("version") != _VERSION:
             return
@@ -92,17 +90,15 @@ class StoredParts:
             )
             self._scene = state["scene"]
         self._arrays = {k: v.numpy() for k, v in tensors.items()}
-        self._digests = dict(state.get("digests", {}))
 
     def __call__(self, name: str, compute: Callable[[], Arrays]) -> Arrays:
         """`Parts`."""
         kept = {k.partition("/")[2]: v for k, v in self._arrays.items() if k.partition("/")[0] == name}
-        if kept and self._digests.get(name) == _digest(kept):
+        if kept:
             return kept
         found = compute()
         self._arrays = {k: v for k, v in self._arrays.items() if k.partition("/")[0] != name}
         self._arrays |= {f"{name}/{k}": np.asarray(v, order="C") for k, v in found.items()}
-        self._digests[name] = _digest(found)
         self._save()
         now = time.monotonic()
         self.run.record(_STAGE, {"seconds": now - self.began})
@@ -116,7 +112,7 @@ class StoredParts:
 
     def _save(self, **more: str) -> None:
         tensors = {k: torch.from_numpy(v) for k, v in self._arrays.items()}
-        state = {"version": _VERSION, "scene": self._scene, "digests": self._digests, **more}
+        state = {"version": _VERSION, "scene": self._scene, **more}
         self.run.save_checkpoint(_STAGE, tensors, state)
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from tg4mm.errors import Tg4mmError
 from tg4mm.settings import setting
 from tg4mm.space import SpaceConfig
+from tg4mm.space.config import MOST_ITERATIONS
 
 
 @dataclass(frozen=True)
@@ -63,9 +64,12 @@ def checked(config: PaperConfig) -> PaperConfig:
         "resolution": (power and 16 <= c.resolution <= 4096, "a power of two, 16 to 4096"),
         "mlp_layers": (0 <= c.mlp_layers <= 64, "0 to 64"),
         "mlp_width": (1 <= c.mlp_width <= 4096, "1 to 4096"),
-        "warm_up": (c.warm_up >= 1, ">= 1"),
-        "iterations": (c.iterations > c.warm_up, f"more than paper.warm_up ({c.warm_up})"),
-        "motion_iterations": (c.motion_iterations >= 1, ">= 1"),
+        "warm_up": (1 <= c.warm_up <= MOST_ITERATIONS, f"1 to {MOST_ITERATIONS:,}"),
+        "iterations": (
+            c.warm_up < c.iterations <= MOST_ITERATIONS,
+            f"more than paper.warm_up ({c.warm_up}), at most {MOST_ITERATIONS:,}",
+        ),
+        "motion_iterations": (1 <= c.motion_iterations <= MOST_ITERATIONS, f"1 to {MOST_ITERATIONS:,}"),
         "learning_rate": (math.isfinite(c.learning_rate) and c.learning_rate > 0, "> 0"),
         "motion_learning_rate": (math.isfinite(c.motion_learning_rate) and c.motion_learning_rate > 0, "> 0"),
         "motion_rate_falls_to": (0 < c.motion_rate_falls_to <= 1, "above 0, up to 1"),

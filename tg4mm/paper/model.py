@@ -123,6 +123,10 @@ def load_model(run: Run) -> PaperModel:
     ]
     if missing:
         raise RunError(f"{file} has no tensor {missing[0]}")
+    used = {k: v.dtype for k, v in tensors.items() if k in _OWN or k.startswith(("base.", "decoder."))}
+    wrong = [k for k, v in used.items() if v != (torch.float64 if k == "box" else torch.float32)]
+    if wrong:
+        raise RunError(f"{file}: {wrong[0]} is {tensors[wrong[0]].dtype}, expected float32 (box: float64)")
     planes, points = tensors["planes"], tensors["points"]
     if planes.ndim != 4 or planes.shape[0] != 3 or planes.shape[2] != planes.shape[3]:
         raise RunError(f"{file}: planes have shape {tuple(planes.shape)}, expected (3, C, R, R)")
@@ -152,10 +156,10 @@ def load_planes(run: Run, t: int, model: PaperModel) -> Tensor:
     tensors, _ = run.load_part(planes_name(t))
     expected = (model.channels, len(model.cells))
     values = tensors.get("values")
-    if values is None or tuple(values.shape) != expected:
-        found = None if values is None else tuple(values.shape)
+    if values is None or tuple(values.shape) != expected or values.dtype != torch.float32:
+        found = None if values is None else f"{tuple(values.shape)} {values.dtype}"
         raise RunError(
-            f"{run.part_file(planes_name(t))}: values have shape {found}, expected {expected}: "
+            f"{run.part_file(planes_name(t))}: values have shape {found}, expected {expected} float32: "
             f"{expected[0]} channels at the {expected[1]} cells of {run.part_file(TRIPLANE).name}"
         )
     return values.T.contiguous()

@@ -23,6 +23,7 @@ from tg4mm.render.frames import is_complete_png, write_png
 from tg4mm.render.image import WHITE, render_image
 from tg4mm.render.video import check_rate, video_of_files
 from tg4mm.runs import Run
+from tg4mm.untrusted import read_json
 
 RECORD = "render.json"
 FORMAT = "tg4mm-render"
@@ -163,9 +164,9 @@ def claim(out: Path, run: Run, request: RenderRequest, cameras: Sequence[Camera]
         write_json(path, record)
         return
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        found = read_json(path)
     except ValueError:
-        raise RunError(f"{path}: not JSON; remove it or choose another --out") from None
+        raise RunError(f"{path}: is not readable JSON; remove it or choose another --out") from None
     for key, value in record.items():
         old = found.get(key) if isinstance(found, dict) else None
         if old != value and key != "cameras":

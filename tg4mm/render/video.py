@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Sequence
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterable, Sequence
+from fractions import Fraction
 from pathlib import Path
+from typing import IO, Any
 
 import numpy as np
 
@@ -52,39 +58,74 @@ def write_mp4(
         raise ValueError(f"frames are {frames[0].dtype}, expected uint8")
     path.parent.mkdir(parents=True, exist_ok=True)
     prepared = [even_size(frame) for frame in frames] * loops
-    write_atomic(path, lambda temporary: _encode(temporary, prepared, fps, scale, quality))
+    size = prepared[0].shape[1], prepared[0].shape[0]
+    write_atomic(path, lambda temporary: _encode(temporary, prepared, size, fps, scale, quality))
 
 
-def _encode(path: Path, frames: Sequence[np.ndarray], fps: float, scale: int, quality: int) -> None:
+def stream_mp4(path: Path, frames: Iterable[np.ndarray], size: tuple[int, int], fps: float) -> None:
+    """`write_mp4` of pictures that are made one after another, all of `size` (width, height), even pixels."""
+    check_rate(fps)
+    if size[0] % 2 or size[1] % 2:
+        raise ValueError(f"size is {size[0]}×{size[1]}, expected even numbers")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomic(path, lambda temporary: _encode(temporary, frames, size, fps, 1, 17))
+
+
+def _encode(
+    path: Path, frames: Iterable[np.ndarray], size: tuple[int, int], fps: float, scale: int, quality: int
+) -> None:
+    """Raises RunError unless the encoder says that the file is whole: a full disk it tells by its exit status alone."""
     import imageio_ffmpeg
 
-    height, width = frames[0].shape[:2]
-    size = f"scale={width * scale}:{height * scale}:flags=bicubic:out_color_matrix=bt709:out_range=tv"
-    writer = imageio_ffmpeg.write_frames(
+    width, height = size
+    filters = f"scale={width * scale}:{height * scale}:flags=bicubic:out_color_matrix=bt709:out_range=tv"
+    command = [
+        imageio_ffmpeg.get_ffmpeg_exe(),
+        *("-y", "-v", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}"),
+        *("-r", str(Fraction(fps).limit_denominator()), "-i", "-", "-an"),
+        *("-c:v", "libx264", "-pix_fmt", "yuv420p", "-vf", filters, "-crf", str(quality), "-preset", "slow"),
+        *("-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709", "-threads", "2"),
+        *("-movflags", "+faststart", "-f", "mp4"),  # the temporary name does not say that it is one
         str(path),
-        (width, height),
-        fps=fps,
-        codec="libx264",
-        pix_fmt_in="rgb24",
-        pix_fmt_out="yuv420p",
-        macro_block_size=2,
-        quality=None,
-        ffmpeg_log_level="error",
-        output_params=[
-            *("-vf", size, "-crf", str(quality), "-preset", "slow", "-movflags", "+faststart"),
-            *("-f", "mp4"),  # the temporary name does not say so
-            *("-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709"),
-            *("-threads", "2"),
-        ],
-    )
-    writer.send(None)
-    try:
-        for frame in frames:
-            writer.send(np.ascontiguousarray(frame))
-    except OSError as error:
-        raise RunError(f"{path}: ffmpeg stopped ({error})") from None
-    finally:
-        writer.close()
+    ]
+    with (
+        tempfile.TemporaryFile() as said,
+        subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=said, **_OWN_GROUP
+        ) as encoder,
+    ):
+        assert encoder.stdin is not None
+        try:
+            for frame in frames:
+                encoder.stdin.write(np.ascontiguousarray(frame).data)
+            encoder.stdin.close()
+            status = encoder.wait()
+        except OSError:  # it ended before it had all pictures
+            with contextlib.suppress(OSError):
+                encoder.stdin.close()
+            status = encoder.wait()
+        except BaseException:
+            encoder.kill()
+            raise
+        if status or _errors(said):
+            raise RunError(
+                f"{path.parent}: no video could be written, ffmpeg ended with {status}: {_errors(said)}"
+            )
+
+
+# Ctrl+C goes to this program alone, which ends the encoder.
+_OWN_GROUP: dict[str, Any] = (
+    {"creationflags": getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)}
+    if sys.platform == "win32"
+    else {"start_new_session": True}
+)
+
+
+def _errors(said: IO[bytes]) -> str:
+    """The last line of what the encoder said, without the address of the part that said it."""
+    said.seek(0)
+    lines = said.read().decode(errors="replace").strip().splitlines()
+    return lines[-1].partition("] ")[2] or lines[-1] if lines else ""
 
 
 def video_of_files(path: Path, pictures: Sequence[Path], fps: float, seconds: float = 4.0) -> None:

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from tg4mm.capture.records import read_record
+from tg4mm.capture.scene import read_scene
 from tg4mm.errors import CaptureError
 from tg4mm.files import remove_leftovers, write_json
 from tg4mm.sfm.sources import Sources
@@ -34,7 +36,7 @@ class Work:
         path = self.out / "scene.json"
         if not path.is_file():
             return None
-        report = json.loads(path.read_text(encoding="utf-8")).get("sfm", {})
+        report = read_scene(self.out, needs_fps=False).values.get("sfm") or {}
         return report if report.get("asked") == self.scene_only else None
 
 
@@ -45,9 +47,9 @@ def open_request(out: Path, sources: Sources, settings: dict[str, Any]) -> Work:
     path = folder / NAME
     if path.is_file():
         try:
-            before = json.loads(path.read_text(encoding="utf-8"))
-        except ValueError as error:
-            raise CaptureError(f"{path}: is not valid JSON: {error}") from error
+            before = read_record(path).values
+        except CaptureError as error:
+            raise CaptureError(f"{error}; remove it, or give another --out") from None
         _check_same(out, before, asked)
         remove_leftovers(folder)
         return Work(out, folder, asked["settings"])
@@ -79,7 +81,7 @@ def _check_same(out: Path, before: dict[str, Any], asked: dict[str, Any]) -> Non
     if before.get("pictures") != asked["pictures"]:
         raise CaptureError(f"{out}: was begun with other pictures, or they have changed; give another --out")
     for key, value in asked["settings"].items():
-        old = before.get("settings", {}).get(key)
+        old = settings.get(key) if isinstance(settings := before.get("settings"), dict) else None
         if old != value and key not in SCENE_ONLY:
             raise CaptureError(
                 f"{out}: was begun with {key} = {old}, asked is {value}; give the same or another --out"

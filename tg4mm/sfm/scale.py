@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from tg4mm.sfm.depth import Sight, Spot, depth_among_points, triangulated
 from tg4mm.sfm.orient import Similarity
 from tg4mm.sfm.sources import SWEEP
 from tg4mm.sfm.staging import Shot, staged_name
+from tg4mm.untrusted import read_json, read_yaml
 
 Pixel = tuple[str, float, float]  # a picture, and x and y in it: pixels from its left and upper edge
 FORM = (
@@ -62,31 +62,20 @@ def read_length(path: Path) -> Length:
     Raises Tg4mmError for a file that is missing, malformed, or of another form.
     """
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise Tg4mmError(f"{path}: cannot be read: {error}") from error
-    try:
-        values = json.loads(text) if path.suffix.lower() == ".json" else _yaml(text)
+        values = read_json(path) if path.suffix.lower() == ".json" else read_yaml(path)
+    except OSError as error:
+        raise Tg4mmError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except ImportError as error:
+        raise Tg4mmError(
+            f"a YAML file needs PyYAML ({error}): pip install 'tg4mm[sfm]', or write JSON"
+        ) from None
     except ValueError as error:
         raise Tg4mmError(f"{path}: cannot be parsed: {' '.join(str(error).split())}") from error
     try:
         first, second = (_seen(point) for point in values["points"])
         return Length((first, second), float(values["metres"]))
-    except (KeyError, TypeError, ValueError, AttributeError):
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
         raise Tg4mmError(f"{path}: is of another form; expected {FORM}") from None
-
-
-def _yaml(text: str) -> Any:
-    try:
-        import yaml
-    except ImportError as error:
-        raise Tg4mmError(
-            f"a YAML file needs PyYAML ({error}): pip install 'tg4mm[sfm]', or write JSON"
-        ) from None
-    try:
-        return yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise ValueError(error) from error
 
 
 def _seen(point: Mapping[str, Sequence[float]]) -> tuple[Pixel, ...]:

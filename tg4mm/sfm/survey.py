@@ -5,12 +5,12 @@ sfm/survey/<clip>.json and .png, so that a look is taken once.
 
 from __future__ import annotations
 
-import json
 import math
 import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import laplace
 
+from tg4mm.capture.records import Record, read_record
 from tg4mm.errors import CaptureError
 from tg4mm.files import write_atomic, write_json
 from tg4mm.progress import progress
@@ -26,6 +27,7 @@ from tg4mm.sfm.steadiness import Knock, ShiftMeter, find_knock, reduced, stays
 from tg4mm.sfm.video import VideoInfo, video_info
 
 BLACK = 16  # of 255: a recording whose brightest hundredth never reaches it shows nothing
+FASTEST = 10**9  # frames a second
 FROZEN = 1e-3  # of 255: mean change from frame to frame below which nothing but the codec works
 
 
@@ -82,7 +84,10 @@ def survey_clip(clip: Clip, folder: Path, window: Window) -> Survey:
     if not path.is_file():
         folder.mkdir(parents=True, exist_ok=True)
         write_json(path, _looked_through(clip, folder, window))
-    return _read(clip, folder, json.loads(path.read_text(encoding="utf-8")))
+    try:
+        return _read(clip, folder, read_record(path).values)
+    except (CaptureError, KeyError, TypeError, ValueError, ArithmeticError):
+        raise CaptureError(f"{path}: is damaged or edited; remove it, and a new look is taken") from None
 
 
 def _looked_through(clip: Clip, folder: Path, window: Window) -> dict[str, Any]:
@@ -102,19 +107,36 @@ def _looked_through(clip: Clip, folder: Path, window: Window) -> dict[str, Any]:
 
 
 def _read(clip: Clip, folder: Path, record: dict[str, Any]) -> Survey:
+    """Raises one of many errors for a record that is not as `_Look.record` gives it."""
     times, fps = record["times"], record["fps"]
+    sharpness = np.array(record["sharpness"], np.float64)
     shifts = [[np.nan if x is None else x for x in row] for row in record["shifts_px"]]
+    shifts_px = np.array(shifts, np.float64).reshape(len(sharpness), 2)
+    moments = None if times is None else tuple(Fraction(time) for time in times)
+    if moments is not None and len(moments) != len(sharpness):
+        raise ValueError(f"{len(moments)} times of {len(sharpness)} pictures")
+    if moments is not None and any(b <= a for a, b in pairwise(moments)):
+        raise ValueError("times that do not go forward")
+    if sharpness.ndim != 1 or not np.isfinite(sharpness).all() or np.isinf(shifts_px).any():
+        raise ValueError("a number that is not finite")
+    found = Record(clip.name, record)
     return Survey(
         name=clip.name,
         path=clip.path,
         mean=folder / f"{clip.name}.png",
-        size=(record["width"], record["height"]),
-        fps=None if fps is None else Fraction(fps),
-        times=None if times is None else tuple(Fraction(time) for time in times),
-        shifts_px=np.array(shifts),
-        sharpness=np.array(record["sharpness"]),
-        created_s=record["created_s"],
+        size=(found.whole("width", 1), found.whole("height", 1)),
+        fps=None if fps is None else _positive(Fraction(fps)),
+        times=moments,
+        shifts_px=shifts_px,
+        sharpness=sharpness,
+        created_s=found.number("created_s") if found.has("created_s") else None,
     )
+
+
+def _positive(rate: Fraction) -> Fraction:
+    if not 0 < rate < FASTEST:
+        raise ValueError(f"{rate} frames a second")
+    return rate
 
 
 class _Look:

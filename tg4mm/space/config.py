@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 from tg4mm.settings import setting
 
+MOST_ITERATIONS = 100_000_000  # a year of them
+MOST_GAUSSIANS = 100_000_000  # what a run of 20 GB holds
+
 
 @dataclass(frozen=True)
 class SpaceConfig:

@@ -19,8 +19,8 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.memory import peak_memory_mib
 from tg4mm.progress import progress
 from tg4mm.runs import Run
-from tg4mm.space.checkpoint import check_checkpoint, pictures_digest, sealed
-from tg4mm.space.config import SpaceConfig
+from tg4mm.space.checkpoint import check_checkpoint, pictures_digest
+from tg4mm.space.config import MOST_GAUSSIANS, MOST_ITERATIONS, SpaceConfig
 from tg4mm.space.density import control_density, growth, is_due
 from tg4mm.space.fused import FusedAdam, Iteration
 from tg4mm.space.initial import INITS, initial_points, working_box
@@ -38,13 +38,16 @@ _STAGE = "space"
 def checked(config: SpaceConfig) -> SpaceConfig:
     """`config`. Raises Tg4mmError on a value out of range."""
     checks = {
-        "iterations": (config.iterations >= 0, ">= 0"),
-        "max_gaussians": (config.max_gaussians == 0 or config.max_gaussians >= 4, "0 or >= 4"),
+        "iterations": (0 <= config.iterations <= MOST_ITERATIONS, f"0 to {MOST_ITERATIONS:,}"),
+        "max_gaussians": (
+            config.max_gaussians == 0 or 4 <= config.max_gaussians <= MOST_GAUSSIANS,
+            f"0, or 4 to {MOST_GAUSSIANS:,}",
+        ),
         "sh_degree": (0 <= config.sh_degree <= 3, "0 to 3"),
         "l2": (math.isfinite(config.l2) and config.l2 >= 0, ">= 0"),
         "dssim": (0 <= config.dssim <= 1, "0 to 1"),
         "init": (config.init in INITS, ", ".join(INITS)),
-        "init_points": (config.init_points >= 4, ">= 4"),
+        "init_points": (4 <= config.init_points <= MOST_GAUSSIANS, f"4 to {MOST_GAUSSIANS:,}"),
         "seed": (0 <= config.seed < 1 << 63, "0 to 2⁶³ − 1"),
     }
     for name, (good, expected) in checks.items():
@@ -88,9 +91,7 @@ class _Fit:
     def save(self, run: Run, extent: float, pictures: str) -> None:
         tensors = self.tensors()
         state = {"iteration": self.iteration, "order": self.order, "psnr": float(self.psnr)}
-        run.save_checkpoint(
-            _STAGE, tensors, sealed(tensors, state | {"extent": extent, "pictures": pictures})
-        )
+        run.save_checkpoint(_STAGE, tensors, state | {"extent": extent, "pictures": pictures})
 
 
 def _draws(generator: torch.Generator, device: str, state: Tensor | None = None) -> torch.Generator:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass, field
 from typing import Any, BinaryIO
@@ -10,6 +9,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from ..errors import SplatFileError
+from ..untrusted import parse_json
 from . import layout
 
 MAX_HEADER_BYTES = 1 << 20
@@ -114,8 +114,8 @@ def _add_property(element: Element, words: list[str], line: str) -> None:
 
 def _about(text: str) -> dict[str, Any]:
     try:
-        about = json.loads(text)
-    except (ValueError, RecursionError) as error:
+        about = parse_json(text)
+    except ValueError as error:
         raise SplatFileError(f"'comment tg4mm' is not valid JSON: {error}") from error
     if not isinstance(about, dict):
         raise SplatFileError(f"'comment tg4mm' holds {text[:60]}; expected an object {{…}}")

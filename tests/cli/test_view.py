@@ -1,0 +1,98 @@
+"""`tg4mm view` as a user starts and ends it, and what it says to bad input."""
+
+from __future__ import annotations
+
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from tests.synthetic import make_synthetic_dataset
+from tg4mm.cli import main
+from tg4mm.runs import Run
+
+
+@pytest.fixture(scope="module")
+def run_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("cli")
+    gaussians, motion = make_synthetic_dataset(
+        root / "data", n_views=3, n_timesteps=6, size=32, freqs=(5.0,), alphas=()
+    )
+    run = Run.create(root / "run", root / "data", "modal", {})
+    run.save_space(gaussians, {})
+    run.save_motion(motion, {})
+    return run.path
+
+
+@contextmanager
+def started(*arguments: str, root: Path) -> Iterator[subprocess.Popen[str]]:
+    command = [sys.executable, "-m", "tg4mm", "view", *arguments, "--no-open", "--port", "0"]
+    process = subprocess.Popen(command, cwd=root, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+def test_it_serves_the_page_and_ends_cleanly_at_ctrl_c(run_path: Path, repo_root: Path) -> None:
+    with started(str(run_path), root=repo_root) as process:
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        assert line.startswith("http://127.0.0.1:")
+        assert line.endswith("(Ctrl+C ends)\n")
+        with urllib.request.urlopen(line.split()[0], timeout=30) as answer:
+            assert answer.status == 200
+        process.send_signal(signal.SIGINT)
+        begun = time.monotonic()
+        out, err = process.communicate(timeout=60)
+        assert time.monotonic() - begun < 20
+        assert process.returncode == 0
+        assert out == ""
+        assert "Traceback" not in err
+
+
+def test_a_port_in_use_is_one_line(run_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = str(taken.getsockname()[1])
+        assert main(["view", str(run_path), "--no-open", "--port", port]) == 2
+    err = capsys.readouterr().err
+    assert err == f"tg4mm: port {port} on 127.0.0.1 is in use, or not allowed: choose another with --port\n"
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--alpha", "nan"], "--alpha nan: expected a finite number"),
+        (["--band", "3", "5", "--band", "6", "7"], "--band is given 2 times"),
+        (["--band", "5", "90"], "reaches past half the frame rate, 15 Hz"),
+        (["--port", "70000"], "--port 70000: expected 0 … 65535"),
+    ],
+)
+def test_bad_options_are_one_line(
+    run_path: Path, options: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["view", str(run_path), "--no-open", *options]) == 2
+    err = capsys.readouterr().err
+    assert message in err
+    assert err.count("\n") == 1
+
+
+def test_a_folder_that_is_no_run_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["view", str(tmp_path / "none"), "--no-open"]) == 2
+    assert "none does not exist" in capsys.readouterr().err
+
+
+def test_without_viser_it_says_what_to_install(
+    run_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "viser", None)
+    assert main(["view", str(run_path), "--no-open"]) == 2
+    assert "pip install 'tg4mm[core,view]'" in capsys.readouterr().err

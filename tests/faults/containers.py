@@ -1,0 +1,188 @@
+"""Seeded mutations of files that hold arrays, whole otherwise: checksums, digests and sizes are put right again."""
+
+from __future__ import annotations
+
+import io
+import random
+import struct
+import tempfile
+import warnings
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tests.faults.mutate import WHOLE, changed, of_bytes, of_json
+
+
+def of_tensors(data: bytes, rng: random.Random) -> bytes:
+    """A safetensors file: its bytes, its header, or its tensors written anew with a digest that is right."""
+    what = rng.random()
+    if what < 0.3:
+        return of_bytes(data, rng)
+    if what < 0.5:
+        (size,) = struct.unpack_from("<Q", data)
+        header = of_json(data[8 : 8 + size], rng)
+        return struct.pack("<Q", len(header)) + header + data[8 + size :]
+    return _tensors_anew(data, rng)
+
+
+def _tensors_anew(data: bytes, rng: random.Random) -> bytes:
+    import torch
+    from safetensors import safe_open
+
+    from tg4mm.tensorfile import DIGEST, write_tensors
+    from tg4mm.untrusted import parse_json
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.safetensors"
+        path.write_bytes(data)
+        with safe_open(path, framework="pt") as file:
+            meta = file.metadata()
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        header = {k: parse_json(v) for k, v in meta.items() if k not in ("format", DIGEST)}
+        if rng.random() < 0.3:
+            header = changed(header, rng)
+        else:
+            name = rng.choice(list(tensors))
+            other = _other_array(tensors[name].numpy(), rng)
+            del tensors[name]
+            if other is not None:
+                name += rng.choice(("", "", "", "", "", "x", "#re"))
+                tensors[name] = torch.from_numpy(np.array(other, order="C"))
+        try:
+            write_tensors(path, tensors, header)
+        except Exception:  # what no writer can write
+            return of_bytes(data, rng)
+        return path.read_bytes()
+
+
+def _other_array(array: np.ndarray, rng: random.Random) -> np.ndarray | None:
+    """Another type, shape or value; None: none at all."""
+    flat, what = array.reshape(-1), rng.randrange(9)
+    if what == 0:
+        return None
+    if what == 1 and array.dtype.kind in "fiucb":
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # complex to real
+            return array.astype(
+                rng.choice((np.float16, np.float32, np.float64, np.int32, np.int64, np.uint8, np.bool_))
+            )
+    if what == 2:
+        return array[:0] if array.ndim else array
+    if what == 3:
+        return array[: max(len(array) - 1, 0)] if array.ndim else array[None]
+    if what == 4:
+        return flat
+    if what == 5:
+        return array[None]
+    if what == 6:
+        return flat[:1].reshape(()) if flat.size else array
+    if array.dtype.kind not in "fiuc" or not flat.size:
+        return np.zeros(rng.choice((0, 1, 3)), np.float32)
+    out = flat.copy()
+    numbers = (
+        (0, 1, -1, 2**31 - 1) if array.dtype.kind in "iu" else (np.nan, np.inf, -1.0, 0.0, 1e30, -1e30, 1e-30)
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        where = slice(None) if rng.random() < 0.3 else rng.randrange(out.size)
+        out[where] = np.array(rng.choice(numbers)).astype(out.dtype)
+    return out.reshape(array.shape)
+
+
+def of_npz(data: bytes, rng: random.Random) -> bytes:
+    """Bytes; arrays of another type, shape or value; headers that promise more; methods, pickles and bombs."""
+    what = rng.random()
+    if what < 0.35:
+        return of_bytes(data, rng)
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        parts = {name: archive.read(name) for name in archive.namelist()}
+    name = rng.choice(list(parts))
+    parts[name] = rng.choice((_other_npy, _other_npy, _promising, of_bytes, _bomb))(parts[name], rng)
+    if rng.random() < 0.1:
+        parts[rng.choice(("x", "../x.npy", "/x.npy", "rest_99.npy"))] = parts.pop(name)
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", rng.choice((0, 8, 8, 12, 14)), compresslevel=1) as archive:
+        for name, part in parts.items():
+            archive.writestr(name, part)
+    packed = out.getvalue()
+    if rng.random() < 0.1:  # a method that is none, an encrypted entry, sizes that are lies
+        at = packed.rfind(b"PK\x01\x02")
+        offset, value = rng.choice(((10, 99), (10, 6), (8, 1), (26, 0x7FFF), (22, 0x7FFF)))
+        packed = packed[: at + offset] + struct.pack("<H", value) + packed[at + offset + 2 :]
+    return packed
+
+
+def _other_npy(data: bytes, rng: random.Random) -> bytes:
+    array = np.load(io.BytesIO(data), allow_pickle=False)
+    other = _other_array(array, rng)
+    if other is None:
+        other = np.array([{"a": 1}], dtype=object)
+    out = io.BytesIO()
+    np.save(out, other, allow_pickle=True)
+    return out.getvalue()
+
+
+def _promising(data: bytes, rng: random.Random) -> bytes:
+    """A header with another number or word in it, as long as before."""
+    size = struct.unpack_from("<H", data, 8)[0]
+    text = data[10 : 10 + size].decode("latin-1")
+    words: list[Any] = [
+        "(",
+        ")",
+        "'",
+        "descr",
+        "True",
+        "<f4",
+        "<c8",
+        "|O",
+        "<U9",
+        "<V0",
+        "None",
+        "1, 1,",
+        str(rng.choice(WHOLE)),
+    ]
+    at = rng.randrange(max(len(text) - 20, 1))
+    word = rng.choice(words)
+    text = (text[:at] + word + text[at + rng.choice((0, len(word))) :])[:size].ljust(size)
+    return data[:10] + text.encode("latin-1", "replace") + data[10 + size :]
+
+
+def _bomb(data: bytes, rng: random.Random) -> bytes:
+    """Ten million bytes of zeros, which pack to ten thousand."""
+    if rng.random() > 0.05:
+        return data
+    out = io.BytesIO()
+    np.save(out, np.zeros((416_000, 3) if rng.random() < 0.5 else 1_250_000, np.float64))
+    return out.getvalue()
+
+
+def of_png(data: bytes, rng: random.Random) -> bytes:
+    """Bytes of a PNG, of one chunk with its checksum put right, or another size in its header."""
+    what = rng.random()
+    if what < 0.3:
+        return of_bytes(data, rng)
+    chunks = list(_chunks(data))
+    i = 0 if rng.random() < 0.5 else rng.randrange(len(chunks))
+    kind, body = chunks[i]
+    if i == 0 and rng.random() < 0.7:
+        size = rng.choice(((13_000, 13_000), (0, 5), (1 << 31, 1 << 31), (65_535, 1), (1, 1), (12, 9)))
+        body = struct.pack(">II", *size) + body[8:]
+    else:
+        body = of_bytes(body, rng)
+    chunks[i] = kind, body
+    if rng.random() < 0.1:
+        rng.shuffle(chunks)
+    sealed = (struct.pack(">I", len(b)) + k + b + struct.pack(">I", zlib.crc32(k + b)) for k, b in chunks)
+    return data[:8] + b"".join(sealed)
+
+
+def _chunks(data: bytes) -> Any:
+    at = 8
+    while at + 12 <= len(data):
+        (size,) = struct.unpack_from(">I", data, at)
+        yield data[at + 4 : at + 8], data[at + 8 : at + 8 + size]
+        at += 12 + size

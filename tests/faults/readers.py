@@ -1,0 +1,559 @@
+"""Every reader of files that may come from elsewhere: a valid sample, how to read it, how to mutate it.
+
+All of them may raise Tg4mmError, with one line, and nothing else. Files that Blender's own importers read (.blend, .glb
+and the like) are not among them: they are read in a process of their own, by code that is not ours.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tests.faults.containers import of_npz, of_png, of_tensors
+from tests.faults.mutate import Mutation, of_bytes, of_header, of_json, of_text
+
+N, T = 5, 3  # Gaussians, timesteps
+
+
+@dataclass(frozen=True)
+class Reader:
+    """`make(folder)` writes the sample and gives the file that is mutated, `read(folder)` reads all of it."""
+
+    make: Callable[[Path], Path]
+    read: Callable[[Path], object]
+    mutate: Mutation
+
+
+# Datasets.
+
+
+def _capture(root: Path) -> None:
+    from tg4mm.capture import load_capture, load_images
+
+    load_images(load_capture(root))
+
+
+def _tree(root: Path) -> Path:
+    from tests.capture.conftest import write_tree
+
+    scene = {
+        "fps": 30,
+        "n_timesteps": T,
+        "unit_scale_m": 0.01,
+        "kind": "rig",
+        "alphas": [5],
+        "modes": [{"name": "a"}],
+    }
+    write_tree(root, T, scene | {"width": 12, "height": 8, "format_version": 1, "amplitude": 0.02})
+    return root / "scene.json"
+
+
+def _transforms(root: Path) -> Path:
+    _tree(root)
+    return root / "001" / "transforms_train.json"
+
+
+def _sized_transforms(root: Path) -> Path:
+    path = _transforms(root)
+    for file in root.rglob("transforms_*.json"):
+        file.write_text(json.dumps(json.loads(file.read_text()) | {"w": 12, "h": 8}))
+    return path
+
+
+def _sized(root: Path) -> Path:
+    _sized_transforms(root)
+    return root / "scene.json"
+
+
+def _truth(root: Path) -> Path:
+    _sized_transforms(root)
+    rng = np.random.default_rng(0)
+    arrays: dict[str, Any] = {
+        "objects": np.array(["a", "ü"]),
+        "frequencies_hz": np.array([0.0, 5.0]),
+        "gains": rng.normal(size=(2, T)) + 0j,
+        "magnified": np.array([True, False]),
+    }
+    for i in range(2):
+        arrays[f"rest_{i}"] = rng.normal(size=(4, 3)).astype(np.float32)
+        arrays[f"faces_{i}"] = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+        arrays[f"mode_{i}"] = rng.normal(size=(2, 4, 3)).astype(np.complex64)
+    (root / "truth").mkdir()
+    np.savez_compressed(root / "truth" / "motion.npz", **arrays)
+    return root / "truth" / "motion.npz"
+
+
+def _read_truth(root: Path) -> None:
+    from tg4mm.evaluate.truth import load_truth
+
+    load_truth(root, 30.0, T)
+
+
+def _read_dataset(root: Path) -> None:
+    from dataset_gen.report.dataset import read_dataset
+
+    read_dataset(root).timesteps_by_strength()
+
+
+def _nerfstudio(root: Path) -> Path:
+    from tests.capture.conftest import write_folder
+
+    write_folder(root)
+    values = json.loads((root / "transforms_train.json").read_text())
+    (root / "transforms_train.json").unlink()
+    values |= {
+        "camera_model": "OPENCV",
+        "k1": 0.0,
+        "fl_x": 20.0,
+        "fl_y": 20.0,
+        "cx": 6,
+        "cy": 4,
+        "w": 12,
+        "h": 8,
+    }
+    values |= {"train_filenames": [f["file_path"] for f in values["frames"]], "ply_file_path": "p.ply"}
+    (root / "transforms.json").write_text(json.dumps(values))
+    _ply(root, "p.ply")
+    return root / "transforms.json"
+
+
+def _ply(root: Path, name: str = "points3d.ply") -> Path:
+    from tests.capture.conftest import write_folder
+
+    if name == "points3d.ply":
+        write_folder(root)
+    head = "ply\nformat binary_little_endian 1.0\nelement vertex 4\n" + "".join(
+        f"property {kind} {axis}\n"
+        for kind, axes in (("float", "xyz"), ("uchar", ("red", "green", "blue")))
+        for axis in axes
+    )
+    rows = np.zeros(4, [("x", "<f4", 3), ("c", "u1", 3)])
+    rows["x"] = np.arange(12).reshape(4, 3)
+    (root / name).write_bytes(f"{head}end_header\n".encode() + rows.tobytes())
+    return root / name
+
+
+def _colmap(name: str) -> Callable[[Path], Path]:
+    def make(root: Path) -> Path:
+        from tests.capture.test_colmap import CAMERAS, IMAGES, POINTS, pictures
+
+        pictures(root)
+        model = root / "sparse" / "0"
+        model.mkdir(parents=True)
+        if name.endswith(".txt"):
+            for stem, text in (("cameras", CAMERAS), ("images", IMAGES), ("points3D", POINTS)):
+                (model / f"{stem}.txt").write_text(text)
+        else:
+            _colmap_binary(model)
+        return model / name
+
+    return make
+
+
+def _colmap_binary(model: Path) -> None:
+    import struct
+
+    (model / "cameras.bin").write_bytes(struct.pack("<QiiQQ4d", 1, 1, 1, 12, 8, 20, 21, 6, 4.5))
+    images = struct.pack("<Q", 2)
+    for i, name in enumerate(("a/r_2.png", "b.png")):
+        images += struct.pack("<i7di", i + 1, 1, 0, 0, 0, 0, 0, 4 + i, 1) + name.encode() + b"\0"
+        images += struct.pack("<Q2dq", 1, 3.5, 4.5, 7)
+    (model / "images.bin").write_bytes(images)
+    points = struct.pack("<Q", 2)
+    for i in range(2):
+        points += struct.pack("<Q3d3BdQ2i", i, 1.5, 2.5, i, 10, 20, 30, 0.25, 1, 1, 0)
+    (model / "points3D.bin").write_bytes(points)
+
+
+def _picture(suffix: str, deep: bool = False) -> Callable[[Path], Path]:
+    def make(root: Path) -> Path:
+        from PIL import Image
+
+        from dataset_gen import exr, png
+        from tests.capture.conftest import write_folder
+
+        write_folder(root)
+        pixels = np.random.default_rng(0).integers(0, 256, (8, 12, 4), np.uint8)
+        (root / "train" / "r_000.png").unlink()
+        path = root / "train" / f"r_000{suffix}"
+        if suffix == ".exr":
+            path.write_bytes(exr.encode(pixels.astype(np.float32) / 255))
+        elif deep:
+            path.write_bytes(png.encode(pixels.astype(np.uint16) * 257))
+        elif suffix == ".png":
+            path.write_bytes(png.encode(pixels))
+        else:
+            Image.fromarray(pixels[..., :3]).save(path)
+        return path
+
+    return make
+
+
+def _cameras(root: Path) -> Path:
+    return _nerfstudio(root)
+
+
+def _read_cameras(root: Path) -> None:
+    from tg4mm.render.cameras import cameras_from_file
+
+    cameras_from_file(root / "transforms.json", (12, 8))
+
+
+# Splat files and runs.
+
+
+def _gaussians() -> Any:
+    import torch
+
+    from tg4mm.gaussians import Gaussians
+
+    rng = np.random.default_rng(0)
+    shapes = {"means": (N, 3), "quats": (N, 4), "scales": (N, 3), "opacities": (N,), "sh": (N, 4, 3)}
+    return Gaussians(
+        **{k: torch.from_numpy(rng.uniform(0.1, 0.9, s).astype(np.float32)) for k, s in shapes.items()}
+    )
+
+
+def _motion() -> Any:
+    from tg4mm.motion.appearance_modes import AppearanceModes
+    from tg4mm.motion.modes import ModalMotion
+
+    rng = np.random.default_rng(1)
+    displacement, rotation = rng.normal(size=(2, 2, N, 3)).astype(np.complex64)
+    light = AppearanceModes(rng.normal(size=(1, N, 1, 3)).astype(np.float32), rng.normal(size=(2, 1)) + 0j)
+    return ModalMotion(np.array([0.0, 5.0]), displacement, rotation, 30.0, T, appearance=light)
+
+
+def _splat(root: Path) -> Path:
+    from tg4mm.splatfile import SplatFile, write_splat
+
+    g, m = _gaussians(), _motion()
+    arrays = [getattr(g, k).numpy() for k in ("means", "quats", "scales", "opacities", "sh")]
+    splat = SplatFile(*arrays, m.freqs_hz, m.displacement, m.rotation, 30.0, T, 0.01)
+    write_splat(root / "a.ply", splat)
+    return root / "a.ply"
+
+
+def _read_splat(root: Path) -> None:
+    from tg4mm.splatfile import read_splat
+
+    read_splat(root / "a.ply")
+
+
+def _run(name: str) -> Callable[[Path], Path]:
+    """A whole run, with checkpoints as if its stages had been stopped."""
+
+    def make(root: Path) -> Path:
+        import torch
+
+        from tg4mm.runs import Run
+
+        (root / "data").mkdir()
+        run = Run.create(root / "run", root / "data", "modal", {"space": {"seed": 0, "l2": 0.5}})
+        run.save_space(_gaussians(), {"seconds": 1.5, "n_gaussians": N, "init": "points"})
+        run.save_motion(_motion(), {"seconds": 2.5, "peak_memory_mib": 100.0, "notes": ["a"]})
+        run.save_part("uncertainty", {"displacement": torch.ones(N)})
+        run.save_checkpoint(
+            "space", {"means": torch.ones(N, 3), "x": torch.zeros(())}, {"iteration": 3, "order": [1]}
+        )
+        return root / "run" / name
+
+    return make
+
+
+def _read_run(root: Path) -> None:
+    """All that render, export and report read."""
+    from tg4mm.modelhash import model_hash
+    from tg4mm.report.closing import _stage, total_seconds
+    from tg4mm.runs import Run
+
+    run = Run.open(root / "run")
+    run.load_space()
+    run.load_motion()
+    run.load_uncertainty()
+    run.load_checkpoint("space")
+    total_seconds(run.log())
+    for name, figures in run.log().items():
+        _stage(name, figures)
+    model_hash(run.path)
+
+
+def _resume_run(root: Path) -> None:
+    from tg4mm.runs import Run
+
+    run = Run.create(root / "run", root / "data", "modal", {"space": {"seed": 0, "l2": 0.5}})
+    run.record("space", {"seconds": 1.0, "peak_memory_mib": 5.0})
+
+
+def _paper(name: str) -> Callable[[Path], Path]:
+    def make(root: Path) -> Path:
+        import torch
+
+        from tg4mm.paper.config import PaperConfig
+        from tg4mm.paper.model import save_model, save_planes
+        from tg4mm.paper.space import started
+        from tg4mm.runs import Run
+
+        _run("config.json")(root)
+        model = started(_gaussians(), PaperConfig(channels=2, resolution=16))
+        run = Run.open(root / "run")
+        save_model(run, model)
+        save_planes(run, 1, torch.zeros(len(model.cells), 2))
+        return root / "run" / name
+
+    return make
+
+
+def _read_paper(root: Path) -> None:
+    from tg4mm.paper.model import load_model, load_planes, plane_video
+    from tg4mm.runs import Run
+
+    run = Run.open(root / "run")
+    model = load_model(run)
+    model.decode(model.embedding(load_planes(run, 1, model)))
+    plane_video(run, model, 2, 0, 1)
+
+
+def _record(name: str, values: Any, *folders: str) -> Callable[[Path], Path]:
+    def make(root: Path) -> Path:
+        file = root.joinpath(*folders, name)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(json.dumps(values))
+        return file
+
+    return make
+
+
+def _read_demo(root: Path) -> None:
+    from tg4mm.demo import _read_done
+
+    _read_done(root, 64)
+
+
+def _read_metrics(root: Path) -> None:
+    from tg4mm.evaluate.resume import Resume
+    from tg4mm.evaluate.wanted import _is_ours
+    from tg4mm.runconfig import read_json
+
+    _is_ours(root / "metrics.json")
+    Resume(root / "x")._read()
+    read_json(root / "metrics.json")
+
+
+# The generator, and reconstruction.
+
+
+def _motion_file(suffix: str) -> Callable[[Path], Path]:
+    def make(root: Path) -> Path:
+        import yaml
+
+        from dataset_gen.vibration import read_motion
+
+        path = root / f"motion{suffix}"
+        source = Path(__file__).parents[2] / "dataset_gen" / "scenes" / "ship.yaml"
+        path.write_text(
+            source.read_text() if suffix == ".yaml" else json.dumps(yaml.safe_load(source.read_text()))
+        )
+        read_motion(path)
+        return path
+
+    return make
+
+
+def _read_motion(root: Path) -> None:
+    from dataset_gen.vibration import read_motion
+
+    read_motion(next(root.glob("motion.*"))).to_json()
+
+
+def _bodies(root: Path) -> Path:
+    from dataset_gen.sources import bodies_file
+    from tests.dataset_gen.test_sources_bodies_file import FOUND
+
+    bodies_file.save(root / "found.npz", FOUND)
+    return root / "found.npz"
+
+
+def _read_bodies(root: Path) -> None:
+    from dataset_gen.sources import bodies_file
+
+    bodies_file.load(root / "found.npz")
+
+
+def _claimed(root: Path) -> Path:
+    return _record("scene.json", {"fps": 30, "modes": [{"a": 1}], "cameras": {"n": 3}}, "set")(root)
+
+
+def _claim(root: Path) -> None:
+    from dataset_gen.tree import claim
+
+    claim(root / "set", {"fps": 30, "modes": [{"a": 1}], "cameras": {"n": 3}})
+
+
+def _farm(root: Path) -> None:
+    import io
+    import sys
+
+    from dataset_gen.farm import sets
+
+    before, sys.stdin = (
+        sys.stdin,
+        io.StringIO((root / "config.json").read_text(encoding="utf-8", errors="replace")),
+    )
+    out, sys.stdout = sys.stdout, io.StringIO()
+    err, sys.stderr = sys.stderr, io.StringIO()
+    try:
+        assert sets.main() in (0, 2)
+    finally:
+        sys.stdin, sys.stdout, sys.stderr = before, out, err
+
+
+FARM = {
+    "python": "python",
+    "out": "sets",
+    "threads": 2,
+    "options": "--size 32",
+    "scenes": {"mic": "--seed 1"},
+}
+LENGTH = {"metres": 0.5, "points": [{"a": [1, 2], "b": [3, 4]}, {"a": [5, 6.5], "b": [7, 8]}]}
+SURVEY = {
+    "width": 12, "height": 8, "fps": "30000/1001", "times": ["0", "1/30", "2/30"],
+    "shifts_px": [[0, 0], [0.5, None], [1, 1]], "sharpness": [1.0, 2.0, 3.0], "created_s": 1.5,
+}  # fmt: skip
+
+
+def _length(suffix: str) -> Callable[[Path], Path]:
+    def make(root: Path) -> Path:
+        import yaml
+
+        text = json.dumps(LENGTH) if suffix == ".json" else yaml.safe_dump(LENGTH)
+        (root / f"length{suffix}").write_text(text)
+        return root / f"length{suffix}"
+
+    return make
+
+
+def _read_length(root: Path) -> None:
+    from tg4mm.sfm.scale import checked_length, read_length
+
+    checked_length(read_length(next(root.glob("length.*"))))
+
+
+def _read_survey(root: Path) -> None:
+    from tg4mm.sfm.clip import WHOLE, Clip
+    from tg4mm.sfm.survey import survey_clip
+
+    found = survey_clip(Clip("a", root / "a.mp4"), root / "survey", WHOLE)
+    found.clock()
+    found.is_fixed()
+
+
+def _request(root: Path) -> Path:
+    from tg4mm.sfm.request import open_request
+    from tg4mm.sfm.sources import Sources
+
+    return open_request(root / "out", Sources(root), {"kind": "rig", "fps": None}).folder / "request.json"
+
+
+def _read_request(root: Path) -> None:
+    from tg4mm.sfm.request import open_request
+    from tg4mm.sfm.sources import Sources
+
+    open_request(root / "out", Sources(root), {"kind": "rig", "fps": None}).finished()
+
+
+def _finished(root: Path) -> Path:
+    _request(root)
+    return _record("scene.json", {"fps": 30, "sfm": {"asked": {"kind": "rig"}, "points": 3}}, "out")(root)
+
+
+def _video(root: Path) -> Path:
+    from tests.sfm.videos import still, write_video
+
+    write_video(root / "a.mp4", still(4, size=(32, 24)))
+    return root / "a.mp4"
+
+
+def _read_video(root: Path) -> None:
+    from tg4mm.sfm.video import video_frames, video_info
+
+    video_info(root / "a.mp4")
+    for _ in video_frames(root / "a.mp4"):
+        pass
+
+
+def _weights(suffix: str) -> Callable[[Path], Path]:
+    def make(root: Path) -> Path:
+        import torch
+        from safetensors.torch import save_file
+
+        state = {"features.0.bias": torch.ones(64), "lin0.model.1.weight": torch.ones(1, 64, 1, 1)}
+        if suffix == ".pth":
+            torch.save(state, root / "w.pth")
+        else:
+            save_file(state, root / "w.safetensors", metadata={"kind": "1", "version": "1"})
+        return root / f"w{suffix}"
+
+    return make
+
+
+def _read_weights(root: Path) -> None:
+    from tg4mm.evaluate.lpips import _read
+
+    _read(next(root.glob("w.*")))
+
+
+READERS: dict[str, Reader] = {
+    "scene.json": Reader(_tree, _capture, of_json),
+    "transforms": Reader(_transforms, _capture, of_json),
+    "nerfstudio": Reader(_nerfstudio, _capture, of_json),
+    "points3d.ply": Reader(_ply, _capture, of_header),
+    "colmap cameras.bin": Reader(_colmap("cameras.bin"), _capture, of_bytes),
+    "colmap images.bin": Reader(_colmap("images.bin"), _capture, of_bytes),
+    "colmap points3D.bin": Reader(_colmap("points3D.bin"), _capture, of_bytes),
+    "colmap cameras.txt": Reader(_colmap("cameras.txt"), _capture, of_text),
+    "colmap images.txt": Reader(_colmap("images.txt"), _capture, of_text),
+    "colmap points3D.txt": Reader(_colmap("points3D.txt"), _capture, of_text),
+    "PNG, 8 bits": Reader(_picture(".png"), _capture, of_png),
+    "PNG, 16 bits": Reader(_picture(".png", deep=True), _capture, of_png),
+    "JPEG": Reader(_picture(".jpg"), _capture, of_bytes),
+    "EXR": Reader(_picture(".exr"), _capture, of_bytes),
+    "cameras file": Reader(_cameras, _read_cameras, of_json),
+    "truth motion.npz": Reader(_truth, _read_truth, of_npz),
+    "splat file": Reader(_splat, _read_splat, of_header),
+    "run config.json": Reader(_run("config.json"), _read_run, of_json),
+    "run config.json, resumed": Reader(_run("config.json"), _resume_run, of_json),
+    "run log.json": Reader(_run("log.json"), _read_run, of_json),
+    "run log.json, resumed": Reader(_run("log.json"), _resume_run, of_json),
+    "run space": Reader(_run("space.safetensors"), _read_run, of_tensors),
+    "run motion": Reader(_run("motion.safetensors"), _read_run, of_tensors),
+    "run uncertainty": Reader(_run("uncertainty.safetensors"), _read_run, of_tensors),
+    "run checkpoint": Reader(_run("checkpoint_space.safetensors"), _read_run, of_tensors),
+    "run triplane": Reader(_paper("triplane.safetensors"), _read_paper, of_tensors),
+    "run planes": Reader(_paper("planes_0001.safetensors"), _read_paper, of_tensors),
+    "metrics.json": Reader(
+        _record("metrics.json", {"format": "tg4mm-metrics", "alphas": []}), _read_metrics, of_json
+    ),
+    "demo.json": Reader(_record("demo.json", {"size": 64, "done": {"train": 1.5}}), _read_demo, of_json),
+    "LPIPS weights, safetensors": Reader(_weights(".safetensors"), _read_weights, of_tensors),
+    "LPIPS weights, pth": Reader(_weights(".pth"), _read_weights, of_bytes),
+    "motion YAML": Reader(_motion_file(".yaml"), _read_motion, of_text),
+    "motion JSON": Reader(_motion_file(".json"), _read_motion, of_json),
+    "bodies npz": Reader(_bodies, _read_bodies, of_npz),
+    "dataset report: scene.json": Reader(_sized, _read_dataset, of_json),
+    "dataset report: transforms": Reader(_sized_transforms, _read_dataset, of_json),
+    "dataset report: motion.npz": Reader(_truth, _read_dataset, of_npz),
+    "generate: scene.json": Reader(_claimed, _claim, of_json),
+    "farm configuration": Reader(_record("config.json", FARM), _farm, of_json),
+    "sfm length.json": Reader(_length(".json"), _read_length, of_json),
+    "sfm length.yaml": Reader(_length(".yaml"), _read_length, of_text),
+    "sfm survey": Reader(_record("a.json", SURVEY, "survey"), _read_survey, of_json),
+    "sfm request.json": Reader(_request, _read_request, of_json),
+    "sfm scene.json": Reader(_finished, _read_request, of_json),
+    "sfm video": Reader(_video, _read_video, of_bytes),
+}

@@ -1,0 +1,160 @@
+"""A full disk and a folder that cannot be written: one line, exit 2 (the generator: 1), nothing half-written.
+
+Needs root, for a small file system of its own; without it the tests say so and are skipped.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from tests.faults.readers import READERS
+from tg4mm.errors import RunError
+from tg4mm.files import write_json
+from tg4mm.render.video import write_mp4
+from tg4mm.runs import Run
+
+
+def mount(*arguments: str) -> None:
+    done = subprocess.run(["mount", *arguments], capture_output=True, text=True)
+    if done.returncode:
+        pytest.skip(f"a small file system needs root: mount {' '.join(arguments)}: {done.stderr.strip()}")
+
+
+@pytest.fixture
+def disk(tmp_path: Path) -> Iterator[Callable[[int], Path]]:
+    """`disk(kib)`: a folder on a file system of that size."""
+    if not sys.platform.startswith("linux"):
+        pytest.skip("a small file system needs Linux")
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mounted = []
+
+    def make(kib: int) -> Path:
+        mount("-t", "tmpfs", "-o", f"size={kib}k", "tmpfs", str(folder))
+        mounted.append(folder)
+        return folder
+
+    yield make
+    for each in mounted:
+        subprocess.run(["umount", str(each)], check=True)
+
+
+def fill(folder: Path, leave: int = 0) -> None:
+    """Fill the file system but for `leave` bytes."""
+    room = os.statvfs(folder)
+    (folder / "filler").write_bytes(b"\1" * (room.f_bavail * room.f_frsize - leave))
+
+
+def frames() -> list[np.ndarray]:
+    rng = np.random.default_rng(0)
+    return [rng.integers(0, 256, (48, 48, 3), np.uint8) for _ in range(8)]
+
+
+@pytest.mark.parametrize("kib", [4, 8, 12, 16, 20, 64])
+def test_no_video_is_left_that_does_not_play(disk: Callable[[int], Path], kib: int) -> None:
+    """The encoder tells a full disk by its exit status alone."""
+    folder = disk(kib)
+    with pytest.raises(
+        RunError, match=r"\A[^\n]*no video could be written, ffmpeg ended with [^\n]*No space left[^\n]*\Z"
+    ):
+        write_mp4(folder / "a.mp4", frames(), 10.0, scale=4)
+    assert os.listdir(folder) == []
+
+
+def test_with_room_the_same_video_is_written(disk: Callable[[int], Path]) -> None:
+    folder = disk(4096)
+    write_mp4(folder / "a.mp4", frames(), 10.0, scale=4)
+    assert os.listdir(folder) == ["a.mp4"]
+
+
+def test_nor_does_a_report_hold_one(disk: Callable[[int], Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    from tg4mm.report.video import clip
+
+    monkeypatch.setattr(tempfile, "tempdir", str(disk(16)))
+    with pytest.raises(RunError, match="no video could be written"):
+        clip(np.stack(frames()), 10.0)
+
+
+def test_what_was_there_stays_whole(disk: Callable[[int], Path]) -> None:
+    folder = disk(256)
+    write_json(folder / "a.json", {"old": 1})
+    run = Run.create(folder / "run", folder, "modal", {})
+    run.save_checkpoint("space", {"x": torch.arange(100)}, {"iteration": 1})
+    fill(folder)
+    with pytest.raises(OSError, match="No space left"):
+        write_json(folder / "a.json", {"new": "x" * 9000})
+    with pytest.raises(OSError, match="No space left"):
+        run.save_checkpoint("space", {"x": torch.arange(90_000)}, {"iteration": 2})
+    assert (folder / "a.json").read_text() == '{\n  "old": 1\n}\n'
+    kept = run.load_checkpoint("space")
+    assert kept is not None
+    assert kept[1] == {"iteration": 1}
+    assert sorted(os.listdir(folder)) == ["a.json", "filler", "run"]
+    assert sorted(os.listdir(folder / "run")) == ["checkpoint_space.safetensors", "config.json"]
+
+
+def test_the_generator_leaves_no_temporary_file(disk: Callable[[int], Path]) -> None:
+    from dataset_gen import tree
+
+    folder = disk(64)
+    (folder / "a").write_bytes(b"a" * 9000)
+    fill(folder)
+    with pytest.raises(OSError, match="No space left"):
+        tree.write_bytes(folder / "truth" / "motion.npz", b"x" * 50_000)
+    with pytest.raises(OSError, match="No space left"), tree.whole(folder / "b.npz") as temporary:
+        np.savez(temporary, a=np.ones(9000))
+    assert [p.name for p in sorted(folder.rglob("*")) if p.is_file()] == ["a", "filler"]
+
+
+def tg4mm(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "tg4mm", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120)
+
+
+@pytest.mark.slow
+def test_training_on_a_full_disk_is_one_line(disk: Callable[[int], Path], tmp_path: Path) -> None:
+    (tmp_path / "set").mkdir()
+    READERS["scene.json"].make(tmp_path / "set")
+    folder = disk(16)
+    fill(folder)
+    done = tg4mm("train", tmp_path / "set", "--out", folder / "run")
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
+    assert "No space left" in done.stderr
+    assert not list(folder.rglob("*.tmp"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", ["train", "export", "render", "generate"])
+def test_a_folder_that_cannot_be_written_is_one_line(
+    command: str, disk: Callable[[int], Path], tmp_path: Path
+) -> None:
+    """Read-only as a file system is, which binds root, too."""
+    (tmp_path / "set").mkdir()
+    READERS["scene.json"].make(tmp_path / "set")
+    (tmp_path / "made").mkdir()
+    READERS["run space"].make(tmp_path / "made")
+    shutil.copytree(tmp_path / "set", tmp_path / "made" / "data", dirs_exist_ok=True)
+    folder = disk(64)
+    mount("-o", "remount,ro", str(folder))
+    given = {
+        "train": ("train", tmp_path / "set", "--out", folder / "run"),
+        "export": ("export", tmp_path / "made" / "run", "--format", "ply", "--out", folder / "a.ply"),
+        "render": ("render", tmp_path / "made" / "run", "--alpha", "5", "--out", folder / "out"),
+        "generate": ("generate", "mic", "--size", "16", "--out", folder / "sets"),
+    }
+    done = tg4mm(*given[command])
+    assert done.returncode in (1, 2), done.stderr
+    assert "Traceback" not in done.stderr, done.stderr
+    last = done.stderr.strip().splitlines()[-1]
+    assert str(folder) in last or "Read-only" in last, done.stderr
+    assert os.listdir(folder) == []

@@ -1,0 +1,87 @@
+"""The harness itself: it tells each kind of fault from a refusal, and gives the same mutations again."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.faults import harness
+from tests.faults.mutate import of_bytes
+from tests.faults.readers import READERS, Reader
+from tg4mm.errors import CaptureError
+
+
+def make(root: Path) -> Path:
+    (root / "a").write_bytes(b"0123456789")
+    return root / "a"
+
+
+def spoilt(root: Path) -> bool:
+    return (root / "a").read_bytes() != b"0123456789"
+
+
+def foreign(root: Path) -> None:
+    raise KeyError("no such thing")
+
+
+def two_lines(root: Path) -> None:
+    raise CaptureError("one\ntwo")
+
+
+def dies(root: Path) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def hangs(root: Path) -> None:
+    time.sleep(60)
+
+
+def hoards(root: Path) -> None:
+    np.ones(4 << 27)  # 4 GiB
+
+
+def writes(root: Path) -> None:
+    (root / "b").touch()
+
+
+def good(root: Path) -> None:
+    raise CaptureError("spoilt")
+
+
+FAULTS = {
+    foreign: "KeyError", two_lines: "several lines", dies: "the process died", hangs: "no answer within 1 s",
+    hoards: "MemoryError", writes: "something beside the file",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_each_kind_of_fault_is_told(fault: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(harness, "LIMIT_S", 1.0)
+    monkeypatch.setattr(harness, "FIRST_S", 1.0)
+    reader = Reader(make, lambda root: fault(root) if spoilt(root) else None, lambda data, rng: data + b"x")
+    monkeypatch.setitem(READERS, "wrong", reader)
+    tally = harness.run_reader("wrong", 2, 0)
+    assert [index for index, _ in tally.faults] == [0, 1]
+    assert all(FAULTS[fault] in what for _, what in tally.faults), tally.faults
+
+
+def test_a_refusal_in_one_line_is_no_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(READERS, "right", Reader(make, lambda r: good(r) if spoilt(r) else None, of_bytes))
+    tally = harness.run_reader("right", 50, 0)
+    assert (tally.count, tally.faults) == (50, [])
+    assert tally.refused > 40
+
+
+@pytest.mark.parametrize("name", ["scene.json", "motion YAML", "truth motion.npz", "PNG, 8 bits"])
+def test_the_same_seed_gives_the_same_mutations(name: str, tmp_path: Path) -> None:
+    sample = READERS[name].make(tmp_path).read_bytes()
+    one, other = ([harness.mutated(name, seed, i, sample) for i in range(40)] for seed in (3, 3))
+    assert one == other
+    assert len(set(one)) > 30
+    assert one != [harness.mutated(name, 4, i, sample) for i in range(40)]

@@ -1,0 +1,185 @@
+"""Damaged and hostile run files: a flipped bit is told, a wrong type or number is one line, a kill leaves nothing."""
+
+from __future__ import annotations
+
+import json
+import random
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
+
+from tests.test_runs import SETTINGS, gaussians, modal, refused
+from tg4mm.errors import RunError
+from tg4mm.modelhash import model_hash
+from tg4mm.runs import Run
+from tg4mm.tensorfile import read_tensors, write_tensors
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Run:
+    (tmp_path / "data").mkdir()
+    run = Run.create(tmp_path / "run", tmp_path / "data", "modal", SETTINGS)
+    run.save_space(gaussians(), {})
+    run.save_motion(modal(), {})
+    run.save_part("uncertainty", {"displacement": torch.ones(7)})
+    run.save_checkpoint("motion", {"x": torch.arange(300.0)}, {"iteration": 3})
+    return run
+
+
+def anew(run: Run, name: str, tensors: dict[str, Any] | None = None, **header: Any) -> None:
+    """Write a part with other tensors or header entries, its digest right."""
+    file = run.part_file(name)
+    old, meta = read_tensors(file, name, 1)
+    meta = {k: v for k, v in meta.items() if k not in ("format", "digest")} | header
+    changed = {**old, **(tensors or {})}
+    write_tensors(file, {k: v for k, v in changed.items() if v is not None}, meta)
+
+
+def _read(read: Callable[[], Any]) -> str | None:
+    """What is read, as text; None for a refusal."""
+    try:
+        return repr(read())
+    except RunError:
+        return None
+
+
+@pytest.mark.parametrize("name", ["space", "motion", "uncertainty", "checkpoint_motion"])
+def test_a_flipped_bit_is_told_or_does_no_harm(run: Run, name: str) -> None:
+    """Never a number that is not what was written. Most bits lie in numbers."""
+    reads: dict[str, Callable[[], Any]] = {
+        "space": run.load_space, "motion": run.load_motion, "uncertainty": run.load_uncertainty,
+        "checkpoint_motion": lambda: run.load_checkpoint("motion"),
+    }  # fmt: skip
+    file = run.part_file(name)
+    whole, expected, rng, told = file.read_bytes(), repr(reads[name]()), random.Random(0), 0
+    for _ in range(300):
+        raw = bytearray(whole)
+        raw[rng.randrange(len(raw))] ^= 1 << rng.randrange(8)
+        file.write_bytes(raw)
+        found = _read(reads[name])
+        assert found in (expected, None)
+        told += found is None
+    assert told > 250
+
+
+def test_damage_to_a_number_is_called_so_and_a_checkpoint_says_what_to_do(run: Run) -> None:
+    file = run.part_file("checkpoint_motion")
+    raw = bytearray(file.read_bytes())
+    raw[-5] ^= 0x40  # an exponent: 299 becomes 1e21
+    file.write_bytes(raw)
+    with refused(
+        "is damaged or edited: its content is not what was written; delete it to start the motion stage again"
+    ):
+        run.load_checkpoint("motion")
+
+
+def test_results_from_before_digests_are_still_read(run: Run) -> None:
+    file = run.part_file("motion")
+    before = model_hash(run.path)
+    with safe_open(file, framework="pt") as opened:
+        meta = {k: v for k, v in opened.metadata().items() if k != "digest"}
+        tensors = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118
+    save_file(tensors, file, metadata=meta)
+    motion = run.load_motion()
+    assert motion is not None
+    np.testing.assert_array_equal(motion.displacement, modal().displacement)
+    assert model_hash(run.path) == before
+
+
+@pytest.mark.parametrize(
+    ("header", "match"),
+    [
+        ({"fps": 0}, "fps is 0, expected a positive number"),
+        ({"fps": "30"}, "fps is '30'"),
+        ({"fps": True}, "fps is True"),
+        ({"fps": 1e12}, "fps is 1000000000000.0, expected a positive number, at most 1,000,000,000"),
+        ({"n_timesteps": 10**9}, "n_timesteps is 1000000000, expected a positive number, at most 1,000,000"),
+        ({"n_timesteps": 2.5}, "n_timesteps is 2.5, expected a whole number"),
+        ({"n_timesteps": None}, "n_timesteps is None"),
+    ],
+)
+def test_a_clock_that_cannot_be_is_refused(run: Run, header: dict[str, Any], match: str) -> None:
+    anew(run, "motion", **header)
+    with refused(match):
+        run.load_motion()
+
+
+@pytest.mark.parametrize("text", ["NaN", "Infinity", "-Infinity", "1e999"])
+@pytest.mark.parametrize("key", ["fps", "n_timesteps"])
+def test_a_clock_that_is_no_number_is_refused(run: Run, key: str, text: str) -> None:
+    """JSON has none of them, Python reads them."""
+    file = run.part_file("motion")
+    with safe_open(file, framework="pt") as opened:
+        meta = {k: v for k, v in opened.metadata().items() if k != "digest"}
+        tensors = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118
+    save_file(tensors, file, metadata=meta | {key: text})
+    with refused(f"{key} is (nan|inf|-inf), expected a positive number"):
+        run.load_motion()
+
+
+@pytest.mark.parametrize(
+    ("name", "tensors", "match"),
+    [
+        ("space", {"means": torch.ones(7, 3, dtype=torch.int32)}, "means is torch.int32, expected torch.float32"),
+        ("space", {"means": torch.ones(7, 3, dtype=torch.float64)}, "means is torch.float64"),
+        ("space", {"means": torch.ones(())}, "space.safetensors: "),
+        ("space", {"sh": None}, "holds the tensors"),
+        ("space", {"scales": -torch.ones(7, 3)}, "scales reach down to -1, expected at least 0"),
+        ("space", {"opacities": torch.full((7,), 1.5)}, "opacities span 1.5 to 1.5, expected 0 to 1"),
+        ("motion", {"displacement": torch.ones(2, 7, 3)}, "displacement is torch.float32, expected torch.complex64"),
+        ("motion", {"rotation": None}, "holds the tensors"),
+        ("motion", {"freqs_hz": torch.tensor([-1.0, 2.0]).double()}, "freqs_hz is .*none below 0"),
+        ("motion", {"freqs_hz": torch.ones(2, 1).double()}, "freqs_hz is .*expected a list"),
+        ("uncertainty", {"displacement": None, "other": torch.ones(7)}, "displacement is absent, expected float32"),
+        ("uncertainty", {"displacement": torch.ones(6)}, r"is torch.float32 \(6,\), expected float32 \(7,\)"),
+        ("uncertainty", {"displacement": torch.ones(7, dtype=torch.int64)}, "expected floating-point numbers"),
+    ],
+)  # fmt: skip
+def test_tensors_of_another_kind_are_refused(
+    run: Run, name: str, tensors: dict[str, Any], match: str
+) -> None:
+    anew(run, name, tensors)
+    read = {"space": run.load_space, "motion": run.load_motion, "uncertainty": run.load_uncertainty}[name]
+    with refused(match):
+        read()
+
+
+@pytest.mark.parametrize(
+    ("log", "match"),
+    [
+        ({"space": 3}, "space is 3, expected an object of figures"),
+        ({"space": {"seconds": "1"}}, "space.seconds is '1', expected a number of at least 0"),
+        ({"space": {"seconds": -1.0}}, "space.seconds is -1.0"),
+        ({"space": {"peak_memory_mib": [1]}}, r"space.peak_memory_mib is \[1\]"),
+        ({"space": {"seconds": float("nan")}}, "holds nan, which is no finite number"),
+        ({"space": {"deep": [[float("inf")]]}}, "holds inf, which is no finite number"),
+        ([], "holds list, expected an object"),
+    ],
+)
+def test_a_log_of_another_form_is_refused(run: Run, log: Any, match: str) -> None:
+    (run.path / "log.json").write_text(json.dumps(log))
+    with refused(match):
+        run.log()
+    with refused(match):
+        run.record("space", {"seconds": 1.0})
+
+
+@pytest.mark.parametrize("text", ["9" * 5000, "[" * 100_000, '{"a": 1, "a": 2}', '{"format": "\\ud800"}'])
+def test_a_config_that_trips_parsers_is_one_line(run: Run, text: str) -> None:
+    (run.path / "config.json").write_text(text)
+    with refused("config.json is not readable JSON"):
+        Run.open(run.path)
+
+
+def test_a_checkpoint_that_a_kill_left_beside_its_result_is_forgotten(run: Run, tmp_path: Path) -> None:
+    """The kill came between the rename of motion.safetensors and the removal."""
+    run.save_checkpoint("triplane", {"x": torch.ones(1)}, {})
+    Run.create(run.path, tmp_path / "data", "modal", SETTINGS)
+    kept = sorted(p.name for p in run.path.glob("checkpoint_*"))
+    assert kept == ["checkpoint_triplane.safetensors"]  # whose result is not there

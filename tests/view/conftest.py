@@ -1,0 +1,38 @@
+"""A run of an exact model, as the view opens it: a post sways at 2.5 Hz, a ball moves at 5 Hz, a floor stands still."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from tests.synthetic import make_synthetic_dataset
+from tg4mm.runs import UNCERTAINTY, Run
+from tg4mm.view.scene import Scene, open_scene
+
+DEVIATION = 2e-4  # scene units
+
+
+@pytest.fixture(scope="session")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    root = tmp_path_factory.mktemp("view")
+    model = make_synthetic_dataset(
+        root / "sway", n_views=4, n_timesteps=12, size=48, freqs=(2.5, 5.0), amplitude=0.01, alphas=()
+    )
+    made = Run.create(root / "run", root / "sway", "modal", {"seed": 0})
+    made.save_space(model[0], {})
+    made.save_part(UNCERTAINTY, {"displacement": torch.full((len(model[0]),), DEVIATION)})
+    made.save_motion(model[1], {})
+    return made
+
+
+@pytest.fixture(scope="session")
+def still_run(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """The same without motion, its dataset gone."""
+    made = Run.create(tmp_path_factory.mktemp("still") / "run", run.path.parent / "gone", "modal", {})
+    made.save_space(run.load_space(), {})
+    return made
+
+
+@pytest.fixture(scope="session")
+def scene(run: Run) -> Scene:
+    return open_scene(run)

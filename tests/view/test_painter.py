@@ -1,0 +1,94 @@
+"""Pictures of the scene: what `tg4mm render` writes, magnified, coloured; and the Gaussians under a pixel."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from tg4mm.motion.animate import animate
+from tg4mm.render.frames import to_bytes
+from tg4mm.render.image import render_image
+from tg4mm.report.colour import amount_colours
+from tg4mm.view.colours import Colour, choices, gaussian_colours, legend
+from tg4mm.view.painter import Look, Painter
+from tg4mm.view.scene import open_scene
+
+
+@pytest.fixture(scope="module")
+def painter(scene):
+    return Painter(scene)
+
+
+@pytest.mark.parametrize(("alpha", "band"), [(0.0, None), (20.0, None), (20.0, (4.0, 6.0))])
+def test_the_picture_is_the_one_that_render_writes(scene, painter, alpha, band):
+    camera, t = scene.cameras[1], 3.5
+    gaussians = animate(scene.gaussians, scene.motion, t, alpha, band)
+    wanted = to_bytes(render_image(gaussians, camera.viewmat, camera.K, camera.width, camera.height))
+    shown = painter.paint(Look(alpha, band), t / scene.motion.fps, camera)
+    assert np.abs(shown.astype(int) - wanted).max() <= 1
+
+
+def test_magnification_and_moment_change_the_picture(scene, painter):
+    camera = scene.cameras[0]
+    pictures = [
+        painter.paint(look, seconds, camera).astype(int)
+        for look, seconds in ((Look(-1.0), 0.1), (Look(0.0), 0.1), (Look(20.0), 0.1), (Look(20.0), 0.3))
+    ]
+    for one, other in pairwise(pictures):
+        assert np.abs(one - other).max() > 2
+
+
+def test_colours_are_those_of_the_band_s_strongest_frequency(scene):
+    moving = [gaussian_colours(scene, Colour.amplitude, band) for band in ((2.0, 3.0), (4.0, 6.0))]
+    dark = amount_colours(np.array(0.0))
+    shown = [(np.abs(colours - dark).max(axis=1) > 0.1) for colours in moving]
+    assert shown[0].any()
+    assert shown[1].any()
+    assert not (shown[0] & shown[1]).any()  # the post alone, the ball alone
+
+
+def test_colours_show_in_the_picture(scene, painter):
+    camera = scene.cameras[0]
+    pictures = [painter.paint(Look(0.0, None, c), 0.0, camera).astype(int) for c in choices(scene)]
+    assert len(pictures) == 4
+    for one, other in pairwise(pictures):
+        assert np.abs(one - other).max() > 50
+
+
+def test_a_band_without_frequencies_shows_colours_as_filmed_and_says_so(scene):
+    assert gaussian_colours(scene, Colour.phase, (9.0, 10.0)) is None
+    assert "No frequency" in legend(scene, Colour.phase, (9.0, 10.0))
+    assert "2.5 Hz" in legend(scene, Colour.amplitude, (2.0, 3.0))
+
+
+def test_a_run_without_motion_has_no_colours_but_its_own(still_run):
+    still = open_scene(still_run)
+    assert choices(still) == (Colour.picture,)
+    assert still.duration == 0
+    assert len(still.notes) == 2
+    assert "no motion" in still.notes[0]
+    assert "No cameras of the capture" in still.notes[1]
+    camera = still.cameras[0]
+    assert Painter(still).paint(Look(50.0), 0.0, camera).min() < 200  # the overview has the scene in view
+
+
+def test_weights_of_a_pixel_sum_to_its_opacity_and_name_who_is_there(scene, painter):
+    camera, k = scene.cameras[0], scene.strongest((4.0, 6.0))
+    moves = np.abs(scene.motion.displacement[k]).max(axis=1) > 1e-4
+    centre = scene.gaussians.means.numpy()[moves].mean(axis=0)
+    seen = camera.K @ (camera.viewmat[:3, :3] @ centre + camera.viewmat[:3, 3])
+    x, y = (int(v) for v in seen[:2] / seen[2])
+    weights = painter.pixel_weights(Look(0.0), 0.0, camera, x, y)
+    assert 0.9 < weights.sum() <= 1 + 1e-6
+    assert weights[moves].sum() > 0.9 * weights.sum()
+    corner = painter.pixel_weights(Look(0.0), 0.0, camera, 0, 0)
+    assert corner.sum() < 0.05
+
+
+def test_the_first_magnification_can_be_seen(scene):
+    alpha = scene.alpha_to_see()
+    camera = scene.cameras[0]
+    assert alpha in {1, 2, 5, 10, 20, 50, 100}
+    painter = Painter(scene)
+    rest, moved = (painter.paint(Look(a), 0.1, camera).astype(int) for a in (-1.0, alpha))
+    assert np.abs(rest - moved).max() > 30

@@ -1,0 +1,225 @@
+"""The page in a browser: its pictures are our rasteriser's, its controls work, it asks nothing of any network.
+
+Headless Chromium that draws in software. Skipped where there is none.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tg4mm.capture import load_capture
+from tg4mm.motion.animate import animate
+from tg4mm.motion.modes import ModalMotion
+from tg4mm.render.cameras import Camera, capture_cameras
+from tg4mm.render.image import render_image
+from tg4mm.runs import Run
+from tg4mm.web.scene import camera_json
+from tg4mm.web.write import export_html
+
+pytestmark = pytest.mark.slow
+LEAST_DB = 35.0
+
+
+def psnr(a: np.ndarray, b: np.ndarray) -> float:
+    return float(-10 * np.log10(max(np.mean((a.astype(np.float64) - b) ** 2), 1e-12)))
+
+
+def opened(browser: Any, file: Path, address: str = "", **options: Any) -> Any:
+    """The page, ready; what it complained of and asked for stands in `.complaints` and `.requests`."""
+    page = browser.new_page(viewport={"width": 700, "height": 500}, **options)
+    page.set_default_timeout(120_000)
+    page.complaints, page.requests = [], []
+    page.on("console", lambda message: page.complaints.append(message.text))
+    page.on("pageerror", lambda error: page.complaints.append(str(error)))
+    page.on("request", lambda request: page.requests.append(request.url))
+    page.goto(file.resolve().as_uri() + address)
+    page.evaluate("() => tg4mm.ready.then(() => true, () => false)")
+    return page
+
+
+@pytest.fixture(scope="module")
+def page(browser: Any, page_file: Path) -> Iterator[Any]:
+    page = opened(browser, page_file, "#paused")
+    yield page
+    page.close()
+
+
+@pytest.fixture(scope="module")
+def camera(moving_run: Run) -> Camera:
+    return capture_cameras(load_capture(moving_run.dataset))[0]
+
+
+def picture(page: Any, camera: Camera, **state: Any) -> np.ndarray:
+    url = page.evaluate(
+        "wanted => tg4mm.picture(wanted)", {"camera": camera_json(camera), "band": None, **state}
+    )
+    data = base64.b64decode(url.removeprefix("data:image/png;base64,"))
+    return np.asarray(Image.open(io.BytesIO(data)).convert("RGB"), np.float32) / 255
+
+
+def ours(run: Run, camera: Camera, time: float, alpha: float, band: Any = None) -> np.ndarray:
+    moved = animate(run.load_space(), run.load_motion(), time, alpha, band)
+    return render_image(moved, camera.viewmat, camera.K, camera.width, camera.height)
+
+
+@pytest.mark.parametrize(
+    ("alpha", "time", "band"),
+    [(0, 0, None), (0, 4, None), (20, 2.5, None), (20, 7, (2.0, 4.0)), (20, 7, (5.0, 7.0)), (-1, 3, None)],
+)
+def test_pictures_are_our_rasterisers(page, moving_run, camera, alpha, time, band):
+    drawn = picture(page, camera, alpha=alpha, time=time, band=band)
+    assert psnr(drawn, ours(moving_run, camera, time, alpha, band)) >= LEAST_DB
+
+
+def test_another_magnification_time_or_band_is_another_picture(page, moving_run, camera):
+    """The comparison can fail: what is not that picture is far below the limit."""
+    drawn = picture(page, camera, alpha=20, time=2.5)
+    for wrong in ((2.5, 0), (5, 20), (2.5, 20, (5.0, 7.0))):
+        assert psnr(drawn, ours(moving_run, camera, *wrong)) < LEAST_DB - 5
+
+
+def test_magnification_0_shows_motion_of_a_fraction_of_a_pixel(page, moving_run, camera):
+    """What changes from timestep 0 to 4 is as in our pictures: centres are not rounded to coarse steps."""
+    change = picture(page, camera, alpha=0, time=4) - picture(page, camera, alpha=0, time=0)
+    true = ours(moving_run, camera, 4, 0) - ours(moving_run, camera, 0, 0)
+    assert np.abs(true).mean() > 1e-3
+    assert np.corrcoef(change.ravel(), true.ravel())[0, 1] > 0.9
+
+
+def test_the_page_asks_nothing_of_any_network(page, page_file):
+    assert page.requests[0].startswith(page_file.resolve().as_uri())
+    assert all(url.startswith(("blob:", "data:")) for url in page.requests[1:])
+    assert page.complaints == []
+
+
+def test_it_opens_with_a_camera_of_the_capture(browser, moving_run, tmp_path):
+    """The canvas, of a window of the camera's own size, holds that camera's picture."""
+    page = opened(browser, export_html(moving_run, tmp_path / "a.html"), "#paused&alpha=20&time=2.5")
+    scene = page.evaluate("() => tg4mm.scene")
+    size = scene["camera"]["width"]
+    page.evaluate(
+        f"() => {{ const s = document.getElementById('stage').style; s.width = s.height = '{size}px'; }}"
+    )
+    page.evaluate("() => new Promise((done) => setTimeout(done, 300)).then(() => tg4mm.show({}))")
+    shot = page.locator("canvas").screenshot()
+    drawn = np.asarray(Image.open(io.BytesIO(shot)).convert("RGB"), np.float32) / 255
+    first = next(
+        c for c in capture_cameras(load_capture(moving_run.dataset)) if c.name == scene["camera"]["name"]
+    )
+    assert psnr(drawn, ours(moving_run, first, 2.5, 20)) >= LEAST_DB
+    page.close()
+
+
+def test_controls_set_what_is_shown(page):
+    page.evaluate("() => tg4mm.show({ alpha: 5, time: 0, band: null })")
+    assert page.locator("#alpha").input_value() == "5"
+    assert page.locator("#alpha-hint").inner_text() == "A displacement is shown 6 times as large."
+    page.locator("#alpha-number").fill("12.5")
+    page.get_by_role("button", name="3 Hz").click()
+    state = page.evaluate("() => tg4mm.state()")
+    assert state["alpha"] == 12.5
+    assert state["band"][0] < 3 < state["band"][1] < 6
+    assert page.locator("#spectrum rect.in").count() == 1
+    page.locator("#band-high").fill(str(15))
+    assert page.evaluate("() => tg4mm.state().band[1]") == 15
+    page.get_by_role("button", name="all").click()
+    assert page.evaluate("() => tg4mm.state().band") is None
+    page.get_by_role("button", name="½").click()
+    assert page.evaluate("() => tg4mm.state().speed") == 0.5
+
+
+def test_it_plays_and_pauses(page):
+    page.evaluate("() => tg4mm.show({ time: 0, speed: 1 })")
+    page.get_by_role("button", name="Play").click()
+    page.wait_for_timeout(1500)
+    page.keyboard.press("Escape")
+    page.locator("canvas").focus()
+    page.keyboard.press("Space")
+    first = page.evaluate("() => tg4mm.state()")
+    page.wait_for_timeout(300)
+    assert not first["playing"]
+    assert first["time"] > 0
+    assert page.evaluate("() => tg4mm.state().time") == first["time"]
+
+
+def test_dragging_turns_the_scene_and_reset_turns_it_back(page):
+    page.evaluate("() => tg4mm.show({ time: 0, alpha: 0 })")
+
+    def shot() -> np.ndarray:
+        page.evaluate("() => tg4mm.show({})")
+        data = io.BytesIO(page.locator("canvas").screenshot())
+        return (
+            np.asarray(Image.open(data).convert("RGB"), np.float32)[5:-5, 5:-5] / 255
+        )  # less the focus ring
+
+    before = shot()
+    page.mouse.move(200, 250)
+    page.mouse.down()
+    page.mouse.move(320, 280, steps=4)
+    page.mouse.up()
+    assert psnr(shot(), before) < 30
+    page.get_by_role("button", name="Reset view").click()
+    assert psnr(shot(), before) > 60
+
+
+@pytest.mark.parametrize("wanted", ["{ alpha: 'much' }", "{ band: [5, 3] }", "{ speed: 0 }"])
+def test_what_makes_no_sense_is_refused_by_the_hooks(page, wanted):
+    told = page.evaluate(f"() => tg4mm.show({wanted}).then(() => '', (error) => error.message)")
+    assert "expected" in told
+
+
+def test_a_run_without_motion_is_shown_still(browser, still_run, camera, tmp_path):
+    page = opened(browser, export_html(still_run, tmp_path / "still.html"))
+    assert page.locator("#still").is_visible()
+    assert not page.locator("#motion").is_visible()
+    drawn = picture(page, camera)
+    assert psnr(drawn, ours(still_run, camera, 0, 0)) >= LEAST_DB
+    assert page.complaints == []
+    page.close()
+
+
+def test_as_many_fields_as_a_page_holds_are_drawn(browser, moving_run, camera, tmp_path):
+    """48 modes that have nothing to do with each other: 96 fields."""
+    n, rng = len(moving_run.load_space()), np.random.default_rng(1)
+    noise = rng.normal(0, 5e-4, (2, 48, n, 3)) + 1j * rng.normal(0, 5e-4, (2, 48, n, 3))
+    displacement, rotation = noise.astype(np.complex64)
+    run = Run.create(tmp_path / "run", moving_run.dataset, "modal", {})
+    run.save_space(moving_run.load_space(), {})
+    run.save_motion(ModalMotion(np.linspace(0.2, 14, 48), displacement, rotation, 30.0, 150), {})
+    page = opened(browser, export_html(run, tmp_path / "many.html"), "#paused")
+    assert page.evaluate("() => tg4mm.scene.layout.n_fields") == 96
+    assert psnr(picture(page, camera, alpha=10, time=7.3), ours(run, camera, 7.3, 10)) >= LEAST_DB
+    page.close()
+
+
+def test_a_browser_without_webgl2_is_told(browser, page_file):
+    context = browser.new_context()
+    context.add_init_script("HTMLCanvasElement.prototype.getContext = () => null;")
+    page = context.new_page()
+    page.goto(page_file.resolve().as_uri())
+    page.evaluate("() => tg4mm.ready.then(() => true, () => false)")
+    assert "this browser has no WebGL 2" in page.locator("#notice").inner_text()
+    context.close()
+
+
+def test_a_damaged_page_says_so(browser, page_file, tmp_path):
+    text = page_file.read_text(encoding="utf-8")
+    scene = json.loads(text.split('id="scene">')[1].split("</script>")[0])
+    scene["layout"]["n_gaussians"] += 1
+    start = text.index('id="scene">') + len('id="scene">')
+    damaged = tmp_path / "damaged.html"
+    damaged.write_text(
+        text[:start] + json.dumps(scene) + text[text.index("</script>", start) :], encoding="utf-8"
+    )
+    page = opened(browser, damaged)
+    assert "bytes, expected" in page.locator("#notice").inner_text()
+    page.close()

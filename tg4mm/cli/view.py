@@ -1,0 +1,81 @@
+"""`tg4mm view`: a run in the browser."""
+
+from __future__ import annotations
+
+import math
+import webbrowser
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tg4mm.cli.magnify import BandOption, parse_bands
+from tg4mm.errors import Tg4mmError
+
+if TYPE_CHECKING:
+    from tg4mm.view.session import Session
+
+
+def view(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder made by tg4mm train.")],
+    alpha: Annotated[
+        float | None,
+        typer.Option(
+            help="Magnification to begin with: a displacement δ becomes (1 + alpha) δ. [default: so that the "
+            "strongest motion can be seen]"
+        ),
+    ] = None,
+    band: BandOption = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for snapshots and clips. [default: RUN/view]")
+    ] = None,
+    port: Annotated[int, typer.Option(help="Port on 127.0.0.1; 0 takes a free one.")] = 8474,
+    open: Annotated[bool, typer.Option(help="Open the page in the browser.")] = True,
+) -> None:
+    """Look at a run in the browser: its motion plays, magnified by what the sliders say.
+
+    Served to this machine alone (127.0.0.1). Ctrl+C ends it.
+    """
+    bands = parse_bands(band)
+    if alpha is not None and not math.isfinite(alpha):
+        raise Tg4mmError(f"--alpha {alpha}: expected a finite number")
+    if len(bands) > 1:
+        raise Tg4mmError(f"--band is given {len(bands)} times: the view magnifies one band at a time")
+    try:
+        import viser  # noqa: F401
+    except ModuleNotFoundError as error:
+        raise Tg4mmError(f"this command needs {error.name}: pip install 'tg4mm[core,view]'") from None
+    from tg4mm.view.app import App
+
+    session = _session(run, alpha, bands[0] if bands else None)
+    app = App(session, port, out or run / "view")
+    typer.echo(f"{app.url}  (Ctrl+C ends)")
+    for note in session.scene.notes:
+        typer.echo(note, err=True)
+    try:
+        if open:
+            webbrowser.open(app.url)
+        app.wait()
+    except KeyboardInterrupt:
+        typer.echo("", err=True)  # the terminal shows ^C
+    finally:
+        app.stop()
+
+
+def _session(run: Path, alpha: float | None, band: tuple[float, float] | None) -> Session:
+    from tg4mm.capture import check_band
+    from tg4mm.runs import Run
+    from tg4mm.view.clock import Clock, slow_enough
+    from tg4mm.view.painter import Look
+    from tg4mm.view.scene import open_scene
+    from tg4mm.view.session import Session
+
+    scene = open_scene(Run.open(run))
+    if band is not None and scene.motion is not None:
+        band = check_band(band, scene.motion.fps)
+    strongest = scene.strongest(band)
+    speed = 1.0
+    if strongest is not None and scene.motion is not None:
+        speed = slow_enough(float(scene.motion.freqs_hz[strongest]))
+    look = Look(scene.alpha_to_see() if alpha is None else alpha, band)
+    return Session(scene, look, Clock(scene.duration, speed=speed, playing=scene.duration > 0))

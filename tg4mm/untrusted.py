@@ -1,0 +1,238 @@
+"""JSON, YAML and .npz of unknown origin as plain data: what a file promises is checked before memory is given for it.
+
+Needs numpy alone, and PyYAML for YAML, so that the reader of splat files, the add-on and the generator read by it too.
+What is wrong is a ValueError of one line without the file's name, which the caller puts in front.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import zipfile
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+JSON_BYTES = 32 << 20  # 40,000 frames of a transforms.json; at worst some 25 times as much in memory
+YAML_BYTES = 64 << 10  # a description is a page; PyYAML reads 30 KiB a second where it lacks libyaml
+YAML_VALUES = 100_000  # aliases let a page stand for billions
+NPZ_BYTES = 1 << 30  # unpacked, all arrays together
+NPZ_ARRAYS = 100_000
+DEPTH = 64  # lists and objects in each other
+DIGITS = 20  # of a whole number; past that no 64 bits hold it
+DEFLATE = 1032  # bytes, at most, that one byte packed by zlib stands for (zlib's technical notes)
+_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+
+
+def read_json(path: Path, most: int = JSON_BYTES, finite: bool = False) -> Any:
+    """The data of a JSON file in UTF-8. Raises ValueError as `parse_json` does, and OSError."""
+    return parse_json(_text(path, most), most, finite)
+
+
+def parse_json(text: str | bytes, most: int = JSON_BYTES, finite: bool = False) -> Any:
+    """The data of a JSON text.
+
+    Raises ValueError for a text that is longer than `most` or no JSON, has a key twice (the second would silently
+    win), is nested deeper than DEPTH, or holds a whole number past DIGITS or half a surrogate pair; with `finite`,
+    for NaN and infinity as well, which programs write into JSON though it has none.
+    """
+    if len(text) > most:
+        raise ValueError(f"has more than {most} bytes")
+    try:
+        value = json.loads(text, object_pairs_hook=_without_repeats, parse_int=_whole)
+    except RecursionError:
+        raise ValueError(_DEEP) from None
+    except json.JSONDecodeError as error:
+        raise ValueError(f"line {error.lineno} is not JSON: {error.msg}") from None
+    _check_values(value, math.inf, finite)
+    return value
+
+
+def read_yaml(path: Path) -> Any:
+    """The data of a YAML file in UTF-8. Raises ValueError as `parse_yaml` does, OSError, ImportError."""
+    return parse_yaml(_text(path, YAML_BYTES))
+
+
+def parse_yaml(text: str) -> Any:
+    """The data of a YAML text with PyYAML's safe loader. Raises ImportError where that is not installed.
+
+    Raises ValueError for what `parse_json` refuses, for a text of more than YAML_BYTES, for tags (!!timestamp and
+    the like, for which a description has no use), keys that are not text, and aliases that make more than
+    YAML_VALUES values of it.
+    """
+    import yaml
+
+    if len(text) > YAML_BYTES:
+        raise ValueError(f"has more than {YAML_BYTES} bytes")
+    loader = _yaml_loader()
+    try:
+        _check_events(yaml.parse(text, loader))
+        value = yaml.load(text, loader)
+    except yaml.YAMLError as error:
+        mark, problem = (
+            getattr(error, "problem_mark", None),
+            getattr(error, "problem", None) or " ".join(str(error).split()),
+        )
+        raise ValueError(f"{f'line {mark.line + 1} ' if mark else ''}is not YAML: {problem}") from None
+    _check_values(value, YAML_VALUES)
+    return value
+
+
+def read_npz(path: Path) -> dict[str, np.ndarray]:
+    """The arrays of an .npz file, read-only. Raises ValueError and OSError.
+
+    Refused are pickles, archives that unpack to more than NPZ_BYTES, any packing but zip's own two, and arrays
+    whose size is not what their header says.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            entries = archive.infolist()
+            _check_archive(entries)
+            return {entry.filename.removesuffix(".npy"): _array(archive.read(entry)) for entry in entries}
+    except (OSError, ValueError):
+        raise
+    except (
+        Exception
+    ) as error:  # zipfile and numpy report damage by many types, as zlib.error, EOFError, TokenError
+        raise ValueError(_one_line(error)) from None
+
+
+def _text(path: Path, most: int) -> str:
+    with path.open("rb") as file:
+        data = file.read(most + 1)
+    if len(data) > most:
+        raise ValueError(f"has more than {most} bytes")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"is not UTF-8 text: {error.reason} at byte {error.start}") from None
+
+
+_DEEP = f"is nested more than {DEPTH} deep"
+
+
+def _whole(text: str) -> int:
+    if len(text) > DIGITS:
+        raise ValueError(f"holds a whole number of {len(text)} digits; expected at most {DIGITS}")
+    return int(text)
+
+
+def _without_repeats(pairs: list[tuple[Any, Any]]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for key, value in pairs:
+        if not isinstance(key, str):
+            raise ValueError(f"key {str(key)[:60]} is not text")
+        if key in found:
+            raise ValueError(f"key {key[:60]!r} is there twice")
+        found[key] = value
+    return found
+
+
+def _check_values(value: Any, most: float, finite: bool = False) -> None:
+    """Level by level, so that neither depth nor aliases cost more than they are allowed."""
+    level, depth, seen = [value], 0, 0
+    while level:
+        seen, below = seen + len(level), []
+        if seen > most:
+            raise ValueError(f"stands for more than {most} values")
+        for item in level:
+            if depth >= DEPTH and isinstance(item, dict | list):
+                raise ValueError(_DEEP)
+            if isinstance(item, dict):
+                below += [*item, *item.values()]
+            elif isinstance(item, list):
+                below += item
+            elif isinstance(item, str):
+                _check_text(item)
+            elif isinstance(item, int) and abs(item) >= 10**DIGITS:  # YAML's; JSON's were counted as text
+                raise ValueError(f"holds a whole number of more than {DIGITS} digits")
+            elif finite and isinstance(item, float) and not math.isfinite(item):
+                raise ValueError(f"holds {item}, which is no finite number")
+        level, depth = below, depth + 1
+
+
+def _check_text(text: str) -> None:
+    try:
+        text.encode()
+    except UnicodeEncodeError:  # no file name, message or UTF-8 file can hold it
+        raise ValueError(f"holds the text {ascii(text)[:60]}, which is not Unicode") from None
+
+
+def _yaml_loader() -> Any:
+    import yaml
+
+    base = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+    class Loader(base):  # type: ignore[misc, valid-type, unused-ignore]
+        """Plain data only, without repeated keys."""
+
+    def mapping(loader: Any, node: Any) -> dict[str, Any]:
+        # At once, not in SafeLoader's two steps for documents that refer to themselves: of no use here.
+        pairs = [(loader.construct_object(k, True), loader.construct_object(v, True)) for k, v in node.value]
+        return _without_repeats(pairs)
+
+    Loader.add_constructor("tag:yaml.org,2002:map", mapping)
+    return Loader
+
+
+def _check_events(events: Iterable[Any]) -> None:
+    """Refuse tags and depth before anything is constructed: constructors trip over what a tag claims."""
+    depth = 0
+    for event in events:
+        if getattr(event, "tag", None):
+            raise ValueError(f"line {event.start_mark.line + 1} has the tag {event.tag}; expected none")
+        kind = type(event).__name__
+        depth += kind in ("SequenceStartEvent", "MappingStartEvent")
+        depth -= kind in ("SequenceEndEvent", "MappingEndEvent")
+        if depth > DEPTH:
+            raise ValueError(_DEEP)
+
+
+def _check_archive(entries: list[zipfile.ZipInfo]) -> None:
+    if len(entries) > NPZ_ARRAYS:
+        raise ValueError(f"holds {len(entries)} arrays; expected at most {NPZ_ARRAYS}")
+    total = sum(entry.file_size for entry in entries)
+    if total > NPZ_BYTES:
+        raise ValueError(f"unpacks to {total} bytes; expected at most {NPZ_BYTES}")
+    for entry in entries:
+        if not entry.filename.endswith(".npy"):
+            raise ValueError(f"holds {entry.filename[:60]!r}, which is no array")
+        if entry.compress_type not in _METHODS:
+            raise ValueError(f"{entry.filename[:60]!r} is packed by method {entry.compress_type}")
+        if entry.flag_bits & 1:
+            raise ValueError(f"{entry.filename[:60]!r} is encrypted")
+        if entry.file_size > DEFLATE * (entry.compress_size + 1):
+            raise ValueError(
+                f"{entry.filename[:60]!r} promises {entry.file_size} bytes, more than it can hold"
+            )
+    if len({entry.filename for entry in entries}) < len(entries):
+        raise ValueError("holds two arrays of one name")
+
+
+def _array(data: bytes) -> np.ndarray:
+    """An array from the bytes of an .npy file, of format version 1.0, the one that numpy writes."""
+    file = io.BytesIO(data)
+    version = np.lib.format.read_magic(file)
+    if version != (1, 0):
+        raise ValueError(f"an array has the format version {version}; expected (1, 0)")
+    shape, fortran, dtype = np.lib.format.read_array_header_1_0(file)
+    if dtype.hasobject:
+        raise ValueError("an array holds Python objects, which would be pickles")
+    start = file.tell()
+    if any(n < 0 for n in shape) or math.prod(shape) * dtype.itemsize != len(data) - start:
+        raise ValueError(f"an array has {len(data) - start} bytes; its header says {dtype} {shape}")
+    if dtype.itemsize == 0:
+        return np.zeros(shape, dtype)
+    flat = np.frombuffer(data, dtype, offset=start)
+    if dtype.kind == "U":
+        codes = flat.view(np.dtype(np.uint32).newbyteorder(dtype.byteorder))
+        if ((codes > 0x10FFFF) | ((codes >= 0xD800) & (codes < 0xE000))).any():
+            raise ValueError("an array holds a text that is not Unicode")
+    return flat.reshape(shape, order="F" if fortran else "C")
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())[:160] or type(error).__name__
