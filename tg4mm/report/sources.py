@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from tg4mm.report.maps import in_band, strongest
 from tg4mm.result.advice import suggested_alpha
 from tg4mm.result.read import Reading
 from tg4mm.runs import Run
+from tg4mm.untrusted import read_json
 
 METRICS = "metrics.json"
 
@@ -96,7 +96,7 @@ def _made(run: Run) -> float:
 
 def _checked(path: Path) -> dict[str, Any]:
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        found = read_json(path)
     except ValueError:
         raise RunError(f"{path} is not JSON; delete it, and the report evaluates the run again") from None
     if not isinstance(found, dict) or found.get("format") != "tg4mm-metrics":
