@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import random
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -90,6 +91,16 @@ def test_results_from_before_digests_are_still_read(run: Run) -> None:
     assert motion is not None
     np.testing.assert_array_equal(motion.displacement, modal().displacement)
     assert model_hash(run.path) == before
+
+
+def test_a_motion_of_no_frequencies_is_read_back(run: Run) -> None:
+    """Of a capture in which nothing stands out: its tensors have no elements."""
+    n = len(run.load_space())
+    none = np.zeros((0, n, 3), np.complex64)
+    run.save_motion(replace(modal(), freqs_hz=np.zeros(0), displacement=none, rotation=none), {})
+    motion = run.load_motion()
+    assert motion is not None
+    assert motion.displacement.shape == (0, n, 3)
 
 
 @pytest.mark.parametrize(

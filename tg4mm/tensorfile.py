@@ -109,7 +109,8 @@ def _digest(stored: Mapping[str, Tensor], meta: Mapping[str, str]) -> str:
     digest = hashlib.sha256(json.dumps(dict(meta), sort_keys=True).encode())
     for name, tensor in sorted(stored.items()):
         digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
-        digest.update(tensor.reshape(-1).view(torch.uint8).numpy().data)
+        if tensor.numel():  # of a run without motion there are none
+            digest.update(tensor.reshape(-1).view(torch.uint8).numpy().data)
     return digest.hexdigest()
 
 
