@@ -269,7 +269,8 @@ def _run(name: str) -> Callable[[Path], Path]:
 def _read_run(root: Path) -> None:
     """All that render, export and report read."""
     from tg4mm.modelhash import model_hash
-    from tg4mm.report.closing import _stage, total_seconds
+    from tg4mm.report.closing import _stage
+    from tg4mm.report.summary import total_seconds
     from tg4mm.runs import Run
 
     run = Run.open(root / "run")
