@@ -216,7 +216,8 @@ class Run:
 
     def load_noise(self) -> np.ndarray | None:
         """[N] float32: the part of `load_uncertainty` that is noise, which two halves of the data differ by."""
-        return self.load_part(UNCERTAINTY)[0]["noise"].numpy() if self.has_part(UNCERTAINTY) else None
+        found = self.load_part(UNCERTAINTY)[0].get("noise") if self.has_part(UNCERTAINTY) else None
+        return None if found is None else found.numpy()
 
     def part_rows(self, name: str, tensor: str, row: int) -> np.ndarray:
         """One row of a tensor of a part that `load_part` has accepted, without reading the rest."""
