@@ -1,22 +1,23 @@
-# demo, test, test-all, test-faults, lint, extension, player, clean. Each sets up .venv first; the second time that costs nothing.
+# demo, test, test-all, test-faults, benchmark-avx2, lint, extension, sample, docs, player, readers, clean. Each sets up .venv first; the second time that costs nothing.
 
 VENV := .venv
 BIN := $(VENV)/bin
 # Blender 4.5's Python module needs exactly 3.11.
 PYTHON ?= python3.11
-# Installed first, and pinned, so that a CPU wheel of exactly this version on pip's path is taken. Where pip would
-# fetch a CUDA build instead (Linux, plain PyPI) and you want none:
-#   make TORCH='torch==2.13.0+cpu --extra-index-url https://download.pytorch.org/whl/cpu' …
-TORCH ?= torch==2.13.0
+# The tested version of torch, in constraints.txt. Where pip would fetch a CUDA build of it (Linux, plain PyPI) and you
+# want none:
+#   make TORCH='torch --extra-index-url https://download.pytorch.org/whl/cpu' …
+TORCH ?= torch
+CONSTRAINED := -c constraints.txt
 # Blender 5.2's Python module needs exactly 3.13; where it lies is found on PATH or among pyenv's.
 PYTHON52 ?= $(shell for p in python3.13 "$$(pyenv root 2>/dev/null)"/versions/3.13*/bin/python3.13; do \
 	"$$p" -c 'import sys; assert sys.version_info[:2] == (3, 13)' 2>/dev/null && echo "$$p" && break; done)
 VENV52 := .venv52
 # One thread in each of two workers is faster here than two threads in one.
 WORKERS ?= 2
-PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --durations=30
 
-.PHONY: demo test test-all test-slow test-faults test-52 test-gui lint extension player install clean distclean
+.PHONY: demo test test-all test-slow test-faults test-52 test-gui benchmark-avx2 lint extension sample docs player readers install clean distclean
 
 demo: install
 	$(BIN)/tg4mm demo --out demo
@@ -44,30 +45,50 @@ test-gui: install
 	tests/gui/setup.sh
 	OMP_NUM_THREADS=1 TG4MM_GUI=1 $(BIN)/python -m pytest tests/gui
 
+# The rasteriser's figures on RUN, a folder that `tg4mm train` left, with the compiler held to AVX2: what processors without
+# AVX-512 take, to be seen on any. Kernels made so are cached apart.
+benchmark-avx2: install
+	@[ -n "$(RUN)" ] || { echo "which run? make RUN=/path/of/a/trained/run benchmark-avx2" >&2; exit 2; }
+	NUMBA_CPU_NAME=haswell NUMBA_CPU_FEATURES=+avx2,+fma ATEN_CPU_CAPABILITY=avx2 OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 \
+		$(BIN)/python benchmarks/rasterize.py --run $(RUN) --only run --repeats 50
+
 lint: install
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
 # dist/tg4mm-<version>.zip, for Blender's Edit > Preferences > Get Extensions > Install from Disk.
-extension: install
-	$(BIN)/python addon/make_extension.py
+# Needs Python 3.11 or newer and nothing else.
+extension:
+	$(PYTHON) addon/make_extension.py
+
+# The documentation site in site/, strictly: a broken link is an error.
+docs: install
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
+
+# dist/tg4mm-sample.ply, the demo's splat file: what a release offers beside the extension's zip.
+sample: demo
+	mkdir -p dist && cp demo/splat.ply dist/tg4mm-sample.ply
 
 # The program of the HTML pages (tg4mm/web/player/dist), from its sources; needs node 20 and npm. It is committed: only who
 # changes it runs this, and a test says when it is older than its sources.
 player:
 	cd tg4mm/web/player && npm ci && npm run build
 
+# Khronos's glTF validator and the reference reader of SPZ, for tests that are skipped without them; needs node 20 and npm.
+readers:
+	cd tests/splatfile/formats/node && npm ci --no-audit --no-fund
+
 install: $(VENV)/.installed
 
-$(VENV)/.installed: pyproject.toml Makefile
+$(VENV)/.installed: pyproject.toml constraints.txt Makefile
 	@$(PYTHON) -c 'import sys; assert sys.version_info[:2] == (3, 11)' 2>/dev/null || { \
 		echo "$(PYTHON) is not Python 3.11, which Blender's Python module needs." >&2; \
 		echo "Install it (Debian: apt-get install python3.11 python3.11-venv) or say where: make PYTHON=/path" >&2; \
 		exit 2; }
 	[ -x $(BIN)/python ] || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet $(TORCH)
-	$(BIN)/python -m pip install --quiet -e '.[core,generate,dev]'
+	$(BIN)/python -m pip install --quiet $(CONSTRAINED) $(TORCH)
+	$(BIN)/python -m pip install --quiet $(CONSTRAINED) -e '.[core,generate,dev]'
 	@touch $@
 
 $(VENV52)/.installed: pyproject.toml Makefile
@@ -78,7 +99,7 @@ $(VENV52)/.installed: pyproject.toml Makefile
 	@touch $@
 
 clean:
-	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .numba_cache
+	rm -rf build dist site *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .numba_cache
 	find . -name __pycache__ -not -path './$(VENV)/*' -prune -exec rm -rf {} +
 
 distclean: clean

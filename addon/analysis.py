@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from . import colours, compat, names, plots, scene, spectrum
+from . import compat, names, plots, scene, seen, spectrum
+from .core.colour import STILL_BELOW
 from .core.errors import Tg4mmError
 from .units import Unit
 
@@ -61,15 +62,18 @@ def fit_colour_range(obj: Any) -> float:
     return largest
 
 
-def legend_picture(obj: Any, unit: Unit) -> tuple[Any, ...] | None:
-    """The function of `plots` that draws the legend, and its arguments; None where there is no legend."""
+def legend_picture(obj: Any, unit: Unit, settings: Any) -> tuple[Any, ...] | None:
+    """The function of `plots` that draws the legend, and its arguments; None where there is no legend.
+
+    `settings`: the scene's, whose view transform the colours go through as the object's do.
+    """
     shown = legend(obj)
     if shown is None:
         return None
     highest = float(compat.get_input(scene.splat_modifier(obj), names.COLOUR_RANGE))
     if shown.kind == names.PHASE_COLOUR:
-        return plots.phase_legend, colours.STILL_BELOW * highest, unit
-    return plots.amplitude_legend, highest, unit
+        return plots.phase_legend, STILL_BELOW * highest, unit, seen.phase(settings)
+    return plots.amplitude_legend, highest, unit, seen.amplitude(settings)
 
 
 def band(obj: Any) -> tuple[float, float]:

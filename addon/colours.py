@@ -4,26 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from .core.colour import STILL, amount_colours, phase_colours
+
 C0 = 0.28209479177387814  # Y_00, the constant spherical harmonic: 1 / (2 √π)
-# viridis (Smith, van der Walt, Firing; CC0) at 0, 0.1 … 1: equal steps look equal, and print in grey.
-_VIRIDIS = "440154 482475 414487 355f8d 2a788e 21918c 22a884 44bf70 7ad151 bddf26 fde725"
-STILL = 0.09  # linear grey of what hardly moves: it has no phase to show
-STILL_BELOW = 0.05  # of the colour range
-# OKLab (Ottosson 2020) to linear sRGB: lms' from (L, a, b), then rgb from its cubes.
-_FROM_OKLAB = np.array(
-    [
-        [1.0, 0.3963377774, 0.2158037573],
-        [1.0, -0.1055613458, -0.0638541728],
-        [1.0, -0.0894841775, -1.291485548],
-    ]
-)
-_FROM_LMS = np.array(
-    [
-        [4.0767416621, -3.3077115913, 0.2309699292],
-        [-1.2684380046, 2.6097574011, -0.3413193965],
-        [-0.0041960863, -0.7034186147, 1.707614701],
-    ]
-)
+STEPS = 24  # of a colour map: a Color Ramp has at most 32 colours
 
 
 def linear(srgb: np.ndarray) -> np.ndarray:
@@ -48,16 +32,20 @@ def rest_colours(sh: np.ndarray) -> np.ndarray:
 
 
 def amplitude_map() -> np.ndarray:
-    """[11, 3] linear RGB of equal steps from 0 to the largest amplitude: viridis."""
-    rows = [[int(code[i : i + 2], 16) / 255 for i in (0, 2, 4)] for code in _VIRIDIS.split()]
-    return linear(np.array(rows))
+    """[STEPS + 1, 3] linear RGB of equal steps from 0 to the largest amplitude: the report's map for amounts."""
+    return linear(amount_colours(np.linspace(0.0, 1.0, STEPS + 1)))
 
 
-def phase_map(steps: int = 24) -> np.ndarray:
-    """[steps + 1, 3] linear RGB of equal steps from 0 to one turn, first and last alike.
+def phase_map() -> np.ndarray:
+    """[STEPS + 1, 3] linear RGB of equal steps from 0 to one turn, first and last alike: the report's for phases."""
+    return linear(phase_colours(2 * np.pi * np.arange(STEPS + 1) / STEPS))
 
-    A circle of one lightness and one chroma in OKLab, so that no phase stands out.
-    """
-    turn = 2 * np.pi * np.arange(steps + 1) / steps
-    lab = np.stack([np.full_like(turn, 0.74), 0.122 * np.cos(turn), 0.122 * np.sin(turn)], axis=1)
-    return np.clip((lab @ _FROM_OKLAB.T) ** 3 @ _FROM_LMS.T, 0.0, 1.0)
+
+def phase_and_still() -> np.ndarray:
+    """[STEPS + 2, 3] the map for phases, then the grey of what hardly moves."""
+    return np.vstack([phase_map(), np.full((1, 3), still())])
+
+
+def still() -> float:
+    """Linear grey of what moves too little to have a phase."""
+    return float(linear(np.array(STILL)))

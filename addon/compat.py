@@ -1,4 +1,4 @@
-"""Where Blender 4.5 and 5.2 differ; nothing else in the extension asks for the version."""
+"""Where Blender 4.5, 5.2 and 5.3 differ; nothing else in the extension asks for the version."""
 
 from __future__ import annotations
 
@@ -73,6 +73,32 @@ def input_path(modifier: Any, name: str) -> str:
 def key_input(modifier: Any, name: str, frame: float) -> None:
     """Insert a key of a modifier's input at `frame`."""
     modifier.id_data.keyframe_insert(input_path(modifier, name), frame=frame)
+
+
+def native_splats() -> bool:
+    """True where a point cloud can be of Gaussian splats that Blender itself draws: from 5.3 on.
+
+    Never run: no such Blender was to be had (docs/blender.md has the commands that try it).
+    """
+    return hasattr(bpy.types, "GeometryNodePointsSetType")
+
+
+def choose_splats(node: Any) -> None:
+    """Set a Set Point Cloud Type node to Gaussian splats: the item of its choice that has SPLAT in its identifier.
+
+    RuntimeError, naming the choices, where there is none.
+    """
+    found = []
+    for prop in node.bl_rna.properties:
+        if prop.type == "ENUM" and not prop.is_readonly:
+            for item in prop.enum_items:
+                if "SPLAT" in item.identifier.upper():
+                    setattr(node, prop.identifier, item.identifier)
+                    return
+                found.append(item.identifier)
+    raise RuntimeError(
+        f"the node Set Point Cloud Type has no Gaussian splats, only {', '.join(found) or 'nothing'}"
+    )
 
 
 def use_nodes(material: Any) -> None:

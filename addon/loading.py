@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from . import scene
 from .core.errors import SplatFileError
 from .core.splatfile import SplatFile, read_splat
 from .core.splatfile.header import read_header
 from .numbered import as_sequence, missing_beside, name_of, run_around
+
+STILL = 1e-6  # of the largest motion: float32 holds no less beside it
 
 
 @dataclass(frozen=True)
@@ -40,7 +44,7 @@ def load(
         return _load_sequence(frames, collection, step)
     splats = []
     for i, path in enumerate(paths):
-        splats.append(read_splat(path))
+        splats.append(moving_modes(read_splat(path)))
         step((i + 1) / (len(paths) + 1))
     objects = scene.make_objects(splats, [path.stem for path in paths], collection)
     count, modes = sum(len(splat) for splat in splats), sum(splat.n_modes for splat in splats)
@@ -55,6 +59,27 @@ class Head:
 
     count: int
     moves: bool
+
+
+def moving_modes(splat: SplatFile) -> SplatFile:
+    """The file without modes in which nothing moves: less than STILL of what moves most, Gaussians' turns included."""
+    size = splat.scales.max()
+    reach = np.array(
+        [
+            np.abs(d).max(initial=0.0) + size * np.abs(r).max(initial=0.0)
+            for d, r in zip(splat.displacement, splat.rotation, strict=True)
+        ]
+    )
+    keep = reach > STILL * reach.max(initial=0.0)
+    if keep.all():
+        return splat
+    return replace(
+        splat,
+        freqs_hz=splat.freqs_hz[keep],
+        displacement=splat.displacement[keep],
+        rotation=splat.rotation[keep],
+        deviation=None if splat.deviation is None else splat.deviation[keep],
+    )
 
 
 def header_of(path: Path) -> Head:

@@ -1,20 +1,19 @@
-"""Build the extension's zip: stage a folder that is the package, then run Blender's own builder on it.
+"""Build the extension's zip, by Python's own library alone: stage a folder that is the package, then pack it.
 
-Not part of the extension. The builder lies in the bpy wheel and runs without Blender. A staged folder is
-needed since the package's parts lie in several places: the manifest at the root, addon/, the reader of the
-splat file in tg4mm/, which inside Blender is the sub-package `core`, and the generator, which is `generator`.
+Not part of the extension. A staged folder is needed since the package's parts lie in several places: the manifest at
+the root, addon/, the reader of the splat file in tg4mm/, which inside Blender is the sub-package `core`, and the
+generator, which is `generator`. A test has Blender's own validator look at the zip.
 """
 
 from __future__ import annotations
 
-import importlib.util
 import shutil
-import subprocess
-import sys
 import tomllib
+import zipfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
+_DATE = (1980, 1, 1, 0, 0, 0)  # of every file in the zip
 # The imports with which dataset_gen.vibration leaves its package, and how they read inside the extension.
 _LEAVING = {
     "errors.py": ("..", "from tg4mm.errors import Tg4mmError\n"),
@@ -40,6 +39,7 @@ def stage(folder: Path) -> Path:
     alone = [ROOT / "tg4mm" / name for name in ("errors.py", "untrusted.py")]
     for source in (*alone, *sorted((ROOT / "tg4mm" / "splatfile").glob("*.py"))):
         shutil.copyfile(source, core / source.relative_to(ROOT / "tg4mm"))
+    shutil.copyfile(ROOT / "tg4mm" / "report" / "colour.py", core / "colour.py")
     stage_generator(folder / "generator")
     return folder
 
@@ -71,38 +71,45 @@ def _either(file: Path, absolute: str, relative: str) -> None:
     file.write_text(text.replace(absolute, both), encoding="utf-8")
 
 
+# What dataset_gen imports of tg4mm; nothing in these needs more than Python, numpy and PyYAML.
+_GENERATOR_NEEDS = ("__init__.py", "errors.py", "events.py", "lazy.py", "untrusted.py")
+
+
 def generator_files() -> list[Path]:
     """What the generator consists of, for Blender: not what spreads work over a cluster."""
     package = ROOT / "dataset_gen"
     found = [file for kind in ("*.py", "*.yaml") for file in package.rglob(kind)]
     kept = [file for file in found if "farm" not in file.relative_to(package).parts]
-    return sorted([*kept, *(ROOT / "tg4mm" / name for name in ("__init__.py", "errors.py", "untrusted.py"))])
+    return sorted([*kept, *(ROOT / "tg4mm" / name for name in _GENERATOR_NEEDS)])
 
 
 def build(staged: Path, out: Path) -> Path:
-    """Build and validate the zip from a staged folder; returns its path in the folder `out`."""
+    """Pack a staged folder as OUT/<id>-<version>.zip, the same bytes from the same files; returns its path.
+
+    Raises ValueError for a manifest without an id, a version or a schema version, or with another version than tg4mm.
+    """
     manifest = tomllib.loads((staged / "blender_manifest.toml").read_text(encoding="utf-8"))
+    if missing := [
+        key for key in ("schema_version", "id", "version") if not isinstance(manifest.get(key), str)
+    ]:
+        raise ValueError(f"{staged / 'blender_manifest.toml'} has no {missing[0]}")
+    if manifest["version"] != (own := _version()):
+        raise ValueError(
+            f"blender_manifest.toml is of version {manifest['version']}, tg4mm of {own}: make them equal"
+        )
     out.mkdir(parents=True, exist_ok=True)
     target = out / f"{manifest['id']}-{manifest['version']}.zip"
-    _blender_extension("build", "--source-dir", str(staged), "--output-filepath", str(target))
-    _blender_extension("validate", str(target))
+    with zipfile.ZipFile(target, "w") as archive:
+        for file in sorted(file for file in staged.rglob("*") if file.is_file()):
+            entry = zipfile.ZipInfo(file.relative_to(staged).as_posix(), _DATE)
+            entry.external_attr = 0o644 << 16
+            archive.writestr(entry, file.read_bytes(), zipfile.ZIP_DEFLATED)
     return target
 
 
-def builder() -> Path:
-    """Blender's builder in the installed bpy. Raises FileNotFoundError without one."""
-    spec = importlib.util.find_spec("bpy")  # finds, does not import
-    folders = list(spec.submodule_search_locations or []) if spec is not None else []
-    for folder in folders:
-        for found in Path(folder).glob("*/scripts/addons_core/bl_pkg/cli/blender_ext.py"):
-            return found
-    raise FileNotFoundError("Blender's extension builder is not there: pip install 'tg4mm[generate]'")
-
-
-def _blender_extension(*arguments: str) -> None:
-    done = subprocess.run([sys.executable, str(builder()), *arguments], capture_output=True, text=True)
-    if done.returncode != 0:
-        raise RuntimeError(f"blender_ext {arguments[0]} failed: {done.stdout}{done.stderr}")
+def _version() -> str:
+    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    return str(tomllib.loads(text)["project"]["version"])
 
 
 def main() -> None:

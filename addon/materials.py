@@ -11,7 +11,9 @@ from .made import Made
 from .nodes import Materials
 from .nodes.graph import Graph
 
-TRANSPARENT_BOUNCES = 64  # at least these for true splats, or Cycles stops inside the cloud
+# For true splats Cycles counts two bounces a Gaussian, and shows black where they end: as many as it allows. Before the
+# least number it ends no path by chance, which would be seen as noise.
+TRANSPARENT_BOUNCES = 1024
 _FACTOR = 2  # the Attribute node's output, "Fac" in 4.5 and "Factor" in 5.2
 
 

@@ -17,15 +17,26 @@ VIEW_COLOUR, SOLID_COLOUR = "View-Dependent Colour", "Solid View Colours"
 COLOUR_RANGE = "Colour Range"
 ARROW_LENGTH, ARROW_EVERY = "Arrow Length", "Arrow Every"
 # Items of the two menus, in their order.
-ELLIPSOIDS, SPLATS, POINTS, ARROWS = DRAW_ITEMS = ("Ellipsoids", "Splats", "Points", "Arrows")
+ELLIPSOIDS, SPLATS, POINTS, ARROWS, NATIVE = DRAW_ITEMS = (
+    "Ellipsoids",
+    "Splats",
+    "Points",
+    "Arrows",
+    "Native",
+)
 FILE_COLOUR, AMPLITUDE_COLOUR, PHASE_COLOUR = COLOUR_ITEMS = ("File", "Amplitude", "Phase")
 
 # Attributes of the mesh's points; the node tree finds them by name.
 SCALE, ROTATION, COLOUR, OPACITY, DISPLACEMENT = "scale", "rotation", "colour", "opacity", "displacement"
 MODE_PREFIX, SH_PREFIX = "mode_", "sh_"
+NATIVE_PREFIX, NATIVE_BASE = "radiance:", "radiance:base"  # of Blender 5.3's own splats
 
 # Custom properties of the object. MARK tells our objects; the others say what the file said.
 MARK, FPS, FREQUENCIES, TIMESTEPS = "tg4mm_version", "tg4mm_fps", "tg4mm_frequencies_hz", "tg4mm_timesteps"
+FRAMES = "tg4mm_frames"  # of a sequence, the name of the collection that holds its frames
+LOW_PASS = (
+    "tg4mm_low_pass_px2"  # what the file says its scales hold of the training's low-pass; absent if nothing
+)
 UNIT_SCALE = "tg4mm_unit_scale_m"  # metres per scene unit; absent if unknown
 MODE_AMPLITUDES = "tg4mm_mode_amplitudes"  # largest amplitude of each mode, scene units
 MODE_RMS = "tg4mm_mode_rms"  # amplitude of each mode, rms over the Gaussians by opacity, scene units
@@ -59,6 +70,11 @@ def deviation(mode: int) -> str:
 def phase(mode: int) -> str:
     """Float attribute: phase of the mode along its own direction, turns, 0 to 1."""
     return f"{MODE_PREFIX}{mode}_phase"
+
+
+def native_sh(k: int) -> str:
+    """Vector attribute of Blender's own splats: coefficient k ≥ 1, counted from 0 there."""
+    return f"{NATIVE_PREFIX}sh_{k - 1}"
 
 
 def sh(k: int) -> str:

@@ -25,7 +25,7 @@ def wanted(context: Any) -> tuple[Any, ...] | None:
     obj = scene.splat_object(context)
     if obj is None or not obj.visible_get():
         return None
-    return analysis.legend_picture(obj, preferences.unit_for(context, obj))
+    return analysis.legend_picture(obj, preferences.unit_for(context, obj), context.scene)
 
 
 def _draw() -> None:

@@ -8,6 +8,7 @@ import bpy
 
 from . import (
     analysis,
+    clock,
     colour_range,
     compat,
     names,
@@ -75,6 +76,8 @@ class VIEW3D_PT_tg4mm_motion(_SplatTab, bpy.types.Panel):
         column = _fields(layout)
         _draw_all(column, modifier, names.ALPHA, names.SPEED, names.FIRST)
         _draw_all(layout, modifier, names.LOOP)
+        for line in clock.lines(context.scene, scene.splat_object(context), modifier):
+            layout.label(text=line)
 
 
 class VIEW3D_PT_tg4mm_band(_MotionTab, bpy.types.Panel):
@@ -123,11 +126,14 @@ class VIEW3D_PT_tg4mm_look(_SplatTab, bpy.types.Panel):
         column = _fields(layout)
         _draw_all(column, modifier, names.DRAW, names.COLOUR_BY)
         _draw_colour_range(layout, context, obj)
-        if compat.get_input(modifier, names.DRAW) == names.ARROWS:
+        drawn = compat.get_input(modifier, names.DRAW)
+        if drawn == names.ARROWS:
             _draw_all(_fields(layout), modifier, names.ARROW_LENGTH, names.ARROW_EVERY)
         on, shading = compat.get_input(modifier, names.SOLID_COLOUR), _shading(context)
         if on or shading == "SOLID":  # other views show the colours anyway
             layout.operator("tg4mm.solid_colours", icon="SHADING_SOLID", depress=on).on = not on
+        if drawn == names.SPLATS and names.LOW_PASS not in obj:
+            layout.label(text="Scales as trained: what is thin may have holes", icon="INFO")
         if context.scene.view_settings.view_transform != "Standard":
             layout.operator("tg4mm.true_colours", icon="COLOR")
 
@@ -173,7 +179,7 @@ def _draw_peaks(layout: Any, obj: Any) -> None:
 
 def _draw_colour_range(layout: Any, context: Any, obj: Any) -> None:
     """What belongs to colours by amplitude or phase; nothing for the file's."""
-    picture = analysis.legend_picture(obj, preferences.unit_for(context, obj))
+    picture = analysis.legend_picture(obj, preferences.unit_for(context, obj), context.scene)
     if picture is None:
         return
     row, view = _fields(layout).row(align=True), view_settings.of(context)

@@ -8,7 +8,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from . import compat, names, picking, pictures, plots, preferences, probe, scene
+from . import clock, picking, pictures, plots, preferences, probe, scene
 from .panel import _MotionTab
 from .units import Unit
 
@@ -92,8 +92,7 @@ def marked_curve(
 def time_part(context: Any, obj: Any, found: probe.Probe) -> float:
     """Where in the recording the current frame is: 0 its first timestep, 1 its last."""
     modifier = scene.splat_modifier(obj)
-    first, speed = (float(compat.get_input(modifier, name)) for name in (names.FIRST, names.SPEED))
-    return (context.scene.frame_current_final - first) * speed / max(found.n_timesteps - 1, 1)
+    return clock.timestep(context.scene, obj, modifier) / max(found.n_timesteps - 1, 1)
 
 
 @lru_cache(maxsize=8)

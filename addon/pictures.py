@@ -91,6 +91,13 @@ def icon(function: Callable[..., np.ndarray], *arguments: Hashable) -> int:
     return number
 
 
+def prepare(function: Callable[..., np.ndarray], *arguments: Hashable) -> None:
+    """Draw a picture now, for a panel that is going to ask for it. Not to be called while a panel is drawn."""
+    number = shared().icon(function, *arguments)
+    if not number or shared().waiting:
+        shared().refresh()
+
+
 def shared() -> Pictures:
     """The extension's pictures."""
     assert _pictures is not None, "the extension is not registered"

@@ -14,6 +14,7 @@ from . import colours
 from .canvas import Canvas, Colour
 from .units import Unit
 
+Rows = tuple[Colour, ...]  # of a colour map, as they look on the screen; hashable
 SIDE = 400
 _TEXT = 17.0  # height of capitals
 _LARGE_TEXT = 23.0  # of the spectrum, which is shown smaller than the others
@@ -25,6 +26,14 @@ _INSIDE: Colour = (1.0, 0.63, 0.22)
 _OUTSIDE: Colour = (0.55, 0.55, 0.56)
 _AXES: tuple[Colour, ...] = ((0.94, 0.33, 0.36), (0.52, 0.80, 0.25), (0.36, 0.62, 0.98))  # Blender's x, y, z
 _LEFT, _RIGHT, _TOP, _BOTTOM = 14.0, 386.0, 92.0, 312.0  # of the plot's area
+
+
+def standard_rows(linear: np.ndarray) -> Rows:
+    """Linear colours [K, 3] as the view transform Standard shows them."""
+    return tuple((float(r), float(g), float(b)) for r, g, b in colours.display(linear))
+
+
+STANDARD_AMPLITUDE, STANDARD_PHASE = map(standard_rows, (colours.amplitude_map(), colours.phase_and_still()))
 
 
 def spectrum(
@@ -90,15 +99,14 @@ def mark_time(picture: np.ndarray, part: float) -> np.ndarray:
     return canvas.pixels
 
 
-def amplitude_legend(highest: float, unit: Unit) -> np.ndarray:
-    """The bar of colours from 0 to `highest`, scene units, with numbers."""
+def amplitude_legend(highest: float, unit: Unit, rows: Rows = STANDARD_AMPLITUDE) -> np.ndarray:
+    """The bar of colours `rows`, from 0 to `highest`, scene units, with numbers."""
     canvas = Canvas(SIDE, SIDE, _BACK)
     canvas.text(_LEFT, 32, "Amplitude in the band,", _FRONT, _TEXT)
     canvas.text(_LEFT, 64, unit.name, _FRONT, _TEXT)
     top, bottom, left, right = 100, 376, 24, 110
-    rows = colours.display(colours.amplitude_map())
     at = 1.0 - (np.arange(bottom - top) + 0.5) / (bottom - top)
-    column = np.stack([np.interp(at, np.linspace(0, 1, len(rows)), rows[:, c]) for c in range(3)], axis=1)
+    column = _between(at, rows)
     bar = np.repeat(column[:, None], right - left, axis=1)
     canvas.paste(bar, np.ones(bar.shape[:2]), left, top)
     shown = highest * unit.per_scene_unit
@@ -111,16 +119,18 @@ def amplitude_legend(highest: float, unit: Unit) -> np.ndarray:
     return canvas.pixels
 
 
-def phase_legend(still_below: float, unit: Unit) -> np.ndarray:
-    """The wheel of phases, 0° on the right and counter-clockwise, and grey for less than `still_below`."""
+def phase_legend(still_below: float, unit: Unit, rows: Rows = STANDARD_PHASE) -> np.ndarray:
+    """The wheel of phases, 0° on the right and counter-clockwise, and grey for less than `still_below`.
+
+    `rows`: the colours of the turn, then the grey.
+    """
     canvas = Canvas(SIDE, SIDE, _BACK)
     canvas.text(_LEFT, 32, "Phase of the largest", _FRONT, _TEXT)
     canvas.text(_LEFT, 64, "frequency in the band", _FRONT, _TEXT)
     side, centre_x, centre_y = 200, 200, 204
     y, x = np.mgrid[:side, :side] + 0.5 - side / 2
     turn = (np.arctan2(-y, x) / (2 * np.pi)) % 1.0
-    rows = colours.display(colours.phase_map())
-    wheel = np.stack([np.interp(turn, np.linspace(0, 1, len(rows)), rows[:, c]) for c in range(3)], axis=2)
+    wheel = _between(turn, rows[:-1])
     radius = np.hypot(x, y)
     ring = np.clip(side / 2 - radius, 0, 1) * np.clip(radius - side / 4, 0, 1)
     canvas.paste(wheel, ring, centre_x - side // 2, centre_y - side // 2)
@@ -132,10 +142,15 @@ def phase_legend(still_below: float, unit: Unit) -> np.ndarray:
         ("270°", 0, 110 + _TEXT, 0.5),
     ):
         canvas.text(centre_x + dx, centre_y + dy, words, _FRONT, _TEXT, anchor)
-    grey = float(colours.display(np.array(colours.STILL)))
-    canvas.box(_LEFT, 362, _LEFT + 26, 388, (grey, grey, grey))
+    canvas.box(_LEFT, 362, _LEFT + 26, 388, rows[-1])
     canvas.text(_LEFT + 38, 386, f"< {unit.text(still_below)}", _FRONT, _TEXT)
     return canvas.pixels
+
+
+def _between(parts: np.ndarray, rows: Rows) -> np.ndarray:
+    """[..., 3] the colours of a map at `parts` of its length, any shape."""
+    table = np.array(rows)
+    return np.stack([np.interp(parts, np.linspace(0, 1, len(table)), table[:, c]) for c in range(3)], axis=-1)
 
 
 def ticks(low: float, high: float, most: int) -> list[float]:

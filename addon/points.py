@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from . import colours, names
+from . import colours, compat, names
 from .core.splatfile import SplatFile
 
 # A thinner ellipsoid cannot be inverted in float32, which the splat material needs.
@@ -26,6 +26,10 @@ def fill_mesh(mesh: Any, splat: SplatFile) -> None:
     mesh.color_attributes.active_color = mesh.color_attributes[names.COLOUR]
     for k in range(splat.sh.shape[1] if splat.sh_degree else 0):
         _attribute(mesh, names.sh(k), "FLOAT_VECTOR", "vector", splat.sh[:, k])
+    if compat.native_splats():
+        for name, values in native_attributes(splat).items():
+            kind, field = ("FLOAT4", "value") if name == names.NATIVE_BASE else ("FLOAT_VECTOR", "vector")
+            _attribute(mesh, name, kind, field, values)
     for k in range(splat.n_modes):
         part, d, r = names.phasor(k), splat.displacement[k], splat.rotation[k]
         for key, values in (("re", d.real), ("im", d.imag), ("re_r", r.real), ("im_r", r.imag)):
@@ -38,6 +42,15 @@ def fill_mesh(mesh: Any, splat: SplatFile) -> None:
     # New points come selected; the probe reads what a person selects.
     mesh.vertices.foreach_set("select", np.zeros(len(splat), bool))
     mesh.update()
+
+
+def native_attributes(splat: SplatFile) -> dict[str, np.ndarray]:
+    """What Blender 5.3's own splats read besides position, scale and rotation: [N, 4] raw f_dc and opacity, and
+    [N, 3] for each further coefficient, as in the file."""
+    base = np.concatenate([splat.sh[:, 0], splat.opacities[:, None]], axis=1)
+    return {names.NATIVE_BASE: base} | {
+        names.native_sh(k): splat.sh[:, k] for k in range(1, splat.sh.shape[1])
+    }
 
 
 def drawable_scales(scales: np.ndarray) -> np.ndarray:

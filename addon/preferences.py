@@ -12,6 +12,13 @@ from .units import Unit, unit_of
 
 PACKAGE = __package__  # "bl_ext.user_default.tg4mm" where installed
 
+_WALKTHROUGH = (
+    "Needed to train, and for depth, normals and the report of a dataset:",
+    "1. In a terminal: python3.11 -m venv tg4mm-env",
+    "2. In a clone of tg4mm: tg4mm-env/bin/pip install '.[core,generate]'",
+    "3. Above: choose tg4mm-env/bin/python (Windows: Scripts\\python.exe), and press Test",
+)
+
 
 class TG4MM_preferences(bpy.types.AddonPreferences):
     """What holds for every file"""
@@ -77,7 +84,11 @@ class TG4MM_preferences(bpy.types.AddonPreferences):
         column.prop(self, "band_width", text="Band Around a Peak (Hz)")
         column.prop(self, "length_unit")
         column.prop(self, "digits")
-        layout.column(heading="Generate and Train").prop(self, "core_python")
+        column = layout.column(heading="Generate and Train")
+        column.prop(self, "core_python")
+        column.operator("tg4mm.test_core", icon="CHECKMARK")
+        for line in _WALKTHROUGH:
+            column.label(text=line)
 
 
 def get(context: Any) -> Any:

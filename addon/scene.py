@@ -10,7 +10,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from . import names
+from . import clock, names
 from .core.splatfile import SplatFile
 from .made import Made
 from .materials import make_materials
@@ -77,7 +77,7 @@ def make_sequence(
         content = Content(count=most, sh_degree=degree, frames=frames, n_frames=len(paths))
         obj = _player(base, made.keep(bpy.data.meshes.new(base)), content, made)
         obj[names.MARK], obj[names.FPS], obj[names.FREQUENCIES] = 1, 0.0, []
-        obj[names.TIMESTEPS] = len(paths)
+        obj[names.TIMESTEPS], obj[names.FRAMES] = len(paths), frames.name
         collection.objects.link(obj)
     return obj, most
 
@@ -99,18 +99,40 @@ def splat_object(context: Any) -> Any:
     return None if modifier is None or modifier.node_group is None else target
 
 
+def sequence_frames(obj: Any) -> list[Any] | None:
+    """The objects that a sequence shows one after another; None for what is no sequence."""
+    frames = bpy.data.collections.get(obj.get(names.FRAMES, ""))
+    return None if frames is None else sorted(frames.objects, key=lambda frame: frame.name)
+
+
 def moves(obj: Any) -> bool:
     """True for a splat object with modes of motion."""
     return splat_modifier(obj) is not None and len(obj[names.FREQUENCIES]) > 0
 
 
-def set_timeline(scene: Any, fps: float, n_timesteps: int) -> None:
-    """Frame 1 … T, and the frame rate where it is known; what does not move leaves the timeline as it is."""
-    if fps > 0:
-        scene.render.fps = max(1, math.ceil(fps))
-        scene.render.fps_base = scene.render.fps / fps
-    if fps > 0 or n_timesteps > 1:
-        scene.frame_start, scene.frame_end = 1, max(1, n_timesteps)
+def set_timeline(scene: Any, new: Sequence[Any], fps: float, n_timesteps: int) -> str:
+    """Frame 1 … T, and the frame rate where it is known; what does not move leaves the timeline as it is.
+
+    A scene in which something but the `new` objects moves keeps its timeline: another frame rate would retime its keys.
+    Returns what to tell about it, "" for nothing.
+    """
+    if not fps and n_timesteps <= 1:
+        return ""
+    others = [obj for obj in scene.objects if obj not in new]
+    if any(moves(obj) for obj in others) or any(map(_has_keys, bpy.data.actions)):
+        return f"timeline left at {clock.rate(scene):g} frames a second, as something moves already"
+    scene.frame_start, scene.frame_end = 1, max(1, n_timesteps)
+    if not fps:
+        return ""
+    scene.render.fps = max(1, math.ceil(fps))
+    scene.render.fps_base = scene.render.fps / fps
+    return f"timeline set to {fps:g} frames a second"
+
+
+def _has_keys(action: Any) -> bool:
+    """True for an action that moves something."""
+    first, last = action.frame_range
+    return bool(last > first)
 
 
 def _player(name: str, mesh: Any, content: Content, made: Made) -> Any:
@@ -131,6 +153,8 @@ def _describe(obj: Any, splat: SplatFile, largest: list[float]) -> None:
     obj[names.MODE_AMPLITUDES] = largest
     obj[names.MODE_RMS] = [rms_amplitude(a, splat.opacities) for a in _amplitudes(obj.data, splat)]
     obj[names.MODE_AXES] = [float(x) for phasors in splat.displacement for x in main_axis(phasors)]
+    if splat.low_pass_px2 is not None:
+        obj[names.LOW_PASS] = splat.low_pass_px2
     if splat.unit_scale_m is not None:
         obj[names.UNIT_SCALE] = splat.unit_scale_m
 

@@ -21,8 +21,8 @@ import numpy as np
 from PIL import Image
 
 from tg4mm.capture.model import SurfacePoints
+from tg4mm.capture.points import write_points
 from tg4mm.files import write_json
-from tg4mm.sfm.dataset import write_points
 
 KINDS = ("tripod", "handheld", "clips", "flat")
 SIZES = {

@@ -2,10 +2,10 @@
 
     python benchmarks/limit.py
 
-compiles the loops anew and prints what they are made of, for one block, the two loops of the backward pass together;
-forward it is the loop of the picture alone. The constants below are what it printed for an earlier version on Zen 4
-(the present loops have two instructions fewer each), kept so that versions are measured by one yardstick. Two limits
-follow, in cycles of one core:
+needs AVX-512. It compiles the loops anew and prints what they are made of, for one block, the two loops of the backward
+pass together; forward it is the loop of the picture alone. The constants below are what it printed for an earlier
+version on Zen 4 (the present loops have two instructions fewer each), kept so that versions are measured by one
+yardstick. Two limits follow, in cycles of one core:
 
 - of the evaluations: visible (pixel, Gaussian) / 16 × arithmetic instructions, one a cycle, every lane useful. What no
   way of cutting a picture into vectors of 16 could beat at that rate.
@@ -106,7 +106,7 @@ def visible_evaluations(splats, tile_start, pair_gaussian, width, height):
 
 
 def blocks_seen(reached: np.ndarray) -> int:
-    """How many blocks `blend_forward` found a Gaussian seen in, from its `reached` [P] uint32."""
+    """How many blocks of PIXELS pixels `blend_forward` found a Gaussian seen in, from its `reached` [P] uint32."""
     return int(np.unpackbits(reached.view(np.uint8)).sum())
 
 

@@ -39,6 +39,7 @@ from tg4mm.capture import load_capture
 from tg4mm.memory import peak_memory_mib
 from tg4mm.rasterize import rasterization
 from tg4mm.rasterize.reference import rasterize_dense
+from tg4mm.rasterize.simd.vector import PIXELS
 from tg4mm.runs import Run
 from tg4mm.space.fused import FusedAdam, Iteration
 from tg4mm.space.view import render_view
@@ -224,15 +225,15 @@ class Trained:
         ghz = clock_ghz()
         print(
             f"{len(g)} Gaussians, {kernels.n_pairs} pairs, {evaluations} visible pixel evaluations in {blocks} blocks "
-            f"({evaluations / blocks / 16:.0%} of their lanes), {ghz:.2f} GHz"
+            f"({evaluations / blocks / PIXELS:.0%} of their lanes), {ghz:.2f} GHz"
         )
         limits = (("blend, picture alone", FORWARD), ("blend", FORWARD), ("blend backward", BACKWARD))
         for name, loop in limits if numba.get_num_threads() == 1 else ():
-            cycles = (evaluations / 16 * loop.arithmetic, blocks * loop.cycles)
-            least, of_blocks = (n / (ghz * 1e6) for n in cycles)
+            least, of_blocks = evaluations / 16 * loop.arithmetic, blocks * loop.cycles * PIXELS / 16
+            least, of_blocks = (n / (ghz * 1e6) for n in (least, of_blocks))
             taken = times[name][2]
             print(
-                f"arithmetic limit of {name}: {least:.2f} ms of processor time, {of_blocks:.2f} for 4 × 4 blocks; "
+                f"arithmetic limit of {name}: {least:.2f} ms of processor time, {of_blocks:.2f} for these blocks; "
                 f"taken: {taken / least:.1f} and {taken / of_blocks:.1f} times that"
             )
         return times

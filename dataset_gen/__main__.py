@@ -10,9 +10,11 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import FrameType
 
+from tg4mm import events
 from tg4mm.errors import Tg4mmError
 
 from . import run
+from .listing import listing
 from .options import Request, parser, request_from
 from .processes import RunFailed
 from .settings import Settings
@@ -47,17 +49,23 @@ def _stopped_once() -> Iterator[None]:
 def _run(argv: Sequence[str] | None) -> int:
     try:
         request = request_from(parser().parse_args(argv))
+        if request.listed:
+            print(listing(request.listed, request.sets[0] if request.sets else None))
+            return 0
         for settings in request.sets:
             start = time.monotonic()
             word, path = _do(request, settings)
-            print(f"{word}: {path}  ({time.monotonic() - start:.0f} s)", file=sys.stderr)
+            if events.wanted():
+                events.emit(word, path=str(path))
+            else:
+                print(f"{word}: {path}  ({time.monotonic() - start:.0f} s)", file=sys.stderr)
         if len(request.sets) > 1 and not (request.prepare or request.part):
             print(f"overview: {run.overview(request.out)}", file=sys.stderr)
     except Tg4mmError as error:
-        print(f"error: {error}", file=sys.stderr)
+        events.say("error", str(error), "error: ")
         return 2
     except (RunFailed, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
+        events.say("error", str(error), "error: ")
         return 1
     except KeyboardInterrupt:
         print("stopped; the same command goes on from here", file=sys.stderr)

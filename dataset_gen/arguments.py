@@ -59,16 +59,16 @@ _HELP = {
     "size": "edge of the square images, pixels",
     "timesteps": "number of timesteps",
     "fps": "timesteps per second, Hz",
-    "views": f"training cameras of an orbit or a rig; pictures of a sweep; clips, which are {CLIPS} by default",
-    "test_views": "test cameras, 10 in the published data; of flat one, its own",
+    "views": f"training cameras of an orbit or a rig; pictures of a sweep; clips ({CLIPS} by default)",
+    "test_views": "test cameras; the published data have 10; flat has one, its own",
     "clock_offsets": "cameras that film together start up to this much apart, seconds",
     "shake": "every camera turns about its own centre, at 1 … 10 Hz: rms shift of the picture, pixels",
     "exposure_drift": "slow change of brightness, percent peak to peak; of colour, a third of that",
-    "flicker": "of the light, percent peak to peak",
-    "flicker_hz": "with --flicker: Hz",
+    "flicker": "flicker of the light, percent peak to peak",
+    "flicker_hz": "with --flicker: its frequency, Hz",
     "crf": "with --codec: rate factor, 0 … 51; more is worse",
     "samples": "light paths per pixel",
-    "seed": "of the renderer, the sensor, the points and shaky hands",
+    "seed": "seed of the renderer, the sensor, the points and shaky hands",
     "points": "points in points3d.ply, 0 for none",
 }
 
@@ -130,11 +130,19 @@ def _source_options(group: argparse._ArgumentGroup) -> None:
         "--blend", type=Path, metavar="FILE", help="a .blend file; its scene at its current frame"
     )
     group.add_argument(
-        "--mesh", type=Path, metavar="FILE", help="a glTF, OBJ, PLY, STL, USD or FBX file, brought to size"
+        "--mesh",
+        type=Path,
+        metavar="FILE",
+        help="a glTF, OBJ, PLY, STL, USD or FBX file, scaled to the size of the built-in scenes",
     )
     group.add_argument("--frame", type=int, metavar="N", help="with --blend: the frame (default: the file's)")
     group.add_argument(
         "--scene", dest="blend_scene", metavar="NAME", help="with --blend: the scene (default: the file's)"
+    )
+    group.add_argument(
+        "--list",
+        action="store_true",
+        help="only list parts, boxes, vertex groups and scale, and with --motion amplitudes; nothing is written",
     )
     group.add_argument("--name", metavar="NAME", help="first part of the folder's name (default: the file's)")
 

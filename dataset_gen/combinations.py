@@ -39,6 +39,7 @@ def check_together(options: argparse.Namespace, values: Mapping[str, Any]) -> No
     Parameters: `options`, as parsed: what was not given is None; `values`, with the preset and the defaults.
     """
     for problem in (
+        *_listing(options),
         *_work(options),
         *_source(options),
         *_cameras(options, values),
@@ -47,13 +48,21 @@ def check_together(options: argparse.Namespace, values: Mapping[str, Any]) -> No
         raise GenerateError(problem)
 
 
+def _listing(options: argparse.Namespace) -> Iterator[str]:
+    if options.list and options.scene is not None:
+        yield f"--list goes with --blend and --mesh, not with the scene {options.scene}"
+    for name in ("save_blend", *_OF_WORK, *_OF_PICTURES) if options.list else ():
+        if getattr(options, name) not in (None, False):
+            yield f"{_given(options, name)}: --list only reads the file, it writes nothing"
+
+
 def _work(options: argparse.Namespace) -> Iterator[str]:
     if options.processes is not None and options.processes < 0:
         yield f"--processes {options.processes} is negative"
     if options.parts is not None and (options.parts < 1 or not options.prepare):
         yield f"--parts {options.parts} goes with --prepare and is at least 1"
     if options.save_blend is None:
-        if options.out is None:
+        if options.out is None and not options.list:
             yield "--out DIR is needed: the parent folder of the dataset"
         if options.processes and (options.prepare or options.finish):
             phase = "--prepare" if options.prepare else "--finish"

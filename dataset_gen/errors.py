@@ -2,8 +2,22 @@
 
 from __future__ import annotations
 
+import sys
+
 from tg4mm.errors import Tg4mmError
 
 
 class GenerateError(Tg4mmError):
     """A dataset that cannot be generated as asked. One line, with the option or file and its value."""
+
+
+def blender_remedy() -> str:
+    """How to get Blender's Python module, which comes for two versions of Python alone."""
+    have = sys.version_info[:2]
+    if have in ((3, 11), (3, 13)):
+        return "pip install 'tg4mm[generate]'"
+    version = ".".join(map(str, have))
+    return (
+        f"this is Python {version}, and Blender's module comes for 3.11 (Blender 4.5) and 3.13 (5.2) alone: make an "
+        "environment with one of these"
+    )

@@ -33,6 +33,7 @@ class Request:
     part: tuple[int, int] | None
     finish: bool
     save_blend: Path | None
+    listed: Source | None = None  # a file to list; `sets` is empty then where there is no motion
 
 
 def request_from(options: argparse.Namespace) -> Request:
@@ -46,10 +47,13 @@ def request_from(options: argparse.Namespace) -> Request:
         values["views"] = min(values["views"], CLIPS)
     check_together(options, values)
     names = _names(options)
+    listed = names[0][1] if options.list else None
+    if listed and options.motion is None:
+        names = []
     sets = tuple(_settings(options, values, name, source) for name, source in names)
     return Request(
         sets, options.out or Path(), options.processes or 0, options.prepare, options.parts or 0, options.part,
-        options.finish, options.save_blend,
+        options.finish, options.save_blend, listed,
     )  # fmt: skip
 
 

@@ -9,19 +9,26 @@ import sys
 import tempfile
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tg4mm import events
+
 from . import processes, tree, true_cameras, truth
-from .cameras import CameraSetup, cameras_at
+from .cameras import cameras_at
+from .cameras.framing import moving_points
 from .effects import codec
-from .errors import GenerateError
+from .errors import GenerateError, blender_remedy
 from .plan import Shot, shots
 from .quality import Quality
 from .scene import Scene
 from .scenes import SCENES
-from .settings import Settings
+from .settings import Settings, Source
 from .vibration import Body, Motion, pixel_displacement, reach, solve
+
+if TYPE_CHECKING:
+    from .sources.bodies_file import Found
 
 
 @dataclass(frozen=True)
@@ -104,22 +111,41 @@ def placed(settings: Settings) -> tuple[Settings, tuple[Body, ...], float | None
     if settings.source.kind == "builtin":
         scene = builtin(settings.scene)
         bodies = bodies_of(scene)
-        return replace(settings, cameras=_framing(settings.cameras, bodies)), bodies, scene.unit_scale_m
+        return framed(settings, bodies), bodies, scene.unit_scale_m
+    loaded = inspected(settings.source)
+    cameras = settings.cameras.placed(loaded.centre, loaded.radius, loaded.cameras)
+    return framed(replace(settings, cameras=cameras), loaded.bodies), loaded.bodies, loaded.unit_scale_m
+
+
+def inspected(source: Source) -> Found:
+    """What a user's file holds, read in a process of its own; its warnings are printed."""
     from .sources import bodies_file
 
     with tempfile.TemporaryDirectory(prefix="dataset_gen_") as scratch:
-        found = Path(scratch) / "bodies.npz"
-        processes.inspect(settings, found)
-        loaded = bodies_file.load(found)
-    for warning in loaded.warnings:
-        print(f"warning: {warning}", file=sys.stderr)
-    cameras = settings.cameras.placed(loaded.centre, loaded.radius, loaded.cameras)
-    cameras = _framing(cameras, loaded.bodies)
-    return replace(settings, cameras=cameras), loaded.bodies, loaded.unit_scale_m
+        file = Path(scratch) / "bodies.npz"
+        processes.inspect(source, file)
+        found = bodies_file.load(file)
+    for warning in found.warnings:
+        events.say("warning", str(warning), "warning: ")
+    return found
 
 
-def _framing(cameras: CameraSetup, bodies: tuple[Body, ...]) -> CameraSetup:
-    return cameras.framing(np.concatenate([body.vertices for body in bodies]))
+def framed(settings: Settings, bodies: tuple[Body, ...]) -> Settings:
+    """The settings with cameras that have in their pictures all that moves, test cameras also at the largest α.
+
+    Amplitudes in pixels, which depend on where cameras stand, are taken from those that frame the scene at rest.
+    """
+    if settings.cameras.kind == "orbit":
+        return settings
+    rest = np.concatenate([body.vertices for body in bodies])
+    at_rest = replace(settings, cameras=settings.cameras.framing(rest))
+    motion = motion_of(at_rest, bodies)
+    basis, times = np.concatenate(motion.basis, axis=1), np.arange(settings.timesteps)
+    seen, magnified = (
+        moving_points(rest, basis, motion.basis_gains(times, alpha))
+        for alpha in (0.0, max(settings.alphas, default=0.0))
+    )
+    return replace(settings, cameras=settings.cameras.framing(seen, magnified))
 
 
 def blender_version() -> str:
@@ -130,7 +156,7 @@ def blender_version() -> str:
         return importlib.metadata.version("bpy")
     except importlib.metadata.PackageNotFoundError:
         raise GenerateError(
-            "bpy (Blender as a Python module) is not installed: pip install 'tg4mm[generate]', or run this with "
+            f"bpy (Blender as a Python module) is not installed: {blender_remedy()}, or run this with "
             "blender --background --python dataset_gen/blender_main.py -- …"
         ) from None
 

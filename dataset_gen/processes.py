@@ -17,12 +17,15 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TextIO
 
+from tg4mm import events
+
 from .errors import GenerateError
 from .plan import RANGE, ranges
-from .settings import Settings
+from .settings import Settings, Source
 
 ENTRY = Path(__file__).with_name("blender_main.py")
 DONE = "done"  # the line a worker writes after each shot
@@ -85,9 +88,9 @@ def single(task: dict[str, Any]) -> None:
     pool.raise_failure()
 
 
-def inspect(settings: Settings, found: Path) -> None:
+def inspect(source: Source, found: Path) -> None:
     """Writes the bodies of a user's file to `found`. Raises GenerateError if the file is of no use."""
-    single({"task": "inspect", "settings": settings.to_json(), "found": str(found)})
+    single({"task": "inspect", "source": asdict(source), "found": str(found)})
 
 
 class _Pool:
@@ -106,7 +109,7 @@ class _Pool:
             for part in _drain(waiting):
                 if self._failure:
                     return
-                path.write_text(json.dumps({**self._job, "shots": part}))
+                path.write_text(json.dumps({**self._job, "shots": part}), encoding="utf-8")
                 self.run(path)
         except OSError as error:
             self._fail(f"a render process could not be started: {error}")
@@ -139,7 +142,7 @@ class _Pool:
         """Once each: every worker finds the same."""
         if note not in self._told:
             self._told.add(note)
-            print(note, file=sys.stderr)
+            events.say("note", note)
 
     def _fail(self, why: str) -> None:
         self._failure = self._failure or why
@@ -184,19 +187,26 @@ class _Progress:
     def __init__(self, label: str, total: int, stream: TextIO) -> None:
         self._label, self._total, self._stream = label, total, stream
         self._done, self._start, self._shown = 0, time.monotonic(), 0.0
-        self._terminal = stream.isatty()
+        self._terminal = stream.isatty() and not events.wanted()
+        self._every_s = 0.2 if self._terminal else 0.5 if events.wanted() else 5.0
         self._lock = threading.Lock()
 
     def step(self) -> None:
         with self._lock:
             self._done += 1
             now = time.monotonic()
-            if now - self._shown > (0.2 if self._terminal else 5.0) or self._done == self._total:
+            if now - self._shown > self._every_s or self._done == self._total:
                 self._shown = now
                 self._show(now - self._start)
 
     def _show(self, elapsed: float) -> None:
         left = elapsed / self._done * (self._total - self._done)
+        if events.wanted():
+            events.emit(
+                "progress", self._stream, label=self._label, done=self._done, total=self._total, unit="pictures",
+                elapsed_s=round(elapsed, 1), left_s=round(left, 1), figures={},
+            )  # fmt: skip
+            return
         text = f"{self._label} {self._done}/{self._total}  {elapsed:.0f} s, {left:.0f} s left"
         self._stream.write(f"\r{text}   " if self._terminal else f"{text}\n")
         self._stream.flush()

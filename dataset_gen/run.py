@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TextIO
 
+from tg4mm import events
 from tg4mm.untrusted import read_json, read_npz
 
 from . import coded, png, points, processes, tree
@@ -83,7 +84,7 @@ def finish(job: Job, stream: TextIO) -> Path:
         try:
             write_report(job.root)
         except GenerateError as error:  # a package is missing: inside Blender's own Python they often are
-            print(f"warning: no report: {error}", file=stream)
+            events.say("warning", f"no report: {error}", "warning: ", stream)
     return job.root
 
 

@@ -28,14 +28,14 @@ from .plan import Picture, Shot, shots
 from .prepare import bodies_of, builtin, motion_of
 from .processes import DONE, NOTE, REFUSED
 from .quality import Quality
-from .settings import Settings
+from .settings import Settings, Source
 from .sources.loaded import Loaded
 from .vibration import Body
 
 
 def work(job_path: Path) -> int:
     """Does the task of a JSON file. Returns the exit status."""
-    job = json.loads(job_path.read_text())
+    job = json.loads(job_path.read_text(encoding="utf-8"))
     report = _own_stdout()
     tasks = {"render": _render_shots, "inspect": _inspect, "animate": _animate, "device": _device}
     try:
@@ -61,15 +61,14 @@ def load_stage(settings: Settings) -> tuple[build.Stage, tuple[Body, ...]]:
     if settings.source.kind == "builtin":
         scene = builtin(settings.scene)
         return build.build(scene), bodies_of(scene)
-    loaded = open_source(settings)
+    loaded = open_source(settings.source)
     return loaded.stage, loaded.bodies
 
 
-def open_source(settings: Settings) -> Loaded:
+def open_source(source: Source) -> Loaded:
     """The user's file, in this process."""
     from .sources import open_blend, open_mesh
 
-    source = settings.source
     if source.kind == "mesh":
         return open_mesh(Path(source.path))
     return open_blend(Path(source.path), frame=source.frame, scene=source.scene)
@@ -78,7 +77,7 @@ def open_source(settings: Settings) -> Loaded:
 def _inspect(job: dict[str, Any], report: TextIO) -> None:
     from .sources import bodies_file
 
-    bodies_file.save(Path(job["found"]), open_source(Settings.from_json(job["settings"])))
+    bodies_file.save(Path(job["found"]), open_source(Source(**job["source"])))
 
 
 def _device(job: dict[str, Any], report: TextIO) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import tg4mm.demo as demo
-from tests.synthetic import make_synthetic_dataset
+from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.errors import RunError, Tg4mmError
 from tg4mm.runs import Run
 from tg4mm.splatfile import read_splat

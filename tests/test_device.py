@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import torch
 
-from tests.cuda import needs_cuda
-from tests.synthetic import make_synthetic_dataset
+from tests.helpers.cuda import needs_cuda
+from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture
 from tg4mm.cli import main
 from tg4mm.device import check_device, full_precision, gpu_figures

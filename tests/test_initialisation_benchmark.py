@@ -11,7 +11,7 @@ from PIL import Image
 
 from benchmarks import initialisation
 from benchmarks.initialisation import HEADER, cells, main, means, sheet
-from tests.synthetic import make_synthetic_dataset
+from tests.helpers.synthetic import make_synthetic_dataset
 
 STARTS = "points,random"
 

@@ -11,7 +11,7 @@ import pytest
 import torch
 from safetensors.torch import load_file, safe_open
 
-from tests.test_runs import SETTINGS, gaussians, modal
+from tests.helpers.runs import SETTINGS, gaussians, modal
 from tg4mm.errors import RunError
 from tg4mm.modelhash import model_hash
 from tg4mm.runs import Run

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import torch
 
-from tests.adam import assert_same_steps, oblong, watch_paper, watch_space
-from tests.motion.test_stage import stop_after
-from tests.pretend import NAME, Gpu, There, pretended_gpu, register
+from tests.helpers.adam import assert_same_steps, oblong, watch_paper, watch_space
+from tests.helpers.motion_stage import stop_after
+from tests.helpers.pretend import NAME, Gpu, There, pretended_gpu, register
+from tests.helpers.space_cuda import spherical_harmonics
+from tests.helpers.space_train import Killed
+from tests.helpers.synthetic import make_synthetic_dataset
 from tests.rasterize.oracle import assert_close
-from tests.space.test_cuda import spherical_harmonics
-from tests.space.test_train import Killed
-from tests.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture, load_images
 from tg4mm.evaluate import evaluate_run
 from tg4mm.gaussians import Gaussians

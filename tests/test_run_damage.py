@@ -15,7 +15,7 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import save_file
 
-from tests.test_runs import SETTINGS, gaussians, modal, refused
+from tests.helpers.runs import SETTINGS, gaussians, modal, refused
 from tg4mm.errors import RunError
 from tg4mm.modelhash import model_hash
 from tg4mm.runs import Run
@@ -186,6 +186,14 @@ def test_a_config_that_trips_parsers_is_one_line(run: Run, text: str) -> None:
     (run.path / "config.json").write_text(text)
     with refused("config.json is not readable JSON"):
         Run.open(run.path)
+
+
+def test_a_dataset_beside_the_run_whose_name_cannot_be_is_looked_for_where_it_was(run: Run) -> None:
+    config = json.loads((run.path / "config.json").read_text())
+    for name in ("a\0b", "x" * 300):
+        changed = config | {"dataset": str(run.path / "gone"), "dataset_from_run": name}
+        (run.path / "config.json").write_text(json.dumps(changed))
+        assert Run.open(run.path).dataset == run.path / "gone"
 
 
 def test_a_checkpoint_that_a_kill_left_beside_its_result_is_forgotten(run: Run, tmp_path: Path) -> None:

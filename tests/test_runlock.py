@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -12,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.synthetic import make_synthetic_dataset
+from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.cli import main
 from tg4mm.errors import RunError
 from tg4mm.runlock import claimed
@@ -50,7 +49,7 @@ def test_a_second_process_gets_one_line_and_exit_code_2(tmp_path: Path, capsys) 
         assert error.count("\n") == 1
         assert f"run folder {run} is in use: another process is training it" in error
         assert [p.name for p in run.iterdir()] == [".lock"]
-        other.send_signal(signal.SIGKILL)
+        other.kill()
         other.wait()
         assert main(command) == 0, capsys.readouterr().err  # what a killed one left blocks nobody
     assert {p.name for p in run.iterdir()} == {"config.json", "log.json", "space.safetensors"}

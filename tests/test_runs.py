@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import signal
 import subprocess
 import sys
 import time
@@ -16,36 +15,15 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from tg4mm.errors import RunError
-from tg4mm.gaussians import Gaussians
+from tests.helpers.runs import SETTINGS, gaussians, modal, refused
 from tg4mm.motion.modes import ModalMotion
 from tg4mm.runs import Run
-
-SETTINGS = {"seed": 0, "iterations": 100, "band_hz": [4.0, 6.0], "size": None}
-
-
-def gaussians(n: int = 7, seed: int = 0) -> Gaussians:
-    g = torch.Generator().manual_seed(seed)
-    means, quats = torch.randn(n, 3, generator=g), torch.randn(n, 4, generator=g)
-    scales, opacities = torch.rand(n, 3, generator=g), torch.rand(n, generator=g)
-    return Gaussians(means, quats, scales, opacities, torch.randn(n, 4, 3, generator=g))
-
-
-def modal(n: int = 7, k: int = 2) -> ModalMotion:
-    rng = np.random.default_rng(1)
-    draw = lambda: (rng.normal(size=(k, n, 3)) + 1j * rng.normal(size=(k, n, 3))).astype(np.complex64)  # noqa: E731
-    return ModalMotion(np.arange(1.0, k + 1), draw(), draw(), fps=30.0, n_timesteps=30)
 
 
 @pytest.fixture
 def run(tmp_path: Path) -> Run:
     (tmp_path / "data").mkdir()
     return Run.create(tmp_path / "run", tmp_path / "data", "modal", SETTINGS)
-
-
-def refused(match: str) -> pytest.RaisesExc:
-    """RunError whose message is one line and matches."""
-    return pytest.raises(RunError, match=r"\A[^\n]*" + match + r"[^\n]*\Z")
 
 
 class TestResults:
@@ -69,6 +47,63 @@ class TestResults:
             assert read.dtype == written.dtype
             np.testing.assert_array_equal(read, written)
         assert (back.fps, back.n_timesteps) == (30.0, 30)
+
+    def test_many_modes_of_few_fields_take_little_room_and_read_back(self, run: Run) -> None:
+        """15 modes of 2 fields: as large as 1 mode, and the same to the digits of float32."""
+        rng, n = np.random.default_rng(2), 500
+        fields = rng.normal(size=(2, n, 6)) * [1e-3, 1e-3, 1e-3, 5, 5, 5]
+        series = rng.normal(size=(15, 2)) + 1j * rng.normal(size=(15, 2))
+        both = np.tensordot(series, fields, 1).astype(np.complex64)
+        motion = ModalMotion(np.arange(1.0, 16), both[..., :3], both[..., 3:], 30.0, 30)
+        run.save_space(gaussians(n), {})
+        run.save_motion(motion, {})
+        back = run.load_motion()
+        assert back is not None
+        for name in ("displacement", "rotation"):
+            written, read = getattr(motion, name), getattr(back, name)
+            np.testing.assert_allclose(read, written, atol=1e-6 * np.abs(written).max())
+        one = motion.selected(np.arange(15) == 0)
+        assert (run.path / "motion.safetensors").stat().st_size < 1.2 * (
+            one.displacement.nbytes + one.rotation.nbytes
+        )
+
+    def test_one_mode_of_one_field_reads_back(self, run: Run) -> None:
+        run.save_space(gaussians(), {})
+        still = np.zeros((1, 7, 3), np.complex64)
+        run.save_motion(ModalMotion(np.ones(1), still + 1, still, 30.0, 30), {})
+        back = run.load_motion()
+        assert back is not None
+        np.testing.assert_allclose(back.displacement, still + 1, atol=1e-6)
+
+    @pytest.mark.parametrize(
+        ("fields", "series", "message"),
+        [
+            ((2, 7, 6), (3, 1), r"fields \(2, 7, 6\) and series \(3, 1\), expected \[R, N, 6\] and \[3, R\]"),
+            ((2, 7, 5), (3, 2), r"fields \(2, 7, 5\)"),
+            ((2, 8, 6), (3, 2), r"displacement has shape \(3, 8, 3\), expected \(3, 7, 3\)"),
+        ],
+    )
+    def test_fields_that_do_not_fit_are_refused(self, run: Run, fields, series, message: str) -> None:
+        run.save_space(gaussians(), {})
+        tensors = {
+            "freqs_hz": torch.arange(3, dtype=torch.float64),
+            "fields": torch.ones(fields),
+            "series": torch.ones(series, dtype=torch.complex128),
+        }
+        run.save_part("motion", tensors, fps=30.0, n_timesteps=30)
+        with refused(message):
+            run.load_motion()
+
+    def test_modes_beyond_all_memory_are_refused(self, run: Run) -> None:
+        run.save_space(gaussians(), {})
+        tensors = {
+            "freqs_hz": torch.arange(200_000, dtype=torch.float64),
+            "fields": torch.ones(1, 7_000, 6),
+            "series": torch.ones(200_000, 1, dtype=torch.complex128),
+        }
+        run.save_part("motion", tensors, fps=30.0, n_timesteps=30)
+        with refused("200000 modes of 7000 Gaussians would take 62 GiB"):
+            run.load_motion()
 
     def test_motion_before_space_is_refused(self, run: Run) -> None:
         with refused("has no space.safetensors"):
@@ -308,7 +343,7 @@ class TestCheckpoint:
                 assert child.stdout is not None
                 written = int(child.stdout.readline())
                 time.sleep(delay)
-                child.send_signal(signal.SIGKILL)
+                child.kill()
                 rest = child.stdout.read().split()
             written = int(rest[-1]) if rest else written
             loaded = Run.create(run.path, run.dataset, "modal", SETTINGS).load_checkpoint("space")

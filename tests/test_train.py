@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.synthetic import make_synthetic_dataset
+from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.cli import main
 from tg4mm.errors import CaptureError, RunError, Tg4mmError
 from tg4mm.motion import MotionConfig

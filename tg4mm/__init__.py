@@ -1,9 +1,109 @@
-"""tg4mm: 3D motion magnification with Gaussians that move. Imports nothing heavy; see the subpackages."""
+"""tg4mm: 3D motion magnification with Gaussians that move.
+
+    capture = tg4mm.load_capture("data/mic_5Hz_0_005")
+    gaussians = tg4mm.fit_space(capture)
+    fit = tg4mm.fit_motion(capture, gaussians)
+    moved = tg4mm.animate(fit, t=8, magnification=50)
+    picture = tg4mm.render(moved, tg4mm.capture_cameras(capture)[0])          # [H, W, 3] float32 in 0..1
+    scene = tg4mm.prepare_fit(capture, fit)
+    waveform = tg4mm.measure(scene).sensors[0]
+    waveform.times_s, waveform.displacement, waveform.deviation               # [T], [T, 3], [T, 3]
+
+`__all__` lists the public names; docs/python.md describes them. A name is imported when it is first asked for, so that
+`import tg4mm` needs neither torch nor numpy.
+"""
 
 import os
+from typing import TYPE_CHECKING
+
+from .lazy import lazily
+
+if TYPE_CHECKING:  # `as` re-exports a name to type checkers
+    from tg4mm.api import animate as animate
+    from tg4mm.api import fit_motion as fit_motion
+    from tg4mm.api import fit_space as fit_space
+    from tg4mm.capture import Capture as Capture
+    from tg4mm.capture import ImageStack as ImageStack
+    from tg4mm.capture import load_capture as load_capture
+    from tg4mm.capture import load_images as load_images
+    from tg4mm.errors import CaptureError as CaptureError
+    from tg4mm.errors import RunError as RunError
+    from tg4mm.errors import SplatFileError as SplatFileError
+    from tg4mm.errors import Tg4mmError as Tg4mmError
+    from tg4mm.export import to_splat as to_splat
+    from tg4mm.gaussians import Gaussians as Gaussians
+    from tg4mm.magnify import BandGain as BandGain
+    from tg4mm.magnify import Magnification as Magnification
+    from tg4mm.measure import Measurement as Measurement
+    from tg4mm.measure import Prepared as Prepared
+    from tg4mm.measure import Sensor as Sensor
+    from tg4mm.measure import SensorResult as SensorResult
+    from tg4mm.measure import measure as measure
+    from tg4mm.measure import prepare as prepare
+    from tg4mm.measure import prepare_fit as prepare_fit
+    from tg4mm.motion import ModalMotion as ModalMotion
+    from tg4mm.motion import MotionConfig as MotionConfig
+    from tg4mm.motion import MotionFit as MotionFit
+    from tg4mm.rasterize import rasterization as rasterization
+    from tg4mm.render import Camera as Camera
+    from tg4mm.render import capture_cameras as capture_cameras
+    from tg4mm.render import orbit as orbit
+    from tg4mm.render import render as render
+    from tg4mm.runs import Run as Run
+    from tg4mm.space import SpaceConfig as SpaceConfig
+    from tg4mm.splatfile import SplatFile as SplatFile
+    from tg4mm.splatfile import read_splat as read_splat
+    from tg4mm.splatfile import write_splat as write_splat
 
 __version__ = "0.1.0"
 
 # OpenMP's waiting threads spin by default, which on a busy machine costs ten times what it saves. Read when
 # torch or numba load it, so it is set before either; a value of the user's own stays.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+
+# The public names and the modules they lie in, the same as above. `measure` and `render` are packages as well: those
+# can be called as their functions of the same name (`lazy.callable_package`).
+_PUBLIC = {
+    "BandGain": "magnify",
+    "Camera": "render",
+    "Capture": "capture",
+    "CaptureError": "errors",
+    "Gaussians": "gaussians",
+    "ImageStack": "capture",
+    "Magnification": "magnify",
+    "Measurement": "measure",
+    "ModalMotion": "motion",
+    "MotionConfig": "motion",
+    "MotionFit": "motion",
+    "Prepared": "measure",
+    "Run": "runs",
+    "RunError": "errors",
+    "Sensor": "measure",
+    "SensorResult": "measure",
+    "SpaceConfig": "space",
+    "SplatFile": "splatfile",
+    "SplatFileError": "errors",
+    "Tg4mmError": "errors",
+    "animate": "api",
+    "capture_cameras": "render",
+    "fit_motion": "api",
+    "fit_space": "api",
+    "load_capture": "capture",
+    "load_images": "capture",
+    "measure": "measure",
+    "orbit": "render",
+    "prepare": "measure",
+    "prepare_fit": "measure",
+    "rasterization": "rasterize",
+    "read_splat": "splatfile",
+    "render": "render",
+    "to_splat": "export",
+    "write_splat": "splatfile",
+}
+__all__ = sorted(_PUBLIC)
+
+__getattr__ = lazily(__name__, _PUBLIC)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -9,6 +9,10 @@ class CaptureError(Tg4mmError):
     """A capture (images, cameras, times) that cannot be read or contradicts itself."""
 
 
+class MissingSplitError(CaptureError):
+    """A capture that has no such split: no test images, say."""
+
+
 class SplatFileError(Tg4mmError):
     """A splat file that is truncated, foreign, of an unknown version, or holds non-finite numbers."""
 

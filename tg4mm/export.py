@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +12,7 @@ import numpy as np
 from tg4mm.capture import load_capture
 from tg4mm.errors import RunError, Tg4mmError
 from tg4mm.gaussians import Gaussians
+from tg4mm.lowpass import BAKED_PX2, smoothing_variance, widened
 from tg4mm.motion.animate import animate
 from tg4mm.motion.mode_selection import mode_deviations, worth_keeping
 from tg4mm.motion.modes import ModalMotion
@@ -28,18 +29,24 @@ def to_splat(
     motion: ModalMotion | None,
     unit_scale_m: float | None = None,
     deviation: np.ndarray | None = None,
+    smoothing: np.ndarray | None = None,
 ) -> SplatFile:
     """The Gaussians, and their motion if any, as a splat file holds them (docs/conventions.md, "Splat file").
 
-    deviation [K, N]: standard deviation of each mode's amplitude, scene units.
+    deviation [K, N]: standard deviation of each mode's amplitude, scene units. smoothing [N]: variance that the
+    scales are widened by, scene units² (`lowpass.py`); the file says that they are.
     Raises SplatFileError for values that such a file cannot hold, RunError where the two do not fit.
     """
     means, quats, scales, opacities, sh = (
         tensor.detach().cpu().numpy().astype(np.float32)
         for tensor in (gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh)
     )
+    baked = None
+    if smoothing is not None:
+        scales, baked = widened(scales, smoothing).astype(np.float32), BAKED_PX2
     if motion is None:
-        return SplatFile.static(means, quats, scales, opacities, sh, unit_scale_m)
+        still = SplatFile.static(means, quats, scales, opacities, sh, unit_scale_m)
+        return replace(still, low_pass_px2=baked)
     if motion.displacement.shape[1] != len(means):
         raise RunError(
             f"the motion is of {motion.displacement.shape[1]} Gaussians, the scene has {len(means)}"
@@ -57,7 +64,15 @@ def to_splat(
         n_timesteps=int(motion.n_timesteps),
         unit_scale_m=unit_scale_m,
         deviation=deviation,
+        low_pass_px2=baked,
     )
+
+
+def smoothing_of(run: Run) -> np.ndarray | None:
+    """[N] variances for `to_splat`; None where the dataset, whose cameras say them, is gone."""
+    if not run.dataset.is_dir():
+        return None
+    return smoothing_variance(run.load_space().means.numpy().astype(np.float64), load_capture(run.dataset))
 
 
 def unit_scale_of(run: Run) -> float | None:
@@ -68,34 +83,51 @@ def unit_scale_of(run: Run) -> float | None:
 
 
 def export_ply(run: Run, out: Path) -> Path:
-    """Write the run as one splat file that any viewer opens at rest, and ours plays.
+    """Write the run as one splat file that any viewer opens at rest, and ours plays: `splat_of` says what it holds.
 
-    Of a `paper` run it holds timestep 0 and, as phasors of all DFT bins (0 Hz for the mean offset from it), every
-    timestep's position and rotation. Modes that hold nothing but noise are left out (`mode_selection.py`); the standard
-    deviation of the others rides along where the run says it. Lost is what the decoder changes in scale, opacity and
-    colour over time, and of a `modal` run the light that changes.
     Raises Tg4mmError for an `out` that is a folder, a file of another kind or named like one, RunError for a run
     without a space stage.
     """
+    check_file(out, ".ply", b"ply")
+    splat = splat_of(run)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    write_splat(out, splat)
+    return out
+
+
+def check_file(out: Path, suffix: str, magic: bytes) -> None:
+    """Raises Tg4mmError for an `out` that is a folder, named like another kind of file, or holds one.
+
+    `magic`: the first bytes of a file that may be replaced.
+    """
+    kind = suffix[1:].upper()
     if out.is_dir():
-        raise Tg4mmError(f"--out {out}: is a folder; expected a file such as {out / 'splat.ply'}")
-    if out.exists() and not _is_ply(out):
-        raise Tg4mmError(f"--out {out}: exists, and is no PLY file; choose another name")
-    if out.suffix.lower() != ".ply":
-        named = f"{out.with_suffix('.ply')}" if out.suffix else f"{out}.ply, or {out / 'splat.ply'}"
+        raise Tg4mmError(f"--out {out}: is a folder; expected a file such as {out / f'splat{suffix}'}")
+    if out.exists() and not _begins(out, magic):
+        raise Tg4mmError(f"--out {out}: exists, and is no {kind} file; choose another name")
+    if out.suffix.lower() != suffix:
+        named = f"{out.with_suffix(suffix)}" if out.suffix else f"{out}{suffix}, or {out / f'splat{suffix}'}"
         raise Tg4mmError(
-            f"--out {out}: --format ply writes a PLY; expected a name that ends in .ply, such as {named}"
+            f"--out {out}: the format is a {kind} file; expected a name that ends in {suffix}, such as {named}"
         )
+
+
+def splat_of(run: Run) -> SplatFile:
+    """The run as one splat with its motion.
+
+    Of a `paper` run it holds timestep 0 and, as phasors of all DFT bins (0 Hz for the mean offset from it), every
+    timestep's position and rotation. Modes that hold nothing but noise are left out (`mode_selection.py`); the standard
+    deviation of the others rides along where the run says it. Scales hold the low-pass (`lowpass.py`). Lost is what the
+    decoder changes in scale, opacity and colour over time, and of a `modal` run the light that changes. Raises RunError
+    for a run without a space stage.
+    """
     gaussians, motion = run.load_space(), run.load_motion()
     if motion is not None and run.preset == "modal":
         gaussians, motion = _from_its_zero(gaussians, motion)
     deviation = None
     if motion is not None:
         motion, deviation = _told(motion, run)
-    splat = to_splat(gaussians, motion, unit_scale_of(run), deviation)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    write_splat(out, splat)
-    return out
+    return to_splat(gaussians, motion, unit_scale_of(run), deviation, smoothing_of(run))
 
 
 def _from_its_zero(gaussians: Gaussians, motion: ModalMotion) -> tuple[Gaussians, ModalMotion]:
@@ -115,9 +147,9 @@ def _told(motion: ModalMotion, run: Run) -> tuple[ModalMotion, np.ndarray | None
     return motion.selected(keep), deviation
 
 
-def _is_ply(path: Path) -> bool:
+def _begins(path: Path, magic: bytes) -> bool:
     with path.open("rb") as file:
-        return file.read(3) == b"ply"
+        return file.read(len(magic)) == magic
 
 
 def export_ply_sequence(
@@ -134,24 +166,59 @@ def export_ply_sequence(
     Raises Tg4mmError for an `out` that is a file or a timestep that does not exist, and what rendering with
     this alpha and band would.
     """
-    from tg4mm.render.sequence import RenderRequest, pose_of
+    from tg4mm.render.sequence import RenderRequest
 
     request = request or RenderRequest(alpha=alpha, band=band)
+    check_folder(out, ".ply")
+    frames = frames_of(run, request, timesteps)
+    write_frames(out, ".ply", write_splat, frames)
+    return out
+
+
+def check_folder(out: Path, suffix: str) -> None:
+    """Raises Tg4mmError for an `out` that cannot be a folder of numbered files."""
     if out.exists() and not out.is_dir():
         raise Tg4mmError(f"--out {out}: is a file; expected a folder for numbered files")
-    if out.suffix.lower() == ".ply":
+    if out.suffix.lower() == suffix:
         raise Tg4mmError(
             f"--out {out}: a sequence is a folder of numbered files; expected a name such as {out.stem}"
         )
-    pose, n_timesteps, _ = pose_of(run, request)
-    wanted = range(n_timesteps) if timesteps is None else timesteps
+
+
+@dataclass(frozen=True)
+class Frames:
+    """The magnified scene at chosen timesteps, each made when it is asked for."""
+
+    timesteps: tuple[int, ...]
+    fps: float  # Hz
+    at: Callable[[int], SplatFile]  # timestep
+
+    def __iter__(self) -> Iterator[tuple[int, SplatFile]]:
+        """(timestep, Gaussians) in order, with a line of progress."""
+        with progress("export", len(self.timesteps), unit="timesteps") as update:
+            for i, t in enumerate(self.timesteps):
+                yield t, self.at(t)
+                update(i + 1)
+
+
+def frames_of(run: Run, request: RenderRequest, timesteps: Sequence[int] | None = None) -> Frames:
+    """The run at `timesteps` (default: all), magnified as requested.
+
+    Raises Tg4mmError for a timestep that does not exist, and what rendering this request would.
+    """
+    from tg4mm.render.sequence import pose_of
+
+    pose, n_timesteps, fps = pose_of(run, request)
+    wanted = tuple(range(n_timesteps) if timesteps is None else timesteps)
     for t in wanted:
         if not 0 <= t < n_timesteps:
             raise Tg4mmError(f"timestep {t} is outside 0 … {n_timesteps - 1}")
-    scale = unit_scale_of(run)
+    scale, smoothing = unit_scale_of(run), smoothing_of(run)
+    return Frames(wanted, fps, lambda t: to_splat(pose(float(t)), None, scale, smoothing=smoothing))
+
+
+def write_frames(out: Path, suffix: str, write: Callable[[Path, SplatFile], None], frames: Frames) -> None:
+    """Write OUT/frame_0000<suffix> …, one static file for each timestep."""
     out.mkdir(parents=True, exist_ok=True)
-    with progress("export", len(wanted), unit="files") as update:
-        for i, t in enumerate(wanted):
-            write_splat(out / f"frame_{t:04d}.ply", to_splat(pose(float(t)), None, scale))
-            update(i + 1)
-    return out
+    for t, splat in frames:
+        write(out / f"frame_{t:04d}{suffix}", splat)

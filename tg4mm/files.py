@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 import json
 import math
 import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from filelock import BaseFileLock
+
+# Windows neither deletes nor replaces a file that is open or mapped into memory.
+WINDOWS = sys.platform == "win32"
 
 
 def write_atomic(path: Path, write: Callable[[Path], object]) -> None:
@@ -31,6 +40,12 @@ def write_json(path: Path, value: object) -> None:
     write_atomic(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
+def json_digest(value: object) -> str:
+    """SHA-256 of JSON values: the same before they are written and when they are read."""
+    text = json.dumps(value, sort_keys=True, allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
 def remove_leftovers(folder: Path) -> None:
     """Delete temporary files of `write_atomic` in `folder` whose writer no longer lives. Needs psutil."""
     import psutil  # not os.kill(pid, 0): on Windows that is Ctrl+C
@@ -39,6 +54,18 @@ def remove_leftovers(folder: Path) -> None:
         pid = path.name.split(".")[-2]
         if pid.isdigit() and not psutil.pid_exists(int(pid)):
             path.unlink(missing_ok=True)
+
+
+def give_back(lock: BaseFileLock) -> None:
+    """Release a lock and delete its file: while it is held, so that only its holder does; on Windows afterwards, where
+    the file of another holder cannot be deleted."""
+    file = Path(lock.lock_file)
+    if not WINDOWS:
+        file.unlink(missing_ok=True)
+    lock.release()
+    with contextlib.suppress(OSError):
+        if WINDOWS:
+            file.unlink(missing_ok=True)
 
 
 def to_json(value: Any, where: str) -> Any:

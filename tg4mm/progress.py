@@ -1,4 +1,4 @@
-"""Progress of a long job with the time left: a bar on a terminal, plain lines elsewhere."""
+"""Progress of a long job with the time left: a bar on a terminal, plain lines elsewhere, events where asked for."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, Protocol, TextIO
 
+from tg4mm import events
+
 PLAIN_EVERY_S = 5.0
+EVENTS_EVERY_S = 0.5
 _EARLY = 100  # a first report of less than this part of the job is none to tell the time left by
 
 
@@ -24,7 +27,7 @@ def progress(label: str, total: int, unit: str = "it", start: int = 0) -> Iterat
 
     Yields `update(done, **figures)`. The end is reported too, with the time the job took.
     """
-    show = _bar if sys.stderr.isatty() else _lines
+    show = _bar if sys.stderr.isatty() and not events.wanted() else _lines
     with show(label, total, unit, start) as update:
         yield update
 
@@ -62,13 +65,16 @@ def _bar(label: str, total: int, unit: str, start: int) -> Iterator[Update]:
 
 @contextmanager
 def _lines(label: str, total: int, unit: str, start: int) -> Iterator[Update]:
-    state = PlainProgress(label, total, unit, start, stream=sys.stderr)
+    kind = EventProgress if events.wanted() else PlainProgress
+    state = kind(label, total, unit, start, stream=sys.stderr)
     yield state.update
     state.finish()
 
 
 class PlainProgress:
-    """Progress as lines of text, at most one every `PLAIN_EVERY_S` seconds, for logs and pipes."""
+    """Progress as lines of text, at most one every `every_s` seconds, for logs and pipes."""
+
+    every_s = PLAIN_EVERY_S
 
     def __init__(
         self,
@@ -82,36 +88,59 @@ class PlainProgress:
         self._label, self._total, self._unit, self._start = label, total, unit, start
         self._stream, self._clock = stream, clock
         self._began = self._printed = clock()
-        self._done, self._text = start, ""
+        self._done, self._figures = start, dict[str, Any]()
         # when, and how far the job was, from where its speed is measured
         self._base: tuple[float, int] | None = None
 
     def update(self, done: int, **figures: Any) -> None:
-        self._done, self._text = done, _figures(figures)
+        self._done, self._figures = done, figures
         now = self._clock()
         if self._base is None and done > self._start:
             # What is done once, compiling kernels say, falls to the first of many units: it tells nothing of the rest.
             early = (done - self._start) * _EARLY < self._total - self._start
             self._base = (now, done) if early else (self._began, self._start)
-        if now - self._printed >= PLAIN_EVERY_S and done < self._total:
+        if now - self._printed >= self.every_s and done < self._total:
             self._printed = now
-            elapsed = now - self._began
-            self._print(f"{clock_text(elapsed)} elapsed, {self._left(now)}")
+            self._show(now - self._began, self._left_s(now))
 
     def finish(self) -> None:
-        self._print(f"took {clock_text(self._clock() - self._began)}")
+        self._ended(self._clock() - self._began)
 
-    def _left(self, now: float) -> str:
+    def _left_s(self, now: float) -> float | None:
         began, start = self._base or (now, self._done)
         made = self._done - start
         if made <= 0:
-            return "time left unknown"
-        return f"{clock_text((now - began) * (self._total - self._done) / made)} left"
+            return None
+        return (now - began) * (self._total - self._done) / made
+
+    def _show(self, elapsed_s: float, left_s: float | None) -> None:
+        left = "time left unknown" if left_s is None else f"{clock_text(left_s)} left"
+        self._print(f"{clock_text(elapsed_s)} elapsed, {left}")
+
+    def _ended(self, elapsed_s: float) -> None:
+        self._print(f"took {clock_text(elapsed_s)}")
 
     def _print(self, times: str) -> None:
-        tail = f", {self._text}" if self._text else ""
+        text = _figures(self._figures)
+        tail = f", {text}" if text else ""
         self._stream.write(f"{self._label}: {self._done}/{self._total} {self._unit}, {times}{tail}\n")
         self._stream.flush()
+
+
+class EventProgress(PlainProgress):
+    """Progress as events (`tg4mm.events`)."""
+
+    every_s = EVENTS_EVERY_S
+
+    def _show(self, elapsed_s: float, left_s: float | None) -> None:
+        events.emit(
+            "progress", self._stream, label=self._label, done=self._done, total=self._total, unit=self._unit,
+            elapsed_s=round(elapsed_s, 1), left_s=None if left_s is None else round(left_s, 1),
+            figures=self._figures,
+        )  # fmt: skip
+
+    def _ended(self, elapsed_s: float) -> None:
+        self._show(elapsed_s, 0.0 if self._done >= self._total else None)
 
 
 def clock_text(seconds: float) -> str:

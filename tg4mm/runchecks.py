@@ -6,7 +6,7 @@ with the file, what was found and what was expected.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,16 +18,18 @@ from tg4mm.gaussians import Gaussians
 
 GAUSSIANS = dict.fromkeys(("means", "quats", "scales", "opacities", "sh"), torch.float32)
 LIGHT = {"light_shapes": torch.float32, "light_series": torch.complex128}  # of a motion, both or none
-MOTION = {"freqs_hz": torch.float64, "displacement": torch.complex64, "rotation": torch.complex64}
+# of a motion, one or the other (`motionfile.py`)
+PHASORS = {"displacement": torch.complex64, "rotation": torch.complex64}
+FIELDS = {"fields": torch.float32, "series": torch.complex128}
 _NUMBERS = {torch.float32, torch.float64, torch.complex64, torch.complex128}
 _FASTEST = 1e9  # Hz
 _LONGEST = 1_000_000  # timesteps: nine hours at 30 Hz
 
 
-def check_finite(file: Path, tensors: Mapping[str, Tensor]) -> None:
-    """Floating-point numbers, none of them NaN or infinite."""
+def check_finite(file: Path, tensors: Mapping[str, Tensor], also: Collection[torch.dtype] = ()) -> None:
+    """Floating-point numbers, or of the types in `also`, none of them NaN or infinite."""
     for name, tensor in tensors.items():
-        if tensor.dtype not in _NUMBERS:
+        if tensor.dtype not in _NUMBERS and tensor.dtype not in also:
             raise RunError(f"{file}: {name} is {tensor.dtype}, expected floating-point numbers")
         if not bool(torch.isfinite(torch.view_as_real(tensor) if tensor.is_complex() else tensor).all()):
             raise RunError(f"{file}: {name} holds a value that is not finite")
@@ -37,10 +39,10 @@ def check_tensors(
     file: Path,
     tensors: Mapping[str, Tensor],
     types: Mapping[str, torch.dtype],
-    optional: Mapping[str, torch.dtype],
+    optional: Mapping[str, torch.dtype] | None = None,
 ) -> None:
     """The tensors named in `types`, of those types and finite; of `optional` all or none."""
-    every = {**types, **optional}
+    every = {**types, **(optional or {})}
     if set(tensors) not in (set(types), set(every)):
         raise RunError(f"{file} holds the tensors {sorted(tensors)}, expected {sorted(types)}")
     for name, tensor in tensors.items():

@@ -65,10 +65,10 @@ def read_json(file: Path) -> dict[str, Any]:
 def dataset_folder(path: Path, config: Mapping[str, Any]) -> Path:
     """The dataset of a run: where it was, or at the same place relative to the run if both were moved."""
     absolute = Path(config["dataset"])
-    beside = (path / config["dataset_from_run"]).resolve()
     try:
+        beside = (path / config["dataset_from_run"]).resolve()
         return beside if beside.exists() and not absolute.exists() else absolute
-    except OSError:  # a name too long for any folder
+    except (OSError, ValueError):  # a name too long for any folder, or with a null character
         return absolute
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from tg4mm.errors import RunError
+from tg4mm.files import give_back
 from tg4mm.runconfig import LOCK, check_empty
 
 
@@ -33,7 +34,6 @@ def claimed(path: Path | str) -> Iterator[None]:
     try:
         yield
     finally:
-        (path / LOCK).unlink(missing_ok=True)  # while it is held, so that only its holder takes it away
-        lock.release()
+        give_back(lock)
         if made and not any(path.iterdir()):
             path.rmdir()

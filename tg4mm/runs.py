@@ -14,7 +14,7 @@ Every file is written under a temporary name and renamed. The safetensors files 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,14 +27,13 @@ from torch import Tensor
 from tg4mm.errors import RunError
 from tg4mm.files import remove_leftovers, to_json, write_json
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.appearance_modes import AppearanceModes
+from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.modes import ModalMotion
+from tg4mm.motion.result import MotionFit
+from tg4mm.motionfile import motion_of, tensors_of
 from tg4mm.runchecks import (
     GAUSSIANS,
-    LIGHT,
-    MOTION,
     check_finite,
-    check_frequencies,
     check_tensors,
     check_uncertainty,
     clock_of,
@@ -126,7 +125,10 @@ class Run:
         """The Gaussians at rest, float32 on the CPU. Raises RunError if absent, torn or foreign."""
         if not self.has_space:
             raise RunError(f"{self.path} has no space.safetensors: its space stage is not finished")
-        return gaussians_of(self._file("space"), self._read("space", GAUSSIANS)[0])
+        file = self._file("space")
+        tensors, _ = read_tensors(file, "space", VERSION)
+        check_tensors(file, tensors, GAUSSIANS)
+        return gaussians_of(file, tensors)
 
     def save_motion(self, motion: ModalMotion, info: Mapping[str, Any]) -> None:
         """Write the motion, record `info` under the stage `motion`. Raises RunError if N does not fit."""
@@ -134,14 +136,7 @@ class Run:
             raise RunError(f"{self.path} has no space.safetensors, which a motion belongs to")
         self._check_motion(motion, "motion to save")
         self.record("motion", info)
-        tensors = {
-            "freqs_hz": torch.tensor(np.asarray(motion.freqs_hz, dtype=np.float64)),
-            "displacement": torch.tensor(np.asarray(motion.displacement, dtype=np.complex64)),
-            "rotation": torch.tensor(np.asarray(motion.rotation, dtype=np.complex64)),
-        }
-        if (light := motion.appearance) is not None:
-            values = light.shapes.astype(np.float32), light.series.astype(np.complex128)
-            tensors |= {k: torch.tensor(v) for k, v in zip(LIGHT, values, strict=True)}
+        tensors = tensors_of(motion)
         self._write("motion", tensors, fps=motion.fps, n_timesteps=motion.n_timesteps)
 
     def load_motion(self) -> ModalMotion | None:
@@ -149,17 +144,8 @@ class Run:
         if not self.has_motion:
             return None
         file = self._file("motion")
-        tensors, header = self._read("motion", MOTION, LIGHT)
-        fps, n_timesteps = clock_of(file, header)
-        check_frequencies(file, tensors["freqs_hz"])
-        arrays = {name: tensor.numpy() for name, tensor in tensors.items()}
-        lit = [arrays.pop(name) for name in LIGHT if name in arrays]
-        motion = ModalMotion(
-            **arrays,
-            fps=fps,
-            n_timesteps=n_timesteps,
-            appearance=AppearanceModes(*lit) if lit else None,
-        )
+        tensors, header = read_tensors(file, "motion", VERSION)
+        motion = motion_of(file, tensors, clock_of(file, header))
         self._check_motion(motion, str(file))
         return motion
 
@@ -195,15 +181,20 @@ class Run:
         """Write RUN/<name>.safetensors; `extra` are JSON values for its header."""
         self._write(name, tensors, **extra)
 
-    def load_part(self, name: str) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        """(tensors, header) of a part. Raises RunError if absent, torn, foreign, not finite, or of another run."""
+    def load_part(
+        self, name: str, also: Collection[torch.dtype] = ()
+    ) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        """(tensors, header) of a part: floating-point numbers of 32 or 64 bits, or of the types in `also`.
+
+        Raises RunError if absent, torn, foreign, not finite, of other types, or of another run.
+        """
         file, (kind, _, stage) = self._file(name), name.partition("_")
         if not file.is_file():
             raise RunError(f"{self.path} has no {file.name}: its training is not finished")
         tensors, header = read_tensors(file, kind, VERSION)
         if header["config"] != self._identity() or header.get("stage", "") != stage:
             raise RunError(f"{file} belongs to a run with other settings, or is a part of another name")
-        check_finite(file, tensors)
+        check_finite(file, tensors, also)
         return tensors, header
 
     def load_uncertainty(self) -> np.ndarray | None:
@@ -213,6 +204,18 @@ class Run:
             return None
         found = self.load_part(UNCERTAINTY)[0].get("displacement")
         return check_uncertainty(self._file(UNCERTAINTY), found, len(self.load_space())).numpy()
+
+    def load_fit(self) -> MotionFit:
+        """The Gaussians, their motion and what is known of it. Raises RunError if absent, torn or foreign."""
+        motion = self.load_motion()
+        if motion is None:
+            raise RunError(f"{self.path} has no motion.safetensors: its training is not finished")
+        figures = self.log().get("motion", {})
+        uncertainty: dict[str, np.ndarray] = {}
+        if self.load_uncertainty() is not None:  # and so checked
+            uncertainty = {k: v.numpy() for k, v in self.load_part(UNCERTAINTY)[0].items()}
+        config = MotionConfig(**self.settings.get("motion", {}))
+        return MotionFit(self.load_space(), motion, uncertainty, figures, figures.get("notes", []), config)
 
     def load_noise(self) -> np.ndarray | None:
         """[N] float32: the part of `load_uncertainty` that is noise, which two halves of the data differ by."""
@@ -295,11 +298,3 @@ class Run:
         kind, _, stage = name.partition("_")
         header = {"kind": kind, "version": VERSION, "config": self._identity(), **extra}
         write_tensors(self._file(name), tensors, header | ({"stage": stage} if stage else {}))
-
-    def _read(
-        self, kind: str, types: Mapping[str, torch.dtype], optional: Mapping[str, torch.dtype] | None = None
-    ) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        file = self._file(kind)
-        tensors, header = read_tensors(file, kind, VERSION)
-        check_tensors(file, tensors, types, optional or {})
-        return tensors, header

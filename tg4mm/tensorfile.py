@@ -8,13 +8,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from safetensors import safe_open
 from safetensors.torch import save
 from torch import Tensor
 
 from tg4mm.errors import RunError
-from tg4mm.files import write_atomic
+from tg4mm.files import WINDOWS, write_atomic
 from tg4mm.untrusted import parse_json
 
 FORMAT = "tg4mm"
@@ -64,6 +65,8 @@ def read_tensors(path: Path, kind: str, version: int) -> tuple[dict[str, Tensor]
             meta = file.metadata() or {}
             header = _parse(path, meta, kind, version)
             stored = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            if WINDOWS:  # they are mapped: the file could not be replaced while one of them lives
+                stored = {name: tensor.clone() for name, tensor in stored.items()}
     except RunError:
         raise
     # The package and torch report damage by many types: SafetensorError, RuntimeError, KeyError of a type.
@@ -110,7 +113,7 @@ def _digest(stored: Mapping[str, Tensor], meta: Mapping[str, str]) -> str:
     for name, tensor in sorted(stored.items()):
         digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
         if tensor.numel():  # of a run without motion there are none
-            digest.update(tensor.reshape(-1).view(torch.uint8).numpy().data)
+            digest.update(np.ascontiguousarray(tensor.numpy()).data)
     return digest.hexdigest()
 
 

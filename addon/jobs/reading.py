@@ -1,17 +1,14 @@
-"""What a line says that the generator or the core prints: how far it is, a warning, an error, a finished path."""
+"""What a line says that the generator or the core prints: one of their events, or text (tg4mm/events.py)."""
 
 from __future__ import annotations
 
-import re
+import json
+import math
 from dataclasses import dataclass
+from typing import Any
 
-# "rendering 12/161  9 s, 156 s left" and "space stage: 120/3000 it, 0:05 elapsed, 2:03 left, psnr 22.1"
-_PROGRESS = re.compile(r"(?P<label>\S.*?):? (?P<done>\d+)/(?P<total>\d+)(?P<rest>[ ,].*)?")
-_LEFT = re.compile(r"(?:^|[ ,])(?P<left>\d[\d:]*(?: s)?) left\b")
-# "compiling kernels for this processor, once: a minute or two in all"
-_COMPILING = re.compile(r"(compiling [^,:]+).*")
-_COMPLETE = re.compile(r"complete: (?P<path>.+?)(?:  \(\d+ s\))?")
-_ERRORS = ("error: ", "tg4mm: ")
+_MARK = '{"tg4mm": '  # how an event begins
+_LONGEST_EVENT = 20_000  # characters
 _LONGEST = 400  # characters of a line that is shown
 
 
@@ -22,7 +19,7 @@ class Progress:
     label: str  # what it does now
     done: int = 0
     total: int = 0  # 0: not known yet
-    left: str = ""  # time left, as the program wrote it
+    left_s: float | None = None  # seconds; None: not known
 
     @property
     def factor(self) -> float:
@@ -34,7 +31,8 @@ class Progress:
         """For a progress bar."""
         if not self.total:
             return self.label
-        return f"{self.label} {self.done}/{self.total}" + (f", {self.left} left" if self.left else "")
+        left = "" if self.left_s is None else f", {_clock(self.left_s)} left"
+        return f"{self.label} {self.done}/{self.total}{left}"
 
 
 @dataclass(frozen=True)
@@ -50,18 +48,53 @@ class Line:
 
 def read_line(line: str) -> Line:
     """What a line says. Never raises: programs may print anything."""
-    text = "".join(c if c.isprintable() else " " for c in line).strip()[:_LONGEST]
-    if match := _PROGRESS.fullmatch(text):
-        left = _LEFT.search(match["rest"] or "")
-        done, total = (int(match[name][:12]) for name in ("done", "total"))
-        return Line(text, Progress(match["label"], done, total, left["left"] if left else ""))
-    if match := _COMPILING.fullmatch(text):
-        return Line(text, Progress(match[1]))
-    if text.startswith("warning: "):
-        return Line(text, warning=text.removeprefix("warning: "))
-    for mark in _ERRORS:
-        if text.startswith(mark):
-            return Line(text, error=text.removeprefix(mark))
-    if match := _COMPLETE.fullmatch(text):
-        return Line(text, result=match["path"])
-    return Line(text)
+    event = _event(line)
+    kind, message = event.get("tg4mm"), _shown(event.get("message"))
+    if kind == "progress":
+        progress = Progress(
+            _shown(event.get("label")), _count(event.get("done")), _count(event.get("total")),
+            _seconds(event.get("left_s")),
+        )  # fmt: skip
+        return Line(progress.text, progress)
+    if kind == "note":
+        return Line(message, Progress(message))
+    if kind == "warning":
+        return Line(message, warning=message)
+    if kind == "error":
+        return Line(message, error=message)
+    if kind == "complete":
+        path = event.get("path")
+        return Line(_shown(path), result=path if isinstance(path, str) else "")
+    return Line(_shown(line))
+
+
+def _event(line: str) -> dict[str, Any]:
+    """The event that a line is; {} for any other line."""
+    text = line.strip()
+    if not text.startswith(_MARK) or len(text) > _LONGEST_EVENT:
+        return {}
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _shown(value: Any) -> str:
+    text = value if isinstance(value, str) else ""
+    return "".join(c if c.isprintable() else " " for c in text).strip()[:_LONGEST]
+
+
+def _count(value: Any) -> int:
+    return value if type(value) is int and 0 <= value < 10**12 else 0
+
+
+def _seconds(value: Any) -> float | None:
+    return float(value) if isinstance(value, int | float) and 0 <= value < math.inf else None
+
+
+def _clock(seconds: float) -> str:
+    """Seconds as m:ss or h:mm:ss."""
+    minutes, s = divmod(round(seconds), 60)
+    hours, m = divmod(minutes, 60)
+    return f"{hours}:{m:02d}:{s:02d}" if hours else f"{m}:{s:02d}"

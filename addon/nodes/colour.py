@@ -8,9 +8,10 @@ import bpy
 import numpy as np
 
 from .. import colours, names
+from ..core.colour import MOVES_ABOVE, STILL_BELOW
 from .graph import Graph
 
-STILL = (colours.STILL,) * 3 + (1.0,)
+STILL = (colours.still(),) * 3 + (1.0,)
 
 
 def build_colour_map(name: str) -> Any:
@@ -25,8 +26,9 @@ def build_colour_map(name: str) -> Any:
     by_amplitude = _ramp(graph, part, colours.amplitude_map())
     # Blender's FRACT is x − floor(x), so phases outside 0..1 are fine.
     hue = _ramp(graph, graph.math("FRACT", inputs["Phase"]), colours.phase_map())
-    moves = graph.compare("GREATER_THAN", part, colours.STILL_BELOW)
-    by_phase = graph.choose("RGBA", moves, STILL, hue)
+    above = graph.math("SUBTRACT", part, STILL_BELOW)
+    share = graph.math("DIVIDE", above, MOVES_ABOVE - STILL_BELOW)  # the node limits it to 0..1
+    by_phase = graph.call("ShaderNodeMix", {"Factor": share, "A": STILL, "B": hue}, data_type="RGBA")
     graph.finish(Colour=graph.choose("RGBA", inputs["By Phase"], by_amplitude, by_phase))
     return graph.tree
 

@@ -114,17 +114,17 @@ class Graph:
             self.put(value, node.inputs[str(i)])
         return node.outputs[0]
 
-    def menu(self, socket: Value, items: Sequence[str]) -> Any:
-        """The number, from 0, of the item that a menu input of the tree is set to."""
+    def menu(self, socket: Value, items: dict[str, int]) -> Any:
+        """The number of the item that a menu input of the tree is set to."""
         node = self.node("GeometryNodeMenuSwitch", data_type="INT")
         # A new node has two items, numbered 0 and 1; cleared items would leave these numbers unused, and
         # compat relies on them.
-        for i, item in enumerate(items):
+        for i, (item, number) in enumerate(items.items()):
             if i < len(node.enum_items):
                 node.enum_items[i].name = item
             else:
                 node.enum_items.new(item)
-            node.inputs[item].default_value = i
+            node.inputs[item].default_value = number
         self.put(socket, node.inputs["Menu"])
         return node.outputs[0]
 

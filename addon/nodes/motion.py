@@ -1,7 +1,7 @@
 """The group "Motion": displacement and turn of each point now, its amplitude and its phase.
 
-x(t, α) = x + Σ_k (1 + α·g_k) Re[m_k exp(i 2π f_k t / fps)] (docs/conventions.md); t = (frame − first)·speed.
-A mode that is not shown contributes nothing.
+x(t, α) = x + Σ_k (1 + α·g_k) Re[m_k exp(i 2π f_k t / fps)] (docs/conventions.md);
+t = (frame − first)·speed·fps / (the scene's own rate). A mode that is not shown contributes nothing.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def build_motion(name: str, freqs_hz: Sequence[float], fps: float, made: Made) -
     for socket, kind in (*_SUMS[:2], ("Amplitude", "Float"), _SUMS[-1]):
         graph.result(socket, kind)
     inputs = graph.inputs()
-    total: dict[str, Any] = {"Time": elapsed(graph, inputs)}
+    total: dict[str, Any] = {"Time": elapsed(graph, inputs, fps)}
     for socket in (names.ALPHA, names.LOW, names.HIGH):
         total[socket] = inputs[socket]
     for k, (f, socket) in enumerate(zip(freqs_hz, shown, strict=True)):
@@ -81,7 +81,9 @@ def _build_mode(name: str) -> Any:
     flag = graph.math("MULTIPLY", _inside(graph, inputs), inputs["Shown"])
     gain = graph.math("MULTIPLY_ADD", flag, inputs[names.ALPHA], inputs["Shown"])
     angle = graph.math("MULTIPLY", inputs["Time"], inputs["Angle"])
-    wave = [graph.math("MULTIPLY", graph.math(part, angle), gain) for part in ("COSINE", "SINE")]
+    cosine = graph.math("MULTIPLY", graph.math("COSINE", angle), gain)
+    sine = graph.math("MULTIPLY", graph.math("SINE", angle), graph.math("MULTIPLY", gain, -1.0))
+    wave = [graph.call("ShaderNodeCombineXYZ", dict.fromkeys("XYZ", part)) for part in (cosine, sine)]
     a = graph.math("MULTIPLY", graph.attribute(inputs["amplitude"], "FLOAT"), flag)
     larger = graph.compare("GREATER_THAN", a, inputs["Most"])
     phase = graph.attribute(inputs["phase"], "FLOAT")
@@ -103,10 +105,22 @@ def use_motion(graph: Graph, tree: Any, inputs: Any) -> Motion:
     return Motion(*(node.outputs[name] for name in ("Offset", "Turn", "Amplitude", "Phase")))
 
 
-def elapsed(graph: Graph, inputs: Any) -> Any:
-    """Timesteps since the first frame, fractions included."""
-    frame = graph.node("GeometryNodeInputSceneTime").outputs["Frame"]
-    return graph.math("MULTIPLY", graph.math("SUBTRACT", frame, inputs[names.FIRST]), inputs[names.SPEED])
+def elapsed(graph: Graph, inputs: Any, fps: float) -> Any:
+    """Timesteps since the first frame, fractions included.
+
+    At a speed of 1 the recording, `fps` timesteps a second, takes as long as it took, whatever the scene's frame
+    rate. A recording of unknown rate (`fps` 0) has a timestep in each frame.
+    """
+    now = graph.node("GeometryNodeInputSceneTime").outputs
+    frames = graph.math(
+        "MULTIPLY", graph.math("SUBTRACT", now["Frame"], inputs[names.FIRST]), inputs[names.SPEED]
+    )
+    if not fps:
+        return frames
+    # Frame 0 is at 0 seconds and does not tell the rate.
+    unknown = graph.compare("EQUAL", now["Frame"], 0.0)
+    per_frame = graph.choose("FLOAT", unknown, graph.math("DIVIDE", now["Seconds"], now["Frame"]), 1.0 / fps)
+    return graph.math("MULTIPLY", frames, graph.math("MULTIPLY", per_frame, fps))
 
 
 def _inside(graph: Graph, inputs: Any) -> Any:
@@ -117,7 +131,10 @@ def _inside(graph: Graph, inputs: Any) -> Any:
 
 
 def _add_wave(graph: Graph, total: Any, re: Any, im: Any, wave: Sequence[Any]) -> Any:
-    """total + Re[(re + i·im)(cos + i·sin)] = total + re·cos − im·sin; re and im are names of attributes."""
-    real = graph.scaled(graph.attribute(re, "FLOAT_VECTOR"), wave[0])
-    imaginary = graph.scaled(graph.attribute(im, "FLOAT_VECTOR"), wave[1])
-    return graph.vector("ADD", total, graph.vector("SUBTRACT", real, imaginary))
+    """total + Re[(re + i·im)(cos + i·sin)] = total + re·cos − im·sin; re and im are names of attributes.
+
+    `wave`: the vectors (cos, cos, cos) and −(sin, sin, sin). Each step reads and writes all points, so few steps count.
+    """
+    for part, factor in zip((re, im), wave, strict=True):
+        total = graph.vector("MULTIPLY_ADD", graph.attribute(part, "FLOAT_VECTOR"), factor, total)
+    return total

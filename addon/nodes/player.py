@@ -11,7 +11,7 @@ from typing import Any
 
 import bpy
 
-from .. import names
+from .. import compat, names
 from ..made import Made
 from ..spectrum import whole_band
 from .colour import build_colour_map, build_harmonics
@@ -45,8 +45,9 @@ _MOTION = (
 )
 _TIME = (
     (names.FIRST, 1.0, -1e6, 1e6, "Frame that shows timestep 0"),
-    (names.SPEED, 1.0, -1e3, 1e3, "Timesteps per frame; below 1 is slow motion"),
+    (names.SPEED, 1.0, -1e3, 1e3, ""),
 )
+_SPEEDS = ("Files per frame", "1: as fast as it was recorded; 0.1: ten times slower, for slow motion")
 _LOOK = (
     (names.SIZE, 1.0, 0.0, 10.0, "Factor on the size of every Gaussian"),
     (
@@ -70,7 +71,7 @@ def build_player(name: str, content: Content, materials: Materials, made: Made) 
     _declare(graph, content)
     inputs = graph.inputs()
     draw = graph.menu(inputs[names.DRAW], _draw_items(content))
-    by = graph.menu(inputs[names.COLOUR_BY], names.COLOUR_ITEMS) if len(content.freqs_hz) else 0
+    by = graph.menu(inputs[names.COLOUR_BY], _numbered(names.COLOUR_ITEMS)) if len(content.freqs_hz) else 0
     _preset_menus(graph)
     points, motion = inputs["Geometry"], None
     if content.frames is not None:
@@ -85,6 +86,9 @@ def build_player(name: str, content: Content, materials: Materials, made: Made) 
     for prefix in (names.MODE_PREFIX, names.SH_PREFIX):
         # Instances would carry a copy of each attribute of their point.
         points = graph.without(points, f"{prefix}*")
+    if compat.native_splats():
+        native = graph.compare("EQUAL", draw, names.DRAW_ITEMS.index(names.NATIVE), "INT")
+        points = graph.choose("GEOMETRY", native, graph.without(points, f"{names.NATIVE_PREFIX}*"), points)
     shapes = graph.node("GeometryNodeGroup", node_tree=made.keep(build_shapes(name, materials)))
     values = {"Points": points, names.DRAW: draw}
     declared = {socket.name for socket in inputs}
@@ -100,6 +104,8 @@ def _declare(graph: Graph, content: Content) -> None:
     moves = len(content.freqs_hz) > 0
     rows = (*(_MOTION if moves else ()), *(_TIME if moves or content.n_frames else ()), *_LOOK)
     for name, default, least, most, text in rows:
+        if name == names.SPEED:
+            text = _SPEEDS[moves]
         if name == names.HIGH:
             default = whole_band(content.freqs_hz, content.fps)[1]
         graph.interface(name, "Float", default, min_value=least, max_value=most, description=text)
@@ -131,8 +137,16 @@ def _declare_analysis(graph: Graph, content: Content) -> None:
         graph.tree.interface.move_to_parent(graph.tree.interface.items_tree[name], panel, 999)
 
 
-def _draw_items(content: Content) -> tuple[str, ...]:
-    return names.DRAW_ITEMS if len(content.freqs_hz) else names.DRAW_ITEMS[:-1]
+def _draw_items(content: Content) -> dict[str, int]:
+    """Name → number of what can be drawn of this content in this Blender."""
+    missing = set() if len(content.freqs_hz) else {names.ARROWS}
+    if not compat.native_splats():
+        missing.add(names.NATIVE)
+    return {name: number for name, number in _numbered(names.DRAW_ITEMS).items() if name not in missing}
+
+
+def _numbered(items: Sequence[str]) -> dict[str, int]:
+    return {name: number for number, name in enumerate(items)}
 
 
 def _preset_menus(graph: Graph) -> None:
@@ -148,7 +162,10 @@ def _moved(graph: Graph, points: Any, motion: Motion, draw: Any) -> Any:
     noted = graph.store(points, names.DISPLACEMENT, "FLOAT_VECTOR", motion.offset)
     moved = graph.call("GeometryNodeSetPosition", {"Geometry": points, "Offset": motion.offset})
     turned = graph.store(moved, names.ROTATION, "QUATERNION", _rotation(graph, motion.turn))
-    return graph.choose("GEOMETRY", arrows, turned, noted)
+    dots = graph.compare(
+        "EQUAL", draw, names.DRAW_ITEMS.index(names.POINTS), "INT"
+    )  # round: turns are not seen
+    return graph.choose("GEOMETRY", arrows, graph.choose("GEOMETRY", dots, turned, moved), noted)
 
 
 def _rotation(graph: Graph, turn: Any) -> Any:

@@ -24,7 +24,7 @@ def build_sequence(name: str, collection: Any, count: int) -> Any:
     graph.interface(names.LOOP, "Bool")
     graph.result("Points", "Geometry")
     inputs = graph.inputs()
-    t = graph.math("FLOOR", graph.math("ADD", elapsed(graph, inputs), SLACK))
+    t = graph.math("FLOOR", graph.math("ADD", elapsed(graph, inputs, 0.0), SLACK))
     held = graph.math("MINIMUM", graph.math("MAXIMUM", t, 0.0), float(count - 1))
     now = graph.choose("FLOAT", inputs[names.LOOP], held, graph.math("FLOORED_MODULO", t, float(count)))
     options = {"Collection": collection, "Separate Children": True, "Reset Children": True}

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import bpy
 
-from .. import names
+from .. import compat, names
 from .graph import Graph
 
 SUBDIVISIONS = 2  # of the icosphere: 80 triangles
@@ -45,14 +45,15 @@ def build_shapes(name: str, materials: Materials) -> Any:
     radius = graph.math("MULTIPLY", inputs[names.SIZE], inputs[names.RADIUS])
     splat_radius = graph.math("MULTIPLY", inputs[names.SIZE], SPLAT_RADIUS)
     solid = graph.choose("MATERIAL", inputs[names.SOLID_COLOUR], materials.solid, materials.points)
-    drawn = graph.pick(
-        "GEOMETRY",
-        _solid_draw(graph, inputs),
+    kinds = [
         _balls(graph, points, enough, radius, solid),
         _balls(graph, points, faint, splat_radius, materials.splat),
         _dots(graph, points, enough, radius, materials.points, inputs[names.SOLID_COLOUR]),
         _arrows(graph, points, enough, inputs, solid),
-    )
+    ]
+    if compat.native_splats():
+        kinds.append(_native(graph, points))
+    drawn = graph.pick("GEOMETRY", _solid_draw(graph, inputs), *kinds)
     flat = _realized(graph, points, drawn)
     graph.finish(Geometry=graph.choose("GEOMETRY", inputs[names.SOLID_COLOUR], drawn, flat))
     return graph.tree
@@ -100,6 +101,15 @@ def _dots(graph: Graph, points: Any, selection: Any, radius: Any, material: Any,
         },
     )
     return graph.choose("GEOMETRY", solid, graph.painted(cloud, material), graph.painted(balls, material))
+
+
+def _native(graph: Graph, points: Any) -> Any:
+    """A point cloud of Blender's own splats; their attributes are on the points already (points.py)."""
+    cloud = graph.call("GeometryNodeMeshToPoints", {"Mesh": points})
+    node = graph.node("GeometryNodePointsSetType")
+    compat.choose_splats(node)
+    graph.put(cloud, node.inputs[0])
+    return node.outputs[0]
 
 
 def _arrows(graph: Graph, points: Any, selection: Any, inputs: Any, material: Any) -> Any:

@@ -9,8 +9,9 @@ import bpy
 from bpy.props import BoolProperty, CollectionProperty, IntProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 
-from .. import compat, loading, names, preferences, receiving, scene
+from .. import compat, loading, names, preferences, receiving, scene, showing
 from ..core.errors import SplatFileError
+from .look import true_colours
 
 
 class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
@@ -35,7 +36,20 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
     )
     timeline: BoolProperty(  # type: ignore[valid-type]
         name="Set Timeline",
-        description="Take frame rate (Hz) and frame range from a file with motion",
+        description="Take frame rate (Hz) and frame range from a file with motion, where nothing moves in the scene "
+        "yet. The motion takes as long as it took at any frame rate",
+        default=True,
+    )
+    colours: BoolProperty(  # type: ignore[valid-type]
+        name="True Colours",
+        description="Set the scene's view transform to Standard, as other splat viewers show the colours, and Cycles' "
+        "transparent bounces high enough for splats",
+        default=True,
+    )
+    show: BoolProperty(  # type: ignore[valid-type]
+        name="Show",
+        description="Frame what is imported in the 3D views, and leave Solid view for Material Preview, since Solid "
+        "view shows splats grey",
         default=True,
     )
     most: IntProperty(  # type: ignore[valid-type]
@@ -74,16 +88,25 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
             return {"CANCELLED"}
         finally:
             manager.progress_end()
-        if self.timeline:
-            scene.set_timeline(context.scene, loaded.fps, loaded.n_timesteps)
         for obj in loaded.objects:
             _draw_as(obj, preferences.get(context).draw_as)
         _select(context, loaded.objects)
-        message = loaded.message
+        if self.show:
+            showing.show(context, loaded.objects)
+        message = "; ".join([loaded.message, *self._set_up(context, loaded)])
         if collection != context.collection:
             message += f"; in {collection.name}, as {context.collection.name} is hidden or linked"
         self.report({"INFO"}, message)
         return {"FINISHED"}
+
+    def _set_up(self, context: Any, loaded: loading.Loaded) -> list[str]:
+        """Set what the options ask for in the scene; returns what was changed."""
+        told = []
+        if self.timeline:
+            told.append(scene.set_timeline(context.scene, loaded.objects, loaded.fps, loaded.n_timesteps))
+        if self.colours:
+            told.append(true_colours(context.scene))
+        return [words for words in told if words]
 
     def _paths(self) -> list[Path]:
         chosen = [Path(self.directory) / file.name for file in self.files if file.name]

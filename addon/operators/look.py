@@ -70,13 +70,20 @@ class TG4MM_OT_fit_colour_range(_OnSplats):
         return {"FINISHED"}
 
 
-def true_colours(to: Any) -> None:
-    """Set a scene's colour management and Cycles' transparent bounces for splats."""
+def true_colours(to: Any) -> str:
+    """Set a scene's colour management and Cycles' transparent bounces for splats.
+
+    Returns what to tell about it, "" where the view transform was Standard before.
+    """
+    before = to.view_settings.view_transform
     to.view_settings.view_transform, to.view_settings.look = "Standard", "None"
     to.view_settings.exposure, to.view_settings.gamma = 0.0, 1.0
     # Cycles may be switched off in this Blender.
     if hasattr(to, "cycles"):
-        to.cycles.transparent_max_bounces = max(to.cycles.transparent_max_bounces, TRANSPARENT_BOUNCES)
+        cycles = to.cycles
+        cycles.transparent_max_bounces = max(cycles.transparent_max_bounces, TRANSPARENT_BOUNCES)
+        cycles.min_transparent_bounces = max(cycles.min_transparent_bounces, TRANSPARENT_BOUNCES)
+    return "" if before == "Standard" else f"view transform set from {before} to Standard"
 
 
 _CLASSES = (TG4MM_OT_true_colours, TG4MM_OT_solid_colours, TG4MM_OT_fit_colour_range)

@@ -8,7 +8,7 @@ import numpy as np
 
 from .camera import Camera
 
-_INSIDE = 0.96  # of the picture's half width: what moves, and a hand that shakes, need a little room
+_INSIDE = 0.96  # of the picture's half width: pixel filters, and a hand that shakes, need a little room
 _STEP = 1.01
 _MOST = 300  # steps, 20 times as far
 _DIRECTIONS = 400
@@ -39,8 +39,31 @@ def half_widths(camera: Camera, points: np.ndarray) -> float:
 
 def extreme_points(points: np.ndarray) -> np.ndarray:
     """Those of the points [P, 3] that lie farthest in one of 400 directions, evenly spread over the sphere."""
+    return points[np.unique([int((points @ direction).argmax()) for direction in _directions()])]
+
+
+def moving_points(points: np.ndarray, basis: np.ndarray, gains: np.ndarray) -> np.ndarray:
+    """[400, 3]: the farthest place that any of the points comes to at any time, in each of 400 directions.
+
+    Parameters: `points` [P, 3] at rest; `basis` [G, P, 3], real shapes of their displacement; `gains` [G, T], of the
+    shapes over time.
+    """
+    most = np.abs(gains).max(axis=1, initial=0.0)
+
+    def farthest(direction: np.ndarray) -> np.ndarray:
+        still, shapes = points @ direction, basis @ direction
+        ends = most @ np.abs(shapes)
+        may = np.flatnonzero(still + ends >= (still - ends).max())  # no other point can come first
+        along = still[may, None] + shapes[:, may].T @ gains
+        point, time = np.unravel_index(along.argmax(), along.shape)
+        return points[may[point]] + gains[:, time] @ basis[:, may[point]]
+
+    return np.array([farthest(direction) for direction in _directions()])
+
+
+def _directions() -> np.ndarray:
+    """[400, 3] unit vectors."""
     turns = np.arange(_DIRECTIONS) + 0.5
     z, azimuth = 1.0 - 2.0 * turns / _DIRECTIONS, turns * np.pi * (3.0 - np.sqrt(5.0))
     radius = np.sqrt(1.0 - z * z)
-    directions = np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z])
-    return points[np.unique([int((points @ direction).argmax()) for direction in directions.T])]
+    return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=1)

@@ -52,6 +52,7 @@ class CameraSetup:
     clearance: float = (
         1.0  # training cameras other than the orbit's stand this many times as far away (`framing`)
     )
+    test_clearance: float = 1.0  # and so do test cameras, of which flat has none of its own
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -99,30 +100,45 @@ class CameraSetup:
             given=tuple(c.numbered(i) for i, c in enumerate(cameras)) if self.kind == "given" else (),
         )
 
-    def framing(self, points: np.ndarray) -> CameraSetup:
-        """The same, training cameras moved back until each has all `points` [P, 3] in its picture.
+    def framing(self, points: np.ndarray, magnified: np.ndarray | None = None) -> CameraSetup:
+        """The same, moved back until training cameras have all `points` [P, 3] in their pictures.
 
-        Not the orbit's, whose places are published, nor given ones.
+        Test cameras, which also take the magnified pictures, have `magnified` [P, 3] too. Not the orbit, whose places
+        are published, nor given cameras.
         """
-        if self.kind in ("orbit", "given"):
+        if self.kind == "orbit":
             return self
         times = range(self.n_timesteps) if self.kind == "handheld" else (0,)
 
-        def cameras(clearance: float) -> list[Camera]:
+        def train(clearance: float) -> list[Camera]:
             setup = replace(self, clearance=clearance)
             return [camera for t in times for camera in cameras_at(setup, t)["train"]]
 
-        return replace(self, clearance=farther(points, cameras))
+        def test(clearance: float) -> list[Camera]:
+            return list(cameras_at(replace(self, test_clearance=clearance), 0)["test"])
+
+        framed = self
+        if self.kind != "given":
+            framed = replace(framed, clearance=farther(points, train))
+        if self.kind != "flat":
+            seen = points if magnified is None else np.concatenate([points, magnified])
+            framed = replace(framed, test_clearance=farther(seen, test))
+        return framed
 
     @property
     def aim(self) -> Aim:
-        """Of the orbit and of the test cameras."""
+        """Of the orbit."""
         return Aim(self.centre, self.distance, self.angle_x)
 
     @property
     def stand(self) -> Aim:
         """Of the other training cameras."""
         return Aim(self.centre, self.distance * self.clearance, self.angle_x)
+
+    @property
+    def test_stand(self) -> Aim:
+        """Of the test cameras."""
+        return Aim(self.centre, self.distance * self.test_clearance, self.angle_x)
 
     def n_train(self, timestep: int) -> int:
         """Training cameras at a timestep."""
@@ -147,6 +163,8 @@ class CameraSetup:
     def to_json(self) -> dict[str, Any]:
         """Plain data; `from_json` gives an equal setup."""
         data = asdict(replace(self, given=()))
+        if self.test_clearance == 1.0:  # as in sets that were made before there was one
+            del data["test_clearance"]
         return {**data, "centre": list(self.centre), "given": [camera.to_json() for camera in self.given]}
 
     @classmethod
@@ -195,8 +213,8 @@ def _test(setup: CameraSetup) -> tuple[Camera, ...]:
         return (fixed_camera(setup.stand),)
     if setup.kind == "handheld":
         duration = (setup.n_timesteps - 1) / setup.fps
-        return tuple(beside_path(setup.test_views, duration, setup.stand, setup.seed))
-    return tuple(test_cameras(setup.test_views, setup.aim))
+        return tuple(beside_path(setup.test_views, duration, setup.test_stand, setup.seed))
+    return tuple(test_cameras(setup.test_views, setup.test_stand))
 
 
 def _whole(option: str, value: int, low: int, high: int) -> None:

@@ -10,11 +10,10 @@ import numpy as np
 from markupsafe import Markup
 from PIL import Image
 
-from tg4mm.report import svg
 from tg4mm.report.page import Block, Figure, Section, Table, Text, drawing, picture
 from tg4mm.report.svg import number
 
-from .chart import time_chart
+from .chart import spectrum_chart, time_chart
 from .dataset import Dataset
 from .maps import mode_maps
 from .modes import ModeSummary, Track, parts_text, spectrum
@@ -120,13 +119,11 @@ def _point(f: Findings, track: Track) -> list[Block]:
     series = track.along * factor
     frequencies, amplitudes = spectrum(series, d.fps)
     where = ", ".join(f"{v:.2f}".replace("-", "−") for v in track.direction)
-    label = f"displacement ({unit})"
-    panels = [drawing(time_chart(np.arange(d.n_timesteps) / d.fps, series, "time (s)", label), "over time")]
     strong = amplitudes > 0.05 * amplitudes.max(initial=0.0)
-    chart = svg.bar_chart(
-        frequencies.tolist(), amplitudes.tolist(), strong.tolist(), "frequency (Hz)", f"amplitude ({unit})"
-    )
-    panels.append(drawing(chart, "spectrum"))
+    panels = [
+        drawing(time_chart(np.arange(d.n_timesteps) / d.fps, series, unit), "over time"),
+        drawing(spectrum_chart(frequencies, amplitudes, unit, strong), "spectrum"),
+    ]
     caption = Markup(
         "The point that moves most ({where}), along ({direction}), exact, at every timestep; and its discrete "
         "Fourier transform without a window. A frequency between bins spreads over its neighbours."

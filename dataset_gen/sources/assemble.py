@@ -36,6 +36,7 @@ class Origin:
 
     path: Path
     unit_scale_m: float | None  # metres per scene unit
+    own_unit: tuple[str, float]  # of the file: its name, and how many of it a scene unit is
     cameras: tuple[Camera, ...] = ()
     camera_names: tuple[str, ...] = ()
     exposure: float = 1.0  # factor on all light
@@ -74,7 +75,15 @@ def assemble(
     stage.camera.data.clip_end = max(100.0, 100.0 * radius)
     stage.camera.data.clip_start = min(0.01, 0.002 * radius)
     return Loaded(
-        stage, bodies, origin.unit_scale_m, origin.cameras, origin.camera_names, tuple(notes), centre, radius
+        stage,
+        bodies,
+        origin.unit_scale_m,
+        origin.own_unit,
+        origin.cameras,
+        origin.camera_names,
+        tuple(notes),
+        centre,
+        radius,
     )
 
 

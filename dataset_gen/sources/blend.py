@@ -14,6 +14,7 @@ from ..errors import GenerateError
 from . import header
 from .assemble import Origin, assemble
 from .gather import gather
+from .left_out import left_out
 from .lighting import own_world
 from .loaded import Loaded
 from .names import list_names
@@ -39,6 +40,7 @@ def open_blend(path: Path, *, frame: int | None = None, scene: str | None = None
         old.frame_set(old.frame_current, subframe=old.frame_subframe)
     else:
         old.frame_set(frame)
+    warnings += left_out(old)
     names, cameras = file_cameras(old, warnings)
     exposure = 2.0**old.view_settings.exposure * old.cycles.film_exposure
     if old.view_settings.view_transform not in _NEUTRAL_VIEWS:
@@ -46,7 +48,11 @@ def open_blend(path: Path, *, frame: int | None = None, scene: str | None = None
             f"view transform {old.view_settings.view_transform} is replaced by Standard: colours will differ"
         )
     return assemble(
-        gather(old), old, Origin(path, _unit_scale(old), cameras, names, exposure), _light, warnings
+        gather(old),
+        old,
+        Origin(path, _unit_scale(old), own_unit(old), cameras, names, exposure),
+        _light,
+        warnings,
     )
 
 
@@ -128,6 +134,28 @@ def _lens(obj: bpy.types.Object, scene: bpy.types.Scene) -> tuple[float, tuple[f
 def _unit_scale(scene: bpy.types.Scene) -> float | None:
     units = scene.unit_settings
     return float(units.scale_length) if units.system in ("METRIC", "IMPERIAL") else None
+
+
+_UNITS = {  # Blender's names of units → metres
+    "KILOMETERS": ("km", 1e3),
+    "METERS": ("m", 1.0),
+    "CENTIMETERS": ("cm", 1e-2),
+    "MILLIMETERS": ("mm", 1e-3),
+    "MICROMETERS": ("µm", 1e-6),
+    "MILES": ("mi", 1609.344),
+    "FEET": ("ft", 0.3048),
+    "INCHES": ("in", 0.0254),
+    "THOU": ("thou", 2.54e-5),
+}
+
+
+def own_unit(scene: bpy.types.Scene) -> tuple[str, float]:
+    """The unit in which the file shows lengths, and how many of it a scene unit is."""
+    if (scale := _unit_scale(scene)) is None:
+        return "scene units", 1.0
+    default = "METERS" if scene.unit_settings.system == "METRIC" else "FEET"
+    name, metres = _UNITS.get(scene.unit_settings.length_unit, _UNITS[default])  # "ADAPTIVE" is none of them
+    return name, scale / metres
 
 
 def _light(scene: bpy.types.Scene, old: bpy.types.Scene, lit: bool, warnings: list[str]) -> None:

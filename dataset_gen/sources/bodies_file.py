@@ -19,7 +19,7 @@ from ..vibration.bodies import Body
 if TYPE_CHECKING:
     from .loaded import Loaded
 
-_VERSION = 1
+_VERSION = 2
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,7 @@ class Found:
 
     bodies: tuple[Body, ...]
     unit_scale_m: float | None  # metres per scene unit
+    own_unit: tuple[str, float]  # of the file: its name, and how many of it a scene unit is
     cameras: tuple[Camera, ...]
     camera_names: tuple[str, ...]
     warnings: tuple[str, ...]
@@ -46,6 +47,7 @@ def save(path: Path, found: Loaded | Found) -> None:
         "version": _VERSION,
         "bodies": [{"name": body.name, "groups": list(body.groups)} for body in found.bodies],
         "unit_scale_m": found.unit_scale_m,
+        "own_unit": list(found.own_unit),
         "cameras": [camera.to_json() for camera in found.cameras],
         "camera_names": list(found.camera_names),
         "warnings": list(found.warnings),
@@ -68,6 +70,7 @@ def load(path: Path) -> Found:
         return Found(
             bodies,
             head["unit_scale_m"],
+            (str(head["own_unit"][0]), float(head["own_unit"][1])),
             tuple(Camera.from_json(camera) for camera in head["cameras"]),
             tuple(head["camera_names"]),
             tuple(head["warnings"]),

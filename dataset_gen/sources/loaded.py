@@ -16,6 +16,7 @@ class Loaded:
     stage: Stage  # its `objects` and `rest` go with `bodies`, one to one
     bodies: tuple[Body, ...]
     unit_scale_m: float | None  # metres per scene unit, None where the file does not say
+    own_unit: tuple[str, float]  # of the file: its name, and how many of it a scene unit is
     cameras: tuple[Camera, ...]  # of the file, the active one first
     camera_names: tuple[str, ...]  # one for each of `cameras`
     warnings: tuple[str, ...]  # one line each: what was left out or replaced

@@ -81,7 +81,9 @@ def open_mesh(path: Path) -> Loaded:
     found.pieces[:] = [_fitted(piece, scale, centre) for piece in found.pieces]
     poses = [_fitted_matrix(camera.camera_to_world, scale, centre, turn_only=True) for camera in cameras]
     cameras = scene_cameras(poses, [c.angle_x for c in cameras], [c.shift for c in cameras])
-    origin = Origin(path, 1.0 / scale if format_.metres else None, cameras, names)
+    metres = 1.0 / scale if format_.metres else None
+    own = ("m" if format_.metres else f"units of {path.name}", 1.0 / scale)
+    origin = Origin(path, metres, own, cameras, names)
     return assemble(found, scene, origin, _light, warnings)
 
 

@@ -13,7 +13,7 @@ _TARGET = "tg4mm weight {}"
 def group_weights(objects: Sequence[bpy.types.Object]) -> list[dict[str, np.ndarray]]:
     """For each mesh object of the context's scene: group name → weights [V] float64, 0 where not assigned.
 
-    Groups that no vertex is in are left out. The objects must have no modifiers.
+    The objects must have no modifiers.
     """
     named = [[group.name for group in obj.vertex_groups] for obj in objects]
     trees: dict[tuple[str, ...], bpy.types.NodeTree] = {}
@@ -60,6 +60,5 @@ def _read(obj: bpy.types.Object, names: Sequence[str]) -> dict[str, np.ndarray]:
     for i, name in enumerate(names):
         weights = np.empty(len(mesh.vertices), np.float32)
         mesh.attributes[_TARGET.format(i)].data.foreach_get("value", weights)
-        if weights.any():
-            found[name] = weights.astype(np.float64)
+        found[name] = weights.astype(np.float64)
     return found

@@ -97,12 +97,24 @@ def _moving(mode: Mode, bodies: Sequence[Body]) -> list[Body]:
     if not isinstance(mode.phases, str):
         for glob, _ in mode.phases:
             _matching("phases", glob, [body.name for body in moving])
-    if isinstance(mode.field, Group) and not any(mode.field.group in body.groups for body in moving):
+    if isinstance(mode.field, Group):
+        _check_group(mode.field.group, moving)
+    return moving
+
+
+def _check_group(group: str, moving: Sequence[Body]) -> None:
+    """Raises ValueError for a vertex group that no part has, or that no vertex is in."""
+    holders = [body for body in moving if group in body.groups]
+    if not holders:
         there = sorted({name for body in moving for name in body.groups})
         raise ValueError(
-            f"group: no part has the vertex group {mode.field.group!r}; there is {_listed(there) or 'none'}"
+            f"group: no part has the vertex group {group!r}; there is {_listed(there) or 'none'}"
         )
-    return moving
+    if not any(body.groups[group].any() for body in holders):
+        names = _listed(body.name for body in holders)
+        raise ValueError(
+            f"group: the vertex group {group!r} of {names} is empty: no vertex has a weight in it"
+        )
 
 
 def _matching(key: str, glob: str, names: Sequence[str]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
@@ -78,6 +79,68 @@ def test_first_frame_and_speed_set_the_time(extension: ModuleType, splat_path: P
     extension.compat.set_input(modifier, extension.names.SPEED, 0.25)
     expected = positions_at(read_splat(splat_path), (40 - 11) * 0.25)
     np.testing.assert_allclose(transforms(obj, 40)[:, :3, 3], expected, atol=1e-4)
+
+
+@pytest.mark.parametrize(("fps", "base"), [(60, 1.0), (24, 1.001), (5, 1.0)])
+def test_motion_takes_as_long_as_it_took_at_any_frame_rate(
+    extension: ModuleType, splat_path: Path, fps: int, base: float
+) -> None:
+    obj = import_splat(splat_path)
+    drawn_whole(extension, obj)
+    setter(extension, obj)(extension.names.FIRST, 3.0)
+    scene, splat = bpy.context.scene, read_splat(splat_path)
+    scene.render.fps, scene.render.fps_base = fps, base
+    for frame in (3, 10, 31.5, -4):
+        seconds = (frame - 3) / (fps / base)
+        np.testing.assert_allclose(places(obj, frame), positions_at(splat, seconds * splat.fps), atol=2e-4)
+        now = extension.clock.timestep(scene, obj, extension.scene.splat_modifier(obj))
+        assert now == pytest.approx(seconds * splat.fps, abs=1e-4)
+
+
+def test_frame_0_is_no_exception(extension: ModuleType, splat_path: Path) -> None:
+    obj = import_splat(splat_path)
+    drawn_whole(extension, obj)
+    np.testing.assert_allclose(places(obj, 0), positions_at(read_splat(splat_path), -1), atol=1e-4)
+
+
+def test_a_second_import_changes_neither_the_clock_nor_the_first(
+    extension: ModuleType, splat_path: Path, tmp_path: Path
+) -> None:
+    first = import_splat(splat_path)
+    drawn_whole(extension, first)
+    slower = replace(read_splat(splat_path), fps=10.0)
+    write_splat(tmp_path / "slower.ply", slower)
+    second = import_splat(tmp_path / "slower.ply")
+    drawn_whole(extension, second)
+    scene = bpy.context.scene
+    assert (scene.render.fps / scene.render.fps_base, scene.frame_end) == (24.0, 48)
+    np.testing.assert_allclose(places(first, 13), positions_at(read_splat(splat_path), 12), atol=1e-4)
+    np.testing.assert_allclose(places(second, 13), positions_at(slower, 0.5 * 10.0), atol=1e-4)
+
+
+def test_keys_in_the_scene_are_not_retimed(extension: ModuleType, splat_path: Path) -> None:
+    scene = bpy.context.scene
+    scene.render.fps = 50
+    cube = bpy.data.objects.new("cube", None)
+    scene.collection.objects.link(cube)
+    for frame in (1, 20):
+        cube.keyframe_insert("location", frame=frame)
+    import_splat(splat_path)
+    assert scene.render.fps == 50
+
+
+def test_modes_in_which_nothing_moves_are_left_out(
+    extension: ModuleType, splat_path: Path, tmp_path: Path
+) -> None:
+    splat = read_splat(splat_path)
+    size = np.array([1e-9, 1.0, 0.0], np.float32)[:, None, None]
+    still = replace(splat, displacement=size * splat.displacement, rotation=size * splat.rotation)
+    write_splat(tmp_path / "one.ply", still)
+    obj = import_splat(tmp_path / "one.ply")
+    drawn_whole(extension, obj)
+    assert list(obj[extension.names.FREQUENCIES]) == [5.0]
+    assert "mode_1_re" not in obj.data.attributes
+    np.testing.assert_allclose(places(obj, 9.5), positions_at(still, 8.5), atol=1e-4)
 
 
 def test_magnification_can_be_keyed(extension: ModuleType, splat_path: Path) -> None:
@@ -192,6 +255,7 @@ def test_timeline_is_taken_from_the_file_unless_declined(extension: ModuleType, 
     scene.render.fps, scene.frame_end = 60, 100
     import_splat(splat_path, timeline=False)
     assert (scene.render.fps, scene.frame_end) == (60, 100)
+    bpy.data.objects.remove(bpy.context.object)
     import_splat(splat_path)
     assert scene.render.fps / scene.render.fps_base == pytest.approx(24.0)
     assert (scene.frame_start, scene.frame_end) == (1, 48)

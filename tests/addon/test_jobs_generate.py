@@ -162,7 +162,8 @@ def test_core_python_runs_the_generator_where_it_is_named(
     extension: ModuleType, settings: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     stub = tmp_path / "python"
-    stub.write_text('#!/bin/sh\necho "$@" >> "$0.said"\necho "error: not today" >&2\nexit 2\n')
+    event = '{"tg4mm": "error", "message": "not today"}'
+    stub.write_text(f'#!/bin/sh\necho "$@" >> "$0.said"\necho \'{event}\' >&2\nexit 2\n')
     stub.chmod(0o755)
     monkeypatch.setattr(extension.preferences.TG4MM_defaults, "core_python", str(stub))
     settings.truth = "test"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import os
 import sys
 import time
@@ -62,60 +63,81 @@ def alive(pid: int) -> bool:
         return False
 
 
-@pytest.mark.parametrize(
-    ("line", "expected"),
-    [
-        ("rendering 12/161  9 s, 156 s left", ("rendering", 12, 161, "156 s")),
-        ("space stage: 120/3000 it, 0:05 elapsed, 2:03 left, psnr 22.1", ("space stage", 120, 3000, "2:03")),
-        ("motion stage: 5/80 it, 0:09 elapsed, time left unknown", ("motion stage", 5, 80, "")),
-        ("evaluate α = 5: 3/3 images, took 0:02", ("evaluate α = 5", 3, 3, "")),
-        ("export: 2/4 files, 1:00:01 elapsed, 1:00:02 left", ("export", 2, 4, "1:00:02")),
-        (
-            "compiling kernels for this processor, once: a minute or two in all",
-            ("compiling kernels for this processor", 0, 0, ""),
-        ),
-    ],
-)
-def test_progress_is_read(jobs: Any, line: str, expected: tuple[str, int, int, str]) -> None:
-    assert jobs.reading.read_line(line).progress == jobs.reading.Progress(*expected)
+def event(kind: str, **fields: Any) -> str:
+    return json.dumps({"tg4mm": kind, **fields})
 
 
-def test_progress_is_what_the_programs_print(jobs: Any, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.fixture
+def emitted(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[[], list[str]]:
+    """Lines that the programs write on stderr where events are asked for."""
+    monkeypatch.setenv("TG4MM_EVENTS", "json")
+    return lambda: capsys.readouterr().err.splitlines()
+
+
+def test_progress_is_what_the_programs_print(jobs: Any, emitted: Callable[[], list[str]]) -> None:
     from dataset_gen.processes import _Progress
-    from tg4mm.progress import PlainProgress
+    from tg4mm.progress import EventProgress
 
     _Progress("rendering", 4, sys.stderr).step()
-    plain = PlainProgress("space stage", 30, "it", 0, sys.stderr, clock=iter([0.0, 6.0, 7.0]).__next__)
-    plain.update(10, psnr=21.5)
-    first, second = capsys.readouterr().err.replace("\r", "\n").strip().splitlines()
-    assert jobs.reading.read_line(first).progress == jobs.reading.Progress("rendering", 1, 4, "0 s")
-    assert jobs.reading.read_line(second).progress == jobs.reading.Progress("space stage", 10, 30, "0:12")
+    core = EventProgress("space stage", 30, "it", 0, sys.stderr, clock=iter([0.0, 6.0, 7.0]).__next__)
+    core.update(10, psnr=21.5)
+    core.finish()
+    first, second, last = (jobs.reading.read_line(line).progress for line in emitted())
+    assert (first.label, first.done, first.total) == ("rendering", 1, 4)
+    assert first.left_s == pytest.approx(0, abs=0.5)
+    assert second == jobs.reading.Progress("space stage", 10, 30, 12.0)
+    assert second.text == "space stage 10/30, 0:12 left"
+    assert (last.done, last.left_s) == (10, None)  # it ended early
+
+
+def test_what_the_programs_say_is_read(jobs: Any, emitted: Callable[[], list[str]]) -> None:
+    from dataset_gen.__main__ import main as generator
+    from tg4mm import events
+    from tg4mm.cli import main
+
+    assert main(["train", "/no/ä", "--out", "/no/run"]) == 2
+    assert generator(["mic", "--size", "-1", "--out", "/no/out"]) == 2
+    events.say("warning", "floor far wider", "warning: ")
+    events.say("note", "compiling kernels")
+    events.emit("complete", path="/data/a b/ü_5Hz")
+    core, made, warning, note, complete = (jobs.reading.read_line(line) for line in emitted())
+    assert core.error == "/no/ä: does not exist"
+    assert "--size" in made.error
+    assert warning.warning == "floor far wider"
+    assert note.progress == jobs.reading.Progress("compiling kernels")
+    assert complete.result == "/data/a b/ü_5Hz"
 
 
 @pytest.mark.parametrize(
-    "line", ["", "1/2", "Saved: /tmp/12/13", "Fra:1 Mem:12.00M | 3/4", "a 1/", "x 1/2y", "\0\x1b[2K"]
-)
-def test_other_lines_are_no_progress_of_ours(jobs: Any, line: str) -> None:
+    "line",
+    ["", "1/2", "space stage: 1/2 it, 0:05 elapsed", "error: no", '{"tg4mm": ', '{"tg4mm": "else"}', "\0\x1b[2K",
+     '{"tg4mm": "progress", "x": ' + "[" * 9000, '{"tg4mm": "complete", "path": 7}', '{"tg4mm": 1' + "0" * 9000 + "}"],
+)  # fmt: skip
+def test_other_lines_say_nothing(jobs: Any, line: str) -> None:
     read = jobs.reading.read_line(line)
-    assert (read.error, read.warning, read.result) == ("", "", "")
-    assert read.progress is None or read.progress.label.startswith("Fra")
+    assert (read.error, read.warning, read.result, read.progress) == ("", "", "", None)
 
 
 def test_progress_beyond_its_total_or_without_one(jobs: Any) -> None:
     progress = jobs.reading.Progress
     assert (progress("a").factor, progress("a", 5, 4).factor, progress("a", 1, 4).factor) == (0, 1, 0.25)
     assert progress("a").text == "a"
-    assert jobs.reading.read_line("a 1/0").progress.factor == 0
-    assert jobs.reading.read_line("a 1/" + "9" * 5000).progress.factor < 1e-6
+    assert progress("a", 1, 2, 3723.4).text == "a 1/2, 1:02:03 left"
+    odd = event("progress", label=7, done=-1, total=1e99, left_s="soon")
+    assert jobs.reading.read_line(odd).progress == progress("")
+    assert jobs.reading.read_line(
+        event("progress", label="a", done=True, total=2, left_s=float("nan"))
+    ).progress == (progress("a", 0, 2))
 
 
 def test_chain_of_programs_runs_to_its_end(jobs: Any, step: Callable[..., Any]) -> None:
-    first = step("import sys, time\nfor i in range(3):\n    print(f'one {i}/3  1 s, 2 s left', file=sys.stderr)\n"
-                 "    time.sleep(0.05)\nprint('warning: floor far wider')\n"
-                 "print('complete: /data/a b/mic_5Hz_0_01  (12 s)')")  # fmt: skip
-    job = jobs.runner.Job([first, step("print('two: 7/9 it')", "second")], environment(jobs))
+    first = step("import time\nfrom tg4mm import events\nfor i in range(3):\n"
+                 "    events.emit('progress', label='one', done=i, total=3)\n    time.sleep(0.05)\n"
+                 "events.say('warning', 'floor far wider')\nevents.emit('complete', path='/data/a b/mic')")  # fmt: skip
+    second = step(f"print({event('progress', label='two', done=7, total=9)!r})", "second")
+    job = jobs.runner.Job([first, second], environment(jobs))
     seen = run(job)
-    assert (job.state, job.results) == (jobs.runner.State.DONE, ["/data/a b/mic_5Hz_0_01"])
+    assert (job.state, job.results) == (jobs.runner.State.DONE, ["/data/a b/mic"])
     assert list(job.warnings) == ["floor far wider"]
     assert seen[0].label in ("working", "one")  # which of them depends on the machine's load
     assert seen[-1].label == "two"
@@ -125,8 +147,7 @@ def test_chain_of_programs_runs_to_its_end(jobs: Any, step: Callable[..., Any]) 
 @pytest.mark.parametrize(
     ("code", "message"),
     [
-        ("import sys; print('x'); print('error: --size 7 is bad', file=sys.stderr); sys.exit(2)", "--size 7 is bad"),
-        ("import sys; print('tg4mm: no folder /ä', file=sys.stderr); sys.exit(2)", "no folder /ä"),
+        ("import tg4mm.events as e; print('x'); e.say('error', 'no /ä'); print('y'); raise SystemExit(2)", "no /ä"),
         ("raise RuntimeError('kaputt')", "ended with status 1: RuntimeError: kaputt"),
         ("import sys; sys.exit(5)", "ended with status 5: it said nothing"),
         ("import os, signal; os.kill(os.getpid(), signal.SIGKILL)", "ended with status -9: it said nothing"),
@@ -139,8 +160,11 @@ def test_failure_is_one_line(jobs: Any, step: Callable[..., Any], code: str, mes
 
 
 def test_any_bytes_may_come(jobs: Any, step: Callable[..., Any]) -> None:
-    code = ("import sys\nw = sys.stdout.buffer.write\nw('größe 1/4\\r'.encode()); w(b'\\xff\\xfe\\0\\n')\n"
-            "w(b'x' * 3_000_000); w('\\nüber 3/4'.encode())")  # fmt: skip
+    first, last = (
+        event("progress", label=label, done=k, total=4) for label, k in (("größe", 1), ("über", 3))
+    )
+    code = (f"import sys\nw = sys.stdout.buffer.write\nw({first!r}.encode() + b'\\r'); w(b'\\xff\\xfe\\0\\n')\n"
+            f"w(b'x' * 3_000_000); w(b'\\n' + {last!r}.encode())")  # fmt: skip
     job = jobs.runner.Job([step(code)], environment(jobs))
     seen = run(job)
     assert job.state is jobs.runner.State.DONE
@@ -168,7 +192,7 @@ def test_poll_returns_at_once_while_a_program_hangs_and_cancel_ends_it(
     jobs: Any, step: Callable[..., Any]
 ) -> None:
     code = (
-        "import time\nprint('ready 1/2', flush=True)\n"
+        "import time\nfrom tg4mm import events\nevents.emit('progress', label='ready', done=1, total=2)\n"
         "try:\n    time.sleep(99)\nexcept KeyboardInterrupt:\n    raise SystemExit(130)"
     )
     job = jobs.runner.Job([step(code), step("print('never')")], environment(jobs))
@@ -189,7 +213,8 @@ import os, signal, subprocess, sys, time
 for number in (signal.SIGINT, signal.SIGTERM):
     signal.signal(number, signal.SIG_IGN)
 child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(99)"])
-print(f"pids {os.getpid()}/{child.pid}", flush=True)
+from tg4mm import events
+events.emit("progress", label="pids", done=os.getpid(), total=child.pid)
 time.sleep(99)
 """
 

@@ -19,18 +19,19 @@ KIND = "train"
 STUB = """#!{python}
 import os, shutil, sys, time
 from pathlib import Path
+from tg4mm import events
 here = Path(__file__).parent
 with open(here / "asked.txt", "a") as file:
     print(*sys.argv[1:], file=file)
 _, module, command, *rest = sys.argv[1:]
 out = Path(rest[rest.index("--out") + 1])
 if (here / "fails").read_text() == command:
-    print("tg4mm: no luck with größe", file=sys.stderr)
+    events.say("error", "no luck with größe")
     sys.exit(2)
 if command == "train":
     for label, total in (("space stage", 4), ("motion stage", 2)):
         for done in range(1, total + 1):
-            print(f"{{label}}: {{done}}/{{total}} it, 0:01 elapsed, 0:02 left, psnr 22.1", file=sys.stderr)
+            events.emit("progress", label=label, done=done, total=total, left_s=2.0)
             time.sleep(0.1)
     while (here / "fails").read_text() == "hang":
         time.sleep(0.05)

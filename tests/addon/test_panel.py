@@ -74,7 +74,7 @@ def test_without_a_splat_it_offers_the_import(extension: ModuleType) -> None:
 
 
 def test_moving_file_has_every_control(extension: ModuleType, splat_path: Path) -> None:
-    obj = import_splat(splat_path)
+    obj = import_splat(splat_path, colours=False)
     names, put = extension.names, setter(extension, obj)
     shown = drawn(extension, obj)
     wanted = (names.ALPHA, "Low (Hz)", "High (Hz)", names.FIRST, names.SPEED, "3 Hz", "7.5 Hz", names.DRAW)
@@ -142,7 +142,7 @@ def test_colours_by_motion_come_with_a_legend(
     obj, names = import_splat(tmp_path / "known.ply"), extension.names
     put, unit = setter(extension, obj), extension.units.unit_of(0.1)
     assert laid_out(extension, obj).pictures == 1  # the spectrum
-    assert extension.analysis.legend_picture(obj, unit) is None
+    assert extension.analysis.legend_picture(obj, unit, bpy.context.scene) is None
     put(names.COLOUR_BY, names.AMPLITUDE_COLOUR)
     put(names.COLOUR_RANGE, 0.5)
     view = extension.view_settings.of(bpy.context)
@@ -150,11 +150,13 @@ def test_colours_by_motion_come_with_a_legend(
     view.legend = False
     assert laid_out(extension, obj).pictures == 2  # and now in the panel
     view.legend = True
-    assert extension.analysis.legend_picture(obj, unit) == (extension.plots.amplitude_legend, 0.5, unit)
+    plots, picture = extension.plots, extension.analysis.legend_picture
+    shown = picture(obj, unit, bpy.context.scene)
+    assert shown == (plots.amplitude_legend, 0.5, unit, plots.STANDARD_AMPLITUDE)
     assert extension.analysis.legend(obj).high_mm == pytest.approx(50.0)
     put(names.COLOUR_BY, names.PHASE_COLOUR)
-    function, still, _ = extension.analysis.legend_picture(obj, unit)
-    assert (function, still) == (extension.plots.phase_legend, pytest.approx(0.025))
+    function, still, _, rows = picture(obj, unit, bpy.context.scene)
+    assert (function, still, rows) == (plots.phase_legend, pytest.approx(0.05), plots.STANDARD_PHASE)
 
 
 def test_legend_in_the_view_can_be_switched_off(extension: ModuleType, splat_path: Path) -> None:
@@ -163,7 +165,11 @@ def test_legend_in_the_view_can_be_switched_off(extension: ModuleType, splat_pat
     space = SimpleNamespace(overlay=SimpleNamespace(show_overlays=True))
     settings = SimpleNamespace(tg4mm_view=SimpleNamespace(legend=True))
     context = SimpleNamespace(
-        object=obj, space_data=space, window_manager=settings, preferences=bpy.context.preferences
+        object=obj,
+        space_data=space,
+        window_manager=settings,
+        preferences=bpy.context.preferences,
+        scene=bpy.context.scene,
     )
     wanted = extension.overlay.wanted
     assert wanted(context)[0] is extension.plots.phase_legend

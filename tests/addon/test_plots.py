@@ -138,7 +138,7 @@ def test_the_bar_of_the_legend_has_the_colours_of_the_points(extension: ModuleTy
     rows = colours.display(colours.amplitude_map())
     np.testing.assert_allclose(column[100], rows[-1], atol=0.02)
     np.testing.assert_allclose(column[375], rows[0], atol=0.02)
-    np.testing.assert_allclose(column[238], rows[5], atol=0.02)
+    np.testing.assert_allclose(column[238], rows[12], atol=0.02)
     assert plots.amplitude_legend(0.0, extension.units.unit_of(None)).shape == picture.shape
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.synthetic import make_synthetic_dataset
+from tests.helpers.synthetic import make_synthetic_dataset
 
 MODAL = {
     "space.iterations": "60", "space.max_gaussians": "400", "space.init_points": "300", "motion.iterations": "4",

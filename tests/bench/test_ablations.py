@@ -50,7 +50,8 @@ def test_every_row_can_be_trained_and_no_two_are_the_same(name: str, preset: str
     for row in rows:
         assert set(row.settings) <= setting_names(preset)
         check_settings(row.settings, preset)
-    kinds = {(json.dumps(dict(r.settings)), r.scorings, r.views, r.amplitude_px) for r in rows}
+    varied = [(r.views, r.timesteps, r.noise, r.amplitude_px) for r in rows]
+    kinds = {(json.dumps(dict(r.settings)), r.scorings, v) for r, v in zip(rows, varied, strict=True)}
     assert len(kinds) == len(rows) == len({r.label for r in rows})
     assert set(ABLATIONS[name].columns) <= set(COLUMNS)
     assert ABLATIONS[name].picture in {"ssim", *COLUMNS}

@@ -19,9 +19,11 @@ def refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--presets", "modal,nerf"], "'nerf'"),
-        (["--presets", "modal,modal"], "modal twice"),
-        (["--presets", ""], "--presets"),
+        (["--methods", "modal,nerf"], "'nerf'"),
+        (["--methods", "modal,modal"], "modal twice"),
+        (["--methods", ""], "--methods"),
+        (["--set", "tracking.colour=1"], "tracking.colour"),
+        (["--md-vqa", "/nowhere"], "holds no test_video.py"),
         (["--alphas", "5,many"], "'many'"),
         (["--alphas", "-3"], "-3"),
         (["--alphas", "7"], "ground truth for 5, 20"),

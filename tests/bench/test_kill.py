@@ -20,6 +20,7 @@ def command(data: Path, out: Path) -> list[str]:
     settings = {**MODAL, **PAPER, "paper.motion_iterations": "60"}
     options = [part for k, v in settings.items() for part in ("--set", f"{k}={v}")]
     given = [str(data), "--out", str(out), "--same-time", "never", "--alphas", "20", *options]
+    given += ["--methods", "modal,paper-tuned"]
     return [sys.executable, "-m", "tg4mm", "bench", "scenes", *given]
 
 

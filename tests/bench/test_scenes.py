@@ -17,7 +17,9 @@ from tg4mm.evaluate import evaluate_run
 from tg4mm.runs import Run
 from tg4mm.train import parse_settings
 
-REQUEST = ScenesRequest(settings={"modal": MODAL, "paper-tuned": PAPER}, same_time="never")
+REQUEST = ScenesRequest(
+    methods=("modal", "paper-tuned"), settings={"modal": MODAL, "paper-tuned": PAPER}, same_time="never"
+)
 Done = tuple[Path, dict[str, Any]]
 
 
@@ -55,25 +57,55 @@ def test_the_numbers_are_those_of_evaluate(
     assert ours["seconds"]["motion"] == run.log()["motion"]["seconds"]
 
 
+def cells(page: str, title: str, *first: str) -> list[str]:
+    """The numbers of the line that begins with `first`, in the table under `title`."""
+    part = page.split(f"### {title}\n")[1].split("###")[0]
+    lines = [[c.strip() for c in x.split("|")[1:-1]] for x in part.splitlines() if x.startswith("|")]
+    (found,) = [x[len(first) :] for x in lines if tuple(x[: len(first)]) == first]
+    return found
+
+
 def test_the_page_prints_the_numbers_of_the_json(done: Done, data: Path) -> None:
     out, results = done
     page = (out / "results.md").read_text(encoding="utf-8")
-    line, seen = [
-        x for x in page.splitlines() if x.startswith(f"| {data.name} ") and x.split("|")[2].strip() == "20"
-    ]
-    modal, paper = (entry(results, row)["rows"]["20"] for row in ("modal", "paper-tuned"))
-    values = [modal[m]["ssim"] for m in ("nothing moves", "modal", "ceiling")]
-    values += [paper[m]["ssim"] for m in ("nothing moves", "linear", "phase", "ceiling")]
-    gaps = [modal["ceiling"]["ssim"] - modal["modal"]["ssim"]]
-    gaps += [paper["ceiling"]["ssim"] - paper[m]["ssim"] for m in ("linear", "phase")]
-    assert [c.strip() for c in line.split("|")[3:-1]] == [f"{v:.4f}" for v in values + gaps]
-    shown = [modal["modal"], paper["linear"], paper["phase"]]
-    assert [c.strip() for c in seen.split("|")[3:-1]] == [f"{way[key]:.2f}" for way in shown for key in SEEN]
+    for line in results["lines"]:
+        alphas = sorted(line["alphas"], key=float)
+        assert cells(page, "SSIM", line["row"]) == [f"{line['alphas'][a]['ssim']:.4f}" for a in alphas]
+        assert cells(page, "gain", line["row"]) == [f"{line['alphas'][a]['gain']:.2f}" for a in alphas]
+    linear = entry(results, "paper-tuned")["rows"]["20"]["linear"]
+    own = cells(page, "Against its own ceiling", data.name, "paper-tuned: linear", "20")
+    assert own == [f"{linear[key]:.2f}" for key in SEEN]
     made = results["made"]
     assert all(str(made[key]) in page for key in ("command", "date", "tg4mm", "processor"))
-    assert "![SSIM over magnification" in page
+    assert "![SSIM and closure over magnification" in page
     assert (out / "results_1.svg").is_file()
     assert json.loads((out / "results.json").read_text(encoding="utf-8")) == results
+
+
+def test_goals_do_not_stand_on_public_pages(done: Done) -> None:
+    out, results = done
+    assert "goals" not in results
+    for name in ("results.md", "results.html"):
+        assert "missed" not in (out / name).read_text(encoding="utf-8")
+
+
+def test_the_rows_that_frame_the_others(done: Done) -> None:
+    _, results = done
+    lines = {line["row"]: line["alphas"]["20"] for line in results["lines"]}
+    assert list(lines) == ["nothing moves", "modal", "ceiling", "paper-tuned: linear", "paper-tuned: phase"]
+    assert (lines["nothing moves"]["closure"], lines["ceiling"]["closure"]) == (0.0, 1.0)
+    assert lines["nothing moves"]["gain"] == pytest.approx(0, abs=1e-9)
+    assert lines["ceiling"]["gain"] > 0.7
+    assert lines["ceiling"]["ssim_moving"] > lines["nothing moves"]["ssim_moving"]
+
+
+def test_pictures_of_eight_bits_score_as_renderings_do(done: Done) -> None:
+    _, results = done
+    for line in results["lines"]:
+        if line["row"] == "modal":
+            exact = entry(results, "modal")["rows"]
+            for alpha, scores in line["alphas"].items():
+                assert scores["ssim"] == pytest.approx(exact[alpha]["modal"]["ssim"], abs=1e-3)
 
 
 def test_what_is_finished_is_not_done_again(done: Done, data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -82,10 +114,10 @@ def test_what_is_finished_is_not_done_again(done: Done, data: Path, monkeypatch:
     def forbidden(*_: Any, **__: Any) -> None:
         raise AssertionError("done again")
 
-    for name in ("train", "evaluate_run"):
-        monkeypatch.setattr(f"tg4mm.bench.measure.{name}", forbidden)
+    for name in ("measure.train", "measure.evaluate_run", "jobs.write_png", "jobs.score_pictures"):
+        monkeypatch.setattr(f"tg4mm.bench.{name}", forbidden)
     again = run_scenes([data], out, REQUEST, silent)
-    assert again["runs"] == results["runs"]
+    assert (again["runs"], again["lines"]) == (results["runs"], results["lines"])
 
 
 def test_other_alphas_are_scored_without_training(
@@ -95,14 +127,14 @@ def test_other_alphas_are_scored_without_training(
     space = out / "runs" / data.name / "modal" / "run" / "space.safetensors"
     before = space.stat().st_mtime_ns
     plan = Plan(alphas=(5.0,))
-    again = run_scenes([data], out, replace(REQUEST, presets=("modal",), plan=plan), silent)
+    again = run_scenes([data], out, replace(REQUEST, methods=("modal",), plan=plan), silent)
     assert list(entry(again, "modal")["rows"]) == ["0", "5"]
     assert entry(again, "modal")["rows"]["5"] == entry(results, "modal")["rows"]["5"]
     assert space.stat().st_mtime_ns == before
 
 
 def test_other_settings_are_refused(done: Done, data: Path) -> None:
-    other = replace(REQUEST, presets=("modal",), settings={"modal": {**MODAL, "space.iterations": "61"}})
+    other = replace(REQUEST, methods=("modal",), settings={"modal": {**MODAL, "space.iterations": "61"}})
     with pytest.raises(RunError, match=r"space.iterations = 60, asked is 61"):
         run_scenes([data], done[0], other, silent)
 

@@ -54,7 +54,13 @@ def test_a_file_where_a_folder_is_expected(tmp_path):
 
 def test_an_unrecognised_folder_lists_what_is_recognised(tmp_path):
     (tmp_path / "images").mkdir()
-    refused(lambda: load_capture(tmp_path), str(tmp_path), "recognise", "transforms_train.json", "scene.json")
+    refused(
+        lambda: load_capture(tmp_path),
+        str(tmp_path),
+        "is not a dataset",
+        "transforms_train.json",
+        "scene.json",
+    )
 
 
 def test_unknown_split(folder):

@@ -9,39 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
+from tests.helpers.capture_colmap import CAMERAS, IMAGES, NAMES, POINTS, pictures
 from tg4mm.capture import load_capture, load_images
 from tg4mm.capture.cameras import world_to_camera
 from tg4mm.errors import CaptureError
-
-SIZE = (12, 8)
-NAMES = ("a/r_2.png", "a/r_10.png", "b.png")
-CAMERAS = """# Camera list
-1 PINHOLE 12 8 20 21 6 4.5
-2 SIMPLE_RADIAL 12 8 25 6 4 0
-"""
-# One image without features: its second line is empty.
-IMAGES = """# Image list
-1 0.5 0.5 0.5 0.5 1 2 3 1 a/r_2.png
-3.5 4.5 7 1.0 2.0 -1
-2 1 0 0 0 0 0 4 2 a/r_10.png
-
-3 0 0 1 0 0.5 0 4 1 b.png
-3.5 4.5 9
-"""
-POINTS = """# 3D point list
-7 1.5 2.5 3.5 10 20 30 0.25 1 0
-9 -1 0 1 200 100 0 0.5 3 0
-"""
-
-
-def pictures(root: Path) -> Path:
-    for i, name in enumerate(NAMES):
-        path = root / "images" / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        Image.fromarray(np.full((SIZE[1], SIZE[0], 3), 100 + i, np.uint8)).save(path)
-    return root
 
 
 @pytest.fixture
@@ -214,4 +186,4 @@ def test_there_is_a_training_split_only(text: Path) -> None:
 
 
 def test_images_without_a_model_are_not_recognised(tmp_path: Path) -> None:
-    refused(pictures(tmp_path), "is not a dataset I recognise", "a COLMAP folder (images/ and sparse/0/)")
+    refused(pictures(tmp_path), "is not a dataset; tg4mm reads", "a COLMAP folder (images/ and sparse/0/)")

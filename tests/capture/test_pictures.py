@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from dataset_gen.png import encode
-from tests.motion.test_temporal import components
+from tests.helpers.motion_temporal import components
 from tests.space.scenes import capture_of
 from tg4mm.capture import Capture, load_images
 from tg4mm.capture import pictures as module

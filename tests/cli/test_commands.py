@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.synthetic import make_synthetic_dataset
+from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.cli import main
 from tg4mm.runs import Run
 from tg4mm.splatfile import positions_at, read_splat
@@ -83,12 +83,6 @@ def test_a_sequence_is_not_named_as_a_file(run_path: Path, tmp_path: Path, capsy
     assert main(["export", str(run_path), "--format", "ply-sequence", "--out", str(out)]) == 2
     assert "a sequence is a folder of numbered files; expected a name such as x" in capsys.readouterr().err
     assert not out.exists()
-
-
-def test_splat_file_refuses_alpha(run_path: Path, tmp_path: Path, capsys) -> None:
-    assert main(["export", str(run_path), "--out", str(tmp_path / "a.ply"), "--alpha", "3"]) == 2
-    assert "--alpha and --band belong to --format ply-sequence" in capsys.readouterr().err
-    assert not (tmp_path / "a.ply").exists()
 
 
 def test_render_takes_the_test_cameras_by_default(run_path: Path, tmp_path: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import resource
 import signal
 import subprocess
 import sys
@@ -16,7 +15,7 @@ from tg4mm import __version__
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMANDS = (
-    "demo", "generate", "train", "render", "evaluate", "measure", "report", "view", "export", "sfm", "bench",
+    "demo", "generate", "convert", "train", "render", "evaluate", "measure", "report", "view", "export", "sfm", "bench",
 )  # fmt: skip
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "100", "NO_COLOR": "1"}
 
@@ -73,6 +72,7 @@ def test_help_is_fast_and_imports_nothing_heavy() -> None:
         "import sys\nfor name in ('torch', 'bpy', 'numpy', 'numba', 'PIL'): sys.modules[name] = None\n"
         "from tg4mm.cli import main\nmain(['train', '--help'])\n"
     )
+    resource = pytest.importorskip("resource", reason="Windows has no such figures")
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=ENVIRONMENT)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.synthetic import make_synthetic_dataset
+from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.cli import main
 from tg4mm.runs import Run
 

@@ -8,16 +8,14 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-import dataset_gen.farm
+from tests.helpers.dataset_gen_farm_snakemake import FARM, snakemake
 
-FARM = Path(dataset_gen.farm.__file__).parent
 ROOT = FARM.parent.parent
 
 # Keeps to the generator's own command line and its files, renders nothing. A file `fail` makes the part it names fail.
@@ -55,16 +53,6 @@ else:
     (root / "report").mkdir(exist_ok=True)
     (root / "report/index.html").write_text("done")
 """
-
-
-def snakemake() -> str:
-    beside = shutil.which("snakemake", path=str(Path(sys.executable).parent))
-    found = os.environ.get("TG4MM_SNAKEMAKE") or beside or shutil.which("snakemake")
-    if not found:
-        pytest.skip(
-            "snakemake is not installed: pip install snakemake, or set TG4MM_SNAKEMAKE to where it lies"
-        )
-    return found
 
 
 class Farm:

@@ -53,7 +53,7 @@ def test_a_hostile_name_stays_text(tmp_path: Path) -> None:
         (lambda root: (root / "scene.json").unlink(), "scene.json: does not exist"),
         (lambda root: (root / "scene.json").write_text('{"fps": 0}'), "fps is 0"),
         (lambda root: (root / "scene.json").write_text("[]"), "expected a JSON object"),
-        (lambda root: (root / "truth/motion.npz").write_bytes(b"PK"), "motion.npz is torn"),
+        (lambda root: (root / "truth/motion.npz").write_bytes(b"PK"), "motion.npz is damaged"),
         (lambda root: (root / "000/test/r_000.png").write_bytes(b"no"), "r_000.png: cannot be read"),
         (
             lambda root: (root / "000/transforms_test.json").write_text('{"frames": [{}]}'),

@@ -8,31 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dataset_gen.cameras import Camera, look_at
 from dataset_gen.errors import GenerateError
 from dataset_gen.sources import bodies_file
-from dataset_gen.sources.bodies_file import Found
-from dataset_gen.vibration.bodies import Body
-
-VERTICES = np.array([[0.1, 0.2, 0.3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-FOUND = Found(
-    bodies=(
-        Body(
-            "a/b ü",
-            VERTICES,
-            np.array([[0, 1, 2]], np.int32),
-            np.ones(3),
-            {"tip.1": np.array([0.0, 0.5, 1.0])},
-        ),
-        Body("bare", VERTICES + 2.0, np.array([[2, 1, 0]], np.int32), np.ones(3), {}),
-    ),
-    unit_scale_m=0.01,
-    cameras=(Camera(0, look_at(np.array([4.0, 1.0, 2.0]), np.zeros(3)), angle_x=0.8, shift=(0.1, 0.0)),),
-    camera_names=("Camera",),
-    warnings=("left out, volume: smoke",),
-    centre=(0.5, 0.25, 1.0),
-    radius=1.5,
-)
+from tests.helpers.dataset_gen_sources_bodies_file import FOUND
 
 
 def test_what_is_read_is_what_was_written(tmp_path):

@@ -129,7 +129,8 @@ def test_vertex_group_weights_follow_through_modifiers_and_joins(tmp_path):
     array.relative_offset_displace = (2, 0, 0)
     link("bare", tetrahedron())
     bodies = bodies_of(open_blend(save(tmp_path)))
-    assert list(bodies["tongue"].groups) == ["tip ü"]
+    assert list(bodies["tongue"].groups) == ["tip ü", "nobody"]
+    assert not bodies["tongue"].groups["nobody"].any()
     assert np.allclose(bodies["tongue"].groups["tip ü"], np.tile(weights, 2))
     assert bodies["bare"].groups == {}
 

@@ -89,6 +89,65 @@ def test_render_settings_compositor_and_sequencer_do_not_reach_the_picture(tmp_p
     # Exposure 1 doubles, the film halves: the brightness of the file is kept.
     assert np.allclose(picture[16, 16], (0.8, 0.1, 0.05, 1), atol=1e-3)
     assert not list((tmp_path / "written").iterdir())
+    said = [line.removeprefix("left out, ") for line in loaded.warnings if line.startswith("left out, ")]
+    assert said == [
+        "compositor: RGB" if not FIVE else "compositor: Color",
+        "colour management: gamma 2, curves",
+        "Freestyle lines",
+        "motion blur",
+        "stereo views",
+        "render region: pictures are whole",
+        "Simplify: geometry is at its full detail",
+    ]
+
+
+def test_what_a_plain_file_does_not_have_is_not_named(tmp_path):
+    scene = new_scene()
+    link("part", tetrahedron())
+    if FIVE:
+        scene.compositing_node_group = bpy.data.node_groups.new("composite", "CompositorNodeTree")
+    else:
+        scene.use_nodes = True  # render layers to composite, nothing between
+    assert not [line for line in open_blend(save(tmp_path)).warnings if "left out" in line]
+
+
+def test_strips_animation_blur_and_linked_light_are_named(tmp_path):
+    scene = new_scene()
+    part = link("part", tetrahedron())
+    part.keyframe_insert("location", frame=1)
+    camera = link("eye", bpy.data.cameras.new("eye"), matrix=POSE)
+    camera.data.dof.use_dof = True
+    lamp = link("lamp", bpy.data.lights.new("lamp", "POINT"))
+    lamp.light_linking.receiver_collection = bpy.data.collections.new("lit")
+    scene.sequence_editor_create().strips.new_scene("again", scene, 1, 1)
+    scene.frame_set(7)
+    said = open_blend(save(tmp_path)).warnings
+    for line in (
+        "left out, video sequencer: again",
+        "left out, depth of field of cameras: eye",
+        "left out, light linking of: lamp",
+        "left out, animation, at frame 7 all stands still: part",
+    ):
+        assert line in said
+
+
+@pytest.mark.parametrize(
+    ("system", "length_unit", "scale", "own"),
+    [
+        ("METRIC", "MILLIMETERS", 0.001, ("mm", 1.0)),
+        ("METRIC", "ADAPTIVE", 0.5, ("m", 0.5)),
+        ("IMPERIAL", "INCHES", 0.0254, ("in", 1.0)),
+        ("NONE", "", 1.0, ("scene units", 1.0)),
+    ],
+)
+def test_the_files_own_unit_is_the_one_that_it_shows(tmp_path, system, length_unit, scale, own):
+    scene = new_scene()
+    link("part", tetrahedron())
+    scene.unit_settings.system, scene.unit_settings.scale_length = system, scale
+    if length_unit:
+        scene.unit_settings.length_unit = length_unit
+    name, factor = open_blend(save(tmp_path)).own_unit
+    assert (name, factor) == (own[0], pytest.approx(own[1]))
 
 
 @pytest.mark.parametrize(

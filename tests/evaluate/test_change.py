@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.synthetic import make_synthetic_dataset
+from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import Capture, load_capture
 from tg4mm.evaluate.change import change_figures, closure
 from tg4mm.evaluate.scores import Method

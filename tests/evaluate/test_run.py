@@ -1,6 +1,7 @@
 """Evaluation of whole runs on a small dataset whose exact model is known."""
 
 import json
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 import tg4mm.evaluate.run as module
-from tests.synthetic import make_synthetic_dataset
+from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.errors import CaptureError
 from tg4mm.evaluate import EvaluationError, evaluate_run, format_table
 from tg4mm.evaluate.metrics import psnr
@@ -166,7 +167,7 @@ def test_what_is_there_but_broken_is_an_error(scene, tmp_path) -> None:
     with pytest.raises(CaptureError, match=r"003/transforms_test\.json"):
         evaluate_run(run)
     (copy / "truth" / "motion.npz").write_bytes(b"PK")
-    with pytest.raises(CaptureError, match=r"motion\.npz is torn"):
+    with pytest.raises(CaptureError, match=r"motion\.npz is damaged"):
         evaluate_run(run)
 
 
@@ -232,6 +233,26 @@ def test_a_killed_evaluation_goes_on_where_it_was(half, monkeypatch) -> None:
     metrics = evaluate_run(half)
     assert scored == [20]
     assert metrics["alphas"] == expected["alphas"]
+
+
+def test_a_damaged_partial_result_is_scored_anew(half, monkeypatch) -> None:
+    """One other digit in a finished α is no score of this run."""
+    original = module.Scorer.score
+
+    def interrupted(self, methods, capture, images, alpha, update):
+        if alpha == 20:
+            raise KeyboardInterrupt
+        return original(self, methods, capture, images, alpha, update)
+
+    monkeypatch.setattr(module.Scorer, "score", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        evaluate_run(half)
+    monkeypatch.setattr(module.Scorer, "score", original)
+    partial = half.path / ".metrics.json.partial.tmp"
+    text = partial.read_text()
+    digit = re.search(r'"psnr_db": (\d)', text).start(1)
+    partial.write_text(text[:digit] + str((int(text[digit]) + 1) % 10) + text[digit + 1 :])
+    assert evaluate_run(half)["alphas"] == evaluate_run(half, out=half.path / "whole.json")["alphas"]
 
 
 def test_a_changed_run_is_not_resumed(half, scene, monkeypatch) -> None:

@@ -193,7 +193,7 @@ def test_a_written_file_reads_back(tmp_path) -> None:
         (
             "rest_0",
             np.array([object()]),
-            "torn or not an .npz of plain arrays: an array holds Python objects",
+            "damaged or not an .npz of plain arrays: an array holds Python objects",
         ),
     ],
 )
@@ -213,7 +213,7 @@ def test_a_broken_file_is_refused_with_its_fault(tmp_path, key, value, message) 
 def test_a_truncated_file_is_refused(tmp_path, length) -> None:
     file = write(tmp_path, good_arrays())
     file.write_bytes(file.read_bytes()[:length])
-    with pytest.raises(CaptureError, match=r"motion\.npz is torn"):
+    with pytest.raises(CaptureError, match=r"motion\.npz is damaged"):
         load_truth(tmp_path, FPS, T)
 
 
@@ -233,7 +233,7 @@ def test_a_plain_array_or_nothing_in_its_place_is_refused(tmp_path) -> None:
     (tmp_path / "truth").mkdir()
     with (tmp_path / "truth" / "motion.npz").open("wb") as file:
         np.save(file, np.zeros(3))
-    with pytest.raises(CaptureError, match=r"torn or not an \.npz"):
+    with pytest.raises(CaptureError, match=r"damaged or not an \.npz"):
         load_truth(tmp_path, FPS, T)
 
 

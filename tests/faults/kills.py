@@ -22,7 +22,7 @@ from pathlib import Path
 import tg4mm.paper.motion
 import tg4mm.paper.space
 import tg4mm.space.train
-from tests.synthetic import make_synthetic_dataset
+from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.modelhash import model_hash
 from tg4mm.runs import Run
 from tg4mm.train import train

@@ -16,8 +16,10 @@ import numpy as np
 
 from tests.faults.containers import of_npz, of_png, of_tensors
 from tests.faults.mutate import Mutation, of_bytes, of_header, of_json, of_text
+from tg4mm.files import json_digest
 
 N, T = 5, 3  # Gaussians, timesteps
+METRICS = {"format": "tg4mm-metrics", "alphas": []}
 
 
 @dataclass(frozen=True)
@@ -140,7 +142,7 @@ def _ply(root: Path, name: str = "points3d.ply") -> Path:
 
 def _colmap(name: str) -> Callable[[Path], Path]:
     def make(root: Path) -> Path:
-        from tests.capture.test_colmap import CAMERAS, IMAGES, POINTS, pictures
+        from tests.helpers.capture_colmap import CAMERAS, IMAGES, POINTS, pictures
 
         pictures(root)
         model = root / "sparse" / "0"
@@ -337,13 +339,28 @@ def _read_demo(root: Path) -> None:
 
 
 def _read_metrics(root: Path) -> None:
-    from tg4mm.evaluate.resume import Resume
     from tg4mm.evaluate.wanted import _is_ours
-    from tg4mm.runconfig import read_json
+    from tg4mm.report.sources import _checked
 
     _is_ours(root / "metrics.json")
-    Resume(root / "x")._read()
-    read_json(root / "metrics.json")
+    _checked(root / "metrics.json")
+
+
+SCORES = {"alpha": 5, "rows": {"ours": {"psnr_db": 31.25, "lpips": None}}, "closure": 0.75}
+
+
+def _partial(root: Path) -> Path:
+    from tg4mm.evaluate.resume import Resume
+
+    Resume(root / "metrics.json").put("key", SCORES)
+    return root / ".metrics.json.partial.tmp"
+
+
+def _read_partial(root: Path) -> None:
+    """What is not as it was put there is not given: no mutation may change a score."""
+    from tg4mm.evaluate.resume import Resume
+
+    assert Resume(root / "metrics.json").get("key") in (None, SCORES)
 
 
 # The generator, and reconstruction.
@@ -374,7 +391,7 @@ def _read_motion(root: Path) -> None:
 
 def _bodies(root: Path) -> Path:
     from dataset_gen.sources import bodies_file
-    from tests.dataset_gen.test_sources_bodies_file import FOUND
+    from tests.helpers.dataset_gen_sources_bodies_file import FOUND
 
     bodies_file.save(root / "found.npz", FOUND)
     return root / "found.npz"
@@ -538,8 +555,9 @@ READERS: dict[str, Reader] = {
     "run triplane": Reader(_paper("triplane.safetensors"), _read_paper, of_tensors),
     "run planes": Reader(_paper("planes_0001.safetensors"), _read_paper, of_tensors),
     "metrics.json": Reader(
-        _record("metrics.json", {"format": "tg4mm-metrics", "alphas": []}), _read_metrics, of_json
+        _record("metrics.json", METRICS | {"digest": json_digest(METRICS)}), _read_metrics, of_json
     ),
+    "metrics.json, partial": Reader(_partial, _read_partial, of_json),
     "demo.json": Reader(_record("demo.json", {"size": 64, "done": {"train": 1.5}}), _read_demo, of_json),
     "LPIPS weights, safetensors": Reader(_weights(".safetensors"), _read_weights, of_tensors),
     "LPIPS weights, pth": Reader(_weights(".pth"), _read_weights, of_bytes),

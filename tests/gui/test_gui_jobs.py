@@ -25,13 +25,14 @@ pytestmark = [
 AMPLITUDE, TOP = 0.02, 1.0
 # Stands in for the core's Python, which is not in there: says what the core says, and exports a file.
 CORE = """#!/usr/bin/python3
-import shutil, sys, time
+import json, shutil, sys, time
 from pathlib import Path
 _, _, command, *rest = sys.argv[1:]
 out = Path(rest[rest.index("--out") + 1])
 if command == "train":
     for done in range(1, 41):
-        print(f"space stage: {done}/40 it, 0:01 elapsed, 0:02 left, psnr 22.1", file=sys.stderr, flush=True)
+        event = {"tg4mm": "progress", "label": "space stage", "done": done, "total": 40, "left_s": 2.0}
+        print(json.dumps(event), file=sys.stderr, flush=True)
         time.sleep(0.25)
     out.mkdir(exist_ok=True)
 else:

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from PIL import Image
 
-from tests.synthetic import CAMERA_ANGLE_X, _gaussians, _parts, _viewmats
+from tests.helpers.synthetic import CAMERA_ANGLE_X, _gaussians, _parts, _viewmats
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.modes import ModalMotion
 from tg4mm.rasterize import rasterization

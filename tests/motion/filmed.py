@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from tests.synthetic import CAMERA_ANGLE_X, _at, _gaussians, _motion, _parts, _viewmats
+from tests.helpers.synthetic import CAMERA_ANGLE_X, _at, _gaussians, _motion, _parts, _viewmats
 from tg4mm.capture import ImageStack
 from tg4mm.capture.pictures import pictures_of
 from tg4mm.gaussians import Gaussians

@@ -9,27 +9,13 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
+from tests.helpers.motion_animate import FPS, N, gaussians, motion
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.animate import animate, displacement_at, rotated, rotation_at
 from tg4mm.motion.modes import ModalMotion
 from tg4mm.splatfile import SplatFile, positions_at, rotations_at
 
-N, FPS = 20, 30.0
-FREQS = np.array([2.0, 5.0, 8.0])
 TIMES = (0, 1, 7, 12.5)
-
-
-def gaussians(dtype: torch.dtype = torch.float32) -> Gaussians:
-    g = torch.Generator().manual_seed(0)
-    draw = lambda *shape: torch.randn(*shape, generator=g, dtype=torch.float64).to(dtype)  # noqa: E731
-    return Gaussians(draw(N, 3), draw(N, 4), draw(N, 3).exp(), draw(N).sigmoid(), draw(N, 4, 3))
-
-
-def motion(freqs: np.ndarray = FREQS, size: float = 0.1, seed: int = 1) -> ModalMotion:
-    rng = np.random.default_rng(seed)
-    real, imaginary = size * rng.normal(size=(2, 2, len(freqs), N, 3))
-    displacement, rotation = (real + 1j * imaginary).astype(np.complex64)
-    return ModalMotion(freqs, displacement, rotation, FPS, 30)
 
 
 def one(m: ModalMotion, k: int) -> ModalMotion:

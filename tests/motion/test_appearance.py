@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 import torch
 
+from tests.helpers.motion_animate import FREQS, gaussians, motion
+from tests.helpers.motion_appearance import N, appearance, change_of
+from tests.helpers.synthetic import make_synthetic_dataset
 from tests.motion.scenes import SCENES, camera_of, gaussians_of
-from tests.motion.test_animate import FREQS, gaussians, motion
 from tests.rasterize.oracle import assert_close, make_scene
-from tests.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture, load_images
 from tg4mm.evaluate.resume import fingerprint
 from tg4mm.evaluate.scores import Method, Scorer
@@ -34,13 +35,6 @@ from tg4mm.motion.spectrum import modes_of
 from tg4mm.rasterize import reference
 from tg4mm.rasterize.buffers import Buffers
 from tg4mm.rasterize.reference import rasterize_dense
-
-N = 20  # of `gaussians`
-
-
-def change_of(n: int, changes: int = 1, tilts: bool = True, seed: int = 0) -> np.ndarray:
-    size = (changes, n, 4 if tilts else 1, 3)
-    return np.random.default_rng(seed).normal(size=size).astype(np.float32)
 
 
 def view_of_colours(name: str, tilts: bool, mean: float = 20.0) -> AppearanceView:
@@ -207,12 +201,6 @@ def test_components_beyond_those_of_one_pass_are_found_alike(
     monkeypatch.setattr("tg4mm.motion.appearance.fit._TOGETHER", 1)
     for a, b in zip(lab.fitted(pictures), together, strict=True):
         np.testing.assert_allclose(a, b, atol=1e-5)
-
-
-def appearance(size: float = 1e-3, count: int = 4, modes: int = 3) -> AppearanceModes:
-    rng = np.random.default_rng(5)
-    series = rng.normal(size=(modes, 2)) + 1j * rng.normal(size=(modes, 2))
-    return AppearanceModes(size * change_of(N, 2, count == 4, seed=6), series)
 
 
 def change_at(m: ModalMotion, t: float, alpha: float, band: tuple[float, float] | None = None) -> np.ndarray:

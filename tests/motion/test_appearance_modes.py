@@ -10,8 +10,8 @@ import pytest
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
-from tests.motion.test_animate import gaussians, motion
-from tests.motion.test_appearance import N, appearance, change_of
+from tests.helpers.motion_animate import gaussians, motion
+from tests.helpers.motion_appearance import N, appearance, change_of
 from tg4mm.errors import RunError
 from tg4mm.motion.appearance_modes import AppearanceModes
 from tg4mm.runs import Run

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests import synthetic
+from tests.helpers import synthetic
 from tg4mm.capture import Capture, ImageStack, load_capture, load_images
 from tg4mm.evaluate.scores import render_views
 from tg4mm.gaussians import Gaussians

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.helpers.synthetic import _gaussians, _parts, _viewmats
 from tests.motion.filmed import K_of
-from tests.synthetic import _gaussians, _parts, _viewmats
 from tg4mm.motion.coarse import coarser
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.few_view_posterior import unseen_motion

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.cuda import needs_cuda
+from tests.helpers.cuda import needs_cuda
 from tests.motion.scenes import COLUMNS, SCENES, motion_of, view_of
 from tests.rasterize.oracle import assert_close, make_scene
 from tg4mm.motion.jacobian import contributions

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.synthetic import make_synthetic_dataset
+from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture, load_images
 from tg4mm.evaluate.displacement import displacement_figures
 from tg4mm.evaluate.truth import exact_motion, load_truth

@@ -11,7 +11,7 @@ import torch
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
-from tests.synthetic import make_synthetic_dataset
+from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture, load_images
 from tg4mm.motion import ModalMotion, MotionConfig
 from tg4mm.motion.animate import displacement_at

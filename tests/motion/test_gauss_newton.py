@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 import torch
 
-from tests.motion.test_stage import NEVER, stop_after
-from tests.space.test_train import Killed
-from tests.synthetic import make_synthetic_dataset
+from tests.helpers.motion_stage import NEVER, stop_after
+from tests.helpers.space_train import Killed
+from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture, load_images
 from tg4mm.evaluate.displacement import displacement_figures
 from tg4mm.evaluate.truth import exact_motion, load_truth
@@ -287,7 +287,7 @@ class Lab:
         self.shapes = np.zeros((len(self.loop.basis), len(self.gaussians), 6), np.float32)
         self.shapes[..., :3] = scale * np.tensordot(self.loop.basis, moves, 1)
         states, self.pixels = states_moved(self.views, self.loop.basis, self.shapes, (32, 32))
-        self.evidence = Evidence.of(self.observations, states, targets.images[:, self.loop.used])
+        self.evidence = Evidence.of(self.observations, states, targets, self.loop.used)
         self.problem = Problem.of(self.views, self.gaussians, MotionConfig(), "cpu")
         self.knots = self.loop._knots(self.gaussians, self.views, self.shapes, self.evidence)
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.synthetic import CAMERA_ANGLE_X, _motion, _parts, make_synthetic_dataset
+from tests.helpers.synthetic import CAMERA_ANGLE_X, _motion, _parts, make_synthetic_dataset
 from tg4mm.capture import Capture, ImageStack, load_capture
 from tg4mm.evaluate.displacement import displacement_figures
 from tg4mm.gaussians import Gaussians

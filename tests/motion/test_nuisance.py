@@ -10,10 +10,10 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
+from tests.helpers.synthetic import _at, _gaussians, _motion, _parts, _viewmats
 from tests.motion.filmed import FPS, K_of
 from tests.motion.scenes import SCENES, Camera, camera_of, motion_of, view_of
 from tests.rasterize.oracle import Scene
-from tests.synthetic import _at, _gaussians, _motion, _parts, _viewmats
 from tg4mm.capture import ImageStack
 from tg4mm.capture.pictures import pictures_of
 from tg4mm.gaussians import Gaussians

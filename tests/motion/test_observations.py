@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.motion.test_temporal import moving_pictures
+from tests.helpers.motion_temporal import moving_pictures
 from tests.space.scenes import capture_of
 from tg4mm.capture import Capture, ImageStack
 from tg4mm.capture.pictures import StackedPictures

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.cuda import needs_cuda
+from tests.helpers.cuda import needs_cuda
 from tests.motion.scenes import N, draw, each_shows, inner, operator, problem, weights_of
 from tests.rasterize.oracle import assert_close
 from tg4mm.errors import Tg4mmError

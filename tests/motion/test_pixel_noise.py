@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from tests.motion.test_temporal import components
+from tests.helpers.motion_temporal import components
 from tests.space.scenes import capture_of
 from tg4mm.motion.observations import observe
 from tg4mm.motion.temporal import TargetImages, pixel_noise

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.synthetic import make_synthetic_dataset
+from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import Capture, load_capture, load_images
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion import MotionConfig, gauss_newton, refine

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import torch
 
+from tests.helpers.synthetic import _gaussians, _parts, _viewmats
 from tests.motion.filmed import K_of
 from tests.motion.scenes import Camera
-from tests.synthetic import _gaussians, _parts, _viewmats
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.jacobian.view import ViewJacobian, view_jacobian

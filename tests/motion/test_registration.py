@@ -10,8 +10,8 @@ import pytest
 from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 
+from tests.helpers.synthetic import _at, _gaussians, _motion, _parts, _viewmats
 from tests.motion.filmed import FPS, K_of
-from tests.synthetic import _at, _gaussians, _motion, _parts, _viewmats
 from tg4mm.capture import ImageStack
 from tg4mm.capture.pictures import over_white, pictures_of
 from tg4mm.gaussians import Gaussians

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.helpers.motion_temporal import components, moving_pictures, no_nuisance
 from tests.motion.scenes import gaussians_of, two_cameras
 from tests.space.scenes import capture_of
 from tg4mm.capture import ImageStack
@@ -16,7 +17,6 @@ from tg4mm.motion.jacobian.view import view_jacobian
 from tg4mm.motion.nuisance import Nuisance, nuisances_of
 from tg4mm.motion.observations import Observations, PosedFrames, observe
 from tg4mm.motion.temporal import (
-    TargetImages,
     first_look,
     kept_components,
     principal_components,
@@ -24,25 +24,6 @@ from tg4mm.motion.temporal import (
     sinusoid_targets,
     sinusoids,
 )
-
-
-def no_nuisance(observations: Observations) -> list[Nuisance]:
-    return [_nothing] * len(observations.frames)
-
-
-class _Nothing(Nuisance):
-    """No columns, of no view."""
-
-    def __init__(self) -> None:
-        object.__setattr__(self, "active", np.zeros(12, bool))
-
-
-_nothing = _Nothing()
-
-
-def components(observations: Observations, most: int = 6) -> TargetImages:
-    nuisances = no_nuisance(observations)
-    return principal_components(observations, first_look(observations, nuisances), nuisances, most)
 
 
 def zero_mean_basis(n: int, n_timesteps: int, seed: int = 0) -> np.ndarray:
@@ -109,17 +90,6 @@ class TestKeptComponents:
 def spectrum(video: np.ndarray) -> np.ndarray:
     """Energies of [T, P] less its mean over time, falling."""
     return np.linalg.svd(video - video.mean(0), compute_uv=False) ** 2
-
-
-def moving_pictures(
-    n_cameras: int, n_timesteps: int, seed: int = 0
-) -> tuple[np.ndarray, list[int], list[int]]:
-    """Noise, opaque, timestep by timestep: data [C, H, W, 4], camera ids, timesteps."""
-    rng = np.random.default_rng(seed)
-    data = rng.integers(0, 256, (n_cameras * n_timesteps, 4, 5, 4)).astype(np.uint8)
-    data[..., 3] = 255
-    ids = list(range(n_cameras)) * n_timesteps
-    return data, ids, sorted(list(range(n_timesteps)) * n_cameras)
 
 
 def changes(images: ImageStack, frames: PosedFrames) -> np.ndarray:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests import synthetic
+from tests.helpers import synthetic
 from tg4mm.capture import load_capture, load_images
 from tg4mm.motion import ModalMotion, MotionConfig
 from tg4mm.motion.stage import train_motion

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.synthetic import make_synthetic_dataset
+from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import Capture, ImageStack, load_capture, load_images
 from tg4mm.evaluate.displacement import mean_squares
 from tg4mm.evaluate.uncertainty import uncertainty_figures

@@ -178,3 +178,17 @@ def test_packing_keeps_every_number() -> None:
     jacobian = np.random.default_rng(4).normal(size=(7, 8, DOF)).astype(np.float32)
     jacobian[:, [0, 1, 5, 6, 7], 3:] = 0  # rotation moves no mean and changes no colour
     assert np.array_equal(unpack(pack(jacobian)), jacobian)
+
+
+def test_a_stored_view_gives_the_same_before_and_after_it_is_released() -> None:
+    view, rng = view_of(SCENES["crowded"]), np.random.default_rng(4)
+    motions = rng.normal(size=(3, 120, DOF)).astype(np.float32)
+    stored = view.stored()
+    for _ in range(2):
+        own, other = np.zeros_like(motions), np.zeros_like(motions)
+        view.gauss_newton_product(motions, None, own)
+        stored.gauss_newton_product(motions, None, other)
+        assert np.array_equal(own, other)
+        assert np.array_equal(view.jvp(motions), stored.jvp(motions))
+        stored.release()
+    assert stored.nbytes == view.nbytes

@@ -208,6 +208,16 @@ class TestRefusals:
         copy.save_part("triplane", tensors | {"decoder.means.weight": torch.zeros(3, 5)}, residual=True)
         with pytest.raises(RunError, match="its tensors do not fit together"):
             load_model(copy)
+        for wrong in (
+            {"points": torch.zeros(())},
+            {"points": torch.zeros(4, 2)},
+            {"box": torch.zeros(6).double()},
+        ):
+            copy.save_part("triplane", tensors | wrong, residual=True)
+            with pytest.raises(
+                RunError, match=r"points and box have shapes .*, expected \(N, 3\) and \(2, 3\)"
+            ):
+                load_model(copy)
         del tensors["base.sh"]
         copy.save_part("triplane", tensors, residual=True)
         with pytest.raises(RunError, match=r"has no tensor base\.sh"):

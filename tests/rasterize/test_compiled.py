@@ -24,7 +24,8 @@ print(int(answer(np.zeros(1))), sum(answer.stats.cache_hits.values()))
 
 def outcome(folder: Path) -> tuple[int, int, int]:
     """What the kernel says in a fresh process, how often it came from the cache, and how many lines were logged."""
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(folder / "cache"), "PYTHONPATH": str(folder)}
+    path = f"{folder}{os.pathsep}{Path(__file__).resolve().parents[2]}"
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(folder / "cache"), "PYTHONPATH": path}
     done = subprocess.run(
         [sys.executable, "-c", SCRIPT],
         env=environment,

@@ -13,7 +13,7 @@ import pytest
 import torch
 import torch.utils.cpp_extension as cpp_extension
 
-from tests.cuda import needs_cuda
+from tests.helpers.cuda import needs_cuda
 from tests.rasterize.oracle import check, make_scene, uniform, with_channels
 from tg4mm.errors import Tg4mmError
 from tg4mm.rasterize.cuda import require_gsplat

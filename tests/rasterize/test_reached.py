@@ -8,12 +8,13 @@ import torch
 
 from tests.rasterize.oracle import make_scene, render
 from tg4mm.rasterize.kernels.layout import ALPHA_MAX, ALPHA_MIN, CA, CB, CC, MX, MY, OP, T_MIN, TILE
+from tg4mm.rasterize.kernels.tiles import COLUMNS, HEIGHT, WIDTH
 
 
 def blocks_of_pixel(tile: np.ndarray) -> np.ndarray:
-    """The block of 4 × 4 of each pixel of a tile, as a bit."""
+    """The block of each pixel of a tile, as a bit."""
     rows, columns = tile // TILE, tile % TILE
-    return np.uint32(1) << (rows // 4 * 4 + columns // 4).astype(np.uint32)
+    return np.uint32(1) << (rows // HEIGHT * COLUMNS + columns // WIDTH).astype(np.uint32)
 
 
 @pytest.mark.parametrize("opacity", ["as made", "nearly opaque"])

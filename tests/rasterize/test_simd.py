@@ -11,7 +11,7 @@ from numba.core.errors import TypingError
 
 from tg4mm.rasterize.kernels.tiles import TABLE, constants
 from tg4mm.rasterize.simd.functions import exp2
-from tg4mm.rasterize.simd.lanes import lane_sums, load_block, store_block
+from tg4mm.rasterize.simd.lanes import lane_sums, load_fours, store_fours
 from tg4mm.rasterize.simd.masks import (
     first_lanes,
     highest_bits,
@@ -26,6 +26,7 @@ from tg4mm.rasterize.simd.memory import (
     keep,
     load,
     load_first,
+    load_pixels,
     number,
     put_integer,
     put_number,
@@ -44,14 +45,14 @@ from tg4mm.rasterize.simd.rows import (
     transpose,
     transpose_threes,
 )
-from tg4mm.rasterize.simd.vector import LANES, ctz, fma_where, movemask, popcount, select
+from tg4mm.rasterize.simd.vector import LANES, PIXELS, ctz, fma_where, movemask, popcount, select
 
 
 @njit
 def _exp2(x: np.ndarray, table: np.ndarray, out: np.ndarray) -> None:
     _, _, powers, _, _ = constants(table)
-    for i in range(0, len(x), LANES):
-        store(out, i, exp2(load(x, i), powers))
+    for i in range(0, len(x), PIXELS):
+        store(out, i, exp2(load_pixels(x, i), powers))
 
 
 @njit
@@ -84,9 +85,9 @@ def _planes(x: np.ndarray, out: np.ndarray, back: np.ndarray) -> None:
 
 @njit
 def _block(x: np.ndarray, at: int, width: int, block: np.ndarray, out: np.ndarray) -> None:
-    value = load_block(x, at, width)
+    value = load_fours(x, at, width)
     store(block, 0, value)
-    store_block(out, at, width, value)
+    store_fours(out, at, width, value)
 
 
 @njit
@@ -94,7 +95,7 @@ def _mark(x: np.ndarray, masks: np.ndarray, words: np.ndarray, back: np.ndarray)
     at = address(masks)
     for k in range(32):
         put_mask(at, k, load(x, k * LANES) > np.float32(0))
-    gathered = two_halves(at, 0)
+    gathered = two_halves(at, 0, LANES)
     store(words, LANES, gathered)
     for k in range(32):
         back[31 - k] = highest_bits(gathered)

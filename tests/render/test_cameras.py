@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.synthetic import CENTRE, RADIUS
+from tests.helpers.synthetic import CENTRE, RADIUS
 from tg4mm.capture import Capture, load_capture
 from tg4mm.errors import CaptureError, RunError
 from tg4mm.render import cameras_from_file, capture_cameras, look_at_point, orbit

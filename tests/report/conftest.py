@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import torch
 
-from tests.synthetic import make_synthetic_dataset
+from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.evaluate import evaluate_run
 from tg4mm.runs import UNCERTAINTY, Run
 

@@ -3,7 +3,7 @@
 import re
 from xml.etree import ElementTree
 
-from tg4mm.measure.plots import COLOURS
+from tg4mm.plotstyle import COLOURS
 from tg4mm.report.charts import OURS, chart
 
 

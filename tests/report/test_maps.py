@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.synthetic import make_synthetic_dataset
+from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture
 from tg4mm.errors import RunError
 from tg4mm.evaluate.weights import blending_weights

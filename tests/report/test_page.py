@@ -22,14 +22,14 @@ from tg4mm.report.page import (
     picture,
     render_page,
 )
-from tg4mm.report.svg import bar_chart
+from tg4mm.report.svg import colour_bar
 
 EVIL = "<script>alert('x')</script>\"><img src=x onerror=alert(1)>"
 
 
 def page(text: str) -> str:
     figure = Figure([picture(np.zeros((2, 2, 3)), text), missing(text, text)], text, controls=True)
-    chart = Figure([drawing(bar_chart([1], [1], [True], text, text))], text, width="narrow")
+    chart = Figure([drawing(colour_bar(1.0, text, text))], text, width="narrow")
     table = Table([text, text], [[text, text]], text, ["ours"])
     blocks = [Text(text), Text(text, "note"), figure, chart, table, Commands([(text, text)])]
     return render_page(

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tg4mm.errors import RunError
+from tg4mm.files import json_digest
 from tg4mm.report.sources import choose_alpha, metrics_of
 from tg4mm.result.read import reading_of
 from tg4mm.runs import Run
@@ -81,6 +82,17 @@ def test_a_broken_file_of_scores_is_named(run, tmp_path, text, message):
     own = copied(run, tmp_path)
     (own.path / "metrics.json").write_text(text)
     with pytest.raises(RunError, match=message):
+        metrics_of(own)
+
+
+def test_scores_that_are_not_those_written_are_refused(run, tmp_path):
+    own = copied(run, tmp_path)
+    figures = {"format": "tg4mm-metrics", "alphas": [{"alpha": 5, "closure": 0.75}]}
+    written = json.dumps(figures | {"digest": json_digest(figures)})
+    (own.path / "metrics.json").write_text(written)
+    assert metrics_of(own)["alphas"][0]["closure"] == 0.75
+    (own.path / "metrics.json").write_text(written.replace("0.75", "0.95"))
+    with pytest.raises(RunError, match=r"metrics\.json is damaged or edited; delete it"):
         metrics_of(own)
 
 

@@ -12,8 +12,8 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from tests.helpers.synthetic import make_synthetic_dataset
 from tests.report.page_checks import outside_loads, read_page
-from tests.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture
 from tg4mm.errors import CaptureError, RunError
 from tg4mm.measure import MeasureError, Sensor, measure, parse_sensor

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from tests.synthetic import make_synthetic_dataset
+from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.runs import UNCERTAINTY, Run
 
 AMPLITUDE, DEVIATION, NOISE = 0.02, 5e-4, 3e-4  # scene units

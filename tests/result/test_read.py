@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import torch
 
+from tests.helpers.synthetic import make_synthetic_dataset
 from tests.result.conftest import AMPLITUDE, DEVIATION, NOISE
-from tests.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture
 from tg4mm.cli import main
 from tg4mm.errors import RunError
@@ -244,3 +244,16 @@ def only_one(path: Path) -> None:
     values = json.loads(path.read_text())
     values["frames"] = values["frames"][:1]
     path.write_text(json.dumps(values))
+
+
+def test_what_a_network_turns_single_gaussians_by_does_not_limit_alpha(run, tmp_path: Path) -> None:
+    """Of the preset `paper` phasors of rotation are large where nothing turns; of `modal` they are the scene's."""
+    motion, alphas = run.load_motion(), {}
+    turned = replace(motion, rotation=np.full_like(motion.rotation, 2.0))
+    for preset in ("paper", "modal"):
+        made = Run.create(tmp_path / preset, run.dataset, preset, {})
+        made.save_space(run.load_space(), {})
+        made.save_motion(turned, {})
+        alphas[preset] = result_of(made).alpha
+    assert alphas["modal"] == 1
+    assert alphas["paper"] == result_of(run).alpha > 1

@@ -175,7 +175,7 @@ def test_a_baseline_gives_the_scale_later(dataset: Path, photographs: Path, tmp_
         (SfmConfig(unit_scale_m=1.0, baseline=("a", "b", 1.0)), "exclude each other"),
         (
             SfmConfig(synchronous=True),
-            "--synchronous is said of the cameras of a rig, but .* holds 12 photographs",
+            "--synchronous is for the cameras of a rig, but .* holds 12 photographs",
         ),
         (SfmConfig(test_every=1), "--test-every is 1, expected 0 or >= 2"),
         (SfmConfig(baseline=("a", "b", float("nan"))), "--baseline is nan"),

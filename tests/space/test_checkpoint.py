@@ -14,7 +14,7 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
-from tests.space.test_train import SHORT, Killed, data, killed_after, points, views  # noqa: F401
+from tests.helpers.space_train import SHORT, Killed, killed_after
 from tg4mm.capture import SurfacePoints
 from tg4mm.errors import RunError
 from tg4mm.runs import Run
@@ -28,9 +28,9 @@ State = dict[str, Any]
 
 @pytest.fixture
 def interrupted(
-    views: RestViews,  # noqa: F811
-    points: SurfacePoints,  # noqa: F811
-    data: Path,  # noqa: F811
+    views: RestViews,
+    points: SurfacePoints,
+    data: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> Run:
@@ -102,8 +102,8 @@ FORGED = {
 def test_a_forged_checkpoint_is_refused(
     what: str,
     interrupted: Run,
-    views: RestViews,  # noqa: F811
-    points: SurfacePoints,  # noqa: F811
+    views: RestViews,
+    points: SurfacePoints,
 ) -> None:
     """With its digest put right. Shapes above all: the kernels would write past their arrays."""
     change, match = FORGED[what]
@@ -118,8 +118,8 @@ def test_a_forged_checkpoint_is_refused(
 
 def test_a_checkpoint_sealed_anew_unchanged_is_taken(
     interrupted: Run,
-    views: RestViews,  # noqa: F811
-    points: SurfacePoints,  # noqa: F811
+    views: RestViews,
+    points: SurfacePoints,
 ) -> None:
     """So that the refusals above are for what was changed."""
     forge(interrupted, lambda *_: None)
@@ -129,8 +129,8 @@ def test_a_checkpoint_sealed_anew_unchanged_is_taken(
 
 def test_a_tensor_that_is_none_of_its_own_is_refused(
     interrupted: Run,
-    views: RestViews,  # noqa: F811
-    points: SurfacePoints,  # noqa: F811
+    views: RestViews,
+    points: SurfacePoints,
 ) -> None:
     forge(interrupted, lambda tensors, _: tensors.update(more=torch.zeros(3)))
     with pytest.raises(RunError, match="'more'"):
@@ -141,8 +141,8 @@ def test_a_tensor_that_is_none_of_its_own_is_refused(
 def test_one_flipped_bit_is_found(
     place: float,
     interrupted: Run,
-    views: RestViews,  # noqa: F811
-    points: SurfacePoints,  # noqa: F811
+    views: RestViews,
+    points: SurfacePoints,
 ) -> None:
     file = interrupted.path / "checkpoint_space.safetensors"
     raw = bytearray(file.read_bytes())
@@ -154,8 +154,8 @@ def test_one_flipped_bit_is_found(
 
 def test_one_from_before_digests_is_refused(
     interrupted: Run,
-    views: RestViews,  # noqa: F811
-    points: SurfacePoints,  # noqa: F811
+    views: RestViews,
+    points: SurfacePoints,
 ) -> None:
     file = interrupted.path / "checkpoint_space.safetensors"
     with safe_open(file, framework="pt") as opened:
@@ -168,8 +168,8 @@ def test_one_from_before_digests_is_refused(
 
 def test_pictures_that_changed_underneath_are_refused(
     interrupted: Run,
-    views: RestViews,  # noqa: F811
-    points: SurfacePoints,  # noqa: F811
+    views: RestViews,
+    points: SurfacePoints,
 ) -> None:
     """One pixel of one picture; fewer views; one camera moved."""
     rgb = views.rgb.copy()
@@ -184,8 +184,8 @@ def test_pictures_that_changed_underneath_are_refused(
 
 def test_settings_that_allow_less_are_refused(
     interrupted: Run,
-    views: RestViews,  # noqa: F811
-    points: SurfacePoints,  # noqa: F811
+    views: RestViews,
+    points: SurfacePoints,
 ) -> None:
     """A caller without the check of the run's settings."""
     for other, match in (
@@ -198,8 +198,8 @@ def test_settings_that_allow_less_are_refused(
 
 def test_a_header_of_another_version_is_refused(
     interrupted: Run,
-    views: RestViews,  # noqa: F811
-    points: SurfacePoints,  # noqa: F811
+    views: RestViews,
+    points: SurfacePoints,
 ) -> None:
     file = interrupted.path / "checkpoint_space.safetensors"
     with safe_open(file, framework="pt") as opened:
@@ -210,7 +210,35 @@ def test_a_header_of_another_version_is_refused(
         train_space(interrupted, views, points, SHORT)
 
 
-def test_the_digest_of_pictures_is_theirs(views: RestViews) -> None:  # noqa: F811
+def test_the_digest_of_pictures_is_theirs(views: RestViews) -> None:
     turned = replace(views, rgb=np.ascontiguousarray(views.rgb[:, ::-1]))
     assert pictures_digest(views) == pictures_digest(replace(views, rgb=views.rgb.copy()))
     assert pictures_digest(views) != pictures_digest(turned)
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        (without("gains"), "expected .*'gains'"),
+        (tensor("gains", lambda t: t[:3]), r"gains is torch.float32 \(3, 3\), expected float32 \(10, 3\)"),
+        (tensor("gains", lambda t: t - 2), "gains holds -.*, expected gains above 0"),
+    ],
+)
+def test_forged_gains_are_refused(
+    change: Callable[[Tensors, State], None],
+    match: str,
+    views: RestViews,
+    points: SurfacePoints,
+    data: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    config, run = replace(SHORT, gains=True), Run.create(tmp_path / "run", data, "modal", {})
+    with monkeypatch.context() as patch:
+        patch.setattr(stage, "CHECKPOINT_EVERY_S", -1.0)
+        patch.setattr(stage, "progress", killed_after(13))
+        with pytest.raises(Killed):
+            train_space(run, views, points, config)
+    forge(run, change)
+    with pytest.raises(RunError, match=match):
+        train_space(run, views, points, config)

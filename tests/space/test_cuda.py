@@ -13,32 +13,25 @@ import pytest
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from tests.adam import assert_same_steps, watch_space
-from tests.cuda import needs_cuda
+from tests.helpers.adam import assert_same_steps, watch_space
+from tests.helpers.cuda import needs_cuda
+from tests.helpers.space_cuda import spherical_harmonics
+from tests.helpers.space_train import psnr_of_test_views
+from tests.helpers.synthetic import make_synthetic_dataset
 from tests.rasterize.oracle import assert_close, make_scene
-from tests.space.test_train import psnr_of_test_views
-from tests.synthetic import make_synthetic_dataset
 from tg4mm.capture import SurfacePoints, load_capture, load_images
 from tg4mm.gaussians import Gaussians
-from tg4mm.rasterize.reference import sh_colours
 from tg4mm.runs import Run
 from tg4mm.space import RestViews, SpaceConfig, rest_views, train_space
 from tg4mm.space import train as stage
 from tg4mm.space import view as view_module
 from tg4mm.space.checkpoint import pictures_digest
+from tg4mm.space.levels import level_at, levels
 from tg4mm.space.view import RenderedView, _render_cuda, render_view
 
 SCENE = make_scene(0)
 SIZE = (SCENE.width, SCENE.height)
 SHORT = SpaceConfig(iterations=36, max_gaussians=500, init_points=300)
-_FAR = 1000.0
-
-
-def spherical_harmonics(degrees_to_use: int, dirs: torch.Tensor, coeffs: torch.Tensor) -> torch.Tensor:
-    """gsplat's, by our twin: no 0.5 and no clamp, which a large constant coefficient keeps away."""
-    sh = coeffs[:, : (degrees_to_use + 1) ** 2].double()
-    lifted = torch.cat([sh[:, :1] + _FAR, sh[:, 1:]], 1)
-    return (sh_colours(lifted, dirs.double()) - 0.5 - _FAR * 0.28209479177387814).to(coeffs.dtype)
 
 
 @pytest.fixture
@@ -145,10 +138,11 @@ def test_an_iteration_fetches_nothing(
     monkeypatch.setattr(stage, "render_view", _render_cuda)
     config = stage.resolved(SpaceConfig(iterations=1000, max_gaussians=500, init_points=300), views)
     fit, extent, _ = stage._started(views, points, config, "cpu")
-    cameras = stage._Views(views, config, "cpu")
+    level = level_at(levels(config), 0)
+    cameras = stage._Views(views, config, "cpu", level.shrink)
     with Fetches() as fetches:
         for _ in range(10):
-            stage._iterate(fit, cameras, config, extent)
+            stage._iterate(fit, cameras, config, level, extent)
     assert fetches.count == 0
     assert float(fit.psnr) > 5
 
@@ -172,7 +166,7 @@ def test_a_checkpoint_with_a_second_generator_comes_back(
     fit.draws = torch.Generator().manual_seed(5)
     assert "draws" in fit.tensors()
     run = new_run()
-    fit.save(run, extent, pictures_digest(views))
+    run.save_checkpoint("space", *fit.checkpoint(extent, pictures_digest(views)))
     checkpoint = run.load_checkpoint("space")
     assert checkpoint is not None
     back, _ = stage._restored(checkpoint, views, "cpu")
@@ -212,11 +206,12 @@ def test_an_iteration_on_cuda_waits_only_where_gsplat_does(
     monkeypatch.setattr(stage, "render_view", flat)
     config = stage.resolved(SpaceConfig(iterations=1000, max_gaussians=500, init_points=300), views)
     fit, extent, _ = stage._started(views, points, config, "cuda")
-    cameras = stage._Views(views, config, "cuda")
-    stage._iterate(fit, cameras, config, extent)
+    level = level_at(levels(config), 0)
+    cameras = stage._Views(views, config, "cuda", level.shrink)
+    stage._iterate(fit, cameras, config, level, extent)
     torch.cuda.set_sync_debug_mode("error")
     try:
-        stage._iterate(fit, cameras, config, extent)
+        stage._iterate(fit, cameras, config, level, extent)
     finally:
         torch.cuda.set_sync_debug_mode("default")
 

@@ -9,42 +9,18 @@ import numba
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
 
-from tests.rasterize.oracle import Scene, assert_close, make_scene
-from tests.space.test_parameters import EXTENT, gradients, take_step
+from tests.helpers.space_fused import SCENE, parameters, views_of
+from tests.helpers.space_parameters import EXTENT, gradients, take_step
+from tests.rasterize.oracle import assert_close, make_scene
 from tg4mm.space import SpaceConfig
 from tg4mm.space import train as stage
 from tg4mm.space.fused import FusedAdam
 from tg4mm.space.kernels import compare
 from tg4mm.space.losses import photometric_loss
 from tg4mm.space.parameters import ParameterAdam, ParameterRows, activate
-from tg4mm.space.targets import RestViews
 
-SCENE = make_scene(0, n=300, cameras=3)
 LOSSES = [(0.0, 0.0), (10.0, 0.0), (10.0, 0.2)]
-
-
-def parameters(scene: Scene = SCENE) -> dict[str, Tensor]:
-    p = [t.detach().float() for t in (scene.means, scene.quats, scene.scales, scene.opacities, scene.colors)]
-    return {
-        "means": p[0],
-        "quats": p[1],
-        "log_scales": p[2].log(),
-        "logits": p[3].clamp(0.01, 0.99).logit(),
-        "sh0": p[4][:, :1],
-        "shn": p[4][:, 1:],
-    }
-
-
-def views_of(scene: Scene = SCENE) -> RestViews:
-    """The scene's cameras and random pictures."""
-    shape = (len(scene.viewmats), scene.height, scene.width)
-    rng = np.random.default_rng(0)
-    return RestViews(
-        scene.viewmats.float().numpy(), scene.Ks.float().numpy(), rng.uniform(size=(*shape, 3)).astype(np.float32),
-        np.ones(shape, np.float32), tuple(np.array([v]) for v in range(shape[0])),
-    )  # fmt: skip
 
 
 class Trained:
@@ -205,10 +181,11 @@ def test_the_losss_gradient_is_autograds(l2: float, scale: float) -> None:
     image = rng.uniform(size=(23, 31, 4)).astype(np.float32)
     transmittance, target = (rng.uniform(size=s).astype(np.float32) for s in ((23, 31), (23, 31, 3)))
     more = rng.normal(size=target.shape).astype(np.float32)
+    gain = np.array([0.8, 1.0, 1.3], np.float32)
     v_image, v_transmittance, squares = np.empty_like(image), np.empty_like(transmittance), np.empty(23)
-    compare(image, transmittance, target, 1.0, scale, l2, more, v_image, v_transmittance, squares)
+    compare(image, transmittance, target, 1.0, gain, scale, l2, more, v_image, v_transmittance, squares)
     leaves = [torch.from_numpy(a.astype(np.float64)).requires_grad_() for a in (image, transmittance)]
-    rgb = leaves[0][..., :3] + leaves[1][..., None]
+    rgb = (leaves[0][..., :3] + leaves[1][..., None]) * torch.from_numpy(gain)
     loss = scale * photometric_loss(rgb, torch.from_numpy(target).double(), l2, 0.0)
     (loss + (rgb * torch.from_numpy(more)).sum()).backward()
     error = (rgb.detach() - torch.from_numpy(target)).abs().sum(-1)

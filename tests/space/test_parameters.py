@@ -7,6 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from tests.helpers.space_parameters import EXTENT, N, gradients, take_step
 from tg4mm.space.initial import InitialPoints
 from tg4mm.space.parameters import (
     LEARNING_RATES,
@@ -18,8 +19,6 @@ from tg4mm.space.parameters import (
     stride,
 )
 
-N, EXTENT = 6, 1.7
-
 
 def points(n: int = N) -> InitialPoints:
     rng = np.random.default_rng(0)
@@ -29,17 +28,6 @@ def points(n: int = N) -> InitialPoints:
 
 def parameters(degree: int = 1) -> dict[str, Tensor]:
     return initial_parameters(points(), degree, torch.Generator().manual_seed(0))
-
-
-def gradients(like: dict[str, Tensor], seed: int) -> dict[str, Tensor]:
-    g = torch.Generator().manual_seed(seed)
-    return {k: torch.randn(v.shape, generator=g) for k, v in like.items()}
-
-
-def take_step(adam: ParameterAdam, grads: dict[str, Tensor], progress: float = 0.0) -> None:
-    for name, p in adam.parameters.items():
-        p.grad = grads[name].clone()
-    adam.step(progress)
 
 
 def rows(values: dict[str, Tensor], keep: Tensor) -> dict[str, Tensor]:

@@ -2,91 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from tests.synthetic import make_synthetic_dataset
-from tg4mm.capture import SurfacePoints, load_capture, load_images
+from tests.helpers.space_train import (
+    SHORT,
+    Killed,
+    killed_after,
+    psnr_of_test_views,
+)
+from tg4mm.capture import SurfacePoints
 from tg4mm.errors import Tg4mmError
 from tg4mm.gaussians import Gaussians
-from tg4mm.rasterize import rasterization
 from tg4mm.runs import Run
-from tg4mm.space import RestViews, SpaceConfig, density, rest_views, train_space
+from tg4mm.space import RestViews, SpaceConfig, density, train_space
 from tg4mm.space import train as stage
+from tg4mm.space.levels import levels
 from tg4mm.space.train import resolved
 
 FIELDS = ("means", "quats", "scales", "opacities", "sh")
-SHORT = SpaceConfig(iterations=36, max_gaussians=500, init_points=300)
-
-
-@pytest.fixture(scope="module")
-def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """One timestep (nothing has moved yet) from 10 training cameras and 3 others."""
-    path = tmp_path_factory.mktemp("space") / "data"
-    make_synthetic_dataset(path, n_views=10, n_timesteps=1, size=48, alphas=(), n_test=3)
-    return path
-
-
-@pytest.fixture(scope="module")
-def views(data: Path) -> RestViews:
-    capture = load_capture(data)
-    return rest_views(capture, load_images(capture))
-
-
-@pytest.fixture(scope="module")
-def points(data: Path) -> SurfacePoints:
-    found = load_capture(data).points
-    assert found is not None
-    return found
-
-
-@pytest.fixture
-def new_run(data: Path, tmp_path: Path) -> Callable[[], Run]:
-    """A fresh run folder each time it is called."""
-    return lambda: Run.create(tmp_path / f"run{len(list(tmp_path.iterdir()))}", data, "modal", {})
 
 
 def equal(a: Gaussians, b: Gaussians) -> bool:
     return all(torch.equal(getattr(a, name), getattr(b, name)) for name in FIELDS)
-
-
-def psnr_of_test_views(gaussians: Gaussians, data: Path) -> float:
-    capture = load_capture(data, split="test")
-    images = load_images(capture)
-    g = gaussians
-    viewmats, Ks = (torch.as_tensor(a, dtype=torch.float32) for a in (capture.viewmats, capture.Ks))
-    renders, _, _ = rasterization(
-        g.means, g.quats, g.scales, g.opacities, g.sh, viewmats, Ks, capture.width, capture.height,
-        sh_degree=g.sh_degree, backgrounds=torch.ones(len(capture), 3),
-    )  # fmt: skip
-    truth = np.stack([images.rgb(i) for i in range(len(capture))])
-    return float(-10 * np.log10(((renders.numpy() - truth) ** 2).mean()))
-
-
-class Killed(Exception):
-    pass
-
-
-def killed_after(updates: int) -> Callable:
-    """A stand-in for `progress` that dies at its n-th update."""
-
-    @contextmanager
-    def progress(label: str, total: int, unit: str = "it", start: int = 0) -> Iterator[Callable]:
-        calls = [0]
-
-        def update(done: int, **figures: object) -> None:
-            calls[0] += 1
-            if calls[0] == updates:
-                raise Killed
-
-        yield update
-
-    return progress
 
 
 @pytest.fixture
@@ -171,6 +114,24 @@ def test_killed_after_every_third_iteration_it_ends_the_same(
     assert run.log()["space"]["init"] == "points"
 
 
+@pytest.mark.parametrize("killed_at", [17, 21, 22, 30])
+def test_killed_on_any_level_it_ends_as_if_it_had_not_been(
+    killed_at: int, views: RestViews, points: SurfacePoints, new_run: Callable[[], Run], dense_events: None,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """Two sizes of the pictures, the second from iteration 20 on, and gains."""
+    config = replace(SHORT, levels=2, gains=True)
+    assert [level.begin for level in levels(config)] == [0, 20]
+    uninterrupted, run = new_run(), new_run()
+    expected = train_space(uninterrupted, views, points, config)
+    with monkeypatch.context() as patch:
+        patch.setattr(stage, "progress", killed_after(killed_at))
+        with pytest.raises(Killed):
+            train_space(run, views, points, config)
+    assert equal(train_space(run, views, points, config), expected)
+    assert run.log()["space"]["gains"] == uninterrupted.log()["space"]["gains"]
+
+
 def test_nothing_given_is_changed(
     views: RestViews, points: SurfacePoints, new_run: Callable[[], Run]
 ) -> None:
@@ -188,6 +149,8 @@ def test_nothing_given_is_changed(
         ({"iterations": 10**9}, "space.iterations is 1000000000, expected 0 to 100,000,000"),
         ({"max_gaussians": -5}, "space.max_gaussians is -5, expected 0, or 4 to 100,000,000"),
         ({"max_gaussians": 3}, "space.max_gaussians is 3, expected 0, or 4 to"),
+        ({"levels": -1}, "space.levels is -1, expected 0 to 12"),
+        ({"levels": 3}, "space.levels is 3: pictures of 48×48 would be 12×12 .* at least 16 pixels"),
         ({"sh_degree": 4}, "space.sh_degree is 4, expected 0 to 3"),
         ({"sh_degree": -1}, "space.sh_degree is -1, expected 0 to 3"),
         ({"l2": -0.1}, "space.l2 is -0.1, expected >= 0"),
@@ -218,8 +181,9 @@ def test_zero_means_by_the_data(views: RestViews) -> None:
     auto = resolved(SpaceConfig(), views)
     assert auto.iterations >= 1000
     assert auto.max_gaussians >= 2000
-    given = resolved(SpaceConfig(iterations=7, max_gaussians=9), views)
-    assert (given.iterations, given.max_gaussians) == (7, 9)
+    assert auto.levels == 1
+    given = resolved(SpaceConfig(iterations=7, max_gaussians=9, levels=2), views)
+    assert (given.iterations, given.max_gaussians, given.levels) == (7, 9, 2)
 
 
 @pytest.mark.parametrize("degree", [0, 3])

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.synthetic import make_synthetic_dataset
+from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.cli import main
 from tg4mm.errors import RunError, Tg4mmError
 from tg4mm.runs import Run
@@ -101,7 +101,7 @@ def test_options_of_other_formats_are_refused(moving_run, tmp_path, capsys):
         "3",
     ]
     assert main(command) == 2
-    assert "belong to --format ply-sequence; a page holds the motion itself" in capsys.readouterr().err
+    assert "a page holds the motion itself" in capsys.readouterr().err
 
 
 def test_a_run_whose_dataset_is_gone_is_refused(moving_run, tmp_path):

@@ -29,7 +29,7 @@ from tg4mm.bench.measure import (
 from tg4mm.bench.request import check_settings, settings_by_preset
 from tg4mm.bench.sets import BenchSet, open_set, open_sets
 from tg4mm.bench.slices import Shown, slices_picture
-from tg4mm.bench.subset import with_views
+from tg4mm.bench.subset import with_noise, with_timesteps, with_views
 from tg4mm.errors import RunError, Tg4mmError
 from tg4mm.files import write_json
 from tg4mm.magnify import TemporalFilter
@@ -174,7 +174,8 @@ def _groups(rows: Sequence[Row]) -> list[tuple[Row, ...]]:
     """Rows by training, in order."""
     found: dict[str, list[Row]] = {}
     for row in rows:
-        key = json.dumps([dict(row.settings), row.views, row.amplitude_px], sort_keys=True)
+        varied = [row.views, row.timesteps, row.noise, row.amplitude_px]
+        key = json.dumps([dict(row.settings), *varied], sort_keys=True)
         found.setdefault(key, []).append(row)
     return [tuple(group) for group in found.values()]
 
@@ -186,6 +187,14 @@ def _job(data: BenchSet, group: tuple[Row, ...], preset: str, out: Path) -> _Job
     if row.views and row.views != data.n_views:
         root = with_views(data, row.views, out / "sets" / data.label / f"views_{row.views:03d}")
         return _Job(open_set(root, data.label), group, training)
+    if row.timesteps and row.timesteps != data.n_timesteps:
+        root = with_timesteps(
+            data, row.timesteps, out / "sets" / data.label / f"timesteps_{row.timesteps:03d}"
+        )
+        return _Job(open_set(root, data.label), group, training)
+    if row.noise:
+        root = with_noise(data, row.noise, out / "sets" / data.label / f"noise_{row.noise:g}")
+        return _Job(open_set(root, data.label), group, training)
     if row.amplitude_px:
         root = with_amplitude(data, row.amplitude_px, out / "sets" / data.label / f"px_{row.amplitude_px:g}")
         return _Job(open_set(root, data.label), group, training)
@@ -195,7 +204,8 @@ def _job(data: BenchSet, group: tuple[Row, ...], preset: str, out: Path) -> _Job
 def _place_name(job: _Job, data: BenchSet) -> str:
     """A folder's name: what is varied, and a digest, since a run belongs to its settings."""
     row = job.rows[0]
-    key = [job.training.preset, dict(job.training.settings), row.views, row.amplitude_px, data.digest]
+    varied = [row.views, row.timesteps, row.noise, row.amplitude_px]
+    key = [job.training.preset, dict(job.training.settings), *varied, data.digest]
     digest = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()[:8]
     words = "".join(c if c.isalnum() or c in ".-" else "_" for c in row.label)
     return f"{words}_{digest}"

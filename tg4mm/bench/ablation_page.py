@@ -17,6 +17,7 @@ COLUMNS = {
     "psnr_rest": ("PSNR α = 0, dB", "{:.2f}"),
     "n_gaussians": ("Gaussians", "{:,.0f}"),
     "displacement_error": ("displacement error", "{:.1%}"),
+    "displacement_error_observed": ("error, observed", "{:.1%}"),
     "static_leak": ("static leak", "{:.1%}"),
     "amplitude_ratio": ("amplitude ratio", "{:.3f}"),
     "direction_error_deg": ("direction off, °", "{:.1f}"),
@@ -31,7 +32,13 @@ SSIM = "ssim"
 
 
 def ablation_table(results: Mapping[str, Any]) -> str:
-    """SSIM of every row and method at every α beside "nothing moves" and the ceiling, and the row's figures."""
+    """`ablation_cells` in Markdown."""
+    return table(*ablation_cells(results), text_columns=3)
+
+
+def ablation_cells(results: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
+    """(header, rows): SSIM of every row and method at every α beside "nothing moves" and the ceiling, and the row's
+    figures."""
     columns = ssim_columns(results)
     header = ["set", results["title"], "method", *(f"SSIM {c}" for c in columns)]
     header += [COLUMNS[key][0] for key in results["columns"]]
@@ -41,7 +48,7 @@ def ablation_table(results: Mapping[str, Any]) -> str:
         cells += _cells(results, lines, columns)
     if len(results["sets"]) > 1:
         cells += _cells(results, mean_lines(results, columns), columns)
-    return table(header, cells, text_columns=3)
+    return header, cells
 
 
 def ssim_columns(results: Mapping[str, Any]) -> list[str]:

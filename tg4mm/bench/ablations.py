@@ -22,6 +22,8 @@ class Row:
     )  # a setting as a multiple of its value without this row
     scorings: tuple[Scoring, ...] = ()  # (): those of the preset
     views: int = 0  # training cameras; 0: all
+    timesteps: int = 0  # the first so many; 0: all
+    noise: float = 0.0  # standard deviation added to the training pictures, of 255; 0: none
     amplitude_px: float = 0.0  # 0: the dataset's own
     tick: str = ""  # in a picture; "": the label
     curve: str = ""  # in a picture over the rows: which curve it is on; "": on all
@@ -146,6 +148,31 @@ ABLATIONS: dict[str, Ablation] = {
         x_label="training cameras",
         remark="Cameras are left out evenly along the path; the test cameras stay. Files are hard links where the file "
         "system has them.",
+    ),
+    "timesteps": Ablation(
+        "Number of timesteps",
+        "How short a record will do",
+        ("modal", "paper-tuned", "paper"),
+        tuple(Row(f"{n} timesteps", timesteps=n, tick=str(n)) for n in (6, 12, 18, 24))
+        + (Row("all timesteps", tick="all"),),
+        ("displacement_error", "displacement_error_observed", "static_leak", "amplitude_ratio", "total_s"),
+        picture="displacement_error",
+        x_label="timesteps",
+        remark="The first timesteps of the record, with their ground truth.",
+    ),
+    "noise": Ablation(
+        "Noise of the pictures",
+        "How much noise will do",
+        ("modal", "paper-tuned", "paper"),
+        (
+            Row("none added", tick="0"),
+            *(Row(f"σ = {s:g}/255", noise=s, tick=f"{s:g}") for s in (1.0, 2.0, 5.0, 10.0)),
+        ),
+        ("displacement_error", "displacement_error_observed", "static_leak", "amplitude_ratio", "total_s"),
+        picture="displacement_error",
+        x_label="standard deviation of the noise, of 255",
+        remark="Normal noise, independent in every pixel, colour and picture, on the training pictures where they are "
+        "not transparent.",
     ),
     "amplitude": Ablation(
         "Amplitude of the motion",

@@ -6,7 +6,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from tg4mm.bench.page import origin
 from tg4mm.bench.sets import goal_amplitude
+from tg4mm.bench.table import table
 
 JUDGED = "modal"  # the preset that the goals are for
 RIVAL = "paper-tuned"
@@ -14,6 +16,9 @@ _GAPS = ((20.0, 0.002), (50.0, 0.005))  # α up to which, SSIM below the ceiling
 _ERRORS = {0.2: 0.05, 0.02: 0.10}  # displacement error at an amplitude in pixels
 _LEAK = 0.02
 _ENOUGH_TIME = 0.98  # of modal's seconds: a rival that had that much had the same time
+
+
+_VERDICTS = {True: "reached", False: "**missed**", None: "not judged"}
 
 
 @dataclass(frozen=True)
@@ -40,6 +45,17 @@ def judge(results: Mapping[str, Any]) -> list[dict[str, Any]]:
         verdicts.append(_stage_times(means, results["runs"]))
         verdicts.append(_against_rival(means, results["runs"]))
     return [v.plain() for v in verdicts]
+
+
+def goals_page(results: Mapping[str, Any]) -> str:
+    """The verdicts in Markdown."""
+    rows = [[g["goal"], g["group"], _VERDICTS[g["reached"]], g["detail"]] for g in judge(results)]
+    listed = (
+        table(["goal (means over scenes)", "sets", "", "figure"], rows, text_columns=4)
+        if rows
+        else f"The preset `{JUDGED}`, which the goals are for, was not run."
+    )
+    return "\n\n".join(["# Goals", origin(results["made"]), listed]) + "\n"
 
 
 def _of_group(means: Mapping[str, Any], amplitude: float | None) -> Iterator[Verdict]:

@@ -20,14 +20,17 @@ def scalars(run: Mapping[str, Any]) -> dict[str, float | None]:
     """The figures of a run that do not depend on α. Times in seconds, angles in degrees, memory in MiB."""
     moved = run["displacement"] or {}
     main = main_frequency(moved)
-    seconds = run["seconds"]
+    seconds, observed = run["seconds"], run.get("observed") or {}
     return {
         "displacement_error": moved.get("relative_error"),
         "displacement_error_in_band": (moved.get("in_band") or {}).get("relative_error"),
+        "displacement_error_observed": observed.get("displacement_error_observed"),
+        "observed_share": observed.get("observed_share"),
         "static_leak": moved.get("static_leak"),
         "amplitude_ratio": main.get("amplitude_ratio"),
         "direction_error_deg": main.get("direction_error_deg"),
         "phase_error_deg": main.get("phase_error_deg"),
+        "mac": main.get("mac"),
         "space_s": seconds["space"],
         "motion_s": seconds["motion"],
         "motion_to_space": seconds["motion"] / seconds["space"] if seconds["space"] else None,
@@ -84,4 +87,28 @@ def _group_mean(group: str, row: str, runs: list[dict[str, Any]]) -> dict[str, A
         "gaps": {
             a: {w: mean(gap(run["rows"][a], w) for run in runs) for w in runs[0]["ways"]} for a in common
         },
+    }
+
+
+def line_means(lines: Iterable[Mapping[str, Any]], group_of: Mapping[str, str]) -> list[dict[str, Any]]:
+    """[{group, row, n_sets, sets, alphas: {α: {metric}}, frames_per_s}] of the picture scores, by group and row.
+
+    As in `group_means` an α counts where every set that has the row has it.
+    """
+    found: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
+    for line in lines:
+        found.setdefault((group_of[line["set"]], line["row"]), []).append(line)
+    return [_line_mean(group, row, some) for (group, row), some in found.items()]
+
+
+def _line_mean(group: str, row: str, lines: list[Mapping[str, Any]]) -> dict[str, Any]:
+    common = [a for a in lines[0]["alphas"] if all(a in line["alphas"] for line in lines)]
+    metrics = dict.fromkeys(k for line in lines for scores in line["alphas"].values() for k in scores)
+    return {
+        "group": group,
+        "row": row,
+        "n_sets": len(lines),
+        "sets": [line["set"] for line in lines],
+        "alphas": {a: {k: mean(line["alphas"][a].get(k) for line in lines) for k in metrics} for a in common},
+        "frames_per_s": mean(line["frames_per_s"] for line in lines),
     }

@@ -10,16 +10,19 @@ import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
+from tg4mm.bench.observed import observed_figures
 from tg4mm.bench.sets import BenchSet, check_alphas
+from tg4mm.capture import load_capture
 from tg4mm.errors import RunError, Tg4mmError
 from tg4mm.evaluate import evaluate_run
 from tg4mm.evaluate.lpips import load_lpips
 from tg4mm.evaluate.run import CEILING, OURS, STATIC
 from tg4mm.evaluate.scores import Key
+from tg4mm.evaluate.subject import subject_of
 from tg4mm.files import write_json
-from tg4mm.magnify import TemporalFilter
+from tg4mm.magnify import Magnification, TemporalFilter
 from tg4mm.memory import reset_peak_memory
 from tg4mm.modelhash import model_hash
 from tg4mm.runconfig import read_json
@@ -28,7 +31,7 @@ from tg4mm.train import parse_settings, train
 
 FIGURES = "figures.json"
 SEEN = ("closure", "change_gain", "change_residual")  # how much of a motion is seen, of one way to magnify
-VERSION = 2  # of how figures are made: raise it when the same request would give others
+VERSION = 3  # of how figures are made: raise it when the same request would give others
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,18 @@ SCORINGS = {
 }
 
 
+class Trainer(Protocol):
+    """Another way to a run than `tg4mm train`."""
+
+    def plain(self) -> dict[str, Any]:
+        """Its settings, in JSON's types."""
+        ...
+
+    def __call__(self, dataset: Path, place: Path, settings: Mapping[str, str], device: str) -> Run:
+        """Train into the folder `place`, or go on there; `settings` as of the preset."""
+        ...
+
+
 @dataclass(frozen=True)
 class Training:
     """A model to train, and how to magnify it. `settings` as in `tg4mm train --set`."""
@@ -55,6 +70,7 @@ class Training:
     preset: str
     settings: Mapping[str, str] = field(default_factory=dict)
     scorings: tuple[Scoring, ...] = ()  # (): those of the preset
+    trainer: Trainer | None = None  # None: `tg4mm train`
 
     @property
     def ways(self) -> tuple[Scoring, ...]:
@@ -93,7 +109,7 @@ def measure(
             del scores[
                 key
             ]  # of one way to magnify; what frames it, the rest pose and the exact motion, is of all
-    figures = _figures(run, request, training, metrics)
+    figures = _figures(run, request, training, metrics) | {"observed": _observed(run, data, plan)}
     write_json(place / FIGURES, figures)
     return figures
 
@@ -139,7 +155,8 @@ def read_figures(place: Path) -> dict[str, Any] | None:
 def _request(data: BenchSet, training: Training, plan: Plan) -> dict[str, Any]:
     """All that the figures depend on, in JSON's types."""
     configs = parse_settings(training.settings, training.preset)
-    return {
+    own = {} if training.trainer is None else {"trainer": training.trainer.plain()}
+    return own | {
         "dataset": str(data.root),
         "digest": data.digest,
         "preset": training.preset,
@@ -156,6 +173,8 @@ def _trained(place: Path, data: BenchSet, training: Training, device: str, donor
     place.parent.mkdir(parents=True, exist_ok=True)
     gc.collect()
     reset_peak_memory()  # each run's own peak, though with what is loaded for the runs before it
+    if training.trainer is not None:
+        return training.trainer(data.root, place, training.settings, device)
     if donor is not None and not (place / "space.safetensors").exists():
         _take_space(place, data, training, donor)
     return train(data.root, place, training.preset, device, training.settings)
@@ -188,10 +207,15 @@ def _scored(
     )
 
 
+def _observed(run: Run, data: BenchSet, plan: Plan) -> dict[str, float | None]:
+    train = load_capture(data.root)
+    return observed_figures(subject_of(run, train, (), Magnification(), {}, plan.device), data, train)
+
+
 def _figures(
     run: Run, request: dict[str, Any], training: Training, metrics: Mapping[str, dict[str, Any]]
 ) -> dict[str, Any]:
-    """{version, request, log, seconds, model, n_gaussians, mib_on_disk, rows, displacement, notes}.
+    """{version, request, log, seconds, model, n_gaussians, mib_on_disk, rows, displacement, notes, …}.
 
     rows: {α: {"nothing moves": {ssim, …}, <each way's name>: …, "ceiling": …}}, α as text since JSON has no other keys;
     a way's row also holds closure, change_gain, change_residual as `evaluate_run` defines them.
@@ -240,15 +264,3 @@ def _mib(run: Path) -> float:
 
 def _file_name(text: str) -> str:
     return "".join(c if c.isalnum() or c in "-_." else "_" for c in text)
-
-
-def checked_presets(names: Sequence[str]) -> tuple[str, ...]:
-    """The presets' names. Raises Tg4mmError for one that is none, given twice, or for no name at all."""
-    if not names or names == [""]:
-        raise Tg4mmError(f"--presets is empty, expected some of {', '.join(SCORINGS)}")
-    for i, name in enumerate(names):
-        if name not in SCORINGS:
-            raise Tg4mmError(f"--presets holds {name!r}, expected some of {', '.join(SCORINGS)}")
-        if name in names[:i]:
-            raise Tg4mmError(f"--presets names {name} twice")
-    return tuple(names)

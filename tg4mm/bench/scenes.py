@@ -1,21 +1,29 @@
-"""The benchmark's main table: every preset on every dataset, resumable run by run."""
+"""The benchmark's main tables: every method on every dataset, resumable job by job."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from tg4mm.bench.folder import FORMAT, VERSION, circumstances, open_folder, write_text
-from tg4mm.bench.goals import judge
-from tg4mm.bench.means import group_means
-from tg4mm.bench.measure import Plan, Training, check_plan, is_measured, measure, peak_mib, warm_up
-from tg4mm.bench.page import scenes_page, ssim_chart
+from tg4mm.bench.folder import FORMAT, VERSION, circumstances, open_folder
+from tg4mm.bench.html import read_results, write_page
+from tg4mm.bench.jobs import Line, job_folder, run_job
+from tg4mm.bench.means import group_means, line_means
+from tg4mm.bench.measure import Plan, Training, check_plan, is_measured, peak_mib, warm_up
+from tg4mm.bench.methods import Method
+from tg4mm.bench.methods.external import External
+from tg4mm.bench.methods.known import DEFAULT, methods_of
+from tg4mm.bench.methods.trained import Trained
 from tg4mm.bench.request import check_settings
-from tg4mm.bench.sets import BenchSet, open_sets
+from tg4mm.bench.scored import with_closure
+from tg4mm.bench.sets import BenchSet, open_sets, open_those_that_open
+from tg4mm.bench.vqa import Checkout
+from tg4mm.bench.write import write_results
 from tg4mm.errors import Tg4mmError
-from tg4mm.files import write_json
+from tg4mm.evaluate.run import CEILING, STATIC
+from tg4mm.files import to_json
 from tg4mm.paper.config import PaperConfig
 from tg4mm.progress import progress
 from tg4mm.train import parse_settings
@@ -29,68 +37,163 @@ Printer = Callable[[str], None]
 @dataclass(frozen=True)
 class ScenesRequest:
     """What to run. same_time: when a `paper` preset is trained once more, for as long as `modal` took: see
-    `same_time_training`."""
+    `same_time_trainings`."""
 
-    presets: tuple[str, ...] = ("modal", "paper-tuned")
+    methods: tuple[str, ...] = DEFAULT
     settings: dict[str, dict[str, str]] = field(default_factory=dict)  # by preset, as `--set`
+    external: tuple[External, ...] = ()
     same_time: str = "needed"
     plan: Plan = field(default_factory=Plan)
+    vqa: tuple[Checkout, ...] = ()
+
+    def presets(self) -> list[str]:
+        """Of the methods those that `tg4mm train` knows."""
+        return [
+            m.training.preset for m in self.made() if isinstance(m, Trained) and m.training.trainer is None
+        ]
+
+    def made(self) -> list[Method]:
+        return methods_of(self.methods, self.settings, self.external)
 
 
 def run_scenes(
-    roots: Sequence[Path], out: Path, request: ScenesRequest, say: Printer = print
+    roots: Sequence[Path],
+    out: Path,
+    request: ScenesRequest,
+    say: Printer = print,
+    ablations: Sequence[Path] = (),
 ) -> dict[str, Any]:
-    """Run what is not finished, and write OUT/results.json and OUT/results.md, anew after every run.
+    """Run what is not finished, and write results.json and the pages in `out`, anew after every job.
 
-    Raises Tg4mmError (BenchError, CaptureError, RunError) on bad input, before anything is written where that is
-    possible.
+    ablations: folders of `run_ablation`, whose tables stand on the page too.
+    A dataset that cannot be read, and a job that fails, stand under `failed` with the reason; the rest goes on. Raises
+    Tg4mmError (BenchError, CaptureError, RunError) on bad options before anything is written, and where nothing at all
+    succeeds.
     """
     if request.same_time not in SAME_TIME_CHOICES:
         raise Tg4mmError(f"--same-time {request.same_time!r}, expected {', '.join(SAME_TIME_CHOICES)}")
-    sets = open_sets(roots)
-    check_plan(sets, request.plan)
-    for preset in request.presets:
+    methods = request.made()
+    for preset in request.presets():
         check_settings(request.settings.get(preset, {}), preset)
+    sets, failed = open_those_that_open(roots)
+    check_plan(sets, request.plan)
     open_folder(Path(out), KIND)
-    here = circumstances()
-    _prepare(sets, out, request, say)
-    runs: list[dict[str, Any]] = []
-    results: dict[str, Any] = {}
-    with progress("benchmark", len(sets) * len(request.presets), unit="runs") as update:
-        done = 0
+    _prepare(sets, Path(out), out, request, methods, say)
+    bench = _Bench(Path(out), request, sets, failed, say)
+    with progress("benchmark", len(sets) * len(methods), unit="jobs") as update:
         for data in sets:
-            figures: dict[str, dict[str, Any]] = {}
-            for preset in request.presets:
-                training = Training(preset, preset, request.settings.get(preset, {}))
-                say(f"[{done + 1}/{len(sets) * len(request.presets)}] {data.label}, {preset}")
-                figures[preset] = measure(_place(out, data, preset), data, training, request.plan)
-                runs.append(run_entry(data, preset, training, figures[preset]))
-                done += 1
-                update(done)
-                results = _write(out, here, request, sets, runs)
-            for training in same_time_trainings(figures, request):
-                say(f"    {data.label}, {training.name}")
-                again = measure(_place(out, data, training.name), data, training, request.plan)
-                runs.append(run_entry(data, training.name, training, again))
-                results = _write(out, here, request, sets, runs)
+            for method in methods:
+                bench.job(method, data)
+                update(bench.n_done)
+            for training in same_time_trainings(bench.figures[data.label], request):
+                bench.job(Trained(training), data)
+    if not bench.lines:
+        raise bench.first_error or Tg4mmError("nothing was run")
+    results = bench.results()
+    write_page(Path(out), results, [read_results(a) for a in ablations])
     return results
 
 
-def _prepare(sets: Sequence[BenchSet], out: Path, request: ScenesRequest, say: Printer) -> None:
-    """Compile what the runs to come will use."""
+def run_one(root: Path, name: str, out: Path, request: ScenesRequest) -> None:
+    """The job of one method on one dataset, for `run_scenes` to find. Raises Tg4mmError."""
+    methods = {m.name: m for m in request.made()}
+    if name not in methods:
+        raise Tg4mmError(f"method {name!r} is none of {', '.join(methods)}")
+    (data,) = open_sets([root])
+    check_plan([data], request.plan)
+    open_folder(Path(out), KIND)
+    _prepare([data], job_folder(out, data, methods[name]), out, request, [methods[name]], lambda text: None)
+    run_job(methods[name], data, out, request.plan, request.vqa)
 
-    def is_open(preset: str) -> bool:
-        training = Training(preset, preset, request.settings.get(preset, {}))
-        return any(not is_measured(_place(out, s, preset), s, training, request.plan) for s in sets)
 
-    presets = [p for p in request.presets if is_open(p)]
+class _Bench:
+    """A benchmark under way: what is there so far."""
+
+    def __init__(
+        self,
+        out: Path,
+        request: ScenesRequest,
+        sets: Sequence[BenchSet],
+        failed: list[dict[str, str]],
+        say: Printer,
+    ) -> None:
+        self.out, self.request, self.sets, self.failed, self.say = out, request, sets, failed, say
+        self.here = circumstances()
+        self.runs: list[dict[str, Any]] = []
+        self.lines: list[dict[str, Any]] = []
+        self.figures: dict[str, dict[str, dict[str, Any]]] = {
+            s.label: {} for s in sets
+        }  # set → preset → figures
+        self.n_done = 0
+        self.first_error: Exception | None = None
+
+    def job(self, method: Method, data: BenchSet) -> None:
+        """One method on one dataset; what fails is kept as a line of `failed`."""
+        self.say(f"{data.label}, {method.name}")
+        try:
+            figures, lines = run_job(method, data, self.out, self.request.plan, self.request.vqa)
+        except (Tg4mmError, OSError, MemoryError) as error:
+            self.first_error = self.first_error or error
+            self.failed.append(
+                {"set": data.label, "method": method.name, "why": str(error) or type(error).__name__}
+            )
+            self.say(f"    failed: {error}")
+        else:
+            self._keep(method, data, figures, lines)
+        self.n_done += 1
+        if self.lines:
+            write_results(self.out, self.results())
+
+    def _keep(self, method: Method, data: BenchSet, figures: dict[str, Any], lines: list[Line]) -> None:
+        if isinstance(method, Trained):
+            self.figures[data.label][method.training.name] = figures
+            self.runs.append(run_entry(data, method.training.name, method.training, figures))
+        self.lines += [{"set": data.label, **to_json(asdict(line), "line")} for line in lines]
+        mine = [line for line in self.lines if line["set"] == data.label]
+        # At α = 0 both ends are nearly alike, so a share of what lies between them says nothing.
+        for alpha in {a for line in mine for a in line["alphas"] if float(a) > 0}:
+            at = {line["row"]: line["alphas"][alpha] for line in mine if alpha in line["alphas"]}
+            with_closure(at, STATIC, CEILING)
+
+    def results(self) -> dict[str, Any]:
+        """What results.json holds."""
+        sets = [s.plain() for s in self.sets]
+        found: dict[str, Any] = {
+            "format": FORMAT,
+            "version": VERSION,
+            "kind": KIND,
+            "made": self.here,
+            "methods": [m.name for m in self.request.made()],
+            "same_time": self.request.same_time,
+            "band": "motion ± 1.5 Hz" if self.request.plan.banded else None,
+            "sets": sets,
+            "runs": self.runs,
+            "lines": self.lines,
+            "failed": self.failed,
+        }
+        found["means"] = group_means(found)
+        found["line_means"] = line_means(self.lines, {s["label"]: s["group"] for s in sets})
+        found["kind_means"] = line_means(self.lines, {s["label"]: s["cameras"] for s in sets})
+        return found
+
+
+def _prepare(
+    sets: Sequence[BenchSet],
+    place: Path,
+    out: Path,
+    request: ScenesRequest,
+    methods: Sequence[Method],
+    say: Printer,
+) -> None:
+    """Compile what the runs to come will use, by trainings that lie in `place` for a moment."""
+
+    def is_open(m: Trained) -> bool:
+        return any(not is_measured(job_folder(out, s, m), s, m.training, request.plan) for s in sets)
+
+    presets = [m.training.preset for m in methods if isinstance(m, Trained) and is_open(m)]
     if presets:
         say("compiling, by one iteration of each stage; its time counts nowhere")
-    warm_up(Path(out), sets[0], presets, request.plan.device)
-
-
-def _place(out: Path, data: BenchSet, name: str) -> Path:
-    return Path(out) / "runs" / data.label / name.replace(", ", "-").replace(" ", "_").replace("'", "")
+    warm_up(place, sets[0], dict.fromkeys(presets), request.plan.device)
 
 
 def run_entry(data: BenchSet, row: str, training: Training, figures: dict[str, Any]) -> dict[str, Any]:
@@ -106,36 +209,6 @@ def run_entry(data: BenchSet, row: str, training: Training, figures: dict[str, A
     }
 
 
-def _write(
-    out: Path,
-    here: dict[str, Any],
-    request: ScenesRequest,
-    sets: Sequence[BenchSet],
-    runs: list[dict[str, Any]],
-) -> dict[str, Any]:
-    results: dict[str, Any] = {
-        "format": FORMAT,
-        "version": VERSION,
-        "kind": KIND,
-        "made": here,
-        "presets": list(request.presets),
-        "same_time": request.same_time,
-        "band": "motion ± 1.5 Hz" if request.plan.banded else None,
-        "sets": [s.plain() for s in sets],
-        "runs": runs,
-    }
-    results["means"] = group_means(results)
-    results["goals"] = judge(results)
-    write_json(Path(out) / "results.json", results)
-    pictures = {}
-    for i, group in enumerate(dict.fromkeys(m["group"] for m in results["means"]), 1):
-        if (drawn := ssim_chart(results, group)) is not None:
-            pictures[group] = f"results_{i}.svg"
-            write_text(Path(out) / pictures[group], drawn)
-    write_text(Path(out) / "results.md", scenes_page(results, pictures))
-    return results
-
-
 def same_time_trainings(figures: dict[str, dict[str, Any]], request: ScenesRequest) -> list[Training]:
     """The `paper` presets once more, their iterations scaled to the time that `modal` took on this machine.
 
@@ -145,8 +218,8 @@ def same_time_trainings(figures: dict[str, dict[str, Any]], request: ScenesReque
     if "modal" not in figures or request.same_time == "never":
         return []
     found = []
-    for preset in request.presets:
-        if preset == "modal":
+    for preset in request.presets():
+        if preset == "modal" or preset not in figures:
             continue
         factor = figures["modal"]["seconds"]["total"] / max(figures[preset]["seconds"]["total"], 1e-9)
         if request.same_time == "always" or factor > 1.0:

@@ -13,6 +13,7 @@ import numpy as np
 
 from tg4mm.bench.errors import BenchError
 from tg4mm.capture import Capture, load_capture
+from tg4mm.errors import Tg4mmError
 from tg4mm.evaluate.truth import TRUTH_FILE, Truth, load_truth
 from tg4mm.files import to_json
 
@@ -36,6 +37,7 @@ class BenchSet:
     amplitude_px: float  # its largest displacement in the first training camera, pixels
     band_hz: tuple[float, float]
     alphas: tuple[int, ...]  # with ground truth, above 0
+    cameras: str  # the kind of capture, one of tg4mm.capture's KINDS
     digest: str  # of what describes the set, so that figures of another set of that name are not taken for its own
 
     @property
@@ -65,13 +67,36 @@ def amplitude_name(pixels: float) -> str:
 
 def open_sets(roots: Sequence[Path]) -> list[BenchSet]:
     """Read what describes the datasets. Raises BenchError or CaptureError naming the first that will not do."""
+    resolved = _checked(roots)
+    return [open_set(given, label) for given, label in zip(roots, _labels(resolved), strict=True)]
+
+
+def _checked(roots: Sequence[Path]) -> list[Path]:
     if not roots:
         raise BenchError("no dataset is named: give at least one folder")
     resolved = [Path(root).resolve() for root in roots]
     for i, root in enumerate(resolved):
         if root in resolved[:i]:
             raise BenchError(f"dataset {roots[i]} is named twice")
-    return [open_set(given, label) for given, label in zip(roots, _labels(resolved), strict=True)]
+    return resolved
+
+
+def open_those_that_open(roots: Sequence[Path]) -> tuple[list[BenchSet], list[dict[str, str]]]:
+    """(the datasets, why the others cannot be read as [{set, method, why}]).
+
+    Raises BenchError for none or the same twice, and the first one's error where none can be read.
+    """
+    resolved = _checked(roots)
+    found, failed, first = [], [], None
+    for root, label in zip(roots, _labels(resolved), strict=True):
+        try:
+            found.append(open_set(Path(root), label))
+        except (Tg4mmError, OSError) as error:
+            first = first or error
+            failed.append({"set": label, "method": "", "why": str(error)})
+    if first is not None and not found:
+        raise first
+    return found, failed
 
 
 def check_alphas(sets: Sequence[BenchSet], alphas: Sequence[float] | None) -> None:
@@ -122,6 +147,7 @@ def open_set(root: Path, label: str) -> BenchSet:
         amplitude_px=float(pixels[strongest]),
         band_hz=band_around(truth.freqs_hz[moving], capture.fps),
         alphas=alphas,
+        cameras=capture.kind,
         digest=_digest(root),
     )
 

@@ -12,7 +12,7 @@ from tg4mm.capture.model import Capture
 from tg4mm.capture.records import Record
 from tg4mm.capture.scene import read_scene
 from tg4mm.capture.transforms import View, assemble, in_order
-from tg4mm.errors import CaptureError
+from tg4mm.errors import CaptureError, MissingSplitError
 
 LAYOUT = "a COLMAP folder (images/ and sparse/0/)"
 IMAGES = "images"
@@ -36,7 +36,9 @@ def load(root: Path, split: str, alpha: int) -> Capture:
     folder = _model_folder(root)
     assert folder is not None  # `recognises` found it
     if split != "train":
-        raise CaptureError(f"{folder}: a COLMAP folder has training images only: there is no {split!r} split")
+        raise MissingSplitError(
+            f"{folder}: a COLMAP folder has training images only: there is no {split!r} split"
+        )
     model = read_model(inside(root, folder, "the COLMAP model"))
     if not model.images:
         raise CaptureError(f"{folder}: holds no registered image")

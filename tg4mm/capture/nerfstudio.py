@@ -10,7 +10,7 @@ from tg4mm.capture.points import read_points
 from tg4mm.capture.records import Record, read_record, shown
 from tg4mm.capture.scene import read_scene
 from tg4mm.capture.transforms import assemble, views_of_frames
-from tg4mm.errors import CaptureError
+from tg4mm.errors import CaptureError, MissingSplitError
 
 LAYOUT = "a nerfstudio folder (transforms.json)"
 FILE = "transforms.json"
@@ -49,7 +49,7 @@ def _of_split(file: Record, frames: list[Any], split: str) -> list[tuple[int, An
     if not keys and split == "train":
         return list(enumerate(frames))
     if key not in keys:
-        raise CaptureError(f"{file.where}: has no {key}: there is no {split!r} split")
+        raise MissingSplitError(f"{file.where}: has no {key}: there is no {split!r} split")
     names = file.values[key]
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise file.error(key, "a list of file names")

@@ -1,7 +1,7 @@
 """A capture's pictures, in memory or on disk, as the motion stage reads them: a camera's distinct ones, by strips.
 
-From disk, what one camera saw is decoded when its turn comes and let go after: T · H · W · 4 bytes at most, 300 MiB for
-300 timesteps of 512² at 8 bits, where all pictures of 30 such cameras would be 9 GiB.
+From disk, what one camera saw is decoded when its turn comes and let go after: T · H · W · 4 bytes, of which more than
+256 MiB lie in a temporary file (`room.py`).
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import numpy as np
 from tg4mm.capture import Capture, ImageStack
 from tg4mm.capture.decode import THREADS, decode, image_header
 from tg4mm.errors import CaptureError
+from tg4mm.room import release, room
 
 Strips = Callable[[slice], np.ndarray]  # rows of the picture → [S, rows, W, 4], as stored
 
@@ -79,15 +80,22 @@ class FilePictures:
         return (1 << bits) - 1
 
     def strips(self, rows: Sequence[int]) -> Strips:
-        data = np.empty((len(rows), *self.size, 4), np.uint16 if self.maximum > 255 else np.uint8)
+        data = room((len(rows), *self.size, 4), np.uint16 if self.maximum > 255 else np.uint8)
 
         def load(k: int) -> None:
             data[k] = self._decoded(rows[k])
+            release(data)
 
         with ThreadPoolExecutor(THREADS) as pool:
             for _ in pool.map(load, range(len(rows))):
                 pass
-        return lambda strip: data[:, strip]
+
+        def strip(rows: slice) -> np.ndarray:
+            out = np.array(data[:, rows])
+            release(data)
+            return out
+
+        return strip
 
     def rgb(self, i: int) -> np.ndarray:
         """[H, W, 3] float32 in 0..1: picture i over white."""

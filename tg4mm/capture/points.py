@@ -1,4 +1,4 @@
-"""points3d.ply and its like: points on the surfaces with colours."""
+"""points3d.ply and its like, read and written: points on the surfaces with colours."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from plyfile import PlyData, PlyElement
 from tg4mm.capture.confine import inside
 from tg4mm.capture.model import SurfacePoints
 from tg4mm.errors import CaptureError
+from tg4mm.files import write_atomic
 
 GREY = 128  # the colour of points that come without one
 
@@ -25,6 +26,16 @@ def read_points(root: Path, name: str = "points3d.ply") -> SurfacePoints | None:
         bad = int(np.flatnonzero(~np.isfinite(xyz).all(axis=1))[0])
         raise CaptureError(f"{path}: point {bad} is {xyz[bad].tolist()}; expected finite coordinates")
     return SurfacePoints(xyz, _colours(path, vertex))
+
+
+def write_points(path: Path, points: SurfacePoints) -> None:
+    """points3d.ply, binary: x y z float, red green blue uchar."""
+    fields = [*((name, "f4") for name in "xyz"), *((name, "u1") for name in ("red", "green", "blue"))]
+    rows = np.zeros(len(points.xyz), dtype=fields)
+    for k, (axis, colour) in enumerate(zip("xyz", ("red", "green", "blue"), strict=True)):
+        rows[axis], rows[colour] = points.xyz[:, k], points.rgb[:, k]
+    data = PlyData([PlyElement.describe(rows, "vertex")])
+    write_atomic(path, lambda temporary: data.write(str(temporary)))
 
 
 def _vertices(path: Path) -> PlyElement:

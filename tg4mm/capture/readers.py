@@ -37,7 +37,7 @@ def load_capture(path: str | Path, split: str = "train", magnification: int | fl
     except OSError as error:
         raise CaptureError(f"{error.filename or root}: cannot be read: {error.strerror}") from error
     known = "; ".join(reader.LAYOUT for reader in READERS)
-    raise CaptureError(f"{root}: is not a dataset I recognise; recognised are: {known}")
+    raise CaptureError(f"{root}: is not a dataset; tg4mm reads: {known}")
 
 
 def _whole_alpha(alpha: int | float) -> int:

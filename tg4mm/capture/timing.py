@@ -63,5 +63,5 @@ def _check_steps(where: str, whose: str, times_s: np.ndarray, timesteps: np.ndar
         rate = f"{1 / step:.6g} Hz" if step > 0 else "no frame rate"
         raise CaptureError(
             f"{where}: fps is {fps:.6g}, but the times of {whose} step by {step:.6g} s ({rate}): "
-            "mend fps, or the frames' time"
+            "correct fps, or the frames' time"
         )

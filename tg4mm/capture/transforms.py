@@ -20,7 +20,7 @@ from tg4mm.capture.points import read_points
 from tg4mm.capture.records import Record, read_record, shown
 from tg4mm.capture.scene import Scene
 from tg4mm.capture.timing import check_times, times_of_timesteps
-from tg4mm.errors import CaptureError
+from tg4mm.errors import CaptureError, MissingSplitError
 
 SPLITS = ("train", "test", "val")
 
@@ -44,7 +44,7 @@ def read_views(root: Path, folder: Path, split: str, timestep: int) -> list[View
     """
     path = folder / f"transforms_{split}.json"
     if not inside(root, path, f"split {split!r}").is_file():
-        raise CaptureError(f"{path}: does not exist: there is no {split!r} split")
+        raise MissingSplitError(f"{path}: does not exist: there is no {split!r} split")
     file = read_record(path)
     frames = file.values.get("frames")
     if not isinstance(frames, list):

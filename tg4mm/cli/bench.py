@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,10 +16,12 @@ from tg4mm.errors import Tg4mmError
 
 if TYPE_CHECKING:
     from tg4mm.bench.measure import Plan
+    from tg4mm.bench.scenes import ScenesRequest
 
 bench = typer.Typer(
     no_args_is_help=True,
-    help="Measure presets against ground truth: the benchmark's tables, and the paper's ablations.",
+    invoke_without_command=True,
+    help="Compare methods with ground truth: the benchmark's tables, and the ablations of TG4MM's paper.",
     rich_markup_mode=None,
 )
 
@@ -64,13 +67,77 @@ Banded = Annotated[
 ]
 
 
+Methods = Annotated[
+    str,
+    typer.Option(
+        metavar="M,M,…",
+        help="Some of modal, paper-tuned, paper (presets of tg4mm train), tracking, phase-2d, linear-2d.",
+    ),
+]
+Outside = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="NAME=DIR",
+        help="Another method by its pictures: DIR/<dataset's folder name>/magnified/x005/000/test/r_000.png …; may be "
+        "repeated. docs/protocol.md.",
+    ),
+]
+MdVqa = Annotated[
+    Path | None, typer.Option(help="Checkout of MD-VQA with its weights; without it no MD-VQA.")
+]
+FastVqa = Annotated[
+    Path | None, typer.Option(help="Checkout of FAST-VQA with its weights; without it no FAST-VQA.")
+]
+VqaPython = Annotated[str, typer.Option(help="The Python that runs the two.")]
+
+
+@bench.callback()
+def whole(
+    context: typer.Context,
+    preset: Annotated[
+        str | None,
+        typer.Option(
+            help="The whole benchmark from nothing: smoke (one scene, minutes), small (eight scenes at 128×128), paper "
+            "(512×512), mic-512 (one scene at 512×512)."
+        ),
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="With --preset: folder for data, runs and pages.")] = None,
+    external: Outside = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="With --preset: print the commands, one a line, and run none.")
+    ] = False,
+) -> None:
+    if context.invoked_subcommand is not None:
+        if preset is not None or out is not None or external or dry_run:
+            raise Tg4mmError(
+                f"options before {context.invoked_subcommand}: give them after it, and no --preset"
+            )
+        return
+    if preset is None or out is None:
+        raise Tg4mmError("--preset and --out are needed together, or one of scenes, job, ablation")
+    from tg4mm.bench.methods.external import parse_external
+    from tg4mm.bench.presets import run_preset, steps_of
+
+    parse_external(external or [])
+    if dry_run:
+        typer.echo(
+            "\n".join(
+                shlex.join(step.command) for step in steps_of(preset, str(out), external=external or [])
+            )
+        )
+        return
+    failed = run_preset(preset, out, external or [], _say)
+    typer.echo(out / "bench" / "results.html")
+    if failed:
+        raise typer.Exit(1)
+
+
 @bench.command()
 def scenes(
     datasets: Datasets,
     out: Out,
-    presets: Annotated[
-        str, typer.Option(metavar="P,P,…", help="Some of modal, paper-tuned, paper.")
-    ] = "modal,paper-tuned",
+    methods: Methods = "modal,paper-tuned,tracking,phase-2d,linear-2d",
+    external: Outside = None,
     alphas: Alphas = None,
     band: Banded = True,
     same_time: Annotated[
@@ -82,33 +149,124 @@ def scenes(
     ] = SameTime.needed,
     settings: Settings = None,
     lpips_weights: Lpips = None,
+    md_vqa: MdVqa = None,
+    fast_vqa: FastVqa = None,
+    vqa_python: VqaPython = "python3",
+    ablation: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Folder of tg4mm bench ablation, to show its table on the page too; may be repeated."
+        ),
+    ] = None,
+    goals: Annotated[
+        Path | None,
+        typer.Option(
+            help="Also write whether the project's own goals are reached to this file, as Markdown."
+        ),
+    ] = None,
     device: DeviceOption = Device.cpu,
 ) -> None:
-    """Train every preset on every dataset and score it against ground truth.
+    """Run every method on every dataset and score its pictures against ground truth.
 
-    Writes OUT/results.json and OUT/results.md anew after every run: SSIM over α beside "nothing moves" and the ceiling,
-    displacement error and static leak (relative to the rms motion), seconds of each stage, peak memory in MiB, and
-    whether each goal is reached. OUT/runs holds the runs.
+    Writes OUT/results.json, OUT/results.md, plots and OUT/tables/*.tex anew after every job, OUT/results.html at
+    the end: SSIM over α beside "nothing moves" and the ceiling, and the other metrics of docs/protocol.md; displacement
+    error and static leak (relative to the rms motion), seconds of each stage, peak memory in MiB. What fails is listed,
+    and the rest goes on. OUT/runs holds the runs and pictures.
     """
+    from tg4mm.bench.goals import goals_page
+    from tg4mm.bench.scenes import run_scenes
+
+    request = _request(
+        methods,
+        external,
+        alphas,
+        band,
+        same_time,
+        settings,
+        lpips_weights,
+        (md_vqa, fast_vqa, vqa_python),
+        device,
+    )
+    results = run_scenes(datasets, out, request, _say, ablation or [])
+    if goals is not None:
+        from tg4mm.bench.folder import write_text
+
+        write_text(goals, goals_page(results))
+    typer.echo(out / "results.html")
+    if results["failed"]:
+        _say(f"{len(results['failed'])} failed; see the head of {out / 'results.md'}")
+        raise typer.Exit(1)
+
+
+@bench.command()
+def job(
+    dataset: Annotated[Path, typer.Argument(help="Dataset folder with ground truth.")],
+    method: Annotated[
+        str, typer.Argument(help="One of tg4mm bench scenes --methods, or the NAME of --external.")
+    ],
+    out: Out,
+    methods: Methods = "modal,paper-tuned,tracking,phase-2d,linear-2d",
+    external: Outside = None,
+    alphas: Alphas = None,
+    band: Banded = True,
+    settings: Settings = None,
+    lpips_weights: Lpips = None,
+    md_vqa: MdVqa = None,
+    fast_vqa: FastVqa = None,
+    vqa_python: VqaPython = "python3",
+    device: DeviceOption = Device.cpu,
+) -> None:
+    """Run one method on one dataset: a part of tg4mm bench scenes with the same options, which then finds it done.
+
+    Jobs of one OUT may run at once, on any machine that sees the folder. Done again, nothing happens.
+    """
+    from tg4mm.bench.scenes import run_one
+
+    vqa = md_vqa, fast_vqa, vqa_python
+    never = SameTime.never
+    request = _request(methods, external, alphas, band, never, settings, lpips_weights, vqa, device)
+    run_one(dataset, method, out, request)
+    typer.echo(out / "runs" / dataset.resolve().name / method)
+
+
+def _request(
+    methods: str,
+    external: list[str] | None,
+    alphas: str | None,
+    band: bool,
+    same_time: SameTime,
+    settings: list[str] | None,
+    lpips_weights: list[Path] | None,
+    vqa: tuple[Path | None, Path | None, str],
+    device: Device,
+) -> ScenesRequest:
     plan = _plan(alphas, band, lpips_weights, device)
     given = split_settings(settings or [])
-    from tg4mm.bench.measure import checked_presets
-    from tg4mm.bench.page import goals_table
+    from tg4mm.bench.measure import SCORINGS
+    from tg4mm.bench.methods.external import parse_external
+    from tg4mm.bench.methods.known import checked_names
+    from tg4mm.bench.methods.tracking import checked_settings
     from tg4mm.bench.request import settings_by_preset
-    from tg4mm.bench.scenes import ScenesRequest, run_scenes
+    from tg4mm.bench.scenes import ScenesRequest
+    from tg4mm.bench.vqa import checkouts
 
-    chosen = checked_presets(presets.split(","))
-    request = ScenesRequest(chosen, settings_by_preset(given, chosen), same_time.value, plan)
-    results = run_scenes(datasets, out, request, _say)
-    typer.echo(goals_table(results))
-    typer.echo(f"\n{out / 'results.md'}")
+    names = checked_names(methods.split(","))
+    own = {k: given.pop(k) for k in list(given) if k.startswith("tracking.")}
+    # tracking has the space stage of modal
+    presets = dict.fromkeys("modal" if name not in SCORINGS else name for name in names)
+    return ScenesRequest(
+        methods=names,
+        settings=settings_by_preset(given, list(presets)) | {"tracking": checked_settings(own)},
+        external=parse_external(external or []),
+        same_time=same_time.value,
+        plan=plan,
+        vqa=checkouts({"md_vqa": vqa[0], "fast_vqa": vqa[1]}, vqa[2]),
+    )
 
 
 @bench.command()
 def ablation(
-    name: Annotated[
-        str, typer.Argument(metavar="NAME", help="Which one; a wrong name lists those there are.")
-    ],
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Which of these.")],
     datasets: Datasets,
     out: Out,
     preset: Annotated[
@@ -122,7 +280,7 @@ def ablation(
     device: DeviceOption = Device.cpu,
 ) -> None:
     """Vary one thing and compare: initialisation, decoder, residual, iterations, filter-phase, difference, smoothness,
-    views, amplitude.
+    views, timesteps, noise, amplitude.
 
     Prints the table, and writes OUT/results.json, OUT/results.md and OUT/results.svg. amplitude generates its datasets
     from the given ones (pixels of the first training camera, 0.01 to 1) under OUT/sets, unless they are there.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -25,64 +26,151 @@ from tg4mm.errors import Tg4mmError
 
 
 class Format(StrEnum):
-    """File formats; docs/conventions.md describes them."""
+    """File formats; docs/export.md describes them."""
 
     ply = "ply"
     ply_sequence = "ply-sequence"
     html = "html"
+    gltf = "gltf"
+    spz = "spz"
+    usd = "usd"
 
 
 def export(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder made by tg4mm train.")],
-    out: Annotated[Path, typer.Option(help="The file to write, or for a sequence the folder.")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            help="The file to write, or for a sequence the folder. With spz a name that ends in .spz is the scene "
+            "at rest, any other a folder for a sequence."
+        ),
+    ],
     format: Annotated[
         Format,
         typer.Option(
-            help="ply: the splat file, a 3DGS PLY with motion riding along. "
+            help="ply: the splat file, a 3DGS PLY that also holds the motion. "
             "ply-sequence: a static 3DGS PLY for every timestep. "
-            "html: one page that plays the run in any browser (docs/web.md)."
+            "html: one page that plays the run in any browser (docs/web.md). "
+            "gltf: a .glb with KHR_gaussian_splatting and an animation. "
+            "spz: compressed, without motion: the scene at rest or one file for every timestep of a period. "
+            "usd: a ParticleField3DGaussianSplat with a sample for every timestep. docs/export.md compares them."
         ),
     ] = Format.ply,
     alpha: Annotated[
         list[float] | None,
-        typer.Option(help="Magnification of a sequence: (1 + alpha) δ, once for each --band. [default: 0]"),
+        typer.Option(
+            help="Magnification: a displacement δ becomes (1 + alpha) δ; with several --band once for each. Not for "
+            "ply and html, which hold the motion itself. [default: 0]"
+        ),
     ] = None,
     band: BandOption = None,
     method: MethodOption = None,
     filter: FilterOption = None,
     allow_empty_band: EmptyBandOption = False,
+    timesteps: Annotated[
+        str | None,
+        typer.Option(
+            metavar="A-B,C,…",
+            help="Timesteps to write (sequences, usd). [default: all; spz: one period of the strongest vibration]",
+        ),
+    ] = None,
 ) -> None:
     """Write a run as files for viewers and for Blender.
 
     Lengths are in scene units.
     """
-    given = {"--method": method is not None, "--filter": filter is not None}
-    if format is not Format.ply_sequence and (alpha or band or any(given.values())):
-        named = (
-            "--alpha and --band" if alpha or band else next(name for name, there in given.items() if there)
-        )
-        belong = "belong" if alpha or band else "belongs"
-        holder = "a page" if format is Format.html else "a splat file"
-        raise Tg4mmError(f"{named} {belong} to --format ply-sequence; {holder} holds the motion itself")
     alphas, asked = alpha or [0.0], parse_bands(band)
+    wanted = parse_timesteps(timesteps)
+    rest = format is Format.spz and out.suffix.lower() == ".spz"
+    options = {
+        "--alpha": bool(alpha),
+        "--band": bool(band),
+        "--method": method is not None,
+        "--filter": filter is not None,
+        "--timesteps": wanted is not None,
+    }
+    _refuse(format, rest, [name for name, given in options.items() if given])
     check_paired(alphas, asked)
     chosen_filter = temporal_filter(filter, asked)
-    from tg4mm.export import export_ply, export_ply_sequence
+    from tg4mm import export as plain
+    from tg4mm.export_formats import export_gltf, export_spz, export_spz_sequence, export_usd
     from tg4mm.render import RenderRequest
     from tg4mm.runs import Run
 
     opened = Run.open(run)
     if format is Format.ply:
-        export_ply(opened, out)
+        plain.export_ply(opened, out)
     elif format is Format.html:
         from tg4mm.web.write import export_html
 
         export_html(opened, out)
+    elif rest:
+        export_spz(opened, out)
+        _say("spz holds no motion: this is the scene at rest; a folder as --out takes a sequence")
     else:
         chosen = None if method is None else method.value
         magnified = paired(alphas, known_bands(opened, asked))
         request = RenderRequest(method=chosen, filter=chosen_filter, **magnified)
         check_magnified(opened, request.checked().plan, allow_empty_band)
         warn_too_far(opened, request.plan)
-        export_ply_sequence(opened, out, request=request)
+        if format is Format.gltf:
+            export_gltf(opened, out, request.plan)
+        elif format is Format.usd:
+            export_usd(opened, out, request, wanted)
+        elif format is Format.spz:
+            written = export_spz_sequence(opened, out, request, wanted)
+            _say(f"spz holds no motion: {written} files, one for each timestep")
+        else:
+            plain.export_ply_sequence(opened, out, timesteps=wanted, request=request)
     typer.echo(str(out))
+
+
+_TAKEN = {
+    Format.ply_sequence: ("--alpha", "--band", "--method", "--filter", "--timesteps"),
+    Format.spz: ("--alpha", "--band", "--method", "--filter", "--timesteps"),
+    Format.usd: ("--alpha", "--band", "--method", "--filter", "--timesteps"),
+    Format.gltf: ("--alpha", "--band"),
+}
+_HOLDS = {
+    Format.ply: "a splat file holds the motion itself",
+    Format.html: "a page holds the motion itself",
+    Format.gltf: "a .glb holds modes, all of their time",
+}
+
+
+def _refuse(format: Format, rest: bool, given: Sequence[str]) -> None:
+    """Raise Tg4mmError for an option that the format has no use for."""
+    taken = () if rest else _TAKEN.get(format, ())
+    wrong = [name for name in given if name not in taken]
+    if not wrong:
+        return
+    reason = "a file named .spz holds the scene at rest; give a folder" if rest else _HOLDS[format]
+    formats = [one.value for one, names in _TAKEN.items() if all(name in names for name in wrong)]
+    verb = "belongs" if len(wrong) == 1 else "belong"
+    raise Tg4mmError(f"{' and '.join(wrong)} {verb} to --format {', '.join(formats)}; {reason}")
+
+
+_MOST_TIMESTEPS = 1_000_000  # a range is made before the run says how many it has
+
+
+def parse_timesteps(text: str | None) -> list[int] | None:
+    """`"0-9,12"` as [0, …, 9, 12]. Raises Tg4mmError naming what is no timestep."""
+    if text is None:
+        return None
+    wanted: list[int] = []
+    for part in text.split(","):
+        first, _, last = part.partition("-")
+        try:
+            low, high = int(first), int(last or first)
+        except ValueError:
+            low, high = 0, -1
+        if not 0 <= low <= high < _MOST_TIMESTEPS:
+            raise Tg4mmError(
+                f"--timesteps {text!r}: {part!r} is no timestep such as 7, nor a range such as 0-9"
+            )
+        wanted += range(low, high + 1)
+    return wanted
+
+
+def _say(line: str) -> None:
+    typer.echo(line, err=True)

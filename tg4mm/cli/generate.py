@@ -13,6 +13,7 @@ from types import FrameType
 
 import typer
 
+from dataset_gen.errors import blender_remedy
 from tg4mm.errors import Tg4mmError
 
 
@@ -26,12 +27,8 @@ def run_generator(arguments: Sequence[str]) -> int:
 
     Raises Tg4mmError where it is not installed.
     """
-    for module, remedy in (
-        ("dataset_gen", "reinstall tg4mm"),
-        ("bpy", "pip install 'tg4mm[generate]' (bpy 4.5 needs Python 3.11)"),
-    ):
-        if importlib.util.find_spec(module) is None:
-            raise Tg4mmError(f"generate needs the Python package {module}, which is not installed: {remedy}")
+    if importlib.util.find_spec("bpy") is None:
+        raise Tg4mmError(f"generate needs the Python package bpy, which is not installed: {blender_remedy()}")
     command = [sys.executable, "-m", "dataset_gen", *arguments]
     with _passing_signals_on() as children, subprocess.Popen(command) as child:
         children.append(child)

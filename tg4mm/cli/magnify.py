@@ -78,19 +78,20 @@ BandOption = Annotated[
     ),
 ]
 EmptyBandOption = Annotated[
-    bool, typer.Option("--allow-empty-band", help="Go on where a --band holds no motion.")
+    bool, typer.Option("--allow-empty-band", help="Go on where no motion was found in a --band.")
 ]
 MethodOption = Annotated[
     Method | None,
     typer.Option(
-        help="modal: by modes. linear: filter what each Gaussian does. phase: the phases of feature planes "
-        "(paper runs only). [default: modal; of paper runs phase, of paper-tuned linear]"
+        help="modal: by modes. linear: each Gaussian's motion, filtered over time. phase: the phases of feature planes "
+        "(presets paper and paper-tuned only). [default: modal; with the preset paper phase, with paper-tuned linear]"
     ),
 ]
 FilterOption = Annotated[
     Filter | None,
     typer.Option(
-        help="Of linear and phase. published: even length, half a sample early. [default: zero-phase]"
+        help="Temporal filter of linear and phase. published: as in TG4MM's paper, even length, half a sample early. "
+        "[default: zero-phase]"
     ),
 ]
 

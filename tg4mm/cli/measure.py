@@ -29,13 +29,13 @@ def measure(
     ] = None,
     reference: Annotated[
         str | None,
-        typer.Option(help="The sensor that phases and coherence are against. [default: the first]"),
+        typer.Option(help="The sensor that phases and coherence refer to. [default: the first]"),
     ] = None,
     keep: Annotated[
         bool,
         typer.Option(
             "--keep/--no-keep",
-            help="Keep what was read of the pictures in the run's folder for the next time.",
+            help="Keep what was read from the pictures in the run's folder, so that the next call need not read them.",
         ),
     ] = True,
     animate: Annotated[

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import logging
-import sys
 import warnings
 from collections.abc import Sequence
 from typing import Annotated
 
 import typer
 
-from tg4mm import __version__
+from tg4mm import __version__, events
+from tg4mm.ahead import enable
 from tg4mm.cli.bench import bench
+from tg4mm.cli.convert import convert
 from tg4mm.cli.demo import demo
 from tg4mm.cli.evaluate import evaluate
 from tg4mm.cli.export import export
@@ -64,6 +65,7 @@ app.command()(demo)
 app.command(context_settings=_PASS_ALL)(generate)
 app.command()(train)
 app.command()(measure)
+app.command()(convert)
 for _command in (render, evaluate, report, view, export, sfm):
     app.command(cls=BandsCommand)(_command)
 app.add_typer(bench, name="bench")
@@ -83,6 +85,9 @@ def tg4mm(
 ) -> None:
     """3D motion magnification: subtle vibration in a 3D scene, magnified, from any viewpoint.
 
+    Videos or photographs become a dataset by sfm, scenes of Blender by generate. train makes a run of a dataset;
+    render, view, measure, report and export take a run.
+
     Lengths are in scene units, frequencies in Hz, times in timesteps. A magnification factor α turns a
     displacement δ into (1 + α) δ.
     """
@@ -92,6 +97,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the program on `argv` (default: the command line) and return its exit code."""
     warnings.formatwarning = _warning_line  # a user gains nothing from the line of code that warns
     _show_log()
+    enable()
     try:
         arguments = None if argv is None else list(argv)
         result = app(args=arguments, prog_name="tg4mm", standalone_mode=False)
@@ -120,9 +126,8 @@ class _ToStderr(logging.Handler):
     """Lines of the log where progress is shown as well."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        print(
-            self.format(record), file=sys.stderr
-        )  # typer.echo would write into the middle of a progress bar
+        # typer.echo would write into the middle of a progress bar
+        events.say("warning" if record.levelno >= logging.WARNING else "note", self.format(record))
 
 
 def _show_log() -> None:
@@ -156,7 +161,7 @@ def _offending(error: Exception, message: str) -> str:
 
 
 def _fail(message: str) -> int:
-    typer.echo(f"tg4mm: {' '.join(message.split())}", err=True)
+    events.say("error", " ".join(message.split()), "tg4mm: ")
     return BAD_INPUT
 
 

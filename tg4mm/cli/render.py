@@ -42,7 +42,7 @@ def render(
         list[float],
         typer.Option(
             help="Magnification: a displacement δ becomes (1 + alpha) δ; 0 as captured, -1 at rest, below it "
-            "reversed. Once for each --band."
+            "reversed. With several --band once for each."
         ),
     ],
     out: Annotated[Path, typer.Option(help="Folder for the pictures; complete ones are kept.")],
@@ -53,7 +53,9 @@ def render(
     cameras: Annotated[
         Path | None, typer.Option(help="Cameras of a transforms JSON (NeRF or nerfstudio).")
     ] = None,
-    orbit: Annotated[int | None, typer.Option(min=1, help="Pictures of one turn around the scene.")] = None,
+    orbit: Annotated[
+        int | None, typer.Option(min=1, help="Number of pictures of one turn around the scene.")
+    ] = None,
     slow: Annotated[float, typer.Option(help="Slow motion: 2 plays at half speed.")] = 1.0,
     video: Annotated[bool, typer.Option(help="Also write an mp4 for each camera.")] = True,
     allow_empty_band: EmptyBandOption = False,

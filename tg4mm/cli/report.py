@@ -26,7 +26,7 @@ def report(
         list[str] | None,
         typer.Option(
             metavar="NAME=REGION",
-            help="A sensor, as of tg4mm measure; may be repeated. [default: clusters that move alike, and all]",
+            help="A sensor, as for tg4mm measure; may be repeated. [default: clusters that move alike, and all]",
         ),
     ] = None,
     allow_empty_band: EmptyBandOption = False,

@@ -84,21 +84,27 @@ def sfm(
         typer.Option(help="shared: one camera and zoom; each: photographs or fixed cameras differ."),
     ] = Intrinsics.shared,
     matching: Annotated[
-        Matching, typer.Option(help="auto: every pair of pictures, but neighbours only in a long sequence.")
+        Matching,
+        typer.Option(
+            help="auto: every pair of up to 30 pictures, of more those that look alike, and in a long sequence "
+            "neighbours."
+        ),
     ] = Matching.auto,
     frames: Annotated[
         int | None,
         typer.Option(
-            help="Sharp frames of a moving camera that poses are first found from. [default: every second, 80 at most]"
+            help="How many sharp frames of a moving camera the poses are first found from. [default: one of every two, "
+            "80 at most]"
         ),
     ] = None,
     unit_scale_m: Annotated[
-        float | None, typer.Option(help="Metres per scene unit of the dataset, once you have measured it.")
+        float | None, typer.Option(help="Metres per scene unit, where you know them: gives the scale.")
     ] = None,
     baseline: Annotated[
         tuple[str, str, float] | None,
         typer.Option(
-            metavar="A B METRES", help="Two cameras or photographs and their distance: gives the scale."
+            metavar="A B METRES",
+            help="Two cameras or photographs by name, and their distance: gives the scale.",
         ),
     ] = None,
     length: Annotated[
@@ -112,7 +118,7 @@ def sfm(
     length_file: Annotated[
         Path | None,
         typer.Option(
-            help="The same in a JSON or YAML file, an end shown in several pictures: "
+            help="The same in a JSON or YAML file, where an end may be shown in several pictures: "
             "{metres: 0.35, points: [{000.jpg: [210, 345], 008.jpg: [180, 350]}, {000.jpg: [410, 350]}]}"
         ),
     ] = None,
@@ -125,9 +131,9 @@ def sfm(
         ),
     ] = False,
     test_every: Annotated[
-        int, typer.Option(help="Hold out every so-many-th camera as the test split; 0: none.")
+        int, typer.Option(help="Hold out every N-th camera as the test split; 0: none.")
     ] = 0,
-    seed: Annotated[int, typer.Option(help="Of COLMAP's random draws.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of COLMAP's random draws.")] = 0,
     threads: Annotated[
         int, typer.Option(help="Threads; 0: all cores. With 1 the result repeats bit for bit.")
     ] = 0,

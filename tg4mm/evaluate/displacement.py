@@ -52,7 +52,8 @@ def frequency_figures(
     phasors' difference over the rms of the true ones; `phase_error_deg`: of the weighted correlation,
     positive where the estimate is ahead; `direction_error_deg`: angle between the phasor vectors, arccos
     |⟨true, estimated⟩| / (|true| |estimated|), as between lines (0 to 90°, blind to phase), mean with weights
-    × |true|² over the Gaussians that the estimate moves.
+    × |true|² over the Gaussians that the estimate moves; `mac`: modal assurance criterion, |Σ w a*·b|² /
+    (Σ w |a|² Σ w |b|²), 1 where the shapes are alike but for one complex factor.
     """
     weights = _check(estimated, true, weights)
     rows = []
@@ -68,6 +69,7 @@ def frequency_figures(
                 "relative_error": _ratio(_rms((np.abs(a - b) ** 2).sum(1), weights), amplitude["true"]),
                 "phase_error_deg": float(np.degrees(np.angle(correlation))) if correlation else None,
                 "direction_error_deg": _mean_angle(a, b, weights),
+                "mac": _mac(a, b, weights),
                 **_in_mm(amplitude, "amplitude_", unit_scale_m),
             }
         )
@@ -131,6 +133,12 @@ def _mean_angle(a: np.ndarray, b: np.ndarray, weights: np.ndarray) -> float | No
     # atan2, not acos: an angle near 0 keeps its digits.
     angle = np.arctan2(np.linalg.norm(across, axis=1), np.abs(inner) / np.sqrt(a2))
     return float(np.degrees((angle * weights).sum() / weights.sum()))
+
+
+def _mac(a: np.ndarray, b: np.ndarray, weights: np.ndarray) -> float | None:
+    across = abs((weights * (a.conj() * b).sum(1)).sum()) ** 2
+    own = (weights * (np.abs(a) ** 2).sum(1)).sum() * (weights * (np.abs(b) ** 2).sum(1)).sum()
+    return float(across / own) if own > 0 else None
 
 
 def _rms(squares: np.ndarray, weights: np.ndarray) -> float | None:

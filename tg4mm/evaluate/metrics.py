@@ -11,6 +11,7 @@ from skimage.metrics import structural_similarity
 
 MAX_PSNR_DB = 100.0  # equal images would be infinite, which neither averages nor fits in JSON
 SSIM_WINDOW = 11  # pixels
+SSIM_BORDER = SSIM_WINDOW // 2
 _SSIM_SIGMA = 1.5  # scikit-image cuts at 3.5 σ: int(3.5 · 1.5 + 0.5) = 5 pixels each side, hence 11 × 11
 
 
@@ -25,17 +26,25 @@ def psnr(image: np.ndarray, truth: np.ndarray) -> float:
 
 
 def ssim(image: np.ndarray, truth: np.ndarray) -> float:
-    """Structural similarity (Wang et al. 2004), 11×11 Gaussian window of σ 1.5, mean over channels.
+    """Structural similarity (Wang et al. 2004): the mean of `ssim_map` but for its border.
 
-    K = (0.01, 0.03). As usual the five pixels nearest the border, where the window leaves the image, are not
-    counted. Raises ValueError as `psnr`, and for an image smaller than the window.
+    As usual the five pixels nearest the border, where the window leaves the image, are not counted.
+    """
+    similar = ssim_map(image, truth)
+    return float(similar[SSIM_BORDER:-SSIM_BORDER, SSIM_BORDER:-SSIM_BORDER].mean())
+
+
+def ssim_map(image: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """[H, W] structural similarity, 11×11 Gaussian window of σ 1.5, K = (0.01, 0.03), mean over channels.
+
+    Raises ValueError as `psnr`, and for an image smaller than the window.
     """
     image, truth = check_images(image, truth)
     if min(image.shape[:2]) < SSIM_WINDOW:
         raise ValueError(
             f"image of {image.shape[1]}×{image.shape[0]} pixels is smaller than SSIM's window of 11×11"
         )
-    value = structural_similarity(
+    _, similar = structural_similarity(
         truth.astype(np.float64),
         image.astype(np.float64),
         gaussian_weights=True,
@@ -43,8 +52,9 @@ def ssim(image: np.ndarray, truth: np.ndarray) -> float:
         use_sample_covariance=False,
         data_range=1.0,
         channel_axis=-1,
+        full=True,
     )
-    return float(value)
+    return np.asarray(similar.mean(-1))
 
 
 def flip(image: np.ndarray, truth: np.ndarray) -> float:

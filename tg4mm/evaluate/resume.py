@@ -13,34 +13,42 @@ import numpy as np
 from tg4mm.capture import Capture, ImageStack
 from tg4mm.evaluate.lpips import Lpips
 from tg4mm.evaluate.scores import Method, Scorer, camera_key, content_key
-from tg4mm.files import write_json
+from tg4mm.files import json_digest, write_json
 from tg4mm.untrusted import read_json
 
 _VERSION = 2  # of how scores are made: raise it when the same input would score otherwise
 
 
 class Resume:
-    """Finished α, by fingerprint, in a hidden file beside the result."""
+    """Finished α, by fingerprint, in a hidden file beside the result, each with a digest of its figures."""
 
     def __init__(self, target: Path) -> None:
         self._file = target.with_name(f".{target.name}.partial.tmp")
 
     def get(self, key: str) -> dict[str, Any] | None:
-        return self._read().get(key)
+        """The figures; None where there are none, or they are not what was put there."""
+        kept = self._read().get(key)
+        if not isinstance(kept, dict) or kept.get("digest") != _entry_digest(key, kept.get("entry")):
+            return None
+        return kept["entry"]
 
     def put(self, key: str, entry: dict[str, Any]) -> None:
         self._file.parent.mkdir(parents=True, exist_ok=True)
-        write_json(self._file, self._read() | {key: entry})
+        write_json(self._file, self._read() | {key: {"entry": entry, "digest": _entry_digest(key, entry)}})
 
     def drop(self) -> None:
         self._file.unlink(missing_ok=True)
 
     def _read(self) -> dict[str, Any]:
         try:
-            kept = read_json(self._file)
+            kept = read_json(self._file, finite=True)
         except (OSError, ValueError):  # absent, or not ours: nothing to go on from
             return {}
         return kept if isinstance(kept, dict) else {}
+
+
+def _entry_digest(key: str, entry: Any) -> str:
+    return json_digest([key, entry])
 
 
 def fingerprint(

@@ -23,7 +23,7 @@ from tg4mm.evaluate.wanted import (
     image_metrics,
     target_file,
 )
-from tg4mm.files import write_json
+from tg4mm.files import json_digest, write_json
 from tg4mm.magnify import Magnification, TemporalFilter
 from tg4mm.magnify.poses import method_of
 from tg4mm.progress import progress
@@ -80,6 +80,7 @@ def evaluate_run(
         absent                     {what: why}
         notes                      [text]
         seconds                    of this call
+        digest                     of all the other entries, `tg4mm.files.json_digest`
     """
     began = time.monotonic()
     absent: dict[str, str] = {}
@@ -113,6 +114,7 @@ def evaluate_run(
         "notes": notes_of(subject),
         "seconds": round(time.monotonic() - began, 3),
     }
+    result["digest"] = json_digest(result)
     write_json(target, result)
     resume.drop()
     return result

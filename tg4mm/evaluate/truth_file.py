@@ -56,7 +56,7 @@ def load_truth(root: Path, fps: float, n_timesteps: int) -> Truth:
     try:
         arrays = read_npz(file)
     except (OSError, ValueError) as error:
-        raise CaptureError(f"{file} is torn or not an .npz of plain arrays: {_one_line(error)}") from None
+        raise CaptureError(f"{file} is damaged or not an .npz of plain arrays: {_one_line(error)}") from None
     freqs = _array(file, arrays, "frequencies_hz", (None,), np.floating).astype(np.float64)
     if (freqs < 0).any():
         raise CaptureError(f"{file}: frequencies_hz holds {freqs.min():g} Hz, expected ≥ 0")

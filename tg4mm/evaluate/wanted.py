@@ -27,7 +27,7 @@ def target_file(run: Run, out: Path | str | None) -> Path:
             f"--out {target}: is a folder; expected a file such as {target / 'metrics.json'}"
         )
     if target.exists() and not _is_ours(target):
-        raise EvaluationError(f"--out {target}: exists, and is no {FORMAT} of ours; choose another name")
+        raise EvaluationError(f"--out {target}: exists, and is no {FORMAT} file; choose another name")
     target.parent.mkdir(parents=True, exist_ok=True)
     try:
         tempfile.TemporaryFile(dir=target.parent).close()

@@ -13,7 +13,7 @@ import json
 import os
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
 
@@ -21,7 +21,7 @@ import numpy as np
 import torch
 from filelock import FileLock, Timeout
 
-from tg4mm.files import write_json
+from tg4mm.files import give_back, write_json
 from tg4mm.gaussians import Gaussians
 from tg4mm.magnify.bands import Magnification
 from tg4mm.magnify.filters import bins
@@ -116,8 +116,7 @@ def _alone(target: Path) -> Iterator[None]:
     try:
         yield
     finally:
-        target.with_suffix(".lock").unlink(missing_ok=True)
-        lock.release()
+        give_back(lock)
 
 
 def _make(
@@ -174,4 +173,5 @@ def _prune(folder: Path, keep: Path) -> None:
         for file in files[_KEPT:]:
             if file != keep:
                 file.with_suffix(".json").unlink(missing_ok=True)
-                file.unlink()
+                with suppress(PermissionError):  # on Windows, while another process reads it
+                    file.unlink()

@@ -9,10 +9,11 @@
 docs/measure.md has the equations.
 """
 
+from tg4mm.lazy import callable_package
 from tg4mm.measure.clusters import Clusters
 from tg4mm.measure.errors import MeasureError
 from tg4mm.measure.measurement import Measurement, SensorResult, best_peak, default_sensors, measure
-from tg4mm.measure.prepared import Prepared, prepare
+from tg4mm.measure.prepared import Prepared, prepare, prepare_fit
 from tg4mm.measure.sensors import Sensor, parse_sensor, read_sensors
 from tg4mm.measure.series import Series
 from tg4mm.measure.shapes import Shape
@@ -34,5 +35,8 @@ __all__ = [
     "measure",
     "parse_sensor",
     "prepare",
+    "prepare_fit",
     "read_sensors",
 ]
+
+callable_package(__name__)

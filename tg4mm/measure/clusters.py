@@ -40,7 +40,7 @@ def clusters_of(scene: Prepared) -> Clusters:
     power = (_coordinates(scene, fields) ** 2).sum(1)
     rms = np.sqrt(power)
     limit = _MOVES * (np.percentile(rms[seen], 99.5) if seen.any() else 0.0)
-    deviation = scene.run.load_uncertainty()
+    deviation = scene.fit.uncertainty.get("displacement")
     least = np.full(n, limit) if deviation is None else np.maximum(limit, _TOLD * deviation)
     moving = np.flatnonzero(seen & (rms > least)) if limit > 0 else np.zeros(0, int)
     still = np.setdiff1d(np.flatnonzero(seen & (rms <= limit)), moving)

@@ -1,8 +1,15 @@
-"""Damping of a vibration that rings down, by the logarithmic decrement: a sinusoid with an exponential envelope.
+"""Damping of a vibration: by the logarithmic decrement where it rings down, by the half-power bandwidth where noise
+drives it.
+
+Ringing down is a sinusoid with an exponential envelope:
 
 u(t) = Re[m exp((i2πf − λ) t)] is fitted in the direction of the peak's orbit, f and λ by Gauss-Newton, m projected out;
 the logarithmic decrement is λ / f, the damping ratio ζ = λ / (2πf). All samples enter, so that no maxima need be found.
-Half-power width would do for records of many decay times; of a shorter one it is the record's own width.
+
+What is driven at random (wind, traffic) has a peak of finite width: near resonance an oscillator's power spectrum is
+S(ν) = S₀ / (1 + (ν − f)² / (ζ f)²), half as high at f (1 ± ζ) [Bendat & Piersol 2010, ch. 6]. What a Hann window makes
+of that is fitted to the logarithm of Welch's spectrum: the oscillator's autocorrelation exp(−2π ζ f |τ|) cos 2πfτ times
+the window's. Given where the peak is at least half as wide as the window's own.
 """
 
 from __future__ import annotations
@@ -12,6 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import least_squares
+from scipy.signal import get_window, welch
 
 from tg4mm.measure.orbit import orbit_of
 from tg4mm.measure.series import Series
@@ -19,6 +27,12 @@ from tg4mm.measure.spectrum import Peak, tones
 
 _TOLD = 3.0  # deviations that a decay must stand out of
 _LEAST_DECAY = 0.15  # of the amplitude, over the record
+_SEGMENTS = 7, 15, 31, 63  # half-overlapping windows in the record
+_SHORTEST, _CYCLES = 32, 8.0  # of a window: samples, periods
+_BINS = 8  # that a peak is fitted to, at least
+_WINDOW = 1.44  # full width at half power of Hann's window, over 1 / length
+_RESOLVED = 0.5  # times the window's own width that a peak must be wide
+_CORRELATED = 1.9 * 1.2  # neighbouring bins of Hann's window, half-overlapping windows [Welch 1967]
 
 
 @dataclass(frozen=True)
@@ -32,7 +46,10 @@ class Damping:
 
 
 def damping_of(series: Series, peaks: Sequence[Peak], k: int) -> Damping | None:
-    """Of peak k; None where the decay does not stand out of its deviation by three times, or is under 15 %."""
+    """Of peak k: of what rings down by its decay, else by its width; None where neither can be told.
+
+    A decay must stand out of its deviation by three times, and be 15 % or more.
+    """
     peak = peaks[k]
     direction = orbit_of(peak).direction
     others = [p.frequency_hz for j, p in enumerate(peaks) if j != k]
@@ -58,6 +75,57 @@ def damping_of(series: Series, peaks: Sequence[Peak], k: int) -> Damping | None:
     covariance = np.linalg.pinv(found.jac.T @ found.jac) * noise
     decay, deviation = float(found.x[1]), float(np.sqrt(covariance[1, 1]))
     if decay < _TOLD * deviation or 1 - np.exp(-decay) < _LEAST_DECAY:
-        return None
+        return half_power(series.times_s, values, peak.frequency_hz)
     omega = 2 * np.pi * float(found.x[0]) * duration
     return Damping(decay / omega, deviation / omega, decay / duration)
+
+
+def half_power(times_s: np.ndarray, values: np.ndarray, frequency_hz: float) -> Damping | None:
+    """Damping ratio of a peak at `frequency_hz` of values [T] at even times, by its half-power bandwidth.
+
+    None where the peak is not half as wide as the window's own, or its deviation is above a third of it.
+    """
+    step = float(np.median(np.diff(times_s)))
+    for count in _SEGMENTS:  # the longest windows that tell it: short ones widen the peak
+        length = 2 * len(values) // (count + 1)
+        if length < _SHORTEST or length * step * frequency_hz < _CYCLES:
+            break
+        if (found := _fitted_width(values, step, length, count, frequency_hz)) is not None:
+            return found
+    return None
+
+
+def _fitted_width(
+    values: np.ndarray, step: float, length: int, count: int, frequency_hz: float
+) -> Damping | None:
+    hz, power = welch(values, 1 / step, "hann", length, detrend="constant")
+    own = _WINDOW / (length * step)  # full width at half power of the window, Hz
+    near = np.abs(hz - frequency_hz) < max(0.3 * frequency_hz, 3 * own)
+    near &= hz > own
+    x, y = hz[near], power[near]
+    if len(x) < _BINS or not y.max() > 0:
+        return None
+    top = float(y.max())
+
+    lags = np.arange(length) * step
+    hann = get_window("hann", length)
+    window = np.correlate(hann, hann, "full")[length - 1 :]
+
+    def seen(centre: float, half: float) -> np.ndarray:
+        kernel = window * np.exp(-2 * np.pi * half * lags) * np.cos(2 * np.pi * centre * lags)
+        kernel[0] /= 2
+        shape = np.maximum(np.fft.rfft(kernel, 2 * length)[::2].real[: len(hz)], 0)[near]
+        return shape / max(shape.max(), 1e-300)
+
+    def left(p: np.ndarray) -> np.ndarray:
+        return np.log(np.maximum(p[0] * seen(p[1], p[2]) + p[3], 1e-9)) - np.log(y / top)
+
+    bounds = [0, x[0], own / 50, 0], [10, x[-1], np.ptp(x), 1]
+    start = np.clip([1.0, x[y.argmax()], own, 1e-2], np.array(bounds[0]) + 1e-6, np.array(bounds[1]) - 1e-6)
+    fit = least_squares(left, start, bounds=bounds, x_scale=[1, own, own, 0.1])
+    centre, half = float(fit.x[1]), float(fit.x[2])
+    covariance = np.linalg.pinv(fit.jac.T @ fit.jac) * _CORRELATED / count
+    deviation = float(np.sqrt(covariance[2, 2]))
+    if 2 * half < _RESOLVED * own or deviation > half / 3:
+        return None
+    return Damping(half / centre, deviation / centre, 2 * np.pi * half, "half-power bandwidth")

@@ -14,7 +14,9 @@ from tg4mm.modelhash import model_hash
 from tg4mm.runs import Run
 
 PART = "residuals"
-_VERSION = 1  # a file of another is made anew
+_VERSION = 2  # a file of another is made anew
+_MOST = 1 << 30  # bytes; what is more is found anew each time
+_TYPES = torch.int8, torch.uint8, torch.int16, torch.int32, torch.float16
 _LOG = logging.getLogger("tg4mm")
 
 
@@ -41,26 +43,21 @@ class KeptPass:
         if not self.run.has_part(PART):
             return None
         try:
-            tensors, header = self.run.load_part(PART)
+            tensors, header = self.run.load_part(PART, _TYPES)
         except RunError as error:
             _LOG.warning("%s; the pictures are read again", error)
             return None
         if header.get("model") != self.model or header.get("pass_version") != _VERSION:
             return None
         self.notes[:] = header.get("notes", [])
-        arrays = {name: tensor.numpy() for name, tensor in tensors.items()}
-        if "active" in arrays:
-            arrays["active"] = arrays["active"].astype(bool)
-        return arrays
+        return {name: tensor.numpy() for name, tensor in tensors.items()}
 
     def save(self, arrays: Mapping[str, np.ndarray], notes: Sequence[str]) -> None:
-        """Write them where that was asked for; a folder that cannot be written is no error."""
-        if not self.may_save:
+        """Write them where that was asked for and they are no more than 1 GiB; a folder that cannot be written is no
+        error."""
+        if not self.may_save or sum(a.nbytes for a in arrays.values()) > _MOST:
             return
-        tensors = {
-            k: torch.from_numpy(np.ascontiguousarray(v.astype(np.uint8) if v.dtype == bool else v))
-            for k, v in arrays.items()
-        }
+        tensors = {k: torch.from_numpy(np.ascontiguousarray(v)) for k, v in arrays.items()}
         try:
             extra = {"model": self.model, "pass_version": _VERSION, "notes": list(notes)}
             self.run.save_part(PART, tensors, **extra)

@@ -11,6 +11,7 @@ from tg4mm.motion.limits import frequency_notes
 if TYPE_CHECKING:
     from tg4mm.measure.measurement import SensorResult
 
+_HIDDEN = 0.5  # of a motion: what the scene at rest hides of it, from here on it is said
 _LINEAR_PX = 1.0  # beyond it a picture does not change in proportion to motion
 
 
@@ -37,6 +38,12 @@ def limits_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[str, ..
             out.append(
                 f"{result.name} moves by up to {size:.2g} px: beyond {_LINEAR_PX:g} px pictures do not change in "
                 "proportion, and amplitudes come out too small"
+            )
+        is_hidden = (result.series.false_share > _HIDDEN) & result.series.is_told
+        if hidden := [axis for axis, hides in zip(result.labels, is_hidden, strict=True) if hides]:
+            out.append(
+                f"{result.name}: motion along {', '.join(hidden)} can hardly be told: most of what the scene at rest "
+                "would show of it is not in the pictures"
             )
         if not result.spectrum.peaks:
             out.append(f"{result.name}: nothing stands out of the noise floor")

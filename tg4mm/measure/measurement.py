@@ -102,7 +102,7 @@ class SensorResult:
 
 @dataclass(frozen=True)
 class Measurement:
-    """Everything that was measured in one run."""
+    """Everything that was measured in one call: `sensors`, also by name as `found["tip"]`."""
 
     prepared: Prepared
     sensors: tuple[SensorResult, ...]

@@ -46,9 +46,9 @@ class ModalFields:
         return np.asarray(self.mixing @ np.concatenate([np.cos(angles), np.sin(angles)]))
 
 
-def clock_phases(log: Mapping[str, Any], name: str, freqs_hz: np.ndarray) -> np.ndarray | None:
-    """[K] radians of camera `name` from a run's log, where every camera has a clock of its own; None elsewhere."""
-    known = log.get("motion", {}).get("clip_phases_deg", {}).get(name)
+def clock_phases(figures: Mapping[str, Any], name: str, freqs_hz: np.ndarray) -> np.ndarray | None:
+    """[K] radians of camera `name` from a fit's figures, where every camera has a clock of its own; None elsewhere."""
+    known = figures.get("clip_phases_deg", {}).get(name)
     if known is None:
         return None
     hz, degrees = np.array([float(k) for k in known]), np.array(list(known.values()))

@@ -16,7 +16,6 @@ import numpy as np
 from tg4mm.measure.prepared import Prepared
 from tg4mm.measure.rigid import Body
 from tg4mm.measure.series import Series
-from tg4mm.runs import UNCERTAINTY
 
 OF_UNCERTAINTY = 0.5
 _MOST = 1.0  # of the motion
@@ -34,15 +33,14 @@ def with_model_error(series: Series, body: Body, scene: Prepared) -> Series:
     least = np.min(series.unit_variance[series.is_observed], initial=np.inf)
     ratio = np.where(series.is_observed, np.sqrt(series.unit_variance / least), 0)
     share = np.minimum(np.hypot(base * ratio, series.model_share), np.maximum(ratio, 1))
+    share = np.hypot(share, np.where(series.is_observed, series.false_share, 0))
     deviation = np.sqrt(series.noise**2 + (share * size[:, None]) ** 2)
     return replace(series, model_share=share, deviation=deviation)
 
 
 def _along_an_axis(scene: Prepared) -> np.ndarray | None:
     """[N] standard deviation of every Gaussian along one axis, scene units: of one camera across its sight."""
-    if not scene.run.has_part(UNCERTAINTY):
-        return None
-    tensors, _ = scene.run.load_part(UNCERTAINTY)
-    if "across_sight" in tensors:
-        return np.asarray(tensors["across_sight"].numpy())
-    return np.asarray(tensors["displacement"].numpy() / np.sqrt(3))
+    found = scene.fit.uncertainty
+    if "across_sight" in found:
+        return found["across_sight"]
+    return np.asarray(found["displacement"] / np.sqrt(3)) if found else None

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -17,17 +18,17 @@ from tg4mm.capture import Capture
 from tg4mm.gaussians import Gaussians
 from tg4mm.measure.kept import KeptPass
 from tg4mm.measure.modal_fields import ModalFields
-from tg4mm.measure.prepared import IN_MEMORY, Clock, Prepared, zeros
-from tg4mm.measure.residuals import HALVES, MeasuredView, total_bytes
+from tg4mm.measure.prepared import Clock, Prepared, sums
+from tg4mm.measure.residuals import MeasuredView
+from tg4mm.measure.sides import HALVES, Sides
 from tg4mm.motion.jacobian.colour import blend_sum
 from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.jacobian.view import ViewJacobian, view_jacobian
-from tg4mm.motion.modes import ModalMotion
 from tg4mm.motion.moving_camera import at_rest, corrected_poses, pictures_of, robust_weights
 from tg4mm.motion.nuisance import Nuisance
 from tg4mm.motion.observations import Observations, PosedFrames
+from tg4mm.motion.result import MotionFit
 from tg4mm.progress import progress
-from tg4mm.runs import Run
 
 _PERIODS = 8.0  # of the lowest frequency that a moving camera tells (`moving_camera.py`)
 _MOST_SLOW = 12  # polynomials' degree
@@ -64,41 +65,44 @@ class FrameViews(Sequence[MeasuredView]):
 
 
 def prepare_moving(
-    run: Run,
+    fit: MotionFit,
+    folder: Path | None,
     capture: Capture,
     observations: Observations,
-    gaussians: Gaussians,
-    motion: ModalMotion,
     modal: ModalFields,
-    kept: KeptPass,
+    kept: KeptPass | None,
 ) -> Prepared:
     """`prepare` of a camera that moves."""
+    gaussians = fit.gaussians
     times = np.array([f.times_s[0] for f in observations.frames])
     series = modal.series(times)
-    arrays = kept.load()
+    arrays = None if kept is None else kept.load()
     if arrays is None:
-        arrays = _passed(run, observations, gaussians, modal, series)
-        if sum(a.nbytes for a in arrays.values()) <= IN_MEMORY:
+        arrays = _passed(folder, observations, gaussians, modal, series)
+        if kept is not None:
             kept.save(arrays, ())
     frames = [replace(f, viewmat=v) for f, v in zip(observations.frames, arrays["viewmats"], strict=True)]
     views = FrameViews(gaussians, frames, observations.size, arrays["weights"], arrays["level"])
-    clock = Clock("", tuple(range(len(frames))), times, arrays["sides_0"], series)
+    clock = Clock("", tuple(range(len(frames))), times, Sides.restored(arrays, "0"), series)
     observations = replace(observations, frames=frames)
     return Prepared(
-        run, capture, observations, gaussians, motion, modal, views, (clock,), arrays["seen"].astype(np.float64),
+        fit, folder, capture, observations, modal, views, (clock,), arrays["seen"].astype(np.float64),
         slow=_slow_functions(times),
     )  # fmt: skip
 
 
 def _passed(
-    run: Run, observations: Observations, gaussians: Gaussians, modal: ModalFields, series: np.ndarray
+    folder: Path | None,
+    observations: Observations,
+    gaussians: Gaussians,
+    modal: ModalFields,
+    series: np.ndarray,
 ) -> dict[str, np.ndarray]:
     """One pass through the frames."""
     frames, _, _ = corrected_poses(gaussians, observations, 0)
     n, count = len(gaussians), len(frames)
     width, height = observations.size
-    is_large = total_bytes([count], n) > IN_MEMORY
-    sides = zeros((HALVES, count, n, DOF), run.path if is_large else None)
+    sides = sums((HALVES, count, n, DOF), folder)
     out = FrameViews(
         gaussians, frames, observations.size, np.zeros((count, height, width), np.float16), np.ones(count)
     )
@@ -117,8 +121,8 @@ def _passed(
         "viewmats": np.stack([f.viewmat for f in frames]),
         "weights": out.weights,
         "level": out.level,
-        "sides_0": sides,
         "seen": seen,
+        **Sides.of(sides).arrays("0"),
     }
 
 

@@ -13,18 +13,9 @@ from tg4mm.files import write_atomic
 from tg4mm.measure.measurement import Measurement, SensorResult
 from tg4mm.measure.units import Unit, unit_of
 from tg4mm.measure.write import file_name
+from tg4mm.plotstyle import COLOURS, STYLE
 
-COLOURS = "#0072b2", "#d55e00", "#009e73"  # Okabe and Ito's, told apart by all eyes
 _MARKED = 200  # samples: of a longer record they would run into each other
-STYLE: dict[Any, Any] = {
-    "font.size": 9,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.alpha": 0.25,
-    "svg.hashsalt": "tg4mm",
-    "legend.frameon": False,
-}
 
 
 def write_plots(measurement: Measurement, out: Path) -> list[Path]:

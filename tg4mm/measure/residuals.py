@@ -8,14 +8,14 @@ pictures again.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from tg4mm.capture.pictures import over_white
-from tg4mm.motion.jacobian.packed import DOF
+from tg4mm.measure.sides import HALVES
 from tg4mm.motion.jacobian.view import ViewJacobian
 from tg4mm.motion.nuisance import Nuisance, Projection, without
 from tg4mm.motion.observations import Observations, PosedFrames
@@ -23,7 +23,6 @@ from tg4mm.motion.split_half import LEAST, chessboard
 
 AT_ONCE = 8  # frames
 _SMOOTHING_PX = 1.5
-HALVES = 2
 
 
 @dataclass(frozen=True)
@@ -83,7 +82,24 @@ def inverse_noise(energy: np.ndarray) -> np.ndarray:
     """
     smooth = gaussian_filter(energy, _SMOOTHING_PX, mode="reflect")
     level = max(float(smooth.mean()), 1e-12)
-    return np.asarray(1 / (smooth + level), np.float32)
+    own, unit = packed_weights(1 / (smooth + level))
+    return own.astype(np.float32) * unit
+
+
+def packed_weights(weights: np.ndarray) -> tuple[np.ndarray, np.float32]:
+    """Weights [...] as float16 and the power of two that they are multiplied by; once packed they stay the same."""
+    unit = np.float32(2.0 ** np.ceil(np.log2(max(float(weights.max()), 1e-30))))
+    return (weights / unit).astype(np.float16), unit
+
+
+def packed_mean(mean: np.ndarray) -> np.ndarray:
+    """A picture's values, 0 … 1, as int16 in steps of 1 / 65535."""
+    return (np.rint(np.clip(mean, 0, 1) * 65535) - 32768).astype(np.int16)
+
+
+def unpacked_mean(packed: np.ndarray) -> np.ndarray:
+    """float32 of `packed_mean`."""
+    return (packed.astype(np.float32) + 32768) / np.float32(65535)
 
 
 def weighed(
@@ -115,11 +131,3 @@ def shown_fields(view: ViewJacobian, fields: np.ndarray) -> np.ndarray:
     if not len(fields):
         return np.zeros((0, *view.transmittance.shape, 3), np.float32)
     return np.array(view.jvp(fields))
-
-
-Room = Callable[[tuple[int, ...]], np.ndarray]  # an array of zeros, in memory or, if it is large, on disk
-
-
-def total_bytes(n_frames: Sequence[int], n_gaussians: int) -> int:
-    """Of what is kept of all clocks."""
-    return HALVES * sum(n_frames) * n_gaussians * DOF * 4

@@ -41,6 +41,7 @@ class Series:
     unit_variance: np.ndarray  # [3] (A⁻¹)_kk, mean over time: how well the pictures tell each direction
     noise_factor: np.ndarray  # [3] variance over unit_variance, one for independent noise of known pixels
     model_share: np.ndarray  # [3] standard deviation of the model's errors over the motion's length
+    false_share: np.ndarray  # [3] what the scene at rest, where it is wrong, hides of a motion of unit length
 
     @property
     def is_observed(self) -> np.ndarray:
@@ -69,8 +70,9 @@ def series_of(
 ) -> Series:
     """The answer of one body on one clock. `slow` [S, F]: functions of time to take out of it (a moving camera's)."""
     dof = 6 if _tells_rotation(equations) else 3
-    answers = [_solved(equations.normals[h], equations.sides[h], dof) for h in (0, 1)]
-    whole, variance = _solved(equations.normals.sum(0), equations.sides.sum(0), dof)
+    normals, noise, sides = equations.normals, equations.noise, equations.sides
+    answers = [_solved(normals[h], noise[h], sides[h], dof) for h in (0, 1)]
+    whole, variance = _solved(normals.sum(0), noise.sum(0), sides.sum(0), dof)
     out = _without(whole, slow)
     difference = _without(answers[0][0] - answers[1][0], slow)
     # What goes with the motion is an error of the model in each half, not noise: it must not lift the floor.
@@ -87,34 +89,51 @@ def series_of(
     deviation = np.sqrt(factor * variance)
     deviation[np.isnan(deviation)] = np.inf
     out = np.where(np.isfinite(deviation), out, 0.0)
+    false = _false_share(equations, dof)
     turns = (out[:, 3:] / radius, deviation[:, 3:] / radius) if dof == 6 else (None, None)
     return Series(
         clock, times_s, out[:, :3], deviation[:, :3], deviation[:, :3], axes, labels, turns[0], turns[1],
-        variance[:, :3].mean(0), factor[:3], share,
+        variance[:, :3].mean(0), factor[:3], share, false,
     )  # fmt: skip
 
 
-def _solved(normals: np.ndarray, sides: np.ndarray, dof: int) -> tuple[np.ndarray, np.ndarray]:
-    """[F, dof] answers and variances at unit noise (inf where nothing is seen), of the first unknowns alone."""
-    a = normals[:, :dof, :dof]
-    values, vectors = np.linalg.eigh(a)
-    is_seen = values > UNSEEN * np.maximum(values[:, -1:], 1e-30)
-    inverse = np.where(is_seen, 1 / np.where(is_seen, values, 1), 0)
-    turned = np.einsum("fij,fi->fj", np.broadcast_to(vectors, (len(sides), dof, dof)), sides[:, :dof])
-    answer = np.einsum("fij,fj->fi", np.broadcast_to(vectors, (len(sides), dof, dof)), inverse * turned)
-    variance = np.einsum("fij,fj,fij->fi", vectors, inverse, vectors)
-    hidden = np.einsum("fij,fj,fij->fi", vectors, (~is_seen).astype(float), vectors)
-    variance = np.where(hidden > 0.5, np.inf, variance)
-    return answer, np.broadcast_to(variance, answer.shape).copy()
+def _solved(
+    normals: np.ndarray, noise: np.ndarray, sides: np.ndarray, dof: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """[F, dof] answers A⁻¹ b and variances at unit noise A⁻¹ B A⁻ᵀ (inf where nothing is seen), of the first unknowns.
+
+    normals A, noise B [F or 1, 6, 6], sides b [F, 6]. What is seen is told by B, and A is inverted on that.
+    """
+    answers, variances = [], []
+    for a, b in zip(normals[:, :dof, :dof], noise[:, :dof, :dof], strict=True):
+        values, vectors = np.linalg.eigh(b)
+        is_seen = values > UNSEEN * max(values[-1], 1e-30)
+        seen = vectors[:, is_seen]
+        inverse = seen @ np.linalg.pinv(seen.T @ a @ seen, rcond=UNSEEN) @ seen.T
+        hidden = (vectors[:, ~is_seen] ** 2).sum(1)
+        answers.append(inverse)
+        variances.append(np.where(hidden > 0.5, np.inf, np.diag(inverse @ b @ inverse.T)))
+    answer = np.einsum("fij,fj->fi", np.broadcast_to(answers, (len(sides), dof, dof)), sides[:, :dof])
+    return answer, np.broadcast_to(variances, answer.shape).copy()
+
+
+def _false_share(equations: Equations, dof: int) -> np.ndarray:
+    """[3]: root of the sum of squares of A⁻¹ F by rows, over true motions across what is seen; at most 1.
+
+    By how much the answer along an axis misses a motion of unit length in a direction that is told or hidden alike.
+    """
+    a = equations.normals.sum(0).mean(0)[:dof, :dof]
+    share = (np.linalg.pinv(a, rcond=UNSEEN) @ equations.false[:dof, :3])[:3]
+    return np.minimum(np.sqrt((share**2).sum(1)), 1.0)
 
 
 def _tells_rotation(equations: Equations) -> bool:
     """Whether the region is large enough: translations stay as sure as without rotations, and these are told."""
-    a = equations.normals.sum(0).mean(0)
+    a = equations.noise.sum(0).mean(0)
     if np.linalg.eigvalsh(a)[0] <= 1e-9 * np.trace(a):
         return False
     with_turns, alone = np.diag(np.linalg.inv(a)), np.diag(np.linalg.pinv(a[:3, :3]))
-    halves = all(np.linalg.eigvalsh(n.mean(0))[0] > 1e-9 * np.trace(a) for n in equations.normals)
+    halves = all(np.linalg.eigvalsh(n.mean(0))[0] > 1e-9 * np.trace(a) for n in equations.noise)
     is_sure = bool((with_turns[:3] <= _SURE**2 * alone).all())
     return halves and is_sure and bool(with_turns[3:].max() <= _TURNS**2 * with_turns[:3].max())
 

@@ -29,7 +29,7 @@ class Shape:
 
 def shapes_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[Shape, ...]:
     """At the peaks of all sensors together, strongest first, where the run's modes move at all."""
-    motion = scene.motion
+    motion = scene.fit.motion
     if motion is None or not len(motion.freqs_hz):
         return ()
     resolution = 1 / scene.observations.duration_s
@@ -41,7 +41,7 @@ def shapes_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[Shape, 
     for _, f in sorted(found, reverse=True):
         if all(abs(f - other) > _SAME * resolution for other in hz):
             hz.append(f)
-    deviation = scene.run.load_uncertainty()
+    deviation = scene.fit.uncertainty.get("displacement")
     out = []
     for f in hz[:_MOST]:
         phasors = _phasors(scene, f, resolution)
@@ -55,7 +55,7 @@ def shapes_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[Shape, 
 
 def _phasors(scene: Prepared, frequency_hz: float, resolution: float) -> np.ndarray:
     """[N, 3] of all modes within three quarters of a bin: a sinusoid off the bins has its own, or is in two."""
-    motion = scene.motion
+    motion = scene.fit.motion
     assert motion is not None
     near = np.abs(motion.freqs_hz - frequency_hz) <= _SAME * resolution
     if not near.any():

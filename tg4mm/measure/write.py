@@ -42,7 +42,7 @@ def write_json_file(measurement: Measurement, out: Path) -> Path:
         "format": "tg4mm",
         "kind": "measurement",
         "version": 1,
-        "run": str(measurement.prepared.run.path),
+        "run": None if (folder := measurement.prepared.folder) is None else str(folder),
         "unit_scale_m": measurement.unit_scale_m,
         "length_unit": "scene units",
         "printed_unit": unit.name,

@@ -2,5 +2,6 @@
 
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.modes import ModalMotion
+from tg4mm.motion.result import MotionFit
 
-__all__ = ["ModalMotion", "MotionConfig"]
+__all__ = ["ModalMotion", "MotionConfig", "MotionFit"]

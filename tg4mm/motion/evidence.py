@@ -17,7 +17,9 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.motion.observations import Observations, PosedFrames
 from tg4mm.motion.refine import MovedPictures, at_state
 from tg4mm.motion.states import States, state_pictures
+from tg4mm.motion.temporal import TargetImages
 from tg4mm.rasterize import rasterization
+from tg4mm.room import release, room
 
 _ROWS = 64  # of a picture at a time, where pictures are combined
 
@@ -44,12 +46,16 @@ class Evidence:
     within: np.ndarray  # [V, R, H, W, 3] float32: target images of the changes within states
 
     @staticmethod
-    def of(observations: Observations, states: States, images: np.ndarray) -> Evidence:
-        """`images`: target images [V, R, H, W, 3] of the functions of time of `states`; overwritten."""
+    def of(observations: Observations, states: States, targets: TargetImages, used: np.ndarray) -> Evidence:
+        """`used` [R]: which of the target images belong to the functions of time of `states`."""
         pictures = state_pictures(observations, states)
-        for image, seen in zip(images, pictures, strict=True):
-            _add(image, -states.sums.T, seen)
-        return Evidence(observations.frames, states, pictures, images)
+        within = room((len(pictures), len(used), *pictures.shape[2:]))
+        for v, seen in enumerate(pictures):
+            within[v] = targets.of(v, used)
+            _add(within[v], -states.sums.T, seen)
+            release(within)
+            release(pictures)
+        return Evidence(observations.frames, states, pictures, within)
 
     def moved(self, fields: np.ndarray) -> MovedPictures:
         """With the motion of fields [R, N, 6]."""
@@ -59,15 +65,19 @@ class Evidence:
     def remaining(self, gaussians: Gaussians, fields: np.ndarray, device: str) -> tuple[np.ndarray, Errors]:
         """[V, K, H, W, 3]: pictures less what is rendered, each less its mean over time; and how much that is."""
         left = rendered(gaussians, self.moved(fields), device)
-        np.subtract(self.pictures, left, out=left)
-        whole = self._squares(left)
         share = (self.states.count / self.states.count.sum()).astype(np.float32)
-        for of_camera in left:
+        whole = changes = 0.0
+        for of_camera, seen in zip(left, self.pictures, strict=True):
+            np.subtract(seen, of_camera, out=of_camera)
+            whole += self._squares(of_camera)
             of_camera -= np.tensordot(share, of_camera, 1)
-        return left, Errors(self._squares(left), whole)
+            changes += self._squares(of_camera)
+            release(left)
+            release(self.pictures)
+        return left, Errors(changes, whole)
 
-    def _squares(self, left: np.ndarray) -> float:
-        squares = [float(np.einsum("vhwc,vhwc->", s, s, dtype=np.float64)) for s in left.swapaxes(0, 1)]
+    def _squares(self, of_camera: np.ndarray) -> float:
+        squares = [float(np.einsum("hwc,hwc->", s, s, dtype=np.float64)) for s in of_camera]
         return float(squares @ self.states.count)
 
     def target(self, v: int, left: np.ndarray, own: np.ndarray, shown: np.ndarray) -> np.ndarray:
@@ -84,6 +94,8 @@ class Evidence:
         mixed[:, own] = sums.T
         _add(changes, mixed, left[v])
         _add(changes, mix, shown)
+        release(self.within)
+        release(left)
         return changes
 
 
@@ -97,14 +109,14 @@ def _add(images: np.ndarray, matrix: np.ndarray, pictures: np.ndarray) -> None:
 
 @torch.no_grad()
 def rendered(gaussians: Gaussians, seen: MovedPictures, device: str) -> np.ndarray:
-    """[V, K, H, W, 3] float32: what the cameras see of the Gaussians moved to every state, over white."""
+    """[V, K, H, W, 3] float32 (`room`): what the cameras see of the Gaussians moved to every state, over white."""
     height, width = seen.pictures.shape[2:4]
     there = gaussians.to(device)
     viewmats, Ks = (
         torch.from_numpy(np.stack([getattr(c, name) for c in seen.cameras])).to(device)
         for name in ("viewmat", "K")
     )
-    out = np.empty_like(seen.pictures)
+    out = room(seen.pictures.shape)
     for k, motion in enumerate(seen.motions):
         g = at_state(there, torch.from_numpy(motion).to(device))
         for v in range(len(viewmats)):
@@ -113,4 +125,5 @@ def rendered(gaussians: Gaussians, seen: MovedPictures, device: str) -> np.ndarr
                 width, height, sh_degree=g.sh_degree, backgrounds=torch.ones(1, 3, device=device),
             )  # fmt: skip
             out[v, k] = rgb[0].cpu().numpy()
+            release(out)
     return out

@@ -45,6 +45,7 @@ from tg4mm.progress import progress
 ABOVE_PX = 0.7  # motion up to so many pixels is in the linear range
 KNOTS = 5  # at most: each costs as much as the problem at rest
 KNOT_PX = 0.7  # states less apart share one
+VIEW_BYTES = 1 << 30  # of the views at all knots: more lie in temporary files
 _FOR_WEIGHT = 6  # iterations for the candidate weights: what is left after an iteration tells less of them
 _COMPONENTS = 8  # that are fitted, at least, where there are as many
 _FALL = 0.05  # of the misfit: what falls by less is not worth another iteration
@@ -142,7 +143,7 @@ class GaussNewton:
         start[:, self.linear] = fields
         shapes, _ = wiener_shrink(start)
         states, _ = states_moved(views, self.basis, shapes, self.size)
-        evidence = Evidence.of(self.observations, states, self.targets.images[:, self.used])
+        evidence = Evidence.of(self.observations, states, self.targets, self.used)
         errors = evidence.remaining(gaussians, shapes, self.device)[1]
         state, misfits = GaussNewtonState(gaussians, start, weight, errors), [errors.changes]
         units = len(self.folds) * self.iterations * self._costs + self.refining
@@ -214,7 +215,8 @@ class GaussNewton:
         shapes, _ = wiener_shrink(state.fields)
         weight = state.smoothness_weight
         if not self.config.smoothness_weight and len(self.folds) == 2:
-            target = self.target_at_rest(views, state.gaussians, shapes, evidence)[:, :1].copy()
+            at_rest = self.targets_at_rest(views, state.gaussians, shapes, evidence)
+            target = np.stack([own[:1].copy() for own in at_rest])
             iterations = round(_FOR_WEIGHT * more_iterations(len(state.gaussians)))
             weight = chosen_weight(target, problem, self.folds, self.weights, iterations)
         knots = self._knots(state.gaussians, views, shapes, evidence)
@@ -242,7 +244,10 @@ class GaussNewton:
             own = np.flatnonzero(knots.of == knot)
             share = states.count[own] / states.count[own].sum()
             motion = torch.from_numpy(np.tensordot(share, motions[own], 1).astype(np.float32))
-            moved = self.at_rest(at_state(gaussians, motion))
+            there = at_state(gaussians, motion)
+            is_large = len(knots.gains) * sum(view.nbytes for view in views) > VIEW_BYTES
+            each = (view_jacobian(there, camera, self.size) for camera in self.observations.frames)
+            moved = [view.stored() if is_large else view for view in each]
             out.append(_Knot(moved, own, _root(states.products[own].sum(0))))
         return out
 
@@ -285,15 +290,13 @@ class GaussNewton:
         """The views of all cameras."""
         return [view_jacobian(gaussians, camera, self.size) for camera in self.observations.frames]
 
-    def target_at_rest(
+    def targets_at_rest(
         self, views: Sequence[ViewJacobian], gaussians: Gaussians, shapes: np.ndarray, evidence: Evidence
-    ) -> np.ndarray:
-        """[V, R, H, W, 3]: the target images that the motion explains when linearised at rest."""
+    ) -> Iterator[np.ndarray]:
+        """[R, H, W, 3] of one view after the other: the target images that the motion explains at rest."""
         left, _ = evidence.remaining(gaussians, shapes, self.device)
         everything = np.arange(len(evidence.states.gains))
-        return np.stack(
-            [evidence.target(v, left, everything, view.jvp(shapes)) for v, view in enumerate(views)]
-        )
+        return (evidence.target(v, left, everything, view.jvp(shapes)) for v, view in enumerate(views))
 
 
 @dataclass(frozen=True)
@@ -309,7 +312,9 @@ def _targets(
     """C_lᵀ times the target images [R, H, W, 3] of each knot and view, one at a time: all are gigabytes at 1080p."""
     for knot in knots:
         for v in fold.views:
-            yield evidence.target(v, left, knot.states, knot.views[v].jvp(shapes))
+            shown = knot.views[v].jvp(shapes)
+            knot.views[v].release()
+            yield evidence.target(v, left, knot.states, shown)
 
 
 def _root(products: np.ndarray) -> np.ndarray:

@@ -82,7 +82,7 @@ def noise_components(targets: TargetImages, problem: Problem, folds: Sequence[Fo
     for first in range(0, targets.images.shape[1], _AT_ONCE):
         some = slice(first, first + _AT_ONCE)
         a, b = (
-            _displacements(operator, (targets.images[v, some] for v in fold.views))
+            _displacements(operator, (targets.of(v, some) for v in fold.views))
             for operator, fold in zip(operators, folds, strict=True)
         )
         gains.append(reliability((a + b) / 2, a, b))

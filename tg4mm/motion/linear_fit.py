@@ -8,7 +8,7 @@ difference that this makes: A δ = b − A x − Jᵀ W (what is beyond). Togeth
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -30,7 +30,7 @@ TOGETHER = (
 )
 _SECOND = 0.7  # of the iterations
 # of one fold p, given its fields [R, N, 6] of the first pass and some of the components: pictures of each of its views
-Correction = Callable[[int, np.ndarray, slice], Sequence[np.ndarray]]
+Correction = Callable[[int, np.ndarray, slice], Iterable[np.ndarray]]
 
 
 @dataclass(frozen=True)
@@ -76,9 +76,9 @@ class LinearFit:
         n, step = len(self.hyper.signal), TOGETHER if self.problem.device == "cpu" else 1
         return [slice(a, min(a + step, n)) for a in range(0, n, step)]
 
-    def _images(self, fold: Fold, some: slice) -> list[np.ndarray]:
+    def _images(self, fold: Fold, some: slice) -> Iterator[np.ndarray]:
         rows = slice(None) if self.targets.mixing is not None else self.hyper.signal[some]
-        return [self.targets.images[v, rows] for v in fold.views]
+        return (self.targets.of(v, rows) for v in fold.views)
 
     def _first(self, p: int) -> Arrays:
         fold, iterations = self.folds[p], self._iterations[0]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -61,7 +61,14 @@ def fit_motion(
     left to the CPU. Raises RunError where no camera sees a Gaussian, Tg4mmError on settings out of range or where the
     device's memory is too small.
     """
-    config = resolved(config or MotionConfig(), len(gaussians))
+    asked = config or MotionConfig()
+    fit = _fitted(gaussians, observations, resolved(asked, len(gaussians)), device, parts)
+    return replace(fit, config=asked)
+
+
+def _fitted(
+    gaussians: Gaussians, observations: Observations, config: MotionConfig, device: str, parts: Parts
+) -> MotionFit:
     if observations.clock == "moving":
         return fit_moving_camera(gaussians, observations, config, device, parts)
     views = rest_views(gaussians, observations)
@@ -199,26 +206,23 @@ class _Synchronous:
     def _correction(self, changes: tuple[np.ndarray, np.ndarray] | None) -> Any:
         """What goes beyond the derivative, for `LinearFit.second_pass`."""
 
-        def pictures(p: int, fields: np.ndarray, some: slice) -> list[np.ndarray]:
-            out = []
+        def pictures(p: int, fields: np.ndarray, some: slice) -> Iterator[np.ndarray]:
             for v in self.folds[p].views:
                 own = self._terms.of(int(v), fields)[some]
                 if changes is not None and self._appearance_fit is not None and changes[0][some].any():
                     own = own + self._appearance_fit.shown(int(v), changes[0][some])
-                out.append(own)
-            return out
+                yield own
 
         return pictures
 
-    def _residuals(self, shapes: np.ndarray, is_small: bool) -> list[np.ndarray]:
+    def _residuals(self, shapes: np.ndarray, is_small: bool) -> Iterator[np.ndarray]:
         """Of the judged views what the shapes leave of the target images, [R, H, W, 3] each."""
-        out = []
         for v in self._judged:
-            left = self.targets.images[v, self.hyper.signal] - self.views[v].jvp(shapes)
+            left = self.targets.of(v, self.hyper.signal)
+            left -= self.views[v].jvp(shapes)
             if is_small:
                 left -= self._terms.of(v, shapes)
-            out.append(without(self.seen.nuisances[v], self.targets.mean[v], left))
-        return out
+            yield without(self.seen.nuisances[v], self.targets.mean[v], left)
 
     @property
     def _judged(self) -> list[int]:
@@ -229,7 +233,7 @@ class _Synchronous:
         self,
         folds: np.ndarray,
         shapes: np.ndarray,
-        residuals: Sequence[np.ndarray],
+        residuals: Iterable[np.ndarray],
         gaussians: Gaussians,
         views: Sequence[ViewJacobian],
     ) -> Uncertainty | None:
@@ -266,8 +270,8 @@ class _Synchronous:
         }
         if len(folds) == 2:
             figures["reliability"] = [round(float(g), 4) for g in gains]
-        target = loop.target_at_rest(views, state.gaussians, shapes, evidence)
-        residuals = [target[v] - views[v].jvp(shapes) for v in self._judged]
+        targets = enumerate(loop.targets_at_rest(views, state.gaussians, shapes, evidence))
+        residuals = (own - views[v].jvp(shapes) for v, own in targets if v in self._judged)
         uncertain = self._uncertainty(state.fields, shapes, residuals, state.gaussians, views)
         return self._result(state.gaussians, self._motion(loop.basis, shapes, None), uncertain, figures)
 

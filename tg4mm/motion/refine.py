@@ -17,6 +17,7 @@ from torch import Tensor
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.animate import rotated
 from tg4mm.motion.jacobian.view import PosedView
+from tg4mm.room import release
 from tg4mm.space.losses import photometric_loss
 from tg4mm.space.parameters import ParameterAdam, activate, stride
 from tg4mm.space.view import render_view
@@ -32,7 +33,7 @@ class MovedPictures:
     """What there is to compare with: K states of T timesteps in V cameras."""
 
     cameras: Sequence[PosedView]
-    pictures: np.ndarray  # [V, K, H, W, 3] float32 over white
+    pictures: np.ndarray  # [V, K, H, W, 3] float32 over white, `room`
     motions: np.ndarray  # [K, N, 6] float32: displacement and rotation vector at each state
     of: np.ndarray  # [T] the state of each timestep
 
@@ -74,6 +75,7 @@ def _compare(adam: ParameterAdam, seen: MovedPictures, v: int, k: int, device: s
     there = at_state(activate(adam.parameters), motion)
     view = render_view(there, viewmat, K, (width, height), there.sh_degree)
     photometric_loss(view.rgb, target, _L2, 0.0).backward()
+    release(seen.pictures)
 
 
 def at_state(gaussians: Gaussians, motion: Tensor) -> Gaussians:

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
 
 from tg4mm.motion.observations import Observations, strips
+from tg4mm.room import release, room
 
 ALIKE_PX = 0.1  # timesteps that differ by less are one state
 MOST = 24  # states, and fewer where their pictures would take more than
@@ -70,13 +71,14 @@ def most_states(n_views: int, size: tuple[int, int]) -> int:
 
 
 def state_pictures(observations: Observations, states: States) -> np.ndarray:
-    """[V, K, H, W, 3] float32: what each synchronous camera saw of each state over white, mean over its timesteps."""
+    """[V, K, H, W, 3] float32 (`room`): mean over the timesteps of each state, by camera, over white."""
     width, height = observations.size
     share = np.zeros((len(states.gains), len(states.of)), np.float32)
     share[states.of, np.arange(len(states.of))] = 1 / states.count[states.of]
-    out = np.empty((len(observations.frames), len(states.gains), height, width, 3), np.float32)
+    out = room((len(observations.frames), len(states.gains), height, width, 3))
     for v, frames in enumerate(observations.frames):
         for rows, strip in strips(observations.pictures, frames):
             flat = share @ strip.reshape(len(strip), -1)
             out[v, :, rows] = flat.reshape(len(flat), *strip.shape[1:])
+        release(out)
     return out

@@ -275,7 +275,7 @@ class _SteadyFit:
         out = np.zeros((len(self.problem.views), len(self.hz)))
         for v, view in enumerate(self.problem.views):
             shown = without(self.problem.nuisances[v], self.targets.mean[v], np.array(view.jvp(shapes)))
-            own = self.targets.images[v]
+            own = self.targets.of(v)
             data = np.tensordot(np.linalg.inv(self.targets.mixing[v]), own, 1)
             for k in range(len(self.hz)):
                 a, b = shown[2 * k : 2 * k + 2], data[2 * k : 2 * k + 2]
@@ -288,10 +288,15 @@ class _SteadyFit:
         """As of synchronous cameras."""
         targets, problem = self.with_phases(phases)
         assert targets.mixing is not None
-        residuals = []
-        for v, view in enumerate(problem.views):
-            left = targets.images[v] - view.jvp(np.tensordot(targets.mixing[v], shapes, 1))
-            residuals.append(without(problem.nuisances[v], targets.mean[v], left))
+        mixing = targets.mixing
+        residuals = (
+            without(
+                problem.nuisances[v],
+                targets.mean[v],
+                targets.of(v) - view.jvp(np.tensordot(mixing[v], shapes, 1)),
+            )
+            for v, view in enumerate(problem.views)
+        )
         frames = self.observations.frames
         found = Found(
             fields.folds, shapes, problem.gaussians, problem.graph.knn, problem.views, frames, residuals

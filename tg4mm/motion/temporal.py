@@ -13,7 +13,7 @@ camera that moves: every frame is a view, with one row C_v of those cosines and 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +22,7 @@ from scipy.ndimage import gaussian_filter
 from tg4mm.motion.nuisance import COLUMNS, Nuisance, inner_products, without
 from tg4mm.motion.observations import Observations, PosedFrames, strips
 from tg4mm.motion.shake import BlockShifts
+from tg4mm.room import release, room
 
 # Bytes of differences, kept from the first look for the second; what is more is composited again
 CACHE_BYTES = 128 << 20
@@ -31,6 +32,7 @@ _MARGIN = 1.1
 _RANK_FOR_NOISE = 7
 _ROUNDING = 1e-7  # of the first component's energy: what sums in float32 leave of nothing
 _SMOOTHING_PX = 1.5  # standard deviation of what evens out estimates of noise
+_IMAGES = 4  # of one view that are worked on together
 
 
 @dataclass(frozen=True)
@@ -39,11 +41,17 @@ class TargetImages:
 
     basis: np.ndarray  # [R, T] float64, orthonormal functions of time; each sums to zero over time
     energy: np.ndarray  # [T] float64, squared pixel values in every component, kept or not
-    images: np.ndarray  # [V, ρ, H, W, 3] float32; ρ = R where mixing is None
+    images: np.ndarray  # [V, ρ, H, W, 3] float32, `room`; ρ = R where mixing is None
     residual: np.ndarray  # [V, H, W] float32, energy of what was not kept, mean over channels
     rank: int  # of what residual and images hold together, functions of time
     mean: np.ndarray  # [V, H, W, 3] float32, over time and over white
     mixing: list[np.ndarray] | None = None  # V of [ρ, R] float32
+
+    def of(self, v: int, rows: slice | np.ndarray = slice(None)) -> np.ndarray:
+        """[r, H, W, 3] in memory: some of view v's images."""
+        out = np.array(self.images[v, rows])
+        release(self.images)
+        return out
 
 
 def kept_components(energy: np.ndarray, rank: int | None = None, pixels: float = 0.0) -> int:
@@ -194,7 +202,7 @@ def _projected(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Of every view the products [V, ρ, H, W, 3] with its functions of time [ρ, F], and the energy [V, H, W] left."""
     width, height = observations.size
-    images = np.empty((len(bases), len(bases[0]), height, width, 3), np.float32)
+    images = room((len(bases), len(bases[0]), height, width, 3))
     total = np.stack(
         [
             t - n.energy(m, c)
@@ -205,10 +213,18 @@ def _projected(
         cached = look.cache.get(v) or _changes(observations, frames, look.mean[v])
         for rows, strip in cached:
             images[v, :, rows] = project(strip, basis)
-        images[v] = without(nuisances[v], look.mean[v], images[v])
-        for image in images[v]:
-            total[v] -= np.einsum("hwc,hwc->hw", image, image) / 3
-    return images, np.maximum(total, 0)
+        for some in _at_once(len(basis)):
+            images[v, some] = without(nuisances[v], look.mean[v], images[v, some])
+            for image in images[v, some]:
+                total[v] -= np.einsum("hwc,hwc->hw", image, image) / 3
+            release(images)
+        nuisances[v].__dict__.pop("pose", None)
+    return images, np.maximum(total, 0, out=total)
+
+
+def _at_once(n: int) -> Iterator[slice]:
+    """Of n images those that are in memory together."""
+    return (slice(first, min(first + _IMAGES, n)) for first in range(0, n, _IMAGES))
 
 
 def _changes(observations: Observations, frames: PosedFrames, mean: np.ndarray):
@@ -247,5 +263,6 @@ def pixel_noise(targets: TargetImages, is_noise: np.ndarray) -> np.ndarray:
     energy = targets.residual if targets.rank > n_kept else np.zeros_like(targets.residual)
     for r in rows:
         energy = energy + np.einsum("vhwc,vhwc->vhw", *2 * [targets.images[:, r]]) / 3
+        release(targets.images)
     sigma = (0, _SMOOTHING_PX, _SMOOTHING_PX)
     return gaussian_filter(energy / np.float32(freedom), sigma, mode="reflect")

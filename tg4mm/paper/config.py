@@ -27,7 +27,7 @@ class PaperConfig:
     iterations: int = setting(20_000, "of phase 1, those of paper.warm_up included", "iterations")
     warm_up: int = setting(
         3_000,
-        "of phase 1, the first, fit the base Gaussians alone, with density control, as [29] does",
+        "of phase 1, the first, fit the base Gaussians alone, with density control, as 4DGS does",
         "iterations",
     )
     motion_iterations: int = setting(7_000, "of phase 2, for each timestep", "iterations")

@@ -130,8 +130,12 @@ def load_model(run: Run) -> PaperModel:
     planes, points = tensors["planes"], tensors["points"]
     if planes.ndim != 4 or planes.shape[0] != 3 or planes.shape[2] != planes.shape[3]:
         raise RunError(f"{file}: planes have shape {tuple(planes.shape)}, expected (3, C, R, R)")
+    box = tensors["box"]
+    if points.ndim != 2 or points.shape[1] != 3 or box.shape != (2, 3):
+        shapes = f"{tuple(points.shape)} and {tuple(box.shape)}"
+        raise RunError(f"{file}: points and box have shapes {shapes}, expected (N, 3) and (2, 3)")
     model = PaperModel(
-        planes, points, tensors["box"], {k: v for k, v in base.items() if v is not None}, Decoder(decoder),
+        planes, points, box, {k: v for k, v in base.items() if v is not None}, Decoder(decoder),
         bool(header.get("residual", True)),
     )  # fmt: skip
     try:

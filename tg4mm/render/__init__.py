@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from tg4mm.lazy import lazily
+from tg4mm.lazy import callable_package, lazily
 
 if TYPE_CHECKING:
     from tg4mm.render.cameras import Camera, cameras_from_file, capture_cameras, look_at_point, orbit
-    from tg4mm.render.image import render_features, render_image
+    from tg4mm.render.image import render, render_features, render_image
     from tg4mm.render.sequence import RenderRequest, render_orbit, render_sequence
 
 __all__ = [
@@ -21,6 +21,7 @@ __all__ = [
     "capture_cameras",
     "look_at_point",
     "orbit",
+    "render",
     "render_features",
     "render_image",
     "render_orbit",
@@ -36,9 +37,12 @@ __getattr__ = lazily(
         "capture_cameras": "cameras",
         "look_at_point": "cameras",
         "orbit": "cameras",
+        "render": "image",
         "render_features": "image",
         "render_image": "image",
         "render_orbit": "sequence",
         "render_sequence": "sequence",
     },
 )
+
+callable_package(__name__)

@@ -12,6 +12,22 @@ from tg4mm.render.cameras import Camera
 WHITE = (1.0, 1.0, 1.0)
 
 
+def render(
+    gaussians: Gaussians, camera: Camera, background: tuple[float, float, float] = WHITE
+) -> np.ndarray:
+    """The picture that a camera takes of Gaussians, by `rasterization`.
+
+    Args:
+        gaussians: of `fit_space` or `animate`; on CUDA they are rendered there.
+        camera: of `capture_cameras`, `orbit` or your own.
+        background: display-referred sRGB, 0..1.
+
+    Returns:
+        [height, width, 3] float32 in 0..1, display-referred sRGB.
+    """
+    return render_image(gaussians, camera.viewmat, camera.K, camera.width, camera.height, background)
+
+
 @torch.no_grad()
 def render_image(
     gaussians: Gaussians,

@@ -8,12 +8,14 @@ import numpy as np
 
 from tg4mm.evaluate.slices import difference_maps
 from tg4mm.report import svg
+from tg4mm.report.charts import CEILING, OURS, STILL, chart
 from tg4mm.report.figures import map_picture
 from tg4mm.report.page import Block, Figure, Section, Table, Text, drawing, picture
 from tg4mm.report.summary import Material, both_lengths, unit_of
 from tg4mm.report.svg import number
 
 _METHODS = (("nothing moves", "still"), ("ours", "ours"), ("ceiling", "ceiling"))  # name, CSS class
+_COLOURS = {"still": STILL, "ours": OURS, "ceiling": CEILING}
 _SCORES = (
     ("psnr_db", "PSNR (dB) ↑", ".2f"),
     ("ssim", "SSIM ↑", ".4f"),
@@ -60,12 +62,23 @@ def _reminder(scored: list[dict[str, Any]]) -> Block:
 
 
 def _score_curves(scored: list[dict[str, Any]]) -> Block:
-    series = []
-    for name, style in _METHODS:
-        values = [entry["rows"].get(name, {}).get("ssim") for entry in scored]
-        if any(value is not None for value in values):
-            series.append(svg.Series(name, values, style))
-    chart = svg.score_chart([f"{e['alpha']:g}" for e in scored], series, "magnification factor α", "SSIM")
+    def draw(axes: Any) -> None:
+        for name, style in _METHODS:
+            values = [entry["rows"].get(name, {}).get("ssim") for entry in scored]
+            if any(value is not None for value in values):
+                axes.plot(
+                    places,
+                    [np.nan if v is None else v for v in values],
+                    "o-",
+                    color=_COLOURS[style],
+                    label=name,
+                )
+        axes.set_xticks(places, [f"{entry['alpha']:g}" for entry in scored])
+        axes.set(xlabel="magnification factor α", ylabel="SSIM")
+        axes.legend(ncols=len(_METHODS))
+
+    places = range(len(scored))
+    curves = chart(draw, "SSIM over magnification factor α")
     caption = (
         "SSIM of magnified test views against ground truth (1 is identical; 11 × 11 Gaussian window, σ = "
         "1.5; "
@@ -73,7 +86,7 @@ def _score_curves(scored: list[dict[str, Any]]) -> Block:
         "Gaussians: "
         "what is lost there is the static model's, and the changes of light that it does not show."
     )
-    return Figure([drawing(chart)], caption, width="narrow")
+    return Figure([drawing(curves)], caption, width="narrow")
 
 
 def _score_table(metrics: dict[str, Any], scored: list[dict[str, Any]]) -> Block:

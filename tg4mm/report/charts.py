@@ -11,7 +11,7 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
-from tg4mm.measure.plots import COLOURS, STYLE
+from tg4mm.plotstyle import COLOURS, STYLE
 
 # Colours that nothing else is drawn in, and the variables that take their places.
 INK, MUTED, RULE, OURS, CEILING, STILL, CARD = (f"#0a0b{k:02x}" for k in range(1, 8))
@@ -23,7 +23,7 @@ _VARIABLES = {
     CEILING: "--ceiling",
     STILL: "--still",
     CARD: "--paper",
-    "#777777": "--muted",  # of `measure.plots`
+    "#777777": "--muted",  # of grey lines in `measure.plots`
     **{colour: f"--axis-{k}" for k, colour in enumerate(COLOURS, 1)},
 }
 _CONTEXT: dict[Any, Any] = {

@@ -1,5 +1,7 @@
 """Colour maps of even lightness, made in OKLab: one for amounts, one that closes on itself for phases.
 
+The report, the viewer and the extension for Blender all take theirs from here. Needs numpy alone.
+
 OKLab: B. Ottosson, "A perceptual color space for image processing" (2020).
 """
 
@@ -54,6 +56,18 @@ def phase_colours(phase: np.ndarray) -> np.ndarray:
     return srgb_of_oklch(
         np.full(np.shape(phase), 0.72), np.full(np.shape(phase), 0.125), np.degrees(phase) + 250.0
     )
+
+
+STILL = 0.55  # sRGB grey of what moves too little to have a phase
+STILL_BELOW, MOVES_ABOVE = (
+    0.1,
+    0.2,
+)  # of the scale's top: grey below, a phase's colour above, a mixture between
+
+
+def phase_share(part: np.ndarray) -> np.ndarray:
+    """How much of a phase's colour is shown, 0..1, of what moves by `part` of the scale's top, any shape."""
+    return np.clip((part - STILL_BELOW) / (MOVES_ABOVE - STILL_BELOW), 0.0, 1.0)
 
 
 def hex_colour(rgb: np.ndarray) -> str:

@@ -10,7 +10,7 @@ from PIL import Image, ImageDraw
 
 from tg4mm.evaluate.slices import Axis, most_moving_line, space_time_slice
 from tg4mm.render.frames import to_bytes
-from tg4mm.report.colour import amount_colours, phase_colours
+from tg4mm.report.colour import STILL, amount_colours, phase_colours, phase_share
 
 MARK = (217, 72, 15)
 
@@ -92,8 +92,8 @@ def map_picture(values: np.ndarray, top: float, opacity: np.ndarray | None = Non
 
 def phase_picture(phase: np.ndarray, strength: np.ndarray, opacity: np.ndarray) -> np.ndarray:
     """Phases [H, W] in radians as hues, fading to grey where `strength` (0..1) is small: [H, W, 4] uint8."""
-    weight = np.clip((strength - 0.1) / 0.1, 0.0, 1.0)[..., None]
-    colours = weight * phase_colours(phase) + (1 - weight) * 0.55
+    weight = phase_share(strength)[..., None]
+    colours = weight * phase_colours(phase) + (1 - weight) * STILL
     return to_bytes(np.concatenate([colours, np.clip(opacity, 0, 1)[..., None]], -1))
 
 

@@ -174,8 +174,8 @@ def missing(reason: str, label: str = "") -> Panel:
     return Panel("missing", label, alt=reason)
 
 
-def render_page(page: Page) -> str:
-    """The page as one HTML document without anything to load."""
+def render_page(page: Page, more_style: str = "", more_script: str = "") -> str:
+    """The page as one HTML document without anything to load; CSS and JavaScript may be added."""
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(_HERE),
         autoescape=True,
@@ -185,4 +185,5 @@ def render_page(page: Page) -> str:
     )
     # Our own files, not data: they go in as they are.
     style, script = (Markup((_HERE / name).read_text(encoding="utf-8")) for name in ("style.css", "sync.js"))
+    style, script = style + Markup(more_style), script + Markup(more_script)
     return environment.get_template("template.html").render(page=page, style=style, script=script)

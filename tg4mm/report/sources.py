@@ -11,6 +11,7 @@ import numpy as np
 from tg4mm.capture import Capture, load_images
 from tg4mm.errors import RunError
 from tg4mm.evaluate.weights import blending_weights
+from tg4mm.files import json_digest
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.modes import ModalMotion
 from tg4mm.render.frames import to_bytes
@@ -96,7 +97,7 @@ def _made(run: Run) -> float:
 
 def _checked(path: Path) -> dict[str, Any]:
     try:
-        found = read_json(path)
+        found = read_json(path, finite=True)
     except ValueError:
         raise RunError(f"{path} is not JSON; delete it, and the report evaluates the run again") from None
     if not isinstance(found, dict) or found.get("format") != "tg4mm-metrics":
@@ -104,6 +105,9 @@ def _checked(path: Path) -> dict[str, Any]:
         raise RunError(
             f"{path} has the format {kind!r}, expected 'tg4mm-metrics'; delete it to evaluate again"
         )
+    digest = found.get("digest")  # absent from figures of before there was one
+    if digest is not None and digest != json_digest({k: v for k, v in found.items() if k != "digest"}):
+        raise RunError(f"{path} is damaged or edited; delete it, and the report evaluates the run again")
     return found
 
 

@@ -65,40 +65,6 @@ def _superscript(value: int) -> str:
     return str(value).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
-def bar_chart(
-    positions: Sequence[float],
-    heights: Sequence[float],
-    highlighted: Sequence[bool],
-    x_label: str,
-    y_label: str,
-    markers: Sequence[float | None] | None = None,
-) -> Markup:
-    """Vertical bars at labelled positions; `markers` draws a line across each bar (the true value)."""
-    known = [m for m in markers or () if m is not None]
-    top = max([*heights, *known, 0.0]) * 1.08 or 1.0
-    spread = (WIDTH - LEFT - RIGHT) / max(len(positions), 1)
-    bar = min(46.0, spread * 0.6)
-    parts = [_frame(y_label, x_label), _y_axis(0.0, top)]
-    every = max(1, math.ceil(len(positions) / 16))
-    for i, (position, height) in enumerate(zip(positions, heights, strict=True)):
-        x = LEFT + (i + 0.5) * spread
-        y = _y(height, 0.0, top)
-        tip = f"{number(position)}: {number(height)}"
-        style = "ours" if highlighted[i] else "still"
-        parts.append(
-            Markup(
-                '<rect class="fill-{}" x="{:.1f}" y="{:.1f}" width="{:.1f}" height="{:.1f}" rx="1.5">'
-            ).format(style, x - bar / 2, y, bar, max(_y(0.0, 0.0, top) - y, 0.5))
-            + Markup("<title>{}</title></rect>").format(tip)
-        )
-        true = markers[i] if markers else None
-        if true is not None:
-            parts.append(_line(x - bar * 0.75, _y(true, 0, top), x + bar * 0.75, _y(true, 0, top), "ceiling"))
-        if i % every == 0:
-            parts.append(_text(x, HEIGHT - BOTTOM + 18, number(position), "middle"))
-    return _svg(parts, f"{y_label} over {x_label}")
-
-
 def score_chart(x_names: Sequence[str], series: Sequence[Series], x_label: str, y_label: str) -> Markup:
     """Curves over named positions, evenly spaced, each labelled at its right end.
 

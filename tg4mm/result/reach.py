@@ -40,10 +40,17 @@ class Reach:
 
 
 def reach_of(
-    gaussians: Gaussians, motion: ModalMotion, seen: Seen, noise_px: float | None, gains: np.ndarray
+    gaussians: Gaussians,
+    motion: ModalMotion,
+    seen: Seen,
+    noise_px: float | None,
+    gains: np.ndarray,
+    is_decoded: bool = False,
 ) -> Reach:
     """Of the modes as `gains` [K] multiplies them; 0: a mode that does not count. noise_px: at gain 1.
 
+    `is_decoded`: magnified poses come from a network (`paper`), for which phasors do not stand. That turns single
+    Gaussians by radians where nothing in the scene turns, so that turning and shearing tell no limit: turn is 0.
     Modes of different frequencies are added as powers: their peaks seldom meet.
     """
     means = gaussians.means.numpy()
@@ -53,6 +60,8 @@ def reach_of(
     for k in np.flatnonzero(gains):
         moved, turned = (gains[k] * phasors[k] for phasors in (motion.displacement, motion.rotation))
         pixels2 += (seen.pixels(moved) or 0.0) ** 2
+        if is_decoded:
+            continue
         apart = moved[rows][near] - moved[rows][:, None]
         strain2 += _second_largest((np.abs(apart) ** 2).sum(-1) / distance**2)
         turn2 += peak_displacement(turned[rows]) ** 2

@@ -181,7 +181,8 @@ class Reading:
         if self.motion is None:
             return None
         told = worth_keeping(self.motion, self.uncertainty.get("noise"))
-        return reach_of(self.gaussians, self.motion, self.seen, self._noise(self.seen)[1], gains * told)
+        noise_px, is_decoded = self._noise(self.seen)[1], self.run.preset != "modal"
+        return reach_of(self.gaussians, self.motion, self.seen, noise_px, gains * told, is_decoded)
 
     def _cannot(self, motion: ModalMotion, vibrations: tuple[Vibration, ...]) -> tuple[str, ...]:
         duration = motion.n_timesteps / motion.fps

@@ -32,7 +32,7 @@ class SfmConfig:
         None  # pixels, a first guess that is refined; None: EXIF, or 1.2 × the longer side
     )
     each: bool = False  # every photograph or fixed camera has intrinsics of its own, else all share them
-    matching: str = "auto"  # sequential for more than EXHAUSTIVE_MOST frames of one video, else exhaustive
+    matching: str = "auto"  # all pairs of few pictures, of many those alike or, of a video, neighbours
     frames: int | None = (
         None  # sharp ones that a moving camera's poses are first found from; None: one of a window
     )

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from plyfile import PlyData, PlyElement
 
 from tg4mm.capture.model import SurfacePoints
+from tg4mm.capture.points import write_points
 from tg4mm.errors import CaptureError
 from tg4mm.files import write_atomic, write_json
 from tg4mm.progress import Update, progress
@@ -150,13 +150,3 @@ def _frame(split: str, track: Track, t: int) -> dict[str, Any]:
         "h": height,
     }
     return frame if track.times_s is None else frame | {"time": float(track.times_s[t])}
-
-
-def write_points(path: Path, points: SurfacePoints) -> None:
-    """points3d.ply, binary: x y z float, red green blue uchar."""
-    fields = [*((name, "f4") for name in "xyz"), *((name, "u1") for name in ("red", "green", "blue"))]
-    rows = np.zeros(len(points.xyz), dtype=fields)
-    for k, (axis, colour) in enumerate(zip("xyz", ("red", "green", "blue"), strict=True)):
-        rows[axis], rows[colour] = points.xyz[:, k], points.rgb[:, k]
-    data = PlyData([PlyElement.describe(rows, "vertex")])
-    write_atomic(path, lambda temporary: data.write(str(temporary)))

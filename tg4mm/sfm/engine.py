@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 from collections.abc import Sequence
+from itertools import groupby
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import ModuleType
@@ -15,6 +17,9 @@ from tg4mm.progress import progress
 PAIRS_AT_ONCE = 64  # matched between two reports of progress; what a kill loses
 # COLMAP's default, spelt out: a picture of 12 megapixels with more takes minutes per pair to match.
 MAX_FEATURES = 8192
+# Longer side from which pictures are searched as they are: they have MAX_FEATURES without the smallest ones, of which
+# COLMAP drops those too many. Others are doubled first, for more and finer features.
+LARGE_PX = 3000
 
 
 def available() -> bool:
@@ -46,26 +51,40 @@ def extract(
     options = c.FeatureExtractionOptions()
     options.num_threads, options.use_gpu = threads, False
     options.sift.max_num_features = MAX_FEATURES
+    with opened(database) as db:
+        large = {name: _is_large(db, name) for name in names}
     counts = []
+    at_once = threads if threads > 0 else os.cpu_count() or 1
     with progress("features", len(names), "pictures") as update:
-        for i, name in enumerate(names):
-            c.extract_features(
-                database,
-                images,
-                [name],
-                reader_options=reader,
-                extraction_options=options,
-                device=c.Device.cpu,
-            )
-            counts.append(_feature_count(database, name))
-            update(i + 1, features=sum(counts))
+        for is_large, alike in groupby(names, key=large.__getitem__):
+            options.sift.first_octave = 0 if is_large else -1
+            for some in _parts(list(alike), at_once):
+                c.extract_features(
+                    database,
+                    images,
+                    some,
+                    reader_options=reader,
+                    extraction_options=options,
+                    device=c.Device.cpu,
+                )
+                counts += _feature_counts(database, some)
+                update(len(counts), features=sum(counts))
     return counts
 
 
-def _feature_count(database: Path, name: str) -> int:
+def _is_large(db: Any, name: str) -> bool:
+    image = db.read_image_with_name(name)
+    camera = db.read_camera(image.camera_id)
+    return max(camera.width, camera.height) >= LARGE_PX
+
+
+def _parts(values: Sequence[Any], size: int) -> list[Sequence[Any]]:
+    return [values[i : i + size] for i in range(0, len(values), size)]
+
+
+def _feature_counts(database: Path, names: Sequence[str]) -> list[int]:
     with opened(database) as db:
-        image = db.read_image_with_name(name)
-        return 0 if image is None else db.num_keypoints_for_image(image.image_id)
+        return [db.num_keypoints_for_image(db.read_image_with_name(name).image_id) for name in names]
 
 
 def match(database: Path, pairs: Sequence[tuple[str, str]], seed: int, threads: int = 1) -> int:

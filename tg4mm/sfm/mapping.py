@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Sequence
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -13,27 +12,10 @@ from urllib.parse import unquote
 from tg4mm.errors import CaptureError
 from tg4mm.progress import progress
 from tg4mm.sfm.engine import colmap, extract, match
+from tg4mm.sfm.pairs import Pair, left_pairs, likely_pairs
 
-EXHAUSTIVE_MOST = 40  # frames of a sequence; above, each is matched with its neighbours only
-EVERY = 4  # frames of a sequence that other pictures are matched with
-OVERLAP = 12  # neighbours in a sequence, and then those at 2, 4, 8 … times that
 FEWEST_FEATURES = 20  # in a picture, for it to be placed at all
 FEWEST_INLIERS = 15  # that COLMAP asks of the picture it places
-
-
-def picture_pairs(names: Sequence[str], sequence: int = 0) -> list[tuple[str, str]]:
-    """Pairs to match: all, but of the first `sequence` pictures, frames in order, each with the next OVERLAP and then
-    ever rarer ones; others with every EVERY-th of those.
-    """
-    frames, others = list(names[:sequence]), list(names[sequence:])
-    steps = [*range(1, OVERLAP + 1)]
-    step = 2 * OVERLAP
-    while step < len(frames):
-        steps.append(step)
-        step *= 2
-    pairs = [(frames[i], frames[i + s]) for i in range(len(frames)) for s in steps if i + s < len(frames)]
-    pairs += [(frame, other) for frame in frames[::EVERY] for other in others]
-    return pairs + list(combinations(others, 2))
 
 
 def find_poses(
@@ -41,12 +23,13 @@ def find_poses(
     images: Path,
     masks: Path | None,
     names: Sequence[str],
-    pairs: Sequence[tuple[str, str]],
+    pairs: Sequence[Pair] | None,
     seed: int,
     threads: int,
 ) -> Any:
     """The pycolmap Reconstruction of most pictures; features and matches in the database are kept and added to.
 
+    pairs: of pictures to match; None: of those that are alike, and all of pictures that those tie to no others.
     Raises CaptureError where there is too little texture or overlap.
     """
     counts = extract(database, images, names, masks, threads)
@@ -56,7 +39,12 @@ def find_poses(
             f"too little texture: {len(poor)} of {len(names)} pictures have fewer than {FEWEST_FEATURES} features, "
             f"{shown_names(poor)}"
         )
-    if match(database, pairs, seed, threads) == 0:
+    chosen = likely_pairs(database, names) if pairs is None else pairs
+    found = match(database, chosen, seed, threads)
+    left = left_pairs(database, names, chosen) if pairs is None else []
+    if left:
+        found = match(database, left, seed, threads)
+    if found == 0:
         raise CaptureError(f"no two of the {len(names)} pictures overlap: not one pair could be matched")
     return _best_model(database, images, names, seed, threads)
 

@@ -25,14 +25,13 @@ from tg4mm.sfm.flat import write_flat
 from tg4mm.sfm.frames import KEYS, SWEEP_FRAMES, extract_frames, sharp_rows
 from tg4mm.sfm.kind import Kind, check_kind, held, possible_kinds, told_kind
 from tg4mm.sfm.mapping import (
-    EXHAUSTIVE_MOST,
     check_registered,
     find_poses,
-    picture_pairs,
     registered,
     save_model,
     shown_names,
 )
+from tg4mm.sfm.pairs import CHOSEN_FROM, EXHAUSTIVE_MOST, Pair, picture_pairs
 from tg4mm.sfm.place import Placement, clock_of, placed_tracks
 from tg4mm.sfm.register import Workplace, register_frames
 from tg4mm.sfm.request import Work, open_request
@@ -94,9 +93,7 @@ def reconstruct(images: Path, out: Path, config: SfmConfig = DEFAULTS, threads: 
     if config.test_every and kind.name not in ("photos", "rig", "clips"):
         raise Tg4mmError(f"--test-every is {config.test_every}, but {kind.name} has no camera to hold out")
     if config.synchronous and kind.name != "rig":
-        raise Tg4mmError(
-            f"--synchronous is said of the cameras of a rig, but {images} is taken for {kind.name}"
-        )
+        raise Tg4mmError(f"--synchronous is for the cameras of a rig, but {images} is taken for {kind.name}")
     job = _Job(work, sources, surveys, kind, config, threads)
     return _flat(job) if kind.name == "flat" else _posed(job)
 
@@ -107,7 +104,7 @@ def _check_options(sources: Sources, config: SfmConfig) -> None:
         raise Tg4mmError(f"--fps is {config.fps:g}, but photographs have no frame rate")
     if config.synchronous and "rig" not in possible_kinds(sources):
         raise Tg4mmError(
-            f"--synchronous is said of the cameras of a rig, but {sources.path} holds {held(sources)}"
+            f"--synchronous is for the cameras of a rig, but {sources.path} holds {held(sources)}"
         )
     frames = [clip.name for clip in sources.clips if not clip.is_video]
     if frames and config.fps is None and config.kind != "photos":
@@ -226,14 +223,22 @@ def _model(job: _Job, taken: list[Shot]) -> Any:
 
 def _first_model(job: _Job, taken: list[Shot], place: Workplace) -> Any:
     """The pycolmap Reconstruction of these pictures alone, found by trying which fit."""
-    config, names = job.config, [staged_name(shot) for shot in taken]
-    frames = sum(shot.clip != SWEEP for shot in taken) if job.sources.clips else len(taken)
-    ordered = job.kind.name == "handheld" or (job.kind.name == "photos" and bool(job.sources.clips))
-    many = ordered and config.matching == "auto" and frames > EXHAUSTIVE_MOST
-    pairs = picture_pairs(names, frames if many or config.matching == "sequential" else 0)
-    model = find_poses(place.database, place.images, place.masks, names, pairs, config.seed, job.threads)
+    names = [staged_name(shot) for shot in taken]
+    pairs = _pairs(job, taken, names)
+    model = find_poses(place.database, place.images, place.masks, names, pairs, place.seed, job.threads)
     _check_placed(job, taken, registered(model), quiet=True)
     return straightened(model, job.threads)
+
+
+def _pairs(job: _Job, taken: list[Shot], names: list[str]) -> list[Pair] | None:
+    """The pairs to match, None for those that are alike."""
+    matching = job.config.matching
+    frames = sum(shot.clip != SWEEP for shot in taken) if job.sources.clips else len(taken)
+    ordered = job.kind.name == "handheld" or (job.kind.name == "photos" and bool(job.sources.clips))
+    many = ordered and matching == "auto" and frames > EXHAUSTIVE_MOST
+    if many or matching == "sequential":
+        return picture_pairs(names, frames)
+    return None if matching == "auto" and len(names) > CHOSEN_FROM else picture_pairs(names)
 
 
 def _moving_model(job: _Job, taken: list[Shot], place: Workplace) -> Any:

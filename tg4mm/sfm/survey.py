@@ -87,7 +87,7 @@ def survey_clip(clip: Clip, folder: Path, window: Window) -> Survey:
     try:
         return _read(clip, folder, read_record(path).values)
     except (CaptureError, KeyError, TypeError, ValueError, ArithmeticError):
-        raise CaptureError(f"{path}: is damaged or edited; remove it, and a new look is taken") from None
+        raise CaptureError(f"{path}: is damaged or edited; remove it and give the command again") from None
 
 
 def _looked_through(clip: Clip, folder: Path, window: Window) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,9 @@ from torch import Tensor
 from tg4mm.errors import RunError
 from tg4mm.space.config import SpaceConfig
 from tg4mm.space.targets import RestViews
+
+Checkpoint = tuple[dict[str, Tensor], dict[str, Any]]  # tensors, and the rest of the state
+Check = Callable[[Mapping[str, Tensor], Mapping[str, Any]], None]  # raises RunError
 
 
 def pictures_digest(views: RestViews) -> str:
@@ -38,7 +41,7 @@ def check_checkpoint(
     if state.get("pictures") != pictures:
         raise RunError("cameras or pictures of the dataset have changed since")
     _check_state(state, n_views, config)
-    _check_tensors(tensors, state["iteration"], config)
+    _check_tensors(tensors, state["iteration"], n_views, config)
 
 
 def _check_state(state: Mapping[str, Any], n_views: int, config: SpaceConfig) -> None:
@@ -61,11 +64,13 @@ def _whole(value: Any) -> bool:
     return isinstance(value, int) and not isinstance(value, bool)
 
 
-def _check_tensors(tensors: Mapping[str, Tensor], iteration: int, config: SpaceConfig) -> None:
+def _check_tensors(tensors: Mapping[str, Tensor], iteration: int, n_views: int, config: SpaceConfig) -> None:
     n = len(tensors["logits"]) if tensors.get("logits", torch.empty(())).dim() == 1 else 0
     if not 1 <= n <= config.max_gaussians:
         raise RunError(f"it holds {n} Gaussians, expected 1 to {config.max_gaussians}")
     expected = _shapes(n, config.sh_degree, stepped=iteration > 0)
+    if config.gains:
+        expected["gains"] = (n_views, 3)
     found = set(tensors) - {"generator", "draws"}
     if found != set(expected) or "generator" not in tensors:
         raise RunError(f"it holds the tensors {sorted(tensors)}, expected {sorted([*expected, 'generator'])}")
@@ -77,6 +82,8 @@ def _check_tensors(tensors: Mapping[str, Tensor], iteration: int, config: SpaceC
             raise RunError(f"{name} holds a value that is not finite")
         if name.endswith(".v") and bool((tensor < 0).any()):
             raise RunError(f"{name} holds {float(tensor.min()):g}, a mean of squares")
+        if name == "gains" and bool((tensor <= 0).any()):
+            raise RunError(f"gains holds {float(tensor.min()):g}, expected gains above 0")
     if iteration > 0 and float(tensors["adam.step"]) != iteration:
         raise RunError(f"adam.step is {float(tensors['adam.step']):g}, expected the iteration, {iteration}")
     try:

@@ -8,6 +8,7 @@ from tg4mm.settings import setting
 
 MOST_ITERATIONS = 100_000_000  # a year of them
 MOST_GAUSSIANS = 100_000_000  # what a run of 20 GB holds
+MOST_LEVELS = 12
 
 
 @dataclass(frozen=True)
@@ -15,10 +16,21 @@ class SpaceConfig:
     """How the static Gaussians are fitted. Learning rates and their decay: `parameters.py`."""
 
     iterations: int = setting(
-        0, "one view each; 0: 150 · ∛(pixels the object covers in a view), 1,000 … 30,000", "iterations"
+        0,
+        "one view each; 0: 150 · ∛(pixels the object covers in a view), 1,000 … 30,000, half of it where levels > 1",
+        "iterations",
     )
     max_gaussians: int = setting(
         0, "at most; 0: 200 · √(pixels the object covers in a view), 2,000 … 500,000", "Gaussians"
+    )
+    levels: int = setting(
+        0,
+        "sizes of the pictures from coarse to fine, each twice the last; 0: until the coarsest is at most "
+        "600 pixels wide and high",
+    )
+    gains: bool = setting(
+        False,
+        "learn a gain for each picture and channel: for exposures or white balances that differ by 5 % and more",
     )
     sh_degree: int = setting(
         3, "of spherical harmonics, 0 … 3; reached step by step in the first 30 % of the iterations"

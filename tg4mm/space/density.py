@@ -17,9 +17,7 @@ from tg4mm.space.parameters import ParameterRows
 
 EVERY = 50  # iterations
 FIRST = 100  # iteration
-LAST = 0.7  # share of all iterations
 GROWTH = 0.05  # new Gaussians each time, as a share of those there, at least while the budget lasts
-CAUGHT_UP = 0.35  # share of all iterations by which a start far below the budget has reached it
 FADED = 0.005  # opacity below which a Gaussian is removed
 HUGE = 0.5  # largest scale, as a share of the scene's extent, beyond which it is removed
 SHRINK = 1.5  # the two halves of a split are narrower by this factor
@@ -35,17 +33,17 @@ class DensityChange:
     split: int
 
 
-def is_due(iteration: int, iterations: int) -> bool:
-    return iteration >= FIRST and iteration % EVERY == 0 and iteration < LAST * iterations
+def is_due(iteration: int, until: float) -> bool:
+    return iteration >= FIRST and iteration % EVERY == 0 and iteration < until
 
 
-def growth(n: int, max_gaussians: int, iteration: int, iterations: int) -> float:
+def growth(n: int, max_gaussians: int, iteration: int, caught_up: float) -> float:
     """New Gaussians in this round as a share of the n there are.
 
-    `GROWTH`, or as much as reaches the budget by `CAUGHT_UP` in equal steps: from a few hundred points (SfM) the
-    first alone would end far below it. A Gaussian is split at most once a round, so doubling is the most.
+    `GROWTH`, or as much as reaches the budget by iteration `caught_up` in equal steps: from a few hundred points (SfM)
+    the first alone would end far below it. A Gaussian is split at most once a round, so doubling is the most.
     """
-    rounds = max(1, int(CAUGHT_UP * iterations - iteration) // EVERY + 1)
+    rounds = max(1, int(caught_up - iteration) // EVERY + 1)
     return min(1.0, max(GROWTH, (max_gaussians / max(n, 1)) ** (1 / rounds) - 1))
 
 

@@ -16,6 +16,7 @@ from tg4mm.rasterize.kernels.blend import blend_forward
 from tg4mm.rasterize.kernels.blend_backward import blend_backward
 from tg4mm.rasterize.kernels.layout import FEATURES, SPLAT_WIDTH
 from tg4mm.rasterize.kernels.project import pack_camera, project_forward
+from tg4mm.space.gains import EVERY, fitting_gain
 from tg4mm.space.kernels import BETA1, BETA2, activate, compare, scratch_shape, step
 from tg4mm.space.losses import ssim
 from tg4mm.space.parameters import ParameterRows, learning_rates
@@ -23,6 +24,7 @@ from tg4mm.space.view import EPS2D, FAR, NEAR, WHITE
 
 _SHAPES = {"means": (3,), "quats": (4,), "log_scales": (3,), "logits": ()}
 _NOTHING = np.empty((0, 0, 0), np.float32)
+_PLAIN = np.ones(3, np.float32)
 
 
 class FusedAdam(ParameterRows):
@@ -49,10 +51,10 @@ class FusedAdam(ParameterRows):
             out |= {name + kind: value for name, value in _named(arrays).items()}
         return out
 
-    def next_rates(self, progress: float) -> tuple[np.ndarray, np.float32]:
+    def next_rates(self, progress: float, pace: float = 1.0) -> tuple[np.ndarray, np.float32]:
         """Count a step: its step sizes [6] by place in `kernels.step`, and the scale of the second moments' roots."""
         self._steps += 1
-        rates = np.array(list(learning_rates(self._stride, progress).values()))
+        rates = np.array(list(learning_rates(self._stride, progress, pace).values()))
         root = 1 / np.sqrt(1 - BETA2**self._steps)
         return (rates / (1 - BETA1**self._steps)).astype(np.float32), np.float32(root)
 
@@ -85,6 +87,8 @@ class Iteration:
         degree: int,  # of the SH coefficients in use
         progress: float,  # 0..1 of the whole fit
         error: np.ndarray,  # [N], gets each Gaussian's share of the picture's error
+        gain: np.ndarray = _PLAIN,  # [3] of the picture, `gains.py`
+        pace: float = 1.0,  # pixels of the dataset across one of this picture's
     ) -> float:
         """Change `adam` by one step and return the picture's mean squared error before it."""
         take = self._buffers.take
@@ -103,27 +107,41 @@ class Iteration:
         blend_forward(*tiles, image, transmittance, reached=bins.reached)
         v_image, v_transmittance = take("v_image", image.shape), take("v_transmittance", (height, width))
         squares = take("squares", (height,), np.float64)
-        more = self._structure(image, transmittance, target)
+        more = self._structure(image, transmittance, target, gain)
         share = 1 - self._dssim
-        compare(image, transmittance, target, WHITE, share, self._l2, more, v_image, v_transmittance, squares)
+        loss = (share, self._l2, more)
+        compare(image, transmittance, target, WHITE, gain, *loss, v_image, v_transmittance, squares)
         pair_sums = take("pair_sums", (len(bins.pair_gaussian), SPLAT_WIDTH))
         blend_backward(
             *tiles, image, transmittance, v_image, v_transmittance, pair_sums, reached=bins.reached
         )
         v_splats = take("v_splats", splats.shape)
         gather_sums(bins.order, bins.n_visible, bins.gaussian_start, bins.pair_slot, pair_sums, v_splats)
-        rates, root = adam.next_rates(progress)
+        rates, root = adam.next_rates(progress, pace)
         step(
             adam.values, adam.first, adam.second, adam.active, (degree, camera, width, height),
             splats, v_splats, error, rates, root, take("room", scratch_shape(sh.shape[1])),
         )  # fmt: skip
         return float(squares.sum()) / target.size
 
-    def _structure(self, image: np.ndarray, transmittance: np.ndarray, target: np.ndarray) -> np.ndarray:
+    def fitting_gain(self, target: np.ndarray) -> np.ndarray:
+        """[3] that would have suited the last picture best, whose target [H, W, 3] it was."""
+        height, width = target.shape[:2]
+        image = self._buffers.take("image", (height, width, FEATURES))
+        transmittance = self._buffers.take("transmittance", (height, width))
+        every = (slice(None, None, EVERY),) * 2
+        return fitting_gain(
+            image[every][..., :3] + np.float32(WHITE) * transmittance[every][..., None], target[every]
+        )
+
+    def _structure(
+        self, image: np.ndarray, transmittance: np.ndarray, target: np.ndarray, gain: np.ndarray
+    ) -> np.ndarray:
         """Gradient of the D-SSIM term by the picture [H, W, 3], by torch; empty without that term."""
         if self._dssim == 0:
             return _NOTHING
-        rgb = torch.from_numpy(image[..., :3] + np.float32(WHITE) * transmittance[..., None]).requires_grad_()
+        shown = (image[..., :3] + np.float32(WHITE) * transmittance[..., None]) * gain
+        rgb = torch.from_numpy(shown).requires_grad_()
         (self._dssim * (1 - ssim(rgb, torch.from_numpy(target))) / 2).backward()
         assert rgb.grad is not None
         return rgb.grad.numpy()

@@ -21,12 +21,12 @@ MEANS, QUATS, LOG_SCALES, LOGITS, SH0, SHN = range(6)
 
 
 @kernel(parallel=True)
-def compare(image, transmittance, target, white, scale, l2, more, v_image, v_transmittance, squares):
+def compare(image, transmittance, target, white, gain, scale, l2, more, v_image, v_transmittance, squares):
     """Gradient of scale · (L1 + l2 · MSE) by image and transmittance, and the error for the carrier channel.
 
-    The picture is image [H, W, FEATURES] over white, target [H, W, 3]. `more` [H, W, 3] is added to the gradient by
-    the picture; empty: nothing. v_image gets |error|, summed over colours, in its last channel; `squares` [H] the
-    squared errors of every row.
+    The picture is image [H, W, FEATURES] over white, times gain [3]; target [H, W, 3]. `more` [H, W, 3] is added to the
+    gradient by the picture; empty: nothing. v_image gets |error|, summed over colours, in its last channel; `squares`
+    [H] the squared errors of every row.
     """
     height, width = transmittance.shape
     one = float32(scale / (3 * height * width))
@@ -37,11 +37,12 @@ def compare(image, transmittance, target, white, scale, l2, more, v_image, v_tra
             behind = transmittance[y, x] * float32(white)
             error, pull = float32(0.0), float32(0.0)
             for c in range(3):
-                d = image[y, x, c] + behind - target[y, x, c]
+                d = (image[y, x, c] + behind) * gain[c] - target[y, x, c]
                 sign = float32(d > float32(0.0)) - float32(d < float32(0.0))
                 g = one * sign + two * d
                 if len(more) > 0:
                     g += more[y, x, c]
+                g *= gain[c]
                 v_image[y, x, c] = g
                 pull += g
                 error += abs(d)

@@ -61,11 +61,11 @@ def stride(extent: float, width: int, height: int) -> float:
     return extent * min(1.0, _FULL_STRIDE / max(width, height))
 
 
-def learning_rates(stride: float, progress: float) -> dict[str, float]:
+def learning_rates(stride: float, progress: float, pace: float = 1.0) -> dict[str, float]:
     """The rates at `progress` in 0..1 of the whole fit, in the order of `LEARNING_RATES`."""
     decay = _DECAY ** max(0.0, 2 * progress - 1)
     rates = {name: rate * decay for name, rate in LEARNING_RATES.items()}
-    return rates | {"means": LEARNING_RATES["means"] * stride * _MEANS_DECAY**progress}
+    return rates | {"means": LEARNING_RATES["means"] * pace * stride * _MEANS_DECAY**progress}
 
 
 class ParameterRows(ABC):
@@ -115,9 +115,9 @@ class ParameterAdam(ParameterRows):
                     "exp_avg_sq": moments[f"{name}.v"],
                 }
 
-    def step(self, progress: float) -> None:
+    def step(self, progress: float, pace: float = 1.0) -> None:
         """One step with the learning rates at `progress` in 0..1 of the whole fit; gradients are cleared."""
-        rates = learning_rates(self._stride, progress)
+        rates = learning_rates(self._stride, progress, pace)
         for group in self._adam.param_groups:
             group["lr"] = rates[group["name"]]
         self._adam.step()

@@ -25,12 +25,11 @@ from tg4mm.memory import peak_memory_mib
 from tg4mm.progress import progress
 from tg4mm.rasterize import rasterization
 from tg4mm.render.image import render_image
-from tg4mm.runs import Run
 from tg4mm.space.config import SpaceConfig
 from tg4mm.space.parameters import SH_C0
 from tg4mm.space.quadtree import COARSEST, FINEST, Cells, quadtree
 from tg4mm.space.targets import RestViews
-from tg4mm.space.train import checked
+from tg4mm.space.train import SpaceFit, checked
 from tg4mm.space.view import EPS2D, FAR, NEAR, WHITE
 
 PIXELS_PER_GAUSSIAN = 9
@@ -195,15 +194,14 @@ def _psnr(difference: Tensor) -> float:
     return float(-10 * torch.log10((difference**2).mean().clamp_min(1e-10)))
 
 
-def train_plane(run: Run, views: RestViews, config: SpaceConfig, device: str = "cpu") -> Gaussians:
-    """Gaussians on a plane before the one camera of a flat capture, saved in the run. Returns them on the CPU.
+def fit_plane(views: RestViews, config: SpaceConfig | None = None, device: str = "cpu") -> SpaceFit:
+    """Gaussians on a plane before the one camera of a flat capture.
 
     Of the settings, `max_gaussians` counts (0: one for nine pixels, at most `MOST`) and `iterations` (0: `ITERATIONS`,
-    of conjugate gradients). The run's log gets seconds, peak_memory_mib, n_gaussians, iterations, init and psnr_train
-    (dB). It takes seconds, so there is no checkpoint. Raises CaptureError where there is not exactly one camera,
-    Tg4mmError on settings out of range.
+    of conjugate gradients). It takes seconds, so there is no checkpoint. Raises CaptureError where there is not exactly
+    one camera, Tg4mmError on settings out of range.
     """
-    checked(config)
+    config = checked(config or SpaceConfig())
     if len(views.rgb) != 1:
         raise CaptureError(f"a flat capture has one camera that stays put, this one has {len(views.rgb)}")
     reset_gpu_peak(device)
@@ -233,8 +231,7 @@ def train_plane(run: Run, views: RestViews, config: SpaceConfig, device: str = "
         "iterations": iterations,
         "psnr_train": psnr,
     }
-    run.save_space(gaussians, figures)
-    return gaussians
+    return SpaceFit(gaussians, figures)
 
 
 @torch.no_grad()

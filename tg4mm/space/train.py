@@ -1,11 +1,11 @@
-"""The space stage: fit static Gaussians to the rest views, with checkpoints and progress."""
+"""The space stage: static Gaussians fitted to the rest views, with checkpoints and progress."""
 
 from __future__ import annotations
 
 import math
 import time
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -14,16 +14,17 @@ from torch import Tensor
 from tg4mm.capture import SurfacePoints
 from tg4mm.capture.geometry import optical_axes
 from tg4mm.device import full_precision, gpu_figures, reset_gpu_peak
-from tg4mm.errors import RunError, Tg4mmError
+from tg4mm.errors import Tg4mmError
 from tg4mm.gaussians import Gaussians
 from tg4mm.memory import peak_memory_mib
 from tg4mm.progress import progress
-from tg4mm.runs import Run
-from tg4mm.space.checkpoint import check_checkpoint, pictures_digest
-from tg4mm.space.config import MOST_GAUSSIANS, MOST_ITERATIONS, SpaceConfig
+from tg4mm.space.checkpoint import Check, Checkpoint, check_checkpoint, pictures_digest
+from tg4mm.space.config import MOST_GAUSSIANS, MOST_ITERATIONS, MOST_LEVELS, SpaceConfig
 from tg4mm.space.density import control_density, growth, is_due
 from tg4mm.space.fused import FusedAdam, Iteration
+from tg4mm.space.gains import EVERY, fitting_gain, moved
 from tg4mm.space.initial import INITS, initial_points, working_box
+from tg4mm.space.levels import Level, automatic, check_levels, level_at, levels, shrunk, work
 from tg4mm.space.losses import photometric_loss
 from tg4mm.space.parameters import ParameterAdam, activate, initial_parameters, stride
 from tg4mm.space.targets import RestViews
@@ -32,7 +33,6 @@ from tg4mm.space.view import render_view
 CHECKPOINT_EVERY_S = 20.0
 SHOW_EVERY_S = 0.25  # a figure shown is a number fetched from the device, for which the host waits
 FUSED = ("cpu",)  # devices on which `fused.py` makes the iterations; on others torch does
-_STAGE = "space"
 
 
 def checked(config: SpaceConfig) -> SpaceConfig:
@@ -43,6 +43,7 @@ def checked(config: SpaceConfig) -> SpaceConfig:
             config.max_gaussians == 0 or 4 <= config.max_gaussians <= MOST_GAUSSIANS,
             f"0, or 4 to {MOST_GAUSSIANS:,}",
         ),
+        "levels": (0 <= config.levels <= MOST_LEVELS, f"0 to {MOST_LEVELS}"),
         "sh_degree": (0 <= config.sh_degree <= 3, "0 to 3"),
         "l2": (math.isfinite(config.l2) and config.l2 >= 0, ">= 0"),
         "dssim": (0 <= config.dssim <= 1, "0 to 1"),
@@ -59,13 +60,16 @@ def checked(config: SpaceConfig) -> SpaceConfig:
 def resolved(config: SpaceConfig, views: RestViews) -> SpaceConfig:
     """The settings with what follows from the data filled in. Raises Tg4mmError on a value out of range."""
     config = checked(config)
+    count = config.levels or automatic(views.size)
+    check_levels(count, views.size)
     covered = float(views.alpha.sum() / len(views.alpha))
     iterations = int(np.clip(150 * covered ** (1 / 3), 1_000, 30_000))
     most = int(np.clip(200 * math.sqrt(covered), 2_000, 500_000))
     return replace(
         config,
-        iterations=config.iterations or iterations,
+        iterations=config.iterations or (iterations if count == 1 else iterations // 2),
         max_gaussians=config.max_gaussians or most,
+        levels=count,
     )
 
 
@@ -80,18 +84,20 @@ class _Fit:
     draws: torch.Generator  # on the device: density control; on the CPU the same one
     iteration: int = 0
     order: list[int] = field(default_factory=list)  # views left in this round
+    gains: Tensor | None = None  # [V, 3] of the pictures, where they are learnt
 
     def tensors(self) -> dict[str, Tensor]:
         moments = {f"adam.{k}": v for k, v in self.adam.moments().items()}
         rest = {"error": self.error, "generator": self.generator.get_state()}
+        if self.gains is not None:
+            rest["gains"] = self.gains
         if self.draws is not self.generator:
             rest["draws"] = self.draws.get_state()
         return {k: v.detach().cpu().contiguous() for k, v in (self.adam.parameters | moments | rest).items()}
 
-    def save(self, run: Run, extent: float, pictures: str) -> None:
-        tensors = self.tensors()
+    def checkpoint(self, extent: float, pictures: str) -> Checkpoint:
         state = {"iteration": self.iteration, "order": self.order, "psnr": float(self.psnr)}
-        run.save_checkpoint(_STAGE, tensors, state | {"extent": extent, "pictures": pictures})
+        return self.tensors(), state | {"extent": extent, "pictures": pictures}
 
 
 def _draws(generator: torch.Generator, device: str, state: Tensor | None = None) -> torch.Generator:
@@ -104,33 +110,19 @@ def _draws(generator: torch.Generator, device: str, state: Tensor | None = None)
     return draws
 
 
-def _checkpoint(
-    run: Run, pictures: str, views: RestViews, config: SpaceConfig
-) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
-    """What the stage goes on from, None if it starts. Raises RunError if that cannot be."""
-    checkpoint = run.load_checkpoint(_STAGE)
-    if checkpoint is not None:
-        try:
-            check_checkpoint(*checkpoint, pictures, len(views.rgb), config)
-        except RunError as error:
-            file = run.part_file(f"checkpoint_{_STAGE}")
-            raise RunError(f"{file}: {error}; delete it to start the {_STAGE} stage again") from None
-    return checkpoint
-
-
-def _restored(
-    checkpoint: tuple[dict[str, Tensor], dict[str, Any]], views: RestViews, device: str
-) -> tuple[_Fit, float]:
+def _restored(checkpoint: Checkpoint, views: RestViews, device: str) -> tuple[_Fit, float]:
     tensors, state = checkpoint
     generator = torch.Generator()
     generator.set_state(tensors.pop("generator"))
     draws = _draws(generator, device, tensors.pop("draws", None))
     error = tensors.pop("error").to(device)
+    gains = tensors.pop("gains").to(device) if "gains" in tensors else None
     psnr = torch.tensor(state["psnr"], dtype=torch.float64, device=device)
     moments = {k.removeprefix("adam."): tensors.pop(k) for k in list(tensors) if k.startswith("adam.")}
     moments = {k: v if k == "step" and device == "cpu" else v.to(device) for k, v in moments.items()}
     adam = _optimiser(tensors, _stride(state["extent"], views), device, moments or None)
-    return _Fit(adam, error, psnr, generator, draws, state["iteration"], state["order"]), state["extent"]
+    fit = _Fit(adam, error, psnr, generator, draws, state["iteration"], state["order"], gains)
+    return fit, state["extent"]
 
 
 def _extent(xyz: np.ndarray, views: RestViews) -> float:
@@ -160,7 +152,9 @@ def _started(
     adam = _optimiser(parameters, _stride(extent, views), device)
     error = torch.zeros(len(first.xyz), device=device)
     psnr = torch.zeros((), dtype=torch.float64, device=device)
-    return _Fit(adam, error, psnr, generator, _draws(generator, device)), extent, first.source
+    gains = torch.ones(len(views.rgb), 3, device=device) if config.gains else None
+    fit = _Fit(adam, error, psnr, generator, _draws(generator, device), gains=gains)
+    return fit, extent, first.source
 
 
 def _optimiser(
@@ -172,12 +166,16 @@ def _optimiser(
 
 
 class _Views:
-    """The cameras and their pictures where the iterations need them, and one iteration on one of them."""
+    """The cameras and their pictures at one level, where the iterations need them, and one iteration on one of them."""
 
-    def __init__(self, views: RestViews, config: SpaceConfig, device: str) -> None:
+    def __init__(self, views: RestViews, config: SpaceConfig, device: str, shrink: int = 1) -> None:
+        """shrink: pixels of `views` across one of this level's."""
+        views = shrunk(views, shrink)
         self._arrays = (views.viewmats, views.Ks, views.rgb)
         self._tensors = tuple(torch.from_numpy(a).to(device) for a in self._arrays)
         self._config, self._fused = config, Iteration(config.l2, config.dssim)
+        self.shrink = shrink
+        self.shown = {} if shrink == 1 else {"pictures": f"{shrink} times smaller"}  # beside the progress
 
     def __len__(self) -> int:
         return len(self._arrays[0])
@@ -185,24 +183,34 @@ class _Views:
     def iterate(self, fit: _Fit, v: int, degree: int, done: float) -> Tensor:
         """Render view v, compare, step. Returns the mean squared error."""
         if isinstance(fit.adam, FusedAdam):
-            viewmat, K, target = (a[v] for a in self._arrays)
-            mse = self._fused(fit.adam, viewmat, K, target, degree, done, fit.error.numpy())
-            return torch.tensor(mse, dtype=torch.float64)
-        return self._iterate_torch(fit.adam, fit.error, v, degree, done)
+            return self._iterate_fused(fit, fit.adam, v, degree, done)
+        return self._iterate_torch(fit, fit.adam, v, degree, done)
 
-    def _iterate_torch(self, adam: ParameterAdam, error: Tensor, v: int, degree: int, done: float) -> Tensor:
+    def _iterate_fused(self, fit: _Fit, adam: FusedAdam, v: int, degree: int, done: float) -> Tensor:
+        viewmat, K, target = (a[v] for a in self._arrays)
+        gain = np.ones(3, np.float32) if fit.gains is None else fit.gains[v].numpy()
+        mse = self._fused(adam, viewmat, K, target, degree, done, fit.error.numpy(), gain, float(self.shrink))
+        if fit.gains is not None:
+            fit.gains = moved(fit.gains, v, torch.from_numpy(self._fused.fitting_gain(target)))
+        return torch.tensor(mse, dtype=torch.float64)
+
+    def _iterate_torch(self, fit: _Fit, adam: ParameterAdam, v: int, degree: int, done: float) -> Tensor:
         viewmat, K, target = (a[v] for a in self._tensors)
         height, width = target.shape[:2]
         view = render_view(activate(adam.parameters), viewmat, K, (width, height), degree)
-        loss = photometric_loss(view.rgb, target, self._config.l2, self._config.dssim)
-        difference = view.rgb.detach() - target
+        shown = view.rgb if fit.gains is None else view.rgb * fit.gains[v]
+        loss = photometric_loss(shown, target, self._config.l2, self._config.dssim)
+        difference = shown.detach() - target
         (loss + (view.carrier * difference.abs().sum(-1)).sum()).backward()
-        error += view.shares()
-        adam.step(done)
+        fit.error += view.shares()
+        adam.step(done, float(self.shrink))
+        if fit.gains is not None:
+            every = (slice(None, None, EVERY),) * 2
+            fit.gains = moved(fit.gains, v, fitting_gain(view.rgb.detach()[every], target[every]))
         return (difference**2).mean().double()
 
 
-def _iterate(fit: _Fit, views: _Views, config: SpaceConfig, extent: float) -> None:
+def _iterate(fit: _Fit, views: _Views, config: SpaceConfig, level: Level, extent: float) -> None:
     """One view: render, compare, step; and now and then density control.
 
     But for density control nothing here waits for the device (gsplat does, once in a render, for the number of
@@ -216,61 +224,97 @@ def _iterate(fit: _Fit, views: _Views, config: SpaceConfig, extent: float) -> No
     psnr = -10 * torch.log10(views.iterate(fit, v, degree, done).clamp_min(1e-10))
     fit.psnr = psnr if fit.iteration == 0 else 0.95 * fit.psnr + 0.05 * psnr
     fit.iteration += 1
-    if is_due(fit.iteration, config.iterations):
-        most = config.max_gaussians
-        share = growth(len(fit.error), most, fit.iteration, config.iterations)
+    if is_due(fit.iteration, level.until):
+        most = level.max_gaussians
+        share = growth(len(fit.error), most, fit.iteration, level.caught_up)
         control_density(fit.adam, fit.error, extent, most, fit.draws, share)
         fit.error = torch.zeros(len(fit.adam.parameters["means"]), device=fit.error.device)
 
 
-def train_space(
-    run: Run, views: RestViews, points: SurfacePoints | None, config: SpaceConfig, device: str = "cpu"
-) -> Gaussians:
-    """Fit static Gaussians to the rest views and save them in the run; go on from a checkpoint if there is one.
+@dataclass(frozen=True)
+class SpaceFit:
+    """The static Gaussians of a scene, on the CPU, and what is known of their fit."""
 
-    points: initialisation without SfM, or None. Returns the Gaussians (on the CPU). The run's log gets seconds,
-    peak_memory_mib, n_gaussians, iterations, init and psnr_train (dB, running mean of the last views).
+    gaussians: Gaussians
+    # seconds, peak_memory_mib, n_gaussians, iterations, psnr_train (dB, running mean of the last views), init (where
+    # the fit began; absent after a checkpoint), gains [V, 3] where they are learnt, and on CUDA peak_gpu_memory_mib
+    figures: dict[str, Any]
+
+
+class Kept(Protocol):
+    """Where an unfinished fit is kept."""
+
+    def load(self, check: Check) -> Checkpoint | None:
+        """What was saved last, None if nothing was; `check` raises RunError where the fit cannot go on from it."""
+
+    def save(self, checkpoint: Checkpoint, source: str | None) -> None:
+        """Called every `CHECKPOINT_EVERY_S` seconds. source: where the fit began, None after a checkpoint."""
+
+
+class Nowhere:
+    """`Kept` of a fit that begins anew each time."""
+
+    def load(self, check: Check) -> Checkpoint | None:
+        return None
+
+    def save(self, checkpoint: Checkpoint, source: str | None) -> None:
+        pass
+
+
+def fit_space(
+    views: RestViews,
+    points: SurfacePoints | None,
+    config: SpaceConfig | None = None,
+    device: str = "cpu",
+    kept: Kept | None = None,
+) -> SpaceFit:
+    """Fit static Gaussians to the rest views; go on from what was `kept`, if anything was.
+
+    points: initialisation without SfM, or None.
     On CUDA everything that an iteration needs lives there, in float32 throughout: rounding of targets or parameters
     to 16 bits would be as large as the differences that the motion stage reads (a fiftieth of a pixel).
     Raises Tg4mmError on settings out of range, CaptureError where there is nothing to start from, RunError where a
-    checkpoint is not this stage's on these pictures.
+    checkpoint is not of these pictures and settings.
     """
-    config = resolved(config, views)
+    config, kept = resolved(config or SpaceConfig(), views), kept or Nowhere()
     reset_gpu_peak(device)
     pictures = pictures_digest(views)
-    checkpoint = _checkpoint(run, pictures, views, config)
-    began = time.monotonic()
+    checkpoint = kept.load(
+        lambda tensors, state: check_checkpoint(tensors, state, pictures, len(views.rgb), config)
+    )
+    began = saved = time.monotonic()
+    source: str | None = None
     if checkpoint is None:
         fit, extent, source = _started(views, points, config, device)
-        run.record(_STAGE, {"init": source})
     else:
         fit, extent = _restored(checkpoint, views, device)
-    cameras = _Views(views, config, device)
-    saved = time.monotonic()
+    steps, cameras = levels(config), None
     shown, figure = -math.inf, 0.0
     with (
-        progress("space stage", config.iterations, start=fit.iteration) as update,
+        progress("space stage", work(steps, config.iterations), start=work(steps, fit.iteration)) as update,
         full_precision(device),
     ):
         while fit.iteration < config.iterations:
-            _iterate(fit, cameras, config, extent)
+            level = level_at(steps, fit.iteration)
+            if cameras is None or cameras.shrink != level.shrink:
+                cameras = _Views(views, config, device, level.shrink)
+            _iterate(fit, cameras, config, level, extent)
             if time.monotonic() - shown > SHOW_EVERY_S:
                 shown, figure = time.monotonic(), round(float(fit.psnr), 2)
-            update(fit.iteration, psnr_db=figure, gaussians=len(fit.error))
+            update(work(steps, fit.iteration), psnr_db=figure, gaussians=len(fit.error), **cameras.shown)
             if time.monotonic() - saved > CHECKPOINT_EVERY_S:
-                fit.save(run, extent, pictures)
+                kept.save(fit.checkpoint(extent, pictures), source)
                 saved = time.monotonic()
-                run.record(_STAGE, {"seconds": saved - began})
-                began = saved
     gaussians = activate(fit.adam.parameters).detach().to("cpu")
-    figures = {
+    figures: dict[str, Any] = {
         "seconds": time.monotonic() - began,
         "peak_memory_mib": peak_memory_mib(),
         **gpu_figures(device),
         "n_gaussians": len(gaussians),
         "iterations": config.iterations,
         "psnr_train": float(fit.psnr),
+        **({} if source is None else {"init": source}),
     }
-    run.save_space(gaussians, figures)
-    run.drop_checkpoint(_STAGE)
-    return gaussians
+    if fit.gains is not None:
+        figures["gains"] = [[round(g, 5) for g in row] for row in fit.gains.tolist()]
+    return SpaceFit(gaussians, figures)

@@ -125,7 +125,7 @@ def _about(text: str) -> dict[str, Any]:
     frequencies = about.get("frequencies_hz")
     if not isinstance(frequencies, list) or not all(_is_number(f) for f in frequencies):
         raise SplatFileError(f"frequencies_hz is {str(frequencies)[:60]}; expected a list of finite numbers")
-    for key in ("fps", "unit_scale_m", "time_origin_s", "n_timesteps"):
+    for key in ("fps", "unit_scale_m", "time_origin_s", "n_timesteps", "low_pass_px2"):
         if about.get(key) is not None and not _is_number(about[key]):
             raise SplatFileError(f"{key} is {str(about[key])[:60]}; expected a finite number")
     if about.get("n_timesteps") is not None and about["n_timesteps"] != int(about["n_timesteps"]):

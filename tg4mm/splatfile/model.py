@@ -36,6 +36,9 @@ class SplatFile:
     deviation: np.ndarray | None = (
         None  # [M, N] float32, standard deviation of |m_k|, scene units; None: not known
     )
+    low_pass_px2: float | None = (
+        None  # of the training pictures' low-pass, what the scales hold; None: nothing said
+    )
 
     @classmethod
     def static(
@@ -119,5 +122,9 @@ class SplatFile:
             raise SplatFileError(f"n_timesteps is {self.n_timesteps}; expected at least 1")
         if self.unit_scale_m is not None and not 0 < self.unit_scale_m < math.inf:
             raise SplatFileError(f"unit_scale_m is {self.unit_scale_m:g}; expected a finite number above 0")
+        if self.low_pass_px2 is not None and not 0 <= self.low_pass_px2 < math.inf:
+            raise SplatFileError(
+                f"low_pass_px2 is {self.low_pass_px2:g}; expected a finite number, at least 0"
+            )
         if not math.isfinite(self.time_origin_s):
             raise SplatFileError(f"time_origin_s is {self.time_origin_s:g}; expected a finite number")

@@ -163,4 +163,5 @@ def _splat(tables: list[np.ndarray], k: int, about: dict, deviation: np.ndarray 
         unit_scale_m=None if about.get("unit_scale_m") is None else float(about["unit_scale_m"]),
         time_origin_s=float(about.get("time_origin_s") or 0.0),
         deviation=None if deviation is None else np.ascontiguousarray(deviation),
+        low_pass_px2=None if about.get("low_pass_px2") is None else float(about["low_pass_px2"]),
     )

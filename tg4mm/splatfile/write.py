@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 from collections.abc import Iterator
@@ -23,13 +24,21 @@ def write_splat(path: str | Path, splat: SplatFile) -> None:
     of their size (log), opacities to 1e-7 (logit). Scales under 1e-12 are written as that, opacities of 0
     and 1 as 2⁻²⁴ and 1 − 2⁻²⁴. Raises SplatFileError if the file cannot be written.
     """
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    with replacing(Path(path)) as temporary, temporary.open("wb") as file:
+        file.write(_header(splat))
+        for block in _blocks(splat):
+            file.write(block.tobytes())
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A name beside `path` to write to, renamed to it at the end and removed where the writing fails.
+
+    Raises SplatFileError, which names the file, for what the system or the writer says.
+    """
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
     try:
-        with temporary.open("wb") as file:
-            file.write(_header(splat))
-            for block in _blocks(splat):
-                file.write(block.tobytes())
+        yield temporary
         os.replace(temporary, path)
     except OSError as error:
         raise SplatFileError(f"{path}: cannot be written: {error.strerror or error}") from error
@@ -57,6 +66,8 @@ def _header(splat: SplatFile) -> bytes:
         "unit_scale_m": splat.unit_scale_m,
         "time_origin_s": splat.time_origin_s,
     }
+    if splat.low_pass_px2 is not None:
+        about["low_pass_px2"] = splat.low_pass_px2
     lines = [
         "ply",
         "format binary_little_endian 1.0",

@@ -7,13 +7,12 @@ from enum import StrEnum
 import numpy as np
 from markupsafe import Markup
 
-from tg4mm.report.colour import amount_colours, phase_colours
+from tg4mm.report.colour import STILL, amount_colours, phase_colours, phase_share
 from tg4mm.report.figures import scale_top
 from tg4mm.report.maps import main_direction, peak_displacement
 from tg4mm.report.svg import colour_bar, number, phase_bar
 from tg4mm.view.scene import Scene
 
-_GREY = 0.55  # of what does not move enough to have a phase, as in the report
 Band = tuple[float, float] | None
 
 
@@ -50,8 +49,8 @@ def gaussian_colours(scene: Scene, colour: Colour, band: Band) -> np.ndarray | N
     top = scale_top(amplitude, scene.weights)
     if colour is Colour.phase:
         angle = np.angle(phasors @ main_direction(phasors, scene.weights))
-        share = np.clip((amplitude / max(top, 1e-30) - 0.1) / 0.1, 0.0, 1.0)[:, None]
-        return share * phase_colours(angle) + (1 - share) * _GREY
+        share = phase_share(amplitude / max(top, 1e-30))[:, None]
+        return share * phase_colours(angle) + (1 - share) * STILL
     return amount_colours(amplitude / max(top, 1e-30))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -130,12 +130,4 @@ def _few_cameras(capture: Capture) -> Capture:
     """One picture of each of some cameras, evenly picked."""
     _, first = np.unique(capture.camera_ids, return_index=True)
     rows = first[np.unique(np.linspace(0, len(first) - 1, min(_LOOKED_FROM, len(first))).round().astype(int))]
-    return replace(
-        capture,
-        viewmats=capture.viewmats[rows],
-        Ks=capture.Ks[rows],
-        timesteps=capture.timesteps[rows],
-        camera_ids=capture.camera_ids[rows],
-        times_s=capture.times_s[rows],
-        paths=tuple(capture.paths[i] for i in rows),
-    )
+    return capture.selected(rows)

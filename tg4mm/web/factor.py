@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tg4mm.motion.fields import fields_of
 from tg4mm.motion.modes import ModalMotion
 
 TOLERANCE = 1e-4  # of the motion's rms: weaker fields are left out
-_ROWS_AT_ONCE = 8192  # Gaussians, so that no second copy of all phasors in float64 is held
 
 
 @dataclass(frozen=True)
@@ -30,37 +30,10 @@ class MotionFields:
 def motion_fields(motion: ModalMotion, tolerance: float = TOLERANCE) -> MotionFields:
     """The motion's strongest fields; what is left out has an rms of at most `tolerance` of the motion's, each field.
 
-    The fields are the principal components of the phasors' real and imaginary parts (Eckart and Young 1936), with
-    displacement and rotation weighed by their own rms. A motion that a fit found to have few components (motion.md)
-    comes back with as many fields, whatever the number of its modes; parts that do not move are no field.
+    A motion that a fit found to have few components comes back with as many fields, whatever the number of its modes;
+    parts that do not move are no field (`fields_of`).
     """
-    k, n = motion.displacement.shape[:2]
-    weights = np.array([_weight(motion.displacement), _weight(motion.rotation)])
-    products = np.zeros((2 * k, 2 * k))
-    for start in range(0, n, _ROWS_AT_ONCE):
-        rows = _rows(motion, weights, slice(start, start + _ROWS_AT_ONCE)).reshape(2 * k, -1)
-        products += rows @ rows.T
-    power, vectors = np.linalg.eigh(products)
-    keep = np.flatnonzero(power > max(power.max(initial=0) * tolerance**2, 0))[::-1]
-    u = vectors[:, keep]
-    fields = np.empty((len(keep), n, 6), np.float32)
-    for start in range(0, n, _ROWS_AT_ONCE):
-        chosen = slice(start, start + _ROWS_AT_ONCE)
-        fields[:, chosen] = np.tensordot(u.T, _rows(motion, weights, chosen), axes=1)
-    largest = np.abs(fields.reshape(len(keep), n, 2, 3)).max(axis=(1, 3), initial=0)
-    unit = np.where(largest > 0, largest, 1).repeat(3, axis=1)
-    inverse = np.divide(1, weights, out=np.zeros(2), where=weights > 0)
-    return MotionFields(fields / unit[:, None].astype(np.float32), largest * inverse, u[:k] + 1j * u[k:])
-
-
-def _weight(phasors: np.ndarray) -> float:
-    """One over the rms, 0 where nothing moves."""
-    rms = float(np.sqrt(np.mean(np.abs(phasors) ** 2, dtype=np.float64))) if phasors.size else 0.0
-    return 1 / rms if rms > 0 else 0.0
-
-
-def _rows(motion: ModalMotion, weights: np.ndarray, chosen: slice) -> np.ndarray:
-    """[2K, n, 6] float64: real parts, then imaginary parts, of weighted displacement and rotation."""
-    both = np.concatenate([motion.displacement[:, chosen], motion.rotation[:, chosen]], axis=2)
-    both = both.astype(np.complex128) * weights.repeat(3)
-    return np.concatenate([both.real, both.imag])
+    fields, series = fields_of(motion, tolerance)
+    sizes = np.abs(fields.reshape(len(fields), fields.shape[1], 2, 3)).max(axis=(1, 3), initial=0)
+    unit = np.where(sizes > 0, sizes, 1).repeat(3, axis=1)
+    return MotionFields(fields / unit[:, None], sizes.astype(np.float64), series)

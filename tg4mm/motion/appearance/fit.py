@@ -22,6 +22,7 @@ from tg4mm.motion.prior.graph import Graph
 from tg4mm.motion.solver.operator import Fold
 from tg4mm.motion.solver.pcg import pcg
 from tg4mm.motion.split_half import mean_over_neighbours, reliability
+from tg4mm.room import release
 
 ITERATIONS = 3  # six do hardly better
 LOOK = 1  # iterations after which it is told whether the halves agree; enough between the motion's two passes
@@ -46,6 +47,7 @@ class Remainder:
         """[s, H, W, 3] of each view of a fold, for `some` of the R components."""
         for v in fold.views:
             left = self.pictures[v, self.rows[some]] - self.views[v].jvp(self.fields[some])
+            release(self.pictures)
             if self.terms is not None:
                 left -= self.terms.of(v, self.fields)[some]
             yield left if self.means is None else without(self.nuisances[v], self.means[v], left)

@@ -6,6 +6,7 @@ kernels take splats to pixels. It is the exact derivative of the rendered pictur
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -21,12 +22,15 @@ from tg4mm.rasterize.kernels.layout import ALPHA_MIN, FEATURES
 from tg4mm.rasterize.kernels.linearised import COLUMNS, blend_cotangents, blend_tangents
 from tg4mm.rasterize.kernels.normal import blend_normal, most_blocks
 from tg4mm.rasterize.kernels.project import empty_splats, pack_camera, project_forward
+from tg4mm.room import release, room
 from tg4mm.space.view import EPS2D, FAR, NEAR, WHITE
 
 # Rendering drops alphas below 1/255, which cuts the rim off every Gaussian. The cut moves with the Gaussian, and that
 # step is not in the derivative inside it: faint Gaussians would get too small a Jacobian (by 1/255 over their opacity).
 # A much lower threshold makes the error negligible.
 ALPHA_MIN_LINEAR = ALPHA_MIN / 30
+_OF_VIEW = "splats", "image", "transmittance", "packed"
+_OF_BINS = "order", "tile_start", "gaussian_start", "pair_gaussian", "pair_slot", "reached"
 
 
 class PosedView(Protocol):
@@ -104,9 +108,38 @@ class ViewJacobian:
         )  # fmt: skip
         self._gather(v_pairs, v_motions)
 
+    def stored(self) -> ViewJacobian:
+        """The same with its arrays in a temporary file (`room.py`): `release` lets go of what a call has read."""
+        bins = copy(self.bins)
+        for name in _OF_BINS:
+            setattr(bins, name, _stored(getattr(bins, name)))
+        splats, image, transmittance, packed = (_stored(getattr(self, name)) for name in _OF_VIEW)
+        return ViewJacobian(splats, bins, image, transmittance, self.most, packed)
+
+    def release(self) -> None:
+        """Let go of the memory that holds what is stored in a file."""
+        for array in self._arrays:
+            release(array)
+
+    @property
+    def nbytes(self) -> int:
+        return sum(a.nbytes for a in self._arrays)
+
+    @property
+    def _arrays(self) -> list[np.ndarray]:
+        own = [getattr(self, name) for name in _OF_VIEW]
+        return own + [getattr(self.bins, name) for name in _OF_BINS]
+
     def _gather(self, v_pairs: np.ndarray, v_motions: np.ndarray) -> None:
         """Adds to `v_motions` [R, N, DOF] the cotangents of tile–Gaussian pairs [P, R, 8]."""
         vjp_rows(self.packed, self._rows, self.bins.gaussian_start, self.bins.pair_slot, v_pairs, v_motions)
+
+
+def _stored(array: np.ndarray) -> np.ndarray:
+    out = room(array.shape, array.dtype, in_memory=0) if array.size else array
+    out[...] = array
+    release(out)
+    return out
 
 
 def _arrays(gaussians: Gaussians) -> tuple[np.ndarray, ...]:

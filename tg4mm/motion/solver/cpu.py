@@ -59,6 +59,7 @@ class CpuOperator:
                     shown = shown * self.weights[k, ..., None]
                 view.vjp(np.ascontiguousarray(shown), own[some], self.buffers)
             del seen, shown  # before the next are made
+            view.release()
             own = self._unmixed(k, own)
             out = own if out is None else out + own
         assert out is not None
@@ -140,6 +141,7 @@ def _add_view(
     own = v_motions if alone else np.zeros_like(shown)
     for some in _at_once(len(shown)):
         first.views[k].gauss_newton_product(shown[some], weights, own[some], first.buffers)
+    first.views[k].release()
     if first.projections is not None:
         first.projections[k].correct(shown, own)
     if first.mixing is None:

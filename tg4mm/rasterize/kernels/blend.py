@@ -4,7 +4,7 @@ Pairs are taken a batch at a time, and within a batch the blocks one after the o
 gathered stays in registers while all of the batch's Gaussians that reach it are added.
 """
 
-# mypy: disable-error-code="call-arg, var-annotated"
+# mypy: disable-error-code="call-arg, call-overload, var-annotated"
 # an intrinsic has one argument more than its calls: the typing context
 
 import math
@@ -13,6 +13,7 @@ import numpy as np
 from numba import float32, int64, njit, prange, uint32, uint64
 
 from tg4mm.rasterize.kernels.block_culling import (
+    by_gaussian,
     fill_batch,
     log2_alpha,
     prefetch_gaussians,
@@ -34,44 +35,41 @@ from tg4mm.rasterize.kernels.tiles import (
     prefetch_pixels,
     work,
 )
-from tg4mm.rasterize.simd.masks import highest_bits, not_empty, put_mask, shifted
+from tg4mm.rasterize.simd.masks import not_empty, put_mask
 from tg4mm.rasterize.simd.memory import (
     address,
     fetch_add,
     integer,
     keep,
-    load,
+    load_pixels,
     number,
     put_integer,
     store,
 )
-from tg4mm.rasterize.simd.vector import LANES, broadcast, ctz, fma_where, movemask, select, with_avx512
+from tg4mm.rasterize.simd.vector import PIXELS, broadcast_pixels, ctz, fma_where, movemask, select
 
 _WORD = 32
 _BATCH = 2 * _WORD  # pairs, a bit each
 # pairs of the next batch prefetched with each block of this one
 _SHARE = _BATCH // BLOCKS
 _ROOM = room(_BATCH)
-# for every block, behind the two words of `by_block`: masks of the pixels that see a pair, one of 16 bits a pair
-_MASKS = 2 * 2 * BLOCKS
-_OF_BLOCK = _BATCH
+# for every block, behind the two words of `by_block`: masks of the pixels that see a pair, a bit a pixel; in bytes
+_MASKS = 4 * 2 * BLOCKS
+_OF_BLOCK = _BATCH * PIXELS // 8
 
 
 @inlined
 def _add(n, y, on, sums, batch, splats, held, faintest, masks, noted):
     """Add the n-th pair of a batch, y its log2 of alpha in a block: the pixels that still take light, and the sums.
 
-    sums: transmittance, what it was when a pixel stopped, features, and the pairs in which the block is seen.
+    sums: transmittance, what it was when a pixel stopped, and features. noted: whether to note who sees the pair.
     """
     _, _, powers, alpha_max, t_min = held
-    t, left, f0, f1, f2, f3, seen_in = sums
+    t, left, f0, f1, f2, f3 = sums
     alpha, _, seen = alphas(y, faintest, alpha_max, powers)
     # a pixel that stops here may give nothing, but counts
     if noted:
-        if with_avx512():
-            put_mask(masks, n, on & seen)
-        else:
-            seen_in |= uint64(1) << uint64(n) if movemask(on & seen) != 0 else uint64(0)
+        put_mask(masks, n, (t > t_min) & seen)
     w = t * alpha
     t = t - w
     on = t > t_min
@@ -81,7 +79,7 @@ def _add(n, y, on, sums, batch, splats, held, faintest, masks, noted):
     f1 = fma_where(on, w, number(splats, features + 1), f1)
     f2 = fma_where(on, w, number(splats, features + 2), f2)
     f3 = fma_where(on, w, number(splats, features + 3), f3)
-    return on, (t, left, f0, f1, f2, f3, seen_in)
+    return on, (t, left, f0, f1, f2, f3)
 
 
 @inlined
@@ -99,12 +97,12 @@ def _blend_block(k, splats, batch, by_block, held, faintest, state, noted):
     """
     lane_y, t_min = held[1], held[4]
     place = k * STRIDE
-    t, left = load(state, place), load(state, place + LANES)
-    f0, f1 = load(state, place + 2 * LANES), load(state, place + 3 * LANES)
-    f2, f3 = load(state, place + 4 * LANES), load(state, place + 5 * LANES)
-    on, sums = t > t_min, (t, left, f0, f1, f2, f3, uint64(0))
+    t, left = load_pixels(state, place), load_pixels(state, place + PIXELS)
+    f0, f1 = load_pixels(state, place + 2 * PIXELS), load_pixels(state, place + 3 * PIXELS)
+    f2, f3 = load_pixels(state, place + 4 * PIXELS), load_pixels(state, place + 5 * PIXELS)
+    on, sums = t > t_min, (t, left, f0, f1, f2, f3)
     todo = uint64(integer(by_block, k)) | uint64(integer(by_block, BLOCKS + k)) << uint64(_WORD)
-    masks = by_block + 2 * (_MASKS + k * _OF_BLOCK)
+    masks = by_block + _MASKS + k * _OF_BLOCK
     n = ctz(todo)
     y = log2_alpha(batch, _BATCH, n, k, lane_y)
     todo &= todo - uint64(1)
@@ -115,36 +113,28 @@ def _blend_block(k, splats, batch, by_block, held, faintest, state, noted):
         on, sums = _add(n, y, on, sums, batch, splats, held, faintest, masks, noted)
         n, y = later, y_later
     on, sums = _add(n, y, on, sums, batch, splats, held, faintest, masks, noted)
-    t, left, f0, f1, f2, f3, seen_in = sums
-    if noted and not with_avx512():
-        put_integer(by_block, k, uint32(seen_in))
-        put_integer(by_block, BLOCKS + k, uint32(seen_in >> uint64(_WORD)))
+    t, left, f0, f1, f2, f3 = sums
     store(state, place, t)
-    store(state, place + LANES, left)
-    store(state, place + 2 * LANES, f0)
-    store(state, place + 3 * LANES, f1)
-    store(state, place + 4 * LANES, f2)
-    store(state, place + 5 * LANES, f3)
+    store(state, place + PIXELS, left)
+    store(state, place + 2 * PIXELS, f0)
+    store(state, place + 3 * PIXELS, f1)
+    store(state, place + 4 * PIXELS, f2)
+    store(state, place + 5 * PIXELS, f3)
     return movemask(on) != 0
 
 
 @inlined
 def _note_seen(by_block, count, reached):
     """From the pairs in which each block is seen to the blocks in which each pair is seen."""
-    if with_avx512():
-        # Only now: what has just been written in small pieces cannot be read as a whole until it is in the cache.
-        for k in range(BLOCKS):
-            masks = _MASKS + k * _OF_BLOCK
-            put_integer(by_block, k, integer(by_block, k) & not_empty(by_block, masks))
-            put_integer(
-                by_block, BLOCKS + k, integer(by_block, BLOCKS + k) & not_empty(by_block, masks + _WORD)
-            )
+    # Only now: what has just been written in small pieces cannot be read as a whole until it is in the cache.
+    for k in range(BLOCKS):
+        masks = by_block + _MASKS + k * _OF_BLOCK
+        put_integer(by_block, k, integer(by_block, k) & not_empty(masks, int64(0)))
+        put_integer(by_block, BLOCKS + k, integer(by_block, BLOCKS + k) & not_empty(masks, int64(_WORD)))
     for first in range(0, count, _WORD):
-        here = min(count - first, int64(_WORD))
-        words = shifted(load(by_block, first // _WORD * BLOCKS), uint32(_WORD - here))
-        for n in range(here):
-            put_integer(reached, first + here - 1 - n, highest_bits(words))
-            words = shifted(words, uint32(1))
+        by_gaussian(
+            by_block + 4 * (first // _WORD) * BLOCKS, min(count - first, int64(_WORD)), reached + 4 * first
+        )
 
 
 @kernel()
@@ -156,8 +146,8 @@ def _forward_tiles(worker, workers, parts, counter, tables, frame, splats, image
     faintest, noted = float32(math.log2(alpha_min)), len(reached) > 0
     held = constants(table)
     # as a constant of the code, zero is written in more and smaller pieces
-    nothing = held[4] - held[4], broadcast(float32(1.0))
-    memory = aligned(BLOCKS * STRIDE + _ROOM + (_MASKS + BLOCKS * _OF_BLOCK) // 2)
+    nothing = held[4] - held[4], broadcast_pixels(float32(1.0))
+    memory = aligned(BLOCKS * STRIDE + _ROOM + (_MASKS + BLOCKS * _OF_BLOCK) // 4)
     state = address(memory)
     batch = state + 4 * BLOCKS * STRIDE
     by_block = batch + 4 * _ROOM
@@ -187,8 +177,8 @@ def _forward_tiles(worker, workers, parts, counter, tables, frame, splats, image
         while first < end and live != 0:
             last = min(end, first + _BATCH)
             fill_batch(splats, gaussians, first, last, end, _BATCH, (x0, y0), held[:2], faintest, batch, True)
-            store(by_block, int64(0), reaching(batch, _BATCH, int64(0)))
-            store(by_block, int64(BLOCKS), reaching(batch, _BATCH, int64(_WORD)))
+            reaching(batch, _BATCH, int64(0), by_block)
+            reaching(batch, _BATCH, int64(_WORD), by_block + 4 * BLOCKS)
             due = last * n_rows // n_pairs
             for k in range(BLOCKS):
                 prefetch_gaussians(splats, gaussians, last + _SHARE * k, _SHARE, end)

@@ -13,7 +13,7 @@ Here a Gaussian's blocks follow each other: its sums stay in registers, the pixe
 import math
 
 import numpy as np
-from numba import float32, int64, prange, uint32
+from numba import float32, int64, prange, uint32, uint64
 
 from tg4mm.rasterize.kernels.block_culling import fill_batch, log2_alpha, room
 from tg4mm.rasterize.kernels.compiled import inlined, kernel
@@ -28,6 +28,8 @@ from tg4mm.rasterize.kernels.layout import (
 )
 from tg4mm.rasterize.kernels.tiles import (
     BLOCKS,
+    CENTRE_X,
+    CENTRE_Y,
     TABLE,
     aligned,
     alphas_unbounded,
@@ -45,16 +47,18 @@ from tg4mm.rasterize.simd.memory import (
     fetch_add,
     integer,
     keep,
-    load,
+    load_pixels,
     number,
     put_integer,
     put_number,
     store,
 )
-from tg4mm.rasterize.simd.rows import transpose
+from tg4mm.rasterize.simd.rows import load_planes
 from tg4mm.rasterize.simd.vector import (
     LANES,
+    PIXELS,
     broadcast,
+    broadcast_pixels,
     ctz,
     fma,
     popcount,
@@ -63,12 +67,12 @@ from tg4mm.rasterize.simd.vector import (
 )
 
 _BATCH = 16  # pairs of a batch
-_MOST = 128  # blocks of theirs; the room for their alphas should stay within the first cache
+_MOST = 2048 // PIXELS  # blocks of theirs; the room for their alphas should stay within the first cache
 _ROOM = room(_BATCH)
 _AT_ONCE = 4  # blocks that are listed without a branch between them
-_KEPT = 2 * LANES  # kept of each pair and block: alpha before it is bounded, alpha / (1 - alpha)
+_KEPT = 2 * PIXELS  # kept of each pair and block: alpha before it is bounded, alpha / (1 - alpha)
 # planes of a block: transmittance, what is still to come (as seen by the loss), gradient by the features
-_STRIDE = (2 + FEATURES) * LANES
+_STRIDE = (2 + FEATURES) * PIXELS
 
 
 @inlined
@@ -91,7 +95,7 @@ def _list_seen(reached, first, last, items):
             # four at a time, whether they are there or not: most pairs then take a branch that can be foreseen
             found = int64(popcount(todo))
             for j in range(_AT_ONCE):
-                put_integer(items, count + j, base + uint32(ctz(todo | uint32(1 << BLOCKS))))
+                put_integer(items, count + j, base + uint32(ctz(uint64(todo) | uint64(1 << BLOCKS))))
                 todo &= todo - uint32(1)
             count += min(found, _AT_ONCE)
     return count, last
@@ -112,18 +116,7 @@ def _alphas_ahead(count, items, batch, faintest, held, kept):
         y = log2_alpha(batch, _BATCH, n, k, lane_y)
         alpha, raw = alphas_unbounded(y, faintest, alpha_max, powers)
         store(kept, c * _KEPT, raw)
-        store(kept, c * _KEPT + LANES, alpha / (one - alpha))
-
-
-@inlined
-def _planes_of(picture, at, step):
-    """The four channels of the block that begins at `at` in a picture [H · W · FEATURES] whose rows are `step` long."""
-    return transpose(
-        load(picture, at),
-        load(picture, at + step),
-        load(picture, at + 2 * step),
-        load(picture, at + 3 * step),
-    )
+        store(kept, c * _KEPT + PIXELS, alpha / (one - alpha))
 
 
 @inlined
@@ -137,30 +130,30 @@ def _read(state, x0, y0, frame, pictures):
         for k in range(BLOCKS):
             place, at = k * _STRIDE, corner(k, x0, y0, width)
             to_come = load_block(v_transmittance, at, stride) * load_block(transmittance, at, stride)
-            g0, g1, g2, g3 = _planes_of(v_image, at * FEATURES, step)
-            i0, i1, i2, i3 = _planes_of(image, at * FEATURES, step)
+            g0, g1, g2, g3 = load_planes(v_image, at * FEATURES, step)
+            i0, i1, i2, i3 = load_planes(image, at * FEATURES, step)
             to_come = to_come + g0 * i0 + g1 * i1 + g2 * i2 + g3 * i3
-            store(state, place, broadcast(float32(1.0)))
-            store(state, place + LANES, to_come)
-            store(state, place + 2 * LANES, g0)
-            store(state, place + 3 * LANES, g1)
-            store(state, place + 4 * LANES, g2)
-            store(state, place + 5 * LANES, g3)
+            store(state, place, broadcast_pixels(float32(1.0)))
+            store(state, place + PIXELS, to_come)
+            store(state, place + 2 * PIXELS, g0)
+            store(state, place + 3 * PIXELS, g1)
+            store(state, place + 4 * PIXELS, g2)
+            store(state, place + 5 * PIXELS, g3)
         return
     for k in range(BLOCKS):  # outside the image: stopped from the start
-        store(state, k * _STRIDE, broadcast(float32(-1.0)))
+        store(state, k * _STRIDE, broadcast_pixels(float32(-1.0)))
         for plane in range(1, 2 + FEATURES):
-            store(state, k * _STRIDE + plane * LANES, broadcast(float32(0.0)))
+            store(state, k * _STRIDE + plane * PIXELS, broadcast_pixels(float32(0.0)))
     for r in range(rows):
         for j in range(columns):
             at, of = pixel(r, j, _STRIDE), (y0 + r) * width + x0 + j
             to_come = v_transmittance[of] * transmittance[of]
             for k in range(FEATURES):
                 g = v_image[of * FEATURES + k]
-                put_number(state, (2 + k) * LANES + at, g)
+                put_number(state, (2 + k) * PIXELS + at, g)
                 to_come += g * image[of * FEATURES + k]
             put_number(state, at, float32(1.0))
-            put_number(state, LANES + at, to_come)
+            put_number(state, PIXELS + at, to_come)
 
 
 @inlined
@@ -168,7 +161,7 @@ def _pair_sums(splats, row, todo, x0, y0, table, held, kept, state):
     """Sums of a pair (layout.py) over its blocks `todo`, of which `kept` has the alphas."""
     lane_x, lane_y, _, alpha_max, t_min = held
     zero = float32(0.0)
-    nothing = broadcast(zero)
+    nothing = broadcast_pixels(zero)
     s, sx, sy, sxx, sxy = nothing, nothing, nothing, nothing, nothing
     syy, h0, h1, h2, h3 = nothing, nothing, nothing, nothing, nothing
     at_x = lane_x + (float32(x0) - number(splats, row + MX))
@@ -179,23 +172,23 @@ def _pair_sums(splats, row, todo, x0, y0, table, held, kept, state):
         k = ctz(todo)
         todo &= todo - uint32(1)
         place = k * _STRIDE
-        raw, ratio = load(kept, int64(0)), load(kept, int64(LANES))
+        raw, ratio = load_pixels(kept, int64(0)), load_pixels(kept, int64(PIXELS))
         kept += 4 * _KEPT
         free = alpha_max > raw
-        t = load(state, place)
+        t = load_pixels(state, place)
         w = t * select(free, raw, alpha_max)
         nt = t - w
         on = nt > t_min
         w = select(on, w, zero)
-        g0, g1 = load(state, place + 2 * LANES), load(state, place + 3 * LANES)
-        g2, g3 = load(state, place + 4 * LANES), load(state, place + 5 * LANES)
+        g0, g1 = load_pixels(state, place + 2 * PIXELS), load_pixels(state, place + 3 * PIXELS)
+        g2, g3 = load_pixels(state, place + 4 * PIXELS), load_pixels(state, place + 5 * PIXELS)
         light = fma(g3, f3, fma(g2, f2, fma(g1, f1, g0 * f0)))
-        to_come = fma(-w, light, load(state, place + LANES))
+        to_come = fma(-w, light, load_pixels(state, place + PIXELS))
         store(state, place, nt)
-        store(state, place + LANES, to_come)
+        store(state, place + PIXELS, to_come)
         # alpha = o e^(-sigma), so its gradient by -sigma is alpha itself; clamped ones give none
         v = select(on & free, fma(w, light, -(ratio * to_come)), zero)
-        dx, dy = at_x + number(table, 2 * LANES + k), at_y + number(table, 3 * LANES + k)
+        dx, dy = at_x + number(table, CENTRE_X + k), at_y + number(table, CENTRE_Y + k)
         vx, vy = v * dx, v * dy
         s, sx, sy = s + v, sx + vx, sy + vy
         sxx, sxy, syy = fma(vx, dx, sxx), fma(vx, dy, sxy), fma(vy, dy, syy)

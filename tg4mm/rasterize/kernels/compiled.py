@@ -17,6 +17,8 @@ from typing import Any
 from numba import njit
 from numba.core import event
 
+from tg4mm.ahead import compiled_ahead
+
 
 def _digest() -> str:
     """Of all files of kernels/, where this file is, and of simd/ beside it."""
@@ -38,7 +40,7 @@ class _Notice(event.Listener):
     def on_start(self, event: event.Event) -> None:
         if not self._said:
             self._said = True
-            _LOG.info("compiling kernels for this processor, once: a minute or two in all")
+            _LOG.info("compiling kernels for this processor, once: up to a minute")
 
     def on_end(self, event: event.Event) -> None:
         pass
@@ -46,6 +48,17 @@ class _Notice(event.Listener):
 
 _LOG = logging.getLogger("tg4mm")
 event.register("numba:compile", _Notice())
+
+
+def _waiting(cache: Any, name: str) -> Callable[..., Any]:
+    """Numba's look into its cache, and a second one where the kernel has been compiled ahead meanwhile."""
+    look = cache.load_overload
+
+    def load(*args: Any) -> Any:
+        found = look(*args)
+        return look(*args) if found is None and compiled_ahead(name) else found
+
+    return load
 
 
 def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -57,6 +70,8 @@ def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         index: Any = getattr(getattr(dispatcher, "_cache", None), "_cache_file", None)
         if hasattr(index, "_source_stamp"):
             index._source_stamp = (index._source_stamp, _SOURCES)
+            module = function.__module__.rpartition(".")[2]
+            dispatcher._cache.load_overload = _waiting(dispatcher._cache, f"{module}.{function.__name__}")
         return dispatcher
 
     return decorate

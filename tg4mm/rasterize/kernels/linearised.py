@@ -21,8 +21,8 @@ from tg4mm.rasterize.kernels.layout import CA, CB, CC, FEAT, MX, MY, TILE
 from tg4mm.rasterize.kernels.tiles import BLOCKS, TABLE, aligned, constants, fill, inside, pixel, work
 from tg4mm.rasterize.kernels.weights import BATCH, KEPT, batch_room, look_at_all, weights
 from tg4mm.rasterize.simd.lanes import lane_sums_of_eight, store_eight
-from tg4mm.rasterize.simd.memory import address, fetch_add, keep, load, store
-from tg4mm.rasterize.simd.vector import LANES, broadcast, fma
+from tg4mm.rasterize.simd.memory import address, fetch_add, keep, load_pixels, store
+from tg4mm.rasterize.simd.vector import PIXELS, broadcast_pixels, fma
 
 COLUMNS = np.array([MX, MY, CA, CB, CC, FEAT, FEAT + 1, FEAT + 2])  # of the splats: what a change has
 _WIDTH = 8  # how many they are
@@ -38,10 +38,10 @@ def _jvp_tiles(order, counter, tables, frame, splats, d_splats, white, d_images,
     half, zero = float32(0.5), float32(0.0)
     faintest = float32(math.log2(alpha_min))
     # planes: transmittance, then of every change dT/T and three features
-    stride = (1 + _CHANGE * n_changes) * LANES
+    stride = (1 + _CHANGE * n_changes) * PIXELS
     held, state = constants(table), aligned(BLOCKS * stride)
-    masks, planes, kept, found = batch_room()
-    batch = masks, address(planes), kept, found
+    masks, words, planes, kept, found = batch_room()
+    batch = masks, words, address(planes), kept, found
     while True:
         item = fetch_add(counter)
         if item >= len(order):
@@ -70,31 +70,31 @@ def _jvp_tiles(order, counter, tables, frame, splats, d_splats, white, d_images,
                 # minus the change of the exponent: (xx dx + xy dy + x) dx + (yy dy + y) dy
                 xx, xy, yy = -half * d[2], -d[3], -half * d[4]
                 x, y = a * d[0] + b * d[1], b * d[0] + c * d[1]
-                plane = (1 + _CHANGE * change) * LANES
+                plane = (1 + _CHANGE * change) * PIXELS
                 for m in range(n):
                     place, source = found[m] + plane, m * KEPT
-                    w, moved = load(kept, source), load(kept, source + LANES)
-                    dx, dy = load(kept, source + 3 * LANES), load(kept, source + 4 * LANES)
+                    w, moved = load_pixels(kept, source), load_pixels(kept, source + PIXELS)
+                    dx, dy = load_pixels(kept, source + 3 * PIXELS), load_pixels(kept, source + 4 * PIXELS)
                     rise = fma(fma(dy, xy, fma(dx, xx, x)), dx, fma(dy, yy, y) * dy)
-                    dt = load(state, place)
+                    dt = load_pixels(state, place)
                     dw = fma(w, dt, moved * rise)
-                    store(state, place, fma(-load(kept, source + 2 * LANES), rise, dt))
-                    place += LANES
-                    store(state, place, fma(dw, f0, fma(w, e0, load(state, place))))
-                    place += LANES
-                    store(state, place, fma(dw, f1, fma(w, e1, load(state, place))))
-                    place += LANES
-                    store(state, place, fma(dw, f2, fma(w, e2, load(state, place))))
+                    store(state, place, fma(-load_pixels(kept, source + 2 * PIXELS), rise, dt))
+                    place += PIXELS
+                    store(state, place, fma(dw, f0, fma(w, e0, load_pixels(state, place))))
+                    place += PIXELS
+                    store(state, place, fma(dw, f1, fma(w, e1, load_pixels(state, place))))
+                    place += PIXELS
+                    store(state, place, fma(dw, f2, fma(w, e2, load_pixels(state, place))))
             if live == 0:
                 break
         for change in range(n_changes):
-            plane = (1 + _CHANGE * change) * LANES
+            plane = (1 + _CHANGE * change) * PIXELS
             for r in range(rows):
                 for j in range(columns):
                     at = pixel(r, j, stride)
                     behind = white * abs(state[at]) * state[plane + at]
                     for k in range(3):
-                        d_images[change, y0 + r, x0 + j, k] = behind + state[plane + (1 + k) * LANES + at]
+                        d_images[change, y0 + r, x0 + j, k] = behind + state[plane + (1 + k) * PIXELS + at]
     keep(planes)
 
 
@@ -108,10 +108,10 @@ def _vjp_tiles(order, counter, tables, frame, splats, pictures, white, v_images,
     half, zero = float32(0.5), float32(0.0)
     faintest = float32(math.log2(alpha_min))
     # planes: transmittance, then of every right-hand side what is still to come and the gradient by three features
-    stride = (1 + _CHANGE * n_changes) * LANES
+    stride = (1 + _CHANGE * n_changes) * PIXELS
     held, state = constants(table), aligned(BLOCKS * stride)
-    masks, planes, kept, found = batch_room()
-    batch = masks, address(planes), kept, found
+    masks, words, planes, kept, found = batch_room()
+    batch = masks, words, address(planes), kept, found
     while True:
         item = fetch_add(counter)
         if item >= len(order):
@@ -128,10 +128,10 @@ def _vjp_tiles(order, counter, tables, frame, splats, pictures, white, v_images,
                 at = pixel(r, j, stride)
                 state[at] = float32(1.0)
                 for change in range(n_changes):
-                    plane, to_come = (1 + _CHANGE * change) * LANES + at, zero
+                    plane, to_come = (1 + _CHANGE * change) * PIXELS + at, zero
                     for k in range(3):
                         g = v_images[change, y0 + r, x0 + j, k]
-                        state[plane + (1 + k) * LANES] = g
+                        state[plane + (1 + k) * PIXELS] = g
                         to_come += g * (image[y0 + r, x0 + j, k] + white * transmittance[y0 + r, x0 + j])
                     state[plane] = to_come
         live = inside(rows, columns)
@@ -145,21 +145,21 @@ def _vjp_tiles(order, counter, tables, frame, splats, pictures, white, v_images,
             a, b, c = splats[i, CA], splats[i, CB], splats[i, CC]
             f0, f1, f2 = splats[i, FEAT], splats[i, FEAT + 1], splats[i, FEAT + 2]
             for change in range(n_changes):
-                nothing = broadcast(zero)
+                nothing = broadcast_pixels(zero)
                 sx, sy, sxx, sxy, syy = nothing, nothing, nothing, nothing, nothing
                 h0, h1, h2 = nothing, nothing, nothing
-                plane = (1 + _CHANGE * change) * LANES
+                plane = (1 + _CHANGE * change) * PIXELS
                 for m in range(n):
                     place, source = found[m] + plane, m * KEPT
-                    w = load(kept, source)
-                    g0, g1 = load(state, place + LANES), load(state, place + 2 * LANES)
-                    g2 = load(state, place + 3 * LANES)
+                    w = load_pixels(kept, source)
+                    g0, g1 = load_pixels(state, place + PIXELS), load_pixels(state, place + 2 * PIXELS)
+                    g2 = load_pixels(state, place + 3 * PIXELS)
                     light = fma(g2, f2, fma(g1, f1, g0 * f0))
-                    to_come = fma(-w, light, load(state, place))
+                    to_come = fma(-w, light, load_pixels(state, place))
                     store(state, place, to_come)
-                    shade = load(kept, source + 2 * LANES) * to_come
-                    v = fma(load(kept, source + LANES), light, -shade)
-                    dx, dy = load(kept, source + 3 * LANES), load(kept, source + 4 * LANES)
+                    shade = load_pixels(kept, source + 2 * PIXELS) * to_come
+                    v = fma(load_pixels(kept, source + PIXELS), light, -shade)
+                    dx, dy = load_pixels(kept, source + 3 * PIXELS), load_pixels(kept, source + 4 * PIXELS)
                     vx, vy = v * dx, v * dy
                     sx, sy = sx + vx, sy + vy
                     sxx, sxy, syy = fma(vx, dx, sxx), fma(vx, dy, sxy), fma(vy, dy, syy)

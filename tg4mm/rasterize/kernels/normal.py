@@ -18,8 +18,8 @@ from tg4mm.rasterize.kernels.layout import CA, CB, CC, FEAT, SPLAT_WIDTH, TILE
 from tg4mm.rasterize.kernels.tiles import BLOCKS, TABLE, aligned, constants, fill, inside, pixel, work
 from tg4mm.rasterize.kernels.weights import BATCH, KEPT, batch_room, look_at_reached, weights
 from tg4mm.rasterize.simd.lanes import lane_sums_of_eight, store_eight
-from tg4mm.rasterize.simd.memory import address, fetch_add, keep, load, number, store
-from tg4mm.rasterize.simd.vector import LANES, broadcast, fma, popcount
+from tg4mm.rasterize.simd.memory import address, fetch_add, keep, load_pixels, number, store
+from tg4mm.rasterize.simd.vector import PIXELS, broadcast_pixels, fma, popcount
 
 _WIDTH = 8  # columns of a change
 # Planes of the state for each change: dT/T and its picture, then what lies behind and the gradient
@@ -45,36 +45,36 @@ def _jvp_pair(conic, colour, d_splats, at, plane, blocks, found, kept, state):
     x, y = a * d0 + b * d1, b * d0 + c * d1
     for m in range(blocks[0], blocks[1]):
         place, source = found[m] + plane, m * KEPT
-        w, moved = load(kept, source), load(kept, source + LANES)
-        dx, dy = load(kept, source + 3 * LANES), load(kept, source + 4 * LANES)
+        w, moved = load_pixels(kept, source), load_pixels(kept, source + PIXELS)
+        dx, dy = load_pixels(kept, source + 3 * PIXELS), load_pixels(kept, source + 4 * PIXELS)
         rise = fma(fma(dy, xy, fma(dx, xx, x)), dx, fma(dy, yy, y) * dy)
-        dt = load(state, place)
+        dt = load_pixels(state, place)
         dw = fma(w, dt, moved * rise)
-        store(state, place, fma(-load(kept, source + 2 * LANES), rise, dt))
-        place += LANES
-        store(state, place, fma(dw, f0, fma(w, e0, load(state, place))))
-        place += LANES
-        store(state, place, fma(dw, f1, fma(w, e1, load(state, place))))
-        place += LANES
-        store(state, place, fma(dw, f2, fma(w, e2, load(state, place))))
+        store(state, place, fma(-load_pixels(kept, source + 2 * PIXELS), rise, dt))
+        place += PIXELS
+        store(state, place, fma(dw, f0, fma(w, e0, load_pixels(state, place))))
+        place += PIXELS
+        store(state, place, fma(dw, f1, fma(w, e1, load_pixels(state, place))))
+        place += PIXELS
+        store(state, place, fma(dw, f2, fma(w, e2, load_pixels(state, place))))
 
 
 @inlined
 def _vjp_pair(conic, colour, v_pairs, at, plane, blocks, found, kept, state):
     """Writes at `at` of v_pairs what a gradient says of a Gaussian in one tile; the state: then it lies behind too."""
     (a, b, c), (f0, f1, f2), half = conic, colour, float32(0.5)
-    nothing = broadcast(float32(0.0))
+    nothing = broadcast_pixels(float32(0.0))
     sx, sy, sxx, sxy, syy = nothing, nothing, nothing, nothing, nothing
     h0, h1, h2 = nothing, nothing, nothing
     for m in range(blocks[0], blocks[1]):
         place, source = found[m] + plane, m * KEPT
-        w, behind = load(kept, source), load(state, place)
-        g0, g1 = load(state, place + LANES), load(state, place + 2 * LANES)
-        g2 = load(state, place + 3 * LANES)
+        w, behind = load_pixels(kept, source), load_pixels(state, place)
+        g0, g1 = load_pixels(state, place + PIXELS), load_pixels(state, place + 2 * PIXELS)
+        g2 = load_pixels(state, place + 3 * PIXELS)
         light = fma(g2, f2, fma(g1, f1, g0 * f0))
-        v = fma(load(kept, source + LANES), light, -(load(kept, source + 2 * LANES) * behind))
+        v = fma(load_pixels(kept, source + PIXELS), light, -(load_pixels(kept, source + 2 * PIXELS) * behind))
         store(state, place, fma(w, light, behind))
-        dx, dy = load(kept, source + 3 * LANES), load(kept, source + 4 * LANES)
+        dx, dy = load_pixels(kept, source + 3 * PIXELS), load_pixels(kept, source + 4 * PIXELS)
         vx, vy = v * dx, v * dy
         sx, sy = sx + vx, sy + vy
         sxx, sxy, syy = fma(vx, dx, sxx), fma(vx, dy, sxy), fma(vy, dy, syy)
@@ -90,17 +90,17 @@ def _turn_round(state, stride, n_changes, white, counts):
     """From changes of the picture to gradients, by the weights of pixels, and what lies behind all: the background."""
     for k in range(BLOCKS):
         first = int64(k) * stride
-        end, count = abs(load(state, first)) * white, load(counts, k * LANES)
+        end, count = abs(load_pixels(state, first)) * white, load_pixels(counts, k * PIXELS)
         for change in range(n_changes):
-            place = first + (1 + _CHANGE * change) * LANES
-            shift = end * load(state, place)
-            g0 = count * (load(state, place + LANES) + shift)
-            g1 = count * (load(state, place + 2 * LANES) + shift)
-            g2 = count * (load(state, place + 3 * LANES) + shift)
+            place = first + (1 + _CHANGE * change) * PIXELS
+            shift = end * load_pixels(state, place)
+            g0 = count * (load_pixels(state, place + PIXELS) + shift)
+            g1 = count * (load_pixels(state, place + 2 * PIXELS) + shift)
+            g2 = count * (load_pixels(state, place + 3 * PIXELS) + shift)
             store(state, place, end * (g0 + g1 + g2))
-            store(state, place + LANES, g0)
-            store(state, place + 2 * LANES, g1)
-            store(state, place + 3 * LANES, g2)
+            store(state, place + PIXELS, g0)
+            store(state, place + 2 * PIXELS, g1)
+            store(state, place + 3 * PIXELS, g2)
 
 
 @inlined
@@ -109,7 +109,7 @@ def _weigh(pixels, y0, x0, rows, columns, counts):
     counts[:] = float32(0.0)
     for r in range(rows):
         for j in range(columns):
-            counts[pixel(r, j, LANES)] = pixels[y0 + r, x0 + j]
+            counts[pixel(r, j, PIXELS)] = pixels[y0 + r, x0 + j]
 
 
 @kernel()
@@ -120,10 +120,10 @@ def _normal_tiles(
     height, width = pixels.shape
     n_x = (width + TILE - 1) // TILE
     faintest = float32(math.log2(alpha_min))
-    stride = (1 + _CHANGE * n_changes) * LANES
-    held, state, counts = constants(table), aligned(BLOCKS * stride), aligned(BLOCKS * LANES)
-    masks, planes, kept, found = batch_room(most[0])
-    batch = masks, address(planes), kept, found
+    stride = (1 + _CHANGE * n_changes) * PIXELS
+    held, state, counts = constants(table), aligned(BLOCKS * stride), aligned(BLOCKS * PIXELS)
+    masks, words, planes, kept, found = batch_room(most[0])
+    batch = masks, words, address(planes), kept, found
     upto = np.empty(most[1] + 1, np.int64)  # of the pairs of a tile: where the kept blocks of each end
     flat, changes, gradients = splats.reshape(-1), d_splats.reshape(-1), v_pairs.reshape(-1)
     while True:
@@ -158,7 +158,7 @@ def _normal_tiles(
             blocks = before, filled
             conic, colour = _splat(flat, i)
             for change in range(n_changes if before < filled else 0):
-                plane, source = (1 + _CHANGE * change) * LANES, (int64(i) * n_changes + change) * _WIDTH
+                plane, source = (1 + _CHANGE * change) * PIXELS, (int64(i) * n_changes + change) * _WIDTH
                 _jvp_pair(conic, colour, changes, source, plane, blocks, found, kept, state)
         _weigh(pixels, y0, x0, rows, columns, counts)
         _turn_round(state, stride, n_changes, white, counts)
@@ -167,7 +167,7 @@ def _normal_tiles(
             conic, colour = _splat(flat, pair_gaussian[pair])
             blocks = upto[pair - begin], upto[pair - begin + 1]
             for change in range(n_changes):
-                plane, to = (1 + _CHANGE * change) * LANES, (pair * n_changes + change) * _WIDTH
+                plane, to = (1 + _CHANGE * change) * PIXELS, (pair * n_changes + change) * _WIDTH
                 _vjp_pair(conic, colour, gradients, to, plane, blocks, found, kept, state)
     keep(planes)
 

@@ -12,12 +12,12 @@ from numba import float32, int64, uint32
 from tg4mm.rasterize.kernels.compiled import inlined
 from tg4mm.rasterize.kernels.layout import FEATURES, TILE
 from tg4mm.rasterize.kernels.tiles import BLOCKS, corner, pixel
-from tg4mm.rasterize.simd.lanes import store_block
-from tg4mm.rasterize.simd.memory import integer, load, number, store
-from tg4mm.rasterize.simd.rows import interleave
-from tg4mm.rasterize.simd.vector import LANES
+from tg4mm.rasterize.simd.lanes import store_fours
+from tg4mm.rasterize.simd.memory import integer, load_pixels, number, store
+from tg4mm.rasterize.simd.rows import store_planes
+from tg4mm.rasterize.simd.vector import PIXELS
 
-STRIDE = (2 + FEATURES) * LANES  # planes of a block: transmittance as it runs on, as it stopped, features
+STRIDE = (2 + FEATURES) * PIXELS  # planes of a block: transmittance as it runs on, as it stopped, features
 
 
 @inlined
@@ -27,9 +27,9 @@ def begin_blocks(state, nothing):
     for k in range(BLOCKS):
         place = int64(k * STRIDE)
         store(state, place, one)
-        store(state, place + LANES, one)
+        store(state, place + PIXELS, one)
         for c in range(FEATURES):
-            store(state, place + (2 + c) * LANES, zero)
+            store(state, place + (2 + c) * PIXELS, zero)
 
 
 @inlined
@@ -41,23 +41,19 @@ def write_tile(state, x0, y0, frame, image, transmittance):
         step = int64(width * FEATURES)
         for k in range(BLOCKS):
             place, at = k * STRIDE, corner(k, x0, y0, width)
-            r0, r1, r2, r3 = interleave(
-                load(state, place + 2 * LANES), load(state, place + 3 * LANES), load(state, place + 4 * LANES),
-                load(state, place + 5 * LANES),
+            store_fours(transmittance, at, int64(width), load_pixels(state, place + PIXELS))
+            planes = (
+                load_pixels(state, place + 2 * PIXELS), load_pixels(state, place + 3 * PIXELS),
+                load_pixels(state, place + 4 * PIXELS), load_pixels(state, place + 5 * PIXELS),
             )  # fmt: skip
-            store_block(transmittance, at, int64(width), load(state, place + LANES))
-            at *= FEATURES
-            store(image, at, r0)
-            store(image, at + step, r1)
-            store(image, at + 2 * step, r2)
-            store(image, at + 3 * step, r3)
+            store_planes(image, at * FEATURES, step, planes)
         return
     for r in range(rows):
         for j in range(columns):
             at, to = pixel(r, j, STRIDE), (y0 + r) * width + x0 + j
-            transmittance[to] = number(state, LANES + at)
+            transmittance[to] = number(state, PIXELS + at)
             for k in range(FEATURES):
-                image[to * FEATURES + k] = number(state, (2 + k) * LANES + at)
+                image[to * FEATURES + k] = number(state, (2 + k) * PIXELS + at)
 
 
 @inlined
@@ -73,9 +69,10 @@ def write_blank(first, last, rows, n_x, frame, nothing, image, transmittance):
         x, y = int64(row % uint32(n_x)) * TILE, int64(row // uint32(n_x))
         at = int64(y * width + x)
         if x + TILE <= width:
-            store(transmittance, at, one)
-            for c in range(FEATURES):
-                store(image, at * FEATURES + c * LANES, zero)
+            for c in range(TILE // PIXELS):
+                store(transmittance, at + c * PIXELS, one)
+            for c in range(TILE * FEATURES // PIXELS):
+                store(image, at * FEATURES + c * PIXELS, zero)
         else:
             for to in range(at, at + width - x):
                 transmittance[to] = float32(1.0)

@@ -30,7 +30,7 @@ from tg4mm.rasterize.kernels.project import (
     unpacked,
 )
 from tg4mm.rasterize.kernels.sh import ROOM, colour_vjp
-from tg4mm.rasterize.simd.lanes import load_block, store_block
+from tg4mm.rasterize.simd.lanes import load_fours, store_fours
 from tg4mm.rasterize.simd.memory import address, keep, load, store
 from tg4mm.rasterize.simd.rows import (
     interleave,
@@ -89,7 +89,7 @@ def _add_four(at, width, visible, a, b, c, d):
     rows = interleave(a, b, c, d)
     for k in range(4):
         place = 4 * k * width
-        store_block(at, place, width, load_block(at, place, width) + rows[k])
+        store_fours(at, place, width, load_fours(at, place, width) + rows[k])
 
 
 @inlined

@@ -1,6 +1,7 @@
 """What all kernels that blend tiles share: where pixels lie, how a Gaussian's alphas come about, who takes which tile.
 
-A tile is 16 blocks of 4 × 4 pixels, a block one vector. A kernel keeps a row of planes for each block, its state:
+A tile is cut into blocks, a block one vector of pixels: 4 × 4 with AVX-512, elsewhere 4 × 2 (`pixels` of
+`simd/vector.py`). A kernel keeps a row of planes for each block, its state:
 first the transmittance, then what it carries along. `block_culling.py` finds the blocks that a Gaussian's ellipse may
 reach; the others are not touched. The exponent is a sum of two squares, p² + q² with p, q linear in the pixel, which
 keeps thin ellipses exact.
@@ -27,18 +28,25 @@ from tg4mm.rasterize.kernels.layout import (
     TILE,
 )
 from tg4mm.rasterize.simd.functions import EXP2, EXP2_STEPS, exp2
-from tg4mm.rasterize.simd.memory import integer, load, prefetch_far
-from tg4mm.rasterize.simd.vector import LANES, broadcast, select
+from tg4mm.rasterize.simd.memory import integer, load_pixels, prefetch_far
+from tg4mm.rasterize.simd.vector import LANES, PIXELS, broadcast_pixels, select
 
-_SIDE = 4  # pixels of a block
-BLOCKS = TILE * TILE // LANES
+WIDTH, HEIGHT = 4, PIXELS // 4  # of a block, in pixels
+COLUMNS = TILE // WIDTH  # of blocks in a tile, as many as a block is wide
+BLOCKS = TILE * TILE // PIXELS
+# Divisions by these numbers, as shifts: numba takes care of negative numbers otherwise.
+BY_FOUR, BY_HEIGHT = 2, HEIGHT.bit_length() - 1
 PREFETCH = 32  # pairs whose Gaussians are prefetched ahead of their use: they lie anywhere in memory
 
 # What kernels read from memory: where pixels and blocks lie (lanes are pixels from their block's centre, then block
 # centres from the tile's corner), then constants that are to stay in registers.
-_LANE = np.arange(LANES)
-_PLACES = [_LANE % _SIDE - 1.5, _LANE // _SIDE - 1.5, _LANE % _SIDE * 4 + 2.0, _LANE // _SIDE * 4 + 2.0]
-_POWERS = len(_PLACES) * LANES
+_LANE, _BLOCK = np.arange(PIXELS), np.arange(BLOCKS)
+_PLACES = [
+    _LANE % WIDTH - (WIDTH - 1) / 2, _LANE // WIDTH - (HEIGHT - 1) / 2,
+    _BLOCK % COLUMNS * WIDTH + WIDTH / 2, _BLOCK // COLUMNS * HEIGHT + HEIGHT / 2,
+]  # fmt: skip
+CENTRE_X, CENTRE_Y = 2 * PIXELS, 2 * PIXELS + BLOCKS  # where block centres begin
+_POWERS = 2 * (PIXELS + BLOCKS)
 _STEPS = _POWERS + LANES
 _LIMITS = _STEPS + len(EXP2_STEPS)
 _SKIPPED = np.zeros(LANES - len(EXP2))  # so that vectors begin where a cache line does
@@ -48,13 +56,14 @@ TABLE = np.concatenate([*_PLACES, EXP2, _SKIPPED, EXP2_STEPS, [ALPHA_MAX, T_MIN]
 @inlined
 def pixel(r, c, stride):
     """Place of row r, column c of a tile in the first plane of its state, whose blocks are `stride` apart."""
-    return ((r >> 2) * 4 + (c >> 2)) * stride + (r & 3) * _SIDE + (c & 3)
+    block = (r >> BY_HEIGHT) * COLUMNS + (c >> BY_FOUR)
+    return block * stride + (r & (HEIGHT - 1)) * WIDTH + (c & (WIDTH - 1))
 
 
 @inlined
 def corner(k, x0, y0, width):
     """Place of the first pixel of block k in a picture `width` wide, the tile beginning at x0, y0."""
-    return int64((y0 + (k >> 2) * _SIDE) * width + x0 + (k & 3) * _SIDE)
+    return int64((y0 + (k >> BY_FOUR) * HEIGHT) * width + x0 + (k & (COLUMNS - 1)) * WIDTH)
 
 
 @inlined
@@ -70,7 +79,7 @@ def fill(state, stride, transmittance):
     """The first plane to `transmittance`, the others to 0. A block's planes follow each other in `state`."""
     state[:] = float32(0.0)
     for k in range(BLOCKS):
-        state[k * stride : k * stride + LANES] = transmittance
+        state[k * stride : k * stride + PIXELS] = transmittance
 
 
 @inlined
@@ -78,7 +87,7 @@ def inside(rows, columns):
     """Mask of the blocks that have a pixel in the image."""
     live = uint32(0)
     for k in range(BLOCKS):
-        if (k >> 2) * 4 < rows and (k & 3) * 4 < columns:
+        if (k >> BY_FOUR) * HEIGHT < rows and (k & (COLUMNS - 1)) * WIDTH < columns:
             live |= uint32(1) << uint32(k)
     return live
 
@@ -90,14 +99,15 @@ def constants(table):
     As constants of the code they would be fetched anew, each with its address, in every round of a loop.
     """
     powers = (
-        broadcast(table[_POWERS]), broadcast(table[_POWERS + 1]), broadcast(table[_POWERS + 2]),
-        broadcast(table[_POWERS + 3]), broadcast(table[_POWERS + 4]), broadcast(table[_POWERS + 5]),
-        broadcast(table[_POWERS + 6]), broadcast(table[_POWERS + 7]), broadcast(table[_POWERS + 8]),
-        broadcast(table[_POWERS + 9]),
-        load(table, int64(_STEPS)), load(table, int64(_STEPS + LANES)),
+        broadcast_pixels(table[_POWERS]), broadcast_pixels(table[_POWERS + 1]),
+        broadcast_pixels(table[_POWERS + 2]), broadcast_pixels(table[_POWERS + 3]),
+        broadcast_pixels(table[_POWERS + 4]), broadcast_pixels(table[_POWERS + 5]),
+        broadcast_pixels(table[_POWERS + 6]), broadcast_pixels(table[_POWERS + 7]),
+        broadcast_pixels(table[_POWERS + 8]), broadcast_pixels(table[_POWERS + 9]),
+        load_pixels(table, int64(_STEPS)), load_pixels(table, int64(_STEPS + LANES)),
     )  # fmt: skip
-    lanes = load(table, int64(0)), load(table, int64(LANES))
-    return lanes[0], lanes[1], powers, broadcast(table[_LIMITS]), broadcast(table[_LIMITS + 1])
+    lanes = load_pixels(table, int64(0)), load_pixels(table, int64(PIXELS))
+    return lanes[0], lanes[1], powers, broadcast_pixels(table[_LIMITS]), broadcast_pixels(table[_LIMITS + 1])
 
 
 @inlined

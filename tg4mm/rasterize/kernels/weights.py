@@ -9,15 +9,21 @@ Blocks, tiles and state as in `tiles.py`; `linearised.py` says what the numbers 
 import numpy as np
 from numba import float32, int64, uint32
 
-from tg4mm.rasterize.kernels.block_culling import fill_batch, log2_alpha, prefetch_gaussians, reaching, room
+from tg4mm.rasterize.kernels.block_culling import (
+    by_gaussian,
+    fill_batch,
+    log2_alpha,
+    prefetch_gaussians,
+    reaching,
+    room,
+)
 from tg4mm.rasterize.kernels.compiled import inlined
 from tg4mm.rasterize.kernels.layout import MX, MY
-from tg4mm.rasterize.kernels.tiles import BLOCKS, aligned, alphas
-from tg4mm.rasterize.simd.masks import highest_bits, shifted
-from tg4mm.rasterize.simd.memory import address, load, store
-from tg4mm.rasterize.simd.vector import LANES, ctz, movemask, select
+from tg4mm.rasterize.kernels.tiles import BLOCKS, CENTRE_X, CENTRE_Y, aligned, alphas
+from tg4mm.rasterize.simd.memory import address, keep, load_pixels, store
+from tg4mm.rasterize.simd.vector import PIXELS, ctz, movemask, select
 
-KEPT = 5 * LANES  # numbers kept for each block: w, Tα, α/(1 - α), dx, dy
+KEPT = 5 * PIXELS  # numbers kept for each block: w, Tα, α/(1 - α), dx, dy
 BATCH = 32  # pairs of a batch
 _PLANES = room(BATCH)
 
@@ -25,20 +31,20 @@ _PLANES = room(BATCH)
 @inlined
 def look_at_all(splats, pair_gaussian, first, last, end, x0, y0, faintest, held, batch):
     """Of the pairs first … last what `weights` needs, and which blocks they may reach."""
-    masks, at, _, _ = batch
+    masks, words, at, _, _ = batch
     flat, gaussians = address(splats), address(pair_gaussian)
     fill_batch(flat, gaussians, first, last, end, BATCH, (x0, y0), held[:2], faintest, at, True)
     prefetch_gaussians(flat, gaussians, last, BATCH, end)
-    words = reaching(at, BATCH, int64(0))
-    for n in range(BATCH):
-        masks[BATCH - 1 - n] = highest_bits(words)
-        words = shifted(words, uint32(1))
+    reaching(at, BATCH, int64(0), address(words))
+    by_gaussian(address(words), int64(BATCH), address(masks))
+    keep(words)
+    keep(masks)
 
 
 @inlined
 def look_at_reached(splats, pair_gaussian, reached, first, last, end, x0, y0, faintest, held, batch):
     """`look_at_all` where `blend_forward` has told which blocks are reached."""
-    masks, at, _, _ = batch
+    masks, _, at, _, _ = batch
     fill_batch(
         address(splats), address(pair_gaussian), first, last, end, BATCH, (x0, y0), held[:2], faintest, at, False
     )  # fmt: skip
@@ -48,8 +54,9 @@ def look_at_reached(splats, pair_gaussian, reached, first, last, end, x0, y0, fa
 
 @inlined
 def batch_room(blocks=BLOCKS):
-    """Room for a batch: masks and planes of its pairs; and for `weights` of so many blocks: `kept` and `found`."""
-    return np.empty(BATCH, np.uint32), aligned(_PLANES), aligned(blocks * KEPT), np.empty(blocks, np.int64)
+    """Room for a batch: masks, words and planes of its pairs; for `weights` of so many blocks: `kept` and `found`."""
+    masks, words = np.empty(BATCH, np.uint32), np.empty(BLOCKS, np.uint32)
+    return masks, words, aligned(_PLANES), aligned(blocks * KEPT), np.empty(blocks, np.int64)
 
 
 @inlined
@@ -59,7 +66,7 @@ def weights(splats, i, n, live, x0, y0, faintest, table, held, state, stride, ba
     `kept` gets it from block `count` on, and `found` the place of each of these blocks in the state. Returns how many
     are there then, and the blocks still live.
     """
-    masks, planes, kept, found = batch
+    masks, _, planes, kept, found = batch
     lane_x, lane_y, powers, alpha_max, t_min = held
     one, zero = float32(1.0), float32(0.0)
     at_x = lane_x + (float32(x0) - splats[i, MX])
@@ -71,7 +78,7 @@ def weights(splats, i, n, live, x0, y0, faintest, table, held, state, stride, ba
         place = k * stride
         y = log2_alpha(planes, BATCH, n, k, lane_y)
         alpha, free, _ = alphas(y, faintest, alpha_max, powers)
-        t = load(state, place)
+        t = load_pixels(state, place)
         w = t * alpha
         nt = t - w
         on = nt > t_min
@@ -80,10 +87,10 @@ def weights(splats, i, n, live, x0, y0, faintest, table, held, state, stride, ba
         store(state, place, select(on, nt, -abs(t)))
         source = count * KEPT
         store(kept, source, w)
-        store(kept, source + LANES, t * moving)
-        store(kept, source + 2 * LANES, moving / (one - alpha))
-        store(kept, source + 3 * LANES, at_x + table[2 * LANES + k])
-        store(kept, source + 4 * LANES, at_y + table[3 * LANES + k])
+        store(kept, source + PIXELS, t * moving)
+        store(kept, source + 2 * PIXELS, moving / (one - alpha))
+        store(kept, source + 3 * PIXELS, at_x + table[CENTRE_X + k])
+        store(kept, source + 4 * PIXELS, at_y + table[CENTRE_Y + k])
         found[count] = place
         count += int64(movemask(w > zero) != 0)
         if movemask(on) == 0:

@@ -10,10 +10,13 @@ alias. Here a kernel is written for one vector at a time, so the machine code fo
         v = load(x, int64(i))
         store(x, int64(i), select(v > zero, fma(v, v, one), zero))
 
-Lanes. A vector is LLVM's <16 x float>, whatever the processor: 16 is one register of AVX-512, one cache line, one block
-of 4 × 4 pixels. LLVM splits each operation where registers are narrower: in two for AVX2, in four for SSE and NEON. The
-source stays the same; only `exp2` and `fma_where` take another way with AVX-512 (`has_avx512`). What a lane stands for
-is up to the kernel: a pixel of a block (blending), or a Gaussian (projection, culling); `rows.py` changes between them.
+Lanes. A vector is LLVM's <16 x float>, whatever the processor: 16 is one register of AVX-512 and one cache line. LLVM
+splits each operation where registers are narrower: in two for AVX2, in four for SSE and NEON. Blending's pixels are the
+exception: a block is `PIXELS` lanes, 16 (4 × 4 pixels) with AVX-512 and 8 (4 × 2) elsewhere, since the state of sixteen
+pixels does not fit into sixteen narrower registers (`load_pixels`, `broadcast_pixels`; arithmetic, `fma`, `select` and
+`store` take either). Besides, only `exp2` and `fma_where` take another way with AVX-512 (`has_avx512`). What a lane
+stands for is up to the kernel: a pixel of a block (blending), or a Gaussian (projection, culling); `rows.py` changes
+between them.
 
 Masks. A comparison gives a mask, <16 x i1>: `&` joins masks, `select(mask, a, b)` picks by lane, `movemask` makes an
 integer of it (lane k is bit k), whose set bits `popcount` counts and `ctz` finds. Every lane is computed: what a mask

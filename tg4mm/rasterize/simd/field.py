@@ -10,7 +10,7 @@ from numba import types
 from numba.extending import intrinsic
 
 from tg4mm.rasterize.simd.memory import data_at
-from tg4mm.rasterize.simd.vector import F32, FV, I64, LANES, constant_lanes, declare, vector
+from tg4mm.rasterize.simd.vector import F32, FV, I64, LANES, constant_lanes, of_lanes, vector
 
 _ROWS = 4
 _EACH_ROW = [lane // 4 for lane in range(LANES)]
@@ -86,12 +86,12 @@ def transposed_times(typingctx, array, index, value):
     """Mᵀ times four rows, of the 4 × 4 block M that begins at `index` of a contiguous float32 array [n]."""
 
     def codegen(context, builder, sig, args):
-        total, multiply_add = ir.Constant(FV, None), declare(builder, "llvm.fmuladd.v16f32", FV, [FV] * 3)
+        total = ir.Constant(FV, None)
         for row in range(_ROWS):
             column = _broadcast(context, builder, sig, args, _ROWS * row)
             lanes = constant_lanes([_ROWS * row + k % 4 for k in range(LANES)])
             there = builder.shuffle_vector(args[2], args[2], lanes)
-            total = builder.call(multiply_add, [column, there, total])
+            total = of_lanes(builder, "fmuladd", column, there, total)
         return total
 
     return vector(array, types.int64, vector), codegen

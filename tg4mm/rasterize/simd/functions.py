@@ -10,7 +10,7 @@ from numba.core import cgutils
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin
 
-from tg4mm.rasterize.simd.vector import FV, I16, I32, IV, LANES, declare, has_avx512, vector
+from tg4mm.rasterize.simd.vector import FV, I16, I32, IV, LANES, declare, has_avx512, of_lanes, vector
 
 # of `vreduceps`: round to nearest, suppress the inexact exception; exception mode as set
 _QUIET, _AS_SET = 8, 4
@@ -29,18 +29,24 @@ EXP2_STEPS = (
 ).view(np.float32)
 
 
-def _exp2_series(builder, x, multiply_add, constants):
+def _exp2_series(builder, x, constants):
     *polynomial, rounder = constants
     shifted = builder.fadd(x, rounder)
     f = builder.fsub(x, builder.fsub(shifted, rounder))
-    p = polynomial[0]
-    for coefficient in polynomial[1:]:
-        p = builder.call(multiply_add, [p, f, coefficient])
-    shift = ir.Constant(IV, [ir.Constant(I32, 23)] * LANES)
-    return p, builder.shl(builder.bitcast(shifted, IV), shift)
+    # by pairs of terms (Estrin): a chain of three multiply-adds instead of five
+    square = builder.fmul(f, f)
+    pairs = [of_lanes(builder, "fmuladd", polynomial[k], f, polynomial[k + 1]) for k in (0, 2, 4)]
+    p = of_lanes(
+        builder, "fmuladd", of_lanes(builder, "fmuladd", pairs[0], square, pairs[1]), square, pairs[2]
+    )
+    words = ir.VectorType(I32, x.type.count)
+    n = builder.shl(
+        builder.bitcast(shifted, words), ir.Constant(words, [ir.Constant(I32, 23)] * x.type.count)
+    )
+    return builder.bitcast(builder.add(builder.bitcast(p, words), n), x.type)
 
 
-def _exp2_steps(builder, x, multiply_add, constants, steps):
+def _exp2_steps(builder, x, constants, steps):
     second, first, rounder = constants
     shifted = builder.fadd(x, rounder)
     reduce = declare(builder, "llvm.x86.avx512.mask.reduce.ps.512", FV, [FV, I32, FV, I16, I32])
@@ -54,8 +60,8 @@ def _exp2_steps(builder, x, multiply_add, constants, steps):
     step = builder.call(look_up, [steps[0], n, steps[1]])  # by the last five bits
     shift = ir.Constant(IV, [ir.Constant(I32, 23 - _STEP_BITS)] * LANES)
     power = builder.bitcast(builder.add(builder.bitcast(step, IV), builder.shl(n, shift)), FV)
-    rise = builder.fmul(builder.call(multiply_add, [second, f, first]), f)
-    return builder.call(multiply_add, [power, rise, power])
+    rise = builder.fmul(of_lanes(builder, "fmuladd", second, f, first), f)
+    return of_lanes(builder, "fmuladd", power, rise, power)
 
 
 @intrinsic
@@ -63,20 +69,18 @@ def exp2(typingctx, x, constants):
     """2^x for -126 <= x <= 0; below, any value. Relative error below 3e-7. constants: EXP2 and EXP2_STEPS, vectors.
 
     2^n · 2^f with n the nearest integer and |f| <= 1/2, a polynomial for 2^f. The low bits of x + 1.5 · 2^23 are n.
-    With AVX-512 n is the nearest multiple of 1/32, whose power is looked up, and the polynomial takes three
-    multiplications instead of five.
+    For sixteen lanes with AVX-512 n is the nearest multiple of 1/32, whose power is looked up, and the polynomial takes
+    three multiplications instead of five.
     """
 
     def codegen(context, builder, sig, args):
         values = cgutils.unpack_tuple(builder, args[1])
         series, short, steps = values[: len(_SERIES)], values[len(_SERIES) : len(EXP2)], values[len(EXP2) :]
-        multiply_add = declare(builder, "llvm.fmuladd.v16f32", FV, [FV] * 3)
-        if has_avx512(context):
-            return _exp2_steps(builder, args[0], multiply_add, short, steps)
-        p, n = _exp2_series(builder, args[0], multiply_add, series)
-        return builder.bitcast(builder.add(builder.bitcast(p, IV), n), FV)
+        if has_avx512(context) and sig.return_type == vector:
+            return _exp2_steps(builder, args[0], short, steps)
+        return _exp2_series(builder, args[0], series)
 
-    return vector(vector, constants), codegen
+    return x(x, constants), codegen
 
 
 _HALF_ROOT = 0x3F3504F3  # the bits of √½
@@ -88,7 +92,7 @@ _LN2_REST = float(np.log(2)) - _LN2
 
 def _square_root(context, builder, sig, args):
     """Rounded as it should be."""
-    return builder.call(declare(builder, "llvm.sqrt.v16f32", FV, [FV]), args)
+    return of_lanes(builder, "sqrt", *args)
 
 
 def _logarithm(context, builder, sig, args):
@@ -104,21 +108,20 @@ def _logarithm(context, builder, sig, args):
     n = builder.ashr(builder.sub(x, of(IV, _HALF_ROOT)), of(IV, 23))
     f = builder.bitcast(builder.sub(x, builder.shl(n, of(IV, 23))), FV)
     f, n = builder.fsub(f, of(FV, 1.0)), builder.sitofp(n, FV)
-    multiply_add = declare(builder, "llvm.fmuladd.v16f32", FV, [FV] * 3)
     series = of(FV, _LOGARITHM[0])
     for coefficient in _LOGARITHM[1:]:
-        series = builder.call(multiply_add, [series, f, of(FV, coefficient)])
+        series = of_lanes(builder, "fmuladd", series, f, of(FV, coefficient))
     square = builder.fmul(f, f)
     small = builder.fmul(n, of(FV, _LN2_REST))
-    small = builder.call(multiply_add, [builder.fmul(square, f), series, small])
-    small = builder.call(multiply_add, [square, of(FV, -0.5), small])
-    return builder.call(multiply_add, [n, of(FV, _LN2), builder.fadd(small, f)])
+    small = of_lanes(builder, "fmuladd", builder.fmul(square, f), series, small)
+    small = of_lanes(builder, "fmuladd", square, of(FV, -0.5), small)
+    return of_lanes(builder, "fmuladd", n, of(FV, _LN2), builder.fadd(small, f))
 
 
 def _whole(name):
     def lower(context, builder, sig, args):
         """Whole numbers as float32."""
-        return builder.call(declare(builder, f"llvm.{name}.v16f32", FV, [FV]), args)
+        return of_lanes(builder, name, *args)
 
     return lower
 

@@ -1,4 +1,4 @@
-"""Masks of sixteen lanes in memory, 16 bits each, and bit operations on many of them at once.
+"""Masks of lanes in memory, a bit each, and bit operations on many of them at once.
 
 Sixteen words of 32 bits are a vector of `vector.py` that is not read as float32.
 """
@@ -9,56 +9,81 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from tg4mm.rasterize.simd.vector import FV, I16, I32, I64, IV, LANES, MV, as_lanes, declare, mask, vector
+from tg4mm.rasterize.simd.vector import (
+    FV,
+    I16,
+    I32,
+    IV,
+    LANES,
+    MV,
+    PIXELS,
+    as_lanes,
+    constant_lanes,
+    declare,
+    vector,
+)
 
 _NUMBERED = ir.Constant(IV, [ir.Constant(I32, k) for k in range(LANES)])
 
 
 @intrinsic
 def put_mask(typingctx, at, index, condition):
-    """Write a mask as the index-th 16 bits of an address."""
+    """Write a mask as the index-th of such masks from an address on."""
 
     def codegen(context, builder, sig, args):
-        at = builder.gep(builder.inttoptr(args[0], I16.as_pointer()), [args[1]])
-        builder.store(builder.bitcast(args[2], I16), at, align=2)
+        bits = ir.IntType(args[2].type.count)
+        at = builder.gep(builder.inttoptr(args[0], bits.as_pointer()), [args[1]])
+        builder.store(builder.bitcast(args[2], bits), at, align=1)
         return context.get_dummy_value()
 
-    return types.none(types.int64, types.int64, mask), codegen
+    return types.none(types.int64, types.int64, condition), codegen
 
 
 @intrinsic
-def two_halves(typingctx, at, index):
-    """Sixteen words of 32 bits from 32 of 16 bits at an address: the first sixteen are low halves, the others high."""
+def put_four_masks(typingctx, at, index, a, b, c, d):
+    """Write four masks one behind the other as the index-th four of such masks from an address on."""
+
+    def codegen(context, builder, sig, args):
+        parts, lanes = args[2:], args[2].type.count
+        while len(parts) > 1:
+            together = constant_lanes(range(2 * parts[0].type.count))
+            parts = [builder.shuffle_vector(*parts[k : k + 2], together) for k in range(0, len(parts), 2)]
+        bits = ir.IntType(4 * lanes)
+        at = builder.gep(builder.inttoptr(args[0], bits.as_pointer()), [args[1]])
+        builder.store(builder.bitcast(parts[0], bits), at, align=1)
+        return context.get_dummy_value()
+
+    return types.none(types.int64, types.int64, a, b, c, d), codegen
+
+
+@intrinsic
+def two_halves(typingctx, at, low, high):
+    """Sixteen words of 32 bits of low and high halves, sixteen each, from the low-th and high-th of an address on."""
 
     def codegen(context, builder, sig, args):
         kind = ir.VectorType(I16, LANES)
         data = builder.inttoptr(args[0], I16.as_pointer())
         low, high = (
             builder.zext(
-                builder.load(
-                    builder.bitcast(
-                        builder.gep(data, [builder.add(args[1], ir.Constant(I64, k))]), kind.as_pointer()
-                    ),
-                    align=2,
-                ),
-                IV,
+                builder.load(builder.bitcast(builder.gep(data, [index]), kind.as_pointer()), align=2), IV
             )
-            for k in (0, LANES)
+            for index in args[1:]
         )
         shift = ir.Constant(IV, [ir.Constant(I32, 16)] * LANES)
         return builder.bitcast(builder.or_(low, builder.shl(high, shift)), FV)
 
-    return vector(types.int64, types.int64), codegen
+    return vector(types.int64, types.int64, types.int64), codegen
 
 
 @intrinsic
 def not_empty(typingctx, at, index):
-    """Which of 32 masks are not empty, as an integer: a bit a mask. The first is the index-th 16 bits of an address."""
+    """Which of 32 masks of pixels, from the index-th of an address on, are not empty: an integer, a bit a mask."""
 
     def codegen(context, builder, sig, args):
-        kind = ir.VectorType(I16, 2 * LANES)
-        data = builder.gep(builder.inttoptr(args[0], I16.as_pointer()), [args[1]])
-        masks = builder.load(builder.bitcast(data, kind.as_pointer()), align=2)
+        bits = ir.IntType(PIXELS)
+        kind = ir.VectorType(bits, 2 * LANES)
+        data = builder.gep(builder.inttoptr(args[0], bits.as_pointer()), [args[1]])
+        masks = builder.load(builder.bitcast(data, kind.as_pointer()), align=1)
         return builder.bitcast(builder.icmp_unsigned("!=", masks, ir.Constant(kind, None)), I32)
 
     return types.uint32(types.int64, types.int64), codegen

@@ -11,7 +11,19 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from tg4mm.rasterize.simd.vector import F32, FV, I32, I64, IV, LANES, as_lanes, declare, vector
+from tg4mm.rasterize.simd.vector import (
+    F32,
+    FV,
+    I32,
+    I64,
+    IV,
+    LANES,
+    as_lanes,
+    declare,
+    half,
+    pixels,
+    vector,
+)
 
 _NEAR, _FAR = 3, 2  # where prefetched lines go: the first cache, the second
 
@@ -54,15 +66,22 @@ def keep(typingctx, array):
     return types.none(array), lambda context, builder, sig, args: context.get_dummy_value()
 
 
-@intrinsic
-def load(typingctx, place, index):
+def _loading(kind):
     """Lanes from a place, from float32 `index` on (int64, not checked)."""
 
-    def codegen(context, builder, sig, args):
-        entry = _entry(context, builder, sig, args)
-        return builder.load(builder.bitcast(entry, FV.as_pointer()), align=4)
+    def typed(typingctx, place, index):
+        def codegen(context, builder, sig, args):
+            entry = _entry(context, builder, sig, args)
+            lanes = ir.VectorType(F32, kind.lanes)
+            return builder.load(builder.bitcast(entry, lanes.as_pointer()), align=4)
 
-    return vector(place, types.int64), codegen
+        return kind(place, types.int64), codegen
+
+    return intrinsic(typed)
+
+
+load, load_half = _loading(vector), _loading(half)
+load_pixels = load if pixels == vector else load_half
 
 
 @intrinsic
@@ -71,10 +90,10 @@ def store(typingctx, place, index, value):
 
     def codegen(context, builder, sig, args):
         entry = _entry(context, builder, sig, args)
-        builder.store(args[2], builder.bitcast(entry, FV.as_pointer()), align=4)
+        builder.store(args[2], builder.bitcast(entry, args[2].type.as_pointer()), align=4)
         return context.get_dummy_value()
 
-    return types.none(place, types.int64, vector), codegen
+    return types.none(place, types.int64, value), codegen
 
 
 def _first(builder, count):

@@ -15,22 +15,25 @@ from tg4mm.rasterize.simd.vector import (
     I64,
     IV,
     LANES,
+    PIXELS,
     as_lanes,
     constant_lanes,
     declare,
+    pixels,
     vector,
 )
 
 
 def _within_fours(builder, a, b, c, d):
     """Lane 4 r + j of the k-th to lane 4 r + k of the j-th: every group of four lanes transposed."""
-    low, high = ([g + s for g in range(0, LANES, 4) for s in p] for p in ((0, 16, 1, 17), (2, 18, 3, 19)))
+    n = a.type.count
+    low, high = ([g + s for g in range(0, n, 4) for s in p] for p in ((0, n, 1, n + 1), (2, n + 2, 3, n + 3)))
     pairs = [
         builder.shuffle_vector(x, y, constant_lanes(lanes))
         for lanes in (low, high)
         for x, y in ((a, b), (c, d))
     ]
-    low, high = ([g + s for g in range(0, LANES, 4) for s in p] for p in ((0, 1, 16, 17), (2, 3, 18, 19)))
+    low, high = ([g + s for g in range(0, n, 4) for s in p] for p in ((0, 1, n, n + 1), (2, 3, n + 2, n + 3)))
     return [
         builder.shuffle_vector(*pairs[k : k + 2], constant_lanes(lanes))
         for k in (0, 2)
@@ -56,7 +59,7 @@ def _together(builder, parts):
 
 @intrinsic
 def interleave(typingctx, a, b, c, d):
-    """The inverse of `transpose`: four channels, a lane a pixel, to pixels with their channels side by side."""
+    """The inverse of `transpose`: four columns, a lane a row, to rows with their columns side by side."""
 
     def codegen(context, builder, sig, args):
         rows = _of_fours(builder, *_within_fours(builder, *args))
@@ -74,6 +77,59 @@ def transpose(typingctx, a, b, c, d):
         return context.make_tuple(builder, sig.return_type, planes)
 
     return types.UniTuple(vector, 4)(*[vector] * 4), codegen
+
+
+def _fours_of(builder, a, b, group):
+    """A group of four lanes of one vector, and the same of another."""
+    lanes = range(4 * group, 4 * group + 4)
+    return builder.shuffle_vector(a, b, constant_lanes([*lanes, *(a.type.count + k for k in lanes)]))
+
+
+def _rows_of_block(context, builder, sig, args):
+    """Addresses of four pixels of four channels in each row of a block: from an index on, a stride apart."""
+    data, place = data_at(context, builder, sig.args[0], args[0]), args[1]
+    for _ in range(PIXELS // 4):
+        yield builder.bitcast(builder.gep(data, [place]), FV.as_pointer())
+        place = builder.add(place, args[2])
+
+
+@intrinsic
+def load_planes(typingctx, picture, index, stride):
+    """The four channels of a block of a picture [n], whose rows are `stride` apart: a lane a pixel."""
+
+    def codegen(context, builder, sig, args):
+        rows = [builder.load(at, align=4) for at in _rows_of_block(context, builder, sig, args)]
+        columns = (
+            _of_fours(builder, *rows)
+            if len(rows) == 4
+            else [_fours_of(builder, rows[0], rows[1], k) for k in range(4)]
+        )
+        return context.make_tuple(builder, sig.return_type, _within_fours(builder, *columns))
+
+    return types.UniTuple(pixels, 4)(picture, types.int64, types.int64), codegen
+
+
+@intrinsic
+def store_planes(typingctx, picture, index, stride, planes):
+    """The inverse of `load_planes`."""
+
+    def codegen(context, builder, sig, args):
+        columns = _within_fours(builder, *cgutils.unpack_tuple(builder, args[3]))
+        if PIXELS == LANES:
+            rows = _of_fours(builder, *columns)
+        else:
+            whole = constant_lanes(range(LANES))
+            rows = [
+                builder.shuffle_vector(
+                    *(_fours_of(builder, columns[k], columns[k + 1], r) for k in (0, 2)), whole
+                )
+                for r in range(2)
+            ]
+        for row, at in zip(rows, _rows_of_block(context, builder, sig, args), strict=True):
+            builder.store(row, at, align=4)
+        return context.get_dummy_value()
+
+    return types.none(picture, types.int64, types.int64, planes), codegen
 
 
 @intrinsic

@@ -1,7 +1,10 @@
-"""Sixteen float32 as a numba type, its operators and masks.
+"""Sixteen float32, and eight, as numba types, their operators and masks.
 
-The type is LLVM's <16 x float>: one register with AVX-512, two with AVX2, four with SSE or NEON. `a * b + c` is not
-fused; `fma` is, where the processor can.
+The types are LLVM's <16 x float> (`vector`: one register with AVX-512, two with AVX2, four with SSE or NEON) and
+<8 x float> (`half`). `a * b + c` is not fused; `fma` is, where the processor can.
+
+`pixels` is the one of the two that blending works on, a lane a pixel: `vector` with AVX-512, `half` elsewhere, where
+there are but sixteen registers, narrower ones, and the state of sixteen pixels does not fit into them.
 """
 
 from __future__ import annotations
@@ -11,6 +14,7 @@ import operator
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
+from numba.core.registry import cpu_target
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, register_model
 
@@ -20,33 +24,45 @@ I16 = ir.IntType(LANES)
 FV, IV, MV = (ir.VectorType(t, LANES) for t in (F32, I32, ir.IntType(1)))
 
 
-class _Vector(types.Type):
-    """Sixteen float32."""
-
-    def __init__(self) -> None:
-        super().__init__(name="Float32x16")
+def has_avx512(context):
+    """Whether the target has AVX-512 (DQ): 32-entry look-ups, masked arithmetic, `vreduceps`."""
+    return "+avx512dq" in context.codegen().magic_tuple()[2]
 
 
-class _Mask(types.Type):
-    """Sixteen truth values."""
-
-    def __init__(self) -> None:
-        super().__init__(name="Mask16")
+PIXELS = LANES if has_avx512(cpu_target.target_context) else LANES // 2
 
 
-vector, mask = _Vector(), _Mask()
+class Vector(types.Type):
+    """So many float32."""
+
+    def __init__(self, lanes: int) -> None:
+        self.lanes = lanes
+        super().__init__(name=f"Float32x{lanes}")
 
 
-@register_model(_Vector)
+class Mask(types.Type):
+    """So many truth values."""
+
+    def __init__(self, lanes: int) -> None:
+        self.lanes = lanes
+        super().__init__(name=f"Mask{lanes}")
+
+
+vector, half = Vector(LANES), Vector(LANES // 2)
+mask_of = {kind: Mask(kind.lanes) for kind in (vector, half)}
+mask, pixels = mask_of[vector], vector if PIXELS == LANES else half
+
+
+@register_model(Vector)
 class _VectorModel(models.PrimitiveModel):
     def __init__(self, manager, kind):
-        super().__init__(manager, kind, FV)
+        super().__init__(manager, kind, ir.VectorType(F32, kind.lanes))
 
 
-@register_model(_Mask)
+@register_model(Mask)
 class _MaskModel(models.PrimitiveModel):
     def __init__(self, manager, kind):
-        super().__init__(manager, kind, MV)
+        super().__init__(manager, kind, ir.VectorType(ir.IntType(1), kind.lanes))
 
 
 def constant_lanes(lanes):
@@ -55,84 +71,105 @@ def constant_lanes(lanes):
     return ir.Constant(ir.VectorType(I32, len(picked)), picked)
 
 
-def as_lanes(builder, scalar):
+def as_lanes(builder, scalar, lanes=LANES):
     """A float32 or an integer of 32 bits in every lane."""
-    kind = FV if scalar.type == F32 else IV
+    kind = ir.VectorType(scalar.type, lanes)
     one = builder.insert_element(ir.Constant(kind, ir.Undefined), scalar, ir.Constant(I32, 0))
-    return builder.shuffle_vector(one, ir.Constant(kind, ir.Undefined), constant_lanes([0] * LANES))
+    return builder.shuffle_vector(one, ir.Constant(kind, ir.Undefined), constant_lanes([0] * lanes))
 
 
-def _as_vector(builder, value):
-    return value if value.type == FV else as_lanes(builder, value)
+def _as_vector(builder, value, lanes):
+    return value if isinstance(value.type, ir.VectorType) else as_lanes(builder, value, lanes)
 
 
-def _register(op, result, emit):
+def _widest(*kinds):
+    """Of the types of arguments the vector's; None where there are two, or none."""
+    found = {kind for kind in kinds if isinstance(kind, Vector)}
+    return found.pop() if len(found) == 1 else None
+
+
+def _register(op, compares, emit):
     @infer_global(op)
     class _Operator(ConcreteTemplate):
-        cases = [signature(result, a, b) for a, b in _PAIRS]  # noqa: RUF012
+        cases = [  # noqa: RUF012
+            signature(mask_of[kind] if compares else kind, a, b)
+            for kind in mask_of
+            for a, b in ((kind, kind), (kind, types.float32), (types.float32, kind))
+        ]
 
-    for a, b in _PAIRS:
+    for case in _Operator.cases:
 
-        @lower_builtin(op, a, b)
+        @lower_builtin(op, *case.args)
         def lower(context, builder, sig, args):
-            return emit(builder, *(_as_vector(builder, x) for x in args))
+            lanes = sig.return_type.lanes
+            return emit(builder, *(_as_vector(builder, x, lanes) for x in args))
 
 
-_PAIRS = ((vector, vector), (vector, types.float32), (types.float32, vector))
-_register(operator.add, vector, lambda b, x, y: b.fadd(x, y))
-_register(operator.sub, vector, lambda b, x, y: b.fsub(x, y))
-_register(operator.mul, vector, lambda b, x, y: b.fmul(x, y))
+_register(operator.add, False, lambda b, x, y: b.fadd(x, y))
+_register(operator.sub, False, lambda b, x, y: b.fsub(x, y))
+_register(operator.mul, False, lambda b, x, y: b.fmul(x, y))
 # a reciprocal with one step of Newton's method where the processor has one: 1 to 2 units in the last place
 _register(
-    operator.truediv, vector, lambda b, x, y: b.fdiv(x, y, flags=("arcp", "afn", "ninf", "nnan", "contract"))
+    operator.truediv, False, lambda b, x, y: b.fdiv(x, y, flags=("arcp", "afn", "ninf", "nnan", "contract"))
 )
-_register(min, vector, lambda b, x, y: b.select(b.fcmp_ordered("<", x, y), x, y))
-_register(max, vector, lambda b, x, y: b.select(b.fcmp_ordered(">", x, y), x, y))
-_register(operator.gt, mask, lambda b, x, y: b.fcmp_ordered(">", x, y))
-_register(operator.ge, mask, lambda b, x, y: b.fcmp_ordered(">=", x, y))
-_register(operator.lt, mask, lambda b, x, y: b.fcmp_ordered("<", x, y))
-_register(operator.le, mask, lambda b, x, y: b.fcmp_ordered("<=", x, y))
-_register(operator.eq, mask, lambda b, x, y: b.fcmp_ordered("==", x, y))
+_register(min, False, lambda b, x, y: b.select(b.fcmp_ordered("<", x, y), x, y))
+_register(max, False, lambda b, x, y: b.select(b.fcmp_ordered(">", x, y), x, y))
+_register(operator.gt, True, lambda b, x, y: b.fcmp_ordered(">", x, y))
+_register(operator.ge, True, lambda b, x, y: b.fcmp_ordered(">=", x, y))
+_register(operator.lt, True, lambda b, x, y: b.fcmp_ordered("<", x, y))
+_register(operator.le, True, lambda b, x, y: b.fcmp_ordered("<=", x, y))
+_register(operator.eq, True, lambda b, x, y: b.fcmp_ordered("==", x, y))
 
 
-@infer_global(operator.neg)
-class _Negative(ConcreteTemplate):
-    cases = [signature(vector, vector)]  # noqa: RUF012
+def _register_one(op, emit):
+    @infer_global(op)
+    class _Operator(ConcreteTemplate):
+        cases = [signature(kind, kind) for kind in mask_of]  # noqa: RUF012
+
+    for kind in mask_of:
+
+        @lower_builtin(op, kind)
+        def lower(context, builder, sig, args):
+            return emit(builder, args[0])
 
 
-@lower_builtin(operator.neg, vector)
-def _negative(context, builder, sig, args):
-    return builder.fneg(args[0])
-
-
-@infer_global(abs)
-class _Magnitude(ConcreteTemplate):
-    cases = [signature(vector, vector)]  # noqa: RUF012
-
-
-@lower_builtin(abs, vector)
-def _magnitude(context, builder, sig, args):
-    return builder.call(declare(builder, "llvm.fabs.v16f32", FV, [FV]), args)
+_register_one(operator.neg, lambda b, x: b.fneg(x))
+_register_one(abs, lambda b, x: of_lanes(b, "fabs", x))
 
 
 @infer_global(operator.and_)
 class _And(ConcreteTemplate):
-    cases = [signature(mask, mask, mask)]  # noqa: RUF012
+    cases = [signature(kind, kind, kind) for kind in mask_of.values()]  # noqa: RUF012
 
 
-@lower_builtin(operator.and_, mask, mask)
 def _and(context, builder, sig, args):
     return builder.and_(*args)
+
+
+for _kind in mask_of.values():
+    lower_builtin(operator.and_, _kind, _kind)(_and)
 
 
 def declare(builder, name, result, arguments):
     return cgutils.get_or_insert_function(builder.module, ir.FunctionType(result, arguments), name)
 
 
-@intrinsic
-def broadcast(typingctx, x):
-    """A float32 in all lanes."""
-    return vector(types.float32), lambda context, builder, sig, args: as_lanes(builder, args[0])
+def of_lanes(builder, name, *args):
+    """LLVM's function `name` of vectors of one type: fmuladd, fabs, sqrt …"""
+    kind = args[0].type
+    return builder.call(declare(builder, f"llvm.{name}.v{kind.count}f32", kind, [kind] * len(args)), args)
+
+
+def _broadcasting(kind):
+    def typed(typingctx, x):
+        return kind(types.float32), lambda context, builder, sig, args: as_lanes(builder, args[0], kind.lanes)
+
+    return intrinsic(typed)
+
+
+broadcast = _broadcasting(vector)  # a float32 in all lanes
+broadcast_half = _broadcasting(half)
+broadcast_pixels = broadcast if pixels == vector else broadcast_half
 
 
 @intrinsic
@@ -140,10 +177,11 @@ def fma(typingctx, a, b, c):
     """a · b + c, rounded once where the processor can. Each a vector or a float32."""
 
     def codegen(context, builder, sig, args):
-        f = declare(builder, "llvm.fmuladd.v16f32", FV, [FV] * 3)
-        return builder.call(f, [_as_vector(builder, x) for x in args])
+        lanes = sig.return_type.lanes
+        return of_lanes(builder, "fmuladd", *(_as_vector(builder, x, lanes) for x in args))
 
-    return vector(a, b, c), codegen
+    kind = _widest(a, b, c)
+    return (kind(a, b, c), codegen) if kind else None
 
 
 @intrinsic
@@ -154,14 +192,15 @@ def fma_where(typingctx, condition, a, b, c):
     """
 
     def codegen(context, builder, sig, args):
-        condition, a, b, c = args[0], *(_as_vector(builder, x) for x in args[1:])
+        lanes = sig.return_type.lanes
+        condition, a, b, c = args[0], *(_as_vector(builder, x, lanes) for x in args[1:])
         masked = has_avx512(context)
         if not masked:
-            a = builder.select(condition, a, ir.Constant(FV, None))
-        f = builder.call(declare(builder, "llvm.fmuladd.v16f32", FV, [FV] * 3), [a, b, c])
+            a = builder.select(condition, a, ir.Constant(a.type, None))
+        f = of_lanes(builder, "fmuladd", a, b, c)
         return builder.select(condition, f, c) if masked else f
 
-    return vector(condition, vector, b, c), codegen
+    return a(condition, a, b, c), codegen
 
 
 @intrinsic
@@ -169,9 +208,11 @@ def select(typingctx, condition, a, b):
     """a where the mask is set, else b. Each a vector or a float32."""
 
     def codegen(context, builder, sig, args):
-        return builder.select(args[0], _as_vector(builder, args[1]), _as_vector(builder, args[2]))
+        lanes = sig.return_type.lanes
+        return builder.select(args[0], *(_as_vector(builder, x, lanes) for x in args[1:]))
 
-    return vector(mask, a, b), codegen
+    kind = _widest(a, b)
+    return (kind(condition, a, b), codegen) if kind else None
 
 
 @intrinsic
@@ -179,9 +220,9 @@ def movemask(typingctx, condition):
     """The mask as an integer: lane k is bit k."""
 
     def codegen(context, builder, sig, args):
-        return builder.zext(builder.bitcast(args[0], ir.IntType(LANES)), I32)
+        return builder.zext(builder.bitcast(args[0], ir.IntType(args[0].type.count)), I32)
 
-    return types.uint32(mask), codegen
+    return types.uint32(condition), codegen
 
 
 @intrinsic
@@ -205,11 +246,6 @@ def popcount(typingctx, x):
         return builder.call(declare(builder, "llvm.ctpop.i32", I32, [I32]), args)
 
     return types.uint32(types.uint32), codegen
-
-
-def has_avx512(context):
-    """Whether the target has AVX-512 (DQ): 32-entry look-ups, masked arithmetic, `vreduceps`."""
-    return "+avx512dq" in context.codegen().magic_tuple()[2]
 
 
 @intrinsic

@@ -258,7 +258,7 @@ def _scene(name, freqs, amplitude, fps, n_timesteps, alphas, size, n_views, n_te
         "unit_scale_m": 0.1,
         "modes": modes,
         "seed": 0,
-        "engine": {"name": "tests/synthetic.py"},
+        "engine": {"name": "tests/helpers/synthetic.py"},
         "alphas": list(alphas) if n_test else [],
         "background": "transparent",
         "width": size,

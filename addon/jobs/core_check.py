@@ -1,0 +1,82 @@
+"""Whether the Python of the Core can train: the preferences' button Test, and what it says."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from typing import Any
+
+import bpy
+
+from ..generator.dataset_gen.errors import GenerateError
+from ..generator.tg4mm import __version__ as own_version
+from . import commands, generating
+
+LIMIT_S = 60.0
+NEEDED = ("tg4mm", "torch", "numba", "safetensors", "bpy")
+_ASK = """
+import importlib.util, json, sys
+there = {name: importlib.util.find_spec(name) is not None for name in sys.argv[1:]}
+version = None
+if there["tg4mm"]:
+    import tg4mm
+    version = tg4mm.__version__
+print(json.dumps({"python": sys.version.split()[0], "there": there, "version": version}))
+"""
+_INSTALL = (
+    "install it there: pip install 'tg4mm[core,generate]', in a clone pip install -e '.[core,generate]'"
+)
+
+
+def check(python: str, own_version: str) -> str:
+    """One line about a Python in which all is there. Raises GenerateError that says what is missing, and what to do."""
+    command = (python, "-c", _ASK, *NEEDED)
+    try:
+        done = subprocess.run(
+            command,
+            capture_output=True,
+            text=True,
+            timeout=LIMIT_S,
+            env=commands.environment(),
+            stdin=subprocess.DEVNULL,
+        )
+        said = json.loads(done.stdout.splitlines()[-1])
+        there, version, number = dict(said["there"]), said["version"], str(said["python"])
+    except subprocess.TimeoutExpired:
+        raise GenerateError(f"{python} did not answer in {LIMIT_S:g} s") from None
+    except OSError as error:
+        raise GenerateError(f"{python} cannot be started: {error.strerror or error}") from None
+    except (ValueError, IndexError, KeyError, TypeError):
+        raise GenerateError(f"{python} is no Python: choose bin/python of an environment") from None
+    missing = [name for name in NEEDED if not there.get(name)]
+    if missing:
+        raise GenerateError(f"Python {number} of {python} has no {', '.join(missing)}; {_INSTALL}")
+    other = (
+        ""
+        if version == own_version
+        else f"; this extension is {own_version}: better install the same of both"
+    )
+    return f"tg4mm {version} on Python {number}, ready to generate and to train{other}"
+
+
+class TG4MM_OT_test_core(bpy.types.Operator):
+    """Start the Python of the Core and see whether all that generating and training need is there"""
+
+    bl_idname = "tg4mm.test_core"
+    bl_label = "Test"
+
+    def execute(self, context: Any) -> set[str]:
+        try:
+            python = generating.core_python(context)
+            if not python:
+                raise GenerateError(
+                    "Python of the Core is empty: choose bin/python of an environment with tg4mm"
+                )
+            self.report({"INFO"}, check(python, own_version))
+        except GenerateError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        return {"FINISHED"}
+
+
+register, unregister = bpy.utils.register_classes_factory([TG4MM_OT_test_core])

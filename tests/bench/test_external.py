@@ -1,0 +1,98 @@
+"""A method joins by its pictures: the worked example of docs/protocol.md, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tg4mm.bench.tables import groups_of, tables_of
+from tg4mm.cli import main
+
+ROOT = Path(__file__).parents[2]
+
+
+def example() -> tuple[str, str]:
+    """(the program, the command) of the page."""
+    page = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8")
+    (program,) = re.findall(r"```python\n(.*?)```", page, re.S)
+    command = next(x for x in page.splitlines() if x.startswith("    tg4mm bench scenes") and "blend=" in x)
+    return program, command.strip()
+
+
+@pytest.fixture(scope="module")
+def joined(data: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
+    """The example run as the page has it, in a folder with a dataset, and beside it a broken one."""
+    folder = tmp_path_factory.mktemp("join")
+    shutil.copytree(data, folder / "data" / "mic_5Hz_0_005")
+    (folder / "data" / "broken").mkdir()
+    program, command = example()
+    (folder / "blend.py").write_text(program, encoding="utf-8")
+    subprocess.run([sys.executable, "blend.py"], cwd=folder, check=True, timeout=120)
+    _, _, *arguments = shlex.split(command)
+    arguments = [*arguments, "data/broken", "--methods", "linear-2d"]
+    subprocess.run(
+        [sys.executable, "-m", "tg4mm", "bench", *arguments], cwd=folder, timeout=300, check=False,
+        env={"PYTHONPATH": str(ROOT), "PATH": "/usr/bin:/bin", "OMP_NUM_THREADS": "1", "HOME": str(folder)},
+    )  # fmt: skip
+    out = folder / arguments[arguments.index("--out") + 1]
+    return out, json.loads((out / "results.json").read_text(encoding="utf-8"))
+
+
+def test_it_appears_in_every_table_of_pictures(joined: tuple[Path, dict]) -> None:
+    out, results = joined
+    page = (out / "results.html").read_text(encoding="utf-8")
+    for table in tables_of(results, groups_of(results)[0]):
+        if table.key not in {"motion", "own_ceiling", "modes", "cost"}:
+            assert "blend" in [row[0] for row in table.rows], table.key
+            assert "blend" in (out / "tables" / f"1_{table.key}.tex").read_text(encoding="utf-8")
+    assert "blend" in (out / "results.md").read_text(encoding="utf-8")
+    assert page.count("blend") > 5
+
+
+def test_its_scores_are_what_the_example_does(joined: tuple[Path, dict]) -> None:
+    """It mixes the neighbours in time, so it loses some of the motion."""
+    (line,) = [x for x in joined[1]["lines"] if x["row"] == "blend"]
+    assert list(line["alphas"]) == ["0", "5", "20"]
+    assert 0.2 < line["alphas"]["5"]["gain"] < 0.98
+
+
+def test_a_broken_dataset_is_reported_and_the_rest_goes_on(joined: tuple[Path, dict]) -> None:
+    out, results = joined
+    assert [f["set"] for f in results["failed"]] == ["broken"]
+    assert "- broken: " in (out / "results.md").read_text(encoding="utf-8")
+    assert {line["set"] for line in results["lines"]} == {"mic_5Hz_0_005"}
+
+
+def test_an_alpha_that_is_not_there_is_left_out_and_said(data: Path, tmp_path: Path, capsys) -> None:
+    theirs = tmp_path / "theirs" / data.name / "magnified" / "x005"
+    shutil.copytree(data / "magnified" / "x005", theirs)
+    arguments = ["bench", "scenes", str(data), "--out", str(tmp_path / "out"), "--methods", "linear-2d"]
+    assert main([*arguments, "--external", f"theirs={tmp_path / 'theirs'}"]) == 0
+    results = json.loads((tmp_path / "out" / "results.json").read_text(encoding="utf-8"))
+    (line,) = [x for x in results["lines"] if x["row"] == "theirs"]
+    assert list(line["alphas"]) == ["5"]
+    assert line["alphas"]["5"]["ssim"] == pytest.approx(1, abs=1e-4)  # put over white at 8 bits
+    assert "theirs has no pictures at α = 20" in (tmp_path / "out" / "results.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ("theirs", "expected NAME=DIR"),
+        ("a/b=.", "letters, digits"),
+        ("theirs=/nowhere", "/nowhere is not a folder"),
+        ("modal=.", "that is the name of a method here"),
+    ],
+)
+def test_what_is_refused(given: str, message: str, data: Path, tmp_path: Path, capsys) -> None:
+    out = tmp_path / "out"
+    assert main(["bench", "scenes", str(data), "--out", str(out), "--external", given]) == 2
+    assert message in capsys.readouterr().err
+    assert not out.exists()

@@ -1,0 +1,49 @@
+"""What can be observed: Gaussians whose exact motion is in the pictures, and not those whose pictures show another."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.helpers.synthetic import make_synthetic_dataset
+from tg4mm.bench.observed import AGREES, agreement, rms_motion
+from tg4mm.bench.sets import BenchSet, open_set
+from tg4mm.gaussians import Gaussians
+from tg4mm.motion.modes import ModalMotion
+
+Scene = tuple[Gaussians, ModalMotion, BenchSet]
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    root = tmp_path_factory.mktemp("observed") / "sway"
+    made = make_synthetic_dataset(
+        root, n_views=3, n_timesteps=6, size=48, freqs=(5.0,), amplitude=0.02, alphas=(5,), n_test=3
+    )
+    return *made, open_set(root, "sway")
+
+
+def moving(motion: ModalMotion) -> np.ndarray:
+    size = rms_motion(motion)
+    return size > 0.3 * size.max()
+
+
+def test_the_true_motion_is_observed(scene: Scene) -> None:
+    gaussians, motion, data = scene
+    agrees = agreement(gaussians, motion, data)
+    assert (agrees[moving(motion)] > 0.9).mean() > 0.9
+
+
+def test_a_motion_that_the_pictures_do_not_show_is_not(scene: Scene) -> None:
+    """As of a mirror: the surface moves, what is seen in it does not, or moves otherwise."""
+    gaussians, motion, data = scene
+    late = replace(motion, displacement=motion.displacement * 1j)  # a quarter of a period
+    assert (agreement(gaussians, late, data)[moving(motion)] >= AGREES).mean() < 0.1
+
+
+def test_what_stands_still_agrees_with_nothing(scene: Scene) -> None:
+    gaussians, motion, data = scene
+    still = replace(motion, displacement=0 * motion.displacement)
+    assert np.abs(agreement(gaussians, still, data)).max() < 1e-3

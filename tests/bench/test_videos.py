@@ -1,0 +1,118 @@
+"""2D baselines: what moves in the band moves 1 + α times as far, all else stays; the published limits hold."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tg4mm.bench.measure import Plan
+from tg4mm.bench.methods.video import Linear2D, Phase2D, SmoothedPhase, band_response, collapse, laplacian
+from tg4mm.bench.sets import BenchSet
+from tg4mm.magnify.phase import PhaseMagnifier
+
+T, FPS, HZ = 30, 30.0, 5.0
+
+
+def band_set(low: float, high: float) -> BenchSet:
+    return BenchSet("a", Path("a"), 64, 64, T, 1, FPS, HZ, 0.2, (low, high), (5,), "rig", "0")
+
+
+def moving(shift: float, hz: float = HZ, noise: float = 0.0) -> np.ndarray:
+    """[T, 64, 64, 3] grey blobs that swing by `shift` pixels along x."""
+    y, x = np.mgrid[:64, :64].astype(np.float64)
+    frames = []
+    for t in range(T):
+        at = x - shift * np.sin(2 * np.pi * hz * t / FPS)
+        frames.append(0.5 + 0.2 * np.sin(2 * np.pi * at / 16) * np.sin(2 * np.pi * y / 32))
+    video = np.repeat(np.stack(frames)[..., None], 3, -1)
+    return (video + np.random.default_rng(1).normal(0, noise, video.shape)).astype(np.float32)
+
+
+def gain(made: np.ndarray, wanted: np.ndarray, of: np.ndarray) -> float:
+    """How far the change of `made` goes along the change that is wanted."""
+    a, c = (v[..., 0].astype(np.float64) - of[..., 0] for v in (made, wanted))
+    return float((a * c).sum() / (c * c).sum())
+
+
+# linear-2d leaves the finest and the coarsest level as they are, as published, so a part of the motion is missing
+@pytest.mark.parametrize(
+    ("method", "alpha", "least"),
+    [(Phase2D(), 10.0, 0.9), (Phase2D(), 4.0, 0.95), (Linear2D(cutoff=4.0), 4.0, 0.7)],
+)
+def test_motion_in_the_band_grows_by_one_plus_alpha(
+    method: Phase2D | Linear2D, alpha: float, least: float
+) -> None:
+    video = moving(0.1)
+    response = band_response(band_set(3.5, 6.5), alpha, Plan())
+    made = method.magnified(video, response, alpha)
+    assert least < gain(made, moving(0.1 * (1 + alpha)), video) < 1.05
+
+
+@pytest.mark.parametrize("method", [Phase2D(), Linear2D(cutoff=4.0)])
+def test_motion_outside_the_band_stays(method: Phase2D | Linear2D) -> None:
+    video = moving(0.1, hz=12.0)
+    made = method.magnified(video, band_response(band_set(3.5, 6.5), 10.0, Plan()), 10.0)
+    assert abs(gain(made, moving(1.1, hz=12.0), video)) < 0.03
+
+
+def texture(shift: float) -> np.ndarray:
+    """[T, 64, 64] of all wavelengths, swinging by `shift` pixels along x."""
+    k = np.fft.fftfreq(64)[None]
+    spectrum = np.fft.fft2(np.random.default_rng(0).random((64, 64))) * np.exp(-20 * (k**2 + k.T**2))
+    swing = shift * np.sin(2 * np.pi * HZ * np.arange(T) / FPS)
+    return np.stack([np.fft.ifft2(spectrum * np.exp(-2j * np.pi * k * s)).real for s in swing]).astype(
+        np.float32
+    )
+
+
+def test_the_smoothing_takes_noise_out_of_the_motion() -> None:
+    response = band_response(band_set(3.5, 6.5), 10.0, Plan())
+    still, wanted = texture(0.05), texture(0.55)
+    video = still + np.random.default_rng(3).normal(0, 0.01, still.shape).astype(np.float32)
+    off, on = (SmoothedPhase((64, 64), response, sigma)(video) for sigma in (0.0, 2.0))
+    assert np.abs(off - PhaseMagnifier((64, 64), response)(video)).max() < 1e-5
+    errors = [np.square(made - video - (wanted - still)).mean() for made in (off, on)]
+    assert errors[1] < 0.5 * errors[0]
+
+
+def test_sizes_that_are_no_power_of_two() -> None:
+    video = moving(0.1)[:, :50, :41]
+    response = band_response(band_set(3.5, 6.5), 5.0, Plan())
+    made = Phase2D().magnified(video, response, 5.0)
+    assert made.shape == video.shape
+    assert gain(made, moving(0.6)[:, :50, :41], video) == pytest.approx(1, abs=0.2)
+
+
+@pytest.mark.parametrize(("chroma", "share"), [(True, 1.0), (False, 0.0)])
+def test_colour_moves_along_unless_only_luma_is_asked_for(chroma: bool, share: float) -> None:
+    def coloured(shift: float) -> np.ndarray:
+        video = moving(shift)
+        video[..., 2] = 0.5  # so that there is chroma, which moves
+        return video
+
+    response = band_response(band_set(3.5, 6.5), 10.0, Plan())
+    made = Phase2D(chroma=chroma).magnified(coloured(0.1), response, 10.0)
+    signal = np.array([[0.596, -0.274, -0.322]]).T
+    videos = (v.astype(np.float64) @ signal for v in (made, coloured(1.1), coloured(0.1)))
+    assert gain(*videos) == pytest.approx(share, abs=0.1)
+
+
+@pytest.mark.parametrize("size", [(64, 64), (50, 41), (9, 33)])
+def test_a_laplacian_pyramid_is_put_together_again(size: tuple[int, int]) -> None:
+    video = np.random.default_rng(0).random((2, *size, 3)).astype(np.float32)
+    assert np.abs(collapse(laplacian(video)) - video).max() < 1e-5
+
+
+def test_a_coarse_cutoff_holds_linear_magnification_back() -> None:
+    video = moving(0.1)
+    response = band_response(band_set(3.5, 6.5), 10.0, Plan())
+    free, held = (Linear2D(cutoff=c).magnified(video, response, 10.0) for c in (2.0, 64.0))
+    assert gain(held, moving(1.1), video) < 0.5 * gain(free, moving(1.1), video)
+
+
+def test_without_a_band_every_frequency_is_magnified() -> None:
+    response = band_response(band_set(3.5, 6.5), 7.0, replace(Plan(), banded=False))
+    assert response == pytest.approx(np.full(T // 2 + 1, 7.0))

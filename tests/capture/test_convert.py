@@ -1,0 +1,126 @@
+"""Datasets for other trainers: read back by pycolmap, and by the readers of those layouts."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pycolmap
+import pytest
+
+from tests.helpers.synthetic import make_synthetic_dataset
+from tg4mm.capture import load_capture
+from tg4mm.capture.convert import at_timesteps, quaternion, write_colmap
+from tg4mm.cli import main
+
+T = 4
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    """Three training and two test cameras, four timesteps, points."""
+    root = tmp_path_factory.mktemp("convert") / "data"
+    make_synthetic_dataset(root, n_views=3, n_timesteps=T, size=16, n_test=2)
+    return root
+
+
+def convert(dataset, out, to, *options):
+    return main(["convert", str(dataset), "--out", str(out), "--to", to, *options])
+
+
+def test_pycolmap_reads_cameras_poses_and_points(dataset, tmp_path):
+    assert convert(dataset, tmp_path / "c", "colmap") == 0
+    model = pycolmap.Reconstruction(str(tmp_path / "c" / "sparse" / "0"))
+    capture = load_capture(dataset)
+    rows = {path.relative_to(dataset).as_posix(): i for i, path in enumerate(capture.paths)}
+    assert {image.name for image in model.images.values()} == set(rows)
+    for image in model.images.values():
+        i = rows[image.name]
+        np.testing.assert_allclose(image.cam_from_world().matrix(), capture.viewmats[i][:3], atol=1e-12)
+        camera = model.cameras[image.camera_id]
+        assert (camera.model.name, camera.width, camera.height) == ("PINHOLE", 16, 16)
+        np.testing.assert_allclose(camera.calibration_matrix(), capture.Ks[i], atol=1e-12)
+        assert (tmp_path / "c" / "images" / image.name).read_bytes() == capture.paths[i].read_bytes()
+    assert len(model.cameras) == 1  # all lenses are alike
+    spots = [model.points3D[i] for i in sorted(model.points3D)]
+    np.testing.assert_allclose([spot.xyz for spot in spots], capture.points.xyz)
+    np.testing.assert_array_equal([spot.color for spot in spots], capture.points.rgb)
+
+
+def test_lenses_that_differ_are_different_cameras(dataset, tmp_path):
+    capture = load_capture(dataset)
+    Ks = capture.Ks.copy()
+    Ks[capture.camera_ids == 1, 0, 0] += 0.5
+    write_colmap(replace(capture, Ks=Ks), tmp_path / "c")
+    model = pycolmap.Reconstruction(str(tmp_path / "c" / "sparse" / "0"))
+    assert sorted(camera.focal_length_x for camera in model.cameras.values()) == sorted(
+        {*Ks[:, 0, 0].tolist()}
+    )
+
+
+def test_our_own_reader_takes_a_timestep_of_it(dataset, tmp_path):
+    assert convert(dataset, tmp_path / "c", "colmap", "--timesteps", "2") == 0
+    read, want = load_capture(tmp_path / "c"), at_timesteps(load_capture(dataset), [2])
+    np.testing.assert_allclose(read.viewmats, want.viewmats, atol=1e-9)
+    assert len(read) == 3
+
+
+def test_nerfstudio_frames_have_times(dataset, tmp_path):
+    assert convert(dataset, tmp_path / "n", "nerfstudio") == 0
+    data = json.loads((tmp_path / "n" / "transforms.json").read_text())
+    assert (data["fps"], data["w"], data["h"], data["camera_model"]) == (30, 16, 16, "OPENCV")
+    assert len(data["train_filenames"]) == 3 * T
+    assert len(data["test_filenames"]) == 2 * T
+    assert len(data["frames"]) == 5 * T
+    for frame in data["frames"]:
+        t = int(frame["file_path"].split("/")[1])
+        assert frame["time"] == pytest.approx(t / (T - 1))
+        assert frame["time_s"] == pytest.approx(t / 30)
+        assert (tmp_path / "n" / frame["file_path"]).is_file()
+
+
+@pytest.mark.parametrize("split", ["train", "test"])
+def test_nerfstudio_poses_lenses_and_points_are_read_back(dataset, tmp_path, split):
+    assert convert(dataset, tmp_path / "n", "nerfstudio", "--timesteps", "0-1") == 0
+    read = load_capture(tmp_path / "n", split=split)
+    want = at_timesteps(load_capture(dataset, split=split), [0, 1])
+    order = np.argsort([path.as_posix() for path in read.paths])
+    np.testing.assert_allclose(read.viewmats[order], want.viewmats, atol=1e-9)
+    np.testing.assert_allclose(read.Ks[order], want.Ks, atol=1e-9)
+    np.testing.assert_allclose(read.points.xyz, want.points.xyz)
+
+
+def test_a_dataset_of_one_split_and_one_timestep(tmp_path):
+    make_synthetic_dataset(tmp_path / "data", n_views=2, n_timesteps=1, size=16, n_test=0)
+    assert convert(tmp_path / "data", tmp_path / "n", "nerfstudio") == 0
+    data = json.loads((tmp_path / "n" / "transforms.json").read_text())
+    assert [frame["time"] for frame in data["frames"]] == [0.0, 0.0]
+    assert "test_filenames" not in data
+
+
+def test_bad_input_is_one_line(dataset, tmp_path, capsys):
+    full = tmp_path / "full"
+    full.mkdir()
+    (full / "mine").touch()
+    for arguments, message in (
+        ((dataset, full, "colmap"), "is not empty; choose a new folder"),
+        ((dataset, full / "mine", "colmap"), "is a file; expected a new folder"),
+        (
+            (dataset, tmp_path / "x", "colmap", "--timesteps", "9"),
+            "has no image at timestep 9; there are 0 … 3",
+        ),
+        ((tmp_path / "none", tmp_path / "x", "colmap"), "does not exist"),
+    ):
+        assert convert(*arguments) == 2
+        line = capsys.readouterr().err
+        assert message in line
+        assert line.count("\n") == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["full"]
+
+
+def test_a_quaternion_is_that_of_the_rotation():
+    rng = np.random.default_rng(0)
+    turns = [np.linalg.qr(rng.normal(size=(3, 3)))[0] for _ in range(50)]
+    turns = [turn * np.sign(np.linalg.det(turn)) for turn in turns]
+    for turn in (*turns, np.eye(3), np.diag([1.0, -1.0, -1.0]), np.diag([-1.0, -1.0, 1.0])):
+        w, x, y, z = quaternion(turn)
+        np.testing.assert_allclose(pycolmap.Rotation3d(np.array([x, y, z, w])).matrix(), turn, atol=1e-12)

@@ -1,0 +1,181 @@
+"""`tg4mm export` in formats of other tools: options arrive, files hold the magnified motion or say that they do not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import gsply
+import numpy as np
+import pytest
+from pxr import Usd
+
+from tests.helpers.splatfile_gltf import parsed
+from tests.helpers.synthetic import make_synthetic_dataset
+from tg4mm.cli import main
+from tg4mm.export import splat_of
+from tg4mm.export_formats import one_period
+from tg4mm.runs import Run
+from tg4mm.splatfile import SplatFile, positions_at
+from tg4mm.splatfile.formats.y_up import TURN
+
+N_TIMESTEPS = 12
+
+
+def made(root: Path, n_timesteps: int = N_TIMESTEPS, freqs: tuple[float, ...] = (5.0,)) -> Run:
+    gaussians, motion = make_synthetic_dataset(
+        root / "data", n_views=1, n_timesteps=n_timesteps, size=16, freqs=freqs, n_test=0
+    )
+    run = Run.create(root / "run", root / "data", "modal", {})
+    run.save_space(gaussians, {})
+    run.save_motion(motion, {})
+    return run
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """5 Hz at 30 Hz: a period is 6 of 12 timesteps."""
+    return made(tmp_path_factory.mktemp("formats"))
+
+
+@pytest.fixture(scope="module")
+def splat(run: Run) -> SplatFile:
+    return splat_of(run)
+
+
+def export(run: Run, out: Path, format: str, *options: str) -> int:
+    return main(["export", str(run.path), "--out", str(out), "--format", format, *options])
+
+
+def test_spz_is_one_file_at_rest(run, splat, tmp_path, capsys) -> None:
+    assert export(run, tmp_path / "deep" / "a.spz", "spz") == 0
+    printed = capsys.readouterr()
+    assert printed.out == f"{tmp_path}/deep/a.spz\n"
+    assert "spz holds no motion: this is the scene at rest" in printed.err
+    read = gsply.read_spz(str(tmp_path / "deep" / "a.spz"))
+    np.testing.assert_allclose(read.means @ TURN, splat.means, atol=1e-6)
+
+
+def test_spz_is_a_sequence_of_one_period(run, splat, tmp_path, capsys) -> None:
+    assert export(run, tmp_path / "frames", "spz", "--alpha", "20", "--band", "4", "6") == 0
+    assert "spz holds no motion: 6 files, one for each timestep" in capsys.readouterr().err
+    files = sorted(path.name for path in (tmp_path / "frames").iterdir())
+    assert files == [f"frame_{t:04d}.spz" for t in range(6)]
+    for t in (0, 2, 5):
+        read = gsply.read_spz(str(tmp_path / "frames" / f"frame_{t:04d}.spz"))
+        np.testing.assert_allclose(read.means @ TURN, positions_at(splat, t, 20.0), atol=1e-5)
+
+
+@pytest.mark.parametrize(("hz", "length"), [((5.0,), 6), ((7.0,), 5), ((0.5, 0.9), 12)])
+def test_a_period_is_rounded_up_and_no_longer_than_the_run(tmp_path, hz, length) -> None:
+    assert one_period(made(tmp_path, freqs=hz)) == range(length)
+
+
+@pytest.mark.parametrize("format", ["spz", "ply-sequence"])
+def test_timesteps_that_are_asked_for(run, tmp_path, format) -> None:
+    assert export(run, tmp_path / "frames", format, "--timesteps", "0-2,11") == 0
+    assert sorted(path.stem[-4:] for path in (tmp_path / "frames").iterdir()) == [
+        "0000",
+        "0001",
+        "0002",
+        "0011",
+    ]
+
+
+def test_usd_has_every_timestep(run, splat, tmp_path, capsys) -> None:
+    assert export(run, tmp_path / "a.usdc", "usd", "--alpha", "20") == 0
+    assert "scale" not in capsys.readouterr().err
+    stage = Usd.Stage.Open(str(tmp_path / "a.usdc"))
+    positions = stage.GetDefaultPrim().GetAttribute("positions")
+    assert positions.GetTimeSamples() == list(range(N_TIMESTEPS))
+    for t in (0, 7):
+        np.testing.assert_allclose(np.array(positions.Get(t)), positions_at(splat, t, 20.0), atol=1e-5)
+
+
+def test_gltf_holds_the_band_magnified(run, splat, tmp_path) -> None:
+    for name, options in (("in", ("4", "6")), ("out", ("1", "2"))):
+        band = ["--band", *options, "--allow-empty-band"]
+        assert export(run, tmp_path / f"{name}.glb", "gltf", "--alpha", "20", *band) == 0
+    factors = []
+    for name in ("in", "out"):
+        document, array = parsed(tmp_path / f"{name}.glb")
+        targets = [array(t["POSITION"]) for t in document["meshes"][0]["primitives"][0]["targets"]]
+        factors.append(np.abs(np.array(targets)).sum() / np.abs(splat.displacement[0].view(np.float32)).sum())
+    np.testing.assert_allclose(factors, [21.0, 1.0], rtol=1e-5)
+
+
+def test_lengths_that_are_a_guess_are_said(tmp_path, capsys) -> None:
+    run = made(tmp_path)
+    scene = run.dataset / "scene.json"
+    scene.write_text(scene.read_text().replace('"unit_scale_m": 0.1', '"unit_scale_m": null'))
+    for name, format in (("a.usdc", "usd"), ("a.glb", "gltf")):
+        assert export(run, tmp_path / name, format) == 0
+        assert "the scale is not known: one scene unit is written as one metre" in capsys.readouterr().err
+
+
+def test_a_run_without_motion_is_exported_at_rest(run, tmp_path, capsys) -> None:
+    still = Run.create(tmp_path / "still", run.dataset, "modal", {})
+    still.save_space(run.load_space(), {})
+    for name, format in (("a.glb", "gltf"), ("a.usdc", "usd"), ("a.spz", "spz"), ("frames", "spz")):
+        assert export(still, tmp_path / name, format) == 0
+    document, _ = parsed(tmp_path / "a.glb")
+    assert "animations" not in document
+    assert len(list((tmp_path / "frames").iterdir())) == 1
+    capsys.readouterr()
+    assert export(still, tmp_path / "b.glb", "gltf", "--alpha", "3") == 2
+    assert "has no motion: only --alpha 0" in capsys.readouterr().err
+
+
+TO_MOVE = "ply-sequence, spz, usd, gltf"
+
+
+@pytest.mark.parametrize(
+    ("out", "options", "message"),
+    [
+        (
+            "a.ply",
+            ["ply", "--alpha", "3"],
+            f"--alpha belongs to --format {TO_MOVE}; a splat file holds the motion",
+        ),
+        (
+            "a.html",
+            ["html", "--band", "1", "2"],
+            f"--band belongs to --format {TO_MOVE}; a page holds the motion",
+        ),
+        (
+            "a.glb",
+            ["gltf", "--method", "linear"],
+            "--method belongs to --format ply-sequence, spz, usd; a .glb holds",
+        ),
+        ("a.glb", ["gltf", "--timesteps", "3"], "--timesteps belongs to --format ply-sequence, spz, usd"),
+        ("a.spz", ["spz", "--alpha", "3"], "a file named .spz holds the scene at rest; give a folder"),
+        ("a.usdc", ["usd", "--timesteps", "3-12"], "timestep 12 is outside 0 … 11"),
+        ("a.usdc", ["usd", "--timesteps", "3,x"], "--timesteps '3,x': 'x' is no timestep such as 7"),
+        ("a.usdc", ["usd", "--timesteps", "5-3"], "--timesteps '5-3': '5-3' is no timestep such as 7"),
+        (
+            "a.usdc",
+            ["usd", "--timesteps", "0-99999999999"],
+            "is no timestep such as 7, nor a range such as 0-9",
+        ),
+        ("a.gltf", ["gltf"], "expected a name that ends in .glb, such as {}/a.glb"),
+        ("a.abc", ["usd"], "expected a name that ends in .usdc, such as {}/a.usdc"),
+        ("a.usdc", ["usd", "--alpha", "nan"], "must be a finite number"),
+        ("a.glb", ["gltf", "--alpha", "3", "--band", "1", "20"], "half the frame rate"),
+    ],
+)
+def test_bad_input_is_one_line_and_writes_nothing(run, tmp_path, capsys, out, options, message) -> None:
+    assert export(run, tmp_path / out, *options) == 2
+    printed = capsys.readouterr().err
+    assert message.replace("{}", str(tmp_path)) in printed
+    assert printed.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("name", "format", "kind"), [("a.glb", "gltf", "GLB"), ("a.usda", "usd", "USDA")])
+def test_a_file_of_another_kind_is_not_replaced(run, tmp_path, capsys, name, format, kind) -> None:
+    (tmp_path / name).write_text("mine")
+    assert export(run, tmp_path / name, format) == 2
+    assert f"exists, and is no {kind} file; choose another name" in capsys.readouterr().err
+    assert (tmp_path / name).read_text() == "mine"
+    (tmp_path / name).unlink()
+    for _ in range(2):
+        assert export(run, tmp_path / name, format) == 0

@@ -1,0 +1,27 @@
+"""Motion animate: what several tests build and check with."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from tg4mm.gaussians import Gaussians
+from tg4mm.motion.modes import ModalMotion
+
+N, FPS = 20, 30.0
+
+
+FREQS = np.array([2.0, 5.0, 8.0])
+
+
+def gaussians(dtype: torch.dtype = torch.float32) -> Gaussians:
+    g = torch.Generator().manual_seed(0)
+    draw = lambda *shape: torch.randn(*shape, generator=g, dtype=torch.float64).to(dtype)  # noqa: E731
+    return Gaussians(draw(N, 3), draw(N, 4), draw(N, 3).exp(), draw(N).sigmoid(), draw(N, 4, 3))
+
+
+def motion(freqs: np.ndarray = FREQS, size: float = 0.1, seed: int = 1) -> ModalMotion:
+    rng = np.random.default_rng(seed)
+    real, imaginary = size * rng.normal(size=(2, 2, len(freqs), N, 3))
+    displacement, rotation = (real + 1j * imaginary).astype(np.complex64)
+    return ModalMotion(freqs, displacement, rotation, FPS, 30)

@@ -1,0 +1,43 @@
+"""Motion temporal: what several tests build and check with."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tg4mm.motion.nuisance import Nuisance
+from tg4mm.motion.observations import Observations
+from tg4mm.motion.temporal import (
+    TargetImages,
+    first_look,
+    principal_components,
+)
+
+
+def no_nuisance(observations: Observations) -> list[Nuisance]:
+    return [_nothing] * len(observations.frames)
+
+
+class _Nothing(Nuisance):
+    """No columns, of no view."""
+
+    def __init__(self) -> None:
+        object.__setattr__(self, "active", np.zeros(12, bool))
+
+
+_nothing = _Nothing()
+
+
+def components(observations: Observations, most: int = 6) -> TargetImages:
+    nuisances = no_nuisance(observations)
+    return principal_components(observations, first_look(observations, nuisances), nuisances, most)
+
+
+def moving_pictures(
+    n_cameras: int, n_timesteps: int, seed: int = 0
+) -> tuple[np.ndarray, list[int], list[int]]:
+    """Noise, opaque, timestep by timestep: data [C, H, W, 4], camera ids, timesteps."""
+    rng = np.random.default_rng(seed)
+    data = rng.integers(0, 256, (n_cameras * n_timesteps, 4, 5, 4)).astype(np.uint8)
+    data[..., 3] = 255
+    ids = list(range(n_cameras)) * n_timesteps
+    return data, ids, sorted(list(range(n_timesteps)) * n_cameras)

@@ -1,0 +1,31 @@
+"""Runs: what several tests build and check with."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from tg4mm.errors import RunError
+from tg4mm.gaussians import Gaussians
+from tg4mm.motion.modes import ModalMotion
+
+SETTINGS = {"seed": 0, "iterations": 100, "band_hz": [4.0, 6.0], "size": None}
+
+
+def gaussians(n: int = 7, seed: int = 0) -> Gaussians:
+    g = torch.Generator().manual_seed(seed)
+    means, quats = torch.randn(n, 3, generator=g), torch.randn(n, 4, generator=g)
+    scales, opacities = torch.rand(n, 3, generator=g), torch.rand(n, generator=g)
+    return Gaussians(means, quats, scales, opacities, torch.randn(n, 4, 3, generator=g))
+
+
+def modal(n: int = 7, k: int = 2) -> ModalMotion:
+    rng = np.random.default_rng(1)
+    draw = lambda: (rng.normal(size=(k, n, 3)) + 1j * rng.normal(size=(k, n, 3))).astype(np.complex64)  # noqa: E731
+    return ModalMotion(np.arange(1.0, k + 1), draw(), draw(), fps=30.0, n_timesteps=30)
+
+
+def refused(match: str) -> pytest.RaisesExc:
+    """RunError whose message is one line and matches."""
+    return pytest.raises(RunError, match=r"\A[^\n]*" + match + r"[^\n]*\Z")

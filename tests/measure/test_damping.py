@@ -1,0 +1,50 @@
+"""Damping by half-power bandwidth: of an oscillator that noise drives, and of nothing else."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from tg4mm.measure.damping import half_power
+
+FPS, HZ = 30.0, 4.0
+
+
+def driven(ratio: float, n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Times [n] and values of an oscillator of that damping ratio under white noise, its exact recursion; 5 % noise."""
+    rng, steps = np.random.default_rng(seed), 20
+    omega, dt, settling = 2 * np.pi * HZ, 1 / FPS / 20, 600
+    a, c = np.exp(-ratio * omega * dt), np.cos(omega * np.sqrt(1 - ratio**2) * dt)
+    drive = rng.normal(size=(n + settling) * steps)
+    values = lfilter([1], [1, -2 * a * c, a * a], drive)[settling * steps :: steps]
+    return np.arange(n) / FPS, values / values.std() + 0.05 * rng.normal(size=n)
+
+
+@pytest.mark.parametrize("ratio", [0.02, 0.05])
+def test_a_driven_oscillator_has_its_damping(ratio: float) -> None:
+    found = [half_power(*driven(ratio, 3000, seed), HZ) for seed in range(8)]
+    assert all(d is not None and d.method == "half-power bandwidth" for d in found)
+    ratios = np.array([d.ratio for d in found if d is not None])
+    deviations = np.array([d.deviation for d in found if d is not None])
+    assert ratios.mean() == pytest.approx(ratio, rel=0.12)
+    assert (np.abs(ratios - ratio) < 2 * deviations).mean() > 0.7
+    assert deviations.mean() < 0.4 * ratio
+    assert found[0] is not None
+    assert found[0].decay_per_s == pytest.approx(2 * np.pi * HZ * found[0].ratio, rel=0.1)
+
+
+def test_a_steady_tone_has_none() -> None:
+    times = np.arange(3000) / FPS
+    noise = 0.05 * np.random.default_rng(0).normal(size=3000)
+    assert half_power(times, np.sin(2 * np.pi * 4.03 * times) + noise, 4.03) is None
+
+
+def test_a_record_too_short_to_resolve_the_peak_has_none() -> None:
+    assert half_power(*driven(0.01, 300, 0), HZ) is None
+
+
+def test_noise_alone_has_none() -> None:
+    times = np.arange(3000) / FPS
+    found = [half_power(times, np.random.default_rng(s).normal(size=3000), HZ) for s in range(10)]
+    assert sum(d is not None for d in found) <= 1

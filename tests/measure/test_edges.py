@@ -1,0 +1,97 @@
+"""A region cut out of a larger body, along its edge: not held by modes around it; what cannot be told is said."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from tg4mm.gaussians import Gaussians
+from tg4mm.measure import Measurement, measure, parse_sensor, prepare
+from tg4mm.motion.modes import ModalMotion
+from tg4mm.rasterize import rasterization
+from tg4mm.runs import Run
+
+SIZE, FPS, T, HZ = 48, 30.0, 45, 4.3
+FOCAL, AWAY = 1.4 * SIZE, 3.0
+PX = AWAY / FOCAL  # scene units
+AMPLITUDE = np.array([0.15, 0, 0.15]) * PX  # to the right and up
+EDGE = "edge=box:-0.4,-0.1,0.12,0.4,0.1,0.345"
+
+
+def wall(texture: float) -> tuple[Gaussians, np.ndarray]:
+    """A light wall with a dark bar that moves, [N] bool, both with that much texture."""
+    rng, step = np.random.default_rng(5), np.linspace(-1.2, 1.2, 72)
+    x, z = (a.ravel() for a in np.meshgrid(step, step))
+    n, bar = len(x), np.abs(z) < 0.35
+    grey = np.where(bar, 0.3, 0.75)[:, None] + texture * rng.normal(size=(n, 1))
+    sh = ((grey - 0.5) / 0.28209479 * np.ones(3))[:, None]
+    quats = np.tile([1.0, 0, 0, 0], (n, 1))
+    arrays = np.stack([x, 0 * x, z], 1), quats, np.full((n, 3), 0.03), np.full(n, 0.8), sh
+    return Gaussians(*(torch.from_numpy(np.asarray(a, np.float32)) for a in arrays)), bar
+
+
+def filmed(path: Path, gaussians: Gaussians, bar: np.ndarray) -> None:
+    """By one fixed camera, with noise."""
+    rng, viewmat = np.random.default_rng(0), np.eye(4)
+    viewmat[:3, :3], viewmat[2, 3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]], AWAY
+    c2w = np.linalg.inv(viewmat) @ np.diag([1.0, -1, -1, 1])
+    K = torch.tensor([[FOCAL, 0, SIZE / 2], [0, FOCAL, SIZE / 2], [0, 0, 1]])[None]
+    for t in range(T):
+        shift = np.outer(bar, AMPLITUDE * np.sin(2 * np.pi * HZ * t / FPS))
+        means = gaussians.means + torch.as_tensor(shift, dtype=torch.float32)
+        rgb, _, _ = rasterization(
+            means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh,
+            torch.as_tensor(viewmat[None], dtype=torch.float32), K, SIZE, SIZE, sh_degree=0,
+            backgrounds=torch.ones(1, 3),
+        )  # fmt: skip
+        noisy = rgb[0].numpy() + 0.004 * rng.normal(size=(SIZE, SIZE, 3))
+        file = path / f"{t:03d}" / "train" / "r_000.png"
+        file.parent.mkdir(parents=True)
+        Image.fromarray((noisy.clip(0, 1) * 255 + 0.5).astype(np.uint8)).save(file)
+        frame = {"file_path": "./train/r_000", "transform_matrix": c2w.tolist(), "time": t / FPS}
+        angle = {"camera_angle_x": 2 * np.arctan(SIZE / 2 / FOCAL), "frames": [frame]}
+        (file.parents[1] / "transforms_train.json").write_text(json.dumps(angle))
+    (path / "scene.json").write_text(json.dumps({"fps": FPS, "kind": "rig"}))
+
+
+def measured(path: Path, texture: float, wrong: float) -> tuple[Measurement, np.ndarray]:
+    """By a run whose scene at rest has so much texture that is not there, and half of the motion to the right.
+
+    With it the amplitudes found along right, up, sight, pixels.
+    """
+    gaussians, bar = wall(texture)
+    filmed(path / "set", gaussians, bar)
+    false = wrong / 0.28209479 * np.random.default_rng(1).normal(size=tuple(gaussians.sh.shape))
+    run = Run.create(path / "run", path / "set", "modal", {"motion": {"nuisance": "none"}})
+    run.save_space(replace(gaussians, sh=gaussians.sh + torch.from_numpy(false.astype(np.float32))), {})
+    modes = np.zeros((1, len(bar), 3), np.complex64)
+    modes[0, bar] = -1j * AMPLITUDE * [0.5, 0.9, 0.9]
+    run.save_motion(ModalMotion(np.array([HZ]), modes, 0 * modes, FPS, T), {})
+    found = measure(prepare(run, keep=False), [parse_sensor(EDGE)])
+    tone = np.sin(2 * np.pi * HZ * found["edge"].times_s)
+    return found, (found["edge"].displacement * tone[:, None]).sum(0) / (tone @ tone) / PX
+
+
+def test_a_region_is_not_held_by_the_modes_around_it(tmp_path: Path) -> None:
+    found, amplitude = measured(tmp_path, texture=0.1, wrong=0.0)
+    assert amplitude[:2] == pytest.approx([0.15, 0.15], rel=0.1)
+    assert not any("can hardly be told" in note for note in found.notes)
+
+
+def test_what_the_scene_at_rest_hides_is_in_the_deviation_and_said(tmp_path: Path) -> None:
+    """Along the edge the pictures show nothing; the scene at rest claims to see it."""
+    found, amplitude = measured(tmp_path, texture=0.0, wrong=0.015)
+    series = found["edge"].series
+    deviation = series.model_share * np.linalg.norm(amplitude[series.is_told])
+    assert amplitude[1] == pytest.approx(0.15, abs=0.03)
+    assert abs(amplitude[0]) < 0.08  # half of the truth at most …
+    assert 0.5 * abs(amplitude[0] - 0.15) < deviation[0]  # … which is within two deviations
+    assert deviation[1] < 0.2 * 0.15
+    assert np.sqrt(2 / T) * series.noise[0, 0] / PX < 0.4 * abs(amplitude[0] - 0.15)  # noise alone said less
+    assert any("edge: motion along right can hardly be told" in note for note in found.notes)

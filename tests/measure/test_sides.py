@@ -1,0 +1,52 @@
+"""What a pass through the pictures keeps in a byte for each number: sums over a region are what they were."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tg4mm.measure.sides import Sides
+
+N, FRAMES = 400, 60
+SEEN = np.arange(50, 350)
+
+
+@pytest.fixture
+def exact() -> np.ndarray:
+    """Noise of very different sizes from Gaussian to Gaussian; a quarter of them is not seen."""
+    rng = np.random.default_rng(0)
+    out = np.zeros((2, FRAMES, N, 6), np.float32)
+    sizes = 10 ** rng.uniform(-3, 3, size=(len(SEEN), 6))
+    out[:, :, SEEN] = rng.normal(size=(2, FRAMES, len(SEEN), 6)) * sizes
+    return out
+
+
+def motions(rows: np.ndarray) -> np.ndarray:
+    out = np.zeros((6, N, 6), np.float32)
+    out[:, rows] = np.random.default_rng(1).normal(size=(6, len(rows), 6))
+    return out
+
+
+@pytest.mark.parametrize("rows", [np.arange(60, 65), np.arange(0, 200), np.arange(N)])
+def test_rounding_adds_a_ten_thousandth_of_the_variance(exact: np.ndarray, rows: np.ndarray) -> None:
+    e = motions(rows)
+    expected = np.einsum("knc,hfnc->hfk", e.astype(float), exact)
+    error = Sides.of(exact).summed(e, rows) - expected
+    assert 0 < (error**2).mean() < 2e-4 * (expected**2).mean()
+
+
+def test_it_takes_a_byte_for_each_number_that_is_seen(exact: np.ndarray) -> None:
+    kept = Sides.of(exact)
+    assert kept.rows.tolist() == SEEN.tolist()
+    assert kept.nbytes < 1.1 * 2 * FRAMES * len(SEEN) * 6
+
+
+def test_it_comes_back_from_a_file(exact: np.ndarray) -> None:
+    kept, rows = Sides.of(exact), np.arange(N)
+    again = Sides.restored(kept.arrays("3"), "3")
+    np.testing.assert_array_equal(again.summed(motions(rows), rows), kept.summed(motions(rows), rows))
+
+
+def test_a_region_that_is_not_seen_has_the_sum_0(exact: np.ndarray) -> None:
+    rows = np.arange(0, 50)
+    assert not Sides.of(exact).summed(motions(rows), rows).any()

@@ -1,0 +1,40 @@
+"""A small scene at rest, for all tests of the space stage."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests.helpers.synthetic import make_synthetic_dataset
+from tg4mm.capture import SurfacePoints, load_capture, load_images
+from tg4mm.runs import Run
+from tg4mm.space import RestViews, rest_views
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One timestep (nothing has moved yet) from 10 training cameras and 3 others."""
+    path = tmp_path_factory.mktemp("space") / "data"
+    make_synthetic_dataset(path, n_views=10, n_timesteps=1, size=48, alphas=(), n_test=3)
+    return path
+
+
+@pytest.fixture(scope="module")
+def views(data: Path) -> RestViews:
+    capture = load_capture(data)
+    return rest_views(capture, load_images(capture))
+
+
+@pytest.fixture(scope="module")
+def points(data: Path) -> SurfacePoints:
+    found = load_capture(data).points
+    assert found is not None
+    return found
+
+
+@pytest.fixture
+def new_run(data: Path, tmp_path: Path) -> Callable[[], Run]:
+    """A fresh run folder each time it is called."""
+    return lambda: Run.create(tmp_path / f"run{len(list(tmp_path.iterdir()))}", data, "modal", {})

@@ -1,0 +1,88 @@
+"""Gains of pictures: what fits is found, ratios alone count, and pictures spoilt by known gains give these back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from tg4mm.capture import SurfacePoints
+from tg4mm.runs import Run
+from tg4mm.space import RestViews, SpaceConfig, train_space
+from tg4mm.space.gains import MOST, RATE, fitting_gain, moved
+
+
+def picture(seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(0, 0.7, (24, 20, 3))
+
+
+def test_the_gain_that_was_applied_fits() -> None:
+    gain = np.array([0.8, 1.0, 1.3])
+    np.testing.assert_allclose(fitting_gain(picture(), gain * picture()), gain, rtol=1e-6)
+    found = fitting_gain(torch.from_numpy(picture()), torch.from_numpy(gain * picture()))
+    np.testing.assert_allclose(found, gain, rtol=1e-6)
+
+
+def test_what_is_clipped_says_nothing() -> None:
+    clipped = np.clip(2 * picture(), 0, 1)
+    assert (clipped == 1).mean() > 0.2
+    np.testing.assert_allclose(fitting_gain(picture(), clipped), 2, rtol=1e-6)
+    np.testing.assert_array_equal(fitting_gain(picture(), np.ones_like(clipped)), 1)
+
+
+def test_a_gain_moves_part_of_the_way_and_the_mean_stays_one() -> None:
+    before = torch.tensor([[0.5, 1.0, 2.0], [2.0, 1.0, 0.5]])
+    after = moved(before, 0, torch.tensor([0.5, 2.0, 1e9]))
+    torch.testing.assert_close(after.log().mean(0), torch.zeros(3), atol=1e-6, rtol=0)
+    ratio = after[0] / after[1] / (before[0] / before[1])
+    torch.testing.assert_close(ratio, torch.tensor([1.0, 2.0, MOST / 2]) ** RATE)
+    assert torch.equal(before, torch.tensor([[0.5, 1.0, 2.0], [2.0, 1.0, 0.5]]))
+
+
+def test_known_gains_are_found(
+    views: RestViews,
+    points: SurfacePoints,
+    new_run: Callable[[], Run],
+) -> None:
+    """Of 10 % on pictures without background: a quarter of that at most is left."""
+    logs = np.random.default_rng(0).normal(0, 0.1, (len(views.rgb), 3))
+    given = np.exp(logs - logs.mean(0))
+    # a grey floor in place of white, which would be clipped
+    rgb = 0.7 * views.rgb * given[:, None, None]
+    spoilt = replace(views, rgb=rgb.astype(np.float32))
+    psnr = {}
+    for gains in (True, False):
+        run = new_run()
+        train_space(run, spoilt, points, SpaceConfig(iterations=500, max_gaussians=1500, gains=gains))
+        psnr[gains] = run.log()["space"]["psnr_train"]
+        assert ("gains" in run.log()["space"]) == gains
+        if gains:
+            off = np.log(run.log()["space"]["gains"]) - np.log(given)
+            assert off.std() < 0.25 * np.log(given).std()
+    assert psnr[True] > psnr[False]
+
+
+@pytest.mark.parametrize("gains", [True, False])
+def test_torch_and_the_fused_iteration_agree_on_gains(gains: bool) -> None:
+    from tests.helpers.space_fused import SCENE, parameters, views_of
+    from tests.helpers.space_parameters import EXTENT
+    from tg4mm.space import train as stage
+    from tg4mm.space.fused import FusedAdam
+    from tg4mm.space.parameters import ParameterAdam
+
+    start = torch.tensor([[0.8, 1.0, 1.2], [1.0, 1.1, 1.0], [1.25, 1 / 1.1, 1 / 1.2]])
+    found = []
+    for kind in (FusedAdam, ParameterAdam):
+        cameras = stage._Views(views_of(), SpaceConfig(dssim=0.2), "cpu")
+        generator, error = torch.Generator(), torch.zeros(len(SCENE.means))
+        fit = stage._Fit(kind(parameters(), EXTENT), error, torch.zeros(()), generator, generator)
+        fit.gains = start if gains else None
+        cameras.iterate(fit, 0, 3, 0.0)
+        found.append((fit.adam.moments()["sh0.m"], fit.gains))
+    torch.testing.assert_close(found[0][0], found[1][0], rtol=1e-3, atol=1e-6)
+    if gains:
+        torch.testing.assert_close(found[0][1], found[1][1], rtol=1e-5, atol=1e-6)
+        assert not torch.equal(found[0][1], start)

@@ -1,0 +1,101 @@
+"""Kernels compiled ahead: the jobs compile what the program calls, and a command waits for them and no longer."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tg4mm import ahead
+from tg4mm.ahead.jobs import JOBS
+
+ROOT = Path(__file__).resolve().parent.parent
+MODULES = {
+    "project": "tg4mm.rasterize.kernels.project", "project_backward": "tg4mm.rasterize.kernels.project_backward",
+    "binning": "tg4mm.rasterize.kernels.binning", "blend": "tg4mm.rasterize.kernels.blend",
+    "blend_backward": "tg4mm.rasterize.kernels.blend_backward", "normal": "tg4mm.rasterize.kernels.normal",
+    "linearised": "tg4mm.rasterize.kernels.linearised", "kernels": "tg4mm.space.kernels",
+    "projection": "tg4mm.motion.jacobian.projection", "packed": "tg4mm.motion.jacobian.packed",
+}  # fmt: skip
+
+
+def kernels_of(job: ahead.Job) -> list:
+    names = [kernel.split(".") for kernel in job.kernels]
+    return [getattr(importlib.import_module(MODULES[module]), name) for module, name in names]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", JOBS)
+def test_a_job_compiles_the_kernels_it_names(name: str, tmp_path: Path) -> None:
+    """With an empty cache: what is loaded from one does not load the kernels inside it."""
+    code = f"""
+from tests.test_ahead import kernels_of
+from tg4mm.ahead.jobs import JOBS
+JOBS[{name!r}].call()
+print([len(kernel.signatures) for kernel in kernels_of(JOBS[{name!r}])])
+"""
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path)}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert 0 not in json.loads(done.stdout)
+
+
+@pytest.mark.slow
+def test_training_asks_for_no_other_types() -> None:
+    """An iteration as the space stage does it, in a process that the jobs ran in before: not one more signature."""
+    code = """
+import numpy as np, torch
+from tests.test_ahead import kernels_of
+from tg4mm.ahead.jobs import JOBS
+from tg4mm.space.fused import FusedAdam, Iteration
+jobs = [job for job in JOBS.values() if job.group != "motion"]
+for job in jobs:
+    job.call()
+before = [len(k.signatures) for job in jobs for k in kernels_of(job)]
+n = 20
+shapes = {"means": (n, 3), "quats": (n, 4), "log_scales": (n, 3), "logits": (n,), "sh0": (n, 1, 3), "shn": (n, 15, 3)}
+adam = FusedAdam({k: torch.rand(s) for k, s in shapes.items()}, 1.0)
+view, K = np.eye(4, dtype=np.float32), np.array([[20, 0, 8], [0, 20, 8], [0, 0, 1]], np.float32)
+view[2, 3] = 3
+Iteration(10.0, 0.0)(adam, view, K, np.ones((16, 16, 3), np.float32), 3, 0.5, np.zeros(n, np.float32))
+print(before == [len(k.signatures) for job in jobs for k in kernels_of(job)])
+"""
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, cwd=ROOT, capture_output=True, text=True
+    )
+    assert done.stdout.strip() == "True", done.stderr
+
+
+def test_a_kernel_of_no_job_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ahead, "_jobs", ahead._Jobs())
+    assert not ahead.compiled_ahead("elsewhere.unknown")
+
+
+def test_where_no_process_starts_the_command_goes_on(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(ahead, "_jobs", ahead._Jobs())
+    monkeypatch.setattr(ahead.sys, "executable", "/nowhere/python")
+    assert not ahead.compiled_ahead("blend._forward")
+    assert "compiling kernels" in capsys.readouterr().err
+
+
+def test_a_kernel_is_there_after_the_wait_which_counts(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(ahead, "_jobs", ahead._Jobs())
+    monkeypatch.setattr(ahead, "_WORK", "import sys\nfor line in sys.stdin: print(line.strip(), flush=True)")
+    assert ahead.compiled_ahead("blend._forward")
+    assert "(pictures): 3/3 steps" in capsys.readouterr().err
+    assert not ahead.compiled_ahead("blend._forward")  # it was made, for other types: not again
+
+
+def test_without_enable_nothing_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ahead, "_jobs", None)  # a test that ran the program may have enabled it
+    assert not ahead.compiled_ahead("blend._forward")

@@ -1,0 +1,84 @@
+"""The site builds strictly, commands on its pages exist with their options, links lead somewhere."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from tg4mm.cli.program import app
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+_HISTORY = {"log.md", "ablations.md", "results.md"}  # say what was run then
+
+
+def commands(text: str) -> list[str]:
+    """Lines of code blocks that call tg4mm, without their comments."""
+    lines = re.findall(r"^(?: {4}|\$ )(tg4mm (?!generate).+)$", text, re.MULTILINE)
+    return [line.split(" # ")[0].strip() for line in lines]
+
+
+def unknown_options(command: str, helps: dict[str, str]) -> list[str]:
+    """Options of `command` that its --help does not list; its own name where there is no such command."""
+    words = shlex.split(command)
+    is_part = words[1] == "bench" and not words[2].startswith("--")
+    name = " ".join(words[1:3]) if is_part else words[1]
+    if name not in helps:
+        result = CliRunner().invoke(
+            app, [*name.split(), "--help"], env={"COLUMNS": "300", "TERMINAL_WIDTH": "300"}
+        )
+        helps[name] = result.output if result.exit_code == 0 else ""
+    if not helps[name]:
+        return [name]
+    options = [word.split("=")[0] for word in words if word.startswith("--")]
+    return [option for option in options if not re.search(rf"(?<![\w-]){option}(?![\w-])", helps[name])]
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if p.name not in _HISTORY], ids=lambda p: p.name)
+def test_commands_on_the_pages_exist(page: Path) -> None:
+    helps: dict[str, str] = {}
+    wrong = {}
+    for command in commands(page.read_text(encoding="utf-8")):
+        if re.search(r"[A-Z…]{4,}$|…", command.split()[1]):
+            continue
+        if bad := unknown_options(command, helps):
+            wrong[command] = bad
+    assert not wrong
+
+
+def test_an_option_that_is_not_there_is_seen() -> None:
+    assert unknown_options("tg4mm train data --out run --iterations 5", {}) == ["--iterations"]
+    assert unknown_options("tg4mm teach data", {}) == ["teach"]
+    assert unknown_options("tg4mm train data --out run --device cuda", {}) == []
+    assert unknown_options("tg4mm bench --presets small --out bench", {}) == ["--presets"]
+    assert unknown_options("tg4mm bench scenes data --out bench --presets modal", {}) == ["--presets"]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_links_lead_to_files(page: Path) -> None:
+    generated = {"commands.md", "settings.md", "api.md", "security.md", "changelog.md"}
+    links = re.findall(r"\]\((?!https?:|#)([^)#\s]+)", page.read_text(encoding="utf-8"))
+    missing = [one for one in links if not (page.parent / one).exists() and Path(one).name not in generated]
+    assert not missing
+
+
+@pytest.mark.slow
+def test_the_site_builds_strictly(tmp_path: Path) -> None:
+    pytest.importorskip("mkdocs", reason="the extra `docs` is not installed")
+    command = [sys.executable, "-m", "mkdocs", "build", "--site-dir", str(tmp_path / "site")]
+    done = subprocess.run(
+        command, cwd=ROOT, env={**os.environ, "NO_MKDOCS_2_WARNING": "1"}, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    settings = (tmp_path / "site/settings.html").read_text(encoding="utf-8")
+    assert "space.iterations" in settings
+    assert "motion.gauss_newton" in settings
+    assert "Raises" in (tmp_path / "site/api.html").read_text(encoding="utf-8")
+    assert "--keep" in (tmp_path / "site/commands.html").read_text(encoding="utf-8")

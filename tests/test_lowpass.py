@@ -1,0 +1,112 @@
+"""The low-pass in exported scales: as wide as the rasteriser's own seen from a training camera, right at any size."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from tests.helpers.synthetic import make_synthetic_dataset
+from tg4mm.capture import load_capture
+from tg4mm.errors import SplatFileError
+from tg4mm.export import export_ply, export_ply_sequence, smoothing_of, to_splat
+from tg4mm.gaussians import Gaussians
+from tg4mm.lowpass import BAKED_PX2, smoothing_variance, widened
+from tg4mm.rasterize import rasterization
+from tg4mm.runs import Run
+from tg4mm.splatfile import read_splat
+
+EPS = 1e-6  # square pixels: a viewer without a low-pass
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Run:
+    gaussians, motion = make_synthetic_dataset(
+        tmp_path / "data", n_views=4, n_timesteps=5, size=24, freqs=(3.0,), n_test=0
+    )
+    made = Run.create(tmp_path / "run", tmp_path / "data", "modal", {})
+    made.save_space(gaussians, {})
+    made.save_motion(motion, {})
+    return made
+
+
+def picture(gaussians: Gaussians, scales: torch.Tensor, viewmat, K, side: int, eps2d: float) -> np.ndarray:
+    g = gaussians
+    size = side / 24
+    scaled = torch.tensor(K * [[size], [size], [1]], dtype=torch.float32)
+    rgb, alpha, _ = rasterization(
+        g.means, g.quats, scales, g.opacities, g.sh, torch.tensor(viewmat, dtype=torch.float32)[None],
+        scaled[None], side, side, eps2d=eps2d, sh_degree=g.sh_degree,
+    )  # fmt: skip
+    return torch.cat([rgb, alpha], -1)[0].numpy()
+
+
+def one_camera_needles(capture, n: int = 40) -> Gaussians:
+    """Gaussians of a twentieth of a pixel in the middle of the first camera's picture."""
+    rng = np.random.default_rng(2)
+    centre, forward = -capture.viewmats[0, :3, :3].T @ capture.viewmats[0, :3, 3], capture.viewmats[0, 2, :3]
+    means = centre + 4.0 * forward + rng.normal(0, 0.3, (n, 3))
+    pixel = 4.0 / capture.Ks[0, 0, 0]
+    return Gaussians(
+        torch.tensor(means, dtype=torch.float32),
+        torch.tensor(rng.normal(size=(n, 4)), dtype=torch.float32),
+        torch.full((n, 3), 0.05 * pixel),
+        torch.full((n,), 0.8),
+        torch.tensor(rng.normal(0, 1, (n, 1, 3)), dtype=torch.float32),
+    )
+
+
+@pytest.mark.parametrize("side", [24, 48, 96])
+def test_a_viewer_without_a_low_pass_shows_what_was_trained_at_any_size(run, side):
+    """The training picture enlarged: there the rasteriser's low-pass is 0.3 px² of a training pixel."""
+    capture = load_capture(run.dataset).selected(np.array([0]))
+    needles = one_camera_needles(capture)
+    variance = smoothing_variance(needles.means.double().numpy(), capture)
+    wide = torch.tensor(widened(needles.scales.numpy(), variance), dtype=torch.float32)
+    view = capture.viewmats[0], capture.Ks[0], side
+    trained = picture(needles, needles.scales, *view, 0.3 * (side / 24) ** 2)
+    np.testing.assert_allclose(picture(needles, wide, *view, EPS), trained, atol=0.03)
+    assert np.abs(picture(needles, needles.scales, *view, EPS) - trained).max() > 0.2
+
+
+def test_variance_is_the_mean_over_the_cameras_that_see_the_gaussian(run):
+    capture = load_capture(run.dataset).selected(np.array([0, 1]))
+    means = run.load_space().means.double().numpy()
+    each = [smoothing_variance(means, capture.selected(np.array([i]))) for i in range(2)]
+    np.testing.assert_allclose(smoothing_variance(means, capture), (each[0] + each[1]) / 2)
+    depth = (means @ capture.viewmats[0, :3, :3].T + capture.viewmats[0, :3, 3])[:, 2]
+    np.testing.assert_allclose(each[0], 0.3 * (depth / capture.Ks[0, 0, 0]) ** 2)
+
+
+def test_what_no_camera_sees_is_widened_like_the_others(run):
+    capture = load_capture(run.dataset)
+    means = run.load_space().means.double().numpy()
+    behind = np.vstack([means, [[0.0, 0.0, 1e4]]])
+    found = smoothing_variance(behind, capture)
+    assert found[-1] == pytest.approx(np.median(found[:-1]))
+    assert not smoothing_variance(behind[-1:], capture.selected(np.array([0]))).any()
+
+
+def test_exports_are_widened_and_say_so(run, tmp_path):
+    gaussians = run.load_space()
+    splat = read_splat(export_ply(run, tmp_path / "a.ply"))
+    expected = widened(gaussians.scales.numpy(), smoothing_of(run))
+    np.testing.assert_allclose(splat.scales, expected, rtol=1e-5)
+    assert (splat.scales > gaussians.scales.numpy()).all()
+    np.testing.assert_allclose(splat.opacities, gaussians.opacities, atol=1e-6)
+    assert splat.low_pass_px2 == BAKED_PX2 == 0.3
+    frame = read_splat(export_ply_sequence(run, tmp_path / "s", timesteps=[2]) / "frame_0002.ply")
+    np.testing.assert_allclose(frame.scales, expected, rtol=1e-5)
+    assert frame.low_pass_px2 == 0.3
+
+
+def test_without_the_dataset_scales_stay_as_trained_and_nothing_is_said(run, tmp_path):
+    (tmp_path / "data").rename(tmp_path / "elsewhere")
+    splat = read_splat(export_ply(run, tmp_path / "a.ply"))
+    np.testing.assert_allclose(splat.scales, run.load_space().scales, rtol=1e-5)
+    assert splat.low_pass_px2 is None
+
+
+def test_a_low_pass_below_zero_is_refused(run):
+    with pytest.raises(SplatFileError, match="low_pass_px2 is -1; expected a finite number, at least 0"):
+        type(splat := to_splat(run.load_space(), None))(**{**vars(splat), "low_pass_px2": -1.0})

@@ -1,0 +1,118 @@
+"""The notebooks of examples/, executed at a tiny size: cells in order, the one tagged "parameters" replaced."""
+
+from __future__ import annotations
+
+import json
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.helpers.synthetic import make_synthetic_dataset
+
+pytest.importorskip("matplotlib", reason="needs the extra core")
+HZ = 3.0
+
+
+def execute(
+    notebook: Path, parameters: dict[str, Any], folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> dict[str, Any]:
+    """Run its code in `folder`; the names that it leaves. Its figures are left open."""
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    cells = [c for c in json.loads(notebook.read_text(encoding="utf-8"))["cells"] if c["cell_type"] == "code"]
+    asked = [c for c in cells if "parameters" in c["metadata"].get("tags", ())]
+    assert len(asked) == 1
+    names: dict[str, Any] = {}
+    for cell in cells:
+        code = compile("".join(cell["source"]), f"{notebook.name}[{cell['id']}]", "exec")
+        exec(code, names)
+        if cell is asked[0]:
+            assert parameters.keys() <= names.keys()  # a renamed parameter must not go unnoticed
+            names |= parameters
+    return names
+
+
+@pytest.fixture
+def figures() -> Any:
+    """Closes every figure at the end."""
+    import matplotlib.pyplot as plt
+
+    yield plt.get_fignums
+    plt.close("all")
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("notebooks") / "tiny"
+    make_synthetic_dataset(path, freqs=(HZ,), n_timesteps=20, alphas=(20,))
+    return path
+
+
+def test_notebooks_are_clean(repo_root: Path) -> None:
+    """Without outputs, which would be somebody's machine; and each is tested below."""
+    found = sorted((repo_root / "examples").glob("*.ipynb"))
+    assert [path.stem for path in found] == ["compare_a_method", "first_run", "own_video"]
+    for path in found:
+        notebook = json.loads(path.read_text(encoding="utf-8"))
+        assert (notebook["nbformat"], notebook["nbformat_minor"]) == (4, 5)
+        for cell in notebook["cells"]:
+            assert not cell.get("outputs")
+            assert not cell.get("execution_count")
+
+
+@pytest.mark.slow
+def test_first_run(
+    repo_root: Path, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, figures: Any
+) -> None:
+    small = {"dataset": str(data), "space_iterations": 300}
+    names = execute(repo_root / "examples" / "first_run.ipynb", small, tmp_path, monkeypatch)
+    assert names["sensor"].spectrum.peaks[0].frequency_hz == pytest.approx(HZ, abs=0.05)
+    assert (tmp_path / "first_run.ply").is_file()
+    assert len(figures()) > 0
+
+
+@pytest.mark.slow
+def test_own_video(repo_root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, figures: Any) -> None:
+    pytest.importorskip("av", reason="needs the extra sfm")
+    from tests.sfm.videos import write_video
+
+    n, fps, pixels = 40, 20, 0.3
+    x, y = np.meshgrid(2 * np.pi * np.arange(96) / 96, 2 * np.pi * np.arange(72) / 72)
+    rng = np.random.default_rng(0)
+    waves = [(*rng.integers(-12, 13, 2), *rng.uniform(0, 2 * np.pi, 3)) for _ in range(30)]
+    part = np.exp(
+        -((x - 3) ** 2 + (y - 3) ** 2) / 2
+    )  # of the picture; all of it would be a camera that shakes
+    frames = []
+    for k in range(n):
+        shift = pixels * np.sin(2 * np.pi * HZ * k / fps) * 2 * np.pi / 96 * part
+        colours = [
+            sum(np.cos(u * (x - shift) + v * y + phases[c]) for u, v, *phases in waves) for c in range(3)
+        ]
+        noisy = 128 + 12 * np.stack(colours, 2) + rng.normal(0, 2, (72, 96, 3))
+        frames.append(np.clip(noisy, 0, 255).astype(np.uint8))
+    video = write_video(tmp_path / "video.mp4", frames, Fraction(fps), crf=8)
+    small = {"video": str(video), "dataset": str(tmp_path / "set"), "space": {"max_gaussians": 600}}
+    names = execute(repo_root / "examples" / "own_video.ipynb", small, tmp_path, monkeypatch)
+    spot = names["spot"]
+    peak = spot.spectrum.peaks[0]
+    assert peak.frequency_hz == pytest.approx(HZ, abs=0.05)
+    u, v, radius = names["sensor"].values
+    inside = np.hypot(x * 96 / (2 * np.pi) - u, y * 72 / (2 * np.pi) - v) < radius
+    assert peak.amplitude[0] * spot.px_per_unit == pytest.approx(pixels * part[inside].mean(), rel=0.15)
+    assert peak.amplitude[1] < 0.2 * peak.amplitude[0]
+    assert names["band"][0] < HZ < names["band"][1]
+    assert (tmp_path / "own_video_magnified.mp4").stat().st_size > 0
+
+
+@pytest.mark.slow
+def test_compare_a_method(
+    repo_root: Path, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, figures: Any
+) -> None:
+    small = {"dataset": str(data), "space_iterations": 300, "alpha": 20}
+    names = execute(repo_root / "examples" / "compare_a_method.ipynb", small, tmp_path, monkeypatch)
+    scores = names["scores"]
+    assert scores["tg4mm"][1] > scores["nothing moves"][1]

@@ -1,0 +1,148 @@
+"""Wheel and source distribution, built from the sources and installed into clean environments."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tarfile
+import zipfile
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.slow
+PYENV = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
+PYTHONS = ["3.11", "3.12", "3.13"]
+
+LOOK = """
+import sys, tg4mm, tg4mm.cli
+assert tg4mm.__file__.startswith(sys.prefix), tg4mm.__file__
+splat = tg4mm.read_splat(sys.argv[1])
+capture = tg4mm.load_capture(sys.argv[2])
+print(len(splat), len(capture), tg4mm.load_images(capture).rgb(0).shape)
+"""
+
+
+def run(*command: object, cwd: Path) -> str:
+    """Its output; no path of this repository in the environment."""
+    environment = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "PYTHONSAFEPATH")}
+    done = subprocess.run([str(c) for c in command], capture_output=True, text=True, cwd=cwd, env=environment)
+    assert done.returncode == 0, f"{command}: {done.stdout[-2000:]}{done.stderr[-2000:]}"
+    return done.stdout
+
+
+def interpreter(version: str) -> str:
+    """A Python of that version. Skips the test where there is none."""
+    places = [Path(sys.executable)] if sys.version_info[:2] == tuple(map(int, version.split("."))) else []
+    places += [*PYENV.glob(f"{version}.*/bin/python"), Path(f"/usr/bin/python{version}")]
+    for place in places:
+        if place.exists():
+            return str(place)
+    pytest.skip(f"Python {version} is not there")
+
+
+@pytest.fixture(scope="module")
+def built(repo_root: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """The source distribution of a clean copy of the repository, and the wheel that is built from it."""
+    work = tmp_path_factory.mktemp("build")
+    run("git", "clone", "--quiet", "--no-hardlinks", repo_root, work / "copy", cwd=work)
+    changed = run("git", "ls-files", "--modified", "--others", "--exclude-standard", cwd=repo_root).split()
+    for name in changed:  # what is not committed yet
+        if (repo_root / name).is_file():
+            (work / "copy" / name).parent.mkdir(parents=True, exist_ok=True)
+            (work / "copy" / name).write_bytes((repo_root / name).read_bytes())
+    run(sys.executable, "-m", "venv", work / "env", cwd=work)
+    python = work / "env" / "bin" / "python"
+    run(python, "-m", "pip", "install", "--quiet", "build", cwd=work)
+    run(python, "-m", "build", "--outdir", work / "dist", work / "copy", cwd=work)  # the wheel from the sdist
+    (source,), (wheel,) = (list((work / "dist").glob(p)) for p in ("*.tar.gz", "*.whl"))
+    return source, wheel
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A splat file and a dataset."""
+    from tests.addon.conftest import some_splat
+    from tests.helpers.synthetic import make_synthetic_dataset
+    from tg4mm.splatfile import write_splat
+
+    folder = tmp_path_factory.mktemp("data")
+    write_splat(folder / "a.ply", some_splat())
+    make_synthetic_dataset(folder / "tiny", n_timesteps=2, alphas=())
+    return folder / "a.ply", folder / "tiny"
+
+
+def test_both_hold_every_module_and_file_of_the_packages(repo_root: Path, built: tuple[Path, Path]) -> None:
+    source, wheel = built
+    tracked = run("git", "ls-files", "tg4mm", "dataset_gen", cwd=repo_root).split()
+    left_out = ("tg4mm/web/player/",)  # its sources; what is built of it lies in dist/
+    wanted = {n for n in tracked if not n.startswith(left_out) or n.startswith("tg4mm/web/player/dist/")}
+    with zipfile.ZipFile(wheel) as archive:
+        assert wanted - set(archive.namelist()) == set()
+    with tarfile.open(source) as archive:
+        names = {name.partition("/")[2] for name in archive.getnames()}
+    assert (wanted | {"LICENSE", "README.md", "pyproject.toml"}) - names == set()
+
+
+@pytest.mark.parametrize("version", PYTHONS)
+def test_the_wheel_alone_reads_and_says_what_it_lacks(
+    built: tuple[Path, Path], data: tuple[Path, Path], version: str, tmp_path: Path
+) -> None:
+    """Without any extra, on every Python: files, the command line, and one line for what needs torch or Blender."""
+    run(interpreter(version), "-m", "venv", tmp_path / "env", cwd=tmp_path)
+    folder = tmp_path / "env" / "bin"
+    run(folder / "python", "-m", "pip", "install", "--quiet", built[1], cwd=tmp_path)
+    assert run(folder / "python", "-c", LOOK, *data, cwd=tmp_path).split()[:2] == ["23", "16"]
+    assert "tg4mm 0" in run(folder / "tg4mm", "--version", cwd=tmp_path)
+    for command, message in (
+        (["train", data[1], "--out", "run"], "pip install 'tg4mm[core]'"),
+        (
+            ["generate", "mic", "--out", "set"],
+            "3.11 (Blender 4.5) and 3.13" if version == "3.12" else "[generate]'",
+        ),
+    ):
+        words = [str(w) for w in (folder / "tg4mm", *command)]
+        done = subprocess.run(words, capture_output=True, text=True, cwd=tmp_path)
+        assert done.returncode == 2
+        assert message in done.stderr
+        assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("version", PYTHONS)
+def test_what_the_core_needs_is_to_be_had_for_every_python(
+    built: tuple[Path, Path], version: str, tmp_path: Path
+) -> None:
+    """Resolved, not downloaded: torch for one of them may be gigabytes."""
+    run(interpreter(version), "-m", "venv", tmp_path / "env", cwd=tmp_path)
+    pip = (tmp_path / "env" / "bin" / "python", "-m", "pip")
+    run(*pip, "install", "--quiet", "--upgrade", "pip", cwd=tmp_path)
+    wheel = f"{built[1]}[core]"
+    found = run(*pip, "install", "--dry-run", "--only-binary", "torch", wheel, cwd=tmp_path)
+    for name in ("torch", "numba", "llvmlite", "imageio-ffmpeg", "MarkupSafe", "tg4mm"):
+        assert f" {name}-".lower() in found.lower()
+
+
+def test_the_core_trains_in_a_clean_environment(
+    built: tuple[Path, Path], data: tuple[Path, Path], tmp_path: Path
+) -> None:
+    """With the torch of this environment's version, where pip can have it without CUDA; nothing else of this one."""
+    torch = pytest.importorskip("torch").__version__
+    if "+cpu" not in torch:
+        pytest.skip(f"torch {torch} would bring CUDA along")
+    run(sys.executable, "-m", "venv", tmp_path / "env", cwd=tmp_path)
+    folder = tmp_path / "env" / "bin"
+    run(
+        folder / "python",
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        f"torch=={torch}",
+        f"{built[1]}[core]",
+        cwd=tmp_path,
+    )
+    sets = ("--set", "space.iterations=60", "--set", "motion.appearance=false")
+    run(folder / "tg4mm", "train", data[1], "--out", "run", *sets, cwd=tmp_path)
+    run(folder / "tg4mm", "render", "run", "--alpha", "5", "--out", "x5", cwd=tmp_path)
+    assert list((tmp_path / "x5").rglob("*.mp4"))

@@ -1,0 +1,118 @@
+"""Kernels compiled ahead, in processes of their own, where numba's cache has none for this processor yet.
+
+A kernel is compiled by being called on next to nothing, with the types that the program calls it with, and lies in the
+cache from then on. Such calls are jobs, in groups that are needed at about the same time. The first kernel that the
+cache lacks starts the processes; the command waits for its group, with a line that counts, and goes on while the other
+groups are compiled. A kernel that is in no job the command compiles itself, as it does with all of them where the
+processes cannot be started or die.
+
+The program switches it on (`enable`); without that nothing happens. Importing this imports nothing heavy.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+from tg4mm.progress import progress
+
+_PROCESSES = 2
+_WORK = "from tg4mm.ahead import work; work()"
+
+
+def work() -> None:
+    """What a process does: the jobs named on its input, one a line, each answered by a line when it is done."""
+    from tg4mm.ahead.jobs import JOBS
+
+    for line in sys.stdin:
+        JOBS[line.strip()].call()
+        print(line.strip(), flush=True)
+
+
+class _Jobs:
+    """The jobs of this process's command, shared by the threads that each look after one process."""
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._queue: list[str] = []
+        self._begun: set[str] = set()
+        self._done: set[str] = set()
+        self._looked_after = 0  # processes at work
+
+    def wait(self, kernel: str) -> bool:
+        """Whether a kernel that the cache lacked may be there now, after the jobs of its group."""
+        from tg4mm.ahead.jobs import JOB_OF, JOBS
+
+        if (name := JOB_OF.get(kernel)) is None or name in self._done:
+            return False
+        group = [other for other, job in JOBS.items() if job.group == JOBS[name].group]
+        # what trains will need all; it is compiled behind what is waited for
+        later = list(JOBS) if JOBS[name].group == "training" else self._queue
+        with self._changed:
+            self._queue = [other for other in dict.fromkeys([*group, *later]) if other not in self._begun]
+        self._start()
+        label = f"compiling kernels for this processor, once ({JOBS[name].group})"
+        with progress(label, len(group), "steps") as update, self._changed:
+            while self._looked_after and not self._done.issuperset(group):
+                update(len(self._done.intersection(group)))
+                self._changed.wait(1.0)
+            update(len(self._done.intersection(group)))
+        return name in self._done
+
+    def _start(self) -> None:
+        with self._changed:
+            if self._looked_after or not self._queue:
+                return
+            self._looked_after = _PROCESSES
+        for _ in range(_PROCESSES):
+            threading.Thread(target=self._look_after_one, daemon=True).start()
+
+    def _next(self) -> str | None:
+        with self._changed:
+            if not self._queue:
+                return None
+            self._begun.add(self._queue[0])
+            return self._queue.pop(0)
+
+    def _look_after_one(self) -> None:
+        """Give a process one job after the other. It ends with its input, hence with this process at the latest."""
+        try:
+            path = [str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])]
+            environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(path)}
+            with subprocess.Popen(
+                [sys.executable, "-P", "-c", _WORK], env=environment, text=True,
+                stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+            ) as process:  # fmt: skip
+                assert process.stdin is not None
+                assert process.stdout is not None
+                while (name := self._next()) is not None:
+                    print(name, file=process.stdin, flush=True)
+                    if process.stdout.readline().strip() != name:
+                        break
+                    with self._changed:
+                        self._done.add(name)
+                        self._changed.notify_all()
+        except OSError:  # no process: the command compiles itself
+            pass
+        finally:
+            with self._changed:
+                self._looked_after -= 1
+                self._changed.notify_all()
+
+
+_jobs: _Jobs | None = None
+
+
+def enable() -> None:
+    """From now on kernels that the cache lacks are compiled ahead, where there are two cores."""
+    global _jobs
+    if (os.cpu_count() or 1) > 1:
+        _jobs = _jobs or _Jobs()
+
+
+def compiled_ahead(kernel: str) -> bool:
+    """Whether a kernel (module.function) that the cache lacked may be there now. Waits for it, if `enable`d."""
+    return _jobs is not None and _jobs.wait(kernel)

@@ -1,0 +1,113 @@
+"""The stages as functions of what is in memory: nothing is written, no run folder is needed (docs/python.md)."""
+
+from __future__ import annotations
+
+from tg4mm.capture import Capture, ImageStack
+from tg4mm.capture.pictures import FilePictures
+from tg4mm.device import check_device
+from tg4mm.errors import RunError
+from tg4mm.gaussians import Gaussians
+from tg4mm.magnify.bands import Magnification
+from tg4mm.motion import animate as motion_animate
+from tg4mm.motion import pipeline
+from tg4mm.motion.config import MotionConfig
+from tg4mm.motion.observations import observe
+from tg4mm.motion.result import MotionFit
+from tg4mm.space.config import SpaceConfig
+from tg4mm.space.plane import fit_plane
+from tg4mm.space.targets import rest_views
+from tg4mm.space.train import fit_space as fit_views
+from tg4mm.train import pictures_for
+
+Images = ImageStack | FilePictures
+
+
+def fit_space(
+    capture: Capture,
+    config: SpaceConfig | None = None,
+    device: str = "cpu",
+    images: Images | None = None,
+) -> Gaussians:
+    """The static Gaussians of a capture: what its cameras see on average over time ([3DGS]; [TG4MM] Eq. (16)).
+
+    Args:
+        capture: of any kind; of one timestep too.
+        config: settings; `None` takes those that follow from the data.
+        device: "cpu", or "cuda" where gsplat is installed.
+        images: the capture's pictures where they were read before (`load_images`); `None` reads them.
+
+    Returns:
+        N Gaussians on the CPU, float32, in scene units; of a flat capture (one fixed camera of which nothing else is
+        known) discs at distance 1 before it.
+
+    Raises:
+        Tg4mmError: a setting is out of range, or there is no such device.
+        CaptureError: a picture cannot be read, or there is nothing to start from.
+    """
+    check_device(device)
+    views = rest_views(capture, images or pictures_for(capture))
+    fit = (
+        fit_plane(views, config, device)
+        if capture.kind == "flat"
+        else fit_views(views, capture.points, config, device)
+    )
+    return fit.gaussians
+
+
+def fit_motion(
+    capture: Capture,
+    gaussians: Gaussians,
+    config: MotionConfig | None = None,
+    device: str = "cpu",
+    images: Images | None = None,
+) -> MotionFit:
+    """The motion of `gaussians` as modes, one complex displacement and rotation a frequency (docs/method.md).
+
+    Args:
+        capture: of T > 1 timesteps.
+        gaussians: at rest, on the CPU, as `fit_space` gives them.
+        config: settings; `None` takes the defaults.
+        device: "cpu" or "cuda".
+        images: the capture's pictures where they were read before; `None` reads them.
+
+    Returns:
+        `gaussians` at rest (others than those given where large motion made them sharper), `motion` (phasors
+        [K, N, 3], scene units and radians, at `freqs_hz` [K]), `uncertainty`, `figures`, and `notes`, a line for each
+        thing that the capture cannot tell.
+
+    Raises:
+        CaptureError: too few pictures show motion.
+        RunError: no camera sees a Gaussian.
+        Tg4mmError: a setting is out of range, there is no such device, or it has too little memory.
+    """
+    check_device(device)
+    observations = observe(capture, images or pictures_for(capture))
+    return pipeline.fit_motion(gaussians, observations, config, device)
+
+
+def animate(fit: MotionFit, t: float, magnification: float | Magnification = 0.0) -> Gaussians:
+    """The Gaussians at a timestep with their motion magnified: a displacement δ becomes (1 + α) δ ([TG4MM] Eq. (9)).
+
+    Args:
+        fit: of `fit_motion`, or `Run.load_fit` of a run folder.
+        t: timestep, 0 is the reference; fractions and times past the record are allowed.
+        magnification: α of all frequencies, or `Magnification` with bands in Hz, each with an α of its own.
+
+    Returns:
+        N Gaussians, in scene units.
+
+    Raises:
+        Tg4mmError: α is no finite number, bands overlap, or the plan asks for another method or for a filter.
+        CaptureError: a band does not satisfy 0 ≤ low < high < fps / 2.
+    """
+    plan = magnification
+    if not isinstance(plan, Magnification):
+        plan = Magnification(everywhere=float(plan))
+    plan.checked(fit.motion.fps)
+    if plan.method not in (None, "modal") or plan.filter is not None:
+        raise RunError(
+            f"method {plan.method!r} with filter {plan.filter!r}: a fit of modes is magnified by the method 'modal', "
+            "which has no filter"
+        )
+    alphas = plan.ideal(fit.motion.freqs_hz)
+    return motion_animate.animate(fit.gaussians, fit.motion, t, alphas)

@@ -1,0 +1,135 @@
+"""The benchmark on one self-contained HTML page: sortable tables, plots, pictures to compare, videos in step."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from markupsafe import Markup
+
+from tg4mm.bench.folder import write_text
+from tg4mm.bench.page import failures, how, machine, sets_line
+from tg4mm.bench.plots import over_alpha, size_and_speed
+from tg4mm.bench.shown import shown_sections
+from tg4mm.bench.tables import Table, full_table, groups_of, kinds_table, tables_of
+from tg4mm.report.page import Block, Commands, Figure, Page, Panel, Section, Stat, Text, data_uri, render_page
+from tg4mm.report.page import Table as PageTable
+
+_HERE = Path(__file__).parent
+
+
+def write_page(out: Path, results: Mapping[str, Any], ablations: Sequence[Mapping[str, Any]] = ()) -> Path:
+    """Write OUT/results.html from results.json's content and the pictures under OUT/runs; returns the file."""
+    sections: list[Section] = []
+    for group in groups_of(results):
+        sections.append(Section(f"Scores, {group}", list(_scores(results, group))))
+        sections += shown_sections(out, results, group)
+    kinds = kinds_table(results)
+    if kinds.rows:
+        sections.append(Section(kinds.title, [_block(kinds)]))
+    sections += [_ablation(found) for found in ablations]
+    made = Commands([(machine(results["made"]), results["made"]["command"])])
+    page = Page(
+        title="3D motion magnification, measured",
+        kicker="tg4mm benchmark",
+        summary=_summary(results),
+        stats=_stats(results),
+        lead=[Text(how(results)), *([Text(_failed(results), plain=True)] if failures(results) else [])],
+        sections=[
+            *sections,
+            Section("How it was made", [made]),
+        ],
+        footer="Protocol: docs/protocol.md. Tables for LaTeX lie in tables/, all figures in results.json.",
+    )
+    style, script = ((_HERE / name).read_text(encoding="utf-8") for name in ("page.css", "page.js"))
+    target = Path(out) / "results.html"
+    write_text(target, render_page(page, style, script))
+    return target
+
+
+def _summary(results: Mapping[str, Any]) -> str:
+    rows = list(dict.fromkeys(line["row"] for line in results["lines"]))
+    n_sets = len({line["set"] for line in results["lines"]})
+    alphas = sorted({a for line in results["lines"] for a in line["alphas"] if float(a) > 0}, key=float)
+    return (
+        f"{len(rows)} rows on {n_sets} dataset{'s' * (n_sets != 1)}, magnified by α = {', '.join(alphas)}: every row's "
+        "pictures of test views against exact ground truth."
+    )
+
+
+def _stats(results: Mapping[str, Any]) -> list[Stat]:
+    """The best closure at each of three α, over the means of the first group."""
+    means = [m for m in results["line_means"] if m["group"] == groups_of(results)[0]]
+    alphas = sorted({a for m in means for a in m["alphas"] if float(a) > 0}, key=float)
+    found = []
+    for alpha in alphas[:3]:
+        known = [(m["alphas"][alpha].get("ssim"), m["row"]) for m in means if alpha in m["alphas"]]
+        scored = [(v, row) for v, row in known if v is not None and row not in {"nothing moves", "ceiling"}]
+        still = next((v for v, row in known if row == "nothing moves" and v is not None), None)
+        if scored:
+            best = max(scored)
+            beside = "" if still is None else f"; nothing moves {still:.4f}"
+            found.append(Stat(f"Best SSIM at α = {alpha}", f"{best[0]:.4f}", "", f"{best[1]}{beside}"))
+    return found
+
+
+def _failed(results: Mapping[str, Any]) -> Markup:
+    lines = [line.removeprefix("- ") for line in failures(results).splitlines() if line.startswith("- ")]
+    items = Markup("").join(Markup("<li>{}</li>").format(line) for line in lines)
+    return Markup('<p class="note">Left out:</p><ul>{}</ul>').format(items)
+
+
+def _scores(results: Mapping[str, Any], group: str) -> Iterator[Block]:
+    yield Text(sets_line(results, group))
+    for svg, caption, width in (
+        (over_alpha(results, group), "Means over the sets. Grey: what frames the methods.", "wide"),
+        (
+            size_and_speed(results, group),
+            "Size of the trained model, and speed of posing and rendering.",
+            "narrow",
+        ),
+    ):
+        if svg is not None:
+            source = data_uri("image/svg+xml", svg.encode())
+            yield Figure([Panel("img", source=source, alt=caption)], caption, width=width)
+    for made in (*tables_of(results, group), full_table(results, group)):
+        yield _block(made)
+
+
+def _block(made: Table) -> PageTable:
+    return PageTable(made.header, made.rows, f"{made.title}. {made.note}", left=made.text_columns)
+
+
+def _ablation(results: Mapping[str, Any]) -> Section:
+    """A section of an ablation's own results.json."""
+    from tg4mm.bench.ablation_page import ablation_cells, picture
+
+    header, rows = ablation_cells(results)
+    blocks: list[Block] = [Text(f"{results['source']}. Preset {results['preset']}.")]
+    if (svg := picture(results)) is not None:
+        source = data_uri("image/svg+xml", svg.encode())
+        blocks.append(Figure([Panel("img", source=source, alt=results["title"])], results["title"]))
+    blocks.append(PageTable(header, rows, results["remark"] or results["title"], left=3))
+    blocks.append(Commands([(machine(results["made"]), results["made"]["command"])]))
+    return Section(results["title"], blocks)
+
+
+def read_results(folder: Path) -> dict[str, Any]:
+    """results.json of a benchmark or an ablation. Raises BenchError where there is none that this version wrote."""
+    from tg4mm.bench.errors import BenchError
+    from tg4mm.bench.folder import FORMAT, VERSION
+    from tg4mm.errors import RunError
+    from tg4mm.runconfig import read_json
+
+    file = Path(folder) / "results.json"
+    try:
+        found = read_json(file)
+    except RunError as error:
+        raise BenchError(str(error)) from None
+    if (found.get("format"), found.get("version")) != (FORMAT, VERSION):
+        raise BenchError(f"{file} is no result of this version of tg4mm bench: run its command again")
+    return found
+
+
+__all__ = ["read_results", "write_page"]

@@ -1,0 +1,149 @@
+"""One job: a method on a dataset. Fit, render the test pictures at every α, score them; never anything twice."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tg4mm.bench.measure import Plan
+from tg4mm.bench.methods import Method
+from tg4mm.bench.methods.camera_videos import cameras_of, video_of
+from tg4mm.bench.methods.external import External
+from tg4mm.bench.scored import score_pictures
+from tg4mm.bench.sets import BenchSet
+from tg4mm.bench.vqa import Checkout
+from tg4mm.capture import Capture, load_capture
+from tg4mm.evaluate.lpips import load_lpips
+from tg4mm.files import write_json
+from tg4mm.progress import progress
+from tg4mm.render.frames import to_bytes, write_png
+from tg4mm.runconfig import read_json
+
+SCORES = "scores.json"
+_VERSION = 1  # of how pictures are scored: raise it when the same pictures would score otherwise
+
+
+@dataclass(frozen=True)
+class Line:
+    """A row of the tables on one dataset."""
+
+    row: str
+    method: str
+    alphas: dict[str, dict[str, Any]]  # α as text → scores
+    frames_per_s: float | None  # rendering, without writing files
+    notes: tuple[str, ...] = ()
+
+
+def job_folder(out: Path, data: BenchSet, method: Method) -> Path:
+    return Path(out) / "runs" / data.label / method.name
+
+
+def picture_folder(place: Path, row: str) -> Path:
+    """Where a row's pictures lie, named as the dataset's own: magnified/x020/007/test/r_000.png."""
+    return place / "pictures" / "".join(c if c.isalnum() or c in "-_." else "_" for c in row)
+
+
+def run_job(
+    method: Method, data: BenchSet, out: Path, plan: Plan, vqa: Sequence[Checkout] = ()
+) -> tuple[dict[str, Any], list[Line]]:
+    """(what `fit` returned, the method's rows), done or read from an earlier call. Raises Tg4mmError."""
+    place = job_folder(out, data, method)
+    figures = method.fit(data, place, plan)
+    return figures, [_line(method, row, data, place, plan, vqa) for row in method.rows]
+
+
+def truth_at(data: BenchSet, alpha: float) -> Capture:
+    """The test split's pictures at α."""
+    return load_capture(data.root, split="test", magnification=int(alpha))
+
+
+def alphas_of(data: BenchSet, plan: Plan) -> list[int]:
+    """0, the test split as it is, and what is asked for and there."""
+    return [0, *(a for a in data.alphas if plan.alphas is None or a in plan.alphas)]
+
+
+def _line(method: Method, row: str, data: BenchSet, place: Path, plan: Plan, vqa: Sequence[Checkout]) -> Line:
+    folder, notes = picture_folder(place, row), []
+    kept = _Kept(place / SCORES)
+    found: dict[str, dict[str, Any]] = {}
+    speeds = []
+    for alpha in alphas_of(data, plan):
+        if isinstance(method, External) and not method.has(data, alpha):
+            notes.append(f"{row} has no pictures at α = {alpha}")
+            continue
+        capture = truth_at(data, alpha)
+        record = rendered(method, row, data, place, capture, alpha, plan)
+        speeds.append(record["frames_per_s"])
+        found[f"{alpha:g}"] = kept.scores(row, alpha, record["recipe"], data, capture, folder, plan, vqa)
+    speed = None if not speeds or isinstance(method, External) else float(np.median(speeds))
+    return Line(row, method.name, found, speed, tuple(notes))
+
+
+def rendered(
+    method: Method, row: str, data: BenchSet, place: Path, capture: Capture, alpha: float, plan: Plan
+) -> dict[str, Any]:
+    """Render what is not there yet; {recipe, n_images, frames_per_s}, which is written last, when all is there."""
+    folder = picture_folder(place, row)
+    record = folder / f"x{alpha:03g}.json"
+    recipe = _digest({"data": data.digest, "alpha": alpha, **method.recipe(row, data, place, plan)})
+    if record.is_file() and (old := read_json(record)).get("recipe") == recipe:
+        return old
+    spent, n = 0.0, 0
+    pictures = method.render(row, data, place, capture, alpha, plan)
+    with progress(f"{row}, α = {alpha:g}", len(capture), unit="images") as update:
+        while True:
+            began = time.perf_counter()
+            got = next(pictures, None)
+            spent += time.perf_counter() - began
+            if got is None:
+                break
+            write_png(folder / capture.paths[got[0]].relative_to(capture.root), got[1])
+            n += 1
+            update(n)
+    made = {"recipe": recipe, "n_images": n, "frames_per_s": n / spent if spent else None}
+    write_json(record, made)
+    return made
+
+
+class _Kept:
+    """Scores that earlier calls have left in a file, each with what it depends on."""
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+        known = read_json(file) if file.is_file() else {}
+        self.entries: dict[str, Any] = known.get("entries", {}) if known.get("version") == _VERSION else {}
+
+    def scores(
+        self, row: str, alpha: int, recipe: str, data: BenchSet, capture: Capture, folder: Path, plan: Plan,
+        vqa: Sequence[Checkout],
+    ) -> dict[str, Any]:  # fmt: skip
+        """The scores of a row at α, made where they are not there or of another request."""
+        asked = _digest(
+            {
+                "recipe": recipe,
+                "lpips": [str(p) for p in plan.lpips_weights],
+                "vqa": [[c.metric, str(c.folder), c.python] for c in vqa],
+            }
+        )
+        entry = self.entries.get(f"{row} {alpha}")
+        if entry is not None and entry["asked"] == asked:
+            return dict(entry["scores"])
+        lpips = load_lpips(plan.lpips_weights) if plan.lpips_weights else None
+        scores: dict[str, Any] = score_pictures(capture, folder, lpips)
+        for checkout in vqa:
+            videos = (to_bytes(video_of(capture, rows, folder)) for rows in cameras_of(capture))
+            scores[checkout.metric] = float(np.mean([checkout(video, data.fps) for video in videos]))
+        self.entries[f"{row} {alpha}"] = {"asked": asked, "scores": scores}
+        write_json(self.file, {"version": _VERSION, "entries": self.entries})
+        return scores
+
+
+def _digest(value: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:20]

@@ -1,0 +1,68 @@
+"""A method that is not part of this program, by the pictures it has rendered."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tg4mm.bench.errors import BenchError
+from tg4mm.bench.measure import Plan
+from tg4mm.bench.methods import Pictures
+from tg4mm.bench.methods.camera_videos import cameras_of, video_of
+from tg4mm.bench.sets import BenchSet
+from tg4mm.capture import Capture
+
+
+@dataclass(frozen=True)
+class External:
+    """Pictures in `folder`/<dataset folder's name>/, laid out as the dataset's own test pictures: docs/protocol.md."""
+
+    name: str
+    folder: Path
+
+    @property
+    def rows(self) -> tuple[str, ...]:
+        return (self.name,)
+
+    def fit(self, data: BenchSet, place: Path, plan: Plan) -> dict[str, Any]:
+        if not (self.folder / data.root.name).is_dir():
+            raise BenchError(f"--external {self.name}: {self.folder / data.root.name} does not exist")
+        return {}
+
+    def recipe(self, row: str, data: BenchSet, place: Path, plan: Plan) -> dict[str, Any]:
+        folder = self.folder / data.root.name
+        files = sorted(p for p in folder.rglob("*.png") if "test" in p.parts)
+        return {
+            "folder": str(folder.resolve()),
+            "files": [[str(p.relative_to(folder)), p.stat().st_size, p.stat().st_mtime_ns] for p in files],
+        }
+
+    def render(
+        self, row: str, data: BenchSet, place: Path, capture: Capture, alpha: float, plan: Plan
+    ) -> Pictures:
+        folder = self.folder / data.root.name
+        for rows in cameras_of(capture):
+            yield from zip(rows.tolist(), video_of(capture, rows, folder), strict=True)
+
+    def has(self, data: BenchSet, alpha: float) -> bool:
+        """Whether there is anything for this α."""
+        where = Path(f"magnified/x{alpha:03g}") if alpha else Path()
+        return any((self.folder / data.root.name / where).glob("[0-9]*/test/*.png"))
+
+
+def parse_external(given: list[str]) -> tuple[External, ...]:
+    """From `NAME=DIR`. Raises BenchError for another form, a name that no folder can have or given twice, no folder."""
+    found: dict[str, External] = {}
+    for text in given:
+        name, sign, folder = text.partition("=")
+        if not sign or not name or not folder:
+            raise BenchError(f"--external {text!r}, expected NAME=DIR")
+        if not all(c.isalnum() or c in "-_." for c in name) or name.startswith("."):
+            raise BenchError(f"--external {text!r}: the name may hold letters, digits and - _ .")
+        if name in found:
+            raise BenchError(f"--external names {name} twice")
+        if not Path(folder).is_dir():
+            raise BenchError(f"--external {text!r}: {folder} is not a folder")
+        found[name] = External(name, Path(folder))
+    return tuple(found.values())

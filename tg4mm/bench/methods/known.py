@@ -1,0 +1,54 @@
+"""The methods by name, as `--methods` and `tg4mm bench job` take them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from tg4mm.bench.errors import BenchError
+from tg4mm.bench.measure import SCORINGS, Training
+from tg4mm.bench.methods import Method
+from tg4mm.bench.methods.external import External
+from tg4mm.bench.methods.tracking import NAME as TRACKING
+from tg4mm.bench.methods.tracking import tracking
+from tg4mm.bench.methods.trained import Trained
+from tg4mm.bench.methods.video import Linear2D, Phase2D
+
+BASELINES = (TRACKING, Phase2D.name, Linear2D.name)
+NAMES = (*SCORINGS, *BASELINES)
+DEFAULT = ("modal", "paper-tuned", *BASELINES)
+
+
+def checked_names(names: Sequence[str]) -> tuple[str, ...]:
+    """The names. Raises BenchError for one that is none, given twice, or for no name at all."""
+    if not names or names == [""]:
+        raise BenchError(f"--methods is empty, expected some of {', '.join(NAMES)}")
+    for i, name in enumerate(names):
+        if name not in NAMES:
+            raise BenchError(f"--methods holds {name!r}, expected some of {', '.join(NAMES)}")
+        if name in names[:i]:
+            raise BenchError(f"--methods names {name} twice")
+    return tuple(names)
+
+
+def methods_of(
+    names: Sequence[str], settings: Mapping[str, Mapping[str, str]], external: Sequence[External] = ()
+) -> list[Method]:
+    """The methods, in order; the first preset also gives the rows of its Gaussians at rest and moved exactly.
+
+    settings: {preset: as `tg4mm train --set`}; tracking has those of `modal` and its own. Raises BenchError for an
+    outside method that is called as one of this program's.
+    """
+    reference = next((n for n in names if n in SCORINGS), None)
+    made = [_method(n, settings, n == reference) for n in names]
+    for outside in external:
+        if outside.name in NAMES:
+            raise BenchError(f"--external {outside.name}: that is the name of a method here; choose another")
+    return [*made, *external]
+
+
+def _method(name: str, settings: Mapping[str, Mapping[str, str]], framing: bool) -> Method:
+    if name in SCORINGS:
+        return Trained(Training(name, name, settings.get(name, {})), framing)
+    if name == TRACKING:
+        return tracking(settings.get("modal", {}), settings.get(TRACKING, {}))
+    return Phase2D() if name == Phase2D.name else Linear2D()

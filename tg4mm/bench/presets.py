@@ -1,0 +1,157 @@
+"""The whole benchmark from nothing: which datasets, methods and ablations, as commands that each can be run again.
+
+A step is one `tg4mm` command; done again it finds its work done. `run_preset` runs them one after the other on this
+machine; the `Snakefile` beside this module runs the same ones on many.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tg4mm.bench.errors import BenchError
+from tg4mm.bench.methods.known import DEFAULT
+from tg4mm.errors import Tg4mmError
+
+Printer = Callable[[str], None]
+SCENES = ("mic", "chair", "lego", "hotdog", "drums", "ficus", "materials", "ship")
+_SMOKE = ("--preset", "smoke", "--size", "48", "--timesteps", "8", "--alphas", "5,20")
+_SMOKE_SETTINGS = (
+    "space.iterations=300", "space.max_gaussians=2000", "tracking.iterations=100", "paper.warm_up=150",
+    "paper.iterations=300", "paper.motion_iterations=20", "paper.channels=4", "paper.resolution=32",
+)  # fmt: skip
+_ABLATIONS = (
+    "initialisation", "decoder", "residual", "iterations", "difference", "filter-phase", "views", "timesteps", "noise",
+    "amplitude",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class BenchPreset:
+    """What a benchmark consists of."""
+
+    scenes: tuple[str, ...]  # built-in scenes of the generator
+    options: tuple[str, ...]  # of `tg4mm generate`, for all of them
+    methods: tuple[str, ...] = DEFAULT
+    settings: tuple[str, ...] = ()  # KEY=VALUE, as `--set`
+    ablations: tuple[str, ...] = ()  # on the first scene
+
+
+PRESETS = {
+    "smoke": BenchPreset(("mic",), _SMOKE, settings=_SMOKE_SETTINGS),
+    "small": BenchPreset(SCENES, (), ablations=_ABLATIONS),
+    "paper": BenchPreset(SCENES, ("--preset", "paper"), methods=(*DEFAULT, "paper")),
+    "mic-512": BenchPreset(
+        ("mic",), ("--preset", "paper"), methods=("modal", "tracking", "phase-2d", "linear-2d")
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Step:
+    """One command."""
+
+    name: str  # a path under which its mark can lie
+    command: tuple[str, ...]  # arguments, the first is the program
+    needs: tuple[str, ...] = ()  # names of steps
+
+
+def steps_of(name: str, out: str, python: str = sys.executable, external: Sequence[str] = ()) -> list[Step]:
+    """The steps of a preset in the folder `out`, in an order that works: datasets, jobs, ablations, page.
+
+    external: NAME=DIR each. Raises BenchError for an unknown preset.
+    """
+    if name not in PRESETS:
+        raise BenchError(f"--preset {name!r}, expected {', '.join(PRESETS)}")
+    chosen = PRESETS[name]
+    program = (python, "-m", "tg4mm")
+    found: list[Step] = []
+    roots: dict[str, str] = {}
+    for scene in chosen.scenes:
+        folder = _folder(scene, chosen.options)
+        roots[folder] = f"{out}/data/{folder}"
+        command = (*program, "generate", scene, "--out", f"{out}/data", *chosen.options)
+        found.append(Step(f"data/{folder}", command))
+    data = [step.name for step in found]
+    options = ["--out", f"{out}/bench", "--methods", ",".join(chosen.methods)]
+    options += [part for text in chosen.settings for part in ("--set", text)]
+    options += [part for text in external for part in ("--external", text)]
+    outside = [text.partition("=")[0] for text in external]
+    for folder, root in roots.items():
+        for method in (*chosen.methods, *outside):
+            command = (*program, "bench", "job", root, method, *options)
+            found.append(Step(f"job/{folder}/{method}", command, (f"data/{folder}",)))
+    first = next(iter(roots))
+    for ablation in chosen.ablations:
+        command = (
+            *program,
+            "bench",
+            "ablation",
+            ablation,
+            roots[first],
+            "--out",
+            f"{out}/ablations/{ablation}",
+        )
+        found.append(Step(f"ablation/{ablation}", command, (f"data/{first}",)))
+    page = (*program, "bench", "scenes", *roots.values(), *options, "--same-time", "never")
+    page += tuple(part for a in chosen.ablations for part in ("--ablation", f"{out}/ablations/{a}"))
+    return [*found, Step("page", page, (*data, *(s.name for s in found if not s.name.startswith("data/"))))]
+
+
+def _folder(scene: str, options: Sequence[str]) -> str:
+    """The name of the dataset's folder, which the generator chooses."""
+    from dataset_gen.options import parser, request_from
+
+    (settings,) = request_from(parser().parse_args([scene, "--out", "data", *options])).sets
+    return settings.folder
+
+
+def run_preset(name: str, out: Path, external: Sequence[str] = (), say: Printer = print) -> int:
+    """Run the steps one after the other; one that fails is said, and what can goes on. Returns how many failed."""
+    steps, failed = steps_of(name, str(out), external=external), set[str]()
+    for i, step in enumerate(steps, 1):
+        missing = [n for n in step.needs if n in failed]
+        if missing and step.name != "page":
+            say(f"[{i}/{len(steps)}] {step.name}: left out, since {missing[0]} failed")
+            failed.add(step.name)
+            continue
+        say(f"[{i}/{len(steps)}] {step.name}")
+        if subprocess.run(step.command, check=False).returncode != 0:
+            failed.add(step.name)
+            say(f"    {step.name} failed; the rest goes on")
+    return len(failed)
+
+
+def main() -> int:
+    """Reads {preset, out, python, external} as JSON from standard input, prints {step: {command, needs}} as JSON."""
+    import shlex
+
+    from tg4mm.untrusted import parse_json
+
+    try:
+        config: Any = parse_json(sys.stdin.read())
+        wanted = {"preset": str, "out": str}
+        for key, kind in wanted.items():
+            if not isinstance(config.get(key), kind) or not config[key]:
+                raise BenchError(f"configuration: {key} is {config.get(key)!r}, expected {kind.__name__}")
+        steps = steps_of(
+            config["preset"],
+            config["out"].rstrip("/"),
+            config.get("python", sys.executable),
+            config.get("external", []),
+        )
+    except (Tg4mmError, ValueError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    found = {s.name: {"command": shlex.join(s.command), "needs": list(s.needs)} for s in steps}
+    json.dump(found, sys.stdout)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,130 @@
+"""Pictures of the benchmark's page: every method in one test view, side by side, over time, and as differences."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+
+from tg4mm.bench.jobs import picture_folder, truth_at
+from tg4mm.bench.methods.camera_videos import cameras_of, video_of
+from tg4mm.bench.sets import BenchSet, open_set
+from tg4mm.errors import Tg4mmError
+from tg4mm.evaluate.slices import difference_maps
+from tg4mm.render.frames import to_bytes
+from tg4mm.report.figures import line_that_moves, map_picture, marked, slice_picture
+from tg4mm.report.page import Block, Figure, Section, Text, film, photo_uri, picture
+from tg4mm.report.video import clip, playing_rate
+
+TRUTH = "ground truth"
+_ALPHA = 20  # or the largest below it, else the smallest
+_MAPS = 6  # of the first seven frames, as [TG4MM] Fig. 4
+_REPEATS = 24  # pictures that a slice shows at least
+
+
+@dataclass(frozen=True)
+class Shown:
+    """One test view of a set at one α, by every row."""
+
+    label: str  # of the set
+    alpha: int
+    view: str  # its file's name
+    fps: float
+    videos: dict[str, np.ndarray]  # row → [T, H, W, 3] float32; the ground truth first
+
+
+def shown_sections(out: Path, results: Mapping[str, Any], group: str) -> Iterator[Section]:
+    """A section for each set of the group; of one that cannot be read any more it says why."""
+    for data in results["sets"]:
+        if data["group"] == group:
+            try:
+                shown = gather(out, results, open_set(Path(data["root"]), data["label"]))
+            except Tg4mmError as error:
+                yield Section(data["label"], [Text(f"No pictures: {error}", "note")])
+                continue
+            if len(shown.videos) > 1:
+                yield Section(f"{data['label']} at α = {shown.alpha}", list(_blocks(shown)))
+
+
+def gather(out: Path, results: Mapping[str, Any], data: BenchSet) -> Shown:
+    """The view whose ground truth changes most."""
+    lines = [line for line in results["lines"] if line["set"] == data.label]
+    alphas = [int(a) for line in lines for a in line["alphas"] if float(a) > 0]
+    alpha = max([a for a in alphas if a <= _ALPHA], default=min(alphas, default=0))
+    capture = truth_at(data, alpha)
+    rows, truth = max(
+        ((rows, video_of(capture, rows)) for rows in cameras_of(capture)),
+        key=lambda p: float(p[1].var(0).mean()),
+    )
+    videos = {TRUTH: truth}
+    for line in lines:
+        if f"{alpha:g}" in line["alphas"]:
+            folder = picture_folder(out / "runs" / data.label / line["method"], line["row"])
+            videos[line["row"]] = video_of(capture, rows, folder)
+    return Shown(data.label, alpha, capture.paths[rows[0]].name, data.fps, videos)
+
+
+def _blocks(s: Shown) -> Iterator[Block]:
+    yield Text(_slider(s), plain=True)
+    frames = {row: to_bytes(video) for row, video in s.videos.items()}
+    films = [film(clip(video, s.fps, edge=256), video[0], row) for row, video in frames.items()]
+    seconds = len(s.videos[TRUTH]) / playing_rate(s.fps)
+    yield Figure(films, f"Test view {s.view} over time, in step.", 4, controls=True, seconds=seconds)
+    line = line_that_moves(s.videos[TRUTH])
+    periods = -(-_REPEATS // len(s.videos[TRUTH]))
+    slices = [picture(marked(frames[TRUTH][0], line), "where the slices are cut", photo=True)]
+    slices += [
+        picture(slice_picture(v, line, periods), row, f"slice: {row}", True) for row, v in frames.items()
+    ]
+    way = "to the right" if line.axis == "column" else "down"
+    yield Figure(
+        slices, f"Space-time slices of {line.axis} {line.index}, time runs {way} ([TG4MM] Fig. 3).", 4
+    )
+    yield _differences(s)
+
+
+def _differences(s: Shown) -> Figure:
+    """[TG4MM] Fig. 4: what changes from frame to frame, all on one scale."""
+    n = min(_MAPS, len(s.videos[TRUTH]) - 1)
+    maps = {row: difference_maps(video, n) for row, video in s.videos.items()}
+    top = maps[TRUTH][1]
+    strips = []
+    for row, (found, _) in maps.items():
+        strip = np.concatenate(list(found), axis=1).clip(0, top)
+        strips.append(picture(map_picture(strip, top), row, f"difference maps: {row}", True))
+    caption = (
+        f"Difference maps |I(t + 1) − I(t)| of the first {n + 1} frames ([TG4MM] Eq. 17), all from 0 to {top:.3f}, the "
+        "ground truth's largest."
+    )
+    return Figure(strips, caption, 2)
+
+
+def _slider(s: Shown) -> Markup:
+    """Two rows laid over each other with an edge to move, where the ground truth is farthest from its mean."""
+    truth = s.videos[TRUTH]
+    t = int(((truth - truth.mean(0)) ** 2).mean((1, 2, 3)).argmax())
+    sources = {row: photo_uri(video[t]) for row, video in s.videos.items()}
+    rows = list(sources)
+    second = rows[2] if len(rows) > 2 else rows[-1]
+    options = {
+        side: Markup("").join(
+            Markup('<option value="{}"{}>{}</option>').format(
+                sources[row], Markup(" selected") if row == chosen else "", row
+            )
+            for row in rows
+        )
+        for side, chosen in (("left", TRUTH), ("right", second))
+    }
+    height, width = truth.shape[1:3]
+    return Markup(
+        '<figure class="compare"><div class="pair" style="aspect-ratio: {w} / {h}"><img data-side="right" src="{b}" '
+        'alt="right picture"><img data-side="left" src="{a}" alt="left picture"></div><div class="controls">'
+        '<label>left <select data-pick="left">{left}</select></label>'
+        '<input type="range" data-edge min="0" max="100" value="50" aria-label="Where the left picture ends, percent">'
+        '<label>right <select data-pick="right">{right}</select></label></div>'
+        "<figcaption>Test view {view}, timestep {t}. Move the edge to compare.</figcaption></figure>"
+    ).format(w=width, h=height, a=sources[TRUTH], b=sources[second], view=s.view, t=t, **options)

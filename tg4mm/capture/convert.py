@@ -1,0 +1,167 @@
+"""A capture as other trainers read one: nerfstudio's transforms.json with a time per frame, or a COLMAP text model.
+
+Pictures are hard links to the dataset's own, copies where links are not to be had.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tg4mm.capture.model import Capture, SurfacePoints
+from tg4mm.capture.points import write_points
+from tg4mm.capture.readers import load_capture
+from tg4mm.errors import CaptureError, MissingSplitError
+from tg4mm.files import write_atomic, write_json
+
+POINTS = "points3d.ply"
+_OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+def split_of(dataset: Path, split: str) -> Capture | None:
+    """A split of a dataset, None where it has no such split. Raises CaptureError for one that is damaged."""
+    try:
+        return load_capture(dataset, split)
+    except MissingSplitError:
+        return None
+
+
+def at_timesteps(capture: Capture, timesteps: Sequence[int] | None) -> Capture:
+    """The images at these timesteps only (None: all). Raises CaptureError for a timestep without images."""
+    if timesteps is None:
+        return capture
+    there = np.unique(capture.timesteps)
+    for t in timesteps:
+        if t not in there:
+            raise CaptureError(
+                f"{capture.root}: has no image at timestep {t}; there are {there[0]} … {there[-1]}"
+            )
+    return capture.selected(np.flatnonzero(np.isin(capture.timesteps, list(timesteps))))
+
+
+def write_nerfstudio(captures: Sequence[Capture], out: Path) -> Path:
+    """Write OUT/transforms.json, OUT/images/ and, where the dataset has points, OUT/points3d.ply.
+
+    `captures`: splits of one dataset. A frame's `time` runs from 0 at the first timestep to 1 at the last, as dynamic
+    trainers of that family take it; `time_s` is in seconds, on its camera's own clock. Raises CaptureError for an
+    `out` that holds anything.
+    """
+    claim(out)
+    last = max(max(capture.n_timesteps for capture in captures) - 1, 1)
+    frames, lists = [], {}
+    for capture in captures:
+        names = link_pictures(capture, out / "images")
+        lists[f"{capture.split}_filenames"] = [f"images/{name}" for name in names]
+        frames += [_frame(capture, i, f"images/{name}", last) for i, name in enumerate(names)]
+    first = captures[0]
+    data: dict[str, Any] = {"camera_model": "OPENCV", "w": first.width, "h": first.height}
+    if first.fps:
+        data["fps"] = first.fps
+    data |= lists
+    if (points := first.points) is not None:
+        write_points(out / POINTS, points)
+        data["ply_file_path"] = POINTS
+    write_json(out / "transforms.json", {**data, "frames": frames})
+    return out
+
+
+def _frame(capture: Capture, i: int, name: str, last: int) -> dict[str, Any]:
+    K, seconds = capture.Ks[i], float(capture.times_s[i])
+    pose = np.linalg.inv(capture.viewmats[i]) @ _OPENGL_FROM_OPENCV
+    return {
+        "file_path": name,
+        "transform_matrix": pose.tolist(),
+        "time": float(capture.timesteps[i]) / last,
+        **({} if np.isnan(seconds) else {"time_s": seconds}),
+        "fl_x": float(K[0, 0]),
+        "fl_y": float(K[1, 1]),
+        "cx": float(K[0, 2]),
+        "cy": float(K[1, 2]),
+        "w": capture.width,
+        "h": capture.height,
+    }
+
+
+def write_colmap(capture: Capture, out: Path) -> Path:
+    """Write OUT/sparse/0/{cameras,images,points3D}.txt and OUT/images/.
+
+    Images of all timesteps are in one model, called after their timestep's folder; lenses that are alike are one
+    camera. Points have no tracks: no picture is said to see them. Raises CaptureError for an `out` that holds anything.
+    """
+    claim(out)
+    names = link_pictures(capture, out / "images")
+    model = out / "sparse" / "0"
+    model.mkdir(parents=True)
+    lenses: dict[tuple[float, ...], int] = {}
+    rows = []
+    for i, name in enumerate(names):
+        K = capture.Ks[i]
+        lens = tuple(float(x) for x in (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
+        camera = lenses.setdefault(lens, len(lenses) + 1)
+        viewmat = capture.viewmats[i]
+        pose = " ".join(repr(float(x)) for x in (*quaternion(viewmat[:3, :3]), *viewmat[:3, 3]))
+        rows.append(f"{i + 1} {pose} {camera} {name}\n\n")  # the second line is of features: none
+    size = f"{capture.width} {capture.height}"
+    cameras = [f"{n} PINHOLE {size} {' '.join(map(repr, lens))}\n" for lens, n in lenses.items()]
+    points = (
+        SurfacePoints(np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
+        if capture.points is None
+        else capture.points
+    )
+    spots = [
+        f"{i} {x!r} {y!r} {z!r} {r} {g} {b} 0\n"
+        for i, ((x, y, z), (r, g, b)) in enumerate(
+            zip(points.xyz.astype(float).tolist(), points.rgb.tolist(), strict=True), 1
+        )
+    ]
+    for file, lines in (("points3D", spots), ("cameras", cameras), ("images", rows)):
+        write_atomic(model / f"{file}.txt", _writer("".join(lines)))
+    return out
+
+
+def _writer(text: str) -> Any:
+    return lambda path: path.write_text(text, encoding="utf-8")
+
+
+def claim(out: Path) -> None:
+    """Make the folder. Raises CaptureError where it holds anything."""
+    if out.exists() and not out.is_dir():
+        raise CaptureError(f"--out {out}: is a file; expected a new folder")
+    if out.exists() and any(out.iterdir()):
+        raise CaptureError(f"--out {out}: is not empty; choose a new folder")
+    out.mkdir(parents=True, exist_ok=True)
+
+
+def link_pictures(capture: Capture, folder: Path) -> list[str]:
+    """Put the pictures into the folder under their places in the dataset; their names relative to it, "/" between."""
+    names = []
+    for path in capture.paths:
+        name = path.relative_to(capture.root)
+        target = folder / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            os.link(path, target)
+        except OSError:
+            shutil.copyfile(path, target)
+        names.append(name.as_posix())
+    return names
+
+
+def quaternion(rotation: np.ndarray) -> np.ndarray:
+    """[4] unit quaternion wxyz, w ≥ 0, of a rotation matrix [3, 3]: the eigenvector of Bar-Itzhack's matrix."""
+    r = rotation
+    k = np.array(
+        [
+            [r[0, 0] + r[1, 1] + r[2, 2], 0, 0, 0],
+            [r[2, 1] - r[1, 2], r[0, 0] - r[1, 1] - r[2, 2], 0, 0],
+            [r[0, 2] - r[2, 0], r[1, 0] + r[0, 1], r[1, 1] - r[0, 0] - r[2, 2], 0],
+            [r[1, 0] - r[0, 1], r[2, 0] + r[0, 2], r[2, 1] + r[1, 2], r[2, 2] - r[0, 0] - r[1, 1]],
+        ]
+    )
+    q = np.linalg.eigh(k)[1][:, -1]  # of the lower triangle
+    return q if q[0] >= 0 else -q

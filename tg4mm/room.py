@@ -1,0 +1,52 @@
+"""Arrays that need not fit in memory: what is large lies in a temporary file of which few pages are held at a time.
+
+`release` lets go of the pages that were read or written, so that resident memory follows what is worked on. The file
+has no name in its folder and is gone with the array, also after a kill. The folder is $TMPDIR, else /var/tmp where that
+is there: /tmp lies in memory on many systems.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import DTypeLike
+
+IN_MEMORY = 1 << 28  # bytes of an array: more lies in a file
+_ON_DISK = Path("/var/tmp")
+
+
+def room(
+    shape: tuple[int, ...],
+    dtype: DTypeLike = np.float32,
+    folder: Path | None = None,
+    in_memory: int | None = None,
+) -> np.ndarray:
+    """Zeros [*shape], in memory up to `in_memory` bytes (`IN_MEMORY`), else in a file of `folder`."""
+    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+    if size <= (IN_MEMORY if in_memory is None else in_memory):
+        return np.zeros(shape, dtype)
+    with tempfile.TemporaryFile(dir=folder or _folder(), prefix=".tg4mm") as file:
+        return np.asarray(np.memmap(file, dtype, "w+", shape=shape))
+
+
+def release(array: np.ndarray) -> None:
+    """Let go of the pages held of an array that `room` made, or of a view of one; of others do nothing.
+
+    Its contents stay: they are read again from the file, or from the system's cache of it.
+    """
+    base = array.base
+    while isinstance(base, np.ndarray):
+        base = base.base
+    if isinstance(base, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
+        base.madvise(mmap.MADV_DONTNEED)
+
+
+def _folder() -> Path | None:
+    """None for the system's own choice."""
+    if "TMPDIR" in os.environ or not (_ON_DISK.is_dir() and os.access(_ON_DISK, os.W_OK)):
+        return None
+    return _ON_DISK

@@ -1,0 +1,102 @@
+"""Resolution from coarse to fine: which size of the pictures an iteration sees, and how many Gaussians it may have.
+
+An iteration on pictures of half the size takes a quarter of the time, and large structures need no more. So most
+iterations are made before the pictures have their own size, with as many Gaussians as those sizes can tell apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tg4mm.errors import Tg4mmError
+from tg4mm.space import density
+from tg4mm.space.config import SpaceConfig
+from tg4mm.space.targets import RestViews
+
+LONGEST = 600  # pixels of the longer side of the coarsest pictures, unless levels are asked for
+LAST = 0.7  # share of the iterations after which density control ends
+CAUGHT_UP = 0.35  # share of a level's iterations by which its number of Gaussians is reached
+# The same of a level that begins with half of its Gaussians: they are there soon, and have longer to settle
+FINE_LAST, FINE_CAUGHT_UP = 0.4, 0.2
+SMALLEST = 16  # pixels of the shorter side: of coarser pictures nothing is learnt
+
+
+@dataclass(frozen=True)
+class Level:
+    """Iterations that see pictures of one size."""
+
+    shrink: int  # pixels of the dataset's pictures across one of this level's
+    begin: int  # first iteration
+    end: int  # the one after the last
+    max_gaussians: int
+    caught_up: float  # iteration by which a start far below that number has reached it
+    until: float  # iteration, before which density control goes on
+
+
+def automatic(size: tuple[int, int]) -> int:
+    """How many levels pictures of (width, height) take."""
+    count = 1
+    while max(size) >> (count - 1) > LONGEST:
+        count += 1
+    return count
+
+
+def check_levels(count: int, size: tuple[int, int]) -> None:
+    """Raise Tg4mmError if the coarsest of so many levels is too small to show anything."""
+    width, height = (n >> (count - 1) for n in size)
+    if count > 1 and min(width, height) < SMALLEST:
+        raise Tg4mmError(
+            f"setting space.levels is {count}: pictures of {size[0]}×{size[1]} would be {width}×{height} at the "
+            f"coarsest, expected at least {SMALLEST} pixels; ask for fewer"
+        )
+
+
+def levels(config: SpaceConfig) -> tuple[Level, ...]:
+    """The levels of settings whose zeros are filled in, the coarsest first, each for as many iterations as the others.
+
+    They end where density control is due, so that no round of it adds up the errors of two sizes.
+    """
+    n, every = config.levels, density.EVERY
+    ends = [round((i + 1) / n * config.iterations / every) * every for i in range(n - 1)]
+    ends.append(config.iterations)
+    return tuple(
+        _level(1 << (n - 1 - i), begin, end, i == 0, i == n - 1, config.max_gaussians)
+        for i, (begin, end) in enumerate(zip([0, *ends[:-1]], ends, strict=True))
+    )
+
+
+def _level(shrink: int, begin: int, end: int, first: bool, last: bool, most: int) -> Level:
+    caught_up = begin + (CAUGHT_UP if first else FINE_CAUGHT_UP) * (end - begin)
+    until = begin + (LAST if first else FINE_LAST) * (end - begin) if last else end + 1
+    return Level(shrink, begin, end, max(4, most // shrink), caught_up, until)
+
+
+def level_at(levels: tuple[Level, ...], iteration: int) -> Level:
+    """The level that an iteration belongs to."""
+    return next(level for level in levels if iteration < level.end)
+
+
+def work(levels: tuple[Level, ...], iteration: int) -> int:
+    """What the iterations before this one took, in units of one at the pictures' own size: as pixels, so time."""
+    return int(sum(max(0, min(iteration, a.end) - a.begin) / a.shrink**2 for a in levels))
+
+
+def shrunk(views: RestViews, by: int) -> RestViews:
+    """Pictures of means over squares of `by` pixels, with intrinsics to match.
+
+    What is left over at the right and lower edge is cut off.
+    """
+    if by == 1:
+        return views
+    height, width = (n // by for n in views.rgb.shape[1:3])
+    rgb = np.empty((len(views.rgb), height, width, 3), np.float32)
+    alpha = np.empty(rgb.shape[:3], np.float32)
+    for v in range(len(rgb)):
+        for source, target in ((views.rgb[v], rgb[v]), (views.alpha[v], alpha[v])):
+            cut = source[: height * by, : width * by]
+            target[:] = cut.reshape(height, by, width, by, *cut.shape[2:]).mean((1, 3))
+    Ks = views.Ks.copy()
+    Ks[:, :2] /= by
+    return replace(views, rgb=rgb, alpha=alpha, Ks=Ks)
