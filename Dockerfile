@@ -1,5 +1,6 @@
 # tg4mm on the CPU, without Blender: docker build -t tg4mm .
 #   docker run --rm -v "$PWD:/work" tg4mm train data/mic_5Hz_0_005 --out runs/mic
+#   docker run --rm -v "$PWD:/work" --network host tg4mm view runs/mic --no-open
 FROM python:3.11-slim
 
 RUN apt-get update && apt-get install -y --no-install-recommends gcc libc6-dev && rm -rf /var/lib/apt/lists/*

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+import runpy
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -64,10 +67,43 @@ def test_a_workflow_with_a_fault_is_found(repo_root: Path, tmp_path: Path) -> No
 
 def test_workflows_name_files_that_are_there(repo_root: Path) -> None:
     """Of the repository: tests, scripts and constraints that a step's commands name."""
-    named = []
+    named, modules = [], []
     for workflow in sorted((repo_root / ".github" / "workflows").glob("*.yml")):
         jobs = yaml.safe_load(workflow.read_text(encoding="utf-8"))["jobs"].values()
-        words = [w for job in jobs for step in job["steps"] for w in step.get("run", "").split()]
-        named += [w for w in words if w.startswith(("tests/", "addon/", ".ci/")) or w == "constraints.txt"]
+        commands = [step.get("run", "") for job in jobs for step in job["steps"]]
+        words = [word for command in commands for word in command.split()]
+        folders = ("tests/", "addon/", ".ci/", ".github/")
+        named += [w for w in words if w.startswith(folders) or w == "constraints.txt"]
+        modules += re.findall(r"-m (tests[\w.]+)", " ".join(commands))
     assert len(named) > 10
+    assert modules
+    named += [module.replace(".", "/") + ".py" for module in modules]
     assert not [name for name in named if not (repo_root / name).exists()]
+
+
+@pytest.mark.slow
+def test_the_data_of_the_tiny_training_is_made(repo_root: Path, tmp_path: Path) -> None:
+    """By the command that the workflow runs on Windows and macOS."""
+    pytest.importorskip("torch")
+    command = [sys.executable, "-m", "tests.helpers.synthetic", str(tmp_path / "tiny_3Hz")]
+    subprocess.run(command, cwd=repo_root, check=True)
+    assert (tmp_path / "tiny_3Hz" / "scene.json").is_file()
+
+
+def test_a_release_gives_the_readme_whole_addresses(repo_root: Path, tmp_path: Path) -> None:
+    """On the package index a relative link leads nowhere, and a relative picture is not shown."""
+    for name in ("README.md", "pyproject.toml"):
+        shutil.copyfile(repo_root / name, tmp_path / name)
+    script, home = repo_root / ".github" / "whole_links.py", "https://github.com/someone/tg4mm"
+    runpy.run_path(str(script))["main"](home, "v0.1.0", str(tmp_path))
+    text = (tmp_path / "README.md").read_text(encoding="utf-8")
+    links = re.findall(r"\]\(([^)]+)\)", text)
+    assert f"{home}/raw/v0.1.0/docs/images/mic_512.webp" in links
+    assert f"{home}/blob/v0.1.0/LICENSE" in links
+    assert all(link.startswith("https://") for link in links)
+    for link in links:
+        if link.startswith(home):
+            assert (repo_root / link.split("/v0.1.0/")[1]).exists()
+    urls = tomllib.loads((tmp_path / "pyproject.toml").read_text(encoding="utf-8"))["project"]["urls"]
+    assert urls["Repository"] == home
+    assert len(urls) == 4

@@ -268,3 +268,9 @@ def _scene(name, freqs, amplitude, fps, n_timesteps, alphas, size, n_views, n_te
         "n_train": n_views,
         "n_test": n_test,
     }
+
+
+if __name__ == "__main__":  # python -m tests.helpers.synthetic FOLDER
+    import sys
+
+    make_synthetic_dataset(Path(sys.argv[1]))
