@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import ast
+import dataclasses
+import inspect
+import io
 import re
+import tokenize
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -62,8 +67,6 @@ def commands_page() -> str:
 
 def settings_page() -> str:
     """A table of settings for every preset."""
-    import dataclasses
-
     from tg4mm.train import PRESETS
 
     parts = [
@@ -84,15 +87,55 @@ def settings_page() -> str:
 
 
 def api_page() -> str:
-    """The public names of the package, with their docstrings."""
+    """The public names of the package: docstrings, and the fields of dataclasses with their meaning."""
     import tg4mm
 
     parts = ["# Python API\n", "The public names of `tg4mm`; [how they fit together](python.md).\n"]
     for name in tg4mm.__all__:
         value = getattr(tg4mm, name)
         value = getattr(value, name, value) if isinstance(value, ModuleType) else value
-        parts.append(f"::: {value.__module__}.{value.__qualname__}\n")
+        path = f"{value.__module__}.{value.__qualname__}"
+        if not dataclasses.is_dataclass(value):
+            parts.append(f"::: {path}\n")
+            continue
+        rows = [f"| `{field}` | `{kind}` | {about} |" for field, kind, about in fields_of(value)]
+        parts.append(f"::: {path}\n    options: {{ members: [] }}\n")
+        parts.append("\n".join(["| field | type | meaning |", "|---|---|---|", *rows, ""]))
+        parts += [f"::: {path}.{one}\n    options: {{ heading_level: 3 }}\n" for one in members_of(value)]
     return "\n".join(parts)
+
+
+def members_of(cls: type) -> list[str]:
+    """Public methods and properties that a class itself defines."""
+    fields = {field.name for field in dataclasses.fields(cls)}  # type: ignore[arg-type]
+    return [name for name in vars(cls) if not name.startswith("_") and name not in fields]
+
+
+def fields_of(cls: type) -> list[tuple[str, str, str]]:
+    """Name, type and meaning of a dataclass's fields, the meaning from the comment beside or above each, or from its
+    `setting`."""
+    source = inspect.getsource(cls)
+    (body,) = ast.parse(source).body
+    assert isinstance(body, ast.ClassDef)
+    comments = {
+        token.start[0]: token.string.lstrip("# ")
+        for token in tokenize.generate_tokens(io.StringIO(source).readline)
+        if token.type == tokenize.COMMENT and "type: ignore" not in token.string
+    }
+    alone = {n for n in comments if source.splitlines()[n - 1].lstrip().startswith("#")}
+    about = {f.name: f.metadata.get("about", "") for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
+    found = []
+    for node in body.body:
+        if not isinstance(node, ast.AnnAssign) or not isinstance(node.target, ast.Name):
+            continue
+        lines = [n for n in range(node.lineno, (node.end_lineno or node.lineno) + 1) if n in comments]
+        first = node.lineno
+        while not lines and first - 1 in alone:
+            first -= 1
+        words = " ".join(comments[n] for n in lines or range(first, node.lineno)) or about[node.target.id]
+        kind = " ".join(ast.unparse(node.annotation).split())
+        found.append((node.target.id, kind.replace("|", "\\|"), words.replace("|", "\\|")))
+    return found
 
 
 def _block(text: str) -> str:

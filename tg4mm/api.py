@@ -1,4 +1,4 @@
-"""The stages as functions of what is in memory: nothing is written, no run folder is needed (docs/python.md)."""
+"""The stages as functions on objects in memory, without a run folder: they write nothing (docs/python.md)."""
 
 from __future__ import annotations
 
@@ -28,20 +28,22 @@ def fit_space(
     device: str = "cpu",
     images: Images | None = None,
 ) -> Gaussians:
-    """The static Gaussians of a capture: what its cameras see on average over time ([3DGS]; [TG4MM] Eq. (16)).
+    """Fit the static Gaussians of a capture: the scene at rest ([3DGS]; [TG4MM] Eq. (16)).
+
+    They are fitted to the mean over time of each fixed camera's pictures.
 
     Args:
-        capture: of any kind; of one timestep too.
-        config: settings; `None` takes those that follow from the data.
-        device: "cpu", or "cuda" where gsplat is installed.
-        images: the capture's pictures where they were read before (`load_images`); `None` reads them.
+        capture: of any kind, also of one timestep.
+        config: settings; `None`: the defaults, which follow from the data.
+        device: "cpu", or "cuda", which needs gsplat.
+        images: the capture's pictures if they are read already (`load_images`); `None` reads them.
 
     Returns:
-        N Gaussians on the CPU, float32, in scene units; of a flat capture (one fixed camera of which nothing else is
-        known) discs at distance 1 before it.
+        N Gaussians on the CPU, float32, scene units. For a flat capture (one fixed camera and nothing else) they are
+        discs at distance 1 in front of it.
 
     Raises:
-        Tg4mmError: a setting is out of range, or there is no such device.
+        Tg4mmError: a setting is out of range, or the device is not available.
         CaptureError: a picture cannot be read, or there is nothing to start from.
     """
     check_device(device)
@@ -61,24 +63,23 @@ def fit_motion(
     device: str = "cpu",
     images: Images | None = None,
 ) -> MotionFit:
-    """The motion of `gaussians` as modes, one complex displacement and rotation a frequency (docs/method.md).
+    """Fit the motion of `gaussians` as modes: for each frequency a complex displacement and rotation (docs/method.md).
 
     Args:
-        capture: of T > 1 timesteps.
-        gaussians: at rest, on the CPU, as `fit_space` gives them.
-        config: settings; `None` takes the defaults.
-        device: "cpu" or "cuda".
-        images: the capture's pictures where they were read before; `None` reads them.
+        capture: of more than one timestep.
+        gaussians: at rest, on the CPU, as `fit_space` returns them.
+        config: settings; `None`: the defaults.
+        device: "cpu", or "cuda", which needs gsplat.
+        images: the capture's pictures if they are read already (`load_images`); `None` reads them.
 
     Returns:
-        `gaussians` at rest (others than those given where large motion made them sharper), `motion` (phasors
-        [K, N, 3], scene units and radians, at `freqs_hz` [K]), `uncertainty`, `figures`, and `notes`, a line for each
-        thing that the capture cannot tell.
+        `gaussians` at rest (refined if the motion is large), `motion` (phasors [K, N, 3], scene units and radians, at
+        `freqs_hz` [K]), `uncertainty`, `figures`, and `notes`, one line for each thing that the capture cannot tell.
 
     Raises:
         CaptureError: too few pictures show motion.
         RunError: no camera sees a Gaussian.
-        Tg4mmError: a setting is out of range, there is no such device, or it has too little memory.
+        Tg4mmError: a setting is out of range, or the device is not available or has too little memory.
     """
     check_device(device)
     observations = observe(capture, images or pictures_for(capture))
@@ -90,14 +91,14 @@ def animate(fit: MotionFit, t: float, magnification: float | Magnification = 0.0
 
     Args:
         fit: of `fit_motion`, or `Run.load_fit` of a run folder.
-        t: timestep, 0 is the reference; fractions and times past the record are allowed.
-        magnification: α of all frequencies, or `Magnification` with bands in Hz, each with an α of its own.
+        t: timestep; 0 is the reference. Fractions, and times before and after the record, are allowed.
+        magnification: α of all frequencies, or a `Magnification` with bands in Hz, each with an α of its own.
 
     Returns:
-        N Gaussians, in scene units.
+        N Gaussians, scene units.
 
     Raises:
-        Tg4mmError: α is no finite number, bands overlap, or the plan asks for another method or for a filter.
+        Tg4mmError: α is not finite, bands overlap, or the plan has another method or a filter.
         CaptureError: a band does not satisfy 0 ≤ low < high < fps / 2.
     """
     plan = magnification

@@ -37,10 +37,13 @@ class Gaussians:
 
     @property
     def sh_degree(self) -> int:
+        """Of the spherical harmonics, 0 … 3."""
         return {1: 0, 4: 1, 9: 2, 16: 3}[self.sh.shape[1]]
 
     def to(self, device: str | torch.device) -> Gaussians:
+        """The same on another device."""
         return Gaussians(**{f.name: getattr(self, f.name).to(device) for f in fields(self)})
 
     def detach(self) -> Gaussians:
+        """The same without gradients."""
         return Gaussians(**{f.name: getattr(self, f.name).detach() for f in fields(self)})

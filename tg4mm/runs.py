@@ -58,7 +58,7 @@ UNCERTAINTY = "uncertainty"  # a part: how uncertain the motion of every Gaussia
 class Run:
     """One run folder, opened. Reads and writes go to disk at once; nothing is cached."""
 
-    path: Path
+    path: Path  # the folder
     config: dict[str, Any]  # as config.json: format, version, dataset, preset, settings, versions
 
     @classmethod
@@ -95,10 +95,12 @@ class Run:
 
     @property
     def preset(self) -> str:
+        """`modal`, `paper` or `paper-tuned`."""
         return self.config["preset"]
 
     @property
     def settings(self) -> dict[str, Any]:
+        """All settings of the training, as `stage.name: value`."""
         return self.config["settings"]
 
     @property
@@ -110,10 +112,12 @@ class Run:
 
     @property
     def has_space(self) -> bool:
+        """Whether the scene at rest is finished."""
         return self._file("space").is_file()
 
     @property
     def has_motion(self) -> bool:
+        """Whether the motion is finished."""
         return self._file("motion").is_file()
 
     def save_space(self, gaussians: Gaussians, info: Mapping[str, Any]) -> None:
@@ -175,6 +179,7 @@ class Run:
         return self._file(name)
 
     def has_part(self, name: str) -> bool:
+        """Whether the part `name` was written."""
         return self._file(name).is_file()
 
     def save_part(self, name: str, tensors: Mapping[str, Tensor], **extra: Any) -> None:

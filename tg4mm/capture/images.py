@@ -51,9 +51,16 @@ class ImageStack:
 
 
 def load_images(capture: Capture) -> ImageStack:
-    """Decode every image of a capture, by threads; 16 bits for all if any file has them (8-bit values × 257).
+    """Decode every image of a capture, by threads.
 
-    Raises CaptureError for a file that is missing, truncated or damaged, or whose size has changed.
+    Args:
+        capture: of any kind; all images stay in memory, 4 bytes a pixel (8 at 16 bits).
+
+    Returns:
+        C images, 16 bits for all if any file has them (8-bit values × 257).
+
+    Raises:
+        CaptureError: a file is missing, truncated or damaged, or its size has changed.
     """
     c, height, width = len(capture), capture.height, capture.width
     with ThreadPoolExecutor(THREADS) as pool:

@@ -39,12 +39,14 @@ class Capture:
     camera_ids: np.ndarray  # [C] int64
     paths: tuple[Path, ...]  # C image files
     unit_scale_m: float | None = None  # metres per scene unit; None if unknown
-    points: SurfacePoints | None = None
+    points: SurfacePoints | None = None  # points on the surfaces with colours; None: the dataset has none
     scene: dict = field(default_factory=dict)  # scene.json as read, {} if absent
-    kind: str = ""  # one of KINDS; where none is given, what the cameras look like
-    clocks: str = ""  # of several fixed cameras, one of CLOCKS; where none is given, as their times say
-    # [C] float64, seconds on the clock of the image's own camera; NaN for a picture of the scene at rest whose time
-    # is not known. Where none are given, t / fps.
+    kind: str = ""  # photos, flat, tripod, handheld, rig or clips; inferred from the cameras if not given
+    clocks: str = (
+        ""  # of several fixed cameras: synchronous or independent; inferred from the times if not given
+    )
+    # [C] float64, seconds on the clock of the image's own camera; NaN for a picture of the scene at rest without a
+    # time. t / fps if not given.
     times_s: np.ndarray = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:

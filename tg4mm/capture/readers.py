@@ -16,11 +16,18 @@ READERS = (dataset_tree, nerf_synthetic, nerfstudio, colmap)  # the first that r
 def load_capture(path: str | Path, split: str = "train", magnification: int | float | None = None) -> Capture:
     """The capture in a folder: cameras, timesteps and image paths. Pixels stay on disk (see `load_images`).
 
-    magnification: the α whose ground truth is wanted, a whole number: 5 reads magnified/x005/. Ground truth
-    exists for the test cameras, so `split` is then "test" whatever was asked; α = 0 is the capture as it was.
+    Args:
+        path: a dataset (docs/conventions.md), a nerfstudio or a COLMAP folder.
+        split: "train", "test" or "val".
+        magnification: reads ground truth at this α, a whole number (5: magnified/x005/); 0 is the capture as it was.
+            Ground truth exists for the test cameras only, so `split` is ignored. `None`: no ground truth.
 
-    Raises CaptureError, one line with file and value, if the folder or anything needed in it is missing,
-    malformed, or leads outside the folder.
+    Returns:
+        C images with camera, timestep and path each.
+
+    Raises:
+        CaptureError: the folder or something in it is missing, malformed, or leads outside the folder. One line with
+            file and value.
     """
     root = Path(path)
     if split not in SPLITS:

@@ -18,15 +18,15 @@ LARGEST_ALPHA = 1e6  # either way; a micrometre becomes a metre, and far beyond 
 
 @dataclass(frozen=True)
 class BandGain:
-    """A displacement δ of a frequency inside the band (both ends included) becomes (1 + alpha) δ.
+    """A band and its magnification: displacements δ at frequencies from low to high become (1 + alpha) δ.
 
-    alpha 0 leaves it, −1 takes it out; between them it is attenuated. Below −1 the motion is turned round:
-    it runs |1 + alpha| times as far, in opposite phase.
+    alpha = 0 changes nothing, −1 stops the motion, and values between attenuate it. Below −1 the motion is inverted:
+    |1 + alpha| times as large, in opposite phase.
     """
 
     low: float  # Hz
     high: float  # Hz
-    alpha: float
+    alpha: float  # magnification α
 
     @property
     def band(self) -> tuple[float, float]:
@@ -35,15 +35,12 @@ class BandGain:
 
 @dataclass(frozen=True)
 class Magnification:
-    """A method, the bands it magnifies, and the filter that takes them out.
+    """What is magnified, by how much, and by which method. The method `modal` needs no filter: a mode lies inside a
+    band or outside."""
 
-    method None: the run's own (`modal` for the preset modal, `phase` for paper, `linear` for paper-tuned).
-    `everywhere` is the α of all frequencies where there are no bands. `modal` has no filter: a mode is inside a band or
-    is not.
-    """
-
-    bands: tuple[BandGain, ...] = ()
-    everywhere: float = 0.0
+    bands: tuple[BandGain, ...] = ()  # frequencies in none of them keep their motion
+    everywhere: float = 0.0  # α of all frequencies if there are no bands
+    # `modal`, `phase` or `linear`; None: the preset's own (modal: `modal`, paper: `phase`, paper-tuned: `linear`)
     method: str | None = None
     filter: TemporalFilter | None = None  # None: zero-phase
 

@@ -23,32 +23,50 @@ def _check_shapes(tensors: dict[str, tuple[Tensor, tuple[int | None, ...]]]) -> 
 
 
 def rasterization(
-    means: Tensor,  # [N, 3] scene units
-    quats: Tensor,  # [N, 4] wxyz, any non-zero length
-    scales: Tensor,  # [N, 3] scene units
-    opacities: Tensor,  # [N] 0..1
-    colors: Tensor,  # [N, K, 3] SH coefficients with sh_degree, else [N, D] channels
-    viewmats: Tensor,  # [C, 4, 4] world-to-camera, OpenCV axes
-    Ks: Tensor,  # [C, 3, 3] pixels, pixel centres at +0.5
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    colors: Tensor,
+    viewmats: Tensor,
+    Ks: Tensor,
     width: int,
     height: int,
     near_plane: float = 0.01,
     far_plane: float = 1e10,
     eps2d: float = 0.3,
     sh_degree: int | None = None,
-    backgrounds: Tensor | None = None,  # [C, D]
+    backgrounds: Tensor | None = None,
     render_mode: str = "RGB",
 ) -> tuple[Tensor, Tensor, dict[str, Any]]:
-    """Render Gaussians from C cameras. Names and meaning of the arguments are gsplat's.
+    """Render Gaussians from C cameras ([3DGS] Eqs. (1) to (3)). Names and meaning of the arguments are gsplat's.
 
-    Returns renders [C, H, W, X], alphas [C, H, W, 1] and a dictionary with `projected` (CPU only: one record a camera,
-    and again for every pass that more than four plain channels take). X is D colours, a depth channel ("D": Σ w·z,
-    "ED": that divided by alpha), or both. Gradients reach every tensor but Ks. A background fills colour channels
-    only, as in gsplat.
+    Gradients reach every tensor but Ks.
 
-    Raises ValueError with both shapes where a shape is wrong, and Tg4mmError where gsplat is needed and
-    absent.
-    Source: [3DGS] Eqs. (1) to (3); EWA projection as in gsplat.
+    Args:
+        means: [N, 3] scene units.
+        quats: [N, 4] wxyz, of any length but zero.
+        scales: [N, 3] linear standard deviations, scene units.
+        opacities: [N] in 0..1.
+        colors: [N, K, 3] coefficients of spherical harmonics with `sh_degree`, else [N, D] channels.
+        viewmats: [C, 4, 4] world-to-camera, OpenCV axes.
+        Ks: [C, 3, 3] pixels, pixel centres at +0.5.
+        width: pixels.
+        height: pixels.
+        near_plane: scene units; what is nearer is not drawn.
+        far_plane: scene units; what is farther is not drawn.
+        eps2d: square pixels added to the projected variance, the low-pass.
+        sh_degree: 0 … 3; `None`: `colors` are channels.
+        backgrounds: [C, D], for colour channels only; `None`: black.
+        render_mode: "RGB", "D" (Σ w·z), "ED" (that divided by alpha), "RGB+D" or "RGB+ED".
+
+    Returns:
+        Renders [C, H, W, X] with X channels of colour, depth or both; alphas [C, H, W, 1]; and a dictionary with
+        `projected` (CPU only: one record for each camera and for each pass over four channels).
+
+    Raises:
+        ValueError: a shape is wrong; the message shows both shapes.
+        Tg4mmError: the tensors are on CUDA and gsplat is not installed.
     """
     n, c = means.shape[0], viewmats.shape[0]
     shapes: dict[str, tuple[Tensor, tuple[int | None, ...]]] = {

@@ -41,7 +41,14 @@ class Camera:
 
 
 def capture_cameras(capture: Capture) -> tuple[Camera, ...]:
-    """The different cameras of a capture, each under the name of its first picture."""
+    """The different cameras of a capture.
+
+    Args:
+        capture: of any kind; a moving camera gives one camera for each pose.
+
+    Returns:
+        Cameras in order of first appearance, each named after its first picture.
+    """
     cameras, names = [], set()
     for camera_id in dict.fromkeys(capture.camera_ids.tolist()):
         i = int(np.flatnonzero(capture.camera_ids == camera_id)[0])
@@ -83,10 +90,20 @@ def look_at(position: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 
 def orbit(capture: Capture, n: int, centre: np.ndarray | None = None) -> tuple[Camera, ...]:
-    """`n` cameras evenly spaced on a level circle, from the azimuth of the capture's first camera on.
+    """Cameras evenly spaced on a level circle around the scene, beginning at the azimuth of the capture's first camera.
 
-    Radius, elevation and focal length are the medians of the capture's cameras. `centre` [3] is used where
-    the cameras look at no common point (a single fixed camera); without it that is a RunError.
+    Radius, elevation and focal length are the medians of the capture's cameras.
+
+    Args:
+        capture: whose cameras are taken as a model.
+        n: number of cameras, at least 1.
+        centre: [3] scene units, used if the capture's cameras look at no common point (a single fixed camera).
+
+    Returns:
+        `n` cameras.
+
+    Raises:
+        RunError: `n` is below 1, or there is neither a common point nor a `centre`.
     """
     if n < 1:
         raise RunError(f"--orbit {n}: needs at least one frame")

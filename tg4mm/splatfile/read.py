@@ -21,11 +21,19 @@ REQUIRED = tuple(name for names in GROUPS for name in names)
 
 
 def read_splat(path: str | Path) -> SplatFile:
-    """Read a splat file; a plain 3DGS PLY (degree 0 to 3) gives one without modes and with fps 0 (unknown).
+    """Read a splat file, or a plain 3DGS PLY of degree 0 to 3. Needs numpy alone.
 
-    Properties may come in any order, as float or double; unknown ones are ignored. Raises SplatFileError, one
-    line with file and value, for anything else: truncated, too long, ASCII or big-endian, a property missing,
-    a count that does not fit, NaN or infinity, an unknown format version.
+    Properties may come in any order, as float or double; unknown ones are ignored.
+
+    Args:
+        path: a binary little-endian PLY (docs/conventions.md, "Splat file").
+
+    Returns:
+        N Gaussians and their modes; of a plain 3DGS PLY no modes and fps 0 (unknown).
+
+    Raises:
+        SplatFileError: the file is truncated or too long, ASCII or big-endian, a property is missing, a count does not
+            fit, a value is NaN or infinite, or the format version is unknown. One line with file and value.
     """
     path = Path(path)
     try:

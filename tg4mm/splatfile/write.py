@@ -18,11 +18,18 @@ ROWS_AT_ONCE = 8192  # keeps the block being interleaved in the processor's cach
 
 
 def write_splat(path: str | Path, splat: SplatFile) -> None:
-    """Write a binary 3DGS PLY with the modes as further properties; replaces `path` in one step.
+    """Write a binary 3DGS PLY with the modes as further properties. Needs numpy alone.
 
-    All values are float32: means, quats, sh and phasors that are float32 come back exactly, scales to 1e-5
-    of their size (log), opacities to 1e-7 (logit). Scales under 1e-12 are written as that, opacities of 0
-    and 1 as 2⁻²⁴ and 1 − 2⁻²⁴. Raises SplatFileError if the file cannot be written.
+    All values are float32: means, quats, sh and phasors that are float32 come back exactly, scales to 1e-5 of their
+    size (log), opacities to 1e-7 (logit). Scales under 1e-12 are written as that, opacities of 0 and 1 as 2⁻²⁴ and
+    1 − 2⁻²⁴.
+
+    Args:
+        path: replaced in one step, so that a kill leaves the old file whole.
+        splat: what to write.
+
+    Raises:
+        SplatFileError: the file cannot be written.
     """
     with replacing(Path(path)) as temporary, temporary.open("wb") as file:
         file.write(_header(splat))
