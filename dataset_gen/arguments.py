@@ -59,16 +59,16 @@ _HELP = {
     "size": "edge of the square images, pixels",
     "timesteps": "number of timesteps",
     "fps": "timesteps per second, Hz",
-    "views": f"training cameras of an orbit or a rig; pictures of a sweep; clips ({CLIPS} by default)",
-    "test_views": "test cameras; the published data have 10; flat has one, its own",
-    "clock_offsets": "cameras that film together start up to this much apart, seconds",
-    "shake": "every camera turns about its own centre, at 1 … 10 Hz: rms shift of the picture, pixels",
+    "views": f"number of training cameras (orbit, rig), photographs (sweep) or clips ({CLIPS} by default)",
+    "test_views": "number of test cameras; the published data have 10, flat has one",
+    "clock_offsets": "cameras start up to this long before or after the first one, seconds",
+    "shake": "every camera shakes (rotates at 1 … 10 Hz): rms shift of the picture, pixels",
     "exposure_drift": "slow change of brightness, percent peak to peak; of colour, a third of that",
     "flicker": "flicker of the light, percent peak to peak",
     "flicker_hz": "with --flicker: its frequency, Hz",
-    "crf": "with --codec: rate factor, 0 … 51; more is worse",
+    "crf": "with --codec: rate factor, 0 … 51; larger is worse",
     "samples": "light paths per pixel",
-    "seed": "seed of the renderer, the sensor, the points and shaky hands",
+    "seed": "seed of the renderer, the sensor noise, the points and the shake",
     "points": "points in points3d.ply, 0 for none",
 }
 
@@ -85,11 +85,11 @@ def parser() -> argparse.ArgumentParser:
     p = _Parser(
         prog="tg4mm generate",
         description="Renders a vibrating scene from many cameras, with exact ground truth of the motion.",
-        epilog="A run that was stopped goes on where it was when it is started again with the same options.",
+        epilog="A command that was stopped continues when it is given again with the same options.",
         allow_abbrev=False,
     )
     p.add_argument(
-        "scene", metavar="SCENE", nargs="?", help=f"one of: {', '.join(NAMES)}; or all of them: {ALL}"
+        "scene", metavar="SCENE", nargs="?", help=f"one of: {', '.join(NAMES)}; or {ALL} for all of them"
     )
     p.add_argument("--out", type=Path, metavar="DIR", help="parent folder of the dataset")
     p.add_argument("--preset", choices=sorted(PRESETS), default="demo", help=_presets())
@@ -142,7 +142,7 @@ def _source_options(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         "--list",
         action="store_true",
-        help="only list parts, boxes, vertex groups and scale, and with --motion amplitudes; nothing is written",
+        help="only list parts, boxes, vertex groups and scale, and with --motion the amplitudes; writes nothing",
     )
     group.add_argument("--name", metavar="NAME", help="first part of the folder's name (default: the file's)")
 
@@ -155,14 +155,14 @@ def _motion_options(group: argparse._ArgumentGroup) -> None:
         "--frequency",
         type=float,
         metavar="X",
-        help="of the first mode and of those that share its frequency, Hz; below half of --fps",
+        help="frequency of the first mode and of those that share it, Hz; below half of --fps",
     )
     amount = group.add_mutually_exclusive_group()
     amount.add_argument(
         "--amplitude",
         type=float,
         metavar="X",
-        help="largest displacement of the first mode, scene units; modes of its frequency go along in proportion",
+        help="largest displacement of the first mode, scene units; modes of its frequency are scaled with it",
     )
     amount.add_argument(
         "--amplitude-px", type=float, metavar="X", help="the same in pixels of the first training camera"
@@ -217,15 +217,17 @@ def _work_options(group: argparse._ArgumentGroup) -> None:
         "--processes",
         type=int,
         metavar="N",
-        help="render processes at once (default: one per core)",
+        help="number of render processes at once (default: one per core)",
     )
     group.add_argument(
-        "--save-blend", type=Path, metavar="FILE", help="only save the animated scene as a .blend that plays"
+        "--save-blend", type=Path, metavar="FILE", help="only save the animated scene as a .blend file"
     )
     phase = group.add_mutually_exclusive_group()
-    phase.add_argument("--prepare", action="store_true", help="only what comes before rendering, for a farm")
+    phase.add_argument(
+        "--prepare", action="store_true", help="only prepare rendering in parts, on many machines"
+    )
     phase.add_argument("--part", type=_part, metavar="I/N", help="only render part I of N")
-    phase.add_argument("--finish", action="store_true", help="only what comes after all parts")
+    phase.add_argument("--finish", action="store_true", help="only finish the dataset, after all parts")
     group.add_argument(
         "--parts", type=int, metavar="N", help="with --prepare: how many parts (default: by size)"
     )

@@ -127,13 +127,13 @@ def test_render_takes_an_orbit_in_slow_motion(run_path: Path, tmp_path: Path) ->
             "--alpha is given 2 times, --band 0 times: without --band there is one",
         ),
         (["--alpha", "1", "--band", "1", "2", "--band", "3", "4"], "each band needs its own"),
-        (["--alpha", "1", "--band", "4"], "--band '4' is not two frequencies in Hz"),
+        (["--alpha", "1", "--band", "4"], "--band '4' is neither two frequencies in Hz"),
         (
             ["--alpha", "1", "--band", "4", "--no-video"],
-            "--band '4' is not two frequencies in Hz, LO HI, nor auto",
+            "--band '4' is neither two frequencies in Hz, LO HI, nor auto",
         ),
-        (["--alpha", "1", "--band", "--no-video"], "--band '' is not two frequencies in Hz"),
-        (["--alpha", "1", "--band=4", "--no-video"], "--band '4' is not two frequencies in Hz"),
+        (["--alpha", "1", "--band", "--no-video"], "--band '' is neither two frequencies in Hz"),
+        (["--alpha", "1", "--band=4", "--no-video"], "--band '4' is neither two frequencies in Hz"),
         (["--alpha", "1", "--band", "-4", "6"], "band (-4, 6) Hz starts below 0 Hz"),
         (
             ["--alpha", "1", "--band", "7.2", "7.4"],

@@ -211,7 +211,7 @@ def test_help_shows_units_and_defaults(capsys):
     text = " ".join(capsys.readouterr().out.split())
     for words in (
         "largest displacement of the first mode, scene units",
-        "share its frequency, Hz; below half of --fps",
+        "share it, Hz; below half of --fps",
         "pixels (default: 128)",
         "(default: 5,10,20,50,100)",
     ):

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 bench = typer.Typer(
     no_args_is_help=True,
     invoke_without_command=True,
-    help="Compare methods with ground truth: the benchmark's tables, and the ablations of TG4MM's paper.",
+    help="Compare methods with ground truth: benchmark and ablations.",
     rich_markup_mode=None,
 )
 
@@ -78,7 +78,7 @@ Outside = Annotated[
     list[str] | None,
     typer.Option(
         metavar="NAME=DIR",
-        help="Another method by its pictures: DIR/<dataset's folder name>/magnified/x005/000/test/r_000.png …; may be "
+        help="Pictures of another method: DIR/<dataset's folder name>/magnified/x005/000/test/r_000.png …; may be "
         "repeated. docs/protocol.md.",
     ),
 ]
@@ -160,13 +160,11 @@ def scenes(
     ] = None,
     goals: Annotated[
         Path | None,
-        typer.Option(
-            help="Also write whether the project's own goals are reached to this file, as Markdown."
-        ),
+        typer.Option(help="Also write to this Markdown file which of the project's goals are reached."),
     ] = None,
     device: DeviceOption = Device.cpu,
 ) -> None:
-    """Run every method on every dataset and score its pictures against ground truth.
+    """Run and score every method on every dataset.
 
     Writes OUT/results.json, OUT/results.md, plots and OUT/tables/*.tex anew after every job, OUT/results.html at
     the end: SSIM over α beside "nothing moves" and the ceiling, and the other metrics of docs/protocol.md; displacement
@@ -216,7 +214,7 @@ def job(
     vqa_python: VqaPython = "python3",
     device: DeviceOption = Device.cpu,
 ) -> None:
-    """Run one method on one dataset: a part of tg4mm bench scenes with the same options, which then finds it done.
+    """Run one method on one dataset, as a part of bench scenes.
 
     Jobs of one OUT may run at once, on any machine that sees the folder. Done again, nothing happens.
     """
@@ -266,7 +264,7 @@ def _request(
 
 @bench.command()
 def ablation(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Which of these.")],
+    name: Annotated[str, typer.Argument(metavar="NAME", help="The ablation, one of these.")],
     datasets: Datasets,
     out: Out,
     preset: Annotated[
@@ -279,7 +277,9 @@ def ablation(
     lpips_weights: Lpips = None,
     device: DeviceOption = Device.cpu,
 ) -> None:
-    """Vary one thing and compare: initialisation, decoder, residual, iterations, filter-phase, difference, smoothness,
+    """Vary one thing and compare.
+
+    NAME: initialisation, decoder, residual, iterations, filter-phase, difference, smoothness,
     views, timesteps, noise, amplitude.
 
     Prints the table, and writes OUT/results.json, OUT/results.md and OUT/results.svg. amplitude generates its datasets

@@ -37,7 +37,7 @@ def convert(
         str | None, typer.Option(metavar="A-B,C,…", help="Timesteps to write. [default: all]")
     ] = None,
 ) -> None:
-    """Write a dataset in a layout that other trainers read.
+    """Convert a dataset to a layout that other trainers read.
 
     Pictures are linked, not copied, where the file system can. Lengths stay in scene units.
     """

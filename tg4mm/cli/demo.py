@@ -9,15 +9,15 @@ import typer
 
 
 def demo(
-    out: Annotated[Path, typer.Option(help="Folder for everything; finished steps in it are kept.")] = Path(
-        "demo"
-    ),
+    out: Annotated[
+        Path, typer.Option(help="Folder for all results; steps that are finished are not repeated.")
+    ] = Path("demo"),
     size: Annotated[int, typer.Option(help="Width and height of the pictures, 16 to 4096 pixels.")] = 128,
 ) -> None:
-    """Do the whole job, small, from nothing.
+    """Render a small scene, train, magnify and score: an example from nothing.
 
-    Renders a vibrating scene in Blender, trains, magnifies the motion by α = 20, compares it with the ground
-    truth, exports the splat file, and shows it all in OUT/report.html.
+    Renders a vibrating scene in Blender, trains, magnifies the motion by α = 20, compares it with the ground truth,
+    exports a splat file, and writes OUT/report.html.
     """
     from tg4mm.demo import run_demo
 

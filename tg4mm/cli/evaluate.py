@@ -33,23 +33,19 @@ def evaluate(
     band: BandOption = None,
     method: MethodOption = None,
     filter: FilterOption = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Where the figures go. [default: RUN/metrics.json]")
-    ] = None,
+    out: Annotated[Path | None, typer.Option(help="JSON file to write. [default: RUN/metrics.json]")] = None,
     lpips_weights: Annotated[
         list[Path] | None,
-        typer.Option(
-            help="Local file(s) with AlexNet trunk and LPIPS heads; without them no LPIPS is given."
-        ),
+        typer.Option(help="Local file(s) with AlexNet and the LPIPS heads; LPIPS is left out without them."),
     ] = None,
     allow_empty_band: EmptyBandOption = False,
     device: DeviceOption = Device.cpu,
 ) -> None:
     """Score a run against its dataset's ground truth.
 
-    PSNR (dB), SSIM, FLIP and LPIPS on the test cameras, and the displacement error, each beside what "nothing
-    moves" scores and, where the exact motion is known, beside the ceiling. With --device cuda the pictures are
-    rendered there; the metrics are computed on the CPU.
+    Prints PSNR (dB), SSIM, FLIP and LPIPS on the test cameras, and the displacement error. Beside them stand the scores
+    of "nothing moves" and, if the exact motion is known, of the ceiling. With --device cuda the GPU renders the
+    pictures; metrics are computed on the CPU.
     """
     wanted, asked = parse_alphas(alphas), parse_bands(band)
     chosen_filter = temporal_filter(filter, asked)

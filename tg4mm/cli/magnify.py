@@ -73,24 +73,25 @@ BandOption = Annotated[
     typer.Option(
         "--band",
         metavar="LO HI | auto",
-        help="Magnify only LO ≤ f ≤ HI, Hz; may be repeated. auto: around the strongest vibration that was found. "
+        help="Magnify only frequencies LO ≤ f ≤ HI, Hz; may be repeated. auto: a band around the strongest vibration. "
         "[default: all]",
     ),
 ]
 EmptyBandOption = Annotated[
-    bool, typer.Option("--allow-empty-band", help="Go on where no motion was found in a --band.")
+    bool, typer.Option("--allow-empty-band", help="Accept a --band in which no motion was found.")
 ]
 MethodOption = Annotated[
     Method | None,
     typer.Option(
-        help="modal: by modes. linear: each Gaussian's motion, filtered over time. phase: the phases of feature planes "
-        "(presets paper and paper-tuned only). [default: modal; with the preset paper phase, with paper-tuned linear]"
+        help="modal: multiplies modes. linear: filters each Gaussian's motion over time. phase: shifts the phases of "
+        "feature planes (presets paper and paper-tuned only). [default: modal; with the preset paper phase, with "
+        "paper-tuned linear]"
     ),
 ]
 FilterOption = Annotated[
     Filter | None,
     typer.Option(
-        help="Temporal filter of linear and phase. published: as in TG4MM's paper, even length, half a sample early. "
+        help="Temporal filter of linear and phase. published: as in the TG4MM paper, even length, half a sample early. "
         "[default: zero-phase]"
     ),
 ]
@@ -106,7 +107,7 @@ def parse_bands(texts: Sequence[str] | None) -> list[tuple[float, float] | None]
         try:
             low, high = (float(part) for part in text.split())
         except ValueError:
-            raise Tg4mmError(f"--band {text!r} is not two frequencies in Hz, LO HI, nor {AUTO}") from None
+            raise Tg4mmError(f"--band {text!r} is neither two frequencies in Hz, LO HI, nor {AUTO}") from None
         bands.append((low, high))
     return bands
 

@@ -13,7 +13,7 @@ from tg4mm.errors import Tg4mmError
 def measure(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder made by tg4mm train.")],
     out: Annotated[
-        Path, typer.Option(help="The folder for measure.json, CSV, UFF, plots and animated pictures.")
+        Path, typer.Option(help="Folder for measure.json, CSV, UFF, plots and animated pictures.")
     ],
     sensor: Annotated[
         list[str] | None,
@@ -35,17 +35,18 @@ def measure(
         bool,
         typer.Option(
             "--keep/--no-keep",
-            help="Keep what was read from the pictures in the run's folder, so that the next call need not read them.",
+            help="Keep what is read from the pictures in the run folder, so that the next call is fast.",
         ),
     ] = True,
     animate: Annotated[
-        bool, typer.Option("--animate/--no-animate", help="Animated pictures of the shape at every peak.")
+        bool,
+        typer.Option("--animate/--no-animate", help="Write animated pictures of the shape at every peak."),
     ] = True,
 ) -> None:
-    """Measure displacement over time: virtual sensors on a run.
+    """Measure displacement over time with virtual sensors.
 
-    Every sensor's motion comes from the pictures frame by frame, with a standard deviation for each sample (scene
-    units; mm where the scale is known), spectrum in Hz with its noise floor, and what stands out of it.
+    The displacement of a sensor is measured in the pictures, frame by frame, with a standard deviation for each sample
+    (mm if the scale is known, else scene units). Its spectrum (Hz) has a noise floor and the peaks above it.
     """
     from tg4mm.measure import measure as measured
     from tg4mm.measure import parse_sensor, prepare, read_sensors

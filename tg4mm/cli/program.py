@@ -27,7 +27,7 @@ from tg4mm.cli.view import view
 from tg4mm.errors import Tg4mmError
 
 BAD_INPUT, INTERRUPTED = 2, 130
-# What the extra `core` brings; without it the commands that train, render or evaluate cannot run.
+# What the extra `core` installs; the commands that train, render or evaluate need it.
 _CORE = {
     "torch",
     "filelock",
@@ -83,13 +83,13 @@ def tg4mm(
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
     ] = False,
 ) -> None:
-    """3D motion magnification: subtle vibration in a 3D scene, magnified, from any viewpoint.
+    """3D motion magnification: shows and measures subtle vibration, from any viewpoint.
 
-    Videos or photographs become a dataset by sfm, scenes of Blender by generate. train makes a run of a dataset;
-    render, view, measure, report and export take a run.
+    sfm makes a dataset from videos or photographs, generate renders one in Blender. train fits a model to a dataset
+    and writes it to a run folder. render, view, measure, report and export use a run folder.
 
-    Lengths are in scene units, frequencies in Hz, times in timesteps. A magnification factor α turns a
-    displacement δ into (1 + α) δ.
+    Lengths are in scene units, frequencies in Hz, times in timesteps. A magnification α turns a displacement δ into
+    (1 + α) δ.
     """
 
 
@@ -166,5 +166,5 @@ def _fail(message: str) -> int:
 
 
 def _interrupted() -> int:
-    typer.echo("\ntg4mm: interrupted; the same command goes on where this one stopped", err=True)
+    typer.echo("\ntg4mm: interrupted; run the same command again to continue", err=True)
     return INTERRUPTED

@@ -41,30 +41,30 @@ def render(
     alpha: Annotated[
         list[float],
         typer.Option(
-            help="Magnification: a displacement δ becomes (1 + alpha) δ; 0 as captured, -1 at rest, below it "
-            "reversed. With several --band once for each."
+            help="Magnification: a displacement δ becomes (1 + alpha) δ; 0 as captured, -1 at rest, below -1 "
+            "inverted. With several --band give one for each."
         ),
     ],
-    out: Annotated[Path, typer.Option(help="Folder for the pictures; complete ones are kept.")],
+    out: Annotated[Path, typer.Option(help="Folder for the pictures; pictures that are complete are kept.")],
     band: BandOption = None,
     method: MethodOption = None,
     filter: FilterOption = None,
     split: Annotated[Split | None, typer.Option(help="Cameras of the dataset. [default: test]")] = None,
     cameras: Annotated[
-        Path | None, typer.Option(help="Cameras of a transforms JSON (NeRF or nerfstudio).")
+        Path | None, typer.Option(help="Cameras of a transforms.json file (NeRF or nerfstudio).")
     ] = None,
     orbit: Annotated[
-        int | None, typer.Option(min=1, help="Number of pictures of one turn around the scene.")
+        int | None, typer.Option(min=1, help="Number of pictures on one turn around the scene.")
     ] = None,
     slow: Annotated[float, typer.Option(help="Slow motion: 2 plays at half speed.")] = 1.0,
     video: Annotated[bool, typer.Option(help="Also write an mp4 for each camera.")] = True,
     allow_empty_band: EmptyBandOption = False,
     device: DeviceOption = Device.cpu,
 ) -> None:
-    """Render pictures and videos of a run, its motion magnified.
+    """Render pictures and videos of a run with magnified motion.
 
     Writes OUT/<timestep>/<camera>.png and OUT/<camera>.mp4; with --orbit, OUT/r_000.png … and OUT/orbit.mp4.
-    One of --split, --cameras and --orbit says from where.
+    Give one of --split, --cameras and --orbit.
     """
     given = [n for n, v in (("--split", split), ("--cameras", cameras), ("--orbit", orbit)) if v is not None]
     if len(given) > 1:

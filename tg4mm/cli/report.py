@@ -17,8 +17,8 @@ def report(
     alpha: Annotated[
         float | None,
         typer.Option(
-            help="Magnification: a displacement δ becomes (1 + alpha) δ. [default: what shows the largest motion well "
-            "and not its noise; the page says the rule]"
+            help="Magnification: a displacement δ becomes (1 + alpha) δ. [default: the largest motion "
+            "becomes about 4 % of the picture, its noise stays below a pixel]"
         ),
     ] = None,
     band: BandOption = None,
@@ -31,11 +31,11 @@ def report(
     ] = None,
     allow_empty_band: EmptyBandOption = False,
 ) -> None:
-    """Write everything about a run on one page: a file that any browser shows, without a network.
+    """Write a report of a run: one HTML file.
 
-    Videos, slices, maps, spectra, what sensors measure, what could not be told, settings and commands to repeat it;
-    where the dataset has ground truth, also how true the result is. Lengths are in mm where the scale is known, else in
-    scene units.
+    It shows videos, space-time slices, maps, spectra, measurements, warnings, settings, commands to repeat them, and
+    errors if the dataset has ground truth. Lengths are in mm if the scale is known, else in scene units. The page needs
+    no network.
     """
     asked = parse_bands(band)
     if len(asked) > 1:

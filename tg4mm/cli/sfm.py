@@ -45,9 +45,9 @@ def sfm(
         Path,
         typer.Argument(
             metavar="INPUT",
-            help="A folder of photographs; or one video, of a fixed camera or of one that moves; or a folder with a "
-            "video (or a folder of frames) for each fixed camera, cam_00.mp4 …, and perhaps sweep/ (photographs) or "
-            "sweep.mp4, pictures of the scene at rest from all around.",
+            help="A folder of photographs; or one video of a fixed or a moving camera; or a folder with a video (or a "
+            "folder of frames) for each fixed camera, cam_00.mp4 …, and optionally the scene at rest from all around, "
+            "sweep/ (photographs) or sweep.mp4.",
         ),
     ],
     out: Annotated[Path, typer.Option(help="Dataset folder; an unfinished one is resumed.")],
@@ -56,19 +56,19 @@ def sfm(
         typer.Option(
             help="photos: a still scene. flat: one fixed camera and nothing else, in pixels. tripod: one fixed camera "
             "and a sweep. handheld: one camera that moves. rig: several fixed cameras. clips: one camera that filmed "
-            "a steady vibration from several places, one after another. [default: told from what is there]"
+            "a steady vibration from several places, one after another. [default: found from the input]"
         ),
     ] = None,
     fps: Annotated[
         float | None,
-        typer.Option(help="Frames per second that were filmed, Hz. [default: as the videos say]"),
+        typer.Option(help="Frame rate of the recordings, Hz. [default: that of the videos]"),
     ] = None,
     start: Annotated[
-        float, typer.Option("--from", metavar="SECONDS", help="Where in every recording to begin.")
+        float, typer.Option("--from", metavar="SECONDS", help="Where to begin in every recording.")
     ] = 0.0,
     until: Annotated[
         float | None,
-        typer.Option(metavar="SECONDS", help="Where in every recording to end. [default: its end]"),
+        typer.Option(metavar="SECONDS", help="Where to end in every recording. [default: its end]"),
     ] = None,
     camera_model: Annotated[
         str, typer.Option(help="Lens model, COLMAP's name: SIMPLE_PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, …")
@@ -76,49 +76,49 @@ def sfm(
     focal_px: Annotated[
         float | None,
         typer.Option(
-            help="First guess of the focal length, pixels. [default: EXIF, or 1.2 times the longer side]"
+            help="Initial focal length, pixels. [default: from EXIF, else 1.2 times the longer side]"
         ),
     ] = None,
     intrinsics: Annotated[
         Intrinsics,
-        typer.Option(help="shared: one camera and zoom; each: photographs or fixed cameras differ."),
+        typer.Option(
+            help="shared: one lens and zoom for all pictures. each: one for each photograph or fixed camera."
+        ),
     ] = Intrinsics.shared,
     matching: Annotated[
         Matching,
         typer.Option(
-            help="auto: every pair of up to 30 pictures, of more those that look alike, and in a long sequence "
-            "neighbours."
+            help="Which pictures are compared. auto: every pair of up to 30 pictures; of more, those that look alike; "
+            "in a long sequence, neighbours."
         ),
     ] = Matching.auto,
     frames: Annotated[
         int | None,
         typer.Option(
-            help="How many sharp frames of a moving camera the poses are first found from. [default: one of every two, "
+            help="Number of sharp frames of a moving camera to begin with. [default: one of every two, "
             "80 at most]"
         ),
     ] = None,
-    unit_scale_m: Annotated[
-        float | None, typer.Option(help="Metres per scene unit, where you know them: gives the scale.")
-    ] = None,
+    unit_scale_m: Annotated[float | None, typer.Option(help="Scale: metres per scene unit.")] = None,
     baseline: Annotated[
         tuple[str, str, float] | None,
         typer.Option(
             metavar="A B METRES",
-            help="Two cameras or photographs by name, and their distance: gives the scale.",
+            help="Scale: names of two cameras or photographs, and their distance.",
         ),
     ] = None,
     length: Annotated[
         tuple[str, float, float, str, float, float, float] | None,
         typer.Option(
             metavar="IMAGE X Y IMAGE X Y METRES",
-            help="A known length on the thing itself: its two ends, each a picture's name and pixels from its left and "
-            "upper edge (as the picture was given), and metres. Gives the scale.",
+            help="Scale: a known length in the scene. Each end is a picture's name and its pixels from the left and "
+            "the upper edge, in the picture as given.",
         ),
     ] = None,
     length_file: Annotated[
         Path | None,
         typer.Option(
-            help="The same in a JSON or YAML file, where an end may be shown in several pictures: "
+            help="Scale: a known length in a JSON or YAML file, each end in one or more pictures: "
             "{metres: 0.35, points: [{000.jpg: [210, 345], 008.jpg: [180, 350]}, {000.jpg: [410, 350]}]}"
         ),
     ] = None,
@@ -126,23 +126,21 @@ def sfm(
         bool,
         typer.Option(
             "--synchronous",
-            help="The cameras of a rig were started by one signal. [default: every camera has a clock of its own, and "
-            "the offsets are found from a steady vibration]",
+            help="One signal started all cameras of a rig. [default: every camera has a clock of its own; offsets are "
+            "found from a steady vibration]",
         ),
     ] = False,
-    test_every: Annotated[
-        int, typer.Option(help="Hold out every N-th camera as the test split; 0: none.")
-    ] = 0,
+    test_every: Annotated[int, typer.Option(help="Use every N-th camera as a test camera; 0: none.")] = 0,
     seed: Annotated[int, typer.Option(help="Seed of COLMAP's random draws.")] = 0,
     threads: Annotated[
-        int, typer.Option(help="Threads; 0: all cores. With 1 the result repeats bit for bit.")
+        int, typer.Option(help="Threads; 0: all cores. With 1 thread the result is reproducible bit for bit.")
     ] = 0,
 ) -> None:
     """Make a dataset from photographs or videos.
 
-    COLMAP finds cameras and sparse points, the videos say the times; train reads the result.
-    The dataset's pictures are undistorted; its world has Z up, the scene in the middle and the cameras about
-    4 units away. A fixed camera gets one pose for all its frames, one that moves a pose for each.
+    COLMAP finds camera poses and sparse points; the times come from the videos. The dataset's pictures are undistorted.
+    Its world has Z up, the scene at the origin and the cameras about 4 scene units away. A fixed camera has one pose
+    for all its frames, a moving camera one for each frame.
     """
     if threads < 0:
         raise Tg4mmError(f"--threads is {threads}, expected 0 (all cores) or more")

@@ -42,9 +42,9 @@ def train(
     preset: Annotated[
         Preset,
         typer.Option(
-            help="modal: one fit of complex modes to all timesteps. paper: TG4MM as published, a triplane "
-            "for each timestep; paper-tuned: the same with departures that find more of the "
-            "motion in less time (docs/paper.md)."
+            help="modal: one fit of modes to all timesteps. paper: TG4MM as published, a triplane for each "
+            "timestep. paper-tuned: the same with changes that find more of the motion in less time "
+            "(docs/paper.md)."
         ),
     ] = Preset.modal,
     device: DeviceOption = Device.cpu,
@@ -66,10 +66,10 @@ def train(
         ),
     ] = False,
 ) -> None:
-    """Fit Gaussians at rest, then their motion, to a dataset.
+    """Fit the scene at rest and its motion to a dataset.
 
-    Defaults follow the dataset's size, timesteps and views. The same command resumes a run that was stopped, and of a
-    finished one prints the result again.
+    Defaults follow from the dataset's size, timesteps and views. The same command resumes a run that was stopped; for a
+    finished run it prints the result again.
     """
     chosen = split_settings(settings or [])
     from tg4mm.result import lines_of, result_of

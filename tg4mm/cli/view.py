@@ -21,7 +21,7 @@ def view(
     alpha: Annotated[
         float | None,
         typer.Option(
-            help="Magnification to begin with: a displacement δ becomes (1 + alpha) δ. [default: so that the "
+            help="Magnification at the start: a displacement δ becomes (1 + alpha) δ. [default: one at which the "
             "strongest motion can be seen]"
         ),
     ] = None,
@@ -32,9 +32,9 @@ def view(
     port: Annotated[int, typer.Option(help="Port on 127.0.0.1; 0 takes a free one.")] = 8474,
     open: Annotated[bool, typer.Option(help="Open the page in the browser.")] = True,
 ) -> None:
-    """Look at a run in the browser: its motion plays, magnified by what the sliders say.
+    """Show a run in the browser, with sliders for α and band.
 
-    Served to this machine alone (127.0.0.1). Ctrl+C ends it.
+    The page can be opened on this machine only (127.0.0.1). Ctrl+C stops the server.
     """
     bands = parse_bands(band)
     if alpha is not None and not math.isfinite(alpha):
