@@ -68,7 +68,7 @@ def _run(argv: Sequence[str] | None) -> int:
         events.say("error", str(error), "error: ")
         return 1
     except KeyboardInterrupt:
-        print("stopped; the same command goes on from here", file=sys.stderr)
+        print("stopped; run the same command again to continue", file=sys.stderr)
         return 130
     return 0
 

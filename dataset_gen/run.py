@@ -159,7 +159,7 @@ def _write_points(job: Job) -> None:
                 views.append(read_npz(file))
             except ValueError as error:
                 raise RunFailed(
-                    f"{file} is damaged ({error}); remove it, and the same command goes on"
+                    f"{file} is damaged ({error}); remove it, then run the same command again"
                 ) from None
     wanted = job.settings.points
     seen, colours = points.merge(views, wanted)

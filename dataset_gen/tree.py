@@ -151,7 +151,7 @@ def claim(root: Path, description: dict[str, Any]) -> None:
             if old.get(key) != new.get(key):
                 raise GenerateError(
                     f"{root} holds another dataset: {key} is {old.get(key)!r}, "
-                    f"asked for {new.get(key)!r}; choose another --out or remove it"
+                    f"requested {new.get(key)!r}; choose another --out or remove it"
                 )
         return
     foreign = [p for p in root.iterdir() if not p.match(_TEMPORARY)] if root.exists() else []

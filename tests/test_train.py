@@ -239,7 +239,7 @@ class TestStages:
             for frame in transforms["frames"]:
                 frame["transform_matrix"][0][3] += 0.01 * t
             file.write_text(json.dumps(transforms))
-        with one_line(f"{path}: no camera stays put, and 6 pictures have a time"):
+        with one_line(f"{path}: no camera is fixed, and 6 pictures have a time"):
             train(path, tmp_path / "run", settings=SETTINGS)
 
 

@@ -156,7 +156,7 @@ def _generate(places: Places, size: int) -> None:
 
     status = run_generator(["mic", "--out", str(places.data), "--size", str(size)])
     if status != 0:
-        raise Tg4mmError(f"the dataset generator ended with status {status}; its message stands above")
+        raise Tg4mmError(f"the dataset generator ended with status {status}; see its message above")
 
 
 def _train(places: Places) -> None:

@@ -30,7 +30,7 @@ class TG4MM_OT_use_selection(bpy.types.Operator):
             if names.MARK not in obj and obj.type not in ("CAMERA", "LIGHT"):
                 moving.add().object = obj
         if not moving:
-            self.report({"ERROR"}, "Nothing selected is a thing that can move in a dataset")
+            self.report({"ERROR"}, "No selected object can move in a dataset")
             return {"CANCELLED"}
         preview.refresh(context)
         return {"FINISHED"}

@@ -64,9 +64,7 @@ class Effects:
             "--exposure-drift" if self.exposure_drift else "--flicker",
         )
         if self.any and timesteps < 2:
-            raise GenerateError(
-                "--timesteps 1: shake, drift, flicker and a codec need a record of 2 and more"
-            )
+            raise GenerateError("--timesteps 1: shake, drift, flicker and a codec need at least 2 timesteps")
         if self.gain and not white:
             raise GenerateError(f"{option} acts on the whole picture: use --background white")
         if self.coded and (not white or pictures.images != "png8"):

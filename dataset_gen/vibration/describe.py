@@ -39,8 +39,8 @@ class MotionDescription:
                 raise GenerateError(f"{self.source}: two modes have the name {name!r}")
         if not self.modes[0].frequency_hz:
             raise GenerateError(
-                f"{self.source}: mode {names[0]!r} is the first and so the main one, which needs a frequency; "
-                f"it is of kind {self.modes[0].kind}"
+                f"{self.source}: mode {names[0]!r} is the first, which needs a frequency; "
+                f"its kind is {self.modes[0].kind}"
             )
 
     @property

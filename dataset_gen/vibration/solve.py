@@ -83,7 +83,7 @@ def _pixel_scale(
         raise ValueError(f"amplitude_px {mode.amplitude_px:g} needs a reference camera, there is none")
     pixels = max(float(reference(np.asarray(b.vertices, np.float64), raw[b.name] / peak)) for b in moving)
     if not (np.isfinite(pixels) and pixels > 0.0):
-        raise ValueError(f"amplitude_px {mode.amplitude_px:g}: the reference camera sees nothing of it move")
+        raise ValueError(f"amplitude_px {mode.amplitude_px:g}: the reference camera does not see it move")
     return mode.amplitude_px / (pixels * peak)
 
 

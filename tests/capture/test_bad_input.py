@@ -102,7 +102,7 @@ BAD_POSES = {
     "text": (lambda p: p[1].__setitem__(3, "1.0"), "holds '1.0'"),
     "boolean": (lambda p: p[1].__setitem__(3, True), "holds True"),
     "huge": (lambda p: p[1].__setitem__(3, 10**400), "holds a whole number of 401 digits"),
-    "far away": (lambda p: p[2].__setitem__(3, -1e300), "stands 1e+300 units off"),
+    "far away": (lambda p: p[2].__setitem__(3, -1e300), "lies 1e+300 units from the origin"),
     "huge axis": (lambda p: p[0].__setitem__(0, 1e300), "is not rigid"),
     "three rows": (lambda p: p.pop(), "has shape 3×4"),
     "ragged": (lambda p: p[0].pop(), "4 rows of unequal length"),

@@ -275,4 +275,4 @@ def test_a_killed_generator_is_said_and_leaves_with_1(monkeypatch: pytest.Monkey
 
     monkeypatch.setattr("tg4mm.cli.generate.subprocess.Popen", Killed)
     assert main(["generate", "mic", "--out", "x"]) == 1
-    assert "ended by signal 9; the same command goes on" in capsys.readouterr().err
+    assert "ended by signal 9; run the same command again" in capsys.readouterr().err

@@ -245,7 +245,7 @@ def test_interrupt_exits_with_130_and_says_how_to_go_on() -> None:
         child.send_signal(signal.SIGINT)
         _, err = child.communicate(timeout=20)
     assert child.returncode == 130
-    assert "interrupted; the same command goes on" in err
+    assert "interrupted; run the same command again" in err
     assert "Traceback" not in err
 
 

@@ -186,7 +186,7 @@ def test_files_that_cannot_be_read_are_one_line(tmp_path):
         ({"modes": [SWAY, SWAY]}, "two modes have the name 'sway'"),
         (
             {"modes": [mode("drift")]},
-            "mode 'drift' is the first and so the main one, which needs a frequency; it is of kind drift",
+            "mode 'drift' is the first, which needs a frequency; its kind is drift",
         ),
     ],
 )

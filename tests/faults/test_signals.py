@@ -59,7 +59,7 @@ def test_a_signal_to_the_parent_ends_the_child(
     assert parent.returncode == 130
     assert not psutil.pid_exists(child)
     assert (tmp_path / "stopped").exists() == (manner == "polite")
-    assert said.strip() == "tg4mm: interrupted; the same command goes on where this one stopped"
+    assert said.strip() == "tg4mm: interrupted; run the same command again to continue"
 
 
 def family(pid: int) -> list[psutil.Process]:

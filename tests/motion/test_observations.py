@@ -109,7 +109,7 @@ class TestClock:
 
     def test_too_few_pictures_of_a_moving_camera_are_an_error_with_their_number(self) -> None:
         capture = captured([0, 1, 2, 3], [0, 1, 2, 3])
-        match = r"\A/data: no camera stays put, and 4 pictures have a time, too few to show motion; [^\n]*\Z"
+        match = r"\A/data: no camera is fixed, and 4 pictures have a time, too few to show motion; [^\n]*\Z"
         with pytest.raises(CaptureError, match=match):
             frames_of(capture)
 

@@ -273,7 +273,7 @@ def test_without_a_fixed_camera_and_with_few_pictures_it_says_so(small, new_run:
     _, capture, images = small
     wandering = replace(capture, camera_ids=np.arange(len(capture)))
     wandering = replace(wandering, times_s=np.where(np.arange(len(capture)) < 4, capture.times_s, np.nan))
-    match = rf"\A{capture.root}: no camera stays put, and 4 pictures have a time, too few[^\n]*\Z"
+    match = rf"\A{capture.root}: no camera is fixed, and 4 pictures have a time, too few[^\n]*\Z"
     with pytest.raises(CaptureError, match=match):
         train_motion(new_run(), wandering, images, SHORT)
 
@@ -282,7 +282,7 @@ def test_gaussians_that_no_camera_sees_are_told_in_one_line(small, new_run: Call
     run, capture, images = new_run(), *small[1:]
     gaussians = run.load_space()
     run.save_space(replace(gaussians, means=gaussians.means + 1_000.0), {})
-    match = rf"\A{run.path}: none of the 784 Gaussians is seen by a camera that shows motion\Z"
+    match = rf"\A{run.path}: none of the 784 Gaussians is seen by a camera whose pictures show motion\Z"
     with pytest.raises(RunError, match=match):
         train_motion(run, capture, images, SHORT)
 

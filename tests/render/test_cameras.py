@@ -116,7 +116,7 @@ def test_written_cameras_are_read_back(capture, tmp_path):
         ({"frames": [{"transform_matrix": (np.eye(4) * math.nan).tolist()}]}, "holds nan"),
         (
             {"frames": [{"transform_matrix": (np.eye(4) + 1e300 * np.eye(4, k=3)).tolist()}]},
-            "1e\\+300 units off",
+            "1e\\+300 units from the origin",
         ),
         ({"frames": [{}]}, "transform_matrix is missing"),
         ({"camera_angle_x": 0.0}, "camera_angle_x is 0.0"),

@@ -171,7 +171,7 @@ def test_cameras_of_two_frame_rates_are_refused(tmp_path: Path) -> None:
     for name, rate in (("a", 30), ("b", 60)):
         write_video(tmp_path / "in" / f"{name}.mp4", filmed(np.repeat(CAMERAS[:1], 5, axis=0)), rate)
     with pytest.raises(
-        CaptureError, match="camera b has 60 frames per second, a has 30: one dataset holds one rate"
+        CaptureError, match="camera b has 60 frames per second, a has 30: a dataset has one frame rate"
     ):
         reconstruct(tmp_path / "in", tmp_path / "out", threads=1)
 
@@ -235,6 +235,6 @@ def test_two_cameras_that_stay_put_are_named_as_such(tmp_path: Path) -> None:
         write_video(tmp_path / "two" / f"cam_{i:02d}.mp4", filmed(np.stack([CAMERAS[i]] * 8), seed=i))
     with pytest.raises(
         CaptureError,
-        match=r"two: holds 2 recordings of cameras that stay put, and nothing else: .* Add sweep/ .* tg4mm sfm .*cam",
+        match=r"two: holds 2 recordings of fixed cameras, and nothing else: .* Add sweep/ .* tg4mm sfm .*cam",
     ):
         reconstruct(tmp_path / "two", tmp_path / "out")

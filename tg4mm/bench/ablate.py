@@ -88,7 +88,7 @@ def _check(rows: Sequence[Row], preset: str, sets: Sequence[BenchSet], plan: Pla
     if plan.alphas is not None and any(row.amplitude_px for row in rows):
         given = ",".join(f"{a:g}" for a in plan.alphas)
         raise BenchError(
-            f"--alphas {given}: the amplitudes have α of their own, for 1 to 8 pixels of magnified motion"
+            f"--alphas {given}: the ablation amplitude chooses α itself, for 1 to 8 pixels of magnified motion"
         )
     for data in sets if any(row.amplitude_px for row in rows) else ():
         generator_arguments(data, 1.0, data.root)

@@ -209,7 +209,7 @@ def chosen_preset(name: str, preset: str | None) -> str:
     if preset is None:
         return able[0]
     if preset not in able:
-        raise BenchError(f"--preset {preset}: the ablation {name} is of {', '.join(able)}")
+        raise BenchError(f"--preset {preset}: the ablation {name} varies {', '.join(able)}")
     return preset
 
 
@@ -236,7 +236,7 @@ def _complete(row: Row, preset: str, given: Mapping[str, str]) -> Row:
         base = type(default)(given.get(name, default))
         if not base:
             raise BenchError(
-                f"setting {name} is {base}: give it a number by --set, for the ablation takes multiples"
+                f"setting {name} is {base}: give a number with --set, since the ablation uses multiples of it"
             )
         whole = isinstance(default, int)
         settings[name] = str(max(round(base * factor), 1)) if whole else f"{base * factor:.12g}"

@@ -123,7 +123,7 @@ def run_preset(name: str, out: Path, external: Sequence[str] = (), say: Printer 
         say(f"[{i}/{len(steps)}] {step.name}")
         if subprocess.run(step.command, check=False).returncode != 0:
             failed.add(step.name)
-            say(f"    {step.name} failed; the rest goes on")
+            say(f"    {step.name} failed; continuing with the rest")
     return len(failed)
 
 

@@ -192,7 +192,7 @@ def _prepare(
 
     presets = [m.training.preset for m in methods if isinstance(m, Trained) and is_open(m)]
     if presets:
-        say("compiling, by one iteration of each stage; its time counts nowhere")
+        say("compiling kernels by one iteration of each stage, which is not timed")
     warm_up(place, sets[0], dict.fromkeys(presets), request.plan.device)
 
 

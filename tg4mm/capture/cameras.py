@@ -45,7 +45,7 @@ def read_pose(frame: Record, key: str = "transform_matrix") -> np.ndarray:
         raise CaptureError(f"{frame.where}: {key} holds {bad!r}; expected finite numbers")
     if np.abs(pose[:3, 3]).max() > FARTHEST:
         raise CaptureError(
-            f"{frame.where}: {key} stands {np.abs(pose[:3, 3]).max():g} units off; expected at most 1e6"
+            f"{frame.where}: {key} lies {np.abs(pose[:3, 3]).max():g} units from the origin; expected at most 1e6"
         )
     if np.abs(pose[3] - [0, 0, 0, 1]).max() > RIGID_TOLERANCE:
         raise CaptureError(f"{frame.where}: {key} is not rigid: its last row is {rows[3]}, not [0, 0, 0, 1]")
@@ -55,7 +55,7 @@ def read_pose(frame: Record, key: str = "transform_matrix") -> np.ndarray:
         determinant = float(np.linalg.det(axes))
     if not deviation <= RIGID_TOLERANCE or determinant < 0:
         raise CaptureError(
-            f"{frame.where}: {key} is not rigid: its axes are off orthonormal by {deviation:.3g}, "
+            f"{frame.where}: {key} is not rigid: its axes deviate from orthonormal by {deviation:.3g}, "
             f"determinant {determinant:.3g}"
         )
     u, _, vt = np.linalg.svd(axes)

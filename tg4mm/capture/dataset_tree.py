@@ -32,7 +32,7 @@ def load(root: Path, split: str, alpha: int) -> Capture:
     base = root / "magnified" / f"x{alpha:03d}" if alpha else root
     if not base.is_dir():
         raise CaptureError(
-            f"{base}: does not exist: no ground truth for α = {alpha}; there is {_present(root)}"
+            f"{base}: does not exist: no ground truth for α = {alpha}; the dataset has {_present(root)}"
         )
     folders = _timestep_folders(root, base)
     if scene.n_timesteps is not None and scene.n_timesteps != len(folders):
@@ -50,7 +50,7 @@ def _numbered(base: Path) -> dict[int, Path]:
         if re.fullmatch(r"[0-9]{1,9}", path.name) and path.is_dir():
             if int(path.name) in found:
                 raise CaptureError(
-                    f"{path}: is timestep {int(path.name)} again, beside {found[int(path.name)].name}"
+                    f"{path}: is the same timestep {int(path.name)} as {found[int(path.name)].name}"
                 )
             found[int(path.name)] = path
     return found

@@ -39,7 +39,7 @@ def run_generator(arguments: Sequence[str]) -> int:
             raise
     if status < 0:
         typer.echo(
-            f"tg4mm: the generator was ended by signal {-status}; the same command goes on from there",
+            f"tg4mm: the generator was ended by signal {-status}; run the same command again to continue",
             err=True,
         )
         return 1

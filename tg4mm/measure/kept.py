@@ -63,5 +63,5 @@ class KeptPass:
             self.run.save_part(PART, tensors, **extra)
         except OSError as error:
             _LOG.warning(
-                "%s cannot be written (%s): the pictures are read anew each time", PART, error.strerror
+                "%s cannot be written (%s): every call reads the pictures again", PART, error.strerror
             )

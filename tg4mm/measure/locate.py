@@ -43,7 +43,7 @@ def weights_of(sensor: Sensor, scene: Prepared, clusters: Mapping[int, np.ndarra
         raise MeasureError(f"sensor {sensor}: holds no Gaussian; the scene reaches {span} scene units")
     if float(weights @ scene.seen) < _SEEN:
         raise MeasureError(
-            f"sensor {sensor}: no camera that shows motion sees its {int((weights > 0).sum())} Gaussians"
+            f"sensor {sensor}: no camera whose pictures show motion sees its {int((weights > 0).sum())} Gaussians"
         )
     return weights
 

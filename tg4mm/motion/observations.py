@@ -96,7 +96,7 @@ def frames_of(capture: Capture) -> tuple[str, list[PosedFrames]]:
     rows = rows[np.argsort(capture.times_s[rows], kind="stable")]
     if len(rows) < _FEWEST or len(rows) < capture.n_timesteps / 2:
         raise CaptureError(
-            f"{capture.root}: no camera stays put, and {len(rows)} pictures have a time, too few to show motion; "
+            f"{capture.root}: no camera is fixed, and {len(rows)} pictures have a time, too few to show motion; "
             "expected a fixed camera with a picture at every timestep, or one moving camera's video"
         )
     return "moving", [_frames(capture, np.array([row])) for row in rows]

@@ -86,7 +86,9 @@ def rest_views(gaussians: Gaussians, observations: Observations) -> list[ViewJac
     """The Jacobian of every camera's picture at rest. Raises RunError where none sees a Gaussian."""
     views = [view_jacobian(gaussians, frames, observations.size) for frames in observations.frames]
     if not any(view.bins.n_visible for view in views):
-        raise RunError(f"none of the {len(gaussians):,} Gaussians is seen by a camera that shows motion")
+        raise RunError(
+            f"none of the {len(gaussians):,} Gaussians is seen by a camera whose pictures show motion"
+        )
     return views
 
 

@@ -26,7 +26,7 @@ class AtRest:
         same = (self.viewmats == views.viewmats[v]).all((1, 2)) & (self.Ks == views.Ks[v]).all((1, 2))
         if not same.any():
             raise CaptureError(
-                "setting paper.difference is true, but a camera moved: it needs cameras that stay put"
+                "setting paper.difference is true, which needs fixed cameras, but a camera moved"
             )
         return int(same.argmax())
 

@@ -46,7 +46,7 @@ class RenderRequest:
     def plan(self) -> Magnification:
         """What is magnified. Raises RunError where `bands` and alpha or band are both given."""
         if self.bands and (self.alpha != 0 or self.band is not None):
-            raise RunError("bands with their own alpha, and alpha or band: only one of the two")
+            raise RunError("bands with their own alpha exclude alpha and band")
         bands = self.bands or (() if self.band is None else (BandGain(*self.band, self.alpha),))
         return Magnification(bands, 0.0 if bands else self.alpha, self.method, self.filter)
 

@@ -69,7 +69,7 @@ def _best_model(database: Path, images: Path, names: Sequence[str], seed: int, t
     shutil.rmtree(folder, ignore_errors=True)
     if not models:
         raise CaptureError(
-            f"no start found: of the {total} pictures no two show enough of the same from different places"
+            f"no pair to start from: no two of the {total} pictures show enough of the same scene from different places"
         )
     return max(models.values(), key=lambda model: (model.num_reg_images(), model.num_points3D()))
 

@@ -48,7 +48,7 @@ def clock_of(surveys: Sequence[Survey], fps: float | None) -> Clock:
     for name, (other, _) in clocks.items():
         if abs(other / rate - 1) > RATES_AGREE:
             raise CaptureError(
-                f"camera {name} has {other:.6g} frames per second, {first} has {rate:.6g}: one dataset holds one rate"
+                f"camera {name} has {other:.6g} frames per second, {first} has {rate:.6g}: a dataset has one frame rate"
             )
     return Clock(rate, {name: times for name, (_, times) in clocks.items()})
 

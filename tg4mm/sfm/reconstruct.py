@@ -124,7 +124,7 @@ def _check_enough(sources: Sources) -> None:
     if sources.sweep is None and 1 < n < FEWEST:
         first = shlex.quote(str(sources.clips[0].path))
         raise CaptureError(
-            f"{sources.path}: holds {n} recordings of cameras that stay put, and nothing else: {n} views are too few "
+            f"{sources.path}: holds {n} recordings of fixed cameras, and nothing else: {n} views are too few "
             f"to find poses from. Add {SWEEP}/ with photographs of the scene at rest from all around (or {SWEEP}.mp4), "
             f"or take one camera by itself, in pixels: tg4mm sfm {first} --out DATASET"
         )
@@ -136,7 +136,9 @@ def _scene(job: _Job) -> dict[str, Any]:
 
 def _flat(job: _Job) -> dict[str, Any]:
     if any(value is not None for value in (job.config.baseline, job.config.unit_scale_m, job.config.length)):
-        raise Tg4mmError("a flat capture is measured in pixels: a length or a baseline says nothing of it")
+        raise Tg4mmError(
+            "a flat capture is measured in pixels and has no scale: leave out --length, --length-file and --baseline"
+        )
     clock = clock_of(job.surveys, job.config.fps)
     survey, clip = job.surveys[0], job.sources.clips[0]
     report = {"kind": job.kind.name, "asked": job.work.scene_only}

@@ -154,7 +154,7 @@ def _shot(name: str, taken: Sequence[Shot], placed: Mapping[str, Any]) -> Shot:
 def baseline_scale(tracks: Sequence[Track], baseline: tuple[str, str, float]) -> float:
     """Metres per unit from the distance of two cameras (or photographs) in metres.
 
-    Raises Tg4mmError where one is not placed, moves, or both stand at one place.
+    Raises Tg4mmError where one is not placed, moves, or both are at the same place.
     """
     *ends, metres = baseline
     still = {track.name: track for track in tracks if (track.viewmats == track.viewmats[0]).all()}
@@ -169,5 +169,5 @@ def baseline_scale(tracks: Sequence[Track], baseline: tuple[str, str, float]) ->
         found.append(-viewmat[:3, :3].T @ viewmat[:3, 3])
     apart = float(np.linalg.norm(found[0] - found[1]))
     if apart < 1e-6:
-        raise Tg4mmError(f"--baseline: {ends[0]} and {ends[1]} stand at one place")
+        raise Tg4mmError(f"--baseline: {ends[0]} and {ends[1]} are at the same place")
     return metres / apart

@@ -228,7 +228,7 @@ def warn_uneven(surveys: Iterable[Survey]) -> None:
         steps = uneven_steps(np.array([float(time) for time in survey.times]))
         if steps is not None:
             warnings.warn(
-                f"{survey.path.name}: its frame rate varies, steps of {steps[0] * 1e3:.1f} to "
+                f"{survey.path.name}: the frame rate varies, with steps of {steps[0] * 1e3:.1f} to "
                 f"{steps[1] * 1e3:.1f} ms; each frame keeps its own time",
                 stacklevel=2,
             )
@@ -244,8 +244,8 @@ def check_fixed(surveys: Iterable[Survey]) -> None:
             middle = np.nanmedian(survey.shifts_px, axis=0)
             away = np.nanmax(np.linalg.norm(survey.shifts_px - middle, axis=1), initial=0)
             raise CaptureError(
-                f"{survey.path}: is no fixed camera: its picture wanders by {away:.0f} pixels; "
-                "one that moves all the time is --kind handheld"
+                f"{survey.path}: is no fixed camera: its picture moves by {away:.0f} pixels; "
+                "for a moving camera use --kind handheld"
             )
 
 

@@ -145,5 +145,5 @@ def _damaged(path: Path, time: Fraction, duration: float | None) -> CaptureError
     last = math.floor(time * 100) / 100  # rounded up, --until would ask for what cannot be decoded
     return CaptureError(
         f"{path}: is damaged or cut off: decoding stops at {last:.2f} s{whole}; "
-        f"take what comes before with --until {last:.2f}, or record it again"
+        f"use the part before it with --until {last:.2f}, or record it again"
     )

@@ -203,7 +203,7 @@ def fit_plane(views: RestViews, config: SpaceConfig | None = None, device: str =
     """
     config = checked(config or SpaceConfig())
     if len(views.rgb) != 1:
-        raise CaptureError(f"a flat capture has one camera that stays put, this one has {len(views.rgb)}")
+        raise CaptureError(f"a flat capture has one fixed camera, this one has {len(views.rgb)}")
     reset_gpu_peak(device)
     began = time.monotonic()
     picture, K, viewmat = views.rgb[0], views.Ks[0], views.viewmats[0]

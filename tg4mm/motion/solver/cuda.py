@@ -46,7 +46,7 @@ def _sparse(matrix: csr_matrix, device: str) -> Tensor:
 def _too_small(device: str, holds: str) -> Tg4mmError:
     return Tg4mmError(
         f"the motion stage needs more memory than device {device} has: {holds}; "
-        "--device cpu needs none of it and takes up the same run"
+        "--device cpu continues the run on the processor"
     )
 
 
