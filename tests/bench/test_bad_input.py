@@ -48,7 +48,7 @@ def test_options_of_scenes(options: list[str], message: str, data: Path, tmp_pat
         (["decoder", "--preset", "modal"], "paper-tuned, paper"),
         (["smoothness", "--set", "paper.channels=4"], "paper.channels"),
         (["iterations", "--set", "paper.warm_up=2900"], "paper.iterations is 1875"),
-        (["amplitude", "--alphas", "5"], "--alphas 5: the amplitudes have"),
+        (["amplitude", "--alphas", "5"], "--alphas 5: the ablation amplitude chooses"),
         (["amplitude"], "cannot be made with another amplitude"),
     ],
 )

@@ -286,7 +286,7 @@ def test_gap_in_the_timesteps(tree):
 
 def test_one_timestep_twice(tree):
     shutil.copytree(tree / "001", tree / "1")
-    refused(lambda: load_capture(tree), "is timestep 1 again")
+    refused(lambda: load_capture(tree), "is the same timestep 1 as 001")
 
 
 def test_no_timestep_folders(tmp_path):
