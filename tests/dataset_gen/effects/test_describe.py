@@ -58,7 +58,10 @@ def test_each_effect_and_all_together_are_settings_that_survive_json(options):
         ("--codec vp9", r"argument --codec: invalid choice: 'vp9'"),
         ("--crf 20", r"--crf 20 goes with --codec"),
         ("--keep-video", r"--keep-video goes with --codec"),
-        ("--shake 1 --timesteps 1", r"--timesteps 1: shake, drift, flicker and a codec need at least 2 timesteps"),
+        (
+            "--shake 1 --timesteps 1",
+            r"--timesteps 1: shake, drift, flicker and a codec need at least 2 timesteps",
+        ),
         ("--cameras flat --views 3", r"--views 3: with --cameras flat there is one camera"),
         ("--cameras flat --test-views 2", r"--test-views 2: --cameras flat has one at most"),
         ("--cameras clips --clock-offsets 1", r"--clock-offsets 1: with --cameras clips no two cameras"),
