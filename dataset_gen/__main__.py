@@ -22,6 +22,7 @@ from .settings import Settings
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs the generator. Returns 0 done, 2 bad input (one line says what), 1 failed, 130 stopped."""
+    events.print_any_text()
     with _stopped_once():
         return _run(argv)
 
@@ -30,7 +31,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _stopped_once() -> Iterator[None]:
     """SIGTERM, by which a scheduler stops jobs, is as Ctrl+C: the render processes end, too.
 
-    What comes after the first of the two is ignored, so that nothing interrupts the ending.
+    So is SIGBREAK, by which Blender's panel asks on Windows. Further signals are ignored, so that nothing interrupts
+    the ending.
     """
 
     def stop(number: int, frame: FrameType | None) -> None:
@@ -38,7 +40,8 @@ def _stopped_once() -> Iterator[None]:
             signal.signal(each, signal.SIG_IGN)
         raise KeyboardInterrupt
 
-    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    names = [name for name in ("SIGINT", "SIGTERM", "SIGBREAK") if hasattr(signal, name)]
+    before = {number: signal.signal(number, stop) for number in (getattr(signal, name) for name in names)}
     try:
         yield
     finally:

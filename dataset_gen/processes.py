@@ -117,9 +117,11 @@ class _Pool:
     def run(self, path: Path) -> None:
         """One process, to its end."""
         log_path = path.with_suffix(".log")
-        with log_path.open("w") as log:
+        with log_path.open("wb") as log:
             command = _command(path, self._job.get("threads", 0))
-            process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True)
+            process = subprocess.Popen(
+                command, stdout=subprocess.PIPE, stderr=log, encoding="utf-8", errors="replace"
+            )
         self._running.add(process)
         if self._failure:  # all were ended while this one started
             process.terminate()

@@ -48,7 +48,7 @@ def work(job_path: Path) -> int:
 
 def _own_stdout() -> TextIO:
     """The real standard output for reports alone; what Blender prints goes nowhere."""
-    channel = os.fdopen(os.dup(1), "w")
+    channel = os.fdopen(os.dup(1), "w", encoding="utf-8")
     sys.stdout.flush()
     null = os.open(os.devnull, os.O_WRONLY)
     os.dup2(null, 1)

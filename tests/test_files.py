@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +37,43 @@ def test_target_does_not_exist_while_it_is_written(tmp_path: Path) -> None:
     write_atomic(target, write)
     assert seen == [(False, True)]
     assert target.read_text() == "whole"
+
+
+def test_on_windows_a_file_that_is_open_elsewhere_is_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A virus scanner has what was just written open for some milliseconds."""
+    calls, replace = [], os.replace
+
+    def held(source: Path, target: Path) -> None:
+        calls.append(target)
+        if len(calls) < 3:
+            raise PermissionError(13, "The process cannot access the file", str(target))
+        replace(source, target)
+
+    monkeypatch.setattr("tg4mm.files.os.replace", held)
+    monkeypatch.setattr("tg4mm.files.WINDOWS", True)
+    write_json(tmp_path / "a.json", 1)
+    assert (tmp_path / "a.json").read_text() == "1\n"
+    assert len(calls) == 3
+    calls.clear()
+    monkeypatch.setattr("tg4mm.files.WINDOWS", False)  # elsewhere it is a fault, which is not waited for
+    with pytest.raises(PermissionError):
+        write_json(tmp_path / "a.json", 2)
+    assert (tmp_path / "a.json").read_text() == "1\n"
+    assert len(calls) == 1
+
+
+def test_on_windows_waiting_has_an_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def held(source: Path, target: Path) -> None:
+        raise PermissionError(13, "The process cannot access the file", str(target))
+
+    monkeypatch.setattr("tg4mm.files.os.replace", held)
+    monkeypatch.setattr("tg4mm.files.WINDOWS", True)
+    monkeypatch.setattr("tg4mm.files._PATIENCE_S", 0.1)
+    with pytest.raises(PermissionError):
+        write_json(tmp_path / "a.json", 1)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_json_without_nan(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ Needs Python's own library alone.
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import sys
@@ -23,6 +24,12 @@ VARIABLE = "TG4MM_EVENTS"
 def wanted() -> bool:
     """Whether events are asked for."""
     return os.environ.get(VARIABLE) == "json"
+
+
+def print_any_text() -> None:
+    """From now on a character that stdout's encoding lacks is printed as "?": α, say, in a pipe on Windows."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")
 
 
 def emit(event: str, stream: TextIO | None = None, **fields: Any) -> None:

@@ -8,6 +8,7 @@ import json
 import math
 import os
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
 # Windows neither deletes nor replaces a file that is open or mapped into memory.
 WINDOWS = sys.platform == "win32"
+_PATIENCE_S = 2.0  # for a virus scanner or an indexer to close a file that was just written
 
 
 def write_atomic(path: Path, write: Callable[[Path], object]) -> None:
@@ -29,9 +31,21 @@ def write_atomic(path: Path, write: Callable[[Path], object]) -> None:
         write(temporary)
         with temporary.open("rb+") as file:
             os.fsync(file.fileno())
-        os.replace(temporary, path)
+        rename(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def rename(source: Path, target: Path) -> None:
+    """`os.replace`, on Windows tried for two seconds while another program has one of the files open."""
+    end = time.monotonic() + (_PATIENCE_S if WINDOWS else 0.0)
+    while True:
+        try:
+            return os.replace(source, target)
+        except PermissionError:
+            if time.monotonic() >= end:
+                raise
+            time.sleep(0.05)
 
 
 def write_json(path: Path, value: object) -> None:

@@ -36,6 +36,7 @@ def check(python: str, own_version: str) -> str:
             command,
             capture_output=True,
             text=True,
+            errors="replace",
             timeout=LIMIT_S,
             env=commands.environment(),
             stdin=subprocess.DEVNULL,

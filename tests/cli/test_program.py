@@ -67,6 +67,18 @@ def test_help_names_every_command_and_no_other() -> None:
     assert sorted(listed) == sorted(COMMANDS)
 
 
+@pytest.mark.parametrize(("module", "encoding"), [("tg4mm", "cp1252"), ("dataset_gen", "cp437")])
+def test_help_can_be_printed_where_the_encoding_lacks_a_letter(module: str, encoding: str) -> None:
+    """As in a pipe on Windows: α is not in code page 1252, … not in 437."""
+    environment = ENVIRONMENT | {"PYTHONIOENCODING": encoding}
+    done = subprocess.run(
+        [sys.executable, "-m", module, "--help"], capture_output=True, env=environment, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert b"?" in done.stdout
+    assert b"Hz" in done.stdout
+
+
 def test_help_is_fast_and_imports_nothing_heavy() -> None:
     code = (
         "import sys\nfor name in ('torch', 'bpy', 'numpy', 'numba', 'PIL'): sys.modules[name] = None\n"

@@ -53,7 +53,13 @@ class Checkout:
         where = f"{OPTIONS[self.metric]} {self.folder}"
         try:
             done = subprocess.run(
-                command, cwd=self.folder, capture_output=True, text=True, timeout=60 * _MINUTES, check=False
+                command,
+                cwd=self.folder,
+                capture_output=True,
+                text=True,
+                errors="replace",
+                timeout=60 * _MINUTES,
+                check=False,
             )
         except (OSError, subprocess.TimeoutExpired) as error:
             raise BenchError(f"{where}: {' '.join(command[:2])} did not run: {error}") from None

@@ -96,6 +96,7 @@ def tg4mm(
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the program on `argv` (default: the command line) and return its exit code."""
     warnings.formatwarning = _warning_line  # a user gains nothing from the line of code that warns
+    events.print_any_text()
     _show_log()
     enable()
     try:

@@ -21,7 +21,7 @@ import numpy as np
 import torch
 from filelock import FileLock, Timeout
 
-from tg4mm.files import give_back, write_json
+from tg4mm.files import give_back, rename, write_json
 from tg4mm.gaussians import Gaussians
 from tg4mm.magnify.bands import Magnification
 from tg4mm.magnify.filters import bins
@@ -143,7 +143,7 @@ def _make(
             write_json(record, {"done": i + 1})
             update(i + 1)
     del out
-    part.replace(target)
+    rename(part, target)
     record.unlink()
 
 
