@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks.fox_phone_truth import Similarity, Truth, similarity
 from tg4mm.measure import Prepared, SensorResult, measure, parse_sensor, prepare
-from tg4mm.measure.spectrum import tones
+from tg4mm.measure.fourier import tones
 from tg4mm.runs import Run
 
 # pixels of the tripod's view: the nose, the lower edge of the picture frame, wallpaper that stands still

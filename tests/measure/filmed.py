@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -71,8 +71,12 @@ def filmed(
     seed: int = 0,
     kind: str = "",
     walks: bool = False,
+    starts: Sequence[float] = (),
 ) -> Path:
-    """A dataset in `path`/set: of fixed cameras, or of one that `walks` by a radian around the scene."""
+    """A dataset in `path`/set: of fixed cameras, or of one that `walks` by a radian around the scene.
+
+    starts: seconds at which each camera's own clock begins; by default all at 0.
+    """
     gaussians, rng = model(), np.random.default_rng(seed)
     fixed = np.stack(_viewmats(n_views, 0.0))
     for t in range(n_timesteps):
@@ -80,7 +84,16 @@ def filmed(
         folder = path / "set" / f"{t:03d}"
         (folder / "train").mkdir(parents=True)
         frames = []
-        for i, picture in enumerate(pictures(gaussians, displacement(t / FPS), viewmats, noise, rng)):
+        if starts:
+            shown = np.concatenate(
+                [
+                    pictures(gaussians, displacement(t / FPS + s), viewmats[i : i + 1], noise, rng)
+                    for i, s in enumerate(starts)
+                ]
+            )
+        else:
+            shown = pictures(gaussians, displacement(t / FPS), viewmats, noise, rng)
+        for i, picture in enumerate(shown):
             Image.fromarray(picture).save(folder / "train" / f"r_{i:03d}.png", compress_level=1)
             c2w = np.linalg.inv(viewmats[i]) @ np.diag([1.0, -1.0, -1.0, 1.0])
             frames.append(

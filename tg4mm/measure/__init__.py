@@ -12,8 +12,9 @@ docs/measure.md has the equations.
 from tg4mm.lazy import callable_package
 from tg4mm.measure.clusters import Clusters
 from tg4mm.measure.errors import MeasureError
-from tg4mm.measure.measurement import Measurement, SensorResult, best_peak, default_sensors, measure
+from tg4mm.measure.measurement import Measurement, best_peak, default_sensors, measure
 from tg4mm.measure.prepared import Prepared, prepare, prepare_fit
+from tg4mm.measure.sensor_result import SensorResult
 from tg4mm.measure.sensors import Sensor, parse_sensor, read_sensors
 from tg4mm.measure.series import Series
 from tg4mm.measure.shapes import Shape

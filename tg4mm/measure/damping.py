@@ -21,9 +21,10 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import get_window, welch
 
+from tg4mm.measure.fourier import tones
 from tg4mm.measure.orbit import orbit_of
 from tg4mm.measure.series import Series
-from tg4mm.measure.spectrum import Peak, tones
+from tg4mm.measure.spectrum import Peak
 
 _TOLD = 3.0  # deviations that a decay must stand out of
 _LEAST_DECAY = 0.15  # of the amplitude, over the record

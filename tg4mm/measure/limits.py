@@ -9,7 +9,7 @@ from tg4mm.measure.prepared import Prepared
 from tg4mm.motion.limits import frequency_notes
 
 if TYPE_CHECKING:
-    from tg4mm.measure.measurement import SensorResult
+    from tg4mm.measure.sensor_result import SensorResult
 
 _HIDDEN = 0.5  # of a motion: what the scene at rest hides of it, from here on it is said
 _LINEAR_PX = 1.0  # beyond it a picture does not change in proportion to motion
@@ -26,25 +26,29 @@ def limits_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[str, ..
         )
     if len(scene.clocks) > 1:
         out.append(
-            "every camera has a clock of its own: a series for each, which shows two directions of three"
+            "every camera has a clock of its own: peaks are of all cameras together, for a steady vibration; a waveform "
+            "is one camera's, which hardly sees motion along its line of sight"
         )
     if scene.is_moving:
         out.append(
             "the camera moves: slow motion, and motion of the whole scene as one, are taken out as its own"
         )
     for result in results:
-        size = abs(result.displacement[:, result.series.is_told]).max(initial=0.0) * result.px_per_unit
+        size = max(abs(s.displacement[:, s.is_told]).max(initial=0.0) for s in result.all_series)
+        size *= result.px_per_unit
         if size > _LINEAR_PX:
             out.append(
                 f"{result.name} moves by up to {size:.2g} px: beyond {_LINEAR_PX:g} px pictures do not change in "
                 "proportion, and amplitudes come out too small"
             )
-        is_hidden = (result.series.false_share > _HIDDEN) & result.series.is_told
-        if hidden := [axis for axis, hides in zip(result.labels, is_hidden, strict=True) if hides]:
-            out.append(
-                f"{result.name}: motion along {', '.join(hidden)} can hardly be told: most of what the scene at rest "
-                "would show of it is not in the pictures"
-            )
+        for series in result.all_series:
+            is_hidden = (series.false_share > _HIDDEN) & series.is_told
+            if hidden := [axis for axis, hides in zip(series.labels, is_hidden, strict=True) if hides]:
+                where = f" in {series.clock}" if series.clock else ""
+                out.append(
+                    f"{result.name}: motion along {', '.join(hidden)}{where} can hardly be told: most of what the "
+                    "scene at rest would show of it is not in the pictures"
+                )
         if not result.spectrum.peaks:
             out.append(f"{result.name}: nothing stands out of the noise floor")
     hz = sorted({round(p.frequency_hz, 3) for r in results for p in r.spectrum.peaks})

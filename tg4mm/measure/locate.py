@@ -15,7 +15,7 @@ from tg4mm.motion.jacobian.colour import blend_sum
 _LEAST_SHARE = 0.05  # of a pixel region's brightest Gaussian: what blends in less does not belong to it
 _BEHIND = 3.0  # radii of a pixel region that its surface may reach in depth
 _SEEN = 1e-3  # pixels of blending weight that a region must have
-_LABELS = "right", "up", "sight"
+OF_ONE_CAMERA = "right", "up", "sight"
 
 
 def weights_of(sensor: Sensor, scene: Prepared, clusters: Mapping[int, np.ndarray]) -> np.ndarray:
@@ -59,12 +59,12 @@ def body_of(weights: np.ndarray, scene: Prepared) -> tuple[Body, tuple[str, str,
     away = np.linalg.norm(scene.means - centre, axis=1)
     radius = float(np.sqrt((seen @ away**2) / seen.sum()))
     radius = max(radius, float(scene.gaussians.scales.numpy()[weights > 0].mean()))
-    if scene.is_moving or len(scene.views) > len(scene.clocks):
-        return Body(weights, centre, radius, np.eye(3)), ("x", "y", "z")
-    if len(scene.clocks) > 1:  # clips: the world's axes for all, a direction that each does not see
+    if scene.is_moving or len(scene.views) > 1:
         return Body(weights, centre, radius, np.eye(3)), ("x", "y", "z")
     viewmat = scene.views[0].frames.viewmat.astype(np.float64)
-    return Body(weights, centre, radius, sight_axes(viewmat, centre, scene.capture.kind == "flat")), _LABELS
+    return Body(
+        weights, centre, radius, sight_axes(viewmat, centre, scene.capture.kind == "flat")
+    ), OF_ONE_CAMERA
 
 
 def sight_axes(viewmat: np.ndarray, centre: np.ndarray, is_flat: bool = False) -> np.ndarray:

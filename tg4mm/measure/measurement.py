@@ -3,101 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tg4mm.measure.clips import ClipPhases, KnownPhases, Together, together
 from tg4mm.measure.clusters import Clusters, clusters_of
-from tg4mm.measure.damping import Damping, damping_of
-from tg4mm.measure.derivatives import Derivatives, derivatives_of
 from tg4mm.measure.errors import MeasureError
 from tg4mm.measure.limits import limits_of
-from tg4mm.measure.locate import body_of, weights_of
-from tg4mm.measure.model_error import with_model_error
-from tg4mm.measure.orbit import Orbit, orbit_of
+from tg4mm.measure.locate import OF_ONE_CAMERA, body_of, sight_axes, weights_of
+from tg4mm.measure.modal_fields import clock_phases
+from tg4mm.measure.model_error import shared_error, with_model_error
 from tg4mm.measure.prepared import Clock, Prepared, prepare
-from tg4mm.measure.relations import Relation, relation_of
+from tg4mm.measure.relations import relation_of
 from tg4mm.measure.rigid import Body, equations_of
+from tg4mm.measure.sensor_result import SensorResult
 from tg4mm.measure.sensors import Sensor, checked_names
 from tg4mm.measure.series import Series, series_of
 from tg4mm.measure.shapes import Shape, shapes_of
-from tg4mm.measure.spectrum import Peak, Spectrum, spectrum_of
+from tg4mm.measure.spectrum import Peak
 from tg4mm.progress import progress
 from tg4mm.runs import Run
-
-
-@dataclass(frozen=True)
-class SensorResult:
-    """One sensor. Where every clip has a clock of its own, the first clip's series; all of them are in `clips`.
-
-    Arrays are in scene units along `axes`; a direction that is not observed has the deviation inf and the value 0.
-    """
-
-    sensor: Sensor
-    body: Body
-    series: Series
-    px_per_unit: float  # pixels per scene unit at the region, in the view that sees it largest
-    best_view: str
-    clips: tuple[Series, ...] = ()
-    relation: Relation | None = None  # to the reference sensor; None for that sensor itself, and of clips
-
-    @property
-    def name(self) -> str:
-        return self.sensor.name
-
-    @property
-    def times_s(self) -> np.ndarray:
-        """[T]"""
-        return self.series.times_s
-
-    @property
-    def displacement(self) -> np.ndarray:
-        """[T, 3] scene units, about the mean over the record."""
-        return self.series.displacement
-
-    @property
-    def deviation(self) -> np.ndarray:
-        """[T, 3] standard deviation of each sample, scene units."""
-        return self.series.deviation
-
-    @property
-    def axes(self) -> np.ndarray:
-        """[3, 3], rows: unit vectors in the world."""
-        return self.series.axes
-
-    @property
-    def labels(self) -> tuple[str, str, str]:
-        """Of the axes: x, y, z, or right, up, sight of one fixed camera."""
-        return self.series.labels
-
-    @cached_property
-    def spectrum(self) -> Spectrum:
-        return spectrum_of(self.times_s, self.displacement, self.series.noise, self.series.model_share)
-
-    @cached_property
-    def derivatives(self) -> Derivatives:
-        return derivatives_of(self.times_s, self.displacement, self.series.noise, self.spectrum.peaks)
-
-    @property
-    def velocity(self) -> np.ndarray:
-        """[T, 3] scene units / s."""
-        return self.derivatives.velocity
-
-    @property
-    def acceleration(self) -> np.ndarray:
-        """[T, 3] scene units / s²."""
-        return self.derivatives.acceleration
-
-    @cached_property
-    def orbits(self) -> tuple[Orbit, ...]:
-        """The ellipse of each peak."""
-        return tuple(orbit_of(peak) for peak in self.spectrum.peaks)
-
-    @cached_property
-    def damping(self) -> tuple[Damping | None, ...]:
-        """Of each peak; None where it does not ring down by more than its deviation."""
-        return tuple(damping_of(self.series, self.spectrum.peaks, k) for k in range(len(self.spectrum.peaks)))
 
 
 @dataclass(frozen=True)
@@ -111,7 +37,8 @@ class Measurement:
         Shape, ...
     ]  # operating deflection shapes, one for each frequency that sensors or modes show
     reference: str  # name of the sensor that phases are against
-    notes: tuple[str, ...] = field(default=())  # what this capture cannot tell, and what is under the floor
+    notes: tuple[str, ...] = ()  # what this capture cannot tell, and what is under the floor
+    clip_phases: ClipPhases | None = None  # where cameras have clocks of their own
 
     @property
     def unit_scale_m(self) -> float | None:
@@ -150,8 +77,11 @@ def measure(
     bodies = [body_of(weights_of(s, scene, groups.members), scene) for s in wanted]
     with progress("sensors", len(scene.clocks), "clocks") if _is_long(scene, wanted) else _silent() as update:
         series = [_series(scene, clock, bodies, update, k) for k, clock in enumerate(scene.clocks)]
+    clips, phases = (
+        _of_clips(scene, series, bodies) if len(scene.clocks) > 1 else ([None] * len(wanted), None)
+    )
     results = [
-        _result(scene, s, body, [own[b] for own in series])
+        _result(scene, s, body, [own[b] for own in series], clips[b])
         for b, (s, (body, _)) in enumerate(zip(wanted, bodies, strict=True))
     ]
     first = reference or wanted[0].name
@@ -159,7 +89,7 @@ def measure(
     results = [r if r is against else _related(r, against) for r in results]
     shapes = shapes_of(scene, results)
     notes = limits_of(scene, results)
-    return Measurement(scene, tuple(results), groups, shapes, first, notes)
+    return Measurement(scene, tuple(results), groups, shapes, first, notes, phases)
 
 
 def default_sensors(clusters: Clusters) -> list[Sensor]:
@@ -180,20 +110,38 @@ def _series(scene: Prepared, clock: Clock, bodies: Sequence, update, k: int) -> 
         own, scene.means, views, clock.sides, scene.modal.fields, clock.series, scene.is_moving
     )
     update(k + 1)
-    return [
-        with_model_error(
-            series_of(e, clock.times_s, body.axes, labels, body.radius, clock.name, scene.slow), body, scene
-        )
-        for e, (body, labels) in zip(equations, bodies, strict=True)
-    ]
+    out = []
+    for e, (body, labels) in zip(equations, bodies, strict=True):
+        axes = body.axes
+        if len(scene.clocks) > 1:
+            viewmat = views[0].frames.viewmat.astype(np.float64)
+            axes, labels = sight_axes(viewmat, body.centre), OF_ONE_CAMERA
+            e = e.along(axes)
+        series = series_of(e, clock.times_s, axes, labels, body.radius, clock.name, scene.slow)
+        out.append(with_model_error(series, body, scene))
+    return out
 
 
-def _result(scene: Prepared, sensor: Sensor, body: Body, series: Sequence[Series]) -> SensorResult:
+def _of_clips(
+    scene: Prepared, series: Sequence[Sequence[Series]], bodies: Sequence
+) -> tuple[list[Together], ClipPhases]:
+    """Of series by clip and sensor."""
+    freqs_hz, figures = scene.modal.freqs_hz, scene.fit.figures
+    phases = [clock_phases(figures, c.name, freqs_hz) for c in scene.clocks]
+    known = [p for p in phases if p is not None]
+    radians = np.array(known) if len(known) == len(phases) else np.zeros((len(phases), 0))
+    hz = freqs_hz if radians.shape[1] else np.zeros(0)
+    shared = [shared_error(scene, body) for body, _ in bodies]
+    return together([list(own) for own in zip(*series, strict=True)], KnownPhases(hz, radians), shared)
+
+
+def _result(
+    scene: Prepared, sensor: Sensor, body: Body, series: Sequence[Series], clips: Together | None
+) -> SensorResult:
     frames = scene.observations.frames
     scales = [_px_per_unit(f, body.centre) for f in frames]
     best = int(np.argmax(scales))
-    clips = tuple(series) if len(series) > 1 else ()
-    return SensorResult(sensor, body, series[0], scales[best], frames[best].name, clips)
+    return SensorResult(sensor, body, tuple(series), scales[best], frames[best].name, clips)
 
 
 def _px_per_unit(frames, centre: np.ndarray) -> float:
@@ -202,8 +150,6 @@ def _px_per_unit(frames, centre: np.ndarray) -> float:
 
 
 def _related(result: SensorResult, against: SensorResult) -> SensorResult:
-    from dataclasses import replace
-
     return replace(result, relation=relation_of(result, against))
 
 

@@ -25,17 +25,22 @@ def with_model_error(series: Series, body: Body, scene: Prepared) -> Series:
     """The series with `model_share` and with it in `deviation`: σ_f² = noise² + (share · |u_f|)²."""
     size = np.linalg.norm(np.where(series.is_told, series.displacement, 0), axis=1)
     rms = float(np.sqrt((size**2).mean()))
-    base = 0.0
-    if (known := _along_an_axis(scene)) is not None and rms > 0:
-        seen = body.weights * scene.seen
-        own = float(np.sqrt((seen @ known.astype(np.float64) ** 2) / seen.sum()))
-        base = min(OF_UNCERTAINTY * own / rms, _MOST)
+    base = min(shared_error(scene, body) / rms, _MOST) if rms > 0 else 0.0
     least = np.min(series.unit_variance[series.is_observed], initial=np.inf)
     ratio = np.where(series.is_observed, np.sqrt(series.unit_variance / least), 0)
     share = np.minimum(np.hypot(base * ratio, series.model_share), np.maximum(ratio, 1))
     share = np.hypot(share, np.where(series.is_observed, series.false_share, 0))
     deviation = np.sqrt(series.noise**2 + (share * size[:, None]) ** 2)
     return replace(series, model_share=share, deviation=deviation)
+
+
+def shared_error(scene: Prepared, body: Body) -> float:
+    """Scene units rms, along one axis: by the run's uncertainty of the region's Gaussians; 0 where it has none."""
+    known = _along_an_axis(scene)
+    if known is None:
+        return 0.0
+    seen = body.weights * scene.seen
+    return OF_UNCERTAINTY * float(np.sqrt((seen @ known.astype(np.float64) ** 2) / seen.sum()))
 
 
 def _along_an_axis(scene: Prepared) -> np.ndarray | None:

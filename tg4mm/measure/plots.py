@@ -10,7 +10,10 @@ from typing import Any
 import numpy as np
 
 from tg4mm.files import write_atomic
-from tg4mm.measure.measurement import Measurement, SensorResult
+from tg4mm.measure.fourier import is_told
+from tg4mm.measure.measurement import Measurement
+from tg4mm.measure.sensor_result import SensorResult
+from tg4mm.measure.series import Series
 from tg4mm.measure.units import Unit, unit_of
 from tg4mm.measure.write import file_name
 from tg4mm.plotstyle import COLOURS, STYLE
@@ -54,28 +57,28 @@ def _figure(plt: Any, result: SensorResult, unit: Unit) -> Any:
     return figure
 
 
-def _told(result: SensorResult) -> list[int]:
+def _told(series: Series) -> list[int]:
     """Axes worth drawing: observed, and not uncertain by more than ten times the best one."""
-    return np.flatnonzero(result.series.is_told).tolist()
+    return np.flatnonzero(series.is_told).tolist()
 
 
 def waveform(axes: Any, result: SensorResult, unit: Unit) -> None:
-    """Displacement over time with a band of one standard deviation."""
-    marker = "." if len(result.times_s) <= _MARKED else ""
-    hidden = [result.labels[k] for k in range(3) if k not in _told(result)]
-    for k in _told(result):
-        value, error = result.displacement[:, k] * unit.factor, result.deviation[:, k] * unit.factor
+    """Displacement over time with a band of one standard deviation; of clips the first one's."""
+    series = result.series
+    marker = "." if len(series.times_s) <= _MARKED else ""
+    hidden = [series.labels[k] for k in range(3) if k not in _told(series)]
+    for k in _told(series):
+        value, error = series.displacement[:, k] * unit.factor, series.deviation[:, k] * unit.factor
         axes.plot(
-            result.times_s, value, color=COLOURS[k], lw=1.2, marker=marker, ms=3, label=result.labels[k]
+            series.times_s, value, color=COLOURS[k], lw=1.2, marker=marker, ms=3, label=series.labels[k]
         )
-        axes.fill_between(result.times_s, value - error, value + error, color=COLOURS[k], alpha=0.25, lw=0)
+        axes.fill_between(series.times_s, value - error, value + error, color=COLOURS[k], alpha=0.25, lw=0)
     axes.set(xlabel="time, s", ylabel=f"displacement, {unit.name}")
-    axes.set_title(
-        "band: one standard deviation" + (f"; {', '.join(hidden)} hardly seen, left out" if hidden else ""),
-        fontsize=8,
-        loc="left",
-    )
-    if _told(result):
+    words = [f"clip {series.clock}"] if series.clock else []
+    words += ["band: one standard deviation"]
+    words += [f"{', '.join(hidden)} hardly seen, left out"] if hidden else []
+    axes.set_title("; ".join(words), fontsize=8, loc="left")
+    if _told(series):
         axes.legend(ncols=3, loc="upper right")
     if unit.name != "px":
         second = axes.secondary_yaxis("right", functions=_factors(result.px_per_unit / unit.factor))
@@ -89,7 +92,8 @@ def _factors(factor: float) -> tuple[Any, Any]:
 def spectrum(axes: Any, result: SensorResult, unit: Unit) -> None:
     """Amplitude over frequency, noise floor dashed, peaks named."""
     found = result.spectrum
-    for k in _told(result):
+    told = np.flatnonzero(is_told(found.floor[0])).tolist()
+    for k in told:
         axes.semilogy(
             found.freqs_hz,
             np.maximum(found.amplitude[:, k] * unit.factor, 1e-12),
@@ -97,8 +101,8 @@ def spectrum(axes: Any, result: SensorResult, unit: Unit) -> None:
             lw=1.1,
         )
         axes.semilogy(found.freqs_hz, found.floor[:, k] * unit.factor, color=COLOURS[k], lw=1, ls=(0, (4, 3)))
-    lowest = min((float(found.floor[0, k]) for k in _told(result)), default=1e-9) * unit.factor
-    top = max((float(found.amplitude[:, k].max()) for k in _told(result)), default=1.0) * unit.factor
+    lowest = min((float(found.floor[0, k]) for k in told), default=1e-9) * unit.factor
+    top = max((float(found.amplitude[:, k].max()) for k in told), default=1.0) * unit.factor
     lowest = min(lowest, top) if lowest > 0 else top / 1e4
     for peak, orbit in zip(found.peaks, result.orbits, strict=True):
         axes.annotate(
@@ -111,27 +115,27 @@ def spectrum(axes: Any, result: SensorResult, unit: Unit) -> None:
 
 
 def _orbit(axes: Any, result: SensorResult, unit: Unit) -> None:
-    told = _told(result)
-    size = np.abs(result.displacement).max(0)
+    series = result.series
+    told, size = _told(series), np.abs(series.displacement).max(0)
     pair = sorted(sorted(told, key=lambda k: -size[k])[:2])
     if len(pair) < 2:
         axes.set_axis_off()
         return
     a, b = pair
     axes.plot(
-        result.displacement[:, a] * unit.factor,
-        result.displacement[:, b] * unit.factor,
+        series.displacement[:, a] * unit.factor,
+        series.displacement[:, b] * unit.factor,
         ".",
         ms=3,
         color="#777777",
     )
     turn = np.exp(2j * np.pi * np.arange(65) / 64)
-    for peak in result.spectrum.peaks[:3]:
+    for peak in result.records[0].peaks[:3]:
         axes.plot(
             (peak.phasor[a] * turn).real * unit.factor, (peak.phasor[b] * turn).real * unit.factor, lw=1.3,
             label=f"{peak.frequency_hz:.4g} Hz",
         )  # fmt: skip
-    axes.set(xlabel=f"{result.labels[a]}, {unit.name}", ylabel=f"{result.labels[b]}, {unit.name}")
+    axes.set(xlabel=f"{series.labels[a]}, {unit.name}", ylabel=f"{series.labels[b]}, {unit.name}")
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_title("orbit", fontsize=8, loc="left")
     if result.spectrum.peaks:

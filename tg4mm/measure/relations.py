@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.signal import csd, welch
 
+from tg4mm.measure.fourier import tones
 from tg4mm.measure.orbit import amplitude_deviation, orbit_of
 from tg4mm.measure.series import Series
-from tg4mm.measure.spectrum import tones
 
 if TYPE_CHECKING:
-    from tg4mm.measure.measurement import SensorResult
+    from tg4mm.measure.sensor_result import SensorResult
 
 _SEGMENTS = 4  # of a record, half overlapping
 _SHORTEST = 16  # samples of a segment
@@ -43,10 +43,8 @@ class Relation:
     chance: float  # coherence that noise alone stays under in 95 of 100: 1 − 0.05^(1 / (segments − 1))
 
 
-def relation_of(result: SensorResult, reference: SensorResult) -> Relation | None:
-    """None of clips, whose clocks do not agree."""
-    if result.clips or reference.clips:
-        return None
+def relation_of(result: SensorResult, reference: SensorResult) -> Relation:
+    """Of clips there is no coherence."""
     hz = np.array([p.frequency_hz for p in reference.spectrum.peaks])
     phases = []
     for k, peak in enumerate(reference.spectrum.peaks):
@@ -68,20 +66,26 @@ def relation_of(result: SensorResult, reference: SensorResult) -> Relation | Non
                 is_above,
             )
         )
-    freqs, coherence, segments = _coherence(result.series, reference.series)
+    freqs, coherence, segments = np.zeros(0), np.zeros(0), 0
+    if result.together is None:
+        freqs, coherence, segments = _coherence(result.series, reference.series)
     chance = 1 - 0.05 ** (1 / (segments - 1)) if segments > 1 else 1.0
     return Relation(reference.name, tuple(phases), freqs, coherence, segments, chance)
 
 
 def _at(result: SensorResult, hz: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray, bool]:
     """[3] phasor of a sensor at frequency k of several, its deviations, and whether it stands out."""
+    floor = result.spectrum.floor[0]
+    if result.together is not None:
+        peak = min(result.together.everywhere, key=lambda p: abs(p.frequency_hz - hz[k]))
+        phasor = np.where(peak.is_told, peak.phasor, 0)
+        return phasor, np.where(peak.is_told, peak.deviation, 0), bool((np.abs(phasor) > floor).any())
     design = tones(hz, result.times_s)
     inverse = np.linalg.pinv(design)
     answer, n = inverse @ result.displacement, len(hz)
     finite = np.where(result.series.is_observed, result.series.noise, 0)
     variance = inverse**2 @ finite**2
     phasor = np.where(result.series.is_told, answer[1 + k] + 1j * answer[1 + n + k], 0)
-    floor = result.spectrum.floor[0]
     return phasor, np.sqrt((variance[1 + k] + variance[1 + n + k]) / 2), bool((np.abs(phasor) > floor).any())
 
 

@@ -65,6 +65,12 @@ class Equations:
     sides: np.ndarray  # [2, F, 6]
     false: np.ndarray  # [6, 6] F, of both halves together; 0 of a moving camera, which has no mean picture
 
+    def along(self, axes: np.ndarray) -> Equations:
+        """The same for unknowns along other axes: `axes` [3, 3], rows unit vectors by their shares of the old ones."""
+        turn = np.kron(np.eye(2), axes)
+        normals, noise = (turn @ m @ turn.T for m in (self.normals, self.noise))
+        return Equations(normals, noise, self.sides @ turn.T, turn @ self.false @ turn.T)
+
 
 def equations_of(
     bodies: Sequence[Body],

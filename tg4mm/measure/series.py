@@ -38,10 +38,16 @@ class Series:
         np.ndarray | None
     )  # [T, 3] radians about the axes through the centre; None where it cannot be told
     rotation_deviation: np.ndarray | None  # [T, 3]
-    unit_variance: np.ndarray  # [3] (A⁻¹)_kk, mean over time: how well the pictures tell each direction
+    unit_covariance: np.ndarray  # [3, 3] A⁻¹ B A⁻ᵀ, mean over time: how well the pictures tell each direction
     noise_factor: np.ndarray  # [3] variance over unit_variance, one for independent noise of known pixels
     model_share: np.ndarray  # [3] standard deviation of the model's errors over the motion's length
+    halves_share: np.ndarray  # [3] the part of it that the two halves of the data differ by
     false_share: np.ndarray  # [3] what the scene at rest, where it is wrong, hides of a motion of unit length
+
+    @property
+    def unit_variance(self) -> np.ndarray:
+        """[3]; inf along what is not seen."""
+        return np.diag(self.unit_covariance)
 
     @property
     def is_observed(self) -> np.ndarray:
@@ -72,7 +78,7 @@ def series_of(
     dof = 6 if _tells_rotation(equations) else 3
     normals, noise, sides = equations.normals, equations.noise, equations.sides
     answers = [_solved(normals[h], noise[h], sides[h], dof) for h in (0, 1)]
-    whole, variance = _solved(normals.sum(0), noise.sum(0), sides.sum(0), dof)
+    whole, covariance = _solved(normals.sum(0), noise.sum(0), sides.sum(0), dof)
     out = _without(whole, slow)
     difference = _without(answers[0][0] - answers[1][0], slow)
     # What goes with the motion is an error of the model in each half, not noise: it must not lift the floor.
@@ -83,7 +89,7 @@ def series_of(
     share = np.sqrt((of_motion[:, :3] ** 2).mean(0)) / 2 / max(size, 1e-300)
     free = len(out) / max(len(out) - 4 - (0 if slow is None else len(slow) - 1), 1)
     # Two halves with errors e₁, e₂ of their own: the difference's variance is the sum of theirs.
-    expected = answers[0][1] + answers[1][1]
+    variance, expected = _diagonal(covariance), _diagonal(answers[0][1]) + _diagonal(answers[1][1])
     factor = _ratio(difference**2, expected) * free
     factor = np.maximum(factor, _floor_factor(out, variance))
     deviation = np.sqrt(factor * variance)
@@ -93,18 +99,19 @@ def series_of(
     turns = (out[:, 3:] / radius, deviation[:, 3:] / radius) if dof == 6 else (None, None)
     return Series(
         clock, times_s, out[:, :3], deviation[:, :3], deviation[:, :3], axes, labels, turns[0], turns[1],
-        variance[:, :3].mean(0), factor[:3], share, false,
+        covariance[:, :3, :3].mean(0), factor[:3], share, share, false,
     )  # fmt: skip
 
 
 def _solved(
     normals: np.ndarray, noise: np.ndarray, sides: np.ndarray, dof: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """[F, dof] answers A⁻¹ b and variances at unit noise A⁻¹ B A⁻ᵀ (inf where nothing is seen), of the first unknowns.
+    """[F, dof] answers A⁻¹ b and [F, dof, dof] covariances at unit noise A⁻¹ B A⁻ᵀ, of the first unknowns.
 
-    normals A, noise B [F or 1, 6, 6], sides b [F, 6]. What is seen is told by B, and A is inverted on that.
+    normals A, noise B [F or 1, 6, 6], sides b [F, 6]. What is seen is told by B, and A is inverted on that; the
+    variance of what is not seen is inf.
     """
-    answers, variances = [], []
+    answers, covariances = [], []
     for a, b in zip(normals[:, :dof, :dof], noise[:, :dof, :dof], strict=True):
         values, vectors = np.linalg.eigh(b)
         is_seen = values > UNSEEN * max(values[-1], 1e-30)
@@ -112,9 +119,17 @@ def _solved(
         inverse = seen @ np.linalg.pinv(seen.T @ a @ seen, rcond=UNSEEN) @ seen.T
         hidden = (vectors[:, ~is_seen] ** 2).sum(1)
         answers.append(inverse)
-        variances.append(np.where(hidden > 0.5, np.inf, np.diag(inverse @ b @ inverse.T)))
-    answer = np.einsum("fij,fj->fi", np.broadcast_to(answers, (len(sides), dof, dof)), sides[:, :dof])
-    return answer, np.broadcast_to(variances, answer.shape).copy()
+        covariance = inverse @ b @ inverse.T
+        covariance[np.diag_indices(dof)] = np.where(hidden > 0.5, np.inf, np.diag(covariance))
+        covariances.append(covariance)
+    shape = len(sides), dof, dof
+    answer = np.einsum("fij,fj->fi", np.broadcast_to(answers, shape), sides[:, :dof])
+    return answer, np.broadcast_to(covariances, shape).copy()
+
+
+def _diagonal(matrices: np.ndarray) -> np.ndarray:
+    """[F, K] of [F, K, K]."""
+    return np.diagonal(matrices, axis1=1, axis2=2).copy()
 
 
 def _false_share(equations: Equations, dof: int) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 from tg4mm.measure.prepared import Prepared
 
 if TYPE_CHECKING:
-    from tg4mm.measure.measurement import SensorResult
+    from tg4mm.measure.sensor_result import SensorResult
 
 _SAME = 0.75  # of 1 / duration: nearer than this two frequencies are one
 _TOLD = 2.0  # deviations that a Gaussian's motion must stand out of

@@ -13,12 +13,22 @@ fit, which a window does not widen; their deviations follow from the samples' [K
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-CHANCE = 0.01  # that noise alone passes the floor anywhere
-_OVERSAMPLED = 8
+from tg4mm.measure.fourier import (
+    OVERSAMPLED,
+    floor_factor,
+    frequency_grid,
+    is_told,
+    rayleigh,
+    tones,
+    transformed,
+)
+from tg4mm.measure.harmonics import Harmonic, harmonics_of
+
 _MOST = 8  # peaks
 _APART = 1.5  # of 1 / duration: nearer than this two peaks are one
 _LEAST_CYCLES = 1.5  # of the record: slower is drift
@@ -35,6 +45,7 @@ class Peak:
     phasor: np.ndarray  # [3] complex, scene units, along the series' axes
     deviation: np.ndarray  # [3] standard deviation of the amplitudes, scene units; inf where not observed
     floor: np.ndarray  # [3] of the spectrum at this frequency
+    harmonic: Harmonic | None = None  # a stronger peak that this may be a harmonic of
 
     @property
     def amplitude(self) -> np.ndarray:
@@ -44,8 +55,7 @@ class Peak:
     @property
     def is_told(self) -> np.ndarray:
         """[3] bool: axes that are seen, and not ten times less sure than the best one, as one camera's sight is."""
-        floor = np.where(np.isfinite(self.floor), self.floor, np.inf)
-        return np.isfinite(floor) & (floor <= 10 * floor.min())
+        return is_told(self.floor)
 
     @property
     def is_above(self) -> np.ndarray:
@@ -80,51 +90,37 @@ def spectrum_of(
     is_seen = np.isfinite(deviation).all(0)
     values = np.where(is_seen, values, 0.0)
     finite = np.where(np.isfinite(deviation), deviation, 0.0)
-    window = _hann(times_s)
-    level = _rayleigh(window, finite) * np.sqrt(-2 * np.log(CHANCE / (3 * max(len(times_s) // 2, 1))))
-    level = np.where(is_seen, level, np.inf)
+    level = np.where(is_seen, rayleigh(times_s, finite) * floor_factor(len(times_s)), np.inf)
     floor = np.broadcast_to(level, (len(grid), 3))
-    amplitude = _amplitude(grid, times_s, values, window)
-    hz = _peaks(grid, times_s, values, window, level)
-    return Spectrum(grid, amplitude, floor, _fitted(hz, times_s, values, finite, level, model_share))
+    amplitude = np.abs(transformed(grid, times_s, values))
+    hz = _peaks(grid, times_s, values, level)
+    peaks = ordered(_fitted(hz, times_s, values, finite, level, model_share))
+    return Spectrum(grid, amplitude, floor, with_harmonics(peaks, times_s))
 
 
-def frequency_grid(times_s: np.ndarray) -> np.ndarray:
-    """[F] Hz."""
+def ordered(peaks: Sequence[Peak]) -> tuple[Peak, ...]:
+    """By falling amplitude over the floor."""
+    return tuple(sorted(peaks, key=strength_of, reverse=True))
+
+
+def with_harmonics(peaks: Sequence[Peak], times_s: np.ndarray) -> tuple[Peak, ...]:
+    """The peaks of a record at these times; those that may be a harmonic of a stronger one say so."""
     step = float(np.median(np.diff(times_s)))
-    duration = step * len(times_s)
-    count = int(len(times_s) / 2 * _OVERSAMPLED * np.ptp(times_s) / (duration - step)) + 1
-    return np.arange(count) / (duration * _OVERSAMPLED)
+    size = [float(np.linalg.norm(p.amplitude[p.is_told])) for p in peaks]
+    hz, deviation = [p.frequency_hz for p in peaks], [p.frequency_deviation_hz for p in peaks]
+    found = harmonics_of(hz, deviation, size, 1 / step, 1 / (step * len(times_s)))
+    return tuple(replace(p, harmonic=h) for p, h in zip(peaks, found, strict=True))
 
 
-def tones(hz: np.ndarray, times_s: np.ndarray) -> np.ndarray:
-    """[T, 2K + 1]: a constant, cos 2πf_k t, −sin 2πf_k t."""
-    angles = 2 * np.pi * times_s[:, None] * np.asarray(hz)[None]
-    return np.concatenate([np.ones((len(times_s), 1)), np.cos(angles), -np.sin(angles)], 1)
+def strength_of(peak: Peak) -> float:
+    """Amplitude over floor, of the axis where that is largest."""
+    scale = np.where(np.isfinite(peak.floor), np.maximum(peak.floor, 1e-300), np.inf)
+    return float((peak.amplitude / scale).max())
 
 
-def _hann(times_s: np.ndarray) -> np.ndarray:
-    step = float(np.median(np.diff(times_s)))
-    share = (times_s - times_s[0] + step / 2) / (np.ptp(times_s) + step)
-    return np.sin(np.pi * share) ** 2
-
-
-def _rayleigh(window: np.ndarray, deviation: np.ndarray) -> np.ndarray:
-    """[3] parameter of the amplitude's distribution."""
-    return np.sqrt(2 * (window[:, None] ** 2 * deviation**2).sum(0)) / window.sum()
-
-
-def _amplitude(grid: np.ndarray, times_s: np.ndarray, values: np.ndarray, window: np.ndarray) -> np.ndarray:
-    turned = np.exp(-2j * np.pi * grid[:, None] * times_s) * window
-    own = values - (window @ values) / window.sum()
-    return np.abs(turned @ own) * (2 / window.sum())
-
-
-def _peaks(
-    grid: np.ndarray, times_s: np.ndarray, values: np.ndarray, window: np.ndarray, level: np.ndarray
-) -> np.ndarray:
+def _peaks(grid: np.ndarray, times_s: np.ndarray, values: np.ndarray, level: np.ndarray) -> np.ndarray:
     """[K] Hz."""
-    resolution = grid[1] * _OVERSAMPLED
+    resolution = grid[1] * OVERSAMPLED
     usable = (grid >= _LEAST_CYCLES * resolution) & (grid <= grid[-1] - resolution / 2)
     # axes by their own noise: a single camera's sight must not decide a frequency
     least = max(1e-9 * float(np.abs(values).max()), 1e-300)  # rounding, where there is no noise at all
@@ -132,7 +128,7 @@ def _peaks(
     values = values / scale
     hz, left, strongest = np.zeros(0), values, 0.0
     while len(hz) < min(_MOST, (len(times_s) - 4) // 3):
-        amplitude = _amplitude(grid, times_s, left, window)
+        amplitude = np.abs(transformed(grid, times_s, left))
         height = np.where(usable, amplitude.max(1), 0)
         for other in hz:
             height[np.abs(grid - other) < _APART * resolution] = 0
@@ -203,14 +199,11 @@ def _fitted(
         phasor = answer[1 + k] + 1j * answer[1 + n + k]
         both = np.sqrt((variance[1 + k] + variance[1 + n + k]) / 2)
         if model_share is not None:
-            told = np.isfinite(level) & (level <= 10 * np.where(np.isfinite(level), level, np.inf).min())
-            both = np.hypot(both, model_share * np.linalg.norm(phasor[told]))
+            both = np.hypot(both, model_share * np.linalg.norm(phasor[is_told(level)]))
         both = np.where(np.isfinite(level), both, np.inf)
         good = mean_square > 0
         snr = float((np.abs(phasor[good]) ** 2 / mean_square[good]).sum()) * len(times_s) / 2
         span = np.ptp(times_s) * len(times_s) / (len(times_s) - 1)
         error = float(np.sqrt(3 / (np.pi**2 * snr)) / span) if snr > 0 else 0.0
         peaks.append(Peak(float(hz[k]), error, phasor, both, level))
-    scale = np.where(np.isfinite(level), np.maximum(level, 1e-300), np.inf)
-    strength = [float((p.amplitude / scale).max()) for p in peaks]
-    return tuple(peaks[k] for k in np.argsort(strength)[::-1])
+    return tuple(peaks)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from tg4mm.measure.measurement import Measurement, SensorResult
+from tg4mm.measure.measurement import Measurement
 from tg4mm.measure.orbit import amplitude_deviation
+from tg4mm.measure.sensor_result import SensorResult
+from tg4mm.measure.spectrum import Peak
 from tg4mm.measure.units import unit_of
 
 HEAD = "sensor", "frequency, Hz", "amplitude", "in pixels", "direction", "phase, deg", "damping", ""
@@ -38,7 +40,7 @@ def rows_of(measurement: Measurement, result: SensorResult) -> list[list[str]]:
                 direction_text(orbit.direction, result.labels),
                 phase_text(measurement, result, peak.frequency_hz),
                 "" if damping is None else f"{100 * damping.ratio:.2g} ± {100 * damping.deviation:.1g} %",
-                "" if peak.is_above.any() else "not above twice its deviation",
+                remark(peak),
             ]
         )
     if out:
@@ -47,6 +49,12 @@ def rows_of(measurement: Measurement, result: SensorResult) -> list[list[str]]:
     level = float(np.min(floor[np.isfinite(floor)], initial=np.inf))
     told = f"under {level * unit.factor:.2g} {unit.name}, {level * result.px_per_unit:.2g} px"
     return [[result.name, "none", told, "", "", "", "", "nothing above the noise floor"]]
+
+
+def remark(peak: Peak) -> str:
+    """What makes a peak doubtful."""
+    doubts = [] if peak.is_above.any() else ["not above twice its deviation"]
+    return "; ".join([*doubts, *([] if peak.harmonic is None else [str(peak.harmonic)])])
 
 
 def direction_text(direction: np.ndarray, labels: tuple[str, str, str]) -> str:

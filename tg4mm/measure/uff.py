@@ -14,7 +14,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from tg4mm.files import write_atomic
-from tg4mm.measure.measurement import Measurement, SensorResult
+from tg4mm.measure.measurement import Measurement
+from tg4mm.measure.sensor_result import SensorResult
+from tg4mm.measure.series import Series
 from tg4mm.measure.spectrum import spectrum_of
 from tg4mm.measure.units import unit_of
 
@@ -139,11 +141,9 @@ def _at(result: SensorResult, hz: float) -> np.ndarray:
 
 
 def _functions(node: int, result: SensorResult, metres: float, unit: str) -> list[dict[str, Any]]:
+    """Waveforms of every clock, and one spectrum: of clips that of all of them together."""
     out = []
-    hidden = "" if result.series.is_observed.all() else ", one direction not observed"
-    for c, series in enumerate(result.clips or (result.series,)):
-        values = series.world() * metres
-        spectrum = spectrum_of(series.times_s, values, np.zeros_like(values))
+    for c, series in enumerate(result.all_series):
         steps = np.diff(series.times_s)
         is_even = bool(np.ptp(steps) < 0.02 * steps.mean())
         of_time = {
@@ -152,13 +152,23 @@ def _functions(node: int, result: SensorResult, metres: float, unit: str) -> lis
             "start": float(series.times_s[0]),
             "step": float(steps.mean()),
         }
-        of_hz = {"x": spectrum.freqs_hz, "spacing": 1, "start": 0.0, "step": float(spectrum.freqs_hz[1])}
-        for k in range(3):
-            name = f"{result.name}{f', clip {series.clock}' if series.clock else ''}{hidden}"
-            out.append(_function(node, k + 1, c, _TIME, name, values[:, k], of_time, (17, "s"), unit))
-            amplitude = spectrum.amplitude[:, k]
-            out.append(_function(node, k + 1, c, _SPECTRUM, name, amplitude, of_hz, (18, "Hz"), unit))
+        clip = f", clip {series.clock}" if series.clock else ""
+        name = f"{result.name}{clip}{_hidden(series)}"
+        for k, values in enumerate(series.world().T * metres):
+            out.append(_function(node, k + 1, c, _TIME, name, values, of_time, (17, "s"), unit))
+    found, name = result.spectrum, result.name
+    if result.together is None:
+        values = result.series.world()
+        found = spectrum_of(result.times_s, values, np.zeros_like(values))
+        name = f"{name}{_hidden(result.series)}"
+    of_hz = {"x": found.freqs_hz, "spacing": 1, "start": 0.0, "step": float(found.freqs_hz[1])}
+    for k, amplitude in enumerate(found.amplitude.T * metres):
+        out.append(_function(node, k + 1, 0, _SPECTRUM, name, amplitude, of_hz, (18, "Hz"), unit))
     return out
+
+
+def _hidden(series: Series) -> str:
+    return "" if series.is_observed.all() else ", one direction not observed"
 
 
 def _function(

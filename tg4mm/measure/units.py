@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from tg4mm.measure.measurement import Measurement, SensorResult
+from tg4mm.measure.measurement import Measurement
+from tg4mm.measure.sensor_result import SensorResult
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 
 from tg4mm.files import to_json, write_atomic, write_json
+from tg4mm.measure.clips import ClipPhases
 from tg4mm.measure.errors import MeasureError
-from tg4mm.measure.measurement import Measurement, SensorResult
+from tg4mm.measure.measurement import Measurement
 from tg4mm.measure.orbit import amplitude_deviation
-from tg4mm.measure.series import Series
+from tg4mm.measure.sensor_result import Record, SensorResult
 from tg4mm.measure.units import unit_of
 
 MARK = "measure.json"
@@ -53,6 +54,7 @@ def write_json_file(measurement: Measurement, out: Path) -> Path:
             {"frequency_hz": s.frequency_hz, "gaussians_above_floor": int(s.is_above.sum())}
             for s in measurement.shapes
         ],
+        "clip_phases": _clip_phases(measurement.clip_phases),
         "sensors": [_sensor(r) for r in measurement.sensors],
     }
     path = out / MARK
@@ -60,8 +62,22 @@ def write_json_file(measurement: Measurement, out: Path) -> Path:
     return path
 
 
+def _clip_phases(phases: ClipPhases | None) -> list[dict[str, Any]] | None:
+    """Radians by which every clip is ahead of the common clock, at the frequencies that were found."""
+    if phases is None:
+        return None
+    return [
+        {
+            "frequency_hz": float(f),
+            "phase_rad": dict(zip(phases.clocks, map(float, phases.radians[:, k]), strict=True)),
+            "deviation_rad": dict(zip(phases.clocks, map(float, phases.deviation[:, k]), strict=True)),
+        }
+        for k, f in enumerate(phases.hz)
+    ]
+
+
 def _sensor(result: SensorResult) -> dict[str, Any]:
-    body, series = result.body, result.clips or (result.series,)
+    body = result.body
     return {
         "name": result.name,
         "region": str(result.sensor).partition("=")[2],
@@ -71,7 +87,7 @@ def _sensor(result: SensorResult) -> dict[str, Any]:
         "axes": dict(zip(result.labels, result.axes.tolist(), strict=True)),
         "px_per_unit": result.px_per_unit,
         "best_view": result.best_view,
-        "series": [_series(s) for s in series],
+        "series": [_series(record) for record in result.records],
         "spectrum": {
             "window": result.spectrum.window,
             "step_hz": float(result.spectrum.freqs_hz[1]),
@@ -83,15 +99,26 @@ def _sensor(result: SensorResult) -> dict[str, Any]:
     }
 
 
-def _series(series: Series) -> dict[str, Any]:
+def _series(record: Record) -> dict[str, Any]:
+    series = record.series
     return {
         "clock": series.clock,
+        "axes": dict(zip(series.labels, series.axes.tolist(), strict=True)),
         "times_s": series.times_s.tolist(),
         "displacement": _plain(series.displacement),
         "deviation": _plain(series.deviation),
         "noise": _plain(series.noise[0]),
         "model_share": series.model_share.tolist(),
         "is_observed": [bool(b) for b in series.is_observed],
+        "peaks": [
+            {
+                "frequency_hz": p.frequency_hz,
+                "amplitude": p.amplitude.tolist(),
+                "deviation": _plain(p.deviation),
+                "phase_rad": np.angle(p.phasor).tolist(),
+            }
+            for p in record.peaks
+        ],
         "rotation_rad": None if series.rotation is None else _plain(series.rotation),
         "rotation_deviation_rad": None
         if series.rotation_deviation is None
@@ -109,6 +136,8 @@ def _peak(result: SensorResult, k: int) -> dict[str, Any]:
         "phase_rad": np.angle(peak.phasor).tolist(),
         "floor": _plain(peak.floor),
         "is_above": [bool(b) for b in peak.is_above],
+        "harmonic_of_hz": None if peak.harmonic is None else peak.harmonic.of_hz,
+        "harmonic_order": None if peak.harmonic is None else peak.harmonic.order,
         "main_amplitude": orbit.amplitude,
         "main_deviation": amplitude_deviation(peak, orbit),
         "main_direction": orbit.direction.tolist(),
@@ -164,7 +193,9 @@ def write_csv_files(measurement: Measurement, out: Path) -> list[Path]:
         "phase_rad",
     ]
     peaks = _written(
-        out / "peaks.csv", [*names, f"floor_{u}", "is_above", "damping_ratio"], _peak_rows(measurement)
+        out / "peaks.csv",
+        [*names, f"floor_{u}", "is_above", "damping_ratio", "harmonic_of_hz"],
+        _peak_rows(measurement),
     )
     return [series, spectra, peaks]
 
@@ -172,12 +203,16 @@ def write_csv_files(measurement: Measurement, out: Path) -> list[Path]:
 def _series_rows(measurement: Measurement) -> Iterable[Sequence[Any]]:
     for result in measurement.sensors:
         factor = unit_of(measurement, result).factor
-        for series in result.clips or (result.series,):
-            own = result.derivatives if series is result.series else None
+        for record in result.records:
+            series, own = record.series, record.derivatives
             for t, time in enumerate(series.times_s):
                 for k, label in enumerate(series.labels):
-                    of_time = (None, None) if own is None else (own.velocity[t, k], own.acceleration[t, k])
-                    values = series.displacement[t, k], series.deviation[t, k], *of_time
+                    values = (
+                        series.displacement[t, k],
+                        series.deviation[t, k],
+                        own.velocity[t, k],
+                        own.acceleration[t, k],
+                    )
                     yield (
                         result.name,
                         series.clock,
@@ -205,12 +240,13 @@ def _peak_rows(measurement: Measurement) -> Iterable[Sequence[Any]]:
                 values = _number(peak.amplitude[k], factor), _number(peak.deviation[k], factor)
                 phase, floor = f"{np.angle(peak.phasor[k]):.6g}", _number(peak.floor[k], factor)
                 zeta = "" if damping is None else f"{damping.ratio:.4g}"
-                yield result.name, label, *hz, *values, phase, floor, int(peak.is_above[k]), zeta
+                of_hz = "" if peak.harmonic is None else f"{peak.harmonic.of_hz:.6g}"
+                yield result.name, label, *hz, *values, phase, floor, int(peak.is_above[k]), zeta, of_hz
 
 
-def _number(value: float | None, factor: float) -> str:
-    """Six digits; empty where there is none, inf where nothing is observed."""
-    return "" if value is None else f"{value * factor:.6g}"
+def _number(value: float, factor: float) -> str:
+    """Six digits; inf where nothing is observed."""
+    return f"{value * factor:.6g}"
 
 
 def _written(path: Path, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> Path:

@@ -97,7 +97,11 @@ def _figure(found: Measurement, result: SensorResult) -> Figure:
             )
         ),
     ]
-    clips = f" The first of {len(result.clips)} clips." if result.clips else ""
+    clips = (
+        f" The waveform is that of the first of {len(result.clips)} clips, the spectrum of all of them together."
+        if result.clips
+        else ""
+    )
     caption = (
         f"Sensor “{name}”, {count:,} Gaussians around ({', '.join(f'{c:.3g}' for c in result.body.centre)}), radius "
         f"{result.body.radius:.3g} scene units: displacement with a band of one standard deviation, and its spectrum "
