@@ -26,8 +26,8 @@ def limits_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[str, ..
         )
     if len(scene.clocks) > 1:
         out.append(
-            "every camera has a clock of its own: peaks are of all cameras together, for a steady vibration; a waveform "
-            "is one camera's, which hardly sees motion along its line of sight"
+            "every camera has a clock of its own: peaks are of all cameras together, for a steady vibration; a "
+            "waveform is one camera's, which hardly sees motion along its line of sight"
         )
     if scene.is_moving:
         out.append(
