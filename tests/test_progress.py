@@ -10,7 +10,7 @@ import sys
 
 import pytest
 
-from tg4mm.progress import PlainProgress, clock_text, progress
+from tg4mm.progress import HeardProgress, PlainProgress, clock_text, listened_to, progress
 
 
 class Clock:
@@ -118,3 +118,22 @@ def test_terminal_gets_a_bar_also_inside_another() -> None:
     shown = text.decode()
     for part in ("outer", "inner [x]", "4/4", "frames", "psnr 30.5", "left", "━"):
         assert part in shown
+
+
+def test_a_listener_is_told_how_far_a_job_is_and_how_long_it_takes() -> None:
+    now, heard = iter([0.0, 2.0, 2.1, 4.0]), list[str]()
+    state = HeardProgress("frames", 40, "frames", 0, sys.stderr, lambda: next(now), listener=heard.append)
+    state.update(10)
+    state.update(11)  # too soon after the last line
+    state.update(20)
+    assert heard == ["frames: 10 of 40 frames, 0:06 left", "frames: 20 of 40 frames, 0:04 left"]
+
+
+def test_only_jobs_of_the_listening_thread_are_heard(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(HeardProgress, "every_s", -1.0)
+    heard = list[str]()
+    with listened_to(heard.append), progress("one", 3) as update:
+        update(1)
+    with progress("two", 3) as update:
+        update(1)
+    assert [line.partition(":")[0] for line in heard] == ["one"]

@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any, Protocol, TextIO
 
 from tg4mm import events
@@ -13,6 +14,9 @@ from tg4mm import events
 PLAIN_EVERY_S = 5.0
 EVENTS_EVERY_S = 0.5
 _EARLY = 100  # a first report of less than this part of the job is none to tell the time left by
+
+
+_listener: ContextVar[Callable[[str], None] | None] = ContextVar("listener", default=None)
 
 
 class Update(Protocol):
@@ -28,8 +32,30 @@ def progress(label: str, total: int, unit: str = "it", start: int = 0) -> Iterat
     Yields `update(done, **figures)`. The end is reported too, with the time the job took.
     """
     show = _bar if sys.stderr.isatty() and not events.wanted() else _lines
+    listener = _listener.get()
+    heard = (
+        None if listener is None else HeardProgress(label, total, unit, start, sys.stderr, listener=listener)
+    )
     with show(label, total, unit, start) as update:
-        yield update
+        if heard is None:
+            yield update
+            return
+
+        def both(done: int, **figures: Any) -> None:
+            update(done, **figures)
+            heard.update(done, **figures)
+
+        yield both
+
+
+@contextmanager
+def listened_to(listener: Callable[[str], None]) -> Iterator[None]:
+    """Within it `listener` is told, twice a second at most, how far the jobs of this thread are: a line of text."""
+    token = _listener.set(listener)
+    try:
+        yield
+    finally:
+        _listener.reset(token)
 
 
 @contextmanager
@@ -114,8 +140,7 @@ class PlainProgress:
         return (now - began) * (self._total - self._done) / made
 
     def _show(self, elapsed_s: float, left_s: float | None) -> None:
-        left = "time left unknown" if left_s is None else f"{clock_text(left_s)} left"
-        self._print(f"{clock_text(elapsed_s)} elapsed, {left}")
+        self._print(f"{clock_text(elapsed_s)} elapsed, {_left_text(left_s)}")
 
     def _ended(self, elapsed_s: float) -> None:
         self._print(f"took {clock_text(elapsed_s)}")
@@ -125,6 +150,19 @@ class PlainProgress:
         tail = f", {text}" if text else ""
         self._stream.write(f"{self._label}: {self._done}/{self._total} {self._unit}, {times}{tail}\n")
         self._stream.flush()
+
+
+class HeardProgress(PlainProgress):
+    """Progress told to a listener (`listened_to`)."""
+
+    every_s = EVENTS_EVERY_S
+
+    def __init__(self, *args: Any, listener: Callable[[str], None], **options: Any) -> None:
+        super().__init__(*args, **options)
+        self._listener = listener
+
+    def _show(self, elapsed_s: float, left_s: float | None) -> None:
+        self._listener(f"{self._label}: {self._done} of {self._total} {self._unit}, {_left_text(left_s)}")
 
 
 class EventProgress(PlainProgress):
@@ -141,6 +179,10 @@ class EventProgress(PlainProgress):
 
     def _ended(self, elapsed_s: float) -> None:
         self._show(elapsed_s, 0.0 if self._done >= self._total else None)
+
+
+def _left_text(seconds: float | None) -> str:
+    return "time left unknown" if seconds is None else f"{clock_text(seconds)} left"
 
 
 def clock_text(seconds: float) -> str:

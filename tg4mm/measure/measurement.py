@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -74,22 +74,21 @@ def measure(
         raise MeasureError(
             f"reference {reference!r} is no sensor; there are: {', '.join(s.name for s in wanted)}"
         )
-    bodies = [body_of(weights_of(s, scene, groups.members), scene) for s in wanted]
-    with progress("sensors", len(scene.clocks), "clocks") if _is_long(scene, wanted) else _silent() as update:
-        series = [_series(scene, clock, bodies, update, k) for k, clock in enumerate(scene.clocks)]
-    clips, phases = (
-        _of_clips(scene, series, bodies) if len(scene.clocks) > 1 else ([None] * len(wanted), None)
-    )
-    results = [
-        _result(scene, s, body, [own[b] for own in series], clips[b])
-        for b, (s, (body, _)) in enumerate(zip(wanted, bodies, strict=True))
-    ]
+    results, phases = _results(scene, wanted, groups.members)
     first = reference or wanted[0].name
     against = next(r for r in results if r.name == first)
     results = [r if r is against else _related(r, against) for r in results]
     shapes = shapes_of(scene, results)
     notes = limits_of(scene, results)
     return Measurement(scene, tuple(results), groups, shapes, first, notes, phases)
+
+
+def measure_one(scene: Prepared, sensor: Sensor) -> SensorResult:
+    """One sensor by itself, quickly: without clusters, shapes, and what the scene cannot tell.
+
+    Raises MeasureError as `measure` does, and for a cluster, since none are looked for.
+    """
+    return _results(scene, [sensor], {})[0][0]
 
 
 def default_sensors(clusters: Clusters) -> list[Sensor]:
@@ -101,6 +100,23 @@ def default_sensors(clusters: Clusters) -> list[Sensor]:
 def best_peak(result: SensorResult) -> Peak | None:
     """The strongest peak over its floor; None where there is none."""
     return result.spectrum.peaks[0] if result.spectrum.peaks else None
+
+
+def _results(
+    scene: Prepared, wanted: Sequence[Sensor], clusters: Mapping[int, np.ndarray]
+) -> tuple[list[SensorResult], ClipPhases | None]:
+    """Of every sensor, without its relation to a reference."""
+    bodies = [body_of(weights_of(s, scene, clusters), scene) for s in wanted]
+    with progress("sensors", len(scene.clocks), "clocks") if _is_long(scene, wanted) else _silent() as update:
+        series = [_series(scene, clock, bodies, update, k) for k, clock in enumerate(scene.clocks)]
+    clips, phases = (
+        _of_clips(scene, series, bodies) if len(scene.clocks) > 1 else ([None] * len(wanted), None)
+    )
+    results = [
+        _result(scene, s, body, [own[b] for own in series], clips[b])
+        for b, (s, (body, _)) in enumerate(zip(wanted, bodies, strict=True))
+    ]
+    return results, phases
 
 
 def _series(scene: Prepared, clock: Clock, bodies: Sequence, update, k: int) -> list[Series]:

@@ -214,16 +214,20 @@ class _Fixed:
     ) -> tuple[list[MeasuredView], list[Sides]]:
         """The one pass: views with weights, and the sides of every clock."""
         out, sides = list(views), []
-        with progress("pictures", len(views), "cameras") as update:
-            done = 0
+        total, done = 2 * sum(len(v.frames.rows) for v in views), 0  # every frame is read twice
+        with progress("pictures", total, "frames") as update:
+
+            def step(frames: int) -> None:
+                nonlocal done
+                done += frames
+                update(done)
+
             for clock in clocks:
                 own = sums((HALVES, len(clock.times_s), len(self.gaussians), DOF), self.folder)
                 for v in clock.views:
                     shown = shown_fields(views[v].view, self.modal.fields)
-                    out[v] = weighed(observations, views[v], shown, clock.series)
-                    pull_back(observations, out[v], shown, clock.series, own)
-                    done += 1
-                    update(done)
+                    out[v] = weighed(observations, views[v], shown, clock.series, step)
+                    pull_back(observations, out[v], shown, clock.series, own, step)
                 sides.append(Sides.of(own))
         return out, sides
 

@@ -8,7 +8,7 @@ pictures again.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +22,7 @@ from tg4mm.motion.observations import Observations, PosedFrames
 from tg4mm.motion.split_half import LEAST, chessboard
 
 AT_ONCE = 8  # frames
+Step = Callable[[int], None]  # is told how many more frames are done
 _SMOOTHING_PX = 1.5
 
 
@@ -103,19 +104,25 @@ def unpacked_mean(packed: np.ndarray) -> np.ndarray:
 
 
 def weighed(
-    observations: Observations, view: MeasuredView, shown: np.ndarray, series: np.ndarray
+    observations: Observations, view: MeasuredView, shown: np.ndarray, series: np.ndarray, step: Step
 ) -> MeasuredView:
     """The view with pixel weights from what is left of its frames, nuisance taken out."""
     energy = np.zeros(view.mean.shape[:2], np.float32)
     for _, left in leftover(observations, view, shown, series):
         own = without(view.nuisance, view.mean, left)
         energy += np.einsum("fhwc,fhwc->hw", own, own) / 3
+        step(len(left))
     view.nuisance.__dict__.pop("pose", None)  # 72 bytes a pixel, made again where it is asked for
     return replace(view, weights=inverse_noise(energy / len(view.frames.rows)))
 
 
 def pull_back(
-    observations: Observations, view: MeasuredView, shown: np.ndarray, series: np.ndarray, out: np.ndarray
+    observations: Observations,
+    view: MeasuredView,
+    shown: np.ndarray,
+    series: np.ndarray,
+    out: np.ndarray,
+    step: Step,
 ) -> None:
     """Adds to `out` [2, F, N, 6] what is left of the view's frames, pulled back to the Gaussians."""
     ready = list(view.projections())
@@ -123,6 +130,7 @@ def pull_back(
         for half, weights, projection in ready:
             own = left if projection is None else projection.out_of(left)
             view.view.vjp(np.ascontiguousarray(own * weights[..., None], np.float32), out[half, some])
+        step(len(left))
     view.nuisance.__dict__.pop("pose", None)
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import threading
-from contextlib import AbstractContextManager, nullcontext
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numba
@@ -20,6 +22,7 @@ from tg4mm.render.image import render_image
 from tg4mm.view.colours import Band, Colour, gaussian_colours
 from tg4mm.view.scene import Scene
 
+_MOMENT = 0.02  # seconds: enough for a thread that waits for the painter to be let in
 _SH_0 = 0.28209479177387814  # the constant spherical harmonic: coefficient to colour
 
 
@@ -44,9 +47,24 @@ class Painter:
         self._lock = threading.Lock()
         self._coloured: tuple[tuple[Colour, Band], Tensor | None] = (Colour.picture, None), None
 
-    def beside(self) -> AbstractContextManager[object]:
-        """Within it other kernels of numba may run: pictures go on being drawn where its threads allow that."""
-        return self._lock if numba.threading_layer() == "workqueue" else nullcontext()
+    @contextmanager
+    def beside(self) -> Iterator[Callable[[], None]]:
+        """Within it other kernels of numba may run beside the painter's.
+
+        Where numba's threads do not allow that, pictures wait, but for a moment whenever the function that it yields is
+        called.
+        """
+        if numba.threading_layer() != "workqueue":
+            yield lambda: None
+            return
+
+        def let_paint() -> None:
+            self._lock.release()
+            time.sleep(_MOMENT)
+            self._lock.acquire()
+
+        with self._lock:
+            yield let_paint
 
     def paint(self, look: Look, seconds: float, camera: Camera) -> np.ndarray:
         """[height, width, 3] uint8: the scene `seconds` into the capture over white."""

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tg4mm.measure import Prepared, Sensor, SensorResult, measure, prepare
-from tg4mm.measure.clusters import Clusters
+from tg4mm.measure import Prepared, Sensor, SensorResult, measure_one, prepare
 from tg4mm.measure.sensors import PIXEL_RADIUS
+from tg4mm.measure.spectrum import strength_of
 from tg4mm.report.maps import main_direction, peak_displacement
 from tg4mm.runs import Run
 from tg4mm.view.scene import Scene
@@ -31,6 +31,7 @@ class Waveform:
         None  # [B] noise floor of the amplitudes; None: of the fitted motion, which has none
     )
     peak_deviation: tuple[float, float] | None = None  # standard deviations of the peak's two numbers
+    of_clip: str = ""  # what the displacement is, where that is another direction: of clips
 
 
 def seen_at(scene: Scene, weights: np.ndarray) -> np.ndarray | None:
@@ -90,7 +91,6 @@ class Measurer:
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
         self._prepared: Prepared | None = None
-        self._clusters: Clusters | None = None
 
     @property
     def is_ready(self) -> bool:
@@ -109,29 +109,40 @@ class Measurer:
         if self._prepared is None:
             self._prepared = prepare(Run.open(self._scene.path))
         sensor = Sensor("pixel", "sphere", (*map(float, point), self.radius(point)))
-        found = measure(self._prepared, [sensor], clusters=self._clusters)
-        self._clusters = found.clusters
-        return measured_waveform(found["pixel"])
+        return measured_waveform(measure_one(self._prepared, sensor))
 
 
 def measured_waveform(result: SensorResult) -> Waveform:
-    """A sensor's series along the one of its axes on which its strongest peak is largest; else the surest axis."""
-    spectrum, observed = result.spectrum, np.isfinite(result.deviation).all(axis=0)
+    """A sensor's series along the one of its axes on which its strongest peak is largest; else the surest axis.
+
+    Of clips the one in which that peak is surest; the spectrum and the peak are of all of them together.
+    """
+    spectrum = result.spectrum
     peak = spectrum.peaks[0] if spectrum.peaks else None
-    strength = 1.0 / np.square(result.deviation).mean(axis=0) if peak is None else peak.amplitude * observed
-    axis = int(np.argmax(strength))
+    record = max(result.records, key=lambda r: strength_of(r.peaks[0]) if peak else 0.0)
+    series, own = record.series, record.peaks[0] if peak else None
+    along = _best_axis(None if own is None else own.amplitude, series.deviation)
+    axis = along if not result.clips else _best_axis(None if peak is None else peak.amplitude, spectrum.floor)
     found = sure = None
     if peak is not None and bool(peak.is_above[axis]):
         found = peak.frequency_hz, float(peak.amplitude[axis])
         sure = peak.frequency_deviation_hz, float(peak.deviation[axis])
     return Waveform(
         result.labels[axis],
-        result.times_s - result.times_s[0],
-        result.displacement[:, axis],
-        result.deviation[:, axis],
+        series.times_s - series.times_s[0],
+        series.displacement[:, along],
+        series.deviation[:, along],
         spectrum.freqs_hz,
         spectrum.amplitude[:, axis],
         found,
         spectrum.floor[:, axis],
         sure,
+        f"{series.labels[along]} of {series.clock}" if result.clips else "",
     )
+
+
+def _best_axis(amplitude: np.ndarray | None, deviation: np.ndarray) -> int:
+    """The observed axis with the largest amplitude [3], or without one the surest by deviation [T, 3]."""
+    if amplitude is None:
+        return int(np.argmax(1.0 / np.square(deviation).mean(axis=0)))
+    return int(np.argmax(amplitude * np.isfinite(deviation).all(axis=0)))

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 
 import numpy as np
 import viser
 from markupsafe import Markup
 
 from tg4mm.errors import Tg4mmError
+from tg4mm.progress import listened_to
 from tg4mm.report.svg import number
 from tg4mm.view.charts import ACCENT_RGB, block, density_chart, spectrum_chart, waveform_chart
 from tg4mm.view.pace import full_size
@@ -20,7 +22,7 @@ from tg4mm.view.session import Session
 _ASK = "Click a pixel of the picture."
 _MISSED = "Nothing there: the pixel shows background."
 _STILL = "Nothing moves in this run."
-_READING = "Reading the capture's pictures once; the terminal shows how far it is …"
+_READING = "Reading the capture's pictures once, for all pixels …"
 _SHADED = "; shaded: ± one standard deviation"
 _MARK = 0.004  # radius of the mark, of the picture's height where it lies
 
@@ -71,14 +73,24 @@ class PixelPanel:
 
     def _measure(self, point: np.ndarray) -> None:
         """Measure there; until the pictures are read that lasts."""
-        self._answer.content = block("Measuring …" if self._measurer.is_ready else _READING)
+        words = "Measuring …" if self._measurer.is_ready else _READING
+        self._answer.content = block(words)
         try:
-            with self._session.painter.beside():
+            with self._session.painter.beside() as let_paint, listened_to(self._heard(words, let_paint)):
                 found = self._measurer.at(point)
         except (Tg4mmError, OSError) as error:
             self._answer.content = block(f"Not measured: {error}")
             return
         self._answer.content = self._words(found, point)
+
+    def _heard(self, words: str, let_paint: Callable[[], None]) -> Callable[[str], None]:
+        """Shows under `words` how far a job is."""
+
+        def heard(line: str) -> None:
+            self._answer.content = block(words, line[:1].upper() + line[1:])
+            let_paint()
+
+        return heard
 
     def _mark(self, point: np.ndarray, canvas: Canvas) -> None:
         distance = float(np.linalg.norm(point - np.array(canvas.position)))
@@ -93,7 +105,8 @@ class PixelPanel:
         if found.floor is not None:
             chart = density_chart(found.frequencies, amplitudes, found.floor * per, f"peak ({unit})")
             radius = number(self._measurer.radius(point) * per)
-            how = f"Measured in the pictures, within {radius} {unit}{_SHADED}; dashed: noise floor."
+            clip = f"; the curve: {found.of_clip}" if found.of_clip else ""
+            how = f"Measured in the pictures, within {radius} {unit}{_SHADED}; dashed: noise floor{clip}."
         else:
             assert scene.motion is not None
             band = self._session.look.band
