@@ -32,6 +32,14 @@ def test_a_frequency_and_the_bins_beside_it_are_one_peak() -> None:
     np.testing.assert_allclose(peaks(moving([3.1, 3.4, 3.6, 6.8], [0.3, 1.0, 0.2, 0.5]), 0.67), [3.4, 6.8])
 
 
+def test_the_flank_of_a_drift_has_no_peak_and_what_stands_on_it_has_one() -> None:
+    """Bins of a record of 3 s, falling from the drift of the first one."""
+    hz = np.arange(1, 40) / 3
+    size = 3 / hz
+    size[20] = 4.0
+    np.testing.assert_allclose(peaks(moving(hz.tolist(), size.tolist()), 2 / 3), [hz[20]])
+
+
 def test_nothing_that_moves_has_no_peak() -> None:
     assert not len(peaks(moving([], []), 0.67))
 

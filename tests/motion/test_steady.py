@@ -70,7 +70,11 @@ def test_rotations_turn_pairs_as_phasors_are_turned() -> None:
 
 
 @pytest.mark.parametrize(
-    ("hz", "said"), [([], "no frequency stands out"), ([3.4], "do not agree on the motion at 3.4 Hz")]
+    ("hz", "said"),
+    [
+        ([], "no frequency stands out"),
+        ([3.4], "how things move at 3.4 Hz: two halves of the record do not agree on it"),
+    ],
 )
 def test_a_run_without_motion_says_why(hz: list[float], said: str) -> None:
     gaussians, motion = scene(3.4)

@@ -142,6 +142,51 @@ def test_without_uncertainty_no_deviation_is_made_up(run: Run, tmp_path: Path) -
     assert "how sure the amplitudes are" in "\n".join(found.cannot)
 
 
+@pytest.mark.parametrize("hz", [2.0, 2.9])
+def test_a_strong_drift_is_no_vibration_and_is_said(run: Run, tmp_path: Path, hz: float) -> None:
+    """Ten times as strong as the vibrations; a record of one second holds fewer than three periods of it."""
+    copy = moved(run, tmp_path)
+    motion = copy.load_motion()
+    drift = [np.concatenate([10 * x[:1], x]) for x in (motion.displacement, motion.rotation)]
+    freqs = np.array([hz, *motion.freqs_hz])
+    copy.save_motion(replace(motion, freqs_hz=freqs, displacement=drift[0], rotation=drift[1]), {})
+    found = result_of(copy)
+    assert {v.hz for v in found.vibrations} <= {3.0, 7.5}
+    assert found.band is None or found.band[0] > hz
+    (line,) = (line for line in found.cannot if "or drifts" in line)
+    assert f"the record holds {hz:.2g} periods of it" in line
+
+
+def test_what_comes_and_goes_is_a_drift(run: Run, tmp_path: Path) -> None:
+    """One hump in the record: its frequency is as uncertain as it is large."""
+    copy = moved(run, tmp_path)
+    motion = copy.load_motion()
+    t = np.arange(30) / 30
+    hump = np.fft.rfft(np.exp(-(((t - 0.4) / 0.12) ** 2) / 2))[1:6] / 15
+    shape = 30 * motion.displacement[:1]
+    freqs = np.arange(1.0, 6.0)
+    wave = [
+        np.asarray(hump[:, None, None] * x).astype(np.complex64) for x in (shape, 0 * motion.rotation[:1])
+    ]
+    copy.save_motion(replace(motion, freqs_hz=freqs, displacement=wave[0], rotation=wave[1]), {})
+    assert not result_of(copy).vibrations
+
+
+def test_a_frequency_whose_motion_the_halves_do_not_agree_on_is_said(run: Run, tmp_path: Path) -> None:
+    copy = moved(run, tmp_path)
+    motion = copy.load_motion()
+    nothing = motion.displacement[:0]
+    told = {
+        "frequencies_hz": [3.4],
+        "frequency_deviation_hz": [0.002],
+        "notes": ["how things move at 3.4 Hz: …"],
+    }
+    copy.save_motion(replace(motion, freqs_hz=np.zeros(0), displacement=nothing, rotation=nothing), told)
+    text = "\n".join(lines_of(result_of(copy)))
+    assert "something changes at 3.4000 ± 0.0020 Hz; how far and which way it moves cannot be told" in text
+    assert "no vibration was found" not in text
+
+
 def test_nothing_found_and_nothing_to_find(run: Run, tmp_path: Path) -> None:
     copy = moved(run, tmp_path)
     still = copy.load_motion()

@@ -61,6 +61,17 @@ def test_a_band_without_motion_is_refused_with_those_there_are(run: Run) -> None
     refuse_empty(run, Magnification(everywhere=10.0))
 
 
+def test_a_band_with_fewer_than_two_periods_in_the_record_is_refused(run: Run, capsys) -> None:
+    """The record lasts a second."""
+    with pytest.raises(
+        Tg4mmError, match=r"--band 0\.5 1\.5: the record of 1 s holds fewer than two periods of it"
+    ):
+        refuse_empty(run, plan(0.5, 1.5))
+    refuse_empty(run, plan(0.5, 3.5))
+    assert main(["render", str(run.path), "--alpha", "3", "--band", "0.5", "1.5", "--out", "nowhere"]) == 2
+    assert capsys.readouterr().err.count("a band must reach 2 Hz, or film longer") == 1
+
+
 def test_a_band_that_holds_noise_alone_is_empty(run: Run, tmp_path: Path) -> None:
     """A mode lies in it, but one that is far below the noise."""
     motion = run.load_motion()

@@ -94,10 +94,11 @@ class TestFaults:
         with pytest.raises(CaptureError, match=r"a\.mp4: is black: its brightest pixels reach \d+ of 255"):
             looked(write_video(tmp_path / "a.mp4", frames))
 
-    def test_frozen(self, tmp_path: Path) -> None:
+    @pytest.mark.parametrize("crf", [14, 30])
+    def test_frozen(self, tmp_path: Path, crf: int) -> None:
         frames = [texture().astype(np.uint8)] * 40
         with pytest.raises(CaptureError, match=r"a\.mp4: is frozen: its 40 frames are one picture"):
-            looked(write_video(tmp_path / "a.mp4", frames))
+            looked(write_video(tmp_path / "a.mp4", frames, crf=crf))
 
     def test_a_still_scene_with_a_cameras_noise_is_not_frozen(self, tmp_path: Path) -> None:
         assert looked(write_video(tmp_path / "a.mp4", still(20, noise=2), crf=18)).is_fixed()

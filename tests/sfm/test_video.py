@@ -95,8 +95,19 @@ class TestDamage:
     def test_a_file_that_is_no_video(self, tmp_path: Path) -> None:
         path = tmp_path / "a.mp4"
         path.write_bytes(np.random.default_rng(0).bytes(400))
-        with pytest.raises(CaptureError, match=r"a\.mp4: is not a video that can be decoded$"):
+        with pytest.raises(
+            CaptureError, match=r"a\.mp4: is not a video that can be decoded, or it was cut off"
+        ):
             video_info(path)
+
+    def test_one_that_was_cut_off_before_its_index(self, tmp_path: Path) -> None:
+        """A phone writes the index of its frames when it stops: a copy that breaks off before has none."""
+        whole = write_video(tmp_path / "a.mp4", still(20))
+        moved = tmp_path / "b.mp4"
+        data = whole.read_bytes()
+        moved.write_bytes(data[: data.index(b"moov") - 4])
+        with pytest.raises(CaptureError, match=r"cut off before its index; copy it from the camera again$"):
+            video_info(moved)
 
     def test_sound_alone(self, tmp_path: Path) -> None:
         import av

@@ -23,6 +23,8 @@ LEAST = 1.3  # times the noise: weaker peaks are noise, however smooth its spect
 _LOUD = 10.0  # times the noise: such a peak has side lobes all over a short record, and is taken out to see the noise
 _CLIPS = 8  # rounds in which peaks are left out of the noise
 _WEAK = 0.03  # of the strongest peak's power above the floor: weaker is taken for leakage
+_THIRDS = 3
+_CLOCKS = 3  # from which on they tell how much they differ
 _APART = (
     1.5  # over the duration, Hz: nearer ones are one whose amplitude changes, as a camera moves around it
 )
@@ -179,24 +181,35 @@ def _scatter(
     hz: np.ndarray,
     step: float,
 ) -> np.ndarray:
-    """[K]: standard error of the frequencies, from how they differ between clocks, or between thirds of the record."""
+    """[K]: standard error of the frequencies, from how they differ between clocks and between thirds of the record.
+
+    The larger of the two. What all clips have alike (a codec that follows the motion late after a clip's first picture,
+    a vibration that changes) shows in thirds of the record alone.
+    """
     if not len(hz):
         return np.zeros(0)
-    each = []
-    if len(series) >= 3:
-        groups = [([y], [t], [n]) for y, t, n in zip(series, times, noise, strict=True)]
-    else:
-        groups = []
-        for rows in np.array_split(np.arange(len(times[0])), 3):
-            kept = np.setdiff1d(np.arange(len(times[0])), rows)
-            groups.append(([series[0][kept]], [times[0][kept]], [noise[0]]))
-    for own in groups:
-        each.append(_refined(*own, list(hz), step / 2))
-    spread = np.std(np.array(each), axis=0, ddof=1)
-    count = len(groups)
-    return (
-        spread / np.sqrt(count) if len(series) >= 3 else spread * (count - 1) / np.sqrt(count)
-    )  # the jackknife's
+
+    def deviation(
+        groups: list[tuple[Sequence[np.ndarray], Sequence[np.ndarray], Sequence[np.ndarray]]],
+    ) -> np.ndarray:
+        each = [_refined(*own, list(hz), step / 2) for own in groups]
+        return np.std(np.array(each), axis=0, ddof=1) / np.sqrt(len(groups))
+
+    thirds = [_without_third(series, times, k) for k in range(_THIRDS)]
+    within = (_THIRDS - 1) * deviation([(*third, noise) for third in thirds])  # the jackknife's
+    if len(series) < _CLOCKS:
+        return within
+    clocks = [([y], [t], [n]) for y, t, n in zip(series, times, noise, strict=True)]
+    return np.maximum(within, deviation(clocks))
+
+
+def _without_third(
+    series: Sequence[np.ndarray], times: Sequence[np.ndarray], k: int
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Every clock's series and times but for the k-th third of its frames."""
+    kept = [np.delete(np.arange(len(t)), np.array_split(np.arange(len(t)), _THIRDS)[k]) for t in times]
+    pairs = zip(series, times, kept, strict=True)
+    return tuple(list(x) for x in zip(*((y[rows], t[rows]) for y, t, rows in pairs), strict=True))
 
 
 def _strong(y: np.ndarray, most: int = 64) -> np.ndarray:

@@ -201,7 +201,16 @@ def without_motion(
     note = "no frequency stands out of the noise: the run holds no motion"
     if hz := figures["frequencies_hz"]:
         named = ", ".join(f"{f:.4g}" for f in hz)
-        note = f"two halves of the data do not agree on the motion at {named} Hz: the run holds none"
+        moving = observations.clock == "moving"
+        better = (
+            "a fixed camera and a sweep (docs/capture-guide.md, tripod) tell"
+            if moving
+            else "longer clips tell"
+        )
+        note = (
+            f"how things move at {named} Hz: two halves of the record do not agree on it, so that the run holds no "
+            f"motion; {better}"
+        )
     return MotionFit(gaussians, motion, {}, figures | {"n_frequencies": 0}, [*notes, note])
 
 

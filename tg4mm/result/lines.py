@@ -19,7 +19,7 @@ def lines_of(result: Result) -> list[str]:
     if more := result.vibrations[_MOST:]:
         lines.append(_INDENT + f"and {', '.join(f'{v.hz:.4g}' for v in more)} Hz")
     if result.n_timesteps > 1 and not result.vibrations:
-        lines.append(_INDENT + "no vibration was found")
+        lines.append(_INDENT + _nothing(result))
     if result.vibrations:
         lines.append(_row("", "(where they are largest: 1 % of what is seen moves further)"))
     lines += _noise(result)
@@ -38,6 +38,13 @@ def _head(result: Result) -> str:
     seen = "one fixed camera" if result.n_cameras == 1 else seen
     seen = f"{seen}, " if result.n_cameras else ""
     return f"{result.run}: {seen}{result.n_timesteps} timesteps at {result.fps:.4g} Hz, {result.duration_s:.3g} s"
+
+
+def _nothing(result: Result) -> str:
+    if not result.untold_hz:
+        return "no vibration was found"
+    named = ", ".join(with_deviation(hz) for hz in result.untold_hz)
+    return f"something changes at {named} Hz; how far and which way it moves cannot be told"
 
 
 def _vibration(v: Vibration, result: Result) -> list[str]:

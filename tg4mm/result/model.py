@@ -47,6 +47,7 @@ class Result:
     n_timesteps: int
     fps: float  # Hz
     vibrations: tuple[Vibration, ...]
+    untold_hz: tuple[Length, ...]  # frequencies that were found, but not how things move at them
     unit_scale_m: float | None  # metres per scene unit
     noise: (
         float | None

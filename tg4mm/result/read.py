@@ -20,13 +20,16 @@ from tg4mm.report.figures import scale_top
 from tg4mm.report.maps import peak_displacement
 from tg4mm.result.advice import next_command, suggested_alpha
 from tg4mm.result.bands import suggested_bands
+from tg4mm.result.lines import with_deviation
 from tg4mm.result.model import Length, Result, Vibration
 from tg4mm.result.reach import Reach, reach_of
 from tg4mm.result.seen import Seen, seen_by
 from tg4mm.result.tone import Tone, tone_of
 from tg4mm.runs import UNCERTAINTY, Run
 
-_PERIODS = 2.0  # that the record must hold of the lowest frequency
+_FIT_PERIODS = 2.0  # of a frequency that a fit may hold, in the record
+_PERIODS = 3.0  # of one that is told from a drift
+_SURE = 2.0  # deviations that a frequency is from 0 Hz, else it is a drift
 _LARGEST = 0.99  # of the weight of what is seen lies below the amplitude that is named, as in pixels
 _STEADY = "the fit takes the vibration to be steady"
 
@@ -67,7 +70,10 @@ class Reading:
         if motion is None:
             return self._still()
         seen = self.seen
-        vibrations = self._vibrations(motion, seen)
+        tones = self._tones(motion, seen)
+        vibrations = self._vibrations(
+            motion, seen, {f: t for f, t in tones.items() if not _is_drift(f, t, motion)}
+        )
         noise, noise_px = self._noise(seen)
         low, high = vibrations[0].band if vibrations else (0.0, 0.0)
         strongest = (motion.freqs_hz >= low) & (motion.freqs_hz <= high)
@@ -80,11 +86,12 @@ class Reading:
             n_timesteps=motion.n_timesteps,
             fps=motion.fps,
             vibrations=vibrations,
+            untold_hz=self._untold(motion),
             unit_scale_m=None if self.capture is None else self.capture.unit_scale_m,
             noise=noise,
             noise_px=noise_px,
             agreement=tuple(float(r) for r in self.log.get("reliability", ())),
-            cannot=self._cannot(motion, vibrations),
+            cannot=(*_drifts(tones, motion), *self._cannot(motion, vibrations)),
             alpha=alpha,
             next_command=next_command(self.run, self.capture, vibrations, alpha),
         )
@@ -99,6 +106,7 @@ class Reading:
             n_timesteps=1,
             fps=0.0,
             vibrations=(),
+            untold_hz=(),
             unit_scale_m=None if capture is None else capture.unit_scale_m,
             noise=None,
             noise_px=None,
@@ -108,24 +116,28 @@ class Reading:
             next_command=next_command(self.run, capture, (), 0.0),
         )
 
-    def _vibrations(self, motion: ModalMotion, seen: Seen) -> tuple[Vibration, ...]:
-        duration = motion.n_timesteps / motion.fps
+    def _tones(self, motion: ModalMotion, seen: Seen) -> dict[float, Tone]:
+        """Of every peak, drifts among them, by falling strength."""
         known = worth_keeping(motion, self.uncertainty.get("noise"))
-        hz = [f for f in peaks(motion, _PERIODS / duration) if known[_index(motion, f)]]
-        tones = [self._tone(motion, seen, float(f), np.array(hz)) for f in hz]
-        bands = suggested_bands(hz, [tone.deviation_hz for tone in tones], duration, motion.fps)
+        lowest_hz = _FIT_PERIODS * motion.fps / motion.n_timesteps
+        hz = [float(f) for f in peaks(motion, lowest_hz) if known[_index(motion, f)]]
+        return {f: self._tone(motion, seen, f, np.array(hz)) for f in hz}
+
+    def _vibrations(self, motion: ModalMotion, seen: Seen, tones: dict[float, Tone]) -> tuple[Vibration, ...]:
+        hz, duration = list(tones), motion.n_timesteps / motion.fps
+        bands = suggested_bands(hz, [tone.deviation_hz for tone in tones.values()], duration, motion.fps)
         deviations = None
         if "noise" in self.uncertainty:
             deviations = mode_deviations(motion, self.uncertainty["displacement"], self.uncertainty["noise"])
         out = []
-        for f, tone, band in zip(hz, tones, bands, strict=True):
+        for (f, tone), band in zip(tones.items(), bands, strict=True):
             k = _index(motion, f)
             amplitude, place = self._largest(
                 motion.displacement[k], seen, None if deviations is None else deviations[k]
             )
             out.append(
                 Vibration(
-                    hz=float(f),
+                    hz=f,
                     deviation_hz=tone.deviation_hz,
                     amplitude=amplitude,
                     place=place,
@@ -137,6 +149,12 @@ class Reading:
                 )
             )
         return tuple(out)
+
+    def _untold(self, motion: ModalMotion) -> tuple[Length, ...]:
+        """What a fit found a frequency of, and let go since its two halves did not agree on the motion."""
+        if len(motion.freqs_hz):
+            return ()
+        return tuple(Length(f, d) for f, d in zip(*(self.log.get(k, ()) for k in _STATED), strict=False))
 
     def _tone(self, motion: ModalMotion, seen: Seen, hz: float, every: np.ndarray) -> Tone:
         told = {float(f): float(d) for f, d in zip(*(self.log.get(k, ()) for k in _STATED), strict=False)}
@@ -225,6 +243,24 @@ def series_of(motion: ModalMotion, phasors: np.ndarray, weights: np.ndarray) -> 
     )
     gains = np.stack([motion.gains_at(t) for t in range(motion.n_timesteps)], 1)
     return np.asarray((along[:, None] * gains).real.sum(0))
+
+
+def _is_drift(hz: float, tone: Tone, motion: ModalMotion) -> bool:
+    """Whether the record holds too little of a frequency to tell it from a slow drift."""
+    return hz * motion.n_timesteps / motion.fps < _PERIODS or hz < _SURE * tone.deviation_hz
+
+
+def _drifts(tones: dict[float, Tone], motion: ModalMotion) -> list[str]:
+    """A line on the strongest peak that is taken for a drift."""
+    for f, tone in tones.items():
+        if _is_drift(f, tone, motion):
+            shown = with_deviation(Length(f, tone.deviation_hz))
+            periods = f * motion.n_timesteps / motion.fps
+            return [
+                f"whether something vibrates at {shown} Hz or drifts: the record holds {periods:.2g} periods of it; "
+                "a longer one tells"
+            ]
+    return []
 
 
 def _index(motion: ModalMotion, hz: float) -> int:

@@ -15,6 +15,7 @@ from tg4mm.result.reach import NOISE_PX, TURN, Reach
 from tg4mm.result.read import reading_of, result_of
 from tg4mm.runs import Run
 
+_PERIODS = 2.0  # that the record must hold of a band's highest frequency
 _LISTED = 8  # modes
 _LET_THROUGH = 0.05  # of a filter's response: less counts as outside the band
 
@@ -44,6 +45,7 @@ def refuse_empty(run: Run, plan: Magnification) -> None:
     if motion is None or not plan.bands:
         return
     plan.checked(motion.fps)
+    _refuse_too_slow(plan, motion.n_timesteps / motion.fps)
     told = worth_keeping(motion, run.load_noise()) & motion.is_magnified()
     freqs = motion.freqs_hz[told]
     is_modal = method_of(run, plan) == "modal"
@@ -54,6 +56,16 @@ def refuse_empty(run: Run, plan: Magnification) -> None:
             raise Tg4mmError(
                 f"--band {band.low:g} {band.high:g}: no motion was found there; {_there(result_of(run), freqs)}; "
                 "--allow-empty-band goes on all the same"
+            )
+
+
+def _refuse_too_slow(plan: Magnification, duration_s: float) -> None:
+    lowest = _PERIODS / duration_s
+    for band in plan.bands:
+        if band.high < lowest:
+            raise Tg4mmError(
+                f"--band {band.low:g} {band.high:g}: the record of {duration_s:.3g} s holds fewer than two periods of "
+                f"it; a band must reach {lowest:.3g} Hz, or film longer; --allow-empty-band goes on all the same"
             )
 
 

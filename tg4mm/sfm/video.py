@@ -115,7 +115,10 @@ def _opened(path: Path) -> Any:
         with av.logging.Capture(False):
             container = av.open(str(path))
     except (av.FFmpegError, OSError, ValueError) as error:
-        raise CaptureError(f"{path}: is not a video that can be decoded") from error
+        raise CaptureError(
+            f"{path}: is not a video that can be decoded, or it was cut off before its index; copy it from the camera "
+            "again"
+        ) from error
     # A stream without codec context takes the whole process down when it is decoded.
     if not container.streams.video or container.streams.video[0].codec_context is None:
         container.close()
