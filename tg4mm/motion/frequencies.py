@@ -24,10 +24,12 @@ _LOUD = 10.0  # times the noise: such a peak has side lobes all over a short rec
 _CLIPS = 8  # rounds in which peaks are left out of the noise
 _WEAK = 0.03  # of the strongest peak's power above the floor: weaker is taken for leakage
 _THIRDS = 3
-_CLOCKS = 3  # from which on they tell how much they differ
+_LEAST_CLOCKS = 3  # from which on they tell how much they differ
 _APART = (
     1.5  # over the duration, Hz: nearer ones are one whose amplitude changes, as a camera moves around it
 )
+
+_Clocks = tuple[Sequence[np.ndarray], Sequence[np.ndarray], Sequence[np.ndarray]]  # series, times, noise
 
 
 @dataclass(frozen=True)
@@ -189,18 +191,17 @@ def _scatter(
     if not len(hz):
         return np.zeros(0)
 
-    def deviation(
-        groups: list[tuple[Sequence[np.ndarray], Sequence[np.ndarray], Sequence[np.ndarray]]],
-    ) -> np.ndarray:
+    def deviation(groups: Sequence[_Clocks]) -> np.ndarray:
         each = [_refined(*own, list(hz), step / 2) for own in groups]
-        return np.std(np.array(each), axis=0, ddof=1) / np.sqrt(len(groups))
+        return np.asarray(np.std(np.array(each), axis=0, ddof=1) / np.sqrt(len(groups)))
 
-    thirds = [_without_third(series, times, k) for k in range(_THIRDS)]
-    within = (_THIRDS - 1) * deviation([(*third, noise) for third in thirds])  # the jackknife's
-    if len(series) < _CLOCKS:
+    thirds = [(*_without_third(series, times, k), noise) for k in range(_THIRDS)]
+    within = np.asarray((_THIRDS - 1) * deviation(thirds))  # the jackknife's
+    if len(series) < _LEAST_CLOCKS:
         return within
-    clocks = [([y], [t], [n]) for y, t, n in zip(series, times, noise, strict=True)]
-    return np.maximum(within, deviation(clocks))
+    return np.maximum(
+        within, deviation([([y], [t], [n]) for y, t, n in zip(series, times, noise, strict=True)])
+    )
 
 
 def _without_third(
@@ -208,8 +209,10 @@ def _without_third(
 ) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Every clock's series and times but for the k-th third of its frames."""
     kept = [np.delete(np.arange(len(t)), np.array_split(np.arange(len(t)), _THIRDS)[k]) for t in times]
-    pairs = zip(series, times, kept, strict=True)
-    return tuple(list(x) for x in zip(*((y[rows], t[rows]) for y, t, rows in pairs), strict=True))
+    return (
+        [y[rows] for y, rows in zip(series, kept, strict=True)],
+        [t[rows] for t, rows in zip(times, kept, strict=True)],
+    )
 
 
 def _strong(y: np.ndarray, most: int = 64) -> np.ndarray:
