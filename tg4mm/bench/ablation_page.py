@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from tg4mm.bench.chart import curves
 from tg4mm.bench.means import mean
 from tg4mm.bench.page import origin
+from tg4mm.bench.plots import curves
 from tg4mm.bench.table import NOTHING, shown, table
 from tg4mm.evaluate.run import CEILING, STATIC
 

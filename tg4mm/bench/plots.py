@@ -1,9 +1,10 @@
-"""The benchmark's plots, drawn by matplotlib: scores over magnification, and size against speed."""
+"""The benchmark's plots, drawn by matplotlib: scores over magnification, size against speed, ablations."""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
 from tg4mm.bench.means import scalars
@@ -79,9 +80,42 @@ def size_and_speed(results: Mapping[str, Any], group: str) -> str | None:
     return _svg(figure)
 
 
+def curves(
+    x_names: Sequence[str],
+    series: Mapping[str, Sequence[float | None]],
+    x: str,
+    y: str,
+    breaks: Sequence[int] = (),
+) -> str:
+    """An SVG with one curve per entry over named, evenly spaced positions; None: no point there.
+
+    breaks: positions that no line leads to from the one before.
+    """
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9, 4), layout="constrained")
+    axes = figure.subplots()
+    own = [name for name in series if not name.startswith((STATIC, CEILING))]
+    for name, values in series.items():
+        style = _style(name, own)
+        for k, (first, last) in enumerate(pairwise([0, *breaks, len(values)])):
+            points = [(i, v) for i in range(first, last) if (v := values[i]) is not None]
+            if points:
+                (line,) = axes.plot(*zip(*points, strict=True), label=f"_{name}" if k else name, **style)
+                line.set_gid(f"curve: {name}, {k}")
+    axes.grid(alpha=0.25)
+    with matplotlib.rc_context({"text.parse_math": False}):  # a $ in a name is a $
+        axes.set_xticks(range(len(x_names)), x_names)
+        axes.set_xlabel(x)
+        axes.set_ylabel(y)
+        figure.legend(loc="outside right upper", frameon=False)
+    return _svg(figure)
+
+
 def _style(row: str, rows: list[str]) -> dict[str, Any]:
-    if row in {STATIC, CEILING}:
-        return {"color": "#9aa0a8", "linestyle": ":" if row == STATIC else "--", "linewidth": 1.6}
+    if row.startswith((STATIC, CEILING)):
+        return {"color": "#9aa0a8", "linestyle": ":" if row.startswith(STATIC) else "--", "marker": "."}
     i = rows.index(row)
     return {
         "color": COLOURS[i % len(COLOURS)],
@@ -94,7 +128,7 @@ def _style(row: str, rows: list[str]) -> dict[str, Any]:
 def _svg(figure: Any) -> str:
     import matplotlib
 
-    with matplotlib.rc_context({"svg.hashsalt": "tg4mm", "font.size": 10}):
+    with matplotlib.rc_context({"svg.hashsalt": "tg4mm", "svg.fonttype": "none", "font.size": 10}):
         buffer = io.StringIO()
         figure.savefig(buffer, format="svg", metadata={"Date": None})
     return buffer.getvalue()
