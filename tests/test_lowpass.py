@@ -2,12 +2,16 @@
 
 from pathlib import Path
 
+import gsply
 import numpy as np
 import pytest
 import torch
+from pxr import Usd
 
+from tests.helpers.splatfile_gltf import parsed
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture
+from tg4mm.cli import main
 from tg4mm.errors import SplatFileError
 from tg4mm.export import export_ply, export_ply_sequence, smoothing_of, to_splat
 from tg4mm.gaussians import Gaussians
@@ -100,9 +104,49 @@ def test_exports_are_widened_and_say_so(run, tmp_path):
     assert frame.low_pass_px2 == 0.3
 
 
-def test_without_the_dataset_scales_stay_as_trained_and_nothing_is_said(run, tmp_path):
+def test_scales_as_trained_can_be_asked_for_in_every_format(run, tmp_path):
+    trained = run.load_space().scales.numpy()
+    as_trained = ["--low-pass", "none"]
+    single = {"ply": "a.ply", "gltf": "a.glb", "usd": "a.usdc", "spz": "a.spz"}
+    for format, name in single.items():
+        command = ["export", str(run.path), "--format", format, "--out", str(tmp_path / name)]
+        assert main([*command, *as_trained]) == 0
+        none = (tmp_path / name).read_bytes()
+        assert main(command) == 0
+        assert none != (tmp_path / name).read_bytes(), format
+        assert main([*command, *as_trained]) == 0
+    splat = read_splat(tmp_path / "a.ply")
+    np.testing.assert_allclose(splat.scales, trained, rtol=1e-5)
+    assert splat.low_pass_px2 is None
+    document, array = parsed(tmp_path / "a.glb")
+    attributes = document["meshes"][0]["primitives"][0]["attributes"]
+    np.testing.assert_allclose(array(attributes["KHR_gaussian_splatting:SCALE"]), trained, rtol=1e-5)
+    stage = Usd.Stage.Open(str(tmp_path / "a.usdc"))  # kept: a prim of a stage that is gone is none
+    prim = stage.GetDefaultPrim()
+    np.testing.assert_allclose(np.array(prim.GetAttribute("scales").Get(0)), trained, rtol=1e-5)
+    np.testing.assert_allclose(np.exp(gsply.read_spz(str(tmp_path / "a.spz")).scales), trained, rtol=0.04)
+    for format in ("ply-sequence", "spz"):
+        frames = tmp_path / format
+        command = ["export", str(run.path), "--format", format, "--timesteps", "2", "--out", str(frames)]
+        assert main([*command, *as_trained]) == 0
+    np.testing.assert_allclose(
+        read_splat(tmp_path / "ply-sequence/frame_0002.ply").scales, trained, rtol=1e-5
+    )
+    frame = gsply.read_spz(str(tmp_path / "spz" / "frame_0002.spz"))
+    np.testing.assert_allclose(np.exp(frame.scales), trained, rtol=0.04)
+
+
+def test_a_page_has_no_use_for_it(run, tmp_path, capsys):
+    command = ["export", str(run.path), "--format", "html", "--out", str(tmp_path / "a.html")]
+    assert main([*command, "--low-pass", "none"]) == 2
+    assert "--low-pass none: not for html, which draws with a low-pass of its own" in capsys.readouterr().err
+    assert not (tmp_path / "a.html").exists()
+
+
+def test_without_the_dataset_scales_stay_as_trained_and_the_program_says_so(run, tmp_path, caplog):
     (tmp_path / "data").rename(tmp_path / "elsewhere")
     splat = read_splat(export_ply(run, tmp_path / "a.ply"))
+    assert f"{tmp_path / 'data'}, the dataset, is gone: scales are written as trained" in caplog.text
     np.testing.assert_allclose(splat.scales, run.load_space().scales, rtol=1e-5)
     assert splat.low_pass_px2 is None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,6 +23,8 @@ from tg4mm.splatfile import SplatFile, write_splat
 
 if TYPE_CHECKING:
     from tg4mm.render.sequence import RenderRequest
+
+_LOG = logging.getLogger("tg4mm")
 
 
 def to_splat(
@@ -69,8 +72,12 @@ def to_splat(
 
 
 def smoothing_of(run: Run) -> np.ndarray | None:
-    """[N] variances for `to_splat`; None where the dataset, whose cameras say them, is gone."""
+    """[N] variances for `to_splat`; None, with a warning, where the dataset, whose cameras say them, is gone."""
     if not run.dataset.is_dir():
+        _LOG.warning(
+            "%s, the dataset, is gone: scales are written as trained, thinner than Blender should draw them",
+            run.dataset,
+        )
         return None
     return smoothing_variance(run.load_space().means.numpy().astype(np.float64), load_capture(run.dataset))
 
@@ -82,14 +89,14 @@ def unit_scale_of(run: Run) -> float | None:
     return load_capture(run.dataset).unit_scale_m
 
 
-def export_ply(run: Run, out: Path) -> Path:
+def export_ply(run: Run, out: Path, low_pass: bool = True) -> Path:
     """Write the run as one splat file that any viewer opens at rest, and ours plays: `splat_of` says what it holds.
 
     Raises Tg4mmError for an `out` that is a folder, a file of another kind or named like one, RunError for a run
     without a space stage.
     """
     check_file(out, ".ply", b"ply")
-    splat = splat_of(run)
+    splat = splat_of(run, low_pass)
     out.parent.mkdir(parents=True, exist_ok=True)
     write_splat(out, splat)
     return out
@@ -112,14 +119,14 @@ def check_file(out: Path, suffix: str, magic: bytes) -> None:
         )
 
 
-def splat_of(run: Run) -> SplatFile:
+def splat_of(run: Run, low_pass: bool = True) -> SplatFile:
     """The run as one splat with its motion.
 
     Of a `paper` run it holds timestep 0 and, as phasors of all DFT bins (0 Hz for the mean offset from it), every
     timestep's position and rotation. Modes that hold nothing but noise are left out (`mode_selection.py`); the standard
-    deviation of the others rides along where the run says it. Scales hold the low-pass (`lowpass.py`). Lost is what the
-    decoder changes in scale, opacity and colour over time, and of a `modal` run the light that changes. Raises RunError
-    for a run without a space stage.
+    deviation of the others rides along where the run says it. Scales hold the low-pass (`lowpass.py`), or without
+    `low_pass` are as trained. Lost is what the decoder changes in scale, opacity and colour over time, and of a `modal`
+    run the light that changes. Raises RunError for a run without a space stage.
     """
     gaussians, motion = run.load_space(), run.load_motion()
     if motion is not None and run.preset == "modal":
@@ -127,7 +134,7 @@ def splat_of(run: Run) -> SplatFile:
     deviation = None
     if motion is not None:
         motion, deviation = _told(motion, run)
-    return to_splat(gaussians, motion, unit_scale_of(run), deviation, smoothing_of(run))
+    return to_splat(gaussians, motion, unit_scale_of(run), deviation, smoothing_of(run) if low_pass else None)
 
 
 def _from_its_zero(gaussians: Gaussians, motion: ModalMotion) -> tuple[Gaussians, ModalMotion]:
@@ -159,6 +166,7 @@ def export_ply_sequence(
     band: tuple[float, float] | None = None,
     timesteps: Sequence[int] | None = None,
     request: RenderRequest | None = None,
+    low_pass: bool = True,
 ) -> Path:
     """Write OUT/frame_0000.ply …, one static splat file per timestep with the motion magnified by `alpha`.
 
@@ -170,7 +178,7 @@ def export_ply_sequence(
 
     request = request or RenderRequest(alpha=alpha, band=band)
     check_folder(out, ".ply")
-    frames = frames_of(run, request, timesteps)
+    frames = frames_of(run, request, timesteps, low_pass)
     write_frames(out, ".ply", write_splat, frames)
     return out
 
@@ -201,8 +209,10 @@ class Frames:
                 update(i + 1)
 
 
-def frames_of(run: Run, request: RenderRequest, timesteps: Sequence[int] | None = None) -> Frames:
-    """The run at `timesteps` (default: all), magnified as requested.
+def frames_of(
+    run: Run, request: RenderRequest, timesteps: Sequence[int] | None = None, low_pass: bool = True
+) -> Frames:
+    """The run at `timesteps` (default: all), magnified as requested; scales as those of `splat_of`.
 
     Raises Tg4mmError for a timestep that does not exist, and what rendering this request would.
     """
@@ -213,7 +223,7 @@ def frames_of(run: Run, request: RenderRequest, timesteps: Sequence[int] | None 
     for t in wanted:
         if not 0 <= t < n_timesteps:
             raise Tg4mmError(f"timestep {t} is outside 0 … {n_timesteps - 1}")
-    scale, smoothing = unit_scale_of(run), smoothing_of(run)
+    scale, smoothing = unit_scale_of(run), smoothing_of(run) if low_pass else None
     return Frames(wanted, fps, lambda t: to_splat(pose(float(t)), None, scale, smoothing=smoothing))
 
 

@@ -1,4 +1,7 @@
-"""A run as files of formats that other tools read (docs/export.md): glTF, SPZ, USD."""
+"""A run as files of formats that other tools read (docs/export.md): glTF, SPZ, USD.
+
+`low_pass` in all of them: scales hold the rasteriser's low-pass (`lowpass.py`), else they are as trained.
+"""
 
 from __future__ import annotations
 
@@ -25,14 +28,14 @@ _LOG = logging.getLogger("tg4mm")
 _USD_MAGIC = {".usda": b"#usda", ".usdc": b"PXR-USDC", ".usd": b"PXR-USDC"}
 
 
-def export_gltf(run: Run, out: Path, plan: Magnification) -> Path:
+def export_gltf(run: Run, out: Path, plan: Magnification, low_pass: bool = True) -> Path:
     """Write one .glb: the scene at rest and its motion, magnified as planned, as an animation.
 
     Raises Tg4mmError for an `out` that cannot be one, a plan that names a method, and a magnification of a run
     without motion.
     """
     check_file(out, ".glb", b"glTF")
-    splat = splat_of(run)
+    splat = splat_of(run, low_pass)
     if not splat.n_modes and not plan.is_identity:
         raise Tg4mmError(f"{run.path} has no motion: only --alpha 0 can be exported")
     alphas = plan.checked(splat.fps).ideal(splat.freqs_hz) if splat.n_modes else np.zeros(0)
@@ -43,17 +46,21 @@ def export_gltf(run: Run, out: Path, plan: Magnification) -> Path:
     return out
 
 
-def export_spz(run: Run, out: Path) -> Path:
+def export_spz(run: Run, out: Path, low_pass: bool = True) -> Path:
     """Write one .spz, the scene at rest. Raises Tg4mmError for an `out` that cannot be one."""
     check_file(out, ".spz", b"\x1f\x8b")
-    splat = splat_of(run)
+    splat = splat_of(run, low_pass)
     out.parent.mkdir(parents=True, exist_ok=True)
     write_spz(out, splat)
     return out
 
 
 def export_spz_sequence(
-    run: Run, out: Path, request: RenderRequest, timesteps: Sequence[int] | None = None
+    run: Run,
+    out: Path,
+    request: RenderRequest,
+    timesteps: Sequence[int] | None = None,
+    low_pass: bool = True,
 ) -> int:
     """Write OUT/frame_0000.spz …, a file for every timestep asked for, else for one period of the motion; their number.
 
@@ -61,7 +68,7 @@ def export_spz_sequence(
     """
     check_folder(out, ".spz")
     wanted = one_period(run) if timesteps is None else timesteps
-    write_frames(out, ".spz", write_spz, frames_of(run, request, wanted))
+    write_frames(out, ".spz", write_spz, frames_of(run, request, wanted, low_pass))
     return len(wanted)
 
 
@@ -83,7 +90,13 @@ def one_period(run: Run) -> range:
     return range(min(motion.n_timesteps, math.ceil(motion.fps / hz - 1e-6)))
 
 
-def export_usd(run: Run, out: Path, request: RenderRequest, timesteps: Sequence[int] | None = None) -> Path:
+def export_usd(
+    run: Run,
+    out: Path,
+    request: RenderRequest,
+    timesteps: Sequence[int] | None = None,
+    low_pass: bool = True,
+) -> Path:
     """Write one USD stage with a sample at every timestep (default: all).
 
     Raises Tg4mmError for an `out` that cannot be one, a timestep that does not exist, an OpenUSD without the schema,
@@ -92,7 +105,7 @@ def export_usd(run: Run, out: Path, request: RenderRequest, timesteps: Sequence[
     suffix = out.suffix.lower() if out.suffix.lower() in SUFFIXES else SUFFIXES[0]
     check_file(out, suffix, _USD_MAGIC[suffix])
     usd_modules()
-    frames = frames_of(run, request, None if timesteps is None else sorted(set(timesteps)))
+    frames = frames_of(run, request, None if timesteps is None else sorted(set(timesteps)), low_pass)
     out.parent.mkdir(parents=True, exist_ok=True)
     write_usd(out, frames, frames.fps)
     warn_of_scale(run)

@@ -23,9 +23,7 @@ if there["tg4mm"]:
     version = tg4mm.__version__
 print(json.dumps({"python": sys.version.split()[0], "there": there, "version": version}))
 """
-_INSTALL = (
-    "install it there: pip install 'tg4mm[core,generate]', in a clone pip install -e '.[core,generate]'"
-)
+_INSTALL = "in a copy of the repository run this Python with -m pip install '.[core,generate]'"
 
 
 def check(python: str, own_version: str) -> str:

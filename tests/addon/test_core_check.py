@@ -38,7 +38,9 @@ def test_all_is_there(extension: ModuleType, tmp_path: Path) -> None:
 @pytest.mark.parametrize("lost", ALL)
 def test_what_is_missing_is_named(extension: ModuleType, tmp_path: Path, lost: str) -> None:
     python = report(tmp_path, {name: name != lost for name in ALL})
-    with pytest.raises(Exception, match=rf"Python 3.11.7 of .* has no {lost}; install it there: pip install"):
+    with pytest.raises(
+        Exception, match=rf"Python 3.11.7 of .* has no {lost}; in a copy of the repository run"
+    ):
         extension.jobs.core_check.check(python, "0.1.0")
 
 

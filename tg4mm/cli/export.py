@@ -36,6 +36,13 @@ class Format(StrEnum):
     usd = "usd"
 
 
+class LowPass(StrEnum):
+    """What is in the scales of exported Gaussians."""
+
+    baked = "baked"
+    none = "none"
+
+
 def export(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder made by tg4mm train.")],
     out: Annotated[
@@ -74,6 +81,14 @@ def export(
             help="Timesteps to write (sequences, usd). [default: all; spz: one period of the strongest vibration]",
         ),
     ] = None,
+    low_pass: Annotated[
+        LowPass,
+        typer.Option(
+            help="baked: each Gaussian is as wide as training drew it, 0.3 square pixels more than it was trained; for "
+            "Blender, and for windows larger than the training pictures. none: scales as trained, for tools that add "
+            "these 0.3 square pixels themselves, at the size of the training pictures. Not for html."
+        ),
+    ] = LowPass.baked,
 ) -> None:
     """Write a run as files for viewers and for Blender.
 
@@ -90,6 +105,10 @@ def export(
         "--timesteps": wanted is not None,
     }
     _refuse(format, rest, [name for name, given in options.items() if given])
+    if format is Format.html and low_pass is LowPass.none:
+        raise Tg4mmError(
+            "--low-pass none: not for html, which draws with a low-pass of its own; leave it out"
+        )
     check_paired(alphas, asked)
     chosen_filter = temporal_filter(filter, asked)
     from tg4mm import export as plain
@@ -97,15 +116,15 @@ def export(
     from tg4mm.render import RenderRequest
     from tg4mm.runs import Run
 
-    opened = Run.open(run)
+    opened, baked = Run.open(run), low_pass is LowPass.baked
     if format is Format.ply:
-        plain.export_ply(opened, out)
+        plain.export_ply(opened, out, baked)
     elif format is Format.html:
         from tg4mm.web.write import export_html
 
         export_html(opened, out)
     elif rest:
-        export_spz(opened, out)
+        export_spz(opened, out, baked)
         _say("spz holds no motion: this is the scene at rest; a folder as --out takes a sequence")
     else:
         chosen = None if method is None else method.value
@@ -114,14 +133,14 @@ def export(
         check_magnified(opened, request.checked().plan, allow_empty_band)
         warn_too_far(opened, request.plan)
         if format is Format.gltf:
-            export_gltf(opened, out, request.plan)
+            export_gltf(opened, out, request.plan, baked)
         elif format is Format.usd:
-            export_usd(opened, out, request, wanted)
+            export_usd(opened, out, request, wanted, baked)
         elif format is Format.spz:
-            written = export_spz_sequence(opened, out, request, wanted)
+            written = export_spz_sequence(opened, out, request, wanted, baked)
             _say(f"spz holds no motion: {written} files, one for each timestep")
         else:
-            plain.export_ply_sequence(opened, out, timesteps=wanted, request=request)
+            plain.export_ply_sequence(opened, out, timesteps=wanted, request=request, low_pass=baked)
     typer.echo(str(out))
 
 
