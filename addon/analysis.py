@@ -70,10 +70,12 @@ def legend_picture(obj: Any, unit: Unit, settings: Any) -> tuple[Any, ...] | Non
     shown = legend(obj)
     if shown is None:
         return None
-    highest = float(compat.get_input(scene.splat_modifier(obj), names.COLOUR_RANGE))
+    modifier = scene.splat_modifier(obj)
+    highest = float(compat.get_input(modifier, names.COLOUR_RANGE))
+    encoded = compat.has_input(modifier, names.BLEND) and bool(compat.get_input(modifier, names.BLEND))
     if shown.kind == names.PHASE_COLOUR:
-        return plots.phase_legend, STILL_BELOW * highest, unit, seen.phase(settings)
-    return plots.amplitude_legend, highest, unit, seen.amplitude(settings)
+        return plots.phase_legend, STILL_BELOW * highest, unit, seen.phase(settings, encoded)
+    return plots.amplitude_legend, highest, unit, seen.amplitude(settings, encoded)
 
 
 def band(obj: Any) -> tuple[float, float]:

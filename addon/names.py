@@ -14,6 +14,7 @@ DRAW, COLOUR_BY = "Draw As", "Colour By"
 SIZE, RADIUS, MIN_OPACITY = "Size", "Ellipsoid Radius", "Minimum Opacity"
 MIN_SPLAT_OPACITY = "Minimum Splat Opacity"
 VIEW_COLOUR, SOLID_COLOUR = "View-Dependent Colour", "Solid View Colours"
+BLEND = "Blend as Trained"
 COLOUR_RANGE = "Colour Range"
 ARROW_LENGTH, ARROW_EVERY = "Arrow Length", "Arrow Every"
 # Items of the two menus, in their order.

@@ -8,6 +8,7 @@ import bpy
 
 from . import (
     analysis,
+    blending,
     clock,
     colour_range,
     compat,
@@ -134,7 +135,10 @@ class VIEW3D_PT_tg4mm_look(_SplatTab, bpy.types.Panel):
             layout.operator("tg4mm.solid_colours", icon="SHADING_SOLID", depress=on).on = not on
         if drawn == names.SPLATS and names.LOW_PASS not in obj:
             layout.label(text="Scales as trained: what is thin may have holes", icon="INFO")
-        if context.scene.view_settings.view_transform != "Standard":
+        on = blending.blends_as_trained(context.scene)
+        if on or drawn == names.SPLATS:
+            layout.operator("tg4mm.blend_as_trained", icon="OVERLAY", depress=on).on = not on
+        if context.scene.view_settings.view_transform != blending.view_transform(context.scene):
             layout.operator("tg4mm.true_colours", icon="COLOR")
 
 

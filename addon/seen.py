@@ -20,14 +20,17 @@ Key = tuple[Any, ...]
 _known: dict[Key, tuple[plots.Rows, plots.Rows]] = {}
 
 
-def amplitude(scene: Any) -> plots.Rows:
-    """The map for amplitudes in this scene; as under Standard while it is not worked out yet."""
-    return _rows(scene)[0]
+def amplitude(scene: Any, encoded: bool = False) -> plots.Rows:
+    """The map for amplitudes in this scene; as under Standard while it is not worked out yet.
+
+    `encoded`: of an object whose colours are encoded for the screen before they are blended.
+    """
+    return _rows(scene, encoded)[0]
 
 
-def phase(scene: Any) -> plots.Rows:
+def phase(scene: Any, encoded: bool = False) -> plots.Rows:
     """The map for phases, then the grey of what hardly moves; likewise."""
-    return _rows(scene)[1]
+    return _rows(scene, encoded)[1]
 
 
 def through_view(linear: np.ndarray, scene: Any) -> np.ndarray:
@@ -65,23 +68,24 @@ def _save(image: Any, file: Path, scene: Any) -> None:
             setattr(settings, name, value)
 
 
-def _rows(scene: Any) -> tuple[plots.Rows, plots.Rows]:
-    key = _key(scene)
-    if _is_standard(key):
+def _rows(scene: Any, encoded: bool) -> tuple[plots.Rows, plots.Rows]:
+    key = _key(scene, encoded)
+    if key in _AS_THEY_ARE:
         return plots.STANDARD_AMPLITUDE, plots.STANDARD_PHASE
     if key not in _known:
-        bpy.app.timers.register(partial(work_out, scene.name), first_interval=0.0)
+        bpy.app.timers.register(partial(work_out, scene.name, encoded), first_interval=0.0)
         return plots.STANDARD_AMPLITUDE, plots.STANDARD_PHASE
     return _known[key]
 
 
-def work_out(name: str) -> None:
+def work_out(name: str, encoded: bool = False) -> None:
     """Find the maps of the scene called `name` for its view transform as it is now."""
     scene = bpy.data.scenes.get(name)
-    if scene is None or (key := _key(scene)) in _known:
+    if scene is None or (key := _key(scene, encoded)) in _known:
         return
     maps = colours.amplitude_map(), colours.phase_and_still()
-    rows = through_view(np.concatenate(maps), scene)
+    emitted = np.concatenate(maps)
+    rows = through_view(colours.display(emitted) if encoded else emitted, scene)
     as_rows = [tuple(map(tuple, part.tolist())) for part in np.split(rows, [len(maps[0])])]
     _known[key] = as_rows[0], as_rows[1]
     for window in bpy.context.window_manager.windows:
@@ -89,7 +93,7 @@ def work_out(name: str) -> None:
             area.tag_redraw()
 
 
-def _key(scene: Any) -> Key:
+def _key(scene: Any, encoded: bool) -> Key:
     view = scene.view_settings
     return (
         scene.display_settings.display_device,
@@ -97,8 +101,9 @@ def _key(scene: Any) -> Key:
         view.look,
         round(view.exposure, 4),
         round(view.gamma, 4),
+        encoded,
     )
 
 
-def _is_standard(key: Key) -> bool:
-    return key == ("sRGB", "Standard", "None", 0.0, 1.0)
+# Colours that the screen shows as the maps have them.
+_AS_THEY_ARE = (("sRGB", "Standard", "None", 0.0, 1.0, False), ("sRGB", "Raw", "None", 0.0, 1.0, True))

@@ -101,6 +101,19 @@ def _linear(graph: Graph, value: Any) -> Any:
     return graph.choose("FLOAT", graph.compare("LESS_EQUAL", clamped, 0.04045), high, low)
 
 
+def encoded(graph: Graph, colour: Any) -> Any:
+    """Linear light in 0..1 as the display-referred sRGB numbers that it is shown with."""
+    parts = graph.node("FunctionNodeSeparateColor")
+    graph.put(colour, parts.inputs[0])
+    channels = []
+    for value in list(parts.outputs)[:3]:
+        high = graph.math("MULTIPLY_ADD", graph.math("POWER", value, 1 / 2.4), 1.055, -0.055)
+        is_low = graph.compare("LESS_EQUAL", value, 0.0031308)
+        channels.append(graph.choose("FLOAT", is_low, high, graph.math("MULTIPLY", value, 12.92)))
+    named = dict(zip(("Red", "Green", "Blue"), channels, strict=True))
+    return graph.call("FunctionNodeCombineColor", named)
+
+
 def _ramp(graph: Graph, factor: Any, rows: np.ndarray) -> Any:
     """Linear interpolation of linear RGB rows at equal steps from 0 to 1."""
     node = graph.node("ShaderNodeValToRGB")

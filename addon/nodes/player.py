@@ -14,7 +14,7 @@ import bpy
 from .. import compat, names
 from ..made import Made
 from ..spectrum import whole_band
-from .colour import build_colour_map, build_harmonics
+from .colour import build_colour_map, build_harmonics, encoded
 from .graph import Graph
 from .motion import Motion, build_motion, use_motion
 from .sequence import build_sequence
@@ -83,6 +83,9 @@ def build_player(name: str, content: Content, materials: Materials, made: Made) 
         motion = use_motion(graph, build_motion(name, content.freqs_hz, content.fps, made), inputs)
         points = _moved(graph, points, motion, draw)
     points = _coloured(graph, points, inputs, content, by, motion, (name, made))
+    for_screen = encoded(graph, graph.attribute(names.COLOUR, "FLOAT_COLOR"))
+    as_trained = graph.store(points, names.COLOUR, "FLOAT_COLOR", for_screen)
+    points = graph.choose("GEOMETRY", inputs[names.BLEND], points, as_trained)
     for prefix in (names.MODE_PREFIX, names.SH_PREFIX):
         # Instances would carry a copy of each attribute of their point.
         points = graph.without(points, f"{prefix}*")
@@ -115,6 +118,10 @@ def _declare(graph: Graph, content: Content) -> None:
     if content.sh_degree:
         text = "Colours as the scene's camera sees them, not the mean over all directions"
         graph.interface(names.VIEW_COLOUR, "Bool", False, description=text)
+    text = (
+        "Colours as the screen shows them, so that they mix as in training; view transform Raw goes with it"
+    )
+    graph.interface(names.BLEND, "Bool", False, description=text)
     text = "One mesh, whose colours Solid view shows (Colour: Attribute); for small sets"
     graph.interface(names.SOLID_COLOUR, "Bool", False, description=text)
     if moves:

@@ -10,8 +10,8 @@ from bpy.props import BoolProperty, CollectionProperty, IntProperty, StringPrope
 from bpy_extras.io_utils import ImportHelper
 
 from .. import compat, loading, names, preferences, receiving, scene, showing
+from ..blending import true_colours
 from ..core.errors import SplatFileError
-from .look import true_colours
 
 
 class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):

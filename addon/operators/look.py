@@ -8,8 +8,8 @@ import bpy
 from bpy.props import BoolProperty
 
 from .. import analysis, compat, names, preferences, scene
+from ..blending import true_colours
 from ..core.errors import Tg4mmError
-from ..materials import TRANSPARENT_BOUNCES
 
 
 class _OnSplats(bpy.types.Operator):
@@ -23,13 +23,27 @@ class _OnSplats(bpy.types.Operator):
 
 
 class TG4MM_OT_true_colours(_OnSplats):
-    """Show the colours of the file: view transform Standard, and enough transparent bounces for splats"""
+    """Show the colours of the file: the view transform that they are made for, and transparent bounces for splats"""
 
     bl_idname = "tg4mm.true_colours"
     bl_label = "Set Up True Colours"
 
     def execute(self, context: Any) -> set[str]:
         true_colours(context.scene)
+        return {"FINISHED"}
+
+
+class TG4MM_OT_blend_as_trained(_OnSplats):
+    """Mix the colours of splats as training and other viewers do: view transform Raw, and all splats of the scene drawn
+    for it. For scenes of splats alone, as it shows other objects and lamps too dark. Click again to end it"""
+
+    bl_idname = "tg4mm.blend_as_trained"
+    bl_label = "Blend as Trained"
+
+    on: BoolProperty(name="On", default=True, options={"SKIP_SAVE"})  # type: ignore[valid-type]
+
+    def execute(self, context: Any) -> set[str]:
+        true_colours(context.scene, self.on)
         return {"FINISHED"}
 
 
@@ -70,23 +84,12 @@ class TG4MM_OT_fit_colour_range(_OnSplats):
         return {"FINISHED"}
 
 
-def true_colours(to: Any) -> str:
-    """Set a scene's colour management and Cycles' transparent bounces for splats.
-
-    Returns what to tell about it, "" where the view transform was Standard before.
-    """
-    before = to.view_settings.view_transform
-    to.view_settings.view_transform, to.view_settings.look = "Standard", "None"
-    to.view_settings.exposure, to.view_settings.gamma = 0.0, 1.0
-    # Cycles may be switched off in this Blender.
-    if hasattr(to, "cycles"):
-        cycles = to.cycles
-        cycles.transparent_max_bounces = max(cycles.transparent_max_bounces, TRANSPARENT_BOUNCES)
-        cycles.min_transparent_bounces = max(cycles.min_transparent_bounces, TRANSPARENT_BOUNCES)
-    return "" if before == "Standard" else f"view transform set from {before} to Standard"
-
-
-_CLASSES = (TG4MM_OT_true_colours, TG4MM_OT_solid_colours, TG4MM_OT_fit_colour_range)
+_CLASSES = (
+    TG4MM_OT_true_colours,
+    TG4MM_OT_blend_as_trained,
+    TG4MM_OT_solid_colours,
+    TG4MM_OT_fit_colour_range,
+)
 
 
 register, unregister = bpy.utils.register_classes_factory(_CLASSES)

@@ -28,6 +28,26 @@ def test_import_sets_the_colours_up_unless_declined(extension: ModuleType, splat
     assert scene.cycles.min_transparent_bounces == 1024
 
 
+def test_splats_blend_as_trained_on_demand_and_newcomers_with_them(
+    extension: ModuleType, splat_path: Path
+) -> None:
+    """All splats of a scene have one way to blend, and the view transform is that which it needs."""
+    scene, names, compat = bpy.context.scene, extension.names, extension.compat
+    first = import_splat(splat_path)
+    linear = shown_colours(first)
+    assert bpy.ops.tg4mm.blend_as_trained(on=True) == {"FINISHED"}
+    assert scene.view_settings.view_transform == "Raw"
+    np.testing.assert_allclose(shown_colours(first), extension.colours.display(linear), atol=2e-5)
+    second = import_splat(splat_path)
+    assert scene.view_settings.view_transform == "Raw"
+    modifiers = [extension.scene.splat_modifier(obj) for obj in (first, second)]
+    assert [compat.get_input(modifier, names.BLEND) for modifier in modifiers] == [True, True]
+    assert bpy.ops.tg4mm.blend_as_trained(on=False) == {"FINISHED"}
+    assert scene.view_settings.view_transform == "Standard"
+    np.testing.assert_array_equal(shown_colours(first), linear)
+    assert [compat.get_input(modifier, names.BLEND) for modifier in modifiers] == [False, False]
+
+
 def test_report_viewer_and_blender_have_one_palette(extension: ModuleType, splat_path: Path) -> None:
     """The colours of the points, encoded for the screen, are those of the report's maps."""
     splat = read_splat(splat_path)
@@ -49,6 +69,22 @@ def test_report_viewer_and_blender_have_one_palette(extension: ModuleType, splat
         np.array(STILL)
     )
     np.testing.assert_allclose(shown_colours(obj), linear, atol=0.01)
+
+
+def test_legend_is_of_the_palette_where_splats_blend_as_trained(
+    extension: ModuleType, splat_path: Path
+) -> None:
+    obj, scene, seen = import_splat(splat_path), bpy.context.scene, extension.seen
+    setter(extension, obj)(extension.names.COLOUR_BY, extension.names.AMPLITUDE_COLOUR)
+    unit = extension.preferences.unit_for(bpy.context, obj)
+    before = extension.analysis.legend_picture(obj, unit, scene)
+    bpy.ops.tg4mm.blend_as_trained(on=True)
+    assert extension.analysis.legend_picture(obj, unit, scene) == before
+    encoded = extension.colours.display(extension.colours.amplitude_map())
+    np.testing.assert_allclose(seen.through_view(encoded, scene), encoded, atol=2e-3)
+    scene.view_settings.exposure = -1.0
+    seen.work_out(scene.name, True)
+    assert np.array(seen.amplitude(scene, True)).mean() < 0.7 * encoded.mean()
 
 
 @pytest.mark.parametrize("transform", ["Standard", "AgX"])

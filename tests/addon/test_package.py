@@ -27,6 +27,7 @@ ADDON = (
     *(
         "__init__",
         "analysis",
+        "blending",
         "canvas",
         "clock",
         "colour_range",

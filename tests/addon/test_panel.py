@@ -87,6 +87,23 @@ def test_moving_file_has_every_control(extension: ModuleType, splat_path: Path) 
     assert not {"tg4mm.true_colours", "Radius (σ)"} & set(shown)
 
 
+def test_splats_can_be_blended_as_trained_and_only_they_are_offered_it(
+    extension: ModuleType, splat_path: Path
+) -> None:
+    obj = import_splat(splat_path)
+    names, put = extension.names, setter(extension, obj)
+    assert "tg4mm.blend_as_trained" not in drawn(extension, obj)
+    put(names.DRAW, names.SPLATS)
+    assert "tg4mm.blend_as_trained" in drawn(extension, obj)
+    bpy.ops.tg4mm.blend_as_trained(on=True)
+    put(names.DRAW, names.ELLIPSOIDS)  # and where it is on it can be ended
+    shown = drawn(extension, obj)
+    assert "tg4mm.blend_as_trained" in shown
+    assert "tg4mm.true_colours" not in shown
+    bpy.context.scene.view_settings.view_transform = "Standard"
+    assert "tg4mm.true_colours" in drawn(extension, obj)
+
+
 def test_peaks_have_buttons(extension: ModuleType, splat_path: Path) -> None:
     obj = import_splat(splat_path)
     shown = drawn(extension, obj)

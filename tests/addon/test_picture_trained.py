@@ -95,7 +95,7 @@ def stored() -> np.ndarray:
     return np.asarray(Image.open(HERE / "mic_64.png").convert("RGB"), dtype=float) / 255
 
 
-def in_blender(extension: ModuleType, path: Path, splat: SplatFile) -> np.ndarray:
+def in_blender(extension: ModuleType, path: Path, splat: SplatFile, as_trained: bool = False) -> np.ndarray:
     """[SIZE, SIZE, 3] Cycles' picture of the file's splats, over white."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     write_splat(path, splat)
@@ -103,6 +103,7 @@ def in_blender(extension: ModuleType, path: Path, splat: SplatFile) -> np.ndarra
     put, names = setter(extension, obj), extension.names
     put(names.DRAW, names.SPLATS)
     put(names.VIEW_COLOUR, True)
+    bpy.ops.tg4mm.blend_as_trained(on=as_trained)
     camera = add_camera(PLACE, (SIZE, SIZE))
     camera.data.angle = 2 * np.arctan(TRAINED / 2 / FOCAL)
     render_cycles(path.with_suffix(".png"), samples=4, clear=True)
@@ -121,6 +122,8 @@ def test_an_exported_file_shows_in_blender_what_was_trained(extension: ModuleTyp
     wanted = stored()
     found = psnr(in_blender(extension, tmp_path / "exported.ply", exported(splat)), wanted)
     thin = psnr(in_blender(extension, tmp_path / "thin.ply", splat), wanted)
-    print(f"exported {found:.1f} dB, scales as trained {thin:.1f} dB")
+    mixed = psnr(in_blender(extension, tmp_path / "mixed.ply", exported(splat), as_trained=True), wanted)
+    print(f"exported {found:.1f} dB, blended as trained {mixed:.1f} dB, scales as trained {thin:.1f} dB")
     assert found >= AGREEMENT
+    assert mixed >= AGREEMENT + 3
     assert thin < AGREEMENT - 6
