@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import ast
+import dataclasses
 import importlib
 import inspect
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -69,6 +71,38 @@ def test_each_is_there_and_says_what_it_is(name: str) -> None:
     assert inspect.getdoc(value)
     # a dataclass without a docstring would be given its signature
     assert not inspect.getdoc(value).startswith(f"{name}(")  # type: ignore[union-attr]
+
+
+def documented(page: ModuleType) -> list[str]:
+    """Public names, fields and members that lack a meaning, and functions that do not say what they take and give."""
+    missing = []
+    for name in NAMES:
+        value = getattr(tg4mm, name)
+        value = getattr(value, name, value) if isinstance(value, ModuleType) else value
+        if inspect.isfunction(value):
+            text = inspect.getdoc(value) or ""
+            parts = ["Args:", *(["Returns:"] if value.__annotations__["return"] != "None" else [])]
+            missing += [f"{name}: {part}" for part in parts if part not in text]
+            takes = [a for a in inspect.signature(value).parameters if f"\n    {a}: " not in text]
+            missing += [f"{name}({argument})" for argument in takes]
+        if dataclasses.is_dataclass(value):
+            missing += [f"{name}.{field}" for field, _, about in page.fields_of(value) if not about]
+            members = [inspect.getattr_static(value, one) for one in page.members_of(value)]
+            missing += [f"{name}.{one}" for one in members if not getattr(one, "__func__", one).__doc__]
+    return missing
+
+
+def test_everything_public_says_what_it_is(repo_root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As the page of the site is made: arguments and results of functions, fields and members of classes."""
+    pytest.importorskip("mkdocs", reason="the extra `docs` is not installed")
+    monkeypatch.syspath_prepend(repo_root / "docs")
+    page = importlib.import_module("hooks")
+    assert documented(page) == []
+    fields = {field: (kind, about) for field, kind, about in page.fields_of(tg4mm.Capture)}
+    assert fields["timesteps"] == ("np.ndarray", "[C] int64, 0 … T-1")
+    assert "NaN for a picture of the scene at rest" in fields["times_s"][1]  # from the lines above it
+    settings = {field: about for field, _, about in page.fields_of(tg4mm.SpaceConfig)}
+    assert settings["seed"] == "of random draws"
 
 
 def test_type_checkers_see_the_same_names_in_the_same_modules() -> None:

@@ -34,11 +34,21 @@ def to_splat(
     deviation: np.ndarray | None = None,
     smoothing: np.ndarray | None = None,
 ) -> SplatFile:
-    """The Gaussians, and their motion if any, as a splat file holds them (docs/conventions.md, "Splat file").
+    """The Gaussians and their motion as a splat file holds them (docs/conventions.md, "Splat file").
 
-    deviation [K, N]: standard deviation of each mode's amplitude, scene units. smoothing [N]: variance that the
-    scales are widened by, scene units² (`lowpass.py`); the file says that they are.
-    Raises SplatFileError for values that such a file cannot hold, RunError where the two do not fit.
+    Args:
+        gaussians: at rest.
+        motion: of these Gaussians; `None`: a static file.
+        unit_scale_m: metres per scene unit; `None` if unknown.
+        deviation: [K, N] standard deviation of each mode's amplitude, scene units; `None`: not known.
+        smoothing: [N] variance to add to the scales, scene units² (`lowpass.py`), which the file records; `None`: none.
+
+    Returns:
+        What `write_splat` writes.
+
+    Raises:
+        SplatFileError: a value that such a file cannot hold.
+        RunError: the motion is of another number of Gaussians.
     """
     means, quats, scales, opacities, sh = (
         tensor.detach().cpu().numpy().astype(np.float32)

@@ -30,6 +30,7 @@ class BandGain:
 
     @property
     def band(self) -> tuple[float, float]:
+        """(low, high) in Hz."""
         return self.low, self.high
 
 

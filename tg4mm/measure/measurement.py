@@ -30,9 +30,9 @@ from tg4mm.runs import Run
 class Measurement:
     """Everything that was measured in one call: `sensors`, also by name as `found["tip"]`."""
 
-    prepared: Prepared
-    sensors: tuple[SensorResult, ...]
-    clusters: Clusters
+    prepared: Prepared  # what was measured
+    sensors: tuple[SensorResult, ...]  # in the order asked for
+    clusters: Clusters  # groups of Gaussians that move alike
     shapes: tuple[
         Shape, ...
     ]  # operating deflection shapes, one for each frequency that sensors or modes show
@@ -58,12 +58,19 @@ def measure(
     reference: str | None = None,
     clusters: Clusters | None = None,
 ) -> Measurement:
-    """Measure sensors on a run; without any, clusters that move alike and the whole scene.
+    """Measure the displacement of virtual sensors over time, in the pictures (docs/measure.md).
 
-    run: a `Prepared` (`prepare(run)`) skips reading the pictures, which makes a further sensor a matter of one product
-    with the Jacobian of every view; `clusters` of an earlier measurement are found by `Measurement.clusters`.
-    reference: the sensor that phases and coherence are against; by default the first.
-    Raises MeasureError for a sensor that holds nothing, that no picture shows, or a reference that is none of them.
+    Args:
+        run: a run, or what `prepare` or `prepare_fit` returned, which needs no pictures for further sensors.
+        sensors: regions to measure; `None`: clusters that move alike, and the whole scene.
+        reference: name of the sensor that phases and coherence refer to; `None`: the first.
+        clusters: `Measurement.clusters` of an earlier call; `None` finds them.
+
+    Returns:
+        A waveform with its deviation, a spectrum with its noise floor, and peaks for each sensor, in scene units.
+
+    Raises:
+        MeasureError: a sensor contains no Gaussian, no picture shows it, or `reference` is none of the sensors.
     """
     scene = run if isinstance(run, Prepared) else prepare(run)
     groups = clusters or clusters_of(scene)

@@ -59,18 +59,17 @@ class Clock:
 class Prepared:
     """A run or fit made ready by `prepare` or `prepare_fit`: `measure` takes it any number of times."""
 
-    fit: MotionFit
+    fit: MotionFit  # the scene and its motion
     folder: Path | None  # the run's; None: there is no run
-    capture: Capture
-    observations: Observations
-    modal: ModalFields
-    views: Sequence[MeasuredView]
-    clocks: tuple[Clock, ...]
+    capture: Capture  # its pictures' cameras and times
+    observations: Observations  # of the motion stage: views, clocks, pictures
+    modal: ModalFields  # the motion as a few fields and their functions of time
+    views: Sequence[MeasuredView]  # what was read of each view's pictures
+    clocks: tuple[Clock, ...]  # views whose frames were taken at the same times
     seen: np.ndarray  # [N] blending weight, pixels, summed over the views
-    notes: tuple[str, ...] = ()
-    slow: np.ndarray | None = (
-        None  # [S, F] functions of time that a moving camera cannot tell from its own motion
-    )
+    notes: tuple[str, ...] = ()  # what this capture cannot tell, a line each
+    # [S, F] functions of time that a moving camera cannot tell from its own motion
+    slow: np.ndarray | None = None
 
     @property
     def gaussians(self) -> Gaussians:
@@ -84,15 +83,24 @@ class Prepared:
 
     @property
     def is_moving(self) -> bool:
+        """Whether one moving camera took the pictures."""
         return self.observations.clock == "moving"
 
 
 def prepare(run: Run, keep: bool = True) -> Prepared:
-    """Read the run's pictures once, or take what an earlier call kept (RUN/residuals.safetensors).
+    """Read the run's pictures once, for any number of measurements.
 
-    keep: write that file, 12 bytes for each frame and Gaussian that is seen, where it is under 1 GiB and the folder can
-    be written.
-    Raises MeasureError where the run has no pictures over time, Tg4mmError for a run or dataset that cannot be read.
+    Args:
+        run: a finished run.
+        keep: keep what is read in RUN/residuals.safetensors, for later calls: 12 bytes for each frame and visible
+            Gaussian, if that is under 1 GiB and the folder can be written.
+
+    Returns:
+        What `measure` takes.
+
+    Raises:
+        MeasureError: the dataset has one timestep.
+        Tg4mmError: the run or its dataset cannot be read.
     """
     capture = load_capture(run.dataset, split="train")
     if capture.n_timesteps < 2:
@@ -107,11 +115,19 @@ def prepare(run: Run, keep: bool = True) -> Prepared:
 def prepare_fit(
     capture: Capture, fit: MotionFit, images: ImageStack | FilePictures | None = None
 ) -> Prepared:
-    """Read the pictures that `fit` was found from once; nothing is written.
+    """Read the pictures of a fit once, for any number of measurements. Writes nothing.
 
-    images: of the capture, where they were read before (`load_images`).
-    Raises CaptureError where they cannot be read, or are too few to show motion; MeasureError where the capture has one
-    timestep.
+    Args:
+        capture: that `fit` was fitted to.
+        fit: of `fit_motion`.
+        images: the capture's pictures if they are read already (`load_images`); `None` reads them.
+
+    Returns:
+        What `measure` takes.
+
+    Raises:
+        CaptureError: a picture cannot be read, or too few show motion.
+        MeasureError: the capture has one timestep.
     """
     if capture.n_timesteps < 2:
         raise MeasureError(f"{capture.root}: has one timestep; a measurement needs pictures over time")

@@ -42,16 +42,17 @@ class SensorResult:
     `times_s`, `displacement`, `deviation`, `velocity` and `acceleration` are the first one's, along `series.axes`.
     """
 
-    sensor: Sensor
-    body: Body
+    sensor: Sensor  # what was asked for
+    body: Body  # the Gaussians of the region and their weights
     all_series: tuple[Series, ...]  # one for each clock
     px_per_unit: float  # pixels per scene unit at the region, in the view that sees it largest
-    best_view: str
+    best_view: str  # name of that view
     together: Together | None = None  # of clips
     relation: Relation | None = None  # to the reference sensor; None for that sensor itself
 
     @property
     def name(self) -> str:
+        """Of the sensor."""
         return self.sensor.name
 
     @property
@@ -66,7 +67,7 @@ class SensorResult:
 
     @property
     def times_s(self) -> np.ndarray:
-        """[T]"""
+        """[T] seconds."""
         return self.series.times_s
 
     @property
@@ -91,6 +92,7 @@ class SensorResult:
 
     @cached_property
     def spectrum(self) -> Spectrum:
+        """Amplitude and noise floor over frequency, scene units and Hz, and the peaks."""
         if self.together is not None:
             return self.together.spectrum
         return spectrum_of(self.times_s, self.displacement, self.series.noise, self.series.model_share)

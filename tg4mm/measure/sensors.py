@@ -33,10 +33,10 @@ class Sensor:
     as the default sensors are numbered from 1; 0 is what stands still.
     """
 
-    name: str
-    region: str
-    values: tuple[float, ...] = ()
-    camera: str = ""
+    name: str  # letters, digits, _ . + - and single spaces, at most 64
+    region: str  # all, box, sphere, pixel or cluster
+    values: tuple[float, ...] = ()  # the numbers of the region, see above
+    camera: str = ""  # of a pixel: name of a training view's first picture, without suffix
 
     def __post_init__(self) -> None:
         if not _NAME.fullmatch(self.name) or len(self.name) > 64:

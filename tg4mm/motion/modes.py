@@ -22,11 +22,11 @@ class ModalMotion:
     freqs_hz: np.ndarray  # [K] float64
     displacement: np.ndarray  # [K, N, 3] complex64, scene units
     rotation: np.ndarray  # [K, N, 3] complex64, rotation vectors in radians, world axes
-    fps: float
-    n_timesteps: int
+    fps: float  # Hz
+    n_timesteps: int  # T
     gains: np.ndarray | None = None  # [K, T] complex128; None: the exponentials
     magnified: np.ndarray | None = None  # [K] bool; None: all above 0 Hz
-    appearance: AppearanceModes | None = None
+    appearance: AppearanceModes | None = None  # changes of colour; None: there are none
 
     def gains_at(self, t: float) -> np.ndarray:
         """[K] complex128: exp(i 2π f_k t / fps), or the motion's own gains.

@@ -17,7 +17,7 @@ class MotionFit:
     """What `fit_motion` gives: the scene at rest, its motion, how sure it is, and what the capture cannot tell."""
 
     gaussians: Gaussians  # at rest; others than those given where large motion made them sharper
-    motion: ModalMotion
+    motion: ModalMotion  # displacement and rotation phasors of every Gaussian
     uncertainty: dict[
         str, np.ndarray
     ]  # RUN/uncertainty.safetensors (docs/conventions.md); empty: not asked for

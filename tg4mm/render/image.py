@@ -24,6 +24,9 @@ def render(
 
     Returns:
         [height, width, 3] float32 in 0..1, display-referred sRGB.
+
+    Raises:
+        Tg4mmError: the Gaussians are on CUDA and gsplat is not installed.
     """
     return render_image(gaussians, camera.viewmat, camera.K, camera.width, camera.height, background)
 
