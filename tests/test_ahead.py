@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import os
 import subprocess
@@ -15,18 +14,6 @@ from tg4mm import ahead
 from tg4mm.ahead.jobs import JOBS
 
 ROOT = Path(__file__).resolve().parent.parent
-MODULES = {
-    "project": "tg4mm.rasterize.kernels.project", "project_backward": "tg4mm.rasterize.kernels.project_backward",
-    "binning": "tg4mm.rasterize.kernels.binning", "blend": "tg4mm.rasterize.kernels.blend",
-    "blend_backward": "tg4mm.rasterize.kernels.blend_backward", "normal": "tg4mm.rasterize.kernels.normal",
-    "linearised": "tg4mm.rasterize.kernels.linearised", "kernels": "tg4mm.space.kernels",
-    "projection": "tg4mm.motion.jacobian.projection", "packed": "tg4mm.motion.jacobian.packed",
-}  # fmt: skip
-
-
-def kernels_of(job: ahead.Job) -> list:
-    names = [kernel.split(".") for kernel in job.kernels]
-    return [getattr(importlib.import_module(MODULES[module]), name) for module, name in names]
 
 
 @pytest.mark.slow
@@ -34,7 +21,7 @@ def kernels_of(job: ahead.Job) -> list:
 def test_a_job_compiles_the_kernels_it_names(name: str, tmp_path: Path) -> None:
     """With an empty cache: what is loaded from one does not load the kernels inside it."""
     code = f"""
-from tests.test_ahead import kernels_of
+from tests.helpers.kernels import kernels_of
 from tg4mm.ahead.jobs import JOBS
 JOBS[{name!r}].call()
 print([len(kernel.signatures) for kernel in kernels_of(JOBS[{name!r}])])
@@ -50,7 +37,7 @@ def test_training_asks_for_no_other_types() -> None:
     """An iteration as the space stage does it, in a process that the jobs ran in before: not one more signature."""
     code = """
 import numpy as np, torch
-from tests.test_ahead import kernels_of
+from tests.helpers.kernels import kernels_of
 from tg4mm.ahead.jobs import JOBS
 from tg4mm.space.fused import FusedAdam, Iteration
 jobs = [job for job in JOBS.values() if job.group != "motion"]

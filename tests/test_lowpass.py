@@ -8,7 +8,7 @@ import pytest
 import torch
 from pxr import Usd
 
-from tests.helpers.splatfile_gltf import parsed
+from tests.helpers.gltf import parsed
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture
 from tg4mm.cli import main

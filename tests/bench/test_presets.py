@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import tg4mm.bench
-from tests.helpers.dataset_gen_farm_snakemake import FARM, snakemake
+from tests.helpers.snakemake_program import FARM, snakemake
 from tg4mm.bench import presets
 from tg4mm.bench.html import read_results
 from tg4mm.bench.presets import PRESETS, Step, run_preset, steps_of

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.helpers.capture_colmap import CAMERAS, IMAGES, NAMES, POINTS, pictures
+from tests.helpers.colmap import CAMERAS, IMAGES, NAMES, POINTS, pictures
 from tg4mm.capture import load_capture, load_images
 from tg4mm.capture.cameras import world_to_camera
 from tg4mm.errors import CaptureError

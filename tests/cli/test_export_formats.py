@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from pxr import Usd
 
-from tests.helpers.splatfile_gltf import parsed
+from tests.helpers.gltf import parsed
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.cli import main
 from tg4mm.export import splat_of

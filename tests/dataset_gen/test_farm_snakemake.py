@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.helpers.dataset_gen_farm_snakemake import FARM, snakemake
+from tests.helpers.snakemake_program import FARM, snakemake
 
 ROOT = FARM.parent.parent
 

@@ -10,7 +10,7 @@ import pytest
 
 from dataset_gen.errors import GenerateError
 from dataset_gen.sources import bodies_file
-from tests.helpers.dataset_gen_sources_bodies_file import FOUND
+from tests.helpers.bodies_file import FOUND
 
 
 def test_what_is_read_is_what_was_written(tmp_path):

@@ -142,7 +142,7 @@ def _ply(root: Path, name: str = "points3d.ply") -> Path:
 
 def _colmap(name: str) -> Callable[[Path], Path]:
     def make(root: Path) -> Path:
-        from tests.helpers.capture_colmap import CAMERAS, IMAGES, POINTS, pictures
+        from tests.helpers.colmap import CAMERAS, IMAGES, POINTS, pictures
 
         pictures(root)
         model = root / "sparse" / "0"
@@ -391,7 +391,7 @@ def _read_motion(root: Path) -> None:
 
 def _bodies(root: Path) -> Path:
     from dataset_gen.sources import bodies_file
-    from tests.helpers.dataset_gen_sources_bodies_file import FOUND
+    from tests.helpers.bodies_file import FOUND
 
     bodies_file.save(root / "found.npz", FOUND)
     return root / "found.npz"

@@ -1,4 +1,4 @@
-"""Motion animate: what several tests build and check with."""
+"""Twenty random Gaussians, and a random motion of them."""
 
 from __future__ import annotations
 

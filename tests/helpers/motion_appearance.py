@@ -1,4 +1,4 @@
-"""Motion appearance: what several tests build and check with."""
+"""Random changes of colour of the twenty Gaussians of `motion_animate`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Motion stage: what several tests build and check with."""
+"""A motion stage that is killed after some of its parts."""
 
 from __future__ import annotations
 

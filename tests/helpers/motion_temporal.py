@@ -1,4 +1,4 @@
-"""Motion temporal: what several tests build and check with."""
+"""Random pictures of several cameras, and their components over time without nuisance."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Runs: what several tests build and check with."""
+"""Random Gaussians and modes for a run, and the error that a run refuses with."""
 
 from __future__ import annotations
 

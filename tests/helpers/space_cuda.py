@@ -1,4 +1,4 @@
-"""Space cuda: what several tests build and check with."""
+"""gsplat's spherical harmonics, computed by the plain twin."""
 
 from __future__ import annotations
 

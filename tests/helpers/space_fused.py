@@ -1,4 +1,4 @@
-"""Space fused: what several tests build and check with."""
+"""A small random scene as parameters of the space stage, with cameras and pictures."""
 
 from __future__ import annotations
 

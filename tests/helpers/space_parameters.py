@@ -1,4 +1,4 @@
-"""Space parameters: what several tests build and check with."""
+"""One step of Adam on random gradients."""
 
 from __future__ import annotations
 

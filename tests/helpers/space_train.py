@@ -1,4 +1,4 @@
-"""Space train: what several tests build and check with."""
+"""A short space stage, one that is killed, and its score on the test views."""
 
 from __future__ import annotations
 

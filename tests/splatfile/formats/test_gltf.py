@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 import pytest
 
-from tests.helpers.splatfile_gltf import parsed
+from tests.helpers.gltf import parsed
 from tests.splatfile.formats.conftest import turned
 from tg4mm.errors import SplatFileError
 from tg4mm.splatfile import positions_at

@@ -1,4 +1,4 @@
-"""Capture colmap: what several tests build and check with."""
+"""A COLMAP model as text: two cameras, three images, two points."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Dataset gen sources bodies file: what several tests build and check with."""
+"""What is found in a small scene of two bodies."""
 
 from __future__ import annotations
 

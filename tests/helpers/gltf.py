@@ -1,4 +1,4 @@
-"""Splatfile gltf: what several tests build and check with."""
+"""A .glb taken apart by the definition of its container."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Dataset gen farm snakemake: what several tests build and check with."""
+"""Where Snakemake lies; without it a test is skipped."""
 
 from __future__ import annotations
 

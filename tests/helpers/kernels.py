@@ -1,0 +1,20 @@
+"""The compiled functions that a job of `tg4mm.ahead` names."""
+
+from __future__ import annotations
+
+import importlib
+
+from tg4mm import ahead
+
+MODULES = {
+    "project": "tg4mm.rasterize.kernels.project", "project_backward": "tg4mm.rasterize.kernels.project_backward",
+    "binning": "tg4mm.rasterize.kernels.binning", "blend": "tg4mm.rasterize.kernels.blend",
+    "blend_backward": "tg4mm.rasterize.kernels.blend_backward", "normal": "tg4mm.rasterize.kernels.normal",
+    "linearised": "tg4mm.rasterize.kernels.linearised", "kernels": "tg4mm.space.kernels",
+    "projection": "tg4mm.motion.jacobian.projection", "packed": "tg4mm.motion.jacobian.packed",
+}  # fmt: skip
+
+
+def kernels_of(job: ahead.Job) -> list:
+    names = [kernel.split(".") for kernel in job.kernels]
+    return [getattr(importlib.import_module(MODULES[module]), name) for module, name in names]
