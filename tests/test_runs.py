@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import ntpath
 import os
 import re
 import subprocess
 import sys
 import time
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,6 +19,7 @@ from safetensors.torch import save_file
 
 from tests.helpers.runs import SETTINGS, gaussians, modal, refused
 from tg4mm.motion.modes import ModalMotion
+from tg4mm.runconfig import _from_run
 from tg4mm.runs import Run
 
 
@@ -378,3 +381,14 @@ class TestLog:
         (run.path / "log.json").write_text('{"space": {')
         with refused("log.json is not readable JSON"):
             run.record("space", {"seconds": 1.0})
+
+
+@pytest.mark.parametrize(
+    ("dataset", "expected"), [(r"C:\a\data\mic", "../../data/mic"), (r"D:\data\mic", r"D:\data\mic")]
+)
+def test_the_way_to_a_dataset_on_windows(
+    dataset: str, expected: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With / as everywhere; on another drive there is no way, and the dataset's own path stands."""
+    monkeypatch.setattr("tg4mm.runconfig.os", SimpleNamespace(path=ntpath, sep="\\"))
+    assert _from_run(PureWindowsPath(dataset), PureWindowsPath(r"C:\a\runs\mic")) == expected

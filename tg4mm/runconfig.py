@@ -8,7 +8,7 @@ import platform
 import re
 from collections.abc import Mapping
 from importlib import metadata
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 from tg4mm import __version__, untrusted
@@ -27,11 +27,19 @@ def new_config(path: Path, dataset: Path, preset: str, settings: Mapping[str, An
         "kind": "run",
         "version": VERSION,
         "dataset": str(dataset),
-        "dataset_from_run": os.path.relpath(dataset, path.resolve()),
+        "dataset_from_run": _from_run(dataset, path.resolve()),
         "preset": preset,
         "settings": dict(settings),
         "versions": _versions(),
     }
+
+
+def _from_run(dataset: PurePath, path: PurePath) -> str:
+    """The way from a run to its dataset, with / on every system; the dataset itself where there is none."""
+    try:
+        return os.path.relpath(dataset, path).replace(os.sep, "/")
+    except ValueError:  # on Windows, for folders on different drives
+        return str(dataset)
 
 
 def read_config(path: Path) -> dict[str, Any]:

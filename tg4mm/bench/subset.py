@@ -71,7 +71,7 @@ def with_noise(data: BenchSet, sigma: float, folder: Path) -> Path:
         return target
     with _made(data, target, []) as making:
         for path in sorted(making.glob("[0-9]*/train/*")):
-            _add_noise(path, sigma, str(path.relative_to(making)))
+            _add_noise(path, sigma, path.relative_to(making).as_posix())
     return target
 
 
