@@ -16,34 +16,38 @@ NUISANCE = ("auto", "none", "exposure", "all")
 class MotionConfig:
     """How the motion is fitted. The weights are relative to what the images say about a Gaussian on average."""
 
-    components: int = setting(16, "at most; fewer where the rest is noise", "functions of time")
-    smoothness_weight: float = setting(
-        0.0, "of the prior that neighbours move alike; 0: found from the images"
+    components: int = setting(
+        16, "largest number of functions of time; fewer if the others are noise", "functions of time"
     )
-    ridge: float = setting(1e-3, "weight that draws motion to zero where nothing is known")
+    smoothness_weight: float = setting(
+        0.0, "weight of the prior that neighbours move alike; 0: found from the images"
+    )
+    ridge: float = setting(1e-3, "weight that draws motion to zero where the images say nothing")
     iterations: int = setting(
         14,
-        "of conjugate gradients, at most, for each component of up to 16,000 Gaussians; "
-        "of N > 16,000 (N / 16,000)^⅔ times as many",
+        "largest number of iterations of conjugate gradients for each component, up to 16,000 Gaussians; "
+        "(N / 16,000)^⅔ times as many for N > 16,000",
         "iterations",
     )
     tolerance: float = setting(3e-3, "relative residual at which conjugate gradients stop")
     split_half: bool = setting(
         True,
-        "fit each half of the data by itself and take what they agree on; also tells how sure the motion is",
+        "fit each half of the data by itself and keep what they agree on; needed for the uncertainty",
     )
     gauss_newton: int = setting(
-        4, "at most, where 1 % of what is seen moves by more than 0.7 pixels", "iterations"
+        4,
+        "largest number of Gauss-Newton iterations, made if 1 % of what is seen moves by more than 0.7 pixels",
+        "iterations",
     )
     appearance: bool = setting(
-        True, "fit what motion leaves of the pictures by changes of colour, magnified along with it"
+        True, "fit changes of colour (gloss, shadows) that motion does not explain; they are magnified, too"
     )
     nuisance: str = setting(
         "auto",
-        "projected out of every frame: auto finds out; none; exposure (gain and offset); "
-        "all (exposure and camera pose)",
+        "what is removed from every frame: none; exposure (gain and offset); all (exposure and camera pose); "
+        "auto: what the pictures need",
     )
-    seed: int = setting(0, "of random draws")
+    seed: int = setting(0, "seed of the random generator")
 
 
 def checked(config: MotionConfig) -> MotionConfig:

@@ -18,29 +18,32 @@ from tg4mm.space.config import MOST_ITERATIONS
 class PaperConfig:
     """Both phases of [TG4MM]. One iteration is one view, white background, L1 (Eq. 16)."""
 
-    channels: int = setting(32, "C, features of a plane")
-    resolution: int = setting(512, "R, along each side of a plane; a power of two", "cells")
+    channels: int = setting(32, "C, number of features of a plane")
+    resolution: int = setting(512, "R, cells along each side of a plane; a power of two", "cells")
     mlp_layers: int = setting(
-        0, 'before the heads; 8 is "MLP + Decoder" of Table VI, 1 what §IV.B says', "layers"
+        0, 'layers before the heads; [TG4MM]: 8 in Table VI ("MLP + Decoder"), 1 in §IV.B', "layers"
     )
-    mlp_width: int = setting(256, "of each of these layers", "features")
-    iterations: int = setting(20_000, "of phase 1, those of paper.warm_up included", "iterations")
+    mlp_width: int = setting(256, "width of each of these layers", "features")
+    iterations: int = setting(20_000, "iterations of phase 1, including those of paper.warm_up", "iterations")
     warm_up: int = setting(
         3_000,
-        "of phase 1, the first, fit the base Gaussians alone, with density control, as 4DGS does",
+        "first iterations of phase 1, which fit only the base Gaussians, with density control, as 4DGS does",
         "iterations",
     )
-    motion_iterations: int = setting(7_000, "of phase 2, for each timestep", "iterations")
-    shared: bool = setting(False, "true: paper.motion_iterations is what all timesteps share")
-    learning_rate: float = setting(1e-4, "of Adam, fixed, phase 1")
-    motion_learning_rate: float = setting(1e-4, "of Adam, phase 2")
-    motion_rate_falls_to: float = setting(1.0, "share of that rate at the end of a timestep; 1: fixed")
-    deviation: float = setting(1.0, "standard deviation of the space planes' first values")
-    residual: bool = setting(True, "false: a timestep's planes replace the space planes (Fig. 8)")
-    difference: bool = setting(
-        False, "true: phase 2 compares changes from timestep 0 with changes; false: Eq. (16)"
+    motion_iterations: int = setting(7_000, "iterations of phase 2 for each timestep", "iterations")
+    shared: bool = setting(False, "true: all timesteps share paper.motion_iterations")
+    learning_rate: float = setting(1e-4, "learning rate of Adam in phase 1, fixed")
+    motion_learning_rate: float = setting(1e-4, "learning rate of Adam in phase 2")
+    motion_rate_falls_to: float = setting(1.0, "fraction of that rate at the end of a timestep; 1: fixed")
+    deviation: float = setting(1.0, "standard deviation of the initial values of the space planes")
+    residual: bool = setting(
+        True,
+        "true: a timestep's planes are added to the space planes; false: they replace them ([TG4MM] Fig. 8)",
     )
-    seed: int = setting(0, "of random draws")
+    difference: bool = setting(
+        False, "true: phase 2 compares changes since timestep 0; false: pictures, [TG4MM] Eq. (16)"
+    )
+    seed: int = setting(0, "seed of the random generator")
 
     def per_timestep(self, n_timesteps: int) -> int:
         """Iterations of phase 2 for each of the T − 1 timesteps after the first."""

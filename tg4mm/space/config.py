@@ -17,28 +17,29 @@ class SpaceConfig:
 
     iterations: int = setting(
         0,
-        "one view each; 0: 150 · ∛(pixels the object covers in a view), 1,000 … 30,000, half of it where levels > 1",
+        "of one view each; 0: 150 · ∛(pixels that the object covers in a view), 1,000 … 30,000; half of it if levels > 1",
         "iterations",
     )
     max_gaussians: int = setting(
-        0, "at most; 0: 200 · √(pixels the object covers in a view), 2,000 … 500,000", "Gaussians"
+        0, "largest number; 0: 200 · √(pixels that the object covers in a view), 2,000 … 500,000", "Gaussians"
     )
     levels: int = setting(
         0,
-        "sizes of the pictures from coarse to fine, each twice the last; 0: until the coarsest is at most "
+        "number of picture sizes from coarse to fine, each twice the last; 0: until the coarsest is at most "
         "600 pixels wide and high",
     )
     gains: bool = setting(
         False,
-        "learn a gain for each picture and channel: for exposures or white balances that differ by 5 % and more",
+        "learn a gain for each picture and channel; helps if exposure or white balance differ by 5 % or more",
     )
     sh_degree: int = setting(
-        3, "of spherical harmonics, 0 … 3; reached step by step in the first 30 % of the iterations"
+        3, "degree of spherical harmonics, 0 … 3; raised step by step in the first 30 % of the iterations"
     )
-    l2: float = setting(10.0, "weight of the squared error beside L1; 0 is [TG4MM] Eq. (16)")
-    dssim: float = setting(0.0, "share of D-SSIM in the loss, 0 … 1, [3DGS] Eq. (7)")
+    l2: float = setting(10.0, "weight of the squared error, added to L1; 0 is [TG4MM] Eq. (16)")
+    dssim: float = setting(0.0, "fraction of D-SSIM in the loss, 0 … 1, [3DGS] Eq. (7)")
     init: str = setting(
-        "auto", "points, hull, random, auto (the first of these that the data allow), or sfm (pycolmap)"
+        "auto",
+        "where Gaussians start: points, hull, random, auto (the first of these that the data allow), or sfm (pycolmap)",
     )
     init_points: int = setting(
         5_000, "at most; a fifth of it from the hull, a tenth at random places", "points"
