@@ -17,7 +17,7 @@ class SpaceConfig:
 
     iterations: int = setting(
         0,
-        "of one view each; 0: 150 · ∛(pixels that the object covers in a view), 1,000 … 30,000; half of it if levels > 1",
+        "of one view each; 0: 150 · ∛(pixels that the object covers in a view), 1,000 … 30,000; half if levels > 1",
         "iterations",
     )
     max_gaussians: int = setting(
