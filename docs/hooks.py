@@ -134,7 +134,7 @@ def fields_of(cls: type) -> list[tuple[str, str, str]]:
             first -= 1
         words = " ".join(comments[n] for n in lines or range(first, node.lineno)) or about[node.target.id]
         kind = " ".join(ast.unparse(node.annotation).split())
-        found.append((node.target.id, kind.replace("|", "\\|"), words.replace("|", "\\|")))
+        found.append((node.target.id, kind.replace(" | ", " or "), words.replace("|", "\\|")))
     return found
 
 
