@@ -3,6 +3,9 @@
 #   docker run --rm -v "$PWD:/work" --network host tg4mm view runs/mic --no-open
 FROM python:3.11-slim
 
+# OpenMP's threads, which numba takes where it finds them.
+RUN apt-get update && apt-get install -y --no-install-recommends libgomp1 && rm -rf /var/lib/apt/lists/*
+
 COPY . /src
 # The whole of the program, with poses from photographs and videos (sfm) and the viewer.
 RUN pip install --no-cache-dir -c /src/constraints.txt '/src[core,sfm,view]' \
