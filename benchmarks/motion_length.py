@@ -29,11 +29,11 @@ from tg4mm.evaluate.weights import blending_weights
 from tg4mm.magnify.linear import series_modes
 from tg4mm.motion import ModalMotion, MotionConfig
 from tg4mm.motion.animate import displacement_at
-from tg4mm.motion.nuisance_choice import look_at
+from tg4mm.motion.checkpoints import computed
+from tg4mm.motion.clocks.synchronous import principal_components
+from tg4mm.motion.nuisance.first_look import look_at
 from tg4mm.motion.observations import observe
-from tg4mm.motion.pipeline import rest_views as views_at_rest
 from tg4mm.motion.stage import train_motion
-from tg4mm.motion.temporal import principal_components
 from tg4mm.runs import Run
 from tg4mm.space import SpaceConfig, rest_views, train_space
 
@@ -93,9 +93,8 @@ def row(subject: Subject, n_timesteps: int, decode: float, band: tuple[float, fl
     capture, images = subject.first(n_timesteps)
     config, gaussians = MotionConfig(), subject.run.load_space()
     observations = observe(capture, images)
-    views = views_at_rest(gaussians, observations)
     began = time.process_time()
-    seen = look_at(observations, views, gaussians, config)
+    seen = look_at(gaussians, observations, config, "cpu", computed)
     targets = principal_components(observations, seen.look, seen.nuisances, config.components)
     reading = time.process_time() - began
     with tempfile.TemporaryDirectory() as folder:

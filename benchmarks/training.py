@@ -31,8 +31,8 @@ from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.hyperparameters import DEFAULT
 from tg4mm.motion.jacobian.view import view_jacobian
 from tg4mm.motion.observations import fixed_cameras
-from tg4mm.motion.problem import Problem
 from tg4mm.motion.solver.cpu import CpuOperator
+from tg4mm.motion.solver.problem import Problem
 from tg4mm.runs import Run
 from tg4mm.space.config import SpaceConfig
 from tg4mm.space.fused import FusedAdam

@@ -11,8 +11,8 @@ from tg4mm.magnify.bands import Magnification
 from tg4mm.motion import animate as motion_animate
 from tg4mm.motion import pipeline
 from tg4mm.motion.config import MotionConfig
+from tg4mm.motion.modes import MotionFit
 from tg4mm.motion.observations import observe
-from tg4mm.motion.result import MotionFit
 from tg4mm.space.config import SpaceConfig
 from tg4mm.space.plane import fit_plane
 from tg4mm.space.targets import rest_views

@@ -15,9 +15,7 @@ import torch
 from torch import Tensor
 
 from tg4mm.errors import RunError
-from tg4mm.motion.appearance_modes import AppearanceModes
-from tg4mm.motion.fields import fields_of
-from tg4mm.motion.modes import ModalMotion
+from tg4mm.motion.modes import AppearanceModes, ModalMotion, fields_of
 from tg4mm.motion.spectrum import apply_series
 from tg4mm.runchecks import FIELDS, LIGHT, PHASORS, check_frequencies, check_tensors
 

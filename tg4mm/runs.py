@@ -28,8 +28,7 @@ from tg4mm.errors import RunError
 from tg4mm.files import remove_leftovers, to_json, write_json
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.config import MotionConfig
-from tg4mm.motion.modes import ModalMotion
-from tg4mm.motion.result import MotionFit
+from tg4mm.motion.modes import ModalMotion, MotionFit
 from tg4mm.motionfile import motion_of, tensors_of
 from tg4mm.runchecks import (
     GAUSSIANS,

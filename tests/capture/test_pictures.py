@@ -17,7 +17,7 @@ from tg4mm.capture import Capture, load_images
 from tg4mm.capture import pictures as module
 from tg4mm.capture.pictures import FilePictures, StackedPictures
 from tg4mm.errors import CaptureError
-from tg4mm.motion import temporal as temporal_module
+from tg4mm.motion.nuisance import first_look as first_look_module
 from tg4mm.motion.observations import observe
 
 SIZE = (5, 6)  # height, width
@@ -72,7 +72,7 @@ def test_they_are_those_of_the_stack(capture: Capture, bits: int) -> None:
 def test_their_components_are_those_of_the_stack(
     capture: Capture, cached: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(temporal_module, "CACHE_BYTES", cached)
+    monkeypatch.setattr(first_look_module, "CACHE_BYTES", cached)
     found = components(observe(capture, FilePictures(capture)), 16)
     expected = components(observe(capture, load_images(capture)), 16)
     np.testing.assert_array_equal(found.basis, expected.basis)
@@ -89,7 +89,7 @@ def test_where_the_cache_is_small_twice(
     capture: Capture, decoded: Counter[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The first camera's five pictures fit, the second's do not."""
-    monkeypatch.setattr(temporal_module, "CACHE_BYTES", 5 * 30 * 12)
+    monkeypatch.setattr(first_look_module, "CACHE_BYTES", 5 * 30 * 12)
     components(observe(capture, FilePictures(capture)), 16)
     assert {decoded[path] for path in capture.paths[::2]} == {1}
     assert {decoded[path] for path in capture.paths[1::2]} == {2}

@@ -222,8 +222,7 @@ def _gaussians() -> Any:
 
 
 def _motion() -> Any:
-    from tg4mm.motion.appearance_modes import AppearanceModes
-    from tg4mm.motion.modes import ModalMotion
+    from tg4mm.motion.modes import AppearanceModes, ModalMotion
 
     rng = np.random.default_rng(1)
     displacement, rotation = rng.normal(size=(2, 2, N, 3)).astype(np.complex64)

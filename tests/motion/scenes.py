@@ -11,9 +11,9 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.jacobian.view import PosedView, ViewJacobian, view_jacobian
-from tg4mm.motion.nuisance import nuisances_of
-from tg4mm.motion.problem import Problem
+from tg4mm.motion.nuisance.projection import nuisances_of
 from tg4mm.motion.solver.cpu import CpuOperator
+from tg4mm.motion.solver.problem import Problem
 
 SCENES = {
     "ordinary": make_scene(0),

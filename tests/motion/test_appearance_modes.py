@@ -13,7 +13,7 @@ from safetensors.torch import load_file, save_file
 from tests.helpers.motion_animate import gaussians, motion
 from tests.helpers.motion_appearance import N, appearance, change_of
 from tg4mm.errors import RunError
-from tg4mm.motion.appearance_modes import AppearanceModes
+from tg4mm.motion.modes import AppearanceModes
 from tg4mm.runs import Run
 
 

@@ -13,9 +13,8 @@ from tg4mm.evaluate.displacement import displacement_figures
 from tg4mm.evaluate.truth import exact_motion, load_truth
 from tg4mm.evaluate.weights import blending_weights
 from tg4mm.motion import MotionConfig
-from tg4mm.motion.prior import edge_reweighting
-from tg4mm.motion.prior.edge_reweighting import edge_residual, reweight_edges
-from tg4mm.motion.prior.graph import Graph, build_graph
+from tg4mm.motion.prior import graph as edge_reweighting
+from tg4mm.motion.prior.graph import Graph, build_graph, edge_residual, reweight_edges
 from tg4mm.motion.stage import train_motion
 from tg4mm.runs import Run
 

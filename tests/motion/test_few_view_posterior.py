@@ -19,10 +19,10 @@ from tg4mm.motion.few_view_posterior import along_and_across, depth_sensitivity,
 from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.jacobian.view import view_jacobian
 from tg4mm.motion.observations import PosedFrames, fixed_cameras
-from tg4mm.motion.prior.square_root import stiffness_root
-from tg4mm.motion.problem import Problem
+from tg4mm.motion.prior.graph import stiffness_root
 from tg4mm.motion.solver.cpu import CpuOperator
 from tg4mm.motion.solver.pcg import pcg
+from tg4mm.motion.solver.problem import Problem
 from tg4mm.motion.stage import train_motion
 from tg4mm.runs import UNCERTAINTY, Run
 

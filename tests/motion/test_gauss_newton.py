@@ -23,17 +23,18 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.motion import ModalMotion, MotionConfig
 from tg4mm.motion import gauss_newton as module
 from tg4mm.motion.animate import animate
-from tg4mm.motion.evidence import Errors, Evidence
+from tg4mm.motion.clocks.synchronous import principal_components
 from tg4mm.motion.gauss_newton import ABOVE_PX, GaussNewton, GaussNewtonState, states_moved, used_components
 from tg4mm.motion.hyperparameters import Hyperparameters
-from tg4mm.motion.nuisance import nuisances_of
+from tg4mm.motion.nuisance.first_look import first_look
+from tg4mm.motion.nuisance.projection import nuisances_of
 from tg4mm.motion.observations import observe
-from tg4mm.motion.problem import Problem
 from tg4mm.motion.solver.cuda import DeviceViews
 from tg4mm.motion.solver.operator import Fold
+from tg4mm.motion.solver.problem import Problem
 from tg4mm.motion.split_half import folds_of
 from tg4mm.motion.stage import train_motion
-from tg4mm.motion.temporal import first_look, principal_components
+from tg4mm.motion.states import Errors, Evidence
 from tg4mm.render.image import render_image
 from tg4mm.runs import Run
 from tg4mm.space import SpaceConfig, rest_views, train_space

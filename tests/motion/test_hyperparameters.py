@@ -22,17 +22,17 @@ from tg4mm.motion.hyperparameters import (
     select_smoothness,
 )
 from tg4mm.motion.jacobian.packed import DOF
-from tg4mm.motion.problem import Problem
 from tg4mm.motion.solver.cuda import DeviceOperator, DeviceViews
 from tg4mm.motion.solver.operator import Fold
-from tg4mm.motion.temporal import TargetImages
+from tg4mm.motion.solver.problem import Problem
+from tg4mm.motion.targets import TargetImages
 
 N, CAMERAS = 80, 8
 FOLDS = [Fold(np.arange(CAMERAS)[::2]), Fold(np.arange(CAMERAS)[1::2])]
 
 
 @pytest.fixture(scope="module")
-def posed() -> Problem:
+def problem() -> Problem:
     """Eight cameras look at one cloud."""
     scene = make_scene(1, n=N, cameras=CAMERAS)
     views = [view_of(scene, c) for c in range(CAMERAS)]
@@ -40,9 +40,9 @@ def posed() -> Problem:
 
 
 @pytest.fixture(params=["kernels", "torch device"])
-def anywhere(posed: Problem, request: pytest.FixtureRequest) -> Problem:
+def anywhere(problem: Problem, request: pytest.FixtureRequest) -> Problem:
     """Also with the operators that a GPU has, on the CPU's tensors."""
-    return posed if request.param == "kernels" else OnTensors.of(posed)
+    return problem if request.param == "kernels" else OnTensors.of(problem)
 
 
 class OnTensors(Problem):
@@ -79,10 +79,10 @@ def weight_for(p: Problem, images: np.ndarray) -> float:
     return chosen_weight(images, p, FOLDS, None, 4)
 
 
-def targets(images: np.ndarray, mixing: list[np.ndarray] | None = None) -> TargetImages:
+def targets(images: np.ndarray) -> TargetImages:
     n, size = images.shape[1], (len(images), *images.shape[2:4])
     basis = np.eye(n, 10)
-    return TargetImages(basis, np.ones(10), images, np.zeros(size, np.float32), n, images[:, 0], mixing)
+    return TargetImages(basis, np.ones(10), images, np.zeros(size, np.float32), n, images[:, 0])
 
 
 class TestSmoothness:
@@ -96,37 +96,37 @@ class TestSmoothness:
         assert much > 10 * little
 
     @pytest.mark.parametrize("still", [[0], [1], [0, 1]])
-    def test_a_fold_that_does_not_change_says_nothing(self, posed: Problem, still: list[int]) -> None:
-        pictures = shown(posed, each_by_itself(), 0.0)
+    def test_a_fold_that_does_not_change_says_nothing(self, problem: Problem, still: list[int]) -> None:
+        pictures = shown(problem, each_by_itself(), 0.0)
         for fold in still:
             pictures[FOLDS[fold].views] = 0
-        assert weight_for(posed, pictures) == DEFAULT
+        assert weight_for(problem, pictures) == DEFAULT
 
-    def test_the_other_fold_is_the_judge(self, posed: Problem) -> None:
+    def test_the_other_fold_is_the_judge(self, problem: Problem) -> None:
         """The first shows a motion of each by itself; it is held back where the second shows the opposite."""
-        pictures = shown(posed, each_by_itself(), 0.0)
-        believed = weight_for(posed, pictures)
+        pictures = shown(problem, each_by_itself(), 0.0)
+        believed = weight_for(problem, pictures)
         pictures[FOLDS[1].views] *= -1
-        assert weight_for(posed, pictures) > 10 * believed
+        assert weight_for(problem, pictures) > 10 * believed
 
-    def test_candidates_that_share_their_passes_are_each_by_itself(self, posed: Problem) -> None:
-        operators = [posed.on_cpu(FOLDS[0], None, weight) for weight in CANDIDATES[:3]]
-        images = [shown(posed, as_one(), 0.5)[v] for v in FOLDS[0].views]
+    def test_candidates_that_share_their_passes_are_each_by_itself(self, problem: Problem) -> None:
+        operators = [problem.on_cpu(FOLDS[0], None, weight) for weight in CANDIDATES[:3]]
+        images = [shown(problem, as_one(), 0.5)[v] for v in FOLDS[0].views]
         together = few_iterations(operators, images, 3)
         for operator, found in zip(operators, together, strict=True):
             (alone,) = few_iterations([operator], images, 3)
             np.testing.assert_allclose(found, alone, atol=1e-4 * np.abs(alone).max())
 
-    def test_a_weight_that_is_given_stands(self, posed: Problem) -> None:
-        images = targets(shown(posed, each_by_itself(), 0.0))
+    def test_a_weight_that_is_given_stands(self, problem: Problem) -> None:
+        images = shown(problem, each_by_itself(), 0.0)
         config = MotionConfig(smoothness_weight=77.0)
-        assert select_smoothness(images, None, posed, FOLDS, config) == 77.0
-        assert select_smoothness(images, None, posed, FOLDS, MotionConfig()) == CANDIDATES[0]
+        assert select_smoothness(images, problem, FOLDS, None, config) == 77.0
+        assert select_smoothness(images, problem, FOLDS, None, MotionConfig()) == CANDIDATES[0]
 
-    def test_one_fold_tells_nothing(self, posed: Problem) -> None:
-        images = targets(np.concatenate([shown(posed, each_by_itself(), 0.0)] * 2, 1))
-        assert select_smoothness(images, None, posed, [posed.everything], MotionConfig()) == DEFAULT
-        assert not select_noise(images, posed, [posed.everything]).any()
+    def test_one_fold_tells_nothing(self, problem: Problem) -> None:
+        images = np.concatenate([shown(problem, each_by_itself(), 0.0)] * 2, 1)
+        assert select_smoothness(images, problem, [problem.everything], None, MotionConfig()) == DEFAULT
+        assert not select_noise(targets(images), problem, [problem.everything]).any()
 
 
 class TestNoise:
@@ -140,16 +140,16 @@ class TestNoise:
             noise_components(targets(images), anywhere, FOLDS), [False, True, False]
         )
 
-    def test_the_strongest_component_is_never_noise(self, posed: Problem) -> None:
-        noise = np.random.default_rng(3).normal(size=(CAMERAS, 2, *posed.size, 3)).astype(np.float32)
-        np.testing.assert_array_equal(noise_components(targets(noise), posed, FOLDS), [False, True])
+    def test_the_strongest_component_is_never_noise(self, problem: Problem) -> None:
+        noise = np.random.default_rng(3).normal(size=(CAMERAS, 2, *problem.size, 3)).astype(np.float32)
+        np.testing.assert_array_equal(noise_components(targets(noise), problem, FOLDS), [False, True])
 
-    def test_sinusoids_of_known_frequencies_are_not_asked(self, posed: Problem) -> None:
+    def test_sinusoids_of_known_frequencies_are_not_asked(self, problem: Problem) -> None:
         """Mixed, they are one system, of which none is noise by itself."""
-        noise = np.random.default_rng(3).normal(size=(CAMERAS, 2, *posed.size, 3)).astype(np.float32)
+        noise = np.random.default_rng(3).normal(size=(CAMERAS, 2, *problem.size, 3)).astype(np.float32)
         mixing = [np.eye(2, dtype=np.float32)] * CAMERAS
-        mixed = replace(posed, mixing=mixing, _kept={})
-        assert not select_noise(targets(noise, mixing), mixed, FOLDS).any()
+        mixed = replace(problem, mixing=mixing, _kept={})
+        assert not select_noise(targets(noise), mixed, FOLDS).any()
 
 
 class TestPixels:

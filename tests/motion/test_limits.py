@@ -7,7 +7,7 @@ import pytest
 
 from tg4mm.capture import ImageStack
 from tg4mm.capture.pictures import pictures_of
-from tg4mm.motion.limits import frequency_notes, peaks
+from tg4mm.motion.mode_selection import frequency_notes, peaks
 from tg4mm.motion.modes import ModalMotion
 from tg4mm.motion.observations import Observations, PosedFrames
 

@@ -15,11 +15,11 @@ from tg4mm.motion.checkpoints import computed
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.hyperparameters import CANDIDATES, Hyperparameters
 from tg4mm.motion.linear_fit import LinearFit
-from tg4mm.motion.prior.edge_reweighting import edge_residual, reweight_edges
+from tg4mm.motion.prior.graph import edge_residual, reweight_edges
 from tg4mm.motion.solver.cpu import CpuOperator
 from tg4mm.motion.solver.operator import Fold
 from tg4mm.motion.solver.pcg import pcg
-from tg4mm.motion.temporal import TargetImages
+from tg4mm.motion.targets import TargetImages
 
 FOLDS = [Fold(np.array([0])), Fold(np.array([1]))]
 LONG = MotionConfig(iterations=600, tolerance=1e-6, ridge=0.1)
@@ -44,11 +44,10 @@ def fit(
         np.zeros((2, *problem().size), np.float32),
         3,
         images[:, 0],
-        mixing,
     )
     whole = replace(problem(config.ridge), mixing=mixing)
     hyper = Hyperparameters(np.array([False, mixing is None, False]), weight)
-    return LinearFit(whole, targets, hyper, None, FOLDS, config, computed)
+    return LinearFit(whole, targets, hyper, FOLDS, config, computed)
 
 
 def both_passes(fitting: LinearFit, taken: np.ndarray | None = None) -> np.ndarray:

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from tests.motion.filmed import error_of, scene, walk
+from tg4mm.motion.clocks.moving import corrected_poses
 from tg4mm.motion.config import MotionConfig
-from tg4mm.motion.moving_camera import corrected_poses
 from tg4mm.motion.pipeline import fit_motion
 
 FREQUENCY = 3.4  # Hz

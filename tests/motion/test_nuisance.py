@@ -19,8 +19,8 @@ from tg4mm.capture.pictures import pictures_of
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion import MotionConfig
 from tg4mm.motion.jacobian.view import ALPHA_MIN_LINEAR, view_jacobian
-from tg4mm.motion.modes import ModalMotion
-from tg4mm.motion.nuisance import (
+from tg4mm.motion.modes import ModalMotion, MotionFit
+from tg4mm.motion.nuisance.projection import (
     EXPOSURE,
     POSE,
     Nuisance,
@@ -32,7 +32,6 @@ from tg4mm.motion.nuisance import (
 )
 from tg4mm.motion.observations import Observations, PosedFrames
 from tg4mm.motion.pipeline import fit_motion
-from tg4mm.motion.result import MotionFit
 from tg4mm.rasterize import reference
 from tg4mm.rasterize.reference import rasterize_dense
 

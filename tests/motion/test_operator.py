@@ -15,14 +15,13 @@ from tests.motion.scenes import N, draw, each_shows, inner, operator, problem, w
 from tests.rasterize.oracle import assert_close
 from tg4mm.errors import Tg4mmError
 from tg4mm.motion.jacobian.packed import DOF
-from tg4mm.motion.nuisance import EXPOSURE
-from tg4mm.motion.prior.edge_reweighting import reweight_edges
-from tg4mm.motion.prior.graph import ROWS
-from tg4mm.motion.problem import Problem
+from tg4mm.motion.nuisance.projection import EXPOSURE
+from tg4mm.motion.prior.graph import ROWS, reweight_edges
 from tg4mm.motion.solver import cuda
 from tg4mm.motion.solver.cpu import CpuOperator, SharedPass
 from tg4mm.motion.solver.cuda import DeviceOperator, DeviceViews
 from tg4mm.motion.solver.operator import Fold
+from tg4mm.motion.solver.problem import Problem
 from tg4mm.motion.split_half import chessboard
 
 RIDGE, SMOOTH = 0.1, 3.0

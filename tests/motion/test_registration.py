@@ -15,14 +15,14 @@ from tests.motion.filmed import FPS, K_of
 from tg4mm.capture import ImageStack
 from tg4mm.capture.pictures import over_white, pictures_of
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion import MotionConfig, pipeline
+from tg4mm.motion import MotionConfig
 from tg4mm.motion.jacobian.view import view_jacobian
-from tg4mm.motion.modes import ModalMotion
-from tg4mm.motion.nuisance_choice import look_at
+from tg4mm.motion.modes import ModalMotion, MotionFit
+from tg4mm.motion.nuisance import first_look
+from tg4mm.motion.nuisance.first_look import _looked_at, rest_views
+from tg4mm.motion.nuisance.registration import RegisteredPictures, camera_turns, homographies
 from tg4mm.motion.observations import Observations, PosedFrames
-from tg4mm.motion.pipeline import fit_motion, rest_views
-from tg4mm.motion.registration import RegisteredPictures, camera_turns, homographies
-from tg4mm.motion.result import MotionFit
+from tg4mm.motion.pipeline import fit_motion
 
 T, HZ, SHAKE_PX = 12, 5.0, 0.5
 SIZE, FINER, BLUR = 64, 2, 1.6
@@ -219,8 +219,8 @@ def test_a_shake_is_found_of_cameras_that_see_a_cut_out_object_alone(
     """By what they disagree in."""
     gaussians, motion = moving
     shaken = filmed(lambda t: _at(gaussians, motion, t, 0), 6, SHAKE_PX, True)
-    seen = look_at(shaken, rest_views(gaussians, shaken), gaussians, MotionConfig())
-    assert seen.is_shaking
+    seen, shake_px = _looked_at(shaken, rest_views(gaussians, shaken), gaussians, MotionConfig())
+    assert shake_px > 0
     assert seen.figures["shake_own_share"] > 0.5
     assert "pose" in seen.figures["nuisance"]
 
@@ -231,7 +231,7 @@ def test_nothing_is_registered_where_nothing_shakes(
     def never(*args: object) -> None:
         raise AssertionError("registered")
 
-    monkeypatch.setattr(pipeline, "stabilised", never)
+    monkeypatch.setattr(first_look, "stabilised", never)
     gaussians, motion = moving
     seen = fitted(gaussians, filmed(lambda t: _at(gaussians, motion, t, 0), 3, 0.0))
     assert "pose" not in seen.figures["nuisance"]
@@ -251,8 +251,8 @@ def test_a_scene_that_moves_as_a_whole_is_not_stabilised(
         return replace(gaussians, means=gaussians.means.new_tensor(moved))
 
     observations = filmed(at, 4, 0.0, is_cut_out)
-    seen = look_at(observations, rest_views(gaussians, observations), gaussians, MotionConfig())
-    assert not seen.is_shaking
+    seen, shake_px = _looked_at(observations, rest_views(gaussians, observations), gaussians, MotionConfig())
+    assert shake_px == 0
     assert seen.figures["shake_own_share"] < 0.2
     assert "pose" not in seen.figures["nuisance"]
 

@@ -17,9 +17,8 @@ from tg4mm.evaluate.weights import blending_weights
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion import ModalMotion, MotionConfig
 from tg4mm.motion import uncertainty as module
-from tg4mm.motion.jacobian.colour import blend_sum
 from tg4mm.motion.jacobian.packed import DOF
-from tg4mm.motion.jacobian.view import ViewJacobian, view_jacobian
+from tg4mm.motion.jacobian.view import ViewJacobian, blend_sum, view_jacobian
 from tg4mm.motion.observations import PosedFrames, fixed_cameras
 from tg4mm.motion.prior.graph import nearest
 from tg4mm.motion.stage import train_motion

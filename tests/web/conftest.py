@@ -13,7 +13,7 @@ import pytest
 import torch
 
 from tests.helpers.synthetic import make_synthetic_dataset
-from tg4mm.motion.appearance_modes import AppearanceModes
+from tg4mm.motion.modes import AppearanceModes
 from tg4mm.runs import Run
 from tg4mm.web.write import export_html
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from tg4mm.measure.prepared import Prepared
-from tg4mm.motion.limits import frequency_notes
+from tg4mm.motion.mode_selection import frequency_notes
 
 if TYPE_CHECKING:
     from tg4mm.measure.sensor_result import SensorResult

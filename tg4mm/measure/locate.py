@@ -10,7 +10,7 @@ from tg4mm.measure.errors import MeasureError
 from tg4mm.measure.prepared import Prepared
 from tg4mm.measure.rigid import Body
 from tg4mm.measure.sensors import STILL, Sensor
-from tg4mm.motion.jacobian.colour import blend_sum
+from tg4mm.motion.jacobian.view import blend_sum
 
 _LEAST_SHARE = 0.05  # of a pixel region's brightest Gaussian: what blends in less does not belong to it
 _BEHIND = 3.0  # radii of a pixel region that its surface may reach in depth

@@ -27,14 +27,13 @@ from tg4mm.measure.residuals import (
     weighed,
 )
 from tg4mm.measure.sides import HALVES, Sides
-from tg4mm.motion.jacobian.colour import blend_sum
+from tg4mm.motion.checkpoints import computed
 from tg4mm.motion.jacobian.packed import DOF
-from tg4mm.motion.nuisance import nuisances_of
-from tg4mm.motion.nuisance_choice import Seen, look_again, look_at
+from tg4mm.motion.jacobian.view import blend_sum
+from tg4mm.motion.modes import MotionFit
+from tg4mm.motion.nuisance.first_look import FixedCameras, look_at, rest_views
+from tg4mm.motion.nuisance.projection import nuisances_of
 from tg4mm.motion.observations import Observations, PosedFrames, observe
-from tg4mm.motion.pipeline import rest_views
-from tg4mm.motion.registration import camera_turns, registered
-from tg4mm.motion.result import MotionFit
 from tg4mm.progress import progress
 from tg4mm.room import room
 from tg4mm.runs import Run
@@ -170,7 +169,8 @@ class _Fixed:
             sides = [Sides.restored(arrays, str(c)) for c in range(len(clocks))]
             notes = tuple(self.kept.notes)
         else:
-            seen, observations = self._seen()
+            seen = self._seen()
+            observations = seen.observations
             active = np.stack([n.active for n in seen.nuisances])
             means = unpacked_mean(packed_mean(np.asarray(seen.look.mean)))  # as a later call will have it
             views = self._views(observations.frames, means, active)
@@ -184,18 +184,10 @@ class _Fixed:
             seen_weights(views, len(self.gaussians)), notes,
         )  # fmt: skip
 
-    def _seen(self) -> tuple[Seen, Observations]:
+    def _seen(self) -> FixedCameras:
         """Nuisance columns and means as the motion stage finds them, and pictures turned back where cameras shake."""
-        observations = self.observations
-        views = rest_views(self.gaussians, observations)
-        seen = look_at(observations, views, self.gaussians, self.fit.config)
-        if seen.is_shaking:
-            turns = camera_turns(observations)
-            observations = registered(observations, turns)
-            focal = max(float(f.K[0, 0]) for f in observations.frames)
-            pixels = focal * float(np.sqrt((turns[:, :2] ** 2).sum(1).mean()))
-            seen = look_again(observations, views, self.gaussians, seen, pixels)
-        return seen, observations
+        config = self.fit.config
+        return look_at(self.gaussians, self.observations, config, "cpu", computed, refines=False)
 
     def _views(
         self, frames: Sequence[PosedFrames], means: np.ndarray, active: np.ndarray

@@ -17,7 +17,7 @@ from scipy.ndimage import gaussian_filter
 from tg4mm.capture.pictures import over_white
 from tg4mm.measure.sides import HALVES
 from tg4mm.motion.jacobian.view import ViewJacobian
-from tg4mm.motion.nuisance import Nuisance, Projection, without
+from tg4mm.motion.nuisance.projection import Nuisance, Projection, without
 from tg4mm.motion.observations import Observations, PosedFrames
 from tg4mm.motion.split_half import LEAST, chessboard
 

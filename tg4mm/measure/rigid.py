@@ -27,9 +27,9 @@ import numpy as np
 
 from tg4mm.measure.residuals import MeasuredView
 from tg4mm.measure.sides import HALVES, Sides
-from tg4mm.motion.jacobian.flow import optical_flow
 from tg4mm.motion.jacobian.packed import DOF
-from tg4mm.motion.nuisance import Projection
+from tg4mm.motion.jacobian.pixels import optical_flow
+from tg4mm.motion.nuisance.projection import Projection
 from tg4mm.rasterize.buffers import Buffers
 
 

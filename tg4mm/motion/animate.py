@@ -11,8 +11,7 @@ import torch
 from torch import Tensor
 
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.appearance_modes import apply_appearance
-from tg4mm.motion.modes import ModalMotion
+from tg4mm.motion.modes import ModalMotion, apply_appearance
 
 Alpha = float | np.ndarray  # one for all modes, or [K]: one each
 

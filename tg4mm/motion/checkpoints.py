@@ -5,10 +5,14 @@ A part is a name and a function that gives named arrays. `computed` keeps nothin
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import fields
 from typing import Protocol
 
 import numpy as np
+import torch
+
+from tg4mm.gaussians import Gaussians
 
 Arrays = dict[str, np.ndarray]
 
@@ -22,3 +26,13 @@ class Parts(Protocol):
 def computed(name: str, compute: Callable[[], Arrays]) -> Arrays:
     """Nothing is kept."""
     return compute()
+
+
+def arrays_of(gaussians: Gaussians) -> Arrays:
+    """Gaussians as a part of a fit, or of one."""
+    return {f.name: getattr(gaussians, f.name).numpy() for f in fields(gaussians)}
+
+
+def gaussians_of(arrays: Mapping[str, np.ndarray]) -> Gaussians:
+    """From what `arrays_of` gave, among other arrays."""
+    return Gaussians(**{f.name: torch.from_numpy(np.array(arrays[f.name])) for f in fields(Gaussians)})

@@ -3,8 +3,8 @@
 A fit that minimises |J x − y|² / σ² + x·P x / τ² has an error with the covariance A⁻¹ (σ² JᵀJ + τ² P) A⁻¹,
 A = JᵀJ + P. The first part is noise, which two halves of the data tell (`split_half.py`). The second is motion that the
 pictures do not show, of which the prior made nothing: along the sight of a single camera, behind an edge. It is drawn:
-motion edge by edge from the prior (`prior/square_root.py`), and each draw is solved for as the motion was (perturb and
-MAP: Papandreou & Yuille 2010).
+motion edge by edge from the prior (`stiffness_root`), and each draw is solved for as the motion was (perturb and MAP:
+Papandreou & Yuille 2010).
 
 How large motion is, τ², is read off the fit: x·P x is τ² times the number of coordinates that the pictures do show,
 tr A⁻¹JᵀJ (MacKay 1992), and that number is found with noise of variance 1. So unseen motion is taken to be as large and
@@ -16,17 +16,20 @@ stopped early they would say that what hardly changes the pictures is known.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import csr_matrix
 
 from tg4mm.motion.jacobian.packed import DOF
-from tg4mm.motion.jacobian.view import PosedView, ViewJacobian
-from tg4mm.motion.prior.square_root import stiffness_root
+from tg4mm.motion.jacobian.view import PosedView, ViewJacobian, view_jacobian
+from tg4mm.motion.nuisance.projection import Nuisance, nuisances_of
+from tg4mm.motion.observations import PosedFrames
+from tg4mm.motion.prior.graph import stiffness_root
 from tg4mm.motion.solver.cpu import CpuOperator
 from tg4mm.motion.solver.pcg import pcg
+from tg4mm.motion.solver.problem import Problem
 from tg4mm.motion.split_half import mean_over_neighbours
 
 DRAWS = 4  # neighbours are averaged over besides
@@ -126,3 +129,36 @@ def depth_sensitivity(view: ViewJacobian, camera: PosedView, means: np.ndarray, 
     motions[..., :3] = signs * np.stack(along_and_across(camera, means))
     along, across = np.sqrt((view.jvp(motions).astype(np.float64) ** 2).sum((1, 2, 3)))
     return float(along / across) if across > 0 else 0.0
+
+
+ENOUGH = 120_000  # pixels of a view
+
+
+def coarser(
+    problem: Problem, frames: Sequence[PosedFrames], weights: np.ndarray | None, enough: int = ENOUGH
+) -> tuple[Problem, np.ndarray | None]:
+    """The problem and its pixel weights [V, H, W] in pictures of `enough` pixels or a little more; else as they are."""
+    height, width = problem.size
+    factor = int(np.sqrt(height * width / enough))
+    if factor < 2:
+        return problem, weights
+    scale = np.diag([1 / factor, 1 / factor, 1]).astype(np.float32)
+    small = [replace(f, K=scale @ f.K) for f in frames]
+    size = width // factor, height // factor
+    views = [view_jacobian(problem.gaussians, f, size) for f in small]
+    nuisances: Sequence[Nuisance] = ()
+    if problem.nuisances:
+        nuisances = nuisances_of(views, small, problem.gaussians.means.numpy(), problem.nuisances[0].active)
+    own = np.full((len(views), *size[::-1]), factor**2, np.float32)
+    if weights is not None:
+        own *= _binned(weights[..., None], factor)[..., 0]
+    means = None if problem.means is None else _binned(problem.means, factor)
+    return replace(problem, views=views, nuisances=nuisances, means=means, projections=None, _kept={}), own
+
+
+def _binned(pictures: np.ndarray, factor: int) -> np.ndarray:
+    """[V, H, W, C] by the mean of factor × factor pixels; what is left over at the right and below is dropped."""
+    n, height, width, channels = pictures.shape
+    h, w = height // factor, width // factor
+    blocks = pictures[:, : h * factor, : w * factor].reshape(n, h, factor, w, factor, channels)
+    return np.ascontiguousarray(blocks.mean((2, 4), dtype=np.float32))

@@ -15,7 +15,7 @@ M_l = Σ a(t) a(t)ᵀ = C_lᵀ C_l: to the solver it is further views with the m
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -23,23 +23,23 @@ import numpy as np
 import torch
 
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.checkpoints import Parts
+from tg4mm.motion.checkpoints import Parts, arrays_of, gaussians_of
+from tg4mm.motion.clocks.synchronous import Synchronous
 from tg4mm.motion.config import MotionConfig, more_iterations
-from tg4mm.motion.evidence import Errors, Evidence
-from tg4mm.motion.hyperparameters import CANDIDATES, Hyperparameters, chosen_weight, pixel_weights
+from tg4mm.motion.hyperparameters import Hyperparameters, chosen_weight, pixel_weights
 from tg4mm.motion.jacobian.pixels import pixels_moved
 from tg4mm.motion.jacobian.view import ViewJacobian, view_jacobian
-from tg4mm.motion.nuisance import Nuisance, Projection
+from tg4mm.motion.nuisance.projection import Nuisance, Projection
 from tg4mm.motion.observations import Observations
-from tg4mm.motion.problem import Problem
 from tg4mm.motion.refine import at_state, refine_rest_scene
 from tg4mm.motion.solver.cpu import CpuOperator
 from tg4mm.motion.solver.cuda import DeviceOperator, DeviceViews
 from tg4mm.motion.solver.operator import Array, Fold
 from tg4mm.motion.solver.pcg import pcg
+from tg4mm.motion.solver.problem import Problem
 from tg4mm.motion.split_half import LEAST, wiener_shrink
-from tg4mm.motion.states import States, most_states, states_of
-from tg4mm.motion.temporal import TargetImages
+from tg4mm.motion.states import Errors, Evidence, states_moved, states_of
+from tg4mm.motion.targets import TargetImages
 from tg4mm.progress import progress
 
 ABOVE_PX = 0.7  # motion up to so many pixels is in the linear range
@@ -63,20 +63,15 @@ class GaussNewtonState:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """For a checkpoint."""
-        out = {f"gaussians.{f.name}": getattr(self.gaussians, f.name).numpy() for f in fields(self.gaussians)}
         figures = self.smoothness_weight, self.errors.changes, self.errors.whole, float(self.is_over)
-        return out | {"fields": self.fields, "figures": np.array(figures)}
+        return arrays_of(self.gaussians) | {"fields": self.fields, "figures": np.array(figures)}
 
     @staticmethod
     def restored(arrays: dict[str, np.ndarray]) -> GaussNewtonState:
         """From what `arrays` gave."""
-        gaussians = {
-            k.partition(".")[2]: torch.from_numpy(v) for k, v in arrays.items() if k.startswith("gaussians.")
-        }
         weight, changes, whole, is_over = (float(f) for f in arrays["figures"])
-        return GaussNewtonState(
-            Gaussians(**gaussians), arrays["fields"], weight, Errors(changes, whole), bool(is_over)
-        )
+        errors = Errors(changes, whole)
+        return GaussNewtonState(gaussians_of(arrays), arrays["fields"], weight, errors, bool(is_over))
 
 
 def used_components(is_noise: np.ndarray) -> np.ndarray:
@@ -88,15 +83,6 @@ def used_components(is_noise: np.ndarray) -> np.ndarray:
     """
     linear, others = np.flatnonzero(~is_noise), np.flatnonzero(is_noise)
     return np.sort(np.concatenate([linear, others[: max(len(linear) + 1, _COMPONENTS - len(linear))]]))
-
-
-def states_moved(
-    views: Sequence[ViewJacobian], basis: np.ndarray, shapes: np.ndarray, size: tuple[int, int]
-) -> tuple[States, float]:
-    """The states of functions of time [R, T] that go with fields [R, N, 6], and the largest motion in pixels."""
-    states = states_of(basis, pixels_moved(views, shapes[..., :3]), most_states(len(views), size))
-    shifts = np.tensordot(states.gains, shapes[..., :3], 1).astype(np.float32)
-    return states, float(pixels_moved(views, shifts).max())
 
 
 class GaussNewton:
@@ -141,10 +127,10 @@ class GaussNewton:
         """From the linear fit's fields [P, R', N, 6]: the last state, the misfit before and after each iteration."""
         start = np.zeros((len(fields), len(self.basis), *fields.shape[2:]), np.float32)
         start[:, self.linear] = fields
-        shapes, _ = wiener_shrink(start)
-        states, _ = states_moved(views, self.basis, shapes, self.size)
+        agreed, _ = wiener_shrink(start)
+        states, _ = states_moved(views, self.basis, agreed, self.size)
         evidence = Evidence.of(self.observations, states, self.targets, self.used)
-        errors = evidence.remaining(gaussians, shapes, self.device)[1]
+        errors = evidence.remaining(gaussians, agreed, self.device)[1]
         state, misfits = GaussNewtonState(gaussians, start, weight, errors), [errors.changes]
         units = len(self.folds) * self.iterations * self._costs + self.refining
         with progress("Gauss-Newton", self.config.gauss_newton * units, "steps") as update:
@@ -178,10 +164,10 @@ class GaussNewton:
         new, weight = self._fitted(state, evidence, tell)
         for length in (1.0, 0.5):
             stepped = (state.fields + np.float32(length) * (new - state.fields)).astype(np.float32)
-            shapes, _ = wiener_shrink(stepped)
-            errors = evidence.remaining(state.gaussians, shapes, self.device)[1]
+            agreed, _ = wiener_shrink(stepped)
+            errors = evidence.remaining(state.gaussians, agreed, self.device)[1]
             if errors.changes < state.errors.changes:
-                gaussians, after = self._refined(state.gaussians, shapes, evidence, errors, k, tell)
+                gaussians, after = self._refined(state.gaussians, agreed, evidence, errors, k, tell)
                 is_over = after.changes > (1 - _FALL) * state.errors.changes
                 return GaussNewtonState(gaussians, stepped, weight, after, is_over)
         return replace(state, is_over=True)
@@ -189,7 +175,7 @@ class GaussNewton:
     def _refined(
         self,
         gaussians: Gaussians,
-        shapes: np.ndarray,
+        agreed: np.ndarray,
         evidence: Evidence,
         errors: Errors,
         k: int,
@@ -200,10 +186,10 @@ class GaussNewton:
             return gaussians, errors
         before = len(self.folds) * self.iterations * self._costs
         new = refine_rest_scene(
-            gaussians, evidence.moved(shapes), self.refining, self.config.seed + k, self.device,
+            gaussians, evidence.moved(agreed), self.refining, self.config.seed + k, self.device,
             lambda done: tell(before + done),
         )  # fmt: skip
-        after = evidence.remaining(new, shapes, self.device)[1]
+        after = evidence.remaining(new, agreed, self.device)[1]
         return (new, after) if after.within(errors) else (gaussians, errors)
 
     def _fitted(
@@ -212,18 +198,18 @@ class GaussNewton:
         """[P, R, N, 6]: what each fold finds in this iteration; and the smoothness weight, chosen anew for it."""
         views = self.at_rest(state.gaussians)
         problem = Problem.of(views, state.gaussians, self.config, self.device)
-        shapes, _ = wiener_shrink(state.fields)
+        agreed, _ = wiener_shrink(state.fields)
         weight = state.smoothness_weight
         if not self.config.smoothness_weight and len(self.folds) == 2:
-            at_rest = self.targets_at_rest(views, state.gaussians, shapes, evidence)
+            at_rest = self.targets_at_rest(views, state.gaussians, agreed, evidence)
             target = np.stack([own[:1].copy() for own in at_rest])
             iterations = round(_FOR_WEIGHT * more_iterations(len(state.gaussians)))
             weight = chosen_weight(target, problem, self.folds, self.weights, iterations)
-        knots = self._knots(state.gaussians, views, shapes, evidence)
-        left, _ = evidence.remaining(state.gaussians, shapes, self.device)
+        knots = self._knots(state.gaussians, views, agreed, evidence)
+        left, _ = evidence.remaining(state.gaussians, agreed, self.device)
         found = []
         for p, fold in enumerate(self.folds):
-            targets = _targets(knots, fold, left, shapes, evidence)
+            targets = _targets(knots, fold, left, agreed, evidence)
             operator, b = self._operator(problem, knots, fold, weight, targets)
             done = p * self.iterations * self._costs
             update = partial(self._tell_solve, tell, done)
@@ -235,10 +221,10 @@ class GaussNewton:
         tell(before + done * self._costs, residual=round(residual, 4))
 
     def _knots(
-        self, gaussians: Gaussians, views: Sequence[ViewJacobian], shapes: np.ndarray, evidence: Evidence
+        self, gaussians: Gaussians, views: Sequence[ViewJacobian], agreed: np.ndarray, evidence: Evidence
     ) -> list[_Knot]:
-        states, motions = evidence.states, evidence.moved(shapes).motions
-        knots = states_of(states.gains.T, pixels_moved(views, shapes[..., :3]), KNOTS, KNOT_PX)
+        states, motions = evidence.states, evidence.moved(agreed).motions
+        knots = states_of(states.gains.T, pixels_moved(views, agreed[..., :3]), KNOTS, KNOT_PX)
         out = []
         for knot in range(len(knots.gains)):
             own = np.flatnonzero(knots.of == knot)
@@ -291,12 +277,48 @@ class GaussNewton:
         return [view_jacobian(gaussians, camera, self.size) for camera in self.observations.frames]
 
     def targets_at_rest(
-        self, views: Sequence[ViewJacobian], gaussians: Gaussians, shapes: np.ndarray, evidence: Evidence
+        self,
+        views: Sequence[ViewJacobian],
+        gaussians: Gaussians,
+        agreed: np.ndarray,
+        evidence: Evidence,
+        some: Sequence[int] | None = None,
     ) -> Iterator[np.ndarray]:
-        """[R, H, W, 3] of one view after the other: the target images that the motion explains at rest."""
-        left, _ = evidence.remaining(gaussians, shapes, self.device)
+        """[R, H, W, 3] of one view after the other, or of some: the target images that the motion explains at rest."""
+        left, _ = evidence.remaining(gaussians, agreed, self.device)
         everything = np.arange(len(evidence.states.gains))
-        return (evidence.target(v, left, everything, view.jvp(shapes)) for v, view in enumerate(views))
+        rows = range(len(views)) if some is None else some
+        return (evidence.target(v, left, everything, views[v].jvp(agreed)) for v in rows)
+
+
+def iterated(
+    clock: Synchronous, hyper: Hyperparameters, folds: np.ndarray, judged: Sequence[int], parts: Parts
+) -> tuple[Synchronous, np.ndarray, Iterator[np.ndarray], dict[str, Any]]:
+    """From the linear fit's fields [P, R', N, 6] on: the clock with its scene at rest and functions of time as they are
+
+    after the iterations, the folds' fields [P, R, N, 6], target images of the `judged` views, and figures for the log.
+    """
+    problem = clock.problem
+    loop = GaussNewton(
+        clock.observations, clock.targets, hyper, clock.folds, problem.nuisances, clock.config, problem.device
+    )
+    weight = hyper.smoothness_weight
+    state, misfits, evidence = loop.run(clock.gaussians, problem.views, folds, weight, parts)
+    agreed, _ = wiener_shrink(state.fields)
+    views = loop.at_rest(state.gaussians)
+    images = loop.targets_at_rest(views, state.gaussians, agreed, evidence, judged)
+    figures = {
+        "gauss_newton": len(misfits) - 1,
+        "misfits": misfits,
+        "smoothness_weight": state.smoothness_weight,
+    }
+    problem = replace(problem, views=views, gaussians=state.gaussians, _kept={})
+    return (
+        replace(clock, gaussians=state.gaussians, problem=problem, fitted=loop.used),
+        state.fields,
+        images,
+        figures,
+    )
 
 
 @dataclass(frozen=True)
@@ -307,12 +329,12 @@ class _Knot:
 
 
 def _targets(
-    knots: Sequence[_Knot], fold: Fold, left: np.ndarray, shapes: np.ndarray, evidence: Evidence
+    knots: Sequence[_Knot], fold: Fold, left: np.ndarray, agreed: np.ndarray, evidence: Evidence
 ) -> Iterator[np.ndarray]:
     """C_lᵀ times the target images [R, H, W, 3] of each knot and view, one at a time: all are gigabytes at 1080p."""
     for knot in knots:
         for v in fold.views:
-            shown = knot.views[v].jvp(shapes)
+            shown = knot.views[v].jvp(agreed)
             knot.views[v].release()
             yield evidence.target(v, left, knot.states, shown)
 
@@ -322,6 +344,3 @@ def _root(products: np.ndarray) -> np.ndarray:
     values, vectors = np.linalg.eigh(products)
     keep = values > 1e-9 * max(float(values[-1]), 1e-30)
     return (vectors[:, keep] * np.sqrt(values[keep])).T.astype(np.float32)
-
-
-__all__ = ["ABOVE_PX", "CANDIDATES", "GaussNewton", "GaussNewtonState", "states_moved", "used_components"]

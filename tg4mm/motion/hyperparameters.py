@@ -21,12 +21,12 @@ from typing import Any
 import numpy as np
 
 from tg4mm.motion.config import MotionConfig, more_iterations
-from tg4mm.motion.problem import Problem
 from tg4mm.motion.solver.cpu import CpuOperator, SharedPass
 from tg4mm.motion.solver.operator import Fold
 from tg4mm.motion.solver.pcg import pcg
+from tg4mm.motion.solver.problem import Problem
 from tg4mm.motion.split_half import reliability
-from tg4mm.motion.temporal import TargetImages, pixel_noise
+from tg4mm.motion.targets import TargetImages, pixel_noise
 
 CANDIDATES = (10.0, 30.0, 100.0, 300.0, 1_000.0, 3_000.0)
 DEFAULT = 300.0  # where the data are not halved, or nothing changes
@@ -44,6 +44,7 @@ class Hyperparameters:
 
     is_noise: np.ndarray  # [R] bool, temporal components
     smoothness_weight: float
+    pixel_weights: np.ndarray | None = None  # [V, H, W]; None: 1
 
     @property
     def signal(self) -> np.ndarray:
@@ -53,16 +54,16 @@ class Hyperparameters:
 
 def select_noise(targets: TargetImages, problem: Problem, folds: Sequence[Fold]) -> np.ndarray:
     """[R] bool: `noise_components`; none where there is one fold, one component, or where all are one system."""
-    if len(folds) == 2 and len(targets.basis) > 1 and targets.mixing is None:
+    if len(folds) == 2 and len(targets.basis) > 1 and problem.mixing is None:
         return noise_components(targets, problem, folds)
     return np.zeros(len(targets.basis), bool)
 
 
 def select_smoothness(
-    targets: TargetImages,
-    weights: np.ndarray | None,
+    images: np.ndarray,
     problem: Problem,
     folds: Sequence[Fold],
+    weights: np.ndarray | None,
     config: MotionConfig,
 ) -> float:
     """The smoothness weight: the settings', if they have one; `DEFAULT` where one fold tells nothing."""
@@ -71,7 +72,6 @@ def select_smoothness(
     if len(folds) == 1:
         return DEFAULT
     iterations = round(_FEW * more_iterations(problem.n_gaussians))
-    images = targets.images[:, :1] if targets.mixing is None else targets.images
     return chosen_weight(images, problem, folds, weights, iterations)
 
 
@@ -135,10 +135,16 @@ def few_iterations(
     ]
 
 
-def pixel_weights(targets: TargetImages, is_noise: np.ndarray) -> np.ndarray | None:
-    """[V, H, W] float32, at most 1, from the variance of what is noise; None where nothing is known of it."""
-    alone = targets.mixing is None
-    variance = pixel_noise(targets, is_noise if alone else np.zeros(targets.images.shape[1], bool))
+def pixel_weights(
+    targets: TargetImages, is_noise: np.ndarray, are_separate: bool = True
+) -> np.ndarray | None:
+    """[V, H, W] float32, at most 1, from the variance of what is noise; None where nothing is known of it.
+
+    `are_separate`: target images belong to one component each, so that those of noise are noise.
+    """
+    if targets.weights is not None:
+        return targets.weights
+    variance = pixel_noise(targets, is_noise if are_separate else np.zeros(targets.images.shape[1], bool))
     noisy = variance[variance > 0]
     if not len(noisy):
         return None

@@ -1,9 +1,9 @@
 """The linear fit: every fold's fields by conjugate gradients, in two passes with a deferred correction between.
 
-The first pass explains the target images. What the found motion shows beyond the derivative (`higher_order.py`), and
-the change of appearance that goes with it (`appearance/`), is then taken from what is left, and edges of the prior
-that two folds find strained are reweighted, both only if the motion is small. The second pass solves for the
-difference that this makes: A δ = b − A x − Jᵀ W (what is beyond). Together they take the iterations of one fit.
+The first pass explains the target images. What the found motion shows beyond the derivative is then taken from what is
+left (`deferred_correction.py`), and edges of the prior that two folds find strained are reweighted, both only if the
+motion is small. The second pass solves for the difference that this makes:
+A δ = b − A x − Jᵀ W (what is beyond). Together they take the iterations of one fit.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ import numpy as np
 from tg4mm.motion.checkpoints import Arrays, Parts
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.hyperparameters import CANDIDATES, Hyperparameters
-from tg4mm.motion.prior.edge_reweighting import edge_residual, reweight_edges
-from tg4mm.motion.problem import Problem
+from tg4mm.motion.prior.graph import edge_residual, reweight_edges
 from tg4mm.motion.solver.operator import Fold
 from tg4mm.motion.solver.pcg import fetched, pcg, sent
-from tg4mm.motion.temporal import TargetImages
+from tg4mm.motion.solver.problem import Problem
+from tg4mm.motion.targets import TargetImages
 from tg4mm.progress import progress
 
 TOGETHER = (
@@ -40,18 +40,21 @@ class LinearFit:
     problem: Problem
     targets: TargetImages
     hyper: Hyperparameters
-    weights: np.ndarray | None  # [V, H, W] of pixels
     folds: Sequence[Fold]
     config: MotionConfig
     parts: Parts
 
     def operator(self, fold: Fold) -> Any:
         """The problem that a fold poses."""
-        return self.problem.operator(fold, self.weights, self.hyper.smoothness_weight)
+        return self.problem.operator(fold, self.hyper.pixel_weights, self.hyper.smoothness_weight)
 
-    def first_pass(self) -> list[Arrays]:
-        """Of each fold: `fields` [R, N, 6], `x` [R, 4N, 3], `residual` [R, P, 3] and `norms` of the equations."""
-        return [self.parts(f"first_pass_{p}", partial(self._first, p)) for p in range(len(self.folds))]
+    def first_pass(self, iterations: int | None = None) -> list[Arrays]:
+        """Of each fold: `fields` [R, N, 6], `x` [R, 4N, 3], `residual` [R, P, 3] and `norms` of the equations.
+
+        `iterations`: of a fit that no second pass follows; None for the first's part of them.
+        """
+        first = self.config.iterations - self._of_second if iterations is None else iterations
+        return [self.parts(f"first_pass_{p}", partial(self._first, p, first)) for p in range(len(self.folds))]
 
     def second_pass(self, first: Sequence[Arrays], correction: Correction | None) -> np.ndarray:
         """[P, R, N, 6]: the fields with what a second pass adds; `correction` None: the first pass goes on."""
@@ -66,22 +69,22 @@ class LinearFit:
         )
 
     @property
-    def _iterations(self) -> tuple[int, int]:
-        second = int(_SECOND * self.config.iterations)
-        return self.config.iterations - second, second
+    def _of_second(self) -> int:
+        """Iterations."""
+        return int(_SECOND * self.config.iterations)
 
     def _chunks(self) -> list[slice]:
-        if self.targets.mixing is not None:
+        if self.problem.mixing is not None:
             return [slice(None)]
         n, step = len(self.hyper.signal), TOGETHER if self.problem.device == "cpu" else 1
         return [slice(a, min(a + step, n)) for a in range(0, n, step)]
 
     def _images(self, fold: Fold, some: slice) -> Iterator[np.ndarray]:
-        rows = slice(None) if self.targets.mixing is not None else self.hyper.signal[some]
+        rows = slice(None) if self.problem.mixing is not None else self.hyper.signal[some]
         return (self.targets.of(v, rows) for v in fold.views)
 
-    def _first(self, p: int) -> Arrays:
-        fold, iterations = self.folds[p], self._iterations[0]
+    def _first(self, p: int, iterations: int) -> Arrays:
+        fold = self.folds[p]
         operator, out, chunks = self.operator(fold), [], self._chunks()
         with progress(f"motion, half {p + 1}", len(chunks) * iterations, "iterations") as update:
             for k, some in enumerate(chunks):
@@ -97,7 +100,7 @@ class LinearFit:
         }
 
     def _second(self, p: int, first: Arrays, correction: Correction | None, graph: Any) -> Arrays:
-        fold, iterations = self.folds[p], self._iterations[1]
+        fold, iterations = self.folds[p], self._of_second
         before, out, chunks = self.operator(fold), [], self._chunks()
         operator = before if graph is None else before.with_graph(graph)
         with progress(f"motion, half {p + 1}, corrected", len(chunks) * iterations, "iterations") as update:

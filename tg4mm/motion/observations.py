@@ -16,6 +16,7 @@ STRIP_VALUES = 1 << 23  # float32 values of a strip, 32 MiB; compositing it take
 _CLOCK = (
     0.1  # of a frame: time stamps that differ by less, from each other and from even steps, are one clock's
 )
+_AT_ONCE = 8  # whole pictures in memory
 _FEWEST = 8  # pictures of a moving camera
 _PERIODS = 2.0  # of the lowest frequency that a record must hold
 
@@ -149,3 +150,10 @@ def strips(pictures: Pictures, frames: PosedFrames) -> Iterator[tuple[slice, np.
     for top in range(0, height, at_once):
         rows = slice(top, min(top + at_once, height))
         yield rows, over_white(raw(rows), pictures.maximum)
+
+
+def whole_pictures(observations: Observations, rows: np.ndarray) -> Iterator[np.ndarray]:
+    """[f, H, W, 3] float32 over white, a few of the pictures `rows` at a time."""
+    for first in range(0, len(rows), _AT_ONCE):
+        raw = observations.pictures.strips(rows[first : first + _AT_ONCE].tolist())
+        yield over_white(raw(slice(None)), observations.pictures.maximum)

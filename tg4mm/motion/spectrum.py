@@ -1,10 +1,18 @@
-"""The spectrum of a motion: temporal components and their fields to modes, one phasor per Gaussian and frequency."""
+"""The spectrum of a motion: temporal components and their fields to modes, one phasor per Gaussian and frequency.
+
+A capture seldom holds whole periods. Then a sinusoid leaks into all bins of a Fourier transform, so a band around it
+holds only a part, and the mean over time is not the motion's zero. A trend leaks likewise. So the components are fitted
+by sinusoids, a constant and, where it helps, a slow trend: frequencies by variable projection (Golub & Pereyra 1973),
+one more at a time at the highest peak of the residual's periodogram, as in matching pursuit with all of them refined.
+Where bins do as well (whole periods, or nothing tonal) there are none.
+"""
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import dataclass
 
-from tg4mm.motion.sinusoids import TREND_CYCLES, Sinusoids, find_sinusoids
+import numpy as np
+from scipy.optimize import least_squares
 
 ALL_BINS_UP_TO = 64  # timesteps: of longer captures the weakest bins are dropped
 _DROPPED = 1e-4  # of the motion's power at most, 1 % of its rms
@@ -30,7 +38,7 @@ def modes_of(
     basis [R, T], fields [R, N, D], appearance [R, ...]: fields of colour that share the components.
     Σ_k Re[m_k exp(i 2π f_k t / fps)] reconstructs the motion at every timestep, less its mean over time, which is the
     rest pose. The frequencies are all DFT bins above 0. Where the motion has sinusoids between bins or a trend
-    (`sinusoids.py`) these come on top, and the bins hold the residual: the sinusoids; a frequency of 0.05 bins, the
+    (`find_sinusoids`) these come on top, and the bins hold the residual: the sinusoids; a frequency of 0.05 bins, the
     trend from timestep 0 on; and 0 Hz, the offset from the mean over time to the motion's own zero, which is never
     magnified. Of more than 64 timesteps the weakest bins are dropped, 1e-4 of the power together; in it motion and
     appearance weigh the same.
@@ -90,3 +98,124 @@ def _worth_keeping(cycles: np.ndarray, power: np.ndarray) -> np.ndarray:
     keep = np.full(len(cycles), True)
     keep[weakest[small]] = False
     return keep
+
+
+TREND_CYCLES = 0.05  # per capture: a sine so slow that it is a straight line within half a percent
+_MOST = 8  # sinusoids
+_WEAKEST = 1e-4  # of the power: weaker sinusoids stay in the bins
+_PEAK = 10.0  # times the mean power of one dimension of the residual: what counts as a peak
+_BETTER = 0.5  # of the residual of as many bins and one: sinusoids must leave less
+_APART = 0.75  # bins between sinusoids and to half the frame rate; the lowest is a bin less this tolerance
+_ON_BIN = 0.01  # bins: nearer than this is snapped to the bin
+_OVERSAMPLED = 8
+
+
+@dataclass(frozen=True)
+class Sinusoids:
+    """Frequencies in bins (cycles per capture), ascending, and whether there is a trend beside them."""
+
+    cycles: np.ndarray  # [J] float64
+    trend: bool = False
+
+    def regressors(self, n_timesteps: int) -> np.ndarray:
+        """[T, P]: a constant, the trend if any (zero at timestep 0), cosines, sines."""
+        t = np.arange(n_timesteps) / n_timesteps
+        angles = 2 * np.pi * t[:, None] * self.cycles
+        slow = [np.sin(2 * np.pi * TREND_CYCLES * t)[:, None]] if self.trend else []
+        return np.hstack([np.ones((n_timesteps, 1)), *slow, np.cos(angles), np.sin(angles)])
+
+
+def find_sinusoids(series: np.ndarray) -> Sinusoids:
+    """The sinusoids that real series [R, T], weighted by their power, share; the mean over time is removed first.
+
+    None where Fourier bins describe them as well.
+    """
+    y = (series - series.mean(1, keepdims=True)).T
+    power = float((y**2).sum())
+    none = Sinusoids(np.zeros(0))
+    if len(y) < _OVERSAMPLED or not power > 0:
+        return none
+    plain, with_trend = _greedy(y, trend=False), _greedy(y, trend=True)
+    left_plain, left_with_trend = _residual_power(y, plain), _residual_power(y, with_trend)
+    sinusoids, left = plain, left_plain
+    if left_with_trend < _BETTER * left_plain and left_plain - left_with_trend > _WEAKEST * power:
+        sinusoids, left = with_trend, left_with_trend
+    by_bins = np.sort((np.abs(np.fft.rfft(y, axis=0)) ** 2).sum(1))[::-1] * 2 / len(y)
+    left_by_bins = float(np.maximum(power - by_bins[: len(sinusoids.cycles) + 1].sum(), 0))
+    is_better = left < _BETTER * left_by_bins and left_by_bins - left > _WEAKEST * power
+    return _on_bins(sinusoids) if is_better else none
+
+
+def _residual_power(y: np.ndarray, sinusoids: Sinusoids) -> float:
+    return float((_residual(y, sinusoids) ** 2).sum())
+
+
+def _residual(y: np.ndarray, sinusoids: Sinusoids) -> np.ndarray:
+    """The least-squares residual of y [T, R] on the sinusoids."""
+    x = sinusoids.regressors(len(y))
+    return np.asarray(y - x @ np.linalg.lstsq(x, y, rcond=None)[0])
+
+
+def _greedy(y: np.ndarray, trend: bool) -> Sinusoids:
+    """One sinusoid after the other, all refined each time, until no peak is left."""
+    sinusoids, power = Sinusoids(np.zeros(0), trend), float((y**2).sum())
+    most = min(_MOST, (len(y) - 2) // 4)
+    residual = _residual(y, sinusoids)
+    while len(sinusoids.cycles) < most:
+        left = float((residual**2).sum())
+        peak = _highest_peak(residual, sinusoids.cycles)
+        if peak is None or left <= _WEAKEST * power:
+            break
+        more = _refined(y, Sinusoids(np.append(sinusoids.cycles, peak), trend))
+        residual = _residual(y, more)
+        gain = left - float((residual**2).sum())
+        if not _are_apart(more.cycles, len(y)) or gain < max(_WEAKEST * power, _needed(y, sinusoids) * left):
+            break
+        sinusoids = more
+    return sinusoids
+
+
+def _needed(y: np.ndarray, sinusoids: Sinusoids) -> float:
+    """The part of the residual power that a sinusoid must explain to be more than chance."""
+    free = len(y) - 2 - 2 * len(sinusoids.cycles)
+    return min(_PEAK / free, 0.9)
+
+
+def _highest_peak(residual: np.ndarray, taken: np.ndarray) -> float | None:
+    """Of the periodogram, in bins; None if no frequency is far enough from those `taken`."""
+    n = len(residual) * _OVERSAMPLED
+    height = (np.abs(np.fft.rfft(residual, n, axis=0)) ** 2).sum(1)
+    cycles = np.arange(len(height)) / _OVERSAMPLED
+    allowed = (cycles >= 1) & (cycles <= len(residual) / 2 - _APART)
+    for one in taken:
+        allowed &= np.abs(cycles - one) >= _APART
+    return float(cycles[np.where(allowed, height, -1).argmax()]) if allowed.any() else None
+
+
+def _refined(y: np.ndarray, sinusoids: Sinusoids) -> Sinusoids:
+    """All frequencies refined by nonlinear least squares, by at most a bin."""
+    scale = float(np.sqrt((y**2).sum()))
+
+    def residual(cycles: np.ndarray) -> np.ndarray:
+        return _residual(y, Sinusoids(cycles, sinusoids.trend)).ravel() / scale
+
+    best = least_squares(
+        residual,
+        sinusoids.cycles,
+        bounds=(sinusoids.cycles - 1, sinusoids.cycles + 1),
+        xtol=1e-10,
+        ftol=1e-12,
+    )
+    return Sinusoids(np.sort(best.x), sinusoids.trend)
+
+
+def _are_apart(cycles: np.ndarray, n_timesteps: int) -> bool:
+    ends = np.array([1 - _ON_BIN - _APART, *cycles, n_timesteps / 2])
+    return bool((np.diff(ends) >= _APART).all())
+
+
+def _on_bins(sinusoids: Sinusoids) -> Sinusoids:
+    near = np.round(sinusoids.cycles)
+    return Sinusoids(
+        np.where(np.abs(sinusoids.cycles - near) < _ON_BIN, near, sinusoids.cycles), sinusoids.trend
+    )

@@ -9,7 +9,6 @@ import hashlib
 import logging
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import fields
 
 import numpy as np
 import torch
@@ -20,7 +19,7 @@ from tg4mm.device import gpu_figures, reset_gpu_peak
 from tg4mm.errors import RunError
 from tg4mm.gaussians import Gaussians
 from tg4mm.memory import peak_memory_mib
-from tg4mm.motion.checkpoints import Arrays
+from tg4mm.motion.checkpoints import Arrays, arrays_of, gaussians_of
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.modes import ModalMotion
 from tg4mm.motion.observations import observe
@@ -28,7 +27,7 @@ from tg4mm.motion.pipeline import fit_motion
 from tg4mm.runs import UNCERTAINTY, Run
 
 _STAGE, _SCENE = "motion", "scene"
-_VERSION = 12  # of a checkpoint: parts of another version are computed anew
+_VERSION = 13  # of a checkpoint: parts of another version are computed anew
 _LOG = logging.getLogger("tg4mm")
 
 
@@ -76,7 +75,7 @@ class StoredParts:
     def __init__(self, run: Run, began: float) -> None:
         self.run, self.began = run, began  # began: what log.json does not hold yet
         self.gaussians = run.load_space()
-        self._scene = _digest(_arrays_of(self.gaussians))
+        self._scene = _digest(arrays_of(self.gaussians))
         self._arrays: Arrays = {}
         checkpoint = run.load_checkpoint(_STAGE)
         if checkpoint is None or checkpoint[1].get("version") != _VERSION:
@@ -85,9 +84,8 @@ class StoredParts:
         if self._scene not in (state.get("scene"), state.get("expected_scene")):
             return
         if self._scene != state.get("scene"):  # stopped between saving the sharper Gaussians and the motion
-            self.gaussians = Gaussians(
-                **{name: tensors[f"{_SCENE}/{name}"] for name in _arrays_of(self.gaussians)}
-            )
+            names = arrays_of(self.gaussians)
+            self.gaussians = gaussians_of({n: tensors[f"{_SCENE}/{n}"].numpy() for n in names})
             self._scene = state["scene"]
         self._arrays = {k: v.numpy() for k, v in tensors.items()}
 
@@ -107,17 +105,13 @@ class StoredParts:
 
     def expect_scene(self, gaussians: Gaussians) -> None:
         """The run's Gaussians are about to become these: the checkpoint keeps those that its parts belong to."""
-        self._arrays |= {f"{_SCENE}/{k}": v for k, v in _arrays_of(self.gaussians).items()}
-        self._save(expected_scene=_digest(_arrays_of(gaussians)))
+        self._arrays |= {f"{_SCENE}/{k}": v for k, v in arrays_of(self.gaussians).items()}
+        self._save(expected_scene=_digest(arrays_of(gaussians)))
 
     def _save(self, **more: str) -> None:
         tensors = {k: torch.from_numpy(v) for k, v in self._arrays.items()}
         state = {"version": _VERSION, "scene": self._scene, **more}
         self.run.save_checkpoint(_STAGE, tensors, state)
-
-
-def _arrays_of(gaussians: Gaussians) -> Arrays:
-    return {f.name: getattr(gaussians, f.name).numpy() for f in fields(gaussians)}
 
 
 def _digest(arrays: Mapping[str, np.ndarray]) -> str:

@@ -19,8 +19,7 @@ import numpy as np
 
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.few_view_posterior import ITERATIONS, depth_sensitivity, unseen_motion, viewing_rays
-from tg4mm.motion.jacobian.colour import blend_sum
-from tg4mm.motion.jacobian.view import PosedView, ViewJacobian
+from tg4mm.motion.jacobian.view import PosedView, ViewJacobian, blend_sum
 from tg4mm.motion.solver.cpu import CpuOperator
 from tg4mm.motion.split_half import deviation, mean_over_neighbours
 from tg4mm.progress import progress
@@ -33,16 +32,16 @@ _TINY = float(np.finfo(np.float32).tiny)
 
 
 @dataclass(frozen=True)
-class Found:
+class MotionEstimate:
     """What a fit found, as far as uncertainty asks for it."""
 
     folds: np.ndarray  # [2, R, N, 6] of two halves of the data
-    shapes: np.ndarray  # [R, N, 6], what they agree on
+    fields: np.ndarray  # [R, N, 6], what they agree on
     gaussians: Gaussians
     knn: np.ndarray  # [N, count], the nearest Gaussians of each
     views: Sequence[ViewJacobian]  # some of those Gaussians
     cameras: Sequence[PosedView]
-    residuals: Iterable[np.ndarray]  # of each of those views: what the shapes leave of its target images
+    residuals: Iterable[np.ndarray]  # of each of those views: what the fields leave of its target images
 
 
 @dataclass(frozen=True)
@@ -54,11 +53,11 @@ class Uncertainty:
     notes: list[str] = field(default_factory=list)
 
 
-def of_halves(found: Found, n_timesteps: int) -> Uncertainty:
+def of_halves(estimate: MotionEstimate, n_timesteps: int) -> Uncertainty:
     """From two halves of the data, and what both leave of the pictures; of many cameras that is all."""
-    halves = found.folds[..., :3]
-    noise = deviation(halves[0], halves[1], found.knn).astype(np.float64) ** 2
-    variance = noise + _model_error(found)
+    halves = estimate.folds[..., :3]
+    noise = deviation(halves[0], halves[1], estimate.knn).astype(np.float64) ** 2
+    variance = noise + _model_error(estimate)
     arrays = {
         name: np.sqrt(v / n_timesteps).astype(np.float32)
         for name, v in (("displacement", variance), ("noise", noise))
@@ -69,18 +68,18 @@ def of_halves(found: Found, n_timesteps: int) -> Uncertainty:
 
 
 def of_few_views(
-    found: Found, operator: CpuOperator, gradient_fields: np.ndarray, n_timesteps: int, seed: int
+    estimate: MotionEstimate, operator: CpuOperator, gradient_fields: np.ndarray, n_timesteps: int, seed: int
 ) -> Uncertainty:
     """As `of_halves`, with what few cameras do not show; one camera alone gets the share along its sight."""
     with progress("uncertainty", ITERATIONS, "iterations") as update:
         unseen = unseen_motion(operator, gradient_fields, n_timesteps, seed, update)
-    difference = (found.folds[0] - found.folds[1])[..., :3]
+    difference = (estimate.folds[0] - estimate.folds[1])[..., :3]
     each = np.einsum("rnc,rnd->ncd", difference, difference) / (4 * n_timesteps)
-    noise = mean_over_neighbours(each, found.knn)
-    model = _model_error(found) / (3 * n_timesteps)
+    noise = mean_over_neighbours(each, estimate.knn)
+    model = _model_error(estimate) / (3 * n_timesteps)
     covariance = (noise + unseen.covariance + model[:, None, None] * np.eye(3)).astype(np.float32)
     variance = np.trace(covariance, axis1=1, axis2=2)
-    power = max(float((found.shapes[..., :3].astype(np.float64) ** 2).sum()) / n_timesteps, 1e-30)
+    power = max(float((estimate.fields[..., :3].astype(np.float64) ** 2).sum()) / n_timesteps, 1e-30)
     of_noise = np.trace(noise, axis1=1, axis2=2)
     arrays = {
         "displacement": np.sqrt(variance).astype(np.float32),
@@ -92,11 +91,11 @@ def of_few_views(
         "uncertainty_to_motion": math.sqrt(float(variance.sum()) / power),
         "freedom": unseen.freedom,
     }
-    if len(found.cameras) > 1:
+    if len(estimate.cameras) > 1:
         return Uncertainty(arrays, figures)
-    own, guess = _along_sight(found, covariance, n_timesteps)
+    own, guess = _along_sight(estimate, covariance, n_timesteps)
     figures["guess_along_sight_percent"] = round(100 * guess, 1)
-    ratio = depth_sensitivity(found.views[0], found.cameras[0], found.gaussians.means.numpy(), seed)
+    ratio = depth_sensitivity(estimate.views[0], estimate.cameras[0], estimate.gaussians.means.numpy(), seed)
     note = (
         f"one camera: motion along its line of sight changes the pictures {ratio:.2g} times as much as motion across, "
         f"so that {100 * guess:.0f} % of the variance of the motion along it is the prior's guess; "
@@ -106,32 +105,32 @@ def of_few_views(
 
 
 def _along_sight(
-    found: Found, covariance: np.ndarray, n_timesteps: int
+    estimate: MotionEstimate, covariance: np.ndarray, n_timesteps: int
 ) -> tuple[dict[str, np.ndarray], float]:
     """Deviations [N] along the line of sight and across it, and what part of the motion along it is a guess.
 
     That is the variance of what is not known over that of the motion: what was found, squared, and what is not known.
     Gaussians that are seen count by their opacity.
     """
-    along = viewing_rays(found.cameras[0], found.gaussians.means.numpy())
+    along = viewing_rays(estimate.cameras[0], estimate.gaussians.means.numpy())
     variance = np.einsum("nc,ncd,nd->n", along, covariance, along)
     across = np.maximum(np.trace(covariance, axis1=1, axis2=2) - variance, 0) / 2
-    shown = (np.einsum("rnc,nc->rn", found.shapes[..., :3], along) ** 2).sum(0) / n_timesteps
-    weights = np.zeros(len(found.gaussians))
-    bins = found.views[0].bins
+    shown = (np.einsum("rnc,nc->rn", estimate.fields[..., :3], along) ** 2).sum(0) / n_timesteps
+    weights = np.zeros(len(estimate.gaussians))
+    bins = estimate.views[0].bins
     rows = bins.order[: bins.n_visible]
-    weights[rows] = found.gaussians.opacities.numpy()[rows]
+    weights[rows] = estimate.gaussians.opacities.numpy()[rows]
     unknown = float((weights * variance).sum())
     guess = unknown / max(unknown + float((weights * shown).sum()), 1e-30)
     deviations = {"along_sight": variance, "across_sight": across}
     return {k: np.sqrt(np.maximum(v, 0)).astype(np.float32) for k, v in deviations.items()}, guess
 
 
-def _model_error(found: Found) -> np.ndarray:
+def _model_error(estimate: MotionEstimate) -> np.ndarray:
     """[N] variance, summed over functions of time."""
-    means = found.gaussians.means.numpy()
-    left = displacement_left(found.residuals, found.views, found.cameras, means, found.knn)
-    return model_error_variance(left, variation(found.shapes[..., :3], found.knn))
+    means = estimate.gaussians.means.numpy()
+    left = displacement_left(estimate.residuals, estimate.views, estimate.cameras, means, estimate.knn)
+    return model_error_variance(left, variation(estimate.fields[..., :3], estimate.knn))
 
 
 def model_error_variance(left: np.ndarray, varying: np.ndarray) -> np.ndarray:

@@ -12,8 +12,7 @@ import numpy as np
 from tg4mm.capture import Capture, load_capture
 from tg4mm.errors import RunError
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.limits import peaks
-from tg4mm.motion.mode_selection import mode_deviations, worth_keeping
+from tg4mm.motion.mode_selection import mode_deviations, peaks, worth_keeping
 from tg4mm.motion.modes import ModalMotion
 from tg4mm.motion.observations import frames_of
 from tg4mm.report.figures import scale_top

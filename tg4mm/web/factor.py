@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tg4mm.motion.fields import fields_of
-from tg4mm.motion.modes import ModalMotion
+from tg4mm.motion.modes import ModalMotion, fields_of
 
 TOLERANCE = 1e-4  # of the motion's rms: weaker fields are left out
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from tg4mm.errors import RunError
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.appearance_modes import AppearanceModes
+from tg4mm.motion.modes import AppearanceModes
 from tg4mm.web.factor import MotionFields
 
 SH_STEP = 2.0**-9  # coefficients above degree 0 are rounded to this: half a step is a quarter of a grey level

@@ -10,7 +10,7 @@ from tg4mm.capture import load_capture
 from tg4mm.capture.model import Capture
 from tg4mm.errors import RunError
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.limits import peaks
+from tg4mm.motion.mode_selection import peaks
 from tg4mm.motion.modes import ModalMotion
 from tg4mm.render.cameras import Camera, capture_cameras
 from tg4mm.report.maps import image_motion, peak_displacement

@@ -1,13 +1,15 @@
-"""How far a motion moves the Gaussians in the pictures, in pixels."""
+"""What a motion does in the pictures to first order: how far things move in pixels, and its optical flow."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from tg4mm.motion.jacobian.packed import mean_rows
+from tg4mm.motion.jacobian.packed import mean_rows, mean_rows_as_colours
 from tg4mm.motion.jacobian.view import ViewJacobian
+from tg4mm.rasterize.buffers import Buffers
 
 PERCENT = 99.0  # of the visible Gaussians: outliers of a fit must not decide
 _CAMERAS = 8  # views looked at, spread evenly
@@ -30,3 +32,11 @@ def _lengths(view: ViewJacobian, shifts: np.ndarray) -> np.ndarray:
     right, down = mean_rows(view.packed)
     own = shifts[:, view.bins.order[: view.bins.n_visible]]
     return np.asarray(np.hypot(*(np.einsum("nd,snd->sn", row, own) for row in (right, down))))
+
+
+def optical_flow(view: ViewJacobian, motions: np.ndarray, buffers: Buffers) -> np.ndarray:
+    """[R, H, W, 3] of motions [R, N, DOF]: right and down in pixels, then 0. Valid until the next call with `buffers`.
+
+    Each pixel sums the flow of its Gaussians' means by blending weight; the background's flow is 0.
+    """
+    return replace(view, packed=mean_rows_as_colours(view.packed)).jvp(motions, buffers)

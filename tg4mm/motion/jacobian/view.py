@@ -7,19 +7,19 @@ kernels take splats to pixels. It is the exact derivative of the rendered pictur
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.jacobian.packed import jvp_rows, pack, unpack, vjp_rows
+from tg4mm.motion.jacobian.packed import COLUMNS, DOF, jvp_rows, pack, unpack, vjp_rows
 from tg4mm.motion.jacobian.projection import splat_jacobian
 from tg4mm.rasterize.buffers import Buffers, take
 from tg4mm.rasterize.kernels.binning import Bins, bin_splats, seen
 from tg4mm.rasterize.kernels.blend import blend_forward
 from tg4mm.rasterize.kernels.layout import ALPHA_MIN, FEATURES
-from tg4mm.rasterize.kernels.linearised import COLUMNS, blend_cotangents, blend_tangents
+from tg4mm.rasterize.kernels.linearised import blend_cotangents, blend_tangents
 from tg4mm.rasterize.kernels.normal import blend_normal, most_blocks
 from tg4mm.rasterize.kernels.project import empty_splats, pack_camera, project_forward
 from tg4mm.room import release, room
@@ -71,7 +71,7 @@ class ViewJacobian:
         With `buffers` the result is theirs: valid until the next call with the same ones.
         """
         bins, n_motions = self.bins, len(motions)
-        d_splats = take(buffers, "d_splats", (motions.shape[1], n_motions, len(COLUMNS)))
+        d_splats = take(buffers, "d_splats", (motions.shape[1], n_motions, COLUMNS))
         jvp_rows(self.packed, self._rows, motions, d_splats)
         d_images = take(buffers, "d_images", (n_motions, *self.transmittance.shape, 3))
         blend_tangents(
@@ -82,7 +82,7 @@ class ViewJacobian:
     def vjp(self, pictures: np.ndarray, v_motions: np.ndarray, buffers: Buffers | None = None) -> None:
         """Adds Jᵀ p of R pictures [R, H, W, 3] to `v_motions` [R, N, DOF]."""
         bins, n_motions = self.bins, len(pictures)
-        v_pairs = take(buffers, "v_pairs", (len(bins.pair_gaussian), n_motions, len(COLUMNS)))
+        v_pairs = take(buffers, "v_pairs", (len(bins.pair_gaussian), n_motions, COLUMNS))
         blend_cotangents(
             self.splats, bins.tile_start, bins.pair_gaussian, WHITE, self.image, self.transmittance,
             np.ascontiguousarray(pictures), v_pairs, ALPHA_MIN_LINEAR,
@@ -98,9 +98,9 @@ class ViewJacobian:
     ) -> None:
         """Adds Jᵀ W J m to `v_motions`, both [R, N, DOF], in one pass; W are weights of pixels [H, W], None: 1."""
         bins, n_motions = self.bins, len(motions)
-        d_splats = take(buffers, "d_splats", (motions.shape[1], n_motions, len(COLUMNS)))
+        d_splats = take(buffers, "d_splats", (motions.shape[1], n_motions, COLUMNS))
         jvp_rows(self.packed, self._rows, motions, d_splats)
-        v_pairs = take(buffers, "v_pairs", (len(bins.pair_gaussian), n_motions, len(COLUMNS)))
+        v_pairs = take(buffers, "v_pairs", (len(bins.pair_gaussian), n_motions, COLUMNS))
         pixels = np.ones_like(self.transmittance) if weights is None else weights
         blend_normal(
             self.splats, d_splats, bins.tile_start, bins.pair_gaussian, bins.reached, self.most, WHITE, pixels,
@@ -173,3 +173,31 @@ def view_jacobian(gaussians: Gaussians, camera: PosedView, size: tuple[int, int]
     return ViewJacobian(
         splats, bins, image, transmittance, most, pack(jacobian[bins.order[: bins.n_visible]])
     )
+
+
+_COLOUR = COLUMNS - 3  # first column of a splat's colour
+
+
+def colour_jacobian(view: ViewJacobian, active: np.ndarray) -> ViewJacobian:
+    """The view with the Jacobian by colour in place of displacement (the first three of DOF; the others give 0).
+
+    active [n_visible, 3] bool, in the order of bins.order: channels whose derivative is not 0 (not clamped).
+    """
+    jacobian = np.zeros((len(active), COLUMNS, DOF), np.float32)
+    for c in range(3):
+        jacobian[:, _COLOUR + c, c] = active[:, c]
+    return replace(view, packed=pack(jacobian))
+
+
+def without_colour(view: ViewJacobian) -> ViewJacobian:
+    """The view with colours that no motion changes, as if they were the same from all sides."""
+    jacobian = view.jacobian
+    jacobian[:, _COLOUR:] = 0
+    return replace(view, packed=pack(jacobian))
+
+
+def blend_sum(view: ViewJacobian, picture: np.ndarray) -> np.ndarray:
+    """[N, 3] float32: a picture [H, W, 3] summed over pixels by each Gaussian's blending weights."""
+    out = np.zeros((1, len(view.splats), DOF), np.float32)
+    colour_jacobian(view, np.ones((view.bins.n_visible, 3), bool)).vjp(picture[None], out)
+    return out[0, :, :3]

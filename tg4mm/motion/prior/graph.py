@@ -8,12 +8,12 @@ acts on its columns: u, then the change of u over the mean spacing along x, y an
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numba import get_num_threads
-from scipy.sparse import bsr_matrix, csr_matrix
+from scipy.sparse import bsr_matrix, coo_matrix, csr_matrix, vstack
 from scipy.spatial import cKDTree
 
 from tg4mm.motion.prior.rotation import from_motion, gradient_to_rotation, to_motion
@@ -132,3 +132,58 @@ def _edges(distance: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndar
     pairs = np.minimum(owner, other) * np.int64(n) + np.maximum(owner, other)
     unique, of = np.unique(pairs, return_inverse=True)
     return unique // n, unique % n, np.bincount(of, weight), float(np.median(spacing))
+
+
+def stiffness_root(graph: Graph) -> csr_matrix:
+    """S [4E, 4N] float64 with SᵀS = `graph.stiffness` of E edges: displacements, then gradients along x, y, z."""
+    n = graph.n_gaussians
+    owner = np.repeat(np.arange(n), np.diff(graph.start))
+    once = owner < graph.other  # every edge is listed at both ends
+    first, second = owner[once], graph.other[once].astype(np.int64)
+    rows = graph.edge_rows[once].astype(np.float64)
+    root, half = rows[:, 0], rows[:, 1:]
+    edges, shape = np.arange(len(first)), (len(first), ROWS * n)
+    values = np.concatenate([root, *-half.T, -root, *-half.T])
+    columns = np.concatenate([ROWS * end + c for end in (second, first) for c in range(ROWS)])
+    parts = [coo_matrix((values, (np.tile(edges, 2 * ROWS), columns)), shape=shape)]
+    bending = np.sqrt(BENDING) * np.concatenate([root, -root])
+    for c in range(1, ROWS):
+        ends = np.concatenate([ROWS * second + c, ROWS * first + c])
+        parts.append(coo_matrix((bending, (np.tile(edges, 2), ends)), shape=shape))
+    return csr_matrix(vstack(parts))
+
+
+_SCALE = 3.0  # mean squared residuals at which an edge counts half
+_LEAST = 0.01  # of its weight is left to an edge: the graph stays connected
+
+
+def edge_residual(graph: Graph, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """[E] float32, scene units squared: the squared residual of every edge that fields a, b [R, 4N, 3] share.
+
+    Their residuals' inner product over fields and x, y, z, for a weight of 1; 0 where it is negative.
+    """
+    owner = np.repeat(np.arange(graph.n_gaussians), np.diff(graph.start))
+    both = np.zeros(len(graph.other))
+    for x, y in zip(a, b, strict=True):
+        both += np.einsum("ec,ec->e", _residual(graph, owner, x), _residual(graph, owner, y))
+    return np.asarray(np.maximum(both, 0), np.float32)
+
+
+def _residual(graph: Graph, owner: np.ndarray, field: np.ndarray) -> np.ndarray:
+    """[E, 3], for a weight of 1."""
+    rows = field.reshape(-1, ROWS, 3)
+    out = rows[graph.other, 0] - rows[owner, 0]
+    for k in range(1, ROWS):
+        half_way = graph.edge_rows[:, k] / graph.edge_rows[:, 0]
+        out -= half_way[:, None] * (rows[graph.other, k] + rows[owner, k])
+    return np.asarray(out)
+
+
+def reweight_edges(graph: Graph, residual: np.ndarray) -> Graph:
+    """The graph with edges reweighted by `edge_residual` [E]; the same graph where that is 0 everywhere."""
+    weight = graph.edge_rows[:, 0].astype(np.float64) ** 2
+    mean = float((weight * residual).sum() / weight.sum())
+    if not mean > 0:
+        return graph
+    share = np.maximum(1 / (1 + residual / (_SCALE * mean)), _LEAST)
+    return replace(graph, edge_rows=(graph.edge_rows * np.sqrt(share)[:, None]).astype(np.float32))

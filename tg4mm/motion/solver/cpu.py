@@ -11,7 +11,7 @@ import numpy as np
 
 from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.jacobian.view import ViewJacobian
-from tg4mm.motion.nuisance import Projection
+from tg4mm.motion.nuisance.projection import Projection
 from tg4mm.motion.prior.graph import Graph
 from tg4mm.motion.solver.preconditioner import TwoLevelPreconditioner
 from tg4mm.rasterize.buffers import Buffers

@@ -2,23 +2,22 @@
 
 A camera that turns about its own centre by R moves its picture by the homography K R K⁻¹, whatever the depths are
 (Hartley & Zisserman 2004, §8.4). So pictures can be turned back by resampling alone, beyond what is linear in the
-shift; `nuisance.py` takes out what is left to first order.
+shift; `projection.py` takes out what is left to first order.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numba
 import numpy as np
-import torch
 from scipy.ndimage import gaussian_filter, spline_filter1d
 from scipy.spatial.transform import Rotation
 
 from tg4mm.capture.pictures import Pictures, Strips, over_white
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.checkpoints import Arrays, Parts
+from tg4mm.motion.checkpoints import Arrays, Parts, arrays_of, gaussians_of
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.observations import Observations, PosedFrames, strips
 from tg4mm.motion.refine import MovedPictures, refine_rest_scene
@@ -80,27 +79,32 @@ def homographies(K: np.ndarray, turns: np.ndarray) -> np.ndarray:
 
 
 def stabilised(
-    gaussians: Gaussians, observations: Observations, config: MotionConfig, device: str, parts: Parts
+    gaussians: Gaussians,
+    observations: Observations,
+    config: MotionConfig,
+    device: str,
+    parts: Parts,
+    refines: bool = True,
 ) -> tuple[Gaussians, Observations, float]:
     """The scene at rest that registered pictures show, the observations with these, and the shake (pixels, rms).
 
-    Where fixed cameras alone made the scene at rest, it was fitted to means of shaken pictures, which are blurred. Then
-    the Gaussians are fitted to those of the registered pictures; their number and order stay.
+    Where fixed cameras alone made the scene at rest, it was fitted to means of shaken pictures, which are blurred. With
+    `refines` the Gaussians are then fitted to those of the registered pictures; their number and order stay.
     """
 
     def compute() -> Arrays:
         turns = camera_turns(observations)
-        if not observations.is_whole or observations.kind == "flat":
+        if not refines or not observations.is_whole or observations.kind == "flat":
             return {"turns": turns}
         sharper = _refined(gaussians, registered(observations, turns), config.seed, device)
-        return {"turns": turns} | {f"g.{f.name}": getattr(sharper, f.name).numpy() for f in fields(sharper)}
+        return {"turns": turns, **arrays_of(sharper)}
 
     kept = parts("registration", compute)
-    own = {k[2:]: torch.from_numpy(np.array(v)) for k, v in kept.items() if k.startswith("g.")}
     turns = kept["turns"]
     focal = max(float(f.K[0, 0]) for f in observations.frames)
     pixels = focal * float(np.sqrt((turns[:, :2] ** 2).sum(1).mean()))
-    return Gaussians(**own) if own else gaussians, registered(observations, turns), pixels
+    scene = gaussians_of(kept) if "means" in kept else gaussians
+    return scene, registered(observations, turns), pixels
 
 
 def registered(observations: Observations, turns: np.ndarray) -> Observations:

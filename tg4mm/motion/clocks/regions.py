@@ -12,14 +12,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tg4mm.motion.checkpoints import Arrays, Parts
 from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.jacobian.view import PosedView, ViewJacobian
-from tg4mm.motion.nuisance import Projection
+from tg4mm.motion.nuisance.first_look import FixedCameras
+from tg4mm.motion.nuisance.projection import Projection
+from tg4mm.motion.observations import PosedFrames, whole_pictures
 from tg4mm.motion.solver.aggregates import Aggregates
+from tg4mm.motion.solver.problem import Problem
 from tg4mm.progress import progress
 
 _PROBES = 4
-_AT_ONCE = 8  # frames that share a pass
 _SEEN = 0.02  # of the median region's determinant: below it a region is not seen
 
 
@@ -32,6 +35,15 @@ class RegionSeries:
     normals: np.ndarray  # [F or 1, G, 2, 2] A
     axes: np.ndarray  # [F or 1, 2, 3] right and down, unit vectors in the world
 
+    def arrays(self) -> Arrays:
+        """For a checkpoint."""
+        return {"sides": self.sides, "normals": self.normals, "axes": self.axes}
+
+    @staticmethod
+    def restored(times_s: np.ndarray, arrays: Arrays) -> RegionSeries:
+        """From what `arrays` gave."""
+        return RegionSeries(times_s, arrays["sides"], arrays["normals"], arrays["axes"])
+
     def whitened(self) -> np.ndarray:
         """[F, 2G]: A^(-1/2) b, whose noise is that of one pixel, alike for all regions; 0 where nothing is seen."""
         values, vectors = np.linalg.eigh(self.normals)
@@ -43,7 +55,7 @@ class RegionSeries:
         return (root * b).reshape(len(b), -1)
 
     def phasors(self, functions: np.ndarray) -> np.ndarray:
-        """[K, G, 2] complex: of least squares with functions of time [2K, F], as `temporal.sinusoids` gives them.
+        """[K, G, 2] complex: of least squares with functions of time [2K, F], as `sinusoids` gives them.
 
         Sums b_f over the functions, to be divided by A: E m. For one fixed camera. A constant and a trend are fitted
         besides.
@@ -53,6 +65,24 @@ class RegionSeries:
         answer = np.linalg.lstsq(design, self.sides.reshape(len(self.sides), -1), rcond=None)[0][2:]
         pairs = answer.reshape(-1, 2, *self.sides.shape[1:])
         return pairs[:, 0] + 1j * pairs[:, 1]
+
+
+def region_series(seen: FixedCameras, problem: Problem, parts: Parts) -> list[RegionSeries]:
+    """Every fixed camera's region shifts."""
+    labels, out = labels_of(problem.aggregates), []
+    with progress("region shifts", len(seen.views), "cameras") as update:
+        for v, (frames, view) in enumerate(zip(seen.observations.frames, seen.views, strict=True)):
+
+            def compute(v: int = v, frames: PosedFrames = frames, view: ViewJacobian = view) -> Arrays:
+                mean, nuisance = seen.look.mean[v], seen.nuisances[v]
+                projection = Projection.of(nuisance, mean, None) if nuisance.active.any() else None
+                changes = (p - mean for p in whole_pictures(seen.observations, frames.rows))
+                own = fixed_camera_series(view, frames, projection, labels, changes, frames.times_s)
+                return own.arrays()
+
+            out.append(RegionSeries.restored(frames.times_s, parts(f"regions_{v}", compute)))
+            update(v + 1)
+    return out
 
 
 def labels_of(aggregates: Aggregates) -> np.ndarray:

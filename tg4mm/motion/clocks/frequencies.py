@@ -13,8 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from tg4mm.motion.temporal import sinusoids
-
 MOST = 6
 _OVERSAMPLED = 6  # frequencies tried per 1 / duration
 _CAP = 300.0  # of a series' power over its noise: a few that move much do not hide the rest
@@ -235,3 +233,9 @@ def _deviation(
             information += float(np.maximum(snr - 1, 0).sum()) * float(np.ptp(t)) ** 2
         out.append(np.sqrt(3 / (np.pi**2 * max(information, 1e-12))))
     return np.array(out)
+
+
+def sinusoids(times_s: np.ndarray, freqs_hz: np.ndarray) -> np.ndarray:
+    """[2K, F]: cos 2πf_k t and −sin 2πf_k t by turns: Re[m exp(i 2πf t)] = Re m · row 2k + Im m · row 2k + 1."""
+    angles = 2 * np.pi * np.asarray(freqs_hz)[:, None] * times_s
+    return np.stack([np.cos(angles), -np.sin(angles)], 1).reshape(-1, len(times_s))

@@ -12,18 +12,15 @@ from tests.motion.scenes import gaussians_of, two_cameras
 from tests.space.scenes import capture_of
 from tg4mm.capture import ImageStack
 from tg4mm.motion import observations as observations_module
-from tg4mm.motion import temporal as module
+from tg4mm.motion.clocks.frequencies import sinusoids
+from tg4mm.motion.clocks.independent import sinusoid_targets
+from tg4mm.motion.clocks.synchronous import kept_components, principal_components
 from tg4mm.motion.jacobian.view import view_jacobian
-from tg4mm.motion.nuisance import Nuisance, nuisances_of
+from tg4mm.motion.nuisance import first_look as first_look_module
+from tg4mm.motion.nuisance.first_look import first_look
+from tg4mm.motion.nuisance.projection import Nuisance, nuisances_of
 from tg4mm.motion.observations import Observations, PosedFrames, observe
-from tg4mm.motion.temporal import (
-    first_look,
-    kept_components,
-    principal_components,
-    project,
-    sinusoid_targets,
-    sinusoids,
-)
+from tg4mm.motion.targets import project
 
 
 def zero_mean_basis(n: int, n_timesteps: int, seed: int = 0) -> np.ndarray:
@@ -121,7 +118,6 @@ class TestComponents:
         """They span the two swings."""
         found = components(stack[1])
         assert len(found.basis) == 2
-        assert found.mixing is None
         t = np.arange(9)
         swing = np.stack([np.sin(2 * np.pi * t / 9), np.cos(4 * np.pi * t / 9)]) / np.sqrt(4.5)
         np.testing.assert_allclose(np.linalg.svd(found.basis @ swing.T, compute_uv=False), 1, atol=0.01)
@@ -172,7 +168,7 @@ class TestComponents:
         self, stack, cached: int, strip: int, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         expected = components(stack[1])
-        monkeypatch.setattr(module, "CACHE_BYTES", cached)
+        monkeypatch.setattr(first_look_module, "CACHE_BYTES", cached)
         monkeypatch.setattr(observations_module, "STRIP_VALUES", strip)
         found = components(stack[1])
         signs = np.sign((found.basis * expected.basis).sum(1))
@@ -188,7 +184,7 @@ class TestComponents:
         )
         components(stack[1])
         assert len(composited) == 2  # cameras
-        monkeypatch.setattr(module, "CACHE_BYTES", 0)
+        monkeypatch.setattr(first_look_module, "CACHE_BYTES", 0)
         components(stack[1])
         assert len(composited) == 2 + 4
 
@@ -294,12 +290,13 @@ class TestSinusoids:
         """y = C x with x the real and imaginary parts, on each camera's own clock; constant and trend taken out."""
         observations, phasors = stack
         nuisances = no_nuisance(observations)
-        found = sinusoid_targets(observations, first_look(observations, nuisances), nuisances, self.HZ)
-        assert found.mixing is not None
+        found, mixing = sinusoid_targets(
+            observations, first_look(observations, nuisances), nuisances, self.HZ
+        )
         scale = np.sqrt(2 / 39)
         for v in range(2):
             x = np.stack([phasors[v].real, phasors[v].imag], 1).reshape(4, 4, 5, 3) / scale
-            expected = np.tensordot(found.mixing[v], x, 1)
+            expected = np.tensordot(mixing[v], x, 1)
             np.testing.assert_allclose(found.images[v], expected, atol=0.01 * np.abs(expected).max())
         changes = sum(float(np.trace(gram)) for gram in first_look(observations, nuisances).grams)
         left = changes - (found.images.astype(float) ** 2).sum()  # the trend
@@ -309,6 +306,6 @@ class TestSinusoids:
         """Of records that hold many periods: functions of unit length, nearly orthogonal."""
         observations, _ = stack
         nuisances = no_nuisance(observations)
-        found = sinusoid_targets(observations, first_look(observations, nuisances), nuisances, self.HZ)
-        for mix in found.mixing or []:
+        _, mixing = sinusoid_targets(observations, first_look(observations, nuisances), nuisances, self.HZ)
+        for mix in mixing:
             np.testing.assert_allclose(mix.T @ mix, np.eye(4), atol=0.15)

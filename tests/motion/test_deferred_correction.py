@@ -11,9 +11,9 @@ import pytest
 import torch
 
 from tests.motion.scenes import SCENES, motion_of, view_of
-from tg4mm.motion import higher_order as module
-from tg4mm.motion.higher_order import TaylorTerms
-from tg4mm.motion.jacobian.flow import optical_flow
+from tg4mm.motion import deferred_correction as module
+from tg4mm.motion.deferred_correction import TaylorTerms
+from tg4mm.motion.jacobian.pixels import optical_flow
 from tg4mm.rasterize.buffers import Buffers
 from tg4mm.rasterize.kernels.layout import MX, MY
 from tg4mm.rasterize.reference import rasterize_dense

@@ -11,7 +11,7 @@ import numpy as np
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.jacobian.view import ViewJacobian
-from tg4mm.motion.nuisance import Nuisance, Projection
+from tg4mm.motion.nuisance.projection import Nuisance, Projection, without
 from tg4mm.motion.prior.graph import Graph, build_graph
 from tg4mm.motion.solver.aggregates import Aggregates, aggregate
 from tg4mm.motion.solver.cpu import CpuOperator
@@ -56,6 +56,19 @@ class Problem:
         """Height and width in pixels."""
         height, width = self.views[0].transmittance.shape
         return height, width
+
+    def shown(self, v: int, fields: np.ndarray) -> np.ndarray:
+        """[ρ, H, W, 3]: what view v's target images show of fields [R, N, 6]."""
+        own = fields if self.mixing is None else np.tensordot(self.mixing[v], fields, 1)
+        return self.views[v].jvp(np.ascontiguousarray(own))
+
+    def without_nuisance(self, v: int, pictures: np.ndarray) -> np.ndarray:
+        """Pictures [R, H, W, 3] of view v with its nuisance columns projected out."""
+        if self.projections is not None:
+            return self.projections[v].out_of(pictures)
+        if not self.nuisances or self.means is None:
+            return pictures
+        return without(self.nuisances[v], self.means[v], pictures)
 
     @property
     def everything(self) -> Fold:

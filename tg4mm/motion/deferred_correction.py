@@ -1,25 +1,33 @@
-"""Taylor terms: what a motion changes in the target images beyond the derivative of rendering.
+"""Deferred correction: what a motion that was found shows beyond the derivative of rendering (Stetter 1978).
 
-A picture that moves by u changes by −u·∇M + ½ (u·∇)² M − …, M its mean over time. With orthonormal functions of time
-a_s and u(t) = Σ a_s(t) u_s, the second-order term is in target image s
+Taylor terms. A picture that moves by u changes by −u·∇M + ½ (u·∇)² M − …, M its mean over time. With orthonormal
+functions of time a_s and u(t) = Σ a_s(t) u_s, the second-order term is in target image s
 
     ½ Σ_rq (Σ_t a_s a_r a_q) (u_r·∇)(u_q·∇) M.
 
 The square of a sinusoid is another component, at twice its frequency, which must not be taken for motion. The first
 term is what the Jacobian gives.
+
+Appearance: gloss and shadows that go with the motion, as changes of colour (`appearance.py`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations_with_replacement
 
 import numpy as np
 from numba import float32, int64, prange
 
-from tg4mm.motion.jacobian.flow import optical_flow
+from tg4mm.motion.appearance import LOOK, AppearanceFit, Remainder
+from tg4mm.motion.clocks.synchronous import Synchronous
+from tg4mm.motion.hyperparameters import Hyperparameters
+from tg4mm.motion.jacobian.pixels import optical_flow
 from tg4mm.motion.jacobian.view import ViewJacobian
+from tg4mm.motion.linear_fit import Correction
+from tg4mm.motion.split_half import LEAST
+from tg4mm.progress import progress
 from tg4mm.rasterize.buffers import Buffers
 from tg4mm.rasterize.kernels.compiled import kernel
 
@@ -61,6 +69,58 @@ def _with_margin(picture: np.ndarray) -> np.ndarray:
     """Continued with the slope it has at its edges."""
     beside = (_MARGIN, _MARGIN)
     return np.pad(picture, (beside, beside, (0, 0)), mode="reflect", reflect_type="odd")
+
+
+@dataclass(frozen=True)
+class DeferredCorrection:
+    """Of synchronous cameras' fields."""
+
+    clock: Synchronous
+    terms: TaylorTerms
+    colours: (
+        AppearanceFit | None
+    )  # None where it was not asked for, or cameras are too few to tell it from noise
+
+    @staticmethod
+    def of(clock: Synchronous, hyper: Hyperparameters) -> DeferredCorrection:
+        problem = clock.problem
+        terms = TaylorTerms(problem.views, clock.targets.mean, clock.basis)
+        colours = None
+        if clock.config.appearance and len(problem.views) >= LEAST and len(clock.folds) == 2:
+            frames = clock.observations.frames
+            colours = AppearanceFit.of(
+                problem.views, frames, clock.gaussians, hyper.pixel_weights, problem.graph, clock.folds
+            )
+        return DeferredCorrection(clock, terms, colours)
+
+    def between_passes(self, fields: np.ndarray) -> Correction:
+        """For `LinearFit.second_pass`, given what the first pass's folds agree on, [R, N, 6]."""
+        found = (
+            None if self.colours is None else self.colours.fitted(self._remainder(fields, True), None, LOOK)
+        )
+
+        def pictures(p: int, own_fields: np.ndarray, some: slice) -> Iterator[np.ndarray]:
+            for v in self.clock.folds[p].views:
+                beyond = self.terms.of(int(v), own_fields)[some]
+                if found is not None and self.colours is not None and found[0][some].any():
+                    beyond = beyond + self.colours.shown(int(v), found[0][some])
+                yield beyond
+
+        return pictures
+
+    def appearance(self, fields: np.ndarray, is_small: bool) -> tuple[np.ndarray, np.ndarray] | None:
+        """Changes of colour [R, N, K, 3] that go with fields [R, N, 6], and their reliability [R].
+
+        `is_small`: whether the motion is, so that the Taylor terms hold.
+        """
+        if self.colours is None:
+            return None
+        with progress("appearance", len(fields), "components") as update:
+            return self.colours.fitted(self._remainder(fields, is_small), update)
+
+    def _remainder(self, fields: np.ndarray, is_small: bool) -> Remainder:
+        terms = self.terms.of if is_small else None
+        return Remainder(self.clock.problem, self.clock.targets.images, self.clock.fitted, fields, terms)
 
 
 @kernel(parallel=True)

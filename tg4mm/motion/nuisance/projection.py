@@ -18,14 +18,15 @@ from functools import cached_property
 
 import numpy as np
 
-from tg4mm.motion.jacobian.colour import without_colour
 from tg4mm.motion.jacobian.packed import DOF
-from tg4mm.motion.jacobian.view import PosedView, ViewJacobian
+from tg4mm.motion.jacobian.view import PosedView, ViewJacobian, without_colour
 
 GAIN, OFFSET, ROTATION, TRANSLATION = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 EXPOSURE, POSE = slice(0, 6), slice(6, 12)
 COLUMNS = 12
 _TINY = 1e-6  # of the largest eigenvalue of the columns' products: below it a column says nothing new
+_ROUNDS = 30  # of reweighting, where most of the scene is told
+_SMALL = 0.05  # of the median distance: nearer than that counts no more
 EXPOSURE_SHARE = 5e-3  # of the changes' energy: of cut-out pictures less exposure than that stays
 
 
@@ -195,3 +196,34 @@ def _inverse_root(gram: np.ndarray) -> np.ndarray:
     values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
     keep = values > _TINY * values[-1]
     return (vectors[:, keep] / np.sqrt(values[keep])).T / scale
+
+
+def with_still_background(fields: np.ndarray, means: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Fields [R, N, 6] of one frequency less the rigid motions [R, 6] that most of the scene has.
+
+    To fields that explain a moving camera's pictures any rigid motion of the whole scene may be added, since the
+    camera's unknown pose takes it up. Of all these the one is taken in which most of the scene stands still: the rigid
+    motion that is nearest to the field in the sum of distances, by iteratively reweighted least squares, is taken off.
+    means [N, 3] scene units; weights [N]: how much of a Gaussian is seen.
+    """
+    centre = np.average(means, axis=0, weights=weights + 1e-12)
+    x = means.astype(np.float64) - centre
+    design = np.zeros((len(means), 3, 6))
+    design[:, range(3), range(3)] = 1
+    design[:, 0, 4], design[:, 0, 5] = x[:, 2], -x[:, 1]  # ω × x
+    design[:, 1, 3], design[:, 1, 5] = -x[:, 2], x[:, 0]
+    design[:, 2, 3], design[:, 2, 4] = x[:, 1], -x[:, 0]
+    u = fields[..., :3].astype(np.float64)
+    trust = weights.astype(np.float64)
+    rigid = np.zeros((len(fields), 6))
+    for _ in range(_ROUNDS):
+        weighted = design * trust[:, None, None]
+        gram = np.einsum("nci,ncj->ij", weighted, design)
+        sides = np.einsum("nci,rnc->ri", weighted, u)
+        rigid = np.linalg.lstsq(gram, sides.T, rcond=1e-9)[0].T
+        left = np.sqrt(((u - np.einsum("nci,ri->rnc", design, rigid)) ** 2).sum((0, 2)))
+        trust = weights / np.maximum(left, _SMALL * float(np.median(left)) + 1e-12)
+    out = fields.copy()
+    out[..., :3] -= np.einsum("nci,ri->rnc", design, rigid).astype(np.float32)
+    out[..., 3:] -= rigid[:, None, 3:].astype(np.float32)
+    return out

@@ -13,14 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.appearance.problem import AppearanceProblem
-from tg4mm.motion.appearance.views import HARMONIC, appearance_views
-from tg4mm.motion.higher_order import TaylorTerms
+from tg4mm.motion.appearance_problem import HARMONIC, AppearanceProblem, appearance_views
 from tg4mm.motion.jacobian.view import PosedView, ViewJacobian
-from tg4mm.motion.nuisance import Nuisance, without
 from tg4mm.motion.prior.graph import Graph
 from tg4mm.motion.solver.operator import Fold
 from tg4mm.motion.solver.pcg import pcg
+from tg4mm.motion.solver.problem import Problem
 from tg4mm.motion.split_half import mean_over_neighbours, reliability
 from tg4mm.room import release
 
@@ -32,25 +30,22 @@ _TOGETHER = 8  # components that share a pass over the views
 
 @dataclass(frozen=True)
 class Remainder:
-    """What motion leaves of target images: of `asked` [r] among R components."""
+    """What motion leaves of target images, of R components."""
 
-    views: Sequence[ViewJacobian]
+    problem: Problem
     pictures: np.ndarray  # [V, …, H, W, 3]
     rows: np.ndarray  # [R] which of the components
     fields: np.ndarray  # [R, N, 6], their motion
-    terms: TaylorTerms | None  # what that shows beyond the derivative
-    asked: np.ndarray
-    nuisances: Sequence[Nuisance] = ()  # of each view; none: nothing is projected out
-    means: np.ndarray | None = None  # [V, H, W, 3] mean pictures, for the nuisances
+    higher_order: Callable[[int, np.ndarray], np.ndarray] | None  # what that shows of all in a view beyond J
 
     def of(self, fold: Fold, some: np.ndarray) -> Iterator[np.ndarray]:
         """[s, H, W, 3] of each view of a fold, for `some` of the R components."""
         for v in fold.views:
-            left = self.pictures[v, self.rows[some]] - self.views[v].jvp(self.fields[some])
+            left = self.pictures[v, self.rows[some]] - self.problem.views[v].jvp(self.fields[some])
             release(self.pictures)
-            if self.terms is not None:
-                left -= self.terms.of(v, self.fields)[some]
-            yield left if self.means is None else without(self.nuisances[v], self.means[v], left)
+            if self.higher_order is not None:
+                left -= self.higher_order(v, self.fields)[some]
+            yield self.problem.without_nuisance(v, left)
 
 
 @dataclass(frozen=True)
@@ -79,14 +74,13 @@ class AppearanceFit:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Changes of the first coefficients of spherical harmonics [R, N, K, 3] float32, and gains [R].
 
-        A component that is dropped, or was not asked for, has gain and change 0. `update` is called with how many are
-        done.
+        A component that is dropped has gain and change 0. `update` is called with how many are done.
         """
         halves = [self.problem.of_views(fold.views) for fold in self.folds]
         found = np.zeros((len(remainder.rows), *self.problem.root.shape[:2], 3), np.float32)
         gains = np.zeros(len(found), np.float32)
-        for first in range(0, len(remainder.asked), _TOGETHER):
-            some = remainder.asked[first : first + _TOGETHER]
+        for first in range(0, len(found), _TOGETHER):
+            some = np.arange(first, min(first + _TOGETHER, len(found)))
             sides = [
                 half.right_hand_sides(remainder.of(fold, some))
                 for half, fold in zip(halves, self.folds, strict=True)

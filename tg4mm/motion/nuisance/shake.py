@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tg4mm.motion.jacobian.view import PosedView
-from tg4mm.motion.nuisance import EXPOSURE, POSE, ROTATION
+from tg4mm.motion.nuisance.projection import EXPOSURE, POSE, ROTATION
 
 BLOCKS = 8  # along each side
 _TEXTURE = 0.05  # of the mean block's: less tells no shift

@@ -1,0 +1,74 @@
+"""Which functions of time the motion of a capture is fitted by, and how each view sees them: three kinds of clock."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tg4mm.gaussians import Gaussians
+from tg4mm.motion.checkpoints import Parts
+from tg4mm.motion.config import MotionConfig
+from tg4mm.motion.hyperparameters import Hyperparameters
+from tg4mm.motion.modes import ModalMotion
+from tg4mm.motion.observations import Observations
+from tg4mm.motion.solver.operator import Fold
+from tg4mm.motion.solver.problem import Problem
+from tg4mm.motion.targets import TargetImages
+
+
+@dataclass(frozen=True)
+class Clock(ABC):
+    """A capture posed as one least-squares problem of R functions of time, and what the fields that solve it mean.
+
+    `synchronous.py`: principal components over time. `independent.py`: sinusoids, with a phase of its own for each
+    camera. `moving.py`: sinusoids and slow polynomials, every frame a view. Where R is 0 nothing moves.
+    """
+
+    gaussians: Gaussians  # at rest
+    observations: Observations
+    problem: Problem  # views, prior, nuisance, C_v
+    targets: TargetImages
+    folds: Sequence[Fold]
+    config: MotionConfig
+    figures: dict[str, Any]  # for the log
+    notes: Sequence[str]  # what cannot be told
+
+    @property
+    def n_frames(self) -> int:
+        """Of one camera's record."""
+        return self.observations.n_timesteps
+
+    def images(self, v: int) -> np.ndarray:
+        """[ρ, H, W, 3]: target images of view v that are fitted."""
+        return self.targets.of(v)
+
+    @abstractmethod
+    def strongest(self) -> tuple[np.ndarray, Problem, Sequence[Fold]]:
+        """What tells the smoothness weight: target images [V, ρ, H, W, 3], and the problem and folds they belong to."""
+
+    @abstractmethod
+    def completed(self, hyper: Hyperparameters, parts: Parts) -> Clock:
+        """With what the functions of time still lack: which are fitted, or every camera's phases."""
+
+    @abstractmethod
+    def settled(self, folds: np.ndarray) -> tuple[Clock, np.ndarray]:
+        """The motion in fields [P, R, N, 6] of the folds, and the clock with its functions of time alone.
+
+        Functions that are no motion are let go, and what the cameras leave open is settled.
+        """
+
+    @abstractmethod
+    def pixels_moved(self, fields: np.ndarray) -> float:
+        """How far fields [R, N, 6] move what is seen, pixels."""
+
+    @abstractmethod
+    def motion(self, fields: np.ndarray, appearance: np.ndarray | None) -> ModalMotion:
+        """The modes of fields [R, N, 6], and of changes of colour [R, N, K, 3] that go with them."""
+
+    @abstractmethod
+    def peaks_hz(self, motion: ModalMotion) -> np.ndarray:
+        """Frequencies of the motion's peaks, by falling strength."""

@@ -1,0 +1,284 @@
+"""A camera that moves all the time: every frame is a view with its own pose, Jacobian and nuisance.
+
+The scene at rest is first made to agree with all frames: by turns each frame's pose and exposure are corrected, by
+least squares of what is left of it on the nuisance columns, and the Gaussians are refined on all frames. What is then
+left of a frame is motion, noise, and what the scene at rest still gets wrong. The last changes slowly with the
+viewpoint. So the functions of time that are fitted hold, besides the sinusoids, a constant and slow polynomials, whose
+fields are let go.
+
+Motion that looks like the camera's own, of the whole picture as one, cannot be told from it: of all motions that
+explain the frames, the one is taken in which most of the scene stands still.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.polynomial import legendre
+from scipy.spatial.transform import Rotation
+
+from tg4mm.errors import RunError
+from tg4mm.gaussians import Gaussians
+from tg4mm.motion.checkpoints import Arrays, Parts, arrays_of, gaussians_of
+from tg4mm.motion.clocks.frequencies import Frequencies, sinusoids
+from tg4mm.motion.clocks.regions import RegionSeries, labels_of, moving_camera_series
+from tg4mm.motion.clocks.steady import Steady, frequencies_of, frequency_figures, no_targets
+from tg4mm.motion.config import MotionConfig
+from tg4mm.motion.hyperparameters import Hyperparameters
+from tg4mm.motion.jacobian.view import ViewJacobian, blend_sum, view_jacobian
+from tg4mm.motion.nuisance.projection import POSE, Nuisance, Projection, with_still_background
+from tg4mm.motion.observations import Observations, PosedFrames, whole_pictures
+from tg4mm.motion.refine import MovedPictures, refine_rest_scene
+from tg4mm.motion.solver.operator import Fold
+from tg4mm.motion.solver.problem import Problem
+from tg4mm.motion.split_half import folds_of
+from tg4mm.progress import progress
+from tg4mm.room import room
+
+_ROUNDS = 3  # of poses and refining, at most
+_STILL_PX = 0.05  # rms correction of the poses below which another round brings nothing
+_POSE_STEPS = 2
+_ROBUST = 3.0  # robust deviations: residuals beyond count less
+_SLOW_BELOW = 0.5  # of the lowest frequency: slow functions reach up to it
+_THINNED = 3  # every third frame is enough to choose the smoothness weight
+_MOST_ITERATIONS = 18  # of conjugate gradients
+_LEAST_POWER = 1.5  # of a frequency, times the noise's
+# What the scene at rest gets wrong changes with the viewpoint, and so in time: up to six times along the path of a
+# camera that goes around a still scene, with eight times the noise's power.
+_PERIODS = 8.0
+_JUDGED = 10
+_ALL = np.ones(12, bool)
+
+
+@dataclass(frozen=True)
+class MovingCamera(Steady):
+    """`Clock` of one camera that moves."""
+
+    least_agreed: ClassVar[float] = 0.7  # below it is also what the scene at rest gets wrong
+
+    @staticmethod
+    def of(
+        gaussians: Gaussians, observations: Observations, config: MotionConfig, device: str, parts: Parts
+    ) -> MovingCamera:
+        """The scene and poses that agree with all frames, what is left of these, and frequencies in it."""
+        gaussians, frames, refined = _agreed_scene(gaussians, observations, config, device, parts)
+        observations = replace(observations, frames=frames)
+        problem, left, weights = _what_is_left(gaussians, observations, config, device)
+        lowest_hz = _PERIODS / observations.duration_s
+        found = frequencies_of(
+            observations, [_series(problem, left, observations, parts)], _LEAST_POWER, lowest_hz
+        )
+        figures = {**refined, "nuisance": ["exposure", "pose"], **frequency_figures(found)}
+        notes = [
+            "the camera moves: a motion of the whole scene as one cannot be told from its own, nor one below "
+            f"{lowest_hz:.2g} Hz (eight periods in the record) from what changes with the viewpoint"
+        ]
+        targets = no_targets(observations)
+        if len(found.hz):
+            functions = functions_of(observations, found)
+            targets = replace(targets, basis=functions, images=left, weights=weights)
+            mixing = [row[None].astype(np.float32) for row in functions.T]
+            problem = replace(problem, mixing=mixing, _kept={})
+        folds = folds_of(len(frames), observations.size, True, config.split_half)
+        few = replace(config, iterations=min(config.iterations, _MOST_ITERATIONS))
+        scale = float(np.sqrt(2 / len(frames)))
+        return MovingCamera(
+            gaussians, observations, problem, targets, folds, few, figures, notes, found, scale
+        )
+
+    def strongest(self) -> tuple[np.ndarray, Problem, Sequence[Fold]]:
+        """All functions together, in some of the frames."""
+        thinned = [replace(fold, views=fold.views[::_THINNED]) for fold in self.folds]
+        return self.targets.images, self.problem, thinned
+
+    def completed(self, hyper: Hyperparameters, parts: Parts) -> MovingCamera:
+        return self
+
+    def at_rest(self, folds: np.ndarray) -> np.ndarray:
+        """With the background still, each frequency by itself."""
+        means, seen = self.gaussians.means.numpy(), self._seen_weights
+        pairs = [
+            with_still_background(fields[k : k + 2], means, seen)
+            for fields in folds
+            for k in range(0, len(fields), 2)
+        ]
+        return np.concatenate(pairs).reshape(folds.shape)
+
+    @cached_property
+    def _seen_weights(self) -> np.ndarray:
+        """[N]: how much is seen of each Gaussian, in some frames."""
+        views = self.problem.views
+        ones = np.ones((*self.problem.size, 3), np.float32)
+        some = views[:: max(len(views) // _JUDGED, 1)]
+        return np.sum([blend_sum(view, ones)[:, 0] for view in some], axis=0, dtype=np.float64)
+
+
+def functions_of(observations: Observations, found: Frequencies) -> np.ndarray:
+    """[R, F]: cosines and sines, then a constant and slow polynomials; the squares of each sum to 1."""
+    times = np.array([f.times_s[0] for f in observations.frames])
+    span = max(float(np.ptp(times)), 1e-9)
+    degree = max(round(2 * _SLOW_BELOW * float(found.hz.min()) * span / 2), 1)
+    slow = legendre.legvander(2 * (times - times.min()) / span - 1, min(degree, 4)).T
+    slow *= 1 / np.sqrt((slow**2).sum(1, keepdims=True))
+    return np.concatenate([np.sqrt(2 / len(times)) * sinusoids(times, found.hz), slow])
+
+
+def _what_is_left(
+    gaussians: Gaussians, observations: Observations, config: MotionConfig, device: str
+) -> tuple[Problem, np.ndarray, np.ndarray]:
+    """The problem, what is left of every frame [F, 1, H, W, 3] with exposure and pose taken out, its weights."""
+    views, projections, means = [], [], gaussians.means.numpy()
+    n, (width, height) = len(observations.frames), observations.size
+    left, weights = room((n, 1, height, width, 3)), np.empty((n, height, width), np.float32)
+    with progress("residuals", n, "frames") as update:
+        for k, (frame, picture) in enumerate(
+            zip(observations.frames, pictures_of(observations), strict=True)
+        ):
+            view = view_jacobian(gaussians, frame, observations.size)
+            shown = at_rest(view)
+            weights[k] = robust_weights(picture - shown)
+            nuisance = Nuisance(view, frame, means, _ALL)
+            projection = Projection.of(nuisance, shown, weights[k])
+            left[k] = projection.out_of((picture - shown)[None])
+            nuisance.__dict__.pop("pose", None)  # 25 bytes a pixel and frame, made again when it is asked for
+            views.append(view)
+            projections.append(projection)
+            update(k + 1)
+    return replace(Problem.of(views, gaussians, config, device), projections=projections), left, weights
+
+
+def _series(problem: Problem, left: np.ndarray, observations: Observations, parts: Parts) -> RegionSeries:
+    times = np.array([f.times_s[0] for f in observations.frames])
+
+    def compute() -> Arrays:
+        labels, projections = labels_of(problem.aggregates), problem.projections or ()
+        changes = (np.array(own[0]) for own in left)
+        frames = observations.frames
+        return moving_camera_series(problem.views, frames, projections, labels, changes, times).arrays()
+
+    return RegionSeries.restored(times, parts("regions", compute))
+
+
+def _agreed_scene(
+    gaussians: Gaussians, observations: Observations, config: MotionConfig, device: str, parts: Parts
+) -> tuple[Gaussians, list[PosedFrames], dict[str, Any]]:
+    """Gaussians and poses that agree with all frames, and how far poses went (pixels)."""
+    frames, moved = observations.frames, []
+    for k in range(_ROUNDS):
+
+        def compute(
+            frames: list[PosedFrames] = frames, gaussians: Gaussians = gaussians, k: int = k
+        ) -> Arrays:
+            new, exposures, pixels = corrected_poses(gaussians, replace(observations, frames=frames), k)
+            shown = _refined(gaussians, replace(observations, frames=new), exposures, config.seed + k, device)
+            poses = {"viewmats": np.stack([f.viewmat for f in new]), "pixels": np.array(pixels)}
+            return arrays_of(shown) | poses
+
+        kept = parts(f"scene_{k}", compute)
+        gaussians = gaussians_of(kept)
+        frames = [replace(f, viewmat=v) for f, v in zip(frames, kept["viewmats"], strict=True)]
+        moved.append(round(float(kept["pixels"]), 4))
+        if moved[-1] < _STILL_PX:
+            break
+    return gaussians, frames, {"pose_corrections_px": moved}
+
+
+def pictures_of(observations: Observations) -> Iterator[np.ndarray]:
+    """[H, W, 3] float32 of every frame, over white."""
+    for frame in observations.frames:
+        yield next(whole_pictures(observations, frame.rows))[0]
+
+
+def corrected_poses(
+    gaussians: Gaussians, observations: Observations, k: int
+) -> tuple[list[PosedFrames], np.ndarray, float]:
+    """Frames with corrected poses, gain and offset [F, 6] of each, and the rms correction in pixels."""
+    out, exposures, squares = [], [], []
+    means = gaussians.means.numpy()
+    label = f"poses, round {k + 1} of {_ROUNDS}"
+    with progress(label, len(observations.frames), "frames") as update:
+        for i, (frame, picture) in enumerate(
+            zip(observations.frames, pictures_of(observations), strict=True)
+        ):
+            first = frame
+            for _ in range(_POSE_STEPS):
+                view = view_jacobian(gaussians, frame, observations.size)
+                shown = at_rest(view)
+                nuisance = Nuisance(view, frame, means, _ALL)
+                n = _coefficients(nuisance, shown, picture - shown)
+                frame = replace(frame, viewmat=_turned(frame.viewmat, n[POSE]))
+            if not np.isfinite(frame.viewmat).all():
+                raise RunError(
+                    f"the pose of frame {i} cannot be refined: what it shows is not the scene at rest"
+                )
+            out.append(frame)
+            exposures.append(n[:6])
+            squares.append(_apart(first, frame, means, gaussians.opacities.numpy()))
+            update(i + 1)
+    return out, np.array(exposures, np.float32), float(np.sqrt(np.mean(squares)))
+
+
+def at_rest(view: ViewJacobian) -> np.ndarray:
+    return view.image[..., :3] + view.transmittance[..., None]
+
+
+def _coefficients(nuisance: Nuisance, shown: np.ndarray, left: np.ndarray) -> np.ndarray:
+    """[12] of one frame: least squares, residuals beyond three robust deviations counting less."""
+    columns = nuisance.columns(shown).reshape(12, -1)
+    flat, weights = left.reshape(-1), np.ones(left.size, np.float32)
+    scale = np.sqrt((columns.astype(np.float64) ** 2).sum(1)) + 1e-12
+    n = np.zeros(12)
+    for _ in range(3):
+        weighted = columns * weights
+        gram = (weighted @ columns.T).astype(np.float64) / np.outer(scale, scale)
+        side = (weighted @ flat).astype(np.float64) / scale
+        n = np.linalg.solve(gram + 1e-6 * np.eye(12), side) / scale
+        error = flat - n.astype(np.float32) @ columns
+        spread = 1.4826 * float(np.median(np.abs(error))) + 1e-6
+        weights = 1 / (1 + (error / (_ROBUST * spread)) ** 2)
+    return n
+
+
+def _turned(viewmat: np.ndarray, n: np.ndarray) -> np.ndarray:
+    """The pose that shows what the scene would show if it moved rigidly by n about the camera (`rigid_fields`)."""
+    out = viewmat.astype(np.float64).copy()
+    turn = Rotation.from_rotvec(n[:3]).as_matrix()  # camera axes
+    out[:3] = turn @ out[:3]
+    out[:3, 3] += n[3:]
+    return out.astype(np.float32)
+
+
+def _apart(a: PosedFrames, b: PosedFrames, means: np.ndarray, opacities: np.ndarray) -> float:
+    """Mean squared distance in pixels between what two poses make of the Gaussians before the camera."""
+    pixels = []
+    for frame in (a, b):
+        x = means @ frame.viewmat[:3, :3].T + frame.viewmat[:3, 3]
+        pixels.append(x[:, :2] / np.maximum(x[:, 2:], 1e-6) * np.diag(frame.K)[:2])
+    seen = (x[:, 2] > 1e-3) & (np.abs(pixels[0]) < 2 * frame.K[:2, 2]).all(1) & (opacities > 0.1)
+    return float(((pixels[0] - pixels[1])[seen] ** 2).sum(1).mean()) if seen.any() else 0.0
+
+
+def _refined(
+    gaussians: Gaussians, observations: Observations, exposures: np.ndarray, seed: int, device: str
+) -> Gaussians:
+    """The Gaussians refined on all frames, whose exposure is taken out."""
+    width, height = observations.size
+    pictures = np.empty((len(observations.frames), 1, height, width, 3), np.float32)
+    for k, picture in enumerate(pictures_of(observations)):
+        pictures[k, 0] = (picture - exposures[k, 3:]) / (1 + exposures[k, :3])
+    motions = np.zeros((1, len(gaussians), 6), np.float32)
+    seen = MovedPictures(observations.frames, pictures, motions, np.zeros(1, np.int64))
+    iterations = int(np.clip(4 * len(observations.frames), 300, 1500))
+    with progress("scene at rest, refined", iterations, "iterations") as update:
+        return refine_rest_scene(gaussians, seen, iterations, seed, device, update)
+
+
+def robust_weights(left: np.ndarray) -> np.ndarray:
+    """[H, W] float32: pixels where much is left (edges, occlusions) count less."""
+    size = np.sqrt((left**2).mean(-1))
+    spread = 1.4826 * float(np.median(size)) + 1e-6
+    return np.asarray(1 / (1 + (size / (_ROBUST * spread)) ** 2), np.float32)

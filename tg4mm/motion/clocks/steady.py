@@ -1,0 +1,109 @@
+"""A steady vibration, as cameras with clocks of their own and a moving camera see it: a few sinusoids.
+
+Their frequencies are found first, from how regions of Gaussians shift in the pictures; then every frequency has two
+fields, of its cosine and its sine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from tg4mm.motion.clocks import Clock
+from tg4mm.motion.clocks.frequencies import Frequencies, find_frequencies
+from tg4mm.motion.clocks.regions import RegionSeries
+from tg4mm.motion.jacobian.pixels import pixels_moved
+from tg4mm.motion.modes import ModalMotion
+from tg4mm.motion.observations import Observations
+from tg4mm.motion.split_half import reliability
+from tg4mm.motion.targets import TargetImages
+
+_HIGHEST = 0.98  # of half the frame rate
+
+
+@dataclass(frozen=True)
+class Steady(Clock):
+    """`Clock` whose functions 2k and 2k + 1 are cosine and −sine of frequency k, and others that are no motion."""
+
+    found: Frequencies
+    scale: float  # of the cosines and sines: fields times it are phasors
+    least_agreed: ClassVar[float]  # reliability below which a frequency is noise
+
+    @property
+    def hz(self) -> np.ndarray:
+        """[K], by falling strength."""
+        return self.found.hz
+
+    def settled(self, folds: np.ndarray) -> tuple[Self, np.ndarray]:
+        """The frequencies' fields, of those on which two folds agree."""
+        folds = self.at_rest(folds[:, : 2 * len(self.hz)])
+        is_agreed = _reliability_of_pairs(folds) >= self.least_agreed
+        rows = np.repeat(is_agreed, 2)
+        mixing = [m[:, : len(rows)][:, rows] for m in self.problem.mixing or ()]
+        found = self.found.selected(is_agreed)
+        clock = replace(
+            self,
+            found=found,
+            problem=replace(self.problem, mixing=mixing, _kept={}),
+            figures=self.figures | frequency_figures(found) if is_agreed.any() else self.figures,
+        )
+        return clock, folds[:, rows]
+
+    def at_rest(self, folds: np.ndarray) -> np.ndarray:
+        """Fields [P, 2K, N, 6] of what moves, where the cameras leave open what does not."""
+        return folds
+
+    def pixels_moved(self, fields: np.ndarray) -> float:
+        """Of the strongest frequency."""
+        return float(np.hypot(*pixels_moved(self.problem.views, fields[:2, :, :3] * np.float32(self.scale))))
+
+    def peaks_hz(self, motion: ModalMotion) -> np.ndarray:
+        return self.hz
+
+    def motion(self, fields: np.ndarray, appearance: np.ndarray | None) -> ModalMotion:
+        """By ascending frequency."""
+        values = (self.scale * (fields[0::2] + 1j * fields[1::2])).astype(np.complex64)
+        order = np.argsort(self.hz)
+        of_time = self.observations.fps, self.observations.n_timesteps
+        return ModalMotion(
+            np.asarray(self.hz, np.float64)[order], values[order, :, :3], values[order, :, 3:], *of_time
+        )
+
+
+def frequencies_of(
+    observations: Observations, series: Sequence[RegionSeries], least: float, lowest_hz: float
+) -> Frequencies:
+    """From all clocks' region shifts, from two periods in the record (or `lowest_hz`) to half the frame rate.
+
+    Those whose power is at least `least` times that of the noise.
+    """
+    highest = _HIGHEST * observations.fps / 2
+    shifts, times = [s.whitened() for s in series], [s.times_s for s in series]
+    return find_frequencies(shifts, times, max(lowest_hz, observations.lowest_hz), highest, least)
+
+
+def frequency_figures(found: Frequencies) -> dict[str, Any]:
+    """For the log."""
+    return {
+        "frequencies_hz": [round(float(f), 4) for f in found.hz],
+        "frequency_deviation_hz": [round(float(f), 5) for f in found.deviation_hz],
+    }
+
+
+def no_targets(observations: Observations) -> TargetImages:
+    """Of no function of time."""
+    n, (width, height) = len(observations.frames), observations.size
+    nothing = np.zeros((n, 0, height, width, 3), np.float32)
+    basis, blank = np.zeros((0, observations.n_timesteps)), np.zeros((n, height, width), np.float32)
+    return TargetImages(basis, np.zeros(observations.n_timesteps), nothing, blank, 1, nothing[:, 0:0])
+
+
+def _reliability_of_pairs(folds: np.ndarray) -> np.ndarray:
+    """[K] of each frequency's sine and cosine together, of the fields [2, 2K, N, 6] of two halves; 1 of one fold."""
+    if len(folds) == 1:
+        return np.ones(folds.shape[1] // 2)
+    a, b = (half[..., :3].reshape(half.shape[0] // 2, -1, 3) for half in folds)
+    return reliability((a + b) / 2, a, b)

@@ -1,0 +1,113 @@
+"""Target images: per view a few images, each the product of the view's pictures with a function of time.
+
+Displacements of less than a pixel change a picture in proportion, so that all frames of a fixed camera say no more than
+their products with the functions of time that the motion has. With Ψ_v the orthonormal functions that view v is
+projected on, its target images are y_v = (I − mean) Ψ_v and the model is y_v = J_v (C_v x), where x holds one
+displacement field for each of R shared functions of time and C_v, the mixing matrix (`Problem.mixing`), says how these
+look in Ψ_v. Which functions: `clocks/`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from tg4mm.motion.nuisance.first_look import FirstLook
+from tg4mm.motion.nuisance.projection import Nuisance, without
+from tg4mm.motion.observations import Observations, PosedFrames, strips
+from tg4mm.room import release, room
+
+_SMOOTHING_PX = 1.5  # standard deviation of what evens out estimates of noise
+_IMAGES = 4  # of one view that are worked on together
+
+
+@dataclass(frozen=True)
+class TargetImages:
+    """What V views saw of R functions of time. Where C_v is the identity, Ψ_v is the basis."""
+
+    basis: (
+        np.ndarray
+    )  # [R, T] float64, functions of time; orthonormal and of zero mean where C_v is the identity
+    energy: np.ndarray  # [T] float64, squared pixel values in every component, kept or not
+    images: np.ndarray  # [V, ρ, H, W, 3] float32, `room`; ρ = R where C_v is the identity
+    residual: np.ndarray  # [V, H, W] float32, energy of what was not kept, mean over channels
+    rank: int  # of what residual and images hold together, functions of time
+    mean: np.ndarray  # [V, H, W, 3] float32, over time and over white
+    weights: np.ndarray | None = None  # [V, H, W] of pixels; None: told by their noise
+
+    def of(self, v: int, rows: slice | np.ndarray = slice(None)) -> np.ndarray:
+        """[r, H, W, 3] in memory: some of view v's images."""
+        out = np.array(self.images[v, rows])
+        release(self.images)
+        return out
+
+
+def projected(
+    observations: Observations, look: FirstLook, nuisances: Sequence[Nuisance], bases: Sequence[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Of every view the products [V, ρ, H, W, 3] with its functions of time [ρ, F], and the energy [V, H, W] left.
+
+    What the active nuisance columns explain is taken out.
+    """
+    width, height = observations.size
+    images = room((len(bases), len(bases[0]), height, width, 3))
+    total = np.stack(
+        [
+            t - n.energy(m, c)
+            for t, n, m, c in zip(look.total, nuisances, look.mean, look.columns, strict=True)
+        ]
+    )
+    for v, (frames, basis) in enumerate(zip(observations.frames, bases, strict=True)):
+        cached = look.cache.get(v) or _changes(observations, frames, look.mean[v])
+        for rows, strip in cached:
+            images[v, :, rows] = project(strip, basis)
+        for some in _at_once(len(basis)):
+            images[v, some] = without(nuisances[v], look.mean[v], images[v, some])
+            for image in images[v, some]:
+                total[v] -= np.einsum("hwc,hwc->hw", image, image) / 3
+            release(images)
+        nuisances[v].__dict__.pop("pose", None)
+    return images, np.maximum(total, 0, out=total)
+
+
+def _at_once(n: int) -> Iterator[slice]:
+    """Of n images those that are in memory together."""
+    return (slice(first, min(first + _IMAGES, n)) for first in range(0, n, _IMAGES))
+
+
+def _changes(observations: Observations, frames: PosedFrames, mean: np.ndarray):
+    for rows, strip in strips(observations.pictures, frames):
+        strip -= mean[rows]
+        yield rows, strip
+
+
+def project(video: np.ndarray, basis: np.ndarray) -> np.ndarray:
+    """Σ_t a_r(t) video[t]: [T, H, W, 3] and [R, T] -> [R, H, W, 3] float32."""
+    flat = basis.astype(np.float32) @ video.reshape(len(video), -1)
+    return flat.reshape(len(basis), *video.shape[1:])
+
+
+def pixel_noise(targets: TargetImages, is_noise: np.ndarray) -> np.ndarray:
+    """[V, H, W] float32: variance of the noise in one pixel and channel of one target image.
+
+    From what is not motion: the components that were not kept, and of the kept ones those that `is_noise` [ρ] bool
+    names. Their energy, mean over channels, is divided by the number of components that hold it and smoothed (Gaussian
+    of 1.5 px, edges reflected). Zeros where there are no such components. Where more components stood out than were
+    asked for, those left out count as noise: the estimate is then too large. Raises ValueError on another ρ.
+    """
+    n_kept = targets.images.shape[1]
+    if np.shape(is_noise) != (n_kept,):
+        raise ValueError(f"is_noise has shape {np.shape(is_noise)}, expected ({n_kept},)")
+    rows = np.flatnonzero(is_noise)
+    freedom = max(targets.rank - n_kept, 0) + len(rows)
+    if not freedom:
+        return np.zeros_like(targets.residual)
+    energy = targets.residual if targets.rank > n_kept else np.zeros_like(targets.residual)
+    for r in rows:
+        energy = energy + np.einsum("vhwc,vhwc->vhw", *2 * [targets.images[:, r]]) / 3
+        release(targets.images)
+    sigma = (0, _SMOOTHING_PX, _SMOOTHING_PX)
+    return gaussian_filter(energy / np.float32(freedom), sigma, mode="reflect")
