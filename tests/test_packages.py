@@ -82,7 +82,8 @@ def test_both_hold_every_module_and_file_of_the_packages(repo_root: Path, built:
         assert wanted - set(archive.namelist()) == set()
     with tarfile.open(source) as archive:
         names = {name.partition("/")[2] for name in archive.getnames()}
-    assert (wanted | {"LICENSE", "README.md", "pyproject.toml"}) - names == set()
+    assert (wanted | {"LICENSE", "README.md", "CHANGELOG.md", "pyproject.toml"}) - names == set()
+    assert not [name for name in names if name.startswith("tests")]  # they need more than the packages
 
 
 @pytest.mark.parametrize("version", PYTHONS)
