@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from tests.bench.conftest import MODAL, PAPER
+from tests.helpers.curves import points_of
 from tg4mm.bench.ablate import run_ablation
 from tg4mm.bench.ablation_page import COLUMNS
 from tg4mm.bench.ablations import ABLATIONS, chosen_preset, rows_of
@@ -94,9 +94,8 @@ def smoothness(data: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pa
 
 
 def test_the_weight_that_was_found_stands_apart(smoothness: tuple[Path, str]) -> None:
-    root = ElementTree.parse(smoothness[0] / "results.svg").getroot()
-    lines = [e.get("points", "").split() for e in root.iter() if e.tag.endswith("polyline")]
-    assert [len(line) for line in lines] == [1, 5]
+    lines = points_of((smoothness[0] / "results.svg").read_text(encoding="utf-8"))
+    assert [len(line) for line in lines.values()] == [1, 5]
 
 
 def test_runs_have_the_setting_of_their_row_and_share_a_space_stage(
@@ -126,7 +125,7 @@ def test_the_table_holds_what_was_measured(smoothness: tuple[Path, str]) -> None
         assert f"{line['scalars']['displacement_error']:.1%}" in cells
     assert text.count("nothing moves") == 1  # all rows have the same Gaussians
     assert text in (out / "results.md").read_text(encoding="utf-8")
-    assert "polyline" in (out / "results.svg").read_text(encoding="utf-8")
+    assert points_of((out / "results.svg").read_text(encoding="utf-8"))
 
 
 def test_filters_are_scored_on_one_run(data: Path, tmp_path: Path) -> None:

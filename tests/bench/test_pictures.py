@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import re
 from xml.etree import ElementTree
 
 import pytest
 
+from tests.helpers.curves import points_of
 from tg4mm.bench.ablation_page import picture
 from tg4mm.bench.plots import curves
 from tg4mm.bench.table import shown, table
@@ -20,16 +20,6 @@ def test_table_columns_line_up_and_keep_their_cells() -> None:
     assert lines[3] == "| a\\|b c |    – |"
 
 
-def lines_of(svg: str) -> dict[str, list[tuple[float, float]]]:
-    """Points of every curve in user units, x to the right and y down, by its name and number."""
-    found = {}
-    for group in ElementTree.fromstring(svg).iter("{http://www.w3.org/2000/svg}g"):
-        if (name := group.get("id", "")).startswith("curve: "):
-            numbers = [float(n) for n in re.findall(r"-?[\d.]+", group[0].get("d", ""))]
-            found[name.removeprefix("curve: ")] = list(zip(numbers[::2], numbers[1::2], strict=True))
-    return found
-
-
 def test_svg_is_whole_and_holds_its_labels() -> None:
     series = {"nothing moves": [0.9, 0.8], "modal <b> $x$": [0.95, None], "ceiling": [0.99, 0.98]}
     root = ElementTree.fromstring(curves(["5", "20"], series, "α", "SSIM"))
@@ -39,7 +29,7 @@ def test_svg_is_whole_and_holds_its_labels() -> None:
 
 def test_curves_pass_through_their_values() -> None:
     series = {"ours": [0.9, 0.8, 0.7], "ceiling": [0.9, None, 0.9]}
-    lines = lines_of(curves(["0", "5", "20"], series, "α", "SSIM"))
+    lines = points_of(curves(["0", "5", "20"], series, "α", "SSIM"))
     ours, ceiling = lines["ours, 0"], lines["ceiling, 0"]
     assert [len(ours), len(ceiling)] == [3, 2]
     assert ours[0] == ceiling[0]
@@ -48,8 +38,8 @@ def test_curves_pass_through_their_values() -> None:
 
 
 def test_no_line_leads_over_a_break() -> None:
-    whole = lines_of(curves("abcd", {"s": [1, 2, 3, 4]}, "x", "y"))
-    broken = lines_of(curves("abcd", {"s": [1, 2, 3, 4]}, "x", "y", [1]))
+    whole = points_of(curves("abcd", {"s": [1, 2, 3, 4]}, "x", "y"))
+    broken = points_of(curves("abcd", {"s": [1, 2, 3, 4]}, "x", "y", [1]))
     assert [len(line) for line in broken.values()] == [1, 3]
     assert [*broken["s, 0"], *broken["s, 1"]] == whole["s, 0"]
 
@@ -68,4 +58,4 @@ def test_a_figure_over_the_rows_is_one_line_but_for_what_stands_apart(
         "curves": curves_of, "apart": apart, "sets": [{"label": "mic"}],
         "lines": [{"set": "mic", "row": r, "scalars": {"displacement_error": 0.1 * k}} for k, r in enumerate(rows)],
     }  # fmt: skip
-    assert [len(line) for line in lines_of(picture(results) or "").values()] == points
+    assert [len(line) for line in points_of(picture(results) or "").values()] == points
