@@ -157,23 +157,35 @@ def _read(state, x0, y0, frame, pictures):
 
 
 @inlined
-def _pair_sums(splats, row, todo, x0, y0, table, held, kept, state):
-    """Sums of a pair (layout.py) over its blocks `todo`, of which `kept` has the alphas."""
+def _moments(v, k, at_x, at_y, table, sums):
+    """Add the moments of v, a block's gradient by the logarithm of alpha, about the Gaussian's mean."""
+    s, sx, sy, sxx, sxy, syy = sums
+    dx, dy = at_x + number(table, CENTRE_X + k), at_y + number(table, CENTRE_Y + k)
+    vx, vy = v * dx, v * dy
+    return s + v, sx + vx, sy + vy, fma(vx, dx, sxx), fma(vx, dy, sxy), fma(vy, dy, syy)
+
+
+@inlined
+def _pair_sums(splats, row, seen, x0, y0, table, held, kept, state):
+    """Sums of a pair (layout.py) over the blocks in which it is seen, of which `kept` has the alphas.
+
+    With sixteen registers the moments take a second loop: one loop would keep half of its sums in memory.
+    """
     lane_x, lane_y, _, alpha_max, t_min = held
     zero = float32(0.0)
     nothing = broadcast_pixels(zero)
-    s, sx, sy, sxx, sxy = nothing, nothing, nothing, nothing, nothing
-    syy, h0, h1, h2, h3 = nothing, nothing, nothing, nothing, nothing
+    moments = nothing, nothing, nothing, nothing, nothing, nothing
+    h0, h1, h2, h3 = nothing, nothing, nothing, nothing
     at_x = lane_x + (float32(x0) - number(splats, row + MX))
     at_y = lane_y + (float32(y0) - number(splats, row + MY))
     f0, f1 = number(splats, row + FEAT), number(splats, row + FEAT + 1)
     f2, f3 = number(splats, row + FEAT + 2), number(splats, row + FEAT + 3)
+    todo, at = seen, kept
     while todo != 0:
         k = ctz(todo)
         todo &= todo - uint32(1)
         place = k * _STRIDE
-        raw, ratio = load_pixels(kept, int64(0)), load_pixels(kept, int64(PIXELS))
-        kept += 4 * _KEPT
+        raw, ratio = load_pixels(at, int64(0)), load_pixels(at, int64(PIXELS))
         free = alpha_max > raw
         t = load_pixels(state, place)
         w = t * select(free, raw, alpha_max)
@@ -188,11 +200,18 @@ def _pair_sums(splats, row, todo, x0, y0, table, held, kept, state):
         store(state, place + PIXELS, to_come)
         # alpha = o e^(-sigma), so its gradient by -sigma is alpha itself; clamped ones give none
         v = select(on & free, fma(w, light, -(ratio * to_come)), zero)
-        dx, dy = at_x + number(table, CENTRE_X + k), at_y + number(table, CENTRE_Y + k)
-        vx, vy = v * dx, v * dy
-        s, sx, sy = s + v, sx + vx, sy + vy
-        sxx, sxy, syy = fma(vx, dx, sxx), fma(vx, dy, sxy), fma(vy, dy, syy)
         h0, h1, h2, h3 = fma(w, g0, h0), fma(w, g1, h1), fma(w, g2, h2), fma(w, g3, h3)
+        if with_avx512():
+            moments = _moments(v, k, at_x, at_y, table, moments)
+        else:
+            store(at, int64(0), v)
+        at += 4 * _KEPT
+    todo, at = seen, kept
+    while todo != 0 and not with_avx512():
+        moments = _moments(load_pixels(at, int64(0)), ctz(todo), at_x, at_y, table, moments)
+        todo &= todo - uint32(1)
+        at += 4 * _KEPT
+    s, sx, sy, sxx, sxy, syy = moments
     return lane_sums(sx, sy, sxx, sxy, syy, s, h0, h1, h2, h3)
 
 
