@@ -1,7 +1,28 @@
-"""The space stage: static Gaussians of the scene at rest ([TG4MM] phase 1, [3DGS])."""
+"""The space stage: static Gaussians of the scene at rest ([TG4MM] phase 1, [3DGS]).
 
-from tg4mm.space.config import SpaceConfig
-from tg4mm.space.stage import train_plane, train_space
-from tg4mm.space.targets import RestViews, rest_views
+The names are imported when they are first asked for: what compiles kernels ahead (tg4mm/ahead) needs no torch.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from tg4mm.lazy import lazily
+
+if TYPE_CHECKING:
+    from tg4mm.space.config import SpaceConfig
+    from tg4mm.space.stage import train_plane, train_space
+    from tg4mm.space.targets import RestViews, rest_views
 
 __all__ = ["RestViews", "SpaceConfig", "rest_views", "train_plane", "train_space"]
+
+__getattr__ = lazily(
+    __name__,
+    {
+        "RestViews": "targets",
+        "SpaceConfig": "config",
+        "rest_views": "targets",
+        "train_plane": "stage",
+        "train_space": "stage",
+    },
+)

@@ -47,6 +47,8 @@ class _Notice(event.Listener):
 
 
 _LOG = logging.getLogger("tg4mm")
+# What `parallel=True` would run on threads besides `prange`: arrays filled, sums … Each would be compiled as a kernel.
+_ALONE = ("comprehension", "reduction", "inplace_binop", "setitem", "numpy", "stencil", "fusion")
 event.register("numba:compile", _Notice())
 
 
@@ -62,7 +64,12 @@ def _waiting(cache: Any, name: str) -> Callable[..., Any]:
 
 
 def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Compile with numba's options, divisions as numpy's, cached until any file of kernels/ or simd/ changes."""
+    """Compile with numba's options, divisions as numpy's, cached until any file of kernels/ or simd/ changes.
+
+    parallel: for `prange` alone.
+    """
+    if options.get("parallel"):
+        options["parallel"] = dict.fromkeys(_ALONE, False)
 
     def decorate(function: Callable[..., Any]) -> Any:
         dispatcher = njit(cache=True, error_model="numpy", **options)(function)
