@@ -49,10 +49,10 @@ class _Jobs:
         if (name := JOB_OF.get(kernel)) is None or name in self._done:
             return False
         group = [other for other, job in JOBS.items() if job.group == JOBS[name].group]
-        # what trains will need all; it is compiled behind what is waited for
-        later = list(JOBS) if JOBS[name].group == "training" else self._queue
         with self._changed:
-            self._queue = [other for other in dict.fromkeys([*group, *later]) if other not in self._begun]
+            # what trains will need all, the longest first; else what is waited for is compiled first
+            order = JOBS if JOBS[name].group == "training" else [*group, *self._queue]
+            self._queue = [other for other in dict.fromkeys(order) if other not in self._begun]
         self._start()
         label = f"compiling kernels for this processor, once ({JOBS[name].group})"
         with progress(label, len(group), "steps") as update, self._changed:

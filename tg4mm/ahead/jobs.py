@@ -135,19 +135,20 @@ def _rows() -> None:
     vjp_rows(values, rows, np.zeros(2, np.int32), rows, changes, motions)
 
 
+# What training needs comes first, the longest before the others, so that two processes end at about the same time.
 JOBS = {
     "step": Job(_step, "training", ("project_backward.backward_rows", "kernels.activate", "kernels.step")),
+    "blend": Job(_blend, "pictures", ("blend._forward_tiles", "blend._forward")),
     "backward": Job(
         _blend_backward, "training", ("blend_backward._backward_tiles", "blend_backward._backward")
     ),
-    "gather": Job(_gather, "training", ("binning.gather_sums", "kernels.compare")),
-    "blend": Job(_blend, "pictures", ("blend._forward_tiles", "blend._forward")),
-    "project": Job(_project, "pictures", ("project.project_forward",)),
     "bin": Job(
         _bin,
         "pictures",
         ("binning.depth_order", "binning.list_pairs", "binning.offsets", "binning.fill_pairs"),
     ),
+    "project": Job(_project, "pictures", ("project.project_forward",)),
+    "gather": Job(_gather, "training", ("binning.gather_sums", "kernels.compare")),
     "jacobian": Job(_jacobian, "motion", ("projection._of_some", "projection._of_all")),
     "normal": Job(_normal, "motion", ("normal._normal_tiles", "normal._normal", "normal.most_blocks")),
     "cotangents": Job(_cotangents, "motion", ("linearised._vjp_tiles", "linearised._vjp")),
