@@ -95,3 +95,11 @@ def test_sixteen_bit_grey_keeps_its_low_byte_and_widens_the_others(folder):
 def test_many_images_keep_their_places(tmp_path, tools):
     tools["folder"](tmp_path, views=60)
     assert load_images(load_capture(tmp_path)).data[:, 0, 0, 0].tolist() == list(range(100, 160))
+
+
+def test_reading_many_pixels_shows_how_far_it_is(folder, monkeypatch, capsys):
+    load_images(load_capture(folder))
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr("tg4mm.capture.images._SHOWN", 0)
+    load_images(load_capture(folder))
+    assert "reading pictures: 2/2 pictures" in capsys.readouterr().err

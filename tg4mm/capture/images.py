@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,8 +12,10 @@ import numpy as np
 from tg4mm.capture.decode import THREADS, decode, image_header
 from tg4mm.capture.model import Capture
 from tg4mm.errors import CaptureError
+from tg4mm.progress import Update, progress
 
 WHITE = (1.0, 1.0, 1.0)
+_SHOWN = 50_000_000  # pixels, which take some two seconds: reading more shows how far it is
 
 
 @dataclass(frozen=True)
@@ -81,15 +84,19 @@ def load_images(capture: Capture) -> ImageStack:
             widen = data.dtype == np.uint16 and image.dtype == np.uint8
             data[i] = image.astype(np.uint16) * 257 if widen else image
 
-        _finish(pool, [pool.submit(load, i) for i in range(c)])
+        shown = progress("reading pictures", c, "pictures") if c * height * width > _SHOWN else nullcontext()
+        with shown as update:
+            _finish(pool, [pool.submit(load, i) for i in range(c)], update)
     return ImageStack(data)
 
 
-def _finish(pool: ThreadPoolExecutor, futures: Iterable) -> None:
+def _finish(pool: ThreadPoolExecutor, futures: Iterable, update: Update | None = None) -> None:
     """Wait for all; on the first error, and on Ctrl-C, start no further ones."""
     try:
-        for future in futures:
+        for done, future in enumerate(futures, 1):
             future.result()
+            if update:
+                update(done)
     except BaseException:
         pool.shutdown(wait=False, cancel_futures=True)
         raise
