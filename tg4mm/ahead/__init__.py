@@ -64,21 +64,27 @@ class _Jobs:
 
     def _start(self) -> None:
         with self._changed:
-            if self._looked_after or not self._queue:
-                return
-            self._looked_after = _PROCESSES
-        for _ in range(_PROCESSES):
+            missing = _PROCESSES - self._looked_after if self._queue else 0
+            self._looked_after += missing
+        for _ in range(missing):
             threading.Thread(target=self._look_after_one, daemon=True).start()
 
     def _next(self) -> str | None:
+        """The next job; None if there is none, and the process that asked is no longer at work."""
         with self._changed:
             if not self._queue:
+                self._ended()
                 return None
             self._begun.add(self._queue[0])
             return self._queue.pop(0)
 
+    def _ended(self) -> None:
+        self._looked_after -= 1
+        self._changed.notify_all()
+
     def _look_after_one(self) -> None:
         """Give a process one job after the other. It ends with its input, hence with this process at the latest."""
+        name: str | None = ""
         try:
             path = [str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])]
             environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(path)}
@@ -98,9 +104,9 @@ class _Jobs:
         except OSError:  # no process: the command compiles itself
             pass
         finally:
-            with self._changed:
-                self._looked_after -= 1
-                self._changed.notify_all()
+            if name is not None:
+                with self._changed:
+                    self._ended()
 
 
 _jobs: _Jobs | None = None
