@@ -83,7 +83,9 @@ def test_a_kernel_is_there_after_the_wait_which_counts(
     assert not ahead.compiled_ahead("blend._forward")  # it was made, for other types: not again
 
 
-def test_a_group_asked_for_while_processes_end_is_compiled_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_group_asked_for_while_processes_end_is_compiled_all_the_same(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(ahead, "_jobs", ahead._Jobs())
     slow_to_end = "import sys, time\nfor line in sys.stdin: print(line.strip(), flush=True)\ntime.sleep(3)"
     monkeypatch.setattr(ahead, "_WORK", slow_to_end)

@@ -44,17 +44,18 @@ class _Jobs:
 
     def wait(self, kernel: str) -> bool:
         """Whether a kernel that the cache lacked may be there now, after the jobs of its group."""
-        from tg4mm.ahead.jobs import JOB_OF, JOBS
+        from tg4mm.ahead.jobs import JOB_OF, JOBS, TOGETHER
 
         if (name := JOB_OF.get(kernel)) is None or name in self._done:
             return False
-        group = [other for other, job in JOBS.items() if job.group == JOBS[name].group]
+        asked = JOBS[name].group
+        group = [other for other, job in JOBS.items() if job.group in TOGETHER.get(asked, (asked,))]
         with self._changed:
-            # what trains will need all, the longest first; else what is waited for is compiled first
-            order = JOBS if JOBS[name].group == "training" else [*group, *self._queue]
+            # what trains will need all; else what is waited for is compiled before what was in the queue
+            order = [*group, *(JOBS if asked == "training" else self._queue)]
             self._queue = [other for other in dict.fromkeys(order) if other not in self._begun]
         self._start()
-        label = f"compiling kernels for this processor, once ({JOBS[name].group})"
+        label = f"compiling kernels for this processor, once ({asked})"
         with progress(label, len(group), "steps") as update, self._changed:
             while self._looked_after and not self._done.issuperset(group):
                 update(len(self._done.intersection(group)))

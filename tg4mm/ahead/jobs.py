@@ -97,6 +97,17 @@ def _step() -> None:
     )  # fmt: skip
 
 
+def _project_backward() -> None:
+    from tg4mm.rasterize.kernels.layout import SPLAT_WIDTH
+    from tg4mm.rasterize.kernels.project_backward import project_backward
+
+    g, splats = _gaussians(), np.full((16, SPLAT_WIDTH), -1.0, np.float32)
+    inputs = g["means"], g["quats"], g["scales"], g["sh"]
+    gradients = [np.zeros_like(a) for a in g.values()]
+    view = 3, False, _camera(), 16, 16
+    project_backward(*inputs, *view, splats, splats, True, *gradients, np.empty((0, 12), np.float32), False)
+
+
 def _jacobian() -> None:
     from tg4mm.motion.jacobian.projection import splat_jacobian
     from tg4mm.rasterize.kernels.layout import SPLAT_WIDTH
@@ -140,7 +151,7 @@ JOBS = {
     "step": Job(_step, "training", ("project_backward.backward_rows", "kernels.activate", "kernels.step")),
     "blend": Job(_blend, "pictures", ("blend._forward_tiles", "blend._forward")),
     "backward": Job(
-        _blend_backward, "training", ("blend_backward._backward_tiles", "blend_backward._backward")
+        _blend_backward, "gradients", ("blend_backward._backward_tiles", "blend_backward._backward")
     ),
     "bin": Job(
         _bin,
@@ -148,10 +159,13 @@ JOBS = {
         ("binning.depth_order", "binning.list_pairs", "binning.offsets", "binning.fill_pairs"),
     ),
     "project": Job(_project, "pictures", ("project.project_forward",)),
-    "gather": Job(_gather, "training", ("binning.gather_sums", "kernels.compare")),
+    "gather": Job(_gather, "gradients", ("binning.gather_sums", "kernels.compare")),
     "jacobian": Job(_jacobian, "motion", ("projection._of_some", "projection._of_all")),
     "normal": Job(_normal, "motion", ("normal._normal_tiles", "normal._normal", "normal.most_blocks")),
     "cotangents": Job(_cotangents, "motion", ("linearised._vjp_tiles", "linearised._vjp")),
     "rows": Job(_rows, "motion", ("packed._jvp_range", "packed._vjp_range", "packed._jvp", "packed._vjp")),
+    "project backward": Job(_project_backward, "gradients by torch", ("project_backward.project_backward",)),
 }
+# Groups that a first iteration asks for one after the other: waited for together.
+TOGETHER = {"training": ("training", "pictures", "gradients")}
 JOB_OF = {kernel: name for name, job in JOBS.items() for kernel in job.kernels}

@@ -17,6 +17,7 @@ from tg4mm.measure.series import Series
 from tg4mm.measure.units import Unit, unit_of
 from tg4mm.measure.write import file_name
 from tg4mm.plotstyle import COLOURS, STYLE
+from tg4mm.progress import progress
 
 _MARKED = 200  # samples: of a longer record they would run into each other
 
@@ -30,8 +31,9 @@ def write_plots(measurement: Measurement, out: Path) -> list[Path]:
 
     folder, paths = out / "plots", []
     folder.mkdir(parents=True, exist_ok=True)
-    with plt.rc_context(STYLE):
-        for result in measurement.sensors:
+    count = len(measurement.sensors)
+    with plt.rc_context(STYLE), progress("plots", count, "sensors") as update:
+        for done, result in enumerate(measurement.sensors, 1):
             figure = _figure(plt, result, unit_of(measurement, result))
             for ending in ("svg", "png"):
                 data = io.BytesIO()
@@ -42,6 +44,7 @@ def write_plots(measurement: Measurement, out: Path) -> list[Path]:
                 write_atomic(path, partial(Path.write_bytes, data=data.getvalue()))
                 paths.append(path)
             plt.close(figure)
+            update(done)
     return paths
 
 
