@@ -122,7 +122,7 @@ class Lab:
         folds = [Fold(np.arange(0, 8, 2)), Fold(np.arange(1, 8, 2))]
         shapes = self.shapes if shapes is None else shapes
         motion = Problem.of(self.views, self.gaussians, MotionConfig(), "cpu")
-        left = Remainder(motion, pictures, np.array(rows, np.int64), shapes[list(rows)], None)
+        left = Remainder(motion, pictures, np.array(rows, np.int64), shapes[list(rows)])
         return AppearanceFit(problem, folds, self.graph.knn).fitted(left)
 
     def shown(self, x: np.ndarray, shapes: np.ndarray) -> np.ndarray:

@@ -57,7 +57,7 @@ def both_passes(fitting: LinearFit, taken: np.ndarray | None = None) -> np.ndarr
     def correction(p: int, fields: np.ndarray, some: slice) -> list[np.ndarray]:
         return [images[v, fitting.hyper.signal[some]] for v in FOLDS[p].views]
 
-    return fitting.second_pass(fitting.first_pass(), correction)
+    return fitting.second_pass(fitting.first_pass(), True, correction)
 
 
 def solved(operator: CpuOperator, images: Sequence[np.ndarray]) -> np.ndarray:
@@ -88,7 +88,7 @@ def test_without_a_correction_the_first_pass_goes_on() -> None:
     images = pictures(1)
     fitting = fit(images, weight=STIFF)
     expected = direct(fitting, images)
-    found = fitting.second_pass(fitting.first_pass(), None)
+    found = fitting.second_pass(fitting.first_pass(), False)
     np.testing.assert_allclose(found, expected, atol=2e-3 * np.abs(expected).max())
 
 
@@ -98,7 +98,7 @@ def test_mixed_targets_are_fitted_as_one_system() -> None:
     mixing = [rng.normal(size=(2, 3)).astype(np.float32) for _ in range(2)]
     images = pictures(1)[:, :2]
     fitting = fit(images, mixing=mixing)
-    found = fitting.second_pass(fitting.first_pass(), None)
+    found = fitting.second_pass(fitting.first_pass(), False)
     assert found.shape == (2, 3, N, 6)
     for p, fold in enumerate(FOLDS):
         expected = solved(fitting.operator(fold), [images[v] for v in fold.views])

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tg4mm.gaussians import Gaussians
 from tg4mm.motion.appearance_problem import HARMONIC, AppearanceProblem, appearance_views
-from tg4mm.motion.jacobian.view import PosedView, ViewJacobian
-from tg4mm.motion.prior.graph import Graph
+from tg4mm.motion.jacobian.view import PosedView
+from tg4mm.motion.linear_fit import Correction
 from tg4mm.motion.solver.operator import Fold
 from tg4mm.motion.solver.pcg import pcg
 from tg4mm.motion.solver.problem import Problem
@@ -36,15 +35,12 @@ class Remainder:
     pictures: np.ndarray  # [V, …, H, W, 3]
     rows: np.ndarray  # [R] which of the components
     fields: np.ndarray  # [R, N, 6], their motion
-    higher_order: Callable[[int, np.ndarray], np.ndarray] | None  # what that shows of all in a view beyond J
 
     def of(self, fold: Fold, some: np.ndarray) -> Iterator[np.ndarray]:
         """[s, H, W, 3] of each view of a fold, for `some` of the R components."""
         for v in fold.views:
             left = self.pictures[v, self.rows[some]] - self.problem.views[v].jvp(self.fields[some])
             release(self.pictures)
-            if self.higher_order is not None:
-                left -= self.higher_order(v, self.fields)[some]
             yield self.problem.without_nuisance(v, left)
 
 
@@ -58,16 +54,19 @@ class AppearanceFit:
 
     @staticmethod
     def of(
-        views: Sequence[ViewJacobian],
-        cameras: Sequence[PosedView],
-        gaussians: Gaussians,
-        weights: np.ndarray | None,
-        graph: Graph,
-        folds: Sequence[Fold],
+        motion: Problem, cameras: Sequence[PosedView], weights: np.ndarray | None, folds: Sequence[Fold]
     ) -> AppearanceFit:
-        """weights [V, H, W]: of pixels; graph: of neighbours; folds: two halves of the cameras."""
-        own = appearance_views(views, cameras, gaussians.means.numpy(), gaussians.sh_degree > 0)
-        return AppearanceFit(AppearanceProblem.of(own, weights, graph), folds, graph.knn)
+        """Beside a motion problem; weights [V, H, W]: of pixels; folds: two halves of the cameras."""
+        tilts = motion.gaussians.sh_degree > 0
+        own = appearance_views(motion.views, cameras, motion.gaussians.means.numpy(), tilts)
+        return AppearanceFit(AppearanceProblem.of(own, weights, motion.graph), folds, motion.graph.knn)
+
+    def between_passes(self, remainder: Remainder) -> Correction | None:
+        """For `LinearFit.second_pass`, by one iteration; None where there is no appearance."""
+        found, _ = self.fitted(remainder, None, LOOK)
+        if not found.any():
+            return None
+        return lambda p, fields, some: (self.shown(int(v), found[some]) for v in self.folds[p].views)
 
     def fitted(
         self, remainder: Remainder, update: Callable[[int], None] | None = None, iterations: int = ITERATIONS

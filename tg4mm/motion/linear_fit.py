@@ -1,9 +1,9 @@
 """The linear fit: every fold's fields by conjugate gradients, in two passes with a deferred correction between.
 
-The first pass explains the target images. What the found motion shows beyond the derivative is then taken from what is
-left (`deferred_correction.py`), and edges of the prior that two folds find strained are reweighted, both only if the
-motion is small. The second pass solves for the difference that this makes:
-A δ = b − A x − Jᵀ W (what is beyond). Together they take the iterations of one fit.
+The first pass explains the target images. Appearance that goes with the motion is then taken from what is left
+(`appearance.py`), and edges of the prior that two folds find strained are reweighted, both only if the motion is small.
+The second pass solves for the difference that this makes: A δ = b − A x − Jᵀ W (appearance). Together they take the
+iterations of one fit.
 """
 
 from __future__ import annotations
@@ -56,9 +56,14 @@ class LinearFit:
         first = self.config.iterations - self._of_second if iterations is None else iterations
         return [self.parts(f"first_pass_{p}", partial(self._first, p, first)) for p in range(len(self.folds))]
 
-    def second_pass(self, first: Sequence[Arrays], correction: Correction | None) -> np.ndarray:
-        """[P, R, N, 6]: the fields with what a second pass adds; `correction` None: the first pass goes on."""
-        graph = self._reweighted(first) if correction is not None else None
+    def second_pass(
+        self, first: Sequence[Arrays], is_small: bool, correction: Correction | None = None
+    ) -> np.ndarray:
+        """[P, R, N, 6]: the fields with what a second pass adds, edges reweighted where the motion `is_small`.
+
+        `correction`: what is taken from the target images; None: nothing.
+        """
+        graph = self._reweighted(first) if is_small else None
         return np.stack(
             [
                 self.parts(f"second_pass_{p}", partial(self._second, p, first[p], correction, graph))[

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from tg4mm.gaussians import Gaussians
+from tg4mm.motion.appearance import AppearanceFit, Remainder
 from tg4mm.motion.checkpoints import Arrays, Parts, computed
 from tg4mm.motion.clocks import Clock
 from tg4mm.motion.clocks.independent import IndependentClocks
 from tg4mm.motion.clocks.moving import MovingCamera
 from tg4mm.motion.clocks.synchronous import Synchronous
 from tg4mm.motion.config import MotionConfig, resolved
-from tg4mm.motion.deferred_correction import DeferredCorrection
 from tg4mm.motion.few_view_posterior import coarser
 from tg4mm.motion.gauss_newton import ABOVE_PX, iterated
 from tg4mm.motion.hyperparameters import (
@@ -30,8 +30,8 @@ from tg4mm.motion.modes import ModalMotion, MotionFit
 from tg4mm.motion.observations import Observations
 from tg4mm.motion.split_half import LEAST, wiener_shrink
 from tg4mm.motion.uncertainty import MotionEstimate, Uncertainty, of_few_views, of_halves
+from tg4mm.progress import progress
 
-_CLOCKS = {"synchronous": Synchronous.of, "independent": IndependentClocks.of, "moving": MovingCamera.of}
 _JUDGED = 10  # views in which it is told what is left of the pictures
 
 
@@ -45,13 +45,19 @@ def fit_motion(
     """The modal motion of `gaussians` (at rest, on the CPU) that explains the observations.
 
     `parts` keeps what is worth keeping of a long fit (`checkpoints.py`). On CUDA the iterations run there; reading the
-    pictures, their components, the neighbourhoods, one projection of each view, appearance and higher-order terms are
-    left to the CPU. Raises RunError where no camera sees a Gaussian, Tg4mmError on settings out of range or where the
+    pictures, their components, the neighbourhoods, one projection of each view, and appearance are left to the
+    CPU. Raises RunError where no camera sees a Gaussian, Tg4mmError on settings out of range or where the
     device's memory is too small.
     """
     asked = config or MotionConfig()
-    pose = _CLOCKS[observations.clock]
-    clock = pose(gaussians, observations, resolved(asked, len(gaussians)), device, parts)
+    settings = resolved(asked, len(gaussians))
+    clock: Clock
+    if observations.clock == "synchronous":
+        clock = Synchronous.of(gaussians, observations, settings, device, parts)
+    elif observations.clock == "independent":
+        clock = IndependentClocks.of(gaussians, observations, settings, device, parts)
+    else:
+        clock = MovingCamera.of(gaussians, observations, settings, device, parts)
     return replace(_fitted(clock, parts), config=asked)
 
 
@@ -61,7 +67,7 @@ def _fitted(clock: Clock, parts: Parts) -> MotionFit:
         return without_motion(clock)
     hyper = select_hyperparameters(clock, parts)
     clock = clock.completed(hyper, parts)
-    folds, gradients, correction = _linear_fit(clock, hyper, parts)
+    folds, gradients = _linear_fit(clock, hyper, parts)
     clock, folds = clock.settled(folds)
     if not folds.shape[1]:
         return without_motion(clock)
@@ -69,21 +75,22 @@ def _fitted(clock: Clock, parts: Parts) -> MotionFit:
     pixels = clock.pixels_moved(fields)
     figures: dict[str, Any] = {"pixels_moved": pixels, "gauss_newton": 0}
     images: Iterable[np.ndarray] = (clock.images(v) for v in _judged(clock))
-    is_small = pixels <= ABOVE_PX
-    if not is_small and _can_iterate(clock):
+    iterates = pixels > ABOVE_PX and _can_iterate(clock)
+    if iterates:
         assert isinstance(clock, Synchronous)
         clock, folds, images, of_iterations = iterated(clock, hyper, folds, _judged(clock), parts)
         fields, reliability = wiener_shrink(folds)
-        figures, correction = figures | of_iterations, None
-    residuals = _residuals(clock, fields, images, correction if is_small else None)
+        figures |= of_iterations
+    residuals = _residuals(clock, fields, images)
     estimate = MotionEstimate(
         folds, fields, clock.gaussians, clock.problem.graph.knn, *_shown(clock), residuals
     )
     uncertainty = _uncertainty(clock, hyper, estimate, gradients)
     changes = None
-    if correction is not None and (appearance := correction.appearance(fields, is_small)) is not None:
-        changes = appearance[0]
-        figures["appearance_reliability"] = [round(float(g), 4) for g in appearance[1]]
+    if not iterates and (appearance := _appearance_fit(clock, hyper)) is not None:
+        with progress("appearance", len(fields), "components") as update:
+            changes, kept = appearance.fitted(_remainder(clock, fields), update)
+        figures["appearance_reliability"] = [round(float(g), 4) for g in kept]
     if len(folds) == 2:
         figures["reliability"] = [round(float(g), 4) for g in reliability]
     return _result(clock, hyper, clock.motion(fields, changes), uncertainty, figures)
@@ -103,9 +110,7 @@ def select_hyperparameters(clock: Clock, parts: Parts) -> Hyperparameters:
     return Hyperparameters(is_noise, float(parts("smoothness", smoothness)["smoothness_weight"]), weights)
 
 
-def _linear_fit(
-    clock: Clock, hyper: Hyperparameters, parts: Parts
-) -> tuple[np.ndarray, np.ndarray, DeferredCorrection | None]:
+def _linear_fit(clock: Clock, hyper: Hyperparameters, parts: Parts) -> tuple[np.ndarray, np.ndarray]:
     """Fields [P, R, N, 6] of the folds; the mean over folds of their displacement and gradient, [R, 4N, 3].
 
     Of synchronous cameras in two passes, with a deferred correction between them where motion is small.
@@ -113,13 +118,26 @@ def _linear_fit(
     linear = LinearFit(clock.problem, clock.targets, hyper, clock.folds, clock.config, parts)
     if not isinstance(clock, Synchronous):
         only = linear.first_pass(clock.config.iterations)
-        return np.stack([f["fields"] for f in only]), np.mean([f["x"] for f in only], axis=0), None
+        return np.stack([f["fields"] for f in only]), np.mean([f["x"] for f in only], axis=0)
     first = linear.first_pass()
     fields, _ = wiener_shrink(np.stack([f["fields"] for f in first]))
-    correction = DeferredCorrection.of(clock, hyper)
-    is_small = clock.pixels_moved(fields) <= ABOVE_PX
-    folds = linear.second_pass(first, correction.between_passes(fields) if is_small else None)
-    return folds, np.mean([f["x"] for f in first], axis=0), correction
+    is_small, correction = clock.pixels_moved(fields) <= ABOVE_PX, None
+    if is_small and (appearance := _appearance_fit(clock, hyper)) is not None:
+        correction = appearance.between_passes(_remainder(clock, fields))
+    return linear.second_pass(first, is_small, correction), np.mean([f["x"] for f in first], axis=0)
+
+
+def _appearance_fit(clock: Clock, hyper: Hyperparameters) -> AppearanceFit | None:
+    """None where it was not asked for, or cameras are too few to tell it from noise."""
+    is_told = len(clock.problem.views) >= LEAST and len(clock.folds) == 2
+    if not (isinstance(clock, Synchronous) and clock.config.appearance and is_told):
+        return None
+    return AppearanceFit.of(clock.problem, clock.observations.frames, hyper.pixel_weights, clock.folds)
+
+
+def _remainder(clock: Clock, fields: np.ndarray) -> Remainder:
+    assert isinstance(clock, Synchronous)
+    return Remainder(clock.problem, clock.targets.images, clock.fitted, fields)
 
 
 def _can_iterate(clock: Clock) -> bool:
@@ -140,15 +158,10 @@ def _shown(clock: Clock) -> tuple[list[Any], list[Any]]:
     return [clock.problem.views[v] for v in rows], [clock.observations.frames[v] for v in rows]
 
 
-def _residuals(
-    clock: Clock, fields: np.ndarray, images: Iterable[np.ndarray], correction: DeferredCorrection | None
-) -> Iterable[np.ndarray]:
+def _residuals(clock: Clock, fields: np.ndarray, images: Iterable[np.ndarray]) -> Iterable[np.ndarray]:
     """What fields [R, N, 6] leave of the judged views' target `images`, [ρ, H, W, 3] each, nuisance projected out."""
     for v, left in zip(_judged(clock), images, strict=True):
-        left -= clock.problem.shown(v, fields)
-        if correction is not None:
-            left -= correction.terms.of(v, fields)
-        yield clock.problem.without_nuisance(v, left)
+        yield clock.problem.without_nuisance(v, left - clock.problem.shown(v, fields))
 
 
 def _uncertainty(
