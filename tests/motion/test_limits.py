@@ -40,6 +40,17 @@ def test_the_flank_of_a_drift_has_no_peak_and_what_stands_on_it_has_one() -> Non
     np.testing.assert_allclose(peaks(moving(hz.tolist(), size.tolist()), 2 / 3), [hz[20]])
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_drift_that_is_spread_over_frequencies_has_no_peak(seed: int) -> None:
+    """A random walk of 5 points, 30 s long, seen at 15 frames a second: each bin falls where chance puts it."""
+    hz = np.arange(1, 200) / 30
+    rng = np.random.default_rng(seed)
+    size = np.sqrt((rng.normal(size=(len(hz), 5)) ** 2).mean(1)) / hz
+    assert not len(peaks(moving(hz.tolist(), size.tolist()), 2 / 30))
+    size[33] *= 8
+    np.testing.assert_allclose(peaks(moving(hz.tolist(), size.tolist()), 2 / 30), [hz[33]])
+
+
 def test_nothing_that_moves_has_no_peak() -> None:
     assert not len(peaks(moving([], []), 0.67))
 

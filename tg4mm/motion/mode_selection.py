@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tg4mm.motion.clocks.frequencies import log_floor
 from tg4mm.motion.modes import ModalMotion
 from tg4mm.motion.observations import Observations
 
@@ -19,25 +20,32 @@ _NEAR_NYQUIST = 0.8
 _PEAK = 0.03  # of the strongest mode's rms: what counts as a peak
 _ABOVE_FLOOR = 6.0  # times the median mode's rms, where there are modes enough for most of them to be noise
 _ENOUGH_MODES = 12
+_ABOVE_TREND = 3.0  # times the rms that modes have at that frequency
+_STANDS_OUT = 4.0  # robust deviations of its logarithm
 _APART = 1 + 1e-6  # neighbouring bins, whose distance is rounded, are not apart
 
 
 def peaks(motion: ModalMotion, lowest_hz: float) -> np.ndarray:
     """[K] Hz by falling strength: modes with two periods in the record, no weaker than 3 % of the strongest.
 
-    Of many modes most are noise: then a peak is six times the median one too. A frequency counts once, by its strongest
-    mode: what lies within half the lowest frequency of a stronger mode is its flank, or that of a drift.
+    Of many modes most are noise: then a peak is six times the median one too. And a drift, which is spread over
+    frequencies, has no peak: one is three times what rms falls to with frequency, and four robust deviations above it.
+    A frequency counts once, by its strongest mode: what lies within half the lowest frequency of a stronger mode is its
+    flank, or that of a drift.
     """
     rms = np.sqrt((np.abs(motion.displacement) ** 2).sum(2).mean(1)) if len(motion.freqs_hz) else np.zeros(0)
-    able = rms[motion.freqs_hz >= lowest_hz]  # a drift is none
-    least = _PEAK * able.max(initial=0)
+    is_able = motion.freqs_hz >= lowest_hz
+    able = rms[is_able]
+    least = np.full(len(rms), _PEAK * able.max(initial=0))
     if len(able) >= _ENOUGH_MODES:
-        least = max(least, _ABOVE_FLOOR * float(np.median(able)))
+        floor, spread = log_floor(able, motion.freqs_hz[is_able], np.ones(len(able), bool))
+        trend = np.exp(floor + max(_STANDS_OUT * spread, np.log(_ABOVE_TREND)))
+        least[is_able] = np.maximum(trend, np.maximum(least[is_able], _ABOVE_FLOOR * float(np.median(able))))
     strongest_first = np.argsort(rms)[::-1]
     hz = np.asarray(motion.freqs_hz, np.float64)[strongest_first]
     apart = _APART * lowest_hz / 2
     is_top = np.array([(np.abs(hz[:i] - f) > apart).all() for i, f in enumerate(hz)], bool)
-    return hz[is_top & (rms[strongest_first] >= least) & (hz >= lowest_hz)]
+    return hz[is_top & (rms >= least)[strongest_first] & (hz >= lowest_hz)]
 
 
 def frequency_notes(hz: Sequence[float] | np.ndarray, observations: Observations) -> list[str]:

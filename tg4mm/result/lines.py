@@ -42,7 +42,10 @@ def _head(result: Result) -> str:
 
 def _nothing(result: Result) -> str:
     if not result.untold_hz:
-        return "no vibration was found"
+        return (
+            "no vibration was found: no frequency stands out of those around it; --band LO HI looks at a band all the "
+            "same"
+        )
     named = ", ".join(with_deviation(hz) for hz in result.untold_hz)
     return f"something changes at {named} Hz; how far and which way it moves cannot be told"
 

@@ -80,7 +80,7 @@ def find_frequencies(
             others = allowed & (np.abs(grid - grid[peak]) > _APART / duration)
         if not others.any():
             break
-        floor, spread = _floor(rest, grid, others)
+        floor, spread = log_floor(rest, grid, others)
         above = float(np.log(max(spectrum[peak], 1e-12)) - floor[peak])
         power = float(spectrum[peak] - np.exp(floor[peak]))
         strongest = max(strongest, power)
@@ -96,7 +96,7 @@ def find_frequencies(
     return Frequencies(hz, np.hypot(bound, scatter), grid, first)
 
 
-def _floor(spectrum: np.ndarray, grid: np.ndarray, allowed: np.ndarray) -> tuple[np.ndarray, float]:
+def log_floor(spectrum: np.ndarray, grid: np.ndarray, allowed: np.ndarray) -> tuple[np.ndarray, float]:
     """[M] log of the noise's spectrum, a parabola over log frequency, and the robust deviation from it.
 
     Of the `allowed` frequencies [M] bool. Peaks are clipped: what lies more than two deviations above is left out, and
