@@ -45,7 +45,9 @@ _POSE_STEPS = 2
 _ROBUST = 3.0  # robust deviations: residuals beyond count less
 _SLOW_BELOW = 0.5  # of the lowest frequency: slow functions reach up to it
 _THINNED = 3  # every third frame is enough to choose the smoothness weight
-_MOST_ITERATIONS = 18  # of conjugate gradients
+# Iterations of conjugate gradients, times those of fixed cameras: with the camera's pose projected out, what moves
+# against the background is found late. And at most so many.
+_MORE_ITERATIONS, _MOST_ITERATIONS = 4, 50
 _LEAST_POWER = 1.5  # of a frequency, times the noise's
 # What the scene at rest gets wrong changes with the viewpoint, and so in time: up to six times along the path of a
 # camera that goes around a still scene, with eight times the noise's power.
@@ -84,10 +86,10 @@ class MovingCamera(Steady):
             mixing = [row[None].astype(np.float32) for row in functions.T]
             problem = replace(problem, mixing=mixing, _kept={})
         folds = folds_of(len(frames), observations.size, True, config.split_half)
-        few = replace(config, iterations=min(config.iterations, _MOST_ITERATIONS))
+        own = replace(config, iterations=min(_MORE_ITERATIONS * config.iterations, _MOST_ITERATIONS))
         scale = float(np.sqrt(2 / len(frames)))
         return MovingCamera(
-            gaussians, observations, problem, targets, folds, few, figures, notes, found, scale
+            gaussians, observations, problem, targets, folds, own, figures, notes, found, scale
         )
 
     def strongest(self) -> tuple[np.ndarray, Problem, Sequence[Fold]]:
