@@ -23,7 +23,9 @@ status() { echo "$1" >"$root$folder/status.partial" && mv "$root$folder/status.p
     inside blender --command extension install-file -r user_default --enable "$folder/extension.zip" \
         >"$root$folder/install.log" 2>&1 || { status "not installed"; exit; }
     # The screen's number is chosen by the server and written to its descriptor 3.
-    inside Xvfb -displayfd 3 -screen 0 "${width}x${height}x24" -nolisten tcp +extension GLX \
+    # What is on it lies in a file, Xvfb_screen0, which costs nothing to read; a pointer would be in it.
+    inside Xvfb -displayfd 3 -screen 0 "${width}x${height}x24" -fbdir "$folder/screen" -nocursor -nolisten tcp \
+        +extension GLX \
         3>"$root$folder/display" >"$root$folder/xvfb.log" 2>&1 &
     until [ -s "$root$folder/display" ]; do sleep 0.1; done
     status "started"

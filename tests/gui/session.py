@@ -63,6 +63,16 @@ def is_compiling(picture: np.ndarray, view: Box) -> bool:
     return bool((line.min(axis=2) > 200).sum() > 20)
 
 
+def read_xwd(data: bytes) -> np.ndarray:
+    """uint8 [H, W, 3] of an X window dump as Xvfb keeps its screen: header, palette, rows of BGRX pixels."""
+    header = np.frombuffer(data, ">u4", 25)
+    width, height, bits, row, palette = (int(header[i]) for i in (4, 5, 11, 12, 19))
+    if bits != 32:
+        raise SessionError(f"the screen has {bits} bits a pixel; expected 32")
+    rows = np.frombuffer(data, np.uint8, row * height, int(header[0]) + 12 * palette).reshape(height, row)
+    return np.ascontiguousarray(rows[:, : 4 * width].reshape(height, width, 4)[..., 2::-1])
+
+
 class Session:
     """A running Blender. Made by `Session.start`."""
 
@@ -88,6 +98,7 @@ class Session:
         try:
             (folder / "home").mkdir()
             (folder / "resources").mkdir()
+            (folder / "screen").mkdir()
             shutil.copyfile(extension, folder / "extension.zip")
             for script in ("answering.py", "answers_jobs.py", "dropping.py"):
                 shutil.copyfile(HERE / script, folder / script)
@@ -162,11 +173,13 @@ class Session:
         from PIL import Image
 
         path.parent.mkdir(parents=True, exist_ok=True)
-        shot = self.folder / "screen.png"
-        self._run("import", "-window", "root", f"{self.inside}/{shot.name}")
-        shutil.move(shot, path)
-        with Image.open(path) as image:
-            return np.asarray(image.convert("RGB"))
+        shot = self.now()
+        Image.fromarray(shot).save(path, compress_level=1)
+        return shot
+
+    def now(self) -> np.ndarray:
+        """The whole screen, uint8 [H, W, 3]."""
+        return read_xwd((self.folder / "screen" / "Xvfb_screen0").read_bytes())
 
     def take(self, name: str, path: Path) -> np.ndarray:
         """Move a picture that Blender wrote into the session's folder to `path`; returns uint8 [H, W, 3]."""

@@ -17,7 +17,7 @@ MIRROR=${TG4MM_DEBIAN_MIRROR:-http://deb.debian.org/debian}
 BLENDER=5.2
 SPACE_MB=3000 # while the packages' archives are there too
 PACKAGES=(blender python3-numpy python3-cattr python3-requests # its add-on for extensions imports the last two
-    xvfb libgl1-mesa-dri libegl1 libglx-mesa0 xdotool imagemagick)
+    xvfb libgl1-mesa-dri libegl1 libglx-mesa0 xdotool)
 DONE="$ROOT/.tg4mm-complete"
 
 fail() {

@@ -101,7 +101,7 @@ def _headers(blender: Session, box: Box) -> list[Header]:
     blender.move(*blender.region("DOPESHEET_EDITOR").middle)  # a header under the pointer is brighter
     strip, last = Box(box.left, box.top, 80, box.height), None
     for _ in range(20):
-        now = headers(blender.picture(blender.folder / "panels.png"), strip)
+        now = headers(blender.now(), strip)
         if now == last:
             return now
         last = now

@@ -6,7 +6,7 @@ import numpy as np
 
 from . import looking
 from .conftest import drum
-from .session import Box
+from .session import Box, read_xwd
 
 
 def test_black_and_plain_pictures_are_blank_and_a_busy_one_is_not() -> None:
@@ -47,3 +47,12 @@ def test_the_drum_moves_where_it_should() -> None:
     amplitude = np.abs(splat.displacement).max(axis=(0, 2))
     assert amplitude.max() > 0.015
     assert amplitude[rim].max() < 1e-6
+
+
+def test_a_screen_of_xvfb_is_read() -> None:
+    """A dump as X11/XWDFile.h has it: 25 numbers, a name, a palette of 12 bytes an entry, rows with a rest."""
+    header = np.zeros(25, ">u4")
+    header[[0, 4, 5, 11, 12, 19]] = 104, 2, 1, 32, 12, 3
+    pixels = bytes([1, 2, 3, 0, 4, 5, 6, 0, 9, 9, 9, 9])
+    shown = read_xwd(header.tobytes() + b"Xvf\0" + bytes(36) + pixels)
+    np.testing.assert_array_equal(shown, [[[3, 2, 1], [6, 5, 4]]])
