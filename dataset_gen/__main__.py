@@ -14,7 +14,7 @@ from tg4mm import events
 from tg4mm.errors import Tg4mmError
 
 from . import run
-from .listing import listing
+from .listing import listing, scenes_listed
 from .options import Request, parser, request_from
 from .processes import RunFailed
 from .settings import Settings
@@ -51,7 +51,11 @@ def _stopped_once() -> Iterator[None]:
 
 def _run(argv: Sequence[str] | None) -> int:
     try:
-        request = request_from(parser().parse_args(argv))
+        options = parser().parse_args(argv)
+        if options.list and not (options.scene or options.blend or options.mesh):
+            print(scenes_listed())
+            return 0
+        request = request_from(options)
         if request.listed:
             print(listing(request.listed, request.sets[0] if request.sets else None))
             return 0

@@ -142,7 +142,8 @@ def _source_options(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         "--list",
         action="store_true",
-        help="only list parts, boxes, vertex groups and scale, and with --motion the amplitudes; writes nothing",
+        help="only list parts, boxes, vertex groups and scale, and with --motion the amplitudes; alone, the built-in "
+        "scenes; writes nothing",
     )
     group.add_argument("--name", metavar="NAME", help="first part of the folder's name (default: the file's)")
 

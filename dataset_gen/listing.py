@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .prepare import framed, inspected, motion_of
-from .settings import Settings, Source
+from .scenes import NAMES
+from .settings import Settings, Source, motion_file
 from .vibration import Body, reach
 
 if TYPE_CHECKING:
@@ -27,6 +28,15 @@ def listing(source: Source, settings: Settings | None) -> str:
     lines = [*_about(found), "", *_table(found.bodies)]
     if settings is not None:
         lines += ["", *_modes(settings, found)]
+    return "\n".join(lines)
+
+
+def scenes_listed() -> str:
+    """The built-in scenes, a line for each: its name and what moves in it, as its motion description begins."""
+    lines = []
+    for name in NAMES:
+        first = motion_file(name).read_text(encoding="utf-8").splitlines()[0]
+        lines.append(f"{name:10s} {first.removeprefix('# ')}")
     return "\n".join(lines)
 
 

@@ -62,7 +62,8 @@ def _names(options: argparse.Namespace) -> list[tuple[str, Source]]:
     given = [option for option in ("scene", "blend", "mesh") if getattr(options, option) is not None]
     if len(given) != 1:
         asked = " and ".join(given) or "none of them"
-        raise GenerateError(f"give either SCENE, --blend or --mesh; {asked} given")
+        hint = "" if given else "; --list alone names the scenes"
+        raise GenerateError(f"give either SCENE, --blend or --mesh; {asked} given{hint}")
     if options.scene is not None:
         if options.scene != ALL and options.scene not in NAMES:
             raise GenerateError(f"scene {options.scene!r} is none of {', '.join(NAMES)}, {ALL}")

@@ -67,6 +67,15 @@ def test_parts_boxes_groups_and_scale(blend):
     ]
 
 
+def test_alone_it_names_the_scenes_and_what_moves():
+    done = listed()
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    names = ["chair", "drums", "ficus", "hotdog", "lego", "materials", "mic", "ship"]
+    assert [line.split()[0] for line in lines] == names
+    assert lines[names.index("mic")].split(maxsplit=1)[1].startswith("The rod bends in its first mode")
+
+
 def test_amplitudes_are_in_the_files_own_unit(blend, tmp_path):
     done = listed("--blend", blend, "--motion", with_motion(tmp_path, "tip"))
     assert done.stdout.splitlines()[-1] == "mode sway: 5 Hz, up to 0.25 scene units = 0.25 mm"

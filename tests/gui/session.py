@@ -231,7 +231,9 @@ class Session:
         self.ask("places", file="places.npy")
         return np.load(self.folder / "places.npy")
 
-    def wait(self, condition: Callable[[], bool], what: str, limit: float = 20.0, every: float = 0.2) -> None:
+    def wait(
+        self, condition: Callable[[], bool], what: str, limit: float = 120.0, every: float = 0.2
+    ) -> None:
         """Wait until something holds. Raises SessionError when it does not in `limit` seconds."""
         ends = time.monotonic() + limit
         while not condition():

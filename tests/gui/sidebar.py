@@ -25,7 +25,7 @@ def open_tab(blender: Session) -> None:
     box = blender.region("VIEW_3D", "UI")
     for y in range(box.top + TAB_STEP // 2, box.top + box.height, TAB_STEP):
         blender.click(box.left + box.width - 9, y)
-        if _soon(lambda: blender.ask("tab") == TAB, 0.5):
+        if _soon(lambda: blender.ask("tab") == TAB, 1.5):
             return
     raise SessionError(f"the sidebar has no tab {TAB}\n{blender.log()}")
 
@@ -144,7 +144,7 @@ def _drag(
 ) -> float:
     before = value()
     blender.drag(place, (pixels, 0))
-    if not _soon(lambda: value() != before, 5.0):
+    if not _soon(lambda: value() != before, 30.0):
         raise SessionError(f"dragging {name} by {pixels} pixels left it at {before}")
     return value()
 
@@ -155,7 +155,7 @@ def type_value(blender: Session, name: str, text: str) -> None:
     blender.key("ctrl+a")
     blender.write(text)
     blender.key("Return")
-    if not _soon(lambda: abs(blender.ask("inputs")[name] - float(text)) < 1e-4, 5.0):
+    if not _soon(lambda: abs(blender.ask("inputs")[name] - float(text)) < 1e-4, 30.0):
         raise SessionError(f"{name} is {blender.ask('inputs')[name]} after {text} was typed")
 
 
@@ -164,10 +164,12 @@ def choose(blender: Session, name: str, item: str) -> None:
     x, y = find(blender, name)
     for wheel in ("4", "5"):
         for _ in range(8):
-            if blender.ask("inputs")[name] == item:
+            now = blender.ask("inputs")[name]
+            if now == item:
                 return
             blender.wheel_with_control(x, y, wheel)
-            time.sleep(0.2)
+            if not _soon(lambda now=now: blender.ask("inputs")[name] != now, 5.0):
+                break  # the menu's end
     raise SessionError(f"the menu {name} has no {item}; it stays at {blender.ask('inputs')[name]}")
 
 
