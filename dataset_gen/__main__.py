@@ -46,7 +46,8 @@ def _stopped_once() -> Iterator[None]:
         yield
     finally:
         for number, handler in before.items():
-            signal.signal(number, handler)
+            # None: set by Blender itself, which Python cannot do again.
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)
 
 
 def _run(argv: Sequence[str] | None) -> int:

@@ -227,3 +227,14 @@ def test_describing_scenes_needs_neither_bpy_nor_torch():
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     assert int(done.stdout) > 5
+
+
+def test_a_signal_handler_that_the_host_set_does_not_end_it(monkeypatch, capsys):
+    """Blender sets handlers in C, which Python reads as None and cannot set again."""
+
+    def set_handler(number, handler):
+        assert handler is not None
+
+    monkeypatch.setattr("dataset_gen.__main__.signal.signal", set_handler)
+    assert main(["violin", "--out", "x"]) == 2
+    assert "scene 'violin'" in capsys.readouterr().err

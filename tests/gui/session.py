@@ -295,4 +295,4 @@ def _launch(folder: Path, size: tuple[int, int]) -> subprocess.Popen[bytes]:
 def _end(process: subprocess.Popen[bytes]) -> None:
     assert process.stdin is not None
     process.stdin.close()
-    process.wait(timeout=30)
+    process.wait(timeout=300)

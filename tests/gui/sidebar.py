@@ -168,8 +168,7 @@ def choose(blender: Session, name: str, item: str) -> None:
             if now == item:
                 return
             blender.wheel_with_control(x, y, wheel)
-            if not _soon(lambda now=now: blender.ask("inputs")[name] != now, 5.0):
-                break  # the menu's end
+            _soon(lambda now=now: blender.ask("inputs")[name] != now, 2.0)  # no more at the menu's end
     raise SessionError(f"the menu {name} has no {item}; it stays at {blender.ask('inputs')[name]}")
 
 
