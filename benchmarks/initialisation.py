@@ -36,7 +36,8 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.render.image import render_image
 from tg4mm.runs import Run
 from tg4mm.space import RestViews, SpaceConfig, rest_views, train_space
-from tg4mm.space.initial import INITS, initial_points
+from tg4mm.space.config import INITS
+from tg4mm.space.initial import initial_points
 from tg4mm.space.train import resolved
 
 STARTS = ("hull", "points", "sfm", "random")

@@ -26,7 +26,7 @@ from tg4mm.runlock import claimed
 from tg4mm.runs import Run
 from tg4mm.settings import unknown
 from tg4mm.space import SpaceConfig, rest_views, train_plane, train_space
-from tg4mm.space.train import checked as checked_space
+from tg4mm.space.config import checked as checked_space
 
 # Every preset's settings, by stage, at their defaults. In `paper`, `space` is the fit of the base Gaussians, by L1.
 _BASE = SpaceConfig(l2=0.0)

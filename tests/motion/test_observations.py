@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +15,15 @@ from tg4mm.capture import Capture, ImageStack
 from tg4mm.capture.pictures import StackedPictures
 from tg4mm.errors import CaptureError
 from tg4mm.motion import observations as module
-from tg4mm.motion.observations import Observations, PosedFrames, fixed_cameras, frames_of, observe, strips
+from tg4mm.motion.observations import (
+    Observations,
+    PosedFrames,
+    fixed_cameras,
+    frames_of,
+    observe,
+    strips,
+    watched,
+)
 
 STEP = 1 / 30  # s
 
@@ -143,6 +153,24 @@ class TestPictures:
         np.testing.assert_allclose(strip, expected, atol=2e-7)
         covered = np.concatenate([np.arange(rows.start, rows.stop) for rows, _ in found])
         np.testing.assert_array_equal(covered, np.arange(4))
+
+    def test_a_pass_through_all_pictures_shows_its_progress(
+        self, pictures: np.ndarray, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        shown: list[int] = []
+
+        @contextmanager
+        def progress(label: str, total: int, unit: str) -> Iterator[Callable[[int], None]]:
+            assert (label, total, unit) == ("first", 12, "pictures")
+            yield shown.append
+
+        monkeypatch.setattr(module, "STRIP_VALUES", 190)
+        monkeypatch.setattr(module, "progress", progress)
+        list(watched("few", self.seen(pictures)))
+        monkeypatch.setattr(module, "SHOWN", 0)
+        seen = [(v, len(strip)) for v, _, own in watched("first", self.seen(pictures)) for _, strip in own]
+        assert seen == [(0, 6), (0, 6), (1, 6), (1, 6)]
+        assert shown == [3, 6, 6, 9, 12, 12]
 
     def test_sixteen_bits(self) -> None:
         data = np.random.default_rng(0).integers(0, 65536, (3, 2, 2, 4)).astype(np.uint16)

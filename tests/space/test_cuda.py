@@ -138,8 +138,8 @@ def test_an_iteration_fetches_nothing(
     monkeypatch.setattr(stage, "render_view", _render_cuda)
     config = stage.resolved(SpaceConfig(iterations=1000, max_gaussians=500, init_points=300), views)
     fit, extent, _ = stage._started(views, points, config, "cpu")
-    level = level_at(levels(config), 0)
-    cameras = stage._Views(views, config, "cpu", level.shrink)
+    level = level_at(levels(config, views.size), 0)
+    cameras = stage._Views(views, config, "cpu", level.shrink, level.spacing)
     with Fetches() as fetches:
         for _ in range(10):
             stage._iterate(fit, cameras, config, level, extent)
@@ -194,7 +194,7 @@ def test_an_iteration_on_cuda_waits_only_where_gsplat_does(
     """CUDA's own watch: with a picture that needs no gsplat, an iteration must not wait at all."""
 
     def flat(
-        g: Gaussians, viewmat: torch.Tensor, K: torch.Tensor, size: tuple[int, int], degree: int
+        g: Gaussians, viewmat: torch.Tensor, K: torch.Tensor, size: tuple[int, int], degree: int, eps2d: float
     ) -> RenderedView:
         value = sum(
             (t.mean() for t in (g.means, g.quats, g.scales, g.opacities, g.sh)),
@@ -206,8 +206,8 @@ def test_an_iteration_on_cuda_waits_only_where_gsplat_does(
     monkeypatch.setattr(stage, "render_view", flat)
     config = stage.resolved(SpaceConfig(iterations=1000, max_gaussians=500, init_points=300), views)
     fit, extent, _ = stage._started(views, points, config, "cuda")
-    level = level_at(levels(config), 0)
-    cameras = stage._Views(views, config, "cuda", level.shrink)
+    level = level_at(levels(config, views.size), 0)
+    cameras = stage._Views(views, config, "cuda", level.shrink, level.spacing)
     stage._iterate(fit, cameras, config, level, extent)
     torch.cuda.set_sync_debug_mode("error")
     try:

@@ -52,6 +52,32 @@ def test_one_step_has_torchs_gradients(degree: int, loss: tuple[float, float]) -
     assert float(found.mse[0]) == pytest.approx(float(expected.mse[0]), rel=1e-5)
 
 
+@pytest.mark.parametrize("kind", [ParameterAdam, FusedAdam])
+@pytest.mark.parametrize("spacing", [2, 3])
+def test_the_grids_of_pixels_add_up_to_the_picture(kind: type[ParameterRows], spacing: int) -> None:
+    """Gradients and errors, of means over pixels each; shares are sums. The Gaussians are small: of one that reaches in
+    from far outside a picture, gsplat limits the slant, by the picture's edge, and a grid's lies elsewhere."""
+    small = parameters()
+    small["log_scales"] -= 2.5
+
+    def first(turn: int, spacing: int) -> tuple[float, torch.Tensor, dict[str, torch.Tensor]]:
+        cameras = stage._Views(views_of(), SpaceConfig(), "cpu", spacing=spacing)
+        generator, error = torch.Generator(), torch.zeros(len(SCENE.means))
+        iteration = len(cameras) * turn  # a round of all views goes by before view 0 has its next turn
+        fit = stage._Fit(kind(small, EXTENT), error, torch.zeros(()), generator, generator, iteration)
+        return float(cameras.iterate(fit, 0, 3, 0.0)), fit.error, fit.adam.moments()
+
+    mse, shares, moments = first(0, 1)
+    grids = [first(turn, spacing) for turn in range(spacing**2)]
+    rows, columns = ([len(range(k, n, spacing)) for k in range(spacing)] for n in (SCENE.height, SCENE.width))
+    weights = [r * c / SCENE.height / SCENE.width for r in rows for c in columns]
+    assert sum(w * own[0] for w, own in zip(weights, grids, strict=True)) == pytest.approx(mse, rel=1e-5)
+    assert_close("shares", sum(own[1] for own in grids), shares, 1e-4)
+    for name in (name for name in moments if name.endswith(".m")):
+        parts = sum(w * own[2][name] for w, own in zip(weights, grids, strict=True))
+        assert_close(name, parts, moments[name], 2e-4)
+
+
 def test_the_comparison_refuses_a_gradient_that_is_slightly_off() -> None:
     found = Trained(FusedAdam, 1).moments["logits.m"]
     with pytest.raises(AssertionError, match="logits"):

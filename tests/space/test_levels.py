@@ -15,7 +15,9 @@ from tg4mm.errors import Tg4mmError
 from tg4mm.runs import Run
 from tg4mm.space import RestViews, SpaceConfig, train_space
 from tg4mm.space.density import EVERY
-from tg4mm.space.levels import automatic, check_levels, level_at, levels, shrunk, work
+from tg4mm.space.levels import automatic, check_levels, level_at, levels, sampled, shrunk, turn_of, work
+
+FULL = (1080, 1920)
 
 
 @pytest.mark.parametrize(
@@ -29,7 +31,7 @@ def test_sizes_are_halved_until_the_longer_side_is_short(size: tuple[int, int], 
 @pytest.mark.parametrize("n", [1, 2, 3, 5])
 @pytest.mark.parametrize("iterations", [1, 36, 1000, 9561])
 def test_every_iteration_has_one_level(n: int, iterations: int) -> None:
-    found = levels(SpaceConfig(iterations=iterations, max_gaussians=1000, levels=n))
+    found = levels(SpaceConfig(iterations=iterations, max_gaussians=1000, levels=n), FULL)
     assert [level.shrink for level in found] == [1 << (n - 1 - i) for i in range(n)]
     assert [found[0].begin, *(level.end for level in found[:-1])] == [level.begin for level in found]
     assert (found[0].begin, found[-1].end) == (0, iterations)
@@ -41,19 +43,65 @@ def test_every_iteration_has_one_level(n: int, iterations: int) -> None:
 
 
 def test_work_counts_pixels() -> None:
-    found = levels(SpaceConfig(iterations=1200, max_gaussians=1000, levels=3))
-    done = [work(found, i) for i in (0, 400, 800, 1000, 1200)]
-    assert done == [0, 400 // 16, 125, 325, 525]
+    """Of full-size pictures every other of every other row is seen, of smaller ones all."""
+    found = levels(SpaceConfig(iterations=1600, max_gaussians=1000, levels=3), FULL)
+    done = [work(found, i) for i in (0, 400, 800, 1200, 1600)]
+    assert done == [0, 25, 125, 225, 325]
+
+
+def test_all_of_a_small_picture_is_seen() -> None:
+    K, picture = np.eye(3), np.zeros((4, 4, 3))
+    assert sampled(K, picture, 1, 0) == (K, picture)
+
+
+@pytest.mark.parametrize(
+    ("size", "n", "dssim", "spacing"),
+    [
+        (FULL, 3, 0.0, [1, 1, 2]),
+        (FULL, 3, 0.2, [1, 1, 1]),  # structure is compared in all of a picture
+        (FULL, 1, 0.0, [1]),
+        ((540, 960), 2, 0.0, [1, 1]),
+        ((4000, 3000), 4, 0.0, [1, 1, 2, 2]),
+    ],
+)
+def test_of_large_pictures_a_part_is_seen(
+    size: tuple[int, int], n: int, dssim: float, spacing: list[int]
+) -> None:
+    config = SpaceConfig(iterations=1200, max_gaussians=1000, levels=n, dssim=dssim)
+    assert [level.spacing for level in levels(config, size)] == spacing
+
+
+def test_every_grid_of_every_view_has_its_turn() -> None:
+    """In as many rounds as there are grids; and in each round as many of one grid as of another."""
+    turns = [[turn_of(v, r * 8 + k, 8, 2) for k, v in enumerate(range(8))] for r in range(5, 9)]
+    for v in range(8):
+        assert sorted(turn[v] for turn in turns) == [0, 1, 2, 3]
+    for turn in turns:
+        assert np.bincount(turn).tolist() == [2, 2, 2, 2]
+
+
+@pytest.mark.parametrize("turn", range(9))
+def test_pixels_that_are_seen_keep_their_place(turn: int) -> None:
+    """The picture's own coordinates as colours: a pixel's centre, unprojected, lies on the ray that it lay on."""
+    given = views_of(orbit(1, np.zeros(3)), intrinsics(32), np.ones((1, 17, 31)))
+    y, x = np.mgrid[:17, :31] + 0.5
+    K, picture = sampled(given.Ks[0], np.stack([x, y, x], 2), 3, turn)
+    assert picture.shape[:2] == (len(range(turn // 3, 17, 3)), len(range(turn % 3, 31, 3)))
+    rows, columns = np.mgrid[: len(picture), : picture.shape[1]] + 0.5
+    for axis, own in enumerate((columns, rows)):
+        ray = (own - K[axis, 2]) / K[axis, axis]
+        expected = (picture[..., axis] - given.Ks[0, axis, 2]) / given.Ks[0, axis, axis]
+        np.testing.assert_allclose(ray, expected, atol=1e-6)
 
 
 def test_density_control_goes_on_until_well_before_the_end() -> None:
-    *coarse, last = levels(SpaceConfig(iterations=6000, max_gaussians=1000, levels=3))
+    *coarse, last = levels(SpaceConfig(iterations=6000, max_gaussians=1000, levels=3), FULL)
     assert all(level.begin < level.caught_up < level.end < level.until for level in coarse)
     assert last.begin < last.caught_up < last.until < 0.9 * last.end
 
 
 def test_a_level_alone_is_the_stage_without_levels() -> None:
-    (only,) = levels(SpaceConfig(iterations=1000, max_gaussians=500, levels=1))
+    (only,) = levels(SpaceConfig(iterations=1000, max_gaussians=500, levels=1), FULL)
     assert (only.shrink, only.begin, only.end, only.max_gaussians) == (1, 0, 1000, 500)
     assert (only.caught_up, only.until) == (350, 700)
 

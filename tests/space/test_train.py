@@ -121,7 +121,7 @@ def test_killed_on_any_level_it_ends_as_if_it_had_not_been(
 ) -> None:  # fmt: skip
     """Two sizes of the pictures, the second from iteration 20 on, and gains."""
     config = replace(SHORT, levels=2, gains=True)
-    assert [level.begin for level in levels(config)] == [0, 20]
+    assert [level.begin for level in levels(config, views.size)] == [0, 20]
     uninterrupted, run = new_run(), new_run()
     expected = train_space(uninterrupted, views, points, config)
     with monkeypatch.context() as patch:

@@ -9,7 +9,7 @@ from tg4mm.errors import Tg4mmError
 from tg4mm.motion.config import checked as checked_motion
 from tg4mm.paper.config import base_config
 from tg4mm.paper.config import checked as checked_paper
-from tg4mm.space.train import checked as checked_space
+from tg4mm.space.config import checked as checked_space
 from tg4mm.train import PRESETS, parse_settings
 
 # With a `paper` preset the base Gaussians' iterations are paper.warm_up, so this one is for modal alone.

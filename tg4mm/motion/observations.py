@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,6 +12,7 @@ import numpy as np
 from tg4mm.capture import Capture, ImageStack
 from tg4mm.capture.pictures import FilePictures, Pictures, over_white, pictures_of
 from tg4mm.errors import CaptureError
+from tg4mm.progress import progress
 
 STRIP_VALUES = 1 << 23  # float32 values of a strip, 32 MiB; compositing it takes about three times that
 _CLOCK = (
@@ -139,7 +141,27 @@ def _are_synchronous(frames: list[PosedFrames]) -> bool:
     return all(np.abs(f.times_s - even).max() < _CLOCK * step for f in frames)
 
 
-def strips(pictures: Pictures, frames: PosedFrames) -> Iterator[tuple[slice, np.ndarray]]:
+SHOWN = 50_000_000  # pixels, which take some seconds
+Strips = Iterator[tuple[slice, np.ndarray]]  # rows of the picture, and [F, rows, W, 3] of all F frames
+
+
+def watched(label: str, observations: Observations) -> Iterator[tuple[int, PosedFrames, Strips]]:
+    """Every camera's number, frames and strips, with progress where they are many: how many pictures are behind."""
+    (width, height), counts = observations.size, [len(frames.rows) for frames in observations.frames]
+
+    def counted(v: int, frames: PosedFrames) -> Strips:
+        for rows, strip in strips(observations.pictures, frames):
+            yield rows, strip
+            update(sum(counts[:v]) + counts[v] * rows.stop // height)
+
+    many = sum(counts) * width * height > SHOWN
+    with progress(label, sum(counts), "pictures") if many else nullcontext(lambda _done: None) as update:
+        for v, frames in enumerate(observations.frames):
+            yield v, frames, counted(v, frames)
+            update(sum(counts[: v + 1]))
+
+
+def strips(pictures: Pictures, frames: PosedFrames) -> Strips:
     """Rows of the picture from top to bottom: slice and [F, rows, W, 3] float32 over white, all F pictures.
 
     At most `STRIP_VALUES` values at a time, or one row.

@@ -17,7 +17,7 @@ from scipy.ndimage import gaussian_filter
 
 from tg4mm.motion.nuisance.first_look import FirstLook
 from tg4mm.motion.nuisance.projection import Nuisance, without
-from tg4mm.motion.observations import Observations, PosedFrames, strips
+from tg4mm.motion.observations import Observations, Strips, watched
 from tg4mm.room import release, room
 
 _SMOOTHING_PX = 1.5  # standard deviation of what evens out estimates of noise
@@ -60,9 +60,9 @@ def projected(
             for t, n, m, c in zip(look.total, nuisances, look.mean, look.columns, strict=True)
         ]
     )
-    for v, (frames, basis) in enumerate(zip(observations.frames, bases, strict=True)):
-        cached = look.cache.get(v) or _changes(observations, frames, look.mean[v])
-        for rows, strip in cached:
+    for v, _, pictures in watched("pictures, second pass", observations):
+        basis = bases[v]
+        for rows, strip in look.cache.get(v) or _changes(pictures, look.mean[v]):
             images[v, :, rows] = project(strip, basis)
         for some in _at_once(len(basis)):
             images[v, some] = without(nuisances[v], look.mean[v], images[v, some])
@@ -78,8 +78,8 @@ def _at_once(n: int) -> Iterator[slice]:
     return (slice(first, min(first + _IMAGES, n)) for first in range(0, n, _IMAGES))
 
 
-def _changes(observations: Observations, frames: PosedFrames, mean: np.ndarray):
-    for rows, strip in strips(observations.pictures, frames):
+def _changes(pictures: Strips, mean: np.ndarray) -> Strips:
+    for rows, strip in pictures:
         strip -= mean[rows]
         yield rows, strip
 

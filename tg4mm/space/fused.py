@@ -89,13 +89,14 @@ class Iteration:
         error: np.ndarray,  # [N], gets each Gaussian's share of the picture's error
         gain: np.ndarray = _PLAIN,  # [3] of the picture, `gains.py`
         pace: float = 1.0,  # pixels of the dataset across one of this picture's
+        eps2d: float = EPS2D,  # low-pass, squared pixels
     ) -> float:
         """Change `adam` by one step and return the picture's mean squared error before it."""
         take = self._buffers.take
         height, width = target.shape[:2]
         means, quats, _, logits, sh = adam.values
         scales, opacities = adam.active
-        camera = pack_camera(viewmat, K, NEAR, FAR, EPS2D)
+        camera = pack_camera(viewmat, K, NEAR, FAR, eps2d)
         splats = take("splats", (len(logits), SPLAT_WIDTH))
         project_forward(means, quats, scales, opacities, sh, degree, False, camera, width, height, splats)
         bins = bin_splats(splats, width, height, self._buffers)

@@ -11,9 +11,9 @@ from scipy.spatial import cKDTree
 
 from tg4mm.capture import SurfacePoints, geometry
 from tg4mm.errors import CaptureError
+from tg4mm.space.config import INITS
 from tg4mm.space.targets import RestViews
 
-INITS = ("auto", "points", "sfm", "hull", "random")
 FEWEST_SFM = 100  # points; with fewer, texture is too poor to start from them
 # Share of the asked-for points to take where many are off the surface: from few, large ones density control goes
 # where the pictures are, while thousands of small ones in empty space stay there as haze.

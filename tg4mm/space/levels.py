@@ -1,12 +1,15 @@
 """Resolution from coarse to fine: which size of the pictures an iteration sees, and how many Gaussians it may have.
 
 An iteration on pictures of half the size takes a quarter of the time, and large structures need no more. So most
-iterations are made before the pictures have their own size, with as many Gaussians as those sizes can tell apart.
+iterations are made before the pictures have their own size, with as many Gaussians as those sizes can tell apart. And
+an iteration need not see every pixel of a large picture: a Gaussian covers many there, and a quarter of them, spread
+evenly, pulls it as all.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -20,6 +23,10 @@ LAST = 0.7  # share of the iterations after which density control ends
 CAUGHT_UP = 0.35  # share of a level's iterations by which its number of Gaussians is reached
 # The same of a level that begins with half of its Gaussians: they are there soon, and have longer to settle
 FINE_LAST, FINE_CAUGHT_UP = 0.4, 0.2
+SPARSE = (
+    1200  # pixels of the longer side: of larger pictures an iteration sees every SPACING-th pixel and row
+)
+SPACING = 2
 SMALLEST = 16  # pixels of the shorter side: of coarser pictures nothing is learnt
 
 
@@ -33,6 +40,7 @@ class Level:
     max_gaussians: int
     caught_up: float  # iteration by which a start far below that number has reached it
     until: float  # iteration, before which density control goes on
+    spacing: int  # from one pixel that an iteration sees to the next, across and down
 
 
 def automatic(size: tuple[int, int]) -> int:
@@ -53,24 +61,32 @@ def check_levels(count: int, size: tuple[int, int]) -> None:
         )
 
 
-def levels(config: SpaceConfig) -> tuple[Level, ...]:
-    """The levels of settings whose zeros are filled in, the coarsest first, each for as many iterations as the others.
+def levels(config: SpaceConfig, size: tuple[int, int]) -> tuple[Level, ...]:
+    """The levels of settings whose zeros are filled in, for pictures of (width, height), the coarsest first.
 
-    They end where density control is due, so that no round of it adds up the errors of two sizes.
+    The last has half of the iterations, the others share the rest. They end where density control is due, so that no
+    round of it adds up the errors of two sizes.
     """
     n, every = config.levels, density.EVERY
-    ends = [round((i + 1) / n * config.iterations / every) * every for i in range(n - 1)]
+    ends = [round((i + 1) / (n - 1) / 2 * config.iterations / every) * every for i in range(n - 1)]
     ends.append(config.iterations)
+    spacing = [_spacing(config, max(size) >> (n - 1 - i)) for i in range(n)]
     return tuple(
-        _level(1 << (n - 1 - i), begin, end, i == 0, i == n - 1, config.max_gaussians)
+        _level(n - 1 - i, begin, end, i == 0, config.max_gaussians, spacing[i])
         for i, (begin, end) in enumerate(zip([0, *ends[:-1]], ends, strict=True))
     )
 
 
-def _level(shrink: int, begin: int, end: int, first: bool, last: bool, most: int) -> Level:
+def _spacing(config: SpaceConfig, longer: int) -> int:
+    """D-SSIM compares pixels with their neighbours, and a level alone sees all."""
+    return SPACING if longer > SPARSE and config.dssim == 0 and config.levels > 1 else 1
+
+
+def _level(finer: int, begin: int, end: int, first: bool, most: int, spacing: int) -> Level:
+    """The level that so many `finer` ones follow."""
     caught_up = begin + (CAUGHT_UP if first else FINE_CAUGHT_UP) * (end - begin)
-    until = begin + (LAST if first else FINE_LAST) * (end - begin) if last else end + 1
-    return Level(shrink, begin, end, max(4, most // shrink), caught_up, until)
+    until = begin + (LAST if first else FINE_LAST) * (end - begin) if finer == 0 else end + 1
+    return Level(1 << finer, begin, end, max(4, most >> finer), caught_up, until, spacing)
 
 
 def level_at(levels: tuple[Level, ...], iteration: int) -> Level:
@@ -80,7 +96,25 @@ def level_at(levels: tuple[Level, ...], iteration: int) -> Level:
 
 def work(levels: tuple[Level, ...], iteration: int) -> int:
     """What the iterations before this one took, in units of one at the pictures' own size: as pixels, so time."""
-    return int(sum(max(0, min(iteration, a.end) - a.begin) / a.shrink**2 for a in levels))
+    return int(sum(max(0, min(iteration, a.end) - a.begin) / (a.shrink * a.spacing) ** 2 for a in levels))
+
+
+def turn_of(view: int, iteration: int, n_views: int, spacing: int) -> int:
+    """Which of the spacing² grids of pixels of a view an iteration sees: each in turn from round to round."""
+    return (view + iteration // n_views) % spacing**2
+
+
+def sampled(K: Any, picture: Any, spacing: int, turn: int) -> tuple[Any, Any]:
+    """Every so manyth pixel of every so manyth row of picture [H, W, 3], beginning with the one that `turn` says, and
+    the intrinsics [3, 3] with which just these are rendered. Both arrays or both tensors."""
+    if spacing == 1:
+        return K, picture
+    row, column = divmod(turn, spacing)
+    K = K + 0  # a copy
+    K[:2] /= spacing
+    K[0, 2] += 0.5 - (column + 0.5) / spacing  # pixel centres lie at a half
+    K[1, 2] += 0.5 - (row + 0.5) / spacing
+    return K, picture[row::spacing, column::spacing]
 
 
 def shrunk(views: RestViews, by: int) -> RestViews:

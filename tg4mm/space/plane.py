@@ -25,11 +25,11 @@ from tg4mm.memory import peak_memory_mib
 from tg4mm.progress import progress
 from tg4mm.rasterize import rasterization
 from tg4mm.render.image import render_image
-from tg4mm.space.config import SpaceConfig
+from tg4mm.space.config import SpaceConfig, checked
 from tg4mm.space.parameters import SH_C0
 from tg4mm.space.quadtree import COARSEST, FINEST, Cells, quadtree
 from tg4mm.space.targets import RestViews
-from tg4mm.space.train import SpaceFit, checked
+from tg4mm.space.train import SpaceFit
 from tg4mm.space.view import EPS2D, FAR, NEAR, WHITE
 
 PIXELS_PER_GAUSSIAN = 9

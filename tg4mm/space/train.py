@@ -14,47 +14,34 @@ from torch import Tensor
 from tg4mm.capture import SurfacePoints
 from tg4mm.capture.geometry import optical_axes
 from tg4mm.device import full_precision, gpu_figures, reset_gpu_peak
-from tg4mm.errors import Tg4mmError
 from tg4mm.gaussians import Gaussians
 from tg4mm.memory import peak_memory_mib
 from tg4mm.progress import progress
 from tg4mm.space.checkpoint import Check, Checkpoint, check_checkpoint, pictures_digest
-from tg4mm.space.config import MOST_GAUSSIANS, MOST_ITERATIONS, MOST_LEVELS, SpaceConfig
+from tg4mm.space.config import SpaceConfig, checked
 from tg4mm.space.density import control_density, growth, is_due
 from tg4mm.space.fused import FusedAdam, Iteration
 from tg4mm.space.gains import EVERY, fitting_gain, moved
-from tg4mm.space.initial import INITS, initial_points, working_box
-from tg4mm.space.levels import Level, automatic, check_levels, level_at, levels, shrunk, work
+from tg4mm.space.initial import initial_points, working_box
+from tg4mm.space.levels import (
+    Level,
+    automatic,
+    check_levels,
+    level_at,
+    levels,
+    sampled,
+    shrunk,
+    turn_of,
+    work,
+)
 from tg4mm.space.losses import photometric_loss
 from tg4mm.space.parameters import ParameterAdam, activate, initial_parameters, stride
 from tg4mm.space.targets import RestViews
-from tg4mm.space.view import render_view
+from tg4mm.space.view import EPS2D, render_view
 
 CHECKPOINT_EVERY_S = 20.0
 SHOW_EVERY_S = 0.25  # a figure shown is a number fetched from the device, for which the host waits
 FUSED = ("cpu",)  # devices on which `fused.py` makes the iterations; on others torch does
-
-
-def checked(config: SpaceConfig) -> SpaceConfig:
-    """`config`. Raises Tg4mmError on a value out of range."""
-    checks = {
-        "iterations": (0 <= config.iterations <= MOST_ITERATIONS, f"0 to {MOST_ITERATIONS:,}"),
-        "max_gaussians": (
-            config.max_gaussians == 0 or 4 <= config.max_gaussians <= MOST_GAUSSIANS,
-            f"0, or 4 to {MOST_GAUSSIANS:,}",
-        ),
-        "levels": (0 <= config.levels <= MOST_LEVELS, f"0 to {MOST_LEVELS}"),
-        "sh_degree": (0 <= config.sh_degree <= 3, "0 to 3"),
-        "l2": (math.isfinite(config.l2) and config.l2 >= 0, ">= 0"),
-        "dssim": (0 <= config.dssim <= 1, "0 to 1"),
-        "init": (config.init in INITS, ", ".join(INITS)),
-        "init_points": (4 <= config.init_points <= MOST_GAUSSIANS, f"4 to {MOST_GAUSSIANS:,}"),
-        "seed": (0 <= config.seed < 1 << 63, "0 to 2⁶³ − 1"),
-    }
-    for name, (good, expected) in checks.items():
-        if not good:
-            raise Tg4mmError(f"setting space.{name} is {getattr(config, name)}, expected {expected}")
-    return config
 
 
 def resolved(config: SpaceConfig, views: RestViews) -> SpaceConfig:
@@ -166,19 +153,29 @@ def _optimiser(
 
 
 class _Views:
-    """The cameras and their pictures at one level, where the iterations need them, and one iteration on one of them."""
+    """The cameras and their pictures at one level, where the iterations need them, and an iteration on one of them."""
 
-    def __init__(self, views: RestViews, config: SpaceConfig, device: str, shrink: int = 1) -> None:
-        """shrink: pixels of `views` across one of this level's."""
+    def __init__(
+        self, views: RestViews, config: SpaceConfig, device: str, shrink: int = 1, spacing: int = 1
+    ) -> None:
+        """shrink: pixels of `views` across one of this level's. spacing: of those seen at once."""
         views = shrunk(views, shrink)
         self._arrays = (views.viewmats, views.Ks, views.rgb)
         self._tensors = tuple(torch.from_numpy(a).to(device) for a in self._arrays)
         self._config, self._fused = config, Iteration(config.l2, config.dssim)
-        self.shrink = shrink
+        self.shrink, self._spacing = shrink, spacing
+        self._eps2d = EPS2D / spacing**2  # as wide as in the whole picture
         self.shown = {} if shrink == 1 else {"pictures": f"{shrink} times smaller"}  # beside the progress
 
     def __len__(self) -> int:
         return len(self._arrays[0])
+
+    def _sampled(self, arrays: tuple, fit: _Fit, v: int) -> tuple:
+        """viewmat, K and picture of view v, or the pixels of it whose turn it is."""
+        viewmat, K, picture = (a[v] for a in arrays)
+        return viewmat, *sampled(
+            K, picture, self._spacing, turn_of(v, fit.iteration, len(self), self._spacing)
+        )
 
     def iterate(self, fit: _Fit, v: int, degree: int, done: float) -> Tensor:
         """Render view v, compare, step. Returns the mean squared error."""
@@ -187,17 +184,19 @@ class _Views:
         return self._iterate_torch(fit, fit.adam, v, degree, done)
 
     def _iterate_fused(self, fit: _Fit, adam: FusedAdam, v: int, degree: int, done: float) -> Tensor:
-        viewmat, K, target = (a[v] for a in self._arrays)
+        viewmat, K, target = self._sampled(self._arrays, fit, v)
+        target = np.ascontiguousarray(target)
         gain = np.ones(3, np.float32) if fit.gains is None else fit.gains[v].numpy()
-        mse = self._fused(adam, viewmat, K, target, degree, done, fit.error.numpy(), gain, float(self.shrink))
+        pace = float(self.shrink)
+        mse = self._fused(adam, viewmat, K, target, degree, done, fit.error.numpy(), gain, pace, self._eps2d)
         if fit.gains is not None:
             fit.gains = moved(fit.gains, v, torch.from_numpy(self._fused.fitting_gain(target)))
         return torch.tensor(mse, dtype=torch.float64)
 
     def _iterate_torch(self, fit: _Fit, adam: ParameterAdam, v: int, degree: int, done: float) -> Tensor:
-        viewmat, K, target = (a[v] for a in self._tensors)
+        viewmat, K, target = self._sampled(self._tensors, fit, v)
         height, width = target.shape[:2]
-        view = render_view(activate(adam.parameters), viewmat, K, (width, height), degree)
+        view = render_view(activate(adam.parameters), viewmat, K, (width, height), degree, self._eps2d)
         shown = view.rgb if fit.gains is None else view.rgb * fit.gains[v]
         loss = photometric_loss(shown, target, self._config.l2, self._config.dssim)
         difference = shown.detach() - target
@@ -288,7 +287,7 @@ def fit_space(
         fit, extent, source = _started(views, points, config, device)
     else:
         fit, extent = _restored(checkpoint, views, device)
-    steps, cameras = levels(config), None
+    steps, cameras = levels(config, views.size), None
     shown, figure = -math.inf, 0.0
     with (
         progress("space stage", work(steps, config.iterations), start=work(steps, fit.iteration)) as update,
@@ -297,7 +296,7 @@ def fit_space(
         while fit.iteration < config.iterations:
             level = level_at(steps, fit.iteration)
             if cameras is None or cameras.shrink != level.shrink:
-                cameras = _Views(views, config, device, level.shrink)
+                cameras = _Views(views, config, device, level.shrink, level.spacing)
             _iterate(fit, cameras, config, level, extent)
             if time.monotonic() - shown > SHOW_EVERY_S:
                 shown, figure = time.monotonic(), round(float(fit.psnr), 2)

@@ -28,16 +28,19 @@ class RenderedView:
 
 
 def render_view(
-    gaussians: Gaussians, viewmat: Tensor, K: Tensor, size: tuple[int, int], degree: int
+    gaussians: Gaussians, viewmat: Tensor, K: Tensor, size: tuple[int, int], degree: int, eps2d: float = EPS2D
 ) -> RenderedView:
-    """Render one camera (viewmat [4, 4], K [3, 3]) at size (width, height) with SH up to `degree`."""
+    """Render one camera (viewmat [4, 4], K [3, 3]) at size (width, height) with SH up to `degree`.
+
+    eps2d: low-pass, squared pixels.
+    """
     if gaussians.means.is_cuda:
-        return _render_cuda(gaussians, viewmat, K, size, degree)
+        return _render_cuda(gaussians, viewmat, K, size, degree, eps2d)
     from tg4mm.rasterize.cpu import View, rasterize_cpu
     from tg4mm.rasterize.kernels.layout import FEAT
 
     g = gaussians
-    view = View(*size, NEAR, FAR, EPS2D, degree, False)
+    view = View(*size, NEAR, FAR, eps2d, degree, False)
     images, transmittances, (record,) = rasterize_cpu(
         g.means, g.quats, g.scales, g.opacities, g.sh, viewmat[None], K[None], view
     )
@@ -51,7 +54,7 @@ def render_view(
 
 
 def _render_cuda(
-    gaussians: Gaussians, viewmat: Tensor, K: Tensor, size: tuple[int, int], degree: int
+    gaussians: Gaussians, viewmat: Tensor, K: Tensor, size: tuple[int, int], degree: int, eps2d: float = EPS2D
 ) -> RenderedView:
     """Colours are made here, not by gsplat's rasterization: the carrier must ride beside them, and gsplat would
     invert viewmat with a wait for the device."""
@@ -65,7 +68,7 @@ def _render_cuda(
     carrier = torch.zeros(len(g), 1, device=g.means.device, requires_grad=True)
     renders, alphas, _ = rasterization(
         g.means, g.quats, g.scales, g.opacities, torch.cat([colours, carrier], 1),
-        viewmat[None], K[None], *size, NEAR, FAR, EPS2D,
+        viewmat[None], K[None], *size, NEAR, FAR, eps2d,
     )  # fmt: skip
 
     def shares() -> Tensor:

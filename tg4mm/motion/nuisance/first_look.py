@@ -31,7 +31,7 @@ from tg4mm.motion.nuisance.projection import (
 )
 from tg4mm.motion.nuisance.registration import stabilised
 from tg4mm.motion.nuisance.shake import LEAST_PX, BlockShifts, own_turns
-from tg4mm.motion.observations import Observations, strips
+from tg4mm.motion.observations import Observations, watched
 from tg4mm.motion.solver.problem import Problem
 
 CACHE_BYTES = 128 << 20  # of differences, kept from this look for the next; what is more is composited again
@@ -156,12 +156,12 @@ def first_look(
     cache: dict[int, list[tuple[slice, np.ndarray]]] = {}
     free = CACHE_BYTES
     shakes = []
-    for v, frames in enumerate(observations.frames):
+    for v, frames, pictures in watched("pictures, first pass", observations):
         blocks = BlockShifts.of(_at_rest(nuisances[v]), len(frames.rows)) if looks_for_shake else None
         free -= len(frames.rows) * height * width * 12
         n_frames, kept = len(frames.rows), []
         gram, products = np.zeros((n_frames, n_frames)), np.zeros((COLUMNS, n_frames))
-        for rows, strip in strips(observations.pictures, frames):
+        for rows, strip in pictures:
             mean[v, rows] = strip.mean(0, dtype=np.float64)
             strip -= mean[v, rows]
             if blocks is not None:
