@@ -1,6 +1,9 @@
-"""Virtual sensors on the fox's tripod against the exact motion: amplitude and phase in pixels of the tripod's view.
+"""Virtual sensors on the fox's tripod or clips against the exact motion: amplitude and phase in pixels.
 
 python benchmarks/fox_phone_measure.py RUN --truth CAPTURES/fox_phone/truth
+
+Of a tripod the sensors are pixels of its view; of clips spheres around the same places, and each component of the
+motion common to all of them is compared, on the clock of the first clip.
 """
 
 from __future__ import annotations
@@ -10,13 +13,14 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.fox_phone_truth import Similarity, Truth, similarity
-from tg4mm.measure import Prepared, SensorResult, measure, parse_sensor, prepare
+from benchmarks.fox_phone_sets import project, visible
+from benchmarks.fox_phone_truth import Similarity, Truth, kind_of, similarity
+from tg4mm.measure import Prepared, Sensor, SensorResult, measure, parse_sensor, prepare
 from tg4mm.measure.fourier import tones
 from tg4mm.runs import Run
 
-# pixels of the tripod's view: the nose, the lower edge of the picture frame, wallpaper that stands still
-SENSORS = "nose=pixel:cam_00,302,423,14", "frame=pixel:cam_00,90,192,16", "wall=pixel:cam_00,430,120,40"
+# x, y, radius in pixels of the tripod's view: the nose, the picture frame's lower edge, wallpaper that stands still
+PLACES = {"nose": (302, 423, 14), "frame": (90, 192, 16), "wall": (430, 120, 40)}
 
 
 def main() -> None:
@@ -29,55 +33,101 @@ def main() -> None:
     parser.add_argument("--sensor", action="append", help="NAME=REGION beside nose, frame and wall")
     asked = parser.parse_args()
     truth, scene = Truth.load(asked.truth), prepare(Run.open(asked.run))
-    world = _world(scene, truth)
-    sensors = [parse_sensor(text) for text in [*SENSORS, *(asked.sensor or [])]]
+    kind = kind_of(scene.capture)
+    world = _world(scene, truth, kind)
+    own = [parse_sensor(text) for text in asked.sensor or []]
+    sensors = [*(_pixel(name) if kind == "tripod" else _sphere(name, truth, world) for name in PLACES), *own]
     for sensor in sensors:
         print(f"--sensor {sensor}")
     found = measure(scene, sensors)
     print(
         f"\n{'sensor':<10} {'Hz':>5} {'axis':<6} {'found, px':>18} {'truth, px':>10} {'phase, deg':>14} {'inside':>7}"
     )
-    for result in found.sensors:
-        _print(result, scene, truth, world)
+    times = [t for result in found.sensors for t in _print(result, scene, truth, world, kind)]
+    told = np.array([t for t in times if np.isfinite(t)])
+    print(
+        f"\n{len(told)} components: {np.mean(told < 1):.0%} within one deviation, {np.mean(told < 2):.0%} within two"
+    )
 
 
-def _world(scene: Prepared, truth: Truth) -> Similarity:
-    """By the sweep's photographs, whose true poses are known."""
+def _world(scene: Prepared, truth: Truth, kind: str) -> Similarity:
+    """By the sweep's photographs or the clips, whose true poses are known."""
     capture, own, true = scene.capture, [], []
     for row, path in enumerate(capture.paths):
-        pose = truth.c2w(path.stem, int(capture.timesteps[row]), "tripod")
+        pose = truth.c2w(path.stem, int(capture.timesteps[row]), kind)
         if pose is not None and capture.camera_ids[row] not in capture.camera_ids[:row]:
             own.append(np.linalg.inv(capture.viewmats[row]))
             true.append(pose)
     return similarity(np.stack(own), np.stack(true))
 
 
-def _print(result: SensorResult, scene: Prepared, truth: Truth, world: Similarity) -> None:
+def _pixel(name: str) -> Sensor:
+    x, y, radius = PLACES[name]
+    return parse_sensor(f"{name}=pixel:cam_00,{x},{y},{radius}")
+
+
+def _sphere(name: str, truth: Truth, world: Similarity) -> Sensor:
+    """Around what the tripod's view shows at the place, as wide as the place is there."""
+    x, y, radius = PLACES[name]
+    K, size = np.array(truth.values["K"]), (truth.values["W"], truth.values["H"])
+    uv, depth = project(truth.means, np.array(truth.values["c2w_fixed"]), K)
+    near = visible(uv, depth, size) & (truth.opacities > 0.3) & (np.hypot(*(uv - [x, y]).T) < radius)
+    centre = np.median(truth.means[near], axis=0)
+    in_run = (centre - world.shift) @ world.rotation / world.scale
+    reach = radius / K[0, 0] * float(np.median(depth[near])) / world.scale
+    return Sensor(name, "sphere", (*map(float, in_run), reach))
+
+
+def _print(result: SensorResult, scene: Prepared, truth: Truth, world: Similarity, kind: str) -> list[float]:
+    """Lines of one sensor; errors over deviations."""
     rows = np.flatnonzero(result.body.weights)
     weights = (result.body.weights * scene.seen)[rows]
     phasors = truth.phasors(world.to_truth(scene.means[rows]))
     mean = world.vectors_to_run(np.einsum("n,fnc->fc", weights / weights.sum(), phasors))
+    hz, out = np.array(truth.freqs_hz), []
+    if kind == "clips":
+        mean = mean * np.exp(1j * truth.values["clips"]["phases"][0] * hz / hz[0])[:, None]
     along = mean @ result.axes.T * result.px_per_unit
-    hz = np.array(truth.freqs_hz)
-    design = np.linalg.pinv(tones(hz, result.times_s)) @ result.displacement * result.px_per_unit
-    noise = result.series.noise[0] * np.sqrt(2 / len(result.times_s)) * result.px_per_unit
+    own, deviation = _of_clips(result, hz) if result.clips else _of_series(result, hz)
+    own, deviation = own * result.px_per_unit, deviation * result.px_per_unit
     for f in range(len(hz)):
-        own = design[1 + f] + 1j * design[1 + len(hz) + f]
-        deviation = np.hypot(noise, result.series.model_share * np.linalg.norm(own[result.series.is_told]))
         for k, label in enumerate(result.labels):
-            error = abs(own[k] - along[f, k])
-            phase = np.degrees(np.angle(own[k] / along[f, k])) if abs(along[f, k]) > 1e-9 else 0.0
-            times = error / deviation[k] if np.isfinite(deviation[k]) and deviation[k] > 0 else 0.0
+            error = abs(own[f, k] - along[f, k])
+            phase = np.degrees(np.angle(own[f, k] / along[f, k])) if abs(along[f, k]) > 1e-9 else 0.0
+            is_told = np.isfinite(deviation[f, k]) and deviation[f, k] > 0
+            out.append(float(error / deviation[f, k]) if is_told else np.nan)
             print(
-                f"{result.name:<10} {hz[f]:5.2f} {label:<6} {abs(own[k]):9.4f} ± {deviation[k]:6.4f} "
-                f"{abs(along[f, k]):10.4f} {phase:14.1f} {times:6.2f} σ"
+                f"{result.name:<10} {hz[f]:5.2f} {label:<6} {abs(own[f, k]):9.4f} ± {deviation[f, k]:6.4f} "
+                f"{abs(along[f, k]):10.4f} {phase:14.1f} {out[-1]:6.2f} σ"
             )
     for peak, orbit in zip(result.spectrum.peaks, result.orbits, strict=True):
         size = orbit.amplitude * result.px_per_unit
         print(
             f"{'':<10} peak at {peak.frequency_hz:.4f} ± {peak.frequency_deviation_hz:.4f} Hz, {size:.4f} px",
             peak.is_above,
+            peak.harmonic or "",
         )
+    return out
+
+
+def _of_series(result: SensorResult, hz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """[F, 3] phasors at frequencies and their deviations, scene units."""
+    n = len(hz)
+    design = np.linalg.pinv(tones(hz, result.times_s)) @ result.displacement
+    own = design[1 : 1 + n] + 1j * design[1 + n :]
+    noise = result.series.noise[0] * np.sqrt(2 / len(result.times_s))
+    size = np.linalg.norm(own[:, result.series.is_told], axis=1)
+    return own, np.hypot(noise, result.series.model_share * size[:, None])
+
+
+def _of_clips(result: SensorResult, hz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """As `_of_series`; NaN for a frequency that no clip shows."""
+    own, deviation = np.full((len(hz), 3), np.nan, complex), np.full((len(hz), 3), np.nan)
+    for peak in result.together.everywhere if result.together else ():
+        f = int(np.abs(hz - peak.frequency_hz).argmin())
+        if abs(hz[f] - peak.frequency_hz) < 0.5 / np.ptp(result.times_s):
+            own[f], deviation[f] = peak.phasor, peak.deviation
+    return own, deviation
 
 
 if __name__ == "__main__":

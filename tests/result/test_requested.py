@@ -14,7 +14,7 @@ from tg4mm.cli import main
 from tg4mm.errors import Tg4mmError
 from tg4mm.magnify import BandGain, Magnification, TemporalFilter
 from tg4mm.result.read import reading_of, result_of
-from tg4mm.result.requested import auto_band, refuse_empty, too_far
+from tg4mm.result.requested import auto_band, refuse_empty, reversed_motion, too_far
 from tg4mm.runs import Run
 
 
@@ -146,3 +146,12 @@ def other_motion(run: Run, tmp_path: Path, amplitude: float) -> Run:
         replace(motion, freqs_hz=np.array([3.0]), displacement=displacement, rotation=0 * displacement), {}
     )
     return copy
+
+
+def test_a_factor_below_minus_one_says_that_motion_is_reversed(run: Run, tmp_path: Path, capsys) -> None:
+    assert reversed_motion(plan(2, 4, -1.0)) is None
+    assert reversed_motion(Magnification()) is None
+    assert "α = -5: the motion is shown reversed, 4 times as large" in str(reversed_motion(plan(2, 4, -5.0)))
+    options = ["--alpha", "-5", "--band", "2", "4", "--orbit", "1", "--out", str(tmp_path / "o")]
+    assert main(["render", str(run.path), *options]) == 0
+    assert "reversed" in capsys.readouterr().err

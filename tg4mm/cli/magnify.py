@@ -132,11 +132,12 @@ def check_magnified(run: Run, plan: Magnification, allow_empty: bool) -> None:
 
 
 def warn_too_far(run: Run, plan: Magnification) -> None:
-    """Say where the magnified motion goes further than it holds."""
-    from tg4mm.result.requested import too_far
+    """Say where motion is shown reversed, or goes further than it holds."""
+    from tg4mm.result.requested import reversed_motion, too_far
 
-    if (line := too_far(run, plan)) is not None:
-        _LOG.warning(line)
+    for line in (reversed_motion(plan), too_far(run, plan)):
+        if line is not None:
+            _LOG.warning(line)
 
 
 def check_paired(alphas: Sequence[float], bands: Sequence[object]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from tg4mm.measure.orbit import main_is_above
 from tg4mm.measure.prepared import Prepared
 from tg4mm.motion.mode_selection import frequency_notes
 
@@ -51,5 +52,10 @@ def limits_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[str, ..
                 )
         if not result.spectrum.peaks:
             out.append(f"{result.name}: nothing stands out of the noise floor")
-    hz = sorted({round(p.frequency_hz, 3) for r in results for p in r.spectrum.peaks})
-    return tuple(out + frequency_notes(hz, scene.observations))
+    sure = {
+        round(peak.frequency_hz, 3)
+        for r in results
+        for peak, orbit in zip(r.spectrum.peaks, r.orbits, strict=True)
+        if main_is_above(peak, orbit)
+    }
+    return tuple(out + frequency_notes(sorted(sure), scene.observations))

@@ -37,6 +37,8 @@ def weights_of(sensor: Sensor, scene: Prepared, clusters: Mapping[int, np.ndarra
     else:
         out = _of_pixel(sensor, scene)
     weights = np.asarray(out, np.float32)
+    if not weights.any() and sensor.region == "pixel":
+        raise MeasureError(f"sensor {sensor}: its pixels show the background; choose a pixel on a surface")
     if not weights.any():
         low, high = (np.percentile(means, p, axis=0) for p in (1, 99))
         span = f"from ({_numbers(low)}) to ({_numbers(high)})"

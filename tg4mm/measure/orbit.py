@@ -48,3 +48,8 @@ def amplitude_deviation(peak: Peak, orbit: Orbit) -> float:
     """Of the half axis, scene units: the axes' deviations along it."""
     deviation = np.where(peak.is_told, peak.deviation, 0)
     return float(np.sqrt(((orbit.direction * deviation) ** 2).sum()))
+
+
+def main_is_above(peak: Peak, orbit: Orbit) -> bool:
+    """Whether the motion along the main axis stands out of the floor, on some axis, and of twice its own deviation."""
+    return bool(peak.is_above.any()) and orbit.amplitude > 2 * amplitude_deviation(peak, orbit)

@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from tg4mm.measure.measurement import Measurement
-from tg4mm.measure.orbit import amplitude_deviation
+from tg4mm.measure.orbit import Orbit, amplitude_deviation, main_is_above
 from tg4mm.measure.sensor_result import SensorResult
 from tg4mm.measure.spectrum import Peak
 from tg4mm.measure.units import unit_of
+from tg4mm.result.lines import with_deviation
+from tg4mm.result.model import Length
 
 HEAD = "sensor", "frequency, Hz", "amplitude", "in pixels", "direction", "phase, deg", "damping", ""
 
@@ -34,13 +36,13 @@ def rows_of(measurement: Measurement, result: SensorResult) -> list[list[str]]:
         out.append(
             [
                 result.name if not out else "",
-                f"{peak.frequency_hz:.4g} ± {peak.frequency_deviation_hz:.1g}",
-                f"{orbit.amplitude * unit.factor:.4g} ± {error * unit.factor:.1g} {unit.name}",
-                f"{orbit.amplitude * result.px_per_unit:.3g} ± {error * result.px_per_unit:.1g} px",
+                _both(peak.frequency_hz, peak.frequency_deviation_hz),
+                f"{_both(orbit.amplitude * unit.factor, error * unit.factor)} {unit.name}",
+                f"{_both(orbit.amplitude * result.px_per_unit, error * result.px_per_unit)} px",
                 direction_text(orbit.direction, result.labels),
                 phase_text(measurement, result, peak.frequency_hz),
-                "" if damping is None else f"{100 * damping.ratio:.2g} ± {100 * damping.deviation:.1g} %",
-                remark(peak),
+                "" if damping is None else f"{_both(100 * damping.ratio, 100 * damping.deviation)} %",
+                remark(peak, orbit),
             ]
         )
     if out:
@@ -51,9 +53,13 @@ def rows_of(measurement: Measurement, result: SensorResult) -> list[list[str]]:
     return [[result.name, "none", told, "", "", "", "", "nothing above the noise floor"]]
 
 
-def remark(peak: Peak) -> str:
+def _both(value: float, deviation: float) -> str:
+    return with_deviation(Length(value, deviation))
+
+
+def remark(peak: Peak, orbit: Orbit) -> str:
     """What makes a peak doubtful."""
-    doubts = [] if peak.is_above.any() else ["not above twice its deviation"]
+    doubts = [] if main_is_above(peak, orbit) else ["not above twice its deviation"]
     return "; ".join([*doubts, *([] if peak.harmonic is None else [str(peak.harmonic)])])
 
 

@@ -15,7 +15,7 @@ from tg4mm.files import to_json, write_atomic, write_json
 from tg4mm.measure.clips import ClipPhases
 from tg4mm.measure.errors import MeasureError
 from tg4mm.measure.measurement import Measurement
-from tg4mm.measure.orbit import amplitude_deviation
+from tg4mm.measure.orbit import amplitude_deviation, main_is_above
 from tg4mm.measure.sensor_result import Record, SensorResult
 from tg4mm.measure.units import unit_of
 
@@ -140,6 +140,7 @@ def _peak(result: SensorResult, k: int) -> dict[str, Any]:
         "harmonic_order": None if peak.harmonic is None else peak.harmonic.order,
         "main_amplitude": orbit.amplitude,
         "main_deviation": amplitude_deviation(peak, orbit),
+        "main_is_above": main_is_above(peak, orbit),
         "main_direction": orbit.direction.tolist(),
         "orbit": {"major": orbit.major.tolist(), "minor": orbit.minor.tolist(), "phase_rad": orbit.phase},
         "damping_ratio": None if damping is None else damping.ratio,

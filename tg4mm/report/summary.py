@@ -148,7 +148,7 @@ def _motion_stats(m: Material) -> list[Stat]:
         return [Stat("Motion", "none", note="one timestep was captured")]
     found = _vibration_stats(m) if m.main is not None else [Stat("Vibration", "none", note="none was found")]
     if m.result.noise is not None:
-        value, unit = amount(Length(float(f"{m.result.noise:.2g}")), m.result.unit_scale_m)
+        value, unit = length(m.result.noise, m.result.unit_scale_m, digits=2)
         pixels = "" if m.result.noise_px is None else f"{m.result.noise_px:.2g} px: "
         found.append(Stat("Noise floor", value, unit, f"{pixels}a motion as large as its noise"))
     return found

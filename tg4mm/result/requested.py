@@ -69,6 +69,14 @@ def _refuse_too_slow(plan: Magnification, duration_s: float) -> None:
             )
 
 
+def reversed_motion(plan: Magnification) -> str | None:
+    """A line where α is below −1; None elsewhere."""
+    least = min([*(b.alpha for b in plan.bands), plan.everywhere])
+    if least >= -1:
+        return None
+    return f"α = {least:g}: the motion is shown reversed, {-1 - least:.3g} times as large; -1 stops it, 0 leaves it"
+
+
 def too_far(run: Run, plan: Magnification) -> str | None:
     """A line where a magnified motion goes further than it holds, or its noise is seen; None where it does not."""
     motion = run.load_motion()
