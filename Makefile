@@ -36,7 +36,7 @@ test-52: $(VENV52)/.installed
 # What kills, full disks, signals and damaged or hostile files do: docs/faults.md. MUTATIONS: of each reader's files.
 MUTATIONS ?= 500
 test-faults: install
-	TG4MM_MUTATIONS=$(MUTATIONS) $(PYTEST) tests/faults tests/test_untrusted.py tests/test_run_damage.py
+	TG4MM_MUTATIONS=$(MUTATIONS) $(PYTEST) tests/faults tests/test_untrusted.py tests/run/test_damage.py
 
 test-all: test test-slow test-52
 

@@ -134,7 +134,7 @@ def row(case: Case, said: str) -> str:
 
 def strongest(run: Path) -> float | None:
     """Frequency of the run's mode with the largest rms displacement, Hz; None without a mode that vibrates."""
-    from tg4mm.runs import Run
+    from tg4mm.run import Run
 
     motion = Run.open(run).load_motion()
     if motion is None or not (motion.freqs_hz > 0).any():

@@ -34,7 +34,7 @@ from tg4mm.render.cameras import Camera
 from tg4mm.render.frames import read_png
 from tg4mm.render.image import render_features
 from tg4mm.render.sequence import pose_of
-from tg4mm.runs import Run
+from tg4mm.run import Run
 
 if __package__:
     from benchmarks import fox_phone_scores as scores

@@ -17,7 +17,7 @@ from benchmarks.fox_phone_sets import project, visible
 from benchmarks.fox_phone_truth import Similarity, Truth, kind_of, similarity
 from tg4mm.measure import Prepared, Sensor, SensorResult, measure, parse_sensor, prepare
 from tg4mm.measure.fourier import tones
-from tg4mm.runs import Run
+from tg4mm.run import Run
 
 # x, y, radius in pixels of the tripod's view: the nose, the picture frame's lower edge, wallpaper that stands still
 PLACES = {"nose": (302, 423, 14), "frame": (90, 192, 16), "wall": (430, 120, 40)}

@@ -47,7 +47,7 @@ from tg4mm.paper import PAPER, PaperConfig, first_views, train_timesteps, train_
 from tg4mm.paper.config import base_config
 from tg4mm.rasterize import rasterization
 from tg4mm.render import orbit
-from tg4mm.runs import Run
+from tg4mm.run import Run
 from tg4mm.space import SpaceConfig, rest_views, train_space
 
 if __package__:

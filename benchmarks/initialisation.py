@@ -34,7 +34,7 @@ from tg4mm.evaluate.metrics import psnr, ssim
 from tg4mm.files import write_json
 from tg4mm.gaussians import Gaussians
 from tg4mm.render.image import render_image
-from tg4mm.runs import Run
+from tg4mm.run import Run
 from tg4mm.space import RestViews, SpaceConfig, rest_views, train_space
 from tg4mm.space.config import INITS
 from tg4mm.space.initial import initial_points

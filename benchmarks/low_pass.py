@@ -24,11 +24,11 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
 from tg4mm.capture import Capture, load_capture  # noqa: E402
-from tg4mm.export import smoothing_of  # noqa: E402
+from tg4mm.export.splat import smoothing_of  # noqa: E402
 from tg4mm.gaussians import Gaussians  # noqa: E402
 from tg4mm.lowpass import BAKED_PX2, widened  # noqa: E402
 from tg4mm.rasterize import rasterization  # noqa: E402
-from tg4mm.runs import Run  # noqa: E402
+from tg4mm.run import Run  # noqa: E402
 
 FACTORS = (0.5, 1, 2, 4)
 VIEWERS = {"without": (1e-6, 4), "0.3 px²": (0.3, 1)}  # low-pass in px², samples along a pixel's side

@@ -34,7 +34,7 @@ from tg4mm.motion.clocks.synchronous import principal_components
 from tg4mm.motion.nuisance.first_look import look_at
 from tg4mm.motion.observations import observe
 from tg4mm.motion.stage import train_motion
-from tg4mm.runs import Run
+from tg4mm.run import Run
 from tg4mm.space import SpaceConfig, rest_views, train_space
 
 HEAD = ("T", "decode s", "components s", "solve s", "R", "K", "error", "bins", "in band", "bins in b.")

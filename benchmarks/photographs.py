@@ -35,7 +35,7 @@ from tg4mm.errors import Tg4mmError
 from tg4mm.evaluate.metrics import psnr
 from tg4mm.gaussians import Gaussians
 from tg4mm.render.image import render_image
-from tg4mm.runs import Run
+from tg4mm.run import Run
 from tg4mm.space import RestViews, SpaceConfig, rest_views, train_space
 from tg4mm.space.gains import fitting_gain
 from tg4mm.space.levels import shrunk

@@ -40,7 +40,7 @@ from tg4mm.memory import peak_memory_mib
 from tg4mm.rasterize import rasterization
 from tg4mm.rasterize.reference import rasterize_dense
 from tg4mm.rasterize.simd.vector import PIXELS
-from tg4mm.runs import Run
+from tg4mm.run import Run
 from tg4mm.space.fused import FusedAdam, Iteration
 from tg4mm.space.view import render_view
 

@@ -36,7 +36,7 @@ from tg4mm.rasterize.kernels.layout import DEPTH, EX, EY, FEATURES, MX, MY, POWE
 from tg4mm.rasterize.kernels.project import empty_splats, pack_camera, project_forward
 from tg4mm.render.frames import write_png
 from tg4mm.render.image import render_image
-from tg4mm.runs import Run
+from tg4mm.run import Run
 from tg4mm.space.view import EPS2D, FAR, NEAR
 
 TIMESTEPS = (1, 2, 4, 5, 7, 8)  # at which the sway is not at rest

@@ -33,7 +33,7 @@ from tg4mm.motion.jacobian.view import view_jacobian
 from tg4mm.motion.observations import fixed_cameras
 from tg4mm.motion.solver.cpu import CpuOperator
 from tg4mm.motion.solver.problem import Problem
-from tg4mm.runs import Run
+from tg4mm.run import Run
 from tg4mm.space.config import SpaceConfig
 from tg4mm.space.fused import FusedAdam
 from tg4mm.space.parameters import ParameterAdam

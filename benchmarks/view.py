@@ -33,7 +33,7 @@ from tg4mm.motion.modes import ModalMotion
 from tg4mm.rasterize.reference import rotation_matrices
 from tg4mm.render.cameras import Camera
 from tg4mm.render.image import render_image
-from tg4mm.runs import Run
+from tg4mm.run import Run
 from tg4mm.view.app import App
 from tg4mm.view.clock import Clock
 from tg4mm.view.local_server import LocalServer, start_server, stop_server

@@ -10,7 +10,7 @@ import pytest
 import tg4mm.demo as demo
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.errors import RunError, Tg4mmError
-from tg4mm.runs import Run
+from tg4mm.run import Run
 from tg4mm.splatfile import read_splat
 
 

@@ -20,7 +20,7 @@ from tg4mm.evaluate import evaluate_run
 from tg4mm.motion.animate import _animate_on_device, _phasors_on, animate
 from tg4mm.render import RenderRequest, capture_cameras, render_sequence
 from tg4mm.render.frames import read_png
-from tg4mm.runs import Run
+from tg4mm.run import Run
 
 
 @pytest.fixture(scope="module")

@@ -25,7 +25,7 @@ from benchmarks.fox_phone_truth import IDENTITY, Similarity, Truth, similarity
 from tg4mm.files import write_json
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion import ModalMotion
-from tg4mm.runs import Run
+from tg4mm.run import Run
 
 F1, F2, FPS, T = 3.4, 7.0, 30.0, 30
 SIZE = 64

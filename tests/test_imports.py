@@ -32,7 +32,7 @@ def test_a_blocked_module_fails_the_check(repo_root: Path) -> None:
 
 def test_every_module_of_the_core_imports_without_blender(repo_root: Path) -> None:
     names = modules(repo_root, "tg4mm")
-    assert {"tg4mm", "tg4mm.runs", "tg4mm.cli.program"} <= set(names)
+    assert {"tg4mm", "tg4mm.run.folder", "tg4mm.cli.program"} <= set(names)
     code = f"import importlib\nfor name in {names!r}: importlib.import_module(name)\n"
     done = run_without(["bpy", "mathutils", "bmesh"], code, repo_root)
     assert done.returncode == 0, done.stderr

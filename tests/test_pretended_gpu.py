@@ -27,7 +27,7 @@ from tg4mm.paper import motion as paper_motion
 from tg4mm.paper import space as paper_space
 from tg4mm.render import RenderRequest, capture_cameras, render_sequence
 from tg4mm.render.frames import read_png
-from tg4mm.runs import Run
+from tg4mm.run import Run
 from tg4mm.space import SpaceConfig, density, rest_views, train_space
 from tg4mm.space import train as stage
 

@@ -20,7 +20,7 @@ from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.cli import main
 from tg4mm.errors import CaptureError, RunError, Tg4mmError
 from tg4mm.motion import MotionConfig
-from tg4mm.runs import UNCERTAINTY, Run
+from tg4mm.run import UNCERTAINTY, Run
 from tg4mm.space import SpaceConfig
 from tg4mm.train import PRESETS, check_device, parse_settings, train
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:  # `as` re-exports a name to type checkers
     from tg4mm.errors import RunError as RunError
     from tg4mm.errors import SplatFileError as SplatFileError
     from tg4mm.errors import Tg4mmError as Tg4mmError
-    from tg4mm.export import to_splat as to_splat
+    from tg4mm.export.splat import to_splat as to_splat
     from tg4mm.gaussians import Gaussians as Gaussians
     from tg4mm.magnify import BandGain as BandGain
     from tg4mm.magnify import Magnification as Magnification
@@ -49,7 +49,7 @@ if TYPE_CHECKING:  # `as` re-exports a name to type checkers
     from tg4mm.render import capture_cameras as capture_cameras
     from tg4mm.render import orbit as orbit
     from tg4mm.render import render as render
-    from tg4mm.runs import Run as Run
+    from tg4mm.run import Run as Run
     from tg4mm.space import SpaceConfig as SpaceConfig
     from tg4mm.splatfile import SplatFile as SplatFile
     from tg4mm.splatfile import read_splat as read_splat
@@ -76,7 +76,7 @@ _PUBLIC = {
     "MotionConfig": "motion",
     "MotionFit": "motion",
     "Prepared": "measure",
-    "Run": "runs",
+    "Run": "run",
     "RunError": "errors",
     "Sensor": "measure",
     "SensorResult": "measure",
@@ -97,7 +97,7 @@ _PUBLIC = {
     "rasterization": "rasterize",
     "read_splat": "splatfile",
     "render": "render",
-    "to_splat": "export",
+    "to_splat": "export.splat",
     "write_splat": "splatfile",
 }
 __all__ = sorted(_PUBLIC)

@@ -174,7 +174,7 @@ def _request() -> Any:
 def _render(places: Places) -> None:
     from tg4mm.capture import load_capture
     from tg4mm.render import capture_cameras, render_sequence
-    from tg4mm.runs import Run
+    from tg4mm.run import Run
 
     cameras = capture_cameras(load_capture(places.dataset, split="test"))
     render_sequence(Run.open(places.run), cameras, _request(), _fresh(places.magnified, places.run))
@@ -183,7 +183,7 @@ def _render(places: Places) -> None:
 def _orbit(places: Places) -> None:
     from tg4mm.capture import load_capture
     from tg4mm.render import orbit, render_orbit
-    from tg4mm.runs import Run
+    from tg4mm.run import Run
 
     cameras = orbit(load_capture(places.dataset), ORBIT_FRAMES)
     render_orbit(Run.open(places.run), cameras, _request(), _fresh(places.orbit, places.run))
@@ -194,8 +194,8 @@ def _fresh(folder: Path, run: Path) -> Path:
 
     Only pictures and videos beside a render.json of ours are deleted; whatever else lies there stays.
     """
-    from tg4mm.modelhash import model_hash
     from tg4mm.render.sequence import FORMAT, RECORD
+    from tg4mm.run.model_hash import model_hash
 
     try:
         record = read_json(folder / RECORD)
@@ -211,22 +211,22 @@ def _fresh(folder: Path, run: Path) -> Path:
 
 def _evaluate(places: Places) -> None:
     from tg4mm.evaluate import evaluate_run, format_table
-    from tg4mm.runs import Run
+    from tg4mm.run import Run
 
     print(format_table(evaluate_run(Run.open(places.run), out=places.metrics)), end="")
 
 
 def _export(places: Places) -> None:
-    from tg4mm.export import export_ply
-    from tg4mm.runs import Run
+    from tg4mm.export.splat import export_ply
+    from tg4mm.run import Run
 
     export_ply(Run.open(places.run), places.splat)
 
 
 def _report(places: Places) -> None:
     from tg4mm.report import ReportOptions, write_report
-    from tg4mm.runconfig import read_json as run_json
-    from tg4mm.runs import Run
+    from tg4mm.run import Run
+    from tg4mm.run.config import read_json as run_json
 
     metrics = run_json(places.metrics)
     files = {"splat file": places.splat, "magnified pictures": places.magnified, "orbit": places.orbit}

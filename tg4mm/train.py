@@ -22,8 +22,8 @@ from tg4mm.paper import PAPER, PAPER_TUNED, first_views, train_timesteps, train_
 from tg4mm.paper.config import base_config
 from tg4mm.paper.config import checked as checked_paper
 from tg4mm.paper.model import has_model, load_model
-from tg4mm.runlock import claimed
-from tg4mm.runs import Run
+from tg4mm.run import Run
+from tg4mm.run.lock import claimed
 from tg4mm.settings import unknown
 from tg4mm.space import SpaceConfig, rest_views, train_plane, train_space
 from tg4mm.space.config import checked as checked_space

@@ -19,7 +19,7 @@ from tg4mm.bench.measure import Plan
 from tg4mm.bench.request import check_settings, setting_names
 from tg4mm.errors import Tg4mmError
 from tg4mm.magnify import TemporalFilter
-from tg4mm.runs import Run
+from tg4mm.run import Run
 from tg4mm.train import train
 
 VARIED = {

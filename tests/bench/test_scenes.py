@@ -14,7 +14,7 @@ from tg4mm.bench.measure import SEEN, Plan
 from tg4mm.bench.scenes import ScenesRequest, run_scenes, same_time_training, same_time_trainings
 from tg4mm.errors import RunError
 from tg4mm.evaluate import evaluate_run
-from tg4mm.runs import Run
+from tg4mm.run import Run
 from tg4mm.train import parse_settings
 
 REQUEST = ScenesRequest(

@@ -13,7 +13,7 @@ from tg4mm.bench.methods.hexplane import HexPlane
 from tg4mm.bench.methods.tracking import checked_settings, tracking
 from tg4mm.bench.sets import open_set
 from tg4mm.errors import Tg4mmError
-from tg4mm.runs import Run
+from tg4mm.run import Run
 
 
 def test_nothing_moves_before_training_and_every_parameter_gets_a_gradient() -> None:

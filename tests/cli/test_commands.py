@@ -11,7 +11,7 @@ import pytest
 
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.cli import main
-from tg4mm.runs import Run
+from tg4mm.run import Run
 from tg4mm.splatfile import positions_at, read_splat
 
 N_TIMESTEPS, SIZE = 6, 32

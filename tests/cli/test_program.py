@@ -37,7 +37,7 @@ def refused(done: subprocess.CompletedProcess[str]) -> str:
 @pytest.fixture
 def empty_run(tmp_path: Path) -> Path:
     """A run folder whose training has made nothing yet."""
-    from tg4mm.runs import Run
+    from tg4mm.run import Run
 
     (tmp_path / "data").mkdir()
     return Run.create(tmp_path / "run", tmp_path / "data", "modal", {}).path

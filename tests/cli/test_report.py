@@ -8,7 +8,7 @@ import pytest
 
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.cli import main
-from tg4mm.runs import Run
+from tg4mm.run import Run
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from tg4mm.evaluate import EvaluationError, evaluate_run, format_table
 from tg4mm.evaluate.metrics import psnr
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.modes import ModalMotion
-from tg4mm.runs import Run
+from tg4mm.run import Run
 
 STATIC, OURS, CEILING = "nothing moves", "ours", "ceiling"
 EXTRAS = {"n_views": 3, "n_timesteps": 10, "size": 40, "n_test": 2, "alphas": (5, 20)}

@@ -33,7 +33,7 @@ def _tensors_anew(data: bytes, rng: random.Random) -> bytes:
     import torch
     from safetensors import safe_open
 
-    from tg4mm.tensorfile import DIGEST, write_tensors
+    from tg4mm.run.tensor_file import DIGEST, write_tensors
     from tg4mm.untrusted import parse_json
 
     with tempfile.TemporaryDirectory() as folder:

@@ -23,8 +23,8 @@ import tg4mm.paper.motion
 import tg4mm.paper.space
 import tg4mm.space.train
 from tests.helpers.synthetic import make_synthetic_dataset
-from tg4mm.modelhash import model_hash
-from tg4mm.runs import Run
+from tg4mm.run import Run
+from tg4mm.run.model_hash import model_hash
 from tg4mm.train import train
 
 OFTEN_S = 0.1  # between checkpoints, so that there are some in a training of seconds

@@ -252,7 +252,7 @@ def _run(name: str) -> Callable[[Path], Path]:
     def make(root: Path) -> Path:
         import torch
 
-        from tg4mm.runs import Run
+        from tg4mm.run import Run
 
         (root / "data").mkdir()
         run = Run.create(root / "run", root / "data", "modal", {"space": {"seed": 0, "l2": 0.5}})
@@ -269,10 +269,10 @@ def _run(name: str) -> Callable[[Path], Path]:
 
 def _read_run(root: Path) -> None:
     """All that render, export and report read."""
-    from tg4mm.modelhash import model_hash
     from tg4mm.report.closing import _stage
     from tg4mm.report.summary import total_seconds
-    from tg4mm.runs import Run
+    from tg4mm.run import Run
+    from tg4mm.run.model_hash import model_hash
 
     run = Run.open(root / "run")
     run.load_space()
@@ -286,7 +286,7 @@ def _read_run(root: Path) -> None:
 
 
 def _resume_run(root: Path) -> None:
-    from tg4mm.runs import Run
+    from tg4mm.run import Run
 
     run = Run.create(root / "run", root / "data", "modal", {"space": {"seed": 0, "l2": 0.5}})
     run.record("space", {"seconds": 1.0, "peak_memory_mib": 5.0})
@@ -299,7 +299,7 @@ def _paper(name: str) -> Callable[[Path], Path]:
         from tg4mm.paper.config import PaperConfig
         from tg4mm.paper.model import save_model, save_planes
         from tg4mm.paper.space import started
-        from tg4mm.runs import Run
+        from tg4mm.run import Run
 
         _run("config.json")(root)
         model = started(_gaussians(), PaperConfig(channels=2, resolution=16))
@@ -313,7 +313,7 @@ def _paper(name: str) -> Callable[[Path], Path]:
 
 def _read_paper(root: Path) -> None:
     from tg4mm.paper.model import load_model, load_planes, plane_video
-    from tg4mm.runs import Run
+    from tg4mm.run import Run
 
     run = Run.open(root / "run")
     model = load_model(run)

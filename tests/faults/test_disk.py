@@ -21,7 +21,7 @@ from tests.faults.readers import READERS
 from tg4mm.errors import RunError
 from tg4mm.files import write_json
 from tg4mm.render.video import write_mp4
-from tg4mm.runs import Run
+from tg4mm.run import Run
 
 
 def mount(*arguments: str) -> None:

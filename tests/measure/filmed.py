@@ -15,7 +15,7 @@ from tests.helpers.synthetic import CAMERA_ANGLE_X, _gaussians, _parts, _viewmat
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.modes import ModalMotion
 from tg4mm.rasterize import rasterization
-from tg4mm.runs import Run
+from tg4mm.run import Run
 
 FPS, SIZE = 30.0, 48
 PARTS = [len(p.vertices) for p in _parts(1)]

@@ -14,7 +14,7 @@ from tests.helpers.motion_animate import gaussians, motion
 from tests.helpers.motion_appearance import N, appearance, change_of
 from tg4mm.errors import RunError
 from tg4mm.motion.modes import AppearanceModes
-from tg4mm.runs import Run
+from tg4mm.run import Run
 
 
 @pytest.fixture

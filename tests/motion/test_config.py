@@ -13,7 +13,7 @@ from tg4mm.motion import MotionConfig
 from tg4mm.motion import config as of_motion
 from tg4mm.motion.config import more_iterations, resolved
 from tg4mm.motion.stage import train_motion
-from tg4mm.runs import Run
+from tg4mm.run import Run
 
 
 @pytest.mark.parametrize("n", [1, 9_000, 16_000])

@@ -16,7 +16,7 @@ from tg4mm.motion import MotionConfig
 from tg4mm.motion.prior import graph as edge_reweighting
 from tg4mm.motion.prior.graph import Graph, build_graph, edge_residual, reweight_edges
 from tg4mm.motion.stage import train_motion
-from tg4mm.runs import Run
+from tg4mm.run import Run
 
 COUNT = 400
 

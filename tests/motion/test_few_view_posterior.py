@@ -24,7 +24,7 @@ from tg4mm.motion.solver.cpu import CpuOperator
 from tg4mm.motion.solver.pcg import pcg
 from tg4mm.motion.solver.problem import Problem
 from tg4mm.motion.stage import train_motion
-from tg4mm.runs import UNCERTAINTY, Run
+from tg4mm.run import UNCERTAINTY, Run
 
 BALL = 252  # the last Gaussians
 

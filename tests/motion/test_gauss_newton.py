@@ -36,7 +36,7 @@ from tg4mm.motion.split_half import folds_of
 from tg4mm.motion.stage import train_motion
 from tg4mm.motion.states import Errors, Evidence
 from tg4mm.render.image import render_image
-from tg4mm.runs import Run
+from tg4mm.run import Run
 from tg4mm.space import SpaceConfig, rest_views, train_space
 
 CONFIG = MotionConfig(gauss_newton=4)

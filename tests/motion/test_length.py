@@ -19,7 +19,7 @@ from tg4mm.motion import ModalMotion, MotionConfig
 from tg4mm.motion.animate import animate, displacement_at
 from tg4mm.motion.stage import train_motion
 from tg4mm.rasterize import rasterization
-from tg4mm.runs import Run
+from tg4mm.run import Run
 
 FPS, SIZE, VIEWS, T = 30.0, 48, 6, 23
 FREQS = (4.7, 11.3)  # Hz, 3.6 and 8.7 cycles: the post's and the ball's

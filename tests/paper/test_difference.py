@@ -16,7 +16,7 @@ from tg4mm.paper.fit import view_loss
 from tg4mm.paper.model import load_model
 from tg4mm.paper.rest import at_rest
 from tg4mm.paper.space import cameras_on, first_views, views_at
-from tg4mm.runs import Run
+from tg4mm.run import Run
 from tg4mm.train import train
 
 

@@ -11,7 +11,7 @@ import torch
 from tests.paper.conftest import N_TIMESTEPS
 from tg4mm.cli import main
 from tg4mm.errors import RunError, Tg4mmError
-from tg4mm.export import smoothing_of
+from tg4mm.export.splat import smoothing_of
 from tg4mm.magnify import BandGain, Magnification, TemporalFilter
 from tg4mm.magnify.embeddings import FOLDER, at_points, interpolation, series_of
 from tg4mm.magnify.poses import poses_of
@@ -148,6 +148,7 @@ class TestCommands:
             "11",
             "--filter",
             "ideal",
+            "--allow-empty-band",  # the record holds one period
         ]
         for method, name in ((["--method", "phase"], "phase"), ([], "own")):
             out = tmp_path / name
@@ -162,7 +163,7 @@ class TestCommands:
 
     def test_evaluate(self, trained, tmp_path, capsys):
         out = tmp_path / "m.json"
-        options = ["--alphas", "5", "--band", "4", "6", "--out", str(out)]
+        options = ["--alphas", "5", "--band", "4", "6", "--allow-empty-band", "--out", str(out)]
         assert main(["evaluate", str(trained.path), *options, "--method", "phase", "--filter", "ideal"]) == 0
         phase = json.loads(out.read_text())
         assert (phase["method"], phase["filter"], phase["band_hz"]) == ("phase", "ideal", [4, 6])
@@ -179,6 +180,7 @@ class TestCommands:
         splat = read_splat(tmp_path / "a.ply")
         np.testing.assert_allclose(splat.freqs_hz, [0, 5, 10, 15])
         options = ["--format", "ply-sequence", "--alpha", "5", "--band", "4", "6", "--method", "phase"]
+        options.append("--allow-empty-band")
         assert main(["export", str(trained.path), "--out", str(tmp_path / "s"), *options]) == 0
         poses = poses_of(trained, Magnification((BandGain(4, 6, 5.0),), method="phase"))
         frame = read_splat(tmp_path / "s" / "frame_0002.ply")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from tg4mm.result import lines_of, result_of
-from tg4mm.runs import Run
+from tg4mm.run import Run
 
 
 def test_a_paper_run_has_a_result(trained: Run) -> None:

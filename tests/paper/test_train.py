@@ -20,7 +20,7 @@ from tg4mm.errors import RunError, Tg4mmError
 from tg4mm.motion.animate import animate
 from tg4mm.paper import PAPER, PAPER_TUNED
 from tg4mm.paper.model import load_model, load_planes, planes_name
-from tg4mm.runs import Run
+from tg4mm.run import Run
 from tg4mm.train import parse_settings, train
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.helpers.synthetic import make_synthetic_dataset
-from tg4mm.runs import Run
+from tg4mm.run import Run
 
 N_TIMESTEPS = 6
 

@@ -10,7 +10,7 @@ import torch
 
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.evaluate import evaluate_run
-from tg4mm.runs import UNCERTAINTY, Run
+from tg4mm.run import UNCERTAINTY, Run
 
 
 @pytest.fixture(scope="session")

@@ -12,7 +12,7 @@ from tg4mm.errors import RunError
 from tg4mm.files import json_digest
 from tg4mm.report.sources import choose_alpha, metrics_of
 from tg4mm.result.read import reading_of
-from tg4mm.runs import Run
+from tg4mm.run import Run
 
 
 @pytest.fixture(scope="module")

@@ -25,7 +25,7 @@ from tg4mm.report.views import gather_view
 from tg4mm.result import Length, result_of
 from tg4mm.result.lines import with_deviation
 from tg4mm.result.read import reading_of
-from tg4mm.runs import Run
+from tg4mm.run import Run
 
 
 def words(text: str) -> str:

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from tests.helpers.synthetic import make_synthetic_dataset
-from tg4mm.runs import UNCERTAINTY, Run
+from tg4mm.run import UNCERTAINTY, Run
 
 AMPLITUDE, DEVIATION, NOISE = 0.02, 5e-4, 3e-4  # scene units
 

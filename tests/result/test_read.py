@@ -21,7 +21,7 @@ from tg4mm.result import Length, Result, lines_of, result_of
 from tg4mm.result.lines import with_deviation
 from tg4mm.result.read import series_of
 from tg4mm.result.seen import pixel_rows
-from tg4mm.runs import UNCERTAINTY, Run
+from tg4mm.run import UNCERTAINTY, Run
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from tg4mm.errors import Tg4mmError
 from tg4mm.magnify import BandGain, Magnification, TemporalFilter
 from tg4mm.result.read import reading_of, result_of
 from tg4mm.result.requested import auto_band, refuse_empty, reversed_motion, too_far
-from tg4mm.runs import Run
+from tg4mm.run import Run
 
 
 def plan(low: float, high: float, alpha: float = 10.0, **more: object) -> Magnification:

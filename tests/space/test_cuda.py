@@ -21,7 +21,7 @@ from tests.helpers.synthetic import make_synthetic_dataset
 from tests.rasterize.oracle import assert_close, make_scene
 from tg4mm.capture import SurfacePoints, load_capture, load_images
 from tg4mm.gaussians import Gaussians
-from tg4mm.runs import Run
+from tg4mm.run import Run
 from tg4mm.space import RestViews, SpaceConfig, rest_views, train_space
 from tg4mm.space import train as stage
 from tg4mm.space import view as view_module

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from tg4mm.capture import SurfacePoints
-from tg4mm.runs import Run
+from tg4mm.run import Run
 from tg4mm.space import RestViews, SpaceConfig, train_space
 from tg4mm.space.gains import MOST, RATE, fitting_gain, moved
 

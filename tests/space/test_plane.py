@@ -14,7 +14,7 @@ from tg4mm.errors import CaptureError, Tg4mmError
 from tg4mm.gaussians import Gaussians
 from tg4mm.rasterize import rasterization
 from tg4mm.render.image import render_image
-from tg4mm.runs import Run
+from tg4mm.run import Run
 from tg4mm.space import RestViews, SpaceConfig, train_plane
 from tg4mm.space.plane import RIDGE, plane_gaussians, plane_psnr, solve_colours
 from tg4mm.space.quadtree import FINEST, quadtree

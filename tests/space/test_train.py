@@ -19,7 +19,7 @@ from tests.helpers.space_train import (
 from tg4mm.capture import SurfacePoints
 from tg4mm.errors import Tg4mmError
 from tg4mm.gaussians import Gaussians
-from tg4mm.runs import Run
+from tg4mm.run import Run
 from tg4mm.space import RestViews, SpaceConfig, density, train_space
 from tg4mm.space import train as stage
 from tg4mm.space.levels import levels

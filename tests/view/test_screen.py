@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tg4mm.runs import Run
+from tg4mm.run import Run
 from tg4mm.view.clock import Clock
 from tg4mm.view.pace import Pace
 from tg4mm.view.painter import Look

@@ -21,7 +21,7 @@ from tg4mm.motion.animate import animate
 from tg4mm.motion.modes import ModalMotion
 from tg4mm.render.cameras import Camera, capture_cameras
 from tg4mm.render.image import render_image
-from tg4mm.runs import Run
+from tg4mm.run import Run
 from tg4mm.web.scene import camera_json
 from tg4mm.web.write import export_html
 

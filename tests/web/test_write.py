@@ -13,7 +13,7 @@ import pytest
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.cli import main
 from tg4mm.errors import RunError, Tg4mmError
-from tg4mm.runs import Run
+from tg4mm.run import Run
 from tg4mm.web.write import Page, export_html, make_page, render
 
 

@@ -15,7 +15,7 @@ from tg4mm import __version__
 from tg4mm.bench.errors import BenchError
 from tg4mm.errors import RunError
 from tg4mm.files import remove_leftovers, write_atomic, write_json
-from tg4mm.runconfig import read_json
+from tg4mm.run.config import read_json
 
 RECORD = "bench.json"
 FORMAT, VERSION = "tg4mm-bench", 1

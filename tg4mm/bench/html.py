@@ -120,7 +120,7 @@ def read_results(folder: Path) -> dict[str, Any]:
     from tg4mm.bench.errors import BenchError
     from tg4mm.bench.folder import FORMAT, VERSION
     from tg4mm.errors import RunError
-    from tg4mm.runconfig import read_json
+    from tg4mm.run.config import read_json
 
     file = Path(folder) / "results.json"
     try:

@@ -24,7 +24,7 @@ from tg4mm.evaluate.lpips import load_lpips
 from tg4mm.files import write_json
 from tg4mm.progress import progress
 from tg4mm.render.frames import to_bytes, write_png
-from tg4mm.runconfig import read_json
+from tg4mm.run.config import read_json
 
 SCORES = "scores.json"
 _VERSION = 1  # of how pictures are scored: raise it when the same pictures would score otherwise

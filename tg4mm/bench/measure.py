@@ -24,9 +24,9 @@ from tg4mm.evaluate.subject import subject_of
 from tg4mm.files import write_json
 from tg4mm.magnify import Magnification, TemporalFilter
 from tg4mm.memory import reset_peak_memory
-from tg4mm.modelhash import model_hash
-from tg4mm.runconfig import read_json
-from tg4mm.runs import Run
+from tg4mm.run import Run
+from tg4mm.run.config import read_json
+from tg4mm.run.model_hash import model_hash
 from tg4mm.train import parse_settings, train
 
 FIGURES = "figures.json"

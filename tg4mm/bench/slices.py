@@ -16,7 +16,7 @@ from tg4mm.evaluate.slices import most_moving_line, space_time_slice
 from tg4mm.files import write_atomic
 from tg4mm.magnify import BandGain, Magnification, TemporalFilter
 from tg4mm.magnify.poses import poses_of
-from tg4mm.runs import Run
+from tg4mm.run import Run
 
 ALPHA = 20  # or the largest below it that has ground truth
 _WIDTH = 720  # pixels of a slice in the picture

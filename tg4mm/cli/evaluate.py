@@ -53,7 +53,7 @@ def evaluate(
     from tg4mm.evaluate import evaluate_run, format_table
     from tg4mm.evaluate.wanted import check_alphas, target_file
     from tg4mm.magnify import BandGain, Magnification
-    from tg4mm.runs import Run
+    from tg4mm.run import Run
 
     check_device(device.value)
     opened, chosen = Run.open(run), None if method is None else method.value

@@ -111,10 +111,10 @@ def export(
         )
     check_paired(alphas, asked)
     chosen_filter = temporal_filter(filter, asked)
-    from tg4mm import export as plain
-    from tg4mm.export_formats import export_gltf, export_spz, export_spz_sequence, export_usd
+    from tg4mm.export import splat as plain
+    from tg4mm.export.formats import export_gltf, export_spz, export_spz_sequence, export_usd
     from tg4mm.render import RenderRequest
-    from tg4mm.runs import Run
+    from tg4mm.run import Run
 
     opened, baked = Run.open(run), low_pass is LowPass.baked
     if format is Format.ply:

@@ -14,7 +14,7 @@ from tg4mm.errors import Tg4mmError
 
 if TYPE_CHECKING:
     from tg4mm.magnify import BandGain, Magnification, TemporalFilter
-    from tg4mm.runs import Run
+    from tg4mm.run import Run
 
 _LOG = logging.getLogger("tg4mm")
 AUTO = "auto"  # the band around the strongest vibration that the run found

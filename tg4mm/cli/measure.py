@@ -52,7 +52,7 @@ def measure(
     from tg4mm.measure import parse_sensor, prepare, read_sensors
     from tg4mm.measure.sensors import checked_names
     from tg4mm.measure.write import claim
-    from tg4mm.runs import Run
+    from tg4mm.run import Run
 
     asked = [*(read_sensors(sensors) if sensors else []), *(parse_sensor(text) for text in sensor or [])]
     checked_names(asked)

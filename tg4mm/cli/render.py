@@ -26,7 +26,7 @@ from tg4mm.errors import CaptureError, Tg4mmError
 
 if TYPE_CHECKING:
     from tg4mm.render import Camera
-    from tg4mm.runs import Run
+    from tg4mm.run import Run
 
 
 class Split(StrEnum):
@@ -78,7 +78,7 @@ def render(
     chosen_filter = temporal_filter(filter, asked)
     from tg4mm.device import check_device
     from tg4mm.render import RenderRequest, render_orbit, render_sequence
-    from tg4mm.runs import Run
+    from tg4mm.run import Run
 
     check_device(device.value)
     opened = Run.open(run)

@@ -47,7 +47,7 @@ def report(
     from tg4mm.measure.sensors import checked_names
     from tg4mm.report import ReportOptions, write_report
     from tg4mm.result.requested import refuse_empty
-    from tg4mm.runs import Run
+    from tg4mm.run import Run
 
     sensors = checked_names([parse_sensor(text) for text in sensor or []])
     opened = Run.open(run)

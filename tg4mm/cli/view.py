@@ -64,7 +64,7 @@ def view(
 
 def _session(run: Path, alpha: float | None, band: tuple[float, float] | None) -> Session:
     from tg4mm.capture import check_band
-    from tg4mm.runs import Run
+    from tg4mm.run import Run
     from tg4mm.view.clock import Clock, slow_enough
     from tg4mm.view.painter import Look
     from tg4mm.view.scene import open_scene

@@ -27,7 +27,7 @@ from tg4mm.files import json_digest, write_json
 from tg4mm.magnify import Magnification, TemporalFilter
 from tg4mm.magnify.poses import method_of
 from tg4mm.progress import progress
-from tg4mm.runs import Run
+from tg4mm.run import Run
 
 VERSION = 1
 _HIGHER_IS_BETTER = {"psnr_db": True, "ssim": True, "flip": False, "lpips": False}

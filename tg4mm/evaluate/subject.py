@@ -20,9 +20,9 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.magnify import BandGain, Magnification
 from tg4mm.magnify.bands import check_bands
 from tg4mm.magnify.poses import method_of, poses_of
-from tg4mm.modelhash import model_hash
 from tg4mm.motion.modes import ModalMotion
-from tg4mm.runs import Run
+from tg4mm.run import Run
+from tg4mm.run.model_hash import model_hash
 
 STATIC, OURS, CEILING = "nothing moves", "ours", "ceiling"
 

@@ -13,7 +13,7 @@ from tg4mm.evaluate.errors import EvaluationError
 from tg4mm.evaluate.lpips import MIN_SIZE, load_lpips
 from tg4mm.evaluate.metrics import SSIM_WINDOW, flip, psnr, ssim
 from tg4mm.evaluate.scores import Metric
-from tg4mm.runs import Run
+from tg4mm.run import Run
 from tg4mm.untrusted import read_json
 
 FORMAT = "tg4mm-metrics"

@@ -28,10 +28,10 @@ from tg4mm.magnify.filters import bins
 from tg4mm.magnify.linear import magnified_series
 from tg4mm.magnify.phase import PhaseMagnifier
 from tg4mm.magnify.pyramid import PyramidConfig
-from tg4mm.modelhash import model_hash
 from tg4mm.paper.model import PaperModel, load_model, plane_video
 from tg4mm.progress import progress
-from tg4mm.runs import Run
+from tg4mm.run import Run
+from tg4mm.run.model_hash import model_hash
 from tg4mm.triplane import Cells, Decoder
 from tg4mm.untrusted import read_json
 

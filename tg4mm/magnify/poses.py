@@ -10,7 +10,7 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.magnify.bands import METHODS, Magnification
 from tg4mm.magnify.linear import magnified_motion
 from tg4mm.motion.animate import animator
-from tg4mm.runs import Run
+from tg4mm.run import Run
 
 DEFAULT_METHOD = {"modal": "modal", "paper": "phase", "paper-tuned": "linear"}
 STILL_FPS = 30.0  # pictures a second of a scene that has no time of its own

@@ -10,8 +10,8 @@ import numpy as np
 import torch
 
 from tg4mm.errors import RunError
-from tg4mm.modelhash import model_hash
-from tg4mm.runs import Run
+from tg4mm.run import Run
+from tg4mm.run.model_hash import model_hash
 
 PART = "residuals"
 _VERSION = 2  # a file of another is made anew

@@ -23,7 +23,7 @@ from tg4mm.measure.series import Series, series_of
 from tg4mm.measure.shapes import Shape, shapes_of
 from tg4mm.measure.spectrum import Peak
 from tg4mm.progress import progress
-from tg4mm.runs import Run
+from tg4mm.run import Run
 
 
 @dataclass(frozen=True)

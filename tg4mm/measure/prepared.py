@@ -36,7 +36,7 @@ from tg4mm.motion.nuisance.projection import nuisances_of
 from tg4mm.motion.observations import Observations, PosedFrames, observe
 from tg4mm.progress import progress
 from tg4mm.room import room
-from tg4mm.runs import Run
+from tg4mm.run import Run
 from tg4mm.train import pictures_for
 
 IN_MEMORY = 1 << 30  # bytes that a pass through the pictures adds up; more lies in a temporary file

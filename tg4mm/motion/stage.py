@@ -24,7 +24,7 @@ from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.modes import ModalMotion
 from tg4mm.motion.observations import observe
 from tg4mm.motion.pipeline import fit_motion
-from tg4mm.runs import UNCERTAINTY, Run
+from tg4mm.run import UNCERTAINTY, Run
 
 _STAGE, _SCENE = "motion", "scene"
 _VERSION = 13  # of a checkpoint: parts of another version are computed anew

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from tg4mm.errors import RunError
 from tg4mm.gaussians import Gaussians
-from tg4mm.runs import Run
+from tg4mm.run import Run
 from tg4mm.triplane import Cells, Decoder, cells_of, sample
 from tg4mm.triplane.decoder import BASE
 

@@ -23,7 +23,7 @@ from tg4mm.paper.rest import AtRest, at_rest
 from tg4mm.paper.series import modal_of_series
 from tg4mm.paper.space import cameras_on, views_at
 from tg4mm.progress import Update, progress
-from tg4mm.runs import Run
+from tg4mm.run import Run
 from tg4mm.space import RestViews
 from tg4mm.triplane import Decoder, sample
 

@@ -16,7 +16,7 @@ from tg4mm.paper.config import PaperConfig
 from tg4mm.paper.fit import Cameras, Fit, view_loss
 from tg4mm.paper.model import PaperModel, active, save_model, with_active
 from tg4mm.progress import progress
-from tg4mm.runs import Run
+from tg4mm.run import Run
 from tg4mm.space import RestViews
 from tg4mm.triplane import Decoder, cells_of, new_decoder, sample
 from tg4mm.triplane.cells import scene_box

@@ -16,13 +16,13 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.magnify import BandGain, Magnification, TemporalFilter
 from tg4mm.magnify.bands import LARGEST_ALPHA
 from tg4mm.magnify.poses import method_of, poses_of
-from tg4mm.modelhash import model_hash
 from tg4mm.progress import progress
 from tg4mm.render.cameras import Camera, transforms_json
 from tg4mm.render.frames import is_complete_png, write_png
 from tg4mm.render.image import WHITE, render_image
 from tg4mm.render.video import check_rate, video_of_files
-from tg4mm.runs import Run
+from tg4mm.run import Run
+from tg4mm.run.model_hash import model_hash
 from tg4mm.untrusted import read_json
 
 RECORD = "render.json"

@@ -18,7 +18,7 @@ from tg4mm.render.frames import to_bytes
 from tg4mm.report.maps import in_band, strongest
 from tg4mm.result.advice import suggested_alpha
 from tg4mm.result.read import Reading
-from tg4mm.runs import Run
+from tg4mm.run import Run
 from tg4mm.untrusted import read_json
 
 METRICS = "metrics.json"

@@ -17,7 +17,7 @@ from tg4mm.report.charts import CEILING, OURS, STILL, chart
 from tg4mm.report.maps import in_band
 from tg4mm.report.page import Block, Figure, Section, Table, Text, drawing
 from tg4mm.report.summary import Material, unit_of
-from tg4mm.runs import Run
+from tg4mm.run import Run
 
 
 def model_spectrum(m: Material) -> Block:

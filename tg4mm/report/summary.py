@@ -18,7 +18,7 @@ from tg4mm.report.svg import number
 from tg4mm.report.views import View
 from tg4mm.result import Length, Result, Vibration
 from tg4mm.result.lines import with_deviation
-from tg4mm.runs import Run
+from tg4mm.run import Run
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from tg4mm.render.image import render_image
 from tg4mm.render.sequence import RenderRequest, pose_of
 from tg4mm.report.maps import image_motion
 from tg4mm.report.sources import Model, alphas_with_truth
-from tg4mm.runs import Run
+from tg4mm.run import Run
 
 MOST_FRAMES = 180  # of a video: what a page can hold
 _MANY = 40  # poses of a moving camera that are looked at for where most is seen

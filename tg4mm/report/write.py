@@ -15,7 +15,6 @@ from tg4mm.errors import RunError
 from tg4mm.files import write_atomic
 from tg4mm.magnify import BandGain, Magnification
 from tg4mm.measure import Sensor
-from tg4mm.modelhash import model_hash
 from tg4mm.report.accuracy import accuracy_section
 from tg4mm.report.closing import commands_section, cost_section, settings_section
 from tg4mm.report.found import limits_section
@@ -28,7 +27,8 @@ from tg4mm.report.videos import videos
 from tg4mm.report.views import gather_view
 from tg4mm.result.read import reading_of
 from tg4mm.result.requested import too_far
-from tg4mm.runs import Run
+from tg4mm.run import Run
+from tg4mm.run.model_hash import model_hash
 
 _LOG = logging.getLogger("tg4mm")
 

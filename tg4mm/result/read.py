@@ -24,7 +24,7 @@ from tg4mm.result.model import Length, Result, Vibration
 from tg4mm.result.reach import Reach, reach_of
 from tg4mm.result.seen import Seen, seen_by
 from tg4mm.result.tone import Tone, tone_of
-from tg4mm.runs import UNCERTAINTY, Run
+from tg4mm.run import UNCERTAINTY, Run
 
 _FIT_PERIODS = 2.0  # of a frequency that a fit may hold, in the record
 _PERIODS = 3.0  # of one that is told from a drift

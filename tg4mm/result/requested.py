@@ -13,7 +13,7 @@ from tg4mm.motion.mode_selection import worth_keeping
 from tg4mm.result.model import Band, Result
 from tg4mm.result.reach import NOISE_PX, TURN, Reach
 from tg4mm.result.read import reading_of, result_of
-from tg4mm.runs import Run
+from tg4mm.run import Run
 
 _PERIODS = 2.0  # that the record must hold of a band's highest frequency
 _LISTED = 8  # modes

@@ -7,7 +7,7 @@ import time
 from tg4mm.capture import SurfacePoints
 from tg4mm.errors import RunError
 from tg4mm.gaussians import Gaussians
-from tg4mm.runs import Run
+from tg4mm.run import Run
 from tg4mm.space.checkpoint import Check, Checkpoint
 from tg4mm.space.config import SpaceConfig
 from tg4mm.space.plane import fit_plane

@@ -10,7 +10,7 @@ from tg4mm.measure import Prepared, Sensor, SensorResult, measure_one, prepare
 from tg4mm.measure.sensors import PIXEL_RADIUS
 from tg4mm.measure.spectrum import strength_of
 from tg4mm.report.maps import main_direction, peak_displacement
-from tg4mm.runs import Run
+from tg4mm.run import Run
 from tg4mm.view.scene import Scene
 
 _FAINTEST = 0.05  # opacity of a pixel that counts as hit

@@ -17,7 +17,7 @@ from tg4mm.render.cameras import Camera, capture_cameras
 from tg4mm.report.figures import scale_top
 from tg4mm.report.maps import image_motion, leading_modes, peak_displacement
 from tg4mm.report.summary import unit_of
-from tg4mm.runs import Run
+from tg4mm.run import Run
 from tg4mm.view.cameras import overview
 
 _LOOKED_FROM = 8  # cameras that say how much of the pictures a Gaussian makes

@@ -15,7 +15,7 @@ from tg4mm.motion.modes import ModalMotion
 from tg4mm.render.cameras import Camera, capture_cameras
 from tg4mm.report.maps import image_motion, peak_displacement
 from tg4mm.report.summary import title_of
-from tg4mm.runs import Run
+from tg4mm.run import Run
 from tg4mm.web.factor import MotionFields
 from tg4mm.web.pack import Packed
 

@@ -18,7 +18,7 @@ from tg4mm.errors import Tg4mmError
 from tg4mm.files import write_atomic
 from tg4mm.motion.modes import ModalMotion
 from tg4mm.progress import progress
-from tg4mm.runs import Run
+from tg4mm.run import Run
 from tg4mm.web.factor import MotionFields, motion_fields
 from tg4mm.web.pack import pack
 from tg4mm.web.scene import scene_json

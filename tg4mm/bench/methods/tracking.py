@@ -31,7 +31,7 @@ from tg4mm.motion.modes import ModalMotion
 from tg4mm.paper.fit import Cameras, view_loss
 from tg4mm.paper.space import cameras_on, views_at
 from tg4mm.progress import progress
-from tg4mm.runs import Run
+from tg4mm.run import Run
 from tg4mm.space import rest_views, train_space
 from tg4mm.train import parse_settings
 from tg4mm.triplane.cells import scene_box

@@ -16,8 +16,8 @@ from tg4mm.evaluate.run import CEILING, OURS, STATIC
 from tg4mm.evaluate.scores import pose, render_views
 from tg4mm.evaluate.subject import Subject, subject_of
 from tg4mm.magnify import Magnification, TemporalFilter
-from tg4mm.modelhash import model_hash
-from tg4mm.runs import Run
+from tg4mm.run import Run
+from tg4mm.run.model_hash import model_hash
 
 _CAMERAS_AT_ONCE = 8  # pictures held
 

@@ -18,7 +18,7 @@ from tg4mm.motion.animate import animate
 from tg4mm.motion.mode_selection import mode_deviations, worth_keeping
 from tg4mm.motion.modes import ModalMotion
 from tg4mm.progress import progress
-from tg4mm.runs import Run
+from tg4mm.run import Run
 from tg4mm.splatfile import SplatFile, write_splat
 
 if TYPE_CHECKING:

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tg4mm.errors import Tg4mmError
-from tg4mm.export import check_file, check_folder, frames_of, splat_of, unit_scale_of, write_frames
-from tg4mm.runs import Run
+from tg4mm.export.splat import check_file, check_folder, frames_of, splat_of, unit_scale_of, write_frames
+from tg4mm.run import Run
 from tg4mm.splatfile.formats.gltf import write_glb
 from tg4mm.splatfile.formats.spz import write_spz
 from tg4mm.splatfile.formats.usd import SUFFIXES, usd_modules, write_usd

@@ -19,8 +19,8 @@ from safetensors.torch import save_file
 
 from tests.helpers.runs import SETTINGS, gaussians, modal, refused
 from tg4mm.motion.modes import ModalMotion
-from tg4mm.runconfig import _from_run
-from tg4mm.runs import Run
+from tg4mm.run import Run
+from tg4mm.run.config import _from_run
 
 
 @pytest.fixture
@@ -333,7 +333,7 @@ class TestCheckpoint:
     def test_kill_at_any_moment_leaves_a_whole_checkpoint(self, run: Run) -> None:
         """Writes without pause in a child, SIGKILLs it at several moments; tensors and state must agree."""
         code = (
-            "import sys, torch; from tg4mm.runs import Run\n"
+            "import sys, torch; from tg4mm.run import Run\n"
             "run = Run.open(sys.argv[1]); i = int(sys.argv[2])\n"
             "while True:\n"
             "    i += 1; run.save_checkpoint('space', {'a': torch.full((500_000,), float(i))}, {'i': i})\n"
@@ -390,5 +390,5 @@ def test_the_way_to_a_dataset_on_windows(
     dataset: str, expected: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With / as everywhere; on another drive there is no way, and the dataset's own path stands."""
-    monkeypatch.setattr("tg4mm.runconfig.os", SimpleNamespace(path=ntpath, sep="\\"))
+    monkeypatch.setattr("tg4mm.run.config.os", SimpleNamespace(path=ntpath, sep="\\"))
     assert _from_run(PureWindowsPath(dataset), PureWindowsPath(r"C:\a\runs\mic")) == expected

@@ -10,7 +10,7 @@ import numpy as np
 from safetensors import safe_open
 
 from tg4mm.errors import RunError
-from tg4mm.tensorfile import DIGEST
+from tg4mm.run.tensor_file import DIGEST
 
 _FILES = ("space", "motion", "triplane")
 # The dataset's folder and the settings that led to it, and the digest, which those are in.

@@ -17,7 +17,7 @@ from torch import Tensor
 from tg4mm.errors import RunError
 from tg4mm.motion.modes import AppearanceModes, ModalMotion, fields_of
 from tg4mm.motion.spectrum import apply_series
-from tg4mm.runchecks import FIELDS, LIGHT, PHASORS, check_frequencies, check_tensors
+from tg4mm.run.checks import FIELDS, LIGHT, PHASORS, check_frequencies, check_tensors
 
 _MOST_BYTES = 32 << 30  # of phasors: a small file can name many modes
 

@@ -14,11 +14,11 @@ import pytest
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.cli import main
 from tg4mm.errors import RunError
-from tg4mm.runlock import claimed
+from tg4mm.run.lock import claimed
 
 HOLD = """
 import sys, time
-from tg4mm.runlock import claimed
+from tg4mm.run.lock import claimed
 with claimed(sys.argv[1]):
     print("held", flush=True)
     time.sleep(600)

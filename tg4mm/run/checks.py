@@ -18,7 +18,7 @@ from tg4mm.gaussians import Gaussians
 
 GAUSSIANS = dict.fromkeys(("means", "quats", "scales", "opacities", "sh"), torch.float32)
 LIGHT = {"light_shapes": torch.float32, "light_series": torch.complex128}  # of a motion, both or none
-# of a motion, one or the other (`motionfile.py`)
+# of a motion, one or the other (`motion_file.py`)
 PHASORS = {"displacement": torch.complex64, "rotation": torch.complex64}
 FIELDS = {"fields": torch.float32, "series": torch.complex128}
 _NUMBERS = {torch.float32, torch.float64, torch.complex64, torch.complex128}

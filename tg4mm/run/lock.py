@@ -10,7 +10,7 @@ from filelock import FileLock, Timeout
 
 from tg4mm.errors import RunError
 from tg4mm.files import give_back
-from tg4mm.runconfig import LOCK, check_empty
+from tg4mm.run.config import LOCK, check_empty
 
 
 @contextmanager

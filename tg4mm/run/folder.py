@@ -29,8 +29,7 @@ from tg4mm.files import remove_leftovers, to_json, write_json
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.modes import ModalMotion, MotionFit
-from tg4mm.motionfile import motion_of, tensors_of
-from tg4mm.runchecks import (
+from tg4mm.run.checks import (
     GAUSSIANS,
     check_finite,
     check_tensors,
@@ -38,7 +37,7 @@ from tg4mm.runchecks import (
     clock_of,
     gaussians_of,
 )
-from tg4mm.runconfig import (
+from tg4mm.run.config import (
     VERSION,
     check_empty,
     check_same,
@@ -47,8 +46,9 @@ from tg4mm.runconfig import (
     read_config,
     read_json,
 )
-from tg4mm.runlog import checked_log, with_figures
-from tg4mm.tensorfile import DIGEST, read_tensors, write_tensors
+from tg4mm.run.log import checked_log, with_figures
+from tg4mm.run.motion_file import motion_of, tensors_of
+from tg4mm.run.tensor_file import DIGEST, read_tensors, write_tensors
 
 UNCERTAINTY = "uncertainty"  # a part: how uncertain the motion of every Gaussian is, docs/conventions.md
 
