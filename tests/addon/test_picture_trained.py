@@ -125,5 +125,5 @@ def test_an_exported_file_shows_in_blender_what_was_trained(extension: ModuleTyp
     mixed = psnr(in_blender(extension, tmp_path / "mixed.ply", exported(splat), as_trained=True), wanted)
     print(f"exported {found:.1f} dB, blended as trained {mixed:.1f} dB, scales as trained {thin:.1f} dB")
     assert found >= AGREEMENT
-    assert mixed >= AGREEMENT + 3
+    assert mixed >= AGREEMENT + 2
     assert thin < AGREEMENT - 6
