@@ -140,6 +140,7 @@ def _orbit(axes: Any, result: SensorResult, unit: Unit) -> None:
         )  # fmt: skip
     axes.set(xlabel=f"{series.labels[a]}, {unit.name}", ylabel=f"{series.labels[b]}, {unit.name}")
     axes.set_aspect("equal", adjustable="datalim")
+    axes.locator_params(nbins=4)
     axes.set_title("orbit", fontsize=8, loc="left")
     if result.spectrum.peaks:
         axes.legend(fontsize=7)
