@@ -27,7 +27,7 @@ def with_model_error(series: Series, body: Body, scene: Prepared) -> Series:
     rms = float(np.sqrt((size**2).mean()))
     base = min(shared_error(scene, body) / rms, _MOST) if rms > 0 else 0.0
     least = np.min(series.unit_variance[series.is_observed], initial=np.inf)
-    ratio = np.where(series.is_observed, np.sqrt(series.unit_variance / least), 0)
+    ratio = np.sqrt(np.where(series.is_observed, series.unit_variance, 0) / least)
     share = np.minimum(np.hypot(base * ratio, series.model_share), np.maximum(ratio, 1))
     share = np.hypot(share, np.where(series.is_observed, series.false_share, 0))
     deviation = np.sqrt(series.noise**2 + (share * size[:, None]) ** 2)
