@@ -126,8 +126,9 @@ def summary(m: Material) -> str:
     hz = with_deviation(Length(m.main.hz, m.main.deviation_hz))
     others = [v for v in m.result.vibrations if v is not m.main]
     more = f" It also vibrates at {' and '.join(number(v.hz) for v in others[:3])} Hz." if others else ""
+    how = "in 3D from" if views > 1 else "across the line of sight of"
     return (
-        f"The strongest vibration is {value} {unit} at {hz} Hz, measured in 3D from {seen} at "
+        f"The strongest vibration is {value} {unit} at {hz} Hz, measured {how} {seen} at "
         f"{number(m.train.fps)} Hz, and {shown}.{more}"
     )
 
