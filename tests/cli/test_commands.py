@@ -19,10 +19,10 @@ N_TIMESTEPS, SIZE = 6, 32
 
 @pytest.fixture(scope="module")
 def run_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run whose model is the one its dataset was rendered from: 5 Hz at 30 Hz, two test cameras."""
+    """A run whose model is the one its dataset was rendered from: 5 Hz at 15 Hz, two test cameras."""
     root = tmp_path_factory.mktemp("cli")
     gaussians, motion = make_synthetic_dataset(
-        root / "data", n_views=3, n_timesteps=N_TIMESTEPS, size=SIZE, freqs=(5.0,), alphas=(5, 20)
+        root / "data", n_views=3, n_timesteps=N_TIMESTEPS, size=SIZE, freqs=(5.0,), fps=15.0, alphas=(5, 20)
     )
     run = Run.create(root / "run", root / "data", "modal", {})
     run.save_space(gaussians, {})
@@ -219,9 +219,9 @@ def test_evaluate_refuses_an_alpha_without_ground_truth(run_path: Path, tmp_path
 
 def test_evaluate_refuses_a_band_without_motion(run_path: Path, tmp_path: Path, capsys) -> None:
     out = tmp_path / "metrics.json"
-    command = ["evaluate", str(run_path), "--alphas", "5", "--band", "7", "8", "--out", str(out)]
+    command = ["evaluate", str(run_path), "--alphas", "5", "--band", "6.4", "7", "--out", str(out)]
     assert main(command) == 2
-    assert "--band 7 8: no motion was found there" in capsys.readouterr().err
+    assert "--band 6.4 7: no motion was found there" in capsys.readouterr().err
     assert not out.exists()
     assert main([*command, "--allow-empty-band"]) == 0
 

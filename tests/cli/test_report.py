@@ -37,7 +37,7 @@ def test_it_writes_the_page_into_the_run_and_says_how_large_it_is(run_path, caps
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--band", "1", "2"], "no motion was found there"),
+        (["--band", "11", "12"], "no motion was found there"),
         (["--band", "1", "2", "--band", "4", "6"], "--band is given 2 times"),
         (["--sensor", "a=cube:1"], "'cube'"),
         (["--sensor", "a=all", "--sensor", "a=all"], "two sensors are called"),

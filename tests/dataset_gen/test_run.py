@@ -182,7 +182,7 @@ def test_a_complete_set_is_left_alone(made):
 
 
 def test_a_changed_configuration_is_refused(made):
-    with pytest.raises(GenerateError, match=r"holds another dataset: cameras.seed is 0, asked for 7"):
+    with pytest.raises(GenerateError, match=r"holds another dataset: cameras.seed is 0, requested 7"):
         generate(tiny("--seed", "7"), made.parent)
 
 

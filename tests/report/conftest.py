@@ -17,7 +17,14 @@ from tg4mm.run import UNCERTAINTY, Run
 def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     root = tmp_path_factory.mktemp("report")
     model = make_synthetic_dataset(
-        root / "sway", n_views=4, n_timesteps=12, size=48, freqs=(2.5, 5.0), amplitude=0.01, alphas=(5, 20)
+        root / "sway",
+        n_views=4,
+        n_timesteps=12,
+        size=48,
+        freqs=(2.5, 5.0),
+        fps=15.0,
+        amplitude=0.01,
+        alphas=(5, 20),
     )
     made = Run.create(root / "run", root / "sway", "modal", {"seed": 0})
     made.save_space(model[0], {"seconds": 61.0, "peak_memory_mib": 512.0, "psnr_db": 31.5})

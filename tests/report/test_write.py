@@ -142,7 +142,7 @@ def test_videos_are_embedded_and_start_by_themselves(full):
 
 def test_every_video_has_a_still_for_print_and_the_record_a_slider(full):
     assert full.count('class="still" src="data:image/webp;base64,') == 4
-    assert 'data-seek min="0" max="0.4"' in full  # 12 timesteps at 30 Hz
+    assert 'data-seek min="0" max="0.8"' in full  # 12 timesteps at 15 Hz
 
 
 def test_every_section_and_command_is_there(full, run):
@@ -322,7 +322,7 @@ def test_the_same_run_gives_the_same_report(run, metrics, tmp_path):
     ("options", "error", "message"),
     [
         ({"band": (4.0, 40.0)}, CaptureError, "half the frame rate"),
-        ({"band": (8.0, 9.0)}, RunError, "holds none of the model's frequencies"),
+        ({"band": (6.4, 7.0)}, RunError, "holds none of the model's frequencies"),
         ({"alpha": float("nan")}, RunError, "--alpha nan"),
         ({"sensors": [Sensor("far", "sphere", (99.0, 0.0, 0.0, 0.1))]}, MeasureError, "far"),
         ({"metrics": {"format": "other"}}, RunError, "'other'"),

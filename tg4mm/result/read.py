@@ -27,7 +27,7 @@ from tg4mm.result.tone import Tone, tone_of
 from tg4mm.run import UNCERTAINTY, Run
 
 _FIT_PERIODS = 2.0  # of a frequency that a fit may hold, in the record
-_PERIODS = 3.0  # of one that is told from a drift
+_PERIODS = 2.5  # of one that is told from a drift
 _SURE = 2.0  # deviations that a frequency is from 0 Hz, else it is a drift
 _LARGEST = 0.99  # of the weight of what is seen lies below the amplitude that is named, as in pixels
 _STEADY = "the fit takes the vibration to be steady"
