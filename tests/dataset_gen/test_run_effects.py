@@ -13,7 +13,7 @@ pytest.importorskip("OpenEXR")
 
 from dataset_gen.cameras import cameras_at, clock_offsets
 from dataset_gen.effects import Record
-from dataset_gen.effects.codec import decode
+from dataset_gen.effects.codec import decode, encode
 from dataset_gen.options import parser, request_from
 from dataset_gen.plan import UNCODED
 from dataset_gen.prepare import builtin_bodies, motion_of, plan
@@ -224,6 +224,12 @@ def test_a_run_that_was_stopped_before_its_videos_goes_on(every, tmp_path):
     root = plan(settings, tmp_path).root
     assert not (root / "003/train/r_001.png").exists()
     assert (root / UNCODED / "003/train/r_001.png").is_file()
+    uncoded = [np.asarray(Image.open(root / UNCODED / f"{t:03d}/train/r_001.png")) for t in range(5)]
+    beside, videos = [], set()  # what lies in memory beside a small picture must not be coded
+    for n in range(100):
+        beside.append(bytes(97 * n))
+        videos.add(encode(uncoded, 32, 10.0, 20))
+    assert len(videos) == 1
     finish_parts(settings, tmp_path, io.StringIO())
     for name in ("003/train/r_001.png", "video/r_001.mp4", "truth/cameras.json"):
         assert (root / name).read_bytes() == (every / name).read_bytes()
