@@ -56,9 +56,11 @@ def two_cameras() -> tuple[Scene, list[PosedView]]:
     return scene, [camera_of(scene, c) for c in (0, 1)]
 
 
-def problem(ridge: float = 0.1, nuisance: slice | None = None, mixed: bool = False) -> Problem:
+def problem(
+    ridge: float = 0.1, nuisance: slice | None = None, mixed: bool = False, supported: bool = False
+) -> Problem:
     """Two cameras look at one cloud; `nuisance`: columns that are projected out; `mixed`: two target images of three
-    fields."""
+    fields; `supported`: each of these moves some of the Gaussians alone."""
     scene, cameras = two_cameras()
     gaussians, views = gaussians_of(scene), [view_of(scene, c) for c in (0, 1)]
     out = Problem.of(views, gaussians, MotionConfig(ridge=ridge), "cpu")
@@ -72,6 +74,8 @@ def problem(ridge: float = 0.1, nuisance: slice | None = None, mixed: bool = Fal
     if mixed:
         rng = np.random.default_rng(11)
         out = replace(out, mixing=[rng.normal(size=(2, 3)).astype(np.float32) for _ in views])
+    if supported:
+        out = replace(out, support=(np.random.default_rng(12).random((3, N)) < 0.6).astype(np.float32))
     return out
 
 

@@ -34,7 +34,9 @@ KINDS = {
     "nuisance": {"nuisance": ALL},
     "weighted nuisance": {"weighted": True, "nuisance": ALL},
     "mixed": {"mixed": True},
+    "supported": {"mixed": True, "supported": True},
     "all": {"weighted": True, "nuisance": EXPOSURE, "mixed": True},
+    "all, supported": {"weighted": True, "nuisance": EXPOSURE, "mixed": True, "supported": True},
 }
 
 
@@ -64,6 +66,11 @@ class Dense:
         unit = np.eye(ROWS * N * 3, dtype=np.float32).reshape(-1, ROWS * N, 3)
         return np.stack([self.of.graph.motion(x).ravel() for x in unit], 1).astype(np.float64)
 
+    @property
+    def support(self) -> np.ndarray | float:
+        """[R, 6 N] of 0 and 1."""
+        return 1.0 if self.of.support is None else np.repeat(self.of.support.astype(np.float64), DOF, 1)
+
     def metric_times(self, k: int, pictures: np.ndarray) -> np.ndarray:
         """(W − W P (Pᵀ W P)⁻¹ Pᵀ W) of target images, one after the other; by P as it is, not made orthonormal."""
         o = self.of
@@ -92,19 +99,19 @@ class Dense:
 
     def product(self, x: np.ndarray) -> np.ndarray:
         """Of fields x [R, 4 N, 3]."""
-        o, motions = self.of, x.reshape(FIELDS, -1) @ self.motion.T
+        o, motions = self.of, (x.reshape(FIELDS, -1) @ self.motion.T) * self.support
         data = np.zeros_like(motions)
         for k in range(len(o.views)):
             data += self.gathered(k, self.metric_times(k, self.shown(k, motions)))
         stiffness = o.graph.stiffness.astype(np.float64)
         prior = np.stack([o.smoothness_weight * (stiffness @ one) + o.ridge * one for one in x])
-        return np.asarray((data @ self.motion).reshape(x.shape) + o.scale * prior)
+        return np.asarray((data * self.support @ self.motion).reshape(x.shape) + o.scale * prior)
 
     def right_hand_side(self, pictures: list[np.ndarray]) -> np.ndarray:
         total = np.zeros((FIELDS, N * DOF))
         for k, shown in enumerate(pictures):
             total += self.gathered(k, self.metric_times(k, shown.astype(np.float64).ravel()))
-        return (total @ self.motion).reshape(FIELDS, -1, 3)
+        return np.asarray((total * self.support @ self.motion).reshape(FIELDS, -1, 3))
 
     def misfit(self, fields: np.ndarray, pictures: list[np.ndarray]) -> float:
         total = 0.0
@@ -155,18 +162,27 @@ def test_its_misfit_is_what_fields_leave(kind: str) -> None:
     assert o.misfit(0 * fields, pictures) != pytest.approx(expected, rel=1e-2)
 
 
-@pytest.mark.parametrize("without", ["weighted", "nuisance", "mixed"])
+@pytest.mark.parametrize("without", ["weighted", "nuisance", "mixed", "support"])
 def test_each_of_its_parts_counts(without: str) -> None:
     """The comparisons with matrices would notice if one were left out."""
-    o = made("all")
+    o = made("supported" if without == "support" else "all")
     changed = {
         "weighted": {"weights": None},
         "nuisance": {"projections": None},
         "mixed": {"mixing": [np.eye(FIELDS, dtype=np.float32)[:2]] * 2},
+        "support": {"support": None},
     }[without]
     less, theta = replace(o, **changed), draw(o, 1, FIELDS)  # type: ignore[arg-type]
     assert not close(less.products(theta), o.products(theta), 1e-3)
     assert not close(less.right_hand_sides(pictures_of(o)), o.right_hand_sides(pictures_of(o)), 1e-3)
+
+
+def test_fields_move_nothing_outside_their_support() -> None:
+    o = made("supported")
+    assert o.support is not None
+    fields = o.fields(draw(o, 1, FIELDS))
+    assert (fields[o.support == 0] == 0).all()
+    assert (fields[o.support == 1] != 0).all()
 
 
 @pytest.mark.parametrize("kind", KINDS)

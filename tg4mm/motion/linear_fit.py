@@ -9,7 +9,7 @@ iterations of one fit.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -55,6 +55,16 @@ class LinearFit:
         """
         first = self.config.iterations - self._of_second if iterations is None else iterations
         return [self.parts(f"first_pass_{p}", partial(self._first, p, first)) for p in range(len(self.folds))]
+
+    def within(self, support: np.ndarray, iterations: int) -> list[Arrays]:
+        """`first_pass` where fields move nothing outside their support [R, N]."""
+
+        def parts(name: str, compute: Callable[[], Arrays]) -> Arrays:
+            return self.parts(f"{name}_within_support", compute)
+
+        return replace(self, problem=replace(self.problem, support=support), parts=parts).first_pass(
+            iterations
+        )
 
     def second_pass(
         self, first: Sequence[Arrays], is_small: bool, correction: Correction | None = None

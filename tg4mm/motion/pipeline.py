@@ -113,11 +113,15 @@ def select_hyperparameters(clock: Clock, parts: Parts) -> Hyperparameters:
 def _linear_fit(clock: Clock, hyper: Hyperparameters, parts: Parts) -> tuple[np.ndarray, np.ndarray]:
     """Fields [P, R, N, 6] of the folds; the mean over folds of their displacement and gradient, [R, 4N, 3].
 
-    Of synchronous cameras in two passes, with a deferred correction between them where motion is small.
+    Of synchronous cameras in two passes, with a deferred correction between them where motion is small. Of a moving
+    camera a second time, where only what was found to move may.
     """
     linear = LinearFit(clock.problem, clock.targets, hyper, clock.folds, clock.config, parts)
     if not isinstance(clock, Synchronous):
         only = linear.first_pass(clock.config.iterations)
+        support = clock.support(np.stack([f["fields"] for f in only]))
+        if support is not None:
+            only = linear.within(support, clock.config.iterations)
         return np.stack([f["fields"] for f in only]), np.mean([f["x"] for f in only], axis=0)
     first = linear.first_pass()
     fields, _ = wiener_shrink(np.stack([f["fields"] for f in first]))

@@ -54,6 +54,13 @@ class Clock(ABC):
     def completed(self, hyper: Hyperparameters, parts: Parts) -> Clock:
         """With what the functions of time still lack: which are fitted, or every camera's phases."""
 
+    def support(self, folds: np.ndarray) -> np.ndarray | None:
+        """[R, N] float32: where fields may move Gaussians in a second fit, 1 or 0, by a first one's [P, R, N, 6].
+
+        None where one fit is enough.
+        """
+        return None
+
     @abstractmethod
     def settled(self, folds: np.ndarray) -> tuple[Clock, np.ndarray]:
         """The motion in fields [P, R, N, 6] of the folds, and the clock with its functions of time alone.

@@ -45,9 +45,7 @@ _POSE_STEPS = 2
 _ROBUST = 3.0  # robust deviations: residuals beyond count less
 _SLOW_BELOW = 0.5  # of the lowest frequency: slow functions reach up to it
 _THINNED = 3  # every third frame is enough to choose the smoothness weight
-# Iterations of conjugate gradients, times those of fixed cameras: with the camera's pose projected out, what moves
-# against the background is found late. And at most so many.
-_MORE_ITERATIONS, _MOST_ITERATIONS = 4, 50
+_MOVES, _LARGEST = 0.25, 0.99  # of the largest amplitude; the quantile that is called the largest
 _LEAST_POWER = 1.5  # of a frequency, times the noise's
 # What the scene at rest gets wrong changes with the viewpoint, and so in time: up to six times along the path of a
 # camera that goes around a still scene, with eight times the noise's power.
@@ -86,10 +84,9 @@ class MovingCamera(Steady):
             mixing = [row[None].astype(np.float32) for row in functions.T]
             problem = replace(problem, mixing=mixing, _kept={})
         folds = folds_of(len(frames), observations.size, True, config.split_half)
-        own = replace(config, iterations=min(_MORE_ITERATIONS * config.iterations, _MOST_ITERATIONS))
         scale = float(np.sqrt(2 / len(frames)))
         return MovingCamera(
-            gaussians, observations, problem, targets, folds, own, figures, notes, found, scale
+            gaussians, observations, problem, targets, folds, config, figures, notes, found, scale
         )
 
     def strongest(self) -> tuple[np.ndarray, Problem, Sequence[Fold]]:
@@ -109,6 +106,19 @@ class MovingCamera(Steady):
             for k in range(0, len(fields), 2)
         ]
         return np.concatenate(pairs).reshape(folds.shape)
+
+    def support(self, folds: np.ndarray) -> np.ndarray:
+        """What moves by a quarter of the largest amplitude or more, for each frequency; slow functions where any does.
+
+        With the pose projected out the first fit spreads motion over what stands still. Where that is held still,
+        the poses are told by it, and the amplitude comes out.
+        """
+        shapes = self.at_rest(folds[:, : 2 * len(self.hz)]).mean(0)[..., :3]
+        amplitudes = np.sqrt((shapes**2).sum(2).reshape(len(self.hz), 2, -1).sum(1))
+        largest = np.quantile(amplitudes[:, self._seen_weights > 0], _LARGEST, axis=1, keepdims=True)
+        moves = amplitudes > _MOVES * largest
+        slow = np.tile(moves.any(0), (folds.shape[1] - 2 * len(self.hz), 1))
+        return np.concatenate([np.repeat(moves, 2, 0), slow]).astype(np.float32)
 
     @cached_property
     def _seen_weights(self) -> np.ndarray:

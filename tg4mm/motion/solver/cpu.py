@@ -32,6 +32,9 @@ class CpuOperator:
     weights: np.ndarray | None = None  # W [V, H, W] float32; None: 1
     projections: Sequence[Projection] | None = None  # one a view; None: nothing is projected out
     mixing: Sequence[np.ndarray] | None = None  # C_v [ρ, R]; None: the identity
+    support: np.ndarray | None = (
+        None  # [R, N] float32: 1 where a field may move a Gaussian, 0 where not; None: 1
+    )
     buffers: Buffers = field(default_factory=Buffers, compare=False)
 
     @property
@@ -40,9 +43,8 @@ class CpuOperator:
 
     def right_hand_sides(self, pictures: Iterable[np.ndarray]) -> np.ndarray:
         """`Operator.right_hand_sides`."""
-        return np.stack(
-            [self.preconditioner.from_field(self.graph.from_motion(v)) for v in self.gathered(pictures)]
-        )
+        gathered = self.supported(self.gathered(pictures))
+        return np.stack([self.preconditioner.from_field(self.graph.from_motion(v)) for v in gathered])
 
     def gathered(self, pictures: Iterable[np.ndarray]) -> np.ndarray:
         """[R, N, 6]: Σ_v C_vᵀ Jᵀ W of target images."""
@@ -71,7 +73,8 @@ class CpuOperator:
 
     def fields(self, theta: np.ndarray) -> np.ndarray:
         """`Operator.fields`."""
-        return np.stack([self.graph.motion(self.preconditioner.field(t)) for t in theta])
+        motions = [self.graph.motion(self.preconditioner.field(t)) for t in theta]
+        return self.supported(np.stack(motions))
 
     def gradient_fields(self, theta: np.ndarray) -> np.ndarray:
         """`Operator.gradient_fields`."""
@@ -109,6 +112,10 @@ class CpuOperator:
             return np.ascontiguousarray(fields)
         return np.tensordot(self.mixing[k], fields, 1)
 
+    def supported(self, motions: np.ndarray) -> np.ndarray:
+        """Motions [R, N, 6] of the fields, 0 outside their support."""
+        return motions if self.support is None else motions * self.support[..., None]
+
     def _unmixed(self, k: int, own: np.ndarray) -> np.ndarray:
         return own if self.mixing is None else np.tensordot(self.mixing[k].T, own, 1)
 
@@ -118,13 +125,18 @@ def products_of(operators: Sequence[CpuOperator], thetas: Sequence[np.ndarray]) 
     first = operators[0]
     x = [[o.preconditioner.field(t) for t in theta] for o, theta in zip(operators, thetas, strict=True)]
     counts = [len(own) for own in x]
-    motions = np.stack([first.graph.motion(one) for own in x for one in own])
+    of_each = [
+        o.supported(np.stack([o.graph.motion(one) for one in own]))
+        for o, own in zip(operators, x, strict=True)
+    ]
+    motions = np.concatenate(of_each)
     v_motions = np.zeros_like(motions)
     for k in range(len(first.views)):
         _add_view(first, k, motions, counts, v_motions)
-    out, rows = [], iter(v_motions)
-    for operator, own in zip(operators, x, strict=True):
-        out.append(np.stack([operator.with_prior(one, next(rows)) for one in own]))
+    out, ends = [], np.cumsum([0, *counts])
+    for operator, own, (a, b) in zip(operators, x, pairwise(ends), strict=True):
+        pairs = zip(own, operator.supported(v_motions[a:b]), strict=True)
+        out.append(np.stack([operator.with_prior(one, v) for one, v in pairs]))
     return out
 
 

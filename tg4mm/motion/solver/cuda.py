@@ -107,6 +107,7 @@ class DeviceOperator:
         if operator.projections is not None:
             self.pulled = [self._sent(p.pulled).flatten(1) for p in operator.projections]
         self.mixing = None if operator.mixing is None else [self._sent(m) for m in operator.mixing]
+        self.support = None if operator.support is None else self._sent(operator.support[..., None])
 
     def right_hand_sides(self, pictures: Iterable[np.ndarray]) -> Tensor:
         """`Operator.right_hand_sides`."""
@@ -121,19 +122,20 @@ class DeviceOperator:
                 own.append(v_motion)
             own = self._unmixed(k, own)
             out = [a + b for a, b in zip(out, own, strict=True)] if out else own
-        return torch.stack([self._from_field(self._from_motion(v)) for v in out])
+        return torch.stack([self._from_field(self._from_motion(v)) for v in self._supported(out)])
 
     def products(self, theta: Tensor, rows: Sequence[int] | None = None) -> Tensor:
         """`Operator.products`."""
         some = list(theta) if rows is None else [theta[r] for r in rows]
         x = [self._field(t) for t in some]
-        motions = [self._motion(one) for one in x]
+        motions = self._supported([self._motion(one) for one in x])
         v_motions = [torch.zeros_like(m) for m in motions]
         for k in range(len(self.views)):
             own = [self._through(k, m) for m in self._mixed(k, motions)]
             for v, one in zip(v_motions, self._unmixed(k, own), strict=True):
                 v += one
-        sums = [self._from_motion(v) + self._prior(one) for v, one in zip(v_motions, x, strict=True)]
+        pairs = zip(self._supported(v_motions), x, strict=True)
+        sums = [self._from_motion(v) + self._prior(one) for v, one in pairs]
         return torch.stack([self._from_field(v) for v in sums])
 
     def _through(self, k: int, motion: Tensor) -> Tensor:
@@ -147,7 +149,8 @@ class DeviceOperator:
 
     def fields(self, theta: Tensor) -> np.ndarray:
         """`Operator.fields`."""
-        return torch.stack([self._motion(self._field(t)) for t in theta]).cpu().numpy()
+        motions = self._supported([self._motion(self._field(t)) for t in theta])
+        return torch.stack(motions).cpu().numpy()
 
     def gradient_fields(self, theta: Tensor) -> np.ndarray:
         """`Operator.gradient_fields`."""
@@ -203,6 +206,12 @@ class DeviceOperator:
 
     def _prior(self, x: Tensor) -> Tensor:
         return self.scale * (self.smoothness_weight * (self.stiffness @ x) + self.ridge * x)
+
+    def _supported(self, motions: list[Tensor]) -> list[Tensor]:
+        """Motions [N, 6] of the fields, 0 outside their support."""
+        if self.support is None:
+            return motions
+        return [m * s for m, s in zip(motions, self.support, strict=True)]
 
     def _mixed(self, k: int, motions: list[Tensor]) -> list[Tensor]:
         if self.mixing is None:

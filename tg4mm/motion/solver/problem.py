@@ -37,6 +37,7 @@ class Problem:
     projections: Sequence[Projection] | None = (
         None  # of views whose weights are final; None: made for each fold
     )
+    support: np.ndarray | None = None  # [R, N] float32: which Gaussians a field may move, 1 or 0; None: all
     _kept: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False)
 
     @staticmethod
@@ -107,6 +108,7 @@ class Problem:
             fold.weighted(weights, self.size),
             self._projections(fold, weights),
             None if self.mixing is None else [self.mixing[v] for v in fold.views],
+            self.support,
         )
 
     def _estimate(self, weights: np.ndarray | None, probes: int) -> DiagonalEstimate:
