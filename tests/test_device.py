@@ -17,7 +17,7 @@ from tg4mm.cli import main
 from tg4mm.device import check_device, full_precision, gpu_figures
 from tg4mm.errors import Tg4mmError
 from tg4mm.evaluate import evaluate_run
-from tg4mm.motion.animate import _animate_on_device, _phasors_on, animate
+from tg4mm.motion.animate import _animate_on_device, _fields_on, animate
 from tg4mm.render import RenderRequest, capture_cameras, render_sequence
 from tg4mm.render.frames import read_png
 from tg4mm.run import Run
@@ -100,7 +100,9 @@ def test_motion_kept_on_a_device_moves_alike(t: float, band: tuple[float, float]
         motion.freqs_hz, motion.displacement, turning.astype(np.complex64), motion.fps, motion.n_timesteps
     )
     expected = animate(gaussians, motion, t, 20.0, band)
-    found = _animate_on_device(gaussians, motion, _phasors_on(torch.device("cpu"), motion), t, 20.0, band)
+    found = _animate_on_device(
+        gaussians, motion, *_fields_on(torch.device("cpu"), motion, few=False), t, 20.0, band
+    )
     torch.testing.assert_close(found.means, expected.means, rtol=0, atol=1e-6)
     torch.testing.assert_close(found.quats, expected.quats, rtol=0, atol=1e-6)
     assert not torch.equal(expected.quats, gaussians.quats)

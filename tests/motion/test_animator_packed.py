@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.animate import _few_fields, _phasors_on, animate, animator
+from tg4mm.motion.animate import animate, animator
 from tg4mm.motion.modes import ModalMotion
 
 N, K, R = 300, 24, 3
@@ -38,7 +38,7 @@ def test_poses_are_those_of_animate(moved, alpha, band):
 
 
 def test_shared_fields_are_held_once(moved):
-    _, motion = moved
-    mixing, fields = _few_fields(_phasors_on(torch.device("cpu"), motion), N)
-    assert mixing.shape == (2 * K, R)
+    pose = animator(*moved, packed=True)
+    fields, series = pose.args[2:]
     assert fields.shape == (R, 6 * N)
+    assert series.shape == (K, R)

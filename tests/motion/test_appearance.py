@@ -21,7 +21,7 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.magnify.bands import BandGain, Magnification
 from tg4mm.magnify.linear import magnified_motion
 from tg4mm.motion import MotionConfig
-from tg4mm.motion.animate import _animate_on_device, _phasors_on, animate
+from tg4mm.motion.animate import _animate_on_device, _fields_on, animate
 from tg4mm.motion.appearance import AppearanceFit, Remainder
 from tg4mm.motion.appearance_problem import HARMONIC, AppearanceProblem, AppearanceView, appearance_views
 from tg4mm.motion.jacobian.packed import DOF
@@ -258,8 +258,9 @@ def test_on_a_device_it_is_alike() -> None:
     """The phasors' way through a matrix product, here on the CPU."""
     m, g = replace(motion(), appearance=appearance(0.01)), gaussians()
     assert m.appearance is not None
-    phasors, shapes = _phasors_on(torch.device("cpu"), m), torch.from_numpy(m.appearance.shapes)
-    found = _animate_on_device(g, m, phasors, 2.5, 20.0, (4.0, 6.0), appearance_fields=shapes)
+    shapes = torch.from_numpy(m.appearance.shapes)
+    fields, series = _fields_on(torch.device("cpu"), m, few=False)
+    found = _animate_on_device(g, m, fields, series, 2.5, 20.0, (4.0, 6.0), appearance_fields=shapes)
     expected = animate(g, m, 2.5, 20.0, (4.0, 6.0))
     assert not torch.allclose(expected.sh, g.sh, atol=0.01)
     torch.testing.assert_close(found.sh, expected.sh, rtol=0, atol=1e-6)

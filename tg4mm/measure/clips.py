@@ -18,7 +18,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tg4mm.measure.fourier import floor_factor, frequency_grid, is_told, rayleigh, tones, transformed
+from tg4mm.measure.fourier import (
+    floor_factor,
+    frequency_grid,
+    is_told,
+    rayleigh,
+    sinusoid_columns,
+    transformed,
+)
 from tg4mm.measure.series import UNSEEN, Series
 from tg4mm.measure.spectrum import Peak, Spectrum, ordered, spectrum_of, strength_of, with_harmonics
 from tg4mm.measure.triangulation import Rows, triangulated
@@ -138,7 +145,7 @@ def _mean_frequency(peaks: Sequence[tuple[float, float, float, int, int]]) -> tu
 
 def _phasors(series: Series, hz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """[K, 3] phasors of sinusoids fitted together, along the series' axes, and [K] what a sample's variance becomes."""
-    inverse = np.linalg.pinv(tones(hz, series.times_s))
+    inverse = np.linalg.pinv(sinusoid_columns(hz, series.times_s))
     answer, gain, k = inverse @ series.displacement, (inverse**2).sum(1), len(hz)
     return answer[1 : 1 + k] + 1j * answer[1 + k :], (gain[1 : 1 + k] + gain[1 + k :]) / 2
 

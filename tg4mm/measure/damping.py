@@ -21,7 +21,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import get_window, welch
 
-from tg4mm.measure.fourier import tones
+from tg4mm.measure.fourier import sinusoid_columns
 from tg4mm.measure.orbit import orbit_of
 from tg4mm.measure.series import Series
 from tg4mm.measure.spectrum import Peak
@@ -58,7 +58,7 @@ def damping_of(series: Series, peaks: Sequence[Peak], k: int) -> Damping | None:
     duration = float(np.ptp(times))
     values = series.displacement @ direction
     sigma = np.where(series.is_told, series.noise, 0) @ np.abs(direction)
-    plain = tones(np.array(others), times) if others else np.ones((len(times), 1))
+    plain = sinusoid_columns(np.array(others), times) if others else np.ones((len(times), 1))
 
     def left(p: np.ndarray) -> np.ndarray:
         envelope = np.exp(-p[1] * (times - duration / 2) / duration)

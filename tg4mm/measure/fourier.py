@@ -17,7 +17,7 @@ def frequency_grid(times_s: np.ndarray) -> np.ndarray:
     return np.arange(count) / (duration * OVERSAMPLED)
 
 
-def tones(hz: np.ndarray, times_s: np.ndarray) -> np.ndarray:
+def sinusoid_columns(hz: np.ndarray, times_s: np.ndarray) -> np.ndarray:
     """[T, 2K + 1]: a constant, cos 2πf_k t, −sin 2πf_k t."""
     angles = 2 * np.pi * times_s[:, None] * np.asarray(hz)[None]
     return np.concatenate([np.ones((len(times_s), 1)), np.cos(angles), -np.sin(angles)], 1)

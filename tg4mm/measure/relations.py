@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.signal import csd, welch
 
-from tg4mm.measure.fourier import tones
+from tg4mm.measure.fourier import sinusoid_columns
 from tg4mm.measure.orbit import amplitude_deviation, orbit_of
 from tg4mm.measure.series import Series
 
@@ -80,7 +80,7 @@ def _at(result: SensorResult, hz: np.ndarray, k: int) -> tuple[np.ndarray, np.nd
         peak = min(result.together.everywhere, key=lambda p: abs(p.frequency_hz - hz[k]))
         phasor = np.where(peak.is_told, peak.phasor, 0)
         return phasor, np.where(peak.is_told, peak.deviation, 0), bool((np.abs(phasor) > floor).any())
-    design = tones(hz, result.times_s)
+    design = sinusoid_columns(hz, result.times_s)
     inverse = np.linalg.pinv(design)
     answer, n = inverse @ result.displacement, len(hz)
     finite = np.where(result.series.is_observed, result.series.noise, 0)

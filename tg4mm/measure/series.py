@@ -172,6 +172,6 @@ def _floor_factor(answer: np.ndarray, variance: np.ndarray) -> np.ndarray:
     if len(answer) < _FEWEST:
         return np.zeros(answer.shape[1])
     scaled = answer / np.sqrt(np.where(np.isfinite(variance) & (variance > 0), variance, np.inf))
-    window = blackmanharris(len(answer), sym=False)[:, None]  # whose side lobes no strong tone fills
+    window = blackmanharris(len(answer), sym=False)[:, None]  # whose side lobes no strong sinusoid fills
     power = np.abs(np.fft.rfft((scaled - scaled.mean(0)) * window, axis=0))[2:-1] ** 2
     return np.asarray(np.quantile(power, 0.25, axis=0) / _QUARTILE / (window**2).sum())

@@ -24,7 +24,7 @@ from tg4mm.measure.fourier import (
     frequency_grid,
     is_told,
     rayleigh,
-    tones,
+    sinusoid_columns,
     transformed,
 )
 from tg4mm.measure.harmonics import Harmonic, harmonics_of
@@ -140,7 +140,7 @@ def _peaks(grid: np.ndarray, times_s: np.ndarray, values: np.ndarray, level: np.
         axis = int(amplitude[at].argmax())
         hz = np.append(hz, _parabola(grid, amplitude[:, axis], at))
         hz = _refined(hz, times_s, values)
-        design = tones(hz, times_s)
+        design = sinusoid_columns(hz, times_s)
         left = values - design @ np.linalg.lstsq(design, values, rcond=None)[0]
     return hz
 
@@ -160,7 +160,7 @@ def _refined(hz: np.ndarray, times_s: np.ndarray, values: np.ndarray) -> np.ndar
     most = 0.5 / (np.ptp(times_s) + 1e-12)
     start, middle = hz.copy(), times_s.mean()
     for _ in range(_STEPS):
-        design = tones(hz, times_s)
+        design = sinusoid_columns(hz, times_s)
         answer = np.linalg.lstsq(design, values, rcond=None)[0]
         left = values - design @ answer
         n = len(hz)
@@ -188,7 +188,7 @@ def _fitted(
 ) -> tuple[Peak, ...]:
     if not len(hz):
         return ()
-    design, n = tones(hz, times_s), len(hz)
+    design, n = sinusoid_columns(hz, times_s), len(hz)
     inverse = np.linalg.pinv(design.T @ design)
     answer = inverse @ design.T @ values
     gain = (inverse @ design.T) ** 2  # of samples' variances

@@ -11,8 +11,9 @@ import torch
 from torch import Tensor
 
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.modes import ModalMotion, apply_appearance
+from tg4mm.motion.modes import ModalMotion, apply_appearance, fields_of
 
+_LOOKING = 1e-5  # of the strongest field: what is left out of motion that is looked at
 Alpha = float | np.ndarray  # one for all modes, or [K]: one each
 
 
@@ -103,48 +104,38 @@ def animator(
             f"the motion has {motion.displacement.shape[1]} Gaussians, the scene {len(gaussians)}"
         )
     shapes = None if motion.appearance is None else torch.from_numpy(motion.appearance.shapes).to(device)
-    phasors, mixing = _phasors_on(device, motion), None
-    if packed and len(phasors):
-        mixing, phasors = _few_fields(phasors, len(gaussians))
-    return partial(_animate_on_device, gaussians, motion, phasors, appearance_fields=shapes, mixing=mixing)
+    fields, series = _fields_on(device, motion, packed)
+    return partial(_animate_on_device, gaussians, motion, fields, series, appearance_fields=shapes)
 
 
-def _phasors_on(device: torch.device, motion: ModalMotion) -> Tensor:
-    """[2K, 6N] float32: real parts, then negated imaginary parts, of displacement and rotation."""
-    both = np.concatenate([motion.displacement, motion.rotation], 2)
-    both = both.reshape(len(both), 6 * both.shape[1])
-    return torch.from_numpy(np.concatenate([both.real, -both.imag]).astype(np.float32)).to(device)
-
-
-def _few_fields(phasors: Tensor, n: int) -> tuple[Tensor, Tensor]:
-    """[2K, R] mixing and [R, 6N] fields whose product is `phasors` [2K, 6N] to 10⁻⁵ of the strongest field.
-
-    A capture's frequencies are told from few functions of time, so that R is much smaller than 2K. Displacement and
-    rotation count alike, whatever their units.
-    """
-    gram = torch.zeros(2, len(phasors), len(phasors), dtype=torch.float64, device=phasors.device)
-    for some in phasors.reshape(-1, n, 2, 3).split(20_000, dim=1):  # a copy of all in double would be large
-        rows = some.double().permute(2, 0, 1, 3).flatten(2)
-        gram += rows @ rows.mT
-    even = (gram / gram.diagonal(dim1=1, dim2=2).sum(1).clamp_min(1e-300)[:, None, None]).sum(0)
-    powers, vectors = torch.linalg.eigh(even)
-    mixing = vectors[:, powers > 1e-10 * powers.max()].to(phasors)
-    return mixing, mixing.T @ phasors
+def _fields_on(device: torch.device, motion: ModalMotion, few: bool) -> tuple[Tensor, np.ndarray]:
+    """Fields [R, 6 N] and series [K, R] whose product is the motion's phasors, to rounding or, of few, for looking."""
+    if few and len(motion.displacement):
+        fields, series = fields_of(motion, _LOOKING)
+    else:
+        both, one = (
+            np.concatenate([motion.displacement, motion.rotation], 2),
+            np.eye(len(motion.displacement)),
+        )
+        fields = np.concatenate([both.real, both.imag]).astype(np.float32)
+        series = np.concatenate([one, 1j * one], 1)
+    return torch.from_numpy(fields.reshape(len(fields), 6 * fields.shape[1])).to(device), series
 
 
 def _animate_on_device(
     gaussians: Gaussians,
     motion: ModalMotion,
-    phasors: Tensor,
+    fields: Tensor,
+    series: np.ndarray,
     t: float,
     alpha: Alpha = 0.0,
     band: tuple[float, float] | None = None,
     appearance_fields: Tensor | None = None,
-    mixing: Tensor | None = None,
 ) -> Gaussians:
+    """Fields and series: as `_fields_on` gives them."""
     gains = mode_gains(motion, t, alpha, band)
-    factors = torch.from_numpy(np.concatenate([gains.real, gains.imag]).astype(np.float32)).to(phasors.device)
-    change = ((factors if mixing is None else factors @ mixing) @ phasors).reshape(-1, 6)
+    factors = torch.from_numpy((gains @ series).real.astype(np.float32)).to(fields.device)
+    change = (factors @ fields).reshape(-1, 6)
     means, quats = gaussians.means + change[:, :3], rotated(gaussians.quats, change[:, 3:])
     sh = gaussians.sh
     if motion.appearance is not None and appearance_fields is not None:

@@ -19,11 +19,11 @@ from tg4mm.report.figures import scale_top
 from tg4mm.report.maps import peak_displacement
 from tg4mm.result.advice import next_command, suggested_alpha
 from tg4mm.result.bands import suggested_bands
+from tg4mm.result.damped_sinusoid import DampedSinusoid, damped_sinusoid_of
 from tg4mm.result.lines import with_deviation
 from tg4mm.result.model import Length, Result, Vibration
 from tg4mm.result.reach import Reach, reach_of
 from tg4mm.result.seen import Seen, seen_by
-from tg4mm.result.tone import Tone, tone_of
 from tg4mm.run import UNCERTAINTY, Run
 
 _FIT_PERIODS = 2.0  # of a frequency that a fit may hold, in the record
@@ -69,9 +69,9 @@ class Reading:
         if motion is None:
             return self._still()
         seen = self.seen
-        tones = self._tones(motion, seen)
+        sinusoids = self._tones(motion, seen)
         vibrations = self._vibrations(
-            motion, seen, {f: t for f, t in tones.items() if not _is_drift(f, t, motion)}
+            motion, seen, {f: t for f, t in sinusoids.items() if not _is_drift(f, t, motion)}
         )
         noise, noise_px = self._noise(seen)
         low, high = vibrations[0].band if vibrations else (0.0, 0.0)
@@ -90,7 +90,7 @@ class Reading:
             noise=noise,
             noise_px=noise_px,
             agreement=tuple(float(r) for r in self.log.get("reliability", ())),
-            cannot=(*_drifts(tones, motion), *self._cannot(motion, vibrations)),
+            cannot=(*_drifts(sinusoids, motion), *self._cannot(motion, vibrations)),
             alpha=alpha,
             next_command=next_command(self.run, self.capture, vibrations, alpha),
         )
@@ -115,21 +115,25 @@ class Reading:
             next_command=next_command(self.run, capture, (), 0.0),
         )
 
-    def _tones(self, motion: ModalMotion, seen: Seen) -> dict[float, Tone]:
+    def _tones(self, motion: ModalMotion, seen: Seen) -> dict[float, DampedSinusoid]:
         """Of every peak, drifts among them, by falling strength."""
         known = worth_keeping(motion, self.uncertainty.get("noise"))
         lowest_hz = _FIT_PERIODS * motion.fps / motion.n_timesteps
         hz = [float(f) for f in peaks(motion, lowest_hz) if known[_index(motion, f)]]
         return {f: self._tone(motion, seen, f, np.array(hz)) for f in hz}
 
-    def _vibrations(self, motion: ModalMotion, seen: Seen, tones: dict[float, Tone]) -> tuple[Vibration, ...]:
-        hz, duration = list(tones), motion.n_timesteps / motion.fps
-        bands = suggested_bands(hz, [tone.deviation_hz for tone in tones.values()], duration, motion.fps)
+    def _vibrations(
+        self, motion: ModalMotion, seen: Seen, sinusoids: dict[float, DampedSinusoid]
+    ) -> tuple[Vibration, ...]:
+        hz, duration = list(sinusoids), motion.n_timesteps / motion.fps
+        bands = suggested_bands(
+            hz, [sinusoid.deviation_hz for sinusoid in sinusoids.values()], duration, motion.fps
+        )
         deviations = None
         if "noise" in self.uncertainty:
             deviations = mode_deviations(motion, self.uncertainty["displacement"], self.uncertainty["noise"])
         out = []
-        for (f, tone), band in zip(tones.items(), bands, strict=True):
+        for (f, sinusoid), band in zip(sinusoids.items(), bands, strict=True):
             k = _index(motion, f)
             amplitude, place = self._largest(
                 motion.displacement[k], seen, None if deviations is None else deviations[k]
@@ -137,13 +141,13 @@ class Reading:
             out.append(
                 Vibration(
                     hz=f,
-                    deviation_hz=tone.deviation_hz,
+                    deviation_hz=sinusoid.deviation_hz,
                     amplitude=amplitude,
                     place=place,
                     pixels=self._pixels(motion.displacement[k], seen, amplitude),
-                    damping=tone.damping,
-                    damping_deviation=tone.damping_deviation,
-                    why_no_damping=tone.why_no_damping,
+                    damping=sinusoid.damping,
+                    damping_deviation=sinusoid.damping_deviation,
+                    why_no_damping=sinusoid.why_no_damping,
                     band=band,
                 )
             )
@@ -155,13 +159,13 @@ class Reading:
             return ()
         return tuple(Length(f, d) for f, d in zip(*(self.log.get(k, ()) for k in _STATED), strict=False))
 
-    def _tone(self, motion: ModalMotion, seen: Seen, hz: float, every: np.ndarray) -> Tone:
+    def _tone(self, motion: ModalMotion, seen: Seen, hz: float, every: np.ndarray) -> DampedSinusoid:
         told = {float(f): float(d) for f, d in zip(*(self.log.get(k, ()) for k in _STATED), strict=False)}
         if told:  # clocks of their own, or a moving camera: the fit holds these frequencies and nothing else
-            return Tone(told[min(told, key=lambda f: abs(f - hz))], None, None, _STEADY)
+            return DampedSinusoid(told[min(told, key=lambda f: abs(f - hz))], None, None, _STEADY)
         series = series_of(motion, motion.displacement[_index(motion, hz)], seen.weights)
         noise = float(self.log.get("noise_to_motion") or 0.0)
-        return tone_of(series, motion.fps, hz, every[every != hz], noise)
+        return damped_sinusoid_of(series, motion.fps, hz, every[every != hz], noise)
 
     def _largest(
         self, phasors: np.ndarray, seen: Seen, deviation: np.ndarray | None
@@ -244,16 +248,16 @@ def series_of(motion: ModalMotion, phasors: np.ndarray, weights: np.ndarray) -> 
     return np.asarray((along[:, None] * gains).real.sum(0))
 
 
-def _is_drift(hz: float, tone: Tone, motion: ModalMotion) -> bool:
+def _is_drift(hz: float, sinusoid: DampedSinusoid, motion: ModalMotion) -> bool:
     """Whether the record holds too little of a frequency to tell it from a slow drift."""
-    return hz * motion.n_timesteps / motion.fps < _PERIODS or hz < _SURE * tone.deviation_hz
+    return hz * motion.n_timesteps / motion.fps < _PERIODS or hz < _SURE * sinusoid.deviation_hz
 
 
-def _drifts(tones: dict[float, Tone], motion: ModalMotion) -> list[str]:
+def _drifts(sinusoids: dict[float, DampedSinusoid], motion: ModalMotion) -> list[str]:
     """A line on the strongest peak that is taken for a drift."""
-    for f, tone in tones.items():
-        if _is_drift(f, tone, motion):
-            shown = with_deviation(Length(f, tone.deviation_hz))
+    for f, sinusoid in sinusoids.items():
+        if _is_drift(f, sinusoid, motion):
+            shown = with_deviation(Length(f, sinusoid.deviation_hz))
             periods = f * motion.n_timesteps / motion.fps
             return [
                 f"whether something vibrates at {shown} Hz or drifts: the record holds {periods:.2g} periods of it; "

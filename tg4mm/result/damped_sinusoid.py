@@ -23,7 +23,7 @@ _BLOCKS = 3
 
 
 @dataclass(frozen=True)
-class Tone:
+class DampedSinusoid:
     """A frequency's standard deviation, and the damping ratio δ / (2π f) where the record shows one."""
 
     deviation_hz: float
@@ -32,7 +32,9 @@ class Tone:
     why_no_damping: str = ""
 
 
-def tone_of(series: np.ndarray, fps: float, hz: float, others: np.ndarray, noise: float) -> Tone:
+def damped_sinusoid_of(
+    series: np.ndarray, fps: float, hz: float, others: np.ndarray, noise: float
+) -> DampedSinusoid:
     """Of the frequency `hz` in a series [T], which holds the frequencies `others` too.
 
     noise: standard deviation of the series' noise over the rms of the vibration, at least. A record too short to fit
@@ -40,7 +42,7 @@ def tone_of(series: np.ndarray, fps: float, hz: float, others: np.ndarray, noise
     """
     n = len(series)
     duration, t = n / fps, (np.arange(n) - (n - 1) / 2) / fps
-    coarse = Tone(1 / (duration * np.sqrt(12)), None, None, "the record is too short")
+    coarse = DampedSinusoid(1 / (duration * np.sqrt(12)), None, None, "the record is too short")
     beside = _beside(t, others)
     if n < FEWEST or n < beside.shape[1] + 5:
         return coarse
@@ -54,7 +56,9 @@ def tone_of(series: np.ndarray, fps: float, hz: float, others: np.ndarray, noise
     spread = _jackknife(series, t, hz, beside, duration)
     # The modes' own frequency is what is shown and played; where the fit lands elsewhere, it is as uncertain as that.
     deviation = np.hypot(np.hypot(bound[0], spread[0]), found[0] - hz)
-    return Tone(float(deviation), *_damping(found[1], float(np.hypot(bound[1], spread[1])), hz, duration))
+    return DampedSinusoid(
+        float(deviation), *_damping(found[1], float(np.hypot(bound[1], spread[1])), hz, duration)
+    )
 
 
 def _damping(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tg4mm.result.tone import Tone, tone_of
+from tg4mm.result.damped_sinusoid import DampedSinusoid, damped_sinusoid_of
 
 FPS, N = 30.0, 60
 NONE = np.zeros(0)
@@ -40,7 +40,7 @@ def test_errors_are_as_large_as_stated(size: float, memory: float) -> None:
         hz = rng.uniform(4, 6)
         series = wave(hz, phase=rng.uniform(0, 6)) + coloured(rng, size, memory)
         named = fitted_hz(series, hz)
-        ratios.append((named - hz) / tone_of(series, FPS, named, NONE, 0.0).deviation_hz)
+        ratios.append((named - hz) / damped_sinusoid_of(series, FPS, named, NONE, 0.0).deviation_hz)
     assert 0.3 < np.sqrt(np.mean(np.square(ratios))) < 1.2
 
 
@@ -48,38 +48,39 @@ def test_white_noise_gives_about_the_cramer_rao_bound() -> None:
     size, rng = 0.1, np.random.default_rng(0)
     bound = np.sqrt(6) * size / (np.pi * np.sqrt(N) * N / FPS)
     stated = [
-        tone_of(wave(5.3) + rng.normal(0, size, N), FPS, 5.3, NONE, 0.0).deviation_hz for _ in range(20)
+        damped_sinusoid_of(wave(5.3) + rng.normal(0, size, N), FPS, 5.3, NONE, 0.0).deviation_hz
+        for _ in range(20)
     ]
     assert bound < np.median(stated) < 3 * bound
 
 
 def test_a_clean_series_is_no_surer_than_its_noise_in_space() -> None:
     """A fit that shrank all noise away leaves none in the series; the two halves tell of it."""
-    perfect = tone_of(wave(5.0), FPS, 5.0, NONE, 0.0).deviation_hz
-    told = tone_of(wave(5.0), FPS, 5.0, NONE, 0.1).deviation_hz
+    perfect = damped_sinusoid_of(wave(5.0), FPS, 5.0, NONE, 0.0).deviation_hz
+    told = damped_sinusoid_of(wave(5.0), FPS, 5.0, NONE, 0.1).deviation_hz
     assert perfect < 1e-6
     assert told == pytest.approx(np.sqrt(6) * 0.1 / np.sqrt(2) / (np.pi * np.sqrt(N) * N / FPS), rel=0.1)
 
 
 def test_a_frequency_beside_that_of_the_series_is_as_uncertain_as_that() -> None:
-    assert tone_of(wave(5.2), FPS, 5.0, NONE, 0.0).deviation_hz == pytest.approx(0.2, rel=0.01)
+    assert damped_sinusoid_of(wave(5.2), FPS, 5.0, NONE, 0.0).deviation_hz == pytest.approx(0.2, rel=0.01)
 
 
 def test_another_frequency_and_a_trend_are_no_noise() -> None:
     series = wave(5.0) + 0.8 * wave(7.3, phase=1.0) + 0.5 + 0.4 * T
-    assert tone_of(series, FPS, 5.0, np.array([7.3]), 0.0).deviation_hz < 1e-6
-    assert tone_of(series, FPS, 5.0, NONE, 0.0).deviation_hz > 1e-3
+    assert damped_sinusoid_of(series, FPS, 5.0, np.array([7.3]), 0.0).deviation_hz < 1e-6
+    assert damped_sinusoid_of(series, FPS, 5.0, NONE, 0.0).deviation_hz > 1e-3
 
 
 def test_a_record_too_short_knows_a_bin() -> None:
-    tone = tone_of(wave(5.0)[:6], FPS, 5.0, NONE, 0.0)
-    assert tone == Tone(pytest.approx(5.0 / np.sqrt(12)), None, None, "the record is too short")
+    tone = damped_sinusoid_of(wave(5.0)[:6], FPS, 5.0, NONE, 0.0)
+    assert tone == DampedSinusoid(pytest.approx(5.0 / np.sqrt(12)), None, None, "the record is too short")
 
 
 def test_a_ring_down_has_a_damping_ratio() -> None:
     rng, decay = np.random.default_rng(3), 1.5
     ratio = decay / (2 * np.pi * 5.2)
-    tone = tone_of(wave(5.2, decay) + rng.normal(0, 0.02, N), FPS, 5.2, NONE, 0.0)
+    tone = damped_sinusoid_of(wave(5.2, decay) + rng.normal(0, 0.02, N), FPS, 5.2, NONE, 0.0)
     assert tone.damping == pytest.approx(ratio, abs=3 * tone.damping_deviation)
     assert 0 < tone.damping_deviation < 0.2 * ratio
     assert tone.why_no_damping == ""
@@ -89,6 +90,6 @@ def test_a_ring_down_has_a_damping_ratio() -> None:
 def test_a_vibration_that_does_not_ring_down_tells_no_damping(decay: float, said: str) -> None:
     rng = np.random.default_rng(3)
     for _ in range(10):
-        tone = tone_of(wave(5.2, decay) + rng.normal(0, 0.05, N), FPS, 5.2, NONE, 0.0)
+        tone = damped_sinusoid_of(wave(5.2, decay) + rng.normal(0, 0.05, N), FPS, 5.2, NONE, 0.0)
         assert tone.damping is None
         assert said in tone.why_no_damping
