@@ -82,7 +82,7 @@ def waveform(axes: Any, result: SensorResult, unit: Unit) -> None:
     words += [f"{', '.join(hidden)} hardly seen, left out"] if hidden else []
     axes.set_title("; ".join(words), fontsize=8, loc="left")
     if _told(series):
-        axes.legend(ncols=3, loc="upper right")
+        axes.legend(ncols=3, loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0.2, frameon=False)
     if unit.name != "px":
         second = axes.secondary_yaxis("right", functions=_factors(result.px_per_unit / unit.factor))
         second.set_ylabel(f"px in {result.best_view}")
