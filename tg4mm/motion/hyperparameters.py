@@ -27,6 +27,7 @@ from tg4mm.motion.solver.pcg import pcg
 from tg4mm.motion.solver.problem import Problem
 from tg4mm.motion.split_half import reliability
 from tg4mm.motion.targets import TargetImages, pixel_noise
+from tg4mm.progress import progress
 
 CANDIDATES = (10.0, 30.0, 100.0, 300.0, 1_000.0, 3_000.0)
 DEFAULT = 300.0  # where the data are not halved, or nothing changes
@@ -123,13 +124,19 @@ def few_iterations(
     operators: Sequence[Any], images: Sequence[np.ndarray], iterations: int
 ) -> list[np.ndarray]:
     """Fields [R, N, 6] of each operator after so many iterations; on the CPU they share their passes over the views."""
-    if not isinstance(operators[0], CpuOperator):
-        solutions = [pcg(o, o.right_hand_sides(images), iterations, 1e-6) for o in operators]
-        return [o.fields(s.theta) for o, s in zip(operators, solutions, strict=True)]
-    together = SharedPass(operators)
-    b = together.right_hand_sides(images)
-    own = len(b) // len(operators) if operators[0].is_coupled else 1
-    theta = pcg(together, b, iterations, 1e-6, together=own).theta
+    on_cpu = isinstance(operators[0], CpuOperator)
+    with progress("smoothness", iterations * (1 if on_cpu else len(operators)), "iterations") as update:
+        if not on_cpu:
+            fields = []
+            for k, o in enumerate(operators):
+                solution = pcg(o, o.right_hand_sides(images), iterations, 1e-6)
+                fields.append(o.fields(solution.theta))
+                update((k + 1) * iterations)
+            return fields
+        together = SharedPass(operators)
+        b = together.right_hand_sides(images)
+        own = len(b) // len(operators) if operators[0].is_coupled else 1
+        theta = pcg(together, b, iterations, 1e-6, together=own, update=lambda done, _: update(done)).theta
     return [
         o.fields(t) for o, t in zip(operators, theta.reshape(len(operators), -1, *b.shape[1:]), strict=True)
     ]
