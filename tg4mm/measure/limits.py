@@ -23,7 +23,7 @@ def limits_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[str, ..
         out.append("a flat capture shows motion across the sight alone, in pixels of its picture")
     elif not scene.is_moving and len(scene.views) == len(scene.clocks) == 1:
         out.append(
-            "one camera: motion along its line of sight is hardly seen; it is given with its own, large deviation"
+            "sensors of one camera: along its line of sight, which it hardly sees, a waveform has a much larger ±"
         )
     if len(scene.clocks) > 1:
         out.append(
