@@ -56,15 +56,14 @@ class LinearFit:
         first = self.config.iterations - self._of_second if iterations is None else iterations
         return [self.parts(f"first_pass_{p}", partial(self._first, p, first)) for p in range(len(self.folds))]
 
-    def within(self, support: np.ndarray, iterations: int) -> list[Arrays]:
-        """`first_pass` where fields move nothing outside their support [R, N]."""
+    def within(self, support: np.ndarray, k: int) -> list[Arrays]:
+        """The k-th fit in which fields move nothing outside their support [R, N], as `first_pass`."""
 
         def parts(name: str, compute: Callable[[], Arrays]) -> Arrays:
-            return self.parts(f"{name}_within_support", compute)
+            return self.parts(f"{name}_support_{k}", compute)
 
-        return replace(self, problem=replace(self.problem, support=support), parts=parts).first_pass(
-            iterations
-        )
+        own = replace(self, problem=replace(self.problem, support=support), parts=parts)
+        return own.first_pass(self.config.iterations)
 
     def second_pass(
         self, first: Sequence[Arrays], is_small: bool, correction: Correction | None = None

@@ -32,6 +32,7 @@ from tg4mm.motion.split_half import LEAST, wiener_shrink
 from tg4mm.motion.uncertainty import MotionEstimate, Uncertainty, of_few_views, of_halves
 from tg4mm.progress import progress
 
+_SUPPORTS = 2  # fits within a support, at most
 _JUDGED = 10  # views in which it is told what is left of the pictures
 
 
@@ -114,15 +115,17 @@ def _linear_fit(clock: Clock, hyper: Hyperparameters, parts: Parts) -> tuple[np.
     """Fields [P, R, N, 6] of the folds; the mean over folds of their displacement and gradient, [R, 4N, 3].
 
     Of synchronous cameras in two passes, with a deferred correction between them where motion is small. Of a moving
-    camera a second time, where only what was found to move may.
+    camera twice more, where only what was found to move may.
     """
     linear = LinearFit(clock.problem, clock.targets, hyper, clock.folds, clock.config, parts)
     if not isinstance(clock, Synchronous):
-        only = linear.first_pass(clock.config.iterations)
-        support = clock.support(np.stack([f["fields"] for f in only]))
-        if support is not None:
-            only = linear.within(support, clock.config.iterations)
-        return np.stack([f["fields"] for f in only]), np.mean([f["x"] for f in only], axis=0)
+        last = linear.first_pass(clock.first_iterations)
+        for k in range(_SUPPORTS):
+            support = clock.support(np.stack([f["fields"] for f in last]))
+            if support is None:
+                break
+            last = linear.within(support, k)
+        return np.stack([f["fields"] for f in last]), np.mean([f["x"] for f in last], axis=0)
     first = linear.first_pass()
     fields, _ = wiener_shrink(np.stack([f["fields"] for f in first]))
     is_small, correction = clock.pixels_moved(fields) <= ABOVE_PX, None

@@ -54,8 +54,13 @@ class Clock(ABC):
     def completed(self, hyper: Hyperparameters, parts: Parts) -> Clock:
         """With what the functions of time still lack: which are fitted, or every camera's phases."""
 
+    @property
+    def first_iterations(self) -> int:
+        """Of conjugate gradients, in a fit without a support."""
+        return self.config.iterations
+
     def support(self, folds: np.ndarray) -> np.ndarray | None:
-        """[R, N] float32: where fields may move Gaussians in a second fit, 1 or 0, by a first one's [P, R, N, 6].
+        """[R, N] float32: where fields may move Gaussians in the next fit, 1 or 0, by those of the last [P, R, N, 6].
 
         None where one fit is enough.
         """

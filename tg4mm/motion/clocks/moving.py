@@ -45,8 +45,8 @@ _POSE_STEPS = 2
 _ROBUST = 3.0  # robust deviations: residuals beyond count less
 _SLOW_BELOW = 0.5  # of the lowest frequency: slow functions reach up to it
 _THINNED = 3  # every third frame is enough to choose the smoothness weight
-# Times the iterations of fixed cameras: with the camera's pose projected out, what moves against the background is
-# found late.
+# Of the first fit, times the iterations of fixed cameras: with the camera's pose projected out, what moves against the
+# background is found late.
 _MORE_ITERATIONS = 2
 _MOVES, _LARGEST = 0.25, 0.99  # of the largest amplitude; the quantile that is called the largest
 _LEAST_POWER = 1.5  # of a frequency, times the noise's
@@ -87,10 +87,9 @@ class MovingCamera(Steady):
             mixing = [row[None].astype(np.float32) for row in functions.T]
             problem = replace(problem, mixing=mixing, _kept={})
         folds = folds_of(len(frames), observations.size, True, config.split_half)
-        own = replace(config, iterations=_MORE_ITERATIONS * config.iterations)
         scale = float(np.sqrt(2 / len(frames)))
         return MovingCamera(
-            gaussians, observations, problem, targets, folds, own, figures, notes, found, scale
+            gaussians, observations, problem, targets, folds, config, figures, notes, found, scale
         )
 
     def strongest(self) -> tuple[np.ndarray, Problem, Sequence[Fold]]:
@@ -110,6 +109,10 @@ class MovingCamera(Steady):
             for k in range(0, len(fields), 2)
         ]
         return np.concatenate(pairs).reshape(folds.shape)
+
+    @property
+    def first_iterations(self) -> int:
+        return _MORE_ITERATIONS * self.config.iterations
 
     def support(self, folds: np.ndarray) -> np.ndarray:
         """What moves by a quarter of the largest amplitude or more, for each frequency; slow functions where any does.
