@@ -78,7 +78,9 @@ class MovingCamera(Steady):
         figures = {**refined, "nuisance": ["exposure", "pose"], **frequency_figures(found)}
         notes = [
             "the camera moves: a motion of the whole scene as one cannot be told from its own, nor one below "
-            f"{lowest_hz:.2g} Hz (eight periods in the record) from what changes with the viewpoint"
+            f"{lowest_hz:.2g} Hz (eight periods in the record) from what changes with the viewpoint",
+            "a camera that moves: its poses take up part of the motion, so that amplitudes come out too small, by a "
+            "fifth to a quarter where most of the scene stands still, more than the ± says",
         ]
         targets = no_targets(observations)
         if len(found.hz):
