@@ -7,8 +7,10 @@ import pytest
 import torch
 
 from tests.motion.filmed import error_of, scene, walk
+from tg4mm.motion.clocks import moving
 from tg4mm.motion.clocks.moving import corrected_poses
 from tg4mm.motion.config import MotionConfig
+from tg4mm.motion.jacobian.view import ViewJacobian
 from tg4mm.motion.pipeline import fit_motion
 
 FREQUENCY = 3.4  # Hz
@@ -27,6 +29,25 @@ def test_the_motion_of_the_scene_is_found_though_poses_are_off() -> None:
     mac = np.abs(np.vdot(found, true)) ** 2 / (np.vdot(found, found) * np.vdot(true, true)).real
     assert mac > 0.45
     assert any("the camera moves" in note for note in fit.notes)
+
+
+@pytest.mark.slow
+def test_views_in_temporary_files_give_the_same_motion(monkeypatch: pytest.MonkeyPatch) -> None:
+    gaussians, motion = scene(FREQUENCY)
+    observations, config = walk(gaussians, motion, 90, tremor=1e-3), MotionConfig(appearance=False)
+    in_memory = fit_motion(gaussians, observations, config)
+    stored: list[int] = []
+    real = ViewJacobian.stored
+    monkeypatch.setattr(moving, "VIEW_BYTES", 0)
+    monkeypatch.setattr(ViewJacobian, "stored", lambda view: stored.append(view.nbytes) or real(view))
+    in_files = fit_motion(gaussians, observations, config)
+    assert len(stored) == 90
+    assert len(in_memory.motion.freqs_hz) > 0
+    np.testing.assert_allclose(in_files.motion.freqs_hz, in_memory.motion.freqs_hz, rtol=1e-6)
+    scale = np.abs(in_memory.motion.displacement).max()
+    np.testing.assert_allclose(
+        in_files.motion.displacement, in_memory.motion.displacement, rtol=0, atol=1e-4 * scale
+    )
 
 
 def test_poses_that_are_off_are_corrected() -> None:

@@ -28,7 +28,7 @@ from tg4mm.motion.clocks.synchronous import Synchronous
 from tg4mm.motion.config import MotionConfig, more_iterations
 from tg4mm.motion.hyperparameters import Hyperparameters, chosen_weight, pixel_weights
 from tg4mm.motion.jacobian.pixels import pixels_moved
-from tg4mm.motion.jacobian.view import ViewJacobian, view_jacobian
+from tg4mm.motion.jacobian.view import VIEW_BYTES, ViewJacobian, view_jacobian
 from tg4mm.motion.nuisance.projection import Nuisance, Projection
 from tg4mm.motion.observations import Observations
 from tg4mm.motion.refine import at_state, refine_rest_scene
@@ -45,7 +45,6 @@ from tg4mm.progress import progress
 ABOVE_PX = 0.7  # motion up to so many pixels is in the linear range
 KNOTS = 5  # at most: each costs as much as the problem at rest
 KNOT_PX = 0.7  # states less apart share one
-VIEW_BYTES = 1 << 30  # of the views at all knots: more lie in temporary files
 _FOR_WEIGHT = 6  # iterations for the candidate weights: what is left after an iteration tells less of them
 _COMPONENTS = 8  # that are fitted, at least, where there are as many
 _FALL = 0.05  # of the misfit: what falls by less is not worth another iteration

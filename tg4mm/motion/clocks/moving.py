@@ -29,7 +29,7 @@ from tg4mm.motion.clocks.regions import RegionSeries, labels_of, moving_camera_s
 from tg4mm.motion.clocks.steady import Steady, frequencies_of, frequency_figures, no_targets
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.hyperparameters import Hyperparameters
-from tg4mm.motion.jacobian.view import ViewJacobian, blend_sum, view_jacobian
+from tg4mm.motion.jacobian.view import VIEW_BYTES, ViewJacobian, blend_sum, view_jacobian
 from tg4mm.motion.nuisance.projection import POSE, Nuisance, Projection, with_still_background
 from tg4mm.motion.observations import Observations, PosedFrames, whole_pictures
 from tg4mm.motion.refine import MovedPictures, refine_rest_scene
@@ -134,8 +134,11 @@ class MovingCamera(Steady):
         """[N]: how much is seen of each Gaussian, in some frames."""
         views = self.problem.views
         ones = np.ones((*self.problem.size, 3), np.float32)
-        some = views[:: max(len(views) // _JUDGED, 1)]
-        return np.sum([blend_sum(view, ones)[:, 0] for view in some], axis=0, dtype=np.float64)
+        total = np.zeros(self.problem.n_gaussians)
+        for view in views[:: max(len(views) // _JUDGED, 1)]:
+            total += blend_sum(view, ones)[:, 0]
+            view.release()
+        return total
 
 
 def functions_of(observations: Observations, found: Frequencies) -> np.ndarray:
@@ -160,12 +163,15 @@ def _what_is_left(
             zip(observations.frames, pictures_of(observations), strict=True)
         ):
             view = view_jacobian(gaussians, frame, observations.size)
+            is_large = n * view.nbytes > VIEW_BYTES
+            view = view.stored() if is_large else view
             shown = at_rest(view)
             weights[k] = robust_weights(picture - shown)
-            nuisance = Nuisance(view, frame, means, _ALL)
-            projection = Projection.of(nuisance, shown, weights[k])
+            nuisance = Nuisance(view, frame, means, _ALL, keeps=False)
+            projection = Projection.of(nuisance, shown, weights[k], is_large)
             left[k] = projection.out_of((picture - shown)[None])
-            nuisance.__dict__.pop("pose", None)  # 25 bytes a pixel and frame, made again when it is asked for
+            projection.release()
+            view.release()
             views.append(view)
             projections.append(projection)
             update(k + 1)

@@ -120,6 +120,9 @@ def moving_camera_series(
         for view, own, projection, change in zip(views, axes, projections, changes, strict=True):
             sides.append(_sides(view, own, projection, labels, change[None])[0])
             normals.append(_normals(view, own, projection, labels))
+            view.release()
+            if projection is not None:
+                projection.release()
             update(len(sides))
     return RegionSeries(times_s, np.stack(sides), np.stack(normals), axes)
 

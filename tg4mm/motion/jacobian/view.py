@@ -29,6 +29,7 @@ from tg4mm.space.view import EPS2D, FAR, NEAR, WHITE
 # step is not in the derivative inside it: faint Gaussians would get too small a Jacobian (by 1/255 over their opacity).
 # A much lower threshold makes the error negligible.
 ALPHA_MIN_LINEAR = ALPHA_MIN / 30
+VIEW_BYTES = 1 << 30  # of all views that are held at once: more lie in temporary files
 _OF_VIEW = "splats", "image", "transmittance", "packed"
 _OF_BINS = "order", "tile_start", "gaussian_start", "pair_gaussian", "pair_slot", "reached"
 

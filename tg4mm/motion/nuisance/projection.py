@@ -20,6 +20,7 @@ import numpy as np
 
 from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.jacobian.view import PosedView, ViewJacobian, without_colour
+from tg4mm.room import release, room
 
 GAIN, OFFSET, ROTATION, TRANSLATION = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 EXPOSURE, POSE = slice(0, 6), slice(6, 12)
@@ -38,6 +39,7 @@ class Nuisance:
     camera: PosedView
     means: np.ndarray  # [N, 3] float32, of the Gaussians at rest
     active: np.ndarray  # [12] bool
+    keeps: bool = True  # whether the columns of the pose stay in memory after `release`: 72 bytes a pixel
 
     def with_active(self, active: np.ndarray) -> Nuisance:
         return replace(self, active=active)
@@ -50,6 +52,11 @@ class Nuisance:
         """
         rotations, translations = np.split(rigid_fields(self.camera, self.means), 2)
         return np.concatenate([without_colour(self.view).jvp(rotations), self.view.jvp(translations)])
+
+    def release(self) -> None:
+        """Let go of what can be made again."""
+        if not self.keeps:
+            self.__dict__.pop("pose", None)
 
     def columns(self, mean: np.ndarray, active: np.ndarray | None = None) -> np.ndarray:
         """[k, H, W, 3] float32: the active columns for a mean picture [H, W, 3]."""
@@ -143,15 +150,22 @@ class Projection:
     pulled: np.ndarray  # [k, N, 6] float32, L = Jᵀ W Q
 
     @staticmethod
-    def of(nuisance: Nuisance, mean: np.ndarray, weights: np.ndarray | None) -> Projection:
-        """weights [H, W] or None for 1; mean [H, W, 3]."""
+    def of(
+        nuisance: Nuisance, mean: np.ndarray, weights: np.ndarray | None, is_stored: bool = False
+    ) -> Projection:
+        """weights [H, W] or None for 1; mean [H, W, 3]. Where it `is_stored`, L lies in a temporary file."""
         columns = nuisance.columns(mean)
         weighted = columns if weights is None else columns * weights[..., None]
         gram = (weighted.reshape(len(columns), -1) @ columns.reshape(len(columns), -1).T).astype(np.float64)
         root = _inverse_root(gram).astype(np.float32)
-        pulled = np.zeros((len(root), len(nuisance.means), DOF), np.float32)
+        pulled = room((len(root), len(nuisance.means), DOF), in_memory=0 if is_stored else None)
         nuisance.view.vjp(np.ascontiguousarray(np.tensordot(root, weighted, 1)), pulled)
         return Projection(nuisance, mean, weights, root, pulled)
+
+    def release(self) -> None:
+        """Let go of memory: of the pages of a temporary file, and of columns that can be made again."""
+        release(self.pulled)
+        self.nuisance.release()
 
     def out_of(self, pictures: np.ndarray) -> np.ndarray:
         """Pictures [R, H, W, 3] with the columns projected out."""

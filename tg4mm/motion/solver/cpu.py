@@ -61,7 +61,7 @@ class CpuOperator:
                     shown = shown * self.weights[k, ..., None]
                 view.vjp(np.ascontiguousarray(shown), own[some], self.buffers)
             del seen, shown  # before the next are made
-            view.release()
+            self.release(k)
             own = self._unmixed(k, own)
             out = own if out is None else out + own
         assert out is not None
@@ -98,6 +98,7 @@ class CpuOperator:
             left = view.jvp(self.mixed(k, fields), self.buffers) - shown
             if self.projections is not None:
                 left = self.projections[k].out_of(left)
+            self.release(k)
             weighted = left if self.weights is None else left * self.weights[k, ..., None]
             total += float(np.vdot(left.astype(np.float64), weighted))
         return total
@@ -111,6 +112,12 @@ class CpuOperator:
         if self.mixing is None:
             return np.ascontiguousarray(fields)
         return np.tensordot(self.mixing[k], fields, 1)
+
+    def release(self, k: int) -> None:
+        """Let go of what a call has read of view k, where that lies in a file."""
+        self.views[k].release()
+        if self.projections is not None:
+            self.projections[k].release()
 
     def supported(self, motions: np.ndarray) -> np.ndarray:
         """Motions [R, N, 6] of the fields, 0 outside their support."""
@@ -153,9 +160,9 @@ def _add_view(
     own = v_motions if alone else np.zeros_like(shown)
     for some in _at_once(len(shown)):
         first.views[k].gauss_newton_product(shown[some], weights, own[some], first.buffers)
-    first.views[k].release()
     if first.projections is not None:
         first.projections[k].correct(shown, own)
+    first.release(k)
     if first.mixing is None:
         if not alone:
             v_motions += own
