@@ -14,6 +14,7 @@ import pytest
 
 from tests.helpers.synthetic import make_synthetic_dataset
 from tests.report.page_checks import outside_loads, read_page
+from tests.view.browser import browser
 from tg4mm.capture import load_capture
 from tg4mm.errors import CaptureError, RunError
 from tg4mm.measure import MeasureError, Sensor, measure, parse_sensor
@@ -337,3 +338,20 @@ def test_bad_requests_leave_no_report(run, metrics, tmp_path, options, error, me
 def test_a_folder_in_the_place_of_the_file_is_refused(run, tmp_path):
     with pytest.raises(RunError, match="is a folder"):
         write_report(run, tmp_path)
+
+
+@pytest.mark.parametrize("media", ["screen", "print"])
+def test_every_row_of_every_table_can_be_seen(full, tmp_path, media):
+    page_file = tmp_path / "report.html"
+    page_file.write_text(full)
+    with browser() as opened:
+        page = opened.new_page(viewport={"width": 1280, "height": 900})
+        page.emulate_media(media=media)
+        page.goto(page_file.as_uri())
+        rows = page.evaluate(
+            "[...document.querySelectorAll('tr')].map(r => [r.innerText, r.checkVisibility()])"
+        )
+        shown = page.evaluate("[...document.querySelectorAll('tr')].map(r => getComputedStyle(r).display)")
+    assert any("nothing moves" in text for text, _ in rows)
+    assert all(visible for _, visible in rows)
+    assert set(shown) == {"table-row"}
