@@ -28,6 +28,7 @@ from tg4mm.render.image import render_image
 FRAMES = 16  # of a period
 _SHOWN_PX = 0.02  # of the picture's width: what the strongest motion is magnified to
 _MILLISECONDS = 60  # a frame
+_LONGER = 384  # pixels of the longer side, at least: smaller pictures are enlarged by a whole factor
 _GREY = 0.75  # of the way to grey
 
 
@@ -96,8 +97,11 @@ def _best(scene: Prepared, shape: Shape) -> tuple[Camera, float]:
 
 
 def _gif(pictures: list[np.ndarray]) -> bytes:
+    """Of pictures [H, W, 3] uint8."""
     data = io.BytesIO()
-    images = [Image.fromarray(p) for p in pictures]
+    height, width = pictures[0].shape[:2]
+    k = -(-_LONGER // max(height, width))
+    images = [Image.fromarray(p).resize((k * width, k * height), Image.Resampling.BICUBIC) for p in pictures]
     images[0].save(
         data, "GIF", save_all=True, append_images=images[1:], duration=_MILLISECONDS, loop=0, disposal=1
     )
