@@ -46,6 +46,38 @@ def test_orbit_is_a_level_circle_with_the_median_radius_and_elevation(capture):
     np.testing.assert_allclose(np.diff(azimuths), 2 * math.pi / 5)
 
 
+def seen_from(capture: Capture, azimuths_deg: list[float]) -> Capture:
+    """The capture with cameras at these azimuths."""
+    views = []
+    for degrees in azimuths_deg:
+        a = math.radians(degrees)
+        position = CENTRE + RADIUS * np.array([math.cos(a) * 0.8, math.sin(a) * 0.8, 0.6])
+        views.append(look_at(position, CENTRE))
+    count = len(capture.viewmats) // len(views) + 1
+    return replace(capture, viewmats=np.tile(np.array(views), (count, 1, 1))[: len(capture.viewmats)])
+
+
+def degrees_of(cameras) -> np.ndarray:
+    arms = np.array([camera.position for camera in cameras]) - CENTRE
+    return np.degrees(np.arctan2(arms[:, 1], arms[:, 0]))
+
+
+@pytest.mark.parametrize("turned", [0.0, 170.0])
+def test_where_cameras_saw_a_part_of_the_circle_it_goes_to_and_fro_there(capture, turned):
+    found = degrees_of(orbit(seen_from(capture, [turned + d for d in (10, -30, 40, 0)]), 60))
+    found = (found - turned + 180) % 360 - 180
+    assert found[0] == pytest.approx(10)
+    assert found.min() == pytest.approx(-30, abs=0.2)
+    assert found.max() == pytest.approx(40, abs=0.2)
+    assert np.abs(np.diff(np.append(found, found[0]))).max() < 5  # it ends where it began
+
+
+def test_cameras_in_one_place_are_gone_round_a_little(capture):
+    found = degrees_of(orbit(seen_from(capture, [20.0, 20.5]), 40))
+    assert 9 < found.max() - 20.25 < 10.1
+    assert 9 < 20.25 - found.min() < 10.1
+
+
 def test_a_fixed_camera_needs_a_centre_to_orbit_around(capture):
     rows = np.flatnonzero(capture.camera_ids == 0)
     names = ("viewmats", "Ks", "timesteps", "camera_ids", "times_s")

@@ -54,7 +54,11 @@ def render(
         Path | None, typer.Option(help="Cameras of a transforms.json file (NeRF or nerfstudio).")
     ] = None,
     orbit: Annotated[
-        int | None, typer.Option(min=1, help="Number of pictures on one turn around the scene.")
+        int | None,
+        typer.Option(
+            min=1,
+            help="Number of pictures on one turn around the scene; to and fro, where cameras saw it from one side.",
+        ),
     ] = None,
     slow: Annotated[float, typer.Option(help="Slow motion: 2 plays at half speed.")] = 1.0,
     video: Annotated[bool, typer.Option(help="Also write an mp4 for each camera.")] = True,

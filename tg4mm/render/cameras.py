@@ -17,6 +17,8 @@ from tg4mm.errors import CaptureError, RunError
 
 _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 _LARGEST = 16_384  # pixels a side
+_LEFT_OUT = math.radians(150)  # between two neighbouring cameras: an orbit does not go there
+_LEAST_SIDE = math.radians(10)
 
 
 @dataclass(frozen=True)
@@ -90,9 +92,11 @@ def look_at(position: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 
 def orbit(capture: Capture, n: int, centre: np.ndarray | None = None) -> tuple[Camera, ...]:
-    """Cameras evenly spaced on a level circle around the scene, beginning at the azimuth of the capture's first camera.
+    """Cameras on a level circle around the scene, beginning at the azimuth of the capture's first camera.
 
-    Radius, elevation and focal length are the medians of the capture's cameras.
+    Evenly spaced, once around; or, where the capture's cameras leave 150 degrees of the circle out, to and fro over
+    the part that they cover (ten degrees to either side, at least), since nothing is known of what lies behind. Radius,
+    elevation and focal length are the medians of the capture's cameras.
 
     Args:
         capture: whose cameras are taken as a model.
@@ -118,16 +122,30 @@ def orbit(capture: Capture, n: int, centre: np.ndarray | None = None) -> tuple[C
     radius = float(np.median(distances))
     elevation = float(np.median(np.arcsin(np.clip(arms[:, 2] / distances, -1.0, 1.0))))
     elevation = float(np.clip(elevation, math.radians(-85), math.radians(85)))
-    start = math.atan2(arms[0, 1], arms[0, 0])
+    azimuths = _azimuths(np.arctan2(arms[:, 1], arms[:, 0]), n)
     focal = float(np.median(capture.Ks[:, 0, 0]))
     K = np.array([[focal, 0, capture.width / 2], [0, focal, capture.height / 2], [0, 0, 1.0]])
     cameras = []
-    for i in range(n):
-        azimuth = start + 2 * math.pi * i / n
+    for i, azimuth in enumerate(azimuths):
         level = np.array([math.cos(azimuth), math.sin(azimuth)]) * math.cos(elevation)
         position = target + radius * np.array([*level, math.sin(elevation)])
         cameras.append(Camera(f"r_{i:03d}", look_at(position, target), K, capture.width, capture.height))
     return tuple(cameras)
+
+
+def _azimuths(of_capture: np.ndarray, n: int) -> np.ndarray:
+    """[n] radians of an orbit, by the azimuths [V] of a capture's cameras."""
+    ahead = np.arange(n) / n * 2 * math.pi
+    around = np.sort(np.mod(of_capture, 2 * math.pi))
+    gaps = np.diff(around, append=around[0] + 2 * math.pi)
+    widest = int(gaps.argmax())
+    if gaps[widest] < _LEFT_OUT:
+        return np.asarray(of_capture[0] + ahead)
+    span = 2 * math.pi - gaps[widest]
+    middle = around[(widest + 1) % len(around)] + span / 2
+    side = max(span / 2, _LEAST_SIDE)
+    first = math.remainder(of_capture[0] - middle, 2 * math.pi)
+    return np.asarray(middle + side * np.sin(math.asin(np.clip(first / side, -1, 1)) + ahead))
 
 
 def cameras_from_file(path: Path, size: tuple[int, int] | None = None) -> tuple[Camera, ...]:
