@@ -41,6 +41,18 @@ def test_the_truth_itself_is_perfect(truth: Capture) -> None:
     assert scores["n_images"] == len(truth)
 
 
+def test_moments_without_error_do_not_rule_the_psnr_of_what_moves(truth: Capture, tmp_path: Path) -> None:
+    """Half of the pictures are the truth itself: half of the squared error, 3 dB more, and no mean with 100 dB."""
+    whole, half = written(truth, tmp_path / "whole", 0.0), written(truth, tmp_path / "half", 0.0)
+    for i in range(0, len(truth), 2):
+        own = truth.paths[i]
+        (half / own.relative_to(truth.root)).write_bytes(own.read_bytes())
+    all_wrong, half_wrong = (score_pictures(truth, f)["psnr_moving_db"] for f in (whole, half))
+    assert all_wrong is not None
+    assert half_wrong is not None
+    assert half_wrong - all_wrong == pytest.approx(3, abs=1.5)
+
+
 @pytest.mark.parametrize("share", [0.0, 0.5])
 def test_the_gain_is_the_share_of_the_motion_whatever_stands_still_wrong(
     truth: Capture, tmp_path: Path, share: float

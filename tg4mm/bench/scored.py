@@ -51,8 +51,9 @@ def score_pictures(
     """Means over the pictures under `folder` that are named as the ground truth `capture`'s are under its root.
 
     ssim, psnr_db, flip, lpips     of whole pictures over white; lpips None without weights
-    ssim_moving, psnr_moving_db    over the pixels that move (`MOVES`), None where none does; a picture's SSIM there is
-                                   the mean of its SSIM map, its PSNR of the squared error
+    ssim_moving, psnr_moving_db    over the pixels that move (`MOVES`), None where none does: the mean of the SSIM map;
+                                   the PSNR of the squared error of all pictures together, since a mean of decibels is
+                                   ruled by the moments at which the motion passes through rest
     moving_share                   of all pixels, those that move
     gain, residual                 with a and c the deviation of the pictures and of the ground truth from their mean
                                    over time, per camera: g = Σ a·c / Σ c², rms(a − g c) / rms(c); None where
@@ -71,7 +72,8 @@ def score_pictures(
     return {
         "n_images": len(sums.pictures),
         **{k: _mean(sums.pictures, k) for k in ("ssim", "psnr_db", "flip", "lpips")},
-        **{k: _mean(sums.moving, k) for k in ("ssim_moving", "psnr_moving_db")},
+        "ssim_moving": _mean(sums.moving, "ssim_moving"),
+        "psnr_moving_db": _decibels(_mean(sums.moving, "mse_moving")),
         "moving_share": sums.n_moving / sums.n_pixels,
         "gain": gain,
         "residual": residual,
@@ -125,12 +127,16 @@ def _score(made: np.ndarray, truth: np.ndarray, mask: np.ndarray, lpips: Metric 
     inside = mask.copy()
     inside[:b], inside[-b:], inside[:, :b], inside[:, -b:] = False, False, False, False
     if inside.any():
-        error = float(((made[inside].astype(np.float64) - truth[inside]) ** 2).mean())
         scores["ssim_moving"] = float(similar[inside].mean())
-        scores["psnr_moving_db"] = (
-            min(MAX_PSNR_DB, -10 * float(np.log10(error))) if error > 0 else MAX_PSNR_DB
-        )
+        scores["mse_moving"] = float(((made[inside].astype(np.float64) - truth[inside]) ** 2).mean())
     return scores
+
+
+def _decibels(mse: float | None) -> float | None:
+    """The PSNR of a mean squared error, at most `MAX_PSNR_DB`."""
+    if mse is None:
+        return None
+    return min(MAX_PSNR_DB, -10 * float(np.log10(mse))) if mse > 0 else MAX_PSNR_DB
 
 
 def _mean(scores: list[dict[str, float]], key: str) -> float | None:
