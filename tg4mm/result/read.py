@@ -30,6 +30,7 @@ _FIT_PERIODS = 2.0  # of a frequency that a fit may hold, in the record
 _PERIODS = 2.5  # of one that is told from a drift
 _SURE = 2.0  # deviations that a frequency is from 0 Hz, else it is a drift
 _LARGEST = 0.99  # of the weight of what is seen lies below the amplitude that is named, as in pixels
+_HELD_STILL = 1e-6  # of the largest noise: less is of Gaussians that the fit holds still
 _STEADY = "the fit takes the vibration to be steady"
 
 
@@ -193,7 +194,8 @@ class Reading:
         if "noise" not in self.uncertainty:
             return None, None
         noise = self.uncertainty["noise"].astype(np.float64)
-        own = np.sqrt(2) * scale_top(noise, seen.weights, 0.5)
+        moves = noise > _HELD_STILL * noise.max(initial=0.0)
+        own = np.sqrt(2) * scale_top(noise, np.where(moves, seen.weights, 0), 0.5)
         pixels = seen.rms_pixels((noise**2 / 3)[:, None, None] * np.eye(3))
         return own, None if pixels is None else np.sqrt(2) * pixels
 
