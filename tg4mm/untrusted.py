@@ -76,6 +76,8 @@ def parse_yaml(text: str) -> Any:
             getattr(error, "problem_mark", None),
             getattr(error, "problem", None) or " ".join(str(error).split()),
         )
+        if "nesting depth" in problem:  # of PyYAML 6.0.4's own limit, met before an event is handed out
+            raise ValueError(_DEEP) from None
         raise ValueError(f"{f'line {mark.line + 1} ' if mark else ''}is not YAML: {problem}") from None
     _check_values(value, YAML_VALUES)
     return value
