@@ -50,7 +50,7 @@ def test_moments_without_error_do_not_rule_the_psnr_of_what_moves(truth: Capture
     all_wrong, half_wrong = (score_pictures(truth, f)["psnr_moving_db"] for f in (whole, half))
     assert all_wrong is not None
     assert half_wrong is not None
-    assert half_wrong - all_wrong == pytest.approx(3, abs=1.5)
+    assert half_wrong - all_wrong == pytest.approx(3, abs=0.5)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5])

@@ -74,8 +74,8 @@ def measured(path: Path, texture: float, wrong: float) -> tuple[Measurement, np.
     modes[0, bar] = -1j * AMPLITUDE * [0.5, 0.9, 0.9]
     run.save_motion(ModalMotion(np.array([HZ]), modes, 0 * modes, FPS, T), {})
     found = measure(prepare(run, keep=False), [parse_sensor(EDGE)])
-    tone = np.sin(2 * np.pi * HZ * found["edge"].times_s)
-    return found, (found["edge"].displacement * tone[:, None]).sum(0) / (tone @ tone) / PX
+    sinusoid = np.sin(2 * np.pi * HZ * found["edge"].times_s)
+    return found, (found["edge"].displacement * sinusoid[:, None]).sum(0) / (sinusoid @ sinusoid) / PX
 
 
 def test_a_region_is_not_held_by_the_modes_around_it(tmp_path: Path) -> None:

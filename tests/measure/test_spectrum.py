@@ -18,13 +18,13 @@ def noisy(values: np.ndarray, sigma: float, seed: int) -> tuple[np.ndarray, np.n
     return values + noise, np.full((len(TIMES), 3), sigma)
 
 
-def tone(hz: float, amplitude: float = 1.0, phase: float = 0.0) -> np.ndarray:
+def sinusoid(hz: float, amplitude: float = 1.0, phase: float = 0.0) -> np.ndarray:
     return amplitude * np.cos(2 * np.pi * hz * TIMES + phase)[:, None] * np.array([1.0, 0.0, 0.5])
 
 
 @pytest.mark.parametrize("hz", [3.0, 3.13, 3.25, 7.77])
 def test_a_tone_between_bins_has_its_frequency_amplitude_and_phase(hz: float) -> None:
-    values, sigma = noisy(tone(hz, 1.0, 0.6), 0.05, 1)
+    values, sigma = noisy(sinusoid(hz, 1.0, 0.6), 0.05, 1)
     (peak,) = spectrum_of(TIMES, values, sigma).peaks
     assert peak.frequency_hz == pytest.approx(hz, abs=4 * peak.frequency_deviation_hz)
     assert peak.amplitude == pytest.approx([1, 0, 0.5], abs=0.05)
@@ -32,7 +32,7 @@ def test_a_tone_between_bins_has_its_frequency_amplitude_and_phase(hz: float) ->
 
 
 def test_deviations_are_the_scatter_over_many_records() -> None:
-    peaks = [spectrum_of(TIMES, *noisy(tone(4.4), 0.2, seed)).peaks[0] for seed in range(60)]
+    peaks = [spectrum_of(TIMES, *noisy(sinusoid(4.4), 0.2, seed)).peaks[0] for seed in range(60)]
     hz = np.array([p.frequency_hz for p in peaks])
     assert hz.std() == pytest.approx(peaks[0].frequency_deviation_hz, rel=0.3)
     amplitude = np.array([p.amplitude[0] for p in peaks])
@@ -51,7 +51,7 @@ def test_noise_alone_passes_the_floor_in_few_records_of_many() -> None:
 
 
 def test_two_tones_of_different_strength() -> None:
-    values, sigma = noisy(tone(3.3) + tone(6.9, 0.1), 0.01, 3)
+    values, sigma = noisy(sinusoid(3.3) + sinusoid(6.9, 0.1), 0.01, 3)
     assert sorted(p.frequency_hz for p in spectrum_of(TIMES, values, sigma).peaks) == pytest.approx(
         [3.3, 6.9], abs=0.02
     )
@@ -65,7 +65,7 @@ def test_uneven_times_do_as_well() -> None:
 
 
 def test_a_direction_that_is_not_observed_has_no_peak_and_an_infinite_floor() -> None:
-    values, sigma = noisy(tone(4.0), 0.05, 2)
+    values, sigma = noisy(sinusoid(4.0), 0.05, 2)
     sigma[:, 2] = np.inf
     spectrum = spectrum_of(TIMES, values, sigma)
     assert np.isinf(spectrum.floor[:, 2]).all()
@@ -74,7 +74,7 @@ def test_a_direction_that_is_not_observed_has_no_peak_and_an_infinite_floor() ->
 
 
 def test_velocity_and_acceleration_of_a_fast_tone() -> None:
-    values, sigma = noisy(tone(8.2), 1e-4, 0)
+    values, sigma = noisy(sinusoid(8.2), 1e-4, 0)
     found = derivatives_of(TIMES, values, sigma, spectrum_of(TIMES, values, sigma).peaks)
     omega = 2 * np.pi * 8.2
     assert np.abs(found.velocity[:, 0] + omega * np.sin(omega * TIMES)).max() < 0.01 * omega
@@ -82,7 +82,7 @@ def test_velocity_and_acceleration_of_a_fast_tone() -> None:
 
 
 def test_differences_alone_lose_a_part_of_it() -> None:
-    values, sigma = noisy(tone(8.2), 1e-4, 0)
+    values, sigma = noisy(sinusoid(8.2), 1e-4, 0)
     assert derivatives_of(TIMES, values, sigma, ()).velocity[:, 0].max() < 0.7 * 2 * np.pi * 8.2
 
 

@@ -1,4 +1,4 @@
-"""Sensors on generated pictures of exact motion: amplitude, phase, tones, decay, a neighbour; deviations that hold."""
+"""Sensors on generated pictures of exact motion: amplitude, phase, decay, a neighbour; deviations that hold."""
 
 from __future__ import annotations
 

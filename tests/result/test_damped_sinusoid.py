@@ -73,23 +73,23 @@ def test_another_frequency_and_a_trend_are_no_noise() -> None:
 
 
 def test_a_record_too_short_knows_a_bin() -> None:
-    tone = damped_sinusoid_of(wave(5.0)[:6], FPS, 5.0, NONE, 0.0)
-    assert tone == DampedSinusoid(pytest.approx(5.0 / np.sqrt(12)), None, None, "the record is too short")
+    found = damped_sinusoid_of(wave(5.0)[:6], FPS, 5.0, NONE, 0.0)
+    assert found == DampedSinusoid(pytest.approx(5.0 / np.sqrt(12)), None, None, "the record is too short")
 
 
 def test_a_ring_down_has_a_damping_ratio() -> None:
     rng, decay = np.random.default_rng(3), 1.5
     ratio = decay / (2 * np.pi * 5.2)
-    tone = damped_sinusoid_of(wave(5.2, decay) + rng.normal(0, 0.02, N), FPS, 5.2, NONE, 0.0)
-    assert tone.damping == pytest.approx(ratio, abs=3 * tone.damping_deviation)
-    assert 0 < tone.damping_deviation < 0.2 * ratio
-    assert tone.why_no_damping == ""
+    found = damped_sinusoid_of(wave(5.2, decay) + rng.normal(0, 0.02, N), FPS, 5.2, NONE, 0.0)
+    assert found.damping == pytest.approx(ratio, abs=3 * found.damping_deviation)
+    assert 0 < found.damping_deviation < 0.2 * ratio
+    assert found.why_no_damping == ""
 
 
 @pytest.mark.parametrize(("decay", "said"), [(0.0, "stays as strong"), (-1.0, "grows")])
 def test_a_vibration_that_does_not_ring_down_tells_no_damping(decay: float, said: str) -> None:
     rng = np.random.default_rng(3)
     for _ in range(10):
-        tone = damped_sinusoid_of(wave(5.2, decay) + rng.normal(0, 0.05, N), FPS, 5.2, NONE, 0.0)
-        assert tone.damping is None
-        assert said in tone.why_no_damping
+        found = damped_sinusoid_of(wave(5.2, decay) + rng.normal(0, 0.05, N), FPS, 5.2, NONE, 0.0)
+        assert found.damping is None
+        assert said in found.why_no_damping

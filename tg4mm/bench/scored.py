@@ -13,7 +13,7 @@ import numpy as np
 
 from tg4mm.bench.methods.camera_videos import cameras_of, video_of
 from tg4mm.capture import Capture
-from tg4mm.evaluate.metrics import MAX_PSNR_DB, SSIM_BORDER, flip, psnr, ssim_map
+from tg4mm.evaluate.metrics import SSIM_BORDER, decibels, flip, psnr, ssim_map
 from tg4mm.evaluate.scores import Metric
 
 MOVES = 8 / 255  # a pixel whose ground truth differs from its mean over time by more, in any colour, moves
@@ -68,12 +68,13 @@ def score_pictures(
         _score_camera(video_of(capture, rows), video_of(capture, rows, folder), lpips, sums, cache)
     aa, ac, cc = sums.products
     gain = float(ac / cc) if cc > 0 else None
+    mse = _mean(sums.moving, "mse_moving")
     residual = None if gain is None else float(np.sqrt(max(aa - gain * ac, 0.0) / cc))
     return {
         "n_images": len(sums.pictures),
         **{k: _mean(sums.pictures, k) for k in ("ssim", "psnr_db", "flip", "lpips")},
         "ssim_moving": _mean(sums.moving, "ssim_moving"),
-        "psnr_moving_db": _decibels(_mean(sums.moving, "mse_moving")),
+        "psnr_moving_db": None if mse is None else decibels(mse),
         "moving_share": sums.n_moving / sums.n_pixels,
         "gain": gain,
         "residual": residual,
@@ -130,13 +131,6 @@ def _score(made: np.ndarray, truth: np.ndarray, mask: np.ndarray, lpips: Metric 
         scores["ssim_moving"] = float(similar[inside].mean())
         scores["mse_moving"] = float(((made[inside].astype(np.float64) - truth[inside]) ** 2).mean())
     return scores
-
-
-def _decibels(mse: float | None) -> float | None:
-    """The PSNR of a mean squared error, at most `MAX_PSNR_DB`."""
-    if mse is None:
-        return None
-    return min(MAX_PSNR_DB, -10 * float(np.log10(mse))) if mse > 0 else MAX_PSNR_DB
 
 
 def _mean(scores: list[dict[str, float]], key: str) -> float | None:

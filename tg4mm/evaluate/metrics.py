@@ -21,7 +21,11 @@ def psnr(image: np.ndarray, truth: np.ndarray) -> float:
     Raises ValueError if the shapes or the values are not those of two images of the same size.
     """
     image, truth = check_images(image, truth)
-    mse = float(np.mean((image.astype(np.float64) - truth) ** 2))
+    return decibels(float(np.mean((image.astype(np.float64) - truth) ** 2)))
+
+
+def decibels(mse: float) -> float:
+    """PSNR of a mean squared error, dB, peak 1; at most `MAX_PSNR_DB`."""
     return min(MAX_PSNR_DB, -10.0 * float(np.log10(mse))) if mse > 0 else MAX_PSNR_DB
 
 

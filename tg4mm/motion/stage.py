@@ -27,7 +27,7 @@ from tg4mm.motion.pipeline import fit_motion
 from tg4mm.run import UNCERTAINTY, Run
 
 _STAGE, _SCENE = "motion", "scene"
-_VERSION = 13  # of a checkpoint: parts of another version are computed anew
+_VERSION = 14  # of a checkpoint: parts of another version are computed anew
 _LOG = logging.getLogger("tg4mm")
 
 

@@ -18,7 +18,7 @@ from tg4mm.errors import CaptureError, RunError
 _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 _LARGEST = 16_384  # pixels a side
 _LEFT_OUT = math.radians(150)  # between two neighbouring cameras: an orbit does not go there
-_LEAST_SIDE = math.radians(10)
+_LEAST_SIDE = math.radians(10)  # to either side, of an orbit to and fro
 
 
 @dataclass(frozen=True)

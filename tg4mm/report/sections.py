@@ -116,5 +116,5 @@ def _maps(m: Material) -> Block:
 def _orbit(folder: Path) -> Block:
     first = read_png(folder / "r_000.png")
     panel = film((folder / "orbit.mp4").read_bytes(), first, alt="the scene from a moving camera")
-    caption = "The magnified motion from a camera that no image was taken from, moving once around the scene."
+    caption = "The magnified motion from a camera that no image was taken from, moving around the scene."
     return Figure([panel], caption, width="small", controls=True)

@@ -70,7 +70,7 @@ class Reading:
         if motion is None:
             return self._still()
         seen = self.seen
-        sinusoids = self._tones(motion, seen)
+        sinusoids = self._sinusoids(motion, seen)
         vibrations = self._vibrations(
             motion, seen, {f: t for f, t in sinusoids.items() if not _is_drift(f, t, motion)}
         )
@@ -116,12 +116,12 @@ class Reading:
             next_command=next_command(self.run, capture, (), 0.0),
         )
 
-    def _tones(self, motion: ModalMotion, seen: Seen) -> dict[float, DampedSinusoid]:
+    def _sinusoids(self, motion: ModalMotion, seen: Seen) -> dict[float, DampedSinusoid]:
         """Of every peak, drifts among them, by falling strength."""
         known = worth_keeping(motion, self.uncertainty.get("noise"))
         lowest_hz = _FIT_PERIODS * motion.fps / motion.n_timesteps
         hz = [float(f) for f in peaks(motion, lowest_hz) if known[_index(motion, f)]]
-        return {f: self._tone(motion, seen, f, np.array(hz)) for f in hz}
+        return {f: self._sinusoid(motion, seen, f, np.array(hz)) for f in hz}
 
     def _vibrations(
         self, motion: ModalMotion, seen: Seen, sinusoids: dict[float, DampedSinusoid]
@@ -160,7 +160,7 @@ class Reading:
             return ()
         return tuple(Length(f, d) for f, d in zip(*(self.log.get(k, ()) for k in _STATED), strict=False))
 
-    def _tone(self, motion: ModalMotion, seen: Seen, hz: float, every: np.ndarray) -> DampedSinusoid:
+    def _sinusoid(self, motion: ModalMotion, seen: Seen, hz: float, every: np.ndarray) -> DampedSinusoid:
         told = {float(f): float(d) for f, d in zip(*(self.log.get(k, ()) for k in _STATED), strict=False)}
         if told:  # clocks of their own, or a moving camera: the fit holds these frequencies and nothing else
             return DampedSinusoid(told[min(told, key=lambda f: abs(f - hz))], None, None, _STEADY)

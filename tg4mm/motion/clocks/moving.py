@@ -79,8 +79,8 @@ class MovingCamera(Steady):
         notes = [
             "the camera moves: a motion of the whole scene as one cannot be told from its own, nor one below "
             f"{lowest_hz:.2g} Hz (eight periods in the record) from what changes with the viewpoint",
-            "a camera that moves: its poses take up part of the motion, so that amplitudes come out too small, by a "
-            "fifth to a quarter where most of the scene stands still, more than the ± says",
+            "the poses of a moving camera take up part of the motion: amplitudes come out too small, by more than the "
+            f"± says; what moves by less than {_MOVES:g} of the largest at its frequency is held still",
         ]
         targets = no_targets(observations)
         if len(found.hz):

@@ -115,6 +115,7 @@ class DeviceOperator:
         for k, (view, shown) in enumerate(zip(self.views, pictures, strict=True)):
             if self.projections is not None:
                 shown = self.projections[k].out_of(shown)
+                self.projections[k].release()
             own = []
             for picture in shown:
                 v_motion = torch.zeros(len(self.blocks), DOF, device=self.device)
@@ -167,6 +168,7 @@ class DeviceOperator:
         for k, (view, shown) in enumerate(zip(self.views, pictures, strict=True)):
             if self.projections is not None:
                 shown = self.projections[k].out_of(shown)
+                self.projections[k].release()
             for motion, picture in zip(self._mixed(k, motions), shown, strict=True):
                 left = (view.jvp(motion) - self._sent(picture)).double()
                 total += float((left * self._weighted(k, left)).sum())
