@@ -50,7 +50,7 @@ test-gui: install
 benchmark-avx2: install
 	@[ -n "$(RUN)" ] || { echo "which run? make RUN=/path/of/a/trained/run benchmark-avx2" >&2; exit 2; }
 	NUMBA_CPU_NAME=haswell NUMBA_CPU_FEATURES=+avx2,+fma ATEN_CPU_CAPABILITY=avx2 OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 \
-		$(BIN)/python benchmarks/rasterize.py --run $(RUN) --only run --repeats 50
+		$(BIN)/python -m benchmarks.rasterize --run $(RUN) --only run --repeats 50
 
 lint: install
 	$(BIN)/ruff check .

@@ -1,6 +1,6 @@
 """Seconds of an import and milliseconds a frame of the Blender extension, in the bpy that runs this.
 
-python benchmarks/blender.py [--counts 10000,50000,200000] [--modes 8] [--degree 3] [--frames 15]
+python -m benchmarks.blender [--counts 10000,50000,200000] [--modes 8] [--degree 3] [--frames 15]
 
 Frames are evaluated in background: node tree and instances, no drawing. On a machine that is shared wall time
 includes the waiting for others, so the least of several is printed beside the median, and the least processor
@@ -25,10 +25,9 @@ from typing import Any
 import bpy
 import numpy as np
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
+from tg4mm.splatfile import SplatFile, write_splat
 
-from tg4mm.splatfile import SplatFile, write_splat  # noqa: E402
+ROOT = Path(__file__).resolve().parent.parent
 
 FRAME_GOAL = 50_000, 20.0  # Gaussians, ms
 IMPORT_GOAL = 200_000, 2.0  # Gaussians, s

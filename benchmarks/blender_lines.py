@@ -1,6 +1,6 @@
 """The same scenes from Blender 4.5 and 5.2: how far pictures and truth differ.
 
-    python benchmarks/blender_lines.py --other .venv52/bin/python [--scenes mic ship] [--size 128] [--samples 32]
+    python -m benchmarks.blender_lines --other .venv52/bin/python [--scenes mic ship] [--size 128] [--samples 32]
 
 This Python's bpy makes one set, the other Python's another; printed is what lies between them.
 """
@@ -16,11 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
+from dataset_gen import truth
+from dataset_gen.scenes import NAMES
 
-from dataset_gen import truth  # noqa: E402
-from dataset_gen.scenes import NAMES  # noqa: E402
+ROOT = Path(__file__).resolve().parents[1]
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """An exported file in the Blender extension beside the core's own picture of it, in the bpy that runs this.
 
-python benchmarks/blender_picture.py SPLAT.ply CAMERAS.json OUT [--view 0] [--alpha 50] [--timestep 1] [--size 256]
+python -m benchmarks.blender_picture SPLAT.ply CAMERAS.json OUT [--view 0] [--alpha 50] [--timestep 1] [--size 256]
 
 Draws the splats of an exported file (its scales hold the low-pass) from one camera of a NeRF-synthetic transforms file,
 over white, by Cycles with 4 samples: blended in linear light and as trained. Writes OUT/<version>_linear.png and
@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import json
-import sys
 import tempfile
 from pathlib import Path
 
@@ -22,11 +21,10 @@ import mathutils
 import numpy as np
 from PIL import Image
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
+from benchmarks.blender import load
+from tg4mm.splatfile import positions_at, read_splat
 
-from benchmarks.blender import load  # noqa: E402
-from tg4mm.splatfile import positions_at, read_splat  # noqa: E402
+ROOT = Path(__file__).resolve().parent.parent
 
 
 def core_picture(options: argparse.Namespace, pose: np.ndarray, angle: float) -> np.ndarray:

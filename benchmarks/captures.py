@@ -1,6 +1,6 @@
 """Every capture kind and every effect of a real camera: generate, train, evaluate, one table.
 
-    python benchmarks/captures.py DIR [--scenes mic hotdog chair] [--kinds orbit sweep handheld rig clips]
+    python -m benchmarks.captures DIR [--scenes mic hotdog chair] [--kinds orbit sweep handheld rig clips]
                                       [--effects none shake drift flicker sensor jpeg h264 all] [--size 128]
 
 Sets, runs and figures go to DIR; a case that has its figures is not done again, and a stopped one goes on. Kinds: each

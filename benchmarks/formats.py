@@ -1,6 +1,6 @@
 """What formats of other tools keep of a run: size, and PSNR of what a reader gets against the run itself.
 
-    python benchmarks/formats.py RUN [--alpha 20]
+    python -m benchmarks.formats RUN [--alpha 20]
 
 Written, read back by another's reader (glTF by its targets, SPZ by gsply, USD by OpenUSD), drawn by our rasteriser from
 the first camera at every timestep of a period, against the run magnified by α. The least over timesteps counts.

@@ -1,6 +1,6 @@
 """A run on one of the phone captures of the fox's room, scored against the known vibration.
 
-    python benchmarks/fox_phone.py RUN --truth DIR [--scene RUN] [--out FILE] [--no-pictures]
+    python -m benchmarks.fox_phone RUN --truth DIR [--scene RUN] [--out FILE] [--no-pictures]
 
 RUN was trained on a capture whose scene.json says its kind (tripod, handheld, clips, flat); DIR holds truth.json and
 gauss.npz. The run's world is aligned with the truth's by the cameras' poses. `picture`: displacement in the tripod's
@@ -23,6 +23,8 @@ from typing import Any
 import numpy as np
 import torch
 
+from benchmarks import fox_phone_scores as scores
+from benchmarks.fox_phone_truth import IDENTITY, Similarity, Truth, kind_of, world_of
 from tg4mm.capture import Capture, load_capture
 from tg4mm.errors import Tg4mmError
 from tg4mm.evaluate.metrics import ssim
@@ -35,13 +37,6 @@ from tg4mm.render.frames import read_png
 from tg4mm.render.image import render_features
 from tg4mm.render.sequence import pose_of
 from tg4mm.run import Run
-
-if __package__:
-    from benchmarks import fox_phone_scores as scores
-    from benchmarks.fox_phone_truth import IDENTITY, Similarity, Truth, kind_of, world_of
-else:  # run as a script
-    import fox_phone_scores as scores
-    from fox_phone_truth import IDENTITY, Similarity, Truth, kind_of, world_of
 
 ALPHA = 20
 FRAMES = (0, 6, 12, 18, 24)

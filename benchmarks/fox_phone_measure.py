@@ -1,6 +1,6 @@
 """Virtual sensors on the fox's tripod or clips against the exact motion: amplitude and phase in pixels.
 
-python benchmarks/fox_phone_measure.py RUN --truth CAPTURES/fox_phone/truth
+python -m benchmarks.fox_phone_measure RUN --truth CAPTURES/fox_phone/truth
 
 Of a tripod the sensors are pixels of its view; of clips spheres around the same places, and each component of the
 motion common to all of them is compared, on the clock of the first clip.
@@ -16,7 +16,7 @@ import numpy as np
 from benchmarks.fox_phone_sets import project, visible
 from benchmarks.fox_phone_truth import Similarity, Truth, kind_of, similarity
 from tg4mm.measure import Prepared, Sensor, SensorResult, measure, parse_sensor, prepare
-from tg4mm.measure.fourier import tones
+from tg4mm.measure.fourier import sinusoid_columns
 from tg4mm.run import Run
 
 # x, y, radius in pixels of the tripod's view: the nose, the picture frame's lower edge, wallpaper that stands still
@@ -113,7 +113,7 @@ def _print(result: SensorResult, scene: Prepared, truth: Truth, world: Similarit
 def _of_series(result: SensorResult, hz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """[F, 3] phasors at frequencies and their deviations, scene units."""
     n = len(hz)
-    design = np.linalg.pinv(tones(hz, result.times_s)) @ result.displacement
+    design = np.linalg.pinv(sinusoid_columns(hz, result.times_s)) @ result.displacement
     own = design[1 : 1 + n] + 1j * design[1 + n :]
     noise = result.series.noise[0] * np.sqrt(2 / len(result.times_s))
     size = np.linalg.norm(own[:, result.series.is_told], axis=1)

@@ -1,6 +1,6 @@
 """Dataset trees of the phone captures of the fox's room with their true poses: what a perfect SfM would hand over.
 
-    python benchmarks/fox_phone_sets.py CAPTURES OUT [--only tripod handheld clips flat] [--sizes full half]
+    python -m benchmarks.fox_phone_sets CAPTURES OUT [--only tripod handheld clips flat] [--sizes full half]
 
 CAPTURES holds tripod/, handheld/, clips/ and truth/; OUT gets tripod, handheld, clips, flat (the tripod's video alone,
 its camera at the origin looking along +y) and the same as …_half.

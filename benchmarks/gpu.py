@@ -1,7 +1,7 @@
 """The paper's configuration on a GPU: seconds of each stage, frames per second, the paper's figures beside them.
 
-    python benchmarks/gpu.py [--data DATASET] [--out gpu.json]
-    python benchmarks/gpu.py --smoke --device cpu            the same code in seconds, for CI
+    python -m benchmarks.gpu [--data DATASET] [--out gpu.json]
+    python -m benchmarks.gpu --smoke --device cpu            the same code in seconds, for CI
 
 Both presets on 512×512 pictures: `modal` with a space stage of 20,000 iterations, `paper` with 20,000 of the space
 triplane (of which 3,000 fit the base Gaussians) and 7,000 of the motion triplanes, shared by all timesteps; between
@@ -32,6 +32,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from benchmarks.gpu_scene import moving, rest_view_of, sway, synthetic
 from tg4mm import __version__
 from tg4mm.capture import Capture, ImageStack, load_capture, load_images
 from tg4mm.device import DEVICES, check_device
@@ -49,11 +50,6 @@ from tg4mm.rasterize import rasterization
 from tg4mm.render import orbit
 from tg4mm.run import Run
 from tg4mm.space import SpaceConfig, rest_views, train_space
-
-if __package__:
-    from benchmarks.gpu_scene import moving, rest_view_of, sway, synthetic
-else:  # run as a script
-    from gpu_scene import moving, rest_view_of, sway, synthetic
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "mic_5Hz_000"
 ALPHA = 20.0  # of the orbit

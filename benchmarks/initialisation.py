@@ -1,6 +1,6 @@
 """How far the space stage gets from each initialisation, one row for a dataset and a start.
 
-    python benchmarks/initialisation.py SET [SET …] --out FOLDER [--inits hull,points,sfm,random] [--iterations 1500]
+    python -m benchmarks.initialisation SET [SET …] --out FOLDER [--inits hull,points,sfm,random] [--iterations 1500]
                                         [--pictures]
 
 Trains the Gaussians at rest alone (means over time, as `tg4mm train` does) and compares the test views' means over

@@ -1,6 +1,6 @@
 """What the arithmetic of blending alone would take, from the machine code of its inner loops.
 
-    python benchmarks/limit.py
+    python -m benchmarks.limit
 
 needs AVX-512. It compiles the loops anew and prints what they are made of, for one block, the two loops of the backward
 pass together; forward it is the loop of the picture alone. The constants below are what it printed for an earlier

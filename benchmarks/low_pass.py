@@ -1,6 +1,6 @@
 """PSNR of test views at ½, 1, 2 and 4 times the training resolution, with and without the low-pass in the scales.
 
-python benchmarks/low_pass.py DATASET WORK [--shrink 4]
+python -m benchmarks.low_pass DATASET WORK [--shrink 4]
 
 DATASET is one NeRF-synthetic folder. Its pictures are made smaller by --shrink (means of pixels) in WORK/data, trained
 into WORK/run unless that is there, and rendered against the pictures of the full size, made smaller likewise, over
@@ -20,15 +20,12 @@ import numpy as np
 import torch
 from PIL import Image
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
-
-from tg4mm.capture import Capture, load_capture  # noqa: E402
-from tg4mm.export.splat import smoothing_of  # noqa: E402
-from tg4mm.gaussians import Gaussians  # noqa: E402
-from tg4mm.lowpass import BAKED_PX2, widened  # noqa: E402
-from tg4mm.rasterize import rasterization  # noqa: E402
-from tg4mm.run import Run  # noqa: E402
+from tg4mm.capture import Capture, load_capture
+from tg4mm.export.splat import smoothing_of
+from tg4mm.gaussians import Gaussians
+from tg4mm.lowpass import BAKED_PX2, widened
+from tg4mm.rasterize import rasterization
+from tg4mm.run import Run
 
 FACTORS = (0.5, 1, 2, 4)
 VIEWERS = {"without": (1e-6, 4), "0.3 px²": (0.3, 1)}  # low-pass in px², samples along a pixel's side

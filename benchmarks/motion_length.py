@@ -1,6 +1,6 @@
 """The motion stage on the first T timesteps of one capture: what it costs as T grows, and how good it is.
 
-    python benchmarks/motion_length.py SET [--timesteps 30,37,60,150,300] [--noise 0.01] [--band 4 6]
+    python -m benchmarks.motion_length SET [--timesteps 30,37,60,150,300] [--noise 0.01] [--band 4 6]
 
 SET is a generated dataset with truth/motion.npz. The space stage runs once, on all timesteps. Times are seconds of the
 processor: `decode` of reading files, `components` of the differences in few temporal components (R of them), `solve` of
@@ -20,8 +20,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from common import machine
 
+from benchmarks.common import machine
 from tg4mm.capture import Capture, ImageStack, load_capture, load_images
 from tg4mm.evaluate.displacement import displacement_figures
 from tg4mm.evaluate.truth import exact_motion, load_truth

@@ -1,6 +1,6 @@
 """Phase magnification of one video: time and peak memory beside the bound that tg4mm/magnify/phase.py states.
 
-    python benchmarks/phase.py [--timesteps 300] [--size 512]
+    python -m benchmarks.phase [--timesteps 300] [--size 512]
 
 Linux only, since it resets the peak of resident memory between making the filters and magnifying.
 """
@@ -13,8 +13,8 @@ import time
 from pathlib import Path
 
 import numpy as np
-from common import machine
 
+from benchmarks.common import machine
 from tg4mm.magnify.filters import TemporalFilter, bins
 from tg4mm.magnify.phase import PhaseMagnifier
 from tg4mm.memory import peak_memory_mib, reset_peak_memory

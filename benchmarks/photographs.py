@@ -1,6 +1,6 @@
 """How long the space stage takes on photographs, and how well it shows those that it was not given.
 
-    python benchmarks/photographs.py DATASET [--shrink 4] [--set space.iterations=3000 …] [--spoil 0.1] [--out FOLDER]
+    python -m benchmarks.photographs DATASET [--shrink 4] [--set space.iterations=3000 …] [--spoil 0.1] [--out FOLDER]
 
 Every eighth picture from the fifth is held out. --shrink: pictures are made so many times smaller first (means over
 squares). --spoil: every training picture and channel is multiplied by a gain of its own, of this standard deviation in
@@ -25,11 +25,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
-from common import machine
-from initialisation import sheet
-
+from benchmarks.common import machine
+from benchmarks.initialisation import sheet
 from tg4mm.capture import SurfacePoints, load_capture, load_images
 from tg4mm.errors import Tg4mmError
 from tg4mm.evaluate.metrics import psnr

@@ -1,6 +1,6 @@
 """Time of the CPU rasteriser, forward and backward, beside its peers and the arithmetic limit.
 
-    python benchmarks/rasterize.py [--run RUN] [--repeats 9] [--only synthetic | cost | run]
+    python -m benchmarks.rasterize [--run RUN] [--repeats 9] [--only synthetic | cost | run]
 
 Synthetic: Gaussians of about two pixels (standard deviation) fill a ball seen from outside, 256² to 1024², 5,000 to
 500,000. Cost: processor time of one thread of the kernels on the same scenes, and what of it falls to each Gaussian,
@@ -29,12 +29,12 @@ from functools import partial
 import numba
 import numpy as np
 import torch
-from common import machine, processor_milliseconds
-from kernels import Kernels, scene
-from limit import BACKWARD, FORWARD, blocks_seen, clock_ghz, visible_evaluations
 from scipy.optimize import nnls
 from torch import Tensor
 
+from benchmarks.common import machine, processor_milliseconds
+from benchmarks.kernels import Kernels, scene
+from benchmarks.limit import BACKWARD, FORWARD, blocks_seen, clock_ghz, visible_evaluations
 from tg4mm.capture import load_capture
 from tg4mm.memory import peak_memory_mib
 from tg4mm.rasterize import rasterization

@@ -1,6 +1,6 @@
 """What timesteps of one view would gain by sharing depth order and tile lists, and how often they could.
 
-    python benchmarks/rasterize_sharing.py RUN [--camera 15] [--alpha 0] [--rounds 15]
+    python -m benchmarks.rasterize_sharing RUN [--camera 15] [--alpha 0] [--rounds 15]
 
 The Gaussians of RUN (a folder that `tg4mm train` left) sway as in `gpu_scene.py`. Lists of the scene at rest, their
 ellipses enlarged by the largest displacement, against each timestep's own; processor time of one thread, ways in turn.
@@ -20,11 +20,11 @@ from tempfile import TemporaryDirectory
 import numba
 import numpy as np
 import torch
-from common import machine
-from gpu_scene import sway
 from numba import float32, njit
-from training import in_turn
 
+from benchmarks.common import machine
+from benchmarks.gpu_scene import sway
+from benchmarks.training import in_turn
 from tg4mm.capture import load_capture
 from tg4mm.evaluate.metrics import flip, ssim
 from tg4mm.motion.animate import animator

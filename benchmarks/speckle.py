@@ -1,9 +1,9 @@
 """A speckle plate that moves by a twentieth of a pixel: our sensor beside pyidi's Lucas–Kanade on the same frames.
 
-python benchmarks/speckle.py make data/speckle            # 96×96, 60 frames, a flat capture; and frames.npz
+python -m benchmarks.speckle make data/speckle            # 96×96, 60 frames, a flat capture; and frames.npz
 tg4mm train data/speckle --out runs/speckle
-python benchmarks/speckle.py pyidi data/speckle           # needs pyidi, in an environment of its own; pyidi.npz
-python benchmarks/speckle.py compare runs/speckle data/speckle
+python -m benchmarks.speckle pyidi data/speckle           # needs pyidi, in an environment of its own; pyidi.npz
+python -m benchmarks.speckle compare runs/speckle data/speckle
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Time of the first picture in a fresh process: kernels compiled (cold cache) and read from the cache (warm).
 
-    python benchmarks/startup.py [--repeats 3]
+    python -m benchmarks.startup [--repeats 3]
 
 The last column is the processor time from the start of Python to the first picture: on a machine that does nothing
 else about the time by the clock, on a shared one what that would be.
@@ -16,7 +16,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from common import machine
+from benchmarks.common import machine
 
 _SCRIPT = """
 import time

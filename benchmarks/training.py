@@ -1,6 +1,6 @@
 """Iterations per second of both training stages on a run's own data, each beside what it took the place of.
 
-    python benchmarks/training.py RUN [--iterations 60] [--stage space|motion|both]
+    python -m benchmarks.training RUN [--iterations 60] [--stage space|motion|both]
 
 RUN is a folder that `tg4mm train` left. Space stage: the run's Gaussians from a random view each, with loss and
 optimiser, by torch around the rendering kernels (`ParameterAdam`) and by `fused.py`. Motion stage: conjugate gradient
@@ -24,8 +24,8 @@ from collections.abc import Callable
 import numba
 import numpy as np
 import torch
-from common import machine
 
+from benchmarks.common import machine
 from tg4mm.capture import load_capture, load_images
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.hyperparameters import DEFAULT

@@ -1,6 +1,6 @@
 """Sampling a triplane at fixed points, forward and backward, and an Adam step: dense planes in torch, and active cells.
 
-    python benchmarks/triplane.py [--points 5000,50000] [--resolution 64,512] [--channels 32] [--repeats 5]
+    python -m benchmarks.triplane [--points 5000,50000] [--resolution 64,512] [--channels 32] [--repeats 5]
 
 `grid_sample`: torch on dense planes [3, C, R, R], as published code does. `torch gather`: torch's own indexing of the
 active cells. `numba`: ours. All three compute the same (tests/triplane/test_sample.py).
@@ -17,9 +17,9 @@ from collections.abc import Callable
 
 import numpy as np
 import torch
-from common import machine, milliseconds
 from torch.nn.functional import grid_sample
 
+from benchmarks.common import machine, milliseconds
 from tg4mm.triplane import cells_of, sample
 from tg4mm.triplane.cells import PLANES, scene_box
 from tg4mm.triplane.sample import sample_torch

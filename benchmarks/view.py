@@ -1,6 +1,6 @@
 """Frames a second of `tg4mm view` at 768 × 768 for 50,000 Gaussians: the whole way, and what of it takes how long.
 
-    python benchmarks/view.py [--gaussians 50000] [--size 768] [--modes 3] [--repeats 30] [--run RUN] [--browser]
+    python -m benchmarks.view [--gaussians 50000] [--size 768] [--modes 3] [--repeats 30] [--run RUN] [--browser]
 
 The whole way: pose of every Gaussian at the moment, rasterised, to bytes, JPEG, handed to the server's connection. The
 steps beside it are timed apart, and the price of the other way: new splats to viser's own renderer in the browser.
@@ -24,9 +24,9 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from common import machine, milliseconds
-from kernels import scene as ball
 
+from benchmarks.common import machine, milliseconds
+from benchmarks.kernels import scene as ball
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.animate import animator
 from tg4mm.motion.modes import ModalMotion

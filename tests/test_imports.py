@@ -38,6 +38,14 @@ def test_every_module_of_the_core_imports_without_blender(repo_root: Path) -> No
     assert done.returncode == 0, done.stderr
 
 
+def test_every_benchmark_imports(repo_root: Path) -> None:
+    names = modules(repo_root, "benchmarks")
+    assert {"benchmarks.captures", "benchmarks.fox_phone_measure", "benchmarks.speckle"} <= set(names)
+    code = f"import importlib\nfor name in {names!r}: importlib.import_module(name)\n"
+    done = run_without([], code, repo_root)
+    assert done.returncode == 0, done.stderr
+
+
 @pytest.mark.parametrize("name", ["dataset_gen.report.write", "dataset_gen.report.overview"])
 def test_a_datasets_report_needs_neither_torch_nor_blender(repo_root: Path, name: str) -> None:
     done = run_without(["torch", "bpy", "numba", "flip_evaluator"], f"import {name}", repo_root)
