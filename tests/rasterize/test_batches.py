@@ -22,9 +22,9 @@ from tg4mm.rasterize.kernels.layout import (
     T_MIN,
     TILE,
 )
+from tg4mm.rasterize.kernels.tiles import BLOCKS, HEIGHT, WIDTH
 
 _LONG = 150  # pairs of the tile in front, whose masks lie in memory when the next one's turn comes
-_SIDE = 4  # pixels of a block
 
 
 @pytest.fixture(scope="module")
@@ -48,8 +48,7 @@ def composited(
     seen, sure = [], []
 
     def any_of_block(mask: np.ndarray) -> np.ndarray:
-        n = TILE // _SIDE
-        return mask.reshape(n, _SIDE, n, _SIDE).any((1, 3)).ravel()
+        return mask.reshape(TILE // HEIGHT, HEIGHT, TILE // WIDTH, WIDTH).any((1, 3)).ravel()
 
     for row in splats[gaussians].astype(np.float64):
         dx, dy = x - row[MX], y - row[MY]
@@ -89,6 +88,6 @@ def test_a_list_of_any_length_is_blended_to_its_end(splats: np.ndarray, count: i
         if first == last:
             continue
         assert sure.mean() > 0.8
-        found = (reached[first:last, None] >> np.arange(TILE * TILE // 16) & 1).astype(bool)
+        found = (reached[first:last, None] >> np.arange(BLOCKS) & 1).astype(bool)
         np.testing.assert_array_equal(found[sure], seen[sure])
         assert 0 < seen.mean() < 1 or count < 3
