@@ -122,6 +122,23 @@ def test_the_phase_against_a_reference(tmp_path: Path) -> None:
     assert at.deviation < 0.2
 
 
+@pytest.mark.parametrize(
+    ("camera", "views"), [({"n_views": 1}, 1), ({"n_views": 2}, 2), ({"walks": True}, 12)]
+)
+def test_every_step_of_the_sensors_is_counted(
+    tmp_path: Path,
+    camera: dict,
+    views: int,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    run = run_of(tmp_path, of_parts(), n_timesteps=12, **camera)
+    monkeypatch.setattr("tg4mm.measure.measurement._is_long", lambda *_: True)
+    measured(run, BALL_SPHERE, POST_BOX)
+    steps = 2 * 2 * views  # sensors, halves of the data
+    assert f"sensors: {steps}/{steps} steps" in capsys.readouterr().err
+
+
 def test_one_camera_says_which_direction_it_does_not_see(tmp_path: Path) -> None:
     run = run_of(tmp_path, of_parts(ball=sine(4.0, AMPLITUDE)), n_views=1, noise=0.004)
     found = measured(run, BALL_SPHERE)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 
 import numpy as np
 
@@ -16,11 +17,13 @@ from tg4mm.measure.modal_fields import clock_phases
 from tg4mm.measure.model_error import shared_error, with_model_error
 from tg4mm.measure.prepared import Clock, Prepared, prepare
 from tg4mm.measure.relations import relation_of
+from tg4mm.measure.residuals import MeasuredView
 from tg4mm.measure.rigid import Body, equations_of
 from tg4mm.measure.sensor_result import SensorResult
 from tg4mm.measure.sensors import Sensor, checked_names
 from tg4mm.measure.series import Series, series_of
 from tg4mm.measure.shapes import Shape, shapes_of
+from tg4mm.measure.sides import HALVES
 from tg4mm.measure.spectrum import Peak
 from tg4mm.progress import progress
 from tg4mm.run import Run
@@ -114,8 +117,18 @@ def _results(
 ) -> tuple[list[SensorResult], ClipPhases | None]:
     """Of every sensor, without its relation to a reference."""
     bodies = [body_of(weights_of(s, scene, clusters), scene) for s in wanted]
-    with progress("sensors", len(scene.clocks), "clocks") if _is_long(scene, wanted) else _silent() as update:
-        series = [_series(scene, clock, bodies, update, k) for k, clock in enumerate(scene.clocks)]
+    views = [_views_of(scene, clock) for clock in scene.clocks]
+    # a moving camera's views are made when they are asked for
+    halves = (
+        HALVES * len(scene.views) if scene.is_moving else sum(len(v.halves) for own in views for v in own)
+    )
+    total = halves * len(bodies)
+    with progress("sensors", total, "steps") if _is_long(scene, wanted) else _silent() as update:
+        done = count(1)
+        series = [
+            _series(scene, clock, own, bodies, lambda: update(next(done)))
+            for clock, own in zip(scene.clocks, views, strict=True)
+        ]
     clips, phases = (
         _of_clips(scene, series, bodies) if len(scene.clocks) > 1 else ([None] * len(wanted), None)
     )
@@ -126,13 +139,17 @@ def _results(
     return results, phases
 
 
-def _series(scene: Prepared, clock: Clock, bodies: Sequence, update, k: int) -> list[Series]:
-    views = scene.views if scene.is_moving else [scene.views[v] for v in clock.views]
+def _views_of(scene: Prepared, clock: Clock) -> Sequence[MeasuredView]:
+    return scene.views if scene.is_moving else [scene.views[v] for v in clock.views]
+
+
+def _series(
+    scene: Prepared, clock: Clock, views: Sequence[MeasuredView], bodies: Sequence, step: Callable[[], None]
+) -> list[Series]:
     own = [body for body, _ in bodies]
     equations = equations_of(
-        own, scene.means, views, clock.sides, scene.modal.fields, clock.series, scene.is_moving
+        own, scene.means, views, clock.sides, scene.modal.fields, clock.series, scene.is_moving, step
     )
-    update(k + 1)
     out = []
     for e, (body, labels) in zip(equations, bodies, strict=True):
         axes = body.axes
@@ -178,7 +195,7 @@ def _related(result: SensorResult, against: SensorResult) -> SensorResult:
 
 def _is_long(scene: Prepared, sensors: Sequence[Sensor]) -> bool:
     width, height = scene.observations.size
-    return len(scene.views) * len(sensors) * width * height > 5e6
+    return len(scene.views) * len(sensors) * width * height > 5e5
 
 
 class _silent:

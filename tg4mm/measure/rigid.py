@@ -20,7 +20,7 @@ change of e, so that of a true motion u* the answer holds (1 − A⁻¹ F) u*,
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,11 +79,13 @@ def equations_of(
     sides: Sides,
     fields: np.ndarray,
     series: np.ndarray,
-    is_moving: bool = False,
+    is_moving: bool,
+    step: Callable[[], None],
 ) -> list[Equations]:
     """The equations of several bodies in one pass over a clock's views.
 
-    fields [R, N, 6], series [R, F]. A moving camera has one view for each frame.
+    fields [R, N, 6], series [R, F]. A moving camera has one view for each frame. `step` is called after each body in
+    each half of each view.
     """
     motions = [body.motions(means, body.weights) for body in bodies]
     around = [companions(body, fields) for body in bodies]
@@ -95,20 +97,23 @@ def equations_of(
     own = [(w[:, None] * fields).reshape(len(fields), len(means) * DOF) for w in around]
     for k, view in enumerate(views):
         frames = slice(k, k + 1) if is_moving else slice(None)
-        for half, weights, projection in view.projections():
-            for b, e in enumerate(motions):
+        halves = list(view.projections())
+        for b, e in enumerate(motions):
+            changes = None if is_moving else _false_changes(view, trials[b])
+            for half, weights, projection in halves:
                 product = np.zeros_like(e)
                 view.view.gauss_newton_product(e, weights, product)
                 if projection is not None:
                     projection.correct(e, product)
-                if not is_moving:
-                    false[b] += _false(view, weights, projection, e, trials[b])
+                if changes is not None:
+                    false[b] += _false(view, weights, projection, e, changes)
                 flat = product.reshape(6, -1)
                 at = b, half, k if is_moving else 0
                 normals[at] += flat @ trials[b].reshape(6, -1).T
                 noise[at] += flat @ e.reshape(6, -1).T
                 if len(fields):
                     known[b, half, frames] += (flat @ own[b].T @ series[:, frames]).T
+                step()
         view.nuisance.__dict__.pop("pose", None)
     out = []
     for b, e in enumerate(motions):
@@ -132,19 +137,23 @@ def companions(body: Body, fields: np.ndarray) -> np.ndarray:
     return np.maximum(body.weights, np.clip(alike, 0, 1)).astype(np.float32)
 
 
+def _false_changes(view: MeasuredView, trials: np.ndarray) -> np.ndarray:
+    """[6, H, W, 3]: what of the pictures' change by motions D [6, N, 6] the scene at rest has and the mean lacks."""
+    rest = view.view.image[..., :3] + view.view.transmittance[..., None]
+    down, right = np.gradient(rest - view.mean, axis=(0, 1))
+    flow = optical_flow(view.view, trials, Buffers())
+    # a motion to the right by a pixel takes away the slope to the right
+    return np.asarray(-(flow[..., :1] * right + flow[..., 1:2] * down))
+
+
 def _false(
     view: MeasuredView,
     weights: np.ndarray,
     projection: Projection | None,
     motions: np.ndarray,
-    trials: np.ndarray,
+    changes: np.ndarray,
 ) -> np.ndarray:
-    """F [6, 6] of one half of a view, of motions E and D, both [6, N, 6]."""
-    rest = view.view.image[..., :3] + view.view.transmittance[..., None]
-    down, right = np.gradient(rest - view.mean, axis=(0, 1))
-    flow = optical_flow(view.view, trials, Buffers())
-    # a motion to the right by a pixel takes away the slope to the right
-    changes = -(flow[..., :1] * right + flow[..., 1:2] * down)
+    """F [6, 6] of one half of a view, of motions E [6, N, 6] and `_false_changes`."""
     if projection is not None:
         changes = projection.out_of(changes)
     back = np.zeros_like(motions)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,10 +15,11 @@ from tg4mm.errors import RunError
 from tg4mm.files import write_atomic
 from tg4mm.magnify import BandGain, Magnification
 from tg4mm.measure import Sensor
+from tg4mm.progress import progress
 from tg4mm.report.accuracy import accuracy_section
 from tg4mm.report.closing import commands_section, cost_section, settings_section
 from tg4mm.report.found import limits_section
-from tg4mm.report.page import Page, render_page
+from tg4mm.report.page import Page, Section, render_page
 from tg4mm.report.sections import capture_section, motion_section
 from tg4mm.report.sources import choose_alpha, load_model, metrics_of
 from tg4mm.report.spectra import measured, sensors_section
@@ -104,22 +105,32 @@ def _material(run: Run, train: Capture, band: tuple[float, float] | None, option
 
 
 def _page(m: Material, files: Mapping[str, Path], options: ReportOptions) -> Page:
+    sections: list[Section] = []
+    parts: tuple[Callable[[], Sequence[Section]], ...] = (
+        lambda: [motion_section(m)],
+        lambda: sensors_section(m),
+        lambda: accuracy_section(m),
+        lambda: [limits_section(m)],
+        lambda: [capture_section(m)],
+        lambda: [
+            settings_section(m),
+            cost_section(m, files),
+            commands_section(m, options.sensors, options.alpha),
+        ],
+    )
+    with progress("page", len(parts) + 1, "parts") as update:
+        lead = videos(m)
+        for done, part in enumerate(parts, start=1):
+            update(done)
+            sections += part()
+        update(len(parts) + 1)
     return Page(
         title=title_of(m.train),
         kicker="3D motion magnification, report of a run",
         summary=summary(m),
         stats=stats(m),
-        lead=videos(m),
-        sections=[
-            motion_section(m),
-            *sensors_section(m),
-            *accuracy_section(m),
-            limits_section(m),
-            capture_section(m),
-            settings_section(m),
-            cost_section(m, files),
-            commands_section(m, options.sensors, options.alpha),
-        ],
+        lead=lead,
+        sections=sections,
         footer=(
             f"tg4mm {__version__}. Preset {m.run.preset}. Run {m.run.path}. "
             f"Model SHA-256 {model_hash(m.run.path)}. "
