@@ -48,7 +48,10 @@ def test_known_gains_are_found(
     points: SurfacePoints,
     new_run: Callable[[], Run],
 ) -> None:
-    """Of 10 % half at most is left (a quarter to a third, by the order of sums), and the Gaussians are nearer to the pictures without gains."""
+    """Of 10 % half at most is left, and the Gaussians are nearer to the pictures without gains.
+
+    A quarter to a third is left, by the order of sums.
+    """
     logs = np.random.default_rng(0).normal(0, 0.1, (len(views.rgb), 3))
     given = np.exp(logs - logs.mean(0))
     # a grey floor in place of white, which would be clipped
