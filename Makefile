@@ -1,4 +1,4 @@
-# demo, test, test-all, test-faults, benchmark-avx2, lint, extension, sample, docs, player, readers, clean. Each sets up .venv first; the second time that costs nothing.
+# demo, test, test-all, test-faults, test-avx2, test-sse2, benchmark-avx2, lint, extension, sample, docs, player, readers, clean. Each sets up .venv first; the second time that costs nothing.
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -15,9 +15,10 @@ PYTHON52 ?= $(shell for p in python3.13 "$$(pyenv root 2>/dev/null)"/versions/3.
 VENV52 := .venv52
 # One thread in each of two workers is faster here than two threads in one.
 WORKERS ?= 2
+AVX2 := NUMBA_CPU_NAME=haswell NUMBA_CPU_FEATURES=+avx2,+fma ATEN_CPU_CAPABILITY=avx2
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --durations=30
 
-.PHONY: demo test test-all test-slow test-faults test-52 test-gui benchmark-avx2 lint extension sample docs player readers install clean distclean
+.PHONY: demo test test-all test-slow test-faults test-52 test-gui test-avx2 test-sse2 benchmark-avx2 lint extension sample docs player readers install clean distclean
 
 demo: install
 	$(BIN)/tg4mm demo --out demo
@@ -38,6 +39,14 @@ MUTATIONS ?= 500
 test-faults: install
 	TG4MM_MUTATIONS=$(MUTATIONS) $(PYTEST) tests/faults tests/test_untrusted.py tests/run/test_damage.py
 
+# The quick suite with the compilers held to AVX2, which most laptops have, or to SSE2: on a machine with AVX-512 it runs
+# code that `make test` does not.
+test-avx2: install
+	$(AVX2) $(PYTEST) -m "not slow"
+
+test-sse2: install
+	NUMBA_CPU_NAME=x86-64 NUMBA_CPU_FEATURES=+sse2 ATEN_CPU_CAPABILITY=default $(PYTEST) -m "not slow"
+
 test-all: test test-slow test-52
 
 # The extension in the real Blender 5.2 on a virtual screen, by mouse. As root; the first time it gets 1.3 GB.
@@ -49,8 +58,7 @@ test-gui: install
 # AVX-512 take, to be seen on any. Kernels made so are cached apart.
 benchmark-avx2: install
 	@[ -n "$(RUN)" ] || { echo "which run? make RUN=/path/of/a/trained/run benchmark-avx2" >&2; exit 2; }
-	NUMBA_CPU_NAME=haswell NUMBA_CPU_FEATURES=+avx2,+fma ATEN_CPU_CAPABILITY=avx2 OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 \
-		$(BIN)/python -m benchmarks.rasterize --run $(RUN) --only run --repeats 50
+	$(AVX2) OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m benchmarks.rasterize --run $(RUN) --only run --repeats 50
 
 lint: install
 	$(BIN)/ruff check .
