@@ -98,6 +98,13 @@ def test_what_is_refused(tmp_path: Path) -> None:
         CaptureError, match=r"mixed: holds pictures and cam beside them; .* belong into sweep/"
     ):
         find_sources(tmp_path / "mixed")
+    videos(tmp_path / "phone", "cam.mp4")
+    (tmp_path / "phone" / "sweep").mkdir()
+    with pytest.raises(CaptureError, match=r"sweep: holds no pictures; expected \.png"):
+        find_sources(tmp_path / "phone")
+    (tmp_path / "phone" / "sweep" / "IMG_1.HEIC").write_bytes(b"x")
+    with pytest.raises(CaptureError, match=r"IMG_1\.HEIC: \.HEIC is not read; convert it to \.jpg"):
+        find_sources(tmp_path / "phone")
     videos(tmp_path / "twice", "cam.mp4", "cam.mov")
     with pytest.raises(CaptureError, match="twice: camera cam is there twice"):
         find_sources(tmp_path / "twice")

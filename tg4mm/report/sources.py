@@ -66,7 +66,7 @@ def choose_alpha(
     assert reach is not None  # there is a motion
     alpha = suggested_alpha(replace(reach, noise_px=noise_px), reading.capture)
     why = (
-        "α was chosen so that the largest motion spans about 4 % of the picture's shorter side, as long as its noise "
+        "α was chosen so that the largest motion spans at most 4 % of the picture's shorter side, as long as its noise "
         "stays below a pixel and parts turn by less than half a radian"
     )
     known = [a for a in alphas_with_truth(reading.run.dataset) if a <= alpha]

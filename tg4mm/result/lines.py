@@ -82,7 +82,7 @@ def _noise(result: Result) -> list[str]:
     if result.agreement:
         shown = ", ".join(f"{r:.4g}" for r in result.agreement[:_MOST])
         more = " …" if len(result.agreement) > _MOST else ""
-        lines.append(_row("coherence", f"{shown}{more}: what two halves of the data agree on, of 1"))
+        lines.append(_row("reliability", f"{shown}{more}: what two halves of the data agree on, of 1"))
     return lines
 
 

@@ -18,6 +18,8 @@ LAYOUTS = (
     "expected photographs, one video, or a video (or a folder of frames) for each fixed camera and, if you like, "
     f"{SWEEP}/ with pictures of the scene at rest"
 )
+# Pictures that phones and cameras write and that are not read here.
+UNREAD = (".heic", ".heif", ".dng", ".tif", ".tiff", ".webp", ".cr2", ".cr3", ".nef", ".arw")
 # Files by which a dataset that `tg4mm train` reads is told from pictures.
 DATASET = ("scene.json", "transforms*.json", "*/transforms_*.json", "sparse/images.*", "sparse/0/images.*")
 
@@ -48,6 +50,7 @@ def find_sources(path: Path) -> Sources:
         raise CaptureError(f"{path}: is {part[1]}, whose poses are known: {train_command(part[0])}")
     if is_dataset(path):
         raise CaptureError(f"{path}: is a dataset already: {train_command(path)}")
+    _check_read(path)
     pictures = _pictures(path)
     clips = [clip for clip in map(_clip, _entries(path)) if clip is not None]
     sweep = next((clip for clip in clips if clip.name == SWEEP), None)
@@ -85,6 +88,17 @@ def suggested_command(path: Path | str) -> str | None:
         return None
     out = path.with_name(f"{path.stem}_dataset")
     return f"tg4mm sfm {shlex.quote(str(path))} --out {shlex.quote(str(out))}"
+
+
+def _check_read(path: Path) -> None:
+    """Raises CaptureError for pictures that are not read, and for a sweep without any: both would go unnoticed."""
+    sweep = path / SWEEP
+    for folder in (path, *(p for p in _entries(path) if p.is_dir())):
+        other = next((p for p in _entries(folder) if p.suffix.lower() in UNREAD), None)
+        if other is not None:
+            raise CaptureError(f"{other}: {other.suffix} is not read; convert it to .jpg, .png or .exr, or take it away")
+    if sweep.is_dir() and not _pictures(sweep):
+        raise CaptureError(f"{sweep}: holds no pictures; expected {', '.join(IMAGE_SUFFIXES)}")
 
 
 def _entries(path: Path) -> list[Path]:
