@@ -232,9 +232,11 @@ def test_saved_file_has_no_preview(extension: ModuleType, scene: Any, tmp_path: 
 
 def test_preview_is_not_rendered(extension: ModuleType, scene: Any) -> None:
     bpy.ops.tg4mm.preview_start()
-    for obj in bpy.data.objects:
-        for modifier in obj.modifiers:
-            assert modifier.show_render == (modifier.name != extension.jobs.preview.MODIFIER)
+    own = extension.jobs.preview.MODIFIER
+    modifiers = [modifier for obj in bpy.data.objects for modifier in obj.modifiers]
+    assert own in [modifier.name for modifier in modifiers]
+    for modifier in modifiers:
+        assert modifier.show_render == (modifier.name != own)
 
 
 def test_gain_and_settings_change_what_is_shown(extension: ModuleType, scene: Any) -> None:

@@ -155,6 +155,7 @@ def test_a_file_that_cannot_be_written_is_one_line(tmp_path):
 
 def test_a_shape_key_s_value_stays_within_its_limits_at_the_largest_alpha(saved):
     show(3, 1000.0)
+    assert len(bpy.data.shape_keys) > 0
     for keys in bpy.data.shape_keys:
         for block in keys.evaluated_get(bpy.context.evaluated_depsgraph_get()).key_blocks[1:]:
             assert abs(block.value) < 9.0

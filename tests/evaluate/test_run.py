@@ -11,7 +11,7 @@ import pytest
 
 import tg4mm.evaluate.run as module
 from tests.helpers.synthetic import make_synthetic_dataset
-from tg4mm.errors import CaptureError
+from tg4mm.errors import CaptureError, RunError
 from tg4mm.evaluate import EvaluationError, evaluate_run, format_table
 from tg4mm.evaluate.metrics import psnr
 from tg4mm.gaussians import Gaussians
@@ -199,7 +199,7 @@ def test_unusable_requests_are_refused(half, scene, tmp_path) -> None:
         evaluate_run(half, out=tmp_path)
     root, gaussians, motion = scene
     other = make_run(tmp_path / "other", root, gaussians, replace(motion, n_timesteps=12))
-    with pytest.raises(EvaluationError, match=r"trained on 12 timesteps at 30 Hz, but .* holds 10 at 30 Hz"):
+    with pytest.raises(RunError, match=r"trained on 12 timesteps at 30 Hz, but .* holds 10 at 30 Hz"):
         evaluate_run(other)
     assert not (other.path / "metrics.json").exists()
 

@@ -99,6 +99,16 @@ def test_a_sequence_holds_the_magnified_positions(run, tmp_path):
         assert (frame.n_modes, frame.unit_scale_m) == (0, 0.1)
 
 
+def test_an_earlier_sequences_files_are_not_mixed_in(run, tmp_path):
+    out = export_ply_sequence(run, tmp_path / "frames", alpha=4.0)
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    with pytest.raises(Tg4mmError, match=r"frames: holds frame_0000\.ply, of another export"):
+        export_ply_sequence(run, out, alpha=8.0, timesteps=[3])
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+    export_ply_sequence(run, out, alpha=8.0)
+    assert any((out / name).read_bytes() != data for name, data in before.items())
+
+
 def test_chosen_timesteps_only(run, tmp_path):
     out = export_ply_sequence(run, tmp_path / "frames", timesteps=[3])
     assert [path.name for path in out.iterdir()] == ["frame_0003.ply"]

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from tg4mm.measure.damping import half_power
+from tg4mm.measure.damping import damping_of, half_power
+from tg4mm.measure.spectrum import spectrum_of
 
 FPS, HZ = 30.0, 4.0
 
@@ -48,3 +51,17 @@ def test_noise_alone_has_none() -> None:
     times = np.arange(3000) / FPS
     found = [half_power(times, np.random.default_rng(s).normal(size=3000), HZ) for s in range(10)]
     assert sum(d is not None for d in found) <= 1
+
+
+@pytest.mark.parametrize(("ratio", "is_told"), [(0.02, True), (0.10, False)])
+def test_what_is_over_early_in_the_record_has_none_rather_than_a_wrong_one(
+    ratio: float, is_told: bool
+) -> None:
+    times, hz = np.arange(300) / FPS, 10.0
+    values = np.exp(-ratio * 2 * np.pi * hz * times) * np.cos(2 * np.pi * hz * times)
+    displacement = values[:, None] * np.array([1.0, 0, 0])
+    noise = np.full((300, 3), 1e-6)
+    series = SimpleNamespace(times_s=times, displacement=displacement, noise=noise, is_told=np.ones(3, bool))
+    found = damping_of(series, spectrum_of(times, displacement, noise).peaks[:1], 0)
+    assert (found is not None) == is_told
+    assert found is None or found.ratio == pytest.approx(ratio, rel=0.02)

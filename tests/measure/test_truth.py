@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.measure.filmed import BALL_SPHERE, PARTS, POST, modes, of_parts, run_of, sine
+from tg4mm.errors import RunError
 from tg4mm.measure import Measurement, SensorResult, measure, parse_sensor, prepare
+from tg4mm.result import result_of
 
 AMPLITUDE = np.array([0.008, 0.0, 0.006])  # a tenth of a pixel at the ball
 POST_BOX = "post=box:-0.6,-0.25,0.3,-0.1,0.25,1.5"
@@ -148,3 +151,15 @@ def test_one_camera_says_which_direction_it_does_not_see(tmp_path: Path) -> None
     expected = np.abs(result.axes @ AMPLITUDE)
     assert result.spectrum.peaks[0].amplitude[:2] == pytest.approx(expected[:2], abs=1e-3)
     assert any("one camera" in note for note in found.notes)
+
+
+def test_a_run_and_a_dataset_of_other_times_are_not_mixed(tmp_path: Path) -> None:
+    run = run_of(tmp_path, of_parts(), n_timesteps=12, n_views=1)
+    motion = run.load_motion()
+    assert motion is not None
+    run.save_motion(replace(motion, fps=60.0), {})
+    for asked in (prepare, result_of):
+        with pytest.raises(
+            RunError, match=r"was trained on 12 timesteps at 60 Hz, but .* holds 12 at 30 Hz: train"
+        ):
+            asked(run)

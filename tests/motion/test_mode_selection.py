@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tg4mm.motion.mode_selection import mode_deviations, worth_keeping
+from tg4mm.motion.mode_selection import mode_deviations, peaks, worth_keeping
 from tg4mm.motion.modes import ModalMotion
 
 
@@ -55,3 +55,8 @@ def test_a_single_mode_takes_the_whole_error_and_a_weak_one_its_share() -> None:
     np.testing.assert_allclose(both[1], np.sqrt(2 * (0.09 + 0.16 / 5)), rtol=1e-6)
     assert (both[0] > both[1]).all()
     assert (both < alone[0, 0]).all()
+
+
+def test_half_the_frame_rate_is_no_frequency_since_no_band_can_hold_it() -> None:
+    motion = of_amplitudes([0.1, 1.0, 3.0], [5.0, 7.0, 15.0])
+    assert peaks(motion, 1.0).tolist() == [7.0, 5.0]

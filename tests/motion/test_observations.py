@@ -105,6 +105,23 @@ class TestClock:
         alone = captured([0] * 20, [*range(20)], [*times], "tripod")
         assert frames_of(replace(alone, clocks="independent"))[0] == "synchronous"
 
+    def test_cameras_said_to_be_synchronous_that_are_not_are_refused_with_their_counts(self) -> None:
+        times = np.arange(20) * STEP
+        capture = captured([0] * 20 + [1] * 19, [*range(20), *range(19)], [*times, *times[:-1]], "rig")
+        assert frames_of(capture)[0] == "independent"
+        with pytest.raises(
+            CaptureError, match=r"cameras are synchronous, but their times differ .* 20, .* 19\)"
+        ):
+            frames_of(replace(capture, clocks="synchronous"))
+
+    def test_a_camera_with_few_pictures_is_left_out_by_name(self) -> None:
+        times = np.arange(20) * STEP
+        capture = captured([0] * 20 + [1] * 5, [*range(20), *range(5)], [*times, *times[:5]], "rig")
+        left_out = capture.paths[20].stem
+        with pytest.warns(UserWarning, match=f"{left_out}: left out: fewer than half"):
+            seen = observe(capture, ImageStack(np.zeros((25, 2, 2, 4), np.uint8)))
+        assert len(seen.frames) == 1
+
     def test_clips_of_one_camera_are_independent_though_their_times_agree(self) -> None:
         times = np.arange(20) * STEP
         assert self.clock([times, times], "clips") == "independent"

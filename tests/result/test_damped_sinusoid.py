@@ -93,3 +93,18 @@ def test_a_vibration_that_does_not_ring_down_tells_no_damping(decay: float, said
         found = damped_sinusoid_of(wave(5.2, decay) + rng.normal(0, 0.05, N), FPS, 5.2, NONE, 0.0)
         assert found.damping is None
         assert said in found.why_no_damping
+
+
+@pytest.mark.parametrize(("ratio", "hz", "seconds"), [(0.10, 8.0, 3.0), (0.05, 12.0, 4.0)])
+def test_a_decay_that_is_over_early_has_no_ratio_rather_than_a_wrong_one(
+    ratio: float, hz: float, seconds: float
+) -> None:
+    t = np.arange(int(seconds * FPS)) / FPS
+    series = np.exp(-ratio * 2 * np.pi * hz * t) * np.cos(2 * np.pi * hz * t)
+    found = damped_sinusoid_of(series, FPS, hz, NONE, 0.0)
+    assert found.damping is None
+    assert found.why_no_damping == "it dies out too early in the record"
+    slower = damped_sinusoid_of(
+        np.exp(-0.02 * 2 * np.pi * hz * t) * np.cos(2 * np.pi * hz * t), FPS, hz, NONE, 0.0
+    )
+    assert slower.damping == pytest.approx(0.02, rel=0.05)

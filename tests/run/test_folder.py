@@ -270,9 +270,7 @@ class TestOpen:
         config = json.loads((run.path / "config.json").read_text())
         assert config["settings"] == SETTINGS
         assert config["preset"] == "modal"
-        assert (
-            config["versions"]["torch"] == torch.__version__.partition("+")[0] or config["versions"]["torch"]
-        )
+        assert config["versions"]["torch"].partition("+")[0] == torch.__version__.partition("+")[0]
         assert config["versions"].keys() >= {"tg4mm", "python", "torch", "numpy"}
 
 

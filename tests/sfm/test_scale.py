@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import ClassVar
 
 import numpy as np
@@ -13,7 +14,7 @@ from tests.sfm.scenes import orbit
 from tg4mm.cli import main
 from tg4mm.errors import Tg4mmError
 from tg4mm.sfm.config import SfmConfig, checked
-from tg4mm.sfm.depth import CLICK_PX
+from tg4mm.sfm.depth import CLICK_PX, triangulated
 from tg4mm.sfm.orient import Similarity
 from tg4mm.sfm.scale import Length, MeasuredLength, measured_length, read_length
 from tg4mm.sfm.staging import Shot
@@ -79,6 +80,21 @@ def test_two_pictures_of_each_end_give_its_place(scene: Scene) -> None:
     assert found.unit_scale_m == pytest.approx(0.6 / (1.2 * HALF), rel=1e-6)
     expected = HALF * (ENDS - [0.3, 0.2, 0.1]) @ np.eye(3)[[1, 2, 0]].T
     np.testing.assert_allclose(found.points, expected, atol=1e-6)
+
+
+def test_a_point_behind_the_pictures_is_refused() -> None:
+    """Two clicks swapped between two pictures side by side meet behind them."""
+    poses = [np.hstack([np.eye(3), [[-x], [0], [0]]]) for x in (-0.5, 0.5)]
+    rays = [np.array([x, 0, 1.0]) for x in (-0.2, 0.2)]
+    sights = [
+        SimpleNamespace(name=f"{k}.jpg", pose=p, ray=r, angle=1 / 500)
+        for k, (p, r) in enumerate(zip(poses, rays, strict=True))
+    ]
+    with pytest.raises(Tg4mmError, match=r"0\.jpg, 1\.jpg meet behind 0\.jpg"):
+        triangulated(sights)
+    for sight, ray in zip(sights, reversed(rays), strict=True):
+        sight.ray = ray
+    np.testing.assert_allclose(triangulated(sights).xyz, [0, 0, 2.5], atol=1e-9)
 
 
 def test_one_picture_takes_the_depth_from_the_points_around(scene: Scene) -> None:

@@ -78,6 +78,15 @@ def test_a_sweep_of_the_recordings_size_shares_their_lens(tmp_path: Path) -> Non
     assert "shared" not in [shot.group for shot in sweep_shots(pictures, (8, 6), each=True)]
 
 
+def test_a_recording_called_sweep_is_none_where_it_is_alone(tmp_path: Path) -> None:
+    fill(tmp_path / "sweep", 4)
+    photographs = find_sources(tmp_path / "sweep").photographs
+    assert photographs is not None
+    assert photographs.name == "sweep_0"
+    videos(tmp_path, "sweep.mp4")
+    assert [clip.name for clip in find_sources(tmp_path / "sweep.mp4").clips] == ["sweep_0"]
+
+
 def test_what_is_refused(tmp_path: Path) -> None:
     with pytest.raises(CaptureError, match="nowhere: does not exist"):
         find_sources(tmp_path / "nowhere")

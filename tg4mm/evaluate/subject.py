@@ -11,7 +11,6 @@ import numpy as np
 
 from tg4mm.capture import Capture
 from tg4mm.evaluate.displacement import displacement_figures
-from tg4mm.evaluate.errors import EvaluationError
 from tg4mm.evaluate.scores import Method, Posing, in_bands
 from tg4mm.evaluate.truth import TRUTH_FILE, exact_motion, load_truth
 from tg4mm.evaluate.uncertainty import uncertainty_figures
@@ -22,6 +21,7 @@ from tg4mm.magnify.bands import check_bands
 from tg4mm.magnify.poses import method_of, poses_of
 from tg4mm.motion.modes import ModalMotion
 from tg4mm.run import Run
+from tg4mm.run.checks import check_times
 from tg4mm.run.model_hash import model_hash
 
 STATIC, OURS, CEILING = "nothing moves", "ours", "ceiling"
@@ -67,10 +67,12 @@ def subject_of(
         absent["ours"] = (
             f"{run.path} has no motion: its motion stage is not finished, or the capture is one timestep"
         )
-    elif (estimated.fps, estimated.n_timesteps) != (capture.fps, capture.n_timesteps):
-        raise EvaluationError(
-            f"{run.path} was trained on {estimated.n_timesteps} timesteps at {estimated.fps:g} Hz, "
-            f"but {run.dataset} holds {capture.n_timesteps} at {capture.fps:g} Hz"
+    else:
+        check_times(
+            run.path,
+            run.dataset,
+            (estimated.fps, estimated.n_timesteps),
+            (capture.fps, capture.n_timesteps),
         )
     exact = None
     if (run.dataset / TRUTH_FILE).is_file() and capture.n_timesteps > 1:

@@ -238,7 +238,16 @@ def frames_of(
 
 
 def write_frames(out: Path, suffix: str, write: Callable[[Path, SplatFile], None], frames: Frames) -> None:
-    """Write OUT/frame_0000<suffix> …, one static file for each timestep."""
+    """Write OUT/frame_0000<suffix> …, one static file for each timestep.
+
+    Raises Tg4mmError, before anything is written, where the folder holds a file of another timestep.
+    """
     out.mkdir(parents=True, exist_ok=True)
+    wanted = {f"frame_{t:04d}{suffix}" for t in frames.timesteps}
+    if other := sorted(p.name for p in out.glob(f"frame_*{suffix}") if p.name not in wanted):
+        raise Tg4mmError(
+            f"--out {out}: holds {other[0]}, of another export, and a sequence is read whole: remove it, or give "
+            "another folder"
+        )
     for t, splat in frames:
         write(out / f"frame_{t:04d}{suffix}", splat)

@@ -60,6 +60,10 @@ def poses_of(run: Run, plan: Magnification, device: str = "cpu") -> Poses:
             raise RunError(f"--alpha {alpha:g}: {run.path} has no motion, only --alpha 0 can be rendered")
         still = run.load_space().to(device)
         return Poses(lambda t: still, 1, STILL_FPS)
+    if not len(motion.freqs_hz) and not plan.is_identity:
+        raise RunError(
+            f"{run.path} found no motion: there is nothing to magnify, only --alpha 0 can be rendered"
+        )
     plan.checked(motion.fps)
     if method == "modal" or (method == "linear" and DEFAULT_METHOD.get(run.preset) == "modal"):
         if method == "linear":

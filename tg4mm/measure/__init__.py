@@ -12,7 +12,7 @@ docs/measure.md has the equations.
 from tg4mm.lazy import callable_package
 from tg4mm.measure.clusters import Clusters
 from tg4mm.measure.errors import MeasureError
-from tg4mm.measure.measurement import Measurement, best_peak, default_sensors, measure, measure_one
+from tg4mm.measure.measurement import Measurement, default_sensors, measure, measure_one
 from tg4mm.measure.prepared import Prepared, prepare, prepare_fit
 from tg4mm.measure.sensor_result import SensorResult
 from tg4mm.measure.sensors import Sensor, parse_sensor, read_sensors
@@ -31,7 +31,6 @@ __all__ = [
     "Series",
     "Shape",
     "Spectrum",
-    "best_peak",
     "default_sensors",
     "measure",
     "measure_one",

@@ -28,6 +28,7 @@ from tg4mm.measure.spectrum import Peak
 
 _TOLD = 3.0  # deviations that a decay must stand out of
 _LEAST_DECAY = 0.15  # of the amplitude, over the record
+_STEEPEST = 40.0  # decay over the record, at most
 _SEGMENTS = 7, 15, 31, 63  # half-overlapping windows in the record
 _SHORTEST, _CYCLES = 32, 8.0  # of a window: samples, periods
 _BINS = 8  # that a peak is fitted to, at least
@@ -69,12 +70,14 @@ def damping_of(series: Series, peaks: Sequence[Peak], k: int) -> Damping | None:
     start = np.array([peak.frequency_hz, 0.1])
     near = 0.5 / duration
     found = least_squares(
-        left, start, bounds=([start[0] - near, -8], [start[0] + near, 40]), x_scale=[near, 1.0]
+        left, start, bounds=([start[0] - near, -8], [start[0] + near, _STEEPEST]), x_scale=[near, 1.0]
     )
     rest = float((found.fun**2).sum()) / max(len(times) - plain.shape[1] - 4, 1)
     noise = max(float((sigma**2).mean()), rest)
     covariance = np.linalg.pinv(found.jac.T @ found.jac) * noise
     decay, deviation = float(found.x[1]), float(np.sqrt(covariance[1, 1]))
+    if decay > 0.99 * _STEEPEST:  # ended by the bound: gone too early in the record
+        return None
     if decay < _TOLD * deviation or 1 - np.exp(-decay) < _LEAST_DECAY:
         return half_power(series.times_s, values, peak.frequency_hz)
     omega = 2 * np.pi * float(found.x[0]) * duration

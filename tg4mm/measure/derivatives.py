@@ -15,17 +15,13 @@ from tg4mm.measure.spectrum import Peak
 
 @dataclass(frozen=True)
 class Derivatives:
-    """Of a displacement [T, 3], with standard deviations as white noise of its samples gives them."""
+    """Of a displacement [T, 3]."""
 
     velocity: np.ndarray  # [T, 3] scene units / s
-    velocity_deviation: np.ndarray
     acceleration: np.ndarray  # [T, 3] scene units / s²
-    acceleration_deviation: np.ndarray
 
 
-def derivatives_of(
-    times_s: np.ndarray, values: np.ndarray, deviation: np.ndarray, peaks: Sequence[Peak]
-) -> Derivatives:
+def derivatives_of(times_s: np.ndarray, values: np.ndarray, peaks: Sequence[Peak]) -> Derivatives:
     """Of values [T, 3] at times [T] whose `peaks` were found."""
     velocity, acceleration, left = np.zeros_like(values), np.zeros_like(values), values.copy()
     for peak in peaks:
@@ -37,10 +33,7 @@ def derivatives_of(
         acceleration += (-(omega**2) * turning).real
     velocity += np.gradient(left, times_s, axis=0)
     acceleration += _second_difference(left, times_s)
-    step = float(np.median(np.diff(times_s)))
-    return Derivatives(
-        velocity, deviation / (np.sqrt(2) * step), acceleration, deviation * np.sqrt(6) / step**2
-    )
+    return Derivatives(velocity, acceleration)
 
 
 def _second_difference(values: np.ndarray, times_s: np.ndarray) -> np.ndarray:

@@ -12,8 +12,8 @@ _TOLD = 10.0  # times as uncertain as the best direction: beyond it a direction 
 def frequency_grid(times_s: np.ndarray) -> np.ndarray:
     """[F] Hz, from 0 to half the frame rate."""
     step = float(np.median(np.diff(times_s)))
-    duration = step * len(times_s)
-    count = int(len(times_s) / 2 * OVERSAMPLED * np.ptp(times_s) / (duration - step)) + 1
+    duration = float(np.ptp(times_s)) + step  # frames may be missing
+    count = int(duration / (2 * step) * OVERSAMPLED + 1e-9) + 1
     return np.arange(count) / (duration * OVERSAMPLED)
 
 

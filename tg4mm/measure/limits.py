@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from tg4mm.measure.orbit import main_is_above
 from tg4mm.measure.prepared import Prepared
+from tg4mm.measure.spectrum import FEWEST
 from tg4mm.motion.mode_selection import frequency_notes
 
 if TYPE_CHECKING:
@@ -34,6 +35,8 @@ def limits_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[str, ..
         out.append(
             "the camera moves: slow motion, and motion of the whole scene as one, are taken out as its own"
         )
+    if not scene.fit.uncertainty:
+        out.append("the run knows no uncertainty: every ± is of noise alone, and shapes are not judged by it")
     for result in results:
         size = max(abs(s.displacement[:, s.is_told]).max(initial=0.0) for s in result.all_series)
         size *= result.px_per_unit
@@ -50,7 +53,10 @@ def limits_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[str, ..
                     f"{result.name}: motion along {', '.join(hidden)}{where} can hardly be told: most of what the "
                     "scene at rest would show of it is not in the pictures"
                 )
-        if not result.spectrum.peaks:
+        longest = max(len(s.times_s) for s in result.all_series)
+        if longest < FEWEST:
+            out.append(f"{result.name}: {longest} frames are too few for a spectrum, {FEWEST} are needed")
+        elif not result.spectrum.peaks:
             out.append(f"{result.name}: nothing stands out of the noise floor")
     sure = {
         round(peak.frequency_hz, 3)

@@ -24,7 +24,6 @@ from tg4mm.measure.sensors import Sensor, checked_names
 from tg4mm.measure.series import Series, series_of
 from tg4mm.measure.shapes import Shape, shapes_of
 from tg4mm.measure.sides import HALVES
-from tg4mm.measure.spectrum import Peak
 from tg4mm.progress import progress
 from tg4mm.run import Run
 
@@ -105,11 +104,6 @@ def default_sensors(clusters: Clusters) -> list[Sensor]:
     """Every cluster that moves alike, what stands still, and the whole scene."""
     out = [Sensor(name, "cluster", (float(k),)) for k, name in clusters.names.items()]
     return [*out, Sensor("all", "all")]
-
-
-def best_peak(result: SensorResult) -> Peak | None:
-    """The strongest peak over its floor; None where there is none."""
-    return result.spectrum.peaks[0] if result.spectrum.peaks else None
 
 
 def _results(

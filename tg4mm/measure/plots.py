@@ -13,9 +13,9 @@ from tg4mm.files import write_atomic
 from tg4mm.measure.fourier import is_told
 from tg4mm.measure.measurement import Measurement
 from tg4mm.measure.sensor_result import SensorResult
+from tg4mm.measure.sensors import file_name
 from tg4mm.measure.series import Series
 from tg4mm.measure.units import Unit, unit_of
-from tg4mm.measure.write import file_name
 from tg4mm.plotstyle import COLOURS, STYLE
 from tg4mm.progress import progress
 

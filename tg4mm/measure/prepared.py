@@ -37,6 +37,7 @@ from tg4mm.motion.observations import Observations, PosedFrames, observe
 from tg4mm.progress import progress
 from tg4mm.room import room
 from tg4mm.run import Run
+from tg4mm.run.checks import check_times
 from tg4mm.train import pictures_for
 
 IN_MEMORY = 1 << 30  # bytes that a pass through the pictures adds up; more lies in a temporary file
@@ -106,7 +107,10 @@ def prepare(run: Run, keep: bool = True) -> Prepared:
         raise MeasureError(
             f"{run.path}: its dataset {run.dataset} has one timestep; a measurement needs pictures over time"
         )
-    fit, kept = run.load_fit(), KeptPass.of(run, keep)
+    fit = run.load_fit()
+    times = (fit.motion.fps, fit.motion.n_timesteps), (capture.fps, capture.n_timesteps)
+    check_times(run.path, run.dataset, *times)
+    kept = KeptPass.of(run, keep)
     pictures = FilePictures(capture) if kept.is_there else pictures_for(capture)
     return _prepared(fit, run.path, capture, observe(capture, pictures), kept)
 

@@ -30,7 +30,7 @@ class Record:
     @cached_property
     def derivatives(self) -> Derivatives:
         own = self.series
-        return derivatives_of(own.times_s, own.displacement, own.noise, self.peaks)
+        return derivatives_of(own.times_s, own.displacement, self.peaks)
 
 
 @dataclass(frozen=True)

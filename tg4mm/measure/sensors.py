@@ -102,16 +102,25 @@ def read_sensors(path: Path | str) -> list[Sensor]:
     if not isinstance(entries, list) or not entries:
         raise MeasureError(f"{path}: expected a list of sensors, or 'sensors:' with one")
     sensors = [_of_entry(entry, f"{path}, sensor {k + 1}") for k, entry in enumerate(entries)]
-    return checked_names(sensors)
+    try:
+        return checked_names(sensors)
+    except MeasureError as error:
+        raise MeasureError(f"{path}: {error}") from None
+
+
+def file_name(name: str) -> str:
+    """A sensor's name as a part of a file's name."""
+    return re.sub(r"[^\w.+-]+", "_", name)
 
 
 def checked_names(sensors: Sequence[Sensor]) -> list[Sensor]:
-    """The sensors. Raises MeasureError where two have one name, letter case aside."""
+    """The sensors. Raises MeasureError where two have one name, or would share a file, as `a b` and `A_b`."""
     names: set[str] = set()
     for sensor in sensors:
-        if sensor.name.lower() in names:
+        own = file_name(sensor.name).lower()
+        if own in names:
             raise MeasureError(f"two sensors are called {sensor.name!r}: give each a name of its own")
-        names.add(sensor.name.lower())
+        names.add(own)
     return list(sensors)
 
 

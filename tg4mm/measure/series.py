@@ -92,7 +92,8 @@ def series_of(
     variance, expected = _diagonal(covariance), _diagonal(answers[0][1]) + _diagonal(answers[1][1])
     factor = _ratio(difference**2, expected) * free
     factor = np.maximum(factor, _floor_factor(out, variance))
-    deviation = np.sqrt(factor * variance)
+    with np.errstate(invalid="ignore"):  # 0 times the infinite variance of what is not observed
+        deviation = np.sqrt(factor * variance)
     deviation[np.isnan(deviation)] = np.inf
     out = np.where(np.isfinite(deviation), out, 0.0)
     false = _false_share(equations, dof)

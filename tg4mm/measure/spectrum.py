@@ -33,6 +33,8 @@ _MOST = 8  # peaks
 _APART = 1.5  # of 1 / duration: nearer than this two peaks are one
 _LEAST_CYCLES = 1.5  # of the record: slower is drift
 _STEPS = 6  # of Gauss-Newton
+_EACH, _FREE = 3, 4  # samples for each peak, and beside them
+FEWEST = _EACH + _FREE  # samples from which there can be a peak
 _LEAST = 0.02  # of the strongest peak: harmonics of what is not linear, side lobes that noise left
 
 
@@ -127,7 +129,7 @@ def _peaks(grid: np.ndarray, times_s: np.ndarray, values: np.ndarray, level: np.
     scale = np.where(np.isfinite(level), np.maximum(level, least), np.inf)
     values = values / scale
     hz, left, strongest = np.zeros(0), values, 0.0
-    while len(hz) < min(_MOST, (len(times_s) - 4) // 3):
+    while len(hz) < min(_MOST, (len(times_s) - _FREE) // _EACH):
         amplitude = np.abs(transformed(grid, times_s, left))
         height = np.where(usable, amplitude.max(1), 0)
         for other in hz:

@@ -7,7 +7,7 @@ import numpy as np
 from tg4mm.measure.measurement import Measurement
 from tg4mm.measure.orbit import Orbit, amplitude_deviation, main_is_above
 from tg4mm.measure.sensor_result import SensorResult
-from tg4mm.measure.spectrum import Peak
+from tg4mm.measure.spectrum import FEWEST, Peak
 from tg4mm.measure.units import unit_of
 from tg4mm.result.lines import with_deviation
 from tg4mm.result.model import Length
@@ -47,6 +47,8 @@ def rows_of(measurement: Measurement, result: SensorResult) -> list[list[str]]:
         )
     if out:
         return out
+    if len(result.times_s) < FEWEST:
+        return [[result.name, "", "", "", "", "", "", f"fewer than {FEWEST} frames: no spectrum"]]
     floor = result.spectrum.floor[0]
     level = float(np.min(floor[np.isfinite(floor)], initial=np.inf))
     told = f"under {level * unit.factor:.2g} {unit.name}, {level * result.px_per_unit:.2g} px"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -31,14 +30,9 @@ def claim(out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
 
 
-def file_name(name: str) -> str:
-    """A sensor's name as a part of a file's name."""
-    return re.sub(r"[^\w.+-]+", "_", name)
-
-
 def write_json_file(measurement: Measurement, out: Path) -> Path:
     """OUT/measure.json (docs/measure.md); lengths in scene units, null for what is not observed."""
-    unit = unit_of(measurement)
+    unit, is_judged = unit_of(measurement), bool(measurement.prepared.fit.uncertainty)
     value = {
         "format": "tg4mm",
         "kind": "measurement",
@@ -51,7 +45,10 @@ def write_json_file(measurement: Measurement, out: Path) -> Path:
         "notes": list(measurement.notes),
         "clusters": {measurement.clusters.names[k]: len(v) for k, v in measurement.clusters.members.items()},
         "shapes": [
-            {"frequency_hz": s.frequency_hz, "gaussians_above_floor": int(s.is_above.sum())}
+            {
+                "frequency_hz": s.frequency_hz,
+                "gaussians_above_floor": int(s.is_above.sum()) if is_judged else None,
+            }
             for s in measurement.shapes
         ],
         "clip_phases": _clip_phases(measurement.clip_phases),

@@ -17,6 +17,7 @@ from tg4mm.motion.observations import Observations
 
 _MAINS_HZ = (100.0, 120.0)  # light flickers at twice the mains' 50 or 60 Hz
 _NEAR_NYQUIST = 0.8
+_HIGHEST = 0.999  # of half the frame rate: from there on no band can hold a frequency
 _PEAK = 0.03  # of the strongest mode's rms: what counts as a peak
 _ABOVE_FLOOR = 6.0  # times the median mode's rms, where there are modes enough for most of them to be noise
 _ENOUGH_MODES = 12
@@ -28,6 +29,7 @@ _APART = 1 + 1e-6  # neighbouring bins, whose distance is rounded, are not apart
 def peaks(motion: ModalMotion, lowest_hz: float) -> np.ndarray:
     """[K] Hz by falling strength: modes with two periods in the record, no weaker than 3 % of the strongest.
 
+    Below half the frame rate, where cosine and sine cannot be told apart.
     Of many modes most are noise: then a peak is six times the median one too. And a drift, which is spread over
     frequencies, has no peak: one is three times what rms falls to with frequency, and four robust deviations above it.
     A frequency counts once, by its strongest mode: what lies within half the lowest frequency of a stronger mode is its
@@ -45,7 +47,8 @@ def peaks(motion: ModalMotion, lowest_hz: float) -> np.ndarray:
     hz = np.asarray(motion.freqs_hz, np.float64)[strongest_first]
     apart = _APART * lowest_hz / 2
     is_top = np.array([(np.abs(hz[:i] - f) > apart).all() for i, f in enumerate(hz)], bool)
-    return hz[is_top & (rms >= least)[strongest_first] & (hz >= lowest_hz)]
+    is_between = (hz >= lowest_hz) & (hz < _HIGHEST * motion.fps / 2)
+    return hz[is_top & (rms >= least)[strongest_first] & is_between]
 
 
 def frequency_notes(hz: Sequence[float] | np.ndarray, observations: Observations) -> list[str]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import warnings
+from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import cached_property
@@ -81,6 +82,11 @@ class Observations:
 def observe(capture: Capture, images: ImageStack | FilePictures) -> Observations:
     """The observations in a capture of T > 1 timesteps. Raises CaptureError where too few pictures show motion."""
     clock, frames = frames_of(capture)
+    if clock != "moving" and (short := _too_short(capture, frames)):
+        warnings.warn(
+            f"{', '.join(short)}: left out: fewer than half as many pictures over time as other cameras have",
+            stacklevel=2,
+        )
     is_whole = sum(len(f.rows) for f in frames) == len(capture)
     of_time = capture.fps, capture.n_timesteps
     return Observations(capture.kind, clock, frames, pictures_of(images), *of_time, is_whole)
@@ -89,12 +95,19 @@ def observe(capture: Capture, images: ImageStack | FilePictures) -> Observations
 def frames_of(capture: Capture) -> tuple[str, list[PosedFrames]]:
     """The clock of `Observations`, and the poses with their pictures; those without a time show the scene at rest.
 
-    Raises CaptureError where there are too few pictures to show motion.
+    Raises CaptureError where there are too few pictures to show motion, or cameras said to be synchronous are not.
     """
     fixed = fixed_cameras(capture)
     if fixed:
         own = capture.kind == "clips" or (capture.clocks == "independent" and len(fixed) > 1)
-        return "synchronous" if not own and _are_synchronous(fixed) else "independent", fixed
+        are_synchronous = not own and _are_synchronous(fixed)
+        if capture.clocks == "synchronous" and len(fixed) > 1 and not own and not are_synchronous:
+            counts = ", ".join(f"{f.name} {len(f.rows)}" for f in fixed)
+            raise CaptureError(
+                f"{capture.root}: scene.json says that its cameras are synchronous, but their times differ (pictures: "
+                f"{counts}); make it again with tg4mm sfm --until, or without --synchronous"
+            )
+        return "synchronous" if are_synchronous else "independent", fixed
     rows = np.flatnonzero(np.isfinite(capture.times_s))
     rows = rows[np.argsort(capture.times_s[rows], kind="stable")]
     if len(rows) < _FEWEST or len(rows) < capture.n_timesteps / 2:
@@ -116,6 +129,18 @@ def fixed_cameras(capture: Capture) -> list[PosedFrames]:
         rows = np.flatnonzero((capture.camera_ids == camera) & has_time)
         found.append(_frames(capture, rows[np.argsort(capture.times_s[rows], kind="stable")]))
     return found
+
+
+def _too_short(capture: Capture, frames: Sequence[PosedFrames]) -> list[str]:
+    """Names of cameras with several pictures over time that are not among `frames`."""
+    has_time = np.isfinite(capture.times_s)
+    taken = {int(capture.camera_ids[f.rows[0]]) for f in frames}
+    rows = [
+        np.flatnonzero(has_time & (capture.camera_ids == c)) for c in np.unique(capture.camera_ids[has_time])
+    ]
+    return [
+        capture.paths[r[0]].stem for r in rows if len(r) > 1 and int(capture.camera_ids[r[0]]) not in taken
+    ]
 
 
 def _frames(capture: Capture, rows: np.ndarray) -> PosedFrames:

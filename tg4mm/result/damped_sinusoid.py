@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 
 FEWEST = 8  # samples from which there is anything to fit
 _FURTHEST = 0.75  # bins that a frequency may be moved by
-_STEEPEST = 10.0  # largest δ D
+_STEEPEST = 10.0  # largest δ D: where a fit ends there, the decay is not told
 _SURE = 3.0  # deviations by which damping must differ from none
 _LEAST_DECAY = 0.1  # of δ D: a decay by a tenth over the record
 _BLOCKS = 3
@@ -64,6 +64,8 @@ def damped_sinusoid_of(
 def _damping(
     decay: float, deviation: float, hz: float, duration: float
 ) -> tuple[float | None, float | None, str]:
+    if decay * duration > 0.99 * _STEEPEST:
+        return None, None, "it dies out too early in the record"
     if decay > max(_SURE * deviation, _LEAST_DECAY / duration):
         return decay / (2 * np.pi * hz), deviation / (2 * np.pi * hz), ""
     if -decay > max(_SURE * deviation, _LEAST_DECAY / duration):

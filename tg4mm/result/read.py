@@ -25,6 +25,7 @@ from tg4mm.result.model import Length, Result, Vibration
 from tg4mm.result.reach import Reach, reach_of
 from tg4mm.result.seen import Seen, seen_by
 from tg4mm.run import UNCERTAINTY, Run
+from tg4mm.run.checks import check_times
 
 _FIT_PERIODS = 2.0  # of a frequency that a fit may hold, in the record
 _PERIODS = 2.5  # of one that is told from a drift
@@ -40,11 +41,14 @@ def result_of(run: Run) -> Result:
 
 
 def reading_of(run: Run) -> Reading:
-    """The files of a run. Raises RunError for one that is not finished."""
+    """The files of a run. Raises RunError for one that is not finished, or whose dataset has other times now."""
     motion = run.load_motion()
     capture = load_capture(run.dataset) if run.dataset.is_dir() else None
     if motion is None and capture is not None and capture.n_timesteps > 1:
         raise RunError(f"{run.path} has no motion.safetensors: its motion stage is not finished")
+    if motion is not None and capture is not None:
+        of_run, of_dataset = (motion.fps, motion.n_timesteps), (capture.fps, capture.n_timesteps)
+        check_times(run.path, run.dataset, of_run, of_dataset)
     uncertainty = _uncertainty(run) if motion is not None else {}
     return Reading(run, run.load_space(), motion, run.log().get("motion", {}), capture, uncertainty)
 

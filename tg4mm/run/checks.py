@@ -51,6 +51,15 @@ def check_tensors(
     check_finite(file, tensors)
 
 
+def check_times(path: Path, dataset: Path, of_run: tuple[float, int], of_dataset: tuple[float, int]) -> None:
+    """Raises RunError where the dataset has another fps and number of timesteps than the run was trained on."""
+    if of_run != of_dataset:
+        raise RunError(
+            f"{path} was trained on {of_run[1]} timesteps at {of_run[0]:g} Hz, but {dataset} holds {of_dataset[1]} at "
+            f"{of_dataset[0]:g} Hz: train again into another folder"
+        )
+
+
 def gaussians_of(file: Path, tensors: Mapping[str, Tensor]) -> Gaussians:
     """Gaussians of GAUSSIANS: one or more, with scales of at least 0 and opacities in 0..1."""
     try:

@@ -60,7 +60,7 @@ class Spot:
 def triangulated(sights: Sequence[Sight], steps: int = 10) -> Spot:
     """The point that two or more pictures show: Gauss–Newton on the distances on the planes z = 1.
 
-    Raises Tg4mmError where the rays are nearly parallel, or miss each other.
+    Raises Tg4mmError where the rays are nearly parallel, miss each other, or meet behind a picture.
     """
     centres = np.stack([-s.pose[:, :3].T @ s.pose[:, 3] for s in sights])
     rays = np.stack([s.pose[:, :3].T @ s.ray for s in sights])
@@ -80,6 +80,10 @@ def triangulated(sights: Sequence[Sight], steps: int = 10) -> Spot:
     miss = float(np.linalg.norm(residual.reshape(-1, 2), axis=1).max()) * CLICK_PX
     if not miss <= MISFIT_PX:
         raise Tg4mmError(f"--length: {names} do not show one point there: it is missed by {miss:.0f} pixels")
+    if behind := [s.name for s in sights if s.pose[2, :3] @ xyz + s.pose[2, 3] <= 0]:
+        raise Tg4mmError(
+            f"--length: {names} meet behind {behind[0]}: are the pixels those of these pictures, in this order?"
+        )
     return Spot(
         xyz, np.linalg.inv(jacobian.T @ jacobian) * max(1.0, float(residual @ residual) / len(residual))
     )

@@ -12,6 +12,7 @@ from __future__ import annotations
 import shlex
 import sys
 import warnings
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -94,8 +95,24 @@ def reconstruct(images: Path, out: Path, config: SfmConfig = DEFAULTS, threads: 
         raise Tg4mmError(f"--test-every is {config.test_every}, but {kind.name} has no camera to hold out")
     if config.synchronous and kind.name != "rig":
         raise Tg4mmError(f"--synchronous is for the cameras of a rig, but {images} is taken for {kind.name}")
+    if config.synchronous:
+        _check_as_long(surveys)
     job = _Job(work, sources, surveys, kind, config, threads)
     return _flat(job) if kind.name == "flat" else _posed(job)
+
+
+def _check_as_long(surveys: Sequence[Survey]) -> None:
+    """Raise CaptureError where cameras that were started together hold different numbers of pictures."""
+    longest, shortest = max(surveys, key=len), min(surveys, key=len)
+    if len(longest) > len(shortest):
+        until = (
+            float(shortest.times[-1]) + 0.5 / float(shortest.fps) if shortest.times and shortest.fps else None
+        )
+        what = "leave out pictures" if until is None else f"--until {until:.3f} takes as many of each"
+        raise CaptureError(
+            f"{longest.path}: holds {len(longest)} frames, {shortest.path.name} {len(shortest)}, and the cameras are "
+            f"said to be synchronous: {what}"
+        )
 
 
 def _check_options(sources: Sources, config: SfmConfig) -> None:

@@ -45,7 +45,7 @@ def find_sources(path: Path) -> Sources:
     if path.is_file():
         if path.suffix.lower() not in VIDEO_SUFFIXES:
             raise CaptureError(f"{path}: is neither a folder nor a video ({NAMES})")
-        return Sources(path, clips=(Clip(path.stem, path),))
+        return Sources(path, clips=(Clip(_named(path.stem), path),))
     if (part := whole_dataset(path)) is not None:
         raise CaptureError(f"{path}: is {part[1]}, whose poses are known: {train_command(part[0])}")
     if is_dataset(path):
@@ -63,7 +63,7 @@ def find_sources(path: Path) -> Sources:
             )
         if len(pictures) < FEWEST:
             raise CaptureError(f"{path}: holds {len(pictures)} pictures, at least {FEWEST} are needed")
-        return Sources(path, photographs=Clip(path.name, path, pictures))
+        return Sources(path, photographs=Clip(_named(path.name), path, pictures))
     if not cameras:
         only = f"nothing but {SWEEP}" if sweep else "no pictures"
         raise CaptureError(f"{path}: holds {only}; {LAYOUTS}")
@@ -96,9 +96,16 @@ def _check_read(path: Path) -> None:
     for folder in (path, *(p for p in _entries(path) if p.is_dir())):
         other = next((p for p in _entries(folder) if p.suffix.lower() in UNREAD), None)
         if other is not None:
-            raise CaptureError(f"{other}: {other.suffix} is not read; convert it to .jpg, .png or .exr, or take it away")
+            raise CaptureError(
+                f"{other}: {other.suffix} is not read; convert it to .jpg, .png or .exr, or take it away"
+            )
     if sweep.is_dir() and not _pictures(sweep):
         raise CaptureError(f"{sweep}: holds no pictures; expected {', '.join(IMAGE_SUFFIXES)}")
+
+
+def _named(name: str) -> str:
+    """A clip's name where it is alone: one that is called sweep is no sweep of something else."""
+    return f"{name}_0" if name == SWEEP else name
 
 
 def _entries(path: Path) -> list[Path]:
