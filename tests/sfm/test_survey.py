@@ -230,3 +230,10 @@ class TestKind:
         name, reason = self.kind(tmp_path, False, a=a, b=b)
         assert (name, "--kind rig" in reason) == ("clips", True)
         assert self.kind(tmp_path, False, c=a, d=a)[0] == "rig"
+
+
+@pytest.mark.parametrize(("between", "period"), [(3, 4), (1, 2), (0, None)])
+def test_the_period_of_the_compression_is_known(tmp_path: Path, between: int, period: int | None) -> None:
+    path = write_video(tmp_path / "cam.mp4", still(25), between=between)
+    assert looked(path).codec_period == period
+    assert looked(path).codec_period == period  # as it was kept

@@ -42,10 +42,12 @@ def write_video(
     rotation: int | None = None,
     created: str | None = None,
     crf: int = 14,
+    between: int | None = None,
 ) -> Path:
     """H.264 in the container that the name asks for, which lists its frames before them (so that a cut one opens).
 
-    times: of each frame, in whole numbers of time_base; without, frame k is at k / rate.
+    times: of each frame, in whole numbers of time_base; without, frame k is at k / rate. between: B pictures between
+    others, always as many; without, as the encoder likes.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     options = {"movflags": "faststart"} if path.suffix in (".mp4", ".mov") else {}
@@ -57,6 +59,10 @@ def write_video(
         stream.pix_fmt = "yuv420p"
         stream.codec_context.gop_size = 10
         stream.codec_context.options = {"crf": str(crf), "preset": "veryfast"}
+        if between is not None:
+            more = {"x264-params": f"bframes={between}:b-adapt=0:keyint=250:scenecut=0"}
+            stream.codec_context.options = stream.codec_context.options | more
+            stream.codec_context.gop_size = 250
         base = Fraction(1) / rate if time_base is None else time_base
         stream.time_base = stream.codec_context.time_base = base
         if rotation is not None:

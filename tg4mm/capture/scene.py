@@ -16,7 +16,7 @@ FORMAT_VERSION = 1
 _FASTEST = 1e9  # Hz
 # Keys that nothing here needs but others read: their type is checked, null counts as absent.
 _NUMBERS = ("frequency_hz", "amplitude", "pixels_per_unit")
-_COUNTS = ("width", "height", "n_train", "n_test")
+_COUNTS = ("width", "height", "n_train", "n_test", "codec_period")
 _TYPES: dict[str, tuple[type, str]] = {
     "scene": (str, "a string"),
     "background": (str, "a string"),

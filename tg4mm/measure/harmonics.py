@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 _ORDERS = 2, 3
-_NEAR = 0.5  # of 1 / duration
-_SURE = 3.0  # deviations
+NEAR = 0.5  # of 1 / duration
+SURE = 3.0  # deviations
 
 
 @dataclass(frozen=True)
@@ -19,6 +19,19 @@ class Harmonic:
 
     def __str__(self) -> str:
         return f"may be a harmonic: {self.order} × {self.of_hz:.4g} Hz"
+
+
+@dataclass(frozen=True)
+class Sideband:
+    """|`codec_hz` ± `of_hz`|, of a stronger peak's frequency."""
+
+    codec_hz: float
+    of_hz: float
+    is_sum: bool
+
+    def __str__(self) -> str:
+        sign = "+" if self.is_sum else "−"
+        return f"may be of the video's compression: {self.codec_hz:.4g} {sign} {self.of_hz:.4g} Hz"
 
 
 def harmonics_of(
@@ -33,14 +46,14 @@ def harmonics_of(
     def of(k: int) -> Harmonic | None:
         for j in sorted(range(len(hz)), key=lambda j: -size[j]):
             for order in _ORDERS if size[j] > size[k] else ():
-                error = _SURE * (deviation[k] ** 2 + (order * deviation[j]) ** 2) ** 0.5
-                if abs(_seen_at(order * hz[j], fps) - hz[k]) < max(_NEAR * resolution, error):
+                error = SURE * (deviation[k] ** 2 + (order * deviation[j]) ** 2) ** 0.5
+                if abs(seen_at(order * hz[j], fps) - hz[k]) < max(NEAR * resolution, error):
                     return Harmonic(order, hz[j])
         return None
 
     return [of(k) for k in range(len(hz))]
 
 
-def _seen_at(hz: float, fps: float) -> float:
+def seen_at(hz: float, fps: float) -> float:
     """Where a frequency appears in samples taken at `fps` Hz."""
     return abs(hz - round(hz / fps) * fps)

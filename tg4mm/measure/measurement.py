@@ -10,6 +10,7 @@ import numpy as np
 
 from tg4mm.measure.clips import ClipPhases, KnownPhases, Together, together
 from tg4mm.measure.clusters import Clusters, clusters_of
+from tg4mm.measure.compression import codec_period
 from tg4mm.measure.errors import MeasureError
 from tg4mm.measure.limits import limits_of
 from tg4mm.measure.locate import OF_ONE_CAMERA, body_of, sight_axes, weights_of
@@ -175,7 +176,8 @@ def _result(
     frames = scene.observations.frames
     scales = [_px_per_unit(f, body.centre) for f in frames]
     best = int(np.argmax(scales))
-    return SensorResult(sensor, body, tuple(series), scales[best], frames[best].name, clips)
+    period = codec_period(scene.capture)
+    return SensorResult(sensor, body, tuple(series), scales[best], frames[best].name, clips, period)
 
 
 def _px_per_unit(frames, centre: np.ndarray) -> float:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from tg4mm.measure.clips import Together
+from tg4mm.measure.compression import with_sidebands
 from tg4mm.measure.damping import Damping, damping_of
 from tg4mm.measure.derivatives import Derivatives, derivatives_of
 from tg4mm.measure.orbit import Orbit, orbit_of
@@ -48,6 +49,7 @@ class SensorResult:
     px_per_unit: float  # pixels per scene unit at the region, in the view that sees it largest
     best_view: str  # name of that view
     together: Together | None = None  # of clips
+    codec_period: int | None = None  # frames, of the video's compression
     relation: Relation | None = None  # to the reference sensor; None for that sensor itself
 
     @property
@@ -94,8 +96,12 @@ class SensorResult:
     def spectrum(self) -> Spectrum:
         """Amplitude and noise floor over frequency, scene units and Hz, and the peaks."""
         if self.together is not None:
-            return self.together.spectrum
-        return spectrum_of(self.times_s, self.displacement, self.series.noise, self.series.model_share)
+            found = self.together.spectrum
+        else:
+            found = spectrum_of(self.times_s, self.displacement, self.series.noise, self.series.model_share)
+        longest = max((s.times_s for s in self.all_series), key=len)
+        fps, duration = 1 / float(np.median(np.diff(longest))), float(np.ptp(longest))
+        return replace(found, peaks=with_sidebands(found.peaks, self.codec_period, fps, duration))
 
     @cached_property
     def records(self) -> tuple[Record, ...]:

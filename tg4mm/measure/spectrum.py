@@ -27,7 +27,7 @@ from tg4mm.measure.fourier import (
     sinusoid_columns,
     transformed,
 )
-from tg4mm.measure.harmonics import Harmonic, harmonics_of
+from tg4mm.measure.harmonics import Harmonic, Sideband, harmonics_of
 
 _MOST = 8  # peaks
 _APART = 1.5  # of 1 / duration: nearer than this two peaks are one
@@ -48,6 +48,7 @@ class Peak:
     deviation: np.ndarray  # [3] standard deviation of the amplitudes, scene units; inf where not observed
     floor: np.ndarray  # [3] of the spectrum at this frequency
     harmonic: Harmonic | None = None  # a stronger peak that this may be a harmonic of
+    sideband: Sideband | None = None  # a stronger peak of which a video codec may have made this
 
     @property
     def amplitude(self) -> np.ndarray:
@@ -108,10 +109,15 @@ def ordered(peaks: Sequence[Peak]) -> tuple[Peak, ...]:
 def with_harmonics(peaks: Sequence[Peak], times_s: np.ndarray) -> tuple[Peak, ...]:
     """The peaks of a record at these times; those that may be a harmonic of a stronger one say so."""
     step = float(np.median(np.diff(times_s)))
-    size = [float(np.linalg.norm(p.amplitude[p.is_told])) for p in peaks]
+    size = [size_of(p) for p in peaks]
     hz, deviation = [p.frequency_hz for p in peaks], [p.frequency_deviation_hz for p in peaks]
     found = harmonics_of(hz, deviation, size, 1 / step, 1 / (step * len(times_s)))
     return tuple(replace(p, harmonic=h) for p, h in zip(peaks, found, strict=True))
+
+
+def size_of(peak: Peak) -> float:
+    """Amplitude along the axes that are told, scene units."""
+    return float(np.linalg.norm(peak.amplitude[peak.is_told]))
 
 
 def strength_of(peak: Peak) -> float:

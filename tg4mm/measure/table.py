@@ -62,7 +62,9 @@ def _both(value: float, deviation: float) -> str:
 def remark(peak: Peak, orbit: Orbit) -> str:
     """What makes a peak doubtful."""
     doubts = [] if main_is_above(peak, orbit) else ["not above twice its deviation"]
-    return "; ".join([*doubts, *([] if peak.harmonic is None else [str(peak.harmonic)])])
+    return "; ".join(
+        [*doubts, *(str(other) for other in (peak.harmonic, peak.sideband) if other is not None)]
+    )
 
 
 def direction_text(direction: np.ndarray, labels: tuple[str, str, str]) -> str:

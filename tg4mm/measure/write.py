@@ -134,6 +134,8 @@ def _peak(result: SensorResult, k: int) -> dict[str, Any]:
         "floor": _plain(peak.floor),
         "is_above": [bool(b) for b in peak.is_above],
         "harmonic_of_hz": None if peak.harmonic is None else peak.harmonic.of_hz,
+        "sideband_of_hz": None if peak.sideband is None else peak.sideband.of_hz,
+        "sideband_codec_hz": None if peak.sideband is None else peak.sideband.codec_hz,
         "harmonic_order": None if peak.harmonic is None else peak.harmonic.order,
         "main_amplitude": orbit.amplitude,
         "main_deviation": amplitude_deviation(peak, orbit),
@@ -192,7 +194,7 @@ def write_csv_files(measurement: Measurement, out: Path) -> list[Path]:
     ]
     peaks = _written(
         out / "peaks.csv",
-        [*names, f"floor_{u}", "is_above", "damping_ratio", "harmonic_of_hz"],
+        [*names, f"floor_{u}", "is_above", "damping_ratio", "harmonic_of_hz", "sideband_of_hz"],
         _peak_rows(measurement),
     )
     return [series, spectra, peaks]
@@ -238,8 +240,9 @@ def _peak_rows(measurement: Measurement) -> Iterable[Sequence[Any]]:
                 values = _number(peak.amplitude[k], factor), _number(peak.deviation[k], factor)
                 phase, floor = f"{np.angle(peak.phasor[k]):.6g}", _number(peak.floor[k], factor)
                 zeta = "" if damping is None else f"{damping.ratio:.4g}"
-                of_hz = "" if peak.harmonic is None else f"{peak.harmonic.of_hz:.6g}"
-                yield result.name, label, *hz, *values, phase, floor, int(peak.is_above[k]), zeta, of_hz
+                others = peak.harmonic, peak.sideband
+                of_hz = ["" if other is None else f"{other.of_hz:.6g}" for other in others]
+                yield result.name, label, *hz, *values, phase, floor, int(peak.is_above[k]), zeta, *of_hz
 
 
 def _number(value: float, factor: float) -> str:

@@ -148,7 +148,9 @@ def _check_enough(sources: Sources) -> None:
 
 
 def _scene(job: _Job) -> dict[str, Any]:
-    return {"scene": job.work.out.resolve().name, "kind": job.kind.name, "background": "as photographed"}
+    scene = {"scene": job.work.out.resolve().name, "kind": job.kind.name, "background": "as photographed"}
+    periods = {survey.codec_period for survey in job.surveys}
+    return scene | ({"codec_period": periods.pop()} if len(periods) == 1 and None not in periods else {})
 
 
 def _flat(job: _Job) -> dict[str, Any]:

@@ -28,6 +28,7 @@ from tg4mm.sfm.video import VideoInfo, video_info
 
 BLACK = 16  # of 255: a recording whose brightest hundredth never reaches it shows nothing
 FASTEST = 10**9  # frames a second
+_REGULAR = 0.8  # of the distances, that one must have to be a period
 FROZEN = 1e-3  # of 255: mean change from frame to frame below which nothing but the codec works
 
 
@@ -43,6 +44,9 @@ class Survey:
     times: tuple[Fraction, ...] | None  # T, seconds since the first frame; None for a folder
     shifts_px: np.ndarray  # [T, 2] of the whole picture from the first one; NaN: no likeness
     sharpness: np.ndarray  # [T] variance of the Laplacian
+    codec_period: (
+        int | None
+    )  # frames, from one that the codec predicts forward to the next; None: it has no period
     created_s: float | None  # when the recording began, seconds since 1970
 
     def __len__(self) -> int:
@@ -129,6 +133,7 @@ def _read(clip: Clip, folder: Path, record: dict[str, Any]) -> Survey:
         times=moments,
         shifts_px=shifts_px,
         sharpness=sharpness,
+        codec_period=found.whole("codec_period", 2) if found.has("codec_period") else None,
         created_s=found.number("created_s") if found.has("created_s") else None,
     )
 
@@ -147,6 +152,7 @@ class _Look:
         self.times: list[Fraction | None] = []
         self.shifts: list[tuple[float, float]] = []
         self.sharpness: list[float] = []
+        self._between: list[bool] = []
         self._changes: list[float] = []
         self._brightest = 0.0
         self._sum: np.ndarray | None = None  # of colour · alpha, and of alpha where there is any
@@ -166,6 +172,7 @@ class _Look:
         self._before = grey
         x, y = self._meter.shift(grey)
         self.times.append(frame.time)
+        self._between.append(frame.is_between)
         self.shifts.append((x * k, y * k))
         self.sharpness.append(float(laplace(grey).var()))
         self._brightest = max(self._brightest, float(np.quantile(grey, 0.99)))
@@ -209,6 +216,7 @@ class _Look:
             "times": None if times is None else [str(time) for time in times],
             "shifts_px": [[None if np.isnan(x) else round(x, 4) for x in row] for row in self.shifts],
             "sharpness": self.sharpness,
+            "codec_period": codec_period(np.array(self._between)),
             "created_s": info.created.timestamp() if info is not None and info.created is not None else None,
         }
 
@@ -218,6 +226,15 @@ class _Look:
             return None, None
         fps = frame_rate(self.clip.path, times, info.rates, info.tick)
         return fps, regular_times(times, fps, info.tick)
+
+
+def codec_period(is_between: np.ndarray) -> int | None:
+    """The distance of two frames that are predicted forward, if nearly all have one; is_between [T]: all others."""
+    steps = np.diff(np.flatnonzero(~is_between))
+    if not len(steps):
+        return None
+    period = int(np.bincount(steps).argmax())
+    return period if period > 1 and (steps == period).mean() > _REGULAR else None
 
 
 def warn_uneven(surveys: Iterable[Survey]) -> None:
