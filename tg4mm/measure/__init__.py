@@ -13,7 +13,8 @@ from tg4mm.lazy import callable_package
 from tg4mm.measure.clusters import Clusters
 from tg4mm.measure.errors import MeasureError
 from tg4mm.measure.measurement import Measurement, default_sensors, measure, measure_one
-from tg4mm.measure.prepared import Prepared, prepare, prepare_fit
+from tg4mm.measure.prepared import prepare, prepare_fit
+from tg4mm.measure.scene import Prepared
 from tg4mm.measure.sensor_result import SensorResult
 from tg4mm.measure.sensors import Sensor, parse_sensor, read_sensors
 from tg4mm.measure.series import Series

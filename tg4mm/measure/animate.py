@@ -16,7 +16,7 @@ from PIL import Image
 
 from tg4mm.files import write_atomic
 from tg4mm.gaussians import Gaussians
-from tg4mm.measure.prepared import Prepared
+from tg4mm.measure.scene import Prepared
 from tg4mm.measure.shapes import Shape
 from tg4mm.motion.animate import animate
 from tg4mm.motion.modes import ModalMotion

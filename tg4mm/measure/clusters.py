@@ -9,7 +9,7 @@ from scipy.cluster.vq import kmeans2
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from tg4mm.measure.prepared import Prepared
+from tg4mm.measure.scene import Prepared
 from tg4mm.measure.sensors import STILL
 from tg4mm.motion.prior.graph import nearest
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from tg4mm.measure.orbit import main_is_above
-from tg4mm.measure.prepared import Prepared
+from tg4mm.measure.scene import Prepared
 from tg4mm.measure.spectrum import FEWEST
 from tg4mm.motion.mode_selection import frequency_notes
 

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from tg4mm.measure.errors import MeasureError
-from tg4mm.measure.prepared import Prepared
 from tg4mm.measure.rigid import Body
+from tg4mm.measure.scene import Prepared
 from tg4mm.measure.sensors import STILL, Sensor
 from tg4mm.motion.jacobian.view import blend_sum
 

@@ -16,10 +16,11 @@ from tg4mm.measure.limits import limits_of
 from tg4mm.measure.locate import OF_ONE_CAMERA, body_of, sight_axes, weights_of
 from tg4mm.measure.modal_fields import clock_phases
 from tg4mm.measure.model_error import shared_error, with_model_error
-from tg4mm.measure.prepared import Clock, Prepared, prepare
+from tg4mm.measure.prepared import prepare
 from tg4mm.measure.relations import relation_of
 from tg4mm.measure.residuals import MeasuredView
 from tg4mm.measure.rigid import Body, equations_of
+from tg4mm.measure.scene import Clock, Prepared
 from tg4mm.measure.sensor_result import SensorResult
 from tg4mm.measure.sensors import Sensor, checked_names
 from tg4mm.measure.series import Series, series_of

@@ -13,8 +13,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from tg4mm.measure.prepared import Prepared
 from tg4mm.measure.rigid import Body
+from tg4mm.measure.scene import Prepared
 from tg4mm.measure.series import Series
 
 OF_UNCERTAINTY = 0.5

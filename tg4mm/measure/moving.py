@@ -18,8 +18,8 @@ from tg4mm.capture import Capture
 from tg4mm.gaussians import Gaussians
 from tg4mm.measure.kept import KeptPass
 from tg4mm.measure.modal_fields import ModalFields
-from tg4mm.measure.prepared import Clock, Prepared, sums
 from tg4mm.measure.residuals import MeasuredView
+from tg4mm.measure.scene import Clock, Prepared, zeros_in_room
 from tg4mm.measure.sides import HALVES, Sides
 from tg4mm.motion.clocks.moving import at_rest, corrected_poses, pictures_of, robust_weights
 from tg4mm.motion.jacobian.packed import DOF
@@ -101,7 +101,7 @@ def _passed(
     frames, _, _ = corrected_poses(gaussians, observations, 0)
     n, count = len(gaussians), len(frames)
     width, height = observations.size
-    sides = sums((HALVES, count, n, DOF), folder)
+    sides = zeros_in_room((HALVES, count, n, DOF), folder)
     out = FrameViews(
         gaussians, frames, observations.size, np.zeros((count, height, width), np.float16), np.ones(count)
     )

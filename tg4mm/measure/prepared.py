@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +15,7 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.measure.errors import MeasureError
 from tg4mm.measure.kept import KeptPass
 from tg4mm.measure.modal_fields import ModalFields, clock_phases
+from tg4mm.measure.moving import prepare_moving
 from tg4mm.measure.residuals import (
     MeasuredView,
     halves_of,
@@ -26,6 +26,7 @@ from tg4mm.measure.residuals import (
     unpacked_mean,
     weighed,
 )
+from tg4mm.measure.scene import Clock, Prepared, zeros_in_room
 from tg4mm.measure.sides import HALVES, Sides
 from tg4mm.motion.checkpoints import computed
 from tg4mm.motion.jacobian.packed import DOF
@@ -35,56 +36,11 @@ from tg4mm.motion.nuisance.first_look import FixedCameras, look_at, rest_views
 from tg4mm.motion.nuisance.projection import nuisances_of
 from tg4mm.motion.observations import Observations, PosedFrames, observe
 from tg4mm.progress import progress
-from tg4mm.room import room
 from tg4mm.run import Run
 from tg4mm.run.checks import check_times
 from tg4mm.train import pictures_for
 
-IN_MEMORY = 1 << 30  # bytes that a pass through the pictures adds up; more lies in a temporary file
 _LOG = logging.getLogger("tg4mm")
-
-
-@dataclass(frozen=True)
-class Clock:
-    """Views whose frames were taken at the same times: all of a synchronous capture, one of a clip."""
-
-    name: str  # "" where there is one clock
-    views: tuple[int, ...]
-    times_s: np.ndarray  # [F] seconds
-    sides: Sides  # `residuals.py`
-    series: np.ndarray  # [R, F] of the modal fields
-
-
-@dataclass(frozen=True)
-class Prepared:
-    """A run or fit made ready by `prepare` or `prepare_fit`: `measure` takes it any number of times."""
-
-    fit: MotionFit  # the scene and its motion
-    folder: Path | None  # the run's; None: there is no run
-    capture: Capture  # its pictures' cameras and times
-    observations: Observations  # of the motion stage: views, clocks, pictures
-    modal: ModalFields  # the motion as a few fields and their functions of time
-    views: Sequence[MeasuredView]  # what was read of each view's pictures
-    clocks: tuple[Clock, ...]  # views whose frames were taken at the same times
-    seen: np.ndarray  # [N] blending weight, pixels, summed over the views
-    notes: tuple[str, ...] = ()  # what this capture cannot tell, a line each
-    # [S, F] functions of time that a moving camera cannot tell from its own motion
-    slow: np.ndarray | None = None
-
-    @property
-    def gaussians(self) -> Gaussians:
-        """At rest."""
-        return self.fit.gaussians
-
-    @property
-    def means(self) -> np.ndarray:
-        """[N, 3] scene units."""
-        return np.asarray(self.gaussians.means.numpy(), np.float64)
-
-    @property
-    def is_moving(self) -> bool:
-        """Whether one moving camera took the pictures."""
-        return self.observations.clock == "moving"
 
 
 def prepare(run: Run, keep: bool = True) -> Prepared:
@@ -142,8 +98,6 @@ def _prepared(
 ) -> Prepared:
     modal = ModalFields.of(fit.motion, len(fit.gaussians))
     if observations.clock == "moving":
-        from tg4mm.measure.moving import prepare_moving
-
         return prepare_moving(fit, folder, capture, observations, modal, kept)
     return _Fixed(fit, folder, capture, observations, modal, kept).prepared()
 
@@ -235,7 +189,7 @@ class _Fixed:
                 update(done)
 
             for clock in clocks:
-                own = sums((HALVES, len(clock.times_s), len(self.gaussians), DOF), self.folder)
+                own = zeros_in_room((HALVES, len(clock.times_s), len(self.gaussians), DOF), self.folder)
                 for v in clock.views:
                     shown = shown_fields(views[v].view, self.modal.fields)
                     out[v] = weighed(observations, views[v], shown, clock.series, step)
@@ -264,12 +218,6 @@ def seen_weights(views: Sequence[MeasuredView], n_gaussians: int) -> np.ndarray:
     for view in views:
         out += blend_sum(view.view, np.ones_like(view.mean))[:, 0]
     return out
-
-
-def sums(shape: tuple[int, ...], folder: Path | None) -> np.ndarray:
-    """Zeros [*shape] float32 to add to, beyond 1 GiB in a temporary file, of `folder` if that can be written."""
-    where = folder if folder is not None and os.access(folder, os.W_OK) else None
-    return room(shape, np.float32, where, IN_MEMORY)
 
 
 def _centred(series: np.ndarray) -> np.ndarray:

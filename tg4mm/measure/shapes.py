@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tg4mm.measure.prepared import Prepared
+from tg4mm.measure.scene import Prepared
 
 if TYPE_CHECKING:
     from tg4mm.measure.sensor_result import SensorResult
