@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tg4mm.bench.ablate import _job
+from tg4mm.bench.ablations import ABLATIONS
 from tg4mm.bench.errors import BenchError
 from tg4mm.bench.sets import open_set
 from tg4mm.bench.subset import with_noise, with_timesteps
@@ -45,3 +48,16 @@ def test_noise_of_the_size_asked_for_on_training_pictures_alone(data: Path, tmp_
     assert (root / test).read_bytes() == (data / test).read_bytes()
     assert contents(data) == before
     assert contents(with_noise(open_set(data, "a"), 5.0, tmp_path / "again")) == contents(root)
+
+
+def test_the_first_timesteps_of_noisy_pictures_have_their_noise(data: Path, tmp_path: Path) -> None:
+    row = replace(ABLATIONS["timesteps"].rows[0], timesteps=4)
+    assert row.noise > 0
+    whole = open_set(data, "a")
+    job = _job(whole, (row,), "modal", tmp_path)
+    assert job.data.n_timesteps == 4
+    noisy = with_noise(whole, row.noise, tmp_path / "beside")
+    picture = "003/train/r_000.png"
+    assert (job.data.root / picture).read_bytes() == (noisy / picture).read_bytes()
+    assert (job.data.root / picture).read_bytes() != (data / picture).read_bytes()
+    assert not (job.data.root / "004").exists()

@@ -187,14 +187,14 @@ def _job(data: BenchSet, group: tuple[Row, ...], preset: str, out: Path) -> _Job
     if row.views and row.views != data.n_views:
         root = with_views(data, row.views, out / "sets" / data.label / f"views_{row.views:03d}")
         return _Job(open_set(root, data.label), group, training)
-    if row.timesteps and row.timesteps != data.n_timesteps:
-        root = with_timesteps(
-            data, row.timesteps, out / "sets" / data.label / f"timesteps_{row.timesteps:03d}"
-        )
-        return _Job(open_set(root, data.label), group, training)
-    if row.noise:
-        root = with_noise(data, row.noise, out / "sets" / data.label / f"noise_{row.noise:g}")
-        return _Job(open_set(root, data.label), group, training)
+    if row.noise or row.timesteps:
+        own, name = data, f"noise_{row.noise:g}"
+        if row.noise:
+            own = open_set(with_noise(data, row.noise, out / "sets" / data.label / name), data.label)
+        if row.timesteps and row.timesteps != data.n_timesteps:
+            folder = out / "sets" / data.label / f"{name}_timesteps_{row.timesteps:03d}"
+            own = open_set(with_timesteps(own, row.timesteps, folder), data.label)
+        return _Job(own, group, training)
     if row.amplitude_px:
         root = with_amplitude(data, row.amplitude_px, out / "sets" / data.label / f"px_{row.amplitude_px:g}")
         return _Job(open_set(root, data.label), group, training)
