@@ -37,9 +37,7 @@ class Measurement:
     prepared: Prepared  # what was measured
     sensors: tuple[SensorResult, ...]  # in the order asked for
     clusters: Clusters  # groups of Gaussians that move alike
-    shapes: tuple[
-        Shape, ...
-    ]  # operating deflection shapes, one for each frequency that sensors or modes show
+    shapes: tuple[Shape, ...]  # operating deflection shapes, one for each frequency that sensors show
     reference: str  # name of the sensor that phases are against
     notes: tuple[str, ...] = ()  # what this capture cannot tell, and what is under the floor
     clip_phases: ClipPhases | None = None  # where cameras have clocks of their own
