@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from tests.bench.conftest import MODAL, PAPER
-from tg4mm.bench.measure import SEEN, Plan
+from tg4mm.bench.measure import SEEN, Plan, Training
 from tg4mm.bench.scenes import ScenesRequest, run_scenes, same_time_training, same_time_trainings
 from tg4mm.errors import RunError
 from tg4mm.evaluate import evaluate_run
