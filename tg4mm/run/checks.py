@@ -52,7 +52,7 @@ def check_tensors(
 
 
 def check_times(path: Path, dataset: Path, of_run: tuple[float, int], of_dataset: tuple[float, int]) -> None:
-    """Raises RunError where the dataset has another fps and number of timesteps than the run was trained on."""
+    """Raises RunError where the dataset has other frames per second or timesteps (fps, T) than the run."""
     if of_run != of_dataset:
         raise RunError(
             f"{path} was trained on {of_run[1]} timesteps at {of_run[0]:g} Hz, but {dataset} holds {of_dataset[1]} at "

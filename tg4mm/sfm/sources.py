@@ -104,7 +104,7 @@ def _check_read(path: Path) -> None:
 
 
 def _named(name: str) -> str:
-    """A clip's name where it is alone: one that is called sweep is no sweep of something else."""
+    """The name of a clip that is given alone: called sweep it would be taken for the sweep of others."""
     return f"{name}_0" if name == SWEEP else name
 
 
