@@ -36,7 +36,9 @@ def limits_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[str, ..
             "the camera moves: slow motion, and motion of the whole scene as one, are taken out as its own"
         )
     if not scene.fit.uncertainty:
-        out.append("the run has no uncertainty of its Gaussians: every ± is of noise alone, and shapes show noise as well")
+        out.append(
+            "the run has no uncertainty of its Gaussians: every ± is of noise alone, and shapes show noise as well"
+        )
     for result in results:
         size = max(abs(s.displacement[:, s.is_told]).max(initial=0.0) for s in result.all_series)
         size *= result.px_per_unit
