@@ -43,13 +43,14 @@ from tg4mm.files import write_json
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion import ModalMotion, MotionConfig
 from tg4mm.motion.animate import animator
-from tg4mm.motion.stage import train_motion
 from tg4mm.paper import PAPER, PaperConfig, first_views, train_timesteps, train_triplane
 from tg4mm.paper.config import base_config
 from tg4mm.rasterize import rasterization
 from tg4mm.render import orbit
 from tg4mm.run import Run
-from tg4mm.space import SpaceConfig, rest_views, train_space
+from tg4mm.space import SpaceConfig, rest_views
+from tg4mm.stages.motion import train_motion
+from tg4mm.stages.space import train_space
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "mic_5Hz_000"
 ALPHA = 20.0  # of the orbit

@@ -35,10 +35,11 @@ from tg4mm.files import write_json
 from tg4mm.gaussians import Gaussians
 from tg4mm.render.image import render_image
 from tg4mm.run import Run
-from tg4mm.space import RestViews, SpaceConfig, rest_views, train_space
+from tg4mm.space import RestViews, SpaceConfig, rest_views
 from tg4mm.space.config import INITS
 from tg4mm.space.initial import initial_points
 from tg4mm.space.train import resolved
+from tg4mm.stages.space import train_space
 
 STARTS = ("hull", "points", "sfm", "random")
 HEADER = ("set", "start", "found", "taken", "Gaussians", "PSNR dB", "SSIM", "start s", "all s")

@@ -33,9 +33,10 @@ from tg4mm.evaluate.metrics import psnr
 from tg4mm.gaussians import Gaussians
 from tg4mm.render.image import render_image
 from tg4mm.run import Run
-from tg4mm.space import RestViews, SpaceConfig, rest_views, train_space
+from tg4mm.space import RestViews, SpaceConfig, rest_views
 from tg4mm.space.gains import fitting_gain
 from tg4mm.space.levels import shrunk
+from tg4mm.stages.space import train_space
 from tg4mm.train import parse_settings
 
 EACH, FIRST = 8, 4  # pictures held out

@@ -12,6 +12,7 @@ import pytest
 
 from tg4mm import ahead
 from tg4mm.ahead.jobs import JOBS
+from tg4mm.rasterize import missing
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -59,40 +60,45 @@ print(before == [len(k.signatures) for job in jobs for k in kernels_of(job)])
     assert done.stdout.strip() == "True", done.stderr
 
 
-def test_a_kernel_of_no_job_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ahead, "_jobs", ahead._Jobs())
-    assert not ahead.compiled_ahead("elsewhere.unknown")
+def test_a_kernel_of_no_job_is_not_waited_for() -> None:
+    jobs = ahead._Jobs()
+    assert not jobs.wait("elsewhere.unknown")
 
 
 def test_where_no_process_starts_the_command_goes_on(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(ahead, "_jobs", ahead._Jobs())
+    jobs = ahead._Jobs()
     monkeypatch.setattr(ahead.sys, "executable", "/nowhere/python")
-    assert not ahead.compiled_ahead("blend._forward")
+    assert not jobs.wait("blend._forward")
     assert "compiling kernels" in capsys.readouterr().err
 
 
 def test_a_kernel_is_there_after_the_wait_which_counts(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(ahead, "_jobs", ahead._Jobs())
+    jobs = ahead._Jobs()
     monkeypatch.setattr(ahead, "_WORK", "import sys\nfor line in sys.stdin: print(line.strip(), flush=True)")
-    assert ahead.compiled_ahead("blend._forward")
+    assert jobs.wait("blend._forward")
     assert "(pictures): 3/3 steps" in capsys.readouterr().err
-    assert not ahead.compiled_ahead("blend._forward")  # it was made, for other types: not again
+    assert not jobs.wait("blend._forward")  # it was made, for other types: not again
 
 
 def test_a_group_asked_for_while_processes_end_is_compiled_all_the_same(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(ahead, "_jobs", ahead._Jobs())
+    jobs = ahead._Jobs()
     slow_to_end = "import sys, time\nfor line in sys.stdin: print(line.strip(), flush=True)\ntime.sleep(3)"
     monkeypatch.setattr(ahead, "_WORK", slow_to_end)
-    assert ahead.compiled_ahead("blend._forward")
-    assert ahead.compiled_ahead("blend_backward._backward")
+    assert jobs.wait("blend._forward")
+    assert jobs.wait("blend_backward._backward")
 
 
-def test_without_enable_nothing_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ahead, "_jobs", None)  # a test that ran the program may have enabled it
-    assert not ahead.compiled_ahead("blend._forward")
+def test_only_once_enabled_is_a_kernel_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(missing, "_answers", [])  # a test that ran the program may have enabled it
+    assert not missing.may_be_there("blend._forward")
+    monkeypatch.setattr(ahead._jobs, "wait", lambda kernel: kernel == "blend._forward")
+    monkeypatch.setattr(ahead.os, "cpu_count", lambda: 2)
+    ahead.enable()
+    assert missing.may_be_there("blend._forward")
+    assert not missing.may_be_there("elsewhere.unknown")

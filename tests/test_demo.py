@@ -145,9 +145,9 @@ def test_a_broken_record_is_named(tmp_path):
 
 
 def test_a_generator_that_fails_stops_the_demo(tmp_path, monkeypatch):
-    import tg4mm.cli.generate as generate
+    import tg4mm.generator as generator
 
-    monkeypatch.setattr(generate, "run_generator", lambda arguments: 2)
+    monkeypatch.setattr(generator, "run_generator", lambda arguments: 2)
     with pytest.raises(Tg4mmError, match="status 2"):
         demo.run_demo(tmp_path, 32, Said())
     assert json.loads((tmp_path / "demo.json").read_text())["done"] == {}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import graphlib
 import subprocess
 import sys
 from pathlib import Path
@@ -68,3 +70,19 @@ def test_splat_file_reader_needs_numpy_alone(repo_root: Path) -> None:
     )
     done = run_without(["torch", "bpy", "plyfile", "PIL"], code, repo_root)
     assert done.returncode == 0, done.stderr
+
+
+def test_packages_of_the_core_import_each_other_one_way(repo_root: Path) -> None:
+    """Imports inside functions count, too. `tg4mm/__init__.py`, which gives names to users, does not."""
+    graph: dict[str, set[str]] = {}
+    for file in sorted((repo_root / "tg4mm").rglob("*.py")):
+        own, *_ = file.relative_to(repo_root / "tg4mm").with_suffix("").parts
+        if own == "__init__":
+            continue
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("tg4mm"):
+                names = [f"tg4mm.{a.name}" for a in node.names] if node.module == "tg4mm" else [node.module]
+                graph.setdefault(own, set()).update(str(name).split(".")[1] for name in names)
+    assert "motion" in graph["stages"]
+    order = list(graphlib.TopologicalSorter({k: v - {k} for k, v in graph.items()}).static_order())
+    assert order.index("rasterize") < order.index("space")

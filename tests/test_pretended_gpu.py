@@ -21,15 +21,16 @@ from tg4mm.capture import load_capture, load_images
 from tg4mm.evaluate import evaluate_run
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion import MotionConfig
-from tg4mm.motion.stage import train_motion
 from tg4mm.paper import PaperConfig, first_views, train_timesteps, train_triplane
 from tg4mm.paper import motion as paper_motion
 from tg4mm.paper import space as paper_space
 from tg4mm.render import RenderRequest, capture_cameras, render_sequence
 from tg4mm.render.frames import read_png
 from tg4mm.run import Run
-from tg4mm.space import SpaceConfig, density, rest_views, train_space
+from tg4mm.space import SpaceConfig, density, rest_views
 from tg4mm.space import train as stage
+from tg4mm.stages.motion import train_motion
+from tg4mm.stages.space import train_space
 
 SHORT = SpaceConfig(iterations=12, max_gaussians=500, init_points=300, dssim=0.2)
 # Small rates: Adam's first steps are as long for a gradient of rounding as for any other, and later gradients tell.

@@ -152,7 +152,7 @@ def _read_done(root: Path, size: int) -> dict[str, float]:
 
 
 def _generate(places: Places, size: int) -> None:
-    from tg4mm.cli.generate import run_generator
+    from tg4mm.generator import run_generator
 
     status = run_generator(["mic", "--out", str(places.data), "--size", str(size)])
     if status != 0:

@@ -17,7 +17,6 @@ from tg4mm.errors import CaptureError, Tg4mmError
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.config import checked as checked_motion
 from tg4mm.motion.observations import frames_of
-from tg4mm.motion.stage import train_motion
 from tg4mm.paper import PAPER, PAPER_TUNED, first_views, train_timesteps, train_triplane
 from tg4mm.paper.config import base_config
 from tg4mm.paper.config import checked as checked_paper
@@ -25,8 +24,10 @@ from tg4mm.paper.model import has_model, load_model
 from tg4mm.run import Run
 from tg4mm.run.lock import claimed
 from tg4mm.settings import unknown
-from tg4mm.space import SpaceConfig, rest_views, train_plane, train_space
+from tg4mm.space import SpaceConfig, rest_views
 from tg4mm.space.config import checked as checked_space
+from tg4mm.stages.motion import train_motion
+from tg4mm.stages.space import train_plane, train_space
 
 # Every preset's settings, by stage, at their defaults. In `paper`, `space` is the fit of the base Gaussians, by L1.
 _BASE = SpaceConfig(l2=0.0)

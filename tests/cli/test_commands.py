@@ -273,6 +273,6 @@ def test_a_killed_generator_is_said_and_leaves_with_1(monkeypatch: pytest.Monkey
         def wait(self) -> int:
             return -9
 
-    monkeypatch.setattr("tg4mm.cli.generate.subprocess.Popen", Killed)
+    monkeypatch.setattr("tg4mm.generator.subprocess.Popen", Killed)
     assert main(["generate", "mic", "--out", "x"]) == 1
     assert "ended by signal 9; run the same command again" in capsys.readouterr().err

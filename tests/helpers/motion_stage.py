@@ -8,7 +8,7 @@ import pytest
 
 from tests.helpers.space_train import Killed
 from tg4mm.motion.checkpoints import Arrays
-from tg4mm.motion.stage import StoredParts
+from tg4mm.stages.motion import StoredParts
 
 NEVER = -1
 

@@ -7,9 +7,10 @@ import pytest
 
 from tg4mm.magnify import BandGain, Magnification, TemporalFilter
 from tg4mm.magnify.filters import bins
-from tg4mm.magnify.linear import magnified_motion, magnified_series, series_modes
+from tg4mm.magnify.linear import magnified_motion, magnified_series
 from tg4mm.motion.animate import displacement_at, rotation_at
 from tg4mm.motion.modes import ModalMotion
+from tg4mm.motion.spectrum import series_modes
 
 FPS = 30.0
 IDEAL = TemporalFilter("ideal")

@@ -19,8 +19,8 @@ from tg4mm.magnify import Magnification
 from tg4mm.magnify.poses import poses_of
 from tg4mm.motion import ModalMotion, MotionConfig
 from tg4mm.motion.animate import animate
-from tg4mm.motion.stage import train_motion
 from tg4mm.run import Run
+from tg4mm.stages.motion import train_motion
 
 HARMONIC = 0.28209479177387814
 DARK = 0.015  # peak of the shadow's change, of 1: four levels of 8 bits

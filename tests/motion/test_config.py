@@ -12,8 +12,8 @@ from tg4mm.errors import Tg4mmError
 from tg4mm.motion import MotionConfig
 from tg4mm.motion import config as of_motion
 from tg4mm.motion.config import more_iterations, resolved
-from tg4mm.motion.stage import train_motion
 from tg4mm.run import Run
+from tg4mm.stages.motion import train_motion
 
 
 @pytest.mark.parametrize("n", [1, 9_000, 16_000])

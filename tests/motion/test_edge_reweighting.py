@@ -15,8 +15,8 @@ from tg4mm.evaluate.weights import blending_weights
 from tg4mm.motion import MotionConfig
 from tg4mm.motion.prior import graph as edge_reweighting
 from tg4mm.motion.prior.graph import Graph, build_graph, edge_residual, reweight_edges
-from tg4mm.motion.stage import train_motion
 from tg4mm.run import Run
+from tg4mm.stages.motion import train_motion
 
 COUNT = 400
 

@@ -23,8 +23,8 @@ from tg4mm.motion.prior.graph import stiffness_root
 from tg4mm.motion.solver.cpu import CpuOperator
 from tg4mm.motion.solver.pcg import pcg
 from tg4mm.motion.solver.problem import Problem
-from tg4mm.motion.stage import train_motion
 from tg4mm.run import UNCERTAINTY, Run
+from tg4mm.stages.motion import train_motion
 
 BALL = 252  # the last Gaussians
 

@@ -33,11 +33,12 @@ from tg4mm.motion.solver.cuda import DeviceViews
 from tg4mm.motion.solver.operator import Fold
 from tg4mm.motion.solver.problem import Problem
 from tg4mm.motion.split_half import folds_of
-from tg4mm.motion.stage import train_motion
 from tg4mm.motion.states import Errors, Evidence
 from tg4mm.render.image import render_image
 from tg4mm.run import Run
-from tg4mm.space import SpaceConfig, rest_views, train_space
+from tg4mm.space import SpaceConfig, rest_views
+from tg4mm.stages.motion import train_motion
+from tg4mm.stages.space import train_space
 
 CONFIG = MotionConfig(gauss_newton=4)
 SHORT = MotionConfig(components=1, smoothness_weight=300.0, iterations=3, gauss_newton=2, tolerance=1e-6)

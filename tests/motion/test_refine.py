@@ -16,8 +16,8 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.motion import MotionConfig, gauss_newton, refine
 from tg4mm.motion.observations import fixed_cameras
 from tg4mm.motion.refine import MovedPictures, at_state, refine_rest_scene
-from tg4mm.motion.stage import train_motion
 from tg4mm.run import Run
+from tg4mm.stages.motion import train_motion
 
 SHORT = MotionConfig(components=1, smoothness_weight=300.0, iterations=6, gauss_newton=1, tolerance=1e-6)
 

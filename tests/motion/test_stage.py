@@ -20,8 +20,8 @@ from tg4mm.evaluate.displacement import displacement_figures
 from tg4mm.evaluate.weights import blending_weights
 from tg4mm.motion import ModalMotion, MotionConfig
 from tg4mm.motion import linear_fit as fitting
-from tg4mm.motion.stage import train_motion
 from tg4mm.run import Run
+from tg4mm.stages.motion import train_motion
 
 FREQS = (3.0, 6.0)  # the post's and the ball's
 SHORT = MotionConfig(components=2, iterations=5, tolerance=1e-6)

@@ -21,9 +21,9 @@ from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.jacobian.view import ViewJacobian, blend_sum, view_jacobian
 from tg4mm.motion.observations import PosedFrames, fixed_cameras
 from tg4mm.motion.prior.graph import nearest
-from tg4mm.motion.stage import train_motion
 from tg4mm.motion.uncertainty import BLOCK, displacement_left, variation
 from tg4mm.run import UNCERTAINTY, Run
+from tg4mm.stages.motion import train_motion
 
 SIZE = 4 * BLOCK * 3 + 2  # the last blocks are cut off
 

@@ -12,7 +12,6 @@ from tg4mm.report.figures import (
     map_picture,
     marked,
     phase_picture,
-    scale_top,
     slice_picture,
 )
 
@@ -87,10 +86,3 @@ def test_phase_fades_to_grey_where_nothing_moves():
     picture = phase_picture(np.array([[1.0, 1.0]]), np.array([[0.0, 1.0]]), np.ones((1, 2)))
     assert len(set(picture[0, 0, :3].tolist())) == 1
     assert len(set(picture[0, 1, :3].tolist())) > 1
-
-
-def test_the_top_of_a_scale_ignores_what_has_little_weight():
-    values = np.array([1.0, 2.0, 3.0, 1000.0])
-    assert scale_top(values, np.array([1.0, 1.0, 1.0, 0.001])) == 3.0
-    assert scale_top(values) == 1000.0
-    assert scale_top(values, np.zeros(4)) == 0.0

@@ -9,29 +9,7 @@ from tg4mm.errors import RunError
 from tg4mm.evaluate.weights import blending_weights
 from tg4mm.motion.modes import ModalMotion
 from tg4mm.render import capture_cameras
-from tg4mm.report.maps import (
-    image_motion,
-    leading_modes,
-    main_direction,
-    motion_maps,
-    peak_displacement,
-    strongest,
-    uncertainty_map,
-)
-
-
-def test_peak_displacement_is_the_greatest_length_over_a_period():
-    rng = np.random.default_rng(0)
-    phasors = rng.normal(size=(50, 3)) + 1j * rng.normal(size=(50, 3))
-    turns = np.exp(1j * np.linspace(0, 2 * np.pi, 2000))
-    lengths = np.linalg.norm((phasors[:, None] * turns[:, None]).real, axis=2)
-    np.testing.assert_allclose(peak_displacement(phasors), lengths.max(1), rtol=1e-5)
-
-
-def test_main_direction_ignores_phase_and_sign():
-    axis = np.array([0.6, 0.0, -0.8])
-    phasors = np.exp(1j * np.arange(7))[:, None] * axis
-    np.testing.assert_allclose(main_direction(phasors, np.ones(7)), -axis, atol=1e-12)
+from tg4mm.report.maps import image_motion, leading_modes, motion_maps, strongest, uncertainty_map
 
 
 def motion_of(*amplitudes: float) -> ModalMotion:

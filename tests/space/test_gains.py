@@ -12,8 +12,9 @@ import torch
 from tg4mm.capture import SurfacePoints
 from tg4mm.render import render_image
 from tg4mm.run import Run
-from tg4mm.space import RestViews, SpaceConfig, train_space
+from tg4mm.space import RestViews, SpaceConfig
 from tg4mm.space.gains import MOST, RATE, fitting_gain, moved
+from tg4mm.stages.space import train_space
 
 
 def picture(seed: int = 0) -> np.ndarray:

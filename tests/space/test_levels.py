@@ -13,9 +13,10 @@ from tests.space.scenes import intrinsics, orbit, views_of
 from tg4mm.capture import SurfacePoints
 from tg4mm.errors import Tg4mmError
 from tg4mm.run import Run
-from tg4mm.space import RestViews, SpaceConfig, train_space
+from tg4mm.space import RestViews, SpaceConfig
 from tg4mm.space.density import EVERY
 from tg4mm.space.levels import automatic, check_levels, level_at, levels, sampled, shrunk, turn_of, work
+from tg4mm.stages.space import train_space
 
 FULL = (1080, 1920)
 

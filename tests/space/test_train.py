@@ -20,10 +20,11 @@ from tg4mm.capture import SurfacePoints
 from tg4mm.errors import Tg4mmError
 from tg4mm.gaussians import Gaussians
 from tg4mm.run import Run
-from tg4mm.space import RestViews, SpaceConfig, density, train_space
+from tg4mm.space import RestViews, SpaceConfig, density
 from tg4mm.space import train as stage
 from tg4mm.space.levels import levels
 from tg4mm.space.train import resolved
+from tg4mm.stages.space import train_space
 
 FIELDS = ("means", "quats", "scales", "opacities", "sh")
 

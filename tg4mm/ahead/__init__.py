@@ -18,6 +18,7 @@ import threading
 from pathlib import Path
 
 from tg4mm.progress import progress
+from tg4mm.rasterize.missing import answer_with
 
 _PROCESSES = 2
 _WORK = "from tg4mm.ahead import work; work()"
@@ -43,7 +44,7 @@ class _Jobs:
         self._looked_after = 0  # processes at work
 
     def wait(self, kernel: str) -> bool:
-        """Whether a kernel that the cache lacked may be there now, after the jobs of its group."""
+        """Whether a kernel (module.function) that the cache lacked may be there now, after the jobs of its group."""
         from tg4mm.ahead.jobs import JOB_OF, JOBS, TOGETHER
 
         if (name := JOB_OF.get(kernel)) is None or name in self._done:
@@ -110,16 +111,10 @@ class _Jobs:
                     self._ended()
 
 
-_jobs: _Jobs | None = None
+_jobs = _Jobs()
 
 
 def enable() -> None:
     """From now on kernels that the cache lacks are compiled ahead, where there are two cores."""
-    global _jobs
     if (os.cpu_count() or 1) > 1:
-        _jobs = _jobs or _Jobs()
-
-
-def compiled_ahead(kernel: str) -> bool:
-    """Whether a kernel (module.function) that the cache lacked may be there now. Waits for it, if `enable`d."""
-    return _jobs is not None and _jobs.wait(kernel)
+        answer_with(_jobs.wait)

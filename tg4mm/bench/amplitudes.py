@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tg4mm.bench.errors import BenchError
 from tg4mm.bench.sets import BenchSet
-from tg4mm.cli.generate import run_generator
+from tg4mm.generator import run_generator
 from tg4mm.run.config import read_json
 
 TARGETS_PX = (1.0, 2.0, 4.0, 8.0)  # α times the amplitude, of which there is ground truth

@@ -14,6 +14,7 @@ from tg4mm.magnify.bands import Magnification
 from tg4mm.magnify.filters import apply_response
 from tg4mm.motion.animate import displacement_at, mode_gains, rotation_at
 from tg4mm.motion.modes import ModalMotion
+from tg4mm.motion.spectrum import series_modes
 
 
 def magnified_series(series: np.ndarray, response: np.ndarray) -> np.ndarray:
@@ -43,16 +44,3 @@ def magnified_motion(motion: ModalMotion, plan: Magnification) -> ModalMotion:
         motion, freqs_hz=freqs, displacement=phasors[..., :3], rotation=phasors[..., 3:],
         gains=None, magnified=None, appearance=light,
     )  # fmt: skip
-
-
-def series_modes(series: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies [K] Hz and phasors [K, …] complex64 of a series [T, …]: 0 Hz and all other DFT bins.
-
-    Σ_k Re[m_k exp(i 2π f_k t / fps)] is the series at every timestep.
-    """
-    n = len(series)
-    spectrum = np.fft.rfft(series, axis=0) * (2 / n)
-    spectrum[0] /= 2
-    if n % 2 == 0:
-        spectrum[-1] /= 2  # the Nyquist bin has no mirror image
-    return np.fft.rfftfreq(n, 1 / fps), spectrum.astype(np.complex64)

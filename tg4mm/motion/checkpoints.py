@@ -1,6 +1,7 @@
 """Parts of a fit that are worth keeping: each is computed once, and a run that was stopped goes on after the last.
 
-A part is a name and a function that gives named arrays. `computed` keeps nothing; `stage.py` keeps them in the run.
+A part is a name and a function that gives named arrays. `computed` keeps nothing; the stage
+(`tg4mm/stages/motion.py`) keeps them in the run.
 """
 
 from __future__ import annotations

@@ -11,8 +11,8 @@ from collections.abc import Iterable
 import torch
 from torch import Tensor
 
-from tg4mm.magnify.linear import series_modes
 from tg4mm.motion.modes import ModalMotion
+from tg4mm.motion.spectrum import series_modes
 from tg4mm.paper.model import PaperModel
 
 

@@ -95,14 +95,3 @@ def phase_picture(phase: np.ndarray, strength: np.ndarray, opacity: np.ndarray) 
     weight = phase_share(strength)[..., None]
     colours = weight * phase_colours(phase) + (1 - weight) * STILL
     return to_bytes(np.concatenate([colours, np.clip(opacity, 0, 1)[..., None]], -1))
-
-
-def scale_top(values: np.ndarray, weights: np.ndarray | None = None, share: float = 0.995) -> float:
-    """A top for a colour scale: the value that `share` of the weight stays below, lest one outlier rule."""
-    flat = values.ravel()
-    weight = np.ones(flat.shape) if weights is None else weights.ravel()
-    order = np.argsort(flat)
-    total = np.cumsum(weight[order])
-    if total.size == 0 or total[-1] <= 0:
-        return 0.0
-    return float(flat[order][min(np.searchsorted(total, share * total[-1]), flat.size - 1)])

@@ -9,6 +9,7 @@ import numpy as np
 from tg4mm.errors import RunError
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.modes import ModalMotion
+from tg4mm.motion.phasors import peak_displacement
 from tg4mm.render.cameras import Camera
 from tg4mm.render.image import render_features
 
@@ -28,20 +29,6 @@ def in_band(motion: ModalMotion, band: tuple[float, float] | None) -> np.ndarray
     if band is None:
         return np.ones(len(freqs), dtype=bool)
     return (freqs >= band[0]) & (freqs <= band[1])
-
-
-def peak_displacement(phasors: np.ndarray) -> np.ndarray:
-    """Greatest |Re(m exp(iφ))| over φ of phasors [..., 3], scene units: the ellipse's long half axis."""
-    power = (np.abs(phasors) ** 2).sum(-1)
-    straight = np.abs((phasors**2).sum(-1))
-    return np.sqrt(np.maximum(power + straight, 0.0) / 2)
-
-
-def main_direction(phasors: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Unit vector [3] along which phasors [N, 3], weighted [N], move most; largest component positive."""
-    scatter = np.einsum("n,na,nb->ab", weights, phasors, phasors.conj()).real
-    direction = np.linalg.eigh(scatter)[1][:, -1]
-    return direction * np.sign(direction[np.argmax(np.abs(direction))] or 1.0)
 
 
 def leading_modes(

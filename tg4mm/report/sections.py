@@ -7,17 +7,13 @@ from pathlib import Path
 import numpy as np
 from markupsafe import Markup
 
+from tg4mm.motion.phasors import main_direction, scale_top
 from tg4mm.render.frames import read_png
 from tg4mm.report import svg
 from tg4mm.report.camera_map import camera_map
-from tg4mm.report.figures import (
-    contact_sheet,
-    map_picture,
-    phase_picture,
-    scale_top,
-)
+from tg4mm.report.figures import contact_sheet, map_picture, phase_picture
 from tg4mm.report.found import vibrations_table
-from tg4mm.report.maps import in_band, leading_modes, main_direction, motion_maps, uncertainty_map
+from tg4mm.report.maps import in_band, leading_modes, motion_maps, uncertainty_map
 from tg4mm.report.page import Block, Figure, Section, Text, film, picture
 from tg4mm.report.slices import slices
 from tg4mm.report.sources import contact_images

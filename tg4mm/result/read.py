@@ -15,8 +15,7 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.motion.mode_selection import mode_deviations, peaks, worth_keeping
 from tg4mm.motion.modes import ModalMotion
 from tg4mm.motion.observations import frames_of
-from tg4mm.report.figures import scale_top
-from tg4mm.report.maps import peak_displacement
+from tg4mm.motion.phasors import peak_displacement, scale_top
 from tg4mm.result.advice import next_command, suggested_alpha
 from tg4mm.result.bands import suggested_bands
 from tg4mm.result.damped_sinusoid import DampedSinusoid, damped_sinusoid_of

@@ -11,10 +11,9 @@ from tg4mm.lazy import lazily
 
 if TYPE_CHECKING:
     from tg4mm.space.config import SpaceConfig
-    from tg4mm.space.stage import train_plane, train_space
     from tg4mm.space.targets import RestViews, rest_views
 
-__all__ = ["RestViews", "SpaceConfig", "rest_views", "train_plane", "train_space"]
+__all__ = ["RestViews", "SpaceConfig", "rest_views"]
 
 __getattr__ = lazily(
     __name__,
@@ -22,7 +21,5 @@ __getattr__ = lazily(
         "RestViews": "targets",
         "SpaceConfig": "config",
         "rest_views": "targets",
-        "train_plane": "stage",
-        "train_space": "stage",
     },
 )

@@ -24,13 +24,12 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.memory import peak_memory_mib
 from tg4mm.progress import progress
 from tg4mm.rasterize import rasterization
-from tg4mm.render.image import render_image
 from tg4mm.space.config import SpaceConfig, checked
 from tg4mm.space.parameters import SH_C0
 from tg4mm.space.quadtree import COARSEST, FINEST, Cells, quadtree
 from tg4mm.space.targets import RestViews
 from tg4mm.space.train import SpaceFit
-from tg4mm.space.view import EPS2D, FAR, NEAR, WHITE
+from tg4mm.space.view import EPS2D, FAR, NEAR, WHITE, render_view
 
 PIXELS_PER_GAUSSIAN = 9
 MOST = 120_000  # unless asked for: the motion stage's time grows with them
@@ -237,5 +236,9 @@ def fit_plane(views: RestViews, config: SpaceConfig | None = None, device: str =
 @torch.no_grad()
 def plane_psnr(gaussians: Gaussians, picture: np.ndarray, viewmat: np.ndarray, K: np.ndarray) -> float:
     """PSNR, dB, of what the Gaussians show over white against `picture` [H, W, 3]."""
-    image = render_image(gaussians, viewmat, K, picture.shape[1], picture.shape[0])
-    return _psnr(torch.from_numpy(image - picture))
+    target, pose, intrinsics = (
+        torch.as_tensor(a, dtype=torch.float32, device=gaussians.means.device) for a in (picture, viewmat, K)
+    )
+    size = picture.shape[1], picture.shape[0]
+    shown = render_view(gaussians, pose, intrinsics, size, gaussians.sh_degree).rgb.clamp(0, 1)
+    return _psnr(shown - target)

@@ -24,15 +24,16 @@ from tg4mm.bench.methods.trained import Trained
 from tg4mm.capture import Capture, ImageStack, load_capture, load_images
 from tg4mm.errors import Tg4mmError
 from tg4mm.gaussians import Gaussians
-from tg4mm.magnify.linear import series_modes
 from tg4mm.memory import peak_memory_mib
 from tg4mm.motion.animate import rotated
 from tg4mm.motion.modes import ModalMotion
+from tg4mm.motion.spectrum import series_modes
 from tg4mm.paper.fit import Cameras, view_loss
 from tg4mm.paper.space import cameras_on, views_at
 from tg4mm.progress import progress
 from tg4mm.run import Run
-from tg4mm.space import rest_views, train_space
+from tg4mm.space import rest_views
+from tg4mm.stages.space import train_space
 from tg4mm.train import parse_settings
 from tg4mm.triplane.cells import scene_box
 

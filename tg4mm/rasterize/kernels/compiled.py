@@ -17,7 +17,7 @@ from typing import Any
 from numba import njit
 from numba.core import event
 
-from tg4mm.ahead import compiled_ahead
+from tg4mm.rasterize.missing import may_be_there
 
 
 def _digest() -> str:
@@ -58,7 +58,7 @@ def _waiting(cache: Any, name: str) -> Callable[..., Any]:
 
     def load(*args: Any) -> Any:
         found = look(*args)
-        return look(*args) if found is None and compiled_ahead(name) else found
+        return look(*args) if found is None and may_be_there(name) else found
 
     return load
 

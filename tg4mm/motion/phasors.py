@@ -1,0 +1,30 @@
+"""What the phasors of many Gaussians say as single figures: how far, which way, how far most of them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def peak_displacement(phasors: np.ndarray) -> np.ndarray:
+    """Greatest |Re(m exp(iφ))| over φ of phasors [..., 3], scene units: the ellipse's long half axis."""
+    power = (np.abs(phasors) ** 2).sum(-1)
+    straight = np.abs((phasors**2).sum(-1))
+    return np.sqrt(np.maximum(power + straight, 0.0) / 2)
+
+
+def main_direction(phasors: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Unit vector [3] along which phasors [N, 3], weighted [N], move most; largest component positive."""
+    scatter = np.einsum("n,na,nb->ab", weights, phasors, phasors.conj()).real
+    direction = np.linalg.eigh(scatter)[1][:, -1]
+    return direction * np.sign(direction[np.argmax(np.abs(direction))] or 1.0)
+
+
+def scale_top(values: np.ndarray, weights: np.ndarray | None = None, share: float = 0.995) -> float:
+    """A top for a colour scale: the value that `share` of the weight stays below, lest one outlier rule."""
+    flat = values.ravel()
+    weight = np.ones(flat.shape) if weights is None else weights.ravel()
+    order = np.argsort(flat)
+    total = np.cumsum(weight[order])
+    if total.size == 0 or total[-1] <= 0:
+        return 0.0
+    return float(flat[order][min(np.searchsorted(total, share * total[-1]), flat.size - 1)])
