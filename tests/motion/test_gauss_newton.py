@@ -21,7 +21,7 @@ from tg4mm.evaluate.truth import exact_motion, load_truth
 from tg4mm.evaluate.weights import blending_weights
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion import ModalMotion, MotionConfig
-from tg4mm.motion import gauss_newton as module
+from tg4mm.motion import knots as module
 from tg4mm.motion.animate import animate
 from tg4mm.motion.clocks.synchronous import principal_components
 from tg4mm.motion.gauss_newton import ABOVE_PX, GaussNewton, GaussNewtonState, states_moved, used_components
@@ -291,15 +291,20 @@ class Lab:
         states, self.pixels = states_moved(self.views, self.loop.basis, self.shapes, (32, 32))
         self.evidence = Evidence.of(self.observations, states, targets, self.loop.used)
         self.problem = Problem.of(self.views, self.gaussians, MotionConfig(), "cpu")
-        self.knots = self.loop._knots(self.gaussians, self.views, self.shapes, self.evidence)
+        self.knots = module.knots_of(
+            self.gaussians, self.views, self.shapes, self.evidence, self.observations
+        )
 
     def targets(self, fold: Fold) -> Iterator[np.ndarray]:
         left, _ = self.evidence.remaining(self.gaussians, self.shapes, "cpu")
-        return module._targets(self.knots, fold, left, self.shapes, self.evidence)
+        return module.targets_at(self.knots, fold, left, self.shapes, self.evidence)
 
     def operator(self, fold: Fold) -> Any:
         """And its right-hand sides."""
-        return self.loop._operator(self.problem, self.knots, fold, 300.0, self.targets(fold))
+        rest = self.problem.on_cpu(fold, self.loop.weights, 300.0)
+        return module.coupled_operator(
+            self.problem, rest, self.knots, fold, self.loop.nuisances, self.targets(fold)
+        )
 
 
 @pytest.fixture(scope="module")
@@ -365,7 +370,7 @@ def test_on_a_device_the_problem_is_the_same(lab: Lab, monkeypatch: pytest.Monke
     monkeypatch.setattr(
         module, "DeviceViews", lambda views, graph, _: DeviceViews(views, graph, "cpu", torch.float32)
     )
-    monkeypatch.setattr(lab.loop, "device", "cuda")
+    monkeypatch.setattr(lab, "problem", replace(lab.problem, device="cuda"))
     there, c = lab.operator(lab.folds[0])
     theta = np.random.default_rng(2).normal(size=b.shape).astype(np.float32)
     expected, found = here.products(theta), there.products(torch.from_numpy(theta)).numpy()

@@ -20,7 +20,7 @@ from tg4mm.measure.prepared import prepare
 from tg4mm.measure.relations import relation_of
 from tg4mm.measure.residuals import MeasuredView
 from tg4mm.measure.rigid import Body, equations_of
-from tg4mm.measure.scene import Clock, Prepared
+from tg4mm.measure.scene import Prepared, SharedClock
 from tg4mm.measure.sensor_result import SensorResult
 from tg4mm.measure.sensors import Sensor, checked_names
 from tg4mm.measure.series import Series, series_of
@@ -133,12 +133,16 @@ def _results(
     return results, phases
 
 
-def _views_of(scene: Prepared, clock: Clock) -> Sequence[MeasuredView]:
+def _views_of(scene: Prepared, clock: SharedClock) -> Sequence[MeasuredView]:
     return scene.views if scene.is_moving else [scene.views[v] for v in clock.views]
 
 
 def _series(
-    scene: Prepared, clock: Clock, views: Sequence[MeasuredView], bodies: Sequence, step: Callable[[], None]
+    scene: Prepared,
+    clock: SharedClock,
+    views: Sequence[MeasuredView],
+    bodies: Sequence,
+    step: Callable[[], None],
 ) -> list[Series]:
     own = [body for body, _ in bodies]
     equations = equations_of(

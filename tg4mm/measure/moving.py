@@ -19,7 +19,7 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.measure.kept import KeptPass
 from tg4mm.measure.modal_fields import ModalFields
 from tg4mm.measure.residuals import MeasuredView
-from tg4mm.measure.scene import Clock, Prepared, zeros_in_room
+from tg4mm.measure.scene import Prepared, SharedClock, zeros_in_room
 from tg4mm.measure.sides import HALVES, Sides
 from tg4mm.motion.clocks.moving import at_rest, corrected_poses, pictures_of, robust_weights
 from tg4mm.motion.jacobian.packed import DOF
@@ -82,7 +82,7 @@ def prepare_moving(
             kept.save(arrays, ())
     frames = [replace(f, viewmat=v) for f, v in zip(observations.frames, arrays["viewmats"], strict=True)]
     views = FrameViews(gaussians, frames, observations.size, arrays["weights"], arrays["level"])
-    clock = Clock("", tuple(range(len(frames))), times, Sides.restored(arrays, "0"), series)
+    clock = SharedClock("", tuple(range(len(frames))), times, Sides.restored(arrays, "0"), series)
     observations = replace(observations, frames=frames)
     return Prepared(
         fit, folder, capture, observations, modal, views, (clock,), arrays["seen"].astype(np.float64),

@@ -26,7 +26,7 @@ from tg4mm.measure.residuals import (
     unpacked_mean,
     weighed,
 )
-from tg4mm.measure.scene import Clock, Prepared, zeros_in_room
+from tg4mm.measure.scene import Prepared, SharedClock, zeros_in_room
 from tg4mm.measure.sides import HALVES, Sides
 from tg4mm.motion.checkpoints import computed
 from tg4mm.motion.jacobian.packed import DOF
@@ -162,21 +162,21 @@ class _Fixed:
             for v, (view, own, nuisance) in enumerate(zip(views, frames, nuisances, strict=True))
         ]  # fmt: skip
 
-    def _clocks(self, frames: Sequence[PosedFrames]) -> list[Clock]:
+    def _clocks(self, frames: Sequence[PosedFrames]) -> list[SharedClock]:
         nothing = Sides.of(np.zeros((HALVES, 0, 0, DOF), np.float32))
         if self.observations.clock == "synchronous":
             times = frames[0].times_s
             series = _centred(self.modal.series(times))
-            return [Clock("", tuple(range(len(frames))), times, nothing, series)]
+            return [SharedClock("", tuple(range(len(frames))), times, nothing, series)]
         out = []
         for v, own in enumerate(frames):
             phases = clock_phases(self.fit.figures, own.name, self.modal.freqs_hz)
             series = _centred(self.modal.series(own.times_s, phases))
-            out.append(Clock(own.name, (v,), own.times_s, nothing, series))
+            out.append(SharedClock(own.name, (v,), own.times_s, nothing, series))
         return out
 
     def _passed(
-        self, observations: Observations, views: Sequence[MeasuredView], clocks: Sequence[Clock]
+        self, observations: Observations, views: Sequence[MeasuredView], clocks: Sequence[SharedClock]
     ) -> tuple[list[MeasuredView], list[Sides]]:
         """The one pass: views with weights, and the sides of every clock."""
         out, sides = list(views), []

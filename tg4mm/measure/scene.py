@@ -22,7 +22,7 @@ IN_MEMORY = 1 << 30  # bytes that a pass through the pictures adds up; more lies
 
 
 @dataclass(frozen=True)
-class Clock:
+class SharedClock:
     """Views whose frames were taken at the same times: all of a synchronous capture, one of a clip."""
 
     name: str  # "" where there is one clock
@@ -42,7 +42,7 @@ class Prepared:
     observations: Observations  # of the motion stage: views, clocks, pictures
     modal: ModalFields  # the motion as a few fields and their functions of time
     views: Sequence[MeasuredView]  # what was read of each view's pictures
-    clocks: tuple[Clock, ...]  # views whose frames were taken at the same times
+    clocks: tuple[SharedClock, ...]  # views whose frames were taken at the same times
     seen: np.ndarray  # [N] blending weight, pixels, summed over the views
     notes: tuple[str, ...] = ()  # what this capture cannot tell, a line each
     # [S, F] functions of time that a moving camera cannot tell from its own motion

@@ -7,44 +7,37 @@ where things have moved to, and then the scene at rest to all pictures (`refine.
 new motion leaves less of the pictures than the old one; if not, half its step is tried, and if that does not
 help either, that was all.
 
-The states are taken together once more, coarsely: states less than 0.7 pixels apart share a knot, at which the views
-are linearised. A knot l with Jacobian J_l, whose timesteps t have the functions of time a(t), couples the fields by
-M_l = Σ a(t) a(t)ᵀ = C_lᵀ C_l: to the solver it is further views with the mixing matrix C_l.
+The Jacobians are taken at few states for all timesteps (`knots.py`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
-import torch
 
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.checkpoints import Parts, arrays_of, gaussians_of
 from tg4mm.motion.clocks.synchronous import Synchronous
 from tg4mm.motion.config import MotionConfig, more_iterations
 from tg4mm.motion.hyperparameters import Hyperparameters, chosen_weight, pixel_weights
-from tg4mm.motion.jacobian.pixels import pixels_moved
-from tg4mm.motion.jacobian.view import VIEW_BYTES, ViewJacobian, view_jacobian
-from tg4mm.motion.nuisance.projection import Nuisance, Projection
+from tg4mm.motion.jacobian.view import ViewJacobian, view_jacobian
+from tg4mm.motion.knots import NuisancesAtRest, coupled_operator, knots_of, targets_at
+from tg4mm.motion.nuisance.projection import Nuisance
 from tg4mm.motion.observations import Observations
-from tg4mm.motion.refine import at_state, refine_rest_scene
-from tg4mm.motion.solver.cpu import CpuOperator
-from tg4mm.motion.solver.cuda import DeviceOperator, DeviceViews
-from tg4mm.motion.solver.operator import Array, Fold
+from tg4mm.motion.refine import refine_rest_scene
+from tg4mm.motion.solver.operator import Fold
 from tg4mm.motion.solver.pcg import pcg
 from tg4mm.motion.solver.problem import Problem
 from tg4mm.motion.split_half import LEAST, wiener_shrink
-from tg4mm.motion.states import Errors, Evidence, states_moved, states_of
+from tg4mm.motion.states import Errors, Evidence, states_moved
 from tg4mm.motion.targets import TargetImages
 from tg4mm.progress import progress
 
 ABOVE_PX = 0.7  # motion up to so many pixels is in the linear range
-KNOTS = 5  # at most: each costs as much as the problem at rest
-KNOT_PX = 0.7  # states less apart share one
 _FOR_WEIGHT = 6  # iterations for the candidate weights: what is left after an iteration tells less of them
 _COMPONENTS = 8  # that are fitted, at least, where there are as many
 _FALL = 0.05  # of the misfit: what falls by less is not worth another iteration
@@ -101,12 +94,8 @@ class GaussNewton:
         self.basis, self.targets = targets.basis[self.used], targets
         self.linear = np.flatnonzero(~hyper.is_noise[self.used])
         self.weights = pixel_weights(targets, ~np.isin(np.arange(len(targets.basis)), self.used))
-        self.observations, self.folds, self.nuisances, self.means = (
-            observations,
-            folds,
-            nuisances,
-            targets.mean,
-        )
+        self.observations, self.folds = observations, folds
+        self.nuisances = NuisancesAtRest(nuisances, targets.mean)
         self.config, self.device, self.size = config, device, observations.size
         # all components together, linearised at several places: they settle more slowly
         self.iterations = config.iterations * 3 // 2
@@ -204,12 +193,13 @@ class GaussNewton:
             target = np.stack([own[:1].copy() for own in at_rest])
             iterations = round(_FOR_WEIGHT * more_iterations(len(state.gaussians)))
             weight = chosen_weight(target, problem, self.folds, self.weights, iterations)
-        knots = self._knots(state.gaussians, views, agreed, evidence)
+        knots = knots_of(state.gaussians, views, agreed, evidence, self.observations)
         left, _ = evidence.remaining(state.gaussians, agreed, self.device)
         found = []
         for p, fold in enumerate(self.folds):
-            targets = _targets(knots, fold, left, agreed, evidence)
-            operator, b = self._operator(problem, knots, fold, weight, targets)
+            targets = targets_at(knots, fold, left, agreed, evidence)
+            rest = problem.on_cpu(fold, self.weights, weight)
+            operator, b = coupled_operator(problem, rest, knots, fold, self.nuisances, targets)
             done = p * self.iterations * self._costs
             update = partial(self._tell_solve, tell, done)
             solution = pcg(operator, b, self.iterations, self.config.tolerance, update=update)
@@ -218,58 +208,6 @@ class GaussNewton:
 
     def _tell_solve(self, tell: Callable[..., None], before: int, done: int, residual: float) -> None:
         tell(before + done * self._costs, residual=round(residual, 4))
-
-    def _knots(
-        self, gaussians: Gaussians, views: Sequence[ViewJacobian], agreed: np.ndarray, evidence: Evidence
-    ) -> list[_Knot]:
-        states, motions = evidence.states, evidence.moved(agreed).motions
-        knots = states_of(states.gains.T, pixels_moved(views, agreed[..., :3]), KNOTS, KNOT_PX)
-        out = []
-        for knot in range(len(knots.gains)):
-            own = np.flatnonzero(knots.of == knot)
-            share = states.count[own] / states.count[own].sum()
-            motion = torch.from_numpy(np.tensordot(share, motions[own], 1).astype(np.float32))
-            there = at_state(gaussians, motion)
-            is_large = len(knots.gains) * sum(view.nbytes for view in views) > VIEW_BYTES
-            each = (view_jacobian(there, camera, self.size) for camera in self.observations.frames)
-            moved = [view.stored() if is_large else view for view in each]
-            out.append(_Knot(moved, own, _root(states.products[own].sum(0))))
-        return out
-
-    def _operator(
-        self,
-        problem: Problem,
-        knots: Sequence[_Knot],
-        fold: Fold,
-        weight: float,
-        targets: Iterable[np.ndarray],
-    ) -> tuple[CpuOperator | DeviceOperator, Array]:
-        """The problem of one fold with all knots' views, and its right-hand sides."""
-        rest = problem.on_cpu(fold, self.weights, weight)
-        views = [knot.views[v] for knot in knots for v in fold.views]
-        weights = None if rest.weights is None else np.concatenate([rest.weights] * len(knots))
-        plain = replace(
-            rest, views=views, weights=weights, projections=self._projections(views, fold, weights)
-        )
-        mixing = [knot.mixing for knot in knots for _ in fold.views]
-        if self.device == "cpu":
-            return replace(plain, mixing=mixing), plain.right_hand_sides(targets)
-        there = DeviceViews(views, problem.graph, self.device)
-        b = DeviceOperator(plain, there).right_hand_sides(targets)
-        return DeviceOperator(replace(plain, mixing=mixing), there), b
-
-    def _projections(
-        self, views: Sequence[ViewJacobian], fold: Fold, weights: np.ndarray | None
-    ) -> list[Projection] | None:
-        if not self.nuisances or not self.nuisances[0].active.any():
-            return None
-        rows = [int(fold.views[k % len(fold.views)]) for k in range(len(views))]
-        return [
-            Projection.of(
-                replace(self.nuisances[v], view=view), self.means[v], None if weights is None else weights[k]
-            )
-            for k, (view, v) in enumerate(zip(views, rows, strict=True))
-        ]
 
     def at_rest(self, gaussians: Gaussians) -> list[ViewJacobian]:
         """The views of all cameras."""
@@ -318,28 +256,3 @@ def iterated(
         images,
         figures,
     )
-
-
-@dataclass(frozen=True)
-class _Knot:
-    views: list[ViewJacobian]
-    states: np.ndarray  # which ones share it
-    mixing: np.ndarray  # C_l [ρ, R]
-
-
-def _targets(
-    knots: Sequence[_Knot], fold: Fold, left: np.ndarray, agreed: np.ndarray, evidence: Evidence
-) -> Iterator[np.ndarray]:
-    """C_lᵀ times the target images [R, H, W, 3] of each knot and view, one at a time: all are gigabytes at 1080p."""
-    for knot in knots:
-        for v in fold.views:
-            shown = knot.views[v].jvp(agreed)
-            knot.views[v].release()
-            yield evidence.target(v, left, knot.states, shown)
-
-
-def _root(products: np.ndarray) -> np.ndarray:
-    """C [ρ, R] float32 with Cᵀ C = `products` [R, R]."""
-    values, vectors = np.linalg.eigh(products)
-    keep = values > 1e-9 * max(float(values[-1]), 1e-30)
-    return (vectors[:, keep] * np.sqrt(values[keep])).T.astype(np.float32)

@@ -22,7 +22,7 @@ RATES_AGREE = 0.01  # relative, of cameras whose frames go into the same timeste
 
 
 @dataclass(frozen=True)
-class Clock:
+class FrameTimes:
     """When frames were taken."""
 
     fps: float  # Hz
@@ -38,7 +38,7 @@ class Placement:
     world: Similarity
 
 
-def clock_of(surveys: Sequence[Survey], fps: float | None) -> Clock:
+def clock_of(surveys: Sequence[Survey], fps: float | None) -> FrameTimes:
     """The recordings' times. fps: what was filmed at, None: as the containers say.
 
     Raises CaptureError where nothing says it, or where recordings disagree.
@@ -50,7 +50,7 @@ def clock_of(surveys: Sequence[Survey], fps: float | None) -> Clock:
             raise CaptureError(
                 f"camera {name} has {other:.6g} frames per second, {first} has {rate:.6g}: a dataset has one frame rate"
             )
-    return Clock(rate, {name: times for name, (_, times) in clocks.items()})
+    return FrameTimes(rate, {name: times for name, (_, times) in clocks.items()})
 
 
 def placed_tracks(
@@ -59,7 +59,7 @@ def placed_tracks(
     taken: Sequence[Shot],
     placed: dict[str, Any],
     model: Any,
-    clock: Clock | None,
+    clock: FrameTimes | None,
     window: Window,
 ) -> Placement:
     """Tracks of all placed pictures, those of recordings first.
@@ -124,7 +124,7 @@ class _Cameras:
     def sweep(self) -> list[Track]:
         return [self._single(i, f"{SWEEP}_{self.shots[i].path.stem}", False) for i in self.of(SWEEP)]
 
-    def fixed(self, clip: Clip, clock: Clock, window: Window, may_test: bool) -> list[Track]:
+    def fixed(self, clip: Clip, clock: FrameTimes, window: Window, may_test: bool) -> list[Track]:
         times_s = clock.times_s[clip.name]
         return [
             Track(
@@ -139,7 +139,7 @@ class _Cameras:
             for i in self.of(clip.name)
         ]
 
-    def moving(self, clip: Clip, clock: Clock) -> Track:
+    def moving(self, clip: Clip, clock: FrameTimes) -> Track:
         """A picture at every timestep, frames that could not be placed left out."""
         rows = self.of(clip.name)
         frames = Clip(clip.name, self.shots[rows[0]].path.parent, tuple(self.shots[i].path for i in rows))

@@ -1,0 +1,123 @@
+"""The views of a Gauss-Newton iteration: Jacobians where things have moved to, at few states for all timesteps.
+
+States less than 0.7 pixels apart share a knot, at which the views are linearised. A knot l with Jacobian J_l, whose
+timesteps t have the functions of time a(t), couples the fields by M_l = Σ a(t) a(t)ᵀ = C_lᵀ C_l: to the solver it is
+further views with the mixing matrix C_l.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from tg4mm.gaussians import Gaussians
+from tg4mm.motion.jacobian.pixels import pixels_moved
+from tg4mm.motion.jacobian.view import VIEW_BYTES, ViewJacobian, view_jacobian
+from tg4mm.motion.nuisance.projection import Nuisance, Projection
+from tg4mm.motion.observations import Observations
+from tg4mm.motion.refine import at_state
+from tg4mm.motion.solver.cpu import CpuOperator
+from tg4mm.motion.solver.cuda import DeviceOperator, DeviceViews
+from tg4mm.motion.solver.operator import Array, Fold
+from tg4mm.motion.solver.problem import Problem
+from tg4mm.motion.states import Evidence, states_of
+
+KNOTS = 5  # at most: each costs as much as the problem at rest
+KNOT_PX = 0.7  # states less apart share one
+
+
+@dataclass(frozen=True)
+class Knot:
+    """States that share Jacobians."""
+
+    views: list[ViewJacobian]  # of all cameras, where things are in these states
+    states: np.ndarray  # rows of `Evidence.states`
+    mixing: np.ndarray  # C_l [ρ, R]
+
+
+def knots_of(
+    gaussians: Gaussians,
+    views: Sequence[ViewJacobian],
+    agreed: np.ndarray,
+    evidence: Evidence,
+    observations: Observations,
+) -> list[Knot]:
+    """Knots of the motion `agreed` [R, N, 6]; `views`: the Jacobians at rest."""
+    states, motions = evidence.states, evidence.moved(agreed).motions
+    knots = states_of(states.gains.T, pixels_moved(views, agreed[..., :3]), KNOTS, KNOT_PX)
+    out = []
+    for knot in range(len(knots.gains)):
+        own = np.flatnonzero(knots.of == knot)
+        share = states.count[own] / states.count[own].sum()
+        motion = torch.from_numpy(np.tensordot(share, motions[own], 1).astype(np.float32))
+        there = at_state(gaussians, motion)
+        is_large = len(knots.gains) * sum(view.nbytes for view in views) > VIEW_BYTES
+        each = (view_jacobian(there, camera, observations.size) for camera in observations.frames)
+        moved = [view.stored() if is_large else view for view in each]
+        out.append(Knot(moved, own, _root(states.products[own].sum(0))))
+    return out
+
+
+def targets_at(
+    knots: Sequence[Knot], fold: Fold, left: np.ndarray, agreed: np.ndarray, evidence: Evidence
+) -> Iterator[np.ndarray]:
+    """C_lᵀ times the target images [R, H, W, 3] of each knot and view, one at a time: all are gigabytes at 1080p."""
+    for knot in knots:
+        for v in fold.views:
+            shown = knot.views[v].jvp(agreed)
+            knot.views[v].release()
+            yield evidence.target(v, left, knot.states, shown)
+
+
+@dataclass(frozen=True)
+class NuisancesAtRest:
+    """What the pictures of each camera may show besides motion, to be projected out at the knots, too."""
+
+    nuisances: Sequence[Nuisance]  # of each camera; none: nothing
+    means: np.ndarray  # [V, H, W, 3], the mean over time of its pictures
+
+    def projections(
+        self, views: Sequence[ViewJacobian], fold: Fold, weights: np.ndarray | None
+    ) -> list[Projection] | None:
+        """Of the fold's views at one knot after the other."""
+        if not self.nuisances or not self.nuisances[0].active.any():
+            return None
+        rows = [int(fold.views[k % len(fold.views)]) for k in range(len(views))]
+        return [
+            Projection.of(
+                replace(self.nuisances[v], view=view), self.means[v], None if weights is None else weights[k]
+            )
+            for k, (view, v) in enumerate(zip(views, rows, strict=True))
+        ]
+
+
+def coupled_operator(
+    problem: Problem,
+    rest: CpuOperator,
+    knots: Sequence[Knot],
+    fold: Fold,
+    nuisances: NuisancesAtRest,
+    targets: Iterable[np.ndarray],
+) -> tuple[CpuOperator | DeviceOperator, Array]:
+    """One fold with the views of all knots, and its right-hand sides; `rest`: the same with those at rest."""
+    views = [knot.views[v] for knot in knots for v in fold.views]
+    weights = None if rest.weights is None else np.concatenate([rest.weights] * len(knots))
+    plain = replace(
+        rest, views=views, weights=weights, projections=nuisances.projections(views, fold, weights)
+    )
+    mixing = [knot.mixing for knot in knots for _ in fold.views]
+    if problem.device == "cpu":
+        return replace(plain, mixing=mixing), plain.right_hand_sides(targets)
+    there = DeviceViews(views, problem.graph, problem.device)
+    b = DeviceOperator(plain, there).right_hand_sides(targets)
+    return DeviceOperator(replace(plain, mixing=mixing), there), b
+
+
+def _root(products: np.ndarray) -> np.ndarray:
+    """C [ρ, R] float32 with Cᵀ C = `products` [R, R]."""
+    values, vectors = np.linalg.eigh(products)
+    keep = values > 1e-9 * max(float(values[-1]), 1e-30)
+    return (vectors[:, keep] * np.sqrt(values[keep])).T.astype(np.float32)
