@@ -36,7 +36,7 @@ def one_line(match: str) -> pytest.RaisesExc:
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("train") / "data"
-    make_synthetic_dataset(path, n_views=3, n_timesteps=5, size=32, freqs=(6.0,), alphas=(), n_test=0)
+    make_synthetic_dataset(path, n_views=3, n_timesteps=6, size=32, freqs=(6.0,), alphas=(), n_test=0)
     return path
 
 
@@ -137,6 +137,19 @@ class TestRequests:
             train(data, tmp_path / "run", settings=SETTINGS | wrong)
         assert not (tmp_path / "run").exists()
 
+    @pytest.mark.parametrize(("n_timesteps", "is_refused"), [(2, True), (5, True), (6, False)])
+    def test_a_record_in_which_no_frequency_can_be_told_is_refused(
+        self, n_timesteps: int, is_refused: bool, tmp_path: Path
+    ) -> None:
+        path = tmp_path / "data"
+        make_synthetic_dataset(path, n_views=2, n_timesteps=n_timesteps, size=24, alphas=(), n_test=0)
+        if is_refused:
+            with one_line(f"{path}: a camera holds {n_timesteps} pictures over time, too few"):
+                train(path, tmp_path / "run", settings=SETTINGS)
+            assert not (tmp_path / "run").exists()
+        else:
+            assert train(path, tmp_path / "run", settings=SETTINGS).has_motion
+
     def test_settings_that_do_not_fit_the_data_leave_no_run_behind(self, data: Path, tmp_path: Path) -> None:
         bare = tmp_path / "bare"
         shutil.copytree(data, bare, ignore=shutil.ignore_patterns("points3d.ply"))
@@ -163,7 +176,7 @@ class TestResult:
             shown.append(capsys.readouterr().out)
         lines = shown[0].splitlines()
         assert shown[0] == shown[1]
-        assert lines[0].startswith(f"{trained.path}: 3 fixed cameras, 5 timesteps at 30 Hz")
+        assert lines[0].startswith(f"{trained.path}: 3 fixed cameras, 6 timesteps at 30 Hz")
         assert lines[-1].split()[:4] == ["next", "tg4mm", "render", str(trained.path)]
         assert 3 < len(lines) < 16
 
@@ -179,7 +192,7 @@ class TestStages:
         assert trained.log()["space"]["n_gaussians"] == len(trained.load_space())
         motion = trained.load_motion()
         assert motion is not None
-        assert motion.displacement.shape == (2, len(trained.load_space()), 3)
+        assert motion.displacement.shape == (3, len(trained.load_space()), 3)
         assert not list(trained.path.glob("checkpoint_*"))
 
     def test_a_finished_run_is_not_touched(

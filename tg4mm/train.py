@@ -16,7 +16,7 @@ from tg4mm.device import check_device
 from tg4mm.errors import CaptureError, Tg4mmError
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.config import checked as checked_motion
-from tg4mm.motion.observations import frames_of
+from tg4mm.motion.observations import check_shows_motion
 from tg4mm.paper import PAPER, PAPER_TUNED, first_views, train_timesteps, train_triplane
 from tg4mm.paper.config import base_config
 from tg4mm.paper.config import checked as checked_paper
@@ -87,7 +87,7 @@ def train(
     _check(configs)
     capture = _capture(Path(dataset))
     if capture.n_timesteps > 1 and "motion" in configs:
-        frames_of(capture)  # raises where too few pictures show motion
+        check_shows_motion(capture)
     with claimed(run_path):
         return _train(Path(run_path), capture, preset, configs, device)
 

@@ -11,9 +11,10 @@ import pytest
 
 from tests.measure.filmed import BALL_SPHERE, of_parts, run_of, sine
 from tg4mm.capture import load_capture
+from tg4mm.capture.scene import codec_period
 from tg4mm.errors import CaptureError
 from tg4mm.measure import measure, parse_sensor, prepare
-from tg4mm.measure.compression import codec_period, with_sidebands
+from tg4mm.measure.compression import with_sidebands
 from tg4mm.measure.harmonics import Sideband
 from tg4mm.measure.spectrum import Peak, spectrum_of
 from tg4mm.sfm.survey import codec_period as period_of
@@ -67,14 +68,14 @@ def test_the_period_of_a_videos_frames(kinds: str, period: int | None) -> None:
 def test_a_run_knows_it_by_its_datasets_scene_json(tmp_path: Path) -> None:
     run = run_of(tmp_path, of_parts(ball=sine(4.0, [0.02, 0, 0.015])), n_timesteps=45)
     path = run.dataset / "scene.json"
-    assert codec_period(load_capture(run.dataset)) is None
+    assert codec_period(run.dataset) is None
     values = json.loads(path.read_text())
     path.write_text(json.dumps(values | {"codec_period": 4}))
     found = measure(prepare(run, keep=False), [parse_sensor(BALL_SPHERE)])["ball"]
     assert found.codec_period == 4
     assert found.spectrum.peaks[0].sideband is None
     path.write_text(json.dumps(values | {"codec_period": 250}))
-    assert codec_period(load_capture(run.dataset)) is None
+    assert codec_period(run.dataset) is None
     path.write_text(json.dumps(values | {"codec_period": "four"}))
     with pytest.raises(CaptureError, match="codec_period"):
         load_capture(run.dataset)

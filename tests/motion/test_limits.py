@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -76,3 +78,33 @@ def test_where_most_modes_are_noise_a_peak_stands_out_of_them() -> None:
     strength = noise.tolist()
     strength[7], strength[20] = 1.0, 0.2
     np.testing.assert_allclose(peaks(moving(hz, strength), 0.67), [hz[7], hz[20]])
+
+
+def test_of_few_modes_a_peak_has_more_power_than_all_noise() -> None:
+    """Twelve frames make six modes, which are no sample of the noise."""
+    hz = [2.5, 5.0, 7.5, 10.0, 12.5]
+    motion = moving(hz, [0.5, 0.6, 0.5, 0.9, 0.4])
+    noise = np.full(5, np.sqrt(sum(3 * a**2 / 2 for a in (0.5, 0.6, 0.5, 0.9, 0.4))), np.float32)
+    assert not len(peaks(motion, 2.0, noise))
+    np.testing.assert_allclose(peaks(motion, 2.0, noise / 10)[0], 10.0)
+    strong = moving(hz, [0.5, 0.6, 5.0, 0.9, 0.4])
+    np.testing.assert_allclose(peaks(strong, 2.0, noise), [7.5])
+
+
+def test_a_mode_that_noise_may_have_made_is_no_peak_of_many_either() -> None:
+    hz = np.arange(1, 21) * 0.5
+    size = np.full(20, 0.01)
+    size[[5, 11]] = 1.0, 0.2
+    motion = moving(hz.tolist(), size.tolist())
+    np.testing.assert_allclose(peaks(motion, 1.0, np.full(5, 0.02)), [hz[5], hz[11]])
+    np.testing.assert_allclose(peaks(motion, 1.0, np.full(5, 0.3)), [hz[5]])
+
+
+@pytest.mark.parametrize(
+    ("hz", "is_said"), [(7.5, True), (7.6, True), (15.0, True), (8.0, False), (3.4, False)]
+)
+def test_what_the_compression_repeats_is_said(hz: float, is_said: bool) -> None:
+    """Frames of a period of four at 30 Hz; two seconds, so that frequencies are half a hertz apart."""
+    compressed = replace(observed(30.0, 60), codec_period=4)
+    assert any("compression repeats" in n for n in frequency_notes([hz], compressed)) == is_said
+    assert not any("compression repeats" in n for n in frequency_notes([hz], observed(30.0, 60)))

@@ -11,6 +11,8 @@ from tests.motion.filmed import FPS, clips, error_of, scene
 from tg4mm.motion.checkpoints import computed
 from tg4mm.motion.clocks.independent import IndependentClocks, clock_offset, rotations
 from tg4mm.motion.config import MotionConfig
+from tg4mm.motion.jacobian.pixels import pixels_moved
+from tg4mm.motion.jacobian.view import view_jacobian
 from tg4mm.motion.modes import MotionFit
 from tg4mm.motion.pipeline import fit_motion, without_motion
 
@@ -50,7 +52,34 @@ def test_a_rig_is_told_the_offsets_of_its_clocks() -> None:
     fit = fit_motion(gaussians, clips(gaussians, motion, starts, 40, "rig"), MotionConfig(appearance=False))
     offsets = np.array(list(fit.figures["clock_offsets_s"].values()))
     assert np.abs(offsets - np.array(starts) / FPS).max() < 0.005
-    assert any("offsets" in note for note in fit.notes)
+    (note,) = [note for note in fit.notes if "offsets" in note]
+    for name, seconds in fit.figures["clock_offsets_s"].items():
+        assert f"{name} {seconds:+.4g} s" in note
+
+
+def test_a_flat_video_with_missing_frames_moves_in_its_plane_alone() -> None:
+    """Its times are uneven, so that it is fitted by sinusoids instead of components."""
+    gaussians, motion = scene(FREQUENCY)
+    whole = clips(gaussians, motion, [0.0], 60, "flat")
+    (camera,) = whole.frames
+    kept = np.delete(np.arange(60), [20, 21, 41])
+    camera = replace(camera, rows=camera.rows[kept], times_s=camera.times_s[kept])
+    fit = fit_motion(gaussians, replace(whole, frames=[camera]), MotionConfig(appearance=False))
+    assert fit.motion.freqs_hz == pytest.approx([FREQUENCY], abs=0.05)
+    along = fit.motion.displacement @ camera.viewmat[2, :3]
+    assert np.abs(along).max() < 1e-6 * np.abs(fit.motion.displacement).max()
+    assert any("across the sight alone" in note for note in fit.notes)
+    assert fit.figures["duration_s"] == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("amplitude", [0.0005, 0.01])
+def test_the_pixels_that_things_move_by_are_told_of_any_motion(amplitude: float) -> None:
+    gaussians, motion = scene(FREQUENCY, amplitude)
+    seen = replace(clips(gaussians, motion, [0.0] * 6, 40, "rig"), clock="synchronous")
+    views = [view_jacobian(gaussians, frames, seen.size) for frames in seen.frames]
+    true = pixels_moved(views, np.abs(motion.displacement).astype(np.float32)).max()
+    fit = fit_motion(gaussians, seen, MotionConfig(appearance=False))
+    assert fit.figures["pixels_moved"] == pytest.approx(true, rel=0.5)
 
 
 def test_noise_alone_is_no_motion() -> None:

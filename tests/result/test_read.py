@@ -142,6 +142,16 @@ def test_without_uncertainty_no_deviation_is_made_up(run: Run, tmp_path: Path) -
     assert "how sure the amplitudes are" in "\n".join(found.cannot)
 
 
+def test_what_is_smaller_than_its_own_deviation_is_no_vibration(run: Run, tmp_path: Path) -> None:
+    copy = moved(run, tmp_path)
+    parts, _ = copy.load_part(UNCERTAINTY)
+    large = torch.full_like(parts["displacement"], 3 * AMPLITUDE)
+    copy.save_part(UNCERTAINTY, parts | {"displacement": large})
+    found = result_of(copy)
+    assert found.vibrations == ()
+    assert found.band is None
+
+
 @pytest.mark.parametrize("hz", [2.0, 2.4])
 def test_a_strong_drift_is_no_vibration_and_is_said(run: Run, tmp_path: Path, hz: float) -> None:
     """Ten times as strong as the vibrations; a record of one second holds fewer than two and a half periods of it."""

@@ -13,6 +13,7 @@ from tg4mm.capture.timing import CLOCKS, KINDS
 from tg4mm.errors import CaptureError
 
 FORMAT_VERSION = 1
+LONGEST_CODEC_PERIOD = 8  # frames; of a longer one, as between key frames, every frequency is near a multiple
 _FASTEST = 1e9  # Hz
 # Keys that nothing here needs but others read: their type is checked, null counts as absent.
 _NUMBERS = ("frequency_hz", "amplitude", "pixels_per_unit")
@@ -37,6 +38,12 @@ class Scene:
     kind: str = ""  # one of KINDS; "" if it does not say
     clocks: str = ""  # one of CLOCKS; "" if it does not say
     values: dict[str, Any] = field(default_factory=dict)
+
+
+def codec_period(root: Path) -> int | None:
+    """Frames, as `tg4mm sfm` found it in the video; None for pictures, and where a video has no such period."""
+    period = read_scene(root, needs_fps=False).values.get("codec_period")
+    return int(period) if period and 2 <= period <= LONGEST_CODEC_PERIOD else None
 
 
 def read_scene(root: Path, needs_fps: bool) -> Scene:

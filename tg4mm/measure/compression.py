@@ -11,19 +11,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from tg4mm.capture import Capture
-from tg4mm.capture.scene import read_scene
 from tg4mm.measure.harmonics import NEAR, SURE, Sideband, seen_at
 from tg4mm.measure.spectrum import Peak, size_of
 
 WEAKER = 4.0  # times weaker than the vibration that it comes of, at least
-LONGEST = 8  # frames of a period: of a longer one, as between key frames, every frequency is near a multiple
-
-
-def codec_period(capture: Capture) -> int | None:
-    """Frames, as `tg4mm sfm` found it in the video; None for pictures, and where a video has no such period."""
-    period = read_scene(capture.root, needs_fps=False).values.get("codec_period")
-    return int(period) if period and 2 <= period <= LONGEST else None
 
 
 def with_sidebands(

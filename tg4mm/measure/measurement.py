@@ -8,9 +8,9 @@ from itertools import count
 
 import numpy as np
 
+from tg4mm.capture.scene import codec_period
 from tg4mm.measure.clips import ClipPhases, KnownPhases, Together, together
 from tg4mm.measure.clusters import Clusters, clusters_of
-from tg4mm.measure.compression import codec_period
 from tg4mm.measure.errors import MeasureError
 from tg4mm.measure.limits import limits_of
 from tg4mm.measure.locate import OF_ONE_CAMERA, body_of, sight_axes, weights_of
@@ -179,7 +179,7 @@ def _result(
     frames = scene.observations.frames
     scales = [_px_per_unit(f, body.centre) for f in frames]
     best = int(np.argmax(scales))
-    period = codec_period(scene.capture)
+    period = codec_period(scene.capture.root)
     return SensorResult(sensor, body, tuple(series), scales[best], frames[best].name, clips, period)
 
 

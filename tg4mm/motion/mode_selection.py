@@ -26,14 +26,16 @@ _STANDS_OUT = 4.0  # robust deviations of its logarithm
 _APART = 1 + 1e-6  # neighbouring bins, whose distance is rounded, are not apart
 
 
-def peaks(motion: ModalMotion, lowest_hz: float) -> np.ndarray:
+def peaks(motion: ModalMotion, lowest_hz: float, noise: np.ndarray | None = None) -> np.ndarray:
     """[K] Hz by falling strength: modes with two periods in the record, no weaker than 3 % of the strongest.
 
     Below half the frame rate, where cosine and sine cannot be told apart.
     Of many modes most are noise: then a peak is six times the median one too. And a drift, which is spread over
     frequencies, has no peak: one is three times what rms falls to with frequency, and four robust deviations above it.
     A frequency counts once, by its strongest mode: what lies within half the lowest frequency of a stronger mode is its
-    flank, or that of a drift.
+    flank, or that of a drift. Where `noise` [N] is known (standard deviation of each Gaussian's displacement, scene
+    units), no mode is a peak that may be noise: of few modes, which have no floor of their own, one is to have more
+    power than all noise.
     """
     rms = np.sqrt((np.abs(motion.displacement) ** 2).sum(2).mean(1)) if len(motion.freqs_hz) else np.zeros(0)
     is_able = motion.freqs_hz >= lowest_hz
@@ -43,12 +45,15 @@ def peaks(motion: ModalMotion, lowest_hz: float) -> np.ndarray:
         floor, spread = log_floor(able, motion.freqs_hz[is_able], np.ones(len(able), bool))
         trend = np.exp(floor + max(_STANDS_OUT * spread, np.log(_ABOVE_TREND)))
         least[is_able] = np.maximum(trend, np.maximum(least[is_able], _ABOVE_FLOOR * float(np.median(able))))
+    elif noise is not None:
+        least = np.maximum(least, np.sqrt(2 * _usual_power(noise)))
     strongest_first = np.argsort(rms)[::-1]
     hz = np.asarray(motion.freqs_hz, np.float64)[strongest_first]
     apart = _APART * lowest_hz / 2
     is_top = np.array([(np.abs(hz[:i] - f) > apart).all() for i, f in enumerate(hz)], bool)
     is_between = (hz >= lowest_hz) & (hz < _HIGHEST * motion.fps / 2)
-    return hz[is_top & (rms >= least)[strongest_first] & is_between]
+    is_peak = (rms >= least) & worth_keeping(motion, noise)
+    return hz[is_top & is_peak[strongest_first] & is_between]
 
 
 def frequency_notes(hz: Sequence[float] | np.ndarray, observations: Observations) -> list[str]:
@@ -62,6 +67,13 @@ def frequency_notes(hz: Sequence[float] | np.ndarray, observations: Observations
                 out.append(
                     f"{f:.4g} Hz is where light that flickers at {mains:g} Hz appears at {fps:.4g} frames/s: "
                     "switch the light off, or change the frame rate, to tell it from motion"
+                )
+        period = observations.codec_period or 1
+        for k in range(1, period // 2 + 1):
+            if abs(f - k * fps / period) < resolution / 2:
+                out.append(
+                    f"{f:.4g} Hz is what the video's compression repeats ({k} × {fps:.4g} Hz / {period} frames): "
+                    "a video of less compression, or of another frame rate, tells it from motion"
                 )
         if f > _NEAR_NYQUIST * fps / 2:
             out.append(
@@ -87,12 +99,17 @@ def worth_keeping(motion: ModalMotion, noise: np.ndarray | None) -> np.ndarray:
     total = float(power[oscillates].sum())
     allowed = _OF_MOTION * total
     if noise is not None and len(noise):
-        usual = np.minimum(noise, np.percentile(noise, _STRAY)).astype(np.float64)
-        allowed = max(_ROUNDING * total, float((usual**2).mean()))
+        allowed = max(_ROUNDING * total, _usual_power(noise))
     weakest = np.flatnonzero(oscillates)[np.argsort(power[oscillates], kind="stable")]
     keep = np.full(len(power), True)
     keep[weakest[np.cumsum(power[weakest]) <= allowed]] = False
     return keep
+
+
+def _usual_power(noise: np.ndarray) -> float:
+    """Mean square of noise [N], stray Gaussians held to what the others have."""
+    usual = np.minimum(noise, np.percentile(noise, _STRAY)).astype(np.float64)
+    return float((usual**2).mean())
 
 
 def mode_deviations(motion: ModalMotion, deviation: np.ndarray, noise: np.ndarray) -> np.ndarray:

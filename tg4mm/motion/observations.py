@@ -12,6 +12,7 @@ import numpy as np
 
 from tg4mm.capture import Capture, ImageStack
 from tg4mm.capture.pictures import FilePictures, Pictures, over_white, pictures_of
+from tg4mm.capture.scene import codec_period
 from tg4mm.errors import CaptureError
 from tg4mm.progress import progress
 
@@ -21,7 +22,8 @@ _CLOCK = (
 )
 _AT_ONCE = 8  # whole pictures in memory
 _FEWEST = 8  # pictures of a moving camera
-_PERIODS = 2.0  # of the lowest frequency that a record must hold
+PERIODS = 2.0  # in the record, of the lowest frequency that a fit may hold
+TOLD_PERIODS = 2.5  # of one that is told from a drift
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,7 @@ class Observations:
     fps: float  # Hz
     n_timesteps: int
     is_whole: bool  # no other pictures made the scene at rest
+    codec_period: int | None = None  # frames, of the video's compression
 
     @property
     def size(self) -> tuple[int, int]:
@@ -66,6 +69,11 @@ class Observations:
         return bool((raw(slice(None))[..., 3] == self.pictures.maximum).all())
 
     @property
+    def is_flat(self) -> bool:
+        """Whether one camera is all there is: it shows motion across its sight alone."""
+        return self.kind == "flat"
+
+    @property
     def duration_s(self) -> float:
         """Of the longest record of one clock."""
         if self.clock == "moving":
@@ -76,7 +84,7 @@ class Observations:
     @property
     def lowest_hz(self) -> float:
         """The lowest frequency of which the record holds two periods."""
-        return _PERIODS / self.duration_s
+        return PERIODS / self.duration_s
 
 
 def observe(capture: Capture, images: ImageStack | FilePictures) -> Observations:
@@ -89,7 +97,19 @@ def observe(capture: Capture, images: ImageStack | FilePictures) -> Observations
         )
     is_whole = sum(len(f.rows) for f in frames) == len(capture)
     of_time = capture.fps, capture.n_timesteps
-    return Observations(capture.kind, clock, frames, pictures_of(images), *of_time, is_whole)
+    period = codec_period(capture.root)
+    return Observations(capture.kind, clock, frames, pictures_of(images), *of_time, is_whole, period)
+
+
+def check_shows_motion(capture: Capture) -> None:
+    """Raise CaptureError where pictures are too few (`frames_of`), or too short a record to tell any frequency."""
+    clock, frames = frames_of(capture)
+    longest = max(len(f.rows) for f in frames)
+    if clock != "moving" and longest <= 2 * TOLD_PERIODS:
+        raise CaptureError(
+            f"{capture.root}: a camera holds {longest} pictures over time, too few to tell any frequency below half "
+            f"the frame rate; expected {int(2 * TOLD_PERIODS) + 1} or more, better several periods of the vibration"
+        )
 
 
 def frames_of(capture: Capture) -> tuple[str, list[PosedFrames]]:

@@ -70,6 +70,8 @@ def _fitted(clock: Clock, parts: Parts) -> MotionFit:
     clock = clock.completed(hyper, parts)
     folds, gradients = _linear_fit(clock, hyper, parts)
     clock, folds = clock.settled(folds)
+    if clock.observations.is_flat:
+        folds = in_plane(folds, clock.observations.frames[0].viewmat[2, :3])
     if not folds.shape[1]:
         return without_motion(clock)
     fields, reliability = wiener_shrink(folds)
@@ -149,8 +151,18 @@ def _remainder(clock: Clock, fields: np.ndarray) -> Remainder:
 
 def _can_iterate(clock: Clock) -> bool:
     """Gauss-Newton is for several synchronous cameras, or one beside pictures of the scene from elsewhere."""
-    is_flat = clock.observations.kind == "flat"
-    return isinstance(clock, Synchronous) and not is_flat and clock.config.gauss_newton > 0
+    return isinstance(clock, Synchronous) and not clock.observations.is_flat and clock.config.gauss_newton > 0
+
+
+def in_plane(fields: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Fields [..., N, 6] in the plane across `normal` [3]: displacement within it, rotation about it.
+
+    For a flat capture, whose one camera shows nothing of the rest.
+    """
+    out = fields.copy()
+    out[..., :3] -= (fields[..., :3] @ normal)[..., None] * normal
+    out[..., 3:] = (fields[..., 3:] @ normal)[..., None] * normal
+    return out
 
 
 def _judged(clock: Clock) -> list[int]:
@@ -178,7 +190,7 @@ def _uncertainty(
     problem = clock.problem
     if len(estimate.folds) < 2:
         return None
-    if len(problem.views) >= LEAST or clock.observations.kind == "flat":
+    if len(problem.views) >= LEAST or clock.observations.is_flat:
         return of_halves(estimate, clock.n_frames)
     small, weights = coarser(problem, clock.observations.frames, hyper.pixel_weights)
     operator = small.on_cpu(small.everything, weights, hyper.smoothness_weight)
@@ -195,25 +207,28 @@ def _result(
 ) -> MotionFit:
     """With what is logged, and what cannot be told."""
     observations, notes = clock.observations, [*clock.notes]
+    if observations.is_flat:
+        notes.append("a flat capture shows motion across the sight alone, in pixels of its picture")
     pixels = figures["pixels_moved"]
-    if pixels > ABOVE_PX and (not isinstance(clock, Synchronous) or observations.kind == "flat"):
+    if pixels > ABOVE_PX and (not isinstance(clock, Synchronous) or observations.is_flat):
         notes.append(
             f"things move by {pixels:.2g} px, more than the {ABOVE_PX} px that such a capture is fitted for: "
             "amplitudes come out too small"
         )
     if uncertainty is not None:
         figures, notes = figures | uncertainty.figures, [*notes, *uncertainty.notes]
-    hz = clock.peaks_hz(motion)
+    arrays = {} if uncertainty is None else uncertainty.arrays
+    hz = clock.peaks_hz(motion, arrays.get("noise"))
     figures = {
         "iterations": clock.config.iterations,
         "smoothness_weight": hyper.smoothness_weight,
         "views": len(clock.problem.views),
+        "duration_s": round(observations.duration_s, 6),
         **clock.figures,
         "n_frequencies": len(motion.freqs_hz),
         "frequencies_hz": [round(float(f), 4) for f in hz],
         **figures,
     }
-    arrays = {} if uncertainty is None else uncertainty.arrays
     return MotionFit(clock.gaussians, motion, arrays, figures, [*notes, *frequency_notes(hz, observations)])
 
 

@@ -14,7 +14,7 @@ from tg4mm.errors import RunError
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.mode_selection import mode_deviations, peaks, worth_keeping
 from tg4mm.motion.modes import ModalMotion
-from tg4mm.motion.observations import frames_of
+from tg4mm.motion.observations import PERIODS, TOLD_PERIODS, frames_of
 from tg4mm.motion.phasors import peak_displacement, scale_top
 from tg4mm.result.advice import next_command, suggested_alpha
 from tg4mm.result.bands import suggested_bands
@@ -26,8 +26,6 @@ from tg4mm.result.seen import Seen, seen_by
 from tg4mm.run import UNCERTAINTY, Run
 from tg4mm.run.checks import check_times
 
-_FIT_PERIODS = 2.0  # of a frequency that a fit may hold, in the record
-_PERIODS = 2.5  # of one that is told from a drift
 _SURE = 2.0  # deviations that a frequency is from 0 Hz, else it is a drift
 _LARGEST = 0.99  # of the weight of what is seen lies below the amplitude that is named, as in pixels
 _HELD_STILL = 1e-6  # of the largest noise: less is of Gaussians that the fit holds still
@@ -63,6 +61,13 @@ class Reading:
     capture: Capture | None  # None: the dataset is gone
     uncertainty: dict[str, np.ndarray]  # {}: the run does not say it
 
+    @property
+    def duration_s(self) -> float:
+        """Of the record, frames that are missing among it. 0 for a run without motion."""
+        if self.motion is None:
+            return 0.0
+        return float(self.log.get("duration_s") or self.motion.n_timesteps / self.motion.fps)
+
     @cached_property
     def seen(self) -> Seen:
         return seen_by(self.gaussians, self.capture)
@@ -75,7 +80,7 @@ class Reading:
         seen = self.seen
         sinusoids = self._sinusoids(motion, seen)
         vibrations = self._vibrations(
-            motion, seen, {f: t for f, t in sinusoids.items() if not _is_drift(f, t, motion)}
+            motion, seen, {f: t for f, t in sinusoids.items() if not _is_drift(f, t, self.duration_s)}
         )
         noise, noise_px = self._noise(seen)
         low, high = vibrations[0].band if vibrations else (0.0, 0.0)
@@ -94,7 +99,7 @@ class Reading:
             noise=noise,
             noise_px=noise_px,
             agreement=tuple(float(r) for r in self.log.get("reliability", ())),
-            cannot=(*_drifts(sinusoids, motion), *self._cannot(motion, vibrations)),
+            cannot=(*_drifts(sinusoids, self.duration_s), *self._cannot(motion, vibrations)),
             alpha=alpha,
             next_command=next_command(self.run, self.capture, vibrations, alpha),
         )
@@ -121,15 +126,13 @@ class Reading:
 
     def _sinusoids(self, motion: ModalMotion, seen: Seen) -> dict[float, DampedSinusoid]:
         """Of every peak, drifts among them, by falling strength."""
-        known = worth_keeping(motion, self.uncertainty.get("noise"))
-        lowest_hz = _FIT_PERIODS * motion.fps / motion.n_timesteps
-        hz = [float(f) for f in peaks(motion, lowest_hz) if known[_index(motion, f)]]
+        hz = [float(f) for f in peaks(motion, PERIODS / self.duration_s, self.uncertainty.get("noise"))]
         return {f: self._sinusoid(motion, seen, f, np.array(hz)) for f in hz}
 
     def _vibrations(
         self, motion: ModalMotion, seen: Seen, sinusoids: dict[float, DampedSinusoid]
     ) -> tuple[Vibration, ...]:
-        hz, duration = list(sinusoids), motion.n_timesteps / motion.fps
+        hz, duration = list(sinusoids), self.duration_s
         bands = suggested_bands(
             hz, [sinusoid.deviation_hz for sinusoid in sinusoids.values()], duration, motion.fps
         )
@@ -142,6 +145,8 @@ class Reading:
             amplitude, place = self._largest(
                 motion.displacement[k], seen, None if deviations is None else deviations[k]
             )
+            if amplitude.deviation is not None and amplitude.value < amplitude.deviation:
+                continue  # as large as its own error
             out.append(
                 Vibration(
                     hz=f,
@@ -211,11 +216,11 @@ class Reading:
         return reach_of(self.gaussians, self.motion, self.seen, noise_px, gains * told, is_decoded)
 
     def _cannot(self, motion: ModalMotion, vibrations: tuple[Vibration, ...]) -> tuple[str, ...]:
-        duration = motion.n_timesteps / motion.fps
+        duration = self.duration_s
         out = list(self.log.get("notes", ()))
         out.append(
-            f"frequencies under {_PERIODS / duration:.3g} Hz, from {motion.fps / 2:.4g} Hz on, and two that are nearer "
-            f"than {1 / duration:.3g} Hz: the record covers {duration:.3g} s at {motion.fps:.4g} Hz"
+            f"frequencies under {TOLD_PERIODS / duration:.3g} Hz, from {motion.fps / 2:.4g} Hz on, and two that are "
+            f"nearer than {1 / duration:.3g} Hz: the record covers {duration:.3g} s at {motion.fps:.4g} Hz"
         )
         if "along_sight" in self.uncertainty and vibrations:
             out.append(
@@ -253,20 +258,19 @@ def series_of(motion: ModalMotion, phasors: np.ndarray, weights: np.ndarray) -> 
     return np.asarray((along[:, None] * gains).real.sum(0))
 
 
-def _is_drift(hz: float, sinusoid: DampedSinusoid, motion: ModalMotion) -> bool:
+def _is_drift(hz: float, sinusoid: DampedSinusoid, duration_s: float) -> bool:
     """Whether the record holds too little of a frequency to tell it from a slow drift."""
-    return hz * motion.n_timesteps / motion.fps < _PERIODS or hz < _SURE * sinusoid.deviation_hz
+    return hz * duration_s < TOLD_PERIODS or hz < _SURE * sinusoid.deviation_hz
 
 
-def _drifts(sinusoids: dict[float, DampedSinusoid], motion: ModalMotion) -> list[str]:
+def _drifts(sinusoids: dict[float, DampedSinusoid], duration_s: float) -> list[str]:
     """A line on the strongest peak that is taken for a drift."""
     for f, sinusoid in sinusoids.items():
-        if _is_drift(f, sinusoid, motion):
+        if _is_drift(f, sinusoid, duration_s):
             shown = with_deviation(Length(f, sinusoid.deviation_hz))
-            periods = f * motion.n_timesteps / motion.fps
             return [
-                f"whether something vibrates at {shown} Hz or drifts: the record holds {periods:.2g} periods of it; "
-                "a longer one tells"
+                f"whether something vibrates at {shown} Hz or drifts: the record holds {f * duration_s:.2g} periods of "
+                "it; a longer one tells"
             ]
     return []
 

@@ -10,12 +10,12 @@ from tg4mm.errors import Tg4mmError
 from tg4mm.magnify.bands import Magnification
 from tg4mm.magnify.poses import method_of
 from tg4mm.motion.mode_selection import worth_keeping
+from tg4mm.motion.observations import PERIODS
 from tg4mm.result.model import Band, Result
 from tg4mm.result.reach import NOISE_PX, TURN, Reach
 from tg4mm.result.read import reading_of, result_of
 from tg4mm.run import Run
 
-_PERIODS = 2.0  # that the record must hold of a band's highest frequency
 _LISTED = 8  # modes
 _LET_THROUGH = 0.05  # of a filter's response: less counts as outside the band
 
@@ -60,7 +60,7 @@ def refuse_empty(run: Run, plan: Magnification) -> None:
 
 
 def _refuse_too_slow(plan: Magnification, duration_s: float) -> None:
-    lowest = _PERIODS / duration_s
+    lowest = PERIODS / duration_s
     for band in plan.bands:
         if band.high < lowest:
             raise Tg4mmError(

@@ -82,5 +82,5 @@ class Clock(ABC):
         """The modes of fields [R, N, 6], and of changes of colour [R, N, K, 3] that go with them."""
 
     @abstractmethod
-    def peaks_hz(self, motion: ModalMotion) -> np.ndarray:
-        """Frequencies of the motion's peaks, by falling strength."""
+    def peaks_hz(self, motion: ModalMotion, noise: np.ndarray | None) -> np.ndarray:
+        """Frequencies of the motion's peaks, by falling strength. noise [N]: `uncertainty.of_halves`, or None."""

@@ -59,19 +59,15 @@ class IndependentClocks(Steady):
         problem = seen.problem(config, device)
         series = region_series(seen, problem, parts)
         found = frequencies_of(observations, series, LEAST, 0.0)
-        figures, notes = {**seen.figures, **frequency_figures(found)}, [*seen.notes]
+        figures = {**seen.figures, **frequency_figures(found)}
         targets, mixing = no_targets(observations), list[np.ndarray]()
         phases = np.zeros((len(series), 0))
         if len(found.hz):
             targets, mixing = sinusoid_targets(observations, seen.look, seen.nuisances, found.hz)
             phases = region_phases(series, found.hz, config.seed)
-        if observations.kind == "rig":
-            notes.append(
-                "the cameras' clocks are not synchronous: their offsets were found from the vibration"
-            )
         folds = folds_of(len(seen.views), observations.size, False, config.split_half)
         clock = IndependentClocks(
-            seen.gaussians, observations, problem, targets, folds, config, figures, notes, found,
+            seen.gaussians, observations, problem, targets, folds, config, figures, seen.notes, found,
             scale_of(observations), mixing, phases,
         )  # fmt: skip
         return clock.with_phases(phases)
@@ -119,11 +115,17 @@ class IndependentClocks(Steady):
         return out - out[:1]
 
     def settled(self, folds: np.ndarray) -> tuple[IndependentClocks, np.ndarray]:
-        """And the phases of the frequencies that are kept, in figures."""
+        """And the phases of the frequencies that are kept, in figures; of a rig its offsets, in a note."""
         clock, kept = super().settled(folds)
         phases = self.phases[:, np.isin(self.hz, clock.hz)]
         figures = _phase_figures(self.observations, phases, clock.hz) if len(clock.hz) else {}
-        return replace(clock, phases=phases, figures=clock.figures | figures), kept
+        notes = [*clock.notes]
+        if offsets := figures.get("clock_offsets_s"):
+            named = ", ".join(f"{name} {seconds:+.4g} s" for name, seconds in offsets.items())
+            notes.append(
+                f"the cameras' clocks are not synchronous; their offsets, found from the vibration: {named}"
+            )
+        return replace(clock, phases=phases, figures=clock.figures | figures, notes=notes), kept
 
 
 def scale_of(observations: Observations) -> float:

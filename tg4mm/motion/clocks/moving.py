@@ -37,7 +37,7 @@ from tg4mm.motion.solver.operator import Fold
 from tg4mm.motion.solver.problem import Problem
 from tg4mm.motion.split_half import folds_of
 from tg4mm.progress import progress
-from tg4mm.room import room
+from tg4mm.room import release, room
 
 _ROUNDS = 3  # of poses and refining, at most
 _STILL_PX = 0.05  # rms correction of the poses below which another round brings nothing
@@ -294,9 +294,10 @@ def _refined(
 ) -> Gaussians:
     """The Gaussians refined on all frames, whose exposure is taken out."""
     width, height = observations.size
-    pictures = np.empty((len(observations.frames), 1, height, width, 3), np.float32)
+    pictures = room((len(observations.frames), 1, height, width, 3))
     for k, picture in enumerate(pictures_of(observations)):
         pictures[k, 0] = (picture - exposures[k, 3:]) / (1 + exposures[k, :3])
+        release(pictures)
     motions = np.zeros((1, len(gaussians), 6), np.float32)
     seen = MovedPictures(observations.frames, pictures, motions, np.zeros(1, np.int64))
     iterations = int(np.clip(4 * len(observations.frames), 300, 1500))

@@ -60,7 +60,7 @@ class Steady(Clock):
         """Of the strongest frequency."""
         return float(np.hypot(*pixels_moved(self.problem.views, fields[:2, :, :3] * np.float32(self.scale))))
 
-    def peaks_hz(self, motion: ModalMotion) -> np.ndarray:
+    def peaks_hz(self, motion: ModalMotion, noise: np.ndarray | None) -> np.ndarray:
         return self.hz
 
     def motion(self, fields: np.ndarray, appearance: np.ndarray | None) -> ModalMotion:

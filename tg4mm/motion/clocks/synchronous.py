@@ -17,6 +17,7 @@ from tg4mm.motion.checkpoints import Parts
 from tg4mm.motion.clocks import Clock
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.hyperparameters import Hyperparameters
+from tg4mm.motion.jacobian.pixels import pixels_moved
 from tg4mm.motion.mode_selection import peaks
 from tg4mm.motion.modes import AppearanceModes, ModalMotion
 from tg4mm.motion.nuisance.first_look import FirstLook, look_at
@@ -26,13 +27,13 @@ from tg4mm.motion.solver.operator import Fold
 from tg4mm.motion.solver.problem import Problem
 from tg4mm.motion.spectrum import apply_series, modes_of
 from tg4mm.motion.split_half import folds_of
-from tg4mm.motion.states import states_moved
 from tg4mm.motion.targets import TargetImages, projected
 
 _RELATIVE_FLOOR = 1e-5  # of the first component's energy: below it is rounding
 _NOISE_FACTOR = 2.0  # times the energy of the weakest components: below it is noise, at most
 _MARGIN = 1.1
 _RANK_FOR_NOISE = 7
+_LARGEST = 24  # timesteps whose motion is looked at
 _ROUNDING = 1e-7  # of the first component's energy: what sums in float32 leave of nothing
 
 
@@ -50,12 +51,9 @@ class Synchronous(Clock):
         seen = look_at(gaussians, observations, config, device, parts)
         targets = principal_components(seen.observations, seen.look, seen.nuisances, config.components)
         folds = folds_of(len(seen.views), observations.size, False, config.split_half)
-        notes = [*seen.notes]
-        if observations.kind == "flat":
-            notes.append("a flat capture shows motion across the sight alone, in pixels of its picture")
         return Synchronous(
             seen.gaussians, seen.observations, seen.problem(config, device), targets, folds, config,
-            seen.figures, notes, np.arange(len(targets.basis)),
+            seen.figures, seen.notes, np.arange(len(targets.basis)),
         )  # fmt: skip
 
     @property
@@ -80,13 +78,14 @@ class Synchronous(Clock):
         return replace(self, fitted=hyper.signal, figures=self.figures | figures)
 
     def settled(self, folds: np.ndarray) -> tuple[Synchronous, np.ndarray]:
-        """Of a flat capture the motion in the plane that its one camera sees."""
-        if self.observations.kind != "flat":
-            return self, folds
-        return self, in_plane(folds, self.observations.frames[0].viewmat[2, :3])
+        return self, folds
 
     def pixels_moved(self, fields: np.ndarray) -> float:
-        return states_moved(self.problem.views, self.basis, fields, self.observations.size)[1]
+        """At the timesteps at which it is largest."""
+        views, displacement = self.problem.views, fields[..., :3]
+        sizes = np.linalg.norm(self.basis.T * pixels_moved(views, displacement), axis=1)
+        gains = self.basis.T[np.argsort(sizes)[-_LARGEST:]]
+        return float(pixels_moved(views, np.tensordot(gains, displacement, 1).astype(np.float32)).max())
 
     def motion(self, fields: np.ndarray, appearance: np.ndarray | None) -> ModalMotion:
         fps, n_timesteps = self.observations.fps, self.observations.n_timesteps
@@ -97,19 +96,8 @@ class Synchronous(Clock):
             shown = AppearanceModes(appearance[rows], series[:, rows])
         return ModalMotion(freqs, values[..., :3], values[..., 3:], fps, n_timesteps, appearance=shown)
 
-    def peaks_hz(self, motion: ModalMotion) -> np.ndarray:
-        return peaks(motion, self.observations.lowest_hz)
-
-
-def in_plane(fields: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Fields [..., N, 6] in the plane across `normal` [3]: displacement within it, rotation about it.
-
-    For a flat capture, whose one camera shows nothing of the rest.
-    """
-    out = fields.copy()
-    out[..., :3] -= (fields[..., :3] @ normal)[..., None] * normal
-    out[..., 3:] = (fields[..., 3:] @ normal)[..., None] * normal
-    return out
+    def peaks_hz(self, motion: ModalMotion, noise: np.ndarray | None) -> np.ndarray:
+        return peaks(motion, self.observations.lowest_hz, noise)
 
 
 def principal_components(

@@ -94,7 +94,7 @@ def stabilised(
 
     def compute() -> Arrays:
         turns = camera_turns(observations)
-        if not refines or not observations.is_whole or observations.kind == "flat":
+        if not refines or not observations.is_whole or observations.is_flat:
             return {"turns": turns}
         sharper = _refined(gaussians, registered(observations, turns), config.seed, device)
         return {"turns": turns, **arrays_of(sharper)}
