@@ -25,12 +25,31 @@ def room(
     folder: Path | None = None,
     in_memory: int | None = None,
 ) -> np.ndarray:
-    """Zeros [*shape], in memory up to `in_memory` bytes (`IN_MEMORY`), else in a file of `folder`."""
+    """Zeros [*shape], in memory up to `in_memory` bytes (`IN_MEMORY`), else in a file of `folder`.
+
+    Raises OSError, with the folder, where the disk has no room for it.
+    """
     size = int(np.prod(shape)) * np.dtype(dtype).itemsize
     if size <= (IN_MEMORY if in_memory is None else in_memory):
         return np.zeros(shape, dtype)
-    with tempfile.TemporaryFile(dir=folder or _folder(), prefix=".tg4mm") as file:
+    where = folder or _folder() or Path(tempfile.gettempdir())
+    with tempfile.TemporaryFile(dir=where, prefix=".tg4mm") as file:
+        reserve(file.fileno(), size, where)
         return np.asarray(np.memmap(file, dtype, "w+", shape=shape))
+
+
+def reserve(descriptor: int, size: int, where: Path) -> None:
+    """Give an open file its `size` bytes on disk. Raises OSError, which names `where`, if there is no room.
+
+    A file that is mapped without them kills the process where the disk turns out to be full (SIGBUS).
+    """
+    if not hasattr(os, "posix_fallocate"):
+        return
+    try:
+        os.posix_fallocate(descriptor, 0, size)
+    except OSError as error:
+        message = f"{error.strerror} for {size / 2**20:,.0f} MiB of temporary arrays"
+        raise OSError(error.errno, message, str(where)) from None
 
 
 def release(array: np.ndarray) -> None:

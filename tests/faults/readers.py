@@ -504,6 +504,45 @@ def _read_video(root: Path) -> None:
         pass
 
 
+def _photograph(suffix: str) -> Callable[[Path], Path]:
+    def make(root: Path) -> Path:
+        from PIL import Image
+
+        pixels = np.random.default_rng(0).integers(0, 256, (8, 12, 3), np.uint8)
+        exif = Image.Exif()
+        exif[0x0112] = 6  # a quarter turn
+        Image.fromarray(pixels).save(root / f"a{suffix}", exif=exif)
+        return root / f"a{suffix}"
+
+    return make
+
+
+def _read_photograph(root: Path) -> None:
+    from tg4mm.sfm.staging import exif_turns
+
+    exif_turns(next(root.glob("a.*")))
+
+
+def _read_rendered(root: Path) -> None:
+    from tg4mm.render.frames import read_png
+
+    read_png(root / "a.png")
+
+
+def _sensors(root: Path) -> Path:
+    path = root / "sensors.yaml"
+    path.write_text(
+        "sensors:\n- {name: tip, sphere: [0, 0, 1.2, 0.1]}\n- {name: wall, pixel: [cam, 32, 9, 12]}\n"
+    )
+    return path
+
+
+def _read_sensors(root: Path) -> None:
+    from tg4mm.measure.sensors import read_sensors
+
+    read_sensors(root / "sensors.yaml")
+
+
 def _weights(suffix: str) -> Callable[[Path], Path]:
     def make(root: Path) -> Path:
         import torch
@@ -573,5 +612,9 @@ READERS: dict[str, Reader] = {
     "sfm survey": Reader(_record("a.json", SURVEY, "survey"), _read_survey, of_json),
     "sfm request.json": Reader(_request, _read_request, of_json),
     "sfm scene.json": Reader(_finished, _read_request, of_json),
+    "sfm photograph, PNG": Reader(_photograph(".png"), _read_photograph, of_png),
+    "sfm photograph, JPEG with EXIF": Reader(_photograph(".jpg"), _read_photograph, of_bytes),
+    "rendered picture": Reader(_photograph(".png"), _read_rendered, of_png),
+    "sensors YAML": Reader(_sensors, _read_sensors, of_text),
     "sfm video": Reader(_video, _read_video, of_bytes),
 }

@@ -21,6 +21,7 @@ from tests.faults.readers import READERS
 from tg4mm.errors import RunError
 from tg4mm.files import write_json
 from tg4mm.render.video import write_mp4
+from tg4mm.room import room
 from tg4mm.run import Run
 
 
@@ -101,6 +102,16 @@ def test_what_was_there_stays_whole(disk: Callable[[int], Path]) -> None:
     assert kept[1] == {"iteration": 1}
     assert sorted(os.listdir(folder)) == ["a.json", "filler", "run"]
     assert sorted(os.listdir(folder / "run")) == ["checkpoint_space.safetensors", "config.json"]
+
+
+def test_temporary_arrays_are_refused_before_they_are_written(disk: Callable[[int], Path]) -> None:
+    """A mapped file that finds no room on its disk ends the process by a signal."""
+    folder = disk(256)
+    with pytest.raises(OSError, match=r"No space left[^\n]*temporary arrays") as refused:
+        room((1 << 20,), folder=folder, in_memory=0)
+    assert str(folder) in str(refused.value)
+    assert os.listdir(folder) == []
+    assert room((1 << 14,), folder=folder, in_memory=0).sum() == 0
 
 
 def test_the_generator_leaves_no_temporary_file(disk: Callable[[int], Path]) -> None:

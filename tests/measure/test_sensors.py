@@ -71,8 +71,11 @@ def test_a_file_of_sensors(tmp_path: Path) -> None:
         ("- {name: tip, sphere: [1, 2, 3, 4], colour: red}", "'colour' is unknown"),
         ("- [1, 2]", "is no mapping"),
         ("- {name: a, all: true}\n- {name: A, all: true}", "two sensors are called 'A'"),
-        ("- {name: tip, sphere: [1, 2", "is no YAML"),
-        ("- !!python/object/apply:os.getcwd []", "is no YAML"),
+        ("- {name: tip, sphere: [1, 2", "is not YAML"),
+        ("- !!python/object/apply:os.getcwd []", "tag"),
+        ('- {name: tip, all: !!bool "foo"}', "tag"),
+        (f"- {'[' * 3000}{']' * 3000}", "nested more than"),
+        (f"- [{', '.join(['long'] * 3000)}]", "… is no mapping"),
     ],
 )
 def test_a_file_that_is_wrong_says_where(tmp_path: Path, text: str, words: str) -> None:

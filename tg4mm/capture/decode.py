@@ -19,7 +19,7 @@ THREADS = min(8, os.cpu_count() or 1)
 FORMATS = ("PNG", "JPEG")
 MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA")  # Pillow's names; CMYK and others are refused
 # What Pillow raises on a damaged file, depending on where the damage is.
-_DAMAGE: tuple[type[BaseException], ...] = (
+DAMAGE: tuple[type[BaseException], ...] = (
     *(OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.error, MemoryError, OverflowError),
     *(RuntimeError, IndexError, KeyError, TypeError, AttributeError, Image.DecompressionBombError),
 )
@@ -65,7 +65,7 @@ def _header(path: Path) -> ImageHeader:
             return ImageHeader(*image.size, 8)
     except CaptureError:
         raise
-    except _DAMAGE as error:
+    except DAMAGE as error:
         raise _unreadable(path, error) from error
 
 
@@ -84,7 +84,7 @@ def decode(path: Path) -> np.ndarray:
             return np.asarray(image.convert("RGBA"))
     except CaptureError:
         raise
-    except _DAMAGE as error:
+    except DAMAGE as error:
         raise _unreadable(path, error) from error
 
 

@@ -30,6 +30,7 @@ from tg4mm.magnify.phase import PhaseMagnifier
 from tg4mm.magnify.pyramid import PyramidConfig
 from tg4mm.paper.model import PaperModel, load_model, plane_video
 from tg4mm.progress import progress
+from tg4mm.room import reserve
 from tg4mm.run import Run
 from tg4mm.run.model_hash import model_hash
 from tg4mm.triplane import Cells, Decoder
@@ -128,7 +129,11 @@ def _make(
     goes_on = part.is_file() and part.stat().st_size == size and record.is_file()
     done = _finished(record, shape[0]) if goes_on else 0
     goes_on = done > 0
-    out = np.memmap(part, np.float32, "r+" if goes_on else "w+", shape=shape)
+    if not goes_on:
+        with part.open("wb") as file:
+            file.truncate(size)  # where there is no posix_fallocate
+            reserve(file.fileno(), size, part)
+    out = np.memmap(part, np.float32, "r+", shape=shape)
     r = model.planes.shape[-1]
     magnify = PhaseMagnifier((r, r), response) if method == "phase" else None
     with progress(f"{method}: feature planes", shape[0], unit="planes", start=done) as update:

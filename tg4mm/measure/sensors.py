@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from tg4mm.measure.errors import MeasureError
+from tg4mm.untrusted import read_yaml
 
 _NAME = re.compile(r"[^\W_][\w.+-]*( [\w.+-]+)*")  # a file's name is made of it
 _FORMS = {
@@ -20,6 +21,7 @@ _FORMS = {
     "cluster": "cluster:NUMBER or cluster:still",
 }
 PIXEL_RADIUS = 4.0  # pixels
+_LONGEST = 60  # characters of a value in a message
 STILL = 0  # number of the cluster that does not move
 
 
@@ -91,13 +93,11 @@ def read_sensors(path: Path | str) -> list[Sensor]:
     For instance `{name: tip, sphere: [0, 0, 1.2, 0.1]}`, `{name: wall, pixel: [cam_00, 320, 96, 12]}`, `{name: rest,
     cluster: still}`, `{name: whole, all: true}`. Raises MeasureError with the file, the entry and the offending value.
     """
-    import yaml
-
     path = Path(path)
     try:
-        found = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise MeasureError(f"{path} is no YAML: {' '.join(str(error).split())}") from None
+        found = read_yaml(path)
+    except ValueError as error:
+        raise MeasureError(f"{path}: {error}") from None
     entries = found.get("sensors") if isinstance(found, dict) else found
     if not isinstance(entries, list) or not entries:
         raise MeasureError(f"{path}: expected a list of sensors, or 'sensors:' with one")
@@ -124,12 +124,18 @@ def checked_names(sensors: Sequence[Sensor]) -> list[Sensor]:
     return list(sensors)
 
 
+def _short(value: Any) -> str:
+    """As it stands in a message of one line."""
+    text = repr(value)
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…"
+
+
 def _of_entry(entry: Any, where: str) -> Sensor:
     if not isinstance(entry, dict):
-        raise MeasureError(f"{where}: {entry!r} is no mapping with a name and a region")
+        raise MeasureError(f"{where}: {_short(entry)} is no mapping with a name and a region")
     regions = [key for key in entry if key in _FORMS]
     if unknown := [key for key in entry if key not in _FORMS and key != "name"]:
-        raise MeasureError(f"{where}: {unknown[0]!r} is unknown; there are: name, {', '.join(_FORMS)}")
+        raise MeasureError(f"{where}: {_short(unknown[0])} is unknown; there are: name, {', '.join(_FORMS)}")
     if len(regions) != 1:
         raise MeasureError(f"{where}: has {len(regions)} regions, expected one of {', '.join(_FORMS)}")
     value = entry[regions[0]]

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from tg4mm.errors import RunError
+from tg4mm.capture.decode import decode
+from tg4mm.errors import CaptureError, RunError
 from tg4mm.files import write_atomic
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -55,10 +56,10 @@ def is_complete_png(path: Path, width: int, height: int) -> bool:
 def read_png(path: Path) -> np.ndarray:
     """A picture file as uint8 [H, W, 3]; transparent ones are composited over white. Raises RunError."""
     try:
-        with Image.open(path) as image:
-            if image.mode in {"RGBA", "LA", "PA"}:
-                rgba = np.asarray(image.convert("RGBA"), dtype=np.float32) / 255.0
-                return to_bytes(rgba[..., :3] * rgba[..., 3:] + 1.0 - rgba[..., 3:])
-            return np.asarray(image.convert("RGB"))
-    except (OSError, SyntaxError) as error:
-        raise RunError(f"{path}: not a readable picture ({error})") from None
+        raw = decode(path)
+    except CaptureError as error:
+        raise RunError(str(error)) from None
+    if raw.dtype == np.uint8 and (raw[..., 3] == 255).all():
+        return np.ascontiguousarray(raw[..., :3])
+    rgba = raw / np.float32(np.iinfo(raw.dtype).max)
+    return to_bytes(rgba[..., :3] * rgba[..., 3:] + 1.0 - rgba[..., 3:])

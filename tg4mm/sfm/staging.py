@@ -13,7 +13,7 @@ from urllib.parse import quote
 import numpy as np
 from PIL import Image
 
-from tg4mm.capture.decode import THREADS, decode, image_header
+from tg4mm.capture.decode import DAMAGE, FORMATS, THREADS, decode, image_header
 from tg4mm.errors import CaptureError
 from tg4mm.files import write_atomic
 from tg4mm.sfm.clip import Clip
@@ -72,8 +72,12 @@ def exif_turns(path: Path) -> int:
     """Quarter turns counterclockwise that a photograph's EXIF orientation asks for; COLMAP takes it as it is stored."""
     if path.suffix.lower() == ".exr":
         return 0
-    with Image.open(path) as image:
-        return {3: 2, 6: 3, 8: 1}.get(image.getexif().get(0x0112, 1), 0)
+    image_header(path)  # raises CaptureError for what is no picture, or promises more than its file can hold
+    try:
+        with Image.open(path, formats=FORMATS) as image:
+            return {3: 2, 6: 3, 8: 1}.get(image.getexif().get(0x0112, 1), 0)
+    except DAMAGE:
+        return 0  # an EXIF block that cannot be read turns nothing; damaged pixels are said when they are decoded
 
 
 def check_sizes(taken: list[Shot]) -> None:
