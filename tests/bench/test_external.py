@@ -96,3 +96,58 @@ def test_what_is_refused(given: str, message: str, data: Path, tmp_path: Path, c
     assert main(["bench", "scenes", str(data), "--out", str(out), "--external", given]) == 2
     assert message in capsys.readouterr().err
     assert not out.exists()
+
+
+def run_linear(data: Path, out: Path, *more: str) -> tuple[int, dict]:
+    """Exit status and results of the quickest method."""
+    status = main(["bench", "scenes", str(data), *more, "--out", str(out), "--methods", "linear-2d"])
+    return status, json.loads((out / "results.json").read_text(encoding="utf-8"))
+
+
+def test_a_set_without_the_alpha_asked_for_is_reported_and_the_rest_goes_on(
+    data: Path, tmp_path: Path, capsys
+) -> None:
+    other = tmp_path / "other"
+    shutil.copytree(data, other)
+    shutil.rmtree(other / "magnified" / "x020")
+    status, results = run_linear(data, tmp_path / "out", str(other), "--alphas", "20")
+    assert status == 1
+    assert [(f["set"], "ground truth for 5" in f["why"]) for f in results["failed"]] == [("other", True)]
+    assert {line["set"] for line in results["lines"]} == {data.name}
+
+
+def test_an_ablation_without_results_does_not_take_the_page_along(data: Path, tmp_path: Path, capsys) -> None:
+    out = tmp_path / "out"
+    status, results = run_linear(data, out, "--ablation", str(tmp_path / "gone"))
+    assert status == 1
+    assert [f["set"] for f in results["failed"]] == ["ablation gone"]
+    assert (out / "results.html").is_file()
+    assert "ablation gone" in (out / "results.md").read_text(encoding="utf-8")
+
+
+def test_a_job_may_fail_by_any_error_and_leaves_its_traceback(
+    data: Path, tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from tg4mm.bench.methods.video import Phase2D
+
+    def broken(*arguments: object) -> None:
+        raise ArithmeticError("a matrix is singular\nsecond line")
+
+    monkeypatch.setattr(Phase2D, "fit", broken)
+    out = tmp_path / "out"
+    arguments = ["bench", "scenes", str(data), "--out", str(out), "--methods", "phase-2d,linear-2d"]
+    assert main(arguments) == 1
+    (failed,) = json.loads((out / "results.json").read_text(encoding="utf-8"))["failed"]
+    assert failed["why"].startswith("ArithmeticError: a matrix is singular (")
+    assert "in broken" in (out / "runs" / data.name / "phase-2d" / "traceback.txt").read_text(
+        encoding="utf-8"
+    )
+
+
+def test_damaged_scores_are_made_anew(data: Path, tmp_path: Path, capsys) -> None:
+    out = tmp_path / "out"
+    before = run_linear(data, out)[1]["lines"]
+    (scores,) = (out / "runs").rglob("scores.json")
+    scores.write_text('{"version": 1, "entries')
+    status, results = run_linear(data, out)
+    assert (status, results["lines"][0]["alphas"]) == (0, before[0]["alphas"])

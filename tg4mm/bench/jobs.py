@@ -20,6 +20,7 @@ from tg4mm.bench.scored import score_pictures
 from tg4mm.bench.sets import BenchSet
 from tg4mm.bench.vqa import Checkout
 from tg4mm.capture import Capture, load_capture
+from tg4mm.errors import RunError
 from tg4mm.evaluate.lpips import load_lpips
 from tg4mm.files import write_json
 from tg4mm.progress import progress
@@ -117,7 +118,10 @@ class _Kept:
 
     def __init__(self, file: Path) -> None:
         self.file = file
-        known = read_json(file) if file.is_file() else {}
+        try:
+            known = read_json(file) if file.is_file() else {}
+        except RunError:
+            known = {}  # a damaged file is made anew
         self.entries: dict[str, Any] = known.get("entries", {}) if known.get("version") == _VERSION else {}
 
     def scores(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -18,12 +19,12 @@ from tg4mm.bench.methods.known import DEFAULT, methods_of
 from tg4mm.bench.methods.trained import Trained
 from tg4mm.bench.request import check_settings
 from tg4mm.bench.scored import with_closure
-from tg4mm.bench.sets import BenchSet, open_sets, open_those_that_open
+from tg4mm.bench.sets import BenchSet, alphas_missing, open_sets, open_those_that_open
 from tg4mm.bench.vqa import Checkout
 from tg4mm.bench.write import write_results
 from tg4mm.errors import Tg4mmError
 from tg4mm.evaluate.run import CEILING, STATIC
-from tg4mm.files import to_json
+from tg4mm.files import to_json, write_atomic
 from tg4mm.paper.config import PaperConfig
 from tg4mm.progress import progress
 from tg4mm.train import parse_settings
@@ -76,6 +77,8 @@ def run_scenes(
     for preset in request.presets():
         check_settings(request.settings.get(preset, {}), preset)
     sets, failed = open_those_that_open(roots)
+    sets, without = _with_alphas(sets, request.plan)
+    failed += without
     check_plan(sets, request.plan)
     open_folder(Path(out), KIND)
     _prepare(sets, Path(out), out, request, methods, say)
@@ -90,8 +93,20 @@ def run_scenes(
     if not bench.lines:
         raise bench.first_error or Tg4mmError("nothing was run")
     results = bench.results()
-    write_page(Path(out), results, [read_results(a) for a in ablations])
+    tables = bench.tables_of(ablations)
+    results = bench.results()
+    write_results(Path(out), results)
+    write_page(Path(out), results, tables)
     return results
+
+
+def _with_alphas(sets: list[BenchSet], plan: Plan) -> tuple[list[BenchSet], list[dict[str, str]]]:
+    """The sets with ground truth for an α asked for, and why the others have none; all of them if there is none."""
+    reasons = {data.label: alphas_missing(data, plan.alphas) for data in sets}
+    good = [data for data in sets if reasons[data.label] is None]
+    if not good:
+        return sets, []
+    return good, [{"set": label, "method": "", "why": why} for label, why in reasons.items() if why]
 
 
 def run_one(root: Path, name: str, out: Path, request: ScenesRequest) -> None:
@@ -132,17 +147,32 @@ class _Bench:
         self.say(f"{data.label}, {method.name}")
         try:
             figures, lines = run_job(method, data, self.out, self.request.plan, self.request.vqa)
-        except (Tg4mmError, OSError, MemoryError) as error:
+        except Exception as error:  # one job's fault, whatever it is, is not to take hours of others along
             self.first_error = self.first_error or error
-            self.failed.append(
-                {"set": data.label, "method": method.name, "why": str(error) or type(error).__name__}
-            )
-            self.say(f"    failed: {error}")
+            why = str(error) or type(error).__name__
+            if not isinstance(error, Tg4mmError | OSError | MemoryError):
+                log = job_folder(self.out, data, method) / "traceback.txt"
+                log.parent.mkdir(parents=True, exist_ok=True)
+                text = traceback.format_exc()
+                write_atomic(log, lambda file: file.write_text(text, encoding="utf-8"))
+                why = f"{type(error).__name__}: {why.splitlines()[0]} ({log})"
+            self.failed.append({"set": data.label, "method": method.name, "why": why})
+            self.say(f"    failed: {why}")
         else:
             self._keep(method, data, figures, lines)
         self.n_done += 1
         if self.lines:
             write_results(self.out, self.results())
+
+    def tables_of(self, ablations: Sequence[Path]) -> list[dict[str, Any]]:
+        """The results of ablations; one that cannot be read is kept as a line of `failed`."""
+        found = []
+        for folder in ablations:
+            try:
+                found.append(read_results(folder))
+            except (Tg4mmError, OSError) as error:
+                self.failed.append({"set": f"ablation {Path(folder).name}", "method": "", "why": str(error)})
+        return found
 
     def _keep(self, method: Method, data: BenchSet, figures: dict[str, Any], lines: list[Line]) -> None:
         if isinstance(method, Trained):

@@ -102,9 +102,16 @@ def open_those_that_open(roots: Sequence[Path]) -> tuple[list[BenchSet], list[di
 def check_alphas(sets: Sequence[BenchSet], alphas: Sequence[float] | None) -> None:
     """Raise BenchError for a set that has ground truth for none of the α asked for."""
     for data in sets:
-        if alphas is not None and not set(alphas) & set(data.alphas):
-            asked, there = (", ".join(f"{a:g}" for a in some) for some in (alphas, data.alphas))
-            raise BenchError(f"--alphas {asked}: dataset {data.root} has ground truth for {there}")
+        if (why := alphas_missing(data, alphas)) is not None:
+            raise BenchError(why)
+
+
+def alphas_missing(data: BenchSet, alphas: Sequence[float] | None) -> str | None:
+    """Why none of the α asked for can be scored on a set; None where one can."""
+    if alphas is None or set(alphas) & set(data.alphas):
+        return None
+    asked, there = (", ".join(f"{a:g}" for a in some) for some in (alphas, data.alphas))
+    return f"--alphas {asked}: dataset {data.root} has ground truth for {there}"
 
 
 def _labels(roots: Sequence[Path]) -> list[str]:
