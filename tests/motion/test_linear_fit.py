@@ -128,7 +128,7 @@ def test_what_the_first_pass_keeps_is_of_one_solution() -> None:
         for x, field in zip(kept["x"], kept["fields"], strict=True):
             np.testing.assert_allclose(operator.graph.motion(x), field, atol=1e-5 * np.abs(field).max())
         b = operator.right_hand_sides([fitting.targets.images[v][[0, 2]] for v in fold.views])
-        solution = pcg(operator, b, 3, 1e-6)
+        solution = pcg(operator, b, 5, 1e-6)
         np.testing.assert_allclose(kept["residual"], solution.residual, atol=1e-4 * np.abs(b).max())
         np.testing.assert_allclose(kept["norms"], (b.astype(float) ** 2).sum((1, 2)), rtol=1e-5)
 
