@@ -72,7 +72,7 @@ def _either(file: Path, absolute: str, relative: str) -> None:
 
 
 # What dataset_gen imports of tg4mm; nothing in these needs more than Python, numpy and PyYAML.
-_GENERATOR_NEEDS = ("__init__.py", "errors.py", "events.py", "lazy.py", "untrusted.py")
+_GENERATOR_NEEDS = ("__init__.py", "errors.py", "events.py", "lazy.py", "progress.py", "untrusted.py")
 
 
 def generator_files() -> list[Path]:

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
+from tg4mm.progress import progress
+
 from . import png, tree
 from .cameras import Camera, cameras_at, films
 from .effects import codec
@@ -33,9 +35,12 @@ def begin(root: Path, settings: Settings) -> None:
 
 def finish(root: Path, settings: Settings) -> None:
     """After rendering: every camera whose frames are all there gets its video, and its pictures from that."""
-    for camera in _cameras(settings):
-        if not _finished(root, settings, camera) and _rendered(root, settings, camera):
-            _code(root, settings, camera)
+    cameras = list(_cameras(settings))
+    with progress("videos", len(cameras), "cameras", brief=True) as update:
+        for done, camera in enumerate(cameras, 1):
+            if not _finished(root, settings, camera) and _rendered(root, settings, camera):
+                _code(root, settings, camera)
+            update(done)
 
 
 def clean(root: Path, settings: Settings) -> None:

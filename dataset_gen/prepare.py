@@ -47,7 +47,7 @@ def plan(settings: Settings, out: Path) -> Job:
     """Reads the geometry and lists the pictures. Raises GenerateError on bad input; nothing is written."""
     _check_packages(settings)
     if settings.device == "gpu":
-        processes.single({"task": "device", "settings": settings.to_json()})
+        processes.single({"task": "device", "settings": settings.to_json()}, "trying the device")
     settings, bodies, unit_scale_m = placed(settings)
     motion = motion_of(settings, bodies)
     root = out / settings.folder

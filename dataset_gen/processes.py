@@ -15,13 +15,13 @@ import subprocess
 import sys
 import tempfile
 import threading
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TextIO
 
 from tg4mm import events
+from tg4mm.progress import Update, progress
 
 from .errors import GenerateError
 from .plan import RANGE, ranges
@@ -50,23 +50,22 @@ def render(
     count = min(count, pieces)
     job: dict[str, Any] = {"task": "render", "settings": settings.to_json(), "root": str(root.resolve())}
     job["threads"] = max(1, cores() // count)
-    progress = _Progress(label, len(todo), stream)
-    pool = _Pool(job, progress)
-    try:
-        with tempfile.TemporaryDirectory(prefix="dataset_gen_") as scratch:
-            feeders = [
-                threading.Thread(target=pool.feed, args=(waiting, Path(scratch) / f"{i}.json"))
-                for i in range(count)
-            ]
-            for feeder in feeders:
-                feeder.start()
-            for feeder in feeders:
-                feeder.join()
-    except BaseException:
-        pool.stop()
-        raise
-    progress.close()
-    pool.raise_failure()
+    with progress(label, len(todo), "pictures", stream=stream) as update:
+        pool = _Pool(job, update)
+        try:
+            with tempfile.TemporaryDirectory(prefix="dataset_gen_") as scratch:
+                feeders = [
+                    threading.Thread(target=pool.feed, args=(waiting, Path(scratch) / f"{i}.json"))
+                    for i in range(count)
+                ]
+                for feeder in feeders:
+                    feeder.start()
+                for feeder in feeders:
+                    feeder.join()
+        except BaseException:
+            pool.stop()
+            raise
+        pool.raise_failure()
 
 
 def cores() -> int:
@@ -74,12 +73,15 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def single(task: dict[str, Any]) -> None:
+def single(task: dict[str, Any], label: str) -> None:
     """One process for one task that is not rendering: looking into a user's file, saving an animation."""
-    with tempfile.TemporaryDirectory(prefix="dataset_gen_") as scratch:
+    with (
+        tempfile.TemporaryDirectory(prefix="dataset_gen_") as scratch,
+        progress(label, 1, "file", brief=True) as update,
+    ):
         path = Path(scratch) / "job.json"
         path.write_text(json.dumps(task))
-        pool = _Pool({}, None)
+        pool = _Pool({}, update)
         try:
             pool.run(path)
         except BaseException:
@@ -90,14 +92,14 @@ def single(task: dict[str, Any]) -> None:
 
 def inspect(source: Source, found: Path) -> None:
     """Writes the bodies of a user's file to `found`. Raises GenerateError if the file is of no use."""
-    single({"task": "inspect", "source": asdict(source), "found": str(found)})
+    single({"task": "inspect", "source": asdict(source), "found": str(found)}, f"reading {source.path}")
 
 
 class _Pool:
     """Worker processes and what became of them."""
 
-    def __init__(self, job: dict[str, Any], progress: _Progress | None) -> None:
-        self._job, self._progress = job, progress
+    def __init__(self, job: dict[str, Any], update: Update) -> None:
+        self._job, self._update, self._done, self._counting = job, update, 0, threading.Lock()
         self._running: set[subprocess.Popen[str]] = set()
         self._failure = ""
         self._refused = False
@@ -129,8 +131,10 @@ class _Pool:
         for line in process.stdout:
             if line.startswith(NOTE):
                 self._tell(line.removeprefix(NOTE).strip())
-            elif line.strip() == DONE and self._progress:
-                self._progress.step()
+            elif line.strip() == DONE:
+                with self._counting:
+                    self._done += 1
+                    self._update(self._done)
         status = process.wait()
         self._running.discard(process)
         if status and not self._failure:
@@ -181,38 +185,3 @@ def _command(job_path: Path, threads: int) -> list[str]:
         quiet = ["--background", "--factory-startup", "--python-exit-code", "1"]
         return [binary, *quiet, *pool, "--python", *script]
     return [sys.executable, *script, *pool]
-
-
-class _Progress:
-    """Pictures done and time left, on one line of a terminal or on a plain line every few seconds."""
-
-    def __init__(self, label: str, total: int, stream: TextIO) -> None:
-        self._label, self._total, self._stream = label, total, stream
-        self._done, self._start, self._shown = 0, time.monotonic(), 0.0
-        self._terminal = stream.isatty() and not events.wanted()
-        self._every_s = 0.2 if self._terminal else 0.5 if events.wanted() else 5.0
-        self._lock = threading.Lock()
-
-    def step(self) -> None:
-        with self._lock:
-            self._done += 1
-            now = time.monotonic()
-            if now - self._shown > self._every_s or self._done == self._total:
-                self._shown = now
-                self._show(now - self._start)
-
-    def _show(self, elapsed: float) -> None:
-        left = elapsed / self._done * (self._total - self._done)
-        if events.wanted():
-            events.emit(
-                "progress", self._stream, label=self._label, done=self._done, total=self._total, unit="pictures",
-                elapsed_s=round(elapsed, 1), left_s=round(left, 1), figures={},
-            )  # fmt: skip
-            return
-        text = f"{self._label} {self._done}/{self._total}  {elapsed:.0f} s, {left:.0f} s left"
-        self._stream.write(f"\r{text}   " if self._terminal else f"{text}\n")
-        self._stream.flush()
-
-    def close(self) -> None:
-        if self._terminal:
-            self._stream.write("\n")

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from tg4mm import events
+from tg4mm.progress import progress
 from tg4mm.untrusted import read_json, read_npz
 
 from . import coded, png, points, processes, tree
@@ -124,9 +125,19 @@ def missing_files(job: Job) -> list[str]:
     if points.wanted(job.root, job.settings):
         views = [points.view_file(job.root, shot) for shot in job.shots if shot.paints]
         missing += [str(path.relative_to(job.root)) for path in views if not path.exists()]
-    return missing or [
-        name for name in _distinct(job) if name.endswith(".png") and not png.sound(job.root / name)
-    ]
+    return missing or _unsound(job)
+
+
+def _unsound(job: Job) -> list[str]:
+    """The PNG files whose checksums are not those of their bytes."""
+    names = [name for name in _distinct(job) if name.endswith(".png")]
+    found = []
+    with progress("checking files", len(names), "files", brief=True) as update:
+        for done, name in enumerate(names, 1):
+            if not png.sound(job.root / name):
+                found.append(name)
+            update(done)
+    return found
 
 
 def _distinct(job: Job) -> list[str]:
@@ -179,7 +190,9 @@ def save_animation(settings: Settings, path: Path) -> Path:
         raise GenerateError(f"--save-blend {path}: the file exists already; remove it or choose another name")
     settings, _, _ = placed(settings)
     path.parent.mkdir(parents=True, exist_ok=True)
-    processes.single({"task": "animate", "settings": settings.to_json(), "path": str(path.resolve())})
+    processes.single(
+        {"task": "animate", "settings": settings.to_json(), "path": str(path.resolve())}, "saving"
+    )
     return path
 
 

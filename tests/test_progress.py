@@ -7,6 +7,7 @@ import os
 import pty
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -39,9 +40,38 @@ def test_line_holds_counts_elapsed_time_left_and_figures() -> None:
     ]
 
 
-def test_at_most_one_line_in_five_seconds_and_one_at_the_end() -> None:
-    printed = lines(0, [(1.0, i) for i in range(1, 13)])
-    assert [line.split(" it")[0] for line in printed] == ["space: 5/100", "space: 10/100", "space: 12/100"]
+def test_a_line_after_two_seconds_then_one_in_five_and_one_at_the_end() -> None:
+    printed = lines(0, [(1.0, i) for i in range(1, 12)])
+    assert [line.split(" it")[0] for line in printed] == ["space: 2/100", "space: 7/100", "space: 11/100"]
+
+
+def test_a_job_that_reports_nothing_is_shown_with_the_time_that_passes(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("tg4mm.progress._PULSE_S", 0.01)
+    monkeypatch.setattr(PlainProgress, "first_s", 0.02)
+    with progress("adjusting", 1, "run"):
+        time.sleep(0.2)
+    assert capsys.readouterr().err.startswith("adjusting: 0/1 run, 0:00 elapsed, time left unknown\n")
+
+
+def test_what_all_units_leave_to_be_done_has_no_time_left() -> None:
+    stream, clock = io.StringIO(), Clock()
+    job = PlainProgress("poses", 4, "pictures", 0, stream, clock)
+    clock.now += 3.0
+    job.update(4)
+    job.tick()
+    assert stream.getvalue() == "poses: 4/4 pictures, 0:03 elapsed, time left unknown\n"
+
+
+@pytest.mark.parametrize(("seconds", "said"), [(1.0, 0), (3.0, 2)])
+def test_of_a_brief_job_nothing_is_said(seconds: float, said: int) -> None:
+    stream, clock = io.StringIO(), Clock()
+    job = PlainProgress("pictures", 4, "pictures", 0, stream, clock, brief=True)
+    clock.now += seconds
+    job.update(2)
+    job.finish()
+    assert stream.getvalue().count("\n") == said
 
 
 def test_time_left_after_a_resume_counts_only_what_this_process_did() -> None:
@@ -130,7 +160,7 @@ def test_a_listener_is_told_how_far_a_job_is_and_how_long_it_takes() -> None:
 
 
 def test_only_jobs_of_the_listening_thread_are_heard(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(HeardProgress, "every_s", -1.0)
+    monkeypatch.setattr(HeardProgress, "first_s", 0.0)
     heard = list[str]()
     with listened_to(heard.append), progress("one", 3) as update:
         update(1)

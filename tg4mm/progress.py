@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import importlib.util
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from typing import Any, Protocol, TextIO
 
 from tg4mm import events
 
+PLAIN_FIRST_S = 2.0
 PLAIN_EVERY_S = 5.0
 EVENTS_EVERY_S = 0.5
+_PULSE_S = 1.0  # between looks whether a job that reports nothing is to be shown all the same
 _EARLY = 100  # a first report of less than this part of the job is none to tell the time left by
 
 
@@ -26,17 +30,26 @@ class Update(Protocol):
 
 
 @contextmanager
-def progress(label: str, total: int, unit: str = "it", start: int = 0) -> Iterator[Update]:
-    """Show how far a job of `total` units is, on stderr; `start` units were finished before (a resume).
+def progress(
+    label: str,
+    total: int,
+    unit: str = "it",
+    start: int = 0,
+    brief: bool = False,
+    stream: TextIO | None = None,
+) -> Iterator[Update]:
+    """Show how far a job of `total` units is, on `stream` (stderr); `start` units were finished before (a resume).
 
-    Yields `update(done, **figures)`. The end is reported too, with the time the job took.
+    Yields `update(done, **figures)`. Between two calls of it, too, the job is shown with the time that passes: one that
+    cannot be counted is a job of one unit. The end is reported with the time the job took. brief: the job may take
+    hardly any time, and is only heard of where it takes long.
     """
-    show = _bar if sys.stderr.isatty() and not events.wanted() else _lines
+    stream = stream or sys.stderr
+    bar = stream.isatty() and not events.wanted() and importlib.util.find_spec("rich") is not None
+    show = _bar if bar else _lines
     listener = _listener.get()
-    heard = (
-        None if listener is None else HeardProgress(label, total, unit, start, sys.stderr, listener=listener)
-    )
-    with show(label, total, unit, start) as update:
+    heard = None if listener is None else HeardProgress(label, total, unit, start, stream, listener=listener)
+    with show(label, total, unit, start, brief, stream) as update:
         if heard is None:
             yield update
             return
@@ -59,7 +72,7 @@ def listened_to(listener: Callable[[str], None]) -> Iterator[None]:
 
 
 @contextmanager
-def _bar(label: str, total: int, unit: str, start: int) -> Iterator[Update]:
+def _bar(label: str, total: int, unit: str, start: int, brief: bool, stream: TextIO) -> Iterator[Update]:
     from rich.console import Console
     from rich.progress import (
         BarColumn,
@@ -80,7 +93,8 @@ def _bar(label: str, total: int, unit: str, start: int) -> Iterator[Update]:
         TimeRemainingColumn(),
         TextColumn("{task.fields[figures]}", markup=False),
     )
-    with Progress(*columns, console=Console(stderr=True), refresh_per_second=4) as bar:
+    console = Console(file=stream)
+    with Progress(*columns, console=console, refresh_per_second=4, transient=brief) as bar:
         task = bar.add_task(label, total=total, completed=start, figures="")
 
         def update(done: int, **figures: Any) -> None:
@@ -90,17 +104,37 @@ def _bar(label: str, total: int, unit: str, start: int) -> Iterator[Update]:
 
 
 @contextmanager
-def _lines(label: str, total: int, unit: str, start: int) -> Iterator[Update]:
+def _lines(label: str, total: int, unit: str, start: int, brief: bool, stream: TextIO) -> Iterator[Update]:
     kind = EventProgress if events.wanted() else PlainProgress
-    state = kind(label, total, unit, start, stream=sys.stderr)
-    yield state.update
+    state = kind(label, total, unit, start, stream, brief=brief)
+    with _ticking(state):
+        yield state.update
     state.finish()
 
 
-class PlainProgress:
-    """Progress as lines of text, at most one every `every_s` seconds, for logs and pipes."""
+@contextmanager
+def _ticking(state: PlainProgress) -> Iterator[None]:
+    """A thread that lets a job be shown while it reports nothing."""
+    ended = threading.Event()
 
-    every_s = PLAIN_EVERY_S
+    def tick() -> None:
+        with suppress(OSError, ValueError):  # nobody reads any more, which the job itself will meet
+            while not ended.wait(_PULSE_S):
+                state.tick()
+
+    thread = threading.Thread(target=tick, name="progress", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
+class PlainProgress:
+    """Progress as lines of text, the first after `first_s` seconds, then one every `every_s`, for logs and pipes."""
+
+    first_s, every_s = PLAIN_FIRST_S, PLAIN_EVERY_S
 
     def __init__(
         self,
@@ -110,27 +144,45 @@ class PlainProgress:
         start: int,
         stream: TextIO,
         clock: Callable[[], float] = time.monotonic,
+        brief: bool = False,
     ) -> None:
         self._label, self._total, self._unit, self._start = label, total, unit, start
-        self._stream, self._clock = stream, clock
-        self._began = self._printed = clock()
+        self._stream, self._clock, self._brief = stream, clock, brief
+        self._began = clock()
+        self._due = self._began + self.first_s
+        self._was_shown = False
+        self._lock = threading.Lock()
         self._done, self._figures = start, dict[str, Any]()
         # when, and how far the job was, from where its speed is measured
         self._base: tuple[float, int] | None = None
 
     def update(self, done: int, **figures: Any) -> None:
-        self._done, self._figures = done, figures
-        now = self._clock()
-        if self._base is None and done > self._start:
-            # What is done once, compiling kernels say, falls to the first of many units: it tells nothing of the rest.
-            early = (done - self._start) * _EARLY < self._total - self._start
-            self._base = (now, done) if early else (self._began, self._start)
-        if now - self._printed >= self.every_s and done < self._total:
-            self._printed = now
-            self._show(now - self._began, self._left_s(now))
+        """So many units are done in all."""
+        with self._lock:
+            self._done, self._figures = done, figures
+            now = self._clock()
+            if self._base is None and done > self._start:
+                # What is done once, compiling kernels say, falls to the first of many units: it tells nothing of the
+                # rest.
+                early = (done - self._start) * _EARLY < self._total - self._start
+                self._base = (now, done) if early else (self._began, self._start)
+            if done < self._total:
+                self._show_if_due(now)
+
+    def tick(self) -> None:
+        """Nothing is reported, but time passes."""
+        with self._lock:
+            self._show_if_due(self._clock())
 
     def finish(self) -> None:
-        self._ended(self._clock() - self._began)
+        """The job is over."""
+        if self._was_shown or not self._brief:
+            self._ended(self._clock() - self._began)
+
+    def _show_if_due(self, now: float) -> None:
+        if now >= self._due:
+            self._due, self._was_shown = now + self.every_s, True
+            self._show(now - self._began, self._left_s(now) if self._done < self._total else None)
 
     def _left_s(self, now: float) -> float | None:
         began, start = self._base or (now, self._done)
@@ -155,7 +207,7 @@ class PlainProgress:
 class HeardProgress(PlainProgress):
     """Progress told to a listener (`listened_to`)."""
 
-    every_s = EVENTS_EVERY_S
+    first_s = every_s = EVENTS_EVERY_S
 
     def __init__(self, *args: Any, listener: Callable[[str], None], **options: Any) -> None:
         super().__init__(*args, **options)
@@ -168,7 +220,7 @@ class HeardProgress(PlainProgress):
 class EventProgress(PlainProgress):
     """Progress as events (`tg4mm.events`)."""
 
-    every_s = EVENTS_EVERY_S
+    first_s = every_s = EVENTS_EVERY_S
 
     def _show(self, elapsed_s: float, left_s: float | None) -> None:
         events.emit(

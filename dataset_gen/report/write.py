@@ -11,6 +11,7 @@ from typing import Any
 from PIL import Image
 
 from tg4mm import __version__
+from tg4mm.progress import progress
 from tg4mm.report.page import Page, Stat, render_page
 from tg4mm.report.svg import number
 
@@ -30,27 +31,34 @@ _MOST_VIEWS = 40  # per split in the table
 
 def write_report(root: Path) -> Path:
     """See `dataset_gen.report.write_report`."""
-    dataset = read_dataset(root)
-    findings = find(dataset)
+    findings = find(read_dataset(root))
     folder = root / "report"
     folder.mkdir(exist_ok=True)
-    made = sheet(contact_rows(dataset))
-    _save(folder / "contact_sheet.png", lambda path: made.save(path, "PNG"))
-    if (thumbnail := _thumbnail(dataset)) is not None:
-        _save(folder / "thumbnail.png", lambda path: thumbnail.save(path, "PNG"))
-    text = json.dumps(summary(findings), indent=2) + "\n"
-    _save(folder / "summary.json", lambda path: path.write_text(text, encoding="utf-8"))
-    page = render_page(_page(findings, made))
-    _save(folder / "index.html", lambda path: path.write_text(page, encoding="utf-8"))
+    with progress("page of the set", 2, "parts", brief=True) as update:
+        made = sheet(contact_rows(findings.dataset))
+        _save(folder / "contact_sheet.png", lambda path: made.save(path, "PNG"))
+        if (thumbnail := _thumbnail(findings.dataset)) is not None:
+            _save(folder / "thumbnail.png", lambda path: thumbnail.save(path, "PNG"))
+        update(1)
+        text = json.dumps(summary(findings), indent=2) + "\n"
+        _save(folder / "summary.json", lambda path: path.write_text(text, encoding="utf-8"))
+        page = render_page(_page(findings, made))
+        _save(folder / "index.html", lambda path: path.write_text(page, encoding="utf-8"))
+        update(2)
     return folder / "index.html"
 
 
 def find(dataset: Dataset) -> Findings:
     """Reads and measures everything that a report shows."""
+    chosen = [
+        (split, name, own)
+        for split in ("test", "train")
+        for name, own in evenly(list(dataset.by_camera(split).items()), _MOST_VIEWS)
+    ]
     shown: dict[str, Seen] = {}
     views: list[ViewMotion] = []
-    for split in ("test", "train"):
-        for name, own in evenly(list(dataset.by_camera(split).items()), _MOST_VIEWS):
+    with progress("looking at the set", len(chosen) + 2, "steps", brief=True) as update:
+        for done, (split, name, own) in enumerate(chosen, 1):
             seen = seen_motion(dataset, own)
             if seen is not None:
                 views.append(motion_from_truth(seen, dataset.amplitude))
@@ -58,15 +66,14 @@ def find(dataset: Dataset) -> Findings:
                     shown[name] = seen
             elif dataset.motion is not None:
                 views.append(motion_from_vertices(dataset.motion, own, dataset.amplitude))
-    return Findings(
-        dataset=dataset,
-        seen=shown,
-        views=tuple(views),
-        modes=tuple(summarise(dataset.motion)) if dataset.motion else (),
-        still_area=still_area(dataset.motion) if dataset.motion else None,
-        track=track_point(dataset, next(iter(shown.values()), None)),
-        floor=tuple(noise_floor(dataset)) if dataset.views["test"] else (),
-    )
+            update(done)
+        modes = tuple(summarise(dataset.motion)) if dataset.motion else ()
+        area = still_area(dataset.motion) if dataset.motion else None
+        track = track_point(dataset, next(iter(shown.values()), None))
+        update(len(chosen) + 1)
+        floor = tuple(noise_floor(dataset)) if dataset.views["test"] else ()
+        update(len(chosen) + 2)
+    return Findings(dataset, shown, tuple(views), modes, area, track, floor)
 
 
 def summary(f: Findings) -> dict[str, Any]:

@@ -167,7 +167,7 @@ def test_resuming_renders_only_what_is_missing(made):
     os.utime(made / ".left.123.tmp.png", (0, 0))  # long ago; a fresh one may be another process's
     seen = io.StringIO()
     assert generate(TINY, made.parent, 1, seen) == made
-    assert "rendering 2/2" in seen.getvalue()
+    assert "rendering: 2/2" in seen.getvalue()
     assert (made / "001/train/r_001.png").read_bytes() == whole
     assert png.complete(made / "004/train/r_002.png", 32, 32)
     assert not (made / ".left.123.tmp.png").exists()
