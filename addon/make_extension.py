@@ -36,7 +36,7 @@ def stage(folder: Path) -> Path:
     core = folder / "core"
     (core / "splatfile").mkdir(parents=True)
     (core / "__init__.py").write_text('"""The parts of tg4mm that need numpy alone."""\n', encoding="utf-8")
-    alone = [ROOT / "tg4mm" / name for name in ("errors.py", "untrusted.py")]
+    alone = [ROOT / "tg4mm" / name for name in ("errors.py", "temporary.py", "untrusted.py")]
     for source in (*alone, *sorted((ROOT / "tg4mm" / "splatfile").glob("*.py"))):
         shutil.copyfile(source, core / source.relative_to(ROOT / "tg4mm"))
     shutil.copyfile(ROOT / "tg4mm" / "report" / "colour.py", core / "colour.py")
@@ -72,7 +72,15 @@ def _either(file: Path, absolute: str, relative: str) -> None:
 
 
 # What dataset_gen imports of tg4mm; nothing in these needs more than Python, numpy and PyYAML.
-_GENERATOR_NEEDS = ("__init__.py", "errors.py", "events.py", "lazy.py", "progress.py", "untrusted.py")
+_GENERATOR_NEEDS = (
+    "__init__.py",
+    "errors.py",
+    "events.py",
+    "lazy.py",
+    "progress.py",
+    "temporary.py",
+    "untrusted.py",
+)
 
 
 def generator_files() -> list[Path]:
@@ -99,11 +107,18 @@ def build(staged: Path, out: Path) -> Path:
         )
     out.mkdir(parents=True, exist_ok=True)
     target = out / f"{manifest['id']}-{manifest['version']}.zip"
-    with zipfile.ZipFile(target, "w") as archive:
-        for file in sorted(file for file in staged.rglob("*") if file.is_file()):
-            entry = zipfile.ZipInfo(file.relative_to(staged).as_posix(), _DATE)
-            entry.external_attr = 0o644 << 16
-            archive.writestr(entry, file.read_bytes(), zipfile.ZIP_DEFLATED)
+    temporary = target.with_name(
+        f".{target.name}.tmp"
+    )  # a kill leaves no half zip under the name that is installed
+    try:
+        with zipfile.ZipFile(temporary, "w") as archive:
+            for file in sorted(file for file in staged.rglob("*") if file.is_file()):
+                entry = zipfile.ZipInfo(file.relative_to(staged).as_posix(), _DATE)
+                entry.external_attr = 0o644 << 16
+                archive.writestr(entry, file.read_bytes(), zipfile.ZIP_DEFLATED)
+        temporary.replace(target)
+    finally:
+        temporary.unlink(missing_ok=True)
     return target
 
 

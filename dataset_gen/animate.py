@@ -8,9 +8,7 @@ magnifies what α magnifies. Frame t is timestep t.
 
 from __future__ import annotations
 
-import contextlib
 import math
-import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -23,6 +21,7 @@ from .build import Stage
 from .cameras import Camera
 from .errors import GenerateError
 from .materials import DISPLACEMENT
+from .tree import whole
 from .vibration import Motion, Ramp, Vibration
 from .vibration.motion import Basis
 
@@ -213,12 +212,10 @@ def _pack_images() -> list[str]:
 
 def _save(path: Path) -> None:
     """Under a temporary name first, then renamed."""
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp.blend")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        bpy.ops.wm.save_as_mainfile(filepath=str(temporary), compress=True, copy=True, check_existing=False)
-        os.replace(temporary, path)
+        with whole(path) as temporary:
+            bpy.ops.wm.save_as_mainfile(
+                filepath=str(temporary), compress=True, copy=True, check_existing=False
+            )
     except (OSError, RuntimeError) as error:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
         raise GenerateError(f"{path} cannot be written: {' '.join(str(error).split())}") from None

@@ -11,6 +11,7 @@ from typing import Any, TextIO
 
 from tg4mm import events
 from tg4mm.progress import progress
+from tg4mm.temporary import remove_leftovers
 from tg4mm.untrusted import read_json, read_npz
 
 from . import coded, png, points, processes, tree
@@ -77,7 +78,7 @@ def finish(job: Job, stream: TextIO) -> Path:
     if points.wanted(job.root, job.settings):
         _write_points(job)
     _add_timing(job.root, *(_timing(p) for p in (job.root / PARTS).glob("*.done")))
-    tree.clean(job.root)
+    remove_leftovers(job.root)
     shutil.rmtree(job.root / points.FOLDER, ignore_errors=True)
     shutil.rmtree(job.root / PARTS, ignore_errors=True)
     coded.clean(job.root, job.settings)

@@ -5,13 +5,12 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import secrets
 import shutil
-import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+from tg4mm.temporary import clean_once, is_temporary, temporary_name
 from tg4mm.untrusted import read_json
 
 from . import exr
@@ -21,8 +20,6 @@ from .plan import UNCODED, magnified_folder
 from .settings import Settings
 
 FORMAT_VERSION = 1
-_TEMPORARY = ".*.tmp.*"  # what `temporary_name` makes
-_STALE_S = 3600.0
 
 
 def write_bytes(path: Path, data: bytes) -> None:
@@ -35,28 +32,13 @@ def write_bytes(path: Path, data: bytes) -> None:
 def whole(path: Path) -> Iterator[Path]:
     """A name to write to, renamed to `path` at the end; removed where the writing fails, as on a full disk."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = temporary_name(path)
+    clean_once(path.parent)
+    temporary = temporary_name(path, path.suffix)
     try:
         yield temporary
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
-
-
-def temporary_name(path: Path) -> Path:
-    """A name in the same folder that no reader takes for data; `clean` removes what a kill left.
-
-    By chance, not by process number: on a farm two machines may write into one folder under one number.
-    """
-    return path.with_name(f".{path.stem}.{secrets.token_hex(6)}.tmp{path.suffix}")
-
-
-def clean(root: Path) -> None:
-    """Removes temporary files of a killed run; those of the last hour may be another's, at work in the folder."""
-    for left in root.rglob(_TEMPORARY):
-        with contextlib.suppress(FileNotFoundError):
-            if time.time() - left.stat().st_mtime > _STALE_S:
-                left.unlink()
 
 
 def write_json(path: Path, data: Any) -> None:
@@ -154,7 +136,7 @@ def claim(root: Path, description: dict[str, Any]) -> None:
                     f"requested {new.get(key)!r}; choose another --out or remove it"
                 )
         return
-    foreign = [p for p in root.iterdir() if not p.match(_TEMPORARY)] if root.exists() else []
+    foreign = [p for p in root.iterdir() if not is_temporary(p)] if root.exists() else []
     if path.exists():  # another process claimed it just now
         claim(root, description)
         return

@@ -10,6 +10,7 @@ from typing import Any
 
 from tg4mm.errors import RunError, Tg4mmError
 from tg4mm.files import write_json
+from tg4mm.temporary import is_temporary
 from tg4mm.untrusted import read_json
 
 STEPS_FILE = "demo.json"
@@ -137,7 +138,7 @@ def _read_done(root: Path, size: int) -> dict[str, float]:
             raise Tg4mmError(f"--out {root}: is a file; expected a folder")
         root.mkdir(parents=True, exist_ok=True)
         # A kill before demo.json was renamed leaves only its temporary file: still an empty folder.
-        if any(not entry.match(f".{STEPS_FILE}.*.tmp") for entry in root.iterdir()):
+        if not all(is_temporary(entry, STEPS_FILE) for entry in root.iterdir()):
             raise Tg4mmError(f"--out {root}: is not empty and holds no {STEPS_FILE}; choose another folder")
         _write_done(root, size, {})
         return {}

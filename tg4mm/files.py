@@ -13,6 +13,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tg4mm.temporary import clean_once, temporary_name
+
 if TYPE_CHECKING:
     from filelock import BaseFileLock
 
@@ -24,9 +26,10 @@ _PATIENCE_S = 2.0  # for a virus scanner or an indexer to close a file that was 
 def write_atomic(path: Path, write: Callable[[Path], object]) -> None:
     """Call `write(temporary)` and rename the result to `path`; a kill leaves the old file whole.
 
-    The temporary file lies in the same folder under a name with a leading dot, this process' id and `.tmp`.
+    The temporary file lies in the same folder (`tg4mm/temporary.py`); what killed processes left there is removed.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    clean_once(path.parent)
+    temporary = temporary_name(path)
     try:
         write(temporary)
         with temporary.open("rb+") as file:
@@ -58,16 +61,6 @@ def json_digest(value: object) -> str:
     """SHA-256 of JSON values: the same before they are written and when they are read."""
     text = json.dumps(value, sort_keys=True, allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def remove_leftovers(folder: Path) -> None:
-    """Delete temporary files of `write_atomic` in `folder` whose writer no longer lives. Needs psutil."""
-    import psutil  # not os.kill(pid, 0): on Windows that is Ctrl+C
-
-    for path in folder.glob(".*.tmp"):
-        pid = path.name.split(".")[-2]
-        if pid.isdigit() and not psutil.pid_exists(int(pid)):
-            path.unlink(missing_ok=True)
 
 
 def give_back(lock: BaseFileLock) -> None:

@@ -19,7 +19,7 @@ from tg4mm.untrusted import read_json
 from ..errors import GenerateError
 from .closing import size_text
 from .text import decibel, hertz, percent
-from .write import _save
+from .write import save
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ def write_overview(parent: Path) -> Path:
         footer=f"tg4mm {__version__}. Written from the reports of the sets.",
     )
     text = render_page(page)
-    _save(parent / "index.html", lambda path: path.write_text(text, encoding="utf-8"))
+    save(parent / "index.html", lambda path: path.write_text(text, encoding="utf-8"))
     return parent / "index.html"
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from tg4mm.progress import progress
 from tg4mm.report.page import Page, Stat, render_page
 from tg4mm.report.svg import number
 
+from ..tree import whole
 from .closing import floor_section, making_section, size_text
 from .dataset import Dataset, evenly, read_dataset, read_picture
 from .modes import still_area, summarise, track_point
@@ -36,14 +36,14 @@ def write_report(root: Path) -> Path:
     folder.mkdir(exist_ok=True)
     with progress("page of the set", 2, "parts", brief=True) as update:
         made = sheet(contact_rows(findings.dataset))
-        _save(folder / "contact_sheet.png", lambda path: made.save(path, "PNG"))
+        save(folder / "contact_sheet.png", lambda path: made.save(path, "PNG"))
         if (thumbnail := _thumbnail(findings.dataset)) is not None:
-            _save(folder / "thumbnail.png", lambda path: thumbnail.save(path, "PNG"))
+            save(folder / "thumbnail.png", lambda path: thumbnail.save(path, "PNG"))
         update(1)
         text = json.dumps(summary(findings), indent=2) + "\n"
-        _save(folder / "summary.json", lambda path: path.write_text(text, encoding="utf-8"))
+        save(folder / "summary.json", lambda path: path.write_text(text, encoding="utf-8"))
         page = render_page(_page(findings, made))
-        _save(folder / "index.html", lambda path: path.write_text(page, encoding="utf-8"))
+        save(folder / "index.html", lambda path: path.write_text(page, encoding="utf-8"))
         update(2)
     return folder / "index.html"
 
@@ -174,10 +174,7 @@ def _thumbnail(d: Dataset, width: int = 320) -> Image.Image | None:
     return resized(image, width, round(width * image.shape[0] / image.shape[1]))
 
 
-def _save(path: Path, write: Callable[[Path], object]) -> None:
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
-    try:
+def save(path: Path, write: Callable[[Path], object]) -> None:
+    """Write a file of the report, whole or not at all."""
+    with whole(path) as temporary:
         write(temporary)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)

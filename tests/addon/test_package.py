@@ -74,7 +74,7 @@ CONTENT = {
     "LICENSE",
     *(f"{name}.py" for name in ADDON),
     *(f"jobs/{name}.py" for name in JOBS),
-    *(f"core/{name}.py" for name in ("__init__", "colour", "errors", "untrusted")),
+    *(f"core/{name}.py" for name in ("__init__", "colour", "errors", "temporary", "untrusted")),
     *(
         f"core/splatfile/{n}.py"
         for n in ("__init__", "formula", "header", "layout", "model", "read", "write")
@@ -183,7 +183,10 @@ def generator(root: Path) -> set[str]:
     package = root / "dataset_gen"
     files = (file.relative_to(root) for file in package.rglob("*") if file.suffix in (".py", ".yaml"))
     kept = {f"generator/{file.as_posix()}" for file in files if file.parts[1] != "farm"}
-    tg4mm = {f"generator/tg4mm/{name}.py" for name in ("__init__", "errors", "events", "lazy", "untrusted")}
+    tg4mm = {
+        f"generator/tg4mm/{name}.py"
+        for name in ("__init__", "errors", "events", "lazy", "progress", "temporary", "untrusted")
+    }
     return kept | {"generator/__init__.py"} | tg4mm
 
 

@@ -21,6 +21,7 @@ from dataset_gen.processes import RunFailed
 from dataset_gen.run import finish_parts, generate, missing_files, prepare_parts, render_part, save_animation
 from dataset_gen.scenes import SCENES
 from dataset_gen.settings import Settings
+from tg4mm.temporary import _HOST
 
 TINY_OPTIONS = "--size 32 --timesteps 6 --test-views 1 --alphas 5 --samples 2 --points 300"
 
@@ -163,14 +164,14 @@ def test_resuming_renders_only_what_is_missing(made):
         (made / f"{t:03d}/train/r_001.png").unlink()
     (made / "004/train/r_002.png").unlink()
     (made / "004/train/r_002.png").write_bytes(whole[:100])  # its twin at timestep 5 is whole
-    (made / ".left.123.tmp.png").write_bytes(b"half")
-    os.utime(made / ".left.123.tmp.png", (0, 0))  # long ago; a fresh one may be another process's
+    left = made / "001" / f".left.png.{_HOST}-999999999.tmp.png"  # of a process that is none
+    left.write_bytes(b"half")
     seen = io.StringIO()
     assert generate(TINY, made.parent, 1, seen) == made
     assert "rendering: 2/2" in seen.getvalue()
     assert (made / "001/train/r_001.png").read_bytes() == whole
     assert png.complete(made / "004/train/r_002.png", 32, 32)
-    assert not (made / ".left.123.tmp.png").exists()
+    assert not left.exists()
     touched = {name for name, time in before.items() if os.stat(made / name).st_mtime_ns != time}
     assert touched == {"001/train/r_001.png", "002/train/r_001.png"}
 

@@ -21,6 +21,7 @@ from tests.helpers.runs import SETTINGS, gaussians, modal, refused
 from tg4mm.motion.modes import ModalMotion
 from tg4mm.run import Run
 from tg4mm.run.config import _from_run
+from tg4mm.temporary import _HOST
 
 
 @pytest.fixture
@@ -229,7 +230,7 @@ class TestCreate:
     def test_leftovers_of_killed_writers_are_removed_and_of_living_ones_kept(self, run: Run) -> None:
         dead = subprocess.Popen([sys.executable, "-c", ""])
         dead.wait()
-        gone, kept = (run.path / f".space.safetensors.{pid}.tmp" for pid in (dead.pid, os.getpid()))
+        gone, kept = (run.path / f".space.safetensors.{_HOST}-{pid}.tmp" for pid in (dead.pid, os.getpid()))
         gone.touch()
         kept.touch()
         Run.create(run.path, run.dataset, "modal", SETTINGS)

@@ -130,7 +130,7 @@ def test_a_stopped_one_goes_on_to_the_same_dataset(dataset: Path, photographs: P
     for path in ("scene.json", "transforms_train.json", "points3d.ply", "train/p_3.png"):
         (out / path).unlink()
     shutil.rmtree(out / "sfm" / "sparse")
-    (out / ".scene.json.1.tmp").write_text("half")
+    (out / ".scene.json.node7-1.tmp").write_text("half")
     reconstruct(photographs, out, SfmConfig(), threads=1)
     for path in ("scene.json", "transforms_train.json", "points3d.ply", "train/p_3.png"):
         expected = (dataset / path).read_bytes()

@@ -14,8 +14,9 @@ from typing import Any
 from tg4mm import __version__
 from tg4mm.bench.errors import BenchError
 from tg4mm.errors import RunError
-from tg4mm.files import remove_leftovers, write_atomic, write_json
+from tg4mm.files import write_atomic, write_json
 from tg4mm.run.config import read_json
+from tg4mm.temporary import is_temporary, remove_leftovers
 
 RECORD = "bench.json"
 FORMAT, VERSION = "tg4mm-bench", 1
@@ -27,7 +28,7 @@ def open_folder(out: Path, kind: str) -> None:
         raise BenchError(f"--out {out}: is a file, expected a folder")
     record = out / RECORD
     if not record.exists():
-        if out.is_dir() and any(not p.match(f".{RECORD}.*.tmp") for p in out.iterdir()):
+        if out.is_dir() and not all(is_temporary(p, RECORD) for p in out.iterdir()):
             raise BenchError(f"--out {out}: is not empty and holds no {RECORD}; choose another folder")
         out.mkdir(parents=True, exist_ok=True)
         write_json(record, {"format": FORMAT, "version": VERSION, "kind": kind})

@@ -17,6 +17,7 @@ from tg4mm.measure.measurement import Measurement
 from tg4mm.measure.orbit import amplitude_deviation, main_is_above
 from tg4mm.measure.sensor_result import Record, SensorResult
 from tg4mm.measure.units import unit_of
+from tg4mm.temporary import is_temporary, remove_leftovers
 
 MARK = "measure.json"
 
@@ -25,9 +26,10 @@ def claim(out: Path) -> None:
     """Make the folder. Raises MeasureError where it holds something that is no measurement."""
     if out.exists() and not out.is_dir():
         raise MeasureError(f"--out {out} is a file, expected a folder")
-    if out.is_dir() and any(out.iterdir()) and not (out / MARK).exists():
+    if out.is_dir() and not (out / MARK).exists() and not all(is_temporary(p, MARK) for p in out.iterdir()):
         raise MeasureError(f"--out {out} is not empty and holds no {MARK}: choose another folder")
     out.mkdir(parents=True, exist_ok=True)
+    remove_leftovers(out)
 
 
 def write_json_file(measurement: Measurement, out: Path) -> Path:

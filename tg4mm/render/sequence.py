@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from tg4mm.errors import RunError
-from tg4mm.files import remove_leftovers, write_json
+from tg4mm.files import write_json
 from tg4mm.gaussians import Gaussians
 from tg4mm.magnify import BandGain, Magnification, TemporalFilter
 from tg4mm.magnify.bands import LARGEST_ALPHA
@@ -23,6 +23,7 @@ from tg4mm.render.image import WHITE, render_image
 from tg4mm.render.video import check_rate, video_of_files
 from tg4mm.run import Run
 from tg4mm.run.model_hash import model_hash
+from tg4mm.temporary import remove_leftovers
 from tg4mm.untrusted import read_json
 
 RECORD = "render.json"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import platform
-import re
 from collections.abc import Mapping
 from importlib import metadata
 from pathlib import Path, PurePath
@@ -13,6 +12,7 @@ from typing import Any
 
 from tg4mm import __version__, untrusted
 from tg4mm.errors import RunError
+from tg4mm.temporary import is_temporary
 
 FORMAT = "tg4mm"
 VERSION = 1
@@ -85,9 +85,8 @@ def check_empty(path: Path) -> None:
     if path.exists() and not path.is_dir():
         raise RunError(f"run folder {path} is a file")
     # A kill before config.json was renamed leaves only its temporary file and the lock: still an empty run.
-    names = [entry.name for entry in path.iterdir()] if path.is_dir() else []
-    ours = rf"\.config\.json\.\d+\.tmp|{re.escape(LOCK)}"
-    foreign = sorted(name for name in names if not re.fullmatch(ours, name))
+    entries = path.iterdir() if path.is_dir() else ()
+    foreign = sorted(e.name for e in entries if e.name != LOCK and not is_temporary(e, "config.json"))
     if foreign:
         raise RunError(f"{path} is not a run folder: it holds {foreign[0]!r} and no config.json")
 

@@ -25,7 +25,7 @@ from safetensors import safe_open
 from torch import Tensor
 
 from tg4mm.errors import RunError
-from tg4mm.files import remove_leftovers, to_json, write_json
+from tg4mm.files import to_json, write_json
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.modes import ModalMotion, MotionFit
@@ -49,6 +49,7 @@ from tg4mm.run.config import (
 from tg4mm.run.log import checked_log, with_figures
 from tg4mm.run.motion_file import motion_of, tensors_of
 from tg4mm.run.tensor_file import DIGEST, read_tensors, write_tensors
+from tg4mm.temporary import remove_leftovers
 
 UNCERTAINTY = "uncertainty"  # a part: how uncertain the motion of every Gaussian is, docs/conventions.md
 

@@ -10,8 +10,9 @@ from typing import Any
 from tg4mm.capture.records import read_record
 from tg4mm.capture.scene import read_scene
 from tg4mm.errors import CaptureError
-from tg4mm.files import remove_leftovers, write_json
+from tg4mm.files import write_json
 from tg4mm.sfm.sources import Sources
+from tg4mm.temporary import remove_leftovers
 
 NAME = "request.json"
 # Settings that change scene.json and the frames' times alone: asked for anew, those are written again.
@@ -51,7 +52,7 @@ def open_request(out: Path, sources: Sources, settings: dict[str, Any]) -> Work:
         except CaptureError as error:
             raise CaptureError(f"{error}; remove it, or give another --out") from None
         _check_same(out, before, asked)
-        remove_leftovers(folder)
+        remove_leftovers(out)
         return Work(out, folder, asked["settings"])
     # A kill before request.json was renamed leaves its temporary file: that is still nothing.
     begun = [p.name for p in folder.iterdir() if not p.name.startswith(".")] if folder.is_dir() else []

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import SplatFileError
+from ..temporary import clean_once, temporary_name
 from . import layout
 from .model import SplatFile
 
@@ -43,7 +44,8 @@ def replacing(path: Path) -> Iterator[Path]:
 
     Raises SplatFileError, which names the file, for what the system or the writer says.
     """
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
+    clean_once(path.parent)
+    temporary = temporary_name(path, path.suffix)
     try:
         yield temporary
         os.replace(temporary, path)

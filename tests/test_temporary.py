@@ -1,0 +1,90 @@
+"""What a kill leaves of files that were being written is removed by the next process that writes there."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tg4mm import temporary
+from tg4mm.files import write_json
+from tg4mm.splatfile.write import replacing
+from tg4mm.temporary import is_temporary, remove_leftovers, temporary_name
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from tg4mm.files import write_atomic
+from tg4mm.splatfile.write import replacing
+from dataset_gen.tree import whole
+def half(temporary):
+    temporary.write_text("half")
+    os.kill(os.getpid(), signal.SIGKILL)
+path = Path(sys.argv[2])
+if sys.argv[1] == "write_atomic":
+    write_atomic(path, half)
+with {"replacing": replacing, "whole": whole}[sys.argv[1]](path) as temporary:
+    half(temporary)
+"""
+
+
+def killed(writer: str, path: Path) -> list[str]:
+    """Names in the folder after a process was killed while it wrote."""
+    subprocess.run([sys.executable, "-c", KILLED, writer, str(path)], check=False)
+    return os.listdir(path.parent)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+@pytest.mark.parametrize("writer", ["write_atomic", "replacing", "whole"])
+def test_the_next_writer_of_a_folder_removes_what_a_killed_one_left(writer: str, tmp_path: Path) -> None:
+    (left,) = killed(writer, tmp_path / "r_000.ply")
+    assert is_temporary(Path(left), "r_000.ply")
+    write_json(tmp_path / "other.json", 1)
+    assert os.listdir(tmp_path) == ["other.json"]
+    (tmp_path / "sub").mkdir()
+    killed(writer, tmp_path / "sub" / "r_000.ply")
+    remove_leftovers(tmp_path)
+    assert not os.listdir(tmp_path / "sub")
+
+
+def test_what_another_process_is_writing_stays(tmp_path: Path) -> None:
+    living = temporary_name(tmp_path / "a.json").with_name(f".a.json.{temporary._HOST}-{os.getppid()}.tmp")
+    elsewhere = tmp_path / ".a.json.node7-1.tmp"
+    own, foreign = temporary_name(tmp_path / "a.json"), tmp_path / ".vimrc.tmp"
+    for path in (living, elsewhere, own, foreign):
+        path.touch()
+    remove_leftovers(tmp_path)
+    assert len(os.listdir(tmp_path)) == 4
+
+
+def test_from_another_machine_an_hour_without_a_change_tells(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in (".a.json.node7-1.tmp", ".a.0123456789ab.tmp.png", ".vimrc.tmp"):
+        (tmp_path / name).touch()
+    later = time.time() + 4000
+    monkeypatch.setattr("tg4mm.temporary.time.time", lambda: later)
+    remove_leftovers(tmp_path)
+    assert os.listdir(tmp_path) == [".vimrc.tmp"]
+
+
+def test_in_a_container_where_all_have_one_number_the_time_tells(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = temporary_name(tmp_path / "a.json")
+    own.touch()
+    monkeypatch.setattr(temporary, "_STARTED", time.time() + 5)
+    remove_leftovers(tmp_path)
+    assert not own.exists()
+
+
+def test_replacing_writes_to_the_name_of_a_temporary_file(tmp_path: Path) -> None:
+    with replacing(tmp_path / "a.ply") as path:
+        assert path.suffix == ".ply"
+        assert is_temporary(path, "a.ply")
+        path.touch()
+    assert os.listdir(tmp_path) == ["a.ply"]

@@ -1,0 +1,84 @@
+"""Names of files that are being written, and what a kill leaves of them. Needs Python's own library alone."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import os
+import platform
+import re
+import sys
+import time
+from pathlib import Path
+
+_HOST = re.sub(r"\W+", "_", platform.node(), flags=re.ASCII)[:40] or "host"
+# .<name>.<machine>-<process>.tmp<suffix>; without a machine as former versions wrote it
+_FORM = re.compile(r"\.(?P<name>.+)\.(?:(?P<host>\w+)-)?(?P<process>[0-9a-f]+)\.tmp(?:\.\w+)?", re.ASCII)
+_STARTED = time.time() - 1.0  # file systems have coarse clocks
+_STALE_S = 3600.0  # since its last change, after which a file is a leftover wherever its writer was
+
+
+def temporary_name(path: Path, suffix: str = "") -> Path:
+    """A name beside `path` that no reader takes for data. suffix: what it ends in, for writers that go by that."""
+    return path.with_name(f".{path.name}.{_HOST}-{os.getpid()}.tmp{suffix}")
+
+
+def is_temporary(path: Path, of: str | None = None) -> bool:
+    """Whether a file has such a name; of: the name of the file that was to be written."""
+    form = _FORM.fullmatch(path.name)
+    return form is not None and of in (None, form["name"])
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Delete temporary files in `folder` and below whose writer no longer lives: on this machine by its process, from
+    another one by an hour without a change."""
+    for path in folder.rglob(".*.tmp*"):
+        _remove_if_left(path)
+
+
+def clean_once(folder: Path) -> None:
+    """`remove_leftovers` of the files of `folder` itself, the first time that this process writes there."""
+    _clean(str(folder.absolute()), os.getpid())
+
+
+@functools.lru_cache(maxsize=4096)
+def _clean(folder: str, _process: int) -> None:
+    with contextlib.suppress(OSError):  # the writing will say it
+        for name in os.listdir(folder):
+            if name.startswith("."):
+                _remove_if_left(Path(folder, name))
+
+
+def _remove_if_left(path: Path) -> None:
+    form = _FORM.fullmatch(path.name)
+    if form is None:
+        return
+    with contextlib.suppress(OSError):  # another process has removed it, or it is not ours
+        state = path.stat()
+        changed = max(state.st_mtime, state.st_ctime)  # a link has its target's mtime
+        here = form["host"] == _HOST and form["process"].isdigit()
+        if time.time() - changed > _STALE_S or (here and not _writes(int(form["process"]), changed)):
+            path.unlink()
+
+
+def _writes(process: int, changed: float) -> bool:
+    """Whether a process of this machine may still be writing what was last changed at that time."""
+    if process == os.getpid():  # in a container every process may have this number
+        return changed >= _STARTED
+    return _lives(process)
+
+
+def _lives(process: int) -> bool:
+    if sys.platform == "win32":  # os.kill is Ctrl+C there
+        try:
+            import psutil
+        except ImportError:
+            return True
+        return psutil.pid_exists(process)
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        return True
+    return True
