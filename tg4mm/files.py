@@ -7,6 +7,7 @@ import hashlib
 import json
 import math
 import os
+import shutil
 import sys
 import time
 from collections.abc import Callable
@@ -37,6 +38,15 @@ def write_atomic(path: Path, write: Callable[[Path], object]) -> None:
         rename(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def link_or_copy(source: Path, target: Path) -> None:
+    """Make `target` (and its folder) the same file as `source`, or a copy where links are not to be had."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        os.link(source.resolve(), target)
+    except OSError:  # another disk, or a file system without links
+        write_atomic(target, lambda temporary: shutil.copyfile(source, temporary))
 
 
 def rename(source: Path, target: Path) -> None:

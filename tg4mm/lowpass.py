@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from tg4mm.capture import Capture
+from tg4mm.progress import progress
 
 BAKED_PX2 = 0.3  # square pixels of a training picture
 _MARGIN = 0.15  # of the picture's size: what is so far outside still reaches into it
@@ -24,13 +25,15 @@ def smoothing_variance(means: np.ndarray, capture: Capture) -> np.ndarray:
     """
     total, count = np.zeros(len(means)), np.zeros(len(means))
     _, rows = np.unique(capture.camera_ids, return_index=True)
-    for viewmat, K in zip(capture.viewmats[rows], capture.Ks[rows], strict=True):
-        x, y, z = (means @ viewmat[:3, :3].T + viewmat[:3, 3]).T
-        depth = np.maximum(z, 1e-9)
-        u, v = K[0, 0] * x / depth + K[0, 2], K[1, 1] * y / depth + K[1, 2]
-        seen = (z > 0.01) & _inside(u, capture.width) & _inside(v, capture.height)
-        total += np.where(seen, z**2 / (K[0, 0] * K[1, 1]), 0.0)
-        count += seen
+    with progress("smoothing", len(rows), "cameras", brief=True) as update:
+        for done, (viewmat, K) in enumerate(zip(capture.viewmats[rows], capture.Ks[rows], strict=True), 1):
+            x, y, z = (means @ viewmat[:3, :3].T + viewmat[:3, 3]).T
+            depth = np.maximum(z, 1e-9)
+            u, v = K[0, 0] * x / depth + K[0, 2], K[1, 1] * y / depth + K[1, 2]
+            seen = (z > 0.01) & _inside(u, capture.width) & _inside(v, capture.height)
+            total += np.where(seen, z**2 / (K[0, 0] * K[1, 1]), 0.0)
+            count += seen
+            update(done)
     variance = BAKED_PX2 * total / np.maximum(count, 1)
     known = count > 0
     variance[~known] = np.median(variance[known]) if known.any() else 0.0

@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+import re
+import time
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
+from PIL import Image
 
 from tests.space.scenes import capture_of
+from tg4mm.capture.decode import decode
+from tg4mm.capture.pictures import FilePictures
+from tg4mm.progress import PlainProgress
 from tg4mm.space import rest_views
 
 
@@ -58,3 +67,27 @@ def test_sixteen_bits_mean_the_same_as_eight(depth: type) -> None:
     data[1, ..., :3] = 0
     capture, images = capture_of([0, 0], [0, 1], data)
     np.testing.assert_allclose(rest_views(capture, images).rgb, 0.5, atol=1e-6)
+
+
+def test_each_picture_is_decoded_once_and_shown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Pictures stay on disk; what takes long says how far it is and how long it will take."""
+    data = pictures(6)
+    capture, images = capture_of([0, 1, 0, 1, 0, 1], [0, 0, 1, 1, 2, 2], data)
+    paths = tuple(tmp_path / f"{i}.png" for i in range(6))
+    for path, picture in zip(paths, data, strict=True):
+        Image.fromarray(picture).save(path)
+    seen = list[Path]()
+
+    def slow(path: Path) -> np.ndarray:
+        seen.append(path)
+        time.sleep(0.05)
+        return decode(path)
+
+    monkeypatch.setattr("tg4mm.capture.pictures.decode", slow)
+    monkeypatch.setattr(PlainProgress, "first_s", 0.01)
+    views = rest_views(capture, FilePictures(replace(capture, paths=paths)))
+    assert sorted(seen) == sorted(paths)
+    assert re.search(r"mean pictures: \d/6 pictures, 0:00 elapsed, 0:00 left", capsys.readouterr().err)
+    np.testing.assert_array_equal(views.rgb, rest_views(capture, images).rgb)

@@ -5,8 +5,6 @@ Pictures are hard links to the dataset's own, copies where links are not to be h
 
 from __future__ import annotations
 
-import os
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,7 +15,8 @@ from tg4mm.capture.model import Capture, SurfacePoints
 from tg4mm.capture.points import write_points
 from tg4mm.capture.readers import load_capture
 from tg4mm.errors import CaptureError, MissingSplitError
-from tg4mm.files import write_atomic, write_json
+from tg4mm.files import link_or_copy, write_atomic, write_json
+from tg4mm.progress import progress
 
 POINTS = "points3d.ply"
 _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -140,15 +139,12 @@ def claim(out: Path) -> None:
 def link_pictures(capture: Capture, folder: Path) -> list[str]:
     """Put the pictures into the folder under their places in the dataset; their names relative to it, "/" between."""
     names = []
-    for path in capture.paths:
-        name = path.relative_to(capture.root)
-        target = folder / name
-        target.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            os.link(path, target)
-        except OSError:
-            shutil.copyfile(path, target)
-        names.append(name.as_posix())
+    with progress("pictures", len(capture), "pictures", brief=True) as update:
+        for done, path in enumerate(capture.paths, 1):
+            name = path.relative_to(capture.root)
+            link_or_copy(path, folder / name)
+            names.append(name.as_posix())
+            update(done)
     return names
 
 

@@ -39,6 +39,10 @@ class ImageStack:
         """The stored value that means 1."""
         return int(np.iinfo(self.data.dtype).max)
 
+    def stored(self, i: int) -> np.ndarray:
+        """[H, W, 4] uint8 or uint16: image i."""
+        return self.data[i]
+
     def alpha(self, i: int) -> np.ndarray:
         """[H, W] float32 coverage in 0..1 of image i."""
         return self.data[i, ..., 3] * np.float32(1 / self.maximum)

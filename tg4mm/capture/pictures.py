@@ -83,7 +83,7 @@ class FilePictures:
         data = room((len(rows), *self.size, 4), np.uint16 if self.maximum > 255 else np.uint8)
 
         def load(k: int) -> None:
-            data[k] = self._decoded(rows[k])
+            data[k] = self.stored(rows[k])
             release(data)
 
         with ThreadPoolExecutor(THREADS) as pool:
@@ -99,13 +99,14 @@ class FilePictures:
 
     def rgb(self, i: int) -> np.ndarray:
         """[H, W, 3] float32 in 0..1: picture i over white."""
-        return over_white(self._decoded(i)[None], self.maximum)[0]
+        return over_white(self.stored(i)[None], self.maximum)[0]
 
     def alpha(self, i: int) -> np.ndarray:
         """[H, W] float32 coverage in 0..1 of picture i."""
-        return self._decoded(i)[..., 3] * np.float32(1 / self.maximum)
+        return self.stored(i)[..., 3] * np.float32(1 / self.maximum)
 
-    def _decoded(self, i: int) -> np.ndarray:
+    def stored(self, i: int) -> np.ndarray:
+        """[H, W, 4] uint8 or uint16: picture i."""
         path, (height, width) = self.capture.paths[i], self.size
         image = decode(path)
         if image.shape[:2] != (height, width):

@@ -15,6 +15,7 @@ import numpy as np
 
 from tg4mm.errors import Tg4mmError
 from tg4mm.export.splat import check_file, check_folder, frames_of, splat_of, unit_scale_of, write_frames
+from tg4mm.progress import progress
 from tg4mm.run import Run
 from tg4mm.splatfile.formats.gltf import write_glb
 from tg4mm.splatfile.formats.spz import write_spz
@@ -41,7 +42,8 @@ def export_gltf(run: Run, out: Path, plan: Magnification, low_pass: bool = True)
     alphas = plan.checked(splat.fps).ideal(splat.freqs_hz) if splat.n_modes else np.zeros(0)
     alphas[splat.freqs_hz == 0] = 0  # of a paper run: where the mean lies, which nothing magnifies
     out.parent.mkdir(parents=True, exist_ok=True)
-    write_glb(out, splat, alphas)
+    with progress("writing", 1, "file", brief=True):
+        write_glb(out, splat, alphas)
     warn_of_scale(run)
     return out
 
@@ -51,7 +53,8 @@ def export_spz(run: Run, out: Path, low_pass: bool = True) -> Path:
     check_file(out, ".spz", b"\x1f\x8b")
     splat = splat_of(run, low_pass)
     out.parent.mkdir(parents=True, exist_ok=True)
-    write_spz(out, splat)
+    with progress("writing", 1, "file", brief=True):
+        write_spz(out, splat)
     return out
 
 

@@ -108,7 +108,8 @@ def export_ply(run: Run, out: Path, low_pass: bool = True) -> Path:
     check_file(out, ".ply", b"ply")
     splat = splat_of(run, low_pass)
     out.parent.mkdir(parents=True, exist_ok=True)
-    write_splat(out, splat)
+    with progress("writing", 1, "file", brief=True):
+        write_splat(out, splat)
     return out
 
 

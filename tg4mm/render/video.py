@@ -16,6 +16,7 @@ import numpy as np
 
 from tg4mm.errors import RunError
 from tg4mm.files import write_atomic
+from tg4mm.progress import progress
 from tg4mm.render.frames import read_png
 
 _RATES = (0.01, 10_000.0)  # pictures a second that encoder and players can do
@@ -59,20 +60,29 @@ def write_mp4(
     path.parent.mkdir(parents=True, exist_ok=True)
     prepared = [even_size(frame) for frame in frames] * loops
     size = prepared[0].shape[1], prepared[0].shape[0]
-    write_atomic(path, lambda temporary: _encode(temporary, prepared, size, fps, scale, quality))
+    count = len(prepared)
+    write_atomic(path, lambda temporary: _encode(temporary, prepared, count, size, fps, scale, quality))
 
 
-def stream_mp4(path: Path, frames: Iterable[np.ndarray], size: tuple[int, int], fps: float) -> None:
-    """`write_mp4` of pictures that are made one after another, all of `size` (width, height), even pixels."""
+def stream_mp4(
+    path: Path, frames: Iterable[np.ndarray], size: tuple[int, int], fps: float, count: int
+) -> None:
+    """`write_mp4` of `count` pictures that are made one after another, all of `size` (width, height), even pixels."""
     check_rate(fps)
     if size[0] % 2 or size[1] % 2:
         raise ValueError(f"size is {size[0]}×{size[1]}, expected even numbers")
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomic(path, lambda temporary: _encode(temporary, frames, size, fps, 1, 17))
+    write_atomic(path, lambda temporary: _encode(temporary, frames, count, size, fps))
 
 
 def _encode(
-    path: Path, frames: Iterable[np.ndarray], size: tuple[int, int], fps: float, scale: int, quality: int
+    path: Path,
+    frames: Iterable[np.ndarray],
+    count: int,
+    size: tuple[int, int],
+    fps: float,
+    scale: int = 1,
+    quality: int = 17,
 ) -> None:
     """Raises RunError unless the encoder says that the file is whole: a full disk it tells by its exit status alone."""
     import imageio_ffmpeg
@@ -89,6 +99,7 @@ def _encode(
         str(path),
     ]
     with (
+        progress("video", count, "frames", brief=True) as update,
         tempfile.TemporaryFile() as said,
         subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=said, **_OWN_GROUP
@@ -96,8 +107,9 @@ def _encode(
     ):
         assert encoder.stdin is not None
         try:
-            for frame in frames:
+            for done, frame in enumerate(frames, 1):
                 encoder.stdin.write(np.ascontiguousarray(frame).data)
+                update(done)
             encoder.stdin.close()
             status = encoder.wait()
         except OSError:  # it ended before it had all pictures

@@ -51,9 +51,7 @@ def register_frames(model: Any, work: Workplace, names: Sequence[str], keys: Seq
             if not _place(model, db, name, neighbours[name], work.seed):
                 missing.append(name)
             update(done, placed=done - len(missing))
-    with progress("adjusting", 1, "run") as update:
-        adjust(model, work.threads)
-        update(1, error_px=float(model.compute_mean_reprojection_error()))
+    adjust(model, work.threads)
     return missing
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -15,7 +14,8 @@ from PIL import Image
 
 from tg4mm.capture.decode import DAMAGE, FORMATS, THREADS, decode, image_header
 from tg4mm.errors import CaptureError
-from tg4mm.files import write_atomic
+from tg4mm.files import link_or_copy, write_atomic
+from tg4mm.progress import progress
 from tg4mm.sfm.clip import Clip
 from tg4mm.sfm.engine import colmap, opened
 from tg4mm.sfm.sources import SWEEP
@@ -101,22 +101,33 @@ def stage(taken: list[Shot], folder: Path) -> Path | None:
     Pictures staged before are kept.
     """
     masks = folder / "masks"
-    for shot in taken:
+
+    def one(shot: Shot) -> None:
         target = folder / "images" / staged_name(shot)
-        if target.exists():
-            continue
-        target.parent.mkdir(parents=True, exist_ok=True)
-        header = image_header(shot.path)
-        pixels = decode(shot.path)
-        alpha = pixels[..., 3] / np.iinfo(pixels.dtype).max
-        if alpha.min() < 1:
-            _save(masks / f"{staged_name(shot)}.png", np.where(alpha > 0.5, 255, 0))
-        if alpha.min() < 1 or header.bits > 8 or shot.path.suffix.lower() == ".exr":
-            colour = pixels[..., :3] / np.iinfo(pixels.dtype).max
-            _save(target, 255 * (colour * alpha[..., None] + 1 - alpha[..., None]))
-        else:
-            _link(shot.path, target)
+        if not target.exists():
+            _stage_one(shot.path, target, masks / f"{staged_name(shot)}.png")
+
+    with (
+        ThreadPoolExecutor(THREADS) as pool,
+        progress("staging", len(taken), "pictures", brief=True) as update,
+    ):
+        for done, _ in enumerate(pool.map(one, taken), 1):
+            update(done)
     return masks if masks.is_dir() else None
+
+
+def _stage_one(path: Path, target: Path, mask: Path) -> None:
+    """One picture, decoded whole: that also tells a damaged one."""
+    pixels = decode(path)
+    maximum = np.iinfo(pixels.dtype).max
+    opaque = pixels[..., 3].min() == maximum
+    if opaque and maximum == 255 and path.suffix.lower() != ".exr":
+        link_or_copy(path, target)
+        return
+    alpha = pixels[..., 3] / maximum
+    if not opaque:
+        _save(mask, np.where(alpha > 0.5, 255, 0))
+    _save(target, 255 * (pixels[..., :3] / maximum * alpha[..., None] + 1 - alpha[..., None]))
 
 
 def staged_name(shot: Shot) -> str:
@@ -168,10 +179,3 @@ def _save(path: Path, values: np.ndarray) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     image = Image.fromarray((values + 0.5).astype(np.uint8))
     write_atomic(path, lambda temporary: image.save(temporary, format="PNG", compress_level=1))
-
-
-def _link(source: Path, target: Path) -> None:
-    try:
-        os.link(source.resolve(), target)
-    except OSError:  # another disk, or a file system without links
-        write_atomic(target, lambda temporary: shutil.copyfile(source, temporary))

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from tg4mm.progress import progress
 from tg4mm.sfm.engine import colmap
 
 GROWTH = 0.05  # of the sum of squared reprojection errors, up to which all lenses are taken for pinholes
@@ -53,7 +54,10 @@ def squared_error(model: Any) -> float:
 
 
 def adjust(model: Any, threads: int) -> None:
-    """Bundle adjustment of all placed pictures and points, in place; of lenses the focal length alone."""
+    """Bundle adjustment of all placed pictures and points, in place; of lenses the focal length alone.
+
+    COLMAP does not tell how far it is, so only the time that passes is shown.
+    """
     c = colmap("tg4mm sfm")
     options = c.BundleAdjustmentOptions()
     options.refine_extra_params = options.print_summary = False
@@ -63,8 +67,10 @@ def adjust(model: Any, threads: int) -> None:
     for i in model.reg_image_ids():
         config.add_image(i)
     config.fix_gauge(c.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
-    c.create_default_bundle_adjuster(options, config, model).solve()
-    model.update_point_3d_errors()
+    with progress("adjusting", 1, "run", brief=True) as update:
+        c.create_default_bundle_adjuster(options, config, model).solve()
+        model.update_point_3d_errors()
+        update(1, error_px=float(model.compute_mean_reprojection_error()))
 
 
 def _with_pinholes(model: Any, cameras: list[int], threads: int) -> Any:

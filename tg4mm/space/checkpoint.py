@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from tg4mm.errors import RunError
+from tg4mm.progress import progress
 from tg4mm.space.config import SpaceConfig
 from tg4mm.space.targets import RestViews
 
@@ -28,8 +29,12 @@ Check = Callable[[Mapping[str, Tensor], Mapping[str, Any]], None]  # raises RunE
 def pictures_digest(views: RestViews) -> str:
     """SHA-256 of cameras and pictures."""
     digest = hashlib.sha256(repr(views.rgb.shape).encode())
-    for array in (views.viewmats, views.Ks, views.rgb):
+    for array in (views.viewmats, views.Ks):
         digest.update(np.ascontiguousarray(array).data)
+    with progress("digest of the pictures", len(views.rgb), "pictures", brief=True) as update:
+        for done, picture in enumerate(views.rgb, 1):
+            digest.update(np.ascontiguousarray(picture).data)
+            update(done)
     return digest.hexdigest()
 
 

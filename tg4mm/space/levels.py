@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from tg4mm.errors import Tg4mmError
+from tg4mm.progress import progress
 from tg4mm.space import density
 from tg4mm.space.config import SpaceConfig
 from tg4mm.space.targets import RestViews
@@ -127,10 +128,19 @@ def shrunk(views: RestViews, by: int) -> RestViews:
     height, width = (n // by for n in views.rgb.shape[1:3])
     rgb = np.empty((len(views.rgb), height, width, 3), np.float32)
     alpha = np.empty(rgb.shape[:3], np.float32)
-    for v in range(len(rgb)):
-        for source, target in ((views.rgb[v], rgb[v]), (views.alpha[v], alpha[v])):
-            cut = source[: height * by, : width * by]
-            target[:] = cut.reshape(height, by, width, by, *cut.shape[2:]).mean((1, 3))
+    with progress("pictures, smaller", len(rgb), "pictures", brief=True) as update:
+        for v in range(len(rgb)):
+            rgb[v], alpha[v] = _means(views.rgb[v], by), _means(views.alpha[v], by)
+            update(v + 1)
     Ks = views.Ks.copy()
     Ks[:, :2] /= by
     return replace(views, rgb=rgb, alpha=alpha, Ks=Ks)
+
+
+def _means(picture: np.ndarray, by: int) -> np.ndarray:
+    """Of [H, W, …] over squares: rows are added up first, then columns, which lie next to each other less often."""
+    height, width = (n // by for n in picture.shape[:2])
+    picture = picture[: height * by, : width * by]
+    rows = sum((picture[k::by] for k in range(1, by)), start=picture[::by])
+    columns = sum((rows[:, k::by] for k in range(1, by)), start=rows[:, ::by])
+    return np.asarray(columns * np.float32(1 / by**2), np.float32)

@@ -47,7 +47,7 @@ def save_clip(
             update((i + 1) / len(moments))
 
     path = next_name(folder, "clip", ".mp4")
-    stream_mp4(path, pictures(), size, CLIP_RATE)
+    stream_mp4(path, pictures(), size, CLIP_RATE, len(moments))
     return path
 
 
