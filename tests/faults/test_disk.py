@@ -6,7 +6,6 @@ Needs root, for a small file system of its own; without it the tests say so and 
 from __future__ import annotations
 
 import os
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -17,6 +16,7 @@ import numpy as np
 import pytest
 import torch
 
+from tests.capture.conftest import write_tree
 from tests.faults.readers import READERS
 from tg4mm.errors import RunError
 from tg4mm.files import write_json
@@ -135,7 +135,7 @@ def tg4mm(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
 @pytest.mark.slow
 def test_training_on_a_full_disk_is_one_line(disk: Callable[[int], Path], tmp_path: Path) -> None:
     (tmp_path / "set").mkdir()
-    READERS["scene.json"].make(tmp_path / "set")
+    write_tree(tmp_path / "set", 6)
     folder = disk(16)
     fill(folder)
     done = tg4mm("train", tmp_path / "set", "--out", folder / "run")
@@ -151,10 +151,11 @@ def test_a_folder_that_cannot_be_written_is_one_line(
 ) -> None:
     """Read-only as a file system is, which binds root, too."""
     (tmp_path / "set").mkdir()
-    READERS["scene.json"].make(tmp_path / "set")
+    write_tree(tmp_path / "set", 6)
     (tmp_path / "made").mkdir()
     READERS["run space"].make(tmp_path / "made")
-    shutil.copytree(tmp_path / "set", tmp_path / "made" / "data", dirs_exist_ok=True)
+    (tmp_path / "made" / "data").mkdir(exist_ok=True)
+    READERS["scene.json"].make(tmp_path / "made" / "data")
     folder = disk(64)
     mount("-o", "remount,ro", str(folder))
     given = {
