@@ -162,7 +162,7 @@ def test_generated_trained_imported_by_the_real_core(
     bpy.ops.object.light_add(type="SUN")
     settings = bpy.context.scene.tg4mm_generate
     settings.kind, settings.amplitude, settings.frequency, settings.fps = "translate", 0.05, 7.5, 30.0
-    settings.views, settings.test_views, settings.timesteps, settings.size = 6, 1, 4, 32
+    settings.views, settings.test_views, settings.timesteps, settings.size = 6, 1, 8, 32
     settings.samples, settings.alphas, settings.out, settings.processes = 1, "5", str(tmp_path), 1
     bpy.ops.tg4mm.generate()
     assert wait(extension, "generate").state.value == "done"
