@@ -6,10 +6,12 @@ import shutil
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, TextIO
 
 from tg4mm import events
+from tg4mm.lock import held
 from tg4mm.progress import progress
 from tg4mm.temporary import remove_leftovers
 from tg4mm.untrusted import read_json, read_npz
@@ -34,10 +36,15 @@ def generate(settings: Settings, out: Path, count: int = 0, stream: TextIO | Non
     """
     stream = stream or sys.stderr
     job = claim(plan(settings, out))
-    coded.begin(job.root, job.settings)
-    timing = render_missing(job, range(len(job.shots)), count, stream)
-    _add_timing(job.root, timing)
-    return finish(job, stream)
+    with _held(job.root):
+        coded.begin(job.root, job.settings)
+        timing = render_missing(job, range(len(job.shots)), count, stream)
+        _add_timing(job.root, timing)
+        return finish(job, stream)
+
+
+def _held(root: Path) -> AbstractContextManager[None]:
+    return held(root, f"{root} is in use: another process makes this dataset")
 
 
 def render_missing(job: Job, numbers: Sequence[int], count: int, stream: TextIO) -> Timing:
@@ -117,7 +124,9 @@ def render_part(settings: Settings, out: Path, part: tuple[int, int], count: int
 
 def finish_parts(settings: Settings, out: Path, stream: TextIO) -> Path:
     """What is left when all parts are rendered."""
-    return finish(claim(plan(settings, out)), stream)
+    job = claim(plan(settings, out))
+    with _held(job.root):
+        return finish(job, stream)
 
 
 def missing_files(job: Job) -> list[str]:

@@ -22,14 +22,7 @@ def run_generator(arguments: Sequence[str]) -> int:
     """
     if importlib.util.find_spec("bpy") is None:
         raise Tg4mmError(f"generate needs the Python package bpy, which is not installed: {blender_remedy()}")
-    command = [sys.executable, "-m", "dataset_gen", *arguments]
-    with _passing_signals_on() as children, subprocess.Popen(command) as child:
-        children.append(child)
-        try:
-            status = child.wait()
-        except KeyboardInterrupt:
-            child.wait()  # it ends at a whole picture
-            raise
+    status = run_child([sys.executable, "-m", "dataset_gen", *arguments])
     if status < 0:
         print(
             f"tg4mm: the generator was ended by signal {-status}; run the same command again to continue",
@@ -37,6 +30,17 @@ def run_generator(arguments: Sequence[str]) -> int:
         )
         return 1
     return status
+
+
+def run_child(command: Sequence[str]) -> int:
+    """Run a program and return its exit status. A signal to this process alone ends it, too: KeyboardInterrupt."""
+    with _passing_signals_on() as children, subprocess.Popen(command) as child:
+        children.append(child)
+        try:
+            return child.wait()
+        except KeyboardInterrupt:
+            child.wait()  # it ends at a whole file
+            raise
 
 
 @contextmanager

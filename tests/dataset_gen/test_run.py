@@ -21,6 +21,8 @@ from dataset_gen.processes import RunFailed
 from dataset_gen.run import finish_parts, generate, missing_files, prepare_parts, render_part, save_animation
 from dataset_gen.scenes import SCENES
 from dataset_gen.settings import Settings
+from tg4mm.errors import RunError
+from tg4mm.lock import held
 from tg4mm.temporary import _HOST
 
 TINY_OPTIONS = "--size 32 --timesteps 6 --test-views 1 --alphas 5 --samples 2 --points 300"
@@ -338,3 +340,9 @@ def test_a_worker_of_one_thread_has_no_second_one_that_looks_for_work():
         return int(out.split("threads ")[1])
 
     assert threads(1) < threads(0)
+
+
+def test_two_processes_do_not_make_one_dataset(made):
+    with held(made, "busy"), pytest.raises(RunError, match="in use: another process makes this dataset"):
+        generate(TINY, made.parent)
+    assert not (made / ".lock").exists()

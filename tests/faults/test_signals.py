@@ -62,6 +62,29 @@ def test_a_signal_to_the_parent_ends_the_child(
     assert said.strip() == "tg4mm: interrupted; run the same command again to continue"
 
 
+BENCH = """
+import sys
+from tg4mm.bench import presets
+step = presets.Step("one", (sys.executable, "-c", sys.argv[1]), ())
+presets.steps_of = lambda *a, **k: [step, presets.Step("two", (sys.executable, "-c", "open('two', 'w')"), ())]
+try:
+    presets.run_preset("smoke", "out")
+except KeyboardInterrupt:
+    sys.exit(130)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+def test_a_signal_to_a_benchmark_ends_its_step_and_the_rest(tmp_path: Path, repo_root: Path) -> None:
+    environment = {**os.environ, "PYTHONPATH": str(repo_root)}
+    parent = subprocess.Popen([sys.executable, "-c", BENCH, STUB], cwd=tmp_path, env=environment)
+    child = int(wait_for(tmp_path / "child"))
+    parent.send_signal(signal.SIGTERM)
+    assert parent.wait(timeout=20) == 130
+    assert not psutil.pid_exists(child)
+    assert not (tmp_path / "two").exists()
+
+
 def family(pid: int) -> list[psutil.Process]:
     return psutil.Process(pid).children(recursive=True)
 

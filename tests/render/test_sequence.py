@@ -9,9 +9,11 @@ import pytest
 
 from tg4mm.capture import load_capture, load_images
 from tg4mm.errors import RunError, Tg4mmError
+from tg4mm.lock import held
 from tg4mm.render import RenderRequest, capture_cameras, orbit, render_image, render_orbit, render_sequence
 from tg4mm.render.frames import read_png
 from tg4mm.render.sequence import pose_of
+from tg4mm.temporary import _HOST
 
 
 @pytest.fixture
@@ -192,3 +194,19 @@ def test_the_background_shows_where_nothing_is(run, cameras):
     assert picture.dtype == np.float32
     assert picture.shape == (32, 32, 3)
     np.testing.assert_allclose(picture[0, 0], [0.2, 0.4, 0.6], atol=1e-6)
+
+
+@pytest.mark.parametrize("command", [render_sequence, render_orbit])
+def test_two_processes_do_not_render_into_one_folder(run, cameras, tmp_path, command):
+    with held(tmp_path / "out", "busy"), pytest.raises(RunError, match="in use: another process renders"):
+        command(run, cameras[:1], RenderRequest(), tmp_path / "out")
+    command(run, cameras[:1], RenderRequest(), tmp_path / "out")
+    assert not (tmp_path / "out" / ".lock").exists()
+
+
+def test_what_a_kill_left_below_the_folder_is_removed(run, cameras, tmp_path):
+    out = render_sequence(run, cameras[:1], RenderRequest(), tmp_path / "out", [0, 1], video=False)
+    left = out / "001" / f".r_000.png.{_HOST}-999999999.tmp"
+    left.touch()
+    render_sequence(run, cameras[:1], RenderRequest(), out, [0, 1], video=False)
+    assert not left.exists()

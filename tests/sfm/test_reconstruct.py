@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +17,12 @@ from tests.sfm.videos import still
 from tg4mm.capture import Capture, load_capture, load_images
 from tg4mm.capture.geometry import optical_axes
 from tg4mm.cli import main
-from tg4mm.errors import CaptureError, Tg4mmError
+from tg4mm.errors import CaptureError, RunError, Tg4mmError
+from tg4mm.lock import held
 from tg4mm.sfm import reconstruct as module
 from tg4mm.sfm.reconstruct import SfmConfig, reconstruct
+from tg4mm.sfm.request import open_request
+from tg4mm.sfm.sources import find_sources
 
 pytest.importorskip("pycolmap")
 SIZE, FOCAL, BEND = (240, 180), 250.0, 0.35
@@ -324,3 +328,10 @@ def test_a_test_split_is_held_out(dataset: Path, photographs: Path, tmp_path: Pa
 def test_the_command_refuses_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["sfm", str(tmp_path / "none"), "--out", str(tmp_path / "out")]) == 2
     assert capsys.readouterr().err == f"tg4mm: {tmp_path / 'none'}: does not exist\n"
+
+
+def test_two_processes_do_not_make_one_dataset(photographs: Path, tmp_path: Path) -> None:
+    sources = find_sources(photographs)
+    work = open_request(tmp_path / "out", sources, asdict(SfmConfig()))
+    with held(work.folder, "busy"), pytest.raises(RunError, match="in use: another process makes this"):
+        reconstruct(photographs, tmp_path / "out", SfmConfig(), threads=1)

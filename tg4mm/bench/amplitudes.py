@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from tg4mm.bench.errors import BenchError
 from tg4mm.bench.sets import BenchSet
+from tg4mm.errors import RunError
+from tg4mm.files import write_json
 from tg4mm.generator import run_generator
 from tg4mm.run.config import read_json
 
@@ -32,7 +33,7 @@ def with_amplitude(data: BenchSet, pixels: float, folder: Path) -> Path:
         status = run_generator(arguments)
         if status != 0:
             raise BenchError(f"rendering {data.label} at {pixels:g} px ended with status {status}; see above")
-        (folder / DONE).write_text(json.dumps({"arguments": arguments}) + "\n", encoding="utf-8")
+        write_json(folder / DONE, {"arguments": arguments})
     found = sorted(path.parent for path in folder.glob("*/scene.json"))
     if len(found) != 1:
         raise BenchError(f"{folder} should hold one dataset, it holds {len(found)}")
@@ -40,8 +41,10 @@ def with_amplitude(data: BenchSet, pixels: float, folder: Path) -> Path:
 
 
 def _is_done(folder: Path, arguments: list[str]) -> bool:
-    file = folder / DONE
-    return file.is_file() and read_json(file).get("arguments") == arguments
+    try:
+        return read_json(folder / DONE).get("arguments") == arguments
+    except RunError:  # it is not there, or torn
+        return False
 
 
 def generator_arguments(data: BenchSet, pixels: float, folder: Path) -> list[str]:

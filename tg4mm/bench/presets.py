@@ -7,7 +7,6 @@ machine; the `Snakefile` beside this module runs the same ones on many.
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from typing import Any
 from tg4mm.bench.errors import BenchError
 from tg4mm.bench.methods.known import DEFAULT
 from tg4mm.errors import Tg4mmError
+from tg4mm.generator import run_child
 
 Printer = Callable[[str], None]
 SCENES = ("mic", "chair", "lego", "hotdog", "drums", "ficus", "materials", "ship")
@@ -121,7 +121,7 @@ def run_preset(name: str, out: Path, external: Sequence[str] = (), say: Printer 
             failed.add(step.name)
             continue
         say(f"[{i}/{len(steps)}] {step.name}")
-        if subprocess.run(step.command, check=False).returncode != 0:
+        if run_child(step.command) != 0:
             failed.add(step.name)
             say(f"    {step.name} failed; continuing with the rest")
     return len(failed)

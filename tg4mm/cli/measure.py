@@ -48,6 +48,7 @@ def measure(
     The displacement of a sensor is measured in the pictures, frame by frame, with a standard deviation for each sample
     (mm if the scale is known, else scene units). Its spectrum (Hz) has a noise floor and the peaks above it.
     """
+    from tg4mm.lock import held
     from tg4mm.measure import measure as measured
     from tg4mm.measure import parse_sensor, prepare, read_sensors
     from tg4mm.measure.sensors import checked_names
@@ -62,8 +63,9 @@ def measure(
         )
     opened = Run.open(run)
     claim(out)
-    found = measured(prepare(opened, keep), asked or None, reference)
-    typer.echo(_written(found, out, animate), nl=False)
+    with held(out, f"--out {out} is in use: another process writes a measurement there"):
+        found = measured(prepare(opened, keep), asked or None, reference)
+        typer.echo(_written(found, out, animate), nl=False)
 
 
 def _written(found, out: Path, animate: bool) -> str:

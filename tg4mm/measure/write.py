@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from tg4mm.files import to_json, write_atomic, write_json
+from tg4mm.lock import LOCK
 from tg4mm.measure.clips import ClipPhases
 from tg4mm.measure.errors import MeasureError
 from tg4mm.measure.measurement import Measurement
@@ -26,7 +27,9 @@ def claim(out: Path) -> None:
     """Make the folder. Raises MeasureError where it holds something that is no measurement."""
     if out.exists() and not out.is_dir():
         raise MeasureError(f"--out {out} is a file, expected a folder")
-    if out.is_dir() and not (out / MARK).exists() and not all(is_temporary(p, MARK) for p in out.iterdir()):
+    # A kill before measure.json was renamed leaves its temporary file and the lock.
+    held = [p for p in out.iterdir() if p.name != LOCK and not is_temporary(p, MARK)] if out.is_dir() else []
+    if held and not (out / MARK).exists():
         raise MeasureError(f"--out {out} is not empty and holds no {MARK}: choose another folder")
     out.mkdir(parents=True, exist_ok=True)
     remove_leftovers(out)

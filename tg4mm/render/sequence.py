@@ -6,6 +6,7 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from typing import Any
 from tg4mm.errors import RunError
 from tg4mm.files import write_json
 from tg4mm.gaussians import Gaussians
+from tg4mm.lock import held
 from tg4mm.magnify import BandGain, Magnification, TemporalFilter
 from tg4mm.magnify.bands import LARGEST_ALPHA
 from tg4mm.magnify.poses import method_of, poses_of
@@ -89,16 +91,23 @@ def render_sequence(
             raise RunError(f"timestep {t} is outside 0 … {n_timesteps - 1}")
     if video and len(wanted) > 1:
         check_rate(fps / request.slow)
-    claim(out, run, request, cameras, "sequence")
-    files = {(t, camera.name): out / f"{t:03d}" / f"{camera.name}.png" for t in wanted for camera in cameras}
-    jobs = [(float(t), camera, files[t, camera.name]) for t in wanted for camera in cameras]
-    render_missing(jobs, pose, request, f"rendering, α = {request.label}")
-    if video and len(wanted) > 1:
-        speed = "" if request.slow == 1 else f"_slow{request.slow:g}"
-        for camera in cameras:
-            pictures = [files[t, camera.name] for t in wanted]
-            _video_once(out / f"{camera.name}{speed}.mp4", pictures, fps / request.slow)
+    with _held(out):
+        claim(out, run, request, cameras, "sequence")
+        files = {
+            (t, camera.name): out / f"{t:03d}" / f"{camera.name}.png" for t in wanted for camera in cameras
+        }
+        jobs = [(float(t), camera, files[t, camera.name]) for t in wanted for camera in cameras]
+        render_missing(jobs, pose, request, f"rendering, α = {request.label}")
+        if video and len(wanted) > 1:
+            speed = "" if request.slow == 1 else f"_slow{request.slow:g}"
+            for camera in cameras:
+                pictures = [files[t, camera.name] for t in wanted]
+                _video_once(out / f"{camera.name}{speed}.mp4", pictures, fps / request.slow)
     return out
+
+
+def _held(out: Path) -> AbstractContextManager[None]:
+    return held(out, f"{out} is in use: another process renders into it")
 
 
 def render_orbit(
@@ -112,12 +121,13 @@ def render_orbit(
     pose, _, fps = pose_of(run, request, device)
     if len(cameras) > 1:
         check_rate(fps)
-    claim(out, run, request, cameras, "orbit")
-    jobs = [(i / request.slow, camera, out / f"{camera.name}.png") for i, camera in enumerate(cameras)]
-    render_missing(jobs, pose, request, f"orbit, α = {request.label}")
-    pictures = [path for _, _, path in jobs]
-    if len(pictures) > 1:
-        _video_once(out / "orbit.mp4", pictures, fps)
+    with _held(out):
+        claim(out, run, request, cameras, "orbit")
+        jobs = [(i / request.slow, camera, out / f"{camera.name}.png") for i, camera in enumerate(cameras)]
+        render_missing(jobs, pose, request, f"orbit, α = {request.label}")
+        pictures = [path for _, _, path in jobs]
+        if len(pictures) > 1:
+            _video_once(out / "orbit.mp4", pictures, fps)
     return out
 
 

@@ -12,11 +12,11 @@ from typing import Any
 
 from tg4mm import __version__, untrusted
 from tg4mm.errors import RunError
+from tg4mm.lock import LOCK
 from tg4mm.temporary import is_temporary
 
 FORMAT = "tg4mm"
 VERSION = 1
-LOCK = ".lock"  # of the process that trains the run
 _KINDS = {"dataset": str, "dataset_from_run": str, "preset": str, "settings": dict, "versions": dict}
 
 

@@ -18,13 +18,15 @@ from pathlib import Path
 from typing import Any
 
 from tg4mm.errors import CaptureError, Tg4mmError
+from tg4mm.lock import held
 from tg4mm.sfm.clip import WHOLE
 from tg4mm.sfm.config import DEFAULTS, SfmConfig, checked
 from tg4mm.sfm.dataset import write_dataset
 from tg4mm.sfm.engine import colmap
 from tg4mm.sfm.flat import write_flat
 from tg4mm.sfm.frames import KEYS, SWEEP_FRAMES, extract_frames, sharp_rows
-from tg4mm.sfm.kind import Kind, check_kind, held, possible_kinds, told_kind
+from tg4mm.sfm.kind import Kind, check_kind, possible_kinds, told_kind
+from tg4mm.sfm.kind import held as held_in
 from tg4mm.sfm.mapping import (
     check_registered,
     find_poses,
@@ -85,6 +87,11 @@ def reconstruct(images: Path, out: Path, config: SfmConfig = DEFAULTS, threads: 
     done = work.finished()
     if done is not None:
         return done
+    with held(work.folder, f"{out} is in use: another process makes this dataset"):
+        return _made(images, work, sources, config, threads)
+
+
+def _made(images: Path, work: Work, sources: Sources, config: SfmConfig, threads: int) -> dict[str, Any]:
     surveys = [survey_clip(clip, work.folder / "survey", config.window) for clip in sources.clips]
     kind = told_kind(sources, surveys, config.kind)
     print(f"{images}: taken for {kind.name}: {kind.reason}", file=sys.stderr, flush=True)
@@ -121,7 +128,7 @@ def _check_options(sources: Sources, config: SfmConfig) -> None:
         raise Tg4mmError(f"--fps is {config.fps:g}, but photographs have no frame rate")
     if config.synchronous and "rig" not in possible_kinds(sources):
         raise Tg4mmError(
-            f"--synchronous is for the cameras of a rig, but {sources.path} holds {held(sources)}"
+            f"--synchronous is for the cameras of a rig, but {sources.path} holds {held_in(sources)}"
         )
     frames = [clip.name for clip in sources.clips if not clip.is_video]
     if frames and config.fps is None and config.kind != "photos":

@@ -63,12 +63,10 @@ def adjust(model: Any, threads: int) -> None:
     options.refine_extra_params = options.print_summary = False
     solver = options.ceres.solver_options
     solver.num_threads, solver.max_num_iterations, solver.function_tolerance = threads, STEPS, TOLERANCE
-    config = c.BundleAdjustmentConfig()
-    for i in model.reg_image_ids():
-        config.add_image(i)
-    config.fix_gauge(c.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
     with progress("adjusting", 1, "run", brief=True) as update:
-        c.create_default_bundle_adjuster(options, config, model).solve()
+        c.bundle_adjustment(
+            model, options
+        )  # an adjuster's own `solve` would stop all other threads of Python
         model.update_point_3d_errors()
         update(1, error_px=float(model.compute_mean_reprojection_error()))
 
