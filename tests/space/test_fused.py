@@ -176,20 +176,21 @@ def test_an_optimiser_taken_up_from_a_checkpoint_goes_on_to_the_bit() -> None:
     assert torch.equal(back.moments()["shn.v"], other.moments()["shn.v"])
 
 
-def test_rows_come_and_go_as_in_torchs_optimiser() -> None:
-    fit = Trained(FusedAdam, 2).fit
-    before = {k: v.clone() for k, v in fit.adam.moments().items()}
-    old = {k: v.clone() for k, v in fit.adam.parameters.items()}
-    keep, added = torch.tensor([7, 0, 250]), {k: v[[1, 5]] for k, v in parameters().items()}
-    fit.adam.replace(keep, added)
-    after = fit.adam.moments()
-    assert after["step"] == 2
-    for name, p in fit.adam.parameters.items():
-        assert torch.equal(p, torch.cat([old[name][keep], added[name]]))
-        for kind in (".m", ".v"):
-            assert torch.equal(after[name + kind][:3], before[name + kind][keep])
-            assert (after[name + kind][3:] == 0).all()
-    assert len(fit.adam.active[0]) == 5  # type: ignore[union-attr]
+@pytest.mark.parametrize("gone", [[7], [7, 0], [7, 0, 250]])
+def test_rows_come_and_go_as_in_torchs_optimiser(gone: list[int]) -> None:
+    """More than go, as many, and fewer: and what is rendered goes with them."""
+    fused = Trained(FusedAdam, 2).fit.adam
+    other = ParameterAdam(fused.parameters, EXTENT, {k: v.clone() for k, v in fused.moments().items()})
+    for adam in (fused, other):
+        adam.replace(torch.tensor(gone), {k: v[[1, 5]] for k, v in parameters().items()})
+        adam.reorder(torch.arange(len(adam.parameters["logits"])).flip(0))
+    for found, expected in ((fused.parameters, other.parameters), (fused.moments(), other.moments())):
+        for name, value in expected.items():
+            assert torch.equal(found[name], value), name
+    assert isinstance(fused, FusedAdam)
+    shown = activate(fused.parameters)
+    np.testing.assert_allclose(fused.active[0], shown.scales, rtol=1e-6)
+    np.testing.assert_allclose(fused.active[1], shown.opacities, rtol=1e-6)
 
 
 def test_given_parameters_are_left_as_they_are() -> None:
@@ -222,10 +223,11 @@ def test_the_losss_gradient_is_autograds(l2: float, scale: float) -> None:
     assert squares.sum() == pytest.approx(expected, rel=1e-6)
 
 
-def test_iterations_do_not_allocate() -> None:
+@pytest.mark.parametrize("spacing", [1, 2])
+def test_iterations_do_not_allocate(spacing: int) -> None:
     """Once the buffers have their sizes, an iteration takes less than a tenth of what one picture needs."""
     scene = make_scene(0, n=3000, size=(256, 192))
-    cameras = stage._Views(views_of(scene), SpaceConfig(), "cpu")
+    cameras = stage._Views(views_of(scene), SpaceConfig(), "cpu", spacing=spacing)
     generator, error = torch.Generator(), torch.zeros(3000)
     fit = stage._Fit(FusedAdam(parameters(scene), EXTENT), error, torch.zeros(()), generator, generator)
     for _ in range(3):

@@ -8,11 +8,13 @@ import torch
 from torch import Tensor
 
 from tests.helpers.space_parameters import EXTENT, N, gradients, take_step
+from tg4mm.space.fused import FusedAdam
 from tg4mm.space.initial import InitialPoints
 from tg4mm.space.parameters import (
     LEARNING_RATES,
     SH_C0,
     ParameterAdam,
+    ParameterRows,
     activate,
     initial_parameters,
     learning_rates,
@@ -85,31 +87,66 @@ def test_gradients_are_cleared_by_a_step() -> None:
     assert all(p.grad is None for p in adam.parameters.values())
 
 
-def test_kept_rows_keep_their_moments_and_new_ones_start_at_zero() -> None:
-    adam = ParameterAdam(parameters(), EXTENT)
+NEW = -1  # in what `expected` says of a row: it holds the next of those added
+
+
+@pytest.mark.parametrize(
+    ("gone", "n_added", "expected"),
+    [
+        ([4, 0], 2, [NEW, 1, 2, 3, NEW, 5]),
+        ([4, 0], 4, [NEW, 1, 2, 3, NEW, 5, NEW, NEW]),
+        ([4, 0, 2], 1, [1, 3, NEW, 5]),
+        ([4, 0], 0, [1, 2, 3, 5]),
+        ([], 2, [0, 1, 2, 3, 4, 5, NEW, NEW]),
+        ([], 0, [0, 1, 2, 3, 4, 5]),
+    ],
+)
+@pytest.mark.parametrize("kind", [ParameterAdam, FusedAdam])
+def test_kept_rows_keep_their_moments_and_new_ones_start_at_zero(
+    kind: type[ParameterRows], gone: list[int], n_added: int, expected: list[int]
+) -> None:
+    plain = ParameterAdam(parameters(), EXTENT)
     for i in range(3):
-        take_step(adam, gradients(adam.parameters, i))
-    before = {k: v.clone() for k, v in adam.moments().items()}
-    keep, added = torch.tensor([4, 0, 2]), rows(parameters(), torch.tensor([1, 5]))
-    adam.replace(keep, added)
+        take_step(plain, gradients(plain.parameters, i))
+    before = {k: v.detach().clone() for k, v in (plain.parameters | plain.moments()).items()}
+    adam = kind(plain.parameters, EXTENT, plain.moments())
+    added = rows(parameters(), torch.arange(n_added) % N)
+    adam.replace(torch.tensor(gone, dtype=torch.long), added)
     after = adam.moments()
-    assert after["step"] == before["step"] == 3
-    for name in adam.parameters:
-        for kind in (".m", ".v"):
-            assert torch.equal(after[name + kind][:3], before[name + kind][keep])
-            assert (before[name + kind] != 0).any()
-            assert (after[name + kind][3:] == 0).all()
-            assert after[name + kind].shape == adam.parameters[name].shape
-        assert torch.equal(adam.parameters[name][3:], added[name])
+    assert after["step"] == 3
+    stay, new = torch.tensor(expected) != NEW, torch.tensor(expected) == NEW
+    old = torch.tensor(expected)[stay]
+    for name, p in adam.parameters.items():
+        assert torch.equal(p[stay], before[name][old])
+        assert sorted(p[new].flatten(1 if p.dim() > 1 else 0).tolist()) == sorted(
+            added[name].flatten(1 if p.dim() > 1 else 0).tolist()
+        )
+        for moment in (".m", ".v"):
+            assert (before[name + moment] != 0).any()
+            assert torch.equal(after[name + moment][stay], before[name + moment][old])
+            assert (after[name + moment][new] == 0).all()
+            assert after[name + moment].shape == p.shape
+
+
+@pytest.mark.parametrize("kind", [ParameterAdam, FusedAdam])
+def test_rows_take_their_moments_with_them_when_reordered(kind: type[ParameterRows]) -> None:
+    plain = ParameterAdam(parameters(), EXTENT)
+    take_step(plain, gradients(plain.parameters, 0))
+    before = {k: v.detach().clone() for k, v in (plain.parameters | plain.moments()).items()}
+    adam, order = kind(plain.parameters, EXTENT, plain.moments()), torch.tensor([3, 0, 5, 1, 4, 2])
+    adam.reorder(order)
+    for name, value in (adam.parameters | adam.moments()).items():
+        assert torch.equal(value, before[name] if name == "step" else before[name][order]), name
 
 
 def test_kept_rows_go_on_as_if_nothing_had_happened() -> None:
     one, other = (ParameterAdam(parameters(), EXTENT) for _ in range(2))
-    keep = torch.tensor([5, 1, 2])
+    keep = torch.tensor([1, 2, 5])
     for i in range(2):
         take_step(one, gradients(one.parameters, i))
         take_step(other, gradients(other.parameters, i))
-    other.replace(keep, rows(parameters(), torch.tensor([0])))
+    other.replace(torch.tensor([0, 3, 4]), rows(parameters(), torch.tensor([], dtype=torch.long)))
+    other.replace(torch.tensor([], dtype=torch.long), rows(parameters(), torch.tensor([0])))
     for i in range(2, 5):
         grads = gradients(one.parameters, i)
         take_step(one, grads, 0.3)
@@ -122,7 +159,7 @@ def test_kept_rows_go_on_as_if_nothing_had_happened() -> None:
 def test_rows_can_change_before_the_first_step() -> None:
     adam = ParameterAdam(parameters(), EXTENT)
     assert adam.moments() == {}
-    adam.replace(torch.tensor([0, 1]), rows(parameters(), torch.tensor([3])))
+    adam.replace(torch.tensor([0, 1, 2, 3]), rows(parameters(), torch.tensor([3])))
     take_step(adam, gradients(adam.parameters, 0))
     assert adam.moments()["means.m"].shape == (3, 3)
 

@@ -90,7 +90,6 @@ def control_density(
             chosen = torch.multinomial(chance, room, replacement=False, generator=generator).to(alive.device)
         else:
             chosen = torch.empty(0, dtype=torch.long, device=alive.device)
-        keep = alive.clone()
-        keep[chosen] = False
-        adam.replace(torch.nonzero(keep)[:, 0], split_rows(p, chosen, generator))
+        gone = torch.cat([chosen, torch.nonzero(~alive)[:, 0]])  # one half takes the place of what was split
+        adam.replace(gone, split_rows(p, chosen, generator))
     return DensityChange(removed, len(chosen))

@@ -38,10 +38,37 @@ class FusedAdam(ParameterRows):
             _packed({k: moments[k + kind] if moments else torch.zeros_like(v) for k, v in given.items()})
             for kind in (".m", ".v")
         )
+        self._activate()
+
+    def _activate(self) -> None:
+        """What follows from `values`."""
         _, _, log_scales, logits, _ = self.values
         self.active = (np.empty_like(log_scales), np.empty_like(logits))
         activate(log_scales, logits, *self.active)
         self.parameters = _named(self.values)
+
+    def replace(self, gone: Tensor, added: dict[str, Tensor]) -> None:
+        """As for all optimisers, but rows that stay are not touched."""
+        n, more = len(self.values[0]), len(added["logits"]) - len(gone)
+        if more < 0:
+            super().replace(gone, added)
+            return
+        rows = np.concatenate([gone.numpy(), np.arange(n, n + more)])
+        self.values, self.first, self.second = (
+            tuple(_lengthened(a, more) for a in arrays) for arrays in (self.values, self.first, self.second)
+        )
+        for value, first, second, new in zip(
+            self.values, self.first, self.second, _packed(added), strict=True
+        ):
+            value[rows], first[rows], second[rows] = new, 0, 0
+        self._activate()
+
+    def reorder(self, order: Tensor) -> None:
+        rows = order.numpy()
+        self.values, self.first, self.second = (
+            tuple(a[rows] for a in arrays) for arrays in (self.values, self.first, self.second)
+        )
+        self._activate()
 
     def moments(self) -> dict[str, Tensor]:
         if self._steps == 0:
@@ -63,6 +90,11 @@ def _packed(p: dict[str, Tensor]) -> tuple[np.ndarray, ...]:
     """Copies of the named tensors in the order of `kernels.step`, both parts of the SH coefficients in one."""
     sh = torch.cat([p["sh0"], p["shn"]], 1)
     return (*(p[name].contiguous().numpy().copy() for name in _SHAPES), sh.contiguous().numpy())
+
+
+def _lengthened(array: np.ndarray, more: int) -> np.ndarray:
+    """The array with so many rows more, of undefined contents."""
+    return np.concatenate([array, np.empty((more, *array.shape[1:]), array.dtype)]) if more else array
 
 
 def _named(arrays: tuple[np.ndarray, ...]) -> dict[str, Tensor]:

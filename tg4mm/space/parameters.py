@@ -88,15 +88,32 @@ class ParameterRows(ABC):
     def moments(self) -> dict[str, Tensor]:
         """Adam's state by name: `<name>.m`, `<name>.v`, and `step`. Empty before the first step."""
 
-    def replace(self, keep: Tensor, added: dict[str, Tensor]) -> None:
-        """Keep the rows `keep` (indices) and append `added`, whose moments start at zero."""
+    def replace(self, gone: Tensor, added: dict[str, Tensor]) -> None:
+        """Put `added`, whose moments start at zero, where the rows `gone` (indices) were, what is over at the end.
+
+        Where fewer are added, the rows that stay close up.
+        """
+        n, count = len(self.parameters["logits"]), len(added["logits"])
+        rows = torch.arange(n + count, device=gone.device)  # those there, then `added`
+        taken = min(len(gone), count)
+        rows[gone[:taken]] = rows[n : n + taken].clone()
+        stays = torch.ones_like(rows, dtype=torch.bool)
+        stays[n : n + taken] = False
+        stays[gone[taken:]] = False
+        self._select(rows[stays], added)
+
+    def reorder(self, order: Tensor) -> None:
+        """Row i becomes what row order[i] was."""
+        self._select(order, {name: p[:0].detach() for name, p in self.parameters.items()})
+
+    def _select(self, rows: Tensor, added: dict[str, Tensor]) -> None:
+        """Keep these rows of those there and, numbered on from them, `added`."""
         moments = self.moments()
         parameters = {}
         for name, p in self.parameters.items():
-            parameters[name] = torch.cat([p.detach()[keep], added[name]])
+            parameters[name] = torch.cat([p.detach(), added[name]])[rows]
             for kind in (".m", ".v") if moments else ():
-                old = moments[name + kind][keep]
-                moments[name + kind] = torch.cat([old, torch.zeros_like(added[name])])
+                moments[name + kind] = torch.cat([moments[name + kind], torch.zeros_like(added[name])])[rows]
         self._build(parameters, moments or None)
 
 

@@ -17,6 +17,7 @@ from tg4mm.device import full_precision, gpu_figures, reset_gpu_peak
 from tg4mm.gaussians import Gaussians
 from tg4mm.memory import peak_memory_mib
 from tg4mm.progress import progress
+from tg4mm.space import order
 from tg4mm.space.checkpoint import Check, Checkpoint, check_checkpoint, pictures_digest
 from tg4mm.space.config import SpaceConfig, checked
 from tg4mm.space.density import control_density, growth, is_due
@@ -40,6 +41,7 @@ from tg4mm.space.targets import RestViews
 from tg4mm.space.view import EPS2D, render_view
 
 CHECKPOINT_EVERY_S = 20.0
+CHEAP_S = 0.4  # where saving one takes longer, they are so many times rarer
 SHOW_EVERY_S = 0.25  # a figure shown is a number fetched from the device, for which the host waits
 FUSED = ("cpu",)  # devices on which `fused.py` makes the iterations; on others torch does
 
@@ -185,7 +187,6 @@ class _Views:
 
     def _iterate_fused(self, fit: _Fit, adam: FusedAdam, v: int, degree: int, done: float) -> Tensor:
         viewmat, K, target = self._sampled(self._arrays, fit, v)
-        target = np.ascontiguousarray(target)
         gain = np.ones(3, np.float32) if fit.gains is None else fit.gains[v].numpy()
         pace = float(self.shrink)
         mse = self._fused(adam, viewmat, K, target, degree, done, fit.error.numpy(), gain, pace, self._eps2d)
@@ -227,6 +228,8 @@ def _iterate(fit: _Fit, views: _Views, config: SpaceConfig, level: Level, extent
         most = level.max_gaussians
         share = growth(len(fit.error), most, fit.iteration, level.caught_up)
         control_density(fit.adam, fit.error, extent, most, fit.draws, share)
+        if order.is_due(fit.iteration, level.until):
+            fit.adam.reorder(order.along_a_curve(fit.adam.parameters["means"].detach()))
         fit.error = torch.zeros(len(fit.adam.parameters["means"]), device=fit.error.device)
 
 
@@ -247,7 +250,7 @@ class Kept(Protocol):
         """What was saved last, None if nothing was; `check` raises RunError where the fit cannot go on from it."""
 
     def save(self, checkpoint: Checkpoint, source: str | None) -> None:
-        """Called every `CHECKPOINT_EVERY_S` seconds. source: where the fit began, None after a checkpoint."""
+        """Called every `CHECKPOINT_EVERY_S` seconds, more rarely where it takes long. source: where the fit began, None after a checkpoint."""
 
 
 class Nowhere:
@@ -282,6 +285,7 @@ def fit_space(
         lambda tensors, state: check_checkpoint(tensors, state, pictures, len(views.rgb), config)
     )
     began = saved = time.monotonic()
+    pause = CHECKPOINT_EVERY_S
     source: str | None = None
     if checkpoint is None:
         fit, extent, source = _started(views, points, config, device)
@@ -301,9 +305,10 @@ def fit_space(
             if time.monotonic() - shown > SHOW_EVERY_S:
                 shown, figure = time.monotonic(), round(float(fit.psnr), 2)
             update(work(steps, fit.iteration), psnr_db=figure, gaussians=len(fit.error), **cameras.shown)
-            if time.monotonic() - saved > CHECKPOINT_EVERY_S:
+            if (due := time.monotonic()) - saved > pause:
                 kept.save(fit.checkpoint(extent, pictures), source)
                 saved = time.monotonic()
+                pause = CHECKPOINT_EVERY_S * max(1.0, (saved - due) / CHEAP_S)
     gaussians = activate(fit.adam.parameters).detach().to("cpu")
     figures: dict[str, Any] = {
         "seconds": time.monotonic() - began,
