@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,6 +24,7 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.run import Run
 from tg4mm.space import RestViews, SpaceConfig, density
 from tg4mm.space import train as stage
+from tg4mm.space.checkpoint import Checkpoint
 from tg4mm.space.levels import levels
 from tg4mm.space.train import resolved
 from tg4mm.stages.space import train_space
@@ -131,6 +134,30 @@ def test_killed_on_any_level_it_ends_as_if_it_had_not_been(
             train_space(run, views, points, config)
     assert equal(train_space(run, views, points, config), expected)
     assert run.log()["space"]["gains"] == uninterrupted.log()["space"]["gains"]
+
+
+@pytest.mark.parametrize(("takes_s", "expected"), [(0.25, [3, 6, 9, 12, 15]), (4.0, [3, 24])])
+def test_checkpoints_that_take_long_are_rarer(
+    takes_s: float, expected: list[int], views: RestViews, points: SurfacePoints, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By a clock on which an iteration takes a second: every 2 seconds; of ten times the allowed .4 s, every 20."""
+    now, saved, iterate = [0.0], [], stage._iterate
+
+    def ticking(*args: Any) -> None:
+        iterate(*args)
+        now[0] += 1
+
+    class Slow(stage.Nowhere):
+        def save(self, checkpoint: Checkpoint, source: str | None) -> None:
+            saved.append(checkpoint[1]["iteration"])
+            now[0] += takes_s
+
+    monkeypatch.setattr(stage, "CHECKPOINT_EVERY_S", 2.0)
+    monkeypatch.setattr(stage, "_iterate", ticking)
+    monkeypatch.setattr(stage, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    stage.fit_space(views, points, SHORT, kept=Slow())
+    assert saved[: len(expected)] == expected
+    assert len(saved) == len(expected) or takes_s < 1
 
 
 def test_nothing_given_is_changed(
