@@ -138,7 +138,11 @@ def test_killed_on_any_level_it_ends_as_if_it_had_not_been(
 
 @pytest.mark.parametrize(("takes_s", "expected"), [(0.25, [3, 6, 9, 12, 15]), (4.0, [3, 24])])
 def test_checkpoints_that_take_long_are_rarer(
-    takes_s: float, expected: list[int], views: RestViews, points: SurfacePoints, monkeypatch: pytest.MonkeyPatch
+    takes_s: float,
+    expected: list[int],
+    views: RestViews,
+    points: SurfacePoints,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """By a clock on which an iteration takes a second: every 2 seconds; of ten times the allowed .4 s, every 20."""
     now, saved, iterate = [0.0], [], stage._iterate

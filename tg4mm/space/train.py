@@ -250,7 +250,10 @@ class Kept(Protocol):
         """What was saved last, None if nothing was; `check` raises RunError where the fit cannot go on from it."""
 
     def save(self, checkpoint: Checkpoint, source: str | None) -> None:
-        """Called every `CHECKPOINT_EVERY_S` seconds, more rarely where it takes long. source: where the fit began, None after a checkpoint."""
+        """Called every `CHECKPOINT_EVERY_S` seconds, more rarely where it takes long.
+
+        source: where the fit began, None after a checkpoint.
+        """
 
 
 class Nowhere:
