@@ -440,7 +440,8 @@ FARM = {
 LENGTH = {"metres": 0.5, "points": [{"a": [1, 2], "b": [3, 4]}, {"a": [5, 6.5], "b": [7, 8]}]}
 SURVEY = {
     "width": 12, "height": 8, "fps": "30000/1001", "times": ["0", "1/30", "2/30"],
-    "shifts_px": [[0, 0], [0.5, None], [1, 1]], "sharpness": [1.0, 2.0, 3.0], "created_s": 1.5,
+    "shifts_px": [[0, 0], [0.5, None], [1, 1]], "parts": [0, 0, -1], "frozen": [False, False, True],
+    "sharpness": [1.0, 2.0, 3.0], "created_s": 1.5,
 }  # fmt: skip
 
 
@@ -463,11 +464,13 @@ def _read_length(root: Path) -> None:
 
 def _read_survey(root: Path) -> None:
     from tg4mm.sfm.clip import WHOLE, Clip
+    from tg4mm.sfm.spoilt import is_fixed, stretches_of
     from tg4mm.sfm.survey import survey_clip
 
     found = survey_clip(Clip("a", root / "a.mp4"), root / "survey", WHOLE)
     found.clock()
-    found.is_fixed()
+    is_fixed(found)
+    stretches_of(found, fixed=True)
 
 
 def _request(root: Path) -> Path:

@@ -233,10 +233,10 @@ def test_a_picture_of_something_else_is_left_out_and_named(
 
 @pytest.fixture(scope="module")
 def fixed(tmp_path_factory: pytest.TempPathFactory, cameras: np.ndarray) -> Path:
-    """Three fixed cameras far apart, three frames each, and a sweep between them."""
+    """Three fixed cameras far apart, six frames each, and a sweep between them."""
     folder = tmp_path_factory.mktemp("fixed")
     for k, i in enumerate((0, 5, 10)):
-        for t in range(3):
+        for t in range(6):
             pixels = picture(cameras[i], intrinsics(*SIZE, FOCAL), SIZE)
             noise = np.random.default_rng(t).integers(-3, 4, pixels.shape)
             noise[..., 3] = 0
@@ -254,19 +254,18 @@ def test_fixed_cameras_become_a_tree_with_one_pose_each(
     arguments += ["--camera-model", "SIMPLE_PINHOLE", "--focal-px", "240", "--unit-scale-m", "0.5"]
     assert main(arguments) == 0
     capture = load_capture(out)
-    assert (capture.kind, capture.fps, capture.n_timesteps, capture.unit_scale_m) == ("rig", 30.0, 3, 0.5)
+    assert (capture.kind, capture.fps, capture.n_timesteps, capture.unit_scale_m) == ("rig", 30.0, 6, 0.5)
     assert capture.clocks == "independent"  # nobody said --synchronous
     names = [path.relative_to(out).as_posix() for path in capture.paths]
-    cameras_of = [[f"{t:03d}/train/cam_{k}.png" for k in range(3)] for t in range(3)]
+    cameras_of = [[f"{t:03d}/train/cam_{k}.png" for k in range(3)] for t in range(6)]
     assert names == [
         *cameras_of[0],
         *(f"000/train/sweep_{i:03d}.png" for i in range(N)),
-        *cameras_of[1],
-        *cameras_of[2],
+        *(name for names in cameras_of[1:] for name in names),
     ]
-    assert capture.camera_ids[-6:].tolist() == [0, 1, 2] * 2
+    assert capture.camera_ids[-15:].tolist() == [0, 1, 2] * 5
     assert np.isnan(capture.times_s[3 : 3 + N]).all()
-    np.testing.assert_allclose(capture.times_s[-6:], np.repeat([1, 2], 3) / 30)
+    np.testing.assert_allclose(capture.times_s[-15:], np.repeat(np.arange(1, 6), 3) / 30)
     assert (out / "001/train/cam_1.png").read_bytes() == (fixed / "cam_1/0001.png").read_bytes()
     ours, _ = optical_axes(capture.viewmats[:3])
     true, _ = optical_axes(cameras[[0, 5, 10]])
@@ -281,8 +280,8 @@ def test_fixed_cameras_need_a_frame_rate(fixed: Path, tmp_path: Path) -> None:
 
 
 def other_things(folder: Path, camera: str) -> None:
-    """Let a camera of three frames see something else."""
-    for t, pixels in enumerate(still(3, size=SIZE)):
+    """Let a camera of six frames see something else."""
+    for t, pixels in enumerate(still(6, size=SIZE)):
         Image.fromarray(pixels).save(folder / camera / f"{t:04d}.png")
 
 

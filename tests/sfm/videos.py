@@ -77,6 +77,23 @@ def write_video(
     return path
 
 
+def encoded(path: Path, frames: Sequence[np.ndarray], codec: str, gop: int = 30, **options: str) -> Path:
+    """By another of FFmpeg's encoders."""
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream(codec, rate=30)
+        stream.height, stream.width = frames[0].shape[:2]
+        stream.pix_fmt = "yuv420p"
+        stream.bit_rate = int(options.pop("b", "0"))
+        stream.codec_context.gop_size = gop
+        stream.codec_context.options = {key.replace("_", "-"): value for key, value in options.items()}
+        for i, pixels in enumerate(frames):
+            frame = av.VideoFrame.from_ndarray(pixels, format="rgb24")
+            frame.pts, frame.time_base = i, Fraction(1, 30)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    return path
+
+
 def cut_off(path: Path, share: float) -> Path:
     """Leave only the first part of a file."""
     data = path.read_bytes()

@@ -13,6 +13,7 @@ import numpy as np
 from tg4mm.capture import Capture, ImageStack
 from tg4mm.capture.pictures import FilePictures, Pictures, over_white, pictures_of
 from tg4mm.capture.scene import codec_period
+from tg4mm.capture.timing import FEWEST_FRAMES
 from tg4mm.errors import CaptureError
 from tg4mm.progress import progress
 
@@ -21,7 +22,6 @@ _CLOCK = (
     0.1  # of a frame: time stamps that differ by less, from each other and from even steps, are one clock's
 )
 _AT_ONCE = 8  # whole pictures in memory
-_FEWEST = 8  # pictures of a moving camera
 PERIODS = 2.0  # in the record, of the lowest frequency that a fit may hold
 TOLD_PERIODS = 2.5  # of one that is told from a drift
 
@@ -105,10 +105,10 @@ def check_shows_motion(capture: Capture) -> None:
     """Raise CaptureError where pictures are too few (`frames_of`), or too short a record to tell any frequency."""
     clock, frames = frames_of(capture)
     longest = max(len(f.rows) for f in frames)
-    if clock != "moving" and longest <= 2 * TOLD_PERIODS:
+    if clock != "moving" and longest < FEWEST_FRAMES:
         raise CaptureError(
             f"{capture.root}: a camera holds {longest} pictures over time, too few to tell any frequency below half "
-            f"the frame rate; expected {int(2 * TOLD_PERIODS) + 1} or more, better several periods of the vibration"
+            f"the frame rate; expected {FEWEST_FRAMES} or more, better several periods of the vibration"
         )
 
 
@@ -130,7 +130,7 @@ def frames_of(capture: Capture) -> tuple[str, list[PosedFrames]]:
         return "synchronous" if are_synchronous else "independent", fixed
     rows = np.flatnonzero(np.isfinite(capture.times_s))
     rows = rows[np.argsort(capture.times_s[rows], kind="stable")]
-    if len(rows) < _FEWEST or len(rows) < capture.n_timesteps / 2:
+    if len(rows) < FEWEST_FRAMES or len(rows) < capture.n_timesteps / 2:
         raise CaptureError(
             f"{capture.root}: no camera is fixed, and {len(rows)} pictures have a time, too few to show motion; "
             "expected a fixed camera with a picture at every timestep, or one moving camera's video"

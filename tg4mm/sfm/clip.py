@@ -59,13 +59,14 @@ class Frame:
     pixels: np.ndarray  # [H, W, 3] uint8, or of a file [H, W, 4] uint8 or uint16
     path: Path | None  # the file it is
     is_between: bool = False  # of a video: predicted from the frames on both sides
+    is_alone: bool = True  # coded without regard to other frames
 
 
 def clip_frames(clip: Clip, window: Window = WHOLE) -> Iterator[Frame]:
     """The clip's pictures one by one. Raises CaptureError where one cannot be decoded."""
     if clip.is_video:
         for i, frame in enumerate(video_frames(clip.path, window.start_s, window.stop_s)):
-            yield Frame(i, frame.time, frame.rgb, None, frame.is_between)
+            yield Frame(i, frame.time, frame.rgb, None, frame.is_between, frame.is_alone)
     else:
         for i, path in enumerate(clip.pictures):
             yield Frame(i, None, decode(path), path)

@@ -9,6 +9,7 @@ from itertools import pairwise
 from tg4mm.capture.timing import KINDS
 from tg4mm.errors import CaptureError, Tg4mmError
 from tg4mm.sfm.sources import Sources
+from tg4mm.sfm.spoilt import is_fixed
 from tg4mm.sfm.survey import Survey
 
 
@@ -63,7 +64,7 @@ def told_kind(sources: Sources, surveys: Sequence[Survey], asked: str | None) ->
         if _one_after_another(surveys):
             return Kind("clips", f"holds {holds}, begun one after another's end; otherwise pass --kind rig")
         return Kind("rig", f"holds {holds}; one camera that filmed from several places is --kind clips")
-    fixed = surveys[0].is_fixed()
+    fixed = is_fixed(surveys[0])
     reason = f"holds {holds}; the camera {'stays put' if fixed else 'moves'}"
     if not fixed:
         return Kind("handheld", reason)

@@ -40,6 +40,7 @@ from tg4mm.sfm.register import Workplace, register_frames
 from tg4mm.sfm.request import Work, open_request
 from tg4mm.sfm.scale import baseline_scale, measured_length
 from tg4mm.sfm.sources import FEWEST, SWEEP, Sources, find_sources
+from tg4mm.sfm.spoilt import check_usable, motion_of, warn_bumps, warn_clocks
 from tg4mm.sfm.staging import (
     Shot,
     camera_shots,
@@ -52,7 +53,7 @@ from tg4mm.sfm.staging import (
     sweep_shots,
 )
 from tg4mm.sfm.straight import straightened
-from tg4mm.sfm.survey import Survey, check_fixed, survey_clip, warn_uneven
+from tg4mm.sfm.survey import Survey, survey_clip
 
 FEWEST_PLACED = {"photos": 3, "handheld": 3, "tripod": 1, "rig": 2, "clips": 2}
 FIXED = ("flat", "tripod", "rig", "clips")  # kinds whose cameras stay put
@@ -95,9 +96,11 @@ def _made(images: Path, work: Work, sources: Sources, config: SfmConfig, threads
     surveys = [survey_clip(clip, work.folder / "survey", config.window) for clip in sources.clips]
     kind = told_kind(sources, surveys, config.kind)
     print(f"{images}: taken for {kind.name}: {kind.reason}", file=sys.stderr, flush=True)
-    warn_uneven(surveys)
+    warn_clocks(surveys, config.fps)
+    if kind.name != "photos":
+        check_usable(surveys, kind.name in FIXED)
     if kind.name in FIXED:
-        check_fixed(surveys)
+        warn_bumps(surveys)
     if config.test_every and kind.name not in ("photos", "rig", "clips"):
         raise Tg4mmError(f"--test-every is {config.test_every}, but {kind.name} has no camera to hold out")
     if config.synchronous and kind.name != "rig":
@@ -278,11 +281,23 @@ def _moving_model(job: _Job, taken: list[Shot], place: Workplace) -> Any:
     if folder.is_dir():
         model = colmap("tg4mm sfm").Reconstruction(folder)
     else:
-        model = _first_model(job, first, place)
+        try:
+            model = _first_model(job, first, place)
+        except CaptureError as error:
+            raise CaptureError(f"{error}{_why_moving(job)}") from None
         save_model(model, folder)
     names = [staged_name(shot) for shot in frames]
     register_frames(model, place, names, [staged_name(shot) for shot in first if shot.clip != SWEEP])
     return model
+
+
+def _why_moving(job: _Job) -> str:
+    """What to say beside an error where the kind was told and not given."""
+    if job.config.kind is not None:
+        return ""
+    other = "flat" if job.sources.sweep is None else "tripod"
+    why = motion_of(job.surveys[0])
+    return f"; taken for a moving camera as {why}: for one that stays put use --kind {other}"
 
 
 def _check_placed(job: _Job, taken: list[Shot], placed: dict[str, Any], quiet: bool = False) -> None:

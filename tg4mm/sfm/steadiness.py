@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
+from tg4mm.sfm.frozen import runs
+
 LONGEST = 400  # pixels of the longer side of the reduced picture
 BLOCK = 32  # pixels of it, or a quarter of its shorter side
 FIXED_PX = 2.0  # median shift of a camera that stays put, at most; or
@@ -20,6 +22,11 @@ KNOCK_PX = 0.5  # a step of the whole picture that counts as a knock
 KNOCK_SCATTER = 6.0  # times the scatter of the frames before and after it
 KNOCK_WINDOW_S = 0.5  # before and after a knock; at least KNOCK_FRAMES
 KNOCK_FRAMES = 5
+MOST_KNOCKS = 5  # of a camera that stays put; one that steps more often is carried
+BUMP_PX = 2.0  # that fewer than KNOCK_FRAMES frames lie apart from those around them
+BUMP_SCATTER = 8.0  # times the scatter of those
+MOST_PARTS = 6  # scenes that a recording is cut into
+STAYING = 0.8  # share of the frames of a fixed camera
 
 
 def reduced(grey: np.ndarray) -> tuple[np.ndarray, int]:
@@ -86,6 +93,38 @@ def _blocks(values: np.ndarray, size: int) -> np.ndarray:
     return values[: rows * size, : columns * size].reshape(rows, size, columns, size).sum(axis=(1, 3))
 
 
+class PartMeter:
+    """Shifts within each part: a picture unlike the first one of its part and unlike the one before begins another."""
+
+    def __init__(self) -> None:
+        self._meters: list[ShiftMeter] = []
+        self._part = 0
+        self._before: np.ndarray | None = None
+
+    def add(self, grey: np.ndarray) -> tuple[int, float, float]:
+        """The part of the next picture [h, w], and its shift from the first one of it; NaN where it is unlike that."""
+        if not self._meters:
+            self._meters.append(ShiftMeter(grey))
+        before, self._before = self._before, grey
+        shift = self._meters[self._part].shift(grey)
+        if np.isnan(shift[0]) and before is not None and np.isnan(ShiftMeter(before).shift(grey)[0]):
+            shift = self._elsewhere(grey)
+        return self._part, *shift
+
+    def _elsewhere(self, grey: np.ndarray) -> tuple[float, float]:
+        """Go to the part that this picture is of, a new one where it is like none."""
+        for part, meter in enumerate(self._meters):
+            shift = meter.shift(grey)
+            if not np.isnan(shift[0]):
+                self._part = part
+                return shift
+        if len(self._meters) == MOST_PARTS:
+            return float("nan"), float("nan")
+        self._part = len(self._meters)
+        self._meters.append(ShiftMeter(grey))
+        return 0.0, 0.0
+
+
 @dataclass(frozen=True)
 class Knock:
     """A moment at which a camera that stays put before and after moved."""
@@ -104,12 +143,64 @@ def stays(shifts_px: np.ndarray, longer_side: int) -> bool:
     return typical <= max(FIXED_PX, FIXED_SHARE * longer_side)
 
 
-def find_knock(shifts_px: np.ndarray, times_s: np.ndarray) -> Knock | None:
+def stays_in_parts(shifts_px: np.ndarray, stretches: list[tuple[int, int]], longer_side: int) -> bool:
+    """Whether a camera stayed put in nearly all of its stretches (first frame, end): it stands, but was knocked."""
+    steady = sum(
+        stop - first
+        for first, stop in stretches
+        if stop - first >= min(KNOCK_FRAMES, len(shifts_px)) and stays(shifts_px[first:stop], longer_side)
+    )
+    return steady > 0 and steady >= STAYING * sum(stop - first for first, stop in stretches)
+
+
+def find_knocks(shifts_px: np.ndarray, times_s: np.ndarray) -> list[Knock]:
+    """Steps of the whole picture between frames that stand still before and after, in order; shifts [T, 2].
+
+    Not more than one above MOST_KNOCKS.
+    """
+    found: list[Knock] = []
+    stretches = [(0, len(shifts_px))]
+    while stretches and len(found) <= MOST_KNOCKS:
+        first, stop = stretches.pop()
+        knock = _largest_knock(shifts_px[first:stop], times_s[first:stop])
+        if knock is not None:
+            at = first + knock.frame
+            found.append(Knock(at, knock.time_s, knock.shift_px))
+            stretches += [(first, at), (at, stop)]
+    return sorted(found, key=lambda knock: knock.frame)
+
+
+def find_bumps(shifts_px: np.ndarray, times_s: np.ndarray) -> list[tuple[int, int, float]]:
+    """First frame, end and largest shift of each few frames that lie apart from all around them; shifts [T, 2]."""
+    known = np.isfinite(shifts_px).all(axis=1)
+    if known.sum() < 4 * KNOCK_FRAMES:
+        return []
+    at, window = np.flatnonzero(known), _window(times_s)
+    away, scatter = np.zeros(len(shifts_px)), np.zeros(len(shifts_px))
+    for i, t in enumerate(at):
+        half = min(window, i, len(at) - 1 - i)  # as many on both sides, so that a drift leaves nothing
+        around = shifts_px[at[i - half : i + half + 1]]
+        distances = np.linalg.norm(around - np.median(around, axis=0), axis=1)
+        away[t], scatter[t] = distances[half], np.median(distances)
+    apart = away > np.maximum(BUMP_PX, BUMP_SCATTER * scatter)
+    return [
+        (first, stop, float(away[first:stop].max()))
+        for first, stop in runs(apart)
+        if first > 0 and stop < len(apart) and stop - first < KNOCK_FRAMES
+    ]
+
+
+def _window(times_s: np.ndarray) -> int:
+    """Frames before and after a moment that tell of it."""
+    step_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 1.0
+    return max(KNOCK_FRAMES, round(KNOCK_WINDOW_S / step_s))
+
+
+def _largest_knock(shifts_px: np.ndarray, times_s: np.ndarray) -> Knock | None:
     """The largest step of the whole picture between frames that stand still before and after; None without one."""
     shifts = np.where(np.isnan(shifts_px), 1e6, shifts_px)
     n = len(shifts)
-    step_s = float(np.median(np.diff(times_s))) if n > 1 else 1.0
-    window = max(KNOCK_FRAMES, round(KNOCK_WINDOW_S / step_s))
+    window = _window(times_s)
     worst: tuple[float, int] | None = None
     for t in range(KNOCK_FRAMES, n - KNOCK_FRAMES + 1):
         before, after = shifts[max(0, t - window) : t], shifts[t : t + window]

@@ -5,9 +5,6 @@ sfm/survey/<clip>.json and .png, so that a look is taken once.
 
 from __future__ import annotations
 
-import math
-import warnings
-from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
@@ -22,14 +19,15 @@ from tg4mm.capture.records import Record, read_record
 from tg4mm.errors import CaptureError
 from tg4mm.files import write_atomic, write_json
 from tg4mm.progress import progress
-from tg4mm.sfm.clip import Clip, Frame, Window, clip_frames, frame_rate, regular_times, uneven_steps
-from tg4mm.sfm.steadiness import Knock, ShiftMeter, find_knock, reduced, stays
+from tg4mm.sfm.clip import Clip, Frame, Window, clip_frames, frame_rate, regular_times
+from tg4mm.sfm.frozen import NoveltyMeter
+from tg4mm.sfm.steadiness import PartMeter, reduced
 from tg4mm.sfm.video import VideoInfo, video_info
 
-BLACK = 16  # of 255: a recording whose brightest hundredth never reaches it shows nothing
+BLACK = 16  # of 255: a frame whose brightest hundredth does not reach it shows nothing
+NOTHING = -1  # the part of such a frame
 FASTEST = 10**9  # frames a second
 _REGULAR = 0.8  # of the distances, that one must have to be a period
-FROZEN = 1e-3  # of 255: mean change from frame to frame below which nothing but the codec works
 
 
 @dataclass(frozen=True)
@@ -42,7 +40,9 @@ class Survey:
     size: tuple[int, int]  # width and height in pixels
     fps: Fraction | None  # as the container has it; None for a folder
     times: tuple[Fraction, ...] | None  # T, seconds since the first frame; None for a folder
-    shifts_px: np.ndarray  # [T, 2] of the whole picture from the first one; NaN: no likeness
+    parts: np.ndarray  # [T] which scene a frame shows, from 0; NOTHING of a black one
+    shifts_px: np.ndarray  # [T, 2] of the whole picture from the first one of its part; NaN: no likeness
+    frozen: np.ndarray  # [T] bool: frames that repeat the one before, in a recording that does not
     sharpness: np.ndarray  # [T] variance of the Laplacian
     codec_period: (
         int | None
@@ -66,17 +66,6 @@ class Survey:
             return fps, np.arange(len(self)) / fps
         stretch = 1.0 if fps is None else float(self.fps) / fps
         return fps or float(self.fps), np.array([float(time) for time in self.times]) * stretch
-
-    def knock(self) -> Knock | None:
-        """The moment at which a camera that stays before and after moved."""
-        times = self.times or [Fraction(k, 30) for k in range(len(self))]
-        return find_knock(self.shifts_px, np.array([float(time) for time in times]))
-
-    def is_fixed(self) -> bool:
-        """Whether the camera stayed put, but for one knock perhaps."""
-        knock = self.knock()
-        parts = [self.shifts_px] if knock is None else np.split(self.shifts_px, [knock.frame])
-        return all(stays(part, max(self.size)) for part in parts)
 
 
 def survey_clip(clip: Clip, folder: Path, window: Window) -> Survey:
@@ -116,6 +105,12 @@ def _read(clip: Clip, folder: Path, record: dict[str, Any]) -> Survey:
     sharpness = np.array(record["sharpness"], np.float64)
     shifts = [[np.nan if x is None else x for x in row] for row in record["shifts_px"]]
     shifts_px = np.array(shifts, np.float64).reshape(len(sharpness), 2)
+    parts = np.array([int(part) for part in record["parts"]], np.int64)
+    frozen = np.array([bool(x) for x in record["frozen"]], bool)
+    if not len(parts) == len(frozen) == len(sharpness) or not NOTHING <= parts.min() <= parts.max() < len(
+        parts
+    ):
+        raise ValueError("parts that are not those of the pictures")
     moments = None if times is None else tuple(Fraction(time) for time in times)
     if moments is not None and len(moments) != len(sharpness):
         raise ValueError(f"{len(moments)} times of {len(sharpness)} pictures")
@@ -131,7 +126,9 @@ def _read(clip: Clip, folder: Path, record: dict[str, Any]) -> Survey:
         size=(found.whole("width", 1), found.whole("height", 1)),
         fps=None if fps is None else _positive(Fraction(fps)),
         times=moments,
+        parts=parts,
         shifts_px=shifts_px,
+        frozen=frozen,
         sharpness=sharpness,
         codec_period=found.whole("codec_period", 2) if found.has("codec_period") else None,
         created_s=found.number("created_s") if found.has("created_s") else None,
@@ -152,12 +149,12 @@ class _Look:
         self.times: list[Fraction | None] = []
         self.shifts: list[tuple[float, float]] = []
         self.sharpness: list[float] = []
+        self.parts: list[int] = []
         self._between: list[bool] = []
-        self._changes: list[float] = []
         self._brightest = 0.0
         self._sum: np.ndarray | None = None  # of colour · alpha, and of alpha where there is any
-        self._meter: ShiftMeter | None = None
-        self._before: np.ndarray | None = None
+        self._meter = PartMeter()
+        self._novelty = NoveltyMeter()
 
     def add(self, frame: Frame) -> None:
         pixels = frame.pixels if frame.pixels.dtype == np.uint8 else (frame.pixels >> 8).astype(np.uint8)
@@ -165,17 +162,19 @@ class _Look:
             pixels = pixels[..., :3]
         self._add_to_sum(frame, pixels)
         grey, k = reduced(pixels[..., 1])  # green carries most of the light, and is there without arithmetic
-        if self._meter is None or self._before is None:
-            self._meter = ShiftMeter(grey)
+        brightest = float(np.quantile(grey, 0.99))
+        if brightest < BLACK:
+            self._novelty.add_black()
+            part, x, y = NOTHING, np.nan, np.nan
         else:
-            self._changes.append(float(np.abs(grey - self._before).mean()))
-        self._before = grey
-        x, y = self._meter.shift(grey)
+            self._novelty.add(pixels[::k, ::k, 1], frame.is_alone)
+            part, x, y = self._meter.add(grey)
         self.times.append(frame.time)
         self._between.append(frame.is_between)
+        self.parts.append(part)
         self.shifts.append((x * k, y * k))
         self.sharpness.append(float(laplace(grey).var()))
-        self._brightest = max(self._brightest, float(np.quantile(grey, 0.99)))
+        self._brightest = max(self._brightest, brightest)
 
     def _add_to_sum(self, frame: Frame, pixels: np.ndarray) -> None:
         if pixels.shape[2] == 4:
@@ -196,7 +195,7 @@ class _Look:
         path = self.clip.path
         if self._brightest < BLACK:
             raise CaptureError(f"{path}: is black: its brightest pixels reach {self._brightest:.0f} of 255")
-        if float(np.median(self._changes)) < FROZEN:
+        if self._novelty.is_frozen():
             raise CaptureError(f"{path}: is frozen: its {len(self.sharpness)} frames are one picture")
 
     def mean(self) -> Image.Image:
@@ -215,6 +214,8 @@ class _Look:
             "fps": None if fps is None else str(fps),
             "times": None if times is None else [str(time) for time in times],
             "shifts_px": [[None if np.isnan(x) else round(x, 4) for x in row] for row in self.shifts],
+            "parts": self.parts,
+            "frozen": self._novelty.frozen_frames().tolist(),
             "sharpness": self.sharpness,
             "codec_period": codec_period(np.array(self._between)),
             "created_s": info.created.timestamp() if info is not None and info.created is not None else None,
@@ -235,44 +236,3 @@ def codec_period(is_between: np.ndarray) -> int | None:
         return None
     period = int(np.bincount(steps).argmax())
     return period if period > 1 and (steps == period).mean() > _REGULAR else None
-
-
-def warn_uneven(surveys: Iterable[Survey]) -> None:
-    """A warning for each recording whose frame rate varies."""
-    for survey in surveys:
-        if survey.times is None:
-            continue
-        steps = uneven_steps(np.array([float(time) for time in survey.times]))
-        if steps is not None:
-            warnings.warn(
-                f"{survey.path.name}: the frame rate varies, with steps of {steps[0] * 1e3:.1f} to "
-                f"{steps[1] * 1e3:.1f} ms; each frame keeps its own time",
-                stacklevel=2,
-            )
-
-
-def check_fixed(surveys: Iterable[Survey]) -> None:
-    """Raise CaptureError for a camera that was to stay put and was knocked, with the time, or moves all along."""
-    for survey in surveys:
-        knock = survey.knock()
-        if survey.is_fixed() and knock is not None:
-            raise CaptureError(f"{survey.path}: {_knocked(survey, knock)}")
-        if not survey.is_fixed():
-            middle = np.nanmedian(survey.shifts_px, axis=0)
-            away = np.nanmax(np.linalg.norm(survey.shifts_px - middle, axis=1), initial=0)
-            raise CaptureError(
-                f"{survey.path}: is no fixed camera: its picture moves by {away:.0f} pixels; "
-                "for a moving camera use --kind handheld"
-            )
-
-
-def _knocked(survey: Survey, knock: Knock) -> str:
-    moved = f"the whole picture moves by {knock.shift_px:.1f} pixels"
-    if survey.times is None:
-        return (
-            f"the camera was knocked before picture {knock.frame}: {moved}; take away those before or after"
-        )
-    moment = math.floor(knock.time_s * 1000) / 1000  # rounded up, --until would take the frame after it
-    return (
-        f"the camera was knocked at {moment:.3f} s: {moved}; take --until {moment:.3f} or --from {moment:.3f}"
-    )

@@ -17,7 +17,7 @@ from tg4mm.errors import CaptureError, Tg4mmError
 # What FFmpeg's decoders write to their log when they cover up damage and hand out a frame all the same.
 DAMAGE = ("error while decoding", "invalid nal unit size", "partial file", "corrupt")
 HAIR_S = 1e-6  # seconds by which a decimal may miss the fraction it means
-BETWEEN = 3  # FFmpeg's AV_PICTURE_TYPE_B
+ALONE, BETWEEN = 1, 3  # FFmpeg's AV_PICTURE_TYPE_I and _B
 TURNS = {0: 0, 90: 1, 180: 2, -180: 2, -90: 3}  # display rotation in degrees → np.rot90's k
 
 
@@ -39,6 +39,7 @@ class VideoFrame:
     time: Fraction  # seconds since the video's first frame, as the container has it
     rgb: np.ndarray  # [H, W, 3] uint8
     is_between: bool  # a B picture: predicted from both sides
+    is_alone: bool  # an I picture: not predicted
 
 
 def av_module() -> Any:
@@ -96,7 +97,8 @@ def video_frames(path: Path, start_s: float = 0.0, stop_s: float = math.inf) -> 
             if time >= stop_s - HAIR_S:
                 return
             if time >= start_s - HAIR_S:
-                yield VideoFrame(time, _upright(frame), int(frame.pict_type) == BETWEEN)
+                kind = int(frame.pict_type)
+                yield VideoFrame(time, _upright(frame), kind == BETWEEN, kind == ALONE)
         duration = _duration(container, stream)
     if first is None:
         raise CaptureError(f"{path}: holds no frames")
