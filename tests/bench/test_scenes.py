@@ -10,10 +10,14 @@ from typing import Any
 import pytest
 
 from tests.bench.conftest import MODAL, PAPER
+from tg4mm.bench.jobs import job_folder, truth_at
 from tg4mm.bench.measure import SEEN, Plan, Training
+from tg4mm.bench.methods import trained
 from tg4mm.bench.scenes import ScenesRequest, run_scenes, same_time_training, same_time_trainings
+from tg4mm.bench.sets import open_sets
 from tg4mm.errors import RunError
 from tg4mm.evaluate import evaluate_run
+from tg4mm.evaluate.subject import subject_of
 from tg4mm.run import Run
 from tg4mm.train import parse_settings
 
@@ -50,9 +54,10 @@ def test_the_numbers_are_those_of_evaluate(
     ours = entry(results, row)
     for scored in again["alphas"]:
         found = ours["rows"][str(scored["alpha"])]
-        assert found[way] == scored["rows"]["ours"] | {key: scored[key] for key in SEEN}
-        assert found["nothing moves"] == scored["rows"]["nothing moves"]
-        assert found["ceiling"] == scored["rows"]["ceiling"]
+        measured = {key: scored[key] for key in SEEN} | {"ssim": scored["rows"]["ours"]["ssim"]}
+        assert {key: value for key, value in found[way].items() if value is not None} == measured
+        for name in ("nothing moves", "ceiling"):
+            assert found[name]["ssim"] == scored["rows"][name]["ssim"]
     assert ours["displacement"] == again["displacement"]
     assert ours["seconds"]["motion"] == run.log()["motion"]["seconds"]
 
@@ -106,6 +111,38 @@ def test_pictures_of_eight_bits_score_as_renderings_do(done: Done) -> None:
             exact = entry(results, "modal")["rows"]
             for alpha, scores in line["alphas"].items():
                 assert scores["ssim"] == pytest.approx(exact[alpha]["modal"]["ssim"], abs=1e-3)
+
+
+def test_of_renderings_only_ssim_is_measured(done: Done) -> None:
+    """The other metrics are of the pictures on disk, where every method is scored alike."""
+    _, results = done
+    assert {entry(results, "modal")["rows"]["20"]["modal"][k] for k in ("psnr_db", "flip")} == {None}
+    lines = {line["row"]: line["alphas"]["20"] for line in results["lines"]}
+    assert lines["modal"]["flip"] > 0
+
+
+def test_preparation_is_not_timed_and_done_once(
+    done: Done, data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Opening the run and following the exact motion takes longer than many pictures."""
+    out, built = done[0], []
+    (opened,) = open_sets([data])
+    (method,) = [m for m in REQUEST.made() if m.name == "modal"]
+
+    def subject(*arguments: Any) -> Any:
+        built.append(arguments)
+        return subject_of(*arguments)
+
+    monkeypatch.setattr(trained, "subject_of", subject)
+    if hasattr(trained, "_subject_of"):
+        trained._subject_of.cache_clear()
+    place = job_folder(out, opened, method)
+    for row in method.rows:
+        for alpha in (5, 20):
+            pictures = method.render(row, opened, place, truth_at(opened, alpha), alpha, REQUEST.plan)
+            assert len(built) == 1
+            next(pictures)
+    assert len(built) == 1
 
 
 def test_what_is_finished_is_not_done_again(done: Done, data: Path, monkeypatch: pytest.MonkeyPatch) -> None:

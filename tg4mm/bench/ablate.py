@@ -36,6 +36,7 @@ from tg4mm.magnify import TemporalFilter
 from tg4mm.progress import progress
 
 Printer = Callable[[str], None]
+_METRICS = ("ssim", "psnr_db")  # PSNR for the column at α = 0
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,7 @@ def run_ablation(
     where no row is possible.
     """
     ablation, preset, out = find_ablation(name), chosen_preset(name, preset), Path(out)
+    plan = replace(plan, metrics=_METRICS)
     rows = rows_of(name, preset, settings_by_preset(given, [preset])[preset])
     sets = open_sets(roots)
     _check(rows, preset, sets, plan)

@@ -7,7 +7,7 @@ from typing import Any
 
 from tg4mm.evaluate.run import CEILING, STATIC
 
-METRICS = ("ssim", "psnr_db", "flip", "lpips", "closure", "change_gain", "change_residual")
+METRICS = ("ssim", "closure", "change_gain", "change_residual")  # of renderings; see `Plan.metrics`
 
 
 def main_frequency(displacement: Mapping[str, Any] | None) -> dict[str, Any]:

@@ -31,7 +31,7 @@ from tg4mm.train import parse_settings, train
 
 FIGURES = "figures.json"
 SEEN = ("closure", "change_gain", "change_residual")  # how much of a motion is seen, of one way to magnify
-VERSION = 3  # of how figures are made: raise it when the same request would give others
+VERSION = 4  # of how figures are made: raise it when the same request would give others
 
 
 @dataclass(frozen=True)
@@ -83,8 +83,9 @@ class Plan:
 
     alphas: tuple[float, ...] | None = None  # None: all with ground truth
     banded: bool = True  # magnify the band around the motion; False: every frequency
-    lpips_weights: tuple[Path, ...] = ()
+    lpips_weights: tuple[Path, ...] = ()  # of pictures on disk
     device: str = "cpu"
+    metrics: tuple[str, ...] = ("ssim",)  # of renderings; all others are of the pictures on disk
 
 
 def measure(
@@ -105,10 +106,9 @@ def measure(
     metrics = {}
     for way in training.ways:
         metrics[way.name] = _scored(run, way, data, plan, place, scores)
+        # Of one way to magnify; what frames it, the rest pose and the exact motion, is of all.
         for key in [key for key in scores if key[0][:1] == (OURS,)]:
-            del scores[
-                key
-            ]  # of one way to magnify; what frames it, the rest pose and the exact motion, is of all
+            del scores[key]
     figures = _figures(run, request, training, metrics) | {"observed": _observed(run, data, plan)}
     write_json(place / FIGURES, figures)
     return figures
@@ -164,8 +164,8 @@ def _request(data: BenchSet, training: Training, plan: Plan) -> dict[str, Any]:
         "scorings": [dataclasses.asdict(s) for s in training.ways],
         "alphas": None if plan.alphas is None else list(plan.alphas),
         "band_hz": list(data.band_hz) if plan.banded else None,
-        "lpips_weights": [str(p) for p in plan.lpips_weights],
         "device": plan.device,
+        "metrics": list(plan.metrics),
     }
 
 
@@ -201,9 +201,9 @@ def _scored(
         bands=[data.band_hz] if plan.banded else [],
         method=way.method,
         filter=None if way.filter is None else TemporalFilter(way.filter),
-        lpips_weights=list(plan.lpips_weights) or None,
         device=plan.device,
         scores=scores,
+        metrics=plan.metrics,
     )
 
 
@@ -217,8 +217,9 @@ def _figures(
 ) -> dict[str, Any]:
     """{version, request, log, seconds, model, n_gaussians, mib_on_disk, rows, displacement, notes, …}.
 
-    rows: {α: {"nothing moves": {ssim, …}, <each way's name>: …, "ceiling": …}}, α as text since JSON has no other keys;
-    a way's row also holds closure, change_gain, change_residual as `evaluate_run` defines them.
+    rows: {α: {"nothing moves": {ssim, …: None but for the plan's metrics}, <each way's name>: …, "ceiling": …}}, α as
+    text since JSON has no other keys; a way's row also holds closure, change_gain, change_residual as `evaluate_run`
+    defines them.
     """
     rows: dict[str, dict[str, Any]] = {}
     for name, figures in metrics.items():

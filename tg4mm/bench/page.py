@@ -107,7 +107,7 @@ def _remarks(results: Mapping[str, Any]) -> Iterator[str]:
         yield "## Settings other than the defaults\n\n" + "\n".join(lines)
     notes: dict[str, list[str]] = {}
     for run in results["runs"]:
-        missing = [f"not measured: {what}: {why}" for what, why in run["absent"].items() if what != "LPIPS"]
+        missing = [f"not measured: {what}: {why}" for what, why in run["absent"].items()]
         for note in [*run["notes"], *missing]:
             if run["set"] not in notes.setdefault(note, []):
                 notes[note].append(run["set"])
