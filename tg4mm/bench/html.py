@@ -103,10 +103,11 @@ def _block(made: Table) -> PageTable:
 
 def _ablation(results: Mapping[str, Any]) -> Section:
     """A section of an ablation's own results.json."""
-    from tg4mm.bench.ablation_page import ablation_cells, picture
+    from tg4mm.bench.ablation_page import ablation_cells, not_there, picture
 
     header, rows = ablation_cells(results)
     blocks: list[Block] = [Text(f"{results['source']}. Preset {results['preset']}.")]
+    blocks += [Text(line.removeprefix("- "), "note") for line in not_there(results).splitlines()]
     if (svg := picture(results)) is not None:
         source = data_uri("image/svg+xml", svg.encode())
         blocks.append(Figure([Panel("img", source=source, alt=results["title"])], results["title"]))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import gc
 import shutil
@@ -15,7 +14,7 @@ from typing import Any, Protocol
 from tg4mm.bench.observed import observed_figures
 from tg4mm.bench.sets import BenchSet, check_alphas
 from tg4mm.capture import load_capture
-from tg4mm.errors import RunError, Tg4mmError
+from tg4mm.errors import RunError
 from tg4mm.evaluate import evaluate_run
 from tg4mm.evaluate.lpips import load_lpips
 from tg4mm.evaluate.run import CEILING, OURS, STATIC
@@ -121,16 +120,24 @@ def check_plan(sets: Sequence[BenchSet], plan: Plan) -> None:
         load_lpips(plan.lpips_weights)
 
 
-def warm_up(place: Path, data: BenchSet, presets: Iterable[str], device: str) -> None:
-    """Have the kernels compiled and loaded, so that no run's seconds hold that: a training of one iteration each."""
+def warm_up(place: Path, sets: Sequence[BenchSet], presets: Iterable[str], device: str) -> None:
+    """Have the kernels compiled and loaded, so that no run's seconds hold that: a training of one iteration each.
+
+    On the first of the sets that can be trained. What fails here is said by the run itself.
+    """
     for preset in presets:
         modal = {"space.iterations": "1", "motion.iterations": "1", "motion.components": "1"}
         paper = {"paper.warm_up": "1", "paper.iterations": "2", "paper.motion_iterations": "1"}
         folder = place / f".warm-up-{preset}"
-        shutil.rmtree(folder, ignore_errors=True)
-        with contextlib.suppress(Tg4mmError), warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            train(data.root, folder, preset, device, modal if preset == "modal" else paper)
+        for data in sets:
+            shutil.rmtree(folder, ignore_errors=True)
+            try:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")
+                    train(data.root, folder, preset, device, modal if preset == "modal" else paper)
+            except Exception:
+                continue
+            break
         shutil.rmtree(folder, ignore_errors=True)
 
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from tg4mm.bench.failures import why_failed
 from tg4mm.bench.folder import FORMAT, VERSION, circumstances, open_folder
 from tg4mm.bench.html import read_results, write_page
 from tg4mm.bench.jobs import Line, job_folder, run_job
@@ -19,12 +19,12 @@ from tg4mm.bench.methods.known import DEFAULT, methods_of
 from tg4mm.bench.methods.trained import Trained
 from tg4mm.bench.request import check_settings
 from tg4mm.bench.scored import with_closure
-from tg4mm.bench.sets import BenchSet, alphas_missing, open_sets, open_those_that_open
+from tg4mm.bench.sets import BenchSet, open_sets, open_those_that_open
 from tg4mm.bench.vqa import Checkout
 from tg4mm.bench.write import write_results
 from tg4mm.errors import Tg4mmError
 from tg4mm.evaluate.run import CEILING, STATIC
-from tg4mm.files import to_json, write_atomic
+from tg4mm.files import to_json
 from tg4mm.paper.config import PaperConfig
 from tg4mm.progress import progress
 from tg4mm.train import parse_settings
@@ -76,9 +76,7 @@ def run_scenes(
     methods = request.made()
     for preset in request.presets():
         check_settings(request.settings.get(preset, {}), preset)
-    sets, failed = open_those_that_open(roots)
-    sets, without = _with_alphas(sets, request.plan)
-    failed += without
+    sets, failed = open_those_that_open(roots, request.plan.alphas)
     check_plan(sets, request.plan)
     open_folder(Path(out), KIND)
     _prepare(sets, Path(out), out, request, methods, say)
@@ -100,17 +98,8 @@ def run_scenes(
     return results
 
 
-def _with_alphas(sets: list[BenchSet], plan: Plan) -> tuple[list[BenchSet], list[dict[str, str]]]:
-    """The sets with ground truth for an α asked for, and why the others have none; all of them if there is none."""
-    reasons = {data.label: alphas_missing(data, plan.alphas) for data in sets}
-    good = [data for data in sets if reasons[data.label] is None]
-    if not good:
-        return sets, []
-    return good, [{"set": label, "method": "", "why": why} for label, why in reasons.items() if why]
-
-
-def run_one(root: Path, name: str, out: Path, request: ScenesRequest) -> None:
-    """The job of one method on one dataset, for `run_scenes` to find. Raises Tg4mmError."""
+def run_one(root: Path, name: str, out: Path, request: ScenesRequest) -> Path:
+    """The job of one method on one dataset, for `run_scenes` to find; its folder. Raises Tg4mmError."""
     methods = {m.name: m for m in request.made()}
     if name not in methods:
         raise Tg4mmError(f"method {name!r} is none of {', '.join(methods)}")
@@ -119,6 +108,7 @@ def run_one(root: Path, name: str, out: Path, request: ScenesRequest) -> None:
     open_folder(Path(out), KIND)
     _prepare([data], job_folder(out, data, methods[name]), out, request, [methods[name]], lambda text: None)
     run_job(methods[name], data, out, request.plan, request.vqa)
+    return job_folder(out, data, methods[name])
 
 
 class _Bench:
@@ -149,13 +139,7 @@ class _Bench:
             figures, lines = run_job(method, data, self.out, self.request.plan, self.request.vqa)
         except Exception as error:  # one job's fault, whatever it is, is not to take hours of others along
             self.first_error = self.first_error or error
-            why = str(error) or type(error).__name__
-            if not isinstance(error, Tg4mmError | OSError | MemoryError):
-                log = job_folder(self.out, data, method) / "traceback.txt"
-                log.parent.mkdir(parents=True, exist_ok=True)
-                text = traceback.format_exc()
-                write_atomic(log, lambda file: file.write_text(text, encoding="utf-8"))
-                why = f"{type(error).__name__}: {why.splitlines()[0]} ({log})"
+            why = why_failed(error, job_folder(self.out, data, method))
             self.failed.append({"set": data.label, "method": method.name, "why": why})
             self.say(f"    failed: {why}")
         else:
@@ -223,7 +207,7 @@ def _prepare(
     presets = [m.training.preset for m in methods if isinstance(m, Trained) and is_open(m)]
     if presets:
         say("compiling kernels by one iteration of each stage, which is not timed")
-    warm_up(place, sets[0], dict.fromkeys(presets), request.plan.device)
+    warm_up(place, sets, dict.fromkeys(presets), request.plan.device)
 
 
 def run_entry(data: BenchSet, row: str, training: Training, figures: dict[str, Any]) -> dict[str, Any]:
