@@ -108,12 +108,19 @@ def whole(
     ] = None,
     out: Annotated[Path | None, typer.Option(help="With --preset: folder for data, runs and pages.")] = None,
     external: Outside = None,
+    alphas: Alphas = None,
+    lpips_weights: Lpips = None,
+    md_vqa: MdVqa = None,
+    fast_vqa: FastVqa = None,
+    vqa_python: VqaPython = "python3",
+    device: DeviceOption = Device.cpu,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="With --preset: print the commands, one a line, and run none.")
     ] = False,
 ) -> None:
     if context.invoked_subcommand is not None:
-        if preset is not None or out is not None or external or dry_run:
+        sources = (context.get_parameter_source(name) for name in context.params)
+        if any(source is not None and source.name == "COMMANDLINE" for source in sources):
             raise Tg4mmError(
                 f"options before {context.invoked_subcommand}: give them after it, and no --preset"
             )
@@ -121,17 +128,30 @@ def whole(
     if preset is None or out is None:
         raise Tg4mmError("--preset and --out are needed together, or one of scenes, job, ablation")
     from tg4mm.bench.methods.external import parse_external
-    from tg4mm.bench.presets import run_preset, steps_of
+    from tg4mm.bench.presets import Choices, run_preset, steps_of
+    from tg4mm.bench.vqa import checkouts
+    from tg4mm.evaluate.lpips import load_lpips
 
     parse_external(external or [])
+    _plan(alphas, True, lpips_weights, device)
+    checkouts({"md_vqa": md_vqa, "fast_vqa": fast_vqa}, vqa_python)
+    if lpips_weights:
+        load_lpips(lpips_weights)
+    choices = Choices(
+        tuple(external or ()),
+        alphas or "",
+        "" if device is Device.cpu else device.value,
+        tuple(map(str, lpips_weights or ())),
+        str(md_vqa or ""),
+        str(fast_vqa or ""),
+        vqa_python if md_vqa or fast_vqa else "",
+    )
     if dry_run:
         typer.echo(
-            "\n".join(
-                shlex.join(step.command) for step in steps_of(preset, str(out), external=external or [])
-            )
+            "\n".join(shlex.join(step.command) for step in steps_of(preset, str(out), choices=choices))
         )
         return
-    failed = run_preset(preset, out, external or [], _say)
+    failed = run_preset(preset, out, choices, _say)
     typer.echo(out / "bench" / "results.html")
     if failed:
         raise typer.Exit(1)
@@ -282,7 +302,6 @@ def ablation(
     alphas: Alphas = None,
     band: Banded = True,
     settings: Settings = None,
-    lpips_weights: Lpips = None,
     device: DeviceOption = Device.cpu,
 ) -> None:
     """Vary one thing and compare.
@@ -294,7 +313,7 @@ def ablation(
     and the rest goes on. amplitude generates its datasets
     from the given ones (pixels of the first training camera, 0.01 to 1) under OUT/sets, unless they are there.
     """
-    plan = _plan(alphas, band, lpips_weights, device)
+    plan = _plan(alphas, band, None, device)
     given = split_settings(settings or [])
     from tg4mm.bench.ablate import run_ablation
     from tg4mm.bench.ablation_page import ablation_table
