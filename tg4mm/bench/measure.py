@@ -22,7 +22,6 @@ from tg4mm.evaluate.scores import Key
 from tg4mm.evaluate.subject import subject_of
 from tg4mm.files import write_json
 from tg4mm.magnify import Magnification, TemporalFilter
-from tg4mm.memory import reset_peak_memory
 from tg4mm.run import Run
 from tg4mm.run.config import read_json
 from tg4mm.run.model_hash import model_hash
@@ -178,8 +177,7 @@ def _request(data: BenchSet, training: Training, plan: Plan) -> dict[str, Any]:
 
 def _trained(place: Path, data: BenchSet, training: Training, device: str, donor: Path | None) -> Run:
     place.parent.mkdir(parents=True, exist_ok=True)
-    gc.collect()
-    reset_peak_memory()  # each run's own peak, though with what is loaded for the runs before it
+    gc.collect()  # each stage's own peak, though with what is loaded for the runs before it
     if training.trainer is not None:
         return training.trainer(data.root, place, training.settings, device)
     if donor is not None and not (place / "space.safetensors").exists():

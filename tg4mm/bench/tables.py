@@ -61,6 +61,7 @@ _MODES = (
     ("relative_error", "error", "{:.1%}"),
     ("direction_error_deg", "direction, °", "{:.1f}"),
     ("phase_error_deg", "phase, °", "{:+.1f}"),
+    ("static_leak", "leak", "{:.1%}"),
     ("mac", "MAC", "{:.3f}"),
 )
 _SEEN = (("closure", "closure"), ("change_gain", "gain"), ("change_residual", "residual"))
@@ -182,7 +183,10 @@ def modes_table(results: Results, group: str) -> Table:
         for mode in (run["displacement"] or {}).get("per_frequency") or []
     ]
     header = ["set", "method", "Hz", *(title for _, title, _ in _MODES)]
-    note = "Each frequency of the exact motion. MAC: modal assurance criterion, 1 where the shapes agree."
+    note = (
+        "Each frequency of the exact motion. Leak: motion given to what stands still at it. MAC: modal assurance "
+        "criterion, 1 where the shapes agree."
+    )
     return Table("modes", "Modes", note, header, rows, 2)
 
 
