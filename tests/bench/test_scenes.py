@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -155,6 +157,23 @@ def test_what_is_finished_is_not_done_again(done: Done, data: Path, monkeypatch:
         monkeypatch.setattr(f"tg4mm.bench.{name}", forbidden)
     again = run_scenes([data], out, REQUEST, silent)
     assert (again["runs"], again["lines"]) == (results["runs"], results["lines"])
+
+
+def test_the_time_that_is_left_is_told_without_the_jobs_that_were_finished(
+    done: Done, data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A finished job takes no time; counted with the others it would promise an early end."""
+    shown: list[Any] = []
+
+    @contextmanager
+    def watched(label: str, total: int, unit: str, start: int) -> Iterator[Any]:
+        shown.append((total, start))
+        yield shown.append
+
+    monkeypatch.setattr("tg4mm.bench.scenes.progress", watched)
+    methods = ("modal", "paper-tuned", "linear-2d")
+    run_scenes([data], done[0], replace(REQUEST, methods=methods), silent)
+    assert shown == [(3, 2), 3]
 
 
 def test_other_alphas_are_scored_without_training(

@@ -62,6 +62,13 @@ def run_job(
     return figures, [_line(method, row, data, place, plan, vqa) for row in method.rows]
 
 
+def is_finished(method: Method, data: BenchSet, out: Path, plan: Plan) -> bool:
+    """Whether all rows have scores at every α, of whatever settings: enough to tell the time that is left by."""
+    known = _Kept(job_folder(out, data, method) / SCORES).entries
+    alphas = [a for a in alphas_of(data, plan) if not isinstance(method, External) or method.has(data, a)]
+    return all(f"{row} {alpha}" in known for row in method.rows for alpha in alphas)
+
+
 def truth_at(data: BenchSet, alpha: float) -> Capture:
     """The test split's pictures at α."""
     return load_capture(data.root, split="test", magnification=int(alpha))

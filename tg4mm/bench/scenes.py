@@ -10,7 +10,7 @@ from typing import Any
 from tg4mm.bench.failures import why_failed
 from tg4mm.bench.folder import FORMAT, VERSION, circumstances, open_folder
 from tg4mm.bench.html import read_results, write_page
-from tg4mm.bench.jobs import Line, job_folder, run_job
+from tg4mm.bench.jobs import Line, is_finished, job_folder, run_job
 from tg4mm.bench.means import group_means, line_means
 from tg4mm.bench.measure import Plan, Training, check_plan, is_measured, peak_mib, warm_up
 from tg4mm.bench.methods import Method
@@ -81,11 +81,15 @@ def run_scenes(
     open_folder(Path(out), KIND)
     _prepare(sets, Path(out), out, request, methods, say)
     bench = _Bench(Path(out), request, sets, failed, say)
-    with progress("benchmark", len(sets) * len(methods), unit="jobs") as update:
+    jobs = {(d.label, m.name): is_finished(m, d, Path(out), request.plan) for d in sets for m in methods}
+    n_done = sum(jobs.values())
+    with progress("benchmark", len(jobs), unit="jobs", start=n_done) as update:
         for data in sets:
             for method in methods:
                 bench.job(method, data)
-                update(bench.n_done)
+                if not jobs[data.label, method.name]:
+                    n_done += 1
+                    update(n_done)
             for training in same_time_trainings(bench.figures[data.label], request):
                 bench.job(Trained(training), data)
     if not bench.lines:
@@ -129,7 +133,6 @@ class _Bench:
         self.figures: dict[str, dict[str, dict[str, Any]]] = {
             s.label: {} for s in sets
         }  # set → preset → figures
-        self.n_done = 0
         self.first_error: Exception | None = None
 
     def job(self, method: Method, data: BenchSet) -> None:
@@ -144,7 +147,6 @@ class _Bench:
             self.say(f"    failed: {why}")
         else:
             self._keep(method, data, figures, lines)
-        self.n_done += 1
         if self.lines:
             write_results(self.out, self.results())
 
