@@ -89,6 +89,27 @@ def test_the_page_prints_the_numbers_of_the_json(done: Done, data: Path) -> None
     assert json.loads((out / "results.json").read_text(encoding="utf-8")) == results
 
 
+def test_the_cost_of_each_stage(done: Done, data: Path) -> None:
+    out, results = done
+    page = (out / "results.md").read_text(encoding="utf-8")
+    for row, space, motion in (("modal", "60", "4"), ("paper-tuned", "80", "20")):
+        log = entry(results, row)["log"]
+        found = cells(page, "Cost", data.name, row)[3:7]
+        peaks = [
+            max(v["peak_memory_mib"] for k, v in log.items() if (k == "motion") == is_motion)
+            for is_motion in (False, True)
+        ]
+        assert found == [space, motion, *(f"{peak:.0f}" for peak in peaks)]
+
+
+def test_settings_stand_on_both_pages(done: Done) -> None:
+    out, _ = done
+    for name in ("results.md", "results.html"):
+        page = (out / name).read_text(encoding="utf-8")
+        assert "Settings other than the defaults" in page
+        assert "--set space.iterations=60" in page
+
+
 def test_goals_do_not_stand_on_public_pages(done: Done) -> None:
     out, results = done
     assert "goals" not in results

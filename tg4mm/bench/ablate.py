@@ -24,7 +24,6 @@ from tg4mm.bench.measure import (
     check_plan,
     is_measured,
     measure,
-    peak_mib,
     warm_up,
 )
 from tg4mm.bench.request import check_settings, settings_by_preset
@@ -244,7 +243,7 @@ def _line(job: _Job, data: BenchSet, row: Row, figures: dict[str, Any]) -> dict[
     """One row on one dataset in results.json."""
     ways = [row.label] if row.scorings else [way.name for way in job.training.ways]
     log = figures["log"]
-    values: dict[str, Any] = scalars(figures | {"peak_memory_mib": peak_mib(log)})
+    values: dict[str, Any] = scalars(figures)
     values["init"] = log["space"].get("init")
     rest = figures["rows"].get("0", {})
     values["psnr_rest"] = (rest.get("ceiling") or rest.get("nothing moves") or {}).get("psnr_db")

@@ -9,7 +9,7 @@ from typing import Any
 from markupsafe import Markup
 
 from tg4mm.bench.folder import write_text
-from tg4mm.bench.page import failures, how, machine, sets_line
+from tg4mm.bench.page import failures, how, machine, remarks, sets_line
 from tg4mm.bench.plots import over_alpha, size_and_speed
 from tg4mm.bench.shown import shown_sections
 from tg4mm.bench.tables import Table, full_table, groups_of, kinds_table, tables_of
@@ -38,6 +38,7 @@ def write_page(out: Path, results: Mapping[str, Any], ablations: Sequence[Mappin
         lead=[Text(how(results)), *([Text(_failed(results), plain=True)] if failures(results) else [])],
         sections=[
             *sections,
+            *(Section(title, [Text(_list(lines), plain=True)]) for title, lines in remarks(results)),
             Section("How it was made", [made]),
         ],
         footer="Protocol: docs/protocol.md. Tables for LaTeX lie in tables/, all figures in results.json.",
@@ -76,8 +77,12 @@ def _stats(results: Mapping[str, Any]) -> list[Stat]:
 
 def _failed(results: Mapping[str, Any]) -> Markup:
     lines = [line.removeprefix("- ") for line in failures(results).splitlines() if line.startswith("- ")]
+    return Markup('<p class="note">Left out:</p>{}').format(_list(lines))
+
+
+def _list(lines: Sequence[str]) -> Markup:
     items = Markup("").join(Markup("<li>{}</li>").format(line) for line in lines)
-    return Markup('<p class="note">Left out:</p><ul>{}</ul>').format(items)
+    return Markup("<ul>{}</ul>").format(items)
 
 
 def _scores(results: Mapping[str, Any], group: str) -> Iterator[Block]:

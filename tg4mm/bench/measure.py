@@ -258,9 +258,20 @@ def stage_seconds(log: Mapping[str, Any]) -> dict[str, float]:
     return {"space": space, "motion": motion, "total": space + motion}
 
 
-def peak_mib(log: Mapping[str, Any]) -> float:
-    """The most memory that any stage of a run has held, MiB."""
-    return max((float(entry.get("peak_memory_mib") or 0.0) for entry in log.values()), default=0.0)
+def stage_costs(log: Mapping[str, Any]) -> dict[str, float | None]:
+    """{space_iterations, motion_iterations, space_peak_mib, motion_peak_mib}, the stages as of `stage_seconds`.
+
+    Iterations are summed and the most memory (MiB) is taken over what makes a stage; None where the log has none.
+    """
+    costs: dict[str, float | None] = {}
+    for stage in ("space", "motion"):
+        entries = [entry for name, entry in log.items() if (name == "motion") == (stage == "motion")]
+        known = {
+            key: [float(e[key]) for e in entries if e.get(key)] for key in ("iterations", "peak_memory_mib")
+        }
+        costs[f"{stage}_iterations"] = sum(known["iterations"]) or None
+        costs[f"{stage}_peak_mib"] = max(known["peak_memory_mib"], default=None)
+    return costs
 
 
 def _mib(run: Path) -> float:

@@ -12,7 +12,7 @@ from tg4mm.bench.folder import FORMAT, VERSION, circumstances, open_folder
 from tg4mm.bench.html import read_results, write_page
 from tg4mm.bench.jobs import Line, is_finished, job_folder, run_job
 from tg4mm.bench.means import group_means, line_means
-from tg4mm.bench.measure import Plan, Training, check_plan, is_measured, peak_mib, warm_up
+from tg4mm.bench.measure import Plan, Training, check_plan, is_measured, warm_up
 from tg4mm.bench.methods import Method
 from tg4mm.bench.methods.external import External
 from tg4mm.bench.methods.known import DEFAULT, methods_of
@@ -220,7 +220,6 @@ def run_entry(data: BenchSet, row: str, training: Training, figures: dict[str, A
         "preset": training.preset,
         "overrides": dict(training.settings),
         "ways": [way.name for way in training.ways],
-        "peak_memory_mib": peak_mib(figures["log"]),
         **{k: v for k, v in figures.items() if k not in {"version", "request"}},
     }
 

@@ -52,7 +52,10 @@ _COSTS = (
     ("space_s", "space, s", "{:.0f}"),
     ("motion_s", "motion, s", "{:.0f}"),
     ("total_s", "both, s", "{:.0f}"),
-    ("peak_memory_mib", "peak, MiB", "{:.0f}"),
+    ("space_iterations", "space, iterations", "{:,.0f}"),
+    ("motion_iterations", "motion, iterations", "{:,.0f}"),
+    ("space_peak_mib", "space, peak MiB", "{:.0f}"),
+    ("motion_peak_mib", "motion, peak MiB", "{:.0f}"),
     ("n_gaussians", "Gaussians", "{:,.0f}"),
     ("mib_on_disk", "on disk, MiB", "{:.1f}"),
 )
@@ -193,8 +196,10 @@ def modes_table(results: Results, group: str) -> Table:
 def cost_table(results: Results, group: str) -> Table:
     """Seconds of each stage, memory, size, and how fast pictures are rendered ([TG4MM] Table II and Fig. 6)."""
     note = (
-        "Seconds of training, peak memory, Gaussians, size of the model's files; pictures a second: posing and "
-        "rendering of the test pictures, without writing them."
+        "Seconds and iterations of training, most memory held in each stage, Gaussians, size of the model's files; "
+        "pictures a second: posing and rendering of the test pictures, without opening the model and writing them. An "
+        "iteration is a step on one view; in the motion of modal one of conjugate gradients on all views, the most "
+        "that are made for each function of time."
     )
     speeds = {(x["set"], x["row"]): x["frames_per_s"] for x in results["lines"]}
     rows = _scalar_rows(results, group, _COSTS)
