@@ -17,12 +17,13 @@ from tg4mm.bench.ablate import run_ablation
 from tg4mm.bench.ablation_page import COLUMNS, ablation_table
 from tg4mm.bench.ablations import ABLATIONS, chosen_preset, rows_of
 from tg4mm.bench.amplitudes import alphas_for
-from tg4mm.bench.html import read_results
+from tg4mm.bench.html import _ablation, read_results
 from tg4mm.bench.measure import Plan
 from tg4mm.bench.request import check_settings, setting_names
 from tg4mm.cli import main
 from tg4mm.errors import Tg4mmError
 from tg4mm.magnify import TemporalFilter
+from tg4mm.report.page import Figure
 from tg4mm.run import Run
 from tg4mm.train import train
 
@@ -145,6 +146,10 @@ def test_filters_are_scored_on_one_run(data: Path, tmp_path: Path) -> None:
     with Image.open(tmp_path / "out" / "slices.png") as sheet:
         assert sheet.height > 7 * 96  # the truth and six rows
     assert "![Space-time slices](slices.png)" in (tmp_path / "out" / "results.md").read_text(encoding="utf-8")
+    page = _ablation(tmp_path / "out", read_results(tmp_path / "out"))
+    assert any(isinstance(block, Figure) and "Space-time" in block.caption for block in page.blocks)
+    latex = (tmp_path / "out" / "tables" / "filter-phase.tex").read_text(encoding="utf-8")
+    assert "linear, published" in latex
     pictures = [line["rows"]["20"][name]["ssim"] for name, line in lines.items()]
     assert len(set(pictures)) == len(pictures)
 

@@ -9,12 +9,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from tg4mm.bench.ablation_page import ablation_page, picture
+from tg4mm.bench.ablation_page import ablation_cells, ablation_page, picture
 from tg4mm.bench.ablations import Ablation, Row, chosen_preset, find_ablation, rows_of
 from tg4mm.bench.amplitudes import TARGETS_PX, generator_arguments, with_amplitude
 from tg4mm.bench.errors import BenchError, StepError
 from tg4mm.bench.failures import why_failed
 from tg4mm.bench.folder import FORMAT, VERSION, circumstances, claim_set, open_folder, write_text
+from tg4mm.bench.latex import latex_table
 from tg4mm.bench.means import scalars
 from tg4mm.bench.measure import (
     SCORINGS,
@@ -28,7 +29,7 @@ from tg4mm.bench.measure import (
 )
 from tg4mm.bench.request import check_settings, settings_by_preset
 from tg4mm.bench.sets import BenchSet, open_set, open_those_that_open
-from tg4mm.bench.slices import Shown, slices_picture
+from tg4mm.bench.slices import Magnified, slices_picture
 from tg4mm.bench.subset import with_noise, with_timesteps, with_views
 from tg4mm.errors import RunError, Tg4mmError
 from tg4mm.files import write_json
@@ -59,9 +60,10 @@ def run_ablation(
 ) -> dict[str, Any]:
     """Run what is not finished of the ablation `name`; returns what results.json holds.
 
-    Writes OUT/results.json, OUT/results.md and OUT/results.svg, anew after every training. A row that the data do not
-    allow (no points3d.ply, too few cameras) stands under `left_out` with the reason; a dataset without any row, and an
-    error that is not the data's, under `failed`. Raises Tg4mmError on bad input, and where no row is possible.
+    Writes OUT/results.json, results.md, results.svg and tables/<name>.tex, anew after every training. A row that the
+    data do not allow (no points3d.ply, too few cameras) stands under `left_out` with the reason; a dataset without any
+    row, and an error that is not the data's, under `failed`. Raises Tg4mmError on bad input, and where no row is
+    possible.
     """
     ablation, preset, out = find_ablation(name), chosen_preset(name, preset), Path(out)
     plan = replace(plan, metrics=_METRICS)
@@ -119,7 +121,7 @@ def _slices(results: dict[str, Any], rows: Sequence[Row], data: BenchSet, out: P
         run = out / lines[row.label]["run"]
         for way in row.scorings or SCORINGS[results["preset"]]:
             label = row.label if row.scorings else f"{row.label}, {way.name}"
-            shown.append(Shown(label, run, way.method, way.filter))
+            shown.append(Magnified(label, run, way.method, way.filter))
     if not shown:
         return ""
     band = lines[next(iter(lines))]["band_hz"]
@@ -290,3 +292,5 @@ def _write(out: Path, results: dict[str, Any]) -> None:
     if drawn is not None:
         write_text(out / "results.svg", drawn)
     write_text(out / "results.md", ablation_page(results, drawn is not None))
+    made = ablation_cells(results)
+    write_text(out / "tables" / f"{made.key}.tex", latex_table(made))

@@ -6,9 +6,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from tg4mm.bench.means import mean
-from tg4mm.bench.page import origin
+from tg4mm.bench.page import markdown, origin
 from tg4mm.bench.plots import curves
-from tg4mm.bench.table import NOTHING, shown, table
+from tg4mm.bench.table import NOTHING, shown
+from tg4mm.bench.tables import Table
 from tg4mm.evaluate.run import CEILING, STATIC
 
 # Columns by key of a line's `scalars`: title, format.
@@ -32,12 +33,12 @@ SSIM = "ssim"
 
 
 def ablation_table(results: Mapping[str, Any]) -> str:
-    """`ablation_cells` in Markdown."""
-    return table(*ablation_cells(results), text_columns=3)
+    """The table in Markdown."""
+    return markdown(ablation_cells(results))
 
 
-def ablation_cells(results: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
-    """(header, rows): SSIM of every row and method at every α beside "nothing moves" and the ceiling, and the row's
+def ablation_cells(results: Mapping[str, Any]) -> Table:
+    """SSIM of every row and method at every α beside "nothing moves" and the ceiling, and the row's
     figures."""
     columns = ssim_columns(results)
     header = ["set", results["title"], "method", *(f"SSIM {c}" for c in columns)]
@@ -48,7 +49,8 @@ def ablation_cells(results: Mapping[str, Any]) -> tuple[list[str], list[list[str
         cells += _cells(results, lines, columns)
     if len({line["set"] for line in results["lines"]}) > 1:
         cells += _cells(results, mean_lines(results, columns), columns)
-    return header, cells
+    note = results["remark"] or f"{results['source']}."
+    return Table(results["name"], results["title"], note, header, cells, 3)
 
 
 def ssim_columns(results: Mapping[str, Any]) -> list[str]:
@@ -105,7 +107,7 @@ def mean_lines(results: Mapping[str, Any], columns: Sequence[str]) -> list[dict[
         methods = [STATIC, *lines[0]["ways"], CEILING]
         found.append(
             {
-                "set": f"**mean of {len(lines)}**",
+                "set": f"mean of {len(lines)}",
                 "row": row,
                 "ways": lines[0]["ways"],
                 "ssim_columns": {c: c for c in columns},

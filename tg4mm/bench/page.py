@@ -9,14 +9,12 @@ from tg4mm.bench.table import table
 from tg4mm.bench.tables import Table, groups_of, kinds_table, tables_of
 
 
-def scenes_page(results: Mapping[str, Any], pictures: Mapping[str, str]) -> str:
-    """What becomes docs/results.md. pictures: {group: file name of its chart}."""
+def scenes_page(results: Mapping[str, Any], pictures: Mapping[str, Mapping[str, str]]) -> str:
+    """What becomes docs/results.md. pictures: {group: {file name: title}}."""
     parts = ["# Results", origin(results["made"]), how(results), failures(results)]
     for group in groups_of(results):
         parts += [f"## {group}", sets_line(results, group)]
-        parts.append(
-            f"![SSIM and closure over magnification, {group}]({pictures[group]})" if group in pictures else ""
-        )
+        parts += [f"![{title}]({name})" for name, title in pictures.get(group, {}).items()]
         for made in tables_of(results, group):
             parts += [f"### {made.title}", made.note, markdown(made)]
     kinds = kinds_table(results)

@@ -150,12 +150,12 @@ class _Bench:
         if self.lines:
             write_results(self.out, self.results())
 
-    def tables_of(self, ablations: Sequence[Path]) -> list[dict[str, Any]]:
+    def tables_of(self, ablations: Sequence[Path]) -> list[tuple[Path, dict[str, Any]]]:
         """The results of ablations; one that cannot be read is kept as a line of `failed`."""
         found = []
         for folder in ablations:
             try:
-                found.append(read_results(folder))
+                found.append((Path(folder), read_results(folder)))
             except (Tg4mmError, OSError) as error:
                 self.failed.append({"set": f"ablation {Path(folder).name}", "method": "", "why": str(error)})
         return found
