@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
+import numpy as np
+
 from tg4mm.bench.observed import observed_figures
 from tg4mm.bench.sets import BenchSet, check_alphas
 from tg4mm.capture import load_capture
@@ -245,10 +247,20 @@ def _figures(
         "mib_on_disk": _mib(run.path),
         "rows": {a: {m: row[m] for m in order if m in row} for a, row in rows.items()},
         "displacement": first["displacement"],
+        "strongest_hz": strongest_hz(run),
         "seconds_evaluation": {name: figures["seconds"] for name, figures in metrics.items()},
         "absent": {k: v for figures in metrics.values() for k, v in figures["absent"].items()},
         "notes": sorted({note for figures in metrics.values() for note in figures["notes"]}),
     }
+
+
+def strongest_hz(run: Run) -> float | None:
+    """Frequency of the run's mode with the largest rms displacement; None without a mode that vibrates."""
+    motion = run.load_motion()
+    if motion is None or not (motion.freqs_hz > 0).any():
+        return None
+    size = np.linalg.norm(motion.displacement, axis=(1, 2)) * (motion.freqs_hz > 0)
+    return float(motion.freqs_hz[int(size.argmax())])
 
 
 def stage_seconds(log: Mapping[str, Any]) -> dict[str, float]:
