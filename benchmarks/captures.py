@@ -27,7 +27,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+from tg4mm.bench.measure import strongest_hz
+from tg4mm.run import Run
 
 ALPHA = 20
 SLOW = ("--frequency", "3.4")
@@ -123,24 +124,13 @@ def row(case: Case, said: str) -> str:
         _percent(moved.get("static_leak")),
         _plain(at.get("amplitude_ratio"), ".3f"),
         _plain(at.get("direction_error_deg"), ".1f") + "°",
-        _plain(strongest(case.folder / "run"), ".3f"),
+        _plain(strongest_hz(Run.open(case.folder / "run")), ".3f"),
         _plain(at.get("frequency_hz"), ".3f"),
         _plain((scores.get("ours") or {}).get("ssim"), ".4f"),
         _plain((scores.get("nothing moves") or {}).get("ssim"), ".4f"),
         _plain(json.loads(seconds.read_text()) if seconds.is_file() else None, ".0f"),
     ]
     return f"| {case.name} | " + " | ".join(cells) + " |"
-
-
-def strongest(run: Path) -> float | None:
-    """Frequency of the run's mode with the largest rms displacement, Hz; None without a mode that vibrates."""
-    from tg4mm.run import Run
-
-    motion = Run.open(run).load_motion()
-    if motion is None or not (motion.freqs_hz > 0).any():
-        return None
-    size = np.linalg.norm(motion.displacement, axis=(1, 2)) * (motion.freqs_hz > 0)
-    return float(motion.freqs_hz[int(size.argmax())])
 
 
 def _plain(value: Any, form: str) -> str:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,13 +14,16 @@ from PIL import Image
 from tests.bench.conftest import MODAL, PAPER
 from tests.helpers.curves import points_of
 from tg4mm.bench.ablate import run_ablation
-from tg4mm.bench.ablation_page import COLUMNS
+from tg4mm.bench.ablation_page import COLUMNS, ablation_table
 from tg4mm.bench.ablations import ABLATIONS, chosen_preset, rows_of
 from tg4mm.bench.amplitudes import alphas_for
+from tg4mm.bench.html import _ablation, read_results
 from tg4mm.bench.measure import Plan
 from tg4mm.bench.request import check_settings, setting_names
+from tg4mm.cli import main
 from tg4mm.errors import Tg4mmError
 from tg4mm.magnify import TemporalFilter
+from tg4mm.report.page import Figure
 from tg4mm.run import Run
 from tg4mm.train import train
 
@@ -90,7 +95,7 @@ def test_magnified_motion_is_the_same_at_every_amplitude() -> None:
 @pytest.fixture(scope="module")
 def smoothness(data: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     out = tmp_path_factory.mktemp("smoothness") / "out"
-    return out, run_ablation("smoothness", [data], out, None, MODAL, Plan(), silent)
+    return out, ablation_table(run_ablation("smoothness", [data], out, None, MODAL, Plan(), silent))
 
 
 def test_the_weight_that_was_found_stands_apart(smoothness: tuple[Path, str]) -> None:
@@ -141,12 +146,16 @@ def test_filters_are_scored_on_one_run(data: Path, tmp_path: Path) -> None:
     with Image.open(tmp_path / "out" / "slices.png") as sheet:
         assert sheet.height > 7 * 96  # the truth and six rows
     assert "![Space-time slices](slices.png)" in (tmp_path / "out" / "results.md").read_text(encoding="utf-8")
+    page = _ablation(tmp_path / "out", read_results(tmp_path / "out"))
+    assert any(isinstance(block, Figure) and "Space-time" in block.caption for block in page.blocks)
+    latex = (tmp_path / "out" / "tables" / "filter-phase.tex").read_text(encoding="utf-8")
+    assert "linear, published" in latex
     pictures = [line["rows"]["20"][name]["ssim"] for name, line in lines.items()]
     assert len(set(pictures)) == len(pictures)
 
 
 def test_views_are_left_out_and_a_row_that_cannot_be_is_named(data: Path, tmp_path: Path) -> None:
-    text = run_ablation("views", [data], tmp_path / "out", None, MODAL, Plan(alphas=(20.0,)), silent)
+    made = run_ablation("views", [data], tmp_path / "out", None, MODAL, Plan(alphas=(20.0,)), silent)
     lines = {line["row"]: line for line in lines_of(tmp_path / "out")}
     assert {name: line["n_views"] for name, line in lines.items()} == {
         "3 views": 3,
@@ -154,9 +163,52 @@ def test_views_are_left_out_and_a_row_that_cannot_be_is_named(data: Path, tmp_pa
         "all views": 5,
     }
     assert lines["3 views"]["log"]["motion"]["views"] == 3
-    assert "10 views" not in text
+    assert "10 views" not in ablation_table(made)
+    assert made["failed"] == []
     page = (tmp_path / "out" / "results.md").read_text(encoding="utf-8")
     assert f"Left out: {data.name}, 10 views: dataset {data} has 5 training cameras, 10 are asked for" in page
+
+
+def test_a_broken_set_is_reported_and_the_rest_goes_on(data: Path, tmp_path: Path, capsys) -> None:
+    (tmp_path / "broken").mkdir()
+    torn, bare = (shutil.copytree(data, tmp_path / name) for name in ("torn", "bare"))
+    picture = torn / "001" / "train" / "r_000.png"
+    picture.write_bytes(picture.read_bytes()[:100])  # its size can still be read
+    shutil.rmtree(bare / "magnified" / "x020")
+    sets = [str(tmp_path / name) for name in ("broken", "torn", "bare")]
+    settings = [part for k, v in MODAL.items() for part in ("--set", f"{k}={v}")]
+    out = tmp_path / "out"
+    options = ["--out", str(out), "--preset", "modal", "--alphas", "20", *settings]
+    assert main(["bench", "ablation", "filter-phase", *sets, str(data), *options]) == 1
+    assert "3 failed" in capsys.readouterr().err
+    results = read_results(out)
+    assert [f["set"] for f in results["failed"]] == ["broken", "bare", "torn"]
+    assert {line["set"] for line in results["lines"]} == {data.name}
+    page = (out / "results.md").read_text(encoding="utf-8")
+    assert all(f"- Failed: {name}: " in page for name in ("broken", "torn", "bare"))
+    assert (out / "slices.png").is_file()
+
+
+def test_an_error_that_is_not_the_datas_is_a_failure(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from tg4mm.bench import ablate
+
+    measured = ablate.measure
+
+    def measure(place: Path, *arguments: Any) -> dict[str, Any]:
+        if "5_views" in place.name:
+            raise ArithmeticError("a matrix is singular")
+        return measured(place, *arguments)
+
+    monkeypatch.setattr(ablate, "measure", measure)
+    out = tmp_path / "out"
+    results = run_ablation("views", [data], out, None, MODAL, Plan(alphas=(20.0,)), silent)
+    (failed,) = results["failed"]
+    assert failed["method"] == "5 views"
+    assert failed["why"].startswith("ArithmeticError: a matrix is singular (")
+    assert "in measure" in (out / "runs" / data.name / "traceback.txt").read_text(encoding="utf-8")
+    assert [line["row"] for line in results["lines"]] == ["3 views", "all views"]
 
 
 def test_no_possible_row_is_an_error(data: Path, tmp_path: Path) -> None:

@@ -144,6 +144,38 @@ def test_a_job_may_fail_by_any_error_and_leaves_its_traceback(
     )
 
 
+def test_a_job_finds_and_leaves_its_results_where_the_tables_look(
+    data: Path, tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two datasets of one name: the name in the tables does not depend on which others are named beside it."""
+    out, other = tmp_path / "out", tmp_path / "other" / data.name
+    shutil.copytree(data, other)
+    named = f"second={other}"
+    for given in (str(data), named):
+        assert main(["bench", "job", given, "linear-2d", "--out", str(out), "--methods", "linear-2d"]) == 0
+    places = [Path(line) for line in capsys.readouterr().out.splitlines()]
+    assert places == [out / "runs" / name / "linear-2d" for name in (data.name, "second")]
+
+    def forbidden(*_: object) -> None:
+        raise AssertionError("done again")
+
+    monkeypatch.setattr("tg4mm.bench.jobs.write_png", forbidden)
+    status, results = run_linear(data, out, named)
+    assert (status, [s["label"] for s in results["sets"]]) == (0, [data.name, "second"])
+
+
+def test_results_of_another_dataset_of_that_name_are_not_overwritten(
+    data: Path, tmp_path: Path, capsys
+) -> None:
+    out, other = tmp_path / "out", tmp_path / "other" / data.name
+    run_linear(data, out)
+    shutil.copytree(data, other)
+    scene = json.loads((other / "scene.json").read_text(encoding="utf-8"))
+    (other / "scene.json").write_text(json.dumps(scene | {"seed": 17}))
+    assert main(["bench", "job", str(other), "linear-2d", "--out", str(out)]) == 2
+    assert "holds results of another one of that name" in capsys.readouterr().err
+
+
 def test_damaged_scores_are_made_anew(data: Path, tmp_path: Path, capsys) -> None:
     out = tmp_path / "out"
     before = run_linear(data, out)[1]["lines"]

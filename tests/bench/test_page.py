@@ -7,14 +7,16 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from tests.view.browser import browser
 from tg4mm.bench.html import read_results, write_page
 from tg4mm.bench.latex import escaped, latex_table
 from tg4mm.bench.methods.external import External
 from tg4mm.bench.scenes import ScenesRequest, run_scenes
-from tg4mm.bench.tables import Table
+from tg4mm.bench.tables import Table, full_table, groups_of, tables_of
 
 
 @pytest.fixture(scope="module")
@@ -63,6 +65,32 @@ def test_in_a_browser(made: Path) -> None:
         page.locator('.compare select[data-pick="left"]').select_option(label="linear-2d")
         assert left.get_attribute("src") != before
         assert not errors
+
+
+def test_figures_of_a_paper_are_files_too(made: Path, data: Path) -> None:
+    """[TG4MM] Fig. 3 and 4: a picture for the ground truth and each of the three methods."""
+    sizes = {}
+    for kind in ("slices", "differences"):
+        with Image.open(made / "figures" / f"{data.name}_{kind}.png") as sheet:
+            sizes[kind] = sheet.size
+            assert len(np.unique(np.asarray(sheet).reshape(-1, 3), axis=0)) > 10
+    assert sizes["slices"] == (720, 4 * (96 + 22) + 4)
+    assert sizes["differences"] == (720, 4 * (720 // 5 + 22) + 4)  # five maps side by side, of six timesteps
+
+
+def test_every_table_is_there_in_latex(made: Path) -> None:
+    results = read_results(made)
+    (group,) = groups_of(results)
+    for table in (*tables_of(results, group), full_table(results, group)):
+        text = (made / "tables" / f"1_{table.key}.tex").read_text(encoding="utf-8")
+        assert text.count(r"\\") == len(table.rows) + 1
+
+
+def test_a_table_longer_than_a_page_goes_on_on_the_next() -> None:
+    text = latex_table(Table("x", "A", "B", ["set", "α"], [["mic", str(i)] for i in range(100)]))
+    assert text.startswith(r"\begin{longtable}{lr}")
+    assert text.count(r"\\") == 102  # the caption too
+    assert r"\caption{A. B}" in text
 
 
 def test_latex_prints_what_the_cells_hold() -> None:

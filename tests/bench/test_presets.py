@@ -4,18 +4,24 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
+import typer
 
 import tg4mm.bench
+from dataset_gen.options import parser, request_from
 from tests.helpers.snakemake_program import FARM, snakemake
 from tg4mm.bench import presets
+from tg4mm.bench.errors import BenchError
 from tg4mm.bench.html import read_results
-from tg4mm.bench.presets import PRESETS, Step, run_preset, steps_of
+from tg4mm.bench.presets import PRESETS, Choices, Step, choices_from, run_preset, steps_of
 from tg4mm.cli import main
+from tg4mm.cli.program import app
 
 ROOT = Path(__file__).parents[2]
 SNAKEFILE = Path(tg4mm.bench.__file__).parent / "Snakefile"
@@ -24,7 +30,7 @@ SNAKEFILE = Path(tg4mm.bench.__file__).parent / "Snakefile"
 @pytest.mark.parametrize("name", PRESETS)
 def test_steps_need_only_what_comes_before_them(name: str) -> None:
     known: set[str] = set()
-    for step in steps_of(name, "out", external=["theirs=dir"]):
+    for step in steps_of(name, "out", choices=Choices(("theirs=dir",))):
         assert set(step.needs) <= known, step.name
         known.add(step.name)
     jobs = [n for n in known if n.startswith("job/")]
@@ -32,12 +38,62 @@ def test_steps_need_only_what_comes_before_them(name: str) -> None:
     assert "page" in known
 
 
-def test_a_dry_run_prints_commands_that_the_program_accepts(capsys) -> None:
-    assert main(["bench", "--preset", "small", "--out", "out", "--dry-run"]) == 0
+def accepted(line: str) -> dict[str, Any]:
+    """The values that the program reads from a command, by the parsers of its own command line."""
+    python, *module, name = (words := shlex.split(line))[:4]
+    assert [python, *module] == [sys.executable, "-m", "tg4mm"]
+    if name == "generate":
+        request = request_from(parser().parse_args(words[4:]))
+        return {"alphas": ",".join(map(str, request.sets[0].alphas)), "out": request.out}
+    command: Any = typer.main.get_command(app)
+    context = command.make_context("tg4mm", words[3:])
+    while hasattr(command, "resolve_command"):
+        name, command, rest = command.resolve_command(context, [*context._protected_args, *context.args])
+        context = command.make_context(name, list(rest), parent=context)
+    return dict(context.params)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_a_dry_run_prints_commands_that_the_program_accepts(name: str, capsys) -> None:
+    assert main(["bench", "--preset", name, "--out", "out", "--dry-run"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == len(steps_of("small", "out"))
+    assert len(lines) == len(steps_of(name, "out"))
     assert not Path("out").exists()
-    assert all(" -m tg4mm " in line for line in lines)
+    folders = [str(accepted(line)["out"]) for line in lines]
+    assert {folder.partition("/")[0] for folder in folders} == {"out"}
+
+
+def test_what_is_chosen_reaches_every_step_that_it_is_for(tmp_path: Path) -> None:
+    choices = Choices(("theirs=dir",), "5,20", "cuda", ("alex.pth", "heads.pth"), "md", "fast", "python3.9")
+    for step in steps_of("small", "out", choices=choices):
+        found = accepted(shlex.join(step.command))
+        kind = step.name.partition("/")[0]
+        assert found["alphas"] == (None if step.name == "ablation/amplitude" else "5,20")
+        if kind != "data":
+            assert found["device"] == "cuda"
+        if kind in {"job", "page"}:
+            assert found["external"] == ["theirs=dir"]
+            assert found["lpips_weights"] == [Path("alex.pth"), Path("heads.pth")]
+            assert (found["md_vqa"], found["fast_vqa"]) == (Path("md"), Path("fast"))
+            assert found["vqa_python"] == "python3.9"
+
+
+def test_a_configuration_file_has_the_same_choices() -> None:
+    config = {"preset": "small", "alphas": 20, "lpips_weights": ["a", "b"], "external": ["t=d"], "threads": 2}
+    assert choices_from(config) == Choices(("t=d",), "20", lpips_weights=("a", "b"))
+    with pytest.raises(BenchError, match="external is 't=d', expected a list of texts"):
+        choices_from({"external": "t=d"})
+    with pytest.raises(BenchError, match=r"alphas is \[5\], expected a text"):
+        choices_from({"alphas": [5]})
+
+
+def test_options_of_a_preset_reach_its_commands(tmp_path: Path, capsys) -> None:
+    for name in ("test_video.py", "vqa.py"):
+        (tmp_path / name).write_text("")
+    options = ["--alphas", "5", "--md-vqa", str(tmp_path), "--vqa-python", "python3.9"]
+    assert main(["bench", "--preset", "smoke", "--out", "out", "--dry-run", *options]) == 0
+    found = accepted(capsys.readouterr().out.splitlines()[-1])
+    assert (found["alphas"], found["md_vqa"], found["vqa_python"]) == ("5", tmp_path, "python3.9")
 
 
 @pytest.mark.parametrize(
@@ -45,6 +101,10 @@ def test_a_dry_run_prints_commands_that_the_program_accepts(capsys) -> None:
     [
         (["--preset", "large", "--out", "x"], "'large', expected smoke, small, paper"),
         (["--preset", "smoke"], "--out are needed"),
+        (["--preset", "smoke", "--out", "x", "--alphas", "5,many"], "'many'"),
+        (["--preset", "smoke", "--out", "x", "--fast-vqa", "/nowhere"], "holds no vqa.py"),
+        (["--preset", "smoke", "--out", "x", "--lpips-weights", "/nowhere/alex.pth"], "/nowhere/alex.pth"),
+        (["--alphas", "5", "scenes", "data", "--out", "x"], "options before scenes"),
         (["--preset", "smoke", "--out", "x", "--external", "theirs"], "expected NAME=DIR"),
     ],
 )

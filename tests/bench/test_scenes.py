@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,10 +12,14 @@ from typing import Any
 import pytest
 
 from tests.bench.conftest import MODAL, PAPER
+from tg4mm.bench.jobs import job_folder, truth_at
 from tg4mm.bench.measure import SEEN, Plan, Training
+from tg4mm.bench.methods import trained
 from tg4mm.bench.scenes import ScenesRequest, run_scenes, same_time_training, same_time_trainings
+from tg4mm.bench.sets import open_sets
 from tg4mm.errors import RunError
 from tg4mm.evaluate import evaluate_run
+from tg4mm.evaluate.subject import subject_of
 from tg4mm.run import Run
 from tg4mm.train import parse_settings
 
@@ -50,9 +56,10 @@ def test_the_numbers_are_those_of_evaluate(
     ours = entry(results, row)
     for scored in again["alphas"]:
         found = ours["rows"][str(scored["alpha"])]
-        assert found[way] == scored["rows"]["ours"] | {key: scored[key] for key in SEEN}
-        assert found["nothing moves"] == scored["rows"]["nothing moves"]
-        assert found["ceiling"] == scored["rows"]["ceiling"]
+        measured = {key: scored[key] for key in SEEN} | {"ssim": scored["rows"]["ours"]["ssim"]}
+        assert {key: value for key, value in found[way].items() if value is not None} == measured
+        for name in ("nothing moves", "ceiling"):
+            assert found[name]["ssim"] == scored["rows"][name]["ssim"]
     assert ours["displacement"] == again["displacement"]
     assert ours["seconds"]["motion"] == run.log()["motion"]["seconds"]
 
@@ -82,6 +89,27 @@ def test_the_page_prints_the_numbers_of_the_json(done: Done, data: Path) -> None
     assert json.loads((out / "results.json").read_text(encoding="utf-8")) == results
 
 
+def test_the_cost_of_each_stage(done: Done, data: Path) -> None:
+    out, results = done
+    page = (out / "results.md").read_text(encoding="utf-8")
+    for row, space, motion in (("modal", "60", "4"), ("paper-tuned", "80", "20")):
+        log = entry(results, row)["log"]
+        found = cells(page, "Cost", data.name, row)[3:7]
+        peaks = [
+            max(v["peak_memory_mib"] for k, v in log.items() if (k == "motion") == is_motion)
+            for is_motion in (False, True)
+        ]
+        assert found == [space, motion, *(f"{peak:.0f}" for peak in peaks)]
+
+
+def test_settings_stand_on_both_pages(done: Done) -> None:
+    out, _ = done
+    for name in ("results.md", "results.html"):
+        page = (out / name).read_text(encoding="utf-8")
+        assert "Settings other than the defaults" in page
+        assert "--set space.iterations=60" in page
+
+
 def test_goals_do_not_stand_on_public_pages(done: Done) -> None:
     out, results = done
     assert "goals" not in results
@@ -108,6 +136,38 @@ def test_pictures_of_eight_bits_score_as_renderings_do(done: Done) -> None:
                 assert scores["ssim"] == pytest.approx(exact[alpha]["modal"]["ssim"], abs=1e-3)
 
 
+def test_of_renderings_only_ssim_is_measured(done: Done) -> None:
+    """The other metrics are of the pictures on disk, where every method is scored alike."""
+    _, results = done
+    assert {entry(results, "modal")["rows"]["20"]["modal"][k] for k in ("psnr_db", "flip")} == {None}
+    lines = {line["row"]: line["alphas"]["20"] for line in results["lines"]}
+    assert lines["modal"]["flip"] > 0
+
+
+def test_preparation_is_not_timed_and_done_once(
+    done: Done, data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Opening the run and following the exact motion takes longer than many pictures."""
+    out, built = done[0], []
+    (opened,) = open_sets([data])
+    (method,) = [m for m in REQUEST.made() if m.name == "modal"]
+
+    def subject(*arguments: Any) -> Any:
+        built.append(arguments)
+        return subject_of(*arguments)
+
+    monkeypatch.setattr(trained, "subject_of", subject)
+    if hasattr(trained, "_subject_of"):
+        trained._subject_of.cache_clear()
+    place = job_folder(out, opened, method)
+    for row in method.rows:
+        for alpha in (5, 20):
+            pictures = method.render(row, opened, place, truth_at(opened, alpha), alpha, REQUEST.plan)
+            assert len(built) == 1
+            next(pictures)
+    assert len(built) == 1
+
+
 def test_what_is_finished_is_not_done_again(done: Done, data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out, results = done
 
@@ -118,6 +178,23 @@ def test_what_is_finished_is_not_done_again(done: Done, data: Path, monkeypatch:
         monkeypatch.setattr(f"tg4mm.bench.{name}", forbidden)
     again = run_scenes([data], out, REQUEST, silent)
     assert (again["runs"], again["lines"]) == (results["runs"], results["lines"])
+
+
+def test_the_time_that_is_left_is_told_without_the_jobs_that_were_finished(
+    done: Done, data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A finished job takes no time; counted with the others it would promise an early end."""
+    shown: list[Any] = []
+
+    @contextmanager
+    def watched(label: str, total: int, unit: str, start: int) -> Iterator[Any]:
+        shown.append((total, start))
+        yield shown.append
+
+    monkeypatch.setattr("tg4mm.bench.scenes.progress", watched)
+    methods = ("modal", "paper-tuned", "linear-2d")
+    run_scenes([data], done[0], replace(REQUEST, methods=methods), silent)
+    assert shown == [(3, 2), 3]
 
 
 def test_other_alphas_are_scored_without_training(

@@ -65,13 +65,20 @@ def test_the_band_holds_all_frequencies_and_is_a_band() -> None:
     assert 14.0 < high < 15.0
 
 
-def test_labels_are_unique(data: Path, tmp_path: Path) -> None:
+def test_a_name_is_the_folders_own_or_the_one_given_whatever_else_is_opened(
+    data: Path, tmp_path: Path
+) -> None:
     other = tmp_path / "px002" / data.name
     shutil.copytree(data, other)
-    assert [s.label for s in open_sets([data, other])] == [
-        f"{data.parent.name}-{data.name}",
-        f"px002-{data.name}",
-    ]
+    given = Path(f"px002={other}")
+    assert [s.label for s in open_sets([data, given])] == [data.name, "px002"]
+    assert [s.label for s in open_sets([given])] == ["px002"]
+    with one_line(f"are both called {data.name}: give one as NAME=DIR"):
+        open_sets([data, other])
+    with one_line("the name may hold"):
+        open_sets([Path(f"a b={other}")])
+    with one_line("is named twice"):
+        open_sets([data, Path(f"again={data}")])
 
 
 def test_what_cannot_be_benchmarked_is_refused(data: Path, tmp_path: Path) -> None:

@@ -46,7 +46,8 @@ def test_rows_have_the_columns_of_the_header(tmp_path):
 
 
 def test_a_row_holds_the_figures_of_the_evaluation(tmp_path, monkeypatch):
-    monkeypatch.setattr("benchmarks.captures.strongest", lambda run: 3.401)
+    monkeypatch.setattr("benchmarks.captures.strongest_hz", lambda run: 3.401)
+    monkeypatch.setattr("benchmarks.captures.Run.open", lambda folder: folder)
     case = every(tmp_path)[1]
     case.metrics.parent.mkdir(parents=True)
     at = {"frequency_hz": 3.4, "amplitude_ratio": 0.97, "direction_error_deg": 2.34}

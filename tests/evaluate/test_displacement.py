@@ -142,6 +142,15 @@ def test_lengths_are_in_mm_only_when_the_scale_is_known(true) -> None:
     assert row["amplitude_true_mm"] == pytest.approx(200 * row["amplitude_true"])
 
 
+def test_the_leak_of_a_frequency_is_of_what_stands_still_at_it() -> None:
+    """Two Gaussians, each moving at a frequency of its own; the estimate gives the second a tenth of the first's."""
+    a, b, both = np.zeros((2, 3)), np.zeros((2, 3)), np.zeros((2, 3))
+    a[0, 0], b[1, 0] = 1e-3, 4e-3
+    both[:, 0] = 1e-3, 1e-4
+    rows = frequency_figures(motion({3.0: both, 5.0: b}), motion({3.0: a, 5.0: b}), np.ones(2))
+    assert [r["static_leak"] for r in rows] == pytest.approx([0.1, 0.0], abs=1e-6)
+
+
 def test_each_frequency_is_judged_by_itself() -> None:
     a, b = np.zeros((2, 3)), np.zeros((2, 3))
     a[:, 0], b[:, 1] = 1e-3, 4e-3

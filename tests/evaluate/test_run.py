@@ -328,3 +328,17 @@ def test_images_too_small_for_a_metric_lack_it(tmp_path) -> None:
     assert rows_of(metrics, 0)[OURS]["ssim"] is None
     assert np.isfinite(rows_of(metrics, 0)[OURS]["psnr_db"])
     assert "8×8" in metrics["absent"]["SSIM"]
+
+
+def test_only_the_metrics_asked_for_are_measured(half: Run) -> None:
+    whole, some = evaluate_run(half, [5]), evaluate_run(half, [5], metrics=("ssim",))
+    assert some["metrics"] == ["ssim"]
+    for alpha in (0, 5):
+        for name, values in rows_of(some, alpha).items():
+            assert values == {"psnr_db": None, "flip": None, "lpips": None} | {
+                "ssim": rows_of(whole, alpha)[name]["ssim"]
+            }
+    keys = ("closure", "change_gain", "change_residual")
+    assert [[e[k] for k in keys] for e in some["alphas"]] == [[e[k] for k in keys] for e in whole["alphas"]]
+    with pytest.raises(EvaluationError, match="metrics hold 'colour', expected some of psnr_db, ssim"):
+        evaluate_run(half, [5], metrics=("colour",))

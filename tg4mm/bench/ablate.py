@@ -9,11 +9,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from tg4mm.bench.ablation_page import ablation_page, ablation_table, picture
+from tg4mm.bench.ablation_page import ablation_cells, ablation_page, picture
 from tg4mm.bench.ablations import Ablation, Row, chosen_preset, find_ablation, rows_of
 from tg4mm.bench.amplitudes import TARGETS_PX, generator_arguments, with_amplitude
-from tg4mm.bench.errors import BenchError
-from tg4mm.bench.folder import FORMAT, VERSION, circumstances, open_folder, write_text
+from tg4mm.bench.errors import BenchError, StepError
+from tg4mm.bench.failures import why_failed
+from tg4mm.bench.folder import FORMAT, VERSION, circumstances, claim_set, open_folder, write_text
+from tg4mm.bench.latex import latex_table
 from tg4mm.bench.means import scalars
 from tg4mm.bench.measure import (
     SCORINGS,
@@ -23,12 +25,11 @@ from tg4mm.bench.measure import (
     check_plan,
     is_measured,
     measure,
-    peak_mib,
     warm_up,
 )
 from tg4mm.bench.request import check_settings, settings_by_preset
-from tg4mm.bench.sets import BenchSet, open_set, open_sets
-from tg4mm.bench.slices import Shown, slices_picture
+from tg4mm.bench.sets import BenchSet, open_set, open_those_that_open
+from tg4mm.bench.slices import Magnified, slices_picture
 from tg4mm.bench.subset import with_noise, with_timesteps, with_views
 from tg4mm.errors import RunError, Tg4mmError
 from tg4mm.files import write_json
@@ -36,6 +37,7 @@ from tg4mm.magnify import TemporalFilter
 from tg4mm.progress import progress
 
 Printer = Callable[[str], None]
+_METRICS = ("ssim", "psnr_db")  # PSNR for the column at α = 0
 
 
 @dataclass(frozen=True)
@@ -55,29 +57,33 @@ def run_ablation(
     given: Mapping[str, str],
     plan: Plan,
     say: Printer = print,
-) -> str:
-    """Run what is not finished of the ablation `name`; returns its table.
+) -> dict[str, Any]:
+    """Run what is not finished of the ablation `name`; returns what results.json holds.
 
-    Writes OUT/results.json, OUT/results.md and OUT/results.svg, anew after every training. A row that the data do not
-    allow (no points3d.ply, too few cameras) is left out and named with the reason. Raises Tg4mmError on bad input, and
-    where no row is possible.
+    Writes OUT/results.json, results.md, results.svg and tables/<name>.tex, anew after every training. A row that the
+    data do not allow (no points3d.ply, too few cameras) stands under `left_out` with the reason; a dataset without any
+    row, and an error that is not the data's, under `failed`. Raises Tg4mmError on bad input, and where no row is
+    possible.
     """
     ablation, preset, out = find_ablation(name), chosen_preset(name, preset), Path(out)
+    plan = replace(plan, metrics=_METRICS)
     rows = rows_of(name, preset, settings_by_preset(given, [preset])[preset])
-    sets = open_sets(roots)
+    sets, failed = open_those_that_open(roots, plan.alphas)
     _check(rows, preset, sets, plan)
+    sets = _renderable(sets, failed) if any(row.amplitude_px for row in rows) else sets
     open_folder(out, f"ablation {name}, {preset}")
-    results = _results(name, ablation, preset, rows, sets)
+    results = _results(name, ablation, preset, rows, sets) | {"failed": failed}
     runner = _Runner(preset, plan, out, results, say)
     with progress(f"ablation {name}", len(sets) * len(rows), unit="rows") as update:
         for data in sets:
             runner.run(data, rows, update)
     if not results["lines"]:
-        raise Tg4mmError(results["left_out"][0]["why"])
+        raise runner.first_error or Tg4mmError("nothing was run")
     if ablation.slices:
-        results["slices"] = _slices(results, rows, sets[0], out)
+        known = {line["set"] for line in results["lines"]}
+        results["slices"] = _slices(results, rows, next(s for s in sets if s.label in known), out)
         _write(out, results)
-    return ablation_table(results)
+    return results
 
 
 def _check(rows: Sequence[Row], preset: str, sets: Sequence[BenchSet], plan: Plan) -> None:
@@ -90,8 +96,21 @@ def _check(rows: Sequence[Row], preset: str, sets: Sequence[BenchSet], plan: Pla
         raise BenchError(
             f"--alphas {given}: the ablation amplitude chooses α itself, for 1 to 8 pixels of magnified motion"
         )
-    for data in sets if any(row.amplitude_px for row in rows) else ():
-        generator_arguments(data, 1.0, data.root)
+
+
+def _renderable(sets: Sequence[BenchSet], failed: list[dict[str, str]]) -> list[BenchSet]:
+    """The sets that can be made with another amplitude; the others go to `failed`. Raises BenchError if none can."""
+    found, first = [], None
+    for data in sets:
+        try:
+            generator_arguments(data, 1.0, data.root)
+            found.append(data)
+        except BenchError as error:
+            first = first or error
+            failed.append({"set": data.label, "method": "", "why": str(error)})
+    if first is not None and not found:
+        raise first
+    return found
 
 
 def _slices(results: dict[str, Any], rows: Sequence[Row], data: BenchSet, out: Path) -> str:
@@ -102,7 +121,7 @@ def _slices(results: dict[str, Any], rows: Sequence[Row], data: BenchSet, out: P
         run = out / lines[row.label]["run"]
         for way in row.scorings or SCORINGS[results["preset"]]:
             label = row.label if row.scorings else f"{row.label}, {way.name}"
-            shown.append(Shown(label, run, way.method, way.filter))
+            shown.append(Magnified(label, run, way.method, way.filter))
     if not shown:
         return ""
     band = lines[next(iter(lines))]["band_hz"]
@@ -137,35 +156,46 @@ class _Runner:
 
     def __init__(self, preset: str, plan: Plan, out: Path, results: dict[str, Any], say: Printer) -> None:
         self.preset, self.plan, self.out, self.results, self.say = preset, plan, out, results, say
-        self.is_warm = False
+        self.is_warm, self.n_done = False, 0
+        self.first_error: Exception | None = None
 
     def run(self, data: BenchSet, rows: Sequence[Row], update: Any) -> None:
         """All rows on one dataset."""
         donor: Path | None = None
+        left: list[dict[str, str]] = []
         for group in _groups(rows):
             self.say(f"{data.label}: {', '.join(row.label for row in group)}")
             try:
+                claim_set(self.out, data.label, data.root, data.digest)
                 job = _job(data, group, self.preset, self.out)
                 place = self.out / "runs" / data.label / _place_name(job, data)
                 same_data = job.data is data
                 figures = self._measured(place, job, donor if same_data else None)
-            except RunError:
-                raise  # a run folder of other settings: not a fault of the row
-            except Tg4mmError as error:
-                left = [{"set": data.label, "row": row.label, "why": str(error)} for row in group]
-                self.results["left_out"] += left
+            except Exception as error:  # one row's fault is not to take hours of others along
+                self.first_error = self.first_error or error
+                why = why_failed(error, self.out / "runs" / data.label)
+                self.say(f"    failed: {why}")
+                of_data = isinstance(error, Tg4mmError) and not isinstance(error, RunError | StepError)
+                kept = left if of_data else self.results["failed"]
+                kept += [{"set": data.label, "method": row.label, "why": why} for row in group]
             else:
                 donor = donor or (place / "run" if same_data else None)
                 run = str((place / "run").relative_to(self.out))
                 self.results["lines"] += [_line(job, data, row, figures) | {"run": run} for row in group]
             _write(self.out, self.results)
-            update(len(self.results["lines"]) + len(self.results["left_out"]))
+            self.n_done += len(group)
+            update(self.n_done)
+        if any(line["set"] == data.label for line in self.results["lines"]):
+            self.results["left_out"] += left
+        elif left:
+            self.results["failed"].append({"set": data.label, "method": "", "why": left[0]["why"]})
+        _write(self.out, self.results)
 
     def _measured(self, place: Path, job: _Job, donor: Path | None) -> dict[str, Any]:
         # Sets of another amplitude have ground truth at α of their own.
         plan = replace(self.plan, alphas=None) if job.rows[0].amplitude_px else self.plan
         if not self.is_warm and not is_measured(place, job.data, job.training, plan):
-            warm_up(self.out, job.data, [self.preset], plan.device)
+            warm_up(self.out, [job.data], [self.preset], plan.device)
             self.is_warm = True
         return measure(place, job.data, job.training, plan, donor)
 
@@ -215,7 +245,7 @@ def _line(job: _Job, data: BenchSet, row: Row, figures: dict[str, Any]) -> dict[
     """One row on one dataset in results.json."""
     ways = [row.label] if row.scorings else [way.name for way in job.training.ways]
     log = figures["log"]
-    values: dict[str, Any] = scalars(figures | {"peak_memory_mib": peak_mib(log)})
+    values: dict[str, Any] = scalars(figures)
     values["init"] = log["space"].get("init")
     rest = figures["rows"].get("0", {})
     values["psnr_rest"] = (rest.get("ceiling") or rest.get("nothing moves") or {}).get("psnr_db")
@@ -262,3 +292,5 @@ def _write(out: Path, results: dict[str, Any]) -> None:
     if drawn is not None:
         write_text(out / "results.svg", drawn)
     write_text(out / "results.md", ablation_page(results, drawn is not None))
+    made = ablation_cells(results)
+    write_text(out / "tables" / f"{made.key}.tex", latex_table(made))

@@ -6,9 +6,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from tg4mm.bench.means import mean
-from tg4mm.bench.page import origin
+from tg4mm.bench.page import markdown, origin
 from tg4mm.bench.plots import curves
-from tg4mm.bench.table import NOTHING, shown, table
+from tg4mm.bench.table import NOTHING, shown
+from tg4mm.bench.tables import Table
 from tg4mm.evaluate.run import CEILING, STATIC
 
 # Columns by key of a line's `scalars`: title, format.
@@ -32,12 +33,12 @@ SSIM = "ssim"
 
 
 def ablation_table(results: Mapping[str, Any]) -> str:
-    """`ablation_cells` in Markdown."""
-    return table(*ablation_cells(results), text_columns=3)
+    """The table in Markdown."""
+    return markdown(ablation_cells(results))
 
 
-def ablation_cells(results: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
-    """(header, rows): SSIM of every row and method at every α beside "nothing moves" and the ceiling, and the row's
+def ablation_cells(results: Mapping[str, Any]) -> Table:
+    """SSIM of every row and method at every α beside "nothing moves" and the ceiling, and the row's
     figures."""
     columns = ssim_columns(results)
     header = ["set", results["title"], "method", *(f"SSIM {c}" for c in columns)]
@@ -46,9 +47,10 @@ def ablation_cells(results: Mapping[str, Any]) -> tuple[list[str], list[list[str
     for data in results["sets"]:
         lines = [line for line in results["lines"] if line["set"] == data["label"]]
         cells += _cells(results, lines, columns)
-    if len(results["sets"]) > 1:
+    if len({line["set"] for line in results["lines"]}) > 1:
         cells += _cells(results, mean_lines(results, columns), columns)
-    return header, cells
+    note = results["remark"] or f"{results['source']}."
+    return Table(results["name"], results["title"], note, header, cells, 3)
 
 
 def ssim_columns(results: Mapping[str, Any]) -> list[str]:
@@ -95,16 +97,17 @@ def ssim_of(line: Mapping[str, Any], method: str, column: str) -> float | None:
 
 
 def mean_lines(results: Mapping[str, Any], columns: Sequence[str]) -> list[dict[str, Any]]:
-    """Lines like those of a dataset, of means over the datasets; of rows that all of them have."""
+    """Lines like those of a dataset, of means over the datasets that have any; of rows that all of them have."""
     found = []
+    n_sets = len({line["set"] for line in results["lines"]})
     for row in results["rows"]:
         lines = [line for line in results["lines"] if line["row"] == row]
-        if len(lines) < len(results["sets"]):
+        if len(lines) < n_sets:
             continue
         methods = [STATIC, *lines[0]["ways"], CEILING]
         found.append(
             {
-                "set": f"**mean of {len(lines)}**",
+                "set": f"mean of {len(lines)}",
                 "row": row,
                 "ways": lines[0]["ways"],
                 "ssim_columns": {c: c for c in columns},
@@ -129,6 +132,7 @@ def ablation_page(results: Mapping[str, Any], has_picture: bool) -> str:
         f"# {results['title']}",
         f"{results['source']}. Preset `{results['preset']}`.",
         origin(results["made"]),
+        not_there(results),
     ]
     if results["lines"]:
         parts.append(ablation_table(results))
@@ -139,13 +143,19 @@ def ablation_page(results: Mapping[str, Any], has_picture: bool) -> str:
     if results["remark"]:
         parts.append(results["remark"])
     parts.append(_trained_with(results))
-    if results["left_out"]:
-        parts.append(
-            "\n".join(f"- Left out: {x['set']}, {x['row']}: {x['why']}" for x in results["left_out"])
-        )
     notes = {note: None for line in results["lines"] for note in line["notes"]}
     parts += [f"Note: {note}" for note in notes]
     return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def not_there(results: Mapping[str, Any]) -> str:
+    """What failed or was left out, and why; empty where nothing was."""
+    lines = [
+        f"- {word}: {x['set']}{', ' if x['method'] else ''}{x['method']}: {x['why']}"
+        for word, found in (("Failed", results["failed"]), ("Left out", results["left_out"]))
+        for x in found
+    ]
+    return "\n".join(lines)
 
 
 def _trained_with(results: Mapping[str, Any]) -> str:

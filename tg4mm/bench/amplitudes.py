@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tg4mm.bench.errors import BenchError
+from tg4mm.bench.errors import BenchError, StepError
 from tg4mm.bench.sets import BenchSet
 from tg4mm.errors import RunError
 from tg4mm.files import write_json
@@ -26,13 +26,13 @@ def with_amplitude(data: BenchSet, pixels: float, folder: Path) -> Path:
     """The dataset's scene again, the main mode's amplitude `pixels`; rendered into `folder` where it is not there.
 
     Size, cameras, timesteps, samples, seed and engine are the dataset's own. Raises BenchError where the dataset is not
-    one of the generator's scenes, or rendering fails.
+    one of the generator's scenes, StepError where rendering fails.
     """
     arguments = generator_arguments(data, pixels, folder)
     if not _is_done(folder, arguments):
         status = run_generator(arguments)
         if status != 0:
-            raise BenchError(f"rendering {data.label} at {pixels:g} px ended with status {status}; see above")
+            raise StepError(f"rendering {data.label} at {pixels:g} px ended with status {status}; see above")
         write_json(folder / DONE, {"arguments": arguments})
     found = sorted(path.parent for path in folder.glob("*/scene.json"))
     if len(found) != 1:

@@ -5,3 +5,7 @@ from tg4mm.errors import Tg4mmError
 
 class BenchError(Tg4mmError):
     """A dataset without ground truth, an ablation that is none, or a folder that holds something else."""
+
+
+class StepError(BenchError):
+    """A program that a part of a benchmark needs has failed."""

@@ -19,6 +19,7 @@ from tg4mm.run.config import read_json
 from tg4mm.temporary import is_temporary, remove_leftovers
 
 RECORD = "bench.json"
+SET = "set.json"
 FORMAT, VERSION = "tg4mm-bench", 1
 
 
@@ -44,6 +45,23 @@ def open_folder(out: Path, kind: str) -> None:
             f"--out {out}: holds the benchmark {found.get('kind')!r}, asked is {kind!r}; choose another"
         )
     remove_leftovers(out)
+
+
+def claim_set(out: Path, label: str, root: Path, digest: str) -> None:
+    """Note in OUT/runs/<label> which dataset its results are of. Raises BenchError where they are of another."""
+    record = out / "runs" / label / SET
+    if record.is_file():
+        try:
+            found = read_json(record)
+        except RunError:  # torn: written anew
+            found = {}
+        if found.get("digest", digest) != digest:
+            raise BenchError(
+                f"dataset {root}: {record.parent} holds results of another one of that name, {found.get('root')}; "
+                "give this one as NAME=DIR, or choose another --out"
+            )
+    record.parent.mkdir(parents=True, exist_ok=True)
+    write_json(record, {"root": str(root), "digest": digest})
 
 
 def write_text(path: Path, text: str) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 from markupsafe import Markup
 
 from tg4mm.bench.folder import write_text
-from tg4mm.bench.page import failures, how, machine, sets_line
+from tg4mm.bench.page import failures, how, machine, remarks, sets_line
 from tg4mm.bench.plots import over_alpha, size_and_speed
 from tg4mm.bench.shown import shown_sections
 from tg4mm.bench.tables import Table, full_table, groups_of, kinds_table, tables_of
@@ -19,8 +19,13 @@ from tg4mm.report.page import Table as PageTable
 _HERE = Path(__file__).parent
 
 
-def write_page(out: Path, results: Mapping[str, Any], ablations: Sequence[Mapping[str, Any]] = ()) -> Path:
-    """Write OUT/results.html from results.json's content and the pictures under OUT/runs; returns the file."""
+def write_page(
+    out: Path, results: Mapping[str, Any], ablations: Sequence[tuple[Path, Mapping[str, Any]]] = ()
+) -> Path:
+    """Write OUT/results.html from results.json's content and the pictures under OUT/runs; returns the file.
+
+    ablations: (folder, content of its results.json). `shown_sections` also writes figures.
+    """
     sections: list[Section] = []
     for group in groups_of(results):
         sections.append(Section(f"Scores, {group}", list(_scores(results, group))))
@@ -28,7 +33,7 @@ def write_page(out: Path, results: Mapping[str, Any], ablations: Sequence[Mappin
     kinds = kinds_table(results)
     if kinds.rows:
         sections.append(Section(kinds.title, [_block(kinds)]))
-    sections += [_ablation(found) for found in ablations]
+    sections += [_ablation(folder, found) for folder, found in ablations]
     made = Commands([(machine(results["made"]), results["made"]["command"])])
     page = Page(
         title="3D motion magnification, measured",
@@ -38,9 +43,11 @@ def write_page(out: Path, results: Mapping[str, Any], ablations: Sequence[Mappin
         lead=[Text(how(results)), *([Text(_failed(results), plain=True)] if failures(results) else [])],
         sections=[
             *sections,
+            *(Section(title, [Text(_list(lines), plain=True)]) for title, lines in remarks(results)),
             Section("How it was made", [made]),
         ],
-        footer="Protocol: docs/protocol.md. Tables for LaTeX lie in tables/, all figures in results.json.",
+        footer="Protocol: docs/protocol.md. Tables for LaTeX lie in tables/, slices and difference maps in figures/, "
+        "all figures in results.json.",
     )
     style, script = ((_HERE / name).read_text(encoding="utf-8") for name in ("page.css", "page.js"))
     target = Path(out) / "results.html"
@@ -59,7 +66,7 @@ def _summary(results: Mapping[str, Any]) -> str:
 
 
 def _stats(results: Mapping[str, Any]) -> list[Stat]:
-    """The best closure at each of three α, over the means of the first group."""
+    """The best SSIM at each of the three smallest α, and whose it is, over the means of the first group."""
     means = [m for m in results["line_means"] if m["group"] == groups_of(results)[0]]
     alphas = sorted({a for m in means for a in m["alphas"] if float(a) > 0}, key=float)
     found = []
@@ -76,8 +83,12 @@ def _stats(results: Mapping[str, Any]) -> list[Stat]:
 
 def _failed(results: Mapping[str, Any]) -> Markup:
     lines = [line.removeprefix("- ") for line in failures(results).splitlines() if line.startswith("- ")]
+    return Markup('<p class="note">Left out:</p>{}').format(_list(lines))
+
+
+def _list(lines: Sequence[str]) -> Markup:
     items = Markup("").join(Markup("<li>{}</li>").format(line) for line in lines)
-    return Markup('<p class="note">Left out:</p><ul>{}</ul>').format(items)
+    return Markup("<ul>{}</ul>").format(items)
 
 
 def _scores(results: Mapping[str, Any], group: str) -> Iterator[Block]:
@@ -101,16 +112,20 @@ def _block(made: Table) -> PageTable:
     return PageTable(made.header, made.rows, f"{made.title}. {made.note}", left=made.text_columns)
 
 
-def _ablation(results: Mapping[str, Any]) -> Section:
-    """A section of an ablation's own results.json."""
-    from tg4mm.bench.ablation_page import ablation_cells, picture
+def _ablation(folder: Path, results: Mapping[str, Any]) -> Section:
+    """A section of an ablation's own results.json and slices.png."""
+    from tg4mm.bench.ablation_page import ablation_cells, not_there, picture
 
-    header, rows = ablation_cells(results)
+    made = ablation_cells(results)
     blocks: list[Block] = [Text(f"{results['source']}. Preset {results['preset']}.")]
+    blocks += [Text(line.removeprefix("- "), "note") for line in not_there(results).splitlines()]
     if (svg := picture(results)) is not None:
         source = data_uri("image/svg+xml", svg.encode())
         blocks.append(Figure([Panel("img", source=source, alt=results["title"])], results["title"]))
-    blocks.append(PageTable(header, rows, results["remark"] or results["title"], left=3))
+    if results.get("slices") and (folder / "slices.png").is_file():
+        source = data_uri("image/png", (folder / "slices.png").read_bytes())
+        blocks.append(Figure([Panel("img", source=source, alt="space-time slices")], results["slices"]))
+    blocks.append(_block(made))
     blocks.append(Commands([(machine(results["made"]), results["made"]["command"])]))
     return Section(results["title"], blocks)
 

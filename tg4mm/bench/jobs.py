@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from tg4mm.bench.folder import claim_set
 from tg4mm.bench.measure import Plan
 from tg4mm.bench.methods import Method
 from tg4mm.bench.methods.camera_videos import cameras_of, video_of
@@ -56,8 +57,16 @@ def run_job(
 ) -> tuple[dict[str, Any], list[Line]]:
     """(what `fit` returned, the method's rows), done or read from an earlier call. Raises Tg4mmError."""
     place = job_folder(out, data, method)
+    claim_set(Path(out), data.label, data.root, data.digest)
     figures = method.fit(data, place, plan)
     return figures, [_line(method, row, data, place, plan, vqa) for row in method.rows]
+
+
+def is_finished(method: Method, data: BenchSet, out: Path, plan: Plan) -> bool:
+    """Whether all rows have scores at every α, of whatever settings: enough to tell the time that is left by."""
+    known = _Kept(job_folder(out, data, method) / SCORES).entries
+    alphas = [a for a in alphas_of(data, plan) if not isinstance(method, External) or method.has(data, a)]
+    return all(f"{row} {alpha}" in known for row in method.rows for alpha in alphas)
 
 
 def truth_at(data: BenchSet, alpha: float) -> Capture:

@@ -11,6 +11,7 @@ _ESCAPES = {
     "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "α": r"$\alpha$", "×": r"$\times$", "°": r"$^\circ$",
     "±": r"$\pm$", "–": "--", "“": "``", "”": "''",
 }  # fmt: skip
+_PAGE = 45  # rows
 _SPECIAL = re.compile("|".join(map(re.escape, _ESCAPES)))
 
 
@@ -19,22 +20,22 @@ def escaped(text: str) -> str:
     return _SPECIAL.sub(lambda found: _ESCAPES[found.group()], text)
 
 
-def latex_table(table: Table, where: str) -> str:
-    """A `table` environment; `where` (the group of sets) ends its caption. Needs `\\usepackage{booktabs}`."""
+def latex_table(table: Table, where: str = "") -> str:
+    """A `table` environment, of more rows than a page has a `longtable`; `where` (the group of sets) ends its title.
+
+    Needs the packages booktabs and longtable.
+    """
     columns = "l" * table.text_columns + "r" * (len(table.header) - table.text_columns)
-    lines = [
-        r"\begin{table}",
-        r"  \centering",
-        rf"  \caption{{{escaped(table.title)}, {escaped(where)}. {escaped(table.note)}}}",
-        rf"  \begin{{tabular}}{{{columns}}}",
-        r"    \toprule",
-        f"    {_row(table.header)}",
-        r"    \midrule",
-        *(f"    {_row(row)}" for row in table.rows),
-        r"    \bottomrule",
-        r"  \end{tabular}",
-        r"\end{table}",
-    ]
+    title = ", ".join(part for part in (table.title, where) if part)
+    caption = rf"\caption{{{escaped(title)}. {escaped(table.note)}}}"
+    head = [r"\toprule", _row(table.header), r"\midrule"]
+    rows = [_row(row) for row in table.rows]
+    if len(rows) > _PAGE:
+        start = [rf"\begin{{longtable}}{{{columns}}}", rf"{caption} \\", *head, r"\endhead"]
+        lines = [*start, *rows, r"\bottomrule", r"\end{longtable}"]
+    else:
+        start = [r"\begin{table}", r"\centering", caption, rf"\begin{{tabular}}{{{columns}}}"]
+        lines = [*start, *head, *rows, r"\bottomrule", r"\end{tabular}", r"\end{table}"]
     return "\n".join(lines) + "\n"
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import gc
 import shutil
@@ -12,10 +11,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
+import numpy as np
+
 from tg4mm.bench.observed import observed_figures
 from tg4mm.bench.sets import BenchSet, check_alphas
 from tg4mm.capture import load_capture
-from tg4mm.errors import RunError, Tg4mmError
+from tg4mm.errors import RunError
 from tg4mm.evaluate import evaluate_run
 from tg4mm.evaluate.lpips import load_lpips
 from tg4mm.evaluate.run import CEILING, OURS, STATIC
@@ -23,7 +24,6 @@ from tg4mm.evaluate.scores import Key
 from tg4mm.evaluate.subject import subject_of
 from tg4mm.files import write_json
 from tg4mm.magnify import Magnification, TemporalFilter
-from tg4mm.memory import reset_peak_memory
 from tg4mm.run import Run
 from tg4mm.run.config import read_json
 from tg4mm.run.model_hash import model_hash
@@ -31,7 +31,7 @@ from tg4mm.train import parse_settings, train
 
 FIGURES = "figures.json"
 SEEN = ("closure", "change_gain", "change_residual")  # how much of a motion is seen, of one way to magnify
-VERSION = 3  # of how figures are made: raise it when the same request would give others
+VERSION = 4  # of how figures are made: raise it when the same request would give others
 
 
 @dataclass(frozen=True)
@@ -83,8 +83,9 @@ class Plan:
 
     alphas: tuple[float, ...] | None = None  # None: all with ground truth
     banded: bool = True  # magnify the band around the motion; False: every frequency
-    lpips_weights: tuple[Path, ...] = ()
+    lpips_weights: tuple[Path, ...] = ()  # of pictures on disk
     device: str = "cpu"
+    metrics: tuple[str, ...] = ("ssim",)  # of renderings; all others are of the pictures on disk
 
 
 def measure(
@@ -105,10 +106,9 @@ def measure(
     metrics = {}
     for way in training.ways:
         metrics[way.name] = _scored(run, way, data, plan, place, scores)
+        # Of one way to magnify; what frames it, the rest pose and the exact motion, is of all.
         for key in [key for key in scores if key[0][:1] == (OURS,)]:
-            del scores[
-                key
-            ]  # of one way to magnify; what frames it, the rest pose and the exact motion, is of all
+            del scores[key]
     figures = _figures(run, request, training, metrics) | {"observed": _observed(run, data, plan)}
     write_json(place / FIGURES, figures)
     return figures
@@ -121,16 +121,24 @@ def check_plan(sets: Sequence[BenchSet], plan: Plan) -> None:
         load_lpips(plan.lpips_weights)
 
 
-def warm_up(place: Path, data: BenchSet, presets: Iterable[str], device: str) -> None:
-    """Have the kernels compiled and loaded, so that no run's seconds hold that: a training of one iteration each."""
+def warm_up(place: Path, sets: Sequence[BenchSet], presets: Iterable[str], device: str) -> None:
+    """Have the kernels compiled and loaded, so that no run's seconds hold that: a training of one iteration each.
+
+    On the first of the sets that can be trained. What fails here is said by the run itself.
+    """
     for preset in presets:
         modal = {"space.iterations": "1", "motion.iterations": "1", "motion.components": "1"}
         paper = {"paper.warm_up": "1", "paper.iterations": "2", "paper.motion_iterations": "1"}
         folder = place / f".warm-up-{preset}"
-        shutil.rmtree(folder, ignore_errors=True)
-        with contextlib.suppress(Tg4mmError), warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            train(data.root, folder, preset, device, modal if preset == "modal" else paper)
+        for data in sets:
+            shutil.rmtree(folder, ignore_errors=True)
+            try:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")
+                    train(data.root, folder, preset, device, modal if preset == "modal" else paper)
+            except Exception:
+                continue
+            break
         shutil.rmtree(folder, ignore_errors=True)
 
 
@@ -164,15 +172,14 @@ def _request(data: BenchSet, training: Training, plan: Plan) -> dict[str, Any]:
         "scorings": [dataclasses.asdict(s) for s in training.ways],
         "alphas": None if plan.alphas is None else list(plan.alphas),
         "band_hz": list(data.band_hz) if plan.banded else None,
-        "lpips_weights": [str(p) for p in plan.lpips_weights],
         "device": plan.device,
+        "metrics": list(plan.metrics),
     }
 
 
 def _trained(place: Path, data: BenchSet, training: Training, device: str, donor: Path | None) -> Run:
     place.parent.mkdir(parents=True, exist_ok=True)
-    gc.collect()
-    reset_peak_memory()  # each run's own peak, though with what is loaded for the runs before it
+    gc.collect()  # each stage's own peak, though with what is loaded for the runs before it
     if training.trainer is not None:
         return training.trainer(data.root, place, training.settings, device)
     if donor is not None and not (place / "space.safetensors").exists():
@@ -201,9 +208,9 @@ def _scored(
         bands=[data.band_hz] if plan.banded else [],
         method=way.method,
         filter=None if way.filter is None else TemporalFilter(way.filter),
-        lpips_weights=list(plan.lpips_weights) or None,
         device=plan.device,
         scores=scores,
+        metrics=plan.metrics,
     )
 
 
@@ -217,8 +224,9 @@ def _figures(
 ) -> dict[str, Any]:
     """{version, request, log, seconds, model, n_gaussians, mib_on_disk, rows, displacement, notes, …}.
 
-    rows: {α: {"nothing moves": {ssim, …}, <each way's name>: …, "ceiling": …}}, α as text since JSON has no other keys;
-    a way's row also holds closure, change_gain, change_residual as `evaluate_run` defines them.
+    rows: {α: {"nothing moves": {ssim, …: None but for the plan's metrics}, <each way's name>: …, "ceiling": …}}, α as
+    text since JSON has no other keys; a way's row also holds closure, change_gain, change_residual as `evaluate_run`
+    defines them.
     """
     rows: dict[str, dict[str, Any]] = {}
     for name, figures in metrics.items():
@@ -239,10 +247,20 @@ def _figures(
         "mib_on_disk": _mib(run.path),
         "rows": {a: {m: row[m] for m in order if m in row} for a, row in rows.items()},
         "displacement": first["displacement"],
+        "strongest_hz": strongest_hz(run),
         "seconds_evaluation": {name: figures["seconds"] for name, figures in metrics.items()},
         "absent": {k: v for figures in metrics.values() for k, v in figures["absent"].items()},
         "notes": sorted({note for figures in metrics.values() for note in figures["notes"]}),
     }
+
+
+def strongest_hz(run: Run) -> float | None:
+    """Frequency of the run's mode with the largest rms displacement; None without a mode that vibrates."""
+    motion = run.load_motion()
+    if motion is None or not (motion.freqs_hz > 0).any():
+        return None
+    size = np.linalg.norm(motion.displacement, axis=(1, 2)) * (motion.freqs_hz > 0)
+    return float(motion.freqs_hz[int(size.argmax())])
 
 
 def stage_seconds(log: Mapping[str, Any]) -> dict[str, float]:
@@ -252,9 +270,20 @@ def stage_seconds(log: Mapping[str, Any]) -> dict[str, float]:
     return {"space": space, "motion": motion, "total": space + motion}
 
 
-def peak_mib(log: Mapping[str, Any]) -> float:
-    """The most memory that any stage of a run has held, MiB."""
-    return max((float(entry.get("peak_memory_mib") or 0.0) for entry in log.values()), default=0.0)
+def stage_costs(log: Mapping[str, Any]) -> dict[str, float | None]:
+    """{space_iterations, motion_iterations, space_peak_mib, motion_peak_mib}, the stages as of `stage_seconds`.
+
+    Iterations are summed and the most memory (MiB) is taken over what makes a stage; None where the log has none.
+    """
+    costs: dict[str, float | None] = {}
+    for stage in ("space", "motion"):
+        entries = [entry for name, entry in log.items() if (name == "motion") == (stage == "motion")]
+        known = {
+            key: [float(e[key]) for e in entries if e.get(key)] for key in ("iterations", "peak_memory_mib")
+        }
+        costs[f"{stage}_iterations"] = sum(known["iterations"]) or None
+        costs[f"{stage}_peak_mib"] = max(known["peak_memory_mib"], default=None)
+    return costs
 
 
 def _mib(run: Path) -> float:

@@ -9,19 +9,18 @@ from tg4mm.bench.table import table
 from tg4mm.bench.tables import Table, groups_of, kinds_table, tables_of
 
 
-def scenes_page(results: Mapping[str, Any], pictures: Mapping[str, str]) -> str:
-    """What becomes docs/results.md. pictures: {group: file name of its chart}."""
+def scenes_page(results: Mapping[str, Any], pictures: Mapping[str, Mapping[str, str]]) -> str:
+    """What becomes docs/results.md. pictures: {group: {file name: title}}."""
     parts = ["# Results", origin(results["made"]), how(results), failures(results)]
     for group in groups_of(results):
         parts += [f"## {group}", sets_line(results, group)]
-        parts.append(
-            f"![SSIM and closure over magnification, {group}]({pictures[group]})" if group in pictures else ""
-        )
+        parts += [f"![{title}]({name})" for name, title in pictures.get(group, {}).items()]
         for made in tables_of(results, group):
             parts += [f"### {made.title}", made.note, markdown(made)]
     kinds = kinds_table(results)
     parts += [f"## {kinds.title}", kinds.note, markdown(kinds)] if kinds.rows else []
-    parts += list(_remarks(results))
+    for title, lines in remarks(results):
+        parts.append("\n".join([f"## {title}\n", *(f"- {line}" for line in lines)]))
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
@@ -95,21 +94,21 @@ def sets_line(results: Mapping[str, Any], group: str) -> str:
     )
 
 
-def _remarks(results: Mapping[str, Any]) -> Iterator[str]:
-    """Settings that differ from the defaults, and what an evaluation had to say."""
+def remarks(results: Mapping[str, Any]) -> Iterator[tuple[str, list[str]]]:
+    """(title, lines): settings that differ from the defaults, and what an evaluation had to say."""
     given = {
         (run["row"], run["set"]): " ".join(f"--set {k}={v}" for k, v in run["overrides"].items())
         for run in results["runs"]
         if run["overrides"]
     }
     if given:
-        lines = [f"- {row}, {label}: `{text}`" for (row, label), text in given.items()]
-        yield "## Settings other than the defaults\n\n" + "\n".join(lines)
+        lines = [f"{row}, {label}: `{text}`" for (row, label), text in given.items()]
+        yield "Settings other than the defaults", lines
     notes: dict[str, list[str]] = {}
     for run in results["runs"]:
-        missing = [f"not measured: {what}: {why}" for what, why in run["absent"].items() if what != "LPIPS"]
+        missing = [f"not measured: {what}: {why}" for what, why in run["absent"].items()]
         for note in [*run["notes"], *missing]:
             if run["set"] not in notes.setdefault(note, []):
                 notes[note].append(run["set"])
     if notes:
-        yield "## Notes\n\n" + "\n".join(f"- {', '.join(labels)}: {note}" for note, labels in notes.items())
+        yield "Notes", [f"{', '.join(labels)}: {note}" for note, labels in notes.items()]

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -61,10 +61,32 @@ class Step:
     needs: tuple[str, ...] = ()  # names of steps
 
 
-def steps_of(name: str, out: str, python: str = sys.executable, external: Sequence[str] = ()) -> list[Step]:
+@dataclass(frozen=True)
+class Choices:
+    """What a user chooses beyond a preset, as options of `tg4mm bench scenes`; empty: not given."""
+
+    external: tuple[str, ...] = ()  # NAME=DIR
+    alphas: str = ""  # of the ground truth that is rendered, too
+    device: str = ""
+    lpips_weights: tuple[str, ...] = ()
+    md_vqa: str = ""
+    fast_vqa: str = ""
+    vqa_python: str = ""
+
+    def options(self, *names: str) -> list[str]:
+        """Those of these names that are given, as arguments; without names all."""
+        found = []
+        for name in names or [f.name for f in fields(self)]:
+            value = getattr(self, name)
+            for one in (value,) if isinstance(value, str) else value:
+                found += [f"--{name.replace('_', '-')}", one] if one else []
+        return found
+
+
+def steps_of(name: str, out: str, python: str = sys.executable, choices: Choices = Choices()) -> list[Step]:
     """The steps of a preset in the folder `out`, in an order that works: datasets, jobs, ablations, page.
 
-    external: NAME=DIR each. Raises BenchError for an unknown preset.
+    Raises BenchError for an unknown preset.
     """
     if name not in PRESETS:
         raise BenchError(f"--preset {name!r}, expected {', '.join(PRESETS)}")
@@ -75,19 +97,22 @@ def steps_of(name: str, out: str, python: str = sys.executable, external: Sequen
     for scene in chosen.scenes:
         folder = _folder(scene, chosen.options)
         roots[folder] = f"{out}/data/{folder}"
-        command = (*program, "generate", scene, "--out", f"{out}/data", *chosen.options)
+        rendered = (*chosen.options, *choices.options("alphas"))
+        command = (*program, "generate", scene, "--out", f"{out}/data", *rendered)
         found.append(Step(f"data/{folder}", command))
     data = [step.name for step in found]
     options = ["--out", f"{out}/bench", "--methods", ",".join(chosen.methods)]
     options += [part for text in chosen.settings for part in ("--set", text)]
-    options += [part for text in external for part in ("--external", text)]
-    outside = [text.partition("=")[0] for text in external]
+    options += choices.options()
+    outside = [text.partition("=")[0] for text in choices.external]
     for folder, root in roots.items():
         for method in (*chosen.methods, *outside):
             command = (*program, "bench", "job", root, method, *options)
             found.append(Step(f"job/{folder}/{method}", command, (f"data/{folder}",)))
     first = next(iter(roots))
     for ablation in chosen.ablations:
+        # amplitude chooses α itself
+        names = ("device",) if ablation == "amplitude" else ("device", "alphas")
         command = (
             *program,
             "bench",
@@ -97,6 +122,7 @@ def steps_of(name: str, out: str, python: str = sys.executable, external: Sequen
             "--out",
             f"{out}/ablations/{ablation}",
         )
+        command += tuple(choices.options(*names))
         found.append(Step(f"ablation/{ablation}", command, (f"data/{first}",)))
     page = (*program, "bench", "scenes", *roots.values(), *options, "--same-time", "never")
     page += tuple(part for a in chosen.ablations for part in ("--ablation", f"{out}/ablations/{a}"))
@@ -111,9 +137,9 @@ def _folder(scene: str, options: Sequence[str]) -> str:
     return settings.folder
 
 
-def run_preset(name: str, out: Path, external: Sequence[str] = (), say: Printer = print) -> int:
+def run_preset(name: str, out: Path, choices: Choices = Choices(), say: Printer = print) -> int:
     """Run the steps one after the other; one that fails is said, and what can goes on. Returns how many failed."""
-    steps, failed = steps_of(name, str(out), external=external), set[str]()
+    steps, failed = steps_of(name, str(out), choices=choices), set[str]()
     for i, step in enumerate(steps, 1):
         missing = [n for n in step.needs if n in failed]
         if missing and step.name != "page":
@@ -127,8 +153,26 @@ def run_preset(name: str, out: Path, external: Sequence[str] = (), say: Printer 
     return len(failed)
 
 
+def choices_from(config: Mapping[str, Any]) -> Choices:
+    """Of a configuration file. Raises BenchError for a value of another type."""
+    found: dict[str, Any] = {}
+    for field in fields(Choices):
+        value = config.get(field.name)
+        several = isinstance(field.default, tuple)
+        if value is None:
+            continue
+        if several and isinstance(value, list) and all(isinstance(one, str) for one in value):
+            found[field.name] = tuple(value)
+        elif not several and isinstance(value, str | int | float):  # `alphas: 20` is a number in YAML
+            found[field.name] = str(value)
+        else:
+            kind = "a list of texts" if several else "a text"
+            raise BenchError(f"configuration: {field.name} is {value!r}, expected {kind}")
+    return Choices(**found)
+
+
 def main() -> int:
-    """Reads {preset, out, python, external} as JSON from standard input, prints {step: {command, needs}} as JSON."""
+    """Reads {preset, out, python, and what `Choices` has} as JSON; prints {step: {command, needs}} as JSON."""
     import shlex
 
     from tg4mm.untrusted import parse_json
@@ -143,7 +187,7 @@ def main() -> int:
             config["preset"],
             config["out"].rstrip("/"),
             config.get("python", sys.executable),
-            config.get("external", []),
+            choices_from(config),
         )
     except (Tg4mmError, ValueError) as error:
         print(f"error: {error}", file=sys.stderr)

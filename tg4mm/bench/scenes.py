@@ -2,29 +2,29 @@
 
 from __future__ import annotations
 
-import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from tg4mm.bench.failures import why_failed
 from tg4mm.bench.folder import FORMAT, VERSION, circumstances, open_folder
 from tg4mm.bench.html import read_results, write_page
-from tg4mm.bench.jobs import Line, job_folder, run_job
+from tg4mm.bench.jobs import Line, is_finished, job_folder, run_job
 from tg4mm.bench.means import group_means, line_means
-from tg4mm.bench.measure import Plan, Training, check_plan, is_measured, peak_mib, warm_up
+from tg4mm.bench.measure import Plan, Training, check_plan, is_measured, warm_up
 from tg4mm.bench.methods import Method
 from tg4mm.bench.methods.external import External
 from tg4mm.bench.methods.known import DEFAULT, methods_of
 from tg4mm.bench.methods.trained import Trained
 from tg4mm.bench.request import check_settings
 from tg4mm.bench.scored import with_closure
-from tg4mm.bench.sets import BenchSet, alphas_missing, open_sets, open_those_that_open
+from tg4mm.bench.sets import BenchSet, open_sets, open_those_that_open
 from tg4mm.bench.vqa import Checkout
 from tg4mm.bench.write import write_results
 from tg4mm.errors import Tg4mmError
 from tg4mm.evaluate.run import CEILING, STATIC
-from tg4mm.files import to_json, write_atomic
+from tg4mm.files import to_json
 from tg4mm.paper.config import PaperConfig
 from tg4mm.progress import progress
 from tg4mm.train import parse_settings
@@ -76,18 +76,20 @@ def run_scenes(
     methods = request.made()
     for preset in request.presets():
         check_settings(request.settings.get(preset, {}), preset)
-    sets, failed = open_those_that_open(roots)
-    sets, without = _with_alphas(sets, request.plan)
-    failed += without
+    sets, failed = open_those_that_open(roots, request.plan.alphas)
     check_plan(sets, request.plan)
     open_folder(Path(out), KIND)
     _prepare(sets, Path(out), out, request, methods, say)
     bench = _Bench(Path(out), request, sets, failed, say)
-    with progress("benchmark", len(sets) * len(methods), unit="jobs") as update:
+    jobs = {(d.label, m.name): is_finished(m, d, Path(out), request.plan) for d in sets for m in methods}
+    n_done = sum(jobs.values())
+    with progress("benchmark", len(jobs), unit="jobs", start=n_done) as update:
         for data in sets:
             for method in methods:
                 bench.job(method, data)
-                update(bench.n_done)
+                if not jobs[data.label, method.name]:
+                    n_done += 1
+                    update(n_done)
             for training in same_time_trainings(bench.figures[data.label], request):
                 bench.job(Trained(training), data)
     if not bench.lines:
@@ -100,17 +102,8 @@ def run_scenes(
     return results
 
 
-def _with_alphas(sets: list[BenchSet], plan: Plan) -> tuple[list[BenchSet], list[dict[str, str]]]:
-    """The sets with ground truth for an α asked for, and why the others have none; all of them if there is none."""
-    reasons = {data.label: alphas_missing(data, plan.alphas) for data in sets}
-    good = [data for data in sets if reasons[data.label] is None]
-    if not good:
-        return sets, []
-    return good, [{"set": label, "method": "", "why": why} for label, why in reasons.items() if why]
-
-
-def run_one(root: Path, name: str, out: Path, request: ScenesRequest) -> None:
-    """The job of one method on one dataset, for `run_scenes` to find. Raises Tg4mmError."""
+def run_one(root: Path, name: str, out: Path, request: ScenesRequest) -> Path:
+    """The job of one method on one dataset, for `run_scenes` to find; its folder. Raises Tg4mmError."""
     methods = {m.name: m for m in request.made()}
     if name not in methods:
         raise Tg4mmError(f"method {name!r} is none of {', '.join(methods)}")
@@ -119,6 +112,7 @@ def run_one(root: Path, name: str, out: Path, request: ScenesRequest) -> None:
     open_folder(Path(out), KIND)
     _prepare([data], job_folder(out, data, methods[name]), out, request, [methods[name]], lambda text: None)
     run_job(methods[name], data, out, request.plan, request.vqa)
+    return job_folder(out, data, methods[name])
 
 
 class _Bench:
@@ -139,7 +133,6 @@ class _Bench:
         self.figures: dict[str, dict[str, dict[str, Any]]] = {
             s.label: {} for s in sets
         }  # set → preset → figures
-        self.n_done = 0
         self.first_error: Exception | None = None
 
     def job(self, method: Method, data: BenchSet) -> None:
@@ -149,27 +142,20 @@ class _Bench:
             figures, lines = run_job(method, data, self.out, self.request.plan, self.request.vqa)
         except Exception as error:  # one job's fault, whatever it is, is not to take hours of others along
             self.first_error = self.first_error or error
-            why = str(error) or type(error).__name__
-            if not isinstance(error, Tg4mmError | OSError | MemoryError):
-                log = job_folder(self.out, data, method) / "traceback.txt"
-                log.parent.mkdir(parents=True, exist_ok=True)
-                text = traceback.format_exc()
-                write_atomic(log, lambda file: file.write_text(text, encoding="utf-8"))
-                why = f"{type(error).__name__}: {why.splitlines()[0]} ({log})"
+            why = why_failed(error, job_folder(self.out, data, method))
             self.failed.append({"set": data.label, "method": method.name, "why": why})
             self.say(f"    failed: {why}")
         else:
             self._keep(method, data, figures, lines)
-        self.n_done += 1
         if self.lines:
             write_results(self.out, self.results())
 
-    def tables_of(self, ablations: Sequence[Path]) -> list[dict[str, Any]]:
+    def tables_of(self, ablations: Sequence[Path]) -> list[tuple[Path, dict[str, Any]]]:
         """The results of ablations; one that cannot be read is kept as a line of `failed`."""
         found = []
         for folder in ablations:
             try:
-                found.append(read_results(folder))
+                found.append((Path(folder), read_results(folder)))
             except (Tg4mmError, OSError) as error:
                 self.failed.append({"set": f"ablation {Path(folder).name}", "method": "", "why": str(error)})
         return found
@@ -223,7 +209,7 @@ def _prepare(
     presets = [m.training.preset for m in methods if isinstance(m, Trained) and is_open(m)]
     if presets:
         say("compiling kernels by one iteration of each stage, which is not timed")
-    warm_up(place, sets[0], dict.fromkeys(presets), request.plan.device)
+    warm_up(place, sets, dict.fromkeys(presets), request.plan.device)
 
 
 def run_entry(data: BenchSet, row: str, training: Training, figures: dict[str, Any]) -> dict[str, Any]:
@@ -234,7 +220,6 @@ def run_entry(data: BenchSet, row: str, training: Training, figures: dict[str, A
         "preset": training.preset,
         "overrides": dict(training.settings),
         "ways": [way.name for way in training.ways],
-        "peak_memory_mib": peak_mib(figures["log"]),
         **{k: v for k, v in figures.items() if k not in {"version", "request"}},
     }
 

@@ -65,32 +65,27 @@ def amplitude_name(pixels: float) -> str:
     return f"{goal:g} px" if goal is not None else f"{pixels:.1g} px"
 
 
-def open_sets(roots: Sequence[Path]) -> list[BenchSet]:
-    """Read what describes the datasets. Raises BenchError or CaptureError naming the first that will not do."""
-    resolved = _checked(roots)
-    return [open_set(given, label) for given, label in zip(roots, _labels(resolved), strict=True)]
+def open_sets(given: Sequence[Path]) -> list[BenchSet]:
+    """Read what describes the datasets, each DIR or NAME=DIR.
 
-
-def _checked(roots: Sequence[Path]) -> list[Path]:
-    if not roots:
-        raise BenchError("no dataset is named: give at least one folder")
-    resolved = [Path(root).resolve() for root in roots]
-    for i, root in enumerate(resolved):
-        if root in resolved[:i]:
-            raise BenchError(f"dataset {roots[i]} is named twice")
-    return resolved
-
-
-def open_those_that_open(roots: Sequence[Path]) -> tuple[list[BenchSet], list[dict[str, str]]]:
-    """(the datasets, why the others cannot be read as [{set, method, why}]).
-
-    Raises BenchError for none or the same twice, and the first one's error where none can be read.
+    Raises BenchError or CaptureError naming the first that will not do.
     """
-    resolved = _checked(roots)
+    return [open_set(root, label) for label, root in labelled(given).items()]
+
+
+def open_those_that_open(
+    given: Sequence[Path], alphas: Sequence[float] | None = None
+) -> tuple[list[BenchSet], list[dict[str, str]]]:
+    """(the datasets, why the others cannot be read or have none of the `alphas`, as [{set, method, why}]).
+
+    Raises BenchError for none, the same twice or two of one name, and the first one's error where none will do.
+    """
     found, failed, first = [], [], None
-    for root, label in zip(roots, _labels(resolved), strict=True):
+    for label, root in labelled(given).items():
         try:
-            found.append(open_set(Path(root), label))
+            data = open_set(root, label)
+            check_alphas([data], alphas)
+            found.append(data)
         except (Tg4mmError, OSError) as error:
             first = first or error
             failed.append({"set": label, "method": "", "why": str(error)})
@@ -99,29 +94,43 @@ def open_those_that_open(roots: Sequence[Path]) -> tuple[list[BenchSet], list[di
     return found, failed
 
 
+def labelled(given: Sequence[Path]) -> dict[str, Path]:
+    """{name in the tables, and of the folders of results: dataset}: of `NAME=DIR` the name, of `DIR` the folder's own.
+
+    A name depends on nothing else, so that a job of one dataset finds the folders that a call with many makes. Raises
+    BenchError for no dataset, the same twice, two of one name, and a name that no folder can have.
+    """
+    if not given:
+        raise BenchError("no dataset is named: give at least one folder")
+    found: dict[str, Path] = {}
+    for one in given:
+        name, sign, folder = str(one).partition("=")
+        if sign and folder and not Path(one).exists():
+            check_name(name, f"dataset {one}")
+        else:
+            name, folder = Path(one).resolve().name, str(one)
+        if any(Path(folder).resolve() == other.resolve() for other in found.values()):
+            raise BenchError(f"dataset {one} is named twice")
+        if name in found:
+            raise BenchError(
+                f"datasets {found[name]} and {folder} are both called {name}: give one as NAME=DIR"
+            )
+        found[name] = Path(folder)
+    return found
+
+
+def check_name(name: str, where: str) -> None:
+    """Raise BenchError for a name that no folder can have."""
+    if not name or not all(c.isalnum() or c in "-_." for c in name) or name.startswith("."):
+        raise BenchError(f"{where}: the name may hold letters, digits and - _ .")
+
+
 def check_alphas(sets: Sequence[BenchSet], alphas: Sequence[float] | None) -> None:
     """Raise BenchError for a set that has ground truth for none of the α asked for."""
     for data in sets:
-        if (why := alphas_missing(data, alphas)) is not None:
-            raise BenchError(why)
-
-
-def alphas_missing(data: BenchSet, alphas: Sequence[float] | None) -> str | None:
-    """Why none of the α asked for can be scored on a set; None where one can."""
-    if alphas is None or set(alphas) & set(data.alphas):
-        return None
-    asked, there = (", ".join(f"{a:g}" for a in some) for some in (alphas, data.alphas))
-    return f"--alphas {asked}: dataset {data.root} has ground truth for {there}"
-
-
-def _labels(roots: Sequence[Path]) -> list[str]:
-    """The folders' names, with the parent's in front where two are alike."""
-    names = [root.name for root in roots]
-    labels = [n if names.count(n) == 1 else f"{r.parent.name}-{n}" for n, r in zip(names, roots, strict=True)]
-    if len(set(labels)) < len(labels):
-        twice = next(label for label in labels if labels.count(label) > 1)
-        raise BenchError(f"two datasets are both called {twice}: rename one of the folders")
-    return labels
+        if alphas is not None and not set(alphas) & set(data.alphas):
+            asked, there = (", ".join(f"{a:g}" for a in some) for some in (alphas, data.alphas))
+            raise BenchError(f"--alphas {asked}: dataset {data.root} has ground truth for {there}")
 
 
 def open_set(root: Path, label: str) -> BenchSet:

@@ -13,21 +13,23 @@ from markupsafe import Markup
 from tg4mm.bench.jobs import picture_folder, truth_at
 from tg4mm.bench.methods.camera_videos import cameras_of, video_of
 from tg4mm.bench.sets import BenchSet, open_set
+from tg4mm.bench.sheet import write_sheet
 from tg4mm.errors import Tg4mmError
 from tg4mm.evaluate.slices import difference_maps
 from tg4mm.render.frames import to_bytes
-from tg4mm.report.figures import line_that_moves, map_picture, marked, slice_picture
+from tg4mm.report.figures import Line, line_that_moves, map_picture, marked, slice_picture
 from tg4mm.report.page import Block, Figure, Section, Text, film, photo_uri, picture
 from tg4mm.report.video import clip, playing_rate
 
 TRUTH = "ground truth"
 _ALPHA = 20  # or the largest below it, else the smallest
 _MAPS = 6  # of the first seven frames, as [TG4MM] Fig. 4
+_SLICE_HEIGHT = 96  # in the file, pixels
 _REPEATS = 24  # pictures that a slice shows at least
 
 
 @dataclass(frozen=True)
-class Shown:
+class View:
     """One test view of a set at one α, by every row."""
 
     label: str  # of the set
@@ -38,7 +40,10 @@ class Shown:
 
 
 def shown_sections(out: Path, results: Mapping[str, Any], group: str) -> Iterator[Section]:
-    """A section for each set of the group; of one that cannot be read any more it says why."""
+    """A section for each set of the group; of one that cannot be read any more it says why.
+
+    Beside it OUT/figures/<set>_slices.png and <set>_differences.png, as [TG4MM] Fig. 3 and 4.
+    """
     for data in results["sets"]:
         if data["group"] == group:
             try:
@@ -47,10 +52,11 @@ def shown_sections(out: Path, results: Mapping[str, Any], group: str) -> Iterato
                 yield Section(data["label"], [Text(f"No pictures: {error}", "note")])
                 continue
             if len(shown.videos) > 1:
+                _write_figures(out / "figures", shown)
                 yield Section(f"{data['label']} at α = {shown.alpha}", list(_blocks(shown)))
 
 
-def gather(out: Path, results: Mapping[str, Any], data: BenchSet) -> Shown:
+def gather(out: Path, results: Mapping[str, Any], data: BenchSet) -> View:
     """The view whose ground truth changes most."""
     lines = [line for line in results["lines"] if line["set"] == data.label]
     alphas = [int(a) for line in lines for a in line["alphas"] if float(a) > 0]
@@ -65,21 +71,18 @@ def gather(out: Path, results: Mapping[str, Any], data: BenchSet) -> Shown:
         if f"{alpha:g}" in line["alphas"]:
             folder = picture_folder(out / "runs" / data.label / line["method"], line["row"])
             videos[line["row"]] = video_of(capture, rows, folder)
-    return Shown(data.label, alpha, capture.paths[rows[0]].name, data.fps, videos)
+    return View(data.label, alpha, capture.paths[rows[0]].name, data.fps, videos)
 
 
-def _blocks(s: Shown) -> Iterator[Block]:
+def _blocks(s: View) -> Iterator[Block]:
     yield Text(_slider(s), plain=True)
     frames = {row: to_bytes(video) for row, video in s.videos.items()}
     films = [film(clip(video, s.fps, edge=256), video[0], row) for row, video in frames.items()]
     seconds = len(s.videos[TRUTH]) / playing_rate(s.fps)
     yield Figure(films, f"Test view {s.view} over time, in step.", 4, controls=True, seconds=seconds)
-    line = line_that_moves(s.videos[TRUTH])
-    periods = -(-_REPEATS // len(s.videos[TRUTH]))
+    line, cut = _slices(s)
     slices = [picture(marked(frames[TRUTH][0], line), "where the slices are cut", photo=True)]
-    slices += [
-        picture(slice_picture(v, line, periods), row, f"slice: {row}", True) for row, v in frames.items()
-    ]
+    slices += [picture(piece, row, f"slice: {row}", True) for row, piece in cut.items()]
     way = "to the right" if line.axis == "column" else "down"
     yield Figure(
         slices, f"Space-time slices of {line.axis} {line.index}, time runs {way} ([TG4MM] Fig. 3).", 4
@@ -87,15 +90,33 @@ def _blocks(s: Shown) -> Iterator[Block]:
     yield _differences(s)
 
 
-def _differences(s: Shown) -> Figure:
-    """[TG4MM] Fig. 4: what changes from frame to frame, all on one scale."""
+def _slices(s: View) -> tuple[Line, dict[str, np.ndarray]]:
+    """[TG4MM] Fig. 3: where they are cut, and uint8 pictures."""
+    line = line_that_moves(s.videos[TRUTH])
+    periods = -(-_REPEATS // len(s.videos[TRUTH]))
+    return line, {row: slice_picture(to_bytes(video), line, periods) for row, video in s.videos.items()}
+
+
+def _maps(s: View) -> tuple[dict[str, np.ndarray], float, int]:
+    """[TG4MM] Fig. 4: what changes from frame to frame, side by side as uint8 pictures; their scale, their number."""
     n = min(_MAPS, len(s.videos[TRUTH]) - 1)
     maps = {row: difference_maps(video, n) for row, video in s.videos.items()}
     top = maps[TRUTH][1]
-    strips = []
-    for row, (found, _) in maps.items():
-        strip = np.concatenate(list(found), axis=1).clip(0, top)
-        strips.append(picture(map_picture(strip, top), row, f"difference maps: {row}", True))
+    strips = {row: np.concatenate(list(found), axis=1).clip(0, top) for row, (found, _) in maps.items()}
+    return {row: map_picture(strip, top) for row, strip in strips.items()}, top, n
+
+
+def _write_figures(folder: Path, s: View) -> None:
+    def titled(pictures: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        return {f"{row}, α = {s.alpha}" if row == TRUTH else row: p for row, p in pictures.items()}
+
+    write_sheet(folder / f"{s.label}_slices.png", titled(_slices(s)[1]), _SLICE_HEIGHT)
+    write_sheet(folder / f"{s.label}_differences.png", titled(_maps(s)[0]))
+
+
+def _differences(s: View) -> Figure:
+    maps, top, n = _maps(s)
+    strips = [picture(strip, row, f"difference maps: {row}", True) for row, strip in maps.items()]
     caption = (
         f"Difference maps |I(t + 1) − I(t)| of the first {n + 1} frames ([TG4MM] Eq. 17), all from 0 to {top:.3f}, the "
         "ground truth's largest."
@@ -103,7 +124,7 @@ def _differences(s: Shown) -> Figure:
     return Figure(strips, caption, 2)
 
 
-def _slider(s: Shown) -> Markup:
+def _slider(s: View) -> Markup:
     """Two rows laid over each other with an edge to move, where the ground truth is farthest from its mean."""
     truth = s.videos[TRUTH]
     t = int(((truth - truth.mean(0)) ** 2).mean((1, 2, 3)).argmax())

@@ -2,30 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from PIL import Image, ImageDraw, ImageFont
 
+from tg4mm.bench.sheet import write_sheet
 from tg4mm.capture import Capture, load_capture, load_images
 from tg4mm.evaluate.scores import BACKGROUND, render_views
 from tg4mm.evaluate.slices import most_moving_line, space_time_slice
-from tg4mm.files import write_atomic
 from tg4mm.magnify import BandGain, Magnification, TemporalFilter
 from tg4mm.magnify.poses import poses_of
+from tg4mm.render.frames import to_bytes
 from tg4mm.run import Run
 
 ALPHA = 20  # or the largest below it that has ground truth
-_WIDTH = 720  # pixels of a slice in the picture
-_HEIGHT = 96
-_LABEL = 22
+_HEIGHT = 96  # pixels of a slice in the picture
 
 
 @dataclass(frozen=True)
-class Shown:
+class Magnified:
     """A run and how it is magnified."""
 
     label: str
@@ -35,7 +32,7 @@ class Shown:
 
 
 def slices_picture(
-    root: Path, alphas: Sequence[int], band_hz: Sequence[float] | None, shown: Sequence[Shown], out: Path
+    root: Path, alphas: Sequence[int], band_hz: Sequence[float] | None, shown: Sequence[Magnified], out: Path
 ) -> str:
     """Write the picture to `out`; returns a sentence that says what it shows.
 
@@ -51,8 +48,7 @@ def slices_picture(
         rows[one.label] = space_time_slice(video, axis, index)
     if axis == "column":  # [H, T, 3]: time is brought down here too
         rows = {label: np.swapaxes(piece, 0, 1) for label, piece in rows.items()}
-    picture = _stacked(rows)
-    write_atomic(out, lambda temporary: picture.save(temporary, "PNG"))
+    write_sheet(out, {label: to_bytes(piece) for label, piece in rows.items()}, _HEIGHT)
     name = capture.paths[int(np.flatnonzero(capture.camera_ids == camera)[0])].name
     return f"Space-time slices of {axis} {index} of test camera {name} at α = {alpha}; time runs down."
 
@@ -74,7 +70,7 @@ def _rows(capture: Capture, camera: int) -> np.ndarray:
 
 
 def _rendered(
-    one: Shown, capture: Capture, camera: int, alpha: int, band_hz: Sequence[float] | None
+    one: Magnified, capture: Capture, camera: int, alpha: int, band_hz: Sequence[float] | None
 ) -> np.ndarray:
     bands = () if band_hz is None else (BandGain(band_hz[0], band_hz[1], alpha),)
     chosen = None if one.filter is None else TemporalFilter(one.filter)
@@ -85,16 +81,3 @@ def _rendered(
     times = capture.timesteps[rows].tolist()
     views = [render_views(poses.at(t), capture, rows[j : j + 1])[0] for j, t in enumerate(times)]
     return np.stack(views)
-
-
-def _stacked(rows: Mapping[str, np.ndarray]) -> Image.Image:
-    sheet = Image.new("RGB", (_WIDTH, len(rows) * (_HEIGHT + _LABEL) + 4), "white")
-    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(size=14)
-    for i, (label, piece) in enumerate(rows.items()):
-        top = i * (_HEIGHT + _LABEL)
-        draw.text((2, top + 3), label, fill=(27, 29, 33), font=font)
-        pixels: Any = (piece.clip(0, 1) * 255 + 0.5).astype(np.uint8)
-        sheet.paste(
-            Image.fromarray(pixels).resize((_WIDTH, _HEIGHT), Image.Resampling.NEAREST), (0, top + _LABEL)
-        )
-    return sheet

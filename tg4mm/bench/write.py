@@ -9,19 +9,30 @@ from typing import Any
 from tg4mm.bench.folder import write_text
 from tg4mm.bench.latex import latex_table
 from tg4mm.bench.page import scenes_page
-from tg4mm.bench.plots import over_alpha
-from tg4mm.bench.tables import groups_of, tables_of
+from tg4mm.bench.plots import over_alpha, size_and_speed
+from tg4mm.bench.tables import full_table, groups_of, kinds_table, tables_of
 from tg4mm.files import write_json
 
 
 def write_results(out: Path, results: Mapping[str, Any]) -> None:
-    """Write OUT/results.json, results.md, results_<i>.svg and tables/<i>_<name>.tex; <i> counts groups of sets."""
+    """Write OUT/results.json, results.md, results_<i>.svg, results_<i>_size.svg, and tables/<i>_<name>.tex, kinds.tex.
+
+    <i> counts groups of sets. The second drawing is as [TG4MM] Fig. 6.
+    """
     write_json(out / "results.json", results)
-    pictures = {}
+    pictures: dict[str, dict[str, str]] = {}
     for i, group in enumerate(groups_of(results), 1):
-        if (drawn := over_alpha(results, group)) is not None:
-            pictures[group] = f"results_{i}.svg"
-            write_text(out / pictures[group], drawn)
-        for made in tables_of(results, group):
+        drawings = {
+            f"results_{i}.svg": ("SSIM and closure over magnification", over_alpha(results, group)),
+            f"results_{i}_size.svg": ("Size of the model and speed", size_and_speed(results, group)),
+        }
+        for name, (title, drawn) in drawings.items():
+            if drawn is not None:
+                pictures.setdefault(group, {})[name] = f"{title}, {group}"
+                write_text(out / name, drawn)
+        for made in (*tables_of(results, group), full_table(results, group)):
             write_text(out / "tables" / f"{i}_{made.key}.tex", latex_table(made, group))
+    kinds = kinds_table(results)
+    if kinds.rows:
+        write_text(out / "tables" / f"{kinds.key}.tex", latex_table(kinds))
     write_text(out / "results.md", scenes_page(results, pictures))

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -35,7 +36,11 @@ class SameTime(StrEnum):
 
 
 Datasets = Annotated[
-    list[Path], typer.Argument(metavar="DATASET…", help="Dataset folders with ground truth (tg4mm generate).")
+    list[Path],
+    typer.Argument(
+        metavar="DATASET…",
+        help="Dataset folders with ground truth (tg4mm generate), or NAME=DIR where two folders have one name.",
+    ),
 ]
 Out = Annotated[
     Path, typer.Option(help="Folder for runs, figures, tables and pictures; an unfinished one is resumed.")
@@ -78,7 +83,7 @@ Outside = Annotated[
     list[str] | None,
     typer.Option(
         metavar="NAME=DIR",
-        help="Pictures of another method: DIR/<dataset's folder name>/magnified/x005/000/test/r_000.png …; may be "
+        help="Pictures of another method: DIR/<dataset's name>/magnified/x005/000/test/r_000.png …; may be "
         "repeated. docs/protocol.md.",
     ),
 ]
@@ -103,12 +108,19 @@ def whole(
     ] = None,
     out: Annotated[Path | None, typer.Option(help="With --preset: folder for data, runs and pages.")] = None,
     external: Outside = None,
+    alphas: Alphas = None,
+    lpips_weights: Lpips = None,
+    md_vqa: MdVqa = None,
+    fast_vqa: FastVqa = None,
+    vqa_python: VqaPython = "python3",
+    device: DeviceOption = Device.cpu,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="With --preset: print the commands, one a line, and run none.")
     ] = False,
 ) -> None:
     if context.invoked_subcommand is not None:
-        if preset is not None or out is not None or external or dry_run:
+        sources = (context.get_parameter_source(name) for name in context.params)
+        if any(source is not None and source.name == "COMMANDLINE" for source in sources):
             raise Tg4mmError(
                 f"options before {context.invoked_subcommand}: give them after it, and no --preset"
             )
@@ -116,17 +128,30 @@ def whole(
     if preset is None or out is None:
         raise Tg4mmError("--preset and --out are needed together, or one of scenes, job, ablation")
     from tg4mm.bench.methods.external import parse_external
-    from tg4mm.bench.presets import run_preset, steps_of
+    from tg4mm.bench.presets import Choices, run_preset, steps_of
+    from tg4mm.bench.vqa import checkouts
+    from tg4mm.evaluate.lpips import load_lpips
 
     parse_external(external or [])
+    _plan(alphas, True, lpips_weights, device)
+    checkouts({"md_vqa": md_vqa, "fast_vqa": fast_vqa}, vqa_python)
+    if lpips_weights:
+        load_lpips(lpips_weights)
+    choices = Choices(
+        tuple(external or ()),
+        alphas or "",
+        "" if device is Device.cpu else device.value,
+        tuple(map(str, lpips_weights or ())),
+        str(md_vqa or ""),
+        str(fast_vqa or ""),
+        vqa_python if md_vqa or fast_vqa else "",
+    )
     if dry_run:
         typer.echo(
-            "\n".join(
-                shlex.join(step.command) for step in steps_of(preset, str(out), external=external or [])
-            )
+            "\n".join(shlex.join(step.command) for step in steps_of(preset, str(out), choices=choices))
         )
         return
-    failed = run_preset(preset, out, external or [], _say)
+    failed = run_preset(preset, out, choices, _say)
     typer.echo(out / "bench" / "results.html")
     if failed:
         raise typer.Exit(1)
@@ -191,6 +216,10 @@ def scenes(
 
         write_text(goals, goals_page(results))
     typer.echo(out / "results.html")
+    _exit_with(results, out)
+
+
+def _exit_with(results: Mapping[str, Any], out: Path) -> None:
     if results["failed"]:
         _say(f"{len(results['failed'])} failed; see the head of {out / 'results.md'}")
         raise typer.Exit(1)
@@ -198,7 +227,7 @@ def scenes(
 
 @bench.command()
 def job(
-    dataset: Annotated[Path, typer.Argument(help="Dataset folder with ground truth.")],
+    dataset: Annotated[Path, typer.Argument(help="Dataset folder with ground truth, or NAME=DIR.")],
     method: Annotated[
         str, typer.Argument(help="One of tg4mm bench scenes --methods, or the NAME of --external.")
     ],
@@ -223,8 +252,7 @@ def job(
     vqa = md_vqa, fast_vqa, vqa_python
     never = SameTime.never
     request = _request(methods, external, alphas, band, never, settings, lpips_weights, vqa, device)
-    run_one(dataset, method, out, request)
-    typer.echo(out / "runs" / dataset.resolve().name / method)
+    typer.echo(run_one(dataset, method, out, request))
 
 
 def _request(
@@ -274,7 +302,6 @@ def ablation(
     alphas: Alphas = None,
     band: Banded = True,
     settings: Settings = None,
-    lpips_weights: Lpips = None,
     device: DeviceOption = Device.cpu,
 ) -> None:
     """Vary one thing and compare.
@@ -282,16 +309,19 @@ def ablation(
     NAME: initialisation, decoder, residual, iterations, filter-phase, difference, smoothness,
     views, timesteps, noise, amplitude.
 
-    Prints the table, and writes OUT/results.json, OUT/results.md and OUT/results.svg. amplitude generates its datasets
+    Prints the table, and writes OUT/results.json, OUT/results.md and OUT/results.svg. A dataset that fails is listed,
+    and the rest goes on. amplitude generates its datasets
     from the given ones (pixels of the first training camera, 0.01 to 1) under OUT/sets, unless they are there.
     """
-    plan = _plan(alphas, band, lpips_weights, device)
+    plan = _plan(alphas, band, None, device)
     given = split_settings(settings or [])
     from tg4mm.bench.ablate import run_ablation
+    from tg4mm.bench.ablation_page import ablation_table
 
-    text = run_ablation(name, datasets, out, None if preset is None else preset.value, given, plan, _say)
-    typer.echo(text)
+    results = run_ablation(name, datasets, out, None if preset is None else preset.value, given, plan, _say)
+    typer.echo(ablation_table(results))
     typer.echo(f"\n{out / 'results.md'}")
+    _exit_with(results, out)
 
 
 def _plan(alphas: str | None, band: bool, lpips_weights: list[Path] | None, device: Device) -> Plan:

@@ -29,12 +29,11 @@ def displacement_figures(
     weights = _check(estimated, true, weights)
     error2, true2, estimated2 = mean_squares(estimated, true)  # [N] each
     rms = {k: _rms(v, weights) for k, v in (("error", error2), ("true", true2), ("estimated", estimated2))}
-    still = true2 <= STATIC_BELOW**2 * true2.max(initial=0.0)
     figures: dict[str, Any] = {
         "relative_error": _ratio(rms["error"], rms["true"]),
         **{f"rms_{k}": v for k, v in rms.items()},
-        "static_leak": _ratio(_rms(estimated2, weights * still), _rms(true2, weights * ~still)),
-        "static_share": float(weights[still].sum() / weights.sum()),
+        "static_leak": _leak(true2, estimated2, weights),
+        "static_share": float(weights[_still(true2)].sum() / weights.sum()),
         "per_frequency": frequency_figures(estimated, true, weights, unit_scale_m),
     }
     return figures | _in_mm(rms, "rms_", unit_scale_m)
@@ -52,7 +51,8 @@ def frequency_figures(
     phasors' difference over the rms of the true ones; `phase_error_deg`: of the weighted correlation,
     positive where the estimate is ahead; `direction_error_deg`: angle between the phasor vectors, arccos
     |⟨true, estimated⟩| / (|true| |estimated|), as between lines (0 to 90°, blind to phase), mean with weights
-    × |true|² over the Gaussians that the estimate moves; `mac`: modal assurance criterion, |Σ w a*·b|² /
+    × |true|² over the Gaussians that the estimate moves; `static_leak`: as of `displacement_figures`, of what stands
+    still at that frequency and of the phasors there; `mac`: modal assurance criterion, |Σ w a*·b|² /
     (Σ w |a|² Σ w |b|²), 1 where the shapes are alike but for one complex factor.
     """
     weights = _check(estimated, true, weights)
@@ -69,6 +69,7 @@ def frequency_figures(
                 "relative_error": _ratio(_rms((np.abs(a - b) ** 2).sum(1), weights), amplitude["true"]),
                 "phase_error_deg": float(np.degrees(np.angle(correlation))) if correlation else None,
                 "direction_error_deg": _mean_angle(a, b, weights),
+                "static_leak": _leak((np.abs(a) ** 2).sum(1), (np.abs(b) ** 2).sum(1), weights),
                 "mac": _mac(a, b, weights),
                 **_in_mm(amplitude, "amplitude_", unit_scale_m),
             }
@@ -133,6 +134,15 @@ def _mean_angle(a: np.ndarray, b: np.ndarray, weights: np.ndarray) -> float | No
     # atan2, not acos: an angle near 0 keeps its digits.
     angle = np.arctan2(np.linalg.norm(across, axis=1), np.abs(inner) / np.sqrt(a2))
     return float(np.degrees((angle * weights).sum() / weights.sum()))
+
+
+def _still(true2: np.ndarray) -> np.ndarray:
+    return true2 <= STATIC_BELOW**2 * true2.max(initial=0.0)
+
+
+def _leak(true2: np.ndarray, estimated2: np.ndarray, weights: np.ndarray) -> float | None:
+    still = _still(true2)
+    return _ratio(_rms(estimated2, weights * still), _rms(true2, weights * ~still))
 
 
 def _mac(a: np.ndarray, b: np.ndarray, weights: np.ndarray) -> float | None:

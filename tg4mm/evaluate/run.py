@@ -45,6 +45,7 @@ def evaluate_run(
     method: str | None = None,
     filter: TemporalFilter | None = None,
     scores: dict[Key, dict[str, float]] | None = None,
+    metrics: Sequence[str] | None = None,
 ) -> dict[str, Any]:
     """Score a run on its dataset's test cameras and write the figures to `out` (default RUN/metrics.json).
 
@@ -54,7 +55,7 @@ def evaluate_run(
     `device`: where pictures are rendered; metrics are computed on the CPU, so each picture is brought there once.
     `lpips_weights`: see `tg4mm.evaluate.lpips`. `use_cache=False` scores every image anew (same numbers,
     slower). `scores`: what another call for the same run has scored is taken from there, and left there; not with other
-    `lpips_weights`.
+    `lpips_weights` or `metrics`. `metrics`: some of psnr_db, ssim, flip, lpips; None for all of them.
 
     What is absent (a split, an α, truth/, LPIPS weights) is named under `absent`; what is there but broken
     raises a Tg4mmError. A killed evaluation goes on at the first α that was not finished.
@@ -87,11 +88,11 @@ def evaluate_run(
     wanted = alphas_with_truth(alphas, run.dataset, absent)
     bands = tuple(bands) or (() if band is None else (tuple(band),))  # type: ignore[assignment]
     plan = Magnification(method=method, filter=filter)
-    metrics = image_metrics(lpips_weights, absent)
+    chosen = image_metrics(lpips_weights, absent, metrics)
     capture = load_capture(run.dataset, split="train")
     subject = subject_of(run, capture, bands, plan, absent, device)
     target = target_file(run, out)
-    scorer = Scorer(subject.gaussians, metrics, use_cache, {} if scores is None else scores)
+    scorer = Scorer(subject.gaussians, chosen, use_cache, {} if scores is None else scores)
     resume = Resume(target)
     entries = [
         e for a in wanted if (e := _score_alpha(run.dataset, a, subject, scorer, resume, absent)) is not None

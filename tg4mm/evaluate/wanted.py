@@ -71,14 +71,21 @@ def check_alphas(alphas: Sequence[float] | None, root: Path) -> list[int]:
 
 
 def image_metrics(
-    lpips_weights: Path | str | Sequence[Path | str] | None, absent: dict[str, str]
+    lpips_weights: Path | str | Sequence[Path | str] | None,
+    absent: dict[str, str],
+    names: Sequence[str] | None = None,
 ) -> dict[str, Metric]:
-    metrics: dict[str, Metric] = {"psnr_db": psnr, "ssim": ssim, "flip": flip}
-    if lpips_weights is None:
+    """The metrics `names`, None for all. LPIPS without weights goes to `absent`. Raises EvaluationError for others."""
+    found: dict[str, Metric] = {"psnr_db": psnr, "ssim": ssim, "flip": flip}
+    for name in names or ():
+        if name not in {*found, "lpips"}:
+            raise EvaluationError(f"metrics hold {name!r}, expected some of {', '.join(found)}, lpips")
+    wanted = {*found, "lpips"} if names is None else set(names)
+    if "lpips" in wanted and lpips_weights is None:
         absent["LPIPS"] = "no weights given (AlexNet's trunk and LPIPS' heads, as local files)"
-    else:
-        metrics["lpips"] = load_lpips(lpips_weights)
-    return metrics
+    elif "lpips" in wanted and lpips_weights is not None:
+        found["lpips"] = load_lpips(lpips_weights)
+    return {name: metric for name, metric in found.items() if name in wanted}
 
 
 def capture_with_truth(root: Path, alpha: int, absent: dict[str, str]) -> Capture | None:

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from tg4mm.capture import Capture, ImageStack
 from tg4mm.device import full_precision, gpu_figures, reset_gpu_peak
-from tg4mm.memory import peak_memory_mib
+from tg4mm.memory import peak_memory_mib, reset_peak_memory
 from tg4mm.motion.modes import ModalMotion
 from tg4mm.paper.config import PaperConfig
 from tg4mm.paper.fit import Fit, view_loss
@@ -107,6 +107,7 @@ def train_timesteps(
     peak_memory_mib, iterations (in all), iterations_per_timestep, l1_train (of the last), n_frequencies, mib_on_disk.
     """
     began = time.monotonic()
+    reset_peak_memory()
     reset_gpu_peak(device)
     first = at_rest(model, views_at(capture, images, 0)) if config.difference else None
     stage = _Stage(run, model, config, began, device, first)

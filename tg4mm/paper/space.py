@@ -11,7 +11,7 @@ import torch
 from tg4mm.capture import Capture, ImageStack
 from tg4mm.device import full_precision, gpu_figures, reset_gpu_peak
 from tg4mm.gaussians import Gaussians
-from tg4mm.memory import peak_memory_mib
+from tg4mm.memory import peak_memory_mib, reset_peak_memory
 from tg4mm.paper.config import PaperConfig
 from tg4mm.paper.fit import Cameras, Fit, view_loss
 from tg4mm.paper.model import PaperModel, active, save_model, with_active
@@ -88,6 +88,7 @@ def train_triplane(
     The log's stage `triplane` gets seconds, peak_memory_mib, iterations, l1_train, n_gaussians and sizes.
     """
     began = time.monotonic()
+    reset_peak_memory()
     reset_gpu_peak(device)
     model = started(base, config)
     cells = cells_of(model.points.numpy(), model.box.numpy(), config.resolution)

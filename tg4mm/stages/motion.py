@@ -18,7 +18,7 @@ from tg4mm.capture.pictures import FilePictures
 from tg4mm.device import gpu_figures, reset_gpu_peak
 from tg4mm.errors import RunError
 from tg4mm.gaussians import Gaussians
-from tg4mm.memory import peak_memory_mib
+from tg4mm.memory import peak_memory_mib, reset_peak_memory
 from tg4mm.motion.checkpoints import Arrays, arrays_of, gaussians_of
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.modes import ModalMotion
@@ -42,6 +42,7 @@ def train_motion(
     Gaussian, Tg4mmError on settings out of range or where the device's memory is too small.
     """
     began = time.monotonic()
+    reset_peak_memory()
     reset_gpu_peak(device)
     observations = observe(capture, images)
     parts = StoredParts(run, began)

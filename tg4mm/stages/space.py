@@ -7,6 +7,7 @@ import time
 from tg4mm.capture import SurfacePoints
 from tg4mm.errors import RunError
 from tg4mm.gaussians import Gaussians
+from tg4mm.memory import reset_peak_memory
 from tg4mm.run import Run
 from tg4mm.space.checkpoint import Check, Checkpoint
 from tg4mm.space.config import SpaceConfig
@@ -24,6 +25,7 @@ def train_space(
 
     Returns the Gaussians (on the CPU). The run's log gets the figures of `SpaceFit`. Raises what `fit_space` raises.
     """
+    reset_peak_memory()
     kept = _KeptInRun(run)
     fit = fit_space(views, points, config, device, kept)
     run.save_space(fit.gaussians, fit.figures | {"seconds": kept.unrecorded_s()})
@@ -33,6 +35,7 @@ def train_space(
 
 def train_plane(run: Run, views: RestViews, config: SpaceConfig, device: str = "cpu") -> Gaussians:
     """`fit_plane`, saved in the run with its figures. Returns the Gaussians (on the CPU)."""
+    reset_peak_memory()
     fit = fit_plane(views, config, device)
     run.save_space(fit.gaussians, fit.figures)
     return fit.gaussians

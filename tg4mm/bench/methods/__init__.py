@@ -45,5 +45,8 @@ class Method(Protocol):
     def render(
         self, row: str, data: BenchSet, place: Path, capture: Capture, alpha: float, plan: Plan
     ) -> Pictures:
-        """The pictures of the test split `capture`, each once, in any order, magnified by α in the plan's band."""
+        """The pictures of the test split `capture`, each once, in any order, magnified by α in the plan's band.
+
+        What is prepared once, such as opening a model, is done when this is called: the pictures themselves are timed.
+        """
         ...

@@ -10,13 +10,13 @@ from tg4mm.bench.errors import BenchError
 from tg4mm.bench.measure import Plan
 from tg4mm.bench.methods import Pictures
 from tg4mm.bench.methods.camera_videos import cameras_of, video_of
-from tg4mm.bench.sets import BenchSet
+from tg4mm.bench.sets import BenchSet, check_name
 from tg4mm.capture import Capture
 
 
 @dataclass(frozen=True)
 class External:
-    """Pictures in `folder`/<dataset folder's name>/, laid out as the dataset's own test pictures: docs/protocol.md."""
+    """Pictures in `folder`/<dataset's name>/, laid out as the dataset's own test pictures: docs/protocol.md."""
 
     name: str
     folder: Path
@@ -26,12 +26,12 @@ class External:
         return (self.name,)
 
     def fit(self, data: BenchSet, place: Path, plan: Plan) -> dict[str, Any]:
-        if not (self.folder / data.root.name).is_dir():
-            raise BenchError(f"--external {self.name}: {self.folder / data.root.name} does not exist")
+        if not (self.folder / data.label).is_dir():
+            raise BenchError(f"--external {self.name}: {self.folder / data.label} does not exist")
         return {}
 
     def recipe(self, row: str, data: BenchSet, place: Path, plan: Plan) -> dict[str, Any]:
-        folder = self.folder / data.root.name
+        folder = self.folder / data.label
         files = sorted(p for p in folder.rglob("*.png") if "test" in p.parts)
         return {
             "folder": str(folder.resolve()),
@@ -41,14 +41,14 @@ class External:
     def render(
         self, row: str, data: BenchSet, place: Path, capture: Capture, alpha: float, plan: Plan
     ) -> Pictures:
-        folder = self.folder / data.root.name
+        folder = self.folder / data.label
         for rows in cameras_of(capture):
             yield from zip(rows.tolist(), video_of(capture, rows, folder), strict=True)
 
     def has(self, data: BenchSet, alpha: float) -> bool:
         """Whether there is anything for this α."""
         where = Path(f"magnified/x{alpha:03g}") if alpha else Path()
-        return any((self.folder / data.root.name / where).glob("[0-9]*/test/*.png"))
+        return any((self.folder / data.label / where).glob("[0-9]*/test/*.png"))
 
 
 def parse_external(given: list[str]) -> tuple[External, ...]:
@@ -58,8 +58,7 @@ def parse_external(given: list[str]) -> tuple[External, ...]:
         name, sign, folder = text.partition("=")
         if not sign or not name or not folder:
             raise BenchError(f"--external {text!r}, expected NAME=DIR")
-        if not all(c.isalnum() or c in "-_." for c in name) or name.startswith("."):
-            raise BenchError(f"--external {text!r}: the name may hold letters, digits and - _ .")
+        check_name(name, f"--external {text!r}")
         if name in found:
             raise BenchError(f"--external names {name} twice")
         if not Path(folder).is_dir():

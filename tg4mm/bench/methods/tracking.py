@@ -24,7 +24,7 @@ from tg4mm.bench.methods.trained import Trained
 from tg4mm.capture import Capture, ImageStack, load_capture, load_images
 from tg4mm.errors import Tg4mmError
 from tg4mm.gaussians import Gaussians
-from tg4mm.memory import peak_memory_mib
+from tg4mm.memory import peak_memory_mib, reset_peak_memory
 from tg4mm.motion.animate import rotated
 from tg4mm.motion.modes import ModalMotion
 from tg4mm.motion.spectrum import series_modes
@@ -113,6 +113,7 @@ def _number(name: str, text: str) -> Any:
 def track(run: Run, capture: Capture, images: ImageStack, config: TrackingConfig) -> None:
     """Fit the field to all pictures and save it as the run's motion. A killed fit begins anew."""
     began = time.monotonic()
+    reset_peak_memory()
     g = run.load_space()
     views = [cameras_on(views_at(capture, images, t), "cpu") for t in range(capture.n_timesteps)]
     field, shape = _fitted(g, views, config)

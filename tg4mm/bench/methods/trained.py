@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +12,9 @@ import numpy as np
 from tg4mm.bench.measure import Plan, Scoring, Training, measure
 from tg4mm.bench.methods import Pictures
 from tg4mm.bench.sets import BenchSet
-from tg4mm.capture import Capture
+from tg4mm.capture import Capture, load_capture
 from tg4mm.evaluate.run import CEILING, OURS, STATIC
-from tg4mm.evaluate.scores import pose, render_views
+from tg4mm.evaluate.scores import Method, pose, render_views
 from tg4mm.evaluate.subject import Subject, subject_of
 from tg4mm.magnify import Magnification, TemporalFilter
 from tg4mm.run import Run
@@ -39,6 +40,7 @@ class Trained:
         return (STATIC, *own, CEILING) if self.framing else own
 
     def fit(self, data: BenchSet, place: Path, plan: Plan) -> dict[str, Any]:
+        _subject_of.cache_clear()  # of another run, whose memory is not this one's
         return measure(place, data, self.training, plan)
 
     def recipe(self, row: str, data: BenchSet, place: Path, plan: Plan) -> dict[str, Any]:
@@ -54,30 +56,36 @@ class Trained:
     def render(
         self, row: str, data: BenchSet, place: Path, capture: Capture, alpha: float, plan: Plan
     ) -> Pictures:
-        subject = self._subject(row, data, place, plan)
-        (posed,) = [m for m in subject.methods if m.name == (row if self._way(row) is None else OURS)]
-        if self._way(row) is not None and plan.banded and posed.posing is None:
-            posed = replace(posed, band=data.band_hz)
-        for t in np.unique(capture.timesteps).tolist():
-            gaussians = pose(subject.gaussians, posed, t, alpha)
-            rows = np.flatnonzero(capture.timesteps == t)
-            for first in range(0, len(rows), _CAMERAS_AT_ONCE):
-                some = rows[first : first + _CAMERAS_AT_ONCE]
-                yield from zip(some.tolist(), render_views(gaussians, capture, some), strict=True)
+        way = self._way(row)
+        bands = (data.band_hz,) if plan.banded else ()
+        run, shown = place / "run", way or self.training.ways[0]
+        subject = _subject_of(run, model_hash(run), data.root, shown, bands, plan.device)
+        (method,) = [m for m in subject.methods if m.name == (row if way is None else OURS)]
+        if way is not None and plan.banded and method.posing is None:
+            method = replace(method, band=data.band_hz)
+        return _pictures(subject, method, capture, alpha)
 
     def _way(self, row: str) -> Scoring | None:
         """How a row is magnified, None for one that frames the others."""
         return next((w for w in self.training.ways if row_title(self.training.name, w.name) == row), None)
 
-    def _subject(self, row: str, data: BenchSet, place: Path, plan: Plan) -> Subject:
-        from tg4mm.capture import load_capture
 
-        way = self._way(row) or self.training.ways[0]
-        chosen = None if way.filter is None else TemporalFilter(way.filter)
-        bands: list[tuple[float, float]] = [data.band_hz] if plan.banded else []
-        magnification = Magnification(method=way.method, filter=chosen)
-        run, train = Run.open(place / "run"), load_capture(data.root)
-        return subject_of(run, train, bands, magnification, {}, plan.device)
+@lru_cache(maxsize=1)  # one at a time: rows and α of one way to magnify follow each other
+def _subject_of(
+    run: Path, model: str, root: Path, way: Scoring, bands: tuple[tuple[float, float], ...], device: str
+) -> Subject:
+    chosen = None if way.filter is None else TemporalFilter(way.filter)
+    magnification = Magnification(method=way.method, filter=chosen)
+    return subject_of(Run.open(run), load_capture(root), bands, magnification, {}, device)
+
+
+def _pictures(subject: Subject, method: Method, capture: Capture, alpha: float) -> Pictures:
+    for t in np.unique(capture.timesteps).tolist():
+        gaussians = pose(subject.gaussians, method, t, alpha)
+        rows = np.flatnonzero(capture.timesteps == t)
+        for first in range(0, len(rows), _CAMERAS_AT_ONCE):
+            some = rows[first : first + _CAMERAS_AT_ONCE]
+            yield from zip(some.tolist(), render_views(gaussians, capture, some), strict=True)
 
 
 def row_title(training: str, way: str) -> str:

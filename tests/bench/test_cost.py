@@ -1,0 +1,44 @@
+"""What a training costs is told stage by stage."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import tg4mm.train
+from tests.bench.conftest import MODAL, PAPER
+from tg4mm.memory import peak_memory_mib, reset_peak_memory
+from tg4mm.train import train
+
+MIB = 1 << 20
+PASSING = 400  # MiB held for a moment before a stage
+
+
+@pytest.mark.parametrize(
+    ("preset", "step", "stage"),
+    [
+        ("modal", "train_space", "space"),
+        ("modal", "train_motion", "motion"),
+        ("paper-tuned", "train_triplane", "triplane"),
+        ("paper-tuned", "train_timesteps", "motion"),
+    ],
+)
+def test_a_stage_has_a_peak_of_its_own(
+    preset: str, step: str, stage: str, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not reset_peak_memory():
+        pytest.skip("the system cannot start a peak anew")
+    before, real = [], getattr(tg4mm.train, step)
+
+    def after_a_peak(*arguments: Any) -> Any:
+        held = np.ones(PASSING * MIB, np.uint8)
+        before.append(peak_memory_mib())
+        del held
+        return real(*arguments)
+
+    monkeypatch.setattr(tg4mm.train, step, after_a_peak)
+    run = train(data, tmp_path / "run", preset, settings=MODAL if preset == "modal" else PAPER)
+    assert run.log()[stage]["peak_memory_mib"] < before[0] - PASSING / 2
