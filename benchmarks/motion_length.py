@@ -29,10 +29,10 @@ from tg4mm.evaluate.weights import blending_weights
 from tg4mm.motion import ModalMotion, MotionConfig
 from tg4mm.motion.animate import displacement_at
 from tg4mm.motion.checkpoints import computed
-from tg4mm.motion.clocks.synchronous import principal_components
 from tg4mm.motion.nuisance.first_look import look_at
 from tg4mm.motion.observations import observe
 from tg4mm.motion.spectrum import series_modes
+from tg4mm.motion.temporal.synchronous import principal_components
 from tg4mm.run import Run
 from tg4mm.space import SpaceConfig, rest_views
 from tg4mm.stages.motion import train_motion

@@ -23,7 +23,6 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.motion import ModalMotion, MotionConfig
 from tg4mm.motion import knots as module
 from tg4mm.motion.animate import animate
-from tg4mm.motion.clocks.synchronous import principal_components
 from tg4mm.motion.gauss_newton import ABOVE_PX, GaussNewton, GaussNewtonState, states_moved, used_components
 from tg4mm.motion.hyperparameters import Hyperparameters
 from tg4mm.motion.nuisance.first_look import first_look
@@ -34,6 +33,7 @@ from tg4mm.motion.solver.operator import Fold
 from tg4mm.motion.solver.problem import Problem
 from tg4mm.motion.split_half import folds_of
 from tg4mm.motion.states import Errors, Evidence
+from tg4mm.motion.temporal.synchronous import principal_components
 from tg4mm.render.image import render_image
 from tg4mm.run import Run
 from tg4mm.space import SpaceConfig, rest_views

@@ -9,12 +9,12 @@ import pytest
 
 from tests.motion.filmed import FPS, clips, error_of, scene
 from tg4mm.motion.checkpoints import computed
-from tg4mm.motion.clocks.independent import IndependentClocks, clock_offset, rotations
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.jacobian.pixels import pixels_moved
 from tg4mm.motion.jacobian.view import view_jacobian
 from tg4mm.motion.modes import MotionFit
 from tg4mm.motion.pipeline import fit_motion, without_motion
+from tg4mm.motion.temporal.independent import IndependentClocks, clock_offset, rotations
 
 FREQUENCY = 3.4  # Hz: between the DFT bins of these clips
 STARTS = (0.0, 3.0, 11.0, 6.0, 1.5, 8.0)  # timesteps

@@ -21,15 +21,15 @@ from tg4mm.measure.modal_fields import ModalFields
 from tg4mm.measure.residuals import MeasuredView
 from tg4mm.measure.scene import Prepared, SharedClock, zeros_in_room
 from tg4mm.measure.sides import HALVES, Sides
-from tg4mm.motion.clocks.moving import at_rest, corrected_poses, pictures_of, robust_weights
 from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.jacobian.view import ViewJacobian, blend_sum, view_jacobian
 from tg4mm.motion.modes import MotionFit
 from tg4mm.motion.nuisance.projection import Nuisance
 from tg4mm.motion.observations import Observations, PosedFrames
+from tg4mm.motion.temporal.moving import at_rest, corrected_poses, pictures_of, robust_weights
 from tg4mm.progress import progress
 
-_PERIODS = 8.0  # of the lowest frequency that a moving camera tells (`clocks/moving.py`)
+_PERIODS = 8.0  # of the lowest frequency that a moving camera tells (`temporal/moving.py`)
 _MOST_SLOW = 12  # polynomials' degree
 _ALL = np.ones(12, bool)
 

@@ -21,7 +21,6 @@ import numpy as np
 
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.checkpoints import Parts, arrays_of, gaussians_of
-from tg4mm.motion.clocks.synchronous import Synchronous
 from tg4mm.motion.config import MotionConfig, more_iterations
 from tg4mm.motion.hyperparameters import Hyperparameters, chosen_weight, pixel_weights
 from tg4mm.motion.jacobian.view import ViewJacobian, view_jacobian
@@ -35,6 +34,7 @@ from tg4mm.motion.solver.problem import Problem
 from tg4mm.motion.split_half import LEAST, wiener_shrink
 from tg4mm.motion.states import Errors, Evidence, states_moved
 from tg4mm.motion.targets import TargetImages
+from tg4mm.motion.temporal.synchronous import Synchronous
 from tg4mm.progress import progress
 
 ABOVE_PX = 0.7  # motion up to so many pixels is in the linear range
@@ -229,18 +229,18 @@ class GaussNewton:
 
 
 def iterated(
-    clock: Synchronous, hyper: Hyperparameters, folds: np.ndarray, judged: Sequence[int], parts: Parts
+    model: Synchronous, hyper: Hyperparameters, folds: np.ndarray, judged: Sequence[int], parts: Parts
 ) -> tuple[Synchronous, np.ndarray, Iterator[np.ndarray], dict[str, Any]]:
-    """From the linear fit's fields [P, R', N, 6] on: the clock with its scene at rest and functions of time as they are
+    """From the linear fit's fields [P, R', N, 6] on: the model with its scene at rest and functions of time as they are
 
     after the iterations, the folds' fields [P, R, N, 6], target images of the `judged` views, and figures for the log.
     """
-    problem = clock.problem
+    problem = model.problem
     loop = GaussNewton(
-        clock.observations, clock.targets, hyper, clock.folds, problem.nuisances, clock.config, problem.device
+        model.observations, model.targets, hyper, model.folds, problem.nuisances, model.config, problem.device
     )
     weight = hyper.smoothness_weight
-    state, misfits, evidence = loop.run(clock.gaussians, problem.views, folds, weight, parts)
+    state, misfits, evidence = loop.run(model.gaussians, problem.views, folds, weight, parts)
     agreed, _ = wiener_shrink(state.fields)
     views = loop.at_rest(state.gaussians)
     images = loop.targets_at_rest(views, state.gaussians, agreed, evidence, judged)
@@ -251,7 +251,7 @@ def iterated(
     }
     problem = replace(problem, views=views, gaussians=state.gaussians, _kept={})
     return (
-        replace(clock, gaussians=state.gaussians, problem=problem, fitted=loop.used),
+        replace(model, gaussians=state.gaussians, problem=problem, fitted=loop.used),
         state.fields,
         images,
         figures,

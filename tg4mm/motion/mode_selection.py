@@ -11,9 +11,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tg4mm.motion.clocks.frequencies import log_floor
 from tg4mm.motion.modes import ModalMotion
 from tg4mm.motion.observations import Observations
+from tg4mm.motion.temporal.frequencies import log_floor
 
 _MAINS_HZ = (100.0, 120.0)  # light flickers at twice the mains' 50 or 60 Hz
 _NEAR_NYQUIST = 0.8

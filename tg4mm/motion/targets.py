@@ -4,7 +4,7 @@ Displacements of less than a pixel change a picture in proportion, so that all f
 their products with the functions of time that the motion has. With Ψ_v the orthonormal functions that view v is
 projected on, its target images are y_v = (I − mean) Ψ_v and the model is y_v = J_v (C_v x), where x holds one
 displacement field for each of R shared functions of time and C_v, the mixing matrix (`Problem.mixing`), says how these
-look in Ψ_v. Which functions: `clocks/`.
+look in Ψ_v. Which functions: `temporal/`.
 """
 
 from __future__ import annotations

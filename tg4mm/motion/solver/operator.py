@@ -5,7 +5,7 @@ Find R fields x_r [4N, 3], displacement and its gradient, that explain the targe
     Σ_v Σ_pixels W |(1 − Q Qᵀ W) (J_v Σ_r C_v[:, r] m(x_r) − y_v)|²  +  h Σ_r (λ x_r·K x_r + μ |x_r|²),
 
 where m is the motion of a field (displacement and rotation), y_v the target images and C_v their mixing matrix
-(`clocks/`), W weights of pixels, Q the nuisance columns (`nuisance/projection.py`), K the prior's matrix
+(`temporal/`), W weights of pixels, Q the nuisance columns (`nuisance/projection.py`), K the prior's matrix
 (`prior/graph.py`), and h the mean over Gaussians of the diagonal of JᵀWJ, so that λ and μ do not depend on size,
 contrast or number of the images. The unknowns are θ [R, P, 3] with x = B θ (`preconditioner.py`), for which conjugate
 gradients need few iterations.

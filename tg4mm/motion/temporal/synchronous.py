@@ -14,7 +14,6 @@ import numpy as np
 
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.checkpoints import Parts
-from tg4mm.motion.clocks import Clock
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.hyperparameters import Hyperparameters
 from tg4mm.motion.jacobian.pixels import pixels_moved
@@ -28,6 +27,7 @@ from tg4mm.motion.solver.problem import Problem
 from tg4mm.motion.spectrum import apply_series, modes_of
 from tg4mm.motion.split_half import folds_of
 from tg4mm.motion.targets import TargetImages, projected
+from tg4mm.motion.temporal import TemporalModel
 
 _RELATIVE_FLOOR = 1e-5  # of the first component's energy: below it is rounding
 _NOISE_FACTOR = 2.0  # times the energy of the weakest components: below it is noise, at most
@@ -38,8 +38,8 @@ _ROUNDING = 1e-7  # of the first component's energy: what sums in float32 leave 
 
 
 @dataclass(frozen=True)
-class Synchronous(Clock):
-    """`Clock` of cameras that film at the same times."""
+class Synchronous(TemporalModel):
+    """`TemporalModel` of cameras that film at the same times."""
 
     fitted: np.ndarray  # [R] which of the components
 

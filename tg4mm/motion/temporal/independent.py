@@ -21,9 +21,6 @@ import numpy as np
 
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.checkpoints import Arrays, Parts, computed
-from tg4mm.motion.clocks.frequencies import LEAST, sinusoids
-from tg4mm.motion.clocks.regions import RegionSeries, region_series
-from tg4mm.motion.clocks.steady import Steady, frequencies_of, frequency_figures, no_targets
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.hyperparameters import Hyperparameters
 from tg4mm.motion.linear_fit import LinearFit
@@ -34,6 +31,9 @@ from tg4mm.motion.solver.operator import Fold
 from tg4mm.motion.solver.problem import Problem
 from tg4mm.motion.split_half import folds_of, wiener_shrink
 from tg4mm.motion.targets import TargetImages, projected
+from tg4mm.motion.temporal.frequencies import LEAST, sinusoids
+from tg4mm.motion.temporal.regions import RegionSeries, region_series
+from tg4mm.motion.temporal.steady import Steady, frequencies_of, frequency_figures, no_targets
 
 _TURNS = 2  # of fields and phases on the pictures themselves
 _OF_ITERATIONS = 4  # a turn has as many less: that is enough for phases
@@ -43,7 +43,7 @@ _REGION_TURNS = 40
 
 @dataclass(frozen=True)
 class IndependentClocks(Steady):
-    """`Clock` of cameras whose clocks, or starts of the vibration, differ."""
+    """`TemporalModel` of cameras whose clocks, or starts of the vibration, differ."""
 
     unphased: Sequence[np.ndarray]  # C_v for phases of 0
     phases: np.ndarray  # [C, K] radians, of the first camera 0
@@ -66,11 +66,11 @@ class IndependentClocks(Steady):
             targets, mixing = sinusoid_targets(observations, seen.look, seen.nuisances, found.hz)
             phases = region_phases(series, found.hz, config.seed)
         folds = folds_of(len(seen.views), observations.size, False, config.split_half)
-        clock = IndependentClocks(
+        model = IndependentClocks(
             seen.gaussians, observations, problem, targets, folds, config, figures, seen.notes, found,
             scale_of(observations), mixing, phases,
         )  # fmt: skip
-        return clock.with_phases(phases)
+        return model.with_phases(phases)
 
     @property
     def n_frames(self) -> int:
@@ -89,17 +89,17 @@ class IndependentClocks(Steady):
 
     def completed(self, hyper: Hyperparameters, parts: Parts) -> IndependentClocks:
         """Every camera's phases, by turns with the fields."""
-        clock = self
+        model = self
         few = max(self.config.iterations // _OF_ITERATIONS, 2)
         for turn in range(_TURNS):
 
-            def compute(clock: IndependentClocks = clock) -> Arrays:
-                linear = LinearFit(clock.problem, clock.targets, hyper, clock.folds, clock.config, computed)
+            def compute(model: IndependentClocks = model) -> Arrays:
+                linear = LinearFit(model.problem, model.targets, hyper, model.folds, model.config, computed)
                 fields, _ = wiener_shrink(np.stack([f["fields"] for f in linear.first_pass(few)]))
-                return {"phases": clock.phases_for(fields)}
+                return {"phases": model.phases_for(fields)}
 
-            clock = clock.with_phases(parts(f"phases_{turn}", compute)["phases"])
-        return clock
+            model = model.with_phases(parts(f"phases_{turn}", compute)["phases"])
+        return model
 
     def phases_for(self, fields: np.ndarray) -> np.ndarray:
         """θ = arg⟨J m, C⟩ [C, K] of every camera's pictures, less the first camera's."""
@@ -116,16 +116,16 @@ class IndependentClocks(Steady):
 
     def settled(self, folds: np.ndarray) -> tuple[IndependentClocks, np.ndarray]:
         """And the phases of the frequencies that are kept, in figures; of a rig its offsets, in a note."""
-        clock, kept = super().settled(folds)
-        phases = self.phases[:, np.isin(self.hz, clock.hz)]
-        figures = _phase_figures(self.observations, phases, clock.hz) if len(clock.hz) else {}
-        notes = [*clock.notes]
+        model, kept = super().settled(folds)
+        phases = self.phases[:, np.isin(self.hz, model.hz)]
+        figures = _phase_figures(self.observations, phases, model.hz) if len(model.hz) else {}
+        notes = [*model.notes]
         if offsets := figures.get("clock_offsets_s"):
             named = ", ".join(f"{name} {seconds:+.4g} s" for name, seconds in offsets.items())
             notes.append(
                 f"the cameras' clocks are not synchronous; their offsets, found from the vibration: {named}"
             )
-        return replace(clock, phases=phases, figures=clock.figures | figures, notes=notes), kept
+        return replace(model, phases=phases, figures=model.figures | figures, notes=notes), kept
 
 
 def scale_of(observations: Observations) -> float:

@@ -1,4 +1,4 @@
-"""Which functions of time the motion of a capture is fitted by, and how each view sees them: three kinds of clock."""
+"""Temporal models: which functions of time the motion of a capture is fitted by, and how each view sees them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tg4mm.motion.targets import TargetImages
 
 
 @dataclass(frozen=True)
-class Clock(ABC):
+class TemporalModel(ABC):
     """A capture posed as one least-squares problem of R functions of time, and what the fields that solve it mean.
 
     `synchronous.py`: principal components over time. `independent.py`: sinusoids, with a phase of its own for each
@@ -51,7 +51,7 @@ class Clock(ABC):
         """What tells the smoothness weight: target images [V, ρ, H, W, 3], and the problem and folds they belong to."""
 
     @abstractmethod
-    def completed(self, hyper: Hyperparameters, parts: Parts) -> Clock:
+    def completed(self, hyper: Hyperparameters, parts: Parts) -> TemporalModel:
         """With what the functions of time still lack: which are fitted, or every camera's phases."""
 
     @property
@@ -67,8 +67,8 @@ class Clock(ABC):
         return None
 
     @abstractmethod
-    def settled(self, folds: np.ndarray) -> tuple[Clock, np.ndarray]:
-        """The motion in fields [P, R, N, 6] of the folds, and the clock with its functions of time alone.
+    def settled(self, folds: np.ndarray) -> tuple[TemporalModel, np.ndarray]:
+        """The motion in fields [P, R, N, 6] of the folds, and the model with its functions of time alone.
 
         Functions that are no motion are let go, and what the cameras leave open is settled.
         """

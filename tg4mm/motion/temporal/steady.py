@@ -12,21 +12,21 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from tg4mm.motion.clocks import Clock
-from tg4mm.motion.clocks.frequencies import Frequencies, find_frequencies
-from tg4mm.motion.clocks.regions import RegionSeries
 from tg4mm.motion.jacobian.pixels import pixels_moved
 from tg4mm.motion.modes import ModalMotion
 from tg4mm.motion.observations import Observations
 from tg4mm.motion.split_half import reliability
 from tg4mm.motion.targets import TargetImages
+from tg4mm.motion.temporal import TemporalModel
+from tg4mm.motion.temporal.frequencies import Frequencies, find_frequencies
+from tg4mm.motion.temporal.regions import RegionSeries
 
 _HIGHEST = 0.98  # of half the frame rate
 
 
 @dataclass(frozen=True)
-class Steady(Clock):
-    """`Clock` whose functions 2k and 2k + 1 are cosine and −sine of frequency k, and others that are no motion."""
+class Steady(TemporalModel):
+    """`TemporalModel` whose functions 2k and 2k + 1 are cosine and −sine of frequency k, and others that are no motion."""
 
     found: Frequencies
     scale: float  # of the cosines and sines: fields times it are phasors
@@ -44,13 +44,13 @@ class Steady(Clock):
         rows = np.repeat(is_agreed, 2)
         mixing = [m[:, : len(rows)][:, rows] for m in self.problem.mixing or ()]
         found = self.found.selected(is_agreed)
-        clock = replace(
+        model = replace(
             self,
             found=found,
             problem=replace(self.problem, mixing=mixing, _kept={}),
             figures=self.figures | frequency_figures(found) if is_agreed.any() else self.figures,
         )
-        return clock, folds[:, rows]
+        return model, folds[:, rows]
 
     def at_rest(self, folds: np.ndarray) -> np.ndarray:
         """Fields [P, 2K, N, 6] of what moves, where the cameras leave open what does not."""

@@ -24,9 +24,6 @@ from scipy.spatial.transform import Rotation
 from tg4mm.errors import RunError
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.checkpoints import Arrays, Parts, arrays_of, gaussians_of
-from tg4mm.motion.clocks.frequencies import Frequencies, sinusoids
-from tg4mm.motion.clocks.regions import RegionSeries, labels_of, moving_camera_series
-from tg4mm.motion.clocks.steady import Steady, frequencies_of, frequency_figures, no_targets
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.hyperparameters import Hyperparameters
 from tg4mm.motion.jacobian.view import VIEW_BYTES, ViewJacobian, blend_sum, view_jacobian
@@ -36,6 +33,9 @@ from tg4mm.motion.refine import MovedPictures, refine_rest_scene
 from tg4mm.motion.solver.operator import Fold
 from tg4mm.motion.solver.problem import Problem
 from tg4mm.motion.split_half import folds_of
+from tg4mm.motion.temporal.frequencies import Frequencies, sinusoids
+from tg4mm.motion.temporal.regions import RegionSeries, labels_of, moving_camera_series
+from tg4mm.motion.temporal.steady import Steady, frequencies_of, frequency_figures, no_targets
 from tg4mm.progress import progress
 from tg4mm.room import release, room
 
@@ -59,7 +59,7 @@ _ALL = np.ones(12, bool)
 
 @dataclass(frozen=True)
 class MovingCamera(Steady):
-    """`Clock` of one camera that moves."""
+    """`TemporalModel` of one camera that moves."""
 
     least_agreed: ClassVar[float] = 0.7  # below it is also what the scene at rest gets wrong
 
