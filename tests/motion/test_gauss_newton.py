@@ -42,7 +42,7 @@ from tg4mm.stages.space import train_space
 
 CONFIG = MotionConfig(gauss_newton=4)
 SHORT = MotionConfig(components=1, smoothness_weight=300.0, iterations=3, gauss_newton=2, tolerance=1e-6)
-LINEAR = 6  # parts of the linear fit
+LINEAR = 6  # steps of the linear fit
 
 
 def _scene(root: Path, amplitude: float, size: int = 64, detail: int = 2) -> Run:

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.checkpoints import Parts, arrays_of, gaussians_of
+from tg4mm.motion.checkpoints import Checkpoint, arrays_of, gaussians_of
 from tg4mm.motion.config import MotionConfig, more_iterations
 from tg4mm.motion.hyperparameters import Hyperparameters, chosen_weight, pixel_weights
 from tg4mm.motion.jacobian.view import ViewJacobian, view_jacobian
@@ -110,7 +110,7 @@ class GaussNewton:
         views: Sequence[ViewJacobian],
         fields: np.ndarray,
         weight: float,
-        parts: Parts,
+        checkpoint: Checkpoint,
     ) -> tuple[GaussNewtonState, list[float], Evidence]:
         """From the linear fit's fields [P, R', N, 6]: the last state, the misfit before and after each iteration."""
         start = np.zeros((len(fields), len(self.basis), *fields.shape[2:]), np.float32)
@@ -128,7 +128,7 @@ class GaussNewton:
                     update(k * units + done, iteration=k + 1, **figures)
 
                 before, compute = state, partial(self._iterated_arrays, state, evidence, k, tell)
-                state = GaussNewtonState.restored(parts(f"gauss_newton_{k}", compute))
+                state = GaussNewtonState.restored(checkpoint(f"gauss_newton_{k}", compute))
                 if state.errors.changes < before.errors.changes:
                     misfits.append(state.errors.changes)
                 if state.is_over:
@@ -229,7 +229,11 @@ class GaussNewton:
 
 
 def iterated(
-    model: Synchronous, hyper: Hyperparameters, folds: np.ndarray, judged: Sequence[int], parts: Parts
+    model: Synchronous,
+    hyper: Hyperparameters,
+    folds: np.ndarray,
+    judged: Sequence[int],
+    checkpoint: Checkpoint,
 ) -> tuple[Synchronous, np.ndarray, Iterator[np.ndarray], dict[str, Any]]:
     """From the linear fit's fields [P, R', N, 6] on: the model with its scene at rest and functions of time as they are
 
@@ -240,7 +244,7 @@ def iterated(
         model.observations, model.targets, hyper, model.folds, problem.nuisances, model.config, problem.device
     )
     weight = hyper.smoothness_weight
-    state, misfits, evidence = loop.run(model.gaussians, problem.views, folds, weight, parts)
+    state, misfits, evidence = loop.run(model.gaussians, problem.views, folds, weight, checkpoint)
     agreed, _ = wiener_shrink(state.fields)
     views = loop.at_rest(state.gaussians)
     images = loop.targets_at_rest(views, state.gaussians, agreed, evidence, judged)

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from tg4mm.motion.checkpoints import Arrays, Parts
+from tg4mm.motion.checkpoints import Arrays, Checkpoint
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.hyperparameters import CANDIDATES, Hyperparameters
 from tg4mm.motion.prior.graph import edge_residual, reweight_edges
@@ -42,7 +42,7 @@ class LinearFit:
     hyper: Hyperparameters
     folds: Sequence[Fold]
     config: MotionConfig
-    parts: Parts
+    checkpoint: Checkpoint
 
     def operator(self, fold: Fold) -> Any:
         """The problem that a fold poses."""
@@ -54,15 +54,17 @@ class LinearFit:
         `iterations`: of a fit that no second pass follows; None for the first's part of them.
         """
         first = self.config.iterations - self._of_second if iterations is None else iterations
-        return [self.parts(f"first_pass_{p}", partial(self._first, p, first)) for p in range(len(self.folds))]
+        return [
+            self.checkpoint(f"first_pass_{p}", partial(self._first, p, first)) for p in range(len(self.folds))
+        ]
 
     def within(self, support: np.ndarray, k: int) -> list[Arrays]:
         """The k-th fit in which fields move nothing outside their support [R, N], as `first_pass`."""
 
-        def parts(name: str, compute: Callable[[], Arrays]) -> Arrays:
-            return self.parts(f"{name}_support_{k}", compute)
+        def checkpoint(name: str, compute: Callable[[], Arrays]) -> Arrays:
+            return self.checkpoint(f"{name}_support_{k}", compute)
 
-        own = replace(self, problem=replace(self.problem, support=support), parts=parts)
+        own = replace(self, problem=replace(self.problem, support=support), checkpoint=checkpoint)
         return own.first_pass(self.config.iterations)
 
     def second_pass(
@@ -75,7 +77,7 @@ class LinearFit:
         graph = self._reweighted(first) if is_small else None
         return np.stack(
             [
-                self.parts(f"second_pass_{p}", partial(self._second, p, first[p], correction, graph))[
+                self.checkpoint(f"second_pass_{p}", partial(self._second, p, first[p], correction, graph))[
                     "fields"
                 ]
                 for p in range(len(self.folds))

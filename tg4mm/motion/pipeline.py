@@ -10,7 +10,7 @@ import numpy as np
 
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.appearance import AppearanceFit, Remainder
-from tg4mm.motion.checkpoints import Arrays, Parts, computed
+from tg4mm.motion.checkpoints import Arrays, Checkpoint, no_checkpoint
 from tg4mm.motion.config import MotionConfig, resolved
 from tg4mm.motion.few_view_posterior import coarser
 from tg4mm.motion.gauss_newton import ABOVE_PX, iterated
@@ -41,11 +41,11 @@ def fit_motion(
     observations: Observations,
     config: MotionConfig | None = None,
     device: str = "cpu",
-    parts: Parts = computed,
+    checkpoint: Checkpoint = no_checkpoint,
 ) -> MotionFit:
     """The modal motion of `gaussians` (at rest, on the CPU) that explains the observations.
 
-    `parts` keeps what is worth keeping of a long fit (`checkpoints.py`). On CUDA the iterations run there; reading the
+    `checkpoint` keeps finished steps of a long fit (`checkpoints.py`). On CUDA the iterations run there; reading the
     pictures, their components, the neighbourhoods, one projection of each view, and appearance are left to the
     CPU. Raises RunError where no camera sees a Gaussian, Tg4mmError on settings out of range or where the
     device's memory is too small.
@@ -54,21 +54,21 @@ def fit_motion(
     settings = resolved(asked, len(gaussians))
     model: TemporalModel
     if observations.clock == "synchronous":
-        model = Synchronous.of(gaussians, observations, settings, device, parts)
+        model = Synchronous.of(gaussians, observations, settings, device, checkpoint)
     elif observations.clock == "independent":
-        model = IndependentClocks.of(gaussians, observations, settings, device, parts)
+        model = IndependentClocks.of(gaussians, observations, settings, device, checkpoint)
     else:
-        model = MovingCamera.of(gaussians, observations, settings, device, parts)
-    return replace(_fitted(model, parts), config=asked)
+        model = MovingCamera.of(gaussians, observations, settings, device, checkpoint)
+    return replace(_fitted(model, checkpoint), config=asked)
 
 
-def _fitted(model: TemporalModel, parts: Parts) -> MotionFit:
+def _fitted(model: TemporalModel, checkpoint: Checkpoint) -> MotionFit:
     """Hyperparameters, the linear fit, Gauss-Newton where motion is large; what halves agree on, its modes, its ±."""
     if not len(model.targets.basis):
         return without_motion(model)
-    hyper = select_hyperparameters(model, parts)
-    model = model.completed(hyper, parts)
-    folds, gradients = _linear_fit(model, hyper, parts)
+    hyper = select_hyperparameters(model, checkpoint)
+    model = model.completed(hyper, checkpoint)
+    folds, gradients = _linear_fit(model, hyper, checkpoint)
     model, folds = model.settled(folds)
     if model.observations.is_flat:
         folds = in_plane(folds, model.observations.frames[0].viewmat[2, :3])
@@ -81,7 +81,7 @@ def _fitted(model: TemporalModel, parts: Parts) -> MotionFit:
     iterates = pixels > ABOVE_PX and _can_iterate(model)
     if iterates:
         assert isinstance(model, Synchronous)
-        model, folds, images, of_iterations = iterated(model, hyper, folds, _judged(model), parts)
+        model, folds, images, of_iterations = iterated(model, hyper, folds, _judged(model), checkpoint)
         fields, reliability = wiener_shrink(folds)
         figures |= of_iterations
     residuals = _residuals(model, fields, images)
@@ -99,7 +99,7 @@ def _fitted(model: TemporalModel, parts: Parts) -> MotionFit:
     return _result(model, hyper, model.motion(fields, changes), uncertainty, figures)
 
 
-def select_hyperparameters(model: TemporalModel, parts: Parts) -> Hyperparameters:
+def select_hyperparameters(model: TemporalModel, checkpoint: Checkpoint) -> Hyperparameters:
     """Components of noise, weights of pixels from these, then the smoothness weight."""
 
     def noise() -> Arrays:
@@ -108,18 +108,22 @@ def select_hyperparameters(model: TemporalModel, parts: Parts) -> Hyperparameter
     def smoothness() -> Arrays:
         return {"smoothness_weight": np.array(select_smoothness(*model.strongest(), weights, model.config))}
 
-    is_noise = parts("noise", noise)["is_noise"].astype(bool)
+    is_noise = checkpoint("noise", noise)["is_noise"].astype(bool)
     weights = pixel_weights(model.targets, is_noise, model.problem.mixing is None)
-    return Hyperparameters(is_noise, float(parts("smoothness", smoothness)["smoothness_weight"]), weights)
+    return Hyperparameters(
+        is_noise, float(checkpoint("smoothness", smoothness)["smoothness_weight"]), weights
+    )
 
 
-def _linear_fit(model: TemporalModel, hyper: Hyperparameters, parts: Parts) -> tuple[np.ndarray, np.ndarray]:
+def _linear_fit(
+    model: TemporalModel, hyper: Hyperparameters, checkpoint: Checkpoint
+) -> tuple[np.ndarray, np.ndarray]:
     """Fields [P, R, N, 6] of the folds; the mean over folds of their displacement and gradient, [R, 4N, 3].
 
     Of synchronous cameras in two passes, with a deferred correction between them where motion is small. Of a moving
     camera twice more, where only what was found to move may.
     """
-    linear = LinearFit(model.problem, model.targets, hyper, model.folds, model.config, parts)
+    linear = LinearFit(model.problem, model.targets, hyper, model.folds, model.config, checkpoint)
     if not isinstance(model, Synchronous):
         last = linear.first_pass(model.first_iterations)
         for k in range(_SUPPORTS):

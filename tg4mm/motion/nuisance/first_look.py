@@ -15,7 +15,7 @@ import numpy as np
 
 from tg4mm.errors import RunError
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.checkpoints import Parts
+from tg4mm.motion.checkpoints import Checkpoint
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.jacobian.view import ViewJacobian, view_jacobian
 from tg4mm.motion.nuisance.projection import (
@@ -77,7 +77,7 @@ def look_at(
     observations: Observations,
     config: MotionConfig,
     device: str,
-    parts: Parts,
+    checkpoint: Checkpoint,
     refines: bool = True,
 ) -> FixedCameras:
     """Read all pictures once, and again, turned back to one pose, where cameras shake.
@@ -89,7 +89,9 @@ def look_at(
     seen, shake_px = _looked_at(observations, views, gaussians, config)
     if not shake_px:
         return seen
-    gaussians, observations, shake_px = stabilised(gaussians, observations, config, device, parts, refines)
+    gaussians, observations, shake_px = stabilised(
+        gaussians, observations, config, device, checkpoint, refines
+    )
     views, active = rest_views(gaussians, observations), seen.nuisances[0].active
     nuisances = nuisances_of(views, observations.frames, gaussians.means.numpy(), active)
     look = first_look(observations, nuisances)

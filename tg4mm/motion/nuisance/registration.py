@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from tg4mm.capture.pictures import Pictures, Strips, over_white
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.checkpoints import Arrays, Parts, arrays_of, gaussians_of
+from tg4mm.motion.checkpoints import Arrays, Checkpoint, arrays_of, gaussians_of
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.observations import Observations, PosedFrames, strips
 from tg4mm.motion.refine import MovedPictures, refine_rest_scene
@@ -83,7 +83,7 @@ def stabilised(
     observations: Observations,
     config: MotionConfig,
     device: str,
-    parts: Parts,
+    checkpoint: Checkpoint,
     refines: bool = True,
 ) -> tuple[Gaussians, Observations, float]:
     """The scene at rest that registered pictures show, the observations with these, and the shake (pixels, rms).
@@ -99,7 +99,7 @@ def stabilised(
         sharper = _refined(gaussians, registered(observations, turns), config.seed, device)
         return {"turns": turns, **arrays_of(sharper)}
 
-    kept = parts("registration", compute)
+    kept = checkpoint("registration", compute)
     turns = kept["turns"]
     focal = max(float(f.K[0, 0]) for f in observations.frames)
     pixels = focal * float(np.sqrt((turns[:, :2] ** 2).sum(1).mean()))

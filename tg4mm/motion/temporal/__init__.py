@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.checkpoints import Parts
+from tg4mm.motion.checkpoints import Checkpoint
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.hyperparameters import Hyperparameters
 from tg4mm.motion.modes import ModalMotion
@@ -51,7 +51,7 @@ class TemporalModel(ABC):
         """What tells the smoothness weight: target images [V, ρ, H, W, 3], and the problem and folds they belong to."""
 
     @abstractmethod
-    def completed(self, hyper: Hyperparameters, parts: Parts) -> TemporalModel:
+    def completed(self, hyper: Hyperparameters, checkpoint: Checkpoint) -> TemporalModel:
         """With what the functions of time still lack: which are fitted, or every camera's phases."""
 
     @property

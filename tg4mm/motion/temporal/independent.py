@@ -20,7 +20,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.checkpoints import Arrays, Parts, computed
+from tg4mm.motion.checkpoints import Arrays, Checkpoint, no_checkpoint
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.hyperparameters import Hyperparameters
 from tg4mm.motion.linear_fit import LinearFit
@@ -51,13 +51,17 @@ class IndependentClocks(Steady):
 
     @staticmethod
     def of(
-        gaussians: Gaussians, observations: Observations, config: MotionConfig, device: str, parts: Parts
+        gaussians: Gaussians,
+        observations: Observations,
+        config: MotionConfig,
+        device: str,
+        checkpoint: Checkpoint,
     ) -> IndependentClocks:
         """Frequencies from region shifts, sinusoids of these, and phases from region shifts."""
-        seen = look_at(gaussians, observations, config, device, parts)
+        seen = look_at(gaussians, observations, config, device, checkpoint)
         observations = seen.observations
         problem = seen.problem(config, device)
-        series = region_series(seen, problem, parts)
+        series = region_series(seen, problem, checkpoint)
         found = frequencies_of(observations, series, LEAST, 0.0)
         figures = {**seen.figures, **frequency_figures(found)}
         targets, mixing = no_targets(observations), list[np.ndarray]()
@@ -87,18 +91,20 @@ class IndependentClocks(Steady):
         mixing = [m[:2, :2] for m in self.problem.mixing or ()]
         return self.targets.images[:, :2], replace(self.problem, mixing=mixing, _kept={}), self.folds
 
-    def completed(self, hyper: Hyperparameters, parts: Parts) -> IndependentClocks:
+    def completed(self, hyper: Hyperparameters, checkpoint: Checkpoint) -> IndependentClocks:
         """Every camera's phases, by turns with the fields."""
         model = self
         few = max(self.config.iterations // _OF_ITERATIONS, 2)
         for turn in range(_TURNS):
 
             def compute(model: IndependentClocks = model) -> Arrays:
-                linear = LinearFit(model.problem, model.targets, hyper, model.folds, model.config, computed)
+                linear = LinearFit(
+                    model.problem, model.targets, hyper, model.folds, model.config, no_checkpoint
+                )
                 fields, _ = wiener_shrink(np.stack([f["fields"] for f in linear.first_pass(few)]))
                 return {"phases": model.phases_for(fields)}
 
-            model = model.with_phases(parts(f"phases_{turn}", compute)["phases"])
+            model = model.with_phases(checkpoint(f"phases_{turn}", compute)["phases"])
         return model
 
     def phases_for(self, fields: np.ndarray) -> np.ndarray:

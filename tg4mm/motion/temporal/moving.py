@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 
 from tg4mm.errors import RunError
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.checkpoints import Arrays, Parts, arrays_of, gaussians_of
+from tg4mm.motion.checkpoints import Arrays, Checkpoint, arrays_of, gaussians_of
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.hyperparameters import Hyperparameters
 from tg4mm.motion.jacobian.view import VIEW_BYTES, ViewJacobian, blend_sum, view_jacobian
@@ -65,15 +65,19 @@ class MovingCamera(Steady):
 
     @staticmethod
     def of(
-        gaussians: Gaussians, observations: Observations, config: MotionConfig, device: str, parts: Parts
+        gaussians: Gaussians,
+        observations: Observations,
+        config: MotionConfig,
+        device: str,
+        checkpoint: Checkpoint,
     ) -> MovingCamera:
         """The scene and poses that agree with all frames, what is left of these, and frequencies in it."""
-        gaussians, frames, refined = _agreed_scene(gaussians, observations, config, device, parts)
+        gaussians, frames, refined = _agreed_scene(gaussians, observations, config, device, checkpoint)
         observations = replace(observations, frames=frames)
         problem, left, weights = _what_is_left(gaussians, observations, config, device)
         lowest_hz = _PERIODS / observations.duration_s
         found = frequencies_of(
-            observations, [_series(problem, left, observations, parts)], _LEAST_POWER, lowest_hz
+            observations, [_series(problem, left, observations, checkpoint)], _LEAST_POWER, lowest_hz
         )
         figures = {**refined, "nuisance": ["exposure", "pose"], **frequency_figures(found)}
         notes = [
@@ -99,7 +103,7 @@ class MovingCamera(Steady):
         thinned = [replace(fold, views=fold.views[::_THINNED]) for fold in self.folds]
         return self.targets.images, self.problem, thinned
 
-    def completed(self, hyper: Hyperparameters, parts: Parts) -> MovingCamera:
+    def completed(self, hyper: Hyperparameters, checkpoint: Checkpoint) -> MovingCamera:
         return self
 
     def at_rest(self, folds: np.ndarray) -> np.ndarray:
@@ -178,7 +182,9 @@ def _what_is_left(
     return replace(Problem.of(views, gaussians, config, device), projections=projections), left, weights
 
 
-def _series(problem: Problem, left: np.ndarray, observations: Observations, parts: Parts) -> RegionSeries:
+def _series(
+    problem: Problem, left: np.ndarray, observations: Observations, checkpoint: Checkpoint
+) -> RegionSeries:
     times = np.array([f.times_s[0] for f in observations.frames])
 
     def compute() -> Arrays:
@@ -187,11 +193,15 @@ def _series(problem: Problem, left: np.ndarray, observations: Observations, part
         frames = observations.frames
         return moving_camera_series(problem.views, frames, projections, labels, changes, times).arrays()
 
-    return RegionSeries.restored(times, parts("regions", compute))
+    return RegionSeries.restored(times, checkpoint("regions", compute))
 
 
 def _agreed_scene(
-    gaussians: Gaussians, observations: Observations, config: MotionConfig, device: str, parts: Parts
+    gaussians: Gaussians,
+    observations: Observations,
+    config: MotionConfig,
+    device: str,
+    checkpoint: Checkpoint,
 ) -> tuple[Gaussians, list[PosedFrames], dict[str, Any]]:
     """Gaussians and poses that agree with all frames, and how far poses went (pixels)."""
     frames, moved = observations.frames, []
@@ -205,7 +215,7 @@ def _agreed_scene(
             poses = {"viewmats": np.stack([f.viewmat for f in new]), "pixels": np.array(pixels)}
             return arrays_of(shown) | poses
 
-        kept = parts(f"scene_{k}", compute)
+        kept = checkpoint(f"scene_{k}", compute)
         gaussians = gaussians_of(kept)
         frames = [replace(f, viewmat=v) for f, v in zip(frames, kept["viewmats"], strict=True)]
         moved.append(round(float(kept["pixels"]), 4))

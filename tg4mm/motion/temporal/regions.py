@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tg4mm.motion.checkpoints import Arrays, Parts
+from tg4mm.motion.checkpoints import Arrays, Checkpoint
 from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.jacobian.view import PosedView, ViewJacobian
 from tg4mm.motion.nuisance.first_look import FixedCameras
@@ -67,7 +67,7 @@ class RegionSeries:
         return pairs[:, 0] + 1j * pairs[:, 1]
 
 
-def region_series(seen: FixedCameras, problem: Problem, parts: Parts) -> list[RegionSeries]:
+def region_series(seen: FixedCameras, problem: Problem, checkpoint: Checkpoint) -> list[RegionSeries]:
     """Every fixed camera's region shifts."""
     labels, out = labels_of(problem.aggregates), []
     with progress("region shifts", len(seen.views), "cameras") as update:
@@ -80,7 +80,7 @@ def region_series(seen: FixedCameras, problem: Problem, parts: Parts) -> list[Re
                 own = fixed_camera_series(view, frames, projection, labels, changes, frames.times_s)
                 return own.arrays()
 
-            out.append(RegionSeries.restored(frames.times_s, parts(f"regions_{v}", compute)))
+            out.append(RegionSeries.restored(frames.times_s, checkpoint(f"regions_{v}", compute)))
             update(v + 1)
     return out
 

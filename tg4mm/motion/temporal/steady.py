@@ -26,7 +26,7 @@ _HIGHEST = 0.98  # of half the frame rate
 
 @dataclass(frozen=True)
 class Steady(TemporalModel):
-    """`TemporalModel` whose functions 2k and 2k + 1 are cosine and −sine of frequency k, and others that are no motion."""
+    """Functions 2k and 2k + 1 of time are cosine and −sine of frequency k; further ones are no motion."""
 
     found: Frequencies
     scale: float  # of the cosines and sines: fields times it are phasors

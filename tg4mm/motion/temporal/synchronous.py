@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.checkpoints import Parts
+from tg4mm.motion.checkpoints import Checkpoint
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.hyperparameters import Hyperparameters
 from tg4mm.motion.jacobian.pixels import pixels_moved
@@ -45,10 +45,14 @@ class Synchronous(TemporalModel):
 
     @staticmethod
     def of(
-        gaussians: Gaussians, observations: Observations, config: MotionConfig, device: str, parts: Parts
+        gaussians: Gaussians,
+        observations: Observations,
+        config: MotionConfig,
+        device: str,
+        checkpoint: Checkpoint,
     ) -> Synchronous:
         """What the cameras saw, less what is no motion of the scene, in few components."""
-        seen = look_at(gaussians, observations, config, device, parts)
+        seen = look_at(gaussians, observations, config, device, checkpoint)
         targets = principal_components(seen.observations, seen.look, seen.nuisances, config.components)
         folds = folds_of(len(seen.views), observations.size, False, config.split_half)
         return Synchronous(
@@ -67,7 +71,7 @@ class Synchronous(TemporalModel):
     def strongest(self) -> tuple[np.ndarray, Problem, Sequence[Fold]]:
         return self.targets.images[:, :1], self.problem, self.folds
 
-    def completed(self, hyper: Hyperparameters, parts: Parts) -> Synchronous:
+    def completed(self, hyper: Hyperparameters, checkpoint: Checkpoint) -> Synchronous:
         """The components that are not noise."""
         energy = self.targets.energy
         figures = {
