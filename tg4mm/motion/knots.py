@@ -23,7 +23,7 @@ from tg4mm.motion.solver.cpu import CpuOperator
 from tg4mm.motion.solver.cuda import DeviceOperator, DeviceViews
 from tg4mm.motion.solver.operator import Array, Fold
 from tg4mm.motion.solver.problem import Problem
-from tg4mm.motion.states import Evidence, states_of
+from tg4mm.motion.states import StateObservations, states_of
 
 KNOTS = 5  # at most: each costs as much as the problem at rest
 KNOT_PX = 0.7  # states less apart share one
@@ -34,20 +34,20 @@ class Knot:
     """States that share Jacobians."""
 
     views: list[ViewJacobian]  # of all cameras, where things are in these states
-    states: np.ndarray  # rows of `Evidence.states`
+    states: np.ndarray  # rows of `StateObservations.states`
     mixing: np.ndarray  # C_l [ρ, R]
 
 
 def knots_of(
     gaussians: Gaussians,
     views: Sequence[ViewJacobian],
-    agreed: np.ndarray,
-    evidence: Evidence,
+    fields: np.ndarray,
+    observed: StateObservations,
     observations: Observations,
 ) -> list[Knot]:
-    """Knots of the motion `agreed` [R, N, 6]; `views`: the Jacobians at rest."""
-    states, motions = evidence.states, evidence.moved(agreed).motions
-    knots = states_of(states.gains.T, pixels_moved(views, agreed[..., :3]), KNOTS, KNOT_PX)
+    """Knots of the motion `fields` [R, N, 6]; `views`: the Jacobians at rest."""
+    states, motions = observed.states, observed.moved(fields).motions
+    knots = states_of(states.gains.T, pixels_moved(views, fields[..., :3]), KNOTS, KNOT_PX)
     out = []
     for knot in range(len(knots.gains)):
         own = np.flatnonzero(knots.of == knot)
@@ -62,14 +62,14 @@ def knots_of(
 
 
 def targets_at(
-    knots: Sequence[Knot], fold: Fold, left: np.ndarray, agreed: np.ndarray, evidence: Evidence
+    knots: Sequence[Knot], fold: Fold, residuals: np.ndarray, fields: np.ndarray, observed: StateObservations
 ) -> Iterator[np.ndarray]:
     """C_lᵀ times the target images [R, H, W, 3] of each knot and view, one at a time: all are gigabytes at 1080p."""
     for knot in knots:
         for v in fold.views:
-            shown = knot.views[v].jvp(agreed)
+            shown = knot.views[v].jvp(fields)
             knot.views[v].release()
-            yield evidence.target(v, left, knot.states, shown)
+            yield observed.target_images(v, residuals, knot.states, shown)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from tg4mm.motion.appearance import AppearanceFit, Remainder
 from tg4mm.motion.checkpoints import Arrays, Checkpoint, no_checkpoint
 from tg4mm.motion.config import MotionConfig, resolved
 from tg4mm.motion.few_view_posterior import coarser
-from tg4mm.motion.gauss_newton import ABOVE_PX, iterated
+from tg4mm.motion.gauss_newton import ABOVE_PX, gauss_newton
 from tg4mm.motion.hyperparameters import (
     Hyperparameters,
     pixel_weights,
@@ -81,7 +81,7 @@ def _fitted(model: TemporalModel, checkpoint: Checkpoint) -> MotionFit:
     iterates = pixels > ABOVE_PX and _can_iterate(model)
     if iterates:
         assert isinstance(model, Synchronous)
-        model, folds, images, of_iterations = iterated(model, hyper, folds, _judged(model), checkpoint)
+        model, folds, images, of_iterations = gauss_newton(model, hyper, folds, _judged(model), checkpoint)
         fields, reliability = wiener_shrink(folds)
         figures |= of_iterations
     residuals = _residuals(model, fields, images)
