@@ -191,7 +191,7 @@ def test_products_by_strips_are_those_with_the_columns() -> None:
     left = without(nuisance, mean, changes).reshape(2, -1).astype(np.float64)
     flat = changes.reshape(2, -1).astype(np.float64)
     np.testing.assert_allclose(
-        nuisance.explained(mean, found), flat @ flat.T - left @ left.T, atol=1e-4 * (flat**2).sum()
+        nuisance.explained_gram(mean, found), flat @ flat.T - left @ left.T, atol=1e-4 * (flat**2).sum()
     )
 
 

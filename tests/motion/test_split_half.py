@@ -46,7 +46,7 @@ def test_a_moving_cameras_frames_are_halved_by_time() -> None:
 
 
 def test_one_fold_is_everything() -> None:
-    (fold,) = folds_of(3, SIZE, False, halved=False)
+    (fold,) = folds_of(3, SIZE, False, split=False)
     assert list(fold.views) == [0, 1, 2]
     assert fold.pixels is None
 

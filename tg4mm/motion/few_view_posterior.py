@@ -104,8 +104,8 @@ def _prior_draw(operator: CpuOperator, root: csr_matrix, rng: np.random.Generato
 
 def viewing_rays(camera: PosedView, means: np.ndarray) -> np.ndarray:
     """Unit vectors [N, 3] from the camera to the points `means` [N, 3]."""
-    turn, shift = camera.viewmat[:3, :3].astype(np.float64), camera.viewmat[:3, 3]
-    return _unit(means + turn.T @ shift)  # from the camera's centre −Rᵀt
+    rotation, translation = camera.viewmat[:3, :3].astype(np.float64), camera.viewmat[:3, 3]
+    return _unit(means + rotation.T @ translation)  # from the camera's centre −Rᵀt
 
 
 def along_and_across(camera: PosedView, means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

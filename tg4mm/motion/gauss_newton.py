@@ -113,7 +113,7 @@ class GaussNewton:
         weight: float,
         checkpoint: Checkpoint,
     ) -> tuple[GaussNewtonState, list[float], StateObservations]:
-        """From the linear fit's fields [P, R', N, 6]: the last state, and the misfit before and after each iteration."""
+        """Iterate from the linear fit's fields [P, R', N, 6]: the last state, and the misfits along the way."""
         start = np.zeros((len(linear_fields), len(self.basis), *linear_fields.shape[2:]), np.float32)
         start[:, self.linear] = linear_fields
         fields, _ = wiener_shrink(start)

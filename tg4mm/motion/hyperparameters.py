@@ -1,14 +1,14 @@
 """What is found out before the fit: components of noise, weights of pixels, and how smooth the motion is.
 
-Noise. A temporal component is noise where two halves of the data do not agree on its field after a few iterations. What
+Noise. A temporal component is noise where two folds of the data do not agree on its field after a few iterations. What
 such components hold tells how noisy every pixel is: shadows and gloss of a renderer, dark places of a sensor. Pixels
 count by the inverse of their variance, to which the mean over all is added, so that none counts for more than twice the
 average one.
 
 Smoothness. How far motion reaches before it bends, and how much noise there is, differs from scene to scene by orders
-of magnitude. So the strongest component is fitted to one half with every candidate weight of the prior, for a few
-iterations, and judged by how well it predicts the other half, whose noise it has not seen (cross-validation). Errors of
-the model (edges, shading) are alike in both halves and draw towards weights that are too small; hence the largest
+of magnitude. So the strongest component is fitted to one fold with every candidate weight of the prior, for a few
+iterations, and judged by how well it predicts the other fold, whose noise it has not seen (cross-validation). Errors of
+the model (edges, shading) are alike in both folds and draw towards weights that are too small; hence the largest
 weight that is within 0.8 % of the best.
 """
 
@@ -30,12 +30,12 @@ from tg4mm.motion.targets import TargetImages, pixel_noise
 from tg4mm.progress import progress
 
 CANDIDATES = (10.0, 30.0, 100.0, 300.0, 1_000.0, 3_000.0)
-DEFAULT = 300.0  # where the data are not halved, or nothing changes
+DEFAULT = 300.0  # where the data are not split, or nothing changes
 _WITHIN = 1.008  # of the least error
 _FEW = 4  # iterations for the candidates, of 16,000 Gaussians or fewer: their order is settled by then
 _LOOSE = 30.0  # smoothness weight while noise is looked for: where much holds them together noise agrees too
 _FOR_NOISE = 2  # iterations; two to six tell the same
-_AGREED = 0.5  # gain below which a component is noise: more than half of its field
+_MIN_RELIABILITY = 0.5  # below it a component is noise: more than half of its field
 _AT_ONCE = 8  # components that share a pass over the views
 
 
@@ -87,7 +87,7 @@ def noise_components(targets: TargetImages, problem: Problem, folds: Sequence[Fo
             for operator, fold in zip(operators, folds, strict=True)
         )
         gains.append(reliability((a + b) / 2, a, b))
-    is_noise = np.concatenate(gains) < _AGREED
+    is_noise = np.concatenate(gains) < _MIN_RELIABILITY
     is_noise[0] = False
     return np.asarray(is_noise)
 

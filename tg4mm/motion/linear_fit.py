@@ -1,6 +1,6 @@
 """The linear fit: every fold's fields by conjugate gradients, in two passes with a deferred correction between.
 
-The first pass explains the target images. Appearance that goes with the motion is then taken from what is left
+The first pass explains the target images. Appearance that goes with the motion is then taken from the residual
 (`appearance.py`), and edges of the prior that two folds find strained are reweighted, both only if the motion is small.
 The second pass solves for the difference that this makes: A δ = b − A x − Jᵀ W (appearance). Together they take the
 iterations of one fit.
@@ -102,7 +102,7 @@ class LinearFit:
     def _first(self, p: int, iterations: int) -> Arrays:
         fold = self.folds[p]
         operator, out, chunks = self.operator(fold), [], self._chunks()
-        with progress(f"motion, half {p + 1}", len(chunks) * iterations, "iterations") as update:
+        with progress(f"motion, fold {p + 1}", len(chunks) * iterations, "iterations") as update:
             for k, some in enumerate(chunks):
                 b = operator.right_hand_sides(self._images(fold, some))
                 tell = _telling(update, k * iterations)
@@ -119,7 +119,7 @@ class LinearFit:
         fold, iterations = self.folds[p], self._of_second
         before, out, chunks = self.operator(fold), [], self._chunks()
         operator = before if graph is None else before.with_graph(graph)
-        with progress(f"motion, half {p + 1}, corrected", len(chunks) * iterations, "iterations") as update:
+        with progress(f"motion, fold {p + 1}, corrected", len(chunks) * iterations, "iterations") as update:
             for k, some in enumerate(chunks):
                 b = first["residual"][some].copy()
                 if correction is not None:

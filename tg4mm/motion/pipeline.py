@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.appearance import AppearanceFit, Remainder
+from tg4mm.motion.appearance import AppearanceFit, MotionResidual
 from tg4mm.motion.checkpoints import Arrays, Checkpoint, no_checkpoint
 from tg4mm.motion.config import MotionConfig, resolved
 from tg4mm.motion.few_view_posterior import coarser
@@ -29,11 +29,11 @@ from tg4mm.motion.temporal import TemporalModel
 from tg4mm.motion.temporal.independent import IndependentClocks
 from tg4mm.motion.temporal.moving import MovingCamera
 from tg4mm.motion.temporal.synchronous import Synchronous
-from tg4mm.motion.uncertainty import MotionEstimate, Uncertainty, of_few_views, of_halves
+from tg4mm.motion.uncertainty import MotionEstimate, Uncertainty, few_view_uncertainty, split_half_uncertainty
 from tg4mm.progress import progress
 
 _SUPPORTS = 2  # fits within a support, at most
-_JUDGED = 10  # views in which it is told what is left of the pictures
+_JUDGED = 10  # views whose residual tells errors of the model
 
 
 def fit_motion(
@@ -92,7 +92,7 @@ def _fitted(model: TemporalModel, checkpoint: Checkpoint) -> MotionFit:
     changes = None
     if not iterates and (appearance := _appearance_fit(model, hyper)) is not None:
         with progress("appearance", len(fields), "components") as update:
-            changes, kept = appearance.fitted(_remainder(model, fields), update)
+            changes, kept = appearance.fitted(_motion_residual(model, fields), update)
         figures["appearance_reliability"] = [round(float(g), 4) for g in kept]
     if len(folds) == 2:
         figures["reliability"] = [round(float(g), 4) for g in reliability]
@@ -136,7 +136,7 @@ def _linear_fit(
     fields, _ = wiener_shrink(np.stack([f["fields"] for f in first]))
     is_small, correction = model.pixels_moved(fields) <= ABOVE_PX, None
     if is_small and (appearance := _appearance_fit(model, hyper)) is not None:
-        correction = appearance.between_passes(_remainder(model, fields))
+        correction = appearance.between_passes(_motion_residual(model, fields))
     return linear.second_pass(first, is_small, correction), np.mean([f["x"] for f in first], axis=0)
 
 
@@ -148,9 +148,9 @@ def _appearance_fit(model: TemporalModel, hyper: Hyperparameters) -> AppearanceF
     return AppearanceFit.of(model.problem, model.observations.frames, hyper.pixel_weights, model.folds)
 
 
-def _remainder(model: TemporalModel, fields: np.ndarray) -> Remainder:
+def _motion_residual(model: TemporalModel, fields: np.ndarray) -> MotionResidual:
     assert isinstance(model, Synchronous)
-    return Remainder(model.problem, model.targets.images, model.fitted, fields)
+    return MotionResidual(model.problem, model.targets.images, model.fitted, fields)
 
 
 def _can_iterate(model: TemporalModel) -> bool:
@@ -170,7 +170,7 @@ def in_plane(fields: np.ndarray, normal: np.ndarray) -> np.ndarray:
 
 
 def _judged(model: TemporalModel) -> list[int]:
-    """Views whose pictures tell what the motion leaves of them."""
+    """Views whose residual tells errors of the model."""
     n = len(model.problem.views)
     return np.linspace(0, n - 1, min(n, _JUDGED)).round().astype(int).tolist()
 
@@ -184,24 +184,24 @@ def _shown(model: TemporalModel) -> tuple[list[Any], list[Any]]:
 def _residuals(
     model: TemporalModel, fields: np.ndarray, images: Iterable[np.ndarray]
 ) -> Iterable[np.ndarray]:
-    """What fields [R, N, 6] leave of the judged views' target `images`, [ρ, H, W, 3] each, nuisance projected out."""
-    for v, left in zip(_judged(model), images, strict=True):
-        yield model.problem.without_nuisance(v, left - model.problem.shown(v, fields))
+    """The judged views' target `images` [ρ, H, W, 3] less what fields [R, N, 6] show, nuisance projected out."""
+    for v, target in zip(_judged(model), images, strict=True):
+        yield model.problem.without_nuisance(v, target - model.problem.shown(v, fields))
 
 
 def _uncertainty(
     model: TemporalModel, hyper: Hyperparameters, estimate: MotionEstimate, gradients: np.ndarray
 ) -> Uncertainty | None:
-    """By two halves of the data; of few cameras with what they do not show."""
+    """By two folds of the data; of few cameras with what they do not show."""
     problem = model.problem
     if len(estimate.folds) < 2:
         return None
     if len(problem.views) >= LEAST or model.observations.is_flat:
-        return of_halves(estimate, model.n_frames)
+        return split_half_uncertainty(estimate, model.n_frames)
     small, weights = coarser(problem, model.observations.frames, hyper.pixel_weights)
     operator = small.on_cpu(small.everything, weights, hyper.smoothness_weight)
     of_one_field = replace(operator, mixing=None)
-    return of_few_views(estimate, of_one_field, gradients, model.n_frames, model.config.seed)
+    return few_view_uncertainty(estimate, of_one_field, gradients, model.n_frames, model.config.seed)
 
 
 def _result(

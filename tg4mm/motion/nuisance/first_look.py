@@ -30,7 +30,7 @@ from tg4mm.motion.nuisance.projection import (
     nuisances_of,
 )
 from tg4mm.motion.nuisance.registration import stabilised
-from tg4mm.motion.nuisance.shake import LEAST_PX, BlockShifts, own_turns
+from tg4mm.motion.nuisance.shake import LEAST_PX, BlockShifts, own_rotations
 from tg4mm.motion.observations import Observations, watched
 from tg4mm.motion.solver.problem import Problem
 
@@ -201,7 +201,7 @@ def _at_rest(nuisance: Nuisance) -> np.ndarray:
 def _own_shake(observations: Observations, look: FirstLook) -> tuple[float, float]:
     width, height = observations.size
     energy = float(sum(np.trace(g) for g in look.grams))
-    return own_turns(observations.frames, look.column_grams, look.columns, energy, width * height)
+    return own_rotations(observations.frames, look.column_grams, look.columns, energy, width * height)
 
 
 def _notes(observations: Observations, active: np.ndarray, pixels: float) -> list[str]:

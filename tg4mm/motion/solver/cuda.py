@@ -103,9 +103,9 @@ class DeviceOperator:
         self.stiffness = _sparse(operator.graph.stiffness, self.device)
         self.weights = None if operator.weights is None else self._sent(operator.weights[..., None])
         self.projections = operator.projections
-        self.pulled = None
+        self.adjoint_columns = None
         if operator.projections is not None:
-            self.pulled = [self._sent(p.pulled).flatten(1) for p in operator.projections]
+            self.adjoint_columns = [self._sent(p.adjoint_columns).flatten(1) for p in operator.projections]
         self.mixing = None if operator.mixing is None else [self._sent(m) for m in operator.mixing]
         self.support = None if operator.support is None else self._sent(operator.support[..., None])
 
@@ -143,9 +143,9 @@ class DeviceOperator:
         """Jᵀ W (1 − Q Qᵀ W) J of one motion [N, 6]."""
         out = torch.zeros_like(motion)
         self.views[k].vjp(self._weighted(k, self.views[k].jvp(motion)), out)
-        if self.pulled is not None:
-            pulled = self.pulled[k]
-            out -= (pulled.T @ (pulled @ motion.flatten())).reshape(out.shape)
+        if self.adjoint_columns is not None:
+            columns = self.adjoint_columns[k]
+            out -= (columns.T @ (columns @ motion.flatten())).reshape(out.shape)
         return out
 
     def fields(self, theta: Tensor) -> np.ndarray:
@@ -170,10 +170,10 @@ class DeviceOperator:
                 shown = self.projections[k].out_of(shown)
                 self.projections[k].release()
             for motion, picture in zip(self._mixed(k, motions), shown, strict=True):
-                left = (view.jvp(motion) - self._sent(picture)).double()
-                total += float((left * self._weighted(k, left)).sum())
-                if self.pulled is not None:
-                    total -= float((self.pulled[k] @ motion.flatten()).double().square().sum())
+                residual = (view.jvp(motion) - self._sent(picture)).double()
+                total += float((residual * self._weighted(k, residual)).sum())
+                if self.adjoint_columns is not None:
+                    total -= float((self.adjoint_columns[k] @ motion.flatten()).double().square().sum())
         return total
 
     def with_graph(self, graph: Graph) -> DeviceOperator:

@@ -93,8 +93,8 @@ class Problem:
         estimate = self._estimate(weights, probes)
         key = "preconditioner", id(weights), probes, smoothness_weight
         if key not in self._kept:
-            parts = estimate.scale * smoothness_weight, estimate.scale * self.config.ridge
-            self._kept[key] = two_level_preconditioner(self.aggregates, estimate, *parts), weights
+            prior, ridge = estimate.scale * smoothness_weight, estimate.scale * self.config.ridge
+            self._kept[key] = two_level_preconditioner(self.aggregates, estimate, prior, ridge), weights
         share = len(fold.views) / len(self.views)
         if fold.pixels is not None:
             share *= float(fold.pixels.mean())
@@ -115,9 +115,9 @@ class Problem:
         key = "estimate", id(weights), probes
         if key not in self._kept:
             rng = np.random.default_rng(self.config.seed)
-            answers = probe(list(self.views), self.n_gaussians, rng, self._shares(weights), probes)
+            probe_vectors = probe(list(self.views), self.n_gaussians, rng, self._shares(weights), probes)
             self._kept[key] = (
-                DiagonalEstimate.of(self.aggregates, answers),
+                DiagonalEstimate.of(self.aggregates, probe_vectors),
                 weights,
             )  # held: its id would be used again
         return self._kept[key][0]
@@ -138,9 +138,9 @@ class Problem:
         key = "projections", id(weights), fold.views.tobytes(), id(fold.pixels)
         if key not in self._kept:
             own = fold.weighted(weights, self.size)
-            found = [
+            projections = [
                 Projection.of(self.nuisances[v], self.means[v], None if own is None else own[k])
                 for k, v in enumerate(fold.views)
             ]
-            self._kept[key] = found, weights, fold
+            self._kept[key] = projections, weights, fold
         return self._kept[key][0]

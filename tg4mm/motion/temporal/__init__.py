@@ -83,4 +83,4 @@ class TemporalModel(ABC):
 
     @abstractmethod
     def peaks_hz(self, motion: ModalMotion, noise: np.ndarray | None) -> np.ndarray:
-        """Frequencies of the motion's peaks, by falling strength. noise [N]: `uncertainty.of_halves`, or None."""
+        """Frequencies of the motion's peaks, by falling strength. noise [N]: as `split_half_uncertainty` tells it."""

@@ -113,17 +113,17 @@ def principal_components(
     """
     gram = np.zeros_like(look.grams[0])
     for v, nuisance in enumerate(nuisances):
-        gram += look.grams[v] - nuisance.explained(look.mean[v], look.columns[v])
+        gram += look.grams[v] - nuisance.explained_gram(look.mean[v], look.columns[v])
     energy, vectors = np.linalg.eigh(gram)
     energy, vectors = np.maximum(energy[::-1], 0), vectors[:, ::-1].T
     rank = int((energy[:-1] > _ROUNDING * energy[0]).sum())
-    found = kept_components(energy, rank, _effective_pixels(look.total))
-    if found > most:
+    count = kept_components(energy, rank, _effective_pixels(look.total))
+    if count > most:
         warnings.warn(
-            f"{found} temporal components stand out of the noise, motion.components keeps the strongest {most}",
+            f"{count} temporal components stand out of the noise, motion.components keeps the strongest {most}",
             stacklevel=2,
         )
-    basis = vectors[: min(found, most)]
+    basis = vectors[: min(count, most)]
     basis = basis - basis.mean(1, keepdims=True)  # zero already, but for rounding
     images, residual = projected(observations, look, nuisances, [basis] * len(look.grams))
     return TargetImages(basis, energy, images, residual, max(rank, 1), look.mean)
