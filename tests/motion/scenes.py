@@ -67,7 +67,7 @@ def problem(
     if nuisance is not None:
         active = np.zeros(12, bool)
         active[nuisance] = True
-        means = np.stack([v.image[..., :3] + v.transmittance[..., None] for v in views])
+        means = np.stack([v.over_white for v in views])
         out = replace(
             out, nuisances=nuisances_of(views, cameras, scene.means.float().numpy(), active), means=means
         )

@@ -28,7 +28,7 @@ def fine() -> tuple[Problem, list[PosedFrames], np.ndarray]:
     views = [view_jacobian(gaussians, f, (SIZE, SIZE)) for f in frames]
     nuisances = nuisances_of(views, frames, gaussians.means.numpy(), np.arange(12) < 6)
     problem = Problem.of(views, gaussians, MotionConfig(), "cpu")
-    shown = np.stack([v.image[..., :3] + v.transmittance[..., None] for v in views])
+    shown = np.stack([v.over_white for v in views])
     weights = np.random.default_rng(0).uniform(0.5, 1.5, (1, SIZE, SIZE)).astype(np.float32)
     return replace(problem, nuisances=nuisances, means=shown), frames, weights
 

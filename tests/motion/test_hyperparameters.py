@@ -141,12 +141,12 @@ class TestNoise:
         )
 
     def test_the_strongest_component_is_never_noise(self, problem: Problem) -> None:
-        noise = np.random.default_rng(3).normal(size=(CAMERAS, 2, *problem.size, 3)).astype(np.float32)
+        noise = np.random.default_rng(3).normal(size=(CAMERAS, 2, *problem.size[::-1], 3)).astype(np.float32)
         np.testing.assert_array_equal(noise_components(targets(noise), problem, FOLDS), [False, True])
 
     def test_sinusoids_of_known_frequencies_are_not_asked(self, problem: Problem) -> None:
         """Mixed, they are one system, of which none is noise by itself."""
-        noise = np.random.default_rng(3).normal(size=(CAMERAS, 2, *problem.size, 3)).astype(np.float32)
+        noise = np.random.default_rng(3).normal(size=(CAMERAS, 2, *problem.size[::-1], 3)).astype(np.float32)
         mixing = [np.eye(2, dtype=np.float32)] * CAMERAS
         mixed = replace(problem, mixing=mixing, _kept={})
         assert not select_noise(targets(noise), mixed, FOLDS).any()

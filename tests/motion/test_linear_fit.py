@@ -28,7 +28,7 @@ LOOSE, STIFF = CANDIDATES[0], CANDIDATES[1]  # edges are reweighted above the le
 
 def pictures(seed: int) -> np.ndarray:
     """Three components of two cameras, [V, R, H, W, 3]; the second is noise."""
-    return np.random.default_rng(seed).normal(size=(2, 3, *problem().size, 3)).astype(np.float32)
+    return np.random.default_rng(seed).normal(size=(2, 3, *problem().size[::-1], 3)).astype(np.float32)
 
 
 def fit(
@@ -41,7 +41,7 @@ def fit(
         np.eye(3, 10),
         np.ones(10),
         images,
-        np.zeros((2, *problem().size), np.float32),
+        np.zeros((2, *problem().size[::-1]), np.float32),
         3,
         images[:, 0],
     )

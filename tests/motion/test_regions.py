@@ -78,7 +78,7 @@ def test_what_nuisance_does_shifts_nothing(scene: Scene) -> None:
     """Exposure that varies by all of it, beside the shift: as without, if it is projected out."""
     active = np.arange(12) < 6
     (nuisance,) = nuisances_of([scene.view], [scene.camera], scene.gaussians.means.numpy(), active)
-    mean = scene.view.image[..., :3] + scene.view.transmittance[..., None]
+    mean = scene.view.over_white
     projection = Projection.of(nuisance, mean, None)
     drift = np.random.default_rng(1).normal(size=(7, 1, 1, 1))
     changes = (scene.shown(SHIFTS) + drift * mean).astype(np.float32)

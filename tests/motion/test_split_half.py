@@ -66,10 +66,10 @@ def test_a_fold_of_pixels_has_the_weights_that_its_pixels_have() -> None:
     board = chessboard((32, 32))
     weights = np.random.default_rng(0).uniform(0.1, 1, (3, 32, 32)).astype(np.float32)
     rows = np.array([0, 2])
-    np.testing.assert_array_equal(Fold(rows, board).weighted(weights, (32, 32)), weights[rows] * board)
-    np.testing.assert_array_equal(Fold(rows, board).weighted(None, (32, 32)), np.stack([board] * 2))
-    np.testing.assert_array_equal(Fold(rows).weighted(weights, (32, 32)), weights[rows])
-    assert Fold(rows).weighted(None, (32, 32)) is None
+    np.testing.assert_array_equal(Fold(rows, board).weighted(weights), weights[rows] * board)
+    np.testing.assert_array_equal(Fold(rows, board).weighted(None), np.stack([board] * 2))
+    np.testing.assert_array_equal(Fold(rows).weighted(weights), weights[rows])
+    assert Fold(rows).weighted(None) is None
 
 
 def fields(seed: int = 0, n: int = 3000) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

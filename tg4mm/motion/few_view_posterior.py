@@ -138,7 +138,7 @@ def coarser(
     problem: Problem, frames: Sequence[PosedFrames], weights: np.ndarray | None, enough: int = ENOUGH
 ) -> tuple[Problem, np.ndarray | None]:
     """The problem and its pixel weights [V, H, W] in pictures of `enough` pixels or a little more; else as they are."""
-    height, width = problem.size
+    width, height = problem.size
     factor = int(np.sqrt(height * width / enough))
     if factor < 2:
         return problem, weights

@@ -192,6 +192,5 @@ def _of_blocks(pictures: np.ndarray) -> np.ndarray:
 
 def _slopes(view: ViewJacobian) -> np.ndarray:
     """[H, W]: the squared gradient of the picture at rest over white, per pixel; sums over channels."""
-    picture = view.image[..., :3] + view.transmittance[..., None]
-    down, right = np.gradient(picture, axis=(0, 1))
+    down, right = np.gradient(view.over_white, axis=(0, 1))
     return np.asarray((down**2 + right**2).sum(-1))

@@ -159,7 +159,7 @@ def first_look(
     free = CACHE_BYTES
     shakes = []
     for v, frames, pictures in watched("pictures, first pass", observations):
-        blocks = BlockShifts.of(_at_rest(nuisances[v]), len(frames.rows)) if looks_for_shake else None
+        blocks = BlockShifts.of(nuisances[v].view.over_white, len(frames.rows)) if looks_for_shake else None
         free -= len(frames.rows) * height * width * 12
         n_frames, kept = len(frames.rows), []
         gram, products = np.zeros((n_frames, n_frames)), np.zeros((COLUMNS, n_frames))
@@ -191,11 +191,6 @@ def _column_gram(nuisance: Nuisance, mean: np.ndarray) -> np.ndarray:
     out = np.zeros((COLUMNS, COLUMNS))
     out[np.ix_(nuisance.active, nuisance.active)] = nuisance.gram(mean)
     return out
-
-
-def _at_rest(nuisance: Nuisance) -> np.ndarray:
-    view = nuisance.view
-    return view.image[..., :3] + view.transmittance[..., None]
 
 
 def _own_shake(observations: Observations, look: FirstLook) -> tuple[float, float]:

@@ -113,7 +113,7 @@ def _tentative(means: np.ndarray, spacing: float) -> bsr_matrix:
 
 
 def _split(means: np.ndarray) -> list[np.ndarray]:
-    """`MOST` regions at most, `_LEAST` Gaussians or more each (or one of all) by a k-d tree: halved along the longest side."""
+    """By a k-d tree, halved along the longest side: at most `MOST` regions of `_LEAST` Gaussians or more, or one."""
     regions = [np.arange(len(means))]
     while 2 * len(regions) <= MOST and len(regions[0]) >= 2 * _LEAST:
         halves = []

@@ -31,16 +31,14 @@ class Fold:
     views: np.ndarray  # [v] int
     pixels: np.ndarray | None = None  # [H, W] float32, 0 or 1; None: all
 
-    def weighted(self, weights: np.ndarray | None, size: tuple[int, int]) -> np.ndarray | None:
-        """Pixel weights [v, H, W] of these views, of weights [V, H, W] or None for 1; size is (height, width)."""
+    def weighted(self, weights: np.ndarray | None) -> np.ndarray | None:
+        """Pixel weights [v, H, W] of these views, of weights [V, H, W] or None for 1."""
         own = None if weights is None else weights[self.views]
         if self.pixels is None:
             return own
-        return (
-            np.broadcast_to(self.pixels, (len(self.views), *size)).copy()
-            if own is None
-            else own * self.pixels
-        )
+        if own is None:
+            return np.repeat(self.pixels[None], len(self.views), 0)
+        return own * self.pixels
 
 
 class System(Protocol):

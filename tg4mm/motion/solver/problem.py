@@ -54,9 +54,9 @@ class Problem:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Height and width in pixels."""
+        """Width and height in pixels."""
         height, width = self.views[0].transmittance.shape
-        return height, width
+        return width, height
 
     def shown(self, v: int, fields: np.ndarray) -> np.ndarray:
         """[ρ, H, W, 3]: what view v's target images show of fields [R, N, 6]."""
@@ -105,7 +105,7 @@ class Problem:
             estimate.scale * share,
             smoothness_weight,
             self.config.ridge,
-            fold.weighted(weights, self.size),
+            fold.weighted(weights),
             self._projections(fold, weights),
             None if self.mixing is None else [self.mixing[v] for v in fold.views],
             self.support,
@@ -137,7 +137,7 @@ class Problem:
         assert self.means is not None
         key = "projections", id(weights), fold.views.tobytes(), id(fold.pixels)
         if key not in self._kept:
-            own = fold.weighted(weights, self.size)
+            own = fold.weighted(weights)
             projections = [
                 Projection.of(self.nuisances[v], self.means[v], None if own is None else own[k])
                 for k, v in enumerate(fold.views)

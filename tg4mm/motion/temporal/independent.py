@@ -3,9 +3,9 @@ rig.
 
 A steady vibration looks the same from every place but for its phase: θ_{c,k} of clip c at frequency k is unknown
 (frequency-domain triangulation: Gorjup, Slavič & Boltežar 2019). The frequencies come from all clips' region shifts.
-Every clip's pictures are projected on the sinusoids; the fields m_k and the phases are then found by turns: fields for
-given phases by least squares, phases as θ = arg⟨J_c m, C_c⟩ with C_c the clip's complex picture. They begin from the
-same turns on region shifts alone, which cost nothing and are begun from many random phases.
+Every clip's pictures are projected on the sinusoids; the fields m_k and the phases are then found in alternation:
+fields for given phases by least squares, phases as θ = arg⟨J_c m, C_c⟩ with C_c the clip's complex picture. They
+start from the same alternation on region shifts alone, which costs nothing and is tried from many random phases.
 
 The first camera's clock is the common one. Cameras of a rig have one offset of their clock for all frequencies,
 which is told from the phases.
@@ -35,10 +35,10 @@ from tg4mm.motion.temporal.frequencies import LEAST, sinusoids
 from tg4mm.motion.temporal.regions import RegionSeries, region_series
 from tg4mm.motion.temporal.steady import Steady, frequencies_of, frequency_figures, no_targets
 
-_TURNS = 2  # of fields and phases on the pictures themselves
-_OF_ITERATIONS = 4  # a turn has as many less: that is enough for phases
-_STARTS = 24  # random phases that the region shifts' turns begin from
-_REGION_TURNS = 40
+_ALTERNATIONS = 2  # between fields and phases on the pictures themselves
+_OF_ITERATIONS = 4  # times fewer iterations than the fit: enough for phases
+_STARTS = 24  # random phases to start from on region shifts
+_REGION_ALTERNATIONS = 40
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class IndependentClocks(Steady):
 
     unphased: Sequence[np.ndarray]  # C_v for phases of 0
     phases: np.ndarray  # [C, K] radians, of the first camera 0
-    least_agreed: ClassVar[float] = 0.5
+    min_reliability: ClassVar[float] = 0.5
 
     @staticmethod
     def of(
@@ -62,16 +62,16 @@ class IndependentClocks(Steady):
         observations = seen.observations
         problem = seen.problem(config, device)
         series = region_series(seen, problem, checkpoint)
-        found = frequencies_of(observations, series, LEAST, 0.0)
-        figures = {**seen.figures, **frequency_figures(found)}
+        frequencies = frequencies_of(observations, series, LEAST, 0.0)
+        figures = {**seen.figures, **frequency_figures(frequencies)}
         targets, mixing = no_targets(observations), list[np.ndarray]()
         phases = np.zeros((len(series), 0))
-        if len(found.hz):
-            targets, mixing = sinusoid_targets(observations, seen.look, seen.nuisances, found.hz)
-            phases = region_phases(series, found.hz, config.seed)
+        if len(frequencies.hz):
+            targets, mixing = sinusoid_targets(observations, seen.look, seen.nuisances, frequencies.hz)
+            phases = region_phases(series, frequencies.hz, config.seed)
         folds = folds_of(len(seen.views), observations.size, False, config.split_half)
         model = IndependentClocks(
-            seen.gaussians, observations, problem, targets, folds, config, figures, seen.notes, found,
+            seen.gaussians, observations, problem, targets, folds, config, figures, seen.notes, frequencies,
             scale_of(observations), mixing, phases,
         )  # fmt: skip
         return model.with_phases(phases)
@@ -92,10 +92,10 @@ class IndependentClocks(Steady):
         return self.targets.images[:, :2], replace(self.problem, mixing=mixing, _kept={}), self.folds
 
     def completed(self, hyper: Hyperparameters, checkpoint: Checkpoint) -> IndependentClocks:
-        """Every camera's phases, by turns with the fields."""
+        """Every camera's phases, in alternation with the fields."""
         model = self
         few = max(self.config.iterations // _OF_ITERATIONS, 2)
-        for turn in range(_TURNS):
+        for k in range(_ALTERNATIONS):
 
             def compute(model: IndependentClocks = model) -> Arrays:
                 linear = LinearFit(
@@ -104,7 +104,7 @@ class IndependentClocks(Steady):
                 fields, _ = wiener_shrink(np.stack([f["fields"] for f in linear.first_pass(few)]))
                 return {"phases": model.phases_for(fields)}
 
-            model = model.with_phases(checkpoint(f"phases_{turn}", compute)["phases"])
+            model = model.with_phases(checkpoint(f"phases_{k}", compute)["phases"])
         return model
 
     def phases_for(self, fields: np.ndarray) -> np.ndarray:
@@ -166,7 +166,7 @@ def _orthonormal(times_s: np.ndarray, freqs_hz: np.ndarray, scale: float) -> tup
 
 
 def region_phases(series: Sequence[RegionSeries], hz: np.ndarray, seed: int) -> np.ndarray:
-    """[C, K] radians, 0 for the first clock: by turns with each region's 3D phasor, the best of many random starts."""
+    """[C, K] radians, 0 for the first clock: alternating with each region's 3D phasor, the best of many starts."""
     phasors = np.stack([s.phasors(sinusoids(s.times_s, hz)) for s in series])  # [C, K, G, 2] of b
     normals = np.stack([s.normals[0] for s in series])  # [C, G, 2, 2]
     axes = np.stack([s.axes[0] for s in series])  # [C, 2, 3]
@@ -180,7 +180,7 @@ def region_phases(series: Sequence[RegionSeries], hz: np.ndarray, seed: int) -> 
         best = -1.0
         for _ in range(_STARTS):
             angle = rng.uniform(0, 2 * np.pi, len(series))
-            for _ in range(_REGION_TURNS):
+            for _ in range(_REGION_ALTERNATIONS):
                 m = np.einsum("gab,cgb,c->ga", inverse, sides, np.exp(-1j * angle))
                 z = np.einsum("ga,cga->c", m.conj(), sides)
                 angle = np.angle(z)

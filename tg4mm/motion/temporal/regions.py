@@ -1,6 +1,6 @@
 """How regions of Gaussians shift in a camera's picture, frame by frame: what frequencies and phases are found from.
 
-A region's shift along the picture's rows and columns in one frame is the least-squares answer of that frame's change
+A region's shift along the picture's rows and columns in one frame is the least-squares solution of that frame's change
 through the Jacobian, nuisance projected out: b = Eᵀ Jᵀ Δ summed over the region, A = Eᵀ Jᵀ J E, shift = A⁻¹ b with E
 the camera's right and down axes. Nothing is smoothed over space or time, so its noise is that of the pictures.
 """
@@ -62,8 +62,8 @@ class RegionSeries:
         """
         slow = np.stack([np.ones(len(self.times_s)), self.times_s - self.times_s.mean()])
         design = np.concatenate([slow, functions]).T
-        answer = np.linalg.lstsq(design, self.sides.reshape(len(self.sides), -1), rcond=None)[0][2:]
-        pairs = answer.reshape(-1, 2, *self.sides.shape[1:])
+        solution = np.linalg.lstsq(design, self.sides.reshape(len(self.sides), -1), rcond=None)[0][2:]
+        pairs = solution.reshape(-1, 2, *self.sides.shape[1:])
         return pairs[:, 0] + 1j * pairs[:, 1]
 
 
