@@ -23,7 +23,7 @@ def magnified_series(series: np.ndarray, response: np.ndarray) -> np.ndarray:
 
 
 def magnified_motion(motion: ModalMotion, plan: Magnification) -> ModalMotion:
-    """The motion with displacement, rotation and appearance of every Gaussian over all timesteps filtered and magnified.
+    """The motion with displacement, rotation and appearance of every Gaussian filtered over time and magnified.
 
     With ideal bands and modes on DFT bins this is multiplying the phasors, what `modal` does. Modes between the bins
     spread over them, and are magnified as far as they lie in the band.

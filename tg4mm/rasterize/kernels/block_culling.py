@@ -56,8 +56,8 @@ def _reaches(p, q, half_width_p, limit):
     """Mask of the Gaussians whose ellipse may reach a block.
 
     A block's p and q lie within a box around those of its centre; if the box's nearest point to the origin is outside
-    the ellipse, so is the block. half_width_p: of the box, in p; q: the square of how far the box lies off in q. limit: the
-    ellipse's radius, squared; negative where it does not extend that far to the left or right.
+    the ellipse, so is the block. half_width_p: of the box, in p; q: the square of how far the box lies off in q. limit:
+    the ellipse's radius, squared; negative where it does not extend that far to the left or right.
     """
     out = abs(p)
     out = out - min(out, half_width_p)
