@@ -15,8 +15,8 @@ from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.jacobian.view import ViewJacobian, view_jacobian
 from tg4mm.motion.nuisance.projection import Projection, nuisances_of
+from tg4mm.motion.sinusoids import sinusoids
 from tg4mm.motion.solver.problem import Problem
-from tg4mm.motion.temporal.frequencies import sinusoids
 from tg4mm.motion.temporal.regions import RegionSeries, fixed_camera_series, labels_of, moving_camera_series
 
 SIZE, POST = 64, 1

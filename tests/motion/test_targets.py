@@ -17,8 +17,8 @@ from tg4mm.motion.nuisance import first_look as first_look_module
 from tg4mm.motion.nuisance.first_look import first_look
 from tg4mm.motion.nuisance.projection import Nuisance, nuisances_of
 from tg4mm.motion.observations import Observations, PosedFrames, observe
+from tg4mm.motion.sinusoids import sinusoids
 from tg4mm.motion.targets import project
-from tg4mm.motion.temporal.frequencies import sinusoids
 from tg4mm.motion.temporal.independent import sinusoid_targets
 from tg4mm.motion.temporal.synchronous import kept_components, principal_components
 

@@ -27,11 +27,12 @@ from tg4mm.motion.linear_fit import LinearFit
 from tg4mm.motion.nuisance.first_look import FirstLook, look_at
 from tg4mm.motion.nuisance.projection import Nuisance
 from tg4mm.motion.observations import Observations
+from tg4mm.motion.sinusoids import constant_and_trend, sinusoids
 from tg4mm.motion.solver.operator import Fold
 from tg4mm.motion.solver.problem import Problem
 from tg4mm.motion.split_half import folds_of, wiener_shrink
 from tg4mm.motion.targets import TargetImages, projected
-from tg4mm.motion.temporal.frequencies import LEAST, sinusoids
+from tg4mm.motion.temporal.frequencies import LEAST
 from tg4mm.motion.temporal.regions import RegionSeries, region_series
 from tg4mm.motion.temporal.steady import Steady, frequencies_of, frequency_figures, no_targets
 
@@ -159,8 +160,7 @@ def sinusoid_targets(
 
 def _orthonormal(times_s: np.ndarray, freqs_hz: np.ndarray, scale: float) -> tuple[np.ndarray, np.ndarray]:
     """Orthonormal functions [2K, F] that span the sinusoids less a constant and a trend, and the mixing [2K, 2K]."""
-    slow = np.stack([np.ones_like(times_s), times_s - times_s.mean()])
-    design = np.concatenate([slow, scale * sinusoids(times_s, freqs_hz)]).T
+    design = np.concatenate([constant_and_trend(times_s), scale * sinusoids(times_s, freqs_hz)]).T
     q, r = np.linalg.qr(design)
     return q[:, 2:].T, r[2:, 2:].astype(np.float32)
 

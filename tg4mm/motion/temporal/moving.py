@@ -18,7 +18,6 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.polynomial import legendre
 from scipy.spatial.transform import Rotation
 
 from tg4mm.errors import RunError
@@ -30,10 +29,11 @@ from tg4mm.motion.jacobian.view import VIEW_BYTES, blend_sum, view_jacobian
 from tg4mm.motion.nuisance.projection import POSE, Nuisance, Projection, with_still_background
 from tg4mm.motion.observations import Observations, PosedFrames, whole_pictures
 from tg4mm.motion.refine import MovedPictures, refine_rest_scene
+from tg4mm.motion.sinusoids import polynomials, sinusoids
 from tg4mm.motion.solver.operator import Fold
 from tg4mm.motion.solver.problem import Problem
 from tg4mm.motion.split_half import folds_of
-from tg4mm.motion.temporal.frequencies import Frequencies, sinusoids
+from tg4mm.motion.temporal.frequencies import Frequencies
 from tg4mm.motion.temporal.regions import RegionSeries, labels_of, moving_camera_series
 from tg4mm.motion.temporal.steady import Steady, frequencies_of, frequency_figures, no_targets
 from tg4mm.progress import progress
@@ -150,9 +150,8 @@ class MovingCamera(Steady):
 def functions_of(observations: Observations, frequencies: Frequencies) -> np.ndarray:
     """[R, F]: cosines and sines, then a constant and slow polynomials; the squares of each sum to 1."""
     times = np.array([f.times_s[0] for f in observations.frames])
-    span = max(float(np.ptp(times)), 1e-9)
-    degree = max(round(2 * _SLOW_BELOW * float(frequencies.hz.min()) * span / 2), 1)
-    slow = legendre.legvander(2 * (times - times.min()) / span - 1, min(degree, 4)).T
+    degree = max(round(2 * _SLOW_BELOW * float(frequencies.hz.min()) * float(np.ptp(times)) / 2), 1)
+    slow = polynomials(times, min(degree, 4)).T
     slow *= 1 / np.sqrt((slow**2).sum(1, keepdims=True))
     return np.concatenate([np.sqrt(2 / len(times)) * sinusoids(times, frequencies.hz), slow])
 

@@ -18,6 +18,7 @@ from tg4mm.motion.jacobian.view import PosedView, ViewJacobian
 from tg4mm.motion.nuisance.first_look import FixedCameras
 from tg4mm.motion.nuisance.projection import Projection
 from tg4mm.motion.observations import PosedFrames, whole_pictures
+from tg4mm.motion.sinusoids import constant_and_trend
 from tg4mm.motion.solver.aggregates import Aggregates
 from tg4mm.motion.solver.problem import Problem
 from tg4mm.progress import progress
@@ -60,8 +61,7 @@ class RegionSeries:
         Sums b_f over the functions, to be divided by A: E m. For one fixed camera. A constant and a trend are fitted
         besides.
         """
-        slow = np.stack([np.ones(len(self.times_s)), self.times_s - self.times_s.mean()])
-        design = np.concatenate([slow, functions]).T
+        design = np.concatenate([constant_and_trend(self.times_s), functions]).T
         solution = np.linalg.lstsq(design, self.sides.reshape(len(self.sides), -1), rcond=None)[0][2:]
         pairs = solution.reshape(-1, 2, *self.sides.shape[1:])
         return pairs[:, 0] + 1j * pairs[:, 1]
