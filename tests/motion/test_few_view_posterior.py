@@ -166,7 +166,7 @@ def posed(trained) -> CpuOperator:
     run, _, camera = trained
     gaussians = run.load_space()
     problem = Problem.of([view_jacobian(gaussians, camera, (48, 48))], gaussians, MotionConfig(), "cpu")
-    return problem.on_cpu(problem.everything, None, 300.0)
+    return problem.on_cpu(problem.everything, 300.0)
 
 
 def _fitted(operator: CpuOperator, size: float = 0.01) -> np.ndarray:
@@ -206,7 +206,7 @@ def test_a_second_camera_from_the_side_leaves_less_unseen(trained, tmp_path: Pat
     left = []
     for some in (views[:1], views):
         problem = Problem.of(some, gaussians, MotionConfig(), "cpu")
-        operator = problem.on_cpu(problem.everything, None, 300.0)
+        operator = problem.on_cpu(problem.everything, 300.0)
         found = unseen_motion(operator, _fitted(operator), 5)
         left.append(np.trace(found.covariance, axis1=1, axis2=2).mean())
     assert left[1] < 0.8 * left[0]

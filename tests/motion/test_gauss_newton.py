@@ -290,7 +290,8 @@ class Lab:
         self.fields[..., :3] = scale * np.tensordot(self.loop.basis, moves, 1)
         states, self.pixels = states_moved(self.views, self.loop.basis, self.fields, (32, 32))
         self.observed = StateObservations.of(self.observations, states, targets, self.loop.used)
-        self.problem = Problem.of(self.views, self.gaussians, MotionConfig(), "cpu")
+        problem = Problem.of(self.views, self.gaussians, MotionConfig(), "cpu")
+        self.problem = problem.changed(pixel_weights=self.loop.weights)
         self.knots = module.knots_of(
             self.gaussians, self.views, self.fields, self.observed, self.observations
         )
@@ -301,7 +302,7 @@ class Lab:
 
     def operator(self, fold: Fold) -> Any:
         """And its right-hand sides."""
-        rest = self.problem.on_cpu(fold, self.loop.weights, 300.0)
+        rest = self.problem.on_cpu(fold, 300.0)
         return module.coupled_operator(
             self.problem, rest, self.knots, fold, self.loop.nuisances, self.targets(fold)
         )
@@ -326,7 +327,7 @@ def test_one_knot_at_rest_is_the_linear_problem(quick: tuple[Run, Run, ModalMoti
     assert len(still.knots) == 1
     fold = still.folds[0]
     operator, b = still.operator(fold)
-    plain = still.problem.on_cpu(fold, still.loop.weights, 300.0)
+    plain = still.problem.on_cpu(fold, 300.0)
     theta = np.random.default_rng(0).normal(size=(len(still.loop.basis), *b.shape[1:])).astype(np.float32)
     expected = plain.products(theta)
     np.testing.assert_allclose(operator.products(theta), expected, atol=1e-4 * np.abs(expected).max())
@@ -368,7 +369,7 @@ def test_on_a_device_the_problem_is_the_same(lab: Lab, monkeypatch: pytest.Monke
     """What CUDA runs, on the CPU's tensors."""
     here, b = lab.operator(lab.folds[0])
     monkeypatch.setattr(
-        module, "DeviceViews", lambda views, graph, _: DeviceViews(views, graph, "cpu", torch.float32)
+        module, "views_on", lambda _, views, graph: DeviceViews(views, graph, "cpu", torch.float32)
     )
     monkeypatch.setattr(lab, "problem", replace(lab.problem, device="cuda"))
     there, c = lab.operator(lab.folds[0])

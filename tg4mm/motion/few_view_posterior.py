@@ -134,14 +134,12 @@ def depth_sensitivity(view: ViewJacobian, camera: PosedView, means: np.ndarray, 
 ENOUGH = 120_000  # pixels of a view
 
 
-def coarser(
-    problem: Problem, frames: Sequence[PosedFrames], weights: np.ndarray | None, enough: int = ENOUGH
-) -> tuple[Problem, np.ndarray | None]:
-    """The problem and its pixel weights [V, H, W] in pictures of `enough` pixels or a little more; else as they are."""
+def coarser(problem: Problem, frames: Sequence[PosedFrames], enough: int = ENOUGH) -> Problem:
+    """The problem in pictures of `enough` pixels or a little more; as it is where they have no more."""
     width, height = problem.size
     factor = int(np.sqrt(height * width / enough))
     if factor < 2:
-        return problem, weights
+        return problem
     scale = np.diag([1 / factor, 1 / factor, 1]).astype(np.float32)
     small = [replace(f, K=scale @ f.K) for f in frames]
     size = width // factor, height // factor
@@ -149,11 +147,13 @@ def coarser(
     nuisances: Sequence[Nuisance] = ()
     if problem.nuisances:
         nuisances = nuisances_of(views, small, problem.gaussians.means.numpy(), problem.nuisances[0].active)
-    own = np.full((len(views), *size[::-1]), factor**2, np.float32)
-    if weights is not None:
-        own *= _binned(weights[..., None], factor)[..., 0]
+    weights = np.full((len(views), *size[::-1]), factor**2, np.float32)
+    if problem.pixel_weights is not None:
+        weights *= _binned(problem.pixel_weights[..., None], factor)[..., 0]
     means = None if problem.means is None else _binned(problem.means, factor)
-    return replace(problem, views=views, nuisances=nuisances, means=means, projections=None, _kept={}), own
+    return problem.changed(
+        views=views, pixel_weights=weights, nuisances=nuisances, means=means, projections=None
+    )
 
 
 def _binned(pictures: np.ndarray, factor: int) -> np.ndarray:

@@ -187,19 +187,20 @@ class GaussNewton:
         """[P, R, N, 6]: what each fold finds in this iteration; and the smoothness weight, chosen anew for it."""
         views = rest_views(state.gaussians, self.observations)
         problem = Problem.of(views, state.gaussians, self.config, self.device)
+        problem = problem.changed(pixel_weights=self.weights)
         fields, _ = wiener_shrink(state.fold_fields)
         weight = state.smoothness_weight
         if not self.config.smoothness_weight and len(self.folds) == 2:
             images = self.target_images(views, state.gaussians, fields, observed)
             target = np.stack([own[:1].copy() for own in images])
             iterations = round(_FOR_WEIGHT * more_iterations(len(state.gaussians)))
-            weight = chosen_weight(target, problem, self.folds, self.weights, iterations)
+            weight = chosen_weight(target, problem, self.folds, iterations)
         knots = knots_of(state.gaussians, views, fields, observed, self.observations)
         residuals, _ = observed.residuals(state.gaussians, fields, self.device)
         solved = []
         for p, fold in enumerate(self.folds):
             targets = targets_at(knots, fold, residuals, fields, observed)
-            rest = problem.on_cpu(fold, self.weights, weight)
+            rest = problem.on_cpu(fold, weight)
             operator, b = coupled_operator(problem, rest, knots, fold, self.nuisances, targets)
             done = p * self.iterations * self._costs
             update = partial(self._tell_solve, tell, done)
@@ -250,7 +251,7 @@ def gauss_newton(
         "misfits": misfits,
         "smoothness_weight": state.smoothness_weight,
     }
-    problem = replace(problem, views=views, gaussians=state.gaussians, _kept={})
+    problem = problem.changed(views=views, gaussians=state.gaussians)
     return (
         replace(model, gaussians=state.gaussians, problem=problem, fitted=loop.used),
         state.fold_fields,

@@ -20,8 +20,8 @@ from tg4mm.motion.nuisance.projection import Nuisance, Projection
 from tg4mm.motion.observations import Observations
 from tg4mm.motion.refine import at_state
 from tg4mm.motion.solver.cpu import CpuOperator
-from tg4mm.motion.solver.cuda import DeviceOperator, DeviceViews
-from tg4mm.motion.solver.operator import Array, Fold
+from tg4mm.motion.solver.cuda import operator_on, views_on
+from tg4mm.motion.solver.operator import Array, Fold, Operator
 from tg4mm.motion.solver.problem import Problem
 from tg4mm.motion.states import StateObservations, states_of
 
@@ -101,7 +101,7 @@ def coupled_operator(
     fold: Fold,
     nuisances: NuisancesAtRest,
     targets: Iterable[np.ndarray],
-) -> tuple[CpuOperator | DeviceOperator, Array]:
+) -> tuple[Operator, Array]:
     """One fold with the views of all knots, and its right-hand sides; `rest`: the same with those at rest."""
     views = [knot.views[v] for knot in knots for v in fold.views]
     weights = None if rest.weights is None else np.concatenate([rest.weights] * len(knots))
@@ -109,11 +109,9 @@ def coupled_operator(
         rest, views=views, weights=weights, projections=nuisances.projections(views, fold, weights)
     )
     mixing = [knot.mixing for knot in knots for _ in fold.views]
-    if problem.device == "cpu":
-        return replace(plain, mixing=mixing), plain.right_hand_sides(targets)
-    there = DeviceViews(views, problem.graph, problem.device)
-    b = DeviceOperator(plain, there).right_hand_sides(targets)
-    return DeviceOperator(replace(plain, mixing=mixing), there), b
+    there = views_on(problem.device, views, problem.graph)
+    b = operator_on(there, plain).right_hand_sides(targets)
+    return operator_on(there, replace(plain, mixing=mixing)), b
 
 
 def _root(products: np.ndarray) -> np.ndarray:

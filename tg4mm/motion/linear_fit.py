@@ -11,15 +11,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
 from tg4mm.motion.checkpoints import Arrays, Checkpoint
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.hyperparameters import CANDIDATES, Hyperparameters
-from tg4mm.motion.prior.graph import edge_residual, reweight_edges
-from tg4mm.motion.solver.operator import Fold
+from tg4mm.motion.prior.graph import Graph, edge_residual, reweight_edges
+from tg4mm.motion.solver.operator import Fold, Operator
 from tg4mm.motion.solver.pcg import fetched, pcg, sent
 from tg4mm.motion.solver.problem import Problem
 from tg4mm.motion.targets import TargetImages
@@ -44,9 +43,9 @@ class LinearFit:
     config: MotionConfig
     checkpoint: Checkpoint
 
-    def operator(self, fold: Fold) -> Any:
+    def operator(self, fold: Fold) -> Operator:
         """The problem that a fold poses."""
-        return self.problem.operator(fold, self.hyper.pixel_weights, self.hyper.smoothness_weight)
+        return self.problem.operator(fold, self.hyper.smoothness_weight)
 
     def first_pass(self, iterations: int | None = None) -> list[Arrays]:
         """Of each fold: `fields` [R, N, 6], `x` [R, 4N, 3], `residual` [R, P, 3] and `norms` of the equations.
@@ -115,7 +114,7 @@ class LinearFit:
             name: np.concatenate(arrays) for name, arrays in zip(names, zip(*out, strict=True), strict=True)
         }
 
-    def _second(self, p: int, first: Arrays, correction: Correction | None, graph: Any) -> Arrays:
+    def _second(self, p: int, first: Arrays, correction: Correction | None, graph: Graph | None) -> Arrays:
         fold, iterations = self.folds[p], self._of_second
         before, out, chunks = self.operator(fold), [], self._chunks()
         operator = before if graph is None else before.with_graph(graph)
@@ -135,7 +134,7 @@ class LinearFit:
                 out.append(first["fields"][some] + operator.fields(solution.theta))
         return {"fields": np.concatenate(out)}
 
-    def _reweighted(self, first: Sequence[Arrays]) -> Any:
+    def _reweighted(self, first: Sequence[Arrays]) -> Graph | None:
         """The graph with edges reweighted; None where only one fold, or the least weight, was chosen."""
         if len(first) < 2 or self.hyper.smoothness_weight <= CANDIDATES[0]:
             return None

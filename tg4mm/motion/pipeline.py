@@ -66,7 +66,7 @@ def _fitted(model: TemporalModel, checkpoint: Checkpoint) -> MotionFit:
     """Hyperparameters, the linear fit, Gauss-Newton where motion is large; what halves agree on, its modes, its ±."""
     if not len(model.targets.basis):
         return without_motion(model)
-    hyper = select_hyperparameters(model, checkpoint)
+    model, hyper = select_hyperparameters(model, checkpoint)
     model = model.completed(hyper, checkpoint)
     folds, gradients = _linear_fit(model, hyper, checkpoint)
     model, folds = model.settled(folds)
@@ -90,7 +90,7 @@ def _fitted(model: TemporalModel, checkpoint: Checkpoint) -> MotionFit:
     )
     uncertainty = _uncertainty(model, hyper, estimate, gradients)
     changes = None
-    if not iterates and (appearance := _appearance_fit(model, hyper)) is not None:
+    if not iterates and (appearance := _appearance_fit(model)) is not None:
         with progress("appearance", len(fields), "components") as update:
             changes, kept = appearance.fitted(_motion_residual(model, fields), update)
         figures["appearance_reliability"] = [round(float(g), 4) for g in kept]
@@ -99,20 +99,23 @@ def _fitted(model: TemporalModel, checkpoint: Checkpoint) -> MotionFit:
     return _result(model, hyper, model.motion(fields, changes), uncertainty, figures)
 
 
-def select_hyperparameters(model: TemporalModel, checkpoint: Checkpoint) -> Hyperparameters:
-    """Components of noise, weights of pixels from these, then the smoothness weight."""
+def select_hyperparameters(
+    model: TemporalModel, checkpoint: Checkpoint
+) -> tuple[TemporalModel, Hyperparameters]:
+    """Components of noise and the smoothness weight, and between them weights of pixels for the model's problem."""
 
     def noise() -> Arrays:
         return {"is_noise": select_noise(model.targets, model.problem, model.folds)}
 
-    def smoothness() -> Arrays:
-        return {"smoothness_weight": np.array(select_smoothness(*model.strongest(), weights, model.config))}
-
     is_noise = checkpoint("noise", noise)["is_noise"].astype(bool)
     weights = pixel_weights(model.targets, is_noise, model.problem.mixing is None)
-    return Hyperparameters(
-        is_noise, float(checkpoint("smoothness", smoothness)["smoothness_weight"]), weights
-    )
+    weighted = replace(model, problem=model.problem.changed(pixel_weights=weights))
+
+    def smoothness() -> Arrays:
+        return {"smoothness_weight": np.array(select_smoothness(*weighted.strongest()))}
+
+    weight = float(checkpoint("smoothness", smoothness)["smoothness_weight"])
+    return weighted, Hyperparameters(is_noise, weight)
 
 
 def _linear_fit(
@@ -135,17 +138,17 @@ def _linear_fit(
     first = linear.first_pass()
     fields, _ = wiener_shrink(np.stack([f["fields"] for f in first]))
     is_small, correction = model.pixels_moved(fields) <= ABOVE_PX, None
-    if is_small and (appearance := _appearance_fit(model, hyper)) is not None:
+    if is_small and (appearance := _appearance_fit(model)) is not None:
         correction = appearance.between_passes(_motion_residual(model, fields))
     return linear.second_pass(first, is_small, correction), np.mean([f["x"] for f in first], axis=0)
 
 
-def _appearance_fit(model: TemporalModel, hyper: Hyperparameters) -> AppearanceFit | None:
+def _appearance_fit(model: TemporalModel) -> AppearanceFit | None:
     """None where it was not asked for, or cameras are too few to tell it from noise."""
     is_told = len(model.problem.views) >= LEAST and len(model.folds) == 2
     if not (isinstance(model, Synchronous) and model.config.appearance and is_told):
         return None
-    return AppearanceFit.of(model.problem, model.observations.frames, hyper.pixel_weights, model.folds)
+    return AppearanceFit.of(model.problem, model.observations.frames, model.folds)
 
 
 def _motion_residual(model: TemporalModel, fields: np.ndarray) -> MotionResidual:
@@ -198,8 +201,8 @@ def _uncertainty(
         return None
     if len(problem.views) >= LEAST or model.observations.is_flat:
         return split_half_uncertainty(estimate, model.n_frames)
-    small, weights = coarser(problem, model.observations.frames, hyper.pixel_weights)
-    operator = small.on_cpu(small.everything, weights, hyper.smoothness_weight)
+    small = coarser(problem, model.observations.frames)
+    operator = small.on_cpu(small.everything, hyper.smoothness_weight)
     of_one_field = replace(operator, mixing=None)
     return few_view_uncertainty(estimate, of_one_field, gradients, model.n_frames, model.config.seed)
 

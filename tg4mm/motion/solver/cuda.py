@@ -18,7 +18,6 @@ import copy
 import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
@@ -28,9 +27,11 @@ from torch import Tensor
 from tg4mm.errors import Tg4mmError
 from tg4mm.motion.jacobian.contributions import DeviceViewJacobian, device_view_jacobian
 from tg4mm.motion.jacobian.packed import DOF
+from tg4mm.motion.jacobian.view import ViewJacobian
 from tg4mm.motion.prior.graph import Graph
 from tg4mm.motion.prior.tgv import ROWS
 from tg4mm.motion.solver.cpu import CpuOperator
+from tg4mm.motion.solver.operator import Operator
 
 
 def _sparse(matrix: csr_matrix, device: str) -> Tensor:
@@ -66,7 +67,7 @@ class DeviceViews:
     """Views' contributions and the graph's constants on a device, shared by all operators of one fit."""
 
     def __init__(
-        self, views: Sequence[Any], graph: Graph, device: str, storage: torch.dtype | None = None
+        self, views: Sequence[ViewJacobian], graph: Graph, device: str, storage: torch.dtype | None = None
     ) -> None:
         """`storage` of weights and slopes: None for float16 on CUDA, float32 elsewhere.
 
@@ -230,3 +231,13 @@ class DeviceOperator:
 
     def _sent(self, values: np.ndarray) -> Tensor:
         return torch.from_numpy(np.ascontiguousarray(values)).to(self.device)
+
+
+def views_on(device: str, views: Sequence[ViewJacobian], graph: Graph) -> DeviceViews | None:
+    """The views on a torch device; None on the CPU, whose operator reads them where they lie."""
+    return None if device == "cpu" else DeviceViews(views, graph, device)
+
+
+def operator_on(views: DeviceViews | None, operator: CpuOperator) -> Operator:
+    """The operator where its views lie, as `views_on` gave them."""
+    return operator if views is None else DeviceOperator(operator, views)

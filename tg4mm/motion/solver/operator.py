@@ -24,7 +24,7 @@ from tg4mm.motion.prior.graph import Graph
 Array = Any  # np.ndarray or Tensor; an operator takes and gives one kind
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # one fold is equal to itself alone
 class Fold:
     """Views that are fitted together, and which of their pixels: all, or what a mask leaves."""
 

@@ -85,12 +85,12 @@ class IndependentClocks(Steady):
     def with_phases(self, phases: np.ndarray) -> IndependentClocks:
         """C_v holds phases [C, K]."""
         mixing = [m @ rotations(p) for m, p in zip(self.unphased, phases, strict=False)]
-        return replace(self, phases=phases, problem=replace(self.problem, mixing=mixing, _kept={}))
+        return replace(self, phases=phases, problem=self.problem.changed(mixing=mixing))
 
     def strongest(self) -> tuple[np.ndarray, Problem, Sequence[Fold]]:
         """The strongest frequency: others, more than 1 / duration away, hardly show in its sinusoids."""
         mixing = [m[:2, :2] for m in self.problem.mixing or ()]
-        return self.targets.images[:, :2], replace(self.problem, mixing=mixing, _kept={}), self.folds
+        return self.targets.images[:, :2], self.problem.changed(mixing=mixing), self.folds
 
     def completed(self, hyper: Hyperparameters, checkpoint: Checkpoint) -> IndependentClocks:
         """Every camera's phases, in alternation with the fields."""

@@ -93,7 +93,7 @@ class MovingCamera(Steady):
             functions = functions_of(observations, frequencies)
             targets = replace(targets, basis=functions, images=residuals, weights=weights)
             mixing = [row[None].astype(np.float32) for row in functions.T]
-            problem = replace(problem, mixing=mixing, _kept={})
+            problem = problem.changed(mixing=mixing)
         folds = folds_of(len(frames), observations.size, True, config.split_half)
         scale = float(np.sqrt(2 / len(frames)))
         return MovingCamera(

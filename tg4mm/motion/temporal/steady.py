@@ -47,7 +47,7 @@ class Steady(TemporalModel):
         model = replace(
             self,
             frequencies=frequencies,
-            problem=replace(self.problem, mixing=mixing, _kept={}),
+            problem=self.problem.changed(mixing=mixing),
             figures=self.figures | frequency_figures(frequencies) if is_reliable.any() else self.figures,
         )
         return model, folds[:, rows]
