@@ -260,7 +260,7 @@ def test_on_a_device_it_is_alike() -> None:
     assert m.appearance is not None
     shapes = torch.from_numpy(m.appearance.shapes)
     fields, series = _fields_on(torch.device("cpu"), m, few=False)
-    found = _animate_on_device(g, m, fields, series, 2.5, 20.0, (4.0, 6.0), appearance_fields=shapes)
+    found = _animate_on_device(g, m, fields, series, shapes, 2.5, 20.0, (4.0, 6.0))
     expected = animate(g, m, 2.5, 20.0, (4.0, 6.0))
     assert not torch.allclose(expected.sh, g.sh, atol=0.01)
     torch.testing.assert_close(found.sh, expected.sh, rtol=0, atol=1e-6)

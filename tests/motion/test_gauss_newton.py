@@ -252,7 +252,7 @@ def test_what_only_gets_worse_is_not_taken(
     scene = quick[0]
     runs = [_copy(scene, tmp_path / name) for name in ("linear", "wrong")]
     expected = _trained(runs[0], replace(SHORT, gauss_newton=0))
-    monkeypatch.setattr(GaussNewton, "_solved", lambda self, state, *_: (-3 * state.fields, 300.0))
+    monkeypatch.setattr(GaussNewton, "_solved", lambda self, state, *_: (-3 * state.fold_fields, 300.0))
     found = _trained(runs[1], SHORT)
     np.testing.assert_array_equal(found.freqs_hz, expected.freqs_hz)
     size = np.abs(expected.displacement).max()

@@ -57,7 +57,9 @@ class AppearanceFit:
         """Beside a motion problem; folds: two of the cameras."""
         tilts = motion.gaussians.sh_degree > 0
         own = appearance_views(motion.views, cameras, motion.gaussians.means.numpy(), tilts)
-        return AppearanceFit(AppearanceProblem.of(own, motion.pixel_weights, motion.graph), folds, motion.graph.knn)
+        return AppearanceFit(
+            AppearanceProblem.of(own, motion.pixel_weights, motion.graph), folds, motion.graph.knn
+        )
 
     def between_passes(self, residual: MotionResidual) -> Correction | None:
         """For `LinearFit.second_pass`, by one iteration; None where there is no appearance."""

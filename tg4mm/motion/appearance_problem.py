@@ -11,8 +11,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.sparse import csr_matrix, diags
 
-from tg4mm.motion.few_view_posterior import viewing_rays
 from tg4mm.motion.jacobian.packed import DOF
+from tg4mm.motion.jacobian.pixels import along_and_across
 from tg4mm.motion.jacobian.view import PosedView, ViewJacobian, colour_jacobian
 from tg4mm.motion.prior.graph import Graph
 from tg4mm.rasterize.buffers import Buffers
@@ -72,7 +72,7 @@ def appearance_views(
     for view, camera in zip(views, cameras, strict=True):
         harmonics = np.ones((len(means), 4 if tilts else 1), np.float32)
         if tilts:
-            x, y, z = viewing_rays(camera, means).T
+            x, y, z = along_and_across(camera, means)[0].T
             harmonics[:, 1:] = _TILT * np.stack([-y, z, -x], 1)
         colours = view.splats[view.bins.order[: view.bins.n_visible], FEAT : FEAT + 3]
         out.append(

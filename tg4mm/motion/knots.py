@@ -14,11 +14,11 @@ import numpy as np
 import torch
 
 from tg4mm.gaussians import Gaussians
+from tg4mm.motion.animate import moved
 from tg4mm.motion.jacobian.pixels import pixels_moved
 from tg4mm.motion.jacobian.view import VIEW_BYTES, ViewJacobian, view_jacobian
 from tg4mm.motion.nuisance.projection import Nuisance, Projection
 from tg4mm.motion.observations import Observations
-from tg4mm.motion.refine import at_state
 from tg4mm.motion.solver.cpu import CpuOperator
 from tg4mm.motion.solver.cuda import operator_on, views_on
 from tg4mm.motion.solver.operator import Array, Fold, Operator
@@ -53,11 +53,11 @@ def knots_of(
         own = np.flatnonzero(knots.of == knot)
         share = states.count[own] / states.count[own].sum()
         motion = torch.from_numpy(np.tensordot(share, motions[own], 1).astype(np.float32))
-        there = at_state(gaussians, motion)
+        there = moved(gaussians, motion)
         is_large = len(knots.gains) * sum(view.nbytes for view in views) > VIEW_BYTES
         each = (view_jacobian(there, camera, observations.size) for camera in observations.frames)
-        moved = [view.stored() if is_large else view for view in each]
-        out.append(Knot(moved, own, _root(states.products[own].sum(0))))
+        jacobians = [view.stored() if is_large else view for view in each]
+        out.append(Knot(jacobians, own, _root(states.products[own].sum(0))))
     return out
 
 

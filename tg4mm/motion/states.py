@@ -20,10 +20,11 @@ import torch
 from scipy.cluster.hierarchy import fcluster, linkage
 
 from tg4mm.gaussians import Gaussians
+from tg4mm.motion.animate import moved
 from tg4mm.motion.jacobian.pixels import pixels_moved
 from tg4mm.motion.jacobian.view import ViewJacobian
 from tg4mm.motion.observations import Observations, PosedFrames, strips
-from tg4mm.motion.refine import MovedPictures, at_state
+from tg4mm.motion.refine import MovedPictures
 from tg4mm.motion.targets import TargetImages
 from tg4mm.rasterize import rasterization
 from tg4mm.room import release, room
@@ -210,7 +211,7 @@ def rendered(gaussians: Gaussians, seen: MovedPictures, device: str) -> np.ndarr
     )
     out = room(seen.pictures.shape)
     for k, motion in enumerate(seen.motions):
-        g = at_state(there, torch.from_numpy(motion).to(device))
+        g = moved(there, torch.from_numpy(motion).to(device))
         for v in range(len(viewmats)):
             rgb, _, _ = rasterization(
                 g.means, g.quats, g.scales, g.opacities, g.sh, viewmats[v : v + 1], Ks[v : v + 1],

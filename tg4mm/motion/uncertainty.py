@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.few_view_posterior import ITERATIONS, depth_sensitivity, unseen_motion, viewing_rays
+from tg4mm.motion.few_view_posterior import ITERATIONS, unseen_motion
+from tg4mm.motion.jacobian.pixels import along_and_across, depth_sensitivity
 from tg4mm.motion.jacobian.view import PosedView, ViewJacobian, blend_sum
 from tg4mm.motion.solver.cpu import CpuOperator
 from tg4mm.motion.split_half import deviation, mean_over_neighbours
@@ -112,7 +113,7 @@ def _along_viewing_rays(
     That is the variance of what is not known over that of the motion: what was found, squared, and what is not known.
     Gaussians that are seen count by their opacity.
     """
-    along = viewing_rays(estimate.cameras[0], estimate.gaussians.means.numpy())
+    along, _ = along_and_across(estimate.cameras[0], estimate.gaussians.means.numpy())
     variance = np.einsum("nc,ncd,nd->n", along, covariance, along)
     across = np.maximum(np.trace(covariance, axis1=1, axis2=2) - variance, 0) / 2
     shown = (np.einsum("rnc,nc->rn", estimate.fields[..., :3], along) ** 2).sum(0) / n_timesteps

@@ -81,7 +81,7 @@ class Nuisance:
         if not self.active.any():
             return np.zeros((products.shape[1],) * 2)
         own = products[self.active]
-        return own.T @ _inverse(self.gram(mean)) @ own
+        return own.T @ pseudo_inverse(self.gram(mean)) @ own
 
     def energy(self, mean: np.ndarray, products: np.ndarray) -> np.ndarray:
         """[H, W]: energy over time of what the active columns explain, mean over channels."""
@@ -93,7 +93,7 @@ class Nuisance:
 
     def coefficients(self, mean: np.ndarray, products: np.ndarray, active: np.ndarray) -> np.ndarray:
         """[k, F]: the least-squares n of F frames."""
-        return _inverse(self.gram(mean, active)) @ products[active]
+        return pseudo_inverse(self.gram(mean, active)) @ products[active]
 
 
 def nuisances_of(
@@ -135,7 +135,7 @@ def without(nuisance: Nuisance, mean: np.ndarray, pictures: np.ndarray) -> np.nd
         return pictures
     columns = nuisance.columns(mean).reshape(-1, mean.size)
     flat = pictures.reshape(len(pictures), -1)
-    flat = flat - (flat @ columns.T @ _inverse(nuisance.gram(mean))).astype(np.float32) @ columns
+    flat = flat - (flat @ columns.T @ pseudo_inverse(nuisance.gram(mean))).astype(np.float32) @ columns
     return flat.reshape(pictures.shape)
 
 
@@ -199,16 +199,17 @@ def exposure(
     return 100 * np.sqrt(np.mean(gains)), 100 * np.sqrt(np.mean(offsets)), energy / max(total, 1e-30)
 
 
-def _inverse(gram: np.ndarray) -> np.ndarray:
-    root = _inverse_root(gram)
+def pseudo_inverse(gram: np.ndarray, tiny: float = _TINY) -> np.ndarray:
+    """Over the directions that the columns have."""
+    root = _inverse_root(gram, tiny)
     return root.T @ root
 
 
-def _inverse_root(gram: np.ndarray) -> np.ndarray:
+def _inverse_root(gram: np.ndarray, tiny: float = _TINY) -> np.ndarray:
     """T [k', k] with T gram Tᵀ = 1 over the directions that the columns have, k' ≤ k."""
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-30))
     values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
-    keep = values > _TINY * values[-1]
+    keep = values > tiny * values[-1]
     return (vectors[:, keep] / np.sqrt(values[keep])).T / scale
 
 

@@ -20,7 +20,7 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.motion.checkpoints import Arrays, Checkpoint, arrays_of, gaussians_of
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.observations import Observations, PosedFrames, strips
-from tg4mm.motion.refine import MovedPictures, refine_rest_scene
+from tg4mm.motion.refine import refine_at_rest
 from tg4mm.progress import progress
 
 _DECAY = 12  # rows: 0.268¹² of a pixel's value is what a cubic spline's coefficients so far away owe to it
@@ -96,7 +96,8 @@ def stabilised(
         rotations = camera_rotations(observations)
         if not refines or not observations.is_whole or observations.is_flat:
             return {"rotations": rotations}
-        sharper = _refined(gaussians, registered(observations, rotations), config.seed, device)
+        means = mean_pictures(registered(observations, rotations))
+        sharper = refine_at_rest(gaussians, observations.frames, means, _REFINING, config.seed, device)
         return {"rotations": rotations, **arrays_of(sharper)}
 
     kept = checkpoint("registration", compute)
@@ -136,7 +137,7 @@ def _rotations_of(observations: Observations, frames: PosedFrames) -> np.ndarray
     rows = frames.rows
     own = replace(observations, frames=[frames])
     rotations, exposures = np.zeros((len(rows), 3)), np.zeros((len(rows), 6))
-    mean = np.concatenate([s.mean(0) for _, s in strips(observations.pictures, frames)])
+    mean = mean_pictures(own)[0]
     weights = np.ones(mean.shape[:2], np.float32)
     for _ in range(_STEPS):
         everyone = np.zeros((int(rows.max()) + 1, 3))
@@ -209,15 +210,12 @@ def _weights_of(mean: np.ndarray, energy: np.ndarray) -> np.ndarray:
     return np.asarray(1 / (1 + moved / (_ROBUST**2 * max(stillest, 1e-12))), np.float32)
 
 
-def _refined(gaussians: Gaussians, observations: Observations, seed: int, device: str) -> Gaussians:
-    """The Gaussians fitted to the mean pictures of all cameras."""
-    means = [
-        np.concatenate([s.mean(0) for _, s in strips(observations.pictures, f)]) for f in observations.frames
-    ]
-    still = np.zeros((1, len(gaussians), 6), np.float32)
-    seen = MovedPictures(observations.frames, np.stack(means)[:, None], still, np.zeros(1, np.int64))
-    with progress("scene at rest, refined", _REFINING, "iterations") as update:
-        return refine_rest_scene(gaussians, seen, _REFINING, seed, device, update)
+def mean_pictures(observations: Observations) -> np.ndarray:
+    """[V, H, W, 3]: over time, of every camera."""
+    pictures = observations.pictures
+    return np.stack(
+        [np.concatenate([s.mean(0) for _, s in strips(pictures, f)]) for f in observations.frames]
+    )
 
 
 def _farthest(homographies: np.ndarray, size: tuple[int, int]) -> int:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tg4mm.motion.jacobian.view import PosedView
-from tg4mm.motion.nuisance.projection import EXPOSURE, POSE, ROTATION
+from tg4mm.motion.nuisance.projection import EXPOSURE, POSE, ROTATION, pseudo_inverse
 
 BLOCKS = 8  # along each side
 _TEXTURE = 0.05  # of the mean block's: less tells no shift
@@ -171,11 +171,6 @@ def _as_pose(viewmat: np.ndarray) -> np.ndarray:
 
 def _solved(gram: np.ndarray, side: np.ndarray, active: np.ndarray) -> np.ndarray:
     """Least squares of the active unknowns, 0 for the others: as `side`."""
-    scale = np.sqrt(np.maximum(np.diag(gram)[active], 1e-30))
-    values, vectors = np.linalg.eigh(gram[np.ix_(active, active)] / np.outer(scale, scale))
-    inverse = np.where(values > _TINY * values[-1], 1 / np.maximum(values, 1e-30), 0)
     out = np.zeros_like(side)
-    out[active] = (vectors @ (inverse[:, None] * (vectors.T @ (side[active] / scale[:, None])))) / scale[
-        :, None
-    ]
+    out[active] = pseudo_inverse(gram[np.ix_(active, active)], _TINY) @ side[active]
     return out

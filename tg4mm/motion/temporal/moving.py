@@ -28,7 +28,7 @@ from tg4mm.motion.hyperparameters import Hyperparameters
 from tg4mm.motion.jacobian.view import VIEW_BYTES, blend_sum, view_jacobian
 from tg4mm.motion.nuisance.projection import POSE, Nuisance, Projection, with_still_background
 from tg4mm.motion.observations import Observations, PosedFrames, whole_pictures
-from tg4mm.motion.refine import MovedPictures, refine_rest_scene
+from tg4mm.motion.refine import refine_at_rest
 from tg4mm.motion.sinusoids import polynomials, sinusoids
 from tg4mm.motion.solver.operator import Fold
 from tg4mm.motion.solver.problem import Problem
@@ -301,15 +301,12 @@ def _refined(
 ) -> Gaussians:
     """The Gaussians refined on all frames, whose exposure is taken out."""
     width, height = observations.size
-    pictures = room((len(observations.frames), 1, height, width, 3))
+    pictures = room((len(observations.frames), height, width, 3))
     for k, picture in enumerate(pictures_of(observations)):
-        pictures[k, 0] = (picture - exposures[k, 3:]) / (1 + exposures[k, :3])
+        pictures[k] = (picture - exposures[k, 3:]) / (1 + exposures[k, :3])
         release(pictures)
-    motions = np.zeros((1, len(gaussians), 6), np.float32)
-    seen = MovedPictures(observations.frames, pictures, motions, np.zeros(1, np.int64))
     iterations = int(np.clip(4 * len(observations.frames), 300, 1500))
-    with progress("scene at rest, refined", iterations, "iterations") as update:
-        return refine_rest_scene(gaussians, seen, iterations, seed, device, update)
+    return refine_at_rest(gaussians, observations.frames, pictures, iterations, seed, device)
 
 
 def robust_weights(residual: np.ndarray) -> np.ndarray:
