@@ -28,11 +28,11 @@ from tg4mm.evaluate.truth import exact_motion, load_truth
 from tg4mm.evaluate.weights import blending_weights
 from tg4mm.motion import ModalMotion, MotionConfig
 from tg4mm.motion.animate import displacement_at
-from tg4mm.motion.checkpoints import computed
-from tg4mm.motion.clocks.synchronous import principal_components
+from tg4mm.motion.checkpoints import no_checkpoint
 from tg4mm.motion.nuisance.first_look import look_at
 from tg4mm.motion.observations import observe
 from tg4mm.motion.spectrum import series_modes
+from tg4mm.motion.temporal.synchronous import principal_components
 from tg4mm.run import Run
 from tg4mm.space import SpaceConfig, rest_views
 from tg4mm.stages.motion import train_motion
@@ -95,7 +95,7 @@ def row(subject: Subject, n_timesteps: int, decode: float, band: tuple[float, fl
     config, gaussians = MotionConfig(), subject.run.load_space()
     observations = observe(capture, images)
     began = time.process_time()
-    seen = look_at(gaussians, observations, config, "cpu", computed)
+    seen = look_at(gaussians, observations, config, "cpu", no_checkpoint)
     targets = principal_components(observations, seen.look, seen.nuisances, config.components)
     reading = time.process_time() - began
     with tempfile.TemporaryDirectory() as folder:

@@ -4,7 +4,7 @@
                                        [--moved 0.3] [--iterations 4] [--gauss-newton 1]
 
 Random Gaussians rock about a vertical line by --moved pixels, six different pictures a period, which are written once
-and repeated over time. Memory does not go by the number of iterations, so few are made. A line for each finished part:
+and repeated over time. Memory does not go by the number of iterations, so few are made. A line for each finished step:
 most resident memory since the last one, processor seconds. Run it with OMP_NUM_THREADS=1.
 """
 
@@ -92,7 +92,7 @@ def filmed(out: Path, gaussians: Gaussians, asked: argparse.Namespace) -> Captur
 
 
 class Told:
-    """`Parts` that prints what each costs."""
+    """`Checkpoint` that prints what each costs."""
 
     def __init__(self) -> None:
         self.most = 0.0
@@ -132,7 +132,7 @@ def main() -> None:
     capture = filmed(asked.out, gaussians, asked)
     config = MotionConfig(iterations=asked.iterations, gauss_newton=asked.gauss_newton)
     told = Told()
-    fit = fit_motion(gaussians, observe(capture, FilePictures(capture)), config, parts=told)
+    fit = fit_motion(gaussians, observe(capture, FilePictures(capture)), config, checkpoint=told)
     told.line("the rest")
     print(
         f"{asked.cameras} cameras of {capture.width}×{capture.height}, {asked.timesteps} timesteps, {asked.gaussians} "

@@ -129,7 +129,7 @@ def main() -> None:
         views = [view_jacobian(gaussians, c, (capture.width, capture.height)) for c in fixed_cameras(capture)]
         problem = Problem.of(views, gaussians, MotionConfig(), "cpu")
         title = f"motion stage, {size}, {len(views)} views: a component's iteration, so many at once"
-        calls = motion_iterations(problem.on_cpu(problem.everything, None, DEFAULT))
+        calls = motion_iterations(problem.on_cpu(problem.everything, DEFAULT))
         table(title, calls, max(3, options.iterations // 10), {name: int(name) for name in calls})
 
 

@@ -101,7 +101,7 @@ def test_motion_kept_on_a_device_moves_alike(t: float, band: tuple[float, float]
     )
     expected = animate(gaussians, motion, t, 20.0, band)
     found = _animate_on_device(
-        gaussians, motion, *_fields_on(torch.device("cpu"), motion, few=False), t, 20.0, band
+        gaussians, motion, *_fields_on(torch.device("cpu"), motion, few=False), None, t, 20.0, band
     )
     torch.testing.assert_close(found.means, expected.means, rtol=0, atol=1e-6)
     torch.testing.assert_close(found.quats, expected.quats, rtol=0, atol=1e-6)

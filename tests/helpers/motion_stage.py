@@ -1,4 +1,4 @@
-"""A motion stage that is killed after some of its parts."""
+"""A motion stage that is killed after some of its steps."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ import pytest
 
 from tests.helpers.space_train import Killed
 from tg4mm.motion.checkpoints import Arrays
-from tg4mm.stages.motion import StoredParts
+from tg4mm.stages.motion import RunCheckpoint
 
 NEVER = -1
 
 
 def stop_after(count: int, monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """From now on the process dies once so many parts have been saved; gets the names of what is computed."""
+    """From now on the process dies once so many steps have been saved; gets the names of what is computed."""
     computed: list[str] = []
-    real = StoredParts.__call__
+    real = RunCheckpoint.__call__
 
-    def killed(self: StoredParts, name: str, compute: Callable[[], Arrays]) -> Arrays:
+    def killed(self: RunCheckpoint, name: str, compute: Callable[[], Arrays]) -> Arrays:
         found = real(self, name, lambda: computed.append(name) or compute())
         if len(computed) == count:
             raise Killed
         return found
 
-    monkeypatch.setattr(StoredParts, "__call__", killed)
+    monkeypatch.setattr(RunCheckpoint, "__call__", killed)
     return computed

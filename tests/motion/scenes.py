@@ -67,7 +67,7 @@ def problem(
     if nuisance is not None:
         active = np.zeros(12, bool)
         active[nuisance] = True
-        means = np.stack([v.image[..., :3] + v.transmittance[..., None] for v in views])
+        means = np.stack([v.over_white for v in views])
         out = replace(
             out, nuisances=nuisances_of(views, cameras, scene.means.float().numpy(), active), means=means
         )
@@ -81,12 +81,13 @@ def problem(
 
 def weights_of(p: Problem) -> np.ndarray:
     """[V, H, W]: 0.2 to 1."""
-    return np.random.default_rng(7).uniform(0.2, 1, (len(p.views), *p.size)).astype(np.float32)
+    return np.random.default_rng(7).uniform(0.2, 1, (len(p.views), *p.size[::-1])).astype(np.float32)
 
 
 def operator(p: Problem, smoothness: float = 3.0, weighted: bool = False) -> CpuOperator:
     """Of all views."""
-    return p.on_cpu(p.everything, weights_of(p) if weighted else None, smoothness)
+    p = p.changed(pixel_weights=weights_of(p)) if weighted else p
+    return p.on_cpu(p.everything, smoothness)
 
 
 def draw(o: CpuOperator, seed: int, count: int = 1) -> np.ndarray:

@@ -22,7 +22,7 @@ from tg4mm.magnify.bands import BandGain, Magnification
 from tg4mm.magnify.linear import magnified_motion
 from tg4mm.motion import MotionConfig
 from tg4mm.motion.animate import _animate_on_device, _fields_on, animate
-from tg4mm.motion.appearance import AppearanceFit, Remainder
+from tg4mm.motion.appearance import AppearanceFit, MotionResidual
 from tg4mm.motion.appearance_problem import HARMONIC, AppearanceProblem, AppearanceView, appearance_views
 from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.jacobian.view import ALPHA_MIN_LINEAR, view_jacobian
@@ -122,8 +122,8 @@ class Lab:
         folds = [Fold(np.arange(0, 8, 2)), Fold(np.arange(1, 8, 2))]
         shapes = self.shapes if shapes is None else shapes
         motion = Problem.of(self.views, self.gaussians, MotionConfig(), "cpu")
-        left = Remainder(motion, pictures, np.array(rows, np.int64), shapes[list(rows)])
-        return AppearanceFit(problem, folds, self.graph.knn).fitted(left)
+        residual = MotionResidual(motion, pictures, np.array(rows, np.int64), shapes[list(rows)])
+        return AppearanceFit(problem, folds, self.graph.knn).fitted(residual)
 
     def shown(self, x: np.ndarray, shapes: np.ndarray) -> np.ndarray:
         both = zip(self.views, self.colours, strict=True)
@@ -260,7 +260,7 @@ def test_on_a_device_it_is_alike() -> None:
     assert m.appearance is not None
     shapes = torch.from_numpy(m.appearance.shapes)
     fields, series = _fields_on(torch.device("cpu"), m, few=False)
-    found = _animate_on_device(g, m, fields, series, 2.5, 20.0, (4.0, 6.0), appearance_fields=shapes)
+    found = _animate_on_device(g, m, fields, series, shapes, 2.5, 20.0, (4.0, 6.0))
     expected = animate(g, m, 2.5, 20.0, (4.0, 6.0))
     assert not torch.allclose(expected.sh, g.sh, atol=0.01)
     torch.testing.assert_close(found.sh, expected.sh, rtol=0, atol=1e-6)
@@ -281,7 +281,7 @@ def test_gaussians_of_one_colour_get_no_tilt() -> None:
 
 
 def test_in_a_long_capture_it_keeps_the_frequency_that_hardly_moves() -> None:
-    """Of more than 64 timesteps weak bins are left out; a component weak in motion may hold all the colour."""
+    """Of more than 64 timesteps weak bins are residual out; a component weak in motion may hold all the colour."""
     t = np.arange(100) / 100
     basis = np.sqrt(2 / 100) * np.stack([np.sin(2 * np.pi * 5 * t), np.sin(2 * np.pi * 9 * t)])
     shapes = np.random.default_rng(0).normal(size=(2, 20, 6)).astype(np.float32)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -21,44 +19,43 @@ SIZE, HALF = 96, 48 * 48
 
 
 @pytest.fixture(scope="module")
-def fine() -> tuple[Problem, list[PosedFrames], np.ndarray]:
+def fine() -> tuple[Problem, list[PosedFrames]]:
     gaussians = _gaussians(_parts(1), 1)
     viewmat = _viewmats(1, 0.0)[0].astype(np.float32)
     frames = [PosedFrames("0", viewmat, K_of(SIZE), np.arange(2), np.arange(2) / 30)]
     views = [view_jacobian(gaussians, f, (SIZE, SIZE)) for f in frames]
     nuisances = nuisances_of(views, frames, gaussians.means.numpy(), np.arange(12) < 6)
-    problem = Problem.of(views, gaussians, MotionConfig(), "cpu")
-    shown = np.stack([v.image[..., :3] + v.transmittance[..., None] for v in views])
+    shown = np.stack([v.over_white for v in views])
     weights = np.random.default_rng(0).uniform(0.5, 1.5, (1, SIZE, SIZE)).astype(np.float32)
-    return replace(problem, nuisances=nuisances, means=shown), frames, weights
+    problem = Problem.of(views, gaussians, MotionConfig(), "cpu")
+    return problem.changed(nuisances=nuisances, means=shown, pixel_weights=weights), frames
+
+
+def weights_of(problem: Problem) -> np.ndarray:
+    assert problem.pixel_weights is not None
+    return problem.pixel_weights
 
 
 def test_a_problem_that_is_small_enough_stays_as_it_is(fine: tuple) -> None:
-    problem, frames, weights = fine
-    same, own = coarser(problem, frames, weights, enough=SIZE * SIZE)
-    assert same is problem
-    assert own is weights
+    assert coarser(*fine, enough=SIZE * SIZE) is fine[0]
 
 
 def test_a_quarter_of_the_pixels_tell_as_much(fine: tuple) -> None:
-    problem, frames, weights = fine
-    small, own = coarser(problem, frames, weights, enough=HALF)
+    problem, small = fine[0], coarser(*fine, enough=HALF)
     assert small.size == (48, 48)
-    assert own is not None
-    assert own.sum() == pytest.approx(weights.sum(), rel=1e-3)
+    assert weights_of(small).sum() == pytest.approx(weights_of(problem).sum(), rel=1e-3)
     motion = np.zeros((1, problem.n_gaussians, 6), np.float32)
     motion[..., :3] = [1, 0.5, 0.2]
     energies = [
-        float((w[0, ..., None] * p.views[0].jvp(motion)[0] ** 2).sum())
-        for p, w in ((problem, weights), (small, own))
+        float((weights_of(p)[0, ..., None] * p.views[0].jvp(motion)[0] ** 2).sum()) for p in (problem, small)
     ]
     assert 0.6 * energies[0] < energies[1] < energies[0]
 
 
 def test_what_is_unknown_is_nearly_the_same_and_not_less(fine: tuple) -> None:
     deviations = []
-    for p, w in (fine[::2], coarser(*fine, enough=HALF)):
-        operator = p.on_cpu(Fold(np.arange(1)), w, 30.0)
+    for p in (fine[0], coarser(*fine, enough=HALF)):
+        operator = p.on_cpu(Fold(np.arange(1)), 30.0)
         x = np.random.default_rng(1).normal(size=(1, 4 * p.n_gaussians, 3)).astype(np.float32)
         unseen = unseen_motion(operator, x, 10)
         deviations.append(np.sqrt(np.trace(unseen.covariance, axis1=1, axis2=2) / unseen.prior_scale**2))

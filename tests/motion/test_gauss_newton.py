@@ -23,7 +23,6 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.motion import ModalMotion, MotionConfig
 from tg4mm.motion import knots as module
 from tg4mm.motion.animate import animate
-from tg4mm.motion.clocks.synchronous import principal_components
 from tg4mm.motion.gauss_newton import ABOVE_PX, GaussNewton, GaussNewtonState, states_moved, used_components
 from tg4mm.motion.hyperparameters import Hyperparameters
 from tg4mm.motion.nuisance.first_look import first_look
@@ -33,7 +32,8 @@ from tg4mm.motion.solver.cuda import DeviceViews
 from tg4mm.motion.solver.operator import Fold
 from tg4mm.motion.solver.problem import Problem
 from tg4mm.motion.split_half import folds_of
-from tg4mm.motion.states import Errors, Evidence
+from tg4mm.motion.states import Errors, StateObservations
+from tg4mm.motion.temporal.synchronous import principal_components
 from tg4mm.render.image import render_image
 from tg4mm.run import Run
 from tg4mm.space import SpaceConfig, rest_views
@@ -42,7 +42,7 @@ from tg4mm.stages.space import train_space
 
 CONFIG = MotionConfig(gauss_newton=4)
 SHORT = MotionConfig(components=1, smoothness_weight=300.0, iterations=3, gauss_newton=2, tolerance=1e-6)
-LINEAR = 6  # parts of the linear fit
+LINEAR = 6  # steps of the linear fit
 
 
 def _scene(root: Path, amplitude: float, size: int = 64, detail: int = 2) -> Run:
@@ -252,7 +252,7 @@ def test_what_only_gets_worse_is_not_taken(
     scene = quick[0]
     runs = [_copy(scene, tmp_path / name) for name in ("linear", "wrong")]
     expected = _trained(runs[0], replace(SHORT, gauss_newton=0))
-    monkeypatch.setattr(GaussNewton, "_fitted", lambda self, state, *_: (-3 * state.fields, 300.0))
+    monkeypatch.setattr(GaussNewton, "_solved", lambda self, state, *_: (-3 * state.fold_fields, 300.0))
     found = _trained(runs[1], SHORT)
     np.testing.assert_array_equal(found.freqs_hz, expected.freqs_hz)
     size = np.abs(expected.displacement).max()
@@ -286,22 +286,23 @@ class Lab:
         t = np.arange(capture.n_timesteps)
         turn = np.exp(2j * np.pi * np.outer(truth.freqs_hz, t) / capture.fps)
         moves = np.einsum("kt,knc->tnc", turn, truth.displacement).real
-        self.shapes = np.zeros((len(self.loop.basis), len(self.gaussians), 6), np.float32)
-        self.shapes[..., :3] = scale * np.tensordot(self.loop.basis, moves, 1)
-        states, self.pixels = states_moved(self.views, self.loop.basis, self.shapes, (32, 32))
-        self.evidence = Evidence.of(self.observations, states, targets, self.loop.used)
-        self.problem = Problem.of(self.views, self.gaussians, MotionConfig(), "cpu")
+        self.fields = np.zeros((len(self.loop.basis), len(self.gaussians), 6), np.float32)
+        self.fields[..., :3] = scale * np.tensordot(self.loop.basis, moves, 1)
+        states, self.pixels = states_moved(self.views, self.loop.basis, self.fields, (32, 32))
+        self.observed = StateObservations.of(self.observations, states, targets, self.loop.used)
+        problem = Problem.of(self.views, self.gaussians, MotionConfig(), "cpu")
+        self.problem = problem.changed(pixel_weights=self.loop.weights)
         self.knots = module.knots_of(
-            self.gaussians, self.views, self.shapes, self.evidence, self.observations
+            self.gaussians, self.views, self.fields, self.observed, self.observations
         )
 
     def targets(self, fold: Fold) -> Iterator[np.ndarray]:
-        left, _ = self.evidence.remaining(self.gaussians, self.shapes, "cpu")
-        return module.targets_at(self.knots, fold, left, self.shapes, self.evidence)
+        residuals, _ = self.observed.residuals(self.gaussians, self.fields, "cpu")
+        return module.targets_at(self.knots, fold, residuals, self.fields, self.observed)
 
     def operator(self, fold: Fold) -> Any:
         """And its right-hand sides."""
-        rest = self.problem.on_cpu(fold, self.loop.weights, 300.0)
+        rest = self.problem.on_cpu(fold, 300.0)
         return module.coupled_operator(
             self.problem, rest, self.knots, fold, self.loop.nuisances, self.targets(fold)
         )
@@ -326,7 +327,7 @@ def test_one_knot_at_rest_is_the_linear_problem(quick: tuple[Run, Run, ModalMoti
     assert len(still.knots) == 1
     fold = still.folds[0]
     operator, b = still.operator(fold)
-    plain = still.problem.on_cpu(fold, still.loop.weights, 300.0)
+    plain = still.problem.on_cpu(fold, 300.0)
     theta = np.random.default_rng(0).normal(size=(len(still.loop.basis), *b.shape[1:])).astype(np.float32)
     expected = plain.products(theta)
     np.testing.assert_allclose(operator.products(theta), expected, atol=1e-4 * np.abs(expected).max())
@@ -350,25 +351,25 @@ def test_the_operator_of_several_knots_is_symmetric_and_couples_components(lab: 
 
 def test_of_the_true_motion_target_images_are_what_it_shows(lab: Lab) -> None:
     """Nothing is left of the pictures, so that what each knot must explain is what its views show of the motion."""
-    errors = lab.evidence.remaining(lab.gaussians, lab.shapes, "cpu")[1]
-    still = lab.evidence.remaining(lab.gaussians, 0 * lab.shapes, "cpu")[1]
+    errors = lab.observed.residuals(lab.gaussians, lab.fields, "cpu")[1]
+    still = lab.observed.residuals(lab.gaussians, 0 * lab.fields, "cpu")[1]
     assert errors.changes < 0.08 * still.changes
-    assert errors.within(still)
-    off, whole = 0.0, 0.0
+    assert errors.is_no_larger(still)
+    off, total = 0.0, 0.0
     everything = Fold(np.arange(len(lab.views)))
     places = [(knot, view) for knot in lab.knots for view in knot.views]
     for (knot, view), target in zip(places, lab.targets(everything), strict=True):
-        shown = view.jvp(np.tensordot(knot.mixing.T @ knot.mixing, lab.shapes, 1).astype(np.float32))
+        shown = view.jvp(np.tensordot(knot.mixing.T @ knot.mixing, lab.fields, 1).astype(np.float32))
         off += float(((target - shown) ** 2).sum())
-        whole += float((shown**2).sum())
-    assert off < 0.1 * whole
+        total += float((shown**2).sum())
+    assert off < 0.1 * total
 
 
 def test_on_a_device_the_problem_is_the_same(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
     """What CUDA runs, on the CPU's tensors."""
     here, b = lab.operator(lab.folds[0])
     monkeypatch.setattr(
-        module, "DeviceViews", lambda views, graph, _: DeviceViews(views, graph, "cpu", torch.float32)
+        module, "views_on", lambda _, views, graph: DeviceViews(views, graph, "cpu", torch.float32)
     )
     monkeypatch.setattr(lab, "problem", replace(lab.problem, device="cuda"))
     there, c = lab.operator(lab.folds[0])
@@ -383,36 +384,36 @@ def test_half_a_step_is_taken_where_a_whole_one_goes_too_far(
     best: float, taken: float | None, lab: Lab, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What is left goes by the distance from `best` of the way; where neither leaves less, that was all."""
-    way = np.ones_like(lab.shapes)
+    way = np.ones_like(lab.fields)
 
     class Distance:
-        def remaining(self, gaussians: Gaussians, shapes: np.ndarray, device: str) -> tuple[None, Errors]:
-            off = abs(float(shapes.mean()) - best)
+        def residuals(self, gaussians: Gaussians, fields: np.ndarray, device: str) -> tuple[None, Errors]:
+            off = abs(float(fields.mean()) - best)
             return None, Errors(off, off)
 
     monkeypatch.setattr(lab.loop, "refining", 0)
-    monkeypatch.setattr(lab.loop, "_fitted", lambda *_: (np.stack([way] * 2), 30.0))
+    monkeypatch.setattr(lab.loop, "_solved", lambda *_: (np.stack([way] * 2), 30.0))
     start = GaussNewtonState(
         lab.gaussians, np.zeros((2, *way.shape), np.float32), 300.0, Errors(abs(best), 9.0)
     )
-    evidence: Any = Distance()
-    after = lab.loop._iterated(start, evidence, 0, lambda *_, **__: None)
+    observed: Any = Distance()
+    after = lab.loop._iterated(start, observed, 0, lambda *_, **__: None)
     if taken is None:
         assert after.is_over
-        assert after.fields is start.fields
+        assert after.fold_fields is start.fold_fields
         assert after.smoothness_weight == 300.0
     else:
-        np.testing.assert_allclose(after.fields, taken, rtol=1e-6)
+        np.testing.assert_allclose(after.fold_fields, taken, rtol=1e-6)
         assert after.errors.changes == pytest.approx(abs(best - taken), abs=1e-6)
         assert not after.is_over
         assert after.smoothness_weight == 30.0
 
 
 def test_a_state_read_back_is_the_one_written(lab: Lab) -> None:
-    fields = np.stack([lab.shapes] * 2)
-    errors = lab.evidence.remaining(lab.gaussians, lab.shapes, "cpu")[1]
+    fields = np.stack([lab.fields] * 2)
+    errors = lab.observed.residuals(lab.gaussians, lab.fields, "cpu")[1]
     state = GaussNewtonState(lab.gaussians, fields, 30.0, errors, True)
     back = GaussNewtonState.restored(state.arrays())
     assert (back.smoothness_weight, back.errors, back.is_over) == (30.0, errors, True)
-    np.testing.assert_array_equal(back.fields, fields)
+    np.testing.assert_array_equal(back.fold_fields, fields)
     assert torch.equal(back.gaussians.means, lab.gaussians.means)

@@ -76,7 +76,7 @@ def as_one() -> np.ndarray:
 
 
 def weight_for(p: Problem, images: np.ndarray) -> float:
-    return chosen_weight(images, p, FOLDS, None, 4)
+    return chosen_weight(images, p, FOLDS, 4)
 
 
 def targets(images: np.ndarray) -> TargetImages:
@@ -110,7 +110,7 @@ class TestSmoothness:
         assert weight_for(problem, pictures) > 10 * believed
 
     def test_candidates_that_share_their_passes_are_each_by_itself(self, problem: Problem) -> None:
-        operators = [problem.on_cpu(FOLDS[0], None, weight) for weight in CANDIDATES[:3]]
+        operators = [problem.on_cpu(FOLDS[0], weight) for weight in CANDIDATES[:3]]
         images = [shown(problem, as_one(), 0.5)[v] for v in FOLDS[0].views]
         together = few_iterations(operators, images, 3)
         for operator, found in zip(operators, together, strict=True):
@@ -119,13 +119,13 @@ class TestSmoothness:
 
     def test_a_weight_that_is_given_stands(self, problem: Problem) -> None:
         images = shown(problem, each_by_itself(), 0.0)
-        config = MotionConfig(smoothness_weight=77.0)
-        assert select_smoothness(images, problem, FOLDS, None, config) == 77.0
-        assert select_smoothness(images, problem, FOLDS, None, MotionConfig()) == CANDIDATES[0]
+        given = replace(problem, config=replace(problem.config, smoothness_weight=77.0))
+        assert select_smoothness(images, given, FOLDS) == 77.0
+        assert select_smoothness(images, problem, FOLDS) == CANDIDATES[0]
 
     def test_one_fold_tells_nothing(self, problem: Problem) -> None:
         images = np.concatenate([shown(problem, each_by_itself(), 0.0)] * 2, 1)
-        assert select_smoothness(images, problem, [problem.everything], None, MotionConfig()) == DEFAULT
+        assert select_smoothness(images, problem, [problem.everything]) == DEFAULT
         assert not select_noise(targets(images), problem, [problem.everything]).any()
 
 
@@ -141,14 +141,14 @@ class TestNoise:
         )
 
     def test_the_strongest_component_is_never_noise(self, problem: Problem) -> None:
-        noise = np.random.default_rng(3).normal(size=(CAMERAS, 2, *problem.size, 3)).astype(np.float32)
+        noise = np.random.default_rng(3).normal(size=(CAMERAS, 2, *problem.size[::-1], 3)).astype(np.float32)
         np.testing.assert_array_equal(noise_components(targets(noise), problem, FOLDS), [False, True])
 
     def test_sinusoids_of_known_frequencies_are_not_asked(self, problem: Problem) -> None:
         """Mixed, they are one system, of which none is noise by itself."""
-        noise = np.random.default_rng(3).normal(size=(CAMERAS, 2, *problem.size, 3)).astype(np.float32)
+        noise = np.random.default_rng(3).normal(size=(CAMERAS, 2, *problem.size[::-1], 3)).astype(np.float32)
         mixing = [np.eye(2, dtype=np.float32)] * CAMERAS
-        mixed = replace(problem, mixing=mixing, _kept={})
+        mixed = problem.changed(mixing=mixing)
         assert not select_noise(targets(noise), mixed, FOLDS).any()
 
 

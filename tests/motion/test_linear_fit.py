@@ -11,7 +11,7 @@ import pytest
 
 from tests.motion.scenes import N, problem
 from tg4mm.motion import linear_fit as module
-from tg4mm.motion.checkpoints import computed
+from tg4mm.motion.checkpoints import no_checkpoint
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.hyperparameters import CANDIDATES, Hyperparameters
 from tg4mm.motion.linear_fit import LinearFit
@@ -28,7 +28,7 @@ LOOSE, STIFF = CANDIDATES[0], CANDIDATES[1]  # edges are reweighted above the le
 
 def pictures(seed: int) -> np.ndarray:
     """Three components of two cameras, [V, R, H, W, 3]; the second is noise."""
-    return np.random.default_rng(seed).normal(size=(2, 3, *problem().size, 3)).astype(np.float32)
+    return np.random.default_rng(seed).normal(size=(2, 3, *problem().size[::-1], 3)).astype(np.float32)
 
 
 def fit(
@@ -41,13 +41,13 @@ def fit(
         np.eye(3, 10),
         np.ones(10),
         images,
-        np.zeros((2, *problem().size), np.float32),
+        np.zeros((2, *problem().size[::-1]), np.float32),
         3,
         images[:, 0],
     )
     whole = replace(problem(config.ridge), mixing=mixing)
     hyper = Hyperparameters(np.array([False, mixing is None, False]), weight)
-    return LinearFit(whole, targets, hyper, FOLDS, config, computed)
+    return LinearFit(whole, targets, hyper, FOLDS, config, no_checkpoint)
 
 
 def both_passes(fitting: LinearFit, taken: np.ndarray | None = None) -> np.ndarray:
@@ -159,10 +159,10 @@ def test_where_the_prior_is_loose_already_no_edge_is_reweighted(
     assert len(asked) == calls
 
 
-def test_each_pass_of_each_fold_is_a_part() -> None:
+def test_each_pass_of_each_fold_is_a_step_of_the_checkpoint() -> None:
     asked: list[str] = []
     fitting = fit(pictures(1), MotionConfig(iterations=4))
-    both_passes(replace(fitting, parts=lambda name, compute: asked.append(name) or compute()))
+    both_passes(replace(fitting, checkpoint=lambda name, compute: asked.append(name) or compute()))
     assert asked == ["first_pass_0", "first_pass_1", "second_pass_0", "second_pass_1"]
 
 
@@ -172,7 +172,7 @@ def test_a_second_fit_within_a_support_moves_nothing_else() -> None:
     asked: list[str] = []
     fitting = replace(
         fit(pictures(1)[:, :2], MotionConfig(iterations=4), mixing=mixing),
-        parts=lambda name, compute: asked.append(name) or compute(),
+        checkpoint=lambda name, compute: asked.append(name) or compute(),
     )
     support = (rng.random((3, N)) < 0.5).astype(np.float32)
     for found in fitting.within(support, 1):

@@ -1,10 +1,10 @@
-"""Modes that hold nothing but noise are told from those that hold motion, and errors are spread over modes."""
+"""Modes that hold nothing but noise are told from those that hold motion."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from tg4mm.motion.mode_selection import mode_deviations, peaks, worth_keeping
+from tg4mm.motion.mode_selection import peaks, worth_keeping
 from tg4mm.motion.modes import ModalMotion
 
 
@@ -44,17 +44,6 @@ def test_without_known_noise_only_rounding_is_dropped() -> None:
 def test_zero_hertz_stays_and_stillness_is_empty() -> None:
     assert worth_keeping(of_amplitudes([0.0, 1.0], [0.0, 5.0]), np.full(50, 0.1)).tolist() == [True, True]
     assert worth_keeping(of_amplitudes([0.0], [5.0]), np.full(50, 0.1)).tolist() == [False]
-
-
-def test_a_single_mode_takes_the_whole_error_and_a_weak_one_its_share() -> None:
-    """Amplitude: √2 times the rms over time."""
-    deviation, noise = np.full(50, 0.5), np.full(50, 0.3)
-    alone = mode_deviations(of_amplitudes([2.0], [5.0]), deviation, noise)
-    np.testing.assert_allclose(alone, np.sqrt(2) * 0.5, rtol=1e-6)
-    both = mode_deviations(of_amplitudes([2.0, 1.0], [5.0, 7.0]), deviation, noise)
-    np.testing.assert_allclose(both[1], np.sqrt(2 * (0.09 + 0.16 / 5)), rtol=1e-6)
-    assert (both[0] > both[1]).all()
-    assert (both < alone[0, 0]).all()
 
 
 def test_half_the_frame_rate_is_no_frequency_since_no_band_can_hold_it() -> None:

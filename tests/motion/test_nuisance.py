@@ -191,7 +191,7 @@ def test_products_by_strips_are_those_with_the_columns() -> None:
     left = without(nuisance, mean, changes).reshape(2, -1).astype(np.float64)
     flat = changes.reshape(2, -1).astype(np.float64)
     np.testing.assert_allclose(
-        nuisance.explained(mean, found), flat @ flat.T - left @ left.T, atol=1e-4 * (flat**2).sum()
+        nuisance.explained_gram(mean, found), flat @ flat.T - left @ left.T, atol=1e-4 * (flat**2).sum()
     )
 
 
@@ -218,7 +218,7 @@ VIEWS, T, SIZE, HZ = 6, 12, 32, 5.0
 def smooth(gaussians: Gaussians, viewmat: np.ndarray) -> np.ndarray:
     """[H, W, 3] over white, rendered down to faint alphas: their cut-off at 1/255 would flicker where things move."""
     view = view_jacobian(gaussians, Camera(viewmat.astype(np.float32), K_of(SIZE)), (SIZE, SIZE))
-    return view.image[..., :3] + view.transmittance[..., None]
+    return view.over_white
 
 
 def filmed(

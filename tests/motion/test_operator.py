@@ -276,9 +276,9 @@ def folds(p: Problem, by_pixels: bool) -> list[Fold]:
 def test_the_problems_of_two_folds_add_up_to_the_whole(weighted: bool, by_pixels: bool) -> None:
     """Data and prior both: each fold's prior is as much weaker."""
     p = problem(RIDGE)
-    weights = weights_of(p) if weighted else None
-    whole, halves = p.on_cpu(p.everything, weights, SMOOTH), folds(p, by_pixels)
-    parts = [p.on_cpu(fold, weights, SMOOTH) for fold in halves]
+    p = p.changed(pixel_weights=weights_of(p)) if weighted else p
+    whole, halves = p.on_cpu(p.everything, SMOOTH), folds(p, by_pixels)
+    parts = [p.on_cpu(fold, SMOOTH) for fold in halves]
     theta, pictures = draw(whole, 1, FIELDS), pictures_of(whole)
     expected = whole.products(theta)
     products = [o.products(theta) for o in parts]
@@ -292,7 +292,7 @@ def test_the_problems_of_two_folds_add_up_to_the_whole(weighted: bool, by_pixels
 def test_operators_that_share_a_pass_are_each_by_itself(mixed: bool) -> None:
     """Of one field each, or of three that are mixed."""
     p = problem(RIDGE, mixed=mixed)
-    several = [p.on_cpu(p.everything, None, weight) for weight in (0.1, 3.0, 300.0)]
+    several = [p.on_cpu(p.everything, weight) for weight in (0.1, 3.0, 300.0)]
     n = FIELDS if mixed else 1
     shared, theta = SharedPass(several), draw(several[0], 1, 3 * n)
     parts = [o.products(theta[k * n : (k + 1) * n]) for k, o in enumerate(several)]

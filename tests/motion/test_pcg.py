@@ -41,6 +41,12 @@ def system(n: int = 12, dtype: type = np.float64, systems: int = 1) -> tuple[Mat
     return Matrix(A.astype(dtype)), rng.normal(size=(systems, n, 3)).astype(dtype)
 
 
+def relative_residual(solution: Solution) -> float:
+    """The largest |b − A θ| / |b|."""
+    squares = [float((r**2).sum()) for r in solution.residual]
+    return float(np.sqrt(np.max(np.array(squares) / np.maximum(solution.norms, 1e-300))))
+
+
 def exact(matrix: Matrix, b: np.ndarray) -> np.ndarray:
     A = np.asarray(matrix.A, float)
     whole = np.kron(np.eye(len(b)) if matrix.couple is None else matrix.couple, A)
@@ -52,7 +58,7 @@ def test_a_random_system_is_solved(dtype: type, tolerance: float) -> None:
     matrix, b = system(dtype=dtype)
     found = pcg(matrix, b, 40, 0.0)
     assert np.abs(found.theta - exact(matrix, b)).max() < tolerance
-    assert found.relative_residual < tolerance
+    assert relative_residual(found) < tolerance
     assert found.theta.dtype == found.residual.dtype == dtype
     assert np.abs(pcg(matrix, b, 3, 0.0).theta - exact(matrix, b)).max() > 10 * tolerance
 
@@ -86,8 +92,8 @@ def test_the_residual_is_b_less_the_product() -> None:
     left = b - matrix.A @ found.theta
     np.testing.assert_allclose(found.residual, left, atol=1e-12)
     each = np.linalg.norm(left, axis=(1, 2)) / np.linalg.norm(b, axis=(1, 2))
-    assert found.relative_residual == pytest.approx(each.max(), rel=1e-10)
-    assert found.iterations == 5
+    assert relative_residual(found) == pytest.approx(each.max(), rel=1e-10)
+    assert len(matrix.asked) == 5
 
 
 def test_the_energy_falls_with_each_iteration() -> None:
@@ -126,22 +132,24 @@ def test_a_system_that_has_reached_the_tolerance_goes_no_further() -> None:
     b[0] = np.linalg.eigh(matrix.A)[1][:, :1]  # an eigenvector: solved by one iteration
     found = pcg(matrix, b, 30, 1e-3)
     assert matrix.asked[0] == 2
-    assert matrix.asked[1:] == [1] * (found.iterations - 1)
-    assert 1e-4 < found.relative_residual < 1e-3
-    assert found.iterations < 30
+    assert matrix.asked[1:] == [1] * (len(matrix.asked) - 1)
+    assert 1e-4 < relative_residual(found) < 1e-3
+    assert len(matrix.asked) < 30
 
 
 def test_the_tolerance_is_measured_against_the_norms_given() -> None:
     """A second pass begins with a small residual: of what was asked first it is little."""
     matrix, b = system()
-    assert pcg(matrix, b, 30, 0.1, norms=100.0 * (b**2).sum((1, 2))).iterations == 0
-    assert pcg(matrix, b, 30, 0.1).iterations > 0
+    pcg(matrix, b, 30, 0.1, norms=100.0 * (b**2).sum((1, 2)))
+    assert not matrix.asked
+    pcg(matrix, b, 30, 0.1)
+    assert matrix.asked
 
 
 def test_nothing_asked_is_solved_at_once() -> None:
     matrix, b = system(dtype=np.float32)
     found = pcg(matrix, 0 * b, 10, 1e-6)
-    assert (found.iterations, found.relative_residual) == (0, 0)
+    assert relative_residual(found) == 0
     assert not matrix.asked
 
 
@@ -157,7 +165,7 @@ def test_it_tells_iterations_and_the_largest_residual() -> None:
     told: list[tuple[int, float]] = []
     found = pcg(matrix, b, 6, 0.0, update=lambda *args: told.append(args))
     assert [done for done, _ in told] == [1, 2, 3, 4, 5, 6]
-    assert told[-1][1] == pytest.approx(found.relative_residual)
+    assert told[-1][1] == pytest.approx(relative_residual(found))
 
 
 def test_tensors_are_solved_as_arrays_are() -> None:
@@ -167,6 +175,6 @@ def test_tensors_are_solved_as_arrays_are() -> None:
     t: Solution = pcg(there, torch.from_numpy(b), 6, 0.0)
     assert isinstance(t.theta, torch.Tensor)
     np.testing.assert_allclose(t.theta.numpy(), a.theta, atol=1e-5)
-    assert t.relative_residual == pytest.approx(a.relative_residual, rel=1e-3)
+    assert relative_residual(t) == pytest.approx(relative_residual(a), rel=1e-3)
     np.testing.assert_array_equal(fetched(t.theta), t.theta.numpy())
     assert sent(b, "cpu") is b

@@ -114,9 +114,9 @@ def test_it_is_reached_in_fewer_iterations() -> None:
 
 def test_aggregates_hold_every_gaussian_once(monkeypatch: pytest.MonkeyPatch) -> None:
     means = np.random.default_rng(0).normal(size=(1000, 3))
-    parts = module._split(means)
-    assert sorted(np.concatenate(parts)) == list(range(1000))
-    assert min(map(len, parts)) >= module._LEAST > max(map(len, parts)) // 4
+    regions = module._split(means)
+    assert sorted(np.concatenate(regions)) == list(range(1000))
+    assert min(map(len, regions)) >= module._LEAST > max(map(len, regions)) // 4
     monkeypatch.setattr(module, "MOST", 8)
     assert len(module._split(means)) == 8
     assert len(module._split(means[:20])) == 1

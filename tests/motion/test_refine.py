@@ -14,8 +14,9 @@ from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import Capture, load_capture, load_images
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion import MotionConfig, gauss_newton, refine
+from tg4mm.motion.animate import moved
 from tg4mm.motion.observations import fixed_cameras
-from tg4mm.motion.refine import MovedPictures, at_state, refine_rest_scene
+from tg4mm.motion.refine import MovedPictures, refine_rest_scene
 from tg4mm.run import Run
 from tg4mm.stages.motion import train_motion
 
@@ -101,9 +102,9 @@ def test_states_count_by_how_long_they_last(data, monkeypatch: pytest.MonkeyPatc
 
     def recorded(g: Gaussians, motion: torch.Tensor) -> Gaussians:
         drawn.append(int(motion[0, 0] > 0))
-        return at_state(g, motion)
+        return moved(g, motion)
 
-    monkeypatch.setattr(refine, "at_state", recorded)
+    monkeypatch.setattr(refine, "moved", recorded)
     told: list[int] = []
     refine_rest_scene(data[1], _moved(data), 8, 0, "cpu", told.append)
     assert (drawn.count(0), drawn.count(1)) == (6, 2)
@@ -122,7 +123,7 @@ def test_one_moment_of_gaussians_is_displaced_and_turned(data) -> None:
     """By a quarter turn about z, of the quaternion (1, 0, 0, 0): (√½, 0, 0, √½)."""
     motion = torch.zeros(len(data[1]), 6)
     motion[:, 1], motion[:, 5] = 0.25, np.pi / 2
-    there = at_state(data[1], motion)
+    there = moved(data[1], motion)
     torch.testing.assert_close(there.means, data[1].means + torch.tensor([0, 0.25, 0]))
     expected = torch.tensor([0.5**0.5, 0, 0, 0.5**0.5]).expand(len(there), 4)
     torch.testing.assert_close(there.quats, expected, atol=1e-6, rtol=0)

@@ -11,13 +11,13 @@ import torch
 from tests.helpers.synthetic import _gaussians, _parts, _viewmats
 from tests.motion.filmed import K_of
 from tests.motion.scenes import Camera
-from tg4mm.motion.clocks.frequencies import sinusoids
-from tg4mm.motion.clocks.regions import RegionSeries, fixed_camera_series, labels_of, moving_camera_series
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.jacobian.view import ViewJacobian, view_jacobian
 from tg4mm.motion.nuisance.projection import Projection, nuisances_of
+from tg4mm.motion.sinusoids import sinusoids
 from tg4mm.motion.solver.problem import Problem
+from tg4mm.motion.temporal.regions import RegionSeries, fixed_camera_series, labels_of, moving_camera_series
 
 SIZE, POST = 64, 1
 
@@ -78,7 +78,7 @@ def test_what_nuisance_does_shifts_nothing(scene: Scene) -> None:
     """Exposure that varies by all of it, beside the shift: as without, if it is projected out."""
     active = np.arange(12) < 6
     (nuisance,) = nuisances_of([scene.view], [scene.camera], scene.gaussians.means.numpy(), active)
-    mean = scene.view.image[..., :3] + scene.view.transmittance[..., None]
+    mean = scene.view.over_white
     projection = Projection.of(nuisance, mean, None)
     drift = np.random.default_rng(1).normal(size=(7, 1, 1, 1))
     changes = (scene.shown(SHIFTS) + drift * mean).astype(np.float32)

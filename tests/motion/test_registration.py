@@ -20,7 +20,7 @@ from tg4mm.motion.jacobian.view import view_jacobian
 from tg4mm.motion.modes import ModalMotion, MotionFit
 from tg4mm.motion.nuisance import first_look
 from tg4mm.motion.nuisance.first_look import _looked_at, rest_views
-from tg4mm.motion.nuisance.registration import RegisteredPictures, camera_turns, homographies
+from tg4mm.motion.nuisance.registration import RegisteredPictures, camera_rotations, homographies
 from tg4mm.motion.observations import Observations, PosedFrames
 from tg4mm.motion.pipeline import fit_motion
 
@@ -112,7 +112,7 @@ def test_turns_are_found_beside_something_that_moves_by_itself(moves: float) -> 
     noisy = np.stack(pictures) + 0.004 * np.random.default_rng(1).normal(size=(n, *WIDE, 3))
     frames = PosedFrames("0", np.eye(4, dtype=np.float32), K_WIDE, np.arange(n), np.arange(n) / FPS)
     stack = pictures_of(ImageStack(stored(noisy)))
-    found = camera_turns(Observations("tripod", "synchronous", [frames], stack, FPS, n, False))
+    found = camera_rotations(Observations("tripod", "synchronous", [frames], stack, FPS, n, False))
     off = 110 * np.sqrt(((found - turns)[:, :2] ** 2).sum(1).mean())
     assert off < (0.06 if moves else 0.01)
     assert np.abs(found - turns)[:, 2].max() < (2e-3 if moves else 5e-4)

@@ -5,9 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tg4mm.motion.spectrum import phasors
+from tg4mm.motion.spectrum import apply_series, modes_of
 
 FPS = 30.0
+
+
+def phasors(basis: np.ndarray, fields: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies [K] and phasors [K, N, D] of Σ_r a_r(t) fields[r]."""
+    freqs, series = modes_of(basis, fields, fps)
+    return freqs, apply_series(series, fields)
 
 
 def synthesis(freqs: np.ndarray, values: np.ndarray, t: np.ndarray) -> np.ndarray:

@@ -46,7 +46,7 @@ def test_a_moving_cameras_frames_are_halved_by_time() -> None:
 
 
 def test_one_fold_is_everything() -> None:
-    (fold,) = folds_of(3, SIZE, False, halved=False)
+    (fold,) = folds_of(3, SIZE, False, split=False)
     assert list(fold.views) == [0, 1, 2]
     assert fold.pixels is None
 
@@ -66,10 +66,10 @@ def test_a_fold_of_pixels_has_the_weights_that_its_pixels_have() -> None:
     board = chessboard((32, 32))
     weights = np.random.default_rng(0).uniform(0.1, 1, (3, 32, 32)).astype(np.float32)
     rows = np.array([0, 2])
-    np.testing.assert_array_equal(Fold(rows, board).weighted(weights, (32, 32)), weights[rows] * board)
-    np.testing.assert_array_equal(Fold(rows, board).weighted(None, (32, 32)), np.stack([board] * 2))
-    np.testing.assert_array_equal(Fold(rows).weighted(weights, (32, 32)), weights[rows])
-    assert Fold(rows).weighted(None, (32, 32)) is None
+    np.testing.assert_array_equal(Fold(rows, board).weighted(weights), weights[rows] * board)
+    np.testing.assert_array_equal(Fold(rows, board).weighted(None), np.stack([board] * 2))
+    np.testing.assert_array_equal(Fold(rows).weighted(weights), weights[rows])
+    assert Fold(rows).weighted(None) is None
 
 
 def fields(seed: int = 0, n: int = 3000) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

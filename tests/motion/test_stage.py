@@ -1,4 +1,4 @@
-"""The motion stage on pictures whose motion is known: how near it comes, and that a kill costs one part at most."""
+"""The motion stage on pictures whose motion is known: how near it comes, and that a kill costs one step at most."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from tg4mm.stages.motion import train_motion
 
 FREQS = (3.0, 6.0)  # the post's and the ball's
 SHORT = MotionConfig(components=2, iterations=5, tolerance=1e-6)
-PARTS = ("noise", "smoothness", "first_pass_0", "first_pass_1", "second_pass_0", "second_pass_1")
+STEPS = ("noise", "smoothness", "first_pass_0", "first_pass_1", "second_pass_0", "second_pass_1")
 
 
 @pytest.fixture(scope="module")
@@ -155,7 +155,7 @@ def test_the_same_settings_give_the_same_bits(small, new_run: Callable[[], Run])
     assert not equal(one, train_motion(new_run(), capture, images, replace(SHORT, smoothness_weight=1.0)))
 
 
-@pytest.mark.parametrize("killed_after", range(1, len(PARTS) + 1))
+@pytest.mark.parametrize("killed_after", range(1, len(STEPS) + 1))
 def test_killed_after_a_part_it_goes_on_after_it(
     killed_after: int, small, new_run: Callable[[], Run], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -164,11 +164,11 @@ def test_killed_after_a_part_it_goes_on_after_it(
     expected = train_motion(new_run(), capture, images, SHORT)
     run = new_run()
     with monkeypatch.context() as patch:
-        assert tuple(kill(run, killed_after, small, patch)) == PARTS[:killed_after]
+        assert tuple(kill(run, killed_after, small, patch)) == STEPS[:killed_after]
     assert not run.has_motion
     computed = stop_after(NEVER, monkeypatch)
     assert equal(train_motion(run, capture, images, SHORT), expected)
-    assert tuple(computed) == PARTS[killed_after:]
+    assert tuple(computed) == STEPS[killed_after:]
     assert run.load_checkpoint("motion") is None
     assert run.log()["motion"]["seconds"] > 0
 
@@ -185,7 +185,7 @@ def test_killed_after_every_part_it_ends_the_same(
 ) -> None:
     _, capture, images = small
     expected, run = train_motion(new_run(), capture, images, SHORT), new_run()
-    for _ in PARTS:
+    for _ in STEPS:
         with monkeypatch.context() as patch:
             kill(run, 1, small, patch)
     assert equal(train_motion(run, capture, images, SHORT), expected)
@@ -209,7 +209,7 @@ def test_a_checkpoint_that_is_not_what_was_saved_is_computed_anew(
     run.save_checkpoint("motion", tensors, state)
     computed = stop_after(NEVER, monkeypatch)
     assert equal(train_motion(run, capture, images, SHORT), expected)
-    assert tuple(computed) == PARTS
+    assert tuple(computed) == STEPS
 
 
 def test_a_checkpoint_of_another_scene_is_not_taken_up(

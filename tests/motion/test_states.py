@@ -1,4 +1,4 @@
-"""Timesteps taken together: those that stand alike, with the mean of their pictures."""
+"""Timesteps taken together: those at which things stand nearly alike, with the mean of their pictures."""
 
 from __future__ import annotations
 

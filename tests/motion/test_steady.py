@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from tests.motion.filmed import FPS, clips, error_of, scene
-from tg4mm.motion.checkpoints import computed
-from tg4mm.motion.clocks.independent import IndependentClocks, clock_offset, rotations
+from tg4mm.motion.checkpoints import no_checkpoint
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.jacobian.pixels import pixels_moved
 from tg4mm.motion.jacobian.view import view_jacobian
 from tg4mm.motion.modes import MotionFit
 from tg4mm.motion.pipeline import fit_motion, without_motion
+from tg4mm.motion.temporal.independent import IndependentClocks, clock_offset, rotations
 
 FREQUENCY = 3.4  # Hz: between the DFT bins of these clips
 STARTS = (0.0, 3.0, 11.0, 6.0, 1.5, 8.0)  # timesteps
@@ -111,7 +111,7 @@ def test_rotations_turn_pairs_as_phasors_are_turned() -> None:
 def test_a_run_without_motion_says_why(hz: list[float], said: str) -> None:
     gaussians, motion = scene(3.4)
     observations = clips(gaussians, motion, [0.0], 12)
-    clock = IndependentClocks.of(gaussians, observations, MotionConfig(), "cpu", computed)
+    clock = IndependentClocks.of(gaussians, observations, MotionConfig(), "cpu", no_checkpoint)
     fit = without_motion(replace(clock, figures={"frequencies_hz": hz}, notes=[]))
     assert len(fit.motion.freqs_hz) == 0
     assert said in fit.notes[0]

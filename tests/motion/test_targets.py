@@ -12,15 +12,15 @@ from tests.motion.scenes import gaussians_of, two_cameras
 from tests.space.scenes import capture_of
 from tg4mm.capture import ImageStack
 from tg4mm.motion import observations as observations_module
-from tg4mm.motion.clocks.frequencies import sinusoids
-from tg4mm.motion.clocks.independent import sinusoid_targets
-from tg4mm.motion.clocks.synchronous import kept_components, principal_components
 from tg4mm.motion.jacobian.view import view_jacobian
 from tg4mm.motion.nuisance import first_look as first_look_module
 from tg4mm.motion.nuisance.first_look import first_look
 from tg4mm.motion.nuisance.projection import Nuisance, nuisances_of
 from tg4mm.motion.observations import Observations, PosedFrames, observe
+from tg4mm.motion.sinusoids import sinusoids
 from tg4mm.motion.targets import project
+from tg4mm.motion.temporal.independent import sinusoid_targets
+from tg4mm.motion.temporal.synchronous import kept_components, principal_components
 
 
 def zero_mean_basis(n: int, n_timesteps: int, seed: int = 0) -> np.ndarray:
@@ -158,9 +158,9 @@ class TestComponents:
         for v, frames in enumerate(observations.frames):
             video = changes(images, frames)
             left = video - np.einsum("rt,rs,shwc->thwc", found.basis, found.basis, video)
-            np.testing.assert_allclose(found.residual[v], (left**2).sum(0).mean(-1), rtol=0.02)
+            np.testing.assert_allclose(found.residual_energy[v], (left**2).sum(0).mean(-1), rtol=0.02)
         total = found.energy.sum() - found.energy[: len(found.basis)].sum()
-        np.testing.assert_allclose(3 * found.residual.sum(), total, rtol=1e-3)
+        np.testing.assert_allclose(3 * found.residual_energy.sum(), total, rtol=1e-3)
 
     @pytest.mark.parametrize("cached", [0, 9 * 4 * 5 * 12, 1 << 30])  # bytes: none, one camera, all
     @pytest.mark.parametrize("strip", [1, 1 << 20])
@@ -173,7 +173,7 @@ class TestComponents:
         found = components(stack[1])
         signs = np.sign((found.basis * expected.basis).sum(1))
         np.testing.assert_allclose(found.images, expected.images * signs[:, None, None, None], atol=1e-5)
-        np.testing.assert_allclose(found.residual, expected.residual, atol=1e-6)
+        np.testing.assert_allclose(found.residual_energy, expected.residual_energy, atol=1e-6)
         np.testing.assert_allclose(found.mean, expected.mean, atol=1e-6)
 
     def test_with_a_cache_pictures_are_composited_once(self, stack, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -255,8 +255,8 @@ class TestNuisance:
         look = first_look(observations, nuisances)
         found = principal_components(observations, look, nuisances, 6)
         kept = (found.images.astype(float) ** 2).sum()
-        assert found.residual.min() >= 0
-        assert 3 * found.residual.sum() < 0.1 * kept
+        assert found.residual_energy.min() >= 0
+        assert 3 * found.residual_energy.sum() < 0.1 * kept
         assert 3 * look.total.sum() > 1.5 * kept
 
 
@@ -300,7 +300,7 @@ class TestSinusoids:
             np.testing.assert_allclose(found.images[v], expected, atol=0.01 * np.abs(expected).max())
         changes = sum(float(np.trace(gram)) for gram in first_look(observations, nuisances).grams)
         left = changes - (found.images.astype(float) ** 2).sum()  # the trend
-        assert 3 * found.residual.sum() == pytest.approx(left, rel=1e-3)
+        assert 3 * found.residual_energy.sum() == pytest.approx(left, rel=1e-3)
 
     def test_the_mixing_is_nearly_a_rotation(self, stack) -> None:
         """Of records that hold many periods: functions of unit length, nearly orthogonal."""

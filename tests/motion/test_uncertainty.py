@@ -21,7 +21,7 @@ from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.jacobian.view import ViewJacobian, blend_sum, view_jacobian
 from tg4mm.motion.observations import PosedFrames, fixed_cameras
 from tg4mm.motion.prior.graph import nearest
-from tg4mm.motion.uncertainty import BLOCK, displacement_left, variation
+from tg4mm.motion.uncertainty import BLOCK, local_variance, residual_displacement
 from tg4mm.run import UNCERTAINTY, Run
 from tg4mm.stages.motion import train_motion
 
@@ -41,7 +41,7 @@ class Seen:
         return nearest(self.gaussians.means.numpy())[1]
 
     def left(self, left: list[np.ndarray]) -> np.ndarray:
-        return displacement_left(left, self.views, self.cameras, self.gaussians.means.numpy(), self.knn)
+        return residual_displacement(left, self.views, self.cameras, self.gaussians.means.numpy(), self.knn)
 
     def shows(self, displacement: tuple[float, float, float]) -> list[np.ndarray]:
         """[1, H, W, 3] of each view: what it changes if everything moves."""
@@ -167,8 +167,8 @@ def test_variation_is_the_variance_among_neighbours(seen: Seen) -> None:
     knn = nearest(means)[1]
     shapes = rng.normal(size=(2, 300, 3)).astype(np.float32) + 5
     expected = shapes.astype(np.float64)[:, knn].var(2).sum((0, 2))
-    np.testing.assert_allclose(variation(shapes, knn), expected, rtol=1e-6)
-    assert variation(np.full((2, 300, 3), 7.0, np.float32), knn).max() < 1e-9
+    np.testing.assert_allclose(local_variance(shapes, knn), expected, rtol=1e-6)
+    assert local_variance(np.full((2, 300, 3), 7.0, np.float32), knn).max() < 1e-9
 
 
 def test_a_run_knows_how_far_off_it_is(seen: Seen, tmp_path: Path) -> None:

@@ -14,10 +14,10 @@ from tg4mm.rasterize.simd.functions import exp2
 from tg4mm.rasterize.simd.lanes import lane_sums, load_fours, store_fours
 from tg4mm.rasterize.simd.masks import (
     first_lanes,
-    highest_bits,
     put_mask,
     put_places,
     shifted,
+    sign_mask,
     two_halves,
 )
 from tg4mm.rasterize.simd.memory import (
@@ -98,7 +98,7 @@ def _mark(x: np.ndarray, masks: np.ndarray, words: np.ndarray, back: np.ndarray)
     gathered = two_halves(at, 0, LANES)
     store(words, LANES, gathered)
     for k in range(32):
-        back[31 - k] = highest_bits(gathered)
+        back[31 - k] = sign_mask(gathered)
         gathered = shifted(gathered, np.uint32(1))
     keep(masks)
 

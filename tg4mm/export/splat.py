@@ -15,9 +15,10 @@ from tg4mm.errors import RunError, Tg4mmError
 from tg4mm.gaussians import Gaussians
 from tg4mm.lowpass import BAKED_PX2, smoothing_variance, widened
 from tg4mm.motion.animate import animate
-from tg4mm.motion.mode_selection import mode_deviations, worth_keeping
+from tg4mm.motion.mode_selection import worth_keeping
 from tg4mm.motion.modes import ModalMotion
 from tg4mm.progress import progress
+from tg4mm.result.deviations import mode_deviations
 from tg4mm.run import Run
 from tg4mm.splatfile import SplatFile, write_splat
 

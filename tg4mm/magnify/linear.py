@@ -23,7 +23,7 @@ def magnified_series(series: np.ndarray, response: np.ndarray) -> np.ndarray:
 
 
 def magnified_motion(motion: ModalMotion, plan: Magnification) -> ModalMotion:
-    """The motion with displacement, rotation and light of every Gaussian over t = 0 … T − 1 filtered and magnified.
+    """The motion with displacement, rotation and appearance of every Gaussian filtered over time and magnified.
 
     With ideal bands and modes on DFT bins this is multiplying the phasors, what `modal` does. Modes between the bins
     spread over them, and are magnified as far as they lie in the band.
@@ -35,12 +35,12 @@ def magnified_motion(motion: ModalMotion, plan: Magnification) -> ModalMotion:
     freqs, phasors = series_modes(series, motion.fps)
     factors = 1 + plan.response(freqs, motion.fps)
     phasors = phasors * factors.astype(np.complex64)[:, None, None]
-    light = motion.appearance
-    if light is not None:
-        values = np.stack([light.coefficients(mode_gains(motion, t, 0.0, None)) for t in steps])
+    appearance = motion.appearance
+    if appearance is not None:
+        values = np.stack([appearance.coefficients(mode_gains(motion, t, 0.0, None)) for t in steps])
         series = series_modes(values, motion.fps)[1].astype(np.complex128)
-        light = replace(light, series=series * factors[:, None])
+        appearance = replace(appearance, series=series * factors[:, None])
     return replace(
         motion, freqs_hz=freqs, displacement=phasors[..., :3], rotation=phasors[..., 3:],
-        gains=None, magnified=None, appearance=light,
+        gains=None, magnified=None, appearance=appearance,
     )  # fmt: skip

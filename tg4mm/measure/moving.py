@@ -21,15 +21,15 @@ from tg4mm.measure.modal_fields import ModalFields
 from tg4mm.measure.residuals import MeasuredView
 from tg4mm.measure.scene import Prepared, SharedClock, zeros_in_room
 from tg4mm.measure.sides import HALVES, Sides
-from tg4mm.motion.clocks.moving import at_rest, corrected_poses, pictures_of, robust_weights
 from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.jacobian.view import ViewJacobian, blend_sum, view_jacobian
 from tg4mm.motion.modes import MotionFit
 from tg4mm.motion.nuisance.projection import Nuisance
 from tg4mm.motion.observations import Observations, PosedFrames
+from tg4mm.motion.temporal.moving import corrected_poses, pictures_of, robust_weights
 from tg4mm.progress import progress
 
-_PERIODS = 8.0  # of the lowest frequency that a moving camera tells (`clocks/moving.py`)
+_PERIODS = 8.0  # of the lowest frequency that a moving camera tells (`temporal/moving.py`)
 _MOST_SLOW = 12  # polynomials' degree
 _ALL = np.ones(12, bool)
 
@@ -60,7 +60,7 @@ class FrameViews(Sequence[MeasuredView]):
     def of(self, k: int, view: ViewJacobian, weights: np.ndarray) -> MeasuredView:
         """Frame k with pixel weights [H, W]; both halves are squares of its picture."""
         nuisance = Nuisance(view, self.frames[k], self.gaussians.means.numpy(), _ALL)
-        return MeasuredView(view, self.frames[k], nuisance, at_rest(view), weights, (0, 1))
+        return MeasuredView(view, self.frames[k], nuisance, view.over_white, weights, (0, 1))
 
 
 def prepare_moving(
@@ -109,7 +109,7 @@ def _passed(
     with progress("pictures", count, "frames") as update:
         for k, picture in enumerate(pictures_of(observations)):
             view = view_jacobian(gaussians, frames[k], observations.size)
-            left = picture - at_rest(view)
+            left = picture - view.over_white
             if len(modal.fields):
                 field = np.tensordot(series[:, k].astype(np.float32), modal.fields, 1)
                 left -= view.jvp(np.ascontiguousarray(field[None]))[0]

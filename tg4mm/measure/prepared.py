@@ -28,7 +28,7 @@ from tg4mm.measure.residuals import (
 )
 from tg4mm.measure.scene import Prepared, SharedClock, zeros_in_room
 from tg4mm.measure.sides import HALVES, Sides
-from tg4mm.motion.checkpoints import computed
+from tg4mm.motion.checkpoints import no_checkpoint
 from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.jacobian.view import blend_sum
 from tg4mm.motion.modes import MotionFit
@@ -145,7 +145,7 @@ class _Fixed:
     def _seen(self) -> FixedCameras:
         """Nuisance columns and means as the motion stage finds them, and pictures turned back where cameras shake."""
         config = self.fit.config
-        return look_at(self.gaussians, self.observations, config, "cpu", computed, refines=False)
+        return look_at(self.gaussians, self.observations, config, "cpu", no_checkpoint, refines=False)
 
     def _views(
         self, frames: Sequence[PosedFrames], means: np.ndarray, active: np.ndarray

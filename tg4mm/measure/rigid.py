@@ -139,7 +139,7 @@ def companions(body: Body, fields: np.ndarray) -> np.ndarray:
 
 def _false_changes(view: MeasuredView, trials: np.ndarray) -> np.ndarray:
     """[6, H, W, 3]: what of the pictures' change by motions D [6, N, 6] the scene at rest has and the mean lacks."""
-    rest = view.view.image[..., :3] + view.view.transmittance[..., None]
+    rest = view.view.over_white
     down, right = np.gradient(rest - view.mean, axis=(0, 1))
     flow = optical_flow(view.view, trials, Buffers())
     # a motion to the right by a pixel takes away the slope to the right

@@ -58,6 +58,12 @@ def rotated(quats: Tensor, rotation: Tensor) -> Tensor:
     return torch.cat([w * a - (v * b).sum(-1, keepdim=True), w * b + a * v + torch.linalg.cross(v, b)], -1)
 
 
+def moved(gaussians: Gaussians, motion: Tensor) -> Gaussians:
+    """The Gaussians displaced and rotated by `motion` [N, 6]: scene units, and rotation vectors in radians."""
+    means, quats = gaussians.means + motion[:, :3], rotated(gaussians.quats, motion[:, 3:])
+    return replace(gaussians, means=means, quats=quats)
+
+
 def animate(
     gaussians: Gaussians,
     motion: ModalMotion | None,
@@ -71,19 +77,30 @@ def animate(
     """
     if motion is None:
         return gaussians
-    n = motion.displacement.shape[1]
-    if n != len(gaussians):
+    _check_number(gaussians, motion)
+    gains = mode_gains(motion, t, alpha, band)
+    change = np.concatenate([_sum(motion.displacement, gains), _sum(motion.rotation, gains)], 1)
+    there = moved(gaussians, torch.from_numpy(change).to(gaussians.means))
+    return _with_appearance(there, motion, gains, _appearance_on(gaussians.means.device, motion))
+
+
+def _check_number(gaussians: Gaussians, motion: ModalMotion) -> None:
+    if (n := motion.displacement.shape[1]) != len(gaussians):
         raise ValueError(f"the motion has {n} Gaussians, the scene {len(gaussians)}")
-    like = gaussians.means
-    shift = torch.from_numpy(displacement_at(motion, t, alpha, band)).to(like)
-    rotation = torch.from_numpy(rotation_at(motion, t, alpha, band)).to(like)
-    sh = gaussians.sh
-    if motion.appearance is not None:
-        coefficients = motion.appearance.coefficients(mode_gains(motion, t, alpha, band))
-        sh = apply_appearance(
-            sh, torch.from_numpy(motion.appearance.shapes).to(sh), torch.from_numpy(coefficients).to(sh)
-        )
-    return replace(gaussians, means=like + shift, quats=rotated(gaussians.quats, rotation), sh=sh)
+
+
+def _with_appearance(
+    gaussians: Gaussians, motion: ModalMotion, gains: np.ndarray, fields: Tensor | None
+) -> Gaussians:
+    """With the appearance whose `fields` lie on the Gaussians' device."""
+    if motion.appearance is None or fields is None:
+        return gaussians
+    coefficients = torch.from_numpy(motion.appearance.coefficients(gains)).to(gaussians.sh)
+    return replace(gaussians, sh=apply_appearance(gaussians.sh, fields, coefficients))
+
+
+def _appearance_on(device: torch.device, motion: ModalMotion) -> Tensor | None:
+    return None if motion.appearance is None else torch.from_numpy(motion.appearance.shapes).to(device)
 
 
 def animator(
@@ -99,13 +116,9 @@ def animator(
     device = gaussians.means.device
     if motion is None or (device.type == "cpu" and not packed):
         return partial(animate, gaussians, motion)
-    if motion.displacement.shape[1] != len(gaussians):
-        raise ValueError(
-            f"the motion has {motion.displacement.shape[1]} Gaussians, the scene {len(gaussians)}"
-        )
-    shapes = None if motion.appearance is None else torch.from_numpy(motion.appearance.shapes).to(device)
+    _check_number(gaussians, motion)
     fields, series = _fields_on(device, motion, packed)
-    return partial(_animate_on_device, gaussians, motion, fields, series, appearance_fields=shapes)
+    return partial(_animate_on_device, gaussians, motion, fields, series, _appearance_on(device, motion))
 
 
 def _fields_on(device: torch.device, motion: ModalMotion, few: bool) -> tuple[Tensor, np.ndarray]:
@@ -127,19 +140,13 @@ def _animate_on_device(
     motion: ModalMotion,
     fields: Tensor,
     series: np.ndarray,
+    appearance: Tensor | None,
     t: float,
     alpha: Alpha = 0.0,
     band: tuple[float, float] | None = None,
-    appearance_fields: Tensor | None = None,
 ) -> Gaussians:
-    """Fields and series: as `_fields_on` gives them."""
+    """`animate`, of fields and series as `_fields_on` and `_appearance_on` give them."""
     gains = mode_gains(motion, t, alpha, band)
     factors = torch.from_numpy((gains @ series).real.astype(np.float32)).to(fields.device)
-    change = (factors @ fields).reshape(-1, 6)
-    means, quats = gaussians.means + change[:, :3], rotated(gaussians.quats, change[:, 3:])
-    sh = gaussians.sh
-    if motion.appearance is not None and appearance_fields is not None:
-        sh = apply_appearance(
-            sh, appearance_fields, torch.from_numpy(motion.appearance.coefficients(gains)).to(sh)
-        )
-    return replace(gaussians, means=means, quats=quats, sh=sh)
+    there = moved(gaussians, (factors @ fields).reshape(-1, 6))
+    return _with_appearance(there, motion, gains, appearance)

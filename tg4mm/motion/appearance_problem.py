@@ -11,8 +11,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.sparse import csr_matrix, diags
 
-from tg4mm.motion.few_view_posterior import viewing_rays
 from tg4mm.motion.jacobian.packed import DOF
+from tg4mm.motion.jacobian.pixels import along_and_across
 from tg4mm.motion.jacobian.view import PosedView, ViewJacobian, colour_jacobian
 from tg4mm.motion.prior.graph import Graph
 from tg4mm.rasterize.buffers import Buffers
@@ -72,7 +72,7 @@ def appearance_views(
     for view, camera in zip(views, cameras, strict=True):
         harmonics = np.ones((len(means), 4 if tilts else 1), np.float32)
         if tilts:
-            x, y, z = viewing_rays(camera, means).T
+            x, y, z = along_and_across(camera, means)[0].T
             harmonics[:, 1:] = _TILT * np.stack([-y, z, -x], 1)
         colours = view.splats[view.bins.order[: view.bins.n_visible], FEAT : FEAT + 3]
         out.append(
@@ -101,8 +101,8 @@ def _gather(harmonics, v_colours, out):
                     out[r, n, k, c] += harmonics[n, k] * v_colours[r, n, c]
 
 
-ALIKE = 2.0  # λ: weight of neighbours that change alike; both found on eight generated scenes
-SMALL = 0.2  # μ: weight that draws changes to zero
+SMOOTHNESS_WEIGHT = 2.0  # λ, of neighbours that change alike; both chosen on eight generated scenes
+RIDGE_WEIGHT = 0.2  # μ, which draws changes to zero
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ class AppearanceProblem:
         laplacian = _laplacian(graph)
         seen = _rows(views, weights)
         scale = max(float(seen[:, 0].mean()), 1e-12)
-        d = seen + scale * (ALIKE * laplacian.diagonal()[:, None] + SMALL)
+        d = seen + scale * (SMOOTHNESS_WEIGHT * laplacian.diagonal()[:, None] + RIDGE_WEIGHT)
         return AppearanceProblem(views, weights, laplacian, scale, np.sqrt(d, dtype=np.float32)[..., None])
 
     def of_views(self, rows: np.ndarray) -> AppearanceProblem:
@@ -159,8 +159,8 @@ class AppearanceProblem:
             view.gauss_newton_product(x, None if self.weights is None else self.weights[k], out, self.buffers)
         strength = np.float32(self.scale * self.share)
         for one, image in zip(x, out, strict=True):
-            unlike = (self.laplacian @ one.reshape(len(one), -1)).reshape(one.shape)
-            image += strength * (np.float32(ALIKE) * unlike + np.float32(SMALL) * one)
+            difference = (self.laplacian @ one.reshape(len(one), -1)).reshape(one.shape)
+            image += strength * (np.float32(SMOOTHNESS_WEIGHT) * difference + np.float32(RIDGE_WEIGHT) * one)
         return np.asarray(out / self.root)
 
 

@@ -1,6 +1,6 @@
-"""Parts of a fit that are worth keeping: each is computed once, and a run that was stopped goes on after the last.
+"""Checkpoints: each step of a fit is computed once, and a run that was stopped goes on after the last finished one.
 
-A part is a name and a function that gives named arrays. `computed` keeps nothing; the stage
+A step has a name and a function that gives named arrays. `no_checkpoint` keeps nothing; the stage
 (`tg4mm/stages/motion.py`) keeps them in the run.
 """
 
@@ -18,19 +18,19 @@ from tg4mm.gaussians import Gaussians
 Arrays = dict[str, np.ndarray]
 
 
-class Parts(Protocol):
-    """`parts(name, compute)`: what `compute()` gives, or gave before the run was stopped."""
+class Checkpoint(Protocol):
+    """`checkpoint(name, compute)`: what `compute()` gives, or gave before the run was stopped."""
 
     def __call__(self, name: str, compute: Callable[[], Arrays]) -> Arrays: ...
 
 
-def computed(name: str, compute: Callable[[], Arrays]) -> Arrays:
+def no_checkpoint(name: str, compute: Callable[[], Arrays]) -> Arrays:
     """Nothing is kept."""
     return compute()
 
 
 def arrays_of(gaussians: Gaussians) -> Arrays:
-    """Gaussians as a part of a fit, or of one."""
+    """Gaussians as what a step gives, or a part of it."""
     return {f.name: getattr(gaussians, f.name).numpy() for f in fields(gaussians)}
 
 

@@ -22,8 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from tg4mm.motion.jacobian.packed import DOF
-from tg4mm.motion.jacobian.view import PosedView, ViewJacobian, view_jacobian
+from tg4mm.motion.jacobian.view import view_jacobian
 from tg4mm.motion.nuisance.projection import Nuisance, nuisances_of
 from tg4mm.motion.observations import PosedFrames
 from tg4mm.motion.prior.graph import stiffness_root
@@ -102,46 +101,15 @@ def _prior_draw(operator: CpuOperator, root: csr_matrix, rng: np.random.Generato
     return operator.preconditioner.from_field((np.sqrt(operator.scale) * draw).astype(np.float32))
 
 
-def viewing_rays(camera: PosedView, means: np.ndarray) -> np.ndarray:
-    """Unit vectors [N, 3] from the camera to the points `means` [N, 3]."""
-    turn, shift = camera.viewmat[:3, :3].astype(np.float64), camera.viewmat[:3, 3]
-    return _unit(means + turn.T @ shift)  # from the camera's centre −Rᵀt
-
-
-def along_and_across(camera: PosedView, means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The rays to the points `means` [N, 3], and unit vectors across them, along the pictures' rows."""
-    along = viewing_rays(camera, means)
-    return along, _unit(np.cross(along, camera.viewmat[1, :3].astype(np.float64)))
-
-
-def _unit(v: np.ndarray) -> np.ndarray:
-    return np.asarray(v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-12))
-
-
-def depth_sensitivity(view: ViewJacobian, camera: PosedView, means: np.ndarray, seed: int = 0) -> float:
-    """Change of the picture (rms) for motion towards the camera over that for motion across, same lengths.
-
-    means [N, 3] in scene units. Signs are random from Gaussian to Gaussian, so that nothing cancels but by chance.
-    0 where no motion across is seen.
-    """
-    signs = np.random.default_rng(seed).choice([-1.0, 1.0], (len(means), 1))
-    motions = np.zeros((2, len(means), DOF), np.float32)
-    motions[..., :3] = signs * np.stack(along_and_across(camera, means))
-    along, across = np.sqrt((view.jvp(motions).astype(np.float64) ** 2).sum((1, 2, 3)))
-    return float(along / across) if across > 0 else 0.0
-
-
 ENOUGH = 120_000  # pixels of a view
 
 
-def coarser(
-    problem: Problem, frames: Sequence[PosedFrames], weights: np.ndarray | None, enough: int = ENOUGH
-) -> tuple[Problem, np.ndarray | None]:
-    """The problem and its pixel weights [V, H, W] in pictures of `enough` pixels or a little more; else as they are."""
-    height, width = problem.size
+def coarser(problem: Problem, frames: Sequence[PosedFrames], enough: int = ENOUGH) -> Problem:
+    """The problem in pictures of `enough` pixels or a little more; as it is where they have no more."""
+    width, height = problem.size
     factor = int(np.sqrt(height * width / enough))
     if factor < 2:
-        return problem, weights
+        return problem
     scale = np.diag([1 / factor, 1 / factor, 1]).astype(np.float32)
     small = [replace(f, K=scale @ f.K) for f in frames]
     size = width // factor, height // factor
@@ -149,11 +117,13 @@ def coarser(
     nuisances: Sequence[Nuisance] = ()
     if problem.nuisances:
         nuisances = nuisances_of(views, small, problem.gaussians.means.numpy(), problem.nuisances[0].active)
-    own = np.full((len(views), *size[::-1]), factor**2, np.float32)
-    if weights is not None:
-        own *= _binned(weights[..., None], factor)[..., 0]
+    weights = np.full((len(views), *size[::-1]), factor**2, np.float32)
+    if problem.pixel_weights is not None:
+        weights *= _binned(problem.pixel_weights[..., None], factor)[..., 0]
     means = None if problem.means is None else _binned(problem.means, factor)
-    return replace(problem, views=views, nuisances=nuisances, means=means, projections=None, _kept={}), own
+    return problem.changed(
+        views=views, pixel_weights=weights, nuisances=nuisances, means=means, projections=None
+    )
 
 
 def _binned(pictures: np.ndarray, factor: int) -> np.ndarray:

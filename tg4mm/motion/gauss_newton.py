@@ -1,11 +1,11 @@
-"""Motion of more than a pixel by Gauss-Newton: fit, move, look what is left, fit again.
+"""Motion of more than a pixel by Gauss-Newton: fit, move, render the residual, fit again.
 
 A picture changes in proportion to motion as long as that is less than about a pixel, and the scene at rest was fitted
 to a mean over time that larger motion blurs. So where the linear fit moves things by more than 0.7 pixels it
-is repeated: every iteration renders what the motion found so far shows, fits the motion to what is left with Jacobians
+is repeated: every iteration renders what the motion found so far shows, fits the motion to the residual with Jacobians
 where things have moved to, and then the scene at rest to all pictures (`refine.py`). An iteration counts only if the
-new motion leaves less of the pictures than the old one; if not, half its step is tried, and if that does not
-help either, that was all.
+residual of the pictures gets smaller; if not, half its step is tried, and if that does not
+help either, the iterations are over.
 
 The Jacobians are taken at few states for all timesteps (`knots.py`).
 """
@@ -20,12 +20,12 @@ from typing import Any
 import numpy as np
 
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.checkpoints import Parts, arrays_of, gaussians_of
-from tg4mm.motion.clocks.synchronous import Synchronous
+from tg4mm.motion.checkpoints import Checkpoint, arrays_of, gaussians_of
 from tg4mm.motion.config import MotionConfig, more_iterations
 from tg4mm.motion.hyperparameters import Hyperparameters, chosen_weight, pixel_weights
-from tg4mm.motion.jacobian.view import ViewJacobian, view_jacobian
+from tg4mm.motion.jacobian.view import ViewJacobian
 from tg4mm.motion.knots import NuisancesAtRest, coupled_operator, knots_of, targets_at
+from tg4mm.motion.nuisance.first_look import rest_views
 from tg4mm.motion.nuisance.projection import Nuisance
 from tg4mm.motion.observations import Observations
 from tg4mm.motion.refine import refine_rest_scene
@@ -33,44 +33,45 @@ from tg4mm.motion.solver.operator import Fold
 from tg4mm.motion.solver.pcg import pcg
 from tg4mm.motion.solver.problem import Problem
 from tg4mm.motion.split_half import LEAST, wiener_shrink
-from tg4mm.motion.states import Errors, Evidence, states_moved
+from tg4mm.motion.states import Errors, StateObservations, states_moved
 from tg4mm.motion.targets import TargetImages
+from tg4mm.motion.temporal.synchronous import Synchronous
 from tg4mm.progress import progress
 
 ABOVE_PX = 0.7  # motion up to so many pixels is in the linear range
-_FOR_WEIGHT = 6  # iterations for the candidate weights: what is left after an iteration tells less of them
+_FOR_WEIGHT = 6  # iterations for the candidate weights: the residual after an iteration tells less of them
 _COMPONENTS = 8  # that are fitted, at least, where there are as many
 _FALL = 0.05  # of the misfit: what falls by less is not worth another iteration
 
 
 @dataclass(frozen=True)
 class GaussNewtonState:
-    """Where the iterations stand."""
+    """What an iteration starts from."""
 
     gaussians: Gaussians
-    fields: np.ndarray  # [P, R, N, 6] of each fold
+    fold_fields: np.ndarray  # [P, R, N, 6] of each fold
     smoothness_weight: float
-    errors: Errors  # that they leave
+    errors: Errors  # of the residual
     is_over: bool = False
 
     def arrays(self) -> dict[str, np.ndarray]:
         """For a checkpoint."""
-        figures = self.smoothness_weight, self.errors.changes, self.errors.whole, float(self.is_over)
-        return arrays_of(self.gaussians) | {"fields": self.fields, "figures": np.array(figures)}
+        figures = self.smoothness_weight, self.errors.changes, self.errors.total, float(self.is_over)
+        return arrays_of(self.gaussians) | {"fold_fields": self.fold_fields, "figures": np.array(figures)}
 
     @staticmethod
     def restored(arrays: dict[str, np.ndarray]) -> GaussNewtonState:
         """From what `arrays` gave."""
-        weight, changes, whole, is_over = (float(f) for f in arrays["figures"])
-        errors = Errors(changes, whole)
-        return GaussNewtonState(gaussians_of(arrays), arrays["fields"], weight, errors, bool(is_over))
+        weight, changes, total, is_over = (float(f) for f in arrays["figures"])
+        errors = Errors(changes, total)
+        return GaussNewtonState(gaussians_of(arrays), arrays["fold_fields"], weight, errors, bool(is_over))
 
 
 def used_components(is_noise: np.ndarray) -> np.ndarray:
     """Which temporal components are fitted: those of the linear fit, and as many others and one, or eight in all.
 
     Pictures saturate where things move far, so that the first component is not quite what the motion does in time; the
-    rest of that is in weaker ones. What is noise there after all fades by what the halves agree on; but what moves and
+    rest of that is in weaker ones. What is noise there after all fades by its reliability; but what moves and
     is left out counts as noise of its pixels, which then say less.
     """
     linear, others = np.flatnonzero(~is_noise), np.flatnonzero(is_noise)
@@ -108,17 +109,17 @@ class GaussNewton:
         self,
         gaussians: Gaussians,
         views: Sequence[ViewJacobian],
-        fields: np.ndarray,
+        linear_fields: np.ndarray,
         weight: float,
-        parts: Parts,
-    ) -> tuple[GaussNewtonState, list[float], Evidence]:
-        """From the linear fit's fields [P, R', N, 6]: the last state, the misfit before and after each iteration."""
-        start = np.zeros((len(fields), len(self.basis), *fields.shape[2:]), np.float32)
-        start[:, self.linear] = fields
-        agreed, _ = wiener_shrink(start)
-        states, _ = states_moved(views, self.basis, agreed, self.size)
-        evidence = Evidence.of(self.observations, states, self.targets, self.used)
-        errors = evidence.remaining(gaussians, agreed, self.device)[1]
+        checkpoint: Checkpoint,
+    ) -> tuple[GaussNewtonState, list[float], StateObservations]:
+        """Iterate from the linear fit's fields [P, R', N, 6]: the last state, and the misfits along the way."""
+        start = np.zeros((len(linear_fields), len(self.basis), *linear_fields.shape[2:]), np.float32)
+        start[:, self.linear] = linear_fields
+        fields, _ = wiener_shrink(start)
+        states, _ = states_moved(views, self.basis, fields, self.size)
+        observed = StateObservations.of(self.observations, states, self.targets, self.used)
+        errors = observed.residuals(gaussians, fields, self.device)[1]
         state, misfits = GaussNewtonState(gaussians, start, weight, errors), [errors.changes]
         units = len(self.folds) * self.iterations * self._costs + self.refining
         with progress("Gauss-Newton", self.config.gauss_newton * units, "steps") as update:
@@ -127,13 +128,13 @@ class GaussNewton:
                 def tell(done: int, k: int = k, **figures: Any) -> None:
                     update(k * units + done, iteration=k + 1, **figures)
 
-                before, compute = state, partial(self._iterated_arrays, state, evidence, k, tell)
-                state = GaussNewtonState.restored(parts(f"gauss_newton_{k}", compute))
+                before, compute = state, partial(self._iterated_arrays, state, observed, k, tell)
+                state = GaussNewtonState.restored(checkpoint(f"gauss_newton_{k}", compute))
                 if state.errors.changes < before.errors.changes:
                     misfits.append(state.errors.changes)
                 if state.is_over:
                     break
-        return state, misfits, evidence
+        return state, misfits, observed
 
     @property
     def _costs(self) -> int:
@@ -141,21 +142,21 @@ class GaussNewton:
         return max(2 * len(self.observations.frames) // len(self.folds), 1)
 
     def _iterated_arrays(
-        self, state: GaussNewtonState, evidence: Evidence, k: int, tell: Callable[..., None]
+        self, state: GaussNewtonState, observed: StateObservations, k: int, tell: Callable[..., None]
     ) -> dict[str, np.ndarray]:
-        return self._iterated(state, evidence, k, tell).arrays()
+        return self._iterated(state, observed, k, tell).arrays()
 
     def _iterated(
-        self, state: GaussNewtonState, evidence: Evidence, k: int, tell: Callable[..., None]
+        self, state: GaussNewtonState, observed: StateObservations, k: int, tell: Callable[..., None]
     ) -> GaussNewtonState:
         """One iteration: its motion if it is accepted, then the scene at rest."""
-        new, weight = self._fitted(state, evidence, tell)
+        new, weight = self._solved(state, observed, tell)
         for length in (1.0, 0.5):
-            stepped = (state.fields + np.float32(length) * (new - state.fields)).astype(np.float32)
-            agreed, _ = wiener_shrink(stepped)
-            errors = evidence.remaining(state.gaussians, agreed, self.device)[1]
+            stepped = (state.fold_fields + np.float32(length) * (new - state.fold_fields)).astype(np.float32)
+            fields, _ = wiener_shrink(stepped)
+            errors = observed.residuals(state.gaussians, fields, self.device)[1]
             if errors.changes < state.errors.changes:
-                gaussians, after = self._refined(state.gaussians, agreed, evidence, errors, k, tell)
+                gaussians, after = self._refined(state.gaussians, fields, observed, errors, k, tell)
                 is_over = after.changes > (1 - _FALL) * state.errors.changes
                 return GaussNewtonState(gaussians, stepped, weight, after, is_over)
         return replace(state, is_over=True)
@@ -163,8 +164,8 @@ class GaussNewton:
     def _refined(
         self,
         gaussians: Gaussians,
-        agreed: np.ndarray,
-        evidence: Evidence,
+        fields: np.ndarray,
+        observed: StateObservations,
         errors: Errors,
         k: int,
         tell: Callable[..., None],
@@ -174,85 +175,86 @@ class GaussNewton:
             return gaussians, errors
         before = len(self.folds) * self.iterations * self._costs
         new = refine_rest_scene(
-            gaussians, evidence.moved(agreed), self.refining, self.config.seed + k, self.device,
+            gaussians, observed.moved(fields), self.refining, self.config.seed + k, self.device,
             lambda done: tell(before + done),
         )  # fmt: skip
-        after = evidence.remaining(new, agreed, self.device)[1]
-        return (new, after) if after.within(errors) else (gaussians, errors)
+        after = observed.residuals(new, fields, self.device)[1]
+        return (new, after) if after.is_no_larger(errors) else (gaussians, errors)
 
-    def _fitted(
-        self, state: GaussNewtonState, evidence: Evidence, tell: Callable[..., None]
+    def _solved(
+        self, state: GaussNewtonState, observed: StateObservations, tell: Callable[..., None]
     ) -> tuple[np.ndarray, float]:
         """[P, R, N, 6]: what each fold finds in this iteration; and the smoothness weight, chosen anew for it."""
-        views = self.at_rest(state.gaussians)
+        views = rest_views(state.gaussians, self.observations)
         problem = Problem.of(views, state.gaussians, self.config, self.device)
-        agreed, _ = wiener_shrink(state.fields)
+        problem = problem.changed(pixel_weights=self.weights)
+        fields, _ = wiener_shrink(state.fold_fields)
         weight = state.smoothness_weight
         if not self.config.smoothness_weight and len(self.folds) == 2:
-            at_rest = self.targets_at_rest(views, state.gaussians, agreed, evidence)
-            target = np.stack([own[:1].copy() for own in at_rest])
+            images = self.target_images(views, state.gaussians, fields, observed)
+            target = np.stack([own[:1].copy() for own in images])
             iterations = round(_FOR_WEIGHT * more_iterations(len(state.gaussians)))
-            weight = chosen_weight(target, problem, self.folds, self.weights, iterations)
-        knots = knots_of(state.gaussians, views, agreed, evidence, self.observations)
-        left, _ = evidence.remaining(state.gaussians, agreed, self.device)
-        found = []
+            weight = chosen_weight(target, problem, self.folds, iterations)
+        knots = knots_of(state.gaussians, views, fields, observed, self.observations)
+        residuals, _ = observed.residuals(state.gaussians, fields, self.device)
+        solved = []
         for p, fold in enumerate(self.folds):
-            targets = targets_at(knots, fold, left, agreed, evidence)
-            rest = problem.on_cpu(fold, self.weights, weight)
+            targets = targets_at(knots, fold, residuals, fields, observed)
+            rest = problem.on_cpu(fold, weight)
             operator, b = coupled_operator(problem, rest, knots, fold, self.nuisances, targets)
             done = p * self.iterations * self._costs
             update = partial(self._tell_solve, tell, done)
             solution = pcg(operator, b, self.iterations, self.config.tolerance, update=update)
-            found.append(operator.fields(solution.theta))
-        return np.stack(found), weight
+            solved.append(operator.fields(solution.theta))
+        return np.stack(solved), weight
 
     def _tell_solve(self, tell: Callable[..., None], before: int, done: int, residual: float) -> None:
         tell(before + done * self._costs, residual=round(residual, 4))
 
-    def at_rest(self, gaussians: Gaussians) -> list[ViewJacobian]:
-        """The views of all cameras."""
-        return [view_jacobian(gaussians, camera, self.size) for camera in self.observations.frames]
-
-    def targets_at_rest(
+    def target_images(
         self,
         views: Sequence[ViewJacobian],
         gaussians: Gaussians,
-        agreed: np.ndarray,
-        evidence: Evidence,
+        fields: np.ndarray,
+        observed: StateObservations,
         some: Sequence[int] | None = None,
     ) -> Iterator[np.ndarray]:
         """[R, H, W, 3] of one view after the other, or of some: the target images that the motion explains at rest."""
-        left, _ = evidence.remaining(gaussians, agreed, self.device)
-        everything = np.arange(len(evidence.states.gains))
+        residuals, _ = observed.residuals(gaussians, fields, self.device)
+        everything = np.arange(len(observed.states.gains))
         rows = range(len(views)) if some is None else some
-        return (evidence.target(v, left, everything, views[v].jvp(agreed)) for v in rows)
+        return (observed.target_images(v, residuals, everything, views[v].jvp(fields)) for v in rows)
 
 
-def iterated(
-    clock: Synchronous, hyper: Hyperparameters, folds: np.ndarray, judged: Sequence[int], parts: Parts
+def gauss_newton(
+    model: Synchronous,
+    hyper: Hyperparameters,
+    folds: np.ndarray,
+    judged: Sequence[int],
+    checkpoint: Checkpoint,
 ) -> tuple[Synchronous, np.ndarray, Iterator[np.ndarray], dict[str, Any]]:
-    """From the linear fit's fields [P, R', N, 6] on: the clock with its scene at rest and functions of time as they are
+    """From the linear fit's fields [P, R', N, 6] on: the model with its scene at rest and functions of time as they are
 
     after the iterations, the folds' fields [P, R, N, 6], target images of the `judged` views, and figures for the log.
     """
-    problem = clock.problem
+    problem = model.problem
     loop = GaussNewton(
-        clock.observations, clock.targets, hyper, clock.folds, problem.nuisances, clock.config, problem.device
+        model.observations, model.targets, hyper, model.folds, problem.nuisances, model.config, problem.device
     )
     weight = hyper.smoothness_weight
-    state, misfits, evidence = loop.run(clock.gaussians, problem.views, folds, weight, parts)
-    agreed, _ = wiener_shrink(state.fields)
-    views = loop.at_rest(state.gaussians)
-    images = loop.targets_at_rest(views, state.gaussians, agreed, evidence, judged)
+    state, misfits, observed = loop.run(model.gaussians, problem.views, folds, weight, checkpoint)
+    fields, _ = wiener_shrink(state.fold_fields)
+    views = rest_views(state.gaussians, model.observations)
+    images = loop.target_images(views, state.gaussians, fields, observed, judged)
     figures = {
         "gauss_newton": len(misfits) - 1,
         "misfits": misfits,
         "smoothness_weight": state.smoothness_weight,
     }
-    problem = replace(problem, views=views, gaussians=state.gaussians, _kept={})
+    problem = problem.changed(views=views, gaussians=state.gaussians)
     return (
-        replace(clock, gaussians=state.gaussians, problem=problem, fitted=loop.used),
-        state.fields,
+        replace(model, gaussians=state.gaussians, problem=problem, fitted=loop.used),
+        state.fold_fields,
         images,
         figures,
     )

@@ -1,28 +1,27 @@
 """What is found out before the fit: components of noise, weights of pixels, and how smooth the motion is.
 
-Noise. A temporal component is noise where two halves of the data do not agree on its field after a few iterations. What
+Noise. A temporal component is noise where two folds of the data do not agree on its field after a few iterations. What
 such components hold tells how noisy every pixel is: shadows and gloss of a renderer, dark places of a sensor. Pixels
 count by the inverse of their variance, to which the mean over all is added, so that none counts for more than twice the
 average one.
 
 Smoothness. How far motion reaches before it bends, and how much noise there is, differs from scene to scene by orders
-of magnitude. So the strongest component is fitted to one half with every candidate weight of the prior, for a few
-iterations, and judged by how well it predicts the other half, whose noise it has not seen (cross-validation). Errors of
-the model (edges, shading) are alike in both halves and draw towards weights that are too small; hence the largest
+of magnitude. So the strongest component is fitted to one fold with every candidate weight of the prior, for a few
+iterations, and judged by how well it predicts the other fold, whose noise it has not seen (cross-validation). Errors of
+the model (edges, shading) are alike in both folds and draw towards weights that are too small; hence the largest
 weight that is within 0.8 % of the best.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from tg4mm.motion.config import MotionConfig, more_iterations
+from tg4mm.motion.config import more_iterations
 from tg4mm.motion.solver.cpu import CpuOperator, SharedPass
-from tg4mm.motion.solver.operator import Fold
+from tg4mm.motion.solver.operator import Fold, Operator
 from tg4mm.motion.solver.pcg import pcg
 from tg4mm.motion.solver.problem import Problem
 from tg4mm.motion.split_half import reliability
@@ -30,12 +29,12 @@ from tg4mm.motion.targets import TargetImages, pixel_noise
 from tg4mm.progress import progress
 
 CANDIDATES = (10.0, 30.0, 100.0, 300.0, 1_000.0, 3_000.0)
-DEFAULT = 300.0  # where the data are not halved, or nothing changes
+DEFAULT = 300.0  # where the data are not split, or nothing changes
 _WITHIN = 1.008  # of the least error
 _FEW = 4  # iterations for the candidates, of 16,000 Gaussians or fewer: their order is settled by then
 _LOOSE = 30.0  # smoothness weight while noise is looked for: where much holds them together noise agrees too
 _FOR_NOISE = 2  # iterations; two to six tell the same
-_AGREED = 0.5  # gain below which a component is noise: more than half of its field
+_MIN_RELIABILITY = 0.5  # below it a component is noise: more than half of its field
 _AT_ONCE = 8  # components that share a pass over the views
 
 
@@ -45,7 +44,6 @@ class Hyperparameters:
 
     is_noise: np.ndarray  # [R] bool, temporal components
     smoothness_weight: float
-    pixel_weights: np.ndarray | None = None  # [V, H, W]; None: 1
 
     @property
     def signal(self) -> np.ndarray:
@@ -60,26 +58,19 @@ def select_noise(targets: TargetImages, problem: Problem, folds: Sequence[Fold])
     return np.zeros(len(targets.basis), bool)
 
 
-def select_smoothness(
-    images: np.ndarray,
-    problem: Problem,
-    folds: Sequence[Fold],
-    weights: np.ndarray | None,
-    config: MotionConfig,
-) -> float:
+def select_smoothness(images: np.ndarray, problem: Problem, folds: Sequence[Fold]) -> float:
     """The smoothness weight: the settings', if they have one; `DEFAULT` where one fold tells nothing."""
-    if config.smoothness_weight:
-        return float(config.smoothness_weight)
+    if problem.config.smoothness_weight:
+        return float(problem.config.smoothness_weight)
     if len(folds) == 1:
         return DEFAULT
-    iterations = round(_FEW * more_iterations(problem.n_gaussians))
-    return chosen_weight(images, problem, folds, weights, iterations)
+    return chosen_weight(images, problem, folds, round(_FEW * more_iterations(problem.n_gaussians)))
 
 
 def noise_components(targets: TargetImages, problem: Problem, folds: Sequence[Fold]) -> np.ndarray:
     """[R] bool: the components on which two folds do not agree. The strongest never counts as noise."""
     gains = []
-    operators = [problem.operator(fold, None, _LOOSE, probes=4) for fold in folds]
+    operators = [problem.operator(fold, _LOOSE, probes=4) for fold in folds]
     for first in range(0, targets.images.shape[1], _AT_ONCE):
         some = slice(first, first + _AT_ONCE)
         a, b = (
@@ -87,24 +78,18 @@ def noise_components(targets: TargetImages, problem: Problem, folds: Sequence[Fo
             for operator, fold in zip(operators, folds, strict=True)
         )
         gains.append(reliability((a + b) / 2, a, b))
-    is_noise = np.concatenate(gains) < _AGREED
+    is_noise = np.concatenate(gains) < _MIN_RELIABILITY
     is_noise[0] = False
     return np.asarray(is_noise)
 
 
-def _displacements(operator: Any, images: Any) -> np.ndarray:
+def _displacements(operator: Operator, images: Iterable[np.ndarray]) -> np.ndarray:
     """[R, N, 3] after a few iterations."""
     solution = pcg(operator, operator.right_hand_sides(images), _FOR_NOISE, 1e-6)
     return operator.fields(solution.theta)[..., :3]
 
 
-def chosen_weight(
-    images: np.ndarray,
-    problem: Problem,
-    folds: Sequence[Fold],
-    weights: np.ndarray | None,
-    iterations: int,
-) -> float:
+def chosen_weight(images: np.ndarray, problem: Problem, folds: Sequence[Fold], iterations: int) -> float:
     """The smoothness weight for target images [V, ρ, H, W, 3], fitted to one fold and judged by the other.
 
     `DEFAULT` where the images of a fold do not change.
@@ -112,8 +97,8 @@ def chosen_weight(
     some, others = folds
     if not (images[some.views].any() and images[others.views].any()):
         return DEFAULT
-    judge = problem.operator(others, weights, CANDIDATES[0])
-    operators = [problem.operator(some, weights, value) for value in CANDIDATES]
+    judge = problem.operator(others, CANDIDATES[0])
+    operators = [problem.operator(some, value) for value in CANDIDATES]
     fields = few_iterations(operators, [images[v] for v in some.views], iterations)
     errors = [judge.misfit(f, (images[v] for v in others.views)) for f in fields]
     best = int(np.flatnonzero(np.array(errors) <= _WITHIN * min(errors))[-1])
@@ -121,10 +106,10 @@ def chosen_weight(
 
 
 def few_iterations(
-    operators: Sequence[Any], images: Sequence[np.ndarray], iterations: int
+    operators: Sequence[Operator], images: Sequence[np.ndarray], iterations: int
 ) -> list[np.ndarray]:
     """Fields [R, N, 6] of each operator after so many iterations; on the CPU they share their passes over the views."""
-    on_cpu = isinstance(operators[0], CpuOperator)
+    on_cpu = [o for o in operators if isinstance(o, CpuOperator)]
     with progress("smoothness", iterations * (1 if on_cpu else len(operators)), "iterations") as update:
         if not on_cpu:
             fields = []
@@ -133,13 +118,11 @@ def few_iterations(
                 fields.append(o.fields(solution.theta))
                 update((k + 1) * iterations)
             return fields
-        together = SharedPass(operators)
-        b = together.right_hand_sides(images)
-        own = len(b) // len(operators) if operators[0].is_coupled else 1
-        theta = pcg(together, b, iterations, 1e-6, together=own, update=lambda done, _: update(done)).theta
-    return [
-        o.fields(t) for o, t in zip(operators, theta.reshape(len(operators), -1, *b.shape[1:]), strict=True)
-    ]
+        shared = SharedPass(on_cpu)
+        b = shared.right_hand_sides(images)
+        own = len(b) // len(on_cpu) if on_cpu[0].is_coupled else 1
+        theta = pcg(shared, b, iterations, 1e-6, together=own, update=lambda done, _: update(done)).theta
+    return [o.fields(t) for o, t in zip(on_cpu, theta.reshape(len(on_cpu), -1, *b.shape[1:]), strict=True)]
 
 
 def pixel_weights(

@@ -14,16 +14,16 @@ import numpy as np
 import torch
 
 from tg4mm.gaussians import Gaussians
+from tg4mm.motion.animate import moved
 from tg4mm.motion.jacobian.pixels import pixels_moved
 from tg4mm.motion.jacobian.view import VIEW_BYTES, ViewJacobian, view_jacobian
 from tg4mm.motion.nuisance.projection import Nuisance, Projection
 from tg4mm.motion.observations import Observations
-from tg4mm.motion.refine import at_state
 from tg4mm.motion.solver.cpu import CpuOperator
-from tg4mm.motion.solver.cuda import DeviceOperator, DeviceViews
-from tg4mm.motion.solver.operator import Array, Fold
+from tg4mm.motion.solver.cuda import operator_on, views_on
+from tg4mm.motion.solver.operator import Array, Fold, Operator
 from tg4mm.motion.solver.problem import Problem
-from tg4mm.motion.states import Evidence, states_of
+from tg4mm.motion.states import StateObservations, states_of
 
 KNOTS = 5  # at most: each costs as much as the problem at rest
 KNOT_PX = 0.7  # states less apart share one
@@ -34,42 +34,42 @@ class Knot:
     """States that share Jacobians."""
 
     views: list[ViewJacobian]  # of all cameras, where things are in these states
-    states: np.ndarray  # rows of `Evidence.states`
+    states: np.ndarray  # rows of `StateObservations.states`
     mixing: np.ndarray  # C_l [ρ, R]
 
 
 def knots_of(
     gaussians: Gaussians,
     views: Sequence[ViewJacobian],
-    agreed: np.ndarray,
-    evidence: Evidence,
+    fields: np.ndarray,
+    observed: StateObservations,
     observations: Observations,
 ) -> list[Knot]:
-    """Knots of the motion `agreed` [R, N, 6]; `views`: the Jacobians at rest."""
-    states, motions = evidence.states, evidence.moved(agreed).motions
-    knots = states_of(states.gains.T, pixels_moved(views, agreed[..., :3]), KNOTS, KNOT_PX)
+    """Knots of the motion `fields` [R, N, 6]; `views`: the Jacobians at rest."""
+    states, motions = observed.states, observed.moved(fields).motions
+    knots = states_of(states.gains.T, pixels_moved(views, fields[..., :3]), KNOTS, KNOT_PX)
     out = []
     for knot in range(len(knots.gains)):
         own = np.flatnonzero(knots.of == knot)
         share = states.count[own] / states.count[own].sum()
         motion = torch.from_numpy(np.tensordot(share, motions[own], 1).astype(np.float32))
-        there = at_state(gaussians, motion)
+        there = moved(gaussians, motion)
         is_large = len(knots.gains) * sum(view.nbytes for view in views) > VIEW_BYTES
         each = (view_jacobian(there, camera, observations.size) for camera in observations.frames)
-        moved = [view.stored() if is_large else view for view in each]
-        out.append(Knot(moved, own, _root(states.products[own].sum(0))))
+        jacobians = [view.stored() if is_large else view for view in each]
+        out.append(Knot(jacobians, own, _root(states.products[own].sum(0))))
     return out
 
 
 def targets_at(
-    knots: Sequence[Knot], fold: Fold, left: np.ndarray, agreed: np.ndarray, evidence: Evidence
+    knots: Sequence[Knot], fold: Fold, residuals: np.ndarray, fields: np.ndarray, observed: StateObservations
 ) -> Iterator[np.ndarray]:
     """C_lᵀ times the target images [R, H, W, 3] of each knot and view, one at a time: all are gigabytes at 1080p."""
     for knot in knots:
         for v in fold.views:
-            shown = knot.views[v].jvp(agreed)
+            shown = knot.views[v].jvp(fields)
             knot.views[v].release()
-            yield evidence.target(v, left, knot.states, shown)
+            yield observed.target_images(v, residuals, knot.states, shown)
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def coupled_operator(
     fold: Fold,
     nuisances: NuisancesAtRest,
     targets: Iterable[np.ndarray],
-) -> tuple[CpuOperator | DeviceOperator, Array]:
+) -> tuple[Operator, Array]:
     """One fold with the views of all knots, and its right-hand sides; `rest`: the same with those at rest."""
     views = [knot.views[v] for knot in knots for v in fold.views]
     weights = None if rest.weights is None else np.concatenate([rest.weights] * len(knots))
@@ -109,11 +109,9 @@ def coupled_operator(
         rest, views=views, weights=weights, projections=nuisances.projections(views, fold, weights)
     )
     mixing = [knot.mixing for knot in knots for _ in fold.views]
-    if problem.device == "cpu":
-        return replace(plain, mixing=mixing), plain.right_hand_sides(targets)
-    there = DeviceViews(views, problem.graph, problem.device)
-    b = DeviceOperator(plain, there).right_hand_sides(targets)
-    return DeviceOperator(replace(plain, mixing=mixing), there), b
+    there = views_on(problem.device, views, problem.graph)
+    b = operator_on(there, plain).right_hand_sides(targets)
+    return operator_on(there, replace(plain, mixing=mixing)), b
 
 
 def _root(products: np.ndarray) -> np.ndarray:

@@ -1,6 +1,6 @@
 """The linear fit: every fold's fields by conjugate gradients, in two passes with a deferred correction between.
 
-The first pass explains the target images. Appearance that goes with the motion is then taken from what is left
+The first pass explains the target images. Appearance that goes with the motion is then taken from the residual
 (`appearance.py`), and edges of the prior that two folds find strained are reweighted, both only if the motion is small.
 The second pass solves for the difference that this makes: A δ = b − A x − Jᵀ W (appearance). Together they take the
 iterations of one fit.
@@ -11,15 +11,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
-from tg4mm.motion.checkpoints import Arrays, Parts
+from tg4mm.motion.checkpoints import Arrays, Checkpoint
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.hyperparameters import CANDIDATES, Hyperparameters
-from tg4mm.motion.prior.graph import edge_residual, reweight_edges
-from tg4mm.motion.solver.operator import Fold
+from tg4mm.motion.prior.graph import Graph, edge_residual, reweight_edges
+from tg4mm.motion.solver.operator import Fold, Operator
 from tg4mm.motion.solver.pcg import fetched, pcg, sent
 from tg4mm.motion.solver.problem import Problem
 from tg4mm.motion.targets import TargetImages
@@ -42,11 +41,11 @@ class LinearFit:
     hyper: Hyperparameters
     folds: Sequence[Fold]
     config: MotionConfig
-    parts: Parts
+    checkpoint: Checkpoint
 
-    def operator(self, fold: Fold) -> Any:
+    def operator(self, fold: Fold) -> Operator:
         """The problem that a fold poses."""
-        return self.problem.operator(fold, self.hyper.pixel_weights, self.hyper.smoothness_weight)
+        return self.problem.operator(fold, self.hyper.smoothness_weight)
 
     def first_pass(self, iterations: int | None = None) -> list[Arrays]:
         """Of each fold: `fields` [R, N, 6], `x` [R, 4N, 3], `residual` [R, P, 3] and `norms` of the equations.
@@ -54,15 +53,17 @@ class LinearFit:
         `iterations`: of a fit that no second pass follows; None for the first's part of them.
         """
         first = self.config.iterations - self._of_second if iterations is None else iterations
-        return [self.parts(f"first_pass_{p}", partial(self._first, p, first)) for p in range(len(self.folds))]
+        return [
+            self.checkpoint(f"first_pass_{p}", partial(self._first, p, first)) for p in range(len(self.folds))
+        ]
 
     def within(self, support: np.ndarray, k: int) -> list[Arrays]:
         """The k-th fit in which fields move nothing outside their support [R, N], as `first_pass`."""
 
-        def parts(name: str, compute: Callable[[], Arrays]) -> Arrays:
-            return self.parts(f"{name}_support_{k}", compute)
+        def checkpoint(name: str, compute: Callable[[], Arrays]) -> Arrays:
+            return self.checkpoint(f"{name}_support_{k}", compute)
 
-        own = replace(self, problem=replace(self.problem, support=support), parts=parts)
+        own = replace(self, problem=replace(self.problem, support=support), checkpoint=checkpoint)
         return own.first_pass(self.config.iterations)
 
     def second_pass(
@@ -75,7 +76,7 @@ class LinearFit:
         graph = self._reweighted(first) if is_small else None
         return np.stack(
             [
-                self.parts(f"second_pass_{p}", partial(self._second, p, first[p], correction, graph))[
+                self.checkpoint(f"second_pass_{p}", partial(self._second, p, first[p], correction, graph))[
                     "fields"
                 ]
                 for p in range(len(self.folds))
@@ -100,7 +101,7 @@ class LinearFit:
     def _first(self, p: int, iterations: int) -> Arrays:
         fold = self.folds[p]
         operator, out, chunks = self.operator(fold), [], self._chunks()
-        with progress(f"motion, half {p + 1}", len(chunks) * iterations, "iterations") as update:
+        with progress(f"motion, fold {p + 1}", len(chunks) * iterations, "iterations") as update:
             for k, some in enumerate(chunks):
                 b = operator.right_hand_sides(self._images(fold, some))
                 tell = _telling(update, k * iterations)
@@ -113,11 +114,11 @@ class LinearFit:
             name: np.concatenate(arrays) for name, arrays in zip(names, zip(*out, strict=True), strict=True)
         }
 
-    def _second(self, p: int, first: Arrays, correction: Correction | None, graph: Any) -> Arrays:
+    def _second(self, p: int, first: Arrays, correction: Correction | None, graph: Graph | None) -> Arrays:
         fold, iterations = self.folds[p], self._of_second
         before, out, chunks = self.operator(fold), [], self._chunks()
         operator = before if graph is None else before.with_graph(graph)
-        with progress(f"motion, half {p + 1}, corrected", len(chunks) * iterations, "iterations") as update:
+        with progress(f"motion, fold {p + 1}, corrected", len(chunks) * iterations, "iterations") as update:
             for k, some in enumerate(chunks):
                 b = first["residual"][some].copy()
                 if correction is not None:
@@ -133,7 +134,7 @@ class LinearFit:
                 out.append(first["fields"][some] + operator.fields(solution.theta))
         return {"fields": np.concatenate(out)}
 
-    def _reweighted(self, first: Sequence[Arrays]) -> Any:
+    def _reweighted(self, first: Sequence[Arrays]) -> Graph | None:
         """The graph with edges reweighted; None where only one fold, or the least weight, was chosen."""
         if len(first) < 2 or self.hyper.smoothness_weight <= CANDIDATES[0]:
             return None

@@ -1,4 +1,4 @@
-"""What is known of each mode: which are peaks, which hold nothing but noise, how sure each is, what else it could be.
+"""What is known of each mode: which are peaks, which hold nothing but noise, what else it could be.
 
 A fit gives a phasor for every bin of the record's Fourier transform, and most of them hold nothing. The run keeps them
 all, since together they are the motion at every timestep and their median tells a peak from noise; what is handed on
@@ -11,9 +11,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tg4mm.motion.clocks.frequencies import log_floor
 from tg4mm.motion.modes import ModalMotion
 from tg4mm.motion.observations import Observations
+from tg4mm.motion.spectrum import all_but_weakest
+from tg4mm.motion.temporal.frequencies import log_floor
 
 _MAINS_HZ = (100.0, 120.0)  # light flickers at twice the mains' 50 or 60 Hz
 _NEAR_NYQUIST = 0.8
@@ -100,29 +101,10 @@ def worth_keeping(motion: ModalMotion, noise: np.ndarray | None) -> np.ndarray:
     allowed = _OF_MOTION * total
     if noise is not None and len(noise):
         allowed = max(_ROUNDING * total, _usual_power(noise))
-    weakest = np.flatnonzero(oscillates)[np.argsort(power[oscillates], kind="stable")]
-    keep = np.full(len(power), True)
-    keep[weakest[np.cumsum(power[weakest]) <= allowed]] = False
-    return keep
+    return all_but_weakest(power, oscillates, allowed)
 
 
 def _usual_power(noise: np.ndarray) -> float:
     """Mean square of noise [N], stray Gaussians held to what the others have."""
     usual = np.minimum(noise, np.percentile(noise, _STRAY)).astype(np.float64)
     return float((usual**2).mean())
-
-
-def mode_deviations(motion: ModalMotion, deviation: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    """[K, N] float32 scene units: standard deviation of each mode's amplitude at each Gaussian.
-
-    deviation, noise [N]: of the displacement, rms over time, root of the sum over x, y, z, in all and by noise alone
-    (RUN/uncertainty.safetensors). How an error spreads over frequencies is not known. Noise is taken to lie at this one
-    as a whole, which is the most it can be; errors of the model, which grow with the motion, by the mode's share of the
-    motion's power. A sinusoid's amplitude is √2 times its rms.
-    """
-    power = (np.abs(motion.displacement) ** 2).sum(2).mean(1).astype(np.float64)
-    total = float(power[np.asarray(motion.freqs_hz) > 0].sum())
-    share = np.clip(power / total, 0, 1) if total > 0 else np.zeros_like(power)
-    by_noise = np.asarray(noise, np.float64) ** 2
-    by_model = np.maximum(np.asarray(deviation, np.float64) ** 2 - by_noise, 0)
-    return np.sqrt(2 * (by_noise + share[:, None] * by_model)).astype(np.float32)

@@ -9,15 +9,11 @@ from typing import Any
 import numpy as np
 
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.appearance import AppearanceFit, Remainder
-from tg4mm.motion.checkpoints import Arrays, Parts, computed
-from tg4mm.motion.clocks import Clock
-from tg4mm.motion.clocks.independent import IndependentClocks
-from tg4mm.motion.clocks.moving import MovingCamera
-from tg4mm.motion.clocks.synchronous import Synchronous
+from tg4mm.motion.appearance import AppearanceFit, MotionResidual
+from tg4mm.motion.checkpoints import Arrays, Checkpoint, no_checkpoint
 from tg4mm.motion.config import MotionConfig, resolved
 from tg4mm.motion.few_view_posterior import coarser
-from tg4mm.motion.gauss_newton import ABOVE_PX, iterated
+from tg4mm.motion.gauss_newton import ABOVE_PX, gauss_newton
 from tg4mm.motion.hyperparameters import (
     Hyperparameters,
     pixel_weights,
@@ -29,11 +25,15 @@ from tg4mm.motion.mode_selection import frequency_notes
 from tg4mm.motion.modes import ModalMotion, MotionFit
 from tg4mm.motion.observations import Observations
 from tg4mm.motion.split_half import LEAST, wiener_shrink
-from tg4mm.motion.uncertainty import MotionEstimate, Uncertainty, of_few_views, of_halves
+from tg4mm.motion.temporal import TemporalModel
+from tg4mm.motion.temporal.independent import IndependentClocks
+from tg4mm.motion.temporal.moving import MovingCamera
+from tg4mm.motion.temporal.synchronous import Synchronous
+from tg4mm.motion.uncertainty import MotionEstimate, Uncertainty, few_view_uncertainty, split_half_uncertainty
 from tg4mm.progress import progress
 
 _SUPPORTS = 2  # fits within a support, at most
-_JUDGED = 10  # views in which it is told what is left of the pictures
+_JUDGED = 10  # views whose residual tells errors of the model
 
 
 def fit_motion(
@@ -41,117 +41,124 @@ def fit_motion(
     observations: Observations,
     config: MotionConfig | None = None,
     device: str = "cpu",
-    parts: Parts = computed,
+    checkpoint: Checkpoint = no_checkpoint,
 ) -> MotionFit:
     """The modal motion of `gaussians` (at rest, on the CPU) that explains the observations.
 
-    `parts` keeps what is worth keeping of a long fit (`checkpoints.py`). On CUDA the iterations run there; reading the
+    `checkpoint` keeps finished steps of a long fit (`checkpoints.py`). On CUDA the iterations run there; reading the
     pictures, their components, the neighbourhoods, one projection of each view, and appearance are left to the
     CPU. Raises RunError where no camera sees a Gaussian, Tg4mmError on settings out of range or where the
     device's memory is too small.
     """
     asked = config or MotionConfig()
     settings = resolved(asked, len(gaussians))
-    clock: Clock
+    model: TemporalModel
     if observations.clock == "synchronous":
-        clock = Synchronous.of(gaussians, observations, settings, device, parts)
+        model = Synchronous.of(gaussians, observations, settings, device, checkpoint)
     elif observations.clock == "independent":
-        clock = IndependentClocks.of(gaussians, observations, settings, device, parts)
+        model = IndependentClocks.of(gaussians, observations, settings, device, checkpoint)
     else:
-        clock = MovingCamera.of(gaussians, observations, settings, device, parts)
-    return replace(_fitted(clock, parts), config=asked)
+        model = MovingCamera.of(gaussians, observations, settings, device, checkpoint)
+    return replace(_fitted(model, checkpoint), config=asked)
 
 
-def _fitted(clock: Clock, parts: Parts) -> MotionFit:
+def _fitted(model: TemporalModel, checkpoint: Checkpoint) -> MotionFit:
     """Hyperparameters, the linear fit, Gauss-Newton where motion is large; what halves agree on, its modes, its ±."""
-    if not len(clock.targets.basis):
-        return without_motion(clock)
-    hyper = select_hyperparameters(clock, parts)
-    clock = clock.completed(hyper, parts)
-    folds, gradients = _linear_fit(clock, hyper, parts)
-    clock, folds = clock.settled(folds)
-    if clock.observations.is_flat:
-        folds = in_plane(folds, clock.observations.frames[0].viewmat[2, :3])
+    if not len(model.targets.basis):
+        return without_motion(model)
+    model, hyper = select_hyperparameters(model, checkpoint)
+    model = model.completed(hyper, checkpoint)
+    folds, gradients = _linear_fit(model, hyper, checkpoint)
+    model, folds = model.settled(folds)
+    if model.observations.is_flat:
+        folds = in_plane(folds, model.observations.frames[0].viewmat[2, :3])
     if not folds.shape[1]:
-        return without_motion(clock)
+        return without_motion(model)
     fields, reliability = wiener_shrink(folds)
-    pixels = clock.pixels_moved(fields)
+    pixels = model.pixels_moved(fields)
     figures: dict[str, Any] = {"pixels_moved": pixels, "gauss_newton": 0}
-    images: Iterable[np.ndarray] = (clock.images(v) for v in _judged(clock))
-    iterates = pixels > ABOVE_PX and _can_iterate(clock)
+    images: Iterable[np.ndarray] = (model.images(v) for v in _judged(model))
+    iterates = pixels > ABOVE_PX and _can_iterate(model)
     if iterates:
-        assert isinstance(clock, Synchronous)
-        clock, folds, images, of_iterations = iterated(clock, hyper, folds, _judged(clock), parts)
+        assert isinstance(model, Synchronous)
+        model, folds, images, of_iterations = gauss_newton(model, hyper, folds, _judged(model), checkpoint)
         fields, reliability = wiener_shrink(folds)
         figures |= of_iterations
-    residuals = _residuals(clock, fields, images)
+    residuals = _residuals(model, fields, images)
     estimate = MotionEstimate(
-        folds, fields, clock.gaussians, clock.problem.graph.knn, *_shown(clock), residuals
+        folds, fields, model.gaussians, model.problem.graph.knn, *_shown(model), residuals
     )
-    uncertainty = _uncertainty(clock, hyper, estimate, gradients)
+    uncertainty = _uncertainty(model, hyper, estimate, gradients)
     changes = None
-    if not iterates and (appearance := _appearance_fit(clock, hyper)) is not None:
+    if not iterates and (appearance := _appearance_fit(model)) is not None:
         with progress("appearance", len(fields), "components") as update:
-            changes, kept = appearance.fitted(_remainder(clock, fields), update)
+            changes, kept = appearance.fitted(_motion_residual(model, fields), update)
         figures["appearance_reliability"] = [round(float(g), 4) for g in kept]
     if len(folds) == 2:
         figures["reliability"] = [round(float(g), 4) for g in reliability]
-    return _result(clock, hyper, clock.motion(fields, changes), uncertainty, figures)
+    return _result(model, hyper, model.motion(fields, changes), uncertainty, figures)
 
 
-def select_hyperparameters(clock: Clock, parts: Parts) -> Hyperparameters:
-    """Components of noise, weights of pixels from these, then the smoothness weight."""
+def select_hyperparameters(
+    model: TemporalModel, checkpoint: Checkpoint
+) -> tuple[TemporalModel, Hyperparameters]:
+    """Components of noise and the smoothness weight, and between them weights of pixels for the model's problem."""
 
     def noise() -> Arrays:
-        return {"is_noise": select_noise(clock.targets, clock.problem, clock.folds)}
+        return {"is_noise": select_noise(model.targets, model.problem, model.folds)}
+
+    is_noise = checkpoint("noise", noise)["is_noise"].astype(bool)
+    weights = pixel_weights(model.targets, is_noise, model.problem.mixing is None)
+    weighted = replace(model, problem=model.problem.changed(pixel_weights=weights))
 
     def smoothness() -> Arrays:
-        return {"smoothness_weight": np.array(select_smoothness(*clock.strongest(), weights, clock.config))}
+        return {"smoothness_weight": np.array(select_smoothness(*weighted.strongest()))}
 
-    is_noise = parts("noise", noise)["is_noise"].astype(bool)
-    weights = pixel_weights(clock.targets, is_noise, clock.problem.mixing is None)
-    return Hyperparameters(is_noise, float(parts("smoothness", smoothness)["smoothness_weight"]), weights)
+    weight = float(checkpoint("smoothness", smoothness)["smoothness_weight"])
+    return weighted, Hyperparameters(is_noise, weight)
 
 
-def _linear_fit(clock: Clock, hyper: Hyperparameters, parts: Parts) -> tuple[np.ndarray, np.ndarray]:
+def _linear_fit(
+    model: TemporalModel, hyper: Hyperparameters, checkpoint: Checkpoint
+) -> tuple[np.ndarray, np.ndarray]:
     """Fields [P, R, N, 6] of the folds; the mean over folds of their displacement and gradient, [R, 4N, 3].
 
     Of synchronous cameras in two passes, with a deferred correction between them where motion is small. Of a moving
     camera twice more, where only what was found to move may.
     """
-    linear = LinearFit(clock.problem, clock.targets, hyper, clock.folds, clock.config, parts)
-    if not isinstance(clock, Synchronous):
-        last = linear.first_pass(clock.first_iterations)
+    linear = LinearFit(model.problem, model.targets, hyper, model.folds, model.config, checkpoint)
+    if not isinstance(model, Synchronous):
+        last = linear.first_pass(model.first_iterations)
         for k in range(_SUPPORTS):
-            support = clock.support(np.stack([f["fields"] for f in last]))
+            support = model.support(np.stack([f["fields"] for f in last]))
             if support is None:
                 break
             last = linear.within(support, k)
         return np.stack([f["fields"] for f in last]), np.mean([f["x"] for f in last], axis=0)
     first = linear.first_pass()
     fields, _ = wiener_shrink(np.stack([f["fields"] for f in first]))
-    is_small, correction = clock.pixels_moved(fields) <= ABOVE_PX, None
-    if is_small and (appearance := _appearance_fit(clock, hyper)) is not None:
-        correction = appearance.between_passes(_remainder(clock, fields))
+    is_small, correction = model.pixels_moved(fields) <= ABOVE_PX, None
+    if is_small and (appearance := _appearance_fit(model)) is not None:
+        correction = appearance.between_passes(_motion_residual(model, fields))
     return linear.second_pass(first, is_small, correction), np.mean([f["x"] for f in first], axis=0)
 
 
-def _appearance_fit(clock: Clock, hyper: Hyperparameters) -> AppearanceFit | None:
+def _appearance_fit(model: TemporalModel) -> AppearanceFit | None:
     """None where it was not asked for, or cameras are too few to tell it from noise."""
-    is_told = len(clock.problem.views) >= LEAST and len(clock.folds) == 2
-    if not (isinstance(clock, Synchronous) and clock.config.appearance and is_told):
+    is_told = len(model.problem.views) >= LEAST and len(model.folds) == 2
+    if not (isinstance(model, Synchronous) and model.config.appearance and is_told):
         return None
-    return AppearanceFit.of(clock.problem, clock.observations.frames, hyper.pixel_weights, clock.folds)
+    return AppearanceFit.of(model.problem, model.observations.frames, model.folds)
 
 
-def _remainder(clock: Clock, fields: np.ndarray) -> Remainder:
-    assert isinstance(clock, Synchronous)
-    return Remainder(clock.problem, clock.targets.images, clock.fitted, fields)
+def _motion_residual(model: TemporalModel, fields: np.ndarray) -> MotionResidual:
+    assert isinstance(model, Synchronous)
+    return MotionResidual(model.problem, model.targets.images, model.fitted, fields)
 
 
-def _can_iterate(clock: Clock) -> bool:
+def _can_iterate(model: TemporalModel) -> bool:
     """Gauss-Newton is for several synchronous cameras, or one beside pictures of the scene from elsewhere."""
-    return isinstance(clock, Synchronous) and not clock.observations.is_flat and clock.config.gauss_newton > 0
+    return isinstance(model, Synchronous) and not model.observations.is_flat and model.config.gauss_newton > 0
 
 
 def in_plane(fields: np.ndarray, normal: np.ndarray) -> np.ndarray:
@@ -165,52 +172,54 @@ def in_plane(fields: np.ndarray, normal: np.ndarray) -> np.ndarray:
     return out
 
 
-def _judged(clock: Clock) -> list[int]:
-    """Views whose pictures tell what the motion leaves of them."""
-    n = len(clock.problem.views)
+def _judged(model: TemporalModel) -> list[int]:
+    """Views whose residual tells errors of the model."""
+    n = len(model.problem.views)
     return np.linspace(0, n - 1, min(n, _JUDGED)).round().astype(int).tolist()
 
 
-def _shown(clock: Clock) -> tuple[list[Any], list[Any]]:
+def _shown(model: TemporalModel) -> tuple[list[Any], list[Any]]:
     """Views and cameras that are judged."""
-    rows = _judged(clock)
-    return [clock.problem.views[v] for v in rows], [clock.observations.frames[v] for v in rows]
+    rows = _judged(model)
+    return [model.problem.views[v] for v in rows], [model.observations.frames[v] for v in rows]
 
 
-def _residuals(clock: Clock, fields: np.ndarray, images: Iterable[np.ndarray]) -> Iterable[np.ndarray]:
-    """What fields [R, N, 6] leave of the judged views' target `images`, [ρ, H, W, 3] each, nuisance projected out."""
-    for v, left in zip(_judged(clock), images, strict=True):
-        yield clock.problem.without_nuisance(v, left - clock.problem.shown(v, fields))
+def _residuals(
+    model: TemporalModel, fields: np.ndarray, images: Iterable[np.ndarray]
+) -> Iterable[np.ndarray]:
+    """The judged views' target `images` [ρ, H, W, 3] less what fields [R, N, 6] show, nuisance projected out."""
+    for v, target in zip(_judged(model), images, strict=True):
+        yield model.problem.without_nuisance(v, target - model.problem.shown(v, fields))
 
 
 def _uncertainty(
-    clock: Clock, hyper: Hyperparameters, estimate: MotionEstimate, gradients: np.ndarray
+    model: TemporalModel, hyper: Hyperparameters, estimate: MotionEstimate, gradients: np.ndarray
 ) -> Uncertainty | None:
-    """By two halves of the data; of few cameras with what they do not show."""
-    problem = clock.problem
+    """By two folds of the data; of few cameras with what they do not show."""
+    problem = model.problem
     if len(estimate.folds) < 2:
         return None
-    if len(problem.views) >= LEAST or clock.observations.is_flat:
-        return of_halves(estimate, clock.n_frames)
-    small, weights = coarser(problem, clock.observations.frames, hyper.pixel_weights)
-    operator = small.on_cpu(small.everything, weights, hyper.smoothness_weight)
+    if len(problem.views) >= LEAST or model.observations.is_flat:
+        return split_half_uncertainty(estimate, model.n_frames)
+    small = coarser(problem, model.observations.frames)
+    operator = small.on_cpu(small.everything, hyper.smoothness_weight)
     of_one_field = replace(operator, mixing=None)
-    return of_few_views(estimate, of_one_field, gradients, clock.n_frames, clock.config.seed)
+    return few_view_uncertainty(estimate, of_one_field, gradients, model.n_frames, model.config.seed)
 
 
 def _result(
-    clock: Clock,
+    model: TemporalModel,
     hyper: Hyperparameters,
     motion: ModalMotion,
     uncertainty: Uncertainty | None,
     figures: dict[str, Any],
 ) -> MotionFit:
     """With what is logged, and what cannot be told."""
-    observations, notes = clock.observations, [*clock.notes]
+    observations, notes = model.observations, [*model.notes]
     if observations.is_flat:
         notes.append("a flat capture shows motion across the sight alone, in pixels of its picture")
     pixels = figures["pixels_moved"]
-    if pixels > ABOVE_PX and (not isinstance(clock, Synchronous) or observations.is_flat):
+    if pixels > ABOVE_PX and (not isinstance(model, Synchronous) or observations.is_flat):
         notes.append(
             f"things move by {pixels:.2g} px, more than the {ABOVE_PX} px that such a capture is fitted for: "
             "amplitudes come out too small"
@@ -218,32 +227,32 @@ def _result(
     if uncertainty is not None:
         figures, notes = figures | uncertainty.figures, [*notes, *uncertainty.notes]
     arrays = {} if uncertainty is None else uncertainty.arrays
-    hz = clock.peaks_hz(motion, arrays.get("noise"))
+    hz = model.peaks_hz(motion, arrays.get("noise"))
     figures = {
-        "iterations": clock.config.iterations,
+        "iterations": model.config.iterations,
         "smoothness_weight": hyper.smoothness_weight,
-        "views": len(clock.problem.views),
+        "views": len(model.problem.views),
         "duration_s": round(observations.duration_s, 6),
-        **clock.figures,
+        **model.figures,
         "n_frequencies": len(motion.freqs_hz),
         "frequencies_hz": [round(float(f), 4) for f in hz],
         **figures,
     }
-    return MotionFit(clock.gaussians, motion, arrays, figures, [*notes, *frequency_notes(hz, observations)])
+    return MotionFit(model.gaussians, motion, arrays, figures, [*notes, *frequency_notes(hz, observations)])
 
 
-def without_motion(clock: Clock) -> MotionFit:
+def without_motion(model: TemporalModel) -> MotionFit:
     """Where no frequency stands out of the noise, or the two halves of the data agree on no motion."""
-    empty = np.zeros((0, len(clock.gaussians), 3), np.complex64)
-    motion = ModalMotion(np.zeros(0), empty, empty, clock.observations.fps, clock.observations.n_timesteps)
+    empty = np.zeros((0, len(model.gaussians), 3), np.complex64)
+    motion = ModalMotion(np.zeros(0), empty, empty, model.observations.fps, model.observations.n_timesteps)
     note = "no frequency stands out of the noise: the run holds no motion"
-    if hz := clock.figures["frequencies_hz"]:
+    if hz := model.figures["frequencies_hz"]:
         named = ", ".join(f"{f:.4g}" for f in hz)
-        moving = clock.observations.clock == "moving"
+        moving = model.observations.clock == "moving"
         tripod = "a fixed camera and a sweep (docs/capture-guide.md, tripod) tell"
         note = (
             f"how things move at {named} Hz: two halves of the record do not agree on it, so that the run holds no "
             f"motion; {tripod if moving else 'longer clips tell'}"
         )
-    figures = {"views": len(clock.problem.views), **clock.figures, "n_frequencies": 0}
-    return MotionFit(clock.gaussians, motion, {}, figures, [*clock.notes, note])
+    figures = {"views": len(model.problem.views), **model.figures, "n_frequencies": 0}
+    return MotionFit(model.gaussians, motion, {}, figures, [*model.notes, note])

@@ -8,15 +8,16 @@ number and order stay, so that the motion stays theirs.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.animate import rotated
+from tg4mm.motion.animate import moved
 from tg4mm.motion.jacobian.view import PosedView
+from tg4mm.progress import progress
 from tg4mm.room import release
 from tg4mm.space.losses import photometric_loss
 from tg4mm.space.parameters import ParameterAdam, activate, stride
@@ -66,22 +67,31 @@ def refine_rest_scene(
     return activate(adam.parameters).detach().to("cpu")
 
 
+def refine_at_rest(
+    gaussians: Gaussians,
+    cameras: Sequence[PosedView],
+    pictures: np.ndarray,
+    iterations: int,
+    seed: int,
+    device: str,
+) -> Gaussians:
+    """The Gaussians that show `pictures` [V, H, W, 3] over white of V cameras best, in which nothing moves."""
+    still = np.zeros((1, len(gaussians), 6), np.float32)
+    seen = MovedPictures(cameras, pictures[:, None], still, np.zeros(1, np.int64))
+    with progress("scene at rest, refined", iterations, "iterations") as update:
+        return refine_rest_scene(gaussians, seen, iterations, seed, device, update)
+
+
 def _compare(adam: ParameterAdam, seen: MovedPictures, v: int, k: int, device: str) -> None:
     camera, (height, width) = seen.cameras[v], seen.pictures.shape[2:4]
     viewmat, K, target, motion = (
         torch.from_numpy(a).to(device)
         for a in (camera.viewmat, camera.K, seen.pictures[v, k], seen.motions[k])
     )
-    there = at_state(activate(adam.parameters), motion)
+    there = moved(activate(adam.parameters), motion)
     view = render_view(there, viewmat, K, (width, height), there.sh_degree)
     photometric_loss(view.rgb, target, _L2, 0.0).backward()
     release(seen.pictures)
-
-
-def at_state(gaussians: Gaussians, motion: Tensor) -> Gaussians:
-    """The Gaussians displaced and turned by `motion` [N, 6]: scene units, and rotation vectors in radians."""
-    means, quats = gaussians.means + motion[:, :3], rotated(gaussians.quats, motion[:, 3:])
-    return replace(gaussians, means=means, quats=quats)
 
 
 def _parameters(gaussians: Gaussians) -> dict[str, Tensor]:

@@ -12,16 +12,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
+
+from tg4mm.motion.sinusoids import far_from, refined, residual
 
 ALL_BINS_UP_TO = 64  # timesteps: of longer captures the weakest bins are dropped
 _DROPPED = 1e-4  # of the motion's power at most, 1 % of its rms
-
-
-def phasors(basis: np.ndarray, fields: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarray]:
-    """`modes_of` with the fields applied: frequencies [K] in Hz and phasors [K, N, D] of Σ_r a_r(t) fields[r]."""
-    freqs, series = modes_of(basis, fields, fps)
-    return freqs, apply_series(series, fields)
 
 
 def apply_series(series: np.ndarray, fields: np.ndarray) -> np.ndarray:
@@ -37,7 +32,7 @@ def modes_of(
 
     basis [R, T], fields [R, N, D], appearance [R, ...]: fields of colour that share the components.
     Σ_k Re[m_k exp(i 2π f_k t / fps)] reconstructs the motion at every timestep, less its mean over time, which is the
-    rest pose. The frequencies are all DFT bins above 0. Where the motion has sinusoids between bins or a trend
+    residuals pose. The frequencies are all DFT bins above 0. Where the motion has sinusoids between bins or a trend
     (`find_sinusoids`) these come on top, and the bins hold the residual: the sinusoids; a frequency of 0.05 bins, the
     trend from timestep 0 on; and 0 Hz, the offset from the mean over time to the motion's own zero, which is never
     magnified. Of more than 64 timesteps the weakest bins are dropped, 1e-4 of the power together; in it motion and
@@ -51,7 +46,9 @@ def modes_of(
     if appearance is not None and (own := _products(appearance)).any():
         products = products / max(np.trace(products), 1e-30) + own / np.trace(own)
     power = np.einsum("kr,rs,ks->k", series.conj(), products, series).real
-    keep = _worth_keeping(cycles, power) if n_timesteps > ALL_BINS_UP_TO else np.full(len(cycles), True)
+    oscillates = cycles >= 1
+    dropped = _DROPPED * power[oscillates].sum() if n_timesteps > ALL_BINS_UP_TO else -1.0
+    keep = all_but_weakest(power, oscillates, dropped)
     return cycles[keep] * fps / n_timesteps, series[keep]
 
 
@@ -103,13 +100,11 @@ def _sinusoid_phasors(sinusoids: Sinusoids, weights: np.ndarray) -> dict[float, 
     return out
 
 
-def _worth_keeping(cycles: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """[K] bool: all but the weakest bins, `_DROPPED` of the power together, from cycles and power [K]."""
-    oscillates = np.flatnonzero(cycles >= 1)
-    weakest = oscillates[np.argsort(power[oscillates])]
-    small = np.cumsum(power[weakest]) <= _DROPPED * power[oscillates].sum()
-    keep = np.full(len(cycles), True)
-    keep[weakest[small]] = False
+def all_but_weakest(power: np.ndarray, some: np.ndarray, allowed: float) -> np.ndarray:
+    """[K] bool: all but the weakest of `some` [K] bool, whose power [K] is together at most `allowed`."""
+    weakest = np.flatnonzero(some)[np.argsort(power[some], kind="stable")]
+    keep = np.full(len(power), True)
+    keep[weakest[np.cumsum(power[weakest]) <= allowed]] = False
     return keep
 
 
@@ -137,6 +132,13 @@ class Sinusoids:
         slow = [np.sin(2 * np.pi * TREND_CYCLES * t)[:, None]] if self.trend else []
         return np.hstack([np.ones((n_timesteps, 1)), *slow, np.cos(angles), np.sin(angles)])
 
+    def residual(self, y: np.ndarray) -> np.ndarray:
+        """Of least squares of series y [T, R]."""
+        return residual(y, self.regressors(len(y)))
+
+    def residual_power(self, y: np.ndarray) -> float:
+        return float((self.residual(y) ** 2).sum())
+
 
 def find_sinusoids(series: np.ndarray) -> Sinusoids:
     """The sinusoids that real series [R, T], weighted by their power, share; the mean over time is removed first.
@@ -148,41 +150,31 @@ def find_sinusoids(series: np.ndarray) -> Sinusoids:
     none = Sinusoids(np.zeros(0))
     if len(y) < _OVERSAMPLED or not power > 0:
         return none
-    plain, with_trend = _greedy(y, trend=False), _greedy(y, trend=True)
-    left_plain, left_with_trend = _residual_power(y, plain), _residual_power(y, with_trend)
-    sinusoids, left = plain, left_plain
-    if left_with_trend < _BETTER * left_plain and left_plain - left_with_trend > _WEAKEST * power:
-        sinusoids, left = with_trend, left_with_trend
+    sinusoids, with_trend = _greedy(y, trend=False), _greedy(y, trend=True)
+    unexplained, trend_unexplained = sinusoids.residual_power(y), with_trend.residual_power(y)
+    if trend_unexplained < _BETTER * unexplained and unexplained - trend_unexplained > _WEAKEST * power:
+        sinusoids, unexplained = with_trend, trend_unexplained
     by_bins = np.sort((np.abs(np.fft.rfft(y, axis=0)) ** 2).sum(1))[::-1] * 2 / len(y)
-    left_by_bins = float(np.maximum(power - by_bins[: len(sinusoids.cycles) + 1].sum(), 0))
-    is_better = left < _BETTER * left_by_bins and left_by_bins - left > _WEAKEST * power
+    bins_unexplained = float(np.maximum(power - by_bins[: len(sinusoids.cycles) + 1].sum(), 0))
+    is_better = unexplained < _BETTER * bins_unexplained and bins_unexplained - unexplained > _WEAKEST * power
     return _on_bins(sinusoids) if is_better else none
-
-
-def _residual_power(y: np.ndarray, sinusoids: Sinusoids) -> float:
-    return float((_residual(y, sinusoids) ** 2).sum())
-
-
-def _residual(y: np.ndarray, sinusoids: Sinusoids) -> np.ndarray:
-    """The least-squares residual of y [T, R] on the sinusoids."""
-    x = sinusoids.regressors(len(y))
-    return np.asarray(y - x @ np.linalg.lstsq(x, y, rcond=None)[0])
 
 
 def _greedy(y: np.ndarray, trend: bool) -> Sinusoids:
     """One sinusoid after the other, all refined each time, until no peak is left."""
     sinusoids, power = Sinusoids(np.zeros(0), trend), float((y**2).sum())
-    most = min(_MOST, (len(y) - 2) // 4)
-    residual = _residual(y, sinusoids)
-    while len(sinusoids.cycles) < most:
-        left = float((residual**2).sum())
-        peak = _highest_peak(residual, sinusoids.cycles)
-        if peak is None or left <= _WEAKEST * power:
+    residuals = sinusoids.residual(y)
+    while len(sinusoids.cycles) < min(_MOST, (len(y) - 2) // 4):
+        before = float((residuals**2).sum())
+        peak = _highest_peak(residuals, sinusoids.cycles)
+        if peak is None or before <= _WEAKEST * power:
             break
-        more = _refined(y, Sinusoids(np.append(sinusoids.cycles, peak), trend))
-        residual = _residual(y, more)
-        gain = left - float((residual**2).sum())
-        if not _are_apart(more.cycles, len(y)) or gain < max(_WEAKEST * power, _needed(y, sinusoids) * left):
+        more = _refined(y, np.append(sinusoids.cycles, peak), trend)
+        residuals = more.residual(y)
+        gain = before - float((residuals**2).sum())
+        if not _are_apart(more.cycles, len(y)) or gain < max(
+            _WEAKEST * power, _needed(y, sinusoids) * before
+        ):
             break
         sinusoids = more
     return sinusoids
@@ -190,36 +182,26 @@ def _greedy(y: np.ndarray, trend: bool) -> Sinusoids:
 
 def _needed(y: np.ndarray, sinusoids: Sinusoids) -> float:
     """The part of the residual power that a sinusoid must explain to be more than chance."""
-    free = len(y) - 2 - 2 * len(sinusoids.cycles)
-    return min(_PEAK / free, 0.9)
+    return min(_PEAK / (len(y) - 2 - 2 * len(sinusoids.cycles)), 0.9)
 
 
-def _highest_peak(residual: np.ndarray, taken: np.ndarray) -> float | None:
-    """Of the periodogram, in bins; None if no frequency is far enough from those `taken`."""
-    n = len(residual) * _OVERSAMPLED
-    height = (np.abs(np.fft.rfft(residual, n, axis=0)) ** 2).sum(1)
+def _highest_peak(residuals: np.ndarray, taken: np.ndarray) -> float | None:
+    """Of the periodogram of [T, R], in bins; None if no frequency is far enough from those `taken`."""
+    n = len(residuals) * _OVERSAMPLED
+    height = (np.abs(np.fft.rfft(residuals, n, axis=0)) ** 2).sum(1)
     cycles = np.arange(len(height)) / _OVERSAMPLED
-    allowed = (cycles >= 1) & (cycles <= len(residual) / 2 - _APART)
-    for one in taken:
-        allowed &= np.abs(cycles - one) >= _APART
+    allowed = (cycles >= 1) & (cycles <= len(residuals) / 2 - _APART) & far_from(cycles, taken, _APART)
     return float(cycles[np.where(allowed, height, -1).argmax()]) if allowed.any() else None
 
 
-def _refined(y: np.ndarray, sinusoids: Sinusoids) -> Sinusoids:
+def _refined(y: np.ndarray, cycles: np.ndarray, trend: bool) -> Sinusoids:
     """All frequencies refined by nonlinear least squares, by at most a bin."""
     scale = float(np.sqrt((y**2).sum()))
 
-    def residual(cycles: np.ndarray) -> np.ndarray:
-        return _residual(y, Sinusoids(cycles, sinusoids.trend)).ravel() / scale
+    def misfit(cycles: np.ndarray) -> np.ndarray:
+        return Sinusoids(cycles, trend).residual(y).ravel() / scale
 
-    best = least_squares(
-        residual,
-        sinusoids.cycles,
-        bounds=(sinusoids.cycles - 1, sinusoids.cycles + 1),
-        xtol=1e-10,
-        ftol=1e-12,
-    )
-    return Sinusoids(np.sort(best.x), sinusoids.trend)
+    return Sinusoids(np.sort(refined(misfit, cycles, 1, xtol=1e-10, ftol=1e-12)), trend)
 
 
 def _are_apart(cycles: np.ndarray, n_timesteps: int) -> bool:
@@ -228,7 +210,5 @@ def _are_apart(cycles: np.ndarray, n_timesteps: int) -> bool:
 
 
 def _on_bins(sinusoids: Sinusoids) -> Sinusoids:
-    near = np.round(sinusoids.cycles)
-    return Sinusoids(
-        np.where(np.abs(sinusoids.cycles - near) < _ON_BIN, near, sinusoids.cycles), sinusoids.trend
-    )
+    cycles, near = sinusoids.cycles, np.round(sinusoids.cycles)
+    return Sinusoids(np.where(np.abs(cycles - near) < _ON_BIN, near, cycles), sinusoids.trend)

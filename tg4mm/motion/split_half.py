@@ -20,10 +20,10 @@ _AT_ONCE = 1 << 14  # Gaussians whose neighbourhoods are averaged together
 _SQUARE = 16  # pixels: side of a square of the chessboard, and a codec's macroblock
 
 
-def folds_of(n_views: int, size: tuple[int, int], is_moving: bool, halved: bool = True) -> list[Fold]:
-    """Two halves of `n_views` views of (width, height); one fold of everything where `halved` is False."""
+def folds_of(n_views: int, size: tuple[int, int], is_moving: bool, split: bool = True) -> list[Fold]:
+    """Two halves of `n_views` views of (width, height); one fold of everything unless `split`."""
     rows = np.arange(n_views)
-    if not halved:
+    if not split:
         return [Fold(rows)]
     if is_moving:
         middle = n_views // 2

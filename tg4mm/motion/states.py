@@ -20,15 +20,16 @@ import torch
 from scipy.cluster.hierarchy import fcluster, linkage
 
 from tg4mm.gaussians import Gaussians
+from tg4mm.motion.animate import moved
 from tg4mm.motion.jacobian.pixels import pixels_moved
 from tg4mm.motion.jacobian.view import ViewJacobian
 from tg4mm.motion.observations import Observations, PosedFrames, strips
-from tg4mm.motion.refine import MovedPictures, at_state
+from tg4mm.motion.refine import MovedPictures
 from tg4mm.motion.targets import TargetImages
 from tg4mm.rasterize import rasterization
 from tg4mm.room import release, room
 
-ALIKE_PX = 0.1  # timesteps that differ by less are one state
+STATE_PX = 0.1  # timesteps between which nothing moves by more are one state
 MOST = 24  # states, and fewer where their pictures would take more than
 PICTURE_BYTES = 1 << 30
 
@@ -54,14 +55,19 @@ class States:
         return self.gains * self.count[:, None]
 
 
-def states_of(basis: np.ndarray, pixels: np.ndarray, most: int = MOST, alike: float = ALIKE_PX) -> States:
-    """At most `most` states of functions of time [R, T], each worth so many `pixels` [R] of motion."""
+def states_of(
+    basis: np.ndarray, pixels: np.ndarray, most: int = MOST, diameter_px: float = STATE_PX
+) -> States:
+    """At most `most` states of functions of time [R, T], each worth so many `pixels` [R] of motion.
+
+    `diameter_px`: what moves at most between timesteps of one state, unless there would be more states than that.
+    """
     places = basis.T * pixels
     if len(places) < 2:
         labels = np.zeros(len(places), np.int64)
     else:
         tree = linkage(places, "complete")
-        labels = fcluster(tree, alike, "distance")
+        labels = fcluster(tree, diameter_px, "distance")
         if labels.max() > most:
             labels = fcluster(tree, most, "maxclust")
         labels = np.unique(labels, return_inverse=True)[1]
@@ -114,73 +120,75 @@ class Errors:
     """Σ over timesteps, pixels and channels of squared differences of states' pictures."""
 
     changes: float  # each picture less its mean over time, which holds what stands still
-    whole: float
+    total: float
 
-    def within(self, other: Errors) -> bool:
-        """Whether neither is larger."""
-        return self.changes <= other.changes and self.whole <= other.whole
+    def is_no_larger(self, other: Errors) -> bool:
+        """Whether neither sum is larger."""
+        return self.changes <= other.changes and self.total <= other.total
 
 
 @dataclass(frozen=True)
-class Evidence:
+class StateObservations:
     """Of K states and R components in V synchronous cameras."""
 
     cameras: list[PosedFrames]
     states: States
     pictures: np.ndarray  # [V, K, H, W, 3] float32 over white
-    within: np.ndarray  # [V, R, H, W, 3] float32: target images of the changes within states
+    changes_within: np.ndarray  # [V, R, H, W, 3] float32: target images of the changes within states
 
     @staticmethod
-    def of(observations: Observations, states: States, targets: TargetImages, used: np.ndarray) -> Evidence:
+    def of(
+        observations: Observations, states: States, targets: TargetImages, used: np.ndarray
+    ) -> StateObservations:
         """`used` [R]: which of the target images belong to the functions of time of `states`."""
         pictures = state_pictures(observations, states)
-        within = room((len(pictures), len(used), *pictures.shape[2:]))
+        changes_within = room((len(pictures), len(used), *pictures.shape[2:]))
         for v, seen in enumerate(pictures):
-            within[v] = targets.of(v, used)
-            _add(within[v], -states.sums.T, seen)
-            release(within)
+            changes_within[v] = targets.of(v, used)
+            _add(changes_within[v], -states.sums.T, seen)
+            release(changes_within)
             release(pictures)
-        return Evidence(observations.frames, states, pictures, within)
+        return StateObservations(observations.frames, states, pictures, changes_within)
 
     def moved(self, fields: np.ndarray) -> MovedPictures:
         """With the motion of fields [R, N, 6]."""
         motions = np.tensordot(self.states.gains, fields, 1).astype(np.float32)
         return MovedPictures(self.cameras, self.pictures, motions, self.states.of)
 
-    def remaining(self, gaussians: Gaussians, fields: np.ndarray, device: str) -> tuple[np.ndarray, Errors]:
+    def residuals(self, gaussians: Gaussians, fields: np.ndarray, device: str) -> tuple[np.ndarray, Errors]:
         """[V, K, H, W, 3]: pictures less what is rendered, each less its mean over time; and how much that is."""
-        left = rendered(gaussians, self.moved(fields), device)
+        out = rendered(gaussians, self.moved(fields), device)
         share = (self.states.count / self.states.count.sum()).astype(np.float32)
-        whole = changes = 0.0
-        for of_camera, seen in zip(left, self.pictures, strict=True):
+        total = changes = 0.0
+        for of_camera, seen in zip(out, self.pictures, strict=True):
             np.subtract(seen, of_camera, out=of_camera)
-            whole += self._squares(of_camera)
+            total += self._squares(of_camera)
             of_camera -= np.tensordot(share, of_camera, 1)
             changes += self._squares(of_camera)
-            release(left)
+            release(out)
             release(self.pictures)
-        return left, Errors(changes, whole)
+        return out, Errors(changes, total)
 
     def _squares(self, of_camera: np.ndarray) -> float:
         squares = [float(np.einsum("hwc,hwc->", s, s, dtype=np.float64)) for s in of_camera]
         return float(squares @ self.states.count)
 
-    def target(self, v: int, left: np.ndarray, own: np.ndarray, shown: np.ndarray) -> np.ndarray:
+    def target_images(self, v: int, residuals: np.ndarray, own: np.ndarray, shown: np.ndarray) -> np.ndarray:
         """[R, H, W, 3]: camera v's target images that the motion explains, of the states `own` where it was linearised.
 
-        left: of `remaining`. shown [R, H, W, 3]: what the motion found so far changes there, for gains of 1. What
+        residuals: of `residuals`. shown [R, H, W, 3]: what the motion found so far changes there, for gains of 1. What
         changes within states is taken as spread evenly over time.
         """
         sums = self.states.sums[own]
         mix = (sums.T @ self.states.gains[own]).astype(np.float32)
         share = np.float32(self.states.count[own].sum() / self.states.count.sum())
-        changes = np.asarray(share * self.within[v])
-        mixed = np.zeros((sums.shape[1], len(left[v])))
+        changes = np.asarray(share * self.changes_within[v])
+        mixed = np.zeros((sums.shape[1], len(residuals[v])))
         mixed[:, own] = sums.T
-        _add(changes, mixed, left[v])
+        _add(changes, mixed, residuals[v])
         _add(changes, mix, shown)
-        release(self.within)
-        release(left)
+        release(self.changes_within)
+        release(residuals)
         return changes
 
 
@@ -203,7 +211,7 @@ def rendered(gaussians: Gaussians, seen: MovedPictures, device: str) -> np.ndarr
     )
     out = room(seen.pictures.shape)
     for k, motion in enumerate(seen.motions):
-        g = at_state(there, torch.from_numpy(motion).to(device))
+        g = moved(there, torch.from_numpy(motion).to(device))
         for v in range(len(viewmats)):
             rgb, _, _ = rasterization(
                 g.means, g.quats, g.scales, g.opacities, g.sh, viewmats[v : v + 1], Ks[v : v + 1],

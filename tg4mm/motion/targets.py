@@ -4,7 +4,7 @@ Displacements of less than a pixel change a picture in proportion, so that all f
 their products with the functions of time that the motion has. With Ψ_v the orthonormal functions that view v is
 projected on, its target images are y_v = (I − mean) Ψ_v and the model is y_v = J_v (C_v x), where x holds one
 displacement field for each of R shared functions of time and C_v, the mixing matrix (`Problem.mixing`), says how these
-look in Ψ_v. Which functions: `clocks/`.
+look in Ψ_v. Which functions: `temporal/`.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class TargetImages:
     )  # [R, T] float64, functions of time; orthonormal and of zero mean where C_v is the identity
     energy: np.ndarray  # [T] float64, squared pixel values in every component, kept or not
     images: np.ndarray  # [V, ρ, H, W, 3] float32, `room`; ρ = R where C_v is the identity
-    residual: np.ndarray  # [V, H, W] float32, energy of what was not kept, mean over channels
+    residual_energy: np.ndarray  # [V, H, W] float32 of what was not kept, mean over channels
     rank: int  # of what residual and images hold together, functions of time
     mean: np.ndarray  # [V, H, W, 3] float32, over time and over white
     weights: np.ndarray | None = None  # [V, H, W] of pixels; None: told by their noise
@@ -104,8 +104,8 @@ def pixel_noise(targets: TargetImages, is_noise: np.ndarray) -> np.ndarray:
     rows = np.flatnonzero(is_noise)
     freedom = max(targets.rank - n_kept, 0) + len(rows)
     if not freedom:
-        return np.zeros_like(targets.residual)
-    energy = targets.residual if targets.rank > n_kept else np.zeros_like(targets.residual)
+        return np.zeros_like(targets.residual_energy)
+    energy = targets.residual_energy if targets.rank > n_kept else np.zeros_like(targets.residual_energy)
     for r in rows:
         energy = energy + np.einsum("vhwc,vhwc->vhw", *2 * [targets.images[:, r]]) / 3
         release(targets.images)

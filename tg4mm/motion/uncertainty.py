@@ -1,7 +1,7 @@
-"""How uncertain the motion of every Gaussian is: noise, by two halves of the data, and errors that both halves share.
+"""How uncertain the motion of every Gaussian is: noise, by two folds of the data, and errors that both share.
 
-What all cameras get wrong alike no two halves of them show: errors of the model and of the prior. Two things tell of
-them, both read off the result. What motion leaves of the pictures: noise hardly adds up over a block of pixels, errors
+What all cameras get wrong alike no two folds of them show: errors of the model and of the prior. Two things tell of
+them, both read off the result. The residual of the pictures: noise hardly adds up over a block of pixels, errors
 of the model do, and that block's mean over the slope of the picture is the displacement that it could be; a small part
 of it is. And what the motion varies by from one Gaussian to those around it: the prior has them move alike, so that
 at a joint, an edge or a contact what is one side's and what the other's is mostly its guess. How much either counts was
@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.few_view_posterior import ITERATIONS, depth_sensitivity, unseen_motion, viewing_rays
+from tg4mm.motion.few_view_posterior import ITERATIONS, unseen_motion
+from tg4mm.motion.jacobian.pixels import along_and_across, depth_sensitivity
 from tg4mm.motion.jacobian.view import PosedView, ViewJacobian, blend_sum
 from tg4mm.motion.solver.cpu import CpuOperator
 from tg4mm.motion.split_half import deviation, mean_over_neighbours
@@ -26,7 +27,7 @@ from tg4mm.progress import progress
 
 BLOCK = 4  # pixels: side of what an error of the model reaches over
 _OF_RESIDUAL = 0.04  # of the square of the displacement that the residual could be
-_OF_VARIATION = 2.5  # of the variance over 32 Gaussians
+_OF_VARIANCE = 2.5  # of the variance over 32 Gaussians
 _FLAT = 0.01  # of the scene's mean squared slope: as flat as anything counts
 _TINY = float(np.finfo(np.float32).tiny)
 
@@ -35,13 +36,13 @@ _TINY = float(np.finfo(np.float32).tiny)
 class MotionEstimate:
     """What a fit found, as far as uncertainty asks for it."""
 
-    folds: np.ndarray  # [2, R, N, 6] of two halves of the data
-    fields: np.ndarray  # [R, N, 6], what they agree on
+    folds: np.ndarray  # [2, R, N, 6]
+    fields: np.ndarray  # [R, N, 6], what is kept of their mean
     gaussians: Gaussians
     knn: np.ndarray  # [N, count], the nearest Gaussians of each
     views: Sequence[ViewJacobian]  # some of those Gaussians
     cameras: Sequence[PosedView]
-    residuals: Iterable[np.ndarray]  # of each of those views: what the fields leave of its target images
+    residuals: Iterable[np.ndarray]  # of each of those views, of its target images
 
 
 @dataclass(frozen=True)
@@ -53,24 +54,24 @@ class Uncertainty:
     notes: list[str] = field(default_factory=list)
 
 
-def of_halves(estimate: MotionEstimate, n_timesteps: int) -> Uncertainty:
-    """From two halves of the data, and what both leave of the pictures; of many cameras that is all."""
-    halves = estimate.folds[..., :3]
-    noise = deviation(halves[0], halves[1], estimate.knn).astype(np.float64) ** 2
+def split_half_uncertainty(estimate: MotionEstimate, n_timesteps: int) -> Uncertainty:
+    """From two folds of the data, and the residual of both; of many cameras that is all."""
+    a, b = estimate.folds[..., :3]
+    noise = deviation(a, b, estimate.knn).astype(np.float64) ** 2
     variance = noise + _model_error(estimate)
     arrays = {
         name: np.sqrt(v / n_timesteps).astype(np.float32)
         for name, v in (("displacement", variance), ("noise", noise))
     }
-    power = max(float((halves.mean(0) ** 2).sum()), 1e-30)
+    power = max(float((estimate.folds[..., :3].mean(0) ** 2).sum()), 1e-30)
     ratios = {"noise_to_motion": noise, "uncertainty_to_motion": variance}
     return Uncertainty(arrays, {name: math.sqrt(float(v.sum()) / power) for name, v in ratios.items()})
 
 
-def of_few_views(
+def few_view_uncertainty(
     estimate: MotionEstimate, operator: CpuOperator, gradient_fields: np.ndarray, n_timesteps: int, seed: int
 ) -> Uncertainty:
-    """As `of_halves`, with what few cameras do not show; one camera alone gets the share along its sight."""
+    """As `split_half_uncertainty`, with what few cameras do not show; of one camera also along its line of sight."""
     with progress("uncertainty", ITERATIONS, "iterations") as update:
         unseen = unseen_motion(operator, gradient_fields, n_timesteps, seed, update)
     difference = (estimate.folds[0] - estimate.folds[1])[..., :3]
@@ -93,7 +94,7 @@ def of_few_views(
     }
     if len(estimate.cameras) > 1:
         return Uncertainty(arrays, figures)
-    own, guess = _along_sight(estimate, covariance, n_timesteps)
+    own, guess = _along_viewing_rays(estimate, covariance, n_timesteps)
     figures["guess_along_sight_percent"] = round(100 * guess, 1)
     ratio = depth_sensitivity(estimate.views[0], estimate.cameras[0], estimate.gaussians.means.numpy(), seed)
     note = (
@@ -104,7 +105,7 @@ def of_few_views(
     return Uncertainty(arrays | own, figures, [note])
 
 
-def _along_sight(
+def _along_viewing_rays(
     estimate: MotionEstimate, covariance: np.ndarray, n_timesteps: int
 ) -> tuple[dict[str, np.ndarray], float]:
     """Deviations [N] along the line of sight and across it, and what part of the motion along it is a guess.
@@ -112,7 +113,7 @@ def _along_sight(
     That is the variance of what is not known over that of the motion: what was found, squared, and what is not known.
     Gaussians that are seen count by their opacity.
     """
-    along = viewing_rays(estimate.cameras[0], estimate.gaussians.means.numpy())
+    along, _ = along_and_across(estimate.cameras[0], estimate.gaussians.means.numpy())
     variance = np.einsum("nc,ncd,nd->n", along, covariance, along)
     across = np.maximum(np.trace(covariance, axis1=1, axis2=2) - variance, 0) / 2
     shown = (np.einsum("rnc,nc->rn", estimate.fields[..., :3], along) ** 2).sum(0) / n_timesteps
@@ -129,41 +130,43 @@ def _along_sight(
 def _model_error(estimate: MotionEstimate) -> np.ndarray:
     """[N] variance, summed over functions of time."""
     means = estimate.gaussians.means.numpy()
-    left = displacement_left(estimate.residuals, estimate.views, estimate.cameras, means, estimate.knn)
-    return model_error_variance(left, variation(estimate.fields[..., :3], estimate.knn))
+    residual = residual_displacement(
+        estimate.residuals, estimate.views, estimate.cameras, means, estimate.knn
+    )
+    return model_error_variance(residual, local_variance(estimate.fields[..., :3], estimate.knn))
 
 
-def model_error_variance(left: np.ndarray, varying: np.ndarray) -> np.ndarray:
-    """Variance of the displacement [N], of the squares [N] that `displacement_left` and `variation` give."""
-    return _OF_RESIDUAL * left + _OF_VARIATION * varying
+def model_error_variance(residual: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """Variance of the displacement [N], of the squares [N] that `residual_displacement` and `local_variance` give."""
+    return _OF_RESIDUAL * residual + _OF_VARIANCE * variance
 
 
-def variation(shapes: np.ndarray, knn: np.ndarray) -> np.ndarray:
+def local_variance(fields: np.ndarray, knn: np.ndarray) -> np.ndarray:
     """[N] float64, scene units squared: variance of R fields [R, N, 3] over the nearest Gaussians `knn` [N, count].
 
     Sums over fields and over x, y, z.
     """
-    out = np.zeros(shapes.shape[1])
-    for shape in shapes.astype(np.float64):
-        squares = np.einsum("nc,nc->n", shape, shape)
-        out += mean_over_neighbours(squares, knn) - (mean_over_neighbours(shape, knn) ** 2).sum(1)
+    out = np.zeros(fields.shape[1])
+    for field_ in fields.astype(np.float64):
+        squares = np.einsum("nc,nc->n", field_, field_)
+        out += mean_over_neighbours(squares, knn) - (mean_over_neighbours(field_, knn) ** 2).sum(1)
     return np.maximum(out, 0)
 
 
-def displacement_left(
+def residual_displacement(
     residuals: Iterable[np.ndarray],
     views: Sequence[ViewJacobian],
     cameras: Sequence[PosedView],
     means: np.ndarray,
     knn: np.ndarray,
 ) -> np.ndarray:
-    """[N] float64, scene units squared: the displacement that could be what is left of target images.
+    """[N] float64, scene units squared: the squared displacement that the residual of target images could be.
 
     residuals: of every view [R, H, W, 3]; means [N, 3], the Gaussians' places. Means of the squares over pixels by the
     blending weights of the nearest Gaussians `knn` [N, count]; over the whole scene where no camera sees any of these.
     A surface counts as no flatter than a hundredth of the scene's mean squared slope.
     """
-    seen = np.zeros((len(means), 3))  # of what is left, of what a unit of displacement changes, of pixels
+    seen = np.zeros((len(means), 3))  # of the residual, of what a unit of displacement changes, of pixels
     for pictures, view, camera in zip(residuals, views, cameras, strict=True):
         slopes = _slopes(view)
         told = blend_sum(view, np.stack([_of_blocks(pictures), slopes, np.ones_like(slopes)], -1))
@@ -171,10 +174,10 @@ def displacement_left(
         per_unit = np.sqrt(camera.K[0, 0] * camera.K[1, 1]) / np.where(told[:, 2] > 0, depth, 1)  # pixels
         told[:, 1:] *= per_unit[:, None] ** 2
         seen += told
-    around_each, everywhere = mean_over_neighbours(seen, knn), seen.sum(0)
-    flat = _FLAT * around_each[:, 2] * everywhere[1] / max(everywhere[2], _TINY)
-    found = around_each[:, 0] / np.maximum(np.maximum(around_each[:, 1], flat), _TINY)
-    return np.where(around_each[:, 2] > 0, found, everywhere[0] / max(everywhere[1], _TINY))
+    local, total = mean_over_neighbours(seen, knn), seen.sum(0)
+    flat = _FLAT * local[:, 2] * total[1] / max(total[2], _TINY)
+    squares = local[:, 0] / np.maximum(np.maximum(local[:, 1], flat), _TINY)
+    return np.where(local[:, 2] > 0, squares, total[0] / max(total[1], _TINY))
 
 
 def _of_blocks(pictures: np.ndarray) -> np.ndarray:
@@ -190,6 +193,5 @@ def _of_blocks(pictures: np.ndarray) -> np.ndarray:
 
 def _slopes(view: ViewJacobian) -> np.ndarray:
     """[H, W]: the squared gradient of the picture at rest over white, per pixel; sums over channels."""
-    picture = view.image[..., :3] + view.transmittance[..., None]
-    down, right = np.gradient(picture, axis=(0, 1))
+    down, right = np.gradient(view.over_white, axis=(0, 1))
     return np.asarray((down**2 + right**2).sum(-1))

@@ -9,7 +9,7 @@ import numpy as np
 from tg4mm.errors import RunError
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.modes import ModalMotion
-from tg4mm.motion.phasors import peak_displacement
+from tg4mm.phasors import peak_displacement
 from tg4mm.render.cameras import Camera
 from tg4mm.render.image import render_features
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from markupsafe import Markup
 
-from tg4mm.motion.phasors import main_direction, scale_top
+from tg4mm.phasors import main_direction, scale_top
 from tg4mm.render.frames import read_png
 from tg4mm.report import svg
 from tg4mm.report.camera_map import camera_map

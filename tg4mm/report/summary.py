@@ -11,7 +11,7 @@ import numpy as np
 
 from tg4mm.capture import Capture
 from tg4mm.measure import Measurement
-from tg4mm.motion.phasors import main_direction
+from tg4mm.phasors import main_direction
 from tg4mm.report.page import Stat
 from tg4mm.report.sources import Model
 from tg4mm.report.svg import number

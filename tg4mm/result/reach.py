@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.modes import ModalMotion
-from tg4mm.motion.phasors import peak_displacement, scale_top
+from tg4mm.phasors import peak_displacement, scale_top
 from tg4mm.result.seen import Seen
 
 TURN = 0.5  # radians, or displacement per distance: from here on shapes stretch by 12 % and more

@@ -12,13 +12,14 @@ import numpy as np
 from tg4mm.capture import Capture, load_capture
 from tg4mm.errors import RunError
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.mode_selection import mode_deviations, peaks, worth_keeping
+from tg4mm.motion.mode_selection import peaks, worth_keeping
 from tg4mm.motion.modes import ModalMotion
 from tg4mm.motion.observations import PERIODS, TOLD_PERIODS, frames_of
-from tg4mm.motion.phasors import peak_displacement, scale_top
+from tg4mm.phasors import peak_displacement, scale_top
 from tg4mm.result.advice import next_command, suggested_alpha
 from tg4mm.result.bands import suggested_bands
 from tg4mm.result.damped_sinusoid import DampedSinusoid, damped_sinusoid_of
+from tg4mm.result.deviations import mode_deviations
 from tg4mm.result.lines import with_deviation
 from tg4mm.result.model import Length, Result, Vibration
 from tg4mm.result.reach import Reach, reach_of

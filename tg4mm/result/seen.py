@@ -10,7 +10,7 @@ from tg4mm.capture import Capture
 from tg4mm.evaluate.weights import blending_weights
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.observations import frames_of
-from tg4mm.motion.phasors import peak_displacement, scale_top
+from tg4mm.phasors import peak_displacement, scale_top
 
 _CAMERAS = 4  # looked at, spread evenly over those that show motion
 _TOP = 0.99  # of what is seen: outliers of a fit must not decide

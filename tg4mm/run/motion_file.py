@@ -31,8 +31,8 @@ def tensors_of(motion: ModalMotion) -> dict[str, Tensor]:
     else:
         for name in PHASORS:
             tensors[name] = torch.from_numpy(np.asarray(getattr(motion, name), dtype=np.complex64))
-    if (light := motion.appearance) is not None:
-        values = light.shapes.astype(np.float32), light.series.astype(np.complex128)
+    if (appearance := motion.appearance) is not None:
+        values = appearance.shapes.astype(np.float32), appearance.series.astype(np.complex128)
         tensors |= {k: torch.from_numpy(v) for k, v in zip(LIGHT, values, strict=True)}
     return tensors
 
@@ -49,8 +49,8 @@ def motion_of(file: Path, tensors: Mapping[str, Tensor], clock: tuple[float, int
         shifts, turns = np.ascontiguousarray(both[..., :3]), np.ascontiguousarray(both[..., 3:])
     else:
         shifts, turns = arrays["displacement"], arrays["rotation"]
-    light = AppearanceModes(*(arrays[name] for name in LIGHT)) if set(LIGHT) <= set(arrays) else None
-    return ModalMotion(freqs, shifts, turns, *clock, appearance=light)
+    appearance = AppearanceModes(*(arrays[name] for name in LIGHT)) if set(LIGHT) <= set(arrays) else None
+    return ModalMotion(freqs, shifts, turns, *clock, appearance=appearance)
 
 
 def _applied(file: Path, fields: np.ndarray, series: np.ndarray, n_modes: int) -> np.ndarray:

@@ -1,6 +1,6 @@
 """The motion stage of a run: observations in, motion, uncertainty and figures out, and going on after a kill.
 
-RUN/checkpoint_motion.safetensors holds the finished parts of an unfinished fit (`checkpoints.py`).
+RUN/checkpoint_motion.safetensors holds the finished steps of an unfinished fit (`checkpoints.py`).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from tg4mm.motion.pipeline import fit_motion
 from tg4mm.run import UNCERTAINTY, Run
 
 _STAGE, _SCENE = "motion", "scene"
-_VERSION = 14  # of a checkpoint: parts of another version are computed anew
+_VERSION = 15  # of a checkpoint: steps of another version are computed anew
 _LOG = logging.getLogger("tg4mm")
 
 
@@ -45,14 +45,14 @@ def train_motion(
     reset_peak_memory()
     reset_gpu_peak(device)
     observations = observe(capture, images)
-    parts = StoredParts(run, began)
-    gaussians = parts.gaussians
+    checkpoint = RunCheckpoint(run, began)
+    gaussians = checkpoint.gaussians
     try:
-        fit = fit_motion(gaussians, observations, config, device, parts)
+        fit = fit_motion(gaussians, observations, config, device, checkpoint)
     except RunError as error:
         raise RunError(f"{run.path}: {error}") from None
     figures = {
-        "seconds": time.monotonic() - parts.began,
+        "seconds": time.monotonic() - checkpoint.began,
         "peak_memory_mib": peak_memory_mib(),
         **gpu_figures(device),
         **fit.figures,
@@ -61,7 +61,7 @@ def train_motion(
     for note in fit.notes:
         _LOG.warning(note)
     if fit.gaussians is not gaussians:
-        parts.expect_scene(fit.gaussians)
+        checkpoint.expect_scene(fit.gaussians)
         run.save_space(fit.gaussians, {})
     if fit.uncertainty:  # before the motion, which tells that the stage is done
         run.save_part(UNCERTAINTY, {k: torch.from_numpy(v) for k, v in fit.uncertainty.items()})
@@ -70,18 +70,18 @@ def train_motion(
     return fit.motion
 
 
-class StoredParts:
-    """`Parts` that lie in the run's checkpoint, and the Gaussians that they belong to."""
+class RunCheckpoint:
+    """`Checkpoint` in the run, and the Gaussians that its steps belong to."""
 
     def __init__(self, run: Run, began: float) -> None:
         self.run, self.began = run, began  # began: what log.json does not hold yet
         self.gaussians = run.load_space()
         self._scene = _digest(arrays_of(self.gaussians))
         self._arrays: Arrays = {}
-        checkpoint = run.load_checkpoint(_STAGE)
-        if checkpoint is None or checkpoint[1].get("version") != _VERSION:
+        stored = run.load_checkpoint(_STAGE)
+        if stored is None or stored[1].get("version") != _VERSION:
             return
-        tensors, state = checkpoint
+        tensors, state = stored
         if self._scene not in (state.get("scene"), state.get("expected_scene")):
             return
         if self._scene != state.get("scene"):  # stopped between saving the sharper Gaussians and the motion
@@ -91,21 +91,21 @@ class StoredParts:
         self._arrays = {k: v.numpy() for k, v in tensors.items()}
 
     def __call__(self, name: str, compute: Callable[[], Arrays]) -> Arrays:
-        """`Parts`."""
+        """`Checkpoint`."""
         kept = {k.partition("/")[2]: v for k, v in self._arrays.items() if k.partition("/")[0] == name}
         if kept:
             return kept
-        found = compute()
+        arrays = compute()
         self._arrays = {k: v for k, v in self._arrays.items() if k.partition("/")[0] != name}
-        self._arrays |= {f"{name}/{k}": np.asarray(v, order="C") for k, v in found.items()}
+        self._arrays |= {f"{name}/{k}": np.asarray(v, order="C") for k, v in arrays.items()}
         self._save()
         now = time.monotonic()
         self.run.record(_STAGE, {"seconds": now - self.began})
         self.began = now
-        return found
+        return arrays
 
     def expect_scene(self, gaussians: Gaussians) -> None:
-        """The run's Gaussians are about to become these: the checkpoint keeps those that its parts belong to."""
+        """The run's Gaussians are about to become these: the checkpoint keeps those that its steps belong to."""
         self._arrays |= {f"{_SCENE}/{k}": v for k, v in arrays_of(self.gaussians).items()}
         self._save(expected_scene=_digest(arrays_of(gaussians)))
 

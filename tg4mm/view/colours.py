@@ -7,7 +7,7 @@ from enum import StrEnum
 import numpy as np
 from markupsafe import Markup
 
-from tg4mm.motion.phasors import main_direction, peak_displacement, scale_top
+from tg4mm.phasors import main_direction, peak_displacement, scale_top
 from tg4mm.report.colour import STILL, amount_colours, phase_colours, phase_share
 from tg4mm.report.svg import colour_bar, number, phase_bar
 from tg4mm.view.scene import Scene

@@ -9,7 +9,7 @@ import numpy as np
 from tg4mm.measure import Prepared, Sensor, SensorResult, measure_one, prepare
 from tg4mm.measure.sensors import PIXEL_RADIUS
 from tg4mm.measure.spectrum import strength_of
-from tg4mm.motion.phasors import main_direction, peak_displacement
+from tg4mm.phasors import main_direction, peak_displacement
 from tg4mm.run import Run
 from tg4mm.view.scene import Scene
 

@@ -13,7 +13,7 @@ from tg4mm.errors import CaptureError
 from tg4mm.evaluate.weights import blending_weights
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.modes import ModalMotion
-from tg4mm.motion.phasors import peak_displacement, scale_top
+from tg4mm.phasors import peak_displacement, scale_top
 from tg4mm.render.cameras import Camera, capture_cameras
 from tg4mm.report.maps import image_motion, leading_modes
 from tg4mm.report.summary import unit_of

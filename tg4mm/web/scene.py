@@ -12,7 +12,7 @@ from tg4mm.errors import RunError
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.mode_selection import peaks
 from tg4mm.motion.modes import ModalMotion
-from tg4mm.motion.phasors import peak_displacement
+from tg4mm.phasors import peak_displacement
 from tg4mm.render.cameras import Camera, capture_cameras
 from tg4mm.report.maps import image_motion
 from tg4mm.report.summary import title_of

@@ -39,7 +39,7 @@ class DeviceViewJacobian:
         table = torch.stack([d[:, 2] / 2, d[:, 3], d[:, 4] / 2, *linear, *d[:, 5:].unbind(1)], 1)
         width, height = self.size
         out = torch.zeros(height * width, 3, device=motion.device)
-        for some in self._parts():
+        for some in self._chunks():
             entries = table.index_select(0, self.gaussian[some])
             d_sigma = (entries[:, :5] * self._monomials(some)).sum(1, keepdim=True)
             change = self.weight[some].float()[:, None] * entries[:, 5:] + self.slope[some].float() * d_sigma
@@ -50,7 +50,7 @@ class DeviceViewJacobian:
         """Adds Jᵀ p of a picture [H, W, 3] to `v_motion` [N, DOF]."""
         flat = picture.reshape(-1, 3)
         sums = torch.zeros(len(self.rows), 8, device=picture.device)
-        for some in self._parts():
+        for some in self._chunks():
             v = flat.index_select(0, self.pixel[some])
             v_sigma = (self.slope[some].float() * v).sum(1, keepdim=True)
             entries = torch.cat([v_sigma * self._monomials(some), self.weight[some].float()[:, None] * v], 1)
@@ -63,7 +63,7 @@ class DeviceViewJacobian:
         )
         v_motion.index_add_(0, self.rows, torch.einsum("ncd,nc->nd", self.jacobian, v_splats))
 
-    def _parts(self) -> Iterator[slice]:
+    def _chunks(self) -> Iterator[slice]:
         return (slice(i, i + _AT_ONCE) for i in range(0, len(self.pixel), _AT_ONCE))
 
     def _monomials(self, some: slice) -> Tensor:
@@ -140,8 +140,8 @@ def _contributions(
     slopes = []
     for channel in range(FEAT, FEAT + 3):
         colour = splats[:, channel][g][:, :, None]
-        light = weight * colour
-        behind = light.flip(1).cumsum(1).flip(1) - light + WHITE * end
+        contribution = weight * colour
+        behind = contribution.flip(1).cumsum(1).flip(1) - contribution + WHITE * end
         slopes.append(torch.where(free & on, alpha * (behind / (1 - alpha) - before * colour), 0.0))
     inside = ((x < size[0]) & (y < size[1]))[:, None]
     t, k, p = torch.nonzero((weight > 0) & inside, as_tuple=True)

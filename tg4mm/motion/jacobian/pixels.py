@@ -1,4 +1,4 @@
-"""What a motion does in the pictures to first order: how far things move in pixels, and its optical flow."""
+"""What a motion does in the pictures to first order: how far things move in pixels, its optical flow, depth."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from tg4mm.motion.jacobian.packed import mean_rows, mean_rows_as_colours
-from tg4mm.motion.jacobian.view import ViewJacobian
+from tg4mm.motion.jacobian.packed import DOF, mean_rows, mean_rows_as_colours
+from tg4mm.motion.jacobian.view import PosedView, ViewJacobian
 from tg4mm.rasterize.buffers import Buffers
 
 PERCENT = 99.0  # of the visible Gaussians: outliers of a fit must not decide
@@ -40,3 +40,27 @@ def optical_flow(view: ViewJacobian, motions: np.ndarray, buffers: Buffers) -> n
     Each pixel sums the flow of its Gaussians' means by blending weight; the background's flow is 0.
     """
     return replace(view, packed=mean_rows_as_colours(view.packed)).jvp(motions, buffers)
+
+
+def along_and_across(camera: PosedView, means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit vectors [N, 3] from the camera to the points `means` [N, 3], and across these, along the pictures' rows."""
+    rotation, translation = camera.viewmat[:3, :3].astype(np.float64), camera.viewmat[:3, 3]
+    along = _unit(means + rotation.T @ translation)  # from the camera's centre −Rᵀt
+    return along, _unit(np.cross(along, rotation[1]))
+
+
+def _unit(v: np.ndarray) -> np.ndarray:
+    return np.asarray(v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-12))
+
+
+def depth_sensitivity(view: ViewJacobian, camera: PosedView, means: np.ndarray, seed: int = 0) -> float:
+    """Change of the picture (rms) for motion towards the camera over that for motion across, same lengths.
+
+    means [N, 3] in scene units. Signs are random from Gaussian to Gaussian, so that nothing cancels but by chance.
+    0 where no motion across is seen.
+    """
+    signs = np.random.default_rng(seed).choice([-1.0, 1.0], (len(means), 1))
+    motions = np.zeros((2, len(means), DOF), np.float32)
+    motions[..., :3] = signs * np.stack(along_and_across(camera, means))
+    along, across = np.sqrt((view.jvp(motions).astype(np.float64) ** 2).sum((1, 2, 3)))
+    return float(along / across) if across > 0 else 0.0

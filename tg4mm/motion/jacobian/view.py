@@ -58,6 +58,11 @@ class ViewJacobian:
     packed: np.ndarray  # float32: the 8 × 6 blocks as `pack` stores them, in the order of bins.order
 
     @property
+    def over_white(self) -> np.ndarray:
+        """[H, W, 3]: the picture at rest."""
+        return self.image[..., :3] + self.transmittance[..., None]
+
+    @property
     def jacobian(self) -> np.ndarray:
         """[n_visible, 8, DOF] float32, in the order of bins.order."""
         return unpack(self.packed)

@@ -15,7 +15,7 @@ import numpy as np
 
 from tg4mm.errors import RunError
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.checkpoints import Parts
+from tg4mm.motion.checkpoints import Checkpoint
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.jacobian.view import ViewJacobian, view_jacobian
 from tg4mm.motion.nuisance.projection import (
@@ -30,7 +30,7 @@ from tg4mm.motion.nuisance.projection import (
     nuisances_of,
 )
 from tg4mm.motion.nuisance.registration import stabilised
-from tg4mm.motion.nuisance.shake import LEAST_PX, BlockShifts, own_turns
+from tg4mm.motion.nuisance.shake import LEAST_PX, BlockShifts, own_rotations
 from tg4mm.motion.observations import Observations, watched
 from tg4mm.motion.solver.problem import Problem
 
@@ -77,7 +77,7 @@ def look_at(
     observations: Observations,
     config: MotionConfig,
     device: str,
-    parts: Parts,
+    checkpoint: Checkpoint,
     refines: bool = True,
 ) -> FixedCameras:
     """Read all pictures once, and again, turned back to one pose, where cameras shake.
@@ -89,7 +89,9 @@ def look_at(
     seen, shake_px = _looked_at(observations, views, gaussians, config)
     if not shake_px:
         return seen
-    gaussians, observations, shake_px = stabilised(gaussians, observations, config, device, parts, refines)
+    gaussians, observations, shake_px = stabilised(
+        gaussians, observations, config, device, checkpoint, refines
+    )
     views, active = rest_views(gaussians, observations), seen.nuisances[0].active
     nuisances = nuisances_of(views, observations.frames, gaussians.means.numpy(), active)
     look = first_look(observations, nuisances)
@@ -157,7 +159,7 @@ def first_look(
     free = CACHE_BYTES
     shakes = []
     for v, frames, pictures in watched("pictures, first pass", observations):
-        blocks = BlockShifts.of(_at_rest(nuisances[v]), len(frames.rows)) if looks_for_shake else None
+        blocks = BlockShifts.of(nuisances[v].view.over_white, len(frames.rows)) if looks_for_shake else None
         free -= len(frames.rows) * height * width * 12
         n_frames, kept = len(frames.rows), []
         gram, products = np.zeros((n_frames, n_frames)), np.zeros((COLUMNS, n_frames))
@@ -191,15 +193,10 @@ def _column_gram(nuisance: Nuisance, mean: np.ndarray) -> np.ndarray:
     return out
 
 
-def _at_rest(nuisance: Nuisance) -> np.ndarray:
-    view = nuisance.view
-    return view.image[..., :3] + view.transmittance[..., None]
-
-
 def _own_shake(observations: Observations, look: FirstLook) -> tuple[float, float]:
     width, height = observations.size
     energy = float(sum(np.trace(g) for g in look.grams))
-    return own_turns(observations.frames, look.column_grams, look.columns, energy, width * height)
+    return own_rotations(observations.frames, look.column_grams, look.columns, energy, width * height)
 
 
 def _notes(observations: Observations, active: np.ndarray, pixels: float) -> list[str]:

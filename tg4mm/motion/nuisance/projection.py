@@ -26,7 +26,7 @@ GAIN, OFFSET, ROTATION, TRANSLATION = slice(0, 3), slice(3, 6), slice(6, 9), sli
 EXPOSURE, POSE = slice(0, 6), slice(6, 12)
 COLUMNS = 12
 _TINY = 1e-6  # of the largest eigenvalue of the columns' products: below it a column says nothing new
-_ROUNDS = 30  # of reweighting, where most of the scene is told
+_IRLS_STEPS = 30  # of the rigid motion that most of the scene has
 _SMALL = 0.05  # of the median distance: nearer than that counts no more
 EXPOSURE_SHARE = 5e-3  # of the changes' energy: of cut-out pictures less exposure than that stays
 
@@ -76,12 +76,12 @@ class Nuisance:
         flat = self.columns(mean, active).reshape(-1, mean.size)
         return (flat @ flat.T).astype(np.float64)
 
-    def explained(self, mean: np.ndarray, products: np.ndarray) -> np.ndarray:
+    def explained_gram(self, mean: np.ndarray, products: np.ndarray) -> np.ndarray:
         """[F, F]: products of what the active columns explain of F frames, from their products [12, F] with these."""
         if not self.active.any():
             return np.zeros((products.shape[1],) * 2)
         own = products[self.active]
-        return own.T @ _inverse(self.gram(mean)) @ own
+        return own.T @ pseudo_inverse(self.gram(mean)) @ own
 
     def energy(self, mean: np.ndarray, products: np.ndarray) -> np.ndarray:
         """[H, W]: energy over time of what the active columns explain, mean over channels."""
@@ -93,7 +93,7 @@ class Nuisance:
 
     def coefficients(self, mean: np.ndarray, products: np.ndarray, active: np.ndarray) -> np.ndarray:
         """[k, F]: the least-squares n of F frames."""
-        return _inverse(self.gram(mean, active)) @ products[active]
+        return pseudo_inverse(self.gram(mean, active)) @ products[active]
 
 
 def nuisances_of(
@@ -135,7 +135,7 @@ def without(nuisance: Nuisance, mean: np.ndarray, pictures: np.ndarray) -> np.nd
         return pictures
     columns = nuisance.columns(mean).reshape(-1, mean.size)
     flat = pictures.reshape(len(pictures), -1)
-    flat = flat - (flat @ columns.T @ _inverse(nuisance.gram(mean))).astype(np.float32) @ columns
+    flat = flat - (flat @ columns.T @ pseudo_inverse(nuisance.gram(mean))).astype(np.float32) @ columns
     return flat.reshape(pictures.shape)
 
 
@@ -147,7 +147,7 @@ class Projection:
     mean: np.ndarray  # [H, W, 3]
     weights: np.ndarray | None  # [H, W]
     root: np.ndarray  # [k, columns] float32
-    pulled: np.ndarray  # [k, N, 6] float32, L = Jᵀ W Q
+    adjoint_columns: np.ndarray  # [k, N, 6] float32, L = Jᵀ W Q
 
     @staticmethod
     def of(
@@ -158,13 +158,13 @@ class Projection:
         weighted = columns if weights is None else columns * weights[..., None]
         gram = (weighted.reshape(len(columns), -1) @ columns.reshape(len(columns), -1).T).astype(np.float64)
         root = _inverse_root(gram).astype(np.float32)
-        pulled = room((len(root), len(nuisance.means), DOF), in_memory=0 if is_stored else None)
-        nuisance.view.vjp(np.ascontiguousarray(np.tensordot(root, weighted, 1)), pulled)
-        return Projection(nuisance, mean, weights, root, pulled)
+        adjoint_columns = room((len(root), len(nuisance.means), DOF), in_memory=0 if is_stored else None)
+        nuisance.view.vjp(np.ascontiguousarray(np.tensordot(root, weighted, 1)), adjoint_columns)
+        return Projection(nuisance, mean, weights, root, adjoint_columns)
 
     def release(self) -> None:
         """Let go of memory: of the pages of a temporary file, and of columns that can be made again."""
-        release(self.pulled)
+        release(self.adjoint_columns)
         self.nuisance.release()
 
     def out_of(self, pictures: np.ndarray) -> np.ndarray:
@@ -176,7 +176,7 @@ class Projection:
 
     def correct(self, motions: np.ndarray, v_motions: np.ndarray) -> None:
         """Takes L Lᵀ of motions [R, N, 6] off `v_motions`: Jᵀ W J becomes the projected operator."""
-        flat = self.pulled.reshape(len(self.pulled), -1)
+        flat = self.adjoint_columns.reshape(len(self.adjoint_columns), -1)
         products = motions.reshape(len(motions), -1) @ flat.T
         v_motions -= (products @ flat).reshape(v_motions.shape)
 
@@ -199,16 +199,17 @@ def exposure(
     return 100 * np.sqrt(np.mean(gains)), 100 * np.sqrt(np.mean(offsets)), energy / max(total, 1e-30)
 
 
-def _inverse(gram: np.ndarray) -> np.ndarray:
-    root = _inverse_root(gram)
+def pseudo_inverse(gram: np.ndarray, tiny: float = _TINY) -> np.ndarray:
+    """Over the directions that the columns have."""
+    root = _inverse_root(gram, tiny)
     return root.T @ root
 
 
-def _inverse_root(gram: np.ndarray) -> np.ndarray:
+def _inverse_root(gram: np.ndarray, tiny: float = _TINY) -> np.ndarray:
     """T [k', k] with T gram Tᵀ = 1 over the directions that the columns have, k' ≤ k."""
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-30))
     values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
-    keep = values > _TINY * values[-1]
+    keep = values > tiny * values[-1]
     return (vectors[:, keep] / np.sqrt(values[keep])).T / scale
 
 
@@ -230,13 +231,13 @@ def with_still_background(fields: np.ndarray, means: np.ndarray, weights: np.nda
     u = fields[..., :3].astype(np.float64)
     trust = weights.astype(np.float64)
     rigid = np.zeros((len(fields), 6))
-    for _ in range(_ROUNDS):
+    for _ in range(_IRLS_STEPS):
         weighted = design * trust[:, None, None]
         gram = np.einsum("nci,ncj->ij", weighted, design)
         sides = np.einsum("nci,rnc->ri", weighted, u)
         rigid = np.linalg.lstsq(gram, sides.T, rcond=1e-9)[0].T
-        left = np.sqrt(((u - np.einsum("nci,ri->rnc", design, rigid)) ** 2).sum((0, 2)))
-        trust = weights / np.maximum(left, _SMALL * float(np.median(left)) + 1e-12)
+        distance = np.sqrt(((u - np.einsum("nci,ri->rnc", design, rigid)) ** 2).sum((0, 2)))
+        trust = weights / np.maximum(distance, _SMALL * float(np.median(distance)) + 1e-12)
     out = fields.copy()
     out[..., :3] -= np.einsum("nci,ri->rnc", design, rigid).astype(np.float32)
     out[..., 3:] -= rigid[:, None, 3:].astype(np.float32)

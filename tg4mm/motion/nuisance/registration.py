@@ -1,7 +1,7 @@
-"""A fixed camera's shaken pictures, turned back to one pose before anything else reads them.
+"""A fixed camera's shaken pictures, rotated back to one pose before anything else reads them.
 
 A camera that turns about its own centre by R moves its picture by the homography K R K⁻¹, whatever the depths are
-(Hartley & Zisserman 2004, §8.4). So pictures can be turned back by resampling alone, beyond what is linear in the
+(Hartley & Zisserman 2004, §8.4). So pictures can be rotated back by resampling alone, beyond what is linear in the
 shift; `projection.py` takes out what is left to first order.
 """
 
@@ -17,10 +17,10 @@ from scipy.spatial.transform import Rotation
 
 from tg4mm.capture.pictures import Pictures, Strips, over_white
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.checkpoints import Arrays, Parts, arrays_of, gaussians_of
+from tg4mm.motion.checkpoints import Arrays, Checkpoint, arrays_of, gaussians_of
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.observations import Observations, PosedFrames, strips
-from tg4mm.motion.refine import MovedPictures, refine_rest_scene
+from tg4mm.motion.refine import refine_at_rest
 from tg4mm.progress import progress
 
 _DECAY = 12  # rows: 0.268¹² of a pixel's value is what a cubic spline's coefficients so far away owe to it
@@ -35,7 +35,7 @@ _REFINING = 300  # iterations
 
 @dataclass(frozen=True)
 class RegisteredPictures:
-    """Pictures turned back by cubic spline interpolation: opaque, over white, float32 in about 0..1.
+    """Pictures rotated back by cubic spline interpolation: opaque, over white, float32 in about 0..1.
 
     What lies beyond the edge of a picture is taken to be as its edge.
     """
@@ -72,10 +72,10 @@ class RegisteredPictures:
         return registered
 
 
-def homographies(K: np.ndarray, turns: np.ndarray) -> np.ndarray:
+def homographies(K: np.ndarray, rotations: np.ndarray) -> np.ndarray:
     """[F, 3, 3]: K R K⁻¹ of rotation vectors [F, 3], radians, camera axes."""
     K = K.astype(np.float64)
-    return K @ Rotation.from_rotvec(turns).as_matrix() @ np.linalg.inv(K)
+    return K @ Rotation.from_rotvec(rotations).as_matrix() @ np.linalg.inv(K)
 
 
 def stabilised(
@@ -83,7 +83,7 @@ def stabilised(
     observations: Observations,
     config: MotionConfig,
     device: str,
-    parts: Parts,
+    checkpoint: Checkpoint,
     refines: bool = True,
 ) -> tuple[Gaussians, Observations, float]:
     """The scene at rest that registered pictures show, the observations with these, and the shake (pixels, rms).
@@ -93,73 +93,74 @@ def stabilised(
     """
 
     def compute() -> Arrays:
-        turns = camera_turns(observations)
+        rotations = camera_rotations(observations)
         if not refines or not observations.is_whole or observations.is_flat:
-            return {"turns": turns}
-        sharper = _refined(gaussians, registered(observations, turns), config.seed, device)
-        return {"turns": turns, **arrays_of(sharper)}
+            return {"rotations": rotations}
+        means = mean_pictures(registered(observations, rotations))
+        sharper = refine_at_rest(gaussians, observations.frames, means, _REFINING, config.seed, device)
+        return {"rotations": rotations, **arrays_of(sharper)}
 
-    kept = parts("registration", compute)
-    turns = kept["turns"]
+    kept = checkpoint("registration", compute)
+    rotations = kept["rotations"]
     focal = max(float(f.K[0, 0]) for f in observations.frames)
-    pixels = focal * float(np.sqrt((turns[:, :2] ** 2).sum(1).mean()))
+    pixels = focal * float(np.sqrt((rotations[:, :2] ** 2).sum(1).mean()))
     scene = gaussians_of(kept) if "means" in kept else gaussians
-    return scene, registered(observations, turns), pixels
+    return scene, registered(observations, rotations), pixels
 
 
-def registered(observations: Observations, turns: np.ndarray) -> Observations:
-    """The observations with every picture turned back by its camera's rotation vector, [C, 3] in all."""
-    back = np.tile(np.eye(3), (len(turns), 1, 1))
+def registered(observations: Observations, rotations: np.ndarray) -> Observations:
+    """The observations with every picture rotated back by its camera's rotation vector, [C, 3] in all."""
+    back = np.tile(np.eye(3), (len(rotations), 1, 1))
     for frames in observations.frames:
-        back[frames.rows] = homographies(frames.K, turns[frames.rows])
+        back[frames.rows] = homographies(frames.K, rotations[frames.rows])
     return replace(observations, pictures=RegisteredPictures(observations.pictures, back))
 
 
-def camera_turns(observations: Observations) -> np.ndarray:
+def camera_rotations(observations: Observations) -> np.ndarray:
     """[C, 3] rotation vectors of the pictures' cameras, radians, camera axes; of each fixed camera with mean 0.
 
     Gauss-Newton on the misfit to the camera's mean picture by the slopes of that, which is the same for all frames
     (inverse composition: Baker & Matthews 2004). The mean, blurred at first, is taken anew in every step. Exposure is
-    fitted along. Places that move by themselves count little; what they still turn the answer by is small, and goes
+    fitted along. Places that move by themselves count little; what they still change the rotation by is small, and goes
     with the nuisance columns.
     """
-    turns = np.zeros((1 + max(int(f.rows.max()) for f in observations.frames), 3))
+    rotations = np.zeros((1 + max(int(f.rows.max()) for f in observations.frames), 3))
     with progress("registration", len(observations.frames), "cameras") as update:
         for v, frames in enumerate(observations.frames):
-            turns[frames.rows] = _turns_of(observations, frames)
+            rotations[frames.rows] = _rotations_of(observations, frames)
             update(v + 1)
-    return turns
+    return rotations
 
 
-def _turns_of(observations: Observations, frames: PosedFrames) -> np.ndarray:
+def _rotations_of(observations: Observations, frames: PosedFrames) -> np.ndarray:
     """[F, 3] of one camera."""
     rows = frames.rows
     own = replace(observations, frames=[frames])
-    turns, exposures = np.zeros((len(rows), 3)), np.zeros((len(rows), 6))
-    mean = np.concatenate([s.mean(0) for _, s in strips(observations.pictures, frames)])
+    rotations, exposures = np.zeros((len(rows), 3)), np.zeros((len(rows), 6))
+    mean = mean_pictures(own)[0]
     weights = np.ones(mean.shape[:2], np.float32)
     for _ in range(_STEPS):
         everyone = np.zeros((int(rows.max()) + 1, 3))
-        everyone[rows] = turns
+        everyone[rows] = rotations
         n, mean, energy = _step(registered(own, everyone), mean, weights, exposures)
-        turns = (Rotation.from_rotvec(turns) * Rotation.from_rotvec(n[:, 6:])).as_rotvec()
-        turns -= turns.mean(0)
+        rotations = (Rotation.from_rotvec(rotations) * Rotation.from_rotvec(n[:, 6:])).as_rotvec()
+        rotations -= rotations.mean(0)
         exposures = n[:, :6]
         if float(frames.K[0, 0]) * np.sqrt((n[:, 6:] ** 2).sum(1).mean()) < _STILL_PX:
             break
         weights = _weights_of(mean, energy)
-    return turns
+    return rotations
 
 
 def _step(
     observations: Observations, mean: np.ndarray, weights: np.ndarray, exposures: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """[F, 9] exposure and turns that one camera's frames still differ from their mean by, the mean [H, W, 3], and the
+    """Exposure and rotation [F, 9] by which one camera's frames still differ from their mean, the mean [H, W, 3], and
 
-    energy [H, W] of what the exposures [F, 6] known so far leave of the changes, mean over channels.
+    the energy [H, W] of what the exposures [F, 6] known so far leave of the changes, mean over channels.
     """
     frames = observations.frames[0]
-    columns = np.concatenate([_exposure_columns(mean), _turn_columns(mean, frames.K)])
+    columns = np.concatenate([_exposure_columns(mean), _rotation_columns(mean, frames.K)])
     weighted = columns * weights[..., None]
     products = np.zeros((len(columns), len(frames.rows)))
     new, energy = np.empty_like(mean), np.empty(mean.shape[:2], np.float32)
@@ -184,8 +185,8 @@ def _exposure_columns(mean: np.ndarray) -> np.ndarray:
     return out
 
 
-def _turn_columns(mean: np.ndarray, K: np.ndarray) -> np.ndarray:
-    """[3, H, W, 3]: what a turn of the camera by one radian about its x, y, z changes."""
+def _rotation_columns(mean: np.ndarray, K: np.ndarray) -> np.ndarray:
+    """[3, H, W, 3]: what a rotation of the camera by one radian about its x, y, z changes."""
     down, right = np.gradient(mean, axis=(0, 1))
     height, width = mean.shape[:2]
     v, u = np.mgrid[:height, :width] + 0.5
@@ -209,15 +210,12 @@ def _weights_of(mean: np.ndarray, energy: np.ndarray) -> np.ndarray:
     return np.asarray(1 / (1 + moved / (_ROBUST**2 * max(stillest, 1e-12))), np.float32)
 
 
-def _refined(gaussians: Gaussians, observations: Observations, seed: int, device: str) -> Gaussians:
-    """The Gaussians fitted to the mean pictures of all cameras."""
-    means = [
-        np.concatenate([s.mean(0) for _, s in strips(observations.pictures, f)]) for f in observations.frames
-    ]
-    still = np.zeros((1, len(gaussians), 6), np.float32)
-    seen = MovedPictures(observations.frames, np.stack(means)[:, None], still, np.zeros(1, np.int64))
-    with progress("scene at rest, refined", _REFINING, "iterations") as update:
-        return refine_rest_scene(gaussians, seen, _REFINING, seed, device, update)
+def mean_pictures(observations: Observations) -> np.ndarray:
+    """[V, H, W, 3]: over time, of every camera."""
+    pictures = observations.pictures
+    return np.stack(
+        [np.concatenate([s.mean(0) for _, s in strips(pictures, f)]) for f in observations.frames]
+    )
 
 
 def _farthest(homographies: np.ndarray, size: tuple[int, int]) -> int:

@@ -1,12 +1,12 @@
 """Whether fixed cameras shake: does what moves least in their pictures move as one, and in each camera by itself?
 
-The picture is looked at in 8 × 8 blocks. Each block's shift in every frame is the least-squares answer of its pixels by
+The picture is cut into 8 × 8 blocks. Each block's shift in every frame is the least-squares solution of its pixels by
 the picture's slopes (Lucas & Kanade 1981). A camera that shakes moves every block, by a shift, a roll and a zoom of the
 whole picture; a scene that moves before a camera that does not leaves some blocks where they are. So the blocks that
 move least decide: they must move by more than noise, and by what one shift, roll and zoom makes of all of them.
 
 A scene that moves as a whole looks the same to one camera. Several that film at the same times tell the two apart: one
-rigid motion of the scene, six numbers for each timestep, must look right in all of them (`own_turns`).
+rigid motion of the scene, six numbers for each timestep, must look right in all of them (`own_rotations`).
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from tg4mm.motion.jacobian.view import PosedView
-from tg4mm.motion.nuisance.projection import EXPOSURE, POSE, ROTATION
+from tg4mm.motion.nuisance.projection import EXPOSURE, POSE, ROTATION, pseudo_inverse
 
 BLOCKS = 8  # along each side
 _TEXTURE = 0.05  # of the mean block's: less tells no shift
 _STILLEST = 0.25  # of the blocks with texture
 LEAST_PX = 0.01  # rms; less is none
 _EXPLAINED = 0.7  # of the stillest blocks' power must be that of one pose
-_ROUNDS = 5  # of reweighting
+_IRLS_STEPS = 5  # of one pose for the blocks
 _TINY = 1e-9  # of the largest eigenvalue: below it a column says nothing new
 
 
@@ -43,14 +43,14 @@ class BlockShifts:
         down, right = np.gradient(picture, axis=(0, 1))
         slopes = -np.stack([right, down]).astype(np.float32)
         gram = np.zeros((BLOCKS, BLOCKS, 2, 2))
-        for i, j, (tall, wide) in _parts(picture.shape[:2]):
+        for i, j, (tall, wide) in _blocks(picture.shape[:2]):
             flat = slopes[:, tall, wide].reshape(2, -1)
             gram[i, j] = flat @ flat.T
         return BlockShifts(slopes, gram, np.zeros((BLOCKS, BLOCKS, 2, n_frames)), np.zeros((BLOCKS, BLOCKS)))
 
     def add(self, rows: slice, changes: np.ndarray) -> None:
         """A strip of changes [F, rows, W, 3]."""
-        for i, j, (tall, wide) in _parts(self.slopes.shape[1:3]):
+        for i, j, (tall, wide) in _blocks(self.slopes.shape[1:3]):
             top, bottom = max(tall.start, rows.start), min(tall.stop, rows.stop)
             if top >= bottom:
                 continue
@@ -67,19 +67,21 @@ class BlockShifts:
         gram, products = self.gram[has_texture], self.products[has_texture]
         shifts = np.linalg.solve(gram, products)  # [b, 2, F]
         n = self.slopes[0].size / BLOCKS**2
-        left = self.energy[has_texture] - np.einsum("bcf,bcf->b", shifts, products)
-        noise = np.maximum(left, 0) / n * np.trace(np.linalg.inv(gram), axis1=1, axis2=2)  # sum over frames
+        residual = self.energy[has_texture] - np.einsum("bcf,bcf->b", shifts, products)
+        noise = (
+            np.maximum(residual, 0) / n * np.trace(np.linalg.inv(gram), axis1=1, axis2=2)
+        )  # sum over frames
         power = np.maximum((shifts**2).sum((1, 2)) - noise, 0)
         places = np.argwhere(has_texture) / (BLOCKS - 1) - 0.5
-        residual = shifts - _one_pose(places, shifts, texture[has_texture])
-        unexplained = np.maximum((residual**2).sum((1, 2)) - noise, 0)
+        deviations = shifts - _one_pose(places, shifts, texture[has_texture])
+        unexplained = np.maximum((deviations**2).sum((1, 2)) - noise, 0)
         stillest = np.argsort(power)[: max(int(_STILLEST * len(power)), 2)]
         moved = float(np.sqrt(power[stillest].mean() / shifts.shape[2]))
         share = 1 - unexplained[stillest].sum() / max(power[stillest].sum(), 1e-30)
         return moved, bool(moved > LEAST_PX and share > _EXPLAINED)
 
 
-def _parts(size: tuple[int, ...]) -> Iterator[tuple[int, int, tuple[slice, slice]]]:
+def _blocks(size: tuple[int, ...]) -> Iterator[tuple[int, int, tuple[slice, slice]]]:
     rows, columns = (np.linspace(0, n, BLOCKS + 1).round().astype(int) for n in size)
     for i in range(BLOCKS):
         for j in range(BLOCKS):
@@ -96,17 +98,17 @@ def _one_pose(places: np.ndarray, shifts: np.ndarray, weights: np.ndarray) -> np
     design = np.stack([np.stack([one, zero, -y, x], 1), np.stack([zero, one, x, y], 1)], 1)  # [b, 2, 4]
     trust = weights / weights.max()
     fitted = shifts
-    for _ in range(_ROUNDS):
+    for _ in range(_IRLS_STEPS):
         root = np.sqrt(trust)[:, None, None]
         flat = (root * design).reshape(-1, 4)
-        answer = np.linalg.lstsq(flat, (root * shifts).reshape(len(flat), -1), rcond=None)[0]
-        fitted = design @ answer
+        coefficients = np.linalg.lstsq(flat, (root * shifts).reshape(len(flat), -1), rcond=None)[0]
+        fitted = design @ coefficients
         error = np.sqrt(((shifts - fitted) ** 2).mean((1, 2)))
         trust = weights / weights.max() / (1 + (error / max(float(np.median(error)), 1e-12)) ** 2)
     return fitted
 
 
-def own_turns(
+def own_rotations(
     cameras: Sequence[PosedView],
     grams: Sequence[np.ndarray],
     products: Sequence[np.ndarray],
@@ -117,29 +119,29 @@ def own_turns(
 
     grams V of [12, 12]: products of the nuisance columns; products V of [12, F]: theirs with the changes of F frames;
     energy: of all changes; n_pixels: of a picture. The share is the part of the energy that a common rigid motion and
-    turns of each camera by itself explain together and the common motion alone does not, noise taken off; exposure is
-    fitted first. It is near 0 for a scene that moves as a whole, near 1 for many cameras that shake.
+    rotations of each camera by itself explain together and the common motion alone does not, noise taken off; exposure
+    is fitted first. It is near 0 for a scene that moves as a whole, near 1 for many cameras that shake.
     """
     gram, side = _normal_equations(cameras, grams, products)
     n_cameras, n_frames = len(cameras), side.shape[1]
     own = np.tile(np.arange(9), n_cameras)
-    kind = np.concatenate([np.where(own < 6, 0, 1), np.full(6, 2)])  # exposure, own turns, common motion
-    light, common, whole = (_solved(gram, side, k) for k in (kind == 0, kind != 1, kind >= 0))
-    at_first, by_common, by_all = (float((side * n).sum()) for n in (light, common, whole))
+    kind = np.concatenate([np.where(own < 6, 0, 1), np.full(6, 2)])  # exposure, own rotations, common motion
+    exposure, common, everything = (_solved(gram, side, k) for k in (kind == 0, kind != 1, kind >= 0))
+    at_first, by_common, by_all = (float((side * n).sum()) for n in (exposure, common, everything))
     noise = max(energy - by_all, 0) / (3 * n_pixels * n_cameras * n_frames)  # of one value
-    beyond = max(by_all - by_common - 3 * n_cameras * n_frames * noise, 0)
-    left = side - gram @ np.where((kind == 2)[:, None], common, 0)
-    turns = _solved(gram, left, kind < 2)[kind == 1].reshape(n_cameras, 3, n_frames)
-    pixels = np.stack([np.diag(c.K)[:2, None] * t[1::-1] for c, t in zip(cameras, turns, strict=True)])
-    share = beyond / max(by_all - at_first, 1e-30)
-    kept = beyond / max(by_all - by_common, 1e-30)
+    excess = max(by_all - by_common - 3 * n_cameras * n_frames * noise, 0)
+    residual = side - gram @ np.where((kind == 2)[:, None], common, 0)
+    rotations = _solved(gram, residual, kind < 2)[kind == 1].reshape(n_cameras, 3, n_frames)
+    pixels = np.stack([np.diag(c.K)[:2, None] * r[1::-1] for c, r in zip(cameras, rotations, strict=True)])
+    share = excess / max(by_all - at_first, 1e-30)
+    kept = excess / max(by_all - by_common, 1e-30)
     return float(np.sqrt(kept * (pixels**2).sum(1).mean())), share
 
 
 def _normal_equations(
     cameras: Sequence[PosedView], grams: Sequence[np.ndarray], products: Sequence[np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """[9 V + 6, 9 V + 6] and [9 V + 6, F]: every camera's exposure and turns, then the scene's common rigid motion."""
+    """[9 V + 6, 9 V + 6] and [9 V + 6, F]: every camera's exposure and rotation, the scene's common rigid motion."""
     own = np.r_[EXPOSURE, ROTATION]
     n = len(own) * len(cameras)
     gram, side = np.zeros((n + 6, n + 6)), np.zeros((n + 6, products[0].shape[1]))
@@ -169,11 +171,6 @@ def _as_pose(viewmat: np.ndarray) -> np.ndarray:
 
 def _solved(gram: np.ndarray, side: np.ndarray, active: np.ndarray) -> np.ndarray:
     """Least squares of the active unknowns, 0 for the others: as `side`."""
-    scale = np.sqrt(np.maximum(np.diag(gram)[active], 1e-30))
-    values, vectors = np.linalg.eigh(gram[np.ix_(active, active)] / np.outer(scale, scale))
-    inverse = np.where(values > _TINY * values[-1], 1 / np.maximum(values, 1e-30), 0)
     out = np.zeros_like(side)
-    out[active] = (vectors @ (inverse[:, None] * (vectors.T @ (side[active] / scale[:, None])))) / scale[
-        :, None
-    ]
+    out[active] = pseudo_inverse(gram[np.ix_(active, active)], _TINY) @ side[active]
     return out

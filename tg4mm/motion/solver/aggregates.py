@@ -105,21 +105,21 @@ def _largest_eigenvalue(graph: Graph, blocks: np.ndarray) -> float:
 
 def _tentative(means: np.ndarray, spacing: float) -> bsr_matrix:
     """[4N, 4G]: of each aggregate a displacement and its change along x, y, z, about the aggregate's mean."""
-    n, parts = len(means), _split(means)
+    n, regions = len(means), _split(means)
     column, blocks = np.empty(n, np.int32), np.tile(np.eye(ROWS), (n, 1, 1))
-    for g, own in enumerate(parts):
+    for g, own in enumerate(regions):
         column[own], blocks[own, 0, 1:] = g, (means[own] - means[own].mean(0)) / spacing
-    return bsr_matrix((blocks, column, np.arange(n + 1)), shape=(ROWS * n, ROWS * len(parts)))
+    return bsr_matrix((blocks, column, np.arange(n + 1)), shape=(ROWS * n, ROWS * len(regions)))
 
 
 def _split(means: np.ndarray) -> list[np.ndarray]:
-    """At most `MOST` parts of `_LEAST` Gaussians or more (or one of all): halved along the longest side, a k-d tree."""
-    parts = [np.arange(len(means))]
-    while 2 * len(parts) <= MOST and len(parts[0]) >= 2 * _LEAST:
+    """By a k-d tree, halved along the longest side: at most `MOST` regions of `_LEAST` Gaussians or more, or one."""
+    regions = [np.arange(len(means))]
+    while 2 * len(regions) <= MOST and len(regions[0]) >= 2 * _LEAST:
         halves = []
-        for rows in parts:
+        for rows in regions:
             axis = int(np.ptp(means[rows], axis=0).argmax())
             order = rows[np.argsort(means[rows, axis], kind="stable")]
             halves += [order[: len(order) // 2], order[len(order) // 2 :]]
-        parts = halves
-    return parts
+        regions = halves
+    return regions

@@ -95,12 +95,12 @@ class CpuOperator:
         """`Operator.misfit`."""
         total = 0.0
         for k, (view, shown) in enumerate(zip(self.views, pictures, strict=True)):
-            left = view.jvp(self.mixed(k, fields), self.buffers) - shown
+            residual = view.jvp(self.mixed(k, fields), self.buffers) - shown
             if self.projections is not None:
-                left = self.projections[k].out_of(left)
+                residual = self.projections[k].out_of(residual)
             self.release(k)
-            weighted = left if self.weights is None else left * self.weights[k, ..., None]
-            total += float(np.vdot(left.astype(np.float64), weighted))
+            weighted = residual if self.weights is None else residual * self.weights[k, ..., None]
+            total += float(np.vdot(residual.astype(np.float64), weighted))
         return total
 
     def with_graph(self, graph: Graph) -> CpuOperator:
@@ -202,8 +202,8 @@ class SharedPass:
         """`Operator.products`; `rows` of whole operators."""
         n = len(theta) // len(self.operators)
         own = range(len(self.operators)) if rows is None else sorted({r // n for r in rows})
-        parts = products_of([self.operators[k] for k in own], [theta[k * n : (k + 1) * n] for k in own])
-        images = np.concatenate(parts)
+        products = products_of([self.operators[k] for k in own], [theta[k * n : (k + 1) * n] for k in own])
+        images = np.concatenate(products)
         if rows is None:
             return images
         places = {r: i for i, r in enumerate(k * n + j for k in own for j in range(n))}

@@ -18,7 +18,6 @@ import copy
 import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
@@ -28,9 +27,11 @@ from torch import Tensor
 from tg4mm.errors import Tg4mmError
 from tg4mm.motion.jacobian.contributions import DeviceViewJacobian, device_view_jacobian
 from tg4mm.motion.jacobian.packed import DOF
+from tg4mm.motion.jacobian.view import ViewJacobian
 from tg4mm.motion.prior.graph import Graph
 from tg4mm.motion.prior.tgv import ROWS
 from tg4mm.motion.solver.cpu import CpuOperator
+from tg4mm.motion.solver.operator import Operator
 
 
 def _sparse(matrix: csr_matrix, device: str) -> Tensor:
@@ -66,7 +67,7 @@ class DeviceViews:
     """Views' contributions and the graph's constants on a device, shared by all operators of one fit."""
 
     def __init__(
-        self, views: Sequence[Any], graph: Graph, device: str, storage: torch.dtype | None = None
+        self, views: Sequence[ViewJacobian], graph: Graph, device: str, storage: torch.dtype | None = None
     ) -> None:
         """`storage` of weights and slopes: None for float16 on CUDA, float32 elsewhere.
 
@@ -103,9 +104,9 @@ class DeviceOperator:
         self.stiffness = _sparse(operator.graph.stiffness, self.device)
         self.weights = None if operator.weights is None else self._sent(operator.weights[..., None])
         self.projections = operator.projections
-        self.pulled = None
+        self.adjoint_columns = None
         if operator.projections is not None:
-            self.pulled = [self._sent(p.pulled).flatten(1) for p in operator.projections]
+            self.adjoint_columns = [self._sent(p.adjoint_columns).flatten(1) for p in operator.projections]
         self.mixing = None if operator.mixing is None else [self._sent(m) for m in operator.mixing]
         self.support = None if operator.support is None else self._sent(operator.support[..., None])
 
@@ -143,9 +144,9 @@ class DeviceOperator:
         """Jᵀ W (1 − Q Qᵀ W) J of one motion [N, 6]."""
         out = torch.zeros_like(motion)
         self.views[k].vjp(self._weighted(k, self.views[k].jvp(motion)), out)
-        if self.pulled is not None:
-            pulled = self.pulled[k]
-            out -= (pulled.T @ (pulled @ motion.flatten())).reshape(out.shape)
+        if self.adjoint_columns is not None:
+            columns = self.adjoint_columns[k]
+            out -= (columns.T @ (columns @ motion.flatten())).reshape(out.shape)
         return out
 
     def fields(self, theta: Tensor) -> np.ndarray:
@@ -170,10 +171,10 @@ class DeviceOperator:
                 shown = self.projections[k].out_of(shown)
                 self.projections[k].release()
             for motion, picture in zip(self._mixed(k, motions), shown, strict=True):
-                left = (view.jvp(motion) - self._sent(picture)).double()
-                total += float((left * self._weighted(k, left)).sum())
-                if self.pulled is not None:
-                    total -= float((self.pulled[k] @ motion.flatten()).double().square().sum())
+                residual = (view.jvp(motion) - self._sent(picture)).double()
+                total += float((residual * self._weighted(k, residual)).sum())
+                if self.adjoint_columns is not None:
+                    total -= float((self.adjoint_columns[k] @ motion.flatten()).double().square().sum())
         return total
 
     def with_graph(self, graph: Graph) -> DeviceOperator:
@@ -230,3 +231,13 @@ class DeviceOperator:
 
     def _sent(self, values: np.ndarray) -> Tensor:
         return torch.from_numpy(np.ascontiguousarray(values)).to(self.device)
+
+
+def views_on(device: str, views: Sequence[ViewJacobian], graph: Graph) -> DeviceViews | None:
+    """The views on a torch device; None on the CPU, whose operator reads them where they lie."""
+    return None if device == "cpu" else DeviceViews(views, graph, device)
+
+
+def operator_on(views: DeviceViews | None, operator: CpuOperator) -> Operator:
+    """The operator where its views lie, as `views_on` gave them."""
+    return operator if views is None else DeviceOperator(operator, views)

@@ -5,7 +5,7 @@ Find R fields x_r [4N, 3], displacement and its gradient, that explain the targe
     Σ_v Σ_pixels W |(1 − Q Qᵀ W) (J_v Σ_r C_v[:, r] m(x_r) − y_v)|²  +  h Σ_r (λ x_r·K x_r + μ |x_r|²),
 
 where m is the motion of a field (displacement and rotation), y_v the target images and C_v their mixing matrix
-(`clocks/`), W weights of pixels, Q the nuisance columns (`nuisance/projection.py`), K the prior's matrix
+(`temporal/`), W weights of pixels, Q the nuisance columns (`nuisance/projection.py`), K the prior's matrix
 (`prior/graph.py`), and h the mean over Gaussians of the diagonal of JᵀWJ, so that λ and μ do not depend on size,
 contrast or number of the images. The unknowns are θ [R, P, 3] with x = B θ (`preconditioner.py`), for which conjugate
 gradients need few iterations.
@@ -24,23 +24,21 @@ from tg4mm.motion.prior.graph import Graph
 Array = Any  # np.ndarray or Tensor; an operator takes and gives one kind
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # one fold is equal to itself alone
 class Fold:
     """Views that are fitted together, and which of their pixels: all, or what a mask leaves."""
 
     views: np.ndarray  # [v] int
     pixels: np.ndarray | None = None  # [H, W] float32, 0 or 1; None: all
 
-    def weighted(self, weights: np.ndarray | None, size: tuple[int, int]) -> np.ndarray | None:
-        """Pixel weights [v, H, W] of these views, of weights [V, H, W] or None for 1; size is (height, width)."""
+    def weighted(self, weights: np.ndarray | None) -> np.ndarray | None:
+        """Pixel weights [v, H, W] of these views, of weights [V, H, W] or None for 1."""
         own = None if weights is None else weights[self.views]
         if self.pixels is None:
             return own
-        return (
-            np.broadcast_to(self.pixels, (len(self.views), *size)).copy()
-            if own is None
-            else own * self.pixels
-        )
+        if own is None:
+            return np.repeat(self.pixels[None], len(self.views), 0)
+        return own * self.pixels
 
 
 class System(Protocol):

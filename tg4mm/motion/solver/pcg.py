@@ -15,19 +15,11 @@ _EXACT = 1e-12  # squared relative residual: what float32 can tell; going on wou
 
 @dataclass(frozen=True)
 class Solution:
-    """θ [R, P, 3] (or of any shape [R, …]) and what is left of the right-hand sides, b − A θ."""
+    """θ [R, P, 3] (or of any shape [R, …]) and the residual b − A θ."""
 
     theta: Array
     residual: Array
     norms: np.ndarray  # [S] |b|² of each system; S = 1 where they are coupled, else R
-    iterations: int
-
-    @property
-    def relative_residual(self) -> float:
-        """The largest |b − A θ| / |b|."""
-        return float(
-            np.sqrt(np.max(_squares(self.residual, len(self.norms)) / np.maximum(self.norms, 1e-300)))
-        )
 
 
 def pcg(
@@ -51,16 +43,14 @@ def pcg(
     squares = _squares(b, n)
     norms = squares.copy() if norms is None else norms
     limit = np.maximum(max(tolerance**2, _EXACT) * norms, 1e-300)
-    done = 0
-    for _ in range(iterations):
+    for done in range(iterations):
         going = np.flatnonzero(squares > limit)
         if not len(going):
             break
         _step(operator, (theta, residual, direction), squares, going.tolist(), together)
-        done += 1
         if update is not None:
-            update(done, float(np.sqrt((squares / np.maximum(norms, 1e-300)).max())))
-    return Solution(theta, residual, norms, done)
+            update(done + 1, float(np.sqrt((squares / np.maximum(norms, 1e-300)).max())))
+    return Solution(theta, residual, norms)
 
 
 def _step(

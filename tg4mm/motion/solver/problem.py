@@ -1,9 +1,9 @@
-"""The motion problem of one scene and its views, from which operators for folds and weights are made."""
+"""The motion problem of one scene and its views, from which operators for folds are made."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -15,15 +15,15 @@ from tg4mm.motion.nuisance.projection import Nuisance, Projection, without
 from tg4mm.motion.prior.graph import Graph, build_graph
 from tg4mm.motion.solver.aggregates import Aggregates, aggregate
 from tg4mm.motion.solver.cpu import CpuOperator
-from tg4mm.motion.solver.cuda import DeviceOperator, DeviceViews
-from tg4mm.motion.solver.operator import Fold
+from tg4mm.motion.solver.cuda import operator_on, views_on
+from tg4mm.motion.solver.operator import Fold, Operator
 from tg4mm.motion.solver.preconditioner import PROBES, DiagonalEstimate, probe, two_level_preconditioner
 from tg4mm.rasterize.reference import rotation_matrices
 
 
 @dataclass(frozen=True)
 class Problem:
-    """Views, prior and coarse level; `operator` adds pixel weights and a smoothness weight."""
+    """Views, pixel weights, prior and coarse level; `operator` adds a fold and a smoothness weight."""
 
     views: Sequence[ViewJacobian]
     gaussians: Gaussians
@@ -31,14 +31,13 @@ class Problem:
     aggregates: Aggregates
     config: MotionConfig
     device: str = "cpu"
+    pixel_weights: np.ndarray | None = None  # W [V, H, W] float32; None: 1
     nuisances: Sequence[Nuisance] = ()  # one a view; none: nothing is projected out
     means: np.ndarray | None = None  # [V, H, W, 3] mean pictures, for the nuisances
     mixing: Sequence[np.ndarray] | None = None  # C_v [ρ, R]
-    projections: Sequence[Projection] | None = (
-        None  # of views whose weights are final; None: made for each fold
-    )
+    projections: Sequence[Projection] | None = None  # one a view, whatever the fold; None: made for each
     support: np.ndarray | None = None  # [R, N] float32: which Gaussians a field may move, 1 or 0; None: all
-    _kept: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False)
+    _kept: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False)  # made once
 
     @staticmethod
     def of(views: Sequence[ViewJacobian], gaussians: Gaussians, config: MotionConfig, device: str) -> Problem:
@@ -48,15 +47,20 @@ class Problem:
         graph = build_graph(means, axes, gaussians.scales.numpy())
         return Problem(views, gaussians, graph, aggregate(graph, means), config, device)
 
+    def changed(self, **fields: Any) -> Problem:
+        """With other fields. What was made with the old ones is let go, but for the views on a device."""
+        kept = {k: v for k, v in self._kept.items() if k == "device_views" and "views" not in fields}
+        return replace(self, **fields, _kept=kept)
+
     @property
     def n_gaussians(self) -> int:
         return len(self.gaussians)
 
     @property
     def size(self) -> tuple[int, int]:
-        """Height and width in pixels."""
+        """Width and height in pixels."""
         height, width = self.views[0].transmittance.shape
-        return height, width
+        return width, height
 
     def shown(self, v: int, fields: np.ndarray) -> np.ndarray:
         """[ρ, H, W, 3]: what view v's target images show of fields [R, N, 6]."""
@@ -75,72 +79,56 @@ class Problem:
     def everything(self) -> Fold:
         return Fold(np.arange(len(self.views)))
 
-    def operator(
-        self, fold: Fold, weights: np.ndarray | None, smoothness_weight: float, probes: int = PROBES
-    ) -> CpuOperator | DeviceOperator:
-        """The problem that a fold poses, with pixel weights [V, H, W] or None; the prior is weaker in proportion."""
-        operator = self.on_cpu(fold, weights, smoothness_weight, probes)
-        if self.device == "cpu":
-            return operator
-        if "there" not in self._kept:
-            self._kept["there"] = DeviceViews(self.views, self.graph, self.device)
-        return DeviceOperator(operator, self._kept["there"])
+    def operator(self, fold: Fold, smoothness_weight: float, probes: int = PROBES) -> Operator:
+        """The problem that a fold poses; the prior is weaker in proportion."""
+        views = self._once("device_views", lambda: views_on(self.device, self.views, self.graph))
+        return operator_on(views, self.on_cpu(fold, smoothness_weight, probes))
 
-    def on_cpu(
-        self, fold: Fold, weights: np.ndarray | None, smoothness_weight: float, probes: int = PROBES
-    ) -> CpuOperator:
+    def on_cpu(self, fold: Fold, smoothness_weight: float, probes: int = PROBES) -> CpuOperator:
         """`operator` on the CPU."""
-        estimate = self._estimate(weights, probes)
-        key = "preconditioner", id(weights), probes, smoothness_weight
-        if key not in self._kept:
-            parts = estimate.scale * smoothness_weight, estimate.scale * self.config.ridge
-            self._kept[key] = two_level_preconditioner(self.aggregates, estimate, *parts), weights
+        estimate = self._once(("estimate", probes), lambda: self._estimate(probes))
+        prior, ridge = estimate.scale * smoothness_weight, estimate.scale * self.config.ridge
+        preconditioner = self._once(
+            ("preconditioner", probes, smoothness_weight),
+            lambda: two_level_preconditioner(self.aggregates, estimate, prior, ridge),
+        )
         share = len(fold.views) / len(self.views)
         if fold.pixels is not None:
             share *= float(fold.pixels.mean())
         return CpuOperator(
             [self.views[v] for v in fold.views],
             self.graph,
-            self._kept[key][0],
+            preconditioner,
             estimate.scale * share,
             smoothness_weight,
             self.config.ridge,
-            fold.weighted(weights, self.size),
-            self._projections(fold, weights),
+            fold.weighted(self.pixel_weights),
+            self._once(("projections", fold), lambda: self._projections(fold)),
             None if self.mixing is None else [self.mixing[v] for v in fold.views],
             self.support,
         )
 
-    def _estimate(self, weights: np.ndarray | None, probes: int) -> DiagonalEstimate:
-        key = "estimate", id(weights), probes
+    def _once(self, key: Any, make: Callable[[], Any]) -> Any:
         if key not in self._kept:
-            rng = np.random.default_rng(self.config.seed)
-            answers = probe(list(self.views), self.n_gaussians, rng, self._shares(weights), probes)
-            self._kept[key] = (
-                DiagonalEstimate.of(self.aggregates, answers),
-                weights,
-            )  # held: its id would be used again
-        return self._kept[key][0]
+            self._kept[key] = make()
+        return self._kept[key]
 
-    def _shares(self, weights: np.ndarray | None) -> np.ndarray | None:
-        """Weights times how much of a field each view sees on average, tr C_vᵀ C_v / R."""
-        if self.mixing is None:
-            return weights
-        shares = np.array([(m**2).sum() / m.shape[1] for m in self.mixing], np.float32)[:, None, None]
-        return shares if weights is None else shares * weights
+    def _estimate(self, probes: int) -> DiagonalEstimate:
+        """Pixels weighted by how much of a field each view sees on average, too: tr C_vᵀ C_v / R."""
+        weights = self.pixel_weights
+        if self.mixing is not None:
+            shares = np.array([(m**2).sum() / m.shape[1] for m in self.mixing], np.float32)[:, None, None]
+            weights = shares if weights is None else shares * weights
+        rng = np.random.default_rng(self.config.seed)
+        return DiagonalEstimate.of(self.aggregates, probe(self.views, self.n_gaussians, rng, weights, probes))
 
-    def _projections(self, fold: Fold, weights: np.ndarray | None) -> list[Projection] | None:
+    def _projections(self, fold: Fold) -> list[Projection] | None:
         if self.projections is not None:
             return [self.projections[v] for v in fold.views]
-        if not self.nuisances or not self.nuisances[0].active.any():
+        if self.means is None or not self.nuisances or not self.nuisances[0].active.any():
             return None
-        assert self.means is not None
-        key = "projections", id(weights), fold.views.tobytes(), id(fold.pixels)
-        if key not in self._kept:
-            own = fold.weighted(weights, self.size)
-            found = [
-                Projection.of(self.nuisances[v], self.means[v], None if own is None else own[k])
-                for k, v in enumerate(fold.views)
-            ]
-            self._kept[key] = found, weights, fold
-        return self._kept[key][0]
+        own = fold.weighted(self.pixel_weights)
+        return [
+            Projection.of(self.nuisances[v], self.means[v], None if own is None else own[k])
+            for k, v in enumerate(fold.views)
+        ]

@@ -102,7 +102,7 @@ def _list_seen(reached, first, last, items):
 
 
 @inlined
-def _alphas_ahead(count, items, batch, faintest, held, kept):
+def _precompute_alphas(count, items, batch, faintest, held, kept):
     """The alphas of all items, for `_pair_sums`.
 
     There they would be half of a long chain of operations that wait for each other, of which the processor can hold two
@@ -256,7 +256,7 @@ def _backward_tiles(workers, order, counter, tables, frame, splats, pictures, pa
                 splats, gaussians, first, last, seen_end, _BATCH, (x0, y0), held[:2], faintest, batch, False
             )
             count, last = _list_seen(seen_in, first, last, items)
-            _alphas_ahead(count, items, batch, faintest, held, kept)
+            _precompute_alphas(count, items, batch, faintest, held, kept)
             here = kept
             for pair in range(first, last):
                 todo, sums = integer(seen_in, pair), broadcast(float32(0.0))

@@ -17,7 +17,7 @@ from tg4mm.rasterize.kernels.compiled import inlined
 from tg4mm.rasterize.kernels.layout import EX, MX, SQUARES
 from tg4mm.rasterize.kernels.tiles import BLOCKS, BY_FOUR, COLUMNS, HEIGHT, PREFETCH, WIDTH
 from tg4mm.rasterize.simd.lanes import store_eight
-from tg4mm.rasterize.simd.masks import first_lanes, highest_bits, put_four_masks, shifted, two_halves
+from tg4mm.rasterize.simd.masks import first_lanes, put_four_masks, shifted, sign_mask, two_halves
 from tg4mm.rasterize.simd.memory import integer, load, load_pixels, number, prefetch, put_integer, store
 from tg4mm.rasterize.simd.rows import columns, row_starts
 from tg4mm.rasterize.simd.vector import LANES, PIXELS, broadcast, fma, select
@@ -52,15 +52,15 @@ def _column(batch, at, dx, l11, l12_dy):
 
 
 @inlined
-def _reaches(p, q, reach_p, limit):
+def _reaches(p, q, half_width_p, limit):
     """Mask of the Gaussians whose ellipse may reach a block.
 
     A block's p and q lie within a box around those of its centre; if the box's nearest point to the origin is outside
-    the ellipse, so is the block. reach_p: half the box's width; q: the square of how far the box lies off in q. limit:
+    the ellipse, so is the block. half_width_p: of the box, in p; q: the square of how far the box lies off in q. limit:
     the ellipse's radius, squared; negative where it does not extend that far to the left or right.
     """
     out = abs(p)
-    out = out - min(out, reach_p)
+    out = out - min(out, half_width_p)
     return limit >= fma(out, out, q)
 
 
@@ -83,7 +83,7 @@ def _sixteen(splats, rows, n, size, origin, faintest, count, batch, tested):
     none = float32(-1.0)
     limit0, limit1 = select(side >= abs(dx0), limit, none), select(side >= abs(dx1), limit, none)
     limit2, limit3 = select(side >= abs(dx2), limit, none), select(side >= abs(dx3), limit, none)
-    reach_p, reach_q = fma(l11, half, abs(l12) * half_height), l22 * half_height  # l11 > 0
+    half_width_p, half_width_q = fma(l11, half, abs(l12) * half_height), l22 * half_height  # l11 > 0
     masks = _mask_of(size, n, 0)
     for r in range(_ROWS):
         dy = float32(origin[1]) + float32((r + 0.5) * HEIGHT) - my
@@ -97,11 +97,11 @@ def _sixteen(splats, rows, n, size, origin, faintest, count, batch, tested):
         )
         if tested:
             out = abs(q)
-            out = out - min(out, reach_q)
+            out = out - min(out, half_width_q)
             out = out * out
             put_four_masks(
-                batch, masks // 4 + r, _reaches(p0, out, reach_p, limit0), _reaches(p1, out, reach_p, limit1),
-                _reaches(p2, out, reach_p, limit2), _reaches(p3, out, reach_p, limit3),
+                batch, masks // 4 + r, _reaches(p0, out, half_width_p, limit0), _reaches(p1, out, half_width_p, limit1),
+                _reaches(p2, out, half_width_p, limit2), _reaches(p3, out, half_width_p, limit3),
             )  # fmt: skip
 
 
@@ -154,7 +154,7 @@ def by_gaussian(words, count, reached):
     for k in range(0, BLOCKS, LANES):
         some = shifted(load(words, int64(k)), uint32(2 * LANES - count))
         for n in range(count):
-            bits, at = uint32(highest_bits(some) << uint32(k)), count - 1 - n
+            bits, at = uint32(sign_mask(some) << uint32(k)), count - 1 - n
             put_integer(reached, at, bits if k == 0 else bits | integer(reached, at))
             some = shifted(some, uint32(1))
 

@@ -100,7 +100,7 @@ def shifted(typingctx, words, by):
 
 
 @intrinsic
-def highest_bits(typingctx, words):
+def sign_mask(typingctx, words):
     """Mask, as an integer, of those of sixteen times 32 bits that have the highest bit set."""
 
     def codegen(context, builder, sig, args):

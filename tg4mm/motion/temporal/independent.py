@@ -3,9 +3,9 @@ rig.
 
 A steady vibration looks the same from every place but for its phase: θ_{c,k} of clip c at frequency k is unknown
 (frequency-domain triangulation: Gorjup, Slavič & Boltežar 2019). The frequencies come from all clips' region shifts.
-Every clip's pictures are projected on the sinusoids; the fields m_k and the phases are then found by turns: fields for
-given phases by least squares, phases as θ = arg⟨J_c m, C_c⟩ with C_c the clip's complex picture. They begin from the
-same turns on region shifts alone, which cost nothing and are begun from many random phases.
+Every clip's pictures are projected on the sinusoids; the fields m_k and the phases are then found in alternation:
+fields for given phases by least squares, phases as θ = arg⟨J_c m, C_c⟩ with C_c the clip's complex picture. They
+start from the same alternation on region shifts alone, which costs nothing and is tried from many random phases.
 
 The first camera's clock is the common one. Cameras of a rig have one offset of their clock for all frequencies,
 which is told from the phases.
@@ -20,57 +20,62 @@ from typing import Any, ClassVar
 import numpy as np
 
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.checkpoints import Arrays, Parts, computed
-from tg4mm.motion.clocks.frequencies import LEAST, sinusoids
-from tg4mm.motion.clocks.regions import RegionSeries, region_series
-from tg4mm.motion.clocks.steady import Steady, frequencies_of, frequency_figures, no_targets
+from tg4mm.motion.checkpoints import Arrays, Checkpoint, no_checkpoint
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.hyperparameters import Hyperparameters
 from tg4mm.motion.linear_fit import LinearFit
 from tg4mm.motion.nuisance.first_look import FirstLook, look_at
 from tg4mm.motion.nuisance.projection import Nuisance
 from tg4mm.motion.observations import Observations
+from tg4mm.motion.sinusoids import constant_and_trend, sinusoids
 from tg4mm.motion.solver.operator import Fold
 from tg4mm.motion.solver.problem import Problem
 from tg4mm.motion.split_half import folds_of, wiener_shrink
 from tg4mm.motion.targets import TargetImages, projected
+from tg4mm.motion.temporal.frequencies import LEAST
+from tg4mm.motion.temporal.regions import RegionSeries, region_series
+from tg4mm.motion.temporal.steady import Steady, frequencies_of, frequency_figures, no_targets
 
-_TURNS = 2  # of fields and phases on the pictures themselves
-_OF_ITERATIONS = 4  # a turn has as many less: that is enough for phases
-_STARTS = 24  # random phases that the region shifts' turns begin from
-_REGION_TURNS = 40
+_ALTERNATIONS = 2  # between fields and phases on the pictures themselves
+_OF_ITERATIONS = 4  # times fewer iterations than the fit: enough for phases
+_STARTS = 24  # random phases to start from on region shifts
+_REGION_ALTERNATIONS = 40
 
 
 @dataclass(frozen=True)
 class IndependentClocks(Steady):
-    """`Clock` of cameras whose clocks, or starts of the vibration, differ."""
+    """`TemporalModel` of cameras whose clocks, or starts of the vibration, differ."""
 
     unphased: Sequence[np.ndarray]  # C_v for phases of 0
     phases: np.ndarray  # [C, K] radians, of the first camera 0
-    least_agreed: ClassVar[float] = 0.5
+    min_reliability: ClassVar[float] = 0.5
 
     @staticmethod
     def of(
-        gaussians: Gaussians, observations: Observations, config: MotionConfig, device: str, parts: Parts
+        gaussians: Gaussians,
+        observations: Observations,
+        config: MotionConfig,
+        device: str,
+        checkpoint: Checkpoint,
     ) -> IndependentClocks:
         """Frequencies from region shifts, sinusoids of these, and phases from region shifts."""
-        seen = look_at(gaussians, observations, config, device, parts)
+        seen = look_at(gaussians, observations, config, device, checkpoint)
         observations = seen.observations
         problem = seen.problem(config, device)
-        series = region_series(seen, problem, parts)
-        found = frequencies_of(observations, series, LEAST, 0.0)
-        figures = {**seen.figures, **frequency_figures(found)}
+        series = region_series(seen, problem, checkpoint)
+        frequencies = frequencies_of(observations, series, LEAST, 0.0)
+        figures = {**seen.figures, **frequency_figures(frequencies)}
         targets, mixing = no_targets(observations), list[np.ndarray]()
         phases = np.zeros((len(series), 0))
-        if len(found.hz):
-            targets, mixing = sinusoid_targets(observations, seen.look, seen.nuisances, found.hz)
-            phases = region_phases(series, found.hz, config.seed)
+        if len(frequencies.hz):
+            targets, mixing = sinusoid_targets(observations, seen.look, seen.nuisances, frequencies.hz)
+            phases = region_phases(series, frequencies.hz, config.seed)
         folds = folds_of(len(seen.views), observations.size, False, config.split_half)
-        clock = IndependentClocks(
-            seen.gaussians, observations, problem, targets, folds, config, figures, seen.notes, found,
+        model = IndependentClocks(
+            seen.gaussians, observations, problem, targets, folds, config, figures, seen.notes, frequencies,
             scale_of(observations), mixing, phases,
         )  # fmt: skip
-        return clock.with_phases(phases)
+        return model.with_phases(phases)
 
     @property
     def n_frames(self) -> int:
@@ -80,26 +85,28 @@ class IndependentClocks(Steady):
     def with_phases(self, phases: np.ndarray) -> IndependentClocks:
         """C_v holds phases [C, K]."""
         mixing = [m @ rotations(p) for m, p in zip(self.unphased, phases, strict=False)]
-        return replace(self, phases=phases, problem=replace(self.problem, mixing=mixing, _kept={}))
+        return replace(self, phases=phases, problem=self.problem.changed(mixing=mixing))
 
     def strongest(self) -> tuple[np.ndarray, Problem, Sequence[Fold]]:
         """The strongest frequency: others, more than 1 / duration away, hardly show in its sinusoids."""
         mixing = [m[:2, :2] for m in self.problem.mixing or ()]
-        return self.targets.images[:, :2], replace(self.problem, mixing=mixing, _kept={}), self.folds
+        return self.targets.images[:, :2], self.problem.changed(mixing=mixing), self.folds
 
-    def completed(self, hyper: Hyperparameters, parts: Parts) -> IndependentClocks:
-        """Every camera's phases, by turns with the fields."""
-        clock = self
+    def completed(self, hyper: Hyperparameters, checkpoint: Checkpoint) -> IndependentClocks:
+        """Every camera's phases, in alternation with the fields."""
+        model = self
         few = max(self.config.iterations // _OF_ITERATIONS, 2)
-        for turn in range(_TURNS):
+        for k in range(_ALTERNATIONS):
 
-            def compute(clock: IndependentClocks = clock) -> Arrays:
-                linear = LinearFit(clock.problem, clock.targets, hyper, clock.folds, clock.config, computed)
+            def compute(model: IndependentClocks = model) -> Arrays:
+                linear = LinearFit(
+                    model.problem, model.targets, hyper, model.folds, model.config, no_checkpoint
+                )
                 fields, _ = wiener_shrink(np.stack([f["fields"] for f in linear.first_pass(few)]))
-                return {"phases": clock.phases_for(fields)}
+                return {"phases": model.phases_for(fields)}
 
-            clock = clock.with_phases(parts(f"phases_{turn}", compute)["phases"])
-        return clock
+            model = model.with_phases(checkpoint(f"phases_{k}", compute)["phases"])
+        return model
 
     def phases_for(self, fields: np.ndarray) -> np.ndarray:
         """θ = arg⟨J m, C⟩ [C, K] of every camera's pictures, less the first camera's."""
@@ -116,16 +123,16 @@ class IndependentClocks(Steady):
 
     def settled(self, folds: np.ndarray) -> tuple[IndependentClocks, np.ndarray]:
         """And the phases of the frequencies that are kept, in figures; of a rig its offsets, in a note."""
-        clock, kept = super().settled(folds)
-        phases = self.phases[:, np.isin(self.hz, clock.hz)]
-        figures = _phase_figures(self.observations, phases, clock.hz) if len(clock.hz) else {}
-        notes = [*clock.notes]
+        model, kept = super().settled(folds)
+        phases = self.phases[:, np.isin(self.hz, model.hz)]
+        figures = _phase_figures(self.observations, phases, model.hz) if len(model.hz) else {}
+        notes = [*model.notes]
         if offsets := figures.get("clock_offsets_s"):
             named = ", ".join(f"{name} {seconds:+.4g} s" for name, seconds in offsets.items())
             notes.append(
                 f"the cameras' clocks are not synchronous; their offsets, found from the vibration: {named}"
             )
-        return replace(clock, phases=phases, figures=clock.figures | figures, notes=notes), kept
+        return replace(model, phases=phases, figures=model.figures | figures, notes=notes), kept
 
 
 def scale_of(observations: Observations) -> float:
@@ -153,14 +160,13 @@ def sinusoid_targets(
 
 def _orthonormal(times_s: np.ndarray, freqs_hz: np.ndarray, scale: float) -> tuple[np.ndarray, np.ndarray]:
     """Orthonormal functions [2K, F] that span the sinusoids less a constant and a trend, and the mixing [2K, 2K]."""
-    slow = np.stack([np.ones_like(times_s), times_s - times_s.mean()])
-    design = np.concatenate([slow, scale * sinusoids(times_s, freqs_hz)]).T
+    design = np.concatenate([constant_and_trend(times_s), scale * sinusoids(times_s, freqs_hz)]).T
     q, r = np.linalg.qr(design)
     return q[:, 2:].T, r[2:, 2:].astype(np.float32)
 
 
 def region_phases(series: Sequence[RegionSeries], hz: np.ndarray, seed: int) -> np.ndarray:
-    """[C, K] radians, 0 for the first clock: by turns with each region's 3D phasor, the best of many random starts."""
+    """[C, K] radians, 0 for the first clock: alternating with each region's 3D phasor, the best of many starts."""
     phasors = np.stack([s.phasors(sinusoids(s.times_s, hz)) for s in series])  # [C, K, G, 2] of b
     normals = np.stack([s.normals[0] for s in series])  # [C, G, 2, 2]
     axes = np.stack([s.axes[0] for s in series])  # [C, 2, 3]
@@ -174,7 +180,7 @@ def region_phases(series: Sequence[RegionSeries], hz: np.ndarray, seed: int) -> 
         best = -1.0
         for _ in range(_STARTS):
             angle = rng.uniform(0, 2 * np.pi, len(series))
-            for _ in range(_REGION_TURNS):
+            for _ in range(_REGION_ALTERNATIONS):
                 m = np.einsum("gab,cgb,c->ga", inverse, sides, np.exp(-1j * angle))
                 z = np.einsum("ga,cga->c", m.conj(), sides)
                 angle = np.angle(z)

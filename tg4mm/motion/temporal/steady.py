@@ -12,48 +12,48 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from tg4mm.motion.clocks import Clock
-from tg4mm.motion.clocks.frequencies import Frequencies, find_frequencies
-from tg4mm.motion.clocks.regions import RegionSeries
 from tg4mm.motion.jacobian.pixels import pixels_moved
 from tg4mm.motion.modes import ModalMotion
 from tg4mm.motion.observations import Observations
 from tg4mm.motion.split_half import reliability
 from tg4mm.motion.targets import TargetImages
+from tg4mm.motion.temporal import TemporalModel
+from tg4mm.motion.temporal.frequencies import Frequencies, find_frequencies
+from tg4mm.motion.temporal.regions import RegionSeries
 
 _HIGHEST = 0.98  # of half the frame rate
 
 
 @dataclass(frozen=True)
-class Steady(Clock):
-    """`Clock` whose functions 2k and 2k + 1 are cosine and −sine of frequency k, and others that are no motion."""
+class Steady(TemporalModel):
+    """Functions 2k and 2k + 1 of time are cosine and −sine of frequency k; further ones are no motion."""
 
-    found: Frequencies
+    frequencies: Frequencies
     scale: float  # of the cosines and sines: fields times it are phasors
-    least_agreed: ClassVar[float]  # reliability below which a frequency is noise
+    min_reliability: ClassVar[float]  # reliability below which a frequency is noise
 
     @property
     def hz(self) -> np.ndarray:
         """[K], by falling strength."""
-        return self.found.hz
+        return self.frequencies.hz
 
     def settled(self, folds: np.ndarray) -> tuple[Self, np.ndarray]:
         """The frequencies' fields, of those on which two folds agree."""
-        folds = self.at_rest(folds[:, : 2 * len(self.hz)])
-        is_agreed = _reliability_of_pairs(folds) >= self.least_agreed
-        rows = np.repeat(is_agreed, 2)
+        folds = self.fix_gauge(folds[:, : 2 * len(self.hz)])
+        is_reliable = _reliability_of_pairs(folds) >= self.min_reliability
+        rows = np.repeat(is_reliable, 2)
         mixing = [m[:, : len(rows)][:, rows] for m in self.problem.mixing or ()]
-        found = self.found.selected(is_agreed)
-        clock = replace(
+        frequencies = self.frequencies.selected(is_reliable)
+        model = replace(
             self,
-            found=found,
-            problem=replace(self.problem, mixing=mixing, _kept={}),
-            figures=self.figures | frequency_figures(found) if is_agreed.any() else self.figures,
+            frequencies=frequencies,
+            problem=self.problem.changed(mixing=mixing),
+            figures=self.figures | frequency_figures(frequencies) if is_reliable.any() else self.figures,
         )
-        return clock, folds[:, rows]
+        return model, folds[:, rows]
 
-    def at_rest(self, folds: np.ndarray) -> np.ndarray:
-        """Fields [P, 2K, N, 6] of what moves, where the cameras leave open what does not."""
+    def fix_gauge(self, folds: np.ndarray) -> np.ndarray:
+        """Fields [P, 2K, N, 6], whose gauge is fixed: what the cameras leave open is chosen."""
         return folds
 
     def pixels_moved(self, fields: np.ndarray) -> float:
@@ -85,11 +85,11 @@ def frequencies_of(
     return find_frequencies(shifts, times, max(lowest_hz, observations.lowest_hz), highest, least)
 
 
-def frequency_figures(found: Frequencies) -> dict[str, Any]:
+def frequency_figures(frequencies: Frequencies) -> dict[str, Any]:
     """For the log."""
     return {
-        "frequencies_hz": [round(float(f), 4) for f in found.hz],
-        "frequency_deviation_hz": [round(float(f), 5) for f in found.deviation_hz],
+        "frequencies_hz": [round(float(f), 4) for f in frequencies.hz],
+        "frequency_deviation_hz": [round(float(f), 5) for f in frequencies.deviation_hz],
     }
 
 

@@ -1,4 +1,4 @@
-"""Which functions of time the motion of a capture is fitted by, and how each view sees them: three kinds of clock."""
+"""Temporal models: which functions of time the motion of a capture is fitted by, and how each view sees them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.checkpoints import Parts
+from tg4mm.motion.checkpoints import Checkpoint
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.hyperparameters import Hyperparameters
 from tg4mm.motion.modes import ModalMotion
@@ -21,7 +21,7 @@ from tg4mm.motion.targets import TargetImages
 
 
 @dataclass(frozen=True)
-class Clock(ABC):
+class TemporalModel(ABC):
     """A capture posed as one least-squares problem of R functions of time, and what the fields that solve it mean.
 
     `synchronous.py`: principal components over time. `independent.py`: sinusoids, with a phase of its own for each
@@ -51,7 +51,7 @@ class Clock(ABC):
         """What tells the smoothness weight: target images [V, ρ, H, W, 3], and the problem and folds they belong to."""
 
     @abstractmethod
-    def completed(self, hyper: Hyperparameters, parts: Parts) -> Clock:
+    def completed(self, hyper: Hyperparameters, checkpoint: Checkpoint) -> TemporalModel:
         """With what the functions of time still lack: which are fitted, or every camera's phases."""
 
     @property
@@ -67,8 +67,8 @@ class Clock(ABC):
         return None
 
     @abstractmethod
-    def settled(self, folds: np.ndarray) -> tuple[Clock, np.ndarray]:
-        """The motion in fields [P, R, N, 6] of the folds, and the clock with its functions of time alone.
+    def settled(self, folds: np.ndarray) -> tuple[TemporalModel, np.ndarray]:
+        """The motion in fields [P, R, N, 6] of the folds, and the model with its functions of time alone.
 
         Functions that are no motion are let go, and what the cameras leave open is settled.
         """
@@ -83,4 +83,4 @@ class Clock(ABC):
 
     @abstractmethod
     def peaks_hz(self, motion: ModalMotion, noise: np.ndarray | None) -> np.ndarray:
-        """Frequencies of the motion's peaks, by falling strength. noise [N]: `uncertainty.of_halves`, or None."""
+        """Frequencies of the motion's peaks, by falling strength. noise [N]: as `split_half_uncertainty` tells it."""

@@ -1,8 +1,8 @@
 """A camera that moves all the time: every frame is a view with its own pose, Jacobian and nuisance.
 
-The scene at rest is first made to agree with all frames: by turns each frame's pose and exposure are corrected, by
-least squares of what is left of it on the nuisance columns, and the Gaussians are refined on all frames. What is then
-left of a frame is motion, noise, and what the scene at rest still gets wrong. The last changes slowly with the
+The scene at rest is first refined on all frames: in turn each frame's pose and exposure are corrected, by least
+squares of its residual on the nuisance columns, and the Gaussians are fitted to all frames. The residual of a frame
+is then motion, noise, and what the scene at rest still gets wrong. The last changes slowly with the
 viewpoint. So the functions of time that are fitted hold, besides the sinusoids, a constant and slow polynomials, whose
 fields are let go.
 
@@ -18,29 +18,29 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.polynomial import legendre
 from scipy.spatial.transform import Rotation
 
 from tg4mm.errors import RunError
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.checkpoints import Arrays, Parts, arrays_of, gaussians_of
-from tg4mm.motion.clocks.frequencies import Frequencies, sinusoids
-from tg4mm.motion.clocks.regions import RegionSeries, labels_of, moving_camera_series
-from tg4mm.motion.clocks.steady import Steady, frequencies_of, frequency_figures, no_targets
+from tg4mm.motion.checkpoints import Arrays, Checkpoint, arrays_of, gaussians_of
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.hyperparameters import Hyperparameters
-from tg4mm.motion.jacobian.view import VIEW_BYTES, ViewJacobian, blend_sum, view_jacobian
+from tg4mm.motion.jacobian.view import VIEW_BYTES, blend_sum, view_jacobian
 from tg4mm.motion.nuisance.projection import POSE, Nuisance, Projection, with_still_background
 from tg4mm.motion.observations import Observations, PosedFrames, whole_pictures
-from tg4mm.motion.refine import MovedPictures, refine_rest_scene
+from tg4mm.motion.refine import refine_at_rest
+from tg4mm.motion.sinusoids import polynomials, sinusoids
 from tg4mm.motion.solver.operator import Fold
 from tg4mm.motion.solver.problem import Problem
 from tg4mm.motion.split_half import folds_of
+from tg4mm.motion.temporal.frequencies import Frequencies
+from tg4mm.motion.temporal.regions import RegionSeries, labels_of, moving_camera_series
+from tg4mm.motion.temporal.steady import Steady, frequencies_of, frequency_figures, no_targets
 from tg4mm.progress import progress
 from tg4mm.room import release, room
 
-_ROUNDS = 3  # of poses and refining, at most
-_STILL_PX = 0.05  # rms correction of the poses below which another round brings nothing
+_ALTERNATIONS = 3  # between poses and the scene at rest, at most
+_STILL_PX = 0.05  # rms correction of the poses below which another brings nothing
 _POSE_STEPS = 2
 _ROBUST = 3.0  # robust deviations: residuals beyond count less
 _SLOW_BELOW = 0.5  # of the lowest frequency: slow functions reach up to it
@@ -59,23 +59,29 @@ _ALL = np.ones(12, bool)
 
 @dataclass(frozen=True)
 class MovingCamera(Steady):
-    """`Clock` of one camera that moves."""
+    """`TemporalModel` of one camera that moves."""
 
-    least_agreed: ClassVar[float] = 0.7  # below it is also what the scene at rest gets wrong
+    min_reliability: ClassVar[float] = 0.7  # below it is also what the scene at rest gets wrong
 
     @staticmethod
     def of(
-        gaussians: Gaussians, observations: Observations, config: MotionConfig, device: str, parts: Parts
+        gaussians: Gaussians,
+        observations: Observations,
+        config: MotionConfig,
+        device: str,
+        checkpoint: Checkpoint,
     ) -> MovingCamera:
-        """The scene and poses that agree with all frames, what is left of these, and frequencies in it."""
-        gaussians, frames, refined = _agreed_scene(gaussians, observations, config, device, parts)
-        observations = replace(observations, frames=frames)
-        problem, left, weights = _what_is_left(gaussians, observations, config, device)
-        lowest_hz = _PERIODS / observations.duration_s
-        found = frequencies_of(
-            observations, [_series(problem, left, observations, parts)], _LEAST_POWER, lowest_hz
+        """The scene and poses refined on all frames, the residuals of these, and frequencies in them."""
+        gaussians, frames, refined = _refine_scene_and_poses(
+            gaussians, observations, config, device, checkpoint
         )
-        figures = {**refined, "nuisance": ["exposure", "pose"], **frequency_figures(found)}
+        observations = replace(observations, frames=frames)
+        problem, residuals, weights = _residual_problem(gaussians, observations, config, device)
+        lowest_hz = _PERIODS / observations.duration_s
+        frequencies = frequencies_of(
+            observations, [_series(problem, residuals, observations, checkpoint)], _LEAST_POWER, lowest_hz
+        )
+        figures = {**refined, "nuisance": ["exposure", "pose"], **frequency_figures(frequencies)}
         notes = [
             "the camera moves: a motion of the whole scene as one cannot be told from its own, nor one below "
             f"{lowest_hz:.2g} Hz (eight periods in the record) from what changes with the viewpoint",
@@ -83,15 +89,15 @@ class MovingCamera(Steady):
             f"± says; what moves by less than {_MOVES:g} of the largest at its frequency is held still",
         ]
         targets = no_targets(observations)
-        if len(found.hz):
-            functions = functions_of(observations, found)
-            targets = replace(targets, basis=functions, images=left, weights=weights)
+        if len(frequencies.hz):
+            functions = functions_of(observations, frequencies)
+            targets = replace(targets, basis=functions, images=residuals, weights=weights)
             mixing = [row[None].astype(np.float32) for row in functions.T]
-            problem = replace(problem, mixing=mixing, _kept={})
+            problem = problem.changed(mixing=mixing)
         folds = folds_of(len(frames), observations.size, True, config.split_half)
         scale = float(np.sqrt(2 / len(frames)))
         return MovingCamera(
-            gaussians, observations, problem, targets, folds, config, figures, notes, found, scale
+            gaussians, observations, problem, targets, folds, config, figures, notes, frequencies, scale
         )
 
     def strongest(self) -> tuple[np.ndarray, Problem, Sequence[Fold]]:
@@ -99,10 +105,10 @@ class MovingCamera(Steady):
         thinned = [replace(fold, views=fold.views[::_THINNED]) for fold in self.folds]
         return self.targets.images, self.problem, thinned
 
-    def completed(self, hyper: Hyperparameters, parts: Parts) -> MovingCamera:
+    def completed(self, hyper: Hyperparameters, checkpoint: Checkpoint) -> MovingCamera:
         return self
 
-    def at_rest(self, folds: np.ndarray) -> np.ndarray:
+    def fix_gauge(self, folds: np.ndarray) -> np.ndarray:
         """With the background still, each frequency by itself."""
         means, seen = self.gaussians.means.numpy(), self._seen_weights
         pairs = [
@@ -122,8 +128,8 @@ class MovingCamera(Steady):
         With the pose projected out the first fit spreads motion over what stands still. Where that is held still,
         the poses are told by it, and the amplitude comes out.
         """
-        shapes = self.at_rest(folds[:, : 2 * len(self.hz)]).mean(0)[..., :3]
-        amplitudes = np.sqrt((shapes**2).sum(2).reshape(len(self.hz), 2, -1).sum(1))
+        fields = self.fix_gauge(folds[:, : 2 * len(self.hz)]).mean(0)[..., :3]
+        amplitudes = np.sqrt((fields**2).sum(2).reshape(len(self.hz), 2, -1).sum(1))
         largest = np.quantile(amplitudes[:, self._seen_weights > 0], _LARGEST, axis=1, keepdims=True)
         moves = amplitudes > _MOVES * largest
         slow = np.tile(moves.any(0), (folds.shape[1] - 2 * len(self.hz), 1))
@@ -133,7 +139,7 @@ class MovingCamera(Steady):
     def _seen_weights(self) -> np.ndarray:
         """[N]: how much is seen of each Gaussian, in some frames."""
         views = self.problem.views
-        ones = np.ones((*self.problem.size, 3), np.float32)
+        ones = np.ones((*self.problem.size[::-1], 3), np.float32)
         total = np.zeros(self.problem.n_gaussians)
         for view in views[:: max(len(views) // _JUDGED, 1)]:
             total += blend_sum(view, ones)[:, 0]
@@ -141,23 +147,22 @@ class MovingCamera(Steady):
         return total
 
 
-def functions_of(observations: Observations, found: Frequencies) -> np.ndarray:
+def functions_of(observations: Observations, frequencies: Frequencies) -> np.ndarray:
     """[R, F]: cosines and sines, then a constant and slow polynomials; the squares of each sum to 1."""
     times = np.array([f.times_s[0] for f in observations.frames])
-    span = max(float(np.ptp(times)), 1e-9)
-    degree = max(round(2 * _SLOW_BELOW * float(found.hz.min()) * span / 2), 1)
-    slow = legendre.legvander(2 * (times - times.min()) / span - 1, min(degree, 4)).T
+    degree = max(round(2 * _SLOW_BELOW * float(frequencies.hz.min()) * float(np.ptp(times)) / 2), 1)
+    slow = polynomials(times, min(degree, 4)).T
     slow *= 1 / np.sqrt((slow**2).sum(1, keepdims=True))
-    return np.concatenate([np.sqrt(2 / len(times)) * sinusoids(times, found.hz), slow])
+    return np.concatenate([np.sqrt(2 / len(times)) * sinusoids(times, frequencies.hz), slow])
 
 
-def _what_is_left(
+def _residual_problem(
     gaussians: Gaussians, observations: Observations, config: MotionConfig, device: str
 ) -> tuple[Problem, np.ndarray, np.ndarray]:
-    """The problem, what is left of every frame [F, 1, H, W, 3] with exposure and pose taken out, its weights."""
+    """The problem, residual of every frame [F, 1, H, W, 3] with exposure and pose projected out, its weights."""
     views, projections, means = [], [], gaussians.means.numpy()
     n, (width, height) = len(observations.frames), observations.size
-    left, weights = room((n, 1, height, width, 3)), np.empty((n, height, width), np.float32)
+    residuals, weights = room((n, 1, height, width, 3)), np.empty((n, height, width), np.float32)
     with progress("residuals", n, "frames") as update:
         for k, (frame, picture) in enumerate(
             zip(observations.frames, pictures_of(observations), strict=True)
@@ -165,37 +170,43 @@ def _what_is_left(
             view = view_jacobian(gaussians, frame, observations.size)
             is_large = n * view.nbytes > VIEW_BYTES
             view = view.stored() if is_large else view
-            shown = at_rest(view)
+            shown = view.over_white
             weights[k] = robust_weights(picture - shown)
             nuisance = Nuisance(view, frame, means, _ALL, keeps=False)
             projection = Projection.of(nuisance, shown, weights[k], is_large)
-            left[k] = projection.out_of((picture - shown)[None])
+            residuals[k] = projection.out_of((picture - shown)[None])
             projection.release()
             view.release()
             views.append(view)
             projections.append(projection)
             update(k + 1)
-    return replace(Problem.of(views, gaussians, config, device), projections=projections), left, weights
+    return replace(Problem.of(views, gaussians, config, device), projections=projections), residuals, weights
 
 
-def _series(problem: Problem, left: np.ndarray, observations: Observations, parts: Parts) -> RegionSeries:
+def _series(
+    problem: Problem, residuals: np.ndarray, observations: Observations, checkpoint: Checkpoint
+) -> RegionSeries:
     times = np.array([f.times_s[0] for f in observations.frames])
 
     def compute() -> Arrays:
         labels, projections = labels_of(problem.aggregates), problem.projections or ()
-        changes = (np.array(own[0]) for own in left)
+        changes = (np.array(own[0]) for own in residuals)
         frames = observations.frames
         return moving_camera_series(problem.views, frames, projections, labels, changes, times).arrays()
 
-    return RegionSeries.restored(times, parts("regions", compute))
+    return RegionSeries.restored(times, checkpoint("regions", compute))
 
 
-def _agreed_scene(
-    gaussians: Gaussians, observations: Observations, config: MotionConfig, device: str, parts: Parts
+def _refine_scene_and_poses(
+    gaussians: Gaussians,
+    observations: Observations,
+    config: MotionConfig,
+    device: str,
+    checkpoint: Checkpoint,
 ) -> tuple[Gaussians, list[PosedFrames], dict[str, Any]]:
-    """Gaussians and poses that agree with all frames, and how far poses went (pixels)."""
+    """Gaussians and poses refined in turn on all frames, and how far poses went (pixels)."""
     frames, moved = observations.frames, []
-    for k in range(_ROUNDS):
+    for k in range(_ALTERNATIONS):
 
         def compute(
             frames: list[PosedFrames] = frames, gaussians: Gaussians = gaussians, k: int = k
@@ -205,7 +216,7 @@ def _agreed_scene(
             poses = {"viewmats": np.stack([f.viewmat for f in new]), "pixels": np.array(pixels)}
             return arrays_of(shown) | poses
 
-        kept = parts(f"scene_{k}", compute)
+        kept = checkpoint(f"scene_{k}", compute)
         gaussians = gaussians_of(kept)
         frames = [replace(f, viewmat=v) for f, v in zip(frames, kept["viewmats"], strict=True)]
         moved.append(round(float(kept["pixels"]), 4))
@@ -226,7 +237,7 @@ def corrected_poses(
     """Frames with corrected poses, gain and offset [F, 6] of each, and the rms correction in pixels."""
     out, exposures, squares = [], [], []
     means = gaussians.means.numpy()
-    label = f"poses, round {k + 1} of {_ROUNDS}"
+    label = f"poses, round {k + 1} of {_ALTERNATIONS}"
     with progress(label, len(observations.frames), "frames") as update:
         for i, (frame, picture) in enumerate(
             zip(observations.frames, pictures_of(observations), strict=True)
@@ -234,10 +245,10 @@ def corrected_poses(
             first = frame
             for _ in range(_POSE_STEPS):
                 view = view_jacobian(gaussians, frame, observations.size)
-                shown = at_rest(view)
+                shown = view.over_white
                 nuisance = Nuisance(view, frame, means, _ALL)
                 n = _coefficients(nuisance, shown, picture - shown)
-                frame = replace(frame, viewmat=_turned(frame.viewmat, n[POSE]))
+                frame = replace(frame, viewmat=_corrected(frame.viewmat, n[POSE]))
             if not np.isfinite(frame.viewmat).all():
                 raise RunError(
                     f"the pose of frame {i} cannot be refined: what it shows is not the scene at rest"
@@ -249,14 +260,10 @@ def corrected_poses(
     return out, np.array(exposures, np.float32), float(np.sqrt(np.mean(squares)))
 
 
-def at_rest(view: ViewJacobian) -> np.ndarray:
-    return view.image[..., :3] + view.transmittance[..., None]
-
-
-def _coefficients(nuisance: Nuisance, shown: np.ndarray, left: np.ndarray) -> np.ndarray:
+def _coefficients(nuisance: Nuisance, shown: np.ndarray, residual: np.ndarray) -> np.ndarray:
     """[12] of one frame: least squares, residuals beyond three robust deviations counting less."""
     columns = nuisance.columns(shown).reshape(12, -1)
-    flat, weights = left.reshape(-1), np.ones(left.size, np.float32)
+    flat, weights = residual.reshape(-1), np.ones(residual.size, np.float32)
     scale = np.sqrt((columns.astype(np.float64) ** 2).sum(1)) + 1e-12
     n = np.zeros(12)
     for _ in range(3):
@@ -270,11 +277,11 @@ def _coefficients(nuisance: Nuisance, shown: np.ndarray, left: np.ndarray) -> np
     return n
 
 
-def _turned(viewmat: np.ndarray, n: np.ndarray) -> np.ndarray:
+def _corrected(viewmat: np.ndarray, n: np.ndarray) -> np.ndarray:
     """The pose that shows what the scene would show if it moved rigidly by n about the camera (`rigid_fields`)."""
     out = viewmat.astype(np.float64).copy()
-    turn = Rotation.from_rotvec(n[:3]).as_matrix()  # camera axes
-    out[:3] = turn @ out[:3]
+    rotation = Rotation.from_rotvec(n[:3]).as_matrix()  # camera axes
+    out[:3] = rotation @ out[:3]
     out[:3, 3] += n[3:]
     return out.astype(np.float32)
 
@@ -294,19 +301,16 @@ def _refined(
 ) -> Gaussians:
     """The Gaussians refined on all frames, whose exposure is taken out."""
     width, height = observations.size
-    pictures = room((len(observations.frames), 1, height, width, 3))
+    pictures = room((len(observations.frames), height, width, 3))
     for k, picture in enumerate(pictures_of(observations)):
-        pictures[k, 0] = (picture - exposures[k, 3:]) / (1 + exposures[k, :3])
+        pictures[k] = (picture - exposures[k, 3:]) / (1 + exposures[k, :3])
         release(pictures)
-    motions = np.zeros((1, len(gaussians), 6), np.float32)
-    seen = MovedPictures(observations.frames, pictures, motions, np.zeros(1, np.int64))
     iterations = int(np.clip(4 * len(observations.frames), 300, 1500))
-    with progress("scene at rest, refined", iterations, "iterations") as update:
-        return refine_rest_scene(gaussians, seen, iterations, seed, device, update)
+    return refine_at_rest(gaussians, observations.frames, pictures, iterations, seed, device)
 
 
-def robust_weights(left: np.ndarray) -> np.ndarray:
-    """[H, W] float32: pixels where much is left (edges, occlusions) count less."""
-    size = np.sqrt((left**2).mean(-1))
+def robust_weights(residual: np.ndarray) -> np.ndarray:
+    """[H, W] float32: pixels with a large residual (edges, occlusions) count less."""
+    size = np.sqrt((residual**2).mean(-1))
     spread = 1.4826 * float(np.median(size)) + 1e-6
     return np.asarray(1 / (1 + (size / (_ROBUST * spread)) ** 2), np.float32)

@@ -1,6 +1,6 @@
 """How regions of Gaussians shift in a camera's picture, frame by frame: what frequencies and phases are found from.
 
-A region's shift along the picture's rows and columns in one frame is the least-squares answer of that frame's change
+A region's shift along the picture's rows and columns in one frame is the least-squares solution of that frame's change
 through the Jacobian, nuisance projected out: b = Eᵀ Jᵀ Δ summed over the region, A = Eᵀ Jᵀ J E, shift = A⁻¹ b with E
 the camera's right and down axes. Nothing is smoothed over space or time, so its noise is that of the pictures.
 """
@@ -12,12 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tg4mm.motion.checkpoints import Arrays, Parts
+from tg4mm.motion.checkpoints import Arrays, Checkpoint
 from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.jacobian.view import PosedView, ViewJacobian
 from tg4mm.motion.nuisance.first_look import FixedCameras
 from tg4mm.motion.nuisance.projection import Projection
 from tg4mm.motion.observations import PosedFrames, whole_pictures
+from tg4mm.motion.sinusoids import constant_and_trend
 from tg4mm.motion.solver.aggregates import Aggregates
 from tg4mm.motion.solver.problem import Problem
 from tg4mm.progress import progress
@@ -60,14 +61,13 @@ class RegionSeries:
         Sums b_f over the functions, to be divided by A: E m. For one fixed camera. A constant and a trend are fitted
         besides.
         """
-        slow = np.stack([np.ones(len(self.times_s)), self.times_s - self.times_s.mean()])
-        design = np.concatenate([slow, functions]).T
-        answer = np.linalg.lstsq(design, self.sides.reshape(len(self.sides), -1), rcond=None)[0][2:]
-        pairs = answer.reshape(-1, 2, *self.sides.shape[1:])
+        design = np.concatenate([constant_and_trend(self.times_s), functions]).T
+        solution = np.linalg.lstsq(design, self.sides.reshape(len(self.sides), -1), rcond=None)[0][2:]
+        pairs = solution.reshape(-1, 2, *self.sides.shape[1:])
         return pairs[:, 0] + 1j * pairs[:, 1]
 
 
-def region_series(seen: FixedCameras, problem: Problem, parts: Parts) -> list[RegionSeries]:
+def region_series(seen: FixedCameras, problem: Problem, checkpoint: Checkpoint) -> list[RegionSeries]:
     """Every fixed camera's region shifts."""
     labels, out = labels_of(problem.aggregates), []
     with progress("region shifts", len(seen.views), "cameras") as update:
@@ -80,7 +80,7 @@ def region_series(seen: FixedCameras, problem: Problem, parts: Parts) -> list[Re
                 own = fixed_camera_series(view, frames, projection, labels, changes, frames.times_s)
                 return own.arrays()
 
-            out.append(RegionSeries.restored(frames.times_s, parts(f"regions_{v}", compute)))
+            out.append(RegionSeries.restored(frames.times_s, checkpoint(f"regions_{v}", compute)))
             update(v + 1)
     return out
 

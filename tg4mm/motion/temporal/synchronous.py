@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.checkpoints import Parts
-from tg4mm.motion.clocks import Clock
+from tg4mm.motion.checkpoints import Checkpoint
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.hyperparameters import Hyperparameters
 from tg4mm.motion.jacobian.pixels import pixels_moved
@@ -28,6 +27,7 @@ from tg4mm.motion.solver.problem import Problem
 from tg4mm.motion.spectrum import apply_series, modes_of
 from tg4mm.motion.split_half import folds_of
 from tg4mm.motion.targets import TargetImages, projected
+from tg4mm.motion.temporal import TemporalModel
 
 _RELATIVE_FLOOR = 1e-5  # of the first component's energy: below it is rounding
 _NOISE_FACTOR = 2.0  # times the energy of the weakest components: below it is noise, at most
@@ -38,17 +38,21 @@ _ROUNDING = 1e-7  # of the first component's energy: what sums in float32 leave 
 
 
 @dataclass(frozen=True)
-class Synchronous(Clock):
-    """`Clock` of cameras that film at the same times."""
+class Synchronous(TemporalModel):
+    """`TemporalModel` of cameras that film at the same times."""
 
     fitted: np.ndarray  # [R] which of the components
 
     @staticmethod
     def of(
-        gaussians: Gaussians, observations: Observations, config: MotionConfig, device: str, parts: Parts
+        gaussians: Gaussians,
+        observations: Observations,
+        config: MotionConfig,
+        device: str,
+        checkpoint: Checkpoint,
     ) -> Synchronous:
         """What the cameras saw, less what is no motion of the scene, in few components."""
-        seen = look_at(gaussians, observations, config, device, parts)
+        seen = look_at(gaussians, observations, config, device, checkpoint)
         targets = principal_components(seen.observations, seen.look, seen.nuisances, config.components)
         folds = folds_of(len(seen.views), observations.size, False, config.split_half)
         return Synchronous(
@@ -67,7 +71,7 @@ class Synchronous(Clock):
     def strongest(self) -> tuple[np.ndarray, Problem, Sequence[Fold]]:
         return self.targets.images[:, :1], self.problem, self.folds
 
-    def completed(self, hyper: Hyperparameters, parts: Parts) -> Synchronous:
+    def completed(self, hyper: Hyperparameters, checkpoint: Checkpoint) -> Synchronous:
         """The components that are not noise."""
         energy = self.targets.energy
         figures = {
@@ -109,17 +113,17 @@ def principal_components(
     """
     gram = np.zeros_like(look.grams[0])
     for v, nuisance in enumerate(nuisances):
-        gram += look.grams[v] - nuisance.explained(look.mean[v], look.columns[v])
+        gram += look.grams[v] - nuisance.explained_gram(look.mean[v], look.columns[v])
     energy, vectors = np.linalg.eigh(gram)
     energy, vectors = np.maximum(energy[::-1], 0), vectors[:, ::-1].T
     rank = int((energy[:-1] > _ROUNDING * energy[0]).sum())
-    found = kept_components(energy, rank, _effective_pixels(look.total))
-    if found > most:
+    count = kept_components(energy, rank, _effective_pixels(look.total))
+    if count > most:
         warnings.warn(
-            f"{found} temporal components stand out of the noise, motion.components keeps the strongest {most}",
+            f"{count} temporal components stand out of the noise, motion.components keeps the strongest {most}",
             stacklevel=2,
         )
-    basis = vectors[: min(found, most)]
+    basis = vectors[: min(count, most)]
     basis = basis - basis.mean(1, keepdims=True)  # zero already, but for rounding
     images, residual = projected(observations, look, nuisances, [basis] * len(look.grams))
     return TargetImages(basis, energy, images, residual, max(rank, 1), look.mean)
