@@ -151,6 +151,18 @@ class TestSuggestion:
             assert words[:4] == ["tg4mm", "sfm", str(path), "--out"]
             assert not Path(words[4]).exists()
 
+    def test_training_on_them_says_the_command_in_one_line(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        videos(tmp_path / "my films", "cam.mp4")
+        fill(tmp_path / "photos", 4)
+        for path in (tmp_path / "my films" / "cam.mp4", tmp_path / "my films", tmp_path / "photos"):
+            assert main(["train", str(path), "--out", str(tmp_path / "run")]) == 2
+            error = capsys.readouterr().err
+            command = suggested_command(path)
+            assert error == f"tg4mm: {path}: is no dataset yet; make one with: {command}\n"
+            assert not (tmp_path / "run").exists()
+
     def test_anything_else_gets_none(self, tmp_path: Path) -> None:
         (tmp_path / "scene.json").write_text("{}")
         (tmp_path / "a.txt").write_text("x")
