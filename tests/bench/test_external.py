@@ -176,6 +176,15 @@ def test_results_of_another_dataset_of_that_name_are_not_overwritten(
     assert "holds results of another one of that name" in capsys.readouterr().err
 
 
+def test_speed_is_of_magnified_pictures(data: Path, tmp_path: Path) -> None:
+    """At α = 0 a video is passed on as it is, which is no speed of a method."""
+    _, results = run_linear(data, tmp_path / "out")
+    (line,) = results["lines"]
+    records = {p.stem: json.loads(p.read_text()) for p in (tmp_path / "out" / "runs").rglob("x*.json")}
+    speeds = [records[name]["frames_per_s"] for name in ("x005", "x020")]
+    assert line["frames_per_s"] == pytest.approx(sum(speeds) / 2)
+
+
 def test_damaged_scores_are_made_anew(data: Path, tmp_path: Path, capsys) -> None:
     out = tmp_path / "out"
     before = run_linear(data, out)[1]["lines"]

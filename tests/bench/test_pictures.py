@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from tests.helpers.curves import points_of
 from tg4mm.bench.ablation_page import picture
 from tg4mm.bench.plots import curves
+from tg4mm.bench.sheet import write_sheet
 from tg4mm.bench.table import shown, table
 
 
@@ -18,6 +22,16 @@ def test_table_columns_line_up_and_keep_their_cells() -> None:
     assert len({len(line) for line in lines}) == 1
     assert lines[1] == "|:-------|-----:|"
     assert lines[3] == "| a\\|b c |    – |"
+
+
+def test_labels_of_a_sheet_have_greek_letters(tmp_path: Path) -> None:
+    """A font without a letter draws the same box for each that it lacks."""
+    labels = []
+    for letter in "αβ":
+        write_sheet(tmp_path / "sheet.png", {letter: np.full((4, 8, 3), 255, np.uint8)})
+        with Image.open(tmp_path / "sheet.png") as sheet:
+            labels.append(np.asarray(sheet))
+    assert not np.array_equal(*labels)
 
 
 def test_svg_is_whole_and_holds_its_labels() -> None:

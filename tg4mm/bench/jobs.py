@@ -39,7 +39,7 @@ class Line:
     row: str
     method: str
     alphas: dict[str, dict[str, Any]]  # α as text → scores
-    frames_per_s: float | None  # rendering, without writing files
+    frames_per_s: float | None  # magnifying and rendering, without writing files; median over α > 0
     notes: tuple[str, ...] = ()
 
 
@@ -90,7 +90,8 @@ def _line(method: Method, row: str, data: BenchSet, place: Path, plan: Plan, vqa
             continue
         capture = truth_at(data, alpha)
         record = rendered(method, row, data, place, capture, alpha, plan)
-        speeds.append(record["frames_per_s"])
+        if alpha > 0 and record["frames_per_s"]:  # at 0 a method may have nothing to do
+            speeds.append(record["frames_per_s"])
         found[f"{alpha:g}"] = kept.scores(row, alpha, record["recipe"], data, capture, folder, plan, vqa)
     speed = None if not speeds or isinstance(method, External) else float(np.median(speeds))
     return Line(row, method.name, found, speed, tuple(notes))

@@ -25,10 +25,17 @@ def write_sheet(out: Path, rows: Mapping[str, np.ndarray], height: int = 0) -> N
         for label, pixels in rows.items()
     }
     sheet = Image.new("RGB", (_WIDTH, sum(p.height + _LABEL for p in pictures.values()) + 4), "white")
-    draw, font, top = ImageDraw.Draw(sheet), ImageFont.load_default(size=14), 0
+    draw, font, top = ImageDraw.Draw(sheet), _font(), 0
     for label, picture in pictures.items():
         draw.text((2, top + 3), label, fill=(27, 29, 33), font=font)
         sheet.paste(picture, (0, top + _LABEL))
         top += picture.height + _LABEL
     out.parent.mkdir(parents=True, exist_ok=True)
     write_atomic(out, lambda temporary: sheet.save(temporary, "PNG"))
+
+
+def _font() -> ImageFont.FreeTypeFont:
+    """matplotlib's own, which has Greek letters; Pillow's has none."""
+    import matplotlib
+
+    return ImageFont.truetype(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf", 13)
