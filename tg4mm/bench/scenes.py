@@ -8,8 +8,9 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from tg4mm.bench.ablation_file import read_ablation
 from tg4mm.bench.folder import FORMAT, VERSION, circumstances, open_folder
-from tg4mm.bench.html import read_results, write_page
+from tg4mm.bench.html import write_page
 from tg4mm.bench.jobs import Line, job_folder, run_job
 from tg4mm.bench.means import group_means, line_means
 from tg4mm.bench.measure import Plan, Training, check_plan, is_measured, peak_mib, warm_up
@@ -169,7 +170,7 @@ class _Bench:
         found = []
         for folder in ablations:
             try:
-                found.append(read_results(folder))
+                found.append(read_ablation(folder))
             except (Tg4mmError, OSError) as error:
                 self.failed.append({"set": f"ablation {Path(folder).name}", "method": "", "why": str(error)})
         return found
