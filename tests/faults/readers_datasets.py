@@ -1,7 +1,8 @@
-"""Readers of the generator: its reports of datasets, what a killed rendering leaves, meshes."""
+"""Readers of the generator and of sfm: reports of datasets, what a killed job leaves, meshes, COLMAP's model."""
 
 from __future__ import annotations
 
+import gzip
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -134,6 +135,57 @@ def _read_pixels(root: Path) -> None:
     motion_from_truth(seen, 0.02)
 
 
+def _blend(packed: bool) -> Callable[[Path], Path]:
+    def make(root: Path) -> Path:
+        data = b"BLENDER-v405" + bytes(range(256)) * 8 + b"ENDB" + bytes(20)
+        (root / "a.blend").write_bytes(gzip.compress(data, mtime=0) if packed else data)
+        return root / "a.blend"
+
+    return make
+
+
+def _read_blend(root: Path) -> None:
+    from dataset_gen.sources.header import check
+
+    check(root / "a.blend", (4, 5))
+
+
+def _sparse(name: str) -> Callable[[Path], Path]:
+    """A model that COLMAP itself has written."""
+
+    def make(root: Path) -> Path:
+        from tg4mm.sfm.engine import colmap
+        from tg4mm.sfm.mapping import save_model
+
+        c = colmap("a test")
+        model = c.Reconstruction()
+        camera = c.Camera(model="SIMPLE_RADIAL", width=12, height=8, params=[20, 6, 4, 0.01], camera_id=1)
+        model.add_camera_with_trivial_rig(camera)
+        for i in (1, 2):
+            keypoints = np.array([[3.0, 4.0], [5.0, 6.0]])
+            image = c.Image(name=f"r_{i}.png", keypoints=keypoints, camera_id=1, image_id=i)
+            pose = c.Rigid3d(np.concatenate([np.eye(3), [[0.1 * i], [0], [4]]], 1))
+            model.add_image_with_trivial_frame(image, pose)
+        for k in range(2):
+            track = c.Track([c.TrackElement(i, k) for i in (1, 2)])
+            model.add_point3D(np.array([0.1, 0.2, 0.3 + k]), track, np.array([1, 2, 3], np.uint8))
+        save_model(model, root / "sparse" / "0")
+        return root / "sparse" / "0" / name
+
+    return make
+
+
+def _read_sparse(root: Path) -> None:
+    from tg4mm.sfm.mapping import registered, saved_model
+
+    model = saved_model(root / "sparse" / "0")
+    for image in registered(model).values():
+        image.cam_from_world().matrix()
+        model.cameras[image.camera_id].calibration_matrix()
+    for point in model.points3D.values():
+        [element.image_id for element in point.track.elements]
+
+
 DATASETS: dict[str, Reader] = {
     "dataset overview: summary.json": Reader(_summary, _read_overview, of_sealed),
     "dataset overview: thumbnail": Reader(
@@ -145,5 +197,11 @@ DATASETS: dict[str, Reader] = {
     "generate: timing.json": Reader(record("timing.json", TIMING, "report"), _read_former_timing, of_json),
     "generate: a view's points": Reader(_view_of_points, _read_view_of_points, of_npz),
     "generate: mesh PLY": Reader(_mesh("binary_little_endian"), _read_mesh, of_header),
+    "generate: .blend header": Reader(_blend(packed=False), _read_blend, of_bytes),
+    "generate: .blend header, packed": Reader(_blend(packed=True), _read_blend, of_bytes),
+    **{
+        f"sfm sparse/0/{name}": Reader(_sparse(name), _read_sparse, of_bytes)
+        for name in ("cameras.bin", "images.bin", "points3D.bin", "rigs.bin", "frames.bin")
+    },
     "generate: mesh PLY, ASCII": Reader(_mesh("ascii"), _read_mesh, of_header),
 }

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
+from tg4mm.capture.colmap_model import read_model
 from tg4mm.errors import CaptureError
 from tg4mm.progress import progress
 from tg4mm.sfm.engine import colmap, extract, match
@@ -92,6 +93,16 @@ def save_model(model: Any, folder: Path) -> None:
     temporary.mkdir(parents=True)
     model.write(temporary)
     os.replace(temporary, folder)
+
+
+def saved_model(folder: Path) -> Any:
+    """The pycolmap Reconstruction that `save_model` wrote. Raises CaptureError for files that are damaged."""
+    try:
+        read_model(folder)  # which checks what COLMAP's own reader trusts
+        return colmap("tg4mm sfm").Reconstruction(folder)
+    except Exception as error:  # pycolmap reports damage by many types
+        said = " ".join(str(error).split())[:160]
+        raise CaptureError(f"{folder}: is damaged, remove it and give the command again: {said}") from None
 
 
 def registered(model: Any) -> dict[str, Any]:
