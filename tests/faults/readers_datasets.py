@@ -58,9 +58,14 @@ def _read_timing(root: Path) -> None:
 
 
 def _read_former_timing(root: Path) -> None:
+    from dataset_gen.errors import GenerateError
+    from dataset_gen.processes import RunFailed
     from dataset_gen.run import _timing
 
-    found = _timing(root / "report" / "timing.json")
+    try:
+        found = _timing(root / "report" / "timing.json")
+    except RunFailed as error:
+        raise GenerateError(str(error)) from None
     json.dumps({key: found[key] + 1 for key in found}, allow_nan=False)
 
 
@@ -203,5 +208,6 @@ DATASETS: dict[str, Reader] = {
         f"sfm sparse/0/{name}": Reader(_sparse(name), _read_sparse, of_bytes)
         for name in ("cameras.bin", "images.bin", "points3D.bin", "rigs.bin", "frames.bin")
     },
+    "sfm sparse/0/digests.json": Reader(_sparse("digests.json"), _read_sparse, of_sealed),
     "generate: mesh PLY, ASCII": Reader(_mesh("ascii"), _read_mesh, of_header),
 }

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -24,7 +25,7 @@ def size(path: Path) -> tuple[int, int]:
 
 def _header(path: Path) -> tuple[int, int, list[str]]:
     """Width, height and names of channels."""
-    with _opened(path, header_only=True) as file:
+    with _opened(path, header_only=True) as file, _damage_told(path):
         header = file.header()
         first, last = (np.asarray(corner, np.int64) for corner in header["dataWindow"])
         if not np.array_equal(header["dataWindow"], header["displayWindow"]) or first.any():
@@ -81,11 +82,8 @@ def channels(path: Path, names: Sequence[str], wanted: tuple[int, int] | None = 
 
 
 def _pixels(path: Path) -> dict[str, np.ndarray]:
-    with _opened(path, header_only=False) as file:
-        try:
-            return {name: channel.pixels for name, channel in file.channels().items()}
-        except (RuntimeError, ValueError, MemoryError) as error:
-            raise CaptureError(f"{path}: cannot be decoded: the EXR is truncated or damaged") from error
+    with _opened(path, header_only=False) as file, _damage_told(path):
+        return {name: channel.pixels for name, channel in file.channels().items()}
 
 
 def _stacked(
@@ -110,9 +108,18 @@ def _channels(path: Path, names: list[str]) -> tuple[tuple[str, str, str], str |
 
 
 def _opened(path: Path, header_only: bool) -> Any:
-    try:
+    with _damage_told(path):
         return _package(path).File(str(path), separate_channels=True, header_only=header_only)
-    except RuntimeError as error:  # what the package raises for a file that is torn, foreign or absent
+
+
+@contextmanager
+def _damage_told(path: Path) -> Iterator[None]:
+    """What the package raises for a file that is torn, foreign or absent is a CaptureError."""
+    try:
+        yield
+    except CaptureError:
+        raise
+    except (RuntimeError, ValueError, KeyError, MemoryError) as error:
         raise CaptureError(f"{path}: cannot be decoded: the EXR is truncated or damaged") from error
 
 
