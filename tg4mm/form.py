@@ -55,7 +55,7 @@ def write_sealed(path: Path, values: Mapping[str, Any]) -> None:
     write_json(path, {**values, DIGEST: json_digest(dict(values))})
 
 
-def read_formed(path: Path, form: Mapping[str, Any]) -> dict[str, Any]:
+def read_formed(path: Path, form: Mapping[Any, Any]) -> dict[str, Any]:
     """A JSON file of that form, without its digest.
 
     Raises ValueError of one line, without the file's name, for what is no JSON, not what was written, or of another
