@@ -61,7 +61,7 @@ def _photographs(folder: Path) -> None:
 
 
 RENDER = "--alpha 0 --split train"
-GENERATE = "--size 16 --samples 1 --timesteps 3 --views 2 --test-views 1 --alphas 5 --truth none --points 0"
+GENERATE = "--size 16 --samples 1 --timesteps 3 --views 3 --test-views 1 --alphas 5 --truth none --points 0"
 COMMANDS = {
     "render": Command(
         _run, lambda f: ["render", str(f / "run"), *RENDER.split(), "--out", str(f / "out")]
