@@ -81,10 +81,9 @@ def _video(root: Path, camera: Camera) -> Path:
 
 def _read(path: Path) -> np.ndarray:
     """[H, W, 3] uint8."""
-    from PIL import Image  # not in Blender's own Python, which has no codec either
+    from tg4mm.capture.decode import decode  # it needs Pillow, which Blender's own Python lacks
 
-    with Image.open(path) as image:
-        return np.asarray(image.convert("RGB"))
+    return decode(path)[..., :3]
 
 
 def _code(root: Path, settings: Settings, camera: Camera) -> None:

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from tg4mm.untrusted import read_npz
+
 from . import tree
 from .meshes import triangle_areas
 from .plan import Shot
@@ -61,6 +63,25 @@ def wanted(root: Path, settings: Settings) -> bool:
 def view_file(root: Path, shot: Shot) -> Path:
     """File of the colours that a training view gives to the points."""
     return root / FOLDER / f"{shot.camera.name}_{shot.pictures[0].timestep:03d}.npz"
+
+
+def read_view(file: Path, count: int) -> dict[str, np.ndarray]:
+    """The colours that a view gives to candidates for `count` points. Raises ValueError for other content."""
+    view = read_npz(file)
+    index, colour, weight = (view.get(name) for name in ("index", "colour", "weight"))
+    if index is None or colour is None or weight is None or index.ndim != 1 or index.dtype.kind not in "iu":
+        raise ValueError("it does not hold what a view gives")
+    if (
+        colour.shape != (len(index), 3)
+        or weight.shape != index.shape
+        or colour.dtype.kind + weight.dtype.kind != "ff"
+    ):
+        raise ValueError("its arrays do not fit together")
+    if len(index) and (index.min() < 0 or index.max() >= _SPARE * count):
+        raise ValueError("it numbers points that there are not")
+    if not (np.isfinite(colour).all() and np.isfinite(weight).all()):
+        raise ValueError("it holds a number that is not finite")
+    return view
 
 
 def merge(views: list[dict[str, np.ndarray]], count: int) -> tuple[np.ndarray, np.ndarray]:

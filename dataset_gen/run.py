@@ -14,7 +14,7 @@ from tg4mm import events
 from tg4mm.lock import held
 from tg4mm.progress import progress
 from tg4mm.temporary import remove_leftovers
-from tg4mm.untrusted import read_json, read_npz
+from tg4mm.untrusted import read_json
 
 from . import coded, png, points, processes, tree
 from .errors import GenerateError
@@ -59,7 +59,7 @@ def render_missing(job: Job, numbers: Sequence[int], count: int, stream: TextIO)
 def _timing(path: Path) -> Timing:
     """Raises RunFailed for a file that is not what `render_missing` gave."""
     try:
-        found = read_json(path)
+        found = read_json(path, finite=True)
         return {
             key: kind(found[key]) for key, kind in (("pictures", int), ("seconds", float), ("processes", int))
         }
@@ -177,7 +177,7 @@ def _write_points(job: Job) -> None:
         if shot.paints:
             file = points.view_file(job.root, shot)
             try:
-                views.append(read_npz(file))
+                views.append(points.read_view(file, job.settings.points))
             except ValueError as error:
                 raise RunFailed(
                     f"{file} is damaged ({error}); remove it, then run the same command again"

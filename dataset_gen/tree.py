@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from tg4mm.temporary import clean_once, is_temporary, temporary_name
+from tg4mm.temporary import clean_once, flush, is_temporary, temporary_name
 from tg4mm.untrusted import read_json
 
 from . import exr
@@ -36,6 +36,7 @@ def whole(path: Path) -> Iterator[Path]:
     temporary = temporary_name(path, path.suffix)
     try:
         yield temporary
+        flush(temporary)
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)

@@ -12,6 +12,8 @@ import numpy as np
 from . import tree
 from .vibration import Body, Motion
 
+_VECTORS = ("Normal", "Position", "Displacement")
+
 
 def motion_arrays(bodies: Sequence[Body], motion: Motion, n_timesteps: int) -> dict[str, np.ndarray]:
     """Arrays of truth/motion.npz: displacement(t) = Re Σ_k (1 + α magnified_k) mode_k gains_k(t), scene units.
@@ -50,7 +52,7 @@ def write_exr(path: Path, passes: dict[str, np.ndarray]) -> None:
     import OpenEXR
 
     channels = {"Depth.V": np.ascontiguousarray(passes["Depth"], np.float32)}
-    for name in ("Normal", "Position", "Displacement"):
+    for name in _VECTORS:
         for axis, letter in enumerate("XYZ"):
             channels[f"{name}.{letter}"] = np.ascontiguousarray(passes[name][..., axis], np.float32)
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
@@ -58,13 +60,16 @@ def write_exr(path: Path, passes: dict[str, np.ndarray]) -> None:
         file.write(str(temporary))
 
 
-def read_exr(path: Path) -> dict[str, np.ndarray]:
-    """Depth [H, W] and Normal, Position, Displacement [H, W, 3] float32 of a truth file."""
-    import OpenEXR
+def read_exr(path: Path, size: tuple[int, int] | None = None) -> dict[str, np.ndarray]:
+    """Depth [H, W] and Normal, Position, Displacement [H, W, 3] float32 of a truth file (of that width and height).
 
-    with OpenEXR.File(str(path), separate_channels=True) as file:
-        pixels = {name: channel.pixels for name, channel in file.channels().items()}
-    passes = {"Depth": pixels["Depth.V"]}
-    for name in ("Normal", "Position", "Displacement"):
-        passes[name] = np.stack([pixels[f"{name}.{letter}"] for letter in "XYZ"], -1)
-    return passes
+    Raises CaptureError for a file that is damaged or of another kind.
+    """
+    from tg4mm.capture import exr
+
+    found = exr.channels(
+        path, ["Depth.V", *(f"{name}.{letter}" for name in _VECTORS for letter in "XYZ")], size
+    )
+    return {"Depth": found[..., 0]} | {
+        name: found[..., 1 + 3 * i : 4 + 3 * i] for i, name in enumerate(_VECTORS)
+    }

@@ -10,8 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from dataset_gen.tree import whole
 from tg4mm import temporary
-from tg4mm.files import write_json
+from tg4mm.files import write_atomic, write_json
 from tg4mm.splatfile.write import replacing
 from tg4mm.temporary import is_temporary, remove_leftovers, temporary_name
 
@@ -88,3 +89,29 @@ def test_replacing_writes_to_the_name_of_a_temporary_file(tmp_path: Path) -> Non
         assert is_temporary(path, "a.ply")
         path.touch()
     assert os.listdir(tmp_path) == ["a.ply"]
+
+
+@pytest.mark.parametrize("writer", ["write_atomic", "replacing", "whole"])
+def test_what_is_written_is_on_disk_before_it_has_its_name(
+    writer: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[tuple[str, int]] = []
+    sync, replace = os.fsync, os.replace
+
+    def fsync(file: int) -> None:
+        done.append(("on disk", os.fstat(file).st_ino))
+        sync(file)
+
+    def named(source: Path, target: Path) -> None:
+        done.append(("named", os.stat(source).st_ino))
+        replace(source, target)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    monkeypatch.setattr(os, "replace", named)
+    if writer == "write_atomic":
+        write_atomic(tmp_path / "a", lambda temporary: temporary.write_bytes(b"1"))
+    else:
+        with {"replacing": replacing, "whole": whole}[writer](tmp_path / "a") as temporary:
+            temporary.write_bytes(b"1")
+    inode = os.stat(tmp_path / "a").st_ino
+    assert done == [("on disk", inode), ("named", inode)]

@@ -225,11 +225,11 @@ def _export(places: Places) -> None:
 
 
 def _report(places: Places) -> None:
+    from tg4mm.evaluate.figures_file import read_figures
     from tg4mm.report import ReportOptions, write_report
     from tg4mm.run import Run
-    from tg4mm.run.config import read_json as run_json
 
-    metrics = run_json(places.metrics)
+    metrics = read_figures(places.metrics)
     files = {"splat file": places.splat, "magnified pictures": places.magnified, "orbit": places.orbit}
     options = ReportOptions(alpha=ALPHA, orbit=places.orbit, files=files, metrics=metrics)
     write_report(Run.open(places.run), places.report, options)

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tg4mm.temporary import clean_once, temporary_name
+from tg4mm.temporary import clean_once, flush, temporary_name
 
 if TYPE_CHECKING:
     from filelock import BaseFileLock
@@ -33,8 +33,7 @@ def write_atomic(path: Path, write: Callable[[Path], object]) -> None:
     temporary = temporary_name(path)
     try:
         write(temporary)
-        with temporary.open("rb+") as file:
-            os.fsync(file.fileno())
+        flush(temporary)
         rename(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)

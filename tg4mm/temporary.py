@@ -23,6 +23,12 @@ def temporary_name(path: Path, suffix: str = "") -> Path:
     return path.with_name(f".{path.name}.{_HOST}-{os.getpid()}.tmp{suffix}")
 
 
+def flush(path: Path) -> None:
+    """Have a file's content on disk before its name is: after a power failure a name would stand for nothing."""
+    with path.open("rb+") as file:
+        os.fsync(file.fileno())
+
+
 def is_temporary(path: Path, of: str | None = None) -> bool:
     """Whether a file has such a name; of: the name of the file that was to be written."""
     form = _FORM.fullmatch(path.name)

@@ -6,6 +6,7 @@ What is wrong is a ValueError of one line without the file's name, which the cal
 
 from __future__ import annotations
 
+import errno
 import io
 import json
 import math
@@ -94,11 +95,12 @@ def read_npz(path: Path) -> dict[str, np.ndarray]:
             entries = archive.infolist()
             _check_archive(entries)
             return {entry.filename.removesuffix(".npy"): _array(archive.read(entry)) for entry in entries}
-    except (OSError, ValueError):
+    except ValueError:
         raise
-    except (
-        Exception
-    ) as error:  # zipfile and numpy report damage by many types, as zlib.error, EOFError, TokenError
+    # zipfile and numpy report damage by many types: zlib.error, EOFError, TokenError, an OSError of a place before 0
+    except Exception as error:
+        if isinstance(error, OSError) and error.errno != errno.EINVAL:
+            raise
         raise ValueError(_one_line(error)) from None
 
 

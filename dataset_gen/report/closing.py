@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from tg4mm.form import Maybe, read_formed
 from tg4mm.report.page import Block, Section, Table, Text
 from tg4mm.report.svg import number
-from tg4mm.untrusted import read_json
 
 from .noise_floor import FloorRow
 from .sections import Findings
@@ -27,6 +27,7 @@ _SETTINGS = (
     "package_version",
     "source",
 )
+_TIMING = {"seconds": float, "pictures": int, "processes?": Maybe(int)}
 
 
 def floor_section(f: Findings) -> Section:
@@ -129,11 +130,13 @@ def _flat(name: str, value: Any) -> list[list[str]]:
 
 
 def _timing(f: Findings) -> str:
-    timing = f.dataset.scene.get("timing") or _timing_file(f)
-    seconds, pictures = timing.get("seconds"), timing.get("pictures")
-    if not isinstance(seconds, int | float) or not isinstance(pictures, int) or pictures < 1:
+    try:
+        timing = read_formed(f.dataset.root / "report/timing.json", _TIMING)
+    except (OSError, ValueError):
+        timing = {}
+    if not timing.get("pictures"):
         return "How long the pictures took was not recorded."
-    processes = timing.get("processes")
+    seconds, pictures, processes = timing["seconds"], timing["pictures"], timing.get("processes")
     by = (
         f" by {plural(processes, 'process') if processes == 1 else f'{processes} processes'}"
         if processes
@@ -143,14 +146,6 @@ def _timing(f: Findings) -> str:
         f"{plural(pictures, 'distinct picture')} in {number(seconds)} s{by}: {number(seconds / pictures)} s each, "
         "data passes included."
     )
-
-
-def _timing_file(f: Findings) -> dict[str, Any]:
-    try:
-        found = read_json(f.dataset.root / "report/timing.json")
-    except (OSError, ValueError):
-        return {}
-    return found if isinstance(found, dict) else {}
 
 
 def size_text(size: int) -> str:

@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from tg4mm.capture import exr
 from tg4mm.capture.cameras import read_intrinsics, read_pose
 from tg4mm.capture.confine import inside
-from tg4mm.capture.decode import decode
+from tg4mm.capture.decode import decode, image_header
 from tg4mm.capture.records import Record, read_record
 from tg4mm.capture.scene import read_scene
 from tg4mm.errors import CaptureError
@@ -158,7 +159,7 @@ def read_picture(path: Path) -> np.ndarray:
         if path.suffix == ".exr":
             return _read_exr_picture(path)
         pixels = decode(path)
-    except (CaptureError, OSError, RuntimeError) as error:
+    except (CaptureError, OSError) as error:
         raise GenerateError(f"{path}: cannot be read: {error}") from error
     values = pixels.astype(np.float32) / np.float32(np.iinfo(pixels.dtype).max)
     return values[..., :3] * values[..., 3:] + 1 - values[..., 3:]
@@ -166,13 +167,8 @@ def read_picture(path: Path) -> np.ndarray:
 
 def _read_exr_picture(path: Path) -> np.ndarray:
     """Scene-linear RGBA, alpha multiplied in as OpenEXR has it: encoded as sRGB, then over white."""
-    import OpenEXR
-
-    with OpenEXR.File(str(path), separate_channels=True) as file:
-        found = {name: channel.pixels for name, channel in file.channels().items()}
-    red, green, blue = (found[name].astype(np.float32) for name in "RGB")
-    alpha = found["A"].astype(np.float32) if "A" in found else np.ones_like(red)
-    colour, alpha = straight(np.stack([red, green, blue, alpha], -1))
+    image_header(path)
+    colour, alpha = straight(exr.linear(path))
     return to_display(colour) * alpha[..., None] + 1 - alpha[..., None]
 
 

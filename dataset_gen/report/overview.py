@@ -7,19 +7,29 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-import numpy as np
 from markupsafe import Markup
-from PIL import Image
 
 from tg4mm import __version__
+from tg4mm.form import Just, Maybe, read_formed
 from tg4mm.report.page import Figure, Page, Panel, Section, Stat, Table, Text, missing, picture, render_page
 from tg4mm.report.svg import number
-from tg4mm.untrusted import read_json
 
 from ..errors import GenerateError
 from .closing import size_text
+from .dataset import read_picture
 from .text import decibel, hertz, percent
-from .write import save
+from .write import FORMAT, save
+
+_SCORE = {"alpha": float, **dict.fromkeys(("still_psnr_db", "perfect_psnr_db"), Maybe(float))}
+_SUMMARY = {
+    "format": Just(FORMAT),
+    "scene": str,
+    "frequencies_hz": [Maybe(float)],
+    "amplitude": float,
+    "bytes": int,
+    "scores": [_SCORE],
+    **dict.fromkeys(("pixels_max", "pixels_p95", "still_area"), Maybe(float)),
+}
 
 
 @dataclass(frozen=True)
@@ -39,8 +49,14 @@ def write_overview(parent: Path) -> Path:
     roots = sorted(path.parent for path in parent.glob("*/scene.json"))
     if not roots:
         raise GenerateError(f"{parent}: holds no dataset, a folder with a scene.json")
-    entries = [Entry(root, _summary(root)) for root in roots]
-    page = Page(
+    text = render_page(overview([Entry(root, _summary(root)) for root in roots]))
+    save(parent / "index.html", lambda path: path.write_text(text, encoding="utf-8"))
+    return parent / "index.html"
+
+
+def overview(entries: list[Entry]) -> Page:
+    """The page."""
+    return Page(
         title="Vibrating scenes with exact motion",
         kicker="vibration datasets, an overview",
         summary=f"{_count(len(entries))} in this folder, with cameras, pictures and exact ground truth.",
@@ -49,9 +65,6 @@ def write_overview(parent: Path) -> Path:
         sections=[Section("The scenes", [_grid(entries), _table(entries), *_unreported(entries)])],
         footer=f"tg4mm {__version__}. Written from the reports of the sets.",
     )
-    text = render_page(page)
-    save(parent / "index.html", lambda path: path.write_text(text, encoding="utf-8"))
-    return parent / "index.html"
 
 
 def _count(n: int) -> str:
@@ -59,18 +72,17 @@ def _count(n: int) -> str:
 
 
 def _summary(root: Path) -> dict[str, Any]:
+    """{} where there is none, or none that `write_report` wrote: it can be written again."""
     try:
-        found = read_json(root / "report/summary.json")
+        return read_formed(root / "report/summary.json", _SUMMARY)
     except (OSError, ValueError):
         return {}
-    good = isinstance(found, dict) and found.get("format") == "tg4mm-dataset-summary"
-    return found if good else {}
 
 
 def _stats(entries: list[Entry]) -> list[Stat]:
     known = [e.summary for e in entries if e.summary]
-    pixels = [s["pixels_max"] for s in known if s.get("pixels_max")]
-    value, unit = size_text(sum(s.get("bytes", 0) for s in known)).split(" ")
+    pixels = [s["pixels_max"] for s in known if s["pixels_max"]]
+    value, unit = size_text(sum(s["bytes"] for s in known)).split(" ")
     stats = [Stat("Sets", str(len(entries))), Stat("On disk", value, unit, "equal pictures counted once")]
     if pixels:
         between = f"{number(min(pixels), 2)} … {number(max(pixels), 2)}"
@@ -89,8 +101,10 @@ def _panel(entry: Entry) -> Panel:
     link = _link(entry)
     if not path.is_file():
         return missing("no report yet", link)
-    with Image.open(path) as image:
-        return picture(np.asarray(image.convert("RGB")), link, alt=entry.name)
+    try:
+        return picture(read_picture(path), link, alt=entry.name)
+    except GenerateError:
+        return missing("its picture cannot be read", link)
 
 
 def _link(entry: Entry) -> str:
@@ -123,15 +137,15 @@ def _table(entries: list[Entry]) -> Table:
 
 def _row(entry: Entry) -> list[str]:
     s = entry.summary
-    score = s["scores"][-1] if s.get("scores") else {}
+    score = s["scores"][-1] if s["scores"] else {}
     still = score.get("still_psnr_db")
     return [
         _link(entry),
         hertz([f for f in s["frequencies_hz"] if f] or [0.0]),
         number(s["amplitude"]),
-        _number(s.get("pixels_max")),
-        _number(s.get("pixels_p95")),
-        "–" if s.get("still_area") is None else percent(s["still_area"]),
+        _number(s["pixels_max"]),
+        _number(s["pixels_p95"]),
+        "–" if s["still_area"] is None else percent(s["still_area"]),
         "–" if not score else f"{score['alpha']:g}",
         decibel(still),
         decibel(score.get("perfect_psnr_db")),
@@ -146,4 +160,4 @@ def _unreported(entries: list[Entry]) -> list[Text]:
     names = [entry.root.name for entry in entries if not entry.summary]
     if not names:
         return []
-    return [Text(f"Without a report, since not finished: {', '.join(names)}.", style="note")]
+    return [Text(f"Without a report that can be read: {', '.join(names)}.", style="note")]

@@ -7,7 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from tg4mm.errors import CaptureError
+
 from .. import pinhole
+from ..errors import GenerateError
 from .dataset import Dataset, MotionTruth, View, displacement_of, evenly
 
 MOVING = 0.01  # of the set's largest displacement: what is displaced by more counts as moving
@@ -85,7 +88,10 @@ def seen_motion(dataset: Dataset, views: list[View], most: int = _MOST_TIMES) ->
     chosen = sorted(evenly(list(files.values()), most), key=lambda found: found[0].timestep)
     displaced, moved = [], []
     for view, path in chosen:
-        passes = read_exr(path)
+        try:
+            passes = read_exr(path, view.size)
+        except CaptureError as error:
+            raise GenerateError(str(error)) from None
         sees = passes["Depth"] < NOTHING
         position = unproject(np.where(sees, passes["Depth"], 1.0).astype(np.float64), view)
         displaced.append(np.where(sees[..., None], passes["Displacement"], np.nan))

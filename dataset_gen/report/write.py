@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 from PIL import Image
 
 from tg4mm import __version__
+from tg4mm.form import write_sealed
 from tg4mm.progress import progress
 from tg4mm.report.page import Page, Stat, render_page
 from tg4mm.report.svg import number
@@ -25,6 +25,7 @@ from .sections import Findings, motion_section, pictures_section, pixels_section
 from .sizes import shares
 from .text import hertz, length, plural
 
+FORMAT = "tg4mm-dataset-summary"
 _SHOWN = 3  # test cameras with maps
 _MOST_VIEWS = 40  # per split in the table
 
@@ -40,8 +41,7 @@ def write_report(root: Path) -> Path:
         if (thumbnail := _thumbnail(findings.dataset)) is not None:
             save(folder / "thumbnail.png", lambda path: thumbnail.save(path, "PNG"))
         update(1)
-        text = json.dumps(summary(findings), indent=2) + "\n"
-        save(folder / "summary.json", lambda path: path.write_text(text, encoding="utf-8"))
+        write_sealed(folder / "summary.json", summary(findings))
         page = render_page(_page(findings, made))
         save(folder / "index.html", lambda path: path.write_text(page, encoding="utf-8"))
         update(2)
@@ -82,7 +82,7 @@ def summary(f: Findings) -> dict[str, Any]:
     first = (d.views["train"] or d.views["test"])[0]
     test = [v for v in f.views if v.split == "test"] or list(f.views)
     return {
-        "format": "tg4mm-dataset-summary",
+        "format": FORMAT,
         "scene": str(d.scene.get("scene", d.root.name)),
         "frequencies_hz": [mode.frequency_hz for mode in f.modes] or [d.scene.get("frequency_hz")],
         "amplitude": d.amplitude,

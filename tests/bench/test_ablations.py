@@ -14,10 +14,11 @@ from PIL import Image
 from tests.bench.conftest import MODAL, PAPER
 from tests.helpers.curves import points_of
 from tg4mm.bench.ablate import run_ablation
+from tg4mm.bench.ablation_file import read_ablation
 from tg4mm.bench.ablation_page import COLUMNS, ablation_table
 from tg4mm.bench.ablations import ABLATIONS, chosen_preset, rows_of
 from tg4mm.bench.amplitudes import alphas_for
-from tg4mm.bench.html import _ablation, read_results
+from tg4mm.bench.html import _ablation
 from tg4mm.bench.measure import Plan
 from tg4mm.bench.request import check_settings, setting_names
 from tg4mm.cli import main
@@ -146,7 +147,7 @@ def test_filters_are_scored_on_one_run(data: Path, tmp_path: Path) -> None:
     with Image.open(tmp_path / "out" / "slices.png") as sheet:
         assert sheet.height > 7 * 96  # the truth and six rows
     assert "![Space-time slices](slices.png)" in (tmp_path / "out" / "results.md").read_text(encoding="utf-8")
-    page = _ablation(tmp_path / "out", read_results(tmp_path / "out"))
+    page = _ablation(tmp_path / "out", read_ablation(tmp_path / "out"))
     assert any(isinstance(block, Figure) and "Space-time" in block.caption for block in page.blocks)
     latex = (tmp_path / "out" / "tables" / "filter-phase.tex").read_text(encoding="utf-8")
     assert "linear, published" in latex
@@ -181,7 +182,7 @@ def test_a_broken_set_is_reported_and_the_rest_goes_on(data: Path, tmp_path: Pat
     options = ["--out", str(out), "--preset", "modal", "--alphas", "20", *settings]
     assert main(["bench", "ablation", "filter-phase", *sets, str(data), *options]) == 1
     assert "3 failed" in capsys.readouterr().err
-    results = read_results(out)
+    results = read_ablation(out)
     assert [f["set"] for f in results["failed"]] == ["broken", "bare", "torn"]
     assert {line["set"] for line in results["lines"]} == {data.name}
     page = (out / "results.md").read_text(encoding="utf-8")

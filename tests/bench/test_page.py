@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 from pathlib import Path
@@ -12,7 +13,7 @@ import pytest
 from PIL import Image
 
 from tests.view.browser import browser
-from tg4mm.bench.html import read_results, write_page
+from tg4mm.bench.html import write_page
 from tg4mm.bench.latex import escaped, latex_table
 from tg4mm.bench.methods.external import External
 from tg4mm.bench.scenes import ScenesRequest, run_scenes
@@ -38,7 +39,7 @@ def test_the_page_loads_nothing(made: Path) -> None:
 
 def test_it_can_be_written_again_from_what_is_on_disk(made: Path) -> None:
     before = (made / "results.html").read_bytes()
-    write_page(made, read_results(made))
+    write_page(made, json.loads((made / "results.json").read_text(encoding="utf-8")))
     after = (made / "results.html").read_bytes()
     assert re.sub(rb"data:video/mp4;base64,[^\"]*", b"", after) == re.sub(
         rb"data:video/mp4;base64,[^\"]*", b"", before
@@ -79,7 +80,7 @@ def test_figures_of_a_paper_are_files_too(made: Path, data: Path) -> None:
 
 
 def test_every_table_is_there_in_latex(made: Path) -> None:
-    results = read_results(made)
+    results = json.loads((made / "results.json").read_text())
     (group,) = groups_of(results)
     for table in (*tables_of(results, group), full_table(results, group)):
         text = (made / "tables" / f"1_{table.key}.tex").read_text(encoding="utf-8")

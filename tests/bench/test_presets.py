@@ -18,7 +18,6 @@ from dataset_gen.options import parser, request_from
 from tests.helpers.snakemake_program import FARM, snakemake
 from tg4mm.bench import presets
 from tg4mm.bench.errors import BenchError
-from tg4mm.bench.html import read_results
 from tg4mm.bench.presets import PRESETS, Choices, Step, choices_from, run_preset, steps_of
 from tg4mm.cli import main
 from tg4mm.cli.program import app
@@ -167,7 +166,7 @@ def test_smoke(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "tg4mm", "bench", "--preset", "smoke", "--out", str(tmp_path / "out")]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     subprocess.run(command, env=environment, check=True, timeout=3000)
-    results = read_results(tmp_path / "out" / "bench")
+    results = json.loads((tmp_path / "out" / "bench" / "results.json").read_text(encoding="utf-8"))
     assert results["failed"] == []
     rows = {line["row"]: line["alphas"]["20"] for line in results["lines"]}
     assert {"nothing moves", "modal", "ceiling", "tracking", "phase-2d", "linear-2d"} <= set(rows)

@@ -31,7 +31,7 @@ def test_the_overview_links_every_report_and_names_what_has_none(plane: Path, pa
     assert links == {"plane_3Hz_0_02/report/index.html"}
     assert (parent / links.pop()).is_file()
     said = words(text)
-    assert "Without a report, since not finished: unfinished" in said
+    assert "Without a report that can be read: unfinished" in said
     found = json.loads((plane / "report/summary.json").read_text())
     assert f"{found['scores'][-1]['perfect_psnr_db']:.2f}" in said
     assert "2 datasets" in said

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
+import json
 import random
 import struct
 import tempfile
@@ -14,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.faults.mutate import WHOLE, changed, of_bytes, of_json
+from tests.faults.mutate import WHOLE, changed, of_bytes, of_json, written
 
 
 def of_tensors(data: bytes, rng: random.Random) -> bytes:
@@ -91,6 +93,21 @@ def _other_array(array: np.ndarray, rng: random.Random) -> np.ndarray | None:
         where = slice(None) if rng.random() < 0.3 else rng.randrange(out.size)
         out[where] = np.array(rng.choice(numbers)).astype(out.dtype)
     return out.reshape(array.shape)
+
+
+def of_sealed(data: bytes, rng: random.Random) -> bytes:
+    """JSON with a digest: as any JSON, or its values changed and the digest put right, or left out."""
+    from tg4mm.files import json_digest
+
+    if rng.random() < 0.3:
+        return of_json(data, rng)
+    values = json.loads(data)
+    values.pop("digest", None)
+    values = changed(values, rng)
+    if isinstance(values, dict) and rng.random() < 0.5:
+        with contextlib.suppress(ValueError, RecursionError):  # of what no writer can write there is none
+            values["digest"] = json_digest(json.loads(written(values)))
+    return written(values)
 
 
 def of_npz(data: bytes, rng: random.Random) -> bytes:

@@ -31,7 +31,7 @@ from tg4mm.errors import Tg4mmError
 
 MEMORY = 3 << 30  # bytes of address space beyond what the process has before it reads
 LIMIT_S = 20.0  # seconds for one file
-FIRST_S = 60.0  # for the first, before which everything is imported
+FIRST_S = 300.0  # for the first, before which everything is imported and compiled
 
 
 @dataclass
@@ -114,7 +114,7 @@ def _answers(name: str, start: int, count: int, seed: int) -> Iterator[dict[str,
         os.kill(child, 9)
     _, status = os.waitpid(child, 0)
     if silent:
-        yield {"index": index, "what": f"no answer within {LIMIT_S:g} s"}
+        yield {"index": index, "what": f"no answer within {FIRST_S if index == start else LIMIT_S:g} s"}
     elif index < count:
         yield {"index": index, "what": f"the process died with status {status}"}
 
@@ -132,13 +132,13 @@ def _read_all(name: str, numbers: range, seed: int, channel) -> None:
         reader.read(root)  # the sample is valid, and everything is imported
         base = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
         resource.setrlimit(resource.RLIMIT_AS, (base + MEMORY, resource.RLIM_INFINITY))
-        before = _listing(root, file)
+        before = _contents(root, file)
         for i in numbers:
             file.write_bytes(mutated(name, seed, i, sample))
             began = time.monotonic()
             what = _outcome(reader, root)
             seconds = time.monotonic() - began
-            if what in ("read", "refused") and _listing(root, file) != before:
+            if what in ("read", "refused") and _contents(root, file) != before:
                 what = "something beside the file was written or removed"
                 shutil.rmtree(root)
                 root.mkdir()
@@ -163,14 +163,14 @@ def _outcome(reader: Reader, root: Path) -> str:
     return "read"
 
 
-def _listing(root: Path, file: Path) -> list[tuple[str, int]]:
-    """Names, and sizes but the mutated file's and the log's, which reading a run writes."""
-    found = []
+def _contents(root: Path, file: Path) -> dict[str, bytes]:
+    """What every file holds but the mutated one and the log, which reading a run writes."""
+    found = {}
     for folder, _, names in os.walk(root):
-        for path in (os.path.join(folder, name) for name in names):
-            known = path != str(file) and not path.endswith("log.json")
-            found.append((path, os.stat(path).st_size if known else -1))
-    return sorted(found)
+        for path in (Path(folder, name) for name in names):
+            known = path != file and path.name != "log.json"
+            found[str(path)] = path.read_bytes() if known else b""
+    return found
 
 
 def _printed(name: str, tally: Tally, seconds: float) -> str:

@@ -9,6 +9,7 @@ training's hold, bit for bit, and nothing besides: no checkpoint, no temporary f
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import random
 import signal
@@ -39,10 +40,14 @@ _REPLACE = os.replace
 
 
 def in_child(work: Callable[[], object], said: Path, kill_after_s: float | None = None) -> int:
-    """The wait status of a forked process that did the work, killed after some seconds. What it says goes to a file."""
+    """The wait status of a forked process that did the work. What it says goes to a file.
+
+    kill_after_s: it is killed after so many seconds, with all the processes that it has started.
+    """
     child = os.fork()
     if child == 0:
         status = 1
+        os.setpgid(0, 0)
         with said.open("w") as file:
             os.dup2(file.fileno(), 1)
             os.dup2(file.fileno(), 2)
@@ -54,6 +59,8 @@ def in_child(work: Callable[[], object], said: Path, kill_after_s: float | None 
             finally:
                 sys.stderr.flush()
                 os._exit(status)
+    with contextlib.suppress(OSError):  # the child may have done so, and be over
+        os.setpgid(child, child)
     if kill_after_s is not None:
         end = time.monotonic() + kill_after_s
         while time.monotonic() < end:
@@ -61,7 +68,7 @@ def in_child(work: Callable[[], object], said: Path, kill_after_s: float | None 
             if done:
                 return status
             time.sleep(0.002)
-        os.kill(child, signal.SIGKILL)
+        os.killpg(child, signal.SIGKILL)
     return os.waitpid(child, 0)[1]
 
 

@@ -8,27 +8,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from tests.faults.containers import of_npz, of_png, of_tensors
-from tests.faults.mutate import Mutation, of_bytes, of_header, of_json, of_text
-from tg4mm.files import json_digest
+from tests.faults.mutate import of_bytes, of_header, of_json, of_text
+from tests.faults.reader import Reader, record
+from tests.faults.readers_datasets import DATASETS
+from tests.faults.readers_results import RESULTS
 
 N, T = 5, 3  # Gaussians, timesteps
-METRICS = {"format": "tg4mm-metrics", "alphas": []}
-
-
-@dataclass(frozen=True)
-class Reader:
-    """`make(folder)` writes the sample and gives the file that is mutated, `read(folder)` reads all of it."""
-
-    make: Callable[[Path], Path]
-    read: Callable[[Path], object]
-    mutate: Mutation
 
 
 # Datasets.
@@ -321,28 +312,10 @@ def _read_paper(root: Path) -> None:
     plane_video(run, model, 2, 0, 1)
 
 
-def _record(name: str, values: Any, *folders: str) -> Callable[[Path], Path]:
-    def make(root: Path) -> Path:
-        file = root.joinpath(*folders, name)
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(json.dumps(values))
-        return file
-
-    return make
-
-
 def _read_demo(root: Path) -> None:
     from tg4mm.demo import _read_done
 
     _read_done(root, 64)
-
-
-def _read_metrics(root: Path) -> None:
-    from tg4mm.evaluate.wanted import _is_ours
-    from tg4mm.report.sources import _checked
-
-    _is_ours(root / "metrics.json")
-    _checked(root / "metrics.json")
 
 
 SCORES = {"alpha": 5, "rows": {"ours": {"psnr_db": 31.25, "lpips": None}}, "closure": 0.75}
@@ -403,7 +376,7 @@ def _read_bodies(root: Path) -> None:
 
 
 def _claimed(root: Path) -> Path:
-    return _record("scene.json", {"fps": 30, "modes": [{"a": 1}], "cameras": {"n": 3}}, "set")(root)
+    return record("scene.json", {"fps": 30, "modes": [{"a": 1}], "cameras": {"n": 3}}, "set")(root)
 
 
 def _claim(root: Path) -> None:
@@ -489,7 +462,7 @@ def _read_request(root: Path) -> None:
 
 def _finished(root: Path) -> Path:
     _request(root)
-    return _record("scene.json", {"fps": 30, "sfm": {"asked": {"kind": "rig"}, "points": 3}}, "out")(root)
+    return record("scene.json", {"fps": 30, "sfm": {"asked": {"kind": "rig"}, "points": 3}}, "out")(root)
 
 
 def _video(root: Path) -> Path:
@@ -595,11 +568,8 @@ READERS: dict[str, Reader] = {
     "run checkpoint": Reader(_run("checkpoint_space.safetensors"), _read_run, of_tensors),
     "run triplane": Reader(_paper("triplane.safetensors"), _read_paper, of_tensors),
     "run planes": Reader(_paper("planes_0001.safetensors"), _read_paper, of_tensors),
-    "metrics.json": Reader(
-        _record("metrics.json", METRICS | {"digest": json_digest(METRICS)}), _read_metrics, of_json
-    ),
     "metrics.json, partial": Reader(_partial, _read_partial, of_json),
-    "demo.json": Reader(_record("demo.json", {"size": 64, "done": {"train": 1.5}}), _read_demo, of_json),
+    "demo.json": Reader(record("demo.json", {"size": 64, "done": {"train": 1.5}}), _read_demo, of_json),
     "LPIPS weights, safetensors": Reader(_weights(".safetensors"), _read_weights, of_tensors),
     "LPIPS weights, pth": Reader(_weights(".pth"), _read_weights, of_bytes),
     "motion YAML": Reader(_motion_file(".yaml"), _read_motion, of_text),
@@ -609,10 +579,10 @@ READERS: dict[str, Reader] = {
     "dataset report: transforms": Reader(_sized_transforms, _read_dataset, of_json),
     "dataset report: motion.npz": Reader(_truth, _read_dataset, of_npz),
     "generate: scene.json": Reader(_claimed, _claim, of_json),
-    "farm configuration": Reader(_record("config.json", FARM), _farm, of_json),
+    "farm configuration": Reader(record("config.json", FARM), _farm, of_json),
     "sfm length.json": Reader(_length(".json"), _read_length, of_json),
     "sfm length.yaml": Reader(_length(".yaml"), _read_length, of_text),
-    "sfm survey": Reader(_record("a.json", SURVEY, "survey"), _read_survey, of_json),
+    "sfm survey": Reader(record("a.json", SURVEY, "survey"), _read_survey, of_json),
     "sfm request.json": Reader(_request, _read_request, of_json),
     "sfm scene.json": Reader(_finished, _read_request, of_json),
     "sfm photograph, PNG": Reader(_photograph(".png"), _read_photograph, of_png),
@@ -620,4 +590,6 @@ READERS: dict[str, Reader] = {
     "rendered picture": Reader(_photograph(".png"), _read_rendered, of_png),
     "sensors YAML": Reader(_sensors, _read_sensors, of_text),
     "sfm video": Reader(_video, _read_video, of_bytes),
+    **DATASETS,
+    **RESULTS,
 }

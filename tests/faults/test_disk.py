@@ -1,11 +1,14 @@
 """A full disk and a folder that cannot be written: one line, exit 2 (the generator: 1), nothing half-written.
 
-Needs root, for a small file system of its own; without it the tests say so and are skipped.
+Small file systems need root. Without it the last test runs all of this in a namespace of its own, where Linux allows
+that to everybody (`unshare -rm`).
 """
 
 from __future__ import annotations
 
+import functools
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -18,17 +21,27 @@ import torch
 
 from tests.capture.conftest import write_tree
 from tests.faults.readers import READERS
+from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.errors import RunError
 from tg4mm.files import write_json
 from tg4mm.render.video import write_mp4
 from tg4mm.room import room
 from tg4mm.run import Run
+from tg4mm.run.model_hash import model_hash
+
+TMPFS = ("-t", "tmpfs", "-o")
 
 
 def mount(*arguments: str) -> None:
     done = subprocess.run(["mount", *arguments], capture_output=True, text=True)
-    if done.returncode:
-        pytest.skip(f"a small file system needs root: mount {' '.join(arguments)}: {done.stderr.strip()}")
+    assert done.returncode == 0, done.stderr
+
+
+@functools.cache
+def can_mount() -> bool:
+    with tempfile.TemporaryDirectory() as folder:
+        made = subprocess.run(["mount", *TMPFS, "size=16k", "tmpfs", folder], capture_output=True)
+        return made.returncode == 0 and subprocess.run(["umount", folder]).returncode == 0
 
 
 @pytest.fixture
@@ -36,12 +49,14 @@ def disk(tmp_path: Path) -> Iterator[Callable[[int], Path]]:
     """`disk(kib)`: a folder on a file system of that size."""
     if not sys.platform.startswith("linux"):
         pytest.skip("a small file system needs Linux")
+    if not can_mount():
+        pytest.skip("a small file system needs root: see the last test")
     folder = tmp_path / "disk"
     folder.mkdir()
     mounted = []
 
     def make(kib: int) -> Path:
-        mount("-t", "tmpfs", "-o", f"size={kib}k", "tmpfs", str(folder))
+        mount(*TMPFS, f"size={kib}k", "tmpfs", str(folder))
         mounted.append(folder)
         return folder
 
@@ -144,6 +159,54 @@ def test_training_on_a_full_disk_is_one_line(disk: Callable[[int], Path], tmp_pa
     assert not list(folder.rglob("*.tmp"))
 
 
+FULL_IN = """
+import sys
+from pathlib import Path
+from tests.faults.test_disk import fill
+from tg4mm.cli import main
+from tg4mm.run import Run
+import tg4mm.space.train
+tg4mm.space.train.CHECKPOINT_EVERY_S = 0.0
+stage, nth, *words = sys.argv[1:]
+save, seen = Run.save_checkpoint, []
+def save_checkpoint(run, own, *what):
+    seen.append(own)
+    if seen.count(stage) == int(nth):
+        fill(run.path.parent)
+    save(run, own, *what)
+Run.save_checkpoint = save_checkpoint
+sys.exit(main(words))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("stage", "nth"), [("space", 1), ("space", 3), ("motion", 1), ("motion", 2)])
+def test_a_disk_that_fills_during_a_stage_loses_nothing(
+    stage: str, nth: int, disk: Callable[[int], Path], tmp_path: Path, repo_root: Path
+) -> None:
+    """With room again, the same command goes on, to what an undisturbed training gives."""
+    data, folder = tmp_path / "set", disk(8192)
+    make_synthetic_dataset(data, n_views=3, n_timesteps=6, size=24, freqs=(5.0,), alphas=(), n_test=0)
+    settings = ("space.iterations=60", "space.max_gaussians=300", "motion.iterations=3")
+    words = [str(data), *(part for s in settings for part in ("--set", s))]
+    command = [sys.executable, "-c", FULL_IN, stage, str(nth), "train", *words, "--out", str(folder / "run")]
+    done = subprocess.run(command, cwd=repo_root, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 2, done.stderr
+    assert "No space left" in done.stderr.strip().splitlines()[-1]
+    assert "Traceback" not in done.stderr
+    assert not list(folder.rglob("*.tmp*"))
+    checkpoint = folder / "run" / f"checkpoint_{stage}.safetensors"
+    assert checkpoint.exists() == (nth > 1)
+    (folder / "filler").unlink()
+    for out in (folder / "run", tmp_path / "undisturbed"):
+        done = tg4mm("train", *words, "--out", out)
+        assert done.returncode == 0, done.stderr
+    assert model_hash(folder / "run") == model_hash(tmp_path / "undisturbed")
+    assert {p.name for p in (folder / "run").iterdir()} == {
+        p.name for p in (tmp_path / "undisturbed").iterdir()
+    }
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("command", ["train", "export", "render", "generate"])
 def test_a_folder_that_cannot_be_written_is_one_line(
@@ -170,3 +233,18 @@ def test_a_folder_that_cannot_be_written_is_one_line(
     last = done.stderr.strip().splitlines()[-1]
     assert str(folder) in last or "Read-only" in last, done.stderr
     assert os.listdir(folder) == []
+
+
+def test_without_root_all_of_this_runs_in_a_namespace(
+    request: pytest.FixtureRequest, repo_root: Path
+) -> None:
+    if can_mount():
+        pytest.skip("the tests above could mount by themselves")
+    alone = ["unshare", "-rm"]
+    if shutil.which("unshare") is None or subprocess.run([*alone, "true"], capture_output=True).returncode:
+        pytest.skip("this system gives no namespaces to users: no full disk was tested")
+    chosen = ["-m", request.config.option.markexpr, "-p", "no:cacheprovider", "-p", "no:xdist"]
+    command = [*alone, sys.executable, "-m", "pytest", "-q", __file__, *chosen]
+    done = subprocess.run(command, cwd=repo_root, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout[-3000:]
+    assert " 1 skipped" in done.stdout, done.stdout[-300:]  # this test itself

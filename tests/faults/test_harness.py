@@ -19,6 +19,7 @@ from tg4mm.errors import CaptureError
 
 def make(root: Path) -> Path:
     (root / "a").write_bytes(b"0123456789")
+    (root / "c").write_bytes(b"A")
     return root / "a"
 
 
@@ -50,13 +51,17 @@ def writes(root: Path) -> None:
     (root / "b").touch()
 
 
+def changes(root: Path) -> None:
+    (root / "c").write_bytes(b"B")
+
+
 def good(root: Path) -> None:
     raise CaptureError("spoilt")
 
 
 FAULTS = {
     foreign: "KeyError", two_lines: "several lines", dies: "the process died", hangs: "no answer within 1 s",
-    hoards: "MemoryError", writes: "something beside the file",
+    hoards: "MemoryError", writes: "something beside the file", changes: "something beside the file",
 }  # fmt: skip
 
 

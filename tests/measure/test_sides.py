@@ -43,7 +43,7 @@ def test_it_takes_a_byte_for_each_number_that_is_seen(exact: np.ndarray) -> None
 
 def test_it_comes_back_from_a_file(exact: np.ndarray) -> None:
     kept, rows = Sides.of(exact), np.arange(N)
-    again = Sides.restored(kept.arrays("3"), "3")
+    again = Sides.restored(kept.arrays("3"), "3", FRAMES, N)
     np.testing.assert_array_equal(again.summed(motions(rows), rows), kept.summed(motions(rows), rows))
 
 

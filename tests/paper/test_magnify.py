@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -104,6 +105,43 @@ def test_a_second_request_finds_what_the_first_made_and_a_killed_one_goes_on(tra
     np.testing.assert_array_equal(first, again)
     assert not list((trained.path / FOLDER).glob("*.part"))
     assert len(list((trained.path / FOLDER).glob("*.f32"))) <= 4
+
+
+def flip(file: Path) -> None:
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2] ^= 1
+    file.write_bytes(data)
+
+
+def test_embeddings_that_were_damaged_are_made_anew(trained):
+    first = series_of(trained, "linear", plan(2.0, "linear")).embeddings.copy()
+    flip(max((trained.path / FOLDER).glob("*.f32"), key=lambda f: f.stat().st_mtime))
+    np.testing.assert_array_equal(series_of(trained, "linear", plan(2.0, "linear")).embeddings, first)
+
+
+def test_a_killed_job_whose_part_was_damaged_begins_anew(trained, monkeypatch):
+    import tg4mm.magnify.embeddings as module
+
+    wanted, calls = plan(2.5, "phase"), []
+
+    def counted(*arguments):
+        calls.append(arguments[-1])
+        if len(calls) == 5:
+            raise KeyboardInterrupt
+        return plane_video(*arguments)
+
+    monkeypatch.setattr(module, "plane_video", counted)
+    with pytest.raises(KeyboardInterrupt):
+        series_of(trained, "phase", wanted)
+    (part,) = (trained.path / FOLDER).glob("*.part")
+    data = bytearray(part.read_bytes())
+    data[7] ^= 1  # of the first channel
+    part.write_bytes(data)
+    damaged = series_of(trained, "phase", wanted).embeddings.copy()
+    assert len(calls) == 5 + 12
+    for file in (trained.path / FOLDER).glob("*"):
+        file.unlink()
+    np.testing.assert_array_equal(series_of(trained, "phase", wanted).embeddings, damaged)
 
 
 def test_between_timesteps_embeddings_are_interpolated():

@@ -60,6 +60,9 @@ def copied(run: Run, tmp_path) -> Run:
     return replace(Run.open(tmp_path / "run"), config={**run.config})
 
 
+METRICS = {"format": "tg4mm-metrics", "metrics": [], "alphas": [], "absent": {}, "notes": []}
+
+
 def test_scores_newer_than_the_model_are_taken_and_older_ones_made_again(run, tmp_path, monkeypatch):
     own = copied(run, tmp_path)
     calls = []
@@ -67,7 +70,7 @@ def test_scores_newer_than_the_model_are_taken_and_older_ones_made_again(run, tm
         "tg4mm.evaluate.evaluate_run", lambda run: calls.append(run) or {"format": "tg4mm-metrics"}
     )
     path = own.path / "metrics.json"
-    path.write_text(json.dumps({"format": "tg4mm-metrics", "kept": True}))
+    path.write_text(json.dumps(METRICS | {"kept": True}))
     assert metrics_of(own).get("kept")
     assert not calls
     os.utime(path, (1, 1))
@@ -76,7 +79,15 @@ def test_scores_newer_than_the_model_are_taken_and_older_ones_made_again(run, tm
 
 
 @pytest.mark.parametrize(
-    ("text", "message"), [("[", "not JSON"), ("[]", "'list'"), ('{"format": "x"}', "'x'")]
+    ("text", "message"),
+    [
+        ("[", "not JSON"),
+        ("[]", r"is \[\], expected an object"),
+        ('{"format": "x"}', "format is 'x', expected 'tg4mm-metrics'"),
+        (json.dumps(METRICS | {"absent": {"LPIPS": 1}}), "absent.LPIPS is 1, expected text"),
+        (json.dumps(METRICS | {"alphas": [{"alpha": 5}]}), r"alphas\[0\] has no n_images"),
+        (json.dumps(METRICS | {"displacement": []}), r"displacement is \[\], expected an object"),
+    ],
 )
 def test_a_broken_file_of_scores_is_named(run, tmp_path, text, message):
     own = copied(run, tmp_path)
@@ -87,12 +98,12 @@ def test_a_broken_file_of_scores_is_named(run, tmp_path, text, message):
 
 def test_scores_that_are_not_those_written_are_refused(run, tmp_path):
     own = copied(run, tmp_path)
-    figures = {"format": "tg4mm-metrics", "alphas": [{"alpha": 5, "closure": 0.75}]}
+    figures = METRICS | {"alphas": [{"alpha": 5, "n_images": 1, "rows": {}, "closure": 0.75}]}
     written = json.dumps(figures | {"digest": json_digest(figures)})
     (own.path / "metrics.json").write_text(written)
     assert metrics_of(own)["alphas"][0]["closure"] == 0.75
     (own.path / "metrics.json").write_text(written.replace("0.75", "0.95"))
-    with pytest.raises(RunError, match=r"metrics\.json is damaged or edited; delete it"):
+    with pytest.raises(RunError, match=r"metrics\.json: is damaged or edited: [^\n]*; delete it"):
         metrics_of(own)
 
 

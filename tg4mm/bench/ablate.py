@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from tg4mm.bench.ablation_file import FILE
 from tg4mm.bench.ablation_page import ablation_cells, ablation_page, picture
 from tg4mm.bench.ablations import Ablation, Row, chosen_preset, find_ablation, rows_of
 from tg4mm.bench.amplitudes import TARGETS_PX, generator_arguments, with_amplitude
@@ -32,7 +33,7 @@ from tg4mm.bench.sets import BenchSet, open_set, open_those_that_open
 from tg4mm.bench.slices import Magnified, slices_picture
 from tg4mm.bench.subset import with_noise, with_timesteps, with_views
 from tg4mm.errors import RunError, Tg4mmError
-from tg4mm.files import write_json
+from tg4mm.form import write_sealed
 from tg4mm.magnify import TemporalFilter
 from tg4mm.progress import progress
 
@@ -246,7 +247,7 @@ def _line(job: _Job, data: BenchSet, row: Row, figures: dict[str, Any]) -> dict[
     ways = [row.label] if row.scorings else [way.name for way in job.training.ways]
     log = figures["log"]
     values: dict[str, Any] = scalars(figures)
-    values["init"] = log["space"].get("init")
+    values["init"] = log.get("space", {}).get("init")
     rest = figures["rows"].get("0", {})
     values["psnr_rest"] = (rest.get("ceiling") or rest.get("nothing moves") or {}).get("psnr_db")
     if row.scorings:
@@ -287,7 +288,7 @@ def _filter_figures(kind: str | None, data: BenchSet) -> dict[str, float]:
 
 
 def _write(out: Path, results: dict[str, Any]) -> None:
-    write_json(out / "results.json", results)
+    write_sealed(out / FILE, results)
     drawn = picture(results)
     if drawn is not None:
         write_text(out / "results.svg", drawn)

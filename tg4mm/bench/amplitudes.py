@@ -8,12 +8,23 @@ from tg4mm.bench.errors import BenchError, StepError
 from tg4mm.bench.sets import BenchSet
 from tg4mm.errors import RunError
 from tg4mm.files import write_json
+from tg4mm.form import check_form
 from tg4mm.generator import run_generator
 from tg4mm.run.config import read_json
 
 TARGETS_PX = (1.0, 2.0, 4.0, 8.0)  # α times the amplitude, of which there is ground truth
 _MOST_ALPHA = 999  # the generator's
 DONE = "complete.json"
+_SCENE = {
+    "scene": str,
+    "cameras": {"kind": str},
+    "engine": {"samples": int},
+    "frequency_hz": float,
+    "n_test": int,
+    "seed?": int,
+    "images?": str,
+    "background?": str,
+}
 
 
 def alphas_for(pixels: float) -> tuple[int, ...]:
@@ -52,13 +63,17 @@ def generator_arguments(data: BenchSet, pixels: float, folder: Path) -> list[str
     from dataset_gen.scenes import NAMES
 
     scene = read_json(data.root / "scene.json")
-    name, cameras, engine = scene.get("scene"), scene.get("cameras") or {}, scene.get("engine") or {}
-    made_here = name in NAMES and cameras.get("kind") in {"orbit", "rig"} and "samples" in engine
+    try:
+        check_form(scene, _SCENE)
+        made_here = scene["scene"] in NAMES and scene["cameras"]["kind"] in {"orbit", "rig"}
+    except ValueError:
+        made_here = False
     if not made_here or scene.get("sensor"):
         raise BenchError(
-            f"dataset {data.root} (scene {name!r}) is not what tg4mm generate makes of a built-in scene with an orbit "
-            "or a rig and without a sensor, so it cannot be made with another amplitude"
+            f"dataset {data.root} is not what tg4mm generate makes of a built-in scene with an orbit or a rig and "
+            "without a sensor, so it cannot be made with another amplitude"
         )
+    name, cameras, engine = scene["scene"], scene["cameras"], scene["engine"]
     options = {
         "--out": folder,
         "--amplitude-px": f"{pixels:g}",

@@ -128,23 +128,3 @@ def _ablation(folder: Path, results: Mapping[str, Any]) -> Section:
     blocks.append(_block(made))
     blocks.append(Commands([(machine(results["made"]), results["made"]["command"])]))
     return Section(results["title"], blocks)
-
-
-def read_results(folder: Path) -> dict[str, Any]:
-    """results.json of a benchmark or an ablation. Raises BenchError where there is none that this version wrote."""
-    from tg4mm.bench.errors import BenchError
-    from tg4mm.bench.folder import FORMAT, VERSION
-    from tg4mm.errors import RunError
-    from tg4mm.run.config import read_json
-
-    file = Path(folder) / "results.json"
-    try:
-        found = read_json(file)
-    except RunError as error:
-        raise BenchError(str(error)) from None
-    if (found.get("format"), found.get("version")) != (FORMAT, VERSION):
-        raise BenchError(f"{file} is no result of this version of tg4mm bench: run its command again")
-    return found
-
-
-__all__ = ["read_results", "write_page"]

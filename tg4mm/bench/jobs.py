@@ -21,15 +21,15 @@ from tg4mm.bench.scored import score_pictures
 from tg4mm.bench.sets import BenchSet
 from tg4mm.bench.vqa import Checkout
 from tg4mm.capture import Capture, load_capture
-from tg4mm.errors import RunError
 from tg4mm.evaluate.lpips import load_lpips
-from tg4mm.files import write_json
+from tg4mm.form import Just, Maybe, read_formed, write_sealed
 from tg4mm.progress import progress
 from tg4mm.render.frames import to_bytes, write_png
-from tg4mm.run.config import read_json
 
 SCORES = "scores.json"
 _VERSION = 1  # of how pictures are scored: raise it when the same pictures would score otherwise
+_RECORD = {"recipe": str, "n_images": int, "frames_per_s": Maybe(float)}
+_SCORES = {"version": Just(_VERSION), "entries": {str: {"asked": str, "scores": {str: Maybe(float)}}}}
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ def rendered(
     folder = picture_folder(place, row)
     record = folder / f"x{alpha:03g}.json"
     recipe = _digest({"data": data.digest, "alpha": alpha, **method.recipe(row, data, place, plan)})
-    if record.is_file() and (old := read_json(record)).get("recipe") == recipe:
+    if (old := _read(record, _RECORD)) is not None and old["recipe"] == recipe:
         return old
     spent, n = 0.0, 0
     pictures = method.render(row, data, place, capture, alpha, plan)
@@ -119,8 +119,16 @@ def rendered(
             n += 1
             update(n)
     made = {"recipe": recipe, "n_images": n, "frames_per_s": n / spent if spent else None}
-    write_json(record, made)
+    write_sealed(record, made)
     return made
+
+
+def _read(file: Path, form: dict[str, Any]) -> dict[str, Any] | None:
+    """None where the file is not there or damaged: it is made anew."""
+    try:
+        return read_formed(file, form)
+    except (OSError, ValueError):
+        return None
 
 
 class _Kept:
@@ -128,11 +136,8 @@ class _Kept:
 
     def __init__(self, file: Path) -> None:
         self.file = file
-        try:
-            known = read_json(file) if file.is_file() else {}
-        except RunError:
-            known = {}  # a damaged file is made anew
-        self.entries: dict[str, Any] = known.get("entries", {}) if known.get("version") == _VERSION else {}
+        known = _read(file, _SCORES)
+        self.entries: dict[str, Any] = {} if known is None else known["entries"]
 
     def scores(
         self, row: str, alpha: int, recipe: str, data: BenchSet, capture: Capture, folder: Path, plan: Plan,
@@ -155,7 +160,7 @@ class _Kept:
             videos = (to_bytes(video_of(capture, rows, folder)) for rows in cameras_of(capture))
             scores[checkout.metric] = float(np.mean([checkout(video, data.fps) for video in videos]))
         self.entries[f"{row} {alpha}"] = {"asked": asked, "scores": scores}
-        write_json(self.file, {"version": _VERSION, "entries": self.entries})
+        write_sealed(self.file, {"version": _VERSION, "entries": self.entries})
         return scores
 
 

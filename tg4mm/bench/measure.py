@@ -16,22 +16,40 @@ import numpy as np
 from tg4mm.bench.observed import observed_figures
 from tg4mm.bench.sets import BenchSet, check_alphas
 from tg4mm.capture import load_capture
-from tg4mm.errors import RunError
 from tg4mm.evaluate import evaluate_run
+from tg4mm.evaluate.figures_file import DISPLACEMENT
 from tg4mm.evaluate.lpips import load_lpips
 from tg4mm.evaluate.run import CEILING, OURS, STATIC
 from tg4mm.evaluate.scores import Key
 from tg4mm.evaluate.subject import subject_of
-from tg4mm.files import write_json
+from tg4mm.form import Just, Maybe, read_formed, write_sealed
 from tg4mm.magnify import Magnification, TemporalFilter
 from tg4mm.run import Run
-from tg4mm.run.config import read_json
 from tg4mm.run.model_hash import model_hash
 from tg4mm.train import parse_settings, train
 
 FIGURES = "figures.json"
 SEEN = ("closure", "change_gain", "change_residual")  # how much of a motion is seen, of one way to magnify
 VERSION = 4  # of how figures are made: raise it when the same request would give others
+_STAGES = {"space": float, "motion": float, "total": float}
+# What tables and pages need of a run, here and in results.json.
+OF_RUN = {
+    "log": {str: {"seconds?": Maybe(float), "peak_memory_mib?": Maybe(float)}},
+    "seconds": _STAGES,
+    "model": str,
+    "rows": {float: {str: {str: Maybe(float)}}},
+    "displacement": Maybe(DISPLACEMENT),
+    "notes": [str],
+}
+FORM = {
+    "version": Just(VERSION),
+    "request": {"settings": {str: dict}, "band_hz": Maybe([float])},
+    **OF_RUN,
+    "n_gaussians": int,
+    "mib_on_disk": float,
+    "absent": {str: str},
+    "observed?": {str: Maybe(float)},
+}
 
 
 @dataclass(frozen=True)
@@ -110,7 +128,7 @@ def measure(
         for key in [key for key in scores if key[0][:1] == (OURS,)]:
             del scores[key]
     figures = _figures(run, request, training, metrics) | {"observed": _observed(run, data, plan)}
-    write_json(place / FIGURES, figures)
+    write_sealed(place / FIGURES, figures)
     return figures
 
 
@@ -150,14 +168,10 @@ def is_measured(place: Path, data: BenchSet, training: Training, plan: Plan) -> 
 
 def read_figures(place: Path) -> dict[str, Any] | None:
     """The figures kept in `place`; None if there are none that this version can read."""
-    file = place / FIGURES
-    if not file.is_file():
-        return None
     try:
-        kept = read_json(file)
-    except RunError:  # torn: the run beside it is still whole, and is scored again
+        return read_formed(place / FIGURES, FORM)
+    except (OSError, ValueError):  # damaged: the run beside it is still whole, and is scored again
         return None
-    return kept if kept.get("version") == VERSION and isinstance(kept.get("request"), dict) else None
 
 
 def _request(data: BenchSet, training: Training, plan: Plan) -> dict[str, Any]:

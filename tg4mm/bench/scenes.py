@@ -7,9 +7,10 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from tg4mm.bench.ablation_file import read_ablation
 from tg4mm.bench.failures import why_failed
 from tg4mm.bench.folder import FORMAT, VERSION, circumstances, open_folder
-from tg4mm.bench.html import read_results, write_page
+from tg4mm.bench.html import write_page
 from tg4mm.bench.jobs import Line, is_finished, job_folder, run_job
 from tg4mm.bench.means import group_means, line_means
 from tg4mm.bench.measure import Plan, Training, check_plan, is_measured, warm_up
@@ -155,7 +156,7 @@ class _Bench:
         found = []
         for folder in ablations:
             try:
-                found.append((Path(folder), read_results(folder)))
+                found.append((Path(folder), read_ablation(folder)))
             except (Tg4mmError, OSError) as error:
                 self.failed.append({"set": f"ablation {Path(folder).name}", "method": "", "why": str(error)})
         return found

@@ -15,10 +15,11 @@ import numpy as np
 from tg4mm.bench.errors import BenchError
 from tg4mm.bench.sets import BenchSet
 from tg4mm.capture.decode import decode, image_header
+from tg4mm.capture.records import read_record
 from tg4mm.evaluate.truth_file import TRUTH_FILE
 from tg4mm.files import write_json
 from tg4mm.render.frames import write_png
-from tg4mm.untrusted import read_json, read_npz
+from tg4mm.untrusted import read_npz
 
 TRAIN = "transforms_train.json"
 
@@ -115,14 +116,17 @@ def _same_file(source: str, target: str) -> None:
 
 
 def _write_thinned(source: Path, target: Path, kept: set[int]) -> None:
-    content: dict[str, Any] = read_json(source)
-    content["frames"] = [frame for i, frame in enumerate(content["frames"]) if i in kept]
+    record = read_record(source)
+    frames = record.values.get("frames")
+    if not isinstance(frames, list):
+        raise record.error("frames", "a list")
+    content: dict[str, Any] = record.values | {"frames": [f for i, f in enumerate(frames) if i in kept]}
     target.unlink(missing_ok=True)
     write_json(target, content)
 
 
 def _record(root: Path, changed: dict[str, int]) -> None:
     file = root / "scene.json"
-    scene = read_json(file)
+    scene = read_record(file).values
     file.unlink()  # the name only: the original keeps its content
     write_json(file, scene | changed)

@@ -12,11 +12,11 @@ import numpy as np
 
 from tg4mm.capture import load_capture, load_images
 from tg4mm.evaluate.change import change_figures, closure
+from tg4mm.evaluate.figures_file import FORMAT
 from tg4mm.evaluate.resume import Resume, fingerprint
 from tg4mm.evaluate.scores import BACKGROUND, Key, Scorer
 from tg4mm.evaluate.subject import CEILING, OURS, STATIC, Subject, displacement_of, notes_of, subject_of
 from tg4mm.evaluate.wanted import (
-    FORMAT,
     alphas_with_truth,
     capture_with_truth,
     fitting,

@@ -10,13 +10,12 @@ from pathlib import Path
 from tg4mm.capture import Capture, load_capture
 from tg4mm.errors import CaptureError
 from tg4mm.evaluate.errors import EvaluationError
+from tg4mm.evaluate.figures_file import FORMAT
 from tg4mm.evaluate.lpips import MIN_SIZE, load_lpips
 from tg4mm.evaluate.metrics import SSIM_WINDOW, flip, psnr, ssim
 from tg4mm.evaluate.scores import Metric
 from tg4mm.run import Run
 from tg4mm.untrusted import read_json
-
-FORMAT = "tg4mm-metrics"
 
 
 def target_file(run: Run, out: Path | str | None) -> Path:

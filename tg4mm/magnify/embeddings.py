@@ -3,7 +3,8 @@
 Each of the 3 C feature planes over time is a video. `phase` magnifies it as [TG4MM] does and samples it at the points;
 `linear` samples first. The result, [3 C, T, N] float32, lies in a memory-mapped file, RUN/magnified/<digest>.f32, so
 neither making nor using it holds more than one video and one timestep; a killed job goes on at the next channel, and a
-second request for the same finds it there. The latest four are kept.
+second request for the same finds it there. <digest>.json holds a checksum of each finished channel: a file that is
+not what was written is made anew. The latest four are kept.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import hashlib
 import json
 import os
 import warnings
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
@@ -22,6 +24,7 @@ import torch
 from filelock import FileLock, Timeout
 
 from tg4mm.files import give_back, rename, write_json
+from tg4mm.form import read_formed
 from tg4mm.gaussians import Gaussians
 from tg4mm.magnify.bands import Magnification
 from tg4mm.magnify.filters import bins
@@ -34,7 +37,6 @@ from tg4mm.room import reserve
 from tg4mm.run import Run
 from tg4mm.run.model_hash import model_hash
 from tg4mm.triplane import Cells, Decoder
-from tg4mm.untrusted import read_json
 
 _VERSION = 1  # of how they are made: raise it when the same request would give other numbers
 _KEPT = 4
@@ -98,7 +100,7 @@ def _stored(
     target = folder / f"{name}.f32"
     folder.mkdir(exist_ok=True)
     with _alone(target):
-        if not target.is_file() or target.stat().st_size != 4 * int(np.prod(shape)):
+        if len(_finished(target, shape)) < shape[0]:
             _make(run, model, method, plan.response(bins(n_timesteps, fps), fps), target, shape)
     os.utime(target)
     _prune(folder, target)
@@ -123,21 +125,19 @@ def _alone(target: Path) -> Iterator[None]:
 def _make(
     run: Run, model: PaperModel, method: str, response: np.ndarray, target: Path, shape: tuple[int, int, int]
 ) -> None:
-    """Fill the file under a temporary name; `<digest>.json` tells how many channels of it are finished."""
-    part, record = target.with_suffix(".part"), target.with_suffix(".json")
-    size = 4 * int(np.prod(shape))
-    goes_on = part.is_file() and part.stat().st_size == size and record.is_file()
-    done = _finished(record, shape[0]) if goes_on else 0
-    goes_on = done > 0
-    if not goes_on:
+    """Fill the file under a temporary name, or go on where a killed job was."""
+    part = target.with_suffix(".part")
+    checksums = _finished(part, shape)
+    if not checksums:
+        size = 4 * int(np.prod(shape))
         with part.open("wb") as file:
             file.truncate(size)  # where there is no posix_fallocate
             reserve(file.fileno(), size, part)
     out = np.memmap(part, np.float32, "r+", shape=shape)
     r = model.planes.shape[-1]
     magnify = PhaseMagnifier((r, r), response) if method == "phase" else None
-    with progress(f"{method}: feature planes", shape[0], unit="planes", start=done) as update:
-        for i in range(done, shape[0]):
+    with progress(f"{method}: feature planes", shape[0], unit="planes", start=len(checksums)) as update:
+        for i in range(len(checksums), shape[0]):
             k, channel = divmod(i, model.channels)
             video = plane_video(run, model, shape[1], k, channel)
             if magnify is not None:
@@ -145,20 +145,24 @@ def _make(
             else:
                 out[i] = magnified_series(at_points(video, model.cells, k), response)
             out.flush()
-            write_json(record, {"done": i + 1})
+            checksums.append(zlib.crc32(out[i]))
+            write_json(part.with_suffix(".json"), {"checksums": checksums})
             update(i + 1)
     del out
     rename(part, target)
-    record.unlink()
 
 
-def _finished(record: Path, n_channels: int) -> int:
-    """Channels that are finished; 0 where the record does not say."""
+def _finished(file: Path, shape: tuple[int, int, int]) -> list[int]:
+    """Checksums of the channels that are finished; [] where there is no file, or it is not what they were taken of."""
     try:
-        done = read_json(record)["done"]
-    except (ValueError, KeyError, TypeError):
-        return 0
-    return done if type(done) is int and 0 <= done <= n_channels else 0
+        checksums = read_formed(file.with_suffix(".json"), {"checksums": [int]})["checksums"]
+        if file.stat().st_size != 4 * int(np.prod(shape)) or len(checksums) > shape[0]:
+            return []
+    except (OSError, ValueError):
+        return []
+    stored = np.memmap(file, np.float32, "r", shape=shape)
+    is_same = all(zlib.crc32(channel) == wanted for channel, wanted in zip(stored, checksums, strict=False))
+    return checksums if is_same else []
 
 
 def at_points(video: np.ndarray, cells: Cells, k: int) -> np.ndarray:

@@ -8,8 +8,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import torch
+from numpy.typing import DTypeLike
 
 from tg4mm.errors import RunError
+from tg4mm.form import check_form
+from tg4mm.measure.sides import Sides, check_arrays
 from tg4mm.run import Run
 from tg4mm.run.model_hash import model_hash
 
@@ -17,6 +20,8 @@ PART = "residuals"
 _VERSION = 2  # a file of another is made anew
 _MOST = 1 << 30  # bytes; what is more is found anew each time
 _TYPES = torch.int8, torch.uint8, torch.int16, torch.int32, torch.float16
+Wanted = Mapping[str, tuple[DTypeLike, tuple[int, ...]]]
+Kept = tuple[dict[str, np.ndarray], list[Sides]]
 _LOG = logging.getLogger("tg4mm")
 
 
@@ -38,8 +43,11 @@ class KeptPass:
         """Whether the run has such a file, of whatever model."""
         return self.run.has_part(PART)
 
-    def load(self) -> dict[str, np.ndarray] | None:
-        """The arrays; None where there are none, or they belong to another model, or are damaged."""
+    def load(self, wanted: Wanted, n_frames: Mapping[str, int], n_gaussians: int) -> Kept | None:
+        """The arrays `wanted`, by name, type and shape, and the sides of the clocks of so many frames.
+
+        None where there are none, or they belong to another model, or are damaged.
+        """
         if not self.run.has_part(PART):
             return None
         try:
@@ -49,8 +57,16 @@ class KeptPass:
             return None
         if header.get("model") != self.model or header.get("pass_version") != _VERSION:
             return None
-        self.notes[:] = header.get("notes", [])
-        return {name: tensor.numpy() for name, tensor in tensors.items()}
+        arrays = {name: tensor.numpy() for name, tensor in tensors.items()}
+        try:
+            check_form(header, {"notes": [str]})
+            check_arrays(arrays, wanted)
+            sides = [Sides.restored(arrays, name, n, n_gaussians) for name, n in n_frames.items()]
+        except ValueError as error:
+            _LOG.warning("%s: %s; the pictures are read again", self.run.part_file(PART), error)
+            return None
+        self.notes[:] = header["notes"]
+        return arrays, sides
 
     def save(self, arrays: Mapping[str, np.ndarray], notes: Sequence[str]) -> None:
         """Write them where that was asked for and they are no more than 1 GiB; a folder that cannot be written is no

@@ -16,7 +16,7 @@ from numpy.polynomial import legendre
 
 from tg4mm.capture import Capture
 from tg4mm.gaussians import Gaussians
-from tg4mm.measure.kept import KeptPass
+from tg4mm.measure.kept import KeptPass, Wanted
 from tg4mm.measure.modal_fields import ModalFields
 from tg4mm.measure.residuals import MeasuredView
 from tg4mm.measure.scene import Prepared, SharedClock, zeros_in_room
@@ -75,14 +75,23 @@ def prepare_moving(
     gaussians = fit.gaussians
     times = np.array([f.times_s[0] for f in observations.frames])
     series = modal.series(times)
-    arrays = None if kept is None else kept.load()
-    if arrays is None:
-        arrays = _passed(folder, observations, gaussians, modal, series)
+    count, (width, height) = len(times), observations.size
+    wanted: Wanted = {
+        "viewmats": (np.float64, (count, 4, 4)),
+        "weights": (np.float16, (count, height, width)),
+        "level": (np.float64, (count,)),
+        "seen": (np.float64, (len(gaussians),)),
+    }
+    found = None if kept is None else kept.load(wanted, {"0": count}, len(gaussians))
+    if found is None:
+        arrays, sides = _passed(folder, observations, gaussians, modal, series)
         if kept is not None:
-            kept.save(arrays, ())
+            kept.save(arrays | sides.arrays("0"), ())
+    else:
+        arrays, (sides,) = found
     frames = [replace(f, viewmat=v) for f, v in zip(observations.frames, arrays["viewmats"], strict=True)]
     views = FrameViews(gaussians, frames, observations.size, arrays["weights"], arrays["level"])
-    clock = SharedClock("", tuple(range(len(frames))), times, Sides.restored(arrays, "0"), series)
+    clock = SharedClock("", tuple(range(len(frames))), times, sides, series)
     observations = replace(observations, frames=frames)
     return Prepared(
         fit, folder, capture, observations, modal, views, (clock,), arrays["seen"].astype(np.float64),
@@ -96,7 +105,7 @@ def _passed(
     gaussians: Gaussians,
     modal: ModalFields,
     series: np.ndarray,
-) -> dict[str, np.ndarray]:
+) -> tuple[dict[str, np.ndarray], Sides]:
     """One pass through the frames."""
     frames, _, _ = corrected_poses(gaussians, observations, 0)
     n, count = len(gaussians), len(frames)
@@ -116,13 +125,13 @@ def _passed(
             _pull_back(out, k, view, left, sides)
             seen += blend_sum(view, np.ones((height, width, 3), np.float32))[:, 0]
             update(k + 1)
-    return {
-        "viewmats": np.stack([f.viewmat for f in frames]),
+    arrays = {
+        "viewmats": np.stack([f.viewmat for f in frames], dtype=np.float64),
         "weights": out.weights,
         "level": out.level,
         "seen": seen,
-        **Sides.of(sides).arrays("0"),
     }
+    return arrays, Sides.of(sides)
 
 
 def _pull_back(out: FrameViews, k: int, view: ViewJacobian, left: np.ndarray, sides: np.ndarray) -> None:

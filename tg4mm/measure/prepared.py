@@ -13,7 +13,7 @@ from tg4mm.capture import Capture, ImageStack, load_capture
 from tg4mm.capture.pictures import FilePictures
 from tg4mm.gaussians import Gaussians
 from tg4mm.measure.errors import MeasureError
-from tg4mm.measure.kept import KeptPass
+from tg4mm.measure.kept import Kept, KeptPass, Wanted
 from tg4mm.measure.modal_fields import ModalFields, clock_phases
 from tg4mm.measure.moving import prepare_moving
 from tg4mm.measure.residuals import (
@@ -33,7 +33,7 @@ from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.jacobian.view import blend_sum
 from tg4mm.motion.modes import MotionFit
 from tg4mm.motion.nuisance.first_look import FixedCameras, look_at, rest_views
-from tg4mm.motion.nuisance.projection import nuisances_of
+from tg4mm.motion.nuisance.projection import COLUMNS, nuisances_of
 from tg4mm.motion.observations import Observations, PosedFrames, observe
 from tg4mm.progress import progress
 from tg4mm.run import Run
@@ -119,12 +119,13 @@ class _Fixed:
 
     def prepared(self) -> Prepared:
         clocks = self._clocks(self.observations.frames)
-        if self.kept is not None and (arrays := self.kept.load()) is not None:
+        found = None if self.kept is None else self._found(self.kept, clocks)
+        if self.kept is not None and found is not None:
+            arrays, sides = found
             means = unpacked_mean(arrays["mean"])
             views = self._views(self.observations.frames, means, arrays["active"].astype(bool))
             weights = arrays["weights"].astype(np.float32) * arrays["unit"][:, None, None]
             views = [replace(v, weights=w) for v, w in zip(views, weights, strict=True)]
-            sides = [Sides.restored(arrays, str(c)) for c in range(len(clocks))]
             notes = tuple(self.kept.notes)
         else:
             seen = self._seen()
@@ -141,6 +142,18 @@ class _Fixed:
             self.fit, self.folder, self.capture, self.observations, self.modal, views, tuple(clocks),
             seen_weights(views, len(self.gaussians)), notes,
         )  # fmt: skip
+
+    def _found(self, kept: KeptPass, clocks: Sequence[SharedClock]) -> Kept | None:
+        """What an earlier call has kept."""
+        count, (width, height) = len(self.observations.frames), self.observations.size
+        wanted: Wanted = {
+            "mean": (np.int16, (count, height, width, 3)),
+            "active": (np.uint8, (count, COLUMNS)),
+            "weights": (np.float16, (count, height, width)),
+            "unit": (np.float32, (count,)),
+        }
+        n_frames = {str(c): len(clock.times_s) for c, clock in enumerate(clocks)}
+        return kept.load(wanted, n_frames, len(self.gaussians))
 
     def _seen(self) -> FixedCameras:
         """Nuisance columns and means as the motion stage finds them, and pictures turned back where cameras shake."""

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from tg4mm.motion.jacobian.packed import DOF
 
@@ -67,6 +68,27 @@ class Sides:
         return {f"rows_{name}": self.rows, f"values_{name}": self.values, f"steps_{name}": self.steps}
 
     @staticmethod
-    def restored(arrays: Mapping[str, np.ndarray], name: str) -> Sides:
-        """From what `arrays` gave. Raises KeyError where they are not there."""
-        return Sides(*(arrays[f"{part}_{name}"] for part in ("rows", "values", "steps")))
+    def restored(arrays: Mapping[str, np.ndarray], name: str, n_frames: int, n_gaussians: int) -> Sides:
+        """From what `arrays` gave of so many frames and Gaussians. Raises ValueError for anything else."""
+        rows = arrays.get(f"rows_{name}", np.zeros(0))
+        of_rows = (HALVES, len(np.atleast_1d(rows)), DOF)
+        wanted = {
+            f"rows_{name}": (np.int32, of_rows[1:2]),
+            f"values_{name}": (np.int8, (HALVES, n_frames, *of_rows[1:])),
+            f"steps_{name}": (np.float32, of_rows),
+        }
+        check_arrays(arrays, wanted)
+        if len(rows) and (rows[0] < 0 or rows[-1] >= n_gaussians or (np.diff(rows) <= 0).any()):
+            raise ValueError(f"rows_{name} does not number {n_gaussians} Gaussians")
+        return Sides(*(arrays[key] for key in wanted))
+
+
+def check_arrays(
+    arrays: Mapping[str, np.ndarray], wanted: Mapping[str, tuple[DTypeLike, tuple[int, ...]]]
+) -> None:
+    """Raises ValueError where one of them is not there, or of another type or shape."""
+    for name, (kind, shape) in wanted.items():
+        found = arrays.get(name)
+        if found is None or found.dtype != kind or found.shape != shape:
+            said = "absent" if found is None else f"{found.dtype} {found.shape}"
+            raise ValueError(f"{name} is {said}, expected {np.dtype(kind)} {shape}")

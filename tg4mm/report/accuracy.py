@@ -46,7 +46,7 @@ def accuracy_section(m: Material) -> list[Section]:
 
 def _reminder(scored: list[dict[str, Any]]) -> Block:
     last = scored[-1]
-    still, alpha = last["rows"]["nothing moves"]["ssim"], last["alpha"]
+    still, alpha = last["rows"].get("nothing moves", {}).get("ssim"), last["alpha"]
     ceiling = last["rows"].get("ceiling", {}).get("ssim")
     if still is None:
         return Text("The images are too small for SSIM's window of 11 × 11 pixels.", "note")

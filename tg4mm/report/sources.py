@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from tg4mm.capture import Capture, load_images
-from tg4mm.errors import RunError
+from tg4mm.evaluate.figures_file import read_figures
 from tg4mm.evaluate.weights import blending_weights
-from tg4mm.files import json_digest
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.modes import ModalMotion
 from tg4mm.render.frames import to_bytes
@@ -19,7 +18,6 @@ from tg4mm.report.maps import in_band, strongest
 from tg4mm.result.advice import suggested_alpha
 from tg4mm.result.read import Reading
 from tg4mm.run import Run
-from tg4mm.untrusted import read_json
 
 METRICS = "metrics.json"
 
@@ -78,13 +76,13 @@ def choose_alpha(
 def metrics_of(run: Run) -> dict[str, Any]:
     """RUN/metrics.json where it is newer than the model; else the run is evaluated, if its dataset has ground truth.
 
-    {} without ground truth. Raises RunError for a file of another kind.
+    {} without ground truth. Raises RunError for a file that is damaged or of another kind.
     """
     dataset, path = run.dataset, run.path / METRICS
     if not alphas_with_truth(dataset) and not (dataset / "truth" / "motion.npz").exists():
         return {}
     if path.exists() and path.stat().st_mtime >= _made(run):
-        return _checked(path)
+        return read_figures(path)
     from tg4mm.evaluate import evaluate_run
 
     return evaluate_run(run)
@@ -93,22 +91,6 @@ def metrics_of(run: Run) -> dict[str, Any]:
 def _made(run: Run) -> float:
     files = [run.part_file(name) for name in ("space", "motion")]
     return max(file.stat().st_mtime for file in files if file.exists())
-
-
-def _checked(path: Path) -> dict[str, Any]:
-    try:
-        found = read_json(path, finite=True)
-    except ValueError:
-        raise RunError(f"{path} is not JSON; delete it, and the report evaluates the run again") from None
-    if not isinstance(found, dict) or found.get("format") != "tg4mm-metrics":
-        kind = found.get("format") if isinstance(found, dict) else type(found).__name__
-        raise RunError(
-            f"{path} has the format {kind!r}, expected 'tg4mm-metrics'; delete it to evaluate again"
-        )
-    digest = found.get("digest")  # absent from figures of before there was one
-    if digest is not None and digest != json_digest({k: v for k, v in found.items() if k != "digest"}):
-        raise RunError(f"{path} is damaged or edited; delete it, and the report evaluates the run again")
-    return found
 
 
 def contact_images(train: Capture, most: int = 30) -> list[np.ndarray]:

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
+from tg4mm.capture.decode import decode
 from tg4mm.capture.model import SurfacePoints
 from tg4mm.sfm.clip import Clip, Window
 from tg4mm.sfm.dataset import Track, write_dataset
@@ -29,7 +29,7 @@ def write_flat(
     width, height = survey.size
     focal = float(max(width, height))
     K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
-    points = plane_points(np.asarray(Image.open(survey.mean).convert("RGB")), focal)
+    points = plane_points(decode(survey.mean)[..., :3], focal)
     viewmats = np.tile(VIEWMAT, (len(survey), 1, 1))
     track = Track(clip.name, clip, Lens(K, survey.size, None), viewmats, times_s, window=window)
     write_dataset(out, [track], points, scene | {"pixels_per_unit": focal, "unit_scale_m": None})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
 from collections.abc import Sequence
@@ -10,11 +11,13 @@ from typing import Any
 from urllib.parse import unquote
 
 from tg4mm.errors import CaptureError
+from tg4mm.form import read_formed, write_sealed
 from tg4mm.progress import progress
 from tg4mm.sfm.engine import colmap, extract, match
 from tg4mm.sfm.pairs import Pair, left_pairs, likely_pairs
 
 FEWEST_FEATURES = 20  # in a picture, for it to be placed at all
+_DIGESTS = "digests.json"  # beside COLMAP's files
 FEWEST_INLIERS = 15  # that COLMAP asks of the picture it places
 
 
@@ -86,12 +89,33 @@ def mapper_options(c: Any, seed: int, threads: int) -> Any:
 
 
 def save_model(model: Any, folder: Path) -> None:
-    """Write the model as `folder`, whole or not at all."""
+    """Write the model as `folder`, whole or not at all, with digests of its files."""
     temporary = folder.with_name(f".{folder.name}.tmp")
     shutil.rmtree(temporary, ignore_errors=True)
     temporary.mkdir(parents=True)
     model.write(temporary)
+    write_sealed(temporary / _DIGESTS, _digests(temporary))
     os.replace(temporary, folder)
+
+
+def saved_model(folder: Path) -> Any:
+    """The pycolmap Reconstruction that `save_model` wrote.
+
+    Raises CaptureError for files that are not as they were written: COLMAP's reader trusts what it finds.
+    """
+    try:
+        is_whole = read_formed(folder / _DIGESTS, {str: str}) == _digests(folder)
+    except (OSError, ValueError):
+        is_whole = False
+    if not is_whole:
+        raise CaptureError(f"{folder}: is not as COLMAP wrote it; remove it and give the command again")
+    return colmap("tg4mm sfm").Reconstruction(folder)
+
+
+def _digests(folder: Path) -> dict[str, str]:
+    """SHA-256 of a model's files, by name."""
+    files = sorted(path for path in folder.iterdir() if path.name != _DIGESTS)
+    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
 
 
 def registered(model: Any) -> dict[str, Any]:

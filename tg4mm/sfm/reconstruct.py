@@ -32,6 +32,7 @@ from tg4mm.sfm.mapping import (
     find_poses,
     registered,
     save_model,
+    saved_model,
     shown_names,
 )
 from tg4mm.sfm.pairs import CHOSEN_FROM, EXHAUSTIVE_MOST, Pair, picture_pairs
@@ -231,11 +232,10 @@ def _sweep(job: _Job) -> tuple[Path, ...]:
 
 def _model(job: _Job, taken: list[Shot]) -> Any:
     """The pycolmap Reconstruction, found or read again."""
-    c = colmap("tg4mm sfm")
     work, config = job.work.folder, job.config
     sparse = work / "sparse" / "0"
     if sparse.is_dir():
-        return c.Reconstruction(sparse)
+        return saved_model(sparse)
     check_sizes(taken)
     _check_enough(job.sources)
     if len(taken) < FEWEST:
@@ -279,7 +279,7 @@ def _moving_model(job: _Job, taken: list[Shot], place: Workplace) -> Any:
     first = [shot for shot in taken if shot.clip == SWEEP or shot.index in keys]
     folder = job.work.folder / "sparse" / "keys"
     if folder.is_dir():
-        model = colmap("tg4mm sfm").Reconstruction(folder)
+        model = saved_model(folder)
     else:
         try:
             model = _first_model(job, first, place)

@@ -169,9 +169,9 @@ def make_database(taken: list[Shot], folder: Path, camera_model: str, focal_px: 
 
 def _params(c, picture: Path, camera_model: str, focal_px: float) -> str:
     """COLMAP's list of parameters: the focal lengths, the picture's centre, no distortion."""
-    with Image.open(picture) as image:
-        width, height = image.size
-    camera = c.Camera.create_from_model_name(c.INVALID_CAMERA_ID, camera_model, focal_px, width, height)
+    header = image_header(picture)
+    size = header.width, header.height
+    camera = c.Camera.create_from_model_name(c.INVALID_CAMERA_ID, camera_model, focal_px, *size)
     return ", ".join(repr(float(x)) for x in camera.params)
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import SplatFileError
-from ..temporary import clean_once, temporary_name
+from ..temporary import clean_once, flush, temporary_name
 from . import layout
 from .model import SplatFile
 
@@ -48,6 +48,7 @@ def replacing(path: Path) -> Iterator[Path]:
     temporary = temporary_name(path, path.suffix)
     try:
         yield temporary
+        flush(temporary)
         os.replace(temporary, path)
     except OSError as error:
         raise SplatFileError(f"{path}: cannot be written: {error.strerror or error}") from error

@@ -1,0 +1,213 @@
+"""Readers of the generator and of sfm: reports of datasets, what a killed job leaves, meshes, COLMAP's model."""
+
+from __future__ import annotations
+
+import gzip
+import json
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from tests.faults.containers import of_npz, of_png, of_sealed
+from tests.faults.mutate import of_bytes, of_header, of_json
+from tests.faults.reader import Reader, record, sealed
+
+SUMMARY: dict[str, Any] = {
+    "format": "tg4mm-dataset-summary", "scene": "mic", "frequencies_hz": [5.0, None], "amplitude": 0.02,
+    "bytes": 1234567, "pixels_max": 0.5, "pixels_p95": 0.4, "still_area": 0.9,
+    "scores": [{"alpha": 5, "still_psnr_db": 31.5, "perfect_psnr_db": None}],
+}  # fmt: skip
+TIMING = {"pictures": 12, "seconds": 34.5, "processes": 2}
+
+
+def _summary(root: Path) -> Path:
+    (root / "mic").mkdir()
+    _thumbnail(root)
+    return sealed("summary.json", SUMMARY, "mic", "report")(root)
+
+
+def _thumbnail(root: Path) -> Path:
+    from PIL import Image
+
+    folder = root / "mic" / "report"
+    folder.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(np.random.default_rng(0).integers(0, 256, (8, 12, 3), np.uint8)).save(
+        folder / "thumbnail.png"
+    )
+    return folder / "thumbnail.png"
+
+
+def _read_overview(root: Path) -> None:
+    from dataset_gen.errors import GenerateError
+    from dataset_gen.report.overview import Entry, _summary, overview
+    from tg4mm.report.page import render_page
+
+    entry = Entry(root / "mic", _summary(root / "mic"))
+    page = render_page(overview([entry]))
+    if not entry.summary or "cannot be read" in page:
+        raise GenerateError("the page does without it")
+
+
+def _read_timing(root: Path) -> None:
+    from dataset_gen.report.closing import _timing
+
+    _timing(SimpleNamespace(dataset=SimpleNamespace(root=root)))  # type: ignore[arg-type]
+
+
+def _read_former_timing(root: Path) -> None:
+    from dataset_gen.errors import GenerateError
+    from dataset_gen.processes import RunFailed
+    from dataset_gen.run import _timing
+
+    try:
+        found = _timing(root / "report" / "timing.json")
+    except RunFailed as error:
+        raise GenerateError(str(error)) from None
+    json.dumps({key: found[key] + 1 for key in found}, allow_nan=False)
+
+
+def _view_of_points(root: Path) -> Path:
+    rng = np.random.default_rng(0)
+    np.savez(root / "r_000.npz", index=np.arange(0, 20, 3), colour=rng.random((7, 3)), weight=rng.random(7))
+    return root / "r_000.npz"
+
+
+def _read_view_of_points(root: Path) -> None:
+    from dataset_gen.errors import GenerateError
+    from dataset_gen.points import merge, read_view
+
+    try:
+        view = read_view(root / "r_000.npz", 8)
+    except ValueError as error:
+        raise GenerateError(str(error)) from None
+    merge([view, view], 8)
+
+
+def _mesh(kind: str) -> Callable[[Path], Path]:
+    def make(root: Path) -> Path:
+        properties = "".join(f"property float {axis}\n" for axis in "xyz")
+        head = f"ply\nformat {kind} 1.0\ncomment a mesh\nelement vertex 4\n{properties}"
+        head += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+        rows = np.arange(12, dtype="<f4").reshape(4, 3)
+        body = rows.tobytes() + b"\x03" + np.arange(3, dtype="<i4").tobytes()
+        if kind == "ascii":
+            body = "\n".join([*(" ".join(map(str, row)) for row in rows.tolist()), "3 0 1 2\n"]).encode()
+        (root / "a.ply").write_bytes(head.encode() + body)
+        return root / "a.ply"
+
+    return make
+
+
+def _read_mesh(root: Path) -> None:
+    from dataset_gen.sources.ply import count_not_finite
+
+    count_not_finite(root / "a.ply")
+
+
+def _picture(root: Path) -> Path:
+    from dataset_gen import exr
+
+    pixels = np.random.default_rng(0).random((8, 12, 4)).astype(np.float32)
+    (root / "a.exr").write_bytes(exr.encode(pixels))
+    return root / "a.exr"
+
+
+def _read_picture(root: Path) -> None:
+    from dataset_gen.report.dataset import read_picture
+
+    read_picture(root / "a.exr")
+
+
+def _pixels(root: Path) -> Path:
+    from tests.dataset_gen.planes import Plane
+
+    made = Plane(root / "set")
+    made.write(alphas=())
+    made.truth()
+    return made.root / "truth" / "test" / "002" / "r_000.exr"
+
+
+def _read_pixels(root: Path) -> None:
+    from dataset_gen.report.dataset import read_dataset
+    from dataset_gen.report.pixels import motion_from_truth, seen_motion
+
+    dataset = read_dataset(root / "set")
+    seen = seen_motion(dataset, [v for v in dataset.views["test"] if v.timestep == 2])
+    assert seen is not None
+    motion_from_truth(seen, 0.02)
+
+
+def _blend(packed: bool) -> Callable[[Path], Path]:
+    def make(root: Path) -> Path:
+        data = b"BLENDER-v405" + bytes(range(256)) * 8 + b"ENDB" + bytes(20)
+        (root / "a.blend").write_bytes(gzip.compress(data, mtime=0) if packed else data)
+        return root / "a.blend"
+
+    return make
+
+
+def _read_blend(root: Path) -> None:
+    from dataset_gen.sources.header import check
+
+    check(root / "a.blend", (4, 5))
+
+
+def _sparse(name: str) -> Callable[[Path], Path]:
+    """A model that COLMAP itself has written."""
+
+    def make(root: Path) -> Path:
+        from tg4mm.sfm.engine import colmap
+        from tg4mm.sfm.mapping import save_model
+
+        c = colmap("a test")
+        model = c.Reconstruction()
+        camera = c.Camera(model="SIMPLE_RADIAL", width=12, height=8, params=[20, 6, 4, 0.01], camera_id=1)
+        model.add_camera_with_trivial_rig(camera)
+        for i in (1, 2):
+            keypoints = np.array([[3.0, 4.0], [5.0, 6.0]])
+            image = c.Image(name=f"r_{i}.png", keypoints=keypoints, camera_id=1, image_id=i)
+            pose = c.Rigid3d(np.concatenate([np.eye(3), [[0.1 * i], [0], [4]]], 1))
+            model.add_image_with_trivial_frame(image, pose)
+        for k in range(2):
+            track = c.Track([c.TrackElement(i, k) for i in (1, 2)])
+            model.add_point3D(np.array([0.1, 0.2, 0.3 + k]), track, np.array([1, 2, 3], np.uint8))
+        save_model(model, root / "sparse" / "0")
+        return root / "sparse" / "0" / name
+
+    return make
+
+
+def _read_sparse(root: Path) -> None:
+    from tg4mm.sfm.mapping import registered, saved_model
+
+    model = saved_model(root / "sparse" / "0")
+    for image in registered(model).values():
+        image.cam_from_world().matrix()
+        model.cameras[image.camera_id].calibration_matrix()
+    for point in model.points3D.values():
+        [element.image_id for element in point.track.elements]
+
+
+DATASETS: dict[str, Reader] = {
+    "dataset overview: summary.json": Reader(_summary, _read_overview, of_sealed),
+    "dataset overview: thumbnail": Reader(
+        lambda root: (_summary(root), _thumbnail(root))[1], _read_overview, of_png
+    ),
+    "dataset report: timing.json": Reader(record("timing.json", TIMING, "report"), _read_timing, of_json),
+    "dataset report: picture, EXR": Reader(_picture, _read_picture, of_bytes),
+    "dataset report: truth, EXR": Reader(_pixels, _read_pixels, of_bytes),
+    "generate: timing.json": Reader(record("timing.json", TIMING, "report"), _read_former_timing, of_json),
+    "generate: a view's points": Reader(_view_of_points, _read_view_of_points, of_npz),
+    "generate: mesh PLY": Reader(_mesh("binary_little_endian"), _read_mesh, of_header),
+    "generate: .blend header": Reader(_blend(packed=False), _read_blend, of_bytes),
+    "generate: .blend header, packed": Reader(_blend(packed=True), _read_blend, of_bytes),
+    **{
+        f"sfm sparse/0/{name}": Reader(_sparse(name), _read_sparse, of_bytes)
+        for name in ("cameras.bin", "images.bin", "points3D.bin", "rigs.bin", "frames.bin")
+    },
+    "sfm sparse/0/digests.json": Reader(_sparse("digests.json"), _read_sparse, of_sealed),
+    "generate: mesh PLY, ASCII": Reader(_mesh("ascii"), _read_mesh, of_header),
+}

@@ -1,0 +1,289 @@
+"""Readers of what tg4mm keeps for itself: scores, records of renderings, benchmarks, caches."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+
+from tests.faults.containers import of_sealed, of_tensors
+from tests.faults.mutate import of_bytes, of_json
+from tests.faults.reader import Reader, record, sealed
+from tg4mm.errors import RunError
+
+ROW = {"psnr_db": 31.25, "ssim": 0.91, "flip": 0.05, "lpips": None}
+FREQUENCY = {
+    "frequency_hz": 5.0, "amplitude_true": 0.02, "amplitude_estimated": 0.018, "amplitude_ratio": 0.9,
+    "relative_error": 0.1, "phase_error_deg": -1.5, "direction_error_deg": None, "mac": 0.99,
+}  # fmt: skip
+DISPLACEMENT = {
+    "relative_error": 0.1, "rms_error": 0.001, "rms_true": 0.01, "rms_estimated": 0.009, "static_leak": None,
+    "static_share": 0.5, "per_frequency": [FREQUENCY], "in_band": {"relative_error": 0.1},
+    "uncertainty": {"said": 0.001, "error": 0.001, "within_two": 0.95},
+}  # fmt: skip
+ROWS = dict.fromkeys(("nothing moves", "ours", "ceiling"), ROW)
+METRICS = {
+    "format": "tg4mm-metrics", "version": 1, "metrics": ["psnr_db", "ssim"],
+    "alphas": [{"alpha": alpha, "n_images": 6, "rows": ROWS, "closure": 0.75} for alpha in (0, 5)],
+    "displacement": DISPLACEMENT, "absent": {"LPIPS": "no weights"}, "notes": ["a note"],
+}  # fmt: skip
+OF_RUN: dict[str, Any] = {
+    "log": {"space": {"seconds": 2.5, "init": "points", "peak_memory_mib": 100.0}, "motion": {"seconds": 1.5}},
+    "seconds": {"space": 2.5, "motion": 1.5, "total": 4.0}, "model": "ab" * 32,
+    "rows": {alpha: dict.fromkeys(("nothing moves", "modal", "ceiling"), ROW) for alpha in ("0", "5", "20")},
+    "displacement": DISPLACEMENT, "notes": ["a note"],
+}  # fmt: skip
+FIGURES = {
+    "version": 3, "request": {"settings": {"space": {"seed": 0}}, "band_hz": [3.5, 6.5]}, **OF_RUN,
+    "n_gaussians": 300, "mib_on_disk": 1.5, "absent": {"LPIPS": "no weights"},
+    "observed": {"displacement_error_observed": 0.1, "observed_share": 0.5},
+}  # fmt: skip
+LINE = {
+    **OF_RUN, "set": "mic", "ways": ["modal"], "overrides": {"space.init": "hull"},
+    "scalars": {"init": "hull", "psnr_rest": 31.0, "n_gaussians": 300, "displacement_error": 0.1, "space_s": None},
+    "ssim_columns": {"α = 5": "5", "α = 20": "20"},
+}  # fmt: skip
+ABLATION = {
+    "format": "tg4mm-bench", "version": 1, "kind": "ablation", "title": "Initialisation", "source": "Table IV",
+    "preset": "modal", "remark": "", "x_label": "", "picture": "ssim", "rows": ["hull", "random"],
+    "columns": ["init", "psnr_rest", "n_gaussians", "displacement_error", "space_s"],
+    "ticks": ["hull", "random"], "curves": ["", ""], "apart": [False, False], "sets": [{"label": "mic"}],
+    "lines": [{**LINE, "row": "hull"}, {**LINE, "row": "random"}], "left_out": [],
+    "made": {
+        **dict.fromkeys(("command", "date", "tg4mm", "python", "torch", "system", "processor"), "x"),
+        "cores": 2, "threads": 1, "load_average": 0.5,
+    },
+}  # fmt: skip
+SCALED = ABLATION | {
+    "picture": "displacement_error", "ticks": ["× 0.5", "× 2"], "curves": ["motion.a", "motion.b"], "x_label": "factor",
+}  # fmt: skip
+
+
+def _read_metrics(root: Path) -> None:
+    """All that the report does with them."""
+    from tg4mm.evaluate.figures_file import read_figures
+    from tg4mm.evaluate.wanted import _is_ours
+    from tg4mm.report import accuracy, summary
+
+    _is_ours(root / "metrics.json")
+    found: Any = SimpleNamespace(
+        metrics=read_figures(root / "metrics.json"), model=SimpleNamespace(motion=None),
+        train=SimpleNamespace(unit_scale_m=0.1), view=SimpleNamespace(alpha=5.0, truth=None),
+    )  # fmt: skip
+    accuracy.accuracy_section(found)
+    summary._ssim_stat(found)
+    summary._error_stat(found)
+
+
+# Benchmarks.
+
+
+def _read_figures(root: Path) -> None:
+    from tg4mm.bench.ablate import _columns
+    from tg4mm.bench.ablations import Row
+    from tg4mm.bench.means import group_means
+    from tg4mm.bench.measure import peak_mib, read_figures
+    from tg4mm.bench.tables import cost_table, modes_table, motion_table, own_ceiling_table
+
+    found = read_figures(root)
+    if found is None:
+        raise RunError("it is made anew")
+    run = {k: v for k, v in found.items() if k not in {"version", "request"}}
+    run |= {"set": "a", "row": "modal", "preset": "modal", "ways": ["modal"], "overrides": {}}
+    run |= {"peak_memory_mib": peak_mib(found["log"])}
+    results: dict[str, Any] = {"sets": [{"label": "a", "group": "g"}], "runs": [run], "lines": []}
+    results["means"] = group_means(results)
+    for table in (motion_table, modes_table, cost_table, own_ceiling_table):
+        table(results, "g")
+    _columns(Row("a"), found)
+
+
+def _read_scores(root: Path) -> None:
+    from tg4mm.bench.jobs import _Kept
+    from tg4mm.bench.means import line_means
+    from tg4mm.bench.scored import with_closure
+    from tg4mm.bench.tables import pivots
+
+    found = [entry["scores"] for entry in _Kept(root / "scores.json").entries.values()]
+    if not found:
+        raise RunError("it is made anew")
+    names = ["nothing moves", "ceiling", *map(str, range(len(found)))]
+    with_closure(dict(zip(names, found, strict=False)), "nothing moves", "ceiling")
+    lines = [
+        {"set": "a", "row": str(i), "alphas": {"5": s}, "frames_per_s": None} for i, s in enumerate(found)
+    ]
+    list(pivots(line_means(lines, {"a": "g"}), "g"))
+
+
+def _read_rendered(root: Path) -> None:
+    """Not what is rendered where it is of no use."""
+    from tg4mm.bench import jobs
+
+    def render(*_: Any) -> Any:
+        raise RunError("it is made anew")
+
+    method: Any = SimpleNamespace(recipe=lambda *_: {}, render=render)
+    data, capture = SimpleNamespace(digest="a"), [0]
+    found = jobs.rendered(method, "ours", data, root, capture, 20, None)  # type: ignore[arg-type]
+    np.median([found["frames_per_s"] or 0.0])
+
+
+def _rendered(root: Path) -> Path:
+    from tg4mm.bench.jobs import _digest
+
+    values = {"recipe": _digest({"data": "a", "alpha": 20}), "n_images": 6, "frames_per_s": 31.5}
+    return sealed("x020.json", values, "pictures", "ours")(root)
+
+
+def _read_ablation(root: Path) -> None:
+    from tg4mm.bench.ablation_file import read_ablation
+    from tg4mm.bench.html import _ablation
+
+    _ablation(read_ablation(root))
+
+
+def _read_bench(root: Path) -> None:
+    from tg4mm.bench.folder import open_folder
+
+    open_folder(root / "out", "scenes")
+
+
+def _read_complete(root: Path) -> None:
+    from tg4mm.bench.amplitudes import _is_done
+
+    _is_done(root, ["mic", "--out", "a"])
+
+
+def _scene(root: Path) -> Path:
+    """A set as the generator would make it of a scene of its own."""
+    import json
+
+    from tests.helpers.synthetic import make_synthetic_dataset
+
+    make_synthetic_dataset(
+        root / "set", n_views=2, n_timesteps=4, size=16, freqs=(5.0,), alphas=(5,), n_test=1
+    )
+    file = root / "set" / "scene.json"
+    own = {"scene": "mic", "cameras": {"kind": "orbit"}, "engine": {"samples": 4}, "n_test": 1, "seed": 0}
+    file.write_text(json.dumps(json.loads(file.read_text()) | own | {"frequency_hz": 5.0, "images": "png8"}))
+    return file
+
+
+def _read_scene(root: Path) -> None:
+    from tg4mm.bench.amplitudes import generator_arguments
+    from tg4mm.bench.sets import open_set
+
+    generator_arguments(open_set(root / "set", "a"), 0.1, root / "made")
+
+
+# Runs.
+
+
+def _render_record(root: Path) -> Path:
+    _claim(root, make=True)
+    return root / "out" / "render.json"
+
+
+def _claim(root: Path, make: bool = False) -> None:
+    from tests.faults.readers import _run
+    from tg4mm.render.cameras import Camera
+    from tg4mm.render.sequence import RenderRequest, claim
+    from tg4mm.run import Run
+
+    if make:
+        _run("config.json")(root)
+    camera = Camera("r_000", np.eye(4), np.eye(3), 12, 8)
+    claim(root / "out", Run.open(root / "run"), RenderRequest(alpha=5.0), [camera], "sequence")
+
+
+def _embeddings(name: str) -> Callable[[Path], Path]:
+    def make(root: Path) -> Path:
+        _make_embeddings(root)
+        (file,) = (root / "run" / "magnified").glob(f"*.{name}")
+        return file
+
+    return make
+
+
+def _plan() -> Any:
+    from tg4mm.magnify import BandGain, Magnification
+
+    return Magnification((BandGain(4, 6, 5.0),), method="linear")
+
+
+def _make_embeddings(root: Path) -> None:
+    import torch
+
+    from tests.faults.readers import T, _paper
+    from tg4mm.magnify.embeddings import series_of
+    from tg4mm.paper.model import load_model, save_planes
+    from tg4mm.run import Run
+
+    _paper("config.json")(root)
+    run = Run.open(root / "run")
+    cells = len(load_model(run).cells)
+    for t in range(1, T):
+        save_planes(run, t, torch.zeros(cells, 2))
+    series_of(run, "linear", _plan())
+
+
+def _read_embeddings(root: Path) -> None:
+    """Not what is made where they are of no use, which would write."""
+    from tg4mm.magnify import embeddings
+    from tg4mm.run import Run
+
+    def anew(*_: Any) -> None:
+        raise RunError("they are made anew")
+
+    with patch.object(embeddings, "_make", anew):
+        embeddings.series_of(Run.open(root / "run"), "linear", _plan()).at(0.5)
+
+
+def _pass(root: Path) -> Path:
+    from tests.measure.filmed import modes, of_parts, run_of, sine
+    from tg4mm.measure import prepare
+
+    prepare(run_of(root, of_parts(ball=sine(5.0, [0.01, 0, 0])), modes({}, 6), n_timesteps=6, n_views=2))
+    return root / "run" / "residuals.safetensors"
+
+
+def _read_pass(root: Path) -> None:
+    """Not the pictures where it is of no use."""
+    from tg4mm.measure import prepare, prepared
+    from tg4mm.measure.measurement import measure_one
+    from tg4mm.measure.sensors import Sensor
+    from tg4mm.run import Run
+
+    def anew(*_: Any) -> None:
+        raise RunError("the pictures are read again")
+
+    with patch.object(prepared._Fixed, "_seen", anew):
+        measure_one(prepare(Run.open(root / "run"), keep=False), Sensor("all", "all", ()))
+
+
+RESULTS: dict[str, Reader] = {
+    "metrics.json": Reader(sealed("metrics.json", METRICS), _read_metrics, of_sealed),
+    "render.json": Reader(_render_record, _claim, of_json),
+    "magnified, record": Reader(_embeddings("json"), _read_embeddings, of_json),
+    "magnified, embeddings": Reader(_embeddings("f32"), _read_embeddings, of_bytes),
+    "measure's kept pass": Reader(_pass, _read_pass, of_tensors),
+    "bench figures.json": Reader(sealed("figures.json", FIGURES), _read_figures, of_sealed),
+    "bench scores.json": Reader(
+        sealed("scores.json", {"version": 1, "entries": {f"a {i}": {"asked": "x", "scores": ROW} for i in range(3)}}),
+        _read_scores, of_sealed,
+    ),
+    "bench x020.json": Reader(_rendered, _read_rendered, of_sealed),
+    "bench results.json": Reader(sealed("results.json", ABLATION), _read_ablation, of_sealed),
+    "bench results.json, scaled": Reader(sealed("results.json", SCALED), _read_ablation, of_sealed),
+    "bench bench.json": Reader(
+        record("bench.json", {"format": "tg4mm-bench", "version": 1, "kind": "scenes"}, "out"), _read_bench, of_json
+    ),
+    "bench complete.json": Reader(
+        record("complete.json", {"arguments": ["mic", "--out", "a"]}), _read_complete, of_json
+    ),
+    "bench scene.json": Reader(_scene, _read_scene, of_json),
+}  # fmt: skip
