@@ -31,8 +31,8 @@ from tg4mm.motion.animate import displacement_at
 from tg4mm.motion.checkpoints import no_checkpoint
 from tg4mm.motion.nuisance.first_look import look_at
 from tg4mm.motion.observations import observe
-from tg4mm.motion.spectrum import series_modes
 from tg4mm.motion.temporal.synchronous import principal_components
+from tg4mm.phasors import series_modes
 from tg4mm.run import Run
 from tg4mm.space import SpaceConfig, rest_views
 from tg4mm.stages.motion import train_motion

@@ -1,8 +1,21 @@
-"""What the phasors of many Gaussians say as single figures: how far, which way, how far most of them."""
+"""Phasors: those of a series over time; what many say as single figures: how far, which way, how far most of them."""
 
 from __future__ import annotations
 
 import numpy as np
+
+
+def series_modes(series: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies [K] Hz and phasors [K, …] complex64 of a series [T, …]: 0 Hz and all other DFT bins.
+
+    Σ_k Re[m_k exp(i 2π f_k t / fps)] is the series at every timestep.
+    """
+    n = len(series)
+    spectrum = np.fft.rfft(series, axis=0) * (2 / n)
+    spectrum[0] /= 2
+    if n % 2 == 0:
+        spectrum[-1] /= 2  # the Nyquist bin has no mirror image
+    return np.fft.rfftfreq(n, 1 / fps), spectrum.astype(np.complex64)
 
 
 def peak_displacement(phasors: np.ndarray) -> np.ndarray:

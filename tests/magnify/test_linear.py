@@ -10,7 +10,7 @@ from tg4mm.magnify.filters import bins
 from tg4mm.magnify.linear import magnified_motion, magnified_series
 from tg4mm.motion.animate import displacement_at, rotation_at
 from tg4mm.motion.modes import ModalMotion
-from tg4mm.motion.spectrum import series_modes
+from tg4mm.phasors import series_modes
 
 FPS = 30.0
 IDEAL = TemporalFilter("ideal")

@@ -92,8 +92,8 @@ def operator(p: Problem, smoothness: float = 3.0, weighted: bool = False) -> Cpu
 
 def draw(o: CpuOperator, seed: int, count: int = 1) -> np.ndarray:
     """θ [count, P, 3]."""
-    size = (count, o.preconditioner.n_parameters, 3)
-    return np.random.default_rng(seed).normal(size=size).astype(np.float32)
+    n = 4 * len(o.preconditioner.blocks) + len(o.preconditioner.coarse_factor)
+    return np.random.default_rng(seed).normal(size=(count, n, 3)).astype(np.float32)
 
 
 def inner(a: np.ndarray, b: np.ndarray) -> float:

@@ -39,6 +39,6 @@ def test_poses_are_those_of_animate(moved, alpha, band):
 
 def test_shared_fields_are_held_once(moved):
     pose = animator(*moved, packed=True)
-    fields, series = pose.args[2:]
+    fields, series = pose.args[2:4]
     assert fields.shape == (R, 6 * N)
     assert series.shape == (K, R)

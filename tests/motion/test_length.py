@@ -16,7 +16,7 @@ from tg4mm.evaluate.displacement import displacement_figures
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion import ModalMotion, MotionConfig
 from tg4mm.motion.animate import animate, displacement_at
-from tg4mm.motion.spectrum import series_modes
+from tg4mm.phasors import series_modes
 from tg4mm.rasterize import rasterization
 from tg4mm.run import Run
 from tg4mm.stages.motion import train_motion

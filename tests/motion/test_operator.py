@@ -266,8 +266,7 @@ def test_mixing_by_the_identity_is_none() -> None:
 def folds(p: Problem, by_pixels: bool) -> list[Fold]:
     if not by_pixels:
         return [Fold(np.array([k])) for k in (0, 1)]
-    height, width = p.size
-    board, rows = chessboard((width, height)), np.arange(2)
+    board, rows = chessboard(p.size), np.arange(2)
     return [Fold(rows, board), Fold(rows, 1 - board)]
 
 

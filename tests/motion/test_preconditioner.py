@@ -92,7 +92,7 @@ def test_the_inverse_by_halves_is_the_inverse(n: int) -> None:
 
 def test_from_field_is_the_transpose() -> None:
     pre, rng = operator(problem()).preconditioner, np.random.default_rng(1)
-    theta = rng.normal(size=(pre.n_parameters, 3)).astype(np.float32)
+    theta = rng.normal(size=(4 * len(pre.blocks) + len(pre.coarse_factor), 3)).astype(np.float32)
     v = rng.normal(size=(len(pre.blocks) * ROWS, 3)).astype(np.float32)
     one, other = inner(pre.field(theta), v), inner(pre.from_field(v), theta)
     assert abs(one - other) < 1e-5 * np.linalg.norm(pre.field(theta)) * np.linalg.norm(v)

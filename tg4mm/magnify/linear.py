@@ -14,7 +14,7 @@ from tg4mm.magnify.bands import Magnification
 from tg4mm.magnify.filters import apply_response
 from tg4mm.motion.animate import displacement_at, mode_gains, rotation_at
 from tg4mm.motion.modes import ModalMotion
-from tg4mm.motion.spectrum import series_modes
+from tg4mm.phasors import series_modes
 
 
 def magnified_series(series: np.ndarray, response: np.ndarray) -> np.ndarray:

@@ -39,9 +39,9 @@ class MotionResidual:
     def of(self, fold: Fold, some: np.ndarray) -> Iterator[np.ndarray]:
         """[s, H, W, 3] of each view of a fold, for `some` of the R components."""
         for v in fold.views:
-            residual = self.pictures[v, self.rows[some]] - self.problem.views[v].jvp(self.fields[some])
+            targets = self.pictures[v, self.rows[some]]
+            yield self.problem.residual(v, targets, self.fields[some])
             release(self.pictures)
-            yield self.problem.without_nuisance(v, residual)
 
 
 @dataclass(frozen=True)

@@ -12,15 +12,14 @@ The Jacobians are taken at few states for all timesteps (`knots.py`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 
 from tg4mm.gaussians import Gaussians
-from tg4mm.motion.checkpoints import Checkpoint, arrays_of, gaussians_of
+from tg4mm.motion.checkpoints import Arrays, Checkpoint, arrays_of, gaussians_of
 from tg4mm.motion.config import MotionConfig, more_iterations
 from tg4mm.motion.hyperparameters import Hyperparameters, chosen_weight, pixel_weights
 from tg4mm.motion.jacobian.view import ViewJacobian
@@ -54,13 +53,13 @@ class GaussNewtonState:
     errors: Errors  # of the residual
     is_over: bool = False
 
-    def arrays(self) -> dict[str, np.ndarray]:
+    def arrays(self) -> Arrays:
         """For a checkpoint."""
         figures = self.smoothness_weight, self.errors.changes, self.errors.total, float(self.is_over)
         return arrays_of(self.gaussians) | {"fold_fields": self.fold_fields, "figures": np.array(figures)}
 
     @staticmethod
-    def restored(arrays: dict[str, np.ndarray]) -> GaussNewtonState:
+    def restored(arrays: Arrays) -> GaussNewtonState:
         """From what `arrays` gave."""
         weight, changes, total, is_over = (float(f) for f in arrays["figures"])
         errors = Errors(changes, total)
@@ -128,7 +127,12 @@ class GaussNewton:
                 def tell(done: int, k: int = k, **figures: Any) -> None:
                     update(k * units + done, iteration=k + 1, **figures)
 
-                before, compute = state, partial(self._iterated_arrays, state, observed, k, tell)
+                def compute(
+                    state: GaussNewtonState = state, k: int = k, tell: Callable[..., None] = tell
+                ) -> Arrays:
+                    return self._iterated(state, observed, k, tell).arrays()
+
+                before = state
                 state = GaussNewtonState.restored(checkpoint(f"gauss_newton_{k}", compute))
                 if state.errors.changes < before.errors.changes:
                     misfits.append(state.errors.changes)
@@ -140,11 +144,6 @@ class GaussNewton:
     def _costs(self) -> int:
         """Steps of refining that an iteration of conjugate gradients takes."""
         return max(2 * len(self.observations.frames) // len(self.folds), 1)
-
-    def _iterated_arrays(
-        self, state: GaussNewtonState, observed: StateObservations, k: int, tell: Callable[..., None]
-    ) -> dict[str, np.ndarray]:
-        return self._iterated(state, observed, k, tell).arrays()
 
     def _iterated(
         self, state: GaussNewtonState, observed: StateObservations, k: int, tell: Callable[..., None]
@@ -190,40 +189,37 @@ class GaussNewton:
         problem = problem.changed(pixel_weights=self.weights)
         fields, _ = wiener_shrink(state.fold_fields)
         weight = state.smoothness_weight
+        residuals, _ = observed.residuals(state.gaussians, fields, self.device)
         if not self.config.smoothness_weight and len(self.folds) == 2:
-            images = self.target_images(views, state.gaussians, fields, observed)
+            images = rest_targets(observed, residuals, views, fields, range(len(views)))
             target = np.stack([own[:1].copy() for own in images])
             iterations = round(_FOR_WEIGHT * more_iterations(len(state.gaussians)))
             weight = chosen_weight(target, problem, self.folds, iterations)
         knots = knots_of(state.gaussians, views, fields, observed, self.observations)
-        residuals, _ = observed.residuals(state.gaussians, fields, self.device)
         solved = []
         for p, fold in enumerate(self.folds):
             targets = targets_at(knots, fold, residuals, fields, observed)
             rest = problem.on_cpu(fold, weight)
             operator, b = coupled_operator(problem, rest, knots, fold, self.nuisances, targets)
-            done = p * self.iterations * self._costs
-            update = partial(self._tell_solve, tell, done)
+
+            def update(done: int, residual: float, p: int = p) -> None:
+                tell((p * self.iterations + done) * self._costs, residual=round(residual, 4))
+
             solution = pcg(operator, b, self.iterations, self.config.tolerance, update=update)
             solved.append(operator.fields(solution.theta))
         return np.stack(solved), weight
 
-    def _tell_solve(self, tell: Callable[..., None], before: int, done: int, residual: float) -> None:
-        tell(before + done * self._costs, residual=round(residual, 4))
 
-    def target_images(
-        self,
-        views: Sequence[ViewJacobian],
-        gaussians: Gaussians,
-        fields: np.ndarray,
-        observed: StateObservations,
-        some: Sequence[int] | None = None,
-    ) -> Iterator[np.ndarray]:
-        """[R, H, W, 3] of one view after the other, or of some: the target images that the motion explains at rest."""
-        residuals, _ = observed.residuals(gaussians, fields, self.device)
-        everything = np.arange(len(observed.states.gains))
-        rows = range(len(views)) if some is None else some
-        return (observed.target_images(v, residuals, everything, views[v].jvp(fields)) for v in rows)
+def rest_targets(
+    observed: StateObservations,
+    residuals: np.ndarray,
+    views: Sequence[ViewJacobian],
+    fields: np.ndarray,
+    rows: Iterable[int],
+) -> Iterator[np.ndarray]:
+    """[R, H, W, 3] of some of the `views` at rest: the target images of fields [R, N, 6] and what they leave."""
+    everything = np.arange(len(observed.states.gains))
+    return (observed.target_images(v, residuals, everything, views[v].jvp(fields)) for v in rows)
 
 
 def gauss_newton(
@@ -233,9 +229,10 @@ def gauss_newton(
     judged: Sequence[int],
     checkpoint: Checkpoint,
 ) -> tuple[Synchronous, np.ndarray, Iterator[np.ndarray], dict[str, Any]]:
-    """From the linear fit's fields [P, R', N, 6] on: the model with its scene at rest and functions of time as they are
+    """From the linear fit's fields [P, R', N, 6] on.
 
-    after the iterations, the folds' fields [P, R, N, 6], target images of the `judged` views, and figures for the log.
+    Gives the model with its scene at rest and functions of time after the iterations, the folds' fields [P, R, N, 6],
+    target images of the `judged` views, and figures for the log.
     """
     problem = model.problem
     loop = GaussNewton(
@@ -245,16 +242,13 @@ def gauss_newton(
     state, misfits, observed = loop.run(model.gaussians, problem.views, folds, weight, checkpoint)
     fields, _ = wiener_shrink(state.fold_fields)
     views = rest_views(state.gaussians, model.observations)
-    images = loop.target_images(views, state.gaussians, fields, observed, judged)
+    residuals, _ = observed.residuals(state.gaussians, fields, problem.device)
+    images = rest_targets(observed, residuals, views, fields, judged)
     figures = {
         "gauss_newton": len(misfits) - 1,
         "misfits": misfits,
         "smoothness_weight": state.smoothness_weight,
     }
     problem = problem.changed(views=views, gaussians=state.gaussians)
-    return (
-        replace(model, gaussians=state.gaussians, problem=problem, fitted=loop.used),
-        state.fold_fields,
-        images,
-        figures,
-    )
+    model = replace(model, gaussians=state.gaussians, problem=problem, fitted=loop.used)
+    return model, state.fold_fields, images, figures

@@ -24,9 +24,7 @@ from tg4mm.motion.solver.problem import Problem
 from tg4mm.motion.targets import TargetImages
 from tg4mm.progress import progress
 
-TOGETHER = (
-    8  # components that share a pass over the views: half the time of eight passes, memory for eight fields
-)
+TOGETHER = 8  # components that share a pass over the views: half the time of eight passes
 _SECOND = 0.5  # of the iterations
 # of one fold p, given its fields [R, N, 6] of the first pass and some of the components: pictures of each of its views
 Correction = Callable[[int, np.ndarray, slice], Iterable[np.ndarray]]

@@ -162,9 +162,7 @@ class MotionFit:
 
     gaussians: Gaussians  # at rest; others than those given where large motion made them sharper
     motion: ModalMotion  # displacement and rotation phasors of every Gaussian
-    uncertainty: dict[
-        str, np.ndarray
-    ]  # RUN/uncertainty.safetensors (docs/conventions.md); empty: not asked for
+    uncertainty: dict[str, np.ndarray]  # RUN/uncertainty.safetensors (docs/conventions.md); may be empty
     figures: dict[str, Any]  # for the log
     notes: list[str] = field(default_factory=list)  # what cannot be told, a line each
     config: MotionConfig = field(default_factory=MotionConfig)  # it was asked for with

@@ -19,7 +19,7 @@ from tg4mm.progress import progress
 
 STRIP_VALUES = 1 << 23  # float32 values of a strip, 32 MiB; compositing it takes about three times that
 _CLOCK = (
-    0.1  # of a frame: time stamps that differ by less, from each other and from even steps, are one clock's
+    0.1  # of a frame: by how much the time stamps of one clock differ, from each other and from even steps
 )
 _AT_ONCE = 8  # whole pictures in memory
 PERIODS = 2.0  # in the record, of the lowest frequency that a fit may hold

@@ -75,20 +75,18 @@ def _fitted(model: TemporalModel, checkpoint: Checkpoint) -> MotionFit:
     if not folds.shape[1]:
         return without_motion(model)
     fields, reliability = wiener_shrink(folds)
-    pixels = model.pixels_moved(fields)
+    pixels, rows = model.pixels_moved(fields), _judged(len(model.problem.views))
     figures: dict[str, Any] = {"pixels_moved": pixels, "gauss_newton": 0}
-    images: Iterable[np.ndarray] = (model.images(v) for v in _judged(model))
-    iterates = pixels > ABOVE_PX and _can_iterate(model)
+    targets: Iterable[np.ndarray] = (model.images(v) for v in rows)
+    # of several synchronous cameras, or one beside pictures of the scene from elsewhere
+    can_iterate = isinstance(model, Synchronous) and not model.observations.is_flat
+    iterates = can_iterate and pixels > ABOVE_PX and model.config.gauss_newton > 0
     if iterates:
         assert isinstance(model, Synchronous)
-        model, folds, images, of_iterations = gauss_newton(model, hyper, folds, _judged(model), checkpoint)
+        model, folds, targets, of_iterations = gauss_newton(model, hyper, folds, rows, checkpoint)
         fields, reliability = wiener_shrink(folds)
         figures |= of_iterations
-    residuals = _residuals(model, fields, images)
-    estimate = MotionEstimate(
-        folds, fields, model.gaussians, model.problem.graph.knn, *_shown(model), residuals
-    )
-    uncertainty = _uncertainty(model, hyper, estimate, gradients)
+    uncertainty = _uncertainty(model, hyper, _estimate(model, folds, fields, rows, targets), gradients)
     changes = None
     if not iterates and (appearance := _appearance_fit(model)) is not None:
         with progress("appearance", len(fields), "components") as update:
@@ -156,11 +154,6 @@ def _motion_residual(model: TemporalModel, fields: np.ndarray) -> MotionResidual
     return MotionResidual(model.problem, model.targets.images, model.fitted, fields)
 
 
-def _can_iterate(model: TemporalModel) -> bool:
-    """Gauss-Newton is for several synchronous cameras, or one beside pictures of the scene from elsewhere."""
-    return isinstance(model, Synchronous) and not model.observations.is_flat and model.config.gauss_newton > 0
-
-
 def in_plane(fields: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """Fields [..., N, 6] in the plane across `normal` [3]: displacement within it, rotation about it.
 
@@ -172,24 +165,23 @@ def in_plane(fields: np.ndarray, normal: np.ndarray) -> np.ndarray:
     return out
 
 
-def _judged(model: TemporalModel) -> list[int]:
+def _judged(n_views: int) -> list[int]:
     """Views whose residual tells errors of the model."""
-    n = len(model.problem.views)
-    return np.linspace(0, n - 1, min(n, _JUDGED)).round().astype(int).tolist()
+    return np.linspace(0, n_views - 1, min(n_views, _JUDGED)).round().astype(int).tolist()
 
 
-def _shown(model: TemporalModel) -> tuple[list[Any], list[Any]]:
-    """Views and cameras that are judged."""
-    rows = _judged(model)
-    return [model.problem.views[v] for v in rows], [model.observations.frames[v] for v in rows]
-
-
-def _residuals(
-    model: TemporalModel, fields: np.ndarray, images: Iterable[np.ndarray]
-) -> Iterable[np.ndarray]:
-    """The judged views' target `images` [ρ, H, W, 3] less what fields [R, N, 6] show, nuisance projected out."""
-    for v, target in zip(_judged(model), images, strict=True):
-        yield model.problem.without_nuisance(v, target - model.problem.shown(v, fields))
+def _estimate(
+    model: TemporalModel,
+    folds: np.ndarray,
+    fields: np.ndarray,
+    rows: list[int],
+    targets: Iterable[np.ndarray],
+) -> MotionEstimate:
+    """With the residual of some views' target images [ρ, H, W, 3]."""
+    problem, frames = model.problem, model.observations.frames
+    residuals = (problem.residual(v, own, fields) for v, own in zip(rows, targets, strict=True))
+    views, cameras = [problem.views[v] for v in rows], [frames[v] for v in rows]
+    return MotionEstimate(folds, fields, model.gaussians, problem.graph.knn, views, cameras, residuals)
 
 
 def _uncertainty(

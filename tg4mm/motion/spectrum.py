@@ -52,19 +52,6 @@ def modes_of(
     return cycles[keep] * fps / n_timesteps, series[keep]
 
 
-def series_modes(series: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies [K] Hz and phasors [K, …] complex64 of a series [T, …]: 0 Hz and all other DFT bins.
-
-    Σ_k Re[m_k exp(i 2π f_k t / fps)] is the series at every timestep.
-    """
-    n = len(series)
-    spectrum = np.fft.rfft(series, axis=0) * (2 / n)
-    spectrum[0] /= 2
-    if n % 2 == 0:
-        spectrum[-1] /= 2  # the Nyquist bin has no mirror image
-    return np.fft.rfftfreq(n, 1 / fps), spectrum.astype(np.complex64)
-
-
 def _products(values: np.ndarray) -> np.ndarray:
     """[R, R] float64: the inner products of R arrays."""
     flat = values.reshape(len(values), -1).astype(np.float64)

@@ -40,9 +40,7 @@ class States:
 
     of: np.ndarray  # [T] 0 … K − 1
     gains: np.ndarray  # [K, R] float64, mean of a_r(t) over each state's timesteps
-    products: (
-        np.ndarray
-    )  # [K, R, R] float64, sum of a(t) a(t)ᵀ over them: what differs within a state counts, too
+    products: np.ndarray  # [K, R, R] float64, sum of a(t) a(t)ᵀ over them: changes within a state count, too
 
     @property
     def count(self) -> np.ndarray:

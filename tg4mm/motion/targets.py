@@ -30,7 +30,7 @@ class TargetImages:
 
     basis: (
         np.ndarray
-    )  # [R, T] float64, functions of time; orthonormal and of zero mean where C_v is the identity
+    )  # [R, T] float64, functions of time; orthonormal, of zero mean, where C_v is the identity
     energy: np.ndarray  # [T] float64, squared pixel values in every component, kept or not
     images: np.ndarray  # [V, ρ, H, W, 3] float32, `room`; ρ = R where C_v is the identity
     residual_energy: np.ndarray  # [V, H, W] float32 of what was not kept, mean over channels

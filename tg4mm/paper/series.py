@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from tg4mm.motion.modes import ModalMotion
-from tg4mm.motion.spectrum import series_modes
 from tg4mm.paper.model import PaperModel
+from tg4mm.phasors import series_modes
 
 
 def rotation_between(start: Tensor, end: Tensor) -> Tensor:

@@ -27,9 +27,9 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.memory import peak_memory_mib, reset_peak_memory
 from tg4mm.motion.animate import rotated
 from tg4mm.motion.modes import ModalMotion
-from tg4mm.motion.spectrum import series_modes
 from tg4mm.paper.fit import Cameras, view_loss
 from tg4mm.paper.space import cameras_on, views_at
+from tg4mm.phasors import series_modes
 from tg4mm.progress import progress
 from tg4mm.run import Run
 from tg4mm.space import rest_views

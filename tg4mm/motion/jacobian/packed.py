@@ -97,11 +97,8 @@ def _sum_pairs(v_pairs, slots, first, last, width, at, are_two):
 def _vjp_range(first, last, values, rows, conic_lanes, pairs, shape, v_motions):
     n_motions, n = shape
     starts, slots, v_pairs = pairs
-    conic, nothing, width = (
-        load_twice(conic_lanes, int64(0)),
-        broadcast(float32(0.0)),
-        int64(n_motions * COLUMNS),
-    )
+    conic, nothing = load_twice(conic_lanes, int64(0)), broadcast(float32(0.0))
+    width = int64(n_motions * COLUMNS)
     room = aligned(LANES)
     for k in range(first, last):
         i, at = int64(rows[k]), int64(k) * _PACKED

@@ -21,11 +21,8 @@ from tg4mm.rasterize.kernels.project_backward import backward_rows
 @kernel()
 def _of_some(means, quats, scales, sh, degree, camera, width, height, splats, columns, out):
     n = len(means)
-    v_splats, v_means, v_quats = (
-        np.zeros((n, SPLAT_WIDTH), np.float32),
-        np.empty((n, 3), np.float32),
-        np.empty((n, 4), np.float32),
-    )
+    v_splats = np.zeros((n, SPLAT_WIDTH), np.float32)
+    v_means, v_quats = np.empty((n, 3), np.float32), np.empty((n, 4), np.float32)
     v_scales, v_opacities, v_pose = np.zeros((n, 3), np.float32), np.zeros(n, np.float32), v_means[:0]
     v_sh, half = np.zeros(sh.shape, np.float32), float32(0.5)
     for c in range(len(columns)):

@@ -165,10 +165,8 @@ def view_jacobian(gaussians: Gaussians, camera: PosedView, size: tuple[int, int]
     splats = empty_splats(len(means))
     project_forward(means, quats, scales, opacities, sh, degree, False, packed_camera, width, height, splats)
     bins = bin_splats(splats, width, height)
-    image, transmittance = (
-        np.empty((height, width, FEATURES), np.float32),
-        np.empty((height, width), np.float32),
-    )
+    image = np.empty((height, width, FEATURES), np.float32)
+    transmittance = np.empty((height, width), np.float32)
     blend_forward(
         splats, bins.tile_start, bins.pair_gaussian, width, height, image, transmittance, ALPHA_MIN_LINEAR,
         bins.reached,

@@ -41,9 +41,7 @@ class RegisteredPictures:
     """
 
     pictures: Pictures
-    homographies: (
-        np.ndarray
-    )  # [C, 3, 3]: from a pixel of the common pose to the pixel of the picture that shows it
+    homographies: np.ndarray  # [C, 3, 3]: from a pixel of the common pose to the picture's that shows it
 
     @property
     def size(self) -> tuple[int, int]:

@@ -68,9 +68,8 @@ class BlockShifts:
         shifts = np.linalg.solve(gram, products)  # [b, 2, F]
         n = self.slopes[0].size / BLOCKS**2
         residual = self.energy[has_texture] - np.einsum("bcf,bcf->b", shifts, products)
-        noise = (
-            np.maximum(residual, 0) / n * np.trace(np.linalg.inv(gram), axis1=1, axis2=2)
-        )  # sum over frames
+        of_pixel = np.maximum(residual, 0) / n  # sum over frames
+        noise = of_pixel * np.trace(np.linalg.inv(gram), axis1=1, axis2=2)
         power = np.maximum((shifts**2).sum((1, 2)) - noise, 0)
         places = np.argwhere(has_texture) / (BLOCKS - 1) - 0.5
         deviations = shifts - _one_pose(places, shifts, texture[has_texture])

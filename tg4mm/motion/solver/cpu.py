@@ -32,9 +32,7 @@ class CpuOperator:
     weights: np.ndarray | None = None  # W [V, H, W] float32; None: 1
     projections: Sequence[Projection] | None = None  # one a view; None: nothing is projected out
     mixing: Sequence[np.ndarray] | None = None  # C_v [ρ, R]; None: the identity
-    support: np.ndarray | None = (
-        None  # [R, N] float32: 1 where a field may move a Gaussian, 0 where not; None: 1
-    )
+    support: np.ndarray | None = None  # [R, N] float32: 1 where a field may move a Gaussian, else 0; None: 1
     buffers: Buffers = field(default_factory=Buffers, compare=False)
 
     @property

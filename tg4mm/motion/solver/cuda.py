@@ -90,12 +90,8 @@ class DeviceOperator:
 
     def __init__(self, operator: CpuOperator, there: DeviceViews) -> None:
         self.there, self.device = there, there.device
-        self.smoothness_weight, self.ridge, self.scale = (
-            operator.smoothness_weight,
-            operator.ridge,
-            operator.scale,
-        )
-        self.is_coupled = operator.is_coupled
+        self.smoothness_weight, self.ridge = operator.smoothness_weight, operator.ridge
+        self.scale, self.is_coupled = operator.scale, operator.is_coupled
         self.views = [there.by_view[id(view)] for view in operator.views]
         pre = operator.preconditioner
         self.blocks = torch.from_numpy(pre.blocks).to(self.device)

@@ -35,10 +35,6 @@ class TwoLevelPreconditioner:
     aggregates: Aggregates
     coarse_factor: np.ndarray  # [4G, 4G] float32: a root of the inverse coarse operator
 
-    @property
-    def n_parameters(self) -> int:
-        return ROWS * len(self.blocks) + len(self.coarse_factor)
-
     def field(self, theta: np.ndarray) -> np.ndarray:
         """θ [P, 3] -> x [4N, 3] float32."""
         fine = ROWS * len(self.blocks)

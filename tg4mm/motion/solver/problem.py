@@ -75,6 +75,10 @@ class Problem:
             return pictures
         return without(self.nuisances[v], self.means[v], pictures)
 
+    def residual(self, v: int, targets: np.ndarray, fields: np.ndarray) -> np.ndarray:
+        """[ρ, H, W, 3]: target images of view v less what fields [R, N, 6] show, nuisance projected out."""
+        return self.without_nuisance(v, targets - self.shown(v, fields))
+
     @property
     def everything(self) -> Fold:
         return Fold(np.arange(len(self.views)))

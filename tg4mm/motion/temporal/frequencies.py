@@ -25,23 +25,19 @@ _WEAK = 0.03  # of the strongest peak's power above the floor: weaker is taken f
 _THIRDS = 3
 _STRONG = 64  # series of one clock with the most power: they decide where frequencies are refined to
 _LEAST_CLOCKS = 3  # from which on they tell how much they differ
-_APART = (
-    1.5  # over the duration, Hz: nearer ones are one whose amplitude changes, as a camera moves around it
-)
+_APART = 1.5  # over the duration, Hz: nearer ones are one whose amplitude changes, as a camera moves around
 
 
 @dataclass(frozen=True)
 class Frequencies:
-    """Frequencies by falling strength, and the spectrum in which they were found."""
+    """Frequencies by falling strength."""
 
     hz: np.ndarray  # [K]
     deviation_hz: np.ndarray  # [K] standard deviation by noise (Cramér-Rao)
-    grid_hz: np.ndarray  # [M]
-    spectrum: np.ndarray  # [M] mean power over noise, 1 where there is noise alone
 
     def selected(self, keep: np.ndarray) -> Frequencies:
         """Some of the frequencies [K] bool."""
-        return replace(self, hz=self.hz[keep], deviation_hz=self.deviation_hz[keep])
+        return Frequencies(self.hz[keep], self.deviation_hz[keep])
 
 
 @dataclass(frozen=True)
@@ -89,7 +85,7 @@ def find_frequencies(
     grid = np.arange(lowest_hz, highest_hz, 1 / (_OVERSAMPLED * duration))
     records = [_Record.of(y, t, lowest_hz, grid) for y, t in zip(series, times, strict=True)]
     hz, strongest = np.zeros(0), 0.0
-    spectrum = first = _spectrum(records, hz, grid)
+    spectrum = _spectrum(records, hz, grid)
     while len(hz) < MOST:
         allowed = far_from(grid, hz, _APART / duration)
         if not allowed.any():
@@ -110,8 +106,7 @@ def find_frequencies(
         if len(more) > 1 and np.diff(np.sort(more)).min() < 0.5 * _APART / duration:
             break
         hz, spectrum = more, after
-    deviation = np.hypot(_cramer_rao(records, hz), _scatter(records, hz, 1 / duration))
-    return Frequencies(hz, deviation, grid, first)
+    return Frequencies(hz, np.hypot(_cramer_rao(records, hz), _scatter(records, hz, 1 / duration)))
 
 
 def log_floor(spectrum: np.ndarray, grid: np.ndarray, allowed: np.ndarray) -> tuple[np.ndarray, float]:
@@ -139,7 +134,7 @@ def _power(y: np.ndarray, t: np.ndarray, grid: np.ndarray) -> np.ndarray:
 
 
 def _spectrum(records: Sequence[_Record], hz: np.ndarray, grid: np.ndarray) -> np.ndarray:
-    """[M]: mean over all series of their power over noise, sinusoids of frequencies [K] taken out."""
+    """[M]: mean over all series of power over noise, 1 for noise alone; sinusoids of frequencies [K] taken out."""
     total, count = np.zeros(len(grid)), 0
     for r in records:
         told = r.noise > 0

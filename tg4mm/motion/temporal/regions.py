@@ -114,17 +114,20 @@ def moving_camera_series(
     times_s: np.ndarray,
 ) -> RegionSeries:
     """Of a moving camera's frames [H, W, 3] less what is rendered at rest, each with its own Jacobian."""
-    axes = np.stack([camera.viewmat[:2, :3].astype(np.float64) for camera in cameras])
-    sides, normals = [], []
+    each = []
     with progress("region shifts", len(views), "frames") as update:
-        for view, own, projection, change in zip(views, axes, projections, changes, strict=True):
-            sides.append(_sides(view, own, projection, labels, change[None])[0])
-            normals.append(_normals(view, own, projection, labels))
+        for k, (view, projection, change) in enumerate(zip(views, projections, changes, strict=True)):
+            own = fixed_camera_series(
+                view, cameras[k], projection, labels, [change[None]], times_s[k : k + 1]
+            )
+            each.append(own.arrays())
             view.release()
             if projection is not None:
                 projection.release()
-            update(len(sides))
-    return RegionSeries(times_s, np.stack(sides), np.stack(normals), axes)
+            update(k + 1)
+    return RegionSeries.restored(
+        times_s, {name: np.concatenate([own[name] for own in each]) for name in each[0]}
+    )
 
 
 def _sides(
