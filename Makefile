@@ -37,7 +37,7 @@ test-52: $(VENV52)/.installed
 # What kills, full disks, signals and damaged or hostile files do: docs/faults.md. MUTATIONS: of each reader's files.
 MUTATIONS ?= 500
 test-faults: install
-	TG4MM_MUTATIONS=$(MUTATIONS) $(PYTEST) tests/faults tests/test_untrusted.py tests/test_temporary.py tests/run/test_damage.py tests/run/test_lock.py
+	TG4MM_MUTATIONS=$(MUTATIONS) $(PYTEST) tests/faults tests/test_untrusted.py tests/test_form.py tests/test_temporary.py tests/run/test_damage.py tests/run/test_lock.py
 
 # The quick suite with the compilers held to AVX2, which most laptops have, or to SSE2: on a machine with AVX-512 it runs
 # code that `make test` does not.
