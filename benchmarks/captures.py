@@ -27,18 +27,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from tg4mm.bench.again import KINDS
 from tg4mm.bench.measure import strongest_hz
 from tg4mm.run import Run
 
 ALPHA = 20
-SLOW = ("--frequency", "3.4")
-KINDS: dict[str, tuple[str, ...]] = {
-    "orbit": (),
-    "sweep": ("--cameras", "sweep", "--timesteps", "90", *SLOW),
-    "handheld": ("--cameras", "handheld", "--timesteps", "150", *SLOW),
-    "rig": ("--cameras", "rig", "--views", "8", "--clock-offsets", "0.5", "--timesteps", "60", *SLOW),
-    "clips": ("--cameras", "clips", "--views", "7", "--timesteps", "75", *SLOW),
-}
 _EACH: dict[str, tuple[str, ...]] = {
     "shake": ("--shake", "0.5"),
     "drift": ("--exposure-drift", "5"),

@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from dataset_gen.options import parser, request_from
 from tests.bench.conftest import MODAL, PAPER
 from tests.helpers.curves import points_of
 from tg4mm.bench.ablate import run_ablation
 from tg4mm.bench.ablation_file import read_ablation
 from tg4mm.bench.ablation_page import COLUMNS, ablation_table
 from tg4mm.bench.ablations import ABLATIONS, chosen_preset, rows_of
-from tg4mm.bench.amplitudes import alphas_for
+from tg4mm.bench.again import KINDS, alphas_for
 from tg4mm.bench.html import _ablation
 from tg4mm.bench.measure import Plan
 from tg4mm.bench.request import check_settings, setting_names
@@ -56,8 +57,7 @@ def test_every_row_can_be_trained_and_no_two_are_the_same(name: str, preset: str
     for row in rows:
         assert set(row.settings) <= setting_names(preset)
         check_settings(row.settings, preset)
-    varied = [(r.views, r.timesteps, r.noise, r.amplitude_px) for r in rows]
-    kinds = {(json.dumps(dict(r.settings)), r.scorings, v) for r, v in zip(rows, varied, strict=True)}
+    kinds = {(json.dumps([dict(r.settings), *r.changed_data]), r.scorings) for r in rows}
     assert len(kinds) == len(rows) == len({r.label for r in rows})
     assert set(ABLATIONS[name].columns) <= set(COLUMNS)
     assert ABLATIONS[name].picture in {"ssim", *COLUMNS}
@@ -210,6 +210,40 @@ def test_an_error_that_is_not_the_datas_is_a_failure(
     assert failed["why"].startswith("ArithmeticError: a matrix is singular (")
     assert "in measure" in (out / "runs" / data.name / "traceback.txt").read_text(encoding="utf-8")
     assert [line["row"] for line in results["lines"]] == ["3 views", "all views"]
+
+
+def test_a_scene_is_filmed_in_every_way(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An orbit is there as it is; the others are rendered, here by a copy that says what it was asked for."""
+    source = shutil.copytree(data, tmp_path / data.name)
+    scene = json.loads((source / "scene.json").read_text(encoding="utf-8"))
+    made_by = {
+        "scene": "mic",
+        "n_test": 1,
+        "engine": {"samples": 8},
+        "cameras": {"kind": "orbit"},
+        "sensor": None,
+    }
+    (source / "scene.json").write_text(json.dumps(scene | made_by))
+    asked: list[list[str]] = []
+
+    def generator(arguments: list[str]) -> int:
+        asked.append(arguments)
+        made = dict(zip(arguments[1::2], arguments[2::2], strict=True))
+        root = shutil.copytree(source, Path(made["--out"]) / "mic_3.4Hz")
+        (root / "scene.json").write_text(json.dumps(scene | {"cameras": {"kind": made["--cameras"]}}))
+        return 0
+
+    monkeypatch.setattr("tg4mm.bench.again.run_generator", generator)
+    out = tmp_path / "out"
+    results = run_ablation("capture", [source], out, None, MODAL, Plan(alphas=(20.0,)), silent)
+    assert [line["row"] for line in results["lines"]] == list(KINDS)
+    assert len(asked) == len(KINDS) - 1
+    for arguments, kind in zip(asked, list(KINDS)[1:], strict=True):
+        (settings,) = request_from(parser().parse_args(arguments)).sets
+        assert (settings.cameras.kind, settings.alphas) == (kind, (20,))
+    assert all(line["scalars"]["frequency_error_hz"] is not None for line in results["lines"])
+    run_ablation("capture", [source], out, None, MODAL, Plan(alphas=(20.0,)), silent)
+    assert len(asked) == len(KINDS) - 1  # what is there is not rendered again
 
 
 def test_no_possible_row_is_an_error(data: Path, tmp_path: Path) -> None:

@@ -43,7 +43,7 @@ def results(**changes: Any) -> dict[str, Any]:
     sets = [{"label": label, "group": GROUP, "amplitude_px": 0.22} for label in ("a", "b")]
     found: dict[str, Any] = {"sets": sets, "runs": runs}
     found.update(changes)
-    found["means"] = group_means(found)
+    found["means"] = group_means(found["runs"], {s["label"]: s["group"] for s in found["sets"]})
     return found
 
 

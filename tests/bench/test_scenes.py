@@ -13,10 +13,12 @@ import pytest
 
 from tests.bench.conftest import MODAL, PAPER
 from tg4mm.bench.jobs import job_folder, truth_at
+from tg4mm.bench.means import group_means, line_means
 from tg4mm.bench.measure import SEEN, Plan, Training
 from tg4mm.bench.methods import trained
 from tg4mm.bench.scenes import ScenesRequest, run_scenes, same_time_training, same_time_trainings
 from tg4mm.bench.sets import open_sets
+from tg4mm.bench.tables import kinds_tables
 from tg4mm.errors import RunError
 from tg4mm.evaluate import evaluate_run
 from tg4mm.evaluate.subject import subject_of
@@ -100,6 +102,23 @@ def test_the_cost_of_each_stage(done: Done, data: Path) -> None:
             for is_motion in (False, True)
         ]
         assert found == [space, motion, *(f"{peak:.0f}" for peak in peaks)]
+
+
+def test_kinds_of_capture_are_told_apart(done: Done, data: Path) -> None:
+    _, results = done
+    assert kinds_tables(results) == []  # there is one
+    kinds = {data.name: "orbit", "other": "clips"}
+    runs = [r | {"set": name} for name in kinds for r in results["runs"]]
+    lines = [x | {"set": name} for name in kinds for x in results["lines"]]
+    both = results | {"kind_means": group_means(runs, kinds), "kind_line_means": line_means(lines, kinds)}
+    motion, pictures = kinds_tables(both)
+    assert [row[:3] for row in motion.rows][:2] == [["orbit", "modal", "1"], ["orbit", "paper-tuned", "1"]]
+    assert {row[0] for row in motion.rows} == {row[0] for row in pictures.rows} == {"orbit", "clips"}
+    run = entry(results, "modal")
+    cell = dict(zip(motion.header, motion.rows[0], strict=True))
+    assert cell["error"] == f"{run['displacement']['relative_error']:.1%}"
+    assert cell["leak"] == f"{run['displacement']['static_leak']:.1%}"
+    assert cell["frequency, Hz"] == f"{abs(run['strongest_hz'] - 5.0):.3f}"
 
 
 def test_settings_stand_on_both_pages(done: Done) -> None:

@@ -11,9 +11,17 @@ import numpy as np
 import pytest
 
 from dataset_gen.arguments import parser
-from tg4mm.bench.amplitudes import generator_arguments
+from tg4mm.bench.again import generator_arguments
 from tg4mm.bench.errors import BenchError
-from tg4mm.bench.sets import amplitude_name, band_around, check_alphas, goal_amplitude, open_set, open_sets
+from tg4mm.bench.sets import (
+    amplitude_name,
+    band_around,
+    check_alphas,
+    goal_amplitude,
+    group_titles,
+    open_set,
+    open_sets,
+)
 from tg4mm.bench.subset import with_views
 from tg4mm.capture import load_capture
 from tg4mm.evaluate.truth import load_truth
@@ -40,7 +48,7 @@ def test_pixels_are_those_of_the_projected_vertices(data: Path) -> None:
     )
     assert found.amplitude_px == pytest.approx(1e3 * largest, rel=1e-3)
     assert (found.frequency_hz, found.band_hz, found.alphas) == (5.0, (3.5, 6.5), (5, 20))
-    assert (found.width, found.n_views, found.n_timesteps, found.group) == (32, 5, 6, "32×32, 0.2 px")
+    assert (found.width, found.n_views, found.n_timesteps, found.group) == (32, 5, 6, "32×32, rig, 0.2 px")
 
 
 @pytest.mark.parametrize(
@@ -56,6 +64,36 @@ def test_pixels_are_those_of_the_projected_vertices(data: Path) -> None:
 def test_which_goal_an_amplitude_stands_for(pixels: float, goal: float | None, name: str) -> None:
     assert goal_amplitude(pixels) == goal
     assert amplitude_name(pixels) == name
+
+
+def test_groups_are_named_by_what_is_in_them(data: Path, tmp_path: Path) -> None:
+    one = open_set(data, "a")
+    sets = [
+        replace(one, label=label, amplitude_px=px, cameras=kind)
+        for label, px, kind in (
+            ("a", 0.15, "orbit"),
+            ("b", 0.272, "orbit"),
+            ("c", 0.9, "orbit"),
+            ("d", 0.2, "rig"),
+        )
+    ]
+    assert group_titles(sets) == {
+        "a": "32×32, orbit, 0.15 to 0.27 px",
+        "b": "32×32, orbit, 0.15 to 0.27 px",
+        "c": "32×32, orbit, 0.9 px",
+        "d": "32×32, rig, 0.2 px",
+    }
+
+
+@pytest.mark.parametrize(
+    ("cameras", "kind"),
+    [({"kind": "orbit"}, "orbit"), ({"kind": "given"}, "rig"), ({"kind": ["orbit"]}, "rig"), (None, "rig")],
+)
+def test_an_orbit_is_no_rig(cameras: object, kind: str, data: Path, tmp_path: Path) -> None:
+    root = shutil.copytree(data, tmp_path / "set")
+    scene = json.loads((root / "scene.json").read_text(encoding="utf-8"))
+    (root / "scene.json").write_text(json.dumps(scene | {"cameras": cameras}))
+    assert open_set(root, "x").cameras == kind
 
 
 def test_the_band_holds_all_frequencies_and_is_a_band() -> None:
@@ -141,11 +179,12 @@ class TestAmplitudes:
         }  # fmt: skip
         (tmp_path / "scene.json").write_text(json.dumps(scene))
         found = replace(open_set(data, "x"), root=tmp_path, fps=24.0)
-        arguments = generator_arguments(found, 0.05, tmp_path / "out")
+        changed = {"--amplitude-px": "0.05", "--alphas": "20,40,80,160"}
+        arguments = generator_arguments(found, changed, tmp_path / "out")
         options = dict(zip(arguments[1::2], arguments[2::2], strict=True))
         assert arguments[0] == "mic"
         assert options["--amplitude-px"] == "0.05"
-        assert options["--alphas"] == "20,40,80,160"
+        assert options["--alphas"] == changed["--alphas"]
         wanted = {
             "--size": "32",
             "--views": "5",
@@ -161,4 +200,4 @@ class TestAmplitudes:
 
     def test_another_kind_of_dataset_is_refused(self, data: Path, tmp_path: Path) -> None:
         with one_line("cannot be made with another amplitude"):
-            generator_arguments(open_set(data, "x"), 0.05, tmp_path)
+            generator_arguments(open_set(data, "x"), {}, tmp_path)

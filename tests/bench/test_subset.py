@@ -11,6 +11,7 @@ import pytest
 from tg4mm.bench.ablate import _job
 from tg4mm.bench.ablations import ABLATIONS
 from tg4mm.bench.errors import BenchError
+from tg4mm.bench.measure import Plan
 from tg4mm.bench.sets import open_set
 from tg4mm.bench.subset import with_noise, with_timesteps
 from tg4mm.capture import load_capture, load_images
@@ -54,7 +55,7 @@ def test_the_first_timesteps_of_noisy_pictures_have_their_noise(data: Path, tmp_
     row = replace(ABLATIONS["timesteps"].rows[0], timesteps=4)
     assert row.noise > 0
     whole = open_set(data, "a")
-    job = _job(whole, (row,), "modal", tmp_path)
+    job = _job(whole, (row,), "modal", Plan(), tmp_path)
     assert job.data.n_timesteps == 4
     noisy = with_noise(whole, row.noise, tmp_path / "beside")
     picture = "003/train/r_000.png"

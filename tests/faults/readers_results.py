@@ -153,7 +153,7 @@ def _read_bench(root: Path) -> None:
 
 
 def _read_complete(root: Path) -> None:
-    from tg4mm.bench.amplitudes import _is_done
+    from tg4mm.bench.again import _is_done
 
     _is_done(root, ["mic", "--out", "a"])
 
@@ -174,7 +174,7 @@ def _scene(root: Path) -> Path:
 
 
 def _read_scene(root: Path) -> None:
-    from tg4mm.bench.amplitudes import generator_arguments
+    from tg4mm.bench.again import generator_arguments
     from tg4mm.bench.sets import open_set
 
     generator_arguments(open_set(root / "set", "a"), 0.1, root / "made")

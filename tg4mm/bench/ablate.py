@@ -12,7 +12,7 @@ from typing import Any
 from tg4mm.bench.ablation_file import FILE
 from tg4mm.bench.ablation_page import ablation_cells, ablation_page, picture
 from tg4mm.bench.ablations import Ablation, Row, chosen_preset, find_ablation, rows_of
-from tg4mm.bench.amplitudes import TARGETS_PX, generator_arguments, with_amplitude
+from tg4mm.bench.again import TARGETS_PX, generator_arguments, with_amplitude, with_kind
 from tg4mm.bench.errors import BenchError, StepError
 from tg4mm.bench.failures import why_failed
 from tg4mm.bench.folder import FORMAT, VERSION, circumstances, claim_set, open_folder, write_text
@@ -71,7 +71,7 @@ def run_ablation(
     rows = rows_of(name, preset, settings_by_preset(given, [preset])[preset])
     sets, failed = open_those_that_open(roots, plan.alphas)
     _check(rows, preset, sets, plan)
-    sets = _renderable(sets, failed) if any(row.amplitude_px for row in rows) else sets
+    sets = _renderable(sets, failed) if any(row.is_rendered for row in rows) else sets
     open_folder(out, f"ablation {name}, {preset}")
     results = _results(name, ablation, preset, rows, sets) | {"failed": failed}
     runner = _Runner(preset, plan, out, results, say)
@@ -100,11 +100,11 @@ def _check(rows: Sequence[Row], preset: str, sets: Sequence[BenchSet], plan: Pla
 
 
 def _renderable(sets: Sequence[BenchSet], failed: list[dict[str, str]]) -> list[BenchSet]:
-    """The sets that can be made with another amplitude; the others go to `failed`. Raises BenchError if none can."""
+    """The sets that can be rendered again; the others go to `failed`. Raises BenchError if none can."""
     found, first = [], None
     for data in sets:
         try:
-            generator_arguments(data, 1.0, data.root)
+            generator_arguments(data, {}, data.root)
             found.append(data)
         except BenchError as error:
             first = first or error
@@ -168,7 +168,7 @@ class _Runner:
             self.say(f"{data.label}: {', '.join(row.label for row in group)}")
             try:
                 claim_set(self.out, data.label, data.root, data.digest)
-                job = _job(data, group, self.preset, self.out)
+                job = _job(data, group, self.preset, self.plan, self.out)
                 place = self.out / "runs" / data.label / _place_name(job, data)
                 same_data = job.data is data
                 figures = self._measured(place, job, donor if same_data else None)
@@ -205,13 +205,12 @@ def _groups(rows: Sequence[Row]) -> list[tuple[Row, ...]]:
     """Rows by training, in order."""
     found: dict[str, list[Row]] = {}
     for row in rows:
-        varied = [row.views, row.timesteps, row.noise, row.amplitude_px]
-        key = json.dumps([dict(row.settings), *varied], sort_keys=True)
+        key = json.dumps([dict(row.settings), *row.changed_data], sort_keys=True)
         found.setdefault(key, []).append(row)
     return [tuple(group) for group in found.values()]
 
 
-def _job(data: BenchSet, group: tuple[Row, ...], preset: str, out: Path) -> _Job:
+def _job(data: BenchSet, group: tuple[Row, ...], preset: str, plan: Plan, out: Path) -> _Job:
     row = group[0]
     ways = tuple(Scoring(r.label, s.method, s.filter) for r in group for s in r.scorings)
     training = Training(row.label, preset, row.settings, ways)
@@ -229,14 +228,16 @@ def _job(data: BenchSet, group: tuple[Row, ...], preset: str, out: Path) -> _Job
     if row.amplitude_px:
         root = with_amplitude(data, row.amplitude_px, out / "sets" / data.label / f"px_{row.amplitude_px:g}")
         return _Job(open_set(root, data.label), group, training)
+    if row.kind and not row.kind == data.cameras == "orbit":  # that is the reference as it is
+        root = with_kind(data, row.kind, plan.alphas, out / "sets" / data.label / f"kind_{row.kind}")
+        return _Job(open_set(root, data.label), group, training)
     return _Job(data, group, training)
 
 
 def _place_name(job: _Job, data: BenchSet) -> str:
     """A folder's name: what is varied, and a digest, since a run belongs to its settings."""
     row = job.rows[0]
-    varied = [row.views, row.timesteps, row.noise, row.amplitude_px]
-    key = [job.training.preset, dict(job.training.settings), *varied, data.digest]
+    key = [job.training.preset, dict(job.training.settings), *row.changed_data, data.digest]
     digest = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()[:8]
     words = "".join(c if c.isalnum() or c in ".-" else "_" for c in row.label)
     return f"{words}_{digest}"

@@ -22,6 +22,7 @@ COLUMNS = {
     "static_leak": ("static leak", "{:.1%}"),
     "amplitude_ratio": ("amplitude ratio", "{:.3f}"),
     "direction_error_deg": ("direction off, °", "{:.1f}"),
+    "frequency_error_hz": ("frequency off, Hz", "{:.3f}"),
     "filter_phase_deg": ("phase, °", "{:+.1f}"),
     "filter_error": ("filter's error", "{:.1%}"),
     "space_s": ("space, s", "{:.0f}"),

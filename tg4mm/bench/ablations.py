@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from tg4mm.bench.again import KINDS
 from tg4mm.bench.errors import BenchError
 from tg4mm.bench.measure import Scoring
 from tg4mm.train import PRESETS
@@ -27,9 +28,26 @@ class Row:
     timesteps: int = 0  # the first so many; 0: all
     noise: float = 0.0  # standard deviation added to the training pictures, of 255; 0: none
     amplitude_px: float = 0.0  # 0: the dataset's own
+    kind: str = ""  # how the scene is filmed, one of `again.KINDS`; "": as the dataset
     tick: str = ""  # in a picture; "": the label
     curve: str = ""  # in a picture over the rows: which curve it is on; "": on all
     apart: bool = False  # in such a picture: of another kind than the other rows, with no line to them
+
+    @property
+    def changed_data(self) -> list[Any]:
+        """What of the data is not the dataset's own."""
+        return [
+            self.views,
+            self.timesteps,
+            self.noise,
+            self.amplitude_px,
+            *([self.kind] if self.kind else []),
+        ]
+
+    @property
+    def is_rendered(self) -> bool:
+        """Whether its data are rendered anew."""
+        return bool(self.amplitude_px or self.kind)
 
 
 @dataclass(frozen=True)
@@ -189,6 +207,25 @@ ABLATIONS: dict[str, Ablation] = {
         x_label="largest displacement in the first training camera, pixels",
         remark="Ground truth is made where the magnified motion, α times the amplitude, is 1, 2, 4 and 8 pixels: the "
         "columns are those.",
+    ),
+    "capture": Ablation(
+        "Kind of capture",
+        "The same scene and motion, filmed as people do",
+        ("modal",),
+        tuple(Row(kind, kind=kind, apart=True) for kind in KINDS),
+        (
+            "displacement_error",
+            "static_leak",
+            "amplitude_ratio",
+            "direction_error_deg",
+            "frequency_error_hz",
+            "total_s",
+        ),
+        picture="displacement_error",
+        x_label="kind of capture",
+        remark="sweep: one fixed camera, after photographs from all sides; handheld: one camera in a hand; rig: eight "
+        "cameras whose clocks are off by up to half a second; clips: seven, one after another. All but orbit at "
+        "3.4 Hz, which is no whole number of periods.",
     ),
 }
 # Rows that differ between presets.

@@ -12,7 +12,7 @@ from tg4mm.bench.folder import write_text
 from tg4mm.bench.page import failures, how, machine, remarks, sets_line
 from tg4mm.bench.plots import over_alpha, size_and_speed
 from tg4mm.bench.shown import shown_sections
-from tg4mm.bench.tables import Table, full_table, groups_of, kinds_table, tables_of
+from tg4mm.bench.tables import Table, full_table, groups_of, kinds_tables, tables_of
 from tg4mm.report.page import Block, Commands, Figure, Page, Panel, Section, Stat, Text, data_uri, render_page
 from tg4mm.report.page import Table as PageTable
 
@@ -30,9 +30,7 @@ def write_page(
     for group in groups_of(results):
         sections.append(Section(f"Scores, {group}", list(_scores(results, group))))
         sections += shown_sections(out, results, group)
-    kinds = kinds_table(results)
-    if kinds.rows:
-        sections.append(Section(kinds.title, [_block(kinds)]))
+    sections += [Section(made.title, [_block(made)]) for made in kinds_tables(results)]
     sections += [_ablation(folder, found) for folder, found in ablations]
     made = Commands([(machine(results["made"]), results["made"]["command"])])
     page = Page(

@@ -1,4 +1,4 @@
-"""Means over scenes, for sets of one size and amplitude."""
+"""Means over scenes, for sets of one size, amplitude and kind of capture, or of one kind of capture alone."""
 
 from __future__ import annotations
 
@@ -32,6 +32,7 @@ def scalars(run: Mapping[str, Any]) -> dict[str, float | None]:
         "direction_error_deg": main.get("direction_error_deg"),
         "phase_error_deg": main.get("phase_error_deg"),
         "mac": main.get("mac"),
+        "frequency_error_hz": _apart(run.get("strongest_hz"), main.get("frequency_hz")),
         "space_s": seconds["space"],
         "motion_s": seconds["motion"],
         "motion_to_space": seconds["motion"] / seconds["space"] if seconds["space"] else None,
@@ -40,6 +41,10 @@ def scalars(run: Mapping[str, Any]) -> dict[str, float | None]:
         "n_gaussians": run["n_gaussians"],
         "mib_on_disk": run["mib_on_disk"],
     }
+
+
+def _apart(found: float | None, true: float | None) -> float | None:
+    return None if found is None or true is None else abs(found - true)
 
 
 def mean(values: Iterable[float | None]) -> float | None:
@@ -54,20 +59,19 @@ def gap(row: Mapping[str, Mapping[str, Any]], way: str, metric: str = "ssim") ->
     return None if ours is None or best is None else best - ours
 
 
-def group_means(results: Mapping[str, Any]) -> list[dict[str, Any]]:
+def group_means(runs: Iterable[Mapping[str, Any]], group_of: Mapping[str, str]) -> list[dict[str, Any]]:
     """[{group, row, preset, n_sets, sets, scalars: {…}, rows: {α: {method: {metric}}}, gaps: {α: {way: SSIM}}}].
 
-    An α counts where every set of the group that has this row has ground truth for it: means of different scenes must
-    not stand in one line.
+    `group_of` a set's label. An α counts where every set of the group that has this row has ground truth for it: means
+    of different scenes must not stand in one line.
     """
-    group_of = {s["label"]: s["group"] for s in results["sets"]}
-    found: dict[tuple[str, str], list[dict[str, Any]]] = {}
-    for run in results["runs"]:
+    found: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
+    for run in runs:
         found.setdefault((group_of[run["set"]], run["row"]), []).append(run)
     return [_group_mean(group, row, runs) for (group, row), runs in found.items()]
 
 
-def _group_mean(group: str, row: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
+def _group_mean(group: str, row: str, runs: list[Mapping[str, Any]]) -> dict[str, Any]:
     common = [a for a in runs[0]["rows"] if all(a in run["rows"] for run in runs)]
     methods = [STATIC, *runs[0]["ways"], CEILING]
     values = [scalars(run) for run in runs]

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from tg4mm.bench.table import table
-from tg4mm.bench.tables import Table, groups_of, kinds_table, tables_of
+from tg4mm.bench.tables import Table, groups_of, kinds_tables, tables_of
 
 
 def scenes_page(results: Mapping[str, Any], pictures: Mapping[str, Mapping[str, str]]) -> str:
@@ -17,8 +17,8 @@ def scenes_page(results: Mapping[str, Any], pictures: Mapping[str, Mapping[str, 
         parts += [f"![{title}]({name})" for name, title in pictures.get(group, {}).items()]
         for made in tables_of(results, group):
             parts += [f"### {made.title}", made.note, markdown(made)]
-    kinds = kinds_table(results)
-    parts += [f"## {kinds.title}", kinds.note, markdown(kinds)] if kinds.rows else []
+    for made in kinds_tables(results):
+        parts += [f"## {made.title}", made.note, markdown(made)]
     for title, lines in remarks(results):
         parts.append("\n".join([f"## {title}\n", *(f"- {line}" for line in lines)]))
     return "\n\n".join(part for part in parts if part) + "\n"

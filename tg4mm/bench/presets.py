@@ -27,7 +27,7 @@ _SMOKE_SETTINGS = (
 )  # fmt: skip
 _ABLATIONS = (
     "initialisation", "decoder", "residual", "iterations", "difference", "filter-phase", "views", "timesteps", "noise",
-    "amplitude",
+    "amplitude", "capture",
 )  # fmt: skip
 
 

@@ -20,7 +20,7 @@ from tg4mm.bench.methods.known import DEFAULT, methods_of
 from tg4mm.bench.methods.trained import Trained
 from tg4mm.bench.request import check_settings
 from tg4mm.bench.scored import with_closure
-from tg4mm.bench.sets import BenchSet, open_sets, open_those_that_open
+from tg4mm.bench.sets import BenchSet, group_titles, open_sets, open_those_that_open
 from tg4mm.bench.vqa import Checkout
 from tg4mm.bench.write import write_results
 from tg4mm.errors import Tg4mmError
@@ -174,7 +174,9 @@ class _Bench:
 
     def results(self) -> dict[str, Any]:
         """What results.json holds."""
-        sets = [s.plain() for s in self.sets]
+        titles = group_titles(self.sets)
+        sets = [s.plain() | {"group": titles[s.label]} for s in self.sets]
+        kinds = {s.label: s.cameras for s in self.sets}
         found: dict[str, Any] = {
             "format": FORMAT,
             "version": VERSION,
@@ -188,9 +190,10 @@ class _Bench:
             "lines": self.lines,
             "failed": self.failed,
         }
-        found["means"] = group_means(found)
-        found["line_means"] = line_means(self.lines, {s["label"]: s["group"] for s in sets})
-        found["kind_means"] = line_means(self.lines, {s["label"]: s["cameras"] for s in sets})
+        found["means"] = group_means(self.runs, titles)
+        found["line_means"] = line_means(self.lines, titles)
+        found["kind_means"] = group_means(self.runs, kinds)
+        found["kind_line_means"] = line_means(self.lines, kinds)
         return found
 
 

@@ -13,9 +13,10 @@ import numpy as np
 
 from tg4mm.bench.errors import BenchError
 from tg4mm.capture import Capture, load_capture
-from tg4mm.errors import Tg4mmError
+from tg4mm.errors import RunError, Tg4mmError
 from tg4mm.evaluate.truth import TRUTH_FILE, Truth, load_truth
 from tg4mm.files import to_json
+from tg4mm.run.config import read_json
 
 HALF_BAND_HZ = 1.5  # [TG4MM] §IV.B: 3.5 to 6.5 Hz for motion at 5 Hz, 1.5 to 4.5 Hz for 3 Hz
 GOAL_AMPLITUDES_PX = (0.02, 0.2)  # for which the goals name a displacement error
@@ -37,17 +38,17 @@ class BenchSet:
     amplitude_px: float  # its largest displacement in the first training camera, pixels
     band_hz: tuple[float, float]
     alphas: tuple[int, ...]  # with ground truth, above 0
-    cameras: str  # the kind of capture, one of tg4mm.capture's KINDS
+    cameras: str  # how it was filmed, as the generator calls it, else one of tg4mm.capture's KINDS
     digest: str  # of what describes the set, so that figures of another set of that name are not taken for its own
 
     @property
     def group(self) -> str:
-        """Sets whose figures are averaged together: of one size and one amplitude."""
-        return f"{self.width}×{self.height}, {amplitude_name(self.amplitude_px)}"
+        """Sets whose figures are averaged together: of one size, one kind of capture and one amplitude, about."""
+        return f"{self.width}×{self.height}, {self.cameras}, {amplitude_name(self.amplitude_px)}"
 
     def plain(self) -> dict[str, Any]:
         """In JSON's types, as results.json has it."""
-        fields: dict[str, Any] = to_json({**asdict(self), "root": str(self.root), "group": self.group}, "set")
+        fields: dict[str, Any] = to_json({**asdict(self), "root": str(self.root)}, "set")
         return fields
 
 
@@ -63,6 +64,16 @@ def amplitude_name(pixels: float) -> str:
     """`0.2 px`: the goal's amplitude where it stands for one, else its own to one digit."""
     goal = goal_amplitude(pixels)
     return f"{goal:g} px" if goal is not None else f"{pixels:.1g} px"
+
+
+def group_titles(sets: Sequence[BenchSet]) -> dict[str, str]:
+    """{set's label: its group with the amplitudes that are in it}: `128×128, orbit, 0.15 to 0.27 px`."""
+    titles = {}
+    for data in sets:
+        pixels = sorted(s.amplitude_px for s in sets if s.group == data.group)
+        ends = " to ".join(dict.fromkeys(f"{p:.2g}" for p in (pixels[0], pixels[-1])))
+        titles[data.label] = f"{data.width}×{data.height}, {data.cameras}, {ends} px"
+    return titles
 
 
 def open_sets(given: Sequence[Path]) -> list[BenchSet]:
@@ -163,7 +174,7 @@ def open_set(root: Path, label: str) -> BenchSet:
         amplitude_px=float(pixels[strongest]),
         band_hz=band_around(truth.freqs_hz[moving], capture.fps),
         alphas=alphas,
-        cameras=capture.kind,
+        cameras=_filmed(root, capture.kind),
         digest=_digest(root),
     )
 
@@ -197,6 +208,18 @@ def mode_pixels(truth: Truth, capture: Capture) -> np.ndarray:
 def _alphas(root: Path) -> tuple[int, ...]:
     names = [p.name for p in (root / "magnified").glob("x*") if p.is_dir()]
     return tuple(sorted(int(n[1:]) for n in names if n[1:].isdecimal() and int(n[1:]) > 0))
+
+
+def _filmed(root: Path, kind: str) -> str:
+    """The generator tells an orbit from a rig; to a reader both are a rig."""
+    from dataset_gen.cameras import KINDS
+
+    try:
+        cameras = read_json(root / "scene.json").get("cameras")
+    except RunError:  # it is none of the generator's
+        return kind
+    named = cameras.get("kind") if isinstance(cameras, dict) else None
+    return named if isinstance(named, str) and named in KINDS and named != "given" else kind
 
 
 def _digest(root: Path) -> str:

@@ -48,6 +48,7 @@ _MOTION = (
     ("phase_error_deg", "phase, °", "{:+.1f}"),
     ("mac", "MAC", "{:.3f}"),
 )
+_BY_KIND = (*_MOTION[:2], *_MOTION[3:6], ("frequency_error_hz", "frequency, Hz", "{:.3f}"))
 _COSTS = (
     ("space_s", "space, s", "{:.0f}"),
     ("motion_s", "motion, s", "{:.0f}"),
@@ -83,7 +84,7 @@ class Table:
 
 
 def groups_of(results: Results) -> list[str]:
-    """Sets of one size and amplitude, whose figures are averaged together."""
+    """Sets of one size, kind of capture and amplitude, whose figures are averaged together."""
     return list(dict.fromkeys(m["group"] for m in results["line_means"]))
 
 
@@ -216,9 +217,27 @@ def cost_table(results: Results, group: str) -> Table:
     return Table("cost", "Cost", note, header, rows, 2)
 
 
-def kinds_table(results: Results) -> Table:
-    """Means by the kind of capture, where there is more than one."""
-    kinds = dict.fromkeys(m["group"] for m in results["kind_means"])
+def kinds_tables(results: Results) -> list[Table]:
+    """Means by the kind of capture, of the motion and of the pictures; none where there is one kind only."""
+    found = [_motion_by_kind(results), _pictures_by_kind(results)]
+    several = len({m["group"] for m in results["kind_line_means"]}) > 1
+    return [table for table in found if several and table.rows]
+
+
+def _motion_by_kind(results: Results) -> Table:
+    rows = [
+        [m["group"], m["row"], str(m["n_sets"]), *(shown(m["scalars"][k], form) for k, _, form in _BY_KIND)]
+        for m in results["kind_means"]
+    ]
+    header = ["kind of capture", "method", "sets", *(title for _, title, _ in _BY_KIND)]
+    note = (
+        "Means over the sets of one kind of capture. Columns as of the table Motion; frequency: how far that of the "
+        "strongest mode that was found lies from the true one."
+    )
+    return Table("kinds_motion", "Motion by kind of capture", note, header, rows, 2)
+
+
+def _pictures_by_kind(results: Results) -> Table:
     rows = [
         [
             m["group"],
@@ -227,12 +246,12 @@ def kinds_table(results: Results) -> Table:
             a,
             *(shown(scores.get(k), METRICS[k][1]) for k in PIVOTS[:5]),
         ]
-        for m in results["kind_means"]
+        for m in results["kind_line_means"]
         for a, scores in m["alphas"].items()
     ]
     header = ["kind of capture", "method", "sets", "α", *(METRICS[k][0] for k in PIVOTS[:5])]
     note = "Means over the sets of one kind of capture."
-    return Table("kinds", "By kind of capture", note, header, rows if len(kinds) > 1 else [], 2)
+    return Table("kinds", "Pictures by kind of capture", note, header, rows, 2)
 
 
 def _runs(results: Results, group: str) -> list[Mapping[str, Any]]:

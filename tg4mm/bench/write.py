@@ -10,7 +10,7 @@ from tg4mm.bench.folder import write_text
 from tg4mm.bench.latex import latex_table
 from tg4mm.bench.page import scenes_page
 from tg4mm.bench.plots import over_alpha, size_and_speed
-from tg4mm.bench.tables import full_table, groups_of, kinds_table, tables_of
+from tg4mm.bench.tables import full_table, groups_of, kinds_tables, tables_of
 from tg4mm.files import write_json
 
 
@@ -32,7 +32,6 @@ def write_results(out: Path, results: Mapping[str, Any]) -> None:
                 write_text(out / name, drawn)
         for made in (*tables_of(results, group), full_table(results, group)):
             write_text(out / "tables" / f"{i}_{made.key}.tex", latex_table(made, group))
-    kinds = kinds_table(results)
-    if kinds.rows:
-        write_text(out / "tables" / f"{kinds.key}.tex", latex_table(kinds))
+    for made in kinds_tables(results):
+        write_text(out / "tables" / f"{made.key}.tex", latex_table(made))
     write_text(out / "results.md", scenes_page(results, pictures))

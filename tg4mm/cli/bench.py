@@ -307,11 +307,12 @@ def ablation(
     """Vary one thing and compare.
 
     NAME: initialisation, decoder, residual, iterations, filter-phase, difference, smoothness,
-    views, timesteps, noise, amplitude.
+    views, timesteps, noise, amplitude, capture.
 
     Prints the table, and writes OUT/results.json, OUT/results.md and OUT/results.svg. A dataset that fails is listed,
-    and the rest goes on. amplitude generates its datasets
-    from the given ones (pixels of the first training camera, 0.01 to 1) under OUT/sets, unless they are there.
+    and the rest goes on. amplitude (pixels of the first
+    training camera, 0.01 to 1) and capture generate their datasets from the given ones under OUT/sets, unless they are
+    there.
     """
     plan = _plan(alphas, band, None, device)
     given = split_settings(settings or [])

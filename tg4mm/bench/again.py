@@ -1,8 +1,10 @@
-"""Datasets like a given one, but with another amplitude: rendered by the generator, unless they are there."""
+"""Datasets like a given one, but for its amplitude or its cameras: rendered by the generator, unless they are there."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from tg4mm.bench.errors import BenchError, StepError
 from tg4mm.bench.sets import BenchSet
@@ -25,6 +27,15 @@ _SCENE = {
     "images?": str,
     "background?": str,
 }
+SLOW = ("--frequency", "3.4")  # Hz: no whole number of periods, as outside of generated data
+# How a scene is filmed, as options of the generator; orbit is the reference, 30 views of 30 timesteps by default.
+KINDS: dict[str, tuple[str, ...]] = {
+    "orbit": (),
+    "sweep": ("--cameras", "sweep", "--timesteps", "90", *SLOW),
+    "handheld": ("--cameras", "handheld", "--timesteps", "150", *SLOW),
+    "rig": ("--cameras", "rig", "--views", "8", "--clock-offsets", "0.5", "--timesteps", "60", *SLOW),
+    "clips": ("--cameras", "clips", "--views", "7", "--timesteps", "75", *SLOW),
+}
 
 
 def alphas_for(pixels: float) -> tuple[int, ...]:
@@ -39,11 +50,35 @@ def with_amplitude(data: BenchSet, pixels: float, folder: Path) -> Path:
     Size, cameras, timesteps, samples, seed and engine are the dataset's own. Raises BenchError where the dataset is not
     one of the generator's scenes, StepError where rendering fails.
     """
-    arguments = generator_arguments(data, pixels, folder)
+    changed = {"--amplitude-px": f"{pixels:g}", "--alphas": ",".join(map(str, alphas_for(pixels)))}
+    return _rendered(data, changed, folder)
+
+
+def with_kind(data: BenchSet, kind: str, alphas: Sequence[float] | None, folder: Path) -> Path:
+    """The dataset's scene filmed in another way, one of `KINDS`; otherwise as `with_amplitude`.
+
+    alphas: those of the dataset's that are rendered; None for all.
+    """
+    return _rendered(data, kind_options(data, kind, alphas), folder)
+
+
+def kind_options(data: BenchSet, kind: str, alphas: Sequence[float] | None) -> dict[str, str]:
+    """What differs from the dataset's own options; "" takes one away."""
+    given = KINDS[kind] or ("--cameras", "orbit")
+    wanted = [str(a) for a in data.alphas if alphas is None or a in alphas]
+    own = {} if kind == "orbit" else {"--views": ""}  # how many there are is the kind's own
+    amplitude = read_json(data.root / "scene.json").get("amplitude")
+    main = {} if amplitude is None else {"--amplitude": f"{float(amplitude):g}"}
+    return own | main | {"--alphas": ",".join(wanted)} | dict(zip(given[::2], given[1::2], strict=True))
+
+
+def _rendered(data: BenchSet, changed: Mapping[str, str], folder: Path) -> Path:
+    arguments = generator_arguments(data, changed, folder)
     if not _is_done(folder, arguments):
         status = run_generator(arguments)
         if status != 0:
-            raise StepError(f"rendering {data.label} at {pixels:g} px ended with status {status}; see above")
+            said = " ".join(f"{k} {v}" for k, v in changed.items() if v)
+            raise StepError(f"rendering {data.label} with {said} ended with status {status}; see above")
         write_json(folder / DONE, {"arguments": arguments})
     found = sorted(path.parent for path in folder.glob("*/scene.json"))
     if len(found) != 1:
@@ -58,8 +93,11 @@ def _is_done(folder: Path, arguments: list[str]) -> bool:
         return False
 
 
-def generator_arguments(data: BenchSet, pixels: float, folder: Path) -> list[str]:
-    """What `python -m dataset_gen` is called with. Raises BenchError for a dataset it did not render."""
+def generator_arguments(data: BenchSet, changed: Mapping[str, str], folder: Path) -> list[str]:
+    """What `python -m dataset_gen` is called with: the dataset's own options, and over them what is `changed`.
+
+    Raises BenchError for a dataset it did not render.
+    """
     from dataset_gen.scenes import NAMES
 
     scene = read_json(data.root / "scene.json")
@@ -71,12 +109,11 @@ def generator_arguments(data: BenchSet, pixels: float, folder: Path) -> list[str
     if not made_here or scene.get("sensor"):
         raise BenchError(
             f"dataset {data.root} is not what tg4mm generate makes of a built-in scene with an orbit or a rig and "
-            "without a sensor, so it cannot be made with another amplitude"
+            "without a sensor, so it cannot be made with another amplitude or other cameras"
         )
     name, cameras, engine = scene["scene"], scene["cameras"], scene["engine"]
-    options = {
+    options: dict[str, Any] = {
         "--out": folder,
-        "--amplitude-px": f"{pixels:g}",
         "--frequency": f"{float(scene['frequency_hz']):g}",
         "--size": data.width,
         "--timesteps": data.n_timesteps,
@@ -88,7 +125,7 @@ def generator_arguments(data: BenchSet, pixels: float, folder: Path) -> list[str
         "--seed": scene.get("seed", 0),
         "--images": scene.get("images", "png8"),
         "--background": scene.get("background", "transparent"),
-        "--alphas": ",".join(map(str, alphas_for(pixels))),
         "--truth": "none",
     }
-    return [str(name), *(str(part) for pair in options.items() for part in pair)]
+    options |= changed
+    return [str(name), *(str(part) for pair in options.items() if pair[1] != "" for part in pair)]
