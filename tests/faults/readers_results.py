@@ -174,10 +174,11 @@ def _scene(root: Path) -> Path:
 
 
 def _read_scene(root: Path) -> None:
-    from tg4mm.bench.again import generator_arguments
+    from tg4mm.bench.again import generator_arguments, kind_options
     from tg4mm.bench.sets import open_set
 
-    generator_arguments(open_set(root / "set", "a"), 0.1, root / "made")
+    data = open_set(root / "set", "a")
+    generator_arguments(data, kind_options(data, "sweep", None), root / "made")
 
 
 # Runs.

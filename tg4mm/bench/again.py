@@ -22,6 +22,7 @@ _SCENE = {
     "cameras": {"kind": str},
     "engine": {"samples": int},
     "frequency_hz": float,
+    "amplitude?": float,
     "n_test": int,
     "seed?": int,
     "images?": str,
@@ -67,8 +68,8 @@ def kind_options(data: BenchSet, kind: str, alphas: Sequence[float] | None) -> d
     given = KINDS[kind] or ("--cameras", "orbit")
     wanted = [str(a) for a in data.alphas if alphas is None or a in alphas]
     own = {} if kind == "orbit" else {"--views": ""}  # how many there are is the kind's own
-    amplitude = read_json(data.root / "scene.json").get("amplitude")
-    main = {} if amplitude is None else {"--amplitude": f"{float(amplitude):g}"}
+    amplitude = _scene(data).get("amplitude")
+    main = {} if amplitude is None else {"--amplitude": f"{amplitude:g}"}
     return own | main | {"--alphas": ",".join(wanted)} | dict(zip(given[::2], given[1::2], strict=True))
 
 
@@ -98,19 +99,7 @@ def generator_arguments(data: BenchSet, changed: Mapping[str, str], folder: Path
 
     Raises BenchError for a dataset it did not render.
     """
-    from dataset_gen.scenes import NAMES
-
-    scene = read_json(data.root / "scene.json")
-    try:
-        check_form(scene, _SCENE)
-        made_here = scene["scene"] in NAMES and scene["cameras"]["kind"] in {"orbit", "rig"}
-    except ValueError:
-        made_here = False
-    if not made_here or scene.get("sensor"):
-        raise BenchError(
-            f"dataset {data.root} is not what tg4mm generate makes of a built-in scene with an orbit or a rig and "
-            "without a sensor, so it cannot be made with another amplitude or other cameras"
-        )
+    scene = _scene(data)
     name, cameras, engine = scene["scene"], scene["cameras"], scene["engine"]
     options: dict[str, Any] = {
         "--out": folder,
@@ -129,3 +118,21 @@ def generator_arguments(data: BenchSet, changed: Mapping[str, str], folder: Path
     }
     options |= changed
     return [str(name), *(str(part) for pair in options.items() if pair[1] != "" for part in pair)]
+
+
+def _scene(data: BenchSet) -> dict[str, Any]:
+    """scene.json of a set that the generator can make anew. Raises BenchError for another."""
+    from dataset_gen.scenes import NAMES
+
+    scene = read_json(data.root / "scene.json")
+    try:
+        check_form(scene, _SCENE)
+        made_here = scene["scene"] in NAMES and scene["cameras"]["kind"] in {"orbit", "rig"}
+    except ValueError:
+        made_here = False
+    if not made_here or scene.get("sensor"):
+        raise BenchError(
+            f"dataset {data.root} is not what tg4mm generate makes of a built-in scene with an orbit or a rig and "
+            "without a sensor, so it cannot be made with another amplitude or other cameras"
+        )
+    return scene
