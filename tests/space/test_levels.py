@@ -44,10 +44,10 @@ def test_every_iteration_has_one_level(n: int, iterations: int) -> None:
 
 
 def test_work_counts_pixels() -> None:
-    """Of full-size pictures every other of every other row is seen, of smaller ones all."""
-    found = levels(SpaceConfig(iterations=1600, max_gaussians=1000, levels=3), FULL)
+    """Of pictures a quarter of the size all pixels are seen, of half the size a quarter, of the full size a ninth."""
+    found = levels(SpaceConfig(iterations=1600, max_gaussians=288_000, levels=3), FULL)
     done = [work(found, i) for i in (0, 400, 800, 1200, 1600)]
-    assert done == [0, 25, 125, 225, 325]
+    assert done == [0, 25, 50, 94, 138]
 
 
 def test_all_of_a_small_picture_is_seen() -> None:
@@ -56,19 +56,20 @@ def test_all_of_a_small_picture_is_seen() -> None:
 
 
 @pytest.mark.parametrize(
-    ("size", "n", "dssim", "spacing"),
+    ("size", "most", "n", "dssim", "spacing"),
     [
-        (FULL, 3, 0.0, [1, 1, 2]),
-        (FULL, 3, 0.2, [1, 1, 1]),  # structure is compared in all of a picture
-        (FULL, 1, 0.0, [1]),
-        ((540, 960), 2, 0.0, [1, 1]),
-        ((4000, 3000), 4, 0.0, [1, 1, 2, 2]),
+        (FULL, 288_000, 3, 0.0, [1, 2, 3]),
+        (FULL, 2_000_000, 3, 0.0, [1, 1, 1]),
+        (FULL, 1000, 3, 0.0, [3, 3, 3]),
+        (FULL, 288_000, 3, 0.2, [1, 1, 1]),  # structure is compared in all of a picture
+        (FULL, 288_000, 1, 0.0, [1]),
+        ((540, 960), 72_000, 2, 0.0, [1, 1]),
     ],
 )
-def test_of_large_pictures_a_part_is_seen(
-    size: tuple[int, int], n: int, dssim: float, spacing: list[int]
+def test_of_large_pictures_some_one_pixel_for_each_gaussian_is_seen(
+    size: tuple[int, int], most: int, n: int, dssim: float, spacing: list[int]
 ) -> None:
-    config = SpaceConfig(iterations=1200, max_gaussians=1000, levels=n, dssim=dssim)
+    config = SpaceConfig(iterations=1200, max_gaussians=most, levels=n, dssim=dssim)
     assert [level.spacing for level in levels(config, size)] == spacing
 
 

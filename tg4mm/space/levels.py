@@ -2,12 +2,13 @@
 
 An iteration on pictures of half the size takes a quarter of the time, and large structures need no more. So most
 iterations are made before the pictures have their own size, with as many Gaussians as those sizes can tell apart. And
-an iteration need not see every pixel of a large picture: a Gaussian covers many there, and a quarter of them, spread
-evenly, pulls it as all.
+an iteration need not see every pixel where Gaussians cover many: some one for each Gaussian, spread evenly, pull them
+as all do.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -24,10 +25,8 @@ LAST = 0.7  # share of the iterations after which density control ends
 CAUGHT_UP = 0.35  # share of a level's iterations by which its number of Gaussians is reached
 # The same of a level that begins with half of its Gaussians: they are there soon, and have longer to settle
 FINE_LAST, FINE_CAUGHT_UP = 0.4, 0.2
-SPARSE = (
-    1200  # pixels of the longer side: of larger pictures an iteration sees every SPACING-th pixel and row
-)
-SPACING = 2
+SPARSE = 1200  # pixels of the longer side of the dataset's pictures, up to which iterations see every pixel
+MOST_SPACING = 3  # pixels
 SMALLEST = 16  # pixels of the shorter side: of coarser pictures nothing is learnt
 
 
@@ -71,23 +70,26 @@ def levels(config: SpaceConfig, size: tuple[int, int]) -> tuple[Level, ...]:
     n, every = config.levels, density.EVERY
     ends = [round((i + 1) / (n - 1) / 2 * config.iterations / every) * every for i in range(n - 1)]
     ends.append(config.iterations)
-    spacing = [_spacing(config, max(size) >> (n - 1 - i)) for i in range(n)]
     return tuple(
-        _level(n - 1 - i, begin, end, i == 0, config.max_gaussians, spacing[i])
+        _level(config, size, n - 1 - i, begin, end)
         for i, (begin, end) in enumerate(zip([0, *ends[:-1]], ends, strict=True))
     )
 
 
-def _spacing(config: SpaceConfig, longer: int) -> int:
-    """D-SSIM compares pixels with their neighbours, and a level alone sees all."""
-    return SPACING if longer > SPARSE and config.dssim == 0 and config.levels > 1 else 1
-
-
-def _level(finer: int, begin: int, end: int, first: bool, most: int, spacing: int) -> Level:
+def _level(config: SpaceConfig, size: tuple[int, int], finer: int, begin: int, end: int) -> Level:
     """The level that so many `finer` ones follow."""
+    first, most = finer == config.levels - 1, max(4, config.max_gaussians >> finer)
     caught_up = begin + (CAUGHT_UP if first else FINE_CAUGHT_UP) * (end - begin)
     until = begin + (LAST if first else FINE_LAST) * (end - begin) if finer == 0 else end + 1
-    return Level(1 << finer, begin, end, max(4, most >> finer), caught_up, until, spacing)
+    return Level(1 << finer, begin, end, most, caught_up, until, _spacing(config, size, finer, most))
+
+
+def _spacing(config: SpaceConfig, size: tuple[int, int], finer: int, n_gaussians: int) -> int:
+    """About one pixel for each Gaussian. D-SSIM compares pixels with their neighbours, and a level alone sees all."""
+    if config.dssim or config.levels == 1 or max(size) <= SPARSE:
+        return 1
+    width, height = (n >> finer for n in size)
+    return min(max(1, round(math.sqrt(width * height / n_gaussians))), MOST_SPACING)
 
 
 def level_at(levels: tuple[Level, ...], iteration: int) -> Level:
