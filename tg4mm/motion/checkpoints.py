@@ -6,7 +6,7 @@ A step has a name and a function that gives named arrays. `no_checkpoint` keeps 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from typing import Protocol
 
@@ -37,3 +37,8 @@ def arrays_of(gaussians: Gaussians) -> Arrays:
 def gaussians_of(arrays: Mapping[str, np.ndarray]) -> Gaussians:
     """From what `arrays_of` gave, among other arrays."""
     return Gaussians(**{f.name: torch.from_numpy(np.array(arrays[f.name])) for f in fields(Gaussians)})
+
+
+def concatenated(some: Sequence[Arrays]) -> Arrays:
+    """Each of the named arrays, one after the other."""
+    return {name: np.concatenate([arrays[name] for arrays in some]) for name in some[0]}

@@ -18,6 +18,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import gaussian_filter
 
 from tg4mm.motion.config import more_iterations
 from tg4mm.motion.solver.cpu import CpuOperator, SharedPass
@@ -25,8 +26,9 @@ from tg4mm.motion.solver.operator import Fold, Operator
 from tg4mm.motion.solver.pcg import pcg
 from tg4mm.motion.solver.problem import Problem
 from tg4mm.motion.split_half import reliability
-from tg4mm.motion.targets import TargetImages, pixel_noise
+from tg4mm.motion.targets import TargetImages
 from tg4mm.progress import progress
+from tg4mm.room import release
 
 CANDIDATES = (10.0, 30.0, 100.0, 300.0, 1_000.0, 3_000.0)
 DEFAULT = 300.0  # where the data are not split, or nothing changes
@@ -35,6 +37,7 @@ _FEW = 4  # iterations for the candidates, of 16,000 Gaussians or fewer: their o
 _LOOSE = 30.0  # smoothness weight while noise is looked for: where much holds them together noise agrees too
 _FOR_NOISE = 2  # iterations; two to six tell the same
 _MIN_RELIABILITY = 0.5  # below it a component is noise: more than half of its field
+_SMOOTHING_PX = 1.5  # standard deviation of what evens out estimates of noise
 _AT_ONCE = 8  # components that share a pass over the views
 
 
@@ -139,3 +142,26 @@ def pixel_weights(
     if not len(noisy):
         return None
     return np.asarray(1 / (1 + variance / noisy.mean(dtype=np.float64)), np.float32)
+
+
+def pixel_noise(targets: TargetImages, is_noise: np.ndarray) -> np.ndarray:
+    """[V, H, W] float32: variance of the noise in one pixel and channel of one target image.
+
+    From what is not motion: the components that were not kept, and of the kept ones those that `is_noise` [ρ] bool
+    names. Their energy, mean over channels, is divided by the number of components that hold it and smoothed (Gaussian
+    of 1.5 px, edges reflected). Zeros where there are no such components. Where more components stood out than were
+    asked for, those left out count as noise: the estimate is then too large. Raises ValueError on another ρ.
+    """
+    n_kept = targets.images.shape[1]
+    if np.shape(is_noise) != (n_kept,):
+        raise ValueError(f"is_noise has shape {np.shape(is_noise)}, expected ({n_kept},)")
+    rows = np.flatnonzero(is_noise)
+    freedom = max(targets.rank - n_kept, 0) + len(rows)
+    if not freedom:
+        return np.zeros_like(targets.residual_energy)
+    energy = targets.residual_energy if targets.rank > n_kept else np.zeros_like(targets.residual_energy)
+    for r in rows:
+        energy = energy + np.einsum("vhwc,vhwc->vhw", *2 * [targets.images[:, r]]) / 3
+        release(targets.images)
+    sigma = (0, _SMOOTHING_PX, _SMOOTHING_PX)
+    return gaussian_filter(energy / np.float32(freedom), sigma, mode="reflect")

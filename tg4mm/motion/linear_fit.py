@@ -14,12 +14,12 @@ from functools import partial
 
 import numpy as np
 
-from tg4mm.motion.checkpoints import Arrays, Checkpoint
+from tg4mm.motion.checkpoints import Arrays, Checkpoint, concatenated
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.hyperparameters import CANDIDATES, Hyperparameters
 from tg4mm.motion.prior.graph import Graph, edge_residual, reweight_edges
-from tg4mm.motion.solver.operator import Fold, Operator
-from tg4mm.motion.solver.pcg import fetched, pcg, sent
+from tg4mm.motion.solver.operator import Array, Fold, Operator
+from tg4mm.motion.solver.pcg import Solution, fetched, pcg, sent
 from tg4mm.motion.solver.problem import Problem
 from tg4mm.motion.targets import TargetImages
 from tg4mm.progress import progress
@@ -71,15 +71,11 @@ class LinearFit:
 
         `correction`: what is taken from the target images; None: nothing.
         """
-        graph = self._reweighted(first) if is_small else None
-        return np.stack(
-            [
-                self.checkpoint(f"second_pass_{p}", partial(self._second, p, first[p], correction, graph))[
-                    "fields"
-                ]
-                for p in range(len(self.folds))
-            ]
-        )
+        graph, out = self._reweighted(first) if is_small else None, []
+        for p in range(len(self.folds)):
+            compute = partial(self._second, p, first[p], correction, graph)
+            out.append(self.checkpoint(f"second_pass_{p}", compute)["fields"])
+        return np.stack(out)
 
     @property
     def _of_second(self) -> int:
@@ -96,50 +92,59 @@ class LinearFit:
         rows = slice(None) if self.problem.mixing is not None else self.hyper.signal[some]
         return (self.targets.of(v, rows) for v in fold.views)
 
+    def _solutions(
+        self,
+        operator: Operator,
+        label: str,
+        iterations: int,
+        sides: Callable[[slice], Array],
+        norms: np.ndarray | None = None,
+    ) -> Iterator[tuple[slice, Solution]]:
+        """Of some components after the other, from their right-hand `sides`; `norms`: as `pcg` takes them, of all."""
+        chunks = self._chunks()
+        with progress(label, len(chunks) * iterations, "iterations") as update:
+            for k, some in enumerate(chunks):
+
+                def tell(done: int, residual: float, k: int = k) -> None:
+                    update(k * iterations + done, residual=round(residual, 4))
+
+                own = norms if norms is None or operator.is_coupled else norms[some]
+                yield some, pcg(operator, sides(some), iterations, self.config.tolerance, own, tell)
+
     def _first(self, p: int, iterations: int) -> Arrays:
         fold = self.folds[p]
-        operator, out, chunks = self.operator(fold), [], self._chunks()
-        with progress(f"motion, fold {p + 1}", len(chunks) * iterations, "iterations") as update:
-            for k, some in enumerate(chunks):
-                b = operator.right_hand_sides(self._images(fold, some))
-                tell = _telling(update, k * iterations)
-                solution = pcg(operator, b, iterations, self.config.tolerance, update=tell)
-                theta = solution.theta
-                own = operator.fields(theta), operator.gradient_fields(theta), fetched(solution.residual)
-                out.append((*own, solution.norms))
-        names = "fields", "x", "residual", "norms"
-        return {
-            name: np.concatenate(arrays) for name, arrays in zip(names, zip(*out, strict=True), strict=True)
-        }
+        operator, out = self.operator(fold), []
+
+        def sides(some: slice) -> Array:
+            return operator.right_hand_sides(self._images(fold, some))
+
+        for _, solution in self._solutions(operator, f"motion, fold {p + 1}", iterations, sides):
+            fields, x = operator.fields(solution.theta), operator.gradient_fields(solution.theta)
+            residual = fetched(solution.residual)
+            out.append({"fields": fields, "x": x, "residual": residual, "norms": solution.norms})
+        return concatenated(out)
 
     def _second(self, p: int, first: Arrays, correction: Correction | None, graph: Graph | None) -> Arrays:
-        fold, iterations = self.folds[p], self._of_second
-        before, out, chunks = self.operator(fold), [], self._chunks()
+        before = self.operator(self.folds[p])
         operator = before if graph is None else before.with_graph(graph)
-        with progress(f"motion, fold {p + 1}, corrected", len(chunks) * iterations, "iterations") as update:
-            for k, some in enumerate(chunks):
-                b = first["residual"][some].copy()
-                if correction is not None:
-                    b -= fetched(operator.right_hand_sides(correction(p, first["fields"], some)))
-                if graph is not None:
-                    x = first["x"][some]
-                    b += fetched(before.prior_products(x)) - fetched(operator.prior_products(x))
-                norms = first["norms"] if before.is_coupled else first["norms"][some]
-                tell = _telling(update, k * iterations)
-                solution = pcg(
-                    operator, sent(b, self.problem.device), iterations, self.config.tolerance, norms, tell
-                )
-                out.append(first["fields"][some] + operator.fields(solution.theta))
-        return {"fields": np.concatenate(out)}
+
+        def sides(some: slice) -> Array:
+            b = first["residual"][some].copy()
+            if correction is not None:
+                b -= fetched(operator.right_hand_sides(correction(p, first["fields"], some)))
+            if graph is not None:
+                x = first["x"][some]
+                b += fetched(before.prior_products(x)) - fetched(operator.prior_products(x))
+            return sent(b, self.problem.device)
+
+        label = f"motion, fold {p + 1}, corrected"
+        solutions = self._solutions(operator, label, self._of_second, sides, first["norms"])
+        fields = [first["fields"][some] + operator.fields(s.theta) for some, s in solutions]
+        return {"fields": np.concatenate(fields)}
 
     def _reweighted(self, first: Sequence[Arrays]) -> Graph | None:
         """The graph with edges reweighted; None where only one fold, or the least weight, was chosen."""
         if len(first) < 2 or self.hyper.smoothness_weight <= CANDIDATES[0]:
             return None
-        return reweight_edges(
-            self.problem.graph, edge_residual(self.problem.graph, first[0]["x"], first[1]["x"])
-        )
-
-
-def _telling(update: Callable[..., None], before: int) -> Callable[[int, float], None]:
-    return lambda done, residual: update(before + done, residual=round(residual, 4))
+        graph = self.problem.graph
+        return reweight_edges(graph, edge_residual(graph, first[0]["x"], first[1]["x"]))

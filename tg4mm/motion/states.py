@@ -26,8 +26,8 @@ from tg4mm.motion.jacobian.view import ViewJacobian
 from tg4mm.motion.observations import Observations, PosedFrames, strips
 from tg4mm.motion.refine import MovedPictures
 from tg4mm.motion.targets import TargetImages
-from tg4mm.rasterize import rasterization
 from tg4mm.room import release, room
+from tg4mm.space.view import render_view
 
 STATE_PX = 0.1  # timesteps between which nothing moves by more are one state
 MOST = 24  # states, and fewer where their pictures would take more than
@@ -202,19 +202,11 @@ def _add(images: np.ndarray, matrix: np.ndarray, pictures: np.ndarray) -> None:
 def rendered(gaussians: Gaussians, seen: MovedPictures, device: str) -> np.ndarray:
     """[V, K, H, W, 3] float32 (`room`): what the cameras see of the Gaussians moved to every state, over white."""
     height, width = seen.pictures.shape[2:4]
-    there = gaussians.to(device)
-    viewmats, Ks = (
-        torch.from_numpy(np.stack([getattr(c, name) for c in seen.cameras])).to(device)
-        for name in ("viewmat", "K")
-    )
-    out = room(seen.pictures.shape)
+    there, out = gaussians.to(device), room(seen.pictures.shape)
     for k, motion in enumerate(seen.motions):
         g = moved(there, torch.from_numpy(motion).to(device))
-        for v in range(len(viewmats)):
-            rgb, _, _ = rasterization(
-                g.means, g.quats, g.scales, g.opacities, g.sh, viewmats[v : v + 1], Ks[v : v + 1],
-                width, height, sh_degree=g.sh_degree, backgrounds=torch.ones(1, 3, device=device),
-            )  # fmt: skip
-            out[v, k] = rgb[0].cpu().numpy()
+        for v, camera in enumerate(seen.cameras):
+            viewmat, K = (torch.from_numpy(a).to(device) for a in (camera.viewmat, camera.K))
+            out[v, k] = render_view(g, viewmat, K, (width, height), g.sh_degree).rgb.cpu().numpy()
             release(out)
     return out

@@ -13,14 +13,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
 
 from tg4mm.motion.nuisance.first_look import FirstLook
 from tg4mm.motion.nuisance.projection import Nuisance, without
 from tg4mm.motion.observations import Observations, Strips, watched
 from tg4mm.room import release, room
 
-_SMOOTHING_PX = 1.5  # standard deviation of what evens out estimates of noise
 _IMAGES = 4  # of one view that are worked on together
 
 
@@ -88,26 +86,3 @@ def project(video: np.ndarray, basis: np.ndarray) -> np.ndarray:
     """Σ_t a_r(t) video[t]: [T, H, W, 3] and [R, T] -> [R, H, W, 3] float32."""
     flat = basis.astype(np.float32) @ video.reshape(len(video), -1)
     return flat.reshape(len(basis), *video.shape[1:])
-
-
-def pixel_noise(targets: TargetImages, is_noise: np.ndarray) -> np.ndarray:
-    """[V, H, W] float32: variance of the noise in one pixel and channel of one target image.
-
-    From what is not motion: the components that were not kept, and of the kept ones those that `is_noise` [ρ] bool
-    names. Their energy, mean over channels, is divided by the number of components that hold it and smoothed (Gaussian
-    of 1.5 px, edges reflected). Zeros where there are no such components. Where more components stood out than were
-    asked for, those left out count as noise: the estimate is then too large. Raises ValueError on another ρ.
-    """
-    n_kept = targets.images.shape[1]
-    if np.shape(is_noise) != (n_kept,):
-        raise ValueError(f"is_noise has shape {np.shape(is_noise)}, expected ({n_kept},)")
-    rows = np.flatnonzero(is_noise)
-    freedom = max(targets.rank - n_kept, 0) + len(rows)
-    if not freedom:
-        return np.zeros_like(targets.residual_energy)
-    energy = targets.residual_energy if targets.rank > n_kept else np.zeros_like(targets.residual_energy)
-    for r in rows:
-        energy = energy + np.einsum("vhwc,vhwc->vhw", *2 * [targets.images[:, r]]) / 3
-        release(targets.images)
-    sigma = (0, _SMOOTHING_PX, _SMOOTHING_PX)
-    return gaussian_filter(energy / np.float32(freedom), sigma, mode="reflect")

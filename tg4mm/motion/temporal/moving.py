@@ -211,8 +211,11 @@ def _refine_scene_and_poses(
         def compute(
             frames: list[PosedFrames] = frames, gaussians: Gaussians = gaussians, k: int = k
         ) -> Arrays:
-            new, exposures, pixels = corrected_poses(gaussians, replace(observations, frames=frames), k)
-            shown = _refined(gaussians, replace(observations, frames=new), exposures, config.seed + k, device)
+            width, height = observations.size
+            pictures = room((len(frames), height, width, 3))
+            new, _, pixels = corrected_poses(gaussians, replace(observations, frames=frames), k, pictures)
+            iterations = int(np.clip(4 * len(frames), 300, 1500))
+            shown = refine_at_rest(gaussians, new, pictures, iterations, config.seed + k, device)
             poses = {"viewmats": np.stack([f.viewmat for f in new]), "pixels": np.array(pixels)}
             return arrays_of(shown) | poses
 
@@ -232,12 +235,15 @@ def pictures_of(observations: Observations) -> Iterator[np.ndarray]:
 
 
 def corrected_poses(
-    gaussians: Gaussians, observations: Observations, k: int
+    gaussians: Gaussians, observations: Observations, k: int, pictures: np.ndarray | None = None
 ) -> tuple[list[PosedFrames], np.ndarray, float]:
-    """Frames with corrected poses, gain and offset [F, 6] of each, and the rms correction in pixels."""
+    """Frames with corrected poses, gain and offset [F, 6] of each, and the rms correction in pixels.
+
+    `pictures` [F, H, W, 3], where they are given, become those of the frames with exposure taken out.
+    """
     out, exposures, squares = [], [], []
     means = gaussians.means.numpy()
-    label = f"poses, round {k + 1} of {_ALTERNATIONS}"
+    label = f"poses, {k + 1} of {_ALTERNATIONS}"
     with progress(label, len(observations.frames), "frames") as update:
         for i, (frame, picture) in enumerate(
             zip(observations.frames, pictures_of(observations), strict=True)
@@ -254,10 +260,13 @@ def corrected_poses(
                     f"the pose of frame {i} cannot be refined: what it shows is not the scene at rest"
                 )
             out.append(frame)
-            exposures.append(n[:6])
+            exposures.append(n[:6].astype(np.float32))
+            if pictures is not None:
+                pictures[i] = (picture - exposures[i][3:]) / (1 + exposures[i][:3])
+                release(pictures)
             squares.append(_apart(first, frame, means, gaussians.opacities.numpy()))
             update(i + 1)
-    return out, np.array(exposures, np.float32), float(np.sqrt(np.mean(squares)))
+    return out, np.array(exposures), float(np.sqrt(np.mean(squares)))
 
 
 def _coefficients(nuisance: Nuisance, shown: np.ndarray, residual: np.ndarray) -> np.ndarray:
@@ -294,19 +303,6 @@ def _apart(a: PosedFrames, b: PosedFrames, means: np.ndarray, opacities: np.ndar
         pixels.append(x[:, :2] / np.maximum(x[:, 2:], 1e-6) * np.diag(frame.K)[:2])
     seen = (x[:, 2] > 1e-3) & (np.abs(pixels[0]) < 2 * frame.K[:2, 2]).all(1) & (opacities > 0.1)
     return float(((pixels[0] - pixels[1])[seen] ** 2).sum(1).mean()) if seen.any() else 0.0
-
-
-def _refined(
-    gaussians: Gaussians, observations: Observations, exposures: np.ndarray, seed: int, device: str
-) -> Gaussians:
-    """The Gaussians refined on all frames, whose exposure is taken out."""
-    width, height = observations.size
-    pictures = room((len(observations.frames), height, width, 3))
-    for k, picture in enumerate(pictures_of(observations)):
-        pictures[k] = (picture - exposures[k, 3:]) / (1 + exposures[k, :3])
-        release(pictures)
-    iterations = int(np.clip(4 * len(observations.frames), 300, 1500))
-    return refine_at_rest(gaussians, observations.frames, pictures, iterations, seed, device)
 
 
 def robust_weights(residual: np.ndarray) -> np.ndarray:

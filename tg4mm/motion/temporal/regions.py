@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tg4mm.motion.checkpoints import Arrays, Checkpoint
+from tg4mm.motion.checkpoints import Arrays, Checkpoint, concatenated
 from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.jacobian.view import PosedView, ViewJacobian
 from tg4mm.motion.nuisance.first_look import FixedCameras
@@ -125,9 +125,7 @@ def moving_camera_series(
             if projection is not None:
                 projection.release()
             update(k + 1)
-    return RegionSeries.restored(
-        times_s, {name: np.concatenate([own[name] for own in each]) for name in each[0]}
-    )
+    return RegionSeries.restored(times_s, concatenated(each))
 
 
 def _sides(
