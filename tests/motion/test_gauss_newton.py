@@ -33,7 +33,7 @@ from tg4mm.motion.solver.operator import Fold
 from tg4mm.motion.solver.problem import Problem
 from tg4mm.motion.split_half import folds_of
 from tg4mm.motion.states import Errors, StateObservations
-from tg4mm.motion.temporal.synchronous import principal_components
+from tg4mm.motion.temporal.synchronous import Synchronous, principal_components
 from tg4mm.render.image import render_image
 from tg4mm.run import Run
 from tg4mm.space import SpaceConfig, rest_views
@@ -277,9 +277,13 @@ class Lab:
         )
         hyper = Hyperparameters(np.zeros(len(targets.basis), bool), 300.0)
         self.folds = folds_of(6, (32, 32), False)
-        self.loop = GaussNewton(
-            self.observations, targets, hyper, self.folds, nuisances, MotionConfig(), "cpu"
-        )
+        problem = Problem.of(self.views, self.gaussians, MotionConfig(), "cpu")
+        self.at_rest = problem.changed(nuisances=nuisances, means=targets.mean)
+        model = Synchronous(
+            self.gaussians, self.observations, self.at_rest, targets, self.folds, MotionConfig(), {}, [],
+            np.arange(len(targets.basis)),
+        )  # fmt: skip
+        self.loop = GaussNewton(model, hyper)
         truth = exact_motion(
             load_truth(scene.dataset, capture.fps, capture.n_timesteps), self.gaussians.means.numpy()
         )
@@ -290,7 +294,6 @@ class Lab:
         self.fields[..., :3] = scale * np.tensordot(self.loop.basis, moves, 1)
         states, self.pixels = states_moved(self.views, self.loop.basis, self.fields, (32, 32))
         self.observed = StateObservations.of(self.observations, states, targets, self.loop.used)
-        problem = Problem.of(self.views, self.gaussians, MotionConfig(), "cpu")
         self.problem = problem.changed(pixel_weights=self.loop.weights)
         self.knots = module.knots_of(
             self.gaussians, self.views, self.fields, self.observed, self.observations
@@ -302,9 +305,8 @@ class Lab:
 
     def operator(self, fold: Fold) -> Any:
         """And its right-hand sides."""
-        rest = self.problem.on_cpu(fold, 300.0)
         return module.coupled_operator(
-            self.problem, rest, self.knots, fold, self.loop.nuisances, self.targets(fold)
+            self.problem, self.at_rest, self.knots, fold, 300.0, self.targets(fold)
         )
 
 

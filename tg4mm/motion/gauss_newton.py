@@ -20,20 +20,16 @@ import numpy as np
 
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.checkpoints import Arrays, Checkpoint, arrays_of, gaussians_of
-from tg4mm.motion.config import MotionConfig, more_iterations
+from tg4mm.motion.config import more_iterations
 from tg4mm.motion.hyperparameters import Hyperparameters, chosen_weight, pixel_weights
 from tg4mm.motion.jacobian.view import ViewJacobian
-from tg4mm.motion.knots import NuisancesAtRest, coupled_operator, knots_of, targets_at
+from tg4mm.motion.knots import coupled_operator, knots_of, targets_at
 from tg4mm.motion.nuisance.first_look import rest_views
-from tg4mm.motion.nuisance.projection import Nuisance
-from tg4mm.motion.observations import Observations
 from tg4mm.motion.refine import refine_rest_scene
-from tg4mm.motion.solver.operator import Fold
 from tg4mm.motion.solver.pcg import pcg
 from tg4mm.motion.solver.problem import Problem
 from tg4mm.motion.split_half import LEAST, wiener_shrink
 from tg4mm.motion.states import Errors, StateObservations, states_moved
-from tg4mm.motion.targets import TargetImages
 from tg4mm.motion.temporal.synchronous import Synchronous
 from tg4mm.progress import progress
 
@@ -80,44 +76,29 @@ def used_components(is_noise: np.ndarray) -> np.ndarray:
 class GaussNewton:
     """What all iterations share: pictures, components, folds, settings."""
 
-    def __init__(
-        self,
-        observations: Observations,
-        targets: TargetImages,
-        hyper: Hyperparameters,
-        folds: Sequence[Fold],
-        nuisances: Sequence[Nuisance],
-        config: MotionConfig,
-        device: str,
-    ) -> None:
+    def __init__(self, model: Synchronous, hyper: Hyperparameters) -> None:
         self.used = used_components(hyper.is_noise)
-        self.basis, self.targets = targets.basis[self.used], targets
-        self.linear = np.flatnonzero(~hyper.is_noise[self.used])
-        self.weights = pixel_weights(targets, ~np.isin(np.arange(len(targets.basis)), self.used))
-        self.observations, self.folds = observations, folds
-        self.nuisances = NuisancesAtRest(nuisances, targets.mean)
-        self.config, self.device, self.size = config, device, observations.size
+        self.at_rest, self.targets, self.folds = model.problem, model.targets, model.folds
+        self.basis, self.linear = self.targets.basis[self.used], np.flatnonzero(~hyper.is_noise[self.used])
+        self.weights = pixel_weights(self.targets, ~np.isin(np.arange(len(self.targets.basis)), self.used))
+        self.observations, self.config, self.device = model.observations, model.config, model.problem.device
         # all components together, linearised at several places: they settle more slowly
-        self.iterations = config.iterations * 3 // 2
-        width, height = self.size
+        self.iterations = self.config.iterations * 3 // 2
+        width, height = self.observations.size
         # as many as a quarter of the space stage's; few cameras alone would bend a scene that others saw, too
-        enough = len(observations.frames) >= LEAST and observations.is_whole
+        enough = len(self.observations.frames) >= LEAST and self.observations.is_whole
         self.refining = int(np.clip(40 * (width * height / 4) ** (1 / 3), 250, 7_500)) if enough else 0
 
     def run(
-        self,
-        gaussians: Gaussians,
-        views: Sequence[ViewJacobian],
-        linear_fields: np.ndarray,
-        weight: float,
-        checkpoint: Checkpoint,
+        self, linear_fields: np.ndarray, weight: float, checkpoint: Checkpoint
     ) -> tuple[GaussNewtonState, list[float], StateObservations]:
         """Iterate from the linear fit's fields [P, R', N, 6]: the last state, and the misfits along the way."""
         start = np.zeros((len(linear_fields), len(self.basis), *linear_fields.shape[2:]), np.float32)
         start[:, self.linear] = linear_fields
         fields, _ = wiener_shrink(start)
-        states, _ = states_moved(views, self.basis, fields, self.size)
+        states, _ = states_moved(self.at_rest.views, self.basis, fields, self.observations.size)
         observed = StateObservations.of(self.observations, states, self.targets, self.used)
+        gaussians = self.at_rest.gaussians
         errors = observed.residuals(gaussians, fields, self.device)[1]
         state, misfits = GaussNewtonState(gaussians, start, weight, errors), [errors.changes]
         units = len(self.folds) * self.iterations * self._costs + self.refining
@@ -199,8 +180,7 @@ class GaussNewton:
         solved = []
         for p, fold in enumerate(self.folds):
             targets = targets_at(knots, fold, residuals, fields, observed)
-            rest = problem.on_cpu(fold, weight)
-            operator, b = coupled_operator(problem, rest, knots, fold, self.nuisances, targets)
+            operator, b = coupled_operator(problem, self.at_rest, knots, fold, weight, targets)
 
             def update(done: int, residual: float, p: int = p) -> None:
                 tell((p * self.iterations + done) * self._costs, residual=round(residual, 4))
@@ -234,12 +214,8 @@ def gauss_newton(
     Gives the model with its scene at rest and functions of time after the iterations, the folds' fields [P, R, N, 6],
     target images of the `judged` views, and figures for the log.
     """
-    problem = model.problem
-    loop = GaussNewton(
-        model.observations, model.targets, hyper, model.folds, problem.nuisances, model.config, problem.device
-    )
-    weight = hyper.smoothness_weight
-    state, misfits, observed = loop.run(model.gaussians, problem.views, folds, weight, checkpoint)
+    loop, problem = GaussNewton(model, hyper), model.problem
+    state, misfits, observed = loop.run(folds, hyper.smoothness_weight, checkpoint)
     fields, _ = wiener_shrink(state.fold_fields)
     views = rest_views(state.gaussians, model.observations)
     residuals, _ = observed.residuals(state.gaussians, fields, problem.device)

@@ -17,9 +17,8 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.motion.animate import moved
 from tg4mm.motion.jacobian.pixels import pixels_moved
 from tg4mm.motion.jacobian.view import VIEW_BYTES, ViewJacobian, view_jacobian
-from tg4mm.motion.nuisance.projection import Nuisance, Projection
+from tg4mm.motion.nuisance.projection import Nuisance, projections_of
 from tg4mm.motion.observations import Observations
-from tg4mm.motion.solver.cpu import CpuOperator
 from tg4mm.motion.solver.cuda import operator_on, views_on
 from tg4mm.motion.solver.operator import Array, Fold, Operator
 from tg4mm.motion.solver.problem import Problem
@@ -72,42 +71,27 @@ def targets_at(
             yield observed.target_images(v, residuals, knot.states, shown)
 
 
-@dataclass(frozen=True)
-class NuisancesAtRest:
-    """What the pictures of each camera may show besides motion, to be projected out at the knots, too."""
-
-    nuisances: Sequence[Nuisance]  # of each camera; none: nothing
-    means: np.ndarray  # [V, H, W, 3], the mean over time of its pictures
-
-    def projections(
-        self, views: Sequence[ViewJacobian], fold: Fold, weights: np.ndarray | None
-    ) -> list[Projection] | None:
-        """Of the fold's views at one knot after the other."""
-        if not self.nuisances or not self.nuisances[0].active.any():
-            return None
-        rows = [int(fold.views[k % len(fold.views)]) for k in range(len(views))]
-        return [
-            Projection.of(
-                replace(self.nuisances[v], view=view), self.means[v], None if weights is None else weights[k]
-            )
-            for k, (view, v) in enumerate(zip(views, rows, strict=True))
-        ]
-
-
 def coupled_operator(
     problem: Problem,
-    rest: CpuOperator,
+    at_rest: Problem,
     knots: Sequence[Knot],
     fold: Fold,
-    nuisances: NuisancesAtRest,
+    smoothness_weight: float,
     targets: Iterable[np.ndarray],
 ) -> tuple[Operator, Array]:
-    """One fold with the views of all knots, and its right-hand sides; `rest`: the same with those at rest."""
-    views = [knot.views[v] for knot in knots for v in fold.views]
+    """One fold with the views of all knots, and its right-hand sides.
+
+    What is projected out is as in the problem `at_rest` of the linear fit.
+    """
+    rest = problem.on_cpu(fold, smoothness_weight)
+    views, rows = [knot.views[v] for knot in knots for v in fold.views], [*fold.views] * len(knots)
     weights = None if rest.weights is None else np.concatenate([rest.weights] * len(knots))
-    plain = replace(
-        rest, views=views, weights=weights, projections=nuisances.projections(views, fold, weights)
-    )
+    nuisances: list[Nuisance] = []
+    if at_rest.nuisances:
+        nuisances = [replace(at_rest.nuisances[v], view=own) for v, own in zip(rows, views, strict=True)]
+    means = None if at_rest.means is None else [at_rest.means[v] for v in rows]
+    projections = projections_of(nuisances, means, weights)
+    plain = replace(rest, views=views, weights=weights, projections=projections)
     mixing = [knot.mixing for knot in knots for _ in fold.views]
     there = views_on(problem.device, views, problem.graph)
     b = operator_on(there, plain).right_hand_sides(targets)

@@ -181,6 +181,16 @@ class Projection:
         v_motions -= (products @ flat).reshape(v_motions.shape)
 
 
+def projections_of(
+    nuisances: Sequence[Nuisance], means: Sequence[np.ndarray] | None, weights: np.ndarray | None
+) -> list[Projection] | None:
+    """Of each view with its mean picture and pixel weights [V, H, W] or None; None where nothing is projected out."""
+    if means is None or not nuisances or not nuisances[0].active.any():
+        return None
+    each = zip(nuisances, means, [None] * len(nuisances) if weights is None else weights, strict=True)
+    return [Projection.of(*own) for own in each]
+
+
 def exposure(
     nuisances: Sequence[Nuisance],
     means: Sequence[np.ndarray],

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
@@ -121,53 +119,38 @@ class CpuOperator:
         """Motions [R, N, 6] of the fields, 0 outside their support."""
         return motions if self.support is None else motions * self.support[..., None]
 
+    def add_view(self, k: int, motions: np.ndarray, v_motions: np.ndarray) -> None:
+        """Adds C_vᵀ Jᵀ W (1 − Q Qᵀ W) J C_v of view k to `v_motions`, both [S, R, N, 6] of S systems."""
+        shown = motions if self.mixing is None else np.stack([self.mixed(k, own) for own in motions])
+        flat, alone = shown.reshape(-1, *shown.shape[2:]), self.mixing is None and self.projections is None
+        out = v_motions.reshape(flat.shape) if alone else np.zeros_like(flat)
+        for some in _at_once(len(flat)):
+            weights = None if self.weights is None else self.weights[k]
+            self.views[k].gauss_newton_product(flat[some], weights, out[some], self.buffers)
+        if self.projections is not None:
+            self.projections[k].correct(flat, out)
+        self.release(k)
+        if not alone:
+            for total, own in zip(v_motions, out.reshape(shown.shape), strict=True):
+                total += self._unmixed(k, own)
+
     def _unmixed(self, k: int, own: np.ndarray) -> np.ndarray:
         return own if self.mixing is None else np.tensordot(self.mixing[k].T, own, 1)
 
 
 def products_of(operators: Sequence[CpuOperator], thetas: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Products of operators that share views, weights and mixing, in one pass over the views."""
-    first = operators[0]
-    x = [[o.preconditioner.field(t) for t in theta] for o, theta in zip(operators, thetas, strict=True)]
-    counts = [len(own) for own in x]
-    of_each = [
-        o.supported(np.stack([o.graph.motion(one) for one in own]))
-        for o, own in zip(operators, x, strict=True)
-    ]
-    motions = np.concatenate(of_each)
+    """Products of operators that share views, weights and mixing with θ [R, P, 3] of each, in one pass over views."""
+    x = [o.gradient_fields(theta) for o, theta in zip(operators, thetas, strict=True)]
+    each = zip(operators, x, strict=True)
+    motions = np.stack([o.supported(np.stack([o.graph.motion(one) for one in own])) for o, own in each])
     v_motions = np.zeros_like(motions)
-    for k in range(len(first.views)):
-        _add_view(first, k, motions, counts, v_motions)
-    out, ends = [], np.cumsum([0, *counts])
-    for operator, own, (a, b) in zip(operators, x, pairwise(ends), strict=True):
-        pairs = zip(own, operator.supported(v_motions[a:b]), strict=True)
+    for k in range(len(operators[0].views)):
+        operators[0].add_view(k, motions, v_motions)
+    out = []
+    for operator, own, v_own in zip(operators, x, v_motions, strict=True):
+        pairs = zip(own, operator.supported(v_own), strict=True)
         out.append(np.stack([operator.with_prior(one, v) for one, v in pairs]))
     return out
-
-
-def _add_view(
-    first: CpuOperator, k: int, motions: np.ndarray, counts: list[int], v_motions: np.ndarray
-) -> None:
-    """Adds C_vᵀ Jᵀ W (1 − Q Qᵀ W) J C_v of one view to `v_motions`, both [Σ counts, N, 6]."""
-    weights = None if first.weights is None else first.weights[k]
-    shown: Any = motions
-    if first.mixing is not None:
-        ends = np.cumsum([0, *counts])
-        shown = np.concatenate([first.mixed(k, motions[a:b]) for a, b in pairwise(ends)])
-    alone = first.mixing is None and first.projections is None
-    own = v_motions if alone else np.zeros_like(shown)
-    for some in _at_once(len(shown)):
-        first.views[k].gauss_newton_product(shown[some], weights, own[some], first.buffers)
-    if first.projections is not None:
-        first.projections[k].correct(shown, own)
-    first.release(k)
-    if first.mixing is None:
-        if not alone:
-            v_motions += own
-        return
-    rank = len(first.mixing[k])
-    for i, (a, n) in enumerate(zip(np.cumsum([0, *counts]), counts, strict=False)):
-        v_motions[a : a + n] += np.tensordot(first.mixing[k].T, own[i * rank : (i + 1) * rank], 1)
 
 
 def _at_once(n: int) -> list[slice]:

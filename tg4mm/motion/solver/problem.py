@@ -11,7 +11,7 @@ import numpy as np
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.jacobian.view import ViewJacobian
-from tg4mm.motion.nuisance.projection import Nuisance, Projection, without
+from tg4mm.motion.nuisance.projection import Nuisance, Projection, projections_of, without
 from tg4mm.motion.prior.graph import Graph, build_graph
 from tg4mm.motion.solver.aggregates import Aggregates, aggregate
 from tg4mm.motion.solver.cpu import CpuOperator
@@ -129,10 +129,6 @@ class Problem:
     def _projections(self, fold: Fold) -> list[Projection] | None:
         if self.projections is not None:
             return [self.projections[v] for v in fold.views]
-        if self.means is None or not self.nuisances or not self.nuisances[0].active.any():
-            return None
-        own = fold.weighted(self.pixel_weights)
-        return [
-            Projection.of(self.nuisances[v], self.means[v], None if own is None else own[k])
-            for k, v in enumerate(fold.views)
-        ]
+        nuisances = [self.nuisances[v] for v in fold.views] if self.nuisances else []
+        means = None if self.means is None else self.means[fold.views]
+        return projections_of(nuisances, means, fold.weighted(self.pixel_weights))
