@@ -1,4 +1,4 @@
-# demo, test, test-all, test-faults, test-avx2, test-sse2, benchmark-avx2, lint, extension, sample, docs, player, readers, clean. Each sets up .venv first; the second time that costs nothing.
+# demo, test, test-all, test-faults, test-avx2, test-sse2, benchmark-avx2, lint, extension, sample, docs, player, readers, farm, clean. Each sets up .venv first; the second time that costs nothing.
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -13,12 +13,13 @@ CONSTRAINED := -c constraints.txt
 PYTHON52 ?= $(shell for p in python3.13 "$$(pyenv root 2>/dev/null)"/versions/3.13*/bin/python3.13; do \
 	"$$p" -c 'import sys; assert sys.version_info[:2] == (3, 13)' 2>/dev/null && echo "$$p" && break; done)
 VENV52 := .venv52
+VENVFARM := .venv-farm
 # One thread in each of two workers is faster here than two threads in one.
 WORKERS ?= 2
 AVX2 := NUMBA_CPU_NAME=haswell NUMBA_CPU_FEATURES=+avx2,+fma ATEN_CPU_CAPABILITY=avx2
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --durations=30
 
-.PHONY: demo test test-all test-slow test-faults test-52 test-gui test-avx2 test-sse2 benchmark-avx2 lint extension sample docs player readers install clean distclean
+.PHONY: demo test test-all test-slow test-faults test-52 test-gui test-avx2 test-sse2 benchmark-avx2 lint extension sample docs player readers farm install clean distclean
 
 demo: install
 	$(BIN)/tg4mm demo --out demo
@@ -86,6 +87,15 @@ player:
 # Khronos's glTF validator and the reference reader of SPZ, for tests that are skipped without them; needs node 20 and npm.
 readers:
 	cd tests/splatfile/formats/node && npm ci --no-audit --no-fund
+
+# Snakemake with the executors of Slurm and Kubernetes in an environment of its own, for tests that are skipped without
+# it: TG4MM_SNAKEMAKE=.venv-farm/bin/snakemake; with TG4MM_REQUIRE_SNAKEMAKE=1 they fail instead.
+farm: $(VENVFARM)/.installed
+
+$(VENVFARM)/.installed: requirements-farm.txt
+	[ -x $(VENVFARM)/bin/python ] || $(PYTHON) -m venv $(VENVFARM)
+	$(VENVFARM)/bin/python -m pip install --quiet -r requirements-farm.txt
+	@touch $@
 
 install: $(VENV)/.installed
 

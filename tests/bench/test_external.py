@@ -176,6 +176,25 @@ def test_results_of_another_dataset_of_that_name_are_not_overwritten(
     assert "holds results of another one of that name" in capsys.readouterr().err
 
 
+def test_collecting_runs_nothing_and_says_what_is_not_there(
+    data: Path, tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    run_linear(data, out)
+
+    def forbidden(*_: object) -> None:
+        raise AssertionError("something is run")
+
+    monkeypatch.setattr("tg4mm.bench.jobs.write_png", forbidden)
+    monkeypatch.setattr("tg4mm.bench.measure.train", forbidden)
+    arguments = ["bench", "scenes", str(data), "--out", str(out), "--methods", "modal,linear-2d", "--collect"]
+    assert main(arguments) == 1
+    results = json.loads((out / "results.json").read_text(encoding="utf-8"))
+    assert [(f["method"], f["why"]) for f in results["failed"]] == [("modal", "is not finished")]
+    assert [line["row"] for line in results["lines"]] == ["linear-2d"]
+    assert (out / "results.html").is_file()
+
+
 def test_speed_is_of_magnified_pictures(data: Path, tmp_path: Path) -> None:
     """At α = 0 a video is passed on as it is, which is no speed of a method."""
     _, results = run_linear(data, tmp_path / "out")

@@ -15,7 +15,7 @@ import typer
 
 import tg4mm.bench
 from dataset_gen.options import parser, request_from
-from tests.helpers.snakemake_program import FARM, snakemake
+from tests.helpers.snakemake_program import FARM, check_plugins, snakemake
 from tg4mm.bench import presets
 from tg4mm.bench.errors import BenchError
 from tg4mm.bench.presets import PRESETS, Choices, Step, choices_from, run_preset, steps_of
@@ -137,18 +137,54 @@ def run_snakemake(folder: Path, config: dict[str, object], *more: str) -> subpro
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=240)
 
 
-@pytest.mark.parametrize("profile", ["", "local", "slurm"])
+@pytest.mark.parametrize("profile", ["", "local", "slurm", "kubernetes"])
 def test_a_dry_run_of_the_workflow_names_every_step(tmp_path: Path, profile: str) -> None:
     options = ["--profile", str(FARM / "profiles" / profile)] if profile else ["--cores", "2"]
     config = {"preset": "small", "out": "bench", "python": sys.executable}
     done = run_snakemake(tmp_path, config, "--dry-run", *options)
     said = done.stdout + done.stderr
-    if "invalid choice" in said or "not installed" in said:
-        pytest.skip(f"the plugins of profiles/{profile} are not installed")
+    check_plugins(said, profile)
     assert done.returncode == 0, said
     for step in steps_of("small", "bench"):
         assert f"bench/.done/{step.name}" in said
     assert not (tmp_path / "bench").exists()
+
+
+# Plans as the real one does; other commands are recorded, and the one that holds `fail` fails.
+STAND_IN = """#!{python}
+import os, runpy, sys
+sys.path.insert(0, {root!r})
+if sys.argv[2] == "tg4mm.bench.presets":
+    sys.argv = sys.argv[2:]
+    runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
+    sys.exit()
+line = " ".join(sys.argv[3:])
+open({log!r}, "a").write(line + "\\n")
+sys.exit("does not work" if os.path.exists({fail!r}) and " linear-2d --out" in line else 0)
+"""
+
+
+def test_the_page_is_made_though_a_job_failed(tmp_path: Path) -> None:
+    program, log, fail = (tmp_path / name for name in ("python", "calls.txt", "fail"))
+    program.write_text(STAND_IN.format(python=sys.executable, root=str(ROOT), log=str(log), fail=str(fail)))
+    program.chmod(0o755)
+    fail.touch()
+    config = {"preset": "mic-512", "out": "my bench", "python": str(program)}
+    done = run_snakemake(tmp_path, config, "--cores", "1", "--keep-going")
+    assert done.returncode == 1
+    calls = log.read_text().splitlines()
+    assert [" ".join(c.split()[:2]) for c in calls[:-1]] == ["generate mic", *["bench job"] * 4]
+    assert calls[-1].startswith("bench scenes ")
+    assert calls[-1].endswith(" --collect")
+    fail.unlink()
+    log.write_text("")
+    again = run_snakemake(tmp_path, config, "--cores", "1", "--keep-going")
+    assert again.returncode == 0, again.stderr
+    repeated, page = log.read_text().splitlines()
+    assert repeated.startswith("bench job")
+    assert " linear-2d " in repeated
+    assert page.startswith("bench scenes ")
+    assert "--collect" not in page
 
 
 def test_what_is_wrong_with_a_configuration_is_said(tmp_path: Path) -> None:

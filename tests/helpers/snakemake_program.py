@@ -1,4 +1,4 @@
-"""Where Snakemake lies; without it a test is skipped."""
+"""Where Snakemake lies; without it a test is skipped, or with TG4MM_REQUIRE_SNAKEMAKE=1 fails."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import os
 import shutil
 import sys
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 
@@ -18,7 +19,17 @@ def snakemake() -> str:
     beside = shutil.which("snakemake", path=str(Path(sys.executable).parent))
     found = os.environ.get("TG4MM_SNAKEMAKE") or beside or shutil.which("snakemake")
     if not found:
-        pytest.skip(
-            "snakemake is not installed: pip install snakemake, or set TG4MM_SNAKEMAKE to where it lies"
-        )
+        lacking("snakemake is not installed: make farm, and set TG4MM_SNAKEMAKE to .venv-farm/bin/snakemake")
     return found
+
+
+def lacking(why: str) -> NoReturn:
+    if os.environ.get("TG4MM_REQUIRE_SNAKEMAKE", "0") not in {"", "0"}:
+        pytest.fail(why)
+    pytest.skip(why)
+
+
+def check_plugins(said: str, profile: str) -> None:
+    """Of a dry run's output: whether a profile's plugins are there."""
+    if any(words in said for words in ("invalid choice", "not installed", "unrecognized arguments")):
+        lacking(f"the plugins of profiles/{profile} are not installed: make farm")

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from tg4mm.bench.ablation_file import read_ablation
+from tg4mm.bench.errors import BenchError
 from tg4mm.bench.failures import why_failed
 from tg4mm.bench.folder import FORMAT, VERSION, circumstances, open_folder
 from tg4mm.bench.html import write_page
@@ -47,6 +48,7 @@ class ScenesRequest:
     same_time: str = "needed"
     plan: Plan = field(default_factory=Plan)
     vqa: tuple[Checkout, ...] = ()
+    collect: bool = False  # run nothing: the tables of what is finished
 
     def presets(self) -> list[str]:
         """Of the methods those that `tg4mm train` knows."""
@@ -80,7 +82,8 @@ def run_scenes(
     sets, failed = open_those_that_open(roots, request.plan.alphas)
     check_plan(sets, request.plan)
     open_folder(Path(out), KIND)
-    _prepare(sets, Path(out), out, request, methods, say)
+    if not request.collect:
+        _prepare(sets, Path(out), out, request, methods, say)
     bench = _Bench(Path(out), request, sets, failed, say)
     jobs = {(d.label, m.name): is_finished(m, d, Path(out), request.plan) for d in sets for m in methods}
     n_done = sum(jobs.values())
@@ -140,6 +143,8 @@ class _Bench:
         """One method on one dataset; what fails is kept as a line of `failed`."""
         self.say(f"{data.label}, {method.name}")
         try:
+            if self.request.collect:
+                self._check_finished(method, data)
             figures, lines = run_job(method, data, self.out, self.request.plan, self.request.vqa)
         except Exception as error:  # one job's fault, whatever it is, is not to take hours of others along
             self.first_error = self.first_error or error
@@ -150,6 +155,13 @@ class _Bench:
             self._keep(method, data, figures, lines)
         if self.lines:
             write_results(self.out, self.results())
+
+    def _check_finished(self, method: Method, data: BenchSet) -> None:
+        """Raise BenchError for a job that is not done."""
+        place, plan = job_folder(self.out, data, method), self.request.plan
+        trained = not isinstance(method, Trained) or is_measured(place, data, method.training, plan)
+        if not trained or not is_finished(method, data, self.out, plan):
+            raise BenchError("is not finished")
 
     def tables_of(self, ablations: Sequence[Path]) -> list[tuple[Path, dict[str, Any]]]:
         """The results of ablations; one that cannot be read is kept as a line of `failed`."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -188,6 +189,9 @@ def scenes(
         typer.Option(help="Also write to this Markdown file which of the project's goals are reached."),
     ] = None,
     device: DeviceOption = Device.cpu,
+    collect: Annotated[
+        bool, typer.Option("--collect", help="Run nothing: the tables of what is finished, and what is not.")
+    ] = False,
 ) -> None:
     """Run and score every method on every dataset.
 
@@ -210,7 +214,7 @@ def scenes(
         (md_vqa, fast_vqa, vqa_python),
         device,
     )
-    results = run_scenes(datasets, out, request, _say, ablation or [])
+    results = run_scenes(datasets, out, replace(request, collect=collect), _say, ablation or [])
     if goals is not None:
         from tg4mm.bench.folder import write_text
 
