@@ -17,7 +17,7 @@ from tg4mm.motion.jacobian.view import ViewJacobian, view_jacobian
 from tg4mm.motion.nuisance.projection import Projection, nuisances_of
 from tg4mm.motion.sinusoids import sinusoids
 from tg4mm.motion.solver.problem import Problem
-from tg4mm.motion.temporal.regions import RegionSeries, fixed_camera_series, labels_of, moving_camera_series
+from tg4mm.motion.temporal.regions import RegionSeries, RegionView, labels_of, moving_camera_series
 
 SIZE, POST = 64, 1
 
@@ -42,10 +42,13 @@ class Scene:
         motions[:, self.labels == region, :3] = (shifts @ self.axes)[:, None]
         return self.view.jvp(motions)
 
+    def regions(self, projection: Projection | None = None) -> RegionView:
+        return RegionView(self.view, self.camera, projection, self.labels)
+
     def series(self, changes: np.ndarray, projection: Projection | None = None) -> RegionSeries:
         times = np.arange(len(changes)) / 30
         by_three = (changes[k : k + 3] for k in range(0, len(changes), 3))
-        return fixed_camera_series(self.view, self.camera, projection, self.labels, by_three, times)
+        return self.regions(projection).series(by_three, times)
 
 
 @pytest.fixture(scope="module")
@@ -127,9 +130,7 @@ def test_a_camera_that_moves_by_nothing_is_a_fixed_one(scene: Scene) -> None:
     changes = scene.shown(SHIFTS)
     fixed = scene.series(changes)
     n = len(changes)
-    moving = moving_camera_series(
-        [scene.view] * n, [scene.camera] * n, [None] * n, scene.labels, iter(changes), fixed.times_s
-    )
+    moving = moving_camera_series([scene.regions()] * n, iter(changes), fixed.times_s)
     np.testing.assert_allclose(moving.sides, fixed.sides, atol=1e-4 * np.abs(fixed.sides).max())
     for k in range(n):
         np.testing.assert_allclose(moving.normals[k], fixed.normals[0], rtol=1e-4)

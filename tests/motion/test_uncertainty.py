@@ -21,7 +21,7 @@ from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.jacobian.view import ViewJacobian, blend_sum, view_jacobian
 from tg4mm.motion.observations import PosedFrames, fixed_cameras
 from tg4mm.motion.prior.graph import nearest
-from tg4mm.motion.uncertainty import BLOCK, local_variance, residual_displacement
+from tg4mm.motion.uncertainty import BLOCK, MotionEstimate, local_variance, residual_displacement
 from tg4mm.run import UNCERTAINTY, Run
 from tg4mm.stages.motion import train_motion
 
@@ -41,7 +41,10 @@ class Seen:
         return nearest(self.gaussians.means.numpy())[1]
 
     def left(self, left: list[np.ndarray]) -> np.ndarray:
-        return residual_displacement(left, self.views, self.cameras, self.gaussians.means.numpy(), self.knn)
+        nothing = np.zeros((2, 0, len(self.gaussians), 6), np.float32)
+        return residual_displacement(
+            MotionEstimate(nothing, nothing[0], self.gaussians, self.knn, self.views, self.cameras, left)
+        )
 
     def shows(self, displacement: tuple[float, float, float]) -> list[np.ndarray]:
         """[1, H, W, 3] of each view: what it changes if everything moves."""

@@ -74,12 +74,13 @@ def used_components(is_noise: np.ndarray) -> np.ndarray:
 
 
 class GaussNewton:
-    """What all iterations share: pictures, components, folds, settings."""
+    """What all iterations share: pictures of states, components, folds, settings."""
 
-    def __init__(self, model: Synchronous, hyper: Hyperparameters) -> None:
+    def __init__(self, model: Synchronous, hyper: Hyperparameters, linear_fields: np.ndarray) -> None:
+        """From the linear fit's fields [P, R', N, 6]."""
         self.used = used_components(hyper.is_noise)
         self.at_rest, self.targets, self.folds = model.problem, model.targets, model.folds
-        self.basis, self.linear = self.targets.basis[self.used], np.flatnonzero(~hyper.is_noise[self.used])
+        self.basis, linear = self.targets.basis[self.used], np.flatnonzero(~hyper.is_noise[self.used])
         self.weights = pixel_weights(self.targets, ~np.isin(np.arange(len(self.targets.basis)), self.used))
         self.observations, self.config, self.device = model.observations, model.config, model.problem.device
         # all components together, linearised at several places: they settle more slowly
@@ -88,98 +89,83 @@ class GaussNewton:
         # as many as a quarter of the space stage's; few cameras alone would bend a scene that others saw, too
         enough = len(self.observations.frames) >= LEAST and self.observations.is_whole
         self.refining = int(np.clip(40 * (width * height / 4) ** (1 / 3), 250, 7_500)) if enough else 0
-
-    def run(
-        self, linear_fields: np.ndarray, weight: float, checkpoint: Checkpoint
-    ) -> tuple[GaussNewtonState, list[float], StateObservations]:
-        """Iterate from the linear fit's fields [P, R', N, 6]: the last state, and the misfits along the way."""
         start = np.zeros((len(linear_fields), len(self.basis), *linear_fields.shape[2:]), np.float32)
-        start[:, self.linear] = linear_fields
+        start[:, linear] = linear_fields
         fields, _ = wiener_shrink(start)
         states, _ = states_moved(self.at_rest.views, self.basis, fields, self.observations.size)
-        observed = StateObservations.of(self.observations, states, self.targets, self.used)
-        gaussians = self.at_rest.gaussians
-        errors = observed.residuals(gaussians, fields, self.device)[1]
-        state, misfits = GaussNewtonState(gaussians, start, weight, errors), [errors.changes]
+        self.observed = StateObservations.of(self.observations, states, self.targets, self.used)
+        errors = self.observed.residuals(model.gaussians, fields, self.device)[1]
+        self.start = GaussNewtonState(model.gaussians, start, hyper.smoothness_weight, errors)
+
+    def run(self, checkpoint: Checkpoint) -> tuple[GaussNewtonState, list[float]]:
+        """The last state, and the misfits along the way."""
+        state, misfits = self.start, [self.start.errors.changes]
         units = len(self.folds) * self.iterations * self._costs + self.refining
         with progress("Gauss-Newton", self.config.gauss_newton * units, "steps") as update:
             for k in range(self.config.gauss_newton):
 
-                def tell(done: int, k: int = k, **figures: Any) -> None:
-                    update(k * units + done, iteration=k + 1, **figures)
+                def compute(state: GaussNewtonState = state, k: int = k) -> Arrays:
+                    def tell(done: int, **figures: Any) -> None:
+                        update(k * units + done, iteration=k + 1, **figures)
 
-                def compute(
-                    state: GaussNewtonState = state, k: int = k, tell: Callable[..., None] = tell
-                ) -> Arrays:
-                    return self._iterated(state, observed, k, tell).arrays()
+                    return self._iterated(state, k, tell).arrays()
 
-                before = state
-                state = GaussNewtonState.restored(checkpoint(f"gauss_newton_{k}", compute))
+                before, state = state, GaussNewtonState.restored(checkpoint(f"gauss_newton_{k}", compute))
                 if state.errors.changes < before.errors.changes:
                     misfits.append(state.errors.changes)
                 if state.is_over:
                     break
-        return state, misfits, observed
+        return state, misfits
 
     @property
     def _costs(self) -> int:
         """Steps of refining that an iteration of conjugate gradients takes."""
         return max(2 * len(self.observations.frames) // len(self.folds), 1)
 
-    def _iterated(
-        self, state: GaussNewtonState, observed: StateObservations, k: int, tell: Callable[..., None]
-    ) -> GaussNewtonState:
+    def _iterated(self, state: GaussNewtonState, k: int, tell: Callable[..., None]) -> GaussNewtonState:
         """One iteration: its motion if it is accepted, then the scene at rest."""
-        new, weight = self._solved(state, observed, tell)
+        new, weight = self._solved(state, tell)
         for length in (1.0, 0.5):
             stepped = (state.fold_fields + np.float32(length) * (new - state.fold_fields)).astype(np.float32)
             fields, _ = wiener_shrink(stepped)
-            errors = observed.residuals(state.gaussians, fields, self.device)[1]
+            errors = self.observed.residuals(state.gaussians, fields, self.device)[1]
             if errors.changes < state.errors.changes:
-                gaussians, after = self._refined(state.gaussians, fields, observed, errors, k, tell)
+                gaussians, after = self._refined(state.gaussians, fields, errors, k, tell)
                 is_over = after.changes > (1 - _FALL) * state.errors.changes
                 return GaussNewtonState(gaussians, stepped, weight, after, is_over)
         return replace(state, is_over=True)
 
     def _refined(
-        self,
-        gaussians: Gaussians,
-        fields: np.ndarray,
-        observed: StateObservations,
-        errors: Errors,
-        k: int,
-        tell: Callable[..., None],
+        self, gaussians: Gaussians, fields: np.ndarray, errors: Errors, k: int, tell: Callable[..., None]
     ) -> tuple[Gaussians, Errors]:
         """The scene at rest for this motion; the one before stays where it shows the pictures better."""
         if not self.refining:
             return gaussians, errors
         before = len(self.folds) * self.iterations * self._costs
         new = refine_rest_scene(
-            gaussians, observed.moved(fields), self.refining, self.config.seed + k, self.device,
+            gaussians, self.observed.moved(fields), self.refining, self.config.seed + k, self.device,
             lambda done: tell(before + done),
         )  # fmt: skip
-        after = observed.residuals(new, fields, self.device)[1]
+        after = self.observed.residuals(new, fields, self.device)[1]
         return (new, after) if after.is_no_larger(errors) else (gaussians, errors)
 
-    def _solved(
-        self, state: GaussNewtonState, observed: StateObservations, tell: Callable[..., None]
-    ) -> tuple[np.ndarray, float]:
+    def _solved(self, state: GaussNewtonState, tell: Callable[..., None]) -> tuple[np.ndarray, float]:
         """[P, R, N, 6]: what each fold finds in this iteration; and the smoothness weight, chosen anew for it."""
         views = rest_views(state.gaussians, self.observations)
         problem = Problem.of(views, state.gaussians, self.config, self.device)
         problem = problem.changed(pixel_weights=self.weights)
         fields, _ = wiener_shrink(state.fold_fields)
         weight = state.smoothness_weight
-        residuals, _ = observed.residuals(state.gaussians, fields, self.device)
+        residuals, _ = self.observed.residuals(state.gaussians, fields, self.device)
         if not self.config.smoothness_weight and len(self.folds) == 2:
-            images = rest_targets(observed, residuals, views, fields, range(len(views)))
+            images = self.rest_targets(residuals, views, fields, range(len(views)))
             target = np.stack([own[:1].copy() for own in images])
             iterations = round(_FOR_WEIGHT * more_iterations(len(state.gaussians)))
             weight = chosen_weight(target, problem, self.folds, iterations)
-        knots = knots_of(state.gaussians, views, fields, observed, self.observations)
+        knots = knots_of(state.gaussians, views, fields, self.observed)
         solved = []
         for p, fold in enumerate(self.folds):
-            targets = targets_at(knots, fold, residuals, fields, observed)
+            targets = targets_at(knots, fold, residuals, fields, self.observed)
             operator, b = coupled_operator(problem, self.at_rest, knots, fold, weight, targets)
 
             def update(done: int, residual: float, p: int = p) -> None:
@@ -189,17 +175,12 @@ class GaussNewton:
             solved.append(operator.fields(solution.theta))
         return np.stack(solved), weight
 
-
-def rest_targets(
-    observed: StateObservations,
-    residuals: np.ndarray,
-    views: Sequence[ViewJacobian],
-    fields: np.ndarray,
-    rows: Iterable[int],
-) -> Iterator[np.ndarray]:
-    """[R, H, W, 3] of some of the `views` at rest: the target images of fields [R, N, 6] and what they leave."""
-    everything = np.arange(len(observed.states.gains))
-    return (observed.target_images(v, residuals, everything, views[v].jvp(fields)) for v in rows)
+    def rest_targets(
+        self, residuals: np.ndarray, views: Sequence[ViewJacobian], fields: np.ndarray, rows: Iterable[int]
+    ) -> Iterator[np.ndarray]:
+        """[R, H, W, 3] of some of the `views` at rest: the target images of fields [R, N, 6] and what they leave."""
+        states = np.arange(len(self.observed.states.gains))
+        return (self.observed.target_images(v, residuals, states, views[v].jvp(fields)) for v in rows)
 
 
 def gauss_newton(
@@ -214,12 +195,12 @@ def gauss_newton(
     Gives the model with its scene at rest and functions of time after the iterations, the folds' fields [P, R, N, 6],
     target images of the `judged` views, and figures for the log.
     """
-    loop, problem = GaussNewton(model, hyper), model.problem
-    state, misfits, observed = loop.run(folds, hyper.smoothness_weight, checkpoint)
+    loop, problem = GaussNewton(model, hyper, folds), model.problem
+    state, misfits = loop.run(checkpoint)
     fields, _ = wiener_shrink(state.fold_fields)
     views = rest_views(state.gaussians, model.observations)
-    residuals, _ = observed.residuals(state.gaussians, fields, problem.device)
-    images = rest_targets(observed, residuals, views, fields, judged)
+    residuals, _ = loop.observed.residuals(state.gaussians, fields, problem.device)
+    images = loop.rest_targets(residuals, views, fields, judged)
     figures = {
         "gauss_newton": len(misfits) - 1,
         "misfits": misfits,

@@ -18,7 +18,6 @@ from tg4mm.motion.animate import moved
 from tg4mm.motion.jacobian.pixels import pixels_moved
 from tg4mm.motion.jacobian.view import VIEW_BYTES, ViewJacobian, view_jacobian
 from tg4mm.motion.nuisance.projection import Nuisance, projections_of
-from tg4mm.motion.observations import Observations
 from tg4mm.motion.solver.cuda import operator_on, views_on
 from tg4mm.motion.solver.operator import Array, Fold, Operator
 from tg4mm.motion.solver.problem import Problem
@@ -42,7 +41,6 @@ def knots_of(
     views: Sequence[ViewJacobian],
     fields: np.ndarray,
     observed: StateObservations,
-    observations: Observations,
 ) -> list[Knot]:
     """Knots of the motion `fields` [R, N, 6]; `views`: the Jacobians at rest."""
     states, motions = observed.states, observed.moved(fields).motions
@@ -54,7 +52,8 @@ def knots_of(
         motion = torch.from_numpy(np.tensordot(share, motions[own], 1).astype(np.float32))
         there = moved(gaussians, motion)
         is_large = len(knots.gains) * sum(view.nbytes for view in views) > VIEW_BYTES
-        each = (view_jacobian(there, camera, observations.size) for camera in observations.frames)
+        height, width = observed.pictures.shape[2:4]
+        each = (view_jacobian(there, camera, (width, height)) for camera in observed.cameras)
         jacobians = [view.stored() if is_large else view for view in each]
         out.append(Knot(jacobians, own, _root(states.products[own].sum(0))))
     return out

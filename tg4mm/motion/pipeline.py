@@ -63,7 +63,7 @@ def fit_motion(
 
 
 def _fitted(model: TemporalModel, checkpoint: Checkpoint) -> MotionFit:
-    """Hyperparameters, the linear fit, Gauss-Newton where motion is large; what halves agree on, its modes, its ±."""
+    """Hyperparameters, the linear fit, Gauss-Newton where motion is large; the folds' mean, its ± and its modes."""
     if not len(model.targets.basis):
         return without_motion(model)
     model, hyper = select_hyperparameters(model, checkpoint)

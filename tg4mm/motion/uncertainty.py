@@ -42,7 +42,7 @@ class MotionEstimate:
     knn: np.ndarray  # [N, count], the nearest Gaussians of each
     views: Sequence[ViewJacobian]  # some of those Gaussians
     cameras: Sequence[PosedView]
-    residuals: Iterable[np.ndarray]  # of each of those views, of its target images
+    residuals: Iterable[np.ndarray]  # [R, H, W, 3] of each of those views, of its target images
 
 
 @dataclass(frozen=True)
@@ -128,17 +128,9 @@ def _along_viewing_rays(
 
 
 def _model_error(estimate: MotionEstimate) -> np.ndarray:
-    """[N] variance, summed over functions of time."""
-    means = estimate.gaussians.means.numpy()
-    residual = residual_displacement(
-        estimate.residuals, estimate.views, estimate.cameras, means, estimate.knn
-    )
-    return model_error_variance(residual, local_variance(estimate.fields[..., :3], estimate.knn))
-
-
-def model_error_variance(residual: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """Variance of the displacement [N], of the squares [N] that `residual_displacement` and `local_variance` give."""
-    return _OF_RESIDUAL * residual + _OF_VARIANCE * variance
+    """[N] variance of the displacement, summed over functions of time."""
+    variance = local_variance(estimate.fields[..., :3], estimate.knn)
+    return _OF_RESIDUAL * residual_displacement(estimate) + _OF_VARIANCE * variance
 
 
 def local_variance(fields: np.ndarray, knn: np.ndarray) -> np.ndarray:
@@ -153,28 +145,22 @@ def local_variance(fields: np.ndarray, knn: np.ndarray) -> np.ndarray:
     return np.maximum(out, 0)
 
 
-def residual_displacement(
-    residuals: Iterable[np.ndarray],
-    views: Sequence[ViewJacobian],
-    cameras: Sequence[PosedView],
-    means: np.ndarray,
-    knn: np.ndarray,
-) -> np.ndarray:
+def residual_displacement(estimate: MotionEstimate) -> np.ndarray:
     """[N] float64, scene units squared: the squared displacement that the residual of target images could be.
 
-    residuals: of every view [R, H, W, 3]; means [N, 3], the Gaussians' places. Means of the squares over pixels by the
-    blending weights of the nearest Gaussians `knn` [N, count]; over the whole scene where no camera sees any of these.
-    A surface counts as no flatter than a hundredth of the scene's mean squared slope.
+    Means of the squares over pixels by the blending weights of the nearest Gaussians; over the whole scene where no
+    camera sees any of these. A surface counts as no flatter than a hundredth of the scene's mean squared slope.
     """
+    means = estimate.gaussians.means.numpy()
     seen = np.zeros((len(means), 3))  # of the residual, of what a unit of displacement changes, of pixels
-    for pictures, view, camera in zip(residuals, views, cameras, strict=True):
+    for pictures, view, camera in zip(estimate.residuals, estimate.views, estimate.cameras, strict=True):
         slopes = _slopes(view)
         told = blend_sum(view, np.stack([_of_blocks(pictures), slopes, np.ones_like(slopes)], -1))
         depth = means @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
         per_unit = np.sqrt(camera.K[0, 0] * camera.K[1, 1]) / np.where(told[:, 2] > 0, depth, 1)  # pixels
         told[:, 1:] *= per_unit[:, None] ** 2
         seen += told
-    local, total = mean_over_neighbours(seen, knn), seen.sum(0)
+    local, total = mean_over_neighbours(seen, estimate.knn), seen.sum(0)
     flat = _FLAT * local[:, 2] * total[1] / max(total[2], _TINY)
     squares = local[:, 0] / np.maximum(np.maximum(local[:, 1], flat), _TINY)
     return np.where(local[:, 2] > 0, squares, total[0] / max(total[1], _TINY))

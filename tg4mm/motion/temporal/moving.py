@@ -34,7 +34,7 @@ from tg4mm.motion.solver.operator import Fold
 from tg4mm.motion.solver.problem import Problem
 from tg4mm.motion.split_half import folds_of
 from tg4mm.motion.temporal.frequencies import Frequencies
-from tg4mm.motion.temporal.regions import RegionSeries, labels_of, moving_camera_series
+from tg4mm.motion.temporal.regions import RegionSeries, RegionView, labels_of, moving_camera_series
 from tg4mm.motion.temporal.steady import Steady, frequencies_of, frequency_figures, no_targets
 from tg4mm.progress import progress
 from tg4mm.room import release, room
@@ -189,10 +189,10 @@ def _series(
     times = np.array([f.times_s[0] for f in observations.frames])
 
     def compute() -> Arrays:
-        labels, projections = labels_of(problem.aggregates), problem.projections or ()
-        changes = (np.array(own[0]) for own in residuals)
-        frames = observations.frames
-        return moving_camera_series(problem.views, frames, projections, labels, changes, times).arrays()
+        labels = labels_of(problem.aggregates)
+        each = zip(problem.views, observations.frames, problem.projections or (), strict=True)
+        regions = (RegionView(*own, labels) for own in each)
+        return moving_camera_series(regions, (np.array(own[0]) for own in residuals), times).arrays()
 
     return RegionSeries.restored(times, checkpoint("regions", compute))
 

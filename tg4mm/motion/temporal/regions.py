@@ -7,7 +7,7 @@ the camera's right and down axes. Nothing is smoothed over space or time, so its
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -77,8 +77,7 @@ def region_series(seen: FixedCameras, problem: Problem, checkpoint: Checkpoint) 
                 mean, nuisance = seen.look.mean[v], seen.nuisances[v]
                 projection = Projection.of(nuisance, mean, None) if nuisance.active.any() else None
                 changes = (p - mean for p in whole_pictures(seen.observations, frames.rows))
-                own = fixed_camera_series(view, frames, projection, labels, changes, frames.times_s)
-                return own.arrays()
+                return RegionView(view, frames, projection, labels).series(changes, frames.times_s).arrays()
 
             out.append(RegionSeries.restored(frames.times_s, checkpoint(f"regions_{v}", compute)))
             update(v + 1)
@@ -90,80 +89,62 @@ def labels_of(aggregates: Aggregates) -> np.ndarray:
     return np.asarray(aggregates.tentative.indices)
 
 
-def fixed_camera_series(
-    view: ViewJacobian,
-    camera: PosedView,
-    projection: Projection | None,
-    labels: np.ndarray,
-    changes: Iterable[np.ndarray],
-    times_s: np.ndarray,
-) -> RegionSeries:
-    """Of one fixed camera's changes [f, H, W, 3], a few frames at a time."""
-    axes = camera.viewmat[:2, :3].astype(np.float64)
-    sides = [_sides(view, axes, projection, labels, some) for some in changes]
-    normals = _normals(view, axes, projection, labels)
-    return RegionSeries(times_s, np.concatenate(sides), normals[None], axes[None])
+@dataclass(frozen=True)
+class RegionView:
+    """Regions of Gaussians as one camera sees them."""
+
+    view: ViewJacobian
+    camera: PosedView
+    projection: Projection | None  # of its nuisance; None: nothing is projected out
+    labels: np.ndarray  # [N] the region of every Gaussian
+
+    def series(self, changes: Iterable[np.ndarray], times_s: np.ndarray) -> RegionSeries:
+        """Of the camera's changes [f, H, W, 3], a few frames at a time."""
+        axes = self.camera.viewmat[:2, :3].astype(np.float64)
+        sides = np.concatenate([self._sides(axes, some) for some in changes])
+        return RegionSeries(times_s, sides, self._normals(axes)[None], axes[None])
+
+    def _sides(self, axes: np.ndarray, changes: np.ndarray) -> np.ndarray:
+        if self.projection is not None:
+            changes = self.projection.out_of(changes)
+            if self.projection.weights is not None:
+                changes = changes * self.projection.weights[..., None]
+        out = np.zeros((len(changes), len(self.labels), DOF), np.float32)
+        self.view.vjp(np.ascontiguousarray(changes, np.float32), out)
+        return _summed(out[..., :3] @ axes.T, self.labels)
+
+    def _normals(self, axes: np.ndarray) -> np.ndarray:
+        """[G, 2, 2], by Hutchinson's estimator: with a random sign on each region, products between regions cancel."""
+        rng, count = np.random.default_rng(0), int(self.labels.max()) + 1
+        signs = rng.choice(np.array([-1.0, 1.0]), (_PROBES, count))
+        motions = np.zeros((2 * _PROBES, len(self.labels), DOF), np.float32)
+        for p in range(_PROBES):
+            for a in range(2):
+                motions[2 * p + a, :, :3] = signs[p, self.labels, None] * axes[a]
+        out = np.zeros_like(motions)
+        weights = None if self.projection is None else self.projection.weights
+        self.view.gauss_newton_product(motions, weights, out)
+        if self.projection is not None:
+            self.projection.correct(motions, out)
+        sums = _summed(out[..., :3] @ axes.T, self.labels).reshape(_PROBES, 2, count, 2)
+        mean = (sums * signs[:, None, :, None]).mean(0).transpose(1, 0, 2)
+        values, vectors = np.linalg.eigh((mean + mean.transpose(0, 2, 1)) / 2)
+        return np.einsum("gij,gj,gkj->gik", vectors, np.maximum(values, 0), vectors)
 
 
 def moving_camera_series(
-    views: Sequence[ViewJacobian],
-    cameras: Sequence[PosedView],
-    projections: Sequence[Projection | None],
-    labels: np.ndarray,
-    changes: Iterable[np.ndarray],
-    times_s: np.ndarray,
+    regions: Iterable[RegionView], changes: Iterable[np.ndarray], times_s: np.ndarray
 ) -> RegionSeries:
     """Of a moving camera's frames [H, W, 3] less what is rendered at rest, each with its own Jacobian."""
-    each = []
-    with progress("region shifts", len(views), "frames") as update:
-        for k, (view, projection, change) in enumerate(zip(views, projections, changes, strict=True)):
-            own = fixed_camera_series(
-                view, cameras[k], projection, labels, [change[None]], times_s[k : k + 1]
-            )
-            each.append(own.arrays())
-            view.release()
-            if projection is not None:
-                projection.release()
+    each: list[Arrays] = []
+    with progress("region shifts", len(times_s), "frames") as update:
+        for k, (own, change) in enumerate(zip(regions, changes, strict=True)):
+            each.append(own.series([change[None]], times_s[k : k + 1]).arrays())
+            own.view.release()
+            if own.projection is not None:
+                own.projection.release()
             update(k + 1)
     return RegionSeries.restored(times_s, concatenated(each))
-
-
-def _sides(
-    view: ViewJacobian,
-    axes: np.ndarray,
-    projection: Projection | None,
-    labels: np.ndarray,
-    changes: np.ndarray,
-) -> np.ndarray:
-    if projection is not None:
-        changes = projection.out_of(changes)
-        if projection.weights is not None:
-            changes = changes * projection.weights[..., None]
-    out = np.zeros((len(changes), len(labels), DOF), np.float32)
-    view.vjp(np.ascontiguousarray(changes, np.float32), out)
-    return _summed(out[..., :3] @ axes.T, labels)
-
-
-def _normals(
-    view: ViewJacobian, axes: np.ndarray, projection: Projection | None, labels: np.ndarray
-) -> np.ndarray:
-    """[G, 2, 2], by Hutchinson's estimator: with a random sign on each region, products between regions cancel."""
-    rng = np.random.default_rng(0)
-    count = int(labels.max()) + 1
-    signs = rng.choice(np.array([-1.0, 1.0]), (_PROBES, count))
-    motions = np.zeros((2 * _PROBES, len(labels), DOF), np.float32)
-    for p in range(_PROBES):
-        for a in range(2):
-            motions[2 * p + a, :, :3] = signs[p, labels, None] * axes[a]
-    out = np.zeros_like(motions)
-    view.gauss_newton_product(motions, None if projection is None else projection.weights, out)
-    if projection is not None:
-        projection.correct(motions, out)
-    sums = _summed(out[..., :3] @ axes.T, labels).reshape(_PROBES, 2, count, 2) * signs[:, None, :, None]
-    mean = sums.mean(0).transpose(1, 0, 2)
-    mean = (mean + mean.transpose(0, 2, 1)) / 2
-    values, vectors = np.linalg.eigh(mean)
-    return np.einsum("gij,gj,gkj->gik", vectors, np.maximum(values, 0), vectors)
 
 
 def _summed(values: np.ndarray, labels: np.ndarray) -> np.ndarray:
