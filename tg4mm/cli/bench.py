@@ -5,12 +5,25 @@ from __future__ import annotations
 import shlex
 from collections.abc import Mapping
 from dataclasses import replace
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tg4mm.cli.bench_options import (
+    Alphas,
+    Banded,
+    Datasets,
+    FastVqa,
+    Lpips,
+    MdVqa,
+    Methods,
+    Out,
+    Outside,
+    SameTime,
+    Settings,
+    VqaPython,
+)
 from tg4mm.cli.device import Device, DeviceOption
 from tg4mm.cli.evaluate import parse_alphas
 from tg4mm.cli.train import Preset, split_settings
@@ -26,75 +39,6 @@ bench = typer.Typer(
     help="Compare methods with ground truth: benchmark and ablations.",
     rich_markup_mode=None,
 )
-
-
-class SameTime(StrEnum):
-    """When a paper preset is trained once more, for as long as modal took."""
-
-    needed = "needed"
-    always = "always"
-    never = "never"
-
-
-Datasets = Annotated[
-    list[Path],
-    typer.Argument(
-        metavar="DATASET…",
-        help="Dataset folders with ground truth (tg4mm generate), or NAME=DIR where two folders have one name.",
-    ),
-]
-Out = Annotated[
-    Path, typer.Option(help="Folder for runs, figures, tables and pictures; an unfinished one is resumed.")
-]
-Alphas = Annotated[
-    str | None,
-    typer.Option(
-        metavar="A,A,…", help="Magnification factors, e.g. 5,10,20,50. [default: all with ground truth]"
-    ),
-]
-Settings = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="KEY=VALUE",
-        help="A setting of tg4mm train for every run that has it, e.g. space.iterations=500; may be repeated.",
-    ),
-]
-Lpips = Annotated[
-    list[Path] | None,
-    typer.Option(help="Local file(s) with AlexNet trunk and LPIPS heads; without them no LPIPS."),
-]
-Banded = Annotated[
-    bool,
-    typer.Option(
-        "--band-around-motion/--all-frequencies",
-        help="Magnify the motion's frequencies and 1.5 Hz on either side, or everything.",
-    ),
-]
-
-
-Methods = Annotated[
-    str,
-    typer.Option(
-        metavar="M,M,…",
-        help="Some of modal, paper-tuned, paper (presets of tg4mm train), tracking, phase-2d, linear-2d.",
-    ),
-]
-Outside = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="NAME=DIR",
-        help="Pictures of another method: DIR/<dataset's name>/magnified/x005/000/test/r_000.png …; may be "
-        "repeated. docs/protocol.md.",
-    ),
-]
-MdVqa = Annotated[
-    Path | None, typer.Option(help="Checkout of MD-VQA with its weights; without it no MD-VQA.")
-]
-FastVqa = Annotated[
-    Path | None, typer.Option(help="Checkout of FAST-VQA with its weights; without it no FAST-VQA.")
-]
-VqaPython = Annotated[str, typer.Option(help="The Python that runs the two.")]
 
 
 @bench.callback()
