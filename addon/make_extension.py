@@ -77,6 +77,7 @@ _GENERATOR_NEEDS = (
     "errors.py",
     "events.py",
     "files.py",
+    "form.py",
     "lazy.py",
     "lock.py",
     "progress.py",

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from tg4mm import events
+from tg4mm.form import read_formed
 from tg4mm.lock import held
 from tg4mm.progress import progress
 from tg4mm.temporary import remove_leftovers
-from tg4mm.untrusted import read_json
 
 from . import coded, png, points, processes, tree
 from .errors import GenerateError
@@ -59,11 +59,8 @@ def render_missing(job: Job, numbers: Sequence[int], count: int, stream: TextIO)
 def _timing(path: Path) -> Timing:
     """Raises RunFailed for a file that is not what `render_missing` gave."""
     try:
-        found = read_json(path, finite=True)
-        return {
-            key: kind(found[key]) for key, kind in (("pictures", int), ("seconds", float), ("processes", int))
-        }
-    except (ValueError, KeyError, TypeError, OverflowError):
+        return read_formed(path, tree.TIMING)
+    except ValueError:
         raise RunFailed(f"{path} is not the record of a rendering; remove it") from None
 
 

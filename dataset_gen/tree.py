@@ -20,6 +20,7 @@ from .plan import UNCODED, magnified_folder
 from .settings import Settings
 
 FORMAT_VERSION = 1
+TIMING = {"pictures": int, "seconds": float, "processes": int}  # report/timing.json
 
 
 def write_bytes(path: Path, data: bytes) -> None:

@@ -20,9 +20,9 @@ from tests.sfm.videos import still, write_video
 from tg4mm import progress as module
 from tg4mm.cli import main
 
-SHARE = 0.15  # of a command's processor time, at most, between one progress and the next
-LEAST_S = 0.3  # shorter ones do not count
-SETTINGS = ("space.iterations=300", "space.max_gaussians=2000", "motion.iterations=6")
+SHARE = 0.2  # of a command's processor time, at most, between one progress and the next
+LEAST_S = 0.5  # shorter ones do not count
+SETTINGS = ("space.iterations=150", "space.max_gaussians=5000", "motion.iterations=6")
 
 
 class Meter:
@@ -92,7 +92,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A dataset and a run."""
     root = tmp_path_factory.mktemp("made")
     make_synthetic_dataset(
-        root / "set", n_views=8, n_timesteps=10, size=64, freqs=(5.0,), alphas=(5,), n_test=2
+        root / "set", n_views=8, n_timesteps=12, size=96, freqs=(5.0,), alphas=(5,), n_test=2, detail=2
     )
     write_video(root / "a.mp4", still(60))
     assert main(train(root, root / "run")) == 0

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from tg4mm.form import Maybe, read_formed
+from tg4mm.form import read_formed
 from tg4mm.report.page import Block, Section, Table, Text
 from tg4mm.report.svg import number
 
+from ..tree import TIMING
 from .noise_floor import FloorRow
 from .sections import Findings
 from .sizes import shares
@@ -27,7 +28,6 @@ _SETTINGS = (
     "package_version",
     "source",
 )
-_TIMING = {"seconds": float, "pictures": int, "processes?": Maybe(int)}
 
 
 def floor_section(f: Findings) -> Section:
@@ -131,7 +131,7 @@ def _flat(name: str, value: Any) -> list[list[str]]:
 
 def _timing(f: Findings) -> str:
     try:
-        timing = read_formed(f.dataset.root / "report/timing.json", _TIMING)
+        timing = read_formed(f.dataset.root / "report/timing.json", TIMING)
     except (OSError, ValueError):
         timing = {}
     if not timing.get("pictures"):

@@ -8,6 +8,20 @@ from pathlib import Path
 
 import pytest
 
+COMMANDS = ("render", "measure", "sfm", "sfm-photographs", "generate")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="forks")
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_command_that_is_killed_loses_nothing(command: str, repo_root: Path) -> None:
+    if command == "generate":
+        pytest.importorskip("bpy")
+    words = [sys.executable, "-m", "tests.faults.kills_commands", "--kills", "3", "--command", command]
+    done = subprocess.run(words, cwd=repo_root, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr[-3000:]
+    assert "kills, seed 0: nothing lost" in done.stdout
+
 
 @pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="forks")

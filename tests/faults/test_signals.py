@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -23,6 +24,7 @@ if "deaf" not in sys.argv:
 Path("child").write_text(str(os.getpid()))
 time.sleep(60)
 """
+BUSY_S = 5.0  # of processor time, after which a render process has loaded Blender and renders
 PARENT = "import sys; from tg4mm.cli.program import main; sys.exit(main(['generate', *sys.argv[1:]]))"
 
 
@@ -85,23 +87,34 @@ def test_a_signal_to_a_benchmark_ends_its_step_and_the_rest(tmp_path: Path, repo
     assert not (tmp_path / "two").exists()
 
 
-def family(pid: int) -> list[psutil.Process]:
-    return psutil.Process(pid).children(recursive=True)
+def workers(pid: int) -> list[psutil.Process]:
+    """The render processes that a process has started."""
+    found = []
+    for process in psutil.Process(pid).children(recursive=True):
+        with contextlib.suppress(psutil.Error):
+            found += [process] if any("blender_main" in word for word in process.cmdline()) else []
+    return found
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_the_render_processes_end_as_well(tmp_path: Path, repo_root: Path, number: signal.Signals) -> None:
-    command = [sys.executable, "-m", "tg4mm", "generate", "mic", "--out", str(tmp_path), "--size", "64"]
-    parent = subprocess.Popen(command, cwd=repo_root, stderr=subprocess.PIPE, text=True)
-    end = time.monotonic() + 120
-    while not any("blender_main" in " ".join(p.cmdline()) for p in family(parent.pid)):
-        assert time.monotonic() < end
-        time.sleep(0.2)
-    every = family(parent.pid)
-    parent.send_signal(number)
-    parent.communicate(timeout=60)
+    """In the middle of a picture that takes much longer than this test waits."""
+    pytest.importorskip("bpy")
+    command = [sys.executable, "-m", "tg4mm", "generate", "mic", "--out", str(tmp_path)]
+    command += ["--size", "1024", "--samples", "4096", "--points", "0"]
+    with subprocess.Popen(command, cwd=repo_root, stderr=subprocess.PIPE, text=True) as parent:
+        end = time.monotonic() + 300
+        while not any(sum(p.cpu_times()[:2]) > BUSY_S for p in workers(parent.pid)):
+            assert parent.poll() is None, "the generator ended by itself"
+            assert time.monotonic() < end, "no render process came to work"
+            time.sleep(0.2)
+        every = workers(parent.pid)
+        parent.send_signal(number)
+        _, alive = psutil.wait_procs(every, timeout=30)
+        for process in (*alive, *psutil.Process(parent.pid).children(recursive=True)) if alive else ():
+            process.kill()
+        parent.communicate(timeout=60)
+    assert not alive, "render processes went on"
     assert parent.returncode == 130
-    _, alive = psutil.wait_procs(every, timeout=10)
-    assert not alive, [p.cmdline() for p in alive]
     assert not list(tmp_path.rglob(".*.tmp*"))

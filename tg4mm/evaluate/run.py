@@ -90,7 +90,8 @@ def evaluate_run(
     plan = Magnification(method=method, filter=filter)
     chosen = image_metrics(lpips_weights, absent, metrics)
     capture = load_capture(run.dataset, split="train")
-    subject = subject_of(run, capture, bands, plan, absent, device)
+    with progress("motion and its truth", 1, "part", brief=True):
+        subject = subject_of(run, capture, bands, plan, absent, device)
     target = target_file(run, out)
     scorer = Scorer(subject.gaussians, chosen, use_cache, {} if scores is None else scores)
     resume = Resume(target)
