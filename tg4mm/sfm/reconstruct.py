@@ -15,6 +15,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 from tg4mm.errors import CaptureError, Tg4mmError
@@ -57,6 +58,7 @@ from tg4mm.sfm.straight import straightened
 from tg4mm.sfm.survey import Survey, survey_clip
 
 FEWEST_PLACED = {"photos": 3, "handheld": 3, "tripod": 1, "rig": 2, "clips": 2}
+FEW_POINTS = 80  # in half of the pictures: with fewer, poses are bent though reprojection errors are small
 FIXED = ("flat", "tripod", "rig", "clips")  # kinds whose cameras stay put
 
 
@@ -307,6 +309,14 @@ def _check_placed(job: _Job, taken: list[Shot], placed: dict[str, Any], quiet: b
     if missing and not quiet:
         text = f"{len(missing)} pictures could not be placed and are left out: {shown_names(missing)}"
         warnings.warn(text, stacklevel=2)
+    typical = int(median(image.num_points3D for image in placed.values()))
+    if typical < FEW_POINTS and not quiet:
+        warnings.warn(
+            f"a picture shows {typical} points of the model, typically, too few for poses to rely on (expected "
+            f"{FEW_POINTS} or more): places may be off by a tenth of the distance. More texture, larger pictures "
+            "or more overlap help",
+            stacklevel=2,
+        )
 
 
 def _report(
