@@ -23,8 +23,9 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.motion import ModalMotion, MotionConfig
 from tg4mm.motion import knots as module
 from tg4mm.motion.animate import animate
-from tg4mm.motion.gauss_newton import ABOVE_PX, GaussNewton, GaussNewtonState, states_moved, used_components
+from tg4mm.motion.gauss_newton import ABOVE_PX, GaussNewton, GaussNewtonState, used_components
 from tg4mm.motion.hyperparameters import Hyperparameters
+from tg4mm.motion.jacobian.pixels import pixels_moved
 from tg4mm.motion.nuisance.first_look import first_look
 from tg4mm.motion.nuisance.projection import nuisances_of
 from tg4mm.motion.observations import observe
@@ -32,7 +33,7 @@ from tg4mm.motion.solver.cuda import DeviceViews
 from tg4mm.motion.solver.operator import Fold
 from tg4mm.motion.solver.problem import Problem
 from tg4mm.motion.split_half import folds_of
-from tg4mm.motion.states import Errors, StateObservations
+from tg4mm.motion.states import Errors, StateObservations, states_of
 from tg4mm.motion.temporal.synchronous import Synchronous, principal_components
 from tg4mm.render.image import render_image
 from tg4mm.run import Run
@@ -293,7 +294,9 @@ class Lab:
         moves = np.einsum("kt,knc->tnc", turn, truth.displacement).real
         self.fields = np.zeros((len(self.loop.basis), len(self.gaussians), 6), np.float32)
         self.fields[..., :3] = scale * np.tensordot(self.loop.basis, moves, 1)
-        states, self.pixels = states_moved(self.views, self.loop.basis, self.fields, (32, 32))
+        states = states_of(self.loop.basis, pixels_moved(self.views, self.fields[..., :3]))
+        shifts = np.tensordot(states.gains, self.fields[..., :3], 1).astype(np.float32)
+        self.pixels = float(pixels_moved(self.views, shifts).max())
         self.observed = StateObservations.of(self.observations, states, targets, self.loop.used)
         self.problem = problem.changed(pixel_weights=self.loop.weights)
         self.knots = module.knots_of(self.gaussians, self.views, self.fields, self.observed)

@@ -287,6 +287,15 @@ def test_the_problems_of_two_folds_add_up_to_the_whole(weighted: bool, by_pixels
     assert close(sum(sides), whole.right_hand_sides(pictures), 1e-5)
 
 
+def test_a_changed_problem_keeps_nothing_of_the_old_one() -> None:
+    """Its preconditioner and the scale of its prior are those of the new weights; within one they are made once."""
+    p = problem(RIDGE)
+    old, new = operator(p), operator(p.changed(pixel_weights=0.25 * weights_of(p)))
+    assert new.scale < 0.5 * old.scale
+    assert not np.array_equal(new.preconditioner.blocks, old.preconditioner.blocks)
+    assert operator(p).preconditioner is old.preconditioner
+
+
 @pytest.mark.parametrize("mixed", [False, True])
 def test_operators_that_share_a_pass_are_each_by_itself(mixed: bool) -> None:
     """Of one field each, or of three that are mixed."""

@@ -22,6 +22,7 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.motion.checkpoints import Arrays, Checkpoint, arrays_of, gaussians_of
 from tg4mm.motion.config import more_iterations
 from tg4mm.motion.hyperparameters import Hyperparameters, chosen_weight, pixel_weights
+from tg4mm.motion.jacobian.pixels import pixels_moved
 from tg4mm.motion.jacobian.view import ViewJacobian
 from tg4mm.motion.knots import coupled_operator, knots_of, targets_at
 from tg4mm.motion.nuisance.first_look import rest_views
@@ -29,7 +30,7 @@ from tg4mm.motion.refine import refine_rest_scene
 from tg4mm.motion.solver.pcg import pcg
 from tg4mm.motion.solver.problem import Problem
 from tg4mm.motion.split_half import LEAST, wiener_shrink
-from tg4mm.motion.states import Errors, StateObservations, states_moved
+from tg4mm.motion.states import Errors, StateObservations, most_states, states_of
 from tg4mm.motion.temporal.synchronous import Synchronous
 from tg4mm.progress import progress
 
@@ -92,7 +93,9 @@ class GaussNewton:
         start = np.zeros((len(linear_fields), len(self.basis), *linear_fields.shape[2:]), np.float32)
         start[:, linear] = linear_fields
         fields, _ = wiener_shrink(start)
-        states, _ = states_moved(self.at_rest.views, self.basis, fields, self.observations.size)
+        views = self.at_rest.views
+        moved, most = pixels_moved(views, fields[..., :3]), most_states(len(views), (width, height))
+        states = states_of(self.basis, moved, most)
         self.observed = StateObservations.of(self.observations, states, self.targets, self.used)
         errors = self.observed.residuals(model.gaussians, fields, self.device)[1]
         self.start = GaussNewtonState(model.gaussians, start, hyper.smoothness_weight, errors)

@@ -52,13 +52,8 @@ def fit_motion(
     """
     asked = config or MotionConfig()
     settings = resolved(asked, len(gaussians))
-    model: TemporalModel
-    if observations.clock == "synchronous":
-        model = Synchronous.of(gaussians, observations, settings, device, checkpoint)
-    elif observations.clock == "independent":
-        model = IndependentClocks.of(gaussians, observations, settings, device, checkpoint)
-    else:
-        model = MovingCamera.of(gaussians, observations, settings, device, checkpoint)
+    models = {"synchronous": Synchronous.of, "independent": IndependentClocks.of, "moving": MovingCamera.of}
+    model = models[observations.clock](gaussians, observations, settings, device, checkpoint)
     return replace(_fitted(model, checkpoint), config=asked)
 
 

@@ -12,7 +12,6 @@ more.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,8 +20,6 @@ from scipy.cluster.hierarchy import fcluster, linkage
 
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.animate import moved
-from tg4mm.motion.jacobian.pixels import pixels_moved
-from tg4mm.motion.jacobian.view import ViewJacobian
 from tg4mm.motion.observations import Observations, PosedFrames, strips
 from tg4mm.motion.refine import MovedPictures
 from tg4mm.motion.targets import TargetImages
@@ -85,15 +82,6 @@ def labelled(basis: np.ndarray, labels: np.ndarray) -> States:
 def most_states(n_views: int, size: tuple[int, int]) -> int:
     """How many states' pictures of `n_views` cameras of (width, height) fit in `PICTURE_BYTES`: 3 to `MOST`."""
     return int(np.clip(PICTURE_BYTES // (12 * n_views * size[0] * size[1]), 3, MOST))
-
-
-def states_moved(
-    views: Sequence[ViewJacobian], basis: np.ndarray, fields: np.ndarray, size: tuple[int, int]
-) -> tuple[States, float]:
-    """The states of functions of time [R, T] that go with fields [R, N, 6], and the largest motion in pixels."""
-    states = states_of(basis, pixels_moved(views, fields[..., :3]), most_states(len(views), size))
-    shifts = np.tensordot(states.gains, fields[..., :3], 1).astype(np.float32)
-    return states, float(pixels_moved(views, shifts).max())
 
 
 def state_pictures(observations: Observations, states: States) -> np.ndarray:
@@ -203,10 +191,10 @@ def rendered(gaussians: Gaussians, seen: MovedPictures, device: str) -> np.ndarr
     """[V, K, H, W, 3] float32 (`room`): what the cameras see of the Gaussians moved to every state, over white."""
     height, width = seen.pictures.shape[2:4]
     there, out = gaussians.to(device), room(seen.pictures.shape)
+    cameras = [[torch.from_numpy(a).to(device) for a in (c.viewmat, c.K)] for c in seen.cameras]
     for k, motion in enumerate(seen.motions):
         g = moved(there, torch.from_numpy(motion).to(device))
-        for v, camera in enumerate(seen.cameras):
-            viewmat, K = (torch.from_numpy(a).to(device) for a in (camera.viewmat, camera.K))
+        for v, (viewmat, K) in enumerate(cameras):
             out[v, k] = render_view(g, viewmat, K, (width, height), g.sh_degree).rgb.cpu().numpy()
             release(out)
     return out
