@@ -183,8 +183,8 @@ def generator(root: Path) -> set[str]:
     package = root / "dataset_gen"
     files = (file.relative_to(root) for file in package.rglob("*") if file.suffix in (".py", ".yaml"))
     kept = {f"generator/{file.as_posix()}" for file in files if file.parts[1] != "farm"}
-    needed = ("__init__", "errors", "events", "files", "lazy", "lock", "progress", "temporary", "untrusted")
-    tg4mm = {f"generator/tg4mm/{name}.py" for name in needed}
+    needed = "__init__ errors events files form lazy lock progress temporary untrusted"
+    tg4mm = {f"generator/tg4mm/{name}.py" for name in needed.split()}
     return kept | {"generator/__init__.py"} | tg4mm
 
 

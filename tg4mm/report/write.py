@@ -88,7 +88,8 @@ def _material(run: Run, train: Capture, band: tuple[float, float] | None, option
     model = load_model(reading, train, band)
     alpha, why_alpha = choose_alpha(reading, result.noise_px, options.alpha, band)
     view = gather_view(run, train, model, alpha, band)
-    measurement, why_no_sensors = (None, "") if model.motion is None else measured(run, options.sensors)
+    with progress("sensors", 1, "part", brief=True):
+        measurement, why_no_sensors = (None, "") if model.motion is None else measured(run, options.sensors)
     metrics = dict(options.metrics) if options.metrics is not None else metrics_of(run)
     if metrics and metrics.get("format") != "tg4mm-metrics":
         raise RunError(f"metrics have the format {metrics.get('format')!r}, expected 'tg4mm-metrics'")
