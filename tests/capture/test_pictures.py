@@ -77,7 +77,7 @@ def test_their_components_are_those_of_the_stack(
     expected = components(observe(capture, load_images(capture)), 16)
     np.testing.assert_array_equal(found.basis, expected.basis)
     np.testing.assert_array_equal(found.images, expected.images)
-    np.testing.assert_array_equal(found.residual, expected.residual)
+    np.testing.assert_array_equal(found.residual_energy, expected.residual_energy)
 
 
 def test_each_is_decoded_once(capture: Capture, decoded: Counter[Path]) -> None:

@@ -11,6 +11,7 @@ from tg4mm.gaussians import Gaussians
 from tg4mm.motion.config import MotionConfig
 from tg4mm.motion.jacobian.packed import DOF
 from tg4mm.motion.jacobian.view import PosedView, ViewJacobian, view_jacobian
+from tg4mm.motion.modes import ModalMotion
 from tg4mm.motion.nuisance.projection import nuisances_of
 from tg4mm.motion.solver.cpu import CpuOperator
 from tg4mm.motion.solver.problem import Problem
@@ -103,3 +104,10 @@ def inner(a: np.ndarray, b: np.ndarray) -> float:
 def each_shows(o: CpuOperator, fields: np.ndarray) -> list[np.ndarray]:
     """What every view's target images show of fields [R, N, 6]."""
     return [view.jvp(o.mixed(k, fields)) for k, view in enumerate(o.views)]
+
+
+def of_amplitudes(amplitudes: list[float], freqs: list[float], n: int = 50) -> ModalMotion:
+    """Each mode moves all Gaussians along x by its amplitude."""
+    displacement = np.zeros((len(freqs), n, 3), np.complex64)
+    displacement[..., 0] = np.array(amplitudes)[:, None]
+    return ModalMotion(np.array(freqs), displacement, np.zeros_like(displacement), 30.0, 30)

@@ -4,15 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from tests.motion.scenes import of_amplitudes
 from tg4mm.motion.mode_selection import peaks, worth_keeping
-from tg4mm.motion.modes import ModalMotion
-
-
-def of_amplitudes(amplitudes: list[float], freqs: list[float], n: int = 50) -> ModalMotion:
-    """Each mode moves all Gaussians along x by its amplitude."""
-    displacement = np.zeros((len(freqs), n, 3), np.complex64)
-    displacement[..., 0] = np.array(amplitudes)[:, None]
-    return ModalMotion(np.array(freqs), displacement, np.zeros_like(displacement), 30.0, 30)
 
 
 def test_modes_under_the_noise_are_empty() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tests.motion.test_mode_selection import of_amplitudes
+from tests.motion.scenes import of_amplitudes
 from tg4mm.result.deviations import mode_deviations
 
 

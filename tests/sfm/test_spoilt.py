@@ -9,8 +9,7 @@ import av
 import numpy as np
 import pytest
 
-from tests.sfm.test_survey import looked
-from tests.sfm.videos import SIZE, cut_off, encoded, spoil, still, texture, write_video
+from tests.sfm.videos import SIZE, cut_off, encoded, looked, spoil, still, texture, write_video
 from tg4mm.cli import main
 from tg4mm.errors import CaptureError
 from tg4mm.sfm.frozen import runs

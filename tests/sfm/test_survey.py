@@ -10,20 +10,14 @@ import pytest
 from PIL import Image
 
 from tests.sfm.scenes import save
-from tests.sfm.videos import SIZE, still, texture, write_video
+from tests.sfm.videos import SIZE, looked, still, texture, write_video
 from tg4mm.errors import CaptureError
 from tg4mm.sfm import survey as module
-from tg4mm.sfm.clip import WHOLE, Clip, Window
+from tg4mm.sfm.clip import Clip, Window
 from tg4mm.sfm.kind import told_kind
 from tg4mm.sfm.sources import Sources
 from tg4mm.sfm.spoilt import check_usable, warn_clocks
 from tg4mm.sfm.steadiness import ShiftMeter, find_knocks, reduced, stays
-from tg4mm.sfm.survey import Survey, survey_clip
-
-
-def looked(path: Path, window: Window = WHOLE) -> Survey:
-    pictures = tuple(sorted(path.glob("*.png"))) if path.is_dir() else ()
-    return survey_clip(Clip(path.stem, path, pictures), path.parent / "survey", window)
 
 
 class TestShift:

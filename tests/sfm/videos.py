@@ -10,6 +10,9 @@ import av
 import numpy as np
 from PIL import Image
 
+from tg4mm.sfm.clip import WHOLE, Clip, Window
+from tg4mm.sfm.survey import Survey, survey_clip
+
 SIZE = (160, 120)  # width, height
 
 
@@ -108,3 +111,9 @@ def spoil(path: Path, share: float, length: int = 2000) -> Path:
     data[at : at + length] = np.random.default_rng(0).integers(0, 256, length, np.uint8).tobytes()
     path.write_bytes(bytes(data))
     return path
+
+
+def looked(path: Path, window: Window = WHOLE) -> Survey:
+    """What the first pass over a video or a folder of PNG finds."""
+    pictures = tuple(sorted(path.glob("*.png"))) if path.is_dir() else ()
+    return survey_clip(Clip(path.stem, path, pictures), path.parent / "survey", window)
