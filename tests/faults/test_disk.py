@@ -20,6 +20,7 @@ import pytest
 import torch
 
 from tests.capture.conftest import write_tree
+from tests.faults.disk import fill
 from tests.faults.readers import READERS
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.errors import RunError
@@ -63,12 +64,6 @@ def disk(tmp_path: Path) -> Iterator[Callable[[int], Path]]:
     yield make
     for each in mounted:
         subprocess.run(["umount", str(each)], check=True)
-
-
-def fill(folder: Path, leave: int = 0) -> None:
-    """Fill the file system but for `leave` bytes."""
-    room = os.statvfs(folder)
-    (folder / "filler").write_bytes(b"\1" * (room.f_bavail * room.f_frsize - leave))
 
 
 def frames() -> list[np.ndarray]:
@@ -162,7 +157,7 @@ def test_training_on_a_full_disk_is_one_line(disk: Callable[[int], Path], tmp_pa
 FULL_IN = """
 import sys
 from pathlib import Path
-from tests.faults.test_disk import fill
+from tests.faults.disk import fill
 from tg4mm.cli import main
 from tg4mm.run import Run
 import tg4mm.space.train
