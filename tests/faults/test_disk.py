@@ -20,7 +20,7 @@ import pytest
 import torch
 
 from tests.capture.conftest import write_tree
-from tests.faults.disks import fill
+from tests.faults.disk import fill
 from tests.faults.readers import READERS
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.errors import RunError
@@ -157,7 +157,7 @@ def test_training_on_a_full_disk_is_one_line(disk: Callable[[int], Path], tmp_pa
 FULL_IN = """
 import sys
 from pathlib import Path
-from tests.faults.disks import fill
+from tests.faults.disk import fill
 from tg4mm.cli import main
 from tg4mm.run import Run
 import tg4mm.space.train

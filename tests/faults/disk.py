@@ -1,4 +1,4 @@
-"""Full disks."""
+"""A disk that is full."""
 
 from __future__ import annotations
 
