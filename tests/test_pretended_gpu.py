@@ -140,7 +140,8 @@ def test_the_motion_stage(made: tuple[Path, Run], tmp_path: Path, gpu: Gpu) -> N
     data, source = made
     capture = load_capture(data)
     images, found, crossed = load_images(capture), [], []
-    for place, iterations in ((NAME, 4), ("cpu", 4), (NAME, 8)):
+    # After 4 iterations folds agree on less, and other transfers follow than after 8 or 12.
+    for place, iterations in ((NAME, 8), ("cpu", 8), (NAME, 12)):
         run = Run.create(tmp_path / f"{place}{iterations}", data, "modal", {})
         run.save_space(source.load_space(), {})
         counted(gpu)
@@ -149,7 +150,7 @@ def test_the_motion_stage(made: tuple[Path, Run], tmp_path: Path, gpu: Gpu) -> N
         crossed.append(counted(gpu))
     assert_close("displacement", found[0], found[1], 1e-2)
     solved = 2 * int(
-        Run.open(tmp_path / f"{NAME}4").log()["motion"]["components"]
+        Run.open(tmp_path / f"{NAME}8").log()["motion"]["components"]
     )  # by two halves of the cameras
     assert crossed[1] == {}
     sums = 2 * 4 * solved  # two of every step of conjugate gradients
