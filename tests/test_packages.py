@@ -69,7 +69,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
     folder = tmp_path_factory.mktemp("data")
     write_splat(folder / "a.ply", some_splat())
-    make_synthetic_dataset(folder / "tiny", n_timesteps=2, alphas=())
+    make_synthetic_dataset(folder / "tiny", n_timesteps=6, alphas=())
     return folder / "a.ply", folder / "tiny"
 
 

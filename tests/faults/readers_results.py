@@ -32,15 +32,16 @@ METRICS = {
     "displacement": DISPLACEMENT, "absent": {"LPIPS": "no weights"}, "notes": ["a note"],
 }  # fmt: skip
 OF_RUN: dict[str, Any] = {
-    "log": {"space": {"seconds": 2.5, "init": "points", "peak_memory_mib": 100.0}, "motion": {"seconds": 1.5}},
+    "log": {"space": {"seconds": 2.5, "init": "points", "peak_memory_mib": 100.0, "iterations": 30},
+            "motion": {"seconds": 1.5}},
     "seconds": {"space": 2.5, "motion": 1.5, "total": 4.0}, "model": "ab" * 32,
     "rows": {alpha: dict.fromkeys(("nothing moves", "modal", "ceiling"), ROW) for alpha in ("0", "5", "20")},
     "displacement": DISPLACEMENT, "notes": ["a note"],
 }  # fmt: skip
 FIGURES = {
-    "version": 3, "request": {"settings": {"space": {"seed": 0}}, "band_hz": [3.5, 6.5]}, **OF_RUN,
+    "version": 4, "request": {"settings": {"space": {"seed": 0}}, "band_hz": [3.5, 6.5]}, **OF_RUN,
     "n_gaussians": 300, "mib_on_disk": 1.5, "absent": {"LPIPS": "no weights"},
-    "observed": {"displacement_error_observed": 0.1, "observed_share": 0.5},
+    "observed": {"displacement_error_observed": 0.1, "observed_share": 0.5}, "strongest_hz": 5.01,
 }  # fmt: skip
 LINE = {
     **OF_RUN, "set": "mic", "ways": ["modal"], "overrides": {"space.init": "hull"},
@@ -48,11 +49,13 @@ LINE = {
     "ssim_columns": {"α = 5": "5", "α = 20": "20"},
 }  # fmt: skip
 ABLATION = {
-    "format": "tg4mm-bench", "version": 1, "kind": "ablation", "title": "Initialisation", "source": "Table IV",
+    "format": "tg4mm-bench", "version": 1, "kind": "ablation", "name": "init", "title": "Initialisation",
+    "source": "Table IV",
     "preset": "modal", "remark": "", "x_label": "", "picture": "ssim", "rows": ["hull", "random"],
     "columns": ["init", "psnr_rest", "n_gaussians", "displacement_error", "space_s"],
     "ticks": ["hull", "random"], "curves": ["", ""], "apart": [False, False], "sets": [{"label": "mic"}],
     "lines": [{**LINE, "row": "hull"}, {**LINE, "row": "random"}], "left_out": [],
+    "failed": [{"set": "mic", "method": "random", "why": "it failed"}], "slices": "",
     "made": {
         **dict.fromkeys(("command", "date", "tg4mm", "python", "torch", "system", "processor"), "x"),
         "cores": 2, "threads": 1, "load_average": 0.5,
@@ -86,7 +89,7 @@ def _read_figures(root: Path) -> None:
     from tg4mm.bench.ablate import _columns
     from tg4mm.bench.ablations import Row
     from tg4mm.bench.means import group_means
-    from tg4mm.bench.measure import peak_mib, read_figures
+    from tg4mm.bench.measure import read_figures
     from tg4mm.bench.tables import cost_table, modes_table, motion_table, own_ceiling_table
 
     found = read_figures(root)
@@ -94,7 +97,6 @@ def _read_figures(root: Path) -> None:
         raise RunError("it is made anew")
     run = {k: v for k, v in found.items() if k not in {"version", "request"}}
     run |= {"set": "a", "row": "modal", "preset": "modal", "ways": ["modal"], "overrides": {}}
-    run |= {"peak_memory_mib": peak_mib(found["log"])}
     results: dict[str, Any] = {"sets": [{"label": "a", "group": "g"}], "runs": [run], "lines": []}
     results["means"] = group_means(results)
     for table in (motion_table, modes_table, cost_table, own_ceiling_table):
@@ -143,7 +145,7 @@ def _read_ablation(root: Path) -> None:
     from tg4mm.bench.ablation_file import read_ablation
     from tg4mm.bench.html import _ablation
 
-    _ablation(read_ablation(root))
+    _ablation(root, read_ablation(root))
 
 
 def _read_bench(root: Path) -> None:

@@ -30,11 +30,13 @@ FORM = {
     "format": Just(FORMAT),
     "version": Just(VERSION),
     "kind": Just("ablation"),
-    **dict.fromkeys(("title", "source", "preset", "remark", "x_label", "picture"), str),
+    **dict.fromkeys(("name", "title", "source", "preset", "remark", "x_label", "picture"), str),
     **{key: [str] for key in ("columns", "rows", "ticks", "curves")},
     "apart": [bool],
     "sets": [{"label": str}],
     "lines": [_LINE],
+    **{key: [dict.fromkeys(("set", "method", "why"), str)] for key in ("left_out", "failed")},
+    "slices?": str,
     "made": _MADE,
 }
 

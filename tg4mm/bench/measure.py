@@ -34,7 +34,7 @@ VERSION = 4  # of how figures are made: raise it when the same request would giv
 _STAGES = {"space": float, "motion": float, "total": float}
 # What tables and pages need of a run, here and in results.json.
 OF_RUN = {
-    "log": {str: {"seconds?": Maybe(float), "peak_memory_mib?": Maybe(float)}},
+    "log": {str: dict.fromkeys(("seconds?", "peak_memory_mib?", "iterations?"), Maybe(float))},
     "seconds": _STAGES,
     "model": str,
     "rows": {float: {str: {str: Maybe(float)}}},
@@ -49,6 +49,7 @@ FORM = {
     "mib_on_disk": float,
     "absent": {str: str},
     "observed?": {str: Maybe(float)},
+    "strongest_hz?": Maybe(float),
 }
 
 
