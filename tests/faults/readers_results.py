@@ -98,7 +98,7 @@ def _read_figures(root: Path) -> None:
     run = {k: v for k, v in found.items() if k not in {"version", "request"}}
     run |= {"set": "a", "row": "modal", "preset": "modal", "ways": ["modal"], "overrides": {}}
     results: dict[str, Any] = {"sets": [{"label": "a", "group": "g"}], "runs": [run], "lines": []}
-    results["means"] = group_means(results)
+    results["means"] = group_means([run], {"a": "g"})
     for table in (motion_table, modes_table, cost_table, own_ceiling_table):
         table(results, "g")
     _columns(Row("a"), found)
