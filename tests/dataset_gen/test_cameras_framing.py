@@ -29,8 +29,12 @@ def settings_of(name: str, cameras: CameraSetup) -> Settings:
     return Settings(name, motion=motion, cameras=cameras, alphas=(ALPHA,), size=128, samples=1, truth="none")
 
 
+QUICK = ("mic", "hotdog")
+SOME = [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in NAMES]
+
+
 @pytest.mark.parametrize("setup", SETUPS, ids=lambda setup: setup.kind)
-@pytest.mark.parametrize("name", NAMES)  # scene by scene: each is built once
+@pytest.mark.parametrize("name", SOME)  # scene by scene: each is built once
 def test_all_that_moves_is_in_every_picture(setup, name):
     """Every vertex at several timesteps, projected into every camera of every kind."""
     bodies = bodies_of(builtin.built(name))
