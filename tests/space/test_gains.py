@@ -49,9 +49,9 @@ def test_known_gains_are_found(
     points: SurfacePoints,
     new_run: Callable[[], Run],
 ) -> None:
-    """Of 10 % less than a third is left, and the Gaussians are nearer to the pictures without gains.
+    """Of 10 % a quarter at most is left, and the Gaussians are nearer to the pictures without gains.
 
-    A fifth is left here, with AVX2 and with AVX-512; after 1500 iterations .17 or .27 by the order of sums alone.
+    After 1500 iterations .17 or .27 is left by the order of sums alone, after 2500 .19 to .21.
     """
     logs = np.random.default_rng(0).normal(0, 0.1, (len(views.rgb), 3))
     given = np.exp(logs - logs.mean(0))
@@ -69,7 +69,7 @@ def test_known_gains_are_found(
         assert ("gains" in run.log()["space"]) == gains
         if gains:
             off = np.log(run.log()["space"]["gains"]) - np.log(given)
-            assert off.std() < 0.3 * np.log(given).std()
+            assert off.std() < 0.25 * np.log(given).std()
     assert error[True] < error[False]
 
 
