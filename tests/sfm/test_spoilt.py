@@ -21,13 +21,15 @@ ENCODERS = {
     "crf 26": ("libx264", {"gop": 12, "crf": "26"}),
     "one key frame": ("libx264", {"gop": 250, "crf": "30"}),
     "constant rate": ("libx264", {"b": "1000000", "maxrate": "1000000", "minrate": "1000000", "bufsize": "1000000"}),
-    "average rate": ("libx264", {"b": "300000"}),
     "all intra": ("libx264", {"gop": 1, "crf": "23"}),
     "MPEG-4": ("mpeg4", {"gop": 12, "b": "1000000"}),
-    "VP8": ("libvpx", {"b": "500000"}),
-    "VP8, live": ("libvpx", {"b": "500000", "deadline": "realtime", "lag_in_frames": "0"}),
     "VP9": ("libvpx-vp9", {"crf": "31", "cpu_used": "5"}),
 }  # fmt: skip
+UNSURE = {  # too few key frames, and between them the picture creeps
+    "average rate": ("libx264", {"b": "300000"}),
+    "VP8": ("libvpx", {"b": "500000"}),
+    "VP8, live": ("libvpx", {"b": "500000", "deadline": "realtime", "lag_in_frames": "0"}),
+}
 BLACK = np.full((SIZE[1], SIZE[0], 3), 2, np.uint8)
 ELSEWHERE = [np.roll(frame[:, ::-1], 40, axis=0) for frame in still(40)]
 
@@ -45,6 +47,24 @@ class TestFrozen:
         path = encoded(tmp_path / "a.mkv", [texture().astype(np.uint8)] * 60, codec, **options)
         with pytest.raises(CaptureError, match=r"a\.mkv: is frozen: its 60 frames are one picture"):
             looked(path)
+
+    @pytest.mark.parametrize("crf", [14, 30])
+    def test_of_few_frames_too(self, tmp_path: Path, crf: int) -> None:
+        frames = [texture().astype(np.uint8)] * 40
+        with pytest.raises(CaptureError, match=r"a\.mp4: is frozen: its 40 frames are one picture"):
+            looked(write_video(tmp_path / "a.mp4", frames, crf=crf))
+
+    @pytest.mark.parametrize("name", UNSURE)
+    def test_what_may_be_frozen_is_said(self, tmp_path: Path, name: str) -> None:
+        codec, options = UNSURE[name]
+        if codec not in av.codecs_available:
+            pytest.skip(f"no {codec}")
+        path = encoded(tmp_path / "a.mkv", [texture().astype(np.uint8)] * 60, codec, **options)
+        with pytest.warns(UserWarning, match=r"a\.mkv: hardly anything changes .* one frozen picture, or"):
+            looked(path)
+
+    def test_a_still_scene_of_few_frames_with_a_cameras_noise_is_not_frozen(self, tmp_path: Path) -> None:
+        assert is_fixed(looked(write_video(tmp_path / "a.mp4", still(20, noise=2), crf=18)))
 
     @pytest.mark.parametrize("crf", [18, 23])
     @pytest.mark.parametrize("noise", [1, 2])

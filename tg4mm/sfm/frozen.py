@@ -22,6 +22,8 @@ ALIVE = 0.2  # share of new blocks in a fifth of the frames of a recording whose
 STILL = 0.02  # those with fewer new blocks than this
 NOISE = 1.3  # grey levels between successive key frames that are a sensor's noise, where it is
 EVEN = 0.75  # as large between all of them
+FEWEST_KEYS = 3  # changes between key frames, after the first, that tell noise from one picture
+UNCHANGED = 1e-3  # mean change from frame to frame, grey levels, below which nothing but the codec works
 LIVELY = 0.5  # share of new blocks in each of
 LIVELY_RUN = 10  # successive frames of a recording that is not frozen all along
 SHORTEST = 5  # frames of a frozen run
@@ -37,6 +39,7 @@ class NoveltyMeter:
         self._key_changes: list[float] = []
         self._length = 0
         self._news: list[float] = []  # share of new blocks, from the second frame that is not black on
+        self._changes: list[float] = []  # mean change of the same frames
         self._at: list[int] = []  # the frames that these are of
         self._busy: np.ndarray | None = None  # frames in which each block was new
 
@@ -49,6 +52,7 @@ class NoveltyMeter:
             new = np.min([_block_changes(grey, before) for before in self._recent], axis=0) > CHANGED
             self._news.append(float(new.mean()))
             self._at.append(self._length - 1)
+            self._changes.append(float(np.abs(grey - self._recent[-1]).mean()))
             self._busy = new.astype(int) if self._busy is None else self._busy + new
         self._recent.append(grey)
         if is_key:
@@ -61,7 +65,13 @@ class NoveltyMeter:
         self._length += 1
 
     def is_frozen(self) -> bool:
-        """Whether all frames that show something are one picture."""
+        """Whether all frames that show something are one picture, surely: nothing changes, or key frames tell."""
+        return self.hardly_changes() and (
+            float(np.median(self._changes)) < UNCHANGED or len(self._key_changes) > FEWEST_KEYS
+        )
+
+    def hardly_changes(self) -> bool:
+        """Whether all frames are one picture, or show a still scene whose noise the codec took away."""
         if self._busy is None or any(
             stop - first >= LIVELY_RUN for first, stop in runs(np.array(self._news) >= LIVELY)
         ):
@@ -73,7 +83,7 @@ class NoveltyMeter:
     def _keys_differ(self) -> bool:
         """Whether key frames tell of noise that the frames between them have lost. The first one is coarser."""
         changes = self._key_changes[1:]
-        return len(changes) >= 3 and min(changes) >= max(NOISE, EVEN * max(changes))
+        return len(changes) >= FEWEST_KEYS and min(changes) >= max(NOISE, EVEN * max(changes))
 
     def frozen_frames(self) -> np.ndarray:
         """[T] bool: frames of runs of one picture in a recording that is alive otherwise."""

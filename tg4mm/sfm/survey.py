@@ -5,6 +5,7 @@ sfm/survey/<clip>.json and .png, so that a look is taken once.
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
@@ -197,6 +198,12 @@ class _Look:
             raise CaptureError(f"{path}: is black: its brightest pixels reach {self._brightest:.0f} of 255")
         if self._novelty.is_frozen():
             raise CaptureError(f"{path}: is frozen: its {len(self.sharpness)} frames are one picture")
+        if self._novelty.hardly_changes():
+            warnings.warn(
+                f"{path.name}: hardly anything changes from frame to frame: it is one frozen picture, or its "
+                "compression took away what the camera saw change",
+                stacklevel=2,
+            )
 
     def mean(self) -> Image.Image:
         assert self._sum is not None
