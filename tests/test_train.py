@@ -245,14 +245,14 @@ class TestStages:
         self, data: Path, tmp_path: Path
     ) -> None:
         path = tmp_path / "data"
-        make_synthetic_dataset(path, n_views=2, n_timesteps=2, size=24, alphas=(), n_test=0)
-        for t in range(2):
+        make_synthetic_dataset(path, n_views=2, n_timesteps=3, size=24, alphas=(), n_test=0)
+        for t in range(3):
             file = path / f"{t:03d}" / "transforms_train.json"
             transforms = json.loads(file.read_text())
             for frame in transforms["frames"]:
                 frame["transform_matrix"][0][3] += 0.01 * t
             file.write_text(json.dumps(transforms))
-        with one_line(f"{path}: no camera is fixed, and 4 pictures have a time"):
+        with one_line(f"{path}: no camera is fixed, and 6 pictures have a time"):
             train(path, tmp_path / "run", settings=SETTINGS)
 
 

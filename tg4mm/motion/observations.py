@@ -13,7 +13,7 @@ import numpy as np
 from tg4mm.capture import Capture, ImageStack
 from tg4mm.capture.pictures import FilePictures, Pictures, over_white, pictures_of
 from tg4mm.capture.scene import codec_period
-from tg4mm.capture.timing import FEWEST_FRAMES
+from tg4mm.capture.timing import FEWEST_FRAMES, FEWEST_MOVING
 from tg4mm.errors import CaptureError
 from tg4mm.progress import progress
 
@@ -130,7 +130,7 @@ def frames_of(capture: Capture) -> tuple[str, list[PosedFrames]]:
         return "synchronous" if are_synchronous else "independent", fixed
     rows = np.flatnonzero(np.isfinite(capture.times_s))
     rows = rows[np.argsort(capture.times_s[rows], kind="stable")]
-    if len(rows) < FEWEST_FRAMES or len(rows) < capture.n_timesteps / 2:
+    if len(rows) < FEWEST_MOVING or len(rows) < capture.n_timesteps / 2:
         raise CaptureError(
             f"{capture.root}: no camera is fixed, and {len(rows)} pictures have a time, too few to show motion; "
             "expected a fixed camera with a picture at every timestep, or one moving camera's video"

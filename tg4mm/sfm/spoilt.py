@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from tg4mm.capture.timing import FEWEST_FRAMES
+from tg4mm.capture.timing import FEWEST_FRAMES, FEWEST_MOVING
 from tg4mm.errors import CaptureError
 from tg4mm.sfm.clip import uneven_steps
 from tg4mm.sfm.frozen import runs
@@ -74,10 +74,10 @@ def check_usable(surveys: Iterable[Survey], fixed: bool) -> None:
             raise CaptureError(f"{survey.path}: {_moves(survey)}; for a moving camera use --kind handheld")
         if found.faults:
             raise CaptureError(f"{survey.path}: {_told(survey, found)}")
-        if len(survey) < FEWEST_FRAMES:
+        fewest = FEWEST_FRAMES if fixed else FEWEST_MOVING
+        if len(survey) < fewest:
             raise CaptureError(
-                f"{survey.path}: holds {len(survey)} frames, too few to show motion; at least {FEWEST_FRAMES} "
-                "are needed"
+                f"{survey.path}: holds {len(survey)} frames, too few to show motion; at least {fewest} are needed"
             )
 
 
