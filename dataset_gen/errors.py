@@ -15,7 +15,7 @@ def blender_remedy() -> str:
     """How to get Blender's Python module, which comes for two versions of Python alone."""
     have = sys.version_info[:2]
     if have in ((3, 11), (3, 13)):
-        return "pip install 'tg4mm[generate]'"
+        return "pip install '.[generate]' in a copy of the repository"
     version = ".".join(map(str, have))
     return (
         f"this is Python {version}, and Blender's module comes for 3.11 (Blender 4.5) and 3.13 (5.2) alone: make an "

@@ -72,7 +72,10 @@ def test_cuda_without_gsplat_is_one_line_and_2(
     monkeypatch.setitem(sys.modules, "gsplat", None)
     out = tmp_path / "out"
     assert main([*commands(run, out)[index], "--device", "cuda"]) == 2
-    assert capsys.readouterr().err == 'tg4mm: device cuda needs gsplat: pip install "tg4mm[cuda]"\n'
+    assert (
+        capsys.readouterr().err
+        == 'tg4mm: device cuda needs gsplat: pip install ".[cuda]" in a copy of the repository\n'
+    )
     assert not out.exists()
 
 

@@ -97,7 +97,7 @@ def test_the_wheel_alone_reads_and_says_what_it_lacks(
     assert run(folder / "python", "-c", LOOK, *data, cwd=tmp_path).split()[:2] == ["23", "48"]
     assert "tg4mm 0" in run(folder / "tg4mm", "--version", cwd=tmp_path)
     for command, message in (
-        (["train", data[1], "--out", "run"], "pip install 'tg4mm[core]'"),
+        (["train", data[1], "--out", "run"], "pip install '.[core]' in a copy of the repository"),
         (
             ["generate", "mic", "--out", "set"],
             "3.11 (Blender 4.5) and 3.13" if version == "3.12" else "[generate]'",

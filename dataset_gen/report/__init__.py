@@ -51,7 +51,7 @@ def _with_packages(write: Callable[[], _Result]) -> _Result:
     except ModuleNotFoundError as error:
         raise GenerateError(
             f"the report needs the package {error.name}, which this Python lacks: pip install "
-            "'tg4mm[generate]', then python -m dataset_gen.report FOLDER"
+            "'.[generate]' in a copy of the repository, then python -m dataset_gen.report FOLDER"
         ) from error
 
 

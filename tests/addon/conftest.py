@@ -42,7 +42,7 @@ def staged(make_extension: ModuleType, tmp_path_factory: pytest.TempPathFactory)
 @pytest.fixture
 def extension(staged: Path) -> Iterator[ModuleType]:
     """The extension, registered in an empty scene."""
-    bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install 'tg4mm[generate]'")
+    bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
     module = sys.modules.get(PACKAGE) or load(PACKAGE, staged / "__init__.py", staged)
     bpy.ops.wm.read_factory_settings(use_empty=True)
     module.register()

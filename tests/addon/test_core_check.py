@@ -10,7 +10,7 @@ from types import ModuleType
 
 import pytest
 
-bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install 'tg4mm[generate]'")
+bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 
 ALL = ("tg4mm", "torch", "numba", "safetensors", "bpy")
 

@@ -12,7 +12,7 @@ import pytest
 from tests.addon.conftest import some_splat
 from tg4mm.splatfile import positions_at, read_splat, write_splat
 
-bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install 'tg4mm[generate]'")
+bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 
 from tests.addon.playing import (  # noqa: E402
     add_camera,

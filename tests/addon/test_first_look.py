@@ -12,7 +12,7 @@ import pytest
 from tg4mm.report.colour import STILL, amount_colours, phase_colours, phase_share
 from tg4mm.splatfile import read_splat, write_splat
 
-bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install 'tg4mm[generate]'")
+bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 
 from tests.addon.playing import import_splat, setter, shown_colours  # noqa: E402
 

@@ -13,7 +13,7 @@ from PIL import Image
 from tests.addon.conftest import some_splat
 from tg4mm.splatfile import SplatFile, positions_at, read_splat, rotations_at, write_splat
 
-bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install 'tg4mm[generate]'")
+bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 
 from tests.addon.playing import (  # noqa: E402
     add_camera,

@@ -12,7 +12,7 @@ import pytest
 
 from tg4mm.capture import load_capture, load_images
 
-bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install 'tg4mm[generate]'")
+bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 
 from tests.addon.jobs_kit import drawn, said, wait  # noqa: E402
 from tests.addon.playing import import_splat  # noqa: E402

@@ -13,7 +13,7 @@ import pytest
 
 from dataset_gen.vibration import Body, Motion, MotionDescription, solve
 
-bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install 'tg4mm[generate]'")
+bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 
 from tests.addon.playing import blocks, import_splat  # noqa: E402
 

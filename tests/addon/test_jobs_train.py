@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install 'tg4mm[generate]'")
+bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 
 from tests.addon.jobs_kit import drawn, said, wait  # noqa: E402
 

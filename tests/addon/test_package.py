@@ -21,7 +21,7 @@ from tests.addon.conftest import some_splat
 from tg4mm import __version__
 from tg4mm.splatfile import positions_at, read_splat, write_splat
 
-pytest.importorskip("bpy", reason="needs pip's Blender: pip install 'tg4mm[generate]'")
+pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 
 ADDON = (
     *(

@@ -18,9 +18,9 @@ from PIL import Image
 
 from tg4mm.splatfile import SplatFile, positions_at, rotations_at, write_splat
 
-bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install 'tg4mm[generate]'")
-torch = pytest.importorskip("torch", reason="compares with the core's rasteriser: pip install 'tg4mm[core]'")
-pytest.importorskip("numba", reason="compares with the core's rasteriser: pip install 'tg4mm[core]'")
+bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
+torch = pytest.importorskip("torch", reason="compares with the core's rasteriser: pip install '.[core]'")
+pytest.importorskip("numba", reason="compares with the core's rasteriser: pip install '.[core]'")
 
 from tests.addon.playing import add_camera, import_splat, render_cycles, setter  # noqa: E402
 

@@ -16,7 +16,7 @@ from PIL import Image
 
 from tg4mm.splatfile import SplatFile, read_splat, write_splat
 
-bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install 'tg4mm[generate]'")
+bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 import mathutils  # noqa: E402
 
 from tests.addon.playing import add_camera, import_splat, render_cycles, setter  # noqa: E402
@@ -71,10 +71,8 @@ def viewmat(place: np.ndarray) -> np.ndarray:
 
 def trained(splat: SplatFile) -> np.ndarray:
     """[SIZE, SIZE, 3] the core's picture, its low-pass enlarged with the picture: what was trained, over white."""
-    torch = pytest.importorskip(
-        "torch", reason="compares with the core's rasteriser: pip install 'tg4mm[core]'"
-    )
-    pytest.importorskip("numba", reason="compares with the core's rasteriser: pip install 'tg4mm[core]'")
+    torch = pytest.importorskip("torch", reason="compares with the core's rasteriser: pip install '.[core]'")
+    pytest.importorskip("numba", reason="compares with the core's rasteriser: pip install '.[core]'")
     from tg4mm.rasterize import rasterization
 
     scale = SIZE / TRAINED

@@ -7,7 +7,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-pytest.importorskip("bpy", reason="needs pip's Blender: pip install 'tg4mm[generate]'")
+pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 
 
 def ink(canvas, background: float = 0.0) -> np.ndarray:

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install 'tg4mm[generate]'")
+bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 
 from tests.addon.playing import drawn_whole, import_splat, transforms  # noqa: E402
 

@@ -10,7 +10,7 @@ import pytest
 
 from tg4mm.splatfile import read_splat
 
-bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install 'tg4mm[generate]'")
+bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 
 from tests.addon.playing import blocks, import_files, import_splat  # noqa: E402
 

@@ -11,7 +11,7 @@ import pytest
 from tests.addon.conftest import some_splat
 from tg4mm.splatfile import SplatFile, read_splat, write_splat
 
-bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install 'tg4mm[generate]'")
+bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 
 from tests.addon.playing import blocks, drawn_whole, import_files, import_splat, places, setter  # noqa: E402
 

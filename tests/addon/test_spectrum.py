@@ -13,7 +13,7 @@ import pytest
 from tests.addon.conftest import some_splat
 from tg4mm.splatfile import read_splat, write_splat
 
-bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install 'tg4mm[generate]'")
+bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 
 from tests.addon.playing import import_splat, setter  # noqa: E402
 

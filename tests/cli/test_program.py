@@ -231,7 +231,9 @@ def test_message_of_several_lines_becomes_one() -> None:
 
 def test_missing_core_package_says_how_to_install_it() -> None:
     done = run_main("sys.modules['torch'] = None; import torch")
-    assert refused(done) == "tg4mm: this command needs torch: pip install 'tg4mm[core]'"
+    assert (
+        refused(done) == "tg4mm: this command needs torch: pip install '.[core]' in a copy of the repository"
+    )
 
 
 def test_other_missing_module_is_a_fault_of_the_program() -> None:
@@ -268,4 +270,6 @@ def test_generate_without_blender_says_how_to_install_it() -> None:
         "from tg4mm.cli import main; sys.exit(main(['generate', 'mic', '--out', 'x']))\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=ENVIRONMENT)
-    assert "bpy, which is not installed: pip install 'tg4mm[generate]'" in refused(done)
+    assert "bpy, which is not installed: pip install '.[generate]' in a copy of the repository" in refused(
+        done
+    )

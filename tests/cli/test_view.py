@@ -95,4 +95,4 @@ def test_without_viser_it_says_what_to_install(
 ) -> None:
     monkeypatch.setitem(sys.modules, "viser", None)
     assert main(["view", str(run_path), "--no-open"]) == 2
-    assert "pip install 'tg4mm[core,view]'" in capsys.readouterr().err
+    assert "pip install '.[core,view]' in a copy of the repository" in capsys.readouterr().err

@@ -101,7 +101,7 @@ OPTIONS: dict[str, Any] = {
 @pytest.mark.usefixtures("pretend_cuda")
 def test_cuda_tensors_go_to_gsplat_under_its_argument_names(monkeypatch: pytest.MonkeyPatch) -> None:
     """Bound to gsplat's own signature, every argument arrives as it was given; importing needs no GPU."""
-    gsplat = pytest.importorskip("gsplat", reason='gsplat is not installed (pip install "tg4mm[cuda]")')
+    gsplat = pytest.importorskip("gsplat", reason='gsplat is not installed (pip install ".[cuda]")')
     signature = inspect.signature(gsplat.rasterization)
     calls: list[inspect.BoundArguments] = []
 
@@ -120,7 +120,7 @@ def test_cuda_tensors_go_to_gsplat_under_its_argument_names(monkeypatch: pytest.
 
 
 def test_defaults_are_gsplats() -> None:
-    gsplat = pytest.importorskip("gsplat", reason='gsplat is not installed (pip install "tg4mm[cuda]")')
+    gsplat = pytest.importorskip("gsplat", reason='gsplat is not installed (pip install ".[cuda]")')
     theirs = inspect.signature(gsplat.rasterization).parameters
     for name, parameter in inspect.signature(rasterization).parameters.items():
         assert theirs[name].default == parameter.default, name
@@ -129,7 +129,7 @@ def test_defaults_are_gsplats() -> None:
 @pytest.mark.usefixtures("pretend_cuda")
 def test_without_gsplat_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "gsplat", None)
-    with pytest.raises(Tg4mmError, match=r'device cuda needs gsplat: pip install "tg4mm\[cuda\]"'):
+    with pytest.raises(Tg4mmError, match=r'device cuda needs gsplat: pip install "\.\[cuda\]"'):
         rasterization(**arguments())
 
 
@@ -157,5 +157,5 @@ def test_importing_the_package_does_not_import_gsplat(monkeypatch: pytest.Monkey
 )
 @pytest.mark.parametrize("mode", ["RGB", "RGB+ED"])
 def test_gsplat_on_cuda_equals_the_twin(mode: str) -> None:
-    pytest.importorskip("gsplat", reason='gsplat is not installed (pip install "tg4mm[cuda]")')
+    pytest.importorskip("gsplat", reason='gsplat is not installed (pip install ".[cuda]")')
     check(make_scene(80, cameras=2), mode=mode, tolerance=1e-3, device="cuda")

@@ -19,7 +19,7 @@ from tg4mm.errors import Tg4mmError
 from tg4mm.rasterize.cuda import require_gsplat
 from tg4mm.rasterize.kernels.layout import ALPHA_MAX, ALPHA_MIN, T_MIN
 
-WITHOUT = 'gsplat is not installed (pip install "tg4mm[cuda]")'
+WITHOUT = 'gsplat is not installed (pip install ".[cuda]")'
 
 
 def harmonics_of_1_5(degrees_to_use: Any, dirs: Any, coeffs: Any) -> None: ...
@@ -68,7 +68,7 @@ def test_one_that_is_whole_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_none_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "gsplat", None)
-    with one_line(r'device cuda needs gsplat: pip install "tg4mm\[cuda\]"'):
+    with one_line(r'device cuda needs gsplat: pip install "\.\[cuda\]"'):
         require_gsplat()
 
 

@@ -139,7 +139,7 @@ class TestStart:
 
     def test_without_pycolmap_it_is_refused_in_one_line(self, box: RestViews, monkeypatch) -> None:
         monkeypatch.setitem(sys.modules, "pycolmap", None)
-        with pytest.raises(Tg4mmError, match=r"needs pycolmap .*pip install 'tg4mm\[sfm\]'"):
+        with pytest.raises(Tg4mmError, match=r"needs pycolmap .*pip install '\.\[sfm\]'"):
             initial_points(box, None, "sfm", 100, np.random.default_rng(0))
 
 

@@ -112,7 +112,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except ModuleNotFoundError as error:
         if error.name not in _CORE:
             raise
-        return _fail(f"this command needs {error.name}: pip install 'tg4mm[core]'")
+        return _fail(f"this command needs {error.name}: pip install '.[core]' in a copy of the repository")
     except Exception as error:
         # Usage errors as typer reports them; their class has moved between its versions.
         if not hasattr(error, "format_message"):

@@ -44,7 +44,9 @@ def view(
     try:
         import viser  # noqa: F401
     except ModuleNotFoundError as error:
-        raise Tg4mmError(f"this command needs {error.name}: pip install 'tg4mm[core,view]'") from None
+        raise Tg4mmError(
+            f"this command needs {error.name}: pip install '.[core,view]' in a copy of the repository"
+        ) from None
     from tg4mm.view.app import App
 
     session = _session(run, alpha, bands[0] if bands else None)

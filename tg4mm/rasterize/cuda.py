@@ -13,7 +13,7 @@ from torch import Tensor
 
 from tg4mm.errors import Tg4mmError
 
-_INSTALL = 'pip install "tg4mm[cuda]"'
+_INSTALL = 'pip install ".[cuda]" in a copy of the repository'
 
 
 def require_gsplat() -> None:

@@ -32,7 +32,9 @@ def colmap(what: str) -> ModuleType:
     try:
         import pycolmap
     except ImportError as error:
-        raise Tg4mmError(f"{what} needs pycolmap ({error}): pip install 'tg4mm[sfm]'") from None
+        raise Tg4mmError(
+            f"{what} needs pycolmap ({error}): pip install '.[sfm]' in a copy of the repository"
+        ) from None
     pycolmap.logging.minloglevel = 3  # what goes wrong is said in one line of our own
     return pycolmap
 

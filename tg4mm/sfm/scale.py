@@ -67,7 +67,7 @@ def read_length(path: Path) -> Length:
         raise Tg4mmError(f"{path}: cannot be read: {error.strerror or error}") from error
     except ImportError as error:
         raise Tg4mmError(
-            f"a YAML file needs PyYAML ({error}): pip install 'tg4mm[sfm]', or write JSON"
+            f"a YAML file needs PyYAML ({error}): pip install '.[sfm]' in a copy of the repository, or write JSON"
         ) from None
     except ValueError as error:
         raise Tg4mmError(f"{path}: cannot be parsed: {' '.join(str(error).split())}") from error

@@ -48,7 +48,9 @@ def av_module() -> Any:
         import av
         import av.logging
     except ImportError as error:
-        raise Tg4mmError(f"reading videos needs PyAV ({error}): pip install 'tg4mm[sfm]'") from None
+        raise Tg4mmError(
+            f"reading videos needs PyAV ({error}): pip install '.[sfm]' in a copy of the repository"
+        ) from None
     av.logging.set_level(av.logging.ERROR)  # so that damage which FFmpeg covers up can be seen
     return av
 

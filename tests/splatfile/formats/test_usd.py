@@ -100,5 +100,5 @@ def test_an_error_on_the_way_leaves_nothing(splat, tmp_path):
 
 def test_without_openusd_it_says_what_to_install(splat, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pxr", None)
-    with pytest.raises(SplatFileError, match=r"pip install 'tg4mm\[usd\]'"):
+    with pytest.raises(SplatFileError, match=r"pip install '\.\[usd\]'"):
         write_usd(tmp_path / "a.usdc", moments(splat, [0]), 30.0)

@@ -21,7 +21,9 @@ def usd_modules() -> tuple[Any, Any, Any, Any]:
     try:
         from pxr import Usd, UsdGeom, UsdVol, Vt
     except ImportError:
-        raise SplatFileError("usd needs the Python package usd-core: pip install 'tg4mm[usd]'") from None
+        raise SplatFileError(
+            "usd needs the Python package usd-core: pip install '.[usd]' in a copy of the repository"
+        ) from None
     if not hasattr(UsdVol, "ParticleField3DGaussianSplat"):
         version = ".".join(str(n) for n in Usd.GetVersion())
         raise SplatFileError(
