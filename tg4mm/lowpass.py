@@ -3,8 +3,8 @@
 Training draws every Gaussian wider by 0.3 px² (`eps2d`) with its opacity as it is, so trained Gaussians may be much
 thinner than a pixel. Where nothing widens them they leave holes; a viewer that widens by 0.3 px² of a larger picture
 shows needles. Here each gets that width in scene units, at the distances of the training cameras: a 3D smoothing filter
-as in Mip-Splatting (Yu et al. 2024, Eq. 7). Opacities stay: they were trained for the wider Gaussians, and lowering
-them as Eq. 7 does, by the ratio of the volumes, would take them away (docs/blender.md).
+as in Mip-Splatting (Yu et al. 2024). Opacities stay: they were trained for the wider Gaussians, and lowering
+them as that filter does, by the ratio of the volumes, would take them away (docs/blender.md).
 """
 
 from __future__ import annotations

@@ -159,7 +159,7 @@ ABLATIONS: dict[str, Ablation] = {
     ),
     "views": Ablation(
         "Number of training cameras",
-        "How few cameras will do",
+        "How few cameras are enough",
         ("modal", "paper-tuned", "paper"),
         tuple(Row(f"{n} views", views=n, tick=str(n)) for n in (3, 5, 10, 15, 20))
         + (Row("all views", tick="all"),),
@@ -171,7 +171,7 @@ ABLATIONS: dict[str, Ablation] = {
     ),
     "timesteps": Ablation(
         "Number of timesteps",
-        "How short a record will do",
+        "How short a record is enough",
         ("modal", "paper-tuned", "paper"),
         tuple(Row(f"{n} timesteps", timesteps=n, noise=_NOISE, tick=str(n)) for n in (6, 12, 18, 24))
         + (Row("all timesteps", noise=_NOISE, tick="all"),),
@@ -183,7 +183,7 @@ ABLATIONS: dict[str, Ablation] = {
     ),
     "noise": Ablation(
         "Noise of the pictures",
-        "How much noise will do",
+        "How much noise it tolerates",
         ("modal", "paper-tuned", "paper"),
         (
             Row("none added", tick="0"),

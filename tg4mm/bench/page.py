@@ -35,7 +35,7 @@ def origin(made: Mapping[str, Any]) -> str:
 
 def machine(made: Mapping[str, Any]) -> str:
     """The day, the version and the machine in one sentence."""
-    load = "" if made["load_average"] is None else f", load average {made['load_average']:g} when it began"
+    load = "" if made["load_average"] is None else f", load average {made['load_average']:g} at the start"
     return (
         f"{made['date']}, tg4mm {made['tg4mm']}, Python {made['python']}, torch {made['torch']}; {made['system']}, "
         f"{made['processor']}, {made['cores']} cores, {made['threads']} threads{load}."
@@ -62,7 +62,7 @@ def _time_rule(results: Mapping[str, Any]) -> str:
     rule = {
         "needed": "A `paper` preset that took less time than `modal` is trained once more",
         "always": "Every `paper` preset is trained once more",
-        "never": "No preset is trained to another's time",
+        "never": "Training times are not matched between presets",
     }[results["same_time"]]
     if results["same_time"] == "never":
         return rule + "."

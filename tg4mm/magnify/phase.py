@@ -15,11 +15,13 @@ and a working set of at most 100 MB that does not grow: 1,595 MiB at T = 300, 51
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 import torch
 from torch import Tensor
 
-from tg4mm.magnify.pyramid import PyramidConfig, SubBand, sub_bands
+from tg4mm.magnify.pyramid import SubBand, sub_bands
 
 _CELLS_AT_ONCE = 1 << 20  # complex numbers in a working set
 
@@ -28,14 +30,16 @@ class PhaseMagnifier:
     """Magnifies videos [T, H, W] of one size by one temporal response."""
 
     def __init__(
-        self, shape: tuple[int, int], response: np.ndarray, config: PyramidConfig | None = None
+        self, shape: tuple[int, int], response: np.ndarray, bands: Iterable[SubBand] | None = None
     ) -> None:
-        """shape (H, W), powers of two; response [T // 2 + 1] complex on the DFT bins: Σ over bands α · filter.
+        """shape (H, W); response [T // 2 + 1] complex on the DFT bins: Σ over bands α · filter.
+
+        bands: sub-bands of images of `shape`; None for those of the complex steerable pyramid, for powers of two.
 
         Raises Tg4mmError for a size the pyramid cannot take.
         """
         self.shape, self.response = shape, torch.from_numpy(response.astype(np.complex64))
-        self._bands = list(sub_bands(shape, config)) if np.any(response) else []
+        self._bands = list(sub_bands(shape) if bands is None else bands) if np.any(response) else []
 
     @torch.no_grad()
     def __call__(self, video: np.ndarray) -> np.ndarray:
