@@ -60,6 +60,7 @@ def write_video(
         stream = container.add_stream("libx264", rate=rate)
         stream.height, stream.width = frames[0].shape[:2]
         stream.pix_fmt = "yuv420p"
+        stream.codec_context.thread_count = 3  # on any machine: what x264 makes depends on it
         stream.codec_context.gop_size = 10
         stream.codec_context.options = {"crf": str(crf), "preset": "veryfast"}
         if between is not None:

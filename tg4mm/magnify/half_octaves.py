@@ -29,7 +29,9 @@ def half_octave_bands(shape: tuple[int, int]) -> Iterator[SubBand]:
     or too small size.
     """
     if any(size < SMALLEST or size % 2 for size in shape):
-        raise Tg4mmError(f"pictures of {shape[0]}×{shape[1]} pixels, expected even sizes of at least {SMALLEST}")
+        raise Tg4mmError(
+            f"pictures of {shape[0]}×{shape[1]} pixels, expected even sizes of at least {SMALLEST}"
+        )
     y, x = (2 * torch.fft.fftfreq(size, dtype=torch.float64) for size in shape)
     radius, angle = torch.hypot(y[:, None], x), torch.atan2(y[:, None], x[None])
     octaves = int(math.log2(min(shape))) - _LEFT_OUT
@@ -38,7 +40,9 @@ def half_octave_bands(shape: tuple[int, int]) -> Iterator[SubBand]:
         ring = _below(radius, outer) * torch.sqrt(1 - _below(radius, inner) ** 2)
         size = tuple(min(2 * math.ceil(n * outer / 2 + 1), n) for n in shape)
         for o in range(_ORIENTATIONS):
-            window = crop(ring * _towards(angle, math.pi * o / _ORIENTATIONS), (size[0], size[1])).to(torch.complex64)
+            window = crop(ring * _towards(angle, math.pi * o / _ORIENTATIONS), (size[0], size[1])).to(
+                torch.complex64
+            )
             yield SubBand(scale, o, window, window)
 
 
