@@ -11,6 +11,7 @@ import pytest
 from tg4mm.bench.measure import Plan
 from tg4mm.bench.methods.video import Linear2D, Phase2D, SmoothedPhase, band_response, collapse, laplacian
 from tg4mm.bench.sets import BenchSet
+from tg4mm.magnify.half_octaves import half_octave_bands
 from tg4mm.magnify.phase import PhaseMagnifier
 
 T, FPS, HZ = 30, 30.0, 5.0
@@ -73,7 +74,8 @@ def test_the_smoothing_takes_noise_out_of_the_motion() -> None:
     still, wanted = texture(0.05), texture(0.55)
     video = still + np.random.default_rng(3).normal(0, 0.01, still.shape).astype(np.float32)
     off, on = (SmoothedPhase((64, 64), response, sigma)(video) for sigma in (0.0, 2.0))
-    assert np.abs(off - PhaseMagnifier((64, 64), response)(video)).max() < 1e-5
+    plain = PhaseMagnifier((64, 64), response, half_octave_bands((64, 64)))(video)
+    assert np.abs(off - plain).max() < 1e-5
     errors = [np.square(made - video - (wanted - still)).mean() for made in (off, on)]
     assert errors[1] < 0.5 * errors[0]
 
@@ -116,3 +118,50 @@ def test_a_coarse_cutoff_holds_linear_magnification_back() -> None:
 def test_without_a_band_every_frequency_is_magnified() -> None:
     response = band_response(band_set(3.5, 6.5), 7.0, replace(Plan(), banded=False))
     assert response == pytest.approx(np.full(T // 2 + 1, 7.0))
+
+
+@pytest.mark.parametrize("band", [(0.0, 3.5), (1.5, 4.5), (3.5, 6.5)])
+@pytest.mark.parametrize("method", [Phase2D(), Linear2D()])
+def test_a_still_video_stays(method: Phase2D | Linear2D, band: tuple[float, float]) -> None:
+    """A filter of one second leaves some of 0 Hz in a low band, which α would multiply."""
+    video = np.repeat(moving(0.0)[:1], T, axis=0)
+    made = method.magnified(video, band_response(band_set(*band), 50.0, Plan()), 50.0)
+    assert np.abs(made - video).max() < 1e-4
+
+
+def test_half_octaves_ring_less_far_from_an_object_that_moves_than_sharp_octaves() -> None:
+    y, x = np.mgrid[:64, :64].astype(np.float64)
+
+    def video(times: float) -> np.ndarray:
+        shifts = times * 0.2 * np.sin(2 * np.pi * HZ * np.arange(T) / FPS)
+        edges = [np.exp(2 * (np.hypot(x - 20 - s, y - 32) - 7)) for s in shifts]
+        return np.stack([1 - 1 / (1 + edge) for edge in edges]).astype(np.float32)
+
+    response = band_response(band_set(3.5, 6.5), 20.0, Plan())
+    own, sharp = (PhaseMagnifier((64, 64), response, bands) for bands in (half_octave_bands((64, 64)), None))
+    far = np.hypot(x - 20, y - 32) > 30
+    errors = [np.square(made(video(1)).clip(0, 1) - 1)[:, far].mean() ** 0.5 for made in (own, sharp)]
+    assert errors[0] < 0.8 * errors[1]
+    assert gain(*(v[..., None] for v in (own(video(1)), video(21), video(1)))) > 0.6
+
+
+@pytest.mark.parametrize("size", [(64, 64), (50, 42)])
+def test_half_octaves_put_back_give_what_lies_between_the_finest_and_the_coarsest(
+    size: tuple[int, int],
+) -> None:
+    import torch
+
+    from tg4mm.magnify.half_octaves import half_octave_bands
+    from tg4mm.magnify.phase import _give, _take
+
+    spectrum = torch.fft.rfft2(torch.from_numpy(np.random.default_rng(0).random((1, *size))).float())
+    back = torch.zeros_like(spectrum)
+    for band in half_octave_bands(size):
+        held = torch.fft.ifft2(_take(spectrum, band.analysis.shape) * band.analysis)
+        _give(back, torch.fft.fft2(held) * band.synthesis)
+    share = (torch.fft.rfft2(torch.fft.irfft2(back, s=size)) / spectrum)[0]
+    radius = np.hypot(2 * np.fft.fftfreq(size[0])[:, None], 2 * np.fft.rfftfreq(size[1]))
+    octaves = int(np.log2(min(size))) - 2
+    between = torch.from_numpy((radius > 2.0**-octaves) & (radius < 2**-0.75))
+    assert (share[between] - 1).abs().max() < 0.006
+    assert share.abs().max() < 1.006

@@ -22,7 +22,9 @@ def checkout(folder: Path, metric: str, program: str) -> Checkout:
 
 def test_the_two_are_called_as_their_authors_say(tmp_path: Path) -> None:
     says = "import sys\nassert open(sys.argv[-1], 'rb').read(12)[4:8] == b'ftyp'\n"
-    md = checkout(tmp_path, "md_vqa", says + "print('loaded 3 models', sys.argv[1] == '-i')\nprint(81.04)\n")
+    md = checkout(
+        tmp_path, "md_vqa", says + "assert sys.argv[1] == '-i'\nprint('loaded 3 models')\nprint(81.04)\n"
+    )
     assert md(VIDEO, 30.0) == 81.04
     line = "print('The quality score of the video (range [0,1]) is 0.20890.', sys.argv[1:4] == [])\n"
     fast = checkout(tmp_path, "fast_vqa", says + "assert sys.argv[1:4] == ['-m', 'FAST-VQA', '-v']\n" + line)

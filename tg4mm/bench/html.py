@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from tg4mm.bench.folder import write_text
 from tg4mm.bench.page import failures, how, machine, remarks, sets_line
@@ -66,6 +67,8 @@ def _summary(results: Mapping[str, Any]) -> str:
 def _stats(results: Mapping[str, Any]) -> list[Stat]:
     """The best SSIM at each of the three smallest α, and whose it is, over the means of the first group."""
     means = [m for m in results["line_means"] if m["group"] == groups_of(results)[0]]
+    n_sets = max((m["n_sets"] for m in means), default=0)
+    means = [m for m in means if m["n_sets"] == n_sets]  # means over other sets cannot be compared
     alphas = sorted({a for m in means for a in m["alphas"] if float(a) > 0}, key=float)
     found = []
     for alpha in alphas[:3]:
@@ -85,7 +88,8 @@ def _failed(results: Mapping[str, Any]) -> Markup:
 
 
 def _list(lines: Sequence[str]) -> Markup:
-    items = Markup("").join(Markup("<li>{}</li>").format(line) for line in lines)
+    code = [re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(line))) for line in lines]
+    items = Markup("").join(Markup(f"<li>{line}</li>") for line in code)
     return Markup("<ul>{}</ul>").format(items)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -87,6 +88,10 @@ def _line(method: Method, row: str, data: BenchSet, place: Path, plan: Plan, vqa
     for alpha in alphas_of(data, plan):
         if isinstance(method, External) and not method.has(data, alpha):
             notes.append(f"{row} has no pictures at α = {alpha}")
+            if alpha:
+                warnings.warn(
+                    f"{data.label}: --external {row} has no pictures at α = {alpha:g}", stacklevel=2
+                )
             continue
         capture = truth_at(data, alpha)
         record = rendered(method, row, data, place, capture, alpha, plan)
@@ -106,6 +111,7 @@ def rendered(
     recipe = _digest({"data": data.digest, "alpha": alpha, **method.recipe(row, data, place, plan)})
     if (old := _read(record, _RECORD)) is not None and old["recipe"] == recipe:
         return old
+    record.unlink(missing_ok=True)  # from here on its pictures are of two recipes, until the last is written
     spent, n = 0.0, 0
     pictures = method.render(row, data, place, capture, alpha, plan)
     with progress(f"{row}, α = {alpha:g}", len(capture), unit="images") as update:

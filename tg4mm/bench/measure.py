@@ -30,7 +30,7 @@ from tg4mm.train import parse_settings, train
 
 FIGURES = "figures.json"
 SEEN = ("closure", "change_gain", "change_residual")  # how much of a motion is seen, of one way to magnify
-VERSION = 4  # of how figures are made: raise it when the same request would give others
+VERSION = 5  # of how figures are made: raise it when the same request would give others
 _STAGES = {"space": float, "motion": float, "total": float}
 # What tables and pages need of a run, here and in results.json.
 OF_RUN = {

@@ -22,7 +22,7 @@ from tg4mm.rasterize import rasterization
 
 AGREES = 0.5  # correlation of both changes from which a Gaussian's motion counts as observed
 _SHIFT_PX = 1.0  # the α is taken that brings the motion nearest to it: large enough to show, small enough to be linear
-_TIMES = 6  # timesteps that are looked at
+_TIMES = 12  # timesteps that are looked at, at most
 _STILL = 0.01  # of the largest motion: below it a Gaussian stands still
 
 
@@ -60,7 +60,7 @@ def agreement(gaussians: Gaussians, exact: ModalMotion, data: BenchSet) -> np.nd
     alpha = min(data.alphas, key=lambda a: abs(np.log((1 + a) * data.amplitude_px / _SHIFT_PX)))
     capture = load_capture(data.root, split="test", magnification=alpha)
     images, moved = load_images(capture), Method("exact", exact)
-    times = np.unique(np.linspace(0, capture.n_timesteps - 1, _TIMES).round().astype(int)).tolist()
+    times = looked_at(capture.n_timesteps, data.fps, data.frequency_hz)
     sums = np.zeros((len(gaussians), 3))  # made · made, made · true, true · true
     for camera in np.unique(capture.camera_ids).tolist():
         rows = np.flatnonzero(capture.camera_ids == camera)
@@ -80,6 +80,17 @@ def agreement(gaussians: Gaussians, exact: ModalMotion, data: BenchSet) -> np.nd
     own, both, truth = sums.T
     norm = np.sqrt(own * truth)
     return np.divide(both, norm, out=np.zeros_like(both), where=norm > 0)
+
+
+def looked_at(n_timesteps: int, fps: float, frequency_hz: float) -> list[int]:
+    """Timesteps spread over the first period, or over the record where that is shorter, `_TIMES` at most.
+
+    Spread over the whole record they could all show the same phase.
+    """
+    last = (
+        min(n_timesteps - 1, max(round(fps / frequency_hz) - 1, 1)) if frequency_hz > 0 else n_timesteps - 1
+    )
+    return [int(t) for t in np.unique(np.linspace(0, last, _TIMES).round())]
 
 
 def spread(gaussians: Gaussians, maps: np.ndarray, capture: Capture, i: int) -> np.ndarray:

@@ -29,7 +29,10 @@ for (const table of document.querySelectorAll("figure.table table")) {
 for (const figure of document.querySelectorAll("figure.compare")) {
   const left = figure.querySelector('[data-side="left"]');
   const edge = figure.querySelector("[data-edge]");
-  edge.addEventListener("input", () => { left.style.clipPath = `inset(0 ${100 - edge.value}% 0 0)`; });
+  edge.addEventListener("input", () => {
+    left.style.clipPath = `inset(0 ${100 - edge.value}% 0 0)`;
+    left.parentElement.style.setProperty("--edge", `${edge.value}%`);
+  });
   for (const pick of figure.querySelectorAll("[data-pick]")) {
     pick.addEventListener("change", () => {
       figure.querySelector(`[data-side="${pick.dataset.pick}"]`).src = pick.value;

@@ -50,7 +50,8 @@ def how(results: Mapping[str, Any]) -> str:
         else "Every method magnifies all frequencies. "
     )
     return (
-        band
+        "α is the magnification factor: a displacement δ is shown as (1 + α) δ. "
+        + band
         + "All methods are scored from their pictures of the test views at 8 bits (protocol.md). “Nothing moves” is "
         "the first preset's Gaussians at rest, the ceiling the exact motion applied to them. The methods called 2d "
         "magnify the test views' own videos, which no 3D method sees, and have no other views. "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -142,6 +143,9 @@ def check_alphas(sets: Sequence[BenchSet], alphas: Sequence[float] | None) -> No
         if alphas is not None and not set(alphas) & set(data.alphas):
             asked, there = (", ".join(f"{a:g}" for a in some) for some in (alphas, data.alphas))
             raise BenchError(f"--alphas {asked}: dataset {data.root} has ground truth for {there}")
+        if missing := sorted(set(alphas or ()) - set(data.alphas) - {0}):
+            lacks = ", ".join(f"{a:g}" for a in missing)
+            warnings.warn(f"dataset {data.root} has no ground truth for α = {lacks}: left out", stacklevel=2)
 
 
 def open_set(root: Path, label: str) -> BenchSet:

@@ -28,11 +28,14 @@ PIVOTS = (
 _SAYS = {
     "ssim": "SSIM of whole pictures over white, as [TG4MM] Table I. Most of a picture stands still, hence the row "
     "“nothing moves”.",
-    "closure": "Where SSIM lies between “nothing moves” (0) and the exact motion of the same Gaussians (1).",
+    "closure": "Where SSIM lies between “nothing moves” (0) and the exact motion of the same Gaussians (1). Outside of "
+    "0 to 1: worse than a still picture, or sharper than the Gaussians. Where the two ends are near each other it says "
+    "little.",
     "gain": "The pictures' change over time, regressed on the ground truth's: 1 is the whole motion, 0 none.",
-    "residual": "What of the pictures' change over time is not the ground truth's, relative to that: 0 would be exact.",
-    "ssim_moving": "SSIM over the pixels that move.",
-    "psnr_moving_db": "PSNR over the pixels that move, dB.",
+    "residual": "What of the pictures' change over time is not the ground truth's, relative to that; lower is better. "
+    "A still picture has 0 too, so read it beside the gain.",
+    "ssim_moving": "SSIM over the pixels that move: whose ground truth leaves its mean over time by more than 8/255.",
+    "psnr_moving_db": "PSNR over the same pixels, of the squared error of all pictures together.",
     "flip": "Mean FLIP error of whole pictures, lower is better.",
     "lpips": "LPIPS (AlexNet) of whole pictures, lower is better.",
     "md_vqa": "MD-VQA of the magnified videos, without a reference, higher is better.",
@@ -108,7 +111,7 @@ def pivots(means: Sequence[Mapping[str, Any]], group: str) -> Iterator[Table]:
         title, form, _ = METRICS[key]
         known = [a for a in alphas if any(m["alphas"].get(a, {}).get(key) is not None for m in mine)]
         rows = [
-            [_name(m, n_sets), *(shown(m["alphas"].get(a, {}).get(key), form) for a in known)]
+            [row_name(m, n_sets), *(shown(m["alphas"].get(a, {}).get(key), form) for a in known)]
             for m in mine
             if any(m["alphas"].get(a, {}).get(key) is not None for a in known)
         ]
@@ -116,7 +119,8 @@ def pivots(means: Sequence[Mapping[str, Any]], group: str) -> Iterator[Table]:
             yield Table(key, title, _SAYS[key], ["method", *(f"α = {a}" for a in known)], rows)
 
 
-def _name(means: Mapping[str, Any], n_sets: int) -> str:
+def row_name(means: Mapping[str, Any], n_sets: int) -> str:
+    """With a remark where not all sets are in the means."""
     fewer = means["n_sets"] < n_sets
     return f"{means['row']} ({means['n_sets']} of {n_sets} sets)" if fewer else str(means["row"])
 

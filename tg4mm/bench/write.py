@@ -20,6 +20,8 @@ def write_results(out: Path, results: Mapping[str, Any]) -> None:
     <i> counts groups of sets. The second drawing is as [TG4MM] Fig. 6.
     """
     write_json(out / "results.json", results)
+    for old in (*out.glob("results_*.svg"), *(out / "tables").glob("*.tex")):
+        old.unlink()  # a table that there is no more must not stay beside the others
     pictures: dict[str, dict[str, str]] = {}
     for i, group in enumerate(groups_of(results), 1):
         drawings = {

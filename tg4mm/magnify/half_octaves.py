@@ -1,14 +1,15 @@
 """The sub-bands with which phase-based video magnification was published [PVM]: half an octave wide.
 
-Narrower than those of the complex steerable pyramid (`pyramid`), so that phase may grow twice as far before it leaves the
-range in which it stands for a shift ([PVM] §3.3). Eight orientations, radial windows that fall by a raised cosine of 0.75
-octaves: the settings of its authors' program.
+Narrower than those of the complex steerable pyramid (`pyramid`), so that phase may grow twice as far before it leaves
+the range in which it stands for a shift ([PVM] §3.3). Eight orientations, radial windows that fall by a raised cosine
+of 0.75 octaves: the settings of its authors' program.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from itertools import pairwise
 
 import torch
 from torch import Tensor
@@ -36,7 +37,7 @@ def half_octave_bands(shape: tuple[int, int]) -> Iterator[SubBand]:
     radius, angle = torch.hypot(y[:, None], x), torch.atan2(y[:, None], x[None])
     octaves = int(math.log2(min(shape))) - _LEFT_OUT
     edges = [2 ** (-k / _PER_OCTAVE) for k in range(octaves * _PER_OCTAVE + 1)]
-    for scale, (outer, inner) in enumerate(zip(edges, edges[1:], strict=False)):
+    for scale, (outer, inner) in enumerate(pairwise(edges)):
         ring = _below(radius, outer) * torch.sqrt(1 - _below(radius, inner) ** 2)
         size = tuple(min(2 * math.ceil(n * outer / 2 + 1), n) for n in shape)
         for o in range(_ORIENTATIONS):
@@ -53,7 +54,7 @@ def _below(radius: Tensor, edge: float) -> Tensor:
 
 
 def _towards(angle: Tensor, direction: float) -> Tensor:
-    """The half-plane around `direction`: cosⁿ⁻¹, such that the squares of all n add up to 2 with their mirrors'."""
+    """The half-plane around `direction`: cosⁿ⁻¹; the squares of all and of their mirror images add up to 2."""
     n = _ORIENTATIONS - 1
     size = 2**n * math.factorial(n) / math.sqrt(_ORIENTATIONS * math.factorial(2 * n))
     return math.sqrt(2) * size * torch.cos(angle - direction).clamp_min(0) ** n

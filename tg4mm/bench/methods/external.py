@@ -26,8 +26,20 @@ class External:
         return (self.name,)
 
     def fit(self, data: BenchSet, place: Path, plan: Plan) -> dict[str, Any]:
-        if not (self.folder / data.label).is_dir():
-            raise BenchError(f"--external {self.name}: {self.folder / data.label} does not exist")
+        folder = self.folder / data.label
+        if not folder.is_dir():
+            raise BenchError(
+                f"--external {self.name}: {folder} does not exist; a folder for each dataset, called as it is"
+            )
+        if not any(self.has(data, alpha) for alpha in (0, *data.alphas)):
+            first = (
+                folder / f"magnified/x{min(data.alphas):03g}" / "000" / "test"
+                if data.alphas
+                else folder / "000" / "test"
+            )
+            raise BenchError(
+                f"--external {self.name}: {folder} holds no pictures such as {first / 'r_000.png'}"
+            )
         return {}
 
     def recipe(self, row: str, data: BenchSet, place: Path, plan: Plan) -> dict[str, Any]:
@@ -59,7 +71,7 @@ def parse_external(given: list[str]) -> tuple[External, ...]:
         if not sign or not name or not folder:
             raise BenchError(f"--external {text!r}, expected NAME=DIR")
         check_name(name, f"--external {text!r}")
-        if name in found:
+        if name.lower() in map(str.lower, found):
             raise BenchError(f"--external names {name} twice")
         if not Path(folder).is_dir():
             raise BenchError(f"--external {text!r}: {folder} is not a folder")

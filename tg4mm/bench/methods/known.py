@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from tg4mm.bench.errors import BenchError
+from tg4mm.bench.folder import SET
 from tg4mm.bench.measure import SCORINGS, Training
 from tg4mm.bench.methods import Method
 from tg4mm.bench.methods.external import External
@@ -12,9 +13,11 @@ from tg4mm.bench.methods.tracking import NAME as TRACKING
 from tg4mm.bench.methods.tracking import tracking
 from tg4mm.bench.methods.trained import Trained
 from tg4mm.bench.methods.video import Linear2D, Phase2D
+from tg4mm.evaluate.run import CEILING, STATIC
 
 BASELINES = (TRACKING, Phase2D.name, Linear2D.name)
 NAMES = (*SCORINGS, *BASELINES)
+_TAKEN = {*NAMES, STATIC, CEILING, SET}  # folders of rows; some file systems know no upper case
 DEFAULT = ("modal", "paper-tuned", *BASELINES)
 
 
@@ -41,8 +44,8 @@ def methods_of(
     reference = next((n for n in names if n in SCORINGS), None)
     made = [_method(n, settings, n == reference) for n in names]
     for outside in external:
-        if outside.name in NAMES:
-            raise BenchError(f"--external {outside.name}: that is the name of a method here; choose another")
+        if outside.name.lower() in _TAKEN:
+            raise BenchError(f"--external {outside.name}: that is the name of a row here; choose another")
     return [*made, *external]
 
 

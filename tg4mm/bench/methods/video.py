@@ -21,12 +21,16 @@ from tg4mm.bench.sets import BenchSet
 from tg4mm.capture import Capture, load_capture
 from tg4mm.magnify import BandGain, Magnification
 from tg4mm.magnify.filters import apply_response, bins
+from tg4mm.magnify.half_octaves import half_octave_bands
 from tg4mm.magnify.phase import PhaseMagnifier
 from tg4mm.magnify.pyramid import SMALLEST
 
 # NTSC's luma and two chroma signals from RGB.
 _YIQ = np.array([[0.299, 0.587, 0.114], [0.596, -0.274, -0.322], [0.211, -0.523, 0.312]])
 _RGB = np.linalg.inv(_YIQ)
+
+
+_VERSION = 2  # of these methods: raise it when the same settings would give other pictures
 
 
 class VideoMethod:
@@ -42,7 +46,9 @@ class VideoMethod:
         return {}
 
     def recipe(self, row: str, data: BenchSet, place: Path, plan: Plan) -> dict[str, Any]:
-        return {"method": self.name, **asdict(self), "band_hz": list(data.band_hz) if plan.banded else None}  # type: ignore[call-overload]
+        own: dict[str, Any] = asdict(self)  # type: ignore[call-overload]
+        band = list(data.band_hz) if plan.banded else None
+        return {"method": self.name, "version": _VERSION, **own, "band_hz": band}
 
     def render(
         self, row: str, data: BenchSet, place: Path, capture: Capture, alpha: float, plan: Plan
@@ -69,8 +75,8 @@ def band_response(data: BenchSet, alpha: float, plan: Plan) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Phase2D(VideoMethod):
-    """Phase-based video motion processing [PVM]: complex steerable pyramid, phase since frame 0, temporal band-pass,
-    phase smoothed with the amplitude as weight ([PVM] §3.4), α.
+    """Phase-based video motion processing [PVM]: complex sub-bands of half an octave and eight orientations, phase
+    since frame 0, temporal band-pass, phase smoothed with the amplitude as weight ([PVM] §3.4), α.
 
     Its authors' program magnifies luma alone; here chroma is magnified too, by its own phase, since otherwise coloured
     edges stay where they are, and the baseline is to be the best that 2D can do.
@@ -93,7 +99,7 @@ class SmoothedPhase(PhaseMagnifier):
     """`PhaseMagnifier` with amplitude-weighted smoothing: φ ← (K ∗ Aφ) / (K ∗ A), K a Gaussian of `sigma` cells."""
 
     def __init__(self, shape: tuple[int, int], response: np.ndarray, sigma: float) -> None:
-        super().__init__(shape, response)
+        super().__init__(shape, response, half_octave_bands(shape))
         self.sigma = sigma
 
     def turn(self, held: Tensor) -> None:
@@ -113,8 +119,8 @@ class SmoothedPhase(PhaseMagnifier):
 
 
 def _padded(video: np.ndarray) -> np.ndarray:
-    """[T, H, W] with its last rows and columns repeated up to powers of two."""
-    up = [max(SMALLEST, 1 << (n - 1).bit_length()) - n for n in video.shape[1:]]
+    """[T, H, W] with its last rows and columns repeated up to even sizes that the sub-bands allow."""
+    up = [max(SMALLEST, n + n % 2) - n for n in video.shape[1:]]
     return np.pad(video, ((0, 0), (0, up[0]), (0, up[1])), mode="edge")
 
 
@@ -130,6 +136,8 @@ class Linear2D(VideoMethod):
     def magnified(self, video: np.ndarray, response: np.ndarray, alpha: float) -> np.ndarray:
         yiq = video @ _YIQ.T.astype(np.float32)
         levels = laplacian(yiq)
+        response = response.copy()
+        response[0] = 0.0  # 0 Hz is the picture itself, which a windowed filter does not remove whole
         change = [np.zeros_like(level) for level in levels]
         for k in range(1, len(levels) - 1):  # neither the finest nor the rest, as published
             wavelength = float(np.hypot(video.shape[1], video.shape[2])) / 3 / 2 ** (len(levels) - 1 - k)
