@@ -88,7 +88,10 @@ def test_an_alpha_that_is_not_there_is_left_out_and_said(data: Path, tmp_path: P
         ("theirs", "expected NAME=DIR"),
         ("a/b=.", "letters, digits"),
         ("theirs=/nowhere", "/nowhere is not a folder"),
-        ("modal=.", "that is the name of a method here"),
+        ("modal=.", "that is the name of a row here"),
+        ("ceiling=.", "that is the name of a row here"),
+        ("Linear-2D=.", "that is the name of a row here"),
+        ("set.json=.", "that is the name of a row here"),
     ],
 )
 def test_what_is_refused(given: str, message: str, data: Path, tmp_path: Path, capsys) -> None:
@@ -211,3 +214,24 @@ def test_damaged_scores_are_made_anew(data: Path, tmp_path: Path, capsys) -> Non
     scores.write_text('{"version": 1, "entries')
     status, results = run_linear(data, out)
     assert (status, results["lines"][0]["alphas"]) == (0, before[0]["alphas"])
+
+
+def test_a_folder_without_pictures_has_failed(data: Path, tmp_path: Path) -> None:
+    (tmp_path / "theirs" / data.name).mkdir(parents=True)
+    status, results = run_linear(data, tmp_path / "out", "--external", f"none={tmp_path / 'theirs'}")
+    assert (status, [f["method"] for f in results["failed"]]) == (1, ["none"])
+    assert "holds no pictures such as" in results["failed"][0]["why"]
+
+
+def test_an_alpha_without_ground_truth_is_said(data: Path, tmp_path: Path) -> None:
+    with pytest.warns(UserWarning, match="has no ground truth for α = 7: left out"):
+        run_linear(data, tmp_path / "out", "--alphas", "5,7")
+
+
+def test_tables_of_methods_that_are_gone_do_not_stay(data: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    run_linear(data, out)
+    stale = out / "tables" / "1_motion.tex"
+    stale.write_text("of another call")
+    run_linear(data, out)
+    assert not stale.exists()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.synthetic import make_synthetic_dataset
-from tg4mm.bench.observed import AGREES, agreement, rms_motion
+from tg4mm.bench.observed import AGREES, agreement, looked_at, rms_motion
 from tg4mm.bench.sets import BenchSet, open_set
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.modes import ModalMotion
@@ -47,3 +47,14 @@ def test_what_stands_still_agrees_with_nothing(scene: Scene) -> None:
     gaussians, motion, data = scene
     still = replace(motion, displacement=0 * motion.displacement)
     assert np.abs(agreement(gaussians, still, data)).max() < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("n", "hz"), [(30, 5.0), (31, 5.0), (61, 5.0), (51, 3.0), (16, 10.0), (90, 0.5), (20, 14.0)]
+)
+def test_the_timesteps_that_are_looked_at_show_several_phases(n: int, hz: float) -> None:
+    times = looked_at(n, 30.0, hz)
+    phases = {round(hz * t / 30.0 % 1, 6) for t in times}
+    assert len(phases) >= min(3, round(30 / hz))
+    assert len(times) == len(set(times)) <= 12
+    assert max(times) < n
