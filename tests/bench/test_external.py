@@ -235,3 +235,14 @@ def test_tables_of_methods_that_are_gone_do_not_stay(data: Path, tmp_path: Path)
     stale.write_text("of another call")
     run_linear(data, out)
     assert not stale.exists()
+
+
+def test_ground_truth_that_has_changed_is_scored_against(data: Path, tmp_path: Path) -> None:
+    own, out = tmp_path / data.name, tmp_path / "out"
+    shutil.copytree(data, own)
+    before = run_linear(own, out)[1]["lines"][0]["alphas"]
+    for picture in (own / "magnified" / "x020").rglob("test/*.png"):
+        shutil.copyfile(own / "000" / "test" / picture.name, picture)
+    after = run_linear(own, out)[1]["lines"][0]["alphas"]
+    assert after["5"] == before["5"]
+    assert after["20"]["psnr_db"] != before["20"]["psnr_db"]

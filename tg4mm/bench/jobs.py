@@ -155,6 +155,9 @@ class _Kept:
                 "recipe": recipe,
                 "lpips": [str(p) for p in plan.lpips_weights],
                 "vqa": [[c.metric, str(c.folder), c.python] for c in vqa],
+                "truth": [
+                    [file.name, file.stat().st_size, file.stat().st_mtime_ns] for file in capture.paths
+                ],
             }
         )
         entry = self.entries.get(f"{row} {alpha}")
