@@ -20,8 +20,7 @@ def write_results(out: Path, results: Mapping[str, Any]) -> None:
     <i> counts groups of sets. The second drawing is as [TG4MM] Fig. 6.
     """
     write_json(out / "results.json", results)
-    for old in (*out.glob("results_*.svg"), *(out / "tables").glob("*.tex")):
-        old.unlink()  # a table that there is no more must not stay beside the others
+    before = {*out.glob("results_*.svg"), *(out / "tables").glob("*.tex")}
     pictures: dict[str, dict[str, str]] = {}
     for i, group in enumerate(groups_of(results), 1):
         drawings = {
@@ -32,8 +31,14 @@ def write_results(out: Path, results: Mapping[str, Any]) -> None:
             if drawn is not None:
                 pictures.setdefault(group, {})[name] = f"{title}, {group}"
                 write_text(out / name, drawn)
+                before.discard(out / name)
         for made in (*tables_of(results, group), full_table(results, group)):
-            write_text(out / "tables" / f"{i}_{made.key}.tex", latex_table(made, group))
+            file = out / "tables" / f"{i}_{made.key}.tex"
+            write_text(file, latex_table(made, group))
+            before.discard(file)
     for made in kinds_tables(results):
         write_text(out / "tables" / f"{made.key}.tex", latex_table(made))
+        before.discard(out / "tables" / f"{made.key}.tex")
+    for old in before:
+        old.unlink()  # of methods or groups that are in the results no more
     write_text(out / "results.md", scenes_page(results, pictures))

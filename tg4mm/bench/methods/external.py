@@ -29,7 +29,7 @@ class External:
         folder = self.folder / data.label
         if not folder.is_dir():
             raise BenchError(
-                f"--external {self.name}: {folder} does not exist; a folder for each dataset, called as it is"
+                f"--external {self.name}: {folder} does not exist; expected a folder with the dataset's name"
             )
         if not any(self.has(data, alpha) for alpha in (0, *data.alphas)):
             first = (

@@ -28,8 +28,6 @@ from tg4mm.magnify.pyramid import SMALLEST
 # NTSC's luma and two chroma signals from RGB.
 _YIQ = np.array([[0.299, 0.587, 0.114], [0.596, -0.274, -0.322], [0.211, -0.523, 0.312]])
 _RGB = np.linalg.inv(_YIQ)
-
-
 _VERSION = 2  # of these methods: raise it when the same settings would give other pictures
 
 
