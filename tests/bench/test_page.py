@@ -62,6 +62,10 @@ def test_in_a_browser(made: Path) -> None:
         left = page.locator('.compare img[data-side="left"]')
         page.locator(".compare [data-edge]").fill("20")
         assert "80%" in left.evaluate("e => e.style.clipPath")
+        at = (
+            "e => parseFloat(getComputedStyle(e.parentElement, '::after').left) / e.parentElement.clientWidth"
+        )
+        assert left.evaluate(at) == pytest.approx(0.2, abs=0.01)
         before = left.get_attribute("src")
         page.locator('.compare select[data-pick="left"]').select_option(label="linear-2d")
         assert left.get_attribute("src") != before

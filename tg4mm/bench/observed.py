@@ -87,9 +87,8 @@ def looked_at(n_timesteps: int, fps: float, frequency_hz: float) -> list[int]:
 
     Spread over the whole record they could all show the same phase.
     """
-    last = (
-        min(n_timesteps - 1, max(round(fps / frequency_hz) - 1, 1)) if frequency_hz > 0 else n_timesteps - 1
-    )
+    period = fps / frequency_hz if frequency_hz > 0 else n_timesteps
+    last = min(n_timesteps, max(round(period), 2)) - 1
     return [int(t) for t in np.unique(np.linspace(0, last, _TIMES).round())]
 
 
