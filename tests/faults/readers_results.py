@@ -13,6 +13,7 @@ import numpy as np
 from tests.faults.containers import of_sealed, of_tensors
 from tests.faults.mutate import of_bytes, of_json
 from tests.faults.reader import Reader, record, sealed
+from tg4mm.bench.measure import VERSION
 from tg4mm.errors import RunError
 
 ROW = {"psnr_db": 31.25, "ssim": 0.91, "flip": 0.05, "lpips": None}
@@ -39,7 +40,7 @@ OF_RUN: dict[str, Any] = {
     "displacement": DISPLACEMENT, "notes": ["a note"],
 }  # fmt: skip
 FIGURES = {
-    "version": 4, "request": {"settings": {"space": {"seed": 0}}, "band_hz": [3.5, 6.5]}, **OF_RUN,
+    "version": VERSION, "request": {"settings": {"space": {"seed": 0}}, "band_hz": [3.5, 6.5]}, **OF_RUN,
     "n_gaussians": 300, "mib_on_disk": 1.5, "absent": {"LPIPS": "no weights"},
     "observed": {"displacement_error_observed": 0.1, "observed_share": 0.5}, "strongest_hz": 5.01,
 }  # fmt: skip

@@ -111,7 +111,6 @@ def rendered(
     recipe = _digest({"data": data.digest, "alpha": alpha, **method.recipe(row, data, place, plan)})
     if (old := _read(record, _RECORD)) is not None and old["recipe"] == recipe:
         return old
-    record.unlink(missing_ok=True)  # from here on its pictures are of two recipes, until the last is written
     spent, n = 0.0, 0
     pictures = method.render(row, data, place, capture, alpha, plan)
     with progress(f"{row}, α = {alpha:g}", len(capture), unit="images") as update:
@@ -121,6 +120,8 @@ def rendered(
             spent += time.perf_counter() - began
             if got is None:
                 break
+            if not n:  # from here on the pictures are of two recipes, until the last is written
+                record.unlink(missing_ok=True)
             write_png(folder / capture.paths[got[0]].relative_to(capture.root), got[1])
             n += 1
             update(n)
