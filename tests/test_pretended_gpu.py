@@ -17,6 +17,7 @@ from tests.helpers.space_cuda import spherical_harmonics
 from tests.helpers.space_train import Killed
 from tests.helpers.synthetic import make_synthetic_dataset
 from tests.rasterize.oracle import assert_close
+from tg4mm.bench.methods.tracking import TrackingConfig, track
 from tg4mm.capture import load_capture, load_images
 from tg4mm.evaluate import evaluate_run
 from tg4mm.gaussians import Gaussians
@@ -254,3 +255,17 @@ def test_the_preset_paper(
     for found, expected in zip(watched[:n_fits], watched[n_fits : 2 * n_fits], strict=True):
         assert_same_steps(found, expected)
     assert counts[2] == counts[0]
+
+
+def test_the_method_tracking(made: tuple[Path, Run], tmp_path: Path, gpu: Gpu) -> None:
+    data, source = made
+    capture = load_capture(data)
+    images, base, found = load_images(capture), scattered(oblong(source.load_space())), []
+    config = TrackingConfig(iterations=5, resolution=8, levels=1, channels=4, width=8)
+    for place in ("cpu", NAME):
+        run = Run.create(tmp_path / place, data, "modal", {})
+        run.save_space(base, {})
+        track(run, capture, images, config, place)
+        found.append(torch.view_as_real(torch.from_numpy(run.load_motion().displacement)))
+    assert found[0].abs().max() > 0
+    assert_close("displacement", found[1], found[0], 1e-2)

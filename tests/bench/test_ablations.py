@@ -22,6 +22,7 @@ from tg4mm.bench.again import KINDS, alphas_for
 from tg4mm.bench.html import _ablation
 from tg4mm.bench.measure import Plan
 from tg4mm.bench.request import check_settings, setting_names
+from tg4mm.bench.sets import open_set
 from tg4mm.cli import main
 from tg4mm.errors import Tg4mmError
 from tg4mm.magnify import TemporalFilter
@@ -218,7 +219,7 @@ def test_a_scene_is_filmed_in_every_way(data: Path, tmp_path: Path, monkeypatch:
     scene = json.loads((source / "scene.json").read_text(encoding="utf-8"))
     made_by = {
         "scene": "mic",
-        "n_test": 1,
+        "n_test": 30,
         "engine": {"samples": 8},
         "cameras": {"kind": "orbit"},
         "sensor": None,
@@ -241,6 +242,8 @@ def test_a_scene_is_filmed_in_every_way(data: Path, tmp_path: Path, monkeypatch:
     for arguments, kind in zip(asked, list(KINDS)[1:], strict=True):
         (settings,) = request_from(parser().parse_args(arguments)).sets
         assert (settings.cameras.kind, settings.alphas) == (kind, (20,))
+        of_reference = 30 * open_set(source, "mic").n_timesteps  # test pictures
+        assert abs(settings.cameras.n_test * settings.timesteps - of_reference) <= settings.timesteps / 2
     assert all(line["scalars"]["frequency_error_hz"] is not None for line in results["lines"])
     run_ablation("capture", [source], out, None, MODAL, Plan(alphas=(20.0,)), silent)
     assert len(asked) == len(KINDS) - 1  # what is there is not rendered again

@@ -10,8 +10,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
+from tg4mm.bench.sets import open_set
+from tg4mm.bench.shown import gather
 from tg4mm.bench.tables import groups_of, tables_of
 from tg4mm.cli import main
 
@@ -193,7 +197,9 @@ def test_collecting_runs_nothing_and_says_what_is_not_there(
     arguments = ["bench", "scenes", str(data), "--out", str(out), "--methods", "modal,linear-2d", "--collect"]
     assert main(arguments) == 1
     results = json.loads((out / "results.json").read_text(encoding="utf-8"))
-    assert [(f["method"], f["why"]) for f in results["failed"]] == [("modal", "is not finished")]
+    assert [(f["method"], f["why"]) for f in results["failed"]] == [
+        ("modal", f"modal on {data.name} is not finished; without --collect it is run")
+    ]
     assert [line["row"] for line in results["lines"]] == ["linear-2d"]
     assert (out / "results.html").is_file()
 
@@ -246,3 +252,46 @@ def test_ground_truth_that_has_changed_is_scored_against(data: Path, tmp_path: P
     after = run_linear(own, out)[1]["lines"][0]["alphas"]
     assert after["5"] == before["5"]
     assert after["20"]["psnr_db"] != before["20"]["psnr_db"]
+
+
+def test_pictures_that_have_changed_are_magnified_anew(data: Path, tmp_path: Path) -> None:
+    """A 2D method sees the test views unmagnified, which no digest of the dataset covers."""
+    own, out = tmp_path / data.name, tmp_path / "out"
+    shutil.copytree(data, own)
+    before = run_linear(own, out)[1]["lines"][0]["alphas"]
+    first = (own / "000" / "test" / "r_000.png").read_bytes()
+    for picture in own.glob("[0-9]*/test/r_000.png"):
+        picture.write_bytes(first)
+    after = run_linear(own, out)[1]["lines"][0]["alphas"]
+    assert before["20"]["gain"] > 0.05
+    assert after["20"]["gain"] == pytest.approx(0, abs=0.01)  # a still video
+
+
+def test_methods_join_a_dataset_of_exr_pictures_by_png(data: Path, tmp_path: Path) -> None:
+    exr = pytest.importorskip("OpenEXR")
+    own, theirs = tmp_path / data.name, tmp_path / "theirs"
+    shutil.copytree(data, own)
+    shutil.copytree(data, theirs / data.name)
+    for path in own.rglob("test/*.png"):
+        coded, opacity = np.split(np.asarray(Image.open(path).convert("RGBA"), np.float32) / 255, [3], axis=2)
+        linear = np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4) * opacity
+        values = np.concatenate([linear, opacity], axis=2)
+        channels = {name: np.ascontiguousarray(values[..., i]) for i, name in enumerate("RGBA")}
+        with exr.File({"type": exr.scanlineimage}, channels) as file:
+            file.write(str(path.with_suffix(".exr")))
+        path.unlink()
+    status, results = run_linear(own, tmp_path / "out", "--external", f"theirs={theirs}")
+    assert status == 0
+    lines = {line["row"]: line["alphas"] for line in results["lines"]}
+    assert lines["linear-2d"]["0"]["ssim"] == pytest.approx(1, abs=1e-3)
+    assert lines["theirs"]["20"]["ssim"] == pytest.approx(1, abs=1e-3)
+    assert "<video" in (tmp_path / "out" / "results.html").read_text(encoding="utf-8")
+
+
+def test_videos_are_of_an_alpha_that_all_rows_have(data: Path, tmp_path: Path) -> None:
+    theirs = tmp_path / "theirs" / data.name / "magnified" / "x005"
+    shutil.copytree(data / "magnified" / "x005", theirs)
+    with pytest.warns(UserWarning, match="no pictures at α = 20"):
+        _, results = run_linear(data, tmp_path / "out", "--external", f"theirs={tmp_path / 'theirs'}")
+    shown = gather(tmp_path / "out", results, open_set(data, data.name))
+    assert (shown.alpha, list(shown.videos)) == (5, ["ground truth", "linear-2d", "theirs"])

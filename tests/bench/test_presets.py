@@ -105,6 +105,7 @@ def test_options_of_a_preset_reach_its_commands(tmp_path: Path, capsys) -> None:
         (["--preset", "smoke", "--out", "x", "--lpips-weights", "/nowhere/alex.pth"], "/nowhere/alex.pth"),
         (["--alphas", "5", "scenes", "data", "--out", "x"], "options before scenes"),
         (["--preset", "smoke", "--out", "x", "--external", "theirs"], "expected NAME=DIR"),
+        (["--preset", "smoke", "--out", "x", "--external", "modal=."], "that is the name of a row here"),
     ],
 )
 def test_what_is_refused(arguments: list[str], message: str, capsys) -> None:

@@ -279,3 +279,12 @@ class TestSameTime:
         assert again["overrides"] != first["overrides"]
         assert {m["row"] for m in results["means"]} == {"modal", "paper-tuned", "paper-tuned, modal's time"}
         assert "paper-tuned, modal's time: linear" in (tmp_path / "out" / "results.md").read_text("utf-8")
+
+
+def test_a_mean_is_of_all_sets_or_none() -> None:
+    lines = [
+        {"set": name, "row": "a", "frames_per_s": None, "alphas": {"5": {"ssim": 0.9, "closure": closure}}}
+        for name, closure in (("one", 0.5), ("two", None))
+    ]
+    (means,) = line_means(lines, dict.fromkeys(("one", "two"), "group"))
+    assert means["alphas"]["5"] == {"ssim": pytest.approx(0.9), "closure": None}

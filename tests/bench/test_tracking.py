@@ -55,6 +55,8 @@ def test_training_finds_the_motion_and_a_second_call_does_not_train(data: Path, 
     assert first["displacement"]["per_frequency"][0]["mac"] > 0.3
     assert first["rows"]["5"]["tracking"]["change_gain"] > 0.2
     assert Run.open(tmp_path / "run").log()["motion"]["iterations"] == 400
+    given = {"tracking.iterations": "400", "tracking.resolution": "16"}
+    assert method.training.overrides == {**MODAL, **given}
     assert method.fit(open_set(data, "sway"), tmp_path, Plan(alphas=(5.0,))) == first
 
 

@@ -136,14 +136,16 @@ class Trial:
             self.check(name, f"killed after {', '.join(f'{m:.3f} s' for m in moments)}")
         return struck
 
-    def kills_after_renames(self, most: int = 1000) -> int:
-        """A kill after the first rename of a run, after the second of another, and so on. Returns how many."""
-        for n in range(1, most + 1):
+    def kills_after_renames(self, most: int = 1000, step: int = 1) -> int:
+        """A kill after the first rename of a run, `step` renames later in another, and so on, the last one after at
+        most `most`. Returns how many."""
+        numbers = range(1, most + 1, step)
+        for i, n in enumerate(numbers):
             name = f"rename_{n}"
             if not os.WIFSIGNALED(in_child(lambda: self.train_until_rename(name, n), self.said)):  # noqa: B023
-                return n - 1
+                return i
             self.check(name, f"killed after rename {n}")
-        return most
+        return len(numbers)
 
 
 def main() -> int:
@@ -153,6 +155,7 @@ def main() -> int:
     )
     parser.add_argument("--kills", type=int, default=10, help="at random moments (10)")
     parser.add_argument("--renames", type=int, default=1000, help="kills after a rename, at most (1000)")
+    parser.add_argument("--step", type=int, default=1, help="renames from one kill to the next run's (1)")
     parser.add_argument("--preset", choices=list(SETTINGS), default="modal")
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
@@ -160,7 +163,8 @@ def main() -> int:
         trial = Trial(Path(folder), args.preset)
         print(f"{args.preset}: a training takes {trial.seconds:.1f} s", flush=True)
         if args.renames:
-            print(f"{trial.kills_after_renames(args.renames)} kills after a rename: nothing lost", flush=True)
+            killed = trial.kills_after_renames(args.renames, args.step)
+            print(f"{killed} kills after a rename: nothing lost", flush=True)
         if args.kills:
             struck = trial.random_kills(args.kills, args.seed)
             print(f"{struck} kills at random moments, seed {args.seed}: nothing lost", flush=True)

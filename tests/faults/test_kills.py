@@ -25,8 +25,8 @@ def test_a_command_that_is_killed_loses_nothing(command: str, repo_root: Path) -
 
 @pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="forks")
-@pytest.mark.parametrize("preset", ["modal", "paper-tuned"])
-def test_nothing_is_lost_by_kills(preset: str, repo_root: Path) -> None:
+@pytest.mark.parametrize(("preset", "step"), [("modal", "1"), ("paper-tuned", "3")])
+def test_nothing_is_lost_by_kills(preset: str, step: str, repo_root: Path) -> None:
     """In a process of its own: a fork of one that has used threads would hang."""
     command = [
         sys.executable,
@@ -38,6 +38,8 @@ def test_nothing_is_lost_by_kills(preset: str, repo_root: Path) -> None:
         "4",
         "--renames",
         "40",
+        "--step",
+        step,
     ]
     done = subprocess.run(command, cwd=repo_root, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-3000:]

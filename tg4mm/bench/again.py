@@ -64,13 +64,20 @@ def with_kind(data: BenchSet, kind: str, alphas: Sequence[float] | None, folder:
 
 
 def kind_options(data: BenchSet, kind: str, alphas: Sequence[float] | None) -> dict[str, str]:
-    """What differs from the dataset's own options; "" takes one away."""
+    """What differs from the dataset's own options; "" takes one away.
+
+    A longer recording has fewer test cameras, at least one, so that there are about as many test pictures.
+    """
     given = KINDS[kind] or ("--cameras", "orbit")
+    changed = dict(zip(given[::2], given[1::2], strict=True))
+    scene = _scene(data)
+    if kind != "orbit":  # how many views there are is the kind's own
+        n_test = round(scene["n_test"] * data.n_timesteps / int(changed["--timesteps"]))
+        changed |= {"--views": changed.get("--views", ""), "--test-views": str(max(n_test, 1))}
+    if (amplitude := scene.get("amplitude")) is not None:
+        changed["--amplitude"] = f"{amplitude:g}"
     wanted = [str(a) for a in data.alphas if alphas is None or a in alphas]
-    own = {} if kind == "orbit" else {"--views": ""}  # how many there are is the kind's own
-    amplitude = _scene(data).get("amplitude")
-    main = {} if amplitude is None else {"--amplitude": f"{amplitude:g}"}
-    return own | main | {"--alphas": ",".join(wanted)} | dict(zip(given[::2], given[1::2], strict=True))
+    return changed | {"--alphas": ",".join(wanted)}
 
 
 def _rendered(data: BenchSet, changed: Mapping[str, str], folder: Path) -> Path:

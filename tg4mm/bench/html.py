@@ -10,7 +10,7 @@ from typing import Any
 from markupsafe import Markup, escape
 
 from tg4mm.bench.folder import write_text
-from tg4mm.bench.page import failures, how, machine, remarks, sets_line
+from tg4mm.bench.page import about_methods, failures, how, machine, remarks, sets_line
 from tg4mm.bench.plots import over_alpha, size_and_speed
 from tg4mm.bench.shown import shown_sections
 from tg4mm.bench.tables import Table, full_table, groups_of, kinds_tables, tables_of
@@ -39,7 +39,11 @@ def write_page(
         kicker="tg4mm benchmark",
         summary=_summary(results),
         stats=_stats(results),
-        lead=[Text(how(results)), *([Text(_failed(results), plain=True)] if failures(results) else [])],
+        lead=[
+            Text(how(results)),
+            Text(_list(about_methods(results)), plain=True),
+            *([Text(_failed(results), plain=True)] if failures(results) else []),
+        ],
         sections=[
             *sections,
             *(Section(title, [Text(_list(lines), plain=True)]) for title, lines in remarks(results)),
@@ -65,20 +69,22 @@ def _summary(results: Mapping[str, Any]) -> str:
 
 
 def _stats(results: Mapping[str, Any]) -> list[Stat]:
-    """The best SSIM at each of the three smallest α, and whose it is, over the means of the first group."""
+    """The best SSIM where it moves at each of the three smallest α, and whose it is, over the first group's means."""
     means = [m for m in results["line_means"] if m["group"] == groups_of(results)[0]]
     n_sets = max((m["n_sets"] for m in means), default=0)
     means = [m for m in means if m["n_sets"] == n_sets]  # means over other sets cannot be compared
     alphas = sorted({a for m in means for a in m["alphas"] if float(a) > 0}, key=float)
     found = []
     for alpha in alphas[:3]:
-        known = [(m["alphas"][alpha].get("ssim"), m["row"]) for m in means if alpha in m["alphas"]]
+        known = [(m["alphas"][alpha].get("ssim_moving"), m["row"]) for m in means if alpha in m["alphas"]]
         scored = [(v, row) for v, row in known if v is not None and row not in {"nothing moves", "ceiling"}]
         still = next((v for v, row in known if row == "nothing moves" and v is not None), None)
         if scored:
             best = max(scored)
             beside = "" if still is None else f"; nothing moves {still:.4f}"
-            found.append(Stat(f"Best SSIM at α = {alpha}", f"{best[0]:.4f}", "", f"{best[1]}{beside}"))
+            found.append(
+                Stat(f"Best SSIM where it moves, α = {alpha}", f"{best[0]:.4f}", "", f"{best[1]}{beside}")
+            )
     return found
 
 

@@ -16,10 +16,10 @@ import numpy as np
 from tg4mm.bench.folder import claim_set
 from tg4mm.bench.measure import Plan
 from tg4mm.bench.methods import Method
-from tg4mm.bench.methods.camera_videos import cameras_of, video_of
+from tg4mm.bench.methods.camera_videos import cameras_of, picture_name, video_of
 from tg4mm.bench.methods.external import External
 from tg4mm.bench.scored import score_pictures
-from tg4mm.bench.sets import BenchSet
+from tg4mm.bench.sets import BenchSet, files_state
 from tg4mm.bench.vqa import Checkout
 from tg4mm.capture import Capture, load_capture
 from tg4mm.evaluate.lpips import load_lpips
@@ -122,7 +122,7 @@ def rendered(
                 break
             if not n:  # from here on the pictures are of two recipes, until the last is written
                 record.unlink(missing_ok=True)
-            write_png(folder / capture.paths[got[0]].relative_to(capture.root), got[1])
+            write_png(folder / picture_name(capture, got[0]), got[1])
             n += 1
             update(n)
     made = {"recipe": recipe, "n_images": n, "frames_per_s": n / spent if spent else None}
@@ -156,9 +156,7 @@ class _Kept:
                 "recipe": recipe,
                 "lpips": [str(p) for p in plan.lpips_weights],
                 "vqa": [[c.metric, str(c.folder), c.python] for c in vqa],
-                "truth": [
-                    [file.name, file.stat().st_size, file.stat().st_mtime_ns] for file in capture.paths
-                ],
+                "truth": files_state(capture.paths, capture.root),
             }
         )
         entry = self.entries.get(f"{row} {alpha}")

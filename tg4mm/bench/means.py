@@ -53,6 +53,12 @@ def mean(values: Iterable[float | None]) -> float | None:
     return sum(known) / len(known) if known else None
 
 
+def _mean_of_all(values: Iterable[float | None]) -> float | None:
+    """The mean, None if one is missing."""
+    known = list(values)
+    return None if None in known else mean(known)
+
+
 def gap(row: Mapping[str, Mapping[str, Any]], way: str, metric: str = "ssim") -> float | None:
     """How much a way's SSIM (or PSNR) lies below the ceiling of the same Gaussians."""
     ours, best = (row.get(name, {}).get(metric) for name in (way, CEILING))
@@ -98,7 +104,7 @@ def _group_mean(group: str, row: str, runs: list[Mapping[str, Any]]) -> dict[str
 def line_means(lines: Iterable[Mapping[str, Any]], group_of: Mapping[str, str]) -> list[dict[str, Any]]:
     """[{group, row, n_sets, sets, alphas: {α: {metric}}, frames_per_s}] of the picture scores, by group and row.
 
-    As in `group_means` an α counts where every set that has the row has it.
+    As in `group_means` an α counts where every set that has the row has it, and a metric where all of them have it.
     """
     found: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
     for line in lines:
@@ -114,6 +120,8 @@ def _line_mean(group: str, row: str, lines: list[Mapping[str, Any]]) -> dict[str
         "row": row,
         "n_sets": len(lines),
         "sets": [line["set"] for line in lines],
-        "alphas": {a: {k: mean(line["alphas"][a].get(k) for line in lines) for k in metrics} for a in common},
+        "alphas": {
+            a: {k: _mean_of_all(line["alphas"][a].get(k) for line in lines) for k in metrics} for a in common
+        },
         "frames_per_s": mean(line["frames_per_s"] for line in lines),
     }

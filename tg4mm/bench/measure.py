@@ -76,6 +76,10 @@ class Trainer(Protocol):
         """Its settings, in JSON's types."""
         ...
 
+    def overrides(self) -> dict[str, str]:
+        """Those that differ from its defaults, as `--set` takes them."""
+        ...
+
     def __call__(self, dataset: Path, place: Path, settings: Mapping[str, str], device: str) -> Run:
         """Train into the folder `place`, or go on there; `settings` as of the preset."""
         ...
@@ -94,6 +98,11 @@ class Training:
     @property
     def ways(self) -> tuple[Scoring, ...]:
         return self.scorings or SCORINGS[self.preset]
+
+    @property
+    def overrides(self) -> dict[str, str]:
+        """All settings that differ from the defaults."""
+        return {**self.settings, **(self.trainer.overrides() if self.trainer else {})}
 
 
 @dataclass(frozen=True)

@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from tg4mm.bench.methods.known import ABOUT
 from tg4mm.bench.table import table
 from tg4mm.bench.tables import Table, groups_of, kinds_tables, tables_of
 
 
 def scenes_page(results: Mapping[str, Any], pictures: Mapping[str, Mapping[str, str]]) -> str:
     """What becomes docs/results.md. pictures: {group: {file name: title}}."""
-    parts = ["# Results", origin(results["made"]), how(results), failures(results)]
+    about = "\n".join(f"- {line}" for line in about_methods(results))
+    parts = ["# Results", origin(results["made"]), how(results), about, failures(results)]
     for group in groups_of(results):
         parts += [f"## {group}", sets_line(results, group)]
         parts += [f"![{title}]({name})" for name, title in pictures.get(group, {}).items()]
@@ -38,7 +40,7 @@ def machine(made: Mapping[str, Any]) -> str:
     load = "" if made["load_average"] is None else f", load average {made['load_average']:g} at the start"
     return (
         f"{made['date']}, tg4mm {made['tg4mm']}, Python {made['python']}, torch {made['torch']}; {made['system']}, "
-        f"{made['processor']}, {made['cores']} cores, {made['threads']} threads{load}."
+        f"{made['processor']}, {made['cores']} cores, {made['threads']} thread{'s' * (made['threads'] != 1)}{load}."
     )
 
 
@@ -52,11 +54,16 @@ def how(results: Mapping[str, Any]) -> str:
     return (
         "α is the magnification factor: a displacement δ is shown as (1 + α) δ. "
         + band
-        + "All methods are scored from their pictures of the test views at 8 bits (protocol.md). “Nothing moves” is "
-        "the first preset's Gaussians at rest, the ceiling the exact motion applied to them. The methods called 2d "
+        + "All methods are scored from their pictures of the test views at 8 bits (docs/protocol.md). “Nothing moves” "
+        "is the first preset's Gaussians at rest, the ceiling the exact motion applied to them. The methods called 2d "
         "magnify the test views' own videos, which no 3D method sees, and have no other views. "
         + _time_rule(results)
     )
+
+
+def about_methods(results: Mapping[str, Any]) -> list[str]:
+    """A line for each method."""
+    return [f"`{name}`: {ABOUT.get(name, 'pictures made elsewhere')}." for name in results["methods"]]
 
 
 def _time_rule(results: Mapping[str, Any]) -> str:

@@ -15,6 +15,7 @@ from tg4mm.evaluate.run import CEILING, STATIC
 # Okabe and Ito's colours, told apart by the colour-blind too.
 COLOURS = ("#c2500f", "#0072b2", "#009e73", "#cc79a7", "#8a6d00", "#56b4e9", "#5d3a9b", "#7a7f88")
 _MARKS = "osD^vP*"  # one fewer than colours, so that no two of many rows look alike
+_LEAST, _MOST = -0.5, 1.6  # of closure and gain: one method far off must not press the others together
 _SHOWN = ("ssim", "ssim_moving", "closure", "gain")
 
 
@@ -44,8 +45,10 @@ def over_alpha(results: Mapping[str, Any], group: str) -> str | None:
         panel.set_xticks([float(a) for a in alphas], alphas)
         panel.minorticks_off()
         panel.grid(alpha=0.25)
-        if key in {"closure", "gain"}:  # one method far below must not press the others together
-            panel.set_ylim(max(panel.get_ylim()[0], -0.5), min(panel.get_ylim()[1], 1.6))
+        low, high = panel.get_ylim()
+        if key in {"closure", "gain"} and (low < _LEAST or high > _MOST):
+            panel.set_ylim(max(low, _LEAST), min(high, _MOST))
+            panel.set_ylabel(f"{METRICS[key][0]}, drawn from {_LEAST:g} to {_MOST:g}")
     handles, labels = axes.flat[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=min(4, len(labels)), frameon=False)
     return _svg(figure)

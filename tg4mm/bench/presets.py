@@ -44,7 +44,7 @@ class BenchPreset:
 
 PRESETS = {
     "smoke": BenchPreset(("mic",), _SMOKE, settings=_SMOKE_SETTINGS),
-    "small": BenchPreset(SCENES, (), ablations=_ABLATIONS),
+    "small": BenchPreset(SCENES, ("--samples", "32"), ablations=_ABLATIONS),
     "paper": BenchPreset(SCENES, ("--preset", "paper"), methods=(*DEFAULT, "paper")),
     "mic-512": BenchPreset(
         ("mic",), ("--preset", "paper"), methods=("modal", "tracking", "phase-2d", "linear-2d")
@@ -147,9 +147,11 @@ def run_preset(name: str, out: Path, choices: Choices = Choices(), say: Printer 
             failed.add(step.name)
             continue
         say(f"[{i}/{len(steps)}] {step.name}")
-        if run_child(step.command) != 0:
+        status = run_child(step.command)
+        if status != 0:
             failed.add(step.name)
-            say(f"    {step.name} failed; continuing with the rest")
+            rest = "; continuing with the rest" if i < len(steps) else ""
+            say(f"    {step.name} ended with status {status}{rest}")
     return len(failed)
 
 

@@ -161,7 +161,7 @@ class _Bench:
         place, plan = job_folder(self.out, data, method), self.request.plan
         trained = not isinstance(method, Trained) or is_measured(place, data, method.training, plan)
         if not trained or not is_finished(method, data, self.out, plan):
-            raise BenchError("is not finished")
+            raise BenchError(f"{method.name} on {data.label} is not finished; without --collect it is run")
 
     def tables_of(self, ablations: Sequence[Path]) -> list[tuple[Path, dict[str, Any]]]:
         """The results of ablations; one that cannot be read is kept as a line of `failed`."""
@@ -234,7 +234,7 @@ def run_entry(data: BenchSet, row: str, training: Training, figures: dict[str, A
         "set": data.label,
         "row": row,
         "preset": training.preset,
-        "overrides": dict(training.settings),
+        "overrides": training.overrides,
         "ways": [way.name for way in training.ways],
         **{k: v for k, v in figures.items() if k not in {"version", "request"}},
     }

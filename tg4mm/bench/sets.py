@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -224,6 +224,12 @@ def _filmed(root: Path, kind: str) -> str:
         return kind
     named = cameras.get("kind") if isinstance(cameras, dict) else None
     return named if isinstance(named, str) and named in KINDS and named != "given" else kind
+
+
+def files_state(files: Iterable[Path], root: Path) -> list[list[Any]]:
+    """[name below `root`, bytes, time of change in ns] of each file: another list where one was changed."""
+    stats = ((file, file.stat()) for file in files)
+    return [[file.relative_to(root).as_posix(), s.st_size, s.st_mtime_ns] for file, s in stats]
 
 
 def _digest(root: Path) -> str:

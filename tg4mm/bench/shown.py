@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -57,9 +58,10 @@ def shown_sections(out: Path, results: Mapping[str, Any], group: str) -> Iterato
 
 
 def gather(out: Path, results: Mapping[str, Any], data: BenchSet) -> View:
-    """The view whose ground truth changes most."""
+    """The view whose ground truth changes most, at an α that as many rows as possible have."""
     lines = [line for line in results["lines"] if line["set"] == data.label]
-    alphas = [int(a) for line in lines for a in line["alphas"] if float(a) > 0]
+    counts = Counter(int(a) for line in lines for a in line["alphas"] if float(a) > 0)
+    alphas = [a for a, n in counts.items() if n == max(counts.values())]  # an outside method may lack some
     alpha = max([a for a in alphas if a <= _ALPHA], default=min(alphas, default=0))
     capture = truth_at(data, alpha)
     rows, truth = max(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+import time
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -73,11 +74,12 @@ def whole(
     if preset is None or out is None:
         raise Tg4mmError("--preset and --out are needed together, or one of scenes, job, ablation")
     from tg4mm.bench.methods.external import parse_external
+    from tg4mm.bench.methods.known import DEFAULT, methods_of
     from tg4mm.bench.presets import Choices, run_preset, steps_of
     from tg4mm.bench.vqa import checkouts
     from tg4mm.evaluate.lpips import load_lpips
 
-    parse_external(external or [])
+    methods_of(DEFAULT, {}, parse_external(external or []))  # refuses what each job would refuse
     _plan(alphas, True, lpips_weights, device)
     checkouts({"md_vqa": md_vqa, "fast_vqa": fast_vqa}, vqa_python)
     if lpips_weights:
@@ -91,13 +93,14 @@ def whole(
         str(fast_vqa or ""),
         vqa_python if md_vqa or fast_vqa else "",
     )
+    steps = steps_of(preset, str(out), choices=choices)
     if dry_run:
-        typer.echo(
-            "\n".join(shlex.join(step.command) for step in steps_of(preset, str(out), choices=choices))
-        )
+        typer.echo("\n".join(shlex.join(step.command) for step in steps))
         return
+    page, began = out / "bench" / "results.html", time.time()
     failed = run_preset(preset, out, choices, _say)
-    typer.echo(out / "bench" / "results.html")
+    if page.is_file() and page.stat().st_mtime >= began:
+        typer.echo(page)
     if failed:
         raise typer.Exit(1)
 

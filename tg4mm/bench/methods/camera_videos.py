@@ -21,8 +21,14 @@ def cameras_of(capture: Capture) -> list[np.ndarray]:
     return found
 
 
+def picture_name(capture: Capture, image: int) -> Path:
+    """Where a method's picture of an image lies in its folder: as the image in the dataset, but always a PNG."""
+    return capture.paths[image].relative_to(capture.root).with_suffix(".png")
+
+
 def video_of(capture: Capture, rows: np.ndarray, root: Path | None = None) -> np.ndarray:
-    """[T, H, W, 3] float32 in 0..1 over white: the images `rows`, or the files of the same names under `root`.
+    """[T, H, W, 3] float32 in 0..1 over white: the images `rows`, or a method's pictures of them under
+    `root`.
 
     Raises BenchError for a file that is not there, leads out of `root` or has another size, CaptureError for a torn
     one.
@@ -31,7 +37,7 @@ def video_of(capture: Capture, rows: np.ndarray, root: Path | None = None) -> np
     for i in rows.tolist():
         path = capture.paths[i]
         if root is not None:
-            path = root / path.relative_to(capture.root)
+            path = root / picture_name(capture, i)
             if not path.is_file():
                 raise BenchError(f"{path} does not exist: every picture of the test split is needed")
             if not path.resolve().is_relative_to(root.resolve()):

@@ -10,7 +10,7 @@ from tg4mm.bench.errors import BenchError
 from tg4mm.bench.measure import Plan
 from tg4mm.bench.methods import Pictures
 from tg4mm.bench.methods.camera_videos import cameras_of, video_of
-from tg4mm.bench.sets import BenchSet, check_name
+from tg4mm.bench.sets import BenchSet, check_name, files_state
 from tg4mm.capture import Capture
 
 
@@ -45,10 +45,7 @@ class External:
     def recipe(self, row: str, data: BenchSet, place: Path, plan: Plan) -> dict[str, Any]:
         folder = self.folder / data.label
         files = sorted(p for p in folder.rglob("*.png") if "test" in p.parts)
-        return {
-            "folder": str(folder.resolve()),
-            "files": [[str(p.relative_to(folder)), p.stat().st_size, p.stat().st_mtime_ns] for p in files],
-        }
+        return {"folder": str(folder.resolve()), "files": files_state(files, folder)}
 
     def render(
         self, row: str, data: BenchSet, place: Path, capture: Capture, alpha: float, plan: Plan

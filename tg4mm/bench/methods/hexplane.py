@@ -40,12 +40,12 @@ class HexPlane(nn.Module):
 
     def forward(self, points: Tensor, time: float) -> Tensor:
         """[N, 6] at points [N, 3]; columns displacement and rotation."""
-        at = torch.cat([points, points.new_full((len(points), 1), time)], 1)
+        at = [*points.unbind(1), torch.full_like(points[:, 0], time)]
         features = []
         for first in range(0, len(self.planes), len(_PAIRS)):
             product: Tensor | None = None
-            for plane, pair in zip(self.planes[first : first + len(_PAIRS)], _PAIRS, strict=True):
-                where = at[:, list(pair)][None, None]
+            for plane, (a, b) in zip(self.planes[first : first + len(_PAIRS)], _PAIRS, strict=True):
+                where = torch.stack([at[a], at[b]], -1)[None, None]
                 values = grid_sample(plane, where, align_corners=True, padding_mode="border")[0, :, 0].T
                 product = values if product is None else product * values
             features.append(product)

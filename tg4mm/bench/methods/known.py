@@ -18,6 +18,14 @@ from tg4mm.evaluate.run import CEILING, STATIC
 BASELINES = (TRACKING, Phase2D.name, Linear2D.name)
 NAMES = (*SCORINGS, *BASELINES)
 _TAKEN = {*NAMES, STATIC, CEILING, SET}  # folders of rows; some file systems know no upper case
+ABOUT = {
+    "modal": "tg4mm's own; Gaussians and a few shapes of motion with their courses over time, from all views at once",
+    "paper": "[TG4MM] as published; triplanes of features for each timestep, magnified by `linear` or `phase`",
+    "paper-tuned": "[TG4MM] in minutes; triplanes of features for each timestep, magnified by `linear` or `phase`",
+    TRACKING: "Gaussians moved by a deformation network, in the manner of 4DGS",
+    Phase2D.name: "phase-based magnification of each test view's own video, in complex sub-bands of half an octave",
+    Linear2D.name: "linear Eulerian magnification of each test view's own video",
+}
 DEFAULT = ("modal", "paper-tuned", *BASELINES)
 
 

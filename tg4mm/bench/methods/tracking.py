@@ -22,6 +22,7 @@ from tg4mm.bench.measure import Scoring, Training
 from tg4mm.bench.methods.hexplane import HexPlane
 from tg4mm.bench.methods.trained import Trained
 from tg4mm.capture import Capture, ImageStack, load_capture, load_images
+from tg4mm.device import full_precision, gpu_figures, reset_gpu_peak
 from tg4mm.errors import Tg4mmError
 from tg4mm.gaussians import Gaussians
 from tg4mm.memory import peak_memory_mib, reset_peak_memory
@@ -45,7 +46,7 @@ class TrackingConfig:
     """Settings of the deformation field, after 4DGS's for synthetic scenes.
 
     Other than there: fewer iterations, smoothness of planes 2e-4 and over time 1e-3 (1e-4 and 1e-2), no L1 on planes,
-    rates that fall to a tenth (a hundredth). The field is fitted on the processor, whatever the device.
+    rates that fall to a tenth (a hundredth).
     """
 
     iterations: int = 3000  # one view of one timestep each; 4DGS: 3,000 and then 20,000
@@ -71,6 +72,11 @@ class Tracker:
     def plain(self) -> dict[str, Any]:
         return {NAME: dataclasses.asdict(self.config)}
 
+    def overrides(self) -> dict[str, str]:
+        usual = dataclasses.asdict(TrackingConfig())
+        own = dataclasses.asdict(self.config)
+        return {f"{NAME}.{k}": str(v) for k, v in own.items() if v != usual[k]}
+
     def __call__(self, dataset: Path, place: Path, settings: Mapping[str, str], device: str) -> Run:
         configs = parse_settings(settings, "modal")
         plain = {stage: dataclasses.asdict(config) for stage, config in configs.items()}
@@ -81,7 +87,7 @@ class Tracker:
         images = load_images(capture)
         if not run.has_space:
             train_space(run, rest_views(capture, images), capture.points, configs["space"], device)
-        track(run, capture, images, self.config)
+        track(run, capture, images, self.config, device)
         return run
 
 
@@ -114,16 +120,20 @@ def _number(name: str, text: str) -> Any:
     return value
 
 
-def track(run: Run, capture: Capture, images: ImageStack, config: TrackingConfig) -> None:
+def track(
+    run: Run, capture: Capture, images: ImageStack, config: TrackingConfig, device: str = "cpu"
+) -> None:
     """Fit the field to all pictures and save it as the run's motion. A killed fit begins anew."""
     began = time.monotonic()
     reset_peak_memory()
-    g = run.load_space()
-    views = [cameras_on(views_at(capture, images, t), "cpu") for t in range(capture.n_timesteps)]
-    field, shape = _fitted(g, views, config)
-    n = capture.n_timesteps
-    with torch.no_grad():
-        series = np.stack([shape(field, t).numpy() for t in range(n)])
+    reset_gpu_peak(device)
+    g = run.load_space().to(device)
+    views = [cameras_on(views_at(capture, images, t), device) for t in range(capture.n_timesteps)]
+    with full_precision(device):
+        field, shape = _fitted(g, views, config)
+        n = capture.n_timesteps
+        with torch.no_grad():
+            series = np.stack([shape(field, t).cpu().numpy() for t in range(n)])
     freqs, phasors = series_modes(series, capture.fps)
     motion = ModalMotion(freqs, phasors[..., :3], phasors[..., 3:], capture.fps, n)
     n_parameters = sum(p.numel() for p in field.parameters())
@@ -134,6 +144,7 @@ def track(run: Run, capture: Capture, images: ImageStack, config: TrackingConfig
             "peak_memory_mib": peak_memory_mib(),
             "iterations": config.iterations,
             "parameters": n_parameters,
+            **gpu_figures(device),
         },
     )
 
@@ -141,11 +152,14 @@ def track(run: Run, capture: Capture, images: ImageStack, config: TrackingConfig
 def _fitted(g: Gaussians, views: list[Cameras], config: TrackingConfig) -> tuple[HexPlane, Any]:
     """The field, and how its output [N, 6] (scene units, radians) at timestep t is got."""
     n = len(views)
-    box = torch.from_numpy(scene_box(g.means.numpy()).astype(np.float32))
+    device = g.means.device
+    box = torch.from_numpy(scene_box(g.means.cpu().numpy()).astype(np.float32)).to(device)
     points = ((g.means - box[0]) / (box[1] - box[0]) * 2 - 1).clamp(-1, 1)
     unit = float((box[1] - box[0]).max())
-    field = HexPlane(config.resolution, config.levels, n, config.channels, config.width, config.seed)
-    scale = torch.tensor([unit] * 3 + [1.0] * 3)
+    field = HexPlane(config.resolution, config.levels, n, config.channels, config.width, config.seed).to(
+        device
+    )
+    scale = torch.tensor([unit] * 3 + [1.0] * 3, device=device)
 
     def output(f: HexPlane, t: int) -> torch.Tensor:
         return f(points, 2 * t / max(n - 1, 1) - 1) * scale

@@ -17,7 +17,7 @@ from torch import Tensor
 from tg4mm.bench.measure import Plan
 from tg4mm.bench.methods import Pictures
 from tg4mm.bench.methods.camera_videos import cameras_of, video_of
-from tg4mm.bench.sets import BenchSet
+from tg4mm.bench.sets import BenchSet, files_state
 from tg4mm.capture import Capture, load_capture
 from tg4mm.magnify import BandGain, Magnification
 from tg4mm.magnify.filters import apply_response, bins
@@ -46,7 +46,8 @@ class VideoMethod:
     def recipe(self, row: str, data: BenchSet, place: Path, plan: Plan) -> dict[str, Any]:
         own: dict[str, Any] = asdict(self)  # type: ignore[call-overload]
         band = list(data.band_hz) if plan.banded else None
-        return {"method": self.name, "version": _VERSION, **own, "band_hz": band}
+        seen = files_state(load_capture(data.root, split="test").paths, data.root)
+        return {"method": self.name, "version": _VERSION, **own, "band_hz": band, "seen": seen}
 
     def render(
         self, row: str, data: BenchSet, place: Path, capture: Capture, alpha: float, plan: Plan
