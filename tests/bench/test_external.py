@@ -259,9 +259,11 @@ def test_pictures_that_have_changed_are_magnified_anew(data: Path, tmp_path: Pat
     own, out = tmp_path / data.name, tmp_path / "out"
     shutil.copytree(data, own)
     before = run_linear(own, out)[1]["lines"][0]["alphas"]
+    assert run_linear(own, out, "--collect")[0] == 0
     first = (own / "000" / "test" / "r_000.png").read_bytes()
     for picture in own.glob("[0-9]*/test/r_000.png"):
         picture.write_bytes(first)
+    assert run_linear(own, out, "--collect")[0] == 2  # nothing is finished
     after = run_linear(own, out)[1]["lines"][0]["alphas"]
     assert before["20"]["gain"] > 0.05
     assert after["20"]["gain"] == pytest.approx(0, abs=0.01)  # a still video

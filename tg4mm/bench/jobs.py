@@ -66,8 +66,17 @@ def run_job(
 def is_finished(method: Method, data: BenchSet, out: Path, plan: Plan) -> bool:
     """Whether all rows have scores at every α, of whatever settings: enough to tell the time that is left by."""
     known = _Kept(job_folder(out, data, method) / SCORES).entries
-    alphas = [a for a in alphas_of(data, plan) if not isinstance(method, External) or method.has(data, a)]
-    return all(f"{row} {alpha}" in known for row in method.rows for alpha in alphas)
+    return all(f"{row} {alpha}" in known for row in method.rows for alpha in _alphas_by(method, data, plan))
+
+
+def is_current(method: Method, data: BenchSet, out: Path, plan: Plan) -> bool:
+    """Whether scores and pictures of all rows are there at every α, and the pictures are of these very settings."""
+    place = job_folder(out, data, method)
+    return is_finished(method, data, out, plan) and all(
+        _found(method, row, data, place, alpha, plan)[1] is not None
+        for row in method.rows
+        for alpha in _alphas_by(method, data, plan)
+    )
 
 
 def truth_at(data: BenchSet, alpha: float) -> Capture:
@@ -78,6 +87,11 @@ def truth_at(data: BenchSet, alpha: float) -> Capture:
 def alphas_of(data: BenchSet, plan: Plan) -> list[int]:
     """0, the test split as it is, and what is asked for and there."""
     return [0, *(a for a in data.alphas if plan.alphas is None or a in plan.alphas)]
+
+
+def _alphas_by(method: Method, data: BenchSet, plan: Plan) -> list[int]:
+    """Of `alphas_of` those that the method has pictures for."""
+    return [a for a in alphas_of(data, plan) if not isinstance(method, External) or method.has(data, a)]
 
 
 def _line(method: Method, row: str, data: BenchSet, place: Path, plan: Plan, vqa: Sequence[Checkout]) -> Line:
@@ -106,11 +120,11 @@ def rendered(
     method: Method, row: str, data: BenchSet, place: Path, capture: Capture, alpha: float, plan: Plan
 ) -> dict[str, Any]:
     """Render what is not there yet; {recipe, n_images, frames_per_s}, which is written last, when all is there."""
-    folder = picture_folder(place, row)
-    record = folder / f"x{alpha:03g}.json"
-    recipe = _digest({"data": data.digest, "alpha": alpha, **method.recipe(row, data, place, plan)})
-    if (old := _read(record, _RECORD)) is not None and old["recipe"] == recipe:
+    recipe, old = _found(method, row, data, place, alpha, plan)
+    if old is not None:
         return old
+    folder = picture_folder(place, row)
+    record = _record_of(folder, alpha)
     spent, n = 0.0, 0
     pictures = method.render(row, data, place, capture, alpha, plan)
     with progress(f"{row}, α = {alpha:g}", len(capture), unit="images") as update:
@@ -128,6 +142,19 @@ def rendered(
     made = {"recipe": recipe, "n_images": n, "frames_per_s": n / spent if spent else None}
     write_sealed(record, made)
     return made
+
+
+def _found(
+    method: Method, row: str, data: BenchSet, place: Path, alpha: float, plan: Plan
+) -> tuple[str, dict[str, Any] | None]:
+    """(the digest of all that the pictures depend on, their record where they are there)."""
+    recipe = _digest({"data": data.digest, "alpha": alpha, **method.recipe(row, data, place, plan)})
+    old = _read(_record_of(picture_folder(place, row), alpha), _RECORD)
+    return recipe, old if old is not None and old["recipe"] == recipe else None
+
+
+def _record_of(folder: Path, alpha: float) -> Path:
+    return folder / f"x{alpha:03g}.json"
 
 
 def _read(file: Path, form: dict[str, Any]) -> dict[str, Any] | None:

@@ -12,7 +12,7 @@ from tg4mm.bench.errors import BenchError
 from tg4mm.bench.failures import why_failed
 from tg4mm.bench.folder import FORMAT, VERSION, circumstances, open_folder
 from tg4mm.bench.html import write_page
-from tg4mm.bench.jobs import Line, is_finished, job_folder, run_job
+from tg4mm.bench.jobs import Line, is_current, is_finished, job_folder, run_job
 from tg4mm.bench.means import group_means, line_means
 from tg4mm.bench.measure import Plan, Training, check_plan, is_measured, warm_up
 from tg4mm.bench.methods import Method
@@ -160,7 +160,7 @@ class _Bench:
         """Raise BenchError for a job that is not done."""
         place, plan = job_folder(self.out, data, method), self.request.plan
         trained = not isinstance(method, Trained) or is_measured(place, data, method.training, plan)
-        if not trained or not is_finished(method, data, self.out, plan):
+        if not trained or not is_current(method, data, self.out, plan):
             raise BenchError(f"{method.name} on {data.label} is not finished; without --collect it is run")
 
     def tables_of(self, ablations: Sequence[Path]) -> list[tuple[Path, dict[str, Any]]]:
