@@ -40,7 +40,7 @@ def machine(made: Mapping[str, Any]) -> str:
     load = "" if made["load_average"] is None else f", load average {made['load_average']:g} at the start"
     return (
         f"{made['date']}, tg4mm {made['tg4mm']}, Python {made['python']}, torch {made['torch']}; {made['system']}, "
-        f"{made['processor']}, {made['cores']} cores, {made['threads']} thread{'s' * (made['threads'] != 1)}{load}."
+        f"{made['processor']}, {made['cores']} core{'s' * (made['cores'] != 1)}, {made['threads']} thread{'s' * (made['threads'] != 1)}{load}."
     )
 
 
