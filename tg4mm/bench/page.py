@@ -38,9 +38,10 @@ def origin(made: Mapping[str, Any]) -> str:
 def machine(made: Mapping[str, Any]) -> str:
     """The day, the version and the machine in one sentence."""
     load = "" if made["load_average"] is None else f", load average {made['load_average']:g} at the start"
+    cores, threads = (f"{made[f'{w}s']} {w}{'s' * (made[f'{w}s'] != 1)}" for w in ("core", "thread"))
     return (
         f"{made['date']}, tg4mm {made['tg4mm']}, Python {made['python']}, torch {made['torch']}; {made['system']}, "
-        f"{made['processor']}, {made['cores']} core{'s' * (made['cores'] != 1)}, {made['threads']} thread{'s' * (made['threads'] != 1)}{load}."
+        f"{made['processor']}, {cores}, {threads}{load}."
     )
 
 
