@@ -267,5 +267,6 @@ def test_the_method_tracking(made: tuple[Path, Run], tmp_path: Path, gpu: Gpu) -
         run.save_space(base, {})
         track(run, capture, images, config, place)
         found.append(torch.view_as_real(torch.from_numpy(run.load_motion().displacement)))
+        assert bool(counted(gpu)) == (place == NAME)
     assert found[0].abs().max() > 0
     assert_close("displacement", found[1], found[0], 1e-2)

@@ -7,17 +7,20 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from tests.bench.conftest import MODAL, PAPER
-from tg4mm.bench.jobs import job_folder, truth_at
+from tg4mm.bench.jobs import job_folder, rendered
 from tg4mm.bench.means import group_means, line_means
 from tg4mm.bench.measure import SEEN, Plan, Training
 from tg4mm.bench.methods import trained
+from tg4mm.bench.methods.known import ABOUT, NAMES
 from tg4mm.bench.scenes import ScenesRequest, run_scenes, same_time_training, same_time_trainings
-from tg4mm.bench.sets import open_sets
+from tg4mm.bench.sets import open_set, open_sets, truth_at
 from tg4mm.bench.tables import kinds_tables
 from tg4mm.errors import RunError
 from tg4mm.evaluate import evaluate_run
@@ -281,10 +284,45 @@ class TestSameTime:
         assert "paper-tuned, modal's time: linear" in (tmp_path / "out" / "results.md").read_text("utf-8")
 
 
-def test_a_mean_is_of_all_sets_or_none() -> None:
+def test_means_of_a_table_are_of_the_same_sets() -> None:
+    """What one row lacks in a set it has no mean of; what every row lacks there is the mean of the other sets."""
+    values = {
+        ("one", "a"): (0.5, 0.7),
+        ("two", "a"): (None, None),
+        ("one", "b"): (0.3, 0.9),
+        ("two", "b"): (0.1, None),
+    }
     lines = [
-        {"set": name, "row": "a", "frames_per_s": None, "alphas": {"5": {"ssim": 0.9, "closure": closure}}}
-        for name, closure in (("one", 0.5), ("two", None))
+        {"set": name, "row": row, "frames_per_s": None, "alphas": {"5": {"closure": closure, "gain": gain}}}
+        for (name, row), (closure, gain) in values.items()
     ]
-    (means,) = line_means(lines, dict.fromkeys(("one", "two"), "group"))
-    assert means["alphas"]["5"] == {"ssim": pytest.approx(0.9), "closure": None}
+    a, b = line_means(lines, dict.fromkeys(("one", "two"), "group"))
+    assert a["alphas"]["5"] == {"closure": None, "gain": pytest.approx(0.7)}
+    assert b["alphas"]["5"] == {"closure": pytest.approx(0.2), "gain": pytest.approx(0.9)}
+
+
+def test_every_method_is_described() -> None:
+    assert set(ABOUT) == set(NAMES)
+
+
+def test_a_record_stays_until_the_first_new_picture(data: Path, tmp_path: Path) -> None:
+    """Pictures of two recipes never have one."""
+    opened, capture = open_set(data, data.name), truth_at(open_set(data, data.name), 0)
+    record, made = tmp_path / "pictures" / "ours" / "x000.json", 0
+
+    def render(*_: object) -> Iterator[tuple[int, np.ndarray]]:
+        for i in range(made):
+            yield i, np.zeros((capture.height, capture.width, 3), np.float32)
+        if made < len(capture):
+            raise RunError("it was killed")
+
+    def method(version: int) -> Any:
+        return SimpleNamespace(recipe=lambda *_: {"version": version}, render=render)
+
+    made = len(capture)
+    rendered(method(1), "ours", opened, tmp_path, capture, 0, Plan())
+    for first, stays in ((0, True), (1, False)):
+        made = first
+        with pytest.raises(RunError):
+            rendered(method(2), "ours", opened, tmp_path, capture, 0, Plan())
+        assert record.exists() == stays

@@ -19,9 +19,9 @@ from tg4mm.bench.methods import Method
 from tg4mm.bench.methods.camera_videos import cameras_of, picture_name, video_of
 from tg4mm.bench.methods.external import External
 from tg4mm.bench.scored import score_pictures
-from tg4mm.bench.sets import BenchSet, files_state
+from tg4mm.bench.sets import BenchSet, files_state, truth_at
 from tg4mm.bench.vqa import Checkout
-from tg4mm.capture import Capture, load_capture
+from tg4mm.capture import Capture
 from tg4mm.evaluate.lpips import load_lpips
 from tg4mm.form import Just, Maybe, read_formed, write_sealed
 from tg4mm.progress import progress
@@ -69,19 +69,16 @@ def is_finished(method: Method, data: BenchSet, out: Path, plan: Plan) -> bool:
     return all(f"{row} {alpha}" in known for row in method.rows for alpha in _alphas_by(method, data, plan))
 
 
-def is_current(method: Method, data: BenchSet, out: Path, plan: Plan) -> bool:
-    """Whether scores and pictures of all rows are there at every α, and the pictures are of these very settings."""
+def is_current(method: Method, data: BenchSet, out: Path, plan: Plan, vqa: Sequence[Checkout] = ()) -> bool:
+    """Whether the pictures and scores of all rows are there at every α, of these very settings and pictures."""
     place = job_folder(out, data, method)
-    return is_finished(method, data, out, plan) and all(
-        _found(method, row, data, place, alpha, plan)[1] is not None
-        for row in method.rows
-        for alpha in _alphas_by(method, data, plan)
-    )
-
-
-def truth_at(data: BenchSet, alpha: float) -> Capture:
-    """The test split's pictures at α."""
-    return load_capture(data.root, split="test", magnification=int(alpha))
+    kept = _Kept(place / SCORES)
+    for row in method.rows:
+        for alpha in _alphas_by(method, data, plan):
+            recipe, record = _found(method, row, data, place, alpha, plan)
+            if record is None or kept.known(row, alpha, _asked(recipe, data, alpha, plan, vqa)) is None:
+                return False
+    return True
 
 
 def alphas_of(data: BenchSet, plan: Plan) -> list[int]:
@@ -109,9 +106,10 @@ def _line(method: Method, row: str, data: BenchSet, place: Path, plan: Plan, vqa
             continue
         capture = truth_at(data, alpha)
         record = rendered(method, row, data, place, capture, alpha, plan)
+        asked = _asked(record["recipe"], data, alpha, plan, vqa)
         if alpha > 0 and record["frames_per_s"]:  # at 0 a method may have nothing to do
             speeds.append(record["frames_per_s"])
-        found[f"{alpha:g}"] = kept.scores(row, alpha, record["recipe"], data, capture, folder, plan, vqa)
+        found[f"{alpha:g}"] = kept.scores(row, alpha, asked, data, capture, folder, plan, vqa)
     speed = None if not speeds or isinstance(method, External) else float(np.median(speeds))
     return Line(row, method.name, found, speed, tuple(notes))
 
@@ -149,8 +147,11 @@ def _found(
 ) -> tuple[str, dict[str, Any] | None]:
     """(the digest of all that the pictures depend on, their record where they are there)."""
     recipe = _digest({"data": data.digest, "alpha": alpha, **method.recipe(row, data, place, plan)})
-    old = _read(_record_of(picture_folder(place, row), alpha), _RECORD)
-    return recipe, old if old is not None and old["recipe"] == recipe else None
+    folder, truth = picture_folder(place, row), truth_at(data, alpha)
+    old = _read(_record_of(folder, alpha), _RECORD)
+    there = old is not None and old["recipe"] == recipe
+    there = there and all((folder / picture_name(truth, i)).is_file() for i in range(len(truth)))
+    return recipe, old if there else None
 
 
 def _record_of(folder: Path, alpha: float) -> Path:
@@ -173,22 +174,18 @@ class _Kept:
         known = _read(file, _SCORES)
         self.entries: dict[str, Any] = {} if known is None else known["entries"]
 
+    def known(self, row: str, alpha: int, asked: str) -> dict[str, Any] | None:
+        """The scores of a row at α, None where they are not there or of another request."""
+        entry = self.entries.get(f"{row} {alpha}")
+        return dict(entry["scores"]) if entry is not None and entry["asked"] == asked else None
+
     def scores(
-        self, row: str, alpha: int, recipe: str, data: BenchSet, capture: Capture, folder: Path, plan: Plan,
+        self, row: str, alpha: int, asked: str, data: BenchSet, capture: Capture, folder: Path, plan: Plan,
         vqa: Sequence[Checkout],
     ) -> dict[str, Any]:  # fmt: skip
         """The scores of a row at α, made where they are not there or of another request."""
-        asked = _digest(
-            {
-                "recipe": recipe,
-                "lpips": [str(p) for p in plan.lpips_weights],
-                "vqa": [[c.metric, str(c.folder), c.python] for c in vqa],
-                "truth": files_state(capture.paths, capture.root),
-            }
-        )
-        entry = self.entries.get(f"{row} {alpha}")
-        if entry is not None and entry["asked"] == asked:
-            return dict(entry["scores"])
+        if (known := self.known(row, alpha, asked)) is not None:
+            return known
         lpips = load_lpips(plan.lpips_weights) if plan.lpips_weights else None
         scores: dict[str, Any] = score_pictures(capture, folder, lpips)
         for checkout in vqa:
@@ -197,6 +194,18 @@ class _Kept:
         self.entries[f"{row} {alpha}"] = {"asked": asked, "scores": scores}
         write_sealed(self.file, {"version": _VERSION, "entries": self.entries})
         return scores
+
+
+def _asked(recipe: str, data: BenchSet, alpha: float, plan: Plan, vqa: Sequence[Checkout]) -> str:
+    """The digest of all that scores depend on."""
+    truth = truth_at(data, alpha)
+    asked = {
+        "recipe": recipe,
+        "lpips": [str(p) for p in plan.lpips_weights],
+        "vqa": [[c.metric, str(c.folder), c.python] for c in vqa],
+        "truth": files_state(truth.paths, truth.root),
+    }
+    return _digest(asked)
 
 
 def _digest(value: Mapping[str, Any]) -> str:

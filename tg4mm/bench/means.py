@@ -104,15 +104,26 @@ def _group_mean(group: str, row: str, runs: list[Mapping[str, Any]]) -> dict[str
 def line_means(lines: Iterable[Mapping[str, Any]], group_of: Mapping[str, str]) -> list[dict[str, Any]]:
     """[{group, row, n_sets, sets, alphas: {α: {metric}}, frames_per_s}] of the picture scores, by group and row.
 
-    As in `group_means` an α counts where every set that has the row has it, and a metric where all of them have it.
+    As in `group_means` an α counts where every set that has the row has it. A metric that a set has for no row (nothing
+    moves there, say) is the mean of the other sets in every row; one that only this row lacks somewhere is None.
     """
-    found: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
+    lines, found = list(lines), dict[tuple[str, str], list[Mapping[str, Any]]]()
     for line in lines:
         found.setdefault((group_of[line["set"]], line["row"]), []).append(line)
-    return [_line_mean(group, row, some) for (group, row), some in found.items()]
+    scored = {
+        (line["set"], alpha, metric)
+        for line in lines
+        for alpha, scores in line["alphas"].items()
+        for metric, value in scores.items()
+        if value is not None
+    }
+    return [_line_mean(group, row, some, scored) for (group, row), some in found.items()]
 
 
-def _line_mean(group: str, row: str, lines: list[Mapping[str, Any]]) -> dict[str, Any]:
+def _line_mean(
+    group: str, row: str, lines: list[Mapping[str, Any]], scored: set[tuple[str, str, str]]
+) -> dict[str, Any]:
+    """scored: (set, α, metric) that some row has."""
     common = [a for a in lines[0]["alphas"] if all(a in line["alphas"] for line in lines)]
     metrics = dict.fromkeys(k for line in lines for scores in line["alphas"].values() for k in scores)
     return {
@@ -121,7 +132,11 @@ def _line_mean(group: str, row: str, lines: list[Mapping[str, Any]]) -> dict[str
         "n_sets": len(lines),
         "sets": [line["set"] for line in lines],
         "alphas": {
-            a: {k: _mean_of_all(line["alphas"][a].get(k) for line in lines) for k in metrics} for a in common
+            a: {
+                k: _mean_of_all(x["alphas"][a].get(k) for x in lines if (x["set"], a, k) in scored)
+                for k in metrics
+            }
+            for a in common
         },
         "frames_per_s": mean(line["frames_per_s"] for line in lines),
     }

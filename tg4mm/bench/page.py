@@ -64,7 +64,10 @@ def how(results: Mapping[str, Any]) -> str:
 
 def about_methods(results: Mapping[str, Any]) -> list[str]:
     """A line for each method."""
-    return [f"`{name}`: {ABOUT.get(name, 'pictures made elsewhere')}." for name in results["methods"]]
+    return [
+        f"`{name}`: {ABOUT.get(name, 'pictures made elsewhere, by --external')}."
+        for name in results["methods"]
+    ]
 
 
 def _time_rule(results: Mapping[str, Any]) -> str:

@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from tg4mm.bench.errors import BenchError
-from tg4mm.bench.methods.known import DEFAULT
+from tg4mm.bench.methods.external import parse_external
+from tg4mm.bench.methods.known import DEFAULT, methods_of
 from tg4mm.errors import Tg4mmError
 from tg4mm.generator import run_child
 
@@ -185,11 +186,10 @@ def main() -> int:
         for key, kind in wanted.items():
             if not isinstance(config.get(key), kind) or not config[key]:
                 raise BenchError(f"configuration: {key} is {config.get(key)!r}, expected {kind.__name__}")
+        choices = choices_from(config)
+        methods_of(DEFAULT, {}, parse_external(list(choices.external)))  # refuses what each job would refuse
         steps = steps_of(
-            config["preset"],
-            config["out"].rstrip("/"),
-            config.get("python", sys.executable),
-            choices_from(config),
+            config["preset"], config["out"].rstrip("/"), config.get("python", sys.executable), choices
         )
     except (Tg4mmError, ValueError) as error:
         print(f"error: {error}", file=sys.stderr)

@@ -92,6 +92,7 @@ def run_scenes(
             for method in methods:
                 bench.job(method, data)
                 if not jobs[data.label, method.name]:
+                    bench.write()  # what is finished can be read while the rest runs
                     n_done += 1
                     update(n_done)
             for training in same_time_trainings(bench.figures[data.label], request):
@@ -153,6 +154,9 @@ class _Bench:
             self.say(f"    failed: {why}")
         else:
             self._keep(method, data, figures, lines)
+
+    def write(self) -> None:
+        """The tables of what is there."""
         if self.lines:
             write_results(self.out, self.results())
 
@@ -160,8 +164,10 @@ class _Bench:
         """Raise BenchError for a job that is not done."""
         place, plan = job_folder(self.out, data, method), self.request.plan
         trained = not isinstance(method, Trained) or is_measured(place, data, method.training, plan)
-        if not trained or not is_current(method, data, self.out, plan):
-            raise BenchError(f"{method.name} on {data.label} is not finished; without --collect it is run")
+        if not trained or not is_current(method, data, self.out, plan, self.request.vqa):
+            raise BenchError(
+                f"{method.name} on {data.label} is not finished, or is of other settings or pictures"
+            )
 
     def tables_of(self, ablations: Sequence[Path]) -> list[tuple[Path, dict[str, Any]]]:
         """The results of ablations; one that cannot be read is kept as a line of `failed`."""

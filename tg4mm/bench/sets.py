@@ -7,6 +7,7 @@ import math
 import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -224,6 +225,16 @@ def _filmed(root: Path, kind: str) -> str:
         return kind
     named = cameras.get("kind") if isinstance(cameras, dict) else None
     return named if isinstance(named, str) and named in KINDS and named != "given" else kind
+
+
+def truth_at(data: BenchSet, alpha: float) -> Capture:
+    """The test split's pictures at α; 0: as it is."""
+    return _captured(data.root, data.digest, int(alpha))
+
+
+@lru_cache(maxsize=8)  # every method and row of a set asks for the same few
+def _captured(root: Path, digest: str, alpha: int) -> Capture:
+    return load_capture(root, split="test", magnification=alpha)
 
 
 def files_state(files: Iterable[Path], root: Path) -> list[list[Any]]:

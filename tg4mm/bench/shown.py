@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from tg4mm.bench.jobs import picture_folder, truth_at
+from tg4mm.bench.jobs import picture_folder
 from tg4mm.bench.methods.camera_videos import cameras_of, video_of
-from tg4mm.bench.sets import BenchSet, open_set
+from tg4mm.bench.sets import BenchSet, open_set, truth_at
 from tg4mm.bench.sheet import write_sheet
 from tg4mm.errors import Tg4mmError
 from tg4mm.evaluate.slices import difference_maps

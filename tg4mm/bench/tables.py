@@ -113,7 +113,7 @@ def pivots(means: Sequence[Mapping[str, Any]], group: str) -> Iterator[Table]:
         rows = [
             [row_name(m, n_sets), *(shown(m["alphas"].get(a, {}).get(key), form) for a in known)]
             for m in mine
-            if any(m["alphas"].get(a, {}).get(key) is not None for a in known)
+            if any(key in m["alphas"].get(a, {}) for a in known)
         ]
         if rows:
             yield Table(key, title, _SAYS[key], ["method", *(f"α = {a}" for a in known)], rows)
@@ -202,7 +202,8 @@ def cost_table(results: Results, group: str) -> Table:
     """Seconds of each stage, memory, size, and how fast pictures are rendered ([TG4MM] Table II and Fig. 6)."""
     note = (
         "Seconds and iterations of training, most memory held in each stage, Gaussians, size of the model's files; "
-        "pictures a second: posing and rendering of the test pictures, without opening the model and writing them. An "
+        "pictures a second: posing and rendering of the test pictures, without opening the model and writing them; of "
+        "a 2D method, which has no model, with reading the test views. An "
         "iteration is a step on one view; in the motion of modal one of conjugate gradients on all views, the most "
         "that are made for each function of time."
     )

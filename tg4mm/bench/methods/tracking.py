@@ -128,7 +128,7 @@ def track(
     reset_peak_memory()
     reset_gpu_peak(device)
     g = run.load_space().to(device)
-    views = [cameras_on(views_at(capture, images, t), device) for t in range(capture.n_timesteps)]
+    views = [cameras_on(views_at(capture, images, t), "cpu") for t in range(capture.n_timesteps)]
     with full_precision(device):
         field, shape = _fitted(g, views, config)
         n = capture.n_timesteps
@@ -179,7 +179,8 @@ def _fitted(g: Gaussians, views: list[Cameras], config: TrackingConfig) -> tuple
             out = output(field, t)
             moved = dataclasses.replace(g, means=g.means + out[:, :3], quats=rotated(g.quats, out[:, 3:]))
             space, steps = field.roughness()
-            loss = view_loss(moved, views[t], v)
+            viewmats, intrinsics, pictures = (x[v : v + 1].to(device) for x in views[t])
+            loss = view_loss(moved, (viewmats, intrinsics, pictures), 0)
             (loss + config.space_smoothness * space + config.time_smoothness * steps).backward()
             adam.step()
             falls.step()

@@ -17,8 +17,8 @@ from torch import Tensor
 from tg4mm.bench.measure import Plan
 from tg4mm.bench.methods import Pictures
 from tg4mm.bench.methods.camera_videos import cameras_of, video_of
-from tg4mm.bench.sets import BenchSet, files_state
-from tg4mm.capture import Capture, load_capture
+from tg4mm.bench.sets import BenchSet, files_state, truth_at
+from tg4mm.capture import Capture
 from tg4mm.magnify import BandGain, Magnification
 from tg4mm.magnify.filters import apply_response, bins
 from tg4mm.magnify.half_octaves import half_octave_bands
@@ -46,13 +46,13 @@ class VideoMethod:
     def recipe(self, row: str, data: BenchSet, place: Path, plan: Plan) -> dict[str, Any]:
         own: dict[str, Any] = asdict(self)  # type: ignore[call-overload]
         band = list(data.band_hz) if plan.banded else None
-        seen = files_state(load_capture(data.root, split="test").paths, data.root)
+        seen = files_state(truth_at(data, 0).paths, data.root)
         return {"method": self.name, "version": _VERSION, **own, "band_hz": band, "seen": seen}
 
     def render(
         self, row: str, data: BenchSet, place: Path, capture: Capture, alpha: float, plan: Plan
     ) -> Pictures:
-        seen = load_capture(data.root, split="test")
+        seen = truth_at(data, 0)
         response = band_response(data, alpha, plan)
         for rows, own in zip(cameras_of(capture), cameras_of(seen), strict=True):
             video = video_of(seen, own)
