@@ -225,8 +225,8 @@ ABLATIONS: dict[str, Ablation] = {
         x_label="kind of capture",
         remark="sweep: one fixed camera, after photographs from all sides; handheld: one camera in a hand; rig: eight "
         "cameras whose clocks are off by up to half a second; clips: seven, one after another. All but orbit at "
-        "3.4 Hz, which is no whole number of periods. The longer recordings have fewer and other test views, so compare "
-        "SSIM with the rows nothing moves and ceiling of the same kind, not between kinds.",
+        "3.4 Hz, which is no whole number of periods. The longer recordings have fewer and other test views, so "
+        "compare SSIM with the rows nothing moves and ceiling of the same kind, not between kinds.",
     ),
 }
 # Rows that differ between presets.
