@@ -298,3 +298,24 @@ def test_videos_are_of_an_alpha_that_all_rows_have(data: Path, tmp_path: Path) -
         _, results = run_linear(data, tmp_path / "out", "--external", f"theirs={tmp_path / 'theirs'}")
     shown = gather(tmp_path / "out", results, open_set(data, data.name))
     assert (shown.alpha, list(shown.videos)) == (5, ["ground truth", "linear-2d", "theirs"])
+
+
+@pytest.mark.parametrize("what", ["pictures", "cameras"])
+def test_a_dataset_whose_training_pictures_or_cameras_have_changed_is_refused(
+    what: str, data: Path, tmp_path: Path
+) -> None:
+    own, out = tmp_path / data.name, tmp_path / "out"
+    shutil.copytree(data, own)
+    assert run_linear(own, out)[0] == 0
+    copied = shutil.copytree(own, tmp_path / "copied" / data.name, copy_function=shutil.copyfile)
+    assert run_linear(copied, out)[0] == 0
+    if what == "pictures":
+        picture = own / "003" / "train" / "r_000.png"
+        Image.open(picture).convert("L").convert("RGBA").save(picture)
+    else:
+        file = own / "003" / "transforms_test.json"
+        cameras = json.loads(file.read_text())
+        cameras["frames"][0]["transform_matrix"][0][3] += 0.5
+        file.write_text(json.dumps(cameras))
+    arguments = ["bench", "job", str(own), "linear-2d", "--out", str(out), "--methods", "linear-2d"]
+    assert main(arguments) == 2

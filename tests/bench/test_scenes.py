@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from tests.bench.conftest import MODAL, PAPER
+from tg4mm.bench.errors import BenchError
 from tg4mm.bench.jobs import job_folder, rendered
 from tg4mm.bench.means import group_means, line_means
 from tg4mm.bench.measure import SEEN, Plan, Training
@@ -306,7 +307,7 @@ def test_every_method_is_described() -> None:
 
 
 def test_a_record_stays_until_the_first_new_picture(data: Path, tmp_path: Path) -> None:
-    """Pictures of two recipes never have one."""
+    """A folder with pictures of two recipes has no record."""
     opened, capture = open_set(data, data.name), truth_at(open_set(data, data.name), 0)
     record, made = tmp_path / "pictures" / "ours" / "x000.json", 0
 
@@ -326,3 +327,11 @@ def test_a_record_stays_until_the_first_new_picture(data: Path, tmp_path: Path) 
         with pytest.raises(RunError):
             rendered(method(2), "ours", opened, tmp_path, capture, 0, Plan())
         assert record.exists() == stays
+
+
+def test_a_run_of_another_device_is_refused(done: Done, data: Path) -> None:
+    """Its seconds would be taken for the other's."""
+    method = trained.Trained(Training("modal", "modal", MODAL))
+    opened = open_set(data, data.name)
+    with pytest.raises(BenchError, match="was trained with --device cpu, not cuda"):
+        method.fit(opened, job_folder(done[0], opened, method), Plan(device="cuda"))

@@ -29,7 +29,7 @@ from tg4mm.bench.measure import (
     warm_up,
 )
 from tg4mm.bench.request import check_settings, settings_by_preset
-from tg4mm.bench.sets import BenchSet, open_set, open_those_that_open
+from tg4mm.bench.sets import BenchSet, filmed_digest, open_set, open_those_that_open
 from tg4mm.bench.slices import Magnified, slices_picture
 from tg4mm.bench.subset import with_noise, with_timesteps, with_views
 from tg4mm.errors import RunError, Tg4mmError
@@ -167,7 +167,7 @@ class _Runner:
         for group in _groups(rows):
             self.say(f"{data.label}: {', '.join(row.label for row in group)}")
             try:
-                claim_set(self.out, data.label, data.root, data.digest)
+                claim_set(self.out, data.label, data.root, data.digest, filmed_digest(data.root))
                 job = _job(data, group, self.preset, self.plan, self.out)
                 place = self.out / "runs" / data.label / _place_name(job, data)
                 same_data = job.data is data

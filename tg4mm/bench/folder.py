@@ -48,8 +48,12 @@ def open_folder(out: Path, kind: str) -> None:
     remove_leftovers(out)
 
 
-def claim_set(out: Path, label: str, root: Path, digest: str) -> None:
-    """Note in OUT/runs/<label> which dataset its results are of. Raises BenchError where they are of another."""
+def claim_set(out: Path, label: str, root: Path, digest: str, filmed: str) -> None:
+    """Note in OUT/runs/<label> which dataset its results are of.
+
+    digest, filmed: of its description, and of its training pictures and cameras. Raises BenchError where the results
+    are of another dataset, or of one whose training pictures or cameras were others.
+    """
     record = out / "runs" / label / SET
     if record.is_file():
         try:
@@ -61,8 +65,13 @@ def claim_set(out: Path, label: str, root: Path, digest: str) -> None:
                 f"dataset {root}: {record.parent} holds results of another one of that name, {found.get('root')}; "
                 "give this one as NAME=DIR, or choose another --out"
             )
+        if found.get("filmed", filmed) != filmed:
+            raise BenchError(
+                f"dataset {root}: its training pictures or cameras have changed since {record.parent} was begun; "
+                "remove that folder, or choose another --out"
+            )
     record.parent.mkdir(parents=True, exist_ok=True)
-    write_json(record, {"root": str(root), "digest": digest})
+    write_json(record, {"root": str(root), "digest": digest, "filmed": filmed})
 
 
 def write_text(path: Path, text: str) -> None:

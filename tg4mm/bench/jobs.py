@@ -19,7 +19,7 @@ from tg4mm.bench.methods import Method
 from tg4mm.bench.methods.camera_videos import cameras_of, picture_name, video_of
 from tg4mm.bench.methods.external import External
 from tg4mm.bench.scored import score_pictures
-from tg4mm.bench.sets import BenchSet, files_state, truth_at
+from tg4mm.bench.sets import BenchSet, files_state, filmed_digest, truth_at
 from tg4mm.bench.vqa import Checkout
 from tg4mm.capture import Capture
 from tg4mm.evaluate.lpips import load_lpips
@@ -58,7 +58,7 @@ def run_job(
 ) -> tuple[dict[str, Any], list[Line]]:
     """(what `fit` returned, the method's rows), done or read from an earlier call. Raises Tg4mmError."""
     place = job_folder(out, data, method)
-    claim_set(Path(out), data.label, data.root, data.digest)
+    claim_set(Path(out), data.label, data.root, data.digest, filmed_digest(data.root))
     figures = method.fit(data, place, plan)
     return figures, [_line(method, row, data, place, plan, vqa) for row in method.rows]
 

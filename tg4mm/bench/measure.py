@@ -13,6 +13,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from tg4mm.bench.errors import BenchError
 from tg4mm.bench.observed import observed_figures
 from tg4mm.bench.sets import BenchSet, check_alphas
 from tg4mm.capture import load_capture
@@ -204,11 +205,22 @@ def _request(data: BenchSet, training: Training, plan: Plan) -> dict[str, Any]:
 def _trained(place: Path, data: BenchSet, training: Training, device: str, donor: Path | None) -> Run:
     place.parent.mkdir(parents=True, exist_ok=True)
     gc.collect()  # each stage's own peak, though with what is loaded for the runs before it
+    _check_device(place, device)
     if training.trainer is not None:
         return training.trainer(data.root, place, training.settings, device)
     if donor is not None and not (place / "space.safetensors").exists():
         _take_space(place, data, training, donor)
     return train(data.root, place, training.preset, device, training.settings)
+
+
+def _check_device(place: Path, device: str) -> None:
+    """Raise BenchError for a finished run of another device, whose seconds would be taken for this one's."""
+    run = Run.open(place) if place.is_dir() else None
+    if run is None or not run.has_motion:
+        return
+    before = "cuda" if any("peak_gpu_memory_mib" in stage for stage in run.log().values()) else "cpu"
+    if before != device:
+        raise BenchError(f"{place} was trained with --device {before}, not {device}; choose another --out")
 
 
 def _take_space(place: Path, data: BenchSet, training: Training, donor: Path) -> None:

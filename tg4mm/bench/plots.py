@@ -48,7 +48,7 @@ def over_alpha(results: Mapping[str, Any], group: str) -> str | None:
         low, high = panel.get_ylim()
         if key in {"closure", "gain"} and (low < _LEAST or high > _MOST) and low < _MOST and high > _LEAST:
             panel.set_ylim(max(low, _LEAST), min(high, _MOST))
-            panel.set_ylabel(f"{METRICS[key][0]}, drawn within {_LEAST:g} to {_MOST:g}")
+            panel.set_ylabel(f"{METRICS[key][0]} (cut to {_LEAST:g} … {_MOST:g})")
     handles, labels = axes.flat[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=min(4, len(labels)), frameon=False)
     return _svg(figure)

@@ -74,6 +74,10 @@ class Choices:
     fast_vqa: str = ""
     vqa_python: str = ""
 
+    def check(self) -> None:
+        """Raises BenchError for an outside method that every job would refuse."""
+        methods_of((), {}, parse_external(list(self.external)))
+
     def options(self, *names: str) -> list[str]:
         """Those of these names that are given, as arguments; without names all."""
         found = []
@@ -187,7 +191,7 @@ def main() -> int:
             if not isinstance(config.get(key), kind) or not config[key]:
                 raise BenchError(f"configuration: {key} is {config.get(key)!r}, expected {kind.__name__}")
         choices = choices_from(config)
-        methods_of(DEFAULT, {}, parse_external(list(choices.external)))  # refuses what each job would refuse
+        choices.check()
         steps = steps_of(
             config["preset"], config["out"].rstrip("/"), config.get("python", sys.executable), choices
         )

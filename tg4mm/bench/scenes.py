@@ -97,6 +97,7 @@ def run_scenes(
                     update(n_done)
             for training in same_time_trainings(bench.figures[data.label], request):
                 bench.job(Trained(training), data)
+                bench.write()
     if not bench.lines:
         raise bench.first_error or Tg4mmError("nothing was run")
     results = bench.results()

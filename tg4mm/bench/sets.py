@@ -228,7 +228,7 @@ def _filmed(root: Path, kind: str) -> str:
 
 
 def truth_at(data: BenchSet, alpha: float) -> Capture:
-    """The test split's pictures at α; 0: as it is."""
+    """The test split with the motion times 1 + α."""
     return _captured(data.root, data.digest, int(alpha))
 
 
@@ -241,6 +241,16 @@ def files_state(files: Iterable[Path], root: Path) -> list[list[Any]]:
     """[name below `root`, bytes, time of change in ns] of each file: another list where one was changed."""
     stats = ((file, file.stat()) for file in files)
     return [[file.relative_to(root).as_posix(), s.st_size, s.st_mtime_ns] for file, s in stats]
+
+
+def filmed_digest(root: Path) -> str:
+    """Of all cameras, and of the training pictures' names and sizes; not of their times: a copy has the same."""
+    digest = hashlib.sha256()
+    for file in sorted(root.glob("[0-9]*/transforms_*.json")):
+        digest.update(file.read_bytes())
+    for name, size, _ in files_state(load_capture(root, split="train").paths, root):
+        digest.update(f"{name} {size}\n".encode())
+    return digest.hexdigest()[:16]
 
 
 def _digest(root: Path) -> str:

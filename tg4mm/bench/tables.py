@@ -202,8 +202,8 @@ def cost_table(results: Results, group: str) -> Table:
     """Seconds of each stage, memory, size, and how fast pictures are rendered ([TG4MM] Table II and Fig. 6)."""
     note = (
         "Seconds and iterations of training, most memory held in each stage, Gaussians, size of the model's files; "
-        "pictures a second: posing and rendering of the test pictures, without opening the model and writing them; of "
-        "a 2D method, which has no model, with reading the test views. An "
+        "pictures a second: posing and rendering of the test pictures, without opening the model and writing them; for "
+        "a 2D method, which has no model, it includes reading the test views. An "
         "iteration is a step on one view; in the motion of modal one of conjugate gradients on all views, the most "
         "that are made for each function of time."
     )

@@ -72,13 +72,10 @@ def whole(
         return
     if preset is None or out is None:
         raise Tg4mmError("--preset and --out are needed together, or one of scenes, job, ablation")
-    from tg4mm.bench.methods.external import parse_external
-    from tg4mm.bench.methods.known import DEFAULT, methods_of
     from tg4mm.bench.presets import Choices, run_preset, steps_of
     from tg4mm.bench.vqa import checkouts
     from tg4mm.evaluate.lpips import load_lpips
 
-    methods_of(DEFAULT, {}, parse_external(external or []))  # refuses what each job would refuse
     _plan(alphas, True, lpips_weights, device)
     checkouts({"md_vqa": md_vqa, "fast_vqa": fast_vqa}, vqa_python)
     if lpips_weights:
@@ -92,6 +89,7 @@ def whole(
         str(fast_vqa or ""),
         vqa_python if md_vqa or fast_vqa else "",
     )
+    choices.check()
     steps = steps_of(preset, str(out), choices=choices)
     if dry_run:
         typer.echo("\n".join(shlex.join(step.command) for step in steps))
