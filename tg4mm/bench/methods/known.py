@@ -21,7 +21,7 @@ _TAKEN = {*NAMES, STATIC, CEILING, SET}  # folders of rows; some file systems kn
 ABOUT = {
     "modal": "tg4mm's own; Gaussians and a few shapes of motion with their courses over time, from all views at once",
     "paper": "the method of TG4MM, the paper that this program implements; magnified by `linear` or `phase`",
-    "paper-tuned": "the method of TG4MM, the paper that this program implements, in minutes; magnified by `linear` or `phase`",
+    "paper-tuned": "the method of TG4MM, the paper that this program implements, in minutes; by `linear` or `phase`",
     TRACKING: "Gaussians moved by a deformation network, in the manner of 4DGS",
     Phase2D.name: "phase-based magnification of each test view's own video, in complex sub-bands of half an octave",
     Linear2D.name: "linear Eulerian magnification of each test view's own video",
