@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ FLOOR = 2.2  # half the floor's side
 CENTRE = np.array([0.0, 0.0, 0.3])
 
 
+@cache
 def texture(seed: int, cells: int = 256) -> np.ndarray:
     """[cells, cells, 3] in 0..1: noise at several scales, so that features are found from near and far."""
     rng = np.random.default_rng(seed)
@@ -22,9 +24,6 @@ def texture(seed: int, cells: int = 256) -> np.ndarray:
         total += zoom(coarse, (step, step, 1), order=3, mode="nearest") * step**0.3
     total -= total.min((0, 1))
     return total / total.max((0, 1))
-
-
-TEXTURES = [texture(k) for k in range(7)]
 
 
 def faces() -> list[tuple[int, float, np.ndarray, np.ndarray]]:
@@ -87,7 +86,7 @@ def picture(
         hit = (t > 0) & (t < nearest) & (np.abs(place[..., a]) <= 1) & (np.abs(place[..., b]) <= 1)
         nearest[hit] = t[hit]
         alpha[hit] = 1
-        colour[hit] = (0.3, 0.5, 0.7) if plain else sample(TEXTURES[k], place[hit][:, [a, b]])
+        colour[hit] = (0.3, 0.5, 0.7) if plain else sample(texture(k), place[hit][:, [a, b]])
     return (np.concatenate([colour, alpha[..., None]], -1) * 255 + 0.5).astype(np.uint8)
 
 

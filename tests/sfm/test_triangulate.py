@@ -167,12 +167,12 @@ def test_importing_the_package_needs_no_other_part_of_the_program_nor_torch_nor_
 def test_the_scene_itself_is_right() -> None:
     """A face's texture, looked up, is what the picture shows where that point falls."""
     viewmat = orbit(8)[0]
-    from tests.sfm.scenes import HALF, TEXTURES
+    from tests.sfm.scenes import HALF, texture
 
     place = np.array([[0.3, 0.2]])  # on the top face, axes x and y
     xyz = np.array([0.3 * HALF[0], 0.2 * HALF[1], 2 * HALF[2]])
     cam = viewmat[:3, :3] @ xyz + viewmat[:3, 3]
     u, v = (cam[:2] / cam[2] * 200 + K[:2, 2]).astype(int)
     shown = picture(viewmat, K, SIZE)[v, u, :3] / 255
-    assert np.abs(shown - sample(TEXTURES[6], place)[0]).max() < 0.25
+    assert np.abs(shown - sample(texture(6), place)[0]).max() < 0.25
     assert surface_distance(xyz[None])[0] < 1e-12
