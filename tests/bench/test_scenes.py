@@ -302,6 +302,32 @@ def test_means_of_a_table_are_of_the_same_sets() -> None:
     assert b["alphas"]["5"] == {"closure": pytest.approx(0.2), "gain": pytest.approx(0.9)}
 
 
+def test_means_of_the_motion_are_of_the_same_sets_too() -> None:
+    def run(name: str, row: str, error: float | None, leak: float | None) -> dict[str, Any]:
+        found = {"relative_error": error, "static_leak": leak, "per_frequency": []}
+        return {
+            "set": name, "row": row, "preset": row, "ways": [row], "rows": {}, "displacement": found, "log": {},
+            "seconds": {"space": 1.0, "motion": 1.0, "total": 2.0}, "n_gaussians": 100, "mib_on_disk": 1.0,
+        }  # fmt: skip
+
+    runs = [
+        run("one", "a", 0.5, 0.7),
+        run("two", "a", None, None),
+        run("one", "b", 0.3, 0.9),
+        run("two", "b", 0.1, None),
+    ]
+    a, b = group_means(runs, dict.fromkeys(("one", "two"), "group"))
+    kept = {
+        key: (a["scalars"][key], b["scalars"][key])
+        for key in ("displacement_error", "static_leak", "total_s")
+    }
+    assert kept == {
+        "displacement_error": (None, pytest.approx(0.2)),
+        "static_leak": (0.7, 0.9),
+        "total_s": (2.0, 2.0),
+    }
+
+
 def test_every_method_is_described() -> None:
     assert set(ABOUT) == set(NAMES)
 

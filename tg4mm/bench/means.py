@@ -69,25 +69,32 @@ def group_means(runs: Iterable[Mapping[str, Any]], group_of: Mapping[str, str]) 
     """[{group, row, preset, n_sets, sets, scalars: {…}, rows: {α: {method: {metric}}}, gaps: {α: {way: SSIM}}}].
 
     `group_of` a set's label. An α counts where every set of the group that has this row has ground truth for it: means
-    of different scenes must not stand in one line.
+    of different scenes must not stand in one line. For the same reason a scalar that a set has for no row is the mean
+    of the other sets in every row, and one that only this row lacks somewhere is None.
     """
-    found: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
+    runs, found = list(runs), dict[tuple[str, str], list[Mapping[str, Any]]]()
     for run in runs:
         found.setdefault((group_of[run["set"]], run["row"]), []).append(run)
-    return [_group_mean(group, row, runs) for (group, row), runs in found.items()]
+    measured = {(run["set"], k) for run in runs for k, value in scalars(run).items() if value is not None}
+    return [_group_mean(group, row, some, measured) for (group, row), some in found.items()]
 
 
-def _group_mean(group: str, row: str, runs: list[Mapping[str, Any]]) -> dict[str, Any]:
+def _group_mean(
+    group: str, row: str, runs: list[Mapping[str, Any]], measured: set[tuple[str, str]]
+) -> dict[str, Any]:
+    """measured: (set, scalar) that some row has."""
     common = [a for a in runs[0]["rows"] if all(a in run["rows"] for run in runs)]
     methods = [STATIC, *runs[0]["ways"], CEILING]
-    values = [scalars(run) for run in runs]
+    values = [(run["set"], scalars(run)) for run in runs]
     return {
         "group": group,
         "row": row,
         "preset": runs[0]["preset"],
         "n_sets": len(runs),
         "sets": [run["set"] for run in runs],
-        "scalars": {k: mean(v[k] for v in values) for k in values[0]},
+        "scalars": {
+            k: _mean_of_all(v[k] for name, v in values if (name, k) in measured) for k in values[0][1]
+        },
         "rows": {
             a: {
                 m: {k: mean(run["rows"][a].get(m, {}).get(k) for run in runs) for k in METRICS}
