@@ -114,7 +114,9 @@ def test_what_was_not_measured_is_not_judged() -> None:
     no_alpha = results(runs=[run_of(x, {"5": 0.0}, 0.04, 0.01, (3, 2)) for x in ("a", "b")])
     assert verdict(no_alpha, "α = 50")["reached"] is None
     assert verdict(no_alpha, "beats")["reached"] is None
-    assert verdict(changed(0, ["displacement"], None), "leak")["reached"] is None  # the other method has it of both sets
+    assert (
+        verdict(changed(0, ["displacement"], None), "leak")["reached"] is None
+    )  # the other method has it of both sets
 
 
 def test_sets_of_another_size_are_judged_apart() -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -106,3 +108,17 @@ def test_closure_is_nothing_without_its_two_ends() -> None:
     alone = {"theirs": {"ssim": 0.95}}
     with_closure(alone, "nothing moves", "ceiling")
     assert alone["theirs"]["closure"] is None
+
+
+def test_every_camera_moves_the_progress(truth: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[tuple[object, ...]] = []
+
+    @contextmanager
+    def progress(label: str, total: int, **_: object) -> Iterator[Callable[[int], None]]:
+        said.append((label, total))
+        yield lambda done: said.append((done,))
+
+    monkeypatch.setattr("tg4mm.bench.scored.progress", progress)
+    score_pictures(truth, truth.root, label="modal, α = 5, scores")
+    steps = np.cumsum([len(rows) for rows in cameras_of(truth)])
+    assert said == [("modal, α = 5, scores", len(truth)), *((n,) for n in steps)]

@@ -187,7 +187,7 @@ class _Kept:
         if (known := self.known(row, alpha, asked)) is not None:
             return known
         lpips = load_lpips(plan.lpips_weights) if plan.lpips_weights else None
-        scores: dict[str, Any] = score_pictures(capture, folder, lpips)
+        scores: dict[str, Any] = score_pictures(capture, folder, lpips, f"{row}, α = {alpha:g}, scores")
         for checkout in vqa:
             videos = (to_bytes(video_of(capture, rows, folder)) for rows in cameras_of(capture))
             scores[checkout.metric] = float(np.mean([checkout(video, data.fps) for video in videos]))

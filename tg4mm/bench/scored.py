@@ -15,6 +15,7 @@ from tg4mm.bench.methods.camera_videos import cameras_of, video_of
 from tg4mm.capture import Capture
 from tg4mm.evaluate.metrics import SSIM_BORDER, decibels, flip, psnr, ssim_map
 from tg4mm.evaluate.scores import Metric
+from tg4mm.progress import progress
 
 MOVES = 8 / 255  # a pixel whose ground truth differs from its mean over time by more, in any colour, moves
 _THREADS = 2
@@ -46,9 +47,11 @@ class _Sums:
 
 
 def score_pictures(
-    capture: Capture, folder: Path, lpips: Metric | None = None
+    capture: Capture, folder: Path, lpips: Metric | None = None, label: str = "scores"
 ) -> dict[str, float | int | None]:
     """Means over the pictures under `folder` that are named as the ground truth `capture`'s are under its root.
+
+    Its progress is shown as `label`, where it takes long.
 
     ssim, psnr_db, flip, lpips     of whole pictures over white; lpips None without weights
     ssim_moving, psnr_moving_db    over the pixels that move (`MOVES`), None where none does: the mean of the SSIM map;
@@ -64,8 +67,10 @@ def score_pictures(
     """
     sums = _Sums()
     cache: dict[bytes, dict[str, float]] = {}
-    for rows in cameras_of(capture):
-        _score_camera(video_of(capture, rows), video_of(capture, rows, folder), lpips, sums, cache)
+    with progress(label, len(capture), unit="images", brief=True) as update:
+        for rows in cameras_of(capture):
+            _score_camera(video_of(capture, rows), video_of(capture, rows, folder), lpips, sums, cache)
+            update(len(sums.pictures))
     aa, ac, cc = sums.products
     gain = float(ac / cc) if cc > 0 else None
     mse = _mean(sums.moving, "mse_moving")
