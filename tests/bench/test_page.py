@@ -16,6 +16,7 @@ from tests.view.browser import browser
 from tg4mm.bench.html import write_page
 from tg4mm.bench.latex import escaped, latex_table
 from tg4mm.bench.methods.external import External
+from tg4mm.bench.page import how
 from tg4mm.bench.scenes import ScenesRequest, run_scenes
 from tg4mm.bench.tables import Table, full_table, groups_of, tables_of
 
@@ -106,3 +107,15 @@ def test_latex_prints_what_the_cells_hold() -> None:
     assert r"128$\times$128" in text
     assert text.count("{") == text.count("}")
     assert escaped("a\\b") == r"a\textbackslash{}b"
+
+
+def test_it_speaks_of_methods_that_are_there() -> None:
+    """Times are matched for the paper's presets; the 2D methods see what others do not."""
+
+    def words(*methods: str) -> tuple[bool, bool]:
+        said = how({"band": True, "same_time": "needed", "methods": list(methods)})
+        return "trained once more" in said, "2d" in said
+
+    assert words("modal") == (False, False)
+    assert words("modal", "paper-tuned") == (True, False)
+    assert words("modal", "phase-2d") == (False, True)

@@ -45,6 +45,9 @@ def machine(made: Mapping[str, Any]) -> str:
     )
 
 
+_OF_2D = "The methods called 2d magnify the test views' own videos, which no 3D method sees, and have no other views. "
+
+
 def how(results: Mapping[str, Any]) -> str:
     """What all tables share."""
     band = (
@@ -56,10 +59,10 @@ def how(results: Mapping[str, Any]) -> str:
         "α is the magnification factor: a displacement δ is shown as (1 + α) δ. "
         + band
         + "All methods are scored from their pictures of the test views at 8 bits (docs/protocol.md). “Nothing moves” "
-        "is the first preset's Gaussians at rest, the ceiling the exact motion applied to them. The methods called 2d "
-        "magnify the test views' own videos, which no 3D method sees, and have no other views. "
-        + _time_rule(results)
-    )
+        "is the first preset's Gaussians at rest, the ceiling the exact motion applied to them. "
+        + (_OF_2D if any(name.endswith("-2d") for name in results["methods"]) else "")
+        + (_time_rule(results) if any(name.startswith("paper") for name in results["methods"]) else "")
+    ).rstrip()
 
 
 def about_methods(results: Mapping[str, Any]) -> list[str]:
@@ -72,8 +75,8 @@ def about_methods(results: Mapping[str, Any]) -> list[str]:
 
 def _time_rule(results: Mapping[str, Any]) -> str:
     rule = {
-        "needed": "A `paper` preset that took less time than `modal` is trained once more",
-        "always": "Every `paper` preset is trained once more",
+        "needed": "A preset of the paper that took less time than modal is trained once more",
+        "always": "Every preset of the paper is trained once more",
         "never": "Training times are not matched between presets",
     }[results["same_time"]]
     if results["same_time"] == "never":
@@ -81,7 +84,7 @@ def _time_rule(results: Mapping[str, Any]) -> str:
     return (
         rule
         + " with all its iterations scaled by the ratio of the two training times just measured (the row "
-        "“modal's time”); the resulting settings stand below and repeat it anywhere. One that took longer than `modal` "
+        "“modal's time”); the resulting settings stand below and repeat it anywhere. One that took longer than modal "
         "had the advantage already. Times are of training, without rendering."
     )
 

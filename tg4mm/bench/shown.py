@@ -83,8 +83,10 @@ def _blocks(s: View) -> Iterator[Block]:
     seconds = len(s.videos[TRUTH]) / playing_rate(s.fps)
     yield Figure(films, f"Test view {s.view} over time, in step.", 4, controls=True, seconds=seconds)
     line, cut = _slices(s)
+    height, width = frames[TRUTH].shape[1:3]
+    shape = f"{width} / {height}"  # time is stretched: as tall as the picture beside them
     slices = [picture(marked(frames[TRUTH][0], line), "where the slices are cut", photo=True)]
-    slices += [picture(piece, row, f"slice: {row}", True) for row, piece in cut.items()]
+    slices += [picture(piece, row, f"slice: {row}", True, shape) for row, piece in cut.items()]
     way = "to the right" if line.axis == "column" else "down"
     yield Figure(
         slices, f"Space-time slices of {line.axis} {line.index}, time runs {way} ([TG4MM] Fig. 3).", 4
