@@ -31,11 +31,11 @@ test: lint
 test-slow: install
 	$(PYTEST) -m slow || [ $$? -eq 5 ]
 
-# What runs inside Blender, on the other LTS line: Blender 5.2 with Python 3.13, in an environment without torch. The files
-# of the add-on's and the generator's tests that never name bpy are left out: they are the same in any Python.
+# What runs inside Blender, on the other LTS line: Blender 5.2 with Python 3.13, in an environment without torch. The
+# generator's tests that never name bpy are left out: `make test` runs them.
 test-52: $(VENV52)/.installed
 	OMP_NUM_THREADS=1 $(VENV52)/bin/python -m pytest -n $(WORKERS) --dist loadfile -m "not slow" \
-		$$(grep -lw bpy tests/addon/test_*.py tests/dataset_gen/test_*.py)
+		tests/addon $$(grep -lw bpy tests/dataset_gen/test_*.py)
 
 # What kills, full disks, signals and damaged or hostile files do: docs/faults.md. MUTATIONS: of each reader's files.
 MUTATIONS ?= 500

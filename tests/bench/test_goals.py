@@ -114,9 +114,10 @@ def test_what_was_not_measured_is_not_judged() -> None:
     no_alpha = results(runs=[run_of(x, {"5": 0.0}, 0.04, 0.01, (3, 2)) for x in ("a", "b")])
     assert verdict(no_alpha, "α = 50")["reached"] is None
     assert verdict(no_alpha, "beats")["reached"] is None
-    assert (
-        verdict(changed(0, ["displacement"], None), "leak")["reached"] is None
-    )  # the other method has it of both sets
+    without = changed(0, ["displacement"], None)  # which the other method has of both sets
+    assert verdict(without, "leak")["reached"] is None
+    of_no_row = [run | ({"displacement": None} if run["set"] == "a" else {}) for run in results()["runs"]]
+    assert verdict(results(runs=of_no_row), "leak")["reached"] is True  # of the set that has it
 
 
 def test_sets_of_another_size_are_judged_apart() -> None:

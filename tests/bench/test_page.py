@@ -119,3 +119,4 @@ def test_it_speaks_of_methods_that_are_there() -> None:
     assert words("modal") == (False, False)
     assert words("modal", "paper-tuned") == (True, False)
     assert words("modal", "phase-2d") == (False, True)
+    assert words("modal", "papers", "ours-2d") == (False, False)  # made elsewhere

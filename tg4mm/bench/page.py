@@ -50,6 +50,7 @@ _OF_2D = "The methods called 2d magnify the test views' own videos, which no 3D 
 
 def how(results: Mapping[str, Any]) -> str:
     """What all tables share."""
+    own = [name for name in results["methods"] if name in ABOUT]  # not what an outside method may be called
     band = (
         "Every method magnifies the same band: the motion's frequencies and 1.5 Hz on either side, as [TG4MM] §IV.B. "
         if results["band"]
@@ -60,8 +61,8 @@ def how(results: Mapping[str, Any]) -> str:
         + band
         + "All methods are scored from their pictures of the test views at 8 bits (docs/protocol.md). “Nothing moves” "
         "is the first preset's Gaussians at rest, the ceiling the exact motion applied to them. "
-        + (_OF_2D if any(name.endswith("-2d") for name in results["methods"]) else "")
-        + (_time_rule(results) if any(name.startswith("paper") for name in results["methods"]) else "")
+        + (_OF_2D if any(name.endswith("-2d") for name in own) else "")
+        + (_time_rule(results) if any(name.startswith("paper") for name in own) else "")
     ).rstrip()
 
 
