@@ -86,14 +86,23 @@ def test_both_hold_every_module_and_file_of_the_packages(repo_root: Path, built:
     assert not [name for name in names if name.startswith("tests")]  # they need more than the packages
 
 
-@pytest.mark.parametrize("version", PYTHONS)
+@pytest.fixture(scope="module", params=PYTHONS)
+def installed(
+    request: pytest.FixtureRequest, built: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory
+) -> tuple[str, Path]:
+    """A version of Python, and the programs of an environment of it that has the wheel without any extra."""
+    work = tmp_path_factory.mktemp(f"python{request.param}")
+    run(interpreter(request.param), "-m", "venv", work / "env", cwd=work)
+    folder = work / "env" / "bin"
+    run(folder / "python", "-m", "pip", "install", "--quiet", built[1], cwd=work)
+    return request.param, folder
+
+
 def test_the_wheel_alone_reads_and_says_what_it_lacks(
-    built: tuple[Path, Path], data: tuple[Path, Path], version: str, tmp_path: Path
+    installed: tuple[str, Path], data: tuple[Path, Path], tmp_path: Path
 ) -> None:
-    """Without any extra, on every Python: files, the command line, and one line for what needs torch or Blender."""
-    run(interpreter(version), "-m", "venv", tmp_path / "env", cwd=tmp_path)
-    folder = tmp_path / "env" / "bin"
-    run(folder / "python", "-m", "pip", "install", "--quiet", built[1], cwd=tmp_path)
+    """Files, the command line, and one line for what needs torch or Blender."""
+    version, folder = installed
     assert run(folder / "python", "-c", LOOK, *data, cwd=tmp_path).split()[:2] == ["23", "48"]
     assert "tg4mm 0" in run(folder / "tg4mm", "--version", cwd=tmp_path)
     for command, message in (
@@ -110,18 +119,16 @@ def test_the_wheel_alone_reads_and_says_what_it_lacks(
         assert done.stderr.count("\n") == 1
 
 
-@pytest.mark.parametrize("version", PYTHONS)
-def test_what_the_core_needs_is_to_be_had_for_every_python(
-    built: tuple[Path, Path], version: str, tmp_path: Path
+def test_what_the_core_needs_is_to_be_had(
+    installed: tuple[str, Path], built: tuple[Path, Path], tmp_path: Path
 ) -> None:
     """Resolved, not downloaded: torch for one of them may be gigabytes."""
-    run(interpreter(version), "-m", "venv", tmp_path / "env", cwd=tmp_path)
-    pip = (tmp_path / "env" / "bin" / "python", "-m", "pip")
-    run(*pip, "install", "--quiet", "--upgrade", "pip", cwd=tmp_path)
-    wheel = f"{built[1]}[core]"
-    found = run(*pip, "install", "--dry-run", "--only-binary", "torch", wheel, cwd=tmp_path)
-    for name in ("torch", "numba", "llvmlite", "imageio-ffmpeg", "MarkupSafe", "tg4mm"):
-        assert f" {name}-".lower() in found.lower()
+    pip = (installed[1] / "python", "-m", "pip")
+    found = run(
+        *pip, "install", "--dry-run", "--only-binary", "torch", f"{built[1]}[core]", cwd=tmp_path
+    ).lower()
+    for name in ("torch", "numba", "llvmlite", "imageio-ffmpeg", "markupsafe"):
+        assert f" {name}-" in found
 
 
 def test_the_core_trains_in_a_clean_environment(

@@ -35,6 +35,7 @@ from tests.dataset_gen.trust import (  # noqa: E402
 pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parents[2]
 NOW = 1  # timestep of the checks: nothing is at rest there
+OPTIONS = "--preset smoke --timesteps 3 --alphas 50".split()  # and no more than the checks look at
 
 
 @dataclass
@@ -66,7 +67,7 @@ class World:
 @pytest.fixture(scope="module")
 def sets(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("all")
-    command = [sys.executable, "-m", "dataset_gen", "all", "--preset", "smoke", "--out", str(out)]
+    command = [sys.executable, "-m", "dataset_gen", "all", *OPTIONS, "--out", str(out)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     return out
@@ -74,8 +75,7 @@ def sets(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module", params=NAMES)
 def world(request: pytest.FixtureRequest, sets: Path) -> World:
-    options = [request.param, "--preset", "smoke", "--out", str(sets)]
-    settings = request_from(parser().parse_args(options)).sets[0]
+    settings = request_from(parser().parse_args([request.param, *OPTIONS, "--out", str(sets)])).sets[0]
     bodies = builtin_bodies(request.param)
     quality = Quality.of(settings, 1)
     stage = build.build(SCENES[request.param]())

@@ -25,7 +25,7 @@ def test_a_command_that_is_killed_loses_nothing(command: str, repo_root: Path) -
 
 @pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="forks")
-@pytest.mark.parametrize(("preset", "step"), [("modal", "1"), ("paper-tuned", "3")])
+@pytest.mark.parametrize(("preset", "step"), [("modal", "1"), ("paper-tuned", "5")])
 def test_nothing_is_lost_by_kills(preset: str, step: str, repo_root: Path) -> None:
     """In a process of its own: a fork of one that has used threads would hang."""
     command = [

@@ -1,4 +1,4 @@
-"""Every reader takes 500 mutations of its files ($TG4MM_MUTATIONS: another number) without a fault."""
+"""Every reader takes 150 mutations of its files ($TG4MM_MUTATIONS: another number) without a fault."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from tests.faults.harness import run_reader
 from tests.faults.readers import READERS
 
-COUNT = int(os.environ.get("TG4MM_MUTATIONS", "500"))
+COUNT = int(os.environ.get("TG4MM_MUTATIONS", "150"))
 
 
 @pytest.mark.slow
