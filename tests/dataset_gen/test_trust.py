@@ -35,7 +35,7 @@ from tests.dataset_gen.trust import (  # noqa: E402
 pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parents[2]
 NOW = 1  # timestep of the checks: nothing is at rest there
-OPTIONS = "--preset smoke --timesteps 3 --alphas 50".split()  # and no more than the checks look at
+OPTIONS = ["--preset", "smoke", "--timesteps", "3", "--alphas", "50"]  # and no more than the checks look at
 
 
 @dataclass

@@ -35,7 +35,9 @@ class Command:
     prepare: Callable[[Path], object]
     words: Callable[[Path], list[str]]
     passing: tuple[str, ...] = ()  # patterns of files that are there only while it works
-    unknown: tuple[str, ...] = ()  # patterns of files about a call itself: a killed one has not said what it took
+    unknown: tuple[
+        str, ...
+    ] = ()  # patterns of files about a call itself: a killed one has not said what it took
 
 
 def _run(folder: Path) -> None:
