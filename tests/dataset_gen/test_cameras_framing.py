@@ -1,6 +1,7 @@
 """No camera that the generator places cuts the scene off at the edge of its picture."""
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 import pytest
@@ -33,10 +34,9 @@ QUICK = ("mic", "hotdog")
 SOME = [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in NAMES]
 
 
-@pytest.mark.parametrize("setup", SETUPS, ids=lambda setup: setup.kind)
-@pytest.mark.parametrize("name", SOME)  # scene by scene: each is built once
-def test_all_that_moves_is_in_every_picture(setup, name):
-    """Every vertex at several timesteps, projected into every camera of every kind."""
+@lru_cache(maxsize=1)
+def moved(name):
+    """Bodies of a scene, and its points at some timesteps, as captured and magnified."""
     bodies = bodies_of(builtin.built(name))
     motion = solve(read_motion(motion_file(name)), bodies, 30.0, None, 0)
 
@@ -46,10 +46,17 @@ def test_all_that_moves_is_in_every_picture(setup, name):
             for state in (motion.state(t, alpha) for t in timesteps)
         ]
 
+    return bodies, scene(0.0, (2, 7)), scene(ALPHA, (1, 4, 8))
+
+
+@pytest.mark.parametrize("setup", SETUPS, ids=lambda setup: setup.kind)
+@pytest.mark.parametrize("name", SOME)  # scene by scene: each is built once
+def test_all_that_moves_is_in_every_picture(setup, name):
+    """Every vertex at several timesteps, projected into every camera of every kind."""
+    bodies, captured, magnified = moved(name)
     cameras = framed(settings_of(name, setup), bodies).cameras
     assert 1.0 <= cameras.clearance < 1.2
     assert 1.0 <= cameras.test_clearance < 1.45
-    captured, magnified = scene(0.0, (2, 7)), scene(ALPHA, (1, 4, 8))
     for t in range(0, setup.n_timesteps, 9) if setup.kind == "handheld" else (0,):
         for camera in cameras_at(cameras, t)["train"]:
             assert max(half_widths(camera, points) for points in captured) < MARGIN, camera.name

@@ -174,16 +174,29 @@ sys.exit(main(words))
 """
 
 
+SETTINGS = ("space.iterations=60", "space.max_gaussians=300", "motion.iterations=3")
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[str], Path]:
+    """The words of a training that has several checkpoints, but for its `--out`, and a run of it."""
+    folder = tmp_path_factory.mktemp("undisturbed")
+    make_synthetic_dataset(
+        folder / "set", n_views=3, n_timesteps=6, size=24, freqs=(5.0,), alphas=(), n_test=0
+    )
+    words = [str(folder / "set"), *(part for s in SETTINGS for part in ("--set", s))]
+    done = tg4mm("train", *words, "--out", folder / "run")
+    assert done.returncode == 0, done.stderr
+    return words, folder / "run"
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("stage", "nth"), [("space", 1), ("space", 3), ("motion", 1), ("motion", 2)])
 def test_a_disk_that_fills_during_a_stage_loses_nothing(
-    stage: str, nth: int, disk: Callable[[int], Path], tmp_path: Path, repo_root: Path
+    stage: str, nth: int, disk: Callable[[int], Path], undisturbed: tuple[list[str], Path], repo_root: Path
 ) -> None:
     """With room again, the same command goes on, to what an undisturbed training gives."""
-    data, folder = tmp_path / "set", disk(8192)
-    make_synthetic_dataset(data, n_views=3, n_timesteps=6, size=24, freqs=(5.0,), alphas=(), n_test=0)
-    settings = ("space.iterations=60", "space.max_gaussians=300", "motion.iterations=3")
-    words = [str(data), *(part for s in settings for part in ("--set", s))]
+    folder, (words, expected) = disk(8192), undisturbed
     command = [sys.executable, "-c", FULL_IN, stage, str(nth), "train", *words, "--out", str(folder / "run")]
     done = subprocess.run(command, cwd=repo_root, capture_output=True, text=True, timeout=300)
     assert done.returncode == 2, done.stderr
@@ -193,13 +206,10 @@ def test_a_disk_that_fills_during_a_stage_loses_nothing(
     checkpoint = folder / "run" / f"checkpoint_{stage}.safetensors"
     assert checkpoint.exists() == (nth > 1)
     (folder / "filler").unlink()
-    for out in (folder / "run", tmp_path / "undisturbed"):
-        done = tg4mm("train", *words, "--out", out)
-        assert done.returncode == 0, done.stderr
-    assert model_hash(folder / "run") == model_hash(tmp_path / "undisturbed")
-    assert {p.name for p in (folder / "run").iterdir()} == {
-        p.name for p in (tmp_path / "undisturbed").iterdir()
-    }
+    done = tg4mm("train", *words, "--out", folder / "run")
+    assert done.returncode == 0, done.stderr
+    assert model_hash(folder / "run") == model_hash(expected)
+    assert {p.name for p in (folder / "run").iterdir()} == {p.name for p in expected.iterdir()}
 
 
 @pytest.mark.slow
