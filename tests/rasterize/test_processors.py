@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -45,6 +46,7 @@ def compared(cache: Path, processor: dict[str, str]) -> list[int]:
 def test_without_avx512_the_kernels_are_others_and_right(tmp_path: Path) -> None:
     """Haswell (2013): AVX2 and FMA, sixteen registers of eight numbers."""
     haswell = {"NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": "+avx2"}
-    assert compared(tmp_path, {})[2] == 0
+    shutil.copytree(os.environ["NUMBA_CACHE_DIR"], tmp_path, dirs_exist_ok=True)
+    compared(tmp_path, {})  # compiles for this machine what the tests before have not
     assert compared(tmp_path, haswell) == [0, 2, 0]  # not this machine's kernels from the same folder
     assert compared(tmp_path, haswell)[2] == 2
