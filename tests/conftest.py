@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 # Before numba, torch or numpy are imported. Two workers share two cores, and BLAS spins when it waits.
@@ -19,6 +22,15 @@ import pytest  # noqa: E402
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # A shell starts what it puts in the background so, and programs that tests start would inherit it.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Kernels are compiled once, before there are workers, each of which would compile them."""
+    starts_workers = session.config.getoption("numprocesses", 0) and not hasattr(
+        session.config, "workerinput"
+    )
+    if starts_workers and importlib.util.find_spec("numba"):
+        subprocess.run([sys.executable, "-m", "tg4mm.ahead"], cwd=ROOT, check=False)
 
 
 @pytest.fixture(scope="session")

@@ -85,6 +85,15 @@ def test_a_kernel_is_there_after_the_wait_which_counts(
     assert not jobs.wait("blend._forward")  # it was made, for other types: not again
 
 
+def test_all_jobs_are_done_in_one_call(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    told = tmp_path / "told.txt"
+    tell = f"import sys\nfor line in sys.stdin: open({str(told)!r}, 'a').write(line); print(line.strip(), flush=True)"
+    monkeypatch.setattr(ahead, "_WORK", tell)
+    monkeypatch.setattr(ahead, "_jobs", ahead._Jobs())
+    ahead.compile_all()
+    assert sorted(told.read_text().splitlines()) == sorted(JOBS)
+
+
 def test_a_group_asked_for_while_processes_end_is_compiled_all_the_same(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -114,6 +114,14 @@ class _Jobs:
 _jobs = _Jobs()
 
 
+def compile_all() -> None:
+    """Have the cache hold every kernel that a job names; what it holds already is loaded, which takes seconds."""
+    from tg4mm.ahead.jobs import JOB_OF
+
+    for kernel in JOB_OF:
+        _jobs.wait(kernel)
+
+
 def enable() -> None:
     """From now on kernels that the cache lacks are compiled ahead, where there are two cores."""
     if (os.cpu_count() or 1) > 1:
