@@ -220,7 +220,8 @@ def test_a_scene_is_filmed_in_every_way(data: Path, tmp_path: Path, monkeypatch:
     made_by = {
         "scene": "mic",
         "n_test": 30,
-        "engine": {"samples": 8},
+        "n_points": 500,
+        "engine": {"name": "CYCLES", "samples": 8},
         "cameras": {"kind": "orbit"},
         "sensor": None,
     }
@@ -241,7 +242,7 @@ def test_a_scene_is_filmed_in_every_way(data: Path, tmp_path: Path, monkeypatch:
     assert len(asked) == len(KINDS) - 1
     for arguments, kind in zip(asked, list(KINDS)[1:], strict=True):
         (settings,) = request_from(parser().parse_args(arguments)).sets
-        assert (settings.cameras.kind, settings.alphas) == (kind, (20,))
+        assert (settings.cameras.kind, settings.alphas, settings.points) == (kind, (20,), 500)
         of_reference = 30 * open_set(source, "mic").n_timesteps  # test pictures
         assert abs(settings.cameras.n_test * settings.timesteps - of_reference) <= settings.timesteps / 2
     assert all(line["scalars"]["frequency_error_hz"] is not None for line in results["lines"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
 import shlex
@@ -14,9 +15,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tg4mm.bench.sets import open_set
+from tg4mm.bench.jobs import run_job
+from tg4mm.bench.measure import Plan
+from tg4mm.bench.methods.video import Linear2D
+from tg4mm.bench.sets import filmed_digest, open_set
 from tg4mm.bench.shown import gather
 from tg4mm.bench.tables import groups_of, tables_of
+from tg4mm.bench.vqa import checkouts
 from tg4mm.cli import main
 
 ROOT = Path(__file__).parents[2]
@@ -96,6 +101,7 @@ def test_an_alpha_that_is_not_there_is_left_out_and_said(data: Path, tmp_path: P
         ("ceiling=.", "that is the name of a row here"),
         ("Linear-2D=.", "that is the name of a row here"),
         ("set.json=.", "that is the name of a row here"),
+        ("-x=.", "begins with none of . -"),
     ],
 )
 def test_what_is_refused(given: str, message: str, data: Path, tmp_path: Path, capsys) -> None:
@@ -319,3 +325,110 @@ def test_a_dataset_whose_training_pictures_or_cameras_have_changed_is_refused(
         file.write_text(json.dumps(cameras))
     arguments = ["bench", "job", str(own), "linear-2d", "--out", str(out), "--methods", "linear-2d"]
     assert main(arguments) == 2
+
+
+def spoilt_at_20(data: Path, theirs: Path, content: bytes | None) -> Path:
+    """All of a method's pictures of the dataset, one of them at α = 20 with other content, or not there."""
+    for part in ("magnified", *(f"{t:03d}" for t in range(6))):
+        shutil.copytree(data / part, theirs / data.name / part)
+    picture = theirs / data.name / "magnified" / "x020" / "003" / "test" / "r_000.png"
+    picture.unlink()
+    if content is not None:
+        picture.write_bytes(content)
+    return picture
+
+
+def encoded(kind: str, size: tuple[int, int]) -> bytes:
+    buffer = io.BytesIO()
+    Image.new("RGB", size).save(buffer, kind)
+    return buffer.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (None, "does not exist: at an α that has a picture, all are needed"),
+        (encoded("PNG", (16, 32)), "is 16×32 pixels, expected 32×32"),
+        (encoded("JPEG", (32, 32)), "is no PNG file, but JPEG"),
+        (b"text", "is no PNG file"),
+    ],
+)
+def test_a_bad_picture_takes_its_alpha_along_and_no_more(
+    content: bytes | None, message: str, data: Path, tmp_path: Path, capsys
+) -> None:
+    """And it is said before anything is run."""
+    spoilt_at_20(data, tmp_path / "theirs", content)
+    status, results = run_linear(data, tmp_path / "out", "--external", f"theirs={tmp_path / 'theirs'}")
+    said = capsys.readouterr().err
+    assert said.index(f"theirs will fail: {tmp_path}") < said.index(f"{data.name}, linear-2d")
+    (failed,) = results["failed"]
+    assert (status, failed["method"]) == (1, "theirs")
+    assert failed["why"].startswith("α = 20: ")
+    assert message in failed["why"]
+    assert {x["row"]: list(x["alphas"]) for x in results["lines"]} == {
+        "linear-2d": ["0", "5", "20"], "theirs": ["0", "5"],
+    }  # fmt: skip
+    collected = run_linear(data, tmp_path / "out", "--external", f"theirs={tmp_path / 'theirs'}", "--collect")
+    assert [list(x["alphas"]) for x in collected[1]["lines"]] == [["0", "5", "20"], ["0", "5"]]
+
+
+def test_ground_truth_that_is_torn_takes_its_alpha_along(data: Path, tmp_path: Path, capsys) -> None:
+    own = shutil.copytree(data, tmp_path / data.name)
+    (own / "magnified" / "x020" / "003" / "test" / "r_000.png").unlink()
+    status, results = run_linear(own, tmp_path / "out")
+    assert "α = 20 will fail: " in capsys.readouterr().err
+    assert (status, list(results["lines"][0]["alphas"])) == (1, ["0", "5"])
+
+
+def test_a_dataset_that_cannot_be_read_is_said_at_once(data: Path, tmp_path: Path, capsys) -> None:
+    (tmp_path / "broken").mkdir()
+    run_linear(data, tmp_path / "out", str(tmp_path / "broken"))
+    said = capsys.readouterr().err
+    assert said.index("broken: left out: ") < said.index(f"{data.name}, linear-2d")
+
+
+def test_an_outside_method_is_scored_alone(data: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(data, tmp_path / "theirs" / data.name)
+    arguments = ["bench", "scenes", str(data), "--methods", "", "--external", f"theirs={tmp_path / 'theirs'}"]
+    assert main([*arguments, "--out", str(out)]) == 0
+    page = (out / "results.md").read_text(encoding="utf-8")
+    assert "theirs" in page
+    assert "othing moves" not in page
+
+
+@pytest.mark.parametrize("what", ["picture", "points3d.ply"])
+def test_other_bytes_of_the_same_length_are_other_training_data(
+    what: str, data: Path, tmp_path: Path
+) -> None:
+    own = shutil.copytree(data, tmp_path / data.name)
+    file = own / "003" / "train" / "r_000.png" if what == "picture" else own / what
+    file.write_bytes(file.read_bytes() if file.exists() else b"points")
+    before = filmed_digest(own)
+    raw = bytearray(file.read_bytes())
+    raw[-1] ^= 1
+    file.write_bytes(raw)
+    assert filmed_digest(own) != before
+
+
+def test_scores_are_of_the_weights_and_programs_as_they_are(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """LPIPS by weights in a file, video quality by a program: both are in the scores, and change with the files."""
+    weights, program = tmp_path / "alex.pth", tmp_path / "test_video.py"
+    monkeypatch.setattr(
+        "tg4mm.bench.jobs.load_lpips", lambda files: lambda made, truth: float(files[0].read_text())
+    )
+    opened, method = open_set(data, data.name), Linear2D()
+
+    def scored(lpips: str, quality: str) -> tuple[float, float]:
+        weights.write_text(lpips)
+        program.write_text(f"print('score', {quality})")
+        plan = Plan(alphas=(5.0,), lpips_weights=(weights,))
+        vqa = checkouts({"md_vqa": tmp_path}, sys.executable)
+        _, (line,) = run_job(method, opened, tmp_path / "out", plan, vqa)
+        return line.alphas["5"]["lpips"], line.alphas["5"]["md_vqa"]
+
+    assert scored("0.25", "81.5") == (0.25, 81.5)
+    assert scored("0.125", "81.5") == (0.125, 81.5)
+    assert scored("0.125", "9.25") == (0.125, 9.25)

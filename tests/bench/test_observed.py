@@ -8,8 +8,12 @@ import numpy as np
 import pytest
 
 from tests.helpers.synthetic import make_synthetic_dataset
-from tg4mm.bench.observed import AGREES, agreement, looked_at, rms_motion
+from tg4mm.bench.observed import AGREES, agreement, looked_at, observed_figures, rms_motion
 from tg4mm.bench.sets import BenchSet, open_set
+from tg4mm.capture import load_capture
+from tg4mm.evaluate.displacement import displacement_figures
+from tg4mm.evaluate.subject import Subject
+from tg4mm.evaluate.weights import blending_weights
 from tg4mm.gaussians import Gaussians
 from tg4mm.motion.modes import ModalMotion
 
@@ -58,3 +62,21 @@ def test_the_timesteps_that_are_looked_at_show_several_phases(n: int, hz: float)
     assert len(phases) >= min(3, round(30 / hz))
     assert len(times) == len(set(times)) <= 12
     assert max(times) < n
+
+
+def test_errors_of_what_is_not_observed_do_not_count(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half of what moves is observed, the motion is right there and 40 % too small elsewhere."""
+    gaussians, motion, data = scene
+    train = load_capture(data.root)
+    seen = np.zeros(len(gaussians), bool)
+    seen[np.flatnonzero(moving(motion))[::2]] = True
+    monkeypatch.setattr("tg4mm.bench.observed.agreement", lambda *_: np.where(seen, 1.0, 0.0))
+    estimated = replace(motion, displacement=motion.displacement * np.where(seen, 1.0, 0.6)[None, :, None])
+    subject = Subject(gaussians, estimated, motion, None, (), False, None)
+    found = observed_figures(subject, data, train)
+    weights = blending_weights(gaussians, train) * (rms_motion(motion) > 0.01 * rms_motion(motion).max())
+    assert found["observed_share"] == pytest.approx(weights[seen].sum() / weights.sum(), rel=1e-3)
+    assert 0.2 < found["observed_share"] < 0.8
+    assert found["displacement_error_observed"] < 0.02
+    everything = displacement_figures(estimated, motion, blending_weights(gaussians, train))
+    assert everything["relative_error"] > 0.1

@@ -113,7 +113,7 @@ def test_it_speaks_of_methods_that_are_there() -> None:
     """Times are matched for the paper's presets; the 2D methods see what others do not."""
 
     def words(*methods: str) -> tuple[bool, bool]:
-        said = how({"band": True, "same_time": "needed", "methods": list(methods)})
+        said = how({"band": True, "same_time": "needed", "methods": list(methods), "lines": []})
         return "trained once more" in said, "2d" in said
 
     assert words("modal") == (False, False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -14,15 +15,14 @@ import numpy as np
 import pytest
 
 from tests.bench.conftest import MODAL, PAPER
-from tg4mm.bench.errors import BenchError
 from tg4mm.bench.jobs import job_folder, rendered
 from tg4mm.bench.means import group_means, line_means
-from tg4mm.bench.measure import SEEN, Plan, Training
+from tg4mm.bench.measure import SEEN, Plan, Training, _request
 from tg4mm.bench.methods import trained
 from tg4mm.bench.methods.known import ABOUT, NAMES
 from tg4mm.bench.scenes import ScenesRequest, run_scenes, same_time_training, same_time_trainings
 from tg4mm.bench.sets import open_set, open_sets, truth_at
-from tg4mm.bench.tables import kinds_tables
+from tg4mm.bench.tables import cost_table, groups_of, kinds_tables, pivots
 from tg4mm.errors import RunError
 from tg4mm.evaluate import evaluate_run
 from tg4mm.evaluate.subject import subject_of
@@ -359,5 +359,41 @@ def test_a_run_of_another_device_is_refused(done: Done, data: Path) -> None:
     """Its seconds would be taken for the other's."""
     method = trained.Trained(Training("modal", "modal", MODAL))
     opened = open_set(data, data.name)
-    with pytest.raises(BenchError, match="was trained with --device cpu, not cuda"):
+    with pytest.raises(RunError, match="was trained with --device cpu, not cuda"):
         method.fit(opened, job_folder(done[0], opened, method), Plan(device="cuda"))
+
+
+def test_figures_are_of_the_test_pictures_as_they_are(data: Path, tmp_path: Path) -> None:
+    own = shutil.copytree(data, tmp_path / data.name)
+    training = Training("modal", "modal", MODAL)
+
+    def asked(*alphas: float) -> dict[str, Any]:
+        return _request(open_set(own, "x"), training, Plan(alphas=alphas))
+
+    before, other = asked(20.0), asked(5.0)
+    picture = own / "magnified" / "x020" / "003" / "test" / "r_000.png"
+    shutil.copyfile(own / "000" / "test" / "r_000.png", picture)
+    assert asked(20.0) != before
+    assert asked(5.0) == other
+
+
+def test_a_mean_over_other_sets_is_marked_whatever_their_number() -> None:
+    lines = [
+        {"set": name, "row": row, "frames_per_s": None, "alphas": {"5": {"ssim": 0.9}}}
+        for row, names in (("a", ("easy", "mid")), ("b", ("mid", "hard")), ("c", ("easy", "mid", "hard")))
+        for name in names
+    ]
+    means = line_means(lines, dict.fromkeys(("easy", "mid", "hard"), "group"))
+    (table,) = pivots(means, "group")
+    assert [row[0] for row in table.rows] == ["a (2 of 3 sets)", "b (2 of 3 sets)", "c"]
+
+
+def test_speeds_are_those_of_the_methods_rows(done: Done) -> None:
+    _, results = done
+    table = cost_table(results, groups_of(results)[0])
+    assert table.header[-1] == "pictures/s"
+    printed = {row[1]: row[-1] for row in table.rows}
+    (speed,) = (x["frames_per_s"] for x in results["lines"] if x["row"] == "modal")
+    assert printed["modal"] == f"{speed:.0f}"
+    of_paper = [x["frames_per_s"] for x in results["lines"] if x["row"].startswith("paper-tuned: ")]
+    assert printed["paper-tuned"] == f"{np.mean(of_paper):.0f}"

@@ -64,6 +64,26 @@ def test_the_gain_is_the_share_of_the_motion_whatever_stands_still_wrong(
     assert scores["residual"] == pytest.approx(0, abs=0.06)
 
 
+def test_the_residual_is_what_the_motion_does_not_explain(truth: Capture, tmp_path: Path) -> None:
+    """Half of the motion, and noise of its own: by least squares on the files, camera by camera."""
+    rng, change, true = np.random.default_rng(0), [], []
+    for rows in cameras_of(truth):
+        video = video_of(truth, rows)
+        noise = rng.normal(0, 0.03, video.shape)
+        made = np.clip(video.mean(0) + 0.5 * (video - video.mean(0)) + noise, 0, 1)
+        for i, image in zip(rows, made, strict=True):
+            write_png(tmp_path / truth.paths[i].relative_to(truth.root), image)
+        found = video_of(truth, rows, tmp_path)
+        change.append((found - found.mean(0)).ravel())
+        true.append((video - video.mean(0)).ravel())
+    a, c = np.concatenate(change).astype(np.float64), np.concatenate(true).astype(np.float64)
+    (gain,), (squares,), *_ = np.linalg.lstsq(c[:, None], a, rcond=None)
+    scores = score_pictures(truth, tmp_path)
+    assert scores["gain"] == pytest.approx(gain, rel=1e-5)
+    assert scores["residual"] == pytest.approx(np.sqrt(squares / (c @ c)), rel=1e-5)
+    assert scores["residual"] > 0.2
+
+
 def test_what_moves_is_scored_by_itself(truth: Capture, tmp_path: Path) -> None:
     folder = written(truth, tmp_path, 0.0)
     scores = score_pictures(truth, folder)

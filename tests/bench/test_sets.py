@@ -146,11 +146,8 @@ class TestViews:
         assert len(load_capture(data)) == len(whole)
         assert (data / "scene.json").read_bytes() == before
         made = open_set(tmp_path / "three" / data.name, "x")
-        assert (made.n_views, made.alphas, made.amplitude_px) == (
-            3,
-            (5, 20),
-            pytest.approx(made.amplitude_px),
-        )
+        same = pytest.approx(open_set(data, "x").amplitude_px)  # its first camera is the whole's
+        assert (made.n_views, made.alphas, made.amplitude_px) == (3, (5, 20), same)
         test = load_capture(made.root, split="test", magnification=20)
         np.testing.assert_array_equal(
             test.viewmats, load_capture(data, split="test", magnification=20).viewmats
@@ -197,6 +194,25 @@ class TestAmplitudes:
         assert wanted.items() <= options.items()
         parsed = parser().parse_args(arguments)
         assert (parsed.amplitude_px, parsed.size, parsed.samples) == (0.05, 32, 11)
+
+    @pytest.mark.parametrize(
+        "other",
+        [
+            {"effects": {"shake_px": 1.0}},
+            {"engine": {"name": "BLENDER_EEVEE", "samples": 8}},
+            {"cameras": {"kind": "rig", "clock_offset_s": 0.5}},
+            {"sensor": {"iso": 100}},
+        ],
+    )
+    def test_what_could_not_be_made_alike_is_refused(self, other: dict, data: Path, tmp_path: Path) -> None:
+        scene = {"scene": "mic", "frequency_hz": 4.0, "n_test": 2, "cameras": {"kind": "rig"}}
+        scene |= {"engine": {"name": "CYCLES", "samples": 8}}
+        found = replace(open_set(data, "x"), root=tmp_path)
+        (tmp_path / "scene.json").write_text(json.dumps(scene))
+        assert generator_arguments(found, {}, tmp_path / "out")[0] == "mic"
+        (tmp_path / "scene.json").write_text(json.dumps(scene | other))
+        with one_line("cannot be made with another amplitude"):
+            generator_arguments(found, {}, tmp_path / "out")
 
     def test_another_kind_of_dataset_is_refused(self, data: Path, tmp_path: Path) -> None:
         with one_line("cannot be made with another amplitude"):

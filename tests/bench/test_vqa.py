@@ -33,7 +33,12 @@ def test_the_two_are_called_as_their_authors_say(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("program", "message"),
-    [("raise SystemExit('no weights')", "status 1: no weights"), ("print('none')", "printed no number")],
+    [
+        ("raise SystemExit('no weights')", "status 1: no weights"),
+        ("print('none')", "printed 'none' at the end, expected a line with the score"),
+        ("print('loaded 3 models')\nprint('score: nan')", "printed 'score: nan' at the end"),
+        ("", "printed 'nothing' at the end"),
+    ],
 )
 def test_what_goes_wrong_is_said(tmp_path: Path, program: str, message: str) -> None:
     with pytest.raises(BenchError, match=message):

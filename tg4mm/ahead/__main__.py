@@ -1,4 +1,4 @@
-"""`python -m tg4mm.ahead`: compile every kernel for this processor now, instead of in the first command that needs it."""
+"""`python -m tg4mm.ahead`: compile every kernel for this processor now, not in the first command that needs it."""
 
 from tg4mm.ahead import compile_all
 

@@ -251,7 +251,7 @@ def _line(job: _Job, data: BenchSet, row: Row, figures: dict[str, Any]) -> dict[
     values["init"] = log.get("space", {}).get("init")
     rest = figures["rows"].get("0", {})
     values["psnr_rest"] = (rest.get("ceiling") or rest.get("nothing moves") or {}).get("psnr_db")
-    if row.scorings:
+    if row.scorings and figures["request"]["band_hz"]:
         values |= _filter_figures(row.scorings[0].filter, data)
     return {
         "set": data.label,
@@ -269,11 +269,11 @@ def _line(job: _Job, data: BenchSet, row: Row, figures: dict[str, Any]) -> dict[
 
 
 def _columns(row: Row, figures: dict[str, Any]) -> dict[str, str]:
-    """{a column's title: the α in it}: α itself, or for other amplitudes the magnified motion in pixels."""
+    """{a column's title: the α in it}: α itself, or for other amplitudes the motion that it adds, α times them."""
     alphas = [a for a in figures["rows"] if float(a) > 0]
     if not row.amplitude_px:
         return {f"α = {a}": a for a in alphas}
-    made = {str(round(target / row.amplitude_px)): f"{target:g} px" for target in reversed(TARGETS_PX)}
+    made = {str(round(target / row.amplitude_px)): f"+{target:g} px" for target in reversed(TARGETS_PX)}
     return {made[a]: a for a in alphas if a in made}
 
 

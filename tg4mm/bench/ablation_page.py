@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from tg4mm.bench.means import mean
+from tg4mm.bench.means import mean_of_all
 from tg4mm.bench.page import markdown, origin
 from tg4mm.bench.plots import curves
 from tg4mm.bench.table import NOTHING, shown
@@ -15,7 +15,7 @@ from tg4mm.evaluate.run import CEILING, STATIC
 # Columns by key of a line's `scalars`: title, format.
 COLUMNS = {
     "init": ("started from", "{}"),
-    "psnr_rest": ("PSNR α = 0, dB", "{:.2f}"),
+    "psnr_rest": ("ceiling's PSNR α = 0, dB", "{:.2f}"),
     "n_gaussians": ("Gaussians", "{:,.0f}"),
     "displacement_error": ("displacement error", "{:.1%}"),
     "displacement_error_observed": ("error, observed", "{:.1%}"),
@@ -98,8 +98,15 @@ def ssim_of(line: Mapping[str, Any], method: str, column: str) -> float | None:
 
 
 def mean_lines(results: Mapping[str, Any], columns: Sequence[str]) -> list[dict[str, Any]]:
-    """Lines like those of a dataset, of means over the datasets that have any; of rows that all of them have."""
+    """Lines like those of a dataset, of means over the datasets that have any; of rows that all of them have.
+
+    None where a dataset lacks what others have: means of different scenes must not stand in one column. A figure that a
+    dataset has for no row is the mean of the others in every row.
+    """
     found = []
+    measured = {
+        (x["set"], k) for x in results["lines"] for k, value in x["scalars"].items() if value is not None
+    }
     n_sets = len({line["set"] for line in results["lines"]})
     for row in results["rows"]:
         lines = [line for line in results["lines"] if line["row"] == row]
@@ -113,9 +120,13 @@ def mean_lines(results: Mapping[str, Any], columns: Sequence[str]) -> list[dict[
                 "ways": lines[0]["ways"],
                 "ssim_columns": {c: c for c in columns},
                 "rows": {
-                    c: {m: {SSIM: mean(ssim_of(x, m, c) for x in lines)} for m in methods} for c in columns
+                    c: {m: {SSIM: mean_of_all(ssim_of(x, m, c) for x in lines)} for m in methods}
+                    for c in columns
                 },
-                "scalars": {key: _mean([x["scalars"].get(key) for x in lines]) for key in results["columns"]},
+                "scalars": {
+                    key: _mean([x["scalars"].get(key) for x in lines if (x["set"], key) in measured])
+                    for key in results["columns"]
+                },
             }
         )
     return found
@@ -125,7 +136,7 @@ def _mean(values: Sequence[Any]) -> Any:
     """Of numbers; texts are kept where all are the same."""
     if any(isinstance(v, str) for v in values):
         return values[0] if len(set(values)) == 1 else "differs"
-    return mean(values)
+    return mean_of_all(values)
 
 
 def ablation_page(results: Mapping[str, Any], has_picture: bool) -> str:
@@ -203,22 +214,21 @@ def _factor(tick: str) -> float:
 
 
 def _over_alpha(results: Mapping[str, Any]) -> str:
-    """Means over the datasets that have a row; what frames them where it is the same for all rows."""
+    """Means over the datasets, of rows that all have; what frames them where it is the same for all rows."""
     columns = ssim_columns(results)
-    labels = {line["set"] for line in results["lines"]}
-    shared = all(_same_frames([x for x in results["lines"] if x["set"] == s], columns) for s in labels)
+    several_sets = len({line["set"] for line in results["lines"]}) > 1
+    lines = mean_lines(results, columns) if several_sets else results["lines"]
+    shared = bool(lines) and _same_frames(lines, columns)
     series: dict[str, list[float | None]] = {}
 
-    def curve(name: str, lines: Sequence[Mapping[str, Any]], method: str) -> None:
-        series[name] = [mean(ssim_of(line, method, c) for line in lines) for c in columns]
+    def curve(name: str, line: Mapping[str, Any], method: str) -> None:
+        series[name] = [ssim_of(line, method, c) for c in columns]
 
     if shared:
-        curve(STATIC, results["lines"], STATIC)
-    for row in results["rows"]:
-        lines = [line for line in results["lines"] if line["row"] == row]
-        for way in lines[0]["ways"] if lines else []:
-            several = len(lines[0]["ways"]) > 1
-            curve(f"{row}, {way}" if several else row, lines, way)
+        curve(STATIC, lines[0], STATIC)
+    for line in lines:
+        for way in line["ways"]:
+            curve(f"{line['row']}, {way}" if len(line["ways"]) > 1 else line["row"], line, way)
     if shared:
-        curve(CEILING, results["lines"], CEILING)
+        curve(CEILING, lines[0], CEILING)
     return curves([c.replace("α = ", "") for c in columns], series, "magnification factor α", "SSIM")

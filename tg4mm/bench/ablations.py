@@ -205,8 +205,8 @@ ABLATIONS: dict[str, Ablation] = {
         ("displacement_error", "static_leak", "amplitude_ratio", "direction_error_deg", "total_s"),
         picture="displacement_error",
         x_label="largest displacement in the first training camera, pixels",
-        remark="Ground truth is made where the magnified motion, α times the amplitude, is 1, 2, 4 and 8 pixels: the "
-        "columns are those.",
+        remark="Ground truth is made where α times the amplitude, the motion that is added, is 1, 2, 4 and 8 pixels: "
+        "the columns are those.",
     ),
     "capture": Ablation(
         "Kind of capture",

@@ -19,11 +19,12 @@ _MOST_ALPHA = 999  # the generator's
 DONE = "complete.json"
 _SCENE = {
     "scene": str,
-    "cameras": {"kind": str},
-    "engine": {"samples": int},
+    "cameras": {"kind": str, "clock_offset_s?": float},
+    "engine": {"name": str, "samples": int},
     "frequency_hz": float,
     "amplitude?": float,
     "n_test": int,
+    "n_points?": int,
     "seed?": int,
     "images?": str,
     "background?": str,
@@ -119,6 +120,7 @@ def generator_arguments(data: BenchSet, changed: Mapping[str, str], folder: Path
         "--test-views": scene["n_test"],
         "--samples": engine["samples"],
         "--seed": scene.get("seed", 0),
+        "--points": scene.get("n_points", ""),
         "--images": scene.get("images", "png8"),
         "--background": scene.get("background", "transparent"),
         "--truth": "none",
@@ -134,12 +136,14 @@ def _scene(data: BenchSet) -> dict[str, Any]:
     scene = read_json(data.root / "scene.json")
     try:
         check_form(scene, _SCENE)
-        made_here = scene["scene"] in NAMES and scene["cameras"]["kind"] in {"orbit", "rig"}
+        plain = scene["engine"]["name"] == "CYCLES" and not scene["cameras"].get("clock_offset_s")
+        made_here = scene["scene"] in NAMES and scene["cameras"]["kind"] in {"orbit", "rig"} and plain
     except ValueError:
         made_here = False
-    if not made_here or scene.get("sensor"):
+    if not made_here or scene.get("sensor") or scene.get("effects"):
         raise BenchError(
-            f"dataset {data.root} is not what tg4mm generate makes of a built-in scene with an orbit or a rig and "
-            "without a sensor, so it cannot be made with another amplitude or other cameras"
+            f"dataset {data.root} is not what tg4mm generate makes of a built-in scene by Cycles with an orbit or a "
+            "rig of one clock, without a sensor and effects of real cameras, so it cannot be made with another "
+            "amplitude or other cameras"
         )
     return scene

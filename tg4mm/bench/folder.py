@@ -65,13 +65,13 @@ def claim_set(out: Path, label: str, root: Path, digest: str, filmed: str) -> No
                 f"dataset {root}: {record.parent} holds results of another one of that name, {found.get('root')}; "
                 "give this one as NAME=DIR, or choose another --out"
             )
-        if found.get("filmed", filmed) != filmed:
+        if found.get("contents", filmed) != filmed:
             raise BenchError(
                 f"dataset {root}: its training pictures or cameras have changed since {record.parent} was begun; "
                 "remove that folder, or choose another --out"
             )
     record.parent.mkdir(parents=True, exist_ok=True)
-    write_json(record, {"root": str(root), "digest": digest, "filmed": filmed})
+    write_json(record, {"root": str(root), "digest": digest, "contents": filmed})
 
 
 def write_text(path: Path, text: str) -> None:

@@ -13,7 +13,8 @@ from tg4mm.bench.folder import write_text
 from tg4mm.bench.page import about_methods, failures, how, machine, remarks, sets_line
 from tg4mm.bench.plots import over_alpha, size_and_speed
 from tg4mm.bench.shown import shown_sections
-from tg4mm.bench.tables import Table, full_table, groups_of, kinds_tables, tables_of
+from tg4mm.bench.tables import Table, full_table, groups_of, kinds_tables, sets_in, tables_of
+from tg4mm.evaluate.run import CEILING, STATIC
 from tg4mm.report.page import Block, Commands, Figure, Page, Panel, Section, Stat, Text, data_uri, render_page
 from tg4mm.report.page import Table as PageTable
 
@@ -62,28 +63,33 @@ def _summary(results: Mapping[str, Any]) -> str:
     rows = list(dict.fromkeys(line["row"] for line in results["lines"]))
     n_sets = len({line["set"] for line in results["lines"]})
     alphas = sorted({a for line in results["lines"] for a in line["alphas"] if float(a) > 0}, key=float)
-    return (
-        f"{len(rows)} rows on {n_sets} dataset{'s' * (n_sets != 1)}, magnified by α = {', '.join(alphas)}: every row's "
-        "pictures of test views against exact ground truth."
-    )
+    counts = f"{len(rows)} row{'s' * (len(rows) != 1)} on {n_sets} dataset{'s' * (n_sets != 1)}"
+    return f"{counts}, magnified by α = {', '.join(alphas)}: every row's pictures of test views against ground truth."
 
 
 def _stats(results: Mapping[str, Any]) -> list[Stat]:
-    """The best SSIM where it moves at each of the three smallest α, and whose it is, over the first group's means."""
-    means = [m for m in results["line_means"] if m["group"] == groups_of(results)[0]]
-    n_sets = max((m["n_sets"] for m in means), default=0)
-    means = [m for m in means if m["n_sets"] == n_sets]  # means over other sets cannot be compared
+    """The best SSIM where it moves at each of three α, and whose it is, over the first group's means."""
+    groups = groups_of(results)
+    means = [m for m in results["line_means"] if m["group"] == groups[0]]
+    every = sets_in(means)
+    means = [m for m in means if set(m["sets"]) == every]  # means over other sets cannot be compared
+    where = f"; {groups[0]}" if len(groups) > 1 else ""
     alphas = sorted({a for m in means for a in m["alphas"] if float(a) > 0}, key=float)
     found = []
-    for alpha in alphas[:3]:
+    for alpha in dict.fromkeys([*alphas[:1], *alphas[len(alphas) // 2 :][:1], *alphas[-1:]]):
         known = [(m["alphas"][alpha].get("ssim_moving"), m["row"]) for m in means if alpha in m["alphas"]]
-        scored = [(v, row) for v, row in known if v is not None and row not in {"nothing moves", "ceiling"}]
-        still = next((v for v, row in known if row == "nothing moves" and v is not None), None)
+        scored = [(v, row) for v, row in known if v is not None and row not in {STATIC, CEILING}]
+        still = next((v for v, row in known if row == STATIC and v is not None), None)
         if scored:
             best = max(scored)
             beside = "" if still is None else f"; nothing moves {still:.4f}"
             found.append(
-                Stat(f"Best SSIM where it moves, α = {alpha}", f"{best[0]:.4f}", "", f"{best[1]}{beside}")
+                Stat(
+                    f"Best SSIM where it moves, α = {alpha}",
+                    f"{best[0]:.4f}",
+                    "",
+                    f"{best[1]}{beside}{where}",
+                )
             )
     return found
 

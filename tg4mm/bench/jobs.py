@@ -13,15 +13,17 @@ from typing import Any
 
 import numpy as np
 
+from tg4mm.bench.errors import BenchError
 from tg4mm.bench.folder import claim_set
 from tg4mm.bench.measure import Plan
 from tg4mm.bench.methods import Method
 from tg4mm.bench.methods.camera_videos import cameras_of, picture_name, video_of
 from tg4mm.bench.methods.external import External
 from tg4mm.bench.scored import score_pictures
-from tg4mm.bench.sets import BenchSet, files_state, filmed_digest, truth_at
+from tg4mm.bench.sets import BenchSet, files_state, filmed_digest, truth_at, truth_state
 from tg4mm.bench.vqa import Checkout
 from tg4mm.capture import Capture
+from tg4mm.errors import Tg4mmError
 from tg4mm.evaluate.lpips import load_lpips
 from tg4mm.form import Just, Maybe, read_formed, write_sealed
 from tg4mm.progress import progress
@@ -40,8 +42,9 @@ class Line:
     row: str
     method: str
     alphas: dict[str, dict[str, Any]]  # α as text → scores
-    frames_per_s: float | None  # magnifying and rendering, without writing files; median over α > 0
+    frames_per_s: float | None  # posing and rendering, without writing files; median over α > 0
     notes: tuple[str, ...] = ()
+    failed: tuple[str, ...] = ()  # why an α is not there
 
 
 def job_folder(out: Path, data: BenchSet, method: Method) -> Path:
@@ -54,31 +57,28 @@ def picture_folder(place: Path, row: str) -> Path:
 
 
 def run_job(
-    method: Method, data: BenchSet, out: Path, plan: Plan, vqa: Sequence[Checkout] = ()
+    method: Method,
+    data: BenchSet,
+    out: Path,
+    plan: Plan,
+    vqa: Sequence[Checkout] = (),
+    collect: bool = False,
 ) -> tuple[dict[str, Any], list[Line]]:
-    """(what `fit` returned, the method's rows), done or read from an earlier call. Raises Tg4mmError."""
+    """(what `fit` returned, the method's rows), done or read from an earlier call.
+
+    collect: an α that is not there yet is not made. An α that fails is left out, and the row says why; raises the
+    Tg4mmError of the first where none succeeds.
+    """
     place = job_folder(out, data, method)
     claim_set(Path(out), data.label, data.root, data.digest, filmed_digest(data.root))
     figures = method.fit(data, place, plan)
-    return figures, [_line(method, row, data, place, plan, vqa) for row in method.rows]
+    return figures, [_line(method, row, data, place, plan, vqa, collect) for row in method.rows]
 
 
 def is_finished(method: Method, data: BenchSet, out: Path, plan: Plan) -> bool:
     """Whether all rows have scores at every α, of whatever settings: enough to tell the time that is left by."""
     known = _Kept(job_folder(out, data, method) / SCORES).entries
     return all(f"{row} {alpha}" in known for row in method.rows for alpha in _alphas_by(method, data, plan))
-
-
-def is_current(method: Method, data: BenchSet, out: Path, plan: Plan, vqa: Sequence[Checkout] = ()) -> bool:
-    """Whether the pictures and scores of all rows are there at every α, of these very settings and pictures."""
-    place = job_folder(out, data, method)
-    kept = _Kept(place / SCORES)
-    for row in method.rows:
-        for alpha in _alphas_by(method, data, plan):
-            recipe, record = _found(method, row, data, place, alpha, plan)
-            if record is None or kept.known(row, alpha, _asked(recipe, data, alpha, plan, vqa)) is None:
-                return False
-    return True
 
 
 def alphas_of(data: BenchSet, plan: Plan) -> list[int]:
@@ -91,27 +91,50 @@ def _alphas_by(method: Method, data: BenchSet, plan: Plan) -> list[int]:
     return [a for a in alphas_of(data, plan) if not isinstance(method, External) or method.has(data, a)]
 
 
-def _line(method: Method, row: str, data: BenchSet, place: Path, plan: Plan, vqa: Sequence[Checkout]) -> Line:
-    folder, notes = picture_folder(place, row), []
+def _line(
+    method: Method, row: str, data: BenchSet, place: Path, plan: Plan, vqa: Sequence[Checkout], collect: bool
+) -> Line:
+    notes, failed, first = [], [], None
     kept = _Kept(place / SCORES)
     found: dict[str, dict[str, Any]] = {}
     speeds = []
     for alpha in alphas_of(data, plan):
         if isinstance(method, External) and not method.has(data, alpha):
-            notes.append(f"{row} has no pictures at α = {alpha}")
+            notes.append(f"{row} has no pictures at α = {alpha}: none in {method.place(data, alpha)}")
             if alpha:
-                warnings.warn(
-                    f"{data.label}: --external {row} has no pictures at α = {alpha:g}", stacklevel=2
-                )
+                warnings.warn(f"{data.label}: --external {notes[-1]}", stacklevel=2)
             continue
-        capture = truth_at(data, alpha)
-        record = rendered(method, row, data, place, capture, alpha, plan)
-        asked = _asked(record["recipe"], data, alpha, plan, vqa)
+        try:
+            record, scores = _at(method, row, data, place, alpha, plan, vqa, kept, collect)
+        except (Tg4mmError, OSError) as error:  # the other α are as good as before
+            first = first or error
+            failed.append(f"α = {alpha}: {error}")
+            continue
         if alpha > 0 and record["frames_per_s"]:  # at 0 a method may have nothing to do
             speeds.append(record["frames_per_s"])
-        found[f"{alpha:g}"] = kept.scores(row, alpha, asked, data, capture, folder, plan, vqa)
+        found[f"{alpha:g}"] = scores
+    if first is not None and not found:
+        raise first
     speed = None if not speeds or isinstance(method, External) else float(np.median(speeds))
-    return Line(row, method.name, found, speed, tuple(notes))
+    return Line(row, method.name, found, speed, tuple(notes), tuple(failed))
+
+
+def _at(
+    method: Method, row: str, data: BenchSet, place: Path, alpha: int, plan: Plan, vqa: Sequence[Checkout],
+    kept: _Kept, collect: bool,
+) -> tuple[dict[str, Any], dict[str, Any]]:  # fmt: skip
+    """(the pictures' record, their scores) at one α."""
+    if collect:
+        recipe, old = _found(method, row, data, place, alpha, plan)
+        known = kept.known(row, alpha, _asked(recipe, data, alpha, plan, vqa))
+        if old is None or known is None:
+            raise BenchError(f"{row} on {data.label} is not finished, or is of other settings or pictures")
+        return old, known
+    capture = truth_at(data, alpha)
+    record = rendered(method, row, data, place, capture, alpha, plan)
+    asked = _asked(record["recipe"], data, alpha, plan, vqa)
+    folder = picture_folder(place, row)
+    return record, kept.scores(row, alpha, asked, data, capture, folder, plan, vqa)
 
 
 def rendered(
@@ -198,12 +221,11 @@ class _Kept:
 
 def _asked(recipe: str, data: BenchSet, alpha: float, plan: Plan, vqa: Sequence[Checkout]) -> str:
     """The digest of all that scores depend on."""
-    truth = truth_at(data, alpha)
     asked = {
         "recipe": recipe,
-        "lpips": [str(p) for p in plan.lpips_weights],
-        "vqa": [[c.metric, str(c.folder), c.python] for c in vqa],
-        "truth": files_state(truth.paths, truth.root),
+        "lpips": [files_state([p], p.parent) for p in plan.lpips_weights],
+        "vqa": [[c.metric, c.python, str(c.folder), files_state([c.program], c.folder)] for c in vqa],
+        "truth": truth_state(data, alpha),
     }
     return _digest(asked)
 

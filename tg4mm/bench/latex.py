@@ -9,7 +9,7 @@ from tg4mm.bench.tables import Table
 _ESCAPES = {
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
     "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "α": r"$\alpha$", "×": r"$\times$", "°": r"$^\circ$",
-    "±": r"$\pm$", "–": "--", "“": "``", "”": "''",
+    "±": r"$\pm$", "σ": r"$\sigma$", "–": "--", "“": "``", "”": "''",
 }  # fmt: skip
 _PAGE = 45  # rows
 _SPECIAL = re.compile("|".join(map(re.escape, _ESCAPES)))

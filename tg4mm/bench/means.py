@@ -6,9 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from tg4mm.bench.measure import stage_costs
-from tg4mm.evaluate.run import CEILING, STATIC
-
-METRICS = ("ssim", "closure", "change_gain", "change_residual")  # of renderings; see `Plan.metrics`
+from tg4mm.evaluate.run import CEILING
 
 
 def main_frequency(displacement: Mapping[str, Any] | None) -> dict[str, Any]:
@@ -24,7 +22,6 @@ def scalars(run: Mapping[str, Any]) -> dict[str, float | None]:
     seconds, observed = run["seconds"], run.get("observed") or {}
     return {
         "displacement_error": moved.get("relative_error"),
-        "displacement_error_in_band": (moved.get("in_band") or {}).get("relative_error"),
         "displacement_error_observed": observed.get("displacement_error_observed"),
         "observed_share": observed.get("observed_share"),
         "static_leak": moved.get("static_leak"),
@@ -35,7 +32,6 @@ def scalars(run: Mapping[str, Any]) -> dict[str, float | None]:
         "frequency_error_hz": _apart(run.get("strongest_hz"), main.get("frequency_hz")),
         "space_s": seconds["space"],
         "motion_s": seconds["motion"],
-        "motion_to_space": seconds["motion"] / seconds["space"] if seconds["space"] else None,
         "total_s": seconds["total"],
         **stage_costs(run["log"]),
         "n_gaussians": run["n_gaussians"],
@@ -53,7 +49,7 @@ def mean(values: Iterable[float | None]) -> float | None:
     return sum(known) / len(known) if known else None
 
 
-def _mean_of_all(values: Iterable[float | None]) -> float | None:
+def mean_of_all(values: Iterable[float | None]) -> float | None:
     """The mean, None if one is missing."""
     known = list(values)
     return None if None in known else mean(known)
@@ -66,7 +62,7 @@ def gap(row: Mapping[str, Mapping[str, Any]], way: str, metric: str = "ssim") ->
 
 
 def group_means(runs: Iterable[Mapping[str, Any]], group_of: Mapping[str, str]) -> list[dict[str, Any]]:
-    """[{group, row, preset, n_sets, sets, scalars: {…}, rows: {α: {method: {metric}}}, gaps: {α: {way: SSIM}}}].
+    """[{group, row, preset, n_sets, sets, scalars: {…}, gaps: {α: {way: SSIM}}}].
 
     `group_of` a set's label. An α counts where every set of the group that has this row has ground truth for it: means
     of different scenes must not stand in one line. For the same reason a scalar that a set has for no row is the mean
@@ -84,7 +80,6 @@ def _group_mean(
 ) -> dict[str, Any]:
     """measured: (set, scalar) that some row has."""
     common = [a for a in runs[0]["rows"] if all(a in run["rows"] for run in runs)]
-    methods = [STATIC, *runs[0]["ways"], CEILING]
     values = [(run["set"], scalars(run)) for run in runs]
     return {
         "group": group,
@@ -93,14 +88,7 @@ def _group_mean(
         "n_sets": len(runs),
         "sets": [run["set"] for run in runs],
         "scalars": {
-            k: _mean_of_all(v[k] for name, v in values if (name, k) in measured) for k in values[0][1]
-        },
-        "rows": {
-            a: {
-                m: {k: mean(run["rows"][a].get(m, {}).get(k) for run in runs) for k in METRICS}
-                for m in methods
-            }
-            for a in common
+            k: mean_of_all(v[k] for name, v in values if (name, k) in measured) for k in values[0][1]
         },
         "gaps": {
             a: {w: mean(gap(run["rows"][a], w) for run in runs) for w in runs[0]["ways"]} for a in common
@@ -140,7 +128,7 @@ def _line_mean(
         "sets": [line["set"] for line in lines],
         "alphas": {
             a: {
-                k: _mean_of_all(x["alphas"][a].get(k) for x in lines if (x["set"], a, k) in scored)
+                k: mean_of_all(x["alphas"][a].get(k) for x in lines if (x["set"], a, k) in scored)
                 for k in metrics
             }
             for a in common

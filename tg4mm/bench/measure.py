@@ -13,10 +13,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from tg4mm.bench.errors import BenchError
 from tg4mm.bench.observed import observed_figures
-from tg4mm.bench.sets import BenchSet, check_alphas
+from tg4mm.bench.sets import BenchSet, check_alphas, truth_state
 from tg4mm.capture import load_capture
+from tg4mm.errors import RunError
 from tg4mm.evaluate import evaluate_run
 from tg4mm.evaluate.figures_file import DISPLACEMENT
 from tg4mm.evaluate.lpips import load_lpips
@@ -189,9 +189,11 @@ def _request(data: BenchSet, training: Training, plan: Plan) -> dict[str, Any]:
     """All that the figures depend on, in JSON's types."""
     configs = parse_settings(training.settings, training.preset)
     own = {} if training.trainer is None else {"trainer": training.trainer.plain()}
+    alphas = [0, *(a for a in data.alphas if plan.alphas is None or a in plan.alphas)]
     return own | {
         "dataset": str(data.root),
         "digest": data.digest,
+        "truth": {f"{a:g}": truth_state(data, a) for a in alphas},
         "preset": training.preset,
         "settings": {stage: dataclasses.asdict(config) for stage, config in configs.items()},
         "scorings": [dataclasses.asdict(s) for s in training.ways],
@@ -214,13 +216,11 @@ def _trained(place: Path, data: BenchSet, training: Training, device: str, donor
 
 
 def _check_device(place: Path, device: str) -> None:
-    """Raise BenchError for a finished run of another device, whose seconds would be taken for this one's."""
-    run = Run.open(place) if place.is_dir() else None
-    if run is None or not run.has_motion:
-        return
-    before = "cuda" if any("peak_gpu_memory_mib" in stage for stage in run.log().values()) else "cpu"
-    if before != device:
-        raise BenchError(f"{place} was trained with --device {before}, not {device}; choose another --out")
+    """Raise RunError for a run with a stage of another device, whose seconds would be taken for this one's."""
+    log = Run.open(place).log() if place.is_dir() else {}
+    before = "cuda" if any("peak_gpu_memory_mib" in stage for stage in log.values()) else "cpu"
+    if log and before != device:
+        raise RunError(f"{place} was trained with --device {before}, not {device}; choose another --out")
 
 
 def _take_space(place: Path, data: BenchSet, training: Training, donor: Path) -> None:
@@ -284,7 +284,6 @@ def _figures(
         "rows": {a: {m: row[m] for m in order if m in row} for a, row in rows.items()},
         "displacement": first["displacement"],
         "strongest_hz": strongest_hz(run),
-        "seconds_evaluation": {name: figures["seconds"] for name, figures in metrics.items()},
         "absent": {k: v for figures in metrics.values() for k, v in figures["absent"].items()},
         "notes": sorted({note for figures in metrics.values() for note in figures["notes"]}),
     }

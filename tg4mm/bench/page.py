@@ -8,6 +8,7 @@ from typing import Any
 from tg4mm.bench.methods.known import ABOUT
 from tg4mm.bench.table import table
 from tg4mm.bench.tables import Table, groups_of, kinds_tables, tables_of
+from tg4mm.evaluate.run import STATIC
 
 
 def scenes_page(results: Mapping[str, Any], pictures: Mapping[str, Mapping[str, str]]) -> str:
@@ -45,6 +46,10 @@ def machine(made: Mapping[str, Any]) -> str:
     )
 
 
+_FRAMING = (
+    "“Nothing moves” is the Gaussians of the first of modal, paper and paper-tuned that is run, at rest; the ceiling "
+    "the exact motion applied to them. "
+)
 _OF_2D = "The methods called 2d magnify the test views' own videos, which no 3D method sees, and have no other views. "
 
 
@@ -59,8 +64,8 @@ def how(results: Mapping[str, Any]) -> str:
     return (
         "α is the magnification factor: a displacement δ is shown as (1 + α) δ. "
         + band
-        + "All methods are scored from their pictures of the test views at 8 bits (docs/protocol.md). “Nothing moves” "
-        "is the first preset's Gaussians at rest, the ceiling the exact motion applied to them. "
+        + "All methods are scored from their pictures of the test views at 8 bits (docs/protocol.md). "
+        + (_FRAMING if any(line["row"] == STATIC for line in results["lines"]) else "")
         + (_OF_2D if any(name.endswith("-2d") for name in own) else "")
         + (_time_rule(results) if any(name.startswith("paper") for name in own) else "")
     ).rstrip()

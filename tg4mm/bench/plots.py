@@ -9,7 +9,7 @@ from typing import Any
 
 from tg4mm.bench.means import scalars
 from tg4mm.bench.scored import METRICS
-from tg4mm.bench.tables import row_name
+from tg4mm.bench.tables import row_name, sets_in
 from tg4mm.evaluate.run import CEILING, STATIC
 
 # Okabe and Ito's colours, told apart by the colour-blind too.
@@ -32,13 +32,13 @@ def over_alpha(results: Mapping[str, Any], group: str) -> str | None:
 
     figure = Figure(figsize=(11, 7.4), layout="constrained")
     axes = figure.subplots(2, 2)
-    n_sets = max(m["n_sets"] for m in means)
+    every = sets_in(means)
     own = [m["row"] for m in means if m["row"] not in {STATIC, CEILING}]
     for panel, key in zip(axes.flat, _SHOWN, strict=True):
         for m in means:
             points = [(float(a), v) for a in alphas if (v := m["alphas"].get(a, {}).get(key)) is not None]
             if points:
-                panel.plot(*zip(*points, strict=True), label=row_name(m, n_sets), **_style(m["row"], own))
+                panel.plot(*zip(*points, strict=True), label=row_name(m, every), **_style(m["row"], own))
         panel.set_xlabel("magnification factor α")
         panel.set_ylabel(METRICS[key][0])
         panel.set_xscale("log")

@@ -129,7 +129,7 @@ def steps_of(name: str, out: str, python: str = sys.executable, choices: Choices
         )
         command += tuple(choices.options(*names))
         found.append(Step(f"ablation/{ablation}", command, (f"data/{first}",)))
-    page = (*program, "bench", "scenes", *roots.values(), *options, "--same-time", "never")
+    page = (*program, "bench", "scenes", *roots.values(), *options, "--same-time", "never", "--collect")
     page += tuple(part for a in chosen.ablations for part in ("--ablation", f"{out}/ablations/{a}"))
     return [*found, Step("page", page, (*data, *(s.name for s in found if not s.name.startswith("data/"))))]
 

@@ -24,8 +24,8 @@ def settings_by_preset(given: Mapping[str, str], presets: Sequence[str]) -> dict
     known = {p: setting_names(p) for p in presets}
     for name in given:
         if not any(name in names for names in known.values()):
-            listed = ", ".join(sorted(set().union(*known.values())))
-            raise Tg4mmError(f"--set {name}: no preset here has that setting; there are: {listed}")
+            listed = ", ".join(sorted(set().union(*known.values()))) or "none"
+            raise Tg4mmError(f"--set {name}: no method here has that setting; there are: {listed}")
     chosen = {p: {k: v for k, v in given.items() if k in known[p]} for p in presets}
     for preset, settings in chosen.items():
         check_settings(settings, preset)

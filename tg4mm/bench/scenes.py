@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from tg4mm.bench.errors import BenchError
 from tg4mm.bench.failures import why_failed
 from tg4mm.bench.folder import FORMAT, VERSION, circumstances, open_folder
 from tg4mm.bench.html import write_page
-from tg4mm.bench.jobs import Line, is_current, is_finished, job_folder, run_job
+from tg4mm.bench.jobs import Line, alphas_of, is_finished, job_folder, run_job
 from tg4mm.bench.means import group_means, line_means
 from tg4mm.bench.measure import Plan, Training, check_plan, is_measured, warm_up
 from tg4mm.bench.methods import Method
@@ -21,7 +21,7 @@ from tg4mm.bench.methods.known import DEFAULT, methods_of
 from tg4mm.bench.methods.trained import Trained
 from tg4mm.bench.request import check_settings
 from tg4mm.bench.scored import with_closure
-from tg4mm.bench.sets import BenchSet, group_titles, open_sets, open_those_that_open
+from tg4mm.bench.sets import BenchSet, group_titles, open_sets, open_those_that_open, truth_at
 from tg4mm.bench.vqa import Checkout
 from tg4mm.bench.write import write_results
 from tg4mm.errors import Tg4mmError
@@ -82,7 +82,11 @@ def run_scenes(
     sets, failed = open_those_that_open(roots, request.plan.alphas)
     check_plan(sets, request.plan)
     open_folder(Path(out), KIND)
+    for found in failed:
+        say(f"{found['set']}: left out: {found['why']}")
     if not request.collect:
+        for line in foreseen(sets, request):
+            say(line)
         _prepare(sets, Path(out), out, request, methods, say)
     bench = _Bench(Path(out), request, sets, failed, say)
     jobs = {(d.label, m.name): is_finished(m, d, Path(out), request.plan) for d in sets for m in methods}
@@ -90,9 +94,10 @@ def run_scenes(
     with progress("benchmark", len(jobs), unit="jobs", start=n_done) as update:
         for data in sets:
             for method in methods:
-                bench.job(method, data)
                 if not jobs[data.label, method.name]:
                     bench.write()  # what is finished can be read while the rest runs
+                bench.job(method, data)
+                if not jobs[data.label, method.name]:
                     n_done += 1
                     update(n_done)
             for training in same_time_trainings(bench.figures[data.label], request):
@@ -100,12 +105,31 @@ def run_scenes(
                 bench.write()
     if not bench.lines:
         raise bench.first_error or Tg4mmError("nothing was run")
-    results = bench.results()
     tables = bench.tables_of(ablations)
     results = bench.results()
     write_results(Path(out), results)
     write_page(Path(out), results, tables)
     return results
+
+
+def foreseen(sets: Sequence[BenchSet], request: ScenesRequest) -> Iterator[str]:
+    """What will fail, known before hours of training: ground truth that is not whole, pictures of outside methods."""
+    for data in sets:
+        whole = []
+        for alpha in alphas_of(data, request.plan):
+            try:
+                truth_at(data, alpha)
+                whole.append(alpha)
+            except (Tg4mmError, OSError) as error:
+                yield f"{data.label}: α = {alpha} will fail: {error}"
+        for method in request.external:
+            try:
+                method.fit(data, Path(), request.plan)
+                for alpha in whole:
+                    if method.has(data, alpha):
+                        method.check(data, alpha)
+            except (Tg4mmError, OSError) as error:
+                yield f"{data.label}, {method.name} will fail: {error}"
 
 
 def run_one(root: Path, name: str, out: Path, request: ScenesRequest) -> Path:
@@ -140,14 +164,16 @@ class _Bench:
             s.label: {} for s in sets
         }  # set → preset → figures
         self.first_error: Exception | None = None
+        self.written = 0, 0  # lines and failures that the tables hold
 
     def job(self, method: Method, data: BenchSet) -> None:
         """One method on one dataset; what fails is kept as a line of `failed`."""
         self.say(f"{data.label}, {method.name}")
+        plan, collect = self.request.plan, self.request.collect
         try:
-            if self.request.collect:
-                self._check_finished(method, data)
-            figures, lines = run_job(method, data, self.out, self.request.plan, self.request.vqa)
+            if collect and isinstance(method, Trained):
+                self._check_trained(method, data)
+            figures, lines = run_job(method, data, self.out, plan, self.request.vqa, collect)
         except Exception as error:  # one job's fault, whatever it is, is not to take hours of others along
             self.first_error = self.first_error or error
             why = why_failed(error, job_folder(self.out, data, method))
@@ -157,15 +183,15 @@ class _Bench:
             self._keep(method, data, figures, lines)
 
     def write(self) -> None:
-        """The tables of what is there."""
-        if self.lines:
+        """The tables of what is there, where there is more than at the last call."""
+        now = len(self.lines), len(self.failed)
+        if self.lines and now != self.written:
             write_results(self.out, self.results())
+            self.written = now
 
-    def _check_finished(self, method: Method, data: BenchSet) -> None:
-        """Raise BenchError for a job that is not done."""
-        place, plan = job_folder(self.out, data, method), self.request.plan
-        trained = not isinstance(method, Trained) or is_measured(place, data, method.training, plan)
-        if not trained or not is_current(method, data, self.out, plan, self.request.vqa):
+    def _check_trained(self, method: Trained, data: BenchSet) -> None:
+        """Raise BenchError for a run that is not done."""
+        if not is_measured(job_folder(self.out, data, method), data, method.training, self.request.plan):
             raise BenchError(
                 f"{method.name} on {data.label} is not finished, or is of other settings or pictures"
             )
@@ -184,6 +210,10 @@ class _Bench:
         if isinstance(method, Trained):
             self.figures[data.label][method.training.name] = figures
             self.runs.append(run_entry(data, method.training.name, method.training, figures))
+        for line in lines:
+            for why in line.failed:
+                self.failed.append({"set": data.label, "method": line.row, "why": why})
+                self.say(f"    failed: {why}")
         self.lines += [{"set": data.label, **to_json(asdict(line), "line")} for line in lines]
         mine = [line for line in self.lines if line["set"] == data.label]
         # At α = 0 both ends are nearly alike, so a share of what lies between them says nothing.

@@ -19,19 +19,19 @@ from tg4mm.progress import progress
 
 MOVES = 8 / 255  # a pixel whose ground truth differs from its mean over time by more, in any colour, moves
 _THREADS = 2
-# {key: (title, format, whether higher is better)}, in the order of the tables
-METRICS: dict[str, tuple[str, str, bool]] = {
-    "ssim": ("SSIM", "{:.4f}", True),
-    "psnr_db": ("PSNR, dB", "{:.2f}", True),
-    "ssim_moving": ("SSIM where it moves", "{:.4f}", True),
-    "psnr_moving_db": ("PSNR where it moves, dB", "{:.2f}", True),
-    "flip": ("FLIP", "{:.4f}", False),
-    "lpips": ("LPIPS", "{:.4f}", False),
-    "gain": ("gain", "{:.2f}", True),
-    "residual": ("residual", "{:.2f}", False),
-    "closure": ("closure", "{:.2f}", True),
-    "md_vqa": ("MD-VQA", "{:.2f}", True),
-    "fast_vqa": ("FAST-VQA", "{:.4f}", True),
+# {key: (title, format)}, in the order of the tables
+METRICS: dict[str, tuple[str, str]] = {
+    "ssim": ("SSIM", "{:.4f}"),
+    "psnr_db": ("PSNR, dB", "{:.2f}"),
+    "ssim_moving": ("SSIM where it moves", "{:.4f}"),
+    "psnr_moving_db": ("PSNR where it moves, dB", "{:.2f}"),
+    "flip": ("FLIP", "{:.4f}"),
+    "lpips": ("LPIPS", "{:.4f}"),
+    "gain": ("gain", "{:.2f}"),
+    "residual": ("residual", "{:.2f}"),
+    "closure": ("closure", "{:.2f}"),
+    "md_vqa": ("MD-VQA", "{:.2f}"),
+    "fast_vqa": ("FAST-VQA", "{:.4f}"),
 }
 
 
@@ -55,8 +55,9 @@ def score_pictures(
 
     ssim, psnr_db, flip, lpips     of whole pictures over white; lpips None without weights
     ssim_moving, psnr_moving_db    over the pixels that move (`MOVES`), None where none does: the mean of the SSIM map;
-                                   the PSNR of the squared error of all pictures together, since a mean of decibels is
-                                   ruled by the moments at which the motion passes through rest
+                                   the PSNR of the mean over the pictures of their mean squared error there, as a mean
+                                   of decibels is ruled by the moments at which the motion passes through rest. Pixels
+                                   within five of the edge are left out, as of SSIM
     moving_share                   of all pixels, those that move
     gain, residual                 with a and c the deviation of the pictures and of the ground truth from their mean
                                    over time, per camera: g = Σ a·c / Σ c², rms(a − g c) / rms(c); None where

@@ -17,6 +17,7 @@ from tg4mm.bench.errors import BenchError
 from tg4mm.capture import Capture, load_capture
 from tg4mm.errors import RunError, Tg4mmError
 from tg4mm.evaluate.truth import TRUTH_FILE, Truth, load_truth
+from tg4mm.evaluate.wanted import alphas_with_truth
 from tg4mm.files import to_json
 from tg4mm.run.config import read_json
 
@@ -134,8 +135,8 @@ def labelled(given: Sequence[Path]) -> dict[str, Path]:
 
 def check_name(name: str, where: str) -> None:
     """Raise BenchError for a name that no folder can have."""
-    if not name or not all(c.isalnum() or c in "-_." for c in name) or name.startswith("."):
-        raise BenchError(f"{where}: the name may hold letters, digits and - _ .")
+    if not name or not all(c.isalnum() or c in "-_." for c in name) or name[0] in ".-":
+        raise BenchError(f"{where}: the name may hold letters, digits and - _ ., and begins with none of . -")
 
 
 def check_alphas(sets: Sequence[BenchSet], alphas: Sequence[float] | None) -> None:
@@ -211,8 +212,7 @@ def mode_pixels(truth: Truth, capture: Capture) -> np.ndarray:
 
 
 def _alphas(root: Path) -> tuple[int, ...]:
-    names = [p.name for p in (root / "magnified").glob("x*") if p.is_dir()]
-    return tuple(sorted(int(n[1:]) for n in names if n[1:].isdecimal() and int(n[1:]) > 0))
+    return tuple(a for a in alphas_with_truth(None, root, {}) if a > 0)
 
 
 def _filmed(root: Path, kind: str) -> str:
@@ -243,13 +243,28 @@ def files_state(files: Iterable[Path], root: Path) -> list[list[Any]]:
     return [[file.relative_to(root).as_posix(), s.st_size, s.st_mtime_ns] for file, s in stats]
 
 
+def truth_state(data: BenchSet, alpha: float) -> str:
+    """The digest of the names, sizes and times of change of the test pictures at α."""
+    truth = truth_at(data, alpha)
+    state = repr(files_state(truth.paths, truth.root))
+    return hashlib.sha256(state.encode()).hexdigest()[:16]
+
+
 def filmed_digest(root: Path) -> str:
-    """Of all cameras, and of the training pictures' names and sizes; not of their times: a copy has the same."""
+    """Of what a method may train on: all cameras, the training pictures and points3d.ply. A copy has the same."""
+    files = {*root.glob("[0-9]*/transforms_*.json"), *load_capture(root, split="train").paths}
+    files |= {file for file in (root / "points3d.ply",) if file.is_file()}
+    state = files_state(sorted(files), root)
+    return _content_digest(root, tuple(tuple(entry) for entry in state))
+
+
+@lru_cache(maxsize=64)  # every job of a set asks
+def _content_digest(root: Path, state: tuple[tuple[str, int, int], ...]) -> str:
+    """Of the files' names and bytes."""
     digest = hashlib.sha256()
-    for file in sorted(root.glob("[0-9]*/transforms_*.json")):
-        digest.update(file.read_bytes())
-    for name, size, _ in files_state(load_capture(root, split="train").paths, root):
+    for name, size, _ in state:
         digest.update(f"{name} {size}\n".encode())
+        digest.update((root / name).read_bytes())
     return digest.hexdigest()[:16]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -23,7 +24,7 @@ from tg4mm.report.page import Block, Figure, Section, Text, film, photo_uri, pic
 from tg4mm.report.video import clip, playing_rate
 
 TRUTH = "ground truth"
-_ALPHA = 20  # or the largest below it, else the smallest
+_ALPHA = 20  # or what is nearest to it, as a factor
 _MAPS = 6  # of the first seven frames, as [TG4MM] Fig. 4
 _SLICE_HEIGHT = 96  # in the file, pixels
 _REPEATS = 24  # pictures that a slice shows at least
@@ -62,7 +63,7 @@ def gather(out: Path, results: Mapping[str, Any], data: BenchSet) -> View:
     lines = [line for line in results["lines"] if line["set"] == data.label]
     counts = Counter(int(a) for line in lines for a in line["alphas"] if float(a) > 0)
     alphas = [a for a, n in counts.items() if n == max(counts.values())]  # an outside method may lack some
-    alpha = max([a for a in alphas if a <= _ALPHA], default=min(alphas, default=0))
+    alpha = min(alphas, key=lambda a: abs(math.log(a / _ALPHA)), default=0)
     capture = truth_at(data, alpha)
     rows, truth = max(
         ((rows, video_of(capture, rows)) for rows in cameras_of(capture)),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +18,7 @@ from tg4mm.magnify.poses import poses_of
 from tg4mm.render.frames import to_bytes
 from tg4mm.run import Run
 
-ALPHA = 20  # or the largest below it that has ground truth
+ALPHA = 20  # or what is nearest to it, as a factor, of those that have ground truth
 _HEIGHT = 96  # pixels of a slice in the picture
 
 
@@ -38,7 +39,7 @@ def slices_picture(
 
     The line of pixels along which most changes over time, in the test camera where that is most; time runs down.
     """
-    alpha = max([a for a in alphas if a <= ALPHA], default=min(alphas))
+    alpha = min(alphas, key=lambda a: abs(math.log(a / ALPHA)))
     capture = load_capture(root, split="test", magnification=alpha)
     camera, truth = _most_moving(capture)
     axis, index = most_moving_line(truth)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,8 +26,8 @@ PIVOTS = (
     "fast_vqa",
 )
 _SAYS = {
-    "ssim": "SSIM of whole pictures over white, as [TG4MM] Table I. Most of a picture stands still, hence the row "
-    "“nothing moves”.",
+    "ssim": "SSIM of whole pictures over white, as [TG4MM] Table I. Most of a picture stands still, so that a "
+    "still picture scores high.",
     "closure": "Where SSIM lies between “nothing moves” (0) and the exact motion of the same Gaussians (1). Outside of "
     "0 to 1: worse than a still picture, or sharper than the Gaussians. Where the two ends are near each other it says "
     "little.",
@@ -35,7 +35,7 @@ _SAYS = {
     "residual": "What of the pictures' change over time is not the ground truth's, relative to that; lower is better. "
     "A still picture has 0 too, so read it beside the gain.",
     "ssim_moving": "SSIM over the pixels that move: whose ground truth leaves its mean over time by more than 8/255.",
-    "psnr_moving_db": "PSNR over the same pixels, of the squared error of all pictures together.",
+    "psnr_moving_db": "PSNR over the same pixels, of the mean over all pictures of their mean squared error there.",
     "flip": "Mean FLIP error of whole pictures, lower is better.",
     "lpips": "LPIPS (AlexNet) of whole pictures, lower is better.",
     "md_vqa": "MD-VQA of the magnified videos, without a reference, higher is better.",
@@ -106,12 +106,12 @@ def pivots(means: Sequence[Mapping[str, Any]], group: str) -> Iterator[Table]:
     """A table for each metric that was measured: a row for each method, a column for each α; means over the sets."""
     mine = _framed([m for m in means if m["group"] == group])
     alphas = sorted({a for m in mine for a in m["alphas"]}, key=float)
-    n_sets = max((m["n_sets"] for m in mine), default=0)
+    every = sets_in(mine)
     for key in PIVOTS:
-        title, form, _ = METRICS[key]
+        title, form = METRICS[key]
         known = [a for a in alphas if any(m["alphas"].get(a, {}).get(key) is not None for m in mine)]
         rows = [
-            [row_name(m, n_sets), *(shown(m["alphas"].get(a, {}).get(key), form) for a in known)]
+            [row_name(m, every), *(shown(m["alphas"].get(a, {}).get(key), form) for a in known)]
             for m in mine
             if any(key in m["alphas"].get(a, {}) for a in known)
         ]
@@ -119,10 +119,15 @@ def pivots(means: Sequence[Mapping[str, Any]], group: str) -> Iterator[Table]:
             yield Table(key, title, _SAYS[key], ["method", *(f"α = {a}" for a in known)], rows)
 
 
-def row_name(means: Mapping[str, Any], n_sets: int) -> str:
-    """With a remark where not all sets are in the means."""
-    fewer = means["n_sets"] < n_sets
-    return f"{means['row']} ({means['n_sets']} of {n_sets} sets)" if fewer else str(means["row"])
+def sets_in(means: Iterable[Mapping[str, Any]]) -> set[str]:
+    """All that any of the means is of."""
+    return {label for m in means for label in m["sets"]}
+
+
+def row_name(means: Mapping[str, Any], every: set[str]) -> str:
+    """With a remark where not `every` set is in the means."""
+    fewer = set(means["sets"]) != every
+    return f"{means['row']} ({means['n_sets']} of {len(every)} sets)" if fewer else str(means["row"])
 
 
 def _framed(means: list[Mapping[str, Any]]) -> list[Mapping[str, Any]]:

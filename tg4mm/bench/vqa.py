@@ -1,7 +1,7 @@
 """Video quality without a reference, by a user's own checkout of MD-VQA or FAST-VQA, run as a program on a video.
 
 Neither is part of this program, nor are their weights. MD-VQA: the authors' `test_video.py`; FAST-VQA: the authors'
-`vqa.py`. Both print the score as the last number of the last line that holds one.
+`vqa.py`. Both print the score as the last number of their last line.
 """
 
 from __future__ import annotations
@@ -34,11 +34,14 @@ class Checkout:
     folder: Path
     python: str = "python3"  # which has what the checkout needs: often another environment than this one
 
+    @property
+    def program(self) -> Path:
+        return self.folder / PROGRAMS[self.metric][0]
+
     def checked(self) -> Checkout:
         """Itself. Raises BenchError where the program is not there."""
-        program = self.folder / PROGRAMS[self.metric][0]
-        if not program.is_file():
-            raise BenchError(f"{OPTIONS[self.metric]} {self.folder}: holds no {program.name}")
+        if not self.program.is_file():
+            raise BenchError(f"{OPTIONS[self.metric]} {self.folder}: holds no {self.program.name}")
         return self
 
     def __call__(self, video: np.ndarray, fps: float) -> float:
@@ -66,10 +69,11 @@ class Checkout:
         if done.returncode != 0:
             said = (done.stderr.strip() or done.stdout.strip() or "no message").splitlines()[-1]
             raise BenchError(f"{where}: ended with status {done.returncode}: {said[:200]}")
-        found = [n for line in done.stdout.splitlines() if (n := _NUMBER.findall(line))]
+        last = (done.stdout.strip() or "nothing").splitlines()[-1]
+        found = _NUMBER.findall(last)
         if not found:
-            raise BenchError(f"{where}: printed no number")
-        return float(found[-1][-1].rstrip("."))
+            raise BenchError(f"{where}: printed {last[:200]!r} at the end, expected a line with the score")
+        return float(found[-1].rstrip("."))
 
 
 def checkouts(folders: Mapping[str, Path | None], python: str) -> tuple[Checkout, ...]:

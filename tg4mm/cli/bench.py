@@ -148,6 +148,8 @@ def scenes(
     from tg4mm.bench.goals import goals_page
     from tg4mm.bench.scenes import run_scenes
 
+    if goals is not None and goals.is_dir():
+        raise Tg4mmError(f"--goals {goals}: is a folder; expected a file such as {goals / 'goals.md'}")
     request = _request(
         methods,
         external,
@@ -225,10 +227,11 @@ def _request(
     from tg4mm.bench.scenes import ScenesRequest
     from tg4mm.bench.vqa import checkouts
 
-    names = checked_names(methods.split(","))
-    own = {k: given.pop(k) for k in list(given) if k.startswith("tracking.")}
+    names = checked_names(methods.split(",")) if methods or not external else ()
+    own = {k: given.pop(k) for k in list(given) if k.startswith("tracking.") and "tracking" in names}
     # tracking has the space stage of modal
-    presets = dict.fromkeys("modal" if name not in SCORINGS else name for name in names)
+    trained = (name for name in names if name in SCORINGS or name == "tracking")
+    presets = dict.fromkeys("modal" if name == "tracking" else name for name in trained)
     return ScenesRequest(
         methods=names,
         settings=settings_by_preset(given, list(presets)) | {"tracking": checked_settings(own)},

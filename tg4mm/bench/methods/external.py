@@ -9,8 +9,8 @@ from typing import Any
 from tg4mm.bench.errors import BenchError
 from tg4mm.bench.measure import Plan
 from tg4mm.bench.methods import Pictures
-from tg4mm.bench.methods.camera_videos import cameras_of, video_of
-from tg4mm.bench.sets import BenchSet, check_name, files_state
+from tg4mm.bench.methods.camera_videos import cameras_of, picture_name, video_of
+from tg4mm.bench.sets import BenchSet, check_name, files_state, truth_at
 from tg4mm.capture import Capture
 
 
@@ -32,15 +32,29 @@ class External:
                 f"--external {self.name}: {folder} does not exist; expected a folder with the dataset's name"
             )
         if not any(self.has(data, alpha) for alpha in (0, *data.alphas)):
-            first = (
-                folder / f"magnified/x{min(data.alphas):03g}" / "000" / "test"
-                if data.alphas
-                else folder / "000" / "test"
-            )
-            raise BenchError(
-                f"--external {self.name}: {folder} holds no pictures such as {first / 'r_000.png'}"
-            )
+            first = self.place(data, min(data.alphas)) / "000" / "test" / "r_000.png"
+            raise BenchError(f"--external {self.name}: {folder} holds no pictures such as {first}")
         return {}
+
+    def check(self, data: BenchSet, alpha: int) -> None:
+        """Raise BenchError for the first picture at α that is missing, no PNG or of another size, by its head alone."""
+        from PIL import Image
+
+        truth = truth_at(data, alpha)
+        for i in range(len(truth)):
+            path = self.folder / data.label / picture_name(truth, i)
+            if not path.is_file():
+                raise BenchError(f"{path} does not exist: at an α that has a picture, all are needed")
+            try:
+                with Image.open(path) as head:
+                    kind, size = head.format, head.size
+            except OSError:
+                kind, size = None, (0, 0)
+            if kind != "PNG":
+                raise BenchError(f"{path}: is no PNG file{f', but {kind}' if kind else ''}")
+            if size != (truth.width, truth.height):
+                asked = f"{truth.width}×{truth.height}"
+                raise BenchError(f"{path}: is {size[0]}×{size[1]} pixels, expected {asked}")
 
     def recipe(self, row: str, data: BenchSet, place: Path, plan: Plan) -> dict[str, Any]:
         folder = self.folder / data.label
@@ -51,13 +65,17 @@ class External:
         self, row: str, data: BenchSet, place: Path, capture: Capture, alpha: float, plan: Plan
     ) -> Pictures:
         folder = self.folder / data.label
+        self.check(data, int(alpha))
         for rows in cameras_of(capture):
             yield from zip(rows.tolist(), video_of(capture, rows, folder), strict=True)
 
     def has(self, data: BenchSet, alpha: float) -> bool:
         """Whether there is anything for this α."""
-        where = Path(f"magnified/x{alpha:03g}") if alpha else Path()
-        return any((self.folder / data.label / where).glob("[0-9]*/test/*.png"))
+        return any(self.place(data, alpha).glob("[0-9]*/test/*.png"))
+
+    def place(self, data: BenchSet, alpha: float) -> Path:
+        """Where the folders of the timesteps lie."""
+        return self.folder / data.label / (f"magnified/x{alpha:03g}" if alpha else "")
 
 
 def parse_external(given: list[str]) -> tuple[External, ...]:

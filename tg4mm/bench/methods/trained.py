@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from tg4mm.run import Run
 from tg4mm.run.model_hash import model_hash
 
 _CAMERAS_AT_ONCE = 8  # pictures held
+_VERSION = 1  # of how pictures are made of a model: raise it when the same model would give others
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,7 @@ class Trained:
     def recipe(self, row: str, data: BenchSet, place: Path, plan: Plan) -> dict[str, Any]:
         way = self._way(row)
         return {
+            "version": _VERSION,
             "model": model_hash(place / "run"),
             "row": row,
             "method": None if way is None else way.method,
@@ -61,9 +63,9 @@ class Trained:
         run, shown = place / "run", way or self.training.ways[0]
         subject = _subject_of(run, model_hash(run), data.root, shown, bands, plan.device)
         (method,) = [m for m in subject.methods if m.name == (row if way is None else OURS)]
-        if way is not None and plan.banded and method.posing is None:
-            method = replace(method, band=data.band_hz)
-        return _pictures(subject, method, capture, alpha)
+        if method.posing is not None:  # opens the model, which is not to count as rendering
+            pose(subject.gaussians, method, int(capture.timesteps[0]), float(alpha))
+        return _pictures(subject, method, capture, float(alpha))
 
     def _way(self, row: str) -> Scoring | None:
         """How a row is magnified, None for one that frames the others."""
