@@ -349,7 +349,7 @@ def encoded(kind: str, size: tuple[int, int]) -> bytes:
     [
         (None, "does not exist: at an α that has a picture, all are needed"),
         (encoded("PNG", (16, 32)), "is 16×32 pixels, expected 32×32"),
-        (encoded("JPEG", (32, 32)), "is no PNG file, but JPEG"),
+        (encoded("JPEG", (32, 32)), "is no PNG file"),
         (b"text", "is no PNG file"),
     ],
 )

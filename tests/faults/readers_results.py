@@ -172,7 +172,13 @@ def _scene(root: Path) -> Path:
         root / "set", n_views=2, n_timesteps=4, size=16, freqs=(5.0,), alphas=(5,), n_test=1
     )
     file = root / "set" / "scene.json"
-    own = {"scene": "mic", "cameras": {"kind": "orbit"}, "engine": {"samples": 4}, "n_test": 1, "seed": 0}
+    own = {
+        "scene": "mic",
+        "cameras": {"kind": "orbit"},
+        "engine": {"name": "CYCLES", "samples": 4},
+        "n_test": 1,
+        "seed": 0,
+    }
     file.write_text(json.dumps(json.loads(file.read_text()) | own | {"frequency_hz": 5.0, "images": "png8"}))
     return file
 

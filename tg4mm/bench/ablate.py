@@ -19,6 +19,7 @@ from tg4mm.bench.folder import FORMAT, VERSION, circumstances, claim_set, open_f
 from tg4mm.bench.latex import latex_table
 from tg4mm.bench.means import scalars
 from tg4mm.bench.measure import (
+    OF_RUN,
     SCORINGS,
     Plan,
     Scoring,
@@ -264,7 +265,7 @@ def _line(job: _Job, data: BenchSet, row: Row, figures: dict[str, Any]) -> dict[
         "band_hz": figures["request"]["band_hz"],
         "scalars": values,
         "ssim_columns": _columns(row, figures),
-        **{k: figures[k] for k in ("log", "seconds", "model", "rows", "displacement", "notes")},
+        **{k: figures[k] for name in OF_RUN if (k := name.removesuffix("?")) in figures},
     }
 
 

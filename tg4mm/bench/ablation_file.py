@@ -7,7 +7,7 @@ from typing import Any
 
 from tg4mm.bench.ablation_page import COLUMNS, SSIM
 from tg4mm.bench.errors import BenchError
-from tg4mm.bench.folder import FORMAT, VERSION
+from tg4mm.bench.folder import CIRCUMSTANCES, FORMAT, VERSION
 from tg4mm.bench.measure import OF_RUN
 from tg4mm.form import Just, Maybe, read_formed
 
@@ -21,11 +21,6 @@ _LINE = {
     "scalars": {"init?": Maybe(str), str: Maybe(float)},
     "ssim_columns": {str: str},
 }
-_MADE = {
-    **dict.fromkeys(("command", "date", "tg4mm", "python", "torch", "system", "processor"), str),
-    **dict.fromkeys(("cores", "threads"), int),
-    "load_average": Maybe(float),
-}
 FORM = {
     "format": Just(FORMAT),
     "version": Just(VERSION),
@@ -37,7 +32,7 @@ FORM = {
     "lines": [_LINE],
     **{key: [dict.fromkeys(("set", "method", "why"), str)] for key in ("left_out", "failed")},
     "slices?": str,
-    "made": _MADE,
+    "made": CIRCUMSTANCES,
 }
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from tg4mm.bench.means import mean_of_all
-from tg4mm.bench.page import markdown, origin
+from tg4mm.bench.page import markdown, origin, trained_otherwise
 from tg4mm.bench.plots import curves
 from tg4mm.bench.table import NOTHING, shown
 from tg4mm.bench.tables import Table
@@ -155,6 +155,8 @@ def ablation_page(results: Mapping[str, Any], has_picture: bool) -> str:
     if results["remark"]:
         parts.append(results["remark"])
     parts.append(_trained_with(results))
+    runs = {f"{line['row']} on {line['set']}": line for line in results["lines"]}
+    parts += [f"Trained otherwise: {text}." for text in trained_otherwise(results["made"], runs)]
     notes = {note: None for line in results["lines"] for note in line["notes"]}
     parts += [f"Note: {note}" for note in notes]
     return "\n\n".join(part for part in parts if part) + "\n"

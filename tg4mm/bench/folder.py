@@ -16,12 +16,18 @@ from tg4mm import __version__
 from tg4mm.bench.errors import BenchError
 from tg4mm.errors import RunError
 from tg4mm.files import write_atomic, write_json
+from tg4mm.form import Maybe
 from tg4mm.run.config import read_json
 from tg4mm.temporary import is_temporary, remove_leftovers
 
 RECORD = "bench.json"
 SET = "set.json"
 FORMAT, VERSION = "tg4mm-bench", 1
+CIRCUMSTANCES = {  # of `circumstances`, as a checked form
+    **dict.fromkeys(("command", "date", "tg4mm", "python", "torch", "system", "processor"), str),
+    **dict.fromkeys(("cores", "threads"), int),
+    "load_average": Maybe(float),
+}
 
 
 def open_folder(out: Path, kind: str) -> None:

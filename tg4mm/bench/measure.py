@@ -13,6 +13,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from tg4mm.bench.folder import CIRCUMSTANCES, circumstances
 from tg4mm.bench.observed import observed_figures
 from tg4mm.bench.sets import BenchSet, check_alphas, truth_state
 from tg4mm.capture import load_capture
@@ -30,6 +31,7 @@ from tg4mm.run.model_hash import model_hash
 from tg4mm.train import parse_settings, train
 
 FIGURES = "figures.json"
+MADE = "made.json"
 SEEN = ("closure", "change_gain", "change_residual")  # how much of a motion is seen, of one way to magnify
 VERSION = 5  # of how figures are made: raise it when the same request would give others
 _STAGES = {"space": float, "motion": float, "total": float}
@@ -41,6 +43,7 @@ OF_RUN = {
     "rows": {float: {str: {str: Maybe(float)}}},
     "displacement": Maybe(DISPLACEMENT),
     "notes": [str],
+    "made?": CIRCUMSTANCES,  # when, where and by what it was trained
 }
 FORM = {
     "version": Just(VERSION),
@@ -130,6 +133,7 @@ def measure(
     kept = read_figures(place)
     if kept is not None and kept["request"] == request:
         return kept
+    made = _made_by(place)
     run = _trained(place / "run", data, training, plan.device, donor)
     scores: dict[Key, dict[str, float]] = {}
     metrics = {}
@@ -139,6 +143,7 @@ def measure(
         for key in [key for key in scores if key[0][:1] == (OURS,)]:
             del scores[key]
     figures = _figures(run, request, training, metrics) | {"observed": _observed(run, data, plan)}
+    figures |= {} if made is None else {"made": made}
     write_sealed(place / FIGURES, figures)
     return figures
 
@@ -202,6 +207,18 @@ def _request(data: BenchSet, training: Training, plan: Plan) -> dict[str, Any]:
         "device": plan.device,
         "metrics": list(plan.metrics),
     }
+
+
+def _made_by(place: Path) -> dict[str, Any] | None:
+    """What the run is trained by, noted before it begins; of one that is there what was noted then, None if nothing."""
+    record = place / MADE
+    if not (place / "run").is_dir():
+        place.mkdir(parents=True, exist_ok=True)
+        write_sealed(record, circumstances())
+    try:
+        return read_formed(record, CIRCUMSTANCES)
+    except (OSError, ValueError):
+        return None
 
 
 def _trained(place: Path, data: BenchSet, training: Training, device: str, donor: Path | None) -> Run:

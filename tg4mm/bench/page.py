@@ -39,11 +39,24 @@ def origin(made: Mapping[str, Any]) -> str:
 def machine(made: Mapping[str, Any]) -> str:
     """The day, the version and the machine in one sentence."""
     load = "" if made["load_average"] is None else f", load average {made['load_average']:g} at the start"
+    return f"{made['date']}, {_computer(made)}{load}."
+
+
+def _computer(made: Mapping[str, Any]) -> str:
     cores, threads = (f"{made[f'{w}s']} {w}{'s' * (made[f'{w}s'] != 1)}" for w in ("core", "thread"))
     return (
-        f"{made['date']}, tg4mm {made['tg4mm']}, Python {made['python']}, torch {made['torch']}; {made['system']}, "
-        f"{made['processor']}, {cores}, {threads}{load}."
+        f"tg4mm {made['tg4mm']}, Python {made['python']}, torch {made['torch']}; {made['system']}, "
+        f"{made['processor']}, {cores}, {threads}"
     )
+
+
+def trained_otherwise(made: Mapping[str, Any], runs: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Lines on the runs {name: …} that were trained by other code or on another machine than the page was `made` by."""
+    found: dict[str, list[str]] = {}
+    for name, run in runs.items():
+        if run.get("made") and _computer(run["made"]) != _computer(made):
+            found.setdefault(_computer(run["made"]), []).append(f"{name} ({run['made']['date']})")
+    return [f"{computer}: {', '.join(names)}" for computer, names in found.items()]
 
 
 _FRAMING = (
@@ -125,6 +138,9 @@ def remarks(results: Mapping[str, Any]) -> Iterator[tuple[str, list[str]]]:
     if given:
         lines = [f"{row}, {label}: `{text}`" for (row, label), text in given.items()]
         yield "Settings other than the defaults", lines
+    runs = {f"{run['row']} on {run['set']}": run for run in results["runs"]}
+    if lines := trained_otherwise(results["made"], runs):
+        yield "Trained by other code or elsewhere", lines
     notes: dict[str, list[str]] = {}
     for run in results["runs"]:
         missing = [f"not measured: {what}: {why}" for what, why in run["absent"].items()]

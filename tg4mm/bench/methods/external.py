@@ -12,6 +12,9 @@ from tg4mm.bench.methods import Pictures
 from tg4mm.bench.methods.camera_videos import cameras_of, picture_name, video_of
 from tg4mm.bench.sets import BenchSet, check_name, files_state, truth_at
 from tg4mm.capture import Capture
+from tg4mm.capture.decode import image_header
+
+_PNG = b"\x89PNG\r\n\x1a\n"
 
 
 @dataclass(frozen=True)
@@ -37,24 +40,22 @@ class External:
         return {}
 
     def check(self, data: BenchSet, alpha: int) -> None:
-        """Raise BenchError for the first picture at α that is missing, no PNG or of another size, by its head alone."""
-        from PIL import Image
+        """Raise BenchError (CaptureError) for the first picture at α that is missing, no PNG or of another size.
 
+        By the files' heads alone.
+        """
         truth = truth_at(data, alpha)
         for i in range(len(truth)):
             path = self.folder / data.label / picture_name(truth, i)
             if not path.is_file():
                 raise BenchError(f"{path} does not exist: at an α that has a picture, all are needed")
-            try:
-                with Image.open(path) as head:
-                    kind, size = head.format, head.size
-            except OSError:
-                kind, size = None, (0, 0)
-            if kind != "PNG":
-                raise BenchError(f"{path}: is no PNG file{f', but {kind}' if kind else ''}")
-            if size != (truth.width, truth.height):
+            with path.open("rb") as file:
+                if file.read(len(_PNG)) != _PNG:
+                    raise BenchError(f"{path}: is no PNG file")
+            head = image_header(path)
+            if (head.width, head.height) != (truth.width, truth.height):
                 asked = f"{truth.width}×{truth.height}"
-                raise BenchError(f"{path}: is {size[0]}×{size[1]} pixels, expected {asked}")
+                raise BenchError(f"{path}: is {head.width}×{head.height} pixels, expected {asked}")
 
     def recipe(self, row: str, data: BenchSet, place: Path, plan: Plan) -> dict[str, Any]:
         folder = self.folder / data.label
