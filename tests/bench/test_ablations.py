@@ -16,15 +16,21 @@ from tests.bench.conftest import MODAL, PAPER
 from tests.helpers.curves import points_of
 from tg4mm.bench.ablate import run_ablation
 from tg4mm.bench.ablation_file import read_ablation
-from tg4mm.bench.ablation_page import COLUMNS, ablation_table
+from tg4mm.bench.ablation_page import COLUMNS, ablation_table, mean_lines, picture
 from tg4mm.bench.ablations import ABLATIONS, chosen_preset, rows_of
 from tg4mm.bench.again import KINDS, alphas_for
+from tg4mm.bench.folder import circumstances
 from tg4mm.bench.html import _ablation
+from tg4mm.bench.latex import escaped
 from tg4mm.bench.measure import Plan
+from tg4mm.bench.page import trained_otherwise
 from tg4mm.bench.request import check_settings, setting_names
+from tg4mm.bench.scored import METRICS
 from tg4mm.bench.sets import open_set
+from tg4mm.bench.tables import _SAYS, PIVOTS
 from tg4mm.cli import main
 from tg4mm.errors import Tg4mmError
+from tg4mm.evaluate.run import CEILING, STATIC
 from tg4mm.magnify import TemporalFilter
 from tg4mm.report.page import Figure
 from tg4mm.run import Run
@@ -254,3 +260,64 @@ def test_no_possible_row_is_an_error(data: Path, tmp_path: Path) -> None:
     with pytest.raises(Tg4mmError, match="is not what tg4mm generate makes"):
         run_ablation("amplitude", [data], tmp_path / "out", None, MODAL, Plan(), silent)
     assert not (tmp_path / "out").exists()
+
+
+def by_hand(values: dict[tuple[str, str], tuple[dict[str, float], float | None]]) -> dict[str, Any]:
+    """Results of two rows on two sets: {(set, row): ({α: SSIM}, displacement error)}."""
+    rows = list(dict.fromkeys(row for _, row in values))
+    lines = [
+        {
+            "set": name, "row": row, "ways": ["modal"], "ssim_columns": {f"α = {a}": a for a in ssims},
+            "scalars": {"displacement_error": error},
+            "rows": {a: {m: {"ssim": v} for m in (STATIC, "modal", CEILING)} for a, v in ssims.items()},
+        }
+        for (name, row), (ssims, error) in values.items()
+    ]  # fmt: skip
+    return {"lines": lines, "rows": rows, "columns": ["displacement_error"], "picture": "ssim"}
+
+
+def test_means_over_sets_are_of_all_of_them() -> None:
+    """What a set has for one row alone gives that row no mean that looks better for lack of the harder set."""
+    results = by_hand({
+        ("a", "one"): ({"5": 0.8, "20": 0.8}, 0.1), ("b", "one"): ({"5": 0.6}, None),
+        ("a", "two"): ({"5": 0.9, "20": 0.7}, 0.2), ("b", "two"): ({"5": 0.5}, 0.4),
+    })  # fmt: skip
+    columns = ["α = 5", "α = 20"]
+    one, two = mean_lines(results, columns)
+    assert [line["rows"]["α = 5"]["modal"]["ssim"] for line in (one, two)] == pytest.approx([0.7, 0.7])
+    assert one["rows"]["α = 20"]["modal"]["ssim"] is two["rows"]["α = 20"]["modal"]["ssim"] is None
+    assert one["scalars"]["displacement_error"] is None
+    assert two["scalars"]["displacement_error"] == pytest.approx(0.3)
+
+
+def test_the_chart_has_no_row_that_a_set_lacks() -> None:
+    results = by_hand({
+        ("easy", "hull"): ({"5": 0.95, "20": 0.9}, None), ("hard", "hull"): ({"5": 0.75, "20": 0.7}, None),
+        ("easy", "points"): ({"5": 0.94, "20": 0.89}, None),
+    })  # fmt: skip
+    drawn = picture(results)
+    assert drawn is not None
+    rows = {name.split(",")[0] for name in points_of(drawn)}
+    assert "hull" in rows
+    assert "points" not in rows
+
+
+def test_every_letter_of_every_table_is_known_to_latex() -> None:
+    """pdfLaTeX stops at a letter that no package declares."""
+    texts = [
+        a.title + a.remark + "".join(r.label for r in rows_of(n, a.presets[0], {}))
+        for n, a in ABLATIONS.items()
+    ]
+    texts += [title for title, _ in COLUMNS.values()] + [_SAYS[key] + METRICS[key][0] for key in PIVOTS]
+    left = {letter for text in texts for letter in escaped(text) if ord(letter) > 127}
+    assert left <= set("äöüéﬁ“”’…−")
+
+
+def test_a_run_by_other_code_is_named() -> None:
+    made = circumstances(["tg4mm"])
+    older = made | {"tg4mm": "0.0.9", "date": "2026-01-02 03:04 UTC"}
+    later = made | {"date": "2026-02-02 03:04 UTC", "load_average": 3.0}
+    runs = {"modal on a": {"made": older}, "modal on b": {"made": later}, "paper on a": {}}
+    (line,) = trained_otherwise(made, runs)
+    assert line.startswith("tg4mm 0.0.9, ")
+    assert line.endswith(": modal on a (2026-01-02 03:04 UTC)")
