@@ -23,6 +23,7 @@ from tg4mm.run.config import read_json
 
 HALF_BAND_HZ = 1.5  # [TG4MM] §IV.B: 3.5 to 6.5 Hz for motion at 5 Hz, 1.5 to 4.5 Hz for 3 Hz
 GOAL_AMPLITUDES_PX = (0.02, 0.2)  # for which the goals name a displacement error
+_SHOWN_ALPHA = 20
 _SAME_AMPLITUDE = 3.0  # a set counts as one of those within this factor
 
 
@@ -213,6 +214,11 @@ def mode_pixels(truth: Truth, capture: Capture) -> np.ndarray:
 
 def _alphas(root: Path) -> tuple[int, ...]:
     return tuple(a for a in alphas_with_truth(None, root, {}) if a > 0)
+
+
+def alpha_to_show(alphas: Iterable[int]) -> int:
+    """Of the α that there are the one that pictures are shown at: the nearest to 20, as a factor; 0 of none."""
+    return min(alphas, key=lambda a: abs(math.log(a / _SHOWN_ALPHA)), default=0)
 
 
 def _filmed(root: Path, kind: str) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -13,8 +12,8 @@ import numpy as np
 from markupsafe import Markup
 
 from tg4mm.bench.jobs import picture_folder
-from tg4mm.bench.methods.camera_videos import cameras_of, video_of
-from tg4mm.bench.sets import BenchSet, open_set, truth_at
+from tg4mm.bench.methods.camera_videos import most_changing, video_of
+from tg4mm.bench.sets import BenchSet, alpha_to_show, open_set, truth_at
 from tg4mm.bench.sheet import write_sheet
 from tg4mm.errors import Tg4mmError
 from tg4mm.evaluate.slices import difference_maps
@@ -24,7 +23,6 @@ from tg4mm.report.page import Block, Figure, Section, Text, film, photo_uri, pic
 from tg4mm.report.video import clip, playing_rate
 
 TRUTH = "ground truth"
-_ALPHA = 20  # or what is nearest to it, as a factor
 _MAPS = 6  # of the first seven frames, as [TG4MM] Fig. 4
 _SLICE_HEIGHT = 96  # in the file, pixels
 _REPEATS = 24  # pictures that a slice shows at least
@@ -63,12 +61,9 @@ def gather(out: Path, results: Mapping[str, Any], data: BenchSet) -> View:
     lines = [line for line in results["lines"] if line["set"] == data.label]
     counts = Counter(int(a) for line in lines for a in line["alphas"] if float(a) > 0)
     alphas = [a for a, n in counts.items() if n == max(counts.values())]  # an outside method may lack some
-    alpha = min(alphas, key=lambda a: abs(math.log(a / _ALPHA)), default=0)
+    alpha = alpha_to_show(alphas)
     capture = truth_at(data, alpha)
-    rows, truth = max(
-        ((rows, video_of(capture, rows)) for rows in cameras_of(capture)),
-        key=lambda p: float(p[1].var(0).mean()),
-    )
+    rows, truth = most_changing(capture)
     videos = {TRUTH: truth}
     for line in lines:
         if f"{alpha:g}" in line["alphas"]:

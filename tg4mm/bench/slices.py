@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from tg4mm.bench.methods.camera_videos import most_changing
+from tg4mm.bench.sets import alpha_to_show
 from tg4mm.bench.sheet import write_sheet
-from tg4mm.capture import Capture, load_capture, load_images
-from tg4mm.evaluate.scores import BACKGROUND, render_views
+from tg4mm.capture import Capture, load_capture
+from tg4mm.evaluate.scores import render_views
 from tg4mm.evaluate.slices import most_moving_line, space_time_slice
 from tg4mm.magnify import BandGain, Magnification, TemporalFilter
 from tg4mm.magnify.poses import poses_of
 from tg4mm.render.frames import to_bytes
 from tg4mm.run import Run
 
-ALPHA = 20  # or what is nearest to it, as a factor, of those that have ground truth
 _HEIGHT = 96  # pixels of a slice in the picture
 
 
@@ -39,46 +39,29 @@ def slices_picture(
 
     The line of pixels along which most changes over time, in the test camera where that is most; time runs down.
     """
-    alpha = min(alphas, key=lambda a: abs(math.log(a / ALPHA)))
+    alpha = alpha_to_show(alphas)
     capture = load_capture(root, split="test", magnification=alpha)
-    camera, truth = _most_moving(capture)
+    images, truth = most_changing(capture)
     axis, index = most_moving_line(truth)
     rows = {"ground truth": space_time_slice(truth, axis, index)}
     for one in shown:
-        video = _rendered(one, capture, camera, alpha, band_hz)
+        video = _rendered(one, capture, images, alpha, band_hz)
         rows[one.label] = space_time_slice(video, axis, index)
     if axis == "column":  # [H, T, 3]: time is brought down here too
         rows = {label: np.swapaxes(piece, 0, 1) for label, piece in rows.items()}
     write_sheet(out, {label: to_bytes(piece) for label, piece in rows.items()}, _HEIGHT)
-    name = capture.paths[int(np.flatnonzero(capture.camera_ids == camera)[0])].name
+    name = capture.paths[images[0]].name
     return f"Space-time slices of {axis} {index} of test camera {name} at α = {alpha}; time runs down."
 
 
-def _most_moving(capture: Capture) -> tuple[int, np.ndarray]:
-    """(camera id, its pictures [T, H, W, 3] over white) of the camera whose pictures vary most over time."""
-    images = load_images(capture)
-    videos = {}
-    for camera in np.unique(capture.camera_ids).tolist():
-        rows = _rows(capture, camera)
-        videos[camera] = np.stack([images.rgb(int(i), background=BACKGROUND) for i in rows])
-    best = max(videos, key=lambda c: float(videos[c].var(0).mean()))
-    return best, videos[best]
-
-
-def _rows(capture: Capture, camera: int) -> np.ndarray:
-    rows = np.flatnonzero(capture.camera_ids == camera)
-    return rows[np.argsort(capture.timesteps[rows], kind="stable")]
-
-
 def _rendered(
-    one: Magnified, capture: Capture, camera: int, alpha: int, band_hz: Sequence[float] | None
+    one: Magnified, capture: Capture, images: np.ndarray, alpha: int, band_hz: Sequence[float] | None
 ) -> np.ndarray:
     bands = () if band_hz is None else (BandGain(band_hz[0], band_hz[1], alpha),)
     chosen = None if one.filter is None else TemporalFilter(one.filter)
     everywhere = float(alpha) if band_hz is None else 0.0
     plan = Magnification(bands=bands, everywhere=everywhere, method=one.method, filter=chosen)
     poses = poses_of(Run.open(one.run), plan)
-    rows = _rows(capture, camera)
-    times = capture.timesteps[rows].tolist()
-    views = [render_views(poses.at(t), capture, rows[j : j + 1])[0] for j, t in enumerate(times)]
+    times = capture.timesteps[images].tolist()
+    views = [render_views(poses.at(t), capture, images[j : j + 1])[0] for j, t in enumerate(times)]
     return np.stack(views)

@@ -21,6 +21,12 @@ def cameras_of(capture: Capture) -> list[np.ndarray]:
     return found
 
 
+def most_changing(capture: Capture) -> tuple[np.ndarray, np.ndarray]:
+    """(indices of its images in order of time, their video) of the camera whose pictures vary most over time."""
+    videos = ((rows, video_of(capture, rows)) for rows in cameras_of(capture))
+    return max(videos, key=lambda found: float(found[1].var(0).mean()))
+
+
 def picture_name(capture: Capture, image: int) -> Path:
     """Where a method's picture of an image lies in its folder: as the image in the dataset, but always a PNG."""
     return capture.paths[image].relative_to(capture.root).with_suffix(".png")

@@ -9,12 +9,25 @@ import numpy as np
 import pytest
 
 import tg4mm.train
-from tests.bench.conftest import MODAL, PAPER
+from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.memory import peak_memory_mib, reset_peak_memory
 from tg4mm.train import train
 
+SMALL = {"space.max_gaussians": "400", "space.init_points": "300"}
+MODAL = {**SMALL, "space.iterations": "60", "motion.iterations": "4", "motion.components": "2"}
+PAPER = {
+    **SMALL, "paper.warm_up": "40", "paper.iterations": "80", "paper.motion_iterations": "4", "paper.channels": "2",
+    "paper.resolution": "16",
+}  # fmt: skip
 MIB = 1 << 20
 PASSING = 400  # MiB held for a moment before a stage
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("cost") / "sway_5Hz_0_02"
+    make_synthetic_dataset(path, n_views=5, n_timesteps=6, size=32, freqs=(5.0,), alphas=(), n_test=0)
+    return path
 
 
 @pytest.mark.parametrize(
