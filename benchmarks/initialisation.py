@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from tg4mm.bench.table import table
+from tg4mm.bench.pages.cells import table
 from tg4mm.capture import Capture, load_capture, load_images
 from tg4mm.errors import Tg4mmError
 from tg4mm.evaluate.metrics import psnr, ssim

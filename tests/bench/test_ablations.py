@@ -14,20 +14,20 @@ from PIL import Image
 from dataset_gen.options import parser, request_from
 from tests.bench.conftest import MODAL, PAPER
 from tests.helpers.curves import points_of
-from tg4mm.bench.ablate import run_ablation
-from tg4mm.bench.ablation_file import read_ablation
-from tg4mm.bench.ablation_page import COLUMNS, ablation_table, mean_lines, picture
-from tg4mm.bench.ablations import ABLATIONS, chosen_preset, rows_of
-from tg4mm.bench.again import KINDS, alphas_for
+from tg4mm.bench.ablation.catalogue import ABLATIONS, chosen_preset, rows_of
+from tg4mm.bench.ablation.page import COLUMNS, ablation_table, mean_lines, picture
+from tg4mm.bench.ablation.rendered_sets import KINDS, alphas_for
+from tg4mm.bench.ablation.results_file import read_ablation
+from tg4mm.bench.ablation.run import run_ablation
 from tg4mm.bench.folder import circumstances
-from tg4mm.bench.html import _ablation
-from tg4mm.bench.latex import escaped
 from tg4mm.bench.measure import Plan
-from tg4mm.bench.page import trained_otherwise
+from tg4mm.bench.pages.html import _ablation
+from tg4mm.bench.pages.latex import escaped
+from tg4mm.bench.pages.markdown import trained_otherwise
+from tg4mm.bench.pages.tables import _SAYS, PIVOTS
 from tg4mm.bench.request import check_settings, setting_names
 from tg4mm.bench.scored import METRICS
 from tg4mm.bench.sets import open_set
-from tg4mm.bench.tables import _SAYS, PIVOTS
 from tg4mm.cli import main
 from tg4mm.errors import Tg4mmError
 from tg4mm.evaluate.run import CEILING, STATIC
@@ -200,16 +200,16 @@ def test_a_broken_set_is_reported_and_the_rest_goes_on(data: Path, tmp_path: Pat
 def test_an_error_that_is_not_the_datas_is_a_failure(
     data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from tg4mm.bench import ablate
+    from tg4mm.bench.ablation import run as runner
 
-    measured = ablate.measure
+    measured = runner.measure
 
     def measure(place: Path, *arguments: Any) -> dict[str, Any]:
         if "5_views" in place.name:
             raise ArithmeticError("a matrix is singular")
         return measured(place, *arguments)
 
-    monkeypatch.setattr(ablate, "measure", measure)
+    monkeypatch.setattr(runner, "measure", measure)
     out = tmp_path / "out"
     results = run_ablation("views", [data], out, None, MODAL, Plan(alphas=(20.0,)), silent)
     (failed,) = results["failed"]
@@ -241,7 +241,7 @@ def test_a_scene_is_filmed_in_every_way(data: Path, tmp_path: Path, monkeypatch:
         (root / "scene.json").write_text(json.dumps(scene | {"cameras": {"kind": made["--cameras"]}}))
         return 0
 
-    monkeypatch.setattr("tg4mm.bench.again.run_generator", generator)
+    monkeypatch.setattr("tg4mm.bench.ablation.rendered_sets.run_generator", generator)
     out = tmp_path / "out"
     results = run_ablation("capture", [source], out, None, MODAL, Plan(alphas=(20.0,)), silent)
     assert [line["row"] for line in results["lines"]] == list(KINDS)

@@ -18,9 +18,9 @@ from PIL import Image
 from tg4mm.bench.jobs import run_job
 from tg4mm.bench.measure import Plan
 from tg4mm.bench.methods.video import Linear2D
+from tg4mm.bench.pages.shown import gather
+from tg4mm.bench.pages.tables import groups_of, tables_of
 from tg4mm.bench.sets import filmed_digest, open_set
-from tg4mm.bench.shown import gather
-from tg4mm.bench.tables import groups_of, tables_of
 from tg4mm.bench.vqa import checkouts
 from tg4mm.cli import main
 

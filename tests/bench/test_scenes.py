@@ -20,9 +20,9 @@ from tg4mm.bench.means import group_means, line_means
 from tg4mm.bench.measure import SEEN, Plan, Training, _request
 from tg4mm.bench.methods import trained
 from tg4mm.bench.methods.known import ABOUT, NAMES
+from tg4mm.bench.pages.tables import cost_table, groups_of, kinds_tables, pivots
 from tg4mm.bench.scenes import ScenesRequest, run_scenes, same_time_training, same_time_trainings
 from tg4mm.bench.sets import open_set, open_sets, truth_at
-from tg4mm.bench.tables import cost_table, groups_of, kinds_tables, pivots
 from tg4mm.errors import RunError
 from tg4mm.evaluate import evaluate_run
 from tg4mm.evaluate.subject import subject_of

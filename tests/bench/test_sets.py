@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from dataset_gen.arguments import parser
-from tg4mm.bench.again import generator_arguments
+from tg4mm.bench.ablation.copied_sets import with_views
+from tg4mm.bench.ablation.rendered_sets import generator_arguments
 from tg4mm.bench.errors import BenchError
 from tg4mm.bench.sets import (
     amplitude_name,
@@ -22,7 +23,6 @@ from tg4mm.bench.sets import (
     open_set,
     open_sets,
 )
-from tg4mm.bench.subset import with_views
 from tg4mm.capture import load_capture
 from tg4mm.evaluate.truth import load_truth
 

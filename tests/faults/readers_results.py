@@ -87,11 +87,11 @@ def _read_metrics(root: Path) -> None:
 
 
 def _read_figures(root: Path) -> None:
-    from tg4mm.bench.ablate import _columns
-    from tg4mm.bench.ablations import Row
+    from tg4mm.bench.ablation.catalogue import Row
+    from tg4mm.bench.ablation.run import _columns
     from tg4mm.bench.means import group_means
     from tg4mm.bench.measure import read_figures
-    from tg4mm.bench.tables import cost_table, modes_table, motion_table, own_ceiling_table
+    from tg4mm.bench.pages.tables import cost_table, modes_table, motion_table, own_ceiling_table
 
     found = read_figures(root)
     if found is None:
@@ -108,8 +108,8 @@ def _read_figures(root: Path) -> None:
 def _read_scores(root: Path) -> None:
     from tg4mm.bench.jobs import _Kept
     from tg4mm.bench.means import line_means
+    from tg4mm.bench.pages.tables import pivots
     from tg4mm.bench.scored import with_closure
-    from tg4mm.bench.tables import pivots
 
     found = [entry["scores"] for entry in _Kept(root / "scores.json").entries.values()]
     if not found:
@@ -144,8 +144,8 @@ def _rendered(root: Path) -> Path:
 
 
 def _read_ablation(root: Path) -> None:
-    from tg4mm.bench.ablation_file import read_ablation
-    from tg4mm.bench.html import _ablation
+    from tg4mm.bench.ablation.results_file import read_ablation
+    from tg4mm.bench.pages.html import _ablation
 
     _ablation(root, read_ablation(root))
 
@@ -157,7 +157,7 @@ def _read_bench(root: Path) -> None:
 
 
 def _read_complete(root: Path) -> None:
-    from tg4mm.bench.again import _is_done
+    from tg4mm.bench.ablation.rendered_sets import _is_done
 
     _is_done(root, ["mic", "--out", "a"])
 
@@ -184,7 +184,7 @@ def _scene(root: Path) -> Path:
 
 
 def _read_scene(root: Path) -> None:
-    from tg4mm.bench.again import generator_arguments, kind_options
+    from tg4mm.bench.ablation.rendered_sets import generator_arguments, kind_options
     from tg4mm.bench.sets import open_set
 
     data = open_set(root / "set", "a")

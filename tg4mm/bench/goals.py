@@ -6,9 +6,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from tg4mm.bench.page import origin
+from tg4mm.bench.pages.cells import table
+from tg4mm.bench.pages.markdown import origin
 from tg4mm.bench.sets import goal_amplitude
-from tg4mm.bench.table import table
 
 JUDGED = "modal"  # the preset that the goals are for
 RIVAL = "paper-tuned"

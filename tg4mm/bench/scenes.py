@@ -7,11 +7,10 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from tg4mm.bench.ablation_file import read_ablation
+from tg4mm.bench.ablation.results_file import read_ablation
 from tg4mm.bench.errors import BenchError
 from tg4mm.bench.failures import why_failed
 from tg4mm.bench.folder import FORMAT, VERSION, circumstances, open_folder
-from tg4mm.bench.html import write_page
 from tg4mm.bench.jobs import Line, alphas_of, is_finished, job_folder, run_job
 from tg4mm.bench.means import group_means, line_means
 from tg4mm.bench.measure import Plan, Training, check_plan, is_measured, warm_up
@@ -19,11 +18,12 @@ from tg4mm.bench.methods import Method
 from tg4mm.bench.methods.external import External
 from tg4mm.bench.methods.known import DEFAULT, methods_of
 from tg4mm.bench.methods.trained import Trained
+from tg4mm.bench.pages.html import write_page
+from tg4mm.bench.pages.write import write_results
 from tg4mm.bench.request import check_settings
 from tg4mm.bench.scored import with_closure
 from tg4mm.bench.sets import BenchSet, group_titles, open_sets, open_those_that_open, truth_at
 from tg4mm.bench.vqa import Checkout
-from tg4mm.bench.write import write_results
 from tg4mm.errors import Tg4mmError
 from tg4mm.evaluate.run import CEILING, STATIC
 from tg4mm.files import to_json

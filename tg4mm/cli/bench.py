@@ -268,8 +268,8 @@ def ablation(
     """
     plan = _plan(alphas, band, None, device)
     given = split_settings(settings or [])
-    from tg4mm.bench.ablate import run_ablation
-    from tg4mm.bench.ablation_page import ablation_table
+    from tg4mm.bench.ablation.page import ablation_table
+    from tg4mm.bench.ablation.run import run_ablation
 
     results = run_ablation(name, datasets, out, None if preset is None else preset.value, given, plan, _say)
     typer.echo(ablation_table(results))

@@ -10,10 +10,10 @@ from typing import Any
 from markupsafe import Markup, escape
 
 from tg4mm.bench.folder import write_text
-from tg4mm.bench.page import about_methods, failures, how, machine, remarks, sets_line
-from tg4mm.bench.plots import over_alpha, size_and_speed
-from tg4mm.bench.shown import shown_sections
-from tg4mm.bench.tables import Table, full_table, groups_of, kinds_tables, sets_in, tables_of
+from tg4mm.bench.pages.markdown import about_methods, failures, how, machine, remarks, sets_line
+from tg4mm.bench.pages.plots import over_alpha, size_and_speed
+from tg4mm.bench.pages.shown import shown_sections
+from tg4mm.bench.pages.tables import Table, full_table, groups_of, kinds_tables, sets_in, tables_of
 from tg4mm.evaluate.run import CEILING, STATIC
 from tg4mm.report.page import Block, Commands, Figure, Page, Panel, Section, Stat, Text, data_uri, render_page
 from tg4mm.report.page import Table as PageTable
@@ -128,7 +128,7 @@ def _block(made: Table) -> PageTable:
 
 def _ablation(folder: Path, results: Mapping[str, Any]) -> Section:
     """A section of an ablation's own results.json and slices.png."""
-    from tg4mm.bench.ablation_page import ablation_cells, not_there, picture
+    from tg4mm.bench.ablation.page import ablation_cells, not_there, picture
 
     made = ablation_cells(results)
     blocks: list[Block] = [Text(f"{results['source']}. Preset {results['preset']}.")]

@@ -9,14 +9,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from tg4mm.bench.ablation_file import FILE
-from tg4mm.bench.ablation_page import ablation_cells, ablation_page, picture
-from tg4mm.bench.ablations import Ablation, Row, chosen_preset, find_ablation, rows_of
-from tg4mm.bench.again import TARGETS_PX, generator_arguments, with_amplitude, with_kind
+from tg4mm.bench.ablation.catalogue import Ablation, Row, chosen_preset, find_ablation, rows_of
+from tg4mm.bench.ablation.copied_sets import with_noise, with_timesteps, with_views
+from tg4mm.bench.ablation.page import ablation_cells, ablation_page, picture
+from tg4mm.bench.ablation.rendered_sets import TARGETS_PX, generator_arguments, with_amplitude, with_kind
+from tg4mm.bench.ablation.results_file import FILE
+from tg4mm.bench.ablation.slices import Magnified, slices_picture
 from tg4mm.bench.errors import BenchError, StepError
 from tg4mm.bench.failures import why_failed
 from tg4mm.bench.folder import FORMAT, VERSION, circumstances, claim_set, open_folder, write_text
-from tg4mm.bench.latex import latex_table
 from tg4mm.bench.means import scalars
 from tg4mm.bench.measure import (
     OF_RUN,
@@ -29,10 +30,9 @@ from tg4mm.bench.measure import (
     measure,
     warm_up,
 )
+from tg4mm.bench.pages.latex import latex_table
 from tg4mm.bench.request import check_settings, settings_by_preset
 from tg4mm.bench.sets import BenchSet, filmed_digest, open_set, open_those_that_open
-from tg4mm.bench.slices import Magnified, slices_picture
-from tg4mm.bench.subset import with_noise, with_timesteps, with_views
 from tg4mm.errors import RunError, Tg4mmError
 from tg4mm.form import write_sealed
 from tg4mm.magnify import TemporalFilter

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from tg4mm.bench.methods.known import ABOUT
-from tg4mm.bench.table import table
-from tg4mm.bench.tables import Table, groups_of, kinds_tables, tables_of
+from tg4mm.bench.pages.cells import table
+from tg4mm.bench.pages.tables import Table, groups_of, kinds_tables, tables_of
 from tg4mm.evaluate.run import STATIC
 
 

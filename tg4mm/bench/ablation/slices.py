@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from tg4mm.bench.methods.camera_videos import most_changing
+from tg4mm.bench.pages.sheet import write_sheet
 from tg4mm.bench.sets import alpha_to_show
-from tg4mm.bench.sheet import write_sheet
 from tg4mm.capture import Capture, load_capture
 from tg4mm.evaluate.scores import render_views
 from tg4mm.evaluate.slices import most_moving_line, space_time_slice

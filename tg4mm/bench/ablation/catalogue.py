@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from tg4mm.bench.again import KINDS
+from tg4mm.bench.ablation.rendered_sets import KINDS
 from tg4mm.bench.errors import BenchError
 from tg4mm.bench.measure import Scoring
 from tg4mm.train import PRESETS

@@ -8,8 +8,8 @@ from itertools import pairwise
 from typing import Any
 
 from tg4mm.bench.means import scalars
+from tg4mm.bench.pages.tables import row_name, sets_in
 from tg4mm.bench.scored import METRICS
-from tg4mm.bench.tables import row_name, sets_in
 from tg4mm.evaluate.run import CEILING, STATIC
 
 # Okabe and Ito's colours, told apart by the colour-blind too.

@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from tg4mm.bench.means import mean_of_all
-from tg4mm.bench.page import markdown, origin, trained_otherwise
-from tg4mm.bench.plots import curves
-from tg4mm.bench.table import NOTHING, shown
-from tg4mm.bench.tables import Table
+from tg4mm.bench.pages.cells import NOTHING, shown
+from tg4mm.bench.pages.markdown import markdown, origin, trained_otherwise
+from tg4mm.bench.pages.plots import curves
+from tg4mm.bench.pages.tables import Table
 from tg4mm.evaluate.run import CEILING, STATIC
 
 # Columns by key of a line's `scalars`: title, format.

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from tg4mm.bench.means import mean, scalars
+from tg4mm.bench.pages.cells import NOTHING, shown
 from tg4mm.bench.scored import METRICS
-from tg4mm.bench.table import NOTHING, shown
 from tg4mm.evaluate.run import CEILING, STATIC
 
 Results = Mapping[str, Any]

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from tg4mm.bench.folder import write_text
-from tg4mm.bench.latex import latex_table
-from tg4mm.bench.page import scenes_page
-from tg4mm.bench.plots import over_alpha, size_and_speed
-from tg4mm.bench.tables import full_table, groups_of, kinds_tables, tables_of
+from tg4mm.bench.pages.latex import latex_table
+from tg4mm.bench.pages.markdown import scenes_page
+from tg4mm.bench.pages.plots import over_alpha, size_and_speed
+from tg4mm.bench.pages.tables import full_table, groups_of, kinds_tables, tables_of
 from tg4mm.files import write_json
 
 

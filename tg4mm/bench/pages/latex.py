@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from tg4mm.bench.tables import Table
+from tg4mm.bench.pages.tables import Table
 
 _ESCAPES = {
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",

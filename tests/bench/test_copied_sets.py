@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tg4mm.bench.ablate import _job
-from tg4mm.bench.ablations import ABLATIONS
+from tg4mm.bench.ablation.catalogue import ABLATIONS
+from tg4mm.bench.ablation.copied_sets import with_noise, with_timesteps
+from tg4mm.bench.ablation.run import _job
 from tg4mm.bench.errors import BenchError
 from tg4mm.bench.measure import Plan
 from tg4mm.bench.sets import open_set
-from tg4mm.bench.subset import with_noise, with_timesteps
 from tg4mm.capture import load_capture, load_images
 
 

@@ -13,8 +13,8 @@ from markupsafe import Markup
 
 from tg4mm.bench.jobs import picture_folder
 from tg4mm.bench.methods.camera_videos import most_changing, video_of
+from tg4mm.bench.pages.sheet import write_sheet
 from tg4mm.bench.sets import BenchSet, alpha_to_show, open_set, truth_at
-from tg4mm.bench.sheet import write_sheet
 from tg4mm.errors import Tg4mmError
 from tg4mm.evaluate.slices import difference_maps
 from tg4mm.render.frames import to_bytes

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from tg4mm.bench.ablation_page import COLUMNS, SSIM
+from tg4mm.bench.ablation.page import COLUMNS, SSIM
 from tg4mm.bench.errors import BenchError
 from tg4mm.bench.folder import CIRCUMSTANCES, FORMAT, VERSION
 from tg4mm.bench.measure import OF_RUN

@@ -1,0 +1,1 @@
+"""Ablations: what they vary, the datasets that they need, and their tables."""
