@@ -373,11 +373,43 @@ def test_a_bad_picture_takes_its_alpha_along_and_no_more(
 
 
 def test_ground_truth_that_is_torn_takes_its_alpha_along(data: Path, tmp_path: Path, capsys) -> None:
+    """It is said once, before anything is run, and a job of its own ends as well as with the α that is whole."""
     own = shutil.copytree(data, tmp_path / data.name)
     (own / "magnified" / "x020" / "003" / "test" / "r_000.png").unlink()
-    status, results = run_linear(own, tmp_path / "out")
-    assert "α = 20 will fail: " in capsys.readouterr().err
-    assert (status, list(results["lines"][0]["alphas"])) == (1, ["0", "5"])
+    status, results = run_linear(own, tmp_path / "out", "--external", f"same={tmp_path}")
+    said = capsys.readouterr().err
+    assert said.index(f"{data.name}: left out: α = 20: ") < said.index(f"{data.name}, linear-2d")
+    assert [f["why"].partition(": ")[0] for f in results["failed"]] == ["α = 20"]
+    assert (status, [list(x["alphas"]) for x in results["lines"]]) == (1, [["0", "5"]] * 2)
+    assert run_linear(own, tmp_path / "five", "--alphas", "5")[0] == 0
+    arguments = [
+        "bench",
+        "job",
+        str(own),
+        "linear-2d",
+        "--out",
+        str(tmp_path / "out"),
+        "--methods",
+        "linear-2d",
+    ]
+    assert main(arguments) == 0
+
+
+def test_a_job_says_which_alpha_has_failed(data: Path, tmp_path: Path, capsys) -> None:
+    spoilt_at_20(data, tmp_path / "theirs", None)
+    arguments = [
+        "bench",
+        "job",
+        str(data),
+        "theirs",
+        "--out",
+        str(tmp_path / "out"),
+        "--methods",
+        "linear-2d",
+    ]
+    assert main([*arguments, "--external", f"theirs={tmp_path / 'theirs'}"]) == 2
+    assert f"theirs on {data.name}: α = 20: " in capsys.readouterr().err
+    assert list((tmp_path / "out").rglob("scores.json"))
 
 
 def test_a_dataset_that_cannot_be_read_is_said_at_once(data: Path, tmp_path: Path, capsys) -> None:

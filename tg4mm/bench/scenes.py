@@ -22,7 +22,7 @@ from tg4mm.bench.pages.html import write_page
 from tg4mm.bench.pages.write import write_results
 from tg4mm.bench.request import check_settings
 from tg4mm.bench.scored import with_closure
-from tg4mm.bench.sets import BenchSet, group_titles, open_sets, open_those_that_open, truth_at
+from tg4mm.bench.sets import BenchSet, group_titles, open_sets, open_those_that_open, torn_truth
 from tg4mm.bench.vqa import Checkout
 from tg4mm.errors import Tg4mmError
 from tg4mm.evaluate.run import CEILING, STATIC
@@ -80,6 +80,7 @@ def run_scenes(
     for preset in request.presets():
         check_settings(request.settings.get(preset, {}), preset)
     sets, failed = open_those_that_open(roots, request.plan.alphas)
+    failed += torn_truth(sets, request.plan.alphas)
     check_plan(sets, request.plan)
     open_folder(Path(out), KIND)
     for found in failed:
@@ -113,19 +114,12 @@ def run_scenes(
 
 
 def foreseen(sets: Sequence[BenchSet], request: ScenesRequest) -> Iterator[str]:
-    """What will fail, known before hours of training: ground truth that is not whole, pictures of outside methods."""
+    """What of outside methods will fail, known before hours of training."""
     for data in sets:
-        whole = []
-        for alpha in alphas_of(data, request.plan):
-            try:
-                truth_at(data, alpha)
-                whole.append(alpha)
-            except (Tg4mmError, OSError) as error:
-                yield f"{data.label}: α = {alpha} will fail: {error}"
         for method in request.external:
             try:
                 method.fit(data, Path(), request.plan)
-                for alpha in whole:
+                for alpha in alphas_of(data, request.plan):
                     if method.has(data, alpha):
                         method.check(data, alpha)
             except (Tg4mmError, OSError) as error:
@@ -141,7 +135,9 @@ def run_one(root: Path, name: str, out: Path, request: ScenesRequest) -> Path:
     check_plan([data], request.plan)
     open_folder(Path(out), KIND)
     _prepare([data], job_folder(out, data, methods[name]), out, request, [methods[name]], lambda text: None)
-    run_job(methods[name], data, out, request.plan, request.vqa)
+    _, lines = run_job(methods[name], data, out, request.plan, request.vqa)
+    for why in (why for line in lines for why in line.failed):
+        raise BenchError(f"{name} on {data.label}: {why}; what else there is was scored")
     return job_folder(out, data, methods[name])
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import hashlib
 import math
 import warnings
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ import numpy as np
 
 from tg4mm.bench.errors import BenchError
 from tg4mm.capture import Capture, load_capture
-from tg4mm.errors import RunError, Tg4mmError
+from tg4mm.errors import CaptureError, RunError, Tg4mmError
 from tg4mm.evaluate.truth import TRUTH_FILE, Truth, load_truth
 from tg4mm.evaluate.wanted import alphas_with_truth
 from tg4mm.files import to_json
@@ -44,6 +44,7 @@ class BenchSet:
     alphas: tuple[int, ...]  # with ground truth, above 0
     cameras: str  # how it was filmed, as the generator calls it, else one of tg4mm.capture's KINDS
     digest: str  # of what describes the set, so that figures of another set of that name are not taken for its own
+    torn: Mapping[int, str] = field(default_factory=dict)  # α whose ground truth is not whole: why
 
     @property
     def group(self) -> str:
@@ -52,7 +53,8 @@ class BenchSet:
 
     def plain(self) -> dict[str, Any]:
         """In JSON's types, as results.json has it."""
-        fields: dict[str, Any] = to_json({**asdict(self), "root": str(self.root)}, "set")
+        torn = {str(alpha): why for alpha, why in self.torn.items()}
+        fields: dict[str, Any] = to_json({**asdict(self), "root": str(self.root), "torn": torn}, "set")
         return fields
 
 
@@ -169,6 +171,8 @@ def open_set(root: Path, label: str) -> BenchSet:
     if not len(moving):
         raise BenchError(f"dataset {root}: nothing that is magnified moves in it")
     strongest = moving[pixels[moving].argmax()]
+    digest = _digest(root)
+    torn = _torn(root.resolve(), digest, alphas)
     return BenchSet(
         label=label,
         root=root.resolve(),
@@ -180,10 +184,35 @@ def open_set(root: Path, label: str) -> BenchSet:
         frequency_hz=float(truth.freqs_hz[strongest]),
         amplitude_px=float(pixels[strongest]),
         band_hz=band_around(truth.freqs_hz[moving], capture.fps),
-        alphas=alphas,
+        alphas=tuple(a for a in alphas if a not in torn),
         cameras=_filmed(root, capture.kind),
-        digest=_digest(root),
+        digest=digest,
+        torn=torn,
     )
+
+
+def _torn(root: Path, digest: str, alphas: Sequence[int]) -> dict[int, str]:
+    """Why ground truth cannot be read, by α; known before hours of training. Raises CaptureError for that at α = 0."""
+    _captured(root, digest, 0)
+    found = {}
+    for alpha in alphas:
+        try:
+            _captured(root, digest, alpha)
+        except (Tg4mmError, OSError) as error:
+            found[alpha] = str(error)
+    if len(found) == len(alphas):
+        raise CaptureError(found[alphas[0]])
+    return found
+
+
+def torn_truth(sets: Iterable[BenchSet], alphas: Sequence[float] | None) -> list[dict[str, str]]:
+    """[{set, method, why}] of the α asked for whose ground truth is not whole."""
+    return [
+        {"set": data.label, "method": "", "why": f"α = {alpha}: {why}"}
+        for data in sets
+        for alpha, why in data.torn.items()
+        if alphas is None or alpha in alphas
+    ]
 
 
 def band_around(freqs_hz: np.ndarray, fps: float) -> tuple[float, float]:

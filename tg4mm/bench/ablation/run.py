@@ -32,7 +32,7 @@ from tg4mm.bench.measure import (
 )
 from tg4mm.bench.pages.latex import latex_table
 from tg4mm.bench.request import check_settings, settings_by_preset
-from tg4mm.bench.sets import BenchSet, filmed_digest, open_set, open_those_that_open
+from tg4mm.bench.sets import BenchSet, filmed_digest, open_set, open_those_that_open, torn_truth
 from tg4mm.errors import RunError, Tg4mmError
 from tg4mm.form import write_sealed
 from tg4mm.magnify import TemporalFilter
@@ -71,6 +71,7 @@ def run_ablation(
     plan = replace(plan, metrics=_METRICS)
     rows = rows_of(name, preset, settings_by_preset(given, [preset])[preset])
     sets, failed = open_those_that_open(roots, plan.alphas)
+    failed += torn_truth(sets, plan.alphas)
     _check(rows, preset, sets, plan)
     sets = _renderable(sets, failed) if any(row.is_rendered for row in rows) else sets
     open_folder(out, f"ablation {name}, {preset}")
