@@ -207,18 +207,19 @@ def cost_table(results: Results, group: str) -> Table:
     """Seconds of each stage, memory, size, and how fast pictures are rendered ([TG4MM] Table II and Fig. 6)."""
     note = (
         "Seconds and iterations of training, most memory held in each stage, Gaussians, size of the model's files; "
-        "pictures a second: posing and rendering of the test pictures, without opening the model and writing them; for "
-        "a 2D method, which has no model, it includes reading the test views. An "
-        "iteration is a step on one view; in the motion of modal it is one of conjugate gradients on all views, and "
+        "pictures a second: posing and rendering of the test pictures, without opening the model and writing them, the "
+        "mean of linear and phase for a paper preset; for a 2D method, which has no model, it includes reading the "
+        "test views. An iteration is a step on one view; in the motion of modal it is one of conjugate gradients on all views, and "
         "the number is the largest that is allowed."
     )
     speeds = {(x["set"], x["row"]): x["frames_per_s"] for x in results["lines"]}
     rows = _scalar_rows(results, group, _COSTS)
+    members = {s["label"] for s in results["sets"] if s["group"] == group}
     for row in rows:
-        own = [v for (label, name), v in speeds.items() if label == row[0] and name.split(":")[0] == row[1]]
+        of = {row[0]} if row[0] in members else members  # a row of means
+        own = [v for (label, name), v in speeds.items() if label in of and name.split(":")[0] == row[1]]
         row.append(shown(mean(own), "{:.0f}"))
     known = {(row[0], row[1]) for row in rows}
-    members = {s["label"] for s in results["sets"] if s["group"] == group}
     for (label, name), speed in speeds.items():
         base = name.split(":")[0]
         if label in members and name not in {STATIC, CEILING} and (label, base) not in known and speed:
