@@ -209,8 +209,8 @@ def cost_table(results: Results, group: str) -> Table:
         "Seconds and iterations of training, most memory held in each stage, Gaussians, size of the model's files; "
         "pictures a second: posing and rendering of the test pictures, without opening the model and writing them, the "
         "mean of linear and phase for a paper preset; for a 2D method, which has no model, it includes reading the "
-        "test views. An iteration is a step on one view; in the motion of modal it is one of conjugate gradients on all views, and "
-        "the number is the largest that is allowed."
+        "test views. An iteration is a step on one view; in the motion of modal it is one of conjugate gradients on "
+        "all views, and the number is the largest that is allowed."
     )
     speeds = {(x["set"], x["row"]): x["frames_per_s"] for x in results["lines"]}
     rows = _scalar_rows(results, group, _COSTS)
