@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from torch import Tensor
@@ -28,12 +28,15 @@ def shown(scene: Scene, sh_degree: int | None = None, **options: Any) -> tuple[T
 
 
 def assert_same_image(a: Tensor, b: Tensor) -> None:
-    """To float32 rounding; a pixel at a threshold (1 in 1000) may differ by a contribution of 1/255."""
+    """To float32 rounding; a pixel at a threshold (1 in 1000) may differ by a contribution.
+
+    That is 1/255 of one Gaussian's colour or depth, which is up to twice the largest of the blended picture.
+    """
     error = (a - b).abs()
     scale = a.abs().max()
     assert scale > 0.05
     assert (error > 1e-4 * scale).double().mean() <= 1e-3
-    assert error.max() <= scale / 200
+    assert error.max() <= scale / 127
 
 
 @quick
@@ -86,6 +89,7 @@ def test_the_order_of_the_gaussians_does_not_matter(seed: int) -> None:
 
 @quick
 @given(seed=seeds, factor=st.floats(1e-2, 1e3))
+@example(seed=147, factor=29.0)  # a Gaussian at a threshold, farther away than the mean of any pixel
 def test_the_unit_of_length_does_not_matter(seed: int, factor: float) -> None:
     """Scene and camera made `factor` times as large: the same picture, depths times `factor`."""
     scene = make_scene(seed)
