@@ -15,13 +15,13 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TextIO
 
 from tg4mm import events
-from tg4mm.progress import Update, progress
+from tg4mm.progress import progress
 
 from .errors import GenerateError
 from .plan import RANGE, ranges
@@ -38,9 +38,17 @@ class RunFailed(RuntimeError):
 
 
 def render(
-    settings: Settings, root: Path, todo: Sequence[int], count: int, stream: TextIO, label: str = "rendering"
+    settings: Settings,
+    root: Path,
+    todo: Sequence[int],
+    count: int,
+    stream: TextIO,
+    note: Callable[[int], None] = lambda done: None,
 ) -> None:
-    """Renders the shots with these numbers in `count` processes at once; a failed one stops the others."""
+    """Renders the shots with these numbers in `count` processes at once; a failed one stops the others.
+
+    `note` is told after each picture how many are done.
+    """
     if not todo:
         return
     pieces = max(min(count, len(todo)), -(-len(todo) // RANGE))
@@ -50,8 +58,13 @@ def render(
     count = min(count, pieces)
     job: dict[str, Any] = {"task": "render", "settings": settings.to_json(), "root": str(root.resolve())}
     job["threads"] = max(1, cores() // count)
-    with progress(label, len(todo), "pictures", stream=stream) as update:
-        pool = _Pool(job, update)
+    with progress("rendering", len(todo), "pictures", stream=stream) as update:
+
+        def both(done: int) -> None:
+            note(done)
+            update(done)
+
+        pool = _Pool(job, both)
         try:
             with tempfile.TemporaryDirectory(prefix="dataset_gen_") as scratch:
                 feeders = [
@@ -98,7 +111,7 @@ def inspect(source: Source, found: Path) -> None:
 class _Pool:
     """Worker processes and what became of them."""
 
-    def __init__(self, job: dict[str, Any], update: Update) -> None:
+    def __init__(self, job: dict[str, Any], update: Callable[[int], None]) -> None:
         self._job, self._update, self._done, self._counting = job, update, 0, threading.Lock()
         self._running: set[subprocess.Popen[str]] = set()
         self._failure = ""

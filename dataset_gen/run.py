@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, TextIO
@@ -25,6 +25,7 @@ from .report import write_overview, write_report
 from .settings import Settings
 
 Timing = dict[str, Any]  # pictures, seconds, processes
+TIMING = "report/timing.json"  # of all calls that rendered something
 PARTS = ".parts"  # working folder of a run in parts: parts.json, and a file for each that is done
 
 
@@ -38,8 +39,13 @@ def generate(settings: Settings, out: Path, count: int = 0, stream: TextIO | Non
     job = claim(plan(settings, out))
     with _held(job.root):
         coded.begin(job.root, job.settings)
-        timing = render_missing(job, range(len(job.shots)), count, stream)
-        _add_timing(job.root, timing)
+        path = job.root / TIMING
+        former = [_timing(path)] if path.exists() else []
+
+        def note(now: Timing) -> None:  # picture by picture, so that a killed call counts as well
+            tree.write_json(path, _total([*former, now]))
+
+        render_missing(job, range(len(job.shots)), count, stream, note)
         return finish(job, stream)
 
 
@@ -47,13 +53,23 @@ def _held(root: Path) -> AbstractContextManager[None]:
     return held(root, f"{root} is in use: another process makes this dataset")
 
 
-def render_missing(job: Job, numbers: Sequence[int], count: int, stream: TextIO) -> Timing:
-    """Renders those of the shots with these numbers that are not complete."""
+def render_missing(
+    job: Job,
+    numbers: Sequence[int],
+    count: int,
+    stream: TextIO,
+    note: Callable[[Timing], None] = lambda timing: None,
+) -> Timing:
+    """Renders those of the shots with these numbers that are not complete; `note` hears of each picture."""
     todo = [i for i in numbers if not _finished(job, job.shots[i])]
     count = count or processes.cores()
     start = time.monotonic()
-    processes.render(job.settings, job.root, todo, count, stream)
-    return {"pictures": len(todo), "seconds": time.monotonic() - start, "processes": count}
+
+    def timing(done: int) -> Timing:
+        return {"pictures": done, "seconds": time.monotonic() - start, "processes": count}
+
+    processes.render(job.settings, job.root, todo, count, stream, lambda done: note(timing(done)))
+    return timing(len(todo))
 
 
 def _timing(path: Path) -> Timing:
@@ -64,14 +80,9 @@ def _timing(path: Path) -> Timing:
         raise RunFailed(f"{path} is not the record of a rendering; remove it") from None
 
 
-def _add_timing(root: Path, *more: Timing) -> None:
-    """Adds to what report/timing.json says of former calls; calls that rendered nothing do not count."""
-    path = root / "report/timing.json"
-    old = [_timing(path)] if path.exists() else []
-    every = [*old, *(t for t in more if t["pictures"])]
-    if len(every) > len(old):
-        total = {key: sum(t[key] for t in every) for key in ("pictures", "seconds")}
-        tree.write_json(path, {**total, "processes": max(t["processes"] for t in every)})
+def _total(timings: Sequence[Timing]) -> Timing:
+    total = {key: sum(t[key] for t in timings) for key in ("pictures", "seconds")}
+    return {**total, "processes": max(t["processes"] for t in timings)}
 
 
 def finish(job: Job, stream: TextIO) -> Path:
@@ -81,7 +92,9 @@ def finish(job: Job, stream: TextIO) -> Path:
         raise RunFailed(f"{job.root}: {len(missing)} files are missing or damaged, the first is {missing[0]}")
     if points.wanted(job.root, job.settings):
         _write_points(job)
-    _add_timing(job.root, *(_timing(p) for p in (job.root / PARTS).glob("*.done")))
+    if parts := [t for p in (job.root / PARTS).glob("*.done") if (t := _timing(p))["pictures"]]:
+        former = [_timing(job.root / TIMING)] if (job.root / TIMING).exists() else []
+        tree.write_json(job.root / TIMING, _total([*former, *parts]))
     remove_leftovers(job.root)
     shutil.rmtree(job.root / points.FOLDER, ignore_errors=True)
     shutil.rmtree(job.root / PARTS, ignore_errors=True)

@@ -1,4 +1,4 @@
-"""`generate all --preset smoke`, with fewer timesteps and one α: every scene generates, and its ground truth is what it says, scene by scene."""
+"""`generate all --preset smoke`, fewer timesteps, one α: every scene generates, and its truth is what it says."""
 
 from __future__ import annotations
 
