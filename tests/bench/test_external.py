@@ -101,7 +101,7 @@ def test_an_alpha_that_is_not_there_is_left_out_and_said(data: Path, tmp_path: P
         ("ceiling=.", "that is the name of a row here"),
         ("Linear-2D=.", "that is the name of a row here"),
         ("set.json=.", "that is the name of a row here"),
-        ("-x=.", "begins with none of . -"),
+        ("-x=.", "must not begin with . or -"),
     ],
 )
 def test_what_is_refused(given: str, message: str, data: Path, tmp_path: Path, capsys) -> None:

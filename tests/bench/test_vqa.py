@@ -35,9 +35,9 @@ def test_the_two_are_called_as_their_authors_say(tmp_path: Path) -> None:
     ("program", "message"),
     [
         ("raise SystemExit('no weights')", "status 1: no weights"),
-        ("print('none')", "printed 'none' at the end, expected a line with the score"),
-        ("print('loaded 3 models')\nprint('score: nan')", "printed 'score: nan' at the end"),
-        ("", "printed 'nothing' at the end"),
+        ("print('none')", "the last line that it printed is 'none', expected one with the score"),
+        ("print('loaded 3 models')\nprint('score: nan')", "the last line that it printed is 'score: nan'"),
+        ("", "the last line that it printed is ''"),
     ],
 )
 def test_what_goes_wrong_is_said(tmp_path: Path, program: str, message: str) -> None:

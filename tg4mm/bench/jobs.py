@@ -15,7 +15,7 @@ import numpy as np
 
 from tg4mm.bench.errors import BenchError
 from tg4mm.bench.folder import claim_set
-from tg4mm.bench.measure import Plan
+from tg4mm.bench.measure import Plan, alphas_of
 from tg4mm.bench.methods import Method
 from tg4mm.bench.methods.camera_videos import cameras_of, picture_name, video_of
 from tg4mm.bench.methods.external import External
@@ -79,11 +79,6 @@ def is_finished(method: Method, data: BenchSet, out: Path, plan: Plan) -> bool:
     """Whether all rows have scores at every α, of whatever settings: enough to tell the time that is left by."""
     known = _Kept(job_folder(out, data, method) / SCORES).entries
     return all(f"{row} {alpha}" in known for row in method.rows for alpha in _alphas_by(method, data, plan))
-
-
-def alphas_of(data: BenchSet, plan: Plan) -> list[int]:
-    """0, the test split as it is, and what is asked for and there."""
-    return [0, *(a for a in data.alphas if plan.alphas is None or a in plan.alphas)]
 
 
 def _alphas_by(method: Method, data: BenchSet, plan: Plan) -> list[int]:

@@ -190,15 +190,19 @@ def read_figures(place: Path) -> dict[str, Any] | None:
         return None
 
 
+def alphas_of(data: BenchSet, plan: Plan) -> list[int]:
+    """0, the test split as it is, and what is asked for and there."""
+    return [0, *(a for a in data.alphas if plan.alphas is None or a in plan.alphas)]
+
+
 def _request(data: BenchSet, training: Training, plan: Plan) -> dict[str, Any]:
     """All that the figures depend on, in JSON's types."""
     configs = parse_settings(training.settings, training.preset)
     own = {} if training.trainer is None else {"trainer": training.trainer.plain()}
-    alphas = [0, *(a for a in data.alphas if plan.alphas is None or a in plan.alphas)]
     return own | {
         "dataset": str(data.root),
         "digest": data.digest,
-        "truth": {f"{a:g}": truth_state(data, a) for a in alphas},
+        "truth": {f"{a:g}": truth_state(data, a) for a in alphas_of(data, plan)},
         "preset": training.preset,
         "settings": {stage: dataclasses.asdict(config) for stage, config in configs.items()},
         "scorings": [dataclasses.asdict(s) for s in training.ways],
@@ -210,7 +214,7 @@ def _request(data: BenchSet, training: Training, plan: Plan) -> dict[str, Any]:
 
 
 def _made_by(place: Path) -> dict[str, Any] | None:
-    """What the run is trained by, noted before it begins; of one that is there what was noted then, None if nothing."""
+    """By what code, when and where the run is trained, noted before it begins; None for one of which it was not."""
     record = place / MADE
     if not (place / "run").is_dir():
         place.mkdir(parents=True, exist_ok=True)

@@ -11,9 +11,9 @@ from tg4mm.bench.ablation.results_file import read_ablation
 from tg4mm.bench.errors import BenchError
 from tg4mm.bench.failures import why_failed
 from tg4mm.bench.folder import FORMAT, VERSION, circumstances, open_folder
-from tg4mm.bench.jobs import Line, alphas_of, is_finished, job_folder, run_job
+from tg4mm.bench.jobs import Line, is_finished, job_folder, run_job
 from tg4mm.bench.means import group_means, line_means
-from tg4mm.bench.measure import Plan, Training, check_plan, is_measured, warm_up
+from tg4mm.bench.measure import Plan, Training, alphas_of, check_plan, is_measured, warm_up
 from tg4mm.bench.methods import Method
 from tg4mm.bench.methods.external import External
 from tg4mm.bench.methods.known import DEFAULT, methods_of
@@ -137,7 +137,7 @@ def run_one(root: Path, name: str, out: Path, request: ScenesRequest) -> Path:
     _prepare([data], job_folder(out, data, methods[name]), out, request, [methods[name]], lambda text: None)
     _, lines = run_job(methods[name], data, out, request.plan, request.vqa)
     for why in (why for line in lines for why in line.failed):
-        raise BenchError(f"{name} on {data.label}: {why}; what else there is was scored")
+        raise BenchError(f"{name} on {data.label}: {why}; the other α are scored")
     return job_folder(out, data, methods[name])
 
 

@@ -139,7 +139,9 @@ def labelled(given: Sequence[Path]) -> dict[str, Path]:
 def check_name(name: str, where: str) -> None:
     """Raise BenchError for a name that no folder can have."""
     if not name or not all(c.isalnum() or c in "-_." for c in name) or name[0] in ".-":
-        raise BenchError(f"{where}: the name may hold letters, digits and - _ ., and begins with none of . -")
+        raise BenchError(
+            f"{where}: the name may hold letters, digits and - _ . and must not begin with . or -"
+        )
 
 
 def check_alphas(sets: Sequence[BenchSet], alphas: Sequence[float] | None) -> None:

@@ -69,10 +69,12 @@ class Checkout:
         if done.returncode != 0:
             said = (done.stderr.strip() or done.stdout.strip() or "no message").splitlines()[-1]
             raise BenchError(f"{where}: ended with status {done.returncode}: {said[:200]}")
-        last = (done.stdout.strip() or "nothing").splitlines()[-1]
+        last = (done.stdout.strip().splitlines() or [""])[-1]
         found = _NUMBER.findall(last)
         if not found:
-            raise BenchError(f"{where}: printed {last[:200]!r} at the end, expected a line with the score")
+            raise BenchError(
+                f"{where}: the last line that it printed is {last[:200]!r}, expected one with the score"
+            )
         return float(found[-1].rstrip("."))
 
 

@@ -34,5 +34,5 @@ def image_path(root: Path, folder: Path, file_path: str, where: str) -> Path:
     for candidate in candidates:
         if inside(root, candidate, where).is_file():
             return candidate
-    tried = "" if has_suffix else f"; tried were {', '.join(IMAGE_SUFFIXES)}"
+    tried = "" if has_suffix else f" (tried {', '.join(IMAGE_SUFFIXES)})"
     raise CaptureError(f"{where}: image {named} does not exist{tried}")

@@ -156,7 +156,9 @@ def ablation_page(results: Mapping[str, Any], has_picture: bool) -> str:
         parts.append(results["remark"])
     parts.append(_trained_with(results))
     runs = {f"{line['row']} on {line['set']}": line for line in results["lines"]}
-    parts += [f"Trained otherwise: {text}." for text in trained_otherwise(results["made"], runs)]
+    parts += [
+        f"Trained by other code or elsewhere: {text}." for text in trained_otherwise(results["made"], runs)
+    ]
     notes = {note: None for line in results["lines"] for note in line["notes"]}
     parts += [f"Note: {note}" for note in notes]
     return "\n\n".join(part for part in parts if part) + "\n"

@@ -64,7 +64,7 @@ class Trained:
         subject = _subject_of(run, model_hash(run), data.root, shown, bands, plan.device)
         (method,) = [m for m in subject.methods if m.name == (row if way is None else OURS)]
         if method.posing is not None:  # opens the model, which is not to count as rendering
-            pose(subject.gaussians, method, int(capture.timesteps[0]), float(alpha))
+            method.posing.at(float(alpha))
         return _pictures(subject, method, capture, float(alpha))
 
     def _way(self, row: str) -> Scoring | None:

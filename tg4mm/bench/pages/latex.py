@@ -9,7 +9,7 @@ from tg4mm.bench.pages.tables import Table
 _ESCAPES = {
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
     "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "α": r"$\alpha$", "×": r"$\times$", "°": r"$^\circ$",
-    "±": r"$\pm$", "σ": r"$\sigma$", "–": "--", "“": "``", "”": "''",
+    "±": r"$\pm$", "σ": r"$\sigma$", "δ": r"$\delta$", "−": "$-$", "…": r"\dots{}", "–": "--", "“": "``", "”": "''",
 }  # fmt: skip
 _PAGE = 45  # rows
 _SPECIAL = re.compile("|".join(map(re.escape, _ESCAPES)))
