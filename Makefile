@@ -81,10 +81,10 @@ docs: install
 sample: demo
 	mkdir -p dist && cp demo/splat.ply dist/tg4mm-sample.ply
 
-# The program of the HTML pages (tg4mm/web/player/dist), from its sources; needs node 20 and npm. It is committed: only who
+# The program of the HTML pages (tg4mm/show/web/player/dist), from its sources; needs node 20 and npm. It is committed: only who
 # changes it runs this, and a test says when it is older than its sources.
 player:
-	cd tg4mm/web/player && npm ci && npm run build
+	cd tg4mm/show/web/player && npm ci && npm run build
 
 # Khronos's glTF validator and the reference reader of SPZ, for tests that are skipped without them; needs node 20 and npm.
 readers:

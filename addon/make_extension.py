@@ -16,8 +16,8 @@ ROOT = Path(__file__).resolve().parent.parent
 _DATE = (1980, 1, 1, 0, 0, 0)  # of every file in the zip
 # The imports with which dataset_gen.vibration leaves its package, and how they read inside the extension.
 _LEAVING = {
-    "errors.py": ("..", "from tg4mm.errors import Tg4mmError\n"),
-    "vibration/files.py": ("...", "from tg4mm.untrusted import read_json, read_yaml\n"),
+    "errors.py": ("..", "from tg4mm.core.errors import Tg4mmError\n"),
+    "vibration/files.py": ("...", "from tg4mm.core.untrusted import read_json, read_yaml\n"),
 }
 
 
@@ -36,10 +36,10 @@ def stage(folder: Path) -> Path:
     core = folder / "core"
     (core / "splatfile").mkdir(parents=True)
     (core / "__init__.py").write_text('"""The parts of tg4mm that need numpy alone."""\n', encoding="utf-8")
-    alone = [ROOT / "tg4mm" / name for name in ("errors.py", "temporary.py", "untrusted.py")]
-    for source in (*alone, *sorted((ROOT / "tg4mm" / "splatfile").glob("*.py"))):
-        shutil.copyfile(source, core / source.relative_to(ROOT / "tg4mm"))
-    shutil.copyfile(ROOT / "tg4mm" / "report" / "colour.py", core / "colour.py")
+    alone = [ROOT / "tg4mm" / "core" / name for name in ("errors.py", "temporary.py", "untrusted.py")]
+    for source in (*alone, *sorted((ROOT / "tg4mm" / "core" / "splatfile").glob("*.py"))):
+        shutil.copyfile(source, core / source.relative_to(ROOT / "tg4mm" / "core"))
+    shutil.copyfile(ROOT / "tg4mm" / "core" / "colour.py", core / "colour.py")
     stage_generator(folder / "generator")
     return folder
 
@@ -74,15 +74,16 @@ def _either(file: Path, absolute: str, relative: str) -> None:
 # What dataset_gen imports of tg4mm; nothing in these needs more than Python, numpy and PyYAML.
 _GENERATOR_NEEDS = (
     "__init__.py",
-    "errors.py",
-    "events.py",
-    "files.py",
-    "form.py",
-    "lazy.py",
-    "lock.py",
-    "progress.py",
-    "temporary.py",
-    "untrusted.py",
+    "core/__init__.py",
+    "core/errors.py",
+    "core/events.py",
+    "core/files.py",
+    "core/form.py",
+    "core/lazy.py",
+    "core/lock.py",
+    "core/progress.py",
+    "core/temporary.py",
+    "core/untrusted.py",
 )
 
 

@@ -25,7 +25,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from tg4mm.splatfile import SplatFile, write_splat
+from tg4mm.core.splatfile import SplatFile, write_splat
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -117,7 +117,7 @@ def measure(extension: ModuleType, path: Path, count: int, frames: int) -> None:
     goal = IMPORT_GOAL[1] if count == IMPORT_GOAL[0] else None
     print(f"  {'import':25s} {times.line(1.0, 's', goal)}, {path.stat().st_size / 2**20:.0f} MiB")
     obj: Any = bpy.context.object
-    modifier, names = extension.scene.splat_modifier(obj), extension.names
+    modifier, names = extension.nodes.scene.splat_modifier(obj), extension.names
     put = extension.compat.set_input
     put(modifier, names.ALPHA, 3.0)
     rows = [(draw, colour, "") for draw, colour in SHOWN]

@@ -22,7 +22,7 @@ import numpy as np
 from PIL import Image
 
 from benchmarks.blender import load
-from tg4mm.splatfile import positions_at, read_splat
+from tg4mm.core.splatfile import positions_at, read_splat
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -31,7 +31,7 @@ def core_picture(options: argparse.Namespace, pose: np.ndarray, angle: float) ->
     """[H, W, 3] by the core's rasteriser without a low-pass of its own."""
     import torch
 
-    from tg4mm.rasterize import rasterization
+    from tg4mm.fit.rasterize import rasterization
 
     splat, side = read_splat(options.splat), options.size
     means = positions_at(splat, options.timestep, options.alpha)
@@ -70,7 +70,7 @@ def blender_pictures(options: argparse.Namespace, pose: np.ndarray, angle: float
         bpy.ops.wm.read_factory_settings(use_empty=True)
         extension.register()
         bpy.ops.import_scene.tg4mm_splat(filepath=str(options.splat))
-        modifier, names = extension.scene.splat_modifier(bpy.context.object), extension.names
+        modifier, names = extension.nodes.scene.splat_modifier(bpy.context.object), extension.names
         set_scene(pose, angle, options.size)
         for name, value in (
             (names.DRAW, names.SPLATS),

@@ -27,8 +27,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tg4mm.bench.ablation.rendered_sets import KINDS
-from tg4mm.bench.measure import strongest_hz
+from tg4mm.research.bench.ablation.rendered_sets import KINDS
+from tg4mm.research.bench.measure import strongest_hz
 from tg4mm.run import Run
 
 ALPHA = 20

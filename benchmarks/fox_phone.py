@@ -26,17 +26,17 @@ import torch
 from benchmarks import fox_phone_scores as scores
 from benchmarks.fox_phone_truth import IDENTITY, Similarity, Truth, kind_of, world_of
 from tg4mm.capture import Capture, load_capture
-from tg4mm.errors import Tg4mmError
-from tg4mm.evaluate.metrics import ssim
-from tg4mm.evaluate.weights import blending_weights
-from tg4mm.files import write_json
-from tg4mm.gaussians import Gaussians
-from tg4mm.render import RenderRequest, render_image
-from tg4mm.render.cameras import Camera
-from tg4mm.render.frames import read_png
-from tg4mm.render.image import render_features
-from tg4mm.render.sequence import pose_of
+from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.files import write_json
+from tg4mm.core.metrics import ssim
+from tg4mm.core.pictures.frames import read_png
+from tg4mm.fit.gaussians import Gaussians
 from tg4mm.run import Run
+from tg4mm.show.render import RenderRequest, render_image
+from tg4mm.show.render.cameras import Camera
+from tg4mm.show.render.image import render_features
+from tg4mm.show.render.sequence import pose_of
+from tg4mm.show.weights import blending_weights
 
 ALPHA = 20
 FRAMES = (0, 6, 12, 18, 24)

@@ -22,7 +22,7 @@ from PIL import Image
 
 from tg4mm.capture.model import SurfacePoints
 from tg4mm.capture.points import write_points
-from tg4mm.files import write_json
+from tg4mm.core.files import write_json
 
 KINDS = ("tripod", "handheld", "clips", "flat")
 SIZES = {

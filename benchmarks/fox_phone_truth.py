@@ -14,9 +14,9 @@ import torch
 from scipy.spatial import cKDTree
 
 from tg4mm.capture import Capture
-from tg4mm.errors import CaptureError
-from tg4mm.gaussians import Gaussians
-from tg4mm.render.cameras import Camera
+from tg4mm.core.errors import CaptureError
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.show.render.cameras import Camera
 
 SEEN = 0.1  # opacity from which a truth Gaussian counts as a point of a surface
 NEIGHBOURS = 4

@@ -35,22 +35,22 @@ from torch import Tensor
 from benchmarks.gpu_scene import moving, rest_view_of, sway, synthetic
 from tg4mm import __version__
 from tg4mm.capture import Capture, ImageStack, load_capture, load_images
-from tg4mm.device import DEVICES, check_device
-from tg4mm.errors import Tg4mmError
-from tg4mm.evaluate.displacement import displacement_figures
-from tg4mm.evaluate.weights import blending_weights
-from tg4mm.files import write_json
-from tg4mm.gaussians import Gaussians
-from tg4mm.motion import ModalMotion, MotionConfig
-from tg4mm.motion.animate import animator
-from tg4mm.paper import PAPER, PaperConfig, first_views, train_timesteps, train_triplane
-from tg4mm.paper.config import base_config
-from tg4mm.rasterize import rasterization
-from tg4mm.render import orbit
+from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.files import write_json
+from tg4mm.fit.device import DEVICES, check_device
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion import ModalMotion, MotionConfig
+from tg4mm.fit.motion.animate import animator
+from tg4mm.fit.rasterize import rasterization
+from tg4mm.fit.space import SpaceConfig, rest_views
+from tg4mm.research.evaluate.displacement import displacement_figures
+from tg4mm.research.paper import PAPER, PaperConfig, first_views, train_timesteps, train_triplane
+from tg4mm.research.paper.config import base_config
 from tg4mm.run import Run
-from tg4mm.space import SpaceConfig, rest_views
-from tg4mm.stages.motion import train_motion
-from tg4mm.stages.space import train_space
+from tg4mm.run.stages.motion import train_motion
+from tg4mm.run.stages.space import train_space
+from tg4mm.show.render import orbit
+from tg4mm.show.weights import blending_weights
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "mic_5Hz_000"
 ALPHA = 20.0  # of the orbit

@@ -10,12 +10,12 @@ import numpy as np
 import torch
 
 from tg4mm.capture import Capture, ImageStack
-from tg4mm.gaussians import Gaussians
-from tg4mm.motion import ModalMotion
-from tg4mm.motion.animate import animator
-from tg4mm.render import render_image
-from tg4mm.render.cameras import look_at
-from tg4mm.render.frames import to_bytes
+from tg4mm.core.pictures.frames import to_bytes
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion import ModalMotion
+from tg4mm.fit.motion.animate import animator
+from tg4mm.show.render import render_image
+from tg4mm.show.render.cameras import look_at
 
 FPS, FREQUENCY, AMPLITUDE = 30.0, 5.0, 0.005  # Hz, Hz, share of the scene's extent
 

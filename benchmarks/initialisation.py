@@ -27,19 +27,19 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from tg4mm.bench.pages.cells import table
 from tg4mm.capture import Capture, load_capture, load_images
-from tg4mm.errors import Tg4mmError
-from tg4mm.evaluate.metrics import psnr, ssim
-from tg4mm.files import write_json
-from tg4mm.gaussians import Gaussians
-from tg4mm.render.image import render_image
+from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.files import write_json
+from tg4mm.core.metrics import psnr, ssim
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.space import RestViews, SpaceConfig, rest_views
+from tg4mm.fit.space.config import INITS
+from tg4mm.fit.space.initial import initial_points
+from tg4mm.fit.space.train import resolved
+from tg4mm.research.bench.pages.cells import table
 from tg4mm.run import Run
-from tg4mm.space import RestViews, SpaceConfig, rest_views
-from tg4mm.space.config import INITS
-from tg4mm.space.initial import initial_points
-from tg4mm.space.train import resolved
-from tg4mm.stages.space import train_space
+from tg4mm.run.stages.space import train_space
+from tg4mm.show.render.image import render_image
 
 STARTS = ("hull", "points", "sfm", "random")
 HEADER = ("set", "start", "found", "taken", "Gaussians", "PSNR dB", "SSIM", "start s", "all s")

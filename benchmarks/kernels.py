@@ -8,14 +8,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tg4mm.rasterize.buffers import Buffers
-from tg4mm.rasterize.kernels import binning
-from tg4mm.rasterize.kernels import project as projection
-from tg4mm.rasterize.kernels.blend import blend_forward
-from tg4mm.rasterize.kernels.blend_backward import blend_backward
-from tg4mm.rasterize.kernels.layout import FEATURES, SPLAT_WIDTH
-from tg4mm.rasterize.kernels.project_backward import project_backward
-from tg4mm.space.view import EPS2D, FAR, NEAR
+from tg4mm.fit.rasterize.buffers import Buffers
+from tg4mm.fit.rasterize.kernels import binning
+from tg4mm.fit.rasterize.kernels import project as projection
+from tg4mm.fit.rasterize.kernels.blend import blend_forward
+from tg4mm.fit.rasterize.kernels.blend_backward import blend_backward
+from tg4mm.fit.rasterize.kernels.layout import FEATURES, SPLAT_WIDTH
+from tg4mm.fit.rasterize.kernels.project_backward import project_backward
+from tg4mm.fit.space.view import EPS2D, FAR, NEAR
 
 DISTANCE = 3.0  # scene units from the camera to the ball's centre
 PIXELS = 2.0  # standard deviation of a Gaussian

@@ -34,8 +34,8 @@ from dataclasses import dataclass
 import numpy as np
 from numba import float32, njit
 
-from tg4mm.rasterize.kernels import blend, blend_backward
-from tg4mm.rasterize.kernels.layout import ALPHA_MAX, ALPHA_MIN, CA, CB, CC, MX, MY, OP, T_MIN, TILE
+from tg4mm.fit.rasterize.kernels import blend, blend_backward
+from tg4mm.fit.rasterize.kernels.layout import ALPHA_MAX, ALPHA_MIN, CA, CB, CC, MX, MY, OP, T_MIN, TILE
 
 _STEPS = 20_000_000
 _MOVES = ("vmov", "vbroadcast", "vpbroadcast", "kmov", "kortest", "ktest", "vextract")

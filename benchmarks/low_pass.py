@@ -21,11 +21,11 @@ import torch
 from PIL import Image
 
 from tg4mm.capture import Capture, load_capture
-from tg4mm.export.splat import smoothing_of
-from tg4mm.gaussians import Gaussians
-from tg4mm.lowpass import BAKED_PX2, widened
-from tg4mm.rasterize import rasterization
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.rasterize import rasterization
 from tg4mm.run import Run
+from tg4mm.show.export.lowpass import BAKED_PX2, widened
+from tg4mm.show.export.splat import smoothing_of
 
 FACTORS = (0.5, 1, 2, 4)
 VIEWERS = {"without": (1e-6, 4), "0.3 px²": (0.3, 1)}  # low-pass in px², samples along a pixel's side

@@ -23,20 +23,20 @@ import numpy as np
 
 from benchmarks.common import machine
 from tg4mm.capture import Capture, ImageStack, load_capture, load_images
-from tg4mm.evaluate.displacement import displacement_figures
-from tg4mm.evaluate.truth import exact_motion, load_truth
-from tg4mm.evaluate.weights import blending_weights
-from tg4mm.motion import ModalMotion, MotionConfig
-from tg4mm.motion.animate import displacement_at
-from tg4mm.motion.checkpoints import no_checkpoint
-from tg4mm.motion.nuisance.first_look import look_at
-from tg4mm.motion.observations import observe
-from tg4mm.motion.temporal.synchronous import principal_components
-from tg4mm.phasors import series_modes
+from tg4mm.core.phasors import series_modes
+from tg4mm.fit.motion import ModalMotion, MotionConfig
+from tg4mm.fit.motion.animate import displacement_at
+from tg4mm.fit.motion.checkpoints import no_checkpoint
+from tg4mm.fit.motion.nuisance.first_look import look_at
+from tg4mm.fit.motion.observations import observe
+from tg4mm.fit.motion.temporal.synchronous import principal_components
+from tg4mm.fit.space import SpaceConfig, rest_views
+from tg4mm.research.evaluate.displacement import displacement_figures
+from tg4mm.research.evaluate.truth import exact_motion, load_truth
 from tg4mm.run import Run
-from tg4mm.space import SpaceConfig, rest_views
-from tg4mm.stages.motion import train_motion
-from tg4mm.stages.space import train_space
+from tg4mm.run.stages.motion import train_motion
+from tg4mm.run.stages.space import train_space
+from tg4mm.show.weights import blending_weights
 
 HEAD = ("T", "decode s", "components s", "solve s", "R", "K", "error", "bins", "in band", "bins in b.")
 

@@ -23,13 +23,13 @@ from PIL import Image
 from benchmarks.common import machine
 from tg4mm.capture import Capture
 from tg4mm.capture.pictures import FilePictures
-from tg4mm.gaussians import Gaussians
-from tg4mm.memory import peak_memory_mib, reset_peak_memory
-from tg4mm.motion import MotionConfig
-from tg4mm.motion.checkpoints import Arrays
-from tg4mm.motion.observations import observe
-from tg4mm.motion.pipeline import fit_motion
-from tg4mm.rasterize import rasterization
+from tg4mm.core.memory import peak_memory_mib, reset_peak_memory
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion import MotionConfig
+from tg4mm.fit.motion.checkpoints import Arrays
+from tg4mm.fit.motion.observations import observe
+from tg4mm.fit.motion.pipeline import fit_motion
+from tg4mm.fit.rasterize import rasterization
 
 PERIOD = 6  # timesteps
 FPS = 30.0

@@ -1,4 +1,4 @@
-"""Phase magnification of one video: time and peak memory beside the bound that tg4mm/magnify/phase.py states.
+"""Phase magnification of one video: time and peak memory beside the bound that tg4mm/fit/magnify/phase.py states.
 
     python -m benchmarks.phase [--timesteps 300] [--size 512]
 
@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.common import machine
-from tg4mm.magnify.filters import TemporalFilter, bins
-from tg4mm.magnify.phase import PhaseMagnifier
-from tg4mm.memory import peak_memory_mib, reset_peak_memory
+from tg4mm.core.filters import TemporalFilter, bins
+from tg4mm.core.memory import peak_memory_mib, reset_peak_memory
+from tg4mm.fit.magnify.phase import PhaseMagnifier
 
 FPS = 30.0
 

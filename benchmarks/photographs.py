@@ -28,16 +28,16 @@ from PIL import Image
 from benchmarks.common import machine
 from benchmarks.initialisation import sheet
 from tg4mm.capture import SurfacePoints, load_capture, load_images
-from tg4mm.errors import Tg4mmError
-from tg4mm.evaluate.metrics import psnr
-from tg4mm.gaussians import Gaussians
-from tg4mm.render.image import render_image
+from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.metrics import psnr
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.space import RestViews, SpaceConfig, rest_views
+from tg4mm.fit.space.gains import fitting_gain
+from tg4mm.fit.space.levels import shrunk
 from tg4mm.run import Run
-from tg4mm.space import RestViews, SpaceConfig, rest_views
-from tg4mm.space.gains import fitting_gain
-from tg4mm.space.levels import shrunk
-from tg4mm.stages.space import train_space
-from tg4mm.train import parse_settings
+from tg4mm.run.stages.space import train_space
+from tg4mm.run.train import parse_settings
+from tg4mm.show.render.image import render_image
 
 EACH, FIRST = 8, 4  # pictures held out
 

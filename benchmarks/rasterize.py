@@ -36,13 +36,13 @@ from benchmarks.common import machine, processor_milliseconds
 from benchmarks.kernels import Kernels, scene
 from benchmarks.limit import BACKWARD, FORWARD, blocks_seen, clock_ghz, visible_evaluations
 from tg4mm.capture import load_capture
-from tg4mm.memory import peak_memory_mib
-from tg4mm.rasterize import rasterization
-from tg4mm.rasterize.reference import rasterize_dense
-from tg4mm.rasterize.simd.vector import PIXELS
+from tg4mm.core.memory import peak_memory_mib
+from tg4mm.fit.rasterize import rasterization
+from tg4mm.fit.rasterize.reference import rasterize_dense
+from tg4mm.fit.rasterize.simd.vector import PIXELS
+from tg4mm.fit.space.fused import FusedAdam, Iteration
+from tg4mm.fit.space.view import render_view
 from tg4mm.run import Run
-from tg4mm.space.fused import FusedAdam, Iteration
-from tg4mm.space.view import render_view
 
 SIZES = (256, 512, 1024)  # pixels
 COUNTS = (5_000, 50_000, 200_000, 500_000)  # Gaussians

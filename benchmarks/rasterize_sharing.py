@@ -26,18 +26,18 @@ from benchmarks.common import machine
 from benchmarks.gpu_scene import sway
 from benchmarks.training import in_turn
 from tg4mm.capture import load_capture
-from tg4mm.evaluate.metrics import flip, ssim
-from tg4mm.motion.animate import animator
-from tg4mm.rasterize.buffers import Buffers
-from tg4mm.rasterize.kernels.binning import Bins, bin_splats, gather_sums
-from tg4mm.rasterize.kernels.blend import blend_forward
-from tg4mm.rasterize.kernels.blend_backward import blend_backward
-from tg4mm.rasterize.kernels.layout import DEPTH, EX, EY, FEATURES, MX, MY, POWER
-from tg4mm.rasterize.kernels.project import empty_splats, pack_camera, project_forward
-from tg4mm.render.frames import write_png
-from tg4mm.render.image import render_image
+from tg4mm.core.metrics import flip, ssim
+from tg4mm.core.pictures.frames import write_png
+from tg4mm.fit.motion.animate import animator
+from tg4mm.fit.rasterize.buffers import Buffers
+from tg4mm.fit.rasterize.kernels.binning import Bins, bin_splats, gather_sums
+from tg4mm.fit.rasterize.kernels.blend import blend_forward
+from tg4mm.fit.rasterize.kernels.blend_backward import blend_backward
+from tg4mm.fit.rasterize.kernels.layout import DEPTH, EX, EY, FEATURES, MX, MY, POWER
+from tg4mm.fit.rasterize.kernels.project import empty_splats, pack_camera, project_forward
+from tg4mm.fit.space.view import EPS2D, FAR, NEAR
 from tg4mm.run import Run
-from tg4mm.space.view import EPS2D, FAR, NEAR
+from tg4mm.show.render.image import render_image
 
 TIMESTEPS = (1, 2, 4, 5, 7, 8)  # at which the sway is not at rest
 

@@ -74,8 +74,8 @@ def by_pyidi(data: Path) -> None:
 
 def compare(run: Path, data: Path) -> None:
     """Print both series' errors, and how many samples of ours lie within their deviation."""
-    from tg4mm.measure import measure, parse_sensor, prepare
     from tg4mm.run import Run
+    from tg4mm.show.measure import measure, parse_sensor, prepare
 
     scene = prepare(Run.open(run), keep=False)
     text = f"plate=pixel:cam_00,{AT[0]:g},{AT[1]:g},{RADIUS:g}"

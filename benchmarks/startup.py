@@ -23,7 +23,7 @@ import time
 start = time.perf_counter()
 import tg4mm
 import torch
-from tg4mm.rasterize import rasterization
+from tg4mm.fit.rasterize import rasterization
 imported = time.perf_counter()
 n = 1000
 g = [torch.randn(n, 3), torch.randn(n, 4), torch.full((n, 3), 0.01), torch.full((n,), 0.5), torch.randn(n, 16, 3)]

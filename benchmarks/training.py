@@ -27,18 +27,18 @@ import torch
 
 from benchmarks.common import machine
 from tg4mm.capture import load_capture, load_images
-from tg4mm.motion.config import MotionConfig
-from tg4mm.motion.hyperparameters import DEFAULT
-from tg4mm.motion.jacobian.view import view_jacobian
-from tg4mm.motion.observations import fixed_cameras
-from tg4mm.motion.solver.cpu import CpuOperator
-from tg4mm.motion.solver.problem import Problem
+from tg4mm.fit.motion.config import MotionConfig
+from tg4mm.fit.motion.hyperparameters import DEFAULT
+from tg4mm.fit.motion.jacobian.view import view_jacobian
+from tg4mm.fit.motion.observations import fixed_cameras
+from tg4mm.fit.motion.solver.cpu import CpuOperator
+from tg4mm.fit.motion.solver.problem import Problem
+from tg4mm.fit.space.config import SpaceConfig
+from tg4mm.fit.space.fused import FusedAdam
+from tg4mm.fit.space.parameters import ParameterAdam
+from tg4mm.fit.space.targets import rest_views
+from tg4mm.fit.space.train import _Fit, _Views
 from tg4mm.run import Run
-from tg4mm.space.config import SpaceConfig
-from tg4mm.space.fused import FusedAdam
-from tg4mm.space.parameters import ParameterAdam
-from tg4mm.space.targets import rest_views
-from tg4mm.space.train import _Fit, _Views
 
 BLOCKS = (1, 2, 4, 8)  # components solved for at once
 

@@ -20,9 +20,9 @@ import torch
 from torch.nn.functional import grid_sample
 
 from benchmarks.common import machine, milliseconds
-from tg4mm.triplane import cells_of, sample
-from tg4mm.triplane.cells import PLANES, scene_box
-from tg4mm.triplane.sample import sample_torch
+from tg4mm.research.paper.triplane import cells_of, sample
+from tg4mm.research.paper.triplane.cells import PLANES, scene_box
+from tg4mm.research.paper.triplane.sample import sample_torch
 
 
 def surface_points(n: int, rng: np.random.Generator) -> np.ndarray:

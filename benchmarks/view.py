@@ -27,20 +27,20 @@ import torch
 
 from benchmarks.common import machine, milliseconds
 from benchmarks.kernels import scene as ball
-from tg4mm.gaussians import Gaussians
-from tg4mm.motion.animate import animator
-from tg4mm.motion.modes import ModalMotion
-from tg4mm.rasterize.reference import rotation_matrices
-from tg4mm.render.cameras import Camera
-from tg4mm.render.image import render_image
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.animate import animator
+from tg4mm.fit.motion.modes import ModalMotion
+from tg4mm.fit.rasterize.reference import rotation_matrices
 from tg4mm.run import Run
-from tg4mm.view.app import App
-from tg4mm.view.clock import Clock
-from tg4mm.view.local_server import LocalServer, start_server, stop_server
-from tg4mm.view.painter import Look
-from tg4mm.view.scene import Scene, open_scene
-from tg4mm.view.screen import Canvas
-from tg4mm.view.session import Session
+from tg4mm.show.render.cameras import Camera
+from tg4mm.show.render.image import render_image
+from tg4mm.show.view.app import App
+from tg4mm.show.view.clock import Clock
+from tg4mm.show.view.local_server import LocalServer, start_server, stop_server
+from tg4mm.show.view.painter import Look
+from tg4mm.show.view.scene import Scene, open_scene
+from tg4mm.show.view.screen import Canvas
+from tg4mm.show.view.session import Session
 
 CHROMIUM = "/usr/bin/chromium"
 PLAYED = 10.0  # seconds in the browser

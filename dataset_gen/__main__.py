@@ -10,8 +10,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import FrameType
 
-from tg4mm import events
-from tg4mm.errors import Tg4mmError
+from tg4mm.core import events
+from tg4mm.core.errors import Tg4mmError
 
 from . import run
 from .listing import listing, scenes_listed

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tg4mm.progress import progress
+from tg4mm.core.progress import progress
 
 from . import png, tree
 from .cameras import Camera, cameras_at, films
@@ -81,7 +81,7 @@ def _video(root: Path, camera: Camera) -> Path:
 
 def _read(path: Path) -> np.ndarray:
     """[H, W, 3] uint8."""
-    from tg4mm.capture.decode import decode  # it needs Pillow, which Blender's own Python lacks
+    from tg4mm.core.pictures.decode import decode  # it needs Pillow, which Blender's own Python lacks
 
     return decode(path)[..., :3]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from tg4mm.errors import Tg4mmError
+from tg4mm.core.errors import Tg4mmError
 
 
 class GenerateError(Tg4mmError):

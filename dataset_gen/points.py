@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tg4mm.untrusted import read_npz
+from tg4mm.core.untrusted import read_npz
 
 from . import tree
 from .meshes import triangle_areas

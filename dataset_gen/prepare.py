@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tg4mm import events
+from tg4mm.core import events
 
 from . import processes, tree, true_cameras, truth
 from .cameras import cameras_at

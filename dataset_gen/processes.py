@@ -20,8 +20,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TextIO
 
-from tg4mm import events
-from tg4mm.progress import progress
+from tg4mm.core import events
+from tg4mm.core.progress import progress
 
 from .errors import GenerateError
 from .plan import RANGE, ranges

@@ -10,11 +10,11 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, TextIO
 
-from tg4mm import events
-from tg4mm.form import read_formed
-from tg4mm.lock import held
-from tg4mm.progress import progress
-from tg4mm.temporary import remove_leftovers
+from tg4mm.core import events
+from tg4mm.core.form import read_formed
+from tg4mm.core.lock import held
+from tg4mm.core.progress import progress
+from tg4mm.core.temporary import remove_leftovers
 
 from . import coded, png, points, processes, tree
 from .errors import GenerateError

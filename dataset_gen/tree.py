@@ -10,8 +10,8 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from tg4mm.temporary import clean_once, flush, is_temporary, temporary_name
-from tg4mm.untrusted import read_json
+from tg4mm.core.temporary import clean_once, flush, is_temporary, temporary_name
+from tg4mm.core.untrusted import read_json
 
 from . import exr
 from .cameras import cameras_at, clock_offsets, films, transforms

@@ -65,7 +65,7 @@ def read_exr(path: Path, size: tuple[int, int] | None = None) -> dict[str, np.nd
 
     Raises CaptureError for a file that is damaged or of another kind.
     """
-    from tg4mm.capture import exr
+    from tg4mm.core.pictures import exr
 
     found = exr.channels(
         path, ["Depth.V", *(f"{name}.{letter}" for name in _VECTORS for letter in "XYZ")], size

@@ -67,7 +67,7 @@ def commands_page() -> str:
 
 def settings_page() -> str:
     """A table of settings for every preset."""
-    from tg4mm.train import PRESETS
+    from tg4mm.run.train import PRESETS
 
     parts = [
         "# Settings\n",

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from tg4mm import ahead
-from tg4mm.ahead.jobs import JOBS
-from tg4mm.rasterize import missing
+from tg4mm.fit import ahead
+from tg4mm.fit.ahead.jobs import JOBS
+from tg4mm.fit.rasterize import missing
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -21,7 +21,7 @@ def test_every_job_compiles_each_kernel_that_it_names(tmp_path: Path) -> None:
     """One more signature each. With an empty cache: what is loaded from one does not load the kernels inside it."""
     code = """
 from tests.helpers.kernels import kernels_of
-from tg4mm.ahead.jobs import JOBS
+from tg4mm.fit.ahead.jobs import JOBS
 count = lambda: [len(kernel.signatures) for kernel in kernels_of(job)]
 for name, job in JOBS.items():
     before = count()
@@ -40,8 +40,8 @@ def test_training_asks_for_no_other_types() -> None:
     code = """
 import numpy as np, torch
 from tests.helpers.kernels import kernels_of
-from tg4mm.ahead.jobs import JOBS
-from tg4mm.space.fused import FusedAdam, Iteration
+from tg4mm.fit.ahead.jobs import JOBS
+from tg4mm.fit.space.fused import FusedAdam, Iteration
 jobs = [job for job in JOBS.values() if job.group != "motion"]
 for job in jobs:
     job.call()

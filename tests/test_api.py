@@ -12,8 +12,8 @@ import torch
 
 import tg4mm
 from tests.helpers.synthetic import make_synthetic_dataset
-from tg4mm.motion.animate import animate
-from tg4mm.train import train
+from tg4mm.fit.motion.animate import animate
+from tg4mm.run.train import train
 
 SPACE = tg4mm.SpaceConfig(iterations=300, max_gaussians=800)
 MOTION = tg4mm.MotionConfig(appearance=False)

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-import tg4mm.demo as demo
+import tg4mm.research.demo as demo
 from tests.helpers.synthetic import make_synthetic_dataset
-from tg4mm.errors import RunError, Tg4mmError
+from tg4mm.core.errors import RunError, Tg4mmError
+from tg4mm.core.splatfile import read_splat
 from tg4mm.run import Run
-from tg4mm.splatfile import read_splat
 
 
 class Said(list):
@@ -145,7 +145,7 @@ def test_a_broken_record_is_named(tmp_path):
 
 
 def test_a_generator_that_fails_stops_the_demo(tmp_path, monkeypatch):
-    import tg4mm.generator as generator
+    import tg4mm.research.generator as generator
 
     monkeypatch.setattr(generator, "run_generator", lambda arguments: 2)
     with pytest.raises(Tg4mmError, match="status 2"):

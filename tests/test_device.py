@@ -14,13 +14,13 @@ from tests.helpers.cuda import needs_cuda
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture
 from tg4mm.cli import main
-from tg4mm.device import check_device, full_precision, gpu_figures
-from tg4mm.errors import Tg4mmError
-from tg4mm.evaluate import evaluate_run
-from tg4mm.motion.animate import _animate_on_device, _fields_on, animate
-from tg4mm.render import RenderRequest, capture_cameras, render_sequence
-from tg4mm.render.frames import read_png
+from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.pictures.frames import read_png
+from tg4mm.fit.device import check_device, full_precision, gpu_figures
+from tg4mm.fit.motion.animate import _animate_on_device, _fields_on, animate
+from tg4mm.research.evaluate import evaluate_run
 from tg4mm.run import Run
+from tg4mm.show.render import RenderRequest, capture_cameras, render_sequence
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from filelock import FileLock, Timeout
 
-from tg4mm.files import give_back, to_json, write_atomic, write_json
+from tg4mm.core.files import give_back, to_json, write_atomic, write_json
 
 
 def test_failing_writer_leaves_the_old_file_and_no_temporary(tmp_path: Path) -> None:
@@ -51,13 +51,13 @@ def test_on_windows_a_file_that_is_open_elsewhere_is_waited_for(
             raise PermissionError(13, "The process cannot access the file", str(target))
         replace(source, target)
 
-    monkeypatch.setattr("tg4mm.files.os.replace", held)
-    monkeypatch.setattr("tg4mm.files.WINDOWS", True)
+    monkeypatch.setattr("tg4mm.core.files.os.replace", held)
+    monkeypatch.setattr("tg4mm.core.files.WINDOWS", True)
     write_json(tmp_path / "a.json", 1)
     assert (tmp_path / "a.json").read_text() == "1\n"
     assert len(calls) == 3
     calls.clear()
-    monkeypatch.setattr("tg4mm.files.WINDOWS", False)  # elsewhere it is a fault, which is not waited for
+    monkeypatch.setattr("tg4mm.core.files.WINDOWS", False)  # elsewhere it is a fault, which is not waited for
     with pytest.raises(PermissionError):
         write_json(tmp_path / "a.json", 2)
     assert (tmp_path / "a.json").read_text() == "1\n"
@@ -68,9 +68,9 @@ def test_on_windows_waiting_has_an_end(tmp_path: Path, monkeypatch: pytest.Monke
     def held(source: Path, target: Path) -> None:
         raise PermissionError(13, "The process cannot access the file", str(target))
 
-    monkeypatch.setattr("tg4mm.files.os.replace", held)
-    monkeypatch.setattr("tg4mm.files.WINDOWS", True)
-    monkeypatch.setattr("tg4mm.files._PATIENCE_S", 0.1)
+    monkeypatch.setattr("tg4mm.core.files.os.replace", held)
+    monkeypatch.setattr("tg4mm.core.files.WINDOWS", True)
+    monkeypatch.setattr("tg4mm.core.files._PATIENCE_S", 0.1)
     with pytest.raises(PermissionError):
         write_json(tmp_path / "a.json", 1)
     assert list(tmp_path.iterdir()) == []
@@ -95,7 +95,7 @@ def test_to_json_makes_plain_types_and_names_what_it_cannot_hold() -> None:
 def test_a_lock_given_back_is_free_and_leaves_no_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, windows: bool
 ) -> None:
-    monkeypatch.setattr("tg4mm.files.WINDOWS", windows)
+    monkeypatch.setattr("tg4mm.core.files.WINDOWS", windows)
     lock, other = FileLock(tmp_path / ".lock"), FileLock(tmp_path / ".lock")
     lock.acquire()
     with pytest.raises(Timeout):
@@ -113,7 +113,7 @@ def test_windows_keeps_the_file_of_a_lock_that_another_took(
         assert not lock.is_locked  # Windows deletes no open file
         raise PermissionError("in use")
 
-    monkeypatch.setattr("tg4mm.files.WINDOWS", True)
+    monkeypatch.setattr("tg4mm.core.files.WINDOWS", True)
     lock = FileLock(tmp_path / ".lock")
     lock.acquire()
     monkeypatch.setattr(Path, "unlink", in_use)

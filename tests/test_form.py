@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tg4mm.form import Just, Maybe, check_form, read_formed, write_sealed
+from tg4mm.core.form import Just, Maybe, check_form, read_formed, write_sealed
 
 FORM = {
     "kind": Just("a"),

@@ -22,9 +22,9 @@ from benchmarks.fox_phone_scores import (
 )
 from benchmarks.fox_phone_sets import Shot, averaged, frame_record, project, visible
 from benchmarks.fox_phone_truth import IDENTITY, Similarity, Truth, similarity
-from tg4mm.files import write_json
-from tg4mm.gaussians import Gaussians
-from tg4mm.motion import ModalMotion
+from tg4mm.core.files import write_json
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion import ModalMotion
 from tg4mm.run import Run
 
 F1, F2, FPS, T = 3.4, 7.0, 30.0, 30

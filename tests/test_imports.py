@@ -27,7 +27,7 @@ def modules(root: Path, package: str) -> list[str]:
 
 
 def test_a_blocked_module_fails_the_check(repo_root: Path) -> None:
-    done = run_without(["json"], "import tg4mm.files", repo_root)
+    done = run_without(["json"], "import tg4mm.core.files", repo_root)
     assert done.returncode == 1
     assert "import of json halted" in done.stderr
 
@@ -54,7 +54,7 @@ def test_a_datasets_report_needs_neither_torch_nor_blender(repo_root: Path, name
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize("name", ["tg4mm", "tg4mm.capture", "tg4mm.cli", "tg4mm.splatfile"])
+@pytest.mark.parametrize("name", ["tg4mm", "tg4mm.capture", "tg4mm.cli", "tg4mm.core.splatfile"])
 def test_what_needs_no_torch_imports_without_it(repo_root: Path, name: str) -> None:
     done = run_without(["torch", "bpy", "numba", "scipy"], f"import {name}", repo_root)
     assert done.returncode == 0, done.stderr
@@ -63,7 +63,7 @@ def test_what_needs_no_torch_imports_without_it(repo_root: Path, name: str) -> N
 def test_splat_file_reader_needs_numpy_alone(repo_root: Path) -> None:
     code = (
         "before = set(sys.modules)\n"
-        "import tg4mm.splatfile\n"
+        "import tg4mm.core.splatfile\n"
         "new = {n.partition('.')[0] for n in set(sys.modules) - before}\n"
         "foreign = new - set(sys.stdlib_module_names) - {'tg4mm', 'numpy'}\n"
         "assert not {n for n in foreign if 'cython' not in n}, foreign\n"  # numpy's own

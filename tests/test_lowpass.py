@@ -12,13 +12,13 @@ from tests.helpers.gltf import parsed
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture
 from tg4mm.cli import main
-from tg4mm.errors import SplatFileError
-from tg4mm.export.splat import export_ply, export_ply_sequence, smoothing_of, to_splat
-from tg4mm.gaussians import Gaussians
-from tg4mm.lowpass import BAKED_PX2, smoothing_variance, widened
-from tg4mm.rasterize import rasterization
+from tg4mm.core.errors import SplatFileError
+from tg4mm.core.splatfile import read_splat
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.rasterize import rasterization
 from tg4mm.run import Run
-from tg4mm.splatfile import read_splat
+from tg4mm.show.export.lowpass import BAKED_PX2, smoothing_variance, widened
+from tg4mm.show.export.splat import export_ply, export_ply_sequence, smoothing_of, to_splat
 
 EPS = 1e-6  # square pixels: a viewer without a low-pass
 

@@ -10,7 +10,7 @@ import pytest
 
 HOLD = """
 import numpy as np
-from tg4mm.memory import peak_memory_mib, reset_peak_memory
+from tg4mm.core.memory import peak_memory_mib, reset_peak_memory
 reset_peak_memory()
 before = peak_memory_mib()
 block = np.ones(100 << 20, dtype=np.uint8)
@@ -32,7 +32,7 @@ def test_peak_grows_by_what_was_held_and_falls_at_a_reset() -> None:
 
 def test_child_of_a_large_process_does_not_report_its_parents_peak() -> None:
     block = np.ones(300 << 20, dtype=np.uint8)
-    code = "from tg4mm.memory import peak_memory_mib; print(peak_memory_mib())"
+    code = "from tg4mm.core.memory import peak_memory_mib; print(peak_memory_mib())"
     printed = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
     assert float(printed) < 100
     del block

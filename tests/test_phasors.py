@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tg4mm.phasors import main_direction, peak_displacement, scale_top
+from tg4mm.core.phasors import main_direction, peak_displacement, scale_top
 
 
 def test_peak_displacement_is_the_greatest_length_over_a_period():

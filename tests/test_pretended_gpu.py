@@ -17,21 +17,21 @@ from tests.helpers.space_cuda import spherical_harmonics
 from tests.helpers.space_train import Killed
 from tests.helpers.synthetic import make_synthetic_dataset
 from tests.rasterize.oracle import assert_close
-from tg4mm.bench.methods.tracking import TrackingConfig, track
 from tg4mm.capture import load_capture, load_images
-from tg4mm.evaluate import evaluate_run
-from tg4mm.gaussians import Gaussians
-from tg4mm.motion import MotionConfig
-from tg4mm.paper import PaperConfig, first_views, train_timesteps, train_triplane
-from tg4mm.paper import motion as paper_motion
-from tg4mm.paper import space as paper_space
-from tg4mm.render import RenderRequest, capture_cameras, render_sequence
-from tg4mm.render.frames import read_png
+from tg4mm.core.pictures.frames import read_png
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion import MotionConfig
+from tg4mm.fit.space import SpaceConfig, density, rest_views
+from tg4mm.fit.space import train as stage
+from tg4mm.research.bench.methods.tracking import TrackingConfig, track
+from tg4mm.research.evaluate import evaluate_run
+from tg4mm.research.paper import PaperConfig, first_views, train_timesteps, train_triplane
+from tg4mm.research.paper import motion as paper_motion
+from tg4mm.research.paper import space as paper_space
 from tg4mm.run import Run
-from tg4mm.space import SpaceConfig, density, rest_views
-from tg4mm.space import train as stage
-from tg4mm.stages.motion import train_motion
-from tg4mm.stages.space import train_space
+from tg4mm.run.stages.motion import train_motion
+from tg4mm.run.stages.space import train_space
+from tg4mm.show.render import RenderRequest, capture_cameras, render_sequence
 
 SHORT = SpaceConfig(iterations=12, max_gaussians=500, init_points=300, dssim=0.2)
 # Small rates: Adam's first steps are as long for a gradient of rounding as for any other, and later gradients tell.

@@ -11,7 +11,7 @@ import time
 
 import pytest
 
-from tg4mm.progress import HeardProgress, PlainProgress, clock_text, listened_to, progress
+from tg4mm.core.progress import HeardProgress, PlainProgress, clock_text, listened_to, progress
 
 
 class Clock:
@@ -48,7 +48,7 @@ def test_a_line_after_two_seconds_then_one_in_five_and_one_at_the_end() -> None:
 def test_a_job_that_reports_nothing_is_shown_with_the_time_that_passes(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("tg4mm.progress._PULSE_S", 0.01)
+    monkeypatch.setattr("tg4mm.core.progress._PULSE_S", 0.01)
     monkeypatch.setattr(PlainProgress, "first_s", 0.02)
     with progress("adjusting", 1, "run"):
         time.sleep(0.2)
@@ -128,7 +128,7 @@ def test_an_exception_passes_and_no_end_is_reported(capsys: pytest.CaptureFixtur
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
 def test_terminal_gets_a_bar_also_inside_another() -> None:
     code = (
-        "from tg4mm.progress import progress\n"
+        "from tg4mm.core.progress import progress\n"
         "with progress('outer', 2) as a:\n"
         "    with progress('inner [x]', 4, unit='frames', start=1) as b:\n"
         "        b(4, psnr=30.5)\n"

@@ -17,8 +17,8 @@ import pytest
 
 from tests.helpers.synthetic import make_synthetic_dataset
 from tests.sfm.videos import still, write_video
-from tg4mm import progress as module
 from tg4mm.cli import main
+from tg4mm.core import progress as module
 
 SHARE = 0.2  # of a command's processor time, at most, between one progress and the next
 LEAST_S = 0.5  # shorter ones do not count

@@ -148,16 +148,16 @@ def test_without_torch_there_is_still_what_needs_none() -> None:
 
 
 @pytest.mark.parametrize(
-    "first", ["tg4mm.measure", "import tg4mm.measure.sensors", "from tg4mm.measure import Sensor"]
+    "first", ["tg4mm.measure", "import tg4mm.show.measure.sensors", "from tg4mm.show.measure import Sensor"]
 )
 def test_a_package_can_be_called_however_it_was_imported(first: str) -> None:
     code = (
         f"import tg4mm\n{first}\nimport inspect\n"
         "assert callable(tg4mm.measure) and callable(tg4mm.render)\n"
         "assert 'sensors' in inspect.signature(tg4mm.measure).parameters\n"
-        "import tg4mm.render.cameras as cameras\nassert tg4mm.render.Camera is cameras.Camera\n"
-        "assert tg4mm.measure.Sensor is tg4mm.Sensor\n"
-        "from tg4mm import measure\nmeasure()"
+        "import tg4mm.show.render.cameras as cameras\nassert tg4mm.show.render.Camera is cameras.Camera\n"
+        "assert tg4mm.show.measure.Sensor is tg4mm.Sensor\n"
+        "from tg4mm.show import measure\nmeasure()"
     )
     assert "measure() missing 1 required positional argument: 'run'" in python(code).stderr
 
@@ -165,4 +165,4 @@ def test_a_package_can_be_called_however_it_was_imported(first: str) -> None:
 def test_an_unknown_name_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="module 'tg4mm' has no attribute 'fit_sapce'"):
         tg4mm.fit_sapce  # noqa: B018
-    assert importlib.import_module("tg4mm.render").render is tg4mm.render.render
+    assert tg4mm.render is importlib.import_module("tg4mm.show.render").render

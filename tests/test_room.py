@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tg4mm.room import release, room
+from tg4mm.core.room import release, room
 
 HOLD = """
 import numpy as np
-from tg4mm.memory import peak_memory_mib, reset_peak_memory
-from tg4mm.room import release, room
+from tg4mm.core.memory import peak_memory_mib, reset_peak_memory
+from tg4mm.core.room import release, room
 array = room((50, 2 << 20), np.float32, in_memory={limit})  # 400 MiB
 before = peak_memory_mib()
 for k, row in enumerate(array):

@@ -11,16 +11,16 @@ from pathlib import Path
 import pytest
 
 from dataset_gen.tree import whole
-from tg4mm import temporary
-from tg4mm.files import write_atomic, write_json
-from tg4mm.splatfile.write import replacing
-from tg4mm.temporary import is_temporary, remove_leftovers, temporary_name
+from tg4mm.core import temporary
+from tg4mm.core.files import write_atomic, write_json
+from tg4mm.core.splatfile.write import replacing
+from tg4mm.core.temporary import is_temporary, remove_leftovers, temporary_name
 
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from tg4mm.files import write_atomic
-from tg4mm.splatfile.write import replacing
+from tg4mm.core.files import write_atomic
+from tg4mm.core.splatfile.write import replacing
 from dataset_gen.tree import whole
 def half(temporary):
     temporary.write_text("half")
@@ -68,7 +68,7 @@ def test_from_another_machine_an_hour_without_a_change_tells(
     for name in (".a.json.node7-1.tmp", ".a.0123456789ab.tmp.png", ".vimrc.tmp"):
         (tmp_path / name).touch()
     later = time.time() + 4000
-    monkeypatch.setattr("tg4mm.temporary.time.time", lambda: later)
+    monkeypatch.setattr("tg4mm.core.temporary.time.time", lambda: later)
     remove_leftovers(tmp_path)
     assert os.listdir(tmp_path) == [".vimrc.tmp"]
 

@@ -18,11 +18,11 @@ import torch
 
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.cli import main
-from tg4mm.errors import CaptureError, RunError, Tg4mmError
-from tg4mm.motion import MotionConfig
+from tg4mm.core.errors import CaptureError, RunError, Tg4mmError
+from tg4mm.fit.motion import MotionConfig
+from tg4mm.fit.space import SpaceConfig
 from tg4mm.run import UNCERTAINTY, Run
-from tg4mm.space import SpaceConfig
-from tg4mm.train import PRESETS, check_device, parse_settings, train
+from tg4mm.run.train import PRESETS, check_device, parse_settings, train
 
 SETTINGS = {
     "space.iterations": "20", "space.max_gaussians": "300", "motion.components": "2", "motion.iterations": "3",
@@ -113,7 +113,7 @@ class TestRequests:
             train(data, tmp_path / "run", device="cuda", settings=SETTINGS)
         assert not (tmp_path / "run").exists()
         monkeypatch.setattr("torch.cuda.is_available", lambda: True)
-        monkeypatch.setattr("tg4mm.rasterize.cuda.require_gsplat", lambda: None)
+        monkeypatch.setattr("tg4mm.fit.rasterize.cuda.require_gsplat", lambda: None)
         assert check_device("cuda") == "cuda"
 
     def test_an_unknown_preset_is_refused(self, data: Path, tmp_path: Path) -> None:
@@ -202,7 +202,7 @@ class TestStages:
             raise AssertionError("a finished stage was run again")
 
         for name in ("train_space", "train_motion", "load_images"):
-            monkeypatch.setattr(f"tg4mm.train.{name}", never)
+            monkeypatch.setattr(f"tg4mm.run.train.{name}", never)
         before = {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in trained.path.iterdir()}
         assert train(data, trained.path, settings=SETTINGS).path == trained.path
         assert {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in trained.path.iterdir()} == before
@@ -217,12 +217,12 @@ class TestStages:
             raise Stopped
 
         with monkeypatch.context() as patch:
-            patch.setattr("tg4mm.train.train_motion", stop)
+            patch.setattr("tg4mm.run.train.train_motion", stop)
             with pytest.raises(Stopped):
                 train(data, tmp_path / "run", settings=SETTINGS)
         written = (tmp_path / "run" / "space.safetensors").stat().st_mtime_ns
         with monkeypatch.context() as patch:
-            patch.setattr("tg4mm.train.train_space", stop)
+            patch.setattr("tg4mm.run.train.train_space", stop)
             run = train(data, tmp_path / "run", settings=SETTINGS)
         assert (run.path / "space.safetensors").stat().st_mtime_ns == written
         same_results(run, trained)
@@ -272,8 +272,8 @@ def test_pictures_that_stay_on_disk_give_the_same_bits(
     data: Path, trained: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As those of long captures do, which memory would not hold."""
-    monkeypatch.setattr("tg4mm.train.IN_MEMORY", 0)
-    monkeypatch.setattr("tg4mm.train.load_images", lambda _: pytest.fail("all pictures were loaded"))
+    monkeypatch.setattr("tg4mm.run.train.IN_MEMORY", 0)
+    monkeypatch.setattr("tg4mm.run.train.load_images", lambda _: pytest.fail("all pictures were loaded"))
     same_results(trained, train(data, tmp_path / "run", settings=SETTINGS))
 
 
@@ -287,7 +287,7 @@ def test_a_program_killed_in_either_stage_ends_as_if_it_had_not_been(data: Path,
         "motion.tolerance=1e-6",
     ]
     code = (
-        "import sys, tg4mm.space.train as s; from tg4mm.cli import main; "
+        "import sys, tg4mm.fit.space.train as s; from tg4mm.cli import main; "
         "s.CHECKPOINT_EVERY_S = 0.02; sys.exit(main(sys.argv[1:]))"
     )
 

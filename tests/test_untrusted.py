@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tg4mm import untrusted
-from tg4mm.untrusted import parse_json, parse_yaml, read_json, read_npz
+from tg4mm.core import untrusted
+from tg4mm.core.untrusted import parse_json, parse_yaml, read_json, read_npz
 
 
 def refused(call: Any, match: str) -> None:

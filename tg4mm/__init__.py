@@ -16,44 +16,44 @@
 import os
 from typing import TYPE_CHECKING
 
-from .lazy import lazily
+from .core.lazy import lazily
 
 if TYPE_CHECKING:  # `as` re-exports a name to type checkers
-    from tg4mm.api import animate as animate
-    from tg4mm.api import fit_motion as fit_motion
-    from tg4mm.api import fit_space as fit_space
     from tg4mm.capture import Capture as Capture
     from tg4mm.capture import ImageStack as ImageStack
     from tg4mm.capture import load_capture as load_capture
     from tg4mm.capture import load_images as load_images
-    from tg4mm.errors import CaptureError as CaptureError
-    from tg4mm.errors import RunError as RunError
-    from tg4mm.errors import SplatFileError as SplatFileError
-    from tg4mm.errors import Tg4mmError as Tg4mmError
-    from tg4mm.export.splat import to_splat as to_splat
-    from tg4mm.gaussians import Gaussians as Gaussians
-    from tg4mm.magnify import BandGain as BandGain
-    from tg4mm.magnify import Magnification as Magnification
-    from tg4mm.measure import Measurement as Measurement
-    from tg4mm.measure import Prepared as Prepared
-    from tg4mm.measure import Sensor as Sensor
-    from tg4mm.measure import SensorResult as SensorResult
-    from tg4mm.measure import measure as measure
-    from tg4mm.measure import prepare as prepare
-    from tg4mm.measure import prepare_fit as prepare_fit
-    from tg4mm.motion import ModalMotion as ModalMotion
-    from tg4mm.motion import MotionConfig as MotionConfig
-    from tg4mm.motion import MotionFit as MotionFit
-    from tg4mm.rasterize import rasterization as rasterization
-    from tg4mm.render import Camera as Camera
-    from tg4mm.render import capture_cameras as capture_cameras
-    from tg4mm.render import orbit as orbit
-    from tg4mm.render import render as render
+    from tg4mm.core.errors import CaptureError as CaptureError
+    from tg4mm.core.errors import RunError as RunError
+    from tg4mm.core.errors import SplatFileError as SplatFileError
+    from tg4mm.core.errors import Tg4mmError as Tg4mmError
+    from tg4mm.core.magnification import BandGain as BandGain
+    from tg4mm.core.magnification import Magnification as Magnification
+    from tg4mm.core.splatfile import SplatFile as SplatFile
+    from tg4mm.core.splatfile import read_splat as read_splat
+    from tg4mm.core.splatfile import write_splat as write_splat
+    from tg4mm.fit.gaussians import Gaussians as Gaussians
+    from tg4mm.fit.motion import ModalMotion as ModalMotion
+    from tg4mm.fit.motion import MotionConfig as MotionConfig
+    from tg4mm.fit.motion import MotionFit as MotionFit
+    from tg4mm.fit.rasterize import rasterization as rasterization
+    from tg4mm.fit.space import SpaceConfig as SpaceConfig
     from tg4mm.run import Run as Run
-    from tg4mm.space import SpaceConfig as SpaceConfig
-    from tg4mm.splatfile import SplatFile as SplatFile
-    from tg4mm.splatfile import read_splat as read_splat
-    from tg4mm.splatfile import write_splat as write_splat
+    from tg4mm.run.api import animate as animate
+    from tg4mm.run.api import fit_motion as fit_motion
+    from tg4mm.run.api import fit_space as fit_space
+    from tg4mm.show.export.splat import to_splat as to_splat
+    from tg4mm.show.measure import Measurement as Measurement
+    from tg4mm.show.measure import Prepared as Prepared
+    from tg4mm.show.measure import Sensor as Sensor
+    from tg4mm.show.measure import SensorResult as SensorResult
+    from tg4mm.show.measure import measure as measure
+    from tg4mm.show.measure import prepare as prepare
+    from tg4mm.show.measure import prepare_fit as prepare_fit
+    from tg4mm.show.render import Camera as Camera
+    from tg4mm.show.render import capture_cameras as capture_cameras
+    from tg4mm.show.render import orbit as orbit
+    from tg4mm.show.render import render as render
 
 __version__ = "0.1.0"
 
@@ -64,41 +64,41 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 # The public names and the modules they lie in, the same as above. `measure` and `render` are packages as well: those
 # can be called as their functions of the same name (`lazy.callable_package`).
 _PUBLIC = {
-    "BandGain": "magnify",
-    "Camera": "render",
+    "BandGain": "core.magnification",
+    "Camera": "show.render",
     "Capture": "capture",
-    "CaptureError": "errors",
-    "Gaussians": "gaussians",
+    "CaptureError": "core.errors",
+    "Gaussians": "fit.gaussians",
     "ImageStack": "capture",
-    "Magnification": "magnify",
-    "Measurement": "measure",
-    "ModalMotion": "motion",
-    "MotionConfig": "motion",
-    "MotionFit": "motion",
-    "Prepared": "measure",
+    "Magnification": "core.magnification",
+    "Measurement": "show.measure",
+    "ModalMotion": "fit.motion",
+    "MotionConfig": "fit.motion",
+    "MotionFit": "fit.motion",
+    "Prepared": "show.measure",
     "Run": "run",
-    "RunError": "errors",
-    "Sensor": "measure",
-    "SensorResult": "measure",
-    "SpaceConfig": "space",
-    "SplatFile": "splatfile",
-    "SplatFileError": "errors",
-    "Tg4mmError": "errors",
-    "animate": "api",
-    "capture_cameras": "render",
-    "fit_motion": "api",
-    "fit_space": "api",
+    "RunError": "core.errors",
+    "Sensor": "show.measure",
+    "SensorResult": "show.measure",
+    "SpaceConfig": "fit.space",
+    "SplatFile": "core.splatfile",
+    "SplatFileError": "core.errors",
+    "Tg4mmError": "core.errors",
+    "animate": "run.api",
+    "capture_cameras": "show.render",
+    "fit_motion": "run.api",
+    "fit_space": "run.api",
     "load_capture": "capture",
     "load_images": "capture",
-    "measure": "measure",
-    "orbit": "render",
-    "prepare": "measure",
-    "prepare_fit": "measure",
-    "rasterization": "rasterize",
-    "read_splat": "splatfile",
-    "render": "render",
-    "to_splat": "export.splat",
-    "write_splat": "splatfile",
+    "measure": "show.measure",
+    "orbit": "show.render",
+    "prepare": "show.measure",
+    "prepare_fit": "show.measure",
+    "rasterization": "fit.rasterize",
+    "read_splat": "core.splatfile",
+    "render": "show.render",
+    "to_splat": "show.export.splat",
+    "write_splat": "core.splatfile",
 }
 __all__ = sorted(_PUBLIC)
 

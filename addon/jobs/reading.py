@@ -1,4 +1,4 @@
-"""What a line says that the generator or the core prints: one of their events, or text (tg4mm/events.py)."""
+"""What a line says that the generator or the core prints: one of their events, or text (tg4mm/core/events.py)."""
 
 from __future__ import annotations
 

@@ -7,8 +7,9 @@ from typing import Any
 import bpy
 import numpy as np
 
-from .. import colours, names
+from .. import names
 from ..core.colour import MOVES_ABOVE, STILL_BELOW
+from . import colours
 from .graph import Graph
 
 STILL = (colours.still(),) * 3 + (1.0,)

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import bpy
 
 from .. import names
-from ..made import Made
 from .graph import Graph
+from .made import Made
 
 # Sums over the modes so far, or their largest: Most is an amplitude, Phase that mode's.
 _SUMS = (

@@ -12,13 +12,13 @@ from typing import Any
 import bpy
 
 from .. import compat, names
-from ..made import Made
-from ..spectrum import whole_band
 from .colour import build_colour_map, build_harmonics, encoded
 from .graph import Graph
+from .made import Made
 from .motion import Motion, build_motion, use_motion
 from .sequence import build_sequence
 from .shapes import Materials, build_shapes
+from .spectrum import whole_band
 
 MANY_ARROWS = 2000  # beyond these an arrow stands for several Gaussians
 

@@ -13,8 +13,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from tg4mm.errors import Tg4mmError
-from tg4mm.untrusted import parse_json
+from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.untrusted import parse_json
 
 from ..errors import GenerateError
 from ..options import parser, request_from

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from tg4mm.errors import Tg4mmError
+from tg4mm.core.errors import Tg4mmError
 
 from . import write_overview, write_report
 

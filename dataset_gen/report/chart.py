@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from tg4mm.report.charts import OURS, STILL, chart
+from tg4mm.core.pages.charts import OURS, STILL, chart
 
 _BAR = 0.6  # width, by the distance of two frequencies
 

@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from tg4mm.capture import exr
 from tg4mm.capture.cameras import read_intrinsics, read_pose
 from tg4mm.capture.confine import inside
-from tg4mm.capture.decode import decode, image_header
-from tg4mm.capture.records import Record, read_record
 from tg4mm.capture.scene import read_scene
-from tg4mm.errors import CaptureError
-from tg4mm.evaluate.truth_file import TRUTH_FILE, load_truth
+from tg4mm.capture.truth_file import TRUTH_FILE, load_truth
+from tg4mm.core.errors import CaptureError
+from tg4mm.core.pictures import exr
+from tg4mm.core.pictures.decode import decode, image_header
+from tg4mm.core.records import Record, read_record
 
 from ..colour import straight, to_display
 from ..errors import GenerateError

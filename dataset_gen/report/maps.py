@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from tg4mm.report import svg
-from tg4mm.report.page import Block, Figure, Text, picture
+from tg4mm.core.pages import svg
+from tg4mm.core.pages.page import Block, Figure, Text, picture
 
 from .dataset import Dataset, MotionTruth, View, read_picture
 from .modes import Track, peak_of_phasor, phasor_maps, together

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tg4mm.evaluate.metrics import MAX_PSNR_DB, SSIM_WINDOW, psnr, ssim
+from tg4mm.core.metrics import MAX_PSNR_DB, SSIM_WINDOW, psnr, ssim
 
 from .dataset import SUFFIXES, Dataset, View, read_picture
 

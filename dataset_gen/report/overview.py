@@ -10,9 +10,20 @@ from urllib.parse import quote
 from markupsafe import Markup
 
 from tg4mm import __version__
-from tg4mm.form import Just, Maybe, read_formed
-from tg4mm.report.page import Figure, Page, Panel, Section, Stat, Table, Text, missing, picture, render_page
-from tg4mm.report.svg import number
+from tg4mm.core.form import Just, Maybe, read_formed
+from tg4mm.core.pages.page import (
+    Figure,
+    Page,
+    Panel,
+    Section,
+    Stat,
+    Table,
+    Text,
+    missing,
+    picture,
+    render_page,
+)
+from tg4mm.core.pages.svg import number
 
 from ..errors import GenerateError
 from .closing import size_text

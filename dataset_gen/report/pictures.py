@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from tg4mm.report.colour import amount_colours
+from tg4mm.core.colour import amount_colours
 
 from .dataset import Dataset, View, evenly, read_picture
 from .pixels import project

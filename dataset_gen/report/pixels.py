@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tg4mm.errors import CaptureError
+from tg4mm.core.errors import CaptureError
 
 from .. import pinhole
 from ..errors import GenerateError

@@ -10,8 +10,8 @@ import numpy as np
 from markupsafe import Markup
 from PIL import Image
 
-from tg4mm.report.page import Block, Figure, Section, Table, Text, drawing, picture
-from tg4mm.report.svg import number
+from tg4mm.core.pages.page import Block, Figure, Section, Table, Text, drawing, picture
+from tg4mm.core.pages.svg import number
 
 from .chart import spectrum_chart, time_chart
 from .dataset import Dataset

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from tg4mm.report.svg import number
+from tg4mm.core.pages.svg import number
 
 from .dataset import Dataset
 

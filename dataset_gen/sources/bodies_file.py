@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tg4mm.untrusted import parse_json, read_npz
+from tg4mm.core.untrusted import parse_json, read_npz
 
 from .. import tree
 from ..cameras import Camera

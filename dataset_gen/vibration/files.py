@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from tg4mm.untrusted import read_json, read_yaml
+from tg4mm.core.untrusted import read_json, read_yaml
 
 from ..errors import GenerateError
 

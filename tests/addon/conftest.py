@@ -11,7 +11,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from tg4mm.splatfile import SplatFile, write_splat
+from tg4mm.core.splatfile import SplatFile, write_splat
 
 PACKAGE = "tg4mm_extension"
 

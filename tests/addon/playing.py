@@ -33,7 +33,7 @@ def import_files(paths: list[Path], **options: Any) -> Any:
 
 def setter(extension: ModuleType, obj: Any) -> Any:
     """set(NAME, value) for the inputs of the object's modifier."""
-    modifier = extension.scene.splat_modifier(obj)
+    modifier = extension.nodes.scene.splat_modifier(obj)
     return lambda name, value: extension.compat.set_input(modifier, name, value)
 
 
@@ -44,7 +44,7 @@ def drawn_whole(extension: ModuleType, obj: Any) -> Any:
     least = ((names.MIN_OPACITY, 0.0), (names.MIN_SPLAT_OPACITY, 0.0))
     for name, value in (*least, (names.SIZE, 1.0), (names.RADIUS, 1.0)):
         put(name, value)
-    return extension.scene.splat_modifier(obj)
+    return extension.nodes.scene.splat_modifier(obj)
 
 
 def evaluated(obj: Any, frame: float) -> Any:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.addon.conftest import some_splat
-from tg4mm.splatfile import positions_at, read_splat, write_splat
+from tg4mm.core.splatfile import positions_at, read_splat, write_splat
 
 bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 
@@ -51,7 +51,7 @@ def moving(extension: ModuleType, splat_path: Path) -> Any:
 
 def test_amplitude_is_the_longest_excursion(extension: ModuleType, splat_path: Path) -> None:
     for phasors in read_splat(splat_path).displacement:
-        amplitude, _ = extension.points.strength(phasors, extension.points.main_axis(phasors))
+        amplitude, _ = extension.nodes.points.strength(phasors, extension.nodes.points.main_axis(phasors))
         np.testing.assert_allclose(amplitude, largest_excursion(phasors)[0], rtol=1e-5)
 
 
@@ -59,8 +59,8 @@ def test_phase_tells_when_a_point_is_out_on_the_side_of_the_axis(
     extension: ModuleType, splat_path: Path
 ) -> None:
     for phasors in read_splat(splat_path).displacement:
-        axis = extension.points.main_axis(phasors)
-        _, phase = extension.points.strength(phasors, axis)
+        axis = extension.nodes.points.main_axis(phasors)
+        _, phase = extension.nodes.points.strength(phasors, axis)
         out = (phasors * np.exp(-2j * np.pi * phase)[:, None]).real  # Re[m exp(iωt)] at ωt = −phase
         np.testing.assert_allclose(np.linalg.norm(out, axis=1), largest_excursion(phasors)[0], rtol=1e-5)
         assert (out @ axis >= -1e-9).all()
@@ -69,7 +69,7 @@ def test_phase_tells_when_a_point_is_out_on_the_side_of_the_axis(
 
 def test_one_motion_has_one_phase_and_its_opposite_half_a_turn_more(extension: ModuleType) -> None:
     m = np.array([[1, 2, 0.5], [2, 4, 1.0], [-1, -2, -0.5]]) * np.exp(0.7j)
-    _, phase = extension.points.strength(m, extension.points.main_axis(m))
+    _, phase = extension.nodes.points.strength(m, extension.nodes.points.main_axis(m))
     assert phase[1] == pytest.approx(phase[0])
     assert (phase[2] - phase[0]) % 1 == pytest.approx(0.5)
     assert phase[0] * 2 * np.pi == pytest.approx(0.7)
@@ -85,11 +85,11 @@ def test_colours_show_the_amplitude_of_the_band(extension: ModuleType, moving: A
         for name in ("3 Hz", "5 Hz", "7.5 Hz"):
             put(name, name not in hidden)
         expected = np.sqrt(sum(each[k] ** 2 for k in kept))
-        np.testing.assert_allclose(extension.analysis.band_amplitude(moving), expected, rtol=1e-4)
+        np.testing.assert_allclose(extension.panels.analysis.band_amplitude(moving), expected, rtol=1e-4)
         assert bpy.ops.tg4mm.fit_colour_range() == {"FINISHED"}
-        rows = sampled(extension.colours.amplitude_map(), expected / expected.max())
+        rows = sampled(extension.nodes.colours.amplitude_map(), expected / expected.max())
         np.testing.assert_allclose(shown_colours(moving), rows, atol=2e-3)
-    legend = extension.analysis.legend(moving)
+    legend = extension.panels.analysis.legend(moving)
     assert (legend.low, legend.high) == (0.0, pytest.approx(expected.max(), rel=1e-4))
 
 
@@ -99,23 +99,23 @@ def test_colours_show_the_phase_of_the_largest_mode(
     put, names = setter(extension, moving), extension.names
     put(names.COLOUR_BY, names.PHASE_COLOUR)
     put(names.COLOUR_RANGE, 0.01)  # everything moves far enough to have a phase
-    points = extension.points
+    points = extension.nodes.points
     both = [points.strength(p, points.main_axis(p)) for p in read_splat(splat_path).displacement]
     amplitudes, phases = (np.stack(list(column)) for column in zip(*both, strict=True))
     phase = phases[amplitudes.argmax(axis=0), np.arange(phases.shape[1])]
     np.testing.assert_allclose(
-        shown_colours(moving), sampled(extension.colours.phase_map(), phase), atol=5e-3
+        shown_colours(moving), sampled(extension.nodes.colours.phase_map(), phase), atol=5e-3
     )
     put(names.COLOUR_RANGE, 1e3)
-    np.testing.assert_allclose(shown_colours(moving), extension.colours.still(), atol=1e-6)
+    np.testing.assert_allclose(shown_colours(moving), extension.nodes.colours.still(), atol=1e-6)
 
 
 def test_phase_map_is_a_circle_of_one_lightness(extension: ModuleType) -> None:
-    rows = extension.colours.phase_map()
+    rows = extension.nodes.colours.phase_map()
     np.testing.assert_allclose(rows[0], rows[-1], atol=1e-6)
     luminance = rows @ [0.2126, 0.7152, 0.0722]
     assert luminance.max() / luminance.min() < 1.35
-    lightness = extension.colours.amplitude_map() @ [0.2126, 0.7152, 0.0722]
+    lightness = extension.nodes.colours.amplitude_map() @ [0.2126, 0.7152, 0.0722]
     assert (np.diff(lightness) > 0).all()
 
 
@@ -175,7 +175,7 @@ def test_solid_view_has_a_mesh_with_an_active_colour(
     assert len(mesh.polygons) == 80 * len(read_splat(splat_path))
     assert mesh.color_attributes.active_color.name == "colour"
     colours = read(mesh, "colour", "color", 4)[:, :3]
-    expected = extension.colours.rest_colours(read_splat(splat_path).sh)[:, :3]
+    expected = extension.nodes.colours.rest_colours(read_splat(splat_path).sh)[:, :3]
     assert np.abs(colours[:, None] - expected[None]).sum(axis=2).min(axis=1).max() < 1e-4
 
 
@@ -186,7 +186,7 @@ def test_points_are_coloured_balls_in_solid_view(
     put(names.DRAW, names.POINTS)
     assert bpy.ops.tg4mm.solid_colours() == {"FINISHED"}
     for by, palette in (
-        (names.FILE_COLOUR, extension.colours.rest_colours(read_splat(splat_path).sh)[:, :3]),
+        (names.FILE_COLOUR, extension.nodes.colours.rest_colours(read_splat(splat_path).sh)[:, :3]),
         (names.AMPLITUDE_COLOUR, None),
     ):
         put(names.COLOUR_BY, by)
@@ -195,8 +195,8 @@ def test_points_are_coloured_balls_in_solid_view(
         assert (len(mesh.polygons), mesh.color_attributes.active_color.name) == (20 * n, "colour")
         colours = read(mesh, "colour", "color", 4)[n:, :3]  # after the points themselves
         if palette is None:
-            parts = extension.analysis.band_amplitude(moving)
-            palette = sampled(extension.colours.amplitude_map(), parts / parts.max())
+            parts = extension.panels.analysis.band_amplitude(moving)
+            palette = sampled(extension.nodes.colours.amplitude_map(), parts / parts.max())
         off = np.abs(colours.reshape(n, 12, 3) - palette[:, None]).max(axis=(1, 2))
         assert off.max() < 3e-3
     centres = read(mesh, "position", "vector", 3)[n:].reshape(n, 12, 3).mean(axis=1)
@@ -208,7 +208,7 @@ def test_points_are_coloured_balls_in_solid_view(
 
 def test_an_import_starts_with_the_range_that_fits_all_modes(extension: ModuleType, splat_path: Path) -> None:
     obj = import_splat(splat_path)
-    modifier = extension.scene.splat_modifier(obj)
+    modifier = extension.nodes.scene.splat_modifier(obj)
     each = [largest_excursion(phasors)[0] ** 2 for phasors in read_splat(splat_path).displacement]
     largest = np.sqrt(sum(each).max())
     assert extension.compat.get_input(modifier, extension.names.COLOUR_RANGE) == pytest.approx(
@@ -219,7 +219,7 @@ def test_an_import_starts_with_the_range_that_fits_all_modes(extension: ModuleTy
 
 def test_a_range_is_fitted_only_to_what_moves(extension: ModuleType, moving: Any) -> None:
     put, names = setter(extension, moving), extension.names
-    modifier = extension.scene.splat_modifier(moving)
+    modifier = extension.nodes.scene.splat_modifier(moving)
     before = extension.compat.get_input(modifier, names.COLOUR_RANGE)
     put(names.LOW, 20.0)
     put(names.HIGH, 30.0)
@@ -257,11 +257,11 @@ def test_colours_seen_by_the_camera_are_those_of_the_harmonics(
         toward = positions_at(splat, frame - 1, 10.0) - local
         toward /= np.linalg.norm(toward, axis=1, keepdims=True)
         srgb = np.clip(0.5 + np.einsum("nk,nkc->nc", basis(toward, degree), splat.sh), 0, 1)
-        np.testing.assert_allclose(shown_colours(obj, frame), extension.colours.linear(srgb), atol=3e-3)
+        np.testing.assert_allclose(shown_colours(obj, frame), extension.nodes.colours.linear(srgb), atol=3e-3)
     put(names.VIEW_COLOUR, False)
-    rest = extension.colours.rest_colours(splat.sh)[:, :3]
+    rest = extension.nodes.colours.rest_colours(splat.sh)[:, :3]
     assert np.abs(shown_colours(obj, 8) - rest).max() < 1e-5
-    assert np.abs(extension.colours.linear(srgb) - rest).max() > 0.1
+    assert np.abs(extension.nodes.colours.linear(srgb) - rest).max() > 0.1
 
 
 def basis(d: np.ndarray, degree: int) -> np.ndarray:

@@ -9,8 +9,8 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from tg4mm.report.colour import STILL, amount_colours, phase_colours, phase_share
-from tg4mm.splatfile import read_splat, write_splat
+from tg4mm.core.colour import STILL, amount_colours, phase_colours, phase_share
+from tg4mm.core.splatfile import read_splat, write_splat
 
 bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 
@@ -37,10 +37,10 @@ def test_splats_blend_as_trained_on_demand_and_newcomers_with_them(
     linear = shown_colours(first)
     assert bpy.ops.tg4mm.blend_as_trained(on=True) == {"FINISHED"}
     assert scene.view_settings.view_transform == "Raw"
-    np.testing.assert_allclose(shown_colours(first), extension.colours.display(linear), atol=2e-5)
+    np.testing.assert_allclose(shown_colours(first), extension.nodes.colours.display(linear), atol=2e-5)
     second = import_splat(splat_path)
     assert scene.view_settings.view_transform == "Raw"
-    modifiers = [extension.scene.splat_modifier(obj) for obj in (first, second)]
+    modifiers = [extension.nodes.scene.splat_modifier(obj) for obj in (first, second)]
     assert [compat.get_input(modifier, names.BLEND) for modifier in modifiers] == [True, True]
     assert bpy.ops.tg4mm.blend_as_trained(on=False) == {"FINISHED"}
     assert scene.view_settings.view_transform == "Standard"
@@ -52,12 +52,12 @@ def test_report_viewer_and_blender_have_one_palette(extension: ModuleType, splat
     """The colours of the points, encoded for the screen, are those of the report's maps."""
     splat = read_splat(splat_path)
     obj = import_splat(splat_path)
-    put, names, colours = setter(extension, obj), extension.names, extension.colours
+    put, names, colours = setter(extension, obj), extension.names, extension.nodes.colours
     put(names.MIN_OPACITY, 0.0)
     for name in ("3 Hz", "7.5 Hz"):
         put(name, False)
     phasors = splat.displacement[1]
-    amplitude, turns = extension.points.strength(phasors, extension.points.main_axis(phasors))
+    amplitude, turns = extension.nodes.points.strength(phasors, extension.nodes.points.main_axis(phasors))
     top = float(amplitude.max())
     put(names.COLOUR_RANGE, top)
     put(names.COLOUR_BY, names.AMPLITUDE_COLOUR)
@@ -74,13 +74,13 @@ def test_report_viewer_and_blender_have_one_palette(extension: ModuleType, splat
 def test_legend_is_of_the_palette_where_splats_blend_as_trained(
     extension: ModuleType, splat_path: Path
 ) -> None:
-    obj, scene, seen = import_splat(splat_path), bpy.context.scene, extension.seen
+    obj, scene, seen = import_splat(splat_path), bpy.context.scene, extension.panels.seen
     setter(extension, obj)(extension.names.COLOUR_BY, extension.names.AMPLITUDE_COLOUR)
     unit = extension.preferences.unit_for(bpy.context, obj)
-    before = extension.analysis.legend_picture(obj, unit, scene)
+    before = extension.panels.analysis.legend_picture(obj, unit, scene)
     bpy.ops.tg4mm.blend_as_trained(on=True)
-    assert extension.analysis.legend_picture(obj, unit, scene) == before
-    encoded = extension.colours.display(extension.colours.amplitude_map())
+    assert extension.panels.analysis.legend_picture(obj, unit, scene) == before
+    encoded = extension.nodes.colours.display(extension.nodes.colours.amplitude_map())
     np.testing.assert_allclose(seen.through_view(encoded, scene), encoded, atol=2e-3)
     scene.view_settings.exposure = -1.0
     seen.work_out(scene.name, True)
@@ -89,11 +89,11 @@ def test_legend_is_of_the_palette_where_splats_blend_as_trained(
 
 @pytest.mark.parametrize("transform", ["Standard", "AgX"])
 def test_legend_goes_through_the_scenes_view_transform(extension: ModuleType, transform: str) -> None:
-    scene, seen = bpy.context.scene, extension.seen
+    scene, seen = bpy.context.scene, extension.panels.seen
     scene.view_settings.view_transform = transform
-    linear = extension.colours.amplitude_map()
+    linear = extension.nodes.colours.amplitude_map()
     found = seen.through_view(linear, scene)
-    standard = extension.colours.display(linear)
+    standard = extension.nodes.colours.display(linear)
     if transform == "Standard":
         np.testing.assert_allclose(found, standard, atol=2e-3)
     else:
@@ -101,7 +101,7 @@ def test_legend_goes_through_the_scenes_view_transform(extension: ModuleType, tr
     assert not bpy.data.images
     seen.work_out(scene.name)
     np.testing.assert_allclose(seen.amplitude(scene), found, atol=2e-3)
-    assert len(seen.phase(scene)) == len(extension.colours.phase_and_still())
+    assert len(seen.phase(scene)) == len(extension.nodes.colours.phase_and_still())
 
 
 def test_what_is_framed_holds_the_opaque_gaussians(
@@ -114,15 +114,15 @@ def test_what_is_framed_holds_the_opaque_gaussians(
     obj = import_splat(tmp_path / "far.ply")
     obj.location = (5.0, 0.0, 0.0)
     bpy.context.view_layer.update()
-    middle, radius = extension.showing.extent([obj])
+    middle, radius = extension.panels.showing.extent([obj])
     away = np.linalg.norm(means[1:] + [5, 0, 0] - middle, axis=1)
     assert 0.8 * away.max() < radius < 2 * away.max()
 
 
 def test_spectrum_is_drawn_before_the_panel_asks(extension: ModuleType, splat_path: Path) -> None:
     obj = import_splat(splat_path)
-    picture = extension.panel.spectrum_picture(bpy.context, obj)
-    assert extension.pictures.shared().pixels(*picture) is not None
+    picture = extension.panels.panel.spectrum_picture(bpy.context, obj)
+    assert extension.panels.pictures.shared().pixels(*picture) is not None
 
 
 @pytest.mark.parametrize(
@@ -142,14 +142,14 @@ def test_the_panel_says_real_seconds(
     setter(extension, obj)(extension.names.SPEED, speed)
     scene = bpy.context.scene
     scene.frame_set(13)
-    said = extension.clock.lines(scene, obj, extension.scene.splat_modifier(obj))
+    said = extension.nodes.clock.lines(scene, obj, extension.nodes.scene.splat_modifier(obj))
     assert said[0] == f"{0.5 * speed:.3f} s of 2.000 s, {words}"
 
 
 def test_too_few_frames_for_a_frequency_are_told(extension: ModuleType, splat_path: Path) -> None:
     obj, scene = import_splat(splat_path), bpy.context.scene
-    put, lines = setter(extension, obj), extension.clock.lines
-    modifier = extension.scene.splat_modifier(obj)
+    put, lines = setter(extension, obj), extension.nodes.clock.lines
+    modifier = extension.nodes.scene.splat_modifier(obj)
     assert lines(scene, obj, modifier)[1] == "3.2 frames a period at 7.5 Hz"
     put(extension.names.HIGH, 5.5)
     assert len(lines(scene, obj, modifier)) == 1

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from tests.addon.conftest import some_splat
-from tg4mm.splatfile import SplatFile, positions_at, read_splat, rotations_at, write_splat
+from tg4mm.core.splatfile import SplatFile, positions_at, read_splat, rotations_at, write_splat
 
 bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 
@@ -93,7 +93,7 @@ def test_motion_takes_as_long_as_it_took_at_any_frame_rate(
     for frame in (3, 10, 31.5, -4):
         seconds = (frame - 3) / (fps / base)
         np.testing.assert_allclose(places(obj, frame), positions_at(splat, seconds * splat.fps), atol=2e-4)
-        now = extension.clock.timestep(scene, obj, extension.scene.splat_modifier(obj))
+        now = extension.nodes.clock.timestep(scene, obj, extension.nodes.scene.splat_modifier(obj))
         assert now == pytest.approx(seconds * splat.fps, abs=1e-4)
 
 
@@ -197,7 +197,7 @@ def test_modes_of_one_frequency_have_inputs_of_their_own(extension: ModuleType) 
 def test_faint_gaussians_are_left_out(extension: ModuleType, splat_path: Path) -> None:
     obj = import_splat(splat_path)
     splat = read_splat(splat_path)
-    modifier = extension.scene.splat_modifier(obj)
+    modifier = extension.nodes.scene.splat_modifier(obj)
     assert len(transforms(obj, 1)) == (splat.opacities >= 0.1).sum() < len(splat)
     extension.compat.set_input(modifier, extension.names.MIN_OPACITY, 0.6)
     assert len(transforms(obj, 1)) == (splat.opacities >= 0.6).sum() > 0

@@ -75,7 +75,7 @@ def emitted(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str])
 
 
 def test_progress_is_what_the_programs_print(jobs: Any, emitted: Callable[[], list[str]]) -> None:
-    from tg4mm.progress import EventProgress
+    from tg4mm.core.progress import EventProgress
 
     core = EventProgress("space stage", 30, "it", 0, sys.stderr, clock=iter([0.0, 6.0, 7.0]).__next__)
     core.update(10, psnr=21.5)
@@ -88,8 +88,8 @@ def test_progress_is_what_the_programs_print(jobs: Any, emitted: Callable[[], li
 
 def test_what_the_programs_say_is_read(jobs: Any, emitted: Callable[[], list[str]]) -> None:
     from dataset_gen.__main__ import main as generator
-    from tg4mm import events
     from tg4mm.cli import main
+    from tg4mm.core import events
 
     assert main(["convert", "/no/ä", "--out", "/no/run"]) == 2  # needs nothing that Blender's Python lacks
     assert generator(["mic", "--size", "-1", "--out", "/no/out"]) == 2
@@ -127,7 +127,7 @@ def test_progress_beyond_its_total_or_without_one(jobs: Any) -> None:
 
 
 def test_chain_of_programs_runs_to_its_end(jobs: Any, step: Callable[..., Any]) -> None:
-    first = step("import time\nfrom tg4mm import events\nfor i in range(3):\n"
+    first = step("import time\nfrom tg4mm.core import events\nfor i in range(3):\n"
                  "    events.emit('progress', label='one', done=i, total=3)\n    time.sleep(0.05)\n"
                  "events.say('warning', 'floor far wider')\nevents.emit('complete', path='/data/a b/mic')")  # fmt: skip
     second = step(f"print({event('progress', label='two', done=7, total=9)!r})", "second")
@@ -143,7 +143,7 @@ def test_chain_of_programs_runs_to_its_end(jobs: Any, step: Callable[..., Any]) 
 @pytest.mark.parametrize(
     ("code", "message"),
     [
-        ("import tg4mm.events as e; print('x'); e.say('error', 'no /ä'); print('y'); raise SystemExit(2)", "no /ä"),
+        ("import tg4mm.core.events as e; print('x'); e.say('error', 'no /ä'); print('y'); raise SystemExit(2)", "no /ä"),
         ("raise RuntimeError('kaputt')", "ended with status 1: RuntimeError: kaputt"),
         ("import sys; sys.exit(5)", "ended with status 5: it said nothing"),
         ("import os, signal; os.kill(os.getpid(), signal.SIGKILL)", "ended with status -9: it said nothing"),
@@ -188,7 +188,7 @@ def test_poll_returns_at_once_while_a_program_hangs_and_cancel_ends_it(
     jobs: Any, step: Callable[..., Any]
 ) -> None:
     code = (
-        "import time\nfrom tg4mm import events\nevents.emit('progress', label='ready', done=1, total=2)\n"
+        "import time\nfrom tg4mm.core import events\nevents.emit('progress', label='ready', done=1, total=2)\n"
         "try:\n    time.sleep(99)\nexcept KeyboardInterrupt:\n    raise SystemExit(130)"
     )
     job = jobs.runner.Job([step(code), step("print('never')")], environment(jobs))
@@ -209,7 +209,7 @@ import os, signal, subprocess, sys, time
 for number in (signal.SIGINT, signal.SIGTERM):
     signal.signal(number, signal.SIG_IGN)
 child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(99)"])
-from tg4mm import events
+from tg4mm.core import events
 events.emit("progress", label="pids", done=os.getpid(), total=child.pid)
 time.sleep(99)
 """

@@ -19,7 +19,7 @@ KIND = "train"
 STUB = """#!{python}
 import os, shutil, sys, time
 from pathlib import Path
-from tg4mm import events
+from tg4mm.core import events
 here = Path(__file__).parent
 with open(here / "asked.txt", "a") as file:
     print(*sys.argv[1:], file=file)
@@ -72,7 +72,7 @@ def test_dataset_becomes_splats_in_the_scene(extension: ModuleType, core: Path, 
     assert {"space stage", "motion stage"} <= {text.rsplit(" ", 3)[0] for text in seen if "left" in text}
     obj = bpy.context.object
     assert obj.name == "data set_run"
-    assert extension.scene.splat_modifier(obj) is not None
+    assert extension.nodes.scene.splat_modifier(obj) is not None
     assert len(obj.data.vertices) == 23
     train, export = (core / "asked.txt").read_text().splitlines()
     run, data = tmp_path / "data set_run", tmp_path / "data set"

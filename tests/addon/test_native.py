@@ -8,7 +8,7 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 
-from tg4mm.splatfile import read_splat
+from tg4mm.core.splatfile import read_splat
 
 bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 
@@ -28,7 +28,7 @@ def test_native_attributes_are_the_raw_coefficients_and_the_opacity(
     extension: ModuleType, splat_path: Path
 ) -> None:
     splat = read_splat(splat_path)
-    made = extension.points.native_attributes(splat)
+    made = extension.nodes.points.native_attributes(splat)
     assert list(made) == ["radiance:base", "radiance:sh_0", "radiance:sh_1", "radiance:sh_2"]
     np.testing.assert_array_equal(made["radiance:base"][:, :3], splat.sh[:, 0])
     np.testing.assert_array_equal(made["radiance:base"][:, 3], splat.opacities)

@@ -19,41 +19,57 @@ import pytest
 
 from tests.addon.conftest import some_splat
 from tg4mm import __version__
-from tg4mm.splatfile import positions_at, read_splat, write_splat
+from tg4mm.core.splatfile import positions_at, read_splat, write_splat
 
 pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 
 ADDON = (
-    *(
-        "__init__",
-        "analysis",
-        "blending",
-        "canvas",
-        "clock",
-        "colour_range",
-        "colours",
-        "compat",
-        "loading",
-        "made",
-        "materials",
-        "names",
-    ),
-    *("numbered", "overlay", "panel", "panel_probe", "picking", "pictures", "plots", "points"),
-    *(
-        "preferences",
-        "probe",
-        "receiving",
-        "saving",
-        "scene",
-        "seen",
-        "showing",
-        "spectrum",
-        "strokes",
-        "units",
-        "view_settings",
-    ),
-    *(f"nodes/{n}" for n in ("__init__", "colour", "graph", "motion", "player", "sequence", "shapes")),
-    *(f"operators/{n}" for n in ("__init__", "band", "import_splat", "look", "probe")),
+    "__init__",
+    "compat",
+    "io/__init__",
+    "io/import_splat",
+    "io/loading",
+    "io/numbered",
+    "io/receiving",
+    "io/saving",
+    "names",
+    "nodes/__init__",
+    "nodes/blending",
+    "nodes/clock",
+    "nodes/colour",
+    "nodes/colours",
+    "nodes/graph",
+    "nodes/made",
+    "nodes/materials",
+    "nodes/motion",
+    "nodes/player",
+    "nodes/points",
+    "nodes/scene",
+    "nodes/sequence",
+    "nodes/shapes",
+    "nodes/spectrum",
+    "operators",
+    "panels/__init__",
+    "panels/analysis",
+    "panels/band",
+    "panels/canvas",
+    "panels/colour_range",
+    "panels/look",
+    "panels/overlay",
+    "panels/panel",
+    "panels/pictures",
+    "panels/plots",
+    "panels/seen",
+    "panels/showing",
+    "panels/strokes",
+    "panels/view_settings",
+    "preferences",
+    "probe/__init__",
+    "probe/operators",
+    "probe/panel",
+    "probe/picking",
+    "probe/probe",
+    "units",
 )
 JOBS = (
     *(
@@ -105,7 +121,7 @@ for switch in (addon_utils.disable, addon_utils.enable):
     states.append(known())
 import bl_ext.user_default.tg4mm as extension
 bpy.ops.import_scene.tg4mm_splat(filepath=splat_path)
-modifier = extension.scene.splat_modifier(bpy.context.object)
+modifier = extension.nodes.scene.splat_modifier(bpy.context.object)
 compat, names = extension.compat, extension.names
 compat.set_input(modifier, names.MIN_OPACITY, 0.0)
 for frame, alpha in ((1, 3.0), (6, 3.0), (7, 8.0), (8, 8.0)):
@@ -131,7 +147,7 @@ import json, sys, bpy
 zip_path, splat_path, still_path = sys.argv[1:]
 bpy.ops.extensions.package_install_files(filepath=zip_path, repo="user_default", enable_on_install=True)
 import bl_ext.user_default.tg4mm as extension
-compat, names, scene = extension.compat, extension.names, extension.scene
+compat, names, scene = extension.compat, extension.names, extension.nodes.scene
 own = extension.preferences.get(bpy.context)
 found = {"own": type(own).__name__, "defaults": {}}
 for name in ("draw_as", "band_width", "most", "length_unit", "digits", "core_python"):
@@ -146,7 +162,7 @@ bpy.ops.import_scene.tg4mm_splat(filepath=splat_path)
 obj = bpy.context.object
 found["drawn"] = [compat.get_input(scene.splat_modifier(o), names.DRAW) for o in (still, obj)]
 bpy.ops.tg4mm.band(frequency=5.0)
-found["band"] = extension.analysis.band(obj)
+found["band"] = extension.panels.analysis.band(obj)
 obj[names.UNIT_SCALE] = 0.1
 found["length"] = extension.preferences.unit_for(bpy.context, obj).text(0.01234)
 own.length_unit = "METRIC"
@@ -184,7 +200,8 @@ def generator(root: Path) -> set[str]:
     files = (file.relative_to(root) for file in package.rglob("*") if file.suffix in (".py", ".yaml"))
     kept = {f"generator/{file.as_posix()}" for file in files if file.parts[1] != "farm"}
     needed = "__init__ errors events files form lazy lock progress temporary untrusted"
-    tg4mm = {f"generator/tg4mm/{name}.py" for name in needed.split()}
+    tg4mm = {f"generator/tg4mm/core/{name}.py" for name in needed.split()}
+    tg4mm.add("generator/tg4mm/__init__.py")
     return kept | {"generator/__init__.py"} | tg4mm
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from tests.addon.conftest import some_splat
-from tg4mm.splatfile import SplatFile, read_splat, write_splat
+from tg4mm.core.splatfile import SplatFile, read_splat, write_splat
 
 bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 
@@ -57,7 +57,7 @@ def laid_out(extension: ModuleType, obj: Any, shading: str = "MATERIAL") -> Layo
         preferences=bpy.context.preferences,
         space_data=SimpleNamespace(shading=SimpleNamespace(type=shading)),
     )
-    for cls in (*extension.panel._CLASSES, extension.panel_probe.VIEW3D_PT_tg4mm_probe):
+    for cls in (*extension.panels.panel._CLASSES, extension.probe.panel.VIEW3D_PT_tg4mm_probe):
         if not hasattr(cls, "poll") or cls.poll(context):
             cls.draw(SimpleNamespace(layout=layout), context)
     return layout
@@ -134,21 +134,21 @@ def test_colour_range_is_shown_in_its_unit_with_four_digits(
 ) -> None:
     write_splat(tmp_path / "a.ply", SplatFile(**{**vars(read_splat(splat_path)), "unit_scale_m": scale}))
     obj, names = import_splat(tmp_path / "a.ply"), extension.names
-    put, module = setter(extension, obj), extension.colour_range
+    put, module = setter(extension, obj), extension.panels.colour_range
     put(names.COLOUR_BY, names.AMPLITUDE_COLOUR)
     assert label in drawn(extension, obj)
     largest = max(obj[names.MODE_AMPLITUDES]) * factor
     field = module._field(module.decimals_for(largest))
     shown = getattr(obj, field)
-    assert shown == pytest.approx(factor * extension.analysis.band_amplitude(obj).max(), rel=1e-5)
+    assert shown == pytest.approx(factor * extension.panels.analysis.band_amplitude(obj).max(), rel=1e-5)
     setattr(obj, field, 2 * shown)
-    modifier = extension.scene.splat_modifier(obj)
+    modifier = extension.nodes.scene.splat_modifier(obj)
     assert extension.compat.get_input(modifier, names.COLOUR_RANGE) == pytest.approx(2 * shown / factor)
 
 
 def test_as_many_decimals_as_four_digits_need(extension: ModuleType) -> None:
     lengths = {250.0: 2, 12.5: 2, 1.5: 3, 0.2283: 4, 0.02: 5, 0.002283: 6, 1e-9: 6, 0.0: 6}
-    assert {x: extension.colour_range.decimals_for(x) for x in lengths} == lengths
+    assert {x: extension.panels.colour_range.decimals_for(x) for x in lengths} == lengths
 
 
 def test_colours_by_motion_come_with_a_legend(
@@ -159,18 +159,18 @@ def test_colours_by_motion_come_with_a_legend(
     obj, names = import_splat(tmp_path / "known.ply"), extension.names
     put, unit = setter(extension, obj), extension.units.unit_of(0.1)
     assert laid_out(extension, obj).pictures == 1  # the spectrum
-    assert extension.analysis.legend_picture(obj, unit, bpy.context.scene) is None
+    assert extension.panels.analysis.legend_picture(obj, unit, bpy.context.scene) is None
     put(names.COLOUR_BY, names.AMPLITUDE_COLOUR)
     put(names.COLOUR_RANGE, 0.5)
-    view = extension.view_settings.of(bpy.context)
+    view = extension.panels.view_settings.of(bpy.context)
     assert laid_out(extension, obj).pictures == 1  # the legend is in the view
     view.legend = False
     assert laid_out(extension, obj).pictures == 2  # and now in the panel
     view.legend = True
-    plots, picture = extension.plots, extension.analysis.legend_picture
+    plots, picture = extension.panels.plots, extension.panels.analysis.legend_picture
     shown = picture(obj, unit, bpy.context.scene)
     assert shown == (plots.amplitude_legend, 0.5, unit, plots.STANDARD_AMPLITUDE)
-    assert extension.analysis.legend(obj).high_mm == pytest.approx(50.0)
+    assert extension.panels.analysis.legend(obj).high_mm == pytest.approx(50.0)
     put(names.COLOUR_BY, names.PHASE_COLOUR)
     function, still, _, rows = picture(obj, unit, bpy.context.scene)
     assert (function, still, rows) == (plots.phase_legend, pytest.approx(0.05), plots.STANDARD_PHASE)
@@ -188,8 +188,8 @@ def test_legend_in_the_view_can_be_switched_off(extension: ModuleType, splat_pat
         preferences=bpy.context.preferences,
         scene=bpy.context.scene,
     )
-    wanted = extension.overlay.wanted
-    assert wanted(context)[0] is extension.plots.phase_legend
+    wanted = extension.panels.overlay.wanted
+    assert wanted(context)[0] is extension.panels.plots.phase_legend
     space.overlay.show_overlays = False
     assert wanted(context) is None
     space.overlay.show_overlays, settings.tg4mm_view.legend = True, False
@@ -207,12 +207,12 @@ def test_probe_shows_rows_a_curve_and_exports(extension: ModuleType, splat_path:
     assert "tg4mm.export_probe" not in drawn(extension, obj)
     bpy.ops.tg4mm.probe(source="CURSOR")
     layout = laid_out(extension, obj)
-    found = extension.picking.stored(obj)
+    found = extension.probe.picking.stored(obj)
     assert layout.pictures == 2
     assert {f"{found.label}: actual motion", "not magnified, α = 0", "Series CSV"} <= set(layout.drawn)
-    for ellipse in extension.probe.ellipses(found):
+    for ellipse in extension.probe.probe.ellipses(found):
         assert f"{ellipse.amplitude:.4g} scene units" in layout.drawn
-    extension.picking.forget(obj)
+    extension.probe.picking.forget(obj)
     assert "Nothing probed yet" in drawn(extension, obj)
 
 
@@ -227,7 +227,7 @@ def test_labels_fit_the_default_sidebar(extension: ModuleType, splat_path: Path)
 
 def test_every_input_has_a_tooltip(extension: ModuleType, splat_path: Path) -> None:
     obj = import_splat(splat_path)
-    items = extension.scene.splat_modifier(obj).node_group.interface.items_tree
+    items = extension.nodes.scene.splat_modifier(obj).node_group.interface.items_tree
     for item in items:
         if item.item_type == "SOCKET" and item.in_out == "INPUT" and item.name != "Geometry":
             assert item.description, item.name

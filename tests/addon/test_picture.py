@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tg4mm.splatfile import SplatFile, positions_at, rotations_at, write_splat
+from tg4mm.core.splatfile import SplatFile, positions_at, rotations_at, write_splat
 
 bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 torch = pytest.importorskip("torch", reason="compares with the core's rasteriser: pip install '.[core]'")
@@ -62,7 +62,7 @@ def striped_ball(n: int = 1500) -> SplatFile:
 
 def rasterized(splat: SplatFile, camera: Any) -> np.ndarray:
     """[SIZE, SIZE, 4] straight RGBA of the core at the frame and α of the test."""
-    from tg4mm.rasterize import rasterization
+    from tg4mm.fit.rasterize import rasterization
 
     viewmat = np.diag([1.0, -1.0, -1.0, 1.0]) @ np.linalg.inv(np.array(camera.matrix_world))
     focal = SIZE / (2 * math.tan(camera.data.angle_x / 2))

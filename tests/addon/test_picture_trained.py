@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tg4mm.splatfile import SplatFile, read_splat, write_splat
+from tg4mm.core.splatfile import SplatFile, read_splat, write_splat
 
 bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 import mathutils  # noqa: E402
@@ -37,7 +37,7 @@ def psnr(a: np.ndarray, b: np.ndarray) -> float:
 def exported(splat: SplatFile) -> SplatFile:
     """As the exporter writes it, for a ring of the training cameras."""
     from tg4mm.capture import Capture
-    from tg4mm.lowpass import smoothing_variance, widened
+    from tg4mm.show.export.lowpass import smoothing_variance, widened
 
     K = np.array([[FOCAL, 0, TRAINED / 2], [0, FOCAL, TRAINED / 2], [0, 0, 1]])
     turns = np.linspace(0, 2 * np.pi, 12, endpoint=False)
@@ -73,7 +73,7 @@ def trained(splat: SplatFile) -> np.ndarray:
     """[SIZE, SIZE, 3] the core's picture, its low-pass enlarged with the picture: what was trained, over white."""
     torch = pytest.importorskip("torch", reason="compares with the core's rasteriser: pip install '.[core]'")
     pytest.importorskip("numba", reason="compares with the core's rasteriser: pip install '.[core]'")
-    from tg4mm.rasterize import rasterization
+    from tg4mm.fit.rasterize import rasterization
 
     scale = SIZE / TRAINED
     focal = FOCAL * scale

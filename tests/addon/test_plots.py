@@ -17,7 +17,7 @@ def ink(canvas, background: float = 0.0) -> np.ndarray:
 
 @pytest.fixture
 def Canvas(extension: ModuleType):
-    return lambda width=60, height=40: extension.canvas.Canvas(width, height, (0.0, 0.0, 0.0))
+    return lambda width=60, height=40: extension.panels.canvas.Canvas(width, height, (0.0, 0.0, 0.0))
 
 
 WHITE = (1.0, 1.0, 1.0)
@@ -55,7 +55,7 @@ def test_words_stand_on_their_baseline_and_are_as_wide_as_they_say(extension: Mo
     assert rows.max() == pytest.approx(40, abs=2)
     assert rows.min() == pytest.approx(22, abs=2)
     assert columns.min() == pytest.approx(20, abs=2)
-    assert columns.max() == pytest.approx(20 + extension.canvas.text_width("EH08", 18.0), abs=2)
+    assert columns.max() == pytest.approx(20 + extension.panels.canvas.text_width("EH08", 18.0), abs=2)
     right = Canvas(200, 60)
     right.text(150, 40, "EH08", WHITE, 18.0, anchor=1.0)
     assert np.nonzero(ink(right) > 0.3)[1].max() == pytest.approx(150, abs=2)
@@ -63,7 +63,7 @@ def test_words_stand_on_their_baseline_and_are_as_wide_as_they_say(extension: Mo
 
 def test_every_sign_has_a_shape_of_its_own(extension: ModuleType, Canvas) -> None:
     seen = {}
-    for sign in extension.strokes._GLYPHS:
+    for sign in extension.panels.strokes._GLYPHS:
         canvas = Canvas(40, 40)
         canvas.text(10, 28, sign, WHITE, 16.0)
         seen[sign] = canvas.pixels.tobytes()
@@ -77,7 +77,7 @@ def test_every_sign_has_a_shape_of_its_own(extension: ModuleType, Canvas) -> Non
 
 def test_the_signs_that_captions_use_are_known(extension: ModuleType) -> None:
     wanted = "Amplitude (rms), mm scene units Frequency, Hz Time, s Displacement ±-1.234e-05 90° <"
-    assert set(wanted) - {" "} <= set(extension.strokes._GLYPHS)
+    assert set(wanted) - {" "} <= set(extension.panels.strokes._GLYPHS)
 
 
 @pytest.mark.parametrize(
@@ -95,18 +95,18 @@ def test_the_signs_that_captions_use_are_known(extension: ModuleType) -> None:
 def test_ticks_are_round(
     extension: ModuleType, low: float, high: float, most: int, expected: list[float]
 ) -> None:
-    assert extension.plots.ticks(low, high, most) == pytest.approx(expected)
+    assert extension.panels.plots.ticks(low, high, most) == pytest.approx(expected)
 
 
 def test_no_more_ticks_than_there_is_room_for(extension: ModuleType) -> None:
     for span in np.random.default_rng(0).uniform(1e-6, 1e6, 300):
-        found = extension.plots.ticks(0.0, float(span), 5)
+        found = extension.panels.plots.ticks(0.0, float(span), 5)
         assert 2 <= len(found) <= 6
         assert found[-1] <= span * (1 + 1e-9)
 
 
 def test_the_curve_goes_through_its_values(extension: ModuleType) -> None:
-    plots = extension.plots
+    plots = extension.panels.plots
     seconds = np.linspace(0, 2, 200)
     moved = np.stack([np.sin(3 * seconds), np.zeros(200), np.zeros(200)], axis=1)
     picture = plots.series(seconds, moved, extension.units.unit_of(None))
@@ -121,7 +121,7 @@ def test_the_curve_goes_through_its_values(extension: ModuleType) -> None:
 
 
 def test_the_current_frame_is_marked_inside_the_recording_only(extension: ModuleType) -> None:
-    plots = extension.plots
+    plots = extension.panels.plots
     picture = np.zeros((plots.SIDE, plots.SIDE, 4), np.float32)
     marked = plots.mark_time(picture, 0.25)
     columns = np.flatnonzero(marked[200, :, 0] > 0.3)
@@ -132,7 +132,7 @@ def test_the_current_frame_is_marked_inside_the_recording_only(extension: Module
 
 
 def test_the_bar_of_the_legend_has_the_colours_of_the_points(extension: ModuleType) -> None:
-    plots, colours = extension.plots, extension.colours
+    plots, colours = extension.panels.plots, extension.nodes.colours
     picture = plots.amplitude_legend(0.02, extension.units.unit_of(0.1))
     column = picture[:, 60, :3]
     rows = colours.display(colours.amplitude_map())
@@ -143,8 +143,8 @@ def test_the_bar_of_the_legend_has_the_colours_of_the_points(extension: ModuleTy
 
 
 def test_the_wheel_has_the_colours_of_the_phases(extension: ModuleType) -> None:
-    picture = extension.plots.phase_legend(0.001, extension.units.unit_of(None))
-    rows = extension.colours.display(extension.colours.phase_map())
+    picture = extension.panels.plots.phase_legend(0.001, extension.units.unit_of(None))
+    rows = extension.nodes.colours.display(extension.nodes.colours.phase_map())
     for turn in (0.0, 0.25, 0.5, 0.75, 0.125):
         x = int(200 + 75 * np.cos(2 * np.pi * turn))
         y = int(204 - 75 * np.sin(2 * np.pi * turn))
@@ -153,7 +153,9 @@ def test_the_wheel_has_the_colours_of_the_phases(extension: ModuleType) -> None:
 
 def test_display_undoes_linear(extension: ModuleType) -> None:
     values = np.linspace(0, 1, 50)
-    np.testing.assert_allclose(extension.colours.display(extension.colours.linear(values)), values, atol=1e-4)
+    np.testing.assert_allclose(
+        extension.nodes.colours.display(extension.nodes.colours.linear(values)), values, atol=1e-4
+    )
 
 
 def test_units_are_millimetres_where_they_can_be(extension: ModuleType) -> None:

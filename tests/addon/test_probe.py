@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests.addon.conftest import some_splat
-from tg4mm.splatfile import positions_at, read_splat, write_splat
+from tg4mm.core.splatfile import positions_at, read_splat, write_splat
 
 bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 
@@ -41,7 +41,7 @@ def select(obj: Any, chosen: list[int]) -> None:
 
 def reading(extension: ModuleType, obj: Any, source: str) -> Any:
     assert bpy.ops.tg4mm.probe(source=source) == {"FINISHED"}
-    return extension.picking.stored(obj)
+    return extension.probe.picking.stored(obj)
 
 
 def test_a_selected_point_is_read(extension: ModuleType, moving: Any, splat_path: Path) -> None:
@@ -84,7 +84,7 @@ def test_in_edit_mode_too(extension: ModuleType, moving: Any, splat_path: Path) 
 def test_nothing_selected_is_said_in_a_line(extension: ModuleType, moving: Any) -> None:
     with pytest.raises(RuntimeError, match="No point is selected"):
         bpy.ops.tg4mm.probe(source="SELECTION")
-    assert extension.picking.stored(moving) is None
+    assert extension.probe.picking.stored(moving) is None
     with pytest.raises(RuntimeError, match="No sphere is there: add one"):
         bpy.ops.tg4mm.probe(source="SPHERE")
     setter(extension, moving)(extension.names.MIN_OPACITY, 1.0)
@@ -125,7 +125,7 @@ def test_all_gaussians_in_a_sphere(extension: ModuleType, moving: Any, splat_pat
     inside = np.flatnonzero(np.linalg.norm(off, axis=1) <= 1.0)
     assert 1 < len(inside) < len(splat)
     # The sphere is active; the panel and the operators still mean its splats.
-    assert extension.scene.splat_object(bpy.context) == moving
+    assert extension.nodes.scene.splat_object(bpy.context) == moving
     found = reading(extension, moving, "SPHERE")
     np.testing.assert_allclose(found.phasors, mean_of(splat_path, list(inside)), rtol=1e-5)
     assert found.label == f"{len(inside)} points"
@@ -133,18 +133,18 @@ def test_all_gaussians_in_a_sphere(extension: ModuleType, moving: Any, splat_pat
     bpy.context.view_layer.update()
     with pytest.raises(RuntimeError, match="No Gaussian's rest position is inside bell probe"):
         bpy.ops.tg4mm.probe(source="SPHERE")
-    np.testing.assert_array_equal(extension.picking.stored(moving).phasors, found.phasors)  # as it was
+    np.testing.assert_array_equal(extension.probe.picking.stored(moving).phasors, found.phasors)  # as it was
 
 
 def test_a_point_that_is_see_through_has_a_motion(extension: ModuleType) -> None:
     m = np.array([[[1j, 2, 3]], [[4, 5, 6j]]])
-    np.testing.assert_array_equal(extension.probe.mean_phasor(m, np.zeros(1)), m[:, 0])
+    np.testing.assert_array_equal(extension.probe.probe.mean_phasor(m, np.zeros(1)), m[:, 0])
 
 
 def test_ellipse_is_the_path(extension: ModuleType, moving: Any, splat_path: Path) -> None:
     select(moving, [3])
     found = reading(extension, moving, "SELECTION")
-    for k, e in enumerate(extension.probe.ellipses(found)):
+    for k, e in enumerate(extension.probe.probe.ellipses(found)):
         path = (found.phasors[k][None] * np.exp(1j * TURNS)[:, None]).real
         lengths = np.linalg.norm(path, axis=1)
         assert e.amplitude == pytest.approx(lengths.max(), rel=1e-5)
@@ -160,14 +160,14 @@ def test_ellipse_is_the_path(extension: ModuleType, moving: Any, splat_path: Pat
 
 def test_direction_and_phase_of_a_line(extension: ModuleType) -> None:
     m = 0.3 * np.array([0.6, 0.0, -0.8]) * np.exp(0.5j)
-    e = extension.probe.ellipse(4.0, m, np.array([1.0, 0.0, 0.0]))
+    e = extension.probe.probe.ellipse(4.0, m, np.array([1.0, 0.0, 0.0]))
     assert (e.amplitude, e.phase_deg) == (pytest.approx(0.3), pytest.approx(np.degrees(0.5)))
     assert e.direction == pytest.approx((0.6, 0.0, -0.8))
     assert (e.second, e.second_direction) == (0.0, (0.0, 0.0, 0.0))
-    other = extension.probe.ellipse(4.0, m, np.array([0.0, 0.0, 1.0]))
+    other = extension.probe.probe.ellipse(4.0, m, np.array([0.0, 0.0, 1.0]))
     assert other.direction == pytest.approx((-0.6, 0.0, 0.8))
     assert other.phase_deg == pytest.approx(np.degrees(0.5) + 180)
-    still = extension.probe.ellipse(4.0, 0 * m, np.array([1.0, 0.0, 0.0]))
+    still = extension.probe.probe.ellipse(4.0, 0 * m, np.array([1.0, 0.0, 0.0]))
     assert (still.amplitude, still.phase_deg, still.direction) == (0.0, 0.0, (0.0, 0.0, 0.0))
 
 
@@ -175,7 +175,7 @@ def test_phase_is_that_of_the_colours(extension: ModuleType, moving: Any) -> Non
     for i in range(5):
         select(moving, [i])
         found = reading(extension, moving, "SELECTION")
-        for k, e in enumerate(extension.probe.ellipses(found)):
+        for k, e in enumerate(extension.probe.probe.ellipses(found)):
             turns = moving.data.attributes[extension.names.phase(k)].data[i].value
             assert (e.phase_deg / 360 - turns + 0.5) % 1 == pytest.approx(0.5, abs=1e-5)
 
@@ -185,12 +185,12 @@ def test_series_is_the_motion_that_was_measured(extension: ModuleType, moving: A
     bpy.ops.tg4mm.band(frequency=5.0)
     select(moving, [6])
     splat, found = read_splat(splat_path), reading(extension, moving, "SELECTION")
-    seconds, moved = extension.probe.series(found)
+    seconds, moved = extension.probe.probe.series(found)
     assert len(seconds) == splat.n_timesteps
     for t in (0, 1, 20, 47):
         assert seconds[t] == pytest.approx(t / splat.fps)
         np.testing.assert_allclose(moved[t], (positions_at(splat, t) - splat.means)[6], atol=1e-6)
-    fine, between = extension.probe.series(found, 4)
+    fine, between = extension.probe.probe.series(found, 4)
     np.testing.assert_allclose(between[::4], moved, atol=1e-12)
     assert fine[-1] == seconds[-1]
     np.testing.assert_allclose(between[5], (positions_at(splat, 1.25) - splat.means)[6], atol=1e-6)
@@ -268,9 +268,9 @@ def test_failed_write_keeps_what_was_there(
     def full(*_: Any) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(extension.saving.os, "replace", full)
+    monkeypatch.setattr(extension.io.saving.os, "replace", full)
     with pytest.raises(OSError, match="No space left"):
-        extension.saving.write_text(path, "new")
+        extension.io.saving.write_text(path, "new")
     assert path.read_text(encoding="utf-8") == "old"
     assert [other.name for other in tmp_path.iterdir()] == ["kept.csv"]
 
@@ -295,7 +295,7 @@ def test_a_reading_is_saved_with_the_file(extension: ModuleType, moving: Any, tm
     found = reading(extension, moving, "SELECTION")
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "probe.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "probe.blend"))
-    again = extension.picking.stored(bpy.data.objects["bell"])
+    again = extension.probe.picking.stored(bpy.data.objects["bell"])
     np.testing.assert_array_equal(again.phasors, found.phasors)
     np.testing.assert_array_equal(again.axes, found.axes)
     assert (again.label, again.fps, again.n_timesteps) == (found.label, 24.0, 48)
@@ -305,27 +305,29 @@ def test_curve_marks_the_current_frame(extension: ModuleType, moving: Any) -> No
     put, names = setter(extension, moving), extension.names
     select(moving, [2])
     found = reading(extension, moving, "SELECTION")
-    part = extension.panel_probe.time_part
+    part = extension.probe.panel.time_part
     for first, speed, frame, expected in ((1, 1.0, 1, 0.0), (1, 1.0, 48, 1.0), (11, 0.5, 58, 0.5)):
         put(names.FIRST, float(first))
         put(names.SPEED, speed)
         bpy.context.scene.frame_set(frame)
         assert part(bpy.context, moving, found) == pytest.approx(expected)
     unit = extension.units.unit_of(None)
-    function, *arguments = extension.panel_probe.curve_picture(found, unit, 0.5)
-    expected = extension.plots.series(*extension.probe.series(found, 8), unit)
-    np.testing.assert_array_equal(function(*arguments), extension.plots.mark_time(expected, 0.5))
+    function, *arguments = extension.probe.panel.curve_picture(found, unit, 0.5)
+    expected = extension.panels.plots.series(*extension.probe.probe.series(found, 8), unit)
+    np.testing.assert_array_equal(function(*arguments), extension.panels.plots.mark_time(expected, 0.5))
 
 
 def test_rows_are_the_largest_by_frequency(extension: ModuleType) -> None:
     amplitudes = np.array([1.0, 0.001, 8.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0])
     phasors = np.zeros((9, 3), complex)
     phasors[:, 1] = amplitudes
-    found = extension.probe.Probe("p", np.arange(9.0), phasors, np.tile([0.0, 1.0, 0.0], (9, 1)), 30.0, 30)
-    rows, left_out = extension.panel_probe.shown_ellipses(found)
+    found = extension.probe.probe.Probe(
+        "p", np.arange(9.0), phasors, np.tile([0.0, 1.0, 0.0], (9, 1)), 30.0, 30
+    )
+    rows, left_out = extension.probe.panel.shown_ellipses(found)
     assert [e.frequency_hz for e in rows] == [2, 6, 7, 8]
     assert left_out == 5
-    texts = extension.panel_probe.row_texts(rows[0], extension.units.unit_of(0.001))
+    texts = extension.probe.panel.row_texts(rows[0], extension.units.unit_of(0.001))
     assert texts == ("2 Hz", "8 mm", "0°", "along (0.00, 1.00, 0.00)", "0: moves along a line")
 
 
@@ -348,16 +350,16 @@ def test_the_deviation_of_a_point_and_of_a_region(extension: ModuleType, sure: A
     found = reading(extension, obj, "SELECTION")
     w = splat.opacities[[2, 5, 11]].astype(float)
     np.testing.assert_allclose(found.deviations, deviation[:, [2, 5, 11]] @ w / w.sum(), rtol=1e-6)
-    assert [e.deviation for e in extension.probe.ellipses(found)] == found.deviations.tolist()
+    assert [e.deviation for e in extension.probe.probe.ellipses(found)] == found.deviations.tolist()
 
 
 def test_the_panel_and_the_table_show_it(extension: ModuleType, sure: Any, tmp_path: Path) -> None:
     obj, _, deviation = sure
     select(obj, [7])
     found = reading(extension, obj, "SELECTION")
-    e = extension.probe.ellipses(found)[1]
+    e = extension.probe.probe.ellipses(found)[1]
     unit = extension.units.unit_of(0.001)  # a scene unit is a millimetre
-    shown = extension.panel_probe.row_texts(e, unit)[1]
+    shown = extension.probe.panel.row_texts(e, unit)[1]
     assert shown == f"{e.amplitude:.4g} ± {deviation[1, 7]:.2g} mm"
     assert bpy.ops.tg4mm.export_probe(filepath=str(tmp_path / "a.csv"), content="PHASORS") == {"FINISHED"}
     rows = table(tmp_path / "a.csv")[1]
@@ -375,8 +377,8 @@ def test_a_file_without_deviations_shows_none(extension: ModuleType, moving: Any
     assert found.deviations is None
     assert (
         "±"
-        not in extension.panel_probe.row_texts(
-            extension.probe.ellipses(found)[0], extension.units.unit_of(None)
+        not in extension.probe.panel.row_texts(
+            extension.probe.probe.ellipses(found)[0], extension.units.unit_of(None)
         )[1]
     )
 
@@ -390,6 +392,6 @@ def test_a_deviation_is_saved_with_the_file_and_forgotten_with_the_reading(
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "probe.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "probe.blend"))
     obj = bpy.data.objects["sure"]
-    np.testing.assert_array_equal(extension.picking.stored(obj).deviations, found.deviations)
-    extension.picking.forget(obj)
+    np.testing.assert_array_equal(extension.probe.picking.stored(obj).deviations, found.deviations)
+    extension.probe.picking.forget(obj)
     assert extension.names.PROBE_DEVIATIONS not in obj

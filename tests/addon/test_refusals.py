@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tg4mm.splatfile import read_splat
+from tg4mm.core.splatfile import read_splat
 
 bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 
@@ -64,7 +64,7 @@ def test_fault_half_way_leaves_nothing(
 
     monkeypatch.setattr(extension.nodes.player, "build_shapes", fail)
     with pytest.raises(MemoryError):
-        extension.scene.make_objects([read_splat(splat_path)], ["bell"], bpy.context.collection)
+        extension.nodes.scene.make_objects([read_splat(splat_path)], ["bell"], bpy.context.collection)
     assert blocks() == before
     with pytest.raises(RuntimeError, match=r"bell\.ply: not enough memory"):
         bpy.ops.import_scene.tg4mm_splat(filepath=str(splat_path))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.addon.conftest import some_splat
-from tg4mm.splatfile import SplatFile, read_splat, write_splat
+from tg4mm.core.splatfile import SplatFile, read_splat, write_splat
 
 bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 
@@ -103,19 +103,19 @@ def test_bad_frame_leaves_nothing(extension: ModuleType, frames: list[Path]) -> 
 
 
 def test_an_import_tells_which_numbers_are_missing(extension: ModuleType, frames: list[Path]) -> None:
-    missing = extension.numbered.missing_beside
+    missing = extension.io.numbered.missing_beside
     assert missing(frames[0]) == missing(frames[3]) == [12]  # number 13 follows
     frames[0].with_name("beat_0013.ply").unlink()
     assert missing(frames[0]) == missing(frames[0].with_name("beat.ply")) == []
     frames[1].unlink()
     assert missing(frames[3]) == [9]
-    loaded = extension.loading.load([frames[2]], bpy.context.collection, True, 1000, lambda part: None)
+    loaded = extension.io.loading.load([frames[2]], bpy.context.collection, True, 1000, lambda part: None)
     assert loaded.message == "2 frames of up to 9 Gaussians; there is no file number 9"
 
 
 def test_run_ends_at_a_gap(extension: ModuleType, frames: list[Path]) -> None:
-    run = extension.numbered.run_around(frames[1])
+    run = extension.io.numbered.run_around(frames[1])
     assert run == frames
     lonely = frames[0].with_name("beat_0013.ply")
-    assert extension.numbered.run_around(lonely) == [lonely]
-    assert extension.numbered.as_sequence([frames[0], lonely.with_name("other_0012.ply")]) is None
+    assert extension.io.numbered.run_around(lonely) == [lonely]
+    assert extension.io.numbered.as_sequence([frames[0], lonely.with_name("other_0012.ply")]) is None

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.addon.conftest import some_splat
-from tg4mm.splatfile import read_splat, write_splat
+from tg4mm.core.splatfile import read_splat, write_splat
 
 bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 
@@ -28,20 +28,24 @@ def amplitudes(path: Path) -> np.ndarray:
 
 
 def picture_of(extension: ModuleType, obj: Any) -> tuple[Any, ...]:
-    return extension.panel.spectrum_picture(bpy.context, obj)
+    return extension.panels.panel.spectrum_picture(bpy.context, obj)
 
 
 def test_strength_is_the_rms_by_opacity_or_the_largest(extension: ModuleType, splat_path: Path) -> None:
     obj = import_splat(splat_path)
     a, w = amplitudes(splat_path), read_splat(splat_path).opacities
     expected = np.sqrt((w * a**2).sum(axis=1) / w.sum())
-    np.testing.assert_allclose(extension.analysis.mode_strengths(obj, "RMS"), expected, rtol=1e-4)
-    np.testing.assert_allclose(extension.analysis.mode_strengths(obj, "PEAK"), a.max(axis=1), rtol=1e-4)
+    np.testing.assert_allclose(extension.panels.analysis.mode_strengths(obj, "RMS"), expected, rtol=1e-4)
+    np.testing.assert_allclose(
+        extension.panels.analysis.mode_strengths(obj, "PEAK"), a.max(axis=1), rtol=1e-4
+    )
     assert np.abs(a.max(axis=1) / expected - 1).min() > 0.1
 
 
 def test_rms_of_what_is_see_through_counts_all_alike(extension: ModuleType) -> None:
-    assert extension.spectrum.rms_amplitude(np.array([3.0, 4.0]), np.zeros(2)) == pytest.approx(12.5**0.5)
+    assert extension.nodes.spectrum.rms_amplitude(np.array([3.0, 4.0]), np.zeros(2)) == pytest.approx(
+        12.5**0.5
+    )
 
 
 @pytest.mark.parametrize(
@@ -60,7 +64,7 @@ def test_rms_of_what_is_see_through_counts_all_alike(extension: ModuleType) -> N
 def test_peaks(
     extension: ModuleType, freqs: tuple[float, ...], strengths: tuple[float, ...], expected: tuple[float, ...]
 ) -> None:
-    assert tuple(freqs[k] for k in extension.spectrum.peaks(freqs, strengths, 1.0)) == expected
+    assert tuple(freqs[k] for k in extension.nodes.spectrum.peaks(freqs, strengths, 1.0)) == expected
 
 
 @pytest.mark.parametrize(
@@ -81,7 +85,7 @@ def test_peaks_are_apart_by_a_dip_or_an_empty_bin(
     bin_hz: float,
     expected: tuple[float, ...],
 ) -> None:
-    assert tuple(freqs[k] for k in extension.spectrum.peaks(freqs, strengths, bin_hz)) == expected
+    assert tuple(freqs[k] for k in extension.nodes.spectrum.peaks(freqs, strengths, bin_hz)) == expected
 
 
 @pytest.mark.parametrize(("vibrations", "bins"), [((5.4,), (5,)), ((3.5, 9.3), (3, 9)), ((4.0, 6.0), (4, 6))])
@@ -90,7 +94,7 @@ def test_leakage_of_a_vibration_between_bins_makes_no_peaks(
 ) -> None:
     t = np.arange(30) / 30.0  # bins of 1 Hz
     strengths = np.abs(np.fft.rfft(sum(np.cos(2 * np.pi * f * t) for f in vibrations)))[1:]
-    found = extension.spectrum.peaks(np.arange(1.0, 16.0), strengths, 1.0)
+    found = extension.nodes.spectrum.peaks(np.arange(1.0, 16.0), strengths, 1.0)
     assert len(found) == len(vibrations)
     assert all(abs(k + 1 - b) <= 1 for k, b in zip(found, bins, strict=True))
 
@@ -98,23 +102,23 @@ def test_leakage_of_a_vibration_between_bins_makes_no_peaks(
 def test_of_many_peaks_the_largest_are_kept(extension: ModuleType) -> None:
     freqs = np.arange(40.0)
     strengths = np.where(freqs % 2 == 1, 50 + freqs, 1.0)
-    found = extension.spectrum.peaks(freqs, strengths, 1.0)
+    found = extension.nodes.spectrum.peaks(freqs, strengths, 1.0)
     assert [freqs[k] for k in found] == [29, 31, 33, 35, 37, 39]
 
 
 def test_band_around_a_peak_is_set_by_its_button(extension: ModuleType, splat_path: Path) -> None:
     obj = import_splat(splat_path)
-    assert extension.analysis.band(obj) == (0.0, 12.0)  # half of 24 Hz
+    assert extension.panels.analysis.band(obj) == (0.0, 12.0)  # half of 24 Hz
     for width, frequency, expected in (
         (2.0, 5.0, (4.0, 6.0)),
         (8.0, 3.0, (0.0, 7.0)),
         (0.0, 7.5, (7.0, 8.0)),
     ):
         assert bpy.ops.tg4mm.band(frequency=frequency, width=width) == {"FINISHED"}
-        assert extension.analysis.band(obj) == pytest.approx(expected)
-    assert extension.analysis.active_modes(obj) == [2]
+        assert extension.panels.analysis.band(obj) == pytest.approx(expected)
+    assert extension.panels.analysis.active_modes(obj) == [2]
     assert bpy.ops.tg4mm.band() == {"FINISHED"}
-    assert extension.analysis.band(obj) == (0.0, 12.0)
+    assert extension.panels.analysis.band(obj) == (0.0, 12.0)
 
 
 def test_a_file_without_motion_has_no_band(extension: ModuleType, tmp_path: Path) -> None:
@@ -126,7 +130,7 @@ def test_a_file_without_motion_has_no_band(extension: ModuleType, tmp_path: Path
 
 
 def test_bars_are_as_high_as_the_modes_are_strong(extension: ModuleType) -> None:
-    plots, unit = extension.plots, extension.units.unit_of(None)
+    plots, unit = extension.panels.plots, extension.units.unit_of(None)
     freqs, strengths = (2.0, 5.0, 8.0), (0.5, 2.0, 1.0)
     picture = plots.spectrum(freqs, strengths, (4.0, 6.0), 10.0, "Amplitude", unit)
     bottom = round(plots._BOTTOM) - 3
@@ -142,7 +146,7 @@ def test_bars_are_as_high_as_the_modes_are_strong(extension: ModuleType) -> None
 
 
 def test_the_band_is_shaded_where_it_is(extension: ModuleType) -> None:
-    plots, unit = extension.plots, extension.units.unit_of(None)
+    plots, unit = extension.panels.plots, extension.units.unit_of(None)
     with_band = plots.spectrum((1.0,), (1.0,), (4.0, 6.0), 10.0, "A", unit)
     without = plots.spectrum((1.0,), (1.0,), (0.0, 0.0), 10.0, "A", unit)
     row = round(plots._TOP) + 20
@@ -155,9 +159,9 @@ def test_the_band_is_shaded_where_it_is(extension: ModuleType) -> None:
 def test_the_picture_is_drawn_once_for_each_band(
     extension: ModuleType, splat_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    obj, pictures = import_splat(splat_path), extension.pictures.shared()
-    drawn, draw = [], extension.plots.spectrum
-    monkeypatch.setattr(extension.plots, "spectrum", lambda *a: drawn.append(a) or draw(*a))
+    obj, pictures = import_splat(splat_path), extension.panels.pictures.shared()
+    drawn, draw = [], extension.panels.plots.spectrum
+    monkeypatch.setattr(extension.panels.plots, "spectrum", lambda *a: drawn.append(a) or draw(*a))
     key = picture_of(extension, obj)
     for _ in range(3):  # a panel is drawn many times
         pictures.icon(*key)
@@ -182,16 +186,16 @@ def test_another_file_has_another_picture(extension: ModuleType, splat_path: Pat
     loud = picture_of(extension, import_splat(tmp_path / "loud.ply"))
     np.testing.assert_allclose(loud[2], 2 * np.array(first[2]), rtol=1e-5)
     assert (first[-1].name, loud[-1].name) == ("scene units", "mm")
-    view = extension.view_settings.of(bpy.context)
+    view = extension.panels.view_settings.of(bpy.context)
     view.measure = "PEAK"
     assert picture_of(extension, obj)[2] == tuple(obj[extension.names.MODE_AMPLITUDES])
     view.measure = "RMS"
 
 
 def test_old_pictures_make_room(extension: ModuleType) -> None:
-    pictures, most = extension.pictures.shared(), extension.pictures.MOST
+    pictures, most = extension.panels.pictures.shared(), extension.panels.pictures.MOST
     unit = extension.units.unit_of(None)
-    function = extension.plots.amplitude_legend
+    function = extension.panels.plots.amplitude_legend
     for i in range(most + 3):
         pictures.icon(function, float(i + 1), unit)
         pictures.refresh()
@@ -203,7 +207,7 @@ def test_old_pictures_make_room(extension: ModuleType) -> None:
 def test_a_picture_fits_the_sidebar(extension: ModuleType) -> None:
     def width(pixels: int, scale: float = 1.0) -> float:
         system = SimpleNamespace(system=SimpleNamespace(ui_scale=scale))
-        return extension.pictures.fitting_width(
+        return extension.panels.pictures.fitting_width(
             SimpleNamespace(region=SimpleNamespace(width=pixels), preferences=system)
         )
 
@@ -218,5 +222,5 @@ def test_drawing_a_panel_writes_nothing(extension: ModuleType, splat_path: Path)
     setter(extension, obj)(extension.names.COLOUR_BY, extension.names.PHASE_COLOUR)
     before = {key: str(value) for key, value in obj.items()}
     key = picture_of(extension, obj)
-    extension.pictures.shared().icon(*key)
+    extension.panels.pictures.shared().icon(*key)
     assert {key: str(value) for key, value in obj.items()} == before

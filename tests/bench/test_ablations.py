@@ -14,27 +14,27 @@ from PIL import Image
 from dataset_gen.options import parser, request_from
 from tests.bench.conftest import MODAL, PAPER
 from tests.helpers.curves import points_of
-from tg4mm.bench.ablation.catalogue import ABLATIONS, chosen_preset, rows_of
-from tg4mm.bench.ablation.page import COLUMNS, ablation_table, mean_lines, picture
-from tg4mm.bench.ablation.rendered_sets import KINDS, alphas_for
-from tg4mm.bench.ablation.results_file import read_ablation
-from tg4mm.bench.ablation.run import run_ablation
-from tg4mm.bench.folder import circumstances
-from tg4mm.bench.measure import Plan
-from tg4mm.bench.pages.html import _ablation
-from tg4mm.bench.pages.latex import escaped
-from tg4mm.bench.pages.markdown import trained_otherwise
-from tg4mm.bench.pages.tables import _SAYS, PIVOTS
-from tg4mm.bench.request import check_settings, setting_names
-from tg4mm.bench.scored import METRICS
-from tg4mm.bench.sets import open_set
 from tg4mm.cli import main
-from tg4mm.errors import Tg4mmError
-from tg4mm.evaluate.run import CEILING, STATIC
-from tg4mm.magnify import TemporalFilter
-from tg4mm.report.page import Figure
+from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.filters import TemporalFilter
+from tg4mm.core.pages.page import Figure
+from tg4mm.research.bench.ablation.catalogue import ABLATIONS, chosen_preset, rows_of
+from tg4mm.research.bench.ablation.page import COLUMNS, ablation_table, mean_lines, picture
+from tg4mm.research.bench.ablation.rendered_sets import KINDS, alphas_for
+from tg4mm.research.bench.ablation.results_file import read_ablation
+from tg4mm.research.bench.ablation.run import run_ablation
+from tg4mm.research.bench.folder import circumstances
+from tg4mm.research.bench.measure import Plan
+from tg4mm.research.bench.pages.html import _ablation
+from tg4mm.research.bench.pages.latex import escaped
+from tg4mm.research.bench.pages.markdown import trained_otherwise
+from tg4mm.research.bench.pages.tables import _SAYS, PIVOTS
+from tg4mm.research.bench.request import check_settings, setting_names
+from tg4mm.research.bench.scored import METRICS
+from tg4mm.research.bench.sets import open_set
+from tg4mm.research.evaluate.run import CEILING, STATIC
 from tg4mm.run import Run
-from tg4mm.train import train
+from tg4mm.run.train import train
 
 VARIED = {
     "initialisation": {"space.init"},
@@ -200,7 +200,7 @@ def test_a_broken_set_is_reported_and_the_rest_goes_on(data: Path, tmp_path: Pat
 def test_an_error_that_is_not_the_datas_is_a_failure(
     data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from tg4mm.bench.ablation import run as runner
+    from tg4mm.research.bench.ablation import run as runner
 
     measured = runner.measure
 
@@ -241,7 +241,7 @@ def test_a_scene_is_filmed_in_every_way(data: Path, tmp_path: Path, monkeypatch:
         (root / "scene.json").write_text(json.dumps(scene | {"cameras": {"kind": made["--cameras"]}}))
         return 0
 
-    monkeypatch.setattr("tg4mm.bench.ablation.rendered_sets.run_generator", generator)
+    monkeypatch.setattr("tg4mm.research.bench.ablation.rendered_sets.run_generator", generator)
     out = tmp_path / "out"
     results = run_ablation("capture", [source], out, None, MODAL, Plan(alphas=(20.0,)), silent)
     assert [line["row"] for line in results["lines"]] == list(KINDS)

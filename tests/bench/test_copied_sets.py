@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tg4mm.bench.ablation.catalogue import ABLATIONS
-from tg4mm.bench.ablation.copied_sets import with_noise, with_timesteps
-from tg4mm.bench.ablation.run import _job
-from tg4mm.bench.errors import BenchError
-from tg4mm.bench.measure import Plan
-from tg4mm.bench.sets import open_set
 from tg4mm.capture import load_capture, load_images
+from tg4mm.research.bench.ablation.catalogue import ABLATIONS
+from tg4mm.research.bench.ablation.copied_sets import with_noise, with_timesteps
+from tg4mm.research.bench.ablation.run import _job
+from tg4mm.research.bench.errors import BenchError
+from tg4mm.research.bench.measure import Plan
+from tg4mm.research.bench.sets import open_set
 
 
 def contents(root: Path) -> dict[str, bytes]:

@@ -15,14 +15,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tg4mm.bench.jobs import run_job
-from tg4mm.bench.measure import Plan
-from tg4mm.bench.methods.video import Linear2D
-from tg4mm.bench.pages.shown import gather
-from tg4mm.bench.pages.tables import groups_of, tables_of
-from tg4mm.bench.sets import filmed_digest, open_set
-from tg4mm.bench.vqa import checkouts
 from tg4mm.cli import main
+from tg4mm.research.bench.jobs import run_job
+from tg4mm.research.bench.measure import Plan
+from tg4mm.research.bench.methods.video import Linear2D
+from tg4mm.research.bench.pages.shown import gather
+from tg4mm.research.bench.pages.tables import groups_of, tables_of
+from tg4mm.research.bench.sets import filmed_digest, open_set
+from tg4mm.research.bench.vqa import checkouts
 
 ROOT = Path(__file__).parents[2]
 
@@ -141,7 +141,7 @@ def test_an_ablation_without_results_does_not_take_the_page_along(data: Path, tm
 def test_a_job_may_fail_by_any_error_and_leaves_its_traceback(
     data: Path, tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from tg4mm.bench.methods.video import Phase2D
+    from tg4mm.research.bench.methods.video import Phase2D
 
     def broken(*arguments: object) -> None:
         raise ArithmeticError("a matrix is singular\nsecond line")
@@ -172,7 +172,7 @@ def test_a_job_finds_and_leaves_its_results_where_the_tables_look(
     def forbidden(*_: object) -> None:
         raise AssertionError("done again")
 
-    monkeypatch.setattr("tg4mm.bench.jobs.write_png", forbidden)
+    monkeypatch.setattr("tg4mm.research.bench.jobs.write_png", forbidden)
     status, results = run_linear(data, out, named)
     assert (status, [s["label"] for s in results["sets"]]) == (0, [data.name, "second"])
 
@@ -198,9 +198,9 @@ def test_collecting_runs_nothing_and_says_what_is_not_there(
     def forbidden(*_: object) -> None:
         raise AssertionError("something is run")
 
-    monkeypatch.setattr("tg4mm.bench.jobs.write_png", forbidden)
-    monkeypatch.setattr("tg4mm.bench.jobs.score_pictures", forbidden)
-    monkeypatch.setattr("tg4mm.bench.measure.train", forbidden)
+    monkeypatch.setattr("tg4mm.research.bench.jobs.write_png", forbidden)
+    monkeypatch.setattr("tg4mm.research.bench.jobs.score_pictures", forbidden)
+    monkeypatch.setattr("tg4mm.research.bench.measure.train", forbidden)
     arguments = ["bench", "scenes", str(data), "--out", str(out), "--methods", "modal,linear-2d", "--collect"]
     assert main(arguments) == 1
     results = json.loads((out / "results.json").read_text(encoding="utf-8"))
@@ -449,7 +449,7 @@ def test_scores_are_of_the_weights_and_programs_as_they_are(
     """LPIPS by weights in a file, video quality by a program: both are in the scores, and change with the files."""
     weights, program = tmp_path / "alex.pth", tmp_path / "test_video.py"
     monkeypatch.setattr(
-        "tg4mm.bench.jobs.load_lpips", lambda files: lambda made, truth: float(files[0].read_text())
+        "tg4mm.research.bench.jobs.load_lpips", lambda files: lambda made, truth: float(files[0].read_text())
     )
     opened, method = open_set(data, data.name), Linear2D()
 

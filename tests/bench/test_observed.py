@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from tests.helpers.synthetic import make_synthetic_dataset
-from tg4mm.bench.observed import AGREES, agreement, looked_at, observed_figures, rms_motion
-from tg4mm.bench.sets import BenchSet, open_set
 from tg4mm.capture import load_capture
-from tg4mm.evaluate.displacement import displacement_figures
-from tg4mm.evaluate.subject import Subject
-from tg4mm.evaluate.weights import blending_weights
-from tg4mm.gaussians import Gaussians
-from tg4mm.motion.modes import ModalMotion
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.modes import ModalMotion
+from tg4mm.research.bench.observed import AGREES, agreement, looked_at, observed_figures, rms_motion
+from tg4mm.research.bench.sets import BenchSet, open_set
+from tg4mm.research.evaluate.displacement import displacement_figures
+from tg4mm.research.evaluate.subject import Subject
+from tg4mm.show.weights import blending_weights
 
 Scene = tuple[Gaussians, ModalMotion, BenchSet]
 
@@ -70,7 +70,7 @@ def test_errors_of_what_is_not_observed_do_not_count(scene: Scene, monkeypatch: 
     train = load_capture(data.root)
     seen = np.zeros(len(gaussians), bool)
     seen[np.flatnonzero(moving(motion))[::2]] = True
-    monkeypatch.setattr("tg4mm.bench.observed.agreement", lambda *_: np.where(seen, 1.0, 0.0))
+    monkeypatch.setattr("tg4mm.research.bench.observed.agreement", lambda *_: np.where(seen, 1.0, 0.0))
     estimated = replace(motion, displacement=motion.displacement * np.where(seen, 1.0, 0.6)[None, :, None])
     subject = Subject(gaussians, estimated, motion, None, (), False, None)
     found = observed_figures(subject, data, train)

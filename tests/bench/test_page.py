@@ -13,12 +13,12 @@ import pytest
 from PIL import Image
 
 from tests.view.browser import browser
-from tg4mm.bench.methods.external import External
-from tg4mm.bench.pages.html import write_page
-from tg4mm.bench.pages.latex import escaped, latex_table
-from tg4mm.bench.pages.markdown import how
-from tg4mm.bench.pages.tables import Table, full_table, groups_of, tables_of
-from tg4mm.bench.scenes import ScenesRequest, run_scenes
+from tg4mm.research.bench.methods.external import External
+from tg4mm.research.bench.pages.html import write_page
+from tg4mm.research.bench.pages.latex import escaped, latex_table
+from tg4mm.research.bench.pages.markdown import how
+from tg4mm.research.bench.pages.tables import Table, full_table, groups_of, tables_of
+from tg4mm.research.bench.scenes import ScenesRequest, run_scenes
 
 
 @pytest.fixture(scope="module")

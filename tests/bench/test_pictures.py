@@ -10,10 +10,10 @@ import pytest
 from PIL import Image
 
 from tests.helpers.curves import points_of
-from tg4mm.bench.ablation.page import picture
-from tg4mm.bench.pages.cells import shown, table
-from tg4mm.bench.pages.plots import curves
-from tg4mm.bench.pages.sheet import write_sheet
+from tg4mm.research.bench.ablation.page import picture
+from tg4mm.research.bench.pages.cells import shown, table
+from tg4mm.research.bench.pages.plots import curves
+from tg4mm.research.bench.pages.sheet import write_sheet
 
 
 def test_table_columns_line_up_and_keep_their_cells() -> None:

@@ -13,17 +13,17 @@ from typing import Any
 import pytest
 import typer
 
-import tg4mm.bench
+import tg4mm.research.bench
 from dataset_gen.options import parser, request_from
 from tests.helpers.snakemake_program import FARM, check_plugins, snakemake
-from tg4mm.bench import presets
-from tg4mm.bench.errors import BenchError
-from tg4mm.bench.presets import PRESETS, Choices, Step, choices_from, run_preset, steps_of
 from tg4mm.cli import main
 from tg4mm.cli.program import app
+from tg4mm.research.bench import presets
+from tg4mm.research.bench.errors import BenchError
+from tg4mm.research.bench.presets import PRESETS, Choices, Step, choices_from, run_preset, steps_of
 
 ROOT = Path(__file__).parents[2]
-SNAKEFILE = Path(tg4mm.bench.__file__).parent / "Snakefile"
+SNAKEFILE = Path(tg4mm.research.bench.__file__).parent / "Snakefile"
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -155,7 +155,7 @@ def test_a_dry_run_of_the_workflow_names_every_step(tmp_path: Path, profile: str
 STAND_IN = """#!{python}
 import os, runpy, sys
 sys.path.insert(0, {root!r})
-if sys.argv[2] == "tg4mm.bench.presets":
+if sys.argv[2] == "tg4mm.research.bench.presets":
     sys.argv = sys.argv[2:]
     runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
     sys.exit()

@@ -15,19 +15,19 @@ import numpy as np
 import pytest
 
 from tests.bench.conftest import MODAL, PAPER
-from tg4mm.bench.jobs import job_folder, rendered
-from tg4mm.bench.means import group_means, line_means
-from tg4mm.bench.measure import SEEN, Plan, Training, _request
-from tg4mm.bench.methods import trained
-from tg4mm.bench.methods.known import ABOUT, NAMES
-from tg4mm.bench.pages.tables import cost_table, kinds_tables, pivots
-from tg4mm.bench.scenes import ScenesRequest, run_scenes, same_time_training, same_time_trainings
-from tg4mm.bench.sets import open_set, open_sets, truth_at
-from tg4mm.errors import RunError
-from tg4mm.evaluate import evaluate_run
-from tg4mm.evaluate.subject import subject_of
+from tg4mm.core.errors import RunError
+from tg4mm.research.bench.jobs import job_folder, rendered
+from tg4mm.research.bench.means import group_means, line_means
+from tg4mm.research.bench.measure import SEEN, Plan, Training, _request
+from tg4mm.research.bench.methods import trained
+from tg4mm.research.bench.methods.known import ABOUT, NAMES
+from tg4mm.research.bench.pages.tables import cost_table, kinds_tables, pivots
+from tg4mm.research.bench.scenes import ScenesRequest, run_scenes, same_time_training, same_time_trainings
+from tg4mm.research.bench.sets import open_set, open_sets, truth_at
+from tg4mm.research.evaluate import evaluate_run
+from tg4mm.research.evaluate.subject import subject_of
 from tg4mm.run import Run
-from tg4mm.train import parse_settings
+from tg4mm.run.train import parse_settings
 
 REQUEST = ScenesRequest(
     methods=("modal", "paper-tuned"), settings={"modal": MODAL, "paper-tuned": PAPER}, same_time="never"
@@ -198,7 +198,7 @@ def test_what_is_finished_is_not_done_again(done: Done, data: Path, monkeypatch:
         raise AssertionError("done again")
 
     for name in ("measure.train", "measure.evaluate_run", "jobs.write_png", "jobs.score_pictures"):
-        monkeypatch.setattr(f"tg4mm.bench.{name}", forbidden)
+        monkeypatch.setattr(f"tg4mm.research.bench.{name}", forbidden)
     again = run_scenes([data], out, REQUEST, silent)
     assert (again["runs"], again["lines"]) == (results["runs"], results["lines"])
 
@@ -214,7 +214,7 @@ def test_the_time_that_is_left_is_told_without_the_jobs_that_were_finished(
         shown.append((total, start))
         yield shown.append
 
-    monkeypatch.setattr("tg4mm.bench.scenes.progress", watched)
+    monkeypatch.setattr("tg4mm.research.bench.scenes.progress", watched)
     methods = ("modal", "paper-tuned", "linear-2d")
     run_scenes([data], done[0], replace(REQUEST, methods=methods), silent)
     assert shown == [(3, 2), 3]
@@ -275,7 +275,7 @@ class TestSameTime:
             """As if `modal` took half the time: what is measured may happen to be the same."""
             return [same_time_training("paper-tuned", request.settings.get("paper-tuned", {}), 0.5)]
 
-        monkeypatch.setattr("tg4mm.bench.scenes.same_time_trainings", halved)
+        monkeypatch.setattr("tg4mm.research.bench.scenes.same_time_trainings", halved)
         plan = Plan(alphas=(20.0,))
         request = replace(REQUEST, same_time="always", plan=plan)
         results = run_scenes([data], tmp_path / "out", request, silent)

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tg4mm.bench.errors import BenchError
-from tg4mm.bench.methods.camera_videos import cameras_of, video_of
-from tg4mm.bench.scored import moving_pixels, score_pictures, with_closure
 from tg4mm.capture import Capture, load_capture
-from tg4mm.evaluate.metrics import ssim_map
-from tg4mm.render.frames import write_png
+from tg4mm.core.metrics import ssim_map
+from tg4mm.core.pictures.frames import write_png
+from tg4mm.research.bench.errors import BenchError
+from tg4mm.research.bench.methods.camera_videos import cameras_of, video_of
+from tg4mm.research.bench.scored import moving_pixels, score_pictures, with_closure
 
 
 @pytest.fixture(scope="module")
@@ -138,7 +138,7 @@ def test_every_camera_moves_the_progress(truth: Capture, monkeypatch: pytest.Mon
         said.append((label, total))
         yield lambda done: said.append((done,))
 
-    monkeypatch.setattr("tg4mm.bench.scored.progress", progress)
+    monkeypatch.setattr("tg4mm.research.bench.scored.progress", progress)
     score_pictures(truth, truth.root, label="modal, α = 5, scores")
     steps = np.cumsum([len(rows) for rows in cameras_of(truth)])
     assert said == [("modal, α = 5, scores", len(truth)), *((n,) for n in steps)]

@@ -8,11 +8,11 @@ import pytest
 import torch
 
 from tests.bench.conftest import MODAL
-from tg4mm.bench.measure import Plan
-from tg4mm.bench.methods.hexplane import HexPlane
-from tg4mm.bench.methods.tracking import checked_settings, tracking
-from tg4mm.bench.sets import open_set
-from tg4mm.errors import Tg4mmError
+from tg4mm.core.errors import Tg4mmError
+from tg4mm.research.bench.measure import Plan
+from tg4mm.research.bench.methods.hexplane import HexPlane
+from tg4mm.research.bench.methods.tracking import checked_settings, tracking
+from tg4mm.research.bench.sets import open_set
 from tg4mm.run import Run
 
 

@@ -8,11 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tg4mm.bench.measure import Plan
-from tg4mm.bench.methods.video import Linear2D, Phase2D, SmoothedPhase, band_response, collapse, laplacian
-from tg4mm.bench.sets import BenchSet
-from tg4mm.magnify.half_octaves import half_octave_bands
-from tg4mm.magnify.phase import PhaseMagnifier
+from tg4mm.fit.magnify.half_octaves import half_octave_bands
+from tg4mm.fit.magnify.phase import PhaseMagnifier
+from tg4mm.research.bench.measure import Plan
+from tg4mm.research.bench.methods.video import (
+    Linear2D,
+    Phase2D,
+    SmoothedPhase,
+    band_response,
+    collapse,
+    laplacian,
+)
+from tg4mm.research.bench.sets import BenchSet
 
 T, FPS, HZ = 30, 30.0, 5.0
 
@@ -151,8 +158,8 @@ def test_half_octaves_put_back_give_what_lies_between_the_finest_and_the_coarses
 ) -> None:
     import torch
 
-    from tg4mm.magnify.half_octaves import half_octave_bands
-    from tg4mm.magnify.phase import _give, _take
+    from tg4mm.fit.magnify.half_octaves import half_octave_bands
+    from tg4mm.fit.magnify.phase import _give, _take
 
     spectrum = torch.fft.rfft2(torch.from_numpy(np.random.default_rng(0).random((1, *size))).float())
     back = torch.zeros_like(spectrum)

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tg4mm.bench.errors import BenchError
-from tg4mm.bench.vqa import PROGRAMS, Checkout, checkouts
+from tg4mm.research.bench.errors import BenchError
+from tg4mm.research.bench.vqa import PROGRAMS, Checkout, checkouts
 
 VIDEO = np.full((4, 32, 32, 3), 128, np.uint8)
 

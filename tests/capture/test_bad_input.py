@@ -14,7 +14,7 @@ from PIL import Image
 from plyfile import PlyData, PlyElement
 
 from tg4mm.capture import load_capture, load_images
-from tg4mm.errors import CaptureError
+from tg4mm.core.errors import CaptureError
 
 
 def refused(call, *parts):

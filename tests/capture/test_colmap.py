@@ -13,7 +13,7 @@ import pytest
 from tests.helpers.colmap import CAMERAS, IMAGES, NAMES, POINTS, pictures
 from tg4mm.capture import load_capture, load_images
 from tg4mm.capture.cameras import world_to_camera
-from tg4mm.errors import CaptureError
+from tg4mm.core.errors import CaptureError
 
 
 @pytest.fixture

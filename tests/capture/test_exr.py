@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from tg4mm.capture import load_capture, load_images
-from tg4mm.capture.decode import decode, image_header
-from tg4mm.errors import CaptureError
+from tg4mm.core.errors import CaptureError
+from tg4mm.core.pictures.decode import decode, image_header
 
 OpenEXR = pytest.importorskip("OpenEXR")
 
@@ -117,7 +117,7 @@ WITHOUT = """
 import sys
 sys.modules["OpenEXR"] = None
 from tg4mm.capture import load_capture, load_images
-from tg4mm.errors import CaptureError
+from tg4mm.core.errors import CaptureError
 try:
     load_images(load_capture(sys.argv[1]))
 except CaptureError as error:

@@ -10,7 +10,7 @@ import pytest
 from plyfile import PlyData, PlyElement
 
 from tg4mm.capture import load_capture, load_images
-from tg4mm.errors import CaptureError
+from tg4mm.core.errors import CaptureError
 
 
 @pytest.fixture

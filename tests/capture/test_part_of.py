@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from tg4mm.capture.part_of import whole_dataset
-from tg4mm.errors import CaptureError
-from tg4mm.sfm.sources import find_sources
-from tg4mm.train import _capture
+from tg4mm.capture.sfm.sources import find_sources
+from tg4mm.core.errors import CaptureError
+from tg4mm.run.train import _capture
 
 
 def test_a_timestep_and_its_pictures_are_parts(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,9 +16,9 @@ from tests.space.scenes import capture_of
 from tg4mm.capture import Capture, load_images
 from tg4mm.capture import pictures as module
 from tg4mm.capture.pictures import FilePictures, StackedPictures
-from tg4mm.errors import CaptureError
-from tg4mm.motion.nuisance import first_look as first_look_module
-from tg4mm.motion.observations import observe
+from tg4mm.core.errors import CaptureError
+from tg4mm.fit.motion.nuisance import first_look as first_look_module
+from tg4mm.fit.motion.observations import observe
 
 SIZE = (5, 6)  # height, width
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tg4mm.capture import png16
-from tg4mm.capture.decode import decode
+from tg4mm.core.pictures import png16
+from tg4mm.core.pictures.decode import decode
 
 TYPES = {0: 1, 4: 2, 2: 3, 6: 4}  # colour type → channels
 

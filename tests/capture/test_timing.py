@@ -11,7 +11,7 @@ import pytest
 
 from tg4mm.capture import Capture, load_capture
 from tg4mm.capture.timing import KINDS, check_times, kind_of_cameras
-from tg4mm.errors import CaptureError
+from tg4mm.core.errors import CaptureError
 
 
 def of_cameras(cameras: dict[int, list[int]], n_timesteps: int) -> str:

@@ -11,8 +11,8 @@ import pytest
 
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.cli import main
+from tg4mm.core.splatfile import positions_at, read_splat
 from tg4mm.run import Run
-from tg4mm.splatfile import positions_at, read_splat
 
 N_TIMESTEPS, SIZE = 6, 32
 
@@ -235,9 +235,9 @@ def test_evaluate_writes_into_the_run_by_default(run_path: Path) -> None:
 
 def test_train_hands_its_options_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
     calls = []
-    monkeypatch.setattr("tg4mm.train.train", lambda *arguments: calls.append(arguments))
-    monkeypatch.setattr("tg4mm.result.result_of", lambda run: run)
-    monkeypatch.setattr("tg4mm.result.lines_of", lambda result: ["found", "next"])
+    monkeypatch.setattr("tg4mm.run.train.train", lambda *arguments: calls.append(arguments))
+    monkeypatch.setattr("tg4mm.show.result.result_of", lambda run: run)
+    monkeypatch.setattr("tg4mm.show.result.lines_of", lambda result: ["found", "next"])
     options = ["--set", "space.seed=3", "--set", "motion.x=a=b", "--preset", "modal", "--device", "cpu"]
     assert main(["train", str(tmp_path), "--out", "run", *options]) == 0
     assert calls == [(tmp_path, Path("run"), "modal", "cpu", {"space.seed": "3", "motion.x": "a=b"})]
@@ -273,6 +273,6 @@ def test_a_killed_generator_is_said_and_leaves_with_1(monkeypatch: pytest.Monkey
         def wait(self) -> int:
             return -9
 
-    monkeypatch.setattr("tg4mm.generator.subprocess.Popen", Killed)
+    monkeypatch.setattr("tg4mm.research.generator.subprocess.Popen", Killed)
     assert main(["generate", "mic", "--out", "x"]) == 1
     assert "ended by signal 9; run the same command again" in capsys.readouterr().err

@@ -12,11 +12,11 @@ from pxr import Usd
 from tests.helpers.gltf import parsed
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.cli import main
-from tg4mm.export.formats import one_period
-from tg4mm.export.splat import splat_of
+from tg4mm.core.splatfile import SplatFile, positions_at
 from tg4mm.run import Run
-from tg4mm.splatfile import SplatFile, positions_at
-from tg4mm.splatfile.formats.y_up import TURN
+from tg4mm.show.export.formats import one_period
+from tg4mm.show.export.splat import splat_of
+from tg4mm.show.export.y_up import TURN
 
 N_TIMESTEPS = 12
 

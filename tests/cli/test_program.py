@@ -225,7 +225,7 @@ def test_demo_refuses_a_file_and_a_size_out_of_range(tmp_path: Path) -> None:
 
 
 def test_message_of_several_lines_becomes_one() -> None:
-    done = run_main(r"from tg4mm.errors import RunError; raise RunError('a\n  b')")
+    done = run_main(r"from tg4mm.core.errors import RunError; raise RunError('a\n  b')")
     assert refused(done) == "tg4mm: a b"
 
 

@@ -22,9 +22,9 @@ from dataset_gen.processes import RunFailed
 from dataset_gen.run import finish_parts, generate, missing_files, prepare_parts, render_part, save_animation
 from dataset_gen.scenes import SCENES
 from dataset_gen.settings import Settings
-from tg4mm.errors import RunError
-from tg4mm.lock import held
-from tg4mm.temporary import _HOST
+from tg4mm.core.errors import RunError
+from tg4mm.core.lock import held
+from tg4mm.core.temporary import _HOST
 
 TINY_OPTIONS = "--size 32 --timesteps 6 --test-views 1 --alphas 5 --samples 2 --points 300"
 

@@ -66,8 +66,8 @@ def test_the_same_motion_gives_the_same_bytes(tmp_path, motion):
 def test_the_evaluation_reads_the_exact_motion_back(tmp_path, motion, alpha):
     pytest.importorskip("scipy")
     pytest.importorskip("torch")
-    from tg4mm.evaluate.truth import exact_motion, load_truth
-    from tg4mm.motion.animate import displacement_at
+    from tg4mm.fit.motion.animate import displacement_at
+    from tg4mm.research.evaluate.truth import exact_motion, load_truth
 
     truth.write_motion(tmp_path / "truth" / "motion.npz", bodies(), motion, T)
     corners = np.concatenate([b.vertices for b in bodies()])

@@ -9,10 +9,10 @@ import pytest
 
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import Capture, load_capture
-from tg4mm.evaluate.change import change_figures, closure
-from tg4mm.evaluate.scores import Method
-from tg4mm.gaussians import Gaussians
-from tg4mm.motion.modes import ModalMotion
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.modes import ModalMotion
+from tg4mm.research.evaluate.change import change_figures, closure
+from tg4mm.research.evaluate.scores import Method
 
 Scene = tuple[Capture, Gaussians, ModalMotion]
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tg4mm.evaluate.displacement import displacement_figures, frequency_figures
-from tg4mm.motion.modes import ModalMotion
+from tg4mm.fit.motion.modes import ModalMotion
+from tg4mm.research.evaluate.displacement import displacement_figures, frequency_figures
 
 FPS, T, N = 30.0, 30, 40
 

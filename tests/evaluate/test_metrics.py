@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import correlate
 
-from tg4mm.evaluate.metrics import MAX_PSNR_DB, flip, psnr, ssim
+from tg4mm.core.metrics import MAX_PSNR_DB, flip, psnr, ssim
 
 
 @pytest.fixture

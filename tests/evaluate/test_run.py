@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import tg4mm.evaluate.run as module
+import tg4mm.research.evaluate.run as module
 from tests.helpers.synthetic import make_synthetic_dataset
-from tg4mm.errors import CaptureError, RunError
-from tg4mm.evaluate import EvaluationError, evaluate_run, format_table
-from tg4mm.evaluate.metrics import psnr
-from tg4mm.gaussians import Gaussians
-from tg4mm.motion.modes import ModalMotion
+from tg4mm.core.errors import CaptureError, RunError
+from tg4mm.core.metrics import psnr
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.modes import ModalMotion
+from tg4mm.research.evaluate import EvaluationError, evaluate_run, format_table
 from tg4mm.run import Run
 
 STATIC, OURS, CEILING = "nothing moves", "ours", "ceiling"
@@ -90,7 +90,7 @@ def test_half_the_amplitude_is_half_an_error_and_a_gap_that_grows(half) -> None:
 
 def test_caching_changes_no_number_and_saves_work(half, monkeypatch) -> None:
     calls = []
-    monkeypatch.setattr("tg4mm.evaluate.wanted.psnr", lambda a, b: calls.append(1) or psnr(a, b))
+    monkeypatch.setattr("tg4mm.research.evaluate.wanted.psnr", lambda a, b: calls.append(1) or psnr(a, b))
     cached = evaluate_run(half, out=half.path / "cached.json")
     n_cached = len(calls)
     plain = evaluate_run(half, out=half.path / "plain.json", use_cache=False)

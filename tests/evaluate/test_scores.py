@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from tg4mm.evaluate.scores import Method, in_band
-from tg4mm.motion.modes import ModalMotion
+from tg4mm.fit.motion.modes import ModalMotion
+from tg4mm.research.evaluate.scores import Method, in_band
 
 FPS, T = 30.0, 30
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from tg4mm.evaluate.slices import amplitude_spectrum, difference_maps, most_moving_line, space_time_slice
-from tg4mm.motion.modes import ModalMotion
+from tg4mm.fit.motion.modes import ModalMotion
+from tg4mm.show.slices import amplitude_spectrum, difference_maps, most_moving_line, space_time_slice
 
 T, H, W, FPS, FREQ = 30, 12, 64, 30.0, 3.0
 ROW = 7

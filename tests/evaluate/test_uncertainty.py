@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from tg4mm.evaluate.uncertainty import uncertainty_figures
-from tg4mm.motion.modes import ModalMotion
+from tg4mm.fit.motion.modes import ModalMotion
+from tg4mm.research.evaluate.uncertainty import uncertainty_figures
 
 N = 400
 

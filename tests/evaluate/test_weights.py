@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from tg4mm.capture import Capture
-from tg4mm.evaluate.weights import blending_weights
-from tg4mm.gaussians import Gaussians
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.show.weights import blending_weights
 
 SIZE, FOCAL, DISTANCE = 32, 40.0, 4.0
 EPS2D = 0.3  # pixels², the low-pass that gsplat adds

@@ -8,12 +8,12 @@ import pytest
 import torch
 
 from tests.helpers.synthetic import make_synthetic_dataset
-from tg4mm.errors import RunError, Tg4mmError
-from tg4mm.export.splat import export_ply, export_ply_sequence, to_splat
-from tg4mm.motion.modes import AppearanceModes
-from tg4mm.result.deviations import mode_deviations
+from tg4mm.core.errors import RunError, Tg4mmError
+from tg4mm.core.splatfile import positions_at, read_splat
+from tg4mm.fit.motion.modes import AppearanceModes
 from tg4mm.run import Run
-from tg4mm.splatfile import positions_at, read_splat
+from tg4mm.show.export.splat import export_ply, export_ply_sequence, to_splat
+from tg4mm.show.result.deviations import mode_deviations
 
 
 @pytest.fixture

@@ -35,8 +35,8 @@ def _tensors_anew(data: bytes, rng: random.Random) -> bytes:
     import torch
     from safetensors import safe_open
 
+    from tg4mm.core.untrusted import parse_json
     from tg4mm.run.tensor_file import DIGEST, write_tensors
-    from tg4mm.untrusted import parse_json
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "a.safetensors"
@@ -97,7 +97,7 @@ def _other_array(array: np.ndarray, rng: random.Random) -> np.ndarray | None:
 
 def of_sealed(data: bytes, rng: random.Random) -> bytes:
     """JSON with a digest: as any JSON, or its values changed and the digest put right, or left out."""
-    from tg4mm.files import json_digest
+    from tg4mm.core.files import json_digest
 
     if rng.random() < 0.3:
         return of_json(data, rng)

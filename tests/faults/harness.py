@@ -27,7 +27,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from tests.faults.readers import READERS, Reader
-from tg4mm.errors import Tg4mmError
+from tg4mm.core.errors import Tg4mmError
 
 MEMORY = 3 << 30  # bytes of address space beyond what the process has before it reads
 LIMIT_S = 20.0  # seconds for one file

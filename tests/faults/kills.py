@@ -20,13 +20,13 @@ import traceback
 from collections.abc import Callable
 from pathlib import Path
 
-import tg4mm.paper.motion
-import tg4mm.paper.space
-import tg4mm.space.train
+import tg4mm.fit.space.train
+import tg4mm.research.paper.motion
+import tg4mm.research.paper.space
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.run import Run
 from tg4mm.run.model_hash import model_hash
-from tg4mm.train import train
+from tg4mm.run.train import train
 
 OFTEN_S = 0.1  # between checkpoints, so that there are some in a training of seconds
 SETTINGS: dict[str, dict[str, str]] = {
@@ -92,7 +92,7 @@ class Trial:
             raise AssertionError(f"a process that nobody killed has failed: {self.said.read_text()[-2000:]}")
 
     def train(self, name: str) -> None:
-        for module in (tg4mm.space.train, tg4mm.paper.space, tg4mm.paper.motion):
+        for module in (tg4mm.fit.space.train, tg4mm.research.paper.space, tg4mm.research.paper.motion):
             module.CHECKPOINT_EVERY_S = OFTEN_S  # type: ignore[attr-defined]
         train(self.data, self.root / name, self.preset, settings=SETTINGS[self.preset])
 

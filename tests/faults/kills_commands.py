@@ -20,12 +20,12 @@ from dataclasses import dataclass
 from fnmatch import fnmatch
 from pathlib import Path
 
-import tg4mm.measure
-import tg4mm.render
-import tg4mm.sfm.reconstruct  # noqa: F401, so that no process after a fork has to
+import tg4mm.capture.sfm.reconstruct
+import tg4mm.show.measure
+import tg4mm.show.render  # noqa: F401, so that no process after a fork has to
 from tests.faults.kills import in_child
 from tg4mm.cli import main as program
-from tg4mm.temporary import is_temporary
+from tg4mm.core.temporary import is_temporary
 
 
 @dataclass(frozen=True)

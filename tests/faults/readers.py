@@ -82,7 +82,7 @@ def _truth(root: Path) -> Path:
 
 
 def _read_truth(root: Path) -> None:
-    from tg4mm.evaluate.truth import load_truth
+    from tg4mm.research.evaluate.truth import load_truth
 
     load_truth(root, 30.0, T)
 
@@ -192,7 +192,7 @@ def _cameras(root: Path) -> Path:
 
 
 def _read_cameras(root: Path) -> None:
-    from tg4mm.render.cameras import cameras_from_file
+    from tg4mm.show.render.cameras import cameras_from_file
 
     cameras_from_file(root / "transforms.json", (12, 8))
 
@@ -203,7 +203,7 @@ def _read_cameras(root: Path) -> None:
 def _gaussians() -> Any:
     import torch
 
-    from tg4mm.gaussians import Gaussians
+    from tg4mm.fit.gaussians import Gaussians
 
     rng = np.random.default_rng(0)
     shapes = {"means": (N, 3), "quats": (N, 4), "scales": (N, 3), "opacities": (N,), "sh": (N, 4, 3)}
@@ -213,7 +213,7 @@ def _gaussians() -> Any:
 
 
 def _motion() -> Any:
-    from tg4mm.motion.modes import AppearanceModes, ModalMotion
+    from tg4mm.fit.motion.modes import AppearanceModes, ModalMotion
 
     rng = np.random.default_rng(1)
     displacement, rotation = rng.normal(size=(2, 2, N, 3)).astype(np.complex64)
@@ -222,7 +222,7 @@ def _motion() -> Any:
 
 
 def _splat(root: Path) -> Path:
-    from tg4mm.splatfile import SplatFile, write_splat
+    from tg4mm.core.splatfile import SplatFile, write_splat
 
     g, m = _gaussians(), _motion()
     arrays = [getattr(g, k).numpy() for k in ("means", "quats", "scales", "opacities", "sh")]
@@ -232,7 +232,7 @@ def _splat(root: Path) -> Path:
 
 
 def _read_splat(root: Path) -> None:
-    from tg4mm.splatfile import read_splat
+    from tg4mm.core.splatfile import read_splat
 
     read_splat(root / "a.ply")
 
@@ -260,10 +260,10 @@ def _run(name: str) -> Callable[[Path], Path]:
 
 def _read_run(root: Path) -> None:
     """All that render, export and report read."""
-    from tg4mm.report.closing import _stage
-    from tg4mm.report.summary import total_seconds
     from tg4mm.run import Run
     from tg4mm.run.model_hash import model_hash
+    from tg4mm.show.report.closing import _stage
+    from tg4mm.show.report.summary import total_seconds
 
     run = Run.open(root / "run")
     run.load_space()
@@ -287,9 +287,9 @@ def _paper(name: str) -> Callable[[Path], Path]:
     def make(root: Path) -> Path:
         import torch
 
-        from tg4mm.paper.config import PaperConfig
-        from tg4mm.paper.model import save_model, save_planes
-        from tg4mm.paper.space import started
+        from tg4mm.research.paper.config import PaperConfig
+        from tg4mm.research.paper.model import save_model, save_planes
+        from tg4mm.research.paper.space import started
         from tg4mm.run import Run
 
         _run("config.json")(root)
@@ -303,7 +303,7 @@ def _paper(name: str) -> Callable[[Path], Path]:
 
 
 def _read_paper(root: Path) -> None:
-    from tg4mm.paper.model import load_model, load_planes, plane_video
+    from tg4mm.research.paper.model import load_model, load_planes, plane_video
     from tg4mm.run import Run
 
     run = Run.open(root / "run")
@@ -313,7 +313,7 @@ def _read_paper(root: Path) -> None:
 
 
 def _read_demo(root: Path) -> None:
-    from tg4mm.demo import _read_done
+    from tg4mm.research.demo import _read_done
 
     _read_done(root, 64)
 
@@ -322,7 +322,7 @@ SCORES = {"alpha": 5, "rows": {"ours": {"psnr_db": 31.25, "lpips": None}}, "clos
 
 
 def _partial(root: Path) -> Path:
-    from tg4mm.evaluate.resume import Resume
+    from tg4mm.research.evaluate.resume import Resume
 
     Resume(root / "metrics.json").put("key", SCORES)
     return root / ".metrics.json.partial.tmp"
@@ -330,7 +330,7 @@ def _partial(root: Path) -> Path:
 
 def _read_partial(root: Path) -> None:
     """What is not as it was put there is not given: no mutation may change a score."""
-    from tg4mm.evaluate.resume import Resume
+    from tg4mm.research.evaluate.resume import Resume
 
     assert Resume(root / "metrics.json").get("key") in (None, SCORES)
 
@@ -430,15 +430,15 @@ def _length(suffix: str) -> Callable[[Path], Path]:
 
 
 def _read_length(root: Path) -> None:
-    from tg4mm.sfm.scale import checked_length, read_length
+    from tg4mm.capture.sfm.scale import checked_length, read_length
 
     checked_length(read_length(next(root.glob("length.*"))))
 
 
 def _read_survey(root: Path) -> None:
-    from tg4mm.sfm.clip import WHOLE, Clip
-    from tg4mm.sfm.spoilt import is_fixed, stretches_of
-    from tg4mm.sfm.survey import survey_clip
+    from tg4mm.capture.sfm.clip import WHOLE, Clip
+    from tg4mm.capture.sfm.spoilt import is_fixed, stretches_of
+    from tg4mm.capture.sfm.survey import survey_clip
 
     found = survey_clip(Clip("a", root / "a.mp4"), root / "survey", WHOLE)
     found.clock()
@@ -447,15 +447,15 @@ def _read_survey(root: Path) -> None:
 
 
 def _request(root: Path) -> Path:
-    from tg4mm.sfm.request import open_request
-    from tg4mm.sfm.sources import Sources
+    from tg4mm.capture.sfm.request import open_request
+    from tg4mm.capture.sfm.sources import Sources
 
     return open_request(root / "out", Sources(root), {"kind": "rig", "fps": None}).folder / "request.json"
 
 
 def _read_request(root: Path) -> None:
-    from tg4mm.sfm.request import open_request
-    from tg4mm.sfm.sources import Sources
+    from tg4mm.capture.sfm.request import open_request
+    from tg4mm.capture.sfm.sources import Sources
 
     open_request(root / "out", Sources(root), {"kind": "rig", "fps": None}).finished()
 
@@ -473,7 +473,7 @@ def _video(root: Path) -> Path:
 
 
 def _read_video(root: Path) -> None:
-    from tg4mm.sfm.video import video_frames, video_info
+    from tg4mm.capture.sfm.video import video_frames, video_info
 
     video_info(root / "a.mp4")
     for _ in video_frames(root / "a.mp4"):
@@ -494,13 +494,13 @@ def _photograph(suffix: str) -> Callable[[Path], Path]:
 
 
 def _read_photograph(root: Path) -> None:
-    from tg4mm.sfm.staging import exif_turns
+    from tg4mm.capture.sfm.staging import exif_turns
 
     exif_turns(next(root.glob("a.*")))
 
 
 def _read_rendered(root: Path) -> None:
-    from tg4mm.render.frames import read_png
+    from tg4mm.core.pictures.frames import read_png
 
     read_png(root / "a.png")
 
@@ -514,7 +514,7 @@ def _sensors(root: Path) -> Path:
 
 
 def _read_sensors(root: Path) -> None:
-    from tg4mm.measure.sensors import read_sensors
+    from tg4mm.show.measure.sensors import read_sensors
 
     read_sensors(root / "sensors.yaml")
 
@@ -535,7 +535,7 @@ def _weights(suffix: str) -> Callable[[Path], Path]:
 
 
 def _read_weights(root: Path) -> None:
-    from tg4mm.evaluate.lpips import _read
+    from tg4mm.research.evaluate.lpips import _read
 
     _read(next(root.glob("w.*")))
 

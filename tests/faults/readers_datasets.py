@@ -43,7 +43,7 @@ def _thumbnail(root: Path) -> Path:
 def _read_overview(root: Path) -> None:
     from dataset_gen.errors import GenerateError
     from dataset_gen.report.overview import Entry, _summary, overview
-    from tg4mm.report.page import render_page
+    from tg4mm.core.pages.page import render_page
 
     entry = Entry(root / "mic", _summary(root / "mic"))
     page = render_page(overview([entry]))
@@ -159,8 +159,8 @@ def _sparse(name: str) -> Callable[[Path], Path]:
     """A model that COLMAP itself has written."""
 
     def make(root: Path) -> Path:
-        from tg4mm.sfm.engine import colmap
-        from tg4mm.sfm.mapping import save_model
+        from tg4mm.capture.sfm.engine import colmap
+        from tg4mm.capture.sfm.mapping import save_model
 
         c = colmap("a test")
         model = c.Reconstruction()
@@ -181,7 +181,7 @@ def _sparse(name: str) -> Callable[[Path], Path]:
 
 
 def _read_sparse(root: Path) -> None:
-    from tg4mm.sfm.mapping import registered, saved_model
+    from tg4mm.capture.sfm.mapping import registered, saved_model
 
     model = saved_model(root / "sparse" / "0")
     for image in registered(model).values():

@@ -13,8 +13,8 @@ import numpy as np
 from tests.faults.containers import of_sealed, of_tensors
 from tests.faults.mutate import of_bytes, of_json
 from tests.faults.reader import Reader, record, sealed
-from tg4mm.bench.measure import VERSION
-from tg4mm.errors import RunError
+from tg4mm.core.errors import RunError
+from tg4mm.research.bench.measure import VERSION
 
 ROW = {"psnr_db": 31.25, "ssim": 0.91, "flip": 0.05, "lpips": None}
 FREQUENCY = {
@@ -69,9 +69,9 @@ SCALED = ABLATION | {
 
 def _read_metrics(root: Path) -> None:
     """All that the report does with them."""
-    from tg4mm.evaluate.figures_file import read_figures
-    from tg4mm.evaluate.wanted import _is_ours
-    from tg4mm.report import accuracy, summary
+    from tg4mm.research.evaluate.wanted import _is_ours
+    from tg4mm.run.figures_file import read_figures
+    from tg4mm.show.report import accuracy, summary
 
     _is_ours(root / "metrics.json")
     found: Any = SimpleNamespace(
@@ -87,11 +87,11 @@ def _read_metrics(root: Path) -> None:
 
 
 def _read_figures(root: Path) -> None:
-    from tg4mm.bench.ablation.catalogue import Row
-    from tg4mm.bench.ablation.run import _columns
-    from tg4mm.bench.means import group_means
-    from tg4mm.bench.measure import read_figures
-    from tg4mm.bench.pages.tables import cost_table, modes_table, motion_table, own_ceiling_table
+    from tg4mm.research.bench.ablation.catalogue import Row
+    from tg4mm.research.bench.ablation.run import _columns
+    from tg4mm.research.bench.means import group_means
+    from tg4mm.research.bench.measure import read_figures
+    from tg4mm.research.bench.pages.tables import cost_table, modes_table, motion_table, own_ceiling_table
 
     found = read_figures(root)
     if found is None:
@@ -106,10 +106,10 @@ def _read_figures(root: Path) -> None:
 
 
 def _read_scores(root: Path) -> None:
-    from tg4mm.bench.jobs import _Kept
-    from tg4mm.bench.means import line_means
-    from tg4mm.bench.pages.tables import pivots
-    from tg4mm.bench.scored import with_closure
+    from tg4mm.research.bench.jobs import _Kept
+    from tg4mm.research.bench.means import line_means
+    from tg4mm.research.bench.pages.tables import pivots
+    from tg4mm.research.bench.scored import with_closure
 
     found = [entry["scores"] for entry in _Kept(root / "scores.json").entries.values()]
     if not found:
@@ -124,7 +124,7 @@ def _read_scores(root: Path) -> None:
 
 def _read_rendered(root: Path) -> None:
     """Not what is rendered where it is of no use."""
-    from tg4mm.bench import jobs
+    from tg4mm.research.bench import jobs
 
     def render(*_: Any) -> Any:
         raise RunError("it is made anew")
@@ -137,27 +137,27 @@ def _read_rendered(root: Path) -> None:
 
 
 def _rendered(root: Path) -> Path:
-    from tg4mm.bench.jobs import _digest
+    from tg4mm.research.bench.jobs import _digest
 
     values = {"recipe": _digest({"data": "a", "alpha": 20}), "n_images": 6, "frames_per_s": 31.5}
     return sealed("x020.json", values, "pictures", "ours")(root)
 
 
 def _read_ablation(root: Path) -> None:
-    from tg4mm.bench.ablation.results_file import read_ablation
-    from tg4mm.bench.pages.html import _ablation
+    from tg4mm.research.bench.ablation.results_file import read_ablation
+    from tg4mm.research.bench.pages.html import _ablation
 
     _ablation(root, read_ablation(root))
 
 
 def _read_bench(root: Path) -> None:
-    from tg4mm.bench.folder import open_folder
+    from tg4mm.research.bench.folder import open_folder
 
     open_folder(root / "out", "scenes")
 
 
 def _read_complete(root: Path) -> None:
-    from tg4mm.bench.ablation.rendered_sets import _is_done
+    from tg4mm.research.bench.ablation.rendered_sets import _is_done
 
     _is_done(root, ["mic", "--out", "a"])
 
@@ -184,8 +184,8 @@ def _scene(root: Path) -> Path:
 
 
 def _read_scene(root: Path) -> None:
-    from tg4mm.bench.ablation.rendered_sets import generator_arguments, kind_options
-    from tg4mm.bench.sets import open_set
+    from tg4mm.research.bench.ablation.rendered_sets import generator_arguments, kind_options
+    from tg4mm.research.bench.sets import open_set
 
     data = open_set(root / "set", "a")
     generator_arguments(data, kind_options(data, "sweep", None), root / "made")
@@ -201,9 +201,9 @@ def _render_record(root: Path) -> Path:
 
 def _claim(root: Path, make: bool = False) -> None:
     from tests.faults.readers import _run
-    from tg4mm.render.cameras import Camera
-    from tg4mm.render.sequence import RenderRequest, claim
     from tg4mm.run import Run
+    from tg4mm.show.render.cameras import Camera
+    from tg4mm.show.render.sequence import RenderRequest, claim
 
     if make:
         _run("config.json")(root)
@@ -221,7 +221,7 @@ def _embeddings(name: str) -> Callable[[Path], Path]:
 
 
 def _plan() -> Any:
-    from tg4mm.magnify import BandGain, Magnification
+    from tg4mm.core.magnification import BandGain, Magnification
 
     return Magnification((BandGain(4, 6, 5.0),), method="linear")
 
@@ -230,8 +230,8 @@ def _make_embeddings(root: Path) -> None:
     import torch
 
     from tests.faults.readers import T, _paper
-    from tg4mm.magnify.embeddings import series_of
-    from tg4mm.paper.model import load_model, save_planes
+    from tg4mm.research.paper.embeddings import series_of
+    from tg4mm.research.paper.model import load_model, save_planes
     from tg4mm.run import Run
 
     _paper("config.json")(root)
@@ -244,7 +244,7 @@ def _make_embeddings(root: Path) -> None:
 
 def _read_embeddings(root: Path) -> None:
     """Not what is made where they are of no use, which would write."""
-    from tg4mm.magnify import embeddings
+    from tg4mm.research.paper import embeddings
     from tg4mm.run import Run
 
     def anew(*_: Any) -> None:
@@ -256,7 +256,7 @@ def _read_embeddings(root: Path) -> None:
 
 def _pass(root: Path) -> Path:
     from tests.measure.filmed import modes, of_parts, run_of, sine
-    from tg4mm.measure import prepare
+    from tg4mm.show.measure import prepare
 
     prepare(run_of(root, of_parts(ball=sine(5.0, [0.01, 0, 0])), modes({}, 6), n_timesteps=6, n_views=2))
     return root / "run" / "residuals.safetensors"
@@ -264,10 +264,10 @@ def _pass(root: Path) -> Path:
 
 def _read_pass(root: Path) -> None:
     """Not the pictures where it is of no use."""
-    from tg4mm.measure import prepare, prepared
-    from tg4mm.measure.measurement import measure_one
-    from tg4mm.measure.sensors import Sensor
     from tg4mm.run import Run
+    from tg4mm.show.measure import prepare, prepared
+    from tg4mm.show.measure.measurement import measure_one
+    from tg4mm.show.measure.sensors import Sensor
 
     def anew(*_: Any) -> None:
         raise RunError("the pictures are read again")

@@ -23,12 +23,12 @@ from tests.capture.conftest import write_tree
 from tests.faults.disk import fill
 from tests.faults.readers import READERS
 from tests.helpers.synthetic import make_synthetic_dataset
-from tg4mm.errors import RunError
-from tg4mm.files import write_json
-from tg4mm.render.video import write_mp4
-from tg4mm.room import room
+from tg4mm.core.errors import RunError
+from tg4mm.core.files import write_json
+from tg4mm.core.room import room
 from tg4mm.run import Run
 from tg4mm.run.model_hash import model_hash
+from tg4mm.show.render.video import write_mp4
 
 TMPFS = ("-t", "tmpfs", "-o")
 
@@ -89,7 +89,7 @@ def test_with_room_the_same_video_is_written(disk: Callable[[int], Path]) -> Non
 
 
 def test_nor_does_a_report_hold_one(disk: Callable[[int], Path], monkeypatch: pytest.MonkeyPatch) -> None:
-    from tg4mm.report.video import clip
+    from tg4mm.show.report.video import clip
 
     monkeypatch.setattr(tempfile, "tempdir", str(disk(16)))
     with pytest.raises(RunError, match="no video could be written"):
@@ -160,8 +160,8 @@ from pathlib import Path
 from tests.faults.disk import fill
 from tg4mm.cli import main
 from tg4mm.run import Run
-import tg4mm.space.train
-tg4mm.space.train.CHECKPOINT_EVERY_S = 0.0
+import tg4mm.fit.space.train
+tg4mm.fit.space.train.CHECKPOINT_EVERY_S = 0.0
 stage, nth, *words = sys.argv[1:]
 save, seen = Run.save_checkpoint, []
 def save_checkpoint(run, own, *what):

@@ -14,7 +14,7 @@ import pytest
 from tests.faults import harness
 from tests.faults.mutate import of_bytes
 from tests.faults.readers import READERS, Reader
-from tg4mm.errors import CaptureError
+from tg4mm.core.errors import CaptureError
 
 
 def make(root: Path) -> Path:

@@ -62,24 +62,24 @@ CALLS = {
 COLMAP = {"Reconstruction"}  # of pycolmap, which a function gives; with a folder it reads that
 ALLOWED = {
     # Checked readers, each in the mutation harness.
-    "tg4mm/untrusted.py": "JSON, YAML, .npz",
-    "tg4mm/capture/decode.py": "PNG and JPEG by Pillow, after the header was checked",
-    "tg4mm/capture/exr.py": "EXR",
+    "tg4mm/core/untrusted.py": "JSON, YAML, .npz",
+    "tg4mm/core/pictures/decode.py": "PNG and JPEG by Pillow, after the header was checked",
+    "tg4mm/core/pictures/exr.py": "EXR",
     "tg4mm/capture/points.py": "PLY",
-    "tg4mm/sfm/staging.py": "EXIF of a photograph that decode.py has checked",
-    "tg4mm/sfm/video.py": "videos",
-    "tg4mm/splatfile/read.py": "splat files, as long as their header says",
-    "tg4mm/evaluate/lpips.py": "weights",
+    "tg4mm/capture/sfm/staging.py": "EXIF of a photograph that decode.py has checked",
+    "tg4mm/capture/sfm/video.py": "videos",
+    "tg4mm/core/splatfile/read.py": "splat files, as long as their header says",
+    "tg4mm/research/evaluate/lpips.py": "weights",
     "tg4mm/run/tensor_file.py": "a run's tensors",
     "tg4mm/run/model_hash.py": "a run's tensors, to digest them",
     "tg4mm/run/folder.py": "one row of a run's tensor that was checked",
-    "tg4mm/sfm/mapping.py": "COLMAP's model in its working folder",
-    "tg4mm/magnify/embeddings.py": "its own cache, by checksums",
+    "tg4mm/capture/sfm/mapping.py": "COLMAP's model in its working folder",
+    "tg4mm/research/paper/embeddings.py": "its own cache, by checksums",
     "dataset_gen/sources/header.py": "the end of a packed .blend file",
     "dataset_gen/sources/ply.py": "PLY, as long as its header says",
     # What this program has just written itself, or another of its own processes says.
-    "tg4mm/sfm/request.py": "a request, as JSON would give it back",
-    "tg4mm/room.py": "temporary arrays without a name",
+    "tg4mm/capture/sfm/request.py": "a request, as JSON would give it back",
+    "tg4mm/core/room.py": "temporary arrays without a name",
     "dataset_gen/tree.py": "a description, as JSON would give it back",
     "dataset_gen/worker.py": "the task given to a render process",
     "dataset_gen/render.py": "what Blender rendered a moment ago",
@@ -91,8 +91,8 @@ ALLOWED = {
     # Writers alone.
     "dataset_gen/exr.py": "writes EXR",
     "dataset_gen/truth.py": "writes EXR",
-    "tg4mm/measure/write.py": "writes CSV",
-    "tg4mm/splatfile/formats/spz.py": "writes gzip",
+    "tg4mm/show/measure/write.py": "writes CSV",
+    "tg4mm/show/export/spz.py": "writes gzip",
 }  # fmt: skip
 
 

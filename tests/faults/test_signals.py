@@ -66,7 +66,7 @@ def test_a_signal_to_the_parent_ends_the_child(
 
 BENCH = """
 import sys
-from tg4mm.bench import presets
+from tg4mm.research.bench import presets
 step = presets.Step("one", (sys.executable, "-c", sys.argv[1]), ())
 presets.steps_of = lambda *a, **k: [step, presets.Step("two", (sys.executable, "-c", "open('two', 'w')"), ())]
 try:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tg4mm.splatfile import SplatFile, write_splat
+from tg4mm.core.splatfile import SplatFile, write_splat
 
 from . import session
 

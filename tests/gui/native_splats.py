@@ -22,11 +22,11 @@ def main() -> None:
         sys.exit(f"Blender {bpy.app.version_string} has no splats of its own")
     bpy.ops.import_scene.tg4mm_splat(filepath=splat_path)
     obj, names, scene = bpy.context.object, extension.names, bpy.context.scene
-    modifier = extension.scene.splat_modifier(obj)
+    modifier = extension.nodes.scene.splat_modifier(obj)
     extension.compat.set_input(modifier, names.DRAW, names.NATIVE)
     if extension.compat.has_input(modifier, names.ALPHA):
         extension.compat.set_input(modifier, names.ALPHA, 20.0)
-    read = extension.loading.read_splat(splat_path)
+    read = extension.io.loading.read_splat(splat_path)
     from bl_ext.user_default.tg4mm.core.splatfile import positions_at
 
     for frame in (1, 8):
@@ -45,7 +45,7 @@ def main() -> None:
         )
     scene.render.filepath = picture
     if scene.camera is None:
-        middle, radius = extension.showing.extent([obj])
+        middle, radius = extension.panels.showing.extent([obj])
         camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
         camera.location = (middle + [0, -3 * radius, 0]).tolist()
         camera.rotation_euler = (np.pi / 2, 0, 0)

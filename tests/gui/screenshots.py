@@ -23,7 +23,7 @@ sys.path.insert(0, str(REPO))
 
 from tests.gui import looking, sidebar  # noqa: E402
 from tests.gui.session import Session  # noqa: E402
-from tg4mm.splatfile import SplatFile, positions_at, read_splat  # noqa: E402
+from tg4mm.core.splatfile import SplatFile, positions_at, read_splat  # noqa: E402
 
 SIZE = (1280, 800)
 LARGEST = 300_000  # bytes of a picture

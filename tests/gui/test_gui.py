@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tg4mm.splatfile import SplatFile, positions_at
+from tg4mm.core.splatfile import SplatFile, positions_at
 
 from . import looking, sidebar
 from .conftest import SPLAT, drum

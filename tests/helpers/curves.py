@@ -1,4 +1,4 @@
-"""The points of curves that `tg4mm.bench.pages.plots` drew."""
+"""The points of curves that `tg4mm.research.bench.pages.plots` drew."""
 
 from __future__ import annotations
 

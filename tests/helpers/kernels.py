@@ -1,17 +1,17 @@
-"""The compiled functions that a job of `tg4mm.ahead` names."""
+"""The compiled functions that a job of `tg4mm.fit.ahead` names."""
 
 from __future__ import annotations
 
 import importlib
 
-from tg4mm import ahead
+from tg4mm.fit import ahead
 
 MODULES = {
-    "project": "tg4mm.rasterize.kernels.project", "project_backward": "tg4mm.rasterize.kernels.project_backward",
-    "binning": "tg4mm.rasterize.kernels.binning", "blend": "tg4mm.rasterize.kernels.blend",
-    "blend_backward": "tg4mm.rasterize.kernels.blend_backward", "normal": "tg4mm.rasterize.kernels.normal",
-    "linearised": "tg4mm.rasterize.kernels.linearised", "kernels": "tg4mm.space.kernels",
-    "projection": "tg4mm.motion.jacobian.projection", "packed": "tg4mm.motion.jacobian.packed",
+    "project": "tg4mm.fit.rasterize.kernels.project", "project_backward": "tg4mm.fit.rasterize.kernels.project_backward",
+    "binning": "tg4mm.fit.rasterize.kernels.binning", "blend": "tg4mm.fit.rasterize.kernels.blend",
+    "blend_backward": "tg4mm.fit.rasterize.kernels.blend_backward", "normal": "tg4mm.fit.rasterize.kernels.normal",
+    "linearised": "tg4mm.fit.rasterize.kernels.linearised", "kernels": "tg4mm.fit.space.kernels",
+    "projection": "tg4mm.fit.motion.jacobian.projection", "packed": "tg4mm.fit.motion.jacobian.packed",
 }  # fmt: skip
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from tg4mm.gaussians import Gaussians
-from tg4mm.motion.modes import ModalMotion
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.modes import ModalMotion
 
 N, FPS = 20, 30.0
 

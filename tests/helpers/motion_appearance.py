@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tg4mm.motion.modes import AppearanceModes
+from tg4mm.fit.motion.modes import AppearanceModes
 
 N = 20  # of `gaussians`
 

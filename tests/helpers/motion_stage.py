@@ -7,8 +7,8 @@ from collections.abc import Callable
 import pytest
 
 from tests.helpers.space_train import Killed
-from tg4mm.motion.checkpoints import Arrays
-from tg4mm.stages.motion import RunCheckpoint
+from tg4mm.fit.motion.checkpoints import Arrays
+from tg4mm.run.stages.motion import RunCheckpoint
 
 NEVER = -1
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from tg4mm.motion.nuisance.first_look import first_look
-from tg4mm.motion.nuisance.projection import Nuisance
-from tg4mm.motion.observations import Observations
-from tg4mm.motion.targets import TargetImages
-from tg4mm.motion.temporal.synchronous import principal_components
+from tg4mm.fit.motion.nuisance.first_look import first_look
+from tg4mm.fit.motion.nuisance.projection import Nuisance
+from tg4mm.fit.motion.observations import Observations
+from tg4mm.fit.motion.targets import TargetImages
+from tg4mm.fit.motion.temporal.synchronous import principal_components
 
 
 def no_nuisance(observations: Observations) -> list[Nuisance]:

@@ -163,7 +163,7 @@ class Gpu(TorchDispatchMode):
 
 def gsplat_of(gpu: Gpu, harmonics: Callable[..., Tensor]) -> types.ModuleType:
     """A gsplat whose calls are our CPU path's."""
-    from tg4mm.rasterize import rasterization
+    from tg4mm.fit.rasterize import rasterization
 
     def rasterize(*args: Any, packed: bool, **kwargs: Any) -> tuple[Tensor, Tensor, dict[str, Any]]:
         renders, alphas, _ = rasterization(*args, **kwargs)

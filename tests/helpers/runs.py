@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from tg4mm.errors import RunError
-from tg4mm.gaussians import Gaussians
-from tg4mm.motion.modes import ModalMotion
+from tg4mm.core.errors import RunError
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.modes import ModalMotion
 
 SETTINGS = {"seed": 0, "iterations": 100, "band_hz": [4.0, 6.0], "size": None}
 

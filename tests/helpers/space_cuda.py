@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from tg4mm.rasterize.reference import sh_colours
+from tg4mm.fit.rasterize.reference import sh_colours
 
 _FAR = 1000.0
 

@@ -6,7 +6,7 @@ import numpy as np
 from torch import Tensor
 
 from tests.rasterize.oracle import Scene, make_scene
-from tg4mm.space.targets import RestViews
+from tg4mm.fit.space.targets import RestViews
 
 SCENE = make_scene(0, n=300, cameras=3)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from tg4mm.space.parameters import (
+from tg4mm.fit.space.parameters import (
     ParameterAdam,
 )
 

@@ -10,9 +10,9 @@ import numpy as np
 import torch
 
 from tg4mm.capture import load_capture, load_images
-from tg4mm.gaussians import Gaussians
-from tg4mm.rasterize import rasterization
-from tg4mm.space import SpaceConfig
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.rasterize import rasterization
+from tg4mm.fit.space import SpaceConfig
 
 SHORT = SpaceConfig(iterations=36, max_gaussians=500, init_points=300)
 

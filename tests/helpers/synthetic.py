@@ -2,7 +2,7 @@
 
 A textured floor stands still, a post on it sways (bending), a ball beside it moves to and fro. Gaussians sit
 on the vertices of closed-form meshes, so the ground truth on disk is exact for them. Pictures are rendered by
-`tg4mm.rasterize`; displacements are computed here, not by the code under test.
+`tg4mm.fit.rasterize`; displacements are computed here, not by the code under test.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ import numpy as np
 import torch
 from PIL import Image
 
-from tg4mm.gaussians import Gaussians
-from tg4mm.motion.modes import ModalMotion
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.modes import ModalMotion
 
 CAMERA_ANGLE_X = 0.6911112070083618  # radians, NeRF-synthetic's
 RADIUS = 4.0  # scene units, camera to the point looked at
@@ -182,7 +182,7 @@ def _viewmats(n: int, offset: float) -> list[np.ndarray]:
 def _write_split(
     folder: Path, split: str, gaussians: Gaussians, viewmats: list[np.ndarray], size: int, seconds: float
 ) -> None:
-    from tg4mm.rasterize import rasterization
+    from tg4mm.fit.rasterize import rasterization
 
     focal = size / (2 * math.tan(CAMERA_ANGLE_X / 2))
     K = torch.tensor([[focal, 0, size / 2], [0, focal, size / 2], [0, 0, 1.0]])

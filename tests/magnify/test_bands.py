@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tg4mm.errors import CaptureError, Tg4mmError
-from tg4mm.magnify import BandGain, Magnification, TemporalFilter
+from tg4mm.core.errors import CaptureError, Tg4mmError
+from tg4mm.core.filters import TemporalFilter
+from tg4mm.core.magnification import BandGain, Magnification
 
 FPS = 30.0
 

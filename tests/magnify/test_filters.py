@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tg4mm.errors import Tg4mmError
-from tg4mm.magnify.filters import TemporalFilter, apply_response, bins, fir
+from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.filters import TemporalFilter, apply_response, bins, fir
 
 FPS = 30.0
 # [TG4MM] §IV.B: the bands of the published scenes

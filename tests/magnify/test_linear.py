@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tg4mm.magnify import BandGain, Magnification, TemporalFilter
-from tg4mm.magnify.filters import bins
-from tg4mm.magnify.linear import magnified_motion, magnified_series
-from tg4mm.motion.animate import displacement_at, rotation_at
-from tg4mm.motion.modes import ModalMotion
-from tg4mm.phasors import series_modes
+from tg4mm.core.filters import TemporalFilter, bins
+from tg4mm.core.magnification import BandGain, Magnification
+from tg4mm.core.phasors import series_modes
+from tg4mm.fit.magnify.linear import magnified_motion, magnified_series
+from tg4mm.fit.motion.animate import displacement_at, rotation_at
+from tg4mm.fit.motion.modes import ModalMotion
 
 FPS = 30.0
 IDEAL = TemporalFilter("ideal")

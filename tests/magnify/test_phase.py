@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import torch
 
-from tg4mm.errors import Tg4mmError
-from tg4mm.magnify.filters import TemporalFilter, apply_response, bins
-from tg4mm.magnify.phase import PhaseMagnifier, _give, _take, turn
-from tg4mm.magnify.pyramid import PyramidConfig, crop, pyramid, sub_bands
+from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.filters import TemporalFilter, apply_response, bins
+from tg4mm.fit.magnify.phase import PhaseMagnifier, _give, _take, turn
+from tg4mm.fit.magnify.pyramid import PyramidConfig, crop, pyramid, sub_bands
 
 FPS, T, SIZE = 30.0, 30, 64
 BAND = (3.5, 6.5)

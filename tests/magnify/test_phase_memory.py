@@ -1,4 +1,4 @@
-"""Phase magnification stays within the memory that tg4mm/magnify/phase.py states, whatever T is."""
+"""Phase magnification stays within the memory that tg4mm/fit/magnify/phase.py states, whatever T is."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ MAGNIFY = """
 import sys
 import numpy as np
 import torch
-from tg4mm.magnify.filters import TemporalFilter, bins
-from tg4mm.magnify.phase import PhaseMagnifier
-from tg4mm.memory import peak_memory_mib, reset_peak_memory
+from tg4mm.core.filters import TemporalFilter, bins
+from tg4mm.fit.magnify.phase import PhaseMagnifier
+from tg4mm.core.memory import peak_memory_mib, reset_peak_memory
 torch.set_num_threads(1)
 n, size = int(sys.argv[1]), int(sys.argv[2])
 magnify = PhaseMagnifier((size, size), 20 * TemporalFilter().response((3.5, 6.5), bins(n, 30.0), 30.0))

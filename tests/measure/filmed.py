@@ -12,9 +12,9 @@ import torch
 from PIL import Image
 
 from tests.helpers.synthetic import CAMERA_ANGLE_X, _gaussians, _parts, _viewmats
-from tg4mm.gaussians import Gaussians
-from tg4mm.motion.modes import ModalMotion
-from tg4mm.rasterize import rasterization
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.modes import ModalMotion
+from tg4mm.fit.rasterize import rasterization
 from tg4mm.run import Run
 
 FPS, SIZE = 30.0, 48

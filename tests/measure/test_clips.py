@@ -9,11 +9,11 @@ import pytest
 
 from tests.helpers.synthetic import _viewmats
 from tests.measure.filmed import BALL_SPHERE, of_parts, run_of, sine
-from tg4mm.measure import measure, parse_sensor, prepare
-from tg4mm.measure.clips import ClipPhases, KnownPhases, Together, together
-from tg4mm.measure.locate import sight_axes
-from tg4mm.measure.series import Series
-from tg4mm.measure.triangulation import Rows, triangulated
+from tg4mm.show.measure import measure, parse_sensor, prepare
+from tg4mm.show.measure.clips import ClipPhases, KnownPhases, Together, together
+from tg4mm.show.measure.locate import sight_axes
+from tg4mm.show.measure.series import Series
+from tg4mm.show.measure.triangulation import Rows, triangulated
 
 HZ, FPS, SAMPLES = 4.3, 30.0, 60
 PHASOR = np.array([1.0, 0.5j, -0.8 + 0.3j])

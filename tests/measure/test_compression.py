@@ -12,12 +12,12 @@ import pytest
 from tests.measure.filmed import BALL_SPHERE, of_parts, run_of, sine
 from tg4mm.capture import load_capture
 from tg4mm.capture.scene import codec_period
-from tg4mm.errors import CaptureError
-from tg4mm.measure import measure, parse_sensor, prepare
-from tg4mm.measure.compression import with_sidebands
-from tg4mm.measure.harmonics import Sideband
-from tg4mm.measure.spectrum import Peak, spectrum_of
-from tg4mm.sfm.survey import codec_period as period_of
+from tg4mm.capture.sfm.survey import codec_period as period_of
+from tg4mm.core.errors import CaptureError
+from tg4mm.show.measure import measure, parse_sensor, prepare
+from tg4mm.show.measure.compression import with_sidebands
+from tg4mm.show.measure.harmonics import Sideband
+from tg4mm.show.measure.spectrum import Peak, spectrum_of
 
 FPS = 30.0
 TIMES = np.arange(90) / FPS

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from tg4mm.measure.damping import damping_of, half_power
-from tg4mm.measure.spectrum import spectrum_of
+from tg4mm.show.measure.damping import damping_of, half_power
+from tg4mm.show.measure.spectrum import spectrum_of
 
 FPS, HZ = 30.0, 4.0
 

@@ -11,11 +11,11 @@ import pytest
 import torch
 from PIL import Image
 
-from tg4mm.gaussians import Gaussians
-from tg4mm.measure import Measurement, measure, parse_sensor, prepare
-from tg4mm.motion.modes import ModalMotion
-from tg4mm.rasterize import rasterization
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.modes import ModalMotion
+from tg4mm.fit.rasterize import rasterization
 from tg4mm.run import Run
+from tg4mm.show.measure import Measurement, measure, parse_sensor, prepare
 
 SIZE, FPS, T, HZ = 48, 30.0, 45, 4.3
 FOCAL, AWAY = 1.4 * SIZE, 3.0

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tg4mm.measure.harmonics import Harmonic, harmonics_of
-from tg4mm.measure.spectrum import spectrum_of
+from tg4mm.show.measure.harmonics import Harmonic, harmonics_of
+from tg4mm.show.measure.spectrum import spectrum_of
 
 FPS, RESOLUTION = 30.0, 0.5
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.measure.filmed import BALL_SPHERE, of_parts, run_of, sine
-from tg4mm.measure import measure, parse_sensor, prepare
+from tg4mm.show.measure import measure, parse_sensor, prepare
 
 AMPLITUDE = np.array([0.016, 0.0, 0.012])
 

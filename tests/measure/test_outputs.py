@@ -100,7 +100,7 @@ def test_a_kept_pass_gives_the_same_and_needs_no_pictures(
     def read(*_: object) -> None:
         raise AssertionError("the pictures were read again")
 
-    monkeypatch.setattr("tg4mm.measure.prepared.weighed", read)
+    monkeypatch.setattr("tg4mm.show.measure.prepared.weighed", read)
     again = tmp_path / "again"
     words = [
         "measure",

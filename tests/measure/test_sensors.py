@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from tg4mm.errors import Tg4mmError
-from tg4mm.measure.sensors import STILL, Sensor, checked_names, parse_sensor, read_sensors
+from tg4mm.core.errors import Tg4mmError
+from tg4mm.show.measure.sensors import STILL, Sensor, checked_names, parse_sensor, read_sensors
 
 
 @pytest.mark.parametrize(

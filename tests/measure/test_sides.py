@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tg4mm.measure.sides import Sides
+from tg4mm.show.measure.sides import Sides
 
 N, FRAMES = 400, 60
 SEEN = np.arange(50, 350)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tg4mm.measure.derivatives import derivatives_of
-from tg4mm.measure.fourier import CHANCE
-from tg4mm.measure.orbit import orbit_of
-from tg4mm.measure.spectrum import spectrum_of
+from tg4mm.show.measure.derivatives import derivatives_of
+from tg4mm.show.measure.fourier import CHANCE
+from tg4mm.show.measure.orbit import orbit_of
+from tg4mm.show.measure.spectrum import spectrum_of
 
 TIMES = np.arange(60) / 30.0
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from tests.measure.filmed import BALL_SPHERE, PARTS, POST, modes, of_parts, run_of, sine
-from tg4mm.errors import RunError
-from tg4mm.measure import Measurement, SensorResult, measure, parse_sensor, prepare
-from tg4mm.result import result_of
+from tg4mm.core.errors import RunError
+from tg4mm.show.measure import Measurement, SensorResult, measure, parse_sensor, prepare
+from tg4mm.show.result import result_of
 
 AMPLITUDE = np.array([0.008, 0.0, 0.006])  # a tenth of a pixel at the ball
 POST_BOX = "post=box:-0.6,-0.25,0.3,-0.1,0.25,1.5"
@@ -136,7 +136,7 @@ def test_every_step_of_the_sensors_is_counted(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     run = run_of(tmp_path, of_parts(), n_timesteps=12, **camera)
-    monkeypatch.setattr("tg4mm.measure.measurement._is_long", lambda *_: True)
+    monkeypatch.setattr("tg4mm.show.measure.measurement._is_long", lambda *_: True)
     measured(run, BALL_SPHERE, POST_BOX)
     steps = 2 * 2 * views  # sensors, halves of the data
     assert f"sensors: {steps}/{steps} steps" in capsys.readouterr().err

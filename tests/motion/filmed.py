@@ -11,10 +11,10 @@ import torch
 from tests.helpers.synthetic import CAMERA_ANGLE_X, _at, _gaussians, _motion, _parts, _viewmats
 from tg4mm.capture import ImageStack
 from tg4mm.capture.pictures import pictures_of
-from tg4mm.gaussians import Gaussians
-from tg4mm.motion.modes import ModalMotion
-from tg4mm.motion.observations import Observations, PosedFrames
-from tg4mm.rasterize import rasterization
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.modes import ModalMotion
+from tg4mm.fit.motion.observations import Observations, PosedFrames
+from tg4mm.fit.rasterize import rasterization
 
 FPS, SIZE = 30.0, 48
 

@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tests.rasterize.oracle import Scene, make_scene
-from tg4mm.gaussians import Gaussians
-from tg4mm.motion.config import MotionConfig
-from tg4mm.motion.jacobian.packed import DOF
-from tg4mm.motion.jacobian.view import PosedView, ViewJacobian, view_jacobian
-from tg4mm.motion.modes import ModalMotion
-from tg4mm.motion.nuisance.projection import nuisances_of
-from tg4mm.motion.solver.cpu import CpuOperator
-from tg4mm.motion.solver.problem import Problem
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.config import MotionConfig
+from tg4mm.fit.motion.jacobian.packed import DOF
+from tg4mm.fit.motion.jacobian.view import PosedView, ViewJacobian, view_jacobian
+from tg4mm.fit.motion.modes import ModalMotion
+from tg4mm.fit.motion.nuisance.projection import nuisances_of
+from tg4mm.fit.motion.solver.cpu import CpuOperator
+from tg4mm.fit.motion.solver.problem import Problem
 
 SCENES = {
     "ordinary": make_scene(0),

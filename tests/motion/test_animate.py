@@ -10,10 +10,10 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from tests.helpers.motion_animate import FPS, N, gaussians, motion
-from tg4mm.gaussians import Gaussians
-from tg4mm.motion.animate import animate, displacement_at, rotated, rotation_at
-from tg4mm.motion.modes import ModalMotion
-from tg4mm.splatfile import SplatFile, positions_at, rotations_at
+from tg4mm.core.splatfile import SplatFile, positions_at, rotations_at
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.animate import animate, displacement_at, rotated, rotation_at
+from tg4mm.fit.motion.modes import ModalMotion
 
 TIMES = (0, 1, 7, 12.5)
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from tg4mm.gaussians import Gaussians
-from tg4mm.motion.animate import animate, animator
-from tg4mm.motion.modes import ModalMotion
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.animate import animate, animator
+from tg4mm.fit.motion.modes import ModalMotion
 
 N, K, R = 300, 24, 3
 

@@ -15,26 +15,26 @@ from tests.helpers.synthetic import make_synthetic_dataset
 from tests.motion.scenes import SCENES, camera_of, gaussians_of
 from tests.rasterize.oracle import assert_close, make_scene
 from tg4mm.capture import load_capture, load_images
-from tg4mm.evaluate.resume import fingerprint
-from tg4mm.evaluate.scores import Method, Scorer
-from tg4mm.gaussians import Gaussians
-from tg4mm.magnify.bands import BandGain, Magnification
-from tg4mm.magnify.linear import magnified_motion
-from tg4mm.motion import MotionConfig
-from tg4mm.motion.animate import _animate_on_device, _fields_on, animate
-from tg4mm.motion.appearance import AppearanceFit, MotionResidual
-from tg4mm.motion.appearance_problem import HARMONIC, AppearanceProblem, AppearanceView, appearance_views
-from tg4mm.motion.jacobian.packed import DOF
-from tg4mm.motion.jacobian.view import ALPHA_MIN_LINEAR, view_jacobian
-from tg4mm.motion.modes import LIMIT, AppearanceModes, ModalMotion, apply_appearance
-from tg4mm.motion.observations import fixed_cameras
-from tg4mm.motion.prior.graph import build_graph
-from tg4mm.motion.solver.operator import Fold
-from tg4mm.motion.solver.problem import Problem
-from tg4mm.motion.spectrum import modes_of
-from tg4mm.rasterize import reference
-from tg4mm.rasterize.buffers import Buffers
-from tg4mm.rasterize.reference import rasterize_dense
+from tg4mm.core.magnification import BandGain, Magnification
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.magnify.linear import magnified_motion
+from tg4mm.fit.motion import MotionConfig
+from tg4mm.fit.motion.animate import _animate_on_device, _fields_on, animate
+from tg4mm.fit.motion.appearance import AppearanceFit, MotionResidual
+from tg4mm.fit.motion.appearance_problem import HARMONIC, AppearanceProblem, AppearanceView, appearance_views
+from tg4mm.fit.motion.jacobian.packed import DOF
+from tg4mm.fit.motion.jacobian.view import ALPHA_MIN_LINEAR, view_jacobian
+from tg4mm.fit.motion.modes import LIMIT, AppearanceModes, ModalMotion, apply_appearance
+from tg4mm.fit.motion.observations import fixed_cameras
+from tg4mm.fit.motion.prior.graph import build_graph
+from tg4mm.fit.motion.solver.operator import Fold
+from tg4mm.fit.motion.solver.problem import Problem
+from tg4mm.fit.motion.spectrum import modes_of
+from tg4mm.fit.rasterize import reference
+from tg4mm.fit.rasterize.buffers import Buffers
+from tg4mm.fit.rasterize.reference import rasterize_dense
+from tg4mm.research.evaluate.resume import fingerprint
+from tg4mm.research.evaluate.scores import Method, Scorer
 
 
 def view_of_colours(name: str, tilts: bool, mean: float = 20.0) -> AppearanceView:
@@ -194,7 +194,7 @@ def test_components_beyond_those_of_one_pass_are_found_alike(
 ) -> None:
     pictures = lab.shown(lab.patch(), lab.shapes) + noise(lab, 0.002)
     together = lab.fitted(pictures)
-    monkeypatch.setattr("tg4mm.motion.appearance._TOGETHER", 1)
+    monkeypatch.setattr("tg4mm.fit.motion.appearance._TOGETHER", 1)
     for a, b in zip(lab.fitted(pictures), together, strict=True):
         np.testing.assert_allclose(a, b, atol=1e-5)
 

@@ -12,8 +12,8 @@ from safetensors.torch import load_file, save_file
 
 from tests.helpers.motion_animate import gaussians, motion
 from tests.helpers.motion_appearance import N, appearance, change_of
-from tg4mm.errors import RunError
-from tg4mm.motion.modes import AppearanceModes
+from tg4mm.core.errors import RunError
+from tg4mm.fit.motion.modes import AppearanceModes
 from tg4mm.run import Run
 
 

@@ -13,14 +13,14 @@ import torch
 
 from tests.helpers import synthetic
 from tg4mm.capture import Capture, ImageStack, load_capture, load_images
-from tg4mm.evaluate.scores import render_views
-from tg4mm.gaussians import Gaussians
-from tg4mm.magnify import Magnification
-from tg4mm.magnify.poses import poses_of
-from tg4mm.motion import ModalMotion, MotionConfig
-from tg4mm.motion.animate import animate
+from tg4mm.core.magnification import Magnification
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion import ModalMotion, MotionConfig
+from tg4mm.fit.motion.animate import animate
+from tg4mm.research.evaluate.scores import render_views
 from tg4mm.run import Run
-from tg4mm.stages.motion import train_motion
+from tg4mm.run.poses import poses_of
+from tg4mm.run.stages.motion import train_motion
 
 HARMONIC = 0.28209479177387814
 DARK = 0.015  # peak of the shadow's change, of 1: four levels of 8 bits

@@ -7,13 +7,13 @@ import pytest
 
 from tests.helpers.synthetic import _gaussians, _parts, _viewmats
 from tests.motion.filmed import K_of
-from tg4mm.motion.config import MotionConfig
-from tg4mm.motion.few_view_posterior import coarser, unseen_motion
-from tg4mm.motion.jacobian.view import view_jacobian
-from tg4mm.motion.nuisance.projection import nuisances_of
-from tg4mm.motion.observations import PosedFrames
-from tg4mm.motion.solver.operator import Fold
-from tg4mm.motion.solver.problem import Problem
+from tg4mm.fit.motion.config import MotionConfig
+from tg4mm.fit.motion.few_view_posterior import coarser, unseen_motion
+from tg4mm.fit.motion.jacobian.view import view_jacobian
+from tg4mm.fit.motion.nuisance.projection import nuisances_of
+from tg4mm.fit.motion.observations import PosedFrames
+from tg4mm.fit.motion.solver.operator import Fold
+from tg4mm.fit.motion.solver.problem import Problem
 
 SIZE, HALF = 96, 48 * 48
 

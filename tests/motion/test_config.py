@@ -8,12 +8,12 @@ import pytest
 
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture, load_images
-from tg4mm.errors import Tg4mmError
-from tg4mm.motion import MotionConfig
-from tg4mm.motion import config as of_motion
-from tg4mm.motion.config import more_iterations, resolved
+from tg4mm.core.errors import Tg4mmError
+from tg4mm.fit.motion import MotionConfig
+from tg4mm.fit.motion import config as of_motion
+from tg4mm.fit.motion.config import more_iterations, resolved
 from tg4mm.run import Run
-from tg4mm.stages.motion import train_motion
+from tg4mm.run.stages.motion import train_motion
 
 
 @pytest.mark.parametrize("n", [1, 9_000, 16_000])

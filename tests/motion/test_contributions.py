@@ -9,10 +9,10 @@ import torch
 from tests.helpers.cuda import needs_cuda
 from tests.motion.scenes import COLUMNS, SCENES, motion_of, view_of
 from tests.rasterize.oracle import assert_close, make_scene
-from tg4mm.motion.jacobian import contributions
-from tg4mm.motion.jacobian.contributions import DeviceViewJacobian, device_view_jacobian
-from tg4mm.motion.jacobian.packed import DOF
-from tg4mm.motion.jacobian.view import ViewJacobian
+from tg4mm.fit.motion.jacobian import contributions
+from tg4mm.fit.motion.jacobian.contributions import DeviceViewJacobian, device_view_jacobian
+from tg4mm.fit.motion.jacobian.packed import DOF
+from tg4mm.fit.motion.jacobian.view import ViewJacobian
 
 EVERY_SCENE = {
     **SCENES,

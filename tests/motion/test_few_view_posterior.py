@@ -13,19 +13,19 @@ from scipy.sparse.linalg import spsolve
 
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture, load_images
-from tg4mm.motion import ModalMotion, MotionConfig
-from tg4mm.motion.animate import displacement_at
-from tg4mm.motion.few_view_posterior import unseen_motion
-from tg4mm.motion.jacobian.packed import DOF
-from tg4mm.motion.jacobian.pixels import along_and_across, depth_sensitivity
-from tg4mm.motion.jacobian.view import view_jacobian
-from tg4mm.motion.observations import PosedFrames, fixed_cameras
-from tg4mm.motion.prior.graph import stiffness_root
-from tg4mm.motion.solver.cpu import CpuOperator
-from tg4mm.motion.solver.pcg import pcg
-from tg4mm.motion.solver.problem import Problem
+from tg4mm.fit.motion import ModalMotion, MotionConfig
+from tg4mm.fit.motion.animate import displacement_at
+from tg4mm.fit.motion.few_view_posterior import unseen_motion
+from tg4mm.fit.motion.jacobian.packed import DOF
+from tg4mm.fit.motion.jacobian.pixels import along_and_across, depth_sensitivity
+from tg4mm.fit.motion.jacobian.view import view_jacobian
+from tg4mm.fit.motion.observations import PosedFrames, fixed_cameras
+from tg4mm.fit.motion.prior.graph import stiffness_root
+from tg4mm.fit.motion.solver.cpu import CpuOperator
+from tg4mm.fit.motion.solver.pcg import pcg
+from tg4mm.fit.motion.solver.problem import Problem
 from tg4mm.run import UNCERTAINTY, Run
-from tg4mm.stages.motion import train_motion
+from tg4mm.run.stages.motion import train_motion
 
 BALL = 252  # the last Gaussians
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tg4mm.motion.temporal.frequencies import Frequencies, _Record, _spectrum, find_frequencies
+from tg4mm.fit.motion.temporal.frequencies import Frequencies, _Record, _spectrum, find_frequencies
 
 FPS, SERIES = 30.0, 80
 HZ = (3.437, 7.113)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tg4mm.motion.nuisance.projection import with_still_background
-from tg4mm.motion.pipeline import in_plane
+from tg4mm.fit.motion.nuisance.projection import with_still_background
+from tg4mm.fit.motion.pipeline import in_plane
 
 RNG = np.random.default_rng(0)
 MEANS = RNG.normal(size=(400, 3))

@@ -16,30 +16,30 @@ from tests.helpers.motion_stage import NEVER, stop_after
 from tests.helpers.space_train import Killed
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture, load_images
-from tg4mm.evaluate.displacement import displacement_figures
-from tg4mm.evaluate.truth import exact_motion, load_truth
-from tg4mm.evaluate.weights import blending_weights
-from tg4mm.gaussians import Gaussians
-from tg4mm.motion import ModalMotion, MotionConfig
-from tg4mm.motion import knots as module
-from tg4mm.motion.animate import animate
-from tg4mm.motion.gauss_newton import ABOVE_PX, GaussNewton, GaussNewtonState, used_components
-from tg4mm.motion.hyperparameters import Hyperparameters
-from tg4mm.motion.jacobian.pixels import pixels_moved
-from tg4mm.motion.nuisance.first_look import first_look
-from tg4mm.motion.nuisance.projection import nuisances_of
-from tg4mm.motion.observations import observe
-from tg4mm.motion.solver.cuda import DeviceViews
-from tg4mm.motion.solver.operator import Fold
-from tg4mm.motion.solver.problem import Problem
-from tg4mm.motion.split_half import folds_of
-from tg4mm.motion.states import Errors, StateObservations, states_of
-from tg4mm.motion.temporal.synchronous import Synchronous, principal_components
-from tg4mm.render.image import render_image
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion import ModalMotion, MotionConfig
+from tg4mm.fit.motion import knots as module
+from tg4mm.fit.motion.animate import animate
+from tg4mm.fit.motion.gauss_newton import ABOVE_PX, GaussNewton, GaussNewtonState, used_components
+from tg4mm.fit.motion.hyperparameters import Hyperparameters
+from tg4mm.fit.motion.jacobian.pixels import pixels_moved
+from tg4mm.fit.motion.nuisance.first_look import first_look
+from tg4mm.fit.motion.nuisance.projection import nuisances_of
+from tg4mm.fit.motion.observations import observe
+from tg4mm.fit.motion.solver.cuda import DeviceViews
+from tg4mm.fit.motion.solver.operator import Fold
+from tg4mm.fit.motion.solver.problem import Problem
+from tg4mm.fit.motion.split_half import folds_of
+from tg4mm.fit.motion.states import Errors, StateObservations, states_of
+from tg4mm.fit.motion.temporal.synchronous import Synchronous, principal_components
+from tg4mm.fit.space import SpaceConfig, rest_views
+from tg4mm.research.evaluate.displacement import displacement_figures
+from tg4mm.research.evaluate.truth import exact_motion, load_truth
 from tg4mm.run import Run
-from tg4mm.space import SpaceConfig, rest_views
-from tg4mm.stages.motion import train_motion
-from tg4mm.stages.space import train_space
+from tg4mm.run.stages.motion import train_motion
+from tg4mm.run.stages.space import train_space
+from tg4mm.show.render.image import render_image
+from tg4mm.show.weights import blending_weights
 
 CONFIG = MotionConfig(gauss_newton=4)
 SHORT = MotionConfig(components=1, smoothness_weight=300.0, iterations=3, gauss_newton=2, tolerance=1e-6)

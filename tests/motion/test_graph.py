@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tg4mm.motion.prior.graph import BENDING, ROWS, Graph, build_graph
+from tg4mm.fit.motion.prior.graph import BENDING, ROWS, Graph, build_graph
 
 OMEGA, SHIFT = np.array([0.02, -0.03, 0.05]), np.array([0.1, 0.2, -0.3])
 

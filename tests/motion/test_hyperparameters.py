@@ -10,8 +10,8 @@ import pytest
 
 from tests.motion.scenes import gaussians_of, view_of
 from tests.rasterize.oracle import make_scene
-from tg4mm.motion.config import MotionConfig
-from tg4mm.motion.hyperparameters import (
+from tg4mm.fit.motion.config import MotionConfig
+from tg4mm.fit.motion.hyperparameters import (
     CANDIDATES,
     DEFAULT,
     chosen_weight,
@@ -21,11 +21,11 @@ from tg4mm.motion.hyperparameters import (
     select_noise,
     select_smoothness,
 )
-from tg4mm.motion.jacobian.packed import DOF
-from tg4mm.motion.solver.cuda import DeviceOperator, DeviceViews
-from tg4mm.motion.solver.operator import Fold
-from tg4mm.motion.solver.problem import Problem
-from tg4mm.motion.targets import TargetImages
+from tg4mm.fit.motion.jacobian.packed import DOF
+from tg4mm.fit.motion.solver.cuda import DeviceOperator, DeviceViews
+from tg4mm.fit.motion.solver.operator import Fold
+from tg4mm.fit.motion.solver.problem import Problem
+from tg4mm.fit.motion.targets import TargetImages
 
 N, CAMERAS = 80, 8
 FOLDS = [Fold(np.arange(CAMERAS)[::2]), Fold(np.arange(CAMERAS)[1::2])]

@@ -12,14 +12,14 @@ import torch
 
 from tests.helpers.synthetic import CAMERA_ANGLE_X, _motion, _parts, make_synthetic_dataset
 from tg4mm.capture import Capture, ImageStack, load_capture
-from tg4mm.evaluate.displacement import displacement_figures
-from tg4mm.gaussians import Gaussians
-from tg4mm.motion import ModalMotion, MotionConfig
-from tg4mm.motion.animate import animate, displacement_at
-from tg4mm.phasors import series_modes
-from tg4mm.rasterize import rasterization
+from tg4mm.core.phasors import series_modes
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion import ModalMotion, MotionConfig
+from tg4mm.fit.motion.animate import animate, displacement_at
+from tg4mm.fit.rasterize import rasterization
+from tg4mm.research.evaluate.displacement import displacement_figures
 from tg4mm.run import Run
-from tg4mm.stages.motion import train_motion
+from tg4mm.run.stages.motion import train_motion
 
 FPS, SIZE, VIEWS, T = 30.0, 48, 6, 23
 FREQS = (4.7, 11.3)  # Hz, 3.6 and 8.7 cycles: the post's and the ball's

@@ -9,9 +9,9 @@ import pytest
 
 from tg4mm.capture import ImageStack
 from tg4mm.capture.pictures import pictures_of
-from tg4mm.motion.mode_selection import frequency_notes, peaks
-from tg4mm.motion.modes import ModalMotion
-from tg4mm.motion.observations import Observations, PosedFrames
+from tg4mm.fit.motion.mode_selection import frequency_notes, peaks
+from tg4mm.fit.motion.modes import ModalMotion
+from tg4mm.fit.motion.observations import Observations, PosedFrames
 
 
 def observed(fps: float, n_frames: int = 90) -> Observations:

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 
 from tests.motion.scenes import N, problem
-from tg4mm.motion import linear_fit as module
-from tg4mm.motion.checkpoints import no_checkpoint
-from tg4mm.motion.config import MotionConfig
-from tg4mm.motion.hyperparameters import CANDIDATES, Hyperparameters
-from tg4mm.motion.linear_fit import LinearFit
-from tg4mm.motion.prior.graph import edge_residual, reweight_edges
-from tg4mm.motion.solver.cpu import CpuOperator
-from tg4mm.motion.solver.operator import Fold
-from tg4mm.motion.solver.pcg import pcg
-from tg4mm.motion.targets import TargetImages
+from tg4mm.fit.motion import linear_fit as module
+from tg4mm.fit.motion.checkpoints import no_checkpoint
+from tg4mm.fit.motion.config import MotionConfig
+from tg4mm.fit.motion.hyperparameters import CANDIDATES, Hyperparameters
+from tg4mm.fit.motion.linear_fit import LinearFit
+from tg4mm.fit.motion.prior.graph import edge_residual, reweight_edges
+from tg4mm.fit.motion.solver.cpu import CpuOperator
+from tg4mm.fit.motion.solver.operator import Fold
+from tg4mm.fit.motion.solver.pcg import pcg
+from tg4mm.fit.motion.targets import TargetImages
 
 FOLDS = [Fold(np.array([0])), Fold(np.array([1]))]
 LONG = MotionConfig(iterations=600, tolerance=1e-6, ridge=0.1)

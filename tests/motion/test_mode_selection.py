@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tests.motion.scenes import of_amplitudes
-from tg4mm.motion.mode_selection import peaks, worth_keeping
+from tg4mm.fit.motion.mode_selection import peaks, worth_keeping
 
 
 def test_modes_under_the_noise_are_empty() -> None:

@@ -7,11 +7,11 @@ import pytest
 import torch
 
 from tests.motion.filmed import error_of, scene, walk
-from tg4mm.motion.config import MotionConfig
-from tg4mm.motion.jacobian.view import ViewJacobian
-from tg4mm.motion.pipeline import fit_motion
-from tg4mm.motion.temporal import moving
-from tg4mm.motion.temporal.moving import corrected_poses
+from tg4mm.fit.motion.config import MotionConfig
+from tg4mm.fit.motion.jacobian.view import ViewJacobian
+from tg4mm.fit.motion.pipeline import fit_motion
+from tg4mm.fit.motion.temporal import moving
+from tg4mm.fit.motion.temporal.moving import corrected_poses
 
 FREQUENCY = 3.4  # Hz
 

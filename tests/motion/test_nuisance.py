@@ -16,11 +16,11 @@ from tests.motion.scenes import SCENES, Camera, camera_of, motion_of, view_of
 from tests.rasterize.oracle import Scene
 from tg4mm.capture import ImageStack
 from tg4mm.capture.pictures import pictures_of
-from tg4mm.gaussians import Gaussians
-from tg4mm.motion import MotionConfig
-from tg4mm.motion.jacobian.view import ALPHA_MIN_LINEAR, view_jacobian
-from tg4mm.motion.modes import ModalMotion, MotionFit
-from tg4mm.motion.nuisance.projection import (
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion import MotionConfig
+from tg4mm.fit.motion.jacobian.view import ALPHA_MIN_LINEAR, view_jacobian
+from tg4mm.fit.motion.modes import ModalMotion, MotionFit
+from tg4mm.fit.motion.nuisance.projection import (
     EXPOSURE,
     POSE,
     Nuisance,
@@ -30,10 +30,10 @@ from tg4mm.motion.nuisance.projection import (
     nuisances_of,
     without,
 )
-from tg4mm.motion.observations import Observations, PosedFrames
-from tg4mm.motion.pipeline import fit_motion
-from tg4mm.rasterize import reference
-from tg4mm.rasterize.reference import rasterize_dense
+from tg4mm.fit.motion.observations import Observations, PosedFrames
+from tg4mm.fit.motion.pipeline import fit_motion
+from tg4mm.fit.rasterize import reference
+from tg4mm.fit.rasterize.reference import rasterize_dense
 
 
 def plain(scene: Scene) -> Scene:

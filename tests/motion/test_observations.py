@@ -13,9 +13,9 @@ from tests.helpers.motion_temporal import moving_pictures
 from tests.space.scenes import capture_of
 from tg4mm.capture import Capture, ImageStack
 from tg4mm.capture.pictures import StackedPictures
-from tg4mm.errors import CaptureError
-from tg4mm.motion import observations as module
-from tg4mm.motion.observations import (
+from tg4mm.core.errors import CaptureError
+from tg4mm.fit.motion import observations as module
+from tg4mm.fit.motion.observations import (
     Observations,
     PosedFrames,
     fixed_cameras,

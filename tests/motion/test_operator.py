@@ -13,16 +13,16 @@ import torch
 from tests.helpers.cuda import needs_cuda
 from tests.motion.scenes import N, draw, each_shows, inner, operator, problem, weights_of
 from tests.rasterize.oracle import assert_close
-from tg4mm.errors import Tg4mmError
-from tg4mm.motion.jacobian.packed import DOF
-from tg4mm.motion.nuisance.projection import EXPOSURE
-from tg4mm.motion.prior.graph import ROWS, reweight_edges
-from tg4mm.motion.solver import cuda
-from tg4mm.motion.solver.cpu import CpuOperator, SharedPass
-from tg4mm.motion.solver.cuda import DeviceOperator, DeviceViews
-from tg4mm.motion.solver.operator import Fold
-from tg4mm.motion.solver.problem import Problem
-from tg4mm.motion.split_half import chessboard
+from tg4mm.core.errors import Tg4mmError
+from tg4mm.fit.motion.jacobian.packed import DOF
+from tg4mm.fit.motion.nuisance.projection import EXPOSURE
+from tg4mm.fit.motion.prior.graph import ROWS, reweight_edges
+from tg4mm.fit.motion.solver import cuda
+from tg4mm.fit.motion.solver.cpu import CpuOperator, SharedPass
+from tg4mm.fit.motion.solver.cuda import DeviceOperator, DeviceViews
+from tg4mm.fit.motion.solver.operator import Fold
+from tg4mm.fit.motion.solver.problem import Problem
+from tg4mm.fit.motion.split_half import chessboard
 
 RIDGE, SMOOTH = 0.1, 3.0
 EXACT = 2e-5  # of the largest entry: float32 sums in another order

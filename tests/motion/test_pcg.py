@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import torch
 
-from tg4mm.motion.solver.operator import Array
-from tg4mm.motion.solver.pcg import Solution, fetched, pcg, sent
+from tg4mm.fit.motion.solver.operator import Array
+from tg4mm.fit.motion.solver.pcg import Solution, fetched, pcg, sent
 
 
 @dataclass

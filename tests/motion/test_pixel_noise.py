@@ -10,9 +10,9 @@ from scipy.ndimage import gaussian_filter
 
 from tests.helpers.motion_temporal import components
 from tests.space.scenes import capture_of
-from tg4mm.motion.hyperparameters import pixel_noise
-from tg4mm.motion.observations import observe
-from tg4mm.motion.targets import TargetImages
+from tg4mm.fit.motion.hyperparameters import pixel_noise
+from tg4mm.fit.motion.observations import observe
+from tg4mm.fit.motion.targets import TargetImages
 
 SIZE, VIEWS = 40, 3
 EVENED = 4 * np.pi * 1.5**2  # independent pixels in a Gaussian mean of 1.5 px

@@ -7,10 +7,10 @@ import pytest
 
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture
-from tg4mm.gaussians import Gaussians
-from tg4mm.motion.jacobian.pixels import pixels_moved
-from tg4mm.motion.jacobian.view import ViewJacobian, view_jacobian
-from tg4mm.motion.observations import PosedFrames, fixed_cameras
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.jacobian.pixels import pixels_moved
+from tg4mm.fit.motion.jacobian.view import ViewJacobian, view_jacobian
+from tg4mm.fit.motion.observations import PosedFrames, fixed_cameras
 
 
 @pytest.fixture(scope="module")

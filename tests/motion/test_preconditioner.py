@@ -11,16 +11,21 @@ from numba import config, get_num_threads, set_num_threads
 from scipy.sparse import bsr_matrix
 
 from tests.motion.scenes import SCENES, gaussians_of, inner, operator, problem, view_of
-from tg4mm.motion.config import MotionConfig
-from tg4mm.motion.jacobian.packed import DOF
-from tg4mm.motion.prior.graph import ROWS, build_graph
-from tg4mm.motion.solver import aggregates as module
-from tg4mm.motion.solver import preconditioner as preconditioner_module
-from tg4mm.motion.solver.aggregates import Aggregates, aggregate
-from tg4mm.motion.solver.cpu import CpuOperator
-from tg4mm.motion.solver.pcg import pcg
-from tg4mm.motion.solver.preconditioner import DiagonalEstimate, TwoLevelPreconditioner, information, probe
-from tg4mm.motion.solver.problem import Problem
+from tg4mm.fit.motion.config import MotionConfig
+from tg4mm.fit.motion.jacobian.packed import DOF
+from tg4mm.fit.motion.prior.graph import ROWS, build_graph
+from tg4mm.fit.motion.solver import aggregates as module
+from tg4mm.fit.motion.solver import preconditioner as preconditioner_module
+from tg4mm.fit.motion.solver.aggregates import Aggregates, aggregate
+from tg4mm.fit.motion.solver.cpu import CpuOperator
+from tg4mm.fit.motion.solver.pcg import pcg
+from tg4mm.fit.motion.solver.preconditioner import (
+    DiagonalEstimate,
+    TwoLevelPreconditioner,
+    information,
+    probe,
+)
+from tg4mm.fit.motion.solver.problem import Problem
 
 
 def plain(o: CpuOperator) -> CpuOperator:

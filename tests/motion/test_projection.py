@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from tests.rasterize.oracle import make_scene
-from tg4mm.motion.jacobian.packed import COLUMNS, DOF
-from tg4mm.motion.jacobian.projection import splat_jacobian
-from tg4mm.rasterize.kernels import linearised
-from tg4mm.rasterize.kernels.layout import POWER
-from tg4mm.rasterize.kernels.project import ROWS, empty_splats, pack_camera, project_forward
-from tg4mm.rasterize.kernels.project_backward import project_backward
+from tg4mm.fit.motion.jacobian.packed import COLUMNS, DOF
+from tg4mm.fit.motion.jacobian.projection import splat_jacobian
+from tg4mm.fit.rasterize.kernels import linearised
+from tg4mm.fit.rasterize.kernels.layout import POWER
+from tg4mm.fit.rasterize.kernels.project import ROWS, empty_splats, pack_camera, project_forward
+from tg4mm.fit.rasterize.kernels.project_backward import project_backward
 
 N = 2 * ROWS + 37
 

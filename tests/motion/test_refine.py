@@ -12,13 +12,13 @@ import torch
 
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import Capture, load_capture, load_images
-from tg4mm.gaussians import Gaussians
-from tg4mm.motion import MotionConfig, gauss_newton, refine
-from tg4mm.motion.animate import moved
-from tg4mm.motion.observations import fixed_cameras
-from tg4mm.motion.refine import MovedPictures, refine_rest_scene
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion import MotionConfig, gauss_newton, refine
+from tg4mm.fit.motion.animate import moved
+from tg4mm.fit.motion.observations import fixed_cameras
+from tg4mm.fit.motion.refine import MovedPictures, refine_rest_scene
 from tg4mm.run import Run
-from tg4mm.stages.motion import train_motion
+from tg4mm.run.stages.motion import train_motion
 
 SHORT = MotionConfig(components=1, smoothness_weight=300.0, iterations=6, gauss_newton=1, tolerance=1e-6)
 

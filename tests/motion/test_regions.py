@@ -11,13 +11,13 @@ import torch
 from tests.helpers.synthetic import _gaussians, _parts, _viewmats
 from tests.motion.filmed import K_of
 from tests.motion.scenes import Camera
-from tg4mm.motion.config import MotionConfig
-from tg4mm.motion.jacobian.packed import DOF
-from tg4mm.motion.jacobian.view import ViewJacobian, view_jacobian
-from tg4mm.motion.nuisance.projection import Projection, nuisances_of
-from tg4mm.motion.sinusoids import sinusoids
-from tg4mm.motion.solver.problem import Problem
-from tg4mm.motion.temporal.regions import RegionSeries, RegionView, labels_of, moving_camera_series
+from tg4mm.fit.motion.config import MotionConfig
+from tg4mm.fit.motion.jacobian.packed import DOF
+from tg4mm.fit.motion.jacobian.view import ViewJacobian, view_jacobian
+from tg4mm.fit.motion.nuisance.projection import Projection, nuisances_of
+from tg4mm.fit.motion.sinusoids import sinusoids
+from tg4mm.fit.motion.solver.problem import Problem
+from tg4mm.fit.motion.temporal.regions import RegionSeries, RegionView, labels_of, moving_camera_series
 
 SIZE, POST = 64, 1
 

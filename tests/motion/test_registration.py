@@ -14,15 +14,15 @@ from tests.helpers.synthetic import _at, _gaussians, _motion, _parts, _viewmats
 from tests.motion.filmed import FPS, K_of
 from tg4mm.capture import ImageStack
 from tg4mm.capture.pictures import over_white, pictures_of
-from tg4mm.gaussians import Gaussians
-from tg4mm.motion import MotionConfig
-from tg4mm.motion.jacobian.view import view_jacobian
-from tg4mm.motion.modes import ModalMotion, MotionFit
-from tg4mm.motion.nuisance import first_look
-from tg4mm.motion.nuisance.first_look import _looked_at, rest_views
-from tg4mm.motion.nuisance.registration import RegisteredPictures, camera_rotations, homographies
-from tg4mm.motion.observations import Observations, PosedFrames
-from tg4mm.motion.pipeline import fit_motion
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion import MotionConfig
+from tg4mm.fit.motion.jacobian.view import view_jacobian
+from tg4mm.fit.motion.modes import ModalMotion, MotionFit
+from tg4mm.fit.motion.nuisance import first_look
+from tg4mm.fit.motion.nuisance.first_look import _looked_at, rest_views
+from tg4mm.fit.motion.nuisance.registration import RegisteredPictures, camera_rotations, homographies
+from tg4mm.fit.motion.observations import Observations, PosedFrames
+from tg4mm.fit.motion.pipeline import fit_motion
 
 T, HZ, SHAKE_PX = 12, 5.0, 0.5
 SIZE, FINER, BLUR = 64, 2, 1.6

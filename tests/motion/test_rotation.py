@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tg4mm.motion.prior.rotation import gradient_to_rotation
+from tg4mm.fit.motion.prior.rotation import gradient_to_rotation
 
 OMEGA = np.array([0.02, -0.03, 0.05])
 SHAPES = {"ball": (1, 1, 1), "flake": (1, 1, 0.02), "needle": (0.02, 1, 0.02), "any": (1, 0.6, 0.3)}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tg4mm.motion.nuisance.shake import BlockShifts
+from tg4mm.fit.motion.nuisance.shake import BlockShifts
 
 SIZE, T = (96, 128), 20
 STEADY = np.zeros((T, 2))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tg4mm.motion.spectrum import Sinusoids, find_sinusoids
+from tg4mm.fit.motion.spectrum import Sinusoids, find_sinusoids
 
 
 def functions(

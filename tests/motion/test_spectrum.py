@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tg4mm.motion.spectrum import apply_series, modes_of
+from tg4mm.fit.motion.spectrum import apply_series, modes_of
 
 FPS = 30.0
 

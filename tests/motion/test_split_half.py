@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tg4mm.motion.prior.graph import nearest
-from tg4mm.motion.solver.operator import Fold
-from tg4mm.motion.split_half import (
+from tg4mm.fit.motion.prior.graph import nearest
+from tg4mm.fit.motion.solver.operator import Fold
+from tg4mm.fit.motion.split_half import (
     LEAST,
     chessboard,
     deviation,

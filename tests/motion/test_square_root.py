@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tg4mm.motion.prior.graph import Graph, build_graph, stiffness_root
+from tg4mm.fit.motion.prior.graph import Graph, build_graph, stiffness_root
 
 
 @pytest.fixture(scope="module")

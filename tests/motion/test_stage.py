@@ -15,13 +15,13 @@ from tests.helpers.motion_stage import NEVER, stop_after
 from tests.helpers.space_train import Killed
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import Capture, ImageStack, load_capture, load_images
-from tg4mm.errors import CaptureError, RunError, Tg4mmError
-from tg4mm.evaluate.displacement import displacement_figures
-from tg4mm.evaluate.weights import blending_weights
-from tg4mm.motion import ModalMotion, MotionConfig
-from tg4mm.motion import linear_fit as fitting
+from tg4mm.core.errors import CaptureError, RunError, Tg4mmError
+from tg4mm.fit.motion import ModalMotion, MotionConfig
+from tg4mm.fit.motion import linear_fit as fitting
+from tg4mm.research.evaluate.displacement import displacement_figures
 from tg4mm.run import Run
-from tg4mm.stages.motion import train_motion
+from tg4mm.run.stages.motion import train_motion
+from tg4mm.show.weights import blending_weights
 
 FREQS = (3.0, 6.0)  # the post's and the ball's
 SHORT = MotionConfig(components=2, iterations=5, tolerance=1e-6)

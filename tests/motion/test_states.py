@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests.space.scenes import capture_of
-from tg4mm.motion.observations import observe
-from tg4mm.motion.states import MOST, most_states, state_pictures, states_of
+from tg4mm.fit.motion.observations import observe
+from tg4mm.fit.motion.states import MOST, most_states, state_pictures, states_of
 
 T = 30
 

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from tests.motion.filmed import FPS, clips, error_of, scene
-from tg4mm.motion.checkpoints import no_checkpoint
-from tg4mm.motion.config import MotionConfig
-from tg4mm.motion.jacobian.pixels import pixels_moved
-from tg4mm.motion.jacobian.view import view_jacobian
-from tg4mm.motion.modes import MotionFit
-from tg4mm.motion.pipeline import fit_motion, without_motion
-from tg4mm.motion.temporal.independent import IndependentClocks, clock_offset, rotations
+from tg4mm.fit.motion.checkpoints import no_checkpoint
+from tg4mm.fit.motion.config import MotionConfig
+from tg4mm.fit.motion.jacobian.pixels import pixels_moved
+from tg4mm.fit.motion.jacobian.view import view_jacobian
+from tg4mm.fit.motion.modes import MotionFit
+from tg4mm.fit.motion.pipeline import fit_motion, without_motion
+from tg4mm.fit.motion.temporal.independent import IndependentClocks, clock_offset, rotations
 
 FREQUENCY = 3.4  # Hz: between the DFT bins of these clips
 STARTS = (0.0, 3.0, 11.0, 6.0, 1.5, 8.0)  # timesteps

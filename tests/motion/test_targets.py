@@ -11,16 +11,16 @@ from tests.helpers.motion_temporal import components, moving_pictures, no_nuisan
 from tests.motion.scenes import gaussians_of, two_cameras
 from tests.space.scenes import capture_of
 from tg4mm.capture import ImageStack
-from tg4mm.motion import observations as observations_module
-from tg4mm.motion.jacobian.view import view_jacobian
-from tg4mm.motion.nuisance import first_look as first_look_module
-from tg4mm.motion.nuisance.first_look import first_look
-from tg4mm.motion.nuisance.projection import Nuisance, nuisances_of
-from tg4mm.motion.observations import Observations, PosedFrames, observe
-from tg4mm.motion.sinusoids import sinusoids
-from tg4mm.motion.targets import project
-from tg4mm.motion.temporal.independent import sinusoid_targets
-from tg4mm.motion.temporal.synchronous import kept_components, principal_components
+from tg4mm.fit.motion import observations as observations_module
+from tg4mm.fit.motion.jacobian.view import view_jacobian
+from tg4mm.fit.motion.nuisance import first_look as first_look_module
+from tg4mm.fit.motion.nuisance.first_look import first_look
+from tg4mm.fit.motion.nuisance.projection import Nuisance, nuisances_of
+from tg4mm.fit.motion.observations import Observations, PosedFrames, observe
+from tg4mm.fit.motion.sinusoids import sinusoids
+from tg4mm.fit.motion.targets import project
+from tg4mm.fit.motion.temporal.independent import sinusoid_targets
+from tg4mm.fit.motion.temporal.synchronous import kept_components, principal_components
 
 
 def zero_mean_basis(n: int, n_timesteps: int, seed: int = 0) -> np.ndarray:

@@ -11,9 +11,9 @@ import pytest
 
 from tests.helpers import synthetic
 from tg4mm.capture import load_capture, load_images
-from tg4mm.motion import ModalMotion, MotionConfig
+from tg4mm.fit.motion import ModalMotion, MotionConfig
 from tg4mm.run import Run
-from tg4mm.stages.motion import train_motion
+from tg4mm.run.stages.motion import train_motion
 
 LARGE_HZ, SMALL_HZ = 5.0, 3.0  # the post, two and a half pixels at its tip; the ball, a twenty-fifth
 CONFIG = MotionConfig(components=8, smoothness_weight=30.0)

@@ -11,19 +11,19 @@ import pytest
 
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import Capture, ImageStack, load_capture, load_images
-from tg4mm.evaluate.displacement import mean_squares
-from tg4mm.evaluate.uncertainty import uncertainty_figures
-from tg4mm.evaluate.weights import blending_weights
-from tg4mm.gaussians import Gaussians
-from tg4mm.motion import ModalMotion, MotionConfig
-from tg4mm.motion import uncertainty as module
-from tg4mm.motion.jacobian.packed import DOF
-from tg4mm.motion.jacobian.view import ViewJacobian, blend_sum, view_jacobian
-from tg4mm.motion.observations import PosedFrames, fixed_cameras
-from tg4mm.motion.prior.graph import nearest
-from tg4mm.motion.uncertainty import BLOCK, MotionEstimate, local_variance, residual_displacement
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion import ModalMotion, MotionConfig
+from tg4mm.fit.motion import uncertainty as module
+from tg4mm.fit.motion.jacobian.packed import DOF
+from tg4mm.fit.motion.jacobian.view import ViewJacobian, blend_sum, view_jacobian
+from tg4mm.fit.motion.observations import PosedFrames, fixed_cameras
+from tg4mm.fit.motion.prior.graph import nearest
+from tg4mm.fit.motion.uncertainty import BLOCK, MotionEstimate, local_variance, residual_displacement
+from tg4mm.research.evaluate.displacement import mean_squares
+from tg4mm.research.evaluate.uncertainty import uncertainty_figures
 from tg4mm.run import UNCERTAINTY, Run
-from tg4mm.stages.motion import train_motion
+from tg4mm.run.stages.motion import train_motion
+from tg4mm.show.weights import blending_weights
 
 SIZE = 4 * BLOCK * 3 + 2  # the last blocks are cut off
 

@@ -11,12 +11,12 @@ from scipy.spatial.transform import Rotation
 
 from tests.motion.scenes import COLUMNS, SCENES, motion_of, view_of
 from tests.rasterize.oracle import Scene, assert_close, make_scene
-from tg4mm.motion.jacobian import view as module
-from tg4mm.motion.jacobian.packed import DOF, pack, unpack
-from tg4mm.motion.jacobian.view import ALPHA_MIN_LINEAR
-from tg4mm.rasterize import reference
-from tg4mm.rasterize.buffers import Buffers
-from tg4mm.rasterize.reference import rasterize_dense
+from tg4mm.fit.motion.jacobian import view as module
+from tg4mm.fit.motion.jacobian.packed import DOF, pack, unpack
+from tg4mm.fit.motion.jacobian.view import ALPHA_MIN_LINEAR
+from tg4mm.fit.rasterize import reference
+from tg4mm.fit.rasterize.buffers import Buffers
+from tg4mm.fit.rasterize.reference import rasterize_dense
 
 
 def over_white(scene: Scene, motion: np.ndarray) -> torch.Tensor:

@@ -8,7 +8,7 @@ import pytest
 
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.run import Run
-from tg4mm.train import train
+from tg4mm.run.train import train
 
 N_TIMESTEPS, SIZE = 6, 32
 SETTINGS = {

@@ -11,14 +11,15 @@ import torch
 
 from tests.paper.conftest import N_TIMESTEPS
 from tg4mm.cli import main
-from tg4mm.errors import RunError, Tg4mmError
-from tg4mm.export.splat import smoothing_of
-from tg4mm.magnify import BandGain, Magnification, TemporalFilter
-from tg4mm.magnify.embeddings import FOLDER, at_points, interpolation, series_of
-from tg4mm.magnify.poses import poses_of
-from tg4mm.paper.model import load_model, load_planes, plane_video
-from tg4mm.paper.series import rotation_between
-from tg4mm.splatfile import read_splat
+from tg4mm.core.errors import RunError, Tg4mmError
+from tg4mm.core.filters import TemporalFilter
+from tg4mm.core.magnification import BandGain, Magnification
+from tg4mm.core.splatfile import read_splat
+from tg4mm.research.paper.embeddings import FOLDER, at_points, interpolation, series_of
+from tg4mm.research.paper.model import load_model, load_planes, plane_video
+from tg4mm.research.paper.series import rotation_between
+from tg4mm.run.poses import poses_of
+from tg4mm.show.export.splat import smoothing_of
 
 IDEAL = TemporalFilter("ideal")
 
@@ -82,7 +83,7 @@ def test_motion_grows_with_alpha(trained, method):
 
 
 def test_a_second_request_finds_what_the_first_made_and_a_killed_one_goes_on(trained, monkeypatch):
-    import tg4mm.magnify.embeddings as module
+    import tg4mm.research.paper.embeddings as module
 
     wanted = plan(3.0, "phase")
     calls: list[int] = []
@@ -120,7 +121,7 @@ def test_embeddings_that_were_damaged_are_made_anew(trained):
 
 
 def test_a_killed_job_whose_part_was_damaged_begins_anew(trained, monkeypatch):
-    import tg4mm.magnify.embeddings as module
+    import tg4mm.research.paper.embeddings as module
 
     wanted, calls = plan(2.5, "phase"), []
 
@@ -154,7 +155,7 @@ def test_between_timesteps_embeddings_are_interpolated():
 
 
 def test_rotation_between_quaternions():
-    from tg4mm.motion.animate import rotated
+    from tg4mm.fit.motion.animate import rotated
 
     g = torch.Generator().manual_seed(0)
     q, v = torch.randn(20, 4, generator=g), torch.randn(20, 3, generator=g) * 0.5

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from tg4mm.result import lines_of, result_of
 from tg4mm.run import Run
+from tg4mm.show.result import lines_of, result_of
 
 
 def test_a_paper_run_has_a_result(trained: Run) -> None:

@@ -16,12 +16,12 @@ import torch
 from safetensors.torch import load_file
 
 from tests.paper.conftest import N_TIMESTEPS, SETTINGS
-from tg4mm.errors import RunError, Tg4mmError
-from tg4mm.motion.animate import animate
-from tg4mm.paper import PAPER, PAPER_TUNED
-from tg4mm.paper.model import load_model, load_planes, planes_name
+from tg4mm.core.errors import RunError, Tg4mmError
+from tg4mm.fit.motion.animate import animate
+from tg4mm.research.paper import PAPER, PAPER_TUNED
+from tg4mm.research.paper.model import load_model, load_planes, planes_name
 from tg4mm.run import Run
-from tg4mm.train import parse_settings, train
+from tg4mm.run.train import parse_settings, train
 
 
 def one_line(match: str) -> pytest.RaisesExc:
@@ -155,8 +155,8 @@ class TestResume:
         """kill -9 soon after a file has appeared, checkpoints at every iteration; then the same command again."""
         run = tmp_path / "run"
         code = (
-            "import sys; from tg4mm.train import train; import tg4mm.paper.space as a, tg4mm.paper.motion as b, "
-            "tg4mm.space.train as c\n"
+            "import sys; from tg4mm.run.train import train; import tg4mm.research.paper.space as a, tg4mm.research.paper.motion as b, "
+            "tg4mm.fit.space.train as c\n"
             "a.CHECKPOINT_EVERY_S = b.CHECKPOINT_EVERY_S = c.CHECKPOINT_EVERY_S = 0.0\n"
             f"train({str(data)!r}, {str(run)!r}, 'paper-tuned', settings={SETTINGS!r})"
         )

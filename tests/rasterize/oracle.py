@@ -18,9 +18,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from tg4mm.rasterize import rasterization
-from tg4mm.rasterize.kernels.layout import ALPHA_MAX, ALPHA_MIN, T_MIN
-from tg4mm.rasterize.reference import project, rasterize_dense
+from tg4mm.fit.rasterize import rasterization
+from tg4mm.fit.rasterize.kernels.layout import ALPHA_MAX, ALPHA_MIN, T_MIN
+from tg4mm.fit.rasterize.reference import project, rasterize_dense
 
 TOLERANCE = 1e-4
 # Depth over alpha does not depend on the alpha of a lone Gaussian. Where alpha is 1/255 that zero is the

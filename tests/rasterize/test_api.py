@@ -12,8 +12,8 @@ import pytest
 import torch
 
 from tests.rasterize.oracle import check, make_scene
-from tg4mm.errors import Tg4mmError
-from tg4mm.rasterize import rasterization
+from tg4mm.core.errors import Tg4mmError
+from tg4mm.fit.rasterize import rasterization
 
 
 def arguments(**changes: Any) -> dict[str, Any]:
@@ -144,7 +144,7 @@ def test_a_wrong_shape_is_refused_before_gsplat_is_asked(monkeypatch: pytest.Mon
 
 def test_importing_the_package_does_not_import_gsplat(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "gsplat", None)
-    module = importlib.util.find_spec("tg4mm.rasterize.api")
+    module = importlib.util.find_spec("tg4mm.fit.rasterize.api")
     assert module is not None
     assert module.loader is not None
     fresh = importlib.util.module_from_spec(module)

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from tests.rasterize.oracle import make_scene, render
-from tg4mm.rasterize.kernels.blend import blend_forward
-from tg4mm.rasterize.kernels.layout import (
+from tg4mm.fit.rasterize.kernels.blend import blend_forward
+from tg4mm.fit.rasterize.kernels.layout import (
     ALPHA_MAX,
     ALPHA_MIN,
     CA,
@@ -22,7 +22,7 @@ from tg4mm.rasterize.kernels.layout import (
     T_MIN,
     TILE,
 )
-from tg4mm.rasterize.kernels.tiles import BLOCKS, HEIGHT, WIDTH
+from tg4mm.fit.rasterize.kernels.tiles import BLOCKS, HEIGHT, WIDTH
 
 _LONG = 150  # pairs of the tile in front, whose masks lie in memory when the next one's turn comes
 

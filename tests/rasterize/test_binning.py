@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from tests.rasterize.oracle import Scene, make_scene, render
-from tg4mm.rasterize.kernels import binning
-from tg4mm.rasterize.kernels.binning import Bins, bin_splats, depth_order
-from tg4mm.rasterize.kernels.layout import ALPHA_MIN, DEPTH, POWER, SPLAT_WIDTH, TILE
-from tg4mm.rasterize.reference import project
+from tg4mm.fit.rasterize.kernels import binning
+from tg4mm.fit.rasterize.kernels.binning import Bins, bin_splats, depth_order
+from tg4mm.fit.rasterize.kernels.layout import ALPHA_MIN, DEPTH, POWER, SPLAT_WIDTH, TILE
+from tg4mm.fit.rasterize.reference import project
 
 depths = st.floats(float(np.float32(0.01)), float(np.float32(3e38)), width=32) | st.sampled_from(
     [np.float32(1.0), np.float32(2.5)]

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from tests.rasterize.oracle import make_scene, render
-from tg4mm.rasterize.kernels import blend
-from tg4mm.rasterize.kernels.layout import ALPHA_MIN, FEATURES, TILE
-from tg4mm.rasterize.kernels.tiles import TABLE
+from tg4mm.fit.rasterize.kernels import blend
+from tg4mm.fit.rasterize.kernels.layout import ALPHA_MIN, FEATURES, TILE
+from tg4mm.fit.rasterize.kernels.tiles import TABLE
 
 
 @pytest.mark.parametrize("workers", [1, 2, 7])

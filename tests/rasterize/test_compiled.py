@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tg4mm.rasterize import kernels
+from tg4mm.fit.rasterize import kernels
 
 SCRIPT = """
 import logging

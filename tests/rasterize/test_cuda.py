@@ -15,9 +15,9 @@ import torch.utils.cpp_extension as cpp_extension
 
 from tests.helpers.cuda import needs_cuda
 from tests.rasterize.oracle import check, make_scene, uniform, with_channels
-from tg4mm.errors import Tg4mmError
-from tg4mm.rasterize.cuda import require_gsplat
-from tg4mm.rasterize.kernels.layout import ALPHA_MAX, ALPHA_MIN, T_MIN
+from tg4mm.core.errors import Tg4mmError
+from tg4mm.fit.rasterize.cuda import require_gsplat
+from tg4mm.fit.rasterize.kernels.layout import ALPHA_MAX, ALPHA_MIN, T_MIN
 
 WITHOUT = 'gsplat is not installed (pip install ".[cuda]")'
 

@@ -10,9 +10,9 @@ import pytest
 import torch
 
 from tests.rasterize.oracle import Scene, make_scene, render
-from tg4mm.rasterize.kernels import blend, blend_backward
-from tg4mm.rasterize.kernels.layout import ALPHA_MIN, FEAT, FEATURES, SPLAT_WIDTH
-from tg4mm.rasterize.kernels.tiles import TABLE
+from tg4mm.fit.rasterize.kernels import blend, blend_backward
+from tg4mm.fit.rasterize.kernels.layout import ALPHA_MIN, FEAT, FEATURES, SPLAT_WIDTH
+from tg4mm.fit.rasterize.kernels.tiles import TABLE
 
 
 @pytest.fixture(scope="module")

@@ -11,8 +11,8 @@ import pytest
 import torch
 
 from tests.rasterize.oracle import Scene, make_scene, render, thresholds
-from tg4mm.rasterize.kernels.layout import CA, CC, DEPTH, MX, MY, POWER
-from tg4mm.rasterize.reference import project, sh_colours
+from tg4mm.fit.rasterize.kernels.layout import CA, CC, DEPTH, MX, MY, POWER
+from tg4mm.fit.rasterize.reference import project, sh_colours
 
 
 @pytest.fixture(scope="module")

@@ -22,9 +22,9 @@ from tests.rasterize.oracle import (
     uniform,
     with_channels,
 )
-from tg4mm.rasterize import cpu
-from tg4mm.rasterize.api import RENDER_MODES
-from tg4mm.rasterize.kernels.layout import ALPHA_MAX, ALPHA_MIN, POWER
+from tg4mm.fit.rasterize import cpu
+from tg4mm.fit.rasterize.api import RENDER_MODES
+from tg4mm.fit.rasterize.kernels.layout import ALPHA_MAX, ALPHA_MIN, POWER
 
 
 def always(_: Thresholds) -> bool:

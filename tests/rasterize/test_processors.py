@@ -14,7 +14,7 @@ import pytest
 SCRIPT = """
 import warnings
 from tests.rasterize.oracle import check, make_scene
-from tg4mm.rasterize.kernels import blend, blend_backward
+from tg4mm.fit.rasterize.kernels import blend, blend_backward
 
 check(make_scene(0, n=300, size=(50, 38)))
 outer = (blend._forward, blend_backward._backward)

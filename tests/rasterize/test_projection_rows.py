@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from tests.rasterize.oracle import make_scene
-from tg4mm.rasterize.kernels.layout import FEATURES, POWER, SPLAT_WIDTH
-from tg4mm.rasterize.kernels.project import pack_camera, project_forward
-from tg4mm.rasterize.kernels.project_backward import project_backward
+from tg4mm.fit.rasterize.kernels.layout import FEATURES, POWER, SPLAT_WIDTH
+from tg4mm.fit.rasterize.kernels.project import pack_camera, project_forward
+from tg4mm.fit.rasterize.kernels.project_backward import project_backward
 
 N = 300  # more than one thread takes at a time
 CANARY = np.float32(12345.0)

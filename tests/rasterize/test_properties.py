@@ -14,9 +14,9 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from tests.rasterize.oracle import Scene, make_scene, random_rotations, render, with_channels
-from tg4mm.rasterize import rasterization
-from tg4mm.rasterize.kernels.layout import DEPTH, POWER
-from tg4mm.rasterize.reference import rotation_matrices
+from tg4mm.fit.rasterize import rasterization
+from tg4mm.fit.rasterize.kernels.layout import DEPTH, POWER
+from tg4mm.fit.rasterize.reference import rotation_matrices
 
 quick = settings(max_examples=15, deadline=None)
 seeds = st.integers(0, 10_000)

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from tests.rasterize.oracle import make_scene, render
-from tg4mm.rasterize.kernels.layout import ALPHA_MAX, ALPHA_MIN, CA, CB, CC, MX, MY, OP, T_MIN, TILE
-from tg4mm.rasterize.kernels.tiles import COLUMNS, HEIGHT, WIDTH
+from tg4mm.fit.rasterize.kernels.layout import ALPHA_MAX, ALPHA_MIN, CA, CB, CC, MX, MY, OP, T_MIN, TILE
+from tg4mm.fit.rasterize.kernels.tiles import COLUMNS, HEIGHT, WIDTH
 
 
 def blocks_of_pixel(tile: np.ndarray) -> np.ndarray:

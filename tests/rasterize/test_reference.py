@@ -13,8 +13,8 @@ from torch import Tensor
 from torch.autograd import gradcheck
 
 from tests.rasterize.oracle import random_rotations, uniform
-from tg4mm.rasterize.kernels.layout import ALPHA_MAX, ALPHA_MIN, T_MIN
-from tg4mm.rasterize.reference import composite, project, rasterize_dense, rotation_matrices, sh_colours
+from tg4mm.fit.rasterize.kernels.layout import ALPHA_MAX, ALPHA_MIN, T_MIN
+from tg4mm.fit.rasterize.reference import composite, project, rasterize_dense, rotation_matrices, sh_colours
 
 
 def leaves(*tensors: Tensor) -> tuple[Tensor, ...]:

@@ -7,11 +7,11 @@ import pytest
 import torch
 from numba import njit
 
-from tg4mm.rasterize.kernels.sh import basis, basis_vjp
-from tg4mm.rasterize.reference import sh_colours
-from tg4mm.rasterize.simd.memory import load, store
-from tg4mm.rasterize.simd.rows import store_rows
-from tg4mm.rasterize.simd.vector import LANES
+from tg4mm.fit.rasterize.kernels.sh import basis, basis_vjp
+from tg4mm.fit.rasterize.reference import sh_colours
+from tg4mm.fit.rasterize.simd.memory import load, store
+from tg4mm.fit.rasterize.simd.rows import store_rows
+from tg4mm.fit.rasterize.simd.vector import LANES
 
 
 @njit

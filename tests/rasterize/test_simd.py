@@ -9,10 +9,10 @@ import pytest
 from numba import njit
 from numba.core.errors import TypingError
 
-from tg4mm.rasterize.kernels.tiles import TABLE, constants
-from tg4mm.rasterize.simd.functions import exp2
-from tg4mm.rasterize.simd.lanes import lane_sums, load_fours, store_fours
-from tg4mm.rasterize.simd.masks import (
+from tg4mm.fit.rasterize.kernels.tiles import TABLE, constants
+from tg4mm.fit.rasterize.simd.functions import exp2
+from tg4mm.fit.rasterize.simd.lanes import lane_sums, load_fours, store_fours
+from tg4mm.fit.rasterize.simd.masks import (
     first_lanes,
     put_mask,
     put_places,
@@ -20,7 +20,7 @@ from tg4mm.rasterize.simd.masks import (
     sign_mask,
     two_halves,
 )
-from tg4mm.rasterize.simd.memory import (
+from tg4mm.fit.rasterize.simd.memory import (
     address,
     integer,
     keep,
@@ -33,7 +33,7 @@ from tg4mm.rasterize.simd.memory import (
     store,
     store_first,
 )
-from tg4mm.rasterize.simd.rows import (
+from tg4mm.fit.rasterize.simd.rows import (
     columns,
     cycled,
     interleave,
@@ -45,7 +45,7 @@ from tg4mm.rasterize.simd.rows import (
     transpose,
     transpose_threes,
 )
-from tg4mm.rasterize.simd.vector import LANES, PIXELS, ctz, fma_where, movemask, popcount, select
+from tg4mm.fit.rasterize.simd.vector import LANES, PIXELS, ctz, fma_where, movemask, popcount, select
 
 
 @njit

@@ -8,10 +8,10 @@ import pytest
 import torch
 
 from tests.rasterize.oracle import make_scene, render
-from tg4mm.rasterize.kernels.binning import bin_splats, gather_sums
-from tg4mm.rasterize.kernels.blend import blend_forward
-from tg4mm.rasterize.kernels.blend_backward import blend_backward
-from tg4mm.rasterize.kernels.layout import (
+from tg4mm.fit.rasterize.kernels.binning import bin_splats, gather_sums
+from tg4mm.fit.rasterize.kernels.blend import blend_forward
+from tg4mm.fit.rasterize.kernels.blend_backward import blend_backward
+from tg4mm.fit.rasterize.kernels.layout import (
     ALPHA_MIN,
     CA,
     CC,
@@ -25,7 +25,7 @@ from tg4mm.rasterize.kernels.layout import (
     SPLAT_WIDTH,
     SQUARES,
 )
-from tg4mm.rasterize.kernels.linearised import COLUMNS, blend_cotangents, blend_tangents
+from tg4mm.fit.rasterize.kernels.linearised import COLUMNS, blend_cotangents, blend_tangents
 
 WIDTH, HEIGHT = 50, 37
 SCENES = {

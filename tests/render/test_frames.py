@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from tg4mm.errors import RunError
-from tg4mm.render.frames import is_complete_png, png_bytes, read_png, to_bytes, write_png
+from tg4mm.core.errors import RunError
+from tg4mm.core.pictures.frames import is_complete_png, png_bytes, read_png, to_bytes, write_png
 
 
 @given(st.integers(1, 9), st.integers(1, 9), st.sampled_from([3, 4]), st.integers(0, 2**32 - 1))

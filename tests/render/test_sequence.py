@@ -8,12 +8,19 @@ import numpy as np
 import pytest
 
 from tg4mm.capture import load_capture, load_images
-from tg4mm.errors import RunError, Tg4mmError
-from tg4mm.lock import held
-from tg4mm.render import RenderRequest, capture_cameras, orbit, render_image, render_orbit, render_sequence
-from tg4mm.render.frames import read_png
-from tg4mm.render.sequence import pose_of
-from tg4mm.temporary import _HOST
+from tg4mm.core.errors import RunError, Tg4mmError
+from tg4mm.core.lock import held
+from tg4mm.core.pictures.frames import read_png
+from tg4mm.core.temporary import _HOST
+from tg4mm.show.render import (
+    RenderRequest,
+    capture_cameras,
+    orbit,
+    render_image,
+    render_orbit,
+    render_sequence,
+)
+from tg4mm.show.render.sequence import pose_of
 
 
 @pytest.fixture

@@ -4,9 +4,9 @@ import imageio_ffmpeg
 import numpy as np
 import pytest
 
-from tg4mm.errors import RunError
-from tg4mm.render.frames import write_png
-from tg4mm.render.video import even_size, loops_to_last, video_of_files, write_mp4
+from tg4mm.core.errors import RunError
+from tg4mm.core.pictures.frames import write_png
+from tg4mm.show.render.video import even_size, loops_to_last, video_of_files, write_mp4
 
 
 def read_mp4(path):

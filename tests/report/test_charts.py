@@ -3,8 +3,8 @@
 import re
 from xml.etree import ElementTree
 
-from tg4mm.plotstyle import COLOURS
-from tg4mm.report.charts import OURS, chart
+from tg4mm.core.pages.charts import OURS, chart
+from tg4mm.core.pages.plotstyle import COLOURS
 
 
 def two(label: str = "b") -> str:

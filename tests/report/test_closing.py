@@ -2,8 +2,8 @@
 
 import pytest
 
-from tg4mm.report.closing import _figure, program, size_on_disk, size_text
-from tg4mm.report.summary import both_lengths, clock, length, total_seconds
+from tg4mm.show.report.closing import _figure, program, size_on_disk, size_text
+from tg4mm.show.report.summary import both_lengths, clock, length, total_seconds
 
 
 @pytest.mark.parametrize(

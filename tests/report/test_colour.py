@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tg4mm.report.colour import amount_colours, hex_colour, phase_colours, srgb_of_oklch
+from tg4mm.core.colour import amount_colours, hex_colour, phase_colours, srgb_of_oklch
 
 
 def luminance(srgb):

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from tg4mm.report.colour import amount_colours
-from tg4mm.report.figures import (
+from tg4mm.core.colour import amount_colours
+from tg4mm.show.report.figures import (
     MARK,
     Line,
     contact_sheet,

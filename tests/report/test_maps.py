@@ -5,11 +5,11 @@ import pytest
 
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import load_capture
-from tg4mm.errors import RunError
-from tg4mm.evaluate.weights import blending_weights
-from tg4mm.motion.modes import ModalMotion
-from tg4mm.render import capture_cameras
-from tg4mm.report.maps import image_motion, leading_modes, motion_maps, strongest, uncertainty_map
+from tg4mm.core.errors import RunError
+from tg4mm.fit.motion.modes import ModalMotion
+from tg4mm.show.render import capture_cameras
+from tg4mm.show.report.maps import image_motion, leading_modes, motion_maps, strongest, uncertainty_map
+from tg4mm.show.weights import blending_weights
 
 
 def motion_of(*amplitudes: float) -> ModalMotion:

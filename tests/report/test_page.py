@@ -8,7 +8,7 @@ from markupsafe import Markup
 from PIL import Image
 
 from tests.report.page_checks import outside_loads, read_page
-from tg4mm.report.page import (
+from tg4mm.core.pages.page import (
     Commands,
     Figure,
     Page,
@@ -22,7 +22,7 @@ from tg4mm.report.page import (
     picture,
     render_page,
 )
-from tg4mm.report.svg import colour_bar
+from tg4mm.core.pages.svg import colour_bar
 
 EVIL = "<script>alert('x')</script>\"><img src=x onerror=alert(1)>"
 

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tg4mm.errors import RunError
-from tg4mm.files import json_digest
-from tg4mm.report.sources import choose_alpha, metrics_of
-from tg4mm.result.read import reading_of
+from tg4mm.core.errors import RunError
+from tg4mm.core.files import json_digest
 from tg4mm.run import Run
+from tg4mm.show.report.sources import choose_alpha, metrics_of
+from tg4mm.show.result.read import reading_of
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +67,7 @@ def test_scores_newer_than_the_model_are_taken_and_older_ones_made_again(run, tm
     own = copied(run, tmp_path)
     calls = []
     monkeypatch.setattr(
-        "tg4mm.evaluate.evaluate_run", lambda run: calls.append(run) or {"format": "tg4mm-metrics"}
+        "tg4mm.research.evaluate.evaluate_run", lambda run: calls.append(run) or {"format": "tg4mm-metrics"}
     )
     path = own.path / "metrics.json"
     path.write_text(json.dumps(METRICS | {"kept": True}))

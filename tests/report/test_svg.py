@@ -4,7 +4,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from tg4mm.report.svg import colour_bar, nice_ticks, number, phase_bar
+from tg4mm.core.pages.svg import colour_bar, nice_ticks, number, phase_bar
 
 
 def parse(svg):

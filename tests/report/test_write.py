@@ -16,17 +16,17 @@ from tests.helpers.synthetic import make_synthetic_dataset
 from tests.report.page_checks import outside_loads, read_page
 from tests.view.browser import browser
 from tg4mm.capture import load_capture
-from tg4mm.errors import CaptureError, RunError
-from tg4mm.measure import MeasureError, Sensor, measure, parse_sensor
-from tg4mm.measure.table import rows_of
-from tg4mm.render.frames import write_png
-from tg4mm.report import ReportOptions, write_report
-from tg4mm.report.sources import load_model
-from tg4mm.report.views import gather_view
-from tg4mm.result import Length, result_of
-from tg4mm.result.lines import with_deviation
-from tg4mm.result.read import reading_of
+from tg4mm.core.errors import CaptureError, RunError
+from tg4mm.core.pictures.frames import write_png
 from tg4mm.run import Run
+from tg4mm.show.measure import MeasureError, Sensor, measure, parse_sensor
+from tg4mm.show.measure.table import rows_of
+from tg4mm.show.report import ReportOptions, write_report
+from tg4mm.show.report.sources import load_model
+from tg4mm.show.report.views import gather_view
+from tg4mm.show.result import Length, result_of
+from tg4mm.show.result.lines import with_deviation
+from tg4mm.show.result.read import reading_of
 
 
 def words(text: str) -> str:
@@ -196,7 +196,7 @@ def test_a_dataset_without_truth_has_a_page_without_a_word_of_it(bare_run, tmp_p
 
 
 def test_metrics_with_everything_absent_are_shown_as_such(bare_run, tmp_path):
-    from tg4mm.evaluate import evaluate_run
+    from tg4mm.research.evaluate import evaluate_run
 
     said = words(report(bare_run, tmp_path, metrics=evaluate_run(bare_run)))
     assert "Not measured." in said

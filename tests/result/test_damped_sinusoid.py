@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tg4mm.result.damped_sinusoid import DampedSinusoid, damped_sinusoid_of
+from tg4mm.show.result.damped_sinusoid import DampedSinusoid, damped_sinusoid_of
 
 FPS, N = 30.0, 60
 NONE = np.zeros(0)

@@ -15,13 +15,13 @@ from tests.helpers.synthetic import make_synthetic_dataset
 from tests.result.conftest import AMPLITUDE, DEVIATION, NOISE
 from tg4mm.capture import load_capture
 from tg4mm.cli import main
-from tg4mm.errors import RunError
-from tg4mm.motion.modes import ModalMotion
-from tg4mm.result import Length, Result, lines_of, result_of
-from tg4mm.result.lines import with_deviation
-from tg4mm.result.read import series_of
-from tg4mm.result.seen import pixel_rows
+from tg4mm.core.errors import RunError
+from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.run import UNCERTAINTY, Run
+from tg4mm.show.result import Length, Result, lines_of, result_of
+from tg4mm.show.result.lines import with_deviation
+from tg4mm.show.result.read import series_of
+from tg4mm.show.result.seen import pixel_rows
 
 
 @pytest.fixture(scope="module")

@@ -11,11 +11,12 @@ import pytest
 
 from tests.result.conftest import NOISE
 from tg4mm.cli import main
-from tg4mm.errors import Tg4mmError
-from tg4mm.magnify import BandGain, Magnification, TemporalFilter
-from tg4mm.result.read import reading_of, result_of
-from tg4mm.result.requested import auto_band, refuse_empty, reversed_motion, too_far
+from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.filters import TemporalFilter
+from tg4mm.core.magnification import BandGain, Magnification
 from tg4mm.run import Run
+from tg4mm.show.result.read import reading_of, result_of
+from tg4mm.show.result.requested import auto_band, refuse_empty, reversed_motion, too_far
 
 
 def plan(low: float, high: float, alpha: float = 10.0, **more: object) -> Magnification:

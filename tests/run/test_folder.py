@@ -18,10 +18,10 @@ import torch
 from safetensors.torch import save_file
 
 from tests.helpers.runs import SETTINGS, gaussians, modal, refused
-from tg4mm.motion.modes import ModalMotion
+from tg4mm.core.temporary import _HOST
+from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.run import Run
 from tg4mm.run.config import _from_run
-from tg4mm.temporary import _HOST
 
 
 @pytest.fixture

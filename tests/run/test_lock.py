@@ -13,7 +13,7 @@ import pytest
 
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.cli import main
-from tg4mm.errors import RunError
+from tg4mm.core.errors import RunError
 from tg4mm.run.lock import claimed
 
 HOLD = """

@@ -12,7 +12,7 @@ import torch
 from safetensors.torch import load_file, safe_open
 
 from tests.helpers.runs import SETTINGS, gaussians, modal
-from tg4mm.errors import RunError
+from tg4mm.core.errors import RunError
 from tg4mm.run import Run
 from tg4mm.run.model_hash import model_hash
 

@@ -12,10 +12,10 @@ from PIL import Image
 
 from tests.sfm.videos import SIZE, still, write_video
 from tg4mm.capture import Capture, load_capture, load_images
+from tg4mm.capture.sfm.config import SfmConfig
+from tg4mm.capture.sfm.reconstruct import reconstruct
 from tg4mm.cli import main
-from tg4mm.errors import Tg4mmError
-from tg4mm.sfm.config import SfmConfig
-from tg4mm.sfm.reconstruct import reconstruct
+from tg4mm.core.errors import Tg4mmError
 
 T = 12
 
@@ -75,7 +75,7 @@ def test_points_lie_on_the_plane_with_the_pictures_colours(capture: Capture) -> 
 
 
 def test_pictures_are_the_frames(video: Path, capture: Capture) -> None:
-    from tg4mm.sfm.video import video_frames
+    from tg4mm.capture.sfm.video import video_frames
 
     images = load_images(capture)
     for image, frame in zip(images.data, video_frames(video), strict=True):

@@ -11,11 +11,11 @@ import pytest
 from scipy.spatial import cKDTree
 
 from tg4mm.capture import Capture, load_capture, load_images
+from tg4mm.capture.sfm import SfmPoints, triangulate_views
 from tg4mm.cli import main
-from tg4mm.result import result_of
-from tg4mm.sfm import SfmPoints, triangulate_views
-from tg4mm.space.targets import rest_views
-from tg4mm.train import train
+from tg4mm.fit.space.targets import rest_views
+from tg4mm.run.train import train
+from tg4mm.show.result import result_of
 
 pytestmark = pytest.mark.slow
 

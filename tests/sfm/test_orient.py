@@ -7,7 +7,7 @@ import pytest
 
 from tests.sfm.scenes import CENTRE, orbit
 from tg4mm.capture.geometry import optical_axes
-from tg4mm.sfm.orient import DISTANCE, Similarity, up_axis, world_of
+from tg4mm.capture.sfm.orient import DISTANCE, Similarity, up_axis, world_of
 
 
 def rotation(seed: int = 0) -> np.ndarray:

@@ -13,10 +13,10 @@ from scipy.sparse.csgraph import connected_components
 
 from tests.sfm.scenes import intrinsics, orbit, picture, save
 from tg4mm.capture import load_capture
-from tg4mm.sfm import engine, mapping, pairs, reconstruct
-from tg4mm.sfm.config import SfmConfig
-from tg4mm.sfm.engine import opened
-from tg4mm.sfm.pairs import loosely_tied, matched, most_alike
+from tg4mm.capture.sfm import engine, mapping, pairs, reconstruct
+from tg4mm.capture.sfm.config import SfmConfig
+from tg4mm.capture.sfm.engine import opened
+from tg4mm.capture.sfm.pairs import loosely_tied, matched, most_alike
 
 
 def neighbours(chosen: list[tuple[int, int]], i: int) -> set[int]:

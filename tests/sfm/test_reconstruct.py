@@ -16,13 +16,13 @@ from tests.sfm.scenes import intrinsics, orbit, picture, save, surface_distance,
 from tests.sfm.videos import still
 from tg4mm.capture import Capture, load_capture, load_images
 from tg4mm.capture.geometry import optical_axes
+from tg4mm.capture.sfm import reconstruct as module
+from tg4mm.capture.sfm.reconstruct import SfmConfig, reconstruct
+from tg4mm.capture.sfm.request import open_request
+from tg4mm.capture.sfm.sources import find_sources
 from tg4mm.cli import main
-from tg4mm.errors import CaptureError, RunError, Tg4mmError
-from tg4mm.lock import held
-from tg4mm.sfm import reconstruct as module
-from tg4mm.sfm.reconstruct import SfmConfig, reconstruct
-from tg4mm.sfm.request import open_request
-from tg4mm.sfm.sources import find_sources
+from tg4mm.core.errors import CaptureError, RunError, Tg4mmError
+from tg4mm.core.lock import held
 
 pytest.importorskip("pycolmap")
 SIZE, FOCAL, BEND = (240, 180), 250.0, 0.35

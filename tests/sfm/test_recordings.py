@@ -15,10 +15,10 @@ from tests.sfm.scenes import intrinsics, orbit, picture, save, umeyama
 from tests.sfm.videos import write_video
 from tg4mm.capture import Capture, load_capture
 from tg4mm.capture.geometry import optical_axes
+from tg4mm.capture.sfm.config import SfmConfig
+from tg4mm.capture.sfm.reconstruct import reconstruct
 from tg4mm.cli import main
-from tg4mm.errors import CaptureError
-from tg4mm.sfm.config import SfmConfig
-from tg4mm.sfm.reconstruct import reconstruct
+from tg4mm.core.errors import CaptureError
 
 pytest.importorskip("pycolmap")
 SIZE, FOCAL = (240, 180), 250.0

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from tests.sfm.scenes import orbit
+from tg4mm.capture.sfm.config import SfmConfig, checked
+from tg4mm.capture.sfm.depth import CLICK_PX, triangulated
+from tg4mm.capture.sfm.orient import Similarity
+from tg4mm.capture.sfm.scale import Length, MeasuredLength, measured_length, read_length
+from tg4mm.capture.sfm.staging import Shot
 from tg4mm.cli import main
-from tg4mm.errors import Tg4mmError
-from tg4mm.sfm.config import SfmConfig, checked
-from tg4mm.sfm.depth import CLICK_PX, triangulated
-from tg4mm.sfm.orient import Similarity
-from tg4mm.sfm.scale import Length, MeasuredLength, measured_length, read_length
-from tg4mm.sfm.staging import Shot
+from tg4mm.core.errors import Tg4mmError
 
 pycolmap = pytest.importorskip("pycolmap")
 SIZE, FOCAL, BEND = (640, 480), 700.0, 0.05

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from tests.sfm.scenes import save
+from tg4mm.capture.sfm.kind import possible_kinds
+from tg4mm.capture.sfm.pairs import EVERY, OVERLAP, picture_pairs
+from tg4mm.capture.sfm.sources import find_sources, suggested_command
+from tg4mm.capture.sfm.staging import check_sizes, photograph_shots, stage, staged_name, sweep_shots
 from tg4mm.cli import main
-from tg4mm.errors import CaptureError
-from tg4mm.sfm.kind import possible_kinds
-from tg4mm.sfm.pairs import EVERY, OVERLAP, picture_pairs
-from tg4mm.sfm.sources import find_sources, suggested_command
-from tg4mm.sfm.staging import check_sizes, photograph_shots, stage, staged_name, sweep_shots
+from tg4mm.core.errors import CaptureError
 
 PIXELS = np.full((6, 8, 4), 200, np.uint8)
 

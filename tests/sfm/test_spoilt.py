@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from tests.sfm.videos import SIZE, cut_off, encoded, looked, spoil, still, texture, write_video
+from tg4mm.capture.sfm.frozen import runs
+from tg4mm.capture.sfm.spoilt import check_usable, is_fixed, warn_bumps, warn_clocks
+from tg4mm.capture.sfm.steadiness import find_bumps, find_knocks
 from tg4mm.cli import main
-from tg4mm.errors import CaptureError
-from tg4mm.sfm.frozen import runs
-from tg4mm.sfm.spoilt import check_usable, is_fixed, warn_bumps, warn_clocks
-from tg4mm.sfm.steadiness import find_bumps, find_knocks
+from tg4mm.core.errors import CaptureError
 
 ENCODERS = {
     "crf 18": ("libx264", {"gop": 12, "crf": "18"}),

@@ -11,13 +11,13 @@ from PIL import Image
 
 from tests.sfm.scenes import save
 from tests.sfm.videos import SIZE, looked, still, texture, write_video
-from tg4mm.errors import CaptureError
-from tg4mm.sfm import survey as module
-from tg4mm.sfm.clip import Clip, Window
-from tg4mm.sfm.kind import told_kind
-from tg4mm.sfm.sources import Sources
-from tg4mm.sfm.spoilt import check_usable, warn_clocks
-from tg4mm.sfm.steadiness import ShiftMeter, find_knocks, reduced, stays
+from tg4mm.capture.sfm import survey as module
+from tg4mm.capture.sfm.clip import Clip, Window
+from tg4mm.capture.sfm.kind import told_kind
+from tg4mm.capture.sfm.sources import Sources
+from tg4mm.capture.sfm.spoilt import check_usable, warn_clocks
+from tg4mm.capture.sfm.steadiness import ShiftMeter, find_knocks, reduced, stays
+from tg4mm.core.errors import CaptureError
 
 
 class TestShift:

@@ -11,13 +11,13 @@ import pytest
 from tests.sfm.scenes import intrinsics, orbit, picture, sample, surface_distance
 from tests.space.scenes import views_of
 from tg4mm.capture import Capture, ImageStack
-from tg4mm.errors import Tg4mmError
-from tg4mm.sfm import SfmPoints, TriangulationConfig, triangulate_views
-from tg4mm.sfm.points import outside_masks
-from tg4mm.sfm.triangulate import view_pairs
-from tg4mm.space import RestViews, initial
-from tg4mm.space.initial import initial_points
-from tg4mm.space.targets import rest_views
+from tg4mm.capture.sfm import SfmPoints, TriangulationConfig, triangulate_views
+from tg4mm.capture.sfm.points import outside_masks
+from tg4mm.capture.sfm.triangulate import view_pairs
+from tg4mm.core.errors import Tg4mmError
+from tg4mm.fit.space import RestViews, initial
+from tg4mm.fit.space.initial import initial_points
+from tg4mm.fit.space.targets import rest_views
 
 SIZE = (180, 180)
 K = intrinsics(*SIZE, 200.0)
@@ -157,8 +157,8 @@ class TestPairs:
 
 
 def test_importing_the_package_needs_no_other_part_of_the_program_nor_torch_nor_pycolmap() -> None:
-    absent = ("torch", "pycolmap", "av", "bpy", "tg4mm.space", "tg4mm.motion")
-    modules = "tg4mm.sfm, tg4mm.sfm.sources, tg4mm.sfm.reconstruct"
+    absent = ("torch", "pycolmap", "av", "bpy", "tg4mm.fit.space", "tg4mm.fit.motion")
+    modules = "tg4mm.capture.sfm, tg4mm.capture.sfm.sources, tg4mm.capture.sfm.reconstruct"
     code = f"import sys; [sys.modules.__setitem__(name, None) for name in {absent}]; import {modules}"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

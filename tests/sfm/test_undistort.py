@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests.sfm.scenes import intrinsics, orbit, picture
-from tg4mm.errors import CaptureError
-from tg4mm.sfm.undistort import Key, Lens, lenses
+from tg4mm.capture.sfm.undistort import Key, Lens, lenses
+from tg4mm.core.errors import CaptureError
 
 pycolmap = pytest.importorskip("pycolmap")
 SIZE = (160, 120)

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from tests.sfm.videos import SIZE, cut_off, spoil, still, texture, write_video
-from tg4mm.errors import CaptureError
-from tg4mm.sfm.clip import Clip, Window, clip_frames, frame_rate, regular_times, uneven_steps
-from tg4mm.sfm.video import video_frames, video_info
+from tg4mm.capture.sfm.clip import Clip, Window, clip_frames, frame_rate, regular_times, uneven_steps
+from tg4mm.capture.sfm.video import video_frames, video_info
+from tg4mm.core.errors import CaptureError
 
 NTSC = Fraction(30000, 1001)
 

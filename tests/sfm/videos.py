@@ -10,8 +10,8 @@ import av
 import numpy as np
 from PIL import Image
 
-from tg4mm.sfm.clip import WHOLE, Clip, Window
-from tg4mm.sfm.survey import Survey, survey_clip
+from tg4mm.capture.sfm.clip import WHOLE, Clip, Window
+from tg4mm.capture.sfm.survey import Survey, survey_clip
 
 SIZE = (160, 120)  # width, height
 

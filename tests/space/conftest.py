@@ -9,8 +9,8 @@ import pytest
 
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.capture import SurfacePoints, load_capture, load_images
+from tg4mm.fit.space import RestViews, rest_views
 from tg4mm.run import Run
-from tg4mm.space import RestViews, rest_views
 
 
 @pytest.fixture(scope="module")

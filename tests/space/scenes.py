@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from tg4mm.capture import Capture, ImageStack
-from tg4mm.space import RestViews
+from tg4mm.fit.space import RestViews
 
 
 def orbit(n: int, centre: np.ndarray, radius: float = 4.0) -> np.ndarray:

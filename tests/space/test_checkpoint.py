@@ -16,12 +16,12 @@ from torch import Tensor
 
 from tests.helpers.space_train import SHORT, Killed, killed_after
 from tg4mm.capture import SurfacePoints
-from tg4mm.errors import RunError
+from tg4mm.core.errors import RunError
+from tg4mm.fit.space import RestViews, SpaceConfig
+from tg4mm.fit.space import train as stage
+from tg4mm.fit.space.checkpoint import pictures_digest
 from tg4mm.run import Run
-from tg4mm.space import RestViews, SpaceConfig
-from tg4mm.space import train as stage
-from tg4mm.space.checkpoint import pictures_digest
-from tg4mm.stages.space import train_space
+from tg4mm.run.stages.space import train_space
 
 Tensors = dict[str, Tensor]
 State = dict[str, Any]

@@ -16,8 +16,8 @@ import sys
 from pathlib import Path
 from tg4mm.capture import load_capture, load_images
 from tg4mm.run import Run
-from tg4mm.space import SpaceConfig, rest_views
-from tg4mm.stages.space import train_space
+from tg4mm.fit.space import SpaceConfig, rest_views
+from tg4mm.run.stages.space import train_space
 data, out = Path(sys.argv[1]), Path(sys.argv[2])
 capture = load_capture(data)
 views = rest_views(capture, load_images(capture))

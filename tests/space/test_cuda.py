@@ -20,15 +20,15 @@ from tests.helpers.space_train import psnr_of_test_views
 from tests.helpers.synthetic import make_synthetic_dataset
 from tests.rasterize.oracle import assert_close, make_scene
 from tg4mm.capture import SurfacePoints, load_capture, load_images
-from tg4mm.gaussians import Gaussians
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.space import RestViews, SpaceConfig, rest_views
+from tg4mm.fit.space import train as stage
+from tg4mm.fit.space import view as view_module
+from tg4mm.fit.space.checkpoint import pictures_digest
+from tg4mm.fit.space.levels import level_at, levels
+from tg4mm.fit.space.view import RenderedView, _render_cuda, render_view
 from tg4mm.run import Run
-from tg4mm.space import RestViews, SpaceConfig, rest_views
-from tg4mm.space import train as stage
-from tg4mm.space import view as view_module
-from tg4mm.space.checkpoint import pictures_digest
-from tg4mm.space.levels import level_at, levels
-from tg4mm.space.view import RenderedView, _render_cuda, render_view
-from tg4mm.stages.space import train_space
+from tg4mm.run.stages.space import train_space
 
 SCENE = make_scene(0)
 SIZE = (SCENE.width, SCENE.height)

@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from tests.helpers.space_parameters import gradients, take_step
-from tg4mm.rasterize.reference import rotation_matrices
-from tg4mm.space.density import (
+from tg4mm.fit.rasterize.reference import rotation_matrices
+from tg4mm.fit.space.density import (
     APART,
     DIM,
     EVERY,
@@ -19,7 +19,7 @@ from tg4mm.space.density import (
     is_due,
     split_rows,
 )
-from tg4mm.space.parameters import ParameterAdam
+from tg4mm.fit.space.parameters import ParameterAdam
 
 EXTENT = 2.0
 

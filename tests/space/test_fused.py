@@ -13,12 +13,12 @@ import torch
 from tests.helpers.space_fused import SCENE, parameters, views_of
 from tests.helpers.space_parameters import EXTENT, gradients, take_step
 from tests.rasterize.oracle import assert_close, make_scene
-from tg4mm.space import SpaceConfig
-from tg4mm.space import train as stage
-from tg4mm.space.fused import FusedAdam
-from tg4mm.space.kernels import compare
-from tg4mm.space.losses import photometric_loss
-from tg4mm.space.parameters import ParameterAdam, ParameterRows, activate
+from tg4mm.fit.space import SpaceConfig
+from tg4mm.fit.space import train as stage
+from tg4mm.fit.space.fused import FusedAdam
+from tg4mm.fit.space.kernels import compare
+from tg4mm.fit.space.losses import photometric_loss
+from tg4mm.fit.space.parameters import ParameterAdam, ParameterRows, activate
 
 LOSSES = [(0.0, 0.0), (10.0, 0.0), (10.0, 0.2)]
 

@@ -10,11 +10,11 @@ import pytest
 import torch
 
 from tg4mm.capture import SurfacePoints
-from tg4mm.render import render_image
+from tg4mm.fit.space import RestViews, SpaceConfig
+from tg4mm.fit.space.gains import MOST, RATE, fitting_gain, moved
 from tg4mm.run import Run
-from tg4mm.space import RestViews, SpaceConfig
-from tg4mm.space.gains import MOST, RATE, fitting_gain, moved
-from tg4mm.stages.space import train_space
+from tg4mm.run.stages.space import train_space
+from tg4mm.show.render import render_image
 
 
 def picture(seed: int = 0) -> np.ndarray:
@@ -77,9 +77,9 @@ def test_known_gains_are_found(
 def test_torch_and_the_fused_iteration_agree_on_gains(gains: bool) -> None:
     from tests.helpers.space_fused import SCENE, parameters, views_of
     from tests.helpers.space_parameters import EXTENT
-    from tg4mm.space import train as stage
-    from tg4mm.space.fused import FusedAdam
-    from tg4mm.space.parameters import ParameterAdam
+    from tg4mm.fit.space import train as stage
+    from tg4mm.fit.space.fused import FusedAdam
+    from tg4mm.fit.space.parameters import ParameterAdam
 
     start = torch.tensor([[0.8, 1.0, 1.2], [1.0, 1.1, 1.0], [1.25, 1 / 1.1, 1 / 1.2]])
     found = []

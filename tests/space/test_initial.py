@@ -8,9 +8,16 @@ from scipy.spatial.transform import Rotation
 
 from tests.space.scenes import capsule_mask, intrinsics, orbit, rays, views_of
 from tg4mm.capture import SurfacePoints
-from tg4mm.errors import CaptureError
-from tg4mm.space import RestViews, initial
-from tg4mm.space.initial import _project, hull_points, hull_shell, initial_points, mean_colours, working_box
+from tg4mm.core.errors import CaptureError
+from tg4mm.fit.space import RestViews, initial
+from tg4mm.fit.space.initial import (
+    _project,
+    hull_points,
+    hull_shell,
+    initial_points,
+    mean_colours,
+    working_box,
+)
 
 CENTRE, RADIUS = np.array([0.3, -0.2, 0.5]), 0.8
 SIZE = 128

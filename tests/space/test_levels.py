@@ -11,12 +11,12 @@ import pytest
 from tests.helpers.space_train import psnr_of_test_views
 from tests.space.scenes import intrinsics, orbit, views_of
 from tg4mm.capture import SurfacePoints
-from tg4mm.errors import Tg4mmError
+from tg4mm.core.errors import Tg4mmError
+from tg4mm.fit.space import RestViews, SpaceConfig
+from tg4mm.fit.space.density import EVERY
+from tg4mm.fit.space.levels import automatic, check_levels, level_at, levels, sampled, shrunk, turn_of, work
 from tg4mm.run import Run
-from tg4mm.space import RestViews, SpaceConfig
-from tg4mm.space.density import EVERY
-from tg4mm.space.levels import automatic, check_levels, level_at, levels, sampled, shrunk, turn_of, work
-from tg4mm.stages.space import train_space
+from tg4mm.run.stages.space import train_space
 
 FULL = (1080, 1920)
 

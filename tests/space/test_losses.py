@@ -8,7 +8,7 @@ import torch
 from skimage.metrics import structural_similarity
 from torch import Tensor
 
-from tg4mm.space.losses import photometric_loss, ssim
+from tg4mm.fit.space.losses import photometric_loss, ssim
 
 
 def pair(height: int, width: int, seed: int = 0, noise: float = 0.1) -> tuple[Tensor, Tensor]:

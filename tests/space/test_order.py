@@ -6,8 +6,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from tg4mm.space import density
-from tg4mm.space.order import along_a_curve, is_due
+from tg4mm.fit.space import density
+from tg4mm.fit.space.order import along_a_curve, is_due
 
 
 def lattice(n: int) -> Tensor:

@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 
 from tests.helpers.space_parameters import EXTENT, N, gradients, take_step
-from tg4mm.space.fused import FusedAdam
-from tg4mm.space.initial import InitialPoints
-from tg4mm.space.parameters import (
+from tg4mm.fit.space.fused import FusedAdam
+from tg4mm.fit.space.initial import InitialPoints
+from tg4mm.fit.space.parameters import (
     LEARNING_RATES,
     SH_C0,
     ParameterAdam,

@@ -10,15 +10,15 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from tg4mm.errors import CaptureError, Tg4mmError
-from tg4mm.gaussians import Gaussians
-from tg4mm.rasterize import rasterization
-from tg4mm.render.image import render_image
+from tg4mm.core.errors import CaptureError, Tg4mmError
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.rasterize import rasterization
+from tg4mm.fit.space import RestViews, SpaceConfig
+from tg4mm.fit.space.plane import RIDGE, plane_gaussians, plane_psnr, solve_colours
+from tg4mm.fit.space.quadtree import FINEST, quadtree
 from tg4mm.run import Run
-from tg4mm.space import RestViews, SpaceConfig
-from tg4mm.space.plane import RIDGE, plane_gaussians, plane_psnr, solve_colours
-from tg4mm.space.quadtree import FINEST, quadtree
-from tg4mm.stages.space import train_plane
+from tg4mm.run.stages.space import train_plane
+from tg4mm.show.render.image import render_image
 
 # at the origin of a world whose z is up, looking along +y
 VIEWMAT = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]], np.float32)

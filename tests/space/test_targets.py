@@ -12,10 +12,10 @@ import pytest
 from PIL import Image
 
 from tests.space.scenes import capture_of
-from tg4mm.capture.decode import decode
 from tg4mm.capture.pictures import FilePictures
-from tg4mm.progress import PlainProgress
-from tg4mm.space import rest_views
+from tg4mm.core.pictures.decode import decode
+from tg4mm.core.progress import PlainProgress
+from tg4mm.fit.space import rest_views
 
 
 def pictures(n: int, seed: int = 0) -> np.ndarray:

@@ -19,15 +19,15 @@ from tests.helpers.space_train import (
     psnr_of_test_views,
 )
 from tg4mm.capture import SurfacePoints
-from tg4mm.errors import Tg4mmError
-from tg4mm.gaussians import Gaussians
+from tg4mm.core.errors import Tg4mmError
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.space import RestViews, SpaceConfig, density
+from tg4mm.fit.space import train as stage
+from tg4mm.fit.space.checkpoint import Checkpoint
+from tg4mm.fit.space.levels import levels
+from tg4mm.fit.space.train import resolved
 from tg4mm.run import Run
-from tg4mm.space import RestViews, SpaceConfig, density
-from tg4mm.space import train as stage
-from tg4mm.space.checkpoint import Checkpoint
-from tg4mm.space.levels import levels
-from tg4mm.space.train import resolved
-from tg4mm.stages.space import train_space
+from tg4mm.run.stages.space import train_space
 
 FIELDS = ("means", "quats", "scales", "opacities", "sh")
 

@@ -6,9 +6,9 @@ import pytest
 import torch
 
 from tests.rasterize.oracle import assert_close, make_scene, thresholds
-from tg4mm.gaussians import Gaussians
-from tg4mm.rasterize.reference import rasterize_dense
-from tg4mm.space.view import render_view
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.rasterize.reference import rasterize_dense
+from tg4mm.fit.space.view import render_view
 
 SCENE = make_scene(0)
 SIZE = (SCENE.width, SCENE.height)

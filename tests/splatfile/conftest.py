@@ -7,7 +7,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from tg4mm.splatfile import SplatFile
+from tg4mm.core.splatfile import SplatFile
 
 
 def random_splat(

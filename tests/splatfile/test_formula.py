@@ -8,8 +8,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from tg4mm.errors import SplatFileError
-from tg4mm.splatfile import positions_at, rotations_at
+from tg4mm.core.errors import SplatFileError
+from tg4mm.core.splatfile import positions_at, rotations_at
 
 times = st.floats(-100, 100)
 alphas = st.floats(-2, 100)

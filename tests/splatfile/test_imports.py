@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import tg4mm
-from tg4mm.splatfile import write_splat
+from tg4mm.core.splatfile import write_splat
 
 BLOCKED = ("torch", "bpy", "plyfile", "PIL", "scipy", "numba", "rich", "typer")
 READ = """
@@ -28,7 +28,9 @@ def run(code, *arguments, **options):
 
 def test_tg4mm_and_the_splat_file_work_with_numpy_alone(make, tmp_path):
     write_splat(tmp_path / "a.ply", make.splat())
-    done = run(READ.format(blocked=BLOCKED, package="tg4mm", module="splatfile"), str(tmp_path / "a.ply"))
+    done = run(
+        READ.format(blocked=BLOCKED, package="tg4mm.core", module="splatfile"), str(tmp_path / "a.ply")
+    )
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == "5 ['numpy', 'tg4mm']"
     assert (tmp_path / "a.ply.copy").exists()
@@ -36,7 +38,7 @@ def test_tg4mm_and_the_splat_file_work_with_numpy_alone(make, tmp_path):
 
 def test_a_copy_inside_another_package_works(make, tmp_path):
     """Inside Blender the package is bl_ext.<repository>.tg4mm: nothing may import `tg4mm` by that name."""
-    source = Path(tg4mm.__file__).parent
+    source = Path(tg4mm.__file__).parent / "core"
     target = tmp_path / "extension" / "core"
     shutil.copytree(source / "splatfile", target / "splatfile", ignore=shutil.ignore_patterns("__pycache__"))
     for name in ("errors.py", "temporary.py", "untrusted.py"):
@@ -52,5 +54,5 @@ def test_a_copy_inside_another_package_works(make, tmp_path):
 
 
 def test_the_block_itself_works(tmp_path):
-    code = "import sys; sys.modules['numpy'] = None; import tg4mm.splatfile"
+    code = "import sys; sys.modules['numpy'] = None; import tg4mm.core.splatfile"
     assert run(code).returncode != 0

@@ -5,7 +5,7 @@ import random
 import numpy as np
 import pytest
 
-from tg4mm.splatfile import read_splat
+from tg4mm.core.splatfile import read_splat
 
 
 def rows(*values):

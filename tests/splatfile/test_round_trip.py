@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from plyfile import PlyData
 
-from tg4mm.errors import SplatFileError
-from tg4mm.splatfile import SplatFile, read_splat, write_splat
+from tg4mm.core.errors import SplatFileError
+from tg4mm.core.splatfile import SplatFile, read_splat, write_splat
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import torch
 
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.run import UNCERTAINTY, Run
-from tg4mm.view.scene import Scene, open_scene
+from tg4mm.show.view.scene import Scene, open_scene
 
 DEVIATION = 2e-4  # scene units
 

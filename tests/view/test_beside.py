@@ -8,8 +8,8 @@ import numba
 import numpy as np
 import pytest
 
-from tg4mm.view.painter import Look, Painter
-from tg4mm.view.scene import Scene
+from tg4mm.show.view.painter import Look, Painter
+from tg4mm.show.view.scene import Scene
 
 
 def test_pictures_are_drawn_at_the_moments_that_a_measurement_gives(

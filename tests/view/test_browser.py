@@ -14,11 +14,11 @@ import pytest
 from PIL import Image
 
 from tests.view.browser import browser
-from tg4mm.view.app import App, canvas_of
-from tg4mm.view.clock import Clock
-from tg4mm.view.painter import Look
-from tg4mm.view.scene import Scene
-from tg4mm.view.session import Session
+from tg4mm.show.view.app import App, canvas_of
+from tg4mm.show.view.clock import Clock
+from tg4mm.show.view.painter import Look
+from tg4mm.show.view.scene import Scene
+from tg4mm.show.view.session import Session
 
 WAIT = 60.0  # seconds; software drawing on a busy machine
 

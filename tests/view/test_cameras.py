@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tg4mm.render.cameras import Camera, look_at
-from tg4mm.view.cameras import camera_of, middle_depth, overview, rotation_of, standpoint_of
+from tg4mm.show.render.cameras import Camera, look_at
+from tg4mm.show.view.cameras import camera_of, middle_depth, overview, rotation_of, standpoint_of
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 
-from tg4mm.view.charts import block, spectrum_chart, waveform_chart
+from tg4mm.show.view.charts import block, spectrum_chart, waveform_chart
 
 
 def rects(svg: str, style: str) -> list[dict[str, str]]:

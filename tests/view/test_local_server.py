@@ -8,8 +8,8 @@ import viser
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from tg4mm.errors import Tg4mmError
-from tg4mm.view.local_server import LocalServer, address, start_server, stop_server
+from tg4mm.core.errors import Tg4mmError
+from tg4mm.show.view.local_server import LocalServer, address, start_server, stop_server
 
 
 @pytest.fixture

@@ -5,13 +5,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from tg4mm.motion.animate import animate
-from tg4mm.render.frames import to_bytes
-from tg4mm.render.image import render_image
-from tg4mm.report.colour import amount_colours
-from tg4mm.view.colours import Colour, choices, gaussian_colours, legend
-from tg4mm.view.painter import Look, Painter
-from tg4mm.view.scene import open_scene
+from tg4mm.core.colour import amount_colours
+from tg4mm.core.pictures.frames import to_bytes
+from tg4mm.fit.motion.animate import animate
+from tg4mm.show.render.image import render_image
+from tg4mm.show.view.colours import Colour, choices, gaussian_colours, legend
+from tg4mm.show.view.painter import Look, Painter
+from tg4mm.show.view.scene import open_scene
 
 
 @pytest.fixture(scope="module")

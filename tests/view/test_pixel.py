@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from tests.view.conftest import DEVIATION
-from tg4mm.motion.animate import displacement_at
-from tg4mm.view.painter import Look, Painter
-from tg4mm.view.pixel import Measurer, modal_waveform, seen_at
-from tg4mm.view.scene import open_scene
+from tg4mm.fit.motion.animate import displacement_at
+from tg4mm.show.view.painter import Look, Painter
+from tg4mm.show.view.pixel import Measurer, modal_waveform, seen_at
+from tg4mm.show.view.scene import open_scene
 
 
 def on_the_ball(scene):

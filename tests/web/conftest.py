@@ -13,9 +13,9 @@ import pytest
 import torch
 
 from tests.helpers.synthetic import make_synthetic_dataset
-from tg4mm.motion.modes import AppearanceModes
+from tg4mm.fit.motion.modes import AppearanceModes
 from tg4mm.run import Run
-from tg4mm.web.write import export_html
+from tg4mm.show.web.write import export_html
 
 # Drawing without a graphics card. Chromium asks root to give up its sandbox.
 CHROMIUM_ARGUMENTS = [

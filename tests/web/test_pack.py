@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from tg4mm.errors import RunError
-from tg4mm.gaussians import Gaussians
-from tg4mm.web.factor import MotionFields, motion_fields
-from tg4mm.web.pack import SH_STEP, Packed, pack, unpack
+from tg4mm.core.errors import RunError
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.show.web.factor import MotionFields, motion_fields
+from tg4mm.show.web.pack import SH_STEP, Packed, pack, unpack
 
 
 @pytest.fixture(scope="module")
@@ -79,6 +79,6 @@ def test_fifty_thousand_gaussians_with_two_modes_fit_in_15_mb(repo_root):
     fields = MotionFields(
         rng.uniform(-1, 1, (4, n, 6)).astype(np.float32), np.ones((4, 2)), np.ones((2, 4), complex)
     )
-    program = (repo_root / "tg4mm" / "web" / "player" / "dist" / "player.js").stat().st_size
+    program = (repo_root / "tg4mm" / "show" / "web" / "player" / "dist" / "player.js").stat().st_size
     size = program + 4 / 3 * len(pack(gaussians, fields).block)
     assert 8e6 < size < 15e6

@@ -17,13 +17,13 @@ import pytest
 from PIL import Image
 
 from tg4mm.capture import load_capture
-from tg4mm.motion.animate import animate
-from tg4mm.motion.modes import ModalMotion
-from tg4mm.render.cameras import Camera, capture_cameras
-from tg4mm.render.image import render_image
+from tg4mm.fit.motion.animate import animate
+from tg4mm.fit.motion.modes import ModalMotion
 from tg4mm.run import Run
-from tg4mm.web.scene import camera_json
-from tg4mm.web.write import export_html
+from tg4mm.show.render.cameras import Camera, capture_cameras
+from tg4mm.show.render.image import render_image
+from tg4mm.show.web.scene import camera_json
+from tg4mm.show.web.write import export_html
 
 pytestmark = pytest.mark.slow
 LEAST_DB = 35.0

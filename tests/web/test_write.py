@@ -12,9 +12,9 @@ import pytest
 
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.cli import main
-from tg4mm.errors import RunError, Tg4mmError
+from tg4mm.core.errors import RunError, Tg4mmError
 from tg4mm.run import Run
-from tg4mm.web.write import Page, export_html, make_page, render
+from tg4mm.show.web.write import Page, export_html, make_page, render
 
 
 def scene_of(text: str) -> dict:
@@ -127,12 +127,14 @@ def stale(player: Path) -> list[str]:
 
 
 def test_the_program_is_built_from_its_sources(repo_root):
-    found = stale(repo_root / "tg4mm" / "web" / "player")
-    assert not found, f"changed since the last build: {found}; cd tg4mm/web/player && npm ci && npm run build"
+    found = stale(repo_root / "tg4mm" / "show" / "web" / "player")
+    assert not found, (
+        f"changed since the last build: {found}; cd tg4mm/show/web/player && npm ci && npm run build"
+    )
 
 
 def test_a_program_older_than_its_sources_is_seen(repo_root, tmp_path):
-    player = repo_root / "tg4mm" / "web" / "player"
+    player = repo_root / "tg4mm" / "show" / "web" / "player"
     for name in json.loads((player / "dist" / "sources.json").read_text()):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_bytes((player / name).read_bytes())

@@ -9,10 +9,10 @@ import numpy as np
 from tg4mm.capture.colmap_model import ColmapCamera, ColmapImage, ColmapModel, read_model
 from tg4mm.capture.confine import image_path, inside
 from tg4mm.capture.model import Capture
-from tg4mm.capture.records import Record
 from tg4mm.capture.scene import read_scene
 from tg4mm.capture.transforms import View, assemble, in_order
-from tg4mm.errors import CaptureError, MissingSplitError
+from tg4mm.core.errors import CaptureError, MissingSplitError
+from tg4mm.core.records import Record
 
 LAYOUT = "a COLMAP folder (images/ and sparse/0/)"
 IMAGES = "images"

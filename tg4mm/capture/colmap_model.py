@@ -15,7 +15,7 @@ from typing import TypeVar
 import numpy as np
 
 from tg4mm.capture.model import SurfacePoints
-from tg4mm.errors import CaptureError
+from tg4mm.core.errors import CaptureError
 
 # COLMAP's numbers of its camera models, and how many parameters each has.
 MODELS = {

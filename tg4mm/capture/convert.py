@@ -14,9 +14,9 @@ import numpy as np
 from tg4mm.capture.model import Capture, SurfacePoints
 from tg4mm.capture.points import write_points
 from tg4mm.capture.readers import load_capture
-from tg4mm.errors import CaptureError, MissingSplitError
-from tg4mm.files import link_or_copy, write_atomic, write_json
-from tg4mm.progress import progress
+from tg4mm.core.errors import CaptureError, MissingSplitError
+from tg4mm.core.files import link_or_copy, write_atomic, write_json
+from tg4mm.core.progress import progress
 
 POINTS = "points3d.ply"
 _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])

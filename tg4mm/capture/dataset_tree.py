@@ -10,7 +10,7 @@ from tg4mm.capture.confine import inside
 from tg4mm.capture.model import Capture
 from tg4mm.capture.scene import read_scene
 from tg4mm.capture.transforms import assemble, read_views
-from tg4mm.errors import CaptureError
+from tg4mm.core.errors import CaptureError
 
 LAYOUT = "a dataset tree (scene.json and timestep folders 000, 001, …)"
 

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tg4mm.capture.decode import THREADS, decode, image_header
 from tg4mm.capture.model import Capture
-from tg4mm.errors import CaptureError
-from tg4mm.progress import Update, progress
+from tg4mm.core.errors import CaptureError
+from tg4mm.core.pictures.decode import THREADS, decode, image_header
+from tg4mm.core.progress import Update, progress
 
 WHITE = (1.0, 1.0, 1.0)
 _SHOWN = 50_000_000  # pixels, which take some two seconds: reading more shows how far it is

@@ -7,7 +7,7 @@ from pathlib import Path
 from tg4mm.capture.model import Capture
 from tg4mm.capture.scene import read_scene
 from tg4mm.capture.transforms import SPLITS, assemble, read_views
-from tg4mm.errors import CaptureError
+from tg4mm.core.errors import CaptureError
 
 LAYOUT = "a NeRF-synthetic folder (transforms_train.json)"
 

@@ -7,10 +7,10 @@ from typing import Any
 
 from tg4mm.capture.model import Capture, SurfacePoints
 from tg4mm.capture.points import read_points
-from tg4mm.capture.records import Record, read_record, shown
 from tg4mm.capture.scene import read_scene
 from tg4mm.capture.transforms import assemble, views_of_frames
-from tg4mm.errors import CaptureError, MissingSplitError
+from tg4mm.core.errors import CaptureError, MissingSplitError
+from tg4mm.core.records import Record, read_record, shown
 
 LAYOUT = "a nerfstudio folder (transforms.json)"
 FILE = "transforms.json"

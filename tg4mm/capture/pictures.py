@@ -15,9 +15,9 @@ from typing import Protocol
 import numpy as np
 
 from tg4mm.capture import Capture, ImageStack
-from tg4mm.capture.decode import THREADS, decode, image_header
-from tg4mm.errors import CaptureError
-from tg4mm.room import release, room
+from tg4mm.core.errors import CaptureError
+from tg4mm.core.pictures.decode import THREADS, decode, image_header
+from tg4mm.core.room import release, room
 
 Strips = Callable[[slice], np.ndarray]  # rows of the picture → [S, rows, W, 4], as stored
 

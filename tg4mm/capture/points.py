@@ -9,8 +9,8 @@ from plyfile import PlyData, PlyElement
 
 from tg4mm.capture.confine import inside
 from tg4mm.capture.model import SurfacePoints
-from tg4mm.errors import CaptureError
-from tg4mm.files import write_atomic
+from tg4mm.core.errors import CaptureError
+from tg4mm.core.files import write_atomic
 
 GREY = 128  # the colour of points that come without one
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from tg4mm.capture import colmap, dataset_tree, nerf_synthetic, nerfstudio
 from tg4mm.capture.model import Capture
 from tg4mm.capture.transforms import SPLITS
-from tg4mm.errors import CaptureError
+from tg4mm.core.errors import CaptureError
 
 READERS = (dataset_tree, nerf_synthetic, nerfstudio, colmap)  # the first that recognises a folder reads it
 

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from tg4mm.capture.confine import inside
-from tg4mm.capture.records import Record, read_record
 from tg4mm.capture.timing import CLOCKS, KINDS
-from tg4mm.errors import CaptureError
+from tg4mm.core.errors import CaptureError
+from tg4mm.core.records import Record, read_record
 
 FORMAT_VERSION = 1
 LONGEST_CODEC_PERIOD = 8  # frames; of a longer one, as between key frames, every frequency is near a multiple

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tg4mm.errors import CaptureError
+from tg4mm.core.errors import CaptureError
 
 # photos: a still scene. flat: one fixed camera and nothing else. tripod: one fixed camera, and pictures of the scene at
 # rest. handheld: one camera that moves all the time. rig: several fixed cameras. clips: one camera that filmed from

@@ -14,13 +14,13 @@ import numpy as np
 
 from tg4mm.capture.cameras import camera_ids, read_intrinsics, read_pose, world_to_camera
 from tg4mm.capture.confine import image_path, inside
-from tg4mm.capture.decode import THREADS, image_header
 from tg4mm.capture.model import Capture, SurfacePoints
 from tg4mm.capture.points import read_points
-from tg4mm.capture.records import Record, read_record, shown
 from tg4mm.capture.scene import Scene
 from tg4mm.capture.timing import check_times, times_of_timesteps
-from tg4mm.errors import CaptureError, MissingSplitError
+from tg4mm.core.errors import CaptureError, MissingSplitError
+from tg4mm.core.pictures.decode import THREADS, image_header
+from tg4mm.core.records import Record, read_record, shown
 
 SPLITS = ("train", "test", "val")
 

@@ -27,11 +27,11 @@ from tg4mm.cli.bench_options import (
 from tg4mm.cli.device import Device, DeviceOption
 from tg4mm.cli.evaluate import parse_alphas
 from tg4mm.cli.train import Preset, split_settings
-from tg4mm.errors import Tg4mmError
+from tg4mm.core.errors import Tg4mmError
 
 if TYPE_CHECKING:
-    from tg4mm.bench.measure import Plan
-    from tg4mm.bench.scenes import ScenesRequest
+    from tg4mm.research.bench.measure import Plan
+    from tg4mm.research.bench.scenes import ScenesRequest
 
 bench = typer.Typer(
     no_args_is_help=True,
@@ -72,9 +72,9 @@ def whole(
         return
     if preset is None or out is None:
         raise Tg4mmError("--preset and --out are needed together, or one of scenes, job, ablation")
-    from tg4mm.bench.presets import Choices, run_preset, steps_of
-    from tg4mm.bench.vqa import checkouts
-    from tg4mm.evaluate.lpips import load_lpips
+    from tg4mm.research.bench.presets import Choices, run_preset, steps_of
+    from tg4mm.research.bench.vqa import checkouts
+    from tg4mm.research.evaluate.lpips import load_lpips
 
     _plan(alphas, True, lpips_weights, device)
     checkouts({"md_vqa": md_vqa, "fast_vqa": fast_vqa}, vqa_python)
@@ -145,8 +145,8 @@ def scenes(
     error and static leak (relative to the rms motion), seconds of each stage, peak memory in MiB. What fails is listed,
     and the rest goes on. OUT/runs holds the runs and pictures.
     """
-    from tg4mm.bench.goals import goals_page
-    from tg4mm.bench.scenes import run_scenes
+    from tg4mm.research.bench.goals import goals_page
+    from tg4mm.research.bench.scenes import run_scenes
 
     if goals is not None and goals.is_dir():
         raise Tg4mmError(f"--goals {goals}: is a folder; expected a file such as {goals / 'goals.md'}")
@@ -163,7 +163,7 @@ def scenes(
     )
     results = run_scenes(datasets, out, replace(request, collect=collect), _say, ablation or [])
     if goals is not None:
-        from tg4mm.bench.folder import write_text
+        from tg4mm.research.bench.folder import write_text
 
         write_text(goals, goals_page(results))
     typer.echo(out / "results.html")
@@ -198,7 +198,7 @@ def job(
 
     Jobs of one OUT may run at once, on any machine that sees the folder. Done again, nothing happens.
     """
-    from tg4mm.bench.scenes import run_one
+    from tg4mm.research.bench.scenes import run_one
 
     vqa = md_vqa, fast_vqa, vqa_python
     never = SameTime.never
@@ -219,13 +219,13 @@ def _request(
 ) -> ScenesRequest:
     plan = _plan(alphas, band, lpips_weights, device)
     given = split_settings(settings or [])
-    from tg4mm.bench.measure import SCORINGS
-    from tg4mm.bench.methods.external import parse_external
-    from tg4mm.bench.methods.known import checked_names
-    from tg4mm.bench.methods.tracking import checked_settings
-    from tg4mm.bench.request import settings_by_preset
-    from tg4mm.bench.scenes import ScenesRequest
-    from tg4mm.bench.vqa import checkouts
+    from tg4mm.research.bench.measure import SCORINGS
+    from tg4mm.research.bench.methods.external import parse_external
+    from tg4mm.research.bench.methods.known import checked_names
+    from tg4mm.research.bench.methods.tracking import checked_settings
+    from tg4mm.research.bench.request import settings_by_preset
+    from tg4mm.research.bench.scenes import ScenesRequest
+    from tg4mm.research.bench.vqa import checkouts
 
     names = checked_names(methods.split(",")) if methods or not external else ()
     own = {k: given.pop(k) for k in list(given) if k.startswith("tracking.") and "tracking" in names}
@@ -268,8 +268,8 @@ def ablation(
     """
     plan = _plan(alphas, band, None, device)
     given = split_settings(settings or [])
-    from tg4mm.bench.ablation.page import ablation_table
-    from tg4mm.bench.ablation.run import run_ablation
+    from tg4mm.research.bench.ablation.page import ablation_table
+    from tg4mm.research.bench.ablation.run import run_ablation
 
     results = run_ablation(name, datasets, out, None if preset is None else preset.value, given, plan, _say)
     typer.echo(ablation_table(results))
@@ -281,8 +281,8 @@ def _plan(alphas: str | None, band: bool, lpips_weights: list[Path] | None, devi
     wanted = parse_alphas(alphas)
     if wanted is not None and any(not 0 <= a < float("inf") for a in wanted):
         raise Tg4mmError(f"--alphas {alphas!r}: expected numbers of at least 0")
-    from tg4mm.bench.measure import Plan
-    from tg4mm.device import check_device
+    from tg4mm.fit.device import check_device
+    from tg4mm.research.bench.measure import Plan
 
     check_device(device.value)
     return Plan(

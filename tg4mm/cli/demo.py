@@ -19,6 +19,6 @@ def demo(
     Renders a vibrating scene in Blender, trains, magnifies the motion by α = 20, compares it with the ground truth,
     exports a splat file, and writes OUT/report.html.
     """
-    from tg4mm.demo import run_demo
+    from tg4mm.research.demo import run_demo
 
     run_demo(out, size, typer.echo)

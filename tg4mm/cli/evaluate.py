@@ -19,7 +19,7 @@ from tg4mm.cli.magnify import (
     temporal_filter,
     warn_too_far,
 )
-from tg4mm.errors import Tg4mmError
+from tg4mm.core.errors import Tg4mmError
 
 
 def evaluate(
@@ -49,10 +49,10 @@ def evaluate(
     """
     wanted, asked = parse_alphas(alphas), parse_bands(band)
     chosen_filter = temporal_filter(filter, asked)
-    from tg4mm.device import check_device
-    from tg4mm.evaluate import evaluate_run, format_table
-    from tg4mm.evaluate.wanted import check_alphas, target_file
-    from tg4mm.magnify import BandGain, Magnification
+    from tg4mm.core.magnification import BandGain, Magnification
+    from tg4mm.fit.device import check_device
+    from tg4mm.research.evaluate import evaluate_run, format_table
+    from tg4mm.research.evaluate.wanted import check_alphas, target_file
     from tg4mm.run import Run
 
     check_device(device.value)

@@ -22,7 +22,7 @@ from tg4mm.cli.magnify import (
     temporal_filter,
     warn_too_far,
 )
-from tg4mm.errors import Tg4mmError
+from tg4mm.core.errors import Tg4mmError
 
 
 class Format(StrEnum):
@@ -111,16 +111,16 @@ def export(
         )
     check_paired(alphas, asked)
     chosen_filter = temporal_filter(filter, asked)
-    from tg4mm.export import splat as plain
-    from tg4mm.export.formats import export_gltf, export_spz, export_spz_sequence, export_usd
-    from tg4mm.render import RenderRequest
     from tg4mm.run import Run
+    from tg4mm.show.export import splat as plain
+    from tg4mm.show.export.formats import export_gltf, export_spz, export_spz_sequence, export_usd
+    from tg4mm.show.render import RenderRequest
 
     opened, baked = Run.open(run), low_pass is LowPass.baked
     if format is Format.ply:
         plain.export_ply(opened, out, baked)
     elif format is Format.html:
-        from tg4mm.web.write import export_html
+        from tg4mm.show.web.write import export_html
 
         export_html(opened, out)
     elif rest:

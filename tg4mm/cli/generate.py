@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from tg4mm.generator import run_generator
+from tg4mm.research.generator import run_generator
 
 
 def generate(context: typer.Context) -> None:

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from tg4mm.errors import Tg4mmError
+from tg4mm.core.errors import Tg4mmError
 
 if TYPE_CHECKING:
-    from tg4mm.magnify import BandGain, Magnification, TemporalFilter
+    from tg4mm.core.filters import TemporalFilter
+    from tg4mm.core.magnification import BandGain, Magnification
     from tg4mm.run import Run
 
 _LOG = logging.getLogger("tg4mm")
@@ -116,7 +117,7 @@ def known_bands(run: Run, bands: Sequence[tuple[float, float] | None]) -> list[t
     """The bands, `auto` as what it stands for, which is said. Raises Tg4mmError where the run has no vibration."""
     if None not in bands:
         return [band for band in bands if band is not None]
-    from tg4mm.result.requested import auto_band
+    from tg4mm.show.result.requested import auto_band
 
     auto, line = auto_band(run)
     _LOG.info(line)
@@ -125,7 +126,7 @@ def known_bands(run: Run, bands: Sequence[tuple[float, float] | None]) -> list[t
 
 def check_magnified(run: Run, plan: Magnification, allow_empty: bool) -> None:
     """Raise Tg4mmError for a band without motion, unless allowed."""
-    from tg4mm.result.requested import refuse_empty
+    from tg4mm.show.result.requested import refuse_empty
 
     if not allow_empty:
         refuse_empty(run, plan)
@@ -133,7 +134,7 @@ def check_magnified(run: Run, plan: Magnification, allow_empty: bool) -> None:
 
 def warn_too_far(run: Run, plan: Magnification) -> None:
     """Say where motion is shown reversed, or goes further than it holds."""
-    from tg4mm.result.requested import reversed_motion, too_far
+    from tg4mm.show.result.requested import reversed_motion, too_far
 
     for line in (reversed_motion(plan), too_far(run, plan)):
         if line is not None:
@@ -149,7 +150,7 @@ def check_paired(alphas: Sequence[float], bands: Sequence[object]) -> None:
 
 def paired(alphas: Sequence[float], bands: Sequence[tuple[float, float]]) -> dict[str, Any]:
     """alpha, band and bands of a RenderRequest."""
-    from tg4mm.magnify import BandGain
+    from tg4mm.core.magnification import BandGain
 
     if len(bands) <= 1:
         return {"alpha": alphas[0], "band": bands[0] if bands else None}
@@ -161,7 +162,7 @@ def temporal_filter(kind: Filter | None, bands: Sequence[object]) -> TemporalFil
     """The filter asked for. Raises Tg4mmError where there is no band to filter by."""
     if kind is not None and not bands:
         raise Tg4mmError(f"--filter {kind.value} goes with --band: without one nothing is filtered")
-    from tg4mm.magnify import TemporalFilter
+    from tg4mm.core.filters import TemporalFilter
 
     return None if kind is None else TemporalFilter(kind.value)
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from tg4mm.errors import Tg4mmError
+from tg4mm.core.errors import Tg4mmError
 
 
 def measure(
@@ -48,12 +48,12 @@ def measure(
     The displacement of a sensor is measured in the pictures, frame by frame, with a standard deviation for each sample
     (mm if the scale is known, else scene units). Its spectrum (Hz) has a noise floor and the peaks above it.
     """
-    from tg4mm.lock import held
-    from tg4mm.measure import measure as measured
-    from tg4mm.measure import parse_sensor, prepare, read_sensors
-    from tg4mm.measure.sensors import checked_names
-    from tg4mm.measure.write import claim
+    from tg4mm.core.lock import held
     from tg4mm.run import Run
+    from tg4mm.show.measure import measure as measured
+    from tg4mm.show.measure import parse_sensor, prepare, read_sensors
+    from tg4mm.show.measure.sensors import checked_names
+    from tg4mm.show.measure.write import claim
 
     asked = [*(read_sensors(sensors) if sensors else []), *(parse_sensor(text) for text in sensor or [])]
     checked_names(asked)
@@ -70,11 +70,11 @@ def measure(
 
 def _written(found, out: Path, animate: bool) -> str:
     """The table, and where everything lies."""
-    from tg4mm.measure.animate import write_animations
-    from tg4mm.measure.plots import write_plots
-    from tg4mm.measure.table import format_table
-    from tg4mm.measure.uff import write_uff
-    from tg4mm.measure.write import write_csv_files, write_json_file
+    from tg4mm.show.measure.animate import write_animations
+    from tg4mm.show.measure.plots import write_plots
+    from tg4mm.show.measure.table import format_table
+    from tg4mm.show.measure.uff import write_uff
+    from tg4mm.show.measure.write import write_csv_files, write_json_file
 
     write_json_file(found, out)
     write_csv_files(found, out)

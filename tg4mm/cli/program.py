@@ -9,8 +9,7 @@ from typing import Annotated
 
 import typer
 
-from tg4mm import __version__, events
-from tg4mm.ahead import enable
+from tg4mm import __version__
 from tg4mm.cli.bench import bench
 from tg4mm.cli.convert import convert
 from tg4mm.cli.demo import demo
@@ -24,7 +23,9 @@ from tg4mm.cli.report import report
 from tg4mm.cli.sfm import sfm
 from tg4mm.cli.train import train
 from tg4mm.cli.view import view
-from tg4mm.errors import Tg4mmError
+from tg4mm.core import events
+from tg4mm.core.errors import Tg4mmError
+from tg4mm.fit.ahead import enable
 
 BAD_INPUT, INTERRUPTED = 2, 130
 # What the extra `core` installs; the commands that train, render or evaluate need it.

@@ -22,11 +22,11 @@ from tg4mm.cli.magnify import (
     temporal_filter,
     warn_too_far,
 )
-from tg4mm.errors import CaptureError, Tg4mmError
+from tg4mm.core.errors import CaptureError, Tg4mmError
 
 if TYPE_CHECKING:
-    from tg4mm.render import Camera
     from tg4mm.run import Run
+    from tg4mm.show.render import Camera
 
 
 class Split(StrEnum):
@@ -80,9 +80,9 @@ def render(
     asked = parse_bands(band)
     check_paired(alpha, asked)
     chosen_filter = temporal_filter(filter, asked)
-    from tg4mm.device import check_device
-    from tg4mm.render import RenderRequest, render_orbit, render_sequence
+    from tg4mm.fit.device import check_device
     from tg4mm.run import Run
+    from tg4mm.show.render import RenderRequest, render_orbit, render_sequence
 
     check_device(device.value)
     opened = Run.open(run)
@@ -102,7 +102,7 @@ def render(
 def split_cameras(run: Run, split: Split | None) -> tuple[Camera, ...]:
     """The cameras of one split of the run's dataset; None is the test split, with an error that names the others."""
     from tg4mm.capture import load_capture
-    from tg4mm.render import capture_cameras
+    from tg4mm.show.render import capture_cameras
 
     try:
         return capture_cameras(load_capture(run.dataset, split=(split or Split.test).value))
@@ -116,7 +116,7 @@ def split_cameras(run: Run, split: Split | None) -> tuple[Camera, ...]:
 def file_cameras(run: Run, path: Path) -> tuple[Camera, ...]:
     """The cameras of a file; pictures are as large as the dataset's where the file does not say."""
     from tg4mm.capture import load_capture
-    from tg4mm.render import cameras_from_file
+    from tg4mm.show.render import cameras_from_file
 
     capture = load_capture(run.dataset)
     return cameras_from_file(path, (capture.width, capture.height))
@@ -125,7 +125,7 @@ def file_cameras(run: Run, path: Path) -> tuple[Camera, ...]:
 def orbit_cameras(run: Run, n: int) -> tuple[Camera, ...]:
     """`n` cameras on a circle around what the dataset's cameras look at, or else the Gaussians' middle."""
     from tg4mm.capture import load_capture
-    from tg4mm.render import orbit
+    from tg4mm.show.render import orbit
 
     centre = run.load_space().means.median(dim=0).values.numpy()
     return orbit(load_capture(run.dataset), n, centre)

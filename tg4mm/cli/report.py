@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from tg4mm.cli.magnify import BandOption, EmptyBandOption, known_bands, parse_bands
-from tg4mm.errors import Tg4mmError
+from tg4mm.core.errors import Tg4mmError
 
 
 def report(
@@ -42,12 +42,12 @@ def report(
         raise Tg4mmError(
             f"--band is given {len(asked)} times: a report magnifies one band, or every frequency"
         )
-    from tg4mm.magnify import BandGain, Magnification
-    from tg4mm.measure import parse_sensor
-    from tg4mm.measure.sensors import checked_names
-    from tg4mm.report import ReportOptions, write_report
-    from tg4mm.result.requested import refuse_empty
+    from tg4mm.core.magnification import BandGain, Magnification
     from tg4mm.run import Run
+    from tg4mm.show.measure import parse_sensor
+    from tg4mm.show.measure.sensors import checked_names
+    from tg4mm.show.report import ReportOptions, write_report
+    from tg4mm.show.result.requested import refuse_empty
 
     sensors = checked_names([parse_sensor(text) for text in sensor or []])
     opened = Run.open(run)

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tg4mm.errors import Tg4mmError
+from tg4mm.core.errors import Tg4mmError
 
 if TYPE_CHECKING:
-    from tg4mm.sfm.scale import Length
+    from tg4mm.capture.sfm.scale import Length
 
 
 class Intrinsics(StrEnum):
@@ -144,7 +144,7 @@ def sfm(
     """
     if threads < 0:
         raise Tg4mmError(f"--threads is {threads}, expected 0 (all cores) or more")
-    from tg4mm.sfm.reconstruct import SfmConfig, reconstruct
+    from tg4mm.capture.sfm.reconstruct import SfmConfig, reconstruct
 
     if length is not None and length_file is not None:
         raise Tg4mmError("--length and --length-file exclude each other: both say how large the scene is")
@@ -186,7 +186,7 @@ def sfm(
 def _length(
     given: tuple[str, float, float, str, float, float, float] | None, path: Path | None
 ) -> Length | None:
-    from tg4mm.sfm.scale import Length, read_length
+    from tg4mm.capture.sfm.scale import Length, read_length
 
     if path is not None:
         return read_length(path)

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from tg4mm.cli.device import Device, DeviceOption
-from tg4mm.errors import Tg4mmError
+from tg4mm.core.errors import Tg4mmError
 
 
 class Preset(StrEnum):
@@ -24,8 +24,8 @@ class Preset(StrEnum):
 def _list_settings(wanted: bool) -> None:
     if not wanted:
         return
-    from tg4mm.settings import listed
-    from tg4mm.train import PRESETS
+    from tg4mm.core.settings import listed
+    from tg4mm.run.train import PRESETS
 
     for preset, defaults in PRESETS.items():
         typer.echo(f"--preset {preset}")
@@ -72,8 +72,8 @@ def train(
     finished run it prints the result again.
     """
     chosen = split_settings(settings or [])
-    from tg4mm.result import lines_of, result_of
-    from tg4mm.train import train as train_run
+    from tg4mm.run.train import train as train_run
+    from tg4mm.show.result import lines_of, result_of
 
     run = train_run(dataset, out, preset.value, device.value, chosen)
     typer.echo("\n".join(lines_of(result_of(run))))

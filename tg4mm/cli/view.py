@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tg4mm.cli.magnify import BandOption, parse_bands
-from tg4mm.errors import Tg4mmError
+from tg4mm.core.errors import Tg4mmError
 
 if TYPE_CHECKING:
-    from tg4mm.view.session import Session
+    from tg4mm.show.view.session import Session
 
 
 def view(
@@ -47,7 +47,7 @@ def view(
         raise Tg4mmError(
             f"this command needs {error.name}: pip install '.[core,view]' in a copy of the repository"
         ) from None
-    from tg4mm.view.app import App
+    from tg4mm.show.view.app import App
 
     session = _session(run, alpha, bands[0] if bands else None)
     app = App(session, port, out or run / "view")
@@ -65,12 +65,12 @@ def view(
 
 
 def _session(run: Path, alpha: float | None, band: tuple[float, float] | None) -> Session:
-    from tg4mm.capture import check_band
+    from tg4mm.core.band import check_band
     from tg4mm.run import Run
-    from tg4mm.view.clock import Clock, slow_enough
-    from tg4mm.view.painter import Look
-    from tg4mm.view.scene import open_scene
-    from tg4mm.view.session import Session
+    from tg4mm.show.view.clock import Clock, slow_enough
+    from tg4mm.show.view.painter import Look
+    from tg4mm.show.view.scene import open_scene
+    from tg4mm.show.view.session import Session
 
     scene = open_scene(Run.open(run))
     if band is not None and scene.motion is not None:

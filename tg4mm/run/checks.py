@@ -13,8 +13,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from tg4mm.errors import RunError
-from tg4mm.gaussians import Gaussians
+from tg4mm.core.errors import RunError
+from tg4mm.fit.gaussians import Gaussians
 
 GAUSSIANS = dict.fromkeys(("means", "quats", "scales", "opacities", "sh"), torch.float32)
 LIGHT = {"light_shapes": torch.float32, "light_series": torch.complex128}  # of a motion, both or none

@@ -10,10 +10,11 @@ from importlib import metadata
 from pathlib import Path, PurePath
 from typing import Any
 
-from tg4mm import __version__, untrusted
-from tg4mm.errors import RunError
-from tg4mm.lock import LOCK
-from tg4mm.temporary import is_temporary
+from tg4mm import __version__
+from tg4mm.core import untrusted
+from tg4mm.core.errors import RunError
+from tg4mm.core.lock import LOCK
+from tg4mm.core.temporary import is_temporary
 
 FORMAT = "tg4mm"
 VERSION = 1

@@ -6,7 +6,7 @@
     RUN/uncertainty.safetensors     how uncertain the motion of every Gaussian is
     RUN/log.json                    figures of every stage: seconds, peak_memory_mib, psnr, …
     RUN/checkpoint_<stage>.safetensors   state of an unfinished stage
-    RUN/triplane.safetensors, RUN/planes_0001.safetensors …   parts of the preset `paper` (tg4mm/paper/model.py)
+    RUN/triplane.safetensors, RUN/planes_0001.safetensors …   parts of the preset `paper` (tg4mm/research/paper/model.py)
 
 Every file is written under a temporary name and renamed. The safetensors files carry metadata
 {format, kind, version, config, digest}; complex tensors are stored as two real ones (`name#re`, `name#im`).
@@ -24,11 +24,12 @@ import torch
 from safetensors import safe_open
 from torch import Tensor
 
-from tg4mm.errors import RunError
-from tg4mm.files import to_json, write_json
-from tg4mm.gaussians import Gaussians
-from tg4mm.motion.config import MotionConfig
-from tg4mm.motion.modes import ModalMotion, MotionFit
+from tg4mm.core.errors import RunError
+from tg4mm.core.files import to_json, write_json
+from tg4mm.core.temporary import remove_leftovers
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.config import MotionConfig
+from tg4mm.fit.motion.modes import ModalMotion, MotionFit
 from tg4mm.run.checks import (
     GAUSSIANS,
     check_finite,
@@ -49,7 +50,6 @@ from tg4mm.run.config import (
 from tg4mm.run.log import checked_log, with_figures
 from tg4mm.run.motion_file import motion_of, tensors_of
 from tg4mm.run.tensor_file import DIGEST, read_tensors, write_tensors
-from tg4mm.temporary import remove_leftovers
 
 UNCERTAINTY = "uncertainty"  # a part: how uncertain the motion of every Gaussian is, docs/conventions.md
 

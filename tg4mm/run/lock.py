@@ -6,13 +6,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from tg4mm.lock import held
+from tg4mm.core.lock import held
 from tg4mm.run.config import check_empty
 
 
 @contextmanager
 def claimed(path: Path | str) -> Iterator[None]:
-    """Hold the run folder (`tg4mm.lock.held`).
+    """Hold the run folder (`tg4mm.core.lock.held`).
 
     Raises RunError if another process holds it, or if the folder holds something else than a run.
     """

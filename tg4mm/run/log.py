@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from tg4mm.errors import RunError
-from tg4mm.files import to_json
+from tg4mm.core.errors import RunError
+from tg4mm.core.files import to_json
 
 _ADDED_UP = ("seconds", "peak_memory_mib")
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from safetensors import safe_open
 
-from tg4mm.errors import RunError
+from tg4mm.core.errors import RunError
 from tg4mm.run.tensor_file import DIGEST
 
 _FILES = ("space", "motion", "triplane")

@@ -14,9 +14,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tg4mm.errors import RunError
-from tg4mm.motion.modes import AppearanceModes, ModalMotion, fields_of
-from tg4mm.motion.spectrum import apply_series
+from tg4mm.core.errors import RunError
+from tg4mm.fit.motion.modes import AppearanceModes, ModalMotion, fields_of
+from tg4mm.fit.motion.spectrum import apply_series
 from tg4mm.run.checks import FIELDS, LIGHT, PHASORS, check_frequencies, check_tensors
 
 _MOST_BYTES = 32 << 30  # of phasors: a small file can name many modes

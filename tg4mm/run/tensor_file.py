@@ -14,9 +14,9 @@ from safetensors import safe_open
 from safetensors.torch import save
 from torch import Tensor
 
-from tg4mm.errors import RunError
-from tg4mm.files import WINDOWS, write_atomic
-from tg4mm.untrusted import parse_json
+from tg4mm.core.errors import RunError
+from tg4mm.core.files import WINDOWS, write_atomic
+from tg4mm.core.untrusted import parse_json
 
 FORMAT = "tg4mm"
 DIGEST = "digest"  # header entry: a flipped bit in a number would be a wrong result in silence

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests.splatfile.conftest import random_splat
-from tg4mm.splatfile import SplatFile
+from tg4mm.core.splatfile import SplatFile
 
 NODE = Path(__file__).parent / "node"
 

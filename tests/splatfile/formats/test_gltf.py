@@ -8,10 +8,10 @@ import pytest
 
 from tests.helpers.gltf import parsed
 from tests.splatfile.formats.conftest import turned
-from tg4mm.errors import SplatFileError
-from tg4mm.splatfile import positions_at
-from tg4mm.splatfile.formats.gltf import EXTENSION, write_glb
-from tg4mm.splatfile.formats.y_up import y_up
+from tg4mm.core.errors import SplatFileError
+from tg4mm.core.splatfile import positions_at
+from tg4mm.show.export.gltf import EXTENSION, write_glb
+from tg4mm.show.export.y_up import y_up
 
 ALPHAS = np.array([4.0, -0.5])
 

@@ -8,9 +8,9 @@ import pytest
 from pxr import Usd, UsdGeom, UsdValidation
 
 from tests.splatfile.formats.conftest import angles, turned
-from tg4mm.errors import SplatFileError
-from tg4mm.splatfile import SplatFile, positions_at, rotations_at
-from tg4mm.splatfile.formats.usd import write_usd
+from tg4mm.core.errors import SplatFileError
+from tg4mm.core.splatfile import SplatFile, positions_at, rotations_at
+from tg4mm.show.export.usd import write_usd
 
 ROWS = {  # attribute → field, and how many rows a Gaussian has
     "positions": ("means", 1),

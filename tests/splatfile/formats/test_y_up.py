@@ -5,9 +5,9 @@ import pytest
 import torch
 
 from tests.splatfile.formats.conftest import turned
-from tg4mm.rasterize.reference import rotation_matrices, sh_colours
-from tg4mm.splatfile import positions_at, rotations_at
-from tg4mm.splatfile.formats.y_up import TURN, harmonics_turn, y_up
+from tg4mm.core.splatfile import positions_at, rotations_at
+from tg4mm.fit.rasterize.reference import rotation_matrices, sh_colours
+from tg4mm.show.export.y_up import TURN, harmonics_turn, y_up
 
 
 def test_up_becomes_y_and_handedness_stays():

@@ -1,0 +1,1 @@
+"""Files in and out: from chosen paths to objects, text to files."""

@@ -1,0 +1,156 @@
+"""File > Import > TG4MM splats, and dropping a PLY into the 3D view."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import bpy
+from bpy.props import BoolProperty, CollectionProperty, IntProperty, StringProperty
+from bpy_extras.io_utils import ImportHelper
+
+from .. import compat, names, preferences
+from ..core.errors import SplatFileError
+from ..nodes import scene
+from ..nodes.blending import true_colours
+from ..panels import showing
+from . import loading, receiving
+
+
+class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
+    """Import Gaussian splats with their motion as points that move"""
+
+    bl_idname = "import_scene.tg4mm_splat"
+    bl_label = "Import TG4MM Splats"
+    bl_options = {"REGISTER", "UNDO", "PRESET"}  # noqa: RUF012
+
+    filename_ext = ".ply"
+    filter_glob: StringProperty(default="*.ply", options={"HIDDEN"})  # type: ignore[valid-type]
+    # SKIP_SAVE: else a file of the last import comes along with the next.
+    files: CollectionProperty(  # type: ignore[valid-type]
+        type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"}
+    )
+    directory: StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})  # type: ignore[valid-type]
+    sequence: BoolProperty(  # type: ignore[valid-type]
+        name="As Sequence",
+        description="Numbered static files such as name_0001.ply, name_0002.ply play one after another; "
+        "one of them brings its neighbours along",
+        default=True,
+    )
+    timeline: BoolProperty(  # type: ignore[valid-type]
+        name="Set Timeline",
+        description="Take frame rate (Hz) and frame range from a file with motion, where nothing moves in the scene "
+        "yet. The motion takes as long as it took at any frame rate",
+        default=True,
+    )
+    colours: BoolProperty(  # type: ignore[valid-type]
+        name="True Colours",
+        description="Set the scene's view transform to Standard, as other splat viewers show the colours, and Cycles' "
+        "transparent bounces high enough for splats",
+        default=True,
+    )
+    show: BoolProperty(  # type: ignore[valid-type]
+        name="Show",
+        description="Frame what is imported in the 3D views, and leave Solid view for Material Preview, since Solid "
+        "view shows splats grey",
+        default=True,
+    )
+    most: IntProperty(  # type: ignore[valid-type]
+        name="Most Gaussians",
+        description="Refuse files with more Gaussians in all than this, before reading them",
+        default=5_000_000,
+        min=1,
+    )
+
+    def invoke(self, context: Any, event: Any) -> set[str]:
+        if not self.properties.is_property_set("most"):
+            self.most = preferences.get(context).most
+        if self.directory and self.files:  # dropped into the view
+            return self.execute(context)
+        return ImportHelper.invoke(self, context, event)
+
+    def execute(self, context: Any) -> set[str]:
+        if context.mode != "OBJECT":  # else the object that is edited stays so, without being the active one
+            bpy.ops.object.mode_set(mode="OBJECT")
+        collection = receiving.collection(context)
+        manager = context.window_manager
+        manager.progress_begin(0, 100)
+        try:
+            loaded = loading.load(
+                self._paths(),
+                collection,
+                self.sequence,
+                self.most,
+                lambda part: manager.progress_update(int(100 * part)),
+            )
+        except SplatFileError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        except MemoryError:
+            self.report({"ERROR"}, f"{self._paths()[0]}: not enough memory for it")
+            return {"CANCELLED"}
+        finally:
+            manager.progress_end()
+        for obj in loaded.objects:
+            _draw_as(obj, preferences.get(context).draw_as)
+        _select(context, loaded.objects)
+        if self.show:
+            showing.show(context, loaded.objects)
+        message = "; ".join([loaded.message, *self._set_up(context, loaded)])
+        if collection != context.collection:
+            message += f"; in {collection.name}, as {context.collection.name} is hidden or linked"
+        self.report({"INFO"}, message)
+        return {"FINISHED"}
+
+    def _set_up(self, context: Any, loaded: loading.Loaded) -> list[str]:
+        """Set what the options ask for in the scene; returns what was changed."""
+        told = []
+        if self.timeline:
+            told.append(scene.set_timeline(context.scene, loaded.objects, loaded.fps, loaded.n_timesteps))
+        if self.colours:
+            told.append(true_colours(context.scene))
+        return [words for words in told if words]
+
+    def _paths(self) -> list[Path]:
+        chosen = [Path(self.directory) / file.name for file in self.files if file.name]
+        return chosen or [Path(self.filepath)]
+
+
+class IO_FH_tg4mm_splat(bpy.types.FileHandler):
+    bl_idname = "IO_FH_tg4mm_splat"
+    bl_label = "TG4MM Splats"
+    bl_import_operator = IMPORT_SCENE_OT_tg4mm_splat.bl_idname
+    bl_file_extensions = ".ply"
+
+    @classmethod
+    def poll_drop(cls, context: Any) -> bool:
+        return context.area is not None and context.area.type in {"VIEW_3D", "OUTLINER"}
+
+
+def _draw_as(obj: Any, wanted: str) -> None:
+    # What does not move has no arrows.
+    if wanted != names.ARROWS or scene.moves(obj):
+        compat.set_input(scene.splat_modifier(obj), names.DRAW, wanted)
+
+
+def _select(context: Any, objects: list[Any]) -> None:
+    """Make what was imported active, and select nothing: outlines round thousands of splats hide their colours."""
+    for other in (*context.selected_objects, *objects):
+        other.select_set(False)
+    context.view_layer.objects.active = objects[0]
+
+
+def _menu(self: Any, context: Any) -> None:
+    self.layout.operator(IMPORT_SCENE_OT_tg4mm_splat.bl_idname, text="TG4MM Splats (.ply)")
+
+
+def register() -> None:
+    bpy.utils.register_class(IMPORT_SCENE_OT_tg4mm_splat)
+    bpy.utils.register_class(IO_FH_tg4mm_splat)
+    bpy.types.TOPBAR_MT_file_import.append(_menu)
+
+
+def unregister() -> None:
+    bpy.types.TOPBAR_MT_file_import.remove(_menu)
+    bpy.utils.unregister_class(IO_FH_tg4mm_splat)
+    bpy.utils.unregister_class(IMPORT_SCENE_OT_tg4mm_splat)

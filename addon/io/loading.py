@@ -1,0 +1,124 @@
+"""From chosen paths to objects: one file, several, or a numbered sequence; all of them or none."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core.errors import SplatFileError
+from ..core.splatfile import SplatFile, read_splat
+from ..core.splatfile.header import read_header
+from ..nodes import scene
+from .numbered import as_sequence, missing_beside, name_of, run_around
+
+STILL = 1e-6  # of the largest motion: float32 holds no less beside it
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """What an import made, and what to tell about it."""
+
+    objects: list[Any]
+    message: str
+    fps: float  # Hz; 0.0 if no file says
+    n_timesteps: int
+
+
+def load(
+    paths: Sequence[Path], collection: Any, sequences: bool, most: int, step: Callable[[float], None]
+) -> Loaded:
+    """Import the chosen files into `collection`. `step(part)` is called as the work goes on, 0 to 1.
+
+    With `sequences`, static files numbered alike play one after another, and a single one brings the run that
+    it is part of. Raises SplatFileError for a file that cannot be read or for more than `most` Gaussians in
+    all; then nothing is left behind.
+    """
+    moves = [header_of(path).moves for path in paths]
+    frames = _frames(paths) if sequences and not any(moves) else None
+    check_count(frames or paths, most)
+    if frames is not None:
+        return _load_sequence(frames, collection, step)
+    splats = []
+    for i, path in enumerate(paths):
+        splats.append(moving_modes(read_splat(path)))
+        step((i + 1) / (len(paths) + 1))
+    objects = scene.make_objects(splats, [path.stem for path in paths], collection)
+    count, modes = sum(len(splat) for splat in splats), sum(splat.n_modes for splat in splats)
+    longest = max(splats, key=lambda splat: splat.n_timesteps)
+    message = f"{count:,} Gaussians, {modes} mode{'' if modes == 1 else 's'}"
+    return Loaded(objects, message, longest.fps if modes else 0.0, longest.n_timesteps)
+
+
+@dataclass(frozen=True)
+class Head:
+    """What a file's header says before its data are read."""
+
+    count: int
+    moves: bool
+
+
+def moving_modes(splat: SplatFile) -> SplatFile:
+    """The file without modes in which nothing moves: less than STILL of what moves most, Gaussians' turns included."""
+    size = splat.scales.max()
+    reach = np.array(
+        [
+            np.abs(d).max(initial=0.0) + size * np.abs(r).max(initial=0.0)
+            for d, r in zip(splat.displacement, splat.rotation, strict=True)
+        ]
+    )
+    keep = reach > STILL * reach.max(initial=0.0)
+    if keep.all():
+        return splat
+    return replace(
+        splat,
+        freqs_hz=splat.freqs_hz[keep],
+        displacement=splat.displacement[keep],
+        rotation=splat.rotation[keep],
+        deviation=None if splat.deviation is None else splat.deviation[keep],
+    )
+
+
+def header_of(path: Path) -> Head:
+    """Read the header alone. Raises SplatFileError, with the file's name."""
+    try:
+        with path.open("rb") as file:
+            header = read_header(file)
+    except OSError as error:
+        raise SplatFileError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except SplatFileError as error:
+        raise SplatFileError(f"{path}: {error}") from error.__cause__
+    count = sum(element.count for element in header.elements if element.name == "vertex")
+    return Head(count, bool(header.about and header.about.get("frequencies_hz")))
+
+
+def check_count(paths: Sequence[Path], most: int) -> None:
+    """Raises SplatFileError if the files hold more than `most` Gaussians in all; reads no data for it."""
+    total = sum(header_of(path).count for path in paths)
+    if total > most:
+        what = f"{paths[0]}: holds" if len(paths) == 1 else f"{paths[0].parent}: {len(paths)} files hold"
+        raise SplatFileError(f"{what} {total:,} Gaussians, more than Most Gaussians, {most:,}")
+
+
+def _frames(paths: Sequence[Path]) -> list[Path] | None:
+    run = run_around(paths[0]) if len(paths) == 1 else as_sequence(paths)
+    return run if run is not None and len(run) > 1 else None
+
+
+def _load_sequence(frames: list[Path], collection: Any, step: Callable[[float], None]) -> Loaded:
+    def read(path: Path) -> SplatFile:
+        splat = read_splat(path)
+        if splat.n_modes:
+            raise SplatFileError(f"{path}: moves by itself, so it is no frame of a sequence; import it alone")
+        return splat
+
+    obj, most = scene.make_sequence(
+        frames, name_of(frames), collection, read, lambda i: step((i + 1) / len(frames))
+    )
+    message = f"{len(frames)} frames of up to {most:,} Gaussians"
+    if missing := missing_beside(frames[0]):
+        message += f"; there is no file number {', '.join(map(str, missing[:4]))}"
+    return Loaded([obj], message, 0.0, len(frames))

@@ -1,0 +1,177 @@
+"""Splat files as Blender objects: a mesh of points, a node tree that plays it, its materials."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+
+from .. import names
+from ..core.splatfile import SplatFile
+from . import Content, build_player, clock
+from .made import Made
+from .materials import make_materials
+from .points import fill_mesh, main_axis
+from .spectrum import rms_amplitude
+
+NAME_LENGTH = 40  # of what a name may have, so that what is added to it still fits
+
+
+def make_objects(splats: Sequence[SplatFile], labels: Sequence[str], collection: Any) -> list[Any]:
+    """Make an object of each and link them to `collection`. If anything fails, nothing made here is left."""
+    with Made() as made:
+        objects = [
+            _object(splat, label[:NAME_LENGTH], made) for splat, label in zip(splats, labels, strict=True)
+        ]
+        for obj in objects:
+            collection.objects.link(obj)
+    return objects
+
+
+def _object(splat: SplatFile, name: str, made: Made) -> Any:
+    mesh = made.keep(bpy.data.meshes.new(name))
+    fill_mesh(mesh, splat)
+    largest, squares = [], np.zeros(len(splat))
+    for amplitudes in _amplitudes(mesh, splat):
+        largest.append(float(amplitudes.max()))
+        squares += amplitudes.astype(np.float64) ** 2
+    content = Content(
+        count=len(splat),
+        sh_degree=splat.sh_degree,
+        freqs_hz=splat.freqs_hz.tolist(),
+        fps=splat.fps,
+        amplitude=float(np.sqrt(squares.max(initial=0.0))),
+    )
+    obj = _player(name, mesh, content, made)
+    _describe(obj, splat, largest)
+    return obj
+
+
+def make_sequence(
+    paths: Sequence[Path],
+    name: str,
+    collection: Any,
+    read: Callable[[Path], SplatFile],
+    step: Callable[[int], None],
+) -> tuple[Any, int]:
+    """Make an object that shows one file after another, a timestep each; returns it and the largest count.
+
+    The frames are objects of a collection that is in no scene; files may differ in the number of Gaussians.
+    `step(i)` is called after each. If anything fails, nothing made here is left.
+    """
+    with Made() as made:
+        base = _free_name(name[:NAME_LENGTH])
+        frames = made.keep(bpy.data.collections.new(f"{base} frames"))
+        most = degree = 0
+        for i, path in enumerate(paths):
+            splat = read(path)
+            most, degree = max(most, len(splat)), max(degree, splat.sh_degree)
+            mesh = made.keep(bpy.data.meshes.new(f"{base} {i:06d}"))
+            fill_mesh(mesh, splat)
+            frames.objects.link(made.keep(bpy.data.objects.new(mesh.name, mesh)))
+            step(i)
+        content = Content(count=most, sh_degree=degree, frames=frames, n_frames=len(paths))
+        obj = _player(base, made.keep(bpy.data.meshes.new(base)), content, made)
+        obj[names.MARK], obj[names.FPS], obj[names.FREQUENCIES] = 1, 0.0, []
+        obj[names.TIMESTEPS], obj[names.FRAMES] = len(paths), frames.name
+        collection.objects.link(obj)
+    return obj, most
+
+
+def splat_modifier(obj: Any) -> Any | None:
+    """The modifier that moves the object's splats; None if the object is not one of ours."""
+    if obj is None or names.MARK not in obj:
+        return None
+    return obj.modifiers.get(names.MODIFIER)
+
+
+def splat_object(context: Any) -> Any:
+    """The active splat object, or the one that the active probe sphere was made for; None without one."""
+    obj = context.object
+    if obj is None:
+        return None
+    target = obj if names.MARK in obj else obj.get(names.PROBE_OF)
+    modifier = splat_modifier(target)
+    return None if modifier is None or modifier.node_group is None else target
+
+
+def sequence_frames(obj: Any) -> list[Any] | None:
+    """The objects that a sequence shows one after another; None for what is no sequence."""
+    frames = bpy.data.collections.get(obj.get(names.FRAMES, ""))
+    return None if frames is None else sorted(frames.objects, key=lambda frame: frame.name)
+
+
+def moves(obj: Any) -> bool:
+    """True for a splat object with modes of motion."""
+    return splat_modifier(obj) is not None and len(obj[names.FREQUENCIES]) > 0
+
+
+def set_timeline(scene: Any, new: Sequence[Any], fps: float, n_timesteps: int) -> str:
+    """Frame 1 … T, and the frame rate where it is known; what does not move leaves the timeline as it is.
+
+    A scene in which something but the `new` objects moves keeps its timeline: another frame rate would retime its keys.
+    Returns what to tell about it, "" for nothing.
+    """
+    if not fps and n_timesteps <= 1:
+        return ""
+    others = [obj for obj in scene.objects if obj not in new]
+    if any(moves(obj) for obj in others) or any(map(_has_keys, bpy.data.actions)):
+        return f"timeline left at {clock.rate(scene):g} frames a second, as something moves already"
+    scene.frame_start, scene.frame_end = 1, max(1, n_timesteps)
+    if not fps:
+        return ""
+    scene.render.fps = max(1, math.ceil(fps))
+    scene.render.fps_base = scene.render.fps / fps
+    return f"timeline set to {fps:g} frames a second"
+
+
+def _has_keys(action: Any) -> bool:
+    """True for an action that moves something."""
+    first, last = action.frame_range
+    return bool(last > first)
+
+
+def _player(name: str, mesh: Any, content: Content, made: Made) -> Any:
+    """An object with the mesh, its modifier and its materials, in no collection yet."""
+    materials = make_materials(name, made)
+    for material in materials:
+        mesh.materials.append(material)
+    tree = build_player(name, content, materials, made)
+    obj = made.keep(bpy.data.objects.new(name, mesh))
+    obj.modifiers.new(names.MODIFIER, "NODES").node_group = tree
+    return obj
+
+
+def _describe(obj: Any, splat: SplatFile, largest: list[float]) -> None:
+    """Custom properties: what the panel says about the file and what a legend needs."""
+    obj[names.MARK], obj[names.FPS], obj[names.FREQUENCIES] = 1, splat.fps, splat.freqs_hz.tolist()
+    obj[names.TIMESTEPS] = splat.n_timesteps
+    obj[names.MODE_AMPLITUDES] = largest
+    obj[names.MODE_RMS] = [rms_amplitude(a, splat.opacities) for a in _amplitudes(obj.data, splat)]
+    obj[names.MODE_AXES] = [float(x) for phasors in splat.displacement for x in main_axis(phasors)]
+    if splat.low_pass_px2 is not None:
+        obj[names.LOW_PASS] = splat.low_pass_px2
+    if splat.unit_scale_m is not None:
+        obj[names.UNIT_SCALE] = splat.unit_scale_m
+
+
+def _amplitudes(mesh: Any, splat: SplatFile) -> Iterator[np.ndarray]:
+    """[N] the amplitude of every Gaussian, scene units, mode by mode; the array is used again."""
+    values = np.empty(len(splat), np.float32)
+    for k in range(splat.n_modes):
+        mesh.attributes[names.amplitude(k)].data.foreach_get("value", values)
+        yield values
+
+
+def _free_name(name: str) -> str:
+    """`name`, or with a number after it, such that no object's name starts with it: frames go by their names."""
+    taken = [obj.name for obj in bpy.data.objects]
+    free, number = name, 1
+    while any(other.startswith(free) for other in taken):
+        number += 1
+        free = f"{name} {number}"
+    return free

@@ -1,0 +1,17 @@
+"""Operators: each reads its properties, calls a plain function and reports."""
+
+from .io import import_splat
+from .panels import band, look
+from .probe import operators as probe
+
+_MODULES = (import_splat, look, band, probe)
+
+
+def register() -> None:
+    for module in _MODULES:
+        module.register()
+
+
+def unregister() -> None:
+    for module in reversed(_MODULES):
+        module.unregister()

@@ -1,0 +1,1 @@
+"""What the sidebar and the view show, and the pictures in them."""

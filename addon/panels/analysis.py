@@ -1,0 +1,121 @@
+"""Numbers of a splat object, read from its points: amplitude in the band, and what a legend says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .. import compat, names
+from ..core.colour import STILL_BELOW
+from ..core.errors import Tg4mmError
+from ..nodes import scene, spectrum
+from ..units import Unit
+from . import plots, seen
+
+
+@dataclass(frozen=True)
+class Legend:
+    """What the colours stand for, for the panel and for a picture's caption."""
+
+    kind: str  # names.AMPLITUDE_COLOUR or names.PHASE_COLOUR
+    low: float  # scene units, or turns
+    high: float
+    high_mm: float | None  # of an amplitude, where the file says how long a scene unit is
+
+
+def active_modes(obj: Any) -> list[int]:
+    """Numbers of the modes that are shown and inside the band."""
+    modifier = scene.splat_modifier(obj)
+    freqs = [float(f) for f in obj[names.FREQUENCIES]]
+    low, high = (compat.get_input(modifier, name) for name in (names.LOW, names.HIGH))
+    shown = names.toggles(freqs)
+    slack = [1e-6 * max(1.0, f) for f in freqs]  # as in the node tree
+    inside = [low < f + s and high > f - s for f, s in zip(freqs, slack, strict=True)]
+    return [k for k, name in enumerate(shown) if inside[k] and compat.get_input(modifier, name)]
+
+
+def band_amplitude(obj: Any) -> np.ndarray:
+    """[N] scene units: √Σ a_k² over the active modes, not magnified; what Colour By: Amplitude shows.
+
+    Raises Tg4mmError if a person has removed the attributes that hold it.
+    """
+    mesh = obj.data
+    total = np.zeros(len(mesh.vertices))
+    values = np.empty(len(total), np.float32)
+    for k in active_modes(obj):
+        if (attribute := mesh.attributes.get(names.amplitude(k))) is None:
+            raise Tg4mmError(f"Attribute {names.amplitude(k)!r} of the points is gone; import the file again")
+        attribute.data.foreach_get("value", values)
+        total += values.astype(np.float64) ** 2
+    return np.sqrt(total)
+
+
+def fit_colour_range(obj: Any) -> float:
+    """Set the colour range to the largest amplitude in the band, scene units, and return it.
+
+    Raises Tg4mmError where nothing moves in the band.
+    """
+    largest = float(band_amplitude(obj).max(initial=0.0))
+    if largest == 0.0:
+        raise Tg4mmError("Nothing moves in the band")
+    compat.set_input(scene.splat_modifier(obj), names.COLOUR_RANGE, largest)
+    return largest
+
+
+def legend_picture(obj: Any, unit: Unit, settings: Any) -> tuple[Any, ...] | None:
+    """The function of `plots` that draws the legend, and its arguments; None where there is no legend.
+
+    `settings`: the scene's, whose view transform the colours go through as the object's do.
+    """
+    shown = legend(obj)
+    if shown is None:
+        return None
+    modifier = scene.splat_modifier(obj)
+    highest = float(compat.get_input(modifier, names.COLOUR_RANGE))
+    encoded = compat.has_input(modifier, names.BLEND) and bool(compat.get_input(modifier, names.BLEND))
+    if shown.kind == names.PHASE_COLOUR:
+        return plots.phase_legend, STILL_BELOW * highest, unit, seen.phase(settings, encoded)
+    return plots.amplitude_legend, highest, unit, seen.amplitude(settings, encoded)
+
+
+def band(obj: Any) -> tuple[float, float]:
+    """Low and high of the band, Hz."""
+    low, high = (float(compat.get_input(scene.splat_modifier(obj), name)) for name in (names.LOW, names.HIGH))
+    return low, high
+
+
+def set_band(obj: Any, low: float, high: float) -> None:
+    """Set the band, Hz."""
+    modifier = scene.splat_modifier(obj)
+    compat.set_input(modifier, names.LOW, low)
+    compat.set_input(modifier, names.HIGH, high)
+
+
+def mode_strengths(obj: Any, measure: str) -> list[float]:
+    """Amplitude of each mode, scene units: the largest of all Gaussians (PEAK) or their rms (RMS)."""
+    largest = [float(a) for a in obj[names.MODE_AMPLITUDES]]
+    return largest if measure == "PEAK" else [float(a) for a in obj.get(names.MODE_RMS, largest)]
+
+
+def peaks(obj: Any) -> list[float]:
+    """Frequencies, Hz, of the peaks of an object's spectrum."""
+    freqs = [float(f) for f in obj[names.FREQUENCIES]]
+    bin_hz = float(obj[names.FPS]) / max(int(obj[names.TIMESTEPS]), 1)
+    return [freqs[k] for k in spectrum.peaks(freqs, mode_strengths(obj, "RMS"), bin_hz)]
+
+
+def legend(obj: Any) -> Legend | None:
+    """The legend of an object as it is coloured now; None where the colours are the file's."""
+    modifier = scene.splat_modifier(obj)
+    if modifier is None or not compat.has_input(modifier, names.COLOUR_BY):
+        return None
+    kind = compat.get_input(modifier, names.COLOUR_BY)
+    if kind == names.PHASE_COLOUR:
+        return Legend(kind, 0.0, 1.0, None)
+    if kind != names.AMPLITUDE_COLOUR:
+        return None
+    high = compat.get_input(modifier, names.COLOUR_RANGE)
+    unit = obj.get(names.UNIT_SCALE)
+    return Legend(kind, 0.0, high, None if unit is None else 1000.0 * unit * high)

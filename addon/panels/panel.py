@@ -1,0 +1,216 @@
+"""The sidebar of the 3D view, tab TG4MM: import, motion, band, look of the active splat object."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from .. import compat, names, preferences
+from ..nodes import blending, clock, scene, spectrum
+from . import analysis, colour_range, pictures, plots, view_settings
+
+
+class _Tab:
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "TG4MM"
+
+
+class _SplatTab(_Tab):
+    """A panel that is there where a splat object is active; sub-panels name their parent."""
+
+    bl_parent_id = "VIEW3D_PT_tg4mm"
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        return scene.splat_object(context) is not None
+
+
+class _MotionTab(_SplatTab):
+    """A panel that is there where a splat object with modes of motion is active."""
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        return scene.moves(scene.splat_object(context))
+
+
+class VIEW3D_PT_tg4mm(_Tab, bpy.types.Panel):
+    """Splats that move"""
+
+    bl_label = "TG4MM"
+    bl_idname = "VIEW3D_PT_tg4mm"
+
+    def draw(self, context: Any) -> None:
+        layout, obj = self.layout, scene.splat_object(context)
+        if obj is None:
+            layout.operator("import_scene.tg4mm_splat", text="Import Splats", icon="IMPORT")
+            layout.label(text="Select imported splats", icon="INFO")
+            return
+        row = layout.row()
+        row.label(text=obj.name, icon="POINTCLOUD_DATA")
+        row.operator("import_scene.tg4mm_splat", text="Import", icon="IMPORT")
+
+
+class VIEW3D_PT_tg4mm_motion(_SplatTab, bpy.types.Panel):
+    """Magnification and time of the active splat object"""
+
+    bl_label = "Motion"
+    bl_idname = "VIEW3D_PT_tg4mm_motion"
+
+    def draw(self, context: Any) -> None:
+        layout, modifier = self.layout, scene.splat_modifier(scene.splat_object(context))
+        if not compat.has_input(modifier, names.FIRST):
+            layout.label(text="This file holds no motion", icon="INFO")
+            return
+        column = _fields(layout)
+        _draw_all(column, modifier, names.ALPHA, names.SPEED, names.FIRST)
+        _draw_all(layout, modifier, names.LOOP)
+        for line in clock.lines(context.scene, scene.splat_object(context), modifier):
+            layout.label(text=line)
+
+
+class VIEW3D_PT_tg4mm_band(_MotionTab, bpy.types.Panel):
+    """Which frequencies are magnified, beside the spectrum of the file"""
+
+    bl_label = "Band"
+    bl_idname = "VIEW3D_PT_tg4mm_band"
+
+    def draw(self, context: Any) -> None:
+        layout, obj = self.layout, scene.splat_object(context)
+        row = layout.split(factor=0.72)
+        width = 0.72 * pictures.fitting_width(context)
+        pictures.draw(row, width, *spectrum_picture(context, obj))
+        _draw_peaks(row.column(align=True), obj)
+        column, modifier = _fields(layout), scene.splat_modifier(obj)
+        compat.draw_input(column, modifier, names.LOW, text="Low (Hz)")
+        compat.draw_input(column, modifier, names.HIGH, text="High (Hz)")
+
+
+class VIEW3D_PT_tg4mm_frequencies(_MotionTab, bpy.types.Panel):
+    """Which modes are played at all, and what the spectrum shows of them"""
+
+    bl_label = "Frequencies"
+    bl_idname = "VIEW3D_PT_tg4mm_frequencies"
+    bl_parent_id = "VIEW3D_PT_tg4mm_band"
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+
+    def draw(self, context: Any) -> None:
+        layout, obj = self.layout, scene.splat_object(context)
+        layout.label(text="Played")
+        grid = layout.grid_flow(row_major=True, columns=2, even_columns=True)
+        _draw_all(grid, scene.splat_modifier(obj), *names.toggles(obj[names.FREQUENCIES]))
+        layout.label(text="Shown above")
+        layout.row().prop(view_settings.of(context), "measure", expand=True)
+
+
+class VIEW3D_PT_tg4mm_look(_SplatTab, bpy.types.Panel):
+    """How the active splat object is drawn and coloured"""
+
+    bl_label = "Look"
+    bl_idname = "VIEW3D_PT_tg4mm_look"
+
+    def draw(self, context: Any) -> None:
+        layout, obj = self.layout, scene.splat_object(context)
+        modifier = scene.splat_modifier(obj)
+        column = _fields(layout)
+        _draw_all(column, modifier, names.DRAW, names.COLOUR_BY)
+        _draw_colour_range(layout, context, obj)
+        drawn = compat.get_input(modifier, names.DRAW)
+        if drawn == names.ARROWS:
+            _draw_all(_fields(layout), modifier, names.ARROW_LENGTH, names.ARROW_EVERY)
+        on, shading = compat.get_input(modifier, names.SOLID_COLOUR), _shading(context)
+        if on or shading == "SOLID":  # other views show the colours anyway
+            layout.operator("tg4mm.solid_colours", icon="SHADING_SOLID", depress=on).on = not on
+        if drawn == names.SPLATS and names.LOW_PASS not in obj:
+            layout.label(text="Scales as trained: what is thin may have holes", icon="INFO")
+        on = blending.blends_as_trained(context.scene)
+        if on or drawn == names.SPLATS:
+            layout.operator("tg4mm.blend_as_trained", icon="OVERLAY", depress=on).on = not on
+        if context.scene.view_settings.view_transform != blending.view_transform(context.scene):
+            layout.operator("tg4mm.true_colours", icon="COLOR")
+
+
+class VIEW3D_PT_tg4mm_details(_SplatTab, bpy.types.Panel):
+    """Sizes, what is left out, and colours that depend on the view"""
+
+    bl_label = "Size and Opacity"
+    bl_idname = "VIEW3D_PT_tg4mm_details"
+    bl_parent_id = "VIEW3D_PT_tg4mm_look"
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+
+    def draw(self, context: Any) -> None:
+        modifier = scene.splat_modifier(scene.splat_object(context))
+        column = _fields(self.layout)
+        drawn = compat.get_input(modifier, names.DRAW)
+        _draw_all(column, modifier, names.SIZE)
+        if drawn in (names.ELLIPSOIDS, names.POINTS):
+            compat.draw_input(column, modifier, names.RADIUS, text="Radius (σ)")
+        faintest = names.MIN_SPLAT_OPACITY if drawn == names.SPLATS else names.MIN_OPACITY
+        compat.draw_input(column, modifier, faintest, text="Min Opacity")
+        if compat.has_input(modifier, names.VIEW_COLOUR):
+            compat.draw_input(column, modifier, names.VIEW_COLOUR, text="View Colours")
+
+
+def spectrum_picture(context: Any, obj: Any) -> tuple[Any, ...]:
+    """The function that draws an object's spectrum, and its arguments."""
+    measure = view_settings.of(context).measure
+    freqs = tuple(float(f) for f in obj[names.FREQUENCIES])
+    highest = spectrum.whole_band(freqs, float(obj[names.FPS]))[1]
+    strengths = tuple(analysis.mode_strengths(obj, measure))
+    title = {"RMS": "Rms", "PEAK": "Largest"}[measure]
+    unit = preferences.unit_for(context, obj)
+    return plots.spectrum, freqs, strengths, analysis.band(obj), highest, title, unit
+
+
+def _draw_peaks(layout: Any, obj: Any) -> None:
+    """A button for the band round each peak, and one for everything."""
+    for frequency in analysis.peaks(obj):
+        layout.operator("tg4mm.band", text=f"{frequency:.4g} Hz").frequency = frequency
+    layout.operator("tg4mm.band", text="All").frequency = 0.0
+
+
+def _draw_colour_range(layout: Any, context: Any, obj: Any) -> None:
+    """What belongs to colours by amplitude or phase; nothing for the file's."""
+    picture = analysis.legend_picture(obj, preferences.unit_for(context, obj), context.scene)
+    if picture is None:
+        return
+    row, view = _fields(layout).row(align=True), view_settings.of(context)
+    colour_range.draw(row, context, obj)
+    row.operator("tg4mm.fit_colour_range", text="", icon="FULLSCREEN_EXIT")
+    layout.prop(view, "legend")
+    if not view.legend:
+        pictures.draw(layout, pictures.fitting_width(context), *picture)
+
+
+def _fields(layout: Any) -> Any:
+    """A column of fields with their names beside them, without gaps."""
+    column = layout.column(align=True)
+    column.use_property_split = True
+    return column
+
+
+def _shading(context: Any) -> str | None:
+    """SOLID, MATERIAL … of the 3D view that is drawn."""
+    shading = getattr(getattr(context, "space_data", None), "shading", None)
+    return None if shading is None else str(shading.type)
+
+
+_CLASSES = (
+    VIEW3D_PT_tg4mm,
+    VIEW3D_PT_tg4mm_motion,
+    VIEW3D_PT_tg4mm_band,
+    VIEW3D_PT_tg4mm_frequencies,
+    VIEW3D_PT_tg4mm_look,
+    VIEW3D_PT_tg4mm_details,
+)
+
+
+def _draw_all(layout: Any, modifier: Any, *inputs: str) -> None:
+    """Draw those of the inputs that the modifier has."""
+    for name in inputs:
+        if compat.has_input(modifier, name):
+            compat.draw_input(layout, modifier, name, slider=name == names.ALPHA)
+
+
+register, unregister = bpy.utils.register_classes_factory(_CLASSES)

@@ -1,0 +1,181 @@
+"""The panel's pictures as pure functions: spectrum with band, displacement over time, legends of the colours.
+
+Each returns [SIDE, SIDE, 4] float32 sRGB, row 0 at the top. They are drawn at twice the size they are shown in.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..nodes import colours
+from ..units import Unit
+from .canvas import Canvas, Colour
+
+Rows = tuple[Colour, ...]  # of a colour map, as they look on the screen; hashable
+SIDE = 400
+_TEXT = 17.0  # height of capitals
+_LARGE_TEXT = 23.0  # of the spectrum, which is shown smaller than the others
+_BACK: Colour = (0.11, 0.11, 0.115)
+_FRONT: Colour = (0.86, 0.86, 0.86)
+_FAINT: Colour = (0.32, 0.32, 0.33)
+_BAND: Colour = (0.28, 0.45, 0.70)
+_INSIDE: Colour = (1.0, 0.63, 0.22)
+_OUTSIDE: Colour = (0.55, 0.55, 0.56)
+_AXES: tuple[Colour, ...] = ((0.94, 0.33, 0.36), (0.52, 0.80, 0.25), (0.36, 0.62, 0.98))  # Blender's x, y, z
+_LEFT, _RIGHT, _TOP, _BOTTOM = 14.0, 386.0, 92.0, 312.0  # of the plot's area
+
+
+def standard_rows(linear: np.ndarray) -> Rows:
+    """Linear colours [K, 3] as the view transform Standard shows them."""
+    return tuple((float(r), float(g), float(b)) for r, g, b in colours.display(linear))
+
+
+STANDARD_AMPLITUDE, STANDARD_PHASE = map(standard_rows, (colours.amplitude_map(), colours.phase_and_still()))
+
+
+def spectrum(
+    freqs_hz: Sequence[float],
+    amplitudes: Sequence[float],
+    band: tuple[float, float],
+    highest_hz: float,
+    title: str,
+    unit: Unit,
+) -> np.ndarray:
+    """A bar for each mode, amplitude (scene units) over frequency from 0 to `highest_hz`; the band is shaded."""
+    canvas = Canvas(SIDE, SIDE, _BACK)
+    most = max(amplitudes, default=0.0)
+    ceiling = most if most > 0 else 1.0
+
+    def place(f: float) -> float:
+        return _LEFT + (_RIGHT - _LEFT) * min(max(f / highest_hz, 0.0), 1.0)
+
+    canvas.box(place(band[0]), _TOP, place(band[1]), _BOTTOM, _BAND, 0.45)
+    for edge in band:
+        if 0 < edge < highest_hz:
+            canvas.box(place(edge) - 1, _TOP, place(edge) + 1, _BOTTOM, _BAND)
+    _frame(canvas)
+    slack = 1e-6 * max(1.0, highest_hz)
+    half = min(7.0, max(2.0, 0.3 * (_RIGHT - _LEFT) / max(len(freqs_hz), 1)))
+    for f, a in zip(freqs_hz, amplitudes, strict=True):
+        inside = band[0] - slack <= f <= band[1] + slack
+        top = _BOTTOM - (_BOTTOM - _TOP) * 0.94 * a / ceiling
+        canvas.box(place(f) - half, top, place(f) + half, _BOTTOM, _INSIDE if inside else _OUTSIDE)
+    canvas.text(_LEFT, 36, f"{title}, {unit.short}", _FRONT, _LARGE_TEXT)
+    canvas.text(_LEFT, 76, f"highest {unit.number(most)}", _INSIDE, _LARGE_TEXT)
+    _ticks(canvas, 0.0, highest_hz, "Frequency, Hz", _LARGE_TEXT, most=3)
+    return canvas.pixels
+
+
+def series(seconds: np.ndarray, moved: np.ndarray, unit: Unit) -> np.ndarray:
+    """Displacements [S, 3] (scene units) along x, y, z over times [S] in seconds."""
+    canvas = Canvas(SIDE, SIDE, _BACK)
+    most = float(np.abs(moved).max(initial=0.0))
+    middle, height = (_TOP + _BOTTOM) / 2, (_BOTTOM - _TOP) / 2 * 0.94
+    last = max(float(seconds[-1]), 1e-9)
+    canvas.box(_LEFT, middle - 0.75, _RIGHT, middle + 0.75, _FAINT)
+    _frame(canvas)
+    x = _LEFT + (_RIGHT - _LEFT) * seconds / last
+    for axis, colour in enumerate(_AXES):
+        y = middle - height * moved[:, axis] / (most or 1.0)
+        canvas.line(np.column_stack([x, y]), colour, 3.0)
+    canvas.text(_LEFT, 32, f"Displacement, {unit.name}", _FRONT, _TEXT)
+    canvas.text(_LEFT, 66, f"±{unit.number(most)}", _FRONT, _TEXT)
+    for axis, colour in enumerate(_AXES):
+        canvas.text(_RIGHT - 90 + 36 * axis, 66, "xyz"[axis], colour, _TEXT)
+    _ticks(canvas, 0.0, last, "Time, s", _TEXT)
+    return canvas.pixels
+
+
+def mark_time(picture: np.ndarray, part: float) -> np.ndarray:
+    """A copy of a picture of `series` with a line at `part` (0 to 1) of its time; none outside."""
+    canvas = Canvas(1, 1, _BACK)
+    canvas.pixels = picture.copy()
+    if 0 <= part <= 1:
+        x = _LEFT + (_RIGHT - _LEFT) * part
+        canvas.box(x - 1.5, _TOP, x + 1.5, _BOTTOM, _FRONT, 0.9)
+    return canvas.pixels
+
+
+def amplitude_legend(highest: float, unit: Unit, rows: Rows = STANDARD_AMPLITUDE) -> np.ndarray:
+    """The bar of colours `rows`, from 0 to `highest`, scene units, with numbers."""
+    canvas = Canvas(SIDE, SIDE, _BACK)
+    canvas.text(_LEFT, 32, "Amplitude in the band,", _FRONT, _TEXT)
+    canvas.text(_LEFT, 64, unit.name, _FRONT, _TEXT)
+    top, bottom, left, right = 100, 376, 24, 110
+    at = 1.0 - (np.arange(bottom - top) + 0.5) / (bottom - top)
+    column = _between(at, rows)
+    bar = np.repeat(column[:, None], right - left, axis=1)
+    canvas.paste(bar, np.ones(bar.shape[:2]), left, top)
+    shown = highest * unit.per_scene_unit
+    values = [v for v in ticks(0.0, shown, 5) if v < 0.93 * shown]
+    for value in [*values, shown]:
+        y = bottom - (bottom - top) * (value / shown if shown > 0 else 0.0)
+        canvas.box(right, y - 1, right + 10, y + 1, _FRONT)
+        label = f"{value:.{unit.digits}g}" if value == shown else f"{value:g}"
+        canvas.text(right + 20, y + _TEXT / 2, label, _FRONT, _TEXT)
+    return canvas.pixels
+
+
+def phase_legend(still_below: float, unit: Unit, rows: Rows = STANDARD_PHASE) -> np.ndarray:
+    """The wheel of phases, 0° on the right and counter-clockwise, and grey for less than `still_below`.
+
+    `rows`: the colours of the turn, then the grey.
+    """
+    canvas = Canvas(SIDE, SIDE, _BACK)
+    canvas.text(_LEFT, 32, "Phase of the largest", _FRONT, _TEXT)
+    canvas.text(_LEFT, 64, "frequency in the band", _FRONT, _TEXT)
+    side, centre_x, centre_y = 200, 200, 204
+    y, x = np.mgrid[:side, :side] + 0.5 - side / 2
+    turn = (np.arctan2(-y, x) / (2 * np.pi)) % 1.0
+    wheel = _between(turn, rows[:-1])
+    radius = np.hypot(x, y)
+    ring = np.clip(side / 2 - radius, 0, 1) * np.clip(radius - side / 4, 0, 1)
+    canvas.paste(wheel, ring, centre_x - side // 2, centre_y - side // 2)
+    half = _TEXT / 2
+    for words, dx, dy, anchor in (
+        ("0°", 112, half, 0.0),
+        ("90°", 0, -110, 0.5),
+        ("180°", -112, half, 1.0),
+        ("270°", 0, 110 + _TEXT, 0.5),
+    ):
+        canvas.text(centre_x + dx, centre_y + dy, words, _FRONT, _TEXT, anchor)
+    canvas.box(_LEFT, 362, _LEFT + 26, 388, rows[-1])
+    canvas.text(_LEFT + 38, 386, f"< {unit.text(still_below)}", _FRONT, _TEXT)
+    return canvas.pixels
+
+
+def _between(parts: np.ndarray, rows: Rows) -> np.ndarray:
+    """[..., 3] the colours of a map at `parts` of its length, any shape."""
+    table = np.array(rows)
+    return np.stack([np.interp(parts, np.linspace(0, 1, len(table)), table[:, c]) for c in range(3)], axis=-1)
+
+
+def ticks(low: float, high: float, most: int) -> list[float]:
+    """At most `most` + 1 round numbers from low to high: steps of 1, 2 or 5 times a power of ten."""
+    span = high - low
+    if not span > 0 or not math.isfinite(span):
+        return [low]
+    power = 10.0 ** math.floor(math.log10(span / most))
+    step = next(power * m for m in (1, 2, 5, 10, 20) if span / (power * m) <= most)
+    first = math.ceil(low / step - 1e-9)
+    last = math.floor(high / step + 1e-9)
+    return [float(f"{i * step:.12g}") for i in range(first, last + 1)]
+
+
+def _frame(canvas: Canvas) -> None:
+    canvas.box(_LEFT, _BOTTOM, _RIGHT, _BOTTOM + 2, _FRONT, 0.7)
+
+
+def _ticks(canvas: Canvas, low: float, high: float, title: str, size: float, most: int = 5) -> None:
+    """Numbers below the plot's area, and what they are."""
+    for value in ticks(low, high, most):
+        part = (value - low) / (high - low)
+        x = _LEFT + (_RIGHT - _LEFT) * part
+        canvas.box(x - 1, _BOTTOM, x + 1, _BOTTOM + 8, _FRONT, 0.7)
+        # The first and last number stay inside the picture.
+        anchor = 0.0 if part < 0.03 else 1.0 if part > 0.97 else 0.5
+        canvas.text(x, _BOTTOM + 17 + size, f"{value:g}", _FRONT, size, anchor)
+    canvas.text((_LEFT + _RIGHT) / 2, SIDE - 12, title, _FRONT, size, 0.5)

@@ -1,0 +1,1 @@
+"""The motion of a point or a region in numbers."""

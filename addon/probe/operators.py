@@ -1,0 +1,166 @@
+"""Operators of the probe: read a point or a region, add a sphere, write CSV."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import bpy
+from bpy.props import EnumProperty, IntProperty, StringProperty
+from bpy_extras.io_utils import ExportHelper
+
+from .. import preferences
+from ..io import receiving, saving
+from ..nodes import scene
+from . import picking, probe
+
+_ABOUT = {
+    "SELECTION": "Read the points selected in Edit Mode; of several the mean, weighted by opacity",
+    "CURSOR": "Read the drawn Gaussian whose rest position is nearest to the 3D cursor",
+    "SPHERE": "Read all Gaussians that rest inside the sphere empty; their mean, weighted by opacity",
+}
+
+
+class _OnMotion(bpy.types.Operator):
+    """An operator on a splat object that moves"""
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        return scene.moves(scene.splat_object(context))
+
+
+class TG4MM_OT_probe(_OnMotion):
+    """Read amplitude, phase and direction of the motion that was measured (not magnified)"""
+
+    bl_idname = "tg4mm.probe"
+    bl_label = "Probe"
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
+
+    source: EnumProperty(  # type: ignore[valid-type]
+        name="Where",
+        items=[
+            ("SELECTION", "Selected Points", _ABOUT["SELECTION"]),
+            ("CURSOR", "At 3D Cursor", _ABOUT["CURSOR"]),
+            ("SPHERE", "In Sphere", _ABOUT["SPHERE"]),
+        ],
+    )
+
+    @classmethod
+    def description(cls, context: Any, properties: Any) -> str:
+        return _ABOUT[properties.source]
+
+    def execute(self, context: Any) -> set[str]:
+        obj = scene.splat_object(context)
+        try:
+            if self.source == "SELECTION":
+                found = picking.probe_selection(obj)
+            elif self.source == "CURSOR":
+                found = picking.probe_cursor(obj, context.scene.cursor.location)
+            else:
+                found = picking.probe_spheres(obj, picking.spheres_of(obj, context.selected_objects))
+        except picking.PickError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        picking.store(obj, found)
+        self.report({"INFO"}, f"Probed: {found.label}")
+        return {"FINISHED"}
+
+
+class TG4MM_OT_add_probe_sphere(_OnMotion):
+    """Add a sphere at the 3D cursor; move and scale it over the region that "In Sphere" is to read"""
+
+    bl_idname = "tg4mm.add_probe_sphere"
+    bl_label = "Add Probe Sphere"
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        return super().poll(context) and context.mode == "OBJECT"
+
+    def execute(self, context: Any) -> set[str]:
+        obj = scene.splat_object(context)
+        sphere = picking.add_sphere(obj, receiving.collection(context), context.scene.cursor.location)
+        for other in context.selected_objects:
+            other.select_set(False)
+        sphere.select_set(True)
+        context.view_layer.objects.active = sphere
+        return {"FINISHED"}
+
+
+class TG4MM_OT_export_probe(_OnMotion, ExportHelper):
+    """Write what the probe read as a CSV file; its first lines name the units"""
+
+    bl_idname = "tg4mm.export_probe"
+    bl_label = "Export Probe as CSV"
+
+    filepath: StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})  # type: ignore[valid-type]
+    filename_ext = ".csv"
+    filter_glob: StringProperty(default="*.csv", options={"HIDDEN"})  # type: ignore[valid-type]
+    content: EnumProperty(  # type: ignore[valid-type]
+        name="Content",
+        items=[
+            (
+                "SERIES",
+                "Displacement Over Time",
+                "Time (s) and displacement along x, y, z; a row for each time",
+            ),
+            (
+                "PHASORS",
+                "Phasor Table",
+                "Frequency (Hz), amplitude, phase (°), direction; a row for each mode",
+            ),
+        ],
+    )
+    per_timestep: IntProperty(  # type: ignore[valid-type]
+        name="Rows per Timestep",
+        description="1: a row for each timestep of the recording; more: rows between them, from the modes",
+        default=1,
+        min=1,
+        max=1000,
+    )
+
+    def invoke(self, context: Any, event: Any) -> set[str]:
+        if picking.stored(scene.splat_object(context)) is None:
+            return self._nothing()
+        if not self.filepath:
+            self.filepath = f"{_file_name(scene.splat_object(context).name)}_{self.content.lower()}.csv"
+        return ExportHelper.invoke(self, context, event)
+
+    def draw(self, context: Any) -> None:
+        self.layout.use_property_split = True
+        self.layout.prop(self, "content")
+        if self.content == "SERIES":
+            self.layout.prop(self, "per_timestep")
+
+    def execute(self, context: Any) -> set[str]:
+        obj = scene.splat_object(context)
+        found = picking.stored(obj)
+        if found is None:
+            return self._nothing()
+        unit = preferences.unit_for(context, obj)
+        if self.content == "SERIES":
+            text = probe.series_csv(found, unit, obj.name, self.per_timestep)
+        else:
+            text = probe.phasor_csv(found, unit, obj.name)
+        path = Path(bpy.path.abspath(self.filepath))
+        try:
+            saving.write_text(path, text)
+        except OSError as error:
+            self.report({"ERROR"}, f"{path}: cannot be written: {error.strerror or error}")
+            return {"CANCELLED"}
+        self.report({"INFO"}, f"Wrote {path}")
+        return {"FINISHED"}
+
+    def _nothing(self) -> set[str]:
+        self.report({"ERROR"}, "Nothing is probed yet: use one of the buttons in the panel Probe first")
+        return {"CANCELLED"}
+
+
+def _file_name(name: str) -> str:
+    return "".join(c if c.isalnum() or c in "-_ ." else "_" for c in name).strip(". ") or "probe"
+
+
+_CLASSES = (TG4MM_OT_probe, TG4MM_OT_add_probe_sphere, TG4MM_OT_export_probe)
+
+
+register, unregister = bpy.utils.register_classes_factory(_CLASSES)

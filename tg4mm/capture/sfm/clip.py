@@ -1,0 +1,115 @@
+"""A camera's pictures in order: the frames of a video or the files of a folder, each with its time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from tg4mm.capture.sfm.video import video_frames
+from tg4mm.core.errors import CaptureError
+from tg4mm.core.pictures.decode import decode
+
+VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm")
+NAMES = ", ".join(VIDEO_SUFFIXES)
+UNEVEN = 0.2  # of the median step, that a step must differ by for a frame rate to count as variable
+
+
+@dataclass(frozen=True)
+class Clip:
+    """Pictures in order: those of a folder, or the frames of a video."""
+
+    name: str
+    path: Path  # folder or video
+    pictures: tuple[Path, ...] = ()  # of a folder
+
+    @property
+    def is_video(self) -> bool:
+        """Whether the pictures are the frames of a video."""
+        return self.path.suffix.lower() in VIDEO_SUFFIXES and self.path.is_file()
+
+
+@dataclass(frozen=True)
+class Window:
+    """Which part of every recording is taken, seconds since its first frame."""
+
+    start_s: float = 0.0
+    stop_s: float = math.inf
+
+    @property
+    def is_all(self) -> bool:
+        """Whether nothing is left out."""
+        return self.start_s <= 0 and math.isinf(self.stop_s)
+
+
+WHOLE = Window()
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One picture of a clip."""
+
+    index: int  # among those taken
+    time: Fraction | None  # seconds as the container has them; a folder's pictures have none
+    pixels: np.ndarray  # [H, W, 3] uint8, or of a file [H, W, 4] uint8 or uint16
+    path: Path | None  # the file it is
+    is_between: bool = False  # of a video: predicted from the frames on both sides
+    is_alone: bool = True  # coded without regard to other frames
+
+
+def clip_frames(clip: Clip, window: Window = WHOLE) -> Iterator[Frame]:
+    """The clip's pictures one by one. Raises CaptureError where one cannot be decoded."""
+    if clip.is_video:
+        for i, frame in enumerate(video_frames(clip.path, window.start_s, window.stop_s)):
+            yield Frame(i, frame.time, frame.rgb, None, frame.is_between, frame.is_alone)
+    else:
+        for i, path in enumerate(clip.pictures):
+            yield Frame(i, None, decode(path), path)
+
+
+def frame_rate(
+    path: Path, times: list[Fraction], rates: tuple[Fraction, ...], tick: Fraction = Fraction(0)
+) -> Fraction:
+    """Frames per second of time stamps [T], which are whole numbers of `tick` seconds.
+
+    Of the container's rates the one whose regular clock the stamps are, else the one nearest to their median step; one
+    over that where none is near. Raises CaptureError where the stamps do not rise, so that there is no rate.
+    """
+    steps = sorted(b - a for a, b in pairwise(times))
+    if not steps or steps[0] <= 0:
+        raise CaptureError(f"{path}: its time stamps do not rise, which leaves no frame rate; give --fps")
+    regular = next((rate for rate in rates if _is_regular(times, rate, tick)), None)
+    if regular is not None:
+        return regular
+    median = steps[len(steps) // 2]
+    nearest = min(rates, key=lambda rate: abs(rate * median - 1), default=None)
+    if nearest is not None and abs(nearest * median - 1) <= Fraction(1, 100):
+        return nearest
+    return (1 / median).limit_denominator(1001)
+
+
+def _is_regular(times: list[Fraction], fps: Fraction, tick: Fraction) -> bool:
+    return all(abs(times[0] + k / fps - time) <= tick for k, time in enumerate(times))
+
+
+def regular_times(times: list[Fraction], fps: Fraction, tick: Fraction) -> list[Fraction]:
+    """The times of a regular clock where the stamps differ from it by rounding only, else the stamps themselves.
+
+    Some containers keep whole milliseconds: k / fps is then nearer to the truth than what is written.
+    """
+    return [times[0] + k / fps for k in range(len(times))] if _is_regular(times, fps, tick) else times
+
+
+def uneven_steps(times_s: np.ndarray) -> tuple[float, float] | None:
+    """The smallest and largest step in seconds where the frame rate varies, else None."""
+    steps = np.diff(times_s)
+    if not len(steps):
+        return None
+    median = float(np.median(steps))
+    uneven = np.abs(steps - median).max() > UNEVEN * median
+    return (float(steps.min()), float(steps.max())) if uneven else None

@@ -1,0 +1,152 @@
+"""Poses and pictures written as a dataset that the capture readers read (docs/conventions.md)."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tg4mm.capture.model import SurfacePoints
+from tg4mm.capture.points import write_points
+from tg4mm.capture.sfm.clip import WHOLE, Clip, Frame, Window, clip_frames
+from tg4mm.capture.sfm.frames import save_png
+from tg4mm.capture.sfm.undistort import Lens
+from tg4mm.core.errors import CaptureError
+from tg4mm.core.files import write_atomic, write_json
+from tg4mm.core.progress import Update, progress
+
+_OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+COPIED = (".png", ".jpg", ".jpeg")
+
+
+@dataclass(frozen=True)
+class Track:
+    """One camera's pictures: a single one, or one at each of the timesteps 0 … T − 1."""
+
+    name: str  # of its pictures in the dataset, without suffix
+    clip: Clip  # where they come from
+    lens: Lens
+    viewmats: np.ndarray  # [T, 4, 4] world-to-camera, OpenCV axes
+    times_s: np.ndarray | None = None  # [T] seconds on its own clock; None: of the scene at rest
+    rows: np.ndarray | None = None  # [T] which of the clip's pictures; None: all
+    window: Window = WHOLE
+    may_test: bool = False  # whether it may be held out as a test camera
+
+    def __len__(self) -> int:
+        """T, the number of pictures."""
+        return len(self.viewmats)
+
+    def copied(self, source: Path | None) -> bool:
+        """Whether the file is the dataset's picture as it is: a pinhole's is copied byte by byte."""
+        return self.lens.keeps and source is not None and source.suffix.lower() in COPIED
+
+    def file(self, row: int) -> str:
+        """The name of the picture that is made of the clip's picture `row`."""
+        source = self.clip.pictures[row] if self.clip.pictures else None
+        suffix = source.suffix.lower() if source is not None and self.copied(source) else ".png"
+        return f"{self.name}{suffix}"
+
+
+def write_dataset(
+    out: Path, tracks: list[Track], points: SurfacePoints, scene: dict[str, Any], test_every: int = 0
+) -> None:
+    """A NeRF-synthetic folder where all pictures are of one timestep, a tree with a folder for each timestep else.
+
+    scene: what scene.json gets. test_every: every so-many-th camera that may be is a test camera, 0 for none. Pictures
+    that are there are kept; scene.json comes last and says that all is complete.
+    """
+    n_timesteps = max(len(track) for track in tracks)
+    folders = [out] if n_timesteps == 1 else [out / f"{t:03d}" for t in range(n_timesteps)]
+    splits = _splits(tracks, test_every)
+    with progress("dataset", sum(len(track) for track in tracks), "pictures") as update:
+        done = 0
+        for split, members in splits.items():
+            for track in members:
+                _write_pictures([folder / split for folder in folders[: len(track)]], track, update, done)
+                done += len(track)
+                update(done)
+    for t, folder in enumerate(folders):
+        for split, members in splits.items():
+            frames = [_frame(split, track, t) for track in members if t < len(track)]
+            if frames:
+                write_json(folder / f"transforms_{split}.json", {"frames": frames})
+    if len(points.xyz):
+        write_points(out / "points3d.ply", points)
+    width, height = tracks[0].lens.size
+    counts = {"n_train": len(splits["train"]), "n_test": len(splits["test"])}
+    size = {"width": width, "height": height, "n_timesteps": n_timesteps}
+    write_json(out / "scene.json", {"format_version": 1, **scene, **size, **counts})
+
+
+def _splits(tracks: list[Track], test_every: int) -> dict[str, list[Track]]:
+    if not test_every:
+        return {"train": tracks, "test": []}
+    able = [track for track in tracks if track.may_test]
+    test = [track for i, track in enumerate(able) if i % test_every == test_every // 2]
+    lengths = {len(track) for track in able}
+    if len(able) - len(test) < 2:
+        raise CaptureError(
+            f"--test-every is {test_every}, which leaves {len(able) - len(test)} of {len(able)} cameras to train from"
+        )
+    if len(lengths) > 1:
+        raise CaptureError(
+            f"--test-every is {test_every}, but recordings have {min(lengths)} to {max(lengths)} frames; "
+            "a test camera needs as many as the others: give --until"
+        )
+    held_out = {track.name for track in test}
+    return {"train": [track for track in tracks if track.name not in held_out], "test": test}
+
+
+def _rows(track: Track) -> list[int]:
+    return list(range(len(track))) if track.rows is None else [int(row) for row in track.rows]
+
+
+def _write_pictures(folders: list[Path], track: Track, update: Update, done: int) -> None:
+    """The track's pictures, one in each of the folders."""
+    targets = {row: folder / track.file(row) for row, folder in zip(_rows(track), folders, strict=True)}
+    missing = {row: target for row, target in targets.items() if not target.is_file()}
+    if not missing:
+        return
+    if track.clip.pictures and all(track.copied(track.clip.pictures[row]) for row in missing):
+        for k, (row, target) in enumerate(missing.items()):
+            target.parent.mkdir(parents=True, exist_ok=True)
+            write_atomic(target, partial(shutil.copyfile, track.clip.pictures[row]))
+            update(done + k + 1)
+        return
+    written = 0
+    for frame in clip_frames(track.clip, track.window):
+        if frame.index in missing:
+            missing[frame.index].parent.mkdir(parents=True, exist_ok=True)
+            _write_picture(missing[frame.index], track.lens, frame)
+            written += 1
+            update(done + written)
+        if written == len(missing):
+            break
+
+
+def _write_picture(target: Path, lens: Lens, frame: Frame) -> None:
+    image = lens.apply(frame.pixels)
+    if image.shape[2] == 4 and (image[..., 3] == 255).all():
+        image = image[..., :3]
+    save_png(target, image, level=3)
+
+
+def _frame(split: str, track: Track, t: int) -> dict[str, Any]:
+    """The frame as transforms_<split>.json has it."""
+    pose = np.linalg.inv(track.viewmats[t]) @ _OPENGL_FROM_OPENCV
+    K, (width, height) = track.lens.K, track.lens.size
+    frame = {
+        "file_path": f"./{split}/{track.file(_rows(track)[t])}",
+        "transform_matrix": pose.tolist(),
+        "fl_x": K[0, 0],
+        "fl_y": K[1, 1],
+        "cx": K[0, 2],
+        "cy": K[1, 2],
+        "w": width,
+        "h": height,
+    }
+    return frame if track.times_s is None else frame | {"time": float(track.times_s[t])}

@@ -1,0 +1,159 @@
+"""Cameras that structure from motion placed, as the dataset's cameras in a world of the usual kind."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tg4mm.capture.sfm.clip import Clip, Window
+from tg4mm.capture.sfm.dataset import Track
+from tg4mm.capture.sfm.orient import Similarity, world_of
+from tg4mm.capture.sfm.points import SfmPoints, points_of
+from tg4mm.capture.sfm.sources import SWEEP, Sources
+from tg4mm.capture.sfm.staging import Shot, staged_name
+from tg4mm.capture.sfm.survey import Survey
+from tg4mm.capture.sfm.undistort import Key, Lens, lenses, quarter_turned
+from tg4mm.core.errors import CaptureError
+
+RATES_AGREE = 0.01  # relative, of cameras whose frames go into the same timesteps
+
+
+@dataclass(frozen=True)
+class FrameTimes:
+    """When frames were taken."""
+
+    fps: float  # Hz
+    times_s: dict[str, np.ndarray]  # of each clip, [T] seconds since its first frame
+
+
+@dataclass(frozen=True)
+class Placement:
+    """The dataset's cameras and points, and how its world came from COLMAP's."""
+
+    tracks: list[Track]
+    points: SfmPoints
+    world: Similarity
+
+
+def clock_of(surveys: Sequence[Survey], fps: float | None) -> FrameTimes:
+    """The recordings' times. fps: what was filmed at, None: as the containers say.
+
+    Raises CaptureError where nothing says it, or where recordings disagree.
+    """
+    clocks = {survey.name: survey.clock(fps) for survey in surveys}
+    first, (rate, _) = next(iter(clocks.items()))
+    for name, (other, _) in clocks.items():
+        if abs(other / rate - 1) > RATES_AGREE:
+            raise CaptureError(
+                f"camera {name} has {other:.6g} frames per second, {first} has {rate:.6g}: a dataset has one frame rate"
+            )
+    return FrameTimes(rate, {name: times for name, (_, times) in clocks.items()})
+
+
+def placed_tracks(
+    kind: str,
+    sources: Sources,
+    taken: Sequence[Shot],
+    placed: dict[str, Any],
+    model: Any,
+    clock: FrameTimes | None,
+    window: Window,
+) -> Placement:
+    """Tracks of all placed pictures, those of recordings first.
+
+    taken: all pictures given to COLMAP; placed: pycolmap Images by name; model: the pycolmap Reconstruction.
+    """
+    shots = [shot for shot in taken if staged_name(shot) in placed]
+    images = [placed[staged_name(shot)] for shot in shots]
+    viewmats = np.tile(np.eye(4), (len(images), 1, 1))
+    viewmats[:, :3] = [image.cam_from_world().matrix() for image in images]
+    keys = _keys(shots, [image.camera_id for image in images], model)
+    rest = {key for shot, key in zip(shots, keys, strict=True) if shot.clip == SWEEP}
+    main = {key for shot, key in zip(shots, keys, strict=True) if shot.clip != SWEEP}
+    lens = lenses({key: model.cameras[key[0]] for key in main | rest}, fitted=rest - main)
+    turned = np.stack([lens[key].viewmat(viewmat) for key, viewmat in zip(keys, viewmats, strict=True)])
+    upright = np.stack([quarter_turned(v, shot.turns) for shot, v in zip(shots, viewmats, strict=True)])
+    found = points_of(model)
+    xyz = found.xyz.astype(np.float64)
+    world = world_of(upright, xyz)
+    cameras = _Cameras(shots, [lens[key] for key in keys], world.viewmats(turned))
+    moved = SfmPoints(world.points(xyz).astype(np.float32), found.rgb, found.errors_px, found.n_views)
+    if clock is None:
+        tracks = cameras.photographs()
+    elif kind == "handheld":
+        tracks = [cameras.moving(sources.clips[0], clock)]
+    else:
+        may_test = kind != "tripod"
+        tracks = [track for clip in sources.clips for track in cameras.fixed(clip, clock, window, may_test)]
+    return Placement(tracks + ([] if clock is None else cameras.sweep()), moved, world)
+
+
+def _keys(shots: Sequence[Shot], camera_ids: Sequence[int], model: Any) -> list[Key]:
+    """Camera and turn of each picture: upright where that lies as most pictures do, turned to lie so where not."""
+    sizes = [(model.cameras[i].width, model.cameras[i].height) for i in camera_ids]
+    wide = [w >= h for w, h in (shot.upright(size) for shot, size in zip(shots, sizes, strict=True))]
+    main = [is_wide for shot, is_wide in zip(shots, wide, strict=True) if shot.clip != SWEEP]
+    most = 2 * sum(main) >= len(main)
+    return [
+        (i, shot.turns if is_wide == most else 1 - shot.turns % 2)
+        for i, shot, is_wide in zip(camera_ids, shots, wide, strict=True)
+    ]
+
+
+@dataclass(frozen=True)
+class _Cameras:
+    """Placed pictures with their lenses and poses, row by row."""
+
+    shots: list[Shot]
+    lenses: list[Lens]
+    viewmats: np.ndarray  # [P, 4, 4]
+
+    def of(self, clip: str) -> list[int]:
+        return [i for i, shot in enumerate(self.shots) if shot.clip == clip]
+
+    def photographs(self) -> list[Track]:
+        stems = [shot.path.stem for shot in self.shots]
+        return [
+            self._single(i, shot.path.name.replace(".", "_") if stems.count(stem) > 1 else stem, True)
+            for i, (shot, stem) in enumerate(zip(self.shots, stems, strict=True))
+        ]
+
+    def sweep(self) -> list[Track]:
+        return [self._single(i, f"{SWEEP}_{self.shots[i].path.stem}", False) for i in self.of(SWEEP)]
+
+    def fixed(self, clip: Clip, clock: FrameTimes, window: Window, may_test: bool) -> list[Track]:
+        times_s = clock.times_s[clip.name]
+        return [
+            Track(
+                clip.name,
+                clip,
+                self.lenses[i],
+                np.tile(self.viewmats[i], (len(times_s), 1, 1)),
+                times_s,
+                window=window,
+                may_test=may_test,
+            )
+            for i in self.of(clip.name)
+        ]
+
+    def moving(self, clip: Clip, clock: FrameTimes) -> Track:
+        """A picture at every timestep, frames that could not be placed left out."""
+        rows = self.of(clip.name)
+        frames = Clip(clip.name, self.shots[rows[0]].path.parent, tuple(self.shots[i].path for i in rows))
+        taken = np.array([self.shots[i].index for i in rows])
+        return Track(
+            clip.name, frames, self.lenses[rows[0]], self.viewmats[rows], clock.times_s[clip.name][taken]
+        )
+
+    def _single(self, i: int, name: str, may_test: bool) -> Track:
+        path = self.shots[i].path
+        return Track(
+            name,
+            Clip(path.stem, path.parent, (path,)),
+            self.lenses[i],
+            self.viewmats[i : i + 1],
+            may_test=may_test,
+        )

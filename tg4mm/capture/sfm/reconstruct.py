@@ -1,0 +1,335 @@
+"""From photographs or recordings to a dataset: the steps of `tg4mm sfm`, each done once.
+
+OUT/sfm/request.json   what was asked for, so that another request is refused
+OUT/sfm/survey/        what a look through each recording found, and its mean picture
+OUT/sfm/frames/        frames of moving cameras' videos
+OUT/sfm/images/, masks/, database.db, sparse/0/   COLMAP's own files, the last the result in its own world
+OUT/…                  the dataset; scene.json, written last, says that it is complete
+"""
+
+from __future__ import annotations
+
+import shlex
+import sys
+import warnings
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from tg4mm.capture.sfm.clip import WHOLE
+from tg4mm.capture.sfm.config import DEFAULTS, SfmConfig, checked
+from tg4mm.capture.sfm.dataset import write_dataset
+from tg4mm.capture.sfm.engine import colmap
+from tg4mm.capture.sfm.flat import write_flat
+from tg4mm.capture.sfm.frames import KEYS, SWEEP_FRAMES, extract_frames, sharp_rows
+from tg4mm.capture.sfm.kind import Kind, check_kind, possible_kinds, told_kind
+from tg4mm.capture.sfm.kind import held as held_in
+from tg4mm.capture.sfm.mapping import (
+    check_registered,
+    find_poses,
+    registered,
+    save_model,
+    saved_model,
+    shown_names,
+)
+from tg4mm.capture.sfm.pairs import CHOSEN_FROM, EXHAUSTIVE_MOST, Pair, picture_pairs
+from tg4mm.capture.sfm.place import Placement, clock_of, placed_tracks
+from tg4mm.capture.sfm.register import Workplace, register_frames
+from tg4mm.capture.sfm.request import Work, open_request
+from tg4mm.capture.sfm.scale import baseline_scale, measured_length
+from tg4mm.capture.sfm.sources import FEWEST, SWEEP, Sources, find_sources
+from tg4mm.capture.sfm.spoilt import check_usable, motion_of, warn_bumps, warn_clocks
+from tg4mm.capture.sfm.staging import (
+    Shot,
+    camera_shots,
+    check_sizes,
+    frame_shots,
+    make_database,
+    photograph_shots,
+    stage,
+    staged_name,
+    sweep_shots,
+)
+from tg4mm.capture.sfm.straight import straightened
+from tg4mm.capture.sfm.survey import Survey, survey_clip
+from tg4mm.core.errors import CaptureError, Tg4mmError
+from tg4mm.core.lock import held
+
+FEWEST_PLACED = {"photos": 3, "handheld": 3, "tripod": 1, "rig": 2, "clips": 2}
+FEW_POINTS = 80  # in half of the pictures: with fewer, poses are bent though reprojection errors are small
+FIXED = ("flat", "tripod", "rig", "clips")  # kinds whose cameras stay put
+
+
+@dataclass(frozen=True)
+class _Job:
+    """What is known once the recordings have been looked through."""
+
+    work: Work
+    sources: Sources
+    surveys: list[Survey]  # of sources.clips
+    kind: Kind
+    config: SfmConfig
+    threads: int
+
+
+def reconstruct(images: Path, out: Path, config: SfmConfig = DEFAULTS, threads: int = -1) -> dict[str, Any]:
+    """Poses, sparse points and times of what lies in `images`, written to the folder `out` as a dataset.
+
+    Goes on where it was stopped. threads: −1 for all cores; with 1 the result repeats bit for bit on one machine, with
+    more only to the last digits. Returns what scene.json says under "sfm". Raises Tg4mmError (CaptureError) on bad
+    input: damaged recordings, too few pictures, no overlap, pictures that could not be placed.
+    """
+    config = checked(config)
+    sources = find_sources(images)
+    check_kind(sources, config.kind)
+    _check_options(sources, config)
+    if sources.photographs is not None or sources.sweep is not None or len(sources.clips) > 1:
+        colmap("tg4mm sfm")  # missing, it is said before minutes of decoding
+    work = open_request(out, sources, asdict(config))
+    done = work.finished()
+    if done is not None:
+        return done
+    with held(work.folder, f"{out} is in use: another process makes this dataset"):
+        return _made(images, work, sources, config, threads)
+
+
+def _made(images: Path, work: Work, sources: Sources, config: SfmConfig, threads: int) -> dict[str, Any]:
+    surveys = [survey_clip(clip, work.folder / "survey", config.window) for clip in sources.clips]
+    kind = told_kind(sources, surveys, config.kind)
+    print(f"{images}: taken for {kind.name}: {kind.reason}", file=sys.stderr, flush=True)
+    warn_clocks(surveys, config.fps)
+    if kind.name != "photos":
+        check_usable(surveys, kind.name in FIXED)
+    if kind.name in FIXED:
+        warn_bumps(surveys)
+    if config.test_every and kind.name not in ("photos", "rig", "clips"):
+        raise Tg4mmError(f"--test-every is {config.test_every}, but {kind.name} has no camera to hold out")
+    if config.synchronous and kind.name != "rig":
+        raise Tg4mmError(f"--synchronous is for the cameras of a rig, but {images} is taken for {kind.name}")
+    if config.synchronous:
+        _check_as_long(surveys)
+    job = _Job(work, sources, surveys, kind, config, threads)
+    return _flat(job) if kind.name == "flat" else _posed(job)
+
+
+def _check_as_long(surveys: Sequence[Survey]) -> None:
+    """Raise CaptureError where cameras that were started together hold different numbers of pictures."""
+    longest, shortest = max(surveys, key=len), min(surveys, key=len)
+    if len(longest) > len(shortest):
+        until = (
+            float(shortest.times[-1]) + 0.5 / float(shortest.fps) if shortest.times and shortest.fps else None
+        )
+        what = "leave out pictures" if until is None else f"--until {until:.3f} takes as many of each"
+        raise CaptureError(
+            f"{longest.path}: holds {len(longest)} frames, {shortest.path.name} {len(shortest)}, and the cameras are "
+            f"said to be synchronous: {what}"
+        )
+
+
+def _check_options(sources: Sources, config: SfmConfig) -> None:
+    """Options that what lies on disk has no use for."""
+    if sources.photographs is not None and config.fps is not None:
+        raise Tg4mmError(f"--fps is {config.fps:g}, but photographs have no frame rate")
+    if config.synchronous and "rig" not in possible_kinds(sources):
+        raise Tg4mmError(
+            f"--synchronous is for the cameras of a rig, but {sources.path} holds {held_in(sources)}"
+        )
+    frames = [clip.name for clip in sources.clips if not clip.is_video]
+    if frames and config.fps is None and config.kind != "photos":
+        raise Tg4mmError(
+            f"--fps is missing: the pictures in {', '.join(frames[:4])} need their frames per second"
+        )
+    moving = sources.sweep is not None and sources.sweep.is_video
+    if config.frames is not None and not moving and len(sources.clips) != 1:
+        raise Tg4mmError(
+            f"--frames is {config.frames}, but there is no video of a moving camera to take them from"
+        )
+
+
+def _check_enough(sources: Sources) -> None:
+    """Raise CaptureError for so few fixed cameras that their poses cannot be found, and nothing beside them."""
+    n = len(sources.clips)
+    if sources.sweep is None and 1 < n < FEWEST:
+        first = shlex.quote(str(sources.clips[0].path))
+        raise CaptureError(
+            f"{sources.path}: holds {n} recordings of fixed cameras, and nothing else: {n} views are too few "
+            f"to find poses from. Add {SWEEP}/ with photographs of the scene at rest from all around (or {SWEEP}.mp4), "
+            f"or take one camera by itself, in pixels: tg4mm sfm {first} --out DATASET"
+        )
+
+
+def _scene(job: _Job) -> dict[str, Any]:
+    scene = {"scene": job.work.out.resolve().name, "kind": job.kind.name, "background": "as photographed"}
+    periods = {survey.codec_period for survey in job.surveys}
+    return scene | ({"codec_period": periods.pop()} if len(periods) == 1 and None not in periods else {})
+
+
+def _flat(job: _Job) -> dict[str, Any]:
+    if any(value is not None for value in (job.config.baseline, job.config.unit_scale_m, job.config.length)):
+        raise Tg4mmError(
+            "a flat capture is measured in pixels and has no scale: leave out --length, --length-file and --baseline"
+        )
+    clock = clock_of(job.surveys, job.config.fps)
+    survey, clip = job.surveys[0], job.sources.clips[0]
+    report = {"kind": job.kind.name, "asked": job.work.scene_only}
+    scene = _scene(job) | {"fps": clock.fps, "sfm": report}
+    write_flat(job.work.out, clip, survey, clock.times_s[clip.name], job.config.window, scene)
+    return report
+
+
+def _posed(job: _Job) -> dict[str, Any]:
+    colmap("tg4mm sfm")
+    config, sources = job.config, job.sources
+    clock = None if job.kind.name == "photos" else clock_of(job.surveys, config.fps)
+    taken = _pictures(job)
+    model = _model(job, taken)
+    placed = registered(model)
+    _check_placed(job, taken, placed)
+    placement = placed_tracks(job.kind.name, sources, taken, placed, model, clock, config.window)
+    report = _report(job, model, taken, placed, placement)
+    scene = _scene(job) | {"sfm": report, "unit_scale_m": config.unit_scale_m}
+    if clock is not None:
+        scene["fps"] = clock.fps
+    if job.kind.name == "rig":
+        scene["clocks"] = "synchronous" if config.synchronous else "independent"
+    if config.baseline is not None:
+        scene["unit_scale_m"] = baseline_scale(placement.tracks, config.baseline)
+    if config.length is not None:
+        measured = measured_length(config.length, taken, placed, model, placement.world)
+        scene["unit_scale_m"], report["length"] = measured.unit_scale_m, measured.record()
+    write_dataset(job.work.out, placement.tracks, placement.points, scene, config.test_every)
+    return report
+
+
+def _pictures(job: _Job) -> list[Shot]:
+    """All pictures that poses are found of, the sweep's last."""
+    config, sources, frames = job.config, job.sources, job.work.folder / "frames"
+    if sources.photographs is not None:
+        return photograph_shots(sources.photographs, config.each)
+    clip, survey = sources.clips[0], job.surveys[0]
+    if job.kind.name == "photos":
+        rows = sharp_rows(survey.sharpness, config.frames or SWEEP_FRAMES)
+        return frame_shots(clip, extract_frames(clip, frames / clip.name, config.window, rows))
+    if job.kind.name == "handheld":
+        paths = extract_frames(clip, frames / clip.name, config.window, total=len(survey))
+        taken = frame_shots(clip, paths)
+    else:
+        taken = camera_shots(job.surveys, config.each)
+    return taken + sweep_shots(_sweep(job), survey.size, config.each)
+
+
+def _sweep(job: _Job) -> tuple[Path, ...]:
+    """The sweep's pictures: all of a folder, sharp ones of a video."""
+    sweep, work = job.sources.sweep, job.work.folder
+    if sweep is None:
+        return ()
+    if not sweep.is_video:
+        return sweep.pictures
+    sharpness = survey_clip(sweep, work / "survey", WHOLE).sharpness
+    rows = sharp_rows(sharpness, job.config.frames or SWEEP_FRAMES)
+    return extract_frames(sweep, work / "frames" / SWEEP, rows=rows)
+
+
+def _model(job: _Job, taken: list[Shot]) -> Any:
+    """The pycolmap Reconstruction, found or read again."""
+    work, config = job.work.folder, job.config
+    sparse = work / "sparse" / "0"
+    if sparse.is_dir():
+        return saved_model(sparse)
+    check_sizes(taken)
+    _check_enough(job.sources)
+    if len(taken) < FEWEST:
+        raise CaptureError(
+            f"{len(taken)} pictures, at least {FEWEST} are needed; a {SWEEP}/ of further ones helps"
+        )
+    masks = stage(taken, work)
+    database = make_database(taken, work, config.camera_model, config.focal_px)
+    place = Workplace(database, work / "images", masks, config.seed, job.threads)
+    model = (
+        _moving_model(job, taken, place) if job.kind.name == "handheld" else _first_model(job, taken, place)
+    )
+    save_model(model, sparse)
+    return model
+
+
+def _first_model(job: _Job, taken: list[Shot], place: Workplace) -> Any:
+    """The pycolmap Reconstruction of these pictures alone, found by trying which fit."""
+    names = [staged_name(shot) for shot in taken]
+    pairs = _pairs(job, taken, names)
+    model = find_poses(place.database, place.images, place.masks, names, pairs, place.seed, job.threads)
+    _check_placed(job, taken, registered(model), quiet=True)
+    return straightened(model, job.threads)
+
+
+def _pairs(job: _Job, taken: list[Shot], names: list[str]) -> list[Pair] | None:
+    """The pairs to match, None for those that are alike."""
+    matching = job.config.matching
+    frames = sum(shot.clip != SWEEP for shot in taken) if job.sources.clips else len(taken)
+    ordered = job.kind.name == "handheld" or (job.kind.name == "photos" and bool(job.sources.clips))
+    many = ordered and matching == "auto" and frames > EXHAUSTIVE_MOST
+    if many or matching == "sequential":
+        return picture_pairs(names, frames)
+    return None if matching == "auto" and len(names) > CHOSEN_FROM else picture_pairs(names)
+
+
+def _moving_model(job: _Job, taken: list[Shot], place: Workplace) -> Any:
+    """That of sharp frames and the sweep, into which all other frames are placed."""
+    frames = [shot for shot in taken if shot.clip != SWEEP]
+    keys = set(sharp_rows(job.surveys[0].sharpness, job.config.frames or KEYS).tolist())
+    first = [shot for shot in taken if shot.clip == SWEEP or shot.index in keys]
+    folder = job.work.folder / "sparse" / "keys"
+    if folder.is_dir():
+        model = saved_model(folder)
+    else:
+        try:
+            model = _first_model(job, first, place)
+        except CaptureError as error:
+            raise CaptureError(f"{error}{_why_moving(job)}") from None
+        save_model(model, folder)
+    names = [staged_name(shot) for shot in frames]
+    register_frames(model, place, names, [staged_name(shot) for shot in first if shot.clip != SWEEP])
+    return model
+
+
+def _why_moving(job: _Job) -> str:
+    """What to say beside an error where the kind was told and not given."""
+    if job.config.kind is not None:
+        return ""
+    other = "flat" if job.sources.sweep is None else "tripod"
+    why = motion_of(job.surveys[0])
+    return f"; taken for a moving camera as {why}: for one that stays put use --kind {other}"
+
+
+def _check_placed(job: _Job, taken: list[Shot], placed: dict[str, Any], quiet: bool = False) -> None:
+    """Raise CaptureError where too little was placed, else warn of what is left out."""
+    needed = [staged_name(shot) for shot in taken if shot.clip != SWEEP]
+    missing = check_registered(needed, placed, FEWEST_PLACED[job.kind.name])
+    if missing and not quiet:
+        text = f"{len(missing)} pictures could not be placed and are left out: {shown_names(missing)}"
+        warnings.warn(text, stacklevel=2)
+    typical = int(median(image.num_points3D for image in placed.values()))
+    if typical < FEW_POINTS and not quiet:
+        warnings.warn(
+            f"a picture shows {typical} points of the model, typically, too few for poses to rely on (expected "
+            f"{FEW_POINTS} or more): places may be off by a tenth of the distance. More texture, larger pictures "
+            "or more overlap help",
+            stacklevel=2,
+        )
+
+
+def _report(
+    job: _Job, model: Any, taken: list[Shot], placed: dict[str, Any], placement: Placement
+) -> dict[str, Any]:
+    return {
+        "kind": job.kind.name,
+        "pycolmap": colmap("tg4mm sfm").__version__,
+        "pictures": len(taken),
+        "placed": len(placed),
+        "points": len(placement.points),
+        "reprojection_error_px": round(float(model.compute_mean_reprojection_error()), 4),
+        "camera_model": job.config.camera_model,
+        "seed": job.config.seed,
+        "asked": job.work.scene_only,
+    }

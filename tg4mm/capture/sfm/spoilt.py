@@ -1,0 +1,209 @@
+"""Which parts of a recording cannot be used: black, frozen, of another scene, or on the other side of a knock.
+
+Each is named with its time, and with the --from and --until that leave it out.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from tg4mm.capture.sfm.clip import uneven_steps
+from tg4mm.capture.sfm.frozen import runs
+from tg4mm.capture.sfm.steadiness import (
+    KNOCK_FRAMES,
+    MOST_KNOCKS,
+    Knock,
+    find_bumps,
+    find_knocks,
+    stays_in_parts,
+)
+from tg4mm.capture.sfm.survey import NOTHING, Survey
+from tg4mm.capture.timing import FEWEST_FRAMES, FEWEST_MOVING
+from tg4mm.core.errors import CaptureError
+
+NAMED = 3  # faults and stretches that a message lists
+OTHER_RATE = 0.01  # part of the container's frame rate that --fps must differ by to be another one
+
+
+@dataclass(frozen=True)
+class Stretches:
+    """What a recording falls into, as frames: first, end (not included)."""
+
+    faults: list[tuple[int, int, str]]  # with what is wrong; a knock has first = end
+    good: list[tuple[int, int]]
+
+
+def is_fixed(survey: Survey) -> bool:
+    """Whether the camera stayed put, but for some knocks, cuts and dark moments."""
+    knocks = _knocks(survey)
+    if len(knocks) > MOST_KNOCKS:
+        return False
+    marks = [knock.frame for knock in knocks]
+    stretches = [piece for part in _parts(survey) for piece in _split(part, marks)]
+    return stays_in_parts(survey.shifts_px, stretches, max(survey.size))
+
+
+def stretches_of(survey: Survey, fixed: bool) -> Stretches:
+    """The faults of a recording and what lies between them; a camera that is not `fixed` may show anything."""
+    black = survey.parts == NOTHING
+    kinds = [(black, "is black"), (survey.frozen & ~black, "shows one frozen picture")]
+    if fixed:
+        seen = survey.parts[~black]
+        main = int(np.bincount(seen).argmax()) if len(seen) else 0
+        kinds.append((~black & (survey.parts != main), "shows another picture"))
+    faults, spoilt = [], np.zeros(len(survey), bool)
+    for flags, what in kinds:
+        for first, stop in runs(flags):
+            if stop - first >= KNOCK_FRAMES:
+                faults.append((first, stop, what))
+                spoilt[first:stop] = True
+    knocks = _knocks(survey) if fixed else []
+    faults += [(k.frame, k.frame, f"the whole picture moves by {k.shift_px:.1f} pixels") for k in knocks]
+    marks = [knock.frame for knock in knocks]
+    good = [piece for run in runs(~spoilt) for piece in _split(run, marks)]
+    return Stretches(sorted(faults), good)
+
+
+def check_usable(surveys: Iterable[Survey], fixed: bool) -> None:
+    """Raise CaptureError, with what to use instead, for a recording of which a part is spoilt, or that is too short.
+
+    fixed: whether its camera has to stay put.
+    """
+    for survey in surveys:
+        found = stretches_of(survey, fixed)
+        if fixed and not is_fixed(survey):
+            raise CaptureError(f"{survey.path}: {_moves(survey)}; for a moving camera use --kind handheld")
+        if found.faults:
+            raise CaptureError(f"{survey.path}: {_told(survey, found)}")
+        fewest = FEWEST_FRAMES if fixed else FEWEST_MOVING
+        if len(survey) < fewest:
+            raise CaptureError(
+                f"{survey.path}: holds {len(survey)} frames, too few to show motion; at least {fewest} are needed"
+            )
+
+
+def warn_bumps(surveys: Iterable[Survey]) -> None:
+    """A warning for each recording of a fixed camera that was pushed and came back, or was covered, for some frames."""
+    for survey in surveys:
+        bumps = find_bumps(survey.shifts_px, _times(survey))
+        if bumps:
+            listed = ", ".join(
+                f"{_moment(survey, first)} (by {px:.1f} pixels)" for first, _, px in bumps[:NAMED]
+            )
+            more = f" and {len(bumps) - NAMED} more times" if len(bumps) > NAMED else ""
+            warnings.warn(
+                f"{survey.path.name}: the camera was bumped and came back at {listed}{more}; "
+                "what moves then is not the scene",
+                stacklevel=2,
+            )
+
+
+def warn_clocks(surveys: Iterable[Survey], fps: float | None) -> None:
+    """A warning for each recording whose frame rate varies, or is said to be another than the container's."""
+    for survey in surveys:
+        if survey.times is None or survey.fps is None:
+            continue
+        steps = uneven_steps(_times(survey))
+        if steps is not None:
+            warnings.warn(
+                f"{survey.path.name}: the frame rate varies, with steps of {steps[0] * 1e3:.1f} to "
+                f"{steps[1] * 1e3:.1f} ms; each frame keeps its own time",
+                stacklevel=2,
+            )
+        written = float(survey.fps)
+        if fps is not None and abs(fps / written - 1) > OTHER_RATE:
+            how = f"divided by {fps / written:.4g}" if fps > written else f"multiplied by {written / fps:.4g}"
+            warnings.warn(
+                f"{survey.path.name}: the file says {written:.5g} frames per second, --fps {fps:g}: "
+                f"its times are {how}, as of slow motion",
+                stacklevel=2,
+            )
+
+
+def motion_of(survey: Survey) -> str:
+    """Why a camera is taken for a moving one, one clause."""
+    return _moves(survey).removeprefix("is no fixed camera: ")
+
+
+def _moves(survey: Survey) -> str:
+    seen = survey.shifts_px[np.isfinite(survey.shifts_px).all(axis=1)]
+    alike = len(seen) / len(survey)
+    if alike < 0.5:
+        return f"is no fixed camera: {1 - alike:.0%} of its pictures are unlike the first"
+    away = np.linalg.norm(seen - np.median(seen, axis=0), axis=1).max()
+    return f"is no fixed camera: its picture moves by {away:.0f} pixels"
+
+
+def _told(survey: Survey, found: Stretches) -> str:
+    listed = [_fault(survey, *fault) for fault in found.faults[:NAMED]]
+    if len(found.faults) > NAMED:
+        listed.append(f"{len(found.faults) - NAMED} more such places")
+    long = [piece for piece in found.good if piece[1] - piece[0] >= FEWEST_FRAMES]
+    best = sorted(sorted(long, key=lambda piece: piece[0] - piece[1])[:NAMED])
+    advice = " or ".join(_options(survey, *piece) for piece in best)
+    return f"{'; '.join(listed)}; {f'take {advice}' if advice else 'no part of it is long enough; record it again'}"
+
+
+def _fault(survey: Survey, first: int, stop: int, what: str) -> str:
+    if first == stop:
+        return f"the camera was knocked {_at(survey, first)}: {what}"
+    if survey.times is None:
+        return f"{what} from picture {first} to {stop - 1}"
+    return f"{what} from {_moment(survey, first)} to {_moment(survey, stop - 1)}"
+
+
+def _at(survey: Survey, frame: int) -> str:
+    return f"before picture {frame}" if survey.times is None else f"at {_moment(survey, frame)}"
+
+
+def _options(survey: Survey, first: int, stop: int) -> str:
+    """The options that leave these frames, or the pictures of a folder."""
+    if survey.times is None:
+        return f"pictures {first} to {stop - 1} alone"
+    begins = [f"--from {_floor(survey, first)}"] if first or survey.times[0] else []
+    ends = [f"--until {_floor(survey, stop)}"] if stop < len(survey) else []
+    return " ".join(begins + ends)
+
+
+def _floor(survey: Survey, frame: int) -> str:
+    """Seconds, rounded down: rounded up, --until would take the frame too, and --from would not."""
+    assert survey.times is not None
+    return f"{math.floor(survey.times[frame] * 1000) / 1000:.3f}"
+
+
+def _moment(survey: Survey, frame: int) -> str:
+    return f"picture {frame}" if survey.times is None else f"{_floor(survey, frame)} s"
+
+
+def _times(survey: Survey) -> np.ndarray:
+    """[T] seconds; of a folder, as if filmed at 30 frames per second."""
+    return np.arange(len(survey)) / 30 if survey.times is None else np.array([float(t) for t in survey.times])
+
+
+def _parts(survey: Survey) -> list[tuple[int, int]]:
+    """First frame and end of each run of frames of one part, black ones left out."""
+    changes = np.flatnonzero(np.diff(survey.parts)) + 1
+    edges = [0, *changes.tolist(), len(survey)]
+    return [(a, b) for a, b in pairwise(edges) if survey.parts[a] != NOTHING]
+
+
+def _split(stretch: tuple[int, int], marks: list[int]) -> list[tuple[int, int]]:
+    first, stop = stretch
+    edges = [first, *(mark for mark in marks if first < mark < stop), stop]
+    return list(pairwise(edges))
+
+
+def _knocks(survey: Survey) -> list[Knock]:
+    """The knocks within each part."""
+    times = _times(survey)
+    found = []
+    for first, stop in _parts(survey):
+        knocks = find_knocks(survey.shifts_px[first:stop], times[first:stop])
+        found += [Knock(first + knock.frame, knock.time_s, knock.shift_px) for knock in knocks]
+    return found

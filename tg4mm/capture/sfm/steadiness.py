@@ -1,0 +1,223 @@
+"""How the whole picture shifts over a recording: whether its camera stayed put, and when it was knocked.
+
+The shift of a frame from the first one is found by phase correlation (Kuglin & Hines 1975) on a reduced grey picture
+and refined by Lucas–Kanade (1981) on blocks, of which the median counts: what moves in the scene is a minority.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from tg4mm.capture.sfm.frozen import runs
+
+LONGEST = 400  # pixels of the longer side of the reduced picture
+BLOCK = 32  # pixels of it, or a quarter of its shorter side
+FIXED_PX = 2.0  # median shift of a camera that stays put, at most; or
+FIXED_SHARE = 0.002  # this part of the longer side
+ALIKE = 0.5  # correlation with the first frame below which a shift means nothing
+KNOCK_PX = 0.5  # a step of the whole picture that counts as a knock
+KNOCK_SCATTER = 6.0  # times the scatter of the frames before and after it
+KNOCK_WINDOW_S = 0.5  # before and after a knock; at least KNOCK_FRAMES
+KNOCK_FRAMES = 5
+MOST_KNOCKS = 5  # of a camera that stays put; one that steps more often is carried
+BUMP_PX = 2.0  # that fewer than KNOCK_FRAMES frames lie apart from those around them
+BUMP_SCATTER = 8.0  # times the scatter of those
+MOST_PARTS = 6  # scenes that a recording is cut into
+STAYING = 0.8  # share of the frames of a fixed camera
+
+
+def reduced(grey: np.ndarray) -> tuple[np.ndarray, int]:
+    """The picture [H, W] averaged over k × k pixels, float32, and k."""
+    k = max(1, -(-max(grey.shape) // LONGEST))
+    height, width = (n // k * k for n in grey.shape)
+    blocks = grey[:height, :width].reshape(height // k, k, width // k, k)
+    return blocks.mean(axis=(1, 3), dtype=np.float32), k
+
+
+class ShiftMeter:
+    """Shifts of pictures from the first one."""
+
+    def __init__(self, first: np.ndarray) -> None:
+        """first [h, w] float32, grey, reduced."""
+        window = np.outer(np.hanning(first.shape[0]), np.hanning(first.shape[1]))
+        self._window = window.astype(np.float32)
+        self._spectrum = np.conj(np.fft.rfft2((first - first.mean()) * self._window))
+        self._block = min(BLOCK, max(1, min(first.shape) // 4))
+        self._smooth = gaussian_filter(first, 1.0)
+        self._gradient = np.gradient(self._smooth)
+
+    def shift(self, grey: np.ndarray) -> tuple[float, float]:
+        """x and y, pixels of the reduced picture; NaN where the pictures have nothing in common."""
+        cross = np.fft.rfft2((grey - grey.mean()) * self._window) * self._spectrum
+        peak = np.fft.irfft2(cross / np.maximum(np.abs(cross), 1e-9), s=grey.shape)
+        rows, columns = grey.shape
+        y, x = divmod(int(peak.argmax()), columns)
+        y, x = y - rows * (y > rows // 2), x - columns * (x > columns // 2)
+        dx, dy, alike = self._refined(gaussian_filter(grey, 1.0), x, y)
+        return (x + dx, y + dy) if alike >= ALIKE else (float("nan"), float("nan"))
+
+    def _refined(self, smooth: np.ndarray, x: int, y: int) -> tuple[float, float, float]:
+        """What is left of the shift after (x, y) whole pixels, and the correlation of what overlaps."""
+        rows, columns = smooth.shape
+        if min(rows - abs(y), columns - abs(x)) < 2 * self._block:
+            return 0.0, 0.0, 0.0
+        here = (slice(max(0, -y), rows - max(0, y)), slice(max(0, -x), columns - max(0, x)))
+        there = (slice(max(0, y), rows + min(0, y)), slice(max(0, x), columns + min(0, x)))
+        first, other = self._smooth[here], smooth[there]
+        alike = (
+            float(np.corrcoef(first.ravel(), other.ravel())[0, 1]) if first.std() * other.std() > 0 else 0.0
+        )
+        gy, gx = (g[here] for g in self._gradient)
+        # A frame brighter or darker as a whole must not look like one that has moved.
+        change = other * (first.std() / max(float(other.std()), 1e-6))
+        change = (change - change.mean()) - (first - first.mean())
+        xx, yy, xy, bx, by = (
+            _blocks(a, self._block) for a in (gx * gx, gy * gy, gx * gy, gx * change, gy * change)
+        )
+        determinant, trace = xx * yy - xy * xy, xx + yy
+        weakest = trace / 2 - np.sqrt(np.maximum(trace**2 / 4 - determinant, 0))
+        good = weakest > 0.2 * np.median(weakest) + 1e-6
+        if not good.any():
+            return 0.0, 0.0, alike
+        dx = -(yy * bx - xy * by)[good] / determinant[good]
+        dy = -(xx * by - xy * bx)[good] / determinant[good]
+        return float(np.median(dx)), float(np.median(dy)), alike
+
+
+def _blocks(values: np.ndarray, size: int) -> np.ndarray:
+    """Sums over size × size pixels; what is left at the edges is not counted."""
+    rows, columns = (n // size for n in values.shape)
+    return values[: rows * size, : columns * size].reshape(rows, size, columns, size).sum(axis=(1, 3))
+
+
+class PartMeter:
+    """Shifts within each part: a picture unlike the first one of its part and unlike the one before begins another."""
+
+    def __init__(self) -> None:
+        self._meters: list[ShiftMeter] = []
+        self._part = 0
+        self._before: np.ndarray | None = None
+
+    def add(self, grey: np.ndarray) -> tuple[int, float, float]:
+        """The part of the next picture [h, w], and its shift from the first one of it; NaN where it is unlike that."""
+        if not self._meters:
+            self._meters.append(ShiftMeter(grey))
+        before, self._before = self._before, grey
+        shift = self._meters[self._part].shift(grey)
+        if np.isnan(shift[0]) and before is not None and np.isnan(ShiftMeter(before).shift(grey)[0]):
+            shift = self._elsewhere(grey)
+        return self._part, *shift
+
+    def _elsewhere(self, grey: np.ndarray) -> tuple[float, float]:
+        """Go to the part that this picture is of, a new one where it is like none."""
+        for part, meter in enumerate(self._meters):
+            shift = meter.shift(grey)
+            if not np.isnan(shift[0]):
+                self._part = part
+                return shift
+        if len(self._meters) == MOST_PARTS:
+            return float("nan"), float("nan")
+        self._part = len(self._meters)
+        self._meters.append(ShiftMeter(grey))
+        return 0.0, 0.0
+
+
+@dataclass(frozen=True)
+class Knock:
+    """A moment at which a camera that stays put before and after moved."""
+
+    frame: int  # the first one after it
+    time_s: float  # of that frame
+    shift_px: float  # of the whole picture
+
+
+def stays(shifts_px: np.ndarray, longer_side: int) -> bool:
+    """Whether a camera with these shifts [T, 2] (pixels; NaN: no likeness) stayed put."""
+    if np.isnan(shifts_px).any(axis=1).mean() > 0.5:
+        return False
+    middle = np.nanmedian(shifts_px, axis=0)
+    typical = float(np.nanmedian(np.linalg.norm(shifts_px - middle, axis=1)))
+    return typical <= max(FIXED_PX, FIXED_SHARE * longer_side)
+
+
+def stays_in_parts(shifts_px: np.ndarray, stretches: list[tuple[int, int]], longer_side: int) -> bool:
+    """Whether a camera stayed put in nearly all of its stretches (first frame, end): it stands, but was knocked."""
+    steady = sum(
+        stop - first
+        for first, stop in stretches
+        if stop - first >= min(KNOCK_FRAMES, len(shifts_px)) and stays(shifts_px[first:stop], longer_side)
+    )
+    return steady > 0 and steady >= STAYING * sum(stop - first for first, stop in stretches)
+
+
+def find_knocks(shifts_px: np.ndarray, times_s: np.ndarray) -> list[Knock]:
+    """Steps of the whole picture between frames that stand still before and after, in order; shifts [T, 2].
+
+    Not more than one above MOST_KNOCKS.
+    """
+    found: list[Knock] = []
+    stretches = [(0, len(shifts_px))]
+    while stretches and len(found) <= MOST_KNOCKS:
+        first, stop = stretches.pop()
+        knock = _largest_knock(shifts_px[first:stop], times_s[first:stop])
+        if knock is not None:
+            at = first + knock.frame
+            found.append(Knock(at, knock.time_s, knock.shift_px))
+            stretches += [(first, at), (at, stop)]
+    return sorted(found, key=lambda knock: knock.frame)
+
+
+def find_bumps(shifts_px: np.ndarray, times_s: np.ndarray) -> list[tuple[int, int, float]]:
+    """First frame, end and largest shift of each few frames that lie apart from all around them; shifts [T, 2]."""
+    known = np.isfinite(shifts_px).all(axis=1)
+    if known.sum() < 4 * KNOCK_FRAMES:
+        return []
+    at, window = np.flatnonzero(known), _window(times_s)
+    away, scatter = np.zeros(len(shifts_px)), np.zeros(len(shifts_px))
+    for i, t in enumerate(at):
+        half = min(window, i, len(at) - 1 - i)  # as many on both sides, so that a drift leaves nothing
+        around = shifts_px[at[i - half : i + half + 1]]
+        distances = np.linalg.norm(around - np.median(around, axis=0), axis=1)
+        away[t], scatter[t] = distances[half], np.median(distances)
+    apart = away > np.maximum(BUMP_PX, BUMP_SCATTER * scatter)
+    return [
+        (first, stop, float(away[first:stop].max()))
+        for first, stop in runs(apart)
+        if first > 0 and stop < len(apart) and stop - first < KNOCK_FRAMES
+    ]
+
+
+def _window(times_s: np.ndarray) -> int:
+    """Frames before and after a moment that tell of it."""
+    step_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 1.0
+    return max(KNOCK_FRAMES, round(KNOCK_WINDOW_S / step_s))
+
+
+def _largest_knock(shifts_px: np.ndarray, times_s: np.ndarray) -> Knock | None:
+    """The largest step of the whole picture between frames that stand still before and after; None without one."""
+    shifts = np.where(np.isnan(shifts_px), 1e6, shifts_px)
+    n = len(shifts)
+    window = _window(times_s)
+    worst: tuple[float, int] | None = None
+    for t in range(KNOCK_FRAMES, n - KNOCK_FRAMES + 1):
+        before, after = shifts[max(0, t - window) : t], shifts[t : t + window]
+        step = float(np.linalg.norm(np.median(after, axis=0) - np.median(before, axis=0)))
+        scatter = max(_scatter(before), _scatter(after))
+        if step > max(KNOCK_PX, KNOCK_SCATTER * scatter) and (worst is None or step > worst[0]):
+            worst = (step, t)
+    if worst is None:
+        return None
+    step, t = worst
+    # The medians of the windows step within half a window of it; the frames themselves tell where.
+    low, high = max(1, t - window), min(n - 1, t + window)
+    jumps = np.linalg.norm(np.diff(shifts[low - 1 : high + 1], axis=0), axis=1)
+    at = low + int(jumps.argmax())
+    return Knock(at, float(times_s[at]), step)
+
+
+def _scatter(shifts: np.ndarray) -> float:
+    """Median distance from the median; a slow drift counts, so that it is no knock."""
+    return float(np.median(np.linalg.norm(shifts - np.median(shifts, axis=0), axis=1)))

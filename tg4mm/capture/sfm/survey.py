@@ -1,0 +1,245 @@
+"""One look through a recording: its times, how its camera moves, how sharp it is, its mean; and what is wrong with it.
+
+sfm/survey/<clip>.json and .png, so that a look is taken once.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+from scipy.ndimage import laplace
+
+from tg4mm.capture.sfm.clip import Clip, Frame, Window, clip_frames, frame_rate, regular_times
+from tg4mm.capture.sfm.frozen import NoveltyMeter
+from tg4mm.capture.sfm.steadiness import PartMeter, reduced
+from tg4mm.capture.sfm.video import VideoInfo, video_info
+from tg4mm.core.errors import CaptureError
+from tg4mm.core.files import write_atomic, write_json
+from tg4mm.core.progress import progress
+from tg4mm.core.records import Record, read_record
+
+BLACK = 16  # of 255: a frame whose brightest hundredth does not reach it shows nothing
+NOTHING = -1  # the part of such a frame
+FASTEST = 10**9  # frames a second
+_REGULAR = 0.8  # of the distances, that one must have to be a period
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What a look through a clip's T pictures found."""
+
+    name: str
+    path: Path  # of the clip
+    mean: Path  # its mean picture, RGB or RGBA, 8 bits
+    size: tuple[int, int]  # width and height in pixels
+    fps: Fraction | None  # as the container has it; None for a folder
+    times: tuple[Fraction, ...] | None  # T, seconds since the first frame; None for a folder
+    parts: np.ndarray  # [T] which scene a frame shows, from 0; NOTHING of a black one
+    shifts_px: np.ndarray  # [T, 2] of the whole picture from the first one of its part; NaN: no likeness
+    frozen: np.ndarray  # [T] bool: frames that repeat the one before, in a recording that does not
+    sharpness: np.ndarray  # [T] variance of the Laplacian
+    codec_period: (
+        int | None
+    )  # frames, from one that the codec predicts forward to the next; None: it has no period
+    created_s: float | None  # when the recording began, seconds since 1970
+
+    def __len__(self) -> int:
+        """T, the number of pictures."""
+        return len(self.sharpness)
+
+    def clock(self, fps: float | None = None) -> tuple[float, np.ndarray]:
+        """Frames per second and the times [T] in seconds; fps, where given, is what it was filmed at.
+
+        Raises CaptureError where neither a container nor fps tells.
+        """
+        if self.times is None or self.fps is None:
+            if fps is None:
+                raise CaptureError(
+                    f"--fps is missing: the pictures of {self.name} need their frames per second"
+                )
+            return fps, np.arange(len(self)) / fps
+        stretch = 1.0 if fps is None else float(self.fps) / fps
+        return fps or float(self.fps), np.array([float(time) for time in self.times]) * stretch
+
+
+def survey_clip(clip: Clip, folder: Path, window: Window) -> Survey:
+    """Look through a clip, or read what an earlier look wrote to `folder`.
+
+    Raises CaptureError for a recording that is damaged, black, frozen, or holds fewer than two frames.
+    """
+    path = folder / f"{clip.name}.json"
+    if not path.is_file():
+        folder.mkdir(parents=True, exist_ok=True)
+        write_json(path, _looked_through(clip, folder, window))
+    try:
+        return _read(clip, folder, read_record(path).values)
+    except (CaptureError, KeyError, TypeError, ValueError, ArithmeticError):
+        raise CaptureError(f"{path}: is damaged or edited; remove it and give the command again") from None
+
+
+def _looked_through(clip: Clip, folder: Path, window: Window) -> dict[str, Any]:
+    info = video_info(clip.path) if clip.is_video else None
+    total = (info.total if info else len(clip.pictures)) or 1
+    look = _Look(clip)
+    with progress(f"reading {clip.name}", total, "frames") as update:
+        for frame in clip_frames(clip, window):
+            look.add(frame)
+            update(min(frame.index + 1, total))
+    if len(look.sharpness) < 2:
+        span = "" if window.is_all else f" from {window.start_s:g} s to {window.stop_s:g} s"
+        raise CaptureError(f"{clip.path}: holds {len(look.sharpness)} frames{span}, at least 2 are needed")
+    look.check()
+    write_atomic(folder / f"{clip.name}.png", lambda temporary: look.mean().save(temporary, format="PNG"))
+    return look.record(info)
+
+
+def _read(clip: Clip, folder: Path, record: dict[str, Any]) -> Survey:
+    """Raises one of many errors for a record that is not as `_Look.record` gives it."""
+    times, fps = record["times"], record["fps"]
+    sharpness = np.array(record["sharpness"], np.float64)
+    shifts = [[np.nan if x is None else x for x in row] for row in record["shifts_px"]]
+    shifts_px = np.array(shifts, np.float64).reshape(len(sharpness), 2)
+    parts = np.array([int(part) for part in record["parts"]], np.int64)
+    frozen = np.array([bool(x) for x in record["frozen"]], bool)
+    if not len(parts) == len(frozen) == len(sharpness) or not NOTHING <= parts.min() <= parts.max() < len(
+        parts
+    ):
+        raise ValueError("parts that are not those of the pictures")
+    moments = None if times is None else tuple(Fraction(time) for time in times)
+    if moments is not None and len(moments) != len(sharpness):
+        raise ValueError(f"{len(moments)} times of {len(sharpness)} pictures")
+    if moments is not None and any(b <= a for a, b in pairwise(moments)):
+        raise ValueError("times that do not go forward")
+    if sharpness.ndim != 1 or not np.isfinite(sharpness).all() or np.isinf(shifts_px).any():
+        raise ValueError("a number that is not finite")
+    found = Record(clip.name, record)
+    return Survey(
+        name=clip.name,
+        path=clip.path,
+        mean=folder / f"{clip.name}.png",
+        size=(found.whole("width", 1), found.whole("height", 1)),
+        fps=None if fps is None else _positive(Fraction(fps)),
+        times=moments,
+        parts=parts,
+        shifts_px=shifts_px,
+        frozen=frozen,
+        sharpness=sharpness,
+        codec_period=found.whole("codec_period", 2) if found.has("codec_period") else None,
+        created_s=found.number("created_s") if found.has("created_s") else None,
+    )
+
+
+def _positive(rate: Fraction) -> Fraction:
+    if not 0 < rate < FASTEST:
+        raise ValueError(f"{rate} frames a second")
+    return rate
+
+
+class _Look:
+    """What is gathered frame by frame."""
+
+    def __init__(self, clip: Clip) -> None:
+        self.clip = clip
+        self.times: list[Fraction | None] = []
+        self.shifts: list[tuple[float, float]] = []
+        self.sharpness: list[float] = []
+        self.parts: list[int] = []
+        self._between: list[bool] = []
+        self._brightest = 0.0
+        self._sum: np.ndarray | None = None  # of colour · alpha, and of alpha where there is any
+        self._meter = PartMeter()
+        self._novelty = NoveltyMeter()
+
+    def add(self, frame: Frame) -> None:
+        pixels = frame.pixels if frame.pixels.dtype == np.uint8 else (frame.pixels >> 8).astype(np.uint8)
+        if pixels.shape[2] == 4 and (pixels[..., 3] == 255).all():
+            pixels = pixels[..., :3]
+        self._add_to_sum(frame, pixels)
+        grey, k = reduced(pixels[..., 1])  # green carries most of the light, and is there without arithmetic
+        brightest = float(np.quantile(grey, 0.99))
+        if brightest < BLACK:
+            self._novelty.add_black()
+            part, x, y = NOTHING, np.nan, np.nan
+        else:
+            self._novelty.add(pixels[::k, ::k, 1], frame.is_alone)
+            part, x, y = self._meter.add(grey)
+        self.times.append(frame.time)
+        self._between.append(frame.is_between)
+        self.parts.append(part)
+        self.shifts.append((x * k, y * k))
+        self.sharpness.append(float(laplace(grey).var()))
+        self._brightest = max(self._brightest, brightest)
+
+    def _add_to_sum(self, frame: Frame, pixels: np.ndarray) -> None:
+        if pixels.shape[2] == 4:
+            alpha = pixels[..., 3:] / np.float32(255)
+            pixels = np.concatenate([pixels[..., :3] * alpha, 255 * alpha], axis=2)
+        if self._sum is None:
+            self._sum = np.zeros(pixels.shape, np.float32)
+        if self._sum.shape != pixels.shape:
+            where = frame.path or self.clip.path
+            (h, w, _), (first_h, first_w, _) = pixels.shape, self._sum.shape
+            raise CaptureError(
+                f"{where}: frame {frame.index} is {w}×{h} pixels, the first is {first_w}×{first_h}"
+                + (", or only some are transparent" if (h, w) == (first_h, first_w) else "")
+            )
+        self._sum += pixels
+
+    def check(self) -> None:
+        path = self.clip.path
+        if self._brightest < BLACK:
+            raise CaptureError(f"{path}: is black: its brightest pixels reach {self._brightest:.0f} of 255")
+        if self._novelty.is_frozen():
+            raise CaptureError(f"{path}: is frozen: its {len(self.sharpness)} frames are one picture")
+        if self._novelty.hardly_changes():
+            warnings.warn(
+                f"{path.name}: hardly anything changes from frame to frame: it is one frozen picture, or its "
+                "compression took away what the camera saw change",
+                stacklevel=2,
+            )
+
+    def mean(self) -> Image.Image:
+        assert self._sum is not None
+        values = self._sum / len(self.sharpness)
+        if values.shape[2] == 4:
+            values[..., :3] /= np.maximum(values[..., 3:], 1e-3) / 255
+        return Image.fromarray((np.clip(values, 0, 255) + 0.5).astype(np.uint8))
+
+    def record(self, info: VideoInfo | None) -> dict[str, Any]:
+        assert self._sum is not None
+        fps, times = self._clock(info)
+        return {
+            "width": self._sum.shape[1],
+            "height": self._sum.shape[0],
+            "fps": None if fps is None else str(fps),
+            "times": None if times is None else [str(time) for time in times],
+            "shifts_px": [[None if np.isnan(x) else round(x, 4) for x in row] for row in self.shifts],
+            "parts": self.parts,
+            "frozen": self._novelty.frozen_frames().tolist(),
+            "sharpness": self.sharpness,
+            "codec_period": codec_period(np.array(self._between)),
+            "created_s": info.created.timestamp() if info is not None and info.created is not None else None,
+        }
+
+    def _clock(self, info: VideoInfo | None) -> tuple[Fraction | None, list[Fraction] | None]:
+        times = [time for time in self.times if time is not None]
+        if info is None or len(times) < len(self.times):
+            return None, None
+        fps = frame_rate(self.clip.path, times, info.rates, info.tick)
+        return fps, regular_times(times, fps, info.tick)
+
+
+def codec_period(is_between: np.ndarray) -> int | None:
+    """The distance of two frames that are predicted forward, if nearly all have one; is_between [T]: all others."""
+    steps = np.diff(np.flatnonzero(~is_between))
+    if not len(steps):
+        return None
+    period = int(np.bincount(steps).argmax())
+    return period if period > 1 and (steps == period).mean() > _REGULAR else None

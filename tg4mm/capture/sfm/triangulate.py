@@ -1,0 +1,215 @@
+"""Points for known cameras, the initialisation of [TG4MM] Table IV: SIFT, guided matches, COLMAP's triangulator."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Protocol
+
+import numpy as np
+from PIL import Image
+
+from tg4mm.capture.geometry import working_box
+from tg4mm.capture.sfm.engine import colmap, extract, opened
+from tg4mm.capture.sfm.guided import Features, essential, features_of, guided_matches
+from tg4mm.capture.sfm.points import SfmPoints, outside_masks, points_of
+from tg4mm.core.progress import progress
+
+
+class PosedViews(Protocol):
+    """V pictures of the scene at rest, composited over white, with their cameras."""
+
+    @property
+    def viewmats(self) -> np.ndarray:
+        """[V, 4, 4] world-to-camera, OpenCV axes."""
+
+    @property
+    def Ks(self) -> np.ndarray:
+        """[V, 3, 3] pixels."""
+
+    @property
+    def rgb(self) -> np.ndarray:
+        """[V, H, W, 3] in 0..1."""
+
+    @property
+    def alpha(self) -> np.ndarray:
+        """[V, H, W] in 0..1."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in pixels."""
+
+
+@dataclass(frozen=True)
+class TriangulationConfig:
+    """What counts as a match, and as a point."""
+
+    ratio: float = 0.8  # of the descriptor's angle to that of the second nearest on the epipolar line
+    distance: float = 0.6  # radians between descriptors, at most
+    epipolar_px: float = 1.0  # Sampson distance of a match, at most
+    error_px: float = 2.0  # mean reprojection error of a point, at most
+    min_angle_deg: float = 2.0  # between two rays of a point, at least
+    max_axes_deg: float = 60.0  # between the optical axes of two pictures that are matched, at most
+    neighbours: int = 24  # pictures each is matched with, the nearest ones; in small captures that is all
+    seed: int = 0
+
+
+def triangulate_views(views: PosedViews, config: TriangulationConfig = TriangulationConfig()) -> SfmPoints:
+    """Points that at least three pictures show (two, where there are no more than three), in scene units.
+
+    Poses and intrinsics are kept as they are. Features lie on the alpha masks only, and so do the points.
+    One thread, and every random draw of COLMAP seeded: equal input gives equal points on one machine and version of
+    pycolmap; other processors may differ in the last digits, and a feature at a threshold may come or go.
+    Raises Tg4mmError without pycolmap. May find nothing: the caller judges whether the points are enough.
+    """
+    c = colmap("triangulation")
+    c.set_random_seed(config.seed)
+    with TemporaryDirectory(prefix="tg4mm-sfm-") as name:
+        folder = Path(name)
+        names = _write_pictures(folder, views)
+        model = _known_model(c, views, names)
+        _write_database(c, folder / "database.db", model)
+        extract(folder / "database.db", folder / "images", names, folder / "masks")
+        _match(c, folder / "database.db", views, config)
+        with progress("triangulation", 1, "run") as update:
+            found = c.triangulate_points(
+                model, folder / "database.db", folder / "images", folder, options=_options(c, views, config)
+            )
+            points = _trusted(points_of(found), views, config)
+            error = float(np.mean(points.errors_px)) if len(points) else 0.0
+            update(1, points=len(points), error_px=error)
+    return points
+
+
+def _write_pictures(folder: Path, views: PosedViews) -> list[str]:
+    """images/0000.png … and masks/0000.png.png …, white on the object, as COLMAP names them."""
+    for part in ("images", "masks"):
+        (folder / part).mkdir()
+    names = []
+    for i, (rgb, alpha) in enumerate(zip(views.rgb, views.alpha, strict=True)):
+        names.append(f"{i:04d}.png")
+        picture = (np.clip(rgb, 0, 1) * 255 + 0.5).astype(np.uint8)
+        Image.fromarray(picture).save(folder / "images" / names[-1])
+        mask = np.where(alpha > 0.5, 255, 0).astype(np.uint8)
+        Image.fromarray(mask).save(folder / "masks" / f"{names[-1]}.png")
+    return names
+
+
+def _known_model(c: Any, views: PosedViews, names: list[str]) -> Any:
+    """A pycolmap Reconstruction of pinholes at the known poses, picture i with camera and number i + 1."""
+    model = c.Reconstruction()
+    width, height = views.size
+    for i, name in enumerate(names):
+        K = views.Ks[i].astype(np.float64)
+        params = [K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
+        model.add_camera_with_trivial_rig(
+            c.Camera(model="PINHOLE", width=width, height=height, params=params, camera_id=i + 1)
+        )
+        pose = c.Rigid3d(_rigid(views.viewmats[i])[:3])
+        model.add_image_with_trivial_frame(c.Image(name=name, camera_id=i + 1, image_id=i + 1), pose)
+    return model
+
+
+def _rigid(viewmat: np.ndarray) -> np.ndarray:
+    """The pose in float64, its rotation as orthonormal as that."""
+    pose = viewmat.astype(np.float64)
+    u, _, vt = np.linalg.svd(pose[:3, :3])
+    pose[:3, :3] = u @ vt
+    return pose
+
+
+def _write_database(c: Any, path: Path, model: Any) -> None:
+    with opened(path) as db:
+        for i in sorted(model.images):
+            db.write_camera(model.cameras[i], use_camera_id=True)
+            db.write_rig(model.rigs[i], use_rig_id=True)
+            db.write_frame(model.frames[i], use_frame_id=True)
+            db.write_image(model.images[i], use_image_id=True)
+
+
+def view_pairs(viewmats: np.ndarray, max_axes_deg: float, neighbours: int) -> list[tuple[int, int]]:
+    """Pairs (i, j), i < j, whose optical axes differ by at most max_axes_deg, each with its nearest neighbours.
+
+    Nearest: by the angle of the axes, then by the cameras' distance, which orders parallel cameras.
+    """
+    rotations = viewmats[:, :3, :3].astype(np.float64)
+    centres = -np.einsum("vji,vj->vi", rotations, viewmats[:, :3, 3].astype(np.float64))
+    axes = rotations[:, 2]
+    angle = np.degrees(np.arccos(np.clip(axes @ axes.T, -1, 1)))
+    apart = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
+    rank = angle + 1e-3 * apart / max(apart.max(), 1e-12)
+    pairs = set()
+    for i in range(len(viewmats)):
+        order = [j for j in np.argsort(rank[i], kind="stable") if j != i and angle[i, j] <= max_axes_deg]
+        pairs |= {(min(i, int(j)), max(i, int(j))) for j in order[:neighbours]}
+    return sorted(pairs)
+
+
+def _match(c: Any, path: Path, views: PosedViews, config: TriangulationConfig) -> None:
+    """Guided matches of all pairs, written as verified ones."""
+    viewmats = [_rigid(viewmat) for viewmat in views.viewmats]
+    pairs = view_pairs(views.viewmats, config.max_axes_deg, config.neighbours)
+    total = 0
+    with opened(path) as db, progress("matching", len(pairs), "pairs") as update:
+        features = [_features(db, i + 1, views.Ks[i]) for i in range(len(viewmats))]
+        for done, (i, j) in enumerate(pairs, 1):
+            E, relative = essential(viewmats[i], viewmats[j])
+            norm = np.linalg.norm(relative[:, 3])
+            if norm > 0:  # cameras at one place say nothing of depth
+                focal = float((views.Ks[i, 0, 0] + views.Ks[j, 0, 0]) / 2)
+                tolerance = config.epipolar_px / focal
+                matches = guided_matches(
+                    features[i], features[j], E / norm, tolerance, config.ratio, config.distance
+                )
+                if len(matches):
+                    _write_matches(c, db, (i + 1, j + 1), E / norm, relative, matches)
+                total += len(matches)
+            update(done, matches=total)
+
+
+def _features(db: Any, image_id: int, K: np.ndarray) -> Features:
+    keypoints = np.asarray(db.read_keypoints(image_id), dtype=np.float64)
+    descriptors = db.read_descriptors(image_id)
+    data = np.asarray(getattr(descriptors, "data", descriptors))
+    if keypoints.size == 0 or data.size == 0:
+        keypoints, data = np.zeros((0, 2)), np.zeros((0, 128))
+    return features_of(keypoints, data, K.astype(np.float64))
+
+
+def _write_matches(
+    c: Any, db: Any, ids: tuple[int, int], E: np.ndarray, relative: np.ndarray, matches: np.ndarray
+) -> None:
+    geometry = c.TwoViewGeometry()
+    geometry.config = c.TwoViewGeometryConfiguration.CALIBRATED
+    geometry.E = E
+    geometry.cam2_from_cam1 = c.Rigid3d(relative)
+    geometry.inlier_matches = matches
+    db.write_two_view_geometry(*ids, geometry)
+
+
+def _options(c: Any, views: PosedViews, config: TriangulationConfig) -> Any:
+    options = c.IncrementalPipelineOptions()
+    options.num_threads = options.mapper.num_threads = 1
+    options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = config.seed
+    options.min_num_matches = 1  # each match is verified by the known poses, however few a pair has
+    options.triangulation.min_angle = options.mapper.filter_min_tri_angle = config.min_angle_deg
+    options.triangulation.ignore_two_view_tracks = _fewest_views(views) > 2
+    return options
+
+
+def _fewest_views(views: PosedViews) -> int:
+    """Two rays always meet near enough somewhere on their epipolar lines; a third one tells whether they should."""
+    return 3 if len(views.viewmats) > 3 else 2
+
+
+def _trusted(points: SfmPoints, views: PosedViews, config: TriangulationConfig) -> SfmPoints:
+    """Points with a small error; where masks cut an object out, those on it, in the space the cameras share."""
+    masks = views.alpha > 0.5
+    keep = (points.errors_px <= config.error_px) & (points.n_views >= _fewest_views(views))
+    if not masks.all():
+        viewmats, Ks = views.viewmats.astype(np.float64), views.Ks.astype(np.float64)
+        centre, half = working_box(viewmats, Ks, views.size)
+        keep &= np.abs(points.xyz - centre).max(axis=1, initial=0) <= half
+        keep &= ~outside_masks(points.xyz.astype(np.float64), viewmats, Ks, masks)
+    return points.kept(keep)

@@ -1,0 +1,158 @@
+"""Videos through PyAV: what the container says, and the frames one by one with their exact times."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import datetime
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tg4mm.core.errors import CaptureError, Tg4mmError
+
+# What FFmpeg's decoders write to their log when they cover up damage and hand out a frame all the same.
+DAMAGE = ("error while decoding", "invalid nal unit size", "partial file", "corrupt")
+HAIR_S = 1e-6  # seconds by which a decimal may miss the fraction it means
+ALONE, BETWEEN = 1, 3  # FFmpeg's AV_PICTURE_TYPE_I and _B
+TURNS = {0: 0, 90: 1, 180: 2, -180: 2, -90: 3}  # display rotation in degrees → np.rot90's k
+
+
+@dataclass(frozen=True)
+class VideoInfo:
+    """What a container says of its video; none of it is certain until all frames are decoded."""
+
+    rates: tuple[Fraction, ...]  # frames per second: average, then nominal; empty if it does not say
+    tick: Fraction  # seconds, in whole numbers of which time stamps are written
+    duration_s: float | None
+    total: int  # frames, an estimate; 0 if unknown
+    created: datetime | None  # when the recording began, where the camera wrote it down
+
+
+@dataclass(frozen=True)
+class VideoFrame:
+    """One decoded frame, upright."""
+
+    time: Fraction  # seconds since the video's first frame, as the container has it
+    rgb: np.ndarray  # [H, W, 3] uint8
+    is_between: bool  # a B picture: predicted from both sides
+    is_alone: bool  # an I picture: not predicted
+
+
+def av_module() -> Any:
+    """PyAV. Raises Tg4mmError where it is absent."""
+    try:
+        import av
+        import av.logging
+    except ImportError as error:
+        raise Tg4mmError(
+            f"reading videos needs PyAV ({error}): pip install '.[sfm]' in a copy of the repository"
+        ) from None
+    av.logging.set_level(av.logging.ERROR)  # so that damage which FFmpeg covers up can be seen
+    return av
+
+
+def video_info(path: Path) -> VideoInfo:
+    """The container's own figures. Raises CaptureError where it is no video that can be decoded."""
+    with _opened(path) as container:
+        stream = container.streams.video[0]
+        rates = [stream.average_rate, stream.base_rate, stream.guessed_rate]
+        known = tuple(dict.fromkeys(Fraction(rate) for rate in rates if rate))
+        duration = _duration(container, stream)
+        total = stream.frames or round((duration or 0) * float(known[0] if known else 0))
+        return VideoInfo(known, Fraction(stream.time_base), duration, total, _created(container, stream))
+
+
+def video_frames(path: Path, start_s: float = 0.0, stop_s: float = math.inf) -> Iterator[VideoFrame]:
+    """Frames from start_s up to stop_s (seconds since the first), in order, turned upright as the container asks.
+
+    Raises CaptureError, naming the second, where decoding fails, damage is covered up, or the file ends early.
+    """
+    av = av_module()
+    first: Fraction | None = None
+    time, step = Fraction(0), Fraction(0)
+    with av.logging.Capture(False) as log, _opened(path) as container:
+        stream = container.streams.video[0]
+        stream.codec_context.thread_type = "NONE"  # its log then belongs to the frame that comes next
+        log.clear()
+        frames = container.decode(stream)
+        while True:
+            try:
+                frame = next(frames, None)
+            except av.FFmpegError as error:
+                raise _damaged(path, time, _duration(container, stream)) from error
+            if first is not None and any(word in text.lower() for _, _, text in log for word in DAMAGE):
+                raise _damaged(path, time, _duration(container, stream))
+            log.clear()
+            if frame is None:
+                break
+            if frame.pts is None:
+                raise CaptureError(
+                    f"{path}: its frames have no time stamps; put it into an MP4 or MKV container"
+                )
+            stamp = frame.pts * Fraction(frame.time_base)
+            first = stamp if first is None else first
+            step, time = max(step, stamp - first - time), stamp - first
+            if time >= stop_s - HAIR_S:
+                return
+            if time >= start_s - HAIR_S:
+                kind = int(frame.pict_type)
+                yield VideoFrame(time, _upright(frame), kind == BETWEEN, kind == ALONE)
+        duration = _duration(container, stream)
+    if first is None:
+        raise CaptureError(f"{path}: holds no frames")
+    if duration is not None and float(time + 2 * step) < duration - 0.05:
+        raise _damaged(path, time, duration)
+
+
+def _upright(frame: Any) -> np.ndarray:
+    rgb = frame.to_ndarray(format="rgb24")
+    turns = TURNS.get(round(frame.rotation), 0)
+    return np.ascontiguousarray(np.rot90(rgb, turns)) if turns else rgb
+
+
+def _opened(path: Path) -> Any:
+    """The container, with a video in it whose decoder is known."""
+    av = av_module()
+    try:
+        with av.logging.Capture(False):
+            container = av.open(str(path))
+    except (av.FFmpegError, OSError, ValueError) as error:
+        raise CaptureError(
+            f"{path}: is not a video that can be decoded, or it was cut off before its index; copy it from the camera "
+            "again"
+        ) from error
+    # A stream without codec context takes the whole process down when it is decoded.
+    if not container.streams.video or container.streams.video[0].codec_context is None:
+        container.close()
+        raise CaptureError(f"{path}: holds no video that can be decoded")
+    return container
+
+
+def _duration(container: Any, stream: Any) -> float | None:
+    """Seconds of the video stream; the container's length is that of its longest stream."""
+    if stream.duration:
+        return float(stream.duration * stream.time_base)
+    if container.duration and len(container.streams) == 1:
+        return container.duration / 1e6
+    return None
+
+
+def _created(container: Any, stream: Any) -> datetime | None:
+    text = stream.metadata.get("creation_time") or container.metadata.get("creation_time")
+    try:
+        return datetime.fromisoformat(text.replace("Z", "+00:00")) if text else None
+    except ValueError:
+        return None
+
+
+def _damaged(path: Path, time: Fraction, duration: float | None) -> CaptureError:
+    whole = "" if duration is None else f" of {duration:.2f} s"
+    last = math.floor(time * 100) / 100  # rounded up, --until would ask for what cannot be decoded
+    return CaptureError(
+        f"{path}: is damaged or cut off: decoding stops at {last:.2f} s{whole}; "
+        f"use the part before it with --until {last:.2f}, or record it again"
+    )

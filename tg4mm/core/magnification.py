@@ -1,0 +1,97 @@
+"""What is magnified, and by how much: frequency bands that do not overlap, each with its own α."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from tg4mm.core.band import check_band
+from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.filters import TemporalFilter
+
+METHODS = ("modal", "linear", "phase")
+LARGEST_ALPHA = 1e6  # either way; a micrometre becomes a metre, and far beyond it float32 overflows
+
+
+@dataclass(frozen=True)
+class BandGain:
+    """A band and its magnification: displacements δ at frequencies from low to high become (1 + alpha) δ.
+
+    alpha = 0 changes nothing, −1 stops the motion, and values between attenuate it. Below −1 the motion is inverted:
+    |1 + alpha| times as large, in opposite phase.
+    """
+
+    low: float  # Hz
+    high: float  # Hz
+    alpha: float  # magnification α
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """(low, high) in Hz."""
+        return self.low, self.high
+
+
+@dataclass(frozen=True)
+class Magnification:
+    """What is magnified, by how much, and by which method. The method `modal` needs no filter: a mode lies inside a
+    band or outside."""
+
+    bands: tuple[BandGain, ...] = ()  # frequencies in none of them keep their motion
+    everywhere: float = 0.0  # α of all frequencies if there are no bands
+    # `modal`, `phase` or `linear`; None: the preset's own (modal: `modal`, paper: `phase`, paper-tuned: `linear`)
+    method: str | None = None
+    filter: TemporalFilter | None = None  # None: zero-phase
+
+    def checked(self, fps: float) -> Magnification:
+        """Itself. Raises Tg4mmError for an unknown method, an α that is no number, and bands that overlap;
+        CaptureError for a band that does not fit the frame rate `fps` (Hz)."""
+        if self.method is not None and self.method not in METHODS:
+            raise Tg4mmError(f"method is {self.method!r}, expected {', '.join(METHODS)}")
+        if self.filter is not None:
+            self.filter.checked()
+        for alpha in (self.everywhere, *(b.alpha for b in self.bands)):
+            if not abs(alpha) <= LARGEST_ALPHA:
+                raise Tg4mmError(f"alpha is {alpha}, expected a finite number within ±{LARGEST_ALPHA:g}")
+        if self.bands and self.everywhere != 0:
+            raise Tg4mmError(f"alpha {self.everywhere:g} for all frequencies and bands exclude each other")
+        check_bands([b.band for b in self.bands], fps)
+        return self
+
+    @property
+    def is_identity(self) -> bool:
+        """Whether nothing is magnified."""
+        return self.everywhere == 0 and all(b.alpha == 0 for b in self.bands)
+
+    def ideal(self, freqs_hz: np.ndarray) -> np.ndarray:
+        """[K] float64: the α of each frequency, 0 outside all bands."""
+        freqs = np.asarray(freqs_hz, np.float64)
+        gains = np.full(freqs.shape, self.everywhere)
+        for b in self.bands:
+            gains[(freqs >= b.low) & (freqs <= b.high)] = b.alpha
+        return gains
+
+    def response(self, freqs_hz: np.ndarray, fps: float) -> np.ndarray:
+        """[K] complex128: Σ over bands of α times the filter's response at each frequency.
+
+        Without bands the α of all frequencies, 0 Hz included: then a change since timestep 0 grows as a whole.
+        """
+        freqs = np.asarray(freqs_hz, np.float64)
+        total = np.full(freqs.shape, self.everywhere, np.complex128)
+        temporal = self.filter or TemporalFilter()
+        for b in self.bands:
+            total += b.alpha * temporal.response(b.band, freqs, fps)
+        return total
+
+
+def check_bands(bands: Sequence[tuple[float, float]], fps: float) -> None:
+    """Raises CaptureError for a band that does not fit `fps` (Hz), Tg4mmError for two that share a frequency."""
+    ordered = sorted(check_band(band, fps) for band in bands)
+    for (low, high), (next_low, next_high) in pairwise(ordered):
+        if next_low <= high:
+            raise Tg4mmError(
+                f"bands ({low:g}, {high:g}) Hz and ({next_low:g}, {next_high:g}) Hz overlap: "
+                f"{next_low:g} Hz lies in both (ends are inside)"
+            )

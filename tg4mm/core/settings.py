@@ -1,0 +1,44 @@
+"""Settings of a stage that say what they mean: listed by `tg4mm train --list-settings`, looked up by `--set`."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+from collections.abc import Mapping
+from typing import Any
+
+from tg4mm.core.errors import Tg4mmError
+
+
+def setting(default: Any, about: str, unit: str = "") -> Any:
+    """A field of a settings' dataclass: its default, what it means, and its unit, "" for a plain number."""
+    return dataclasses.field(default=default, metadata={"about": about, "unit": unit})
+
+
+def listed(defaults: Mapping[str, Any]) -> list[str]:
+    """A line for each setting of `{stage: configuration}`: name, default with unit, meaning."""
+    rows = []
+    for stage, config in defaults.items():
+        for field in dataclasses.fields(config):
+            value = getattr(config, field.name)
+            text = str(value).lower() if isinstance(value, bool) else str(value)
+            unit = field.metadata.get("unit", "")
+            rows.append((f"{stage}.{field.name}", f"{text} {unit}".strip(), field.metadata.get("about", "")))
+    wide = [max((len(row[i]) for row in rows), default=0) for i in range(2)]
+    return [f"{name:<{wide[0]}}  {value:<{wide[1]}}  {about}".rstrip() for name, value, about in rows]
+
+
+def unknown(name: str, defaults: Mapping[str, Any]) -> Tg4mmError:
+    """The error for a name that no setting has, with those that may be meant."""
+    known = [
+        f"{stage}.{field.name}" for stage, config in defaults.items() for field in dataclasses.fields(config)
+    ]
+    stage, _, key = name.rpartition(".")
+    keys = dict.fromkeys(one.rpartition(".")[2] for one in known)
+    close = [key] if key in keys else difflib.get_close_matches(key, keys, n=1, cutoff=0.7)
+    meant = [one for one in known if one.rpartition(".")[2] in close]
+    meant = [one for one in meant if one.startswith(f"{stage}.")] or meant
+    question = f"did you mean {' or '.join(meant)}? " if meant else ""
+    return Tg4mmError(
+        f"setting {name!r} is unknown; {question}tg4mm train --list-settings lists all, with meaning, default and unit"
+    )

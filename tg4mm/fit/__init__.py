@@ -1,0 +1,1 @@
+"""From pictures to Gaussians at rest, their motion, and its magnification."""

@@ -1,0 +1,56 @@
+"""Where tensors live: whether a device can be used, and what using it needs and costs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import torch
+
+from tg4mm.core.errors import Tg4mmError
+
+DEVICES = ("cpu", "cuda")
+
+
+def check_device(device: str) -> str:
+    """`device` if it can be used. Raises Tg4mmError for an unknown one, and for cuda without a GPU or gsplat."""
+    if device not in DEVICES:
+        raise Tg4mmError(f"device is {device!r}, expected {' or '.join(DEVICES)}")
+    if device == "cuda":
+        if not torch.cuda.is_available():
+            raise Tg4mmError("device is cuda, but torch finds no CUDA device here")
+        from tg4mm.fit.rasterize.cuda import require_gsplat
+
+        require_gsplat()
+    return device
+
+
+@contextmanager
+def full_precision(device: str) -> Iterator[None]:
+    """float32 that is float32. On the CPU it always is.
+
+    torch lets cuDNN round the factors of a convolution to 10 bits (TF32) unless told otherwise. SSIM takes a
+    variance as E[x²] − E[x]² of two convolutions: most of those bits cancel, and the loss would be noise.
+    """
+    if device == "cpu":
+        yield
+        return
+    before = torch.backends.cudnn.allow_tf32
+    torch.backends.cudnn.allow_tf32 = False
+    try:
+        yield
+    finally:
+        torch.backends.cudnn.allow_tf32 = before
+
+
+def reset_gpu_peak(device: str) -> None:
+    """Start the peak that `gpu_figures` gives anew."""
+    if device == "cuda":
+        torch.cuda.reset_peak_memory_stats()
+
+
+def gpu_figures(device: str) -> dict[str, float]:
+    """For a stage's log: peak_gpu_memory_mib, the most that torch's tensors held; {} on the CPU."""
+    if device != "cuda":
+        return {}
+    return {"peak_gpu_memory_mib": torch.cuda.max_memory_allocated() / (1 << 20)}

@@ -1,0 +1,140 @@
+"""Phase-based magnification of a video: [TG4MM] Eqs. (12) to (15), [PVM].
+
+Each sub-band of the complex steerable pyramid holds local phase. Its change since frame 0 is filtered over time,
+multiplied by α, and added to the phase; high- and low-pass residual stay as they are. In its linear range (α times the
+shift below about half the wavelength of a sub-band) a shift δ of what the band shows becomes (1 + α) δ.
+
+Memory. A pyramid of every frame at once would take 23 MB × T at 512², 7 GB for T = 300. Here one sub-band of all frames
+is held at a time. With S = T · H · W cells of a video, at most
+
+    4 S (video) + 4 S (half of its spectrum) + 4 S (half of the change's) + 8 S (finest sub-band)   = 20 S bytes
+
+and a working set of at most 100 MB that does not grow: 1,595 MiB at T = 300, 512², of which
+`python -m benchmarks.phase` measured 1,537.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from tg4mm.fit.magnify.pyramid import SubBand, sub_bands
+
+_CELLS_AT_ONCE = 1 << 20  # complex numbers in a working set
+
+
+class PhaseMagnifier:
+    """Magnifies videos [T, H, W] of one size by one temporal response."""
+
+    def __init__(
+        self, shape: tuple[int, int], response: np.ndarray, bands: Iterable[SubBand] | None = None
+    ) -> None:
+        """shape (H, W); response [T // 2 + 1] complex on the DFT bins: Σ over bands α · filter.
+
+        bands: sub-bands of images of `shape`; None for those of the complex steerable pyramid, for powers of two.
+
+        Raises Tg4mmError for a size the pyramid cannot take.
+        """
+        self.shape, self.response = shape, torch.from_numpy(response.astype(np.complex64))
+        self._bands = list(sub_bands(shape) if bands is None else bands) if np.any(response) else []
+
+    @torch.no_grad()
+    def __call__(self, video: np.ndarray) -> np.ndarray:
+        """The video [T, H, W] float32, magnified. What does not change in time is handed back as it is."""
+        if video.shape[1:] != self.shape or len(video) // 2 + 1 != len(self.response):
+            expected = f"{self.shape} and T // 2 + 1 = {len(self.response)}"
+            raise ValueError(f"video has shape {video.shape}, expected frames of {expected}")
+        if not self._bands or not (video != video[:1]).any():
+            return video.copy()
+        frames = torch.from_numpy(np.ascontiguousarray(video, np.float32))
+        spectrum = _by_frames(frames, lambda f: torch.fft.rfft2(f), torch.complex64)
+        change = torch.zeros_like(spectrum)
+        for band in self._bands:
+            self._add(band, spectrum, change)
+        del spectrum
+        out = frames.clone()
+        for part in _parts(len(frames), frames[0].numel()):
+            out[part] += torch.fft.irfft2(change[part], s=self.shape)
+        return out.numpy()
+
+    def turn(self, held: Tensor) -> None:
+        """Replace a sub-band's coefficients [T, h, w], in place, by their change."""
+        turn(held.view(len(held), -1), self.response)
+
+    def _add(self, band: SubBand, spectrum: Tensor, change: Tensor) -> None:
+        """Magnify one sub-band and add what changed to `change`."""
+        n, (h, w) = len(spectrum), band.analysis.shape
+        held = torch.empty(n, h, w, dtype=torch.complex64)
+        parts = _parts(n, h * w)
+        for part in parts:
+            held[part] = torch.fft.ifft2(_take(spectrum[part], (h, w)) * band.analysis)
+        self.turn(held)
+        for part in parts:
+            _give(change[part], torch.fft.fft2(held[part]) * band.synthesis)
+
+
+def turn(coefficients: Tensor, response: Tensor) -> None:
+    """Replace coefficients c [T, P], in place, by their change c · (exp(i φ') − 1).
+
+    φ' is the phase relative to timestep 0, in (−π, π], filtered along time by `response` [T // 2 + 1].
+    """
+    n, cells = coefficients.shape
+    step = max(_CELLS_AT_ONCE // n, 1)
+    for start in range(0, cells, step):
+        c = coefficients[:, start : start + step]
+        phase = torch.angle(c * c[:1].conj())
+        phase = torch.fft.irfft(torch.fft.rfft(phase, dim=0) * response[:, None], n, dim=0)
+        c *= torch.polar(torch.ones_like(phase), phase) - 1
+
+
+def _parts(n: int, cells: int) -> list[slice]:
+    step = max(_CELLS_AT_ONCE // cells, 1)
+    return [slice(start, start + step) for start in range(0, n, step)]
+
+
+def _by_frames(frames: Tensor, transform, dtype: torch.dtype) -> Tensor:
+    first = transform(frames[:1])
+    out = torch.empty(len(frames), *first.shape[1:], dtype=dtype)
+    for part in _parts(len(frames), frames[0].numel()):
+        out[part] = transform(frames[part])
+    return out
+
+
+def _mirror(n: int) -> Tensor:
+    """Row −k of every row k."""
+    return -torch.arange(n) % n
+
+
+def _rows(whole: int, h: int) -> Tensor:
+    """Rows of the frequencies 0 … h/2 − 1, −h/2 … −1 among `whole`."""
+    return torch.cat([torch.arange(h // 2), torch.arange(whole - h // 2, whole)])
+
+
+def _take(half: Tensor, size: tuple[int, int]) -> Tensor:
+    """The lowest (h, w) frequencies, whole, from half-spectra [F, H, W // 2 + 1] of real images."""
+    h, w = size
+    rows = _rows(half.shape[1], h)
+    positive = half[:, rows, : w // 2]
+    negative = half[:, _mirror(half.shape[1])[rows], 1 : w // 2 + 1].flip(-1).conj()
+    return torch.cat([positive, negative], -1)
+
+
+def _give(half: Tensor, spectrum: Tensor) -> None:
+    """Add the real part of images with the (low) spectra [F, h, w] to half-spectra [F, H, W // 2 + 1] of real images.
+
+    A real part has the spectrum (D(k) + conj D(−k)) / 2; in columns 0 and W/2 `irfft2` takes it by itself.
+    """
+    h, w = spectrum.shape[1:]
+    rows = _rows(half.shape[1], h)
+    mirrored = _mirror(half.shape[1])[rows]
+    half[:, rows, 0] += spectrum[..., 0]
+    half[:, rows, 1 : w // 2] += spectrum[..., 1 : w // 2] / 2
+    half[:, mirrored, 1 : w // 2] += spectrum[..., w // 2 + 1 :].flip(-1).conj() / 2
+    last = spectrum[..., w // 2]  # column −w/2
+    if w == 2 * (half.shape[2] - 1):
+        half[:, rows, w // 2] += last
+    else:
+        half[:, mirrored, w // 2] += last.conj() / 2

@@ -1,0 +1,152 @@
+"""Gaussians at time t with their motion magnified by α: what is rendered, measured and exported."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.modes import ModalMotion, apply_appearance, fields_of
+
+_LOOKING = 1e-5  # of the strongest field: what is left out of motion that is looked at
+Alpha = float | np.ndarray  # one for all modes, or [K]: one each
+
+
+def mode_gains(motion: ModalMotion, t: float, alpha: Alpha, band: tuple[float, float] | None) -> np.ndarray:
+    """[K] complex factors (1 + α g_k) exp(i 2π f_k t / fps); g_k = 1 for f_k in `band` (ends included), else 0.
+
+    band None takes every mode in; with an α for each mode ([K]) that is how several bands are magnified at once.
+    Gains of the motion's own stand for the exponentials, and modes that are not magnified have g_k = 0.
+    """
+    freqs = motion.freqs_hz
+    inside = motion.is_magnified()
+    if band is not None:
+        inside = inside & (freqs >= band[0]) & (freqs <= band[1])
+    return np.asarray((1 + alpha * inside) * motion.gains_at(t))
+
+
+def _sum(phasors: np.ndarray, gains: np.ndarray) -> np.ndarray:
+    return np.einsum("knc,k->nc", phasors.real, gains.real) - np.einsum("knc,k->nc", phasors.imag, gains.imag)
+
+
+def displacement_at(
+    motion: ModalMotion, t: float, alpha: Alpha = 0.0, band: tuple[float, float] | None = None
+) -> np.ndarray:
+    """[N, 3] displacement from rest in scene units at timestep t (sub-frames allowed)."""
+    return _sum(motion.displacement, mode_gains(motion, t, alpha, band))
+
+
+def rotation_at(
+    motion: ModalMotion, t: float, alpha: Alpha = 0.0, band: tuple[float, float] | None = None
+) -> np.ndarray:
+    """[N, 3] rotation vectors from rest in radians, world axes, at timestep t."""
+    return _sum(motion.rotation, mode_gains(motion, t, alpha, band))
+
+
+def rotated(quats: Tensor, rotation: Tensor) -> Tensor:
+    """Quaternions [N, 4] (wxyz) rotated by rotation vectors [N, 3] about the world axes."""
+    angle = torch.linalg.vector_norm(rotation, dim=-1, keepdim=True)
+    half = angle / 2
+    # sin(x)/x by torch.sinc, smooth at zero
+    w, v = torch.cos(half), rotation * (torch.sinc(half / torch.pi) / 2)
+    a, b = quats[:, :1], quats[:, 1:]
+    return torch.cat([w * a - (v * b).sum(-1, keepdim=True), w * b + a * v + torch.linalg.cross(v, b)], -1)
+
+
+def moved(gaussians: Gaussians, motion: Tensor) -> Gaussians:
+    """The Gaussians displaced and rotated by `motion` [N, 6]: scene units, and rotation vectors in radians."""
+    means, quats = gaussians.means + motion[:, :3], rotated(gaussians.quats, motion[:, 3:])
+    return replace(gaussians, means=means, quats=quats)
+
+
+def animate(
+    gaussians: Gaussians,
+    motion: ModalMotion | None,
+    t: float,
+    alpha: Alpha = 0.0,
+    band: tuple[float, float] | None = None,
+) -> Gaussians:
+    """The Gaussians at timestep t, motion and appearance inside the band magnified by 1 + α. None: at rest.
+
+    Raises ValueError if the motion is of another number of Gaussians.
+    """
+    if motion is None:
+        return gaussians
+    _check_number(gaussians, motion)
+    gains = mode_gains(motion, t, alpha, band)
+    change = np.concatenate([_sum(motion.displacement, gains), _sum(motion.rotation, gains)], 1)
+    there = moved(gaussians, torch.from_numpy(change).to(gaussians.means))
+    return _with_appearance(there, motion, gains, _appearance_on(gaussians.means.device, motion))
+
+
+def _check_number(gaussians: Gaussians, motion: ModalMotion) -> None:
+    if (n := motion.displacement.shape[1]) != len(gaussians):
+        raise ValueError(f"the motion has {n} Gaussians, the scene {len(gaussians)}")
+
+
+def _with_appearance(
+    gaussians: Gaussians, motion: ModalMotion, gains: np.ndarray, fields: Tensor | None
+) -> Gaussians:
+    """With the appearance whose `fields` lie on the Gaussians' device."""
+    if motion.appearance is None or fields is None:
+        return gaussians
+    coefficients = torch.from_numpy(motion.appearance.coefficients(gains)).to(gaussians.sh)
+    return replace(gaussians, sh=apply_appearance(gaussians.sh, fields, coefficients))
+
+
+def _appearance_on(device: torch.device, motion: ModalMotion) -> Tensor | None:
+    return None if motion.appearance is None else torch.from_numpy(motion.appearance.shapes).to(device)
+
+
+def animator(
+    gaussians: Gaussians, motion: ModalMotion | None, packed: bool = False
+) -> Callable[..., Gaussians]:
+    """`animate` with this motion as a function of (t, alpha, band), for many timesteps.
+
+    Off the CPU the phasors go to the Gaussians' device once (K · N · 48 bytes, and the fields of appearance), per
+    timestep only the gains. With `packed`, which is for looking, the CPU holds the few fields that the phasors of all
+    frequencies are sums of, to 10⁻⁵ of the strongest: many times as fast where there are many frequencies.
+    Raises ValueError if the motion is of another number of Gaussians.
+    """
+    device = gaussians.means.device
+    if motion is None or (device.type == "cpu" and not packed):
+        return partial(animate, gaussians, motion)
+    _check_number(gaussians, motion)
+    fields, series = _fields_on(device, motion, packed)
+    return partial(_animate_on_device, gaussians, motion, fields, series, _appearance_on(device, motion))
+
+
+def _fields_on(device: torch.device, motion: ModalMotion, few: bool) -> tuple[Tensor, np.ndarray]:
+    """Fields [R, 6 N] and series [K, R] whose product is the motion's phasors, to rounding or, of few, for looking."""
+    if few and len(motion.displacement):
+        fields, series = fields_of(motion, _LOOKING)
+    else:
+        both, one = (
+            np.concatenate([motion.displacement, motion.rotation], 2),
+            np.eye(len(motion.displacement)),
+        )
+        fields = np.concatenate([both.real, both.imag]).astype(np.float32)
+        series = np.concatenate([one, 1j * one], 1)
+    return torch.from_numpy(fields.reshape(len(fields), 6 * fields.shape[1])).to(device), series
+
+
+def _animate_on_device(
+    gaussians: Gaussians,
+    motion: ModalMotion,
+    fields: Tensor,
+    series: np.ndarray,
+    appearance: Tensor | None,
+    t: float,
+    alpha: Alpha = 0.0,
+    band: tuple[float, float] | None = None,
+) -> Gaussians:
+    """`animate`, of fields and series as `_fields_on` and `_appearance_on` give them."""
+    gains = mode_gains(motion, t, alpha, band)
+    factors = torch.from_numpy((gains @ series).real.astype(np.float32)).to(fields.device)
+    there = moved(gaussians, (factors @ fields).reshape(-1, 6))
+    return _with_appearance(there, motion, gains, appearance)

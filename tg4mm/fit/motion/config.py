@@ -1,0 +1,85 @@
+"""Settings of the motion stage, preset `modal`."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.settings import setting
+
+_AS_CONFIGURED = 16_000  # Gaussians: up to so many the iterations are as they are set
+NUISANCE = ("auto", "none", "exposure", "all")
+
+
+@dataclass(frozen=True)
+class MotionConfig:
+    """How the motion is fitted. The weights are relative to what the images say about a Gaussian on average."""
+
+    components: int = setting(
+        16, "largest number of functions of time; fewer if the others are noise", "functions of time"
+    )
+    smoothness_weight: float = setting(
+        0.0, "weight of the prior that neighbours move alike; 0: found from the images"
+    )
+    ridge: float = setting(1e-3, "weight that draws motion to zero where the images say nothing")
+    iterations: int = setting(
+        14,
+        "largest number of iterations of conjugate gradients for each component, up to 16,000 Gaussians; "
+        "(N / 16,000)^⅔ times as many for N > 16,000",
+        "iterations",
+    )
+    tolerance: float = setting(3e-3, "relative residual at which conjugate gradients stop")
+    split_half: bool = setting(
+        True,
+        "fit each half of the data by itself and keep what they agree on; needed for the uncertainty",
+    )
+    gauss_newton: int = setting(
+        4,
+        "largest number of Gauss-Newton iterations, made if 1 % of what is seen moves by more than 0.7 pixels",
+        "iterations",
+    )
+    appearance: bool = setting(
+        True, "fit changes of colour (gloss, shadows) that motion does not explain; they are magnified, too"
+    )
+    nuisance: str = setting(
+        "auto",
+        "what is removed from every frame: none; exposure (gain and offset); all (exposure and camera pose); "
+        "auto: what the pictures need",
+    )
+    seed: int = setting(0, "seed of the random generator")
+
+
+def checked(config: MotionConfig) -> MotionConfig:
+    """`config`. Raises Tg4mmError on a value out of range."""
+    checks = {
+        "components": (1 <= config.components <= 100_000, "1 to 100,000"),
+        "smoothness_weight": (
+            math.isfinite(config.smoothness_weight) and config.smoothness_weight >= 0,
+            ">= 0",
+        ),
+        "ridge": (math.isfinite(config.ridge) and config.ridge > 0, "> 0"),
+        "iterations": (1 <= config.iterations <= 1_000_000, "1 to 1,000,000"),
+        "tolerance": (1e-6 <= config.tolerance < 1, "1e-6 (what float32 holds) to 1"),
+        "gauss_newton": (0 <= config.gauss_newton <= 1_000, "0 to 1,000"),
+        "nuisance": (config.nuisance in NUISANCE, ", ".join(NUISANCE)),
+        "seed": (0 <= config.seed < 1 << 63, "0 to 2⁶³ − 1"),
+    }
+    for name, (good, expected) in checks.items():
+        if not good:
+            raise Tg4mmError(f"setting motion.{name} is {getattr(config, name)}, expected {expected}")
+    return config
+
+
+def more_iterations(n_gaussians: int) -> float:
+    """How many times as many iterations so many Gaussians take as up to 16,000, 1 or more.
+
+    The coarse level of the preconditioner has the same number of aggregates for all scenes; the more Gaussians an
+    aggregate has, the more iterations its own shape takes.
+    """
+    return float(max(n_gaussians / _AS_CONFIGURED, 1.0) ** (2 / 3))
+
+
+def resolved(config: MotionConfig, n_gaussians: int) -> MotionConfig:
+    """The settings for so many Gaussians. Raises Tg4mmError on a value out of range."""
+    return replace(checked(config), iterations=round(config.iterations * more_iterations(n_gaussians)))

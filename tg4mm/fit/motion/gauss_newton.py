@@ -1,0 +1,214 @@
+"""Motion of more than a pixel by Gauss-Newton: fit, move, render the residual, fit again.
+
+A picture changes in proportion to motion as long as that is less than about a pixel, and the scene at rest was fitted
+to a mean over time that larger motion blurs. So where the linear fit moves things by more than 0.7 pixels it
+is repeated: every iteration renders what the motion found so far shows, fits the motion to the residual with Jacobians
+where things have moved to, and then the scene at rest to all pictures (`refine.py`). An iteration counts only if the
+residual of the pictures gets smaller; if not, half its step is tried, and if that does not
+help either, the iterations are over.
+
+The Jacobians are taken at few states for all timesteps (`knots.py`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from tg4mm.core.progress import progress
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, arrays_of, gaussians_of
+from tg4mm.fit.motion.config import more_iterations
+from tg4mm.fit.motion.hyperparameters import Hyperparameters, chosen_weight, pixel_weights
+from tg4mm.fit.motion.jacobian.pixels import pixels_moved
+from tg4mm.fit.motion.jacobian.view import ViewJacobian
+from tg4mm.fit.motion.knots import coupled_operator, knots_of, targets_at
+from tg4mm.fit.motion.nuisance.first_look import rest_views
+from tg4mm.fit.motion.refine import refine_rest_scene
+from tg4mm.fit.motion.solver.pcg import pcg
+from tg4mm.fit.motion.solver.problem import Problem
+from tg4mm.fit.motion.split_half import LEAST, wiener_shrink
+from tg4mm.fit.motion.states import Errors, StateObservations, most_states, states_of
+from tg4mm.fit.motion.temporal.synchronous import Synchronous
+
+ABOVE_PX = 0.7  # motion up to so many pixels is in the linear range
+_FOR_WEIGHT = 6  # iterations for the candidate weights: the residual after an iteration tells less of them
+_COMPONENTS = 8  # that are fitted, at least, where there are as many
+_FALL = 0.05  # of the misfit: what falls by less is not worth another iteration
+
+
+@dataclass(frozen=True)
+class GaussNewtonState:
+    """What an iteration starts from."""
+
+    gaussians: Gaussians
+    fold_fields: np.ndarray  # [P, R, N, 6] of each fold
+    smoothness_weight: float
+    errors: Errors  # of the residual
+    is_over: bool = False
+
+    def arrays(self) -> Arrays:
+        """For a checkpoint."""
+        figures = self.smoothness_weight, self.errors.changes, self.errors.total, float(self.is_over)
+        return arrays_of(self.gaussians) | {"fold_fields": self.fold_fields, "figures": np.array(figures)}
+
+    @staticmethod
+    def restored(arrays: Arrays) -> GaussNewtonState:
+        """From what `arrays` gave."""
+        weight, changes, total, is_over = (float(f) for f in arrays["figures"])
+        errors = Errors(changes, total)
+        return GaussNewtonState(gaussians_of(arrays), arrays["fold_fields"], weight, errors, bool(is_over))
+
+
+def used_components(is_noise: np.ndarray) -> np.ndarray:
+    """Which temporal components are fitted: those of the linear fit, and as many others and one, or eight in all.
+
+    Pictures saturate where things move far, so that the first component is not quite what the motion does in time; the
+    rest of that is in weaker ones. What is noise there after all fades by its reliability; but what moves and
+    is left out counts as noise of its pixels, which then say less.
+    """
+    linear, others = np.flatnonzero(~is_noise), np.flatnonzero(is_noise)
+    return np.sort(np.concatenate([linear, others[: max(len(linear) + 1, _COMPONENTS - len(linear))]]))
+
+
+class GaussNewton:
+    """What all iterations share: pictures of states, components, folds, settings."""
+
+    def __init__(self, model: Synchronous, hyper: Hyperparameters, linear_fields: np.ndarray) -> None:
+        """From the linear fit's fields [P, R', N, 6]."""
+        self.used = used_components(hyper.is_noise)
+        self.at_rest, self.targets, self.folds = model.problem, model.targets, model.folds
+        self.basis, linear = self.targets.basis[self.used], np.flatnonzero(~hyper.is_noise[self.used])
+        self.weights = pixel_weights(self.targets, ~np.isin(np.arange(len(self.targets.basis)), self.used))
+        self.observations, self.config, self.device = model.observations, model.config, model.problem.device
+        # all components together, linearised at several places: they settle more slowly
+        self.iterations = self.config.iterations * 3 // 2
+        width, height = self.observations.size
+        # as many as a quarter of the space stage's; few cameras alone would bend a scene that others saw, too
+        enough = len(self.observations.frames) >= LEAST and self.observations.is_whole
+        self.refining = int(np.clip(40 * (width * height / 4) ** (1 / 3), 250, 7_500)) if enough else 0
+        start = np.zeros((len(linear_fields), len(self.basis), *linear_fields.shape[2:]), np.float32)
+        start[:, linear] = linear_fields
+        fields, _ = wiener_shrink(start)
+        views = self.at_rest.views
+        moved, most = pixels_moved(views, fields[..., :3]), most_states(len(views), (width, height))
+        states = states_of(self.basis, moved, most)
+        self.observed = StateObservations.of(self.observations, states, self.targets, self.used)
+        errors = self.observed.residuals(model.gaussians, fields, self.device)[1]
+        self.start = GaussNewtonState(model.gaussians, start, hyper.smoothness_weight, errors)
+
+    def run(self, checkpoint: Checkpoint) -> tuple[GaussNewtonState, list[float]]:
+        """The last state, and the misfits along the way."""
+        state, misfits = self.start, [self.start.errors.changes]
+        units = len(self.folds) * self.iterations * self._costs + self.refining
+        with progress("Gauss-Newton", self.config.gauss_newton * units, "steps") as update:
+            for k in range(self.config.gauss_newton):
+
+                def compute(state: GaussNewtonState = state, k: int = k) -> Arrays:
+                    def tell(done: int, **figures: Any) -> None:
+                        update(k * units + done, iteration=k + 1, **figures)
+
+                    return self._iterated(state, k, tell).arrays()
+
+                before, state = state, GaussNewtonState.restored(checkpoint(f"gauss_newton_{k}", compute))
+                if state.errors.changes < before.errors.changes:
+                    misfits.append(state.errors.changes)
+                if state.is_over:
+                    break
+        return state, misfits
+
+    @property
+    def _costs(self) -> int:
+        """Steps of refining that an iteration of conjugate gradients takes."""
+        return max(2 * len(self.observations.frames) // len(self.folds), 1)
+
+    def _iterated(self, state: GaussNewtonState, k: int, tell: Callable[..., None]) -> GaussNewtonState:
+        """One iteration: its motion if it is accepted, then the scene at rest."""
+        new, weight = self._solved(state, tell)
+        for length in (1.0, 0.5):
+            stepped = (state.fold_fields + np.float32(length) * (new - state.fold_fields)).astype(np.float32)
+            fields, _ = wiener_shrink(stepped)
+            errors = self.observed.residuals(state.gaussians, fields, self.device)[1]
+            if errors.changes < state.errors.changes:
+                gaussians, after = self._refined(state.gaussians, fields, errors, k, tell)
+                is_over = after.changes > (1 - _FALL) * state.errors.changes
+                return GaussNewtonState(gaussians, stepped, weight, after, is_over)
+        return replace(state, is_over=True)
+
+    def _refined(
+        self, gaussians: Gaussians, fields: np.ndarray, errors: Errors, k: int, tell: Callable[..., None]
+    ) -> tuple[Gaussians, Errors]:
+        """The scene at rest for this motion; the one before stays where it shows the pictures better."""
+        if not self.refining:
+            return gaussians, errors
+        before = len(self.folds) * self.iterations * self._costs
+        new = refine_rest_scene(
+            gaussians, self.observed.moved(fields), self.refining, self.config.seed + k, self.device,
+            lambda done: tell(before + done),
+        )  # fmt: skip
+        after = self.observed.residuals(new, fields, self.device)[1]
+        return (new, after) if after.is_no_larger(errors) else (gaussians, errors)
+
+    def _solved(self, state: GaussNewtonState, tell: Callable[..., None]) -> tuple[np.ndarray, float]:
+        """[P, R, N, 6]: what each fold finds in this iteration; and the smoothness weight, chosen anew for it."""
+        views = rest_views(state.gaussians, self.observations)
+        problem = Problem.of(views, state.gaussians, self.config, self.device)
+        problem = problem.changed(pixel_weights=self.weights)
+        fields, _ = wiener_shrink(state.fold_fields)
+        weight = state.smoothness_weight
+        residuals, _ = self.observed.residuals(state.gaussians, fields, self.device)
+        if not self.config.smoothness_weight and len(self.folds) == 2:
+            images = self.rest_targets(residuals, views, fields, range(len(views)))
+            target = np.stack([own[:1].copy() for own in images])
+            iterations = round(_FOR_WEIGHT * more_iterations(len(state.gaussians)))
+            weight = chosen_weight(target, problem, self.folds, iterations)
+        knots = knots_of(state.gaussians, views, fields, self.observed)
+        solved = []
+        for p, fold in enumerate(self.folds):
+            targets = targets_at(knots, fold, residuals, fields, self.observed)
+            operator, b = coupled_operator(problem, self.at_rest, knots, fold, weight, targets)
+
+            def update(done: int, residual: float, p: int = p) -> None:
+                tell((p * self.iterations + done) * self._costs, residual=round(residual, 4))
+
+            solution = pcg(operator, b, self.iterations, self.config.tolerance, update=update)
+            solved.append(operator.fields(solution.theta))
+        return np.stack(solved), weight
+
+    def rest_targets(
+        self, residuals: np.ndarray, views: Sequence[ViewJacobian], fields: np.ndarray, rows: Iterable[int]
+    ) -> Iterator[np.ndarray]:
+        """[R, H, W, 3] of some of the `views` at rest: the target images of fields [R, N, 6] and what they leave."""
+        states = np.arange(len(self.observed.states.gains))
+        return (self.observed.target_images(v, residuals, states, views[v].jvp(fields)) for v in rows)
+
+
+def gauss_newton(
+    model: Synchronous,
+    hyper: Hyperparameters,
+    folds: np.ndarray,
+    judged: Sequence[int],
+    checkpoint: Checkpoint,
+) -> tuple[Synchronous, np.ndarray, Iterator[np.ndarray], dict[str, Any]]:
+    """From the linear fit's fields [P, R', N, 6] on.
+
+    Gives the model with its scene at rest and functions of time after the iterations, the folds' fields [P, R, N, 6],
+    target images of the `judged` views, and figures for the log.
+    """
+    loop, problem = GaussNewton(model, hyper, folds), model.problem
+    state, misfits = loop.run(checkpoint)
+    fields, _ = wiener_shrink(state.fold_fields)
+    views = rest_views(state.gaussians, model.observations)
+    residuals, _ = loop.observed.residuals(state.gaussians, fields, problem.device)
+    images = loop.rest_targets(residuals, views, fields, judged)
+    figures = {
+        "gauss_newton": len(misfits) - 1,
+        "misfits": misfits,
+        "smoothness_weight": state.smoothness_weight,
+    }
+    problem = problem.changed(views=views, gaussians=state.gaussians)
+    model = replace(model, gaussians=state.gaussians, problem=problem, fitted=loop.used)
+    return model, state.fold_fields, images, figures

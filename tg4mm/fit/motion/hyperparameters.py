@@ -1,0 +1,167 @@
+"""What is found out before the fit: components of noise, weights of pixels, and how smooth the motion is.
+
+Noise. A temporal component is noise where two folds of the data do not agree on its field after a few iterations. What
+such components hold tells how noisy every pixel is: shadows and gloss of a renderer, dark places of a sensor. Pixels
+count by the inverse of their variance, to which the mean over all is added, so that none counts for more than twice the
+average one.
+
+Smoothness. How far motion reaches before it bends, and how much noise there is, differs from scene to scene by orders
+of magnitude. So the strongest component is fitted to one fold with every candidate weight of the prior, for a few
+iterations, and judged by how well it predicts the other fold, whose noise it has not seen (cross-validation). Errors of
+the model (edges, shading) are alike in both folds and draw towards weights that are too small; hence the largest
+weight that is within 0.8 % of the best.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from tg4mm.core.progress import progress
+from tg4mm.core.room import release
+from tg4mm.fit.motion.config import more_iterations
+from tg4mm.fit.motion.solver.cpu import CpuOperator, SharedPass
+from tg4mm.fit.motion.solver.operator import Fold, Operator
+from tg4mm.fit.motion.solver.pcg import pcg
+from tg4mm.fit.motion.solver.problem import Problem
+from tg4mm.fit.motion.split_half import reliability
+from tg4mm.fit.motion.targets import TargetImages
+
+CANDIDATES = (10.0, 30.0, 100.0, 300.0, 1_000.0, 3_000.0)
+DEFAULT = 300.0  # where the data are not split, or nothing changes
+_WITHIN = 1.008  # of the least error
+_FEW = 4  # iterations for the candidates, of 16,000 Gaussians or fewer: their order is settled by then
+_LOOSE = 30.0  # smoothness weight while noise is looked for: where much holds them together noise agrees too
+_FOR_NOISE = 2  # iterations; two to six tell the same
+_MIN_RELIABILITY = 0.5  # below it a component is noise: more than half of its field
+_SMOOTHING_PX = 1.5  # standard deviation of what evens out estimates of noise
+_AT_ONCE = 8  # components that share a pass over the views
+
+
+@dataclass(frozen=True)
+class Hyperparameters:
+    """What was found out from the pictures before the fit."""
+
+    is_noise: np.ndarray  # [R] bool, temporal components
+    smoothness_weight: float
+
+    @property
+    def signal(self) -> np.ndarray:
+        """Which components are fitted."""
+        return np.flatnonzero(~self.is_noise)
+
+
+def select_noise(targets: TargetImages, problem: Problem, folds: Sequence[Fold]) -> np.ndarray:
+    """[R] bool: `noise_components`; none where there is one fold, one component, or where all are one system."""
+    if len(folds) == 2 and len(targets.basis) > 1 and problem.mixing is None:
+        return noise_components(targets, problem, folds)
+    return np.zeros(len(targets.basis), bool)
+
+
+def select_smoothness(images: np.ndarray, problem: Problem, folds: Sequence[Fold]) -> float:
+    """The smoothness weight: the settings', if they have one; `DEFAULT` where one fold tells nothing."""
+    if problem.config.smoothness_weight:
+        return float(problem.config.smoothness_weight)
+    if len(folds) == 1:
+        return DEFAULT
+    return chosen_weight(images, problem, folds, round(_FEW * more_iterations(problem.n_gaussians)))
+
+
+def noise_components(targets: TargetImages, problem: Problem, folds: Sequence[Fold]) -> np.ndarray:
+    """[R] bool: the components on which two folds do not agree. The strongest never counts as noise."""
+    gains = []
+    operators = [problem.operator(fold, _LOOSE, probes=4) for fold in folds]
+    for first in range(0, targets.images.shape[1], _AT_ONCE):
+        some = slice(first, first + _AT_ONCE)
+        a, b = (
+            _displacements(operator, (targets.of(v, some) for v in fold.views))
+            for operator, fold in zip(operators, folds, strict=True)
+        )
+        gains.append(reliability((a + b) / 2, a, b))
+    is_noise = np.concatenate(gains) < _MIN_RELIABILITY
+    is_noise[0] = False
+    return np.asarray(is_noise)
+
+
+def _displacements(operator: Operator, images: Iterable[np.ndarray]) -> np.ndarray:
+    """[R, N, 3] after a few iterations."""
+    solution = pcg(operator, operator.right_hand_sides(images), _FOR_NOISE, 1e-6)
+    return operator.fields(solution.theta)[..., :3]
+
+
+def chosen_weight(images: np.ndarray, problem: Problem, folds: Sequence[Fold], iterations: int) -> float:
+    """The smoothness weight for target images [V, ρ, H, W, 3], fitted to one fold and judged by the other.
+
+    `DEFAULT` where the images of a fold do not change.
+    """
+    some, others = folds
+    if not (images[some.views].any() and images[others.views].any()):
+        return DEFAULT
+    judge = problem.operator(others, CANDIDATES[0])
+    operators = [problem.operator(some, value) for value in CANDIDATES]
+    fields = few_iterations(operators, [images[v] for v in some.views], iterations)
+    errors = [judge.misfit(f, (images[v] for v in others.views)) for f in fields]
+    best = int(np.flatnonzero(np.array(errors) <= _WITHIN * min(errors))[-1])
+    return CANDIDATES[best]
+
+
+def few_iterations(
+    operators: Sequence[Operator], images: Sequence[np.ndarray], iterations: int
+) -> list[np.ndarray]:
+    """Fields [R, N, 6] of each operator after so many iterations; on the CPU they share their passes over the views."""
+    on_cpu = [o for o in operators if isinstance(o, CpuOperator)]
+    with progress("smoothness", iterations * (1 if on_cpu else len(operators)), "iterations") as update:
+        if not on_cpu:
+            fields = []
+            for k, o in enumerate(operators):
+                solution = pcg(o, o.right_hand_sides(images), iterations, 1e-6)
+                fields.append(o.fields(solution.theta))
+                update((k + 1) * iterations)
+            return fields
+        shared = SharedPass(on_cpu)
+        b = shared.right_hand_sides(images)
+        own = len(b) // len(on_cpu) if on_cpu[0].is_coupled else 1
+        theta = pcg(shared, b, iterations, 1e-6, together=own, update=lambda done, _: update(done)).theta
+    return [o.fields(t) for o, t in zip(on_cpu, theta.reshape(len(on_cpu), -1, *b.shape[1:]), strict=True)]
+
+
+def pixel_weights(
+    targets: TargetImages, is_noise: np.ndarray, are_separate: bool = True
+) -> np.ndarray | None:
+    """[V, H, W] float32, at most 1, from the variance of what is noise; None where nothing is known of it.
+
+    `are_separate`: target images belong to one component each, so that those of noise are noise.
+    """
+    if targets.weights is not None:
+        return targets.weights
+    variance = pixel_noise(targets, is_noise if are_separate else np.zeros(targets.images.shape[1], bool))
+    noisy = variance[variance > 0]
+    if not len(noisy):
+        return None
+    return np.asarray(1 / (1 + variance / noisy.mean(dtype=np.float64)), np.float32)
+
+
+def pixel_noise(targets: TargetImages, is_noise: np.ndarray) -> np.ndarray:
+    """[V, H, W] float32: variance of the noise in one pixel and channel of one target image.
+
+    From what is not motion: the components that were not kept, and of the kept ones those that `is_noise` [ρ] bool
+    names. Their energy, mean over channels, is divided by the number of components that hold it and smoothed (Gaussian
+    of 1.5 px, edges reflected). Zeros where there are no such components. Where more components stood out than were
+    asked for, those left out count as noise: the estimate is then too large. Raises ValueError on another ρ.
+    """
+    n_kept = targets.images.shape[1]
+    if np.shape(is_noise) != (n_kept,):
+        raise ValueError(f"is_noise has shape {np.shape(is_noise)}, expected ({n_kept},)")
+    rows = np.flatnonzero(is_noise)
+    freedom = max(targets.rank - n_kept, 0) + len(rows)
+    if not freedom:
+        return np.zeros_like(targets.residual_energy)
+    energy = targets.residual_energy if targets.rank > n_kept else np.zeros_like(targets.residual_energy)
+    for r in rows:
+        energy = energy + np.einsum("vhwc,vhwc->vhw", *2 * [targets.images[:, r]]) / 3
+        release(targets.images)
+    sigma = (0, _SMOOTHING_PX, _SMOOTHING_PX)
+    return gaussian_filter(energy / np.float32(freedom), sigma, mode="reflect")

@@ -1,0 +1,158 @@
+"""Products with the Jacobian of projection: one 8 × 6 block a Gaussian, stored without its zeros.
+
+Displacement changes all eight columns of a splat, rotation its conic alone: 33 numbers, padded to 36. Each Gaussian is
+summed by one thread in a fixed order, so that results do not depend on the number of threads.
+"""
+
+# mypy: disable-error-code="call-arg, var-annotated"
+# an intrinsic has one argument more than its calls: the typing context
+
+from __future__ import annotations
+
+import numpy as np
+from numba import float32, int64, prange
+
+from tg4mm.fit.rasterize.kernels.compiled import inlined, kernel
+from tg4mm.fit.rasterize.kernels.tiles import aligned
+from tg4mm.fit.rasterize.simd.lanes import half_sums_of_eight, load_eight, load_twice, store_eight
+from tg4mm.fit.rasterize.simd.memory import load, number, prefetch, store
+from tg4mm.fit.rasterize.simd.vector import LANES, broadcast, fma
+
+DOF = 6  # displacement (scene units) and rotation vector (radians, world axes)
+COLUMNS = 8  # of a splat: mean, conic, colour
+_CONIC, _COLOUR = slice(2, 5), 5
+_PACKED = 36  # three rows of eight, three of three and a zero
+_ROTATION = 24 - 2  # first row of rotation, shifted so that the conic's columns lie in lanes 2 to 4
+_PREFETCH = 24  # pairs prefetched ahead of their use
+_CHUNK = 256  # Gaussians a thread takes at a time
+_CONIC_LANES = np.array([2 <= lane < 5 for lane in range(LANES)], np.float32)  # 1 there, else 0
+
+
+def pack(jacobian: np.ndarray) -> np.ndarray:
+    """[n, 8, 6] -> [36 n + 16] float32. Rows of rotation must be 0 but for the conic."""
+    n = len(jacobian)
+    out = np.zeros(_PACKED * n + LANES, np.float32)
+    rows = out[: _PACKED * n].reshape(n, _PACKED)
+    rows[:, :24].reshape(n, 3, COLUMNS)[:] = jacobian[:, :, :3].transpose(0, 2, 1)
+    rows[:, 24:].reshape(n, 3, 4)[:, :, :3] = jacobian[:, _CONIC, 3:].transpose(0, 2, 1)
+    return out
+
+
+def unpack(values: np.ndarray) -> np.ndarray:
+    """The inverse of `pack`."""
+    rows = values[:-LANES].reshape(-1, _PACKED)
+    out = np.zeros((len(rows), COLUMNS, DOF), np.float32)
+    out[:, :, :3] = rows[:, :24].reshape(-1, 3, COLUMNS).transpose(0, 2, 1)
+    out[:, _CONIC, 3:] = rows[:, 24:].reshape(-1, 3, 4)[:, :, :3].transpose(0, 2, 1)
+    return out
+
+
+def mean_rows_as_colours(values: np.ndarray) -> np.ndarray:
+    """Packed blocks whose first two colour rows are the given blocks' mean rows; all else is 0."""
+    rows, out = values[:-LANES].reshape(-1, _PACKED), np.zeros_like(values)
+    to = out[:-LANES].reshape(-1, _PACKED)[:, :24].reshape(-1, 3, COLUMNS)
+    to[..., _COLOUR : _COLOUR + 2] = rows[:, :24].reshape(-1, 3, COLUMNS)[..., :2]
+    return out
+
+
+def mean_rows(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Derivative of the mean's x and y (pixels) by displacement: [n, 3] each, views of `values`."""
+    of_displacement = values[:-LANES].reshape(-1, _PACKED)[:, :24].reshape(-1, 3, COLUMNS)
+    return of_displacement[..., 0], of_displacement[..., 1]
+
+
+@kernel()
+def _jvp_range(first, last, values, rows, conic_lanes, motions, shape, d_splats):
+    n_motions, n = shape
+    conic = load(conic_lanes, int64(0))
+    for k in range(first, last):
+        i, at = int64(rows[k]), int64(k) * _PACKED
+        j0, j1, j2 = load(values, at), load(values, at + 8), load(values, at + 16)
+        at += _ROTATION
+        t0, t1, t2 = load(values, at), load(values, at + 4), load(values, at + 8)
+        for r in range(n_motions):
+            m = (r * n + i) * DOF
+            shifted = fma(
+                j0, number(motions, m), fma(j1, number(motions, m + 1), j2 * number(motions, m + 2))
+            )
+            m += 3
+            rotated = fma(
+                t0, number(motions, m), fma(t1, number(motions, m + 1), t2 * number(motions, m + 2))
+            )
+            store_eight(d_splats, (i * n_motions + r) * COLUMNS, fma(rotated, conic, shifted))
+
+
+@inlined
+def _sum_pairs(v_pairs, slots, first, last, width, at, are_two):
+    """Sum over a Gaussian's pairs of one motion's cotangents, at `at` of their rows, or of two: one in each half."""
+    total, end = broadcast(float32(0.0)), len(slots) - 1
+    for slot in range(first, last):
+        prefetch(v_pairs, int64(slots[min(slot + _PREFETCH, end)]) * width + at)
+        place = int64(slots[slot]) * width + at
+        total = total + (load(v_pairs, place) if are_two else load_eight(v_pairs, place))
+    return total
+
+
+@kernel()
+def _vjp_range(first, last, values, rows, conic_lanes, pairs, shape, v_motions):
+    n_motions, n = shape
+    starts, slots, v_pairs = pairs
+    conic, nothing = load_twice(conic_lanes, int64(0)), broadcast(float32(0.0))
+    width = int64(n_motions * COLUMNS)
+    room = aligned(LANES)
+    for k in range(first, last):
+        i, at = int64(rows[k]), int64(k) * _PACKED
+        for r in range(0, n_motions, 2):
+            are_two = r + 1 < n_motions
+            total = _sum_pairs(v_pairs, slots, starts[k], starts[k + 1], width, int64(r * COLUMNS), are_two)
+            of_conic, rotation = total * conic, at + _ROTATION
+            sums = half_sums_of_eight(
+                load_twice(values, at) * total,
+                load_twice(values, at + 8) * total,
+                load_twice(values, at + 16) * total,
+                load_twice(values, rotation) * of_conic,
+                load_twice(values, rotation + 4) * of_conic,
+                load_twice(values, rotation + 8) * of_conic,
+                nothing,
+                nothing,
+            )
+            store(room, int64(0), sums)
+            for half in range(2 if are_two else 1):
+                m = ((r + half) * n + i) * DOF
+                for d in range(DOF):
+                    v_motions[m + d] += room[COLUMNS * half + d]
+
+
+@kernel(parallel=True)
+def _jvp(count, values, rows, conic_lanes, motions, shape, d_splats):
+    for chunk in prange((count + _CHUNK - 1) // _CHUNK):
+        last = min(count, (chunk + 1) * _CHUNK)
+        _jvp_range(chunk * _CHUNK, last, values, rows, conic_lanes, motions, shape, d_splats)
+
+
+@kernel(parallel=True)
+def _vjp(count, values, rows, conic_lanes, pairs, shape, v_motions):
+    for chunk in prange((count + _CHUNK - 1) // _CHUNK):
+        last = min(count, (chunk + 1) * _CHUNK)
+        _vjp_range(chunk * _CHUNK, last, values, rows, conic_lanes, pairs, shape, v_motions)
+
+
+def jvp_rows(values: np.ndarray, rows: np.ndarray, motions: np.ndarray, d_splats: np.ndarray) -> None:
+    """Motions [R, N, DOF] -> d_splats [N, R, 8], written for the Gaussians `rows` [n] with packed blocks `values`."""
+    _jvp(len(rows), values, rows, _CONIC_LANES, motions.reshape(-1), motions.shape[:2], d_splats.reshape(-1))
+
+
+def vjp_rows(
+    values: np.ndarray,
+    rows: np.ndarray,
+    starts: np.ndarray,
+    slots: np.ndarray,
+    v_pairs: np.ndarray,
+    v_motions: np.ndarray,
+) -> None:
+    """The transpose: adds to `v_motions` [R, N, DOF] from cotangents of tile–Gaussian pairs [P, R, 8].
+
+    Those of row k are v_pairs[slots[starts[k] … starts[k + 1] − 1]].
+    """
+    pairs = starts, slots, v_pairs.reshape(-1)
+    _vjp(len(rows), values, rows, _CONIC_LANES, pairs, v_motions.shape[:2], v_motions.reshape(-1))

@@ -1,0 +1,207 @@
+"""The rendering Jacobian of one view at rest: JVP, VJP and Gauss-Newton product, several right-hand sides at once.
+
+Per Gaussian an 8 × 6 block takes displacement and rotation to its splat (mean, conic, colour); the linearised blending
+kernels take splats to pixels. It is the exact derivative of the rendered picture; no finite differences.
+"""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from tg4mm.core.room import release, room
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.jacobian.packed import COLUMNS, DOF, jvp_rows, pack, unpack, vjp_rows
+from tg4mm.fit.motion.jacobian.projection import splat_jacobian
+from tg4mm.fit.rasterize.buffers import Buffers, take
+from tg4mm.fit.rasterize.kernels.binning import Bins, bin_splats, seen
+from tg4mm.fit.rasterize.kernels.blend import blend_forward
+from tg4mm.fit.rasterize.kernels.layout import ALPHA_MIN, FEATURES
+from tg4mm.fit.rasterize.kernels.linearised import blend_cotangents, blend_tangents
+from tg4mm.fit.rasterize.kernels.normal import blend_normal, most_blocks
+from tg4mm.fit.rasterize.kernels.project import empty_splats, pack_camera, project_forward
+from tg4mm.fit.space.view import EPS2D, FAR, NEAR, WHITE
+
+# Rendering drops alphas below 1/255, which cuts the rim off every Gaussian. The cut moves with the Gaussian, and that
+# step is not in the derivative inside it: faint Gaussians would get too small a Jacobian (by 1/255 over their opacity).
+# A much lower threshold makes the error negligible.
+ALPHA_MIN_LINEAR = ALPHA_MIN / 30
+VIEW_BYTES = 1 << 30  # of all views that are held at once: more lie in temporary files
+_OF_VIEW = "splats", "image", "transmittance", "packed"
+_OF_BINS = "order", "tile_start", "gaussian_start", "pair_gaussian", "pair_slot", "reached"
+
+
+class PosedView(Protocol):
+    """A camera as far as the Jacobian needs it (OpenCV convention)."""
+
+    @property
+    def viewmat(self) -> np.ndarray:
+        """[4, 4] float32, world to camera."""
+
+    @property
+    def K(self) -> np.ndarray:
+        """[3, 3] float32, pixels."""
+
+
+@dataclass(frozen=True)
+class ViewJacobian:
+    """One view's picture of the Gaussians at rest and its Jacobian."""
+
+    splats: np.ndarray  # [N, SPLAT_WIDTH]
+    bins: Bins
+    image: np.ndarray  # [H, W, FEATURES]
+    transmittance: np.ndarray  # [H, W]
+    most: tuple[int, int]  # largest numbers of blocks and pairs of a tile, for `blend_normal`
+    packed: np.ndarray  # float32: the 8 × 6 blocks as `pack` stores them, in the order of bins.order
+
+    @property
+    def over_white(self) -> np.ndarray:
+        """[H, W, 3]: the picture at rest."""
+        return self.image[..., :3] + self.transmittance[..., None]
+
+    @property
+    def jacobian(self) -> np.ndarray:
+        """[n_visible, 8, DOF] float32, in the order of bins.order."""
+        return unpack(self.packed)
+
+    @property
+    def _rows(self) -> np.ndarray:
+        return self.bins.order[: self.bins.n_visible]
+
+    def jvp(self, motions: np.ndarray, buffers: Buffers | None = None) -> np.ndarray:
+        """J m: R motions [R, N, DOF] float32 -> R changes of the picture over white [R, H, W, 3].
+
+        With `buffers` the result is theirs: valid until the next call with the same ones.
+        """
+        bins, n_motions = self.bins, len(motions)
+        d_splats = take(buffers, "d_splats", (motions.shape[1], n_motions, COLUMNS))
+        jvp_rows(self.packed, self._rows, motions, d_splats)
+        d_images = take(buffers, "d_images", (n_motions, *self.transmittance.shape, 3))
+        blend_tangents(
+            self.splats, d_splats, bins.tile_start, bins.pair_gaussian, WHITE, d_images, ALPHA_MIN_LINEAR
+        )
+        return d_images
+
+    def vjp(self, pictures: np.ndarray, v_motions: np.ndarray, buffers: Buffers | None = None) -> None:
+        """Adds Jᵀ p of R pictures [R, H, W, 3] to `v_motions` [R, N, DOF]."""
+        bins, n_motions = self.bins, len(pictures)
+        v_pairs = take(buffers, "v_pairs", (len(bins.pair_gaussian), n_motions, COLUMNS))
+        blend_cotangents(
+            self.splats, bins.tile_start, bins.pair_gaussian, WHITE, self.image, self.transmittance,
+            np.ascontiguousarray(pictures), v_pairs, ALPHA_MIN_LINEAR,
+        )  # fmt: skip
+        self._gather(v_pairs, v_motions)
+
+    def gauss_newton_product(
+        self,
+        motions: np.ndarray,
+        weights: np.ndarray | None,
+        v_motions: np.ndarray,
+        buffers: Buffers | None = None,
+    ) -> None:
+        """Adds Jᵀ W J m to `v_motions`, both [R, N, DOF], in one pass; W are weights of pixels [H, W], None: 1."""
+        bins, n_motions = self.bins, len(motions)
+        d_splats = take(buffers, "d_splats", (motions.shape[1], n_motions, COLUMNS))
+        jvp_rows(self.packed, self._rows, motions, d_splats)
+        v_pairs = take(buffers, "v_pairs", (len(bins.pair_gaussian), n_motions, COLUMNS))
+        pixels = np.ones_like(self.transmittance) if weights is None else weights
+        blend_normal(
+            self.splats, d_splats, bins.tile_start, bins.pair_gaussian, bins.reached, self.most, WHITE, pixels,
+            v_pairs, ALPHA_MIN_LINEAR,
+        )  # fmt: skip
+        self._gather(v_pairs, v_motions)
+
+    def stored(self) -> ViewJacobian:
+        """The same with its arrays in a temporary file (`room.py`): `release` lets go of what a call has read."""
+        bins = copy(self.bins)
+        for name in _OF_BINS:
+            setattr(bins, name, _stored(getattr(bins, name)))
+        splats, image, transmittance, packed = (_stored(getattr(self, name)) for name in _OF_VIEW)
+        return ViewJacobian(splats, bins, image, transmittance, self.most, packed)
+
+    def release(self) -> None:
+        """Let go of the memory that holds what is stored in a file."""
+        for array in self._arrays:
+            release(array)
+
+    @property
+    def nbytes(self) -> int:
+        return sum(a.nbytes for a in self._arrays)
+
+    @property
+    def _arrays(self) -> list[np.ndarray]:
+        own = [getattr(self, name) for name in _OF_VIEW]
+        return own + [getattr(self.bins, name) for name in _OF_BINS]
+
+    def _gather(self, v_pairs: np.ndarray, v_motions: np.ndarray) -> None:
+        """Adds to `v_motions` [R, N, DOF] the cotangents of tile–Gaussian pairs [P, R, 8]."""
+        vjp_rows(self.packed, self._rows, self.bins.gaussian_start, self.bins.pair_slot, v_pairs, v_motions)
+
+
+def _stored(array: np.ndarray) -> np.ndarray:
+    out = room(array.shape, array.dtype, in_memory=0) if array.size else array
+    out[...] = array
+    release(out)
+    return out
+
+
+def _arrays(gaussians: Gaussians) -> tuple[np.ndarray, ...]:
+    g = gaussians
+    return tuple(
+        np.ascontiguousarray(a.cpu().numpy(), np.float32)
+        for a in (g.means, g.quats, g.scales, g.opacities, g.sh)
+    )
+
+
+def view_jacobian(gaussians: Gaussians, camera: PosedView, size: tuple[int, int]) -> ViewJacobian:
+    """The Jacobian of the Gaussians' picture from `camera`, of size (width, height)."""
+    width, height = size
+    means, quats, scales, opacities, sh = _arrays(gaussians)
+    degree = gaussians.sh_degree
+    packed_camera = pack_camera(camera.viewmat, camera.K, NEAR, FAR, EPS2D, ALPHA_MIN_LINEAR)
+    splats = empty_splats(len(means))
+    project_forward(means, quats, scales, opacities, sh, degree, False, packed_camera, width, height, splats)
+    bins = bin_splats(splats, width, height)
+    image = np.empty((height, width, FEATURES), np.float32)
+    transmittance = np.empty((height, width), np.float32)
+    blend_forward(
+        splats, bins.tile_start, bins.pair_gaussian, width, height, image, transmittance, ALPHA_MIN_LINEAR,
+        bins.reached,
+    )  # fmt: skip
+    bins = seen(bins)  # drop hidden pairs: every iteration would visit them
+    most = most_blocks(bins.tile_start, bins.reached)
+    jacobian = splat_jacobian(means, quats, scales, sh, degree, packed_camera, size, splats)
+    return ViewJacobian(
+        splats, bins, image, transmittance, most, pack(jacobian[bins.order[: bins.n_visible]])
+    )
+
+
+_COLOUR = COLUMNS - 3  # first column of a splat's colour
+
+
+def colour_jacobian(view: ViewJacobian, active: np.ndarray) -> ViewJacobian:
+    """The view with the Jacobian by colour in place of displacement (the first three of DOF; the others give 0).
+
+    active [n_visible, 3] bool, in the order of bins.order: channels whose derivative is not 0 (not clamped).
+    """
+    jacobian = np.zeros((len(active), COLUMNS, DOF), np.float32)
+    for c in range(3):
+        jacobian[:, _COLOUR + c, c] = active[:, c]
+    return replace(view, packed=pack(jacobian))
+
+
+def without_colour(view: ViewJacobian) -> ViewJacobian:
+    """The view with colours that no motion changes, as if they were the same from all sides."""
+    jacobian = view.jacobian
+    jacobian[:, _COLOUR:] = 0
+    return replace(view, packed=pack(jacobian))
+
+
+def blend_sum(view: ViewJacobian, picture: np.ndarray) -> np.ndarray:
+    """[N, 3] float32: a picture [H, W, 3] summed over pixels by each Gaussian's blending weights."""
+    out = np.zeros((1, len(view.splats), DOF), np.float32)
+    colour_jacobian(view, np.ones((view.bins.n_visible, 3), bool)).vjp(picture[None], out)
+    return out[0, :, :3]

@@ -1,0 +1,226 @@
+"""What the motion stage sees: posed cameras, the pictures each took, and when (docs/method.md, "Observation model")."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from tg4mm.capture import Capture, ImageStack
+from tg4mm.capture.pictures import FilePictures, Pictures, over_white, pictures_of
+from tg4mm.capture.scene import codec_period
+from tg4mm.capture.timing import FEWEST_FRAMES, FEWEST_MOVING
+from tg4mm.core.errors import CaptureError
+from tg4mm.core.progress import progress
+
+STRIP_VALUES = 1 << 23  # float32 values of a strip, 32 MiB; compositing it takes about three times that
+_CLOCK = (
+    0.1  # of a frame: by how much the time stamps of one clock differ, from each other and from even steps
+)
+_AT_ONCE = 8  # whole pictures in memory
+PERIODS = 2.0  # in the record, of the lowest frequency that a fit may hold
+TOLD_PERIODS = 2.5  # of one that is told from a drift
+
+
+@dataclass(frozen=True)
+class PosedFrames:
+    """The F pictures that were taken with one pose and one lens."""
+
+    name: str
+    viewmat: np.ndarray  # [4, 4] float32, world-to-camera, OpenCV axes
+    K: np.ndarray  # [3, 3] float32, pixels
+    rows: np.ndarray  # [F] of the capture's pictures
+    times_s: np.ndarray  # [F] float64, seconds on this camera's own clock
+
+
+@dataclass(frozen=True)
+class Observations:
+    """All pictures of a capture that show motion.
+
+    `clock` is one of: `synchronous`, fixed cameras with the same regular times; `independent`, fixed cameras each with
+    a clock (or a start of the vibration) of its own; `moving`, every picture with a pose of its own.
+    """
+
+    kind: str  # of the capture: flat, tripod, handheld, rig, clips
+    clock: str
+    frames: list[PosedFrames]  # V poses
+    pictures: Pictures
+    fps: float  # Hz
+    n_timesteps: int
+    is_whole: bool  # no other pictures made the scene at rest
+    codec_period: int | None = None  # frames, of the video's compression
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in pixels."""
+        height, width = self.pictures.size
+        return width, height
+
+    @cached_property
+    def is_opaque(self) -> bool:
+        """Whether pictures show a background, by the first of each of up to four poses."""
+        step = max(len(self.frames) // 4, 1)
+        rows = [int(f.rows[0]) for f in self.frames[::step]]
+        raw = self.pictures.strips(rows)
+        return bool((raw(slice(None))[..., 3] == self.pictures.maximum).all())
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether one camera is all there is: it shows motion across its sight alone."""
+        return self.kind == "flat"
+
+    @property
+    def duration_s(self) -> float:
+        """Of the longest record of one clock."""
+        if self.clock == "moving":
+            times = np.concatenate([f.times_s for f in self.frames])
+            return float(np.ptp(times)) + 1 / self.fps
+        return max(float(np.ptp(f.times_s)) for f in self.frames) + 1 / self.fps
+
+    @property
+    def lowest_hz(self) -> float:
+        """The lowest frequency of which the record holds two periods."""
+        return PERIODS / self.duration_s
+
+
+def observe(capture: Capture, images: ImageStack | FilePictures) -> Observations:
+    """The observations in a capture of T > 1 timesteps. Raises CaptureError where too few pictures show motion."""
+    clock, frames = frames_of(capture)
+    if clock != "moving" and (short := _too_short(capture, frames)):
+        warnings.warn(
+            f"{', '.join(short)}: left out: fewer than half as many pictures over time as other cameras have",
+            stacklevel=2,
+        )
+    is_whole = sum(len(f.rows) for f in frames) == len(capture)
+    of_time = capture.fps, capture.n_timesteps
+    period = codec_period(capture.root)
+    return Observations(capture.kind, clock, frames, pictures_of(images), *of_time, is_whole, period)
+
+
+def check_shows_motion(capture: Capture) -> None:
+    """Raise CaptureError where pictures are too few (`frames_of`), or too short a record to tell any frequency."""
+    clock, frames = frames_of(capture)
+    longest = max(len(f.rows) for f in frames)
+    if clock != "moving" and longest < FEWEST_FRAMES:
+        raise CaptureError(
+            f"{capture.root}: a camera holds {longest} pictures over time, too few to tell any frequency below half "
+            f"the frame rate; expected {FEWEST_FRAMES} or more, better several periods of the vibration"
+        )
+
+
+def frames_of(capture: Capture) -> tuple[str, list[PosedFrames]]:
+    """The clock of `Observations`, and the poses with their pictures; those without a time show the scene at rest.
+
+    Raises CaptureError where there are too few pictures to show motion, or cameras said to be synchronous are not.
+    """
+    fixed = fixed_cameras(capture)
+    if fixed:
+        own = capture.kind == "clips" or (capture.clocks == "independent" and len(fixed) > 1)
+        are_synchronous = not own and _are_synchronous(fixed)
+        if capture.clocks == "synchronous" and len(fixed) > 1 and not own and not are_synchronous:
+            counts = ", ".join(f"{f.name} {len(f.rows)}" for f in fixed)
+            raise CaptureError(
+                f"{capture.root}: scene.json says that its cameras are synchronous, but their times differ (pictures: "
+                f"{counts}); make it again with tg4mm sfm --until, or without --synchronous"
+            )
+        return "synchronous" if are_synchronous else "independent", fixed
+    rows = np.flatnonzero(np.isfinite(capture.times_s))
+    rows = rows[np.argsort(capture.times_s[rows], kind="stable")]
+    if len(rows) < FEWEST_MOVING or len(rows) < capture.n_timesteps / 2:
+        raise CaptureError(
+            f"{capture.root}: no camera is fixed, and {len(rows)} pictures have a time, too few to show motion; "
+            "expected a fixed camera with a picture at every timestep, or one moving camera's video"
+        )
+    return "moving", [_frames(capture, np.array([row])) for row in rows]
+
+
+def fixed_cameras(capture: Capture) -> list[PosedFrames]:
+    """The cameras that took at least half as many pictures from one pose as the one with the most, and 2 or more."""
+    has_time = np.isfinite(capture.times_s)
+    counts = np.bincount(capture.camera_ids[has_time], minlength=int(capture.camera_ids.max()) + 1)
+    if counts.max(initial=0) < 2:
+        return []
+    found = []
+    for camera in np.flatnonzero(2 * counts >= counts.max()):
+        rows = np.flatnonzero((capture.camera_ids == camera) & has_time)
+        found.append(_frames(capture, rows[np.argsort(capture.times_s[rows], kind="stable")]))
+    return found
+
+
+def _too_short(capture: Capture, frames: Sequence[PosedFrames]) -> list[str]:
+    """Names of cameras with several pictures over time that are not among `frames`."""
+    has_time = np.isfinite(capture.times_s)
+    taken = {int(capture.camera_ids[f.rows[0]]) for f in frames}
+    rows = [
+        np.flatnonzero(has_time & (capture.camera_ids == c)) for c in np.unique(capture.camera_ids[has_time])
+    ]
+    return [
+        capture.paths[r[0]].stem for r in rows if len(r) > 1 and int(capture.camera_ids[r[0]]) not in taken
+    ]
+
+
+def _frames(capture: Capture, rows: np.ndarray) -> PosedFrames:
+    first = rows[0]
+    return PosedFrames(
+        capture.paths[first].stem,
+        capture.viewmats[first].astype(np.float32),
+        capture.Ks[first].astype(np.float32),
+        rows,
+        capture.times_s[rows],
+    )
+
+
+def _are_synchronous(frames: list[PosedFrames]) -> bool:
+    """Whether all cameras have the same times, evenly spaced, to a tenth of a frame."""
+    times = frames[0].times_s
+    if any(len(f.times_s) != len(times) for f in frames):
+        return False
+    if len(times) < 3:
+        return True
+    step = float(np.ptp(times)) / (len(times) - 1)
+    even = times[0] + step * np.arange(len(times))
+    return all(np.abs(f.times_s - even).max() < _CLOCK * step for f in frames)
+
+
+SHOWN = 50_000_000  # pixels, which take some seconds
+Strips = Iterator[tuple[slice, np.ndarray]]  # rows of the picture, and [F, rows, W, 3] of all F frames
+
+
+def watched(label: str, observations: Observations) -> Iterator[tuple[int, PosedFrames, Strips]]:
+    """Every camera's number, frames and strips, with progress where they are many: how many pictures are behind."""
+    (width, height), counts = observations.size, [len(frames.rows) for frames in observations.frames]
+
+    def counted(v: int, frames: PosedFrames) -> Strips:
+        for rows, strip in strips(observations.pictures, frames):
+            yield rows, strip
+            update(sum(counts[:v]) + counts[v] * rows.stop // height)
+
+    many = sum(counts) * width * height > SHOWN
+    with progress(label, sum(counts), "pictures") if many else nullcontext(lambda _done: None) as update:
+        for v, frames in enumerate(observations.frames):
+            yield v, frames, counted(v, frames)
+            update(sum(counts[: v + 1]))
+
+
+def strips(pictures: Pictures, frames: PosedFrames) -> Strips:
+    """Rows of the picture from top to bottom: slice and [F, rows, W, 3] float32 over white, all F pictures.
+
+    At most `STRIP_VALUES` values at a time, or one row.
+    """
+    height, width = pictures.size
+    at_once = max(STRIP_VALUES // (len(frames.rows) * width * 3), 1)
+    raw = pictures.strips(frames.rows.tolist())
+    for top in range(0, height, at_once):
+        rows = slice(top, min(top + at_once, height))
+        yield rows, over_white(raw(rows), pictures.maximum)
+
+
+def whole_pictures(observations: Observations, rows: np.ndarray) -> Iterator[np.ndarray]:
+    """[f, H, W, 3] float32 over white, a few of the pictures `rows` at a time."""
+    for first in range(0, len(rows), _AT_ONCE):
+        raw = observations.pictures.strips(rows[first : first + _AT_ONCE].tolist())
+        yield over_white(raw(slice(None)), observations.pictures.maximum)

@@ -1,0 +1,250 @@
+"""The motion of a scene's Gaussians from observations: every step of the method, in order (docs/method.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from tg4mm.core.progress import progress
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.appearance import AppearanceFit, MotionResidual
+from tg4mm.fit.motion.checkpoints import Arrays, Checkpoint, no_checkpoint
+from tg4mm.fit.motion.config import MotionConfig, resolved
+from tg4mm.fit.motion.few_view_posterior import coarser
+from tg4mm.fit.motion.gauss_newton import ABOVE_PX, gauss_newton
+from tg4mm.fit.motion.hyperparameters import (
+    Hyperparameters,
+    pixel_weights,
+    select_noise,
+    select_smoothness,
+)
+from tg4mm.fit.motion.linear_fit import LinearFit
+from tg4mm.fit.motion.mode_selection import frequency_notes
+from tg4mm.fit.motion.modes import ModalMotion, MotionFit
+from tg4mm.fit.motion.observations import Observations
+from tg4mm.fit.motion.split_half import LEAST, wiener_shrink
+from tg4mm.fit.motion.temporal import TemporalModel
+from tg4mm.fit.motion.temporal.independent import IndependentClocks
+from tg4mm.fit.motion.temporal.moving import MovingCamera
+from tg4mm.fit.motion.temporal.synchronous import Synchronous
+from tg4mm.fit.motion.uncertainty import (
+    MotionEstimate,
+    Uncertainty,
+    few_view_uncertainty,
+    split_half_uncertainty,
+)
+
+_SUPPORTS = 2  # fits within a support, at most
+_JUDGED = 10  # views whose residual tells errors of the model
+
+
+def fit_motion(
+    gaussians: Gaussians,
+    observations: Observations,
+    config: MotionConfig | None = None,
+    device: str = "cpu",
+    checkpoint: Checkpoint = no_checkpoint,
+) -> MotionFit:
+    """The modal motion of `gaussians` (at rest, on the CPU) that explains the observations.
+
+    `checkpoint` keeps finished steps of a long fit (`checkpoints.py`). On CUDA the iterations run there; reading the
+    pictures, their components, the neighbourhoods, one projection of each view, and appearance are left to the
+    CPU. Raises RunError where no camera sees a Gaussian, Tg4mmError on settings out of range or where the
+    device's memory is too small.
+    """
+    asked = config or MotionConfig()
+    settings = resolved(asked, len(gaussians))
+    models = {"synchronous": Synchronous.of, "independent": IndependentClocks.of, "moving": MovingCamera.of}
+    model = models[observations.clock](gaussians, observations, settings, device, checkpoint)
+    return replace(_fitted(model, checkpoint), config=asked)
+
+
+def _fitted(model: TemporalModel, checkpoint: Checkpoint) -> MotionFit:
+    """Hyperparameters, the linear fit, Gauss-Newton where motion is large; the folds' mean, its ± and its modes."""
+    if not len(model.targets.basis):
+        return without_motion(model)
+    model, hyper = select_hyperparameters(model, checkpoint)
+    model = model.completed(hyper, checkpoint)
+    folds, gradients = _linear_fit(model, hyper, checkpoint)
+    model, folds = model.settled(folds)
+    if model.observations.is_flat:
+        folds = in_plane(folds, model.observations.frames[0].viewmat[2, :3])
+    if not folds.shape[1]:
+        return without_motion(model)
+    fields, reliability = wiener_shrink(folds)
+    pixels, rows = model.pixels_moved(fields), _judged(len(model.problem.views))
+    figures: dict[str, Any] = {"pixels_moved": pixels, "gauss_newton": 0}
+    targets: Iterable[np.ndarray] = (model.images(v) for v in rows)
+    # of several synchronous cameras, or one beside pictures of the scene from elsewhere
+    can_iterate = isinstance(model, Synchronous) and not model.observations.is_flat
+    iterates = can_iterate and pixels > ABOVE_PX and model.config.gauss_newton > 0
+    if iterates:
+        assert isinstance(model, Synchronous)
+        model, folds, targets, of_iterations = gauss_newton(model, hyper, folds, rows, checkpoint)
+        fields, reliability = wiener_shrink(folds)
+        figures |= of_iterations
+    uncertainty = _uncertainty(model, hyper, _estimate(model, folds, fields, rows, targets), gradients)
+    changes = None
+    if not iterates and (appearance := _appearance_fit(model)) is not None:
+        with progress("appearance", len(fields), "components") as update:
+            changes, kept = appearance.fitted(_motion_residual(model, fields), update)
+        figures["appearance_reliability"] = [round(float(g), 4) for g in kept]
+    if len(folds) == 2:
+        figures["reliability"] = [round(float(g), 4) for g in reliability]
+    return _result(model, hyper, model.motion(fields, changes), uncertainty, figures)
+
+
+def select_hyperparameters(
+    model: TemporalModel, checkpoint: Checkpoint
+) -> tuple[TemporalModel, Hyperparameters]:
+    """Components of noise and the smoothness weight, and between them weights of pixels for the model's problem."""
+
+    def noise() -> Arrays:
+        return {"is_noise": select_noise(model.targets, model.problem, model.folds)}
+
+    is_noise = checkpoint("noise", noise)["is_noise"].astype(bool)
+    weights = pixel_weights(model.targets, is_noise, model.problem.mixing is None)
+    weighted = replace(model, problem=model.problem.changed(pixel_weights=weights))
+
+    def smoothness() -> Arrays:
+        return {"smoothness_weight": np.array(select_smoothness(*weighted.strongest()))}
+
+    weight = float(checkpoint("smoothness", smoothness)["smoothness_weight"])
+    return weighted, Hyperparameters(is_noise, weight)
+
+
+def _linear_fit(
+    model: TemporalModel, hyper: Hyperparameters, checkpoint: Checkpoint
+) -> tuple[np.ndarray, np.ndarray]:
+    """Fields [P, R, N, 6] of the folds; the mean over folds of their displacement and gradient, [R, 4N, 3].
+
+    Of synchronous cameras in two passes, with a deferred correction between them where motion is small. Of a moving
+    camera twice more, where only what was found to move may.
+    """
+    linear = LinearFit(model.problem, model.targets, hyper, model.folds, model.config, checkpoint)
+    if not isinstance(model, Synchronous):
+        last = linear.first_pass(model.first_iterations)
+        for k in range(_SUPPORTS):
+            support = model.support(np.stack([f["fields"] for f in last]))
+            if support is None:
+                break
+            last = linear.within(support, k)
+        return np.stack([f["fields"] for f in last]), np.mean([f["x"] for f in last], axis=0)
+    first = linear.first_pass()
+    fields, _ = wiener_shrink(np.stack([f["fields"] for f in first]))
+    is_small, correction = model.pixels_moved(fields) <= ABOVE_PX, None
+    if is_small and (appearance := _appearance_fit(model)) is not None:
+        correction = appearance.between_passes(_motion_residual(model, fields))
+    return linear.second_pass(first, is_small, correction), np.mean([f["x"] for f in first], axis=0)
+
+
+def _appearance_fit(model: TemporalModel) -> AppearanceFit | None:
+    """None where it was not asked for, or cameras are too few to tell it from noise."""
+    is_told = len(model.problem.views) >= LEAST and len(model.folds) == 2
+    if not (isinstance(model, Synchronous) and model.config.appearance and is_told):
+        return None
+    return AppearanceFit.of(model.problem, model.observations.frames, model.folds)
+
+
+def _motion_residual(model: TemporalModel, fields: np.ndarray) -> MotionResidual:
+    assert isinstance(model, Synchronous)
+    return MotionResidual(model.problem, model.targets.images, model.fitted, fields)
+
+
+def in_plane(fields: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Fields [..., N, 6] in the plane across `normal` [3]: displacement within it, rotation about it.
+
+    For a flat capture, whose one camera shows nothing of the rest.
+    """
+    out = fields.copy()
+    out[..., :3] -= (fields[..., :3] @ normal)[..., None] * normal
+    out[..., 3:] = (fields[..., 3:] @ normal)[..., None] * normal
+    return out
+
+
+def _judged(n_views: int) -> list[int]:
+    """Views whose residual tells errors of the model."""
+    return np.linspace(0, n_views - 1, min(n_views, _JUDGED)).round().astype(int).tolist()
+
+
+def _estimate(
+    model: TemporalModel,
+    folds: np.ndarray,
+    fields: np.ndarray,
+    rows: list[int],
+    targets: Iterable[np.ndarray],
+) -> MotionEstimate:
+    """With the residual of some views' target images [ρ, H, W, 3]."""
+    problem, frames = model.problem, model.observations.frames
+    residuals = (problem.residual(v, own, fields) for v, own in zip(rows, targets, strict=True))
+    views, cameras = [problem.views[v] for v in rows], [frames[v] for v in rows]
+    return MotionEstimate(folds, fields, model.gaussians, problem.graph.knn, views, cameras, residuals)
+
+
+def _uncertainty(
+    model: TemporalModel, hyper: Hyperparameters, estimate: MotionEstimate, gradients: np.ndarray
+) -> Uncertainty | None:
+    """By two folds of the data; of few cameras with what they do not show."""
+    problem = model.problem
+    if len(estimate.folds) < 2:
+        return None
+    if len(problem.views) >= LEAST or model.observations.is_flat:
+        return split_half_uncertainty(estimate, model.n_frames)
+    small = coarser(problem, model.observations.frames)
+    operator = small.on_cpu(small.everything, hyper.smoothness_weight)
+    of_one_field = replace(operator, mixing=None)
+    return few_view_uncertainty(estimate, of_one_field, gradients, model.n_frames, model.config.seed)
+
+
+def _result(
+    model: TemporalModel,
+    hyper: Hyperparameters,
+    motion: ModalMotion,
+    uncertainty: Uncertainty | None,
+    figures: dict[str, Any],
+) -> MotionFit:
+    """With what is logged, and what cannot be told."""
+    observations, notes = model.observations, [*model.notes]
+    if observations.is_flat:
+        notes.append("a flat capture shows motion across the sight alone, in pixels of its picture")
+    pixels = figures["pixels_moved"]
+    if pixels > ABOVE_PX and (not isinstance(model, Synchronous) or observations.is_flat):
+        notes.append(
+            f"things move by {pixels:.2g} px, more than the {ABOVE_PX} px that such a capture is fitted for: "
+            "amplitudes come out too small"
+        )
+    if uncertainty is not None:
+        figures, notes = figures | uncertainty.figures, [*notes, *uncertainty.notes]
+    arrays = {} if uncertainty is None else uncertainty.arrays
+    hz = model.peaks_hz(motion, arrays.get("noise"))
+    figures = {
+        "iterations": model.config.iterations,
+        "smoothness_weight": hyper.smoothness_weight,
+        "views": len(model.problem.views),
+        "duration_s": round(observations.duration_s, 6),
+        **model.figures,
+        "n_frequencies": len(motion.freqs_hz),
+        "frequencies_hz": [round(float(f), 4) for f in hz],
+        **figures,
+    }
+    return MotionFit(model.gaussians, motion, arrays, figures, [*notes, *frequency_notes(hz, observations)])
+
+
+def without_motion(model: TemporalModel) -> MotionFit:
+    """Where no frequency stands out of the noise, or the two halves of the data agree on no motion."""
+    empty = np.zeros((0, len(model.gaussians), 3), np.complex64)
+    motion = ModalMotion(np.zeros(0), empty, empty, model.observations.fps, model.observations.n_timesteps)
+    note = "no frequency stands out of the noise: the run holds no motion"
+    if hz := model.figures["frequencies_hz"]:
+        named = ", ".join(f"{f:.4g}" for f in hz)
+        moving = model.observations.clock == "moving"
+        tripod = "a fixed camera and a sweep (docs/capture-guide.md, tripod) tell"
+        note = (
+            f"how things move at {named} Hz: two halves of the record do not agree on it, so that the run holds no "
+            f"motion; {tripod if moving else 'longer clips tell'}"
+        )
+    figures = {"views": len(model.problem.views), **model.figures, "n_frequencies": 0}
+    return MotionFit(model.gaussians, motion, {}, figures, [*model.notes, note])

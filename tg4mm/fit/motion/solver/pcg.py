@@ -1,0 +1,104 @@
+"""Conjugate gradients for one coupled system or several independent ones at once, on numpy arrays or torch tensors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from tg4mm.fit.motion.solver.operator import Array, System
+
+_EXACT = 1e-12  # squared relative residual: what float32 can tell; going on would only add up rounding, and diverge
+
+
+@dataclass(frozen=True)
+class Solution:
+    """θ [R, P, 3] (or of any shape [R, …]) and the residual b − A θ."""
+
+    theta: Array
+    residual: Array
+    norms: np.ndarray  # [S] |b|² of each system; S = 1 where they are coupled, else R
+
+
+def pcg(
+    operator: System,
+    b: Array,
+    iterations: int,
+    tolerance: float,
+    norms: np.ndarray | None = None,
+    update: Callable[[int, float], None] | None = None,
+    together: int | None = None,
+) -> Solution:
+    """Solve A θ = b [R, P, 3] from θ = 0, by at most so many iterations of each system.
+
+    A system ends at a relative residual of `tolerance`, measured against `norms` [S] (|b|² unless given). `update` is
+    called with the iterations done and the largest relative residual. `together`: how many parts of θ make up a system;
+    None for all of them where they are coupled, else one.
+    """
+    together = together or (len(b) if operator.is_coupled else 1)
+    n = len(b) // together
+    theta, residual, direction = _zeros(b), _copy(b), _copy(b)
+    squares = _squares(b, n)
+    norms = squares.copy() if norms is None else norms
+    limit = np.maximum(max(tolerance**2, _EXACT) * norms, 1e-300)
+    for done in range(iterations):
+        going = np.flatnonzero(squares > limit)
+        if not len(going):
+            break
+        _step(operator, (theta, residual, direction), squares, going.tolist(), together)
+        if update is not None:
+            update(done + 1, float(np.sqrt((squares / np.maximum(norms, 1e-300)).max())))
+    return Solution(theta, residual, norms)
+
+
+def _step(
+    operator: System, state: tuple[Array, Array, Array], squares: np.ndarray, going: list[int], together: int
+) -> None:
+    """One iteration of the systems `going`, in place."""
+    theta, residual, direction = state
+    rows = [s * together + k for s in going for k in range(together)]
+    images = operator.products(direction, None if len(rows) == len(theta) else rows)
+    for i, s in enumerate(going):
+        own = range(s * together, (s + 1) * together)
+        of_own = range(i * together, (i + 1) * together)
+        curvature = sum(_inner(direction[r], images[q]) for r, q in zip(own, of_own, strict=True))
+        length = squares[s] / curvature
+        for r, q in zip(own, of_own, strict=True):
+            theta[r] += length * direction[r]
+            residual[r] -= length * images[q]
+        after = sum(_inner(residual[r], residual[r]) for r in own)
+        for r in own:
+            direction[r] *= after / squares[s]
+            direction[r] += residual[r]
+        squares[s] = after
+
+
+def sent(values: np.ndarray, device: str) -> Array:
+    """The array on a torch device; on the CPU itself."""
+    return values if device == "cpu" else torch.from_numpy(np.ascontiguousarray(values)).to(device)
+
+
+def fetched(values: Array) -> np.ndarray:
+    """The array or tensor as a contiguous array."""
+    return np.ascontiguousarray(values if isinstance(values, np.ndarray) else values.cpu().numpy())
+
+
+def _squares(values: Array, n: int) -> np.ndarray:
+    return np.array([_inner(one, one) for one in values]).reshape(n, -1).sum(1)
+
+
+def _inner(a: Array, b: Array) -> float:
+    """Σ a b, summed in float64."""
+    if isinstance(a, np.ndarray):
+        return float(np.dot(a.ravel().astype(np.float64), b.ravel()))
+    return float((a.double() * b).sum())
+
+
+def _zeros(b: Array) -> Array:
+    return np.zeros_like(b) if isinstance(b, np.ndarray) else torch.zeros_like(b)
+
+
+def _copy(b: Array) -> Array:
+    return b.copy() if isinstance(b, np.ndarray) else b.clone()

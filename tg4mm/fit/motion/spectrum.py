@@ -1,0 +1,201 @@
+"""The spectrum of a motion: temporal components and their fields to modes, one phasor per Gaussian and frequency.
+
+A capture seldom holds whole periods. Then a sinusoid leaks into all bins of a Fourier transform, so a band around it
+holds only a part, and the mean over time is not the motion's zero. A trend leaks likewise. So the components are fitted
+by sinusoids, a constant and, where it helps, a slow trend: frequencies by variable projection (Golub & Pereyra 1973),
+one more at a time at the highest peak of the residual's periodogram, as in matching pursuit with all of them refined.
+Where bins do as well (whole periods, or nothing tonal) there are none.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tg4mm.fit.motion.sinusoids import far_from, refined, residual
+
+ALL_BINS_UP_TO = 64  # timesteps: of longer captures the weakest bins are dropped
+_DROPPED = 1e-4  # of the motion's power at most, 1 % of its rms
+
+
+def apply_series(series: np.ndarray, fields: np.ndarray) -> np.ndarray:
+    """[K, N, D] complex64: Σ_r series[k, r] fields[r] of temporal components' phasors [K, R] and fields [R, N, D]."""
+    values = np.tensordot(series.astype(np.complex64), fields, axes=1)
+    return np.asarray(values, np.complex64)
+
+
+def modes_of(
+    basis: np.ndarray, fields: np.ndarray, fps: float, appearance: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies [K] in Hz, ascending, and phasors [K, R] of the temporal components a_r(t) of Σ_r a_r(t) fields[r].
+
+    basis [R, T], fields [R, N, D], appearance [R, ...]: fields of colour that share the components.
+    Σ_k Re[m_k exp(i 2π f_k t / fps)] reconstructs the motion at every timestep, less its mean over time, which is the
+    residuals pose. The frequencies are all DFT bins above 0. Where the motion has sinusoids between bins or a trend
+    (`find_sinusoids`) these come on top, and the bins hold the residual: the sinusoids; a frequency of 0.05 bins, the
+    trend from timestep 0 on; and 0 Hz, the offset from the mean over time to the motion's own zero, which is never
+    magnified. Of more than 64 timesteps the weakest bins are dropped, 1e-4 of the power together; in it motion and
+    appearance weigh the same.
+    """
+    n_timesteps = basis.shape[1]
+    basis = basis - basis.mean(1, keepdims=True)
+    products = np.einsum("rnc,snc->rs", fields[..., :3], fields[..., :3], dtype=np.float64)
+    sinusoids = find_sinusoids(basis * np.sqrt(np.diag(products))[:, None])
+    cycles, series = _with_bins(basis, sinusoids)
+    if appearance is not None and (own := _products(appearance)).any():
+        products = products / max(np.trace(products), 1e-30) + own / np.trace(own)
+    power = np.einsum("kr,rs,ks->k", series.conj(), products, series).real
+    oscillates = cycles >= 1
+    dropped = _DROPPED * power[oscillates].sum() if n_timesteps > ALL_BINS_UP_TO else -1.0
+    keep = all_but_weakest(power, oscillates, dropped)
+    return cycles[keep] * fps / n_timesteps, series[keep]
+
+
+def _products(values: np.ndarray) -> np.ndarray:
+    """[R, R] float64: the inner products of R arrays."""
+    flat = values.reshape(len(values), -1).astype(np.float64)
+    return np.asarray(flat @ flat.T)
+
+
+def _with_bins(basis: np.ndarray, sinusoids: Sinusoids) -> tuple[np.ndarray, np.ndarray]:
+    """Cycles per capture [K], ascending, and phasors [K, R] of functions of time [R, T]."""
+    n_timesteps = basis.shape[1]
+    spectrum: dict[float, np.ndarray] = {}
+    if len(sinusoids.cycles) or sinusoids.trend:
+        x = sinusoids.regressors(n_timesteps)
+        weights = np.linalg.lstsq(x, basis.T, rcond=None)[0]
+        basis = basis - (x @ weights).T
+        spectrum = _sinusoid_phasors(sinusoids, weights)
+    bins = np.fft.rfft(basis, axis=1).T * (2 / n_timesteps)
+    if n_timesteps % 2 == 0:
+        bins[-1] /= 2  # the Nyquist bin has no mirror image
+    for k in range(1, len(bins)):
+        spectrum[k] = spectrum.get(k, 0) + bins[k]
+    cycles = np.array(sorted(spectrum), np.float64)
+    return cycles, np.stack([spectrum[c] for c in cycles])
+
+
+def _sinusoid_phasors(sinusoids: Sinusoids, weights: np.ndarray) -> dict[float, np.ndarray]:
+    """Phasors [R] by cycles per capture, from the weights [P, R] of the regressors."""
+    n, first = len(sinusoids.cycles), 1 + sinusoids.trend
+    out = {0.0: weights[0].astype(complex)}  # a cos + b sin = Re[(a − i b) exp(i …)]
+    if sinusoids.trend:
+        out[TREND_CYCLES] = -1j * weights[1]
+    for j, cycle in enumerate(sinusoids.cycles):
+        out[float(cycle)] = weights[first + j] - 1j * weights[first + n + j]
+    return out
+
+
+def all_but_weakest(power: np.ndarray, some: np.ndarray, allowed: float) -> np.ndarray:
+    """[K] bool: all but the weakest of `some` [K] bool, whose power [K] is together at most `allowed`."""
+    weakest = np.flatnonzero(some)[np.argsort(power[some], kind="stable")]
+    keep = np.full(len(power), True)
+    keep[weakest[np.cumsum(power[weakest]) <= allowed]] = False
+    return keep
+
+
+TREND_CYCLES = 0.05  # per capture: a sine so slow that it is a straight line within half a percent
+_MOST = 8  # sinusoids
+_WEAKEST = 1e-4  # of the power: weaker sinusoids stay in the bins
+_PEAK = 10.0  # times the mean power of one dimension of the residual: what counts as a peak
+_BETTER = 0.5  # of the residual of as many bins and one: sinusoids must leave less
+_APART = 0.75  # bins between sinusoids and to half the frame rate; the lowest is a bin less this tolerance
+_ON_BIN = 0.01  # bins: nearer than this is snapped to the bin
+_OVERSAMPLED = 8
+
+
+@dataclass(frozen=True)
+class Sinusoids:
+    """Frequencies in bins (cycles per capture), ascending, and whether there is a trend beside them."""
+
+    cycles: np.ndarray  # [J] float64
+    trend: bool = False
+
+    def regressors(self, n_timesteps: int) -> np.ndarray:
+        """[T, P]: a constant, the trend if any (zero at timestep 0), cosines, sines."""
+        t = np.arange(n_timesteps) / n_timesteps
+        angles = 2 * np.pi * t[:, None] * self.cycles
+        slow = [np.sin(2 * np.pi * TREND_CYCLES * t)[:, None]] if self.trend else []
+        return np.hstack([np.ones((n_timesteps, 1)), *slow, np.cos(angles), np.sin(angles)])
+
+    def residual(self, y: np.ndarray) -> np.ndarray:
+        """Of least squares of series y [T, R]."""
+        return residual(y, self.regressors(len(y)))
+
+    def residual_power(self, y: np.ndarray) -> float:
+        return float((self.residual(y) ** 2).sum())
+
+
+def find_sinusoids(series: np.ndarray) -> Sinusoids:
+    """The sinusoids that real series [R, T], weighted by their power, share; the mean over time is removed first.
+
+    None where Fourier bins describe them as well.
+    """
+    y = (series - series.mean(1, keepdims=True)).T
+    power = float((y**2).sum())
+    none = Sinusoids(np.zeros(0))
+    if len(y) < _OVERSAMPLED or not power > 0:
+        return none
+    sinusoids, with_trend = _greedy(y, trend=False), _greedy(y, trend=True)
+    unexplained, trend_unexplained = sinusoids.residual_power(y), with_trend.residual_power(y)
+    if trend_unexplained < _BETTER * unexplained and unexplained - trend_unexplained > _WEAKEST * power:
+        sinusoids, unexplained = with_trend, trend_unexplained
+    by_bins = np.sort((np.abs(np.fft.rfft(y, axis=0)) ** 2).sum(1))[::-1] * 2 / len(y)
+    bins_unexplained = float(np.maximum(power - by_bins[: len(sinusoids.cycles) + 1].sum(), 0))
+    is_better = unexplained < _BETTER * bins_unexplained and bins_unexplained - unexplained > _WEAKEST * power
+    return _on_bins(sinusoids) if is_better else none
+
+
+def _greedy(y: np.ndarray, trend: bool) -> Sinusoids:
+    """One sinusoid after the other, all refined each time, until no peak is left."""
+    sinusoids, power = Sinusoids(np.zeros(0), trend), float((y**2).sum())
+    residuals = sinusoids.residual(y)
+    while len(sinusoids.cycles) < min(_MOST, (len(y) - 2) // 4):
+        before = float((residuals**2).sum())
+        peak = _highest_peak(residuals, sinusoids.cycles)
+        if peak is None or before <= _WEAKEST * power:
+            break
+        more = _refined(y, np.append(sinusoids.cycles, peak), trend)
+        residuals = more.residual(y)
+        gain = before - float((residuals**2).sum())
+        if not _are_apart(more.cycles, len(y)) or gain < max(
+            _WEAKEST * power, _needed(y, sinusoids) * before
+        ):
+            break
+        sinusoids = more
+    return sinusoids
+
+
+def _needed(y: np.ndarray, sinusoids: Sinusoids) -> float:
+    """The part of the residual power that a sinusoid must explain to be more than chance."""
+    return min(_PEAK / (len(y) - 2 - 2 * len(sinusoids.cycles)), 0.9)
+
+
+def _highest_peak(residuals: np.ndarray, taken: np.ndarray) -> float | None:
+    """Of the periodogram of [T, R], in bins; None if no frequency is far enough from those `taken`."""
+    n = len(residuals) * _OVERSAMPLED
+    height = (np.abs(np.fft.rfft(residuals, n, axis=0)) ** 2).sum(1)
+    cycles = np.arange(len(height)) / _OVERSAMPLED
+    allowed = (cycles >= 1) & (cycles <= len(residuals) / 2 - _APART) & far_from(cycles, taken, _APART)
+    return float(cycles[np.where(allowed, height, -1).argmax()]) if allowed.any() else None
+
+
+def _refined(y: np.ndarray, cycles: np.ndarray, trend: bool) -> Sinusoids:
+    """All frequencies refined by nonlinear least squares, by at most a bin."""
+    scale = float(np.sqrt((y**2).sum()))
+
+    def misfit(cycles: np.ndarray) -> np.ndarray:
+        return Sinusoids(cycles, trend).residual(y).ravel() / scale
+
+    return Sinusoids(np.sort(refined(misfit, cycles, 1, xtol=1e-10, ftol=1e-12)), trend)
+
+
+def _are_apart(cycles: np.ndarray, n_timesteps: int) -> bool:
+    ends = np.array([1 - _ON_BIN - _APART, *cycles, n_timesteps / 2])
+    return bool((np.diff(ends) >= _APART).all())
+
+
+def _on_bins(sinusoids: Sinusoids) -> Sinusoids:
+    cycles, near = sinusoids.cycles, np.round(sinusoids.cycles)
+    return Sinusoids(np.where(np.abs(cycles - near) < _ON_BIN, near, cycles), sinusoids.trend)

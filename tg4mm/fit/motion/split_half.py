@@ -1,0 +1,76 @@
+"""Folds of the observations, and what two of them agree on: components of noise fade, every Gaussian gets a deviation.
+
+Noise is independent between halves of the data, motion is the same in both. So the data are fitted in two halves, the
+prior half as strong in each. Where the halves' fields a and b agree, their mean u is kept; where they do not, it is
+drawn to zero by the gain that brings it nearest to the truth on average (Wiener's): Σ a·b / Σ |u|², one for each
+temporal component. What the prior does wrong is wrong alike in both halves and stays.
+
+Six cameras or more are halved by camera. Fewer are halved by pixels, in squares as on a chessboard, so that noise and
+what a video codec leaves (macroblocks of 16 pixels) are independent. A moving camera's frames are halved by time.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tg4mm.fit.motion.solver.operator import Fold
+
+LEAST = 6  # cameras: fewer than three in a half do not hold a field in space
+_AT_ONCE = 1 << 14  # Gaussians whose neighbourhoods are averaged together
+_SQUARE = 16  # pixels: side of a square of the chessboard, and a codec's macroblock
+
+
+def folds_of(n_views: int, size: tuple[int, int], is_moving: bool, split: bool = True) -> list[Fold]:
+    """Two halves of `n_views` views of (width, height); one fold of everything unless `split`."""
+    rows = np.arange(n_views)
+    if not split:
+        return [Fold(rows)]
+    if is_moving:
+        middle = n_views // 2
+        return [Fold(rows[:middle]), Fold(rows[middle:])]
+    if n_views >= LEAST:
+        return [Fold(rows[::2]), Fold(rows[1::2])]
+    board = chessboard(size)
+    return [Fold(rows, board), Fold(rows, 1 - board)]
+
+
+def chessboard(size: tuple[int, int]) -> np.ndarray:
+    """[H, W] float32 of 0 and 1 in squares of 16 pixels (fewer in small pictures); size is (width, height)."""
+    side = max(min(_SQUARE, min(size) // 16), 1)
+    x, y = (np.arange(n) // side for n in size)
+    return ((x[None] + y[:, None]) % 2).astype(np.float32)
+
+
+def reliability(mean: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """[R] float32, 0 to 1: what to multiply R fields [R, N, 3] by, the means of those fitted to one half each."""
+    both = np.einsum("rnc,rnc->r", a, b, dtype=np.float64)
+    power = np.einsum("rnc,rnc->r", mean, mean, dtype=np.float64)
+    return np.clip(both / np.maximum(power, np.finfo(np.float32).tiny), 0, 1).astype(np.float32)
+
+
+def wiener_shrink(folds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What fields [P, R, N, 6] of one fold or of two halves agree on: [R, N, 6], and gains [R]."""
+    if len(folds) == 1:
+        return folds[0], np.ones(folds.shape[1], np.float32)
+    mean = (folds[0] + folds[1]) / 2
+    gain = reliability(mean[..., :3], folds[0][..., :3], folds[1][..., :3])
+    return mean * gain[:, None, None], gain
+
+
+def deviation(a: np.ndarray, b: np.ndarray, knn: np.ndarray) -> np.ndarray:
+    """[N] float32, scene units: the standard deviation of the noise in R fields together, from the halves [R, N, 3].
+
+    Rms over the nearest Gaussians `knn` of each [N, count]; of vectors' lengths, root of the sum over components,
+    before any gain. Errors that both halves share are not in it.
+    """
+    spread = np.einsum("rnc,rnc->n", a - b, a - b) / 4
+    return np.sqrt(mean_over_neighbours(spread, knn)).astype(np.float32)
+
+
+def mean_over_neighbours(values: np.ndarray, knn: np.ndarray) -> np.ndarray:
+    """Of values [N, …], the mean over the nearest Gaussians of each, [N, count] as `Graph.knn` lists them."""
+    out = np.empty_like(values)
+    for first in range(0, len(values), _AT_ONCE):
+        some = slice(first, first + _AT_ONCE)
+        out[some] = values[knn[some]].mean(1)
+    return out

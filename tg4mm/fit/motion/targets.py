@@ -1,0 +1,88 @@
+"""Target images: per view a few images, each the product of the view's pictures with a function of time.
+
+Displacements of less than a pixel change a picture in proportion, so that all frames of a fixed camera say no more than
+their products with the functions of time that the motion has. With Ψ_v the orthonormal functions that view v is
+projected on, its target images are y_v = (I − mean) Ψ_v and the model is y_v = J_v (C_v x), where x holds one
+displacement field for each of R shared functions of time and C_v, the mixing matrix (`Problem.mixing`), says how these
+look in Ψ_v. Which functions: `temporal/`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tg4mm.core.room import release, room
+from tg4mm.fit.motion.nuisance.first_look import FirstLook
+from tg4mm.fit.motion.nuisance.projection import Nuisance, without
+from tg4mm.fit.motion.observations import Observations, Strips, watched
+
+_IMAGES = 4  # of one view that are worked on together
+
+
+@dataclass(frozen=True)
+class TargetImages:
+    """What V views saw of R functions of time. Where C_v is the identity, Ψ_v is the basis."""
+
+    basis: (
+        np.ndarray
+    )  # [R, T] float64, functions of time; orthonormal, of zero mean, where C_v is the identity
+    energy: np.ndarray  # [T] float64, squared pixel values in every component, kept or not
+    images: np.ndarray  # [V, ρ, H, W, 3] float32, `room`; ρ = R where C_v is the identity
+    residual_energy: np.ndarray  # [V, H, W] float32 of what was not kept, mean over channels
+    rank: int  # of what residual and images hold together, functions of time
+    mean: np.ndarray  # [V, H, W, 3] float32, over time and over white
+    weights: np.ndarray | None = None  # [V, H, W] of pixels; None: told by their noise
+
+    def of(self, v: int, rows: slice | np.ndarray = slice(None)) -> np.ndarray:
+        """[r, H, W, 3] in memory: some of view v's images."""
+        out = np.array(self.images[v, rows])
+        release(self.images)
+        return out
+
+
+def projected(
+    observations: Observations, look: FirstLook, nuisances: Sequence[Nuisance], bases: Sequence[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Of every view the products [V, ρ, H, W, 3] with its functions of time [ρ, F], and the energy [V, H, W] left.
+
+    What the active nuisance columns explain is taken out.
+    """
+    width, height = observations.size
+    images = room((len(bases), len(bases[0]), height, width, 3))
+    total = np.stack(
+        [
+            t - n.energy(m, c)
+            for t, n, m, c in zip(look.total, nuisances, look.mean, look.columns, strict=True)
+        ]
+    )
+    for v, _, pictures in watched("pictures, second pass", observations):
+        basis = bases[v]
+        for rows, strip in look.cache.get(v) or _changes(pictures, look.mean[v]):
+            images[v, :, rows] = project(strip, basis)
+        for some in _at_once(len(basis)):
+            images[v, some] = without(nuisances[v], look.mean[v], images[v, some])
+            for image in images[v, some]:
+                total[v] -= np.einsum("hwc,hwc->hw", image, image) / 3
+            release(images)
+        nuisances[v].__dict__.pop("pose", None)
+    return images, np.maximum(total, 0, out=total)
+
+
+def _at_once(n: int) -> Iterator[slice]:
+    """Of n images those that are in memory together."""
+    return (slice(first, min(first + _IMAGES, n)) for first in range(0, n, _IMAGES))
+
+
+def _changes(pictures: Strips, mean: np.ndarray) -> Strips:
+    for rows, strip in pictures:
+        strip -= mean[rows]
+        yield rows, strip
+
+
+def project(video: np.ndarray, basis: np.ndarray) -> np.ndarray:
+    """Σ_t a_r(t) video[t]: [T, H, W, 3] and [R, T] -> [R, H, W, 3] float32."""
+    flat = basis.astype(np.float32) @ video.reshape(len(video), -1)
+    return flat.reshape(len(basis), *video.shape[1:])

@@ -1,0 +1,86 @@
+"""Temporal models: which functions of time the motion of a capture is fitted by, and how each view sees them."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.checkpoints import Checkpoint
+from tg4mm.fit.motion.config import MotionConfig
+from tg4mm.fit.motion.hyperparameters import Hyperparameters
+from tg4mm.fit.motion.modes import ModalMotion
+from tg4mm.fit.motion.observations import Observations
+from tg4mm.fit.motion.solver.operator import Fold
+from tg4mm.fit.motion.solver.problem import Problem
+from tg4mm.fit.motion.targets import TargetImages
+
+
+@dataclass(frozen=True)
+class TemporalModel(ABC):
+    """A capture posed as one least-squares problem of R functions of time, and what the fields that solve it mean.
+
+    `synchronous.py`: principal components over time. `independent.py`: sinusoids, with a phase of its own for each
+    camera. `moving.py`: sinusoids and slow polynomials, every frame a view. Where R is 0 nothing moves.
+    """
+
+    gaussians: Gaussians  # at rest
+    observations: Observations
+    problem: Problem  # views, prior, nuisance, C_v
+    targets: TargetImages
+    folds: Sequence[Fold]
+    config: MotionConfig
+    figures: dict[str, Any]  # for the log
+    notes: Sequence[str]  # what cannot be told
+
+    @property
+    def n_frames(self) -> int:
+        """Of one camera's record."""
+        return self.observations.n_timesteps
+
+    def images(self, v: int) -> np.ndarray:
+        """[ρ, H, W, 3]: target images of view v that are fitted."""
+        return self.targets.of(v)
+
+    @abstractmethod
+    def strongest(self) -> tuple[np.ndarray, Problem, Sequence[Fold]]:
+        """What tells the smoothness weight: target images [V, ρ, H, W, 3], and the problem and folds they belong to."""
+
+    @abstractmethod
+    def completed(self, hyper: Hyperparameters, checkpoint: Checkpoint) -> TemporalModel:
+        """With what the functions of time still lack: which are fitted, or every camera's phases."""
+
+    @property
+    def first_iterations(self) -> int:
+        """Of conjugate gradients, in a fit without a support."""
+        return self.config.iterations
+
+    def support(self, folds: np.ndarray) -> np.ndarray | None:
+        """[R, N] float32: where fields may move Gaussians in the next fit, 1 or 0, by those of the last [P, R, N, 6].
+
+        None where one fit is enough.
+        """
+        return None
+
+    @abstractmethod
+    def settled(self, folds: np.ndarray) -> tuple[TemporalModel, np.ndarray]:
+        """The motion in fields [P, R, N, 6] of the folds, and the model with its functions of time alone.
+
+        Functions that are no motion are let go, and what the cameras leave open is settled.
+        """
+
+    @abstractmethod
+    def pixels_moved(self, fields: np.ndarray) -> float:
+        """How far fields [R, N, 6] move what is seen, pixels."""
+
+    @abstractmethod
+    def motion(self, fields: np.ndarray, appearance: np.ndarray | None) -> ModalMotion:
+        """The modes of fields [R, N, 6], and of changes of colour [R, N, K, 3] that go with them."""
+
+    @abstractmethod
+    def peaks_hz(self, motion: ModalMotion, noise: np.ndarray | None) -> np.ndarray:
+        """Frequencies of the motion's peaks, by falling strength. noise [N]: as `split_half_uncertainty` tells it."""

@@ -1,0 +1,152 @@
+"""Fixed cameras on one regular clock: time separates from space, one field for each principal component over time.
+
+The components are those of all changes of all cameras together. C_v is the identity, so that the fields can be solved
+for one by one.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.checkpoints import Checkpoint
+from tg4mm.fit.motion.config import MotionConfig
+from tg4mm.fit.motion.hyperparameters import Hyperparameters
+from tg4mm.fit.motion.jacobian.pixels import pixels_moved
+from tg4mm.fit.motion.mode_selection import peaks
+from tg4mm.fit.motion.modes import AppearanceModes, ModalMotion
+from tg4mm.fit.motion.nuisance.first_look import FirstLook, look_at
+from tg4mm.fit.motion.nuisance.projection import Nuisance
+from tg4mm.fit.motion.observations import Observations
+from tg4mm.fit.motion.solver.operator import Fold
+from tg4mm.fit.motion.solver.problem import Problem
+from tg4mm.fit.motion.spectrum import apply_series, modes_of
+from tg4mm.fit.motion.split_half import folds_of
+from tg4mm.fit.motion.targets import TargetImages, projected
+from tg4mm.fit.motion.temporal import TemporalModel
+
+_RELATIVE_FLOOR = 1e-5  # of the first component's energy: below it is rounding
+_NOISE_FACTOR = 2.0  # times the energy of the weakest components: below it is noise, at most
+_MARGIN = 1.1
+_RANK_FOR_NOISE = 7
+_LARGEST = 24  # timesteps whose motion is looked at
+_ROUNDING = 1e-7  # of the first component's energy: what sums in float32 leave of nothing
+
+
+@dataclass(frozen=True)
+class Synchronous(TemporalModel):
+    """`TemporalModel` of cameras that film at the same times."""
+
+    fitted: np.ndarray  # [R] which of the components
+
+    @staticmethod
+    def of(
+        gaussians: Gaussians,
+        observations: Observations,
+        config: MotionConfig,
+        device: str,
+        checkpoint: Checkpoint,
+    ) -> Synchronous:
+        """What the cameras saw, less what is no motion of the scene, in few components."""
+        seen = look_at(gaussians, observations, config, device, checkpoint)
+        targets = principal_components(seen.observations, seen.look, seen.nuisances, config.components)
+        folds = folds_of(len(seen.views), observations.size, False, config.split_half)
+        return Synchronous(
+            seen.gaussians, seen.observations, seen.problem(config, device), targets, folds, config,
+            seen.figures, seen.notes, np.arange(len(targets.basis)),
+        )  # fmt: skip
+
+    @property
+    def basis(self) -> np.ndarray:
+        """[R, T]: the functions of time."""
+        return self.targets.basis[self.fitted]
+
+    def images(self, v: int) -> np.ndarray:
+        return self.targets.of(v, self.fitted)
+
+    def strongest(self) -> tuple[np.ndarray, Problem, Sequence[Fold]]:
+        return self.targets.images[:, :1], self.problem, self.folds
+
+    def completed(self, hyper: Hyperparameters, checkpoint: Checkpoint) -> Synchronous:
+        """The components that are not noise."""
+        energy = self.targets.energy
+        figures = {
+            "components": len(hyper.signal),
+            "components_of_noise": int(hyper.is_noise.sum()),
+            "explained_by_components": float(energy[hyper.signal].sum() / max(energy.sum(), 1e-30)),
+        }
+        return replace(self, fitted=hyper.signal, figures=self.figures | figures)
+
+    def settled(self, folds: np.ndarray) -> tuple[Synchronous, np.ndarray]:
+        return self, folds
+
+    def pixels_moved(self, fields: np.ndarray) -> float:
+        """At the timesteps at which it is largest."""
+        views, displacement = self.problem.views, fields[..., :3]
+        sizes = np.linalg.norm(self.basis.T * pixels_moved(views, displacement), axis=1)
+        gains = self.basis.T[np.argsort(sizes)[-_LARGEST:]]
+        return float(pixels_moved(views, np.tensordot(gains, displacement, 1).astype(np.float32)).max())
+
+    def motion(self, fields: np.ndarray, appearance: np.ndarray | None) -> ModalMotion:
+        fps, n_timesteps = self.observations.fps, self.observations.n_timesteps
+        freqs, series = modes_of(self.basis, fields, fps, appearance)
+        values = apply_series(series, fields)
+        shown = None
+        if appearance is not None and (rows := np.flatnonzero(appearance.any((1, 2, 3)))).size:
+            shown = AppearanceModes(appearance[rows], series[:, rows])
+        return ModalMotion(freqs, values[..., :3], values[..., 3:], fps, n_timesteps, appearance=shown)
+
+    def peaks_hz(self, motion: ModalMotion, noise: np.ndarray | None) -> np.ndarray:
+        return peaks(motion, self.observations.lowest_hz, noise)
+
+
+def principal_components(
+    observations: Observations, look: FirstLook, nuisances: Sequence[Nuisance], most: int
+) -> TargetImages:
+    """Principal components over time of the changes of all synchronous cameras together, at most `most`.
+
+    What the active nuisance columns explain of a frame is taken out first.
+    """
+    gram = np.zeros_like(look.grams[0])
+    for v, nuisance in enumerate(nuisances):
+        gram += look.grams[v] - nuisance.explained_gram(look.mean[v], look.columns[v])
+    energy, vectors = np.linalg.eigh(gram)
+    energy, vectors = np.maximum(energy[::-1], 0), vectors[:, ::-1].T
+    rank = int((energy[:-1] > _ROUNDING * energy[0]).sum())
+    count = kept_components(energy, rank, _effective_pixels(look.total))
+    if count > most:
+        warnings.warn(
+            f"{count} temporal components stand out of the noise, motion.components keeps the strongest {most}",
+            stacklevel=2,
+        )
+    basis = vectors[: min(count, most)]
+    basis = basis - basis.mean(1, keepdims=True)  # zero already, but for rounding
+    images, residual = projected(observations, look, nuisances, [basis] * len(look.grams))
+    return TargetImages(basis, energy, images, residual, max(rank, 1), look.mean)
+
+
+def kept_components(energy: np.ndarray, rank: int | None = None, pixels: float = 0.0) -> int:
+    """How many components stand out of rounding and noise: `energy` [T] falling. At least 1.
+
+    Noise is alike in all components, but for those that are empty: one of the T, since the mean is taken out, and more
+    where pictures repeat (`rank` are not). So the weakest quarter of the others tells its level. Fewer than seven are
+    no sample, and all but rounding is kept. How far chance lifts the strongest of noise over the weakest goes by the
+    number of `pixels` it is spread over (Marchenko & Pastur 1967); where that is not known, or few, twice is noise.
+    """
+    used = len(energy) - 1 if rank is None else rank
+    floor = _RELATIVE_FLOOR * energy[0]
+    if used >= _RANK_FOR_NOISE:
+        root = np.sqrt(used / max(pixels, 2 * used))
+        factor = min(_MARGIN * ((1 + root) / (1 - root)) ** 2, _NOISE_FACTOR)
+        floor = max(floor, factor * float(energy[used - used // 4 : used].mean()))
+    return max(int((energy[:used] > floor).sum()), 1)
+
+
+def _effective_pixels(total: np.ndarray) -> float:
+    """Over how many pixels energy [V, H, W] is spread: all if alike in all, 1 if in one."""
+    squares = np.einsum("vhw,vhw->", total, total, dtype=np.float64)
+    return float(total.sum(dtype=np.float64) ** 2 / squares) if squares else 0.0

@@ -1,0 +1,183 @@
+"""How uncertain the motion of every Gaussian is: noise, by two folds of the data, and errors that both share.
+
+What all cameras get wrong alike no two folds of them show: errors of the model and of the prior. Two things tell of
+them, both read off the result. The residual of the pictures: noise hardly adds up over a block of pixels, errors
+of the model do, and that block's mean over the slope of the picture is the displacement that it could be; a small part
+of it is. And what the motion varies by from one Gaussian to those around it: the prior has them move alike, so that
+at a joint, an edge or a contact what is one side's and what the other's is mostly its guess. How much either counts was
+calibrated on generated scenes, whose motion is known (docs/method.md, "Uncertainty").
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from tg4mm.core.progress import progress
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.few_view_posterior import ITERATIONS, unseen_motion
+from tg4mm.fit.motion.jacobian.pixels import along_and_across, depth_sensitivity
+from tg4mm.fit.motion.jacobian.view import PosedView, ViewJacobian, blend_sum
+from tg4mm.fit.motion.solver.cpu import CpuOperator
+from tg4mm.fit.motion.split_half import deviation, mean_over_neighbours
+
+BLOCK = 4  # pixels: side of what an error of the model reaches over
+_OF_RESIDUAL = 0.04  # of the square of the displacement that the residual could be
+_OF_VARIANCE = 2.5  # of the variance over 32 Gaussians
+_FLAT = 0.01  # of the scene's mean squared slope: as flat as anything counts
+_TINY = float(np.finfo(np.float32).tiny)
+
+
+@dataclass(frozen=True)
+class MotionEstimate:
+    """What a fit found, as far as uncertainty asks for it."""
+
+    folds: np.ndarray  # [2, R, N, 6]
+    fields: np.ndarray  # [R, N, 6], what is kept of their mean
+    gaussians: Gaussians
+    knn: np.ndarray  # [N, count], the nearest Gaussians of each
+    views: Sequence[ViewJacobian]  # some of those Gaussians
+    cameras: Sequence[PosedView]
+    residuals: Iterable[np.ndarray]  # [R, H, W, 3] of each of those views, of its target images
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Standard deviations of each Gaussian's displacement, rms over time, scene units."""
+
+    arrays: dict[str, np.ndarray]  # RUN/uncertainty.safetensors
+    figures: dict[str, Any]
+    notes: list[str] = field(default_factory=list)
+
+
+def split_half_uncertainty(estimate: MotionEstimate, n_timesteps: int) -> Uncertainty:
+    """From two folds of the data, and the residual of both; of many cameras that is all."""
+    a, b = estimate.folds[..., :3]
+    noise = deviation(a, b, estimate.knn).astype(np.float64) ** 2
+    variance = noise + _model_error(estimate)
+    arrays = {
+        name: np.sqrt(v / n_timesteps).astype(np.float32)
+        for name, v in (("displacement", variance), ("noise", noise))
+    }
+    power = max(float((estimate.folds[..., :3].mean(0) ** 2).sum()), 1e-30)
+    ratios = {"noise_to_motion": noise, "uncertainty_to_motion": variance}
+    return Uncertainty(arrays, {name: math.sqrt(float(v.sum()) / power) for name, v in ratios.items()})
+
+
+def few_view_uncertainty(
+    estimate: MotionEstimate, operator: CpuOperator, gradient_fields: np.ndarray, n_timesteps: int, seed: int
+) -> Uncertainty:
+    """As `split_half_uncertainty`, with what few cameras do not show; of one camera also along its line of sight."""
+    with progress("uncertainty", ITERATIONS, "iterations") as update:
+        unseen = unseen_motion(operator, gradient_fields, n_timesteps, seed, update)
+    difference = (estimate.folds[0] - estimate.folds[1])[..., :3]
+    each = np.einsum("rnc,rnd->ncd", difference, difference) / (4 * n_timesteps)
+    noise = mean_over_neighbours(each, estimate.knn)
+    model = _model_error(estimate) / (3 * n_timesteps)
+    covariance = (noise + unseen.covariance + model[:, None, None] * np.eye(3)).astype(np.float32)
+    variance = np.trace(covariance, axis1=1, axis2=2)
+    power = max(float((estimate.fields[..., :3].astype(np.float64) ** 2).sum()) / n_timesteps, 1e-30)
+    of_noise = np.trace(noise, axis1=1, axis2=2)
+    arrays = {
+        "displacement": np.sqrt(variance).astype(np.float32),
+        "noise": np.sqrt(of_noise).astype(np.float32),
+        "covariance": covariance,
+    }
+    figures: dict[str, Any] = {
+        "noise_to_motion": math.sqrt(float(of_noise.sum()) / power),
+        "uncertainty_to_motion": math.sqrt(float(variance.sum()) / power),
+        "freedom": unseen.freedom,
+    }
+    if len(estimate.cameras) > 1:
+        return Uncertainty(arrays, figures)
+    own, guess = _along_viewing_rays(estimate, covariance, n_timesteps)
+    figures["guess_along_sight_percent"] = round(100 * guess, 1)
+    ratio = depth_sensitivity(estimate.views[0], estimate.cameras[0], estimate.gaussians.means.numpy(), seed)
+    note = (
+        f"one camera: motion along its line of sight changes the pictures {ratio:.2g} times as much as motion across, "
+        f"so that {100 * guess:.0f} % of the variance of the motion along it is the prior's guess; "
+        "a second camera from the side would show it"
+    )
+    return Uncertainty(arrays | own, figures, [note])
+
+
+def _along_viewing_rays(
+    estimate: MotionEstimate, covariance: np.ndarray, n_timesteps: int
+) -> tuple[dict[str, np.ndarray], float]:
+    """Deviations [N] along the line of sight and across it, and what part of the motion along it is a guess.
+
+    That is the variance of what is not known over that of the motion: what was found, squared, and what is not known.
+    Gaussians that are seen count by their opacity.
+    """
+    along, _ = along_and_across(estimate.cameras[0], estimate.gaussians.means.numpy())
+    variance = np.einsum("nc,ncd,nd->n", along, covariance, along)
+    across = np.maximum(np.trace(covariance, axis1=1, axis2=2) - variance, 0) / 2
+    shown = (np.einsum("rnc,nc->rn", estimate.fields[..., :3], along) ** 2).sum(0) / n_timesteps
+    weights = np.zeros(len(estimate.gaussians))
+    bins = estimate.views[0].bins
+    rows = bins.order[: bins.n_visible]
+    weights[rows] = estimate.gaussians.opacities.numpy()[rows]
+    unknown = float((weights * variance).sum())
+    guess = unknown / max(unknown + float((weights * shown).sum()), 1e-30)
+    deviations = {"along_sight": variance, "across_sight": across}
+    return {k: np.sqrt(np.maximum(v, 0)).astype(np.float32) for k, v in deviations.items()}, guess
+
+
+def _model_error(estimate: MotionEstimate) -> np.ndarray:
+    """[N] variance of the displacement, summed over functions of time."""
+    variance = local_variance(estimate.fields[..., :3], estimate.knn)
+    return _OF_RESIDUAL * residual_displacement(estimate) + _OF_VARIANCE * variance
+
+
+def local_variance(fields: np.ndarray, knn: np.ndarray) -> np.ndarray:
+    """[N] float64, scene units squared: variance of R fields [R, N, 3] over the nearest Gaussians `knn` [N, count].
+
+    Sums over fields and over x, y, z.
+    """
+    out = np.zeros(fields.shape[1])
+    for field_ in fields.astype(np.float64):
+        squares = np.einsum("nc,nc->n", field_, field_)
+        out += mean_over_neighbours(squares, knn) - (mean_over_neighbours(field_, knn) ** 2).sum(1)
+    return np.maximum(out, 0)
+
+
+def residual_displacement(estimate: MotionEstimate) -> np.ndarray:
+    """[N] float64, scene units squared: the squared displacement that the residual of target images could be.
+
+    Means of the squares over pixels by the blending weights of the nearest Gaussians; over the whole scene where no
+    camera sees any of these. A surface counts as no flatter than a hundredth of the scene's mean squared slope.
+    """
+    means = estimate.gaussians.means.numpy()
+    seen = np.zeros((len(means), 3))  # of the residual, of what a unit of displacement changes, of pixels
+    for pictures, view, camera in zip(estimate.residuals, estimate.views, estimate.cameras, strict=True):
+        slopes = _slopes(view)
+        told = blend_sum(view, np.stack([_of_blocks(pictures), slopes, np.ones_like(slopes)], -1))
+        depth = means @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
+        per_unit = np.sqrt(camera.K[0, 0] * camera.K[1, 1]) / np.where(told[:, 2] > 0, depth, 1)  # pixels
+        told[:, 1:] *= per_unit[:, None] ** 2
+        seen += told
+    local, total = mean_over_neighbours(seen, estimate.knn), seen.sum(0)
+    flat = _FLAT * local[:, 2] * total[1] / max(total[2], _TINY)
+    squares = local[:, 0] / np.maximum(np.maximum(local[:, 1], flat), _TINY)
+    return np.where(local[:, 2] > 0, squares, total[0] / max(total[1], _TINY))
+
+
+def _of_blocks(pictures: np.ndarray) -> np.ndarray:
+    """[H, W]: squares of the means over blocks of pictures [R, H, W, 3]; sums over pictures and channels."""
+    height, width = pictures.shape[1:3]
+    rows, columns = np.arange(0, height, BLOCK), np.arange(0, width, BLOCK)
+    means = np.add.reduceat(np.add.reduceat(pictures, rows, axis=1), columns, axis=2)
+    tall, wide = np.diff(rows, append=height), np.diff(columns, append=width)
+    means /= np.outer(tall, wide).astype(np.float32)[..., None]
+    squares = np.einsum("rhwc,rhwc->hw", means, means)
+    return np.asarray(squares.repeat(tall, 0).repeat(wide, 1))
+
+
+def _slopes(view: ViewJacobian) -> np.ndarray:
+    """[H, W]: the squared gradient of the picture at rest over white, per pixel; sums over channels."""
+    down, right = np.gradient(view.over_white, axis=(0, 1))
+    return np.asarray((down**2 + right**2).sum(-1))

@@ -1,0 +1,17 @@
+"""Rendering Gaussians to images, with gradients: numba kernels on the CPU, gsplat on CUDA.
+
+`rasterization` is imported when it is first asked for: what compiles kernels ahead (tg4mm/fit/ahead) needs no torch.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from tg4mm.core.lazy import lazily
+
+if TYPE_CHECKING:
+    from tg4mm.fit.rasterize.api import rasterization
+
+__all__ = ["rasterization"]
+
+__getattr__ = lazily(__name__, {"rasterization": "api"})

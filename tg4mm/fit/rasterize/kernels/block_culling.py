@@ -1,0 +1,174 @@
+"""Block culling: which blocks of a tile each Gaussian may reach; a lane a Gaussian.
+
+Before its pixels, blending needs a handful of numbers of a Gaussian and the blocks its ellipse may reach. With a lane a
+block each of these numbers would have to be broadcast first. Here sixteen records are transposed instead, and a block's
+result is a mask of Gaussians, which is what a loop over blocks wants.
+
+A batch is a table in memory: planes as long as the batch, a number a Gaussian; then a vector a Gaussian; then, for
+every sixteen Gaussians, masks of 16 bits, one a block.
+"""
+
+# mypy: disable-error-code="call-arg, var-annotated, operator"
+# an intrinsic has one argument more than its calls: the typing context
+
+from numba import float32, int64, uint32
+
+from tg4mm.fit.rasterize.kernels.compiled import inlined
+from tg4mm.fit.rasterize.kernels.layout import EX, MX, SQUARES
+from tg4mm.fit.rasterize.kernels.tiles import BLOCKS, BY_FOUR, COLUMNS, HEIGHT, PREFETCH, WIDTH
+from tg4mm.fit.rasterize.simd.lanes import store_eight
+from tg4mm.fit.rasterize.simd.masks import first_lanes, put_four_masks, shifted, sign_mask, two_halves
+from tg4mm.fit.rasterize.simd.memory import integer, load, load_pixels, number, prefetch, put_integer, store
+from tg4mm.fit.rasterize.simd.rows import columns, row_starts
+from tg4mm.fit.rasterize.simd.vector import LANES, PIXELS, broadcast, fma, select
+
+_ROWS = BLOCKS // COLUMNS  # of blocks in a tile
+_TOP, _ROW, _L11, _L12, _L22 = range(BLOCKS + _ROWS, BLOCKS + _ROWS + 5)
+_PLANES = (
+    BLOCKS + _ROWS + 5
+)  # how many: p at the centres of the blocks, q at those of their rows, then the above
+_HALF_WIDTH, _HALF_HEIGHT = (WIDTH - 1) / 2, (HEIGHT - 1) / 2  # of a block, to its outermost pixels' centres
+_OWN = 2 * PIXELS  # the vectors: by how much p and q differ from those within a block
+
+
+def room(size):
+    """float32 that a batch of `size` Gaussians needs, a multiple of 16."""
+    masks = size // LANES * BLOCKS // 2
+    return (_PLANES + _OWN) * size + -(-masks // LANES) * LANES
+
+
+@inlined
+def _mask_of(size, n, k):
+    """Where the mask of block k of the Gaussians n … n + 15 lies, in 16 bits from the beginning of a batch."""
+    return 2 * (_PLANES + _OWN) * size + n // LANES * BLOCKS + k
+
+
+@inlined
+def _column(batch, at, dx, l11, l12_dy):
+    """p at the centre of a block, kept at `at`."""
+    p = fma(dx, l11, l12_dy)
+    store(batch, at, p)
+    return p
+
+
+@inlined
+def _reaches(p, q, half_width_p, limit):
+    """Mask of the Gaussians whose ellipse may reach a block.
+
+    A block's p and q lie within a box around those of its centre; if the box's nearest point to the origin is outside
+    the ellipse, so is the block. half_width_p: of the box, in p; q: the square of how far the box lies off in q. limit:
+    the ellipse's radius, squared; negative where it does not extend that far to the left or right.
+    """
+    out = abs(p)
+    out = out - min(out, half_width_p)
+    return limit >= fma(out, out, q)
+
+
+@inlined
+def _sixteen(splats, rows, n, size, origin, faintest, count, batch, tested):
+    """The planes of the Gaussians n … n + 15 of a batch, and, if `tested`, which of them may reach each block."""
+    half, half_height = float32(_HALF_WIDTH), float32(_HALF_HEIGHT)
+    mx, my, ca, cb = columns(splats, rows, int64(MX))
+    ex, power, r11, l22 = columns(splats, rows, int64(EX))
+    h = r11 * float32(SQUARES)
+    l11, l12, limit = h * ca, h * cb, power * float32(2.0 * SQUARES)
+    store(batch, _TOP * size + n, limit + faintest)
+    limit = first_lanes(limit, count, float32(-1.0))  # what is not there reaches nothing
+    store(batch, _L11 * size + n, l11)
+    store(batch, _L12 * size + n, l12)
+    store(batch, _L22 * size + n, l22)
+    dx0, dx1 = float32(origin[0]) + float32(2.0) - mx, float32(origin[0]) + float32(6.0) - mx
+    dx2, dx3 = float32(origin[0]) + float32(10.0) - mx, float32(origin[0]) + float32(14.0) - mx
+    side = ex + half
+    none = float32(-1.0)
+    limit0, limit1 = select(side >= abs(dx0), limit, none), select(side >= abs(dx1), limit, none)
+    limit2, limit3 = select(side >= abs(dx2), limit, none), select(side >= abs(dx3), limit, none)
+    half_width_p, half_width_q = fma(l11, half, abs(l12) * half_height), l22 * half_height  # l11 > 0
+    masks = _mask_of(size, n, 0)
+    for r in range(_ROWS):
+        dy = float32(origin[1]) + float32((r + 0.5) * HEIGHT) - my
+        l12_dy, q = dy * l12, dy * l22
+        store(batch, (BLOCKS + r) * size + n, q)
+        at = 4 * r * size + n
+        p0, p1 = _column(batch, at, dx0, l11, l12_dy), _column(batch, at + size, dx1, l11, l12_dy)
+        p2, p3 = (
+            _column(batch, at + 2 * size, dx2, l11, l12_dy),
+            _column(batch, at + 3 * size, dx3, l11, l12_dy),
+        )
+        if tested:
+            out = abs(q)
+            out = out - min(out, half_width_q)
+            out = out * out
+            put_four_masks(
+                batch, masks // 4 + r, _reaches(p0, out, half_width_p, limit0), _reaches(p1, out, half_width_p, limit1),
+                _reaches(p2, out, half_width_p, limit2), _reaches(p3, out, half_width_p, limit3),
+            )  # fmt: skip
+
+
+@inlined
+def prefetch_gaussians(splats, pair_gaussian, first, count, end):
+    """Prefetch the Gaussians of `count` pairs from `first` on of a list that ends at `end`.
+
+    Best a few at a time: a core has some twelve line fill buffers and stalls when they are full.
+    """
+    for pair in range(min(first, end), min(first + count, end)):
+        prefetch(splats, int64(integer(pair_gaussian, pair)) << 4)
+
+
+@inlined
+def fill_batch(splats, pair_gaussian, first, last, end, size, origin, lanes, faintest, batch, tested):
+    """Fill `batch`, room for `size`, with the pairs first … last of a list that ends at `end`.
+
+    origin: first pixel of the tile; lanes: x and y of pixels from their block's centre; faintest: log2 of the smallest
+    alpha that counts. tested: also find the blocks each may reach, for `reaching`; the caller then prefetches later
+    pairs (`prefetch_gaussians`) itself.
+    """
+    for n in range(last - first, size, LANES):
+        for k in range(0, BLOCKS if tested else 0, LANES):
+            store_eight(batch, _mask_of(size, n, k) // 2, broadcast(float32(0.0)))
+    for n in range(0, last - first, LANES):
+        if not tested:
+            prefetch_gaussians(splats, pair_gaussian, first + n + PREFETCH, LANES, end)
+        count = min(last - first - n, int64(LANES))
+        rows = row_starts(pair_gaussian, first + n, count)
+        store(batch, _ROW * size + n, rows)
+        _sixteen(splats, batch + 4 * (_ROW * size + n), n, size, origin, faintest, count, batch, tested)
+        own = _PLANES * size + n * _OWN
+        for m in range(n, n + count):
+            l11, l12 = number(batch, _L11 * size + m), number(batch, _L12 * size + m)
+            store(batch, own, fma(lanes[0], l11, lanes[1] * l12))
+            store(batch, own + PIXELS, lanes[1] * number(batch, _L22 * size + m))
+            own += _OWN
+
+
+@inlined
+def reaching(batch, size, n, words):
+    """Which of the Gaussians n … n + 31 of a tested batch may reach each block: BLOCKS times 32 bits, to an address."""
+    for k in range(0, BLOCKS, LANES):
+        store(words, int64(k), two_halves(batch, _mask_of(size, n, k), _mask_of(size, n + LANES, k)))
+
+
+@inlined
+def by_gaussian(words, count, reached):
+    """From BLOCKS words, a bit a Gaussian (`reaching`), to `count` <= 32 words, a bit a block; addresses of both."""
+    for k in range(0, BLOCKS, LANES):
+        some = shifted(load(words, int64(k)), uint32(2 * LANES - count))
+        for n in range(count):
+            bits, at = uint32(sign_mask(some) << uint32(k)), count - 1 - n
+            put_integer(reached, at, bits if k == 0 else bits | integer(reached, at))
+            some = shifted(some, uint32(1))
+
+
+@inlined
+def row_of(batch, size, n):
+    """Where the n-th Gaussian of a batch begins in `splats`."""
+    return int64(integer(batch, _ROW * size + n))
+
+
+@inlined
+def log2_alpha(batch, size, n, k, lane_y):
+    """log2 of the unbounded alpha of the n-th Gaussian of a batch in block k, a lane a pixel."""
+    own = _PLANES * size + n * _OWN
+    p = load_pixels(batch, own) + number(batch, k * size + n)
+    q = load_pixels(batch, own + PIXELS) + number(batch, (BLOCKS + (k >> BY_FOUR)) * size + n)
+    return fma(-q, q, fma(-p, p, number(batch, _TOP * size + n)))

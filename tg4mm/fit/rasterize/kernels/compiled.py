@@ -1,0 +1,95 @@
+"""`kernel`: numba's njit with a cache on disk that a change in any file of kernels/ or simd/ invalidates.
+
+Numba's own cache looks at the file of the function alone, but kernels take constants and helpers from other files of
+these two folders: after a change there it would go on serving machine code of the old ones.
+
+A process that finds kernels missing from the cache says so, once, to the log `tg4mm`, which the program shows.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from numba import njit
+from numba.core import event
+
+from tg4mm.fit.rasterize.missing import may_be_there
+
+
+def _digest() -> str:
+    """Of all files of kernels/, where this file is, and of simd/ beside it."""
+    digest, package = hashlib.sha256(), Path(__file__).parents[1]
+    for path in (p for folder in ("kernels", "simd") for p in sorted((package / folder).glob("*.py"))):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+_SOURCES = _digest()
+
+
+class _Notice(event.Listener):
+    """Says at the first compilation that it will take a while, and no more."""
+
+    def __init__(self) -> None:
+        self._said = False
+
+    def on_start(self, event: event.Event) -> None:
+        if not self._said:
+            self._said = True
+            _LOG.info("compiling kernels for this processor, once: up to a minute")
+
+    def on_end(self, event: event.Event) -> None:
+        pass
+
+
+_LOG = logging.getLogger("tg4mm")
+# What `parallel=True` would run on threads besides `prange`: arrays filled, sums … Each would be compiled as a kernel.
+_ALONE = ("comprehension", "reduction", "inplace_binop", "setitem", "numpy", "stencil", "fusion")
+event.register("numba:compile", _Notice())
+
+
+def _waiting(cache: Any, name: str) -> Callable[..., Any]:
+    """Numba's look into its cache, and a second one where the kernel has been compiled ahead meanwhile."""
+    look = cache.load_overload
+
+    def load(*args: Any) -> Any:
+        found = look(*args)
+        return look(*args) if found is None and may_be_there(name) else found
+
+    return load
+
+
+def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Compile with numba's options, divisions as numpy's, cached until any file of kernels/ or simd/ changes.
+
+    parallel: for `prange` alone.
+    """
+    if options.get("parallel"):
+        options["parallel"] = dict.fromkeys(_ALONE, False)
+
+    def decorate(function: Callable[..., Any]) -> Any:
+        dispatcher = njit(cache=True, error_model="numpy", **options)(function)
+        # numba has no public way to say what a cached function depends on
+        index: Any = getattr(getattr(dispatcher, "_cache", None), "_cache_file", None)
+        if hasattr(index, "_source_stamp"):
+            index._source_stamp = (index._source_stamp, _SOURCES)
+            module = function.__module__.rpartition(".")[2]
+            dispatcher._cache.load_overload = _waiting(dispatcher._cache, f"{module}.{function.__name__}")
+        return dispatcher
+
+    return decorate
+
+
+def inlined(function: Callable[..., Any]) -> Any:
+    """Compile a part of kernels, which becomes one with their code.
+
+    By LLVM, which sees what a caller passes as constants. Numba's own `inline="always"` copies a part's Python code
+    into every place it is called from and infers its types there anew: kernels take up to 1.8 times as long to compile.
+    No part may have `fastmath`: its last bits would depend on what it is optimised together with, hence on whether
+    this process compiled it.
+    """
+    return njit(error_model="numpy", forceinline=True)(function)

@@ -1,0 +1,165 @@
+"""Sums across the lanes of vectors by a fixed tree, and loads and stores of parts of vectors."""
+
+from __future__ import annotations
+
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+from tg4mm.fit.rasterize.simd.memory import data_at
+from tg4mm.fit.rasterize.simd.vector import F32, I64, LANES, constant_lanes, half, pixels, vector
+
+
+def _picked(builder, a, b, picks):
+    """The sum of shuffles of a and b, one for each of `picks`; a zero (None) stays one."""
+    if a is None:
+        return None
+    other = ir.Constant(a.type, None) if b is None else b
+    return builder.fadd(*(builder.shuffle_vector(a, other, constant_lanes(pick)) for pick in picks))
+
+
+def _each(pattern, lanes=LANES):
+    """A pattern of four lanes (0 … 3 of the first, 4 … 7 of the second) in every group of four."""
+    return [group + (k if k < 4 else lanes + k - 4) for group in range(0, lanes, 4) for k in pattern]
+
+
+def _of_groups(pattern):
+    """Groups of four lanes, counted through the first and the second."""
+    return [4 * group + k for group in pattern for k in range(4)]
+
+
+_INTERLEAVED, _HALVES = ((0, 4, 1, 5), (2, 6, 3, 7)), ((0, 1, 4, 5), (2, 3, 6, 7))
+_GROUP_HALVES = _of_groups((0, 1, 4, 5)), _of_groups((2, 3, 6, 7))
+_GROUP_PAIRS = _of_groups((0, 2, 4, 6)), _of_groups((1, 3, 5, 7))
+_OF_EACH_HALF = _of_groups((0, 4, 2, 6)), _of_groups((1, 5, 3, 7))
+_OF_HALVES = _of_groups((0, 2)), _of_groups((1, 3))
+
+
+def _added(builder, parts, steps):
+    """Vectors added in pairs, step by step."""
+    level = list(parts)
+    for picks in steps:
+        level = [_picked(builder, level[k], level[k + 1], picks) for k in range(0, len(level), 2)]
+    return level
+
+
+def _lane_sums(builder, parts, last=(_GROUP_HALVES, _GROUP_PAIRS)):
+    """One vector whose first lanes are the sums of the lanes of each part (at most 16), by a fixed tree; then zeros.
+
+    The first two steps stay within groups of four lanes, where a shuffle is cheapest; `last` adds the groups. Of parts
+    of eight lanes there are two groups, hence one such step and two results.
+    """
+    lanes = parts[0].type.count
+    within = [tuple(_each(pick, lanes) for pick in picks) for picks in (_INTERLEAVED, _HALVES)]
+    if lanes == LANES:
+        return _added(builder, list(parts) + [None] * ((4 << len(last)) - len(parts)), (*within, *last))[0]
+    low, high = _added(builder, list(parts) + [None] * (LANES - len(parts)), (*within, _OF_HALVES))
+    high = ir.Constant(low.type, None) if high is None else high
+    return builder.shuffle_vector(low, high, constant_lanes(range(LANES)))
+
+
+@intrinsic
+def lane_sums(typingctx, a, b, c, d, e, f, g, h, i, j):
+    """The sum of the lanes of each of ten vectors, in lanes 0 … 9 of one, whose others are 0.
+
+    Always added in the same order.
+    """
+    return vector(*[a] * 10), lambda context, builder, sig, args: _lane_sums(builder, args)
+
+
+@intrinsic
+def lane_sums_of_eight(typingctx, a, b, c, d, e, f, g, h):
+    """`lane_sums` of eight vectors, in lanes 0 … 7."""
+    return vector(*[a] * 8), lambda context, builder, sig, args: _lane_sums(builder, args)
+
+
+@intrinsic
+def half_sums_of_eight(typingctx, a, b, c, d, e, f, g, h):
+    """The sums of the lower eight lanes of each of eight vectors, in lanes 0 … 7, and of the upper ones, in 8 … 15."""
+    return vector(*[vector] * 8), lambda context, builder, sig, args: _lane_sums(
+        builder, args, (_OF_EACH_HALF,)
+    )
+
+
+def _store_parts(context, builder, sig, args, parts):
+    """Store the lanes first … first + count for each of `parts`."""
+    data = data_at(context, builder, sig.args[0], args[0])
+    for first, count in parts:
+        kind = ir.VectorType(F32, count)
+        lanes = constant_lanes(range(first, first + count))
+        part = builder.shuffle_vector(args[2], args[2], lanes)
+        place = builder.gep(data, [builder.add(args[1], ir.Constant(I64, first))])
+        builder.store(part, builder.bitcast(place, kind.as_pointer()), align=4)
+    return context.get_dummy_value()
+
+
+def _eight(lanes):
+    """An intrinsic that loads eight numbers of a contiguous float32 array [n] and shuffles them; lane 8 is a zero."""
+
+    def typed(typingctx, array, index):
+        def codegen(context, builder, sig, args):
+            place = builder.gep(data_at(context, builder, sig.args[0], args[0]), [args[1]])
+            kind = ir.VectorType(F32, 8)
+            eight = builder.load(builder.bitcast(place, kind.as_pointer()), align=4)
+            return builder.shuffle_vector(eight, ir.Constant(kind, None), constant_lanes(lanes))
+
+        return vector(array, types.int64), codegen
+
+    return intrinsic(typed)
+
+
+load_eight = _eight([*range(8), *[8] * 8])  # then eight zeros
+load_twice = _eight([*range(8)] * 2)
+
+
+@intrinsic
+def store_eight(typingctx, array, index, value):
+    """Lanes 0 … 7 to the contiguous float32 array [n]."""
+
+    def codegen(context, builder, sig, args):
+        return _store_parts(context, builder, sig, args, ((0, 8),))
+
+    return types.none(array, types.int64, vector), codegen
+
+
+def _fours(context, builder, sig, args, count):
+    """Addresses of so many vectors of four float32: from an index on, a stride apart."""
+    data, place = data_at(context, builder, sig.args[0], args[0]), args[1]
+    for _ in range(count):
+        yield builder.bitcast(builder.gep(data, [place]), ir.VectorType(F32, 4).as_pointer())
+        place = builder.add(place, args[2])
+
+
+def _loading_fours(kind):
+    """Groups of four float32 of a contiguous array [n], the groups `stride` apart."""
+
+    def typed(typingctx, array, index, stride):
+        def codegen(context, builder, sig, args):
+            parts = [builder.load(at, align=4) for at in _fours(context, builder, sig, args, kind.lanes // 4)]
+            while len(parts) > 1:
+                together = constant_lanes(range(2 * parts[0].type.count))
+                parts = [
+                    builder.shuffle_vector(parts[k], parts[k + 1], together) for k in range(0, len(parts), 2)
+                ]
+            return parts[0]
+
+        return kind(array, types.int64, types.int64), codegen
+
+    return intrinsic(typed)
+
+
+load_fours, load_two_fours = _loading_fours(vector), _loading_fours(half)
+load_block = load_fours if pixels == vector else load_two_fours  # of a picture of one channel
+
+
+@intrinsic
+def store_fours(typingctx, array, index, stride, value):
+    """What `load_fours` or `load_block` reads."""
+
+    def codegen(context, builder, sig, args):
+        for k, at in enumerate(_fours(context, builder, sig, args, args[3].type.count // 4)):
+            part = builder.shuffle_vector(args[3], args[3], constant_lanes(range(4 * k, 4 * k + 4)))
+            builder.store(part, at, align=4)
+        return context.get_dummy_value()
+
+    return types.none(array, types.int64, types.int64, value), codegen

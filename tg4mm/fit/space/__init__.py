@@ -1,0 +1,25 @@
+"""The space stage: static Gaussians of the scene at rest ([TG4MM] phase 1, [3DGS]).
+
+The names are imported when they are first asked for: what compiles kernels ahead (tg4mm/fit/ahead) needs no torch.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from tg4mm.core.lazy import lazily
+
+if TYPE_CHECKING:
+    from tg4mm.fit.space.config import SpaceConfig
+    from tg4mm.fit.space.targets import RestViews, rest_views
+
+__all__ = ["RestViews", "SpaceConfig", "rest_views"]
+
+__getattr__ = lazily(
+    __name__,
+    {
+        "RestViews": "targets",
+        "SpaceConfig": "config",
+        "rest_views": "targets",
+    },
+)

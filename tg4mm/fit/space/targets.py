@@ -1,0 +1,95 @@
+"""What the static Gaussians are fitted to: one picture per camera, the mean over time.
+
+Averaging over the images of a camera that stays put takes out noise and leaves the mean pose, around which the
+motion stage measures; a camera used once is its own mean. A capture of one timestep is the special case.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import islice
+
+import numpy as np
+
+from tg4mm.capture import Capture, ImageStack
+from tg4mm.capture.pictures import FilePictures
+from tg4mm.core.pictures.decode import THREADS
+from tg4mm.core.progress import progress
+
+
+@dataclass(frozen=True)
+class RestViews:
+    """V cameras and their mean pictures, composited over white."""
+
+    viewmats: np.ndarray  # [V, 4, 4] float32
+    Ks: np.ndarray  # [V, 3, 3] float32
+    rgb: np.ndarray  # [V, H, W, 3] float32 in 0..1
+    alpha: np.ndarray  # [V, H, W] float32 in 0..1
+    images: tuple[np.ndarray, ...]  # for each camera, the rows of the capture it took
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in pixels."""
+        return self.rgb.shape[2], self.rgb.shape[1]
+
+
+def rest_views(capture: Capture, images: ImageStack | FilePictures) -> RestViews:
+    """Group the images by camera and average each group. Cameras come in order of their first image.
+
+    Each picture is decoded once, by threads; of those on disk as many are in memory at a time.
+    """
+    _, first = np.unique(capture.camera_ids, return_index=True)
+    first = np.sort(first)
+    groups = [np.flatnonzero(capture.camera_ids == capture.camera_ids[i]) for i in first]
+    rgb = np.empty((len(groups), capture.height, capture.width, 3), np.float32)
+    alpha = np.empty(rgb.shape[:3], np.float32)
+    done = 0
+    with progress("mean pictures", len(capture), "pictures", brief=True) as update:
+        pictures = _in_turn(images, np.concatenate(groups))
+        for v, group in enumerate(groups):
+            total = _Sum(rgb.shape[1:3], images.maximum)
+            for picture in islice(pictures, len(group)):
+                total.add(picture)
+                update(done := done + 1)
+            rgb[v], alpha[v] = total.means(len(group))
+    return RestViews(
+        viewmats=capture.viewmats[first].astype(np.float32),
+        Ks=capture.Ks[first].astype(np.float32),
+        rgb=rgb,
+        alpha=alpha,
+        images=tuple(groups),
+    )
+
+
+def _in_turn(images: ImageStack | FilePictures, rows: np.ndarray) -> Iterator[np.ndarray]:
+    """Pictures as stored, as many decoded at once as there are threads."""
+    with ThreadPoolExecutor(THREADS) as pool:
+        for begin in range(0, len(rows), THREADS):
+            yield from pool.map(images.stored, rows[begin : begin + THREADS].tolist())
+
+
+class _Sum:
+    """Pictures of one size over white, added up in whole numbers: exactly, in any order."""
+
+    def __init__(self, size: tuple[int, ...], maximum: int) -> None:
+        self._maximum = maximum  # the stored value that means 1
+        kind = np.uint32 if maximum < 256 else np.uint64  # the former takes 66,000 pictures of 8 bits
+        self._colour: np.ndarray = np.zeros((*size, 3), kind)  # in units of 1 / maximum²
+        self._alpha: np.ndarray = np.zeros(size, np.uint32)  # in units of 1 / maximum
+
+    def add(self, picture: np.ndarray) -> None:
+        """picture: [H, W, 4] as stored, straight alpha."""
+        colour, alpha = picture[..., :3].astype(self._colour.dtype), picture[..., 3:]
+        self._alpha += alpha[..., 0]
+        if alpha.min() == self._maximum:
+            colour *= self._colour.dtype.type(self._maximum)
+        else:
+            colour *= alpha
+            colour += (self._maximum - alpha).astype(colour.dtype) * colour.dtype.type(self._maximum)
+        self._colour += colour
+
+    def means(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Colour [H, W, 3] and alpha [H, W] in 0..1 of so many pictures."""
+        return self._colour / (count * self._maximum**2), self._alpha / (count * self._maximum)

@@ -1,6 +1,0 @@
-"""The motion stage: how every Gaussian moves, and Gaussians moved and magnified."""
-
-from tg4mm.motion.config import MotionConfig
-from tg4mm.motion.modes import ModalMotion, MotionFit
-
-__all__ = ["ModalMotion", "MotionConfig", "MotionFit"]

@@ -1,0 +1,1 @@
+"""Benchmark, evaluation, the paper's method, demo: imported by cli alone."""

@@ -1,0 +1,305 @@
+"""Runs one ablation: trains what its rows ask for, resumable row by row, and writes table, page, picture and JSON."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from tg4mm.core.errors import RunError, Tg4mmError
+from tg4mm.core.filters import TemporalFilter
+from tg4mm.core.form import write_sealed
+from tg4mm.core.progress import progress
+from tg4mm.research.bench.ablation.catalogue import Ablation, Row, chosen_preset, find_ablation, rows_of
+from tg4mm.research.bench.ablation.copied_sets import with_noise, with_timesteps, with_views
+from tg4mm.research.bench.ablation.page import ablation_cells, ablation_page, picture
+from tg4mm.research.bench.ablation.rendered_sets import (
+    TARGETS_PX,
+    generator_arguments,
+    with_amplitude,
+    with_kind,
+)
+from tg4mm.research.bench.ablation.results_file import FILE
+from tg4mm.research.bench.ablation.slices import Magnified, slices_picture
+from tg4mm.research.bench.errors import BenchError, StepError
+from tg4mm.research.bench.failures import why_failed
+from tg4mm.research.bench.folder import FORMAT, VERSION, circumstances, claim_set, open_folder, write_text
+from tg4mm.research.bench.means import scalars
+from tg4mm.research.bench.measure import (
+    OF_RUN,
+    SCORINGS,
+    Plan,
+    Scoring,
+    Training,
+    check_plan,
+    is_measured,
+    measure,
+    warm_up,
+)
+from tg4mm.research.bench.pages.latex import latex_table
+from tg4mm.research.bench.request import check_settings, settings_by_preset
+from tg4mm.research.bench.sets import BenchSet, filmed_digest, open_set, open_those_that_open, torn_truth
+
+Printer = Callable[[str], None]
+_METRICS = ("ssim", "psnr_db")  # PSNR for the column at α = 0
+
+
+@dataclass(frozen=True)
+class _Job:
+    """Rows that share one training on one dataset."""
+
+    data: BenchSet
+    rows: tuple[Row, ...]
+    training: Training
+
+
+def run_ablation(
+    name: str,
+    roots: Sequence[Path],
+    out: Path,
+    preset: str | None,
+    given: Mapping[str, str],
+    plan: Plan,
+    say: Printer = print,
+) -> dict[str, Any]:
+    """Run what is not finished of the ablation `name`; returns what results.json holds.
+
+    Writes OUT/results.json, results.md, results.svg and tables/<name>.tex, anew after every training. A row that the
+    data do not allow (no points3d.ply, too few cameras) stands under `left_out` with the reason; a dataset without any
+    row, and an error that is not the data's, under `failed`. Raises Tg4mmError on bad input, and where no row is
+    possible.
+    """
+    ablation, preset, out = find_ablation(name), chosen_preset(name, preset), Path(out)
+    plan = replace(plan, metrics=_METRICS)
+    rows = rows_of(name, preset, settings_by_preset(given, [preset])[preset])
+    sets, failed = open_those_that_open(roots, plan.alphas)
+    failed += torn_truth(sets, plan.alphas)
+    _check(rows, preset, sets, plan)
+    sets = _renderable(sets, failed) if any(row.is_rendered for row in rows) else sets
+    open_folder(out, f"ablation {name}, {preset}")
+    results = _results(name, ablation, preset, rows, sets) | {"failed": failed}
+    runner = _Runner(preset, plan, out, results, say)
+    with progress(f"ablation {name}", len(sets) * len(rows), unit="rows") as update:
+        for data in sets:
+            runner.run(data, rows, update)
+    if not results["lines"]:
+        raise runner.first_error or Tg4mmError("nothing was run")
+    if ablation.slices:
+        known = {line["set"] for line in results["lines"]}
+        results["slices"] = _slices(results, rows, next(s for s in sets if s.label in known), out)
+        _write(out, results)
+    return results
+
+
+def _check(rows: Sequence[Row], preset: str, sets: Sequence[BenchSet], plan: Plan) -> None:
+    """Raise Tg4mmError for what can be known to fail before anything is written."""
+    for row in rows:
+        check_settings(row.settings, preset)
+    check_plan(sets, plan)
+    if plan.alphas is not None and any(row.amplitude_px for row in rows):
+        given = ",".join(f"{a:g}" for a in plan.alphas)
+        raise BenchError(
+            f"--alphas {given}: the ablation amplitude chooses α itself, for 1 to 8 pixels of magnified motion"
+        )
+
+
+def _renderable(sets: Sequence[BenchSet], failed: list[dict[str, str]]) -> list[BenchSet]:
+    """The sets that can be rendered again; the others go to `failed`. Raises BenchError if none can."""
+    found, first = [], None
+    for data in sets:
+        try:
+            generator_arguments(data, {}, data.root)
+            found.append(data)
+        except BenchError as error:
+            first = first or error
+            failed.append({"set": data.label, "method": "", "why": str(error)})
+    if first is not None and not found:
+        raise first
+    return found
+
+
+def _slices(results: dict[str, Any], rows: Sequence[Row], data: BenchSet, out: Path) -> str:
+    """Draw slices.png of the first dataset; its caption."""
+    lines = {line["row"]: line for line in results["lines"] if line["set"] == data.label}
+    shown = []
+    for row in (r for r in rows if r.label in lines):
+        run = out / lines[row.label]["run"]
+        for way in row.scorings or SCORINGS[results["preset"]]:
+            label = row.label if row.scorings else f"{row.label}, {way.name}"
+            shown.append(Magnified(label, run, way.method, way.filter))
+    if not shown:
+        return ""
+    band = lines[next(iter(lines))]["band_hz"]
+    return f"{data.label}. " + slices_picture(data.root, data.alphas, band, shown, out / "slices.png")
+
+
+def _results(
+    name: str, ablation: Ablation, preset: str, rows: Sequence[Row], sets: Sequence[BenchSet]
+) -> dict[str, Any]:
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "kind": "ablation",
+        "name": name,
+        "made": circumstances(),
+        "preset": preset,
+        **{k: getattr(ablation, k) for k in ("title", "source", "remark", "x_label")},
+        "columns": list(ablation.columns),
+        "picture": ablation.picture,
+        "rows": [row.label for row in rows],
+        "ticks": [row.tick or row.label for row in rows],
+        "curves": [row.curve for row in rows],
+        "apart": [row.apart for row in rows],
+        "sets": [s.plain() for s in sets],
+        "lines": [],
+        "left_out": [],
+    }
+
+
+class _Runner:
+    """One ablation under way: where it writes, and what later runs take over from earlier ones."""
+
+    def __init__(self, preset: str, plan: Plan, out: Path, results: dict[str, Any], say: Printer) -> None:
+        self.preset, self.plan, self.out, self.results, self.say = preset, plan, out, results, say
+        self.is_warm, self.n_done = False, 0
+        self.first_error: Exception | None = None
+
+    def run(self, data: BenchSet, rows: Sequence[Row], update: Any) -> None:
+        """All rows on one dataset."""
+        donor: Path | None = None
+        left: list[dict[str, str]] = []
+        for group in _groups(rows):
+            self.say(f"{data.label}: {', '.join(row.label for row in group)}")
+            try:
+                claim_set(self.out, data.label, data.root, data.digest, filmed_digest(data.root))
+                job = _job(data, group, self.preset, self.plan, self.out)
+                place = self.out / "runs" / data.label / _place_name(job, data)
+                same_data = job.data is data
+                figures = self._measured(place, job, donor if same_data else None)
+            except Exception as error:  # one row's fault is not to take hours of others along
+                self.first_error = self.first_error or error
+                why = why_failed(error, self.out / "runs" / data.label)
+                self.say(f"    failed: {why}")
+                of_data = isinstance(error, Tg4mmError) and not isinstance(error, RunError | StepError)
+                kept = left if of_data else self.results["failed"]
+                kept += [{"set": data.label, "method": row.label, "why": why} for row in group]
+            else:
+                donor = donor or (place / "run" if same_data else None)
+                run = str((place / "run").relative_to(self.out))
+                self.results["lines"] += [_line(job, data, row, figures) | {"run": run} for row in group]
+            _write(self.out, self.results)
+            self.n_done += len(group)
+            update(self.n_done)
+        if any(line["set"] == data.label for line in self.results["lines"]):
+            self.results["left_out"] += left
+        elif left:
+            self.results["failed"].append({"set": data.label, "method": "", "why": left[0]["why"]})
+        _write(self.out, self.results)
+
+    def _measured(self, place: Path, job: _Job, donor: Path | None) -> dict[str, Any]:
+        # Sets of another amplitude have ground truth at α of their own.
+        plan = replace(self.plan, alphas=None) if job.rows[0].amplitude_px else self.plan
+        if not self.is_warm and not is_measured(place, job.data, job.training, plan):
+            warm_up(self.out, [job.data], [self.preset], plan.device)
+            self.is_warm = True
+        return measure(place, job.data, job.training, plan, donor)
+
+
+def _groups(rows: Sequence[Row]) -> list[tuple[Row, ...]]:
+    """Rows by training, in order."""
+    found: dict[str, list[Row]] = {}
+    for row in rows:
+        key = json.dumps([dict(row.settings), *row.changed_data], sort_keys=True)
+        found.setdefault(key, []).append(row)
+    return [tuple(group) for group in found.values()]
+
+
+def _job(data: BenchSet, group: tuple[Row, ...], preset: str, plan: Plan, out: Path) -> _Job:
+    row = group[0]
+    ways = tuple(Scoring(r.label, s.method, s.filter) for r in group for s in r.scorings)
+    training = Training(row.label, preset, row.settings, ways)
+    if row.views and row.views != data.n_views:
+        root = with_views(data, row.views, out / "sets" / data.label / f"views_{row.views:03d}")
+        return _Job(open_set(root, data.label), group, training)
+    if row.noise or row.timesteps:
+        own, name = data, f"noise_{row.noise:g}"
+        if row.noise:
+            own = open_set(with_noise(data, row.noise, out / "sets" / data.label / name), data.label)
+        if row.timesteps and row.timesteps != data.n_timesteps:
+            folder = out / "sets" / data.label / f"{name}_timesteps_{row.timesteps:03d}"
+            own = open_set(with_timesteps(own, row.timesteps, folder), data.label)
+        return _Job(own, group, training)
+    if row.amplitude_px:
+        root = with_amplitude(data, row.amplitude_px, out / "sets" / data.label / f"px_{row.amplitude_px:g}")
+        return _Job(open_set(root, data.label), group, training)
+    if row.kind and not row.kind == data.cameras == "orbit":  # that is the reference as it is
+        root = with_kind(data, row.kind, plan.alphas, out / "sets" / data.label / f"kind_{row.kind}")
+        return _Job(open_set(root, data.label), group, training)
+    return _Job(data, group, training)
+
+
+def _place_name(job: _Job, data: BenchSet) -> str:
+    """A folder's name: what is varied, and a digest, since a run belongs to its settings."""
+    row = job.rows[0]
+    key = [job.training.preset, dict(job.training.settings), *row.changed_data, data.digest]
+    digest = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()[:8]
+    words = "".join(c if c.isalnum() or c in ".-" else "_" for c in row.label)
+    return f"{words}_{digest}"
+
+
+def _line(job: _Job, data: BenchSet, row: Row, figures: dict[str, Any]) -> dict[str, Any]:
+    """One row on one dataset in results.json."""
+    ways = [row.label] if row.scorings else [way.name for way in job.training.ways]
+    log = figures["log"]
+    values: dict[str, Any] = scalars(figures)
+    values["init"] = log.get("space", {}).get("init")
+    rest = figures["rows"].get("0", {})
+    values["psnr_rest"] = (rest.get("ceiling") or rest.get("nothing moves") or {}).get("psnr_db")
+    if row.scorings and figures["request"]["band_hz"]:
+        values |= _filter_figures(row.scorings[0].filter, data)
+    return {
+        "set": data.label,
+        "row": row.label,
+        "ways": ways,
+        "settings": figures["request"]["settings"],
+        "overrides": dict(job.training.settings),
+        "amplitude_px": job.data.amplitude_px,
+        "n_views": job.data.n_views,
+        "band_hz": figures["request"]["band_hz"],
+        "scalars": values,
+        "ssim_columns": _columns(row, figures),
+        **{k: figures[k] for name in OF_RUN if (k := name.removesuffix("?")) in figures},
+    }
+
+
+def _columns(row: Row, figures: dict[str, Any]) -> dict[str, str]:
+    """{a column's title: the α in it}: α itself, or for other amplitudes the motion that it adds, α times them."""
+    alphas = [a for a in figures["rows"] if float(a) > 0]
+    if not row.amplitude_px:
+        return {f"α = {a}": a for a in alphas}
+    made = {str(round(target / row.amplitude_px)): f"+{target:g} px" for target in reversed(TARGETS_PX)}
+    return {made[a]: a for a in alphas if a in made}
+
+
+def _filter_figures(kind: str | None, data: BenchSet) -> dict[str, float]:
+    """What the filter alone does to the motion's frequency f: arg H(f) in degrees (ahead: positive), and |H(f) − 1|."""
+    import numpy as np
+
+    response = TemporalFilter(kind or "zero-phase").response(data.band_hz, [data.frequency_hz], data.fps)[0]
+    return {
+        "filter_phase_deg": float(np.degrees(np.angle(response))),
+        "filter_error": float(abs(response - 1)),
+    }
+
+
+def _write(out: Path, results: dict[str, Any]) -> None:
+    write_sealed(out / FILE, results)
+    drawn = picture(results)
+    if drawn is not None:
+        write_text(out / "results.svg", drawn)
+    write_text(out / "results.md", ablation_page(results, drawn is not None))
+    made = ablation_cells(results)
+    write_text(out / "tables" / f"{made.key}.tex", latex_table(made))

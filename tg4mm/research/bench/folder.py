@@ -1,0 +1,128 @@
+"""The folder of a benchmark: what it is for stands in it, and one made for something else is refused."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shlex
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from tg4mm import __version__
+from tg4mm.core.errors import RunError
+from tg4mm.core.files import write_atomic, write_json
+from tg4mm.core.form import Maybe
+from tg4mm.core.temporary import is_temporary, remove_leftovers
+from tg4mm.research.bench.errors import BenchError
+from tg4mm.run.config import read_json
+
+RECORD = "bench.json"
+SET = "set.json"
+FORMAT, VERSION = "tg4mm-bench", 1
+CIRCUMSTANCES = {  # of `circumstances`, as a checked form
+    **dict.fromkeys(("command", "date", "tg4mm", "python", "torch", "system", "processor"), str),
+    **dict.fromkeys(("cores", "threads"), int),
+    "load_average": Maybe(float),
+}
+
+
+def open_folder(out: Path, kind: str) -> None:
+    """Make the folder, or go on in one made for the same `kind`. Raises BenchError where it holds anything else."""
+    if out.exists() and not out.is_dir():
+        raise BenchError(f"--out {out}: is a file, expected a folder")
+    record = out / RECORD
+    if not record.exists():
+        if out.is_dir() and not all(is_temporary(p, RECORD) for p in out.iterdir()):
+            raise BenchError(f"--out {out}: is not empty and holds no {RECORD}; choose another folder")
+        out.mkdir(parents=True, exist_ok=True)
+        write_json(record, {"format": FORMAT, "version": VERSION, "kind": kind})
+        return
+    try:
+        found = read_json(record)
+    except RunError as error:
+        raise BenchError(f"--out {out}: {error}") from None
+    if (found.get("format"), found.get("version")) != (FORMAT, VERSION):
+        raise BenchError(f"--out {out}: {record} is not the record of a benchmark of version {VERSION}")
+    if found.get("kind") != kind:
+        raise BenchError(
+            f"--out {out}: holds the benchmark {found.get('kind')!r}, asked is {kind!r}; choose another"
+        )
+    remove_leftovers(out)
+
+
+def claim_set(out: Path, label: str, root: Path, digest: str, filmed: str) -> None:
+    """Note in OUT/runs/<label> which dataset its results are of.
+
+    digest, filmed: of its description, and of its training pictures and cameras. Raises BenchError where the results
+    are of another dataset, or of one whose training pictures or cameras were others.
+    """
+    record = out / "runs" / label / SET
+    if record.is_file():
+        try:
+            found = read_json(record)
+        except RunError:  # torn: written anew
+            found = {}
+        if found.get("digest", digest) != digest:
+            raise BenchError(
+                f"dataset {root}: {record.parent} holds results of another one of that name, {found.get('root')}; "
+                "give this one as NAME=DIR, or choose another --out"
+            )
+        if found.get("contents", filmed) != filmed:
+            raise BenchError(
+                f"dataset {root}: its training pictures or cameras have changed since {record.parent} was begun; "
+                "remove that folder, or choose another --out"
+            )
+    record.parent.mkdir(parents=True, exist_ok=True)
+    write_json(record, {"root": str(root), "digest": digest, "contents": filmed})
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a page or a picture, atomically."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomic(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def circumstances(command: Sequence[str] | None = None) -> dict[str, Any]:
+    """Where, when and by what the figures were made: what a page says of its origin."""
+    import torch
+
+    return {
+        "command": shlex.join(command if command is not None else ["tg4mm", *sys.argv[1:]]),
+        "date": time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime()),
+        "tg4mm": _version(),
+        "python": platform.python_version(),
+        "torch": torch.__version__,
+        "system": f"{platform.system()} {platform.machine()}",
+        "processor": _processor(),
+        "cores": _cores(),
+        "threads": torch.get_num_threads(),
+        "load_average": round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None,
+    }
+
+
+def _version() -> str:
+    """With the commit, where the code lies in a clone."""
+    root = Path(__file__).resolve().parents[3]
+    if not (root / ".git").exists():
+        return __version__
+    command = ["git", "-C", str(root), "describe", "--always", "--dirty=, changed", "--exclude=*"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=10, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return __version__
+    return f"{__version__} (commit {done.stdout.strip()})"
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _processor() -> str:
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text(encoding="utf-8").splitlines() if info.is_file() else []
+    named = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return named[0] if named else platform.processor() or "unknown processor"

@@ -1,0 +1,229 @@
+"""One job: a method on a dataset. Fit, render the test pictures at every α, score them; never anything twice."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tg4mm.capture import Capture
+from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.form import Just, Maybe, read_formed, write_sealed
+from tg4mm.core.pictures.frames import to_bytes, write_png
+from tg4mm.core.progress import progress
+from tg4mm.research.bench.errors import BenchError
+from tg4mm.research.bench.folder import claim_set
+from tg4mm.research.bench.measure import Plan, alphas_of
+from tg4mm.research.bench.methods import Method
+from tg4mm.research.bench.methods.camera_videos import cameras_of, picture_name, video_of
+from tg4mm.research.bench.methods.external import External
+from tg4mm.research.bench.scored import score_pictures
+from tg4mm.research.bench.sets import BenchSet, files_state, filmed_digest, truth_at, truth_state
+from tg4mm.research.bench.vqa import Checkout
+from tg4mm.research.evaluate.lpips import load_lpips
+
+SCORES = "scores.json"
+_VERSION = 1  # of how pictures are scored: raise it when the same pictures would score otherwise
+_RECORD = {"recipe": str, "n_images": int, "frames_per_s": Maybe(float)}
+_SCORES = {"version": Just(_VERSION), "entries": {str: {"asked": str, "scores": {str: Maybe(float)}}}}
+
+
+@dataclass(frozen=True)
+class Line:
+    """A row of the tables on one dataset."""
+
+    row: str
+    method: str
+    alphas: dict[str, dict[str, Any]]  # α as text → scores
+    frames_per_s: float | None  # posing and rendering, without writing files; median over α > 0
+    notes: tuple[str, ...] = ()
+    failed: tuple[str, ...] = ()  # why an α is not there
+
+
+def job_folder(out: Path, data: BenchSet, method: Method) -> Path:
+    return Path(out) / "runs" / data.label / method.name
+
+
+def picture_folder(place: Path, row: str) -> Path:
+    """Where a row's pictures lie, named as the dataset's own: magnified/x020/007/test/r_000.png."""
+    return place / "pictures" / "".join(c if c.isalnum() or c in "-_." else "_" for c in row)
+
+
+def run_job(
+    method: Method,
+    data: BenchSet,
+    out: Path,
+    plan: Plan,
+    vqa: Sequence[Checkout] = (),
+    collect: bool = False,
+) -> tuple[dict[str, Any], list[Line]]:
+    """(what `fit` returned, the method's rows), done or read from an earlier call.
+
+    collect: an α that is not there yet is not made. An α that fails is left out, and the row says why; raises the
+    Tg4mmError of the first where none succeeds.
+    """
+    place = job_folder(out, data, method)
+    claim_set(Path(out), data.label, data.root, data.digest, filmed_digest(data.root))
+    figures = method.fit(data, place, plan)
+    return figures, [_line(method, row, data, place, plan, vqa, collect) for row in method.rows]
+
+
+def is_finished(method: Method, data: BenchSet, out: Path, plan: Plan) -> bool:
+    """Whether all rows have scores at every α, of whatever settings: enough to tell the time that is left by."""
+    known = _Kept(job_folder(out, data, method) / SCORES).entries
+    return all(f"{row} {alpha}" in known for row in method.rows for alpha in _alphas_by(method, data, plan))
+
+
+def _alphas_by(method: Method, data: BenchSet, plan: Plan) -> list[int]:
+    """Of `alphas_of` those that the method has pictures for."""
+    return [a for a in alphas_of(data, plan) if not isinstance(method, External) or method.has(data, a)]
+
+
+def _line(
+    method: Method, row: str, data: BenchSet, place: Path, plan: Plan, vqa: Sequence[Checkout], collect: bool
+) -> Line:
+    notes, failed, first = [], [], None
+    kept = _Kept(place / SCORES)
+    found: dict[str, dict[str, Any]] = {}
+    speeds = []
+    for alpha in alphas_of(data, plan):
+        if isinstance(method, External) and not method.has(data, alpha):
+            notes.append(f"{row} has no pictures at α = {alpha}: none in {method.place(data, alpha)}")
+            if alpha:
+                warnings.warn(f"{data.label}: --external {notes[-1]}", stacklevel=2)
+            continue
+        try:
+            record, scores = _at(method, row, data, place, alpha, plan, vqa, kept, collect)
+        except (Tg4mmError, OSError) as error:  # the other α are as good as before
+            first = first or error
+            failed.append(f"α = {alpha}: {error}")
+            continue
+        if alpha > 0 and record["frames_per_s"]:  # at 0 a method may have nothing to do
+            speeds.append(record["frames_per_s"])
+        found[f"{alpha:g}"] = scores
+    if first is not None and not found:
+        raise first
+    speed = None if not speeds or isinstance(method, External) else float(np.median(speeds))
+    return Line(row, method.name, found, speed, tuple(notes), tuple(failed))
+
+
+def _at(
+    method: Method, row: str, data: BenchSet, place: Path, alpha: int, plan: Plan, vqa: Sequence[Checkout],
+    kept: _Kept, collect: bool,
+) -> tuple[dict[str, Any], dict[str, Any]]:  # fmt: skip
+    """(the pictures' record, their scores) at one α."""
+    if collect:
+        recipe, old = _found(method, row, data, place, alpha, plan)
+        known = kept.known(row, alpha, _asked(recipe, data, alpha, plan, vqa))
+        if old is None or known is None:
+            raise BenchError(f"{row} on {data.label} is not finished, or is of other settings or pictures")
+        return old, known
+    capture = truth_at(data, alpha)
+    record = rendered(method, row, data, place, capture, alpha, plan)
+    asked = _asked(record["recipe"], data, alpha, plan, vqa)
+    folder = picture_folder(place, row)
+    return record, kept.scores(row, alpha, asked, data, capture, folder, plan, vqa)
+
+
+def rendered(
+    method: Method, row: str, data: BenchSet, place: Path, capture: Capture, alpha: float, plan: Plan
+) -> dict[str, Any]:
+    """Render what is not there yet; {recipe, n_images, frames_per_s}, which is written last, when all is there."""
+    recipe, old = _found(method, row, data, place, alpha, plan)
+    if old is not None:
+        return old
+    folder = picture_folder(place, row)
+    record = _record_of(folder, alpha)
+    spent, n = 0.0, 0
+    pictures = method.render(row, data, place, capture, alpha, plan)
+    with progress(f"{row}, α = {alpha:g}", len(capture), unit="images") as update:
+        while True:
+            began = time.perf_counter()
+            got = next(pictures, None)
+            spent += time.perf_counter() - began
+            if got is None:
+                break
+            if not n:  # from here on the pictures are of two recipes, until the last is written
+                record.unlink(missing_ok=True)
+            write_png(folder / picture_name(capture, got[0]), got[1])
+            n += 1
+            update(n)
+    made = {"recipe": recipe, "n_images": n, "frames_per_s": n / spent if spent else None}
+    write_sealed(record, made)
+    return made
+
+
+def _found(
+    method: Method, row: str, data: BenchSet, place: Path, alpha: float, plan: Plan
+) -> tuple[str, dict[str, Any] | None]:
+    """(the digest of all that the pictures depend on, their record where they are there)."""
+    recipe = _digest({"data": data.digest, "alpha": alpha, **method.recipe(row, data, place, plan)})
+    folder, truth = picture_folder(place, row), truth_at(data, alpha)
+    old = _read(_record_of(folder, alpha), _RECORD)
+    there = old is not None and old["recipe"] == recipe
+    there = there and all((folder / picture_name(truth, i)).is_file() for i in range(len(truth)))
+    return recipe, old if there else None
+
+
+def _record_of(folder: Path, alpha: float) -> Path:
+    return folder / f"x{alpha:03g}.json"
+
+
+def _read(file: Path, form: dict[str, Any]) -> dict[str, Any] | None:
+    """None where the file is not there or damaged: it is made anew."""
+    try:
+        return read_formed(file, form)
+    except (OSError, ValueError):
+        return None
+
+
+class _Kept:
+    """Scores that earlier calls have left in a file, each with what it depends on."""
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+        known = _read(file, _SCORES)
+        self.entries: dict[str, Any] = {} if known is None else known["entries"]
+
+    def known(self, row: str, alpha: int, asked: str) -> dict[str, Any] | None:
+        """The scores of a row at α, None where they are not there or of another request."""
+        entry = self.entries.get(f"{row} {alpha}")
+        return dict(entry["scores"]) if entry is not None and entry["asked"] == asked else None
+
+    def scores(
+        self, row: str, alpha: int, asked: str, data: BenchSet, capture: Capture, folder: Path, plan: Plan,
+        vqa: Sequence[Checkout],
+    ) -> dict[str, Any]:  # fmt: skip
+        """The scores of a row at α, made where they are not there or of another request."""
+        if (known := self.known(row, alpha, asked)) is not None:
+            return known
+        lpips = load_lpips(plan.lpips_weights) if plan.lpips_weights else None
+        scores: dict[str, Any] = score_pictures(capture, folder, lpips, f"{row}, α = {alpha:g}, scores")
+        for checkout in vqa:
+            videos = (to_bytes(video_of(capture, rows, folder)) for rows in cameras_of(capture))
+            scores[checkout.metric] = float(np.mean([checkout(video, data.fps) for video in videos]))
+        self.entries[f"{row} {alpha}"] = {"asked": asked, "scores": scores}
+        write_sealed(self.file, {"version": _VERSION, "entries": self.entries})
+        return scores
+
+
+def _asked(recipe: str, data: BenchSet, alpha: float, plan: Plan, vqa: Sequence[Checkout]) -> str:
+    """The digest of all that scores depend on."""
+    asked = {
+        "recipe": recipe,
+        "lpips": [files_state([p], p.parent) for p in plan.lpips_weights],
+        "vqa": [[c.metric, c.python, str(c.folder), files_state([c.program], c.folder)] for c in vqa],
+        "truth": truth_state(data, alpha),
+    }
+    return _digest(asked)
+
+
+def _digest(value: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:20]

@@ -1,0 +1,137 @@
+"""Means over scenes, for sets of one size, amplitude and kind of capture, or of one kind of capture alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from tg4mm.research.bench.measure import stage_costs
+from tg4mm.research.evaluate.run import CEILING
+
+
+def main_frequency(displacement: Mapping[str, Any] | None) -> dict[str, Any]:
+    """The entry of `displacement_figures` of the frequency that moves most; {} if there is none."""
+    rows = (displacement or {}).get("per_frequency") or []
+    return max(rows, key=lambda row: row["amplitude_true"] or 0.0, default={})
+
+
+def scalars(run: Mapping[str, Any]) -> dict[str, float | None]:
+    """The figures of a run that do not depend on α. Seconds, degrees, MiB; memory is each stage's own."""
+    moved = run["displacement"] or {}
+    main = main_frequency(moved)
+    seconds, observed = run["seconds"], run.get("observed") or {}
+    return {
+        "displacement_error": moved.get("relative_error"),
+        "displacement_error_observed": observed.get("displacement_error_observed"),
+        "observed_share": observed.get("observed_share"),
+        "static_leak": moved.get("static_leak"),
+        "amplitude_ratio": main.get("amplitude_ratio"),
+        "direction_error_deg": main.get("direction_error_deg"),
+        "phase_error_deg": main.get("phase_error_deg"),
+        "mac": main.get("mac"),
+        "frequency_error_hz": _apart(run.get("strongest_hz"), main.get("frequency_hz")),
+        "space_s": seconds["space"],
+        "motion_s": seconds["motion"],
+        "total_s": seconds["total"],
+        **stage_costs(run["log"]),
+        "n_gaussians": run["n_gaussians"],
+        "mib_on_disk": run["mib_on_disk"],
+    }
+
+
+def _apart(found: float | None, true: float | None) -> float | None:
+    return None if found is None or true is None else abs(found - true)
+
+
+def mean(values: Iterable[float | None]) -> float | None:
+    """The mean of those that are there, None if none is."""
+    known = [v for v in values if v is not None]
+    return sum(known) / len(known) if known else None
+
+
+def mean_of_all(values: Iterable[float | None]) -> float | None:
+    """The mean, None if one is missing."""
+    known = list(values)
+    return None if None in known else mean(known)
+
+
+def gap(row: Mapping[str, Mapping[str, Any]], way: str, metric: str = "ssim") -> float | None:
+    """How much a way's SSIM (or PSNR) lies below the ceiling of the same Gaussians."""
+    ours, best = (row.get(name, {}).get(metric) for name in (way, CEILING))
+    return None if ours is None or best is None else best - ours
+
+
+def group_means(runs: Iterable[Mapping[str, Any]], group_of: Mapping[str, str]) -> list[dict[str, Any]]:
+    """[{group, row, preset, n_sets, sets, scalars: {…}, gaps: {α: {way: SSIM}}}].
+
+    `group_of` a set's label. An α counts where every set of the group that has this row has ground truth for it: means
+    of different scenes must not stand in one line. For the same reason a scalar that a set has for no row is the mean
+    of the other sets in every row, and one that only this row lacks somewhere is None.
+    """
+    runs, found = list(runs), dict[tuple[str, str], list[Mapping[str, Any]]]()
+    for run in runs:
+        found.setdefault((group_of[run["set"]], run["row"]), []).append(run)
+    measured = {(run["set"], k) for run in runs for k, value in scalars(run).items() if value is not None}
+    return [_group_mean(group, row, some, measured) for (group, row), some in found.items()]
+
+
+def _group_mean(
+    group: str, row: str, runs: list[Mapping[str, Any]], measured: set[tuple[str, str]]
+) -> dict[str, Any]:
+    """measured: (set, scalar) that some row has."""
+    common = [a for a in runs[0]["rows"] if all(a in run["rows"] for run in runs)]
+    values = [(run["set"], scalars(run)) for run in runs]
+    return {
+        "group": group,
+        "row": row,
+        "preset": runs[0]["preset"],
+        "n_sets": len(runs),
+        "sets": [run["set"] for run in runs],
+        "scalars": {
+            k: mean_of_all(v[k] for name, v in values if (name, k) in measured) for k in values[0][1]
+        },
+        "gaps": {
+            a: {w: mean(gap(run["rows"][a], w) for run in runs) for w in runs[0]["ways"]} for a in common
+        },
+    }
+
+
+def line_means(lines: Iterable[Mapping[str, Any]], group_of: Mapping[str, str]) -> list[dict[str, Any]]:
+    """[{group, row, n_sets, sets, alphas: {α: {metric}}, frames_per_s}] of the picture scores, by group and row.
+
+    As in `group_means` an α counts where every set that has the row has it. A metric that a set has for no row (nothing
+    moves there, say) is the mean of the other sets in every row; one that only this row lacks somewhere is None.
+    """
+    lines, found = list(lines), dict[tuple[str, str], list[Mapping[str, Any]]]()
+    for line in lines:
+        found.setdefault((group_of[line["set"]], line["row"]), []).append(line)
+    scored = {
+        (line["set"], alpha, metric)
+        for line in lines
+        for alpha, scores in line["alphas"].items()
+        for metric, value in scores.items()
+        if value is not None
+    }
+    return [_line_mean(group, row, some, scored) for (group, row), some in found.items()]
+
+
+def _line_mean(
+    group: str, row: str, lines: list[Mapping[str, Any]], scored: set[tuple[str, str, str]]
+) -> dict[str, Any]:
+    """scored: (set, α, metric) that some row has."""
+    common = [a for a in lines[0]["alphas"] if all(a in line["alphas"] for line in lines)]
+    metrics = dict.fromkeys(k for line in lines for scores in line["alphas"].values() for k in scores)
+    return {
+        "group": group,
+        "row": row,
+        "n_sets": len(lines),
+        "sets": [line["set"] for line in lines],
+        "alphas": {
+            a: {
+                k: mean_of_all(x["alphas"][a].get(k) for x in lines if (x["set"], a, k) in scored)
+                for k in metrics
+            }
+            for a in common
+        },
+        "frames_per_s": mean(line["frames_per_s"] for line in lines),
+    }

@@ -1,0 +1,352 @@
+"""One run of a benchmark: train, score by every method asked for, keep the figures; never anything twice."""
+
+from __future__ import annotations
+
+import dataclasses
+import gc
+import shutil
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from tg4mm.capture import load_capture
+from tg4mm.core.errors import RunError
+from tg4mm.core.filters import TemporalFilter
+from tg4mm.core.form import Just, Maybe, read_formed, write_sealed
+from tg4mm.core.magnification import Magnification
+from tg4mm.research.bench.folder import CIRCUMSTANCES, circumstances
+from tg4mm.research.bench.observed import observed_figures
+from tg4mm.research.bench.sets import BenchSet, check_alphas, truth_state
+from tg4mm.research.evaluate import evaluate_run
+from tg4mm.research.evaluate.lpips import load_lpips
+from tg4mm.research.evaluate.run import CEILING, OURS, STATIC
+from tg4mm.research.evaluate.scores import Key
+from tg4mm.research.evaluate.subject import subject_of
+from tg4mm.run import Run
+from tg4mm.run.figures_file import DISPLACEMENT
+from tg4mm.run.model_hash import model_hash
+from tg4mm.run.train import parse_settings, train
+
+FIGURES = "figures.json"
+MADE = "made.json"
+SEEN = ("closure", "change_gain", "change_residual")  # how much of a motion is seen, of one way to magnify
+VERSION = 5  # of how figures are made: raise it when the same request would give others
+_STAGES = {"space": float, "motion": float, "total": float}
+# What tables and pages need of a run, here and in results.json.
+OF_RUN = {
+    "log": {str: dict.fromkeys(("seconds?", "peak_memory_mib?", "iterations?"), Maybe(float))},
+    "seconds": _STAGES,
+    "model": str,
+    "rows": {float: {str: {str: Maybe(float)}}},
+    "displacement": Maybe(DISPLACEMENT),
+    "notes": [str],
+    "made?": CIRCUMSTANCES,  # when, where and by what it was trained
+}
+FORM = {
+    "version": Just(VERSION),
+    "request": {"settings": {str: dict}, "band_hz": Maybe([float])},
+    **OF_RUN,
+    "n_gaussians": int,
+    "mib_on_disk": float,
+    "absent": {str: str},
+    "observed?": {str: Maybe(float)},
+    "strongest_hz?": Maybe(float),
+}
+
+
+@dataclass(frozen=True)
+class Scoring:
+    """A way to magnify a trained run."""
+
+    name: str
+    method: str  # "modal", "linear", "phase"
+    filter: str | None = None  # None: the method's own, zero-phase
+
+
+SCORINGS = {
+    "modal": (Scoring("modal", "modal"),),
+    "paper": (Scoring("linear", "linear"), Scoring("phase", "phase")),
+    "paper-tuned": (Scoring("linear", "linear"), Scoring("phase", "phase")),
+}
+
+
+class Trainer(Protocol):
+    """Another way to a run than `tg4mm train`."""
+
+    def plain(self) -> dict[str, Any]:
+        """Its settings, in JSON's types."""
+        ...
+
+    def overrides(self) -> dict[str, str]:
+        """Those that differ from its defaults, as `--set` takes them."""
+        ...
+
+    def __call__(self, dataset: Path, place: Path, settings: Mapping[str, str], device: str) -> Run:
+        """Train into the folder `place`, or go on there; `settings` as of the preset."""
+        ...
+
+
+@dataclass(frozen=True)
+class Training:
+    """A model to train, and how to magnify it. `settings` as in `tg4mm train --set`."""
+
+    name: str  # a folder's name
+    preset: str
+    settings: Mapping[str, str] = field(default_factory=dict)
+    scorings: tuple[Scoring, ...] = ()  # (): those of the preset
+    trainer: Trainer | None = None  # None: `tg4mm train`
+
+    @property
+    def ways(self) -> tuple[Scoring, ...]:
+        return self.scorings or SCORINGS[self.preset]
+
+    @property
+    def overrides(self) -> dict[str, str]:
+        """All settings that differ from the defaults."""
+        return {**self.settings, **(self.trainer.overrides() if self.trainer else {})}
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What holds for all runs of a benchmark."""
+
+    alphas: tuple[float, ...] | None = None  # None: all with ground truth
+    banded: bool = True  # magnify the band around the motion; False: every frequency
+    lpips_weights: tuple[Path, ...] = ()  # of pictures on disk
+    device: str = "cpu"
+    metrics: tuple[str, ...] = ("ssim",)  # of renderings; all others are of the pictures on disk
+
+
+def measure(
+    place: Path, data: BenchSet, training: Training, plan: Plan, donor: Path | None = None
+) -> dict[str, Any]:
+    """Train and score in the folder `place`, or read what an earlier call has left there whole.
+
+    donor: a run folder whose space stage has the same settings and data; it is taken over, since training again would
+    give the same bits. Raises RunError where `place` holds a run of other settings, Tg4mmError where the data do not
+    allow these. Returned: {request, log, model, rows, displacement, …}, see `_figures`.
+    """
+    request = _request(data, training, plan)
+    kept = read_figures(place)
+    if kept is not None and kept["request"] == request:
+        return kept
+    made = _made_by(place)
+    run = _trained(place / "run", data, training, plan.device, donor)
+    scores: dict[Key, dict[str, float]] = {}
+    metrics = {}
+    for way in training.ways:
+        metrics[way.name] = _scored(run, way, data, plan, place, scores)
+        # Of one way to magnify; what frames it, the rest pose and the exact motion, is of all.
+        for key in [key for key in scores if key[0][:1] == (OURS,)]:
+            del scores[key]
+    figures = _figures(run, request, training, metrics) | {"observed": _observed(run, data, plan)}
+    figures |= {} if made is None else {"made": made}
+    write_sealed(place / FIGURES, figures)
+    return figures
+
+
+def check_plan(sets: Sequence[BenchSet], plan: Plan) -> None:
+    """Raise Tg4mmError for an α without ground truth and for weights that cannot be read, before hours of training."""
+    check_alphas(sets, plan.alphas)
+    if plan.lpips_weights:
+        load_lpips(plan.lpips_weights)
+
+
+def warm_up(place: Path, sets: Sequence[BenchSet], presets: Iterable[str], device: str) -> None:
+    """Have the kernels compiled and loaded, so that no run's seconds hold that: a training of one iteration each.
+
+    On the first of the sets that can be trained. What fails here is said by the run itself.
+    """
+    for preset in presets:
+        modal = {"space.iterations": "1", "motion.iterations": "1", "motion.components": "1"}
+        paper = {"paper.warm_up": "1", "paper.iterations": "2", "paper.motion_iterations": "1"}
+        folder = place / f".warm-up-{preset}"
+        for data in sets:
+            shutil.rmtree(folder, ignore_errors=True)
+            try:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")
+                    train(data.root, folder, preset, device, modal if preset == "modal" else paper)
+            except Exception:
+                continue
+            break
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def is_measured(place: Path, data: BenchSet, training: Training, plan: Plan) -> bool:
+    """Whether `measure` would find its figures there."""
+    kept = read_figures(place)
+    return kept is not None and kept["request"] == _request(data, training, plan)
+
+
+def read_figures(place: Path) -> dict[str, Any] | None:
+    """The figures kept in `place`; None if there are none that this version can read."""
+    try:
+        return read_formed(place / FIGURES, FORM)
+    except (OSError, ValueError):  # damaged: the run beside it is still whole, and is scored again
+        return None
+
+
+def alphas_of(data: BenchSet, plan: Plan) -> list[int]:
+    """0, the test split as it is, and what is asked for and there."""
+    return [0, *(a for a in data.alphas if plan.alphas is None or a in plan.alphas)]
+
+
+def _request(data: BenchSet, training: Training, plan: Plan) -> dict[str, Any]:
+    """All that the figures depend on, in JSON's types."""
+    configs = parse_settings(training.settings, training.preset)
+    own = {} if training.trainer is None else {"trainer": training.trainer.plain()}
+    return own | {
+        "dataset": str(data.root),
+        "digest": data.digest,
+        "truth": {f"{a:g}": truth_state(data, a) for a in alphas_of(data, plan)},
+        "preset": training.preset,
+        "settings": {stage: dataclasses.asdict(config) for stage, config in configs.items()},
+        "scorings": [dataclasses.asdict(s) for s in training.ways],
+        "alphas": None if plan.alphas is None else list(plan.alphas),
+        "band_hz": list(data.band_hz) if plan.banded else None,
+        "device": plan.device,
+        "metrics": list(plan.metrics),
+    }
+
+
+def _made_by(place: Path) -> dict[str, Any] | None:
+    """By what code, when and where the run is trained, noted before it begins; None for one of which it was not."""
+    record = place / MADE
+    if not (place / "run").is_dir():
+        place.mkdir(parents=True, exist_ok=True)
+        write_sealed(record, circumstances())
+    try:
+        return read_formed(record, CIRCUMSTANCES)
+    except (OSError, ValueError):
+        return None
+
+
+def _trained(place: Path, data: BenchSet, training: Training, device: str, donor: Path | None) -> Run:
+    place.parent.mkdir(parents=True, exist_ok=True)
+    gc.collect()  # each stage's own peak, though with what is loaded for the runs before it
+    _check_device(place, device)
+    if training.trainer is not None:
+        return training.trainer(data.root, place, training.settings, device)
+    if donor is not None and not (place / "space.safetensors").exists():
+        _take_space(place, data, training, donor)
+    return train(data.root, place, training.preset, device, training.settings)
+
+
+def _check_device(place: Path, device: str) -> None:
+    """Raise RunError for a run with a stage of another device, whose seconds would be taken for this one's."""
+    log = Run.open(place).log() if place.is_dir() else {}
+    before = "cuda" if any("peak_gpu_memory_mib" in stage for stage in log.values()) else "cpu"
+    if log and before != device:
+        raise RunError(f"{place} was trained with --device {before}, not {device}; choose another --out")
+
+
+def _take_space(place: Path, data: BenchSet, training: Training, donor: Path) -> None:
+    configs = parse_settings(training.settings, training.preset)
+    plain = {stage: dataclasses.asdict(config) for stage, config in configs.items()}
+    given = Run.open(donor)
+    # The preset paper replaces its base Gaussians by the decoded ones, so there is nothing to take from it.
+    if (given.preset, training.preset) != ("modal", "modal") or given.settings["space"] != plain["space"]:
+        return
+    run = Run.create(place, data.root, training.preset, plain)
+    run.save_space(given.load_space(), given.log()["space"])
+
+
+def _scored(
+    run: Run, way: Scoring, data: BenchSet, plan: Plan, place: Path, scores: dict[Key, dict[str, float]]
+) -> dict[str, Any]:
+    return evaluate_run(
+        run,
+        alphas=plan.alphas,
+        out=place / f"metrics_{_file_name(way.name)}.json",
+        bands=[data.band_hz] if plan.banded else [],
+        method=way.method,
+        filter=None if way.filter is None else TemporalFilter(way.filter),
+        device=plan.device,
+        scores=scores,
+        metrics=plan.metrics,
+    )
+
+
+def _observed(run: Run, data: BenchSet, plan: Plan) -> dict[str, float | None]:
+    train = load_capture(data.root)
+    return observed_figures(subject_of(run, train, (), Magnification(), {}, plan.device), data, train)
+
+
+def _figures(
+    run: Run, request: dict[str, Any], training: Training, metrics: Mapping[str, dict[str, Any]]
+) -> dict[str, Any]:
+    """{version, request, log, seconds, model, n_gaussians, mib_on_disk, rows, displacement, notes, …}.
+
+    rows: {α: {"nothing moves": {ssim, …: None but for the plan's metrics}, <each way's name>: …, "ceiling": …}}, α as
+    text since JSON has no other keys; a way's row also holds closure, change_gain, change_residual as `evaluate_run`
+    defines them.
+    """
+    rows: dict[str, dict[str, Any]] = {}
+    for name, figures in metrics.items():
+        for entry in figures["alphas"]:
+            scored = rows.setdefault(f"{entry['alpha']:g}", {})
+            for method, values in entry["rows"].items():
+                seen = {k: entry[k] for k in SEEN} if method == OURS else {}
+                scored[name if method == OURS else method] = values | seen
+    order = [STATIC, *metrics, CEILING]
+    first = next(iter(metrics.values()))
+    return {
+        "version": VERSION,
+        "request": request,
+        "log": run.log(),
+        "seconds": stage_seconds(run.log()),
+        "model": model_hash(run.path),
+        "n_gaussians": len(run.load_space()),
+        "mib_on_disk": _mib(run.path),
+        "rows": {a: {m: row[m] for m in order if m in row} for a, row in rows.items()},
+        "displacement": first["displacement"],
+        "strongest_hz": strongest_hz(run),
+        "absent": {k: v for figures in metrics.values() for k, v in figures["absent"].items()},
+        "notes": sorted({note for figures in metrics.values() for note in figures["notes"]}),
+    }
+
+
+def strongest_hz(run: Run) -> float | None:
+    """Frequency of the run's mode with the largest rms displacement; None without a mode that vibrates."""
+    motion = run.load_motion()
+    if motion is None or not (motion.freqs_hz > 0).any():
+        return None
+    size = np.linalg.norm(motion.displacement, axis=(1, 2)) * (motion.freqs_hz > 0)
+    return float(motion.freqs_hz[int(size.argmax())])
+
+
+def stage_seconds(log: Mapping[str, Any]) -> dict[str, float]:
+    """Seconds of the space stage (of `paper`: base and triplane), of the motion stage, and of both."""
+    motion = float(log.get("motion", {}).get("seconds") or 0.0)
+    space = sum(float(entry.get("seconds") or 0.0) for stage, entry in log.items() if stage != "motion")
+    return {"space": space, "motion": motion, "total": space + motion}
+
+
+def stage_costs(log: Mapping[str, Any]) -> dict[str, float | None]:
+    """{space_iterations, motion_iterations, space_peak_mib, motion_peak_mib}, the stages as of `stage_seconds`.
+
+    Iterations are summed and the most memory (MiB) is taken over what makes a stage; None where the log has none.
+    """
+    costs: dict[str, float | None] = {}
+    for stage in ("space", "motion"):
+        entries = [entry for name, entry in log.items() if (name == "motion") == (stage == "motion")]
+        known = {
+            key: [float(e[key]) for e in entries if e.get(key)] for key in ("iterations", "peak_memory_mib")
+        }
+        costs[f"{stage}_iterations"] = sum(known["iterations"]) or None
+        costs[f"{stage}_peak_mib"] = max(known["peak_memory_mib"], default=None)
+    return costs
+
+
+def _mib(run: Path) -> float:
+    files = (f for f in run.glob("*.safetensors") if not f.name.startswith("checkpoint"))
+    return sum(f.stat().st_size for f in files) / 2**20
+
+
+def _file_name(text: str) -> str:
+    return "".join(c if c.isalnum() or c in "-_." else "_" for c in text)

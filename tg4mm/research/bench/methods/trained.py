@@ -1,0 +1,96 @@
+"""Gaussians that move: the presets of `tg4mm train`, and the two rows that frame them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tg4mm.capture import Capture, load_capture
+from tg4mm.core.filters import TemporalFilter
+from tg4mm.core.magnification import Magnification
+from tg4mm.research.bench.measure import Plan, Scoring, Training, measure
+from tg4mm.research.bench.methods import Pictures
+from tg4mm.research.bench.sets import BenchSet
+from tg4mm.research.evaluate.run import CEILING, OURS, STATIC
+from tg4mm.research.evaluate.scores import Method, pose, render_views
+from tg4mm.research.evaluate.subject import Subject, subject_of
+from tg4mm.run import Run
+from tg4mm.run.model_hash import model_hash
+
+_CAMERAS_AT_ONCE = 8  # pictures held
+_VERSION = 1  # of how pictures are made of a model: raise it when the same model would give others
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A preset, magnified in each of its ways. `framing`: also the rows of its Gaussians at rest and moved exactly."""
+
+    training: Training
+    framing: bool = False
+
+    @property
+    def name(self) -> str:
+        return self.training.name.replace(", ", "-").replace(" ", "_").replace("'", "")
+
+    @property
+    def rows(self) -> tuple[str, ...]:
+        own = tuple(row_title(self.training.name, way.name) for way in self.training.ways)
+        return (STATIC, *own, CEILING) if self.framing else own
+
+    def fit(self, data: BenchSet, place: Path, plan: Plan) -> dict[str, Any]:
+        _subject_of.cache_clear()  # of another run, whose memory is not this one's
+        return measure(place, data, self.training, plan)
+
+    def recipe(self, row: str, data: BenchSet, place: Path, plan: Plan) -> dict[str, Any]:
+        way = self._way(row)
+        return {
+            "version": _VERSION,
+            "model": model_hash(place / "run"),
+            "row": row,
+            "method": None if way is None else way.method,
+            "filter": None if way is None else way.filter,
+            "band_hz": list(data.band_hz) if plan.banded else None,
+        }
+
+    def render(
+        self, row: str, data: BenchSet, place: Path, capture: Capture, alpha: float, plan: Plan
+    ) -> Pictures:
+        way = self._way(row)
+        bands = (data.band_hz,) if plan.banded else ()
+        run, shown = place / "run", way or self.training.ways[0]
+        subject = _subject_of(run, model_hash(run), data.root, shown, bands, plan.device)
+        (method,) = [m for m in subject.methods if m.name == (row if way is None else OURS)]
+        if method.posing is not None:  # opens the model, which is not to count as rendering
+            method.posing.at(float(alpha))
+        return _pictures(subject, method, capture, float(alpha))
+
+    def _way(self, row: str) -> Scoring | None:
+        """How a row is magnified, None for one that frames the others."""
+        return next((w for w in self.training.ways if row_title(self.training.name, w.name) == row), None)
+
+
+@lru_cache(maxsize=1)  # one at a time: rows and α of one way to magnify follow each other
+def _subject_of(
+    run: Path, model: str, root: Path, way: Scoring, bands: tuple[tuple[float, float], ...], device: str
+) -> Subject:
+    chosen = None if way.filter is None else TemporalFilter(way.filter)
+    magnification = Magnification(method=way.method, filter=chosen)
+    return subject_of(Run.open(run), load_capture(root), bands, magnification, {}, device)
+
+
+def _pictures(subject: Subject, method: Method, capture: Capture, alpha: float) -> Pictures:
+    for t in np.unique(capture.timesteps).tolist():
+        gaussians = pose(subject.gaussians, method, t, alpha)
+        rows = np.flatnonzero(capture.timesteps == t)
+        for first in range(0, len(rows), _CAMERAS_AT_ONCE):
+            some = rows[first : first + _CAMERAS_AT_ONCE]
+            yield from zip(some.tolist(), render_views(gaussians, capture, some), strict=True)
+
+
+def row_title(training: str, way: str) -> str:
+    """`modal`, but `paper-tuned: linear`."""
+    return training if training == way else f"{training}: {way}"

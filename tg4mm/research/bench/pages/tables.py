@@ -1,0 +1,283 @@
+"""The benchmark's tables as data, from results.json; written as Markdown, LaTeX or HTML elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from tg4mm.research.bench.means import mean, scalars
+from tg4mm.research.bench.pages.cells import NOTHING, shown
+from tg4mm.research.bench.scored import METRICS
+from tg4mm.research.evaluate.run import CEILING, STATIC
+
+Results = Mapping[str, Any]
+# Picture metrics that have a table of their own, methods down and α across.
+PIVOTS = (
+    "ssim",
+    "closure",
+    "gain",
+    "residual",
+    "ssim_moving",
+    "psnr_moving_db",
+    "flip",
+    "lpips",
+    "md_vqa",
+    "fast_vqa",
+)
+_SAYS = {
+    "ssim": "SSIM of whole pictures over white, as [TG4MM] Table I. Most of a picture stands still, so that a "
+    "still picture scores high.",
+    "closure": "Where SSIM lies between “nothing moves” (0) and the exact motion of the same Gaussians (1). Outside of "
+    "0 to 1: worse than a still picture, or sharper than the Gaussians. Where the two ends are near each other it says "
+    "little.",
+    "gain": "The pictures' change over time, regressed on the ground truth's: 1 is the whole motion, 0 none.",
+    "residual": "What of the pictures' change over time is not the ground truth's, relative to that; lower is better. "
+    "A still picture has 0 too, so read it beside the gain.",
+    "ssim_moving": "SSIM over the pixels that move: whose ground truth leaves its mean over time by more than 8/255.",
+    "psnr_moving_db": "PSNR over the same pixels, of the mean over all pictures of their mean squared error there.",
+    "flip": "Mean FLIP error of whole pictures, lower is better.",
+    "lpips": "LPIPS (AlexNet) of whole pictures, lower is better.",
+    "md_vqa": "MD-VQA of the magnified videos, without a reference, higher is better.",
+    "fast_vqa": "FAST-VQA of the magnified videos, without a reference, higher is better.",
+}
+_MOTION = (
+    ("displacement_error", "error", "{:.1%}"),
+    ("displacement_error_observed", "error, observed", "{:.1%}"),
+    ("observed_share", "observed", "{:.0%}"),
+    ("static_leak", "leak", "{:.1%}"),
+    ("amplitude_ratio", "amplitude ratio", "{:.3f}"),
+    ("direction_error_deg", "direction, °", "{:.1f}"),
+    ("phase_error_deg", "phase, °", "{:+.1f}"),
+    ("mac", "MAC", "{:.3f}"),
+)
+_BY_KIND = (*_MOTION[:2], *_MOTION[3:6], ("frequency_error_hz", "frequency, Hz", "{:.3f}"))
+_COSTS = (
+    ("space_s", "space, s", "{:.0f}"),
+    ("motion_s", "motion, s", "{:.0f}"),
+    ("total_s", "both, s", "{:.0f}"),
+    ("space_iterations", "space, iterations", "{:,.0f}"),
+    ("motion_iterations", "motion, iterations", "{:,.0f}"),
+    ("space_peak_mib", "space, peak MiB", "{:.0f}"),
+    ("motion_peak_mib", "motion, peak MiB", "{:.0f}"),
+    ("n_gaussians", "Gaussians", "{:,.0f}"),
+    ("mib_on_disk", "on disk, MiB", "{:.1f}"),
+)
+_MODES = (
+    ("amplitude_ratio", "amplitude ratio", "{:.3f}"),
+    ("relative_error", "error", "{:.1%}"),
+    ("direction_error_deg", "direction, °", "{:.1f}"),
+    ("phase_error_deg", "phase, °", "{:+.1f}"),
+    ("static_leak", "leak", "{:.1%}"),
+    ("mac", "MAC", "{:.3f}"),
+)
+_SEEN = (("closure", "closure"), ("change_gain", "gain"), ("change_residual", "residual"))
+
+
+@dataclass(frozen=True)
+class Table:
+    """Cells as text; the first `text_columns` are words, the others numbers."""
+
+    key: str  # a file's name
+    title: str
+    note: str
+    header: list[str]
+    rows: list[list[str]]
+    text_columns: int = 1
+
+
+def groups_of(results: Results) -> list[str]:
+    """Sets of one size, kind of capture and amplitude, whose figures are averaged together."""
+    return list(dict.fromkeys(m["group"] for m in results["line_means"]))
+
+
+def tables_of(results: Results, group: str) -> list[Table]:
+    """What is printed for one group: the means by α, the motion, its modes, what it costs. No table is empty."""
+    found = [
+        *pivots(results["line_means"], group),
+        motion_table(results, group),
+        own_ceiling_table(results, group),
+    ]
+    found += [modes_table(results, group), cost_table(results, group)]
+    return [t for t in found if t.rows]
+
+
+def pivots(means: Sequence[Mapping[str, Any]], group: str) -> Iterator[Table]:
+    """A table for each metric that was measured: a row for each method, a column for each α; means over the sets."""
+    mine = _framed([m for m in means if m["group"] == group])
+    alphas = sorted({a for m in mine for a in m["alphas"]}, key=float)
+    every = sets_in(mine)
+    for key in PIVOTS:
+        title, form = METRICS[key]
+        known = [a for a in alphas if any(m["alphas"].get(a, {}).get(key) is not None for m in mine)]
+        rows = [
+            [row_name(m, every), *(shown(m["alphas"].get(a, {}).get(key), form) for a in known)]
+            for m in mine
+            if any(key in m["alphas"].get(a, {}) for a in known)
+        ]
+        if rows:
+            yield Table(key, title, _SAYS[key], ["method", *(f"α = {a}" for a in known)], rows)
+
+
+def sets_in(means: Iterable[Mapping[str, Any]]) -> set[str]:
+    """All that any of the means is of."""
+    return {label for m in means for label in m["sets"]}
+
+
+def row_name(means: Mapping[str, Any], every: set[str]) -> str:
+    """With a remark where not `every` set is in the means."""
+    fewer = set(means["sets"]) != every
+    return f"{means['row']} ({means['n_sets']} of {len(every)} sets)" if fewer else str(means["row"])
+
+
+def _framed(means: list[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """“Nothing moves” first and the ceiling last."""
+    return sorted(means, key=lambda m: (m["row"] == CEILING) - (m["row"] == STATIC))
+
+
+def full_table(results: Results, group: str) -> Table:
+    """Every score of every picture row: a line per set, α and method."""
+    members = [s["label"] for s in results["sets"] if s["group"] == group]
+    lines = [line for line in results["lines"] if line["set"] in members]
+    keys = [k for k in METRICS if any(s.get(k) is not None for x in lines for s in x["alphas"].values())]
+    rows = [
+        [line["set"], line["row"], a, *(shown(scores.get(k), METRICS[k][1]) for k in keys)]
+        for line in lines
+        for a, scores in line["alphas"].items()
+    ]
+    header = ["set", "method", "α", *(METRICS[k][0] for k in keys)]
+    return Table("all", "Every set", "Every score, by set, method and α.", header, rows, 2)
+
+
+def motion_table(results: Results, group: str) -> Table:
+    """The motion of the Gaussians against the truth, for methods that have any."""
+    note = (
+        "Motion of the Gaussians against the exact one, each by what is seen of it. Error: rms of the difference by "
+        "the rms of the truth; “observed”: over Gaussians whose true motion shows in the pictures, and their share. "
+        "Leak: motion given to what stands still. Amplitude, direction, phase and MAC: of the strongest mode."
+    )
+    header = ["set", "method", *(title for _, title, _ in _MOTION)]
+    return Table("motion", "Motion", note, header, _scalar_rows(results, group, _MOTION), 2)
+
+
+def own_ceiling_table(results: Results, group: str) -> Table:
+    """Closure, gain and residual on the ceiling of the method's own Gaussians."""
+    rows = []
+    for run in _runs(results, group):
+        for way in run["ways"]:
+            for alpha in sorted((a for a in run["rows"] if float(a) > 0), key=float):
+                values = run["rows"][alpha].get(way, {})
+                title = run["row"] if way == run["row"] else f"{run['row']}: {way}"
+                rows.append([run["set"], title, alpha, *(shown(values.get(k), "{:.2f}") for k, _ in _SEEN)])
+    note = (
+        "Against the exact motion of the method's own Gaussians, so that what they get wrong at rest does not count: "
+        "closure of SSIM; gain and residual of the pictures' change from rest on the ceiling's."
+    )
+    return Table(
+        "own_ceiling",
+        "Against its own ceiling",
+        note,
+        ["set", "method", "α", *(t for _, t in _SEEN)],
+        rows,
+        2,
+    )
+
+
+def modes_table(results: Results, group: str) -> Table:
+    """Each mode of the truth as each method has it."""
+    rows = [
+        [
+            run["set"],
+            run["row"],
+            f"{mode['frequency_hz']:g}",
+            *(shown(mode.get(k), form) for k, _, form in _MODES),
+        ]
+        for run in _runs(results, group)
+        for mode in (run["displacement"] or {}).get("per_frequency") or []
+    ]
+    header = ["set", "method", "Hz", *(title for _, title, _ in _MODES)]
+    note = (
+        "Each frequency of the exact motion. Leak: motion given to what stands still at it. MAC: modal assurance "
+        "criterion, 1 where the shapes agree."
+    )
+    return Table("modes", "Modes", note, header, rows, 2)
+
+
+def cost_table(results: Results, group: str) -> Table:
+    """Seconds of each stage, memory, size, and how fast pictures are rendered ([TG4MM] Table II and Fig. 6)."""
+    note = (
+        "Seconds and iterations of training, most memory held in each stage, Gaussians, size of the model's files; "
+        "pictures a second: posing and rendering of the test pictures, without opening the model and writing them, the "
+        "mean of linear and phase for a paper preset; for a 2D method, which has no model, it includes reading the "
+        "test views. An iteration is a step on one view; in the motion of modal it is one of conjugate gradients on "
+        "all views, and the number is the largest that is allowed."
+    )
+    speeds = {(x["set"], x["row"]): x["frames_per_s"] for x in results["lines"]}
+    rows = _scalar_rows(results, group, _COSTS)
+    members = {s["label"] for s in results["sets"] if s["group"] == group}
+    for row in rows:
+        of = {row[0]} if row[0] in members else members  # a row of means
+        own = [v for (label, name), v in speeds.items() if label in of and name.split(":")[0] == row[1]]
+        row.append(shown(mean(own), "{:.0f}"))
+    known = {(row[0], row[1]) for row in rows}
+    for (label, name), speed in speeds.items():
+        base = name.split(":")[0]
+        if label in members and name not in {STATIC, CEILING} and (label, base) not in known and speed:
+            rows.append([label, name, *[NOTHING] * len(_COSTS), f"{speed:.0f}"])
+    header = ["set", "method", *(title for _, title, _ in _COSTS), "pictures/s"]
+    return Table("cost", "Cost", note, header, rows, 2)
+
+
+def kinds_tables(results: Results) -> list[Table]:
+    """Means by the kind of capture, of the motion and of the pictures; none where there is one kind only."""
+    found = [_motion_by_kind(results), _pictures_by_kind(results)]
+    several = len({m["group"] for m in results["kind_line_means"]}) > 1
+    return [table for table in found if several and table.rows]
+
+
+def _motion_by_kind(results: Results) -> Table:
+    rows = [
+        [m["group"], m["row"], str(m["n_sets"]), *(shown(m["scalars"][k], form) for k, _, form in _BY_KIND)]
+        for m in results["kind_means"]
+    ]
+    header = ["kind of capture", "method", "sets", *(title for _, title, _ in _BY_KIND)]
+    note = (
+        "Means over the sets of one kind of capture. Columns as of the table Motion; frequency: how far that of the "
+        "strongest mode that was found lies from the true one."
+    )
+    return Table("kinds_motion", "Motion by kind of capture", note, header, rows, 2)
+
+
+def _pictures_by_kind(results: Results) -> Table:
+    rows = [
+        [
+            m["group"],
+            m["row"],
+            str(m["n_sets"]),
+            a,
+            *(shown(scores.get(k), METRICS[k][1]) for k in PIVOTS[:5]),
+        ]
+        for m in results["kind_line_means"]
+        for a, scores in m["alphas"].items()
+    ]
+    header = ["kind of capture", "method", "sets", "α", *(METRICS[k][0] for k in PIVOTS[:5])]
+    note = "Means over the sets of one kind of capture."
+    return Table("kinds", "Pictures by kind of capture", note, header, rows, 2)
+
+
+def _runs(results: Results, group: str) -> list[Mapping[str, Any]]:
+    members = {s["label"] for s in results["sets"] if s["group"] == group}
+    return [run for run in results["runs"] if run["set"] in members]
+
+
+def _scalar_rows(results: Results, group: str, columns: Sequence[tuple[str, str, str]]) -> list[list[str]]:
+    rows = []
+    for run in _runs(results, group):
+        values = scalars(run)
+        rows.append([run["set"], run["row"], *(shown(values[k], form) for k, _, form in columns)])
+    for means in results["means"]:
+        if means["group"] == group and means["n_sets"] > 1:
+            values = means["scalars"]
+            name = f"mean of {means['n_sets']}"
+            rows.append([name, means["row"], *(shown(values[k], form) for k, _, form in columns)])
+    return rows

@@ -1,0 +1,207 @@
+"""The whole benchmark from nothing: which datasets, methods and ablations, as commands that each can be run again.
+
+A step is one `tg4mm` command; done again it finds its work done. `run_preset` runs them one after the other on this
+machine; the `Snakefile` beside this module runs the same ones on many.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from tg4mm.core.errors import Tg4mmError
+from tg4mm.research.bench.errors import BenchError
+from tg4mm.research.bench.methods.external import parse_external
+from tg4mm.research.bench.methods.known import DEFAULT, methods_of
+from tg4mm.research.generator import run_child
+
+Printer = Callable[[str], None]
+SCENES = ("mic", "chair", "lego", "hotdog", "drums", "ficus", "materials", "ship")
+_SMOKE = ("--preset", "smoke", "--size", "48", "--timesteps", "8", "--alphas", "5,20")
+_SMOKE_SETTINGS = (
+    "space.iterations=300", "space.max_gaussians=2000", "tracking.iterations=100", "paper.warm_up=150",
+    "paper.iterations=300", "paper.motion_iterations=20", "paper.channels=4", "paper.resolution=32",
+)  # fmt: skip
+_ABLATIONS = (
+    "initialisation", "decoder", "residual", "iterations", "difference", "filter-phase", "views", "timesteps", "noise",
+    "amplitude", "capture",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class BenchPreset:
+    """What a benchmark consists of."""
+
+    scenes: tuple[str, ...]  # built-in scenes of the generator
+    options: tuple[str, ...]  # of `tg4mm generate`, for all of them
+    methods: tuple[str, ...] = DEFAULT
+    settings: tuple[str, ...] = ()  # KEY=VALUE, as `--set`
+    ablations: tuple[str, ...] = ()  # on the first scene
+
+
+PRESETS = {
+    "smoke": BenchPreset(("mic",), _SMOKE, settings=_SMOKE_SETTINGS),
+    "small": BenchPreset(SCENES, ("--samples", "32"), ablations=_ABLATIONS),
+    "paper": BenchPreset(SCENES, ("--preset", "paper"), methods=(*DEFAULT, "paper")),
+    "mic-512": BenchPreset(
+        ("mic",), ("--preset", "paper"), methods=("modal", "tracking", "phase-2d", "linear-2d")
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Step:
+    """One command."""
+
+    name: str  # a path under which its mark can lie
+    command: tuple[str, ...]  # arguments, the first is the program
+    needs: tuple[str, ...] = ()  # names of steps
+
+
+@dataclass(frozen=True)
+class Choices:
+    """What a user chooses beyond a preset, as options of `tg4mm bench scenes`; empty: not given."""
+
+    external: tuple[str, ...] = ()  # NAME=DIR
+    alphas: str = ""  # of the ground truth that is rendered, too
+    device: str = ""
+    lpips_weights: tuple[str, ...] = ()
+    md_vqa: str = ""
+    fast_vqa: str = ""
+    vqa_python: str = ""
+
+    def check(self) -> None:
+        """Raises BenchError for an outside method that every job would refuse."""
+        methods_of((), {}, parse_external(list(self.external)))
+
+    def options(self, *names: str) -> list[str]:
+        """Those of these names that are given, as arguments; without names all."""
+        found = []
+        for name in names or [f.name for f in fields(self)]:
+            value = getattr(self, name)
+            for one in (value,) if isinstance(value, str) else value:
+                found += [f"--{name.replace('_', '-')}", one] if one else []
+        return found
+
+
+def steps_of(name: str, out: str, python: str = sys.executable, choices: Choices = Choices()) -> list[Step]:
+    """The steps of a preset in the folder `out`, in an order that works: datasets, jobs, ablations, page.
+
+    Raises BenchError for an unknown preset.
+    """
+    if name not in PRESETS:
+        raise BenchError(f"--preset {name!r}, expected {', '.join(PRESETS)}")
+    chosen = PRESETS[name]
+    program = (python, "-m", "tg4mm")
+    found: list[Step] = []
+    roots: dict[str, str] = {}
+    for scene in chosen.scenes:
+        folder = _folder(scene, chosen.options)
+        roots[folder] = f"{out}/data/{folder}"
+        rendered = (*chosen.options, *choices.options("alphas"))
+        command = (*program, "generate", scene, "--out", f"{out}/data", *rendered)
+        found.append(Step(f"data/{folder}", command))
+    data = [step.name for step in found]
+    options = ["--out", f"{out}/bench", "--methods", ",".join(chosen.methods)]
+    options += [part for text in chosen.settings for part in ("--set", text)]
+    options += choices.options()
+    outside = [text.partition("=")[0] for text in choices.external]
+    for folder, root in roots.items():
+        for method in (*chosen.methods, *outside):
+            command = (*program, "bench", "job", root, method, *options)
+            found.append(Step(f"job/{folder}/{method}", command, (f"data/{folder}",)))
+    first = next(iter(roots))
+    for ablation in chosen.ablations:
+        # amplitude chooses α itself
+        names = ("device",) if ablation == "amplitude" else ("device", "alphas")
+        command = (
+            *program,
+            "bench",
+            "ablation",
+            ablation,
+            roots[first],
+            "--out",
+            f"{out}/ablations/{ablation}",
+        )
+        command += tuple(choices.options(*names))
+        found.append(Step(f"ablation/{ablation}", command, (f"data/{first}",)))
+    page = (*program, "bench", "scenes", *roots.values(), *options, "--same-time", "never", "--collect")
+    page += tuple(part for a in chosen.ablations for part in ("--ablation", f"{out}/ablations/{a}"))
+    return [*found, Step("page", page, (*data, *(s.name for s in found if not s.name.startswith("data/"))))]
+
+
+def _folder(scene: str, options: Sequence[str]) -> str:
+    """The name of the dataset's folder, which the generator chooses."""
+    from dataset_gen.options import parser, request_from
+
+    (settings,) = request_from(parser().parse_args([scene, "--out", "data", *options])).sets
+    return settings.folder
+
+
+def run_preset(name: str, out: Path, choices: Choices = Choices(), say: Printer = print) -> int:
+    """Run the steps one after the other; one that fails is said, and what can goes on. Returns how many failed."""
+    steps, failed = steps_of(name, str(out), choices=choices), set[str]()
+    for i, step in enumerate(steps, 1):
+        missing = [n for n in step.needs if n in failed]
+        if missing and step.name != "page":
+            say(f"[{i}/{len(steps)}] {step.name}: left out, since {missing[0]} failed")
+            failed.add(step.name)
+            continue
+        say(f"[{i}/{len(steps)}] {step.name}")
+        status = run_child(step.command)
+        if status != 0:
+            failed.add(step.name)
+            rest = "; continuing with the rest" if i < len(steps) else ""
+            say(f"    {step.name} ended with status {status}{rest}")
+    return len(failed)
+
+
+def choices_from(config: Mapping[str, Any]) -> Choices:
+    """Of a configuration file. Raises BenchError for a value of another type."""
+    found: dict[str, Any] = {}
+    for field in fields(Choices):
+        value = config.get(field.name)
+        several = isinstance(field.default, tuple)
+        if value is None:
+            continue
+        if several and isinstance(value, list) and all(isinstance(one, str) for one in value):
+            found[field.name] = tuple(value)
+        elif not several and isinstance(value, str | int | float):  # `alphas: 20` is a number in YAML
+            found[field.name] = str(value)
+        else:
+            kind = "a list of texts" if several else "a text"
+            raise BenchError(f"configuration: {field.name} is {value!r}, expected {kind}")
+    return Choices(**found)
+
+
+def main() -> int:
+    """Reads {preset, out, python, and what `Choices` has} as JSON; prints {step: {command, needs}} as JSON."""
+    import shlex
+
+    from tg4mm.core.untrusted import parse_json
+
+    try:
+        config: Any = parse_json(sys.stdin.read())
+        wanted = {"preset": str, "out": str}
+        for key, kind in wanted.items():
+            if not isinstance(config.get(key), kind) or not config[key]:
+                raise BenchError(f"configuration: {key} is {config.get(key)!r}, expected {kind.__name__}")
+        choices = choices_from(config)
+        choices.check()
+        steps = steps_of(
+            config["preset"], config["out"].rstrip("/"), config.get("python", sys.executable), choices
+        )
+    except (Tg4mmError, ValueError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    found = {s.name: {"command": shlex.join(s.command), "needs": list(s.needs)} for s in steps}
+    json.dump(found, sys.stdout)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

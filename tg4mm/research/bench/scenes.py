@@ -1,0 +1,307 @@
+"""The benchmark's main tables: every method on every dataset, resumable job by job."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.files import to_json
+from tg4mm.core.progress import progress
+from tg4mm.research.bench.ablation.results_file import read_ablation
+from tg4mm.research.bench.errors import BenchError
+from tg4mm.research.bench.failures import why_failed
+from tg4mm.research.bench.folder import FORMAT, VERSION, circumstances, open_folder
+from tg4mm.research.bench.jobs import Line, is_finished, job_folder, run_job
+from tg4mm.research.bench.means import group_means, line_means
+from tg4mm.research.bench.measure import Plan, Training, alphas_of, check_plan, is_measured, warm_up
+from tg4mm.research.bench.methods import Method
+from tg4mm.research.bench.methods.external import External
+from tg4mm.research.bench.methods.known import DEFAULT, methods_of
+from tg4mm.research.bench.methods.trained import Trained
+from tg4mm.research.bench.pages.html import write_page
+from tg4mm.research.bench.pages.write import write_results
+from tg4mm.research.bench.request import check_settings
+from tg4mm.research.bench.scored import with_closure
+from tg4mm.research.bench.sets import BenchSet, group_titles, open_sets, open_those_that_open, torn_truth
+from tg4mm.research.bench.vqa import Checkout
+from tg4mm.research.evaluate.run import CEILING, STATIC
+from tg4mm.research.paper.config import PaperConfig
+from tg4mm.run.train import parse_settings
+
+KIND = "scenes"
+SAME_TIME = "modal's time"
+SAME_TIME_CHOICES = ("needed", "always", "never")
+Printer = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class ScenesRequest:
+    """What to run. same_time: when a `paper` preset is trained once more, for as long as `modal` took: see
+    `same_time_trainings`."""
+
+    methods: tuple[str, ...] = DEFAULT
+    settings: dict[str, dict[str, str]] = field(default_factory=dict)  # by preset, as `--set`
+    external: tuple[External, ...] = ()
+    same_time: str = "needed"
+    plan: Plan = field(default_factory=Plan)
+    vqa: tuple[Checkout, ...] = ()
+    collect: bool = False  # run nothing: the tables of what is finished
+
+    def presets(self) -> list[str]:
+        """Of the methods those that `tg4mm train` knows."""
+        return [
+            m.training.preset for m in self.made() if isinstance(m, Trained) and m.training.trainer is None
+        ]
+
+    def made(self) -> list[Method]:
+        return methods_of(self.methods, self.settings, self.external)
+
+
+def run_scenes(
+    roots: Sequence[Path],
+    out: Path,
+    request: ScenesRequest,
+    say: Printer = print,
+    ablations: Sequence[Path] = (),
+) -> dict[str, Any]:
+    """Run what is not finished, and write results.json and the pages in `out`, anew after every job.
+
+    ablations: folders of `run_ablation`, whose tables stand on the page too.
+    A dataset that cannot be read, and a job that fails, stand under `failed` with the reason; the rest goes on. Raises
+    Tg4mmError (BenchError, CaptureError, RunError) on bad options before anything is written, and where nothing at all
+    succeeds.
+    """
+    if request.same_time not in SAME_TIME_CHOICES:
+        raise Tg4mmError(f"--same-time {request.same_time!r}, expected {', '.join(SAME_TIME_CHOICES)}")
+    methods = request.made()
+    for preset in request.presets():
+        check_settings(request.settings.get(preset, {}), preset)
+    sets, failed = open_those_that_open(roots, request.plan.alphas)
+    failed += torn_truth(sets, request.plan.alphas)
+    check_plan(sets, request.plan)
+    open_folder(Path(out), KIND)
+    for found in failed:
+        say(f"{found['set']}: left out: {found['why']}")
+    if not request.collect:
+        for line in foreseen(sets, request):
+            say(line)
+        _prepare(sets, Path(out), out, request, methods, say)
+    bench = _Bench(Path(out), request, sets, failed, say)
+    jobs = {(d.label, m.name): is_finished(m, d, Path(out), request.plan) for d in sets for m in methods}
+    n_done = sum(jobs.values())
+    with progress("benchmark", len(jobs), unit="jobs", start=n_done) as update:
+        for data in sets:
+            for method in methods:
+                if not jobs[data.label, method.name]:
+                    bench.write()  # what is finished can be read while the rest runs
+                bench.job(method, data)
+                if not jobs[data.label, method.name]:
+                    n_done += 1
+                    update(n_done)
+            for training in same_time_trainings(bench.figures[data.label], request):
+                bench.job(Trained(training), data)
+                bench.write()
+    if not bench.lines:
+        raise bench.first_error or Tg4mmError("nothing was run")
+    tables = bench.tables_of(ablations)
+    results = bench.results()
+    write_results(Path(out), results)
+    write_page(Path(out), results, tables)
+    return results
+
+
+def foreseen(sets: Sequence[BenchSet], request: ScenesRequest) -> Iterator[str]:
+    """What of outside methods will fail, known before hours of training."""
+    for data in sets:
+        for method in request.external:
+            try:
+                method.fit(data, Path(), request.plan)
+                for alpha in alphas_of(data, request.plan):
+                    if method.has(data, alpha):
+                        method.check(data, alpha)
+            except (Tg4mmError, OSError) as error:
+                yield f"{data.label}, {method.name} will fail: {error}"
+
+
+def run_one(root: Path, name: str, out: Path, request: ScenesRequest) -> Path:
+    """The job of one method on one dataset, for `run_scenes` to find; its folder. Raises Tg4mmError."""
+    methods = {m.name: m for m in request.made()}
+    if name not in methods:
+        raise Tg4mmError(f"method {name!r} is none of {', '.join(methods)}")
+    (data,) = open_sets([root])
+    check_plan([data], request.plan)
+    open_folder(Path(out), KIND)
+    _prepare([data], job_folder(out, data, methods[name]), out, request, [methods[name]], lambda text: None)
+    _, lines = run_job(methods[name], data, out, request.plan, request.vqa)
+    for why in (why for line in lines for why in line.failed):
+        raise BenchError(f"{name} on {data.label}: {why}; the other α are scored")
+    return job_folder(out, data, methods[name])
+
+
+class _Bench:
+    """A benchmark under way: what is there so far."""
+
+    def __init__(
+        self,
+        out: Path,
+        request: ScenesRequest,
+        sets: Sequence[BenchSet],
+        failed: list[dict[str, str]],
+        say: Printer,
+    ) -> None:
+        self.out, self.request, self.sets, self.failed, self.say = out, request, sets, failed, say
+        self.here = circumstances()
+        self.runs: list[dict[str, Any]] = []
+        self.lines: list[dict[str, Any]] = []
+        self.figures: dict[str, dict[str, dict[str, Any]]] = {
+            s.label: {} for s in sets
+        }  # set → preset → figures
+        self.first_error: Exception | None = None
+        self.written = 0, 0  # lines and failures that the tables hold
+
+    def job(self, method: Method, data: BenchSet) -> None:
+        """One method on one dataset; what fails is kept as a line of `failed`."""
+        self.say(f"{data.label}, {method.name}")
+        plan, collect = self.request.plan, self.request.collect
+        try:
+            if collect and isinstance(method, Trained):
+                self._check_trained(method, data)
+            figures, lines = run_job(method, data, self.out, plan, self.request.vqa, collect)
+        except Exception as error:  # one job's fault, whatever it is, is not to take hours of others along
+            self.first_error = self.first_error or error
+            why = why_failed(error, job_folder(self.out, data, method))
+            self.failed.append({"set": data.label, "method": method.name, "why": why})
+            self.say(f"    failed: {why}")
+        else:
+            self._keep(method, data, figures, lines)
+
+    def write(self) -> None:
+        """The tables of what is there, where there is more than at the last call."""
+        now = len(self.lines), len(self.failed)
+        if self.lines and now != self.written:
+            write_results(self.out, self.results())
+            self.written = now
+
+    def _check_trained(self, method: Trained, data: BenchSet) -> None:
+        """Raise BenchError for a run that is not done."""
+        if not is_measured(job_folder(self.out, data, method), data, method.training, self.request.plan):
+            raise BenchError(
+                f"{method.name} on {data.label} is not finished, or is of other settings or pictures"
+            )
+
+    def tables_of(self, ablations: Sequence[Path]) -> list[tuple[Path, dict[str, Any]]]:
+        """The results of ablations; one that cannot be read is kept as a line of `failed`."""
+        found = []
+        for folder in ablations:
+            try:
+                found.append((Path(folder), read_ablation(folder)))
+            except (Tg4mmError, OSError) as error:
+                self.failed.append({"set": f"ablation {Path(folder).name}", "method": "", "why": str(error)})
+        return found
+
+    def _keep(self, method: Method, data: BenchSet, figures: dict[str, Any], lines: list[Line]) -> None:
+        if isinstance(method, Trained):
+            self.figures[data.label][method.training.name] = figures
+            self.runs.append(run_entry(data, method.training.name, method.training, figures))
+        for line in lines:
+            for why in line.failed:
+                self.failed.append({"set": data.label, "method": line.row, "why": why})
+                self.say(f"    failed: {why}")
+        self.lines += [{"set": data.label, **to_json(asdict(line), "line")} for line in lines]
+        mine = [line for line in self.lines if line["set"] == data.label]
+        # At α = 0 both ends are nearly alike, so a share of what lies between them says nothing.
+        for alpha in {a for line in mine for a in line["alphas"] if float(a) > 0}:
+            at = {line["row"]: line["alphas"][alpha] for line in mine if alpha in line["alphas"]}
+            with_closure(at, STATIC, CEILING)
+
+    def results(self) -> dict[str, Any]:
+        """What results.json holds."""
+        titles = group_titles(self.sets)
+        sets = [s.plain() | {"group": titles[s.label]} for s in self.sets]
+        kinds = {s.label: s.cameras for s in self.sets}
+        found: dict[str, Any] = {
+            "format": FORMAT,
+            "version": VERSION,
+            "kind": KIND,
+            "made": self.here,
+            "methods": [m.name for m in self.request.made()],
+            "same_time": self.request.same_time,
+            "band": "motion ± 1.5 Hz" if self.request.plan.banded else None,
+            "sets": sets,
+            "runs": self.runs,
+            "lines": self.lines,
+            "failed": self.failed,
+        }
+        found["means"] = group_means(self.runs, titles)
+        found["line_means"] = line_means(self.lines, titles)
+        found["kind_means"] = group_means(self.runs, kinds)
+        found["kind_line_means"] = line_means(self.lines, kinds)
+        return found
+
+
+def _prepare(
+    sets: Sequence[BenchSet],
+    place: Path,
+    out: Path,
+    request: ScenesRequest,
+    methods: Sequence[Method],
+    say: Printer,
+) -> None:
+    """Compile what the runs to come will use, by trainings that lie in `place` for a moment."""
+
+    def is_open(m: Trained) -> bool:
+        return any(not is_measured(job_folder(out, s, m), s, m.training, request.plan) for s in sets)
+
+    presets = [m.training.preset for m in methods if isinstance(m, Trained) and is_open(m)]
+    if presets:
+        say("compiling kernels by one iteration of each stage, which is not timed")
+    warm_up(place, sets, dict.fromkeys(presets), request.plan.device)
+
+
+def run_entry(data: BenchSet, row: str, training: Training, figures: dict[str, Any]) -> dict[str, Any]:
+    """One run in results.json."""
+    return {
+        "set": data.label,
+        "row": row,
+        "preset": training.preset,
+        "overrides": training.overrides,
+        "ways": [way.name for way in training.ways],
+        **{k: v for k, v in figures.items() if k not in {"version", "request"}},
+    }
+
+
+def same_time_trainings(figures: dict[str, dict[str, Any]], request: ScenesRequest) -> list[Training]:
+    """The `paper` presets once more, their iterations scaled to the time that `modal` took on this machine.
+
+    "needed": only where the preset's own iterations took less time than `modal`, so that the comparison would have been
+    in favour of `modal`; where it took more it had the advantage already.
+    """
+    if "modal" not in figures or request.same_time == "never":
+        return []
+    found = []
+    for preset in request.presets():
+        if preset == "modal" or preset not in figures:
+            continue
+        factor = figures["modal"]["seconds"]["total"] / max(figures[preset]["seconds"]["total"], 1e-9)
+        if request.same_time == "always" or factor > 1.0:
+            found.append(same_time_training(preset, request.settings.get(preset, {}), factor))
+    return found
+
+
+def same_time_training(preset: str, settings: dict[str, str], factor: float) -> Training:
+    """The preset with all its iterations times `factor`.
+
+    The factor is measured, so it differs between machines; the iterations that follow from it are settings like any
+    other, stand on the page, and repeat the run bit for bit.
+    """
+    config: PaperConfig = parse_settings(settings, preset)["paper"]
+    warm_up = max(round(config.warm_up * factor), 1)
+    scaled = {
+        "paper.warm_up": str(warm_up),
+        "paper.iterations": str(max(round(config.iterations * factor), warm_up + 1)),
+        "paper.motion_iterations": str(max(round(config.motion_iterations * factor), 1)),
+    }
+    return Training(f"{preset}, {SAME_TIME}", preset, {**settings, **scaled})

@@ -1,0 +1,154 @@
+"""Scores of rendered test pictures against ground truth: the same for every method, from 8-bit files on disk."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tg4mm.capture import Capture
+from tg4mm.core.metrics import SSIM_BORDER, decibels, flip, psnr, ssim_map
+from tg4mm.core.progress import progress
+from tg4mm.research.bench.methods.camera_videos import cameras_of, video_of
+from tg4mm.research.evaluate.scores import Metric
+
+MOVES = 8 / 255  # a pixel whose ground truth differs from its mean over time by more, in any colour, moves
+_THREADS = 2
+# {key: (title, format)}, in the order of the tables
+METRICS: dict[str, tuple[str, str]] = {
+    "ssim": ("SSIM", "{:.4f}"),
+    "psnr_db": ("PSNR, dB", "{:.2f}"),
+    "ssim_moving": ("SSIM where it moves", "{:.4f}"),
+    "psnr_moving_db": ("PSNR where it moves, dB", "{:.2f}"),
+    "flip": ("FLIP", "{:.4f}"),
+    "lpips": ("LPIPS", "{:.4f}"),
+    "gain": ("gain", "{:.2f}"),
+    "residual": ("residual", "{:.2f}"),
+    "closure": ("closure", "{:.2f}"),
+    "md_vqa": ("MD-VQA", "{:.2f}"),
+    "fast_vqa": ("FAST-VQA", "{:.4f}"),
+}
+
+
+@dataclass
+class _Sums:
+    """Over the cameras of one α."""
+
+    pictures: list[dict[str, float]] = field(default_factory=list)
+    moving: list[dict[str, float]] = field(default_factory=list)  # of pictures in which something moves
+    products: np.ndarray = field(default_factory=lambda: np.zeros(3))  # a·a, a·c, c·c
+    n_moving: int = 0  # pixels of all cameras
+    n_pixels: int = 0
+
+
+def score_pictures(
+    capture: Capture, folder: Path, lpips: Metric | None = None, label: str = "scores"
+) -> dict[str, float | int | None]:
+    """Means over the pictures under `folder` that are named as the ground truth `capture`'s are under its root.
+
+    Its progress is shown as `label`, where it takes long.
+
+    ssim, psnr_db, flip, lpips     of whole pictures over white; lpips None without weights
+    ssim_moving, psnr_moving_db    over the pixels that move (`MOVES`), None where none does: the mean of the SSIM map;
+                                   the PSNR of the mean over the pictures of their mean squared error there, as a mean
+                                   of decibels is ruled by the moments at which the motion passes through rest. Pixels
+                                   within five of the edge are left out, as of SSIM
+    moving_share                   of all pixels, those that move
+    gain, residual                 with a and c the deviation of the pictures and of the ground truth from their mean
+                                   over time, per camera: g = Σ a·c / Σ c², rms(a − g c) / rms(c); None where
+                                   nothing changes
+    n_images
+
+    Raises BenchError for a picture that is missing or of another size, CaptureError for one that is torn.
+    """
+    sums = _Sums()
+    cache: dict[bytes, dict[str, float]] = {}
+    with progress(label, len(capture), unit="images", brief=True) as update:
+        for rows in cameras_of(capture):
+            _score_camera(video_of(capture, rows), video_of(capture, rows, folder), lpips, sums, cache)
+            update(len(sums.pictures))
+    aa, ac, cc = sums.products
+    gain = float(ac / cc) if cc > 0 else None
+    mse = _mean(sums.moving, "mse_moving")
+    residual = None if gain is None else float(np.sqrt(max(aa - gain * ac, 0.0) / cc))
+    return {
+        "n_images": len(sums.pictures),
+        **{k: _mean(sums.pictures, k) for k in ("ssim", "psnr_db", "flip", "lpips")},
+        "ssim_moving": _mean(sums.moving, "ssim_moving"),
+        "psnr_moving_db": None if mse is None else decibels(mse),
+        "moving_share": sums.n_moving / sums.n_pixels,
+        "gain": gain,
+        "residual": residual,
+    }
+
+
+def moving_pixels(truth: np.ndarray) -> np.ndarray:
+    """[H, W] bool: pixels of a video [T, H, W, 3] that differ from their mean over time by more than `MOVES`."""
+    return np.asarray((np.abs(truth - truth.mean(0)) > MOVES).any((0, 3)))
+
+
+def _score_camera(
+    truth: np.ndarray,
+    made: np.ndarray,
+    lpips: Metric | None,
+    sums: _Sums,
+    cache: dict[bytes, dict[str, float]],
+) -> None:
+    mask = moving_pixels(truth)
+    a, c = (v.astype(np.float64) - v.mean(0, dtype=np.float64) for v in (made, truth))
+    sums.products += [(a * a).sum(), (a * c).sum(), (c * c).sum()]
+    sums.n_moving += int(mask.sum())
+    sums.n_pixels += mask.size
+    keys = [_digest(m, t, mask) for m, t in zip(made, truth, strict=True)]
+    todo = {key: i for i, key in enumerate(keys) if key not in cache}
+    with ThreadPoolExecutor(_THREADS) as pool:
+        found = pool.map(lambda i: _score(made[i], truth[i], mask, lpips), todo.values())
+        cache |= dict(zip(todo, found, strict=True))
+    sums.pictures += [cache[key] for key in keys]
+    sums.moving += [cache[key] for key in keys if "ssim_moving" in cache[key]]
+
+
+def _digest(*arrays: np.ndarray) -> bytes:
+    """Motion repeats within its period, and equal pictures score alike."""
+    digest = hashlib.blake2b(digest_size=16)
+    for array in arrays:
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.digest()
+
+
+def _score(made: np.ndarray, truth: np.ndarray, mask: np.ndarray, lpips: Metric | None) -> dict[str, float]:
+    similar = ssim_map(made, truth)
+    b = SSIM_BORDER
+    scores = {
+        "ssim": float(similar[b:-b, b:-b].mean()),
+        "psnr_db": psnr(made, truth),
+        "flip": flip(made, truth),
+    }
+    if lpips is not None:
+        scores["lpips"] = lpips(made, truth)
+    inside = mask.copy()
+    inside[:b], inside[-b:], inside[:, :b], inside[:, -b:] = False, False, False, False
+    if inside.any():
+        scores["ssim_moving"] = float(similar[inside].mean())
+        scores["mse_moving"] = float(((made[inside].astype(np.float64) - truth[inside]) ** 2).mean())
+    return scores
+
+
+def _mean(scores: list[dict[str, float]], key: str) -> float | None:
+    known = [s[key] for s in scores if key in s]
+    return float(np.mean(known)) if known else None
+
+
+def with_closure(rows: Mapping[str, dict[str, Any]], still: str, ceiling: str) -> None:
+    """Add `closure` to every row's scores of one set and α: SSIM between the rows `still` (0) and `ceiling` (1)."""
+    from tg4mm.research.evaluate.change import closure
+
+    ends = [rows.get(name, {}).get("ssim") for name in (still, ceiling)]
+    for scores in rows.values():
+        known = [scores.get("ssim"), *ends]
+        scores["closure"] = None if None in known else closure(*known)  # type: ignore[arg-type]

@@ -1,0 +1,194 @@
+"""Rendering and scoring of a split's images, each distinct (motion state, camera, ground truth) only once."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import torch
+
+from tg4mm.capture import Capture, ImageStack
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.animate import animate, mode_gains
+from tg4mm.fit.motion.modes import ModalMotion
+from tg4mm.fit.rasterize import rasterization
+
+BACKGROUND = (1.0, 1.0, 1.0)  # both the rendering and the ground truth are composited on white
+Metric = Callable[[np.ndarray, np.ndarray], float]  # (image, truth) -> value
+Key = tuple[Any, ...]
+_CAMERAS_AT_ONCE = 8  # images held while one motion state is scored
+_THREADS = 2  # FLIP is parallel inside; a second thread overlaps it with SSIM
+
+
+@dataclass(frozen=True)
+class Posing:
+    """Magnified Gaussians by any method of `tg4mm.fit.magnify`."""
+
+    at: Callable[[float], Callable[[float], Gaussians]]  # alpha -> timestep -> Gaussians
+    label: str  # method, filter and bands, and what else the poses depend on
+
+
+@dataclass(frozen=True)
+class Method:
+    """One row of the table: the Gaussians moved by `motion` (None: at rest), magnified in `band`."""
+
+    name: str
+    motion: ModalMotion | None
+    band: tuple[float, float] | None = None
+    posing: Posing | None = None  # in place of motion and band: how the run itself poses and magnifies
+
+    def state(self, t: int, alpha: float) -> Key:
+        """What the pose at (t, α) depends on: equal keys, equal poses. `()` is the rest pose of every method.
+
+        Per mode the factors of the phasors' real and imaginary parts (g cos θ and −g sin θ, g = 1 + α in the
+        band), left out where that part is zero for all Gaussians: motion in phase repeats within its period.
+        """
+        if self.posing is not None:
+            return (self.name, alpha, t)
+        if self.motion is None:
+            return ()
+        phase = mode_gains(self.motion, t, alpha, self.band)
+        has_re, has_im = self._parts
+        factors = np.stack([phase.real * has_re, -phase.imag * has_im]).round(9) + 0.0  # + 0.0: -0 is 0
+        return (self.name, tuple(factors.ravel().tolist())) if factors.any() else ()
+
+    @cached_property
+    def _parts(self) -> tuple[np.ndarray, np.ndarray]:
+        """Whether any Gaussian's phasor of mode k has a real part, an imaginary part: two [K] bool."""
+        assert self.motion is not None
+        both = np.concatenate([self.motion.displacement, self.motion.rotation], axis=2)
+        has_re, has_im = both.real.any(axis=(1, 2)), both.imag.any(axis=(1, 2))
+        if (light := self.motion.appearance) is None:
+            return has_re, has_im
+        return has_re | light.parts[0], has_im | light.parts[1]
+
+
+def in_bands(freqs_hz: np.ndarray, bands: Sequence[tuple[float, float]]) -> np.ndarray:
+    """[K] bool: inside one of the bands; every mode if there are none."""
+    if not bands:
+        return in_band(freqs_hz, None)
+    return np.any([in_band(freqs_hz, band) for band in bands], axis=0)
+
+
+def in_band(freqs_hz: np.ndarray, band: tuple[float, float] | None) -> np.ndarray:
+    """[K] bool: low ≤ f ≤ high; every mode if the band is None."""
+    freqs_hz = np.asarray(freqs_hz)
+    return np.full(freqs_hz.shape, True) if band is None else (band[0] <= freqs_hz) & (freqs_hz <= band[1])
+
+
+@dataclass(frozen=True)
+class Scorer:
+    """Scores methods against images and remembers every score: equal images are rendered and scored once."""
+
+    gaussians: Gaussians
+    metrics: Mapping[str, Metric]
+    use_cache: bool = True
+    scores: dict[Key, dict[str, float]] = field(default_factory=dict)
+
+    def score(
+        self,
+        methods: list[Method],
+        capture: Capture,
+        images: ImageStack,
+        alpha: float,
+        update: Callable[[int], None],
+    ) -> dict[str, list[dict[str, float]]]:
+        """{method: the metrics of each of the capture's images}. `update(done)` counts images × methods."""
+        keys = self._keys(methods, capture, images, alpha)
+        done = 0
+        for method in methods:
+            copies = Counter(keys[method.name])
+            todo: dict[Key, dict[Key, int]] = {}  # motion state -> score key -> an image that has it
+            for i, key in enumerate(keys[method.name]):
+                if key not in self.scores:
+                    todo.setdefault(key[0], {}).setdefault(key, i)
+            done += sum(n for key, n in copies.items() if key in self.scores)
+            for wanted in todo.values():
+                for key, values in self._score_state(method, capture, images, alpha, wanted):
+                    self.scores[key] = values
+                    done += copies[key]
+                    update(done)
+            update(done)
+        return {name: [self.scores[key] for key in rows] for name, rows in keys.items()}
+
+    def _keys(
+        self, methods: list[Method], capture: Capture, images: ImageStack, alpha: float
+    ) -> dict[str, list[Key]]:
+        """For each method the key (motion state, camera, pixels) of each image."""
+        n = range(len(images))
+        if not self.use_cache:
+            return {m.name: [((m.name, int(capture.timesteps[i])), i, alpha) for i in n] for m in methods}
+        scenes = [(camera_key(capture, i), content_key(images, i)) for i in n]
+        times = np.unique(capture.timesteps).tolist()
+        states = {m.name: {t: m.state(t, alpha) for t in times} for m in methods}
+        return {m.name: [(states[m.name][int(capture.timesteps[i])], *scenes[i]) for i in n] for m in methods}
+
+    def _score_state(
+        self, method: Method, capture: Capture, images: ImageStack, alpha: float, wanted: dict[Key, int]
+    ) -> Iterator[tuple[Key, dict[str, float]]]:
+        """Score the images `wanted` of one motion state: each camera is rendered once, a few at a time."""
+        by_camera: dict[Any, list[Key]] = {}
+        for key in wanted:
+            by_camera.setdefault(key[1], []).append(key)
+        posed = pose(self.gaussians, method, int(capture.timesteps[next(iter(wanted.values()))]), alpha)
+        groups = list(by_camera.values())
+        for start in range(0, len(groups), _CAMERAS_AT_ONCE):
+            some = groups[start : start + _CAMERAS_AT_ONCE]
+            rendered = render_views(posed, capture, np.array([wanted[keys[0]] for keys in some]))
+            jobs = [(image, key) for image, keys in zip(rendered, some, strict=True) for key in keys]
+            with ThreadPoolExecutor(_THREADS) as pool:
+                values = pool.map(lambda job: self._measure(job[0], images, wanted[job[1]]), jobs)
+                yield from zip((key for _, key in jobs), values, strict=True)
+
+    def _measure(self, image: np.ndarray, images: ImageStack, i: int) -> dict[str, float]:
+        truth = images.rgb(i, background=BACKGROUND).clip(0.0, 1.0)
+        return {name: metric(image, truth) for name, metric in self.metrics.items()}
+
+
+def pose(gaussians: Gaussians, method: Method, t: int, alpha: float) -> Gaussians:
+    """The Gaussians as the method has them at timestep t, magnified by α."""
+    if method.posing is not None:
+        return method.posing.at(alpha)(t)
+    if method.motion is None:
+        return gaussians
+    return animate(gaussians, method.motion, t, alpha=alpha, band=method.band)
+
+
+def render_views(gaussians: Gaussians, capture: Capture, which: np.ndarray) -> np.ndarray:
+    """Images [n, H, W, 3] float32 in 0..1 on the white background, of the capture's cameras `which` [n]."""
+    device = gaussians.means.device
+    views, ks = (
+        torch.as_tensor(m[which], dtype=torch.float32, device=device) for m in (capture.viewmats, capture.Ks)
+    )
+    with torch.no_grad():
+        images, _, _ = rasterization(
+            gaussians.means,
+            gaussians.quats,
+            gaussians.scales,
+            gaussians.opacities,
+            gaussians.sh,
+            views,
+            ks,
+            capture.width,
+            capture.height,
+            sh_degree=gaussians.sh_degree,
+            backgrounds=torch.tensor([BACKGROUND], device=device).expand(len(which), 3).contiguous(),
+        )
+    return images.clamp(0.0, 1.0).float().cpu().numpy()
+
+
+def camera_key(capture: Capture, i: int) -> bytes:
+    """Pose, intrinsics and size of image i, equal for equal cameras of any split or α."""
+    size = np.array([capture.width, capture.height])
+    return b"".join(a.tobytes() for a in (capture.viewmats[i].round(9) + 0.0, capture.Ks[i].round(9), size))
+
+
+def content_key(images: ImageStack, i: int) -> bytes:
+    """Digest of the pixels of image i: equal for copies as well as for hard links."""
+    return hashlib.blake2b(np.ascontiguousarray(images.data[i]).tobytes(), digest_size=16).digest()

@@ -1,0 +1,150 @@
+"""What is evaluated: the Gaussians of a run, their estimated motion, and the exact one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from tg4mm.capture import Capture
+from tg4mm.core.magnification import BandGain, Magnification, check_bands
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.modes import ModalMotion
+from tg4mm.research.evaluate.displacement import displacement_figures
+from tg4mm.research.evaluate.scores import Method, Posing, in_bands
+from tg4mm.research.evaluate.truth import TRUTH_FILE, exact_motion, load_truth
+from tg4mm.research.evaluate.uncertainty import uncertainty_figures
+from tg4mm.run import Run
+from tg4mm.run.checks import check_times
+from tg4mm.run.model_hash import model_hash
+from tg4mm.run.poses import method_of, poses_of
+from tg4mm.show.weights import blending_weights
+
+STATIC, OURS, CEILING = "nothing moves", "ours", "ceiling"
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What is evaluated: the Gaussians of a run, their estimated and their exact motion."""
+
+    gaussians: Gaussians
+    estimated: ModalMotion | None
+    exact: ModalMotion | None
+    uncertainty: (
+        np.ndarray | None
+    )  # [N] standard deviation of the displacement, scene units, if the run says it
+    bands: tuple[tuple[float, float], ...]
+    from_zero: bool  # a mode of 0 Hz is the way to the motion's own zero, from which the truth counts
+    posing: Posing | None  # None: modal, by the estimated motion and at most one band
+
+    @property
+    def methods(self) -> list[Method]:
+        found = [Method(STATIC, None)]
+        if self.estimated is not None and self.posing is not None:
+            found.append(Method(OURS, self.estimated, posing=self.posing))
+        elif self.estimated is not None:
+            found.append(Method(OURS, self.estimated, self.bands[0] if self.bands else None))
+        if self.exact is not None:
+            found.append(Method(CEILING, self.exact))
+        return found
+
+
+def subject_of(
+    run: Run,
+    capture: Capture,
+    bands: Sequence[tuple[float, float]],
+    plan: Magnification,
+    absent: dict[str, str],
+    device: str,
+) -> Subject:
+    gaussians = run.load_space()
+    estimated = run.load_motion()
+    if estimated is None:
+        absent["ours"] = (
+            f"{run.path} has no motion: its motion stage is not finished, or the capture is one timestep"
+        )
+    else:
+        check_times(
+            run.path,
+            run.dataset,
+            (estimated.fps, estimated.n_timesteps),
+            (capture.fps, capture.n_timesteps),
+        )
+    exact = None
+    if (run.dataset / TRUTH_FILE).is_file() and capture.n_timesteps > 1:
+        truth = load_truth(run.dataset, capture.fps, capture.n_timesteps)
+        exact = exact_motion(truth, gaussians.means.numpy())
+    else:
+        absent["ceiling"] = (
+            f"{run.dataset / TRUTH_FILE} does not exist: no exact motion, no displacement error"
+        )
+    check_bands(bands, capture.fps)
+    posing = None if estimated is None else _posing(run, bands, plan, device)
+    from_zero = run.preset == "modal"
+    said = run.load_uncertainty()
+    return Subject(gaussians.to(device), estimated, exact, said, tuple(bands), from_zero, posing)
+
+
+def _posing(
+    run: Run, bands: Sequence[tuple[float, float]], plan: Magnification, device: str
+) -> Posing | None:
+    """How the run poses and magnifies, None where its motion and one band say it all."""
+    if method_of(run, plan) == "modal" and len(bands) <= 1:
+        return None
+
+    @lru_cache(maxsize=1)
+    def at(alpha: float) -> Callable[[float], Gaussians]:
+        gains = tuple(BandGain(*band, alpha) for band in bands)
+        everywhere = 0.0 if bands else alpha
+        return poses_of(run, replace(plan, bands=gains, everywhere=everywhere), device).at
+
+    return Posing(at, repr((method_of(run, plan), plan, list(bands), model_hash(run.path))))
+
+
+def displacement_of(subject: Subject, capture: Capture, absent: dict[str, str]) -> dict[str, Any] | None:
+    """`displacement_figures` of the run's motion, also of the part in the band, if both motions are there.
+
+    `uncertainty` holds `uncertainty_figures` where the run says how sure it is.
+    """
+    estimated, exact = subject.estimated, subject.exact
+    if estimated is None or exact is None:
+        return None
+    weights = blending_weights(subject.gaussians, capture)
+    if not weights.sum() > 0:
+        absent["displacement error"] = "no training camera sees any Gaussian"
+        return None
+    if subject.from_zero:
+        estimated = estimated.selected(estimated.freqs_hz > 0)
+    figures = displacement_figures(estimated, exact, weights, capture.unit_scale_m)
+    if subject.uncertainty is not None:
+        figures["uncertainty"] = uncertainty_figures(estimated, exact, weights, subject.uncertainty)
+    if subject.bands:
+        inside = [m.selected(in_bands(m.freqs_hz, subject.bands)) for m in (estimated, exact)]
+        figures["in_band"] = displacement_figures(inside[0], inside[1], weights, capture.unit_scale_m)
+    return figures
+
+
+def notes_of(subject: Subject) -> list[str]:
+    """What "ours" magnifies and the ground truth does not, or the other way round."""
+    exact, bands = subject.exact, subject.bands
+    if exact is None:
+        return []
+    moving, magnified = exact.displacement.any(axis=(1, 2)), exact.is_magnified()
+    inside = in_bands(exact.freqs_hz, bands)
+    notes = []
+    if bands and (outside := exact.freqs_hz[moving & magnified & ~inside]).size:
+        notes.append(
+            f"The ground truth also magnifies motion at {_hertz(outside)}, "
+            f"outside the band {' and '.join(f'{low:g} to {high:g}' for low, high in bands)} Hz."
+        )
+    if (left := exact.freqs_hz[moving & ~magnified & inside]).size:
+        where = "without a band, ours does" if not bands else "which lies inside the band"
+        notes.append(f"The ground truth does not magnify motion at {_hertz(left)}, {where}.")
+    return notes
+
+
+def _hertz(frequencies: np.ndarray) -> str:
+    return ", ".join(f"{f:g}" for f in frequencies) + " Hz"

@@ -1,0 +1,137 @@
+"""Phase 2 of [TG4MM]: for each timestep a motion triplane that starts at zero and is added to the frozen space planes.
+
+What is trained here is that triplane alone; space planes, decoder and base attributes stay as phase 1 left them.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from tg4mm.capture import Capture, ImageStack
+from tg4mm.core.memory import peak_memory_mib, reset_peak_memory
+from tg4mm.core.progress import Update, progress
+from tg4mm.fit.device import full_precision, gpu_figures, reset_gpu_peak
+from tg4mm.fit.motion.modes import ModalMotion
+from tg4mm.fit.space import RestViews
+from tg4mm.research.paper.config import PaperConfig
+from tg4mm.research.paper.fit import Fit, view_loss
+from tg4mm.research.paper.model import PaperModel, disk_mib, load_planes, planes_name, save_planes
+from tg4mm.research.paper.rest import AtRest, at_rest
+from tg4mm.research.paper.series import modal_of_series
+from tg4mm.research.paper.space import cameras_on, views_at
+from tg4mm.research.paper.triplane import Decoder, sample
+from tg4mm.run import Run
+
+CHECKPOINT_EVERY_S = 20.0
+SHOW_EVERY_S = 0.25
+_STAGE = "motion"
+
+
+class _Stage:
+    """The frozen model on its device, and the loop over timesteps."""
+
+    def __init__(
+        self,
+        run: Run,
+        model: PaperModel,
+        config: PaperConfig,
+        began: float,
+        device: str,
+        first: AtRest | None = None,
+    ) -> None:
+        self.first = first
+        self.run, self.model, self.config, self.device = run, model, config, device
+        self.cells = model.cells
+        self.rest = model.rest_embedding.to(device)
+        self.base = {k: v.to(device) for k, v in model.base.items()}
+        self.decoder = Decoder({k: v.to(device) for k, v in model.decoder.parameters.items()})
+        self.began, self.saved, self.shown, self.figure = began, time.monotonic(), -math.inf, 0.0
+
+    def fit(self, t: int, views, iterations: int, update: Update) -> Tensor:
+        """[A, C] the motion planes of timestep t."""
+        zero = {"values": torch.zeros(len(self.cells), self.model.channels)}
+        c = self.config
+        fit = Fit(zero, c.motion_learning_rate, iterations, c.seed + t, self.device, c.motion_rate_falls_to)
+        checkpoint = self.run.load_checkpoint(_STAGE)
+        if checkpoint is not None and checkpoint[1]["timestep"] == t:
+            fit.restore(*checkpoint)
+        cameras = cameras_on(self._compared(views), self.device)
+        while fit.iteration < iterations:
+            own = sample(fit.parameters["values"], self.cells)
+            embedding = self.rest + own if self.model.residual else own
+            gaussians = self.decoder.decode(self.base, embedding)
+            fit.step(view_loss(gaussians, cameras, fit.next_view(len(views.rgb))))
+            self._show(fit, t, iterations, update)
+        self.loss = float(fit.loss)
+        return fit.parameters["values"].detach().cpu()
+
+    def _compared(self, views: RestViews) -> RestViews:
+        """What phase 2 is compared with: the pictures; or, for the difference loss, what the model renders at rest plus
+        the pictures' change since timestep 0, so that |rendered − that| is |change rendered − change seen|."""
+        if self.first is None:
+            return views
+        same = [self.first.row_of(views, v) for v in range(len(views.rgb))]
+        return replace(views, rgb=views.rgb + self.first.missing[same])
+
+    def _show(self, fit: Fit, t: int, iterations: int, update: Update) -> None:
+        now = time.monotonic()
+        if now - self.shown > SHOW_EVERY_S:
+            self.shown, self.figure = now, round(float(fit.loss), 5)
+        update((t - 1) * iterations + fit.iteration, timestep=t, l1=self.figure)
+        if now - self.saved > CHECKPOINT_EVERY_S:
+            self.run.save_checkpoint(_STAGE, fit.tensors(), fit.state() | {"timestep": t})
+            self.record()
+
+    def record(self) -> None:
+        self.saved = time.monotonic()
+        self.run.record(_STAGE, {"seconds": self.saved - self.began})
+        self.began = self.saved
+
+
+def train_timesteps(
+    run: Run,
+    model: PaperModel,
+    capture: Capture,
+    images: ImageStack,
+    config: PaperConfig,
+    device: str = "cpu",
+) -> ModalMotion:
+    """Fit the motion planes of timesteps 1 … T − 1, one file each, and save the decoded motion in the run.
+
+    Finished timesteps are kept, an unfinished one goes on from its checkpoint. The log's stage `motion` gets seconds,
+    peak_memory_mib, iterations (in all), iterations_per_timestep, l1_train (of the last), n_frequencies, mib_on_disk.
+    """
+    began = time.monotonic()
+    reset_peak_memory()
+    reset_gpu_peak(device)
+    first = at_rest(model, views_at(capture, images, 0)) if config.difference else None
+    stage = _Stage(run, model, config, began, device, first)
+    iterations = config.per_timestep(capture.n_timesteps)
+    steps = range(1, capture.n_timesteps)
+    todo = [t for t in steps if not run.has_part(planes_name(t))]
+    done = (len(steps) - len(todo)) * iterations
+    with progress("motion triplanes", len(steps) * iterations, start=done) as update, full_precision(device):
+        for t in todo:
+            values = stage.fit(t, views_at(capture, images, t), iterations, update)
+            save_planes(run, t, values)
+            run.drop_checkpoint(_STAGE)
+            stage.record()
+    motion = modal_of_series(model, (load_planes(run, t, model) for t in steps), capture.fps)
+    figures = {
+        "seconds": time.monotonic() - stage.began,
+        "peak_memory_mib": peak_memory_mib(),
+        **gpu_figures(device),
+        "iterations": len(steps) * iterations,
+        "iterations_per_timestep": iterations,
+        "n_frequencies": len(motion.freqs_hz),
+        **({"l1_train": stage.loss} if todo else {}),
+    }
+    run.save_motion(motion, figures)
+    run.record(_STAGE, {"mib_on_disk": disk_mib(run)})
+    run.drop_checkpoint(_STAGE)
+    return motion

@@ -1,0 +1,114 @@
+"""The stages as functions on objects in memory, without a run folder: they write nothing (docs/python.md)."""
+
+from __future__ import annotations
+
+from tg4mm.capture import Capture, ImageStack
+from tg4mm.capture.pictures import FilePictures
+from tg4mm.core.errors import RunError
+from tg4mm.core.magnification import Magnification
+from tg4mm.fit.device import check_device
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion import animate as motion_animate
+from tg4mm.fit.motion import pipeline
+from tg4mm.fit.motion.config import MotionConfig
+from tg4mm.fit.motion.modes import MotionFit
+from tg4mm.fit.motion.observations import observe
+from tg4mm.fit.space.config import SpaceConfig
+from tg4mm.fit.space.plane import fit_plane
+from tg4mm.fit.space.targets import rest_views
+from tg4mm.fit.space.train import fit_space as fit_views
+from tg4mm.run.train import pictures_for
+
+Images = ImageStack | FilePictures
+
+
+def fit_space(
+    capture: Capture,
+    config: SpaceConfig | None = None,
+    device: str = "cpu",
+    images: Images | None = None,
+) -> Gaussians:
+    """Fit the static Gaussians of a capture: the scene at rest ([3DGS]; [TG4MM] Eq. (16)).
+
+    They are fitted to the mean over time of each fixed camera's pictures.
+
+    Args:
+        capture: of any kind, also of one timestep.
+        config: settings; `None`: the defaults, which follow from the data.
+        device: "cpu", or "cuda", which needs gsplat.
+        images: the capture's pictures if they are read already (`load_images`); `None` reads them.
+
+    Returns:
+        N Gaussians on the CPU, float32, scene units. For a flat capture (one fixed camera and nothing else) they are
+        discs at distance 1 in front of it.
+
+    Raises:
+        Tg4mmError: a setting is out of range, or the device is not available.
+        CaptureError: a picture cannot be read, or there is nothing to start from.
+    """
+    check_device(device)
+    views = rest_views(capture, images or pictures_for(capture))
+    fit = (
+        fit_plane(views, config, device)
+        if capture.kind == "flat"
+        else fit_views(views, capture.points, config, device)
+    )
+    return fit.gaussians
+
+
+def fit_motion(
+    capture: Capture,
+    gaussians: Gaussians,
+    config: MotionConfig | None = None,
+    device: str = "cpu",
+    images: Images | None = None,
+) -> MotionFit:
+    """Fit the motion of `gaussians` as modes: for each frequency a complex displacement and rotation (docs/method.md).
+
+    Args:
+        capture: of more than one timestep.
+        gaussians: at rest, on the CPU, as `fit_space` returns them.
+        config: settings; `None`: the defaults.
+        device: "cpu", or "cuda", which needs gsplat.
+        images: the capture's pictures if they are read already (`load_images`); `None` reads them.
+
+    Returns:
+        `gaussians` at rest (refined if the motion is large), `motion` (phasors [K, N, 3], scene units and radians, at
+        `freqs_hz` [K]), `uncertainty`, `figures`, and `notes`, one line for each thing that the capture cannot tell.
+
+    Raises:
+        CaptureError: too few pictures show motion.
+        RunError: no camera sees a Gaussian.
+        Tg4mmError: a setting is out of range, or the device is not available or has too little memory.
+    """
+    check_device(device)
+    observations = observe(capture, images or pictures_for(capture))
+    return pipeline.fit_motion(gaussians, observations, config, device)
+
+
+def animate(fit: MotionFit, t: float, magnification: float | Magnification = 0.0) -> Gaussians:
+    """The Gaussians at a timestep with their motion magnified: a displacement δ becomes (1 + α) δ ([TG4MM] Eq. (9)).
+
+    Args:
+        fit: of `fit_motion`, or `Run.load_fit` of a run folder.
+        t: timestep; 0 is the reference. Fractions, and times before and after the record, are allowed.
+        magnification: α of all frequencies, or a `Magnification` with bands in Hz, each with an α of its own.
+
+    Returns:
+        N Gaussians, scene units.
+
+    Raises:
+        Tg4mmError: α is not finite, bands overlap, or the plan has another method or a filter.
+        CaptureError: a band does not satisfy 0 ≤ low < high < fps / 2.
+    """
+    plan = magnification
+    if not isinstance(plan, Magnification):
+        plan = Magnification(everywhere=float(plan))
+    plan.checked(fit.motion.fps)
+    if plan.method not in (None, "modal") or plan.filter is not None:
+        raise RunError(
+            f"method {plan.method!r} with filter {plan.filter!r}: a fit of modes is magnified by the method 'modal', "
+            "which has no filter"
+        )
+    alphas = plan.ideal(fit.motion.freqs_hz)
+    return motion_animate.animate(fit.gaussians, fit.motion, t, alphas)

@@ -1,0 +1,124 @@
+"""The motion stage of a run: observations in, motion, uncertainty and figures out, and going on after a kill.
+
+RUN/checkpoint_motion.safetensors holds the finished steps of an unfinished fit (`checkpoints.py`).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import time
+from collections.abc import Callable, Mapping
+
+import numpy as np
+import torch
+
+from tg4mm.capture import Capture, ImageStack
+from tg4mm.capture.pictures import FilePictures
+from tg4mm.core.errors import RunError
+from tg4mm.core.memory import peak_memory_mib, reset_peak_memory
+from tg4mm.fit.device import gpu_figures, reset_gpu_peak
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.checkpoints import Arrays, arrays_of, gaussians_of
+from tg4mm.fit.motion.config import MotionConfig
+from tg4mm.fit.motion.modes import ModalMotion
+from tg4mm.fit.motion.observations import observe
+from tg4mm.fit.motion.pipeline import fit_motion
+from tg4mm.run import UNCERTAINTY, Run
+
+_STAGE, _SCENE = "motion", "scene"
+_VERSION = 15  # of a checkpoint: steps of another version are computed anew
+_LOG = logging.getLogger("tg4mm")
+
+
+def train_motion(
+    run: Run, capture: Capture, images: ImageStack | FilePictures, config: MotionConfig, device: str = "cpu"
+) -> ModalMotion:
+    """Fit the motion of the run's Gaussians to a capture of T > 1 timesteps and save it in the run (`fit_motion`).
+
+    The run gets motion.safetensors, uncertainty.safetensors where it can be told, and in its log the figures that
+    docs/conventions.md lists; large motion also sharpens space.safetensors. What cannot be told is warned of, a line
+    each. Raises CaptureError where there are too few pictures to show motion, RunError where none of them sees a
+    Gaussian, Tg4mmError on settings out of range or where the device's memory is too small.
+    """
+    began = time.monotonic()
+    reset_peak_memory()
+    reset_gpu_peak(device)
+    observations = observe(capture, images)
+    checkpoint = RunCheckpoint(run, began)
+    gaussians = checkpoint.gaussians
+    try:
+        fit = fit_motion(gaussians, observations, config, device, checkpoint)
+    except RunError as error:
+        raise RunError(f"{run.path}: {error}") from None
+    figures = {
+        "seconds": time.monotonic() - checkpoint.began,
+        "peak_memory_mib": peak_memory_mib(),
+        **gpu_figures(device),
+        **fit.figures,
+        "notes": fit.notes,
+    }
+    for note in fit.notes:
+        _LOG.warning(note)
+    if fit.gaussians is not gaussians:
+        checkpoint.expect_scene(fit.gaussians)
+        run.save_space(fit.gaussians, {})
+    if fit.uncertainty:  # before the motion, which tells that the stage is done
+        run.save_part(UNCERTAINTY, {k: torch.from_numpy(v) for k, v in fit.uncertainty.items()})
+    run.save_motion(fit.motion, figures)
+    run.drop_checkpoint(_STAGE)
+    return fit.motion
+
+
+class RunCheckpoint:
+    """`Checkpoint` in the run, and the Gaussians that its steps belong to."""
+
+    def __init__(self, run: Run, began: float) -> None:
+        self.run, self.began = run, began  # began: what log.json does not hold yet
+        self.gaussians = run.load_space()
+        self._scene = _digest(arrays_of(self.gaussians))
+        self._arrays: Arrays = {}
+        stored = run.load_checkpoint(_STAGE)
+        if stored is None or stored[1].get("version") != _VERSION:
+            return
+        tensors, state = stored
+        if self._scene not in (state.get("scene"), state.get("expected_scene")):
+            return
+        if self._scene != state.get("scene"):  # stopped between saving the sharper Gaussians and the motion
+            names = arrays_of(self.gaussians)
+            self.gaussians = gaussians_of({n: tensors[f"{_SCENE}/{n}"].numpy() for n in names})
+            self._scene = state["scene"]
+        self._arrays = {k: v.numpy() for k, v in tensors.items()}
+
+    def __call__(self, name: str, compute: Callable[[], Arrays]) -> Arrays:
+        """`Checkpoint`."""
+        kept = {k.partition("/")[2]: v for k, v in self._arrays.items() if k.partition("/")[0] == name}
+        if kept:
+            return kept
+        arrays = compute()
+        self._arrays = {k: v for k, v in self._arrays.items() if k.partition("/")[0] != name}
+        self._arrays |= {f"{name}/{k}": np.asarray(v, order="C") for k, v in arrays.items()}
+        self._save()
+        now = time.monotonic()
+        self.run.record(_STAGE, {"seconds": now - self.began})
+        self.began = now
+        return arrays
+
+    def expect_scene(self, gaussians: Gaussians) -> None:
+        """The run's Gaussians are about to become these: the checkpoint keeps those that its steps belong to."""
+        self._arrays |= {f"{_SCENE}/{k}": v for k, v in arrays_of(self.gaussians).items()}
+        self._save(expected_scene=_digest(arrays_of(gaussians)))
+
+    def _save(self, **more: str) -> None:
+        tensors = {k: torch.from_numpy(v) for k, v in self._arrays.items()}
+        state = {"version": _VERSION, "scene": self._scene, **more}
+        self.run.save_checkpoint(_STAGE, tensors, state)
+
+
+def _digest(arrays: Mapping[str, np.ndarray]) -> str:
+    digest = hashlib.blake2b(digest_size=16)
+    for name in sorted(arrays):
+        array = np.asarray(arrays[name], order="C")
+        digest.update(f"{name} {array.dtype} {array.shape}".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()

@@ -1,7 +1,0 @@
-"""Structure from motion with pycolmap: points for known cameras, and cameras for photographs. Needs no torch."""
-
-from tg4mm.sfm.engine import available
-from tg4mm.sfm.points import SfmPoints
-from tg4mm.sfm.triangulate import TriangulationConfig, triangulate_views
-
-__all__ = ["SfmPoints", "TriangulationConfig", "available", "triangulate_views"]

@@ -1,0 +1,256 @@
+"""One answer from clips: a vibration in x, y, z from cameras with clocks of their own, which see two directions each.
+
+A steady vibration has one phasor p [3] at a frequency, and clip c shows it along its own axes R_c (right, up, sight)
+with a phase θ_c of its own, which all sensors share (frequency-domain triangulation: Gorjup, Slavič & Boltežar 2019):
+
+    u_c  =  exp(iθ_c) R_c p  +  an error with the covariance C_c
+
+u_c and C_c are those of a sinusoid fitted to the clip's series: its noise, and errors of the model that grow with the
+motion. p of every sensor and all θ_c are found together by weighted least squares (Gauss-Newton). What the motion stage
+found of the phases, in all Gaussians together, counts as a measurement of θ_c that is mostly good and now and then far
+off: its error is taken for Cauchy-distributed. Deviations follow from the fit, and are larger by what it leaves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tg4mm.show.measure.fourier import (
+    floor_factor,
+    frequency_grid,
+    is_told,
+    rayleigh,
+    sinusoid_columns,
+    transformed,
+)
+from tg4mm.show.measure.series import UNSEEN, Series
+from tg4mm.show.measure.spectrum import Peak, Spectrum, ordered, spectrum_of, strength_of, with_harmonics
+from tg4mm.show.measure.triangulation import Rows, triangulated
+
+_SAME = 0.75  # of 1 / duration: nearer than this two frequencies are one
+_MOST = 8  # frequencies
+_TINY = 1e-9  # of a covariance's trace, added along its diagonal
+
+
+@dataclass(frozen=True)
+class KnownPhases:
+    """Of the motion stage: radians [C, K] by which clips are ahead of the first one's clock, at K frequencies."""
+
+    hz: np.ndarray  # [K]
+    radians: np.ndarray  # [C, K]
+
+    def at(self, frequency_hz: float, apart: float) -> np.ndarray | None:
+        """[C] at the frequency nearest to this one, if it is nearer than `apart` Hz."""
+        if not len(self.hz):
+            return None
+        k = int(np.abs(self.hz - frequency_hz).argmin())
+        return self.radians[:, k] if abs(self.hz[k] - frequency_hz) <= apart else None
+
+
+@dataclass(frozen=True)
+class ClipPhases:
+    """A clip shows Re[R_c p exp(i (2π f t + θ))] at its own time t."""
+
+    clocks: tuple[str, ...]  # [C]
+    hz: np.ndarray  # [K]
+    radians: np.ndarray  # [C, K] θ
+    deviation: np.ndarray  # [C, K]
+
+
+@dataclass(frozen=True)
+class Together:
+    """What all clips say of one sensor."""
+
+    spectrum: Spectrum  # along the world's x, y, z
+    everywhere: tuple[Peak, ...]  # [K] at every frequency of any sensor, above the floor or not
+    of_clips: tuple[
+        tuple[Peak, ...], ...
+    ]  # [C][peaks of `spectrum`] along each series' own axes, on its clock
+
+
+def together(
+    sensors: Sequence[Sequence[Series]], known: KnownPhases, shared: Sequence[float]
+) -> tuple[list[Together], ClipPhases]:
+    """Of series by sensor and clip [S][C].
+
+    shared [S]: standard deviation of an error that all clips have alike (the run's Gaussians), scene units rms.
+    """
+    hz, deviation = _frequencies(sensors, known)
+    phasors = [[_phasors(series, hz) for series in own] for own in sensors]
+    count = len(sensors[0])
+    found = np.zeros((len(sensors), len(hz), 3), complex)
+    variance = np.full((len(sensors), len(hz), 3), np.inf)
+    phases, phase_deviation = np.zeros((2, count, len(hz)))
+    for k, f in enumerate(hz):
+        rows = [
+            [_rows(s, u[k], g[k]) for s, (u, g) in zip(own, of, strict=True)]
+            for own, of in zip(sensors, phasors, strict=True)
+        ]
+        fit = triangulated(rows, known.at(f, _apart(sensors[0])))
+        found[:, k], variance[:, k], phases[:, k], phase_deviation[:, k] = fit
+    out = []
+    for s, own in enumerate(sensors):
+        level = _floor(own)
+        peaks = _peaks(hz, deviation, found[s], variance[s], level, shared[s])
+        strong = ordered([p for p in peaks if (p.amplitude > level).any()])
+        of_clips = [
+            _of_clip(series, u, g, strong, hz) for series, (u, g) in zip(own, phasors[s], strict=True)
+        ]
+        out.append(Together(_spectrum(own, hz, phases, level, strong), peaks, tuple(of_clips)))
+    return out, ClipPhases(tuple(s.clock for s in sensors[0]), hz, phases, phase_deviation)
+
+
+def _apart(clips: Sequence[Series]) -> float:
+    """Hz: nearer than this two frequencies are one."""
+    return _SAME / float(np.median([np.ptp(s.times_s) for s in clips]))
+
+
+def _frequencies(sensors: Sequence[Sequence[Series]], known: KnownPhases) -> tuple[np.ndarray, np.ndarray]:
+    """[K] Hz and deviations of what stands out in two clips, or in one where the motion stage found it too."""
+    found = []  # strength, Hz, deviation, sensor, clip
+    for s, own in enumerate(sensors):
+        for c, series in enumerate(own):
+            spectrum = spectrum_of(series.times_s, series.displacement, series.noise, series.model_share)
+            found += [
+                (strength_of(p), p.frequency_hz, p.frequency_deviation_hz, s, c)
+                for p in spectrum.peaks
+                if p.is_above.any()
+            ]
+    apart = _apart(sensors[0])
+    hz: list[tuple[float, float]] = []
+    for _, near, *_ in sorted(found, reverse=True):
+        if len(hz) == _MOST or any(abs(near - f) <= apart for f, _ in hz):
+            continue
+        own_peaks = [p for p in found if abs(p[1] - near) <= apart]
+        if len({p[4] for p in own_peaks}) > 1 or known.at(near, apart) is not None:
+            hz.append(_mean_frequency(own_peaks))
+    return np.array([f for f, _ in hz]), np.array([d for _, d in hz])
+
+
+def _mean_frequency(peaks: Sequence[tuple[float, float, float, int, int]]) -> tuple[float, float]:
+    """Mean and deviation over clips, of the sensor that tells it best; no surer than its clips agree."""
+    best = 0.0, np.inf
+    for sensor in {p[3] for p in peaks}:
+        hz, deviation = np.array([p[1:3] for p in peaks if p[3] == sensor]).T
+        weights = 1 / np.maximum(deviation, 1e-12) ** 2
+        mean = float(weights @ hz / weights.sum())
+        scatter = float(weights @ (hz - mean) ** 2) / max(len(hz) - 1, 1)
+        own = float(np.sqrt(max(scatter, 1.0) / weights.sum()))
+        best = min(best, (mean, own), key=lambda pair: pair[1])
+    return best
+
+
+def _phasors(series: Series, hz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """[K, 3] phasors of sinusoids fitted together, along the series' axes, and [K] what a sample's variance becomes."""
+    inverse = np.linalg.pinv(sinusoid_columns(hz, series.times_s))
+    answer, gain, k = inverse @ series.displacement, (inverse**2).sum(1), len(hz)
+    return answer[1 : 1 + k] + 1j * answer[1 + k :], (gain[1 : 1 + k] + gain[1 + k :]) / 2
+
+
+def _noise(series: Series) -> np.ndarray:
+    """[m, m] covariance of a sample's noise along the axes that are observed."""
+    some = np.flatnonzero(series.is_observed)
+    root = np.sqrt(series.noise_factor[some])
+    return np.asarray(series.unit_covariance[np.ix_(some, some)] * np.outer(root, root))
+
+
+def _rows(series: Series, phasor: np.ndarray, gain: float) -> Rows:
+    """A phasor [3] whose noise has `gain` times a sample's variance."""
+    some = np.flatnonzero(series.is_observed)
+    if not len(some):
+        return Rows(np.zeros((0, 3)), np.zeros(0, complex))
+    error = np.hypot(series.halves_share, series.false_share) * np.linalg.norm(phasor[series.is_told])
+    covariance = gain * _noise(series) + np.diag(error[some] ** 2)
+    root = np.linalg.cholesky(np.linalg.inv(covariance + _TINY * np.trace(covariance) * np.eye(len(some)))).T
+    return Rows(root @ series.axes[some], root @ phasor[some])
+
+
+def _peaks(
+    hz: np.ndarray,
+    hz_deviation: np.ndarray,
+    phasors: np.ndarray,
+    variance: np.ndarray,
+    level: np.ndarray,
+    shared: float,
+) -> tuple[Peak, ...]:
+    """Of a sensor's phasors [K, 3] and their variances; `shared` as in `together`."""
+    told = is_told(level)
+    size = np.linalg.norm(phasors[:, told], axis=1)
+    rms = float(np.sqrt((size**2).sum() / 2))
+    share = min(shared / rms, 1.0) if rms > 0 else 0.0
+    is_seen = np.isfinite(level)
+    ratio = np.where(is_seen, level, 0) / max(float(np.min(level)), 1e-300)
+    out = []
+    for k, f in enumerate(hz):
+        error = np.sqrt(variance[k] + (share * ratio * size[k]) ** 2)
+        error = np.where(is_seen & np.isfinite(variance[k]), error, np.inf)
+        out.append(Peak(float(f), float(hz_deviation[k]), phasors[k], error, level))
+    return tuple(out)
+
+
+def _floor(clips: Sequence[Series]) -> np.ndarray:
+    """[3] of the spectrum along the world's axes; inf along what no clip shows."""
+    weights = _spectrum_weights(clips)
+    values, vectors = np.linalg.eigh(
+        sum((w @ s.axes for w, s in zip(weights, clips, strict=True)), np.zeros((3, 3)))
+    )
+    is_seen = values > UNSEEN * max(values[-1], 1e-300)
+    hidden = (vectors[:, ~is_seen] ** 2).sum(1)
+    variance = (vectors[:, is_seen] ** 2 / values[is_seen]).sum(1)
+    factor = floor_factor(max(len(s.times_s) for s in clips))
+    return np.where(hidden > 0.5, np.inf, factor * np.sqrt(variance))
+
+
+def _spectrum_weights(clips: Sequence[Series]) -> list[np.ndarray]:
+    """[3, 3] of each clip: Rᵀ N⁻¹ with N the covariance of the noise that its spectrum has."""
+    out = []
+    for series in clips:
+        some = np.flatnonzero(series.is_observed)
+        weight = np.zeros((3, 3))
+        if len(some):
+            unit = float(rayleigh(series.times_s, np.ones((len(series.times_s), 3)))[0])
+            noise = _noise(series) * unit**2
+            noise += _TINY * np.trace(noise) * np.eye(len(some))
+            weight[:, some] = series.axes[some].T @ np.linalg.inv(noise)
+        out.append(weight)
+    return out
+
+
+def _spectrum(
+    clips: Sequence[Series], hz: np.ndarray, phases: np.ndarray, level: np.ndarray, peaks: Sequence[Peak]
+) -> Spectrum:
+    """Of all clips together: at every frequency they are turned by the phases of the nearest one that was found."""
+    longest = max(clips, key=lambda s: len(s.times_s))
+    grid = frequency_grid(longest.times_s)
+    weights = _spectrum_weights(clips)
+    inverse = np.linalg.pinv(sum((w @ s.axes for w, s in zip(weights, clips, strict=True)), np.zeros((3, 3))))
+    nearest = np.abs(grid[:, None] - hz).argmin(1) if len(hz) else np.zeros(len(grid), int)
+    total = np.zeros((len(grid), 3), complex)
+    for c, (series, weight) in enumerate(zip(clips, weights, strict=True)):
+        turn = np.zeros(len(grid))
+        if len(hz):
+            middle = (series.times_s[0] + series.times_s[-1]) / 2
+            turn = 2 * np.pi * (grid - hz[nearest]) * middle - phases[c, nearest]
+        own = transformed(grid, series.times_s, series.displacement)
+        total += np.exp(1j * turn)[:, None] * (own @ weight.T)
+    floor = np.broadcast_to(level, (len(grid), 3))
+    return Spectrum(grid, np.abs(total @ inverse), floor, with_harmonics(peaks, longest.times_s))
+
+
+def _of_clip(
+    series: Series, phasors: np.ndarray, gain: np.ndarray, peaks: Sequence[Peak], hz: np.ndarray
+) -> tuple[Peak, ...]:
+    """A clip's own phasors at the frequencies of peaks."""
+    level = np.where(
+        series.is_observed, rayleigh(series.times_s, series.noise) * floor_factor(len(series.times_s)), np.inf
+    )
+    out = []
+    for peak in peaks:
+        k = int(np.abs(hz - peak.frequency_hz).argmin())
+        error = series.model_share * np.linalg.norm(phasors[k][series.is_told])
+        deviation = np.hypot(np.sqrt(gain[k]) * series.noise[0], error)
+        out.append(Peak(peak.frequency_hz, peak.frequency_deviation_hz, phasors[k], deviation, level))
+    return tuple(out)

@@ -1,0 +1,69 @@
+"""What a measurement cannot tell, a line each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from tg4mm.fit.motion.mode_selection import frequency_notes
+from tg4mm.show.measure.orbit import main_is_above
+from tg4mm.show.measure.scene import Prepared
+from tg4mm.show.measure.spectrum import FEWEST
+
+if TYPE_CHECKING:
+    from tg4mm.show.measure.sensor_result import SensorResult
+
+_HIDDEN = 0.5  # of a motion: what the scene at rest hides of it, from here on it is said
+_LINEAR_PX = 1.0  # beyond it a picture does not change in proportion to motion
+
+
+def limits_of(scene: Prepared, results: Sequence[SensorResult]) -> tuple[str, ...]:
+    """Of the capture, then of the sensors."""
+    out = list(scene.notes)
+    if scene.capture.kind == "flat":
+        out.append("a flat capture shows motion across the sight alone, in pixels of its picture")
+    elif not scene.is_moving and len(scene.views) == len(scene.clocks) == 1:
+        out.append(
+            "sensors of one camera: along its line of sight, which it hardly sees, a waveform has a much larger ±"
+        )
+    if len(scene.clocks) > 1:
+        out.append(
+            "every camera has a clock of its own: peaks are of all cameras together, for a steady vibration; a "
+            "waveform is one camera's, which hardly sees motion along its line of sight"
+        )
+    if scene.is_moving:
+        out.append(
+            "the camera moves: slow motion, and motion of the whole scene as one, are taken out as its own"
+        )
+    if not scene.fit.uncertainty:
+        out.append(
+            "the run has no uncertainty of its Gaussians: every ± is of noise alone, and shapes show noise as well"
+        )
+    for result in results:
+        size = max(abs(s.displacement[:, s.is_told]).max(initial=0.0) for s in result.all_series)
+        size *= result.px_per_unit
+        if size > _LINEAR_PX:
+            out.append(
+                f"{result.name} moves by up to {size:.2g} px: beyond {_LINEAR_PX:g} px pictures do not change in "
+                "proportion, and amplitudes come out too small"
+            )
+        for series in result.all_series:
+            is_hidden = (series.false_share > _HIDDEN) & series.is_told
+            if hidden := [axis for axis, hides in zip(series.labels, is_hidden, strict=True) if hides]:
+                where = f" in {series.clock}" if series.clock else ""
+                out.append(
+                    f"{result.name}: motion along {', '.join(hidden)}{where} can hardly be told: most of what the "
+                    "scene at rest would show of it is not in the pictures"
+                )
+        longest = max(len(s.times_s) for s in result.all_series)
+        if longest < FEWEST:
+            out.append(f"{result.name}: {longest} frames are too few for a spectrum, {FEWEST} are needed")
+        elif not result.spectrum.peaks:
+            out.append(f"{result.name}: nothing stands out of the noise floor")
+    sure = {
+        round(peak.frequency_hz, 3)
+        for r in results
+        for peak, orbit in zip(r.spectrum.peaks, r.orbits, strict=True)
+        if main_is_above(peak, orbit)
+    }
+    return tuple(out + frequency_notes(sorted(sure), scene.observations))

@@ -1,0 +1,123 @@
+"""Which Gaussians a sensor's region holds, and as which rigid body it is measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from tg4mm.fit.motion.jacobian.view import blend_sum
+from tg4mm.show.measure.errors import MeasureError
+from tg4mm.show.measure.rigid import Body
+from tg4mm.show.measure.scene import Prepared
+from tg4mm.show.measure.sensors import STILL, Sensor
+
+_LEAST_SHARE = 0.05  # of a pixel region's brightest Gaussian: what blends in less does not belong to it
+_BEHIND = 3.0  # radii of a pixel region that its surface may reach in depth
+_SEEN = 1e-3  # pixels of blending weight that a region must have
+OF_ONE_CAMERA = "right", "up", "sight"
+
+
+def weights_of(sensor: Sensor, scene: Prepared, clusters: Mapping[int, np.ndarray]) -> np.ndarray:
+    """[N] float32, 0 … 1: how much each Gaussian belongs to the sensor. `clusters`: indices by number.
+
+    Raises MeasureError where the region is empty, where no picture shows it, or for a camera or cluster that is none.
+    """
+    means = scene.means
+    if sensor.region == "all":
+        out = np.ones(len(means))
+    elif sensor.region == "box":
+        low, high = np.array(sensor.values[:3]), np.array(sensor.values[3:])
+        out = ((means >= low) & (means <= high)).all(1)
+    elif sensor.region == "sphere":
+        away = np.linalg.norm(means - np.array(sensor.values[:3]), axis=1)
+        out = away <= sensor.values[3]
+    elif sensor.region == "cluster":
+        out = _of_cluster(sensor, len(means), clusters)
+    else:
+        out = _of_pixel(sensor, scene)
+    weights = np.asarray(out, np.float32)
+    if not weights.any() and sensor.region == "pixel":
+        raise MeasureError(f"sensor {sensor}: its pixels show the background; choose a pixel on a surface")
+    if not weights.any():
+        low, high = (np.percentile(means, p, axis=0) for p in (1, 99))
+        span = f"from ({_numbers(low)}) to ({_numbers(high)})"
+        raise MeasureError(f"sensor {sensor}: holds no Gaussian; the scene reaches {span} scene units")
+    if float(weights @ scene.seen) < _SEEN:
+        raise MeasureError(
+            f"sensor {sensor}: no camera whose pictures show motion sees its {int((weights > 0).sum())} Gaussians"
+        )
+    return weights
+
+
+def body_of(weights: np.ndarray, scene: Prepared) -> tuple[Body, tuple[str, str, str]]:
+    """The rigid body of a region, and its axes' names: x, y, z of the world, or of one fixed camera right, up, sight.
+
+    One camera's axes go by the line of sight to the region's centre, away from the camera: motion along it is hardly
+    seen. A flat capture's are its picture's.
+    """
+    seen = weights * scene.seen
+    centre = (seen @ scene.means) / seen.sum()
+    away = np.linalg.norm(scene.means - centre, axis=1)
+    radius = float(np.sqrt((seen @ away**2) / seen.sum()))
+    radius = max(radius, float(scene.gaussians.scales.numpy()[weights > 0].mean()))
+    if scene.is_moving or len(scene.views) > 1:
+        return Body(weights, centre, radius, np.eye(3)), ("x", "y", "z")
+    viewmat = scene.views[0].frames.viewmat.astype(np.float64)
+    return Body(
+        weights, centre, radius, sight_axes(viewmat, centre, scene.capture.kind == "flat")
+    ), OF_ONE_CAMERA
+
+
+def sight_axes(viewmat: np.ndarray, centre: np.ndarray, is_flat: bool = False) -> np.ndarray:
+    """[3, 3], rows: the picture's right and up as seen at `centre`, and the line of sight."""
+    sight = viewmat[2, :3] if is_flat else viewmat[:3, :3].T @ viewmat[:3, 3] + centre
+    sight = sight / np.linalg.norm(sight)
+    right = viewmat[0, :3] - (viewmat[0, :3] @ sight) * sight
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(right, sight), sight])
+
+
+def _of_cluster(sensor: Sensor, n: int, clusters: Mapping[int, np.ndarray]) -> np.ndarray:
+    number = int(sensor.values[0])
+    if number not in clusters:
+        there = ", ".join("still" if k == STILL else str(k) for k in sorted(clusters))
+        raise MeasureError(f"sensor {sensor}: there is no such cluster; there are: {there or 'none'}")
+    out = np.zeros(n)
+    out[clusters[number]] = 1
+    return out
+
+
+def _of_pixel(sensor: Sensor, scene: Prepared) -> np.ndarray:
+    """The surface seen around a pixel: Gaussians by how much of them blends into the neighbourhood."""
+    names = [f.name for f in scene.observations.frames]
+    if sensor.camera not in names:
+        known = ", ".join(names[:8]) + (" …" if len(names) > 8 else "")
+        raise MeasureError(f"sensor {sensor}: {sensor.camera!r} is no camera; there are: {known}")
+    view = scene.views[names.index(sensor.camera)]
+    height, width = view.mean.shape[:2]
+    x, y, radius = sensor.values
+    if not (0 <= x <= width and 0 <= y <= height):
+        raise MeasureError(
+            f"sensor {sensor}: pixel {x:g}, {y:g} lies outside the picture of {width}×{height}"
+        )
+    rows, columns = np.mgrid[:height, :width] + 0.5
+    near = ((columns - x) ** 2 + (rows - y) ** 2 <= max(radius, 0.75) ** 2).astype(np.float32)
+    inside, whole = blend_sum(view.view, np.stack([near, np.ones_like(near), near], -1))[:, :2].T
+    inside = np.maximum(inside, 0)
+    out = np.where(inside > _LEAST_SHARE * inside.max(), inside / np.maximum(whole, 1e-12), 0)
+    viewmat, focal = view.frames.viewmat.astype(np.float64), float(view.frames.K[0, 0])
+    depth = scene.means @ viewmat[2, :3] + viewmat[2, 3]
+    at = _weighted_median(depth, inside)
+    reach = _BEHIND * max(radius, 1.0) * at / focal
+    return np.where(np.abs(depth - at) <= reach, np.minimum(2 * out, 1), 0)
+
+
+def _weighted_median(values: np.ndarray, weights: np.ndarray) -> float:
+    order = np.argsort(values)
+    total = np.cumsum(weights[order])
+    return float(values[order[min(int(np.searchsorted(total, total[-1] / 2)), len(values) - 1)]])
+
+
+def _numbers(values: np.ndarray) -> str:
+    return ", ".join(f"{v:.3g}" for v in values)

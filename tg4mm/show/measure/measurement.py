@@ -1,0 +1,205 @@
+"""A measurement: every sensor's displacement over time and what follows from it, the scene's clusters and shapes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import count
+
+import numpy as np
+
+from tg4mm.capture.scene import codec_period
+from tg4mm.core.progress import progress
+from tg4mm.run import Run
+from tg4mm.show.measure.clips import ClipPhases, KnownPhases, Together, together
+from tg4mm.show.measure.clusters import Clusters, clusters_of
+from tg4mm.show.measure.errors import MeasureError
+from tg4mm.show.measure.limits import limits_of
+from tg4mm.show.measure.locate import OF_ONE_CAMERA, body_of, sight_axes, weights_of
+from tg4mm.show.measure.modal_fields import clock_phases
+from tg4mm.show.measure.model_error import shared_error, with_model_error
+from tg4mm.show.measure.prepared import prepare
+from tg4mm.show.measure.relations import relation_of
+from tg4mm.show.measure.residuals import MeasuredView
+from tg4mm.show.measure.rigid import Body, equations_of
+from tg4mm.show.measure.scene import Prepared, SharedClock
+from tg4mm.show.measure.sensor_result import SensorResult
+from tg4mm.show.measure.sensors import Sensor, checked_names
+from tg4mm.show.measure.series import Series, series_of
+from tg4mm.show.measure.shapes import Shape, shapes_of
+from tg4mm.show.measure.sides import HALVES
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """Everything that was measured in one call: `sensors`, also by name as `found["tip"]`."""
+
+    prepared: Prepared  # what was measured
+    sensors: tuple[SensorResult, ...]  # in the order asked for
+    clusters: Clusters  # groups of Gaussians that move alike
+    shapes: tuple[Shape, ...]  # operating deflection shapes, one for each frequency that sensors show
+    reference: str  # name of the sensor that phases are against
+    notes: tuple[str, ...] = ()  # what this capture cannot tell, and what is under the floor
+    clip_phases: ClipPhases | None = None  # where cameras have clocks of their own
+
+    @property
+    def unit_scale_m(self) -> float | None:
+        """Metres per scene unit; None if unknown, and of a flat capture, whose unit is the pixel's."""
+        return None if self.prepared.capture.kind == "flat" else self.prepared.capture.unit_scale_m
+
+    def __getitem__(self, name: str) -> SensorResult:
+        for result in self.sensors:
+            if result.name == name:
+                return result
+        raise KeyError(name)
+
+
+def measure(
+    run: Run | Prepared,
+    sensors: Sequence[Sensor] | None = None,
+    reference: str | None = None,
+    clusters: Clusters | None = None,
+) -> Measurement:
+    """Measure the displacement of virtual sensors over time, in the pictures (docs/measure.md).
+
+    Args:
+        run: a run, or what `prepare` or `prepare_fit` returned, which needs no pictures for further sensors.
+        sensors: regions to measure; `None`: clusters that move alike, and the whole scene.
+        reference: name of the sensor that phases and coherence refer to; `None`: the first.
+        clusters: `Measurement.clusters` of an earlier call; `None` finds them.
+
+    Returns:
+        A waveform with its deviation, a spectrum with its noise floor, and peaks for each sensor, in scene units.
+
+    Raises:
+        MeasureError: a sensor contains no Gaussian, no picture shows it, or `reference` is none of the sensors.
+    """
+    scene = run if isinstance(run, Prepared) else prepare(run)
+    groups = clusters or clusters_of(scene)
+    wanted = checked_names(sensors if sensors is not None else default_sensors(groups))
+    if not wanted:
+        raise MeasureError("no sensor was named")
+    if reference is not None and reference not in [s.name for s in wanted]:
+        raise MeasureError(
+            f"reference {reference!r} is no sensor; there are: {', '.join(s.name for s in wanted)}"
+        )
+    results, phases = _results(scene, wanted, groups.members)
+    first = reference or wanted[0].name
+    against = next(r for r in results if r.name == first)
+    results = [r if r is against else _related(r, against) for r in results]
+    shapes = shapes_of(scene, results)
+    notes = limits_of(scene, results)
+    return Measurement(scene, tuple(results), groups, shapes, first, notes, phases)
+
+
+def measure_one(scene: Prepared, sensor: Sensor) -> SensorResult:
+    """One sensor by itself, quickly: without clusters, shapes, and what the scene cannot tell.
+
+    Raises MeasureError as `measure` does, and for a cluster, since none are looked for.
+    """
+    return _results(scene, [sensor], {})[0][0]
+
+
+def default_sensors(clusters: Clusters) -> list[Sensor]:
+    """Every cluster that moves alike, what stands still, and the whole scene."""
+    out = [Sensor(name, "cluster", (float(k),)) for k, name in clusters.names.items()]
+    return [*out, Sensor("all", "all")]
+
+
+def _results(
+    scene: Prepared, wanted: Sequence[Sensor], clusters: Mapping[int, np.ndarray]
+) -> tuple[list[SensorResult], ClipPhases | None]:
+    """Of every sensor, without its relation to a reference."""
+    bodies = [body_of(weights_of(s, scene, clusters), scene) for s in wanted]
+    views = [_views_of(scene, clock) for clock in scene.clocks]
+    # a moving camera's views are made when they are asked for
+    halves = (
+        HALVES * len(scene.views) if scene.is_moving else sum(len(v.halves) for own in views for v in own)
+    )
+    total = halves * len(bodies)
+    with progress("sensors", total, "steps") if _is_long(scene, wanted) else _silent() as update:
+        done = count(1)
+        series = [
+            _series(scene, clock, own, bodies, lambda: update(next(done)))
+            for clock, own in zip(scene.clocks, views, strict=True)
+        ]
+    clips, phases = (
+        _of_clips(scene, series, bodies) if len(scene.clocks) > 1 else ([None] * len(wanted), None)
+    )
+    results = [
+        _result(scene, s, body, [own[b] for own in series], clips[b])
+        for b, (s, (body, _)) in enumerate(zip(wanted, bodies, strict=True))
+    ]
+    return results, phases
+
+
+def _views_of(scene: Prepared, clock: SharedClock) -> Sequence[MeasuredView]:
+    return scene.views if scene.is_moving else [scene.views[v] for v in clock.views]
+
+
+def _series(
+    scene: Prepared,
+    clock: SharedClock,
+    views: Sequence[MeasuredView],
+    bodies: Sequence,
+    step: Callable[[], None],
+) -> list[Series]:
+    own = [body for body, _ in bodies]
+    equations = equations_of(
+        own, scene.means, views, clock.sides, scene.modal.fields, clock.series, scene.is_moving, step
+    )
+    out = []
+    for e, (body, labels) in zip(equations, bodies, strict=True):
+        axes = body.axes
+        if len(scene.clocks) > 1:
+            viewmat = views[0].frames.viewmat.astype(np.float64)
+            axes, labels = sight_axes(viewmat, body.centre), OF_ONE_CAMERA
+            e = e.along(axes)
+        series = series_of(e, clock.times_s, axes, labels, body.radius, clock.name, scene.slow)
+        out.append(with_model_error(series, body, scene))
+    return out
+
+
+def _of_clips(
+    scene: Prepared, series: Sequence[Sequence[Series]], bodies: Sequence
+) -> tuple[list[Together], ClipPhases]:
+    """Of series by clip and sensor."""
+    freqs_hz, figures = scene.modal.freqs_hz, scene.fit.figures
+    phases = [clock_phases(figures, c.name, freqs_hz) for c in scene.clocks]
+    known = [p for p in phases if p is not None]
+    radians = np.array(known) if len(known) == len(phases) else np.zeros((len(phases), 0))
+    hz = freqs_hz if radians.shape[1] else np.zeros(0)
+    shared = [shared_error(scene, body) for body, _ in bodies]
+    return together([list(own) for own in zip(*series, strict=True)], KnownPhases(hz, radians), shared)
+
+
+def _result(
+    scene: Prepared, sensor: Sensor, body: Body, series: Sequence[Series], clips: Together | None
+) -> SensorResult:
+    frames = scene.observations.frames
+    scales = [_px_per_unit(f, body.centre) for f in frames]
+    best = int(np.argmax(scales))
+    period = codec_period(scene.capture.root)
+    return SensorResult(sensor, body, tuple(series), scales[best], frames[best].name, clips, period)
+
+
+def _px_per_unit(frames, centre: np.ndarray) -> float:
+    depth = float(frames.viewmat[2, :3] @ centre + frames.viewmat[2, 3])
+    return float(frames.K[0, 0]) / depth if depth > 0 else 0.0
+
+
+def _related(result: SensorResult, against: SensorResult) -> SensorResult:
+    return replace(result, relation=relation_of(result, against))
+
+
+def _is_long(scene: Prepared, sensors: Sequence[Sensor]) -> bool:
+    width, height = scene.observations.size
+    return len(scene.views) * len(sensors) * width * height > 5e5
+
+
+class _silent:
+    def __enter__(self):
+        return lambda done, **figures: None
+
+    def __exit__(self, *error: object) -> None:
+        return None

@@ -1,0 +1,166 @@
+"""A run of a moving camera made ready: every frame is a view with a pose, Jacobian and nuisance of its own.
+
+The run keeps the scene at rest as it was refined on all frames, not their poses: these are corrected once more, by the
+motion stage's own step. What is left of a frame is I_f − Î_f − J_f M x(τ_f), exposure and pose projected out; the slow
+part of a sensor's answer, which the scene at rest still gets wrong with the viewpoint, is taken out as polynomials.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from tg4mm.capture import Capture
+from tg4mm.core.progress import progress
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.jacobian.packed import DOF
+from tg4mm.fit.motion.jacobian.view import ViewJacobian, blend_sum, view_jacobian
+from tg4mm.fit.motion.modes import MotionFit
+from tg4mm.fit.motion.nuisance.projection import Nuisance
+from tg4mm.fit.motion.observations import Observations, PosedFrames
+from tg4mm.fit.motion.temporal.moving import corrected_poses, pictures_of, robust_weights
+from tg4mm.show.measure.kept import KeptPass, Wanted
+from tg4mm.show.measure.modal_fields import ModalFields
+from tg4mm.show.measure.residuals import MeasuredView
+from tg4mm.show.measure.scene import Prepared, SharedClock, zeros_in_room
+from tg4mm.show.measure.sides import HALVES, Sides
+
+_PERIODS = 8.0  # of the lowest frequency that a moving camera tells (`temporal/moving.py`)
+_MOST_SLOW = 12  # polynomials' degree
+_ALL = np.ones(12, bool)
+
+
+@dataclass(frozen=True)
+class FrameViews(Sequence[MeasuredView]):
+    """The views of all frames, made when they are asked for: together they take gigabytes."""
+
+    gaussians: Gaussians
+    frames: Sequence[PosedFrames]
+    size: tuple[int, int]
+    weights: np.ndarray  # [F, H, W] float16, relative to `level`
+    level: np.ndarray  # [F]
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __getitem__(self, k):
+        if isinstance(k, slice):
+            return [self[i] for i in range(*k.indices(len(self)))]
+        k = range(len(self))[k]
+        view = view_jacobian(self.gaussians, self.frames[k], self.size)
+        return self.of(k, view, self.weights[k].astype(np.float32) * self.level[k])
+
+    def __iter__(self) -> Iterator[MeasuredView]:
+        return (self[k] for k in range(len(self)))
+
+    def of(self, k: int, view: ViewJacobian, weights: np.ndarray) -> MeasuredView:
+        """Frame k with pixel weights [H, W]; both halves are squares of its picture."""
+        nuisance = Nuisance(view, self.frames[k], self.gaussians.means.numpy(), _ALL)
+        return MeasuredView(view, self.frames[k], nuisance, view.over_white, weights, (0, 1))
+
+
+def prepare_moving(
+    fit: MotionFit,
+    folder: Path | None,
+    capture: Capture,
+    observations: Observations,
+    modal: ModalFields,
+    kept: KeptPass | None,
+) -> Prepared:
+    """`prepare` of a camera that moves."""
+    gaussians = fit.gaussians
+    times = np.array([f.times_s[0] for f in observations.frames])
+    series = modal.series(times)
+    count, (width, height) = len(times), observations.size
+    wanted: Wanted = {
+        "viewmats": (np.float64, (count, 4, 4)),
+        "weights": (np.float16, (count, height, width)),
+        "level": (np.float64, (count,)),
+        "seen": (np.float64, (len(gaussians),)),
+    }
+    found = None if kept is None else kept.load(wanted, {"0": count}, len(gaussians))
+    if found is None:
+        arrays, sides = _passed(folder, observations, gaussians, modal, series)
+        if kept is not None:
+            kept.save(arrays | sides.arrays("0"), ())
+    else:
+        arrays, (sides,) = found
+    frames = [replace(f, viewmat=v) for f, v in zip(observations.frames, arrays["viewmats"], strict=True)]
+    views = FrameViews(gaussians, frames, observations.size, arrays["weights"], arrays["level"])
+    clock = SharedClock("", tuple(range(len(frames))), times, sides, series)
+    observations = replace(observations, frames=frames)
+    return Prepared(
+        fit, folder, capture, observations, modal, views, (clock,), arrays["seen"].astype(np.float64),
+        slow=_slow_functions(times),
+    )  # fmt: skip
+
+
+def _passed(
+    folder: Path | None,
+    observations: Observations,
+    gaussians: Gaussians,
+    modal: ModalFields,
+    series: np.ndarray,
+) -> tuple[dict[str, np.ndarray], Sides]:
+    """One pass through the frames."""
+    frames, _, _ = corrected_poses(gaussians, observations, 0)
+    n, count = len(gaussians), len(frames)
+    width, height = observations.size
+    sides = zeros_in_room((HALVES, count, n, DOF), folder)
+    out = FrameViews(
+        gaussians, frames, observations.size, np.zeros((count, height, width), np.float16), np.ones(count)
+    )
+    seen = np.zeros(n)
+    with progress("pictures", count, "frames") as update:
+        for k, picture in enumerate(pictures_of(observations)):
+            view = view_jacobian(gaussians, frames[k], observations.size)
+            left = picture - view.over_white
+            if len(modal.fields):
+                field = np.tensordot(series[:, k].astype(np.float32), modal.fields, 1)
+                left -= view.jvp(np.ascontiguousarray(field[None]))[0]
+            _pull_back(out, k, view, left, sides)
+            seen += blend_sum(view, np.ones((height, width, 3), np.float32))[:, 0]
+            update(k + 1)
+    arrays = {
+        "viewmats": np.stack([f.viewmat for f in frames], dtype=np.float64),
+        "weights": out.weights,
+        "level": out.level,
+        "seen": seen,
+    }
+    return arrays, Sides.of(sides)
+
+
+def _pull_back(out: FrameViews, k: int, view: ViewJacobian, left: np.ndarray, sides: np.ndarray) -> None:
+    """Weights of frame k, by what is left of it without exposure and pose, and its sides."""
+    height, width = left.shape[:2]
+    first = out.of(k, view, np.ones((height, width), np.float32))
+    coarse = _without(first.nuisance, first.mean, left, robust_weights(left))
+    relative = robust_weights(coarse)
+    out.level[k] = 1 / max(float((relative[..., None] * coarse**2).sum() / (3 * relative.sum())), 1e-12)
+    out.weights[k] = relative
+    own = replace(first, weights=out.weights[k].astype(np.float32) * np.float32(out.level[k]))
+    for half, weights, projection in own.projections():
+        assert projection is not None
+        shown = projection.out_of(left[None]) * weights[..., None]
+        view.vjp(np.ascontiguousarray(shown, np.float32), sides[half, k : k + 1])
+
+
+def _without(nuisance: Nuisance, mean: np.ndarray, left: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """A picture [H, W, 3] less what the columns explain of it, by weighted least squares."""
+    columns = nuisance.columns(mean).reshape(12, -1)
+    weighted = columns * np.repeat(weights.reshape(-1), 3)
+    gram, side = (weighted @ columns.T).astype(np.float64), weighted @ left.reshape(-1)
+    scale = np.sqrt(np.diag(gram)) + 1e-12
+    n = np.linalg.solve(gram / np.outer(scale, scale) + 1e-6 * np.eye(12), side / scale) / scale
+    return np.asarray(left - (n.astype(np.float32) @ columns).reshape(left.shape))
+
+
+def _slow_functions(times_s: np.ndarray) -> np.ndarray:
+    """[S, F]: polynomials up to half the lowest frequency that is told, `_PERIODS` in the record."""
+    span = max(float(np.ptp(times_s)), 1e-9)
+    degree = int(np.clip(round(_PERIODS / 2), 1, min(_MOST_SLOW, len(times_s) // 4)))
+    return legendre.legvander(2 * (times_s - times_s.min()) / span - 1, degree).T

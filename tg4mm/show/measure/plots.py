@@ -1,0 +1,146 @@
+"""Plots by matplotlib, one page a sensor as SVG and PNG: waveform, spectrum with floor and peaks, orbit."""
+
+from __future__ import annotations
+
+import io
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tg4mm.core.files import write_atomic
+from tg4mm.core.pages.plotstyle import COLOURS, STYLE
+from tg4mm.core.progress import progress
+from tg4mm.show.measure.fourier import is_told
+from tg4mm.show.measure.measurement import Measurement
+from tg4mm.show.measure.sensor_result import SensorResult
+from tg4mm.show.measure.sensors import file_name
+from tg4mm.show.measure.series import Series
+from tg4mm.show.measure.units import Unit, unit_of
+
+_MARKED = 200  # samples: of a longer record they would run into each other
+
+
+def write_plots(measurement: Measurement, out: Path) -> list[Path]:
+    """OUT/plots/<sensor>.svg and .png of every sensor."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    folder, paths = out / "plots", []
+    folder.mkdir(parents=True, exist_ok=True)
+    count = len(measurement.sensors)
+    with plt.rc_context(STYLE), progress("plots", count, "sensors") as update:
+        for done, result in enumerate(measurement.sensors, 1):
+            figure = _figure(plt, result, unit_of(measurement, result))
+            for ending in ("svg", "png"):
+                data = io.BytesIO()
+                figure.savefig(
+                    data, format=ending, dpi=120, metadata={"Date": None} if ending == "svg" else None
+                )
+                path = folder / f"{file_name(result.name)}.{ending}"
+                write_atomic(path, partial(Path.write_bytes, data=data.getvalue()))
+                paths.append(path)
+            plt.close(figure)
+            update(done)
+    return paths
+
+
+def _figure(plt: Any, result: SensorResult, unit: Unit) -> Any:
+    figure = plt.figure(figsize=(10, 6), layout="constrained")
+    grid = figure.add_gridspec(2, 3)
+    figure.suptitle(
+        f"{result.name}: {int((result.body.weights > 0).sum()):,} Gaussians", x=0.01, ha="left", weight="bold"
+    )
+    waveform(figure.add_subplot(grid[0, :]), result, unit)
+    spectrum(figure.add_subplot(grid[1, :2]), result, unit)
+    _orbit(figure.add_subplot(grid[1, 2]), result, unit)
+    return figure
+
+
+def _told(series: Series) -> list[int]:
+    """Axes worth drawing: observed, and not uncertain by more than ten times the best one."""
+    return np.flatnonzero(series.is_told).tolist()
+
+
+def waveform(axes: Any, result: SensorResult, unit: Unit) -> None:
+    """Displacement over time with a band of one standard deviation; of clips the first one's."""
+    series = result.series
+    marker = "." if len(series.times_s) <= _MARKED else ""
+    hidden = [series.labels[k] for k in range(3) if k not in _told(series)]
+    for k in _told(series):
+        value, error = series.displacement[:, k] * unit.factor, series.deviation[:, k] * unit.factor
+        axes.plot(
+            series.times_s, value, color=COLOURS[k], lw=1.2, marker=marker, ms=3, label=series.labels[k]
+        )
+        axes.fill_between(series.times_s, value - error, value + error, color=COLOURS[k], alpha=0.25, lw=0)
+    axes.set(xlabel="time, s", ylabel=f"displacement, {unit.name}")
+    words = [f"clip {series.clock}"] if series.clock else []
+    words += ["band: one standard deviation"]
+    words += [f"{', '.join(hidden)} hardly seen, left out"] if hidden else []
+    axes.set_title("; ".join(words), fontsize=8, loc="left")
+    if _told(series):
+        axes.legend(ncols=3, loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0.2, frameon=False)
+    if unit.name != "px":
+        second = axes.secondary_yaxis("right", functions=_factors(result.px_per_unit / unit.factor))
+        second.set_ylabel(f"px in {result.best_view}")
+
+
+def _factors(factor: float) -> tuple[Any, Any]:
+    return (lambda v: v * factor), (lambda v: v / factor)
+
+
+def spectrum(axes: Any, result: SensorResult, unit: Unit) -> None:
+    """Amplitude over frequency, noise floor dashed, peaks named."""
+    found = result.spectrum
+    told = np.flatnonzero(is_told(found.floor[0])).tolist()
+    for k in told:
+        axes.semilogy(
+            found.freqs_hz,
+            np.maximum(found.amplitude[:, k] * unit.factor, 1e-12),
+            color=COLOURS[k],
+            lw=1.1,
+        )
+        axes.semilogy(found.freqs_hz, found.floor[:, k] * unit.factor, color=COLOURS[k], lw=1, ls=(0, (4, 3)))
+    lowest = min((float(found.floor[0, k]) for k in told), default=1e-9) * unit.factor
+    top = max((float(found.amplitude[:, k].max()) for k in told), default=1.0) * unit.factor
+    lowest = min(lowest, top) if lowest > 0 else top / 1e4
+    for peak, orbit in zip(found.peaks, result.orbits, strict=True):
+        axes.annotate(
+            f"{peak.frequency_hz:.4g} Hz", (peak.frequency_hz, orbit.amplitude * unit.factor), fontsize=8,
+            ha="center", xytext=(0, 6), textcoords="offset points",
+        )  # fmt: skip
+    axes.set_ylim(lowest / 10, max(top, lowest) * 4)
+    axes.set(xlabel="frequency, Hz", ylabel=f"amplitude, {unit.name}", xlim=(0, found.freqs_hz[-1]))
+    axes.set_title("dashed: noise floor; what lies under it is not told from noise", fontsize=8, loc="left")
+
+
+def _orbit(axes: Any, result: SensorResult, unit: Unit) -> None:
+    series = result.series
+    told, size = _told(series), np.abs(series.displacement).max(0)
+    pair = sorted(sorted(told, key=lambda k: -size[k])[:2])
+    if len(pair) < 2:
+        axes.set_axis_off()
+        return
+    a, b = pair
+    axes.plot(
+        series.displacement[:, a] * unit.factor,
+        series.displacement[:, b] * unit.factor,
+        ".",
+        ms=3,
+        color="#777777",
+    )
+    turn = np.exp(2j * np.pi * np.arange(65) / 64)
+    for peak in result.records[0].peaks[:3]:
+        axes.plot(
+            (peak.phasor[a] * turn).real * unit.factor, (peak.phasor[b] * turn).real * unit.factor, lw=1.3,
+            label=f"{peak.frequency_hz:.4g} Hz",
+        )  # fmt: skip
+    axes.set(xlabel=f"{series.labels[a]}, {unit.name}", ylabel=f"{series.labels[b]}, {unit.name}")
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.locator_params(nbins=4)
+    axes.set_title("orbit", fontsize=8, loc="left")
+    if result.spectrum.peaks:
+        axes.legend(fontsize=7)

@@ -1,0 +1,238 @@
+"""A run, or a fit without one, made ready to be measured: one pass through its pictures, of which sensors need none."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from tg4mm.capture import Capture, ImageStack, load_capture
+from tg4mm.capture.pictures import FilePictures
+from tg4mm.core.progress import progress
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.checkpoints import no_checkpoint
+from tg4mm.fit.motion.jacobian.packed import DOF
+from tg4mm.fit.motion.jacobian.view import blend_sum
+from tg4mm.fit.motion.modes import MotionFit
+from tg4mm.fit.motion.nuisance.first_look import FixedCameras, look_at, rest_views
+from tg4mm.fit.motion.nuisance.projection import COLUMNS, nuisances_of
+from tg4mm.fit.motion.observations import Observations, PosedFrames, observe
+from tg4mm.run import Run
+from tg4mm.run.checks import check_times
+from tg4mm.run.train import pictures_for
+from tg4mm.show.measure.errors import MeasureError
+from tg4mm.show.measure.kept import Kept, KeptPass, Wanted
+from tg4mm.show.measure.modal_fields import ModalFields, clock_phases
+from tg4mm.show.measure.moving import prepare_moving
+from tg4mm.show.measure.residuals import (
+    MeasuredView,
+    halves_of,
+    packed_mean,
+    packed_weights,
+    pull_back,
+    shown_fields,
+    unpacked_mean,
+    weighed,
+)
+from tg4mm.show.measure.scene import Prepared, SharedClock, zeros_in_room
+from tg4mm.show.measure.sides import HALVES, Sides
+
+_LOG = logging.getLogger("tg4mm")
+
+
+def prepare(run: Run, keep: bool = True) -> Prepared:
+    """Read the run's pictures once, for any number of measurements.
+
+    Args:
+        run: a finished run.
+        keep: keep what is read in RUN/residuals.safetensors, for later calls: 12 bytes for each frame and visible
+            Gaussian, if that is under 1 GiB and the folder can be written.
+
+    Returns:
+        What `measure` takes.
+
+    Raises:
+        MeasureError: the dataset has one timestep.
+        Tg4mmError: the run or its dataset cannot be read.
+    """
+    capture = load_capture(run.dataset, split="train")
+    if capture.n_timesteps < 2:
+        raise MeasureError(
+            f"{run.path}: its dataset {run.dataset} has one timestep; a measurement needs pictures over time"
+        )
+    fit = run.load_fit()
+    times = (fit.motion.fps, fit.motion.n_timesteps), (capture.fps, capture.n_timesteps)
+    check_times(run.path, run.dataset, *times)
+    kept = KeptPass.of(run, keep)
+    pictures = FilePictures(capture) if kept.is_there else pictures_for(capture)
+    return _prepared(fit, run.path, capture, observe(capture, pictures), kept)
+
+
+def prepare_fit(
+    capture: Capture, fit: MotionFit, images: ImageStack | FilePictures | None = None
+) -> Prepared:
+    """Read the pictures of a fit once, for any number of measurements. Writes nothing.
+
+    Args:
+        capture: that `fit` was fitted to.
+        fit: of `fit_motion`.
+        images: the capture's pictures if they are read already (`load_images`); `None` reads them.
+
+    Returns:
+        What `measure` takes.
+
+    Raises:
+        CaptureError: a picture cannot be read, or too few show motion.
+        MeasureError: the capture has one timestep.
+    """
+    if capture.n_timesteps < 2:
+        raise MeasureError(f"{capture.root}: has one timestep; a measurement needs pictures over time")
+    return _prepared(fit, None, capture, observe(capture, images or pictures_for(capture)), None)
+
+
+def _prepared(
+    fit: MotionFit, folder: Path | None, capture: Capture, observations: Observations, kept: KeptPass | None
+) -> Prepared:
+    modal = ModalFields.of(fit.motion, len(fit.gaussians))
+    if observations.clock == "moving":
+        return prepare_moving(fit, folder, capture, observations, modal, kept)
+    return _Fixed(fit, folder, capture, observations, modal, kept).prepared()
+
+
+@dataclass(frozen=True)
+class _Fixed:
+    """Fixed cameras."""
+
+    fit: MotionFit
+    folder: Path | None
+    capture: Capture
+    observations: Observations
+    modal: ModalFields
+    kept: KeptPass | None
+
+    @property
+    def gaussians(self) -> Gaussians:
+        return self.fit.gaussians
+
+    def prepared(self) -> Prepared:
+        clocks = self._clocks(self.observations.frames)
+        found = None if self.kept is None else self._found(self.kept, clocks)
+        if self.kept is not None and found is not None:
+            arrays, sides = found
+            means = unpacked_mean(arrays["mean"])
+            views = self._views(self.observations.frames, means, arrays["active"].astype(bool))
+            weights = arrays["weights"].astype(np.float32) * arrays["unit"][:, None, None]
+            views = [replace(v, weights=w) for v, w in zip(views, weights, strict=True)]
+            notes = tuple(self.kept.notes)
+        else:
+            seen = self._seen()
+            observations = seen.observations
+            active = np.stack([n.active for n in seen.nuisances])
+            means = unpacked_mean(packed_mean(np.asarray(seen.look.mean)))  # as a later call will have it
+            views = self._views(observations.frames, means, active)
+            views, sides = self._passed(observations, views, clocks)
+            notes = tuple(seen.notes)
+            if self.kept is not None:
+                self._keep(self.kept, views, sides, notes)
+        clocks = [replace(c, sides=s) for c, s in zip(clocks, sides, strict=True)]
+        return Prepared(
+            self.fit, self.folder, self.capture, self.observations, self.modal, views, tuple(clocks),
+            seen_weights(views, len(self.gaussians)), notes,
+        )  # fmt: skip
+
+    def _found(self, kept: KeptPass, clocks: Sequence[SharedClock]) -> Kept | None:
+        """What an earlier call has kept."""
+        count, (width, height) = len(self.observations.frames), self.observations.size
+        wanted: Wanted = {
+            "mean": (np.int16, (count, height, width, 3)),
+            "active": (np.uint8, (count, COLUMNS)),
+            "weights": (np.float16, (count, height, width)),
+            "unit": (np.float32, (count,)),
+        }
+        n_frames = {str(c): len(clock.times_s) for c, clock in enumerate(clocks)}
+        return kept.load(wanted, n_frames, len(self.gaussians))
+
+    def _seen(self) -> FixedCameras:
+        """Nuisance columns and means as the motion stage finds them, and pictures turned back where cameras shake."""
+        config = self.fit.config
+        return look_at(self.gaussians, self.observations, config, "cpu", no_checkpoint, refines=False)
+
+    def _views(
+        self, frames: Sequence[PosedFrames], means: np.ndarray, active: np.ndarray
+    ) -> list[MeasuredView]:
+        views = rest_views(self.gaussians, self.observations)
+        nuisances = nuisances_of(views, frames, self.gaussians.means.numpy(), active[0])
+        is_shared = self.observations.clock == "synchronous"
+        halves = halves_of(len(frames) if is_shared else 1, True)
+        return [
+            MeasuredView(
+                view, own, nuisance.with_active(active[v]), means[v], np.ones(means[v].shape[:2], np.float32),
+                halves[v if is_shared else 0],
+            )
+            for v, (view, own, nuisance) in enumerate(zip(views, frames, nuisances, strict=True))
+        ]  # fmt: skip
+
+    def _clocks(self, frames: Sequence[PosedFrames]) -> list[SharedClock]:
+        nothing = Sides.of(np.zeros((HALVES, 0, 0, DOF), np.float32))
+        if self.observations.clock == "synchronous":
+            times = frames[0].times_s
+            series = _centred(self.modal.series(times))
+            return [SharedClock("", tuple(range(len(frames))), times, nothing, series)]
+        out = []
+        for v, own in enumerate(frames):
+            phases = clock_phases(self.fit.figures, own.name, self.modal.freqs_hz)
+            series = _centred(self.modal.series(own.times_s, phases))
+            out.append(SharedClock(own.name, (v,), own.times_s, nothing, series))
+        return out
+
+    def _passed(
+        self, observations: Observations, views: Sequence[MeasuredView], clocks: Sequence[SharedClock]
+    ) -> tuple[list[MeasuredView], list[Sides]]:
+        """The one pass: views with weights, and the sides of every clock."""
+        out, sides = list(views), []
+        total, done = 2 * sum(len(v.frames.rows) for v in views), 0  # every frame is read twice
+        with progress("pictures", total, "frames") as update:
+
+            def step(frames: int) -> None:
+                nonlocal done
+                done += frames
+                update(done)
+
+            for clock in clocks:
+                own = zeros_in_room((HALVES, len(clock.times_s), len(self.gaussians), DOF), self.folder)
+                for v in clock.views:
+                    shown = shown_fields(views[v].view, self.modal.fields)
+                    out[v] = weighed(observations, views[v], shown, clock.series, step)
+                    pull_back(observations, out[v], shown, clock.series, own, step)
+                sides.append(Sides.of(own))
+        return out, sides
+
+    def _keep(
+        self, kept: KeptPass, views: Sequence[MeasuredView], sides: Sequence[Sides], notes: Sequence[str]
+    ) -> None:
+        weights, units = zip(*(packed_weights(v.weights) for v in views), strict=True)
+        arrays = {
+            "mean": np.stack([packed_mean(v.mean) for v in views]),
+            "active": np.stack([v.nuisance.active for v in views]).astype(np.uint8),
+            "weights": np.stack(weights),
+            "unit": np.array(units),
+        }
+        for c, own in enumerate(sides):
+            arrays |= own.arrays(str(c))
+        kept.save(arrays, notes)
+
+
+def seen_weights(views: Sequence[MeasuredView], n_gaussians: int) -> np.ndarray:
+    """[N] blending weight of every Gaussian, pixels, summed over views."""
+    out = np.zeros(n_gaussians)
+    for view in views:
+        out += blend_sum(view.view, np.ones_like(view.mean))[:, 0]
+    return out
+
+
+def _centred(series: np.ndarray) -> np.ndarray:
+    """Changes are from the mean over time."""
+    return series - series.mean(1, keepdims=True)

@@ -1,0 +1,115 @@
+"""How a sensor moves against a reference sensor: phase at the reference's peaks, and coherence over frequency."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.signal import csd, welch
+
+from tg4mm.show.measure.fourier import sinusoid_columns
+from tg4mm.show.measure.orbit import amplitude_deviation, orbit_of
+from tg4mm.show.measure.series import Series
+
+if TYPE_CHECKING:
+    from tg4mm.show.measure.sensor_result import SensorResult
+
+_SEGMENTS = 4  # of a record, half overlapping
+_SHORTEST = 16  # samples of a segment
+_EVEN = 0.05  # of a step
+
+
+@dataclass(frozen=True)
+class PhaseAt:
+    """At one frequency of the reference's peaks: motion along each sensor's own main direction."""
+
+    frequency_hz: float
+    amplitude: float  # of this sensor, scene units
+    phase: float  # radians, this sensor's less the reference's, −π … π
+    deviation: float  # radians; π: not told
+    is_above: bool  # whether this sensor stands out of its floor there
+
+
+@dataclass(frozen=True)
+class Relation:
+    """Against the sensor `reference`."""
+
+    reference: str
+    phases: tuple[PhaseAt, ...]
+    freqs_hz: np.ndarray  # [F] of the coherence; empty where the record is too short
+    coherence: np.ndarray  # [F] magnitude squared, of the main directions, Welch
+    segments: int
+    chance: float  # coherence that noise alone stays under in 95 of 100: 1 − 0.05^(1 / (segments − 1))
+
+
+def relation_of(result: SensorResult, reference: SensorResult) -> Relation:
+    """Of clips there is no coherence."""
+    hz = np.array([p.frequency_hz for p in reference.spectrum.peaks])
+    phases = []
+    for k, peak in enumerate(reference.spectrum.peaks):
+        orbit = orbit_of(peak)
+        own, deviation, is_above = _at(result, hz, k)
+        main = _main_direction(own)
+        phase = float(np.angle(main @ own)) - orbit.phase
+        amplitude = float(np.abs(main @ own))
+        error = np.hypot(
+            float(np.sqrt(((main * deviation) ** 2).sum())) / max(amplitude, 1e-300),
+            amplitude_deviation(peak, orbit) / max(orbit.amplitude, 1e-300),
+        )
+        phases.append(
+            PhaseAt(
+                float(hz[k]),
+                amplitude,
+                float((phase + np.pi) % (2 * np.pi) - np.pi),
+                min(error, np.pi),
+                is_above,
+            )
+        )
+    freqs, coherence, segments = np.zeros(0), np.zeros(0), 0
+    if result.together is None:
+        freqs, coherence, segments = _coherence(result.series, reference.series)
+    chance = 1 - 0.05 ** (1 / (segments - 1)) if segments > 1 else 1.0
+    return Relation(reference.name, tuple(phases), freqs, coherence, segments, chance)
+
+
+def _at(result: SensorResult, hz: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray, bool]:
+    """[3] phasor of a sensor at frequency k of several, its deviations, and whether it stands out."""
+    floor = result.spectrum.floor[0]
+    if result.together is not None:
+        peak = min(result.together.everywhere, key=lambda p: abs(p.frequency_hz - hz[k]))
+        phasor = np.where(peak.is_told, peak.phasor, 0)
+        return phasor, np.where(peak.is_told, peak.deviation, 0), bool((np.abs(phasor) > floor).any())
+    design = sinusoid_columns(hz, result.times_s)
+    inverse = np.linalg.pinv(design)
+    answer, n = inverse @ result.displacement, len(hz)
+    finite = np.where(result.series.is_observed, result.series.noise, 0)
+    variance = inverse**2 @ finite**2
+    phasor = np.where(result.series.is_told, answer[1 + k] + 1j * answer[1 + n + k], 0)
+    return phasor, np.sqrt((variance[1 + k] + variance[1 + n + k]) / 2), bool((np.abs(phasor) > floor).any())
+
+
+def _main_direction(phasor: np.ndarray) -> np.ndarray:
+    turned = phasor * np.exp(-0.5j * np.angle((phasor**2).sum()))
+    main = turned.real / max(float(np.linalg.norm(turned.real)), 1e-300)
+    return main if main[np.abs(main).argmax()] >= 0 else -main
+
+
+def _coherence(a: Series, b: Series) -> tuple[np.ndarray, np.ndarray, int]:
+    """Of motion along each one's direction of largest variance; nothing of uneven or short records."""
+    n, steps = len(a.times_s), np.diff(a.times_s)
+    length = 2 * n // (_SEGMENTS + 1)
+    if length < _SHORTEST or np.ptp(steps) > _EVEN * steps.mean():
+        return np.zeros(0), np.zeros(0), 0
+    x, y = _along_main(a), _along_main(b)
+    of = {"fs": 1 / float(steps.mean()), "nperseg": length, "noverlap": length // 2}
+    freqs, cross = csd(x, y, **of)
+    power = welch(x, **of)[1] * welch(y, **of)[1]
+    segments = 1 + (n - length) // (length - length // 2)
+    return freqs, np.abs(cross) ** 2 / np.maximum(power, 1e-300), segments
+
+
+def _along_main(series: Series) -> np.ndarray:
+    values = np.where(series.is_told, series.displacement, 0)
+    main = np.linalg.eigh(values.T @ values)[1][:, -1]
+    return np.asarray(values @ main)

@@ -1,0 +1,141 @@
+"""What a run's motion leaves of every frame, pulled back to the Gaussians: the one pass through the pictures.
+
+Of frame f of view v, r_f = I_f − Ī_v − J_v M x(τ_f): the frame's change less what the run's modes show of it. Kept are
+Jᵀ W (1 − Q Qᵀ W) r_f of every Gaussian, summed over the views of one clock, for two halves of the data each by itself.
+A sensor's motion is a sum of these over its region and a few products with the Jacobian (`rigid.py`): nothing needs the
+pictures again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from tg4mm.capture.pictures import over_white
+from tg4mm.fit.motion.jacobian.view import ViewJacobian
+from tg4mm.fit.motion.nuisance.projection import Nuisance, Projection, without
+from tg4mm.fit.motion.observations import Observations, PosedFrames
+from tg4mm.fit.motion.split_half import LEAST, chessboard
+from tg4mm.show.measure.sides import HALVES
+
+AT_ONCE = 8  # frames
+Step = Callable[[int], None]  # is told how many more frames are done
+_SMOOTHING_PX = 1.5
+
+
+@dataclass(frozen=True)
+class MeasuredView:
+    """One pose: its Jacobian, and the pixel weights and nuisance of each half of the data that it is in."""
+
+    view: ViewJacobian
+    frames: PosedFrames
+    nuisance: Nuisance
+    mean: np.ndarray  # [H, W, 3] the picture that changes are from
+    weights: np.ndarray  # [H, W] float32, per squared pixel value
+    halves: tuple[int, ...]  # (0,), (1,) or, by squares of the picture, (0, 1)
+
+    def masked(self, half: int) -> np.ndarray:
+        """[H, W]: the weights in one half."""
+        if len(self.halves) == 1:
+            return self.weights
+        height, width = self.weights.shape
+        board = chessboard((width, height))
+        return self.weights * (board if half == 0 else 1 - board)
+
+    def projections(self) -> Iterator[tuple[int, np.ndarray, Projection | None]]:
+        """Half, weights [H, W] and nuisance projection of each half."""
+        for half in self.halves:
+            weights = self.masked(half)
+            is_any = self.nuisance.active.any()
+            yield half, weights, Projection.of(self.nuisance, self.mean, weights) if is_any else None
+
+
+def halves_of(n_views: int, is_fixed: bool) -> list[tuple[int, ...]]:
+    """Which half of the data every view of one clock is in: by turns, or of few views both, by squares."""
+    if is_fixed and n_views >= LEAST:
+        return [(k % HALVES,) for k in range(n_views)]
+    return [(0, 1)] * n_views
+
+
+def leftover(
+    observations: Observations, view: MeasuredView, shown: np.ndarray, series: np.ndarray
+) -> Iterator[tuple[slice, np.ndarray]]:
+    """A few frames at a time, [f, H, W, 3]: the changes less Σ_r series[r, f] shown[r] ([R, H, W, 3], J x_r)."""
+    rows = view.frames.rows
+    flat = shown.reshape(len(shown), view.mean.size)
+    for first in range(0, len(rows), AT_ONCE):
+        some = slice(first, first + AT_ONCE)
+        raw = observations.pictures.strips(rows[some].tolist())
+        left = over_white(raw(slice(None)), observations.pictures.maximum) - view.mean
+        if len(shown):
+            left -= (series[:, some].T.astype(np.float32) @ flat).reshape(left.shape)
+        yield some, left
+
+
+def inverse_noise(energy: np.ndarray) -> np.ndarray:
+    """[H, W] float32: weights of pixels whose residuals have the mean squares `energy` [H, W].
+
+    One over the variance, smoothed by 1.5 px, to which the picture's mean is added: none counts for more than twice as
+    much as an average pixel, and what has no noise at all (a cut-out's white) decides nothing by itself.
+    """
+    smooth = gaussian_filter(energy, _SMOOTHING_PX, mode="reflect")
+    level = max(float(smooth.mean()), 1e-12)
+    own, unit = packed_weights(1 / (smooth + level))
+    return own.astype(np.float32) * unit
+
+
+def packed_weights(weights: np.ndarray) -> tuple[np.ndarray, np.float32]:
+    """Weights [...] as float16 and the power of two that they are multiplied by; once packed they stay the same."""
+    unit = np.float32(2.0 ** np.ceil(np.log2(max(float(weights.max()), 1e-30))))
+    return (weights / unit).astype(np.float16), unit
+
+
+def packed_mean(mean: np.ndarray) -> np.ndarray:
+    """A picture's values, 0 … 1, as int16 in steps of 1 / 65535."""
+    return (np.rint(np.clip(mean, 0, 1) * 65535) - 32768).astype(np.int16)
+
+
+def unpacked_mean(packed: np.ndarray) -> np.ndarray:
+    """float32 of `packed_mean`."""
+    return (packed.astype(np.float32) + 32768) / np.float32(65535)
+
+
+def weighed(
+    observations: Observations, view: MeasuredView, shown: np.ndarray, series: np.ndarray, step: Step
+) -> MeasuredView:
+    """The view with pixel weights from what is left of its frames, nuisance taken out."""
+    energy = np.zeros(view.mean.shape[:2], np.float32)
+    for _, left in leftover(observations, view, shown, series):
+        own = without(view.nuisance, view.mean, left)
+        energy += np.einsum("fhwc,fhwc->hw", own, own) / 3
+        step(len(left))
+    view.nuisance.__dict__.pop("pose", None)  # 72 bytes a pixel, made again where it is asked for
+    return replace(view, weights=inverse_noise(energy / len(view.frames.rows)))
+
+
+def pull_back(
+    observations: Observations,
+    view: MeasuredView,
+    shown: np.ndarray,
+    series: np.ndarray,
+    out: np.ndarray,
+    step: Step,
+) -> None:
+    """Adds to `out` [2, F, N, 6] what is left of the view's frames, pulled back to the Gaussians."""
+    ready = list(view.projections())
+    for some, left in leftover(observations, view, shown, series):
+        for half, weights, projection in ready:
+            own = left if projection is None else projection.out_of(left)
+            view.view.vjp(np.ascontiguousarray(own * weights[..., None], np.float32), out[half, some])
+        step(len(left))
+    view.nuisance.__dict__.pop("pose", None)
+
+
+def shown_fields(view: ViewJacobian, fields: np.ndarray) -> np.ndarray:
+    """[R, H, W, 3]: what fields [R, N, 6] change in the picture, to first order."""
+    if not len(fields):
+        return np.zeros((0, *view.transmittance.shape, 3), np.float32)
+    return np.array(view.jvp(fields))

@@ -1,0 +1,161 @@
+"""A region's rigid motion in every frame, by least squares through the Jacobian.
+
+E [K, N, 6] holds the motions of the region's Gaussians for a unit of each degree of freedom: three translations along
+the sensor's axes and three rotations about its centre, each Gaussian by its weight w. D is the same for the region and
+for what goes with it, by weights w' ≥ w (`companions`). With the residual's pull-back s_f (`residuals.py`) and the
+run's modal motion x_f, whose picture was taken out of the residual,
+
+    A u_f  =  E·s_f + E·JᵀWJ (w' x_f)        A = E·JᵀWJ D,  noise of the right-hand side B = E·JᵀWJ E
+
+so that what the run's modes show of Gaussians elsewhere stays out, and inside the pictures alone decide. With E in D's
+place a region cut out of a larger body would be held by the modes of what lies around it: its seam does not open.
+
+A is what the scene at rest would show of a motion, and not all of that is in the pictures: texture that the scene at
+rest has and the pictures lack tells of no motion and draws the answer to zero, along an edge most of all (errors in
+variables, Fuller 1987). With e the scene at rest less the mean picture, a motion changes the pictures by J D less the
+change of e, so that of a true motion u* the answer holds (1 − A⁻¹ F) u*,
+
+    F_kl  =  E_k·JᵀW (motion_l·∇e)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tg4mm.fit.motion.jacobian.packed import DOF
+from tg4mm.fit.motion.jacobian.pixels import optical_flow
+from tg4mm.fit.motion.nuisance.projection import Projection
+from tg4mm.fit.rasterize.buffers import Buffers
+from tg4mm.show.measure.residuals import MeasuredView
+from tg4mm.show.measure.sides import HALVES, Sides
+
+
+@dataclass(frozen=True)
+class Body:
+    """A region as a rigid body."""
+
+    weights: np.ndarray  # [N] float32, 0 … 1
+    centre: np.ndarray  # [3] scene units
+    radius: float  # rms distance from the centre, scene units
+    axes: np.ndarray  # [3, 3], rows: unit vectors in the world
+
+    def motions(self, means: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """[6, N, 6] float32: by one scene unit along each axis, and by one radian times `radius` about each.
+
+        E for the body's own weights [N], D for those of `companions`.
+        """
+        away = means - self.centre
+        out = np.zeros((6, len(means), DOF), np.float32)
+        for k, axis in enumerate(self.axes):
+            out[k, :, :3] = axis
+            out[3 + k, :, :3] = np.cross(axis, away) / self.radius
+            out[3 + k, :, 3:] = axis / self.radius
+        return out * weights[:, None]
+
+
+@dataclass(frozen=True)
+class Equations:
+    """Of one body on one clock, halves of the data apart."""
+
+    normals: np.ndarray  # [2, F or 1, 6, 6] A
+    noise: np.ndarray  # [2, F or 1, 6, 6] B
+    sides: np.ndarray  # [2, F, 6]
+    false: np.ndarray  # [6, 6] F, of both halves together; 0 of a moving camera, which has no mean picture
+
+    def along(self, axes: np.ndarray) -> Equations:
+        """The same for unknowns along other axes: `axes` [3, 3], rows unit vectors by their shares of the old ones."""
+        turn = np.kron(np.eye(2), axes)
+        normals, noise = (turn @ m @ turn.T for m in (self.normals, self.noise))
+        return Equations(normals, noise, self.sides @ turn.T, turn @ self.false @ turn.T)
+
+
+def equations_of(
+    bodies: Sequence[Body],
+    means: np.ndarray,
+    views: Sequence[MeasuredView],
+    sides: Sides,
+    fields: np.ndarray,
+    series: np.ndarray,
+    is_moving: bool,
+    step: Callable[[], None],
+) -> list[Equations]:
+    """The equations of several bodies in one pass over a clock's views.
+
+    fields [R, N, 6], series [R, F]. A moving camera has one view for each frame. `step` is called after each body in
+    each half of each view.
+    """
+    motions = [body.motions(means, body.weights) for body in bodies]
+    around = [companions(body, fields) for body in bodies]
+    trials = [body.motions(means, w) for body, w in zip(bodies, around, strict=True)]
+    n_frames, count = len(sides), len(views) if is_moving else 1
+    normals, noise = np.zeros((2, len(bodies), HALVES, count, 6, 6))
+    known = np.zeros((len(bodies), HALVES, n_frames, 6))
+    false = np.zeros((len(bodies), 6, 6))
+    own = [(w[:, None] * fields).reshape(len(fields), len(means) * DOF) for w in around]
+    for k, view in enumerate(views):
+        frames = slice(k, k + 1) if is_moving else slice(None)
+        halves = list(view.projections())
+        for b, e in enumerate(motions):
+            changes = None if is_moving else _false_changes(view, trials[b])
+            for half, weights, projection in halves:
+                product = np.zeros_like(e)
+                view.view.gauss_newton_product(e, weights, product)
+                if projection is not None:
+                    projection.correct(e, product)
+                if changes is not None:
+                    false[b] += _false(view, weights, projection, e, changes)
+                flat = product.reshape(6, -1)
+                at = b, half, k if is_moving else 0
+                normals[at] += flat @ trials[b].reshape(6, -1).T
+                noise[at] += flat @ e.reshape(6, -1).T
+                if len(fields):
+                    known[b, half, frames] += (flat @ own[b].T @ series[:, frames]).T
+                step()
+        view.nuisance.__dict__.pop("pose", None)
+    out = []
+    for b, e in enumerate(motions):
+        own_sides = sides.summed(e, np.flatnonzero(bodies[b].weights))
+        out.append(Equations(normals[b], noise[b], known[b] + own_sides, false[b]))
+    return out
+
+
+def companions(body: Body, fields: np.ndarray) -> np.ndarray:
+    """[N] float32 w': the body's weights, and elsewhere by how much a Gaussian moves as the body does, 0 … 1.
+
+    That is told by the run's modal fields [R, N, 6]: ⟨m_n, m⟩ / ⟨m, m⟩ with m the body's mean displacement. Where the
+    run has no motion in the body, nothing goes with it.
+    """
+    shifts, own = fields[..., :3], body.weights / body.weights.sum()
+    mean = np.einsum("n,rnc->rc", own, shifts)
+    power = float((mean**2).sum())
+    if power <= 0:
+        return body.weights
+    alike = np.einsum("rnc,rc->n", shifts, mean) / power
+    return np.maximum(body.weights, np.clip(alike, 0, 1)).astype(np.float32)
+
+
+def _false_changes(view: MeasuredView, trials: np.ndarray) -> np.ndarray:
+    """[6, H, W, 3]: what of the pictures' change by motions D [6, N, 6] the scene at rest has and the mean lacks."""
+    rest = view.view.over_white
+    down, right = np.gradient(rest - view.mean, axis=(0, 1))
+    flow = optical_flow(view.view, trials, Buffers())
+    # a motion to the right by a pixel takes away the slope to the right
+    return np.asarray(-(flow[..., :1] * right + flow[..., 1:2] * down))
+
+
+def _false(
+    view: MeasuredView,
+    weights: np.ndarray,
+    projection: Projection | None,
+    motions: np.ndarray,
+    changes: np.ndarray,
+) -> np.ndarray:
+    """F [6, 6] of one half of a view, of motions E [6, N, 6] and `_false_changes`."""
+    if projection is not None:
+        changes = projection.out_of(changes)
+    back = np.zeros_like(motions)
+    view.view.vjp(np.ascontiguousarray(changes * weights[..., None], np.float32), back)
+    return motions.reshape(6, -1).astype(np.float64) @ back.reshape(6, -1).T

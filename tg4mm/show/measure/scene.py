@@ -1,0 +1,70 @@
+"""What a measurement is made of: the run or fit, its views and clocks, and what was read of its pictures."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tg4mm.capture import Capture
+from tg4mm.core.room import room
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.modes import MotionFit
+from tg4mm.fit.motion.observations import Observations
+from tg4mm.show.measure.modal_fields import ModalFields
+from tg4mm.show.measure.residuals import MeasuredView
+from tg4mm.show.measure.sides import Sides
+
+IN_MEMORY = 1 << 30  # bytes that a pass through the pictures adds up; more lies in a temporary file
+
+
+@dataclass(frozen=True)
+class SharedClock:
+    """Views whose frames were taken at the same times: all of a synchronous capture, one of a clip."""
+
+    name: str  # "" where there is one clock
+    views: tuple[int, ...]
+    times_s: np.ndarray  # [F] seconds
+    sides: Sides  # `residuals.py`
+    series: np.ndarray  # [R, F] of the modal fields
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A run or fit made ready by `prepare` or `prepare_fit`: `measure` takes it any number of times."""
+
+    fit: MotionFit  # the scene and its motion
+    folder: Path | None  # the run's; None: there is no run
+    capture: Capture  # its pictures' cameras and times
+    observations: Observations  # of the motion stage: views, clocks, pictures
+    modal: ModalFields  # the motion as a few fields and their functions of time
+    views: Sequence[MeasuredView]  # what was read of each view's pictures
+    clocks: tuple[SharedClock, ...]  # views whose frames were taken at the same times
+    seen: np.ndarray  # [N] blending weight, pixels, summed over the views
+    notes: tuple[str, ...] = ()  # what this capture cannot tell, a line each
+    # [S, F] functions of time that a moving camera cannot tell from its own motion
+    slow: np.ndarray | None = None
+
+    @property
+    def gaussians(self) -> Gaussians:
+        """At rest."""
+        return self.fit.gaussians
+
+    @property
+    def means(self) -> np.ndarray:
+        """[N, 3] scene units."""
+        return np.asarray(self.gaussians.means.numpy(), np.float64)
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether one moving camera took the pictures."""
+        return self.observations.clock == "moving"
+
+
+def zeros_in_room(shape: tuple[int, ...], folder: Path | None) -> np.ndarray:
+    """Zeros [*shape] float32 to add to, beyond 1 GiB in a temporary file, of `folder` if that can be written."""
+    where = folder if folder is not None and os.access(folder, os.W_OK) else None
+    return room(shape, np.float32, where, IN_MEMORY)

@@ -1,0 +1,133 @@
+"""What one sensor measured: its displacement over time on every clock, and its peaks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from tg4mm.show.measure.clips import Together
+from tg4mm.show.measure.compression import with_sidebands
+from tg4mm.show.measure.damping import Damping, damping_of
+from tg4mm.show.measure.derivatives import Derivatives, derivatives_of
+from tg4mm.show.measure.orbit import Orbit, orbit_of
+from tg4mm.show.measure.relations import Relation
+from tg4mm.show.measure.rigid import Body
+from tg4mm.show.measure.sensors import Sensor
+from tg4mm.show.measure.series import Series
+from tg4mm.show.measure.spectrum import Peak, Spectrum, spectrum_of, strength_of
+
+WORLD = "x", "y", "z"
+
+
+@dataclass(frozen=True)
+class Record:
+    """A sensor on one clock: its series, and its peaks' phasors along the series' axes and on its clock."""
+
+    series: Series
+    peaks: tuple[Peak, ...]
+
+    @cached_property
+    def derivatives(self) -> Derivatives:
+        own = self.series
+        return derivatives_of(own.times_s, own.displacement, self.peaks)
+
+
+@dataclass(frozen=True)
+class SensorResult:
+    """One sensor. Arrays are in scene units; a direction that is not observed has the deviation inf and the value 0.
+
+    Where cameras have clocks of their own, spectrum, peaks and orbits are of all clips together, along the world's x,
+    y, z (`axes`, `labels`). A waveform is a clip's own, along its camera's axes: `records` has all of them; `series`,
+    `times_s`, `displacement`, `deviation`, `velocity` and `acceleration` are the first one's, along `series.axes`.
+    """
+
+    sensor: Sensor  # what was asked for
+    body: Body  # the Gaussians of the region and their weights
+    all_series: tuple[Series, ...]  # one for each clock
+    px_per_unit: float  # pixels per scene unit at the region, in the view that sees it largest
+    best_view: str  # name of that view
+    together: Together | None = None  # of clips
+    codec_period: int | None = None  # frames, of the video's compression
+    relation: Relation | None = None  # to the reference sensor; None for that sensor itself
+
+    @property
+    def name(self) -> str:
+        """Of the sensor."""
+        return self.sensor.name
+
+    @property
+    def series(self) -> Series:
+        """Of the one clock, or the first."""
+        return self.all_series[0]
+
+    @property
+    def clips(self) -> tuple[Series, ...]:
+        """The series of every clip; none where all cameras share one clock."""
+        return self.all_series if self.together is not None else ()
+
+    @property
+    def times_s(self) -> np.ndarray:
+        """[T] seconds."""
+        return self.series.times_s
+
+    @property
+    def displacement(self) -> np.ndarray:
+        """[T, 3] scene units, about the mean over the record."""
+        return self.series.displacement
+
+    @property
+    def deviation(self) -> np.ndarray:
+        """[T, 3] standard deviation of each sample, scene units."""
+        return self.series.deviation
+
+    @property
+    def axes(self) -> np.ndarray:
+        """[3, 3], rows: unit vectors in the world, of the spectrum and the peaks."""
+        return self.series.axes if self.together is None else np.eye(3)
+
+    @property
+    def labels(self) -> tuple[str, str, str]:
+        """Of the axes: x, y, z, or right, up, sight of one fixed camera."""
+        return self.series.labels if self.together is None else WORLD
+
+    @cached_property
+    def spectrum(self) -> Spectrum:
+        """Amplitude and noise floor over frequency, scene units and Hz, and the peaks."""
+        if self.together is not None:
+            found = self.together.spectrum
+        else:
+            found = spectrum_of(self.times_s, self.displacement, self.series.noise, self.series.model_share)
+        longest = max((s.times_s for s in self.all_series), key=len)
+        fps, duration = 1 / float(np.median(np.diff(longest))), float(np.ptp(longest))
+        return replace(found, peaks=with_sidebands(found.peaks, self.codec_period, fps, duration))
+
+    @cached_property
+    def records(self) -> tuple[Record, ...]:
+        """On every clock."""
+        own = (self.spectrum.peaks,) if self.together is None else self.together.of_clips
+        return tuple(Record(series, peaks) for series, peaks in zip(self.all_series, own, strict=True))
+
+    @property
+    def velocity(self) -> np.ndarray:
+        """[T, 3] scene units / s."""
+        return self.records[0].derivatives.velocity
+
+    @property
+    def acceleration(self) -> np.ndarray:
+        """[T, 3] scene units / s²."""
+        return self.records[0].derivatives.acceleration
+
+    @cached_property
+    def orbits(self) -> tuple[Orbit, ...]:
+        """The ellipse of each peak."""
+        return tuple(orbit_of(peak) for peak in self.spectrum.peaks)
+
+    @cached_property
+    def damping(self) -> tuple[Damping | None, ...]:
+        """Of each peak; None where it cannot be told. Of clips by the one in which the peak stands out most."""
+        best = [
+            max(self.records, key=lambda r: strength_of(r.peaks[k])) for k in range(len(self.spectrum.peaks))
+        ]
+        return tuple(damping_of(record.series, record.peaks, k) for k, record in enumerate(best))

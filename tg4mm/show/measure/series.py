@@ -1,0 +1,178 @@
+"""Displacement of a sensor over time, with a standard deviation for each sample.
+
+u_f = A⁻¹ b_f from the sum of two halves of the data, whose equations stand apart (`rigid.py`). Pixel noise alone would
+give the covariance A⁻¹ times a number; the noise of real pixels hangs together (codecs, demosaicing, errors of the
+model), so that number is found from the result, for each axis: what the halves' answers differ by in time, over what
+they would at unit noise; and where that is larger, the level that most of the answer's spectrum does not fall below.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal.windows import blackmanharris
+
+from tg4mm.show.measure.rigid import Equations
+
+_QUARTILE = float(-np.log(0.75))  # of a spectrum of noise, in units of its mean power
+_FEWEST = 12  # samples that a spectrum is judged by
+TOLD = 10.0  # times as uncertain as the best direction: beyond it a direction is not told
+_SURE = 1.5  # times as uncertain as without rotations a translation may become
+_TURNS = 10.0  # times as uncertain as a translation: a rotation times the radius beyond it is not told
+UNSEEN = 1e-6  # of the best-seen direction's information: less is rounding, and is not observed
+
+
+@dataclass(frozen=True)
+class Series:
+    """One sensor on one clock, about its mean over the record."""
+
+    clock: str  # "" where all cameras share one
+    times_s: np.ndarray  # [T] seconds
+    displacement: np.ndarray  # [T, 3] scene units, along `axes`
+    noise: np.ndarray  # [T, 3] standard deviation of the noise; inf along a direction that is not observed
+    deviation: np.ndarray  # [T, 3] standard deviation with errors of the model (`model_error.py`)
+    axes: np.ndarray  # [3, 3], rows: unit vectors in the world
+    labels: tuple[str, str, str]  # of the axes
+    rotation: (
+        np.ndarray | None
+    )  # [T, 3] radians about the axes through the centre; None where it cannot be told
+    rotation_deviation: np.ndarray | None  # [T, 3]
+    unit_covariance: np.ndarray  # [3, 3] A⁻¹ B A⁻ᵀ, mean over time: how well the pictures tell each direction
+    noise_factor: np.ndarray  # [3] variance over unit_variance, one for independent noise of known pixels
+    model_share: np.ndarray  # [3] standard deviation of the model's errors over the motion's length
+    halves_share: np.ndarray  # [3] the part of it that the two halves of the data differ by
+    false_share: np.ndarray  # [3] what the scene at rest, where it is wrong, hides of a motion of unit length
+
+    @property
+    def unit_variance(self) -> np.ndarray:
+        """[3]; inf along what is not seen."""
+        return np.diag(self.unit_covariance)
+
+    @property
+    def is_observed(self) -> np.ndarray:
+        """[3] bool, of the axes."""
+        return np.asarray(np.isfinite(self.noise).all(0))
+
+    @property
+    def is_told(self) -> np.ndarray:
+        """[3] bool: observed, and not ten times less sure than the best direction, as one camera's sight is."""
+        variance = np.where(self.is_observed, self.unit_variance, np.inf)
+        return np.asarray(variance <= TOLD**2 * variance.min()) & self.is_observed
+
+    def world(self) -> np.ndarray:
+        """[T, 3] displacement along the world's x, y, z; what is not observed counts as 0."""
+        return np.asarray(self.displacement @ self.axes)
+
+
+def series_of(
+    equations: Equations,
+    times_s: np.ndarray,
+    axes: np.ndarray,
+    labels: tuple[str, str, str],
+    radius: float,
+    clock: str = "",
+    slow: np.ndarray | None = None,
+) -> Series:
+    """The answer of one body on one clock. `slow` [S, F]: functions of time to take out of it (a moving camera's)."""
+    dof = 6 if _tells_rotation(equations) else 3
+    normals, noise, sides = equations.normals, equations.noise, equations.sides
+    answers = [_solved(normals[h], noise[h], sides[h], dof) for h in (0, 1)]
+    whole, covariance = _solved(normals.sum(0), noise.sum(0), sides.sum(0), dof)
+    out = _without(whole, slow)
+    difference = _without(answers[0][0] - answers[1][0], slow)
+    # What goes with the motion is an error of the model in each half, not noise: it must not lift the floor.
+    along = np.linalg.lstsq(out[:, :3], difference, rcond=None)[0]
+    of_motion = out[:, :3] @ along
+    difference = difference - of_motion
+    size = float(np.sqrt((out[:, :3] ** 2).sum(1).mean()))
+    share = np.sqrt((of_motion[:, :3] ** 2).mean(0)) / 2 / max(size, 1e-300)
+    free = len(out) / max(len(out) - 4 - (0 if slow is None else len(slow) - 1), 1)
+    # Two halves with errors e₁, e₂ of their own: the difference's variance is the sum of theirs.
+    variance, expected = _diagonal(covariance), _diagonal(answers[0][1]) + _diagonal(answers[1][1])
+    factor = _ratio(difference**2, expected) * free
+    factor = np.maximum(factor, _floor_factor(out, variance))
+    with np.errstate(invalid="ignore"):  # 0 times the infinite variance of what is not observed
+        deviation = np.sqrt(factor * variance)
+    deviation[np.isnan(deviation)] = np.inf
+    out = np.where(np.isfinite(deviation), out, 0.0)
+    false = _false_share(equations, dof)
+    turns = (out[:, 3:] / radius, deviation[:, 3:] / radius) if dof == 6 else (None, None)
+    return Series(
+        clock, times_s, out[:, :3], deviation[:, :3], deviation[:, :3], axes, labels, turns[0], turns[1],
+        covariance[:, :3, :3].mean(0), factor[:3], share, share, false,
+    )  # fmt: skip
+
+
+def _solved(
+    normals: np.ndarray, noise: np.ndarray, sides: np.ndarray, dof: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """[F, dof] answers A⁻¹ b and [F, dof, dof] covariances at unit noise A⁻¹ B A⁻ᵀ, of the first unknowns.
+
+    normals A, noise B [F or 1, 6, 6], sides b [F, 6]. What is seen is told by B, and A is inverted on that; the
+    variance of what is not seen is inf.
+    """
+    answers, covariances = [], []
+    for a, b in zip(normals[:, :dof, :dof], noise[:, :dof, :dof], strict=True):
+        values, vectors = np.linalg.eigh(b)
+        is_seen = values > UNSEEN * max(values[-1], 1e-30)
+        seen = vectors[:, is_seen]
+        inverse = seen @ np.linalg.pinv(seen.T @ a @ seen, rcond=UNSEEN) @ seen.T
+        hidden = (vectors[:, ~is_seen] ** 2).sum(1)
+        answers.append(inverse)
+        covariance = inverse @ b @ inverse.T
+        covariance[np.diag_indices(dof)] = np.where(hidden > 0.5, np.inf, np.diag(covariance))
+        covariances.append(covariance)
+    shape = len(sides), dof, dof
+    answer = np.einsum("fij,fj->fi", np.broadcast_to(answers, shape), sides[:, :dof])
+    return answer, np.broadcast_to(covariances, shape).copy()
+
+
+def _diagonal(matrices: np.ndarray) -> np.ndarray:
+    """[F, K] of [F, K, K]."""
+    return np.diagonal(matrices, axis1=1, axis2=2).copy()
+
+
+def _false_share(equations: Equations, dof: int) -> np.ndarray:
+    """[3]: root of the sum of squares of A⁻¹ F by rows, over true motions across what is seen; at most 1.
+
+    By how much the answer along an axis misses a motion of unit length in a direction that is told or hidden alike.
+    """
+    a = equations.normals.sum(0).mean(0)[:dof, :dof]
+    share = (np.linalg.pinv(a, rcond=UNSEEN) @ equations.false[:dof, :3])[:3]
+    return np.minimum(np.sqrt((share**2).sum(1)), 1.0)
+
+
+def _tells_rotation(equations: Equations) -> bool:
+    """Whether the region is large enough: translations stay as sure as without rotations, and these are told."""
+    a = equations.noise.sum(0).mean(0)
+    if np.linalg.eigvalsh(a)[0] <= 1e-9 * np.trace(a):
+        return False
+    with_turns, alone = np.diag(np.linalg.inv(a)), np.diag(np.linalg.pinv(a[:3, :3]))
+    halves = all(np.linalg.eigvalsh(n.mean(0))[0] > 1e-9 * np.trace(a) for n in equations.noise)
+    is_sure = bool((with_turns[:3] <= _SURE**2 * alone).all())
+    return halves and is_sure and bool(with_turns[3:].max() <= _TURNS**2 * with_turns[:3].max())
+
+
+def _without(answer: np.ndarray, slow: np.ndarray | None) -> np.ndarray:
+    """Less the mean over time, or what the slow functions explain."""
+    if slow is None:
+        return answer - answer.mean(0)
+    return np.asarray(answer - slow.T @ np.linalg.lstsq(slow.T, answer, rcond=None)[0])
+
+
+def _ratio(squares: np.ndarray, expected: np.ndarray) -> np.ndarray:
+    """[K] mean over time of squares over what is expected; 1 where nothing is."""
+    good = np.isfinite(expected) & (expected > 0)
+    shares = np.where(good, squares / np.where(good, expected, 1), np.nan)
+    return np.where(good.any(0), np.nanmean(np.where(good, shares, 0), 0), 1.0)
+
+
+def _floor_factor(answer: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """[K] by the lower quartile of the answer's own spectrum: noise fills it, vibration is in a few of its bins."""
+    if len(answer) < _FEWEST:
+        return np.zeros(answer.shape[1])
+    scaled = answer / np.sqrt(np.where(np.isfinite(variance) & (variance > 0), variance, np.inf))
+    window = blackmanharris(len(answer), sym=False)[:, None]  # whose side lobes no strong sinusoid fills
+    power = np.abs(np.fft.rfft((scaled - scaled.mean(0)) * window, axis=0))[2:-1] ** 2
+    return np.asarray(np.quantile(power, 0.25, axis=0) / _QUARTILE / (window**2).sum())

@@ -1,0 +1,90 @@
+"""What `tg4mm measure` prints: a line for every peak of every sensor, and what cannot be told."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tg4mm.show.measure.measurement import Measurement
+from tg4mm.show.measure.orbit import Orbit, amplitude_deviation, main_is_above
+from tg4mm.show.measure.sensor_result import SensorResult
+from tg4mm.show.measure.spectrum import FEWEST, Peak
+from tg4mm.show.measure.units import unit_of
+from tg4mm.show.result.lines import with_deviation
+from tg4mm.show.result.model import Length
+
+HEAD = "sensor", "frequency, Hz", "amplitude", "in pixels", "direction", "phase, deg", "damping", ""
+
+
+def format_table(measurement: Measurement) -> str:
+    """A table, amplitudes zero to peak along each orbit's main axis; phases against the reference sensor."""
+    rows = [list(HEAD)]
+    for result in measurement.sensors:
+        rows += rows_of(measurement, result)
+    widths = [max(len(row[k]) for row in rows) for k in range(len(HEAD))]
+    lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+    reference = f"phases against {measurement.reference}, where its peaks are; amplitudes zero to peak"
+    return "\n".join([*lines, "", reference, *(f"note: {note}" for note in measurement.notes)]) + "\n"
+
+
+def rows_of(measurement: Measurement, result: SensorResult) -> list[list[str]]:
+    """A row of texts for each peak, as `HEAD` names them; one that says so where there is none."""
+    unit = unit_of(measurement, result)
+    out: list[list[str]] = []
+    for k, (peak, orbit) in enumerate(zip(result.spectrum.peaks, result.orbits, strict=True)):
+        error = amplitude_deviation(peak, orbit)
+        damping = result.damping[k]
+        out.append(
+            [
+                result.name if not out else "",
+                _both(peak.frequency_hz, peak.frequency_deviation_hz),
+                f"{_both(orbit.amplitude * unit.factor, error * unit.factor)} {unit.name}",
+                f"{_both(orbit.amplitude * result.px_per_unit, error * result.px_per_unit)} px",
+                direction_text(orbit.direction, result.labels),
+                phase_text(measurement, result, peak.frequency_hz),
+                "" if damping is None else f"{_both(100 * damping.ratio, 100 * damping.deviation)} %",
+                remark(peak, orbit),
+            ]
+        )
+    if out:
+        return out
+    if len(result.times_s) < FEWEST:
+        return [[result.name, "", "", "", "", "", "", f"fewer than {FEWEST} frames: no spectrum"]]
+    floor = result.spectrum.floor[0]
+    level = float(np.min(floor[np.isfinite(floor)], initial=np.inf))
+    told = f"under {level * unit.factor:.2g} {unit.name}, {level * result.px_per_unit:.2g} px"
+    return [[result.name, "none", told, "", "", "", "", "nothing above the noise floor"]]
+
+
+def _both(value: float, deviation: float) -> str:
+    return with_deviation(Length(value, deviation))
+
+
+def remark(peak: Peak, orbit: Orbit) -> str:
+    """What makes a peak doubtful."""
+    doubts = [] if main_is_above(peak, orbit) else ["not above twice its deviation"]
+    return "; ".join(
+        [*doubts, *(str(other) for other in (peak.harmonic, peak.sideband) if other is not None)]
+    )
+
+
+def direction_text(direction: np.ndarray, labels: tuple[str, str, str]) -> str:
+    """The main direction, for instance `+0.97 x  −0.24 z`: what is under a twentieth is left out."""
+    parts = [
+        f"{'+' if d > 0 else '−'}{abs(d):.2f} {label}"
+        for d, label in zip(direction, labels, strict=True)
+        if abs(d) >= 0.05
+    ]
+    return " ".join(parts)
+
+
+def phase_text(measurement: Measurement, result: SensorResult, frequency_hz: float) -> str:
+    """Against the reference at that frequency, if it is one of its peaks."""
+    if result.name == measurement.reference:
+        return "reference"
+    if result.relation is None:
+        return ""
+    resolution = 1 / measurement.prepared.observations.duration_s
+    for at in result.relation.phases:
+        if abs(at.frequency_hz - frequency_hz) < resolution / 2 and at.is_above:
+            return f"{np.degrees(at.phase):+.1f} ± {np.degrees(at.deviation):.1f}"
+    return ""

@@ -1,0 +1,192 @@
+"""Universal files for modal analysis programs: geometry (15, 82), shapes (55), waveforms and spectra (58), units (164).
+
+Nodes 1 … S are the sensors; from 1001 on Gaussians, thinned evenly. Directions 1, 2, 3 are the world's x, y, z; what a
+single camera does not observe counts as 0, and the identification line says so. Lengths are metres where the scale is
+known, else scene units.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from tg4mm.core.files import write_atomic
+from tg4mm.show.measure.measurement import Measurement
+from tg4mm.show.measure.sensor_result import SensorResult
+from tg4mm.show.measure.series import Series
+from tg4mm.show.measure.spectrum import spectrum_of
+from tg4mm.show.measure.units import unit_of
+
+MOST_NODES = 1500
+FIRST_GAUSSIAN = 1001
+_LINE = 240  # entries of a trace line, 250 at most
+_NEIGHBOURS = 3
+_TIME, _SPECTRUM = (
+    1,
+    0,
+)  # function types of dataset 58: time response; general, since 12 is written by few programs
+_DISPLACEMENT = 8  # specific data type
+
+
+def write_uff(measurement: Measurement, path: Path) -> None:
+    """Write the file, whole or not at all."""
+    import pyuff
+
+    sets = _sets(measurement)
+
+    def write(temporary: Path) -> None:
+        named = temporary.with_name(f"{temporary.name}.uff")  # pyuff wants the ending
+        try:
+            pyuff.UFF(str(named)).write_sets(sets, mode="overwrite")
+            named.replace(temporary)
+        finally:
+            named.unlink(missing_ok=True)
+
+    write_atomic(path, write)
+
+
+def _sets(measurement: Measurement) -> list[dict[str, Any]]:
+    scene, unit = measurement.prepared, unit_of(measurement)
+    metres = unit.uff[1]
+    rows = _thinned(scene.means, scene.seen)
+    bodies = np.stack([r.body.centre for r in measurement.sensors])
+    places = np.concatenate([bodies, scene.means[rows]]) * metres
+    numbers = np.concatenate([1 + np.arange(len(bodies)), FIRST_GAUSSIAN + np.arange(len(rows))])
+    out = [_units(unit.uff[0], unit.uff[2]), _nodes(numbers, places), *_lines(scene.means[rows])]
+    for k, shape in enumerate(measurement.shapes):
+        values = np.where(shape.is_above[:, None], shape.phasors, 0)[rows]
+        own = np.stack([_at(r, shape.frequency_hz) for r in measurement.sensors])
+        out.append(_shape(k, shape.frequency_hz, numbers, np.concatenate([own, values]) * metres))
+    for s, result in enumerate(measurement.sensors):
+        out += _functions(s + 1, result, metres, unit.uff[2])
+    return out
+
+
+def _thinned(means: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Indices of Gaussians that are seen, spread evenly: the most seen one of every cell of a grid."""
+    rows = np.flatnonzero(seen > 0.5)
+    rows = rows if len(rows) else np.arange(len(means))
+    if len(rows) <= MOST_NODES:
+        return rows
+    size = float(np.linalg.norm(np.ptp(np.quantile(means[rows], [0.01, 0.99], axis=0), axis=0))) / 30
+    while True:
+        cells = np.floor(means[rows] / size).astype(np.int64)
+        order = np.argsort(-seen[rows], kind="stable")
+        _, first = np.unique(cells[order], axis=0, return_index=True)
+        if len(first) <= MOST_NODES:
+            return np.sort(rows[order[first]])
+        size *= 1.15
+
+
+def _units(code: int, text: str) -> dict[str, Any]:
+    import pyuff
+
+    return pyuff.prepare_164(
+        units_code=code, units_description=text, temp_mode=1, length=1.0, force=1.0, temp=1.0, temp_offset=0.0
+    )
+
+
+def _nodes(numbers: np.ndarray, places: np.ndarray) -> dict[str, Any]:
+    import pyuff
+
+    n = len(numbers)
+    x, y, z = places.T
+    return pyuff.prepare_15(
+        node_nums=numbers,
+        def_cs=np.zeros(n, int),
+        disp_cs=np.zeros(n, int),
+        color=np.full(n, 8),
+        x=x,
+        y=y,
+        z=z,
+    )
+
+
+def _lines(means: np.ndarray) -> list[dict[str, Any]]:
+    """Trace lines from every node to its nearest neighbours."""
+    import pyuff
+
+    if len(means) < 2:
+        return []
+    _, near = cKDTree(means).query(means, min(_NEIGHBOURS, len(means) - 1) + 1)
+    edges = {tuple(sorted((i, int(j)))) for i, row in enumerate(near) for j in row[1:]}
+    entries = [int(e) for a, b in sorted(edges) for e in (0, FIRST_GAUSSIAN + a, FIRST_GAUSSIAN + b)]
+    return [
+        pyuff.prepare_82(trace_num=k + 1, n_nodes=len(some), color=8, id="neighbours", nodes=np.array(some))
+        for k, some in enumerate(entries[i : i + _LINE] for i in range(0, len(entries), _LINE))
+    ]
+
+
+def _shape(k: int, hz: float, numbers: np.ndarray, values: np.ndarray) -> dict[str, Any]:
+    import pyuff
+
+    return pyuff.prepare_55(
+        model_type=1, id1="tg4mm operating deflection shape", id2=f"{hz:.6g} Hz, displacement, zero to peak",
+        id3="NONE", id4="NONE", id5="NONE", analysis_type=5, data_ch=2, spec_data_type=_DISPLACEMENT, data_type=5,
+        n_data_per_node=3, r1=values[:, 0], r2=values[:, 1], r3=values[:, 2], load_case=1, freq_step_n=k + 1, freq=hz,
+        node_nums=numbers,
+    )  # fmt: skip
+
+
+def _at(result: SensorResult, hz: float) -> np.ndarray:
+    """[3] phasor of a sensor's nearest peak within half of 1 / duration, in the world; else 0."""
+    half = 0.5 / float(np.ptp(result.times_s))
+    for peak in result.spectrum.peaks:
+        if abs(peak.frequency_hz - hz) < half:
+            return np.asarray(np.where(np.isfinite(peak.deviation), peak.phasor, 0) @ result.axes)
+    return np.zeros(3, complex)
+
+
+def _functions(node: int, result: SensorResult, metres: float, unit: str) -> list[dict[str, Any]]:
+    """Waveforms of every clock, and one spectrum: of clips that of all of them together."""
+    out = []
+    for c, series in enumerate(result.all_series):
+        steps = np.diff(series.times_s)
+        is_even = bool(np.ptp(steps) < 0.02 * steps.mean())
+        of_time = {
+            "x": series.times_s,
+            "spacing": int(is_even),
+            "start": float(series.times_s[0]),
+            "step": float(steps.mean()),
+        }
+        clip = f", clip {series.clock}" if series.clock else ""
+        name = f"{result.name}{clip}{_hidden(series)}"
+        for k, values in enumerate(series.world().T * metres):
+            out.append(_function(node, k + 1, c, _TIME, name, values, of_time, (17, "s"), unit))
+    found, name = result.spectrum, result.name
+    if result.together is None:
+        values = result.series.world()
+        found = spectrum_of(result.times_s, values, np.zeros_like(values))
+        name = f"{name}{_hidden(result.series)}"
+    of_hz = {"x": found.freqs_hz, "spacing": 1, "start": 0.0, "step": float(found.freqs_hz[1])}
+    for k, amplitude in enumerate(found.amplitude.T * metres):
+        out.append(_function(node, k + 1, 0, _SPECTRUM, name, amplitude, of_hz, (18, "Hz"), unit))
+    return out
+
+
+def _hidden(series: Series) -> str:
+    return "" if series.is_observed.all() else ", one direction not observed"
+
+
+def _function(
+    node: int, direction: int, case: int, kind: int, name: str, data: np.ndarray, x: dict[str, Any],
+    abscissa: tuple[int, str], unit: str,
+) -> dict[str, Any]:  # fmt: skip
+    import pyuff
+
+    return pyuff.prepare_58(
+        binary=0, id1=name[:80], id2="displacement" if kind == _TIME else "amplitude spectrum, Hann, zero to peak",
+        id3="tg4mm measure", id4="NONE", id5="NONE", func_type=kind, ver_num=0, load_case_id=case, rsp_ent_name="NONE",
+        rsp_node=node, rsp_dir=direction, ref_ent_name="NONE", ref_node=0, ref_dir=0, ord_data_type=4,
+        num_pts=len(data), abscissa_spacing=x["spacing"], abscissa_min=x["start"], abscissa_inc=x["step"],
+        z_axis_value=0.0, abscissa_spec_data_type=abscissa[0], abscissa_axis_units_lab=abscissa[1],
+        abscissa_len_unit_exp=0, abscissa_force_unit_exp=0, abscissa_temp_unit_exp=0,
+        ordinate_spec_data_type=_DISPLACEMENT, ordinate_len_unit_exp=1, ordinate_force_unit_exp=0,
+        ordinate_temp_unit_exp=0, ordinate_axis_units_lab=unit, orddenom_spec_data_type=0, orddenom_len_unit_exp=0,
+        orddenom_force_unit_exp=0, orddenom_temp_unit_exp=0, orddenom_axis_units_lab="NONE", z_axis_spec_data_type=0,
+        z_axis_len_unit_exp=0, z_axis_force_unit_exp=0, z_axis_temp_unit_exp=0, z_axis_axis_units_lab="NONE",
+        data=data, x=x["x"],
+    )  # fmt: skip

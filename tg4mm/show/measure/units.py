@@ -1,0 +1,28 @@
+"""Lengths as they are printed: millimetres where the scale is known, else scene units; pixels of a flat capture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from tg4mm.show.measure.measurement import Measurement
+from tg4mm.show.measure.sensor_result import SensorResult
+
+
+@dataclass(frozen=True)
+class Unit:
+    """What scene units are multiplied by, and what that is called."""
+
+    name: str  # in text: mm, units, px
+    column: str  # in a column's name: mm, scene_units, px
+    factor: float
+    uff: tuple[int, float, str]  # code of dataset 164 (1: metres), metres per stored unit, text of the units
+
+
+def unit_of(measurement: Measurement, result: SensorResult | None = None) -> Unit:
+    """Of a measurement; of a flat capture at one sensor (its depth is the picture's own)."""
+    if measurement.prepared.capture.kind == "flat":
+        some = result or measurement.sensors[0]
+        return Unit("px", "px", some.px_per_unit, (9, 1.0, "pixels"))
+    if (scale := measurement.unit_scale_m) is not None:
+        return Unit("mm", "mm", 1000 * scale, (1, scale, "metres"))
+    return Unit("units", "scene_units", 1.0, (9, 1.0, "scene units"))

@@ -1,0 +1,264 @@
+"""Everything a measurement leaves in its folder: measure.json, tidy CSV, UFF, plots and animated pictures."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tg4mm.core.files import to_json, write_atomic, write_json
+from tg4mm.core.lock import LOCK
+from tg4mm.core.temporary import is_temporary, remove_leftovers
+from tg4mm.show.measure.clips import ClipPhases
+from tg4mm.show.measure.errors import MeasureError
+from tg4mm.show.measure.measurement import Measurement
+from tg4mm.show.measure.orbit import amplitude_deviation, main_is_above
+from tg4mm.show.measure.sensor_result import Record, SensorResult
+from tg4mm.show.measure.units import unit_of
+
+MARK = "measure.json"
+
+
+def claim(out: Path) -> None:
+    """Make the folder. Raises MeasureError where it holds something that is no measurement."""
+    if out.exists() and not out.is_dir():
+        raise MeasureError(f"--out {out} is a file, expected a folder")
+    # A kill before measure.json was renamed leaves its temporary file and the lock.
+    held = [p for p in out.iterdir() if p.name != LOCK and not is_temporary(p, MARK)] if out.is_dir() else []
+    if held and not (out / MARK).exists():
+        raise MeasureError(f"--out {out} is not empty and holds no {MARK}: choose another folder")
+    out.mkdir(parents=True, exist_ok=True)
+    remove_leftovers(out)
+
+
+def write_json_file(measurement: Measurement, out: Path) -> Path:
+    """OUT/measure.json (docs/measure.md); lengths in scene units, null for what is not observed."""
+    unit, is_judged = unit_of(measurement), bool(measurement.prepared.fit.uncertainty)
+    value = {
+        "format": "tg4mm",
+        "kind": "measurement",
+        "version": 1,
+        "run": None if (folder := measurement.prepared.folder) is None else str(folder),
+        "unit_scale_m": measurement.unit_scale_m,
+        "length_unit": "scene units",
+        "printed_unit": unit.name,
+        "reference": measurement.reference,
+        "notes": list(measurement.notes),
+        "clusters": {measurement.clusters.names[k]: len(v) for k, v in measurement.clusters.members.items()},
+        "shapes": [
+            {
+                "frequency_hz": s.frequency_hz,
+                "gaussians_above_floor": int(s.is_above.sum()) if is_judged else None,
+            }
+            for s in measurement.shapes
+        ],
+        "clip_phases": _clip_phases(measurement.clip_phases),
+        "sensors": [_sensor(r) for r in measurement.sensors],
+    }
+    path = out / MARK
+    write_json(path, to_json(value, MARK))
+    return path
+
+
+def _clip_phases(phases: ClipPhases | None) -> list[dict[str, Any]] | None:
+    """Radians by which every clip is ahead of the common clock, at the frequencies that were found."""
+    if phases is None:
+        return None
+    return [
+        {
+            "frequency_hz": float(f),
+            "phase_rad": dict(zip(phases.clocks, map(float, phases.radians[:, k]), strict=True)),
+            "deviation_rad": dict(zip(phases.clocks, map(float, phases.deviation[:, k]), strict=True)),
+        }
+        for k, f in enumerate(phases.hz)
+    ]
+
+
+def _sensor(result: SensorResult) -> dict[str, Any]:
+    body = result.body
+    return {
+        "name": result.name,
+        "region": str(result.sensor).partition("=")[2],
+        "gaussians": int((body.weights > 0).sum()),
+        "centre": body.centre.tolist(),
+        "radius": body.radius,
+        "axes": dict(zip(result.labels, result.axes.tolist(), strict=True)),
+        "px_per_unit": result.px_per_unit,
+        "best_view": result.best_view,
+        "series": [_series(record) for record in result.records],
+        "spectrum": {
+            "window": result.spectrum.window,
+            "step_hz": float(result.spectrum.freqs_hz[1]),
+            "amplitude": _plain(result.spectrum.amplitude),
+            "floor": _plain(result.spectrum.floor[0]),
+        },
+        "peaks": [_peak(result, k) for k in range(len(result.spectrum.peaks))],
+        "relation": _relation(result),
+    }
+
+
+def _series(record: Record) -> dict[str, Any]:
+    series = record.series
+    return {
+        "clock": series.clock,
+        "axes": dict(zip(series.labels, series.axes.tolist(), strict=True)),
+        "times_s": series.times_s.tolist(),
+        "displacement": _plain(series.displacement),
+        "deviation": _plain(series.deviation),
+        "noise": _plain(series.noise[0]),
+        "model_share": series.model_share.tolist(),
+        "is_observed": [bool(b) for b in series.is_observed],
+        "peaks": [
+            {
+                "frequency_hz": p.frequency_hz,
+                "amplitude": p.amplitude.tolist(),
+                "deviation": _plain(p.deviation),
+                "phase_rad": np.angle(p.phasor).tolist(),
+            }
+            for p in record.peaks
+        ],
+        "rotation_rad": None if series.rotation is None else _plain(series.rotation),
+        "rotation_deviation_rad": None
+        if series.rotation_deviation is None
+        else _plain(series.rotation_deviation),
+    }
+
+
+def _peak(result: SensorResult, k: int) -> dict[str, Any]:
+    peak, orbit, damping = result.spectrum.peaks[k], result.orbits[k], result.damping[k]
+    return {
+        "frequency_hz": peak.frequency_hz,
+        "frequency_deviation_hz": peak.frequency_deviation_hz,
+        "amplitude": peak.amplitude.tolist(),
+        "deviation": _plain(peak.deviation),
+        "phase_rad": np.angle(peak.phasor).tolist(),
+        "floor": _plain(peak.floor),
+        "is_above": [bool(b) for b in peak.is_above],
+        "harmonic_of_hz": None if peak.harmonic is None else peak.harmonic.of_hz,
+        "sideband_of_hz": None if peak.sideband is None else peak.sideband.of_hz,
+        "sideband_codec_hz": None if peak.sideband is None else peak.sideband.codec_hz,
+        "harmonic_order": None if peak.harmonic is None else peak.harmonic.order,
+        "main_amplitude": orbit.amplitude,
+        "main_deviation": amplitude_deviation(peak, orbit),
+        "main_is_above": main_is_above(peak, orbit),
+        "main_direction": orbit.direction.tolist(),
+        "orbit": {"major": orbit.major.tolist(), "minor": orbit.minor.tolist(), "phase_rad": orbit.phase},
+        "damping_ratio": None if damping is None else damping.ratio,
+        "damping_deviation": None if damping is None else damping.deviation,
+    }
+
+
+def _relation(result: SensorResult) -> dict[str, Any] | None:
+    own = result.relation
+    if own is None:
+        return None
+    return {
+        "reference": own.reference,
+        "phases": [
+            {"frequency_hz": p.frequency_hz, "amplitude": p.amplitude, "phase_rad": p.phase,
+             "deviation_rad": p.deviation, "is_above": p.is_above}
+            for p in own.phases
+        ],
+        "coherence_hz": own.freqs_hz.tolist(),
+        "coherence": own.coherence.tolist(),
+        "segments": own.segments,
+        "chance": own.chance,
+    }  # fmt: skip
+
+
+def _plain(values: np.ndarray) -> list[Any]:
+    """Lists with None for what is not finite, six significant digits."""
+    if values.ndim > 1:
+        return [_plain(v) for v in values]
+    return [float(f"{v:.6g}") if np.isfinite(v) else None for v in values]
+
+
+def write_csv_files(measurement: Measurement, out: Path) -> list[Path]:
+    """OUT/series.csv, spectra.csv and peaks.csv: tidy, one value of one axis a row, units in the header."""
+    unit = unit_of(measurement)
+    u = unit.column
+    head = "sensor", "clock", "time_s", "axis", f"displacement_{u}", f"deviation_{u}", f"velocity_{u}_per_s"
+    series = _written(out / "series.csv", [*head, f"acceleration_{u}_per_s2"], _series_rows(measurement))
+    spectra = _written(
+        out / "spectra.csv",
+        ["sensor", "axis", "frequency_hz", f"amplitude_{u}", f"floor_{u}"],
+        _spectrum_rows(measurement),
+    )
+    names = [
+        "sensor",
+        "axis",
+        "frequency_hz",
+        "frequency_deviation_hz",
+        f"amplitude_{u}",
+        f"deviation_{u}",
+        "phase_rad",
+    ]
+    peaks = _written(
+        out / "peaks.csv",
+        [*names, f"floor_{u}", "is_above", "damping_ratio", "harmonic_of_hz", "sideband_of_hz"],
+        _peak_rows(measurement),
+    )
+    return [series, spectra, peaks]
+
+
+def _series_rows(measurement: Measurement) -> Iterable[Sequence[Any]]:
+    for result in measurement.sensors:
+        factor = unit_of(measurement, result).factor
+        for record in result.records:
+            series, own = record.series, record.derivatives
+            for t, time in enumerate(series.times_s):
+                for k, label in enumerate(series.labels):
+                    values = (
+                        series.displacement[t, k],
+                        series.deviation[t, k],
+                        own.velocity[t, k],
+                        own.acceleration[t, k],
+                    )
+                    yield (
+                        result.name,
+                        series.clock,
+                        f"{time:.6f}",
+                        label,
+                        *(_number(v, factor) for v in values),
+                    )
+
+
+def _spectrum_rows(measurement: Measurement) -> Iterable[Sequence[Any]]:
+    for result in measurement.sensors:
+        factor, spectrum = unit_of(measurement, result).factor, result.spectrum
+        for f, hz in enumerate(spectrum.freqs_hz):
+            for k, label in enumerate(result.labels):
+                values = spectrum.amplitude[f, k], spectrum.floor[f, k]
+                yield result.name, label, f"{hz:.6g}", *(_number(v, factor) for v in values)
+
+
+def _peak_rows(measurement: Measurement) -> Iterable[Sequence[Any]]:
+    for result in measurement.sensors:
+        factor = unit_of(measurement, result).factor
+        for peak, damping in zip(result.spectrum.peaks, result.damping, strict=True):
+            hz = f"{peak.frequency_hz:.6g}", f"{peak.frequency_deviation_hz:.3g}"
+            for k, label in enumerate(result.labels):
+                values = _number(peak.amplitude[k], factor), _number(peak.deviation[k], factor)
+                phase, floor = f"{np.angle(peak.phasor[k]):.6g}", _number(peak.floor[k], factor)
+                zeta = "" if damping is None else f"{damping.ratio:.4g}"
+                others = peak.harmonic, peak.sideband
+                of_hz = ["" if other is None else f"{other.of_hz:.6g}" for other in others]
+                yield result.name, label, *hz, *values, phase, floor, int(peak.is_above[k]), zeta, *of_hz
+
+
+def _number(value: float, factor: float) -> str:
+    """Six digits; inf where nothing is observed."""
+    return f"{value * factor:.6g}"
+
+
+def _written(path: Path, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> Path:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(head)
+    writer.writerows(rows)
+    write_atomic(path, lambda temporary: temporary.write_text(text.getvalue(), encoding="utf-8"))
+    return path

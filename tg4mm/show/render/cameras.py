@@ -1,0 +1,206 @@
+"""Cameras to render from: those of a capture, an orbit around what it looks at, or a transforms JSON file."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tg4mm.capture.cameras import read_intrinsics, read_pose, world_to_camera
+from tg4mm.capture.geometry import nearest_point_equations, optical_axes
+from tg4mm.capture.model import Capture
+from tg4mm.core.errors import CaptureError, RunError
+from tg4mm.core.records import Record, read_record, shown
+
+_OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+_LARGEST = 16_384  # pixels a side
+_LEFT_OUT = math.radians(150)  # between two neighbouring cameras: an orbit does not go there
+_LEAST_SIDE = math.radians(10)  # to either side, of an orbit to and fro
+
+
+@dataclass(frozen=True)
+class Camera:
+    """One pinhole camera. Conventions: docs/conventions.md."""
+
+    name: str  # file stem of its pictures, for example r_000
+    viewmat: np.ndarray  # [4, 4] float64, world-to-camera, OpenCV axes
+    K: np.ndarray  # [3, 3] float64, pixels, pixel centres at +0.5
+    width: int  # pixels
+    height: int  # pixels
+
+    @property
+    def position(self) -> np.ndarray:
+        """[3] where the camera stands, scene units."""
+        return -self.viewmat[:3, :3].T @ self.viewmat[:3, 3]
+
+    @property
+    def forward(self) -> np.ndarray:
+        """[3] unit vector along which the camera looks, world axes."""
+        return self.viewmat[2, :3]
+
+
+def capture_cameras(capture: Capture) -> tuple[Camera, ...]:
+    """The different cameras of a capture.
+
+    Args:
+        capture: of any kind; a moving camera gives one camera for each pose.
+
+    Returns:
+        Cameras in order of first appearance, each named after its first picture.
+    """
+    cameras, names = [], set()
+    for camera_id in dict.fromkeys(capture.camera_ids.tolist()):
+        i = int(np.flatnonzero(capture.camera_ids == camera_id)[0])
+        name = capture.paths[i].stem
+        if name in names:  # a moving camera gives several poses one file name
+            name = f"{name}_{camera_id:03d}"
+        names.add(name)
+        cameras.append(Camera(name, capture.viewmats[i], capture.Ks[i], capture.width, capture.height))
+    return tuple(cameras)
+
+
+def look_at_point(viewmats: np.ndarray) -> np.ndarray:
+    """The point [3] nearest to all optical axes in the least-squares sense; viewmats are [C, 4, 4].
+
+    Raises RunError where the axes (nearly) coincide or are parallel, or where most cameras look away from it.
+    """
+    positions, forward = optical_axes(viewmats)
+    normal, right = nearest_point_equations(positions, forward)
+    if np.linalg.cond(normal) > 1e6:
+        raise RunError(f"the {len(viewmats)} cameras look in one direction only: no point to orbit around")
+    point = np.linalg.solve(normal, right)
+    ahead = np.einsum("ci,ci->c", point - positions, forward)
+    if np.mean(ahead > 0) <= 0.5:
+        raise RunError(f"only {np.mean(ahead > 0):.0%} of the cameras look inwards: no point to orbit around")
+    return point
+
+
+def look_at(position: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """World-to-camera [4, 4], OpenCV axes, of a camera at `position` that looks at `target` with +Z up."""
+    z = (target - position) / np.linalg.norm(target - position)
+    x = np.cross(z, [0.0, 0.0, 1.0])
+    # Straight down or up there is no horizon; any direction across will do.
+    x = np.array([1.0, 0.0, 0.0]) if np.linalg.norm(x) < 1e-9 else x / np.linalg.norm(x)
+    rotation = np.stack([x, np.cross(z, x), z])
+    viewmat = np.eye(4)
+    viewmat[:3, :3] = rotation
+    viewmat[:3, 3] = -rotation @ position
+    return viewmat
+
+
+def orbit(capture: Capture, n: int, centre: np.ndarray | None = None) -> tuple[Camera, ...]:
+    """Cameras on a level circle around the scene, beginning at the azimuth of the capture's first camera.
+
+    Evenly spaced, once around; or, where the capture's cameras leave 150 degrees of the circle out, to and fro over
+    the part that they cover (ten degrees to either side, at least), since nothing is known of what lies behind. Radius,
+    elevation and focal length are the medians of the capture's cameras.
+
+    Args:
+        capture: whose cameras are taken as a model.
+        n: number of cameras, at least 1.
+        centre: [3] scene units, used if the capture's cameras look at no common point (a single fixed camera).
+
+    Returns:
+        `n` cameras.
+
+    Raises:
+        RunError: `n` is below 1, or there is neither a common point nor a `centre`.
+    """
+    if n < 1:
+        raise RunError(f"--orbit {n}: needs at least one frame")
+    try:
+        target = look_at_point(capture.viewmats)
+    except RunError:
+        if centre is None:
+            raise
+        target = np.asarray(centre, dtype=float)
+    arms = optical_axes(capture.viewmats)[0] - target
+    distances = np.linalg.norm(arms, axis=1)
+    radius = float(np.median(distances))
+    elevation = float(np.median(np.arcsin(np.clip(arms[:, 2] / distances, -1.0, 1.0))))
+    elevation = float(np.clip(elevation, math.radians(-85), math.radians(85)))
+    azimuths = _azimuths(np.arctan2(arms[:, 1], arms[:, 0]), n)
+    focal = float(np.median(capture.Ks[:, 0, 0]))
+    K = np.array([[focal, 0, capture.width / 2], [0, focal, capture.height / 2], [0, 0, 1.0]])
+    cameras = []
+    for i, azimuth in enumerate(azimuths):
+        level = np.array([math.cos(azimuth), math.sin(azimuth)]) * math.cos(elevation)
+        position = target + radius * np.array([*level, math.sin(elevation)])
+        cameras.append(Camera(f"r_{i:03d}", look_at(position, target), K, capture.width, capture.height))
+    return tuple(cameras)
+
+
+def _azimuths(of_capture: np.ndarray, n: int) -> np.ndarray:
+    """[n] radians of an orbit, by the azimuths [V] of a capture's cameras."""
+    ahead = np.arange(n) / n * 2 * math.pi
+    around = np.sort(np.mod(of_capture, 2 * math.pi))
+    gaps = np.diff(around, append=around[0] + 2 * math.pi)
+    widest = int(gaps.argmax())
+    if gaps[widest] < _LEFT_OUT:
+        return np.asarray(of_capture[0] + ahead)
+    span = 2 * math.pi - gaps[widest]
+    middle = around[(widest + 1) % len(around)] + span / 2
+    side = max(span / 2, _LEAST_SIDE)
+    first = math.remainder(of_capture[0] - middle, 2 * math.pi)
+    return np.asarray(middle + side * np.sin(math.asin(np.clip(first / side, -1, 1)) + ahead))
+
+
+def cameras_from_file(path: Path, size: tuple[int, int] | None = None) -> tuple[Camera, ...]:
+    """The cameras of a NeRF-synthetic or nerfstudio transforms JSON, in the file's order; its images need not exist.
+
+    `size` (width, height) in pixels is used where the file does not give `w` and `h`. Raises CaptureError, as the
+    readers of captures do.
+    """
+    file = read_record(Path(path))
+    frames = file.values.get("frames")
+    if not isinstance(frames, list) or not frames:
+        raise file.error("frames", "a list of at least one frame")
+    cameras = [_camera_of_frame(file, i, frame, size) for i, frame in enumerate(frames)]
+    names = [camera.name for camera in cameras]
+    if len(set(names)) < len(names):  # several folders with equal file names: number them
+        cameras = [Camera(f"r_{i:03d}", c.viewmat, c.K, c.width, c.height) for i, c in enumerate(cameras)]
+    return tuple(cameras)
+
+
+def _camera_of_frame(file: Record, i: int, values: Any, size: tuple[int, int] | None) -> Camera:
+    where = f"{file.where}: frames[{i}]"
+    if not isinstance(values, dict):
+        raise CaptureError(f"{where}: is {shown(values)}; expected a JSON object")
+    frame = Record(where, values)
+    width, height = (_pixels(frame, file, key, size and size[k]) for k, key in enumerate("wh"))
+    K = read_intrinsics(frame, file, width, height)
+    name = Path(frame.text("file_path")).stem if frame.has("file_path") else f"r_{i:03d}"
+    return Camera(name, world_to_camera(read_pose(frame)), K, width, height)
+
+
+def _pixels(frame: Record, file: Record, key: str, default: int | None) -> int:
+    record = frame if frame.has(key) else file
+    if default is not None and not record.has(key):
+        return default
+    value = record.whole(key, 1)
+    if value > _LARGEST:
+        raise record.error(key, f"a whole number of at most {_LARGEST}")
+    return value
+
+
+def transforms_json(cameras: tuple[Camera, ...]) -> dict[str, Any]:
+    """The cameras as a nerfstudio-style dictionary; `cameras_from_file` reads it back."""
+    frames = []
+    for camera in cameras:
+        c2w = np.linalg.inv(camera.viewmat) @ _OPENGL_FROM_OPENCV
+        frames.append(
+            {
+                "file_path": camera.name,
+                "transform_matrix": c2w.tolist(),
+                "w": camera.width,
+                "h": camera.height,
+                "fl_x": float(camera.K[0, 0]),
+                "fl_y": float(camera.K[1, 1]),
+                "cx": float(camera.K[0, 2]),
+                "cy": float(camera.K[1, 2]),
+            }
+        )
+    return {"camera_model": "OPENCV", "frames": frames}

@@ -1,0 +1,83 @@
+"""One picture of Gaussians: colours, or any per-Gaussian quantity blended the way colours are."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.rasterize import rasterization
+from tg4mm.show.render.cameras import Camera
+
+WHITE = (1.0, 1.0, 1.0)
+
+
+def render(
+    gaussians: Gaussians, camera: Camera, background: tuple[float, float, float] = WHITE
+) -> np.ndarray:
+    """The picture that a camera takes of Gaussians, by `rasterization`.
+
+    Args:
+        gaussians: of `fit_space` or `animate`; on CUDA they are rendered there.
+        camera: of `capture_cameras`, `orbit` or your own.
+        background: display-referred sRGB, 0..1.
+
+    Returns:
+        [height, width, 3] float32 in 0..1, display-referred sRGB.
+
+    Raises:
+        Tg4mmError: the Gaussians are on CUDA and gsplat is not installed.
+    """
+    return render_image(gaussians, camera.viewmat, camera.K, camera.width, camera.height, background)
+
+
+@torch.no_grad()
+def render_image(
+    gaussians: Gaussians,
+    viewmat: np.ndarray,
+    K: np.ndarray,
+    width: int,
+    height: int,
+    background: tuple[float, float, float] = WHITE,
+) -> np.ndarray:
+    """Display-referred sRGB picture [height, width, 3] float32 in 0..1; `viewmat` [4, 4], `K` [3, 3]."""
+    device = gaussians.means.device
+    colors, _, _ = rasterization(
+        gaussians.means,
+        gaussians.quats,
+        gaussians.scales,
+        gaussians.opacities,
+        gaussians.sh,
+        torch.as_tensor(viewmat, dtype=torch.float32, device=device)[None],
+        torch.as_tensor(K, dtype=torch.float32, device=device)[None],
+        width,
+        height,
+        sh_degree=gaussians.sh_degree,
+        backgrounds=torch.tensor([background], dtype=torch.float32, device=device),
+    )
+    return colors[0].clamp(0.0, 1.0).cpu().numpy().astype(np.float32)
+
+
+@torch.no_grad()
+def render_features(
+    gaussians: Gaussians, features: np.ndarray, camera: Camera
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean of per-Gaussian `features` [N, F] under each pixel [H, W, F], weighted as colours; opacity [H, W].
+
+    Where nothing is hit the mean is 0.
+    """
+    device = gaussians.means.device
+    blended, alphas, _ = rasterization(
+        gaussians.means,
+        gaussians.quats,
+        gaussians.scales,
+        gaussians.opacities,
+        torch.as_tensor(features, dtype=torch.float32, device=device),
+        torch.as_tensor(camera.viewmat, dtype=torch.float32, device=device)[None],
+        torch.as_tensor(camera.K, dtype=torch.float32, device=device)[None],
+        camera.width,
+        camera.height,
+    )
+    opacity = alphas[0, ..., 0].cpu().numpy()
+    mean = blended[0].cpu().numpy() / np.maximum(opacity, 1e-6)[..., None]
+    return np.where(opacity[..., None] > 1e-6, mean, 0.0).astype(np.float32), opacity

@@ -1,0 +1,207 @@
+"""A run rendered over time from given cameras; complete pictures stay, foreign ones are refused."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tg4mm.core.errors import RunError
+from tg4mm.core.files import write_json
+from tg4mm.core.filters import TemporalFilter
+from tg4mm.core.lock import held
+from tg4mm.core.magnification import LARGEST_ALPHA, BandGain, Magnification
+from tg4mm.core.pictures.frames import is_complete_png, write_png
+from tg4mm.core.progress import progress
+from tg4mm.core.temporary import remove_leftovers
+from tg4mm.core.untrusted import read_json
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.run import Run
+from tg4mm.run.model_hash import model_hash
+from tg4mm.run.poses import method_of, poses_of
+from tg4mm.show.render.cameras import Camera, transforms_json
+from tg4mm.show.render.image import WHITE, render_image
+from tg4mm.show.render.video import check_rate, video_of_files
+
+RECORD = "render.json"
+FORMAT = "tg4mm-render"
+Pose = Callable[[float], Gaussians]  # timestep, may be fractional, to the Gaussians at that time
+
+
+@dataclass(frozen=True)
+class RenderRequest:
+    """What is rendered; recorded in DIR/render.json, so that DIR never holds pictures of two requests."""
+
+    alpha: float = 0.0  # a displacement δ becomes (1 + alpha) δ, [TG4MM] Eq. (9)
+    band: tuple[float, float] | None = None  # Hz; None magnifies every frequency
+    background: tuple[float, float, float] = WHITE
+    slow: float = 1.0  # 2 = videos at half speed
+    bands: tuple[BandGain, ...] = ()  # several, each with its own alpha, in place of alpha and band
+    method: str | None = None  # "modal", "linear", "phase"; None: the run's own
+    filter: TemporalFilter | None = None  # of linear and phase; None: zero-phase
+
+    @property
+    def plan(self) -> Magnification:
+        """What is magnified. Raises RunError where `bands` and alpha or band are both given."""
+        if self.bands and (self.alpha != 0 or self.band is not None):
+            raise RunError("bands with their own alpha exclude alpha and band")
+        bands = self.bands or (() if self.band is None else (BandGain(*self.band, self.alpha),))
+        return Magnification(bands, 0.0 if bands else self.alpha, self.method, self.filter)
+
+    def checked(self) -> RenderRequest:
+        """Itself. Raises RunError for an alpha or a speed that is out of range."""
+        for alpha in (self.alpha, *(b.alpha for b in self.bands)):
+            if not math.isfinite(alpha):
+                raise RunError(f"--alpha {alpha:g}: must be a finite number (-1 stops the motion)")
+            if abs(alpha) > LARGEST_ALPHA:
+                raise RunError(f"--alpha {alpha:g}: must be within ±{LARGEST_ALPHA:g}")
+        if not math.isfinite(self.slow) or self.slow <= 0:
+            raise RunError(f"--slow {self.slow:g}: must be above 0 (2 = half speed)")
+        return self
+
+    @property
+    def label(self) -> str:
+        """α as progress shows it."""
+        return ", ".join(f"{b.alpha:g}" for b in self.bands) or f"{self.alpha:g}"
+
+
+def render_sequence(
+    run: Run,
+    cameras: Sequence[Camera],
+    request: RenderRequest,
+    out: Path,
+    timesteps: Sequence[int] | None = None,
+    video: bool = True,
+    device: str = "cpu",
+) -> Path:
+    """Write OUT/<t>/<camera>.png for every timestep (default: all) and camera, and OUT/<camera>.mp4.
+
+    Pictures that are complete are kept, whatever device they come from. Raises RunError where OUT holds another
+    request, where the run has no motion but alpha is not 0, or where a timestep does not exist.
+    """
+    pose, n_timesteps, fps = pose_of(run, request, device)
+    wanted = list(range(n_timesteps)) if timesteps is None else [int(t) for t in timesteps]
+    for t in wanted:
+        if not 0 <= t < n_timesteps:
+            raise RunError(f"timestep {t} is outside 0 … {n_timesteps - 1}")
+    if video and len(wanted) > 1:
+        check_rate(fps / request.slow)
+    with _held(out):
+        claim(out, run, request, cameras, "sequence")
+        files = {
+            (t, camera.name): out / f"{t:03d}" / f"{camera.name}.png" for t in wanted for camera in cameras
+        }
+        jobs = [(float(t), camera, files[t, camera.name]) for t in wanted for camera in cameras]
+        render_missing(jobs, pose, request, f"rendering, α = {request.label}")
+        if video and len(wanted) > 1:
+            speed = "" if request.slow == 1 else f"_slow{request.slow:g}"
+            for camera in cameras:
+                pictures = [files[t, camera.name] for t in wanted]
+                _video_once(out / f"{camera.name}{speed}.mp4", pictures, fps / request.slow)
+    return out
+
+
+def _held(out: Path) -> AbstractContextManager[None]:
+    return held(out, f"{out} is in use: another process renders into it")
+
+
+def render_orbit(
+    run: Run, cameras: Sequence[Camera], request: RenderRequest, out: Path, device: str = "cpu"
+) -> Path:
+    """Write OUT/r_000.png …, one per camera, while time runs on, and OUT/orbit.mp4.
+
+    The motion is a function of time, so slow motion has its own frames in between: frame i shows the
+    time i / slow and plays at the capture's frame rate. Past the capture's last timestep the modes go on.
+    """
+    pose, _, fps = pose_of(run, request, device)
+    if len(cameras) > 1:
+        check_rate(fps)
+    with _held(out):
+        claim(out, run, request, cameras, "orbit")
+        jobs = [(i / request.slow, camera, out / f"{camera.name}.png") for i, camera in enumerate(cameras)]
+        render_missing(jobs, pose, request, f"orbit, α = {request.label}")
+        pictures = [path for _, _, path in jobs]
+        if len(pictures) > 1:
+            _video_once(out / "orbit.mp4", pictures, fps)
+    return out
+
+
+def pose_of(run: Run, request: RenderRequest, device: str = "cpu") -> tuple[Pose, int, float]:
+    """The magnified Gaussians (on `device`) as a function of the timestep, the number of timesteps, and fps in Hz."""
+    poses = poses_of(run, request.checked().plan, device)
+    return poses.at, poses.n_timesteps, poses.fps
+
+
+def render_missing(
+    jobs: Sequence[tuple[float, Camera, Path]], pose: Pose, request: RenderRequest, label: str
+) -> int:
+    """Render the (time, camera, file) jobs whose file is not complete; returns how many were rendered."""
+    todo = [job for job in jobs if not is_complete_png(job[2], job[1].width, job[1].height)]
+    current: tuple[float, Gaussians] | None = None
+    done = len(jobs) - len(todo)
+    with progress(label, len(jobs), unit="pictures", start=done) as update:
+        update(done)
+        for time, camera, path in todo:
+            if current is None or current[0] != time:
+                current = (time, pose(time))
+            size = (camera.width, camera.height)
+            picture = render_image(current[1], camera.viewmat, camera.K, *size, background=request.background)
+            write_png(path, picture)
+            done += 1
+            update(done)
+    return len(todo)
+
+
+def _video_once(path: Path, pictures: Sequence[Path], fps: float) -> None:
+    newest = max(picture.stat().st_mtime for picture in pictures)
+    if not path.exists() or path.stat().st_mtime < newest:
+        video_of_files(path, pictures, fps)
+
+
+def claim(out: Path, run: Run, request: RenderRequest, cameras: Sequence[Camera], kind: str) -> None:
+    """Record the request in OUT/render.json, or refuse an OUT that holds another one. Raises RunError."""
+    record = _record(run, request, cameras, kind)
+    path = out / RECORD
+    remove_leftovers(out)
+    if not path.exists():
+        if out.exists() and any(out.rglob("*.png")):
+            raise RunError(f"{out} holds pictures but no {RECORD}: choose another --out")
+        out.mkdir(parents=True, exist_ok=True)
+        write_json(path, record)
+        return
+    try:
+        found = read_json(path)
+    except ValueError:
+        raise RunError(f"{path}: is not readable JSON; remove it or choose another --out") from None
+    for key, value in record.items():
+        old = found.get(key) if isinstance(found, dict) else None
+        if old != value and key != "cameras":
+            raise RunError(f"{out} was rendered with {key} {old!r}, now {value!r}: choose another --out")
+        if old != value:
+            raise RunError(f"{out} was rendered from other cameras: choose another --out")
+
+
+def _record(run: Run, request: RenderRequest, cameras: Sequence[Camera], kind: str) -> dict[str, Any]:
+    poses = json.dumps(transforms_json(tuple(cameras)), sort_keys=True)
+    method = method_of(run, request.plan)
+    own = method_of(run, Magnification())
+    temporal = request.filter
+    return {
+        "format": FORMAT,
+        "version": 1,
+        "kind": kind,
+        "alpha": request.alpha,
+        "band_hz": list(request.band) if request.band is not None else None,
+        "bands": [[b.low, b.high, b.alpha] for b in request.bands] or None,
+        "method": None if method == own else method,  # null: the run's own
+        "filter": None if temporal is None else [temporal.kind, temporal.taps],
+        "background": list(request.background),
+        "slow": request.slow if kind == "orbit" else 1.0,
+        "model": model_hash(run.path),
+        "cameras": hashlib.sha256(poses.encode()).hexdigest(),
+    }

@@ -1,0 +1,147 @@
+"""H.264 video that browsers play: yuv420p, even sizes, BT.709, repeated so that it lasts some seconds."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterable, Sequence
+from fractions import Fraction
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from tg4mm.core.errors import RunError
+from tg4mm.core.files import write_atomic
+from tg4mm.core.pictures.frames import read_png
+from tg4mm.core.progress import progress
+
+_RATES = (0.01, 10_000.0)  # pictures a second that encoder and players can do
+
+
+def check_rate(fps: float) -> None:
+    """Raises RunError for a rate, in pictures a second, at which no video can play."""
+    if not _RATES[0] <= fps <= _RATES[1]:
+        raise RunError(
+            f"a video of {fps:g} pictures a second: expected {_RATES[0]:g} … {_RATES[1]:g}; see --slow and --no-video"
+        )
+
+
+def loops_to_last(n_frames: int, fps: float, seconds: float) -> int:
+    """How many times `n_frames` at `fps` must be repeated to last at least `seconds`."""
+    return max(1, math.ceil(seconds * fps / max(n_frames, 1) - 1e-9))
+
+
+def even_size(image: np.ndarray) -> np.ndarray:
+    """The picture [H, W, 3] with its last row or column repeated where a side is odd (yuv420p needs even)."""
+    height, width = image.shape[:2]
+    return np.pad(image, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+
+
+def write_mp4(
+    path: Path, frames: Sequence[np.ndarray], fps: float, loops: int = 1, scale: int = 1, quality: int = 17
+) -> None:
+    """Write uint8 pictures [H, W, 3] of one size as mp4, `loops` times over; `fps` in frames per second.
+
+    `scale` enlarges whole-numbered (bicubic), since 4:2:0 chroma would smear small pictures. `quality` is
+    x264's constant rate factor, smaller is better.
+    """
+    if not len(frames):
+        raise RunError(f"{path}: no frames to write")
+    check_rate(fps)
+    shapes = {frame.shape for frame in frames}
+    if len(shapes) > 1:
+        raise RunError(f"{path}: frames of different sizes {sorted(shapes)}")
+    if frames[0].dtype != np.uint8:
+        raise ValueError(f"frames are {frames[0].dtype}, expected uint8")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    prepared = [even_size(frame) for frame in frames] * loops
+    size = prepared[0].shape[1], prepared[0].shape[0]
+    count = len(prepared)
+    write_atomic(path, lambda temporary: _encode(temporary, prepared, count, size, fps, scale, quality))
+
+
+def stream_mp4(
+    path: Path, frames: Iterable[np.ndarray], size: tuple[int, int], fps: float, count: int
+) -> None:
+    """`write_mp4` of `count` pictures that are made one after another, all of `size` (width, height), even pixels."""
+    check_rate(fps)
+    if size[0] % 2 or size[1] % 2:
+        raise ValueError(f"size is {size[0]}×{size[1]}, expected even numbers")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomic(path, lambda temporary: _encode(temporary, frames, count, size, fps))
+
+
+def _encode(
+    path: Path,
+    frames: Iterable[np.ndarray],
+    count: int,
+    size: tuple[int, int],
+    fps: float,
+    scale: int = 1,
+    quality: int = 17,
+) -> None:
+    """Raises RunError unless the encoder says that the file is whole: a full disk it tells by its exit status alone."""
+    import imageio_ffmpeg
+
+    width, height = size
+    filters = f"scale={width * scale}:{height * scale}:flags=bicubic:out_color_matrix=bt709:out_range=tv"
+    command = [
+        imageio_ffmpeg.get_ffmpeg_exe(),
+        *("-y", "-v", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}"),
+        *("-r", str(Fraction(fps).limit_denominator()), "-i", "-", "-an"),
+        *("-c:v", "libx264", "-pix_fmt", "yuv420p", "-vf", filters, "-crf", str(quality), "-preset", "slow"),
+        *("-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709", "-threads", "2"),
+        *("-movflags", "+faststart", "-f", "mp4"),  # the temporary name does not say that it is one
+        str(path),
+    ]
+    with (
+        progress("video", count, "frames", brief=True) as update,
+        tempfile.TemporaryFile() as said,
+        subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=said, **_OWN_GROUP
+        ) as encoder,
+    ):
+        assert encoder.stdin is not None
+        try:
+            for done, frame in enumerate(frames, 1):
+                encoder.stdin.write(np.ascontiguousarray(frame).data)
+                update(done)
+            encoder.stdin.close()
+            status = encoder.wait()
+        except OSError:  # it ended before it had all pictures
+            with contextlib.suppress(OSError):
+                encoder.stdin.close()
+            status = encoder.wait()
+        except BaseException:
+            encoder.kill()
+            raise
+        if status or _errors(said):
+            raise RunError(
+                f"{path.parent}: no video could be written, ffmpeg ended with {status}: {_errors(said)}"
+            )
+
+
+# Ctrl+C goes to this program alone, which ends the encoder.
+_OWN_GROUP: dict[str, Any] = (
+    {"creationflags": getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)}
+    if sys.platform == "win32"
+    else {"start_new_session": True}
+)
+
+
+def _errors(said: IO[bytes]) -> str:
+    """The last line of what the encoder said, without the address of the part that said it."""
+    said.seek(0)
+    lines = said.read().decode(errors="replace").strip().splitlines()
+    return lines[-1].partition("] ")[2] or lines[-1] if lines else ""
+
+
+def video_of_files(path: Path, pictures: Sequence[Path], fps: float, seconds: float = 4.0) -> None:
+    """An mp4 of picture files in order, repeated to last at least `seconds`; small ones are enlarged."""
+    frames = [read_png(picture) for picture in pictures]
+    scale = max(1, math.ceil(256 / max(frames[0].shape[:2]))) if frames else 1
+    write_mp4(path, frames, fps, loops_to_last(len(frames), fps, seconds), scale)

@@ -1,0 +1,96 @@
+"""What the model says about the motion, as maps seen from a camera and as single figures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tg4mm.core.errors import RunError
+from tg4mm.core.phasors import peak_displacement
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.modes import ModalMotion
+from tg4mm.show.render.cameras import Camera
+from tg4mm.show.render.image import render_features
+
+
+@dataclass(frozen=True)
+class MotionMaps:
+    """One frequency of the motion as a camera sees it, at the surface under each pixel."""
+
+    amplitude: np.ndarray  # [H, W] peak displacement, scene units
+    phase: np.ndarray  # [H, W] radians, of the motion along the main direction, at timestep 0
+    opacity: np.ndarray  # [H, W] in 0..1
+
+
+def in_band(motion: ModalMotion, band: tuple[float, float] | None) -> np.ndarray:
+    """[K] bool, which frequencies lie in the band; all of them for None."""
+    freqs = np.asarray(motion.freqs_hz)
+    if band is None:
+        return np.ones(len(freqs), dtype=bool)
+    return (freqs >= band[0]) & (freqs <= band[1])
+
+
+def leading_modes(
+    motion: ModalMotion,
+    weights: np.ndarray,
+    band: tuple[float, float] | None,
+    share: float = 0.5,
+    most: int = 2,
+) -> list[int]:
+    """Indices of the in-band frequencies with most weighted motion, strongest first.
+
+    At most `most`, each with an rms of at least `share` of the strongest one's. What takes longer than the capture for
+    a cycle (drift, 0 Hz) counts only where nothing else is in the band.
+    """
+    rms = np.sqrt(np.einsum("knc,n->k", np.abs(motion.displacement) ** 2, weights))
+    inside = in_band(motion, band)
+    cyclic = inside & (motion.freqs_hz * motion.n_timesteps > (1 - 1e-9) * motion.fps)
+    rms = np.where(cyclic if cyclic.any() else inside, rms, -1.0)
+    order = np.argsort(-rms, kind="stable")[:most]
+    return [int(k) for k in order if rms[k] >= 0 and rms[k] >= share * rms[order[0]]]
+
+
+def strongest(motion: ModalMotion, weights: np.ndarray, band: tuple[float, float] | None) -> int:
+    """Index of the in-band frequency with most weighted motion. Raises RunError for a band without any."""
+    leading = leading_modes(motion, weights, band, most=1)
+    if not leading:
+        known = ", ".join(f"{f:g}" for f in motion.freqs_hz) or "none"
+        assert band is not None
+        raise RunError(
+            f"band ({band[0]:g}, {band[1]:g}) Hz holds none of the model's frequencies ({known} Hz)"
+        )
+    return leading[0]
+
+
+def motion_maps(
+    gaussians: Gaussians, motion: ModalMotion, k: int, direction: np.ndarray, camera: Camera
+) -> MotionMaps:
+    """Amplitude and phase of frequency `k` from `camera`, blended over Gaussians as their colours are."""
+    phasors = motion.displacement[k]
+    features = np.concatenate([phasors.real, phasors.imag], axis=1).astype(np.float32)
+    blended, opacity = render_features(gaussians, features, camera)
+    seen = blended[..., :3] + 1j * blended[..., 3:]
+    return MotionMaps(peak_displacement(seen), np.angle(seen @ direction), opacity)
+
+
+def uncertainty_map(gaussians: Gaussians, deviation: np.ndarray, camera: Camera) -> np.ndarray:
+    """[H, W] scene units: the peak of a sinusoid whose rms is the standard deviation [N], blended as colours are."""
+    blended, _ = render_features(gaussians, np.sqrt(2) * deviation[:, None].astype(np.float32), camera)
+    return blended[..., 0]
+
+
+def image_motion(gaussians: Gaussians, phasors: np.ndarray, weights: np.ndarray, camera: Camera) -> float:
+    """Weighted rms, in pixels, of the motion [N, 3] across the picture of `camera`, of what lies in view."""
+    points = gaussians.means.cpu().numpy() @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
+    moved = phasors @ camera.viewmat[:3, :3].T
+    front = points[:, 2] > 1e-6
+    z = np.where(front, points[:, 2], 1.0)
+    du = camera.K[0, 0] * (moved[:, 0] - points[:, 0] / z * moved[:, 2]) / z
+    dv = camera.K[1, 1] * (moved[:, 1] - points[:, 1] / z * moved[:, 2]) / z
+    u = camera.K[0, 0] * points[:, 0] / z + camera.K[0, 2]
+    v = camera.K[1, 1] * points[:, 1] / z + camera.K[1, 2]
+    inside = front & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+    used = weights * inside
+    power = np.abs(du) ** 2 + np.abs(dv) ** 2
+    return float(np.sqrt((used * power).sum() / max(used.sum(), 1e-12)))

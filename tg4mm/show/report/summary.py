@@ -1,0 +1,211 @@
+"""The head of a report: title, summary and headline figures, from the run's `Result`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tg4mm.capture import Capture
+from tg4mm.core.pages.page import Stat
+from tg4mm.core.pages.svg import number
+from tg4mm.core.phasors import main_direction
+from tg4mm.run import Run
+from tg4mm.show.measure import Measurement
+from tg4mm.show.report.sources import Model
+from tg4mm.show.report.views import View
+from tg4mm.show.result import Length, Result, Vibration
+from tg4mm.show.result.lines import with_deviation
+
+
+@dataclass(frozen=True)
+class Material:
+    """Everything the sections draw on."""
+
+    run: Run
+    train: Capture
+    model: Model
+    view: View
+    result: Result
+    metrics: dict[str, Any]  # as evaluate_run returns it, {} if there is no ground truth
+    measurement: Measurement | None  # of sensors; None where there is nothing to measure
+    why_no_sensors: str  # "" where there are some, or no motion
+    band: tuple[float, float] | None
+    why_alpha: str = ""  # how α was chosen; "" if it was asked for
+    warning: str = ""  # where α goes further than the motion holds
+    orbit: Path | None = None  # a folder of render_orbit: the scene from a moving camera
+
+    @property
+    def main(self) -> Vibration | None:
+        """The strongest vibration that is magnified."""
+        inside = (
+            v for v in self.result.vibrations if self.band is None or self.band[0] <= v.hz <= self.band[1]
+        )
+        return next(inside, None)
+
+
+def amount(length: Length, unit_scale_m: float | None) -> tuple[str, str]:
+    """(value ± deviation, unit): mm or µm where the scale is known, else scene units."""
+    if unit_scale_m is None:
+        return with_deviation(length), "scene units"
+    millimetres = length.times(1000.0 * unit_scale_m)
+    if 0 < millimetres.value < 0.1:
+        return with_deviation(millimetres.times(1000.0)), "µm"
+    return with_deviation(millimetres), "mm"
+
+
+def length(value: float, unit_scale_m: float | None, digits: int = 3) -> tuple[str, str]:
+    """(value, unit) of a length in scene units: millimetres or finer where the scale is known, else units."""
+    if unit_scale_m is None:
+        return number(value, digits), "units"
+    millimetres = value * unit_scale_m * 1000.0
+    if 0 < millimetres < 0.1:
+        return number(millimetres * 1000.0, digits), "µm"
+    return number(millimetres, digits), "mm"
+
+
+def unit_of(unit_scale_m: float | None) -> tuple[str, float]:
+    """(unit, factor) that lengths in scene units are shown in: mm where the scale is known."""
+    return ("scene units", 1.0) if unit_scale_m is None else ("mm", unit_scale_m * 1000.0)
+
+
+def both_lengths(value: float, unit_scale_m: float | None) -> str:
+    """A length in scene units and, where the scale is known, in millimetres."""
+    text = f"{number(value)} scene units"
+    return text if unit_scale_m is None else f"{text} ({' '.join(length(value, unit_scale_m))})"
+
+
+def clock(seconds: float) -> str:
+    """A duration as 48 s, 3 min 20 s or 1 h 05 min."""
+    total = round(seconds)
+    if total < 60:
+        return f"{seconds:.0f} s" if seconds >= 10 else f"{seconds:.1f} s"
+    if total < 3600:
+        return f"{total // 60} min {total % 60:02d} s"
+    return f"{total // 3600} h {total % 3600 // 60:02d} min"
+
+
+def total_seconds(log: Mapping[str, Any]) -> float | None:
+    """Seconds of all stages of a run's log, None if none says."""
+    found = [
+        v["seconds"]
+        for v in log.values()
+        if isinstance(v, dict) and isinstance(v.get("seconds"), int | float)
+    ]
+    return float(sum(found)) if found else None
+
+
+def title_of(train: Capture) -> str:
+    """The scene's own name, else the dataset folder's."""
+    return str(train.scene.get("scene") or train.root.resolve().name)
+
+
+def row_of(metrics: dict[str, Any], alpha: float) -> dict[str, Any] | None:
+    """The entry of metrics["alphas"] at `alpha`."""
+    return next((entry for entry in metrics.get("alphas", []) if entry["alpha"] == alpha), None)
+
+
+def summary(m: Material) -> str:
+    """One sentence on what was found."""
+    views = m.result.n_cameras
+    what = "pose" if m.view.clock == "moving" else "camera"
+    seen = f"{views} {what}{'s' if views != 1 else ''}, {m.train.n_timesteps} timestep"
+    seen += "s" if m.train.n_timesteps != 1 else ""
+    if m.model.motion is None:
+        return f"A static model from {seen}. A capture of one timestep has no motion to magnify."
+    shown = f"shown here {1 + m.view.alpha:g} times larger"
+    if m.main is None:
+        where = "" if m.band is None else f" from {m.band[0]:g} to {m.band[1]:g} Hz"
+        return (
+            f"No vibration was found{where} in {seen} at {number(m.train.fps)} Hz; what there is is {shown}."
+        )
+    value, unit = amount(m.main.amplitude, m.result.unit_scale_m)
+    hz = with_deviation(Length(m.main.hz, m.main.deviation_hz))
+    others = [v for v in m.result.vibrations if v is not m.main]
+    more = f" It also vibrates at {' and '.join(number(v.hz) for v in others[:3])} Hz." if others else ""
+    how = "in 3D from" if views > 1 else "across the line of sight of"
+    return (
+        f"The strongest vibration is {value} {unit} at {hz} Hz, measured {how} {seen} at "
+        f"{number(m.train.fps)} Hz, and {shown}.{more}"
+    )
+
+
+def stats(m: Material) -> list[Stat]:
+    """The headline figures; those that need ground truth only where there is some."""
+    found = _motion_stats(m)
+    if m.metrics:
+        found += [*_ssim_stat(m), *_error_stat(m)]
+    seconds = total_seconds(m.run.log())
+    if seconds is not None:
+        found.append(Stat("Training time", clock(seconds), note="the stages in the run's log"))
+    return found
+
+
+def _motion_stats(m: Material) -> list[Stat]:
+    if m.model.motion is None:
+        return [Stat("Motion", "none", note="one timestep was captured")]
+    found = _vibration_stats(m) if m.main is not None else [Stat("Vibration", "none", note="none was found")]
+    if m.result.noise is not None:
+        value, unit = length(m.result.noise, m.result.unit_scale_m, digits=2)
+        pixels = "" if m.result.noise_px is None else f"{m.result.noise_px:.2g} px: "
+        found.append(Stat("Noise floor", value, unit, f"{pixels}a motion as large as its noise"))
+    return found
+
+
+def _vibration_stats(m: Material) -> list[Stat]:
+    assert m.main is not None
+    assert m.model.motion is not None
+    value, unit = amount(m.main.amplitude, m.result.unit_scale_m)
+    pixels = "" if m.main.pixels is None else f"{with_deviation(m.main.pixels)} px; "
+    k = int(np.argmin(np.abs(m.model.motion.freqs_hz - m.main.hz)))
+    return [
+        Stat(
+            "Frequency",
+            with_deviation(Length(m.main.hz, m.main.deviation_hz)),
+            "Hz",
+            f"a record of {number(m.result.duration_s)} s",
+        ),
+        Stat("Amplitude", value, unit, f"{pixels}peak, 99th percentile of what is seen"),
+        _direction_stat(main_direction(m.model.motion.displacement[k], m.model.weights)),
+    ]
+
+
+def _direction_stat(direction: np.ndarray) -> Stat:
+    axis = int(np.argmax(np.abs(direction)))
+    angle = float(np.degrees(np.arccos(np.clip(abs(direction[axis]), 0, 1))))
+    if angle < 10:
+        return Stat(
+            "Direction", f"± {'XYZ'[axis]}", "", f"({vector(direction)}), {angle:.1f}° off the world's axis"
+        )
+    return Stat(
+        "Direction", vector(direction), "", f"unit vector, {angle:.0f}° off the world's {'XYZ'[axis]} axis"
+    )
+
+
+def vector(direction: np.ndarray) -> str:
+    """A vector to two decimals."""
+    return ", ".join(f"{c:.2f}".replace("-0.00", "0.00").replace("-", "−") for c in direction)
+
+
+def _ssim_stat(m: Material) -> list[Stat]:
+    entry = row_of(m.metrics, m.view.alpha)
+    ours = entry["rows"].get("ours", {}).get("ssim") if entry else None
+    if entry is None or ours is None:
+        return []
+    parts = [
+        f"{name} {entry['rows'][name]['ssim']:.4f}"
+        for name in ("ceiling", "nothing moves")
+        if entry["rows"].get(name, {}).get("ssim") is not None
+    ]
+    return [Stat(f"SSIM at α = {m.view.alpha:g}", f"{ours:.4f}", note=", ".join(parts))]
+
+
+def _error_stat(m: Material) -> list[Stat]:
+    figures = m.metrics.get("displacement")
+    if not figures or figures.get("relative_error") is None:
+        return []
+    absolute = both_lengths(figures["rms_error"], m.train.unit_scale_m)
+    return [Stat("Displacement error", f"{100 * figures['relative_error']:.1f}", "%", f"rms {absolute}")]

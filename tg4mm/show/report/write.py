@@ -1,0 +1,141 @@
+"""The report of a run: gathering what it shows, and the page."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from tg4mm import __version__
+from tg4mm.capture import Capture, load_capture
+from tg4mm.core.band import check_band
+from tg4mm.core.errors import RunError
+from tg4mm.core.files import write_atomic
+from tg4mm.core.magnification import BandGain, Magnification
+from tg4mm.core.pages.page import Page, Section, render_page
+from tg4mm.core.progress import progress
+from tg4mm.run import Run
+from tg4mm.run.model_hash import model_hash
+from tg4mm.show.measure import Sensor
+from tg4mm.show.report.accuracy import accuracy_section
+from tg4mm.show.report.closing import commands_section, cost_section, settings_section
+from tg4mm.show.report.found import limits_section
+from tg4mm.show.report.sections import capture_section, motion_section
+from tg4mm.show.report.sources import choose_alpha, load_model, metrics_of
+from tg4mm.show.report.spectra import measured, sensors_section
+from tg4mm.show.report.summary import Material, stats, summary, title_of
+from tg4mm.show.report.videos import videos
+from tg4mm.show.report.views import gather_view
+from tg4mm.show.result.read import reading_of
+from tg4mm.show.result.requested import too_far
+
+_LOG = logging.getLogger("tg4mm")
+
+
+@dataclass(frozen=True)
+class ReportOptions:
+    """What a report shows beyond the run itself."""
+
+    alpha: float | None = None  # None: what shows the motion well and its noise does not
+    band: tuple[float, float] | None = None  # Hz, magnified; None = every frequency
+    sensors: Sequence[Sensor] = ()  # (): the parts that move alike, what stands still, and the whole scene
+    orbit: Path | None = None  # a folder that render_orbit wrote, to show its video
+    # Further files or folders to list with their size.
+    files: Mapping[str, Path] = field(default_factory=dict)
+    metrics: Mapping[str, Any] | None = (
+        None  # as `evaluate_run` returns them; None: RUN/metrics.json, or evaluated now
+    )
+
+
+def write_report(run: Run, out: Path, options: ReportOptions | None = None) -> Path:
+    """Write the report of `run` to the file `out`; returns it.
+
+    Reads the pictures once for the sensors, and scores the run where its dataset has ground truth and no metrics.json
+    is newer than the model. Raises RunError for a run that is not finished, metrics of another kind, or a band without
+    a mode; CaptureError for a bad dataset; MeasureError for a sensor that cannot be measured.
+    """
+    options = options or ReportOptions()
+    _check_writable(out)
+    train = load_capture(run.dataset)
+    band = None if options.band is None else check_band(options.band, train.fps)
+    material = _material(run, train, band, options)
+    files = {
+        "Gaussians": run.path / "space.safetensors",
+        "motion": run.path / "motion.safetensors",
+        "dataset": run.dataset,
+        **options.files,
+    }
+    text = render_page(_page(material, files, options))
+    out.parent.mkdir(parents=True, exist_ok=True)
+    write_atomic(out, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    return out
+
+
+def _check_writable(out: Path) -> None:
+    """Before minutes of work. Raises RunError."""
+    if out.is_dir():
+        raise RunError(f"--out {out} is a folder; expected a file such as {out / 'report.html'}")
+    there = next(p for p in (out.parent, *out.absolute().parents) if p.exists())
+    if not there.is_dir() or not os.access(there, os.W_OK):
+        raise RunError(f"--out {out}: {there} cannot be written")
+
+
+def _material(run: Run, train: Capture, band: tuple[float, float] | None, options: ReportOptions) -> Material:
+    reading = reading_of(run)
+    result = reading.result()
+    model = load_model(reading, train, band)
+    alpha, why_alpha = choose_alpha(reading, result.noise_px, options.alpha, band)
+    view = gather_view(run, train, model, alpha, band)
+    with progress("sensors", 1, "part", brief=True):
+        measurement, why_no_sensors = (None, "") if model.motion is None else measured(run, options.sensors)
+    metrics = dict(options.metrics) if options.metrics is not None else metrics_of(run)
+    if metrics and metrics.get("format") != "tg4mm-metrics":
+        raise RunError(f"metrics have the format {metrics.get('format')!r}, expected 'tg4mm-metrics'")
+    gains = () if band is None else (BandGain(*band, alpha),)
+    warning = (
+        too_far(run, Magnification(gains, 0.0 if gains else alpha)) if model.motion is not None else None
+    )
+    if warning:
+        _LOG.warning(warning)
+    return Material(
+        run, train, model, view, result, metrics, measurement, why_no_sensors, band, why_alpha, warning or "",
+        options.orbit,
+    )  # fmt: skip
+
+
+def _page(m: Material, files: Mapping[str, Path], options: ReportOptions) -> Page:
+    sections: list[Section] = []
+    parts: tuple[Callable[[], Sequence[Section]], ...] = (
+        lambda: [motion_section(m)],
+        lambda: sensors_section(m),
+        lambda: accuracy_section(m),
+        lambda: [limits_section(m)],
+        lambda: [capture_section(m)],
+        lambda: [
+            settings_section(m),
+            cost_section(m, files),
+            commands_section(m, options.sensors, options.alpha),
+        ],
+    )
+    with progress("page", len(parts) + 1, "parts") as update:
+        lead = videos(m)
+        for done, part in enumerate(parts, start=1):
+            update(done)
+            sections += part()
+        update(len(parts) + 1)
+    return Page(
+        title=title_of(m.train),
+        kicker="3D motion magnification, report of a run",
+        summary=summary(m),
+        stats=stats(m),
+        lead=lead,
+        sections=sections,
+        footer=(
+            f"tg4mm {__version__}. Preset {m.run.preset}. Run {m.run.path}. "
+            f"Model SHA-256 {model_hash(m.run.path)}. "
+            "docs/benchmark.md defines displacement error, ceiling and the other scores."
+        ),
+    )

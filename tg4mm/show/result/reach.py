@@ -1,0 +1,86 @@
+"""How far a magnified motion goes: in pixels, its noise with it, and whether a linear motion still holds.
+
+A displacement is magnified exactly, whatever α is. What ends the use of it is noise, which grows along, and turning: a
+turn by θ is drawn as a displacement that grows with the distance from its axis, so a part that turns by θ gets
+√(1 + θ²) times as large (12 % at half a radian), and where neighbours move apart by their own distance, surfaces tear.
+Both are told by the same number, what the displacement changes by from one Gaussian to the next, per distance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from tg4mm.core.phasors import peak_displacement, scale_top
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.modes import ModalMotion
+from tg4mm.show.result.seen import Seen
+
+TURN = 0.5  # radians, or displacement per distance: from here on shapes stretch by 12 % and more
+NOISE_PX = 1.0  # noise of a pixel is seen as motion
+_NEIGHBOURS = 6
+_TOP = 0.99  # of what is seen
+
+
+@dataclass(frozen=True)
+class Reach:
+    """Of a motion as it is magnified."""
+
+    pixels: float | None  # the largest motion; None without a camera
+    noise_px: float | None  # the noise's amplitude; None where it is not known
+    turn: float  # radians, and what the displacement changes by per distance: the larger
+
+    @property
+    def too_far(self) -> float:
+        """How many times as large as it should be at most; up to 1 it is within its limits."""
+        return max(self.turn / TURN, (self.noise_px or 0.0) / NOISE_PX)
+
+
+def reach_of(
+    gaussians: Gaussians,
+    motion: ModalMotion,
+    seen: Seen,
+    noise_px: float | None,
+    gains: np.ndarray,
+    is_decoded: bool = False,
+) -> Reach:
+    """Of the modes as `gains` [K] multiplies them; 0: a mode that does not count. noise_px: at gain 1.
+
+    `is_decoded`: magnified poses come from a network (`paper`), for which phasors do not stand. That turns single
+    Gaussians by radians where nothing in the scene turns, so that turning and shearing tell no limit: turn is 0.
+    Modes of different frequencies are added as powers: their peaks seldom meet.
+    """
+    means = gaussians.means.numpy()
+    rows = np.flatnonzero(seen.weights > 0)
+    distance, near = _neighbours(means[rows], gaussians.scales.numpy()[rows].max(1))
+    pixels2, strain2, turn2 = 0.0, np.zeros(len(rows)), np.zeros(len(rows))
+    for k in np.flatnonzero(gains):
+        moved, turned = (gains[k] * phasors[k] for phasors in (motion.displacement, motion.rotation))
+        pixels2 += (seen.pixels(moved) or 0.0) ** 2
+        if is_decoded:
+            continue
+        apart = moved[rows][near] - moved[rows][:, None]
+        strain2 += _second_largest((np.abs(apart) ** 2).sum(-1) / distance**2)
+        turn2 += peak_displacement(turned[rows]) ** 2
+    strains = np.sqrt(np.maximum(strain2, turn2))
+    return Reach(
+        pixels=float(np.sqrt(pixels2)) if seen.rows else None,
+        noise_px=None if noise_px is None else noise_px * float(np.abs(gains).max(initial=0)),
+        turn=scale_top(strains, seen.weights[rows], _TOP) if len(rows) else 0.0,
+    )
+
+
+def _second_largest(values: np.ndarray) -> np.ndarray:
+    """[n] of values [n, k]: to neighbours across the gradient there is no difference, and the largest may be stray."""
+    return np.asarray(np.sort(values, axis=1)[:, -min(2, values.shape[1])])
+
+
+def _neighbours(means: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distances [n, k] and indices [n, k] of the nearest; never nearer than a Gaussian is large."""
+    count = min(_NEIGHBOURS + 1, len(means))
+    if count < 2:
+        return np.ones((len(means), 1)), np.zeros((len(means), 1), int)
+    distance, near = cKDTree(means).query(means, k=count)
+    return np.maximum(distance[:, 1:], np.maximum(sizes, 1e-12)[:, None]), near[:, 1:]

@@ -1,0 +1,286 @@
+"""A run's files read as its `Result`."""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from tg4mm.capture import Capture, load_capture
+from tg4mm.core.errors import RunError
+from tg4mm.core.phasors import peak_displacement, scale_top
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.mode_selection import peaks, worth_keeping
+from tg4mm.fit.motion.modes import ModalMotion
+from tg4mm.fit.motion.observations import PERIODS, TOLD_PERIODS, frames_of
+from tg4mm.run import UNCERTAINTY, Run
+from tg4mm.run.checks import check_times
+from tg4mm.show.result.advice import next_command, suggested_alpha
+from tg4mm.show.result.bands import suggested_bands
+from tg4mm.show.result.damped_sinusoid import DampedSinusoid, damped_sinusoid_of
+from tg4mm.show.result.deviations import mode_deviations
+from tg4mm.show.result.lines import with_deviation
+from tg4mm.show.result.model import Length, Result, Vibration
+from tg4mm.show.result.reach import Reach, reach_of
+from tg4mm.show.result.seen import Seen, seen_by
+
+_SURE = 2.0  # deviations that a frequency is from 0 Hz, else it is a drift
+_LARGEST = 0.99  # of the weight of what is seen lies below the amplitude that is named, as in pixels
+_HELD_STILL = 1e-6  # of the largest noise: less is of Gaussians that the fit holds still
+_STEADY = "the fit takes the vibration to be steady"
+
+
+def result_of(run: Run) -> Result:
+    """What the run found. Of a finished run it is the same each time. Raises RunError for one that is not finished."""
+    return reading_of(run).result()
+
+
+def reading_of(run: Run) -> Reading:
+    """The files of a run. Raises RunError for one that is not finished, or whose dataset has other times now."""
+    motion = run.load_motion()
+    capture = load_capture(run.dataset) if run.dataset.is_dir() else None
+    if motion is None and capture is not None and capture.n_timesteps > 1:
+        raise RunError(f"{run.path} has no motion.safetensors: its motion stage is not finished")
+    if motion is not None and capture is not None:
+        of_run, of_dataset = (motion.fps, motion.n_timesteps), (capture.fps, capture.n_timesteps)
+        check_times(run.path, run.dataset, of_run, of_dataset)
+    uncertainty = _uncertainty(run) if motion is not None else {}
+    return Reading(run, run.load_space(), motion, run.log().get("motion", {}), capture, uncertainty)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """The files of a run that a result is read from."""
+
+    run: Run
+    gaussians: Gaussians
+    motion: ModalMotion | None
+    log: dict[str, Any]  # of the motion stage
+    capture: Capture | None  # None: the dataset is gone
+    uncertainty: dict[str, np.ndarray]  # {}: the run does not say it
+
+    @property
+    def duration_s(self) -> float:
+        """Of the record, frames that are missing among it. 0 for a run without motion."""
+        if self.motion is None:
+            return 0.0
+        return float(self.log.get("duration_s") or self.motion.n_timesteps / self.motion.fps)
+
+    @cached_property
+    def seen(self) -> Seen:
+        return seen_by(self.gaussians, self.capture)
+
+    def result(self) -> Result:
+        """`result_of`."""
+        motion = self.motion
+        if motion is None:
+            return self._still()
+        seen = self.seen
+        sinusoids = self._sinusoids(motion, seen)
+        vibrations = self._vibrations(
+            motion, seen, {f: t for f, t in sinusoids.items() if not _is_drift(f, t, self.duration_s)}
+        )
+        noise, noise_px = self._noise(seen)
+        low, high = vibrations[0].band if vibrations else (0.0, 0.0)
+        strongest = (motion.freqs_hz >= low) & (motion.freqs_hz <= high)
+        alpha = suggested_alpha(self.reach(strongest.astype(float)) if vibrations else None, self.capture)
+        frames = frames_of(self.capture)[1] if self.capture is not None else []
+        return Result(
+            run=self.run.path,
+            kind="" if self.capture is None else self.capture.kind,
+            n_cameras=len(frames),
+            n_timesteps=motion.n_timesteps,
+            fps=motion.fps,
+            vibrations=vibrations,
+            untold_hz=self._untold(motion),
+            unit_scale_m=None if self.capture is None else self.capture.unit_scale_m,
+            noise=noise,
+            noise_px=noise_px,
+            agreement=tuple(float(r) for r in self.log.get("reliability", ())),
+            cannot=(*_drifts(sinusoids, self.duration_s), *self._cannot(motion, vibrations)),
+            alpha=alpha,
+            next_command=next_command(self.run, self.capture, vibrations, alpha),
+        )
+
+    def _still(self) -> Result:
+        """Of a capture of one timestep."""
+        capture = self.capture
+        return Result(
+            run=self.run.path,
+            kind="photos" if capture is None else capture.kind,
+            n_cameras=0 if capture is None else len(capture),
+            n_timesteps=1,
+            fps=0.0,
+            vibrations=(),
+            untold_hz=(),
+            unit_scale_m=None if capture is None else capture.unit_scale_m,
+            noise=None,
+            noise_px=None,
+            agreement=(),
+            cannot=("motion: there is one timestep, at which nothing can move",),
+            alpha=0.0,
+            next_command=next_command(self.run, capture, (), 0.0),
+        )
+
+    def _sinusoids(self, motion: ModalMotion, seen: Seen) -> dict[float, DampedSinusoid]:
+        """Of every peak, drifts among them, by falling strength."""
+        hz = [float(f) for f in peaks(motion, PERIODS / self.duration_s, self.uncertainty.get("noise"))]
+        return {f: self._sinusoid(motion, seen, f, np.array(hz)) for f in hz}
+
+    def _vibrations(
+        self, motion: ModalMotion, seen: Seen, sinusoids: dict[float, DampedSinusoid]
+    ) -> tuple[Vibration, ...]:
+        hz, duration = list(sinusoids), self.duration_s
+        bands = suggested_bands(
+            hz, [sinusoid.deviation_hz for sinusoid in sinusoids.values()], duration, motion.fps
+        )
+        deviations = None
+        if "noise" in self.uncertainty:
+            deviations = mode_deviations(motion, self.uncertainty["displacement"], self.uncertainty["noise"])
+        out = []
+        for (f, sinusoid), band in zip(sinusoids.items(), bands, strict=True):
+            k = _index(motion, f)
+            amplitude, place = self._largest(
+                motion.displacement[k], seen, None if deviations is None else deviations[k]
+            )
+            if amplitude.deviation is not None and amplitude.value < amplitude.deviation:
+                continue  # as large as its own error
+            out.append(
+                Vibration(
+                    hz=f,
+                    deviation_hz=sinusoid.deviation_hz,
+                    amplitude=amplitude,
+                    place=place,
+                    pixels=self._pixels(motion.displacement[k], seen, amplitude),
+                    damping=sinusoid.damping,
+                    damping_deviation=sinusoid.damping_deviation,
+                    why_no_damping=sinusoid.why_no_damping,
+                    band=band,
+                )
+            )
+        return tuple(out)
+
+    def _untold(self, motion: ModalMotion) -> tuple[Length, ...]:
+        """What a fit found a frequency of, and let go since its two halves did not agree on the motion."""
+        if len(motion.freqs_hz):
+            return ()
+        return tuple(Length(f, d) for f, d in zip(*(self.log.get(k, ()) for k in _STATED), strict=False))
+
+    def _sinusoid(self, motion: ModalMotion, seen: Seen, hz: float, every: np.ndarray) -> DampedSinusoid:
+        told = {float(f): float(d) for f, d in zip(*(self.log.get(k, ()) for k in _STATED), strict=False)}
+        if told:  # clocks of their own, or a moving camera: the fit holds these frequencies and nothing else
+            return DampedSinusoid(told[min(told, key=lambda f: abs(f - hz))], None, None, _STEADY)
+        series = series_of(motion, motion.displacement[_index(motion, hz)], seen.weights)
+        noise = float(self.log.get("noise_to_motion") or 0.0)
+        return damped_sinusoid_of(series, motion.fps, hz, every[every != hz], noise)
+
+    def _largest(
+        self, phasors: np.ndarray, seen: Seen, deviation: np.ndarray | None
+    ) -> tuple[Length, tuple[float, float, float]]:
+        amplitude = peak_displacement(phasors)
+        top = scale_top(amplitude, seen.weights, _LARGEST)
+        there = int(np.argmin(np.where(seen.weights > 0, np.abs(amplitude - top), np.inf)))
+        x, y, z = (float(c) for c in self.gaussians.means[there])
+        return Length(top, None if deviation is None else float(deviation[there])), (x, y, z)
+
+    def _pixels(self, phasors: np.ndarray, seen: Seen, amplitude: Length) -> Length | None:
+        """The deviation is as much of the motion in pixels as it is of that in scene units, but for what only the
+        line of sight hides."""
+        pixels = seen.pixels(phasors)
+        if pixels is None or amplitude.deviation is None or not amplitude.value > 0:
+            return None if pixels is None else Length(pixels)
+        deviation = pixels * amplitude.deviation / amplitude.value
+        if "covariance" in self.uncertainty:
+            own = self.uncertainty["covariance"].astype(np.float64)
+            even = np.trace(own, axis1=1, axis2=2)[:, None, None] / 3 * np.eye(3)
+            deviation *= (seen.rms_pixels(own) or 0.0) / max(seen.rms_pixels(even) or 0.0, 1e-30)
+        return Length(pixels, deviation)
+
+    def _noise(self, seen: Seen) -> tuple[float | None, float | None]:
+        if "noise" not in self.uncertainty:
+            return None, None
+        noise = self.uncertainty["noise"].astype(np.float64)
+        moves = noise > _HELD_STILL * noise.max(initial=0.0)
+        own = np.sqrt(2) * scale_top(noise, np.where(moves, seen.weights, 0), 0.5)
+        pixels = seen.rms_pixels((noise**2 / 3)[:, None, None] * np.eye(3))
+        return own, None if pixels is None else np.sqrt(2) * pixels
+
+    def reach(self, gains: np.ndarray) -> Reach | None:
+        """How far the motion goes with its modes multiplied by `gains` [K]; None for a run without motion."""
+        if self.motion is None:
+            return None
+        told = worth_keeping(self.motion, self.uncertainty.get("noise"))
+        noise_px, is_decoded = self._noise(self.seen)[1], self.run.preset != "modal"
+        return reach_of(self.gaussians, self.motion, self.seen, noise_px, gains * told, is_decoded)
+
+    def _cannot(self, motion: ModalMotion, vibrations: tuple[Vibration, ...]) -> tuple[str, ...]:
+        duration = self.duration_s
+        out = list(self.log.get("notes", ()))
+        out.append(
+            f"frequencies under {TOLD_PERIODS / duration:.3g} Hz, from {motion.fps / 2:.4g} Hz on, and two that are "
+            f"nearer than {1 / duration:.3g} Hz: the record covers {duration:.3g} s at {motion.fps:.4g} Hz"
+        )
+        if "along_sight" in self.uncertainty and vibrations:
+            out.append(
+                "how far things move towards the only camera: where they do, amplitudes come out too small, by more "
+                "than the ± says"
+            )
+        if "noise" not in self.uncertainty and vibrations:
+            out.append(
+                f"how sure the amplitudes are: the preset {self.run.preset} with these settings does not say it"
+            )
+        if self.capture is None:
+            out.append(f"pixels and the scale: the dataset {self.run.dataset} is not there")
+        elif self.capture.unit_scale_m is None:
+            out.append(
+                "millimetres: unit_scale_m (metres per scene unit) in "
+                f"{shlex.quote(str(self.capture.root / 'scene.json'))} is not known"
+            )
+        return tuple(out)
+
+
+_STATED = ("frequencies_hz", "frequency_deviation_hz")
+
+
+def series_of(motion: ModalMotion, phasors: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """[T] the motion over time along the shape of a mode, in units of its largest displacement at each Gaussian.
+
+    The shape is the real part of the phasors [N, 3] at the time when they are largest; weights [N].
+    """
+    turned = phasors * np.exp(-0.5j * np.angle(np.einsum("nc,nc,n->", phasors, phasors, weights)))
+    shape = weights[:, None] * turned.real
+    along = np.einsum("knc,nc->k", motion.displacement, shape) / max(
+        float((shape * turned.real).sum()), 1e-30
+    )
+    gains = np.stack([motion.gains_at(t) for t in range(motion.n_timesteps)], 1)
+    return np.asarray((along[:, None] * gains).real.sum(0))
+
+
+def _is_drift(hz: float, sinusoid: DampedSinusoid, duration_s: float) -> bool:
+    """Whether the record holds too little of a frequency to tell it from a slow drift."""
+    return hz * duration_s < TOLD_PERIODS or hz < _SURE * sinusoid.deviation_hz
+
+
+def _drifts(sinusoids: dict[float, DampedSinusoid], duration_s: float) -> list[str]:
+    """A line on the strongest peak that is taken for a drift."""
+    for f, sinusoid in sinusoids.items():
+        if _is_drift(f, sinusoid, duration_s):
+            shown = with_deviation(Length(f, sinusoid.deviation_hz))
+            return [
+                f"whether something vibrates at {shown} Hz or drifts: the record holds {f * duration_s:.2g} periods of "
+                "it; a longer one tells"
+            ]
+    return []
+
+
+def _index(motion: ModalMotion, hz: float) -> int:
+    return int(np.argmin(np.abs(motion.freqs_hz - hz)))
+
+
+def _uncertainty(run: Run) -> dict[str, np.ndarray]:
+    if not run.has_part(UNCERTAINTY):
+        return {}
+    return {name: tensor.numpy() for name, tensor in run.load_part(UNCERTAINTY)[0].items()}

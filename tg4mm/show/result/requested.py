@@ -1,0 +1,125 @@
+"""What is asked to be magnified, against what a run holds: `--band auto`, bands without motion, α that goes too far."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.magnification import Magnification
+from tg4mm.fit.motion.mode_selection import worth_keeping
+from tg4mm.fit.motion.observations import PERIODS
+from tg4mm.run import Run
+from tg4mm.run.poses import method_of
+from tg4mm.show.result.model import Band, Result
+from tg4mm.show.result.reach import NOISE_PX, TURN, Reach
+from tg4mm.show.result.read import reading_of, result_of
+
+_LISTED = 8  # modes
+_LET_THROUGH = 0.05  # of a filter's response: less counts as outside the band
+
+
+def auto_band(run: Run) -> tuple[Band, str]:
+    """The band that `--band auto` stands for, around the strongest vibration, and a line that says so.
+
+    Raises Tg4mmError where none was found.
+    """
+    result = result_of(run)
+    if result.band is None:
+        raise Tg4mmError(
+            f"--band auto: no vibration was found in {run.path}; --band LO HI looks at one all the same"
+        )
+    line = f"--band auto: {_shown(result.band)} Hz, around {result.vibrations[0].hz:.4g} Hz"
+    if others := result.vibrations[1:]:
+        line += f", the strongest; there are also {', '.join(f'{v.hz:.4g}' for v in others)} Hz"
+    return result.band, line
+
+
+def refuse_empty(run: Run, plan: Magnification) -> None:
+    """Raise Tg4mmError for a band of the plan that holds no motion, with the frequencies there are.
+
+    A mode that holds nothing but noise (`mode_selection.py`) is none.
+    """
+    motion = run.load_motion()
+    if motion is None or not plan.bands:
+        return
+    plan.checked(motion.fps)
+    _refuse_too_slow(plan, motion.n_timesteps / motion.fps)
+    told = worth_keeping(motion, run.load_noise()) & motion.is_magnified()
+    freqs = motion.freqs_hz[told]
+    is_modal = method_of(run, plan) == "modal"
+    for band in plan.bands:
+        one = Magnification((type(band)(band.low, band.high, 1.0),), 0.0, plan.method, plan.filter)
+        gains = one.ideal(freqs) if is_modal else np.abs(one.response(freqs, motion.fps))
+        if not (gains > _LET_THROUGH).any():
+            raise Tg4mmError(
+                f"--band {band.low:g} {band.high:g}: no motion was found there; {_there(result_of(run), freqs)}; "
+                "--allow-empty-band goes on all the same"
+            )
+
+
+def _refuse_too_slow(plan: Magnification, duration_s: float) -> None:
+    lowest = PERIODS / duration_s
+    for band in plan.bands:
+        if band.high < lowest:
+            raise Tg4mmError(
+                f"--band {band.low:g} {band.high:g}: the record of {duration_s:.3g} s holds fewer than two periods of "
+                f"it; a band must reach {lowest:.3g} Hz, or film longer; --allow-empty-band goes on all the same"
+            )
+
+
+def reversed_motion(plan: Magnification) -> str | None:
+    """A line where α is below −1; None elsewhere."""
+    least = min([*(b.alpha for b in plan.bands), plan.everywhere])
+    if least >= -1:
+        return None
+    return f"α = {least:g}: the motion is shown reversed, {-1 - least:.3g} times as large; -1 stops it, 0 leaves it"
+
+
+def too_far(run: Run, plan: Magnification) -> str | None:
+    """A line where a magnified motion goes further than it holds, or its noise is seen; None where it does not."""
+    motion = run.load_motion()
+    if motion is None or plan.is_identity:
+        return None
+    if method_of(run, plan) == "modal":
+        alphas = plan.ideal(motion.freqs_hz) * motion.is_magnified()
+    else:
+        alphas = plan.response(motion.freqs_hz, motion.fps)
+    gains = np.where(alphas != 0, np.abs(1 + alphas), 0.0)
+    reach = reading_of(run).reach(gains)
+    if reach is None or not reach.too_far > 1:
+        return None
+    alpha = max((b.alpha for b in plan.bands), key=abs, default=plan.everywhere)
+    moved = "" if reach.pixels is None else f"the largest motion becomes {reach.pixels:.3g} px; "
+    # Everything that limits grows with |1 + α|.
+    most = abs(1 + alpha) / reach.too_far - 1
+    within = "it does not hold as captured either"
+    if most > 0:
+        within = f"α = {float(f'{most:.2g}'):g} is as far as it holds"
+    return f"α = {alpha:g}: {moved}{'; '.join(_reasons(reach))}; {within}"
+
+
+def _reasons(reach: Reach) -> list[str]:
+    out = []
+    if reach.turn > TURN:
+        out.append(
+            f"parts turn or shear by {reach.turn:.2g} rad, and from {TURN:g} on shapes stretch, by 12 % and more, "
+            "and tear"
+        )
+    if (reach.noise_px or 0.0) > NOISE_PX:
+        out.append(f"noise is magnified to {reach.noise_px:.2g} px and looks like motion")
+    return out
+
+
+def _there(result: Result, freqs: np.ndarray) -> str:
+    if not result.vibrations:  # such as a record of less than two periods
+        modes = ", ".join(f"{f:.4g}" for f in freqs[:_LISTED])
+        return (
+            f"no vibration stands out, and the modes lie at {modes} Hz" if modes else "there is none at all"
+        )
+    return "there is " + ", ".join(f"{v.hz:.4g} Hz (--band {_shown(v.band)})" for v in result.vibrations)
+
+
+def _shown(band: Sequence[float]) -> str:
+    return f"{band[0]:g} {band[1]:g}"

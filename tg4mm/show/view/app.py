@@ -1,0 +1,161 @@
+"""`tg4mm view` put together: server, panel, and the loop that draws for every open page."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import viser
+
+from tg4mm.show.view.camera_panel import CameraPanel
+from tg4mm.show.view.charts import ACCENT_RGB
+from tg4mm.show.view.local_server import address, start_server, stop_server
+from tg4mm.show.view.pace import RATE
+from tg4mm.show.view.panel import Panel
+from tg4mm.show.view.pixel_panel import PixelPanel
+from tg4mm.show.view.save_panel import SavePanel
+from tg4mm.show.view.screen import Canvas, Screen
+from tg4mm.show.view.session import Session
+
+_IDLE = 0.1  # seconds between looks at cameras that say nothing
+_PANEL = 400  # pixels
+
+
+def canvas_of(client: viser.ClientHandle) -> Canvas:
+    """The camera of a page as it is now."""
+    c = client.camera
+    return Canvas(
+        tuple(map(float, c.position)),
+        tuple(map(float, c.wxyz)),
+        float(c.fov),
+        int(c.image_width),
+        int(c.image_height),
+    )
+
+
+class App:
+    """A session in the browser. One set of controls for all open pages, a camera for each; they share the processor."""
+
+    def __init__(self, session: Session, port: int, folder: Path) -> None:
+        """Serve at 127.0.0.1:`port`; pictures and clips go to `folder`. Raises Tg4mmError where the port is taken."""
+        self._session = session
+        self._screens: dict[int, tuple[viser.ClientHandle, Screen]] = {}
+        self._stopping = threading.Event()
+        self._failure: BaseException | None = None
+        self.server = start_server(port)
+        self.url = address(self.server)
+        self._dress()
+        self._panel = Panel(self.server, session)
+        self._cameras = CameraPanel(self.server, session, self._panel.view)
+        self._pixel = PixelPanel(self.server, session)
+        with self._panel.view:
+            dark = self.server.gui.add_checkbox("Dark page", False, hint="The scene stays over white.")
+        dark.on_update(lambda _: self._theme(dark=bool(dark.value)))
+        SavePanel(self.server, session, folder, canvas_of)
+        self._listen()
+        self._thread = threading.Thread(target=self._draw, daemon=True)
+        self._thread.start()
+
+    def _dress(self) -> None:
+        gui = self.server.gui
+        self._theme(dark=False)
+        gui.set_panel_label(f"tg4mm view: {self._session.scene.path.resolve().name}")
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(_PANEL)
+
+    def _theme(self, dark: bool) -> None:
+        self.server.gui.configure_theme(
+            dark_mode=dark, show_logo=False, show_share_button=False, brand_color=ACCENT_RGB
+        )
+
+    def _listen(self) -> None:
+        server = self.server
+
+        @server.on_client_connect
+        def _(client: viser.ClientHandle) -> None:
+            self._cameras.jump(client, 0)
+            client.camera.on_update(lambda _: self._session.changed.set())
+            self._screens[client.client_id] = client, Screen(self._session, _sender(client))
+            self._session.changed.set()
+
+        @server.on_client_disconnect
+        def _(client: viser.ClientHandle) -> None:
+            self._screens.pop(client.client_id, None)
+
+        @server.scene.on_click()
+        def _(event: viser.SceneClickEvent) -> None:
+            self._pixel.clicked(canvas_of(event.client), *event.screen_pos)
+
+    def wait(self) -> None:
+        """Until `stop`, or an interrupt; an error of the drawing loop is raised here."""
+        while not self._stopping.wait(0.2):
+            pass
+        if self._failure is not None:
+            raise self._failure
+
+    def stop(self) -> None:
+        """End drawing and serving."""
+        self._stopping.set()
+        self._session.changed.set()
+        if self._thread is not threading.current_thread():
+            self._thread.join(timeout=5.0)
+        stop_server(self.server)
+
+    def _draw(self) -> None:
+        try:
+            meter = _Meter()
+            while not self._stopping.is_set():
+                self._round(meter)
+        except BaseException as error:
+            self._failure = error
+            self._stopping.set()
+
+    def _round(self, meter: _Meter) -> None:
+        """One picture for every page that needs one, then wait for the next moment or the next change."""
+        begun = time.monotonic()
+        self._session.changed.clear()
+        drew = [
+            screen for client, screen in list(self._screens.values()) if _refreshed(client, screen, begun)
+        ]
+        self._panel.follow(begun)
+        if drew:
+            plays = self._session.clock.running(begun)
+            self._panel.tell(meter.rate(begun) if plays else None, drew[-1].size, plays)
+            self._stopping.wait(max(1 / RATE - (time.monotonic() - begun), 0.0))
+        else:
+            self._session.changed.wait(_IDLE)
+
+
+class _Meter:
+    """Rounds a second, while it plays."""
+
+    def __init__(self) -> None:
+        self._since = self._last = 0.0
+        self._count = 0
+
+    def rate(self, now: float) -> float | None:
+        """To be asked in every round; once a second a number, else None."""
+        if now - self._last > 0.5:  # it stood still in between
+            self._since, self._count = now, -1
+        self._last = now
+        self._count += 1
+        if now - self._since < 1.0:
+            return None
+        rate = self._count / (now - self._since)
+        self._since, self._count = now, 0
+        return rate
+
+
+def _sender(client: viser.ClientHandle) -> Callable[[np.ndarray, int], None]:
+    def send(picture: np.ndarray, quality: int) -> None:
+        client.scene.set_background_image(picture, format="jpeg", jpeg_quality=quality)
+        client.flush()  # else viser waits 16 ms for more
+
+    return send
+
+
+def _refreshed(client: viser.ClientHandle, screen: Screen, now: float) -> bool:
+    return screen.refresh(canvas_of(client), now)

@@ -1,0 +1,176 @@
+"""Drawings of the panel: a spectrum whose peaks can be clicked, a waveform. Inline SVG in the browser's own colours.
+
+The panel's width is what they are drawn for, so that their text is as large as the panel's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from markupsafe import Markup
+
+from tg4mm.core.colour import amount_colours, hex_colour
+from tg4mm.core.pages.svg import nice_ticks, number
+from tg4mm.show.view.colours import Band
+
+WIDTH, HEIGHT = 360, 140
+LEFT, RIGHT, TOP, BOTTOM = 60, 10, 10, 36
+ACCENT = hex_colour(amount_colours(np.array(0.62)))  # of the report's map, told apart on light and dark
+ACCENT_RGB = int(ACCENT[1:3], 16), int(ACCENT[3:5], 16), int(ACCENT[5:7], 16)
+_STYLE = Markup(
+    "<style>"
+    ".tg4mm{padding:0 .5em .25em;font-size:.8rem;line-height:1.35;color:var(--mantine-color-text)}"
+    ".tg4mm p{margin:.25em 0}.tg4mm .dim{color:var(--mantine-color-dimmed)}"
+    ".tg4mm svg{display:block;width:100%;height:auto;overflow:visible}"
+    ".tg4mm text{fill:var(--mantine-color-dimmed);font-size:11px;font-variant-numeric:tabular-nums}"
+    ".tg4mm .line-rule{stroke:var(--mantine-color-default-border)}"
+    f".tg4mm .stem{{stroke:var(--mantine-color-dimmed);stroke-width:3}}.tg4mm .in{{stroke:{ACCENT}}}"
+    f".tg4mm .curve{{fill:none;stroke:{ACCENT};stroke-width:1.6;stroke-linejoin:round}}"
+    f".tg4mm .spread{{fill:{ACCENT};fill-opacity:.25}}.tg4mm .band{{fill:{ACCENT};fill-opacity:.14}}"
+    ".tg4mm .floor{stroke:var(--mantine-color-dimmed);stroke-dasharray:4 3;fill:none}"
+    ".tg4mm .now{stroke:var(--mantine-color-text);stroke-width:1}"
+    ".tg4mm .hit{fill:transparent;cursor:pointer}.tg4mm .hit:hover{fill:var(--mantine-color-default-hover)}"
+    "</style>"
+)
+# The browser answers a click on a peak by pressing the button of the same name below the chart.
+_PRESS = (
+    "for(const b of document.querySelectorAll('button'))"
+    "if(b.textContent.trim()===this.dataset.peak){b.click();break}"
+)
+
+
+def block(*parts: str | Markup) -> str:
+    """Paragraphs (text, escaped) and drawings (markup) as one block of the panel."""
+    body = Markup("").join(p if isinstance(p, Markup) else Markup("<p>{}</p>").format(p) for p in parts if p)
+    return str(Markup('{}<div class="tg4mm">{}</div>').format(_STYLE, body))
+
+
+def spectrum_chart(
+    frequencies: Sequence[float] | np.ndarray,
+    peaks: Sequence[float] | np.ndarray,
+    nyquist: float,
+    unit: str,
+    band: Band = None,
+    labels: Sequence[str] = (),
+) -> Markup:
+    """Stems over 0 … `nyquist` Hz, those in the band in colour and the band shaded.
+
+    Where `labels` name the stems, a click nearest to a stem presses the button of that name; "" has none.
+    """
+    frequencies, peaks = np.asarray(frequencies, float), np.asarray(peaks, float)
+    top = (float(peaks.max()) if len(peaks) else 0.0) * 1.08 or 1.0
+    low, high = (0.0, nyquist) if band is None else band
+    parts = [_axes((0.0, nyquist), (0.0, top), "frequency (Hz)", f"peak ({unit})")]
+    if band is not None:
+        x, right = _x(low, 0, nyquist), _x(high, 0, nyquist)
+        parts.append(
+            Markup('<rect class="band" x="{:.1f}" y="{}" width="{:.1f}" height="{}"/>').format(
+                x, TOP, max(right - x, 1), HEIGHT - TOP - BOTTOM
+            )
+        )
+    for f, peak in zip(frequencies, peaks, strict=True):
+        style = "stem in" if low <= f <= high else "stem"
+        x = _x(f, 0, nyquist)
+        parts.append(_line(x, _y(0, 0, top), x, min(_y(peak, 0, top), _y(0, 0, top) - 1), style))
+    parts += _hits(frequencies, peaks, labels, nyquist, unit)
+    return _svg(parts, f"spectrum: peak displacement ({unit}) over frequency (Hz)")
+
+
+def waveform_chart(
+    times: np.ndarray,
+    values: np.ndarray,
+    unit: str,
+    deviation: np.ndarray | None = None,
+) -> Markup:
+    """A curve of values [F] over times [F] in seconds, and a band of one standard deviation [F] on either side."""
+    spread = np.zeros_like(values) if deviation is None else deviation
+    low, high = float((values - spread).min()), float((values + spread).max())
+    margin = 0.08 * (high - low) or 1.0
+    limits = low - margin, high + margin
+    span = float(times[0]), float(times[-1])
+    parts = [_axes(span, limits, "time (s)", unit)]
+    x = [_x(t, *span) for t in times]
+    if deviation is not None:
+        above = [f"{a:.1f},{_y(v, *limits):.1f}" for a, v in zip(x, values + spread, strict=True)]
+        under = [f"{a:.1f},{_y(v, *limits):.1f}" for a, v in zip(x, values - spread, strict=True)]
+        parts.append(Markup('<polygon class="spread" points="{}"/>').format(" ".join(above + under[::-1])))
+    points = " ".join(f"{a:.1f},{_y(v, *limits):.1f}" for a, v in zip(x, values, strict=True))
+    parts.append(Markup('<polyline class="curve" points="{}"/>').format(points))
+    return _svg(parts, f"waveform: displacement ({unit}) over time (s)")
+
+
+def density_chart(frequencies: np.ndarray, amplitudes: np.ndarray, floor: np.ndarray, unit: str) -> Markup:
+    """A spectrum [B] over frequencies [B] in Hz with its noise floor [B] dashed."""
+    top = float(max(amplitudes.max(), floor.max())) * 1.08 or 1.0
+    span = 0.0, float(frequencies[-1])
+    parts = [_axes(span, (0.0, top), "frequency (Hz)", unit)]
+    for style, values in (("floor", floor), ("curve", amplitudes)):
+        points = " ".join(
+            f"{_x(f, *span):.1f},{_y(v, 0, top):.1f}" for f, v in zip(frequencies, values, strict=True)
+        )
+        parts.append(Markup('<polyline class="{}" points="{}"/>').format(style, points))
+    return _svg(parts, f"spectrum of the waveform ({unit}) over frequency (Hz), its noise floor dashed")
+
+
+def _hits(
+    frequencies: np.ndarray, peaks: np.ndarray, labels: Sequence[str], nyquist: float, unit: str
+) -> list[Markup]:
+    """Transparent areas from half way to half way between the stems that have a label."""
+    named = [i for i in np.argsort(frequencies, kind="stable") if i < len(labels) and labels[i]]
+    if not named:
+        return []
+    middles = [(frequencies[a] + frequencies[b]) / 2 for a, b in pairwise(named)]
+    edges = [0.0, *middles, nyquist]
+    parts = []
+    for i, low, high in zip(named, edges[:-1], edges[1:], strict=True):
+        x = _x(low, 0, nyquist)
+        tip = f"{labels[i]}: {number(float(peaks[i]))} {unit}"
+        parts.append(
+            Markup(
+                '<rect class="hit" data-peak="{}" onclick="{}" x="{:.1f}" y="{}" width="{:.1f}" height="{}">'
+                "<title>{}</title></rect>"
+            ).format(labels[i], _PRESS, x, TOP, _x(high, 0, nyquist) - x, HEIGHT - TOP - BOTTOM, tip)
+        )
+    return parts
+
+
+def _x(value: float, low: float, high: float) -> float:
+    return LEFT + (value - low) / ((high - low) or 1.0) * (WIDTH - LEFT - RIGHT)
+
+
+def _y(value: float, low: float, high: float) -> float:
+    return HEIGHT - BOTTOM - (value - low) / ((high - low) or 1.0) * (HEIGHT - TOP - BOTTOM)
+
+
+def _axes(x: tuple[float, float], y: tuple[float, float], x_label: str, y_label: str) -> Markup:
+    parts = []
+    for tick in nice_ticks(*y, about=5):
+        at = _y(tick, *y)
+        parts += [
+            _line(LEFT, at, WIDTH - RIGHT, at, "line-rule"),
+            _text(LEFT - 6, at + 4, number(tick), "end"),
+        ]
+    for tick in nice_ticks(*x, about=6):
+        parts.append(_text(_x(tick, *x), HEIGHT - BOTTOM + 14, number(tick), "middle"))
+    parts.append(_text((LEFT + WIDTH - RIGHT) / 2, HEIGHT - 6, x_label, "middle"))
+    turned = Markup('<text text-anchor="middle" transform="translate(9 {:.0f}) rotate(-90)">{}</text>')
+    parts.append(turned.format((TOP + HEIGHT - BOTTOM) / 2, y_label))
+    return Markup("").join(parts)
+
+
+def _line(x1: float, y1: float, x2: float, y2: float, style: str) -> Markup:
+    return Markup('<line class="{}" x1="{:.1f}" y1="{:.1f}" x2="{:.1f}" y2="{:.1f}"/>').format(
+        style, x1, y1, x2, y2
+    )
+
+
+def _text(x: float, y: float, text: str, anchor: str) -> Markup:
+    return Markup('<text x="{:.1f}" y="{:.1f}" text-anchor="{}">{}</text>').format(x, y, anchor, text)
+
+
+def _svg(parts: Sequence[Markup], label: str) -> Markup:
+    return Markup('<svg viewBox="0 0 {} {}" role="img" aria-label="{}">{}</svg>').format(
+        WIDTH, HEIGHT, label, Markup("").join(parts)
+    )

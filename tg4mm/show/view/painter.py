@@ -1,0 +1,105 @@
+"""One picture of the scene: magnified, at a moment, coloured, from a camera. Drawn by tg4mm's own rasteriser."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+
+import numba
+import numpy as np
+import torch
+from torch import Tensor
+
+from tg4mm.core.pictures.frames import to_bytes
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.animate import animator
+from tg4mm.fit.rasterize import rasterization
+from tg4mm.show.render.cameras import Camera
+from tg4mm.show.render.image import render_image
+from tg4mm.show.view.colours import Band, Colour, gaussian_colours
+from tg4mm.show.view.scene import Scene
+
+_MOMENT = 0.02  # seconds: enough for a thread that waits for the painter to be let in
+_SH_0 = 0.28209479177387814  # the constant spherical harmonic: coefficient to colour
+
+
+@dataclass(frozen=True)
+class Look:
+    """What is shown, apart from moment and camera."""
+
+    alpha: float = 0.0  # a displacement δ becomes (1 + alpha) δ
+    band: Band = None  # Hz; None: all frequencies
+    colour: Colour = Colour.picture
+
+
+class Painter:
+    """Draws a scene. One picture at a time: calls from several threads wait for each other.
+
+    numba's kernels take all cores anyway, and not all of its threading layers may be entered twice.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        self._pose = animator(scene.gaussians, scene.motion, packed=True)
+        self._lock = threading.Lock()
+        self._coloured: tuple[tuple[Colour, Band], Tensor | None] = (Colour.picture, None), None
+
+    @contextmanager
+    def beside(self) -> Iterator[Callable[[], None]]:
+        """Within it other kernels of numba may run beside the painter's.
+
+        Where numba's threads do not allow that, pictures wait, but for a moment whenever the function that it yields is
+        called.
+        """
+        if numba.threading_layer() != "workqueue":
+            yield lambda: None
+            return
+
+        def let_paint() -> None:
+            self._lock.release()
+            time.sleep(_MOMENT)
+            self._lock.acquire()
+
+        with self._lock:
+            yield let_paint
+
+    def paint(self, look: Look, seconds: float, camera: Camera) -> np.ndarray:
+        """[height, width, 3] uint8: the scene `seconds` into the capture over white."""
+        with self._lock:
+            gaussians = self._gaussians(look, seconds)
+            size = (camera.width, camera.height)
+            return to_bytes(render_image(gaussians, camera.viewmat, camera.K, *size))
+
+    def pixel_weights(self, look: Look, seconds: float, camera: Camera, x: int, y: int) -> np.ndarray:
+        """[N] float64: blending weight α·T ([3DGS] Eq. (3)) of every Gaussian in pixel (x, y); they sum to its opacity.
+
+        It is the gradient of the pixel by the Gaussian's colour, which the rasteriser gives exactly.
+        """
+        with self._lock:
+            g = self._gaussians(look, seconds)
+            ones = torch.ones(len(g), 1, requires_grad=True)
+            view = torch.as_tensor(camera.viewmat, dtype=torch.float32)[None]
+            K = torch.as_tensor(camera.K, dtype=torch.float32)[None]
+            image, _, _ = rasterization(
+                g.means, g.quats, g.scales, g.opacities, ones, view, K, camera.width, camera.height
+            )
+            (gradient,) = torch.autograd.grad(image[0, y, x, 0], ones)
+        return gradient[:, 0].double().numpy()
+
+    def _gaussians(self, look: Look, seconds: float) -> Gaussians:
+        motion = self._scene.motion
+        t = 0.0 if motion is None else seconds * motion.fps
+        gaussians = self._pose(t, look.alpha, look.band)
+        sh = self._colours(look.colour, look.band)
+        return gaussians if sh is None else replace(gaussians, sh=sh)
+
+    def _colours(self, colour: Colour, band: Band) -> Tensor | None:
+        """[N, 1, 3] spherical harmonics of a colouring; of the last one they are kept."""
+        if self._coloured[0] != (colour, band):
+            rgb = gaussian_colours(self._scene, colour, band)
+            sh = None if rgb is None else torch.tensor((rgb[:, None] - 0.5) / _SH_0, dtype=torch.float32)
+            self._coloured = (colour, band), sh
+        return self._coloured[1]

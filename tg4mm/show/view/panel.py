@@ -1,0 +1,190 @@
+"""The panel beside the picture: sliders, spectrum, colours, time. Shared by all open pages.
+
+Controls that are also moved from here are `Any`: viser's `value` can be set, which mypy does not see.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import viser
+from markupsafe import Markup
+
+from tg4mm.core.pages.svg import number
+from tg4mm.show.view.bands import ALL, band_around, band_of_slider, band_words, main_peaks, peak_labels
+from tg4mm.show.view.charts import block, spectrum_chart
+from tg4mm.show.view.colours import Colour, choices, legend
+from tg4mm.show.view.session import Session
+
+_FOLLOW_EVERY = 0.2  # seconds between moves of the time slider as it plays
+_HANDS_OFF = 0.7  # seconds after a hand moved it
+_ALIASED = 4.0  # pictures a cycle below which the eye is misled
+
+
+class Panel:
+    """The controls of what is shown and when. Scenes at rest have none but their notes."""
+
+    def __init__(self, server: viser.ViserServer, session: Session) -> None:
+        self._gui, self._session = server.gui, session
+        self._followed = self._touched = 0.0
+        self._rate: float | None = None
+        self._told = ""
+        scene = session.scene
+        self._status = self._gui.add_html(block(*scene.notes, Markup('<p class="dim">&nbsp;</p>')))
+        motion = scene.motion
+        if motion is None or not len(scene.frequencies):
+            self.view = self._gui.add_folder("View")
+            return
+        self._nyquist = motion.fps / 2
+        self._peaks = scene.peaks()
+        self._buttons = main_peaks(scene.frequencies, self._peaks, scene.duration)
+        self._names = peak_labels(self._buttons)
+        with self._gui.add_folder("Magnification"):
+            self._add_magnification()
+        with self._gui.add_folder("Time"):
+            self._add_time()
+        self.view = self._gui.add_folder("View")
+        with self.view:
+            self._add_colour()
+        self._show_band()
+
+    def _add_magnification(self) -> None:
+        alpha = self._session.look.alpha
+        top = max(100.0, 5 * alpha)
+        hint = "A displacement δ becomes (1 + α) δ: 0 as captured, −1 at rest."
+        slider = self._gui.add_slider(
+            "α (factor 1 + α)", min=min(-1.0, alpha), max=top, step=0.5, initial_value=alpha, hint=hint
+        )
+        slider.on_update(lambda _: self._session.set_look(alpha=float(slider.value)))
+        self._spectrum = self._gui.add_html("")
+        names = (ALL, *self._names)
+        buttons = self._gui.add_button_group("Peaks", names, hint="The band around one peak, or all.")
+        buttons.on_click(lambda _: self._choose(str(buttons.value)))
+        low, high = self._session.look.band or (0.0, self._nyquist)
+        step = self._nyquist / 400
+        self._band: Any = self._gui.add_multi_slider(
+            "Band (Hz)",
+            min=0.0,
+            max=self._nyquist,
+            step=step,
+            initial_value=(low, high),
+            min_range=step,
+            hint="What is magnified.",
+        )
+        self._band.on_update(lambda event: self._slid(event))
+        self._band_words = self._gui.add_html("")
+
+    def _choose(self, name: str) -> None:
+        """The band of a button: around a peak, or all frequencies."""
+        frequencies = self._session.scene.frequencies
+        if name not in self._names:
+            band = None
+        else:
+            band = band_around(float(self._buttons[self._names.index(name)]), frequencies, self._nyquist)
+        self._session.set_look(band=band)
+        self._band.value = band or (0.0, self._nyquist)
+        self._show_band()
+
+    def _slid(self, event: viser.GuiEvent[Any]) -> None:
+        if event.client is None:  # set by a button, to the slider's own steps
+            return
+        low, high = self._band.value
+        self._session.set_look(band=band_of_slider(float(low), float(high), self._nyquist))
+        self._show_band()
+
+    def _show_band(self) -> None:
+        """Everything that depends on the band."""
+        scene, look = self._session.scene, self._session.look
+        labels = dict(zip(self._buttons.tolist(), self._names, strict=True))
+        chart = spectrum_chart(
+            scene.frequencies,
+            self._peaks * scene.per_unit,
+            self._nyquist,
+            scene.unit,
+            look.band,
+            [labels.get(f, "") for f in scene.frequencies.tolist()],
+        )
+        self._spectrum.content = block(chart)
+        self._band_words.content = block(band_words(look.band, scene.frequencies))
+        self._legend.content = block(legend(scene, look.colour, look.band))
+        self._show_speed()
+
+    def _add_time(self) -> None:
+        session, clock = self._session, self._session.clock
+        self._play = self._gui.add_button("Pause" if clock.playing else "Play")
+        self._play.on_click(lambda _: self._toggle())
+        end = round(clock.duration, 4)
+        hint = "Seconds of the capture."
+        self._time: Any = self._gui.add_slider(
+            "Time (s)", min=0.0, max=end, step=end / 1000, initial_value=0.0, hint=hint
+        )
+        self._time.on_update(lambda event: self._seek(event))
+        hint = "Seconds of the capture for each second: 1 is real time."
+        speed = self._gui.add_slider(
+            "Speed (× real)", min=0.01, max=2.0, step=0.01, initial_value=clock.speed, hint=hint
+        )
+        speed.on_update(
+            lambda _: self._now_or(lambda c, now: c.changed(now, speed=max(float(speed.value), 0.01)))
+        )
+        loop = self._gui.add_checkbox("Loop", clock.loop, hint="From the end to the start.")
+        loop.on_update(lambda _: session.set_clock(lambda c, now: c.changed(now, loop=bool(loop.value))))
+        self._speed_words = self._gui.add_html("")
+
+    def _now_or(self, change: Any) -> None:
+        self._session.set_clock(change)
+        self._show_speed()
+
+    def _toggle(self) -> None:
+        self._session.set_clock(lambda c, now: c.changed(now, playing=not c.running(now)))
+        self._play.label = "Pause" if self._session.clock.running(time.monotonic()) else "Play"
+
+    def _seek(self, event: viser.GuiEvent[Any]) -> None:
+        if event.client is None:  # moved by `follow`
+            return
+        self._touched = time.monotonic()
+        self._session.set_clock(lambda c, now: c.sought(now, float(self._time.value)))
+
+    def _show_speed(self) -> None:
+        """A warning where the fastest magnified motion shows too few pictures a cycle to be seen as it is."""
+        band = self._session.look.band
+        inside = [f for f in self._buttons if band is None or band[0] <= f <= band[1]]
+        cycles = max(inside, default=0.0) * self._session.clock.speed
+        words = ""
+        if cycles > 0 and (rate := self._rate or 24.0) / cycles < _ALIASED:
+            shown = f"{number(float(max(inside)))} Hz has {rate / cycles:.1f} pictures a cycle at this speed"
+            words = f"{shown}: slow down to trust what you see."
+        self._speed_words.content = block(words)
+
+    def _add_colour(self) -> None:
+        names = tuple(str(c) for c in choices(self._session.scene))
+        chosen = self._gui.add_dropdown("Colour by", names, initial_value=str(self._session.look.colour))
+        self._legend = self._gui.add_html("")
+
+        @chosen.on_update
+        def _(_: object) -> None:
+            self._session.set_look(colour=Colour(chosen.value))
+            self._show_band()
+
+    def follow(self, now: float) -> None:
+        """Move the time slider along, and name the button after what it would do."""
+        clock = self._session.clock
+        if clock.duration <= 0 or now - self._followed < _FOLLOW_EVERY or now - self._touched < _HANDS_OFF:
+            return
+        self._followed = now
+        self._time.value = min(clock.at(now), self._time.max)
+        label = "Pause" if clock.running(now) else "Play"
+        if self._play.label != label:
+            self._play.label = label
+
+    def tell(self, rate: float | None, size: tuple[int, int], plays: bool) -> None:
+        """Show the size of the last picture and, as it plays, pictures a second; `rate` is None between two counts."""
+        shown = f"{size[0]} × {size[1]} pixels"
+        if (plays and rate is None) or (not plays and shown == self._told):
+            return
+        self._told = shown
+        words = shown if rate is None else f"{shown}, {rate:.0f} frames/s"
+        line = Markup('<p class="dim">{}</p>').format(words)
+        self._status.content = block(*self._session.scene.notes, line)
+        if rate is not None:
+            self._rate = rate

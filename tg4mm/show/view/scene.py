@@ -1,0 +1,133 @@
+"""What a run has to show: Gaussians, motion, deviations, cameras of the capture, and units."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tg4mm.capture import Capture, load_capture
+from tg4mm.core.errors import CaptureError
+from tg4mm.core.phasors import peak_displacement, scale_top
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.modes import ModalMotion
+from tg4mm.run import Run
+from tg4mm.show.render.cameras import Camera, capture_cameras
+from tg4mm.show.report.maps import image_motion, leading_modes
+from tg4mm.show.report.summary import unit_of
+from tg4mm.show.view.cameras import overview
+from tg4mm.show.weights import blending_weights
+
+_LOOKED_FROM = 8  # cameras that say how much of the pictures a Gaussian makes
+_SHIFT = 0.01  # of the picture's width, rms: what the first magnification brings the strongest motion to
+_LARGEST_ALPHA = 10_000.0
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A run as it is shown."""
+
+    path: Path
+    gaussians: Gaussians
+    motion: ModalMotion | None
+    weights: np.ndarray  # [N] how much of the capture's pictures each Gaussian makes, any unit
+    deviation: np.ndarray | None  # [N] standard deviation of the displacement, rms over time, scene units
+    cameras: tuple[Camera, ...]  # of the capture; one that sees the whole where there is none
+    unit: str  # what lengths are shown in
+    per_unit: float  # shown length per scene unit
+    notes: tuple[str, ...] = ()  # lines: what could not be had, and why
+
+    @property
+    def duration(self) -> float:
+        """Seconds of the capture; 0 where nothing moves."""
+        if self.motion is None or not len(self.frequencies):
+            return 0.0
+        return self.motion.n_timesteps / self.motion.fps
+
+    @property
+    def frequencies(self) -> np.ndarray:
+        """[K] Hz, those that are magnified, ascending."""
+        if self.motion is None:
+            return np.zeros(0)
+        return np.sort(self.motion.freqs_hz[self.motion.is_magnified()])
+
+    def strongest(self, band: tuple[float, float] | None) -> int | None:
+        """Index of the magnified mode in the band that moves most; None where there is none."""
+        if self.motion is None or not len(self.motion.freqs_hz):
+            return None
+        leading = leading_modes(self.motion, self.weights, band, most=1)
+        return next((k for k in leading if self.motion.is_magnified()[k]), None)
+
+    def peaks(self) -> np.ndarray:
+        """[K] peak displacement of every magnified frequency, scene units, in the order of `frequencies`.
+
+        Of what the cameras see, the value that 0.5 % exceed.
+        """
+        if self.motion is None:
+            return np.zeros(0)
+        rows = np.flatnonzero(self.motion.is_magnified())
+        rows = rows[np.argsort(self.motion.freqs_hz[rows], kind="stable")]
+        found = [scale_top(peak_displacement(self.motion.displacement[k]), self.weights) for k in rows]
+        return np.array(found)
+
+    def alpha_to_see(self) -> float:
+        """A round magnification at which the strongest motion crosses about a hundredth of the picture, rms."""
+        k = self.strongest(None)
+        if k is None or self.motion is None:
+            return 0.0
+        camera = self.cameras[0]
+        pixels = image_motion(self.gaussians, self.motion.displacement[k], self.weights, camera)
+        if pixels <= 0:
+            return 0.0
+        return rounded(min(max(_SHIFT * camera.width / pixels - 1.0, 0.0), _LARGEST_ALPHA))
+
+
+def rounded(value: float) -> float:
+    """The nearest of 1, 2, 5 times a power of ten, at least 1; 0 below a half."""
+    if value < 0.5:
+        return 0.0
+    power = 10.0 ** math.floor(math.log10(value))
+    return max(1.0, min((m * power for m in (1, 2, 5, 10)), key=lambda m: abs(math.log(m / value))))
+
+
+def open_scene(run: Run) -> Scene:
+    """Read what a run shows. Raises RunError where its space stage is not finished, or a file is torn.
+
+    Without the dataset there are no cameras to jump to, and its scale is unknown; a note says so.
+    """
+    gaussians, motion = run.load_space(), run.load_motion()
+    notes = []
+    if motion is None:
+        notes.append("This run has no motion: the scene is shown at rest.")
+    elif not motion.is_magnified().any():
+        notes.append("No frequency was found in this run: there is nothing to magnify.")
+    capture = None
+    try:
+        capture = load_capture(run.dataset)
+    except CaptureError as error:
+        notes.append(f"No cameras of the capture: {error}")
+    cameras = (overview(gaussians.means.numpy()),) if capture is None else capture_cameras(capture)
+    unit, per_unit = _unit(capture)
+    weights = gaussians.opacities.numpy().astype(np.float64)
+    if capture is not None:
+        weights = blending_weights(gaussians, _few_cameras(capture))
+    return Scene(
+        run.path, gaussians, motion, weights, run.load_uncertainty(), cameras, unit, per_unit, tuple(notes)
+    )
+
+
+def _unit(capture: Capture | None) -> tuple[str, float]:
+    """(unit, factor) that lengths are shown in: of a flat capture pixels, else mm where the scale is known."""
+    if capture is None:
+        return unit_of(None)
+    pixels = capture.scene.get("pixels_per_unit")
+    return ("px", float(pixels)) if capture.kind == "flat" and pixels else unit_of(capture.unit_scale_m)
+
+
+def _few_cameras(capture: Capture) -> Capture:
+    """One picture of each of some cameras, evenly picked."""
+    _, first = np.unique(capture.camera_ids, return_index=True)
+    rows = first[np.unique(np.linspace(0, len(first) - 1, min(_LOOKED_FROM, len(first))).round().astype(int))]
+    return capture.selected(rows)

@@ -1,0 +1,64 @@
+"""The picture of one open page: drawn anew when what it shows or its camera changed.
+
+While something changes, pictures are as fine as keeps up with the frame rate; once all is still, one is drawn at the
+page's full size.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from tg4mm.show.render.cameras import Camera
+from tg4mm.show.view.cameras import camera_of, rotation_of
+from tg4mm.show.view.pace import Pace, full_size
+from tg4mm.show.view.session import Session
+
+_MOVING, _STILL = 80, 95  # JPEG quality
+
+
+@dataclass(frozen=True)
+class Canvas:
+    """The camera of a page and the size of its picture."""
+
+    position: tuple[float, ...]  # [3] scene units
+    wxyz: tuple[float, ...]  # [4] camera to world, OpenCV axes
+    fov: float  # radians, from top to bottom
+    width: int  # pixels
+    height: int  # pixels
+
+    def camera(self, size: tuple[int, int]) -> Camera:
+        """The camera for a picture of `size` (width, height)."""
+        rotation = rotation_of(np.array(self.wxyz))
+        return camera_of(np.array(self.position), rotation, self.fov, self.width / self.height, size)
+
+
+class Screen:
+    """Draws for one page. `send(picture [H, W, 3] uint8, JPEG quality)` puts a picture on it."""
+
+    def __init__(self, session: Session, send: Callable[[np.ndarray, int], None]) -> None:
+        self._session, self._send = session, send
+        self._pace = Pace()
+        self._shown: tuple[object, ...] | None = None
+        self._fine = False
+        self.size = (0, 0)  # of the last picture, pixels
+
+    def refresh(self, canvas: Canvas, now: float) -> bool:
+        """Draw and send what the page should show at `now`, if that is something else; whether it was."""
+        session = self._session
+        look, seconds = session.look, session.clock.at(now)
+        wanted = (session.revision, seconds, canvas)
+        fine = wanted == self._shown
+        if fine and self._fine:
+            return False
+        size = (full_size if fine else self._pace.size)(canvas.width, canvas.height)
+        begun = time.perf_counter()
+        picture = session.painter.paint(look, seconds, canvas.camera(size))
+        self._send(picture, _STILL if fine else _MOVING)
+        if not fine:
+            self._pace = self._pace.after(time.perf_counter() - begun, size[0] * size[1])
+        self._shown, self._fine, self.size = wanted, fine, size
+        return True

@@ -1,0 +1,121 @@
+"""The numbers of a page: the Gaussians, their motion and their light as one compressed block.
+
+A block is a zlib stream of two tables, one after the other (docs/web.md):
+    [4, N] float32            x, y, z in scene units, opacity
+    [V, N] float16            what `Layout` lists
+each with its bytes taken apart, all first bytes, then all second ones …: like bytes beside each other compress better.
+"""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from tg4mm.core.errors import RunError
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.modes import AppearanceModes
+from tg4mm.show.web.factor import MotionFields
+
+SH_STEP = 2.0**-9  # coefficients above degree 0 are rounded to this: half a step is a quarter of a grey level
+MOST_FIELDS = 96  # of motion: what WebGL 2 promises in uniforms and texture layers
+_HALF = 65504.0  # float16's largest number
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How many float16 values a Gaussian has, in this order.
+
+    3 logarithms of the scales; 4 of the quaternion, xyzw; 3 · `sh_count` of the spherical harmonics, 3 channels of one
+    coefficient together; 6 · `n_fields` of the motion, over the fields' sizes; 3 · `light_count` · `n_lights` of the
+    changes of light, over their sizes.
+    """
+
+    n_gaussians: int
+    sh_count: int
+    n_fields: int = 0
+    n_lights: int = 0
+    light_count: int = 0
+
+    @property
+    def n_values(self) -> int:
+        """V."""
+        return 7 + 3 * self.sh_count + 6 * self.n_fields + 3 * self.light_count * self.n_lights
+
+    def as_json(self) -> dict[str, int]:
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Packed:
+    """A block, what is in it, and what its light has to be multiplied with."""
+
+    block: bytes
+    layout: Layout
+    light_sizes: np.ndarray  # [R] largest coefficient of each change of light
+
+
+def pack(gaussians: Gaussians, motion: MotionFields, light: AppearanceModes | None = None) -> Packed:
+    """The block of a scene.
+
+    Positions and opacities are kept as float32. float16 keeps 11 bits: scales to 0.4 % (e⁻⁸ … e⁸), quaternions to
+    5e-4, colours of degree 0 to 5e-4 of themselves, motion to 5e-4 of itself where it is above 1e-4 of the field's
+    largest, else to 6e-8 of that; further spherical harmonics to SH_STEP / 2. RunError for a colour past float16, and
+    for a motion of more than MOST_FIELDS fields.
+    """
+    means, quats, scales, opacities, sh = (
+        tensor.detach().cpu().numpy().astype(np.float32)
+        for tensor in (gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh)
+    )
+    n = len(means)
+    sh[:, 1:] = np.round(sh[:, 1:] / SH_STEP) * SH_STEP
+    if np.abs(sh).max(initial=0) > _HALF:
+        raise RunError(f"a coefficient of colour is {np.abs(sh).max():g}; a page holds up to {_HALF:g}")
+    if len(motion.fields) > MOST_FIELDS:
+        raise RunError(
+            f"the motion has {len(motion.fields)} independent fields; a page holds up to {MOST_FIELDS}"
+        )
+    changes, sizes = _light(light, n)
+    layout = Layout(n, sh.shape[1], len(motion.fields), len(sizes), changes.shape[2])
+    wxyz = quats / np.linalg.norm(quats, axis=1, keepdims=True)
+    columns = [
+        np.log(np.maximum(scales, 1e-12)),
+        wxyz[:, [1, 2, 3, 0]],
+        sh.reshape(n, -1),
+        motion.fields.transpose(1, 0, 2).reshape(n, -1),
+        changes.transpose(1, 0, 2, 3).reshape(n, -1),
+    ]
+    values = np.concatenate(columns, axis=1).astype("<f2")
+    exact = np.concatenate([means, opacities[:, None]], axis=1).astype("<f4")
+    return Packed(_compressed(_apart(exact) + _apart(values)), layout, sizes)
+
+
+def unpack(block: bytes, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
+    """[N, 4] float32 and [N, V] float16 of a block: what the page's program reads, and tests compare with."""
+    data = zlib.decompress(block)
+    n, first = layout.n_gaussians, 16 * layout.n_gaussians
+    exact = np.frombuffer(data[:first], np.uint8).reshape(4, 4 * n).T.copy().view("<f4")
+    values = np.frombuffer(data[first:], np.uint8).reshape(2, layout.n_values * n).T.copy().view("<f2")
+    return exact.reshape(4, n).T, values.reshape(layout.n_values, n).T
+
+
+def _apart(table: np.ndarray) -> bytes:
+    """The bytes of [N, V] values, column after column, all first bytes before all second ones."""
+    flat = np.ascontiguousarray(table.T)
+    return flat.view(np.uint8).reshape(-1, flat.itemsize).T.tobytes()
+
+
+def _compressed(data: bytes) -> bytes:
+    """A zlib stream. Only runs of zeros repeat here: a search for anything else costs time and gains no size."""
+    compressor = zlib.compressobj(9, strategy=zlib.Z_RLE)
+    return compressor.compress(data) + compressor.flush()
+
+
+def _light(light: AppearanceModes | None, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Changes of light [R, N, K, 3] over their sizes, and the sizes [R]."""
+    if light is None or not len(light.shapes):
+        return np.zeros((0, n, 0, 3), np.float32), np.zeros(0)
+    sizes = np.abs(light.shapes).max(axis=(1, 2, 3)).astype(np.float64)
+    unit = np.where(sizes > 0, sizes, 1).astype(np.float32)
+    return light.shapes / unit[:, None, None, None], sizes

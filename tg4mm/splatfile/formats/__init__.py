@@ -1,1 +1,0 @@
-"""Splats as files of other formats (docs/export.md): glTF, SPZ, USD. Each writer takes a SplatFile."""

@@ -1,4 +1,0 @@
-"""The stages of a run of the preset `modal`: each fits, keeps its checkpoint in the run folder and saves what it found.
-
-The fits themselves (`tg4mm.space`, `tg4mm.motion`) know of no run folder.
-"""
