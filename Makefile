@@ -40,7 +40,7 @@ test-52: $(VENV52)/.installed
 # What kills, full disks, signals and damaged or hostile files do: docs/faults.md. MUTATIONS: of each reader's files.
 MUTATIONS ?= 500
 test-faults: install
-	TG4MM_MUTATIONS=$(MUTATIONS) $(PYTEST) tests/faults tests/test_untrusted.py tests/test_form.py tests/test_temporary.py tests/run/test_damage.py tests/run/test_lock.py
+	TG4MM_MUTATIONS=$(MUTATIONS) $(PYTEST) tests/faults tests/core/test_untrusted.py tests/core/test_form.py tests/core/test_temporary.py tests/run/test_damage.py tests/run/test_lock.py
 
 # The quick suite with the compilers held to AVX2, which most laptops have, or to SSE2: on a machine with AVX-512 it runs
 # code that `make test` does not.
@@ -88,7 +88,7 @@ player:
 
 # Khronos's glTF validator and the reference reader of SPZ, for tests that are skipped without them; needs node 20 and npm.
 readers:
-	cd tests/splatfile/formats/node && npm ci --no-audit --no-fund
+	cd tests/core/splatfile/formats/node && npm ci --no-audit --no-fund
 
 # Snakemake with the executors of Slurm and Kubernetes in an environment of its own, for tests that are skipped without
 # it: TG4MM_SNAKEMAKE=.venv-farm/bin/snakemake; with TG4MM_REQUIRE_SNAKEMAKE=1 they fail instead.

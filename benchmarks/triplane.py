@@ -3,7 +3,7 @@
     python -m benchmarks.triplane [--points 5000,50000] [--resolution 64,512] [--channels 32] [--repeats 5]
 
 `grid_sample`: torch on dense planes [3, C, R, R], as published code does. `torch gather`: torch's own indexing of the
-active cells. `numba`: ours. All three compute the same (tests/triplane/test_sample.py).
+active cells. `numba`: ours. All three compute the same (tests/research/paper/triplane/test_sample.py).
 """
 
 from __future__ import annotations

@@ -77,7 +77,7 @@ def test_first_run(
 @pytest.mark.slow
 def test_own_video(repo_root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, figures: Any) -> None:
     pytest.importorskip("av", reason="needs the extra sfm")
-    from tests.sfm.videos import write_video
+    from tests.capture.sfm.videos import write_video
 
     n, fps, pixels = 40, 20, 0.3
     x, y = np.meshgrid(2 * np.pi * np.arange(96) / 96, 2 * np.pi * np.arange(72) / 72)

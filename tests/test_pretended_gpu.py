@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import torch
 
+from tests.fit.rasterize.oracle import assert_close
 from tests.helpers.adam import assert_same_steps, oblong, watch_paper, watch_space
 from tests.helpers.motion_stage import stop_after
 from tests.helpers.pretend import NAME, Gpu, There, pretended_gpu, register
 from tests.helpers.space_cuda import spherical_harmonics
 from tests.helpers.space_train import Killed
 from tests.helpers.synthetic import make_synthetic_dataset
-from tests.rasterize.oracle import assert_close
 from tg4mm.capture import load_capture, load_images
 from tg4mm.core.pictures.frames import read_png
 from tg4mm.fit.gaussians import Gaussians

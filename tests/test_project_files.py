@@ -112,7 +112,7 @@ def test_a_release_gives_the_readme_whole_addresses(repo_root: Path, tmp_path: P
 def test_no_test_imports_another_test(repo_root: Path) -> None:
     """What several tests need lies in a module that is no test: tests/helpers, or beside the tests of a folder."""
     pattern = re.compile(r"^\s*(?:from|import) (?:tests)?[\w.]*\btest_\w+", re.MULTILINE)
-    assert pattern.search("from tests.space.test_train import a")
+    assert pattern.search("from tests.fit.space.test_train import a")
     sources = {path: path.read_text(encoding="utf-8") for path in (repo_root / "tests").rglob("*.py")}
     own = Path(__file__).resolve()
     assert [str(path) for path, text in sources.items() if path != own and pattern.search(text)] == []

@@ -11,8 +11,8 @@ import pytest
 from PIL import Image
 
 from dataset_gen.png import encode
+from tests.fit.space.scenes import capture_of
 from tests.helpers.motion_temporal import components
-from tests.space.scenes import capture_of
 from tg4mm.capture import Capture, load_images
 from tg4mm.capture import pictures as module
 from tg4mm.capture.pictures import FilePictures, StackedPictures

@@ -15,7 +15,7 @@ pytest.importorskip("skimage", reason="the report needs scikit-image")
 from PIL import Image
 
 from dataset_gen.truth import write_exr
-from tests.report.page_checks import outside_loads, read_page
+from tests.show.report.page_checks import outside_loads, read_page
 
 SIZE, DISTANCE, ANGLE = 32, 4.0, 0.6
 FOCAL = 0.5 * SIZE / np.tan(0.5 * ANGLE)

@@ -17,7 +17,7 @@ from dataset_gen.errors import GenerateError
 from dataset_gen.report import write_overview, write_report
 from dataset_gen.report.__main__ import main
 from tests.dataset_gen.planes import Plane, words
-from tests.report.page_checks import read_page
+from tests.show.report.page_checks import read_page
 
 
 def test_the_overview_links_every_report_and_names_what_has_none(plane: Path, page: str) -> None:

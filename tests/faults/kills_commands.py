@@ -38,19 +38,19 @@ class Command:
 
 
 def _run(folder: Path) -> None:
-    from tests.measure.filmed import modes, of_parts, run_of, sine
+    from tests.show.measure.filmed import modes, of_parts, run_of, sine
 
     run_of(folder, of_parts(ball=sine(5.0, [0.01, 0, 0])), modes({}, 8), n_timesteps=8, n_views=3)
 
 
 def _video(folder: Path) -> None:
-    from tests.sfm.videos import still, write_video
+    from tests.capture.sfm.videos import still, write_video
 
     write_video(folder / "a.mp4", still(12))
 
 
 def _photographs(folder: Path) -> None:
-    from tests.sfm.scenes import intrinsics, orbit, picture, save
+    from tests.capture.sfm.scenes import intrinsics, orbit, picture, save
 
     (folder / "in").mkdir()
     for i, viewmat in enumerate(orbit(8, turn=1.8)):

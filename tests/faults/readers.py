@@ -466,7 +466,7 @@ def _finished(root: Path) -> Path:
 
 
 def _video(root: Path) -> Path:
-    from tests.sfm.videos import still, write_video
+    from tests.capture.sfm.videos import still, write_video
 
     write_video(root / "a.mp4", still(4, size=(32, 24)))
     return root / "a.mp4"

@@ -255,7 +255,7 @@ def _read_embeddings(root: Path) -> None:
 
 
 def _pass(root: Path) -> Path:
-    from tests.measure.filmed import modes, of_parts, run_of, sine
+    from tests.show.measure.filmed import modes, of_parts, run_of, sine
     from tg4mm.show.measure import prepare
 
     prepare(run_of(root, of_parts(ball=sine(5.0, [0.01, 0, 0])), modes({}, 6), n_timesteps=6, n_views=2))

@@ -15,7 +15,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.rasterize.oracle import assert_close
+from tests.fit.rasterize.oracle import assert_close
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.space import train as space_stage
 from tg4mm.research.paper.fit import Fit

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from torch import Tensor
 
-from tests.rasterize.oracle import Scene, make_scene
+from tests.fit.rasterize.oracle import Scene, make_scene
 from tg4mm.fit.space.targets import RestViews
 
 SCENE = make_scene(0, n=300, cameras=3)

@@ -1,0 +1,214 @@
+"""Generate: the open scene becomes a dataset in the background, can be stopped and gone on with."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tg4mm.capture import load_capture, load_images
+
+bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
+
+from tests.addon.jobs.jobs_kit import drawn, said, wait  # noqa: E402
+from tests.addon.playing import import_splat  # noqa: E402
+
+KIND = "generate"
+
+
+@pytest.fixture
+def settings(extension: ModuleType, tmp_path: Path) -> Any:
+    """A scene of two cubes and a lamp, of which one rocks; the smallest dataset."""
+    bpy.ops.mesh.primitive_cube_add(size=1)
+    bpy.context.object.name = "Cube [a]"
+    bpy.ops.mesh.primitive_cube_add(size=1, location=(2, 0, 0))
+    bpy.context.object.name = "Still"
+    bpy.ops.object.light_add(type="SUN")
+    found = bpy.context.scene.tg4mm_generate
+    found.moving.add().object = bpy.data.objects["Cube [a]"]
+    found.kind, found.axis, found.point = "rock", (0, 1, 0), (0, 0, -0.5)
+    found.frequency, found.fps, found.timesteps, found.amplitude = 7.5, 30.0, 3, 0.1
+    found.views, found.test_views, found.size, found.samples = 3, 1, 32, 1
+    found.alphas, found.label, found.processes = "5", "cubes", 1
+    found.out = str(tmp_path / "großer Ausgang")
+    return found
+
+
+def test_scene_becomes_a_dataset(extension: ModuleType, settings: Any, splat_path: Path) -> None:
+    splat = import_splat(splat_path)
+    bpy.context.scene.frame_set(4)
+    assert bpy.ops.tg4mm.preview_start() == {"FINISHED"}
+    assert bpy.ops.tg4mm.generate() == {"FINISHED"}
+    assert not extension.jobs.preview.active()
+    assert not splat.hide_render
+    out = Path(settings.out)
+    assert (out / "cubes.generating" / "scene.blend").is_file()
+    seen = set()
+    job = wait(extension, KIND, lambda job: seen.add(job.progress.text) or False)
+    assert job.state.value == "done", job.message
+    root = out / "cubes_7_5Hz_0_1"
+    assert job.message == f"Complete: {root}"
+    assert any(text.startswith("rendering ") for text in seen)
+    assert Path(bpy.context.scene.tg4mm_train.dataset) == root
+    assert [path.name for path in out.iterdir()] == [root.name]  # the copy of the scene is gone
+
+    capture = load_capture(root, split="train")
+    assert (capture.n_timesteps, capture.fps) == (3, 30.0)
+    assert load_images(capture).data.shape == (9, 32, 32, 4)
+    about = json.loads((root / "scene.json").read_text())
+    assert about["truth"] == "none"
+    assert about["modes"] == extension.jobs.describe.description(settings, ["Cube [[]a]"]).to_json()["modes"]
+    with np.load(root / "truth" / "motion.npz") as motion:
+        assert list(motion["objects"]) == ["Cube [a]", "Still"]  # no splats
+        assert np.linalg.norm(motion["mode_0"], axis=-1).max() == pytest.approx(0.1, rel=1e-5)
+        assert not motion["mode_1"].any()
+    shown = drawn(extension, "Generate")
+    assert said(shown, f"Complete: {root}")
+    assert {"tg4mm.generate"} == {name for name in shown if name.startswith("tg4mm.")}
+
+
+def test_stopped_run_goes_on(extension: ModuleType, settings: Any) -> None:
+    settings.timesteps, settings.views = 8, 6
+    assert bpy.ops.tg4mm.generate() == {"FINISHED"}
+    shown = drawn(extension, "Generate")
+    assert any(text.startswith("progress ") for text in shown)
+    assert "tg4mm.cancel_job" in shown
+    assert "tg4mm.generate" not in shown
+    with pytest.raises(RuntimeError, match="poll"):
+        bpy.ops.tg4mm.generate()
+    out = Path(settings.out)
+    wait(extension, KIND, lambda job: any(out.glob("cubes_*/000/train/r_*.png")))
+    assert bpy.ops.tg4mm.cancel_job(kind=KIND) == {"FINISHED"}
+    assert "progress Stopping" in drawn(extension, "Generate")
+    job = wait(extension, KIND, limit_s=20)
+    assert (job.state.value, job.message) == ("cancelled", "Stopped")
+    assert bpy.ops.tg4mm.cancel_job(kind=KIND) == {"CANCELLED"}
+    first = next(out.glob("cubes_*/000/train/r_*.png"))
+    written = first.stat().st_mtime_ns
+    assert "tg4mm.generate Go On" in drawn(extension, "Generate")
+
+    settings.timesteps = 3  # not what was begun
+    assert bpy.ops.tg4mm.generate(go_on=True) == {"FINISHED"}
+    job = wait(extension, KIND)
+    assert job.state.value == "failed"
+    assert "holds another dataset" in job.message
+    settings.timesteps = 8
+    bpy.data.objects["Still"].location.x = 5  # the copy is as it was
+    assert bpy.ops.tg4mm.generate(go_on=True) == {"FINISHED"}
+    job = wait(extension, KIND)
+    assert job.state.value == "done", job.message
+    assert first.stat().st_mtime_ns == written
+    assert load_capture(job.results[-1], split="train").n_timesteps == 8
+    assert "tg4mm.generate Go On" not in drawn(extension, "Generate")
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"out": ""}, "Output is empty"),
+        ({"out": "//here"}, "not saved yet"),
+        ({"label": "a b"}, "Name 'a b': letters, digits"),
+        ({"label": "../x"}, "Name '../x': letters, digits"),
+        ({"frequency": 15.0}, "Frequency 15 Hz is not below half of the Frame Rate, 15 Hz"),
+        ({"axis": (0, 0, 0)}, "axis: .* has no direction"),
+        ({"source": "FILE", "motion_file": "/no/such.yaml"}, "/no/such.yaml cannot be read"),
+    ],
+)
+def test_refusals_come_before_anything_is_written(
+    extension: ModuleType, settings: Any, values: dict[str, Any], message: str, tmp_path: Path
+) -> None:
+    before = sorted(tmp_path.rglob("*"))
+    for name, value in values.items():
+        setattr(settings, name, value)
+    with pytest.raises(RuntimeError, match=message):
+        bpy.ops.tg4mm.generate()
+    assert sorted(tmp_path.rglob("*")) == before
+    assert extension.jobs.background.get(KIND) is None
+
+
+def test_what_the_generator_finds_wrong_is_one_line(extension: ModuleType, settings: Any) -> None:
+    settings.cameras = "given"
+    assert bpy.ops.tg4mm.generate() == {"FINISHED"}
+    job = wait(extension, KIND)
+    assert (job.state.value, job.message) == ("failed", "--cameras given: the file holds no camera")
+    assert said(drawn(extension, "Generate"), job.message)
+
+
+def test_settings_that_would_change_nothing_are_not_sent(extension: ModuleType, settings: Any) -> None:
+    """The generator refuses --views with one camera, and --alphas without test views."""
+    settings.cameras, settings.test_views, settings.timesteps = "handheld", 0, 2
+    assert "alphas" not in drawn(extension, "Cameras and Pictures")
+    assert bpy.ops.tg4mm.generate() == {"FINISHED"}
+    job = wait(extension, KIND)
+    assert job.state.value == "done", job.message
+    assert len(list(Path(job.results[-1]).glob("*/train/*.png"))) == 2
+
+
+def test_core_python_that_is_not_there(
+    extension: ModuleType, settings: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(extension.preferences.TG4MM_defaults, "core_python", "/no/python")
+    with pytest.raises(RuntimeError, match="there is no file /no/python"):
+        bpy.ops.tg4mm.generate()
+    settings.in_blender = True
+    assert not extension.jobs.generating.host(bpy.context).is_core
+
+
+def test_core_python_runs_the_generator_where_it_is_named(
+    extension: ModuleType, settings: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    stub = tmp_path / "python"
+    event = '{"tg4mm": "error", "message": "not today"}'
+    stub.write_text(f'#!/bin/sh\necho "$@" >> "$0.said"\necho \'{event}\' >&2\nexit 2\n')
+    stub.chmod(0o755)
+    monkeypatch.setattr(extension.preferences.TG4MM_defaults, "core_python", str(stub))
+    settings.truth = "test"
+    assert "truth" in drawn(extension, "Cameras and Pictures")
+    bpy.ops.tg4mm.generate()
+    assert wait(extension, KIND).message == "not today"
+    said = Path(f"{stub}.said").read_text()
+    assert said.startswith("-m dataset_gen --blend ")
+    assert "--truth test" in said
+
+
+def test_disabling_the_extension_ends_the_run(extension: ModuleType, settings: Any) -> None:
+    bpy.ops.tg4mm.generate()
+    job = extension.jobs.background.get(KIND)
+    extension.unregister()
+    assert job.state.value == "cancelled"
+    assert job._program.process.poll() is not None
+    extension.register()
+
+
+def test_panels_offer_every_field_of_every_kind(extension: ModuleType, settings: Any) -> None:
+    for kind in extension.jobs.kinds.KINDS:
+        settings.kind = kind
+        shown = drawn(extension)
+        assert {row.setting for row in extension.jobs.kinds.rows(settings)} <= set(shown)
+        assert {"frequency", "amplitude", "fps", "tg4mm.preview_start", "out", "cameras", "size"} <= set(
+            shown
+        )
+    assert said(shown, "Truth per pixel needs the core's Python")
+    assert "Moves: Cube [a]" in shown
+    bpy.ops.tg4mm.move_everything()
+    assert "Moves: everything" in drawn(extension)
+    settings.kind = "rock"
+    bpy.ops.tg4mm.preview_start()
+    shown = drawn(extension, "Motion")
+    assert {"gain", "tg4mm.preview_stop"} <= set(shown)
+    assert said(shown, "The timeline plays it 0.8 times as fast")
+    bpy.ops.tg4mm.preview_stop()
+
+
+def test_messages_are_cut_into_lines(extension: ModuleType) -> None:
+    wrapped = extension.jobs.panels.wrapped
+    text = "Complete: /home/somebody/data/of/mine/cubes_7_5Hz_0_1 and more"
+    lines = wrapped(text, 20)
+    assert max(map(len, lines)) <= 20
+    assert " ".join(lines).replace("/ ", "/") == text
+    assert wrapped("x" * 45, 20) == ["x" * 20, "x" * 20, "x" * 5]
+    assert wrapped("", 20) == [""]

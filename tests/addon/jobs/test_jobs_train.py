@@ -1,0 +1,174 @@
+"""Train: the core works in the background in a Python of its own, and what it made is imported."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
+
+from tests.addon.jobs.jobs_kit import drawn, said, wait  # noqa: E402
+
+KIND = "train"
+# Answers as `python -m tg4mm train|export …` does; what it was asked is added to a file beside it.
+STUB = """#!{python}
+import os, shutil, sys, time
+from pathlib import Path
+from tg4mm.core import events
+here = Path(__file__).parent
+with open(here / "asked.txt", "a") as file:
+    print(*sys.argv[1:], file=file)
+_, module, command, *rest = sys.argv[1:]
+out = Path(rest[rest.index("--out") + 1])
+if (here / "fails").read_text() == command:
+    events.say("error", "no luck with größe")
+    sys.exit(2)
+if command == "train":
+    for label, total in (("space stage", 4), ("motion stage", 2)):
+        for done in range(1, total + 1):
+            events.emit("progress", label=label, done=done, total=total, left_s=2.0)
+            time.sleep(0.1)
+    while (here / "fails").read_text() == "hang":
+        time.sleep(0.05)
+    out.mkdir()
+else:
+    shutil.copyfile(here / "made.ply", out)
+print(out)
+"""
+
+
+@pytest.fixture
+def core(extension: ModuleType, splat_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of a stand-in for the core's Python, named in the preferences; and settings to train with."""
+    folder = tmp_path / "the core"
+    folder.mkdir()
+    (folder / "made.ply").write_bytes(splat_path.read_bytes())
+    (folder / "fails").write_text("nothing")
+    python = folder / "python"
+    # The first line of a script has no room for a path with a space, so a shell finds the interpreter.
+    script = folder / "stub.py"
+    script.write_text(STUB.format(python=sys.executable), encoding="utf-8")
+    python.write_text(f'#!/bin/sh\nexec "{sys.executable}" "{script}" "$@"\n')
+    python.chmod(0o755)
+    monkeypatch.setattr(extension.preferences.TG4MM_defaults, "core_python", str(python))
+    (tmp_path / "data set").mkdir()
+    bpy.context.scene.tg4mm_train.dataset = str(tmp_path / "data set")
+    return folder
+
+
+def test_dataset_becomes_splats_in_the_scene(extension: ModuleType, core: Path, tmp_path: Path) -> None:
+    bpy.context.scene.tg4mm_train.settings = "space.iterations=3 motion.iterations=2"
+    assert bpy.ops.tg4mm.train() == {"FINISHED"}
+    assert "tg4mm.cancel_job" in drawn(extension, "Train")
+    seen = set()
+    job = wait(extension, KIND, lambda job: seen.add(job.progress.text) or False, limit_s=30)
+    splat = tmp_path / "data set_run.ply"
+    assert (job.state.value, job.message) == ("done", f"Imported: {splat}")
+    assert {"space stage", "motion stage"} <= {text.rsplit(" ", 3)[0] for text in seen if "left" in text}
+    obj = bpy.context.object
+    assert obj.name == "data set_run"
+    assert extension.nodes.scene.splat_modifier(obj) is not None
+    assert len(obj.data.vertices) == 23
+    train, export = (core / "asked.txt").read_text().splitlines()
+    run, data = tmp_path / "data set_run", tmp_path / "data set"
+    assert train == (
+        f"-m tg4mm train {data} --out {run} --device cpu --set space.iterations=3 --set motion.iterations=2"
+    )
+    assert export == f"-m tg4mm export {run} --out {splat} --format ply"
+
+
+@pytest.mark.parametrize("command", ["train", "export"])
+def test_failure_is_one_line_and_imports_nothing(extension: ModuleType, core: Path, command: str) -> None:
+    (core / "fails").write_text(command)
+    bpy.ops.tg4mm.train()
+    job = wait(extension, KIND, limit_s=30)
+    assert (job.state.value, job.message) == ("failed", "no luck with größe")
+    assert not bpy.data.objects
+    assert said(drawn(extension, "Train"), "no luck with größe")
+    assert "tg4mm.train" in drawn(extension, "Train")
+
+
+def test_splats_that_cannot_be_read_are_reported(extension: ModuleType, core: Path) -> None:
+    (core / "made.ply").write_bytes(b"ply\n")
+    bpy.ops.tg4mm.train()
+    job = wait(extension, KIND, limit_s=30)
+    assert job.state.value == "failed"
+    assert job.message.startswith("trained, but not imported: ")
+    assert not bpy.data.objects
+
+
+def test_training_can_be_stopped(extension: ModuleType, core: Path) -> None:
+    (core / "fails").write_text("hang")
+    bpy.ops.tg4mm.train()
+    wait(extension, KIND, lambda job: job.progress.text.startswith("motion stage 2/2"), limit_s=30)
+    assert bpy.ops.tg4mm.cancel_job(kind=KIND) == {"FINISHED"}
+    job = wait(extension, KIND, limit_s=30)
+    assert job.state.value == "cancelled"
+    assert len((core / "asked.txt").read_text().splitlines()) == 1
+    assert not bpy.data.objects
+
+
+def test_job_outlives_the_file_it_was_started_from(extension: ModuleType, core: Path) -> None:
+    bpy.ops.tg4mm.train()
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    assert wait(extension, KIND, limit_s=30).state.value == "done"
+    assert bpy.context.object.name == "data set_run"
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"dataset": ""}, "Dataset is empty: choose a folder"),
+        ({"dataset": "/no/such"}, "Dataset: there is no folder /no/such"),
+        ({"run": "//x"}, "Run //x lies beside the .blend file, which is not saved yet"),
+    ],
+)
+def test_refusals(extension: ModuleType, core: Path, values: dict[str, Any], message: str) -> None:
+    for name, value in values.items():
+        setattr(bpy.context.scene.tg4mm_train, name, value)
+    with pytest.raises(RuntimeError, match=message):
+        bpy.ops.tg4mm.train()
+
+
+def test_run_is_not_written_into_the_dataset(extension: ModuleType, core: Path) -> None:
+    settings = bpy.context.scene.tg4mm_train
+    settings.run = f"{settings.dataset}/run"
+    with pytest.raises(RuntimeError, match="lies in the dataset"):
+        bpy.ops.tg4mm.train()
+
+
+def test_without_the_core_there_is_a_hint(extension: ModuleType) -> None:
+    shown = drawn(extension, "Train")
+    assert said(shown, "Training needs tg4mm in a Python of its own. Name that Python in the preferences.")
+    assert [text for text in shown if "." in text][-1] == "preferences.addon_show Preferences"
+    assert "tg4mm.train" not in shown
+    bpy.context.scene.tg4mm_train.dataset = "/data"
+    with pytest.raises(RuntimeError, match="Python of the Core is not named in the preferences"):
+        bpy.ops.tg4mm.train()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="needs tg4mm's extra core")
+def test_generated_trained_imported_by_the_real_core(
+    extension: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(extension.preferences.TG4MM_defaults, "core_python", sys.executable)
+    bpy.ops.mesh.primitive_cube_add(size=1)
+    bpy.ops.object.light_add(type="SUN")
+    settings = bpy.context.scene.tg4mm_generate
+    settings.kind, settings.amplitude, settings.frequency, settings.fps = "translate", 0.05, 7.5, 30.0
+    settings.views, settings.test_views, settings.timesteps, settings.size = 6, 1, 8, 32
+    settings.samples, settings.alphas, settings.out, settings.processes = 1, "5", str(tmp_path), 1
+    bpy.ops.tg4mm.generate()
+    assert wait(extension, "generate").state.value == "done"
+    bpy.context.scene.tg4mm_train.settings = "space.iterations=20 motion.components=2 motion.iterations=10"
+    bpy.ops.tg4mm.train()
+    job = wait(extension, KIND, limit_s=300)  # half a minute where nothing else runs
+    assert job.state.value == "done", job.message
+    assert len(bpy.context.object.data.vertices) > 10
+    assert list(bpy.context.object[extension.names.FREQUENCIES])

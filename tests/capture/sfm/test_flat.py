@@ -1,0 +1,134 @@
+"""One fixed camera and nothing else: a plane at distance 1, in pixels."""
+
+from __future__ import annotations
+
+import json
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.capture.sfm.videos import SIZE, still, write_video
+from tg4mm.capture import Capture, load_capture, load_images
+from tg4mm.capture.sfm.config import SfmConfig
+from tg4mm.capture.sfm.reconstruct import reconstruct
+from tg4mm.cli import main
+from tg4mm.core.errors import Tg4mmError
+
+T = 12
+
+
+@pytest.fixture(scope="module")
+def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_video(tmp_path_factory.mktemp("in") / "bridge.mp4", still(T), Fraction(30000, 1001))
+
+
+@pytest.fixture(scope="module")
+def dataset(video: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("out") / "bridge"
+    assert main(["sfm", str(video), "--out", str(out)]) == 0
+    return out
+
+
+@pytest.fixture(scope="module")
+def capture(dataset: Path) -> Capture:
+    return load_capture(dataset)
+
+
+def test_it_is_a_capture_of_one_camera_with_exact_times(dataset: Path, capture: Capture) -> None:
+    assert (capture.kind, capture.n_timesteps, capture.unit_scale_m) == ("flat", T, None)
+    assert capture.fps == float(Fraction(30000, 1001))
+    assert json.loads((dataset / "scene.json").read_text())["fps"] == float(Fraction(30000, 1001))
+    assert set(capture.camera_ids.tolist()) == {0}
+    assert capture.times_s.tolist() == [float(k * Fraction(1001, 30000)) for k in range(T)]
+    assert {path.name for path in capture.paths} == {"bridge.png"}
+
+
+def test_the_camera_is_upright_at_the_origin_and_looks_along_y(capture: Capture) -> None:
+    viewmat, K = capture.viewmats[0], capture.Ks[0]
+    focal = max(SIZE)
+    np.testing.assert_allclose(K, [[focal, 0, SIZE[0] / 2], [0, focal, SIZE[1] / 2], [0, 0, 1]])
+    for world, pixel in (
+        ((0, 1, 0), (SIZE[0] / 2, SIZE[1] / 2)),
+        ((0.1, 1, 0), (SIZE[0] / 2 + 0.1 * focal, SIZE[1] / 2)),
+        ((0, 1, 0.1), (SIZE[0] / 2, SIZE[1] / 2 - 0.1 * focal)),
+    ):
+        q = K @ (viewmat[:3, :3] @ np.array(world) + viewmat[:3, 3])
+        np.testing.assert_allclose(q[:2] / q[2], pixel)
+    assert json.loads((capture.root / "scene.json").read_text())["pixels_per_unit"] == focal
+
+
+def test_points_lie_on_the_plane_with_the_pictures_colours(capture: Capture) -> None:
+    points = capture.points
+    assert points is not None
+    width, height = SIZE
+    assert len(points.xyz) == round(width / 3) * round(height / 3)
+    np.testing.assert_array_equal(points.xyz[:, 1], 1)
+    u = points.xyz[:, 0] * width + width / 2
+    v = -points.xyz[:, 2] * width + height / 2
+    assert 0 < u.min() < 3 > v.min() > 0
+    assert width > u.max() > width - 3
+    mean = np.asarray(Image.open(capture.root / "sfm/survey/bridge.png"))
+    np.testing.assert_array_equal(points.rgb, mean[np.floor(v).astype(int), np.floor(u).astype(int)])
+
+
+def test_pictures_are_the_frames(video: Path, capture: Capture) -> None:
+    from tg4mm.capture.sfm.video import video_frames
+
+    images = load_images(capture)
+    for image, frame in zip(images.data, video_frames(video), strict=True):
+        np.testing.assert_array_equal(image[..., :3], frame.rgb)
+
+
+def test_killed_while_writing_it_goes_on(video: Path, dataset: Path, tmp_path: Path) -> None:
+    import shutil
+
+    out = tmp_path / "bridge"
+    shutil.copytree(dataset, out)
+    (out / "scene.json").unlink()
+    (out / "005/train/bridge.png").unlink()
+    kept = (out / "004/train/bridge.png").stat().st_mtime_ns
+    reconstruct(video, out)
+    assert (out / "005/train/bridge.png").read_bytes() == (dataset / "005/train/bridge.png").read_bytes()
+    assert (out / "004/train/bridge.png").stat().st_mtime_ns == kept
+    assert load_capture(out).n_timesteps == T
+
+
+def test_slow_motion_gets_the_rate_it_was_filmed_at(video: Path, dataset: Path, tmp_path: Path) -> None:
+    import shutil
+
+    out = tmp_path / "bridge"
+    shutil.copytree(dataset, out)
+    reconstruct(video, out, SfmConfig(fps=240.0))
+    capture = load_capture(out)
+    assert capture.fps == 240.0
+    np.testing.assert_allclose(capture.times_s, np.arange(T) / 240)
+
+
+def test_what_makes_no_sense_is_refused(video: Path, tmp_path: Path) -> None:
+    with pytest.raises(Tg4mmError, match="a flat capture is measured in pixels"):
+        reconstruct(video, tmp_path / "a", SfmConfig(unit_scale_m=1.0))
+    with pytest.raises(Tg4mmError, match="--test-every is 4, but flat has no camera to hold out"):
+        reconstruct(video, tmp_path / "b", SfmConfig(test_every=4))
+    with pytest.raises(
+        Tg4mmError, match=r"--kind is tripod, but .* holds one recording, which can be flat or"
+    ):
+        reconstruct(video, tmp_path / "c", SfmConfig(kind="tripod"))
+
+
+@pytest.mark.slow
+def test_more_than_a_thousand_timesteps(tmp_path: Path) -> None:
+    frames = still(30, shifts=[k % 2 for k in range(30)], size=(48, 32))
+    path = write_video(tmp_path / "long.mp4", frames * 34, 240)
+    reconstruct(path, tmp_path / "out")
+    capture = load_capture(tmp_path / "out")
+    assert capture.n_timesteps == 1020
+    assert [capture.paths[t].parent.parent.name for t in (7, 999, 1000, 1019)] == [
+        "007",
+        "999",
+        "1000",
+        "1019",
+    ]
+    np.testing.assert_array_equal(capture.timesteps, np.arange(1020))

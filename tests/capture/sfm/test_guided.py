@@ -1,0 +1,90 @@
+"""Matches along known epipolar lines, on features whose partners are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.capture.sfm.scenes import intrinsics, orbit
+from tg4mm.capture.sfm.guided import ROWS, Features, essential, features_of, guided_matches
+
+K = intrinsics(400, 300, 380.0)
+PIXEL = 1 / 380.0
+
+
+def project(viewmat: np.ndarray, xyz: np.ndarray) -> np.ndarray:
+    cam = xyz @ viewmat[:3, :3].T + viewmat[:3, 3]
+    return cam[:, :2] / cam[:, 2:] * 380 + K[:2, 2]
+
+
+def two_pictures(n: int, seed: int = 0) -> tuple[np.ndarray, Features, Features, np.ndarray]:
+    """E, features of both pictures, and for each feature of the first its partner in the second."""
+    rng = np.random.default_rng(seed)
+    first, second = orbit(14)[:2]
+    xyz = rng.uniform(-0.8, 0.8, (n, 3))
+    descriptors = rng.random((n, 128))
+    order = rng.permutation(n)
+    one = features_of(project(first, xyz), descriptors, K)
+    noise = rng.normal(0, 0.01, (n, 128))
+    two = features_of(project(second, xyz)[order], (descriptors + noise)[order], K)
+    E, _ = essential(first, second)
+    return E / np.linalg.norm(E), one, two, np.argsort(order)
+
+
+def test_partners_satisfy_the_epipolar_equation() -> None:
+    E, one, two, partner = two_pictures(50)
+    residual = np.einsum("fi,ij,fj->f", two.rays[partner], E, one.rays)
+    assert np.abs(residual).max() < 1e-12
+
+
+def test_relative_pose_takes_one_camera_to_the_other() -> None:
+    first, second = orbit(5)[:2]
+    _, relative = essential(first, second)
+    np.testing.assert_allclose(np.vstack([relative, [0, 0, 0, 1]]) @ first, second, atol=1e-12)
+
+
+@pytest.mark.parametrize("n", [300, ROWS + 5])
+def test_every_partner_is_found_and_no_other(n: int) -> None:
+    E, one, two, partner = two_pictures(n)
+    matches = guided_matches(one, two, E, PIXEL, 0.8, 0.6)
+    assert matches.dtype == np.uint32
+    assert len(matches) == n
+    np.testing.assert_array_equal(matches[:, 1], partner[matches[:, 0]])
+
+
+def test_a_perfect_descriptor_off_the_line_is_no_match() -> None:
+    E, one, two, partner = two_pictures(60)
+    rays = two.rays.copy()
+    moved = partner[:20]
+    rays[moved, 1] += 0.2
+    rays[moved, 0] += 0.1
+    matches = guided_matches(one, Features(rays, two.descriptors), E, PIXEL, 0.8, 0.6)
+    assert not set(matches[:, 0].tolist()) & set(range(20))
+    assert len(matches) == 40
+
+
+def test_repeated_texture_is_told_apart_by_the_line_and_dropped_on_it() -> None:
+    """Equal descriptors everywhere: only features alone on their line match."""
+    E, one, two, partner = two_pictures(200)
+    same = np.full((200, 128), 128**-0.5, np.float32)
+    matches = guided_matches(
+        Features(one.rays, same), Features(two.rays, same + 1e-3), E, 0.1 * PIXEL, 0.8, 0.6
+    )
+    near = np.einsum("fi,ij,gj->fg", two.rays, E, one.rays) ** 2
+    assert 0 < len(matches) < 200
+    np.testing.assert_array_equal(matches[:, 1], partner[matches[:, 0]])
+    assert near[matches[:, 1], matches[:, 0]].max() < 1e-20
+
+
+def test_a_distant_descriptor_is_no_match() -> None:
+    E, one, two, _ = two_pictures(40)
+    other = np.random.default_rng(9).normal(size=(40, 128)).astype(np.float32)
+    other /= np.linalg.norm(other, axis=1, keepdims=True)
+    assert len(guided_matches(one, Features(two.rays, other), E, PIXEL, 1.0, 0.6)) == 0
+
+
+def test_no_features_no_matches() -> None:
+    E, one, _, _ = two_pictures(4)
+    none = features_of(np.zeros((0, 6)), np.zeros((0, 128), np.uint8), K)
+    assert guided_matches(one, none, E, PIXEL, 0.8, 0.6).shape == (0, 2)
+    assert guided_matches(none, one, E, PIXEL, 0.8, 0.6).shape == (0, 2)

@@ -1,0 +1,336 @@
+"""tg4mm sfm from photographs, fixed cameras and a video: known cameras come back, up to a similarity."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.capture.sfm.scenes import intrinsics, orbit, picture, save, surface_distance, umeyama
+from tests.capture.sfm.videos import still
+from tg4mm.capture import Capture, load_capture, load_images
+from tg4mm.capture.geometry import optical_axes
+from tg4mm.capture.sfm import reconstruct as module
+from tg4mm.capture.sfm.reconstruct import SfmConfig, reconstruct
+from tg4mm.capture.sfm.request import open_request
+from tg4mm.capture.sfm.sources import find_sources
+from tg4mm.cli import main
+from tg4mm.core.errors import CaptureError, RunError, Tg4mmError
+from tg4mm.core.lock import held
+
+pytest.importorskip("pycolmap")
+SIZE, FOCAL, BEND = (240, 180), 250.0, 0.35
+N = 12
+
+
+def shoot(path: Path, viewmat: np.ndarray, k1: float = BEND, plain: bool = False) -> None:
+    save(path, picture(viewmat, intrinsics(*SIZE, FOCAL), SIZE, k1, plain))
+
+
+@pytest.fixture(scope="module")
+def cameras() -> np.ndarray:
+    return orbit(N, turn=2.4)
+
+
+@pytest.fixture(scope="module")
+def photographs(tmp_path_factory: pytest.TempPathFactory, cameras: np.ndarray) -> Path:
+    folder = tmp_path_factory.mktemp("photographs")
+    for i, viewmat in enumerate(cameras):
+        shoot(folder / f"p_{i}.png", viewmat)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory, photographs: Path) -> Path:
+    out = tmp_path_factory.mktemp("sfm") / "box"
+    report = reconstruct(photographs, out, SfmConfig(), threads=1)
+    assert (report["pictures"], report["placed"]) == (N, N)
+    return out
+
+
+def aligned(capture: Capture, cameras: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, float]:
+    """The similarity from the dataset's world to the true one, and the largest error of a camera's place."""
+    ours, _ = optical_axes(capture.viewmats)
+    true, _ = optical_axes(cameras)
+    scale, rotation, shift = umeyama(ours, true)
+    return (
+        scale,
+        rotation,
+        shift,
+        float(np.linalg.norm(scale * ours @ rotation.T + shift - true, axis=1).max()),
+    )
+
+
+def test_cameras_come_back_up_to_a_similarity(dataset: Path, cameras: np.ndarray) -> None:
+    capture = load_capture(dataset)
+    assert [path.name for path in capture.paths] == [f"p_{i}.png" for i in range(N)]
+    _, rotation, _, error = aligned(capture, cameras)
+    assert error < 0.03  # of a distance of 4: 0.7 %
+    turn = capture.viewmats[:, :3, :3] @ rotation.T @ np.swapaxes(cameras[:, :3, :3], 1, 2)
+    degrees = np.degrees(np.arccos(np.clip((np.trace(turn, axis1=1, axis2=2) - 1) / 2, -1, 1)))
+    assert degrees.max() < 0.4
+    # in the wrong order they do not
+    assert aligned(capture, cameras[::-1])[3] > 0.5
+
+
+def test_points_lie_on_the_surface(dataset: Path, cameras: np.ndarray) -> None:
+    capture = load_capture(dataset)
+    assert capture.points is not None
+    scale, rotation, shift, _ = aligned(capture, cameras)
+    distance = surface_distance(scale * capture.points.xyz @ rotation.T + shift)
+    assert len(distance) > 200
+    assert np.median(distance) < 0.01
+    assert np.quantile(distance, 0.9) < 0.05
+
+
+def test_the_lens_is_found_and_the_pictures_are_straight(dataset: Path, cameras: np.ndarray) -> None:
+    """A pinhole with the written intrinsics sees at the true pose what the written picture shows."""
+    capture = load_capture(dataset)
+    K = capture.Ks[0]
+    assert K[0, 0] == pytest.approx(FOCAL, rel=0.02)
+    assert (capture.width, capture.height) != SIZE
+    images = load_images(capture)
+    for i in (0, 5):
+        true = picture(cameras[i], capture.Ks[i], (capture.width, capture.height))
+        solid = true[..., 3] == 255
+        difference = np.abs(images.data[i].astype(int) - true.astype(int))[solid][:, :3]
+        raw = np.asarray(Image.open(capture.root / "sfm/images/photographs" / f"p_{i}.png"))
+        bent = raw[: capture.height, : capture.width].astype(int)
+        assert difference.mean() < 0.5 * np.abs(bent - true[..., :3])[solid].mean()
+
+
+def test_the_world_is_of_the_usual_kind(dataset: Path, cameras: np.ndarray) -> None:
+    capture = load_capture(dataset)
+    centres, _ = optical_axes(capture.viewmats)
+    assert np.linalg.norm(centres, axis=1).mean() == pytest.approx(4.0, rel=0.02)
+    _, rotation, _, _ = aligned(capture, cameras)
+    assert rotation[2, 2] > 0.999  # their z is ours
+
+
+def test_scene_json_says_what_was_done(dataset: Path) -> None:
+    scene = json.loads((dataset / "scene.json").read_text())
+    assert (scene["n_train"], scene["n_test"], scene["n_timesteps"], scene["unit_scale_m"]) == (N, 0, 1, None)
+    assert scene["sfm"]["points"] == len(load_capture(dataset).points.xyz)
+    assert 0 < scene["sfm"]["reprojection_error_px"] < 1
+
+
+def test_a_finished_one_is_not_made_again(dataset: Path, photographs: Path, monkeypatch) -> None:
+    monkeypatch.setattr(module, "_model", None)
+    before = {path: path.stat().st_mtime_ns for path in dataset.rglob("*")}
+    report = reconstruct(photographs, dataset, SfmConfig(), threads=1)
+    assert report == json.loads((dataset / "scene.json").read_text())["sfm"]
+    assert {path: path.stat().st_mtime_ns for path in dataset.rglob("*")} == before
+
+
+def test_a_stopped_one_goes_on_to_the_same_dataset(dataset: Path, photographs: Path, tmp_path: Path) -> None:
+    out = tmp_path / "box"
+    shutil.copytree(dataset, out)
+    for path in ("scene.json", "transforms_train.json", "points3d.ply", "train/p_3.png"):
+        (out / path).unlink()
+    shutil.rmtree(out / "sfm" / "sparse")
+    (out / ".scene.json.node7-1.tmp").write_text("half")
+    reconstruct(photographs, out, SfmConfig(), threads=1)
+    for path in ("scene.json", "transforms_train.json", "points3d.ply", "train/p_3.png"):
+        expected = (dataset / path).read_bytes()
+        assert (out / path).read_bytes() == expected, path  # one thread, one seed: bit for bit
+
+
+def test_another_request_in_the_same_folder_is_refused(
+    dataset: Path, photographs: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(CaptureError, match="was begun with camera_model = SIMPLE_RADIAL, asked is OPENCV"):
+        reconstruct(photographs, dataset, SfmConfig(camera_model="OPENCV"))
+    other = tmp_path / "other"
+    shutil.copytree(photographs, other)
+    with pytest.raises(CaptureError, match="was begun with other pictures"):
+        reconstruct(other, dataset)
+    with pytest.raises(CaptureError, match=r"holds p_0\.png; expected a new or empty folder"):
+        reconstruct(photographs, other)
+
+
+def test_a_baseline_gives_the_scale_later(dataset: Path, photographs: Path, tmp_path: Path) -> None:
+    out = tmp_path / "box"
+    shutil.copytree(dataset, out)
+    reconstruct(photographs, out, SfmConfig(baseline=("p_0", "p_3.png", 2.0)), threads=1)
+    capture = load_capture(out)
+    centres, _ = optical_axes(capture.viewmats)
+    assert capture.unit_scale_m == pytest.approx(2.0 / np.linalg.norm(centres[0] - centres[3]))
+    with pytest.raises(Tg4mmError, match="--baseline names p_99, which is no placed camera; there are p_0"):
+        reconstruct(photographs, out, SfmConfig(baseline=("p_0", "p_99", 2.0)), threads=1)
+
+
+@pytest.mark.parametrize(
+    ("config", "match"),
+    [
+        (SfmConfig(camera_model="FISH"), "--camera-model is FISH, expected SIMPLE_PINHOLE, "),
+        (SfmConfig(focal_px=-3.0), "--focal-px is -3.0, expected above 0"),
+        (SfmConfig(fps=30.0), "--fps is 30, but photographs have no frame rate"),
+        (SfmConfig(kind="drone"), "--kind is drone, expected photos, flat, tripod"),
+        (SfmConfig(kind="rig"), "--kind is rig, but .* holds 12 photographs, which can be photos"),
+        (SfmConfig(start_s=-1.0), "--from is -1.0, expected 0 s or more"),
+        (SfmConfig(start_s=2.0, stop_s=1.5), "--until is 1.5, expected more than --from, 2 s"),
+        (SfmConfig(frames=50), "--frames is 50, but there is no video of a moving camera"),
+        (SfmConfig(unit_scale_m=1.0, baseline=("a", "b", 1.0)), "exclude each other"),
+        (
+            SfmConfig(synchronous=True),
+            "--synchronous is for the cameras of a rig, but .* holds 12 photographs",
+        ),
+        (SfmConfig(test_every=1), "--test-every is 1, expected 0 or >= 2"),
+        (SfmConfig(baseline=("a", "b", float("nan"))), "--baseline is nan"),
+    ],
+)
+def test_bad_settings_are_refused_before_anything_is_made(
+    photographs: Path, tmp_path: Path, config: SfmConfig, match: str
+) -> None:
+    with pytest.raises(Tg4mmError, match=match):
+        reconstruct(photographs, tmp_path / "out", config)
+    assert not (tmp_path / "out").exists()
+
+
+def test_pictures_without_texture_are_refused(tmp_path: Path, cameras: np.ndarray) -> None:
+    for i in range(4):
+        save(tmp_path / "in" / f"{i}.png", np.full((60, 80, 4), 90, np.uint8))
+    with pytest.raises(
+        CaptureError, match="too little texture: 4 of 4 pictures have fewer than 20 features, "
+    ):
+        reconstruct(tmp_path / "in", tmp_path / "out", threads=1)
+
+
+def test_pictures_of_different_things_are_refused(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    for i in range(3):
+        coarse = rng.integers(0, 256, (18, 24, 3), np.uint8)
+        path = tmp_path / "in" / f"{i}.png"
+        path.parent.mkdir(exist_ok=True)
+        Image.fromarray(coarse).resize((240, 180), Image.Resampling.BICUBIC).save(path)
+    with pytest.raises(CaptureError, match="no two of the 3 pictures overlap"):
+        reconstruct(tmp_path / "in", tmp_path / "out", threads=1)
+
+
+def test_a_picture_of_something_else_is_left_out_and_named(
+    tmp_path: Path, photographs: Path, cameras: np.ndarray
+) -> None:
+    folder = tmp_path / "in"
+    folder.mkdir()
+    for i in range(6):
+        shutil.copy(photographs / f"p_{i}.png", folder / f"p {i}.png")
+    rng = np.random.default_rng(0)
+    noise = Image.fromarray(rng.integers(0, 256, (18, 24, 3), np.uint8))
+    noise.resize(SIZE, Image.Resampling.BICUBIC).save(folder / "an odd ä.png")
+    with pytest.warns(
+        UserWarning, match=r"1 pictures could not be placed and are left out: photographs/an odd ä.png"
+    ):
+        report = reconstruct(folder, tmp_path / "out", threads=1)
+    assert (report["pictures"], report["placed"]) == (7, 6)
+    assert [p.name for p in load_capture(tmp_path / "out").paths] == [f"p {i}.png" for i in range(6)]
+
+
+@pytest.fixture(scope="module")
+def fixed(tmp_path_factory: pytest.TempPathFactory, cameras: np.ndarray) -> Path:
+    """Three fixed cameras far apart, six frames each, and a sweep between them."""
+    folder = tmp_path_factory.mktemp("fixed")
+    for k, i in enumerate((0, 5, 10)):
+        for t in range(6):
+            pixels = picture(cameras[i], intrinsics(*SIZE, FOCAL), SIZE)
+            noise = np.random.default_rng(t).integers(-3, 4, pixels.shape)
+            noise[..., 3] = 0
+            save(folder / f"cam_{k}" / f"{t:04d}.png", np.clip(pixels + noise, 0, 255).astype(np.uint8))
+    for i, viewmat in enumerate(cameras):
+        shoot(folder / "sweep" / f"{i:03d}.png", viewmat + 1e-3, k1=0.0)
+    return folder
+
+
+def test_fixed_cameras_become_a_tree_with_one_pose_each(
+    fixed: Path, tmp_path: Path, cameras: np.ndarray
+) -> None:
+    out = tmp_path / "box_5Hz"
+    arguments = ["sfm", str(fixed), "--out", str(out), "--fps", "30", "--threads", "1"]
+    arguments += ["--camera-model", "SIMPLE_PINHOLE", "--focal-px", "240", "--unit-scale-m", "0.5"]
+    assert main(arguments) == 0
+    capture = load_capture(out)
+    assert (capture.kind, capture.fps, capture.n_timesteps, capture.unit_scale_m) == ("rig", 30.0, 6, 0.5)
+    assert capture.clocks == "independent"  # nobody said --synchronous
+    names = [path.relative_to(out).as_posix() for path in capture.paths]
+    cameras_of = [[f"{t:03d}/train/cam_{k}.png" for k in range(3)] for t in range(6)]
+    assert names == [
+        *cameras_of[0],
+        *(f"000/train/sweep_{i:03d}.png" for i in range(N)),
+        *(name for names in cameras_of[1:] for name in names),
+    ]
+    assert capture.camera_ids[-15:].tolist() == [0, 1, 2] * 5
+    assert np.isnan(capture.times_s[3 : 3 + N]).all()
+    np.testing.assert_allclose(capture.times_s[-15:], np.repeat(np.arange(1, 6), 3) / 30)
+    assert (out / "001/train/cam_1.png").read_bytes() == (fixed / "cam_1/0001.png").read_bytes()
+    ours, _ = optical_axes(capture.viewmats[:3])
+    true, _ = optical_axes(cameras[[0, 5, 10]])
+    ratio = [np.linalg.norm(c[0] - c[1]) / np.linalg.norm(c[1] - c[2]) for c in (ours, true)]
+    assert ratio[0] == pytest.approx(ratio[1], rel=0.01)
+
+
+def test_fixed_cameras_need_a_frame_rate(fixed: Path, tmp_path: Path) -> None:
+    with pytest.raises(Tg4mmError, match="--fps is missing: the pictures in cam_0, cam_1, cam_2 need"):
+        reconstruct(fixed, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def other_things(folder: Path, camera: str) -> None:
+    """Let a camera of six frames see something else."""
+    for t, pixels in enumerate(still(6, size=SIZE)):
+        Image.fromarray(pixels).save(folder / camera / f"{t:04d}.png")
+
+
+def test_a_fixed_camera_that_cannot_be_placed_is_left_out_and_named(fixed: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "in"
+    shutil.copytree(fixed, folder)
+    other_things(folder, "cam_1")
+    with pytest.warns(
+        UserWarning, match=r"1 pictures could not be placed and are left out: cameras/cam_1\.png"
+    ):
+        reconstruct(folder, tmp_path / "out", SfmConfig(fps=30.0), threads=1)
+    names = {path.stem for path in load_capture(tmp_path / "out").paths}
+    assert {name for name in names if "cam" in name} == {"cam_0", "cam_2"}
+
+
+def test_too_few_fixed_cameras_that_can_be_placed_are_an_error(fixed: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "in"
+    shutil.copytree(fixed, folder)
+    shutil.rmtree(folder / "cam_0")
+    other_things(folder, "cam_1")
+    match = r"1 of 2 pictures could not be placed: cameras/cam_1\.png; a sweep/"
+    with pytest.raises(CaptureError, match=match):
+        reconstruct(folder, tmp_path / "out", SfmConfig(fps=30.0), threads=1)
+
+
+def test_a_broken_video_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.mp4").write_bytes(os.urandom(200))
+    with pytest.raises(CaptureError, match=r"a\.mp4: is not a video that can be decoded"):
+        reconstruct(tmp_path / "a.mp4", tmp_path / "out")
+
+
+def test_a_test_split_is_held_out(dataset: Path, photographs: Path, tmp_path: Path) -> None:
+    out = tmp_path / "box"
+    shutil.copytree(dataset / "sfm", out / "sfm")
+    request = json.loads((out / "sfm/request.json").read_text())
+    request["settings"]["test_every"] = 4
+    (out / "sfm/request.json").write_text(json.dumps(request))
+    reconstruct(photographs, out, SfmConfig(test_every=4), threads=1)
+    assert [p.stem for p in load_capture(out, "test").paths] == ["p_2", "p_6", "p_10"]
+    assert len(load_capture(out)) == N - 3
+
+
+def test_the_command_refuses_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sfm", str(tmp_path / "none"), "--out", str(tmp_path / "out")]) == 2
+    assert capsys.readouterr().err == f"tg4mm: {tmp_path / 'none'}: does not exist\n"
+
+
+def test_two_processes_do_not_make_one_dataset(photographs: Path, tmp_path: Path) -> None:
+    sources = find_sources(photographs)
+    work = open_request(tmp_path / "out", sources, asdict(SfmConfig()))
+    with held(work.folder, "busy"), pytest.raises(RunError, match="in use: another process makes this"):
+        reconstruct(photographs, tmp_path / "out", SfmConfig(), threads=1)

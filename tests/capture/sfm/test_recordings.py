@@ -1,0 +1,240 @@
+"""tg4mm sfm from videos of a known scene: tripod, clips and handheld, their times exact, their poses found."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.capture.sfm.scenes import intrinsics, orbit, picture, save, umeyama
+from tests.capture.sfm.videos import write_video
+from tg4mm.capture import Capture, load_capture
+from tg4mm.capture.geometry import optical_axes
+from tg4mm.capture.sfm.config import SfmConfig
+from tg4mm.capture.sfm.reconstruct import reconstruct
+from tg4mm.cli import main
+from tg4mm.core.errors import CaptureError
+
+pytest.importorskip("pycolmap")
+SIZE, FOCAL = (240, 180), 250.0
+NTSC = Fraction(30000, 1001)
+CAMERAS = orbit(12, turn=2.4)
+
+
+def filmed(viewmats: np.ndarray, seed: int = 0, size: tuple[int, int] = SIZE) -> list[np.ndarray]:
+    """What a camera at each pose sees, with a sensor's noise, over grey."""
+    rng = np.random.default_rng(seed)
+    K = intrinsics(*size, FOCAL * size[0] / SIZE[0])
+    frames, cached = [], {}
+    for viewmat in viewmats:
+        key = viewmat.tobytes()
+        if key not in cached:
+            rgba = picture(viewmat, K, size) / 255.0
+            cached[key] = 255 * (rgba[..., :3] * rgba[..., 3:] + 0.5 * (1 - rgba[..., 3:]))
+        frames.append(np.clip(cached[key] + rng.normal(0, 2, cached[key].shape), 0, 255).astype(np.uint8))
+    return frames
+
+
+def shoot_sweep(folder: Path, size: tuple[int, int] = SIZE) -> None:
+    for i, viewmat in enumerate(CAMERAS):
+        K = intrinsics(*size, FOCAL * max(size) / max(SIZE))
+        save(folder / f"{i:03d}.png", picture(viewmat, K, size))
+
+
+def place_error(capture: Capture, rows: list[int], true: np.ndarray) -> float:
+    """The largest error of a camera's place after alignment; the true distance from the scene is 4."""
+    ours, _ = optical_axes(capture.viewmats[rows])
+    expected, _ = optical_axes(true)
+    scale, rotation, shift = umeyama(ours, expected)
+    return float(np.linalg.norm(scale * ours @ rotation.T + shift - expected, axis=1).max())
+
+
+def rows_of(capture: Capture, timestep: int) -> dict[str, int]:
+    """Row of each picture of a timestep by its stem."""
+    return {capture.paths[i].stem: int(i) for i in np.flatnonzero(capture.timesteps == timestep)}
+
+
+@pytest.fixture(scope="module")
+def tripod(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("tripod")
+    shoot_sweep(folder / "sweep")
+    fixed = np.repeat(CAMERAS[5][None] + 1e-3, 9, axis=0)
+    write_video(folder / "film.mp4", filmed(fixed), NTSC, crf=8)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def tripod_dataset(tripod: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("out") / "tripod"
+    reconstruct(tripod, out, threads=1)
+    return out
+
+
+def test_a_tripod_is_one_fixed_camera_and_pictures_at_rest(tripod_dataset: Path) -> None:
+    capture = load_capture(tripod_dataset)
+    assert (capture.kind, capture.n_timesteps, capture.fps) == ("tripod", 9, float(NTSC))
+    first = rows_of(capture, 0)
+    assert list(first) == ["film", *(f"sweep_{i:03d}" for i in range(12))]
+    assert [list(rows_of(capture, t)) for t in range(1, 9)] == [["film"]] * 8
+    films = [rows_of(capture, t)["film"] for t in range(9)]
+    assert len(set(capture.camera_ids[films].tolist())) == 1
+    assert capture.times_s[films].tolist() == [float(t / NTSC) for t in range(9)]
+    assert np.isnan(np.delete(capture.times_s, films)).all()
+    frames = json.loads((tripod_dataset / "000/transforms_train.json").read_text())["frames"]
+    assert ["time" in frame for frame in frames] == [True] + [False] * 12
+
+
+def test_its_cameras_come_back(tripod_dataset: Path) -> None:
+    capture = load_capture(tripod_dataset)
+    rows = list(rows_of(capture, 0).values())
+    assert place_error(capture, rows, np.concatenate([CAMERAS[5:6], CAMERAS])) < 0.05
+
+
+def test_a_killed_one_goes_on(tripod: Path, tripod_dataset: Path, tmp_path: Path) -> None:
+    out = tmp_path / "tripod"
+    shutil.copytree(tripod_dataset, out)
+    shutil.rmtree(out / "sfm" / "survey")
+    shutil.rmtree(out / "sfm" / "sparse")
+    (out / "scene.json").unlink()
+    (out / "003/train/film.png").unlink()
+    reconstruct(tripod, out, threads=1)
+    for file in ("scene.json", "000/transforms_train.json", "003/train/film.png", "points3d.ply"):
+        assert (out / file).read_bytes() == (tripod_dataset / file).read_bytes(), file
+
+
+@pytest.mark.slow
+def test_photographs_of_another_size_and_lens_are_brought_to_the_films(tripod: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "in"
+    shutil.copytree(tripod, folder)
+    shutil.rmtree(folder / "sweep")
+    shoot_sweep(folder / "sweep", (360, 480))  # upright, and of twice the pixels
+    reconstruct(folder, tmp_path / "out", threads=1)
+    capture = load_capture(tmp_path / "out")
+    rows = rows_of(capture, 0)
+    assert (capture.width, capture.height) == SIZE
+    # They are turned by a quarter: the place is the same, the picture is that of the pinhole that is written.
+    assert place_error(capture, list(rows.values()), np.concatenate([CAMERAS[5:6], CAMERAS])) < 0.06
+    assert Image.open(capture.paths[rows["sweep_004"]]).size == SIZE
+
+
+def test_photographs_stored_sideways_are_set_upright(tmp_path: Path) -> None:
+    """As phones store them: the sensor's picture, and how to turn it in EXIF."""
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    folder = tmp_path / "in"
+    folder.mkdir()
+    for i, viewmat in enumerate(CAMERAS[:7]):
+        upright = picture(viewmat, intrinsics(180, 240, FOCAL), (180, 240))
+        stored = Image.fromarray(np.rot90(filmed_over_grey(upright)))
+        stored.save(folder / f"{i}.jpg", exif=exif, quality=97)
+    reconstruct(folder, tmp_path / "out", threads=1)
+    capture = load_capture(tmp_path / "out")
+    assert (capture.width, capture.height) == (180, 240)
+    assert place_error(capture, list(range(7)), CAMERAS[:7]) < 0.06
+    shown = np.asarray(Image.open(capture.paths[3]).convert("RGB")).astype(int)
+    stored = np.asarray(Image.open(folder / "3.jpg")).astype(int)
+    assert np.abs(shown - np.rot90(stored, 3)).mean() < 3
+    ups = -capture.viewmats[:, 1, 2]  # of each camera's up, the part along the world's
+    assert ups.min() > 0.5
+
+
+def filmed_over_grey(rgba: np.ndarray) -> np.ndarray:
+    alpha = rgba[..., 3:] / 255
+    return (rgba[..., :3] * alpha + 128 * (1 - alpha)).astype(np.uint8)
+
+
+def test_clips_are_fixed_cameras_with_a_clock_each(tmp_path: Path) -> None:
+    places = orbit(5, turn=0.7, low=0.6, high=0.7)
+    for k, viewmat in enumerate(places[:4]):
+        frames = filmed(np.repeat(viewmat[None], 8 + k, axis=0), seed=k)
+        write_video(tmp_path / "in" / f"cam_{k:02d}.mp4", frames, 30, crf=8)
+    assert (
+        main(
+            ["sfm", str(tmp_path / "in"), "--kind", "clips", "--out", str(tmp_path / "out"), "--threads", "1"]
+        )
+        == 0
+    )
+    capture = load_capture(tmp_path / "out")
+    assert (capture.kind, capture.n_timesteps, capture.fps) == ("clips", 11, 30.0)
+    assert [len(rows_of(capture, t)) for t in range(11)] == [*[4] * 8, 3, 2, 1]
+    np.testing.assert_allclose(capture.times_s, capture.timesteps / 30)
+    rows = rows_of(capture, 0)
+    assert place_error(capture, list(rows.values()), places[:4]) < 0.06
+
+
+def test_cameras_of_two_frame_rates_are_refused(tmp_path: Path) -> None:
+    for name, rate in (("a", 30), ("b", 60)):
+        write_video(tmp_path / "in" / f"{name}.mp4", filmed(np.repeat(CAMERAS[:1], 8, axis=0)), rate)
+    with pytest.raises(
+        CaptureError, match="camera b has 60 frames per second, a has 30: a dataset has one frame rate"
+    ):
+        reconstruct(tmp_path / "in", tmp_path / "out", threads=1)
+
+
+@pytest.fixture(scope="module")
+def walk() -> np.ndarray:
+    """[24, 4, 4] a camera carried past the scene, trembling."""
+    viewmats = orbit(24, turn=1.4, low=0.6, high=0.6)
+    tremor = np.random.default_rng(3).normal(0, 0.01, (24, 2))
+    viewmats[:, :2, 3] += tremor
+    return viewmats
+
+
+def test_every_frame_of_a_handheld_camera_gets_its_own_pose(walk: np.ndarray, tmp_path: Path) -> None:
+    path = write_video(tmp_path / "walk.mp4", filmed(walk), NTSC, crf=8)
+    report = reconstruct(path, tmp_path / "out", SfmConfig(frames=10), threads=1)
+    assert (report["kind"], report["pictures"], report["placed"]) == ("handheld", 24, 24)
+    capture = load_capture(tmp_path / "out")
+    assert (capture.kind, capture.n_timesteps, len(capture)) == ("handheld", 24, 24)
+    assert {path.name for path in capture.paths} == {"walk.png"}
+    assert len(set(capture.camera_ids.tolist())) == 24
+    assert capture.times_s.tolist() == [float(t / NTSC) for t in range(24)]
+    assert place_error(capture, list(range(24)), walk) < 0.05
+    assert place_error(capture, list(range(24)), np.roll(walk, 1, axis=0)) > 0.1
+
+
+@pytest.mark.slow
+def test_frames_that_cannot_be_placed_are_left_out_and_keep_the_others_times(
+    walk: np.ndarray, tmp_path: Path
+) -> None:
+    frames = filmed(walk)
+    rng = np.random.default_rng(0)
+    for t in (7, 8):  # something else held before the lens
+        coarse = Image.fromarray(rng.integers(0, 256, (18, 24, 3), np.uint8))
+        frames[t] = np.asarray(coarse.resize(SIZE, Image.Resampling.BICUBIC))
+    path = write_video(tmp_path / "walk.mp4", frames, 30, crf=8)
+    with pytest.warns(
+        UserWarning, match="2 pictures could not be placed and are left out: frames/00007.png, frames/0"
+    ):
+        reconstruct(path, tmp_path / "out", SfmConfig(frames=12), threads=1)
+    capture = load_capture(tmp_path / "out")
+    kept = [t for t in range(24) if t not in (7, 8)]
+    assert capture.timesteps.tolist() == list(range(22))
+    np.testing.assert_allclose(capture.times_s, np.array(kept) / 30)
+    assert place_error(capture, list(range(22)), walk[kept]) < 0.05
+
+
+def test_a_moving_cameras_video_is_photographs_where_asked(walk: np.ndarray, tmp_path: Path) -> None:
+    path = write_video(tmp_path / "walk.mp4", filmed(walk), 30, crf=8)
+    reconstruct(path, tmp_path / "out", SfmConfig(kind="photos", frames=8), threads=1)
+    capture = load_capture(tmp_path / "out")
+    assert (capture.kind, capture.n_timesteps, len(capture)) == ("photos", 1, 8)
+    rows = [int(path.stem) for path in capture.paths]
+    assert [row // 3 for row in rows] == list(range(8))  # the sharpest of every three
+    assert place_error(capture, list(range(8)), walk[rows]) < 0.06
+
+
+def test_two_cameras_that_stay_put_are_named_as_such(tmp_path: Path) -> None:
+    """Two views are no start for poses; said with what to add, and what works as it is."""
+    for i in (0, 1):
+        write_video(tmp_path / "two" / f"cam_{i:02d}.mp4", filmed(np.stack([CAMERAS[i]] * 8), seed=i))
+    with pytest.raises(
+        CaptureError,
+        match=r"two: holds 2 recordings of fixed cameras, and nothing else: .* Add sweep/ .* tg4mm sfm .*cam",
+    ):
+        reconstruct(tmp_path / "two", tmp_path / "out")

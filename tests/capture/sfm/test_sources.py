@@ -1,0 +1,229 @@
+"""What a folder of pictures is taken for, and what is refused."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.capture.sfm.scenes import save
+from tg4mm.capture.sfm.kind import possible_kinds
+from tg4mm.capture.sfm.pairs import EVERY, OVERLAP, picture_pairs
+from tg4mm.capture.sfm.sources import find_sources, suggested_command
+from tg4mm.capture.sfm.staging import check_sizes, photograph_shots, stage, staged_name, sweep_shots
+from tg4mm.cli import main
+from tg4mm.core.errors import CaptureError
+
+PIXELS = np.full((6, 8, 4), 200, np.uint8)
+
+
+def fill(folder: Path, n: int, shape: tuple[int, int] = (6, 8)) -> None:
+    for i in range(n):
+        save(folder / f"f_{i}.png", np.full((*shape, 4), 100 + i, np.uint8))
+
+
+def videos(folder: Path, *names: str) -> None:
+    """Files that are videos by name; what lies on disk is told without opening them."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in names:
+        (folder / name).write_bytes(b"")
+
+
+def test_photographs(tmp_path: Path) -> None:
+    fill(tmp_path, 12)
+    (tmp_path / "notes.txt").write_text("x")
+    (tmp_path / ".hidden.png").write_text("x")
+    sources = find_sources(tmp_path)
+    assert (sources.clips, sources.sweep, possible_kinds(sources)) == ((), None, ("photos",))
+    assert sources.photographs is not None
+    assert [p.name for p in sources.photographs.pictures] == [f"f_{i}.png" for i in range(12)]  # 2 before 10
+    assert {shot.group for shot in photograph_shots(sources.photographs, each=False)} == {"shared"}
+    assert len({shot.group for shot in photograph_shots(sources.photographs, each=True)}) == 12
+
+
+@pytest.mark.parametrize(
+    ("names", "kinds"),
+    [
+        (["a.mp4"], ("flat", "handheld", "photos")),
+        (["a.mp4", "sweep.mov"], ("tripod", "handheld")),
+        (["a.mp4", "b.mp4"], ("rig", "clips")),
+        (["a.mp4", "b.mp4", "sweep.mp4"], ("rig", "clips")),
+    ],
+)
+def test_what_recordings_can_be(tmp_path: Path, names: list[str], kinds: tuple[str, ...]) -> None:
+    videos(tmp_path / "in", *names)
+    sources = find_sources(tmp_path / "in")
+    assert possible_kinds(sources) == kinds
+    assert [clip.name for clip in sources.clips] == [Path(n).stem for n in names if "sweep" not in n]
+
+
+def test_folders_of_frames_are_recordings_too(tmp_path: Path) -> None:
+    for name, n in (("cam_0", 3), ("cam_1", 2), ("sweep", 5)):
+        fill(tmp_path / name, n)
+    (tmp_path / "empty").mkdir()
+    sources = find_sources(tmp_path)
+    assert [(clip.name, len(clip.pictures)) for clip in sources.clips] == [("cam_0", 3), ("cam_1", 2)]
+    assert sources.sweep is not None
+    assert len(sources.sweep.pictures) == 5
+
+
+def test_a_sweep_of_the_recordings_size_shares_their_lens(tmp_path: Path) -> None:
+    fill(tmp_path / "a", 2)
+    fill(tmp_path / "b", 1, (8, 6))
+    pictures = sorted(tmp_path.glob("*/*.png"))
+    groups = [shot.group for shot in sweep_shots(pictures, (8, 6), each=False)]
+    assert groups == ["shared", "shared", "sweep 6×8"]
+    assert "shared" not in [shot.group for shot in sweep_shots(pictures, (8, 6), each=True)]
+
+
+def test_a_recording_called_sweep_is_none_where_it_is_alone(tmp_path: Path) -> None:
+    fill(tmp_path / "sweep", 4)
+    photographs = find_sources(tmp_path / "sweep").photographs
+    assert photographs is not None
+    assert photographs.name == "sweep_0"
+    videos(tmp_path, "sweep.mp4")
+    assert [clip.name for clip in find_sources(tmp_path / "sweep.mp4").clips] == ["sweep_0"]
+
+
+def test_what_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(CaptureError, match="nowhere: does not exist"):
+        find_sources(tmp_path / "nowhere")
+    (tmp_path / "a.txt").write_text("x")
+    with pytest.raises(CaptureError, match=r"a\.txt: is neither a folder nor a video"):
+        find_sources(tmp_path / "a.txt")
+    with pytest.raises(CaptureError, match="holds no pictures; expected photographs, one video"):
+        find_sources(tmp_path)
+    fill(tmp_path / "two", 2)
+    with pytest.raises(CaptureError, match="two: holds 2 pictures, at least 3 are needed"):
+        find_sources(tmp_path / "two")
+    videos(tmp_path / "lone", "sweep.mp4")
+    with pytest.raises(CaptureError, match="lone: holds nothing but sweep; expected"):
+        find_sources(tmp_path / "lone")
+    fill(tmp_path / "mixed", 4)
+    fill(tmp_path / "mixed" / "cam", 4)
+    with pytest.raises(
+        CaptureError, match=r"mixed: holds pictures and cam beside them; .* belong into sweep/"
+    ):
+        find_sources(tmp_path / "mixed")
+    videos(tmp_path / "phone", "cam.mp4")
+    (tmp_path / "phone" / "sweep").mkdir()
+    with pytest.raises(CaptureError, match=r"sweep: holds no pictures; expected \.png"):
+        find_sources(tmp_path / "phone")
+    (tmp_path / "phone" / "sweep" / "IMG_1.HEIC").write_bytes(b"x")
+    with pytest.raises(CaptureError, match=r"IMG_1\.HEIC: \.HEIC is not read; convert it to \.jpg"):
+        find_sources(tmp_path / "phone")
+    videos(tmp_path / "twice", "cam.mp4", "cam.mov")
+    with pytest.raises(CaptureError, match="twice: camera cam is there twice"):
+        find_sources(tmp_path / "twice")
+
+
+@pytest.mark.parametrize(
+    "file",
+    [
+        "scene.json",
+        "transforms_train.json",
+        "transforms.json",
+        "000/transforms_train.json",
+        "sparse/0/images.bin",
+    ],
+)
+def test_a_dataset_is_said_to_be_one(tmp_path: Path, capsys: pytest.CaptureFixture[str], file: str) -> None:
+    path = tmp_path / "in it" / file
+    path.parent.mkdir(parents=True)
+    path.write_text("{}")
+    assert main(["sfm", str(tmp_path / "in it"), "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert (
+        error == f"tg4mm: {tmp_path}/in it: is a dataset already: tg4mm train '{tmp_path}/in it' --out RUN\n"
+    )
+
+
+class TestSuggestion:
+    def test_a_video_and_a_folder_of_photographs_get_a_command(self, tmp_path: Path) -> None:
+        videos(tmp_path / "my films", "cam.mp4")
+        fill(tmp_path / "photos", 4)
+        for path in (tmp_path / "my films" / "cam.mp4", tmp_path / "my films", tmp_path / "photos"):
+            command = suggested_command(path)
+            assert command is not None
+            words = shlex.split(command)
+            assert words[:4] == ["tg4mm", "sfm", str(path), "--out"]
+            assert not Path(words[4]).exists()
+
+    def test_training_on_them_says_the_command_in_one_line(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        videos(tmp_path / "my films", "cam.mp4")
+        fill(tmp_path / "photos", 4)
+        for path in (tmp_path / "my films" / "cam.mp4", tmp_path / "my films", tmp_path / "photos"):
+            assert main(["train", str(path), "--out", str(tmp_path / "run")]) == 2
+            error = capsys.readouterr().err
+            command = suggested_command(path)
+            assert error == f"tg4mm: {path}: is no dataset yet; make one with: {command}\n"
+            assert not (tmp_path / "run").exists()
+
+    def test_anything_else_gets_none(self, tmp_path: Path) -> None:
+        (tmp_path / "scene.json").write_text("{}")
+        (tmp_path / "a.txt").write_text("x")
+        for path in (tmp_path, tmp_path / "a.txt", tmp_path / "nowhere", str(tmp_path / "a.txt")):
+            assert suggested_command(path) is None
+
+
+def test_sizes_may_differ_only_where_intrinsics_do(tmp_path: Path) -> None:
+    fill(tmp_path, 2)
+    fill(tmp_path / "other", 1, (8, 6))
+    (tmp_path / "other" / "f_0.png").rename(tmp_path / "g.png")
+    photographs = find_sources_of(tmp_path)
+    check_sizes(photograph_shots(photographs, each=True))
+    with pytest.raises(CaptureError, match=r"g\.png: is 6×8 pixels, but .* is 8×6; .*--intrinsics each"):
+        check_sizes(photograph_shots(photographs, each=False))
+
+
+def find_sources_of(folder: Path):
+    """The photographs of a folder, whatever folders lie beside them."""
+    for path in folder.iterdir():
+        if path.is_dir():
+            path.rmdir()
+    photographs = find_sources(folder).photographs
+    assert photographs is not None
+    return photographs
+
+
+def test_transparent_pictures_are_staged_over_white_with_a_mask(tmp_path: Path) -> None:
+    from PIL import Image
+
+    half = PIXELS.copy()
+    half[:, :4, 3] = 0
+    for i in range(3):
+        save(tmp_path / "in" / f"{i}.png", half if i else PIXELS | 255, opaque=False)
+    taken = photograph_shots(find_sources_of(tmp_path / "in"), each=False)
+    masks = stage(taken, tmp_path / "work")
+    assert masks == tmp_path / "work" / "masks"
+    clear, solid = taken[1], taken[0]
+    mask = np.asarray(Image.open(masks / f"{staged_name(clear)}.png"))
+    assert (mask[:, :4].max(), mask[:, 4:].min()) == (0, 255)
+    picture = np.asarray(Image.open(tmp_path / "work" / "images" / staged_name(clear)))
+    assert picture.shape == (6, 8, 3)
+    assert (picture[:, :4] == 255).all()
+    assert not (masks / f"{staged_name(solid)}.png").exists()
+    assert (tmp_path / "work" / "images" / staged_name(solid)).read_bytes() == solid.path.read_bytes()
+
+
+def test_every_pair_or_a_sequence() -> None:
+    names = [f"{i:03d}" for i in range(100)]
+    assert len(picture_pairs(names[:6])) == 15
+    pairs = picture_pairs(names, sequence=100)
+    assert len(set(pairs)) == len(pairs)
+    steps = {int(b) - int(a) for a, b in pairs}
+    assert steps == {*range(1, OVERLAP + 1), 2 * OVERLAP, 4 * OVERLAP, 8 * OVERLAP}
+
+
+def test_a_sweep_beside_a_sequence_is_matched_with_all_of_its_own_and_some_frames() -> None:
+    names = [f"{i:03d}" for i in range(40)] + ["a", "b", "c"]
+    pairs = picture_pairs(names, sequence=40)
+    assert {pair for pair in pairs if "a" in pair} == {
+        ("a", "b"),
+        ("a", "c"),
+        *((f"{i:03d}", "a") for i in range(0, 40, EVERY)),
+    }

@@ -1,0 +1,209 @@
+"""Recordings that are frozen, or of which only a part can be used: found, and what to use instead."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+
+from tests.capture.sfm.videos import SIZE, cut_off, encoded, looked, spoil, still, texture, write_video
+from tg4mm.capture.sfm.frozen import runs
+from tg4mm.capture.sfm.spoilt import check_usable, is_fixed, warn_bumps, warn_clocks
+from tg4mm.capture.sfm.steadiness import find_bumps, find_knocks
+from tg4mm.cli import main
+from tg4mm.core.errors import CaptureError
+
+ENCODERS = {
+    "crf 18": ("libx264", {"gop": 12, "crf": "18"}),
+    "crf 26": ("libx264", {"gop": 12, "crf": "26"}),
+    "one key frame": ("libx264", {"gop": 250, "crf": "30"}),
+    "constant rate": ("libx264", {"b": "1000000", "maxrate": "1000000", "minrate": "1000000", "bufsize": "1000000"}),
+    "all intra": ("libx264", {"gop": 1, "crf": "23"}),
+    "MPEG-4": ("mpeg4", {"gop": 12, "b": "1000000"}),
+    "VP9": ("libvpx-vp9", {"crf": "31", "cpu_used": "5"}),
+}  # fmt: skip
+UNSURE = {  # too few key frames, and between them the picture creeps
+    "average rate": ("libx264", {"b": "300000"}),
+    "VP8": ("libvpx", {"b": "500000"}),
+    "VP8, live": ("libvpx", {"b": "500000", "deadline": "realtime", "lag_in_frames": "0"}),
+}
+BLACK = np.full((SIZE[1], SIZE[0], 3), 2, np.uint8)
+ELSEWHERE = [np.roll(frame[:, ::-1], 40, axis=0) for frame in still(40)]
+
+
+def times(frames: list[np.ndarray], start: int, stop: int) -> list[np.ndarray]:
+    return [*frames[:start], *[frames[start - 1]] * (stop - start), *frames[stop:]]
+
+
+class TestFrozen:
+    @pytest.mark.parametrize("name", ENCODERS)
+    def test_one_picture_is_found_whatever_the_codec_makes_of_it(self, tmp_path: Path, name: str) -> None:
+        codec, options = ENCODERS[name]
+        if codec not in av.codecs_available:
+            pytest.skip(f"no {codec}")
+        path = encoded(tmp_path / "a.mkv", [texture().astype(np.uint8)] * 60, codec, **options)
+        with pytest.raises(CaptureError, match=r"a\.mkv: is frozen: its 60 frames are one picture"):
+            looked(path)
+
+    @pytest.mark.parametrize("crf", [14, 30])
+    def test_of_few_frames_too(self, tmp_path: Path, crf: int) -> None:
+        frames = [texture().astype(np.uint8)] * 40
+        with pytest.raises(CaptureError, match=r"a\.mp4: is frozen: its 40 frames are one picture"):
+            looked(write_video(tmp_path / "a.mp4", frames, crf=crf))
+
+    @pytest.mark.parametrize("name", UNSURE)
+    def test_what_may_be_frozen_is_said(self, tmp_path: Path, name: str) -> None:
+        codec, options = UNSURE[name]
+        if codec not in av.codecs_available:
+            pytest.skip(f"no {codec}")
+        path = encoded(tmp_path / "a.mkv", [texture().astype(np.uint8)] * 60, codec, **options)
+        with pytest.warns(UserWarning, match=r"a\.mkv: hardly anything changes .* one frozen picture, or"):
+            looked(path)
+
+    def test_a_still_scene_of_few_frames_with_a_cameras_noise_is_not_frozen(self, tmp_path: Path) -> None:
+        assert is_fixed(looked(write_video(tmp_path / "a.mp4", still(20, noise=2), crf=18)))
+
+    @pytest.mark.parametrize("crf", [18, 23])
+    @pytest.mark.parametrize("noise", [1, 2])
+    def test_a_still_scene_with_a_sensors_noise_is_not_frozen(
+        self, tmp_path: Path, noise: int, crf: int
+    ) -> None:
+        assert is_fixed(looked(write_video(tmp_path / "a.mp4", still(60, noise=noise), crf=crf)))
+
+    def test_a_small_thing_that_moves_without_noise_is_not_frozen(self, tmp_path: Path) -> None:
+        from scipy.ndimage import shift
+
+        frames, thing = [], texture((40, 40), seed=9)
+        for t in range(60):
+            moved = shift(thing, (np.sin(2 * np.pi * 3.4 * t / 30), 0, 0), order=3, mode="nearest")
+            frames.append(texture().astype(np.uint8))
+            frames[-1][40:72, 60:92] = np.clip(moved[4:-4, 4:-4], 0, 255)
+        looked(write_video(tmp_path / "a.mp4", frames, crf=18))
+
+    def test_runs_near_each_other_are_one(self) -> None:
+        flags = np.array([0, 1, 1, 0, 1, 0, 0, 0, 1], bool)
+        assert runs(flags) == [(1, 3), (4, 5), (8, 9)]
+        assert runs(flags, 2) == [(1, 5), (8, 9)]
+        assert runs(np.zeros(3, bool)) == []
+
+
+SPOILT = {
+    "the end is black": (
+        [*still(60), *[BLACK] * 20],
+        "is black from 2.000 s to 2.633 s; take --until 2.000",
+    ),
+    "half is black": ([*[BLACK] * 40, *still(40)], "is black from 0.000 s to 1.300 s; take --from 1.333"),
+    "a cut": ([*still(40), *ELSEWHERE], "shows another picture from 1.333 s to 2.633 s; take --until 1.333"),
+    "something before the lens": (
+        [*still(30), *ELSEWHERE[:8], *still(42)],
+        "shows another picture from 1.000 s to 1.233 s; take --until 1.000 or --from 1.266",
+    ),
+    "two knocks": (
+        still(80, shifts=[0] * 25 + [5] * 25 + [-6] * 30),
+        "the camera was knocked at 0.833 s: the whole picture moves by 5.0 pixels; the camera was knocked at 1.666 s: "
+        "the whole picture moves by 11.0 pixels; take --until 0.833 or --from 0.833 --until 1.666 or --from 1.666",
+    ),
+    "the end is frozen": (
+        times(still(90), 60, 90),
+        "shows one frozen picture from 2.033 s to 2.966 s; take --until 2.033",
+    ),
+    "most is frozen": (
+        times(still(80), 20, 80),
+        "shows one frozen picture from 0.700 s to 2.633 s; take --until 0.700",
+    ),
+    "a few are left": ([*still(5), *[BLACK] * 20], "no part of it is long enough; record it again"),
+}  # fmt: skip
+
+
+class TestPartly:
+    @pytest.mark.parametrize("kind", [None, "flat"])
+    @pytest.mark.parametrize("name", SPOILT)
+    def test_the_part_to_use_is_named(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, kind: str | None
+    ) -> None:
+        frames, expected = SPOILT[name]
+        path = write_video(tmp_path / "a.mp4", frames)
+        options = [] if kind is None else ["--kind", kind]
+        assert main(["sfm", str(path), "--out", str(tmp_path / "out"), *options]) == 2
+        last = capsys.readouterr().err.splitlines()[-1]
+        assert last.startswith(f"tg4mm: {path}: ")
+        assert expected in last
+        advice = last.rpartition("take ")[2].split(" or ")[-1].split()
+        if "--" in last:
+            assert main(["sfm", str(path), "--out", str(tmp_path / "out2"), *options, *advice]) == 0
+
+    def test_a_bump_is_said_with_its_time(self, tmp_path: Path) -> None:
+        shifts = [0] * 30 + [6] * 3 + [0] * 27
+        survey = looked(write_video(tmp_path / "a.mp4", still(60, shifts=shifts)))
+        check_usable([survey], True)
+        with pytest.warns(
+            UserWarning, match=r"a\.mp4: the camera was bumped .* at 1\.000 s \(by 6\.\d pixels\)"
+        ):
+            warn_bumps([survey])
+
+    def test_trembling_vibration_knocks_and_drift_are_no_bumps(self) -> None:
+        at = np.arange(120) / 30
+        rng = np.random.default_rng(0)
+        for shifts in (
+            rng.normal(0, 0.5, 120),
+            4 * np.sin(2 * np.pi * 3.4 * at),
+            5.0 * (at > 2),
+            3 * at,
+        ):
+            assert find_bumps(np.stack([shifts, 0 * at], axis=1), at) == []
+
+    def test_a_camera_that_keeps_stepping_is_carried(self) -> None:
+        shifts = np.repeat(np.arange(12) * 5.0, 12)
+        knocks = find_knocks(np.stack([shifts, 0 * shifts], axis=1), np.arange(len(shifts)) / 30)
+        assert len(knocks) > 5
+
+    def test_another_rate_than_the_files_is_said(self, tmp_path: Path) -> None:
+        survey = looked(write_video(tmp_path / "a.mp4", still(12), 30))
+        with pytest.warns(
+            UserWarning, match=r"a\.mp4: the file says 30 frames per second, --fps 300: .* divided by 10"
+        ):
+            warn_clocks([survey], 300.0)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            warn_clocks([survey], 30.0)
+
+
+def _bad(name: str, path: Path) -> tuple[Path, str]:
+    """A bad recording and what is said of it."""
+    if name == "no video":
+        path.write_bytes(b"nothing of a video" * 50)
+        return path, "is not a video that can be decoded"
+    if name == "cut off":
+        return cut_off(write_video(path, still(60)), 0.5), "is damaged or cut off: decoding stops at"
+    if name == "spoilt":
+        return spoil(write_video(path, still(60)), 0.5), "is damaged or cut off: decoding stops at"
+    if name == "no overlap":
+        rng = np.random.default_rng(0)
+        frames = [rng.integers(0, 255, (120, 160, 3), np.uint8).astype(np.uint8) for _ in range(12)]
+        return write_video(path, frames), "taken for a moving camera as"
+    frames, said = {
+        "black": ([BLACK] * 20, "is black: its brightest"),
+        "frozen": ([texture().astype(np.uint8)] * 20, "is frozen: its 20 frames"),
+        "knocked": (still(60, shifts=[0] * 30 + [5] * 30), "knocked at 1.000 s"),
+        "five frames": (still(5), "holds 5 frames, too few to show motion; at least 6"),
+        "one frame": (still(1), "holds 1 frames, at least 2"),
+    }[name]
+    return write_video(path, frames), said
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["no video", "cut off", "spoilt", "black", "frozen", "knocked", "five frames", "one frame", "no overlap"],
+)
+def test_a_bad_recording_is_one_line_and_nothing_else(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    path, said = _bad(name, tmp_path / "a.mp4")
+    assert main(["sfm", str(path), "--out", str(tmp_path / "out")]) == 2
+    errors = [line for line in capsys.readouterr().err.splitlines() if line.startswith("tg4mm: ")]
+    assert len(errors) == 1
+    assert said in errors[0]
+    assert not (tmp_path / "out" / "scene.json").exists()

@@ -1,0 +1,224 @@
+"""One look through a recording: what its camera does, and what is wrong with it."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.capture.sfm.scenes import save
+from tests.capture.sfm.videos import SIZE, looked, still, texture, write_video
+from tg4mm.capture.sfm import survey as module
+from tg4mm.capture.sfm.clip import Clip, Window
+from tg4mm.capture.sfm.kind import told_kind
+from tg4mm.capture.sfm.sources import Sources
+from tg4mm.capture.sfm.spoilt import check_usable, warn_clocks
+from tg4mm.capture.sfm.steadiness import ShiftMeter, find_knocks, reduced, stays
+from tg4mm.core.errors import CaptureError
+
+
+class TestShift:
+    @pytest.mark.parametrize("shift", [(0.0, 0.0), (0.3, -0.2), (5.4, 3.0), (-17.0, 8.5)])
+    def test_a_shifted_picture_is_found_to_a_tenth_of_a_pixel(self, shift: tuple[float, float]) -> None:
+        from scipy.ndimage import shift as moved
+
+        picture = texture((256, 192))[..., 1].astype(np.float32)
+        other = moved(picture, shift[::-1], order=3, mode="nearest").astype(np.float32)
+        found = ShiftMeter(picture).shift(other)
+        np.testing.assert_allclose(found, shift, atol=0.1)
+
+    def test_a_change_of_exposure_is_no_shift(self) -> None:
+        picture = texture((256, 192))[..., 1].astype(np.float32)
+        np.testing.assert_allclose(ShiftMeter(picture).shift(1.2 * picture + 10), (0, 0), atol=0.01)
+
+    def test_a_thing_that_moves_before_the_camera_is_no_shift_of_it(self) -> None:
+        picture = texture((256, 192))[..., 1].astype(np.float32)
+        other = picture.copy()
+        other[40:120, 60:140] = picture[40:120, 57:137]
+        np.testing.assert_allclose(ShiftMeter(picture).shift(other), (0, 0), atol=0.05)
+
+    def test_another_picture_has_no_shift(self) -> None:
+        first, other = (texture((256, 192), seed)[..., 1].astype(np.float32) for seed in (0, 5))
+        assert np.isnan(ShiftMeter(first).shift(other)).all()
+
+    def test_reduction_averages(self) -> None:
+        grey = np.arange(900 * 1203, dtype=np.float32).reshape(900, 1203) % 7
+        small, k = reduced(grey)
+        assert (k, small.shape) == (4, (225, 300))
+        assert small[0, 0] == grey[:4, :4].mean()
+
+
+class TestKnock:
+    times_s = np.arange(120) / 30
+
+    def shifts(self, at: int | None = None, by: float = 3.0) -> np.ndarray:
+        """A camera that trembles by a tenth of a pixel, and is knocked before frame `at`."""
+        shifts = np.random.default_rng(0).normal(0, 0.1, (120, 2))
+        if at is not None:
+            shifts[at:] += [0.6 * by, -0.8 * by]
+        return shifts
+
+    @pytest.mark.parametrize("at", [8, 60, 61, 110])
+    @pytest.mark.parametrize("by", [1.0, 3.0, 40.0])
+    def test_a_step_is_found_with_its_frame_and_length(self, at: int, by: float) -> None:
+        (knock,) = find_knocks(self.shifts(at, by), self.times_s)
+        assert (knock.frame, knock.time_s) == (at, at / 30)
+        assert knock.shift_px == pytest.approx(by, abs=0.2)
+
+    def test_trembling_vibration_and_drift_are_none(self) -> None:
+        assert find_knocks(self.shifts(), self.times_s) == []
+        swing = np.stack([2 * np.sin(2 * np.pi * 3.4 * self.times_s), 0 * self.times_s], axis=1)
+        assert find_knocks(swing, self.times_s) == []
+        drift = np.stack([3 * self.times_s, 0 * self.times_s], axis=1)
+        assert find_knocks(drift, self.times_s) == []
+
+    def test_who_stays(self) -> None:
+        assert stays(self.shifts(), 1000)
+        walk = np.stack([20 * self.times_s, 0 * self.times_s], axis=1)
+        assert not stays(walk, 1000)
+        assert not stays(np.full((120, 2), np.nan), 1000)
+
+
+class TestFaults:
+    def test_black(self, tmp_path: Path) -> None:
+        frames = [np.full((SIZE[1], SIZE[0], 3), 3, np.uint8)] * 10
+        with pytest.raises(CaptureError, match=r"a\.mp4: is black: its brightest pixels reach \d+ of 255"):
+            looked(write_video(tmp_path / "a.mp4", frames))
+
+    def test_too_short(self, tmp_path: Path) -> None:
+        path = write_video(tmp_path / "a.mp4", still(30))
+        with pytest.raises(CaptureError, match=r"holds 1 frames from 0\.5 s to 0\.51 s, at least 2"):
+            looked(path, Window(0.5, 0.51))
+
+    def test_a_knocked_camera_names_the_second_and_what_to_type(self, tmp_path: Path) -> None:
+        frames = still(60, shifts=[0] * 37 + [4] * 23)
+        path = write_video(tmp_path / "a.mp4", frames)
+        with pytest.raises(CaptureError) as caught:
+            check_usable([looked(path)], True)
+        message = str(caught.value)
+        assert "a.mp4: the camera was knocked at 1.233 s: the whole picture moves by 4." in message
+        assert message.endswith("take --until 1.233 or --from 1.233")
+        for part in (Window(0, 1.233), Window(1.233)):
+            survey = looked(path.rename(tmp_path / f"{part.start_s}.mp4"), part)
+            path = survey.path
+            check_usable([survey], True)
+            assert len(survey) == (37 if part.start_s == 0 else 23)
+
+    def test_a_camera_that_moves_is_not_fixed(self, tmp_path: Path) -> None:
+        survey = looked(write_video(tmp_path / "a.mp4", still(40, shifts=list(range(40)))))
+        with pytest.raises(
+            CaptureError, match=r"a\.mp4: is no fixed camera: its picture moves by (1|2)\d pixels"
+        ):
+            check_usable([survey], True)
+
+    def test_a_varying_rate_is_said(self, tmp_path: Path) -> None:
+        path = write_video(tmp_path / "a.mp4", still(12), 30, times=[0, 1, 2, 3, 5, 6, 7, 8, 9, 12, 13, 14])
+        with pytest.warns(
+            UserWarning, match=r"a\.mp4: the frame rate varies, with steps of 33\.3 to 100\.0 ms"
+        ):
+            warn_clocks([looked(path)], None)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            warn_clocks([looked(write_video(tmp_path / "b.mp4", still(12), 30))], None)
+
+
+class TestSurvey:
+    def test_the_mean_is_that_of_all_frames(self, tmp_path: Path) -> None:
+        survey = looked(write_video(tmp_path / "a.mp4", still(30, noise=12), crf=5))
+        mean = np.asarray(Image.open(survey.mean)).astype(float)
+        true = np.mean(still(1, noise=0), axis=0)
+        single = np.abs(still(1, noise=12)[0] - true).mean()
+        assert np.abs(mean - true).mean() < 0.6 * single
+
+    def test_transparent_frames_have_a_transparent_mean_of_their_own_colour(self, tmp_path: Path) -> None:
+        for i in range(3):
+            pixels = np.full((40, 60, 4), (200, 100 + 10 * i, 50, 255), np.uint8)
+            pixels[:, :30] = (0, 0, 0, 0)
+            pixels[::4, 30:, :3] = 30 * i
+            save(tmp_path / "cam" / f"{i}.png", pixels, opaque=False)
+        mean = np.asarray(Image.open(looked(tmp_path / "cam").mean))
+        assert (mean[:, :30, 3] == 0).all()
+        assert (mean[:, 30:, 3] == 255).all()
+        np.testing.assert_allclose(mean[1, 45], (200, 110, 50, 255), atol=1)
+
+    def test_the_clock_is_the_containers_or_what_was_filmed_at(self, tmp_path: Path) -> None:
+        survey = looked(write_video(tmp_path / "a.mp4", still(12), 30))
+        fps, times_s = survey.clock()
+        assert fps == 30.0
+        np.testing.assert_allclose(times_s, np.arange(12) / 30)
+        fps, times_s = survey.clock(240.0)  # slow motion, played at 30
+        assert fps == 240.0
+        np.testing.assert_allclose(times_s, np.arange(12) / 240)
+
+    def test_a_folder_has_no_clock_but_the_one_given(self, tmp_path: Path) -> None:
+        for i, frame in enumerate(still(4)):
+            save(tmp_path / "cam" / f"{i}.png", np.dstack([frame, np.full(frame.shape[:2], 255, np.uint8)]))
+        survey = looked(tmp_path / "cam")
+        with pytest.raises(CaptureError, match="--fps is missing: the pictures of cam need"):
+            survey.clock()
+        assert survey.clock(50.0)[1].tolist() == [0, 0.02, 0.04, 0.06]
+
+    def test_frames_of_two_sizes_are_refused(self, tmp_path: Path) -> None:
+        for i, shape in enumerate([(40, 60), (40, 60), (30, 60)]):
+            save(tmp_path / "cam" / f"{i}.png", np.full((*shape, 4), 90 + i, np.uint8))
+        with pytest.raises(CaptureError, match=r"2\.png: frame 2 is 60×30 pixels, the first is 60×40"):
+            looked(tmp_path / "cam")
+
+    def test_a_look_is_taken_once(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        path = write_video(tmp_path / "a.mp4", still(12, noise=9))
+        first = looked(path)
+        monkeypatch.setattr(module, "clip_frames", None)
+        again = looked(path)
+        assert (again.fps, again.times, again.size, again.mean) == (
+            first.fps,
+            first.times,
+            first.size,
+            first.mean,
+        )
+        np.testing.assert_array_equal(again.shifts_px, first.shifts_px)
+
+
+class TestKind:
+    def kind(self, tmp_path: Path, sweep: bool, **videos: dict) -> tuple[str, str]:
+        clips, surveys = [], []
+        for name, options in videos.items():
+            path = write_video(tmp_path / f"{name}.mp4", **options)
+            clips.append(Clip(name, path))
+            surveys.append(looked(path))
+        sources = Sources(tmp_path, clips=tuple(clips), sweep=Clip("sweep", tmp_path) if sweep else None)
+        kind = told_kind(sources, surveys, None)
+        assert told_kind(sources, surveys, "clips").name == "clips"
+        return kind.name, kind.reason
+
+    def test_one_recording_is_told_by_how_its_camera_moves(self, tmp_path: Path) -> None:
+        put = {"frames": still(20)}
+        walked = {"frames": still(40, shifts=list(range(40)))}
+        assert self.kind(tmp_path, False, a=put) == ("flat", "holds one recording; the camera stays put")
+        assert self.kind(tmp_path, True, b=put)[0] == "tripod"
+        assert self.kind(tmp_path, False, c=walked) == ("handheld", "holds one recording; the camera moves")
+
+    def test_a_knocked_camera_is_a_fixed_one_all_the_same(self, tmp_path: Path) -> None:
+        knocked = {"frames": still(40, shifts=[0] * 20 + [9] * 20)}
+        assert self.kind(tmp_path, False, a=knocked)[0] == "flat"
+
+    def test_several_are_a_rig_and_clips_are_named(self, tmp_path: Path) -> None:
+        put = {"frames": still(20)}
+        name, reason = self.kind(tmp_path, False, a=put, b=put)
+        assert (name, "--kind clips" in reason) == ("rig", True)
+
+    def test_recordings_begun_after_each_others_end_are_clips(self, tmp_path: Path) -> None:
+        a = {"frames": still(20), "created": "2026-05-01T10:00:00Z"}
+        b = {"frames": still(20), "created": "2026-05-01T10:00:40Z"}
+        name, reason = self.kind(tmp_path, False, a=a, b=b)
+        assert (name, "--kind rig" in reason) == ("clips", True)
+        assert self.kind(tmp_path, False, c=a, d=a)[0] == "rig"
+
+
+@pytest.mark.parametrize(("between", "period"), [(3, 4), (1, 2), (0, None)])
+def test_the_period_of_the_compression_is_known(tmp_path: Path, between: int, period: int | None) -> None:
+    path = write_video(tmp_path / "cam.mp4", still(25), between=between)
+    assert looked(path).codec_period == period
+    assert looked(path).codec_period == period  # as it was kept

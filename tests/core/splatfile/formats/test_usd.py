@@ -1,0 +1,104 @@
+"""A USD stage holds the splat at every timestep: read back by OpenUSD's generic interface, passed by its validators."""
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pxr import Usd, UsdGeom, UsdValidation
+
+from tests.core.splatfile.formats.conftest import angles, turned
+from tg4mm.core.errors import SplatFileError
+from tg4mm.core.splatfile import SplatFile, positions_at, rotations_at
+from tg4mm.show.export.usd import write_usd
+
+ROWS = {  # attribute → field, and how many rows a Gaussian has
+    "positions": ("means", 1),
+    "scales": ("scales", 1),
+    "opacities": ("opacities", 1),
+    "radiance:sphericalHarmonicsCoefficients": ("sh", 16),
+}
+
+
+def moments(splat: SplatFile, timesteps):
+    for t in timesteps:
+        means, quats = positions_at(splat, t).astype(np.float32), rotations_at(splat, t).astype(np.float32)
+        one = SplatFile.static(means, quats, splat.scales, splat.opacities, splat.sh, splat.unit_scale_m)
+        yield t, one
+
+
+def values(prim, name: str, t: float) -> np.ndarray:
+    return np.array(prim.GetAttribute(name).Get(t))
+
+
+@pytest.mark.parametrize("suffix", ["usdc", "usda"])
+def test_every_timestep_is_there(splat, tmp_path, suffix):
+    path = tmp_path / f"a.{suffix}"
+    frames = list(moments(splat, range(5)))
+    write_usd(path, frames, splat.fps)
+    stage = Usd.Stage.Open(str(path))
+    prim = stage.GetDefaultPrim()
+    assert prim.GetTypeName() == "ParticleField3DGaussianSplat"
+    assert (stage.GetTimeCodesPerSecond(), stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (30, 0, 4)
+    assert (UsdGeom.GetStageUpAxis(stage), UsdGeom.GetStageMetersPerUnit(stage)) == ("Z", 0.5)
+    assert prim.GetAttribute("radiance:sphericalHarmonicsDegree").Get() == 3
+    for t, one in frames:
+        for name, (field, rows) in ROWS.items():
+            want = getattr(one, field).reshape(len(one) * rows, -1)
+            np.testing.assert_array_equal(values(prim, name, t).reshape(want.shape), want, err_msg=name)
+        quats = [(q.real, *q.imaginary) for q in prim.GetAttribute("orientations").Get(t)]
+        assert angles(np.array(quats), turned(one)).max() < 0.1
+    assert prim.GetAttribute("scales").GetNumTimeSamples() == 0  # what does not change is there once
+    low, high = values(prim, "extent", 0)
+    for _, one in frames:
+        assert (one.means >= low).all()
+        assert (one.means <= high).all()
+
+
+def test_what_changes_late_is_still_until_then(splat, tmp_path):
+    frames = [(t, one) for t, one in moments(splat, range(6))]
+    frames[4:] = [(t, replace(one, opacities=one.opacities / 2)) for t, one in frames[4:]]
+    write_usd(tmp_path / "a.usdc", frames, 30.0)
+    stage = Usd.Stage.Open(str(tmp_path / "a.usdc"))
+    prim = stage.GetDefaultPrim()
+    for t, one in frames:
+        np.testing.assert_array_equal(values(prim, "opacities", t), one.opacities)
+    np.testing.assert_array_equal(values(prim, "opacities", 2.5), frames[0][1].opacities)
+
+
+def test_one_moment_has_no_time(splat, tmp_path):
+    write_usd(tmp_path / "a.usdc", moments(splat, [3]), 30.0)
+    stage = Usd.Stage.Open(str(tmp_path / "a.usdc"))
+    assert not stage.HasAuthoredTimeCodeRange()
+    assert not any(a.GetNumTimeSamples() for a in stage.GetDefaultPrim().GetAttributes())
+
+
+def test_openusd_validators_find_nothing(splat, tmp_path):
+    write_usd(tmp_path / "a.usdc", moments(splat, range(3)), 30.0)
+    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    context = UsdValidation.ValidationContext(validators)
+    stage = Usd.Stage.Open(str(tmp_path / "a.usdc"))
+    assert [str(error.GetMessage()) for error in context.Validate(stage)] == []
+    stage.ClearMetadata("metersPerUnit")
+    assert context.Validate(stage)
+
+
+def test_a_folder_that_is_not_there_is_said(splat, tmp_path):
+    with pytest.raises(SplatFileError, match=r"a\.usdc: cannot be written: No such file or directory"):
+        write_usd(tmp_path / "none" / "a.usdc", moments(splat, [0]), 30.0)
+
+
+def test_an_error_on_the_way_leaves_nothing(splat, tmp_path):
+    def broken():
+        yield from moments(splat, [0])
+        raise SplatFileError("no more")
+
+    with pytest.raises(SplatFileError, match=r"a\.usdc: no more"):
+        write_usd(tmp_path / "a.usdc", broken(), 30.0)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_openusd_it_says_what_to_install(splat, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pxr", None)
+    with pytest.raises(SplatFileError, match=r"pip install '\.\[usd\]'"):
+        write_usd(tmp_path / "a.usdc", moments(splat, [0]), 30.0)

@@ -1,0 +1,307 @@
+"""Changes of colour: how pictures answer to them, that noise is none, and that they are limited."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from tests.fit.motion.scenes import SCENES, camera_of, gaussians_of
+from tests.fit.rasterize.oracle import assert_close, make_scene
+from tests.helpers.motion_animate import FREQS, gaussians, motion
+from tests.helpers.motion_appearance import N, appearance, change_of
+from tests.helpers.synthetic import make_synthetic_dataset
+from tg4mm.capture import load_capture, load_images
+from tg4mm.core.magnification import BandGain, Magnification
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.magnify.linear import magnified_motion
+from tg4mm.fit.motion import MotionConfig
+from tg4mm.fit.motion.animate import _animate_on_device, _fields_on, animate
+from tg4mm.fit.motion.appearance import AppearanceFit, MotionResidual
+from tg4mm.fit.motion.appearance_problem import HARMONIC, AppearanceProblem, AppearanceView, appearance_views
+from tg4mm.fit.motion.jacobian.packed import DOF
+from tg4mm.fit.motion.jacobian.view import ALPHA_MIN_LINEAR, view_jacobian
+from tg4mm.fit.motion.modes import LIMIT, AppearanceModes, ModalMotion, apply_appearance
+from tg4mm.fit.motion.observations import fixed_cameras
+from tg4mm.fit.motion.prior.graph import build_graph
+from tg4mm.fit.motion.solver.operator import Fold
+from tg4mm.fit.motion.solver.problem import Problem
+from tg4mm.fit.motion.spectrum import modes_of
+from tg4mm.fit.rasterize import reference
+from tg4mm.fit.rasterize.buffers import Buffers
+from tg4mm.fit.rasterize.reference import rasterize_dense
+from tg4mm.research.evaluate.resume import fingerprint
+from tg4mm.research.evaluate.scores import Method, Scorer
+
+
+def view_of_colours(name: str, tilts: bool, mean: float = 20.0) -> AppearanceView:
+    """Of Gaussians whose first coefficient is `mean` in all channels."""
+    scene = SCENES[name]
+    camera = camera_of(scene)
+    sh = torch.zeros_like(gaussians_of(scene).sh)
+    sh[:, 0] = mean
+    view = view_jacobian(replace(gaussians_of(scene), sh=sh), camera, (scene.width, scene.height))
+    return appearance_views([view], [camera], scene.means.float().numpy(), tilts)[0]
+
+
+@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("tilts", [True, False])
+def test_a_change_shows_as_spherical_harmonics_do(
+    name: str, tilts: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Against the dense twin in float64. Colours far above 0, where they are not clamped."""
+    monkeypatch.setattr(reference, "ALPHA_MIN", ALPHA_MIN_LINEAR)
+    scene = SCENES[name]
+    change = 0.1 * change_of(len(scene.means), tilts=tilts)
+    pictures = []
+    for sign in (1, -1):
+        sh = torch.zeros_like(scene.colors)
+        sh[:, 0] = 20
+        sh[:, : change.shape[2]] += sign * torch.from_numpy(change[0]).double() / HARMONIC
+        pictures.append(
+            rasterize_dense(
+                scene.means, scene.quats, scene.scales, scene.opacities, sh, scene.viewmats[0], scene.Ks[0],
+                scene.width, scene.height,
+            )[0]
+        )  # fmt: skip
+    shown = view_of_colours(name, tilts).jvp(change, Buffers())[0]
+    assert_close("picture", torch.from_numpy(shown.copy()), (pictures[0] - pictures[1]) / 2, 2e-4)
+
+
+def test_a_colour_below_zero_does_not_answer() -> None:
+    """It is clamped, so that no small change of it shows."""
+    name = next(iter(SCENES))
+    change = change_of(len(SCENES[name].means))
+    assert np.abs(view_of_colours(name, True).jvp(change, Buffers())).max() > 0.1
+    dark = view_of_colours(name, True, mean=-20.0)
+    assert not dark.jvp(change, Buffers()).any()
+    out = np.zeros_like(change)
+    dark.vjp(np.ones((1, *dark.view.transmittance.shape, 3), np.float32), out, Buffers())
+    assert not out.any()
+
+
+@pytest.mark.parametrize("tilts", [True, False])
+def test_the_vjp_is_the_transpose_and_the_product_both(tilts: bool) -> None:
+    view, rng = view_of_colours("crowded", tilts), np.random.default_rng(1)
+    x = change_of(120, 2, tilts)
+    shown = view.jvp(x, Buffers()).copy()
+    pictures = rng.normal(size=shown.shape).astype(np.float32)
+    gathered = np.zeros_like(x)
+    view.vjp(pictures, gathered, Buffers())
+    assert (shown * pictures).sum() == pytest.approx((x * gathered).sum(), rel=1e-3)
+    weights = rng.uniform(0.2, 1, shown.shape[1:3]).astype(np.float32)
+    both, expected = np.zeros_like(x), np.zeros_like(x)
+    view.gauss_newton_product(x, weights, both, Buffers())
+    view.vjp(shown * weights[..., None], expected, Buffers())
+    np.testing.assert_allclose(both, expected, atol=1e-4 * np.abs(expected).max())
+
+
+class Lab:
+    """Eight cameras around the synthetic scene, and two components: the images of each are made up."""
+
+    def __init__(self, root: Path) -> None:
+        self.gaussians, _ = make_synthetic_dataset(
+            root, n_views=8, n_timesteps=2, size=48, alphas=(), n_test=0
+        )
+        self.means = self.gaussians.means.numpy()
+        self.cameras = fixed_cameras(load_capture(root))
+        self.views = [view_jacobian(self.gaussians, camera, (48, 48)) for camera in self.cameras]
+        axes = np.tile(np.eye(3), (len(self.means), 1, 1))
+        self.graph = build_graph(self.means, axes, self.gaussians.scales.numpy())
+        self.colours = appearance_views(self.views, self.cameras, self.means, True)
+        self.shapes = np.zeros((2, len(self.means), DOF), np.float32)
+        self.shapes[0, :, 1] = 0.003
+
+    def fitted(
+        self, pictures: np.ndarray, shapes: np.ndarray | None = None, rows: tuple[int, ...] = (0, 1)
+    ) -> tuple[np.ndarray, np.ndarray]:
+        problem = AppearanceProblem.of(self.colours, None, self.graph)
+        folds = [Fold(np.arange(0, 8, 2)), Fold(np.arange(1, 8, 2))]
+        shapes = self.shapes if shapes is None else shapes
+        motion = Problem.of(self.views, self.gaussians, MotionConfig(), "cpu")
+        residual = MotionResidual(motion, pictures, np.array(rows, np.int64), shapes[list(rows)])
+        return AppearanceFit(problem, folds, self.graph.knn).fitted(residual)
+
+    def shown(self, x: np.ndarray, shapes: np.ndarray) -> np.ndarray:
+        both = zip(self.views, self.colours, strict=True)
+        return np.stack([view.jvp(shapes) + colours.jvp(x, Buffers()) for view, colours in both])
+
+    def patch(self) -> np.ndarray:
+        """[2, N, 4, 3]: a shadow on the floor in the first component, that looks darker from one side."""
+        x = np.zeros((2, len(self.means), 4, 3), np.float32)
+        size = 0.02 * np.exp(-8 * ((self.means - [0.3, -0.5, 0.0]) ** 2).sum(1))
+        x[0, :, 0] = -size[:, None]
+        x[0, :, 3] = 0.4 * size[:, None]
+        return x
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Lab:
+    return Lab(tmp_path_factory.mktemp("light") / "data")
+
+
+def noise(lab: Lab, size: float) -> np.ndarray:
+    rng = np.random.default_rng(3)
+    return (size * rng.normal(size=(8, 2, 48, 48, 3))).astype(np.float32)
+
+
+def test_a_change_of_colour_is_told_from_motion_and_noise(lab: Lab) -> None:
+    """Noise of a tenth of the patch's peak in every pixel; only the first component holds a change."""
+    x = lab.patch()
+    pictures = lab.shown(x, lab.shapes) + noise(lab, 0.002)
+    found, gains = lab.fitted(pictures)
+    assert gains[0] > 0.8
+    assert gains[1] == 0
+    assert not found[1].any()
+    # what the cameras see of it: all are above, so they cannot tell the colour's mean from its tilt along z
+    off = lab.shown(found * np.float32(HARMONIC), lab.shapes) - lab.shown(x, lab.shapes)
+    assert np.linalg.norm(off[:, 0]) < 0.3 * np.linalg.norm(lab.shown(x, 0 * lab.shapes)[:, 0])
+    far = np.linalg.norm(lab.means - [0.3, -0.5, 0.0], axis=1) > 1
+    assert np.abs(found[0][far]).max() < 0.1 * np.abs(found[0]).max()
+
+
+@pytest.mark.parametrize("rows", [(), (1,), (0,)])
+def test_a_component_that_is_not_fitted_changes_no_other(lab: Lab, rows: tuple[int, ...]) -> None:
+    x = lab.patch()
+    x[1] = -x[0, ::-1]  # elsewhere
+    pictures = lab.shown(x, lab.shapes) + noise(lab, 0.002)
+    whole, all_gains = lab.fitted(pictures)
+    assert (all_gains > 0.5).all()
+    found, gains = lab.fitted(pictures, rows=rows)
+    assert len(found) == len(gains) == len(rows)
+    for i, k in enumerate(rows):
+        np.testing.assert_allclose(gains[i], all_gains[k], rtol=1e-4)
+        np.testing.assert_allclose(found[i], whole[k], atol=1e-4 * np.abs(whole[k]).max())
+
+
+def test_noise_alone_has_none(lab: Lab) -> None:
+    found, gains = lab.fitted(lab.shown(0 * lab.patch(), lab.shapes) + noise(lab, 0.01))
+    assert not gains.any()
+    assert not found.any()
+
+
+def test_nothing_left_has_none(lab: Lab) -> None:
+    found, gains = lab.fitted(lab.shown(0 * lab.patch(), lab.shapes))
+    assert not gains.any()
+    assert not found.any()
+
+
+def test_components_beyond_those_of_one_pass_are_found_alike(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pictures = lab.shown(lab.patch(), lab.shapes) + noise(lab, 0.002)
+    together = lab.fitted(pictures)
+    monkeypatch.setattr("tg4mm.fit.motion.appearance._TOGETHER", 1)
+    for a, b in zip(lab.fitted(pictures), together, strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-5)
+
+
+def change_at(m: ModalMotion, t: float, alpha: float, band: tuple[float, float] | None = None) -> np.ndarray:
+    g = gaussians()
+    return (animate(g, m, t, alpha, band).sh - g.sh).numpy()
+
+
+def by_hand(own: AppearanceModes, t: float, factors: list[float]) -> np.ndarray:
+    turn = np.exp(2j * np.pi * FREQS * t / 30) * factors
+    return np.einsum("r,rnkc->nkc", (turn @ own.series).real, own.shapes)
+
+
+@pytest.mark.parametrize("t", [0, 7, 12.5])
+@pytest.mark.parametrize(("alpha", "factor"), [(0.0, 1), (5.0, 6), (-1.0, 0)])
+def test_a_band_magnifies_it_as_it_does_motion(t: float, alpha: float, factor: float) -> None:
+    m = replace(motion(), appearance=appearance())
+    off = change_at(m, t, alpha, (4.0, 6.0)) - by_hand(m.appearance, t, [1, factor, 1])
+    assert np.linalg.norm(off) < 0.02 * np.linalg.norm(by_hand(m.appearance, t, [0, 1, 0]))
+
+
+def test_magnified_it_has_a_limit_and_keeps_its_direction() -> None:
+    m = replace(motion(), appearance=appearance(0.1))
+    change, plain = change_at(m, 3, 1e6), by_hand(m.appearance, 3, [1e6 + 1] * 3)
+    sizes = np.linalg.norm(change.reshape(N, -1), axis=1) * HARMONIC
+    np.testing.assert_allclose(sizes, LIMIT, rtol=1e-4)
+    cosine = (change * plain).sum((1, 2)) / np.linalg.norm(plain.reshape(N, -1), axis=1) * HARMONIC / LIMIT
+    np.testing.assert_allclose(cosine, 1, rtol=1e-4)
+
+
+def test_half_the_limit_is_hardly_drawn_in_and_nothing_stays_nothing() -> None:
+    shapes = torch.zeros(1, 2, 1, 3)
+    shapes[0, 0, 0, 0] = LIMIT / 2 / HARMONIC
+    out = apply_appearance(torch.zeros(2, 4, 3), shapes, torch.ones(1))
+    assert out[0, 0, 0].item() * HARMONIC == pytest.approx(LIMIT * np.tanh(0.5), rel=1e-5)
+    out[0, 0, 0] = 0
+    assert not out.any()
+
+
+def test_a_mode_of_appearance_alone_is_a_state_of_its_own() -> None:
+    """What `tg4mm evaluate` renders once must not differ."""
+    still = motion(size=0.0)
+    assert Method("ours", still).state(3, 5.0) == ()
+    bright = Method("ours", replace(still, appearance=appearance()))
+    assert bright.state(3, 5.0) != bright.state(4, 5.0)
+
+
+def test_the_linear_method_magnifies_it_too() -> None:
+    m = replace(motion(), appearance=appearance())
+    plan = Magnification(bands=(BandGain(4.0, 6.0, 5.0),), method="linear")
+    both = magnified_motion(m, plan)
+    for t in (0, 7):
+        plain = by_hand(m.appearance, t, [1, 1, 1])
+        grown = by_hand(m.appearance, t, [1, 6, 1]) - plain
+        off = change_at(both, t, 0.0) - plain - grown
+        assert np.linalg.norm(off) < 0.25 * np.linalg.norm(grown)  # the filter is no ideal one
+
+
+def test_on_a_device_it_is_alike() -> None:
+    """The phasors' way through a matrix product, here on the CPU."""
+    m, g = replace(motion(), appearance=appearance(0.01)), gaussians()
+    assert m.appearance is not None
+    shapes = torch.from_numpy(m.appearance.shapes)
+    fields, series = _fields_on(torch.device("cpu"), m, few=False)
+    found = _animate_on_device(g, m, fields, series, shapes, 2.5, 20.0, (4.0, 6.0))
+    expected = animate(g, m, 2.5, 20.0, (4.0, 6.0))
+    assert not torch.allclose(expected.sh, g.sh, atol=0.01)
+    torch.testing.assert_close(found.sh, expected.sh, rtol=0, atol=1e-6)
+
+
+def test_modes_are_taken_out_with_their_appearance() -> None:
+    m = replace(motion(), appearance=appearance())
+    less = m.selected(np.array([False, True, False]))
+    np.testing.assert_allclose(change_at(less, 7, 0.0), by_hand(m.appearance, 7, [0, 1, 0]), atol=2e-4)
+
+
+def test_gaussians_of_one_colour_get_no_tilt() -> None:
+    scene = make_scene(0)
+    g = gaussians_of(scene)
+    plain = Gaussians(g.means, g.quats, g.scales, g.opacities, g.sh[:, :1].contiguous())
+    out = apply_appearance(plain.sh, torch.from_numpy(change_of(len(plain), 2, tilts=False)), torch.ones(2))
+    assert out.shape == plain.sh.shape
+
+
+def test_in_a_long_capture_it_keeps_the_frequency_that_hardly_moves() -> None:
+    """Of more than 64 timesteps weak bins are residual out; a component weak in motion may hold all the colour."""
+    t = np.arange(100) / 100
+    basis = np.sqrt(2 / 100) * np.stack([np.sin(2 * np.pi * 5 * t), np.sin(2 * np.pi * 9 * t)])
+    shapes = np.random.default_rng(0).normal(size=(2, 20, 6)).astype(np.float32)
+    shapes[1] *= 1e-3
+    shown = change_of(20, 2)
+    shown[0] = 0
+    without, _ = modes_of(basis, shapes, 100.0)
+    freqs, series = modes_of(basis, shapes, 100.0, shown)
+    np.testing.assert_allclose(without, [5.0])
+    np.testing.assert_allclose(freqs, [5.0, 9.0])
+    np.testing.assert_allclose(np.abs(series), np.sqrt(2 / 100) * np.eye(2), atol=1e-9)
+
+
+def test_a_resumed_evaluation_tells_it_apart(tmp_path: Path) -> None:
+    """Displacement is the same with and without, and with more of it."""
+    g, _ = make_synthetic_dataset(tmp_path / "data", n_views=1, n_timesteps=2, size=16, n_test=1)
+    capture = load_capture(tmp_path / "data", "test")
+    images, scorer = load_images(capture), Scorer(g, {})
+    found = set()
+    for own in (None, appearance(), appearance(2e-3)):
+        method = Method("ours", replace(motion(), appearance=own), None)
+        found.add(fingerprint(scorer, [method], capture, images, 5.0))
+    assert len(found) == 3

@@ -1,0 +1,169 @@
+"""What is found out before the fit: components of noise, weights of pixels, and the smoothness weight."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.fit.motion.scenes import gaussians_of, view_of
+from tests.fit.rasterize.oracle import make_scene
+from tg4mm.fit.motion.config import MotionConfig
+from tg4mm.fit.motion.hyperparameters import (
+    CANDIDATES,
+    DEFAULT,
+    chosen_weight,
+    few_iterations,
+    noise_components,
+    pixel_weights,
+    select_noise,
+    select_smoothness,
+)
+from tg4mm.fit.motion.jacobian.packed import DOF
+from tg4mm.fit.motion.solver.cuda import DeviceOperator, DeviceViews
+from tg4mm.fit.motion.solver.operator import Fold
+from tg4mm.fit.motion.solver.problem import Problem
+from tg4mm.fit.motion.targets import TargetImages
+
+N, CAMERAS = 80, 8
+FOLDS = [Fold(np.arange(CAMERAS)[::2]), Fold(np.arange(CAMERAS)[1::2])]
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    """Eight cameras look at one cloud."""
+    scene = make_scene(1, n=N, cameras=CAMERAS)
+    views = [view_of(scene, c) for c in range(CAMERAS)]
+    return Problem.of(views, gaussians_of(scene), MotionConfig(), "cpu")
+
+
+@pytest.fixture(params=["kernels", "torch device"])
+def anywhere(problem: Problem, request: pytest.FixtureRequest) -> Problem:
+    """Also with the operators that a GPU has, on the CPU's tensors."""
+    return problem if request.param == "kernels" else OnTensors.of(problem)
+
+
+class OnTensors(Problem):
+    @staticmethod
+    def of(problem: Problem) -> OnTensors:  # type: ignore[override]
+        return OnTensors(**{f.name: getattr(problem, f.name) for f in fields(Problem)})
+
+    def operator(self, *args: Any, **more: Any) -> DeviceOperator:
+        operator = self.on_cpu(*args, **more)
+        return DeviceOperator(operator, DeviceViews(operator.views, operator.graph, "cpu"))
+
+
+def moved(u: np.ndarray) -> np.ndarray:
+    """Displacements [N, 3] without rotation, [N, DOF]."""
+    return np.concatenate([u, np.zeros((len(u), DOF - 3))], 1).astype(np.float32)
+
+
+def shown(p: Problem, u: np.ndarray, noise: float) -> np.ndarray:
+    """Target images [V, 1, H, W, 3] of a displacement, with noise as a share of their rms."""
+    pictures = np.stack([view.jvp(moved(u)[None]) for view in p.views])
+    spread = noise * np.sqrt((pictures**2).mean())
+    return (pictures + np.random.default_rng(2).normal(0, spread, pictures.shape)).astype(np.float32)
+
+
+def each_by_itself() -> np.ndarray:
+    return np.random.default_rng(1).normal(size=(N, 3)).astype(np.float32)
+
+
+def as_one() -> np.ndarray:
+    return np.tile(np.float32([1, -0.5, 0.3]), (N, 1))
+
+
+def weight_for(p: Problem, images: np.ndarray) -> float:
+    return chosen_weight(images, p, FOLDS, 4)
+
+
+def targets(images: np.ndarray) -> TargetImages:
+    n, size = images.shape[1], (len(images), *images.shape[2:4])
+    basis = np.eye(n, 10)
+    return TargetImages(basis, np.ones(10), images, np.zeros(size, np.float32), n, images[:, 0])
+
+
+class TestSmoothness:
+    def test_what_moves_each_by_itself_is_hardly_held_together(self, anywhere: Problem) -> None:
+        assert weight_for(anywhere, shown(anywhere, each_by_itself(), 0.0)) == CANDIDATES[0]
+
+    def test_noise_asks_for_more_of_it(self, anywhere: Problem) -> None:
+        """All move nearly as one; no noise, and ten times the pictures' rms."""
+        u = as_one() + 0.3 * each_by_itself()
+        little, much = (weight_for(anywhere, shown(anywhere, u, noise)) for noise in (0.0, 10.0))
+        assert much > 10 * little
+
+    @pytest.mark.parametrize("still", [[0], [1], [0, 1]])
+    def test_a_fold_that_does_not_change_says_nothing(self, problem: Problem, still: list[int]) -> None:
+        pictures = shown(problem, each_by_itself(), 0.0)
+        for fold in still:
+            pictures[FOLDS[fold].views] = 0
+        assert weight_for(problem, pictures) == DEFAULT
+
+    def test_the_other_fold_is_the_judge(self, problem: Problem) -> None:
+        """The first shows a motion of each by itself; it is held back where the second shows the opposite."""
+        pictures = shown(problem, each_by_itself(), 0.0)
+        believed = weight_for(problem, pictures)
+        pictures[FOLDS[1].views] *= -1
+        assert weight_for(problem, pictures) > 10 * believed
+
+    def test_candidates_that_share_their_passes_are_each_by_itself(self, problem: Problem) -> None:
+        operators = [problem.on_cpu(FOLDS[0], weight) for weight in CANDIDATES[:3]]
+        images = [shown(problem, as_one(), 0.5)[v] for v in FOLDS[0].views]
+        together = few_iterations(operators, images, 3)
+        for operator, found in zip(operators, together, strict=True):
+            (alone,) = few_iterations([operator], images, 3)
+            np.testing.assert_allclose(found, alone, atol=1e-4 * np.abs(alone).max())
+
+    def test_a_weight_that_is_given_stands(self, problem: Problem) -> None:
+        images = shown(problem, each_by_itself(), 0.0)
+        given = replace(problem, config=replace(problem.config, smoothness_weight=77.0))
+        assert select_smoothness(images, given, FOLDS) == 77.0
+        assert select_smoothness(images, problem, FOLDS) == CANDIDATES[0]
+
+    def test_one_fold_tells_nothing(self, problem: Problem) -> None:
+        images = np.concatenate([shown(problem, each_by_itself(), 0.0)] * 2, 1)
+        assert select_smoothness(images, problem, [problem.everything]) == DEFAULT
+        assert not select_noise(targets(images), problem, [problem.everything]).any()
+
+
+class TestNoise:
+    def test_noise_is_told_from_motion(self, anywhere: Problem) -> None:
+        """Motion with as much noise as signal, noise alone of the same energy, motion without noise."""
+        moving = shown(anywhere, as_one(), 1.0)
+        noise = np.random.default_rng(3).normal(0, np.sqrt((moving**2).mean()), moving.shape)
+        other = shown(anywhere, as_one()[:, ::-1].copy(), 0.0)
+        images = np.concatenate([moving, noise.astype(np.float32), other], 1)
+        np.testing.assert_array_equal(
+            noise_components(targets(images), anywhere, FOLDS), [False, True, False]
+        )
+
+    def test_the_strongest_component_is_never_noise(self, problem: Problem) -> None:
+        noise = np.random.default_rng(3).normal(size=(CAMERAS, 2, *problem.size[::-1], 3)).astype(np.float32)
+        np.testing.assert_array_equal(noise_components(targets(noise), problem, FOLDS), [False, True])
+
+    def test_sinusoids_of_known_frequencies_are_not_asked(self, problem: Problem) -> None:
+        """Mixed, they are one system, of which none is noise by itself."""
+        noise = np.random.default_rng(3).normal(size=(CAMERAS, 2, *problem.size[::-1], 3)).astype(np.float32)
+        mixing = [np.eye(2, dtype=np.float32)] * CAMERAS
+        mixed = problem.changed(mixing=mixing)
+        assert not select_noise(targets(noise), mixed, FOLDS).any()
+
+
+class TestPixels:
+    def test_they_count_less_the_more_they_flicker(self) -> None:
+        """The left half flickers three times as much as the right: 1 / (1 + 9/5), 1 / (1 + 1/5); the mean is 5."""
+        images = np.random.default_rng(0).normal(size=(2, 2, 60, 80, 3)).astype(np.float32)
+        images[:, 1, :, :40] *= 3
+        weights = pixel_weights(targets(images), np.array([False, True]))
+        assert weights is not None
+        assert weights.dtype == np.float32
+        assert weights[:, :, 5:35].mean() == pytest.approx(1 / (1 + 9 / 5), rel=0.1)
+        assert weights[:, :, 45:75].mean() == pytest.approx(1 / (1 + 1 / 5), rel=0.1)
+        assert 0 < weights.min() < weights.max() <= 1
+
+    def test_where_nothing_is_noise_all_are_alike(self) -> None:
+        images = np.ones((2, 1, 6, 8, 3), np.float32)
+        assert pixel_weights(targets(images), np.array([False])) is None

@@ -1,0 +1,181 @@
+"""The linear fit's two passes: together one solution, of the pictures less what is taken away between them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.fit.motion.scenes import N, problem
+from tg4mm.fit.motion import linear_fit as module
+from tg4mm.fit.motion.checkpoints import no_checkpoint
+from tg4mm.fit.motion.config import MotionConfig
+from tg4mm.fit.motion.hyperparameters import CANDIDATES, Hyperparameters
+from tg4mm.fit.motion.linear_fit import LinearFit
+from tg4mm.fit.motion.prior.graph import edge_residual, reweight_edges
+from tg4mm.fit.motion.solver.cpu import CpuOperator
+from tg4mm.fit.motion.solver.operator import Fold
+from tg4mm.fit.motion.solver.pcg import pcg
+from tg4mm.fit.motion.targets import TargetImages
+
+FOLDS = [Fold(np.array([0])), Fold(np.array([1]))]
+LONG = MotionConfig(iterations=600, tolerance=1e-6, ridge=0.1)
+LOOSE, STIFF = CANDIDATES[0], CANDIDATES[1]  # edges are reweighted above the least candidate alone
+
+
+def pictures(seed: int) -> np.ndarray:
+    """Three components of two cameras, [V, R, H, W, 3]; the second is noise."""
+    return np.random.default_rng(seed).normal(size=(2, 3, *problem().size[::-1], 3)).astype(np.float32)
+
+
+def fit(
+    images: np.ndarray,
+    config: MotionConfig = LONG,
+    weight: float = LOOSE,
+    mixing: list[np.ndarray] | None = None,
+) -> LinearFit:
+    targets = TargetImages(
+        np.eye(3, 10),
+        np.ones(10),
+        images,
+        np.zeros((2, *problem().size[::-1]), np.float32),
+        3,
+        images[:, 0],
+    )
+    whole = replace(problem(config.ridge), mixing=mixing)
+    hyper = Hyperparameters(np.array([False, mixing is None, False]), weight)
+    return LinearFit(whole, targets, hyper, FOLDS, config, no_checkpoint)
+
+
+def both_passes(fitting: LinearFit, taken: np.ndarray | None = None) -> np.ndarray:
+    """[P, R, N, 6]."""
+    images = np.zeros_like(fitting.targets.images) if taken is None else taken
+
+    def correction(p: int, fields: np.ndarray, some: slice) -> list[np.ndarray]:
+        return [images[v, fitting.hyper.signal[some]] for v in FOLDS[p].views]
+
+    return fitting.second_pass(fitting.first_pass(), True, correction)
+
+
+def solved(operator: CpuOperator, images: Sequence[np.ndarray]) -> np.ndarray:
+    return operator.fields(pcg(operator, operator.right_hand_sides(images), 2000, 1e-6).theta)
+
+
+def direct(fitting: LinearFit, images: np.ndarray) -> np.ndarray:
+    of_folds = ((fitting.operator(f), [images[v][[0, 2]] for v in f.views]) for f in FOLDS)
+    return np.stack([solved(operator, own) for operator, own in of_folds])
+
+
+@pytest.mark.parametrize("together", [1, 8])
+@pytest.mark.parametrize("takes", [False, True])
+def test_they_end_where_one_fit_of_what_is_left_would(
+    takes: bool, together: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "TOGETHER", together)
+    images, taken = pictures(1), 0.3 * pictures(2)
+    found = both_passes(fit(images), taken if takes else None)
+    expected = direct(fit(images), images - taken if takes else images)
+    assert found.shape == (2, 2, N, 6)
+    np.testing.assert_allclose(found, expected, atol=2e-3 * np.abs(expected).max())
+    if takes:
+        assert np.abs(direct(fit(images), images) - expected).max() > 0.05 * np.abs(expected).max()
+
+
+def test_without_a_correction_the_first_pass_goes_on() -> None:
+    images = pictures(1)
+    fitting = fit(images, weight=STIFF)
+    expected = direct(fitting, images)
+    found = fitting.second_pass(fitting.first_pass(), False)
+    np.testing.assert_allclose(found, expected, atol=2e-3 * np.abs(expected).max())
+
+
+def test_mixed_targets_are_fitted_as_one_system() -> None:
+    """Two target images of three fields, none of which is noise by itself."""
+    rng = np.random.default_rng(5)
+    mixing = [rng.normal(size=(2, 3)).astype(np.float32) for _ in range(2)]
+    images = pictures(1)[:, :2]
+    fitting = fit(images, mixing=mixing)
+    found = fitting.second_pass(fitting.first_pass(), False)
+    assert found.shape == (2, 3, N, 6)
+    for p, fold in enumerate(FOLDS):
+        expected = solved(fitting.operator(fold), [images[v] for v in fold.views])
+        np.testing.assert_allclose(found[p], expected, atol=5e-3 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("iterations", [1, 2, 5, 20])
+def test_they_take_the_iterations_of_one_fit(iterations: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each product of both folds takes two components."""
+    applied: list[int] = []
+    real = CpuOperator.products
+
+    def counted(self: CpuOperator, theta: np.ndarray, rows: Any = None) -> np.ndarray:
+        applied.append(len(theta) if rows is None else len(rows))
+        return real(self, theta, rows)
+
+    monkeypatch.setattr(CpuOperator, "products", counted)
+    both_passes(fit(pictures(1), MotionConfig(iterations=iterations, tolerance=1e-6)))
+    assert sum(applied) == 2 * 2 * iterations
+
+
+def test_what_the_first_pass_keeps_is_of_one_solution() -> None:
+    """Fields are those of x, the residual that of the equations, the norms theirs."""
+    fitting = fit(pictures(1), replace(LONG, iterations=10))
+    for fold, kept in zip(FOLDS, fitting.first_pass(), strict=True):
+        operator = fitting.operator(fold)
+        for x, field in zip(kept["x"], kept["fields"], strict=True):
+            np.testing.assert_allclose(operator.graph.motion(x), field, atol=1e-5 * np.abs(field).max())
+        b = operator.right_hand_sides([fitting.targets.images[v][[0, 2]] for v in fold.views])
+        solution = pcg(operator, b, 5, 1e-6)
+        np.testing.assert_allclose(kept["residual"], solution.residual, atol=1e-4 * np.abs(b).max())
+        np.testing.assert_allclose(kept["norms"], (b.astype(float) ** 2).sum((1, 2)), rtol=1e-5)
+
+
+def test_the_second_pass_solves_with_the_edges_reweighted() -> None:
+    """What both passes find is the solution of the reweighted problem, and another than without."""
+    images = pictures(1)
+    fitting = fit(images, weight=STIFF)
+    first = fitting.first_pass()
+    residual = edge_residual(fitting.problem.graph, first[0]["x"], first[1]["x"])
+    assert (residual > 0).mean() > 0.3
+    graph = reweight_edges(fitting.problem.graph, residual)
+    expected = np.stack(
+        [solved(fitting.operator(f).with_graph(graph), [images[v][[0, 2]] for v in f.views]) for f in FOLDS]
+    )
+    largest = np.abs(expected).max()
+    np.testing.assert_allclose(both_passes(fitting), expected, atol=3e-3 * largest)
+    assert np.abs(direct(fitting, images) - expected).max() > 0.02 * largest
+
+
+@pytest.mark.parametrize(("weight", "calls"), [(LOOSE, 0), (STIFF, 1)])
+def test_where_the_prior_is_loose_already_no_edge_is_reweighted(
+    weight: float, calls: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[int] = []
+    monkeypatch.setattr(module, "reweight_edges", lambda graph, of: asked.append(len(of)) or graph)
+    both_passes(fit(pictures(1), MotionConfig(iterations=4), weight))
+    assert len(asked) == calls
+
+
+def test_each_pass_of_each_fold_is_a_step_of_the_checkpoint() -> None:
+    asked: list[str] = []
+    fitting = fit(pictures(1), MotionConfig(iterations=4))
+    both_passes(replace(fitting, checkpoint=lambda name, compute: asked.append(name) or compute()))
+    assert asked == ["first_pass_0", "first_pass_1", "second_pass_0", "second_pass_1"]
+
+
+def test_a_second_fit_within_a_support_moves_nothing_else() -> None:
+    rng = np.random.default_rng(5)
+    mixing = [rng.normal(size=(2, 3)).astype(np.float32) for _ in range(2)]
+    asked: list[str] = []
+    fitting = replace(
+        fit(pictures(1)[:, :2], MotionConfig(iterations=4), mixing=mixing),
+        checkpoint=lambda name, compute: asked.append(name) or compute(),
+    )
+    support = (rng.random((3, N)) < 0.5).astype(np.float32)
+    for found in fitting.within(support, 1):
+        assert (found["fields"][support == 0] == 0).all()
+        assert (np.abs(found["fields"][support == 1]).sum(-1) > 0).all()
+    assert asked == ["first_pass_0_support_1", "first_pass_1_support_1"]

@@ -1,0 +1,69 @@
+"""A camera that moves all the time: its poses are corrected, and the motion before it is found."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from tests.fit.motion.filmed import error_of, scene, walk
+from tg4mm.fit.motion.config import MotionConfig
+from tg4mm.fit.motion.jacobian.view import ViewJacobian
+from tg4mm.fit.motion.pipeline import fit_motion
+from tg4mm.fit.motion.temporal import moving
+from tg4mm.fit.motion.temporal.moving import corrected_poses
+
+FREQUENCY = 3.4  # Hz
+
+
+def test_the_motion_of_the_scene_is_found_though_poses_are_off() -> None:
+    torch.manual_seed(0)
+    gaussians, motion = scene(FREQUENCY)
+    fit = fit_motion(gaussians, walk(gaussians, motion, 90, tremor=1e-3), MotionConfig(appearance=False))
+    nearest = int(np.abs(fit.motion.freqs_hz - FREQUENCY).argmin())
+    assert fit.motion.freqs_hz[nearest] == pytest.approx(FREQUENCY, abs=0.05)
+    found, true = fit.motion.displacement[nearest], motion.displacement[0]
+    opacities = gaussians.opacities.numpy()
+    # what looks like the camera's own motion is lost, most of it in a picture of 48 pixels; nothing found would be 1
+    assert error_of(found, true, opacities) < 0.85
+    mac = np.abs(np.vdot(found, true)) ** 2 / (np.vdot(found, found) * np.vdot(true, true)).real
+    assert mac > 0.45
+    assert any("the camera moves" in note for note in fit.notes)
+
+
+@pytest.mark.slow
+def test_views_in_temporary_files_give_the_same_motion(monkeypatch: pytest.MonkeyPatch) -> None:
+    gaussians, motion = scene(FREQUENCY)
+    observations, config = walk(gaussians, motion, 90, tremor=1e-3), MotionConfig(appearance=False)
+    in_memory = fit_motion(gaussians, observations, config)
+    stored: list[int] = []
+    real = ViewJacobian.stored
+    monkeypatch.setattr(moving, "VIEW_BYTES", 0)
+    monkeypatch.setattr(ViewJacobian, "stored", lambda view: stored.append(view.nbytes) or real(view))
+    in_files = fit_motion(gaussians, observations, config)
+    assert len(stored) == 90
+    assert len(in_memory.motion.freqs_hz) > 0
+    np.testing.assert_allclose(in_files.motion.freqs_hz, in_memory.motion.freqs_hz, rtol=1e-6)
+    scale = np.abs(in_memory.motion.displacement).max()
+    np.testing.assert_allclose(
+        in_files.motion.displacement, in_memory.motion.displacement, rtol=0, atol=1e-4 * scale
+    )
+
+
+def test_poses_that_are_off_are_corrected() -> None:
+    gaussians, _ = scene(FREQUENCY)
+    off, exact = walk(gaussians, None, 8, tremor=2e-3), walk(gaussians, None, 8)
+    corrected, exposures, pixels = corrected_poses(gaussians, off, 0)
+    before = max(np.abs(a.viewmat - b.viewmat).max() for a, b in zip(off.frames, exact.frames, strict=True))
+    after = max(np.abs(a.viewmat - b.viewmat).max() for a, b in zip(corrected, exact.frames, strict=True))
+    assert after < 0.2 * before
+    assert pixels > 0.02
+    assert np.abs(exposures).max() < 0.02
+
+
+@pytest.mark.parametrize(("seed", "n_frames"), [(0, 40), (1, 40), (2, 90)])
+def test_a_still_scene_has_no_motion(seed: int, n_frames: int) -> None:
+    gaussians, _ = scene(FREQUENCY)
+    observations = walk(gaussians, None, n_frames, seed=seed)
+    fit = fit_motion(gaussians, observations, MotionConfig(appearance=False))
+    assert len(fit.motion.freqs_hz) == 0

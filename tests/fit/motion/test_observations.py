@@ -1,0 +1,203 @@
+"""What the motion stage sees of a capture: which cameras stay put, on which clock, their pictures by strips."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.fit.space.scenes import capture_of
+from tests.helpers.motion_temporal import moving_pictures
+from tg4mm.capture import Capture, ImageStack
+from tg4mm.capture.pictures import StackedPictures
+from tg4mm.core.errors import CaptureError
+from tg4mm.fit.motion import observations as module
+from tg4mm.fit.motion.observations import (
+    Observations,
+    PosedFrames,
+    fixed_cameras,
+    frames_of,
+    observe,
+    strips,
+    watched,
+)
+
+STEP = 1 / 30  # s
+
+
+def captured(ids: list[int], steps: list[int], times: list[float] | None = None, kind: str = "") -> Capture:
+    data, _, _ = moving_pictures(1, len(ids))
+    capture, _ = capture_of(ids, steps, data)
+    if times is not None:
+        capture = replace(capture, times_s=np.array(times))
+    return replace(capture, kind=kind or capture.kind)
+
+
+def rig(n_cameras: int, n_timesteps: int) -> Capture:
+    ids = list(range(n_cameras)) * n_timesteps
+    return captured(ids, sorted(list(range(n_timesteps)) * n_cameras))
+
+
+class TestFixedCameras:
+    def test_rows_are_in_order_of_time(self) -> None:
+        frames = fixed_cameras(rig(2, 4))
+        np.testing.assert_array_equal([f.rows for f in frames], [[0, 2, 4, 6], [1, 3, 5, 7]])
+        np.testing.assert_allclose(frames[0].times_s, np.arange(4) * STEP)
+        assert [f.viewmat[0, 3] for f in frames] == [0.0, 1.0]
+        assert frames[0].viewmat.dtype == frames[0].K.dtype == np.float32
+
+    def test_shuffled_rows_are_sorted(self) -> None:
+        (frames,) = fixed_cameras(captured([0] * 4, [2, 0, 3, 1]))
+        np.testing.assert_array_equal(frames.rows, [1, 3, 0, 2])
+
+    def test_cameras_with_less_than_half_of_the_most_pictures_are_left_out(self) -> None:
+        ids = [0] * 8 + [1] * 4 + [2] * 3
+        steps = [*range(8), *range(4), *range(3)]
+        assert [len(f.rows) for f in fixed_cameras(captured(ids, steps))] == [8, 4]
+
+    def test_pictures_without_a_time_show_the_scene_at_rest(self) -> None:
+        """A tripod's video, and photographs from elsewhere, of which two are from one place."""
+        ids = [0] * 5 + [1, 2, 2]
+        times = [*(np.arange(5) * STEP), np.nan, np.nan, np.nan]
+        capture = captured(ids, [0, 1, 2, 3, 4, 0, 0, 0], times, "tripod")
+        clock, frames = frames_of(capture)
+        assert clock == "synchronous"
+        assert [list(f.rows) for f in frames] == [[0, 1, 2, 3, 4]]
+        assert not observe(capture, ImageStack(np.zeros((8, 2, 2, 4), np.uint8))).is_whole
+
+
+class TestClock:
+    def clock(self, times: list[np.ndarray], kind: str = "rig") -> str:
+        ids = [c for c, own in enumerate(times) for _ in own]
+        steps = [k for own in times for k in range(len(own))]
+        return frames_of(captured(ids, steps, list(np.concatenate(times)), kind))[0]
+
+    def test_the_same_regular_times_are_synchronous(self) -> None:
+        times = np.arange(20) * STEP
+        assert self.clock([times, times]) == "synchronous"
+        jitter = 0.05 * STEP * np.random.default_rng(0).uniform(-1, 1, (2, 20))
+        assert self.clock(list(times + jitter)) == "synchronous"
+        assert self.clock([times + 7.0, times + 7.0]) == "synchronous"  # a clock that does not begin at zero
+
+    @pytest.mark.parametrize("what", ["begun later", "a dropped frame", "another number", "other steps"])
+    def test_others_are_independent(self, what: str) -> None:
+        times = np.arange(20) * STEP
+        other = {
+            "begun later": times + 0.2 * STEP,
+            "a dropped frame": np.delete(np.arange(21), 9) * STEP,
+            "another number": times[:-1],
+            "other steps": times * 1.01,
+        }[what]
+        assert self.clock([times, other]) == "independent"
+        dropped = np.delete(np.arange(21), 9) * STEP
+        assert self.clock([dropped, dropped]) == "independent"
+        assert self.clock([dropped], "tripod") == "independent"
+
+    def test_clocks_that_are_said_to_be_independent_are_though_their_times_agree(self) -> None:
+        """A rig of phones: every video begins at 0."""
+        times = np.arange(20) * STEP
+        capture = captured([0] * 20 + [1] * 20, [*range(20)] * 2, [*times, *times], "rig")
+        assert frames_of(capture)[0] == "synchronous"
+        assert frames_of(replace(capture, clocks="independent"))[0] == "independent"
+        alone = captured([0] * 20, [*range(20)], [*times], "tripod")
+        assert frames_of(replace(alone, clocks="independent"))[0] == "synchronous"
+
+    def test_cameras_said_to_be_synchronous_that_are_not_are_refused_with_their_counts(self) -> None:
+        times = np.arange(20) * STEP
+        capture = captured([0] * 20 + [1] * 19, [*range(20), *range(19)], [*times, *times[:-1]], "rig")
+        assert frames_of(capture)[0] == "independent"
+        with pytest.raises(
+            CaptureError, match=r"cameras are synchronous, but their times differ .* 20, .* 19\)"
+        ):
+            frames_of(replace(capture, clocks="synchronous"))
+
+    def test_a_camera_with_few_pictures_is_left_out_by_name(self) -> None:
+        times = np.arange(20) * STEP
+        capture = captured([0] * 20 + [1] * 5, [*range(20), *range(5)], [*times, *times[:5]], "rig")
+        left_out = capture.paths[20].stem
+        with pytest.warns(UserWarning, match=f"{left_out}: left out: fewer than half"):
+            seen = observe(capture, ImageStack(np.zeros((25, 2, 2, 4), np.uint8)))
+        assert len(seen.frames) == 1
+
+    def test_clips_of_one_camera_are_independent_though_their_times_agree(self) -> None:
+        times = np.arange(20) * STEP
+        assert self.clock([times, times], "clips") == "independent"
+
+    def test_a_camera_that_moves_has_a_pose_for_each_picture(self) -> None:
+        order = [3, 0, 2, 1, 4, 7, 6, 5, 8, 9]
+        times = [*(np.array(order) * STEP), np.nan]
+        clock, frames = frames_of(captured(list(range(11)), [*order, 0], times, "handheld"))
+        assert clock == "moving"
+        assert [f.rows.tolist() for f in frames] == [[k] for k in (1, 3, 2, 0, 4, 7, 6, 5, 8, 9)]
+        assert frames[0].viewmat[0, 3] == 1.0
+
+    def test_too_few_pictures_of_a_moving_camera_are_an_error_with_their_number(self) -> None:
+        capture = captured([0, 1, 2, 3], [0, 1, 2, 3])
+        match = r"\A/data: no camera is fixed, and 4 pictures have a time, too few to show motion; [^\n]*\Z"
+        with pytest.raises(CaptureError, match=match):
+            frames_of(capture)
+
+
+class TestPictures:
+    @pytest.fixture
+    def pictures(self) -> np.ndarray:
+        """Two cameras, six timesteps of 4 × 5 pixels."""
+        return np.random.default_rng(7).integers(0, 256, (12, 4, 5, 4)).astype(np.uint8)
+
+    def seen(self, pictures: np.ndarray) -> Observations:
+        return observe(
+            capture_of([0] * 6 + [1] * 6, [*range(6), *range(6)], pictures)[0], ImageStack(pictures)
+        )
+
+    @pytest.mark.parametrize("opaque", [False, True])
+    @pytest.mark.parametrize("values", [1, 190, 1 << 20])  # a row at a time, two rows, all
+    def test_strips_are_the_pictures_over_white(
+        self, pictures: np.ndarray, values: int, opaque: bool, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(module, "STRIP_VALUES", values)
+        if opaque:
+            pictures[..., 3] = 255
+        observations = self.seen(pictures)
+        assert observations.is_opaque == opaque
+        found = list(strips(observations.pictures, observations.frames[1]))
+        assert len(found) == {1: 4, 190: 2, 1 << 20: 1}[values]
+        strip = np.concatenate([strip for _, strip in found], 1)
+        assert strip.dtype == np.float32
+        expected = np.stack([ImageStack(pictures).rgb(i) for i in range(6, 12)])
+        np.testing.assert_allclose(strip, expected, atol=2e-7)
+        covered = np.concatenate([np.arange(rows.start, rows.stop) for rows, _ in found])
+        np.testing.assert_array_equal(covered, np.arange(4))
+
+    def test_a_pass_through_all_pictures_shows_its_progress(
+        self, pictures: np.ndarray, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        shown: list[int] = []
+
+        @contextmanager
+        def progress(label: str, total: int, unit: str) -> Iterator[Callable[[int], None]]:
+            assert (label, total, unit) == ("first", 12, "pictures")
+            yield shown.append
+
+        monkeypatch.setattr(module, "STRIP_VALUES", 190)
+        monkeypatch.setattr(module, "progress", progress)
+        list(watched("few", self.seen(pictures)))
+        monkeypatch.setattr(module, "SHOWN", 0)
+        seen = [(v, len(strip)) for v, _, own in watched("first", self.seen(pictures)) for _, strip in own]
+        assert seen == [(0, 6), (0, 6), (1, 6), (1, 6)]
+        assert shown == [3, 6, 6, 9, 12, 12]
+
+    def test_sixteen_bits(self) -> None:
+        data = np.random.default_rng(0).integers(0, 65536, (3, 2, 2, 4)).astype(np.uint16)
+        frames = PosedFrames("", np.eye(4), np.eye(3), np.arange(3), np.arange(3) * STEP)
+        ((_, found),) = strips(StackedPictures(ImageStack(data)), frames)
+        np.testing.assert_allclose(found, np.stack([ImageStack(data).rgb(i) for i in range(3)]), atol=2e-7)
+
+    def test_the_lowest_frequency_has_two_periods_in_the_record(self, pictures: np.ndarray) -> None:
+        observations = self.seen(pictures)
+        assert observations.duration_s == pytest.approx(6 / 30)
+        assert observations.lowest_hz == pytest.approx(10.0)
+        assert observations.size == (5, 4)
+        assert observations.is_whole

@@ -1,0 +1,130 @@
+"""The noise of every pixel, from the components of time that hold no motion."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from tests.fit.space.scenes import capture_of
+from tests.helpers.motion_temporal import components
+from tg4mm.fit.motion.hyperparameters import pixel_noise
+from tg4mm.fit.motion.observations import observe
+from tg4mm.fit.motion.targets import TargetImages
+
+SIZE, VIEWS = 40, 3
+EVENED = 4 * np.pi * 1.5**2  # independent pixels in a Gaussian mean of 1.5 px
+
+
+def deviation() -> np.ndarray:
+    """[V, H, W] standard deviation of a picture's noise: 0.005 to 0.04, smooth, another in every camera."""
+    x = np.linspace(0, np.pi, SIZE)
+    wave = np.sin(x)[:, None] * np.sin(x)
+    return 0.005 + 0.035 * np.stack([wave, wave[::-1, :] ** 2, 1 - wave])
+
+
+def noisy(states: np.ndarray, seed: int = 0, motion: float = 0.0) -> TargetImages:
+    """Components of pictures of 16 bits: grey, noise of known deviation per state, a pattern that swings."""
+    rng = np.random.default_rng(seed)
+    n_timesteps = len(states)
+    noise = rng.normal(size=(states.max() + 1, VIEWS, SIZE, SIZE, 3)) * deviation()[..., None]
+    swing = np.sin(2 * np.pi * np.arange(n_timesteps) / n_timesteps)
+    pattern = motion * rng.normal(size=(VIEWS, SIZE, SIZE, 3))
+    values = 0.5 + noise[states] + swing[:, None, None, None, None] * pattern
+    data = np.full((n_timesteps * VIEWS, SIZE, SIZE, 4), 65535, np.uint16)
+    data[..., :3] = (values.clip(0, 1) * 65535).round().reshape(-1, SIZE, SIZE, 3)
+    ids = list(range(VIEWS)) * n_timesteps
+    capture, images = capture_of(ids, sorted(list(range(n_timesteps)) * VIEWS), data)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return components(observe(capture, images), 16)
+
+
+def check(found: np.ndarray, freedom: int, frames_per_state: float, biased: float = 0.0) -> None:
+    """Within five standard errors of a mean over `freedom` × three channels × the pixels that are evened out.
+
+    The mean of all pixels has √(pixels) times less, and tells a wrong number of degrees of freedom.
+    """
+    true = frames_per_state * gaussian_filter(deviation() ** 2, (0, 1.5, 1.5), mode="reflect")
+    error = found / true - 1
+    one = np.sqrt(2 / (3 * freedom * EVENED))
+    assert np.abs(error[:, 5:-5, 5:-5]).max() < 5 * one + biased
+    whole = np.sqrt(2 / (3 * freedom * error.size)) * 1.5  # 1.5: pixels of large noise weigh more
+    assert abs(found.sum() / true.sum() - 1) < 4 * whole + biased
+    assert np.abs(0.8 * found.sum() / true.sum() - 1) > 4 * whole + biased  # it can fail
+
+
+class TestNoiseOfKnownVariance:
+    def test_thirty_timesteps(self) -> None:
+        """One component is kept of noise, and named noise: all 29 degrees of freedom count."""
+        found = noisy(np.arange(30))
+        assert found.rank == 29
+        check(pixel_noise(found, np.full(len(found.basis), True)), 29, 1)
+
+    def test_beside_motion_what_is_left_tells(self) -> None:
+        """A component of motion, eight times the noise, is kept and not named noise: 28 are left."""
+        found = noisy(np.arange(30), motion=0.08)
+        assert len(found.basis) == 1
+        variance = pixel_noise(found, np.array([False]))
+        check(variance, 28, 1)
+        assert pixel_noise(found, np.array([True])).mean() > 3 * variance.mean()
+
+    def test_repeated_states(self) -> None:
+        """Four pictures, each seen twice in eight timesteps: rank three, noise twice as strong in each."""
+        found = noisy(np.array([0, 1, 2, 3, 0, 1, 2, 3]))
+        assert found.rank == 3
+        assert len(found.basis) == 3
+        check(pixel_noise(found, np.full(3, True)), 3, 2)
+
+    def test_part_of_the_kept_ones(self) -> None:
+        """Two of three equal components of noise: as much, but for the strongest which is left out (a few percent)."""
+        found = noisy(np.array([0, 1, 2, 3, 0, 1, 2, 3]))
+        check(pixel_noise(found, np.array([False, True, True])), 2, 2, biased=0.05)
+
+    def test_eight_timesteps_without_repeats(self) -> None:
+        found = noisy(np.arange(8))
+        check(pixel_noise(found, np.full(len(found.basis), True)), 7, 1)
+
+
+class TestExactly:
+    def test_nothing_named_and_nothing_left_is_zero(self) -> None:
+        found = noisy(np.array([0, 1, 2, 3, 0, 1, 2, 3]))
+        variance = pixel_noise(found, np.full(3, False))
+        assert variance.shape == (VIEWS, SIZE, SIZE)
+        assert not variance.any()
+
+    def test_energy_is_divided_among_kept_and_left_out(self) -> None:
+        """Made up: residual 6 of rank 5 with two kept, the second of energy 2 in one pixel, before evening out."""
+        images = np.zeros((1, 2, 9, 9, 3), np.float32)
+        images[0, 1] = np.sqrt(2.0)
+        images[0, 0] = 100.0
+        targets = TargetImages(
+            np.zeros((2, 8)), np.zeros(8), images, np.full((1, 9, 9), 6.0, np.float32), 5, images[:, 0]
+        )
+        np.testing.assert_allclose(
+            pixel_noise(targets, np.array([False, True])), (6 + 2) / (3 + 1), rtol=1e-5
+        )
+        np.testing.assert_allclose(pixel_noise(targets, np.array([False, False])), 6 / 3, rtol=1e-5)
+
+    def test_it_is_evened_out_by_a_pixel_and_a_half(self) -> None:
+        residual = np.zeros((1, 21, 21), np.float32)
+        residual[0, 10, 10] = 1
+        targets = TargetImages(
+            np.zeros((1, 8)),
+            np.zeros(8),
+            np.zeros((1, 1, 21, 21, 3), np.float32),
+            residual,
+            2,
+            np.zeros((1, 21, 21, 3), np.float32),
+        )
+        found = pixel_noise(targets, np.array([False]))[0]
+        assert found.sum() == pytest.approx(1, rel=1e-3)
+        y = np.arange(21) - 10
+        assert (found.sum(1) * y**2).sum() == pytest.approx(1.5**2, rel=0.02)
+
+    def test_another_number_of_components_is_refused(self) -> None:
+        found = noisy(np.array([0, 1, 2, 3, 0, 1, 2, 3]))
+        with pytest.raises(ValueError, match=r"is_noise has shape \(2,\), expected \(3,\)"):
+            pixel_noise(found, np.full(2, True))

@@ -1,0 +1,272 @@
+"""Pictures of cameras that shake are turned back; those of a scene that moves as a whole, and of none, are not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.ndimage import map_coordinates
+from scipy.spatial.transform import Rotation
+
+from tests.fit.motion.filmed import FPS, K_of
+from tests.helpers.synthetic import _at, _gaussians, _motion, _parts, _viewmats
+from tg4mm.capture import ImageStack
+from tg4mm.capture.pictures import over_white, pictures_of
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion import MotionConfig
+from tg4mm.fit.motion.jacobian.view import view_jacobian
+from tg4mm.fit.motion.modes import ModalMotion, MotionFit
+from tg4mm.fit.motion.nuisance import first_look
+from tg4mm.fit.motion.nuisance.first_look import _looked_at, rest_views
+from tg4mm.fit.motion.nuisance.registration import RegisteredPictures, camera_rotations, homographies
+from tg4mm.fit.motion.observations import Observations, PosedFrames
+from tg4mm.fit.motion.pipeline import fit_motion
+
+T, HZ, SHAKE_PX = 12, 5.0, 0.5
+SIZE, FINER, BLUR = 64, 2, 1.6
+
+
+def texture(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """[…, 3] in 0..1 at places in pixels."""
+    waves = np.sin(0.5 * x + 0.3 * y), np.cos(0.4 * x - 0.6 * y), np.sin(0.35 * x) * np.sin(0.5 * y)
+    return 0.5 + 0.3 * np.stack(waves, -1)
+
+
+def through(back: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Places of the common pose, x and y [H, W], that a picture's pixels show; `back` [3, 3] goes the other way."""
+    y, x = np.mgrid[: size[0], : size[1]] + 0.5
+    at = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(back).T
+    return at[..., 0] / at[..., 2], at[..., 1] / at[..., 2]
+
+
+def random_turns(n: int, size: float, focal: float, seed: int = 0) -> np.ndarray:
+    """[n, 3] radians of mean 0, so that the picture's middle shifts by `size` pixels rms."""
+    turns = np.random.default_rng(seed).normal(size=(n, 3))
+    turns -= turns.mean(0)
+    return size / focal * turns / np.sqrt((turns[:, :2] ** 2).sum(1).mean())
+
+
+def stored(pictures: np.ndarray) -> np.ndarray:
+    """[n, H, W, 4] uint16, opaque, of [n, H, W, 3]."""
+    out = np.full((*pictures.shape[:3], 4), 65535, np.uint16)
+    out[..., :3] = (pictures.clip(0, 1) * 65535).round()
+    return out
+
+
+WIDE = (64, 96)
+K_WIDE = np.array([[110, 0, 50], [0, 110, 30], [0, 0, 1]], np.float32)
+
+
+def turned_textures(turns: np.ndarray) -> RegisteredPictures:
+    back = homographies(K_WIDE, turns)
+    pictures = np.stack([texture(*through(h, WIDE)) for h in back])
+    return RegisteredPictures(pictures_of(ImageStack(stored(pictures))), back)
+
+
+def test_a_turned_picture_is_turned_back() -> None:
+    """To a thousandth, but for what lay beyond its edges, by turns of more than a pixel and a roll."""
+    y, x = np.mgrid[: WIDE[0], : WIDE[1]] + 0.5
+    pictures = turned_textures(np.array([[0.01, -0.02, 0.03], [0, 0, 0.0], [-0.013, 0.004, -0.05]]))
+    shown = pictures.strips([0, 1, 2])(slice(None))[..., :3]
+    error = np.abs(shown - texture(x, y))[:, 12:-12, 12:-12]
+    assert error.max() < 1e-3
+    raw = over_white(pictures.pictures.strips([0, 2])(slice(None)), 65535)
+    assert np.abs(raw - texture(x, y)).max() > 0.3
+
+
+def test_strips_are_parts_of_the_whole() -> None:
+    pictures = turned_textures(random_turns(3, 1.5, 110))
+    whole = pictures.strips([2, 0])(slice(None))
+    parts = [pictures.strips([2, 0])(slice(i, min(i + 7, WIDE[0]))) for i in range(0, WIDE[0], 7)]
+    np.testing.assert_allclose(np.concatenate(parts, 1), whole, atol=1e-5)
+
+
+def test_transparent_pictures_are_turned_back_as_they_look_over_white() -> None:
+    """Colours of what is transparent, red here, are seen nowhere."""
+    back = homographies(K_WIDE, np.array([[0.004, -0.006, 0.01]]))
+    x, y = through(back[0], WIDE)
+    alpha = (0.5 + 0.5 * np.sin(0.2 * x) * np.cos(0.15 * y))[..., None]
+    colour = np.where(alpha > 0.02, texture(x, y), [1.0, 0, 0])
+    straight = stored(colour[None])
+    straight[..., 3:] = (alpha * 65535).round()
+    blended = stored((colour * alpha + 1 - alpha)[None])
+    shown = [
+        RegisteredPictures(pictures_of(ImageStack(p)), back).strips([0])(slice(None))
+        for p in (straight, blended)
+    ]
+    np.testing.assert_allclose(shown[0], shown[1], atol=1e-3)
+
+
+@pytest.mark.parametrize("moves", [0.0, 1.0])
+def test_turns_are_found_beside_something_that_moves_by_itself(moves: float) -> None:
+    """A fifth of the picture, by a pixel, to and fro."""
+    n = 10
+    turns = random_turns(n, SHAKE_PX, 110, seed=3)
+    pictures = []
+    for t, h in enumerate(homographies(K_WIDE, turns)):
+        x, y = through(h, WIDE)
+        inside = (np.abs(x - 40) < 18) & (np.abs(y - 32) < 18)
+        pictures.append(texture(x - inside * moves * np.sin(1.3 * t), y) * (0.9 + 0.02 * np.cos(t)))
+    noisy = np.stack(pictures) + 0.004 * np.random.default_rng(1).normal(size=(n, *WIDE, 3))
+    frames = PosedFrames("0", np.eye(4, dtype=np.float32), K_WIDE, np.arange(n), np.arange(n) / FPS)
+    stack = pictures_of(ImageStack(stored(noisy)))
+    found = camera_rotations(Observations("tripod", "synchronous", [frames], stack, FPS, n, False))
+    off = 110 * np.sqrt(((found - turns)[:, :2] ** 2).sum(1).mean())
+    assert off < (0.06 if moves else 0.01)
+    assert np.abs(found - turns)[:, 2].max() < (2e-3 if moves else 5e-4)
+
+
+@pytest.fixture(scope="module")
+def moving() -> tuple[Gaussians, ModalMotion]:
+    """A post and a ball sway at 5 Hz by a quarter of a pixel; two periods in twelve timesteps.
+
+    Blurred, so that pictures of this size hold what there is to see.
+    """
+    parts = _parts(1)
+    sharp = _gaussians(parts, 1)
+    return replace(sharp, scales=BLUR * sharp.scales), _motion(parts, (HZ,), 0.012, FPS, T)
+
+
+def filmed(
+    at: Callable[[int], Gaussians], n_views: int, shake_px: float, is_cut_out: bool = False
+) -> Observations:
+    """Fixed cameras that shake, each by itself; `at` gives the Gaussians at a timestep.
+
+    Every picture is resampled from a finer one of the camera at rest: Gaussians rendered from a camera that turns pop,
+    since their order in depth changes.
+    """
+    frames, pictures, K = [], [], K_of(SIZE)
+    moments = [at(t) for t in range(T)]
+    for v, viewmat in enumerate(_viewmats(n_views, 0.0)):
+        rows = np.arange(len(pictures), len(pictures) + T)
+        frames.append(PosedFrames(f"{v}", viewmat.astype(np.float32), K, rows, np.arange(T) / FPS))
+        fine = replace(frames[-1], K=K_of(FINER * SIZE))
+        turns = random_turns(T, shake_px, fine.K[0, 0] / FINER, seed=v)
+        for moment, back in zip(moments, homographies(fine.K, turns), strict=True):
+            # down to faint alphas: their cut-off at 1/255 would flicker where things move
+            view = view_jacobian(moment, fine, (FINER * SIZE, FINER * SIZE))
+            blended = np.concatenate([view.image[..., :3], 1 - view.transmittance[..., None]], -1)
+            x, y = through(back, blended.shape[:2])
+            moved = np.stack(
+                [map_coordinates(c, [y - 0.5, x - 0.5]) for c in np.moveaxis(blended, -1, 0)], -1
+            )
+            colour, alpha = np.split(moved.reshape(SIZE, FINER, SIZE, FINER, 4).mean((1, 3)), [3], -1)
+            picture = stored((colour / np.maximum(alpha, 1e-3) if is_cut_out else colour + 1 - alpha)[None])[
+                0
+            ]
+            if is_cut_out:
+                picture[..., 3:] = (alpha.clip(0, 1) * 65535).round()
+            pictures.append(picture)
+    stack = pictures_of(ImageStack(np.stack(pictures)))
+    return Observations("rig", "synchronous", frames, stack, FPS, T, False)
+
+
+def fitted(gaussians: Gaussians, observations: Observations, nuisance: str = "auto") -> MotionFit:
+    config = MotionConfig(nuisance=nuisance, smoothness_weight=100.0, appearance=False)
+    return fit_motion(gaussians, observations, config)
+
+
+def length(values: np.ndarray) -> float:
+    return float(np.linalg.norm(np.abs(values).astype(np.float64)))
+
+
+def at_hz(fit: MotionFit) -> np.ndarray:
+    return fit.motion.displacement[int(np.argmin(np.abs(fit.motion.freqs_hz - HZ)))]
+
+
+def elsewhere(fit: MotionFit) -> float:
+    """rms of what moves at other frequencies, over that at the true one."""
+    other = np.abs(fit.motion.freqs_hz - HZ) > 1
+    return length(fit.motion.displacement[other]) / length(at_hz(fit))
+
+
+def but_for_a_rigid_motion(field: np.ndarray, means: np.ndarray) -> np.ndarray:
+    """A field [N, 3] less the rigid motion of all Gaussians that is nearest to it."""
+    turns = np.stack([np.cross(axis, means) for axis in np.eye(3)], -1)
+    rigid = np.concatenate([np.tile(np.eye(3), (len(means), 1, 1)), turns], 2).reshape(-1, 6)
+    return field - (rigid @ np.linalg.lstsq(rigid, field.ravel(), rcond=None)[0]).reshape(field.shape)
+
+
+def apart(fit: MotionFit, other: MotionFit) -> float:
+    """At the true frequency, but for a rigid motion, rms over that of the other."""
+    left = but_for_a_rigid_motion(at_hz(fit) - at_hz(other), other.gaussians.means.numpy())
+    return length(left) / length(at_hz(other))
+
+
+def test_motion_before_cameras_that_shake_is_that_before_still_ones(
+    moving: tuple[Gaussians, ModalMotion],
+) -> None:
+    """By half a pixel, twice the motion. Left in, it is taken for motion."""
+    gaussians, motion = moving
+    steady, shaken = (filmed(lambda t: _at(gaussians, motion, t, 0), 6, px) for px in (0.0, SHAKE_PX))
+    before, after, left_in = (
+        fitted(gaussians, o, n) for o, n in ((steady, "auto"), (shaken, "auto"), (shaken, "exposure"))
+    )
+    assert apart(after, before) < 0.1
+    assert elsewhere(after) < 0.15
+    assert after.figures["shake_px"] == pytest.approx(SHAKE_PX, rel=0.1)
+    assert sum("camera shake is taken out: 0.5 px" in note for note in after.notes) == 1
+    assert not any("shake" in note for note in before.notes)
+    assert apart(left_in, before) > 0.5
+    assert elsewhere(left_in) > 1
+
+
+def test_a_shake_is_found_of_cameras_that_see_a_cut_out_object_alone(
+    moving: tuple[Gaussians, ModalMotion],
+) -> None:
+    """By what they disagree in."""
+    gaussians, motion = moving
+    shaken = filmed(lambda t: _at(gaussians, motion, t, 0), 6, SHAKE_PX, True)
+    seen, shake_px = _looked_at(shaken, rest_views(gaussians, shaken), gaussians, MotionConfig())
+    assert shake_px > 0
+    assert seen.figures["shake_own_share"] > 0.5
+    assert "pose" in seen.figures["nuisance"]
+
+
+def test_nothing_is_registered_where_nothing_shakes(
+    moving: tuple[Gaussians, ModalMotion], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def never(*args: object) -> None:
+        raise AssertionError("registered")
+
+    monkeypatch.setattr(first_look, "stabilised", never)
+    gaussians, motion = moving
+    seen = fitted(gaussians, filmed(lambda t: _at(gaussians, motion, t, 0), 3, 0.0))
+    assert "pose" not in seen.figures["nuisance"]
+
+
+@pytest.mark.parametrize("is_cut_out", [False, True])
+def test_a_scene_that_moves_as_a_whole_is_not_stabilised(
+    moving: tuple[Gaussians, ModalMotion], is_cut_out: bool
+) -> None:
+    """It shifts by half a pixel and turns; four still cameras see the same motion."""
+    gaussians, _ = moving
+    rng = np.random.default_rng(0)
+    shifts, turns = 0.03 * rng.normal(size=(T, 3)), 0.01 * rng.normal(size=(T, 3))
+
+    def at(t: int) -> Gaussians:
+        moved = Rotation.from_rotvec(turns[t]).apply(gaussians.means.numpy()) + shifts[t]
+        return replace(gaussians, means=gaussians.means.new_tensor(moved))
+
+    observations = filmed(at, 4, 0.0, is_cut_out)
+    seen, shake_px = _looked_at(observations, rest_views(gaussians, observations), gaussians, MotionConfig())
+    assert shake_px == 0
+    assert seen.figures["shake_own_share"] < 0.2
+    assert "pose" not in seen.figures["nuisance"]
+
+
+def test_one_camera_that_shakes_shows_the_motion_that_it_shows_at_rest(
+    moving: tuple[Gaussians, ModalMotion],
+) -> None:
+    gaussians, motion = moving
+    steady, shaken = (
+        replace(filmed(lambda t: _at(gaussians, motion, t, 0), 1, px), kind="tripod")
+        for px in (0.0, SHAKE_PX)
+    )
+    before, after = fitted(gaussians, steady, "all"), fitted(gaussians, shaken)
+    assert after.figures["nuisance"] == ["exposure", "pose"]
+    assert apart(after, before) < 0.3
+    assert elsewhere(after) < 0.4
+    assert sum("the camera shakes by 0.5 px" in note for note in after.notes) == 1

@@ -1,0 +1,311 @@
+"""From pictures over time to target images: components of time, and sinusoids of known frequencies."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.fit.motion.scenes import gaussians_of, two_cameras
+from tests.fit.space.scenes import capture_of
+from tests.helpers.motion_temporal import components, moving_pictures, no_nuisance
+from tg4mm.capture import ImageStack
+from tg4mm.fit.motion import observations as observations_module
+from tg4mm.fit.motion.jacobian.view import view_jacobian
+from tg4mm.fit.motion.nuisance import first_look as first_look_module
+from tg4mm.fit.motion.nuisance.first_look import first_look
+from tg4mm.fit.motion.nuisance.projection import Nuisance, nuisances_of
+from tg4mm.fit.motion.observations import Observations, PosedFrames, observe
+from tg4mm.fit.motion.sinusoids import sinusoids
+from tg4mm.fit.motion.targets import project
+from tg4mm.fit.motion.temporal.independent import sinusoid_targets
+from tg4mm.fit.motion.temporal.synchronous import kept_components, principal_components
+
+
+def zero_mean_basis(n: int, n_timesteps: int, seed: int = 0) -> np.ndarray:
+    a = np.random.default_rng(seed).normal(size=(n_timesteps, n))
+    q, _ = np.linalg.qr(a - a.mean(0))
+    return q.T
+
+
+class TestKeptComponents:
+    @pytest.mark.parametrize("seed", range(5))
+    def test_of_noise_alone_one_is_kept(self, seed: int) -> None:
+        noise = np.random.default_rng(seed).normal(size=(30, 20_000))
+        assert kept_components(spectrum(noise)) == 1
+
+    @pytest.mark.parametrize("seed", range(5))
+    def test_what_stands_out_of_noise_is_kept(self, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        signal = zero_mean_basis(2, 30).T @ rng.normal(size=(2, 20_000)) * 3.0 * 30**0.5
+        assert kept_components(spectrum(signal + rng.normal(size=signal.shape))) == 2
+
+    def test_without_noise_all_of_the_rank_and_no_rounding_is_kept(self) -> None:
+        signal = zero_mean_basis(3, 30).T @ np.random.default_rng(0).normal(size=(3, 5000))
+        assert kept_components(spectrum(signal.astype(np.float32).astype(float))) == 3
+
+    @pytest.mark.parametrize(
+        ("energy", "kept"),
+        [
+            ([10.0, 9, 8, 7, 6, 5, 0, 0], 6),  # most of a short capture is signal
+            ([100.0] * 20 + [1.0] * 9 + [0.0], 20),  # broadband motion above noise
+            ([10.0, 9, 0.001, 0], 3),  # T = 4: too few to tell noise
+            ([1.0] * 29 + [0.0], 1),  # nothing but noise
+        ],
+    )
+    def test_the_weakest_tell_the_noise(self, energy: list[float], kept: int) -> None:
+        assert kept_components(np.array(energy)) == kept
+
+    @pytest.mark.parametrize("rank", [14, 28])
+    def test_where_pictures_repeat_those_that_are_not_empty_tell(self, rank: int) -> None:
+        energy = np.array([100.0, 50] + [1.0] * (rank - 2) + [0.0] * (30 - rank))
+        assert kept_components(energy, rank) == 2
+        assert kept_components(energy) == (rank if rank == 14 else 2)  # the empty ones would tell of no noise
+
+    def test_fewer_than_seven_are_no_sample(self) -> None:
+        assert kept_components(np.array([9.0, 1, 1, 1, 1, 1] + [0.0] * 24), 6) == 6
+
+    @pytest.mark.parametrize("seed", range(5))
+    @pytest.mark.parametrize(("n_timesteps", "pixels"), [(30, 20_000), (100, 20_000), (9, 2_000)])
+    def test_spread_over_many_pixels_a_weaker_signal_is_kept(
+        self, n_timesteps: int, pixels: int, seed: int
+    ) -> None:
+        """Noise alone stays noise; what adds seven tenths to a component's noise stands out where pixels are many."""
+        rng = np.random.default_rng(seed)
+        noise = rng.normal(size=(n_timesteps, pixels))
+        assert kept_components(spectrum(noise), pixels=pixels) == 1
+        two = zero_mean_basis(2, n_timesteps).T @ rng.normal(size=(2, pixels)) * np.array(0.7**0.5)
+        assert kept_components(spectrum(noise + two), pixels=pixels) == 2
+        assert kept_components(spectrum(noise + two)) == 1  # less than twice the noise
+
+    @pytest.mark.parametrize("energy", [[0.0] * 5, [1.0, 0.0]])
+    def test_one_is_always_kept(self, energy: list[float]) -> None:
+        assert kept_components(np.array(energy)) == 1
+
+
+def spectrum(video: np.ndarray) -> np.ndarray:
+    """Energies of [T, P] less its mean over time, falling."""
+    return np.linalg.svd(video - video.mean(0), compute_uv=False) ** 2
+
+
+def changes(images: ImageStack, frames: PosedFrames) -> np.ndarray:
+    """[T, H, W, 3]: pictures less their mean, written out."""
+    video = np.stack([images.rgb(int(row)) for row in frames.rows]).astype(float)
+    return video - video.mean(0)
+
+
+class TestComponents:
+    @pytest.fixture
+    def stack(self) -> tuple[ImageStack, Observations]:
+        """Two cameras, nine timesteps, two patterns that swing with two frequencies, some noise."""
+        data, ids, times = moving_pictures(2, 9)
+        rng, t = np.random.default_rng(3), np.asarray(times)
+        patterns = rng.normal(size=(2, 2, 4, 5, 3))
+        swing = np.stack([np.sin(2 * np.pi * t / 9), 0.5 * np.cos(4 * np.pi * t / 9)])
+        pictures = 128 + 30 * np.einsum("kc,kchwx->chwx", swing, patterns[:, ids])
+        pictures += rng.normal(size=(18, 4, 5, 3))
+        data[..., :3] = pictures.clip(0, 255).round()
+        capture, images = capture_of(ids, times, data)
+        return images, observe(capture, images)
+
+    def test_the_basis_is_orthonormal_and_sums_to_zero(self, stack) -> None:
+        basis = components(stack[1]).basis
+        np.testing.assert_allclose(basis @ basis.T, np.eye(len(basis)), atol=1e-6)
+        np.testing.assert_allclose(basis.sum(1), 0, atol=1e-12)
+
+    def test_two_patterns_are_two_components(self, stack) -> None:
+        """They span the two swings."""
+        found = components(stack[1])
+        assert len(found.basis) == 2
+        t = np.arange(9)
+        swing = np.stack([np.sin(2 * np.pi * t / 9), np.cos(4 * np.pi * t / 9)]) / np.sqrt(4.5)
+        np.testing.assert_allclose(np.linalg.svd(found.basis @ swing.T, compute_uv=False), 1, atol=0.01)
+
+    def test_energies_are_the_squared_singular_values_of_all_cameras_together(self, stack) -> None:
+        images, observations = stack
+        video = np.concatenate([changes(images, f).reshape(9, -1) for f in observations.frames], 1)
+        found = components(observations)
+        np.testing.assert_allclose(found.energy, spectrum(video), rtol=1e-4, atol=1e-4)
+
+    def test_target_images_are_the_weighted_sums_of_the_pictures(self, stack) -> None:
+        images, observations = stack
+        found = components(observations)
+        assert found.images.shape == (2, 2, 4, 5, 3)
+        for v, frames in enumerate(observations.frames):
+            for r, a in enumerate(found.basis):
+                brute = np.zeros((4, 5, 3))
+                for t in range(9):
+                    brute += a[t] * (images.data[frames.rows[t], ..., :3] / 255.0)
+                np.testing.assert_allclose(found.images[v, r], brute, atol=1e-5)
+
+    def test_project_keeps_the_order_of_axes(self) -> None:
+        video = np.random.default_rng(0).normal(size=(5, 2, 3, 3)).astype(np.float32)
+        basis = np.eye(5)[[3, 1]]
+        np.testing.assert_array_equal(project(video, basis), video[[3, 1]])
+
+    def test_pictures_that_never_change_give_no_motion(self) -> None:
+        data, ids, times = moving_pictures(1, 5)
+        data[:] = data[:1]
+        capture, images = capture_of(ids, times, data)
+        found = components(observe(capture, images))
+        assert np.abs(found.images).max() < 1e-6
+        assert np.isfinite(found.basis).all()
+
+    def test_what_was_not_kept_is_the_residual(self, stack) -> None:
+        images, observations = stack
+        found = components(observations)
+        for v, frames in enumerate(observations.frames):
+            video = changes(images, frames)
+            left = video - np.einsum("rt,rs,shwc->thwc", found.basis, found.basis, video)
+            np.testing.assert_allclose(found.residual_energy[v], (left**2).sum(0).mean(-1), rtol=0.02)
+        total = found.energy.sum() - found.energy[: len(found.basis)].sum()
+        np.testing.assert_allclose(3 * found.residual_energy.sum(), total, rtol=1e-3)
+
+    @pytest.mark.parametrize("cached", [0, 9 * 4 * 5 * 12, 1 << 30])  # bytes: none, one camera, all
+    @pytest.mark.parametrize("strip", [1, 1 << 20])
+    def test_neither_cache_nor_strips_change_anything(
+        self, stack, cached: int, strip: int, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        expected = components(stack[1])
+        monkeypatch.setattr(first_look_module, "CACHE_BYTES", cached)
+        monkeypatch.setattr(observations_module, "STRIP_VALUES", strip)
+        found = components(stack[1])
+        signs = np.sign((found.basis * expected.basis).sum(1))
+        np.testing.assert_allclose(found.images, expected.images * signs[:, None, None, None], atol=1e-5)
+        np.testing.assert_allclose(found.residual_energy, expected.residual_energy, atol=1e-6)
+        np.testing.assert_allclose(found.mean, expected.mean, atol=1e-6)
+
+    def test_with_a_cache_pictures_are_composited_once(self, stack, monkeypatch: pytest.MonkeyPatch) -> None:
+        composited = []
+        whole = observations_module.over_white
+        monkeypatch.setattr(
+            observations_module, "over_white", lambda rows, most: composited.append(rows) or whole(rows, most)
+        )
+        components(stack[1])
+        assert len(composited) == 2  # cameras
+        monkeypatch.setattr(first_look_module, "CACHE_BYTES", 0)
+        components(stack[1])
+        assert len(composited) == 2 + 4
+
+    def test_pictures_that_repeat_leave_components_empty(self, stack) -> None:
+        """Timesteps 0 … 8 and then 3, 5, 3 again: rank 8 of 12."""
+        images, observations = stack
+        again = np.array([*range(9), 3, 5, 3])
+        repeated = [replace(f, rows=f.rows[again]) for f in observations.frames]
+        found = components(replace(observations, frames=repeated, n_timesteps=12))
+        assert found.rank == 8
+        video = np.concatenate([changes(images, f).reshape(12, -1) for f in repeated], 1)
+        np.testing.assert_allclose(found.energy, spectrum(video), rtol=1e-4, atol=1e-4)
+
+    def test_more_than_are_kept_are_warned_of(self, stack) -> None:
+        with pytest.warns(
+            UserWarning, match="2 temporal components .* motion.components keeps the strongest 1"
+        ):
+            assert len(components(stack[1], most=1).basis) == 1
+
+
+class TestNuisance:
+    """What a whole picture does is taken out before components are looked for."""
+
+    @pytest.fixture
+    def stack(self) -> tuple[Observations, list[Nuisance], np.ndarray]:
+        """Two cameras whose exposure drifts, before pictures that hold one moving pattern; that pattern."""
+        scene, cameras = two_cameras()
+        rng, t = np.random.default_rng(5), np.arange(12) / 12
+        size = (scene.height, scene.width)
+        rest, patterns = rng.uniform(0.3, 0.6, (2, *size, 3)), 0.05 * rng.normal(size=(2, *size, 3))
+        gain = 1 + 0.05 * rng.normal(size=(12, 1, 1, 1, 3))
+        offset = 0.03 * rng.normal(size=(12, 1, 1, 1, 3))
+        swing = np.sin(2 * np.pi * 3 * t)[:, None, None, None, None]
+        data = np.full((12, 2, *size, 4), 65535, np.uint16)
+        data[..., :3] = ((rest * gain + offset + swing * patterns).clip(0, 1) * 65535).round()
+        capture, images = capture_of([0, 1] * 12, sorted([*range(12)] * 2), data.reshape(24, *size, 4))
+        gaussians = gaussians_of(scene)
+        views = [view_jacobian(gaussians, c, size[::-1]) for c in cameras]
+        nuisances = nuisances_of(views, cameras, gaussians.means.numpy(), np.arange(12) < 6)
+        return observe(capture, images), nuisances, patterns
+
+    def test_drift_of_exposure_is_no_component(self, stack) -> None:
+        observations, nuisances, _ = stack
+        found = principal_components(observations, first_look(observations, nuisances), nuisances, 6)
+        plain = components(observations, 12)
+        assert len(found.basis) == 1
+        assert len(plain.basis) > 3
+        swing = np.sin(2 * np.pi * 3 * np.arange(12) / 12) / np.sqrt(6)
+        assert abs(found.basis[0] @ swing) > 0.999
+
+    def test_target_images_hold_nothing_of_it(self, stack) -> None:
+        observations, nuisances, patterns = stack
+        found = principal_components(observations, first_look(observations, nuisances), nuisances, 6)
+        for v, nuisance in enumerate(nuisances):
+            columns = nuisance.columns(found.mean[v]).reshape(6, -1)
+            image = found.images[v, 0].ravel()
+            sizes = np.linalg.norm(columns, axis=1) * np.linalg.norm(image)
+            assert (np.abs(columns @ image) < 1e-4 * sizes).all()
+            shown = (
+                patterns[v].ravel()
+                - columns.T @ np.linalg.lstsq(columns.T, patterns[v].ravel(), rcond=None)[0]
+            )
+            cosine = abs(shown @ image) / np.linalg.norm(shown) / np.linalg.norm(image)
+            assert cosine > 0.995
+
+    def test_what_is_left_is_counted_without_it(self, stack) -> None:
+        observations, nuisances, _ = stack
+        look = first_look(observations, nuisances)
+        found = principal_components(observations, look, nuisances, 6)
+        kept = (found.images.astype(float) ** 2).sum()
+        assert found.residual_energy.min() >= 0
+        assert 3 * found.residual_energy.sum() < 0.1 * kept
+        assert 3 * look.total.sum() > 1.5 * kept
+
+
+class TestSinusoids:
+    HZ = np.array([3.1, 7.4])
+
+    @pytest.fixture
+    def stack(self) -> tuple[Observations, np.ndarray]:
+        """Two cameras, each with its own times and a dropped frame; phasors [V, K, H, W, 3] of the pictures."""
+        rng, kept = np.random.default_rng(8), [[*range(7), *range(8, 40)], [*range(20), *range(21, 40)]]
+        phasors = 0.05 * (rng.normal(size=(2, 2, 4, 5, 3)) + 1j * rng.normal(size=(2, 2, 4, 5, 3)))
+        ids = [c for c in (0, 1) for _ in kept[c]]
+        steps = [t for c in (0, 1) for t in kept[c]]
+        times = np.array(steps) / 30 + np.array([0.0, 0.011])[ids]
+        turn = np.exp(2j * np.pi * self.HZ * times[:, None])
+        pictures = (
+            0.5 + np.einsum("ik,ikhwc->ihwc", turn, phasors[ids]).real + 0.05 * times[:, None, None, None]
+        )
+        data = np.full((len(ids), 4, 5, 4), 65535, np.uint16)
+        data[..., :3] = (pictures * 65535).round()
+        capture, images = capture_of(ids, steps, data)
+        return observe(replace(capture, times_s=times), images), phasors
+
+    def test_functions_are_those_of_a_phasor(self) -> None:
+        t, m = np.linspace(0, 2, 17), np.array([0.3 - 0.7j, -1.2 + 0.1j])
+        expected = (m[:, None] * np.exp(2j * np.pi * self.HZ[:, None] * t)).real.sum(0)
+        parts = np.stack([m.real, m.imag], 1).ravel()
+        np.testing.assert_allclose(parts @ sinusoids(t, self.HZ), expected, atol=1e-12)
+
+    def test_target_images_are_the_mixture_of_the_phasors(self, stack) -> None:
+        """y = C x with x the real and imaginary parts, on each camera's own clock; constant and trend taken out."""
+        observations, phasors = stack
+        nuisances = no_nuisance(observations)
+        found, mixing = sinusoid_targets(
+            observations, first_look(observations, nuisances), nuisances, self.HZ
+        )
+        scale = np.sqrt(2 / 39)
+        for v in range(2):
+            x = np.stack([phasors[v].real, phasors[v].imag], 1).reshape(4, 4, 5, 3) / scale
+            expected = np.tensordot(mixing[v], x, 1)
+            np.testing.assert_allclose(found.images[v], expected, atol=0.01 * np.abs(expected).max())
+        changes = sum(float(np.trace(gram)) for gram in first_look(observations, nuisances).grams)
+        left = changes - (found.images.astype(float) ** 2).sum()  # the trend
+        assert 3 * found.residual_energy.sum() == pytest.approx(left, rel=1e-3)
+
+    def test_the_mixing_is_nearly_a_rotation(self, stack) -> None:
+        """Of records that hold many periods: functions of unit length, nearly orthogonal."""
+        observations, _ = stack
+        nuisances = no_nuisance(observations)
+        _, mixing = sinusoid_targets(observations, first_look(observations, nuisances), nuisances, self.HZ)
+        for mix in mixing:
+            np.testing.assert_allclose(mix.T @ mix, np.eye(4), atol=0.15)

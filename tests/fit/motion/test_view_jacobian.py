@@ -1,0 +1,194 @@
+"""The Jacobian of rendering: against differences of the dense twin in float64, and its transpose."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from tests.fit.motion.scenes import COLUMNS, SCENES, motion_of, view_of
+from tests.fit.rasterize.oracle import Scene, assert_close, make_scene
+from tg4mm.fit.motion.jacobian import view as module
+from tg4mm.fit.motion.jacobian.packed import DOF, pack, unpack
+from tg4mm.fit.motion.jacobian.view import ALPHA_MIN_LINEAR
+from tg4mm.fit.rasterize import reference
+from tg4mm.fit.rasterize.buffers import Buffers
+from tg4mm.fit.rasterize.reference import rasterize_dense
+
+
+def over_white(scene: Scene, motion: np.ndarray) -> torch.Tensor:
+    """The twin's picture [H, W, 3] over white, every Gaussian shifted and turned (about the world axes)."""
+    shift, turn = motion[:, :3], Rotation.from_rotvec(motion[:, 3:])
+    rest = Rotation.from_quat(scene.quats.numpy()[:, [1, 2, 3, 0]])
+    quats = (turn * rest).as_quat()[:, [3, 0, 1, 2]]
+    image, alpha = rasterize_dense(
+        scene.means + torch.from_numpy(shift), torch.from_numpy(quats), scene.scales, scene.opacities,
+        scene.colors, scene.viewmats[0], scene.Ks[0], scene.width, scene.height,
+    )  # fmt: skip
+    return image + 1 - alpha[..., None]
+
+
+def differences(scene: Scene, motion: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
+    """Central differences along `motion` [H, W, 3], and which pixels [H, W, 1] cross no threshold meanwhile."""
+    found = []
+    for step in (1e-6, 3e-6):
+        d = motion.astype(np.float64) * step
+        found.append((over_white(scene, d) - over_white(scene, -d)) / (2 * step))
+    # a step is worth its height over 2 · step: three times less at three times the step
+    apart = (found[0] - found[1]).abs().amax(-1, keepdim=True)
+    return found[0], apart < 1e-4 * found[0].abs().max()
+
+
+@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("columns", COLUMNS)
+def test_the_jvp_is_the_derivative_of_the_picture(
+    name: str, columns: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reference, "ALPHA_MIN", ALPHA_MIN_LINEAR)
+    scene = SCENES[name]
+    motion = motion_of(scene, COLUMNS[columns])
+    expected, safe = differences(scene, motion)
+    assert safe.double().mean() > 0.97
+    assert expected.abs().max() > 0.1
+    shown = torch.from_numpy(view_of(scene).jvp(motion[None])[0])
+    assert_close("change", shown * safe, expected * safe, 3e-4)
+    with pytest.raises(AssertionError):  # the comparison can fail
+        assert_close("change", shown * safe * 1.002, expected * safe, 3e-4)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_rotations_are_about_the_world_axes(axis: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One Gaussian, turned about one axis at a time."""
+    monkeypatch.setattr(reference, "ALPHA_MIN", ALPHA_MIN_LINEAR)
+    scene = make_scene(1, n=1, spread=0.1, scale=(0.05, 0.5))
+    motion = np.zeros((1, DOF), np.float32)
+    motion[0, 3 + axis] = 1
+    expected, safe = differences(scene, motion)
+    assert expected.abs().max() > 1e-2
+    assert_close(
+        "change", torch.from_numpy(view_of(scene).jvp(motion[None])[0]) * safe, expected * safe, 3e-4
+    )
+
+
+@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("columns", COLUMNS)
+def test_the_vjp_is_the_transpose(name: str, columns: str) -> None:
+    scene = SCENES[name]
+    view, motion = view_of(scene), motion_of(scene, COLUMNS[columns])
+    for seed in range(3):
+        picture = np.random.default_rng(seed).normal(size=(scene.height, scene.width, 3)).astype(np.float32)
+        gathered = np.zeros_like(motion)
+        view.vjp(picture[None], gathered[None])
+        terms = gathered.astype(np.float64) * motion
+        forward = (view.jvp(motion[None])[0].astype(np.float64) * picture).sum()
+        assert abs(forward - terms.sum()) < 1e-4 * np.linalg.norm(view.jvp(motion[None])[0]) * np.linalg.norm(
+            picture
+        )
+        assert abs(forward - terms.sum()) < 1e-4 * np.abs(terms).sum()
+
+
+def test_the_vjp_adds_to_what_is_there() -> None:
+    scene = SCENES["ordinary"]
+    view, picture = view_of(scene), np.ones((scene.height, scene.width, 3), np.float32)
+    once, onto = np.zeros((40, DOF), np.float32), np.full((40, DOF), 2.0, np.float32)
+    view.vjp(picture[None], once[None])
+    view.vjp(picture[None], onto[None])
+    np.testing.assert_allclose(onto, once + 2, rtol=1e-5, atol=1e-4)
+    assert np.abs(once).max() > 0.1
+
+
+def test_what_the_camera_does_not_see_says_nothing() -> None:
+    scene = make_scene(0)
+    scene.means[:5] += 20 * (scene.viewmats[0, :3, :3].T @ torch.tensor([0, 0, -1.0], dtype=torch.float64))
+    view = view_of(scene)
+    motion = np.zeros((40, DOF), np.float32)
+    motion[:5] = 1
+    assert np.abs(view.jvp(motion[None])[0]).max() == 0
+    gathered = np.zeros((40, DOF), np.float32)
+    view.vjp(np.ones((scene.height, scene.width, 3), np.float32)[None], gathered[None])
+    assert (gathered[:5] == 0).all()
+    assert (gathered[5:] != 0).any()
+
+
+def test_a_small_motion_changes_the_real_picture_as_predicted() -> None:
+    """The picture that is rendered, cut-off at 1/255 and all: a hundredth of a unit, a fraction of a pixel."""
+    scene = SCENES["ordinary"]
+    motion = 0.004 * motion_of(scene, COLUMNS["displacement"])
+    change = (over_white(scene, motion.astype(float)) - over_white(scene, -motion.astype(float))).numpy() / 2
+    shown = view_of(scene).jvp(motion[None])[0]
+    assert np.linalg.norm(shown - change) < 0.1 * np.linalg.norm(change)
+    assert (shown * change).sum() / (change**2).sum() == pytest.approx(1, abs=0.03)
+
+
+@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("n_changes", [1, 3])
+@pytest.mark.parametrize("weighted", [False, True])
+def test_the_gauss_newton_product_is_one_after_the_other(name: str, n_changes: int, weighted: bool) -> None:
+    scene, rng = SCENES[name], np.random.default_rng(2)
+    view, n = view_of(scene), len(scene.means)
+    motions = rng.normal(size=(n_changes, n, DOF)).astype(np.float32)
+    pixels = rng.uniform(0.1, 1, view.transmittance.shape).astype(np.float32)
+    expected = rng.normal(size=motions.shape).astype(np.float32)
+    found = expected.copy()  # added to
+    pictures = view.jvp(motions)
+    view.vjp(pictures * pixels[..., None] if weighted else pictures, expected)
+    view.gauss_newton_product(motions, pixels if weighted else None, found)
+    np.testing.assert_allclose(found, expected, atol=2e-5 * np.abs(expected).max())
+
+
+def test_the_gauss_newton_product_is_the_same_with_kept_buffers() -> None:
+    """Also after a call with more changes, of which they still hold something."""
+    view, rng = view_of(SCENES["crowded"]), np.random.default_rng(3)
+    motions, buffers = rng.normal(size=(4, 120, DOF)).astype(np.float32), Buffers()
+    alone, kept = np.zeros_like(motions[:1]), np.zeros_like(motions[:1])
+    view.gauss_newton_product(motions, None, np.zeros_like(motions), buffers)
+    view.gauss_newton_product(motions[:1], None, kept, buffers)
+    view.gauss_newton_product(motions[:1], None, alone)
+    assert np.array_equal(kept, alone)
+
+
+def test_what_nobody_sees_is_not_listed_and_not_missed(monkeypatch: pytest.MonkeyPatch) -> None:
+    crowded = SCENES["crowded"]
+    opaque = replace(crowded, opacities=torch.full_like(crowded.opacities, 0.999), scales=4 * crowded.scales)
+    view = view_of(opaque)
+    monkeypatch.setattr(module, "seen", lambda bins: bins)
+    whole = view_of(opaque)
+    assert len(view.bins.pair_gaussian) < 0.95 * len(whole.bins.pair_gaussian)
+    assert view.bins.n_visible < whole.bins.n_visible
+    assert (view.bins.reached != 0).all()
+    motions = np.stack([motion_of(opaque, COLUMNS["both"], seed) for seed in range(2)])
+    pictures = whole.jvp(motions)
+    assert np.abs(pictures).max() > 0.1
+    assert np.array_equal(view.jvp(motions), pictures)
+    for apply in ("vjp", "gauss_newton_product"):
+        found, expected = np.zeros((2, *motions.shape), np.float32)
+        for some, out in ((view, found), (whole, expected)):
+            if apply == "vjp":
+                some.vjp(pictures, out)
+            else:
+                some.gauss_newton_product(motions, None, out)
+        assert np.abs(expected).max() > 0.1
+        assert np.array_equal(found, expected), apply
+
+
+def test_packing_keeps_every_number() -> None:
+    jacobian = np.random.default_rng(4).normal(size=(7, 8, DOF)).astype(np.float32)
+    jacobian[:, [0, 1, 5, 6, 7], 3:] = 0  # rotation moves no mean and changes no colour
+    assert np.array_equal(unpack(pack(jacobian)), jacobian)
+
+
+def test_a_stored_view_gives_the_same_before_and_after_it_is_released() -> None:
+    view, rng = view_of(SCENES["crowded"]), np.random.default_rng(4)
+    motions = rng.normal(size=(3, 120, DOF)).astype(np.float32)
+    stored = view.stored()
+    for _ in range(2):
+        own, other = np.zeros_like(motions), np.zeros_like(motions)
+        view.gauss_newton_product(motions, None, own)
+        stored.gauss_newton_product(motions, None, other)
+        assert np.array_equal(own, other)
+        assert np.array_equal(view.jvp(motions), stored.jvp(motions))
+        stored.release()
+    assert stored.nbytes == view.nbytes

@@ -1,0 +1,161 @@
+"""The call itself: what is refused, and what a CUDA tensor passes on to gsplat."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import sys
+import types
+from typing import Any
+
+import pytest
+import torch
+
+from tests.fit.rasterize.oracle import check, make_scene
+from tg4mm.core.errors import Tg4mmError
+from tg4mm.fit.rasterize import rasterization
+
+
+def arguments(**changes: Any) -> dict[str, Any]:
+    """A valid call for 5 Gaussians and 2 cameras, with changes."""
+    call = {
+        "means": torch.randn(5, 3),
+        "quats": torch.randn(5, 4),
+        "scales": torch.rand(5, 3),
+        "opacities": torch.rand(5),
+        "colors": torch.rand(5, 3),
+        "viewmats": torch.eye(4).repeat(2, 1, 1),
+        "Ks": torch.eye(3).repeat(2, 1, 1),
+        "width": 8,
+        "height": 6,
+    }
+    return call | changes
+
+
+@pytest.mark.parametrize(
+    ("name", "shape", "expected"),
+    [
+        ("means", (5, 2), "(5, 3)"),
+        ("means", (5,), "(5, 3)"),
+        ("quats", (4, 4), "(5, 4)"),
+        ("quats", (5, 3), "(5, 4)"),
+        ("scales", (1, 3), "(5, 3)"),
+        ("opacities", (5, 1), "(5,)"),
+        ("opacities", (1,), "(5,)"),
+        ("colors", (4, 3), "(5, 'any')"),
+        ("colors", (5, 16, 3), "(5, 'any')"),
+        ("viewmats", (4, 4), "(4, 4, 4)"),
+        ("viewmats", (2, 3, 4), "(2, 4, 4)"),
+        ("Ks", (3, 3), "(2, 3, 3)"),
+        ("Ks", (1, 3, 3), "(2, 3, 3)"),
+        ("backgrounds", (3,), "(2, 3)"),
+        ("backgrounds", (2, 4), "(2, 3)"),
+    ],
+)
+def test_a_wrong_shape_is_named_with_the_right_one(name: str, shape: tuple[int, ...], expected: str) -> None:
+    """Shapes are exact: nothing is broadcast."""
+    with pytest.raises(ValueError, match=r"expected") as caught:
+        rasterization(**arguments(**{name: torch.ones(shape)}))
+    assert f"{name} has shape {shape}, expected {expected}" in str(caught.value)
+
+
+def test_harmonics_need_their_own_shape() -> None:
+    with pytest.raises(ValueError, match=r"colors has shape \(5, 3\), expected \(5, 'any', 3\)"):
+        rasterization(**arguments(sh_degree=0))
+    with pytest.raises(ValueError, match=r"backgrounds has shape \(2, 16\), expected \(2, 3\)"):
+        rasterization(**arguments(sh_degree=0, colors=torch.ones(5, 16, 3), backgrounds=torch.ones(2, 16)))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"render_mode": "RGBD"}, r"render_mode is 'RGBD', expected one of RGB, D, ED, RGB\+D, RGB\+ED"),
+        ({"sh_degree": 4, "colors": torch.ones(5, 25, 3)}, "sh_degree is 4, expected 0 to 3"),
+        ({"sh_degree": -1, "colors": torch.ones(5, 1, 3)}, "sh_degree is -1, expected 0 to 3"),
+        ({"sh_degree": 2, "colors": torch.ones(5, 4, 3)}, "colors has 4 SH coefficients, degree 2 needs 9"),
+        ({"width": 0}, "image size is 0×6, expected at least 1×1"),
+        ({"height": -2}, "image size is 8×-2, expected at least 1×1"),
+    ],
+)
+def test_a_wrong_option_is_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        rasterization(**arguments(**changes))
+
+
+@pytest.fixture
+def pretend_cuda(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tensors say that they lie on a GPU; nothing else changes."""
+    monkeypatch.setattr(torch.Tensor, "is_cuda", property(lambda _: True), raising=False)
+
+
+OPTIONS: dict[str, Any] = {
+    "near_plane": 0.1,
+    "far_plane": 50.0,
+    "eps2d": 0.2,
+    "sh_degree": 1,
+    "backgrounds": torch.rand(2, 3),
+    "render_mode": "RGB+ED",
+}
+
+
+@pytest.mark.usefixtures("pretend_cuda")
+def test_cuda_tensors_go_to_gsplat_under_its_argument_names(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bound to gsplat's own signature, every argument arrives as it was given; importing needs no GPU."""
+    gsplat = pytest.importorskip("gsplat", reason='gsplat is not installed (pip install ".[cuda]")')
+    signature = inspect.signature(gsplat.rasterization)
+    calls: list[inspect.BoundArguments] = []
+
+    def record(*args: Any, **kwargs: Any) -> tuple[str, str, str]:
+        calls.append(signature.bind(*args, **kwargs))
+        return "renders", "alphas", "meta"
+
+    monkeypatch.setattr(gsplat, "rasterization", record)
+    call = arguments(colors=torch.rand(5, 4, 3), **OPTIONS)
+    assert rasterization(**call) == ("renders", "alphas", "meta")
+    assert len(calls) == 1
+    for name, value in call.items():
+        assert calls[0].arguments[name] is value, name
+    extra = {k: v for k, v in calls[0].arguments.items() if k not in call}
+    assert extra == {"packed": False}
+
+
+def test_defaults_are_gsplats() -> None:
+    gsplat = pytest.importorskip("gsplat", reason='gsplat is not installed (pip install ".[cuda]")')
+    theirs = inspect.signature(gsplat.rasterization).parameters
+    for name, parameter in inspect.signature(rasterization).parameters.items():
+        assert theirs[name].default == parameter.default, name
+
+
+@pytest.mark.usefixtures("pretend_cuda")
+def test_without_gsplat_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "gsplat", None)
+    with pytest.raises(Tg4mmError, match=r'device cuda needs gsplat: pip install "\.\[cuda\]"'):
+        rasterization(**arguments())
+
+
+@pytest.mark.usefixtures("pretend_cuda")
+def test_a_wrong_shape_is_refused_before_gsplat_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    fake = types.ModuleType("gsplat")
+    fake.rasterization = lambda *_, **__: pytest.fail("gsplat was called")  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "gsplat", fake)
+    with pytest.raises(ValueError, match="quats has shape"):
+        rasterization(**arguments(quats=torch.ones(5, 3)))
+
+
+def test_importing_the_package_does_not_import_gsplat(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "gsplat", None)
+    module = importlib.util.find_spec("tg4mm.fit.rasterize.api")
+    assert module is not None
+    assert module.loader is not None
+    fresh = importlib.util.module_from_spec(module)
+    module.loader.exec_module(fresh)  # would raise ImportError
+    assert fresh.rasterization(**arguments())[0].shape == (2, 6, 8, 3)
+
+
+@pytest.mark.skipif(
+    not torch.cuda.is_available(), reason="gsplat's kernels need a CUDA device; torch sees none"
+)
+@pytest.mark.parametrize("mode", ["RGB", "RGB+ED"])
+def test_gsplat_on_cuda_equals_the_twin(mode: str) -> None:
+    pytest.importorskip("gsplat", reason='gsplat is not installed (pip install ".[cuda]")')
+    check(make_scene(80, cameras=2), mode=mode, tolerance=1e-3, device="cuda")

@@ -1,0 +1,258 @@
+"""The CPU kernels against the dense float64 twin: values and gradients, on scenes that go to extremes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+import torch
+
+from tests.fit.rasterize.oracle import (
+    NAMES,
+    Scene,
+    Thresholds,
+    assert_close,
+    assert_gradients_close,
+    check,
+    make_scene,
+    render,
+    thresholds,
+    twin,
+    uniform,
+    with_channels,
+)
+from tg4mm.fit.rasterize import cpu
+from tg4mm.fit.rasterize.api import RENDER_MODES
+from tg4mm.fit.rasterize.kernels.layout import ALPHA_MAX, ALPHA_MIN, POWER
+
+
+def always(_: Thresholds) -> bool:
+    return True
+
+
+# name: scene, what must be true of it for the case to test what it says, tolerance (None: the default)
+SCENES: dict[str, tuple[Scene, Callable[[Thresholds], bool], float | None]] = {
+    "ordinary": (make_scene(0), always, None),
+    "large": (make_scene(1, scale=(0.5, 3.0)), always, None),
+    "smaller than a pixel": (make_scene(2, n=150, scale=(1e-5, 3e-3)), lambda t: t.aspect < 1.2, None),
+    "across the edges": (make_scene(3, spread=4.0, distance=7.0, n=80), always, None),
+    "behind and around the camera": (make_scene(4, spread=2.0, distance=0.3, n=80), always, None),
+    "beyond the field of view": (
+        make_scene(5, spread=3.0, distance=2.0, n=80, scale=(0.3, 1.0)),
+        lambda t: t.n_clamped >= 10,
+        None,
+    ),
+    "nearly opaque": (
+        make_scene(6, opacity=(0.9995, 1.0), scale=(0.05, 0.5)),
+        lambda t: t.largest > ALPHA_MAX,
+        None,
+    ),
+    "very faint": (make_scene(8, opacity=(0.003, 0.02), n=80), lambda t: t.largest < 0.02, None),
+    "light spent": (
+        make_scene(19, n=250, spread=0.3, scale=(0.1, 0.4), opacity=(0.3, 0.95)),
+        lambda t: t.n_stopped > 200,
+        None,
+    ),
+    # A thin ellipse's exponent is a difference of large terms: its error grows with the square of its length
+    # over its width. Float32 leaves 1e-4 of the value and 1e-3 of the gradients at 100 : 1.
+    "needles": (make_scene(10, scale=(1e-4, 1.0), n=60), lambda t: t.aspect > 15, 3e-4),
+    "sharp needles": (
+        replace(make_scene(11, n=12), scales=torch.tensor([[3.0, 1e-3, 1e-3]]).double().repeat(12, 1)),
+        lambda t: t.aspect > 50,
+        4e-3,
+    ),
+    "one Gaussian": (make_scene(12, n=1, spread=0.1, scale=(0.1, 0.3)), always, None),
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_values_and_gradients_equal_the_twins(name: str) -> None:
+    scene, premise, tolerance = SCENES[name]
+    assert premise(thresholds(scene)), f"the scene is not {name}"
+    margin = 1e-4 if tolerance is None else 2e-3
+    check(scene, mode="RGB+D", margin=margin, tolerance=tolerance)
+
+
+@pytest.mark.parametrize("length", [10.0, 100.0, 1000.0])
+def test_a_needle_longer_than_any_image_is_drawn(length: float) -> None:
+    """Its covariance has a condition up to 1e10 and cancels in float32 unless its determinant is a sum."""
+    scene = with_channels(make_scene(13, n=1, spread=0.1), 1)
+    scene = replace(
+        scene,
+        scales=torch.tensor([[length, 1e-3, 1e-3]]).double(),
+        opacities=torch.tensor([0.9]).double(),
+        viewmats=torch.eye(4, dtype=torch.float64)[None],
+        means=torch.tensor([[0.0, 0.0, 3.0]]).double(),
+        quats=torch.tensor([[1.0, 0.3, -0.2, 0.5]]).float().double(),
+    )
+    safe = thresholds(scene, margin=2e-3).safe[..., None]
+    expected = twin(scene.tensors(), scene, None, None, "RGB")[0][0].detach() * safe
+    assert (expected.abs() > 0.1).sum() > 30
+    assert_close("image", render(scene.tensors(torch.float32), scene)[0][0] * safe, expected, 1e-3)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (5, 40), (33, 1), (16, 16), (17, 15), (64, 48)])
+def test_any_image_size(size: tuple[int, int]) -> None:
+    check(make_scene(20, size=size, scale=(0.05, 0.6)), mode="RGB+D")
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_every_degree_of_spherical_harmonics(degree: int) -> None:
+    """Coefficients above the degree are there and must be left alone."""
+    check(make_scene(30 + degree), sh_degree=degree)
+
+
+@pytest.mark.parametrize("channels", [1, 2, 3, 4, 7])
+@pytest.mark.parametrize("mode", ["RGB", "RGB+ED"])
+def test_any_number_of_plain_channels(channels: int, mode: str) -> None:
+    """More than one pass takes, too, and negative values: only spherical harmonics are clamped."""
+    rng = torch.Generator().manual_seed(channels)
+    scene = with_channels(make_scene(40 + channels), channels)
+    check(scene, sh_degree=None, mode=mode, backgrounds=uniform(rng, 1, channels).float().double())
+
+
+@pytest.mark.parametrize("mode", RENDER_MODES)
+@pytest.mark.parametrize("sh_degree", [None, 3])
+def test_every_render_mode_from_several_cameras(mode: str, sh_degree: int | None) -> None:
+    scene = make_scene(50, cameras=3)
+    if sh_degree is None:
+        scene = with_channels(scene, 3)
+    backgrounds = uniform(torch.Generator().manual_seed(1), 3, 3).float().double()
+    check(scene, sh_degree=sh_degree, mode=mode, backgrounds=backgrounds)
+
+
+@pytest.mark.parametrize("mode", RENDER_MODES)
+def test_an_empty_scene_shows_the_background(mode: str) -> None:
+    scene = make_scene(60, n=0, cameras=2, size=(20, 10))
+    tensors = scene.tensors(torch.float32)
+    backgrounds = torch.tensor([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]])
+    image, alpha, _ = render(tensors, scene, 3, backgrounds=backgrounds, render_mode=mode)
+    (image.sum() + alpha.sum()).backward()
+    assert not alpha.any()
+    if "RGB" in mode:
+        assert torch.equal(image[..., :3], backgrounds[:, None, None].expand(2, 10, 20, 3))
+    if mode != "RGB":
+        assert not image[..., -1].any()
+    assert tensors[0].grad is not None
+    assert tensors[0].grad.shape == (0, 3)
+
+
+def test_nothing_visible_gives_an_empty_image_and_no_gradient() -> None:
+    scene = make_scene(61, distance=-9.0)  # all of it behind the camera
+    tensors = scene.tensors(torch.float32)
+    image, alpha, meta = render(tensors, scene, 3, render_mode="RGB+ED")
+    (image.sum() + alpha.sum()).backward()
+    assert meta["projected"][0].bins.n_visible == 0
+    assert not image.any()
+    assert not alpha.any()
+    for name, tensor in zip(NAMES, tensors, strict=True):
+        assert tensor.grad is not None, name
+        assert not tensor.grad.any(), name
+
+
+def test_near_and_far_planes_and_faintness_cull() -> None:
+    """A Gaussian outside the planes, or nowhere above 1/255, is as good as not there."""
+    scene = make_scene(62, n=4, scale=(0.2, 0.3))
+    means = torch.tensor([[0.0, 0, 2], [0, 0, 3], [0, 0, 5], [0, 0, 4]])
+    opacities = torch.tensor([0.9, 0.8, 0.9, 0.9 * ALPHA_MIN])
+    _, quats, scales, _, colors, _ = (a.detach() for a in scene.tensors(torch.float32))
+
+    def image(keep: list[int], **planes: float) -> torch.Tensor:
+        parts = [a[keep] for a in (means, quats, scales, opacities, colors)]
+        return render([*parts, torch.eye(4)[None]], scene, 3, **planes)[0]
+
+    assert torch.equal(image([0, 1, 2, 3], near_plane=2.5, far_plane=4.5), image([1]))
+    assert image([1]).abs().max() > 0.1
+
+
+def test_inputs_of_other_types_and_strides() -> None:
+    """float64 and transposed storage are taken as they are, and not written to; gradients come in kind."""
+    scene = make_scene(63)
+    wide = [a.detach().transpose(0, -1).contiguous().transpose(0, -1) for a in scene.tensors()]
+    before = [a.clone() for a in wide]
+    wide = [a.requires_grad_() for a in wide]
+    narrow = scene.tensors(torch.float32)
+    images = []
+    for t in (wide, narrow):
+        image, _, _ = render(t, scene, 3)
+        image.square().sum().backward()
+        images.append(image)
+    assert torch.equal(images[0].float(), images[1])
+    for name, a, b, original in zip(NAMES, wide, narrow, before, strict=True):
+        assert a.grad is not None, name
+        assert b.grad is not None, name
+        assert a.grad.dtype == torch.float64, name
+        assert torch.equal(a.grad.float(), b.grad), name
+        assert torch.equal(a.detach(), original), name
+
+
+@pytest.mark.parametrize("column", ["means", "quats", "scales", "opacities"])
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf"), 1e30, 0.0])
+def test_a_spoilt_gaussian_does_not_spoil_the_others(column: str, value: float) -> None:
+    """A diverged parameter costs its own Gaussian, not the image; the others' gradients stay finite."""
+    scene = make_scene(64, n=10)
+    tensors = scene.tensors(torch.float32)
+    with torch.no_grad():
+        tensors[NAMES.index(column)][3] = value
+    image, alpha, meta = render(tensors, scene, 3)
+    (image.sum() + alpha.sum()).backward()
+    assert torch.isfinite(image).all()
+    others = [i for i in range(10) if i != 3]
+    assert (meta["projected"][0].splats[others, POWER] > 0).sum() > 5
+    for name, tensor in zip(NAMES[:5], tensors, strict=False):
+        assert tensor.grad is not None, name
+        assert torch.isfinite(tensor.grad[others]).all(), name
+
+
+# The comparison must be able to fail.
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda g: g * 1.001,
+        lambda g: -g,
+        lambda g: g.roll(1, -1),
+        lambda g: torch.zeros_like(g),
+        lambda g: torch.where(torch.arange(len(g))[:, None] == 5, float("nan"), g),
+        lambda g: g + 2e-4 * g.abs().max() * (torch.arange(len(g))[:, None] == 5),
+    ],
+)
+def test_the_comparison_refuses_a_wrong_gradient(spoil: Callable[[torch.Tensor], torch.Tensor]) -> None:
+    scene = make_scene(70)
+    right, wrong = scene.tensors(), scene.tensors()
+    rng = torch.Generator().manual_seed(0)
+    for a, b in zip(right, wrong, strict=True):
+        a.grad = torch.randn(a.shape, generator=rng, dtype=torch.float64)
+        b.grad = a.grad.clone()
+    assert_gradients_close(wrong, right, 1e-4)
+    assert wrong[1].grad is not None
+    wrong[1].grad = spoil(wrong[1].grad)
+    with pytest.raises(AssertionError, match="gradient by quats"):
+        assert_gradients_close(wrong, right, 1e-4)
+
+
+def test_the_comparison_refuses_a_wrong_image() -> None:
+    with pytest.raises(AssertionError, match="image: error"):
+        assert_close("image", torch.tensor([1.0, 2.001]), torch.tensor([1.0, 2.0]), 1e-4)
+    with pytest.raises(AssertionError, match="image: shape"):
+        assert_close("image", torch.zeros(2), torch.zeros(3), 1e-4)
+
+
+@pytest.mark.parametrize("kernel", ["gather_sums", "blend_backward", "project_backward"])
+def test_the_comparison_refuses_a_kernel_that_is_slightly_off(
+    kernel: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each backward kernel in turn returns one of its arrays 0.1 % too large."""
+    real = getattr(cpu, kernel)
+    output = {"gather_sums": 5, "blend_backward": 9, "project_backward": 12}[kernel]
+
+    def off(*args: object, **kwargs: object) -> None:
+        real(*args, **kwargs)
+        array = args[output]
+        array *= 1.001  # type: ignore[operator]
+
+    monkeypatch.setattr(cpu, kernel, off)
+    with pytest.raises(AssertionError, match="gradient by"):
+        check(make_scene(0))

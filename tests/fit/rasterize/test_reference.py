@@ -1,0 +1,166 @@
+"""The dense twin: its derivatives against finite differences, its formulas against independent ones."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+from torch.autograd import gradcheck
+
+from tests.fit.rasterize.oracle import random_rotations, uniform
+from tg4mm.fit.rasterize.kernels.layout import ALPHA_MAX, ALPHA_MIN, T_MIN
+from tg4mm.fit.rasterize.reference import composite, project, rasterize_dense, rotation_matrices, sh_colours
+
+
+def leaves(*tensors: Tensor) -> tuple[Tensor, ...]:
+    return tuple(t.clone().requires_grad_() for t in tensors)
+
+
+@pytest.fixture
+def rng() -> torch.Generator:
+    return torch.Generator().manual_seed(0)
+
+
+def geometry(rng: torch.Generator, n: int) -> tuple[Tensor, ...]:
+    """means, quats, scales, viewmat [4, 4], K [3, 3] of a scene that fills an image of 6 × 5 pixels."""
+    viewmat = torch.eye(4, dtype=torch.float64)
+    viewmat[:3, :3] = random_rotations(rng, 1)[0]
+    viewmat[2, 3] = 4.0
+    K = torch.tensor([[7.0, 0, 2.7], [0, 6.0, 2.9], [0, 0, 1]], dtype=torch.float64)
+    quats = torch.randn(n, 4, generator=rng, dtype=torch.float64)
+    return uniform(rng, n, 3, low=-0.8, high=0.8), quats, uniform(rng, n, 3, low=1.0, high=2.0), viewmat, K
+
+
+def test_rotation_matrices_are_scipys(rng: torch.Generator) -> None:
+    quats = torch.randn(20, 4, generator=rng, dtype=torch.float64) * 3
+    expected = Rotation.from_quat(quats.numpy()[:, [1, 2, 3, 0]]).as_matrix()
+    np.testing.assert_allclose(rotation_matrices(quats).numpy(), expected, atol=1e-14)
+
+
+def test_rotation_matrices_gradcheck(rng: torch.Generator) -> None:
+    assert gradcheck(rotation_matrices, leaves(torch.randn(3, 4, generator=rng, dtype=torch.float64) * 3))
+
+
+@pytest.mark.parametrize("n_coefficients", [1, 4, 9, 16])
+def test_sh_colours_gradcheck(n_coefficients: int, rng: torch.Generator) -> None:
+    sh = uniform(rng, 4, n_coefficients, 3, low=-0.1, high=0.1)  # far from the clamp at 0
+    directions = torch.randn(4, 3, generator=rng, dtype=torch.float64)
+    assert sh_colours(sh, directions).min() > 0.01
+    assert gradcheck(sh_colours, leaves(sh, directions))
+
+
+def test_sh_colours_are_clamped_at_zero_without_gradient() -> None:
+    sh = torch.full((1, 1, 3), -3.0, dtype=torch.float64, requires_grad=True)
+    colour = sh_colours(sh, torch.ones(1, 3, dtype=torch.float64))
+    colour.sum().backward()
+    assert not colour.any()
+    assert sh.grad is not None
+    assert not sh.grad.any()
+
+
+def test_spherical_harmonics_are_orthonormal() -> None:
+    """∫ Y_i Y_j over the sphere is δ_ij, by a quadrature that is exact for these polynomials."""
+    z, weight = np.polynomial.legendre.leggauss(8)
+    phi = 2 * np.pi * np.arange(16) / 16
+    r = np.sqrt(1 - z**2)
+    directions = np.stack([np.outer(r, np.cos(phi)), np.outer(r, np.sin(phi)), np.outer(z, np.ones(16))], -1)
+    n = directions.reshape(-1, 3)
+    unit = torch.eye(16, dtype=torch.float64)[:, :, None].repeat(1, 1, 3) * 0.1
+    values = np.stack([(sh_colours(u[None].expand(len(n), -1, -1), torch.from_numpy(n))[:, 0] - 0.5) / 0.1
+                       for u in unit])  # fmt: skip
+    weights = (np.repeat(weight, 16) * 2 * np.pi / 16)[None]
+    np.testing.assert_allclose((values * weights) @ values.T, np.eye(16), atol=1e-12)
+
+
+def test_project_gradcheck(rng: torch.Generator) -> None:
+    means, quats, scales, viewmat, K = geometry(rng, 3)
+    means[2] *= 4  # one beyond the field of view, with a clamped Jacobian
+
+    def outputs(m: Tensor, q: Tensor, s: Tensor, v: Tensor) -> tuple[Tensor, ...]:
+        return project(m, q, s, v, K, 6, 5, 0.3)
+
+    assert gradcheck(outputs, leaves(means, quats, scales, viewmat))
+
+
+def test_projected_mean_and_depth_are_the_pinhole_cameras(rng: torch.Generator) -> None:
+    means, quats, scales, viewmat, K = geometry(rng, 5)
+    uv, _, depth = project(means, quats, scales, viewmat, K, 6, 5, 0.3)
+    homogeneous = (viewmat @ torch.cat([means, torch.ones(5, 1, dtype=torch.float64)], 1).T)[:3]
+    pixels = K @ homogeneous
+    assert torch.allclose(uv, (pixels[:2] / pixels[2]).T)
+    assert torch.allclose(depth, homogeneous[2])
+
+
+def test_projected_covariance_is_that_of_projected_samples(rng: torch.Generator) -> None:
+    """EWA is the first order: exact in the limit of a small Gaussian."""
+    means, quats, scales, viewmat, K = geometry(rng, 3)
+    scales = scales * 1e-3
+    uv, cov, _ = project(means, quats, scales, viewmat, K, 600, 500, 0.0)
+    normal = torch.randn(200_000, 3, generator=rng, dtype=torch.float64)
+    for i in range(3):
+        samples = means[i] + (normal * scales[i]) @ rotation_matrices(quats[i : i + 1])[0].T
+        ones = torch.ones(len(samples), 1, dtype=torch.float64)
+        cam = (viewmat @ torch.cat([samples, ones], 1).T)[:3]
+        pixels = (K @ cam)[:2] / cam[2] - uv[i][:, None]
+        assert torch.allclose(
+            pixels @ pixels.T / len(samples), cov[i], rtol=0.02, atol=0.02 * cov[i].max().item()
+        )
+
+
+def test_composite_gradcheck(rng: torch.Generator) -> None:
+    alphas = uniform(rng, 5, 3, low=0.1, high=0.7)
+    assert gradcheck(composite, leaves(alphas, uniform(rng, 5, 2)))
+
+
+def test_composite_is_equation_3_term_by_term(rng: torch.Generator) -> None:
+    """C = Σ c_i α_i Π_{j<i} (1 - α_j), stopped before the light falls to T_MIN, as two plain loops."""
+    alphas = uniform(rng, 12, 6, low=0.0, high=0.9)
+    features = uniform(rng, 12, 2)
+    colour, transmittance = composite(alphas, features)
+    stopped = 0
+    for p in range(6):
+        light, total = 1.0, torch.zeros(2, dtype=torch.float64)
+        for i in range(12):
+            behind = light * (1 - alphas[i, p].item())
+            if behind <= T_MIN:
+                stopped += 1
+                break
+            total += light * alphas[i, p] * features[i]
+            light = behind
+        assert torch.allclose(colour[p], total)
+        assert math.isclose(transmittance[p].item(), light)
+    assert 0 < stopped < 6
+
+
+@pytest.mark.parametrize("use_sh", [True, False])
+def test_rasterize_dense_gradcheck(use_sh: bool, rng: torch.Generator) -> None:
+    means, quats, scales, viewmat, K = geometry(rng, 3)
+    opacities = uniform(rng, 3, low=0.3, high=0.7)
+    features = uniform(rng, 3, 4, 3, low=-0.1, high=0.1) if use_sh else uniform(rng, 3, 2)
+
+    def image(m: Tensor, q: Tensor, s: Tensor, o: Tensor, f: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
+        return rasterize_dense(m, q, s, o, f, v, K, 6, 5, with_depth=True, use_sh=use_sh)
+
+    _, alpha = image(means, quats, scales, opacities, features, viewmat)
+    assert alpha.max() < 0.99  # away from the end of the light
+    assert gradcheck(image, leaves(means, quats, scales, opacities, features, viewmat))
+
+
+@pytest.mark.parametrize(
+    ("opacity", "expected"),
+    [(0.5, lambda o: o), (1.0, lambda o: ALPHA_MAX), (0.99 * ALPHA_MIN, lambda o: 0.0)],
+)
+def test_alpha_at_the_centre_of_one_gaussian(opacity: float, expected: Callable[[float], float]) -> None:
+    """A Gaussian on a pixel's centre has its own opacity there, limited above and cut off below."""
+    one = torch.ones(1, 3, dtype=torch.float64)
+    K = torch.tensor([[10.0, 0, 2.5], [0, 10, 1.5], [0, 0, 1]], dtype=torch.float64)
+    _, alpha = rasterize_dense(
+        one * torch.tensor([0.0, 0, 2]), torch.tensor([[1.0, 0, 0, 0]]).double(), one * 0.1,
+        torch.tensor([opacity]).double(), one, torch.eye(4).double(), K, 5, 4, use_sh=False,
+    )  # fmt: skip
+    assert alpha[1, 2].item() == pytest.approx(expected(opacity), abs=1e-12)

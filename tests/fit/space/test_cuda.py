@@ -1,0 +1,222 @@
+"""The space stage as it runs on a GPU. Without one: the same code with gsplat's two calls made by our CPU path."""
+
+from __future__ import annotations
+
+import sys
+import types
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from tests.fit.rasterize.oracle import assert_close, make_scene
+from tests.helpers.adam import assert_same_steps, watch_space
+from tests.helpers.cuda import needs_cuda
+from tests.helpers.space_cuda import spherical_harmonics
+from tests.helpers.space_train import psnr_of_test_views
+from tests.helpers.synthetic import make_synthetic_dataset
+from tg4mm.capture import SurfacePoints, load_capture, load_images
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.space import RestViews, SpaceConfig, rest_views
+from tg4mm.fit.space import train as stage
+from tg4mm.fit.space import view as view_module
+from tg4mm.fit.space.checkpoint import pictures_digest
+from tg4mm.fit.space.levels import level_at, levels
+from tg4mm.fit.space.view import RenderedView, _render_cuda, render_view
+from tg4mm.run import Run
+from tg4mm.run.stages.space import train_space
+
+SCENE = make_scene(0)
+SIZE = (SCENE.width, SCENE.height)
+SHORT = SpaceConfig(iterations=36, max_gaussians=500, init_points=300)
+
+
+@pytest.fixture
+def gsplat_on_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    module = types.ModuleType("gsplat")
+    module.spherical_harmonics = spherical_harmonics  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "gsplat", module)
+
+
+def outcome(render: Callable[..., RenderedView], degree: int, device: str = "cpu") -> dict[str, torch.Tensor]:
+    """Picture, carrier, shares and gradients of a loss on all of them."""
+    tensors = [getattr(SCENE, k) for k in ("means", "quats", "scales", "opacities", "colors")]
+    leaves = [t.detach().to(device, torch.float32).requires_grad_() for t in tensors]
+    viewmat, K = SCENE.viewmats[0].to(device).float(), SCENE.Ks[0].to(device).float()
+    view = render(Gaussians(*leaves), viewmat, K, SIZE, degree)
+    error = torch.rand(SIZE[1], SIZE[0], generator=torch.Generator().manual_seed(1)).to(device)
+    (view.rgb.square().mean() + (view.carrier * error).sum()).backward()
+    found = {"rgb": view.rgb, "carrier": view.carrier, "shares": view.shares()}
+    names = ("means", "quats", "scales", "opacities", "sh")
+    grads = {f"gradient by {n}": leaf.grad for n, leaf in zip(names, leaves, strict=True)}
+    assert all(g is not None for g in grads.values())
+    return {k: v.detach().cpu() for k, v in (found | grads).items() if v is not None}
+
+
+@pytest.mark.parametrize("degree", [0, 1, 3])
+def test_a_view_made_for_gsplat_is_the_cpus(degree: int, gsplat_on_cpu: None) -> None:
+    expected = outcome(render_view, degree)
+    assert expected["shares"].max() > 0
+    for name, value in outcome(_render_cuda, degree).items():
+        assert_close(name, value, expected[name], 1e-4)
+
+
+@needs_cuda
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_a_view_on_cuda_is_the_cpus(degree: int) -> None:
+    expected = outcome(render_view, degree)
+    for name, value in outcome(render_view, degree, "cuda").items():
+        assert_close(name, value, expected[name], 5e-3)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("cuda") / "data"
+    make_synthetic_dataset(path, n_views=6, n_timesteps=1, size=48, alphas=(), n_test=2)
+    return path
+
+
+@pytest.fixture(scope="module")
+def views(data: Path) -> RestViews:
+    capture = load_capture(data)
+    return rest_views(capture, load_images(capture))
+
+
+@pytest.fixture(scope="module")
+def points(data: Path) -> SurfacePoints:
+    found = load_capture(data).points
+    assert found is not None
+    return found
+
+
+@pytest.fixture
+def new_run(data: Path, tmp_path: Path) -> Callable[[], Run]:
+    return lambda: Run.create(tmp_path / f"run{len(list(tmp_path.iterdir()))}", data, "modal", {})
+
+
+def test_training_through_gsplats_calls_is_training(
+    views: RestViews, points: SurfacePoints, new_run: Callable[[], Run], gsplat_on_cpu: None,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    # too short for density control, in whose draws rounding would grow
+    config = SpaceConfig(iterations=12, max_gaussians=500, init_points=300)
+    watched = watch_space(monkeypatch)
+    expected = train_space(new_run(), views, points, config)
+    monkeypatch.setattr(stage, "FUSED", ())
+    monkeypatch.setattr(stage, "render_view", _render_cuda)
+    train_space(new_run(), views, points, config)
+    assert (expected.opacities - 0.3).abs().max() > 0.03  # where they all start
+    assert_same_steps(watched[1], watched[0])
+
+
+class Fetches(TorchDispatchMode):
+    """Counts numbers that are brought to the host: on a GPU each one waits for everything before it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.count = 0
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        if func is torch.ops.aten._local_scalar_dense.default:
+            self.count += 1
+        return func(*args, **(kwargs or {}))
+
+
+def test_the_counter_counts() -> None:
+    with Fetches() as fetches:
+        float(torch.ones(3).sum())
+    assert fetches.count == 1
+
+
+def test_an_iteration_fetches_nothing(
+    views: RestViews, points: SurfacePoints, gsplat_on_cpu: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stage, "FUSED", ())
+    monkeypatch.setattr(stage, "render_view", _render_cuda)
+    config = stage.resolved(SpaceConfig(iterations=1000, max_gaussians=500, init_points=300), views)
+    fit, extent, _ = stage._started(views, points, config, "cpu")
+    level = level_at(levels(config, views.size), 0)
+    cameras = stage._Views(views, config, "cpu", level.shrink, level.spacing)
+    with Fetches() as fetches:
+        for _ in range(10):
+            stage._iterate(fit, cameras, config, level, extent)
+    assert fetches.count == 0
+    assert float(fit.psnr) > 5
+
+
+def test_progress_fetches_a_figure_now_and_then(
+    views: RestViews, points: SurfacePoints, new_run: Callable[[], Run], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stage, "SHOW_EVERY_S", 1e9)
+    monkeypatch.setattr(stage, "is_due", lambda *_: False)
+    with Fetches() as fetches:
+        train_space(new_run(), views, points, SHORT)
+    assert 2 <= fetches.count < 12  # the first figure, the last one, and what starting and saving take
+
+
+def test_a_checkpoint_with_a_second_generator_comes_back(
+    views: RestViews, points: SurfacePoints, new_run: Callable[[], Run]
+) -> None:
+    """What a GPU's run leaves is taken up on the CPU; the state of the device's generator goes along."""
+    config = stage.resolved(SHORT, views)
+    fit, extent, _ = stage._started(views, points, config, "cpu")
+    fit.draws = torch.Generator().manual_seed(5)
+    assert "draws" in fit.tensors()
+    run = new_run()
+    run.save_checkpoint("space", *fit.checkpoint(extent, pictures_digest(views)))
+    checkpoint = run.load_checkpoint("space")
+    assert checkpoint is not None
+    back, _ = stage._restored(checkpoint, views, "cpu")
+    assert back.draws is back.generator
+    assert set(back.adam.parameters) == set(fit.adam.parameters)
+    assert len(train_space(run, views, points, SHORT)) > 0
+
+
+@needs_cuda
+def test_training_on_cuda_is_as_good_as_on_the_cpu(
+    views: RestViews, points: SurfacePoints, data: Path, new_run: Callable[[], Run]
+) -> None:
+    config = SpaceConfig(iterations=500, max_gaussians=1500, dssim=0.2)
+    run = new_run()
+    here = psnr_of_test_views(train_space(new_run(), views, points, config, "cpu"), data)
+    there = psnr_of_test_views(train_space(run, views, points, config, "cuda"), data)
+    assert abs(there - here) < 0.5
+    assert run.log()["space"]["peak_gpu_memory_mib"] > 0
+
+
+@needs_cuda
+def test_an_iteration_on_cuda_waits_only_where_gsplat_does(
+    views: RestViews, points: SurfacePoints, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """CUDA's own watch: with a picture that needs no gsplat, an iteration must not wait at all."""
+
+    def flat(
+        g: Gaussians, viewmat: torch.Tensor, K: torch.Tensor, size: tuple[int, int], degree: int, eps2d: float
+    ) -> RenderedView:
+        value = sum(
+            (t.mean() for t in (g.means, g.quats, g.scales, g.opacities, g.sh)),
+            torch.zeros((), device="cuda"),
+        )
+        rgb = value.expand(size[1], size[0], 3)
+        return RenderedView(rgb, rgb[..., 0] * 0, lambda: torch.zeros(len(g), device="cuda"))
+
+    monkeypatch.setattr(stage, "render_view", flat)
+    config = stage.resolved(SpaceConfig(iterations=1000, max_gaussians=500, init_points=300), views)
+    fit, extent, _ = stage._started(views, points, config, "cuda")
+    level = level_at(levels(config, views.size), 0)
+    cameras = stage._Views(views, config, "cuda", level.shrink, level.spacing)
+    stage._iterate(fit, cameras, config, level, extent)
+    torch.cuda.set_sync_debug_mode("error")
+    try:
+        stage._iterate(fit, cameras, config, level, extent)
+    finally:
+        torch.cuda.set_sync_debug_mode("default")
+
+
+def test_the_cpu_keeps_its_own_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(view_module, "_render_cuda", lambda *_: pytest.fail("gsplat's path on the CPU"))
+    assert np.isfinite(outcome(render_view, 0)["rgb"].numpy()).all()

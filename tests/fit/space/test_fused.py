@@ -1,0 +1,246 @@
+"""The CPU's own iteration beside the one that torch makes: gradients, steps, shares, and what it leaves alone."""
+
+from __future__ import annotations
+
+import tracemalloc
+from collections.abc import Iterator
+
+import numba
+import numpy as np
+import pytest
+import torch
+
+from tests.fit.rasterize.oracle import assert_close, make_scene
+from tests.helpers.space_fused import SCENE, parameters, views_of
+from tests.helpers.space_parameters import EXTENT, gradients, take_step
+from tg4mm.fit.space import SpaceConfig
+from tg4mm.fit.space import train as stage
+from tg4mm.fit.space.fused import FusedAdam
+from tg4mm.fit.space.kernels import compare
+from tg4mm.fit.space.losses import photometric_loss
+from tg4mm.fit.space.parameters import ParameterAdam, ParameterRows, activate
+
+LOSSES = [(0.0, 0.0), (10.0, 0.0), (10.0, 0.2)]
+
+
+class Trained:
+    """Some iterations over the cameras in turn, by one of the two optimisers."""
+
+    def __init__(
+        self, kind: type[ParameterRows], steps: int, degree: int = 3, loss: tuple = (10.0, 0.0)
+    ) -> None:
+        cameras = stage._Views(views_of(), SpaceConfig(l2=loss[0], dssim=loss[1]), "cpu")
+        generator, error = torch.Generator(), torch.zeros(len(SCENE.means))
+        self.fit = stage._Fit(kind(parameters(), EXTENT), error, torch.zeros(()), generator, generator)
+        self.mse = [cameras.iterate(self.fit, k % 3, degree, k / 10) for k in range(steps)]
+        self.moments = {k: v.detach().clone() for k, v in self.fit.adam.moments().items()}
+        self.parameters = {k: v.detach().clone() for k, v in self.fit.adam.parameters.items()}
+
+
+@pytest.mark.parametrize("loss", LOSSES)
+@pytest.mark.parametrize("degree", [0, 2, 3])
+def test_one_step_has_torchs_gradients(degree: int, loss: tuple[float, float]) -> None:
+    """After the first step the first moments are a tenth of the gradient, the second a thousandth of its square."""
+    expected, found = (Trained(kind, 1, degree, loss) for kind in (ParameterAdam, FusedAdam))
+    assert found.moments["step"] == expected.moments["step"] == 1
+    for name, value in expected.moments.items():
+        if value.numel() > 1:
+            assert value.any() == (name[:3] != "shn" or degree > 0)
+            assert_close(name, found.moments[name], value, 2e-4)
+    assert_close("shares", found.fit.error, expected.fit.error, 1e-4)
+    assert found.fit.error.max() > 0
+    assert float(found.mse[0]) == pytest.approx(float(expected.mse[0]), rel=1e-5)
+
+
+@pytest.mark.parametrize("kind", [ParameterAdam, FusedAdam])
+@pytest.mark.parametrize("spacing", [2, 3])
+def test_the_grids_of_pixels_add_up_to_the_picture(kind: type[ParameterRows], spacing: int) -> None:
+    """Gradients and errors, of means over pixels each; shares are sums. The Gaussians are small: of one that reaches in
+    from far outside a picture, gsplat limits the slant, by the picture's edge, and a grid's lies elsewhere."""
+    small = parameters()
+    small["log_scales"] -= 2.5
+
+    def first(turn: int, spacing: int) -> tuple[float, torch.Tensor, dict[str, torch.Tensor]]:
+        cameras = stage._Views(views_of(), SpaceConfig(), "cpu", spacing=spacing)
+        generator, error = torch.Generator(), torch.zeros(len(SCENE.means))
+        iteration = len(cameras) * turn  # a round of all views goes by before view 0 has its next turn
+        fit = stage._Fit(kind(small, EXTENT), error, torch.zeros(()), generator, generator, iteration)
+        return float(cameras.iterate(fit, 0, 3, 0.0)), fit.error, fit.adam.moments()
+
+    mse, shares, moments = first(0, 1)
+    grids = [first(turn, spacing) for turn in range(spacing**2)]
+    rows, columns = ([len(range(k, n, spacing)) for k in range(spacing)] for n in (SCENE.height, SCENE.width))
+    weights = [r * c / SCENE.height / SCENE.width for r in rows for c in columns]
+    assert sum(w * own[0] for w, own in zip(weights, grids, strict=True)) == pytest.approx(mse, rel=1e-5)
+    assert_close("shares", sum(own[1] for own in grids), shares, 1e-4)
+    for name in (name for name in moments if name.endswith(".m")):
+        parts = sum(w * own[2][name] for w, own in zip(weights, grids, strict=True))
+        assert_close(name, parts, moments[name], 2e-4)
+
+
+def test_the_comparison_refuses_a_gradient_that_is_slightly_off() -> None:
+    found = Trained(FusedAdam, 1).moments["logits.m"]
+    with pytest.raises(AssertionError, match="logits"):
+        assert_close("logits", found * 1.001, Trained(ParameterAdam, 1).moments["logits.m"], 2e-4)
+
+
+@pytest.mark.parametrize("loss", LOSSES)
+def test_some_steps_go_where_torchs_go(loss: tuple[float, float]) -> None:
+    """Adam divides by the gradient's size, so rounding of a gradient near zero moves a parameter by a whole rate:
+    most must agree closely, none may be further off than that."""
+    expected, found = (Trained(kind, 6, loss=loss) for kind in (ParameterAdam, FusedAdam))
+    start = parameters()
+    for name, value in expected.parameters.items():
+        moved = (value - start[name]).abs().amax()
+        apart = (value - found.parameters[name]).abs() / moved
+        assert moved > 0
+        assert apart.quantile(0.97) < 1e-3, name
+        assert apart.amax() < 1, name
+    for a, b in zip(expected.mse, found.mse, strict=True):
+        assert float(a) == pytest.approx(float(b), rel=1e-4)
+
+
+def test_a_step_is_adams_for_given_gradients() -> None:
+    """The gradients of torch's own iteration, taken from its moments, through float64 Adam: the formula in words."""
+    first, second = Trained(FusedAdam, 1), Trained(FusedAdam, 2)
+    for name, rate in stage_rates(0.1).items():
+        g0 = first.moments[f"{name}.m"].double() / 0.1
+        g1 = (second.moments[f"{name}.m"].double() - 0.9 * g0 * 0.1) / 0.1
+        m, v = 0.09 * g0 + 0.1 * g1, 0.000999 * g0**2 + 0.001 * g1**2
+        step = rate * (m / (1 - 0.9**2)) / ((v / (1 - 0.999**2)).sqrt() + 1e-15)
+        certain = (second.moments[f"{name}.v"].double() / v.clamp_min(1e-300) - 1).abs() < 1e-3
+        assert certain.double().mean() > 0.5
+        actual = (first.parameters[name] - second.parameters[name]).double()
+        assert_close(name, actual * certain, step * certain, 2e-3)
+
+
+def stage_rates(progress: float) -> dict[str, float]:
+    rates = {"quats": 2e-3, "log_scales": 2e-2, "logits": 4.5e-2, "sh0": 7.5e-3, "shn": 7.5e-4}
+    return {"means": 1.6e-3 * EXTENT * 0.01**progress} | rates
+
+
+def test_coefficients_no_view_has_asked_for_stay_as_they_are() -> None:
+    found, start = Trained(FusedAdam, 3, degree=1), parameters()
+    assert torch.equal(found.parameters["shn"][:, 3:], start["shn"][:, 3:])
+    assert (found.parameters["shn"][:, :3] != start["shn"][:, :3]).float().mean() > 0.9
+
+
+@pytest.fixture
+def _keep_thread_count() -> Iterator[None]:
+    before = numba.get_num_threads()
+    yield
+    numba.set_num_threads(before)
+
+
+@pytest.mark.usefixtures("_keep_thread_count")
+def test_the_number_of_threads_does_not_change_a_bit() -> None:
+    if numba.config.NUMBA_NUM_THREADS < 2:  # type: ignore[attr-defined]
+        pytest.skip("numba has one thread here; comparing thread counts needs 2")
+    found = []
+    for threads in (1, 2):
+        numba.set_num_threads(threads)
+        found.append(Trained(FusedAdam, 4))
+    one, two = found
+    for name in one.moments:
+        assert torch.equal(one.moments[name], two.moments[name]), name
+    for name in one.parameters:
+        assert torch.equal(one.parameters[name], two.parameters[name]), name
+    assert torch.equal(one.fit.error, two.fit.error)
+
+
+def test_what_is_rendered_is_what_the_parameters_stand_for() -> None:
+    fit = Trained(FusedAdam, 3).fit
+    assert isinstance(fit.adam, FusedAdam)
+    expected = activate(fit.adam.parameters)
+    np.testing.assert_allclose(fit.adam.active[0], expected.scales, rtol=1e-6)
+    np.testing.assert_allclose(fit.adam.active[1], expected.opacities, rtol=1e-6)
+
+
+def test_an_optimiser_taken_up_from_a_checkpoint_goes_on_to_the_bit() -> None:
+    """And either kind takes up the other's."""
+    fit = Trained(FusedAdam, 4).fit
+    tensors = fit.tensors()
+    moments = {k.removeprefix("adam."): v for k, v in tensors.items() if k.startswith("adam.")}
+    saved = {k: tensors[k] for k in fit.adam.parameters}
+    again = FusedAdam(saved, EXTENT, moments)
+    cameras = stage._Views(views_of(), SpaceConfig(), "cpu")
+    for adam in (fit.adam, again):
+        error = torch.zeros(len(SCENE.means))
+        cameras.iterate(stage._Fit(adam, error, fit.psnr, fit.generator, fit.draws), 1, 3, 0.7)
+    for name, p in fit.adam.parameters.items():
+        assert torch.equal(p, again.parameters[name])
+    other = ParameterAdam(saved, EXTENT, {k: v.clone() for k, v in moments.items()})
+    take_step(other, gradients(other.parameters, 0))
+    assert other.moments()["step"] == 5
+    back = FusedAdam({k: v.detach() for k, v in other.parameters.items()}, EXTENT, other.moments())
+    assert torch.equal(back.moments()["shn.v"], other.moments()["shn.v"])
+
+
+@pytest.mark.parametrize("gone", [[7], [7, 0], [7, 0, 250]])
+def test_rows_come_and_go_as_in_torchs_optimiser(gone: list[int]) -> None:
+    """More than go, as many, and fewer: and what is rendered goes with them."""
+    fused = Trained(FusedAdam, 2).fit.adam
+    other = ParameterAdam(fused.parameters, EXTENT, {k: v.clone() for k, v in fused.moments().items()})
+    for adam in (fused, other):
+        adam.replace(torch.tensor(gone), {k: v[[1, 5]] for k, v in parameters().items()})
+        adam.reorder(torch.arange(len(adam.parameters["logits"])).flip(0))
+    for found, expected in ((fused.parameters, other.parameters), (fused.moments(), other.moments())):
+        for name, value in expected.items():
+            assert torch.equal(found[name], value), name
+    assert isinstance(fused, FusedAdam)
+    shown = activate(fused.parameters)
+    np.testing.assert_allclose(fused.active[0], shown.scales, rtol=1e-6)
+    np.testing.assert_allclose(fused.active[1], shown.opacities, rtol=1e-6)
+
+
+def test_given_parameters_are_left_as_they_are() -> None:
+    given = parameters()
+    before = {k: v.clone() for k, v in given.items()}
+    adam = FusedAdam(given, EXTENT)
+    for array in adam.values:
+        array += 1
+    assert all(torch.equal(given[k], before[k]) for k in given)
+
+
+@pytest.mark.parametrize(("l2", "scale"), [(0.0, 1.0), (10.0, 1.0), (3.0, 0.7)])
+def test_the_losss_gradient_is_autograds(l2: float, scale: float) -> None:
+    rng = np.random.default_rng(0)
+    image = rng.uniform(size=(23, 31, 4)).astype(np.float32)
+    transmittance, target = (rng.uniform(size=s).astype(np.float32) for s in ((23, 31), (23, 31, 3)))
+    more = rng.normal(size=target.shape).astype(np.float32)
+    gain = np.array([0.8, 1.0, 1.3], np.float32)
+    v_image, v_transmittance, squares = np.empty_like(image), np.empty_like(transmittance), np.empty(23)
+    compare(image, transmittance, target, 1.0, gain, scale, l2, more, v_image, v_transmittance, squares)
+    leaves = [torch.from_numpy(a.astype(np.float64)).requires_grad_() for a in (image, transmittance)]
+    rgb = (leaves[0][..., :3] + leaves[1][..., None]) * torch.from_numpy(gain)
+    loss = scale * photometric_loss(rgb, torch.from_numpy(target).double(), l2, 0.0)
+    (loss + (rgb * torch.from_numpy(more)).sum()).backward()
+    error = (rgb.detach() - torch.from_numpy(target)).abs().sum(-1)
+    np.testing.assert_allclose(v_image[..., :3], leaves[0].grad[..., :3], rtol=1e-5, atol=1e-9)
+    np.testing.assert_allclose(v_image[..., 3], error, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(v_transmittance, leaves[1].grad, rtol=1e-4, atol=1e-7)
+    expected = ((rgb.detach() - torch.from_numpy(target)) ** 2).sum().item()
+    assert squares.sum() == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("spacing", [1, 2])
+def test_iterations_do_not_allocate(spacing: int) -> None:
+    """Once the buffers have their sizes, an iteration takes less than a tenth of what one picture needs."""
+    scene = make_scene(0, n=3000, size=(256, 192))
+    cameras = stage._Views(views_of(scene), SpaceConfig(), "cpu", spacing=spacing)
+    generator, error = torch.Generator(), torch.zeros(3000)
+    fit = stage._Fit(FusedAdam(parameters(scene), EXTENT), error, torch.zeros(()), generator, generator)
+    for _ in range(3):
+        cameras.iterate(fit, 0, 3, 0.0)
+    picture = 256 * 192 * 4 * 4
+    tracemalloc.start()
+    try:
+        cameras.iterate(fit, 0, 3, 0.0)
+        taken = tracemalloc.get_traced_memory()[1]
+        tracemalloc.reset_peak()
+        copy = np.zeros(picture // 4, np.float32)
+        assert tracemalloc.get_traced_memory()[1] > picture > 0  # the watch sees numpy's memory
+        del copy
+    finally:
+        tracemalloc.stop()
+    assert taken < picture / 10

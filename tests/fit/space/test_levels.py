@@ -1,0 +1,148 @@
+"""Coarse to fine: every iteration has its level, and smaller pictures show the same from the same place."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.fit.space.scenes import intrinsics, orbit, views_of
+from tests.helpers.space_train import psnr_of_test_views
+from tg4mm.capture import SurfacePoints
+from tg4mm.core.errors import Tg4mmError
+from tg4mm.fit.space import RestViews, SpaceConfig
+from tg4mm.fit.space.density import EVERY
+from tg4mm.fit.space.levels import automatic, check_levels, level_at, levels, sampled, shrunk, turn_of, work
+from tg4mm.run import Run
+from tg4mm.run.stages.space import train_space
+
+FULL = (1080, 1920)
+
+
+@pytest.mark.parametrize(
+    ("size", "count"),
+    [((128, 128), 1), ((512, 512), 1), ((600, 600), 1), ((538, 956), 2), ((1080, 1920), 3), ((6000, 100), 5)],
+)
+def test_sizes_are_halved_until_the_longer_side_is_short(size: tuple[int, int], count: int) -> None:
+    assert automatic(size) == count
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 5])
+@pytest.mark.parametrize("iterations", [1, 36, 1000, 9561])
+def test_every_iteration_has_one_level(n: int, iterations: int) -> None:
+    found = levels(SpaceConfig(iterations=iterations, max_gaussians=1000, levels=n), FULL)
+    assert [level.shrink for level in found] == [1 << (n - 1 - i) for i in range(n)]
+    assert [found[0].begin, *(level.end for level in found[:-1])] == [level.begin for level in found]
+    assert (found[0].begin, found[-1].end) == (0, iterations)
+    assert all(level.begin % EVERY == 0 for level in found)
+    for i in range(iterations):
+        level = level_at(found, i)
+        assert level.begin <= i < level.end
+    assert [level.max_gaussians for level in found] == [1000 >> (n - 1 - i) for i in range(n)]
+
+
+def test_work_counts_pixels() -> None:
+    """Of pictures a quarter of the size all pixels are seen, of half the size a quarter, of the full size a ninth."""
+    found = levels(SpaceConfig(iterations=1600, max_gaussians=288_000, levels=3), FULL)
+    done = [work(found, i) for i in (0, 400, 800, 1200, 1600)]
+    assert done == [0, 25, 50, 94, 138]
+
+
+def test_all_of_a_small_picture_is_seen() -> None:
+    K, picture = np.eye(3), np.zeros((4, 4, 3))
+    assert sampled(K, picture, 1, 0) == (K, picture)
+
+
+@pytest.mark.parametrize(
+    ("size", "most", "n", "dssim", "spacing"),
+    [
+        (FULL, 288_000, 3, 0.0, [1, 2, 3]),
+        (FULL, 2_000_000, 3, 0.0, [1, 1, 1]),
+        (FULL, 1000, 3, 0.0, [3, 3, 3]),
+        (FULL, 288_000, 3, 0.2, [1, 1, 1]),  # structure is compared in all of a picture
+        (FULL, 288_000, 1, 0.0, [1]),
+        ((540, 960), 72_000, 2, 0.0, [1, 1]),
+    ],
+)
+def test_of_large_pictures_some_one_pixel_for_each_gaussian_is_seen(
+    size: tuple[int, int], most: int, n: int, dssim: float, spacing: list[int]
+) -> None:
+    config = SpaceConfig(iterations=1200, max_gaussians=most, levels=n, dssim=dssim)
+    assert [level.spacing for level in levels(config, size)] == spacing
+
+
+def test_every_grid_of_every_view_has_its_turn() -> None:
+    """In as many rounds as there are grids; and in each round as many of one grid as of another."""
+    turns = [[turn_of(v, r * 8 + k, 8, 2) for k, v in enumerate(range(8))] for r in range(5, 9)]
+    for v in range(8):
+        assert sorted(turn[v] for turn in turns) == [0, 1, 2, 3]
+    for turn in turns:
+        assert np.bincount(turn).tolist() == [2, 2, 2, 2]
+
+
+@pytest.mark.parametrize("turn", range(9))
+def test_pixels_that_are_seen_keep_their_place(turn: int) -> None:
+    """The picture's own coordinates as colours: a pixel's centre, unprojected, lies on the ray that it lay on."""
+    given = views_of(orbit(1, np.zeros(3)), intrinsics(32), np.ones((1, 17, 31)))
+    y, x = np.mgrid[:17, :31] + 0.5
+    K, picture = sampled(given.Ks[0], np.stack([x, y, x], 2), 3, turn)
+    assert picture.shape[:2] == (len(range(turn // 3, 17, 3)), len(range(turn % 3, 31, 3)))
+    rows, columns = np.mgrid[: len(picture), : picture.shape[1]] + 0.5
+    for axis, own in enumerate((columns, rows)):
+        ray = (own - K[axis, 2]) / K[axis, axis]
+        expected = (picture[..., axis] - given.Ks[0, axis, 2]) / given.Ks[0, axis, axis]
+        np.testing.assert_allclose(ray, expected, atol=1e-6)
+
+
+def test_density_control_goes_on_until_well_before_the_end() -> None:
+    *coarse, last = levels(SpaceConfig(iterations=6000, max_gaussians=1000, levels=3), FULL)
+    assert all(level.begin < level.caught_up < level.end < level.until for level in coarse)
+    assert last.begin < last.caught_up < last.until < 0.9 * last.end
+
+
+def test_a_level_alone_is_the_stage_without_levels() -> None:
+    (only,) = levels(SpaceConfig(iterations=1000, max_gaussians=500, levels=1), FULL)
+    assert (only.shrink, only.begin, only.end, only.max_gaussians) == (1, 0, 1000, 500)
+    assert (only.caught_up, only.until) == (350, 700)
+
+
+def test_levels_that_leave_no_picture_are_refused() -> None:
+    check_levels(2, (48, 32))
+    with pytest.raises(
+        Tg4mmError, match=r"\Asetting space.levels is 3: pictures of 48×32 would be 12×8 at the"
+    ):
+        check_levels(3, (48, 32))
+
+
+def test_smaller_pictures_are_means_over_squares() -> None:
+    rng = np.random.default_rng(0)
+    rgb, alpha = rng.uniform(size=(2, 33, 31, 3)), rng.uniform(size=(2, 33, 31))
+    given = views_of(orbit(2, np.zeros(3)), intrinsics(32), alpha, rgb)
+    small = shrunk(given, 4)
+    assert small.size == (7, 8)
+    np.testing.assert_allclose(small.rgb[1, 3, 5], rgb[1, 12:16, 20:24].mean((0, 1)), rtol=1e-5)
+    np.testing.assert_allclose(small.alpha[0, 7, 6], alpha[0, 28:32, 24:28].mean(), rtol=1e-5)
+    assert shrunk(given, 1) is given
+
+
+def test_points_fall_on_the_same_places() -> None:
+    """A pixel of the smaller picture spans `by` of the larger one's, from their common upper left corner."""
+    given = views_of(orbit(3, np.zeros(3)), intrinsics(64), np.ones((3, 64, 64)))
+    small, point = shrunk(given, 2), np.array([0.3, -0.2, 0.1])
+    for v in range(3):
+        seen = given.viewmats[v, :3, :3] @ point + given.viewmats[v, :3, 3]
+        large, little = (K @ seen / seen[2] for K in (given.Ks[v], small.Ks[v]))
+        np.testing.assert_allclose(little[:2], large[:2] / 2, rtol=1e-5)
+
+
+def test_it_fits_from_coarse_to_fine(
+    views: RestViews,
+    points: SurfacePoints,
+    data: Path,
+    new_run: Callable[[], Run],
+) -> None:
+    """With intrinsics of the wrong size it ends below 30 dB; it starts at 24.5."""
+    config = SpaceConfig(iterations=500, max_gaussians=1500, levels=2)
+    assert psnr_of_test_views(train_space(new_run(), views, points, config), data) > 35.5

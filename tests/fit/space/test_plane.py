@@ -1,0 +1,232 @@
+"""The space stage of one fixed camera: a quadtree of discs on a plane whose colours are a least-squares solution."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from tg4mm.core.errors import CaptureError, Tg4mmError
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.rasterize import rasterization
+from tg4mm.fit.space import RestViews, SpaceConfig
+from tg4mm.fit.space.plane import RIDGE, plane_gaussians, plane_psnr, solve_colours
+from tg4mm.fit.space.quadtree import FINEST, quadtree
+from tg4mm.run import Run
+from tg4mm.run.stages.space import train_plane
+from tg4mm.show.render.image import render_image
+
+# at the origin of a world whose z is up, looking along +y
+VIEWMAT = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]], np.float32)
+
+
+def camera(width: int, height: int) -> np.ndarray:
+    f = max(width, height)
+    return np.array([[f, 0, width / 2], [0, f, height / 2], [0, 0, 1]], np.float32)
+
+
+def textured(width: int, height: int) -> np.ndarray:
+    """Stripes and an edge at the left, a slow ramp at the right."""
+    v, u = np.mgrid[:height, :width] + 0.5
+    left = 0.5 + 0.3 * np.sin(u / 2.5) * np.cos(v / 3) + 0.15 * (v > height / 3)
+    grey = np.where(u < width / 2, left, 0.3 + 0.2 * v / height)
+    return np.stack([grey, 0.8 * grey, 1 - grey], -1).astype(np.float32)
+
+
+def views_of(picture: np.ndarray, count: int = 1) -> RestViews:
+    height, width = picture.shape[:2]
+    K = np.stack([camera(width, height)] * count)
+    rgb, alpha = np.stack([picture] * count), np.ones((count, height, width), np.float32)
+    rows = tuple(np.array([i]) for i in range(count))
+    return RestViews(np.stack([VIEWMAT] * count), K, rgb, alpha, rows)
+
+
+def fitted(picture: np.ndarray, budget: int, iterations: int = 14) -> Gaussians:
+    K = camera(picture.shape[1], picture.shape[0])
+    return solve_colours(plane_gaussians(picture, K, VIEWMAT, budget), picture, VIEWMAT, K, iterations)
+
+
+# The quadtree.
+
+
+@pytest.mark.parametrize("size", [(96, 64), (70, 33), (16, 16)])
+def test_the_deepest_cells_tile_the_picture(size: tuple[int, int]) -> None:
+    picture = textured(*size)
+    cells = quadtree(picture, 300)
+    finest_at = np.full((size[1], size[0]), 1 << 20)
+    for (u, v), side in zip(cells.centres, cells.sides, strict=True):
+        rows, columns = (slice(max(int(c - side / 2), 0), int(c + side / 2)) for c in (v, u))
+        assert (
+            finest_at[rows, columns] > side
+        ).all()  # the coarser come first, and no two overlap in a level
+        finest_at[rows, columns] = side
+    assert finest_at.max() < 1 << 20
+
+
+def test_detail_gets_the_small_cells_and_the_budget_holds() -> None:
+    picture = textured(128, 96)
+    cells = quadtree(picture, 700)
+    assert 600 < len(cells.sides) <= 700
+    small = cells.sides == FINEST
+    assert (cells.centres[small, 0] < 66).mean() > 0.95
+
+
+def test_a_plain_picture_is_not_split() -> None:
+    picture = np.full((64, 64, 3), 0.4, np.float32)
+    picture += np.random.default_rng(0).uniform(-0.4, 0.4, picture.shape).astype(np.float32) / 255
+    assert len(quadtree(picture, 1000).sides) == 4
+
+
+def test_colours_are_the_cells_means() -> None:
+    picture = textured(64, 64)
+    cells = quadtree(picture, 200)
+    u, v = (cells.centres[-1] - cells.sides[-1] / 2).astype(int)
+    side = cells.sides[-1]
+    assert np.allclose(cells.colours[-1], picture[v : v + side, u : u + side].mean((0, 1)))
+
+
+# The discs.
+
+
+def test_discs_lie_at_distance_one_and_face_the_camera_wherever_it_is() -> None:
+    picture = textured(96, 64)
+    K, viewmat = camera(96, 64), np.eye(4)
+    viewmat[:3, :3] = Rotation.from_rotvec([0.3, -0.8, 1.9]).as_matrix()
+    viewmat[:3, 3] = [0.4, -2, 7]
+    gaussians = plane_gaussians(picture, K, viewmat, 400)
+    in_camera = gaussians.means.numpy() @ viewmat[:3, :3].T + viewmat[:3, 3]
+    assert np.abs(in_camera[:, 2] - 1).max() < 4e-3
+    assert len(gaussians) <= 400
+    image = render_image(gaussians, viewmat, K, 96, 64)
+    at_home = plane_gaussians(picture, K, VIEWMAT, 400)
+    assert np.abs(image - render_image(at_home, VIEWMAT, K, 96, 64)).max() < 2e-3
+    normals = Rotation.from_quat(np.roll(gaussians.quats.numpy(), -1, 1)).as_matrix()[:, :, 2]
+    assert np.allclose(normals, viewmat[2, :3], atol=1e-5)
+    assert (gaussians.scales[:, 2] < 0.02 * gaussians.scales[:, 0]).all()
+
+
+def test_overlapping_discs_have_depths_of_their_own() -> None:
+    picture = textured(128, 96)
+    gaussians = plane_gaussians(picture, camera(128, 96), VIEWMAT, 1300)
+    depth, uv = gaussians.means[:, 1].numpy(), gaussians.means[:, [0, 2]].numpy() * 128
+    reach = gaussians.scales[:, 0].numpy() * 128
+    for i in range(len(depth)):
+        near = np.linalg.norm(uv - uv[i], axis=1) < 3 * np.minimum(reach, reach[i])
+        assert (np.abs(depth[near] - depth[i]) < 1e-5).sum() == 1  # itself
+
+
+def test_no_background_shines_through() -> None:
+    black = np.zeros((64, 96, 3), np.float32)
+    image = render_image(
+        plane_gaussians(black, camera(96, 64), VIEWMAT, 300), VIEWMAT, camera(96, 64), 96, 64
+    )
+    assert image.max() < 0.02
+
+
+# The colours.
+
+
+def test_colours_are_the_minimum_of_the_quadratic() -> None:
+    """Against the normal equations, A made column by column."""
+    picture = 0.25 + 0.5 * textured(24, 16)
+    K = camera(24, 16)
+    start = plane_gaussians(picture, K, VIEWMAT, 60)
+    n = len(start)
+    args = (start.means, start.quats, start.scales, start.opacities)
+    pose = (torch.from_numpy(VIEWMAT)[None], torch.from_numpy(K)[None], 24, 16)
+    columns = [rasterization(*args, torch.eye(n)[:, i : i + 1], *pose) for i in range(n)]
+    A = torch.stack([c[0][0, ..., 0].flatten() for c in columns], 1).double().numpy()
+    behind = (1 - columns[0][1][0, ..., 0]).double().numpy().ravel()
+    x0 = (0.5 + start.sh[:, 0] * 0.28209479177387814).double().numpy()
+    D = np.diag(A.sum(0))
+    right = A.T @ (picture.reshape(-1, 3) - behind[:, None]) + RIDGE * D @ x0
+    exact = np.linalg.solve(A.T @ A + RIDGE * D, right)
+    assert exact.min() > 0  # or the clamp would have a say
+    found = solve_colours(start, picture, VIEWMAT, K, 150)
+    assert np.allclose(0.5 + found.sh[:, 0].numpy() * 0.28209479177387814, exact, atol=2e-3)
+
+
+def test_the_picture_is_met_and_colours_are_none_below_black() -> None:
+    picture = textured(160, 120) * np.linspace(0, 1, 160, dtype=np.float32)[:, None]
+    K = camera(160, 120)
+    means = plane_gaussians(picture, K, VIEWMAT, 6000)
+    solved = fitted(picture, 6000)
+    assert plane_psnr(solved, picture, VIEWMAT, K) > plane_psnr(means, picture, VIEWMAT, K) + 8
+    assert plane_psnr(solved, picture, VIEWMAT, K) > 38
+    assert float(0.5 + solved.sh.min() * 0.28209479177387814) >= -1e-6
+
+
+def test_discs_that_move_together_move_the_picture() -> None:
+    """The slope of what is shown is that of the picture: from it the motion stage reads displacement."""
+    picture = textured(160, 120)
+    K = camera(160, 120)
+    g = fitted(picture, 8000)
+    half = torch.tensor([0.5 / 160, 0, 0])
+    there, back = (render_image(replace(g, means=g.means + s * half), VIEWMAT, K, 160, 120) for s in (1, -1))
+    shown = (there - back)[10:-10, 10:70]
+    true = -np.gradient(picture, axis=1)[10:-10, 10:70]
+    assert (shown * true).sum() / (shown**2).sum() == pytest.approx(1, abs=0.07)
+
+
+def test_progress_is_told() -> None:
+    picture = textured(48, 32)
+    K = camera(48, 32)
+    told: list[tuple[int, float]] = []
+    solve_colours(
+        plane_gaussians(picture, K, VIEWMAT, 300), picture, VIEWMAT, K, 9, lambda *said: told.append(said)
+    )
+    assert [done for done, _ in told] == list(range(1, 10))
+    assert told[5][1] >= told[0][1]
+
+
+# The stage.
+
+
+def test_the_run_holds_the_plane_and_its_figures(tmp_path: Path) -> None:
+    picture = textured(96, 64)
+    run = Run.create(tmp_path / "run", tmp_path, "modal", {})
+    gaussians = train_plane(run, views_of(picture), SpaceConfig())
+    saved, log = run.load_space(), run.log()["space"]
+    assert torch.equal(saved.sh, gaussians.sh)
+    assert saved.sh_degree == 0
+    assert log["n_gaussians"] == len(gaussians) <= 96 * 64 // 9
+    assert log["init"] == "plane"
+    shown = render_image(saved, VIEWMAT, camera(96, 64), 96, 64)
+    assert log["psnr_train"] == pytest.approx(-10 * np.log10(((shown - picture) ** 2).mean()), abs=0.01)
+    assert log["seconds"] > 0
+    again = train_plane(
+        Run.create(tmp_path / "again", tmp_path, "modal", {}), views_of(picture), SpaceConfig()
+    )
+    assert torch.equal(again.sh, gaussians.sh)
+    few = SpaceConfig(max_gaussians=50)
+    assert len(train_plane(Run.create(tmp_path / "few", tmp_path, "modal", {}), views_of(picture), few)) <= 50
+
+
+def test_what_is_not_flat_is_refused(tmp_path: Path) -> None:
+    run = Run.create(tmp_path / "run", tmp_path, "modal", {})
+    with pytest.raises(CaptureError, match="this one has 2"):
+        train_plane(run, views_of(textured(48, 32), 2), SpaceConfig())
+    with pytest.raises(Tg4mmError, match="max_gaussians is 5, expected >= 16"):
+        train_plane(run, views_of(textured(48, 32)), SpaceConfig(max_gaussians=5))
+    assert not run.has_space
+
+
+BABY = Path(__file__).resolve().parents[4] / "shared" / "data" / "evm" / "baby.mp4"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not BABY.is_file(), reason="the video is not here")
+def test_a_real_videos_mean_picture_is_met_above_32_db() -> None:
+    import imageio_ffmpeg
+
+    frames = imageio_ffmpeg.read_frames(str(BABY))
+    width, height = next(frames)["size"]
+    pictures = [
+        np.frombuffer(f, np.uint8).reshape(height, width, 3) for f, _ in zip(frames, range(60), strict=False)
+    ]
+    mean = (np.mean(pictures, 0) / 255).astype(np.float32)
+    assert plane_psnr(fitted(mean, width * height // 9), mean, VIEWMAT, camera(width, height)) > 32

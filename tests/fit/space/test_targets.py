@@ -1,0 +1,93 @@
+"""What the static Gaussians are fitted to: one mean picture per camera."""
+
+from __future__ import annotations
+
+import re
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.fit.space.scenes import capture_of
+from tg4mm.capture.pictures import FilePictures
+from tg4mm.core.pictures.decode import decode
+from tg4mm.core.progress import PlainProgress
+from tg4mm.fit.space import rest_views
+
+
+def pictures(n: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).integers(0, 256, (n, 3, 5, 4)).astype(np.uint8)
+
+
+def over_white(data: np.ndarray) -> np.ndarray:
+    d = data.astype(np.float64) / 255
+    return d[..., :3] * d[..., 3:] + 1 - d[..., 3:]
+
+
+def test_a_fixed_camera_gives_its_mean_over_time() -> None:
+    """Cameras 0 and 1 take turns; the pictures of each are composited over white, then averaged."""
+    data = pictures(6)
+    capture, images = capture_of([0, 1, 0, 1, 0, 1], [0, 0, 1, 1, 2, 2], data)
+    views = rest_views(capture, images)
+    assert views.size == (5, 3)
+    for v in (0, 1):
+        np.testing.assert_allclose(views.rgb[v], over_white(data[v::2]).mean(0), atol=1e-6)
+        np.testing.assert_allclose(views.alpha[v], data[v::2, ..., 3].mean(0) / 255, atol=1e-6)
+        np.testing.assert_array_equal(views.images[v], [v, v + 2, v + 4])
+    # the mean of composites, not the composite of means: they differ where alpha changes
+    mean = data.mean(0) / 255
+    assert np.abs(views.rgb[0] - (mean[..., :3] * mean[..., 3:] + 1 - mean[..., 3:])).max() > 0.01
+
+
+def test_views_come_in_order_of_first_image_with_their_own_camera() -> None:
+    """Ids need not be in order, and groups may have different sizes."""
+    data = pictures(5)
+    capture, images = capture_of([2, 0, 2, 1, 0], [0, 0, 1, 1, 2], data)
+    views = rest_views(capture, images)
+    assert [list(group) for group in views.images] == [[0, 2], [1, 4], [3]]
+    assert [view[0, 3] for view in views.viewmats] == [2.0, 0.0, 1.0]
+    np.testing.assert_allclose(views.rgb[2], over_white(data[3]), atol=1e-6)
+
+
+def test_one_timestep_is_its_own_mean() -> None:
+    data = pictures(3)
+    capture, images = capture_of([0, 1, 2], [0, 0, 0], data)
+    views = rest_views(capture, images)
+    np.testing.assert_allclose(views.rgb, over_white(data), atol=1e-6)
+    assert views.viewmats.shape == (3, 4, 4)
+    assert views.Ks.dtype == views.viewmats.dtype == views.rgb.dtype == np.float32
+
+
+@pytest.mark.parametrize("depth", [np.uint8, np.uint16])
+def test_sixteen_bits_mean_the_same_as_eight(depth: type) -> None:
+    data = np.full((2, 3, 5, 4), np.iinfo(depth).max, depth)
+    data[1, ..., :3] = 0
+    capture, images = capture_of([0, 0], [0, 1], data)
+    np.testing.assert_allclose(rest_views(capture, images).rgb, 0.5, atol=1e-6)
+
+
+def test_each_picture_is_decoded_once_and_shown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Pictures stay on disk; what takes long says how far it is and how long it will take."""
+    data = pictures(6)
+    capture, images = capture_of([0, 1, 0, 1, 0, 1], [0, 0, 1, 1, 2, 2], data)
+    paths = tuple(tmp_path / f"{i}.png" for i in range(6))
+    for path, picture in zip(paths, data, strict=True):
+        Image.fromarray(picture).save(path)
+    seen = list[Path]()
+
+    def slow(path: Path) -> np.ndarray:
+        seen.append(path)
+        time.sleep(0.05)
+        return decode(path)
+
+    monkeypatch.setattr("tg4mm.capture.pictures.decode", slow)
+    monkeypatch.setattr(PlainProgress, "first_s", 0.01)
+    views = rest_views(capture, FilePictures(replace(capture, paths=paths)))
+    assert sorted(seen) == sorted(paths)
+    assert re.search(r"mean pictures: \d/6 pictures, 0:00 elapsed, 0:00 left", capsys.readouterr().err)
+    np.testing.assert_array_equal(views.rgb, rest_views(capture, images).rgb)

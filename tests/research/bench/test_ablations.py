@@ -1,0 +1,322 @@
+"""Ablations: rows differ in what they say they vary and in nothing else, and their tables hold evaluate's numbers."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from dataset_gen.options import parser, request_from
+from tests.helpers.curves import points_of
+from tests.research.bench.conftest import MODAL, PAPER
+from tg4mm.cli import main
+from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.filters import TemporalFilter
+from tg4mm.core.pages.page import Figure
+from tg4mm.research.bench.ablation.catalogue import ABLATIONS, chosen_preset, rows_of
+from tg4mm.research.bench.ablation.page import COLUMNS, ablation_table, mean_lines, picture
+from tg4mm.research.bench.ablation.rendered_sets import KINDS, alphas_for
+from tg4mm.research.bench.ablation.results_file import read_ablation
+from tg4mm.research.bench.ablation.run import run_ablation
+from tg4mm.research.bench.folder import circumstances
+from tg4mm.research.bench.measure import Plan
+from tg4mm.research.bench.pages.html import _ablation
+from tg4mm.research.bench.pages.latex import escaped
+from tg4mm.research.bench.pages.markdown import trained_otherwise
+from tg4mm.research.bench.pages.tables import _SAYS, PIVOTS
+from tg4mm.research.bench.request import check_settings, setting_names
+from tg4mm.research.bench.scored import METRICS
+from tg4mm.research.bench.sets import open_set
+from tg4mm.research.evaluate.run import CEILING, STATIC
+from tg4mm.run import Run
+from tg4mm.run.train import train
+
+VARIED = {
+    "initialisation": {"space.init"},
+    "decoder": {"paper.mlp_layers", "paper.mlp_width"},
+    "residual": {"paper.residual"},
+    "difference": {"paper.difference"},
+    "smoothness": {"motion.smoothness_weight"},
+}
+
+
+def every() -> list[tuple[str, str]]:
+    return [(name, preset) for name, ablation in ABLATIONS.items() for preset in ablation.presets]
+
+
+def silent(_: str) -> None:
+    """No messages."""
+
+
+def lines_of(out: Path) -> list[dict]:
+    return json.loads((out / "results.json").read_text(encoding="utf-8"))["lines"]
+
+
+@pytest.mark.parametrize(("name", "preset"), every())
+def test_every_row_can_be_trained_and_no_two_are_the_same(name: str, preset: str) -> None:
+    rows = rows_of(name, preset, {})
+    assert len(rows) >= 2
+    for row in rows:
+        assert set(row.settings) <= setting_names(preset)
+        check_settings(row.settings, preset)
+    kinds = {(json.dumps([dict(r.settings), *r.changed_data]), r.scorings) for r in rows}
+    assert len(kinds) == len(rows) == len({r.label for r in rows})
+    assert set(ABLATIONS[name].columns) <= set(COLUMNS)
+    assert ABLATIONS[name].picture in {"ssim", *COLUMNS}
+
+
+@pytest.mark.parametrize("name", VARIED)
+def test_rows_vary_what_they_name(name: str) -> None:
+    preset = chosen_preset(name, None)
+    given = {"space.seed": "3"}
+    for row in rows_of(name, preset, given):
+        assert set(row.settings) - {"space.seed"} <= VARIED[name]
+        assert row.settings["space.seed"] == "3"
+
+
+@pytest.mark.parametrize("preset", ["paper-tuned", "paper"])
+def test_iterations_vary_one_phase_at_a_time(preset: str) -> None:
+    rows = [dict(r.settings) for r in rows_of("iterations", preset, {})]
+    assert all(len(settings) == 1 for settings in rows)
+    assert {k for settings in rows for k in settings} == {"paper.iterations", "paper.motion_iterations"}
+
+
+def test_multiples_are_of_what_the_user_gives() -> None:
+    found = [
+        r.settings["motion.iterations"] for r in rows_of("iterations", "modal", {"motion.iterations": "40"})
+    ]
+    assert found == ["5", "10", "20", "40", "80"]
+
+
+def test_magnified_motion_is_the_same_at_every_amplitude() -> None:
+    assert alphas_for(0.2) == (5, 10, 20, 40)
+    assert alphas_for(1.0) == (1, 2, 4, 8)
+    assert alphas_for(0.01) == (100, 200, 400, 800)
+    assert alphas_for(0.005) == (200, 400, 800)  # the generator's names end at 999
+
+
+@pytest.fixture(scope="module")
+def smoothness(data: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    out = tmp_path_factory.mktemp("smoothness") / "out"
+    return out, ablation_table(run_ablation("smoothness", [data], out, None, MODAL, Plan(), silent))
+
+
+def test_the_weight_that_was_found_stands_apart(smoothness: tuple[Path, str]) -> None:
+    lines = points_of((smoothness[0] / "results.svg").read_text(encoding="utf-8"))
+    assert [len(line) for line in lines.values()] == [1, 5]
+
+
+def test_runs_have_the_setting_of_their_row_and_share_a_space_stage(
+    smoothness: tuple[Path, str], data: Path
+) -> None:
+    out, _ = smoothness
+    runs = [Run.open(p.parent) for p in sorted(out.glob("runs/*/*/run/config.json"))]
+    weights = {run.settings["motion"]["smoothness_weight"] for run in runs}
+    lines = lines_of(out)
+    assert weights == {line["settings"]["motion"]["smoothness_weight"] for line in lines}
+    assert len(weights) == len(lines) == 6
+    means = [run.load_space().means.numpy() for run in runs]
+    alone = train(data, out.parent / "alone", settings=MODAL)
+    for taken_over in means:
+        np.testing.assert_array_equal(taken_over, alone.load_space().means.numpy())
+    # The weight that is found may be one of those that are given, so only these must differ.
+    errors = {x["scalars"]["displacement_error"] for x in lines if x["row"].startswith("weight ")}
+    assert len(errors) == 5
+
+
+def test_the_table_holds_what_was_measured(smoothness: tuple[Path, str]) -> None:
+    out, text = smoothness
+    for line in lines_of(out):
+        (printed,) = [row for row in text.splitlines() if f"| {line['row']} " in row]
+        cells = [cell.strip() for cell in printed.split("|")]
+        assert f"{line['rows']['20']['modal']['ssim']:.4f}" in cells
+        assert f"{line['scalars']['displacement_error']:.1%}" in cells
+    assert text.count("nothing moves") == 1  # all rows have the same Gaussians
+    assert text in (out / "results.md").read_text(encoding="utf-8")
+    assert points_of((out / "results.svg").read_text(encoding="utf-8"))
+
+
+def test_filters_are_scored_on_one_run(data: Path, tmp_path: Path) -> None:
+    run_ablation("filter-phase", [data], tmp_path / "out", None, PAPER, Plan(alphas=(20.0,)), silent)
+    assert len(list((tmp_path / "out").glob("runs/*/*/run"))) == 1
+    lines = {line["row"]: line for line in lines_of(tmp_path / "out")}
+    published, zero = (lines[f"linear, {kind}"] for kind in ("published", "zero-phase"))
+    band = published["band_hz"]
+    expected = TemporalFilter("published").response(tuple(band), [5.0], 30.0)[0]
+    assert published["scalars"]["filter_phase_deg"] == pytest.approx(np.degrees(np.angle(expected)))
+    assert published["scalars"]["filter_phase_deg"] == pytest.approx(30.0, abs=0.1)
+    assert zero["scalars"]["filter_phase_deg"] == pytest.approx(0.0, abs=1e-9)
+    with Image.open(tmp_path / "out" / "slices.png") as sheet:
+        assert sheet.height > 7 * 96  # the truth and six rows
+    assert "![Space-time slices](slices.png)" in (tmp_path / "out" / "results.md").read_text(encoding="utf-8")
+    page = _ablation(tmp_path / "out", read_ablation(tmp_path / "out"))
+    assert any(isinstance(block, Figure) and "Space-time" in block.caption for block in page.blocks)
+    latex = (tmp_path / "out" / "tables" / "filter-phase.tex").read_text(encoding="utf-8")
+    assert "linear, published" in latex
+    pictures = [line["rows"]["20"][name]["ssim"] for name, line in lines.items()]
+    assert len(set(pictures)) == len(pictures)
+
+
+def test_views_are_left_out_and_a_row_that_cannot_be_is_named(data: Path, tmp_path: Path) -> None:
+    made = run_ablation("views", [data], tmp_path / "out", None, MODAL, Plan(alphas=(20.0,)), silent)
+    lines = {line["row"]: line for line in lines_of(tmp_path / "out")}
+    assert {name: line["n_views"] for name, line in lines.items()} == {
+        "3 views": 3,
+        "5 views": 5,
+        "all views": 5,
+    }
+    assert lines["3 views"]["log"]["motion"]["views"] == 3
+    assert "10 views" not in ablation_table(made)
+    assert made["failed"] == []
+    page = (tmp_path / "out" / "results.md").read_text(encoding="utf-8")
+    assert f"Left out: {data.name}, 10 views: dataset {data} has 5 training cameras, 10 are asked for" in page
+
+
+def test_a_broken_set_is_reported_and_the_rest_goes_on(data: Path, tmp_path: Path, capsys) -> None:
+    (tmp_path / "broken").mkdir()
+    torn, bare = (shutil.copytree(data, tmp_path / name) for name in ("torn", "bare"))
+    picture = torn / "001" / "train" / "r_000.png"
+    picture.write_bytes(picture.read_bytes()[:100])  # its size can still be read
+    shutil.rmtree(bare / "magnified" / "x020")
+    sets = [str(tmp_path / name) for name in ("broken", "torn", "bare")]
+    settings = [part for k, v in MODAL.items() for part in ("--set", f"{k}={v}")]
+    out = tmp_path / "out"
+    options = ["--out", str(out), "--preset", "modal", "--alphas", "20", *settings]
+    assert main(["bench", "ablation", "filter-phase", *sets, str(data), *options]) == 1
+    assert "3 failed" in capsys.readouterr().err
+    results = read_ablation(out)
+    assert [f["set"] for f in results["failed"]] == ["broken", "bare", "torn"]
+    assert {line["set"] for line in results["lines"]} == {data.name}
+    page = (out / "results.md").read_text(encoding="utf-8")
+    assert all(f"- Failed: {name}: " in page for name in ("broken", "torn", "bare"))
+    assert (out / "slices.png").is_file()
+
+
+def test_an_error_that_is_not_the_datas_is_a_failure(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from tg4mm.research.bench.ablation import run as runner
+
+    measured = runner.measure
+
+    def measure(place: Path, *arguments: Any) -> dict[str, Any]:
+        if "5_views" in place.name:
+            raise ArithmeticError("a matrix is singular")
+        return measured(place, *arguments)
+
+    monkeypatch.setattr(runner, "measure", measure)
+    out = tmp_path / "out"
+    results = run_ablation("views", [data], out, None, MODAL, Plan(alphas=(20.0,)), silent)
+    (failed,) = results["failed"]
+    assert failed["method"] == "5 views"
+    assert failed["why"].startswith("ArithmeticError: a matrix is singular (")
+    assert "in measure" in (out / "runs" / data.name / "traceback.txt").read_text(encoding="utf-8")
+    assert [line["row"] for line in results["lines"]] == ["3 views", "all views"]
+
+
+def test_a_scene_is_filmed_in_every_way(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An orbit is there as it is; the others are rendered, here by a copy that says what it was asked for."""
+    source = shutil.copytree(data, tmp_path / data.name)
+    scene = json.loads((source / "scene.json").read_text(encoding="utf-8"))
+    made_by = {
+        "scene": "mic",
+        "n_test": 30,
+        "n_points": 500,
+        "engine": {"name": "CYCLES", "samples": 8},
+        "cameras": {"kind": "orbit"},
+        "sensor": None,
+    }
+    (source / "scene.json").write_text(json.dumps(scene | made_by))
+    asked: list[list[str]] = []
+
+    def generator(arguments: list[str]) -> int:
+        asked.append(arguments)
+        made = dict(zip(arguments[1::2], arguments[2::2], strict=True))
+        root = shutil.copytree(source, Path(made["--out"]) / "mic_3.4Hz")
+        (root / "scene.json").write_text(json.dumps(scene | {"cameras": {"kind": made["--cameras"]}}))
+        return 0
+
+    monkeypatch.setattr("tg4mm.research.bench.ablation.rendered_sets.run_generator", generator)
+    out = tmp_path / "out"
+    results = run_ablation("capture", [source], out, None, MODAL, Plan(alphas=(20.0,)), silent)
+    assert [line["row"] for line in results["lines"]] == list(KINDS)
+    assert len(asked) == len(KINDS) - 1
+    for arguments, kind in zip(asked, list(KINDS)[1:], strict=True):
+        (settings,) = request_from(parser().parse_args(arguments)).sets
+        assert (settings.cameras.kind, settings.alphas, settings.points) == (kind, (20,), 500)
+        of_reference = 30 * open_set(source, "mic").n_timesteps  # test pictures
+        assert abs(settings.cameras.n_test * settings.timesteps - of_reference) <= settings.timesteps / 2
+    assert all(line["scalars"]["frequency_error_hz"] is not None for line in results["lines"])
+    run_ablation("capture", [source], out, None, MODAL, Plan(alphas=(20.0,)), silent)
+    assert len(asked) == len(KINDS) - 1  # what is there is not rendered again
+
+
+def test_no_possible_row_is_an_error(data: Path, tmp_path: Path) -> None:
+    with pytest.raises(Tg4mmError, match="is not what tg4mm generate makes"):
+        run_ablation("amplitude", [data], tmp_path / "out", None, MODAL, Plan(), silent)
+    assert not (tmp_path / "out").exists()
+
+
+def by_hand(values: dict[tuple[str, str], tuple[dict[str, float], float | None]]) -> dict[str, Any]:
+    """Results of two rows on two sets: {(set, row): ({α: SSIM}, displacement error)}."""
+    rows = list(dict.fromkeys(row for _, row in values))
+    lines = [
+        {
+            "set": name, "row": row, "ways": ["modal"], "ssim_columns": {f"α = {a}": a for a in ssims},
+            "scalars": {"displacement_error": error},
+            "rows": {a: {m: {"ssim": v} for m in (STATIC, "modal", CEILING)} for a, v in ssims.items()},
+        }
+        for (name, row), (ssims, error) in values.items()
+    ]  # fmt: skip
+    return {"lines": lines, "rows": rows, "columns": ["displacement_error"], "picture": "ssim"}
+
+
+def test_means_over_sets_are_of_all_of_them() -> None:
+    """What a set has for one row alone gives that row no mean that looks better for lack of the harder set."""
+    results = by_hand({
+        ("a", "one"): ({"5": 0.8, "20": 0.8}, 0.1), ("b", "one"): ({"5": 0.6}, None),
+        ("a", "two"): ({"5": 0.9, "20": 0.7}, 0.2), ("b", "two"): ({"5": 0.5}, 0.4),
+    })  # fmt: skip
+    columns = ["α = 5", "α = 20"]
+    one, two = mean_lines(results, columns)
+    assert [line["rows"]["α = 5"]["modal"]["ssim"] for line in (one, two)] == pytest.approx([0.7, 0.7])
+    assert one["rows"]["α = 20"]["modal"]["ssim"] is two["rows"]["α = 20"]["modal"]["ssim"] is None
+    assert one["scalars"]["displacement_error"] is None
+    assert two["scalars"]["displacement_error"] == pytest.approx(0.3)
+
+
+def test_the_chart_has_no_row_that_a_set_lacks() -> None:
+    results = by_hand({
+        ("easy", "hull"): ({"5": 0.95, "20": 0.9}, None), ("hard", "hull"): ({"5": 0.75, "20": 0.7}, None),
+        ("easy", "points"): ({"5": 0.94, "20": 0.89}, None),
+    })  # fmt: skip
+    drawn = picture(results)
+    assert drawn is not None
+    rows = {name.split(",")[0] for name in points_of(drawn)}
+    assert "hull" in rows
+    assert "points" not in rows
+
+
+def test_every_letter_of_every_table_is_known_to_latex() -> None:
+    """pdfLaTeX stops at a letter that no package declares."""
+    texts = [
+        a.title + a.remark + "".join(r.label for r in rows_of(n, a.presets[0], {}))
+        for n, a in ABLATIONS.items()
+    ]
+    texts += [title for title, _ in COLUMNS.values()] + [_SAYS[key] + METRICS[key][0] for key in PIVOTS]
+    assert {letter for text in texts for letter in escaped(text) if ord(letter) > 127} == set()
+
+
+def test_a_run_by_other_code_is_named() -> None:
+    made = circumstances(["tg4mm"])
+    older = made | {"tg4mm": "0.0.9", "date": "2026-01-02 03:04 UTC"}
+    later = made | {"date": "2026-02-02 03:04 UTC", "load_average": 3.0}
+    runs = {"modal on a": {"made": older}, "modal on b": {"made": later}, "paper on a": {}}
+    (line,) = trained_otherwise(made, runs)
+    assert line.startswith("tg4mm 0.0.9, ")
+    assert line.endswith(": modal on a (2026-01-02 03:04 UTC)")

@@ -1,0 +1,466 @@
+"""A method joins by its pictures: the worked example of docs/protocol.md, and what is refused."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tg4mm.cli import main
+from tg4mm.research.bench.jobs import run_job
+from tg4mm.research.bench.measure import Plan
+from tg4mm.research.bench.methods.video import Linear2D
+from tg4mm.research.bench.pages.shown import gather
+from tg4mm.research.bench.pages.tables import groups_of, tables_of
+from tg4mm.research.bench.sets import filmed_digest, open_set
+from tg4mm.research.bench.vqa import checkouts
+
+ROOT = Path(__file__).parents[3]
+
+
+def example() -> tuple[str, str]:
+    """(the program, the command) of the page."""
+    page = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8")
+    (program,) = re.findall(r"```python\n(.*?)```", page, re.S)
+    command = next(x for x in page.splitlines() if x.startswith("    tg4mm bench scenes") and "blend=" in x)
+    return program, command.strip()
+
+
+@pytest.fixture(scope="module")
+def joined(data: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
+    """The example run as the page has it, in a folder with a dataset, and beside it a broken one."""
+    folder = tmp_path_factory.mktemp("join")
+    shutil.copytree(data, folder / "data" / "mic_5Hz_0_005")
+    (folder / "data" / "broken").mkdir()
+    program, command = example()
+    (folder / "blend.py").write_text(program, encoding="utf-8")
+    subprocess.run([sys.executable, "blend.py"], cwd=folder, check=True, timeout=120)
+    _, _, *arguments = shlex.split(command)
+    arguments = [*arguments, "data/broken", "--methods", "linear-2d"]
+    subprocess.run(
+        [sys.executable, "-m", "tg4mm", "bench", *arguments], cwd=folder, timeout=300, check=False,
+        env={"PYTHONPATH": str(ROOT), "PATH": "/usr/bin:/bin", "OMP_NUM_THREADS": "1", "HOME": str(folder)},
+    )  # fmt: skip
+    out = folder / arguments[arguments.index("--out") + 1]
+    return out, json.loads((out / "results.json").read_text(encoding="utf-8"))
+
+
+def test_it_appears_in_every_table_of_pictures(joined: tuple[Path, dict]) -> None:
+    out, results = joined
+    page = (out / "results.html").read_text(encoding="utf-8")
+    for table in tables_of(results, groups_of(results)[0]):
+        if table.key not in {"motion", "own_ceiling", "modes", "cost"}:
+            assert "blend" in [row[0] for row in table.rows], table.key
+            assert "blend" in (out / "tables" / f"1_{table.key}.tex").read_text(encoding="utf-8")
+    assert "blend" in (out / "results.md").read_text(encoding="utf-8")
+    assert page.count("blend") > 5
+
+
+def test_its_scores_are_what_the_example_does(joined: tuple[Path, dict]) -> None:
+    """It mixes the neighbours in time, so it loses some of the motion."""
+    (line,) = [x for x in joined[1]["lines"] if x["row"] == "blend"]
+    assert list(line["alphas"]) == ["0", "5", "20"]
+    assert 0.2 < line["alphas"]["5"]["gain"] < 0.98
+
+
+def test_a_broken_dataset_is_reported_and_the_rest_goes_on(joined: tuple[Path, dict]) -> None:
+    out, results = joined
+    assert [f["set"] for f in results["failed"]] == ["broken"]
+    assert "- broken: " in (out / "results.md").read_text(encoding="utf-8")
+    assert {line["set"] for line in results["lines"]} == {"mic_5Hz_0_005"}
+
+
+def test_an_alpha_that_is_not_there_is_left_out_and_said(data: Path, tmp_path: Path, capsys) -> None:
+    theirs = tmp_path / "theirs" / data.name / "magnified" / "x005"
+    shutil.copytree(data / "magnified" / "x005", theirs)
+    arguments = ["bench", "scenes", str(data), "--out", str(tmp_path / "out"), "--methods", "linear-2d"]
+    assert main([*arguments, "--external", f"theirs={tmp_path / 'theirs'}"]) == 0
+    results = json.loads((tmp_path / "out" / "results.json").read_text(encoding="utf-8"))
+    (line,) = [x for x in results["lines"] if x["row"] == "theirs"]
+    assert list(line["alphas"]) == ["5"]
+    assert line["alphas"]["5"]["ssim"] == pytest.approx(1, abs=1e-4)  # put over white at 8 bits
+    assert "theirs has no pictures at α = 20" in (tmp_path / "out" / "results.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ("theirs", "expected NAME=DIR"),
+        ("a/b=.", "letters, digits"),
+        ("theirs=/nowhere", "/nowhere is not a folder"),
+        ("modal=.", "that is the name of a row here"),
+        ("ceiling=.", "that is the name of a row here"),
+        ("Linear-2D=.", "that is the name of a row here"),
+        ("set.json=.", "that is the name of a row here"),
+        ("-x=.", "must not begin with . or -"),
+    ],
+)
+def test_what_is_refused(given: str, message: str, data: Path, tmp_path: Path, capsys) -> None:
+    out = tmp_path / "out"
+    assert main(["bench", "scenes", str(data), "--out", str(out), "--external", given]) == 2
+    assert message in capsys.readouterr().err
+    assert not out.exists()
+
+
+def run_linear(data: Path, out: Path, *more: str) -> tuple[int, dict]:
+    """Exit status and results of the quickest method."""
+    status = main(["bench", "scenes", str(data), *more, "--out", str(out), "--methods", "linear-2d"])
+    return status, json.loads((out / "results.json").read_text(encoding="utf-8"))
+
+
+def test_a_set_without_the_alpha_asked_for_is_reported_and_the_rest_goes_on(
+    data: Path, tmp_path: Path, capsys
+) -> None:
+    other = tmp_path / "other"
+    shutil.copytree(data, other)
+    shutil.rmtree(other / "magnified" / "x020")
+    status, results = run_linear(data, tmp_path / "out", str(other), "--alphas", "20")
+    assert status == 1
+    assert [(f["set"], "ground truth for 5" in f["why"]) for f in results["failed"]] == [("other", True)]
+    assert {line["set"] for line in results["lines"]} == {data.name}
+
+
+def test_an_ablation_without_results_does_not_take_the_page_along(data: Path, tmp_path: Path, capsys) -> None:
+    out = tmp_path / "out"
+    status, results = run_linear(data, out, "--ablation", str(tmp_path / "gone"))
+    assert status == 1
+    assert [f["set"] for f in results["failed"]] == ["ablation gone"]
+    assert (out / "results.html").is_file()
+    assert "ablation gone" in (out / "results.md").read_text(encoding="utf-8")
+
+
+def test_a_job_may_fail_by_any_error_and_leaves_its_traceback(
+    data: Path, tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from tg4mm.research.bench.methods.video import Phase2D
+
+    def broken(*arguments: object) -> None:
+        raise ArithmeticError("a matrix is singular\nsecond line")
+
+    monkeypatch.setattr(Phase2D, "fit", broken)
+    out = tmp_path / "out"
+    arguments = ["bench", "scenes", str(data), "--out", str(out), "--methods", "phase-2d,linear-2d"]
+    assert main(arguments) == 1
+    (failed,) = json.loads((out / "results.json").read_text(encoding="utf-8"))["failed"]
+    assert failed["why"].startswith("ArithmeticError: a matrix is singular (")
+    assert "in broken" in (out / "runs" / data.name / "phase-2d" / "traceback.txt").read_text(
+        encoding="utf-8"
+    )
+
+
+def test_a_job_finds_and_leaves_its_results_where_the_tables_look(
+    data: Path, tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two datasets of one name: the name in the tables does not depend on which others are named beside it."""
+    out, other = tmp_path / "out", tmp_path / "other" / data.name
+    shutil.copytree(data, other)
+    named = f"second={other}"
+    for given in (str(data), named):
+        assert main(["bench", "job", given, "linear-2d", "--out", str(out), "--methods", "linear-2d"]) == 0
+    places = [Path(line) for line in capsys.readouterr().out.splitlines()]
+    assert places == [out / "runs" / name / "linear-2d" for name in (data.name, "second")]
+
+    def forbidden(*_: object) -> None:
+        raise AssertionError("done again")
+
+    monkeypatch.setattr("tg4mm.research.bench.jobs.write_png", forbidden)
+    status, results = run_linear(data, out, named)
+    assert (status, [s["label"] for s in results["sets"]]) == (0, [data.name, "second"])
+
+
+def test_results_of_another_dataset_of_that_name_are_not_overwritten(
+    data: Path, tmp_path: Path, capsys
+) -> None:
+    out, other = tmp_path / "out", tmp_path / "other" / data.name
+    run_linear(data, out)
+    shutil.copytree(data, other)
+    scene = json.loads((other / "scene.json").read_text(encoding="utf-8"))
+    (other / "scene.json").write_text(json.dumps(scene | {"seed": 17}))
+    assert main(["bench", "job", str(other), "linear-2d", "--out", str(out)]) == 2
+    assert "holds results of another one of that name" in capsys.readouterr().err
+
+
+def test_collecting_runs_nothing_and_says_what_is_not_there(
+    data: Path, tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    run_linear(data, out)
+
+    def forbidden(*_: object) -> None:
+        raise AssertionError("something is run")
+
+    monkeypatch.setattr("tg4mm.research.bench.jobs.write_png", forbidden)
+    monkeypatch.setattr("tg4mm.research.bench.jobs.score_pictures", forbidden)
+    monkeypatch.setattr("tg4mm.research.bench.measure.train", forbidden)
+    arguments = ["bench", "scenes", str(data), "--out", str(out), "--methods", "modal,linear-2d", "--collect"]
+    assert main(arguments) == 1
+    results = json.loads((out / "results.json").read_text(encoding="utf-8"))
+    assert [(f["method"], f["why"]) for f in results["failed"]] == [
+        ("modal", f"modal on {data.name} is not finished, or is of other settings or pictures")
+    ]
+    assert [line["row"] for line in results["lines"]] == ["linear-2d"]
+    assert (out / "results.html").is_file()
+
+
+def test_speed_is_of_magnified_pictures(data: Path, tmp_path: Path) -> None:
+    """At α = 0 a video is passed on as it is, which is no speed of a method."""
+    _, results = run_linear(data, tmp_path / "out")
+    (line,) = results["lines"]
+    records = {p.stem: json.loads(p.read_text()) for p in (tmp_path / "out" / "runs").rglob("x*.json")}
+    speeds = [records[name]["frames_per_s"] for name in ("x005", "x020")]
+    assert line["frames_per_s"] == pytest.approx(sum(speeds) / 2)
+
+
+def test_damaged_scores_are_made_anew(data: Path, tmp_path: Path, capsys) -> None:
+    out = tmp_path / "out"
+    before = run_linear(data, out)[1]["lines"]
+    (scores,) = (out / "runs").rglob("scores.json")
+    scores.write_text('{"version": 1, "entries')
+    status, results = run_linear(data, out)
+    assert (status, results["lines"][0]["alphas"]) == (0, before[0]["alphas"])
+
+
+def test_a_folder_without_pictures_has_failed(data: Path, tmp_path: Path) -> None:
+    (tmp_path / "theirs" / data.name).mkdir(parents=True)
+    status, results = run_linear(data, tmp_path / "out", "--external", f"none={tmp_path / 'theirs'}")
+    assert (status, [f["method"] for f in results["failed"]]) == (1, ["none"])
+    assert "holds no pictures such as" in results["failed"][0]["why"]
+
+
+def test_an_alpha_without_ground_truth_is_said(data: Path, tmp_path: Path) -> None:
+    with pytest.warns(UserWarning, match="has no ground truth for α = 7: left out"):
+        run_linear(data, tmp_path / "out", "--alphas", "5,7")
+
+
+def test_tables_of_methods_that_are_gone_do_not_stay(data: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    run_linear(data, out)
+    stale = out / "tables" / "1_motion.tex"
+    stale.write_text("of another call")
+    run_linear(data, out)
+    assert not stale.exists()
+
+
+def test_ground_truth_that_has_changed_is_scored_against(data: Path, tmp_path: Path) -> None:
+    own, out = tmp_path / data.name, tmp_path / "out"
+    shutil.copytree(data, own)
+    before = run_linear(own, out)[1]["lines"][0]["alphas"]
+    for picture in (own / "magnified" / "x020").rglob("test/*.png"):
+        shutil.copyfile(own / "000" / "test" / picture.name, picture)
+    after = run_linear(own, out)[1]["lines"][0]["alphas"]
+    assert after["5"] == before["5"]
+    assert after["20"]["psnr_db"] != before["20"]["psnr_db"]
+
+
+def test_pictures_that_have_changed_are_magnified_anew(data: Path, tmp_path: Path) -> None:
+    """A 2D method sees the test views unmagnified, which no digest of the dataset covers."""
+    own, out = tmp_path / data.name, tmp_path / "out"
+    shutil.copytree(data, own)
+    before = run_linear(own, out)[1]["lines"][0]["alphas"]
+    assert run_linear(own, out, "--collect")[0] == 0
+    first = (own / "000" / "test" / "r_000.png").read_bytes()
+    for picture in own.glob("[0-9]*/test/r_000.png"):
+        picture.write_bytes(first)
+    assert run_linear(own, out, "--collect")[0] == 2  # nothing is finished
+    after = run_linear(own, out)[1]["lines"][0]["alphas"]
+    assert before["20"]["gain"] > 0.05
+    assert after["20"]["gain"] == pytest.approx(0, abs=0.01)  # a still video
+
+
+def test_methods_join_a_dataset_of_exr_pictures_by_png(data: Path, tmp_path: Path) -> None:
+    exr = pytest.importorskip("OpenEXR")
+    own, theirs = tmp_path / data.name, tmp_path / "theirs"
+    shutil.copytree(data, own)
+    shutil.copytree(data, theirs / data.name)
+    for path in own.rglob("test/*.png"):
+        coded, opacity = np.split(np.asarray(Image.open(path).convert("RGBA"), np.float32) / 255, [3], axis=2)
+        linear = np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4) * opacity
+        values = np.concatenate([linear, opacity], axis=2)
+        channels = {name: np.ascontiguousarray(values[..., i]) for i, name in enumerate("RGBA")}
+        with exr.File({"type": exr.scanlineimage}, channels) as file:
+            file.write(str(path.with_suffix(".exr")))
+        path.unlink()
+    status, results = run_linear(own, tmp_path / "out", "--external", f"theirs={theirs}")
+    assert status == 0
+    lines = {line["row"]: line["alphas"] for line in results["lines"]}
+    assert lines["linear-2d"]["0"]["ssim"] == pytest.approx(1, abs=1e-3)
+    assert lines["theirs"]["20"]["ssim"] == pytest.approx(1, abs=1e-3)
+    assert "<video" in (tmp_path / "out" / "results.html").read_text(encoding="utf-8")
+
+
+def test_videos_are_of_an_alpha_that_all_rows_have(data: Path, tmp_path: Path) -> None:
+    theirs = tmp_path / "theirs" / data.name / "magnified" / "x005"
+    shutil.copytree(data / "magnified" / "x005", theirs)
+    with pytest.warns(UserWarning, match="no pictures at α = 20"):
+        _, results = run_linear(data, tmp_path / "out", "--external", f"theirs={tmp_path / 'theirs'}")
+    shown = gather(tmp_path / "out", results, open_set(data, data.name))
+    assert (shown.alpha, list(shown.videos)) == (5, ["ground truth", "linear-2d", "theirs"])
+
+
+@pytest.mark.parametrize("what", ["pictures", "cameras"])
+def test_a_dataset_whose_training_pictures_or_cameras_have_changed_is_refused(
+    what: str, data: Path, tmp_path: Path
+) -> None:
+    own, out = tmp_path / data.name, tmp_path / "out"
+    shutil.copytree(data, own)
+    assert run_linear(own, out)[0] == 0
+    copied = shutil.copytree(own, tmp_path / "copied" / data.name, copy_function=shutil.copyfile)
+    assert run_linear(copied, out)[0] == 0
+    if what == "pictures":
+        picture = own / "003" / "train" / "r_000.png"
+        Image.open(picture).convert("L").convert("RGBA").save(picture)
+    else:
+        file = own / "003" / "transforms_test.json"
+        cameras = json.loads(file.read_text())
+        cameras["frames"][0]["transform_matrix"][0][3] += 0.5
+        file.write_text(json.dumps(cameras))
+    arguments = ["bench", "job", str(own), "linear-2d", "--out", str(out), "--methods", "linear-2d"]
+    assert main(arguments) == 2
+
+
+def spoilt_at_20(data: Path, theirs: Path, content: bytes | None) -> Path:
+    """All of a method's pictures of the dataset, one of them at α = 20 with other content, or not there."""
+    for part in ("magnified", *(f"{t:03d}" for t in range(6))):
+        shutil.copytree(data / part, theirs / data.name / part)
+    picture = theirs / data.name / "magnified" / "x020" / "003" / "test" / "r_000.png"
+    picture.unlink()
+    if content is not None:
+        picture.write_bytes(content)
+    return picture
+
+
+def encoded(kind: str, size: tuple[int, int]) -> bytes:
+    buffer = io.BytesIO()
+    Image.new("RGB", size).save(buffer, kind)
+    return buffer.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (None, "does not exist: at an α that has a picture, all are needed"),
+        (encoded("PNG", (16, 32)), "is 16×32 pixels, expected 32×32"),
+        (encoded("JPEG", (32, 32)), "is no PNG file"),
+        (b"text", "is no PNG file"),
+    ],
+)
+def test_a_bad_picture_takes_its_alpha_along_and_no_more(
+    content: bytes | None, message: str, data: Path, tmp_path: Path, capsys
+) -> None:
+    """And it is said before anything is run."""
+    spoilt_at_20(data, tmp_path / "theirs", content)
+    status, results = run_linear(data, tmp_path / "out", "--external", f"theirs={tmp_path / 'theirs'}")
+    said = capsys.readouterr().err
+    assert said.index(f"theirs will fail: {tmp_path}") < said.index(f"{data.name}, linear-2d")
+    (failed,) = results["failed"]
+    assert (status, failed["method"]) == (1, "theirs")
+    assert failed["why"].startswith("α = 20: ")
+    assert message in failed["why"]
+    assert {x["row"]: list(x["alphas"]) for x in results["lines"]} == {
+        "linear-2d": ["0", "5", "20"], "theirs": ["0", "5"],
+    }  # fmt: skip
+    collected = run_linear(data, tmp_path / "out", "--external", f"theirs={tmp_path / 'theirs'}", "--collect")
+    assert [list(x["alphas"]) for x in collected[1]["lines"]] == [["0", "5", "20"], ["0", "5"]]
+
+
+def test_ground_truth_that_is_torn_takes_its_alpha_along(data: Path, tmp_path: Path, capsys) -> None:
+    """It is said once, before anything is run, and a job of its own ends as well as with the α that is whole."""
+    own = shutil.copytree(data, tmp_path / data.name)
+    (own / "magnified" / "x020" / "003" / "test" / "r_000.png").unlink()
+    status, results = run_linear(own, tmp_path / "out", "--external", f"same={tmp_path}")
+    said = capsys.readouterr().err
+    assert said.index(f"{data.name}: left out: α = 20: ") < said.index(f"{data.name}, linear-2d")
+    assert [f["why"].partition(": ")[0] for f in results["failed"]] == ["α = 20"]
+    assert (status, [list(x["alphas"]) for x in results["lines"]]) == (1, [["0", "5"]] * 2)
+    assert run_linear(own, tmp_path / "five", "--alphas", "5")[0] == 0
+    arguments = [
+        "bench",
+        "job",
+        str(own),
+        "linear-2d",
+        "--out",
+        str(tmp_path / "out"),
+        "--methods",
+        "linear-2d",
+    ]
+    assert main(arguments) == 0
+
+
+def test_a_job_says_which_alpha_has_failed(data: Path, tmp_path: Path, capsys) -> None:
+    spoilt_at_20(data, tmp_path / "theirs", None)
+    arguments = [
+        "bench",
+        "job",
+        str(data),
+        "theirs",
+        "--out",
+        str(tmp_path / "out"),
+        "--methods",
+        "linear-2d",
+    ]
+    assert main([*arguments, "--external", f"theirs={tmp_path / 'theirs'}"]) == 2
+    assert f"theirs on {data.name}: α = 20: " in capsys.readouterr().err
+    assert list((tmp_path / "out").rglob("scores.json"))
+
+
+def test_a_dataset_that_cannot_be_read_is_said_at_once(data: Path, tmp_path: Path, capsys) -> None:
+    (tmp_path / "broken").mkdir()
+    run_linear(data, tmp_path / "out", str(tmp_path / "broken"))
+    said = capsys.readouterr().err
+    assert said.index("broken: left out: ") < said.index(f"{data.name}, linear-2d")
+
+
+def test_an_outside_method_is_scored_alone(data: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(data, tmp_path / "theirs" / data.name)
+    arguments = ["bench", "scenes", str(data), "--methods", "", "--external", f"theirs={tmp_path / 'theirs'}"]
+    assert main([*arguments, "--out", str(out)]) == 0
+    page = (out / "results.md").read_text(encoding="utf-8")
+    assert "theirs" in page
+    assert "othing moves" not in page
+
+
+@pytest.mark.parametrize("what", ["picture", "points3d.ply"])
+def test_other_bytes_of_the_same_length_are_other_training_data(
+    what: str, data: Path, tmp_path: Path
+) -> None:
+    own = shutil.copytree(data, tmp_path / data.name)
+    file = own / "003" / "train" / "r_000.png" if what == "picture" else own / what
+    file.write_bytes(file.read_bytes() if file.exists() else b"points")
+    before = filmed_digest(own)
+    raw = bytearray(file.read_bytes())
+    raw[-1] ^= 1
+    file.write_bytes(raw)
+    assert filmed_digest(own) != before
+
+
+def test_scores_are_of_the_weights_and_programs_as_they_are(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """LPIPS by weights in a file, video quality by a program: both are in the scores, and change with the files."""
+    weights, program = tmp_path / "alex.pth", tmp_path / "test_video.py"
+    monkeypatch.setattr(
+        "tg4mm.research.bench.jobs.load_lpips", lambda files: lambda made, truth: float(files[0].read_text())
+    )
+    opened, method = open_set(data, data.name), Linear2D()
+
+    def scored(lpips: str, quality: str) -> tuple[float, float]:
+        weights.write_text(lpips)
+        program.write_text(f"print('score', {quality})")
+        plan = Plan(alphas=(5.0,), lpips_weights=(weights,))
+        vqa = checkouts({"md_vqa": tmp_path}, sys.executable)
+        _, (line,) = run_job(method, opened, tmp_path / "out", plan, vqa)
+        return line.alphas["5"]["lpips"], line.alphas["5"]["md_vqa"]
+
+    assert scored("0.25", "81.5") == (0.25, 81.5)
+    assert scored("0.125", "81.5") == (0.125, 81.5)
+    assert scored("0.125", "9.25") == (0.125, 9.25)

@@ -1,0 +1,213 @@
+"""The whole benchmark as commands: one after the other, by Snakemake, and what a failure leaves out."""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+
+import tg4mm.research.bench
+from dataset_gen.options import parser, request_from
+from tests.helpers.snakemake_program import FARM, check_plugins, snakemake
+from tg4mm.cli import main
+from tg4mm.cli.program import app
+from tg4mm.research.bench import presets
+from tg4mm.research.bench.errors import BenchError
+from tg4mm.research.bench.presets import PRESETS, Choices, Step, choices_from, run_preset, steps_of
+
+ROOT = Path(__file__).parents[3]
+SNAKEFILE = Path(tg4mm.research.bench.__file__).parent / "Snakefile"
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_steps_need_only_what_comes_before_them(name: str) -> None:
+    known: set[str] = set()
+    for step in steps_of(name, "out", choices=Choices(("theirs=dir",))):
+        assert set(step.needs) <= known, step.name
+        known.add(step.name)
+    jobs = [n for n in known if n.startswith("job/")]
+    assert len(jobs) == len(PRESETS[name].scenes) * (len(PRESETS[name].methods) + 1)
+    assert "page" in known
+
+
+def accepted(line: str) -> dict[str, Any]:
+    """The values that the program reads from a command, by the parsers of its own command line."""
+    python, *module, name = (words := shlex.split(line))[:4]
+    assert [python, *module] == [sys.executable, "-m", "tg4mm"]
+    if name == "generate":
+        request = request_from(parser().parse_args(words[4:]))
+        return {"alphas": ",".join(map(str, request.sets[0].alphas)), "out": request.out}
+    command: Any = typer.main.get_command(app)
+    context = command.make_context("tg4mm", words[3:])
+    while hasattr(command, "resolve_command"):
+        name, command, rest = command.resolve_command(context, [*context._protected_args, *context.args])
+        context = command.make_context(name, list(rest), parent=context)
+    return dict(context.params)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_a_dry_run_prints_commands_that_the_program_accepts(name: str, capsys) -> None:
+    assert main(["bench", "--preset", name, "--out", "out", "--dry-run"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == len(steps_of(name, "out"))
+    assert not Path("out").exists()
+    folders = [str(accepted(line)["out"]) for line in lines]
+    assert {folder.partition("/")[0] for folder in folders} == {"out"}
+
+
+def test_what_is_chosen_reaches_every_step_that_it_is_for(tmp_path: Path) -> None:
+    choices = Choices(("theirs=dir",), "5,20", "cuda", ("alex.pth", "heads.pth"), "md", "fast", "python3.9")
+    for step in steps_of("small", "out", choices=choices):
+        found = accepted(shlex.join(step.command))
+        kind = step.name.partition("/")[0]
+        assert found["alphas"] == (None if step.name == "ablation/amplitude" else "5,20")
+        if kind != "data":
+            assert found["device"] == "cuda"
+        if kind in {"job", "page"}:
+            assert found["external"] == ["theirs=dir"]
+            assert found["lpips_weights"] == [Path("alex.pth"), Path("heads.pth")]
+            assert (found["md_vqa"], found["fast_vqa"]) == (Path("md"), Path("fast"))
+            assert found["vqa_python"] == "python3.9"
+
+
+def test_a_configuration_file_has_the_same_choices() -> None:
+    config = {"preset": "small", "alphas": 20, "lpips_weights": ["a", "b"], "external": ["t=d"], "threads": 2}
+    assert choices_from(config) == Choices(("t=d",), "20", lpips_weights=("a", "b"))
+    with pytest.raises(BenchError, match="external is 't=d', expected a list of texts"):
+        choices_from({"external": "t=d"})
+    with pytest.raises(BenchError, match=r"alphas is \[5\], expected a text"):
+        choices_from({"alphas": [5]})
+
+
+def test_options_of_a_preset_reach_its_commands(tmp_path: Path, capsys) -> None:
+    for name in ("test_video.py", "vqa.py"):
+        (tmp_path / name).write_text("")
+    options = ["--alphas", "5", "--md-vqa", str(tmp_path), "--vqa-python", "python3.9"]
+    assert main(["bench", "--preset", "smoke", "--out", "out", "--dry-run", *options]) == 0
+    found = accepted(capsys.readouterr().out.splitlines()[-1])
+    assert (found["alphas"], found["md_vqa"], found["vqa_python"]) == ("5", tmp_path, "python3.9")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--preset", "large", "--out", "x"], "'large', expected smoke, small, paper"),
+        (["--preset", "smoke"], "--out are needed"),
+        (["--preset", "smoke", "--out", "x", "--alphas", "5,many"], "'many'"),
+        (["--preset", "smoke", "--out", "x", "--fast-vqa", "/nowhere"], "holds no vqa.py"),
+        (["--preset", "smoke", "--out", "x", "--lpips-weights", "/nowhere/alex.pth"], "/nowhere/alex.pth"),
+        (["--alphas", "5", "scenes", "data", "--out", "x"], "options before scenes"),
+        (["--preset", "smoke", "--out", "x", "--external", "theirs"], "expected NAME=DIR"),
+        (["--preset", "smoke", "--out", "x", "--external", "modal=."], "that is the name of a row here"),
+    ],
+)
+def test_what_is_refused(arguments: list[str], message: str, capsys) -> None:
+    assert main(["bench", *arguments]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_what_fails_is_said_and_the_rest_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def step(name: str, code: str, *needs: str) -> Step:
+        return Step(name, (sys.executable, "-c", code), needs)
+
+    mark = tmp_path / "mark"
+    steps = [
+        step("data/a", "raise SystemExit(1)"),
+        step("job/a/m", "raise SystemExit('not run')", "data/a"),
+        step("data/b", "pass"),
+        step("page", f"open({str(mark)!r}, 'w')", "job/a/m", "data/b"),
+    ]
+    monkeypatch.setattr(presets, "steps_of", lambda *_, **__: steps)
+    said: list[str] = []
+    assert run_preset("small", tmp_path, say=said.append) == 2
+    assert mark.exists()
+    assert any("job/a/m: left out, since data/a failed" in line for line in said)
+
+
+def run_snakemake(folder: Path, config: dict[str, object], *more: str) -> subprocess.CompletedProcess[str]:
+    (folder / "config.json").write_text(json.dumps(config))
+    command = [snakemake(), "-s", str(SNAKEFILE), "--configfile", "config.json", *more]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(folder / "cache")}
+    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=240)
+
+
+@pytest.mark.parametrize("profile", ["", "local", "slurm", "kubernetes"])
+def test_a_dry_run_of_the_workflow_names_every_step(tmp_path: Path, profile: str) -> None:
+    options = ["--profile", str(FARM / "profiles" / profile)] if profile else ["--cores", "2"]
+    config = {"preset": "small", "out": "bench", "python": sys.executable}
+    done = run_snakemake(tmp_path, config, "--dry-run", *options)
+    said = done.stdout + done.stderr
+    check_plugins(said, profile)
+    assert done.returncode == 0, said
+    for step in steps_of("small", "bench"):
+        assert f"bench/.done/{step.name}" in said
+    assert not (tmp_path / "bench").exists()
+
+
+# Plans as the real one does; other commands are recorded, and the one that holds `fail` fails.
+STAND_IN = """#!{python}
+import os, runpy, sys
+sys.path.insert(0, {root!r})
+if sys.argv[2] == "tg4mm.research.bench.presets":
+    sys.argv = sys.argv[2:]
+    runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
+    sys.exit()
+line = " ".join(sys.argv[3:])
+open({log!r}, "a").write(line + "\\n")
+sys.exit("does not work" if os.path.exists({fail!r}) and " linear-2d --out" in line else 0)
+"""
+
+
+def test_the_page_is_made_though_a_job_failed(tmp_path: Path) -> None:
+    program, log, fail = (tmp_path / name for name in ("python", "calls.txt", "fail"))
+    program.write_text(STAND_IN.format(python=sys.executable, root=str(ROOT), log=str(log), fail=str(fail)))
+    program.chmod(0o755)
+    fail.touch()
+    config = {"preset": "mic-512", "out": "my bench", "python": str(program)}
+    done = run_snakemake(tmp_path, config, "--cores", "1", "--keep-going")
+    assert done.returncode == 1
+    calls = log.read_text().splitlines()
+    assert [" ".join(c.split()[:2]) for c in calls[:-1]] == ["generate mic", *["bench job"] * 4]
+    assert calls[-1].startswith("bench scenes ")
+    assert calls[-1].endswith(" --collect")
+    fail.unlink()
+    log.write_text("")
+    again = run_snakemake(tmp_path, config, "--cores", "1", "--keep-going")
+    assert again.returncode == 0, again.stderr
+    repeated, page = log.read_text().splitlines()
+    assert repeated.startswith("bench job")
+    assert " linear-2d " in repeated
+    assert page.startswith("bench scenes ")
+    assert page.endswith(" --collect")
+
+
+def test_what_is_wrong_with_a_configuration_is_said(tmp_path: Path) -> None:
+    done = run_snakemake(
+        tmp_path, {"preset": "large", "out": "x", "python": sys.executable}, "--dry-run", "--cores", "1"
+    )
+    assert done.returncode == 1
+    assert "'large', expected smoke" in done.stdout + done.stderr
+
+
+@pytest.mark.slow
+def test_smoke(tmp_path: Path) -> None:
+    """The benchmark whole, from rendering to the page."""
+    pytest.importorskip("bpy")
+    command = [sys.executable, "-m", "tg4mm", "bench", "--preset", "smoke", "--out", str(tmp_path / "out")]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    subprocess.run(command, env=environment, check=True, timeout=3000)
+    results = json.loads((tmp_path / "out" / "bench" / "results.json").read_text(encoding="utf-8"))
+    assert results["failed"] == []
+    rows = {line["row"]: line["alphas"]["20"] for line in results["lines"]}
+    assert {"nothing moves", "modal", "ceiling", "tracking", "phase-2d", "linear-2d"} <= set(rows)
+    # few and noisy pictures, little training: a part of the motion that can be shown, which nothing else gets by chance
+    assert rows["modal"]["gain"] > 0.2 * rows["ceiling"]["gain"] > 0.1
+    assert rows["modal"]["closure"] > 0.2
+    assert (tmp_path / "out" / "bench" / "results.html").stat().st_size > 100_000

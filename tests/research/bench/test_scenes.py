@@ -1,0 +1,422 @@
+"""The main table: its numbers are evaluate's, what is finished is not done again, and times are matched by settings."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.research.bench.conftest import MODAL, PAPER
+from tg4mm.core.errors import RunError
+from tg4mm.research.bench.jobs import job_folder, rendered
+from tg4mm.research.bench.means import group_means, line_means
+from tg4mm.research.bench.measure import SEEN, Plan, Training, _request
+from tg4mm.research.bench.methods import trained
+from tg4mm.research.bench.methods.known import ABOUT, NAMES
+from tg4mm.research.bench.pages.tables import cost_table, kinds_tables, pivots
+from tg4mm.research.bench.scenes import ScenesRequest, run_scenes, same_time_training, same_time_trainings
+from tg4mm.research.bench.sets import open_set, open_sets, truth_at
+from tg4mm.research.evaluate import evaluate_run
+from tg4mm.research.evaluate.subject import subject_of
+from tg4mm.run import Run
+from tg4mm.run.train import parse_settings
+
+REQUEST = ScenesRequest(
+    methods=("modal", "paper-tuned"), settings={"modal": MODAL, "paper-tuned": PAPER}, same_time="never"
+)
+Done = tuple[Path, dict[str, Any]]
+
+
+def silent(_: str) -> None:
+    """No messages."""
+
+
+@pytest.fixture(scope="module")
+def done(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Done:
+    out = tmp_path_factory.mktemp("scenes") / "out"
+    return out, run_scenes([data], out, REQUEST, silent)
+
+
+def entry(results: dict[str, Any], name: str) -> dict[str, Any]:
+    (found,) = [r for r in results["runs"] if r["row"] == name]
+    return found
+
+
+@pytest.mark.parametrize(
+    ("row", "way"), [("modal", "modal"), ("paper-tuned", "linear"), ("paper-tuned", "phase")]
+)
+def test_the_numbers_are_those_of_evaluate(
+    done: Done, data: Path, tmp_path: Path, row: str, way: str
+) -> None:
+    out, results = done
+    run = Run.open(out / "runs" / data.name / row / "run")
+    again = evaluate_run(run, out=tmp_path / "m.json", band=results["sets"][0]["band_hz"], method=way)
+    ours = entry(results, row)
+    for scored in again["alphas"]:
+        found = ours["rows"][str(scored["alpha"])]
+        measured = {key: scored[key] for key in SEEN} | {"ssim": scored["rows"]["ours"]["ssim"]}
+        assert {key: value for key, value in found[way].items() if value is not None} == measured
+        for name in ("nothing moves", "ceiling"):
+            assert found[name]["ssim"] == scored["rows"][name]["ssim"]
+    assert ours["displacement"] == again["displacement"]
+    assert ours["seconds"]["motion"] == run.log()["motion"]["seconds"]
+
+
+def cells(page: str, title: str, *first: str) -> list[str]:
+    """The numbers of the line that begins with `first`, in the table under `title`."""
+    part = page.split(f"### {title}\n")[1].split("###")[0]
+    lines = [[c.strip() for c in x.split("|")[1:-1]] for x in part.splitlines() if x.startswith("|")]
+    (found,) = [x[len(first) :] for x in lines if tuple(x[: len(first)]) == first]
+    return found
+
+
+def test_the_page_prints_the_numbers_of_the_json(done: Done, data: Path) -> None:
+    out, results = done
+    page = (out / "results.md").read_text(encoding="utf-8")
+    for line in results["lines"]:
+        alphas = sorted(line["alphas"], key=float)
+        assert cells(page, "SSIM", line["row"]) == [f"{line['alphas'][a]['ssim']:.4f}" for a in alphas]
+        assert cells(page, "gain", line["row"]) == [f"{line['alphas'][a]['gain']:.2f}" for a in alphas]
+    linear = entry(results, "paper-tuned")["rows"]["20"]["linear"]
+    own = cells(page, "Against its own ceiling", data.name, "paper-tuned: linear", "20")
+    assert own == [f"{linear[key]:.2f}" for key in SEEN]
+    made = results["made"]
+    assert all(str(made[key]) in page for key in ("command", "date", "tg4mm", "processor"))
+    assert "![SSIM and closure over magnification" in page
+    assert (out / "results_1.svg").is_file()
+    assert json.loads((out / "results.json").read_text(encoding="utf-8")) == results
+
+
+def test_the_cost_of_each_stage(done: Done, data: Path) -> None:
+    out, results = done
+    page = (out / "results.md").read_text(encoding="utf-8")
+    for row, space, motion in (("modal", "60", "4"), ("paper-tuned", "80", "20")):
+        log = entry(results, row)["log"]
+        found = cells(page, "Cost", data.name, row)[3:7]
+        peaks = [
+            max(v["peak_memory_mib"] for k, v in log.items() if (k == "motion") == is_motion)
+            for is_motion in (False, True)
+        ]
+        assert found == [space, motion, *(f"{peak:.0f}" for peak in peaks)]
+
+
+def test_kinds_of_capture_are_told_apart(done: Done, data: Path) -> None:
+    _, results = done
+    assert kinds_tables(results) == []  # there is one
+    kinds = {data.name: "orbit", "other": "clips"}
+    runs = [r | {"set": name} for name in kinds for r in results["runs"]]
+    lines = [x | {"set": name} for name in kinds for x in results["lines"]]
+    both = results | {"kind_means": group_means(runs, kinds), "kind_line_means": line_means(lines, kinds)}
+    motion, pictures = kinds_tables(both)
+    assert [row[:3] for row in motion.rows][:2] == [["orbit", "modal", "1"], ["orbit", "paper-tuned", "1"]]
+    assert {row[0] for row in motion.rows} == {row[0] for row in pictures.rows} == {"orbit", "clips"}
+    run = entry(results, "modal")
+    cell = dict(zip(motion.header, motion.rows[0], strict=True))
+    assert cell["error"] == f"{run['displacement']['relative_error']:.1%}"
+    assert cell["leak"] == f"{run['displacement']['static_leak']:.1%}"
+    assert cell["frequency, Hz"] == f"{abs(run['strongest_hz'] - 5.0):.3f}"
+
+
+def test_settings_stand_on_both_pages(done: Done) -> None:
+    out, _ = done
+    for name in ("results.md", "results.html"):
+        page = (out / name).read_text(encoding="utf-8")
+        assert "Settings other than the defaults" in page
+        assert "--set space.iterations=60" in page
+
+
+def test_goals_do_not_stand_on_public_pages(done: Done) -> None:
+    out, results = done
+    assert "goals" not in results
+    for name in ("results.md", "results.html"):
+        assert "missed" not in (out / name).read_text(encoding="utf-8")
+
+
+def test_the_rows_that_frame_the_others(done: Done) -> None:
+    _, results = done
+    lines = {line["row"]: line["alphas"]["20"] for line in results["lines"]}
+    assert list(lines) == ["nothing moves", "modal", "ceiling", "paper-tuned: linear", "paper-tuned: phase"]
+    assert (lines["nothing moves"]["closure"], lines["ceiling"]["closure"]) == (0.0, 1.0)
+    assert lines["nothing moves"]["gain"] == pytest.approx(0, abs=1e-9)
+    assert lines["ceiling"]["gain"] > 0.7
+    assert lines["ceiling"]["ssim_moving"] > lines["nothing moves"]["ssim_moving"]
+
+
+def test_pictures_of_eight_bits_score_as_renderings_do(done: Done) -> None:
+    _, results = done
+    for line in results["lines"]:
+        if line["row"] == "modal":
+            exact = entry(results, "modal")["rows"]
+            for alpha, scores in line["alphas"].items():
+                assert scores["ssim"] == pytest.approx(exact[alpha]["modal"]["ssim"], abs=1e-3)
+
+
+def test_of_renderings_only_ssim_is_measured(done: Done) -> None:
+    """The other metrics are of the pictures on disk, where every method is scored alike."""
+    _, results = done
+    assert {entry(results, "modal")["rows"]["20"]["modal"][k] for k in ("psnr_db", "flip")} == {None}
+    lines = {line["row"]: line["alphas"]["20"] for line in results["lines"]}
+    assert lines["modal"]["flip"] > 0
+
+
+def test_preparation_is_not_timed_and_done_once(
+    done: Done, data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Opening the run and following the exact motion takes longer than many pictures."""
+    out, built = done[0], []
+    (opened,) = open_sets([data])
+    (method,) = [m for m in REQUEST.made() if m.name == "modal"]
+
+    def subject(*arguments: Any) -> Any:
+        built.append(arguments)
+        return subject_of(*arguments)
+
+    monkeypatch.setattr(trained, "subject_of", subject)
+    if hasattr(trained, "_subject_of"):
+        trained._subject_of.cache_clear()
+    place = job_folder(out, opened, method)
+    for row in method.rows:
+        for alpha in (5, 20):
+            pictures = method.render(row, opened, place, truth_at(opened, alpha), alpha, REQUEST.plan)
+            assert len(built) == 1
+            next(pictures)
+    assert len(built) == 1
+
+
+def test_what_is_finished_is_not_done_again(done: Done, data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out, results = done
+
+    def forbidden(*_: Any, **__: Any) -> None:
+        raise AssertionError("done again")
+
+    for name in ("measure.train", "measure.evaluate_run", "jobs.write_png", "jobs.score_pictures"):
+        monkeypatch.setattr(f"tg4mm.research.bench.{name}", forbidden)
+    again = run_scenes([data], out, REQUEST, silent)
+    assert (again["runs"], again["lines"]) == (results["runs"], results["lines"])
+
+
+def test_the_time_that_is_left_is_told_without_the_jobs_that_were_finished(
+    done: Done, data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A finished job takes no time; counted with the others it would promise an early end."""
+    shown: list[Any] = []
+
+    @contextmanager
+    def watched(label: str, total: int, unit: str, start: int) -> Iterator[Any]:
+        shown.append((total, start))
+        yield shown.append
+
+    monkeypatch.setattr("tg4mm.research.bench.scenes.progress", watched)
+    methods = ("modal", "paper-tuned", "linear-2d")
+    run_scenes([data], done[0], replace(REQUEST, methods=methods), silent)
+    assert shown == [(3, 2), 3]
+
+
+def test_other_alphas_are_scored_without_training(
+    done: Done, data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, results = done
+    space = out / "runs" / data.name / "modal" / "run" / "space.safetensors"
+    before = space.stat().st_mtime_ns
+    plan = Plan(alphas=(5.0,))
+    again = run_scenes([data], out, replace(REQUEST, methods=("modal",), plan=plan), silent)
+    assert list(entry(again, "modal")["rows"]) == ["0", "5"]
+    assert entry(again, "modal")["rows"]["5"] == entry(results, "modal")["rows"]["5"]
+    assert space.stat().st_mtime_ns == before
+
+
+def test_other_settings_are_refused(done: Done, data: Path) -> None:
+    other = replace(REQUEST, methods=("modal",), settings={"modal": {**MODAL, "space.iterations": "61"}})
+    with pytest.raises(RunError, match=r"space.iterations = 60, asked is 61"):
+        run_scenes([data], done[0], other, silent)
+
+
+class TestSameTime:
+    def test_all_iterations_are_scaled(self) -> None:
+        training = same_time_training("paper-tuned", {"paper.iterations": "400", "paper.warm_up": "100"}, 1.5)
+        config = parse_settings(training.settings, "paper-tuned")["paper"]
+        assert (config.warm_up, config.iterations, config.motion_iterations) == (150, 600, 300)
+
+    @pytest.mark.parametrize("factor", [1e-6, 0.01])
+    def test_a_small_share_is_still_trainable(self, factor: float) -> None:
+        config = parse_settings(same_time_training("paper-tuned", {}, factor).settings, "paper-tuned")[
+            "paper"
+        ]
+        assert config.iterations > config.warm_up >= 1
+        assert config.motion_iterations >= 1
+
+    @pytest.mark.parametrize(
+        ("rule", "modal_s", "paper_s", "factor"),
+        [
+            ("needed", 90.0, 60.0, 1.5),
+            ("needed", 60.0, 90.0, None),
+            ("always", 60.0, 90.0, 2 / 3),
+            ("never", 90.0, 60.0, None),
+        ],
+    )
+    def test_when(self, rule: str, modal_s: float, paper_s: float, factor: float | None) -> None:
+        figures = {"modal": {"seconds": {"total": modal_s}}, "paper-tuned": {"seconds": {"total": paper_s}}}
+        found = same_time_trainings(figures, ScenesRequest(same_time=rule))
+        expected = [] if factor is None else [same_time_training("paper-tuned", {}, factor)]
+        assert found == expected
+
+    def test_it_is_a_row_of_its_own(
+        self, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        def halved(figures: dict[str, Any], request: ScenesRequest) -> list[Training]:
+            """As if `modal` took half the time: what is measured may happen to be the same."""
+            return [same_time_training("paper-tuned", request.settings.get("paper-tuned", {}), 0.5)]
+
+        monkeypatch.setattr("tg4mm.research.bench.scenes.same_time_trainings", halved)
+        plan = Plan(alphas=(20.0,))
+        request = replace(REQUEST, same_time="always", plan=plan)
+        results = run_scenes([data], tmp_path / "out", request, silent)
+        again, first = (entry(results, f"paper-tuned{name}") for name in (", modal's time", ""))
+        assert again["overrides"] != first["overrides"]
+        assert {m["row"] for m in results["means"]} == {"modal", "paper-tuned", "paper-tuned, modal's time"}
+        assert "paper-tuned, modal's time: linear" in (tmp_path / "out" / "results.md").read_text("utf-8")
+
+
+def test_means_of_a_table_are_of_the_same_sets() -> None:
+    """What one row lacks in a set it has no mean of; what every row lacks there is the mean of the other sets."""
+    values = {
+        ("one", "a"): (0.5, 0.7),
+        ("two", "a"): (None, None),
+        ("one", "b"): (0.3, 0.9),
+        ("two", "b"): (0.1, None),
+    }
+    lines = [
+        {"set": name, "row": row, "frames_per_s": None, "alphas": {"5": {"closure": closure, "gain": gain}}}
+        for (name, row), (closure, gain) in values.items()
+    ]
+    a, b = line_means(lines, dict.fromkeys(("one", "two"), "group"))
+    assert a["alphas"]["5"] == {"closure": None, "gain": pytest.approx(0.7)}
+    assert b["alphas"]["5"] == {"closure": pytest.approx(0.2), "gain": pytest.approx(0.9)}
+
+
+def test_means_of_the_motion_are_of_the_same_sets_too() -> None:
+    def run(name: str, row: str, error: float | None, leak: float | None) -> dict[str, Any]:
+        found = {"relative_error": error, "static_leak": leak, "per_frequency": []}
+        return {
+            "set": name, "row": row, "preset": row, "ways": [row], "rows": {}, "displacement": found, "log": {},
+            "seconds": {"space": 1.0, "motion": 1.0, "total": 2.0}, "n_gaussians": 100, "mib_on_disk": 1.0,
+        }  # fmt: skip
+
+    runs = [
+        run("one", "a", 0.5, 0.7),
+        run("two", "a", None, None),
+        run("one", "b", 0.3, 0.9),
+        run("two", "b", 0.1, None),
+    ]
+    a, b = group_means(runs, dict.fromkeys(("one", "two"), "group"))
+    kept = {
+        key: (a["scalars"][key], b["scalars"][key])
+        for key in ("displacement_error", "static_leak", "total_s")
+    }
+    assert kept == {
+        "displacement_error": (None, pytest.approx(0.2)),
+        "static_leak": (0.7, 0.9),
+        "total_s": (2.0, 2.0),
+    }
+
+
+def test_every_method_is_described() -> None:
+    assert set(ABOUT) == set(NAMES)
+
+
+def test_a_record_stays_until_the_first_new_picture(data: Path, tmp_path: Path) -> None:
+    """A folder with pictures of two recipes has no record."""
+    opened, capture = open_set(data, data.name), truth_at(open_set(data, data.name), 0)
+    record, made = tmp_path / "pictures" / "ours" / "x000.json", 0
+
+    def render(*_: object) -> Iterator[tuple[int, np.ndarray]]:
+        for i in range(made):
+            yield i, np.zeros((capture.height, capture.width, 3), np.float32)
+        if made < len(capture):
+            raise RunError("it was killed")
+
+    def method(version: int) -> Any:
+        return SimpleNamespace(recipe=lambda *_: {"version": version}, render=render)
+
+    made = len(capture)
+    rendered(method(1), "ours", opened, tmp_path, capture, 0, Plan())
+    for first, stays in ((0, True), (1, False)):
+        made = first
+        with pytest.raises(RunError):
+            rendered(method(2), "ours", opened, tmp_path, capture, 0, Plan())
+        assert record.exists() == stays
+
+
+def test_a_run_of_another_device_is_refused(done: Done, data: Path) -> None:
+    """Its seconds would be taken for the other's."""
+    method = trained.Trained(Training("modal", "modal", MODAL))
+    opened = open_set(data, data.name)
+    with pytest.raises(RunError, match="was trained with --device cpu, not cuda"):
+        method.fit(opened, job_folder(done[0], opened, method), Plan(device="cuda"))
+
+
+def test_figures_are_of_the_test_pictures_as_they_are(data: Path, tmp_path: Path) -> None:
+    own = shutil.copytree(data, tmp_path / data.name)
+    training = Training("modal", "modal", MODAL)
+
+    def asked(*alphas: float) -> dict[str, Any]:
+        return _request(open_set(own, "x"), training, Plan(alphas=alphas))
+
+    before, other = asked(20.0), asked(5.0)
+    picture = own / "magnified" / "x020" / "003" / "test" / "r_000.png"
+    shutil.copyfile(own / "000" / "test" / "r_000.png", picture)
+    assert asked(20.0) != before
+    assert asked(5.0) == other
+
+
+def test_a_mean_over_other_sets_is_marked_whatever_their_number() -> None:
+    lines = [
+        {"set": name, "row": row, "frames_per_s": None, "alphas": {"5": {"ssim": 0.9}}}
+        for row, names in (("a", ("easy", "mid")), ("b", ("mid", "hard")), ("c", ("easy", "mid", "hard")))
+        for name in names
+    ]
+    means = line_means(lines, dict.fromkeys(("easy", "mid", "hard"), "group"))
+    (table,) = pivots(means, "group")
+    assert [row[0] for row in table.rows] == ["a (2 of 3 sets)", "b (2 of 3 sets)", "c"]
+
+
+def test_speeds_are_those_of_the_methods_rows() -> None:
+    """Of a paper preset the mean of both ways, of several sets the mean over them."""
+
+    def run(name: str, row: str) -> dict[str, Any]:
+        return {
+            "set": name, "row": row, "preset": row, "ways": [row], "rows": {}, "displacement": None, "log": {},
+            "seconds": {"space": 1.0, "motion": 1.0, "total": 2.0}, "n_gaussians": 100, "mib_on_disk": 1.0,
+        }  # fmt: skip
+
+    speeds = {
+        "modal": (40.0, 60.0),
+        "paper: linear": (10.0, 12.0),
+        "paper: phase": (20.0, 22.0),
+        "linear-2d": (90.0, 80.0),
+    }
+    runs = [run(name, row) for name in "ab" for row in ("modal", "paper")]
+    results = {
+        "sets": [{"label": name, "group": "g"} for name in "ab"],
+        "runs": runs,
+        "means": group_means(runs, dict.fromkeys("ab", "g")),
+        "lines": [
+            {"set": name, "row": row, "frames_per_s": v[i]}
+            for i, name in enumerate("ab")
+            for row, v in speeds.items()
+        ],
+    }
+    table = cost_table(results, "g")
+    assert table.header[-1] == "pictures/s"
+    assert {(row[0], row[1]): row[-1] for row in table.rows} == {
+        ("a", "modal"): "40", ("a", "paper"): "15", ("b", "modal"): "60", ("b", "paper"): "17",
+        ("mean of 2", "modal"): "50", ("mean of 2", "paper"): "16", ("a", "linear-2d"): "90", ("b", "linear-2d"): "80",
+    }  # fmt: skip

@@ -1,0 +1,231 @@
+"""The preset `paper`: what is trained when, what stays, what is written, and how it goes on after a kill."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from tests.research.paper.conftest import N_TIMESTEPS, SETTINGS
+from tg4mm.core.errors import RunError, Tg4mmError
+from tg4mm.fit.motion.animate import animate
+from tg4mm.research.paper import PAPER, PAPER_TUNED
+from tg4mm.research.paper.model import load_model, load_planes, planes_name
+from tg4mm.run import Run
+from tg4mm.run.train import parse_settings, train
+
+
+def one_line(match: str) -> pytest.RaisesExc:
+    return pytest.raises(Tg4mmError, match=rf"\A[^\n]*{match}[^\n]*\Z")
+
+
+def stored(path: Path) -> dict[str, torch.Tensor]:
+    """Every tensor of every file. Not the bytes: safetensors puts its header's entries in any order."""
+    tensors = {}
+    for file in sorted(path.glob("*.safetensors")):
+        tensors |= {f"{file.name}: {name}": t for name, t in load_file(file).items()}
+    return tensors
+
+
+class TestSettings:
+    def test_the_defaults_are_the_papers(self) -> None:
+        assert (PAPER.channels, PAPER.resolution, PAPER.iterations, PAPER.motion_iterations) == (
+            32,
+            512,
+            20_000,
+            7_000,
+        )
+        assert (PAPER.learning_rate, PAPER.mlp_layers, PAPER.mlp_width, PAPER.residual) == (
+            1e-4,
+            0,
+            256,
+            True,
+        )
+        configs = parse_settings({}, "paper")
+        assert configs["paper"] == PAPER
+        assert (configs["space"].l2, configs["space"].dssim, configs["space"].sh_degree) == (0.0, 0.0, 3)
+        assert parse_settings({}, "paper-tuned")["paper"] == PAPER_TUNED
+        # two triplanes of the published size are its 192 MB
+        assert 2 * 3 * PAPER.channels * PAPER.resolution**2 * 4 / 2**20 == 192
+
+    def test_booleans_are_true_or_false(self) -> None:
+        assert parse_settings({"paper.residual": "false"}, "paper")["paper"].residual is False
+        with one_line("setting paper.residual is 'no', expected true or false"):
+            parse_settings({"paper.residual": "no"}, "paper")
+
+    def test_settings_of_another_preset_are_unknown(self) -> None:
+        with one_line("setting 'motion.triplane' is unknown; tg4mm train --list-settings"):
+            parse_settings({"motion.triplane": "8"}, "paper")
+
+    @pytest.mark.parametrize(
+        ("name", "value", "message"),
+        [
+            ("paper.resolution", "48", "setting paper.resolution is 48, expected a power of two"),
+            (
+                "paper.iterations",
+                "60",
+                r"setting paper.iterations is 60, expected more than paper.warm_up \(60\)",
+            ),
+            ("paper.learning_rate", "0", "setting paper.learning_rate is 0.0, expected > 0"),
+            (
+                "space.iterations",
+                "9",
+                "setting space.iterations is 9; with the preset paper it is paper.warm_up",
+            ),
+        ],
+    )
+    def test_one_out_of_range_leaves_no_run(self, data, tmp_path, name, value, message) -> None:
+        with one_line(message):
+            train(data, tmp_path / "run", "paper", settings=SETTINGS | {name: value})
+        assert not (tmp_path / "run").exists()
+
+    def test_iterations_are_for_each_timestep_or_shared(self) -> None:
+        assert PAPER.per_timestep(30) == 7_000
+        assert parse_settings({"paper.shared": "true"}, "paper")["paper"].per_timestep(30) == 241
+
+
+class TestTraining:
+    def test_it_learns_the_scene_and_the_motion(self, trained: Run) -> None:
+        log = trained.log()
+        assert log["space"]["iterations"] == 60
+        assert log["triplane"]["iterations"] == 80
+        assert log["motion"]["iterations"] == 60 * (N_TIMESTEPS - 1)
+        model = load_model(trained)
+        values = [load_planes(trained, t, model) for t in range(1, N_TIMESTEPS)]
+        assert all(v.abs().max() > 1e-3 for v in values)
+        for head in ("means", "quats", "log_scales", "logits", "sh"):
+            assert model.decoder.parameters[f"{head}.weight"].any()
+        # Timestep 3 has the pose of timestep 0 again: what moved until then is what phase 1 had missed. Seen from
+        # there, displacements half a period apart are opposite.
+        means = [model.decode(model.embedding(v)).means.flatten() for v in values]
+        one, other = means[0] - means[2], means[3] - means[2]
+        assert torch.nn.functional.cosine_similarity(one, other, dim=0) < -0.1
+
+    def test_sizes_are_in_the_log(self, trained: Run) -> None:
+        log = trained.log()
+        assert log["triplane"]["parameters_space_triplane"] == 3 * 4 * 16 * 16
+        assert log["triplane"]["mib_two_triplanes"] == 2 * 3 * 4 * 16 * 16 * 4 / 2**20
+        assert 0 < log["triplane"]["active_share"] <= 1
+        on_disk = sum(f.stat().st_size for f in trained.path.glob("*.safetensors")) / 2**20
+        assert log["motion"]["mib_on_disk"] == pytest.approx(on_disk)
+
+    def test_the_rest_scene_and_its_modes_are_what_is_decoded(self, trained: Run) -> None:
+        model, motion = load_model(trained), trained.load_motion()
+        assert motion is not None
+        rest = trained.load_space()
+        torch.testing.assert_close(rest.means, model.rest().means)
+        for t in range(N_TIMESTEPS):
+            now = model.rest() if t == 0 else model.decode(model.embedding(load_planes(trained, t, model)))
+            by_modes = animate(rest, motion, t)
+            torch.testing.assert_close(by_modes.means, now.means.detach(), atol=1e-5, rtol=0)
+            a, b = (torch.nn.functional.normalize(q, dim=1) for q in (by_modes.quats, now.quats.detach()))
+            assert (a * b).sum(1).abs().min() > 1 - 1e-5
+
+    def test_a_finished_run_is_left_alone(self, trained: Run, data: Path) -> None:
+        before = {f: f.stat().st_mtime_ns for f in trained.path.glob("*.safetensors")}
+        train(data, trained.path, "paper-tuned", settings=SETTINGS)
+        assert {f: f.stat().st_mtime_ns for f in trained.path.glob("*.safetensors")} == before
+
+    def test_without_residual_the_planes_replace(self, data: Path, tmp_path: Path) -> None:
+        run = train(data, tmp_path / "run", "paper-tuned", settings=SETTINGS | {"paper.residual": "false"})
+        model = load_model(run)
+        assert model.residual is False
+        zero = torch.zeros(len(model.cells), model.channels)
+        assert not model.embedding(zero).any()
+        assert load_planes(run, 1, model).any()
+
+
+@pytest.mark.slow
+class TestResume:
+    @pytest.mark.parametrize(
+        "after", ["space.safetensors", "triplane.safetensors", "planes_0002.safetensors"]
+    )
+    def test_a_killed_run_ends_bit_for_bit_the_same(
+        self, trained: Run, data: Path, tmp_path: Path, after
+    ) -> None:
+        """kill -9 soon after a file has appeared, checkpoints at every iteration; then the same command again."""
+        run = tmp_path / "run"
+        code = (
+            "import sys; from tg4mm.run.train import train; import tg4mm.research.paper.space as a, tg4mm.research.paper.motion as b, "
+            "tg4mm.fit.space.train as c\n"
+            "a.CHECKPOINT_EVERY_S = b.CHECKPOINT_EVERY_S = c.CHECKPOINT_EVERY_S = 0.0\n"
+            f"train({str(data)!r}, {str(run)!r}, 'paper-tuned', settings={SETTINGS!r})"
+        )
+        job = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.DEVNULL)
+        deadline = time.monotonic() + 120
+        while not (run / after).exists() and job.poll() is None and time.monotonic() < deadline:
+            time.sleep(0.01)
+        time.sleep(0.1)
+        os.kill(job.pid, signal.SIGKILL)
+        assert job.wait() == -signal.SIGKILL, "the run ended before it was killed"
+        train(data, run, "paper-tuned", settings=SETTINGS)
+        again, once = stored(run), stored(trained.path)
+        assert again.keys() == once.keys()
+        assert [name for name in once if not torch.equal(again[name], once[name])] == []
+
+
+class TestRefusals:
+    @pytest.fixture
+    def copy(self, trained: Run, tmp_path: Path) -> Run:
+        shutil.copytree(trained.path, tmp_path / "copy")
+        return Run.open(tmp_path / "copy")
+
+    @pytest.mark.parametrize("name", ["triplane", planes_name(2)])
+    def test_a_truncated_file_is_refused(self, copy: Run, trained: Run, name: str) -> None:
+        file = copy.part_file(name)
+        file.write_bytes(file.read_bytes()[:-50])
+        model = load_model(trained)
+        with pytest.raises(RunError, match=rf"\A[^\n]*{name}.safetensors is truncated[^\n]*\Z"):
+            _ = load_model(copy) if name == "triplane" else load_planes(copy, 2, model)
+
+    def test_planes_of_another_timestep_or_run_are_refused(self, copy: Run, trained: Run) -> None:
+        model = load_model(copy)
+        shutil.copy(copy.part_file(planes_name(1)), copy.part_file(planes_name(2)))
+        with pytest.raises(
+            RunError, match=r"planes_0002\.safetensors belongs to a run with other settings, or"
+        ):
+            load_planes(copy, 2, model)
+        with pytest.raises(RunError, match=r"has no planes_0009\.safetensors: its training is not finished"):
+            load_planes(copy, 9, model)
+
+    def test_shapes_that_do_not_fit_are_refused(self, copy: Run) -> None:
+        model = load_model(copy)
+        copy.save_part(planes_name(1), {"values": torch.zeros(4, 3)})
+        with pytest.raises(RunError, match=r"values have shape \(4, 3\) torch.float32, expected \(4, \d+\)"):
+            load_planes(copy, 1, model)
+        tensors, _ = copy.load_part("triplane")
+        copy.save_part("triplane", tensors | {"sh": tensors["box"]}, residual=True)
+        load_model(copy)  # more than needed does no harm
+        copy.save_part("triplane", tensors | {"decoder.means.weight": torch.zeros(3, 5)}, residual=True)
+        with pytest.raises(RunError, match="its tensors do not fit together"):
+            load_model(copy)
+        for wrong in (
+            {"points": torch.zeros(())},
+            {"points": torch.zeros(4, 2)},
+            {"box": torch.zeros(6).double()},
+        ):
+            copy.save_part("triplane", tensors | wrong, residual=True)
+            with pytest.raises(
+                RunError, match=r"points and box have shapes .*, expected \(N, 3\) and \(2, 3\)"
+            ):
+                load_model(copy)
+        del tensors["base.sh"]
+        copy.save_part("triplane", tensors, residual=True)
+        with pytest.raises(RunError, match=r"has no tensor base\.sh"):
+            load_model(copy)
+
+    def test_values_that_are_not_finite_are_refused(self, copy: Run) -> None:
+        model = load_model(copy)
+        bad = torch.full((len(model.cells), model.channels), np.nan)
+        copy.save_part(planes_name(1), {"values": bad.T.contiguous()})
+        with pytest.raises(RunError, match="values holds a value that is not finite"):
+            load_planes(copy, 1, model)

@@ -1,0 +1,36 @@
+"""Sensors on clips, each with a clock of its own, and before a camera that moves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.show.measure.filmed import BALL_SPHERE, of_parts, run_of, sine
+from tg4mm.show.measure import measure, parse_sensor, prepare
+
+AMPLITUDE = np.array([0.016, 0.0, 0.012])
+
+
+def test_every_clip_has_a_series_of_its_own(tmp_path: Path) -> None:
+    run = run_of(
+        tmp_path, of_parts(ball=sine(4.3, AMPLITUDE)), n_views=2, n_timesteps=36, kind="clips", noise=0.004
+    )
+    found = measure(prepare(run, keep=False), [parse_sensor(BALL_SPHERE)])
+    ball = found["ball"]
+    assert [s.clock for s in ball.clips] == ["r_000", "r_001"]
+    assert ball.spectrum.peaks[0].frequency_hz == pytest.approx(4.3, abs=0.05)
+    assert any("clock of its own" in note for note in found.notes)
+
+
+def test_a_moving_camera_shows_what_moves_before_it(tmp_path: Path) -> None:
+    run = run_of(tmp_path, of_parts(ball=sine(9.0, AMPLITUDE)), n_timesteps=40, walks=True, noise=0.004)
+    scene = prepare(run)
+    found = measure(scene, [parse_sensor(BALL_SPHERE)])
+    ball = found["ball"]
+    assert ball.labels == ("x", "y", "z")
+    assert ball.spectrum.peaks[0].frequency_hz == pytest.approx(9.0, abs=0.1)
+    assert any("the camera moves" in note for note in found.notes)
+    again = measure(prepare(run), [parse_sensor(BALL_SPHERE)])["ball"]  # from what was kept
+    assert again.displacement == pytest.approx(ball.displacement, rel=1e-6, abs=1e-9)

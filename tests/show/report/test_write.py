@@ -1,0 +1,357 @@
+"""Whole reports: of a full dataset, of the least there can be, of a scene with a hostile name."""
+
+import base64
+import json
+import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from tests.helpers.synthetic import make_synthetic_dataset
+from tests.show.report.page_checks import outside_loads, read_page
+from tests.show.view.browser import browser
+from tg4mm.capture import load_capture
+from tg4mm.core.errors import CaptureError, RunError
+from tg4mm.core.pictures.frames import write_png
+from tg4mm.run import Run
+from tg4mm.show.measure import MeasureError, Sensor, measure, parse_sensor
+from tg4mm.show.measure.table import rows_of
+from tg4mm.show.report import ReportOptions, write_report
+from tg4mm.show.report.sources import load_model
+from tg4mm.show.report.views import gather_view
+from tg4mm.show.result import Length, result_of
+from tg4mm.show.result.lines import with_deviation
+from tg4mm.show.result.read import reading_of
+
+
+def words(text: str) -> str:
+    return " ".join(" ".join(read_page(text).text).split())
+
+
+def check(text: str) -> None:
+    reader = read_page(text)
+    assert not reader.errors
+    assert not reader.open
+    assert not outside_loads(text)
+    for svg in re.findall(r"<svg.*?</svg>", text, re.S):
+        ElementTree.fromstring(svg)
+
+
+def report(made: Run, folder: Path, **options: Any) -> str:
+    return write_report(made, folder / "report.html", ReportOptions(**options)).read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def full(run, metrics, tmp_path_factory) -> str:
+    folder = tmp_path_factory.mktemp("page")
+    orbit = folder / "orbit"
+    orbit.mkdir()
+    (orbit / "orbit.mp4").write_bytes(b"not really a film")
+    write_png(orbit / "r_000.png", np.zeros((4, 4, 3)))
+    return report(run, folder / "deep", alpha=20, orbit=orbit, metrics=metrics)
+
+
+def test_a_full_report_is_well_formed_and_loads_nothing(full):
+    check(full)
+
+
+def test_it_shows_the_true_frequency_and_direction(full):
+    said = words(full)
+    # The ball: along (0.8, 0, 0.6), at 5 Hz.
+    assert "0.80, 0.00, 0.60" in said
+    assert "shown here 21 times larger" in said
+    assert "Training time 1 min 31 s" in said
+    assert "defines displacement error, ceiling" in said
+
+
+def test_its_figures_are_those_of_the_result(full, run):
+    said, result = words(full), result_of(run)
+    assert result.vibrations
+    for v in result.vibrations:
+        assert with_deviation(Length(v.hz, v.deviation_hz)) in said
+        assert f"{with_deviation(v.amplitude.times(1000 * result.unit_scale_m))} mm" in said
+        assert f"{with_deviation(v.pixels)} px" in said
+        assert f"{v.band[0]:g} to {v.band[1]:g}" in said
+    for line in result.cannot:
+        assert line[1:] in said
+    assert result.next_command.removeprefix("tg4mm ") in said
+
+
+def test_its_sensors_are_those_of_measure(full, run):
+    said, found = words(full), measure(run)
+    for result in found.sensors:
+        assert f"Sensor “{result.name}”, {int((result.body.weights > 0).sum()):,} Gaussians" in said
+        for cell in (cell for row in rows_of(found, result) for cell in row):
+            assert cell in said
+    for note in found.notes:
+        assert note[1:] in said
+
+
+def test_its_waveform_is_the_sensors(run, tmp_path):
+    """The polyline of the first sensor's chart, back in units of its axis, against `measure`."""
+    sensor = parse_sensor("ball=sphere:0.5,0.1,0.37,0.4")
+    text = report(run, tmp_path, alpha=5, sensors=[sensor], metrics={})
+    assert "Sensor “ball”" in words(text)
+    chart = re.search(
+        r'<svg class="chart drawn"[^>]*aria-label="ball: displacement over time".*?</svg>', text, re.S
+    )
+    lines = [
+        np.array([[float(x), float(y)] for x, y in re.findall(r"[ML] (\S+) (\S+)", path)])
+        for path in re.findall(r'<path d="([^"]*)" [^>]*stroke: var\(--axis-1\)', chart[0])
+    ]
+    drawn = next(
+        line for line in lines if len(line) == len(run_times := measure(run, [sensor])["ball"].times_s)
+    )
+    assert np.corrcoef(drawn[:, 0], run_times)[0, 1] > 0.99999
+    values = measure(run, [sensor])["ball"].displacement[:, 0]
+    assert np.corrcoef(-drawn[:, 1], values)[0, 1] > 0.99999
+    assert np.ptp(drawn[:, 1]) > 10  # a wave, not a line of rounding errors
+
+
+def test_scores_are_printed_beside_both_anchors(full, metrics):
+    said = words(full)
+    for entry in metrics["alphas"]:
+        for name in ("nothing moves", "ours", "ceiling"):
+            assert f"{entry['rows'][name]['ssim']:.4f}" in said
+    still = metrics["alphas"][-1]["rows"]["nothing moves"]["ssim"]
+    assert f"A model in which nothing moves scores SSIM {still:.4f} at α = 20" in said
+    assert "LPIPS was not measured: no weights given" in said
+
+
+def test_it_shows_how_sure_the_run_is_if_the_run_says_it(full, bare_run, tmp_path):
+    said = words(full)
+    assert "Uncertainty is one standard deviation" in said
+    # The motion is exact: all of it is within what the run says, 0.0002 units of 0.1 m.
+    assert "The run itself says it is off by 0.0002 scene units (20 µm) rms; 100 % of what is seen" in said
+    assert "Uncertainty" not in words(report(bare_run, tmp_path))
+
+
+def test_videos_are_embedded_and_start_by_themselves(full):
+    sources = re.findall(
+        r'<video src="data:video/mp4;base64,([^"]+)"[^>]* autoplay loop muted playsinline>', full
+    )
+    assert len(sources) == 4  # input, ours, truth, orbit
+    for source in sources[:3]:
+        assert base64.b64decode(source)[4:8] == b"ftyp"
+    assert base64.b64decode(sources[3]) == b"not really a film"
+
+
+def test_every_video_has_a_still_for_print_and_the_record_a_slider(full):
+    assert full.count('class="still" src="data:image/webp;base64,') == 4
+    assert 'data-seek min="0" max="0.8"' in full  # 12 timesteps at 15 Hz
+
+
+def test_every_section_and_command_is_there(full, run):
+    said = words(full)
+    titles = (
+        "The motion",
+        "The sensors",
+        "How true it is",
+        "What could not be told",
+        "The capture",
+        "Settings",
+    )
+    for title in (*titles, "What it cost", "Commands to repeat it"):
+        assert title in said
+    for what in (
+        "Space-time slices",
+        "Difference maps",
+        "Spectrum of the model",
+        "Amplitude at 5 Hz",
+        "Phase at 5 Hz",
+        "Camera map",
+    ):
+        assert what in said
+    assert f"tg4mm train {run.dataset} --out {run.path}_again" in said
+    assert f"tg4mm export {run.path} --format ply" in said
+
+
+def test_every_picture_and_chart_says_what_it_shows(full):
+    assert not re.findall(r'<img (?![^>]*alt="[^"]+)[^>]*>', full)
+    assert not re.findall(r'<video (?![^>]*aria-label="[^"]+)[^>]*>', full)
+    assert not re.findall(r'<svg (?![^>]*aria-label="[^"]+)[^>]*>', full)
+
+
+def test_no_name_occurs_twice_in_the_page(full):
+    names = re.findall(r'\bid="([^"]*)"', full)
+    assert names
+    assert len(names) == len(set(names))
+    assert set(re.findall(r"url\(#([^)]*)\)", full)) <= set(names)
+
+
+def test_a_dataset_without_truth_has_a_page_without_a_word_of_it(bare_run, tmp_path):
+    text = report(bare_run, tmp_path)
+    check(text)
+    said = words(text)
+    for absent in ("Ground truth", "How true it is", "SSIM", "Displacement error", "Not measured", " mm"):
+        assert absent not in said.replace("tg4mm", "")
+    assert text.count("<video ") == 2  # input and ours
+    assert "The sensors" in said
+    assert "scene units" in said
+
+
+def test_metrics_with_everything_absent_are_shown_as_such(bare_run, tmp_path):
+    from tg4mm.research.evaluate import evaluate_run
+
+    said = words(report(bare_run, tmp_path, metrics=evaluate_run(bare_run)))
+    assert "Not measured." in said
+    assert "displacement error is not known" in said
+
+
+def test_a_capture_of_one_timestep_has_a_report(tmp_path):
+    gaussians, _ = make_synthetic_dataset(tmp_path / "one", n_views=3, n_timesteps=1, size=32, n_test=0)
+    made = Run.create(tmp_path / "run", tmp_path / "one", "modal", {})
+    made.save_space(gaussians, {"seconds": 3.0})
+    text = report(made, tmp_path, metrics={})
+    check(text)
+    assert "has no motion to magnify" in words(text)
+    assert "<video " not in text
+
+
+def test_a_single_nerf_synthetic_folder_has_a_report(tmp_path):
+    gaussians, _ = make_synthetic_dataset(tmp_path / "one", n_views=2, n_timesteps=1, size=32)
+    made = Run.create(tmp_path / "run", tmp_path / "one" / "000", "modal", {})
+    made.save_space(gaussians, {})
+    text = report(made, tmp_path)
+    check(text)
+    assert "2 training cameras, one timestep: 2 images of 32 × 32 pixels" in words(text)
+
+
+def test_a_camera_that_moves_is_shown_from_its_own_poses(tmp_path):
+    n = 10
+    gaussians, motion = make_synthetic_dataset(tmp_path / "d", n_views=1, n_timesteps=n, size=32, n_test=0)
+    for t in range(n):
+        path = tmp_path / "d" / f"{t:03d}" / "transforms_train.json"
+        transforms = json.loads(path.read_text())
+        transforms["frames"][0]["transform_matrix"][0][3] += 0.05 * t
+        path.write_text(json.dumps(transforms))
+    made = Run.create(tmp_path / "run", tmp_path / "d", "modal", {})
+    made.save_space(gaussians, {})
+    made.save_motion(motion, {})
+    text = report(made, tmp_path, alpha=10, metrics={})
+    check(text)
+    said = words(text)
+    assert "ours is rendered from the same poses" in said
+    assert "both slices are of the model" in said
+    assert text.count("<video ") == 2
+    view = gather_view(
+        made,
+        load_capture(tmp_path / "d"),
+        load_model(reading_of(made), load_capture(tmp_path / "d"), None),
+        0,
+        None,
+    )
+    assert len(view.ours) == len(view.input) == n
+    assert np.abs(view.ours[0].astype(int) - view.ours[-1]).mean() > 1  # the poses differ
+    moved = [np.abs(v[0].astype(int) - v[-1]).mean() for v in view.fixed]
+    assert (
+        max(moved) < np.abs(view.ours[0].astype(int) - view.ours[-1]).mean()
+    )  # from one pose only vibration is left
+
+
+def test_a_motion_of_nothing_has_a_page_that_says_so(run, metrics, tmp_path):
+    made = Run.create(tmp_path / "run", run.dataset, "modal", {})
+    motion = run.load_motion()
+    made.save_space(run.load_space(), {})
+    made.save_motion(replace(motion, displacement=np.zeros_like(motion.displacement)), {})
+    text = report(made, tmp_path, metrics=metrics)
+    check(text)
+    assert "No vibration was found" in words(text)
+
+
+def test_an_unfinished_run_has_none(run, tmp_path):
+    made = Run.create(tmp_path / "run", run.dataset, "modal", {})
+    with pytest.raises(RunError, match="is not finished"):
+        report(made, tmp_path / "out")
+    made.save_space(run.load_space(), {})
+    with pytest.raises(RunError, match="motion stage is not finished"):
+        report(made, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_dataset_that_is_gone_is_said_in_one_line(run, tmp_path):
+    shutil.copytree(run.path, tmp_path / "run")
+    config = json.loads((tmp_path / "run" / "config.json").read_text())
+    config |= {"dataset": str(tmp_path / "gone"), "dataset_from_run": "../gone"}
+    (tmp_path / "run" / "config.json").write_text(json.dumps(config))
+    with pytest.raises(CaptureError, match="gone"):
+        report(Run.open(tmp_path / "run"), tmp_path / "out")
+
+
+def test_hostile_names_stay_text(tmp_path):
+    evil = "<script>alert(1)</script>'\"><img src=x onerror=alert(2)>"
+    gaussians, motion = make_synthetic_dataset(tmp_path / "d", n_views=2, n_timesteps=8, size=32, n_test=0)
+    scene = json.loads((tmp_path / "d" / "scene.json").read_text())
+    (tmp_path / "d" / "scene.json").write_text(json.dumps({**scene, "scene": evil}))
+    name = "<b onclick=alert(3)>&"
+    for t in range(8):
+        folder = tmp_path / "d" / f"{t:03d}"
+        for i in range(2):
+            (folder / "train" / f"r_{i:03d}.png").rename(folder / "train" / f"{name}{i}.png")
+        path = folder / "transforms_train.json"
+        path.write_text(path.read_text().replace("./train/r_00", f"./train/{name}"))
+    made = Run.create(tmp_path / "run", tmp_path / "d", "modal", {})
+    made.save_space(gaussians, {})
+    made.save_motion(motion, {"notes": [evil]})
+    hostile = {
+        "format": "tg4mm-metrics",
+        "alphas": [],
+        "metrics": [],
+        "absent": {evil: evil},
+        "notes": [evil],
+    }
+    text = report(made, tmp_path, metrics=hostile)
+    check(text)
+    reader = read_page(text)
+    assert not reader.handlers
+    assert reader.tags.count("script") == 1
+    assert evil in "".join(reader.text)
+    assert name in "".join(reader.text)  # the camera's
+
+
+def test_the_same_run_gives_the_same_report(run, metrics, tmp_path):
+    a, b = (report(run, tmp_path / name, alpha=5, metrics=metrics) for name in "ab")
+    assert a == b
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"band": (4.0, 40.0)}, CaptureError, "half the frame rate"),
+        ({"band": (6.4, 7.0)}, RunError, "holds none of the model's frequencies"),
+        ({"alpha": float("nan")}, RunError, "--alpha nan"),
+        ({"sensors": [Sensor("far", "sphere", (99.0, 0.0, 0.0, 0.1))]}, MeasureError, "far"),
+        ({"metrics": {"format": "other"}}, RunError, "'other'"),
+    ],
+)
+def test_bad_requests_leave_no_report(run, metrics, tmp_path, options, error, message):
+    with pytest.raises(error, match=message):
+        report(run, tmp_path / "out", **{"metrics": metrics, **options})
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_in_the_place_of_the_file_is_refused(run, tmp_path):
+    with pytest.raises(RunError, match="is a folder"):
+        write_report(run, tmp_path)
+
+
+@pytest.mark.parametrize("media", ["screen", "print"])
+def test_every_row_of_every_table_can_be_seen(full, tmp_path, media):
+    page_file = tmp_path / "report.html"
+    page_file.write_text(full)
+    with browser() as opened:
+        page = opened.new_page(viewport={"width": 1280, "height": 900})
+        page.emulate_media(media=media)
+        page.goto(page_file.as_uri())
+        rows = page.evaluate(
+            "[...document.querySelectorAll('tr')].map(r => [r.innerText, r.checkVisibility()])"
+        )
+        shown = page.evaluate("[...document.querySelectorAll('tr')].map(r => getComputedStyle(r).display)")
+    assert any("nothing moves" in text for text, _ in rows)
+    assert all(visible for _, visible in rows)
+    assert set(shown) == {"table-row"}

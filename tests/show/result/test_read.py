@@ -1,0 +1,314 @@
+"""A run's result: the numbers are those of its motion, in every unit, and the lines say them."""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from tests.helpers.synthetic import make_synthetic_dataset
+from tests.show.result.conftest import AMPLITUDE, DEVIATION, NOISE
+from tg4mm.capture import load_capture
+from tg4mm.cli import main
+from tg4mm.core.errors import RunError
+from tg4mm.fit.motion.modes import ModalMotion
+from tg4mm.run import UNCERTAINTY, Run
+from tg4mm.show.result import Length, Result, lines_of, result_of
+from tg4mm.show.result.lines import with_deviation
+from tg4mm.show.result.read import series_of
+from tg4mm.show.result.seen import pixel_rows
+
+
+@pytest.fixture(scope="module")
+def result(run: Run) -> Result:
+    return result_of(run)
+
+
+def test_frequencies_and_amplitudes_are_the_motions(result: Result) -> None:
+    assert sorted(v.hz for v in result.vibrations) == [3.0, 7.5]
+    for v in result.vibrations:
+        assert v.amplitude.value == pytest.approx(AMPLITUDE, rel=0.1)
+        assert np.sqrt(2) * NOISE < v.amplitude.deviation < np.sqrt(2) * DEVIATION
+        assert 0 < v.deviation_hz < 0.05
+        assert v.damping is None
+    assert (result.n_cameras, result.n_timesteps, result.fps, result.unit_scale_m) == (3, 30, 30.0, 0.1)
+    assert result.agreement == (0.99, 0.9)
+
+
+def test_the_place_is_where_it_moves_so_far(result: Result, run: Run) -> None:
+    motion, means = run.load_motion(), run.load_space().means.numpy()
+    for v in result.vibrations:
+        (k,) = np.flatnonzero(motion.freqs_hz == v.hz)
+        there = np.flatnonzero((np.abs(means - v.place) < 1e-6).all(1))
+        assert np.linalg.norm(motion.displacement[k, there[0]]) == pytest.approx(v.amplitude.value, rel=0.01)
+
+
+def test_pixels_are_how_far_a_point_lands_apart(result: Result, run: Run) -> None:
+    """Finite differences of the projection, of the largest among what the cameras see."""
+    capture, means = load_capture(run.dataset), run.load_space().means.numpy().astype(float)
+    motion = run.load_motion()
+
+    def land(points: np.ndarray, i: int) -> np.ndarray:
+        q = (points @ capture.viewmats[i, :3, :3].T + capture.viewmats[i, :3, 3]) @ capture.Ks[i].T
+        return q[:, :2] / q[:, 2:]
+
+    for v in result.vibrations:
+        (k,) = np.flatnonzero(motion.freqs_hz == v.hz)
+        moved = motion.displacement[k].imag.astype(float)  # sine phase, a line
+        apart = [
+            np.linalg.norm(land(means + moved, i) - land(means - moved, i), axis=1) / 2 for i in range(3)
+        ]
+        top = max(a.max() for a in apart)
+        assert 0.75 * top < v.pixels.value <= 1.001 * top
+        assert v.pixels.deviation / v.pixels.value == pytest.approx(v.amplitude.deviation / v.amplitude.value)
+
+
+def test_pixel_rows_are_the_projections_derivative() -> None:
+    rng = np.random.default_rng(0)
+    means, K = rng.normal(size=(5, 3)), np.array([[50.0, 0, 16], [0, 55.0, 16], [0, 0, 1]])
+    viewmat = np.eye(4)
+    viewmat[:3, :3], viewmat[2, 3] = np.linalg.qr(rng.normal(size=(3, 3)))[0], 8.0
+
+    def land(points: np.ndarray) -> np.ndarray:
+        q = (points @ viewmat[:3, :3].T + viewmat[:3, 3]) @ K.T
+        return q[:, :2] / q[:, 2:]
+
+    rows, inside = pixel_rows(means, viewmat, K, (32, 32))
+    assert inside.any()
+    for axis in range(3):
+        step = 1e-5 * np.eye(3)[axis]
+        np.testing.assert_allclose(
+            rows[inside, :, axis],
+            ((land(means + step) - land(means - step)) / 2e-5)[inside],
+            rtol=1e-6,
+            atol=1e-6,
+        )
+
+
+def test_the_lines_say_it_in_every_unit(result: Result, run: Run) -> None:
+    lines = lines_of(result)
+    text = "\n".join(lines)
+    assert len(lines) <= 14
+    assert lines[0].endswith("3 fixed cameras, 30 timesteps at 30 Hz, 1 s")
+    for v in result.vibrations:
+        row = next(line for line in lines if f"{v.hz:.1f}" in line and "px" in line)
+        assert f"{with_deviation(v.pixels)} px" in row
+        assert f"{with_deviation(v.amplitude)} scene units" in row
+        assert f"{with_deviation(v.amplitude.times(100))} mm" in row
+    assert "the sun was low" in text
+    assert "0.99, 0.9: what two halves" in text
+    assert "damping not to be told" in text
+    assert "nearer than 1 Hz" in text
+    assert f"--band {result.band[0]:g} {result.band[1]:g}, which --band auto takes" in text
+
+
+def test_the_next_command_works(result: Result, run: Run, tmp_path: Path) -> None:
+    words = shlex.split(result.next_command)
+    assert words[:3] == ["tg4mm", "render", str(run.path)]
+    words[words.index("--out") + 1] = str(tmp_path / "o")
+    assert main([*words[1:], "--no-video"]) == 0
+    assert len(list((tmp_path / "o").rglob("*.png"))) == 2 * 30
+
+
+def test_without_a_scale_there_are_no_millimetres(run: Run, tmp_path: Path) -> None:
+    copy = moved(run, tmp_path)
+    scene = copy.dataset / "scene.json"
+    scene.write_text(scene.read_text().replace('"unit_scale_m": 0.1', '"unit_scale_m": null'))
+    text = "\n".join(lines_of(result_of(copy)))
+    assert " mm" not in text
+    assert f"millimetres: unit_scale_m (metres per scene unit) in {scene} is not known" in text
+
+
+def test_without_its_dataset_a_run_tells_what_it_can(run: Run, tmp_path: Path) -> None:
+    copy = moved(run, tmp_path)
+    shutil.rmtree(copy.dataset)
+    found = result_of(copy)
+    assert [v.pixels for v in found.vibrations] == [None, None]
+    assert found.band is not None
+    assert "is not there" in "\n".join(lines_of(found))
+
+
+def test_without_uncertainty_no_deviation_is_made_up(run: Run, tmp_path: Path) -> None:
+    copy = moved(run, tmp_path)
+    copy.part_file(UNCERTAINTY).unlink()
+    found = result_of(copy)
+    assert all(v.amplitude.deviation is None and v.pixels.deviation is None for v in found.vibrations)
+    assert (found.noise, found.noise_px) == (None, None)
+    assert "how sure the amplitudes are" in "\n".join(found.cannot)
+
+
+def test_what_is_smaller_than_its_own_deviation_is_no_vibration(run: Run, tmp_path: Path) -> None:
+    copy = moved(run, tmp_path)
+    parts, _ = copy.load_part(UNCERTAINTY)
+    large = torch.full_like(parts["displacement"], 3 * AMPLITUDE)
+    copy.save_part(UNCERTAINTY, parts | {"displacement": large})
+    found = result_of(copy)
+    assert found.vibrations == ()
+    assert found.band is None
+
+
+@pytest.mark.parametrize("hz", [2.0, 2.4])
+def test_a_strong_drift_is_no_vibration_and_is_said(run: Run, tmp_path: Path, hz: float) -> None:
+    """Ten times as strong as the vibrations; a record of one second holds fewer than two and a half periods of it."""
+    copy = moved(run, tmp_path)
+    motion = copy.load_motion()
+    drift = [np.concatenate([10 * x[:1], x]) for x in (motion.displacement, motion.rotation)]
+    freqs = np.array([hz, *motion.freqs_hz])
+    copy.save_motion(replace(motion, freqs_hz=freqs, displacement=drift[0], rotation=drift[1]), {})
+    found = result_of(copy)
+    assert {v.hz for v in found.vibrations} <= {3.0, 7.5}
+    assert found.band is None or found.band[0] > hz
+    (line,) = (line for line in found.cannot if "or drifts" in line)
+    assert f"the record holds {hz:.2g} periods of it" in line
+
+
+def test_what_comes_and_goes_is_a_drift(run: Run, tmp_path: Path) -> None:
+    """One hump in the record: its frequency is as uncertain as it is large."""
+    copy = moved(run, tmp_path)
+    motion = copy.load_motion()
+    t = np.arange(30) / 30
+    hump = np.fft.rfft(np.exp(-(((t - 0.4) / 0.12) ** 2) / 2))[1:6] / 15
+    shape = 30 * motion.displacement[:1]
+    freqs = np.arange(1.0, 6.0)
+    wave = [
+        np.asarray(hump[:, None, None] * x).astype(np.complex64) for x in (shape, 0 * motion.rotation[:1])
+    ]
+    copy.save_motion(replace(motion, freqs_hz=freqs, displacement=wave[0], rotation=wave[1]), {})
+    assert not result_of(copy).vibrations
+
+
+def test_a_frequency_whose_motion_the_halves_do_not_agree_on_is_said(run: Run, tmp_path: Path) -> None:
+    copy = moved(run, tmp_path)
+    motion = copy.load_motion()
+    nothing = motion.displacement[:0]
+    told = {
+        "frequencies_hz": [3.4],
+        "frequency_deviation_hz": [0.002],
+        "notes": ["how things move at 3.4 Hz: …"],
+    }
+    copy.save_motion(replace(motion, freqs_hz=np.zeros(0), displacement=nothing, rotation=nothing), told)
+    text = "\n".join(lines_of(result_of(copy)))
+    assert "something changes at 3.4000 ± 0.0020 Hz; how far and which way it moves cannot be told" in text
+    assert "no vibration was found" not in text
+
+
+def test_nothing_found_and_nothing_to_find(run: Run, tmp_path: Path) -> None:
+    copy = moved(run, tmp_path)
+    still = copy.load_motion()
+    copy.save_motion(replace(still, displacement=0 * still.displacement), {})
+    found = result_of(copy)
+    assert (found.vibrations, found.band) == ((), None)
+    assert "no vibration was found" in "\n".join(lines_of(found))
+    gaussians, _ = make_synthetic_dataset(
+        tmp_path / "one", n_views=3, n_timesteps=1, size=16, alphas=(), n_test=0
+    )
+    one = Run.create(tmp_path / "one_run", tmp_path / "one", "modal", {})
+    one.save_space(gaussians, {})
+    lines = lines_of(result_of(one))
+    assert lines[0].endswith("a still scene")
+    assert "--alpha 0 --split train" in lines[-1]
+
+
+def test_an_unfinished_run_is_refused(run: Run, tmp_path: Path) -> None:
+    copy = moved(run, tmp_path)
+    (copy.path / "motion.safetensors").unlink()
+    with pytest.raises(RunError, match="its motion stage is not finished"):
+        result_of(copy)
+
+
+def test_frequencies_of_cameras_with_clocks_of_their_own_keep_their_deviation(
+    run: Run, tmp_path: Path
+) -> None:
+    copy = moved(run, tmp_path)
+    stated = {"frequencies_hz": [7.5, 3.0], "frequency_deviation_hz": [0.04, 0.01]}
+    copy.save_motion(copy.load_motion(), stated)
+    found = result_of(copy)
+    assert {v.hz: v.deviation_hz for v in found.vibrations} == {7.5: 0.04, 3.0: 0.01}
+    assert all("steady" in v.why_no_damping for v in found.vibrations)
+
+
+def test_with_one_camera_the_deviation_across_the_sight_counts_in_pixels(run: Run, tmp_path: Path) -> None:
+    copy = moved(run, tmp_path)
+    n = len(copy.load_space())
+    capture = load_capture(copy.dataset)
+    ray = torch.tensor(capture.viewmats[0, 2, :3], dtype=torch.float32)
+    along = 1e-6 * torch.outer(ray, ray) + 1e-10 * torch.eye(3)
+    own = {
+        "displacement": torch.full((n,), 1e-3),
+        "noise": torch.full((n,), 1e-4),
+        "covariance": along.expand(n, 3, 3).clone(),
+        "along_sight": torch.full((n,), 1e-3),
+        "across_sight": torch.full((n,), 1e-5),
+    }
+    for folder in sorted(copy.dataset.glob("[0-9]*")):
+        only_one(folder / "transforms_train.json")
+    copy.save_part(UNCERTAINTY, own)
+    found = result_of(copy)
+    for v in found.vibrations:
+        assert v.pixels.deviation / v.pixels.value < 0.3 * v.amplitude.deviation / v.amplitude.value
+    assert "towards the only camera" in "\n".join(found.cannot)
+
+
+def test_series_is_the_motion_along_the_shape() -> None:
+    """Elliptic paths too: in units of the shape's own amplitude."""
+    rng = np.random.default_rng(0)
+    shape = rng.normal(size=(9, 3))
+    displacement = (shape * np.exp(0.7j))[None].astype(np.complex64)
+    motion = ModalMotion(np.array([4.0]), displacement, 0 * displacement, 30.0, 30)
+    series = series_of(motion, displacement[0], np.ones(9))
+    np.testing.assert_allclose(
+        np.abs(series), np.abs(np.cos(2 * np.pi * 4 * np.arange(30) / 30 + 0.7)), atol=1e-6
+    )
+
+
+@pytest.mark.parametrize(
+    ("value", "deviation", "text"),
+    [
+        (0.21774, 0.0073, "0.2177 ± 0.0073"),
+        (5.0, 0.0011, "5.0000 ± 0.0011"),
+        (123.4, 15.0, "123 ± 15"),
+        (2.4e-7, 1.3e-8, "(2.40 ± 0.13)e-7"),
+        (0.5, None, "0.5"),
+        (0.5, 0.0, "0.5"),
+    ],
+)
+def test_numbers_have_the_digits_that_are_known(value: float, deviation: float | None, text: str) -> None:
+    assert with_deviation(Length(value, deviation)) == text
+
+
+def moved(run: Run, tmp_path: Path) -> Run:
+    """A copy of the run and its dataset."""
+    shutil.copytree(run.dataset, tmp_path / "data")
+    shutil.copytree(run.path, tmp_path / "run")
+    config = tmp_path / "run" / "config.json"
+    config.write_text(config.read_text().replace(str(run.dataset), str((tmp_path / "data").resolve())))
+    copy = Run.open(tmp_path / "run")
+    sure = run.load_part(UNCERTAINTY)[0]
+    copy.save_part(UNCERTAINTY, sure)  # bound to this run's dataset
+    return copy
+
+
+def only_one(path: Path) -> None:
+    import json
+
+    values = json.loads(path.read_text())
+    values["frames"] = values["frames"][:1]
+    path.write_text(json.dumps(values))
+
+
+def test_what_a_network_turns_single_gaussians_by_does_not_limit_alpha(run, tmp_path: Path) -> None:
+    """Of the preset `paper` phasors of rotation are large where nothing turns; of `modal` they are the scene's."""
+    motion, alphas = run.load_motion(), {}
+    turned = replace(motion, rotation=np.full_like(motion.rotation, 2.0))
+    for preset in ("paper", "modal"):
+        made = Run.create(tmp_path / preset, run.dataset, preset, {})
+        made.save_space(run.load_space(), {})
+        made.save_motion(turned, {})
+        alphas[preset] = result_of(made).alpha
+    assert alphas["modal"] == 1
+    assert alphas["paper"] == result_of(run).alpha > 1

@@ -1,0 +1,158 @@
+"""`--band auto`, bands without motion and magnification that goes too far, as a library and as a user meets them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.show.result.conftest import NOISE
+from tg4mm.cli import main
+from tg4mm.core.errors import Tg4mmError
+from tg4mm.core.filters import TemporalFilter
+from tg4mm.core.magnification import BandGain, Magnification
+from tg4mm.run import Run
+from tg4mm.show.result.read import reading_of, result_of
+from tg4mm.show.result.requested import auto_band, refuse_empty, reversed_motion, too_far
+
+
+def plan(low: float, high: float, alpha: float = 10.0, **more: object) -> Magnification:
+    return Magnification((BandGain(low, high, alpha),), **more)  # type: ignore[arg-type]
+
+
+def test_auto_is_the_strongest_and_names_the_others(run: Run) -> None:
+    band, line = auto_band(run)
+    strongest, other = result_of(run).vibrations
+    assert band == strongest.band
+    assert line.startswith(
+        f"--band auto: {band[0]:g} {band[1]:g} Hz, around {strongest.hz:g} Hz, the strongest"
+    )
+    assert f"{other.hz:g} Hz" in line.split("also")[1]
+
+
+def test_render_export_and_evaluate_take_auto(run: Run, tmp_path: Path, capsys) -> None:
+    band = list(result_of(run).band)
+    common = ["--alpha", "3", "--band", "auto"]
+    assert main(["render", str(run.path), *common, "--orbit", "1", "--out", str(tmp_path / "o")]) == 0
+    assert json.loads((tmp_path / "o" / "render.json").read_text())["band_hz"] == band
+    sequence = ["--format", "ply-sequence", "--out", str(tmp_path / "s")]
+    assert main(["export", str(run.path), *common, *sequence]) == 0
+    assert len(list((tmp_path / "s").iterdir())) == 30
+    out = tmp_path / "m.json"
+    assert main(["evaluate", str(run.path), "--alphas", "5", "--band", "auto", "--out", str(out)]) == 0
+    assert json.loads(out.read_text())["band_hz"] == band
+    assert capsys.readouterr().err.count("--band auto: ") == 3
+
+
+def test_auto_without_a_vibration_is_refused(run: Run, tmp_path: Path) -> None:
+    still = other_motion(run, tmp_path, 0.0)
+    with pytest.raises(Tg4mmError, match=r"--band auto: no vibration was found in .*; --band LO HI looks"):
+        auto_band(still)
+
+
+def test_a_band_without_motion_is_refused_with_those_there_are(run: Run) -> None:
+    with pytest.raises(
+        Tg4mmError, match=r"--band 4 5: no motion was found there; there is .*3 Hz \(--band 2 4\)"
+    ):
+        refuse_empty(run, plan(4, 5))
+    refuse_empty(run, plan(2, 5))
+    refuse_empty(run, Magnification(everywhere=10.0))
+
+
+def test_a_band_with_fewer_than_two_periods_in_the_record_is_refused(run: Run, capsys) -> None:
+    """The record lasts a second."""
+    with pytest.raises(
+        Tg4mmError, match=r"--band 0\.5 1\.5: the record of 1 s holds fewer than two periods of it"
+    ):
+        refuse_empty(run, plan(0.5, 1.5))
+    refuse_empty(run, plan(0.5, 3.5))
+    assert main(["render", str(run.path), "--alpha", "3", "--band", "0.5", "1.5", "--out", "nowhere"]) == 2
+    assert capsys.readouterr().err.count("a band must reach 2 Hz, or film longer") == 1
+
+
+def test_a_band_that_holds_noise_alone_is_empty(run: Run, tmp_path: Path) -> None:
+    """A mode lies in it, but one that is far below the noise."""
+    motion = run.load_motion()
+    faint = np.full_like(motion.displacement[:1], 0.01 * NOISE)
+    noisy = replace(
+        motion,
+        freqs_hz=np.array([3.0, 5.0, 7.5]),
+        displacement=np.concatenate([motion.displacement[:1], faint, motion.displacement[1:]]),
+        rotation=np.concatenate([motion.rotation[:1], 0 * faint, motion.rotation[1:]]),
+    )
+    copy = copied(run, tmp_path)
+    copy.save_motion(noisy, {})
+    with pytest.raises(Tg4mmError, match=r"--band 4\.5 5\.5: no motion was found there"):
+        refuse_empty(copy, plan(4.5, 5.5))
+
+
+def test_a_filter_lets_neighbours_through(run: Run) -> None:
+    """Of one second, a filter around 4.5 Hz has something left of 3 Hz, and one around 12 Hz of nothing."""
+    soft = {"method": "linear", "filter": TemporalFilter("zero-phase")}
+    refuse_empty(run, plan(3.5, 5.5, **soft))
+    with pytest.raises(Tg4mmError, match="no motion was found there"):
+        refuse_empty(run, plan(11.5, 12.5, **soft))
+
+
+def test_small_magnification_needs_no_word(run: Run) -> None:
+    assert too_far(run, plan(2, 4, 1.0)) is None
+    assert too_far(run, Magnification()) is None
+    assert too_far(run, plan(2, 4, -1.0)) is None
+
+
+def test_noise_that_is_magnified_beyond_a_pixel_is_said(run: Run, tmp_path: Path) -> None:
+    """Of a motion that does not bend: all Gaussians move alike, so that only noise limits it."""
+    copy = other_motion(run, tmp_path, 0.02)
+    noise_px = result_of(copy).noise_px
+    alpha = 2 / noise_px - 1  # two pixels
+    line = too_far(copy, plan(2, 4, alpha))
+    assert "noise is magnified to 2 px" in line
+    assert "turn" not in line
+    assert too_far(copy, plan(2, 4, 0.9 / noise_px - 1)) is None
+    assert f"α = {float(f'{1 / noise_px - 1:.2g}'):g} is as far as it holds" in line
+
+
+def test_turns_beyond_half_a_radian_are_said(run: Run) -> None:
+    """The post bends by 2·0.02/1.3 rad at its top: at α = 100 by 3 rad."""
+    line = too_far(run, plan(2, 4, 100.0))
+    assert "α = 100: the largest motion becomes " in line
+    turned = float(line.split("turn or shear by ")[1].split()[0])
+    assert turned == pytest.approx(101 * 2 * 0.02 / 1.3, rel=0.3)
+    reach = reading_of(run).reach(np.array([101.0, 0.0]))
+    assert f"becomes {reach.pixels:.3g} px" in line
+
+
+def test_the_line_reaches_the_user_and_the_exit_is_0(run: Run, tmp_path: Path, capsys) -> None:
+    command = ["render", str(run.path), "--alpha", "100", "--orbit", "1", "--out", str(tmp_path / "o")]
+    assert main(command) == 0
+    assert "α = 100: the largest motion becomes" in capsys.readouterr().err
+
+
+def copied(run: Run, tmp_path: Path) -> Run:
+    import shutil
+
+    shutil.copytree(run.path, tmp_path / "run")
+    return Run.open(tmp_path / "run")
+
+
+def other_motion(run: Run, tmp_path: Path, amplitude: float) -> Run:
+    """All Gaussians alike along x, at 3 Hz."""
+    copy, motion = copied(run, tmp_path), run.load_motion()
+    displacement = np.zeros_like(motion.displacement[:1])
+    displacement[..., 0] = amplitude
+    copy.save_motion(
+        replace(motion, freqs_hz=np.array([3.0]), displacement=displacement, rotation=0 * displacement), {}
+    )
+    return copy
+
+
+def test_a_factor_below_minus_one_says_that_motion_is_reversed(run: Run, tmp_path: Path, capsys) -> None:
+    assert reversed_motion(plan(2, 4, -1.0)) is None
+    assert reversed_motion(Magnification()) is None
+    assert "α = -5: the motion is shown reversed, 4 times as large" in str(reversed_motion(plan(2, 4, -5.0)))
+    options = ["--alpha", "-5", "--band", "2", "4", "--orbit", "1", "--out", str(tmp_path / "o")]
+    assert main(["render", str(run.path), *options]) == 0
+    assert "reversed" in capsys.readouterr().err

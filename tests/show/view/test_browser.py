@@ -1,0 +1,153 @@
+"""The page in a real browser: the picture answers to sliders, the spectrum and the picture to clicks."""
+
+from __future__ import annotations
+
+import io
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.show.view.browser import browser
+from tg4mm.show.view.app import App, canvas_of
+from tg4mm.show.view.clock import Clock
+from tg4mm.show.view.painter import Look
+from tg4mm.show.view.scene import Scene
+from tg4mm.show.view.session import Session
+
+WAIT = 60.0  # seconds; software drawing on a busy machine
+
+
+@dataclass
+class Opened:
+    """A page that shows a paused scene, and what it asked the network for."""
+
+    page: Any
+    app: App
+    session: Session
+    folder: Path
+    hosts: set[str]
+    errors: list[str]
+
+    def picture(self) -> np.ndarray:
+        """[H, W, 3] int: the canvas as it is on the screen."""
+        box = self.page.locator("canvas").first.bounding_box()
+        clip = {"x": 0, "y": 200, "width": box["width"], "height": box["height"] - 200}  # below notices
+        return np.asarray(Image.open(io.BytesIO(self.page.screenshot(clip=clip))).convert("RGB")).astype(int)
+
+    def settled(self) -> np.ndarray:
+        """The picture once it changes no more."""
+        last = self.picture()
+        for _ in range(30):
+            time.sleep(0.4)
+            now = self.picture()
+            if now.min() < 200 and np.array_equal(now, last):
+                return now
+            last = now
+        raise AssertionError("the picture does not settle")
+
+    def pixel_of(self, point: np.ndarray) -> tuple[float, float]:
+        """Where a point [3] lies on the page."""
+        (client, _), *_ = self.app._screens.values()
+        canvas = canvas_of(client)
+        camera = canvas.camera((canvas.width, canvas.height))
+        u, v, depth = camera.K @ (camera.viewmat[:3, :3] @ point + camera.viewmat[:3, 3])
+        return u / depth, v / depth
+
+
+def until(holds: Callable[[], bool], what: str) -> None:
+    end = time.monotonic() + WAIT
+    while not holds():
+        assert time.monotonic() < end, f"waited in vain: {what}"
+        time.sleep(0.1)
+
+
+@pytest.fixture(scope="module")
+def opened(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Opened]:
+    session = Session(scene, Look(0.0), Clock(scene.duration, offset=0.1))
+    folder = tmp_path_factory.mktemp("saved")
+    with browser() as chromium:
+        app = App(session, 0, folder)
+        try:
+            page = chromium.new_page(viewport={"width": 1000, "height": 700})
+            hosts, errors = set[str](), list[str]()
+            page.on("request", lambda r: hosts.add(r.url.split("/")[2]) if r.url.startswith("http") else None)
+            page.on("pageerror", lambda error: errors.append(str(error)))
+            page.goto(app.url)
+            until(lambda: bool(app._screens), "the page says where its camera is")
+            one = Opened(page, app, session, folder, hosts, errors)
+            page.locator(".mantine-Notification-closeButton").click()  # viser's word on drawing in software
+            one.settled()
+            yield one
+        finally:
+            app.stop()
+
+
+def test_the_magnification_slider_changes_the_picture(opened):
+    before = opened.settled()
+    slider = opened.page.get_by_role("slider").first
+    slider.focus()
+    slider.press("End")
+    until(lambda: opened.session.look.alpha == 100.0, "α is at the slider's end")
+    after = opened.settled()
+    assert (np.abs(after - before).max(axis=-1) > 40).mean() > 0.002
+    slider.press("Home")
+    until(lambda: opened.session.look.alpha == -1.0, "α is at the slider's start")
+    assert np.abs(opened.settled() - after).max() > 40
+
+
+def test_a_click_on_a_peak_sets_the_band(opened):
+    opened.page.locator('rect.hit[data-peak="5 Hz"]').first.click()
+    until(lambda: opened.session.look.band == (4.5, 5.5), "the band is around 5 Hz")
+    opened.page.get_by_text("1 of 2 frequencies").wait_for(timeout=WAIT * 1e3)
+    opened.page.get_by_role("button", name="all").click()
+    until(lambda: opened.session.look.band is None, "all frequencies again")
+
+
+def test_a_clicked_pixel_answers_with_its_waveform(opened, scene):
+    k = scene.strongest((4.0, 6.0))
+    moves = np.abs(scene.motion.displacement[k]).max(axis=1) > 1e-4
+    opened.page.mouse.click(*opened.pixel_of(scene.gaussians.means.numpy()[moves].mean(axis=0)))
+    opened.page.get_by_text("mm at 5 Hz").wait_for(timeout=WAIT * 1e3)
+    assert opened.page.locator('svg[aria-label^="waveform"] polyline.curve').count() == 1
+
+
+def test_a_click_on_the_background_says_so(opened):
+    opened.page.mouse.click(5, 690)
+    opened.page.get_by_text("the pixel shows background").wait_for(timeout=WAIT * 1e3)
+
+
+def test_colours_follow_the_choice(opened):
+    before = opened.settled()
+    opened.page.get_by_role("combobox", name="Colour by").click()
+    opened.page.get_by_role("option", name="amplitude").click()
+    opened.page.get_by_text("as captured").first.wait_for(timeout=WAIT * 1e3)
+    assert np.abs(opened.settled() - before).max() > 60
+
+
+def test_play_moves_the_picture(opened):
+    opened.page.get_by_role("slider").first.press("End")
+    opened.settled()
+    opened.page.get_by_role("button", name="Play").click()
+    until(lambda: opened.session.clock.playing, "it plays")
+    first = opened.picture()
+    until(lambda: np.abs(opened.picture() - first).max() > 40, "the picture moves")
+    opened.page.get_by_role("button", name="Pause").click()
+    until(lambda: not opened.session.clock.playing, "it stands")
+
+
+def test_buttons_write_files(opened):
+    opened.page.get_by_role("button", name="Snapshot").click()
+    until(lambda: (opened.folder / "snapshot_0001.png").is_file(), "a snapshot")
+    opened.page.get_by_role("button", name="Clip").click()
+    until(lambda: (opened.folder / "clip_0001.mp4").is_file(), "a clip")
+
+
+def test_the_page_asks_no_one_else_and_has_no_errors(opened):
+    assert opened.hosts == {opened.app.url.removeprefix("http://")}
+    assert not opened.errors
