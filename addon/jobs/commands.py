@@ -55,8 +55,8 @@ def train_steps(
 
 
 def environment() -> dict[str, str]:
-    """This process's, for a Python of its own: output at once and in UTF-8, what happens as events (tg4mm/core/events.py),
-    nothing taken from the folder it is in."""
+    """This process's, for a Python of its own: output at once and in UTF-8, what happens as events
+    (tg4mm/core/events.py), nothing taken from the folder it is in."""
     kept = {name: value for name, value in os.environ.items() if name not in ("PYTHONHOME", "PYTHONSTARTUP")}
     return kept | {"PYTHONUNBUFFERED": "1", "PYTHONUTF8": "1", "PYTHONSAFEPATH": "1", "TG4MM_EVENTS": "json"}
 

@@ -7,7 +7,8 @@ import importlib
 from tg4mm.fit import ahead
 
 MODULES = {
-    "project": "tg4mm.fit.rasterize.kernels.project", "project_backward": "tg4mm.fit.rasterize.kernels.project_backward",
+    "project": "tg4mm.fit.rasterize.kernels.project",
+    "project_backward": "tg4mm.fit.rasterize.kernels.project_backward",
     "binning": "tg4mm.fit.rasterize.kernels.binning", "blend": "tg4mm.fit.rasterize.kernels.blend",
     "blend_backward": "tg4mm.fit.rasterize.kernels.blend_backward", "normal": "tg4mm.fit.rasterize.kernels.normal",
     "linearised": "tg4mm.fit.rasterize.kernels.linearised", "kernels": "tg4mm.fit.space.kernels",

@@ -50,7 +50,7 @@ class _CallablePackage(ModuleType):
 def callable_package(package: str) -> None:
     """Let a package, called from its `__init__`, be called as its function of the same name.
 
-    `tg4mm.measure(…)` and `tg4mm.show.measure.Sensor` then both work, in whatever order things were imported: importing a
-    package's module binds the package's name in `tg4mm`, and would hide a function there.
+    `tg4mm.measure(…)` and `tg4mm.show.measure.Sensor` then both work, in whatever order things were imported:
+    importing a package's module binds the package's name in `tg4mm`, and would hide a function there.
     """
     sys.modules[package].__class__ = _CallablePackage

@@ -6,7 +6,8 @@
     RUN/uncertainty.safetensors     how uncertain the motion of every Gaussian is
     RUN/log.json                    figures of every stage: seconds, peak_memory_mib, psnr, …
     RUN/checkpoint_<stage>.safetensors   state of an unfinished stage
-    RUN/triplane.safetensors, RUN/planes_0001.safetensors …   parts of the preset `paper` (tg4mm/research/paper/model.py)
+    RUN/triplane.safetensors, RUN/planes_0001.safetensors …   parts of the preset `paper`
+                                    (tg4mm/research/paper/model.py)
 
 Every file is written under a temporary name and renamed. The safetensors files carry metadata
 {format, kind, version, config, digest}; complex tensors are stored as two real ones (`name#re`, `name#im`).

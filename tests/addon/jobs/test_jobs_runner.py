@@ -143,7 +143,10 @@ def test_chain_of_programs_runs_to_its_end(jobs: Any, step: Callable[..., Any]) 
 @pytest.mark.parametrize(
     ("code", "message"),
     [
-        ("import tg4mm.core.events as e; print('x'); e.say('error', 'no /ä'); print('y'); raise SystemExit(2)", "no /ä"),
+        (
+            "import tg4mm.core.events as e; print('x'); e.say('error', 'no /ä'); print('y'); raise SystemExit(2)",
+            "no /ä",
+        ),
         ("raise RuntimeError('kaputt')", "ended with status 1: RuntimeError: kaputt"),
         ("import sys; sys.exit(5)", "ended with status 5: it said nothing"),
         ("import os, signal; os.kill(os.getpid(), signal.SIGKILL)", "ended with status -9: it said nothing"),

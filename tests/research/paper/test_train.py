@@ -155,8 +155,8 @@ class TestResume:
         """kill -9 soon after a file has appeared, checkpoints at every iteration; then the same command again."""
         run = tmp_path / "run"
         code = (
-            "import sys; from tg4mm.run.train import train; import tg4mm.research.paper.space as a, tg4mm.research.paper.motion as b, "
-            "tg4mm.fit.space.train as c\n"
+            "import sys; from tg4mm.run.train import train; import tg4mm.research.paper.space as a, "
+            "tg4mm.research.paper.motion as b, tg4mm.fit.space.train as c\n"
             "a.CHECKPOINT_EVERY_S = b.CHECKPOINT_EVERY_S = c.CHECKPOINT_EVERY_S = 0.0\n"
             f"train({str(data)!r}, {str(run)!r}, 'paper-tuned', settings={SETTINGS!r})"
         )

@@ -1,6 +1,7 @@
 """What is asked about a kernel that numba's cache lacks, before it is compiled: whether it may be there by now.
 
-`tg4mm.fit.ahead` answers where the program has it compile kernels in other processes. Importing this imports nothing heavy.
+`tg4mm.fit.ahead` answers where the program has it compile kernels in other processes. Importing this imports
+nothing heavy.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ def splat() -> SplatFile:
 
 @pytest.fixture(scope="session")
 def read_with_node():
-    """Run tests/core/splatfile/formats/node/<script> FILE; the JSON it prints. Skips where npm's packages are not there."""
+    """Run node/<script> FILE, in this folder; the JSON it prints. Skips where npm's packages are not there."""
     if shutil.which("node") is None or not (NODE / "node_modules").is_dir():
         pytest.skip("needs node and npm's packages: make readers")
 

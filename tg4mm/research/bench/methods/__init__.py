@@ -33,8 +33,8 @@ class Method(Protocol):
     def fit(self, data: BenchSet, place: Path, plan: Plan) -> dict[str, Any]:
         """Learn from the training pictures; go on where a killed call was.
 
-        Returned: figures as of `tg4mm.research.bench.measure.measure`, {} for a method that has nothing to learn. Raises
-        Tg4mmError where the dataset does not allow it.
+        Returned: figures as of `tg4mm.research.bench.measure.measure`, {} for a method that has nothing to learn.
+        Raises Tg4mmError where the dataset does not allow it.
         """
         ...
 
