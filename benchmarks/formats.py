@@ -21,11 +21,11 @@ from pxr import Usd
 
 from tg4mm.capture import load_capture
 from tg4mm.core.splatfile import SplatFile, positions_at, read_splat, rotations_at
+from tg4mm.core.splatfile.axes import TURN, harmonics_turn
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.run import Run
 from tg4mm.show.export.formats import export_gltf, export_spz_sequence, export_usd, one_period
 from tg4mm.show.export.splat import export_ply, frames_of, splat_of
-from tg4mm.show.export.y_up import TURN, harmonics_turn
 from tg4mm.show.render import RenderRequest
 from tg4mm.show.render.cameras import capture_cameras
 from tg4mm.show.render.image import render_image

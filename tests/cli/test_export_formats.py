@@ -13,10 +13,10 @@ from tests.helpers.gltf import parsed
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.cli import main
 from tg4mm.core.splatfile import SplatFile, positions_at
+from tg4mm.core.splatfile.axes import TURN
 from tg4mm.run import Run
 from tg4mm.show.export.formats import one_period
 from tg4mm.show.export.splat import splat_of
-from tg4mm.show.export.y_up import TURN
 
 N_TIMESTEPS = 12
 

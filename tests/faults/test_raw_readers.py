@@ -92,7 +92,7 @@ ALLOWED = {
     "dataset_gen/exr.py": "writes EXR",
     "dataset_gen/truth.py": "writes EXR",
     "tg4mm/show/measure/write.py": "writes CSV",
-    "tg4mm/show/export/spz.py": "writes gzip",
+    "tg4mm/core/splatfile/spz.py": "writes gzip",
 }  # fmt: skip
 
 

@@ -44,7 +44,7 @@ def rotations_at(
     angle = np.linalg.norm(vector, axis=1, keepdims=True)
     # np.sinc(x) is sin(πx)/(πx): sin(angle/2)/angle without a division by zero
     turn = np.concatenate([np.cos(angle / 2), vector * np.sinc(angle / (2 * np.pi)) / 2], axis=1)
-    return _quat_product(turn, rest)
+    return quat_product(turn, rest)
 
 
 def _summed(
@@ -58,7 +58,7 @@ def _summed(
     return sum((w * phasor).real for w, phasor in zip(weights, phasors.astype(np.complex128), strict=True))
 
 
-def _quat_product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def quat_product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Hamilton product of wxyz quaternions [N, 4]: b's rotation first, then a's."""
     aw, av, bw, bv = a[:, :1], a[:, 1:], b[:, :1], b[:, 1:]
     real = aw * bw - (av * bv).sum(axis=1, keepdims=True)

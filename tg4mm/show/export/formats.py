@@ -15,10 +15,10 @@ import numpy as np
 
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.progress import progress
+from tg4mm.core.splatfile.spz import write_spz
 from tg4mm.run import Run
 from tg4mm.show.export.gltf import write_glb
 from tg4mm.show.export.splat import check_file, check_folder, frames_of, splat_of, unit_scale_of, write_frames
-from tg4mm.show.export.spz import write_spz
 from tg4mm.show.export.usd import SUFFIXES, usd_modules, write_usd
 
 if TYPE_CHECKING:

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from ...core.errors import SplatFileError
+from ...core.splatfile.axes import y_up
 from ...core.splatfile.model import SplatFile
 from ...core.splatfile.write import replacing
-from .y_up import y_up
 
 EXTENSION = "KHR_gaussian_splatting"
 KEYS_PER_TIMESTEP = 4  # between keys weights go in straight lines: under 1 % off at a sixth of the frame rate

@@ -10,8 +10,8 @@ from tests.core.splatfile.formats.conftest import turned
 from tests.helpers.gltf import parsed
 from tg4mm.core.errors import SplatFileError
 from tg4mm.core.splatfile import positions_at
+from tg4mm.core.splatfile.axes import y_up
 from tg4mm.show.export.gltf import EXTENSION, write_glb
-from tg4mm.show.export.y_up import y_up
 
 ALPHAS = np.array([4.0, -0.5])
 

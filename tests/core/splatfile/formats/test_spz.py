@@ -8,8 +8,8 @@ import pytest
 
 from tests.core.splatfile.formats.conftest import angles, turned
 from tg4mm.core.errors import SplatFileError
-from tg4mm.show.export.spz import smallest_three, write_spz
-from tg4mm.show.export.y_up import y_up
+from tg4mm.core.splatfile.axes import y_up
+from tg4mm.core.splatfile.spz import smallest_three, write_spz
 
 HALF_STEPS = {"alphas": 0.5 / 255, "sh0": 0.5 / (0.15 * 255), "sh": 0.5 / 128, "scales": 0.5 / 16}
 ROUNDING = 1.001

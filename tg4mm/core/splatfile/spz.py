@@ -12,11 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ...core.errors import SplatFileError
-from ...core.splatfile import layout
-from ...core.splatfile.model import SplatFile
-from ...core.splatfile.write import replacing
-from .y_up import y_up
+from ..errors import SplatFileError
+from . import layout
+from .axes import y_up
+from .model import SplatFile
+from .write import replacing
 
 _MAGIC, _VERSION = 0x5053474E, 3
 _MOST_BITS = 23  # after the binary point; a position has 24 with its sign
