@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import graphlib
 import subprocess
 import sys
 from pathlib import Path
@@ -72,17 +71,77 @@ def test_splat_file_reader_needs_numpy_alone(repo_root: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
-def test_packages_of_the_core_import_each_other_one_way(repo_root: Path) -> None:
-    """Imports inside functions count, too. `tg4mm/__init__.py`, which gives names to users, does not."""
-    graph: dict[str, set[str]] = {}
-    for file in sorted((repo_root / "tg4mm").rglob("*.py")):
-        own, *_ = file.relative_to(repo_root / "tg4mm").with_suffix("").parts
-        if own == "__init__":
+FLOORS = ("core", "capture", "fit", "run", "show", "research", "cli")  # each may import those before it
+MAY_IMPORT = {room: {*FLOORS[:floor]} for floor, room in enumerate(FLOORS)}
+MAY_IMPORT |= {room: {*MAY_IMPORT[room], "dataset_gen"} for room in ("research", "cli")}
+MAY_IMPORT |= {"dataset_gen": {"core", "capture"}}
+_ADDON = ("compat", "names", "units", "preferences", "nodes", "panels", "io", "probe", "operators")
+ADDON_MAY_IMPORT = {room: {*_ADDON[:floor], "core"} for floor, room in enumerate(_ADDON)}
+ADDON_MAY_IMPORT |= {"jobs": {"compat", "names", "preferences", "nodes", "generator"}}
+# `__init__` gives names to users or registers, `__main__` is a door; make_extension runs outside of Blender
+DOORS = {"tg4mm/__init__.py", "tg4mm/__main__.py", "addon/__init__.py", "addon/make_extension.py"}
+
+
+def room_of(module: str) -> str:
+    """The room a dotted name lies in: `core` of `tg4mm.core.files`, `dataset_gen` of all that is in it."""
+    top, *rest = module.split(".")
+    return rest[0] if top in ("tg4mm", "addon") and rest else top
+
+
+def imported(name: str, source: str) -> list[tuple[int, str]]:
+    """(line, room) of every import from our packages in a file, those inside functions and of types, too."""
+    found = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            modules = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = ".".join(name.split("/")[: -node.level]) if node.level else ""
+            whole = ".".join(part for part in (base, node.module) if part)
+            # the version alone is every room's
+            names = [a.name for a in node.names if a.name != "__version__"]
+            modules = [f"{whole}.{n}" for n in names] if whole in ("tg4mm", "addon") else [whole]
+        else:
             continue
-        for node in ast.walk(ast.parse(file.read_text())):
-            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("tg4mm"):
-                names = [f"tg4mm.{a.name}" for a in node.names] if node.module == "tg4mm" else [node.module]
-                graph.setdefault(own, set()).update(str(name).split(".")[1] for name in names)
-    assert "motion" in graph["stages"]
-    order = list(graphlib.TopologicalSorter({k: v - {k} for k, v in graph.items()}).static_order())
-    assert order.index("rasterize") < order.index("space")
+        ours = [m for m in modules if m.split(".")[0] in ("tg4mm", "addon", "dataset_gen")]
+        found += [(node.lineno, room_of(m)) for m in ours]
+    return found
+
+
+def climbs(name: str, source: str) -> list[str]:
+    """The imports of a file that its floor does not allow."""
+    own = room_of(name.removesuffix(".py").replace("/", "."))
+    allowed = (ADDON_MAY_IMPORT if name.startswith("addon/") else MAY_IMPORT)[own] | {own}
+    return [
+        f"{name}:{line}: {own} imports {room}" for line, room in imported(name, source) if room not in allowed
+    ]
+
+
+def test_every_import_goes_down_a_floor(repo_root: Path) -> None:
+    """docs/architecture.md; imports inside functions count."""
+    files = sorted(f for top in ("tg4mm", "dataset_gen", "addon") for f in (repo_root / top).rglob("*.py"))
+    names = {f.relative_to(repo_root).as_posix(): f for f in files}
+    assert set(names) > DOORS
+    assert [c for n, f in names.items() if n not in DOORS for c in climbs(n, f.read_text("utf-8"))] == []
+
+
+@pytest.mark.parametrize(
+    ("name", "source"),
+    [
+        ("tg4mm/run/train.py", "def f():\n    from tg4mm.research.paper import PAPER"),
+        ("tg4mm/core/files.py", "import tg4mm.capture.model"),
+        ("tg4mm/fit/device.py", "from tg4mm import show"),
+        ("tg4mm/show/weights.py", "import dataset_gen"),
+        ("dataset_gen/run.py", "from tg4mm.fit.gaussians import Gaussians"),
+        ("dataset_gen/farm/jobs.py", "from ...tg4mm.run import Run"),
+        ("addon/nodes/points.py", "from ..panels import panel"),
+        ("addon/io/saving.py", "from .. import probe"),
+    ],
+)
+def test_an_import_that_goes_up_is_found(name: str, source: str) -> None:
+    assert len(climbs(name, source)) == 1
+
+
+def test_what_goes_down_is_allowed() -> None:
+    assert climbs("tg4mm/cli/generate.py", "import dataset_gen\nfrom tg4mm import __version__") == []
+    assert climbs("addon/io/loading.py", "from ..core.splatfile import read\nfrom . import saving") == []
+    assert climbs("tg4mm/core/files.py", "import json\nfrom tg4mm.core.errors import Tg4mmError") == []
