@@ -22,7 +22,7 @@ def run_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_it_writes_the_page_into_the_run_and_says_how_large_it_is(run_path, capsys, monkeypatch):
-    monkeypatch.setattr("tg4mm.show.report.write.metrics_of", lambda run: {})
+    monkeypatch.setattr("tg4mm.show.report.write.metrics_of", lambda run, evaluate: {})
     options = ["--alpha", "3", "--band", "4", "6", "--sensor", "ball=sphere:0.5,0.1,0.37,0.4"]
     assert main(["report", str(run_path), *options]) == 0
     page = run_path / "report.html"

@@ -43,6 +43,7 @@ def report(
             f"--band is given {len(asked)} times: a report magnifies one band, or every frequency"
         )
     from tg4mm.core.magnification import BandGain, Magnification
+    from tg4mm.research.evaluate import evaluate_run
     from tg4mm.run import Run
     from tg4mm.show.measure import parse_sensor
     from tg4mm.show.measure.sensors import checked_names
@@ -54,6 +55,8 @@ def report(
     bands = known_bands(opened, asked)
     if not allow_empty_band:
         refuse_empty(opened, Magnification(tuple(BandGain(*one, 1.0) for one in bands)))
-    options = ReportOptions(alpha=alpha, band=bands[0] if bands else None, sensors=sensors)
+    options = ReportOptions(
+        alpha=alpha, band=bands[0] if bands else None, sensors=sensors, evaluate=evaluate_run
+    )
     path = write_report(opened, out or run / "report.html", options)
     typer.echo(f"{path}: {path.stat().st_size / 1e6:.1f} MB")

@@ -63,19 +63,22 @@ def copied(run: Run, tmp_path) -> Run:
 METRICS = {"format": "tg4mm-metrics", "metrics": [], "alphas": [], "absent": {}, "notes": []}
 
 
-def test_scores_newer_than_the_model_are_taken_and_older_ones_made_again(run, tmp_path, monkeypatch):
+def test_scores_newer_than_the_model_are_taken_and_older_ones_made_again(run, tmp_path):
     own = copied(run, tmp_path)
     calls = []
-    monkeypatch.setattr(
-        "tg4mm.research.evaluate.evaluate_run", lambda run: calls.append(run) or {"format": "tg4mm-metrics"}
-    )
+
+    def evaluate(run):
+        calls.append(run)
+        return {"format": "tg4mm-metrics"}
+
     path = own.path / "metrics.json"
     path.write_text(json.dumps(METRICS | {"kept": True}))
-    assert metrics_of(own).get("kept")
+    assert metrics_of(own, evaluate).get("kept")
     assert not calls
     os.utime(path, (1, 1))
-    assert "kept" not in metrics_of(own)
+    assert "kept" not in metrics_of(own, evaluate)
     assert len(calls) == 1
+    assert metrics_of(own, None) == {}
 
 
 @pytest.mark.parametrize(
@@ -93,7 +96,7 @@ def test_a_broken_file_of_scores_is_named(run, tmp_path, text, message):
     own = copied(run, tmp_path)
     (own.path / "metrics.json").write_text(text)
     with pytest.raises(RunError, match=message):
-        metrics_of(own)
+        metrics_of(own, None)
 
 
 def test_scores_that_are_not_those_written_are_refused(run, tmp_path):
@@ -101,11 +104,11 @@ def test_scores_that_are_not_those_written_are_refused(run, tmp_path):
     figures = METRICS | {"alphas": [{"alpha": 5, "n_images": 1, "rows": {}, "closure": 0.75}]}
     written = json.dumps(figures | {"digest": json_digest(figures)})
     (own.path / "metrics.json").write_text(written)
-    assert metrics_of(own)["alphas"][0]["closure"] == 0.75
+    assert metrics_of(own, None)["alphas"][0]["closure"] == 0.75
     (own.path / "metrics.json").write_text(written.replace("0.75", "0.95"))
     with pytest.raises(RunError, match=r"metrics\.json: is damaged or edited: [^\n]*; delete it"):
-        metrics_of(own)
+        metrics_of(own, None)
 
 
 def test_without_ground_truth_there_are_none(bare_run):
-    assert metrics_of(bare_run) == {}
+    assert metrics_of(bare_run, pytest.fail) == {}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from tg4mm.show.result.read import Reading
 from tg4mm.show.weights import blending_weights
 
 METRICS = "metrics.json"
+Evaluate = Callable[[Run], dict[str, Any]]  # scores against the ground truth, as metrics.json holds them
 
 
 @dataclass(frozen=True)
@@ -73,19 +75,18 @@ def choose_alpha(
     return alpha, f"{why}."
 
 
-def metrics_of(run: Run) -> dict[str, Any]:
-    """RUN/metrics.json where it is newer than the model; else the run is evaluated, if its dataset has ground truth.
+def metrics_of(run: Run, evaluate: Evaluate | None) -> dict[str, Any]:
+    """RUN/metrics.json where it is newer than the model; else the run is scored now, if its dataset has ground truth.
 
-    {} without ground truth. Raises RunError for a file that is damaged or of another kind.
+    {} without ground truth, or without a newer file and `evaluate`. Raises RunError for a file that
+    is damaged or of another kind.
     """
     dataset, path = run.dataset, run.path / METRICS
     if not alphas_with_truth(dataset) and not (dataset / "truth" / "motion.npz").exists():
         return {}
     if path.exists() and path.stat().st_mtime >= _made(run):
         return read_figures(path)
-    from tg4mm.research.evaluate import evaluate_run
-
-    return evaluate_run(run)
+    return evaluate(run) if evaluate is not None else {}
 
 
 def _made(run: Run) -> float:

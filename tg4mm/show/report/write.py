@@ -24,7 +24,7 @@ from tg4mm.show.report.accuracy import accuracy_section
 from tg4mm.show.report.closing import commands_section, cost_section, settings_section
 from tg4mm.show.report.found import limits_section
 from tg4mm.show.report.sections import capture_section, motion_section
-from tg4mm.show.report.sources import choose_alpha, load_model, metrics_of
+from tg4mm.show.report.sources import Evaluate, choose_alpha, load_model, metrics_of
 from tg4mm.show.report.spectra import measured, sensors_section
 from tg4mm.show.report.summary import Material, stats, summary, title_of
 from tg4mm.show.report.videos import videos
@@ -46,16 +46,18 @@ class ReportOptions:
     # Further files or folders to list with their size.
     files: Mapping[str, Path] = field(default_factory=dict)
     metrics: Mapping[str, Any] | None = (
-        None  # as `evaluate_run` returns them; None: RUN/metrics.json, or evaluated now
+        None  # as `evaluate_run` returns them; None: RUN/metrics.json, or `evaluate`
     )
+    evaluate: Evaluate | None = None  # scores a run whose dataset has ground truth; None: without scores
 
 
 def write_report(run: Run, out: Path, options: ReportOptions | None = None) -> Path:
     """Write the report of `run` to the file `out`; returns it.
 
-    Reads the pictures once for the sensors, and scores the run where its dataset has ground truth and no metrics.json
-    is newer than the model. Raises RunError for a run that is not finished, metrics of another kind, or a band without
-    a mode; CaptureError for a bad dataset; MeasureError for a sensor that cannot be measured.
+    Reads the pictures once for the sensors, and lets `options.evaluate` score the run where its dataset has ground
+    truth and no metrics.json is newer than the model. Raises RunError for a run that is not finished, metrics of
+    another
+    kind, or a band without a mode; CaptureError for a bad dataset; MeasureError for a sensor that cannot be measured.
     """
     options = options or ReportOptions()
     _check_writable(out)
@@ -91,7 +93,7 @@ def _material(run: Run, train: Capture, band: tuple[float, float] | None, option
     view = gather_view(run, train, model, alpha, band)
     with progress("sensors", 1, "part", brief=True):
         measurement, why_no_sensors = (None, "") if model.motion is None else measured(run, options.sensors)
-    metrics = dict(options.metrics) if options.metrics is not None else metrics_of(run)
+    metrics = dict(options.metrics) if options.metrics is not None else metrics_of(run, options.evaluate)
     if metrics and metrics.get("format") != "tg4mm-metrics":
         raise RunError(f"metrics have the format {metrics.get('format')!r}, expected 'tg4mm-metrics'")
     gains = () if band is None else (BandGain(*band, alpha),)
