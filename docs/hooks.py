@@ -9,7 +9,6 @@ import io
 import re
 import tokenize
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 from mkdocs.structure.files import File, Files
@@ -67,16 +66,16 @@ def commands_page() -> str:
 
 def settings_page() -> str:
     """A table of settings for every preset."""
-    from tg4mm.run.train import PRESETS
+    from tg4mm.run.preset import presets
 
     parts = [
         "# Settings\n",
         "Settings of `tg4mm train`, given as `--set stage.name=value`; made from the program itself "
         "(`tg4mm train --list-settings` prints the same).\n",
     ]
-    for preset, defaults in PRESETS.items():
+    for preset, chosen in presets().items():
         parts.append(f"## Preset {preset}\n\n| setting | default | unit | meaning |\n|---|---|---|---|")
-        for stage, config in defaults.items():
+        for stage, config in chosen.defaults.items():
             for field in dataclasses.fields(config):
                 value = str(getattr(config, field.name))
                 value = value.lower() if value in ("True", "False", "None") else value
@@ -93,7 +92,6 @@ def api_page() -> str:
     parts = ["# Python API\n", "The public names of `tg4mm`; [how they fit together](python.md).\n"]
     for name in tg4mm.__all__:
         value = getattr(tg4mm, name)
-        value = getattr(value, name, value) if isinstance(value, ModuleType) else value
         path = f"{value.__module__}.{value.__qualname__}"
         if not dataclasses.is_dataclass(value):
             parts.append(f"::: {path}\n")

@@ -44,6 +44,7 @@ NAMES = [
     "load_images",
     "measure",
     "orbit",
+    "parse_sensor",
     "prepare",
     "prepare_fit",
     "rasterization",
@@ -78,7 +79,6 @@ def documented(page: ModuleType) -> list[str]:
     missing = []
     for name in NAMES:
         value = getattr(tg4mm, name)
-        value = getattr(value, name, value) if isinstance(value, ModuleType) else value
         if inspect.isfunction(value):
             text = inspect.getdoc(value) or ""
             parts = ["Args:", *(["Returns:"] if value.__annotations__["return"] != "None" else [])]
@@ -123,7 +123,7 @@ def test_the_page_lists_every_name(repo_root: Path) -> None:
     page = (repo_root / "docs" / "python.md").read_text(encoding="utf-8")
     table = page[page.index("## Public names") : page.index("## Notebooks")]
     listed = {word for word in table.split("`")[1::2] if word.isidentifier()}
-    assert listed - {"measure", "render"} == set(NAMES) - {"measure", "render"}
+    assert listed == set(NAMES)
 
 
 def test_importing_the_package_imports_nothing_heavy() -> None:
@@ -148,16 +148,15 @@ def test_without_torch_there_is_still_what_needs_none() -> None:
 
 
 @pytest.mark.parametrize(
-    "first", ["tg4mm.measure", "import tg4mm.show.measure.sensors", "from tg4mm.show.measure import Sensor"]
+    "first", ["tg4mm.measure", "import tg4mm.show.measure.sensors, tg4mm.show.render.cameras"]
 )
-def test_a_package_can_be_called_however_it_was_imported(first: str) -> None:
+def test_a_name_is_the_same_however_it_was_imported(first: str) -> None:
+    """No package hides a function of its name."""
     code = (
         f"import tg4mm\n{first}\nimport inspect\n"
-        "assert callable(tg4mm.measure) and callable(tg4mm.render)\n"
-        "assert 'sensors' in inspect.signature(tg4mm.measure).parameters\n"
-        "import tg4mm.show.render.cameras as cameras\nassert tg4mm.show.render.Camera is cameras.Camera\n"
-        "assert tg4mm.show.measure.Sensor is tg4mm.Sensor\n"
-        "from tg4mm.show import measure\nmeasure()"
+        "assert inspect.isfunction(tg4mm.measure) and inspect.isfunction(tg4mm.render)\n"
+        "assert tg4mm.show.measure.Sensor is tg4mm.Sensor and tg4mm.show.render.Camera is tg4mm.Camera\n"
+        "tg4mm.measure()"
     )
     assert "measure() missing 1 required positional argument: 'run'" in python(code).stderr
 

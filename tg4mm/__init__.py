@@ -6,7 +6,7 @@
     moved = tg4mm.animate(fit, t=8, magnification=50)
     picture = tg4mm.render(moved, tg4mm.capture_cameras(capture)[0])          # [H, W, 3] float32 in 0..1
     scene = tg4mm.prepare_fit(capture, fit)
-    waveform = tg4mm.measure(scene).sensors[0]
+    waveform = tg4mm.measure(scene, [tg4mm.parse_sensor("tip=sphere:0,0,1.2,0.1")])["tip"]
     waveform.times_s, waveform.displacement, waveform.deviation               # [T], [T, 3], [T, 3]
 
 `__all__` lists the public names; docs/python.md describes them. A name is imported when it is first asked for, so that
@@ -48,6 +48,7 @@ if TYPE_CHECKING:  # `as` re-exports a name to type checkers
     from tg4mm.show.measure import Sensor as Sensor
     from tg4mm.show.measure import SensorResult as SensorResult
     from tg4mm.show.measure import measure as measure
+    from tg4mm.show.measure import parse_sensor as parse_sensor
     from tg4mm.show.measure import prepare as prepare
     from tg4mm.show.measure import prepare_fit as prepare_fit
     from tg4mm.show.render import Camera as Camera
@@ -61,8 +62,7 @@ __version__ = "0.1.0"
 # torch or numba load it, so it is set before either; a value of the user's own stays.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
-# The public names and the modules they lie in, the same as above. `measure` and `render` are packages as well: those
-# can be called as their functions of the same name (`lazy.callable_package`).
+# The public names and the modules they lie in, the same as above.
 _PUBLIC = {
     "BandGain": "core.magnification",
     "Camera": "show.render",
@@ -92,6 +92,7 @@ _PUBLIC = {
     "load_images": "capture",
     "measure": "show.measure",
     "orbit": "show.render",
+    "parse_sensor": "show.measure",
     "prepare": "show.measure",
     "prepare_fit": "show.measure",
     "rasterization": "fit.rasterize",

@@ -9,7 +9,6 @@
 docs/measure.md has the equations.
 """
 
-from tg4mm.core.lazy import callable_package
 from tg4mm.show.measure.clusters import Clusters
 from tg4mm.show.measure.errors import MeasureError
 from tg4mm.show.measure.measurement import Measurement, default_sensors, measure, measure_one
@@ -40,5 +39,3 @@ __all__ = [
     "prepare_fit",
     "read_sensors",
 ]
-
-callable_package(__name__)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from tg4mm.capture import Capture, ImageStack, load_capture
-from tg4mm.capture.pictures import FilePictures
+from tg4mm.capture.pictures import FilePictures, pictures_for
 from tg4mm.core.progress import progress
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.checkpoints import no_checkpoint
@@ -22,7 +22,6 @@ from tg4mm.fit.motion.nuisance.projection import COLUMNS, nuisances_of
 from tg4mm.fit.motion.observations import Observations, PosedFrames, observe
 from tg4mm.run import Run
 from tg4mm.run.checks import check_times
-from tg4mm.run.train import pictures_for
 from tg4mm.show.measure.errors import MeasureError
 from tg4mm.show.measure.kept import Kept, KeptPass, Wanted
 from tg4mm.show.measure.modal_fields import ModalFields, clock_phases

@@ -75,9 +75,16 @@ class Sensor:
 
 
 def parse_sensor(text: str) -> Sensor:
-    """`[NAME=]REGION` as a sensor, REGION one of `all`, `box:…`, `sphere:…`, `pixel:…`, `cluster:…` (`Sensor`).
+    """A sensor from its text, as `tg4mm measure --sensor` takes it.
 
-    Without a name it is called after its region. Raises MeasureError with the text and what was expected.
+    Args:
+        text: `[NAME=]REGION`, REGION one of `all`, `box:…`, `sphere:…`, `pixel:…`, `cluster:…` (`Sensor`).
+
+    Returns:
+        The sensor; without a name it is called after its region.
+
+    Raises:
+        MeasureError: the text is none, with what was expected.
     """
     name, equals, rest = text.partition("=")
     if not equals:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from tg4mm.core.lazy import callable_package, lazily
+from tg4mm.core.lazy import lazily
 
 if TYPE_CHECKING:
     from tg4mm.show.render.cameras import Camera, cameras_from_file, capture_cameras, look_at_point, orbit
@@ -44,5 +44,3 @@ __getattr__ = lazily(
         "render_sequence": "sequence",
     },
 )
-
-callable_package(__name__)
