@@ -22,7 +22,8 @@ from tg4mm.core.errors import CaptureError, RunError, Tg4mmError
 from tg4mm.fit.motion import MotionConfig
 from tg4mm.fit.space import SpaceConfig
 from tg4mm.run import UNCERTAINTY, Run
-from tg4mm.run.train import PRESETS, check_device, parse_settings, train
+from tg4mm.run.preset import presets
+from tg4mm.run.train import check_device, parse_settings, train
 
 SETTINGS = {
     "space.iterations": "20", "space.max_gaussians": "300", "motion.components": "2", "motion.iterations": "3",
@@ -77,7 +78,7 @@ class TestSettings:
     def test_all_are_listed_with_default_unit_and_meaning(self, capsys) -> None:
         assert main(["train", "--list-settings"]) == 0
         lines = capsys.readouterr().out.splitlines()
-        for preset, defaults in PRESETS.items():
+        for preset, defaults in ((p, c.defaults) for p, c in presets().items()):
             start = lines.index(f"--preset {preset}") + 1
             names = [f"{stage}.{key}" for stage, config in defaults.items() for key in vars(config)]
             rows = lines[start : start + len(names)]
@@ -272,7 +273,7 @@ def test_pictures_that_stay_on_disk_give_the_same_bits(
     data: Path, trained: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As those of long captures do, which memory would not hold."""
-    monkeypatch.setattr("tg4mm.run.train.IN_MEMORY", 0)
+    monkeypatch.setattr("tg4mm.capture.pictures.IN_MEMORY", 0)
     monkeypatch.setattr("tg4mm.run.train.load_images", lambda _: pytest.fail("all pictures were loaded"))
     same_results(trained, train(data, tmp_path / "run", settings=SETTINGS))
 

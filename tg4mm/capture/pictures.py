@@ -14,11 +14,13 @@ from typing import Protocol
 
 import numpy as np
 
-from tg4mm.capture import Capture, ImageStack
+from tg4mm.capture import Capture, ImageStack, load_images
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.pictures.decode import THREADS, decode, image_header
 from tg4mm.core.room import release, room
 
+# Bytes of pictures at 8 bits: more stay on disk. 300 timesteps of 512² in 30 views are 9 GiB
+IN_MEMORY = 2 << 30
 Strips = Callable[[slice], np.ndarray]  # rows of the picture → [S, rows, W, 4], as stored
 
 
@@ -131,3 +133,9 @@ def over_white(raw: np.ndarray, maximum: int) -> np.ndarray:
         out *= coverage
         out += np.subtract(1, coverage, out=coverage)
     return out
+
+
+def pictures_for(capture: Capture) -> ImageStack | FilePictures:
+    """All pictures in memory, each decoded once; of long captures they stay on disk."""
+    fit = len(capture) * capture.height * capture.width * 4 <= IN_MEMORY
+    return load_images(capture) if fit else FilePictures(capture)

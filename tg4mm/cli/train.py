@@ -25,11 +25,11 @@ def _list_settings(wanted: bool) -> None:
     if not wanted:
         return
     from tg4mm.core.settings import listed
-    from tg4mm.run.train import PRESETS
+    from tg4mm.run.preset import presets
 
-    for preset, defaults in PRESETS.items():
+    for preset, chosen in presets().items():
         typer.echo(f"--preset {preset}")
-        typer.echo("\n".join(f"  {line}" for line in listed(defaults)))
+        typer.echo("\n".join(f"  {line}" for line in listed(chosen.defaults)))
     raise typer.Exit
 
 

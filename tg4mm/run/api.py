@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from tg4mm.capture import Capture, ImageStack
-from tg4mm.capture.pictures import FilePictures
+from tg4mm.capture.pictures import FilePictures, pictures_for
 from tg4mm.core.errors import RunError
 from tg4mm.core.magnification import Magnification
 from tg4mm.fit.device import check_device
@@ -17,7 +17,6 @@ from tg4mm.fit.space.config import SpaceConfig
 from tg4mm.fit.space.plane import fit_plane
 from tg4mm.fit.space.targets import rest_views
 from tg4mm.fit.space.train import fit_space as fit_views
-from tg4mm.run.train import pictures_for
 
 Images = ImageStack | FilePictures
 

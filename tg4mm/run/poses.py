@@ -2,27 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-
 from tg4mm.core.errors import RunError, Tg4mmError
 from tg4mm.core.magnification import METHODS, Magnification
-from tg4mm.fit.gaussians import Gaussians
-from tg4mm.fit.magnify.linear import magnified_motion
 from tg4mm.fit.motion.animate import animator
 from tg4mm.run import Run
+from tg4mm.run.preset import Poses, preset_of
 
-DEFAULT_METHOD = {"modal": "modal", "paper": "phase", "paper-tuned": "linear"}
 STILL_FPS = 30.0  # pictures a second of a scene that has no time of its own
-
-
-@dataclass(frozen=True)
-class Poses:
-    """`at(t)`: the Gaussians at timestep t, which may be fractional."""
-
-    at: Callable[[float], Gaussians]
-    n_timesteps: int
-    fps: float  # Hz
 
 
 def method_of(run: Run, plan: Magnification) -> str:
@@ -30,13 +16,14 @@ def method_of(run: Run, plan: Magnification) -> str:
 
     Raises Tg4mmError for one that the run's preset cannot do, and for a filter where the method has none.
     """
-    method = plan.method or DEFAULT_METHOD.get(run.preset, "modal")
+    methods = preset_of(run).methods
+    method = plan.method or methods[0]
     if method not in METHODS:
         raise Tg4mmError(f"method is {method!r}, expected {', '.join(METHODS)}")
-    if method == "phase" and DEFAULT_METHOD.get(run.preset, "modal") == "modal":
+    if method not in methods:
         raise Tg4mmError(
-            f"--method phase: {run.path} was trained with the preset {run.preset}, which has no feature planes; "
-            "there are modal and linear"
+            f"--method {method}: {run.path} was trained with the preset {run.preset}, which has no feature planes; "
+            f"there are {' and '.join(methods)}"
         )
     if method == "modal" and plan.filter is not None:
         raise Tg4mmError(
@@ -65,13 +52,7 @@ def poses_of(run: Run, plan: Magnification, device: str = "cpu") -> Poses:
             f"{run.path} found no motion: there is nothing to magnify, only --alpha 0 can be rendered"
         )
     plan.checked(motion.fps)
-    if method == "modal" or (method == "linear" and DEFAULT_METHOD.get(run.preset) == "modal"):
-        if method == "linear":
-            at = animator(run.load_space().to(device), magnified_motion(motion, plan))
-            return Poses(at, motion.n_timesteps, motion.fps)
+    if method == "modal":
         at, alphas = animator(run.load_space().to(device), motion), plan.ideal(motion.freqs_hz)
         return Poses(lambda t: at(t, alphas), motion.n_timesteps, motion.fps)
-    from tg4mm.research.paper.embeddings import series_of
-
-    series = series_of(run, method, plan, device)
-    return Poses(series.at, series.n_timesteps, series.fps)
+    return preset_of(run).poses(run, method, plan, device)

@@ -8,36 +8,17 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from tg4mm.capture import Capture, ImageStack, load_capture, load_images, nerf_synthetic
+from tg4mm.capture import Capture, load_capture, nerf_synthetic
 from tg4mm.capture.part_of import train_command, whole_dataset
-from tg4mm.capture.pictures import FilePictures
 from tg4mm.capture.readers import READERS
 from tg4mm.core.errors import CaptureError, Tg4mmError
 from tg4mm.core.settings import unknown
 from tg4mm.fit.device import check_device
-from tg4mm.fit.motion.config import MotionConfig
-from tg4mm.fit.motion.config import checked as checked_motion
 from tg4mm.fit.motion.observations import check_shows_motion
-from tg4mm.fit.space import SpaceConfig, rest_views
-from tg4mm.fit.space.config import checked as checked_space
-from tg4mm.research.paper import PAPER, PAPER_TUNED, first_views, train_timesteps, train_triplane
-from tg4mm.research.paper.config import base_config
-from tg4mm.research.paper.config import checked as checked_paper
-from tg4mm.research.paper.model import has_model, load_model
 from tg4mm.run import Run
 from tg4mm.run.lock import claimed
-from tg4mm.run.stages.motion import train_motion
-from tg4mm.run.stages.space import train_plane, train_space
+from tg4mm.run.preset import preset_named
 
-# Every preset's settings, by stage, at their defaults. In `paper`, `space` is the fit of the base Gaussians, by L1.
-_BASE = SpaceConfig(l2=0.0)
-# Bytes of pictures at 8 bits: more stay on disk. 300 timesteps of 512² in 30 views are 9 GiB
-IN_MEMORY = 2 << 30
-PRESETS: dict[str, dict[str, Any]] = {
-    "modal": {"space": SpaceConfig(), "motion": MotionConfig()},
-    "paper": {"space": _BASE, "paper": PAPER},
-    "paper-tuned": {"space": _BASE, "paper": PAPER_TUNED},
-}
 _LOG = logging.getLogger("tg4mm")
 _BOOLEANS = {"true": True, "false": False}
 
@@ -47,7 +28,7 @@ def parse_settings(pairs: Mapping[str, str], preset: str = "modal") -> dict[str,
 
     Raises Tg4mmError for a name that is none, with those that may be meant, and for a value of the wrong type.
     """
-    defaults = PRESETS[preset]
+    defaults = preset_named(preset).defaults
     chosen: dict[str, dict[str, Any]] = {stage: {} for stage in defaults}
     for name, text in pairs.items():
         stage, _, key = name.partition(".")
@@ -79,12 +60,11 @@ def train(
     timestep ends after the space stage. settings: `{"space.iterations": "3000", …}`.
     Raises Tg4mmError (CaptureError, RunError) on bad input; RunError too while another process trains the run.
     """
-    if preset not in PRESETS:
-        raise Tg4mmError(f"preset is {preset!r}, expected {' or '.join(PRESETS)}")
+    chosen = preset_named(preset)
     check_device(device)
     configs = parse_settings(settings or {}, preset)
     # before the run folder exists, which would keep the bad value, and before minutes of the space stage
-    _check(configs)
+    chosen.check(configs)
     capture = _capture(Path(dataset))
     if capture.n_timesteps > 1 and "motion" in configs:
         check_shows_motion(capture)
@@ -112,56 +92,16 @@ def _capture(dataset: Path) -> Capture:
 
 def _train(run_path: Path, capture: Capture, preset: str, configs: dict[str, Any], device: str) -> Run:
     """What is left of the stages."""
-    needs_motion = capture.n_timesteps > 1
     plain = {stage: dataclasses.asdict(config) for stage, config in configs.items()}
     is_new = not (run_path / "config.json").exists()
     run = Run.create(run_path, capture.root, preset, plain)
-    if run.has_space and (run.has_motion or not needs_motion) and ("paper" not in configs or has_model(run)):
+    chosen = preset_named(preset)
+    if run.has_space and (run.has_motion or capture.n_timesteps == 1) and chosen.is_complete(run):
         return run
     try:
-        if "paper" in configs:
-            _train_paper(run, capture, load_images(capture), configs, device)
-            return run
-        images = pictures_for(capture)
-        if not run.has_space and capture.kind == "flat":
-            train_plane(run, rest_views(capture, images), configs["space"], device)
-        elif not run.has_space:
-            train_space(run, rest_views(capture, images), capture.points, configs["space"], device)
+        chosen.fit(run, capture, configs, device)
     except Tg4mmError:
         if is_new and not run.has_space:
             run.discard()  # settings that do not fit these data must not stay with the folder
         raise
-    if needs_motion:
-        train_motion(run, capture, images, configs["motion"], device)
     return run
-
-
-def pictures_for(capture: Capture) -> ImageStack | FilePictures:
-    """All pictures in memory, each decoded once; of long captures they stay on disk."""
-    fit = len(capture) * capture.height * capture.width * 4 <= IN_MEMORY
-    return load_images(capture) if fit else FilePictures(capture)
-
-
-def _check(configs: Mapping[str, Any]) -> None:
-    checked_space(configs["space"])
-    if "motion" in configs:
-        checked_motion(configs["motion"])
-    if "paper" in configs:
-        base_config(configs["space"], checked_paper(configs["paper"]))
-
-
-def _train_paper(
-    run: Run, capture: Capture, images: ImageStack, configs: Mapping[str, Any], device: str
-) -> None:
-    """Base Gaussians, space triplane, motion triplanes. space.safetensors is the scene at rest at every stage."""
-    config = configs["paper"]
-    if not has_model(run):
-        views = first_views(capture, images)
-        if not run.has_space:
-            train_space(run, views, capture.points, base_config(configs["space"], config), device)
-        train_triplane(run, run.load_space(), views, config, device)
-    model = load_model(run)
-    if not run.has_motion:
-        run.save_space(model.rest(), {})  # in place of the base Gaussians; the same again after a kill
-    if capture.n_timesteps > 1:
-        train_timesteps(run, model, capture, images, config, device)

@@ -6,11 +6,8 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 
 from tg4mm.core.errors import Tg4mmError
-from tg4mm.fit.motion.config import checked as checked_motion
-from tg4mm.fit.space.config import checked as checked_space
-from tg4mm.research.paper.config import base_config
-from tg4mm.research.paper.config import checked as checked_paper
-from tg4mm.run.train import PRESETS, parse_settings
+from tg4mm.run.preset import preset_named
+from tg4mm.run.train import parse_settings
 
 # With a `paper` preset the base Gaussians' iterations are paper.warm_up, so this one is for modal alone.
 _OF_MODAL = {"space.iterations"}
@@ -34,15 +31,10 @@ def settings_by_preset(given: Mapping[str, str], presets: Sequence[str]) -> dict
 
 def setting_names(preset: str) -> set[str]:
     """What `--set` can name with this preset."""
-    names = {f"{s}.{f.name}" for s, c in PRESETS[preset].items() for f in dataclasses.fields(c)}
+    names = {f"{s}.{f.name}" for s, c in preset_named(preset).defaults.items() for f in dataclasses.fields(c)}
     return names if preset == "modal" else names - _OF_MODAL
 
 
 def check_settings(settings: Mapping[str, str], preset: str) -> None:
     """Raise Tg4mmError for a setting that `tg4mm train` would refuse, before anything is written."""
-    configs = parse_settings(settings, preset)
-    checked_space(configs["space"])
-    if "motion" in configs:
-        checked_motion(configs["motion"])
-    if "paper" in configs:
-        base_config(configs["space"], checked_paper(configs["paper"]))
+    preset_named(preset).check(parse_settings(settings, preset))

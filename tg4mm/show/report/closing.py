@@ -13,6 +13,7 @@ from typing import Any
 from tg4mm.core.files import to_json
 from tg4mm.core.pages.page import Commands, Section, Table, Text
 from tg4mm.core.pages.svg import number
+from tg4mm.run.preset import preset_of
 from tg4mm.show.measure import Sensor
 from tg4mm.show.report.summary import Material, clock
 
@@ -140,15 +141,13 @@ def _renderings(m: Material, band: Sequence[str]) -> list[tuple[str, list[str]]]
 
 
 def _train(m: Material) -> list[str]:
-    from tg4mm.run.train import PRESETS
-
     words = ["train", str(m.run.dataset)]
     if m.run.preset != "modal":
         words += ["--preset", m.run.preset]
-    defaults = {stage: asdict(config) for stage, config in PRESETS.get(m.run.preset, {}).items()}
+    defaults = {stage: asdict(config) for stage, config in preset_of(m.run).defaults.items()}
     for name, value in _flat(m.run.settings):
         stage, _, key = name.partition(".")
-        if defaults and to_json({key: defaults.get(stage, {}).get(key, value)}, "default") != {key: value}:
+        if to_json({key: defaults.get(stage, {}).get(key, value)}, "default") != {key: value}:
             words += ["--set", f"{name}={str(value).lower() if isinstance(value, bool) else value}"]
     return words
 

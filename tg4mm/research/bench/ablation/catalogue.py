@@ -9,7 +9,7 @@ from typing import Any
 from tg4mm.research.bench.ablation.rendered_sets import KINDS
 from tg4mm.research.bench.errors import BenchError
 from tg4mm.research.bench.measure import Scoring
-from tg4mm.run.train import PRESETS
+from tg4mm.run.preset import preset_named
 
 _NOISE = 5.0  # of 255: a sensor's, where the ablation is of something else
 
@@ -273,7 +273,7 @@ def _complete(row: Row, preset: str, given: Mapping[str, str]) -> Row:
     settings, label = {**given, **row.settings}, row.label
     for name, factor in row.scalings.items():
         stage, _, key = name.partition(".")
-        default: Any = getattr(PRESETS[preset][stage], key)
+        default: Any = getattr(preset_named(preset).defaults[stage], key)
         base = type(default)(given.get(name, default))
         if not base:
             raise BenchError(

@@ -1,0 +1,125 @@
+"""Presets of training: what `--preset` names, each found by the entry point `tg4mm.methods`.
+
+`modal` (docs/method.md) stands here. A package adds a preset by an entry point of its own that gives a `Preset`:
+
+    [project.entry-points."tg4mm.methods"]
+    mine = "my_package:MINE"
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import entry_points
+from typing import Any
+
+from tg4mm.capture import Capture
+from tg4mm.capture.pictures import pictures_for
+from tg4mm.core.errors import RunError, Tg4mmError
+from tg4mm.core.magnification import Magnification
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.magnify.linear import magnified_motion
+from tg4mm.fit.motion.animate import animator
+from tg4mm.fit.motion.config import MotionConfig
+from tg4mm.fit.motion.config import checked as checked_motion
+from tg4mm.fit.space import SpaceConfig, rest_views
+from tg4mm.fit.space.config import checked as checked_space
+from tg4mm.run import Run
+from tg4mm.run.stages.motion import train_motion
+from tg4mm.run.stages.space import train_plane, train_space
+
+GROUP = "tg4mm.methods"
+
+
+@dataclass(frozen=True)
+class Poses:
+    """`at(t)`: the Gaussians at timestep t, which may be fractional."""
+
+    at: Callable[[float], Gaussians]
+    n_timesteps: int
+    fps: float  # Hz
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A way to train, and how its runs are magnified.
+
+    check: raises Tg4mmError for settings out of range, before anything is written.
+    is_complete: whether all that the preset keeps beside the Gaussians and their motion is there.
+    fit: what is left of the stages; called again after a kill. Raises Tg4mmError.
+    poses: a run with motion, magnified by one of `methods` other than `modal`, on a device. `modal`, the decoded motion
+        with its modes multiplied, is the same for every preset.
+    """
+
+    defaults: Mapping[str, Any]  # settings at their defaults, a frozen dataclass for each stage
+    methods: tuple[str, ...]  # of magnification that its runs can do, the default first
+    check: Callable[[Mapping[str, Any]], None]
+    is_complete: Callable[[Run], bool]
+    fit: Callable[[Run, Capture, Mapping[str, Any], str], None]
+    poses: Callable[[Run, str, Magnification, str], Poses]
+
+
+@cache
+def presets() -> dict[str, Preset]:
+    """Every preset by its name, `modal` first. Raises Tg4mmError for an entry point that cannot be loaded."""
+    found = {"modal": MODAL}
+    for entry in sorted(entry_points(group=GROUP), key=lambda e: e.name):
+        try:
+            preset = entry.load()
+        except (ImportError, AttributeError) as error:
+            raise Tg4mmError(f"preset {entry.name}: {entry.value} cannot be loaded: {error}") from None
+        if not isinstance(preset, Preset):
+            raise Tg4mmError(f"preset {entry.name}: {entry.value} is a {type(preset).__name__}, not a Preset")
+        found.setdefault(entry.name, preset)
+    return found
+
+
+def preset_named(name: str) -> Preset:
+    """Raises Tg4mmError for a name that is none."""
+    if name not in presets():
+        raise Tg4mmError(f"preset is {name!r}, expected {' or '.join(presets())}")
+    return presets()[name]
+
+
+def preset_of(run: Run) -> Preset:
+    """The preset that a run was trained with. Raises RunError where it is not installed."""
+    if run.preset not in presets():
+        raise RunError(
+            f"{run.path} was trained with the preset {run.preset!r}, which is not installed: there are "
+            f"{', '.join(presets())}"
+        )
+    return presets()[run.preset]
+
+
+def _check(configs: Mapping[str, Any]) -> None:
+    checked_space(configs["space"])
+    checked_motion(configs["motion"])
+
+
+def _fit(run: Run, capture: Capture, configs: Mapping[str, Any], device: str) -> None:
+    images = pictures_for(capture)
+    if not run.has_space and capture.kind == "flat":
+        train_plane(run, rest_views(capture, images), configs["space"], device)
+    elif not run.has_space:
+        train_space(run, rest_views(capture, images), capture.points, configs["space"], device)
+    if capture.n_timesteps > 1:
+        train_motion(run, capture, images, configs["motion"], device)
+
+
+def _poses(run: Run, method: str, plan: Magnification, device: str) -> Poses:
+    """`linear`: every Gaussian's displacement over time, filtered as the plan says."""
+    motion = run.load_motion()
+    assert motion is not None  # a run without motion is not magnified
+    at = animator(run.load_space().to(device), magnified_motion(motion, plan))
+    return Poses(at, motion.n_timesteps, motion.fps)
+
+
+MODAL = Preset(
+    defaults={"space": SpaceConfig(), "motion": MotionConfig()},
+    methods=("modal", "linear"),
+    check=_check,
+    is_complete=lambda run: True,
+    fit=_fit,
+    poses=_poses,
+)
