@@ -202,8 +202,8 @@ class TestStages:
         def never(*args: object, **kwargs: object) -> None:
             raise AssertionError("a finished stage was run again")
 
-        for name in ("train_space", "train_motion", "load_images"):
-            monkeypatch.setattr(f"tg4mm.run.train.{name}", never)
+        for name in ("train_space", "train_motion", "pictures_for"):
+            monkeypatch.setattr(f"tg4mm.run.preset.{name}", never)
         before = {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in trained.path.iterdir()}
         assert train(data, trained.path, settings=SETTINGS).path == trained.path
         assert {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in trained.path.iterdir()} == before
@@ -218,12 +218,12 @@ class TestStages:
             raise Stopped
 
         with monkeypatch.context() as patch:
-            patch.setattr("tg4mm.run.train.train_motion", stop)
+            patch.setattr("tg4mm.run.preset.train_motion", stop)
             with pytest.raises(Stopped):
                 train(data, tmp_path / "run", settings=SETTINGS)
         written = (tmp_path / "run" / "space.safetensors").stat().st_mtime_ns
         with monkeypatch.context() as patch:
-            patch.setattr("tg4mm.run.train.train_space", stop)
+            patch.setattr("tg4mm.run.preset.train_space", stop)
             run = train(data, tmp_path / "run", settings=SETTINGS)
         assert (run.path / "space.safetensors").stat().st_mtime_ns == written
         same_results(run, trained)
@@ -274,7 +274,7 @@ def test_pictures_that_stay_on_disk_give_the_same_bits(
 ) -> None:
     """As those of long captures do, which memory would not hold."""
     monkeypatch.setattr("tg4mm.capture.pictures.IN_MEMORY", 0)
-    monkeypatch.setattr("tg4mm.run.train.load_images", lambda _: pytest.fail("all pictures were loaded"))
+    monkeypatch.setattr("tg4mm.capture.pictures.load_images", lambda _: pytest.fail("all pictures were loaded"))
     same_results(trained, train(data, tmp_path / "run", settings=SETTINGS))
 
 

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-import tg4mm.run.train
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.core.memory import peak_memory_mib, reset_peak_memory
+from tg4mm.research.paper import preset as paper
+from tg4mm.run import preset as modal
 from tg4mm.run.train import train
 
 SMALL = {"space.max_gaussians": "400", "space.init_points": "300"}
@@ -44,7 +45,8 @@ def test_a_stage_has_a_peak_of_its_own(
 ) -> None:
     if not reset_peak_memory():
         pytest.skip("the system cannot start a peak anew")
-    before, real = [], getattr(tg4mm.run.train, step)
+    fits = paper if preset == "paper-tuned" else modal
+    before, real = [], getattr(fits, step)
 
     def after_a_peak(*arguments: Any) -> Any:
         held = np.ones(PASSING * MIB, np.uint8)
@@ -52,6 +54,6 @@ def test_a_stage_has_a_peak_of_its_own(
         del held
         return real(*arguments)
 
-    monkeypatch.setattr(tg4mm.run.train, step, after_a_peak)
+    monkeypatch.setattr(fits, step, after_a_peak)
     run = train(data, tmp_path / "run", preset, settings=MODAL if preset == "modal" else PAPER)
     assert run.log()[stage]["peak_memory_mib"] < before[0] - PASSING / 2
