@@ -1,0 +1,185 @@
+"""Lines against records whose truth is known: all within their deviations, none invented."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from tg4mm.core.lines import Line, find_lines, fit_lines
+
+FPS = 30.0
+
+
+def ring(t: np.ndarray, hz: float, ratio: float, begin: float = 0.0) -> np.ndarray:
+    """Free decay of unit size that begins at `begin`; hz: of the oscillation, damped."""
+    decay = 2 * np.pi * hz * ratio / np.sqrt(1 - ratio**2)
+    own = np.exp(-decay * (t - begin)) * np.sin(2 * np.pi * hz * (t - begin))
+    return np.where(t >= begin, own, 0.0)
+
+
+def noise(rng: np.random.Generator, n: int, width: int, colour: str) -> np.ndarray:
+    """[n, width] of unit rms: white; red, by an autoregression of .8."""
+    white = rng.normal(size=(n + 200, width))
+    own = white if colour == "white" else lfilter([1], [1, -0.8], white, axis=0)
+    return own[200:] / (1 if colour == "white" else 1 / 0.6)
+
+
+def one(values: np.ndarray, t: np.ndarray) -> Line:
+    (line,) = find_lines(values, t).lines
+    return line
+
+
+def test_a_tone_half_way_between_bins_has_its_frequency_amplitude_and_phase() -> None:
+    t = np.arange(254) / 60
+    rng = np.random.default_rng(1)
+    line = one(0.6 * np.cos(2 * np.pi * 28.004 * t + 0.4) + 0.05 * rng.normal(size=254), t)
+    assert line.hz == pytest.approx(28.004, abs=0.002)
+    assert line.amplitude == pytest.approx([0.6], rel=0.05)
+    assert np.angle(line.middle_phasor * np.exp(-2j * np.pi * 28.004 * line.middle_s)) == pytest.approx(
+        [0.4], abs=0.05
+    )
+    assert line.damping is None
+
+
+def test_what_rings_down_is_one_line() -> None:
+    t = np.arange(300) / 60
+    values = 0.22 * ring(t, 9.1, 0.02) + 0.004 * np.random.default_rng(0).normal(size=300)
+    line = one(values, t)
+    assert line.change == "decays"
+    assert abs(line.hz - 9.1) < 3 * line.hz_deviation < 0.01
+    assert line.damping is not None
+    assert line.damping_deviation is not None
+    assert abs(line.damping - 0.02) < 3 * line.damping_deviation < 0.002
+    assert np.abs(line.at(t)[:, 0] - 0.22 * ring(t, 9.1, 0.02)).max() < 0.004
+
+
+def test_three_modes_of_a_blow_in_the_record_begin_with_it() -> None:
+    t = np.arange(480) / 120
+    modes = ((7.9, 0.012, 0.4), (27.0, 0.009, 0.18), (53.0, 0.007, 0.06))
+    clean = sum(a * ring(t, f, z, 0.4) for f, z, a in modes)
+    values = clean + 0.006 * np.random.default_rng(0).normal(size=480)
+    lines = find_lines(values, t).lines
+    assert [line.change for line in lines] == ["begins"] * 3
+    for line, (hz, ratio, _) in zip(lines, modes, strict=True):
+        assert abs(line.hz - hz) < 3 * line.hz_deviation
+        assert line.damping is not None
+        assert line.damping_deviation is not None
+        assert abs(line.damping - ratio) < 3 * line.damping_deviation
+        assert line.start_s == pytest.approx(0.4, abs=0.02)
+
+
+def test_two_lines_two_and_a_half_bins_apart_are_two_and_half_a_bin_apart_are_not_called_so_unless_told() -> (
+    None
+):
+    rng, t = np.random.default_rng(0), np.arange(360) / FPS
+    first = 0.1 * np.cos(2 * np.pi * 8.4 * t + 0.2)
+    values = first + 0.01 * np.cos(2 * np.pi * 8.62 * t + 1.2) + 0.004 * rng.normal(size=360)
+    assert sorted(line.hz for line in find_lines(values, t).lines) == pytest.approx([8.4, 8.62], abs=0.01)
+    near = first + 0.01 * np.cos(2 * np.pi * 8.43 * t + 1.2) + 0.02 * rng.normal(size=360)
+    assert len(find_lines(near, t).lines) == 1
+
+
+def test_a_strength_that_changes_is_no_second_line() -> None:
+    """Amplitude modulation by a slow random envelope has sidebands on both sides."""
+    rng, t = np.random.default_rng(2), np.arange(360) / FPS
+    slow = np.interp(t, np.linspace(0, 12, 7), 1 + 0.1 * rng.normal(size=7))
+    values = slow * np.cos(2 * np.pi * 5.3 * t) + 0.002 * rng.normal(size=360)
+    lines = find_lines(values, t).lines
+    assert [round(line.hz, 1) for line in lines] == [5.3]
+    assert abs(lines[0].hz - 5.3) < 3 * lines[0].hz_deviation
+
+
+@pytest.mark.parametrize("decay", [0.0, -1.0])
+def test_what_stays_or_grows_has_no_damping_and_says_which(decay: float) -> None:
+    t = np.arange(120) / FPS
+    values = np.exp(-decay * t) * np.cos(2 * np.pi * 5.2 * t) + 0.02 * np.random.default_rng(3).normal(
+        size=120
+    )
+    line = one(values, t)
+    assert line.damping is None
+    assert line.change == ("steady" if decay == 0 else "grows")
+
+
+def test_a_faint_tone_is_not_called_steady() -> None:
+    t = np.arange(240) / FPS
+    rng = np.random.default_rng(5)
+    assert one(0.7 * np.cos(2 * np.pi * 5.2 * t) + rng.normal(size=240), t).change == "untold"
+
+
+def test_components_share_the_frequency_and_keep_their_own_phasors_in_correlated_noise() -> None:
+    rng, t = np.random.default_rng(4), np.arange(300) / FPS
+    phasors = np.array([1.0, 0.5j, 0.02])
+    own = rng.normal(size=(300, 3)) @ np.array([[0.3, 0.25, 0], [0, 0.1, 0], [0, 0, 3.0]])
+    line = one((np.exp(2j * np.pi * 4.321 * t)[:, None] * phasors).real + own, t)
+    assert abs(line.hz - 4.321) < 3 * line.hz_deviation
+    assert (np.abs(line.amplitude - np.abs(phasors)) < 3.5 * line.amplitude_deviation).all()
+    assert line.amplitude_deviation[2] > 5 * line.amplitude_deviation[1]
+
+
+def test_frequencies_lie_between_the_ends_and_known_ones_are_refined() -> None:
+    t = np.arange(200) / FPS
+    rng = np.random.default_rng(6)
+    values = np.cos(2 * np.pi * 14.98 * t) + np.cos(2 * np.pi * 6.1 * t) + 0.1 * rng.normal(size=200)
+    assert all(0 < line.hz < FPS / 2 for line in find_lines(values, t).lines)
+    found = fit_lines(values, t, [6.05, 9.0])
+    assert found.lines[0].hz == pytest.approx(6.1, abs=0.005)
+    assert found.lines[1].strength < 25 < found.lines[0].strength
+    with pytest.raises(ValueError, match="8 samples are too few for 1 lines"):
+        fit_lines(values[:8], t[:8], [6.0])
+
+
+def test_missing_and_jittered_frames_do_no_harm() -> None:
+    rng = np.random.default_rng(7)
+    t = np.delete(np.arange(300) / FPS + rng.normal(0, 0.0015, 300), rng.permutation(290)[:20])
+    line = one(np.cos(2 * np.pi * 11.3 * t) + 0.1 * rng.normal(size=len(t)), t)
+    assert abs(line.hz - 11.3) < 3 * line.hz_deviation < 0.01
+
+
+@pytest.mark.parametrize("n", [3, 11])
+def test_of_too_few_samples_there_is_no_line(n: int) -> None:
+    found = find_lines(np.cos(np.arange(n)), np.arange(n) / FPS)
+    assert found.lines == ()
+    assert found.residual.shape == (n, 1)
+
+
+def test_a_constant_has_no_line() -> None:
+    assert find_lines(np.full((40, 2), 3.0), np.arange(40) / FPS).lines == ()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("colour", ["white", "red"])
+def test_deviations_hold_what_they_say(colour: str) -> None:
+    """Monte Carlo over random tones, half of them decaying: 1 and 2 deviations hold what they should."""
+    rng = np.random.default_rng(11)
+    off: dict[str, list[float]] = {"hz": [], "amplitude": [], "decay": []}
+    for _ in range(150):
+        n, width, hz = int(rng.integers(120, 400)), int(rng.integers(1, 3)), rng.uniform(2, 13)
+        t = np.arange(n) / FPS
+        decay = rng.uniform(1, 6) / t[-1] if rng.random() < 0.5 else 0.0
+        phasor = 4 * (rng.normal(size=width) + 1j * rng.normal(size=width))
+        values = (np.exp((2j * np.pi * hz - decay) * t)[:, None] * phasor).real + noise(rng, n, width, colour)
+        near = [line for line in find_lines(values, t).lines if abs(line.hz - hz) < 1 / t[-1]]
+        if not near or np.abs(phasor).max() < 3:
+            continue
+        line = near[0]
+        off["hz"].append((line.hz - hz) / line.hz_deviation)
+        at_first = np.abs(phasor) * line.envelope(t[:1]) if line.decay_per_s < 0 else np.abs(phasor)
+        told = np.abs(phasor) > 4 * line.amplitude_deviation
+        off["amplitude"] += list(((line.amplitude - at_first) / line.amplitude_deviation)[told])
+        if line.decay_per_s > 0:
+            off["decay"].append((line.decay_per_s - decay) / np.sqrt(line.covariance[1, 1]))
+    for kind, errors in off.items():
+        z = np.abs(errors)
+        chance = 3 * np.sqrt(0.25 / len(z))
+        assert 0.63 - chance < (z < 1).mean() < 0.73 + chance, kind
+        assert (z < 2).mean() > 0.93 - chance, kind
+        assert z.max() < 5.5, kind
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("colour", ["white", "red"])
+def test_noise_alone_makes_a_line_in_few_records(colour: str) -> None:
+    rng = np.random.default_rng(12)
+    found = sum(bool(find_lines(noise(rng, 240, 2, colour), np.arange(240) / FPS).lines) for _ in range(150))
+    assert found <= 7  # 1 % of 150, and chance

@@ -1,0 +1,181 @@
+"""Which lines there are: one after the other, each tested, all fitted together.
+
+A line enters as the simplest that does: steady; decaying or growing where that explains more, by a likelihood-ratio
+test; beginning in the record where that does. So what rings down is one line, not several steady ones beside each
+other. Two that are nearer than 1 / duration need a test of their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.stats import chi2
+from scipy.stats import f as f_distribution
+
+from tg4mm.core.lines.model import Shape, refined, solved
+from tg4mm.core.lines.noise import degrees
+from tg4mm.core.lines.record import LEAST_CHANGE, Lines, Record, covariances, nothing, wald
+from tg4mm.core.lines.search import Candidate, candidates
+
+_CHANCE = 0.01  # that noise alone makes a line in a record
+_TRIED = 6.0  # independent frequencies, decays and beginnings to each sample
+_SURE = 1e-3  # chance of a decay, or a beginning, that is none
+_LEAST_SIZE = 0.02  # of the strongest line: side lobes that noise left, harmonics of what is not linear
+
+
+def find_lines(
+    values: np.ndarray,
+    times_s: np.ndarray,
+    noise: np.ndarray | float = 0.0,
+    ends: tuple[float, float] | None = None,
+    most: int = 8,
+) -> Lines:
+    """The lines of values [T] or [T, D] at times [T] in seconds, which need not be even.
+
+    noise: standard deviation of each component's samples [D] that is known from elsewhere; the residual's own counts
+    where it is larger. ends: the lowest and highest frequency looked at, Hz; 1.5 cycles in the record and half the
+    rate less half of 1 / duration if not given. Components share frequencies and decays. Noise alone makes a line in
+    one record of a hundred. Of fewer than 12 samples, none.
+    """
+    record = Record.of(values, times_s, noise, ends)
+    if record is None:
+        return nothing(values)
+    shapes: list[Shape] = []
+    while len(shapes) < min(most, (len(record.t) - 8) // 6):
+        more = _with_next(record, shapes)
+        if more is None:
+            break
+        shapes = more
+    shapes = _settled(record, shapes)
+    while shapes and (kept := _told(record, shapes)) != shapes:
+        shapes = _settled(record, kept)
+    found = record.result(shapes)
+    strong = sorted(found.lines, key=lambda line: -line.strength)
+    return replace(found, lines=tuple(strong))
+
+
+def fit_lines(
+    values: np.ndarray,
+    times_s: np.ndarray,
+    hz: Sequence[float] | np.ndarray,
+    noise: np.ndarray | float = 0.0,
+) -> Lines:
+    """One line for each of the frequencies `hz` [K], refined by 0.75 / duration at most; decays where they are told.
+
+    The other arguments are `find_lines`'. Raises ValueError for fewer than 12 samples, or than four for each line.
+    """
+    record = Record.of(values, times_s, noise, None)
+    if record is None or len(record.t) < 4 * len(hz) + 8:
+        raise ValueError(f"{len(times_s)} samples are too few for {len(hz)} lines")
+    shapes = [Shape(float(np.clip(f, *record.ends))) for f in hz]
+    return record.result(_settled(record, refined(shapes, record.t, record.y, record.ends)))
+
+
+def _with_next(record: Record, shapes: list[Shape]) -> list[Shape] | None:
+    """The shapes and one more, all refined; None where none stands out."""
+    residual = solved(shapes, record.t, record.y)[1]
+    floor = record.floor(residual)
+    found = candidates(residual, record.t, floor, shapes, record.ends)
+    tried = _TRIED * len(record.t)
+    degree, width = degrees(len(floor)), record.y.shape[1]
+
+    def chance(c: Candidate) -> float:
+        return float(f_distribution.sf(c.statistic / width, 2 * width, degree) * tried)
+
+    if not found or min(map(chance, found)) > _CHANCE:
+        return None
+    options = []
+    for c in found:
+        own = replace(c.shape, is_free=c.shape.decay != 0)
+        if own.start:
+            own = _begun(record, shapes, own)
+        options.append(refined([*shapes, own], record.t, record.y, record.ends))
+    return _beginnings(record, _simplest(record, options))
+
+
+def _beginnings(record: Record, shapes: list[Shape]) -> list[Shape]:
+    """Those that begin in the record looked at again: what was not yet found beside them may have looked like that."""
+    for k, s in enumerate(shapes):
+        if s.start and len(shapes) > 1:
+            others = [*shapes[:k], *shapes[k + 1 :]]
+            begun = refined([*others, _begun(record, others, s)], record.t, record.y, record.ends)
+            plain = refined([*others, replace(s, start=0, is_free=True)], record.t, record.y, record.ends)
+            found = _simplest(record, [plain, begun])
+            shapes = [*found[:k], found[-1], *found[k:-1]]
+    return shapes
+
+
+def _begun(record: Record, shapes: list[Shape], shape: Shape) -> Shape:
+    """With the first sample that explains most, about that of the block."""
+    reach = max(len(record.t) // 24, 2)
+    starts = range(max(shape.start - reach, 1), min(shape.start + reach, len(record.t) - 8))
+    sizes = [(solved([*shapes, replace(shape, start=k)], record.t, record.y)[1] ** 2).sum() for k in starts]
+    return replace(shape, start=starts[int(np.argmin(sizes))]) if sizes else shape
+
+
+def _simplest(record: Record, options: list[list[Shape]]) -> list[Shape]:
+    """Steady, decaying, beginning: the first that no later one explains significantly more than."""
+    left = [solved(o, record.t, record.y)[1] for o in options]
+    best = int(np.argmin([(r**2).sum() for r in left]))
+    levels = record.levels(options[best], left[best])
+    duration = float(np.ptp(record.t))
+
+    def misfit(k: int) -> float:
+        at = int(np.clip(round(options[best][-1].hz * duration) - 1, 0, len(levels) - 1))
+        return float(((left[k] ** 2).sum(0) / levels[at]).sum())
+
+    chosen = 0
+    for k, option in enumerate(options):
+        tried, free = (len(record.t) / 4, 2) if option[-1].start else (1, 1)
+        if misfit(chosen) - misfit(k) > chi2.isf(_SURE / tried, free):
+            chosen = k
+    return options[chosen]
+
+
+def _settled(record: Record, shapes: list[Shape]) -> list[Shape]:
+    """All decays tested: free where they stand out of their deviation, held at 0 elsewhere."""
+    if not shapes:
+        return shapes
+    duration = float(np.ptp(record.t))
+    free = refined([replace(s, is_free=True) for s in shapes], record.t, record.y, record.ends)
+    phasors, residual = solved(free, record.t, record.y)
+    own = covariances(record, free, phasors, record.levels(free, residual))
+    sure = np.sqrt(chi2.isf(_SURE, 1))
+    out = []
+    for s, c in zip(free, own, strict=True):
+        lasting = duration - float(record.t[s.start] - record.t[0])
+        changes = abs(s.decay) > max(sure * np.sqrt(c[1, 1]), LEAST_CHANGE / lasting)
+        out.append(s if changes else replace(s, decay=0.0, is_free=False))
+    return refined(out, record.t, record.y, record.ends)
+
+
+def _told(record: Record, shapes: list[Shape]) -> list[Shape]:
+    """All but the weakest line that is not told from noise, from leftovers of a stronger one, or from its neighbour."""
+    phasors, residual = solved(shapes, record.t, record.y)
+    levels = record.levels(shapes, residual)
+    own = covariances(record, shapes, phasors, levels)
+    strength = np.array([wald(p, c) for p, c in zip(phasors, own, strict=True)])
+    size = np.array([np.linalg.norm(p) for p in phasors])
+    least = chi2.isf(_CHANCE / (_TRIED * len(record.t)), 2 * record.y.shape[1])
+    doubtful = (strength < least) | (size < _LEAST_SIZE * size.max())
+    resolution = 1 / (float(np.ptp(record.t)) * len(record.t) / (len(record.t) - 1))
+    for i, a in enumerate(shapes):
+        for j, b in enumerate(shapes):
+            if i != j and abs(a.hz - b.hz) < resolution and strength[i] <= strength[j]:
+                doubtful[i] |= not _are_two(record, shapes, i, j, levels)
+    if not doubtful.any():
+        return shapes
+    out = int(np.where(doubtful, strength, np.inf).argmin())
+    return [s for k, s in enumerate(shapes) if k != out]
+
+
+def _are_two(record: Record, shapes: list[Shape], i: int, j: int, levels: np.ndarray) -> bool:
+    """Whether one decaying line in the place of both leaves significantly more than they do."""
+    rest = [s for k, s in enumerate(shapes) if k not in (i, j)]
+    one = refined([*rest, replace(shapes[j], is_free=True)], record.t, record.y, record.ends)
+    left = [(solved(o, record.t, record.y)[1] ** 2).sum(0) for o in (one, shapes)]
+    at = int(np.clip(round(shapes[j].hz * float(np.ptp(record.t))) - 1, 0, len(levels) - 1))
+    gain = float(((left[0] - left[1]) / levels[at]).sum())
+    return gain > chi2.isf(_SURE / len(record.t), 2 * record.y.shape[1] + 1)

@@ -1,0 +1,190 @@
+"""A record as lines are fitted to it, and what a fit says in the values' own units.
+
+Noise is what the fit leaves around each line, no less than what the caller knows of it, and need not be white:
+deviations are the sandwich's, (JᵀJ)⁻¹ JᵀΣJ (JᵀJ)⁻¹ (White 1980), with Σ by the residual's smoothed periodogram.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tg4mm.core.lines.line import Line
+from tg4mm.core.lines.model import Shape, refined, slopes, solved, trend
+from tg4mm.core.lines.noise import around, level, samples, sandwiched, spectra
+
+LEAST_CYCLES = 1.5  # of the record: slower is drift
+FEWEST = 12  # samples from which there can be a line
+LEAST_CHANGE = (
+    0.1  # of the amplitude over the record, from which on a line decays, grows, or cannot be called steady
+)
+_ALIKE = 6  # components up to which their correlation is taken out
+_TINY = 1e-12
+
+
+@dataclass(frozen=True)
+class Lines:
+    """What `find_lines` and `fit_lines` give."""
+
+    lines: tuple[Line, ...]  # by falling strength; of `fit_lines` in the order asked for
+    residual: np.ndarray  # [T, D] values less the lines, a constant and a slow trend
+    hz: np.ndarray  # [F] of the noise
+    noise: np.ndarray  # [F, D] its level: the standard deviation that white noise of the same density has
+
+    def noise_at(self, hz: float) -> np.ndarray:
+        """[D] at a frequency."""
+        return np.array([np.interp(hz, self.hz, own) for own in self.noise.T])
+
+
+@dataclass(frozen=True)
+class Record:
+    """Values in units in which their noise is alike and not correlated."""
+
+    t: np.ndarray  # [T] s
+    y: np.ndarray  # [T, D]
+    back: np.ndarray  # [D, D] y @ back are the values
+    noise: np.ndarray  # [D] least standard deviation, in y's units
+    ends: tuple[float, float]
+
+    @staticmethod
+    def of(
+        values: np.ndarray, times_s: np.ndarray, noise: np.ndarray | float, ends: tuple[float, float] | None
+    ) -> Record | None:
+        y = np.asarray(values, np.float64).reshape(len(values), -1)
+        t = np.asarray(times_s, np.float64)
+        if t.shape != y.shape[:1]:
+            raise ValueError(f"values {np.shape(values)} and times {t.shape} do not belong together")
+        if len(t) < FEWEST or not np.isfinite(y).all() or not np.ptp(y, axis=0).any():
+            return None
+        step = float(np.median(np.diff(t)))
+        duration = float(np.ptp(t)) + step
+        ends = ends or (LEAST_CYCLES / duration, 0.5 / step - 0.5 / duration)
+        own = np.broadcast_to(np.asarray(noise, np.float64), y.shape[1:])
+        forth = _whitening(y - trend(t) @ np.linalg.lstsq(trend(t), y, rcond=None)[0], t, own)
+        known = np.sqrt(np.einsum("ij,i->j", forth**2, own**2))
+        return Record(t, y @ forth, np.linalg.inv(forth), known, ends)
+
+    def levels(self, shapes: Sequence[Shape], residual: np.ndarray) -> np.ndarray:
+        """[F, D] variance of the noise around each bin, by what is left there."""
+        power = np.abs(spectra(residual, self.t)) ** 2
+        taken = np.zeros(len(power))
+        duration = float(np.ptp(self.t))
+        for s in shapes:
+            at = int(np.clip(round(s.hz * duration) - 1, 0, len(power) - 1))
+            taken[at] += 1 + (1 + s.is_free) / (2 * self.y.shape[1])
+        return np.maximum(around(power, taken), np.maximum(self.noise**2, self._least()))
+
+    def floor(self, residual: np.ndarray) -> np.ndarray:
+        """[F, D] the same, lines that may still be there left out."""
+        found = level(np.abs(spectra(residual, self.t)) ** 2)
+        return np.maximum(found, np.maximum(self.noise**2, self._least()))
+
+    def _least(self) -> np.ndarray:
+        return _TINY * (self.y**2).mean(0) + 1e-300
+
+    def result(self, shapes: Sequence[Shape]) -> Lines:
+        """In the values' own units."""
+        phasors, residual = solved(shapes, self.t, self.y)
+        levels = self.levels(shapes, residual)
+        own = covariances(self, shapes, phasors, levels)
+        free = _free_decays(self, shapes, levels)
+        lines = tuple(self._line(s, p, c, d) for s, p, c, d in zip(shapes, phasors, own, free, strict=True))
+        n = samples(self.t)
+        hz = np.arange(1, len(levels) + 1) / (n * float(np.median(np.diff(self.t))))
+        density = np.sqrt(levels @ self.back**2)
+        return Lines(lines, residual @ self.back, hz, density)
+
+    def _line(self, s: Shape, phasor: np.ndarray, covariance: np.ndarray, free: tuple[float, float]) -> Line:
+        n = len(phasor)
+        turn = np.eye(2 + 2 * n)
+        turn[2 : 2 + n, 2 : 2 + n] = turn[2 + n :, 2 + n :] = self.back.T
+        middle = s.middle_s(self.t)
+        clock = (phasor @ self.back) * np.exp(-2j * np.pi * s.hz * middle)
+        start = float(self.t[s.start]) if s.start else None
+        own = turn @ covariance @ turn.T
+        strength = wald(phasor, covariance)
+        return Line(
+            s.hz, s.decay, clock, own, s.from_s(self.t), middle, start, _change(s, free), free, strength
+        )
+
+
+def _change(s: Shape, free: tuple[float, float]) -> str:
+    if s.start:
+        return "begins"
+    if s.is_free:
+        return "decays" if s.decay > 0 else "grows"
+    return "steady" if abs(free[0]) + 2 * free[1] < 2 * LEAST_CHANGE else "untold"
+
+
+def _whitening(y: np.ndarray, t: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """[D, D] that makes the components' noise alike: by what they share away from the strongest bins."""
+    spectrum = spectra(y, t)
+    own = np.sqrt(np.median(np.abs(spectrum) ** 2, axis=0) / np.log(2))
+    own = np.maximum(np.maximum(own, noise), 1e-9 * np.sqrt((y**2).mean(0)) + 1e-300)
+    if not 1 < y.shape[1] <= _ALIKE:
+        return np.diag(1 / own)
+    scaled = spectrum / own
+    power = (np.abs(scaled) ** 2).sum(1)
+    quiet = scaled[power <= np.quantile(power, 0.7)]
+    shared = (quiet.conj().T @ quiet).real
+    size = np.sqrt(np.diag(shared)) + 1e-300
+    alike = shared / np.outer(size, size) * (1 - 1e-3) + 1e-3 * np.eye(len(shared))
+    return np.asarray(np.diag(1 / own) @ np.linalg.inv(np.linalg.cholesky(alike)).T)
+
+
+def nothing(values: np.ndarray) -> Lines:
+    """Of a record that can hold no line."""
+    y = np.asarray(values, np.float64).reshape(len(values), -1)
+    return Lines((), y - y.mean(0), np.zeros(1), np.zeros((1, y.shape[1])))
+
+
+def wald(phasor: np.ndarray, covariance: np.ndarray) -> float:
+    """χ² of the hypothesis that there is no line."""
+    own = np.concatenate([phasor.real, phasor.imag])
+    return float(own @ np.linalg.pinv(covariance[2:, 2:], hermitian=True) @ own)
+
+
+def _free_decays(record: Record, shapes: Sequence[Shape], levels: np.ndarray) -> list[tuple[float, float]]:
+    """Decay over the record and its deviation with it left free, of every line."""
+    if not shapes:
+        return []
+    free = refined([replace(s, is_free=True) for s in shapes], record.t, record.y, record.ends)
+    own = covariances(record, free, solved(free, record.t, record.y)[0], levels)
+    duration = float(np.ptp(record.t))
+    return [(s.decay * duration, float(np.sqrt(c[1, 1])) * duration) for s, c in zip(free, own, strict=True)]
+
+
+def covariances(
+    record: Record, shapes: Sequence[Shape], phasors: np.ndarray, levels: np.ndarray
+) -> list[np.ndarray]:
+    """[2 + 2D, 2 + 2D] of each line: Hz, decay per second, Re and Im of its phasor."""
+    x, numbers = _jacobian(record, shapes, phasors)
+    scale = np.sqrt((x**2).sum((0, 1))) + 1e-300
+    x = x / scale
+    flat = x.reshape(-1, x.shape[2])
+    inverse = np.linalg.pinv(flat.T @ flat, rcond=1e-12, hermitian=True)
+    whole = inverse @ sandwiched(x, levels, record.t) @ inverse / np.outer(scale, scale)
+    out = []
+    for rows in numbers:
+        block = whole[np.ix_(rows, rows)]
+        block[rows < 0], block[:, rows < 0] = 0, 0
+        out.append(block)
+    return out
+
+
+def _jacobian(
+    record: Record, shapes: Sequence[Shape], phasors: np.ndarray
+) -> tuple[np.ndarray, list[np.ndarray]]:
+    """[T, D, P] of all unknowns, and for each line which of them are its own; −1: a decay that is held."""
+    each = np.eye(record.y.shape[1])
+    columns: list[np.ndarray] = []
+    numbers = []
+    for s, p in zip(shapes, phasors, strict=True):
+        first, bent, wave = len(columns), slopes(s, p, record.t), s.wave(record.t)
+        columns += bent + [part[:, None] * own for part in (wave.real, -wave.imag) for own in each]
+        of_phasor = np.arange(first + len(bent), len(columns))
+        numbers.append(np.array([first, first + 1 if s.is_free else -1, *of_phasor]))
+    columns += [slow[:, None] * own for slow in trend(record.t).T for own in each]
+    return np.stack(columns, -1), numbers
