@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import bpy
@@ -32,6 +33,12 @@ def get_input(modifier: Any, name: str) -> Any:
         return getattr(modifier.properties.inputs, item.identifier).value
     value = modifier[item.identifier]
     return _menu_names(modifier, item)[value] if item.socket_type == "NodeSocketMenu" else value
+
+
+def get_number(modifier: Any, name: str) -> float:
+    """The value of a modifier's number as the node tree plays it: what is no finite number counts as 0."""
+    value = float(get_input(modifier, name))
+    return value if math.isfinite(value) else 0.0
 
 
 def set_input(modifier: Any, name: str, value: Any) -> None:

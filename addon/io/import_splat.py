@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import bpy
-from bpy.props import BoolProperty, CollectionProperty, IntProperty, StringProperty
+from bpy.props import BoolProperty, CollectionProperty, EnumProperty, IntProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 
 from .. import compat, names, preferences
@@ -14,7 +14,7 @@ from ..core.errors import SplatFileError
 from ..nodes import scene
 from ..nodes.blending import true_colours
 from ..panels import showing
-from . import loading, receiving
+from . import loading, receiving, saving, upright
 
 
 class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
@@ -51,9 +51,24 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
     )
     show: BoolProperty(  # type: ignore[valid-type]
         name="Show",
-        description="Frame what is imported in the 3D views, and leave Solid view for Material Preview, since Solid "
-        "view shows splats grey",
+        description="Frame what is imported in the 3D views, hide the startup scene's untouched cube where it is in the "
+        "way, and leave Solid view for Material Preview, since Solid view shows splats grey",
         default=True,
+    )
+    axes: EnumProperty(  # type: ignore[valid-type]
+        name="Up",
+        description="Which way is up in the file; the object is turned so that it is up here",
+        items=[
+            (
+                upright.CAMERAS,
+                "By Its Cameras",
+                "As cameras.json or transforms.json beside it says, else Z up",
+            ),
+            (upright.FILE, "Z", "As Blender: nothing is turned"),
+            (upright.MINUS_Y, "−Y", "As COLMAP and 3DGS have it"),
+            (upright.PLUS_Y, "Y", "As other viewers and glTF have it"),
+        ],
+        default=upright.CAMERAS,
     )
     most: IntProperty(  # type: ignore[valid-type]
         name="Most Gaussians",
@@ -89,14 +104,18 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
         except MemoryError:
             self.report({"ERROR"}, f"{self._paths()[0]}: not enough memory for it")
             return {"CANCELLED"}
+        except OSError as error:
+            self.report({"ERROR"}, saving.one_line(error, "read"))
+            return {"CANCELLED"}
         finally:
             manager.progress_end()
         for obj in loaded.objects:
             _draw_as(obj, preferences.get(context).draw_as)
+        told = self._stand_up(loaded.objects)
         _select(context, loaded.objects)
         if self.show:
-            showing.show(context, loaded.objects)
-        message = "; ".join([loaded.message, *self._set_up(context, loaded)])
+            told += showing.show(context, loaded.objects)
+        message = "; ".join([loaded.message, *told, *self._set_up(context, loaded)])
         if collection != context.collection:
             message += f"; in {collection.name}, as {context.collection.name} is hidden or linked"
         self.report({"INFO"}, message)
@@ -111,9 +130,22 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
             told.append(true_colours(context.scene))
         return [words for words in told if words]
 
+    def _stand_up(self, objects: list[Any]) -> list[str]:
+        """Turn the objects so that what is up in their file is up; returns what to tell about it."""
+        axes, said = self.axes, ""
+        if axes == upright.CAMERAS:
+            axes, said = upright.told(self._paths()[0]) or (upright.FILE, "")
+        if axes == upright.FILE:
+            return []
+        for obj in objects:
+            obj.rotation_euler.x = upright.TURNS[axes]
+            obj[names.AXES] = axes
+        return [f"turned, as {said} says {upright.LABELS[axes]}"] if said else []
+
     def _paths(self) -> list[Path]:
-        chosen = [Path(self.directory) / file.name for file in self.files if file.name]
-        return chosen or [Path(self.filepath)]
+        folder = Path(bpy.path.abspath(self.directory))
+        chosen = [folder / file.name for file in self.files if file.name]
+        return chosen or [Path(bpy.path.abspath(self.filepath))]
 
 
 class IO_FH_tg4mm_splat(bpy.types.FileHandler):

@@ -1,10 +1,15 @@
-"""Text into a file, whole or not at all."""
+"""Text into a file, whole or not at all; what the system says about files, in one line."""
 
 from __future__ import annotations
 
 import os
 import tempfile
 from pathlib import Path
+
+
+def one_line(error: OSError, done: str, path: Path | str = "") -> str:
+    """What a person reads of an error of the system: the file, what could not be done with it, why."""
+    return f"{path or error.filename or 'a file'}: cannot be {done}: {error.strerror or error}"
 
 
 def write_text(path: Path, text: str) -> None:

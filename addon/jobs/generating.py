@@ -16,6 +16,7 @@ import bpy
 from .. import names, preferences
 from ..generator.dataset_gen.cameras import SINGLE
 from ..generator.dataset_gen.errors import GenerateError
+from ..io import saving
 from . import background, commands, describe, objects, preview
 from .commands import Host
 from .runner import Job, State
@@ -65,7 +66,7 @@ def working_folder(settings: Any) -> Path:
 def can_go_on(settings: Any) -> bool:
     """Whether a dataset of this name was begun and not finished."""
     try:
-        return (working_folder(settings) / _BLEND).is_file()
+        return os.path.isfile(working_folder(settings) / _BLEND)  # False too where it may not be looked at
     except GenerateError:
         return False
 
@@ -87,7 +88,7 @@ def generate(context: Any, go_on: bool) -> Job:
     runs_in, folder = host(context), working_folder(settings)
     folder.mkdir(parents=True, exist_ok=True)
     motion = folder / _MOTION
-    _write(motion, json.dumps(described.to_json(), indent=1))
+    saving.write_text(motion, json.dumps(described.to_json(), indent=1))
     if not go_on:
         save_copy(folder / _BLEND, context.scene)
     options = _options(settings, context.scene, runs_in)
@@ -149,19 +150,13 @@ def _options(settings: Any, scene: Any, runs_in: Host) -> dict[str, str | int | 
     return options
 
 
-def _write(path: Path, text: str) -> None:
-    temporary = path.with_suffix(".tmp")
-    temporary.write_text(text, encoding="utf-8")
-    os.replace(temporary, path)
-
-
 def _ended(job: Job, folder: Path) -> None:
     """Of a finished dataset the copy of the scene goes, and Train is set to it."""
     if job.state is not State.DONE or not job.results:
         return
-    for name in (_BLEND, f"{_BLEND}1", _MOTION):
-        (folder / name).unlink(missing_ok=True)
     with contextlib.suppress(OSError):
+        for name in (_BLEND, f"{_BLEND}1", _MOTION):
+            (folder / name).unlink(missing_ok=True)
         folder.rmdir()
     job.message = f"Complete: {job.results[-1]}"
     bpy.context.scene.tg4mm_train.dataset = job.results[-1]

@@ -9,6 +9,7 @@ from bpy.props import BoolProperty, EnumProperty
 
 from .. import names
 from ..generator.dataset_gen.errors import GenerateError
+from ..io import saving
 from . import background, generating, objects, placing, preview, training
 
 
@@ -139,8 +140,11 @@ class TG4MM_OT_generate(bpy.types.Operator):
     def execute(self, context: Any) -> set[str]:
         try:
             generating.generate(context, self.go_on)
-        except (GenerateError, OSError) as error:
+        except GenerateError as error:
             self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        except OSError as error:
+            self.report({"ERROR"}, saving.one_line(error, "used"))
             return {"CANCELLED"}
         if unsaved := objects.unsaved_images():
             self.report({"WARNING"}, f"Not saved, so without what was painted: {', '.join(unsaved[:4])}")
@@ -160,8 +164,11 @@ class TG4MM_OT_train(bpy.types.Operator):
     def execute(self, context: Any) -> set[str]:
         try:
             training.train(context)
-        except (GenerateError, OSError) as error:
+        except GenerateError as error:
             self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        except OSError as error:
+            self.report({"ERROR"}, saving.one_line(error, "used"))
             return {"CANCELLED"}
         return {"FINISHED"}
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from .. import compat, names
@@ -16,7 +17,7 @@ def rate(scene: Any) -> float:
 
 def timestep(scene: Any, obj: Any, modifier: Any) -> float:
     """Timesteps since the first frame at the current frame, fractions included."""
-    first, speed = (float(compat.get_input(modifier, name)) for name in (names.FIRST, names.SPEED))
+    first, speed = (compat.get_number(modifier, name) for name in (names.FIRST, names.SPEED))
     fps = float(obj[names.FPS])
     return (scene.frame_current_final - first) * speed * (fps / rate(scene) if fps else 1.0)
 
@@ -26,15 +27,22 @@ def lines(scene: Any, obj: Any, modifier: Any) -> list[str]:
     fps, steps = float(obj[names.FPS]), int(obj[names.TIMESTEPS])
     if not fps:
         return []
-    now, speed = timestep(scene, obj, modifier) / fps, float(compat.get_input(modifier, names.SPEED))
+    now, speed = timestep(scene, obj, modifier) / fps, compat.get_number(modifier, names.SPEED)
     said = [f"{now:.3f} s of {steps / fps:.3f} s, {pace(speed)}"]
-    low, high = (float(compat.get_input(modifier, name)) for name in (names.LOW, names.HIGH))
+    low, high = (compat.get_number(modifier, name) for name in (names.LOW, names.HIGH))
     inside = [float(f) for f in obj[names.FREQUENCIES] if low <= f <= high]
     fastest = max(inside, default=0.0)
     if fastest * abs(speed) * FEWEST_FRAMES > rate(scene):
         said.append(f"{rate(scene) / (fastest * abs(speed)):.1f} frames a period at {fastest:.4g} Hz")
         said.append("Too few to see it: lower Speed")
     return said
+
+
+def not_finite(modifier: Any) -> list[str]:
+    """A line for each number of the modifier that is NaN or infinite, which a driver or a script can make it."""
+    shown = [name for name in (names.ALPHA, names.SPEED, names.FIRST) if compat.has_input(modifier, name)]
+    values = {name: float(compat.get_input(modifier, name)) for name in shown}
+    return [f"{name} is {value:g}: plays as 0" for name, value in values.items() if not math.isfinite(value)]
 
 
 def pace(speed: float) -> str:

@@ -99,6 +99,11 @@ class Graph:
         inputs = {"A": a, "B": b}
         return self.call("FunctionNodeCompare", inputs, data_type=data_type, operation=operation)
 
+    def finite(self, value: Value) -> Any:
+        """A number, or 0 in place of NaN and infinity, neither of which is 0 when taken from itself."""
+        is_number = self.compare("EQUAL", self.math("SUBTRACT", value, value), 0.0)
+        return self.choose("FLOAT", is_number, 0.0, value)
+
     def choose(self, data_type: str, condition: Value, no: Value, yes: Value) -> Any:
         """`yes` where the condition holds, else `no`; the branch not taken is not computed."""
         inputs = {"Switch": condition, "False": no, "True": yes}

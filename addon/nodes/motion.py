@@ -50,6 +50,7 @@ def build_motion(name: str, freqs_hz: Sequence[float], fps: float, made: Made) -
     total: dict[str, Any] = {"Time": elapsed(graph, inputs, fps)}
     for socket in (names.ALPHA, names.LOW, names.HIGH):
         total[socket] = inputs[socket]
+    total[names.ALPHA] = graph.finite(inputs[names.ALPHA])
     for k, (f, socket) in enumerate(zip(freqs_hz, shown, strict=True)):
         # The tree computes in float32, in which a band edge typed as 0.1 and a frequency of 0.1 may differ.
         slack = 1e-6 * max(1.0, f)
@@ -112,9 +113,8 @@ def elapsed(graph: Graph, inputs: Any, fps: float) -> Any:
     rate. A recording of unknown rate (`fps` 0) has a timestep in each frame.
     """
     now = graph.node("GeometryNodeInputSceneTime").outputs
-    frames = graph.math(
-        "MULTIPLY", graph.math("SUBTRACT", now["Frame"], inputs[names.FIRST]), inputs[names.SPEED]
-    )
+    first, speed = graph.finite(inputs[names.FIRST]), graph.finite(inputs[names.SPEED])
+    frames = graph.math("MULTIPLY", graph.math("SUBTRACT", now["Frame"], first), speed)
     if not fps:
         return frames
     # Frame 0 is at 0 seconds and does not tell the rate.

@@ -121,12 +121,15 @@ def set_timeline(scene: Any, new: Sequence[Any], fps: float, n_timesteps: int) -
     others = [obj for obj in scene.objects if obj not in new]
     if any(moves(obj) for obj in others) or any(map(_has_keys, bpy.data.actions)):
         return f"timeline left at {clock.rate(scene):g} frames a second, as something moves already"
-    scene.frame_start, scene.frame_end = 1, max(1, n_timesteps)
+    last = min(max(1, n_timesteps), int(scene.bl_rna.properties["frame_end"].hard_max))
+    scene.frame_start, scene.frame_end = 1, last
+    cut = f"timeline ends at frame {last:,}, the last that Blender has" if last < n_timesteps else ""
     if not fps:
-        return ""
-    scene.render.fps = max(1, math.ceil(fps))
+        return cut
+    most = int(scene.render.bl_rna.properties["fps"].hard_max)
+    scene.render.fps = min(max(1, math.ceil(fps)), most)
     scene.render.fps_base = scene.render.fps / fps
-    return f"timeline set to {fps:g} frames a second"
+    return ", ".join(filter(None, (f"timeline set to {fps:g} frames a second", cut)))
 
 
 def _has_keys(action: Any) -> bool:
@@ -149,7 +152,8 @@ def _player(name: str, mesh: Any, content: Content, made: Made) -> Any:
 def _describe(obj: Any, splat: SplatFile, largest: list[float]) -> None:
     """Custom properties: what the panel says about the file and what a legend needs."""
     obj[names.MARK], obj[names.FPS], obj[names.FREQUENCIES] = 1, splat.fps, splat.freqs_hz.tolist()
-    obj[names.TIMESTEPS] = splat.n_timesteps
+    # Whole numbers of a property have 32 bits.
+    obj[names.TIMESTEPS] = splat.n_timesteps if splat.n_timesteps < 2**31 else float(splat.n_timesteps)
     obj[names.MODE_AMPLITUDES] = largest
     obj[names.MODE_RMS] = [rms_amplitude(a, splat.opacities) for a in _amplitudes(obj.data, splat)]
     obj[names.MODE_AXES] = [float(x) for phasors in splat.displacement for x in main_axis(phasors)]

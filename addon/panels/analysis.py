@@ -73,7 +73,7 @@ def legend_picture(obj: Any, unit: Unit, settings: Any) -> tuple[Any, ...] | Non
     if shown is None:
         return None
     modifier = scene.splat_modifier(obj)
-    highest = float(compat.get_input(modifier, names.COLOUR_RANGE))
+    highest = compat.get_number(modifier, names.COLOUR_RANGE)
     encoded = compat.has_input(modifier, names.BLEND) and bool(compat.get_input(modifier, names.BLEND))
     if shown.kind == names.PHASE_COLOUR:
         return plots.phase_legend, STILL_BELOW * highest, unit, seen.phase(settings, encoded)
@@ -82,7 +82,7 @@ def legend_picture(obj: Any, unit: Unit, settings: Any) -> tuple[Any, ...] | Non
 
 def band(obj: Any) -> tuple[float, float]:
     """Low and high of the band, Hz."""
-    low, high = (float(compat.get_input(scene.splat_modifier(obj), name)) for name in (names.LOW, names.HIGH))
+    low, high = (compat.get_number(scene.splat_modifier(obj), name) for name in (names.LOW, names.HIGH))
     return low, high
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from itertools import pairwise
 
@@ -21,9 +22,10 @@ class Canvas:
 
     def box(self, x0: float, y0: float, x1: float, y1: float, colour: Colour, alpha: float = 1.0) -> None:
         """Fill a rectangle; its edges cover pixels in part."""
-        height, width = self.pixels.shape[:2]
-        cover = _overlap(y0, y1, height)[:, None] * _overlap(x0, x1, width)[None]
-        self._paint(cover, 0, 0, colour, alpha)
+        left, top = math.floor(x0), math.floor(y0)
+        across = _overlap(x0 - left, x1 - left, max(math.ceil(x1) - left, 0))
+        down = _overlap(y0 - top, y1 - top, max(math.ceil(y1) - top, 0))
+        self._paint(down[:, None] * across[None], left, top, colour, alpha)
 
     def line(self, points: np.ndarray, colour: Colour, thickness: float = 2.0, alpha: float = 1.0) -> None:
         """A line with round ends through points [K, 2]."""

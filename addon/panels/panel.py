@@ -66,6 +66,10 @@ class VIEW3D_PT_tg4mm_motion(_SplatTab, bpy.types.Panel):
         column = _fields(layout)
         _draw_all(column, modifier, names.ALPHA, names.SPEED, names.FIRST)
         _draw_all(layout, modifier, names.LOOP)
+        for line in clock.not_finite(modifier):
+            row = layout.row()
+            row.alert = True
+            row.label(text=line, icon="ERROR")
         for line in clock.lines(context.scene, scene.splat_object(context), modifier):
             layout.label(text=line)
 

@@ -86,7 +86,10 @@ def work_out(name: str, encoded: bool = False) -> None:
         return
     maps = colours.amplitude_map(), colours.phase_and_still()
     emitted = np.concatenate(maps)
-    rows = through_view(colours.display(emitted) if encoded else emitted, scene)
+    try:
+        rows = through_view(colours.display(emitted) if encoded else emitted, scene)
+    except (OSError, RuntimeError):  # no room for the picture
+        rows = colours.display(emitted)
     as_rows = [tuple(map(tuple, part.tolist())) for part in np.split(rows, [len(maps[0])])]
     _known[key] = as_rows[0], as_rows[1]
     for window in bpy.context.window_manager.windows:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from mathutils import Matrix, Vector
 
 from .. import names
 from ..nodes import scene
@@ -14,22 +15,30 @@ from . import panel, pictures
 
 OPAQUE = 0.3  # what is fainter may lie far off and counts for no size
 ENDS = (1.0, 99.0)  # percentiles along each axis that are framed
+_SOLID = ("MESH", "CURVE", "SURFACE", "META", "FONT")  # what may hide something
 ROOM = 1.2  # of the size, around it
 
 
-def show(context: Any, objects: Sequence[Any]) -> None:
-    """Frame the objects in every 3D view of the window, unless it looks through a camera; draw the spectrum."""
-    middle, radius = extent(objects)
+def show(context: Any, objects: Sequence[Any]) -> list[str]:
+    """Frame the objects in every 3D view of the window, unless it looks through a camera; draw the spectrum.
+
+    Hides the startup scene's cube where it is in the way. Returns what to tell about it.
+    """
+    context.view_layer.update()  # where the objects are
+    low, high = box(objects)
+    told = _uncover(context, objects, low, high)
+    middle, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-6)
     window = context.window
     for area in () if window is None else window.screen.areas:
         if area.type == "VIEW_3D":
             _frame(area, middle, radius)
     if scene.moves(objects[0]):
         pictures.prepare(*panel.spectrum_picture(context, objects[0]))
+    return told
 
 
-def extent(objects: Sequence[Any]) -> tuple[np.ndarray, float]:
-    """Middle [3] and radius, scene units, of what is opaque of the objects."""
+def box(objects: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
+    """Least and largest corner [3], in the world, of what is opaque of the objects."""
     ends = []
     for obj in objects:
         points = _points(obj)
@@ -37,9 +46,40 @@ def extent(objects: Sequence[Any]) -> tuple[np.ndarray, float]:
             turned = points @ np.array(obj.matrix_world)[:3, :3].T + np.array(obj.matrix_world)[:3, 3]
             ends.append(np.percentile(turned, ENDS, axis=0))
     if not ends:
-        return np.zeros(3), 1.0
-    low, high = np.min([e[0] for e in ends], axis=0), np.max([e[1] for e in ends], axis=0)
-    return (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-6)
+        return -np.ones(3), np.ones(3)
+    return np.min([e[0] for e in ends], axis=0), np.max([e[1] for e in ends], axis=0)
+
+
+def _uncover(context: Any, objects: Sequence[Any], low: np.ndarray, high: np.ndarray) -> list[str]:
+    """Hide the startup scene's cube if it overlaps the box; say what else is around all of it."""
+    told = []
+    for other in context.view_layer.objects:
+        if other in objects or other.type not in _SOLID or not other.visible_get() or names.MARK in other:
+            continue
+        corners = np.array([other.matrix_world @ Vector(corner) for corner in other.bound_box])
+        least, largest = corners.min(axis=0), corners.max(axis=0)
+        if _is_startup_cube(other) and (least < high).all() and (largest > low).all():
+            other.hide_set(True)
+            other.hide_render = True
+            told.append(f"the untouched {other.name} was in the way: hidden, in renders too")
+        elif other.display_type not in ("WIRE", "BOUNDS") and (least < low).all() and (largest > high).all():
+            told.append(f"they lie inside {other.name}")
+    return told
+
+
+def _is_startup_cube(obj: Any) -> bool:
+    """Whether an object is the cube that Blender starts with, as it was."""
+    if (
+        obj.type != "MESH"
+        or not obj.name.startswith("Cube")
+        or obj.modifiers
+        or obj.animation_data
+        or obj.parent
+    ):
+        return False
+    if obj.matrix_world != Matrix.Identity(4) or (len(obj.data.vertices), len(obj.data.polygons)) != (8, 6):
+        return False
+    return all(abs(abs(c) - 1.0) < 1e-6 for vertex in obj.data.vertices for c in vertex.co)
 
 
 def _points(obj: Any) -> np.ndarray:

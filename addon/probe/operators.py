@@ -14,6 +14,7 @@ from ..io import receiving, saving
 from ..nodes import scene
 from . import picking, probe
 
+MOST_ROWS = 5_000_000  # of a series: some 300 MB
 _ABOUT = {
     "SELECTION": "Read the points selected in Edit Mode; of several the mean, weighted by opacity",
     "CURSOR": "Read the drawn Gaussian whose rest position is nearest to the 3D cursor",
@@ -138,6 +139,13 @@ class TG4MM_OT_export_probe(_OnMotion, ExportHelper):
         if found is None:
             return self._nothing()
         unit = preferences.unit_for(context, obj)
+        rows = (found.n_timesteps - 1) * self.per_timestep + 1
+        if self.content == "SERIES" and rows > MOST_ROWS:
+            self.report(
+                {"ERROR"},
+                f"{found.n_timesteps:,} timesteps make {rows:,} rows, more than {MOST_ROWS:,}: write the phasor table",
+            )
+            return {"CANCELLED"}
         if self.content == "SERIES":
             text = probe.series_csv(found, unit, obj.name, self.per_timestep)
         else:
@@ -146,7 +154,7 @@ class TG4MM_OT_export_probe(_OnMotion, ExportHelper):
         try:
             saving.write_text(path, text)
         except OSError as error:
-            self.report({"ERROR"}, f"{path}: cannot be written: {error.strerror or error}")
+            self.report({"ERROR"}, saving.one_line(error, "written", path))
             return {"CANCELLED"}
         self.report({"INFO"}, f"Wrote {path}")
         return {"FINISHED"}

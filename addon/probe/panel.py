@@ -104,9 +104,9 @@ def _curve(
 ) -> np.ndarray:
     values = np.array(phasors).reshape(-1, 3)
     read = probe.Probe("", np.array(freqs), values, np.zeros((len(freqs), 3)), fps, n_timesteps)
-    # A long recording has more samples than the picture has columns.
-    per_timestep = max(1, min(PER_TIMESTEP, 4 * plots.SIDE // max(n_timesteps, 1)))
-    return plots.series(*probe.series(read, per_timestep), unit)
+    if n_timesteps > 4 * plots.SIDE:  # more than can be told apart
+        return plots.series(*probe.envelope(read, plots.SIDE), unit)
+    return plots.series(*probe.series(read, min(PER_TIMESTEP, 4 * plots.SIDE // n_timesteps)), unit)
 
 
 def _draw_rows(layout: Any, found: probe.Probe, unit: Unit) -> None:

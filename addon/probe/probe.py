@@ -12,6 +12,7 @@ import numpy as np
 
 from ..units import Unit
 
+IN_COLUMN = 64  # timesteps that say how far a column of a long recording reaches
 # A second axis shorter than this part of the first is rounding of float32, and has no direction.
 _FLAT = 1e-5
 
@@ -117,6 +118,18 @@ def series(probe: Probe, per_timestep: int = 1) -> tuple[np.ndarray, np.ndarray]
     steps = (probe.n_timesteps - 1) * per_timestep + 1
     seconds = np.arange(steps) / (per_timestep * probe.fps)
     return seconds, displacement_at(probe, seconds)
+
+
+def envelope(probe: Probe, columns: int) -> tuple[np.ndarray, np.ndarray]:
+    """Times [2·columns] and, for each column in turn, the least and the largest displacement [2·columns, 3] in it.
+
+    A column of a long recording is as good as its first IN_COLUMN timesteps.
+    """
+    first = np.linspace(0, probe.n_timesteps - 1, columns, endpoint=False)
+    steps = first[:, None] + np.arange(min(IN_COLUMN, -(-probe.n_timesteps // columns)))
+    moved = displacement_at(probe, steps.ravel() / probe.fps).reshape(*steps.shape, 3)
+    both = np.stack([moved.min(axis=1), moved.max(axis=1)], axis=1)
+    return np.repeat(first / probe.fps, 2), both.reshape(-1, 3)
 
 
 def series_csv(probe: Probe, unit: Unit, source: str, per_timestep: int = 1) -> str:

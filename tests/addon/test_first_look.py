@@ -114,7 +114,8 @@ def test_what_is_framed_holds_the_opaque_gaussians(
     obj = import_splat(tmp_path / "far.ply")
     obj.location = (5.0, 0.0, 0.0)
     bpy.context.view_layer.update()
-    middle, radius = extension.panels.showing.extent([obj])
+    low, high = extension.panels.showing.box([obj])
+    middle, radius = (low + high) / 2, np.linalg.norm(high - low) / 2
     away = np.linalg.norm(means[1:] + [5, 0, 0] - middle, axis=1)
     assert 0.8 * away.max() < radius < 2 * away.max()
 

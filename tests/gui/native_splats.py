@@ -45,7 +45,8 @@ def main() -> None:
         )
     scene.render.filepath = picture
     if scene.camera is None:
-        middle, radius = extension.panels.showing.extent([obj])
+        low, high = extension.panels.showing.box([obj])
+        middle, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
         camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
         camera.location = (middle + [0, -3 * radius, 0]).tolist()
         camera.rotation_euler = (np.pi / 2, 0, 0)
