@@ -51,8 +51,8 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
     )
     show: BoolProperty(  # type: ignore[valid-type]
         name="Show",
-        description="Frame what is imported in the 3D views, hide the startup scene's untouched cube where it is in the "
-        "way, and leave Solid view for Material Preview, since Solid view shows splats grey",
+        description="Frame what is imported in the 3D views, hide the startup scene's untouched cube where it is in "
+        "the way, and leave Solid view for Material Preview, since Solid view shows splats grey",
         default=True,
     )
     axes: EnumProperty(  # type: ignore[valid-type]

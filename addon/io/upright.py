@@ -27,8 +27,8 @@ def told(path: Path) -> tuple[str, str] | None:
             ups = _ups(read_json(file))
         except (OSError, ValueError, TypeError, KeyError, IndexError):
             continue  # of another program, by that name
-        mean = ups.mean(axis=0)
-        mean /= max(float(np.linalg.norm(mean)), 1e-12)
+        mean = ups.sum(axis=0)
+        mean /= float(np.linalg.norm(mean)) or 1.0
         axes = max(_UPS, key=lambda axes: float(np.dot(mean, _UPS[axes])))
         return (axes, file.name) if float(np.dot(mean, _UPS[axes])) > _SURE else None
     return None

@@ -1,4 +1,4 @@
-"""The legend of the colours in the 3D view: the panel's picture, drawn over the lower left corner."""
+"""The legends of the colours in the 3D view: the panel's pictures, drawn over the lower left corner."""
 
 from __future__ import annotations
 
@@ -13,21 +13,32 @@ from . import analysis, view_settings
 
 SIDE = 200  # pixels, at a resolution scale of 1
 EDGE = 16
+MOST, LETTERS = 3, 28  # legends side by side; of the names above them
 ABOVE = 44  # room for the box with the last operator's settings
 
 _handler: Any = None
-_drawn: tuple[Any, Any] | None = None  # what was drawn last, and its texture
+_drawn: dict[tuple[Any, ...], Any] = {}  # the legends that were drawn last, and their textures
 
 
-def wanted(context: Any) -> tuple[Any, ...] | None:
-    """Function and arguments of the legend that a 3D view shows; None for none."""
+def wanted(context: Any) -> list[tuple[str, tuple[Any, ...]]]:
+    """The legends that a 3D view shows, of its coloured objects whichever is active: their names, and for each legend
+    its function and arguments. The active object's comes first; objects that are coloured alike share one."""
     space = context.space_data
     if space is None or not space.overlay.show_overlays or not view_settings.of(context).legend:
-        return None
-    obj = scene.splat_object(context)
-    if obj is None or not obj.visible_get():
-        return None
-    return analysis.legend_picture(obj, preferences.unit_for(context, obj), context.scene)
+        return []
+    active = scene.splat_object(context)
+    seen = sorted(filter(_is_seen, context.view_layer.objects), key=lambda obj: obj != active)
+    shared: dict[tuple[Any, ...], list[str]] = {}
+    for obj in seen:
+        picture = analysis.legend_picture(obj, preferences.unit_for(context, obj), context.scene)
+        if picture is not None:
+            shared.setdefault(picture, []).append(obj.name)
+    return [(", ".join(labels), picture) for picture, labels in list(shared.items())[:MOST]]
+
+
+def _is_seen(obj: Any) -> bool:
+    modifier = scene.splat_modifier(obj)
+    return modifier is not None and modifier.node_group is not None and obj.visible_get()
 
 
 def _draw() -> None:
@@ -35,15 +46,24 @@ def _draw() -> None:
     from gpu_extras.presets import draw_texture_2d  # needs a graphics card
 
     context = bpy.context
-    key = wanted(context)
-    if key is None:
-        return
-    if _drawn is None or _drawn[0] != key:
-        _drawn = key, _texture(key[0](*key[1:]))
+    legends = wanted(context)
+    _drawn = {picture: _drawn.get(picture) or _texture(picture[0](*picture[1:])) for _, picture in legends}
     scale = context.preferences.system.ui_scale
     tools = next((r for r in context.area.regions if r.type == "TOOLS"), None)
     left = EDGE * scale + (tools.width if tools is not None and tools.width > 1 else 0)
-    draw_texture_2d(_drawn[1], (left, ABOVE * scale), SIDE * scale, SIDE * scale)
+    for label, picture in legends:
+        draw_texture_2d(_drawn[picture], (left, ABOVE * scale), SIDE * scale, SIDE * scale)
+        if len(legends) > 1:
+            _write(label, left, (ABOVE + SIDE + 4) * scale, scale)
+        left += (SIDE + EDGE) * scale
+
+
+def _write(label: str, x: float, y: float, scale: float) -> None:
+    import blf
+
+    blf.size(0, 12 * scale)
+    blf.position(0, x, y, 0)
+    blf.draw(0, label[:LETTERS])
 
 
 def _texture(picture: np.ndarray) -> Any:
@@ -65,4 +85,4 @@ def unregister() -> None:
     global _handler, _drawn
     if _handler is not None:
         bpy.types.SpaceView3D.draw_handler_remove(_handler, "WINDOW")
-    _handler = _drawn = None
+    _handler, _drawn = None, {}

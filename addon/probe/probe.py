@@ -12,7 +12,8 @@ import numpy as np
 
 from ..units import Unit
 
-IN_COLUMN = 64  # timesteps that say how far a column of a long recording reaches
+IN_COLUMN = 64  # samples that say how far a column of a long recording reaches
+_APART = (np.sqrt(5) - 1) / 2  # timesteps; the number that fractions come least near to
 # A second axis shorter than this part of the first is rounding of float32, and has no direction.
 _FLAT = 1e-5
 
@@ -123,10 +124,11 @@ def series(probe: Probe, per_timestep: int = 1) -> tuple[np.ndarray, np.ndarray]
 def envelope(probe: Probe, columns: int) -> tuple[np.ndarray, np.ndarray]:
     """Times [2·columns] and, for each column in turn, the least and the largest displacement [2·columns, 3] in it.
 
-    A column of a long recording is as good as its first IN_COLUMN timesteps.
+    Of a column of a long recording the first IN_COLUMN samples tell, at a distance that is in step with no frequency.
     """
     first = np.linspace(0, probe.n_timesteps - 1, columns, endpoint=False)
-    steps = first[:, None] + np.arange(min(IN_COLUMN, -(-probe.n_timesteps // columns)))
+    apart = min(_APART, (probe.n_timesteps - 1) / (columns * IN_COLUMN))
+    steps = first[:, None] + apart * np.arange(IN_COLUMN)
     moved = displacement_at(probe, steps.ravel() / probe.fps).reshape(*steps.shape, 3)
     both = np.stack([moved.min(axis=1), moved.max(axis=1)], axis=1)
     return np.repeat(first / probe.fps, 2), both.reshape(-1, 3)

@@ -32,6 +32,7 @@ ADDON = (
     "io/numbered",
     "io/receiving",
     "io/saving",
+    "io/upright",
     "names",
     "nodes/__init__",
     "nodes/blending",
@@ -93,7 +94,7 @@ CONTENT = {
     *(f"core/{name}.py" for name in ("__init__", "colour", "errors", "temporary", "untrusted")),
     *(
         f"core/splatfile/{n}.py"
-        for n in ("__init__", "formula", "header", "layout", "model", "read", "write")
+        for n in ("__init__", "axes", "formula", "header", "layout", "model", "read", "spz", "write")
     ),
 }
 

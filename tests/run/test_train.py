@@ -274,7 +274,9 @@ def test_pictures_that_stay_on_disk_give_the_same_bits(
 ) -> None:
     """As those of long captures do, which memory would not hold."""
     monkeypatch.setattr("tg4mm.capture.pictures.IN_MEMORY", 0)
-    monkeypatch.setattr("tg4mm.capture.pictures.load_images", lambda _: pytest.fail("all pictures were loaded"))
+    monkeypatch.setattr(
+        "tg4mm.capture.pictures.load_images", lambda _: pytest.fail("all pictures were loaded")
+    )
     same_results(trained, train(data, tmp_path / "run", settings=SETTINGS))
 
 

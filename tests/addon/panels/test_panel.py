@@ -176,9 +176,12 @@ def test_colours_by_motion_come_with_a_legend(
     assert (function, still, rows) == (plots.phase_legend, pytest.approx(0.05), plots.STANDARD_PHASE)
 
 
-def test_legend_in_the_view_can_be_switched_off(extension: ModuleType, splat_path: Path) -> None:
+def test_legend_stays_with_its_object_and_can_be_switched_off(
+    extension: ModuleType, splat_path: Path
+) -> None:
     obj, names = import_splat(splat_path), extension.names
     setter(extension, obj)(names.COLOUR_BY, names.PHASE_COLOUR)
+    other = import_splat(splat_path)
     space = SimpleNamespace(overlay=SimpleNamespace(show_overlays=True))
     settings = SimpleNamespace(tg4mm_view=SimpleNamespace(legend=True))
     context = SimpleNamespace(
@@ -187,18 +190,29 @@ def test_legend_in_the_view_can_be_switched_off(extension: ModuleType, splat_pat
         window_manager=settings,
         preferences=bpy.context.preferences,
         scene=bpy.context.scene,
+        view_layer=bpy.context.view_layer,
     )
     wanted = extension.panels.overlay.wanted
-    assert wanted(context)[0] is extension.panels.plots.phase_legend
+    phase, amplitude = extension.panels.plots.phase_legend, extension.panels.plots.amplitude_legend
+    for active in (obj, other, None):  # whichever is active
+        context.object = active
+        assert [(label, picture[0]) for label, picture in wanted(context)] == [(obj.name, phase)]
+    setter(extension, other)(names.COLOUR_BY, names.AMPLITUDE_COLOUR)
+    context.object = other
+    assert [(label, picture[0]) for label, picture in wanted(context)] == [
+        (other.name, amplitude),
+        (obj.name, phase),
+    ]
+    setter(extension, other)(names.COLOUR_BY, names.PHASE_COLOUR)
+    assert [label for label, _ in wanted(context)] == [f"{other.name}, {obj.name}"]  # alike: one for both
     space.overlay.show_overlays = False
-    assert wanted(context) is None
+    assert wanted(context) == []
     space.overlay.show_overlays, settings.tg4mm_view.legend = True, False
-    assert wanted(context) is None
+    assert wanted(context) == []
     settings.tg4mm_view.legend = True
-    obj.hide_set(True)
-    assert wanted(context) is None
-    context.object = None
-    assert wanted(context) is None
+    for hidden in (obj, other):
+        hidden.hide_set(True)
+    assert wanted(context) == []
 
 
 def test_probe_shows_rows_a_curve_and_exports(extension: ModuleType, splat_path: Path) -> None:

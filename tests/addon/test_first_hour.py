@@ -1,0 +1,182 @@
+"""What a new user meets: the startup scene's cube, axes, numbers that are no numbers, recordings without end."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.addon.conftest import some_splat
+from tg4mm.core.splatfile import positions_at, read_splat, write_splat
+
+bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
+
+from tests.addon.playing import drawn_whole, import_splat, places, setter  # noqa: E402
+
+
+@pytest.fixture
+def cube(extension: ModuleType) -> Any:
+    """The cube of Blender's startup scene."""
+    bpy.ops.mesh.primitive_cube_add(size=2)
+    bpy.context.object.name = "Cube"
+    return bpy.context.object
+
+
+def shown(told: list[str], cube: Any) -> bool:
+    return not (cube.hide_get() and cube.hide_render and any("Cube was in the way" in line for line in told))
+
+
+def test_the_untouched_startup_cube_is_hidden_and_said(
+    extension: ModuleType, splat_path: Path, cube: Any
+) -> None:
+    obj = import_splat(splat_path)
+    assert (cube.hide_get(), cube.hide_render) == (True, True)
+    cube.hide_set(False)
+    assert not shown(extension.panels.showing.show(bpy.context, [obj]), cube)
+
+
+@pytest.mark.parametrize("touched", ["moved", "edited", "bevelled", "apart"])
+def test_a_cube_that_is_someones_own_stays(
+    extension: ModuleType, splat_path: Path, cube: Any, touched: str
+) -> None:
+    if touched == "moved":
+        cube.location.x = 0.5
+    elif touched == "edited":
+        cube.data.vertices[0].co.x = -1.5
+    elif touched == "bevelled":
+        cube.modifiers.new("bevel", "BEVEL")
+    obj = import_splat(splat_path, show=False)
+    obj.location.x = 100.0 if touched == "apart" else 0.0
+    assert shown(extension.panels.showing.show(bpy.context, [obj]), cube)
+
+
+def test_what_is_around_all_of_it_is_named(extension: ModuleType, splat_path: Path, cube: Any) -> None:
+    cube.name, cube.scale = "Room", (50, 50, 50)
+    obj = import_splat(splat_path, show=False)
+    assert extension.panels.showing.show(bpy.context, [obj]) == ["they lie inside Room"]
+    assert not cube.hide_get()
+
+
+UPS = {"Z": (0.0, 0.0, 1.0), "MINUS_Y": (0.0, -1.0, 0.0), "PLUS_Y": (0.0, 1.0, 0.0)}
+
+
+def colmap_camera(up: tuple[float, float, float]) -> np.ndarray:
+    """[3, 3] camera-to-world of a level camera, y down, in a world with this up."""
+    ahead = np.array([1.0, 0.0, 0.0])
+    return np.stack([np.cross(ahead, up), -np.array(up), ahead], axis=1)
+
+
+@pytest.mark.parametrize("up", UPS)
+@pytest.mark.parametrize("kind", ["cameras.json", "transforms.json"])
+def test_up_is_told_by_the_cameras(extension: ModuleType, splat_path: Path, up: str, kind: str) -> None:
+    turn = colmap_camera(UPS[up])
+    if kind == "cameras.json":
+        cameras: Any = [{"rotation": turn.tolist(), "position": [0, 0, 0]}] * 3
+    else:
+        pose = np.eye(4)
+        pose[:3, :3] = turn * [1, -1, -1]
+        cameras = {"frames": [{"transform_matrix": pose.tolist()}] * 3}
+    (splat_path.parent / kind).write_text(json.dumps(cameras))
+    obj = import_splat(splat_path)
+    bpy.context.view_layer.update()
+    np.testing.assert_allclose(np.array(obj.matrix_world)[:3, :3] @ UPS[up], [0, 0, 1], atol=1e-6)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{", '{"frames": 3}', '[{"rotation": [[1]]}]', '{"frames": []}'])
+def test_a_file_of_cameras_that_says_nothing_turns_nothing(
+    extension: ModuleType, splat_path: Path, text: str
+) -> None:
+    (splat_path.parent / "cameras.json").write_text(text)
+    assert import_splat(splat_path).rotation_euler.x == 0
+
+
+def test_axes_are_chosen_on_import(extension: ModuleType, splat_path: Path) -> None:
+    assert import_splat(splat_path, axes="MINUS_Y").rotation_euler.x == pytest.approx(-math.pi / 2)
+    assert import_splat(splat_path, axes="PLUS_Y").rotation_euler.x == pytest.approx(math.pi / 2)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_no_finite_number_plays_as_0_and_is_marked(
+    extension: ModuleType, splat_path: Path, value: float
+) -> None:
+    obj, splat, names = import_splat(splat_path), read_splat(splat_path), extension.names
+    modifier, put = drawn_whole(extension, obj), setter(extension, obj)
+    put(names.ALPHA, value)
+    np.testing.assert_allclose(places(obj, 9.5), positions_at(splat, 8.5), atol=1e-4)
+    assert extension.nodes.clock.not_finite(modifier) == [f"Magnification is {value:g}: plays as 0"]
+    put(names.ALPHA, 0.0)
+    put(names.SPEED, value)
+    np.testing.assert_allclose(places(obj, 9.5), positions_at(splat, 0), atol=1e-4)
+    assert extension.nodes.clock.lines(bpy.context.scene, obj, modifier)[0] == "0.000 s of 2.000 s, stopped"
+    put(names.SPEED, 1.0)
+    assert extension.nodes.clock.not_finite(modifier) == []
+
+
+@pytest.mark.parametrize("n_timesteps", [2**20, 2**31, 10**15])
+def test_fifty_modes_of_a_recording_without_end(
+    extension: ModuleType, tmp_path: Path, n_timesteps: int
+) -> None:
+    splat = replace(some_splat(9, tuple(np.linspace(0.2, 11.8, 50))), n_timesteps=n_timesteps)
+    write_splat(tmp_path / "long.ply", splat)
+    start = time.process_time()
+    obj = import_splat(tmp_path / "long.ply")
+    assert bpy.context.scene.frame_end == 1_048_574
+    assert bpy.ops.tg4mm.probe(source="CURSOR") == {"FINISHED"}
+    found = extension.probe.picking.stored(obj)
+    assert found.n_timesteps == n_timesteps
+    function, *arguments = extension.probe.panel.curve_picture(
+        found, extension.preferences.unit_for(bpy.context, obj), 0.5
+    )
+    function(*arguments)
+    with pytest.raises(RuntimeError, match="write the phasor table"):
+        bpy.ops.tg4mm.export_probe(filepath=str(tmp_path / "long.csv"), per_timestep=8)
+    assert time.process_time() - start < 10
+
+
+def test_the_curve_of_a_long_recording_reaches_as_far_as_the_motion(extension: ModuleType) -> None:
+    probe = extension.probe.probe
+    read = probe.Probe("", np.array([3.0]), np.array([[0.2, 0.0, 0.1j]]), np.eye(3)[:1], 24.0, 100_000)
+    seconds, moved = probe.envelope(read, 50)
+    assert len(seconds) == len(moved) == 100
+    np.testing.assert_allclose(moved[0::2, [0, 2]], [[-0.2, -0.1]] * 50, rtol=0.02)
+    np.testing.assert_allclose(moved[1::2, [0, 2]], [[0.2, 0.1]] * 50, rtol=0.02)
+
+
+@pytest.mark.parametrize("fps", [1e-9, 40_000.0, 1e12])
+def test_frame_rates_that_blender_lacks_are_no_trace(
+    extension: ModuleType, splat_path: Path, tmp_path: Path, fps: float
+) -> None:
+    write_splat(tmp_path / "odd.ply", replace(read_splat(splat_path), fps=fps))
+    assert import_splat(tmp_path / "odd.ply")
+
+
+def one_line(call: Any, message: str) -> None:
+    with pytest.raises(RuntimeError, match=message) as caught:
+        call()
+    lines = set(filter(None, str(caught.value).splitlines()))
+    assert len(lines) == 1
+    assert "Errno" not in lines.pop()
+
+
+def test_folders_and_disks_that_cannot_be_used_are_one_line(
+    extension: ModuleType, splat_path: Path, cube: Any
+) -> None:
+    one_line(
+        lambda: bpy.ops.import_scene.tg4mm_splat(filepath=str(splat_path.parent)), "cannot be read: Is a dir"
+    )
+    bpy.context.scene.tg4mm_generate.out = str(splat_path)
+    one_line(bpy.ops.tg4mm.generate, "cannot be used: (Not a directory|File exists)")
+    import_splat(splat_path)
+    bpy.ops.tg4mm.probe(source="CURSOR")
+    gone = splat_path.parent / "gone" / "a.csv"
+    one_line(
+        lambda: bpy.ops.tg4mm.export_probe(filepath=str(gone)), r"a\.csv: cannot be written: No such file"
+    )
+    one_line(lambda: bpy.ops.tg4mm.export_probe(filepath="/dev/null"), "/dev/null: cannot be written")
