@@ -1,4 +1,4 @@
-# demo, test, test-all, test-faults, test-avx2, test-sse2, benchmark-avx2, lint, extension, sample, docs, player, readers, farm, clean. Each sets up .venv first; the second time that costs nothing.
+# demo, test, test-all, test-52, test-53, test-faults, test-avx2, test-sse2, benchmark-avx2, lint, extension, sample, docs, player, readers, farm, clean. Each sets up .venv first; the second time that costs nothing.
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -9,17 +9,16 @@ PYTHON ?= python3.11
 #   make TORCH='torch --extra-index-url https://download.pytorch.org/whl/cpu' …
 TORCH ?= torch
 CONSTRAINED := -c constraints.txt
-# Blender 5.2's Python module needs exactly 3.13; where it lies is found on PATH or among pyenv's.
-PYTHON52 ?= $(shell for p in python3.13 "$$(pyenv root 2>/dev/null)"/versions/3.13*/bin/python3.13; do \
+# The Python modules of Blender 5.2 and 5.3 need exactly 3.13; where it lies is found on PATH or among pyenv's.
+PYTHON313 ?= $(shell for p in python3.13 "$$(pyenv root 2>/dev/null)"/versions/3.13*/bin/python3.13; do \
 	"$$p" -c 'import sys; assert sys.version_info[:2] == (3, 13)' 2>/dev/null && echo "$$p" && break; done)
-VENV52 := .venv52
 VENVFARM := .venv-farm
 # One thread in each of two workers is faster here than two threads in one.
 WORKERS ?= 2
 AVX2 := NUMBA_CPU_NAME=haswell NUMBA_CPU_FEATURES=+avx2,+fma ATEN_CPU_CAPABILITY=avx2
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --durations=30
 
-.PHONY: demo test test-all test-slow test-faults test-52 test-gui test-avx2 test-sse2 benchmark-avx2 lint extension sample docs player readers farm install clean distclean
+.PHONY: demo test test-all test-slow test-faults test-52 test-53 test-gui test-avx2 test-sse2 benchmark-avx2 lint extension sample docs player readers farm install clean distclean
 
 demo: install
 	$(BIN)/tg4mm demo --out demo
@@ -31,10 +30,10 @@ test: lint
 test-slow: install
 	$(PYTEST) -m slow || [ $$? -eq 5 ]
 
-# What runs inside Blender, on the other LTS line: Blender 5.2 with Python 3.13, in an environment without torch. The
+# What runs inside Blender, in the versions for Python 3.13, each in an environment of its own without torch. The
 # generator's tests that never name bpy are left out: `make test` runs them.
-test-52: $(VENV52)/.installed
-	OMP_NUM_THREADS=1 $(VENV52)/bin/python -m pytest -n $(WORKERS) --dist loadfile -m "not slow" \
+test-52 test-53: test-%: .venv%/.installed
+	OMP_NUM_THREADS=1 .venv$*/bin/python -m pytest -n $(WORKERS) --dist loadfile -m "not slow" \
 		tests/addon $$(grep -lw bpy tests/dataset_gen/test_*.py)
 
 # What kills, full disks, signals and damaged or hostile files do: docs/faults.md. MUTATIONS: of each reader's files.
@@ -50,7 +49,7 @@ test-avx2: install
 test-sse2: install
 	NUMBA_CPU_NAME=x86-64 NUMBA_CPU_FEATURES=+sse2 ATEN_CPU_CAPABILITY=default $(PYTEST) -m "not slow"
 
-test-all: test test-slow test-52
+test-all: test test-slow test-52 test-53
 
 # The extension in the real Blender 5.2 on a virtual screen, by mouse. As root; the first time it gets 1.3 GB.
 test-gui: install
@@ -111,11 +110,12 @@ $(VENV)/.installed: pyproject.toml constraints.txt Makefile
 	$(BIN)/python -m pip install --quiet $(CONSTRAINED) -e '.[core,generate,dev]'
 	@touch $@
 
-$(VENV52)/.installed: pyproject.toml Makefile
-	@[ -n "$(PYTHON52)" ] || { \
-		echo "Python 3.13, which Blender 5.2's Python module needs, was not found: make PYTHON52=/path test-52" >&2; exit 2; }
-	[ -x $(VENV52)/bin/python ] || $(PYTHON52) -m venv $(VENV52)
-	$(VENV52)/bin/python -m pip install --quiet -e '.[generate,dev]'
+# .venv52 has bpy 5.2, .venv53 bpy 5.3.
+.venv52/.installed .venv53/.installed: .venv%/.installed: pyproject.toml Makefile
+	@[ -n "$(PYTHON313)" ] || { \
+		echo "Python 3.13, which this Blender's Python module needs, was not found: make PYTHON313=/path test-$*" >&2; exit 2; }
+	[ -x .venv$*/bin/python ] || $(PYTHON313) -m venv .venv$*
+	.venv$*/bin/python -m pip install --quiet -e '.[generate,dev]' 'bpy==$(*:5%=5.%).*'
 	@touch $@
 
 clean:
@@ -123,4 +123,4 @@ clean:
 	find . -name __pycache__ -not -path './$(VENV)/*' -prune -exec rm -rf {} +
 
 distclean: clean
-	rm -rf $(VENV) $(VENV52) demo
+	rm -rf $(VENV) .venv52 .venv53 demo

@@ -1,4 +1,4 @@
-"""Where Blender 4.5, 5.2 and 5.3 differ; nothing else in the extension asks for the version."""
+"""Where Blender 4.5, 5.2 and 5.3 differ. Features are asked for, not versions."""
 
 from __future__ import annotations
 
@@ -7,9 +7,28 @@ from typing import Any
 
 import bpy
 
+from .core.errors import Tg4mmError
+
+NEWEST_TRIED = (5, 3)
 # 5.2 keeps the inputs of a Geometry Nodes modifier as properties, 4.5 as custom properties.
-_INPUTS_ARE_PROPERTIES = bpy.app.version >= (5, 2, 0)
-_MATERIALS_ALWAYS_HAVE_NODES = bpy.app.version >= (5, 0, 0)
+_INPUTS_ARE_PROPERTIES = "properties" in bpy.types.NodesModifier.bl_rna.properties
+
+
+class MissingInBlender(Tg4mmError):
+    """This Blender lacks something that the extension is built on."""
+
+    def __init__(self, what: str) -> None:
+        super().__init__(f"Blender {bpy.app.version_string} has no {what}; TG4MM is tried up to {_tried()}")
+
+
+def untried() -> str:
+    """What to say about a Blender that is newer than any that was tried; "" for others."""
+    new = bpy.app.version[:2] > NEWEST_TRIED
+    return f"Blender {bpy.app.version_string}: tried up to {_tried()}" if new else ""
+
+
+def _tried() -> str:
+    return ".".join(map(str, NEWEST_TRIED))
 
 
 def find_input(modifier: Any, name: str) -> Any:
@@ -83,34 +102,21 @@ def key_input(modifier: Any, name: str, frame: float) -> None:
 
 
 def native_splats() -> bool:
-    """True where a point cloud can be of Gaussian splats that Blender itself draws: from 5.3 on.
-
-    Never run: no such Blender was to be had (docs/blender.md has the commands that try it).
-    """
+    """True where a point cloud can be of Gaussian splats that Blender itself draws: from 5.3 on."""
     return hasattr(bpy.types, "GeometryNodePointsSetType")
 
 
 def choose_splats(node: Any) -> None:
-    """Set a Set Point Cloud Type node to Gaussian splats: the item of its choice that has SPLAT in its identifier.
-
-    RuntimeError, naming the choices, where there is none.
-    """
-    found = []
-    for prop in node.bl_rna.properties:
-        if prop.type == "ENUM" and not prop.is_readonly:
-            for item in prop.enum_items:
-                if "SPLAT" in item.identifier.upper():
-                    setattr(node, prop.identifier, item.identifier)
-                    return
-                found.append(item.identifier)
-    raise RuntimeError(
-        f"the node Set Point Cloud Type has no Gaussian splats, only {', '.join(found) or 'nothing'}"
-    )
+    """Set a Set Point Cloud Type node to Gaussian splats. MissingInBlender where it does not know them."""
+    try:
+        node.inputs["Type"].default_value = "3D Gaussian Splat"
+    except (KeyError, TypeError) as error:
+        raise MissingInBlender("Gaussian splats in the node Set Point Cloud Type") from error
 
 
 def use_nodes(material: Any) -> None:
     """Give a new material a node tree, which 5.x does by itself."""
-    if not _MATERIALS_ALWAYS_HAVE_NODES:
+    if material.node_tree is None:
         material.use_nodes = True
 
 

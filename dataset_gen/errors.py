@@ -18,6 +18,6 @@ def blender_remedy() -> str:
         return "pip install '.[generate]' in a copy of the repository"
     version = ".".join(map(str, have))
     return (
-        f"this is Python {version}, and Blender's module comes for 3.11 (Blender 4.5) and 3.13 (5.2) alone: make an "
+        f"this is Python {version}, and Blender's module comes for 3.11 (Blender 4.5) and 3.13 (5.3) alone: make an "
         "environment with one of these"
     )

@@ -10,7 +10,7 @@ from bpy.props import BoolProperty, CollectionProperty, EnumProperty, IntPropert
 from bpy_extras.io_utils import ImportHelper
 
 from .. import compat, names, preferences
-from ..core.errors import SplatFileError
+from ..core.errors import Tg4mmError
 from ..nodes import scene
 from ..nodes.blending import true_colours
 from ..panels import showing
@@ -98,7 +98,7 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
                 self.most,
                 lambda part: manager.progress_update(int(100 * part)),
             )
-        except SplatFileError as error:
+        except Tg4mmError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         except MemoryError:

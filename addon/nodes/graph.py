@@ -41,8 +41,11 @@ class Graph:
         self.arrange()
 
     def node(self, kind: str, **properties: Any) -> Any:
-        """A new node with its properties set."""
-        node = self.tree.nodes.new(kind)
+        """A new node with its properties set. MissingInBlender where there is no such node."""
+        try:
+            node = self.tree.nodes.new(kind)
+        except RuntimeError as error:
+            raise compat.MissingInBlender(f"node {kind}") from error
         for name, value in properties.items():
             setattr(node, name, value)
         return node
@@ -58,9 +61,8 @@ class Graph:
         """A node with inputs set by the names of its enabled sockets; returns one of its enabled outputs."""
         node = self.node(kind, **properties)
         for name, value in inputs.items():
-            self.put(value, next(s for s in node.inputs if s.enabled and s.name == name))
-        enabled = [out for out in node.outputs if out.enabled]
-        return enabled[output] if isinstance(output, int) else next(o for o in enabled if o.name == output)
+            self.put(value, _enabled(node, node.inputs, name))
+        return _enabled(node, node.outputs, output)
 
     def group(self, tree: Any, **inputs: Value) -> Any:
         """A node of a group; inputs by name with _ for a space; returns its outputs."""
@@ -174,3 +176,14 @@ class Graph:
             x = depth[node.name]
             node.location = x * column, -rows.get(x, 0) * row
             rows[x] = rows.get(x, 0) + 1
+
+
+def _enabled(node: Any, sockets: Any, wanted: str | int) -> Any:
+    """The socket in use that is called so or has that number. MissingInBlender without one."""
+    enabled = [socket for socket in sockets if socket.enabled]
+    if isinstance(wanted, int):
+        return enabled[wanted]
+    for socket in enabled:
+        if socket.name == wanted:
+            return socket
+    raise compat.MissingInBlender(f"socket {wanted} of the node {node.bl_idname}")

@@ -29,7 +29,9 @@ def fill_mesh(mesh: Any, splat: SplatFile) -> None:
         _attribute(mesh, names.sh(k), "FLOAT_VECTOR", "vector", splat.sh[:, k])
     if compat.native_splats():
         for name, values in native_attributes(splat).items():
-            kind, field = ("FLOAT4", "value") if name == names.NATIVE_BASE else ("FLOAT_VECTOR", "vector")
+            kind, field = (
+                ("FLOAT_COLOR", "color") if name == names.NATIVE_BASE else ("FLOAT_VECTOR", "vector")
+            )
             _attribute(mesh, name, kind, field, values)
     for k in range(splat.n_modes):
         part, d, r = names.phasor(k), splat.displacement[k], splat.rotation[k]
@@ -47,7 +49,9 @@ def fill_mesh(mesh: Any, splat: SplatFile) -> None:
 
 def native_attributes(splat: SplatFile) -> dict[str, np.ndarray]:
     """What Blender 5.3's own splats read besides position, scale and rotation: [N, 4] raw f_dc and opacity, and
-    [N, 3] for each further coefficient, as in the file."""
+    [N, 3] for each further coefficient, as in the file.
+
+    Blender's own import writes the first as FLOAT4. It draws FLOAT_COLOR alike, which nodes can write too."""
     base = np.concatenate([splat.sh[:, 0], splat.opacities[:, None]], axis=1)
     return {names.NATIVE_BASE: base} | {
         names.native_sh(k): splat.sh[:, k] for k in range(1, splat.sh.shape[1])

@@ -43,6 +43,8 @@ class VIEW3D_PT_tg4mm(_Tab, bpy.types.Panel):
 
     def draw(self, context: Any) -> None:
         layout, obj = self.layout, scene.splat_object(context)
+        if untried := compat.untried():
+            layout.label(text=untried, icon="INFO")
         if obj is None:
             layout.operator("import_scene.tg4mm_splat", text="Import Splats", icon="IMPORT")
             layout.label(text="Select imported splats", icon="INFO")

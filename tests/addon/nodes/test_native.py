@@ -1,4 +1,4 @@
-"""Blender 5.3's own splats, as far as this can be tested without that Blender: never run there (docs/blender.md)."""
+"""Blender 5.3's own splats: what they are given, and that a Blender without them is told so."""
 
 from __future__ import annotations
 
@@ -8,11 +8,15 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 
-from tg4mm.core.splatfile import read_splat
+from tg4mm.core.splatfile import positions_at, read_splat, rotations_at
 
 bpy = pytest.importorskip("bpy", reason="needs pip's Blender: pip install '.[generate]'")
 
-from tests.addon.playing import import_splat, setter  # noqa: E402
+from tests.addon.playing import evaluated, import_splat, matrices, read, setter  # noqa: E402
+
+needs_native = pytest.mark.skipif(
+    not hasattr(bpy.types, "GeometryNodePointsSetType"), reason="this Blender has no splats of its own"
+)
 
 
 def test_native_is_offered_where_blender_has_it_only(extension: ModuleType, splat_path: Path) -> None:
@@ -35,20 +39,53 @@ def test_native_attributes_are_the_raw_coefficients_and_the_opacity(
     np.testing.assert_array_equal(made["radiance:sh_2"], splat.sh[:, 3])
 
 
-def choice(*items: str, readonly: bool = False) -> SimpleNamespace:
-    return SimpleNamespace(
-        type="ENUM",
-        identifier="kind",
-        is_readonly=readonly,
-        enum_items=[SimpleNamespace(identifier=item) for item in items],
+@needs_native
+@pytest.mark.parametrize("alpha", [0.0, 20.0])
+@pytest.mark.parametrize("frame", [1, 8.5])
+def test_native_splats_are_where_the_formula_puts_them(
+    extension: ModuleType, splat_path: Path, alpha: float, frame: float
+) -> None:
+    obj, names, splat = import_splat(splat_path), extension.names, read_splat(splat_path)
+    put = setter(extension, obj)
+    put(names.DRAW, names.NATIVE)
+    put(names.ALPHA, alpha)
+    geometry = evaluated(obj, frame)
+    cloud, n, t = geometry.pointcloud, len(splat), frame - 1
+    assert cloud.type == "GAUSSIAN_SPLAT"
+    places = read(cloud, "position", "vector", 3)[:n]
+    np.testing.assert_allclose(places, positions_at(splat, t, alpha), atol=1e-4 * (1 + alpha))
+    turned = matrices(read(cloud, "rotation", "value", 4)[:n])
+    np.testing.assert_allclose(turned, matrices(rotations_at(splat, t, alpha)), atol=2e-4 * (1 + alpha))
+    np.testing.assert_allclose(read(cloud, "scale", "vector", 3)[:n], splat.scales, rtol=1e-6)
+    base = read(cloud, names.NATIVE_BASE, "color", 4)[:n]
+    np.testing.assert_array_equal(base[:, :3], splat.sh[:, 0])
+    np.testing.assert_array_equal(base[:, 3], splat.opacities)
+
+
+def test_a_node_that_is_missing_is_one_line_and_nothing_is_left(
+    extension: ModuleType, splat_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        extension.nodes.scene,
+        "build_player",
+        lambda *_: extension.nodes.graph.Graph(bpy.data.node_groups.new("a", "GeometryNodeTree")).node(
+            "GeometryNodeOfTomorrow"
+        ),
     )
+    with pytest.raises(
+        RuntimeError, match=r"Blender \S+.* has no node GeometryNodeOfTomorrow; TG4MM is tried up to"
+    ):
+        bpy.ops.import_scene.tg4mm_splat(filepath=str(splat_path))
+    assert not bpy.data.objects
+    assert not bpy.data.meshes
 
 
-def test_the_type_is_chosen_whatever_it_is_called(extension: ModuleType) -> None:
-    fixed, free = choice("A_SPLAT", readonly=True), choice("POINTS", "GAUSSIAN_SPLAT")
-    node = SimpleNamespace(bl_rna=SimpleNamespace(properties=[fixed, free]), kind="POINTS")
-    extension.compat.choose_splats(node)
-    assert node.kind == "GAUSSIAN_SPLAT"
-    node.bl_rna.properties = [choice("POINTS", "DISCS")]
-    with pytest.raises(RuntimeError, match="has no Gaussian splats, only POINTS, DISCS"):
-        extension.compat.choose_splats(node)
+def test_a_type_without_splats_is_one_line(extension: ModuleType) -> None:
+    with pytest.raises(extension.compat.MissingInBlender, match="has no Gaussian splats in the node"):
+        extension.compat.choose_splats(SimpleNamespace(inputs={}))
+
+
+def test_a_newer_blender_is_said(extension: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert extension.compat.untried() == ""
+    monkeypatch.setattr(extension.compat, "NEWEST_TRIED", (4, 0))
+    assert extension.compat.untried() == f"Blender {bpy.app.version_string}: tried up to 4.0"
