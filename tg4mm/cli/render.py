@@ -37,7 +37,12 @@ class Split(StrEnum):
 
 
 def render(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder made by tg4mm train.")],
+    run: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RUN", help="A run folder made by tg4mm train, or a splat file with --cameras."
+        ),
+    ],
     alpha: Annotated[
         list[float],
         typer.Option(
@@ -65,7 +70,7 @@ def render(
     allow_empty_band: EmptyBandOption = False,
     device: DeviceOption = Device.cpu,
 ) -> None:
-    """Render pictures and videos of a run with magnified motion.
+    """Render pictures and videos of a run, or of a splat file, with magnified motion.
 
     Writes OUT/<timestep>/<camera>.png and OUT/<camera>.mp4; with --orbit, OUT/r_000.png … and OUT/orbit.mp4.
     Give one of --split, --cameras and --orbit.
@@ -81,14 +86,19 @@ def render(
     check_paired(alpha, asked)
     chosen_filter = temporal_filter(filter, asked)
     from tg4mm.fit.device import check_device
-    from tg4mm.run import Run
+    from tg4mm.run.splat_run import LOW_PASS_PX2, SplatRun, cameras_asked, open_run
     from tg4mm.show.render import RenderRequest, render_orbit, render_sequence
 
     check_device(device.value)
-    opened = Run.open(run)
+    opened = open_run(run)
+    if cameras is None:
+        cameras_asked(opened, given[0] if given else None)
+    low_pass = opened.low_pass_px2 if isinstance(opened, SplatRun) else LOW_PASS_PX2
     chosen_method = None if method is None else method.value
     magnified = paired(alpha, known_bands(opened, asked))
-    request = RenderRequest(slow=slow, method=chosen_method, filter=chosen_filter, **magnified)
+    request = RenderRequest(
+        slow=slow, method=chosen_method, filter=chosen_filter, low_pass_px2=low_pass, **magnified
+    )
     check_magnified(opened, request.checked().plan, allow_empty_band)
     warn_too_far(opened, request.plan)
     if orbit is not None:
@@ -114,10 +124,14 @@ def split_cameras(run: Run, split: Split | None) -> tuple[Camera, ...]:
 
 
 def file_cameras(run: Run, path: Path) -> tuple[Camera, ...]:
-    """The cameras of a file; pictures are as large as the dataset's where the file does not say."""
+    """The cameras of a file; where it does not say, pictures are as large as the dataset's, or as its own first one."""
     from tg4mm.capture import load_capture
+    from tg4mm.run.splat_run import SplatRun
     from tg4mm.show.render import cameras_from_file
+    from tg4mm.show.render.cameras import size_of_first_picture
 
+    if isinstance(run, SplatRun):
+        return cameras_from_file(path, size_of_first_picture(path))
     capture = load_capture(run.dataset)
     return cameras_from_file(path, (capture.width, capture.height))
 

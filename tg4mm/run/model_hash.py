@@ -18,11 +18,15 @@ _NOT_OF_THE_MODEL = ("config", "format", DIGEST)
 
 
 def model_hash(run_path: Path) -> str:
-    """SHA-256 over the tensors of a run's model files, with their names, types, shapes and headers.
+    """SHA-256 over the tensors of a run's model files, with their names, types, shapes and headers; of a splat file
+    over its bytes.
 
     Not over the files' bytes: safetensors writes its header in no fixed order. Motion triplanes of `paper` are in it by
     the motion that they decode to. Raises RunError for a file that is torn.
     """
+    if run_path.is_file():  # a splat file
+        with run_path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
     digest = hashlib.sha256()
     for name in _FILES:
         path = run_path / f"{name}.safetensors"

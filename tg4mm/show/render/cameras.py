@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from tg4mm.capture.cameras import read_intrinsics, read_pose, world_to_camera
 from tg4mm.capture.geometry import nearest_point_equations, optical_axes
@@ -163,6 +164,22 @@ def cameras_from_file(path: Path, size: tuple[int, int] | None = None) -> tuple[
     if len(set(names)) < len(names):  # several folders with equal file names: number them
         cameras = [Camera(f"r_{i:03d}", c.viewmat, c.K, c.width, c.height) for i, c in enumerate(cameras)]
     return tuple(cameras)
+
+
+def size_of_first_picture(path: Path) -> tuple[int, int] | None:
+    """(width, height) of the picture that the first frame of a transforms JSON names; None where it is not there."""
+    frames = read_record(Path(path)).values.get("frames")
+    first = frames[0] if isinstance(frames, list) and frames and isinstance(frames[0], dict) else {}
+    name = first.get("file_path")
+    for suffix in ("", ".png", ".jpg") if isinstance(name, str) else ():
+        picture = Path(path).parent / f"{name}{suffix}"
+        if picture.is_file():
+            try:
+                with Image.open(picture) as opened:
+                    return opened.size
+            except OSError:
+                return None
+    return None
 
 
 def _camera_of_frame(file: Record, i: int, values: Any, size: tuple[int, int] | None) -> Camera:

@@ -39,8 +39,12 @@ def render_image(
     width: int,
     height: int,
     background: tuple[float, float, float] = WHITE,
+    low_pass_px2: float = 0.3,
 ) -> np.ndarray:
-    """Display-referred sRGB picture [height, width, 3] float32 in 0..1; `viewmat` [4, 4], `K` [3, 3]."""
+    """Display-referred sRGB picture [height, width, 3] float32 in 0..1; `viewmat` [4, 4], `K` [3, 3].
+
+    `low_pass_px2`: what each Gaussian is drawn wider by, square pixels.
+    """
     device = gaussians.means.device
     colors, _, _ = rasterization(
         gaussians.means,
@@ -52,6 +56,7 @@ def render_image(
         torch.as_tensor(K, dtype=torch.float32, device=device)[None],
         width,
         height,
+        eps2d=low_pass_px2,
         sh_degree=gaussians.sh_degree,
         backgrounds=torch.tensor([background], dtype=torch.float32, device=device),
     )

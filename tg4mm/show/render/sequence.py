@@ -44,6 +44,9 @@ class RenderRequest:
     bands: tuple[BandGain, ...] = ()  # several, each with its own alpha, in place of alpha and band
     method: str | None = None  # "modal", "linear", "phase"; None: the run's own
     filter: TemporalFilter | None = None  # of linear and phase; None: zero-phase
+    low_pass_px2: float = (
+        0.3  # what each Gaussian is drawn wider by; less where a file's scales hold some of it
+    )
 
     @property
     def plan(self) -> Magnification:
@@ -150,7 +153,14 @@ def render_missing(
             if current is None or current[0] != time:
                 current = (time, pose(time))
             size = (camera.width, camera.height)
-            picture = render_image(current[1], camera.viewmat, camera.K, *size, background=request.background)
+            picture = render_image(
+                current[1],
+                camera.viewmat,
+                camera.K,
+                *size,
+                background=request.background,
+                low_pass_px2=request.low_pass_px2,
+            )
             write_png(path, picture)
             done += 1
             update(done)

@@ -1,0 +1,80 @@
+"""A splat file where a run is rendered: its Gaussians and modes, and nothing of a training."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from tg4mm.core.errors import RunError
+from tg4mm.core.splatfile import SplatFile, read_splat
+from tg4mm.fit.gaussians import Gaussians
+from tg4mm.fit.motion.modes import ModalMotion
+from tg4mm.run.folder import Run
+
+LOW_PASS_PX2 = 0.3  # what training draws each Gaussian wider by, square pixels
+
+
+class SplatRun(Run):
+    """A run that is one splat file. It has no dataset, so no cameras, and no log."""
+
+    @classmethod
+    def open(cls, path: Path | str) -> SplatRun:
+        """Read a splat file. Raises SplatFileError if it is none."""
+        run = cls(Path(path), {"preset": "modal", "settings": {}, "dataset": None})
+        _ = run.splat
+        return run
+
+    @cached_property
+    def splat(self) -> SplatFile:
+        """What the file holds."""
+        return read_splat(self.path)
+
+    @property
+    def low_pass_px2(self) -> float:
+        """What is left to draw each Gaussian wider by, square pixels: the file says what its scales hold already."""
+        return max(0.0, LOW_PASS_PX2 - (self.splat.low_pass_px2 or 0.0))
+
+    @property
+    def dataset(self) -> Path:
+        """No folder: a splat file does not say what it was made of."""
+        return self.path
+
+    @property
+    def has_space(self) -> bool:
+        """A splat file is a scene at rest."""
+        return True
+
+    @property
+    def has_motion(self) -> bool:
+        """Whether the file has modes."""
+        return self.splat.n_modes > 0
+
+    def load_space(self) -> Gaussians:
+        """The Gaussians at rest, float32 on the CPU."""
+        splat = self.splat
+        arrays = (splat.means, splat.quats, splat.scales, splat.opacities, splat.sh)
+        return Gaussians(*(torch.from_numpy(np.ascontiguousarray(a, np.float32)) for a in arrays))
+
+    def load_motion(self) -> ModalMotion | None:
+        """The modes; None of a file without."""
+        splat = self.splat
+        if not splat.n_modes:
+            return None
+        return ModalMotion(splat.freqs_hz, splat.displacement, splat.rotation, splat.fps, splat.n_timesteps)
+
+
+def open_run(path: Path) -> Run:
+    """The run folder at `path`, or the splat file that it is. Raises RunError or SplatFileError."""
+    return SplatRun.open(path) if path.is_file() else Run.open(path)
+
+
+def cameras_asked(run: Run, given: str | None) -> None:
+    """Raise RunError where cameras of a dataset are asked of a splat file; `given`: the option that asked, if one."""
+    if isinstance(run, SplatRun):
+        asked = "" if given is None else f"{given}: "
+        raise RunError(
+            f"{asked}{run.path} is a splat file, which has no cameras of its own: give --cameras FILE"
+        )
