@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import bpy
@@ -10,6 +9,7 @@ import bpy
 from .core.errors import Tg4mmError
 
 NEWEST_TRIED = (5, 3)
+LARGEST = 1e30  # of a modifier's numbers: times what it is multiplied with, float32 still holds it
 # 5.2 keeps the inputs of a Geometry Nodes modifier as properties, 4.5 as custom properties.
 _INPUTS_ARE_PROPERTIES = "properties" in bpy.types.NodesModifier.bl_rna.properties
 
@@ -54,10 +54,15 @@ def get_input(modifier: Any, name: str) -> Any:
     return _menu_names(modifier, item)[value] if item.socket_type == "NodeSocketMenu" else value
 
 
+def is_number(value: float) -> bool:
+    """False for NaN, infinity, and what 5.3 makes of infinity: the largest number that float32 holds."""
+    return abs(value) < LARGEST
+
+
 def get_number(modifier: Any, name: str) -> float:
     """The value of a modifier's number as the node tree plays it: what is no finite number counts as 0."""
     value = float(get_input(modifier, name))
-    return value if math.isfinite(value) else 0.0
+    return value if is_number(value) else 0.0
 
 
 def set_input(modifier: Any, name: str, value: Any) -> None:
@@ -118,6 +123,14 @@ def use_nodes(material: Any) -> None:
     """Give a new material a node tree, which 5.x does by itself."""
     if material.node_tree is None:
         material.use_nodes = True
+
+
+def transform_by_matrix(node: Any) -> None:
+    """Let a Transform Geometry node take a matrix: a property in 4.5, a socket in 5.2."""
+    if hasattr(node, "mode"):
+        node.mode = "MATRIX"
+    else:
+        node.inputs["Mode"].default_value = "Matrix"
 
 
 def match_wildcard(node: Any) -> None:

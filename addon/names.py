@@ -31,6 +31,8 @@ FILE_COLOUR, AMPLITUDE_COLOUR, PHASE_COLOUR = COLOUR_ITEMS = ("File", "Amplitude
 SCALE, ROTATION, COLOUR, OPACITY, DISPLACEMENT = "scale", "rotation", "colour", "opacity", "displacement"
 MODE_PREFIX, SH_PREFIX = "mode_", "sh_"
 NATIVE_PREFIX, NATIVE_BASE = "radiance:", "radiance:base"  # of Blender 5.3's own splats
+# Of the last four vertices of a mesh, which are no Gaussians (nodes/applied.py): number, 1 to 4, and first place.
+REFERENCE, REFERENCE_REST = "tg4mm_reference", "tg4mm_reference_rest"
 
 # Custom properties of the object. MARK tells our objects; the others say what the file said.
 MARK, FPS, FREQUENCIES, TIMESTEPS = "tg4mm_version", "tg4mm_fps", "tg4mm_frequencies_hz", "tg4mm_timesteps"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 from .. import compat, names
@@ -42,7 +41,9 @@ def not_finite(modifier: Any) -> list[str]:
     """A line for each number of the modifier that is NaN or infinite, which a driver or a script can make it."""
     shown = [name for name in (names.ALPHA, names.SPEED, names.FIRST) if compat.has_input(modifier, name)]
     values = {name: float(compat.get_input(modifier, name)) for name in shown}
-    return [f"{name} is {value:g}: plays as 0" for name, value in values.items() if not math.isfinite(value)]
+    return [
+        f"{name} is {value:g}: plays as 0" for name, value in values.items() if not compat.is_number(value)
+    ]
 
 
 def pace(speed: float) -> str:

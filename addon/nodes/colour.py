@@ -35,16 +35,15 @@ def build_colour_map(name: str) -> Any:
 
 
 def build_harmonics(name: str, degree: int) -> Any:
-    """A node group: linear colour of each point seen from the scene's camera; degree 1 to 3.
+    """A node group: linear colour of each point seen from a place; degree 1 to 3.
 
-    max(0, 0.5 + Σ_k sh_k·Y_k(d)) as in docs/conventions.md, d from the camera to the point in object axes.
+    max(0, 0.5 + Σ_k sh_k·Y_k(d)) as in docs/conventions.md, d from the place to the point, both of the object at rest.
     """
     graph = Graph(bpy.data.node_groups.new(f"{name} Harmonics", "GeometryNodeTree"))
+    graph.interface("Camera", "Vector")
     graph.result("Colour", "Color")
-    camera = graph.node("GeometryNodeInputActiveCamera").outputs[0]
-    place = graph.call("GeometryNodeObjectInfo", {"Object": camera}, "Location", transform_space="RELATIVE")
     here = graph.node("GeometryNodeInputPosition").outputs[0]
-    toward = graph.vector("NORMALIZE", graph.vector("SUBTRACT", here, place))
+    toward = graph.vector("NORMALIZE", graph.vector("SUBTRACT", here, graph.inputs()["Camera"]))
     total = graph.scaled(graph.attribute(names.sh(0), "FLOAT_VECTOR"), colours.C0)
     for k, y in enumerate(_basis(graph, toward, degree), start=1):
         total = graph.vector("ADD", total, graph.scaled(graph.attribute(names.sh(k), "FLOAT_VECTOR"), y))
@@ -55,6 +54,12 @@ def build_harmonics(name: str, degree: int) -> Any:
     )
     graph.finish(Colour=colour)
     return graph.tree
+
+
+def camera_place(graph: Graph) -> Any:
+    """Where the scene's camera is, in the object's axes."""
+    camera = graph.node("GeometryNodeInputActiveCamera").outputs[0]
+    return graph.call("GeometryNodeObjectInfo", {"Object": camera}, "Location", transform_space="RELATIVE")
 
 
 def _basis(graph: Graph, direction: Any, degree: int) -> list[Any]:

@@ -97,13 +97,24 @@ class Graph:
             total = self._operate("FunctionNodeBooleanMath", "AND", (total, condition))
         return total
 
+    def either(self, *conditions: Value) -> Any:
+        """True where any condition is."""
+        total = conditions[0]
+        for condition in conditions[1:]:
+            total = self._operate("FunctionNodeBooleanMath", "OR", (total, condition))
+        return total
+
+    def opposite(self, condition: Value) -> Any:
+        """True where the condition does not hold."""
+        return self._operate("FunctionNodeBooleanMath", "NOT", (condition,))
+
     def compare(self, operation: str, a: Value, b: Value, data_type: str = "FLOAT") -> Any:
         inputs = {"A": a, "B": b}
         return self.call("FunctionNodeCompare", inputs, data_type=data_type, operation=operation)
 
     def finite(self, value: Value) -> Any:
-        """A number, or 0 in place of NaN and infinity, neither of which is 0 when taken from itself."""
-        is_number = self.compare("EQUAL", self.math("SUBTRACT", value, value), 0.0)
+        """A number, or 0 in place of NaN and infinity (compat.is_number)."""
+        is_number = self.compare("LESS_THAN", self.math("ABSOLUTE", value), compat.LARGEST)
         return self.choose("FLOAT", is_number, 0.0, value)
 
     def choose(self, data_type: str, condition: Value, no: Value, yes: Value) -> Any:
@@ -150,6 +161,22 @@ class Graph:
         self.put(geometry, node.inputs["Geometry"])
         self.put(pattern, node.inputs["Name"])
         return node.outputs[0]
+
+    def repeat(self, times: Value) -> tuple[Any, Any, Any]:
+        """A zone that is evaluated `times` times and joins geometries: the number of the turn, from 0; what there is so
+        far; and the zone's end, to be given to `repeated`."""
+        start, end = self.node("GeometryNodeRepeatInput"), self.node("GeometryNodeRepeatOutput")
+        start.pair_with_output(end)
+        self.put(times, start.inputs["Iterations"])
+        return start.outputs["Iteration"], start.outputs["Geometry"], end
+
+    def repeated(self, end: Any, before: Value, geometry: Value) -> Any:
+        """Add a turn's geometry to what there is so far; returns what there is after the last."""
+        joined = self.node("GeometryNodeJoinGeometry")
+        for part in (geometry, before):  # what is linked last comes first
+            self.put(part, joined.inputs[0])
+        self.put(joined.outputs[0], end.inputs["Geometry"])
+        return end.outputs["Geometry"]
 
     def painted(self, geometry: Value, material: Value) -> Any:
         return self.call("GeometryNodeSetMaterial", {"Geometry": geometry, "Material": material})

@@ -1,4 +1,4 @@
-"""The tree of the modifier: points → motion or sequence → colour → shapes.
+"""The tree of the modifier: points → where Apply Transform found them → motion or sequence → colour → shapes → back.
 
 Self-contained: the .blend plays without the extension, sub-frames and render farms included.
 """
@@ -12,7 +12,9 @@ from typing import Any
 import bpy
 
 from .. import compat, names
-from .colour import build_colour_map, build_harmonics, encoded
+from .applied import Applied, applied, at_rest, growth, parts, put_back
+from .colour import build_colour_map, build_harmonics, camera_place, encoded
+from .colours import C0
 from .graph import Graph
 from .made import Made
 from .motion import Motion, build_motion, use_motion
@@ -73,33 +75,75 @@ def build_player(name: str, content: Content, materials: Materials, made: Made) 
     draw = graph.menu(inputs[names.DRAW], _draw_items(content))
     by = graph.menu(inputs[names.COLOUR_BY], _numbered(names.COLOUR_ITEMS)) if len(content.freqs_hz) else 0
     _preset_menus(graph)
-    points, motion = inputs["Geometry"], None
+    # What Join put together is played part by part. A sequence has its points elsewhere.
+    count, number = (1, 0) if content.frames is not None else parts(graph, inputs["Geometry"])
+    turn, before, end = graph.repeat(count)
+    mine = {"Geometry": inputs["Geometry"], "Selection": graph.compare("EQUAL", number, turn, "INT")}
+    part = graph.call("GeometryNodeSeparateGeometry", mine, domain="POINT")
+    several = graph.compare("GREATER_THAN", count, 1, "INT")
+    moved, points = applied(graph, graph.choose("GEOMETRY", several, inputs["Geometry"], part))
+    drawn = _played(graph, points, inputs, content, (draw, by), moved, materials, (name, made))
+    graph.finish(Geometry=graph.repeated(end, before, drawn))
+    return graph.tree
+
+
+def _played(
+    graph: Graph,
+    points: Any,
+    inputs: Any,
+    content: Content,
+    chosen: tuple[Any, Any],
+    moved: Applied,
+    materials: Materials,
+    kept: tuple[str, Made],
+) -> Any:
+    """What is drawn of the points of one part. `chosen`: the numbers of Draw As and Colour By."""
+    (draw, by), (name, made), motion = chosen, kept, None
     if content.frames is not None:
         group = made.keep(build_sequence(name, content.frames, content.n_frames))
         points = graph.group(
             group, **{socket: inputs[socket] for socket in (names.FIRST, names.SPEED, names.LOOP)}
         )[0]
-    elif len(content.freqs_hz):
+    else:
+        place = at_rest(graph, moved, graph.node("GeometryNodeInputPosition").outputs[0])
+        rest = graph.call("GeometryNodeSetPosition", {"Geometry": points, "Position": place})
+        points = graph.choose("GEOMETRY", moved.changed, points, rest)
+    if len(content.freqs_hz):
         motion = use_motion(graph, build_motion(name, content.freqs_hz, content.fps, made), inputs)
         points = _moved(graph, points, motion, draw)
-    points = _coloured(graph, points, inputs, content, by, motion, (name, made))
+    points = _coloured(graph, points, inputs, content, by, motion, moved, kept)
     for_screen = encoded(graph, graph.attribute(names.COLOUR, "FLOAT_COLOR"))
     as_trained = graph.store(points, names.COLOUR, "FLOAT_COLOR", for_screen)
     points = graph.choose("GEOMETRY", inputs[names.BLEND], points, as_trained)
-    for prefix in (names.MODE_PREFIX, names.SH_PREFIX):
+    for prefix in (names.MODE_PREFIX, names.SH_PREFIX, names.REFERENCE):
         # Instances would carry a copy of each attribute of their point.
         points = graph.without(points, f"{prefix}*")
+    native = None
     if compat.native_splats():
         native = graph.compare("EQUAL", draw, names.DRAW_ITEMS.index(names.NATIVE), "INT")
-        points = graph.choose("GEOMETRY", native, graph.without(points, f"{names.NATIVE_PREFIX}*"), points)
+        plain = graph.without(points, f"{names.NATIVE_PREFIX}*")
+        analysed = graph.compare("GREATER_THAN", by, 0, "INT")
+        painted = graph.either(analysed, inputs[names.BLEND])
+        own = graph.choose("GEOMETRY", painted, points, _native_colours(graph, points))
+        points = graph.choose("GEOMETRY", native, plain, own)
     shapes = graph.node("GeometryNodeGroup", node_tree=made.keep(build_shapes(name, materials)))
-    values = {"Points": points, names.DRAW: draw}
+    values = {"Points": points, names.DRAW: draw, "Growth": growth(graph, moved)}
     declared = {socket.name for socket in inputs}
     for socket in shapes.inputs:
         if socket.name in values or socket.name in declared:
             graph.put(values.get(socket.name, inputs.get(socket.name)), socket)
-    graph.finish(Geometry=shapes.outputs[0])
-    return graph.tree
+    return put_back(graph, moved, shapes.outputs[0], native)
+
+
+def _native_colours(graph: Graph, points: Any) -> Any:
+    """Points whose colours, once for all directions, are what Blender's own splats show."""
+    shown = encoded(graph, graph.attribute(names.COLOUR, "FLOAT_COLOR"))
+    first = graph.scaled(graph.vector("SUBTRACT", shown, (0.5, 0.5, 0.5)), 1 / C0)
+    opacity = graph.math("MAXIMUM", graph.attribute(names.OPACITY, "FLOAT"), 0.0)
+    channels = dict(zip(("Red", "Green", "Blue"), graph.split(first), strict=True))
+    base = graph.call("FunctionNodeCombineColor", {**channels, "Alpha": opacity})
+    points = graph.without(points, f"{names.NATIVE_PREFIX}sh_*")
+    return graph.store(points, names.NATIVE_BASE, "FLOAT_COLOR", base)
 
 
 def _declare(graph: Graph, content: Content) -> None:
@@ -192,12 +236,14 @@ def _coloured(
     content: Content,
     by: Any,
     motion: Motion | None,
+    moved: Applied,
     kept: tuple[str, Made],
 ) -> Any:
     """Points with the colours asked for; as they are where the file's own rest colours are."""
     name, made = kept
     if content.sh_degree:
-        colour = graph.group(made.keep(build_harmonics(name, content.sh_degree)))[0]
+        camera = at_rest(graph, moved, camera_place(graph))
+        colour = graph.group(made.keep(build_harmonics(name, content.sh_degree)), Camera=camera)[0]
         seen = graph.store(points, names.COLOUR, "FLOAT_COLOR", colour)
         points = graph.choose("GEOMETRY", inputs[names.VIEW_COLOUR], points, seen)
     if motion is None:

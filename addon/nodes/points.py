@@ -1,50 +1,151 @@
-"""Gaussians as a mesh of loose vertices: rest positions, and all else as attributes the node tree names."""
+"""Gaussians as a mesh of loose vertices: rest positions, and all else as attributes the node tree names.
+
+The last four vertices are no Gaussians but references for Apply Transform (applied.py). Their opacity is −1, so that no
+threshold draws them. Who reads a mesh's rows leaves them out by `values` or `gaussians`.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from .. import compat, names
+from ..core.errors import Tg4mmError
 from ..core.splatfile import SplatFile
 from . import colours
 
 # A thinner ellipsoid cannot be inverted in float32, which the splat material needs.
 THINNEST = 1e-4  # of the longest axis
 SMALLEST = 1e-7  # scene units
+# Of the attributes' data: the field that holds a value, and how many numbers that is.
+_FIELDS = {
+    "FLOAT": ("value", 1),
+    "FLOAT_VECTOR": ("vector", 3),
+    "FLOAT_COLOR": ("color", 4),
+    "QUATERNION": ("value", 4),
+}
 
 
-def fill_mesh(mesh: Any, splat: SplatFile) -> None:
+def fill_mesh(mesh: Any, splat: SplatFile, references: bool = True) -> None:
     """Fill an empty mesh; the view-dependent coefficients only where there are any."""
-    mesh.vertices.add(len(splat))
-    mesh.vertices.foreach_set("co", _flat(splat.means))
+    fill = _Rows(mesh, len(splat), 4 if references else 0)
     quats = splat.quats / np.linalg.norm(splat.quats, axis=1, keepdims=True)
-    _attribute(mesh, names.SCALE, "FLOAT_VECTOR", "vector", drawable_scales(splat.scales))
-    _attribute(mesh, names.ROTATION, "QUATERNION", "value", quats)
-    _attribute(mesh, names.COLOUR, "FLOAT_COLOR", "color", colours.rest_colours(splat.sh))
-    _attribute(mesh, names.OPACITY, "FLOAT", "value", splat.opacities)
+    scales = drawable_scales(splat.scales)
+    # References have a size that is there anyway: Blender packs sizes between the smallest and the largest.
+    fill(names.SCALE, "FLOAT_VECTOR", scales, scales[:1])
+    fill(names.ROTATION, "QUATERNION", quats, (1.0, 0.0, 0.0, 0.0))
+    fill(names.COLOUR, "FLOAT_COLOR", colours.rest_colours(splat.sh))
+    fill(names.OPACITY, "FLOAT", splat.opacities, -1.0)
     mesh.color_attributes.active_color = mesh.color_attributes[names.COLOUR]
     for k in range(splat.sh.shape[1] if splat.sh_degree else 0):
-        _attribute(mesh, names.sh(k), "FLOAT_VECTOR", "vector", splat.sh[:, k])
+        fill(names.sh(k), "FLOAT_VECTOR", splat.sh[:, k])
     if compat.native_splats():
         for name, values in native_attributes(splat).items():
-            kind, field = (
-                ("FLOAT_COLOR", "color") if name == names.NATIVE_BASE else ("FLOAT_VECTOR", "vector")
-            )
-            _attribute(mesh, name, kind, field, values)
+            fill(name, "FLOAT_COLOR" if name == names.NATIVE_BASE else "FLOAT_VECTOR", values)
     for k in range(splat.n_modes):
         part, d, r = names.phasor(k), splat.displacement[k], splat.rotation[k]
         for key, values in (("re", d.real), ("im", d.imag), ("re_r", r.real), ("im_r", r.imag)):
-            _attribute(mesh, part[key], "FLOAT_VECTOR", "vector", values)
+            fill(part[key], "FLOAT_VECTOR", values)
         amplitude, phase = strength(d, main_axis(d))
-        _attribute(mesh, names.amplitude(k), "FLOAT", "value", amplitude)
-        _attribute(mesh, names.phase(k), "FLOAT", "value", phase)
+        fill(names.amplitude(k), "FLOAT", amplitude)
+        fill(names.phase(k), "FLOAT", phase)
         if splat.deviation is not None:
-            _attribute(mesh, names.deviation(k), "FLOAT", "value", splat.deviation[k])
-    # New points come selected; the probe reads what a person selects.
-    mesh.vertices.foreach_set("select", np.zeros(len(splat), bool))
-    mesh.update()
+            fill(names.deviation(k), "FLOAT", splat.deviation[k])
+    middle, size = splat.means.mean(axis=0), splat.means.std() or 1.0
+    steps = np.concatenate([np.zeros((1, 3)), np.eye(3)])
+    fill.finish(splat.means, (middle + size * steps)[: fill.extra])
+
+
+def fill_references(mesh: Any) -> None:
+    """Four references alone: of a sequence, whose points are in other meshes."""
+    fill = _Rows(mesh, 0, 4)
+    fill.finish(np.zeros((0, 3)), np.concatenate([np.zeros((1, 3)), np.eye(3)]))
+
+
+def gaussians(mesh: Any) -> np.ndarray:
+    """[V] bool: which vertices of a mesh are Gaussians. `rows[gaussians(mesh)]` leaves the references out.
+
+    Not in Edit Mode, where a mesh's attributes cannot be read: give a copy.
+    """
+    marks = mesh.attributes.get(names.REFERENCE)
+    numbers = np.zeros(len(mesh.vertices), np.int32)
+    if marks is not None:
+        marks.data.foreach_get("value", numbers)
+    return numbers == 0
+
+
+def values(mesh: Any, name: str) -> np.ndarray:
+    """[N] or [N, width] float32 of an attribute ("position" too) of the N Gaussians of a mesh, without the references.
+
+    Raises Tg4mmError where the attribute is gone. Not in Edit Mode: give a copy.
+    """
+    if (found := mesh.attributes.get(name)) is None:
+        raise Tg4mmError(f"Attribute {name!r} of the points is gone; import the file again")
+    field, width = _FIELDS[found.data_type]
+    rows = np.empty(width * len(mesh.vertices), np.float32)
+    found.data.foreach_get(field, rows)
+    return (rows if width == 1 else rows.reshape(-1, width))[gaussians(mesh)]
+
+
+class Part(NamedTuple):
+    """Gaussians that one import brought, and what Apply Transform did to them."""
+
+    rows: np.ndarray  # [n] their numbers among all Gaussians of the mesh
+    applied: np.ndarray | None  # [4, 4] float64: place = applied · place in the file; None: references lost
+
+
+def parts(mesh: Any) -> list[Part]:
+    """What Join put together, the twin of applied.py's tree; one part for what was never joined. Not in Edit Mode."""
+    numbers, rest = np.zeros(len(mesh.vertices), np.int32), np.zeros(3 * len(mesh.vertices), np.float32)
+    now = np.empty(3 * len(mesh.vertices), np.float32)
+    for name, field, into in (
+        (names.REFERENCE, "value", numbers),
+        (names.REFERENCE_REST, "vector", rest),
+        ("position", "vector", now),
+    ):
+        if (found := mesh.attributes.get(name)) is not None:
+            found.data.foreach_get(field, into)
+    is_gaussian = numbers == 0
+    one = np.count_nonzero(~is_gaussian) == 4
+    ended = np.zeros(len(numbers), int) if one else np.cumsum(numbers == 4) - (numbers == 4)
+    places = [flat.reshape(-1, 3).astype(np.float64) for flat in (rest, now)]
+    found_parts = []
+    for part in range(ended.max(initial=0) + 1):
+        rows = np.flatnonzero(ended[is_gaussian] == part)
+        marked = np.flatnonzero((ended == part) & ~is_gaussian)
+        if len(rows) or len(marked):
+            found_parts.append(Part(rows, _affine(*(flat[marked] for flat in places))))
+    return found_parts
+
+
+def _affine(rest: np.ndarray, now: np.ndarray) -> np.ndarray | None:
+    """[4, 4] the map of four places [4, 3] on four others; None where there is none."""
+    if len(rest) != 4:
+        return None
+    before, after = (np.eye(4) for _ in range(2))
+    for frame, four in ((before, rest), (after, now)):
+        frame[:3, :3], frame[:3, 3] = (four[1:] - four[0]).T, four[0]
+    if 0.0 in (np.linalg.det(before), np.linalg.det(after)):
+        return None
+    return after @ np.linalg.inv(before)
+
+
+def growth(mesh: Any) -> float:
+    """How much longer Apply Transform made a mesh: the cube root of the volume's factor, by the last four vertices."""
+    marks, rest = (mesh.attributes.get(name) for name in (names.REFERENCE, names.REFERENCE_REST))
+    last = range(len(mesh.vertices) - 4, len(mesh.vertices))
+    if (
+        marks is None
+        or rest is None
+        or len(marks.data) < 4
+        or [marks.data[i].value for i in last] != [1, 2, 3, 4]
+    ):
+        return 1.0
+    affine = _affine(
+        np.array([rest.data[i].vector for i in last]), np.array([mesh.vertices[i].co for i in last])
+    )
+    return 1.0 if affine is None else float(abs(np.linalg.det(affine[:3, :3])) ** (1 / 3))
 
 
 def native_attributes(splat: SplatFile) -> dict[str, np.ndarray]:
@@ -85,9 +186,32 @@ def strength(phasors: np.ndarray, axis: np.ndarray) -> tuple[np.ndarray, np.ndar
     return amplitude, (psi / (2 * np.pi) + 0.5 * away) % 1.0
 
 
-def _attribute(mesh: Any, name: str, data_type: str, field: str, values: np.ndarray) -> None:
-    mesh.attributes.new(name, data_type, "POINT").data.foreach_set(field, _flat(values))
+class _Rows:
+    """Writes a mesh's vertices: `count` Gaussians, then `extra` references."""
 
+    def __init__(self, mesh: Any, count: int, extra: int) -> None:
+        mesh.vertices.add(count + extra)
+        self.mesh, self.count, self.extra = mesh, count, extra
 
-def _flat(values: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(values, dtype=np.float32).ravel()
+    def __call__(self, name: str, data_type: str, rows: np.ndarray, other: Any = 0.0) -> None:
+        """A new attribute: rows [N] or [N, k] of the Gaussians, `other` of each reference."""
+        field, width = _FIELDS[data_type]
+        data = self.mesh.attributes.new(name, data_type, "POINT").data
+        data.foreach_set(field, self._flat(np.reshape(rows, (-1, width)), other))
+
+    def finish(self, places: np.ndarray, references: np.ndarray) -> None:
+        """Places of all vertices. None is selected, as new ones are: the probe reads what a person selects."""
+        self.mesh.vertices.foreach_set("co", self._flat(places, references))
+        if self.extra:
+            self(names.REFERENCE_REST, "FLOAT_VECTOR", np.zeros((self.count, 3)), references)
+            marks = np.zeros(self.count + self.extra, np.int32)
+            marks[self.count :] = 1 + np.arange(self.extra)
+            self.mesh.attributes.new(names.REFERENCE, "INT", "POINT").data.foreach_set("value", marks)
+        self.mesh.vertices.foreach_set("select", np.zeros(self.count + self.extra, bool))
+        self.mesh.update()
+
+    def _flat(self, rows: np.ndarray, other: Any) -> np.ndarray:
+        """[(N + extra)·k] float32."""
+        every = np.empty((self.count + self.extra, rows.shape[1]), np.float32)
+        every[: self.count], every[self.count :] = rows, other
+        return every.ravel()

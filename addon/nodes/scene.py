@@ -15,7 +15,7 @@ from ..core.splatfile import SplatFile
 from . import Content, build_player, clock
 from .made import Made
 from .materials import make_materials
-from .points import fill_mesh, main_axis
+from .points import fill_mesh, fill_references, main_axis, values
 from .spectrum import rms_amplitude
 
 NAME_LENGTH = 40  # of what a name may have, so that what is added to it still fits
@@ -36,7 +36,7 @@ def _object(splat: SplatFile, name: str, made: Made) -> Any:
     mesh = made.keep(bpy.data.meshes.new(name))
     fill_mesh(mesh, splat)
     largest, squares = [], np.zeros(len(splat))
-    for amplitudes in _amplitudes(mesh, splat):
+    for amplitudes in amplitudes_of(mesh, splat.n_modes):
         largest.append(float(amplitudes.max()))
         squares += amplitudes.astype(np.float64) ** 2
     content = Content(
@@ -71,11 +71,13 @@ def make_sequence(
             splat = read(path)
             most, degree = max(most, len(splat)), max(degree, splat.sh_degree)
             mesh = made.keep(bpy.data.meshes.new(f"{base} {i:06d}"))
-            fill_mesh(mesh, splat)
+            fill_mesh(mesh, splat, references=False)
             frames.objects.link(made.keep(bpy.data.objects.new(mesh.name, mesh)))
             step(i)
         content = Content(count=most, sh_degree=degree, frames=frames, n_frames=len(paths))
-        obj = _player(base, made.keep(bpy.data.meshes.new(base)), content, made)
+        mesh = made.keep(bpy.data.meshes.new(base))
+        fill_references(mesh)
+        obj = _player(base, mesh, content, made)
         obj[names.MARK], obj[names.FPS], obj[names.FREQUENCIES] = 1, 0.0, []
         obj[names.TIMESTEPS], obj[names.FRAMES] = len(paths), frames.name
         collection.objects.link(obj)
@@ -155,7 +157,7 @@ def _describe(obj: Any, splat: SplatFile, largest: list[float]) -> None:
     # Whole numbers of a property have 32 bits.
     obj[names.TIMESTEPS] = splat.n_timesteps if splat.n_timesteps < 2**31 else float(splat.n_timesteps)
     obj[names.MODE_AMPLITUDES] = largest
-    obj[names.MODE_RMS] = [rms_amplitude(a, splat.opacities) for a in _amplitudes(obj.data, splat)]
+    obj[names.MODE_RMS] = [rms_amplitude(a, splat.opacities) for a in amplitudes_of(obj.data, splat.n_modes)]
     obj[names.MODE_AXES] = [float(x) for phasors in splat.displacement for x in main_axis(phasors)]
     if splat.low_pass_px2 is not None:
         obj[names.LOW_PASS] = splat.low_pass_px2
@@ -163,12 +165,9 @@ def _describe(obj: Any, splat: SplatFile, largest: list[float]) -> None:
         obj[names.UNIT_SCALE] = splat.unit_scale_m
 
 
-def _amplitudes(mesh: Any, splat: SplatFile) -> Iterator[np.ndarray]:
-    """[N] the amplitude of every Gaussian, scene units, mode by mode; the array is used again."""
-    values = np.empty(len(splat), np.float32)
-    for k in range(splat.n_modes):
-        mesh.attributes[names.amplitude(k)].data.foreach_get("value", values)
-        yield values
+def amplitudes_of(mesh: Any, n_modes: int) -> Iterator[np.ndarray]:
+    """[N] the amplitude of every Gaussian, units of the file, mode by mode."""
+    return (values(mesh, names.amplitude(k)) for k in range(n_modes))
 
 
 def _free_name(name: str) -> str:

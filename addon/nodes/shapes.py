@@ -31,7 +31,14 @@ def build_shapes(name: str, materials: Materials) -> Any:
     graph = Graph(bpy.data.node_groups.new(f"{name} Shapes", "GeometryNodeTree"))
     graph.interface("Points", "Geometry")
     graph.interface(names.DRAW, "Int")
-    for socket in (names.SIZE, names.RADIUS, names.MIN_OPACITY, names.MIN_SPLAT_OPACITY, names.ARROW_LENGTH):
+    for socket in (
+        names.SIZE,
+        names.RADIUS,
+        names.MIN_OPACITY,
+        names.MIN_SPLAT_OPACITY,
+        names.ARROW_LENGTH,
+        "Growth",
+    ):
         graph.interface(socket, "Float")
     graph.interface(names.ARROW_EVERY, "Int", 1)
     graph.interface(names.SOLID_COLOUR, "Bool")
@@ -48,14 +55,19 @@ def build_shapes(name: str, materials: Materials) -> Any:
     kinds = [
         _balls(graph, points, enough, radius, solid),
         _balls(graph, points, faint, splat_radius, materials.splat),
-        _dots(graph, points, enough, radius, materials.points, inputs[names.SOLID_COLOUR]),
+        _dots(
+            graph, points, enough, (radius, inputs["Growth"]), materials.points, inputs[names.SOLID_COLOUR]
+        ),
         _arrows(graph, points, enough, inputs, solid),
     ]
     if compat.native_splats():
-        kinds.append(_native(graph, points))
+        kinds.append(_native(graph, points, inputs[names.SIZE]))
     drawn = graph.pick("GEOMETRY", _solid_draw(graph, inputs), *kinds)
     flat = _realized(graph, points, drawn)
-    graph.finish(Geometry=graph.choose("GEOMETRY", inputs[names.SOLID_COLOUR], drawn, flat))
+    # Solid view shows Blender's own splats as they are.
+    other = graph.compare("NOT_EQUAL", inputs[names.DRAW], names.DRAW_ITEMS.index(names.NATIVE), "INT")
+    wanted = graph.both(inputs[names.SOLID_COLOUR], other)
+    graph.finish(Geometry=graph.choose("GEOMETRY", wanted, drawn, flat))
     return graph.tree
 
 
@@ -79,15 +91,19 @@ def _balls(graph: Graph, points: Any, selection: Any, radius: Any, material: Any
     return graph.call("GeometryNodeInstanceOnPoints", inputs)
 
 
-def _dots(graph: Graph, points: Any, selection: Any, radius: Any, material: Any, solid: Any) -> Any:
+def _dots(
+    graph: Graph, points: Any, selection: Any, radius: tuple[Any, Any], material: Any, solid: Any
+) -> Any:
     """Round dots of the Gaussians' mean size, `radius` in deviations: a point cloud, the quickest to draw.
 
-    Solid view shows point clouds white, so for it they are small balls.
+    Solid view shows point clouds white, so for it they are small balls. The second `radius` is a factor for dots alone,
+    which Transform Geometry leaves as large as they are.
     """
     size = graph.vector("MULTIPLY", graph.attribute(names.SCALE, "FLOAT_VECTOR"), (1 / 3, 1 / 3, 1 / 3))
     x, y, z = graph.split(size)
-    mean = graph.math("MULTIPLY", graph.math("ADD", graph.math("ADD", x, y), z), radius)
-    cloud = graph.call("GeometryNodeMeshToPoints", {"Mesh": points, "Selection": selection, "Radius": mean})
+    mean = graph.math("MULTIPLY", graph.math("ADD", graph.math("ADD", x, y), z), radius[0])
+    size = graph.math("MULTIPLY", mean, radius[1])
+    cloud = graph.call("GeometryNodeMeshToPoints", {"Mesh": points, "Selection": selection, "Radius": size})
     sphere = graph.call(
         "GeometryNodeMeshIcoSphere", {"Radius": 1.0, "Subdivisions": FEWEST_SUBDIVISIONS}, "Mesh"
     )
@@ -103,13 +119,22 @@ def _dots(graph: Graph, points: Any, selection: Any, radius: Any, material: Any,
     return graph.choose("GEOMETRY", solid, graph.painted(cloud, material), graph.painted(balls, material))
 
 
-def _native(graph: Graph, points: Any) -> Any:
+def _native(graph: Graph, points: Any, size: Any) -> Any:
     """A point cloud of Blender's own splats; their attributes are on the points already (points.py)."""
+    scales = graph.scaled(graph.attribute(names.SCALE, "FLOAT_VECTOR"), size)
+    sized = graph.store(points, names.SCALE, "FLOAT_VECTOR", scales)
+    points = graph.choose("GEOMETRY", graph.compare("EQUAL", size, 1.0), sized, points)
     cloud = graph.call("GeometryNodeMeshToPoints", {"Mesh": points})
     node = graph.node("GeometryNodePointsSetType")
     compat.choose_splats(node)
     graph.put(cloud, node.inputs[0])
     return node.outputs[0]
+
+
+def _gaussians(graph: Graph, points: Any) -> Any:
+    """The points without the references for Apply Transform, whose opacity is below 0 (points.py)."""
+    real = graph.compare("GREATER_EQUAL", graph.attribute(names.OPACITY, "FLOAT"), 0.0)
+    return graph.call("GeometryNodeSeparateGeometry", {"Geometry": points, "Selection": real}, domain="POINT")
 
 
 def _arrows(graph: Graph, points: Any, selection: Any, inputs: Any, material: Any) -> Any:
@@ -152,5 +177,5 @@ def _realized(graph: Graph, points: Any, drawn: Any) -> Any:
     """
     joined = graph.node("GeometryNodeJoinGeometry")
     graph.put(graph.call("GeometryNodeRealizeInstances", {"Geometry": drawn}), joined.inputs[0])
-    graph.put(points, joined.inputs[0])
+    graph.put(_gaussians(graph, points), joined.inputs[0])
     return joined.outputs[0]

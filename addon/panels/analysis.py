@@ -11,6 +11,7 @@ from .. import compat, names
 from ..core.colour import STILL_BELOW
 from ..core.errors import Tg4mmError
 from ..nodes import scene, spectrum
+from ..nodes.points import gaussians, values
 from ..units import Unit
 from . import plots, seen
 
@@ -41,15 +42,8 @@ def band_amplitude(obj: Any) -> np.ndarray:
 
     Raises Tg4mmError if a person has removed the attributes that hold it.
     """
-    mesh = obj.data
-    total = np.zeros(len(mesh.vertices))
-    values = np.empty(len(total), np.float32)
-    for k in active_modes(obj):
-        if (attribute := mesh.attributes.get(names.amplitude(k))) is None:
-            raise Tg4mmError(f"Attribute {names.amplitude(k)!r} of the points is gone; import the file again")
-        attribute.data.foreach_get("value", values)
-        total += values.astype(np.float64) ** 2
-    return np.sqrt(total)
+    every = [values(obj.data, names.amplitude(k)).astype(np.float64) for k in active_modes(obj)]
+    return np.sqrt(sum((a**2 for a in every), np.zeros(gaussians(obj.data).sum())))
 
 
 def fit_colour_range(obj: Any) -> float:

@@ -11,6 +11,7 @@ from mathutils import Matrix, Vector
 
 from .. import names
 from ..nodes import scene
+from ..nodes.points import values
 from . import panel, pictures
 
 OPAQUE = 0.3  # what is fainter may lie far off and counts for no size
@@ -86,12 +87,8 @@ def _points(obj: Any) -> np.ndarray:
     """[n, 3] positions of the opaque Gaussians, of a sequence those of its first frame; all where none is opaque."""
     frames = scene.sequence_frames(obj)
     mesh = obj.data if frames is None else frames[0].data
-    places = np.empty(3 * len(mesh.vertices), np.float32)
-    opacities = np.empty(len(mesh.vertices), np.float32)
-    mesh.vertices.foreach_get("co", places)
-    mesh.attributes[names.OPACITY].data.foreach_get("value", opacities)
-    solid = opacities >= OPAQUE
-    return places.reshape(-1, 3)[solid if solid.any() else slice(None)].astype(np.float64)
+    places, solid = values(mesh, "position"), values(mesh, names.OPACITY) >= OPAQUE
+    return places[solid if solid.any() else slice(None)].astype(np.float64)
 
 
 def _frame(area: Any, middle: np.ndarray, radius: float) -> None:

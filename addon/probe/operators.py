@@ -10,6 +10,7 @@ from bpy.props import EnumProperty, IntProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
 
 from .. import preferences
+from ..core.errors import Tg4mmError
 from ..io import receiving, saving
 from ..nodes import scene
 from . import picking, probe
@@ -59,7 +60,7 @@ class TG4MM_OT_probe(_OnMotion):
                 found = picking.probe_cursor(obj, context.scene.cursor.location)
             else:
                 found = picking.probe_spheres(obj, picking.spheres_of(obj, context.selected_objects))
-        except picking.PickError as error:
+        except Tg4mmError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         picking.store(obj, found)

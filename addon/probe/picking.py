@@ -13,6 +13,7 @@ import numpy as np
 from .. import compat, names
 from ..core.errors import Tg4mmError
 from ..nodes import scene
+from ..nodes.points import gaussians, values
 from .probe import Probe, mean_deviation, mean_phasor
 
 
@@ -25,6 +26,7 @@ def probe_selection(obj: Any) -> Probe:
     with _readable(obj) as mesh:
         chosen = np.empty(len(mesh.vertices), bool)
         mesh.vertices.foreach_get("select", chosen)
+        chosen = chosen[gaussians(mesh)]
         if not chosen.any():
             raise PickError(
                 "No point is selected: enter Edit Mode (Tab) and click one, or box-select several"
@@ -38,7 +40,7 @@ def probe_cursor(obj: Any, cursor: Sequence[float]) -> Probe:
     drawn_as = compat.get_input(modifier, names.DRAW)
     faintest = names.MIN_SPLAT_OPACITY if drawn_as == names.SPLATS else names.MIN_OPACITY
     with _readable(obj) as mesh:
-        shown = np.flatnonzero(_floats(mesh, names.OPACITY) >= compat.get_input(modifier, faintest))
+        shown = np.flatnonzero(values(mesh, names.OPACITY) >= compat.get_input(modifier, faintest))
         if not len(shown):
             raise PickError(
                 f"No Gaussian is as opaque as {faintest}, {compat.get_input(modifier, faintest):g}"
@@ -52,7 +54,8 @@ def probe_spheres(obj: Any, spheres: Sequence[Any]) -> Probe:
     if not spheres:
         raise PickError("No sphere is there: add one with the button beside, and move it over the region")
     with _readable(obj) as mesh:
-        world = np.column_stack([_world(obj, mesh), np.ones(len(mesh.vertices))])
+        world = _world(obj, mesh)
+        world = np.column_stack([world, np.ones(len(world))])
         inside = np.zeros(len(world), bool)
         for sphere in spheres:
             local = world @ np.array(sphere.matrix_world.inverted_safe()).T
@@ -103,10 +106,10 @@ def forget(obj: Any) -> None:
 def stored(obj: Any) -> Probe | None:
     """The reading that is kept on the object; None without one, or if it is not of the object's modes."""
     freqs = list(obj.get(names.FREQUENCIES, ()))
-    values = np.array(obj.get(names.PROBE_PHASORS, ()), np.float64)
-    if not freqs or values.size != 6 * len(freqs):
+    numbers = np.array(obj.get(names.PROBE_PHASORS, ()), np.float64)
+    if not freqs or numbers.size != 6 * len(freqs):
         return None
-    pairs = values.reshape(-1, 3, 2)
+    pairs = numbers.reshape(-1, 3, 2)
     deviations = np.array(obj.get(names.PROBE_DEVIATIONS, ()), np.float64)
     phasors = pairs[..., 0] + 1j * pairs[..., 1]
     return _probe(obj, obj[names.PROBE_LABEL], phasors, deviations if len(deviations) == len(freqs) else None)
@@ -124,8 +127,8 @@ def _read(obj: Any, mesh: Any, indices: np.ndarray) -> Probe:
     phasors = []
     for k in range(len(obj[names.FREQUENCIES])):
         part = names.phasor(k)
-        phasors.append(_vectors(mesh, part["re"])[indices] + 1j * _vectors(mesh, part["im"])[indices])
-    opacities = _floats(mesh, names.OPACITY)[indices]
+        phasors.append(values(mesh, part["re"])[indices] + 1j * values(mesh, part["im"])[indices])
+    opacities = values(mesh, names.OPACITY)[indices]
     label = f"Point {indices[0]}" if len(indices) == 1 else f"{len(indices):,} points"
     return _probe(
         obj, label, mean_phasor(np.array(phasors), opacities), _deviations(mesh, indices, opacities)
@@ -136,7 +139,7 @@ def _deviations(mesh: Any, indices: np.ndarray, opacities: np.ndarray) -> np.nda
     """[M] of the amplitudes, None where the file did not say them."""
     given: list[np.ndarray] = []
     while (name := names.deviation(len(given))) in mesh.attributes:
-        given.append(_floats(mesh, name)[indices])
+        given.append(values(mesh, name)[indices])
     return mean_deviation(np.array(given), opacities) if given else None
 
 
@@ -156,26 +159,5 @@ def _readable(obj: Any) -> Iterator[Any]:
 
 def _world(obj: Any, mesh: Any) -> np.ndarray:
     """[N, 3] float64 rest positions in the world."""
-    flat = np.empty(3 * len(mesh.vertices), np.float32)
-    mesh.vertices.foreach_get("co", flat)
     matrix = np.array(obj.matrix_world)
-    return flat.reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3]
-
-
-def _floats(mesh: Any, name: str) -> np.ndarray:
-    values = np.empty(len(mesh.vertices), np.float32)
-    _attribute(mesh, name).data.foreach_get("value", values)
-    return values.astype(np.float64)
-
-
-def _vectors(mesh: Any, name: str) -> np.ndarray:
-    values = np.empty(3 * len(mesh.vertices), np.float32)
-    _attribute(mesh, name).data.foreach_get("vector", values)
-    return values.reshape(-1, 3).astype(np.float64)
-
-
-def _attribute(mesh: Any, name: str) -> Any:
-    found = mesh.attributes.get(name)
-    if found is None:
-        raise PickError(f"Attribute {name!r} of the points is gone; import the file again")
-    return found
+    return values(mesh, "position") @ matrix[:3, :3].T + matrix[:3, 3]

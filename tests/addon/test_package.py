@@ -35,6 +35,7 @@ ADDON = (
     "io/upright",
     "names",
     "nodes/__init__",
+    "nodes/applied",
     "nodes/blending",
     "nodes/clock",
     "nodes/colour",

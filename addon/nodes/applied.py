@@ -1,0 +1,146 @@
+"""What Apply Transform (Ctrl+A) did to an object's points, read by nodes from four reference vertices.
+
+Apply moves the points and leaves what is kept beside them: phasors, turns, sizes, harmonics. So every mesh ends in four
+vertices that are no Gaussians: a middle, and a step from it along x, y and z, with their number, 1 to 4, and their
+first places. Where they are now against where they were is the affine map A that was applied. The tree takes the points
+to rest by A⁻¹, plays, and applies A to what is drawn. Join puts meshes one after another: each part ends in references
+of its own.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from .. import compat, names
+from .graph import Graph
+
+LOST = "Reference points are missing or doubled: motion and sizes do not follow Apply Transform"
+_EYE = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+
+class Applied(NamedTuple):
+    """Sockets of the tree, each with one value."""
+
+    matrix: Any  # A, from rest to now; the identity where the references are lost
+    back: Any  # A⁻¹
+    changed: Any  # A is not the identity
+
+
+def applied(graph: Graph, points: Any) -> tuple[Applied, Any]:
+    """A of one part's points; and the points, with a warning at the modifier where references are lost."""
+    mark = graph.compare("GREATER_THAN", graph.attribute(names.REFERENCE, "INT"), 0, "INT")
+    four = graph.call("GeometryNodeSeparateGeometry", {"Geometry": points, "Selection": mark}, domain="POINT")
+    now = _sampled(graph, four, graph.node("GeometryNodeInputPosition").outputs[0])
+    rest = _sampled(graph, four, graph.attribute(names.REFERENCE_REST, "FLOAT_VECTOR"))
+    product = _product(graph, _frame(graph, now), _inverse(graph, _frame(graph, rest))[0])
+    back, regular = _inverse(graph, product)
+    whole = graph.both(graph.compare("EQUAL", _count(graph, four), 4, "INT"), regular)
+    away = [graph.length(graph.vector("SUBTRACT", a, b)) for a, b in zip(now, rest, strict=True)]
+    total = graph.math("ADD", graph.math("ADD", away[0], away[1]), graph.math("ADD", away[2], away[3]))
+    changed = graph.both(whole, graph.compare("GREATER_THAN", total, 0.0))
+    eye = _combined(graph, (*_EYE, (0.0, 0.0, 0.0)))
+    matrix, back = (graph.choose("MATRIX", changed, eye, value) for value in (product, back))
+    some = graph.compare("GREATER_THAN", _count(graph, points), 0, "INT")
+    lost = graph.both(some, graph.opposite(whole))
+    warned = graph.call("GeometryNodeWarning", {"Show": lost, "Message": LOST}, warning_type="WARNING")
+    # A warning counts where its output is used.
+    return Applied(matrix, back, changed), graph.choose("GEOMETRY", warned, points, points)
+
+
+def at_rest(graph: Graph, applied: Applied, place: Any) -> Any:
+    """A place in the object, where it was before Apply."""
+    there = graph.call("FunctionNodeTransformPoint", {"Vector": place, "Transform": applied.back})
+    return graph.choose("VECTOR", applied.changed, place, there)
+
+
+def put_back(graph: Graph, applied: Applied, drawn: Any, native: Any | None) -> Any:
+    """What is drawn at rest, where it is now. `native`: true where it is a cloud of Blender's own splats.
+
+    Transform Geometry moves the positions of such a cloud alone; as an instance it is drawn as it should be.
+    """
+    node = graph.node("GeometryNodeTransform")
+    compat.transform_by_matrix(node)
+    graph.put(drawn, node.inputs["Geometry"])
+    graph.put(applied.matrix, next(s for s in node.inputs if s.bl_idname == "NodeSocketMatrix"))
+    moved = node.outputs[0]
+    if native is not None:
+        one = graph.call("GeometryNodeGeometryToInstance", {"Geometry": drawn})
+        inputs = {"Instances": one, "Transform": applied.matrix}
+        moved = graph.choose(
+            "GEOMETRY", native, moved, graph.call("GeometryNodeSetInstanceTransform", inputs)
+        )
+    return graph.choose("GEOMETRY", applied.changed, drawn, moved)
+
+
+def growth(graph: Graph, applied: Applied) -> Any:
+    """How much larger A makes lengths, as the cube root of its volume: for round dots, which it does not transform."""
+    volume = graph.call("FunctionNodeMatrixDeterminant", {"Matrix": applied.matrix})
+    return graph.math("POWER", graph.math("ABSOLUTE", volume), 1 / 3)
+
+
+def parts(graph: Graph, points: Any) -> tuple[Any, Any]:
+    """How many parts were joined, and of every point the number of its own, from 0.
+
+    A part ends with its fourth reference. With four references in all there is one part, whatever else was added.
+    """
+    mark = graph.attribute(names.REFERENCE, "INT")
+    last = graph.compare("EQUAL", mark, 4, "INT")
+    ended = graph.call(
+        "GeometryNodeAccumulateField", {"Value": last}, "Trailing", data_type="INT", domain="POINT"
+    )
+    any_ = graph.call(
+        "GeometryNodeSeparateGeometry",
+        {"Geometry": points, "Selection": graph.compare("GREATER_THAN", mark, 0, "INT")},
+        domain="POINT",
+    )
+    several = graph.opposite(graph.compare("EQUAL", _count(graph, any_), 4, "INT"))
+    highest = graph.call(
+        "GeometryNodeAttributeStatistic",
+        {"Geometry": points, "Attribute": ended},
+        "Max",
+        data_type="FLOAT",
+        domain="POINT",
+    )
+    return graph.choose("INT", several, 1, graph.math("ADD", highest, 1.0)), ended
+
+
+def _count(graph: Graph, points: Any) -> Any:
+    return graph.call("GeometryNodeAttributeDomainSize", {"Geometry": points}, "Point Count")
+
+
+def _sampled(graph: Graph, four: Any, value: Any) -> list[Any]:
+    """A vector at each of four points."""
+    kinds = {"data_type": "FLOAT_VECTOR", "domain": "POINT"}
+    inputs = {"Geometry": four, "Value": value}
+    return [graph.call("GeometryNodeSampleIndex", {**inputs, "Index": i}, **kinds) for i in range(4)]
+
+
+def _frame(graph: Graph, four: list[Any]) -> Any:
+    """The matrix from the steps along x, y and z to the places of four points."""
+    edges = [graph.vector("SUBTRACT", place, four[0]) for place in four[1:]]
+    return _combined(graph, (*edges, four[0]))
+
+
+def _combined(graph: Graph, columns: Any) -> Any:
+    """A matrix of four columns, vectors or numbers; the last is the place of the origin."""
+    node = graph.node("FunctionNodeCombineMatrix")
+    for j, column in enumerate(columns):
+        rows = graph.split(column) if hasattr(column, "is_output") else column
+        for i in range(3):
+            graph.put(rows[i], node.inputs[4 * j + i])
+        node.inputs[4 * j + 3].default_value = float(j == 3)
+    return node.outputs[0]
+
+
+def _product(graph: Graph, a: Any, b: Any) -> Any:
+    node = graph.node("FunctionNodeMatrixMultiply")
+    graph.put(a, node.inputs[0])
+    graph.put(b, node.inputs[1])
+    return node.outputs[0]
+
+
+def _inverse(graph: Graph, matrix: Any) -> Any:
+    """The inverse, and whether there is one."""
+    node = graph.node("FunctionNodeInvertMatrix")
+    graph.put(matrix, node.inputs[0])
+    return node.outputs
