@@ -80,7 +80,7 @@ _GENERATOR_NEEDS = (
     "core/files.py",
     "core/form.py",
     "core/lazy.py",
-    "core/lock.py",
+    "core/work_folder.py",
     "core/progress.py",
     "core/temporary.py",
     "core/untrusted.py",

@@ -66,7 +66,7 @@ def claim(job: Job) -> Job:
     if settings.source.path:
         source = {**asdict(settings.source), "path": Path(settings.source.path).name}
         description["source"] = {**source, "sha256": _digest(Path(settings.source.path))}
-    tree.claim(root, description)
+    tree.work_folder(root).claim(description)
     tree.write_poses(root, settings)
     truth.write_motion(root / "truth/motion.npz", bodies, motion, settings.timesteps)
     true_cameras.write_cameras(root, settings, motion)

@@ -6,13 +6,11 @@ import shutil
 import sys
 import time
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, TextIO
 
 from tg4mm.core import events
 from tg4mm.core.form import read_formed
-from tg4mm.core.lock import held
 from tg4mm.core.progress import progress
 from tg4mm.core.temporary import remove_leftovers
 
@@ -37,7 +35,7 @@ def generate(settings: Settings, out: Path, count: int = 0, stream: TextIO | Non
     """
     stream = stream or sys.stderr
     job = claim(plan(settings, out))
-    with _held(job.root):
+    with tree.work_folder(job.root).held("makes this dataset"):
         coded.begin(job.root, job.settings)
         path = job.root / TIMING
         former = [_timing(path)] if path.exists() else []
@@ -47,10 +45,6 @@ def generate(settings: Settings, out: Path, count: int = 0, stream: TextIO | Non
 
         render_missing(job, range(len(job.shots)), count, stream, note)
         return finish(job, stream)
-
-
-def _held(root: Path) -> AbstractContextManager[None]:
-    return held(root, f"{root} is in use: another process makes this dataset")
 
 
 def render_missing(
@@ -135,7 +129,7 @@ def render_part(settings: Settings, out: Path, part: tuple[int, int], count: int
 def finish_parts(settings: Settings, out: Path, stream: TextIO) -> Path:
     """What is left when all parts are rendered."""
     job = claim(plan(settings, out))
-    with _held(job.root):
+    with tree.work_folder(job.root).held("makes this dataset"):
         return finish(job, stream)
 
 

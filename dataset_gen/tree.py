@@ -10,8 +10,8 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from tg4mm.core.temporary import clean_once, flush, is_temporary, temporary_name
-from tg4mm.core.untrusted import read_json
+from tg4mm.core.temporary import clean_once, flush, temporary_name
+from tg4mm.core.work_folder import WorkFolder
 
 from . import exr
 from .cameras import cameras_at, clock_offsets, films, transforms
@@ -109,45 +109,9 @@ def describe(
     }
 
 
-def _leaves(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested dictionaries as one, with keys such as "engine.samples"."""
-    flat: dict[str, Any] = {}
-    for key, value in tree.items():
-        flat.update(_leaves(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value})
-    return flat
-
-
-def claim(root: Path, description: dict[str, Any]) -> None:
-    """Takes a new, empty or unfinished folder of the same description; refuses any other with one line."""
-    path = root / "scene.json"
-    description = json.loads(json.dumps(description))
-    if root.exists() and not root.is_dir():
-        raise GenerateError(f"{root} is a file, not a folder")
-    if path.exists():
-        try:
-            old = read_json(path)
-        except (OSError, ValueError) as error:
-            raise GenerateError(f"{path} cannot be read: {error}") from error
-        if not isinstance(old, dict):
-            raise GenerateError(f"{path} is not a dataset's description")
-        old, new = _leaves(old), _leaves(description)
-        for key in sorted({*old, *new}):
-            if old.get(key) != new.get(key):
-                raise GenerateError(
-                    f"{root} holds another dataset: {key} is {old.get(key)!r}, "
-                    f"requested {new.get(key)!r}; choose another --out or remove it"
-                )
-        return
-    foreign = [p for p in root.iterdir() if not is_temporary(p)] if root.exists() else []
-    if path.exists():  # another process claimed it just now
-        claim(root, description)
-        return
-    if foreign:
-        raise GenerateError(f"{root} is not empty and holds no scene.json: choose another --out")
-    try:
-        write_json(path, description)
-    except OSError as error:
-        raise GenerateError(f"{root} cannot be written: {error.strerror}") from error
+def work_folder(root: Path) -> WorkFolder:
+    """The dataset's folder as one that belongs to a request: what scene.json says."""
+    return WorkFolder(root, "scene.json", GenerateError)
 
 
 def write_poses(root: Path, settings: Settings) -> None:

@@ -102,8 +102,8 @@ def test_bad_input_is_one_line(dataset, tmp_path, capsys):
     full.mkdir()
     (full / "mine").touch()
     for arguments, message in (
-        ((dataset, full, "colmap"), "is not empty; choose a new folder"),
-        ((dataset, full / "mine", "colmap"), "is a file; expected a new folder"),
+        ((dataset, full, "colmap"), "is not empty and holds no tg4mm.json, but 'mine'"),
+        ((dataset, full / "mine", "colmap"), "is a file, expected a folder"),
         (
             (dataset, tmp_path / "x", "colmap", "--timesteps", "9"),
             "has no image at timestep 9; there are 0 … 3",

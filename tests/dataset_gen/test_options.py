@@ -144,14 +144,14 @@ def test_a_foreign_folder_is_refused(tmp_path, capsys):
 def test_a_file_in_the_place_of_the_folder_is_refused(tmp_path, capsys):
     (tmp_path / "mic_5Hz_0_005").write_text("")
     assert main(["mic", "--out", str(tmp_path)]) == 2
-    assert "is a file, not a folder" in capsys.readouterr().err
+    assert "is a file, expected a folder" in capsys.readouterr().err
 
 
 def test_a_broken_description_is_refused(tmp_path, capsys):
     (tmp_path / "mic_5Hz_0_005").mkdir()
     (tmp_path / "mic_5Hz_0_005/scene.json").write_text("{")
     assert main(["mic", "--out", str(tmp_path)]) == 2
-    assert "scene.json cannot be read" in capsys.readouterr().err
+    assert "scene.json is not readable JSON" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

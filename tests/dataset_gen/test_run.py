@@ -22,8 +22,8 @@ from dataset_gen.processes import RunFailed
 from dataset_gen.run import finish_parts, generate, missing_files, prepare_parts, render_part, save_animation
 from dataset_gen.scenes import SCENES
 from dataset_gen.settings import Settings
+from dataset_gen.tree import work_folder
 from tg4mm.core.errors import RunError
-from tg4mm.core.lock import held
 from tg4mm.core.temporary import _HOST
 
 TINY_OPTIONS = "--size 32 --timesteps 6 --test-views 1 --alphas 5 --samples 2 --points 300"
@@ -186,7 +186,7 @@ def test_a_complete_set_is_left_alone(made):
 
 
 def test_a_changed_configuration_is_refused(made):
-    with pytest.raises(GenerateError, match=r"holds another dataset: cameras.seed is 0, requested 7"):
+    with pytest.raises(GenerateError, match=r"was made with cameras.seed = 0, asked is 7"):
         generate(tiny("--seed", "7"), made.parent)
 
 
@@ -346,6 +346,9 @@ def test_a_worker_of_one_thread_has_no_second_one_that_looks_for_work():
 
 
 def test_two_processes_do_not_make_one_dataset(made):
-    with held(made, "busy"), pytest.raises(RunError, match="in use: another process makes this dataset"):
+    with (
+        work_folder(made).held("busy"),
+        pytest.raises(RunError, match="in use: another process makes this dataset"),
+    ):
         generate(TINY, made.parent)
     assert not (made / ".lock").exists()

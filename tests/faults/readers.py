@@ -380,9 +380,9 @@ def _claimed(root: Path) -> Path:
 
 
 def _claim(root: Path) -> None:
-    from dataset_gen.tree import claim
+    from dataset_gen.tree import work_folder
 
-    claim(root / "set", {"fps": 30, "modes": [{"a": 1}], "cameras": {"n": 3}})
+    work_folder(root / "set").claim({"fps": 30, "modes": [{"a": 1}], "cameras": {"n": 3}})
 
 
 def _farm(root: Path) -> None:

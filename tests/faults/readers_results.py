@@ -203,12 +203,14 @@ def _claim(root: Path, make: bool = False) -> None:
     from tests.faults.readers import _run
     from tg4mm.run import Run
     from tg4mm.show.render.cameras import Camera
-    from tg4mm.show.render.sequence import RenderRequest, claim
+    from tg4mm.show.render.sequence import RenderRequest, record, work_folder
 
     if make:
         _run("config.json")(root)
     camera = Camera("r_000", np.eye(4), np.eye(3), 12, 8)
-    claim(root / "out", Run.open(root / "run"), RenderRequest(alpha=5.0), [camera], "sequence")
+    work_folder(root / "out").claim(
+        record(Run.open(root / "run"), RenderRequest(alpha=5.0), [camera], "sequence")
+    )
 
 
 def _embeddings(name: str) -> Callable[[Path], Path]:

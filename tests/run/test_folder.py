@@ -212,7 +212,7 @@ class TestCreate:
 
     def test_folder_with_foreign_files_is_refused_and_untouched(self, tmp_path: Path) -> None:
         (tmp_path / "holiday.txt").write_text("photos")
-        with refused("is not a run folder: it holds 'holiday.txt' and no config.json"):
+        with refused("is not empty and holds no config.json, but 'holiday.txt'"):
             Run.create(tmp_path, tmp_path, "modal", {})
         assert [p.name for p in tmp_path.iterdir()] == ["holiday.txt"]
 

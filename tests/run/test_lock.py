@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import pytest
-
 from tests.helpers.synthetic import make_synthetic_dataset
 from tg4mm.cli import main
-from tg4mm.core.errors import RunError
-from tg4mm.run.lock import claimed
 
 HOLD = """
 import sys, time
-from tg4mm.run.lock import claimed
-with claimed(sys.argv[1]):
+from tg4mm.run.config import work_folder
+with work_folder(sys.argv[1]).held("trains it"):
     print("held", flush=True)
     time.sleep(600)
 """
@@ -47,32 +42,9 @@ def test_a_second_process_gets_one_line_and_exit_code_2(tmp_path: Path, capsys) 
         assert main(command) == 2
         error = capsys.readouterr().err
         assert error.count("\n") == 1
-        assert f"run folder {run} is in use: another process is training it" in error
+        assert f"{run} is in use: another process trains it" in error
         assert [p.name for p in run.iterdir()] == [".lock"]
         other.kill()
         other.wait()
         assert main(command) == 0, capsys.readouterr().err  # what a killed one left blocks nobody
     assert {p.name for p in run.iterdir()} == {"config.json", "log.json", "space.safetensors"}
-
-
-def test_the_folder_is_taken_back_if_nothing_came_to_lie_there(tmp_path: Path) -> None:
-    (tmp_path / "mine").mkdir()
-    for name in ("new/run", "mine"):
-        with claimed(tmp_path / name):
-            assert os.listdir(tmp_path / name) == [".lock"]
-    assert not (tmp_path / "new" / "run").exists()
-    assert os.listdir(tmp_path / "mine") == []
-
-
-def test_a_lock_is_given_back_after_an_error(tmp_path: Path) -> None:
-    with pytest.raises(ZeroDivisionError), claimed(tmp_path / "run"):
-        raise ZeroDivisionError
-    with claimed(tmp_path / "run"):
-        pass
-
-
-def test_a_foreign_folder_gets_no_lock_file(tmp_path: Path) -> None:
-    (tmp_path / "holiday.txt").touch()
-    with pytest.raises(RunError, match=r"holds 'holiday\.txt' and no config\.json"), claimed(tmp_path):
-        pass
-    assert os.listdir(tmp_path) == ["holiday.txt"]

@@ -5,7 +5,8 @@ Pictures are hard links to the dataset's own, copies where links are not to be h
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +16,12 @@ from tg4mm.capture.model import Capture, SurfacePoints
 from tg4mm.capture.points import write_points
 from tg4mm.capture.readers import load_capture
 from tg4mm.core.errors import CaptureError, MissingSplitError
-from tg4mm.core.files import link_or_copy, write_atomic, write_json
+from tg4mm.core.files import json_digest, link_or_copy, write_atomic, write_json
 from tg4mm.core.progress import progress
+from tg4mm.core.work_folder import WorkFolder
 
 POINTS = "points3d.ply"
+RECORD = "tg4mm.json"  # in the folder that is written: what it was made of
 _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
@@ -47,10 +50,14 @@ def write_nerfstudio(captures: Sequence[Capture], out: Path) -> Path:
     """Write OUT/transforms.json, OUT/images/ and, where the dataset has points, OUT/points3d.ply.
 
     `captures`: splits of one dataset. A frame's `time` runs from 0 at the first timestep to 1 at the last, as dynamic
-    trainers of that family take it; `time_s` is in seconds, on its camera's own clock. Raises CaptureError for an
-    `out` that holds anything.
+    trainers of that family take it; `time_s` is in seconds, on its camera's own clock. Goes on after a kill. Raises
+    CaptureError for an `out` that holds anything else.
     """
-    claim(out)
+    with _owned(out, "nerfstudio", captures):
+        return _nerfstudio(captures, out)
+
+
+def _nerfstudio(captures: Sequence[Capture], out: Path) -> Path:
     last = max(max(capture.n_timesteps for capture in captures) - 1, 1)
     frames, lists = [], {}
     for capture in captures:
@@ -90,12 +97,17 @@ def write_colmap(capture: Capture, out: Path) -> Path:
     """Write OUT/sparse/0/{cameras,images,points3D}.txt and OUT/images/.
 
     Images of all timesteps are in one model, called after their timestep's folder; lenses that are alike are one
-    camera. Points have no tracks: no picture is said to see them. Raises CaptureError for an `out` that holds anything.
+    camera. Points have no tracks: no picture is said to see them. Goes on after a kill. Raises CaptureError for an
+    `out` that holds anything else.
     """
-    claim(out)
+    with _owned(out, "colmap", [capture]):
+        return _colmap(capture, out)
+
+
+def _colmap(capture: Capture, out: Path) -> Path:
     names = link_pictures(capture, out / "images")
     model = out / "sparse" / "0"
-    model.mkdir(parents=True)
+    model.mkdir(parents=True, exist_ok=True)
     lenses: dict[tuple[float, ...], int] = {}
     rows = []
     for i, name in enumerate(names):
@@ -127,13 +139,23 @@ def _writer(text: str) -> Any:
     return lambda path: path.write_text(text, encoding="utf-8")
 
 
-def claim(out: Path) -> None:
-    """Make the folder. Raises CaptureError where it holds anything."""
-    if out.exists() and not out.is_dir():
-        raise CaptureError(f"--out {out}: is a file; expected a new folder")
-    if out.exists() and any(out.iterdir()):
-        raise CaptureError(f"--out {out}: is not empty; choose a new folder")
-    out.mkdir(parents=True, exist_ok=True)
+@contextmanager
+def _owned(out: Path, layout: str, captures: Sequence[Capture]) -> Iterator[None]:
+    """Hold OUT for this conversion. Raises CaptureError where it holds anything else, RunError while it is in use."""
+    pictures = [f"{c.split} {p.relative_to(c.root).as_posix()}" for c in captures for p in c.paths]
+    folder = WorkFolder(out, RECORD, CaptureError, others={"pictures": "of other pictures"})
+    with folder.held("writes a dataset there"):
+        asked = {"dataset": str(captures[0].root.resolve()), "layout": layout}
+        folder.claim({"format": "tg4mm-conversion", "version": 1, **asked, "pictures": json_digest(pictures)})
+        yield
+
+
+def _is_there(source: Path, target: Path) -> bool:
+    """Whether a picture has been linked or copied whole: the same file, or one of its size that is no older."""
+    if not target.is_file():
+        return False
+    there, wanted = target.stat(), source.stat()
+    return there.st_size == wanted.st_size and there.st_mtime >= wanted.st_mtime
 
 
 def link_pictures(capture: Capture, folder: Path) -> list[str]:
@@ -142,7 +164,8 @@ def link_pictures(capture: Capture, folder: Path) -> list[str]:
     with progress("pictures", len(capture), "pictures", brief=True) as update:
         for done, path in enumerate(capture.paths, 1):
             name = path.relative_to(capture.root)
-            link_or_copy(path, folder / name)
+            if not _is_there(path, folder / name):
+                link_or_copy(path, folder / name)
             names.append(name.as_posix())
             update(done)
     return names

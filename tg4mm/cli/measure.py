@@ -48,12 +48,12 @@ def measure(
     The displacement of a sensor is measured in the pictures, frame by frame, with a standard deviation for each sample
     (mm if the scale is known, else scene units). Its spectrum (Hz) has a noise floor and the peaks above it.
     """
-    from tg4mm.core.lock import held
+    from tg4mm.core.temporary import remove_leftovers
     from tg4mm.run import Run
     from tg4mm.show.measure import measure as measured
     from tg4mm.show.measure import parse_sensor, prepare, read_sensors
     from tg4mm.show.measure.sensors import checked_names
-    from tg4mm.show.measure.write import claim
+    from tg4mm.show.measure.write import work_folder
 
     asked = [*(read_sensors(sensors) if sensors else []), *(parse_sensor(text) for text in sensor or [])]
     checked_names(asked)
@@ -62,8 +62,8 @@ def measure(
             f"--reference {reference!r} is no sensor; there are: {', '.join(s.name for s in asked)}"
         )
     opened = Run.open(run)
-    claim(out)
-    with held(out, f"--out {out} is in use: another process writes a measurement there"):
+    with work_folder(out).held("writes a measurement there"):
+        remove_leftovers(out)
         found = measured(prepare(opened, keep), asked or None, reference)
         typer.echo(_written(found, out, animate), nl=False)
 

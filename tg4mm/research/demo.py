@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from tg4mm.core.errors import RunError, Tg4mmError
 from tg4mm.core.files import write_json
-from tg4mm.core.temporary import is_temporary
 from tg4mm.core.untrusted import read_json
+from tg4mm.core.work_folder import WorkFolder
 
 STEPS_FILE = "demo.json"
 ALPHA = 20.0
@@ -100,7 +100,7 @@ def run_demo(out: Path, size: int = 128, say: Printer = print) -> Path:
             **{s.name: done[s.name] for s in steps[: i - 1]},
             step.name: round(time.monotonic() - start, 2),
         }
-        _write_done(places.root, size, done)
+        write_json(places.root / STEPS_FILE, _record(size, done))
         say(f"{label}: {_clock(time.monotonic() - start)}")
     _say_results(places, _clock(time.monotonic() - began), say)
     return places.report
@@ -126,30 +126,20 @@ def demo_steps(places: Places, size: int) -> list[Step]:
     ]
 
 
-def _write_done(root: Path, size: int, done: dict[str, float]) -> None:
-    write_json(root / STEPS_FILE, {"format": "tg4mm-demo", "version": 1, "size": size, "done": done})
+def _record(size: int, done: Mapping[str, float]) -> dict[str, Any]:
+    return {"format": "tg4mm-demo", "version": 1, "size": size, "done": dict(done)}
 
 
 def _read_done(root: Path, size: int) -> dict[str, float]:
     """Seconds of the finished steps. A new or empty folder becomes a demo's; any other without one is refused."""
-    path = root / STEPS_FILE
-    if not path.exists():
-        if root.exists() and not root.is_dir():
-            raise Tg4mmError(f"--out {root}: is a file; expected a folder")
-        root.mkdir(parents=True, exist_ok=True)
-        # A kill before demo.json was renamed leaves only its temporary file: still an empty folder.
-        if not all(is_temporary(entry, STEPS_FILE) for entry in root.iterdir()):
-            raise Tg4mmError(f"--out {root}: is not empty and holds no {STEPS_FILE}; choose another folder")
-        _write_done(root, size, {})
-        return {}
+    folder = WorkFolder(root, STEPS_FILE, free=("done",))
+    folder.claim(_record(size, {}))
     try:
-        record = read_json(path)
-        found, done = record["size"], {str(k): float(v) for k, v in record["done"].items()}
-    except (ValueError, KeyError, TypeError, AttributeError):
-        raise RunError(f"{path}: is not the record of a demo; remove it or choose another --out") from None
-    if found != size:
-        raise Tg4mmError(f"--size {size}: {root} holds a demo of {found} pixels; choose another --out")
-    return done
+        return {str(k): float(v) for k, v in (folder.read() or {})["done"].items()}
+    except (KeyError, TypeError, ValueError, AttributeError):
+        raise RunError(
+            f"{root / STEPS_FILE}: is not the record of a demo; remove it or choose another --out"
+        ) from None
 
 
 def _generate(places: Places, size: int) -> None:

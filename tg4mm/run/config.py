@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import platform
 from collections.abc import Mapping
@@ -13,12 +12,16 @@ from typing import Any
 from tg4mm import __version__
 from tg4mm.core import untrusted
 from tg4mm.core.errors import RunError
-from tg4mm.core.lock import LOCK
-from tg4mm.core.temporary import is_temporary
+from tg4mm.core.work_folder import WorkFolder
 
 FORMAT = "tg4mm"
 VERSION = 1
 _KINDS = {"dataset": str, "dataset_from_run": str, "preset": str, "settings": dict, "versions": dict}
+
+
+def work_folder(path: Path | str) -> WorkFolder:
+    """The run folder `path` as one that belongs to a request."""
+    return WorkFolder(Path(path), "config.json")
 
 
 def new_config(path: Path, dataset: Path, preset: str, settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -81,41 +84,9 @@ def dataset_folder(path: Path, config: Mapping[str, Any]) -> Path:
         return absolute
 
 
-def check_empty(path: Path) -> None:
-    """Raise RunError if `path` holds anything, so that no run is mixed with foreign files."""
-    if path.exists() and not path.is_dir():
-        raise RunError(f"run folder {path} is a file")
-    # A kill before config.json was renamed leaves only its temporary file and the lock: still an empty run.
-    entries = path.iterdir() if path.is_dir() else ()
-    foreign = sorted(e.name for e in entries if e.name != LOCK and not is_temporary(e, "config.json"))
-    if foreign:
-        raise RunError(f"{path} is not a run folder: it holds {foreign[0]!r} and no config.json")
-
-
-def check_same(path: Path, config: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
-    """Raise RunError naming the first of dataset, preset and settings in which `asked` is not `config`."""
-    new = {"dataset": str(asked["dataset"]), "preset": asked["preset"]} | _flat(asked["settings"])
-    old = {"dataset": str(dataset_folder(path, config)), "preset": config["preset"]}
-    old |= _flat(config["settings"])
-    for key in [*new, *(k for k in old if k not in new)]:
-        if (key in new) != (key in old) or new[key] != old[key]:
-            raise RunError(
-                f"{path} was made with {key} = {_shown(old, key)}, asked is {_shown(new, key)}: "
-                "resume with the same value or give another run folder"
-            )
-
-
-def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested settings by dotted names, as on the command line: {"space": {"seed": 0}} is space.seed."""
-    flat: dict[str, Any] = {}
-    for key, value in settings.items():
-        nested = isinstance(value, Mapping) and value
-        flat |= _flat(value, f"{prefix}{key}.") if nested else {f"{prefix}{key}": value}
-    return flat
-
-
-def _shown(values: Mapping[str, Any], key: str) -> str:
-    return json.dumps(values[key], ensure_ascii=False) if key in values else "(not set)"
+def request_of(path: Path, config: Mapping[str, Any]) -> dict[str, Any]:
+    """What a run was asked for: its dataset, preset and settings, as `WorkFolder.claim` compares them."""
+    return {"dataset": str(dataset_folder(path, config)), "preset": config["preset"], **config["settings"]}
 
 
 def _versions() -> dict[str, str]:

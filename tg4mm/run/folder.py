@@ -27,7 +27,6 @@ from torch import Tensor
 
 from tg4mm.core.errors import RunError
 from tg4mm.core.files import to_json, write_json
-from tg4mm.core.temporary import remove_leftovers
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.config import MotionConfig
 from tg4mm.fit.motion.modes import ModalMotion, MotionFit
@@ -41,12 +40,12 @@ from tg4mm.run.checks import (
 )
 from tg4mm.run.config import (
     VERSION,
-    check_empty,
-    check_same,
     dataset_folder,
     new_config,
     read_config,
     read_json,
+    request_of,
+    work_folder,
 )
 from tg4mm.run.log import checked_log, with_figures
 from tg4mm.run.motion_file import motion_of, tensors_of
@@ -73,18 +72,12 @@ class Run:
             plain = to_json(dict(settings), "settings")
         except TypeError as error:
             raise RunError(f"a run cannot store {error}") from None
-        if (path / "config.json").exists():
-            run = cls.open(path)
-            asked = {"dataset": dataset, "preset": preset, "settings": plain}
-            check_same(run.path, run.config, asked)
-            remove_leftovers(path)
-            run._drop_finished()
-            return run
-        check_empty(path)
-        path.mkdir(parents=True, exist_ok=True)
+        asked = {"dataset": str(dataset), "preset": preset, **plain}
         config = new_config(path, dataset, preset, plain)
-        write_json(path / "config.json", config)
-        return cls(path, config)
+        work_folder(path).claim(asked, config, lambda _: request_of(path, read_config(path)))
+        run = cls.open(path)
+        run._drop_finished()
+        return run
 
     @classmethod
     def open(cls, path: Path | str) -> Run:

@@ -16,7 +16,7 @@ from tg4mm.core.settings import unknown
 from tg4mm.fit.device import check_device
 from tg4mm.fit.motion.observations import check_shows_motion
 from tg4mm.run import Run
-from tg4mm.run.lock import claimed
+from tg4mm.run.config import work_folder
 from tg4mm.run.preset import preset_named
 
 _LOG = logging.getLogger("tg4mm")
@@ -68,7 +68,7 @@ def train(
     capture = _capture(Path(dataset))
     if capture.n_timesteps > 1 and "motion" in configs:
         check_shows_motion(capture)
-    with claimed(run_path):
+    with work_folder(run_path).held("trains it"):
         return _train(Path(run_path), capture, preset, configs, device)
 
 

@@ -22,7 +22,6 @@ from tg4mm.capture.sfm.request import open_request
 from tg4mm.capture.sfm.sources import find_sources
 from tg4mm.cli import main
 from tg4mm.core.errors import CaptureError, RunError, Tg4mmError
-from tg4mm.core.lock import held
 
 pytest.importorskip("pycolmap")
 SIZE, FOCAL, BEND = (240, 180), 250.0, 0.35
@@ -144,11 +143,11 @@ def test_a_stopped_one_goes_on_to_the_same_dataset(dataset: Path, photographs: P
 def test_another_request_in_the_same_folder_is_refused(
     dataset: Path, photographs: Path, tmp_path: Path
 ) -> None:
-    with pytest.raises(CaptureError, match="was begun with camera_model = SIMPLE_RADIAL, asked is OPENCV"):
+    with pytest.raises(CaptureError, match='was made with camera_model = "SIMPLE_RADIAL", asked is "OPENCV"'):
         reconstruct(photographs, dataset, SfmConfig(camera_model="OPENCV"))
     other = tmp_path / "other"
     shutil.copytree(photographs, other)
-    with pytest.raises(CaptureError, match="was begun with other pictures"):
+    with pytest.raises(CaptureError, match="was made of other pictures, or they have changed"):
         reconstruct(other, dataset)
     with pytest.raises(CaptureError, match=r"holds p_0\.png; expected a new or empty folder"):
         reconstruct(photographs, other)
@@ -332,5 +331,5 @@ def test_the_command_refuses_in_one_line(tmp_path: Path, capsys: pytest.CaptureF
 def test_two_processes_do_not_make_one_dataset(photographs: Path, tmp_path: Path) -> None:
     sources = find_sources(photographs)
     work = open_request(tmp_path / "out", sources, asdict(SfmConfig()))
-    with held(work.folder, "busy"), pytest.raises(RunError, match="in use: another process makes this"):
+    with work.owned.held("busy"), pytest.raises(RunError, match="in use: another process makes this"):
         reconstruct(photographs, tmp_path / "out", SfmConfig(), threads=1)

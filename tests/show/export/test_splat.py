@@ -91,7 +91,7 @@ def test_only_a_ply_is_overwritten(run, tmp_path):
 
 def test_a_sequence_holds_the_magnified_positions(run, tmp_path):
     out = export_ply_sequence(run, tmp_path / "frames", alpha=4.0, band=(2.0, 4.0))
-    assert [path.name for path in sorted(out.iterdir())] == [f"frame_{t:04d}.ply" for t in range(5)]
+    assert [path.name for path in sorted(out.iterdir())][1:] == [f"frame_{t:04d}.ply" for t in range(5)]
     splat = to_splat(run.load_space(), run.load_motion())
     for t in range(5):
         frame = read_splat(out / f"frame_{t:04d}.ply")
@@ -102,16 +102,32 @@ def test_a_sequence_holds_the_magnified_positions(run, tmp_path):
 def test_an_earlier_sequences_files_are_not_mixed_in(run, tmp_path):
     out = export_ply_sequence(run, tmp_path / "frames", alpha=4.0)
     before = {path.name: path.read_bytes() for path in out.iterdir()}
-    with pytest.raises(Tg4mmError, match=r"frames: holds frame_0000\.ply, of another export"):
-        export_ply_sequence(run, out, alpha=8.0, timesteps=[3])
+    with pytest.raises(RunError, match=r"frames was made with alpha = 4\.0, asked is 8\.0"):
+        export_ply_sequence(run, out, alpha=8.0)
+    with pytest.raises(RunError, match=r"frames was made of other timesteps"):
+        export_ply_sequence(run, out, alpha=4.0, timesteps=[3])
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before
-    export_ply_sequence(run, out, alpha=8.0)
-    assert any((out / name).read_bytes() != data for name, data in before.items())
+    foreign = tmp_path / "foreign"
+    foreign.mkdir()
+    (foreign / "frame_0000.ply").touch()
+    with pytest.raises(RunError, match=r"holds no export\.json, but 'frame_0000\.ply'"):
+        export_ply_sequence(run, foreign, alpha=4.0)
+    assert [path.name for path in foreign.iterdir()] == ["frame_0000.ply"]
+
+
+def test_a_killed_sequence_goes_on(run, tmp_path):
+    out = export_ply_sequence(run, tmp_path / "frames", alpha=4.0)
+    before = {path.name: (path.read_bytes(), path.stat().st_mtime_ns) for path in out.iterdir()}
+    (out / "frame_0002.ply").unlink()
+    export_ply_sequence(run, out, alpha=4.0)
+    after = {path.name: (path.read_bytes(), path.stat().st_mtime_ns) for path in out.iterdir()}
+    assert [name for name in before if before[name] != after[name]] == ["frame_0002.ply"]
+    assert before["frame_0002.ply"][0] == after["frame_0002.ply"][0]
 
 
 def test_chosen_timesteps_only(run, tmp_path):
     out = export_ply_sequence(run, tmp_path / "frames", timesteps=[3])
-    assert [path.name for path in out.iterdir()] == ["frame_0003.ply"]
+    assert sorted(path.name for path in out.iterdir()) == ["export.json", "frame_0003.ply"]
     with pytest.raises(Tg4mmError, match="timestep 5 is outside 0 … 4"):
         export_ply_sequence(run, tmp_path / "frames", timesteps=[5])
 

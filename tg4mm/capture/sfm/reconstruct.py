@@ -55,7 +55,6 @@ from tg4mm.capture.sfm.staging import (
 from tg4mm.capture.sfm.straight import straightened
 from tg4mm.capture.sfm.survey import Survey, survey_clip
 from tg4mm.core.errors import CaptureError, Tg4mmError
-from tg4mm.core.lock import held
 
 FEWEST_PLACED = {"photos": 3, "handheld": 3, "tripod": 1, "rig": 2, "clips": 2}
 FEW_POINTS = 80  # in half of the pictures: with fewer, poses are bent though reprojection errors are small
@@ -91,7 +90,7 @@ def reconstruct(images: Path, out: Path, config: SfmConfig = DEFAULTS, threads: 
     done = work.finished()
     if done is not None:
         return done
-    with held(work.folder, f"{out} is in use: another process makes this dataset"):
+    with work.owned.held("makes this dataset"):
         return _made(images, work, sources, config, threads)
 
 

@@ -10,9 +10,8 @@ from typing import Any
 from tg4mm.capture.scene import read_scene
 from tg4mm.capture.sfm.sources import Sources
 from tg4mm.core.errors import CaptureError
-from tg4mm.core.files import write_json
-from tg4mm.core.records import read_record
 from tg4mm.core.temporary import remove_leftovers
+from tg4mm.core.work_folder import WorkFolder
 
 NAME = "request.json"
 # Settings that change scene.json and the frames' times alone: asked for anew, those are written again.
@@ -24,8 +23,13 @@ class Work:
     """The folder OUT/sfm/ of one request."""
 
     out: Path
-    folder: Path
+    owned: WorkFolder
     settings: dict[str, Any]
+
+    @property
+    def folder(self) -> Path:
+        """Where everything unfinished lies."""
+        return self.owned.path
 
     @property
     def scene_only(self) -> dict[str, Any]:
@@ -44,25 +48,32 @@ class Work:
 def open_request(out: Path, sources: Sources, settings: dict[str, Any]) -> Work:
     """OUT/sfm/, made or found again. Raises CaptureError where OUT holds other things, or another request's."""
     asked = json.loads(json.dumps({"pictures": _files(sources), "settings": settings}))
-    folder = out / "sfm"
-    path = folder / NAME
-    if path.is_file():
-        try:
-            before = read_record(path).values
-        except CaptureError as error:
-            raise CaptureError(f"{error}; remove it, or give another --out") from None
-        _check_same(out, before, asked)
-        remove_leftovers(out)
-        return Work(out, folder, asked["settings"])
-    # A kill before request.json was renamed leaves its temporary file: that is still nothing.
-    begun = [p.name for p in folder.iterdir() if not p.name.startswith(".")] if folder.is_dir() else []
-    held = [p.name for p in out.iterdir() if p != folder or begun] if out.is_dir() else []
-    if held or (out.exists() and not out.is_dir()):
-        what = f"holds {min(held)}" if held else "is a file"
-        raise CaptureError(f"{out}: {what}; expected a new or empty folder, or one that tg4mm sfm has begun")
-    folder.mkdir(parents=True, exist_ok=True)
-    write_json(path, asked)
-    return Work(out, folder, asked["settings"])
+    work = WorkFolder(
+        out / "sfm",
+        NAME,
+        CaptureError,
+        others={"pictures": "of other pictures, or they have changed"},
+        free=SCENE_ONLY,
+    )
+    if not (work.path / NAME).is_file():
+        work.check()
+        others = [p.name for p in out.iterdir() if p != work.path] if out.is_dir() else []
+        if others or (out.exists() and not out.is_dir()):
+            what = f"holds {min(others)}" if others else "is a file"
+            raise CaptureError(
+                f"{out}: {what}; expected a new or empty folder, or one that tg4mm sfm has begun"
+            )
+    work.claim(
+        {"pictures": asked["pictures"], **asked["settings"]},
+        asked,
+        lambda found: {"pictures": found.get("pictures"), **_dict(found.get("settings"))},
+    )
+    remove_leftovers(out)
+    return Work(out, work, asked["settings"])
+
+
+def _dict(value: Any) -> dict[str, Any]:
+    return value if isinstance(value, dict) else {}
 
 
 def _files(sources: Sources) -> dict[str, list[Any]]:
@@ -76,14 +87,3 @@ def _files(sources: Sources) -> dict[str, list[Any]]:
     for clip in sources.every():
         files[str(clip.path.resolve())] = [stamp(p) for p in (clip.pictures or (clip.path,))]
     return files
-
-
-def _check_same(out: Path, before: dict[str, Any], asked: dict[str, Any]) -> None:
-    if before.get("pictures") != asked["pictures"]:
-        raise CaptureError(f"{out}: was begun with other pictures, or they have changed; give another --out")
-    for key, value in asked["settings"].items():
-        old = settings.get(key) if isinstance(settings := before.get("settings"), dict) else None
-        if old != value and key not in SCENE_ONLY:
-            raise CaptureError(
-                f"{out}: was begun with {key} = {old}, asked is {value}; give the same or another --out"
-            )

@@ -16,7 +16,7 @@ from tg4mm import __version__
 from tg4mm.core.errors import RunError
 from tg4mm.core.files import write_atomic, write_json
 from tg4mm.core.form import Maybe
-from tg4mm.core.temporary import is_temporary, remove_leftovers
+from tg4mm.core.work_folder import WorkFolder
 from tg4mm.research.bench.errors import BenchError
 from tg4mm.run.config import read_json
 
@@ -32,26 +32,7 @@ CIRCUMSTANCES = {  # of `circumstances`, as a checked form
 
 def open_folder(out: Path, kind: str) -> None:
     """Make the folder, or go on in one made for the same `kind`. Raises BenchError where it holds anything else."""
-    if out.exists() and not out.is_dir():
-        raise BenchError(f"--out {out}: is a file, expected a folder")
-    record = out / RECORD
-    if not record.exists():
-        if out.is_dir() and not all(is_temporary(p, RECORD) for p in out.iterdir()):
-            raise BenchError(f"--out {out}: is not empty and holds no {RECORD}; choose another folder")
-        out.mkdir(parents=True, exist_ok=True)
-        write_json(record, {"format": FORMAT, "version": VERSION, "kind": kind})
-        return
-    try:
-        found = read_json(record)
-    except RunError as error:
-        raise BenchError(f"--out {out}: {error}") from None
-    if (found.get("format"), found.get("version")) != (FORMAT, VERSION):
-        raise BenchError(f"--out {out}: {record} is not the record of a benchmark of version {VERSION}")
-    if found.get("kind") != kind:
-        raise BenchError(
-            f"--out {out}: holds the benchmark {found.get('kind')!r}, asked is {kind!r}; choose another"
-        )
-    remove_leftovers(out)
+    WorkFolder(out, RECORD, BenchError).claim({"format": FORMAT, "version": VERSION, "kind": kind})
 
 
 def claim_set(out: Path, label: str, root: Path, digest: str, filmed: str) -> None:

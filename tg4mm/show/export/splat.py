@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from tg4mm.capture import load_capture
 from tg4mm.core.errors import RunError, Tg4mmError
 from tg4mm.core.progress import progress
 from tg4mm.core.splatfile import SplatFile, write_splat
+from tg4mm.core.work_folder import WorkFolder
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.animate import animate
 from tg4mm.fit.motion.mode_selection import worth_keeping
@@ -25,6 +26,7 @@ from tg4mm.show.result.deviations import mode_deviations
 if TYPE_CHECKING:
     from tg4mm.show.render.sequence import RenderRequest
 
+RECORD = "export.json"  # in the folder of a sequence: what it was asked for
 _LOG = logging.getLogger("tg4mm")
 
 
@@ -212,11 +214,20 @@ class Frames:
     timesteps: tuple[int, ...]
     fps: float  # Hz
     at: Callable[[int], SplatFile]  # timestep
+    request: Mapping[str, Any]  # what they depend on, in JSON's types
 
     def __iter__(self) -> Iterator[tuple[int, SplatFile]]:
         """(timestep, Gaussians) in order, with a line of progress."""
-        with progress("export", len(self.timesteps), unit="timesteps") as update:
-            for i, t in enumerate(self.timesteps):
+        return self._made(self.timesteps)
+
+    def missing(self, out: Path, suffix: str) -> Iterator[tuple[int, SplatFile]]:
+        """Those of which OUT holds no file yet."""
+        return self._made([t for t in self.timesteps if not (out / f"frame_{t:04d}{suffix}").exists()])
+
+    def _made(self, timesteps: Sequence[int]) -> Iterator[tuple[int, SplatFile]]:
+        done = len(self.timesteps) - len(timesteps)
+        with progress("export", len(self.timesteps), unit="timesteps", start=done) as update:
+            for i, t in enumerate(timesteps, done):
                 yield t, self.at(t)
                 update(i + 1)
 
@@ -228,7 +239,7 @@ def frames_of(
 
     Raises Tg4mmError for a timestep that does not exist, and what rendering this request would.
     """
-    from tg4mm.show.render.sequence import pose_of
+    from tg4mm.show.render.sequence import pose_of, record
 
     pose, n_timesteps, fps = pose_of(run, request)
     wanted = tuple(range(n_timesteps) if timesteps is None else timesteps)
@@ -236,20 +247,18 @@ def frames_of(
         if not 0 <= t < n_timesteps:
             raise Tg4mmError(f"timestep {t} is outside 0 … {n_timesteps - 1}")
     scale, smoothing = unit_scale_of(run), smoothing_of(run) if low_pass else None
-    return Frames(wanted, fps, lambda t: to_splat(pose(float(t)), None, scale, smoothing=smoothing))
+    asked = {**record(run, request, (), "splats"), "low_pass": low_pass}
+    return Frames(wanted, fps, lambda t: to_splat(pose(float(t)), None, scale, smoothing=smoothing), asked)
 
 
 def write_frames(out: Path, suffix: str, write: Callable[[Path, SplatFile], None], frames: Frames) -> None:
-    """Write OUT/frame_0000<suffix> …, one static file for each timestep.
+    """Write OUT/frame_0000<suffix> …, one static file for each timestep; those that a killed call finished are kept.
 
-    Raises Tg4mmError, before anything is written, where the folder holds a file of another timestep.
+    Raises RunError where the folder holds another sequence, or another process writes one there.
     """
-    out.mkdir(parents=True, exist_ok=True)
-    wanted = {f"frame_{t:04d}{suffix}" for t in frames.timesteps}
-    if other := sorted(p.name for p in out.glob(f"frame_*{suffix}") if p.name not in wanted):
-        raise Tg4mmError(
-            f"--out {out}: holds {other[0]}, of another export, and a sequence is read whole: remove it, or give "
-            "another folder"
-        )
-    for t, splat in frames:
-        write(out / f"frame_{t:04d}{suffix}", splat)
+    others = {"timesteps": "of other timesteps", "model": "of another model"}
+    folder = WorkFolder(out, RECORD, strangers="frame_*", others=others)
+    with folder.held("writes a sequence there"):
+        folder.claim({**frames.request, "suffix": suffix, "timesteps": list(frames.timesteps)})
+        for t, splat in frames.missing(out, suffix):
+            write(out / f"frame_{t:04d}{suffix}", splat)

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from tg4mm.core.files import to_json, write_atomic, write_json
-from tg4mm.core.lock import LOCK
-from tg4mm.core.temporary import is_temporary, remove_leftovers
+from tg4mm.core.work_folder import WorkFolder
 from tg4mm.show.measure.clips import ClipPhases
 from tg4mm.show.measure.errors import MeasureError
 from tg4mm.show.measure.measurement import Measurement
@@ -23,16 +22,9 @@ from tg4mm.show.measure.units import unit_of
 MARK = "measure.json"
 
 
-def claim(out: Path) -> None:
-    """Make the folder. Raises MeasureError where it holds something that is no measurement."""
-    if out.exists() and not out.is_dir():
-        raise MeasureError(f"--out {out} is a file, expected a folder")
-    # A kill before measure.json was renamed leaves its temporary file and the lock.
-    held = [p for p in out.iterdir() if p.name != LOCK and not is_temporary(p, MARK)] if out.is_dir() else []
-    if held and not (out / MARK).exists():
-        raise MeasureError(f"--out {out} is not empty and holds no {MARK}: choose another folder")
-    out.mkdir(parents=True, exist_ok=True)
-    remove_leftovers(out)
+def work_folder(out: Path) -> WorkFolder:
+    """OUT as the folder of a measurement: what is measured again is written anew."""
+    return WorkFolder(out, MARK, MeasureError)
 
 
 def write_json_file(measurement: Measurement, out: Path) -> Path:

@@ -6,20 +6,16 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from tg4mm.core.errors import RunError
-from tg4mm.core.files import write_json
 from tg4mm.core.filters import TemporalFilter
-from tg4mm.core.lock import held
 from tg4mm.core.magnification import LARGEST_ALPHA, BandGain, Magnification
 from tg4mm.core.pictures.frames import is_complete_png, write_png
 from tg4mm.core.progress import progress
-from tg4mm.core.temporary import remove_leftovers
-from tg4mm.core.untrusted import read_json
+from tg4mm.core.work_folder import WorkFolder
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.run import Run
 from tg4mm.run.model_hash import model_hash
@@ -94,8 +90,9 @@ def render_sequence(
             raise RunError(f"timestep {t} is outside 0 … {n_timesteps - 1}")
     if video and len(wanted) > 1:
         check_rate(fps / request.slow)
-    with _held(out):
-        claim(out, run, request, cameras, "sequence")
+    folder = work_folder(out)
+    with folder.held("renders into it"):
+        folder.claim(record(run, request, cameras, "sequence"))
         files = {
             (t, camera.name): out / f"{t:03d}" / f"{camera.name}.png" for t in wanted for camera in cameras
         }
@@ -109,10 +106,6 @@ def render_sequence(
     return out
 
 
-def _held(out: Path) -> AbstractContextManager[None]:
-    return held(out, f"{out} is in use: another process renders into it")
-
-
 def render_orbit(
     run: Run, cameras: Sequence[Camera], request: RenderRequest, out: Path, device: str = "cpu"
 ) -> Path:
@@ -124,8 +117,9 @@ def render_orbit(
     pose, _, fps = pose_of(run, request, device)
     if len(cameras) > 1:
         check_rate(fps)
-    with _held(out):
-        claim(out, run, request, cameras, "orbit")
+    folder = work_folder(out)
+    with folder.held("renders into it"):
+        folder.claim(record(run, request, cameras, "orbit"))
         jobs = [(i / request.slow, camera, out / f"{camera.name}.png") for i, camera in enumerate(cameras)]
         render_missing(jobs, pose, request, f"orbit, α = {request.label}")
         pictures = [path for _, _, path in jobs]
@@ -173,30 +167,14 @@ def _video_once(path: Path, pictures: Sequence[Path], fps: float) -> None:
         video_of_files(path, pictures, fps)
 
 
-def claim(out: Path, run: Run, request: RenderRequest, cameras: Sequence[Camera], kind: str) -> None:
-    """Record the request in OUT/render.json, or refuse an OUT that holds another one. Raises RunError."""
-    record = _record(run, request, cameras, kind)
-    path = out / RECORD
-    remove_leftovers(out)
-    if not path.exists():
-        if out.exists() and any(out.rglob("*.png")):
-            raise RunError(f"{out} holds pictures but no {RECORD}: choose another --out")
-        out.mkdir(parents=True, exist_ok=True)
-        write_json(path, record)
-        return
-    try:
-        found = read_json(path)
-    except ValueError:
-        raise RunError(f"{path}: is not readable JSON; remove it or choose another --out") from None
-    for key, value in record.items():
-        old = found.get(key) if isinstance(found, dict) else None
-        if old != value and key != "cameras":
-            raise RunError(f"{out} was rendered with {key} {old!r}, now {value!r}: choose another --out")
-        if old != value:
-            raise RunError(f"{out} was rendered from other cameras: choose another --out")
+def work_folder(out: Path) -> WorkFolder:
+    """OUT as a folder that belongs to a request: OUT/render.json."""
+    others = {"cameras": "from other cameras", "model": "of another model"}
+    return WorkFolder(out, RECORD, strangers="**/*.png", others=others)
 
 
-def _record(run: Run, request: RenderRequest, cameras: Sequence[Camera], kind: str) -> dict[str, Any]:
+def record(run: Run, request: RenderRequest, cameras: Sequence[Camera], kind: str) -> dict[str, Any]:
+    """All that the pictures depend on, in JSON's types."""
     poses = json.dumps(transforms_json(tuple(cameras)), sort_keys=True)
     method = method_of(run, request.plan)
     own = method_of(run, Magnification())

@@ -1,0 +1,116 @@
+"""A folder of one request: gone on with for the same one, refused to any other, one process at a time."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from tg4mm.core.errors import CaptureError, RunError
+from tg4mm.core.work_folder import WorkFolder, flat
+
+ASKED = {"alpha": 5.0, "cameras": {"seed": 0, "views": 3}, "band": None}
+
+
+def folder(path: Path, **changes: object) -> WorkFolder:
+    return WorkFolder(path, "work.json", **changes)  # type: ignore[arg-type]
+
+
+def test_a_new_folder_holds_what_was_asked_and_the_same_request_goes_on(tmp_path: Path) -> None:
+    work = folder(tmp_path / "a" / "b")
+    work.claim(ASKED)
+    assert work.read() == ASKED
+    (work.path / "done.txt").touch()
+    work.claim(ASKED)
+    assert sorted(os.listdir(work.path)) == ["done.txt", "work.json"]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"alpha": 6.0}, r"was made with alpha = 5\.0, asked is 6\.0"),
+        ({"cameras": {"seed": 7, "views": 3}}, r"was made with cameras\.seed = 0, asked is 7"),
+        ({"band": [1, 2]}, r"was made with band = null, asked is \[1, 2\]"),
+        ({"extra": 1}, r"was made with extra = \(not set\), asked is 1"),
+        ({"alpha": "x" * 500}, r"asked is \"x{78}…: give"),
+    ],
+)
+def test_the_first_value_that_differs_is_named(tmp_path: Path, change: dict, message: str) -> None:
+    folder(tmp_path).claim(ASKED)
+    with pytest.raises(CaptureError, match=message):
+        folder(tmp_path, error=CaptureError).claim(ASKED | change)
+    with pytest.raises(RunError, match=r"asked is \(not set\)"):
+        folder(tmp_path).claim({k: v for k, v in ASKED.items() if k != "band"})
+    assert folder(tmp_path).read() == ASKED
+
+
+def test_values_that_may_change_and_values_that_are_not_shown(tmp_path: Path) -> None:
+    work = folder(tmp_path, free=("alpha",), others={"cameras": "from other cameras"})
+    work.claim(ASKED)
+    work.claim(ASKED | {"alpha": 9.0})
+    with pytest.raises(RunError, match=r"was made from other cameras: give another folder$"):
+        work.claim(ASKED | {"cameras": {"seed": 1, "views": 3}})
+
+
+def test_a_record_may_hold_more_than_was_asked(tmp_path: Path) -> None:
+    for version in (1, 2):  # which says nothing of what was asked
+        folder(tmp_path).claim(ASKED, {"version": version, "asked": ASKED}, lambda found: found["asked"])
+    assert folder(tmp_path).read() == {"version": 1, "asked": ASKED}
+
+
+@pytest.mark.parametrize("text", ["{", "[]", "NaN", '{"a": 1, "a": 2}', "\xff"])
+def test_a_torn_record_is_named(tmp_path: Path, text: str) -> None:
+    (tmp_path / "work.json").write_text(text, encoding="latin-1")
+    with pytest.raises(RunError, match=r"work\.json (is not readable JSON|holds list, expected an object)"):
+        folder(tmp_path).claim(ASKED)
+
+
+def test_somebody_elses_folder_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "holiday.txt").touch()
+    for call in (lambda: folder(tmp_path).claim(ASKED), lambda: folder(tmp_path).held("works").__enter__()):
+        with pytest.raises(RunError, match=r"is not empty and holds no work\.json, but 'holiday\.txt'"):
+            call()
+    assert os.listdir(tmp_path) == ["holiday.txt"]
+    folder(tmp_path, strangers="*.png").claim(ASKED)  # of which none is there
+    with pytest.raises(RunError, match=r"holiday\.txt is a file, expected a folder"):
+        folder(tmp_path / "holiday.txt").claim(ASKED)
+
+
+def test_what_a_kill_left_before_the_record_was_written_is_nothing(tmp_path: Path) -> None:
+    (tmp_path / ".work.json.node7-1.tmp").write_text("half")
+    (tmp_path / ".lock").touch()
+    folder(tmp_path).claim(ASKED)
+    assert json.loads((tmp_path / "work.json").read_text()) == ASKED
+
+
+def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(RunError, match=r"^/proc/nobody cannot be written: [^\n]+$"):
+        folder(Path("/proc/nobody")).claim(ASKED)
+
+
+def test_a_second_holder_is_refused_and_nothing_is_left(tmp_path: Path) -> None:
+    (tmp_path / "mine").mkdir()
+    for name in ("new/run", "mine"):
+        work = folder(tmp_path / name)
+        with work.held("trains it"):
+            assert os.listdir(work.path) == [".lock"]
+            with (
+                pytest.raises(RunError, match="is in use: another process trains it; wait for it"),
+                work.held("trains it"),
+            ):
+                pass
+    assert not (tmp_path / "new" / "run").exists()
+    assert os.listdir(tmp_path / "mine") == []
+
+
+def test_a_lock_is_given_back_after_an_error(tmp_path: Path) -> None:
+    with pytest.raises(ZeroDivisionError), folder(tmp_path / "run").held("works"):
+        raise ZeroDivisionError
+    with folder(tmp_path / "run").held("works"):
+        pass
+
+
+def test_nested_values_have_dotted_names() -> None:
+    assert flat({"a": {"b": 1, "c": {}}, "d": [1]}) == {"a.b": 1, "a.c": {}, "d": [1]}
