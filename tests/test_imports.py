@@ -77,7 +77,7 @@ MAY_IMPORT |= {room: {*MAY_IMPORT[room], "dataset_gen"} for room in ("research",
 MAY_IMPORT |= {"dataset_gen": {"core", "capture"}}
 _ADDON = ("compat", "names", "units", "preferences", "nodes", "panels", "io", "probe", "operators")
 ADDON_MAY_IMPORT = {room: {*_ADDON[:floor], "core"} for floor, room in enumerate(_ADDON)}
-ADDON_MAY_IMPORT |= {"jobs": {"compat", "names", "preferences", "nodes", "generator"}}
+ADDON_MAY_IMPORT |= {"jobs": {*_ADDON[: _ADDON.index("probe")], "core", "generator"}}
 # `__init__` gives names to users or registers, `__main__` is a door; make_extension runs outside of Blender
 DOORS = {"tg4mm/__init__.py", "tg4mm/__main__.py", "addon/__init__.py", "addon/make_extension.py"}
 

@@ -186,7 +186,7 @@ def test_a_complete_set_is_left_alone(made):
 
 
 def test_a_changed_configuration_is_refused(made):
-    with pytest.raises(GenerateError, match=r"was made with cameras.seed = 0, asked is 7"):
+    with pytest.raises(GenerateError, match=r"was made with seed = 0, asked is 7"):
         generate(tiny("--seed", "7"), made.parent)
 
 

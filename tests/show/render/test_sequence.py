@@ -137,7 +137,7 @@ def test_a_folder_of_foreign_pictures_is_refused(run, cameras, tmp_path):
 def test_a_broken_record_is_named(run, cameras, tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "render.json").write_text("{")
-    with pytest.raises(RunError, match=r"render\.json: is not readable JSON"):
+    with pytest.raises(RunError, match=r"render\.json is not readable JSON"):
         render_sequence(run, cameras, RenderRequest(), tmp_path / "out", [0], video=False)
 
 
