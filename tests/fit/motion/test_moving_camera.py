@@ -24,11 +24,15 @@ def test_the_motion_of_the_scene_is_found_though_poses_are_off() -> None:
     assert fit.motion.freqs_hz[nearest] == pytest.approx(FREQUENCY, abs=0.05)
     found, true = fit.motion.displacement[nearest], motion.displacement[0]
     opacities = gaussians.opacities.numpy()
-    # what looks like the camera's own motion is lost, most of it in a picture of 48 pixels; nothing found would be 1
-    assert error_of(found, true, opacities) < 0.85
+    # what looks like the camera's own motion is lost, much of it in a picture of 48 pixels; nothing found would be 1
+    assert error_of(found, true, opacities) < 0.75
     mac = np.abs(np.vdot(found, true)) ** 2 / (np.vdot(found, found) * np.vdot(true, true)).real
-    assert mac > 0.45
+    assert mac > 0.5
+    assert (
+        np.vdot(true, found).real > 0.35 * np.vdot(true, true).real
+    )  # weights by the residual leave .1 of it
     assert any("the camera moves" in note for note in fit.notes)
+    assert any("of what is seen moves" in note for note in fit.notes)  # 3 of 7 parts of this scene
 
 
 @pytest.mark.slow

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
@@ -27,6 +27,14 @@ class Clip:
     name: str
     path: Path  # folder or video
     pictures: tuple[Path, ...] = ()  # of a folder
+    repeats: frozenset[int] = frozenset()  # frames of a video's window that are left out
+
+    def without(self, rows: Iterable[int]) -> Clip:
+        """The clip less some of its pictures, by their rows."""
+        out = frozenset(rows)
+        if self.pictures:
+            return replace(self, pictures=tuple(p for i, p in enumerate(self.pictures) if i not in out))
+        return replace(self, repeats=out)
 
     @property
     def is_video(self) -> bool:
@@ -65,7 +73,9 @@ class Frame:
 def clip_frames(clip: Clip, window: Window = WHOLE) -> Iterator[Frame]:
     """The clip's pictures one by one. Raises CaptureError where one cannot be decoded."""
     if clip.is_video:
-        for i, frame in enumerate(video_frames(clip.path, window.start_s, window.stop_s)):
+        every = enumerate(video_frames(clip.path, window.start_s, window.stop_s))
+        kept = (frame for row, frame in every if row not in clip.repeats)
+        for i, frame in enumerate(kept):
             yield Frame(i, frame.time, frame.rgb, None, frame.is_between, frame.is_alone)
     else:
         for i, path in enumerate(clip.pictures):
@@ -83,7 +93,7 @@ def frame_rate(
     steps = sorted(b - a for a, b in pairwise(times))
     if not steps or steps[0] <= 0:
         raise CaptureError(f"{path}: its time stamps do not rise, which leaves no frame rate; give --fps")
-    regular = next((rate for rate in rates if _is_regular(times, rate, tick)), None)
+    regular = next((rate for rate in rates if is_regular(times, rate, tick)), None)
     if regular is not None:
         return regular
     median = steps[len(steps) // 2]
@@ -93,7 +103,8 @@ def frame_rate(
     return (1 / median).limit_denominator(1001)
 
 
-def _is_regular(times: list[Fraction], fps: Fraction, tick: Fraction) -> bool:
+def is_regular(times: list[Fraction], fps: Fraction, tick: Fraction) -> bool:
+    """Whether time stamps [T] are those of a regular clock, rounded to whole numbers of `tick` seconds."""
     return all(abs(times[0] + k / fps - time) <= tick for k, time in enumerate(times))
 
 
@@ -102,7 +113,7 @@ def regular_times(times: list[Fraction], fps: Fraction, tick: Fraction) -> list[
 
     Some containers keep whole milliseconds: k / fps is then nearer to the truth than what is written.
     """
-    return [times[0] + k / fps for k in range(len(times))] if _is_regular(times, fps, tick) else times
+    return [times[0] + k / fps for k in range(len(times))] if is_regular(times, fps, tick) else times
 
 
 def uneven_steps(times_s: np.ndarray) -> tuple[float, float] | None:

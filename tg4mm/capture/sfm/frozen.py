@@ -3,14 +3,20 @@
 A sensor's noise and a scene's motion change blocks of the picture in nearly every frame. A codec that is fed one
 picture changes it at its key frames, refines it after them, and goes back and forth between its kinds of frames, to
 pictures that were there a moment before. So a block counts as new where it is unlike each of the last RECENT frames.
+
+Light that flickers changes a still picture from frame to frame and comes back too. A picture whose brightness changes
+is not frozen; and a run of it is told only in a recording in which more than the light changes otherwise.
 """
 
 from __future__ import annotations
 
 from collections import deque
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+
+from tg4mm.capture.sfm.repeats import Repeats, find_repeats
 
 RECENT = 4  # frames; more than B pictures stand between others in most videos
 BLOCK = 8  # pixels of the thinned picture
@@ -27,6 +33,8 @@ UNCHANGED = 1e-3  # mean change from frame to frame, grey levels, below which no
 LIVELY = 0.5  # share of new blocks in each of
 LIVELY_RUN = 10  # successive frames of a recording that is not frozen all along
 SHORTEST = 5  # frames of a frozen run
+LIT = 0.5  # grey levels that the picture's mean goes up and down by, where the light changes
+RELIT = 0.6  # mean change of a block beyond gain and offset, grey levels, that is more than light, rounded to 8 bits
 GAP = 2  # frames between two runs that make no end of them: a key frame and what follows it
 
 
@@ -37,47 +45,79 @@ class NoveltyMeter:
         self._recent: deque[np.ndarray] = deque(maxlen=RECENT)
         self._key: np.ndarray | None = None
         self._key_changes: list[float] = []
-        self._length = 0
         self._news: list[float] = []  # share of new blocks, from the second frame that is not black on
         self._changes: list[float] = []  # mean change of the same frames
         self._at: list[int] = []  # the frames that these are of
-        self._busy: np.ndarray | None = None  # frames in which each block was new
+        self._relit: list[float] = []  # share of blocks that change by more than light, of the same frames
+        self._blocks: list[np.ndarray] = []  # which blocks are new, packed bits, of the same frames
+        self._small: list[np.ndarray] = []  # means of the blocks of each frame
+        self._brightness: list[float] = []  # means of all frames
+        self._is_between: list[bool] = []
+        self._is_key: list[bool] = []
 
-    def add(self, grey: np.ndarray, is_key: bool) -> None:
+    def add(self, grey: np.ndarray, is_key: bool, is_between: bool) -> None:
         """grey [h, w] uint8, thinned: every so-many-th pixel, as an average would take the noise away."""
-        self._length += 1
+        self._count(float(grey.mean()), is_key, is_between)
         height, width = (n // min(BLOCK, n) * min(BLOCK, n) for n in grey.shape)
         grey = grey[:height, :width].astype(np.int16)
+        self._small.append(_in_blocks(grey).mean(2).ravel().astype(np.float16))
         if self._recent:
             new = np.min([_block_changes(grey, before) for before in self._recent], axis=0) > CHANGED
             self._news.append(float(new.mean()))
-            self._at.append(self._length - 1)
+            self._at.append(len(self._brightness) - 1)
             self._changes.append(float(np.abs(grey - self._recent[-1]).mean()))
-            self._busy = new.astype(int) if self._busy is None else self._busy + new
+            self._relit.append(float((_unlike(grey, self._recent[-1]) > RELIT).mean()))
+            self._blocks.append(np.packbits(new))
         self._recent.append(grey)
         if is_key:
             if self._key is not None:
                 self._key_changes.append(float(np.abs(grey - self._key).mean()))
             self._key = grey
 
-    def add_black(self) -> None:
+    def add_black(self, is_key: bool, is_between: bool) -> None:
         """A frame that shows nothing."""
-        self._length += 1
+        self._count(0.0, is_key, is_between)
+
+    def _count(self, brightness: float, is_key: bool, is_between: bool) -> None:
+        self._brightness.append(brightness)
+        self._is_key.append(is_key)
+        self._is_between.append(is_between)
+
+    @cached_property
+    def repeats(self) -> Repeats | None:
+        """The pattern in which frames are shown again; ask when all frames are there."""
+        if len(self._at) < len(self._brightness) - 1:
+            return None  # black ones among them
+        changes, pictures = np.array([0, *self._changes]), np.array(self._small, np.float32)
+        return find_repeats(changes, pictures, np.array(self._is_between), np.array(self._is_key))
+
+    @property
+    def _told(self) -> np.ndarray:
+        """[n] bool: of the frames that have news, those that are no repeats."""
+        return np.ones(len(self._at), bool) if self.repeats is None else self.repeats.is_new[self._at]
+
+    @property
+    def _is_lit(self) -> bool:
+        """Whether the light changes."""
+        seen = np.array(self._brightness)[self._at]
+        return bool(np.ptp(np.quantile(seen, (0.05, 0.95))) > LIT)
 
     def is_frozen(self) -> bool:
         """Whether all frames that show something are one picture, surely: nothing changes, or key frames tell."""
-        return self.hardly_changes() and (
-            float(np.median(self._changes)) < UNCHANGED or len(self._key_changes) > FEWEST_KEYS
+        return (
+            self.hardly_changes()
+            and not self._is_lit
+            and (float(np.median(self._changes)) < UNCHANGED or len(self._key_changes) > FEWEST_KEYS)
         )
 
     def hardly_changes(self) -> bool:
         """Whether all frames are one picture, or show a still scene whose noise the codec took away."""
-        if self._busy is None or any(
-            stop - first >= LIVELY_RUN for first, stop in runs(np.array(self._news) >= LIVELY)
-        ):
+        news = np.array(self._news)[self._told]
+        if not len(news) or any(stop - first >= LIVELY_RUN for first, stop in runs(news >= LIVELY)):
             return False
-        silent, median = np.quantile(self._news, (0.25, 0.5))
-        busiest = self._busy.max() / len(self._news)
+        silent, median = np.quantile(news, (0.25, 0.5))
+        busy = np.unpackbits(np.stack(self._blocks)[self._told], axis=1).sum(0)
+        busiest = busy.max() / len(news)
         return bool(silent <= SILENT and median < QUIET and busiest < BUSY and not self._keys_differ())
 
     def _keys_differ(self) -> bool:
@@ -86,15 +126,18 @@ class NoveltyMeter:
         return len(changes) >= FEWEST_KEYS and min(changes) >= max(NOISE, EVEN * max(changes))
 
     def frozen_frames(self) -> np.ndarray:
-        """[T] bool: frames of runs of one picture in a recording that is alive otherwise."""
-        frozen = np.zeros(self._length, bool)
-        if not self._news or np.quantile(self._news, 0.8) < ALIVE:
+        """[T] bool: frames of runs of one picture in a recording that is alive otherwise; repeats are not counted."""
+        length, told = len(self._brightness), self._told
+        frozen = np.zeros(length, bool)
+        alive = np.array(self._relit if self._is_lit else self._news)[told]
+        if not len(alive) or np.quantile(alive, 0.8) < ALIVE:
             return frozen
-        still = np.zeros(self._length, bool)
+        kept = np.arange(length) if self.repeats is None else np.flatnonzero(self.repeats.is_new)
+        still = np.zeros(length, bool)
         still[self._at] = np.array(self._news) < STILL
-        for first, stop in runs(still, GAP):
+        for first, stop in runs(still[kept], GAP):
             if stop - first >= SHORTEST:
-                frozen[first:stop] = True
+                frozen[kept[first:stop]] = True
         return frozen
 
 
@@ -108,9 +151,22 @@ def runs(flags: np.ndarray, gap: int = 0) -> list[tuple[int, int]]:
     return list(zip(starts, stops, strict=True))
 
 
-def _block_changes(grey: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Mean absolute difference of each block."""
+def _in_blocks(grey: np.ndarray) -> np.ndarray:
+    """[rows, columns, pixels] of each block."""
     rows, columns = (min(BLOCK, n) for n in grey.shape)
     height, width = grey.shape
-    blocks = np.abs(grey - other).reshape(height // rows, rows, width // columns, columns)
-    return blocks.mean(axis=(1, 3))
+    blocks = grey.reshape(height // rows, rows, width // columns, columns)
+    return blocks.transpose(0, 2, 1, 3).reshape(height // rows, width // columns, -1)
+
+
+def _block_changes(grey: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Mean absolute difference of each block."""
+    return _in_blocks(np.abs(grey - other)).mean(axis=2)
+
+
+def _unlike(grey: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """The same, less what a gain and an offset of each block explain."""
+    a, b = (_in_blocks(g).astype(np.float32) for g in (grey, other))
+    a, b = a - a.mean(2, keepdims=True), b - b.mean(2, keepdims=True)
+    gain = (a * b).sum(2, keepdims=True) / np.maximum((b * b).sum(2, keepdims=True), 1e-6)
+    return np.asarray(np.abs(a - gain * b).mean(2))

@@ -13,7 +13,7 @@ import shlex
 import sys
 import warnings
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -96,6 +96,8 @@ def reconstruct(images: Path, out: Path, config: SfmConfig = DEFAULTS, threads: 
 
 def _made(images: Path, work: Work, sources: Sources, config: SfmConfig, threads: int) -> dict[str, Any]:
     surveys = [survey_clip(clip, work.folder / "survey", config.window) for clip in sources.clips]
+    kept = [clip.without(survey.repeats) for clip, survey in zip(sources.clips, surveys, strict=True)]
+    sources = replace(sources, clips=type(sources.clips)(kept))
     kind = told_kind(sources, surveys, config.kind)
     print(f"{images}: taken for {kind.name}: {kind.reason}", file=sys.stderr, flush=True)
     warn_clocks(surveys, config.fps)
@@ -226,9 +228,9 @@ def _sweep(job: _Job) -> tuple[Path, ...]:
         return ()
     if not sweep.is_video:
         return sweep.pictures
-    sharpness = survey_clip(sweep, work / "survey", WHOLE).sharpness
-    rows = sharp_rows(sharpness, job.config.frames or SWEEP_FRAMES)
-    return extract_frames(sweep, work / "frames" / SWEEP, rows=rows)
+    survey = survey_clip(sweep, work / "survey", WHOLE)
+    rows = sharp_rows(survey.sharpness, job.config.frames or SWEEP_FRAMES)
+    return extract_frames(sweep.without(survey.repeats), work / "frames" / SWEEP, rows=rows)
 
 
 def _model(job: _Job, taken: list[Shot]) -> Any:

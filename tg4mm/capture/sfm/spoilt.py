@@ -105,8 +105,22 @@ def warn_bumps(surveys: Iterable[Survey]) -> None:
 
 
 def warn_clocks(surveys: Iterable[Survey], fps: float | None) -> None:
-    """A warning for each recording whose frame rate varies, or is said to be another than the container's."""
+    """A warning for each recording whose frame rate varies, or is said to be another than the container's.
+
+    And for one that shows pictures more than once.
+    """
     for survey in surveys:
+        if survey.repeats:
+            new, of = survey.share.numerator, survey.share.denominator
+            rates = ""
+            if survey.fps is not None:
+                stored = float(survey.fps / survey.share)
+                rates = f", {float(survey.fps):.5g} pictures a second stored as {stored:.5g}"
+            warnings.warn(
+                f"{survey.path.name}: {new} of {of} frames are new pictures{rates}; "
+                f"{len(survey.repeats)} repeats are left out, and the others have the times that this tells",
+                stacklevel=2,
+            )
         if survey.times is None or survey.fps is None:
             continue
         steps = uneven_steps(_times(survey))
@@ -204,6 +218,7 @@ def _knocks(survey: Survey) -> list[Knock]:
     times = _times(survey)
     found = []
     for first, stop in _parts(survey):
-        knocks = find_knocks(survey.shifts_px[first:stop], times[first:stop])
+        part = slice(first, stop)
+        knocks = find_knocks(survey.shifts_px[part], times[part], survey.together[part])
         found += [Knock(first + knock.frame, knock.time_s, knock.shift_px) for knock in knocks]
     return found

@@ -1,7 +1,8 @@
 """How the whole picture shifts over a recording: whether its camera stayed put, and when it was knocked.
 
 The shift of a frame from the first one is found by phase correlation (Kuglin & Hines 1975) on a reduced grey picture
-and refined by Lucas–Kanade (1981) on blocks, of which the median counts: what moves in the scene is a minority.
+and refined by Lucas–Kanade (1981) on blocks, of which the median counts: what moves in the scene is a minority. Where
+it is not, as with a bridge before the sky, the blocks tell too: a camera that is knocked takes nearly all along.
 """
 
 from __future__ import annotations
@@ -20,12 +21,14 @@ FIXED_SHARE = 0.002  # this part of the longer side
 ALIKE = 0.5  # correlation with the first frame below which a shift means nothing
 KNOCK_PX = 0.5  # a step of the whole picture that counts as a knock
 KNOCK_SCATTER = 6.0  # times the scatter of the frames before and after it
+TOGETHER = 0.75  # share of the blocks with something to see that go along with a knock
 KNOCK_WINDOW_S = 0.5  # before and after a knock; at least KNOCK_FRAMES
 KNOCK_FRAMES = 5
 MOST_KNOCKS = 5  # of a camera that stays put; one that steps more often is carried
 BUMP_PX = 2.0  # that fewer than KNOCK_FRAMES frames lie apart from those around them
 BUMP_SCATTER = 8.0  # times the scatter of those
 MOST_PARTS = 6  # scenes that a recording is cut into
+_UNLIKE = (float("nan"),) * 3
 STAYING = 0.8  # share of the frames of a fixed camera
 
 
@@ -51,19 +54,26 @@ class ShiftMeter:
 
     def shift(self, grey: np.ndarray) -> tuple[float, float]:
         """x and y, pixels of the reduced picture; NaN where the pictures have nothing in common."""
+        return self.together(grey)[:2]
+
+    def together(self, grey: np.ndarray) -> tuple[float, float, float]:
+        """x and y, pixels of the reduced picture, and the share of its blocks that the shift makes more alike.
+
+        NaN where the pictures have nothing in common.
+        """
         cross = np.fft.rfft2((grey - grey.mean()) * self._window) * self._spectrum
         peak = np.fft.irfft2(cross / np.maximum(np.abs(cross), 1e-9), s=grey.shape)
         rows, columns = grey.shape
         y, x = divmod(int(peak.argmax()), columns)
         y, x = y - rows * (y > rows // 2), x - columns * (x > columns // 2)
-        dx, dy, alike = self._refined(gaussian_filter(grey, 1.0), x, y)
-        return (x + dx, y + dy) if alike >= ALIKE else (float("nan"), float("nan"))
+        dx, dy, together, alike = self._refined(gaussian_filter(grey, 1.0), x, y)
+        return (x + dx, y + dy, together) if alike >= ALIKE else _UNLIKE
 
-    def _refined(self, smooth: np.ndarray, x: int, y: int) -> tuple[float, float, float]:
-        """What is left of the shift after (x, y) whole pixels, and the correlation of what overlaps."""
+    def _refined(self, smooth: np.ndarray, x: int, y: int) -> tuple[float, float, float, float]:
+        """The shift after (x, y) whole pixels, the share of blocks, and the correlation of what overlaps."""
         rows, columns = smooth.shape
         if min(rows - abs(y), columns - abs(x)) < 2 * self._block:
-            return 0.0, 0.0, 0.0
+            return 0.0, 0.0, 0.0, 0.0
         here = (slice(max(0, -y), rows - max(0, y)), slice(max(0, -x), columns - max(0, x)))
         there = (slice(max(0, y), rows + min(0, y)), slice(max(0, x), columns + min(0, x)))
         first, other = self._smooth[here], smooth[there]
@@ -72,8 +82,7 @@ class ShiftMeter:
         )
         gy, gx = (g[here] for g in self._gradient)
         # A frame brighter or darker as a whole must not look like one that has moved.
-        change = other * (first.std() / max(float(other.std()), 1e-6))
-        change = (change - change.mean()) - (first - first.mean())
+        change, unmoved = (_change(first, seen) for seen in (other, smooth[here]))
         xx, yy, xy, bx, by = (
             _blocks(a, self._block) for a in (gx * gx, gy * gy, gx * gy, gx * change, gy * change)
         )
@@ -81,10 +90,19 @@ class ShiftMeter:
         weakest = trace / 2 - np.sqrt(np.maximum(trace**2 / 4 - determinant, 0))
         good = weakest > 0.2 * np.median(weakest) + 1e-6
         if not good.any():
-            return 0.0, 0.0, alike
+            return 0.0, 0.0, 0.0, alike
         dx = -(yy * bx - xy * by)[good] / determinant[good]
         dy = -(xx * by - xy * bx)[good] / determinant[good]
-        return float(np.median(dx)), float(np.median(dy)), alike
+        own_x, own_y = float(np.median(dx)), float(np.median(dy))
+        moved = _blocks((change + own_x * gx + own_y * gy) ** 2, self._block)
+        together = float((moved < _blocks(unmoved**2, self._block))[good].mean())
+        return own_x, own_y, together, alike
+
+
+def _change(first: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """other - first, less brightness and contrast of the whole."""
+    scaled = other * (first.std() / max(float(other.std()), 1e-6))
+    return np.asarray((scaled - scaled.mean()) - (first - first.mean()))
 
 
 def _blocks(values: np.ndarray, size: int) -> np.ndarray:
@@ -101,28 +119,31 @@ class PartMeter:
         self._part = 0
         self._before: np.ndarray | None = None
 
-    def add(self, grey: np.ndarray) -> tuple[int, float, float]:
-        """The part of the next picture [h, w], and its shift from the first one of it; NaN where it is unlike that."""
+    def add(self, grey: np.ndarray) -> tuple[int, float, float, float]:
+        """The part of the next picture [h, w], its shift from its first one, and the share of blocks that show it.
+
+        NaN where it is unlike that.
+        """
         if not self._meters:
             self._meters.append(ShiftMeter(grey))
         before, self._before = self._before, grey
-        shift = self._meters[self._part].shift(grey)
+        shift = self._meters[self._part].together(grey)
         if np.isnan(shift[0]) and before is not None and np.isnan(ShiftMeter(before).shift(grey)[0]):
             shift = self._elsewhere(grey)
         return self._part, *shift
 
-    def _elsewhere(self, grey: np.ndarray) -> tuple[float, float]:
+    def _elsewhere(self, grey: np.ndarray) -> tuple[float, float, float]:
         """Go to the part that this picture is of, a new one where it is like none."""
         for part, meter in enumerate(self._meters):
-            shift = meter.shift(grey)
+            shift = meter.together(grey)
             if not np.isnan(shift[0]):
                 self._part = part
                 return shift
         if len(self._meters) == MOST_PARTS:
-            return float("nan"), float("nan")
+            return _UNLIKE
         self._part = len(self._meters)
         self._meters.append(ShiftMeter(grey))
-        return 0.0, 0.0
+        return 0.0, 0.0, 0.0
 
 
 @dataclass(frozen=True)
@@ -153,16 +174,20 @@ def stays_in_parts(shifts_px: np.ndarray, stretches: list[tuple[int, int]], long
     return steady > 0 and steady >= STAYING * sum(stop - first for first, stop in stretches)
 
 
-def find_knocks(shifts_px: np.ndarray, times_s: np.ndarray) -> list[Knock]:
+def find_knocks(
+    shifts_px: np.ndarray, times_s: np.ndarray, together: np.ndarray | None = None
+) -> list[Knock]:
     """Steps of the whole picture between frames that stand still before and after, in order; shifts [T, 2].
 
-    Not more than one above MOST_KNOCKS.
+    together [T]: share of the blocks that a frame's shift makes more like the first frame; None: all. Not more than one
+    above MOST_KNOCKS.
     """
+    together = np.ones(len(shifts_px)) if together is None else together
     found: list[Knock] = []
     stretches = [(0, len(shifts_px))]
     while stretches and len(found) <= MOST_KNOCKS:
         first, stop = stretches.pop()
-        knock = _largest_knock(shifts_px[first:stop], times_s[first:stop])
+        knock = _largest_knock(shifts_px[first:stop], times_s[first:stop], together[first:stop])
         if knock is not None:
             at = first + knock.frame
             found.append(Knock(at, knock.time_s, knock.shift_px))
@@ -196,7 +221,7 @@ def _window(times_s: np.ndarray) -> int:
     return max(KNOCK_FRAMES, round(KNOCK_WINDOW_S / step_s))
 
 
-def _largest_knock(shifts_px: np.ndarray, times_s: np.ndarray) -> Knock | None:
+def _largest_knock(shifts_px: np.ndarray, times_s: np.ndarray, together: np.ndarray) -> Knock | None:
     """The largest step of the whole picture between frames that stand still before and after; None without one."""
     shifts = np.where(np.isnan(shifts_px), 1e6, shifts_px)
     n = len(shifts)
@@ -204,9 +229,15 @@ def _largest_knock(shifts_px: np.ndarray, times_s: np.ndarray) -> Knock | None:
     worst: tuple[float, int] | None = None
     for t in range(KNOCK_FRAMES, n - KNOCK_FRAMES + 1):
         before, after = shifts[max(0, t - window) : t], shifts[t : t + window]
-        step = float(np.linalg.norm(np.median(after, axis=0) - np.median(before, axis=0)))
+        places = np.median(before, axis=0), np.median(after, axis=0)
+        step = float(np.linalg.norm(places[1] - places[0]))
         scatter = max(_scatter(before), _scatter(after))
-        if step > max(KNOCK_PX, KNOCK_SCATTER * scatter) and (worst is None or step > worst[0]):
+        is_after = np.linalg.norm(places[1]) > np.linalg.norm(
+            places[0]
+        )  # which is further from the first frame
+        share = np.median(together[t : t + window] if is_after else together[max(0, t - window) : t])
+        is_knock = step > max(KNOCK_PX, KNOCK_SCATTER * scatter) and not share < TOGETHER
+        if is_knock and (worst is None or step > worst[0]):
             worst = (step, t)
     if worst is None:
         return None

@@ -16,8 +16,9 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import laplace
 
-from tg4mm.capture.sfm.clip import Clip, Frame, Window, clip_frames, frame_rate, regular_times
+from tg4mm.capture.sfm.clip import Clip, Frame, Window, clip_frames, frame_rate, is_regular, regular_times
 from tg4mm.capture.sfm.frozen import NoveltyMeter
+from tg4mm.capture.sfm.repeats import Repeats
 from tg4mm.capture.sfm.steadiness import PartMeter, reduced
 from tg4mm.capture.sfm.video import VideoInfo, video_info
 from tg4mm.core.errors import CaptureError
@@ -43,6 +44,11 @@ class Survey:
     times: tuple[Fraction, ...] | None  # T, seconds since the first frame; None for a folder
     parts: np.ndarray  # [T] which scene a frame shows, from 0; NOTHING of a black one
     shifts_px: np.ndarray  # [T, 2] of the whole picture from the first one of its part; NaN: no likeness
+    together: np.ndarray  # [T] share of the blocks with something to see that this shift makes more alike
+    repeats: tuple[
+        int, ...
+    ]  # frames of the recording that show the one before again, and are left out of the T
+    share: Fraction  # of its frames that are left
     frozen: np.ndarray  # [T] bool: frames that repeat the one before, in a recording that does not
     sharpness: np.ndarray  # [T] variance of the Laplacian
     codec_period: (
@@ -64,7 +70,7 @@ class Survey:
                 raise CaptureError(
                     f"--fps is missing: the pictures of {self.name} need their frames per second"
                 )
-            return fps, np.arange(len(self)) / fps
+            return fps * float(self.share), np.arange(len(self)) / (fps * float(self.share))
         stretch = 1.0 if fps is None else float(self.fps) / fps
         return fps or float(self.fps), np.array([float(time) for time in self.times]) * stretch
 
@@ -129,6 +135,9 @@ def _read(clip: Clip, folder: Path, record: dict[str, Any]) -> Survey:
         times=moments,
         parts=parts,
         shifts_px=shifts_px,
+        together=np.array([np.nan if x is None else x for x in record["together"]], np.float64),
+        repeats=tuple(int(k) for k in record.get("repeats", [])),
+        share=Fraction(record.get("share", 1)),
         frozen=frozen,
         sharpness=sharpness,
         codec_period=found.whole("codec_period", 2) if found.has("codec_period") else None,
@@ -149,6 +158,7 @@ class _Look:
         self.clip = clip
         self.times: list[Fraction | None] = []
         self.shifts: list[tuple[float, float]] = []
+        self.together: list[float] = []
         self.sharpness: list[float] = []
         self.parts: list[int] = []
         self._between: list[bool] = []
@@ -165,15 +175,16 @@ class _Look:
         grey, k = reduced(pixels[..., 1])  # green carries most of the light, and is there without arithmetic
         brightest = float(np.quantile(grey, 0.99))
         if brightest < BLACK:
-            self._novelty.add_black()
-            part, x, y = NOTHING, np.nan, np.nan
+            self._novelty.add_black(frame.is_alone, frame.is_between)
+            part, x, y, together = NOTHING, np.nan, np.nan, np.nan
         else:
-            self._novelty.add(pixels[::k, ::k, 1], frame.is_alone)
-            part, x, y = self._meter.add(grey)
+            self._novelty.add(pixels[::k, ::k, 1], frame.is_alone, frame.is_between)
+            part, x, y, together = self._meter.add(grey)
         self.times.append(frame.time)
         self._between.append(frame.is_between)
         self.parts.append(part)
         self.shifts.append((x * k, y * k))
+        self.together.append(together)
         self.sharpness.append(float(laplace(grey).var()))
         self._brightest = max(self._brightest, brightest)
 
@@ -215,18 +226,36 @@ class _Look:
     def record(self, info: VideoInfo | None) -> dict[str, Any]:
         assert self._sum is not None
         fps, times = self._clock(info)
+        kept, share, repeats = np.arange(len(self.sharpness)), Fraction(1), self._repeats(times, fps, info)
+        if repeats is not None:
+            kept, share = np.flatnonzero(repeats.is_new), repeats.share
+            if times is not None and fps is not None:
+                times = [times[0] + t for t in repeats.times(fps)]
+                fps *= share
         return {
             "width": self._sum.shape[1],
             "height": self._sum.shape[0],
             "fps": None if fps is None else str(fps),
             "times": None if times is None else [str(time) for time in times],
-            "shifts_px": [[None if np.isnan(x) else round(x, 4) for x in row] for row in self.shifts],
-            "parts": self.parts,
-            "frozen": self._novelty.frozen_frames().tolist(),
-            "sharpness": self.sharpness,
-            "codec_period": codec_period(np.array(self._between)),
+            "repeats": [] if repeats is None else list(repeats.rows),
+            "share": str(share),
+            "shifts_px": [[None if np.isnan(x) else round(x, 4) for x in self.shifts[k]] for k in kept],
+            "together": [None if np.isnan(self.together[k]) else round(self.together[k], 4) for k in kept],
+            "parts": [self.parts[k] for k in kept],
+            "frozen": self._novelty.frozen_frames()[kept].tolist(),
+            "sharpness": [self.sharpness[k] for k in kept],
+            "codec_period": codec_period(np.array(self._between)) if repeats is None else None,
             "created_s": info.created.timestamp() if info is not None and info.created is not None else None,
         }
+
+    def _repeats(
+        self, times: list[Fraction] | None, fps: Fraction | None, info: VideoInfo | None
+    ) -> Repeats | None:
+        """None where the file's clock is not regular: such a file has no need of repeats."""
+        is_told = info is None or (
+            times is not None and fps is not None and is_regular(times, fps, info.tick)
+        )
+        return self._novelty.repeats if is_told else None
 
     def _clock(self, info: VideoInfo | None) -> tuple[Fraction | None, list[Fraction] | None]:
         times = [time for time in self.times if time is not None]

@@ -135,8 +135,6 @@ def pixel_weights(
 
     `are_separate`: target images belong to one component each, so that those of noise are noise.
     """
-    if targets.weights is not None:
-        return targets.weights
     variance = pixel_noise(targets, is_noise if are_separate else np.zeros(targets.images.shape[1], bool))
     noisy = variance[variance > 0]
     if not len(noisy):

@@ -94,7 +94,7 @@ def _fitted(model: TemporalModel, checkpoint: Checkpoint) -> MotionFit:
         figures["appearance_reliability"] = [round(float(g), 4) for g in kept]
     if len(folds) == 2:
         figures["reliability"] = [round(float(g), 4) for g in reliability]
-    return _result(model, hyper, model.motion(fields, changes), uncertainty, figures)
+    return _result(model, hyper, fields, model.motion(fields, changes), uncertainty, figures)
 
 
 def select_hyperparameters(
@@ -202,12 +202,15 @@ def _uncertainty(
 def _result(
     model: TemporalModel,
     hyper: Hyperparameters,
+    fields: np.ndarray,
     motion: ModalMotion,
     uncertainty: Uncertainty | None,
     figures: dict[str, Any],
 ) -> MotionFit:
     """With what is logged, and what cannot be told."""
     observations, notes = model.observations, [*model.notes]
+    if isinstance(model, MovingCamera):
+        notes += model.unclear(fields)
     if observations.is_flat:
         notes.append("a flat capture shows motion across the sight alone, in pixels of its picture")
     pixels = figures["pixels_moved"]

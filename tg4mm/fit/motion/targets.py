@@ -34,7 +34,6 @@ class TargetImages:
     residual_energy: np.ndarray  # [V, H, W] float32 of what was not kept, mean over channels
     rank: int  # of what residual and images hold together, functions of time
     mean: np.ndarray  # [V, H, W, 3] float32, over time and over white
-    weights: np.ndarray | None = None  # [V, H, W] of pixels; None: told by their noise
 
     def of(self, v: int, rows: slice | np.ndarray = slice(None)) -> np.ndarray:
         """[r, H, W, 3] in memory: some of view v's images."""

@@ -17,7 +17,7 @@ from tg4mm.run.model_hash import model_hash
 from tg4mm.show.measure.sides import Sides, check_arrays
 
 PART = "residuals"
-_VERSION = 2  # a file of another is made anew
+_VERSION = 3  # a file of another is made anew
 _MOST = 1 << 30  # bytes; what is more is found anew each time
 _TYPES = torch.int8, torch.uint8, torch.int16, torch.int32, torch.float16
 Wanted = Mapping[str, tuple[DTypeLike, tuple[int, ...]]]

@@ -20,9 +20,9 @@ from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.jacobian.packed import DOF
 from tg4mm.fit.motion.jacobian.view import ViewJacobian, blend_sum, view_jacobian
 from tg4mm.fit.motion.modes import MotionFit
-from tg4mm.fit.motion.nuisance.projection import Nuisance
+from tg4mm.fit.motion.nuisance.projection import Nuisance, without
 from tg4mm.fit.motion.observations import Observations, PosedFrames
-from tg4mm.fit.motion.temporal.moving import corrected_poses, pictures_of, robust_weights
+from tg4mm.fit.motion.temporal.moving import corrected_poses, pictures_of
 from tg4mm.show.measure.kept import KeptPass, Wanted
 from tg4mm.show.measure.modal_fields import ModalFields
 from tg4mm.show.measure.residuals import MeasuredView
@@ -41,8 +41,7 @@ class FrameViews(Sequence[MeasuredView]):
     gaussians: Gaussians
     frames: Sequence[PosedFrames]
     size: tuple[int, int]
-    weights: np.ndarray  # [F, H, W] float16, relative to `level`
-    level: np.ndarray  # [F]
+    level: np.ndarray  # [F] weight of every pixel of a frame: one over the mean square of what is left of it
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -52,14 +51,15 @@ class FrameViews(Sequence[MeasuredView]):
             return [self[i] for i in range(*k.indices(len(self)))]
         k = range(len(self))[k]
         view = view_jacobian(self.gaussians, self.frames[k], self.size)
-        return self.of(k, view, self.weights[k].astype(np.float32) * self.level[k])
+        return self.of(k, view, self.level[k])
 
     def __iter__(self) -> Iterator[MeasuredView]:
         return (self[k] for k in range(len(self)))
 
-    def of(self, k: int, view: ViewJacobian, weights: np.ndarray) -> MeasuredView:
-        """Frame k with pixel weights [H, W]; both halves are squares of its picture."""
+    def of(self, k: int, view: ViewJacobian, level: float) -> MeasuredView:
+        """Frame k with pixels of one weight; both halves are squares of its picture."""
         nuisance = Nuisance(view, self.frames[k], self.gaussians.means.numpy(), _ALL)
+        weights = np.full(self.size[::-1], level, np.float32)
         return MeasuredView(view, self.frames[k], nuisance, view.over_white, weights, (0, 1))
 
 
@@ -75,10 +75,9 @@ def prepare_moving(
     gaussians = fit.gaussians
     times = np.array([f.times_s[0] for f in observations.frames])
     series = modal.series(times)
-    count, (width, height) = len(times), observations.size
+    count = len(times)
     wanted: Wanted = {
         "viewmats": (np.float64, (count, 4, 4)),
-        "weights": (np.float16, (count, height, width)),
         "level": (np.float64, (count,)),
         "seen": (np.float64, (len(gaussians),)),
     }
@@ -90,7 +89,7 @@ def prepare_moving(
     else:
         arrays, (sides,) = found
     frames = [replace(f, viewmat=v) for f, v in zip(observations.frames, arrays["viewmats"], strict=True)]
-    views = FrameViews(gaussians, frames, observations.size, arrays["weights"], arrays["level"])
+    views = FrameViews(gaussians, frames, observations.size, arrays["level"])
     clock = SharedClock("", tuple(range(len(frames))), times, sides, series)
     observations = replace(observations, frames=frames)
     return Prepared(
@@ -111,9 +110,7 @@ def _passed(
     n, count = len(gaussians), len(frames)
     width, height = observations.size
     sides = zeros_in_room((HALVES, count, n, DOF), folder)
-    out = FrameViews(
-        gaussians, frames, observations.size, np.zeros((count, height, width), np.float16), np.ones(count)
-    )
+    out = FrameViews(gaussians, frames, observations.size, np.ones(count))
     seen = np.zeros(n)
     with progress("pictures", count, "frames") as update:
         for k, picture in enumerate(pictures_of(observations)):
@@ -127,7 +124,6 @@ def _passed(
             update(k + 1)
     arrays = {
         "viewmats": np.stack([f.viewmat for f in frames], dtype=np.float64),
-        "weights": out.weights,
         "level": out.level,
         "seen": seen,
     }
@@ -135,28 +131,17 @@ def _passed(
 
 
 def _pull_back(out: FrameViews, k: int, view: ViewJacobian, left: np.ndarray, sides: np.ndarray) -> None:
-    """Weights of frame k, by what is left of it without exposure and pose, and its sides."""
-    height, width = left.shape[:2]
-    first = out.of(k, view, np.ones((height, width), np.float32))
-    coarse = _without(first.nuisance, first.mean, left, robust_weights(left))
-    relative = robust_weights(coarse)
-    out.level[k] = 1 / max(float((relative[..., None] * coarse**2).sum() / (3 * relative.sum())), 1e-12)
-    out.weights[k] = relative
-    own = replace(first, weights=out.weights[k].astype(np.float32) * np.float32(out.level[k]))
-    for half, weights, projection in own.projections():
+    """The level of frame k, by what is left of it without exposure and pose, and its sides.
+
+    All pixels of a frame count alike: what is left holds the motion that the run's modes do not show.
+    """
+    first = out.of(k, view, 1)
+    own = without(first.nuisance, first.mean, left[None])
+    out.level[k] = 1 / max(float((own**2).mean()), 1e-12)
+    for half, weights, projection in out.of(k, view, out.level[k]).projections():
         assert projection is not None
         shown = projection.out_of(left[None]) * weights[..., None]
         view.vjp(np.ascontiguousarray(shown, np.float32), sides[half, k : k + 1])
-
-
-def _without(nuisance: Nuisance, mean: np.ndarray, left: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """A picture [H, W, 3] less what the columns explain of it, by weighted least squares."""
-    columns = nuisance.columns(mean).reshape(12, -1)
-    weighted = columns * np.repeat(weights.reshape(-1), 3)
-    gram, side = (weighted @ columns.T).astype(np.float64), weighted @ left.reshape(-1)
-    scale = np.sqrt(np.diag(gram)) + 1e-12
-    n = np.linalg.solve(gram / np.outer(scale, scale) + 1e-6 * np.eye(12), side / scale) / scale
-    return np.asarray(left - (n.astype(np.float32) @ columns).reshape(left.shape))
 
 
 def _slow_functions(times_s: np.ndarray) -> np.ndarray:

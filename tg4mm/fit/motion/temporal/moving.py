@@ -48,6 +48,9 @@ _THINNED = 3  # every third frame is enough to choose the smoothness weight
 # Of the first fit, times the iterations of fixed cameras: with the camera's pose projected out, what moves against the
 # background is found late.
 _MORE_ITERATIONS = 2
+_STILL_SHARE = (
+    0.2  # of what is seen, that moves: beyond it which part stands still is not told (docs/captures.md)
+)
 _MOVES, _LARGEST = 0.25, 0.99  # of the largest amplitude; the quantile that is called the largest
 _LEAST_POWER = 1.5  # of a frequency, times the noise's
 # What the scene at rest gets wrong changes with the viewpoint, and so in time: up to six times along the path of a
@@ -76,7 +79,7 @@ class MovingCamera(Steady):
             gaussians, observations, config, device, checkpoint
         )
         observations = replace(observations, frames=frames)
-        problem, residuals, weights = _residual_problem(gaussians, observations, config, device)
+        problem, residuals = _residual_problem(gaussians, observations, config, device)
         lowest_hz = _PERIODS / observations.duration_s
         frequencies = frequencies_of(
             observations, [_series(problem, residuals, observations, checkpoint)], _LEAST_POWER, lowest_hz
@@ -85,13 +88,13 @@ class MovingCamera(Steady):
         notes = [
             "the camera moves: a motion of the whole scene as one cannot be told from its own, nor one below "
             f"{lowest_hz:.2g} Hz (eight periods in the record) from what changes with the viewpoint",
-            "the poses of a moving camera take up part of the motion: amplitudes come out too small, by more than the "
-            f"± says; what moves by less than {_MOVES:g} of the largest at its frequency is held still",
+            f"what moves by less than {_MOVES:g} of the largest at its frequency is held still, so that it tells "
+            "the poses; motion towards the camera comes out too small",
         ]
         targets = no_targets(observations)
         if len(frequencies.hz):
             functions = functions_of(observations, frequencies)
-            targets = replace(targets, basis=functions, images=residuals, weights=weights)
+            targets = replace(targets, basis=functions, images=residuals)
             mixing = [row[None].astype(np.float32) for row in functions.T]
             problem = problem.changed(mixing=mixing)
         folds = folds_of(len(frames), observations.size, True, config.split_half)
@@ -135,6 +138,20 @@ class MovingCamera(Steady):
         slow = np.tile(moves.any(0), (folds.shape[1] - 2 * len(self.hz), 1))
         return np.concatenate([np.repeat(moves, 2, 0), slow]).astype(np.float32)
 
+    def unclear(self, fields: np.ndarray) -> list[str]:
+        """What cannot be told of fields [2 K, N, 6]: which part stands still, where most of the picture moves."""
+        amplitudes = np.sqrt((fields[0::2, :, :3] ** 2 + fields[1::2, :, :3] ** 2).sum(-1))
+        seen = self._seen_weights
+        largest = np.quantile(amplitudes[:, seen > 0], _LARGEST, axis=1, keepdims=True)
+        share = float(((amplitudes > _MOVES * largest) * seen).sum(1).max() / seen.sum())
+        if share <= _STILL_SHARE:
+            return []
+        return [
+            f"{share:.0%} of what is seen moves: where more than {_STILL_SHARE:.0%} do, or most of the picture, its "
+            "motion cannot be told from the camera's own, and what is shown may be what stands still, moved back; "
+            "a fixed camera and a sweep tell (docs/capture-guide.md, tripod)"
+        ]
+
     @cached_property
     def _seen_weights(self) -> np.ndarray:
         """[N]: how much is seen of each Gaussian, in some frames."""
@@ -158,11 +175,15 @@ def functions_of(observations: Observations, frequencies: Frequencies) -> np.nda
 
 def _residual_problem(
     gaussians: Gaussians, observations: Observations, config: MotionConfig, device: str
-) -> tuple[Problem, np.ndarray, np.ndarray]:
-    """The problem, residual of every frame [F, 1, H, W, 3] with exposure and pose projected out, its weights."""
+) -> tuple[Problem, np.ndarray]:
+    """The problem, and the residual of every frame [F, 1, H, W, 3] with exposure and pose projected out.
+
+    All pixels count alike: a residual holds the motion that is to be found, so that weights by its size would leave the
+    fit what does not move.
+    """
     views, projections, means = [], [], gaussians.means.numpy()
     n, (width, height) = len(observations.frames), observations.size
-    residuals, weights = room((n, 1, height, width, 3)), np.empty((n, height, width), np.float32)
+    residuals = room((n, 1, height, width, 3))
     with progress("residuals", n, "frames") as update:
         for k, (frame, picture) in enumerate(
             zip(observations.frames, pictures_of(observations), strict=True)
@@ -171,16 +192,15 @@ def _residual_problem(
             is_large = n * view.nbytes > VIEW_BYTES
             view = view.stored() if is_large else view
             shown = view.over_white
-            weights[k] = robust_weights(picture - shown)
             nuisance = Nuisance(view, frame, means, _ALL, keeps=False)
-            projection = Projection.of(nuisance, shown, weights[k], is_large)
+            projection = Projection.of(nuisance, shown, None, is_large)
             residuals[k] = projection.out_of((picture - shown)[None])
             projection.release()
             view.release()
             views.append(view)
             projections.append(projection)
             update(k + 1)
-    return replace(Problem.of(views, gaussians, config, device), projections=projections), residuals, weights
+    return replace(Problem.of(views, gaussians, config, device), projections=projections), residuals
 
 
 def _series(
@@ -303,10 +323,3 @@ def _apart(a: PosedFrames, b: PosedFrames, means: np.ndarray, opacities: np.ndar
         pixels.append(x[:, :2] / np.maximum(x[:, 2:], 1e-6) * np.diag(frame.K)[:2])
     seen = (x[:, 2] > 1e-3) & (np.abs(pixels[0]) < 2 * frame.K[:2, 2]).all(1) & (opacities > 0.1)
     return float(((pixels[0] - pixels[1])[seen] ** 2).sum(1).mean()) if seen.any() else 0.0
-
-
-def robust_weights(residual: np.ndarray) -> np.ndarray:
-    """[H, W] float32: pixels with a large residual (edges, occlusions) count less."""
-    size = np.sqrt((residual**2).mean(-1))
-    spread = 1.4826 * float(np.median(size)) + 1e-6
-    return np.asarray(1 / (1 + (size / (_ROBUST * spread)) ** 2), np.float32)
