@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from tg4mm.capture import Capture, load_capture
-from tg4mm.capture.timing import KINDS, check_times, kind_of_cameras
+from tg4mm.capture.timing import check_times, kind_of_cameras
+from tg4mm.core.choices import KINDS
 from tg4mm.core.errors import CaptureError
 
 

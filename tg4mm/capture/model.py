@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tg4mm.capture.timing import KINDS, kind_of_cameras, times_of_timesteps
+from tg4mm.capture.timing import kind_of_cameras, times_of_timesteps
+from tg4mm.core.choices import KINDS
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from tg4mm.capture.confine import inside
-from tg4mm.capture.timing import CLOCKS, KINDS
+from tg4mm.capture.timing import CLOCKS
+from tg4mm.core.choices import KINDS
 from tg4mm.core.errors import CaptureError
 from tg4mm.core.records import Record, read_record
 

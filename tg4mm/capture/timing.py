@@ -8,10 +8,6 @@ import numpy as np
 
 from tg4mm.core.errors import CaptureError
 
-# photos: a still scene. flat: one fixed camera and nothing else. tripod: one fixed camera, and pictures of the scene at
-# rest. handheld: one camera that moves all the time. rig: several fixed cameras. clips: one camera that filmed from
-# several places, one after another.
-KINDS = ("photos", "flat", "tripod", "handheld", "rig", "clips")
 # Of several fixed cameras: synchronous, their times are of one clock; independent, each has a clock of its own.
 CLOCKS = ("synchronous", "independent")
 FEWEST_FRAMES = 6  # of a fixed camera that shows motion: fewer tell no frequency below half the frame rate

@@ -26,7 +26,7 @@ from tg4mm.cli.bench_options import (
 )
 from tg4mm.cli.device import Device, DeviceOption
 from tg4mm.cli.evaluate import parse_alphas
-from tg4mm.cli.train import Preset, split_settings
+from tg4mm.cli.train import split_settings
 from tg4mm.core.errors import Tg4mmError
 
 if TYPE_CHECKING:
@@ -248,8 +248,10 @@ def ablation(
     datasets: Datasets,
     out: Out,
     preset: Annotated[
-        Preset | None,
-        typer.Option(help="The preset that is varied, where the ablation can take more than one."),
+        str | None,
+        typer.Option(
+            metavar="NAME", help="The preset that is varied, where the ablation can take more than one."
+        ),
     ] = None,
     alphas: Alphas = None,
     band: Banded = True,
@@ -271,7 +273,7 @@ def ablation(
     from tg4mm.research.bench.ablation.page import ablation_table
     from tg4mm.research.bench.ablation.run import run_ablation
 
-    results = run_ablation(name, datasets, out, None if preset is None else preset.value, given, plan, _say)
+    results = run_ablation(name, datasets, out, preset, given, plan, _say)
     typer.echo(ablation_table(results))
     typer.echo(f"\n{out / 'results.md'}")
     _exit_with(results, out)

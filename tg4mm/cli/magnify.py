@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperCommand
 
+from tg4mm.core.choices import Filter, Method
 from tg4mm.core.errors import Tg4mmError
 
 if TYPE_CHECKING:
@@ -19,22 +19,6 @@ if TYPE_CHECKING:
 
 _LOG = logging.getLogger("tg4mm")
 AUTO = "auto"  # the band around the strongest vibration that the run found
-
-
-class Method(StrEnum):
-    """How motion is magnified."""
-
-    modal = "modal"
-    linear = "linear"
-    phase = "phase"
-
-
-class Filter(StrEnum):
-    """Temporal filters."""
-
-    zero_phase = "zero-phase"
-    ideal = "ideal"
-    published = "published"
 
 
 class BandsCommand(TyperCommand):
@@ -86,14 +70,14 @@ MethodOption = Annotated[
     typer.Option(
         help="modal: multiplies modes. linear: filters each Gaussian's motion over time. phase: shifts the phases of "
         "feature planes (presets paper and paper-tuned only). [default: modal; with the preset paper phase, with "
-        "paper-tuned linear]"
+        "paper-tuned linear]",
     ),
 ]
 FilterOption = Annotated[
     Filter | None,
     typer.Option(
         help="Temporal filter of linear and phase. published: as in the TG4MM paper, even length, half a sample early. "
-        "[default: zero-phase]"
+        "[default: zero-phase]",
     ),
 ]
 

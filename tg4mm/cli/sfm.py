@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from tg4mm.core.choices import Kind
 from tg4mm.core.errors import Tg4mmError
 
 if TYPE_CHECKING:
@@ -29,17 +30,6 @@ class Matching(StrEnum):
     sequential = "sequential"
 
 
-class Kind(StrEnum):
-    """Kinds of capture (tg4mm.capture.timing.KINDS)."""
-
-    photos = "photos"
-    flat = "flat"
-    tripod = "tripod"
-    handheld = "handheld"
-    rig = "rig"
-    clips = "clips"
-
-
 def sfm(
     images: Annotated[
         Path,
@@ -56,7 +46,7 @@ def sfm(
         typer.Option(
             help="photos: a still scene. flat: one fixed camera and nothing else, in pixels. tripod: one fixed camera "
             "and a sweep. handheld: one camera that moves. rig: several fixed cameras. clips: one camera that filmed "
-            "a steady vibration from several places, one after another. [default: found from the input]"
+            "a steady vibration from several places, one after another. [default: found from the input]",
         ),
     ] = None,
     fps: Annotated[

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -12,13 +11,15 @@ import typer
 from tg4mm.cli.device import Device, DeviceOption
 from tg4mm.core.errors import Tg4mmError
 
-
-class Preset(StrEnum):
-    """How motion is modelled: by docs/method.md (modal), or as in [TG4MM]."""
-
-    modal = "modal"
-    paper = "paper"
-    paper_tuned = "paper-tuned"
+PresetOption = Annotated[
+    str,
+    typer.Option(
+        metavar="NAME",
+        help="modal: one fit of modes to all timesteps. paper: TG4MM as published, a triplane for each "
+        "timestep. paper-tuned: the same with changes that find more of the motion in less time "
+        "(docs/paper.md). Packages may add presets: --list-settings lists all.",
+    ),
+]
 
 
 def _list_settings(wanted: bool) -> None:
@@ -39,14 +40,7 @@ def train(
         typer.Argument(metavar="DATASET", help="A dataset folder (docs/conventions.md lists the layouts)."),
     ],
     out: Annotated[Path, typer.Option(help="Run folder; an unfinished one is resumed.")],
-    preset: Annotated[
-        Preset,
-        typer.Option(
-            help="modal: one fit of modes to all timesteps. paper: TG4MM as published, a triplane for each "
-            "timestep. paper-tuned: the same with changes that find more of the motion in less time "
-            "(docs/paper.md)."
-        ),
-    ] = Preset.modal,
+    preset: PresetOption = "modal",
     device: DeviceOption = Device.cpu,
     settings: Annotated[
         list[str] | None,
@@ -75,7 +69,7 @@ def train(
     from tg4mm.run.train import train as train_run
     from tg4mm.show.result import lines_of, result_of
 
-    run = train_run(dataset, out, preset.value, device.value, chosen)
+    run = train_run(dataset, out, preset, device.value, chosen)
     typer.echo("\n".join(lines_of(result_of(run))))
 
 

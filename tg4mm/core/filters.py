@@ -16,9 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from tg4mm.core.choices import FILTERS
 from tg4mm.core.errors import Tg4mmError
 
-FILTERS = ("zero-phase", "ideal", "published")
 _AT_ONCE = 1 << 16  # series filtered at a time, bounds the memory of the spectra
 
 

@@ -9,10 +9,10 @@ from itertools import pairwise
 import numpy as np
 
 from tg4mm.core.band import check_band
+from tg4mm.core.choices import METHODS
 from tg4mm.core.errors import Tg4mmError
 from tg4mm.core.filters import TemporalFilter
 
-METHODS = ("modal", "linear", "phase")
 LARGEST_ALPHA = 1e6  # either way; a micrometre becomes a metre, and far beyond it float32 overflows
 
 

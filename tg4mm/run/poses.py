@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from tg4mm.core.choices import METHODS
 from tg4mm.core.errors import RunError, Tg4mmError
-from tg4mm.core.magnification import METHODS, Magnification
+from tg4mm.core.magnification import Magnification
 from tg4mm.fit.motion.animate import animator
 from tg4mm.run import Run
 from tg4mm.run.preset import Poses, preset_of

@@ -110,6 +110,7 @@ def _fit(run: Run, capture: Capture, configs: Mapping[str, Any], device: str) ->
 def _poses(run: Run, method: str, plan: Magnification, device: str) -> Poses:
     """`linear`: every Gaussian's displacement over time, filtered as the plan says."""
     motion = run.load_motion()
+    assert method == "linear", method
     assert motion is not None  # a run without motion is not magnified
     at = animator(run.load_space().to(device), magnified_motion(motion, plan))
     return Poses(at, motion.n_timesteps, motion.fps)

@@ -9,7 +9,7 @@ from itertools import pairwise
 from tg4mm.capture.sfm.sources import Sources
 from tg4mm.capture.sfm.spoilt import is_fixed
 from tg4mm.capture.sfm.survey import Survey
-from tg4mm.capture.timing import KINDS
+from tg4mm.core.choices import KINDS
 from tg4mm.core.errors import CaptureError, Tg4mmError
 
 
@@ -17,7 +17,7 @@ from tg4mm.core.errors import CaptureError, Tg4mmError
 class Kind:
     """A capture kind and the reason for it, one clause."""
 
-    name: str  # one of capture.timing.KINDS
+    name: str  # one of KINDS
     reason: str
 
 

@@ -135,6 +135,7 @@ def _make(
             reserve(file.fileno(), size, part)
     out = np.memmap(part, np.float32, "r+", shape=shape)
     r = model.planes.shape[-1]
+    assert method in ("phase", "linear"), method
     magnify = PhaseMagnifier((r, r), response) if method == "phase" else None
     with progress(f"{method}: feature planes", shape[0], unit="planes", start=len(checksums)) as update:
         for i in range(len(checksums), shape[0]):
