@@ -124,7 +124,7 @@ def test_no_command_shows_help_and_exits_with_2() -> None:
     [
         (["bake"], r"No such command 'bake'.* \(see tg4mm --help\)"),
         (["train"], r"Missing argument 'DATASET' \(see tg4mm train --help\)"),
-        (["train", "x", "--out", "y", "--preset", "papers"], "'papers' is not .*'modal'"),
+        (["train", "x", "--out", "y", "--preset", "papers"], "preset is 'papers', expected modal or"),
         (["train", "x", "--out", "y", "--frames", "3"], "No such option:? '?--frames"),
         (["render", "x", "--out", "y", "--alpha", "big"], "--alpha.*'big'"),
         (["render", "x", "--out", "y", "--alpha", "1", "--orbit", "0"], "--orbit.*'?0'?"),
@@ -217,9 +217,9 @@ def test_reader_that_goes_away_ends_it_quietly() -> None:
 
 def test_demo_refuses_a_file_and_a_size_out_of_range(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")
-    assert f"{tmp_path}/file: is a file" in refused(tg4mm("demo", "--out", tmp_path / "file"))
+    assert f"{tmp_path}/file is a file, expected a folder" in refused(tg4mm("demo", "--out", tmp_path / "file"))
     below = refused(tg4mm("demo", "--out", tmp_path / "file" / "x"))
-    assert below == f"tg4mm: {tmp_path}/file/x: Not a directory"
+    assert below == f"tg4mm: {tmp_path}/file/x cannot be written: Not a directory"
     assert "--size 100000: expected 16" in refused(tg4mm("demo", "--out", tmp_path / "d", "--size", 100000))
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
