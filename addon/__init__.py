@@ -1,10 +1,21 @@
 """TG4MM in Blender: import a splat file, play its motion, magnify it with a slider."""
 
 from . import jobs, operators, preferences
-from .panels import colour_range, overlay, panel, pictures, view_settings
+from .panels import colour_range, crop, overlay, panel, pictures, view_settings
 from .probe import panel as panel_probe
 
-_MODULES = (preferences, view_settings, colour_range, pictures, operators, panel, panel_probe, overlay, jobs)
+_MODULES = (
+    preferences,
+    view_settings,
+    colour_range,
+    pictures,
+    operators,
+    panel,
+    panel_probe,
+    crop,
+    overlay,
+    jobs,
+)
 
 
 def register() -> None:

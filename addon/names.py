@@ -42,6 +42,7 @@ LOW_PASS = (
 )
 UNIT_SCALE = "tg4mm_unit_scale_m"  # metres per scene unit; absent if unknown
 AXES = "tg4mm_axes"  # what the import took for up, as in io/upright.py; absent: as in the file
+TIME_ORIGIN = "tg4mm_time_origin_s"  # of timestep 0 on the recording's clock, s; absent: 0
 MODE_AMPLITUDES = "tg4mm_mode_amplitudes"  # largest amplitude of each mode, scene units
 MODE_RMS = "tg4mm_mode_rms"  # amplitude of each mode, rms over the Gaussians by opacity, scene units
 MODE_AXES = "tg4mm_mode_axes"  # per mode x, y, z: the unit vector against which its phases are measured
@@ -54,6 +55,7 @@ PROBE_LABEL, PROBE_PHASORS, PROBE_DEVIATIONS = (
     "tg4mm_probe_deviations",
 )
 PROBE_OF = "tg4mm_probe_of"  # on a sphere empty: the splat object that it was made for
+CROP_OF = "tg4mm_crop_of"  # on a box empty: likewise
 
 
 def phasor(mode: int) -> dict[str, str]:

@@ -1,10 +1,10 @@
 """Operators: each reads its properties, calls a plain function and reports."""
 
-from .io import import_splat
+from .io import export_splat, import_splat
 from .panels import band, look
 from .probe import operators as probe
 
-_MODULES = (import_splat, look, band, probe)
+_MODULES = (import_splat, export_splat, look, band, probe)
 
 
 def register() -> None:

@@ -35,9 +35,8 @@ def make_objects(splats: Sequence[SplatFile], labels: Sequence[str], collection:
 def _object(splat: SplatFile, name: str, made: Made) -> Any:
     mesh = made.keep(bpy.data.meshes.new(name))
     fill_mesh(mesh, splat)
-    largest, squares = [], np.zeros(len(splat))
+    squares = np.zeros(len(splat))
     for amplitudes in amplitudes_of(mesh, splat.n_modes):
-        largest.append(float(amplitudes.max()))
         squares += amplitudes.astype(np.float64) ** 2
     content = Content(
         count=len(splat),
@@ -47,7 +46,7 @@ def _object(splat: SplatFile, name: str, made: Made) -> Any:
         amplitude=float(np.sqrt(squares.max(initial=0.0))),
     )
     obj = _player(name, mesh, content, made)
-    _describe(obj, splat, largest)
+    _describe(obj, splat)
     return obj
 
 
@@ -92,11 +91,11 @@ def splat_modifier(obj: Any) -> Any | None:
 
 
 def splat_object(context: Any) -> Any:
-    """The active splat object, or the one that the active probe sphere was made for; None without one."""
+    """The active splat object, or the one that the active probe sphere or crop box was made for; None without one."""
     obj = context.object
     if obj is None:
         return None
-    target = obj if names.MARK in obj else obj.get(names.PROBE_OF)
+    target = obj if names.MARK in obj else obj.get(names.PROBE_OF) or obj.get(names.CROP_OF)
     modifier = splat_modifier(target)
     return None if modifier is None or modifier.node_group is None else target
 
@@ -151,14 +150,15 @@ def _player(name: str, mesh: Any, content: Content, made: Made) -> Any:
     return obj
 
 
-def _describe(obj: Any, splat: SplatFile, largest: list[float]) -> None:
+def _describe(obj: Any, splat: SplatFile) -> None:
     """Custom properties: what the panel says about the file and what a legend needs."""
     obj[names.MARK], obj[names.FPS], obj[names.FREQUENCIES] = 1, splat.fps, splat.freqs_hz.tolist()
     # Whole numbers of a property have 32 bits.
     obj[names.TIMESTEPS] = splat.n_timesteps if splat.n_timesteps < 2**31 else float(splat.n_timesteps)
-    obj[names.MODE_AMPLITUDES] = largest
-    obj[names.MODE_RMS] = [rms_amplitude(a, splat.opacities) for a in amplitudes_of(obj.data, splat.n_modes)]
+    measure_modes(obj)
     obj[names.MODE_AXES] = [float(x) for phasors in splat.displacement for x in main_axis(phasors)]
+    if splat.time_origin_s:
+        obj[names.TIME_ORIGIN] = splat.time_origin_s
     if splat.low_pass_px2 is not None:
         obj[names.LOW_PASS] = splat.low_pass_px2
     if splat.unit_scale_m is not None:
@@ -168,6 +168,14 @@ def _describe(obj: Any, splat: SplatFile, largest: list[float]) -> None:
 def amplitudes_of(mesh: Any, n_modes: int) -> Iterator[np.ndarray]:
     """[N] the amplitude of every Gaussian, units of the file, mode by mode."""
     return (values(mesh, names.amplitude(k)) for k in range(n_modes))
+
+
+def measure_modes(obj: Any) -> None:
+    """What the panel says of each mode: its largest amplitude and the rms over the Gaussians that are there."""
+    amplitudes = list(amplitudes_of(obj.data, len(obj[names.FREQUENCIES])))
+    opacities = values(obj.data, names.OPACITY)
+    obj[names.MODE_AMPLITUDES] = [float(a.max()) for a in amplitudes]
+    obj[names.MODE_RMS] = [rms_amplitude(a, opacities) for a in amplitudes]
 
 
 def _free_name(name: str) -> str:

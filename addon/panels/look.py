@@ -65,6 +65,17 @@ class TG4MM_OT_solid_colours(_OnSplats):
         return {"FINISHED"}
 
 
+class TG4MM_OT_one_mesh(_OnSplats):
+    """Draw one mesh in place of instances, so that Array and other modifiers after this one see it; for small sets"""
+
+    bl_idname = "tg4mm.one_mesh"
+    bl_label = "One Mesh"
+
+    def execute(self, context: Any) -> set[str]:
+        compat.set_input(scene.splat_modifier(scene.splat_object(context)), names.SOLID_COLOUR, True)
+        return {"FINISHED"}
+
+
 class TG4MM_OT_fit_colour_range(_OnSplats):
     """Let the last colour stand for the largest amplitude of the modes shown in the band"""
 
@@ -90,6 +101,7 @@ _CLASSES = (
     TG4MM_OT_true_colours,
     TG4MM_OT_blend_as_trained,
     TG4MM_OT_solid_colours,
+    TG4MM_OT_one_mesh,
     TG4MM_OT_fit_colour_range,
 )
 

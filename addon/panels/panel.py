@@ -8,7 +8,7 @@ import bpy
 
 from .. import compat, names, preferences
 from ..nodes import blending, clock, scene, spectrum
-from . import analysis, colour_range, pictures, plots, view_settings
+from . import analysis, colour_range, meshing, pictures, plots, view_settings
 
 
 class _Tab:
@@ -128,6 +128,9 @@ class VIEW3D_PT_tg4mm_look(_SplatTab, bpy.types.Panel):
         on, shading = compat.get_input(modifier, names.SOLID_COLOUR), _shading(context)
         if on or shading == "SOLID":  # other views show the colours anyway
             layout.operator("tg4mm.solid_colours", icon="SHADING_SOLID", depress=on).on = not on
+        if blind := meshing.modifiers_after(obj):
+            layout.label(text=f"{', '.join(blind)}: sees meshes alone", icon="INFO")
+            layout.operator("tg4mm.one_mesh", icon="MESH_DATA")
         if drawn == names.SPLATS and names.LOW_PASS not in obj:
             layout.label(text="Scales as trained: what is thin may have holes", icon="INFO")
         on = blending.blends_as_trained(context.scene)

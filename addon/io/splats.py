@@ -1,0 +1,153 @@
+"""An imported object as splat files again: what is left of it, in the axes and units that are true in the world."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import bpy
+import numpy as np
+
+from .. import compat, names
+from ..core.errors import SplatFileError
+from ..core.splatfile import SplatFile, positions_at, rotations_at
+from ..core.splatfile.axes import transformed
+from ..nodes import clock, colours, points, scene, sequence
+from . import upright
+
+
+def splat_of(obj: Any) -> SplatFile:
+    """The Gaussians of an object with the modes that are switched on, in world axes and units.
+
+    Apply Transform and the object's own place, turn and scale are in it. Of a sequence the frame that is shown.
+    Raises SplatFileError for an object that is scaled to nothing, Tg4mmError for one that lost an attribute.
+    """
+    frames = scene.sequence_frames(obj)
+    mesh = obj.data if frames is None else frames[_shown_frame(obj, len(frames))].data
+    whole, world = _of_mesh(obj, mesh), np.array(obj.matrix_world, np.float64)
+    # A sequence has its references in the object's own mesh.
+    own = points.parts(obj.data)
+    found = own if frames is None else [points.Part(np.arange(len(whole)), own[0].applied if own else None)]
+    turned = [_placed(_rows(whole, part.rows), world, part.applied) for part in found if len(part.rows)]
+    return turned[0] if len(turned) == 1 else _joined(turned, np.concatenate([part.rows for part in found]))
+
+
+def in_axes(splat: SplatFile, axes: str) -> SplatFile:
+    """A scene with Z up, as the world has it, with another axis up (io/upright.py)."""
+    if axes == upright.FILE:
+        return splat
+    angle = -upright.TURNS[axes]
+    c, s = round(math.cos(angle)), round(math.sin(angle))  # quarter turns
+    return transformed(splat, np.array([[1, 0, 0], [0, c, -s], [0, s, c]]))
+
+
+def now(splat: SplatFile, obj: Any, scene_: Any) -> SplatFile:
+    """The scene without motion, as the object shows it in the current frame: magnification and band included."""
+    if not splat.n_modes:
+        return splat
+    modifier = scene.splat_modifier(obj)
+    alpha, low, high = (compat.get_number(modifier, name) for name in (names.ALPHA, names.LOW, names.HIGH))
+    slack = 1e-6 * max(1.0, high)  # as in the node tree
+    low, high = max(0.0, low - slack), high + slack
+    if low >= high:
+        alpha, low, high = 0.0, 0.0, 1.0  # nothing is inside
+    t = clock.timestep(scene_, obj, modifier)
+    means, quats = (f(splat, t, alpha, (low, high)) for f in (positions_at, rotations_at))
+    return without_motion(replace(splat, means=means.astype(np.float32), quats=quats.astype(np.float32)))
+
+
+def without_motion(splat: SplatFile) -> SplatFile:
+    """The scene at rest alone."""
+    rest = (splat.means, splat.quats, splat.scales, splat.opacities, splat.sh)
+    return replace(SplatFile.static(*rest, splat.unit_scale_m), low_pass_px2=splat.low_pass_px2)
+
+
+def _shown_frame(obj: Any, count: int) -> int:
+    """Number of the file that a sequence shows: as in nodes/sequence.py."""
+    modifier = scene.splat_modifier(obj)
+    t = math.floor(clock.timestep(bpy.context.scene, obj, modifier) + sequence.SLACK)
+    return t % count if compat.get_input(modifier, names.LOOP) else min(max(t, 0), count - 1)
+
+
+def _of_mesh(obj: Any, mesh: Any) -> SplatFile:
+    """All Gaussians of a mesh, in the axes of the file that they came from; places as they are."""
+    values: Callable[[str], np.ndarray] = lambda name: points.values(mesh, name)  # noqa: E731
+    freqs = [float(f) for f in obj[names.FREQUENCIES]]
+    modifier = scene.splat_modifier(obj)
+    on = [k for k, name in enumerate(names.toggles(freqs)) if compat.get_input(modifier, name)]
+    means = values("position")
+    if not len(means):
+        raise SplatFileError(f"{obj.name}: no Gaussian is left")
+    d, r = (np.empty((len(on), len(means), 3), np.complex64) for _ in range(2))
+    for i, k in enumerate(on):
+        part = names.phasor(k)
+        d[i].real, d[i].imag = values(part["re"]), values(part["im"])
+        r[i].real, r[i].imag = values(part["re_r"]), values(part["im_r"])
+    told = bool(on) and all(names.deviation(k) in mesh.attributes for k in on)
+    scale, low_pass = obj.get(names.UNIT_SCALE), obj.get(names.LOW_PASS)
+    return SplatFile(
+        means=means,
+        quats=values(names.ROTATION),
+        scales=values(names.SCALE),
+        opacities=np.clip(values(names.OPACITY), 0.0, 1.0),
+        sh=_harmonics(mesh, values),
+        freqs_hz=np.array([freqs[k] for k in on], np.float64),
+        displacement=d,
+        rotation=r,
+        fps=float(obj[names.FPS]),
+        n_timesteps=int(obj[names.TIMESTEPS]) if freqs else 1,
+        unit_scale_m=None if scale is None else float(scale),
+        time_origin_s=float(obj.get(names.TIME_ORIGIN, 0.0)),
+        deviation=np.array([values(names.deviation(k)) for k in on]) if told else None,
+        low_pass_px2=None if low_pass is None else float(low_pass),
+    )
+
+
+def _harmonics(mesh: Any, values: Callable[[str], np.ndarray]) -> np.ndarray:
+    """[N, K, 3] as in the file; of a mesh that holds only colours, what gives these."""
+    if names.NATIVE_BASE in mesh.attributes:
+        name, rows = names.native_sh, [values(names.NATIVE_BASE)[:, :3]]
+    elif names.sh(0) in mesh.attributes:
+        name, rows = names.sh, [values(names.sh(0))]
+    else:
+        return ((colours.display(values(names.COLOUR)[:, :3]) - 0.5) / colours.C0)[:, None].astype(np.float32)
+    while name(len(rows)) in mesh.attributes:
+        rows.append(values(name(len(rows))))
+    return np.stack(rows, axis=1)
+
+
+def _placed(splat: SplatFile, world: np.ndarray, applied: np.ndarray | None) -> SplatFile:
+    """A part whose places are in the object's axes and all else in the file's, in the world's axes."""
+    linear = world[:3, :3] if applied is None else world[:3, :3] @ applied[:3, :3]
+    places = splat.means @ world[:3, :3].T + world[:3, 3]
+    return replace(transformed(splat, linear), means=places.astype(np.float32))
+
+
+def _rows(splat: SplatFile, rows: np.ndarray) -> SplatFile:
+    """Some of the Gaussians."""
+    first = {name: getattr(splat, name)[rows] for name in ("means", "quats", "scales", "opacities", "sh")}
+    second = {name: getattr(splat, name)[:, rows] for name in ("displacement", "rotation")}
+    deviation = None if splat.deviation is None else splat.deviation[:, rows]
+    return replace(splat, **first, **second, deviation=deviation)
+
+
+def _joined(parts: list[SplatFile], rows: np.ndarray) -> SplatFile:
+    """The Gaussians of several parts in the order of the mesh; metres only where all parts have the same."""
+    order = np.argsort(rows, kind="stable")
+
+    def all_of(name: str, axis: int) -> np.ndarray:
+        return np.concatenate([getattr(part, name) for part in parts], axis=axis).take(order, axis=axis)
+
+    metres = {part.unit_scale_m for part in parts}
+    first = {name: all_of(name, 0) for name in ("means", "quats", "scales", "opacities", "sh")}
+    second = {name: all_of(name, 1) for name in ("displacement", "rotation")}
+    deviation = None if parts[0].deviation is None else all_of("deviation", 1)
+    return replace(
+        parts[0],
+        **first,
+        **second,
+        deviation=deviation,
+        unit_scale_m=metres.pop() if len(metres) == 1 else None,
+    )

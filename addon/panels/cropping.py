@@ -1,0 +1,157 @@
+"""Which Gaussians go, and taking them away: by a box, by the selection, by opacity, size or distance.
+
+What goes is deleted from the mesh, by its rest position, so it stays away at every magnification and time. The
+references of Apply Transform (nodes/points.py) stay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import bmesh
+import bpy
+import numpy as np
+
+from .. import names
+from ..core.errors import Tg4mmError
+from ..nodes import points, scene
+from . import showing
+
+# EEVEE and Workbench hold a native splat's position in 22 bits of the extent. So far from the middle, in radii of what
+# is framed, an outlier makes the step 2·FAR/2²² of that radius: a twentieth of a pixel of a picture of 1,000.
+FAR = 200.0
+Choice = Callable[[Any], np.ndarray]  # of a mesh: [N] bool, which of its Gaussians go
+
+
+def boxes_of(obj: Any, selected: Sequence[Any]) -> list[Any]:
+    """The selected objects that are no splats; without one, the crop boxes that were made for the object.
+
+    Raises Tg4mmError where there is none.
+    """
+    chosen = [other for other in selected if other != obj and names.MARK not in other]
+    chosen = chosen or [other for other in bpy.data.objects if other.get(names.CROP_OF) == obj]
+    if not chosen:
+        raise Tg4mmError(
+            "No box is there: add one with the button beside, or select an object whose box crops"
+        )
+    return chosen
+
+
+def outside(obj: Any, boxes: Sequence[Any], inside: bool = False) -> Choice:
+    """What rests in none of the objects' boxes; with `inside`, in any of them."""
+    frames = [(np.array(box.matrix_world.inverted_safe()), *_extent(box)) for box in boxes]
+
+    def choice(mesh: Any) -> np.ndarray:
+        world, held = _world(obj, mesh), np.zeros(len(_world(obj, mesh)), bool)
+        for inverse, low, high, is_round in frames:
+            local = world @ inverse[:3, :3].T + inverse[:3, 3]
+            within = (
+                np.linalg.norm(local, axis=1) <= high[0]
+                if is_round
+                else ((local >= low) & (local <= high)).all(1)
+            )
+            held |= within
+        return held if inside else ~held
+
+    return choice
+
+
+def not_selected(obj: Any, selected: bool = False) -> Choice:
+    """What is not selected in Edit Mode; with `selected`, what is. Raises Tg4mmError for a sequence or no selection."""
+    if scene.sequence_frames(obj) is not None:
+        raise Tg4mmError(f"{obj.name} is a sequence, whose points cannot be selected: crop by a box")
+
+    def choice(mesh: Any) -> np.ndarray:
+        flags = np.empty(len(mesh.vertices), bool)
+        mesh.vertices.foreach_get("select", flags)
+        flags = flags[points.gaussians(mesh)]
+        if not flags.any():
+            raise Tg4mmError("No point is selected: enter Edit Mode (Tab) and box-select some")
+        return flags if selected else ~flags
+
+    return choice
+
+
+def faint(opacity: float) -> Choice:
+    """What is less opaque."""
+    return lambda mesh: points.values(mesh, names.OPACITY) < opacity
+
+
+def large(times: float) -> Choice:
+    """What is so many times as large as the median Gaussian, by the longest axis."""
+
+    def choice(mesh: Any) -> np.ndarray:
+        sizes = points.values(mesh, names.SCALE).max(axis=1)
+        return sizes > times * np.median(sizes)
+
+    return choice
+
+
+def far(obj: Any, radii: float) -> Choice:
+    """What is farther from the middle of what is framed than so many of its radii."""
+    low, high = showing.box([obj])
+    middle, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-6)
+    return lambda mesh: np.linalg.norm(_world(obj, mesh) - middle, axis=1) > radii * radius
+
+
+def remove(obj: Any, choice: Choice) -> tuple[int, int]:
+    """Take the chosen Gaussians away, of a sequence in every frame; how many went, and how many are left.
+
+    Raises Tg4mmError, and changes nothing, where none would be left or the mesh is another file's.
+    """
+    frames = scene.sequence_frames(obj)
+    meshes = [obj.data] if frames is None else [frame.data for frame in frames]
+    if linked := [mesh for mesh in meshes if not mesh.is_editable]:
+        raise Tg4mmError(f"{obj.name}: the mesh is of {linked[0].library.filepath}: make it local first")
+    dropped = [choice(mesh) for mesh in meshes]
+    gone, total = sum(int(d.sum()) for d in dropped), sum(len(d) for d in dropped)
+    if any(d.all() for d in dropped):
+        raise Tg4mmError(
+            f"None of {total:,} Gaussians would be left{'' if frames is None else ' in a frame'}"
+        )
+    for mesh, drop in zip(meshes, dropped, strict=True):
+        if drop.any():
+            _delete(mesh, np.flatnonzero(points.gaussians(mesh))[drop])
+    if gone and frames is None:
+        scene.measure_modes(obj)
+    return gone, total - gone
+
+
+def add_box(obj: Any, collection: Any) -> Any:
+    """A box empty around what is framed of the object."""
+    low, high = showing.box([obj])
+    box = bpy.data.objects.new(f"{obj.name} crop", None)
+    box.empty_display_type, box.empty_display_size = "CUBE", 1.0
+    box.location, box.scale = ((low + high) / 2).tolist(), np.maximum((high - low) / 2, 1e-6).tolist()
+    box.show_in_front = True
+    box[names.CROP_OF] = obj
+    collection.objects.link(box)
+    return box
+
+
+def _delete(mesh: Any, rows: np.ndarray) -> None:
+    edited = bmesh.new()
+    try:
+        edited.from_mesh(mesh)
+        edited.verts.ensure_lookup_table()
+        bmesh.ops.delete(edited, geom=[edited.verts[i] for i in rows.tolist()], context="VERTS")
+        edited.to_mesh(mesh)
+    finally:
+        edited.free()
+    mesh.update()
+
+
+def _extent(box: Any) -> tuple[np.ndarray, np.ndarray, bool]:
+    """Least and largest corner [3] in an object's own axes, and whether it is a ball; an empty is as large as drawn."""
+    if box.type == "EMPTY":
+        size = np.full(3, box.empty_display_size)
+        return -size, size, box.empty_display_type == "SPHERE"
+    corners = np.array(box.bound_box)
+    return corners.min(axis=0), corners.max(axis=0), False
+
+
+def _world(obj: Any, mesh: Any) -> np.ndarray:
+    """[N, 3] float64 rest positions in the world."""
+    matrix = np.array(obj.matrix_world)
+    return points.values(mesh, "position") @ matrix[:3, :3].T + matrix[:3, 3]
