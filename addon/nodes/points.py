@@ -38,7 +38,8 @@ def fill_mesh(mesh: Any, splat: SplatFile, references: bool = True) -> None:
     fill(names.COLOUR, "FLOAT_COLOR", colours.rest_colours(splat.sh))
     fill(names.OPACITY, "FLOAT", splat.opacities, -1.0)
     mesh.color_attributes.active_color = mesh.color_attributes[names.COLOUR]
-    for k in range(splat.sh.shape[1] if splat.sh_degree else 0):
+    # Colours are cut to what a screen shows; an export needs what they were.
+    for k in range(splat.sh.shape[1] if splat.sh_degree or not compat.native_splats() else 0):
         fill(names.sh(k), "FLOAT_VECTOR", splat.sh[:, k])
     if compat.native_splats():
         for name, values in native_attributes(splat).items():

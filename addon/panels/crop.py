@@ -9,11 +9,9 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty
 
 from ..core.errors import Tg4mmError
 from ..io import receiving
-from ..nodes import scene
+from ..nodes import points, scene
 from . import cropping, meshing
 from .panel import _SplatTab
-
-REFERENCES = 0
 
 
 class _Removes(bpy.types.Operator):
@@ -168,8 +166,8 @@ class VIEW3D_PT_tg4mm_crop(_SplatTab, bpy.types.Panel):
 
     def draw(self, context: Any) -> None:
         layout, obj = self.layout, scene.splat_object(context)
-        if scene.sequence_frames(obj) is None:
-            layout.label(text=f"{len(obj.data.vertices) - REFERENCES:,} Gaussians", icon="POINTCLOUD_DATA")
+        if scene.sequence_frames(obj) is None and obj.mode == "OBJECT":  # else the mesh is an old one
+            layout.label(text=f"{points.gaussians(obj.data).sum():,} Gaussians", icon="POINTCLOUD_DATA")
         column = layout.column(align=True)
         for by, text in (("BOX", "Box"), ("SELECTION", "Selected")):
             row = column.row(align=True)

@@ -23,7 +23,9 @@ from tests.addon.playing import drawn_whole, import_files, import_splat, matrice
 def kept(splat: SplatFile, keep: np.ndarray) -> SplatFile:
     """Those of the Gaussians."""
     first = {name: getattr(splat, name)[keep] for name in ("means", "quats", "scales", "opacities", "sh")}
-    return replace(splat, **first, displacement=splat.displacement[:, keep], rotation=splat.rotation[:, keep])
+    deviation = None if splat.deviation is None else splat.deviation[:, keep]
+    second = {name: getattr(splat, name)[:, keep] for name in ("displacement", "rotation")}
+    return replace(splat, **first, **second, deviation=deviation)
 
 
 def covariances(splat: SplatFile, t: float = 0.0, alpha: float = -1.0) -> np.ndarray:
@@ -198,6 +200,32 @@ def test_export_is_in_world_axes_and_units(
         positions_at(splat, 3.3, 9.0) @ world[:3, :3].T + world[:3, 3],
         atol=1e-4,
     )
+
+
+@pytest.mark.parametrize("joined", [False, True])
+def test_export_after_apply_transform_is_of_the_same_scene(
+    extension: ModuleType, told: Path, tmp_path: Path, joined: bool
+) -> None:
+    other = import_splat(told) if joined else None
+    obj, splat = import_splat(told), read_splat(told)
+    obj.scale, obj.rotation_euler, obj.location = (-2.0, 2.0, 2.0), (0.3, -0.2, 1.0), (1, 2, 3)
+    bpy.context.view_layer.update()
+    world = np.array(obj.matrix_world)
+    wanted = transformed(splat, world[:3, :3], world[:3, 3])
+    obj.select_set(True)
+    assert bpy.ops.object.transform_apply() == {"FINISHED"}
+    if joined:
+        other.select_set(True)
+        assert bpy.ops.object.join() == {"FINISHED"}
+    found = exported(tmp_path / "out.ply")
+    assert_alike(kept(found, np.arange(len(found)) < len(splat)), wanted, metres=not joined)
+    if joined:
+        assert_alike(kept(found, np.arange(len(found)) >= len(splat)), splat, metres=False)
+        assert found.unit_scale_m is None  # the parts have different ones
+    box((-9.0, -9.0, 3.0), (9.0, 9.0, 9.0))
+    assert bpy.ops.tg4mm.crop(by="BOX", keep=True) == {"FINISHED"}  # the references stay
+    cropped = exported(tmp_path / "cropped.ply")
+    assert_alike(cropped, kept(found, found.means[:, 2] >= 3.0), metres=not joined)
 
 
 @pytest.mark.parametrize("axes", ["MINUS_Y", "PLUS_Y"])
