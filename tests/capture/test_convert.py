@@ -78,6 +78,34 @@ def test_nerfstudio_frames_have_times(dataset, tmp_path):
         assert (tmp_path / "n" / frame["file_path"]).is_file()
 
 
+def test_nerfstudio_times_are_read_back(dataset, tmp_path):
+    assert convert(dataset, tmp_path / "n", "nerfstudio") == 0
+    read, want = load_capture(tmp_path / "n"), load_capture(dataset)
+    assert (read.n_timesteps, read.fps, len(read)) == (want.n_timesteps, want.fps, len(want))
+    np.testing.assert_array_equal(np.sort(read.timesteps), np.sort(want.timesteps))
+    rows = {path.relative_to(want.root).as_posix(): i for i, path in enumerate(want.paths)}
+    order = [rows[path.relative_to(read.root / "images").as_posix()] for path in read.paths]
+    np.testing.assert_allclose(read.times_s, want.times_s[order], atol=1e-9)
+    np.testing.assert_array_equal(read.timesteps, want.timesteps[order])
+
+
+def test_a_killed_conversion_goes_on_and_another_one_is_refused(dataset, tmp_path, capsys):
+    out = tmp_path / "n"
+    assert convert(dataset, out, "nerfstudio") == 0
+    before = {p.relative_to(out): p.read_bytes() for p in out.rglob("*") if p.is_file()}
+    (out / "transforms.json").unlink()
+    next((out / "images").rglob("*.png")).unlink()
+    assert convert(dataset, out, "nerfstudio") == 0
+    assert {p.relative_to(out): p.read_bytes() for p in out.rglob("*") if p.is_file()} == before
+    capsys.readouterr()
+    for words, message in (
+        (["colmap"], 'layout = "nerfstudio"'),
+        (["nerfstudio", "--timesteps", "1"], "other pictures"),
+    ):
+        assert convert(dataset, out, *words) == 2
+        assert message in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("split", ["train", "test"])
 def test_nerfstudio_poses_lenses_and_points_are_read_back(dataset, tmp_path, split):
     assert convert(dataset, tmp_path / "n", "nerfstudio", "--timesteps", "0-1") == 0

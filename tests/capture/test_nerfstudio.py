@@ -120,3 +120,94 @@ def test_bad_files_are_refused(studio, tools, change, parts) -> None:
 def test_no_magnified_pictures(studio) -> None:
     with pytest.raises(CaptureError, match="no images magnified by 5"):
         load_capture(studio, magnification=5)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "is_refused"),
+    [
+        ("is_fisheye", True, True),
+        ("is_fisheye", False, False),
+        ("equirectangular", True, True),
+        ("orthographic", True, True),
+        ("ftheta_p1", 0.0258, True),
+        ("distortion_params", [0.05, 0, 0, 0], True),
+        ("distortion_params", [0, 0, 0, 0], False),
+        ("rolling_shutter", [0, 0, 0.01, 0], True),
+        ("k5", 1e-9, True),
+    ],
+)
+@pytest.mark.parametrize("where", ["file", "frame"])
+def test_a_lens_that_is_no_pinholes_is_refused_by_its_field(
+    studio: Path, tools, field: str, value: object, is_refused: bool, where: str
+) -> None:
+    tools["edit"](
+        studio / "transforms.json",
+        lambda v: (v if where == "file" else v["frames"][1]).update({field: value}),
+    )
+    if is_refused:
+        refused(studio, f"{field} is ", "undistort")
+    else:
+        assert len(load_capture(studio)) == 3
+
+
+def test_two_fields_of_view_are_two_focal_lengths(studio: Path, tools) -> None:
+    width, height = tools["size"]
+    angles = {"camera_angle_x": 2 * np.arctan(width / 40), "camera_angle_y": 2 * np.arctan(height / 42)}
+
+    def edit(values: dict) -> None:
+        for key in ("fl_x", "fl_y"):
+            del values[key]
+        values.update(angles)
+
+    tools["edit"](studio / "transforms.json", edit)
+    np.testing.assert_allclose(load_capture(studio).Ks[0].diagonal(), [20, 21, 1])
+    tools["edit"](studio / "transforms.json", lambda v: v.pop("camera_angle_x"))
+    np.testing.assert_allclose(load_capture(studio).Ks[0].diagonal(), [21, 21, 1])
+
+
+class TestTimes:
+    """Frames of one file that have times are of timesteps."""
+
+    def timed(self, studio: Path, tools, times: list[float], **values: float) -> None:
+        def edit(file: dict) -> None:
+            file.update(values)
+            for frame, time in zip(file["frames"], times, strict=True):
+                frame["time"] = time
+
+        tools["edit"](studio / "transforms.json", edit)
+
+    @pytest.mark.parametrize("times", [[0.0, 0.5, 1.0], [4.0, 4.1, 4.2]])
+    def test_the_rate_makes_them_timesteps(self, studio: Path, tools, times: list[float]) -> None:
+        self.timed(studio, tools, times, fps=10.0)
+        capture = load_capture(studio)
+        assert (capture.n_timesteps, capture.fps) == (3, 10.0)
+        assert capture.timesteps.tolist() == [0, 1, 2]
+        np.testing.assert_allclose(capture.times_s, [0, 0.1, 0.2])
+
+    def test_one_time_is_a_still_scene(self, studio: Path, tools) -> None:
+        self.timed(studio, tools, [0.5, 0.5, 0.5])
+        assert load_capture(studio).n_timesteps == 1
+
+    def test_a_gap_is_a_timestep_without_pictures(self, studio: Path, tools) -> None:
+        self.timed(studio, tools, [0.0, 0.25, 1.0], fps=30.0)
+        capture = load_capture(studio)
+        assert (capture.n_timesteps, capture.timesteps.tolist()) == (5, [0, 1, 4])
+        self.timed(studio, tools, [0.0, 0.25, 0.6], fps=30.0)
+        refused(studio, "the times of its frames are not even")
+        self.timed(studio, tools, [0.0, 0.1, 0.1], fps=30.0)
+        assert load_capture(studio).timesteps.tolist() == [0, 1, 1]
+
+    def test_without_a_rate_they_are_refused(self, studio: Path, tools) -> None:
+        self.timed(studio, tools, [0.0, 0.5, 1.0])
+        refused(
+            studio, "its frames have 3 different times, but no rate is known", '"fps": <frames per second>'
+        )
+        (studio / "scene.json").write_text('{"fps": 12}')
+        assert load_capture(studio).fps == 12
+
+
+@pytest.mark.parametrize("suffix", [".webp", ".tif"])
+def test_a_picture_of_another_kind_is_named_as_one(studio: Path, tools, suffix: str) -> None:
+    (studio / "images" / f"r{suffix}").touch()
+    tools["edit"](studio / "transforms.json", lambda v: v["frames"][0].update(file_path=f"images/r{suffix}"))
+    refused(studio, f"r{suffix} is of a kind that is not read; expected one of .png")

@@ -217,7 +217,9 @@ def test_reader_that_goes_away_ends_it_quietly() -> None:
 
 def test_demo_refuses_a_file_and_a_size_out_of_range(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")
-    assert f"{tmp_path}/file is a file, expected a folder" in refused(tg4mm("demo", "--out", tmp_path / "file"))
+    assert f"{tmp_path}/file is a file, expected a folder" in refused(
+        tg4mm("demo", "--out", tmp_path / "file")
+    )
     below = refused(tg4mm("demo", "--out", tmp_path / "file" / "x"))
     assert below == f"tg4mm: {tmp_path}/file/x cannot be written: Not a directory"
     assert "--size 100000: expected 16" in refused(tg4mm("demo", "--out", tmp_path / "d", "--size", 100000))

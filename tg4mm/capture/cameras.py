@@ -14,6 +14,18 @@ RIGID_TOLERANCE = 1e-3  # matrices written with four decimals pass; a scaled or 
 NARROWEST = 1e-6  # radians of field of view; below, the focal length grows past any use and to infinity
 FARTHEST = 1e6  # scene units; float32 rendering holds no more
 DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
+# Fields of transforms files that say that a pixel does not look where a pinhole camera's does, unless they are 0, false
+# or empty.
+OTHER_LENSES = (
+    "distortion_params",
+    "is_fisheye",
+    "equirectangular",
+    "orthographic",
+    "latlong",
+    *(f"ftheta_p{i}" for i in range(5)),
+    "rolling_shutter",
+)
+_PINHOLE = "the images of a pinhole camera: undistort them first"
 
 
 def world_to_camera(c2w: np.ndarray) -> np.ndarray:
@@ -68,8 +80,9 @@ def read_pose(frame: Record, key: str = "transform_matrix") -> np.ndarray:
 def read_intrinsics(frame: Record, file: Record, width: int, height: int) -> np.ndarray:
     """K [3, 3] in pixels for an image of width × height: a frame's own values, else the file's.
 
-    fl_x, fl_y, cx, cy, w, h (pixels) as in nerfstudio, else camera_angle_x, the horizontal field of view in
-    radians, with square pixels; the principal point is the centre unless given.
+    fl_x, fl_y, cx, cy, w, h (pixels) as in nerfstudio, else camera_angle_x and camera_angle_y, the horizontal and the
+    vertical field of view in radians; with one of both, pixels are square. The principal point is the centre unless
+    given. Raises CaptureError, by the field's name, for a lens that is no pinhole's.
     """
 
     def source(key: str) -> Record | None:
@@ -79,6 +92,10 @@ def read_intrinsics(frame: Record, file: Record, width: int, height: int) -> np.
         record = source(key)
         if record is not None and record.number(key) != 0:
             raise record.error(key, "0: undistort the images first")
+    for key in OTHER_LENSES:
+        record = source(key)
+        if record is not None and np.any(record.values[key]):
+            raise record.error(key, _PINHOLE)
     for key, size in (("w", width), ("h", height)):
         record = source(key)
         if record is not None and record.whole(key, 1) != size:
@@ -88,13 +105,18 @@ def read_intrinsics(frame: Record, file: Record, width: int, height: int) -> np.
         record = source(key)
         return default if record is None else record.number(key, low=low)
 
-    if source("fl_x") is not None:
-        focal = pixels("fl_x", 0.0, low=0.0)
-    else:
-        angle = (source("camera_angle_x") or file).number("camera_angle_x", low=NARROWEST, high=math.pi)
-        focal = width / (2 * math.tan(angle / 2))
-    fl_y = pixels("fl_y", focal, low=0.0)
-    return np.array([[focal, 0, pixels("cx", width / 2)], [0, fl_y, pixels("cy", height / 2)], [0, 0, 1]])
+    def focal(key: str, angle_key: str, size: int) -> float | None:
+        if source(key) is not None:
+            return pixels(key, 0.0, low=0.0)
+        if (record := source(angle_key)) is None:
+            return None
+        return size / (2 * math.tan(record.number(angle_key, low=NARROWEST, high=math.pi) / 2))
+
+    across, down = focal("fl_x", "camera_angle_x", width), focal("fl_y", "camera_angle_y", height)
+    if across is None and down is None:
+        raise file.error("camera_angle_x", f"a finite number above {NARROWEST:g} and below {math.pi:g}")
+    f_x, f_y = across or down, down or across
+    return np.array([[f_x, 0, pixels("cx", width / 2)], [0, f_y, pixels("cy", height / 2)], [0, 0, 1]])
 
 
 def camera_ids(viewmats: np.ndarray, Ks: np.ndarray) -> np.ndarray:

@@ -34,5 +34,8 @@ def image_path(root: Path, folder: Path, file_path: str, where: str) -> Path:
     for candidate in candidates:
         if inside(root, candidate, where).is_file():
             return candidate
+    if inside(root, named, where).is_file():
+        kinds = ", ".join(IMAGE_SUFFIXES)
+        raise CaptureError(f"{where}: image {named} is of a kind that is not read; expected one of {kinds}")
     tried = "" if has_suffix else f" (tried {', '.join(IMAGE_SUFFIXES)})"
     raise CaptureError(f"{where}: image {named} does not exist{tried}")

@@ -1,12 +1,13 @@
-"""Reader of a single NeRF-synthetic folder: a capture of one timestep."""
+"""Reader of a single NeRF-synthetic folder, and of D-NeRF's, whose frames have times."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from tg4mm.capture.model import Capture
+from tg4mm.capture.part_of import whole_dataset
 from tg4mm.capture.scene import read_scene
-from tg4mm.capture.transforms import SPLITS, assemble, read_views
+from tg4mm.capture.transforms import SPLITS, assemble, read_views, timed
 from tg4mm.core.errors import CaptureError
 
 LAYOUT = "a NeRF-synthetic folder (transforms_train.json)"
@@ -18,7 +19,14 @@ def recognises(root: Path) -> bool:
 
 
 def load(root: Path, split: str, alpha: int) -> Capture:
-    """The folder's split as a capture with T = 1; fps and scale are known only if a scene.json says them."""
+    """The folder's split as a capture; fps and scale are known only if a scene.json says them.
+
+    Of one timestep, or of as many as its frames have times (D-NeRF), unless it is itself a timestep of a dataset.
+    """
     if alpha:
         raise CaptureError(f"{root}: is one timestep, which has no images magnified by {alpha}")
-    return assemble(root, split, read_views(root, root, split, 0), read_scene(root, needs_fps=False), 1)
+    views, scene = read_views(root, root, split, 0), read_scene(root, needs_fps=False)
+    n_timesteps = 1
+    if whole_dataset(root) is None:
+        views, scene, n_timesteps = timed(views, scene)
+    return assemble(root, split, views, scene, n_timesteps)

@@ -1,4 +1,4 @@
-"""Reader of a nerfstudio folder: one transforms.json, a capture of one timestep."""
+"""Reader of a nerfstudio folder: one transforms.json, of one timestep or with a time for each frame."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 from tg4mm.capture.model import Capture, SurfacePoints
 from tg4mm.capture.points import read_points
 from tg4mm.capture.scene import read_scene
-from tg4mm.capture.transforms import assemble, views_of_frames
+from tg4mm.capture.transforms import assemble, timed, views_of_frames
 from tg4mm.core.errors import CaptureError, MissingSplitError
 from tg4mm.core.records import Record, read_record, shown
 
@@ -24,13 +24,13 @@ def recognises(root: Path) -> bool:
 
 
 def load(root: Path, split: str, alpha: int) -> Capture:
-    """The split as a capture with T = 1.
+    """The split as a capture: of one timestep, or of as many as its frames have times.
 
     A split is the file's list train_filenames (test_…, val_…); where it has none at all, every frame is training.
     Points come from ply_file_path, else points3d.ply. Poses are taken as they are: not recentred, not rescaled.
     """
     if alpha:
-        raise CaptureError(f"{root}: is one timestep, which has no images magnified by {alpha}")
+        raise CaptureError(f"{root}: is in a layout that has no images magnified by {alpha}")
     file = read_record(root / FILE)
     frames = file.values.get("frames")
     if not isinstance(frames, list) or not frames:
@@ -39,7 +39,8 @@ def load(root: Path, split: str, alpha: int) -> Capture:
     views = views_of_frames(root, root, file, chosen, 0)
     for view in views:
         _check_lens(view.frame, file)
-    return assemble(root, split, views, read_scene(root, needs_fps=False), 1, _points(root, file))
+    views, scene, n_timesteps = timed(views, read_scene(root, needs_fps=False))
+    return assemble(root, split, views, scene, n_timesteps, _points(root, file))
 
 
 def _of_split(file: Record, frames: list[Any], split: str) -> list[tuple[int, Any]]:

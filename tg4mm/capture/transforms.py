@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from tg4mm.core.pictures.decode import THREADS, image_header
 from tg4mm.core.records import Record, read_record, shown
 
 SPLITS = ("train", "test", "val")
+UNEVEN = 0.1  # of a step, that a frame's time may be off its timestep
 
 
 @dataclass(frozen=True)
@@ -72,6 +73,36 @@ def views_of_frames(
         time_s = frame.number("time") if frame.has("time") else math.nan
         views[image] = View(image, timestep, read_pose(frame), frame, file, time_s)
     return in_order(folder, views.values())
+
+
+def timed(views: list[View], scene: Scene) -> tuple[list[View], Scene, int]:
+    """Views of one file at the timesteps that their frames' times say, the scene with its frame rate, and T.
+
+    Frames of one file that have several times, in seconds or as fractions of the record (D-NeRF), are of timesteps: the
+    times in order, as even as frames are. `time_s` of a frame, which `tg4mm convert` writes, is its time in seconds.
+    The rate is scene.json's, else the file's `fps`. Raises CaptureError where there is none, or times are uneven.
+    """
+    times = np.array([view.time_s for view in views])
+    moments = np.unique(times[np.isfinite(times)])
+    if len(moments) < 2:
+        return views, scene, 1
+    where, file = views[0].file.where, views[0].file
+    fps = scene.fps or (file.number("fps", low=0.0) if file.has("fps") else 0.0)
+    if not fps:
+        raise CaptureError(
+            f"{where}: its frames have {len(moments)} different times, but no rate is known: add "
+            '"fps": <frames per second> to it'
+        )
+    step = float(np.diff(moments).min())
+    places = (times - moments[0]) / step
+    if np.nanmax(np.abs(places - np.round(places))) > UNEVEN:
+        raise CaptureError(
+            f"{where}: the times of its frames are not even: some are no multiple of {step:g} apart"
+        )
+    known = [v.frame.number("time_s") if v.frame.has("time_s") else math.nan for v in views]
+    timesteps = np.nan_to_num(np.round(places)).astype(int).tolist()
+    views = [replace(v, timestep=t, time_s=s) for v, t, s in zip(views, timesteps, known, strict=True)]
+    return views, replace(scene, fps=fps), max(timesteps) + 1
 
 
 def in_order(folder: Path, views: Iterable[View]) -> list[View]:
