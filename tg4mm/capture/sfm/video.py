@@ -18,6 +18,7 @@ from tg4mm.core.errors import CaptureError, Tg4mmError
 DAMAGE = ("error while decoding", "invalid nal unit size", "partial file", "corrupt")
 HAIR_S = 1e-6  # seconds by which a decimal may miss the fraction it means
 ALONE, BETWEEN = 1, 3  # FFmpeg's AV_PICTURE_TYPE_I and _B
+PLANAR = ("yuv4", "yuvj4", "nv12", "gray")  # pixel formats whose first plane is the luma
 TURNS = {0: 0, 90: 1, 180: 2, -180: 2, -90: 3}  # display rotation in degrees → np.rot90's k
 
 
@@ -33,13 +34,26 @@ class VideoInfo:
 
 
 @dataclass(frozen=True)
-class VideoFrame:
-    """One decoded frame, upright."""
+class CodedFrame:
+    """One decoded frame."""
 
     time: Fraction  # seconds since the video's first frame, as the container has it
-    rgb: np.ndarray  # [H, W, 3] uint8
     is_between: bool  # a B picture: predicted from both sides
     is_alone: bool  # an I picture: not predicted
+
+
+@dataclass(frozen=True)
+class VideoFrame(CodedFrame):
+    """One decoded frame in colour, upright."""
+
+    rgb: np.ndarray  # [H, W, 3] uint8
+
+
+@dataclass(frozen=True)
+class GreyFrame(CodedFrame):
+    """One decoded frame's luma as it is coded, upright."""
+
+    grey: np.ndarray  # [H, W] uint8
 
 
 def av_module() -> Any:
@@ -71,6 +85,20 @@ def video_frames(path: Path, start_s: float = 0.0, stop_s: float = math.inf) -> 
 
     Raises CaptureError, naming the second, where decoding fails, damage is covered up, or the file ends early.
     """
+    for coded, frame in _decoded(path, start_s, stop_s):
+        yield VideoFrame(
+            coded.time, coded.is_between, coded.is_alone, _upright(frame, frame.to_ndarray(format="rgb24"))
+        )
+
+
+def grey_frames(path: Path, start_s: float = 0.0, stop_s: float = math.inf) -> Iterator[GreyFrame]:
+    """As `video_frames`, luma alone."""
+    for coded, frame in _decoded(path, start_s, stop_s):
+        yield GreyFrame(coded.time, coded.is_between, coded.is_alone, _upright(frame, _luma(frame)))
+
+
+def _decoded(path: Path, start_s: float, stop_s: float) -> Iterator[tuple[CodedFrame, Any]]:
+    """Frames with PyAV's own, as they lie in the file."""
     av = av_module()
     first: Fraction | None = None
     time, step = Fraction(0), Fraction(0)
@@ -100,7 +128,7 @@ def video_frames(path: Path, start_s: float = 0.0, stop_s: float = math.inf) -> 
                 return
             if time >= start_s - HAIR_S:
                 kind = int(frame.pict_type)
-                yield VideoFrame(time, _upright(frame), kind == BETWEEN, kind == ALONE)
+                yield CodedFrame(time, kind == BETWEEN, kind == ALONE), frame
         duration = _duration(container, stream)
     if first is None:
         raise CaptureError(f"{path}: holds no frames")
@@ -108,10 +136,17 @@ def video_frames(path: Path, start_s: float = 0.0, stop_s: float = math.inf) -> 
         raise _damaged(path, time, duration)
 
 
-def _upright(frame: Any) -> np.ndarray:
-    rgb = frame.to_ndarray(format="rgb24")
+def _upright(frame: Any, pixels: np.ndarray) -> np.ndarray:
     turns = TURNS.get(round(frame.rotation), 0)
-    return np.ascontiguousarray(np.rot90(rgb, turns)) if turns else rgb
+    return np.ascontiguousarray(np.rot90(pixels, turns)) if turns else pixels
+
+
+def _luma(frame: Any) -> np.ndarray:
+    """[H, W] uint8: the first plane of planar 8-bit formats, else converted."""
+    if not (frame.format.name.startswith(PLANAR) and frame.format.components[0].bits == 8):
+        return np.asarray(frame.to_ndarray(format="gray"))
+    plane = frame.planes[0]
+    return np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)[: frame.height, : frame.width]
 
 
 def _opened(path: Path) -> Any:

@@ -1,0 +1,1 @@
+"""Are the errors that are printed true? Random films through the whole program, scored against exact truth."""

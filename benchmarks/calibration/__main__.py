@@ -1,0 +1,73 @@
+"""Are the printed errors true, and how small a motion is found? Random films with exact truth, and one table.
+
+    python -m benchmarks.calibration DIR [--films 60] [--first 0] [--jobs 2] [--stages look whole baselines]
+                                         [--python FILE]
+
+Films (`draw.py`), what each stage says of them and their scores go to DIR; what is there is kept, and a stopped call
+goes on. Stages: `look` is one pass over the video (`tg4mm.capture.look`); `whole` is sfm, train and measure with a
+sensor on every true vibration; `baselines` are pyidi's Lucas-Kanade and a phase-based estimator on the same regions
+(--python: one that has pyidi). Each stage has its own table: how many errors lie within 1 and 2 of their ±, false
+lines, and how many of the vibrations are named by amplitude.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+
+from benchmarks.calibration import stages
+from benchmarks.calibration.draw import make_film
+from benchmarks.calibration.score import Score, table
+
+STAGES: dict[str, Callable[..., dict[str, Score]]] = {
+    "look": stages.look_stage,
+    "whole": stages.whole_stage,
+    "baselines": stages.baselines_stage,
+}
+
+
+def scored(seed: int, folder: Path, wanted: tuple[str, ...], python: str) -> dict[str, Score]:
+    """A film's scores by method; made where they are not there."""
+    truth = make_film(seed, folder)
+    out: dict[str, Score] = {}
+    for stage in wanted:
+        kept = folder / f"{seed:04d}.{stage}.json"
+        if not kept.exists():
+            scores = STAGES[stage](folder / f"{seed:04d}.mp4", truth, python)
+            unfinished = kept.with_suffix(".part")
+            unfinished.write_text(
+                json.dumps({name: asdict(score) for name, score in scores.items()}, indent=1)
+            )
+            unfinished.replace(kept)
+        out |= {name: Score.of_json(values) for name, values in json.loads(kept.read_text()).items()}
+    return out
+
+
+def main(arguments: list[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.calibration", description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--films", type=int, default=60)
+    parser.add_argument("--first", type=int, default=0, help="seed of the first film")
+    parser.add_argument("--jobs", type=int, default=2, help="processes")
+    parser.add_argument("--stages", nargs="+", choices=list(STAGES), default=["look"])
+    parser.add_argument("--python", default=sys.executable, help="a Python that has pyidi, for `baselines`")
+    given = parser.parse_args(arguments)
+    job = partial(scored, folder=given.folder, wanted=tuple(given.stages), python=given.python)
+    by_method: dict[str, list[Score]] = {}
+    with ProcessPoolExecutor(max_workers=given.jobs) as pool:
+        for k, scores in enumerate(pool.map(job, range(given.first, given.first + given.films)), 1):
+            print(f"{k} of {given.films} films", file=sys.stderr, flush=True)
+            for name, score in scores.items():
+                by_method.setdefault(name, []).append(score)
+    for name, all_scores in by_method.items():
+        print(f"\n## {name}, {len(all_scores)} films\n\n{table(all_scores)}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,152 @@
+"""A look at films whose truth is exact: what vibrates, where, how much; nothing where nothing vibrates."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.calibration.film import Coding, Film, Layer, Mode, Motion, texture, write_video
+from tg4mm.capture.look import Look, Picture, look, look_at_pictures
+from tg4mm.core.errors import CaptureError
+
+WIDTH, HEIGHT, FPS, FRAMES = 160, 112, 30, 180
+PLATE = (48, 32, 112, 80)
+
+
+def film(amplitude_px: tuple[float, float], motion: Motion, noise: float = 3.0, seed: int = 0) -> Film:
+    """A plate before a wall that is still."""
+    rng = np.random.default_rng(seed)
+
+    def cloth() -> np.ndarray:
+        return texture(HEIGHT, WIDTH, rng, 0.3, 0.3, (1.5, 4.0))
+
+    shape = np.broadcast_to(np.array(amplitude_px), (HEIGHT, WIDTH, 2))
+    layers = [Layer(cloth(), None, [], 0.6), Layer(cloth(), PLATE, [Mode(shape, motion)], 0.6)]
+    return Film(layers, FPS, FRAMES, noise, seed=seed)
+
+
+def tone(hz: float) -> Motion:
+    return lambda t: float(np.cos(2 * np.pi * hz * t + 0.7))
+
+
+def pictures(made: Film) -> Iterator[Picture]:
+    for k, grey in enumerate(made.pictures()):
+        yield Picture(grey, k / FPS)
+
+
+def seen(made: Film) -> Look:
+    return look_at_pictures(pictures(made), "a film")
+
+
+def inside(line_box: tuple[int, int, int, int], centre: tuple[float, float]) -> bool:
+    left, upper, right, lower = line_box
+    return left <= centre[0] <= right and upper <= centre[1] <= lower
+
+
+def test_a_plate_that_vibrates_is_found_where_it_is_with_its_frequency_amplitude_and_direction() -> None:
+    found = seen(film((0.06, -0.08), tone(5.137)))
+    assert len(found.vibrations) == 1
+    line = found.vibrations[0]
+    assert abs(line.hz - 5.137) < 3 * line.hz_deviation < 0.02
+    assert abs(line.amplitude_px - 0.1) < 3 * line.amplitude_deviation_px < 0.03
+    assert abs(np.dot(line.direction, (0.6, -0.8))) > 0.98
+    assert inside(PLATE, line.centre_px)
+    assert line.region.sum() >= 2
+    wall = ~line.cells & found.usable
+    assert wall.sum() > 0.4 * found.usable.size  # the wall is not said to move
+    assert found.composite[np.argmin(np.abs(found.hz - 5.137))] > found.composite_floor
+
+
+def test_of_noise_nothing_is_named() -> None:
+    found = seen(film((0.0, 0.0), tone(5.0), noise=5.0, seed=1))
+    assert found.lines == ()
+    assert found.movers == ()
+    assert found.composite[2:].mean() == pytest.approx(1, abs=0.2)
+
+
+def test_flicker_is_light_and_no_vibration() -> None:
+    still = film((0.0, 0.0), tone(5.0), seed=2)
+    found = seen(replace(still, light=lambda t: 1 + 0.03 * float(np.cos(2 * np.pi * 7.3 * t))))
+    assert found.vibrations == ()
+    assert found.light[0].hz == pytest.approx(7.3, abs=0.05)
+
+
+def test_a_plate_that_vibrates_is_no_light() -> None:
+    found = seen(film((0.0, 0.3), tone(4.3), noise=1.0, seed=3))
+    assert found.light == ()
+    assert found.vibrations[0].hz == pytest.approx(4.3, abs=0.01)
+    assert found.vibrations[0].amplitude_px == pytest.approx(0.3, rel=0.05)
+
+
+def test_what_rings_down_is_one_line_with_its_damping() -> None:
+    decay = 0.02 * 2 * np.pi * 6.2
+    found = seen(film((0.0, 0.3), lambda t: float(np.exp(-decay * t) * np.sin(2 * np.pi * 6.2 * t)), seed=4))
+    assert len(found.vibrations) == 1
+    line = found.vibrations[0]
+    assert line.damping is not None
+    assert line.damping_deviation is not None
+    assert line.change == "decays"
+    assert abs(line.damping - 0.02) < 3 * line.damping_deviation < 0.01
+    assert abs(line.amplitude_px - 0.3) < 3 * line.amplitude_deviation_px
+
+
+def test_what_turns_is_masked_and_does_not_hide_what_vibrates() -> None:
+    y, x = np.mgrid[:HEIGHT, :WIDTH] + 0.5
+    disc, angle = np.hypot(x - 136, y - 24) < 16, np.arctan2(y - 24, x - 136)
+
+    def wheel(picture: np.ndarray, t: float, k: int) -> np.ndarray:
+        return np.where(disc, 0.3 + 0.25 * np.sign(np.cos(3 * (angle - 2 * np.pi * 2.7 * t))), picture)
+
+    found = seen(replace(film((0.1, 0.0), tone(5.6), seed=5), painters=[wheel]))
+    assert [round(line.hz, 1) for line in found.vibrations] == [5.6]
+    assert inside(found.movers[0].box, (136, 24))
+    assert found.moves_by_itself[1, 8]
+    assert not found.moves_by_itself[3, 5]
+    assert found.movers[0].hz == pytest.approx(8.1, abs=0.05)
+
+
+def test_the_wall_is_the_background_though_the_plate_has_more_texture() -> None:
+    """Weighted by texture, half of the motion would be taken for the camera's."""
+    rng = np.random.default_rng(6)
+    plain = Layer(texture(HEIGHT, WIDTH, rng, 0.08, 0.3, (4.0,)), None, [], 0.6)
+    moving = film((0.2, 0.0), tone(3.3), seed=6)
+    found = seen(replace(moving, layers=[plain, moving.layers[1]]))
+    assert found.vibrations[0].amplitude_px == pytest.approx(0.2, rel=0.1)
+    assert inside(PLATE, found.vibrations[0].centre_px)
+
+
+def test_a_coded_video_needs_nothing_else(tmp_path: Path) -> None:
+    made, video = film((0.15, 0.0), tone(5.2), seed=7), tmp_path / "plate.mp4"
+    write_video(video, made.pictures(), FPS, Coding("libx264", 1_500_000))
+    line = look(video).vibrations[0]
+    assert abs(line.hz - 5.2) < 3 * line.hz_deviation
+    assert abs(line.amplitude_px - 0.15) < 3 * line.amplitude_deviation_px
+    slow = look(video, fps=120.0)
+    assert slow.rate == pytest.approx(120)
+    assert slow.vibrations[0].hz == pytest.approx(4 * line.hz, rel=1e-3)
+
+
+def test_what_cannot_be_looked_at_is_said() -> None:
+    few = [Picture(np.zeros((32, 32), np.uint8), k / FPS) for k in range(10)]
+    with pytest.raises(CaptureError, match="a film: holds 10 pictures; at least 24 are needed"):
+        look_at_pictures(few, "a film")
+    other = [*few, Picture(np.zeros((32, 48), np.uint8), 1.0)]
+    with pytest.raises(CaptureError, match="picture 10 has 48×32 pixels, the first 32×32"):
+        look_at_pictures(other, "a film")
+
+
+def test_a_file_that_is_no_video_is_said(tmp_path: Path) -> None:
+    (tmp_path / "a.mp4").write_bytes(b"no video")
+    with pytest.raises(CaptureError, match=r"a\.mp4"):
+        look(tmp_path / "a.mp4")
+
+
+def test_a_picture_without_texture_or_light_names_nothing() -> None:
+    black = [Picture(np.zeros((64, 64), np.uint8), k / FPS) for k in range(60)]
+    found = look_at_pictures(black, "a film")
+    assert found.lines == ()
+    assert not found.usable.any()

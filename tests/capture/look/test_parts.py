@@ -1,0 +1,81 @@
+"""Cells, floors and knocks against what is known exactly."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.calibration.film import Layer, Mode, texture
+from tg4mm.capture.look.cells import Grid, Template
+from tg4mm.capture.look.reading import knocks
+from tg4mm.capture.look.search import images
+from tg4mm.capture.look.spectra import noise_floor, spectrum, tones_of
+
+FPS = 30.0
+
+
+def test_shifts_of_cells_are_exact_up_to_a_quarter_of_a_pixel() -> None:
+    cloth = texture(64, 64, np.random.default_rng(0), 0.3, 0.4, (1.6, 4.0))
+    shape = np.broadcast_to([1.0, -0.5], (64, 64, 2))
+    t = np.arange(60) / FPS
+    for size in (0.01, 0.1, 0.28):
+        layer = Layer(cloth, None, [Mode(shape, lambda t, a=size: a * float(np.cos(2 * np.pi * 3 * t)))], 0.6)
+        drawn = np.stack([255 * layer.drawn(k, np.zeros(2))[0] for k in t]).astype(np.float32)
+        template = Template(drawn.mean(0), Grid.of(64, 64, 16))
+        shift, gain, misfit = template.solved(*template.products(drawn))
+        true = size * np.cos(2 * np.pi * 3 * t)
+        inner = [5, 6, 9, 10]
+        assert shift[inner, :, 0].mean(0) == pytest.approx(true, abs=0.01 * size)
+        assert shift[inner, :, 1].mean(0) == pytest.approx(-0.5 * true, abs=0.01 * size)
+        assert gain[inner] == pytest.approx(1, abs=0.01)
+        assert misfit[inner].max() < 0.1
+
+
+def test_the_covariance_of_a_shift_is_what_noise_does() -> None:
+    rng = np.random.default_rng(1)
+    mean = (255 * texture(32, 32, rng, 0.3, 0.4, (1.6,)).reshape(32, 3, 32, 3).mean((1, 3))).astype(
+        np.float32
+    )
+    template = Template(mean, Grid.of(32, 32, 16))
+    noisy = (mean + 2 * rng.standard_normal((800, 32, 32))).astype(np.float32)
+    shift, _, misfit = template.solved(*template.products(noisy))
+    assert misfit.mean() == pytest.approx(4, rel=0.05)
+    for cell in range(4):
+        assert np.cov(shift[cell].T) == pytest.approx(4 * template.covariance[cell], rel=0.2, abs=3e-5)
+
+
+def test_a_floor_is_the_noises_mean_power_and_lines_do_not_raise_it() -> None:
+    rng, t = np.random.default_rng(2), np.arange(300) / FPS
+    noise = rng.normal(size=(300, 60)) * np.linspace(1, 3, 60)
+    floor, freedom = noise_floor(np.abs(spectrum(noise, t)[1]) ** 2)
+    assert (floor[20:-20].mean(0) / (4 / 300 * np.linspace(1, 3, 60) ** 2)).mean() == pytest.approx(
+        1, abs=0.05
+    )
+    assert freedom.min() > 3
+    strong = noise + 5 * np.cos(2 * np.pi * 6.1 * t)[:, None]
+    raised, _ = noise_floor(np.abs(spectrum(strong, t)[1]) ** 2)
+    assert np.median(raised[20:-20] / floor[20:-20]) == pytest.approx(1, abs=0.1)
+
+
+def test_lines_of_noise_are_seldom_and_a_tone_is_one() -> None:
+    rng, t = np.random.default_rng(3), np.arange(240) / FPS
+    flat = np.stack([np.ones(240), t], 1)
+    assert sum(bool(tones_of(rng.normal(size=240), t, flat)) for _ in range(60)) <= 1
+    ((hz, deviation, size),) = tones_of(rng.normal(size=240) + 1.5 * np.cos(2 * np.pi * 4.44 * t), t, flat)
+    assert abs(hz - 4.44) < 3 * deviation
+    assert size == pytest.approx(1.5, abs=0.3)
+
+
+def test_a_knock_is_a_step_that_stays() -> None:
+    rng = np.random.default_rng(4)
+    still = 0.02 * rng.normal(size=(200, 2))
+    assert knocks(still) == []
+    assert knocks(still + (np.arange(200) >= 77)[:, None] * [0.9, 0.0]) == [77]
+    bumped = still.copy()
+    bumped[50:54] += 3
+    assert knocks(bumped) == []
+
+
+def test_images_of_a_line_by_every_second_to_fourth_picture() -> None:
+    assert min(abs(f - 3.7) for f in images(11.3, 30.0)) < 1e-9  # half the rate less it
+    assert min(abs(f - 6.2) for f in images(1.3, 30.0)) < 1e-9  # a quarter of the rate less it

@@ -1,0 +1,154 @@
+"""A look at a recording: one pass over its pictures, then lines over the background, twice."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy import stats
+
+from tg4mm.capture.look.marks import marked
+from tg4mm.capture.look.model import Look, LookLine, Tone
+from tg4mm.capture.look.movers import movers_of
+from tg4mm.capture.look.place import Placed, cell_numbers, placed
+from tg4mm.capture.look.reading import CellSeries, Picture, exact_times, read_cells, video_pictures
+from tg4mm.capture.look.scene import Scene, against_background, scene_of, shift_covariance
+from tg4mm.capture.look.search import CHANCE, Line, Search
+from tg4mm.capture.look.spectra import tones_of
+from tg4mm.core.lines import Line as CoreLine
+from tg4mm.core.lines import find_lines, fit_lines
+
+_MOVES = 13.3  # χ² of 4 degrees of freedom, 1 %: a cell that a line moves is no background
+_MOST = 0.6  # of all cells: then those that move as much as the others are,
+_AS_MUCH = 0.2  # of the amplitude that a tenth of them exceeds
+_LEAST_STILL = 0.15  # of the usable cells that a background needs
+
+
+def look(video: Path | str, fps: float | None = None) -> Look:
+    """What vibrates in a video of a fixed camera, what moves by itself, what its light does.
+
+    fps: pictures a second, where the file's own times are not the recording's (slow motion). Raises CaptureError where
+    the video cannot be decoded or is too short.
+    """
+    path = Path(video)
+    series = read_cells(video_pictures(path, fps), str(path))
+    if fps is None:
+        series = replace(series, times_s=exact_times(path, series.times_s))
+    return look_at(series)
+
+
+def look_at_pictures(pictures: Iterable[Picture], where: str) -> Look:
+    """The same of any pictures of one fixed camera, in order."""
+    return look_at(read_cells(pictures, where))
+
+
+def look_at(series: CellSeries) -> Look:
+    """The same of cells' series."""
+    scene = scene_of(series)
+    search = Search(scene)
+    if search.lines:
+        moved = _moved(search)
+        still = scene.usable.copy()
+        still[cell_numbers(search)[moved]] = False
+        if moved.any() and still.sum() > _LEAST_STILL * scene.usable.sum():
+            scene = against_background(scene, still, all_still=True)
+            search = Search(scene)
+    lines = [_line(search, line) for line in search.lines]
+    lines = marked(lines, 1 / scene.dt, scene.duration)
+    return _result(scene, search, sorted(lines, key=lambda line: (bool(line.mark), -line.amplitude_px)))
+
+
+def _moved(search: Search) -> np.ndarray:
+    """[P] bool: cells that a line moves otherwise than most cells."""
+    pool, moved = search.pools[0], np.zeros(len(search.pools[0]), bool)
+    for line in search.lines:
+        fit = pool.in_picture(line.plain[0])
+        own = np.einsum("cxa,icx->ica", pool.axes, fit - np.median(fit, 1, keepdims=True))
+        basis = line.vibration.columns(search.times)
+        precision = 4 / len(search.times) / pool.floor[search.bin_of(line.vibration.hz)].reshape(-1, 2)
+        statistic = np.einsum("ica,ij,jca,ca->c", own, basis.T @ basis, own, precision)
+        moves, size = statistic > _MOVES, np.linalg.norm(own, axis=(0, 2))
+        if moves.mean() > _MOST:
+            moves &= size > _AS_MUCH * np.percentile(size[moves], 90)
+        moved |= moves
+    return moved
+
+
+def _line(search: Search, line: Line) -> LookLine:
+    where: Placed = placed(search, line)
+    vibration, grid, told = line.vibration, search.scene.grid, _told(search, line)
+    cells = where.moving if len(where.moving) else where.region
+    start = vibration.start_s
+    return LookLine(
+        *(told.hz, told.hz_deviation, where.amplitude_px, where.deviation_px, told.change),
+        *(told.damping, told.damping_deviation, start, float(search.times[0]) if start is None else start),
+        *(
+            (float(where.direction[0]), float(where.direction[1])),
+            where.phase_rad,
+            where.centre_px,
+            grid.box(cells),
+        ),
+        cells=grid.picture(np.isin(np.arange(len(grid)), cells)),
+        region=grid.picture(np.isin(np.arange(len(grid)), where.region)),
+        statistic=line.statistic,
+        readout_s=where.readout_s,
+        mark="",
+    )
+
+
+@dataclass(frozen=True)
+class _Told:
+    hz: float
+    hz_deviation: float
+    change: str
+    damping: float | None = None
+    damping_deviation: float | None = None
+
+
+def _told(search: Search, line: Line) -> _Told:
+    """Frequency and change by `tg4mm.core.lines`, from the shape's series; the search's own where a decay that it saw
+    is too short for that."""
+    series, seen = search.series_of(line)
+    own, duration = line.vibration, search.scene.duration
+    if own.decay:
+        half = max(1 / duration, own.decay / np.pi)
+        rows = seen & ~search.scene.between if search.scene.treats_apart else seen
+        found = find_lines(
+            series[rows], search.times[rows], ends=(max(own.hz - half, 1 / duration), own.hz + half), most=1
+        )
+        if found.lines and found.lines[0].damping is not None:
+            return _of(found.lines[0])
+        change = "begins" if own.start_s is not None else "decays"
+        return _Told(own.hz, own.hz_deviation, change, own.damping, own.damping_deviation)
+    return _of(fit_lines(series[seen], search.times[seen], [own.hz]).lines[0])
+
+
+def _of(line: CoreLine) -> _Told:
+    return _Told(line.hz, line.hz_deviation, line.change, line.damping, line.damping_deviation)
+
+
+def _result(scene: Scene, search: Search, lines: list[LookLine]) -> Look:
+    grid, series = scene.grid, scene.series
+    cells = max(len(search.pools[0]), 1) if search.pools else 1
+    variance = np.einsum("cii->ci", shift_covariance(series))
+    whole = [tone for k in (0, 1) for tone in tones_of(scene.whole[:, k], scene.times_s, scene.nuisance)]
+    return Look(
+        lines=tuple(lines),
+        movers=movers_of(scene),
+        light=tuple(Tone(*tone) for tone in scene.light),
+        whole=tuple(Tone(*tone) for tone in whole),
+        hz=search.hz,
+        composite=search.composite,
+        composite_floor=float(stats.gamma.isf(CHANCE / len(search.hz), 2 * cells) / (2 * cells)),
+        moves_by_itself=grid.picture(scene.masks.core),
+        hidden=grid.picture(scene.masks.hidden & ~scene.masks.moves),
+        usable=grid.picture(scene.usable),
+        shift_px=scene.own.reshape(len(scene.own), grid.rows, grid.columns, 2),
+        shift_deviation_px=np.sqrt(variance).reshape(grid.rows, grid.columns, 2),
+        whole_px=scene.whole,
+        times_s=series.times_s,
+        cell_px=grid.size,
+        size=series.size,
+    )

@@ -1,0 +1,45 @@
+"""Which lines may be made of a stronger one: by the codec, or as its multiples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tg4mm.capture.look.model import LookLine
+from tg4mm.capture.look.search import images
+
+_WEAK = 30.0  # times weaker beside a line: what a codec makes of it
+_LARGER = 2.0  # times the amplitude of a line that others are made of
+_MULTIPLES = (2, 3, 4)
+
+
+def marked(lines: list[LookLine], rate: float, duration_s: float) -> list[LookLine]:
+    """The same lines, each with why it may be none of its own."""
+    return [replace(line, mark=_mark(line, lines, rate, duration_s)) for line in lines]
+
+
+@dataclass(frozen=True)
+class _Near:
+    line: LookLine
+    resolution_hz: float
+
+    def __call__(self, hz: float, other: LookLine, times: int = 1) -> bool:
+        known = 3 * np.hypot(self.line.hz_deviation, times * other.hz_deviation)
+        return bool(abs(hz - self.line.hz) < max(0.5 * self.resolution_hz, known))
+
+
+def _mark(line: LookLine, lines: list[LookLine], rate: float, duration_s: float) -> str:
+    near = _Near(line, 1 / duration_s)
+    for other in lines:
+        if other.amplitude_px >= _LARGER * line.amplitude_px:
+            for n in _MULTIPLES:
+                folded = abs((n * other.hz + rate / 2) % rate - rate / 2)
+                if near(folded, other, n):
+                    return f"{n} × {other.hz:.3f} Hz"
+            if any(near(image, other) for image in images(other.hz, rate)):
+                return f"image of {other.hz:.3f} Hz by the codec's pattern of pictures"
+    for other in lines:
+        if other.statistic > _WEAK * line.statistic:
+            return f"weak beside {other.hz:.3f} Hz: the codec may make it of that"
+    return ""

@@ -1,0 +1,92 @@
+"""What a look at a recording finds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+Box = tuple[int, int, int, int]  # left, upper, right and lower edge, pixels
+
+
+@dataclass(frozen=True)
+class LookLine:
+    """One vibration: how fast, how much, where."""
+
+    hz: float
+    hz_deviation: float
+    amplitude_px: float  # along its direction; the largest of the record
+    amplitude_deviation_px: float
+    change: str  # "steady", "decays", "grows", "begins" or "untold" (`tg4mm.core.lines`)
+    damping: float | None  # ratio; None: no test says that it rings down
+    damping_deviation: float | None
+    start_s: float | None  # of what begins during the record
+    from_s: float  # where its envelope is 1: the amplitude is of then
+    direction: tuple[float, float]  # unit, right and down
+    phase_rad: float  # of a cosine by the record's own clock
+    centre_px: tuple[float, float]  # right and down from the upper left corner
+    box: Box  # around the cells that show it
+    cells: np.ndarray  # [rows, columns] bool: those that show it
+    region: np.ndarray  # [rows, columns] bool: those that the amplitude is of
+    statistic: float  # power over noise where it is strongest, mean 2 where nothing vibrates
+    readout_s: float | None  # from the first row to the last, where phases rise with the row
+    mark: str  # why it may be no vibration of its own; empty: it is one
+
+
+@dataclass(frozen=True)
+class Mover:
+    """Something that moves or changes by itself, which no small rigid shift explains."""
+
+    kind: str  # "moves by itself" all along, or "passes"
+    box: Box
+    hz: float | None = None  # at which it changes periodically, folded below half the rate
+    hz_deviation: float | None = None
+    from_s: float = 0.0
+    until_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class Tone:
+    """A line of the light or of the picture as a whole."""
+
+    hz: float
+    hz_deviation: float
+    amplitude: float  # relative, of light; pixels, of the whole picture
+
+
+@dataclass(frozen=True)
+class Look:
+    """One pass over a recording of a fixed camera."""
+
+    lines: tuple[LookLine, ...]  # the largest amplitude first, marked ones last
+    movers: tuple[Mover, ...]
+    light: tuple[Tone, ...]
+    whole: tuple[Tone, ...]  # of the whole picture, which is the camera's or everything's
+    hz: np.ndarray  # [K]
+    composite: np.ndarray  # [K] mean over cells of power over noise: 1 where nothing vibrates
+    composite_floor: float  # that one of a hundred recordings of noise exceeds anywhere
+    moves_by_itself: np.ndarray  # [rows, columns] bool
+    hidden: np.ndarray  # [F, rows, columns] bool: something passes there
+    usable: np.ndarray  # [rows, columns] bool: cells with texture that do not move by themselves
+    shift_px: np.ndarray  # [F, rows, columns, 2] right and down, less the whole picture's
+    shift_deviation_px: np.ndarray  # [rows, columns, 2] of one picture
+    whole_px: np.ndarray  # [F, 2]
+    times_s: np.ndarray  # [F]
+    cell_px: int
+    size: tuple[int, int]  # of the picture
+    notes: tuple[str, ...] = ()
+
+    @property
+    def vibrations(self) -> tuple[LookLine, ...]:
+        """The lines without a mark."""
+        return tuple(line for line in self.lines if not line.mark)
+
+    @property
+    def rate(self) -> float:
+        """Pictures a second."""
+        return 1 / float(np.median(np.diff(self.times_s)))
+
+    @property
+    def duration_s(self) -> float:
+        """Seconds from the first picture to the end of the last."""
+        return float(self.times_s[-1] - self.times_s[0]) + 1 / self.rate

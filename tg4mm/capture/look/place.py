@@ -1,0 +1,269 @@
+"""Where a line is, how much moves there, and how well that is known.
+
+From the place with the largest sure amplitude the region grows over cells that agree with its amplitude and not with
+rest. Cells on its rim hold some of what is behind and are left out where others remain. The region is one sensor: its
+series gives the amplitude and, by what stays beside the line, the ±.
+
+What the codec takes: pictures of kind B keep 1 − .8 τ ± .6 τ of a small motion, τ being the share of detail that they
+lack; where P pictures lack detail beside I pictures, .4 of that share may be gone from the amplitude. Both factors are
+calibrated on random films (`benchmarks/calibration`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from tg4mm.capture.look.pools import Pool
+from tg4mm.capture.look.reading import BETWEEN, FORWARD, INTRA
+from tg4mm.capture.look.search import Line, Search
+from tg4mm.capture.look.spectra import LOG2, spectrum
+
+SYSTEMATIC, RIM = (
+    0.015,
+    0.08,
+)  # shares of an amplitude: kernel and series in u; cells that hold what is behind too
+_FALSE = 0.01  # share of the cells said to move that noise may make
+_FREEDOM = 50  # degrees of freedom of a cell's floor
+_SEED, _SEED_BEST, _SEED_LEAST = 0.3, 0.1, 30.0  # statistic of a seed: of its size's best, of all, at least
+_FILLED = 0.6  # share of pictures in which a seed is seen
+_ALIKE = 13.3  # χ² of 4 degrees of freedom, 1 %
+_GROWS = 4  # times
+_SEEN = 0.04  # of the region's information squared that a picture must have
+_KEEPS, _KEEPS_SPREAD = 0.8, 0.6  # what B pictures keep: 1 − .8 τ, ± .6 τ
+_PREDICTED = 0.4  # of P pictures' lack of detail
+_READOUT_S, _READOUT_STEPS = 0.045, 181
+_READOUT_CELLS, _READOUT_STATISTIC, _READOUT_GAIN = 5, 25.0, 8.0
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A line's region and amplitude."""
+
+    amplitude_px: float
+    deviation_px: float
+    direction: np.ndarray  # [2] right and down, unit
+    phase_rad: float  # of a cosine from the line's start on
+    centre_px: tuple[float, float]
+    region: np.ndarray  # indices of the grid's cells that the amplitude is of
+    moving: np.ndarray  # indices of the grid's cells that show the line
+    readout_s: float | None  # from the first row to the last, where phases rise with the row
+
+
+@dataclass(frozen=True)
+class _Everywhere:
+    """A line's coefficients in one pool."""
+
+    pool: Pool
+    fit: np.ndarray  # [2, P, 2] cosine and sine; right and down
+    variance: np.ndarray  # [P, 2] of a sample along the pool's axes
+    statistic: np.ndarray  # [P]
+
+
+def cell_numbers(search: Search) -> np.ndarray:
+    """[P] indices of the grid's cells of the pool of single cells."""
+    corner = search.pools[0].corner
+    return np.asarray(corner[:, 0] * search.scene.grid.columns + corner[:, 1])
+
+
+def placed(search: Search, line: Line) -> Placed:
+    """Region, amplitude and readout of a line."""
+    return _Placing(search, line).placed()
+
+
+class _Placing:
+    def __init__(self, search: Search, line: Line) -> None:
+        self.search, self.line = search, line
+        self.basis = line.vibration.columns(search.times)
+        self.products = self.basis.T @ self.basis
+        self.row = search.bin_of(line.vibration.hz)
+        self.all = [self._everywhere(j) for j in range(len(search.pools))]
+        self.cells = self.all[0]
+        axes, pool = self.cells.pool.axes, self.cells.pool
+        precision = np.minimum(pool.filled, 1)[:, None] / self.cells.variance
+        self.weights = np.einsum("cxa,ca,cya->cxy", axes, precision, axes)  # [P, 2, 2]
+        self.at = {(int(r), int(c)): k for k, (r, c) in enumerate(pool.corner)}
+
+    def placed(self) -> Placed:
+        statistic = self.cells.statistic
+        seed, size = self._seed()
+        region, is_rim = self._inner(self._grown(seed, size))
+        amplitude, deviation, direction, phase = self._amplitude(region, is_rim)
+        size_of = np.trace(self.weights[region], axis1=1, axis2=2)[:, None]
+        x, y = (size_of * self.cells.pool.centre[region]).sum(0) / size_of.sum()
+        sure = max(1, int((statistic > _READOUT_STATISTIC).sum())) / len(statistic)
+        cut = 2 * stats.f.isf(min(_FALSE, _FALSE * sure), 4, _FREEDOM)
+        numbers = cell_numbers(self.search)
+        return Placed(
+            *(amplitude, deviation, direction, phase, (float(x), float(y)), numbers[region]),
+            *(numbers[statistic > cut], self._readout(direction)),
+        )
+
+    def _everywhere(self, j: int) -> _Everywhere:
+        pool, fit = self.search.pools[j], self.line.plain[j]
+        variance = len(self.search.times) / 4 * pool.floor[self.row]
+        each = np.einsum("im,ij,jm->m", fit, self.products, fit) / variance
+        statistic = each.reshape(-1, 2).sum(1) * pool.filled * (pool.filled > _FILLED)
+        return _Everywhere(pool, pool.in_picture(fit), variance.reshape(-1, 2), statistic)
+
+    def _seed(self) -> tuple[list[int], int]:
+        """Cells of the place with the largest amplitude less two deviations, near the surest place; cells a side."""
+        best_of = [float(e.statistic.max()) for e in self.all]
+        surest = self.all[int(np.argmax(best_of))]
+        middle = surest.pool.centre[int(surest.statistic.argmax())]
+        some = self.all[1:3] if surest.pool.size > 1 and len(self.all) > 1 else self.all[:2]
+        inverse = np.linalg.inv(self.products)
+        best: tuple[float, _Everywhere, int] | None = None
+        for each in some:
+            least = max(_SEED * float(each.statistic.max()), _SEED_BEST * max(best_of), _SEED_LEAST)
+            for k in np.flatnonzero(each.statistic > least):
+                reach = self.search.scene.grid.size * (each.pool.size + surest.pool.size + 2) / 2
+                if np.linalg.norm(each.pool.centre[k] - middle) > reach:
+                    continue
+                axes = each.pool.axes[k]
+                covariance = np.einsum("xa,a,ya->xy", axes, each.variance[k], axes)
+                amplitude, variance, _, _ = _along(each.fit[:, k], covariance, inverse)
+                if best is None or amplitude - 2 * variance**0.5 > best[0]:
+                    best = (amplitude - 2 * variance**0.5, each, int(k))
+        if best is None:
+            usual = max(self.all[:3], key=lambda e: float(e.statistic.max()))
+            best = (0.0, usual, int(usual.statistic.argmax()))
+        pool, (row, column) = best[1].pool, best[1].pool.corner[best[2]]
+        inside = [(row + a, column + b) for a in range(pool.size) for b in range(pool.size)]
+        return [self.at[cell] for cell in inside if cell in self.at], pool.size
+
+    def _common(self, cells: np.ndarray) -> np.ndarray:
+        """[2, 2]: the weighted mean of some cells' coefficients."""
+        total = self.weights[cells].sum(0)
+        return np.linalg.solve(
+            total, np.einsum("cxy,icy->xi", self.weights[cells], self.cells.fit[:, cells])
+        ).T
+
+    def _distance(self, cell: int, expected: np.ndarray | float) -> float:
+        """χ² of a cell's coefficients against expected ones."""
+        off = self.cells.fit[:, cell] - expected
+        return float(np.einsum("ix,ij,jy,xy->", off, self.products, off, self.weights[cell]))
+
+    def _moves(self, cell: int, common: np.ndarray) -> bool:
+        """Whether it agrees with the common motion better than with rest."""
+        return self._distance(cell, common) < self._distance(cell, 0.0)
+
+    def _neighbours(self, cell: int, reach: tuple[tuple[int, int], ...]) -> list[int | None]:
+        row, column = self.cells.pool.corner[cell]
+        return [self.at.get((row + a, column + b)) for a, b in reach]
+
+    def _grown(self, seed: list[int], size: int) -> np.ndarray:
+        block = tuple((a, b) for a in (-1, 0, 1) for b in (-1, 0, 1))
+        grown = set(seed)
+        for _ in range(_GROWS - (size > 1)):
+            common = self._common(np.array(sorted(grown)))
+            ring = set(seed) | {n for cell in grown for n in self._neighbours(cell, block) if n is not None}
+            new = {c for c in ring if self._distance(c, common) < _ALIKE and self._moves(c, common)}
+            if not new or new == grown:
+                break
+            grown = new
+        return np.array(sorted(grown))
+
+    def _inner(self, region: np.ndarray) -> tuple[np.ndarray, bool]:
+        """The cells of which no neighbour rests; all, and True, if there are none."""
+        common, beside = self._common(region), ((0, 1), (1, 0), (0, -1), (-1, 0))
+        inner = [
+            cell
+            for cell in region
+            if all(n is None or self._moves(n, common) for n in self._neighbours(cell, beside))
+        ]
+        return (np.array(inner), False) if inner else (region, True)
+
+    def _series(self, region: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The region's motion [F, 2] and [F] bool: the pictures in which it is seen."""
+        pool, columns = self.cells.pool, np.stack([2 * region, 2 * region + 1], 1).ravel()
+        own = self.search.columns(self.line.vibration) @ self.line.taken[0][:, columns]
+        motion = pool.in_picture(pool.residual[:, columns] + own, region)
+        seen = np.ones((len(motion), len(region))) if pool.seen is None else pool.seen[:, 2 * region]
+        weights = self.weights[region]
+        total = np.einsum("kc,cxy->kxy", seen, weights)
+        enough = np.linalg.det(total) > _SEEN * np.linalg.det(weights.sum(0))
+        weighted = np.einsum("kc,cxy,kcy->kx", seen, weights, motion, optimize=True)
+        out = np.zeros((len(motion), 2))
+        out[enough] = np.linalg.solve(total[enough], weighted[enough][..., None])[..., 0]
+        return out, enough
+
+    def _noise(self, series: np.ndarray, seen: np.ndarray) -> np.ndarray:
+        """[2, 2] covariance of a sample, of white noise as strong as what is beside the line."""
+        search = self.search
+        fit = np.linalg.lstsq(self.basis[seen], series[seen], rcond=None)[0]
+        hz, amplitudes = spectrum((series - self.basis @ fit) * seen[:, None], search.times)
+        d, dt = search.scene.duration, search.scene.dt
+        near = (np.abs(hz - self.line.vibration.hz) < max(12 / d, 0.08 / dt)) & (hz > 2 / d)
+        part = amplitudes[near]
+        covariance = (part.conj().T @ part).real / len(part)
+        typical = np.median(np.abs(part) ** 2, 0) / LOG2
+        covariance *= np.sqrt(np.outer(typical / np.diag(covariance), typical / np.diag(covariance)))
+        return np.asarray(covariance * len(search.times) / 4 / seen.mean())
+
+    def _amplitude(self, region: np.ndarray, is_rim: bool) -> tuple[float, float, np.ndarray, float]:
+        """Amplitude and its ±, direction and phase of a region."""
+        series, seen = self._series(region)
+        noise, scene, vibration = self._noise(series, seen), self.search.scene, self.line.vibration
+        y, basis, kinds = series[seen], self.basis[seen], scene.series.kinds[seen]
+
+        def fitted(rows: np.ndarray) -> tuple[float, float, np.ndarray, float]:
+            products = basis[rows].T @ basis[rows]
+            inverse = np.linalg.inv(products + 1e-9 * np.trace(products) * np.eye(2))
+            return _along(inverse @ basis[rows].T @ y[rows], noise, inverse)
+
+        amplitude, variance, direction, phase = fitted(np.ones(len(y), bool))
+        between = kinds == BETWEEN
+        if scene.treats_apart and between.sum() > 8 and (~between).sum() > 8:
+            others, variance, direction, phase = fitted(~between)
+            theirs, of_theirs, _, _ = fitted(between)
+            keeps, spread = 1 - _KEEPS * scene.lost, _KEEPS_SPREAD * scene.lost
+            of_theirs = of_theirs / keeps**2 + (spread * max(others, theirs) / keeps) ** 2
+            weight = of_theirs / (variance + of_theirs)
+            amplitude = weight * others + (1 - weight) * theirs / keeps
+            variance = 1 / (1 / variance + 1 / of_theirs)
+        if vibration.decay:  # its decay and its start are not known exactly
+            variance *= 2
+            if vibration.start_s is not None:
+                variance += (amplitude * vibration.decay * max(scene.dt, 1 / (8 * vibration.hz))) ** 2
+        relative = np.hypot(RIM if is_rim else SYSTEMATIC, _PREDICTED * self._predicted_lack())
+        return amplitude, float(np.hypot(variance**0.5, relative * amplitude)), direction, phase
+
+    def _predicted_lack(self) -> float:
+        """The share of detail that P pictures lack beside I pictures."""
+        series = self.search.scene.series
+        intra, forward = series.kinds == INTRA, series.kinds == FORWARD
+        if not intra.any() or not forward.any():
+            return 0.0
+        return max(0.0, 1 - float(np.median(series.misfit[forward]) / np.median(series.misfit[intra])))
+
+    def _readout(self, direction: np.ndarray) -> float | None:
+        """Seconds over which rows are read, where phases rise with the row: the likeliest, if likelier than none."""
+        statistic = self.cells.statistic
+        cells = np.flatnonzero(statistic > _READOUT_STATISTIC)
+        if len(cells) <= _READOUT_CELLS:
+            return None
+        values = np.einsum("icx,x->ic", self.cells.fit[:, cells], direction)
+        turned = statistic[cells] * np.exp(2j * np.angle(values[0] - 1j * values[1]))
+        rows = self.cells.pool.centre[cells, 1] / self.search.scene.series.size[1]
+        tried = np.linspace(-_READOUT_S, _READOUT_S, _READOUT_STEPS)
+        turns = np.exp(-4j * np.pi * self.line.vibration.hz * np.outer(tried, rows))
+        likely = np.abs(turns @ turned)
+        best, none = int(likely.argmax()), len(tried) // 2
+        at_end = best in (0, len(tried) - 1)
+        return None if at_end or (likely[best] - likely[none]) / 2 < _READOUT_GAIN else float(tried[best])
+
+
+def _along(fit: np.ndarray, noise: np.ndarray, inverse: np.ndarray) -> tuple[float, float, np.ndarray, float]:
+    """Amplitude, its variance, direction [2] and phase of coefficients [2, 2]: their largest part along one line.
+
+    noise [2, 2]: covariance of a sample; inverse [2, 2]: of the normal equations.
+    """
+    complex_amplitude = fit[0] - 1j * fit[1]
+    phase = 0.5 * float(np.angle((complex_amplitude**2).sum()))
+    along = np.real(complex_amplitude * np.exp(-1j * phase))
+    amplitude = float(np.linalg.norm(along)) + 1e-12
+    direction = along / amplitude
+    return amplitude, float(direction @ noise @ direction * np.trace(inverse) / 2), direction, phase

@@ -1,0 +1,229 @@
+"""One pass over the pictures: every cell's shift, gain and misfit in each of them.
+
+The first pictures' mean is what all are compared with. Where something passes, the mean is made without it; where the
+camera was knocked for good, each resting place has a mean of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from tg4mm.capture.look.cells import Grid, Template
+from tg4mm.capture.sfm.clip import frame_rate, regular_times
+from tg4mm.capture.sfm.video import grey_frames, video_info
+from tg4mm.core.errors import CaptureError
+
+FEWEST = 24  # pictures: fewer hold no spectrum
+SMALL = 400_000  # pixels of a picture up to which cells are
+CELL, LARGE_CELL = 16, 48  # pixels a side; above it
+_FIRST = 256  # pictures, at most, that the mean is of
+_FIRST_BYTES = 512 << 20  # and bytes
+_AT_ONCE = 32  # pictures whose cells fit a cache
+_KNOCK_PX = 0.5  # a step of the whole picture that stays
+_SHORTEST = 8  # pictures of a resting place
+_NEAR_PX = 0.25  # of a resting place's median, pictures that its mean is of
+_PASSED = 2.0  # times a cell's median misfit: something else is there
+_SELDOM, _OFTEN = 0.02, 0.5  # shares of pictures between which a cell is passed
+INTRA, FORWARD, BETWEEN = 1, 2, 3  # kinds of coded pictures, as FFmpeg numbers I, P and B
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One picture of a fixed camera."""
+
+    grey: np.ndarray  # [H, W] uint8, or float32 of that range
+    time_s: float
+    kind: int = INTRA
+
+
+@dataclass(frozen=True)
+class CellSeries:
+    """What each of C cells shows in each of F pictures."""
+
+    times_s: np.ndarray  # [F]
+    kinds: np.ndarray  # [F] INTRA, FORWARD or BETWEEN
+    shift: np.ndarray  # [F, C, 2] pixels right and down; NaN where a cell is dark
+    gain: np.ndarray  # [F, C]
+    misfit: np.ndarray  # [F, C] mean square of what shift, gain and offset leave, grey levels²
+    covariance: np.ndarray  # [C, 2, 2] px² of a shift for a misfit of 1
+    place: np.ndarray  # [F] which resting place of the camera
+    grid: Grid
+    size: tuple[int, int]  # width and height, pixels
+
+
+def video_pictures(path: Path, fps: float | None = None) -> Iterator[Picture]:
+    """A video's pictures with their own times, or those of a regular clock of `fps` pictures a second.
+
+    Raises CaptureError where it cannot be decoded.
+    """
+    for k, frame in enumerate(grey_frames(path)):
+        kind = INTRA if frame.is_alone else BETWEEN if frame.is_between else FORWARD
+        yield Picture(frame.grey, k / fps if fps else float(frame.time), kind)
+
+
+def exact_times(path: Path, times_s: np.ndarray) -> np.ndarray:
+    """Times [F] of a video's pictures, those of its regular clock where they differ from it by rounding only."""
+    info = video_info(path)
+    times = [Fraction(t).limit_denominator(10_000_000) for t in times_s.tolist()]
+    regular = regular_times(times, frame_rate(path, times, info.rates, info.tick), info.tick)
+    return np.array([float(t) for t in regular])
+
+
+def read_cells(pictures: Iterable[Picture], where: str = "the recording") -> CellSeries:
+    """All cells' series. Raises CaptureError where there are fewer than 24 pictures, or of several sizes."""
+    reader = _Reader()
+    times: list[float] = []
+    kinds: list[int] = []
+    waiting: list[np.ndarray] = []
+    shape: tuple[int, ...] | None = None
+    for picture in pictures:
+        if shape is not None and picture.grey.shape != shape:
+            raise CaptureError(
+                f"{where}: picture {len(times)} has {_size(picture.grey.shape)} pixels, the first {_size(shape)}"
+            )
+        shape = picture.grey.shape
+        times.append(picture.time_s)
+        kinds.append(picture.kind)
+        waiting.append(picture.grey.copy())
+        if len(waiting) == (
+            _AT_ONCE if reader.templates else max(FEWEST, min(_FIRST, _FIRST_BYTES // picture.grey.size))
+        ):
+            reader.add(np.stack(waiting))
+            waiting = []
+    if len(times) < FEWEST or shape is None:
+        raise CaptureError(
+            f"{where}: holds {len(times)} pictures; at least {FEWEST} are needed to look for vibrations"
+        )
+    if waiting:
+        reader.add(np.stack(waiting))
+    shift, gain, misfit = reader.solved()
+    return CellSeries(
+        *(
+            np.array(times) - times[0],
+            np.array(kinds),
+            shift.astype(float),
+            gain.astype(float),
+            misfit.astype(float),
+        ),
+        *(
+            reader.templates[0].covariance.astype(float),
+            np.array(reader.place),
+            reader.grid,
+            (shape[1], shape[0]),
+        ),
+    )
+
+
+def _size(shape: tuple[int, ...]) -> str:
+    return f"{shape[1]}×{shape[0]}"
+
+
+class _Reader:
+    """Templates, and the products of all pictures so far."""
+
+    def __init__(self) -> None:
+        self.templates: list[Template] = []
+        self.place: list[int] = []
+        self._products: list[tuple[np.ndarray, np.ndarray]] = []
+
+    @property
+    def grid(self) -> Grid:
+        return self.templates[0].grid
+
+    def add(self, pictures: np.ndarray) -> None:
+        if self.templates:
+            self._keep(pictures, self.templates[-1], len(self.templates) - 1)
+        else:
+            self._begin(pictures)
+
+    def solved(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Shifts [F, C, 2], gains [F, C] and misfits [F, C]."""
+        parts, place = [], np.array(self.place)
+        products = np.concatenate([p for p, _ in self._products], 1)
+        energy = np.concatenate([e for _, e in self._products], 1)
+        for k, template in enumerate(self.templates):
+            parts.append(template.solved(products[:, place == k], energy[:, place == k]))
+        shift, gain, misfit = (np.concatenate(values, 1) for values in zip(*parts, strict=True))
+        return shift.transpose(1, 0, 2), gain.T, misfit.T
+
+    def _begin(self, pictures: np.ndarray) -> None:
+        height, width = pictures.shape[1:]
+        grid = Grid.of(width, height, min(CELL if height * width < SMALL else LARGE_CELL, height, width))
+        template = Template(pictures.mean(0, dtype=np.float32), grid)
+        products = _products_of(template, pictures)
+        shift, _, misfit = template.solved(*products)
+        whole = whole_shift(shift.transpose(1, 0, 2), template.covariance)
+        stops = [0, *knocks(whole), len(pictures)]
+        if len(stops) > 2:
+            for k, (first, stop) in enumerate(pairwise(stops)):
+                near = np.linalg.norm(whole[first:stop] - np.median(whole[first:stop], 0), axis=1) < _NEAR_PX
+                part = pictures[first:stop]
+                resting = part[near] if near.sum() >= _SHORTEST else part
+                self.templates.append(Template(resting.mean(0, dtype=np.float32), grid))
+                self._keep(part, self.templates[-1], k)
+            return
+        unlike = misfit > _PASSED * np.median(misfit, 1, keepdims=True)
+        passed = (unlike.mean(1) > _SELDOM) & (unlike.mean(1) < _OFTEN)
+        if passed.any():
+            template = Template(_mean_without(pictures, template.mean, unlike, passed, grid), grid)
+            products = _products_of(template, pictures)
+        self.templates.append(template)
+        self._products.append(products)
+        self.place += [0] * len(pictures)
+
+    def _keep(self, pictures: np.ndarray, template: Template, place: int) -> None:
+        self._products.append(_products_of(template, pictures))
+        self.place += [place] * len(pictures)
+
+
+def _products_of(template: Template, pictures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    parts = [template.products(pictures[k : k + _AT_ONCE]) for k in range(0, len(pictures), _AT_ONCE)]
+    return np.concatenate([p for p, _ in parts], 1), np.concatenate([e for _, e in parts], 1)
+
+
+def _mean_without(
+    pictures: np.ndarray, mean: np.ndarray, unlike: np.ndarray, passed: np.ndarray, grid: Grid
+) -> np.ndarray:
+    """The mean picture, cells that are passed of those pictures alone that are not unlike the others."""
+    mean, size = mean.copy(), grid.size
+    for cell in np.flatnonzero(passed):
+        row, column = (int(k) * size for k in divmod(cell, grid.columns))
+        tile = pictures[~unlike[cell], row : row + size, column : column + size]
+        mean[row : row + size, column : column + size] = tile.mean(0, dtype=np.float32)
+    return mean
+
+
+def whole_shift(shift: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """[F, 2]: the median over area of shifts [F, C, 2], of cells with texture."""
+    spread = np.einsum("cii->ci", covariance).max(1)
+    usable = np.isfinite(spread) & np.isfinite(shift).all((0, 2))
+    if not usable.any():
+        return np.zeros((len(shift), 2))
+    usable &= spread < 9 * np.median(spread[usable])
+    return np.asarray(np.median(shift[:, usable], 1))
+
+
+def knocks(whole: np.ndarray) -> list[int]:
+    """Pictures at which the whole picture's shift [F, 2] steps for good by more than half a pixel."""
+    found: list[int] = []
+
+    def search(first: int, stop: int) -> None:
+        if stop - first < 2 * _SHORTEST:
+            return
+        x, n = whole[first:stop], np.arange(1, stop - first)[:, None]
+        before, total = np.cumsum(x, 0)[:-1], x.sum(0)
+        explained = (before**2 / n + (total - before) ** 2 / (stop - first - n)).sum(1)
+        at = first + _SHORTEST + int(np.argmax(explained[_SHORTEST - 1 : len(x) - _SHORTEST]))
+        if np.linalg.norm(np.median(whole[at:stop], 0) - np.median(whole[first:at], 0)) > _KNOCK_PX:
+            found.append(at)
+            search(first, at)
+            search(at, stop)
+
+    search(0, len(whole))
+    return sorted(found)

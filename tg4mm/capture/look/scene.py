@@ -1,0 +1,204 @@
+"""What the cells' series say before any line is sought: what moves by itself, what passes, light, the background."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy import ndimage
+
+from tg4mm.capture.look.cells import Grid
+from tg4mm.capture.look.reading import BETWEEN, CellSeries, whole_shift
+from tg4mm.capture.look.spectra import step, tone, tones_of
+
+QUANTISED = 1 / 12  # grey levels² of noise that whole numbers have at least
+_BLOCK = np.ones((3, 3))
+_CORE, _BESIDE = 2.5, 1.5  # times the typical misfit: what moves by itself, and its rim
+_CORE_SPREADS, _BESIDE_SPREADS = 6, 3  # and so many deviations of the cells' scatter
+_PASSING = 6  # deviations of a cell's own misfit over time
+_CLUSTER = 0.2  # of a neighbourhood: one cell alone is noise
+_LEAST_INFORMATION = 0.25  # px⁻²: a cell worse than 2 px a picture tells nothing
+_LOST = 0.03  # share of detail that B pictures lack from which they are treated apart
+_FEWEST_OTHERS = 24  # pictures that are not B
+_MINOR_LIGHT = 0.3  # of the strongest light line: what is weaker is an image of it by the codec
+_EVERYWHERE = 0.4  # of the median amplitude that every quarter of the picture must show of a light line
+_AGREES = 1.5  # times the typical ratio of scatter to noise: cells that do not move
+
+
+@dataclass(frozen=True)
+class Masks:
+    """Which cells, and when."""
+
+    core: np.ndarray  # [C] moves by itself: a small rigid shift never explains it
+    moves: np.ndarray  # [C] the same with its rim
+    passed: np.ndarray  # [F, C] something else is there for a while
+    hidden: np.ndarray  # [F, C] the same with its rim and a few pictures before and after
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Cells' shifts with their information, and what is to be taken off them."""
+
+    series: CellSeries
+    masks: Masks
+    usable: np.ndarray  # [C]
+    information: np.ndarray  # [C, 2, 2] px⁻² of a picture's shift
+    nuisance: np.ndarray  # [F, P] columns: constant, trend, kinds of pictures, resting places, light
+    light: list[tuple[float, float, float]]  # frequency, ±, relative amplitude
+    lost: float  # share of detail that B pictures lack
+    own: np.ndarray = field(default_factory=lambda: np.zeros(0))  # [F, C, 2] shifts less the background's
+    whole: np.ndarray = field(default_factory=lambda: np.zeros(0))  # [F, 2] the background's
+
+    @property
+    def grid(self) -> Grid:
+        return self.series.grid
+
+    @property
+    def times_s(self) -> np.ndarray:
+        return self.series.times_s
+
+    @property
+    def dt(self) -> float:
+        return step(self.times_s)
+
+    @property
+    def duration(self) -> float:
+        return float(self.times_s[-1] - self.times_s[0]) + self.dt
+
+    @property
+    def seen(self) -> np.ndarray:
+        """[F, C] bool."""
+        return ~self.masks.hidden & self.usable
+
+    @property
+    def between(self) -> np.ndarray:
+        """[F] bool: B pictures."""
+        return np.asarray(self.series.kinds == BETWEEN)
+
+    @property
+    def treats_apart(self) -> bool:
+        """Whether B pictures lack detail, and enough others are there."""
+        return self.lost > _LOST and int((~self.between).sum()) > _FEWEST_OTHERS and bool(self.between.any())
+
+
+def scene_of(series: CellSeries) -> Scene:
+    """Masks, light and a first background of all cells that agree with each other."""
+    masks = find_masks(series)
+    covariance = shift_covariance(series)
+    spread = np.trace(covariance, axis1=1, axis2=2)[:, None, None]
+    with np.errstate(all="ignore"):
+        information = np.linalg.inv(covariance + 1e-9 * np.eye(2) * spread + 1e-12 * np.eye(2))
+    usable = ~masks.moves & np.isfinite(information).all((1, 2))
+    usable &= information[:, [0, 1], [0, 1]].max(1) > _LEAST_INFORMATION
+    information = np.where(usable[:, None, None], information, 0)
+    nuisance, light = _nuisance(series, masks, usable)
+    scene = Scene(series, masks, usable, information, nuisance, light, _lost(series))
+    return against_background(scene, usable)
+
+
+def shift_covariance(series: CellSeries) -> np.ndarray:
+    """[C, 2, 2] px² of one picture's shift."""
+    typical = np.maximum(np.median(series.misfit, 0), QUANTISED)
+    return np.asarray(series.covariance * typical[:, None, None])
+
+
+def find_masks(series: CellSeries) -> Masks:
+    """Cells whose misfit stands out among the others all the time, and those whose misfit stands out at times."""
+    grid, typical = series.grid, np.maximum(np.median(series.misfit, 0), QUANTISED)
+    excess = np.log(typical / np.median(typical))
+    spread = 1.4826 * float(np.median(np.abs(excess)))
+    core = excess > max(np.log(_CORE), _CORE_SPREADS * spread)
+    around = ndimage.binary_dilation(grid.picture(core), _BLOCK).ravel()
+    relative = series.misfit / typical
+    quiet = ~(core | (around & (excess > max(np.log(_BESIDE), _BESIDE_SPREADS * spread))))
+    scatter = 1.4826 * float(np.median(np.abs(relative[:, quiet] - 1))) if quiet.any() else 0.1
+    unlike = grid.picture(relative > 1 + _PASSING * max(0.1, scatter))
+    clustered = (
+        np.stack([ndimage.uniform_filter(u.astype(float), 3, mode="nearest") for u in unlike]) > _CLUSTER
+    )
+    passed = (unlike & clustered).reshape(relative.shape) & quiet
+    hidden = ndimage.binary_dilation(grid.picture(passed), np.ones((7, 3, 3))).reshape(passed.shape)
+    hidden |= ~np.isfinite(series.shift).all(2)
+    return Masks(core, ~quiet | around | (hidden.mean(0) > 0.5), passed, hidden)
+
+
+def _lost(series: CellSeries) -> float:
+    """The share of detail that B pictures lack beside the others: how much less of noise they show."""
+    between = series.kinds == BETWEEN
+    if between.sum() <= 8 or (~between).sum() <= 8:
+        return 0.0
+    return max(0.0, 1 - float(np.median(series.misfit[between]) / np.median(series.misfit[~between])))
+
+
+def _nuisance(
+    series: CellSeries, masks: Masks, usable: np.ndarray
+) -> tuple[np.ndarray, list[tuple[float, float, float]]]:
+    """What is no vibration in every cell, and the lines of light."""
+    t = series.times_s / max(float(series.times_s[-1]), 1e-12)
+    columns = [np.ones_like(t), t - 0.5, (t - 0.5) ** 2]
+    columns += [(series.kinds == k) * 1.0 for k in np.unique(series.kinds)[1:]]
+    columns += [(series.place == k) * 1.0 for k in np.unique(series.place)[1:]]
+    plain = np.stack(columns, 1)
+    gain = np.where(~masks.hidden & usable, series.gain, np.nan)
+    light = _light(gain, series, plain)
+    strongest = max((line[2] for line in light), default=0.0)
+    major = [tone(series.times_s, line[0]) for line in light if line[2] > _MINOR_LIGHT * strongest]
+    return np.concatenate([plain, *major], 1), light
+
+
+def _light(gain: np.ndarray, series: CellSeries, nuisance: np.ndarray) -> list[tuple[float, float, float]]:
+    """Lines of the gain [F, C] that all the picture shares; what one thing's motion does to its cells is no light."""
+    level = _median_of(gain)
+    found = tones_of(level / level.mean() - 1, series.times_s, nuisance)
+    place = series.grid.centres() / np.array(series.size) > 0.5
+    quarters = [_median_of(gain[:, (place == corner).all(1)]) for corner in ([0, 0], [1, 0], [0, 1], [1, 1])]
+    quarters = [q for q in quarters if np.ptp(q) > 0]
+    kept = []
+    for hz, deviation, amplitude in found:
+        columns = np.concatenate([nuisance, tone(series.times_s, hz)], 1)
+        sizes = [np.hypot(*np.linalg.lstsq(columns, q, rcond=None)[0][-2:]) for q in quarters]
+        if sizes and min(sizes) > _EVERYWHERE * np.median(sizes):
+            kept.append((hz, deviation, amplitude))
+    return kept
+
+
+def _median_of(gain: np.ndarray) -> np.ndarray:
+    """[F]: the median over cells, 1 where none is seen."""
+    out = np.ones(len(gain))
+    some = np.isfinite(gain).any(1)
+    if some.any():
+        out[some] = np.nanmedian(gain[some], 1)
+    return out
+
+
+def against_background(scene: Scene, still: np.ndarray, all_still: bool = False) -> Scene:
+    """The scene with the common shift of the cells `still` [C] taken off every cell's.
+
+    Cells count by area, as far as they have texture: weighted by texture, one that vibrates would be the background.
+    all_still: otherwise those that scatter more than their noise against the others' median are left out.
+    """
+    shift = np.where(scene.masks.hidden[..., None], 0.0, np.nan_to_num(scene.series.shift))
+    if not still.any():
+        return _with(scene, shift, np.zeros((len(shift), 2)))
+    covariance = shift_covariance(scene.series)
+    size = np.trace(scene.information, axis1=1, axis2=2)
+    weights = (
+        scene.information * np.minimum(1, np.median(size[still]) / np.maximum(size, 1e-9))[:, None, None]
+    )
+    agrees = np.ones(len(still), bool)
+    if not all_still:
+        first = whole_shift(np.where(still[None, :, None], shift, np.nan), covariance)
+        axis = np.linalg.eigh(scene.information)[1][:, :, -1]
+        along = np.einsum("kci,ci->kc", shift - first[:, None], axis)
+        noise = np.einsum("ci,cij,cj->c", axis, covariance, axis)
+        ratio = (1.4826 * np.median(np.abs(along - np.median(along, 0)), 0)) ** 2 / noise
+        agrees = ratio < _AGREES * np.median(ratio[still])
+    counts = (scene.seen & still & agrees).astype(float)
+    products = np.einsum("kc,cij->kij", counts, weights)
+    by_shift = np.einsum("kc,cij,kcj->ki", counts, weights, shift, optimize=True)
+    whole = np.linalg.solve(products + 1e-9 * np.eye(2), by_shift[..., None])[..., 0]
+    return _with(scene, shift - whole[:, None], whole)
+
+
+def _with(scene: Scene, own: np.ndarray, whole: np.ndarray) -> Scene:
+    return replace(scene, own=own, whole=whole)
