@@ -1,4 +1,4 @@
-"""File > Import > TG4MM splats, and dropping a PLY into the 3D view."""
+"""File > Import > TG4MM splats, and dropping such files into the 3D view."""
 
 from __future__ import annotations
 
@@ -11,10 +11,12 @@ from bpy_extras.io_utils import ImportHelper
 
 from .. import compat, names, preferences
 from ..core.errors import Tg4mmError
+from ..core.splatfile.read import ENDINGS
+from ..core.splatfile.source import Options
 from ..nodes import scene
 from ..nodes.blending import true_colours
 from ..panels import showing
-from . import loading, receiving, saving, upright
+from . import loading, receiving, saving, upright, webp
 
 
 class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
@@ -25,7 +27,9 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
     bl_options = {"REGISTER", "UNDO", "PRESET"}  # noqa: RUF012
 
     filename_ext = ".ply"
-    filter_glob: StringProperty(default="*.ply", options={"HIDDEN"})  # type: ignore[valid-type]
+    filter_glob: StringProperty(  # type: ignore[valid-type]
+        default=";".join(f"*{ending}" for ending in ENDINGS), options={"HIDDEN"}
+    )
     # SKIP_SAVE: else a file of the last import comes along with the next.
     files: CollectionProperty(  # type: ignore[valid-type]
         type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"}
@@ -62,13 +66,19 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
             (
                 upright.CAMERAS,
                 "By Its Cameras",
-                "As cameras.json or transforms.json beside it says, else Z up",
+                "As SPZ and glTF, cameras.json or transforms.json beside it say, else Z up",
             ),
             (upright.FILE, "Z", "As Blender: nothing is turned"),
             (upright.MINUS_Y, "−Y", "As COLMAP and 3DGS have it"),
             (upright.PLUS_Y, "Y", "As other viewers and glTF have it"),
         ],
         default=upright.CAMERAS,
+    )
+    frequencies: StringProperty(  # type: ignore[valid-type]
+        name="Frequencies",
+        description="Hz, such as 5, 7.5: one for each mode of a file with motion that lost its line with them in "
+        "another program. Without them it opens still",
+        options={"SKIP_SAVE"},
     )
     most: IntProperty(  # type: ignore[valid-type]
         name="Most Gaussians",
@@ -97,6 +107,7 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
                 self.sequence,
                 self.most,
                 lambda part: manager.progress_update(int(100 * part)),
+                Options(loading.frequencies(self.frequencies), _fps(context.scene), webp.decode),
             )
         except Tg4mmError as error:
             self.report({"ERROR"}, str(error))
@@ -111,7 +122,7 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
             manager.progress_end()
         for obj in loaded.objects:
             _draw_as(obj, preferences.get(context).draw_as)
-        told = self._stand_up(loaded.objects)
+        told = self._stand_up(loaded)
         _select(context, loaded.objects)
         if self.show:
             told += showing.show(context, loaded.objects)
@@ -130,14 +141,16 @@ class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):
             told.append(true_colours(context.scene))
         return [words for words in told if words]
 
-    def _stand_up(self, objects: list[Any]) -> list[str]:
+    def _stand_up(self, loaded: loading.Loaded) -> list[str]:
         """Turn the objects so that what is up in their file is up; returns what to tell about it."""
         axes, said = self.axes, ""
+        if axes == upright.CAMERAS and loaded.upright:
+            return ["Y up, as the format has it, was turned to Z up"]
         if axes == upright.CAMERAS:
             axes, said = upright.told(self._paths()[0]) or (upright.FILE, "")
         if axes == upright.FILE:
             return []
-        for obj in objects:
+        for obj in loaded.objects:
             obj.rotation_euler.x = upright.TURNS[axes]
             obj[names.AXES] = axes
         return [f"turned, as {said} says {upright.LABELS[axes]}"] if said else []
@@ -152,11 +165,16 @@ class IO_FH_tg4mm_splat(bpy.types.FileHandler):
     bl_idname = "IO_FH_tg4mm_splat"
     bl_label = "TG4MM Splats"
     bl_import_operator = IMPORT_SCENE_OT_tg4mm_splat.bl_idname
-    bl_file_extensions = ".ply"
+    bl_file_extensions = ";".join(ending for ending in ENDINGS if ending != ".json")
 
     @classmethod
     def poll_drop(cls, context: Any) -> bool:
         return context.area is not None and context.area.type in {"VIEW_3D", "OUTLINER"}
+
+
+def _fps(scene: Any) -> float:
+    """Frames per second of the scene."""
+    return float(scene.render.fps / scene.render.fps_base)
 
 
 def _draw_as(obj: Any, wanted: str) -> None:
@@ -173,7 +191,9 @@ def _select(context: Any, objects: list[Any]) -> None:
 
 
 def _menu(self: Any, context: Any) -> None:
-    self.layout.operator(IMPORT_SCENE_OT_tg4mm_splat.bl_idname, text="TG4MM Splats (.ply)")
+    self.layout.operator(
+        IMPORT_SCENE_OT_tg4mm_splat.bl_idname, text="TG4MM Splats (.ply, .splat, .spz, .sog, .glb)"
+    )
 
 
 def register() -> None:

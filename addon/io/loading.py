@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from ..core.errors import SplatFileError
-from ..core.splatfile import SplatFile, read_splat
-from ..core.splatfile.header import read_header
+from ..core.splatfile import SplatFile, read_head, read_splat
+from ..core.splatfile.source import Options
 from ..nodes import scene
 from .numbered import as_sequence, missing_beside, name_of, run_around
 
@@ -26,10 +27,16 @@ class Loaded:
     message: str
     fps: float  # Hz; 0.0 if no file says
     n_timesteps: int
+    upright: bool = False  # the format says what is up, and it is up
 
 
 def load(
-    paths: Sequence[Path], collection: Any, sequences: bool, most: int, step: Callable[[float], None]
+    paths: Sequence[Path],
+    collection: Any,
+    sequences: bool,
+    most: int,
+    step: Callable[[float], None],
+    options: Options = Options(),  # noqa: B008, frozen
 ) -> Loaded:
     """Import the chosen files into `collection`. `step(part)` is called as the work goes on, 0 to 1.
 
@@ -37,28 +44,45 @@ def load(
     it is part of. Raises SplatFileError for a file that cannot be read or for more than `most` Gaussians in
     all; then nothing is left behind.
     """
-    moves = [header_of(path).moves for path in paths]
-    frames = _frames(paths) if sequences and not any(moves) else None
+    heads = [read_head(path) for path in paths]
+    moves = any(head.n_modes or (head.n_lost and options.freqs_hz) for head in heads)
+    upright = all(head.y_up for head in heads)
+    frames = _frames(paths) if sequences and not moves else None
     check_count(frames or paths, most)
     if frames is not None:
-        return _load_sequence(frames, collection, step)
+        return _load_sequence(frames, collection, step, options, upright)
     splats = []
     for i, path in enumerate(paths):
-        splats.append(moving_modes(read_splat(path)))
+        splats.append(moving_modes(_read(path, options)))
         step((i + 1) / (len(paths) + 1))
     objects = scene.make_objects(splats, [path.stem for path in paths], collection)
     count, modes = sum(len(splat) for splat in splats), sum(splat.n_modes for splat in splats)
     longest = max(splats, key=lambda splat: splat.n_timesteps)
     message = f"{count:,} Gaussians, {modes} mode{'' if modes == 1 else 's'}"
-    return Loaded(objects, message, longest.fps if modes else 0.0, longest.n_timesteps)
+    told = [f"{path.name}: {note}" for path, splat in zip(paths, splats, strict=True) for note in splat.notes]
+    return Loaded(
+        objects, "; ".join([message, *told]), longest.fps if modes else 0.0, longest.n_timesteps, upright
+    )
 
 
-@dataclass(frozen=True)
-class Head:
-    """What a file's header says before its data are read."""
+def frequencies(text: str) -> tuple[float, ...]:
+    """`"5, 7.5"` as (5.0, 7.5), Hz. Raises SplatFileError naming what is no frequency."""
+    found = []
+    for word in text.replace(";", " ").replace(",", " ").split():
+        try:
+            value = float(word)
+        except ValueError:
+            value = math.nan
+        if not 0 <= value < math.inf:
+            raise SplatFileError(
+                f"Frequencies: {word!r} is no frequency; expected numbers in Hz such as 5, 7.5"
+            )
+        found.append(value)
+    return tuple(found)
 
-    count: int
-    moves: bool
+
+def _read(path: Path, options: Options) -> SplatFile:
+    return read_splat(path, options.freqs_hz, options.fps, options.decode)
 
 
 def moving_modes(splat: SplatFile) -> SplatFile:
@@ -82,22 +106,9 @@ def moving_modes(splat: SplatFile) -> SplatFile:
     )
 
 
-def header_of(path: Path) -> Head:
-    """Read the header alone. Raises SplatFileError, with the file's name."""
-    try:
-        with path.open("rb") as file:
-            header = read_header(file)
-    except OSError as error:
-        raise SplatFileError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except SplatFileError as error:
-        raise SplatFileError(f"{path}: {error}") from error.__cause__
-    count = sum(element.count for element in header.elements if element.name == "vertex")
-    return Head(count, bool(header.about and header.about.get("frequencies_hz")))
-
-
 def check_count(paths: Sequence[Path], most: int) -> None:
     """Raises SplatFileError if the files hold more than `most` Gaussians in all; reads no data for it."""
-    total = sum(header_of(path).count for path in paths)
+    total = sum(read_head(path).count for path in paths)
     if total > most:
         what = f"{paths[0]}: holds" if len(paths) == 1 else f"{paths[0].parent}: {len(paths)} files hold"
         raise SplatFileError(f"{what} {total:,} Gaussians, more than Most Gaussians, {most:,}")
@@ -108,9 +119,14 @@ def _frames(paths: Sequence[Path]) -> list[Path] | None:
     return run if run is not None and len(run) > 1 else None
 
 
-def _load_sequence(frames: list[Path], collection: Any, step: Callable[[float], None]) -> Loaded:
+def _load_sequence(
+    frames: list[Path], collection: Any, step: Callable[[float], None], options: Options, upright: bool
+) -> Loaded:
+    odd: list[Path] = []  # of which there was something to tell
+
     def read(path: Path) -> SplatFile:
-        splat = read_splat(path)
+        splat = _read(path, options)
+        odd.extend([path] if splat.notes else [])
         if splat.n_modes:
             raise SplatFileError(f"{path}: moves by itself, so it is no frame of a sequence; import it alone")
         return splat
@@ -121,4 +137,6 @@ def _load_sequence(frames: list[Path], collection: Any, step: Callable[[float], 
     message = f"{len(frames)} frames of up to {most:,} Gaussians"
     if missing := missing_beside(frames[0]):
         message += f"; there is no file number {', '.join(map(str, missing[:4]))}"
-    return Loaded([obj], message, 0.0, len(frames))
+    if odd:
+        message += f"; {len(odd)} of them changed in reading, see the console: first {odd[0].name}"
+    return Loaded([obj], message, 0.0, len(frames), upright)

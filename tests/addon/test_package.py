@@ -35,6 +35,7 @@ ADDON = (
     "io/saving",
     "io/splats",
     "io/upright",
+    "io/webp",
     "names",
     "nodes/__init__",
     "nodes/applied",
@@ -92,16 +93,14 @@ JOBS = (
     ),
     *("panels", "placing", "preview", "preview_nodes", "reading", "runner", "settings", "training"),
 )
+CORE = Path(__file__).parents[2] / "tg4mm" / "core"
 CONTENT = {
     "blender_manifest.toml",
     "LICENSE",
     *(f"{name}.py" for name in ADDON),
     *(f"jobs/{name}.py" for name in JOBS),
     *(f"core/{name}.py" for name in ("__init__", "colour", "errors", "temporary", "untrusted")),
-    *(
-        f"core/splatfile/{n}.py"
-        for n in ("__init__", "axes", "formula", "header", "layout", "model", "read", "spz", "write")
-    ),
+    *(f"core/{file.relative_to(CORE)}" for file in (CORE / "splatfile").glob("*.py")),
 }
 
 # Each script prints a line RESULT {json}. play() reads where the object's instances are at two frames.

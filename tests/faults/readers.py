@@ -18,6 +18,7 @@ from tests.faults.mutate import of_bytes, of_header, of_json, of_text
 from tests.faults.reader import Reader, record
 from tests.faults.readers_datasets import DATASETS
 from tests.faults.readers_results import RESULTS
+from tests.faults.readers_splats import SPLATS
 
 N, T = 5, 3  # Gaussians, timesteps
 
@@ -590,6 +591,7 @@ READERS: dict[str, Reader] = {
     "rendered picture": Reader(_photograph(".png"), _read_rendered, of_png),
     "sensors YAML": Reader(_sensors, _read_sensors, of_text),
     "sfm video": Reader(_video, _read_video, of_bytes),
+    **SPLATS,
     **DATASETS,
     **RESULTS,
 }

@@ -99,36 +99,16 @@ def test_no_gaussians(refused, make):
     refused(make.ply(count=0), "0 entries")
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("name", ["y", "f_dc_2", "opacity", "scale_1", "rot_3", "f_rest_4", "mode_1_im_rz"])
-def test_values_that_are_not_finite(refused, good, name, value):
-    head, _, body = good.partition(b"end_header\n")
-    names = re.findall(r"property float (\S+)", head.decode())
-    table = np.frombuffer(body, "<f4").reshape(5, -1).copy()
-    table[3, names.index(name)] = value
-    refused(head + b"end_header\n" + table.tobytes(), f"vertex 3: {name} is {value}")
-
-
-def test_a_double_past_float32_s_range(refused, make):
+def test_nothing_that_can_be_drawn(refused, make):
     properties = dict.fromkeys(make.names, ("double", "<f8"))
-    refused(make.ply(properties, count=1, data=np.full(14, 1e300).tobytes()), "vertex 0:", "is 1e+300")
+    refused(
+        make.ply(properties, count=1, data=np.full(14, 1e300).tobytes()), "has nothing to draw: each of its 1"
+    )
 
 
-def test_a_scale_whose_exponential_overflows(refused, make):
-    data = np.full(14, 1.0, "<f4")
-    data[make.names.index("scale_2")] = 100
-    refused(make.ply(count=1, data=data.tobytes()), "scales[0, 2] is inf")
-
-
-def test_a_quaternion_of_zero(refused, make):
-    data = np.full((3, 14), 1.0, "<f4")
-    data[1:, 10:] = 0
-    refused(make.ply(count=3, data=data.tobytes()), "quats[1] is zero, as 2 are")
-
-
-@pytest.mark.parametrize("form", ["ascii 1.0", "binary_big_endian 1.0", "binary_little_endian 2.0", ""])
+@pytest.mark.parametrize("form", ["text 1.0", "binary_little_endian 2.0", ""])
 def test_other_formats(refused, make, form):
-    refused(make.ply(head=form), form or "no format line", "expected format binary_little_endian 1.0")
+    refused(make.ply(head=form), form or "no format line", "expected format binary_little_endian")
 
 
 @pytest.mark.parametrize(
@@ -157,9 +137,7 @@ def test_properties(refused, make):
     plain = dict.fromkeys(make.names, ("float", "<f4"))
     without = {name: kind for name, kind in plain.items() if name not in ("scale_2", "rot_0")}
     refused(make.ply(without), "property scale_2 is missing, 2 in all")
-    refused(
-        make.ply({"packed_position": ("uint", "<u4")}), "property x is missing", "export them uncompressed"
-    )
+    refused(make.ply({"packed_position": ("uint", "<u4")}), "is compressed, but has no element chunk")
     refused(make.ply({**plain, "opacity": ("uchar", "u1")}), "property opacity is a whole number type")
     refused(make.ply({**plain, "opacity": ("half", "<f2")}), "'property half opacity' has no type")
     refused(make.ply(after=["property float x"]), "property x appears twice")
@@ -189,7 +167,6 @@ def test_frequencies_and_modes_that_do_not_match(refused, good):
         header_edit(good, lambda v: v["frequencies_hz"].pop()), "24 mode properties; 1 frequencies_hz need 12"
     )
     refused(good.replace(b"mode_1_re_x", b"mode_2_re_x"), "24 mode properties; 2 frequencies_hz need 24")
-    refused(re.sub(rb"comment tg4mm .*\n", b"", good), "24 mode properties but no 'comment tg4mm' line")
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,8 @@ from ..untrusted import parse_json
 from . import layout
 
 MAX_HEADER_BYTES = 1 << 20
+ASCII, BIG_ENDIAN = "ascii", "binary_big_endian"
+FORMS = ("binary_little_endian", BIG_ENDIAN, ASCII)
 TYPES = {
     **dict.fromkeys(("char", "int8"), "<i1"),
     **dict.fromkeys(("uchar", "uint8"), "<u1"),
@@ -34,20 +36,27 @@ class Element:
     properties: dict[str, str] = field(default_factory=dict)  # name → numpy type, "list" for a list
 
     @property
-    def dtype(self) -> np.dtype:
-        """One record, packed."""
-        return np.dtype(list(self.properties.items()))
+    def lists(self) -> list[str]:
+        """The properties that are lists, which no splat file has."""
+        return [name for name, kind in self.properties.items() if kind == "list"]
 
-    @property
-    def nbytes(self) -> int:
-        """Size of the element's data; without lists."""
-        return self.count * self.dtype.itemsize if self.properties else 0
+    def dtype(self, form: str) -> np.dtype:
+        """One record, packed; of ASCII, numbers as they are parsed."""
+        if form == ASCII:
+            return np.dtype([(name, "<f8") for name in self.properties])
+        return np.dtype(list(self.properties.items())).newbyteorder(">" if form == BIG_ENDIAN else "<")
+
+    def nbytes(self, form: str) -> int:
+        """Size of the element's data, without lists; of ASCII the least there can be, a digit and a space a number."""
+        size = 2 * len(self.properties) if form == ASCII else self.dtype(form).itemsize
+        return self.count * size if self.properties else 0
 
 
 @dataclass(frozen=True)
 class Header:
     """A whole header. Messages carry no file name; the reader puts it in front."""
 
+    form: str  # of FORMS
     elements: tuple[Element, ...]
     about: dict[str, Any] | None  # what `comment tg4mm` says; None for a plain 3DGS PLY
     nbytes: int  # length of the header itself
@@ -55,7 +64,7 @@ class Header:
 
 def read_header(file: BinaryIO) -> Header:
     """Parse the header at the start of `file`; SplatFileError if it is not one this reader can follow."""
-    lines, nbytes = _lines(file)
+    lines, form, nbytes = _lines(file)
     elements: list[Element] = []
     about = None
     for line in lines:
@@ -72,11 +81,11 @@ def read_header(file: BinaryIO) -> Header:
             _add_property(elements[-1], words, line)
         else:
             raise SplatFileError(f"header line {line[:60]!r} is not understood")
-    return Header(tuple(elements), about, nbytes)
+    return Header(form, tuple(elements), about, nbytes)
 
 
-def _lines(file: BinaryIO) -> tuple[list[str], int]:
-    """The lines between the first and end_header, and its length; checks magic and format."""
+def _lines(file: BinaryIO) -> tuple[list[str], str, int]:
+    """The lines between the first and end_header, the form of the data, and the header's length."""
     if file.readline(8).rstrip() != b"ply":
         raise SplatFileError("is not a PLY: its first line is not 'ply'")
     lines: list[str] = []
@@ -89,11 +98,12 @@ def _lines(file: BinaryIO) -> tuple[list[str], int]:
             break
         lines.append(line)
     formats = [line for line in lines if line.startswith("format ")]
-    if formats != ["format binary_little_endian 1.0"]:
+    known = {f"format {form} 1.0": form for form in FORMS}
+    if len(formats) != 1 or formats[0] not in known:
         raise SplatFileError(
-            f"has {' and '.join(formats) or 'no format line'}; expected format binary_little_endian 1.0"
+            f"has {' and '.join(formats)[:80] or 'no format line'}; expected format {', '.join(FORMS)} 1.0"
         )
-    return lines, file.tell()
+    return lines, known[formats[0]], file.tell()
 
 
 def _count(line: str) -> int:

@@ -23,6 +23,11 @@ def f_rest(count: int) -> tuple[str, ...]:
     return tuple(f"f_rest_{i}" for i in range(count))
 
 
+def f_dc(rgb: np.ndarray) -> np.ndarray:
+    """Colour in 0..1 → coefficient of the constant harmonic."""
+    return (rgb - 0.5) / 0.28209479177387814
+
+
 def mode(k: int) -> tuple[str, ...]:
     """The twelve properties of mode k: displacement re, im, then rotation vector re, im; x, y, z each."""
     parts = ("re_", "im_", "re_r", "im_r")
@@ -47,5 +52,5 @@ def logit(opacities: np.ndarray) -> np.ndarray:
 
 def sigmoid(logits: np.ndarray) -> np.ndarray:
     """Logit → opacity in 0..1, without overflow for large negative logits."""
-    e = np.exp(-np.abs(logits.astype(np.float64)))
+    e = np.exp(-np.abs(logits.astype(np.float64)))  # of ±infinity 0
     return np.where(logits >= 0, 1 / (1 + e), e / (1 + e))

@@ -39,6 +39,7 @@ class SplatFile:
     low_pass_px2: float | None = (
         None  # of the training pictures' low-pass, what the scales hold; None: nothing said
     )
+    notes: tuple[str, ...] = ()  # of a file that was read: what was left out or changed, a line each
 
     @classmethod
     def static(

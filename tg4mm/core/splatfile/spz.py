@@ -18,10 +18,10 @@ from .axes import y_up
 from .model import SplatFile
 from .write import replacing
 
-_MAGIC, _VERSION = 0x5053474E, 3
+MAGIC, _VERSION = 0x5053474E, 3
 _MOST_BITS = 23  # after the binary point; a position has 24 with its sign
 _LARGEST = 2**23 - 1  # what a position of 24 bits holds
-_COLOUR = 0.15  # of the range of a byte, for a change of 1 in f_dc
+COLOUR = 0.15  # of the range of a byte, for a change of 1 in f_dc
 _LEVEL = 6  # of compression
 
 
@@ -44,12 +44,12 @@ def _content(splat: SplatFile) -> bytes:
             f"a position is {reach:g} scene units off the origin; spz holds up to {_LARGEST}"
         )
     bits = _MOST_BITS if reach == 0 else min(_MOST_BITS, math.floor(math.log2(_LARGEST / reach)))
-    head = struct.pack("<IIIBBBB", _MAGIC, _VERSION, len(splat), splat.sh_degree, bits, 0, 0)
+    head = struct.pack("<IIIBBBB", MAGIC, _VERSION, len(splat), splat.sh_degree, bits, 0, 0)
     fixed = np.round(splat.means.astype(np.float64) * 2.0**bits).astype("<i4")
     sections = (
         np.ascontiguousarray(fixed).view(np.uint8).reshape(-1, 3, 4)[:, :, :3],
         _bytes(255.0 * splat.opacities),
-        _bytes(255.0 * (_COLOUR * splat.sh[:, 0] + 0.5)),
+        _bytes(255.0 * (COLOUR * splat.sh[:, 0] + 0.5)),
         _bytes(16.0 * (layout.log_scale(splat.scales) + 10.0)),
         smallest_three(splat.quats),
         _bytes(128.0 * (splat.sh[:, 1:] + 1.0)),

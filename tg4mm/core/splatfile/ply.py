@@ -1,0 +1,253 @@
+"""A PLY of Gaussians: ours, with motion, and those of other programs (docs/conventions.md, "Splat file")."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from ..errors import SplatFileError
+from . import layout, supersplat
+from .drawable import drawable
+from .header import ASCII, Element, Header, read_header
+from .model import SH_COUNTS, SplatFile
+from .rows import blocks, check_size, columns
+from .source import Head, Options
+
+MODE_NAME = re.compile(r"mode_[0-9]+_(re|im)_r?[xyz]")
+RGB = ("red", "green", "blue")
+FILTER = ("filter_3D",)  # of Mip-Splatting, scene units
+PREFIX = "scalar_"  # of CloudCompare, before each property that it does not know
+NEEDED = (*layout.POSITION, *layout.F_DC, *layout.OPACITY, *layout.SCALE, *layout.ROTATION)
+OF_SPLATS = (*layout.OPACITY, *layout.SCALE, *layout.ROTATION)
+DEGREES = (*SH_COUNTS, 25)  # coefficients a channel, degree 0 to 4
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Which properties hold what; () where there are none."""
+
+    colour: tuple[str, ...]
+    rest: tuple[str, ...]
+    scale: tuple[str, ...]
+    filter: tuple[str, ...]
+    modes: int
+    deviations: tuple[str, ...]
+    about: dict[str, Any]
+    notes: tuple[str, ...]
+
+
+def head_of_ply(file: BinaryIO) -> Head:
+    """What the header says."""
+    header = read_header(file)
+    vertex = _vertex(header)
+    known = len((header.about or {}).get("frequencies_hz", []))
+    return Head("PLY", vertex.count, known, 0 if known else _modes_of(vertex.properties))
+
+
+def read_ply(file: BinaryIO, size: int, options: Options) -> SplatFile:
+    """The Gaussians of a PLY of `size` bytes. SplatFileError without the file's name."""
+    header = read_header(file)
+    vertex = _vertex(header)
+    if "packed_position" in vertex.properties:
+        check_size(header, size)
+        return supersplat.read(file, header, vertex)
+    plan = _plan(vertex.properties, header.about, options)
+    check_size(header, size)
+    if header.form == ASCII and (file.seek(size - 1), file.read(1))[1] != b"\n":
+        plan = replace(plan, notes=("its last line has no end: the last number may be cut off", *plan.notes))
+    return _read(file, header, vertex, plan)
+
+
+def _vertex(header: Header) -> Element:
+    """The vertex element, its properties by the names that we know."""
+    found = [element for element in header.elements if element.name == "vertex"]
+    if len(found) != 1:
+        raise SplatFileError(f"header has {len(found)} vertex elements; expected 1")
+    if found[0].lists:
+        raise SplatFileError(
+            f"element vertex has a list property, {found[0].lists[0]}; splat files have none"
+        )
+    if found[0].count == 0:
+        raise SplatFileError("element vertex has 0 entries; expected at least one Gaussian")
+    names = found[0].properties
+    for name in [n for n in names if n.startswith(PREFIX) and n.removeprefix(PREFIX) not in names]:
+        _rename(names, name, name.removeprefix(PREFIX))
+    return found[0]
+
+
+def _rename(names: dict[str, str], old: str, new: str) -> None:
+    """Rename a key, which stays in its place: the order is that of the data."""
+    items = [(new if name == old else name, kind) for name, kind in names.items()]
+    names.clear()
+    names.update(items)
+
+
+def _plan(names: dict[str, str], about: dict[str, Any] | None, options: Options) -> Plan:
+    notes: list[str] = []
+    missing = [name for name in NEEDED if name not in names]
+    colour: tuple[str, ...] = layout.F_DC
+    scale: tuple[str, ...] = layout.SCALE
+    if set(missing) >= set(OF_SPLATS) and not set(missing) & set(layout.POSITION):
+        raise SplatFileError(
+            "is a point cloud, without opacity, scale and rotation: there are no splats in it"
+        )
+    if set(layout.F_DC) <= set(missing) and all(names.get(name) == "<u1" for name in RGB):
+        colour, missing = RGB, [name for name in missing if name not in layout.F_DC]
+    if missing == ["scale_2"]:
+        scale, missing = layout.SCALE[:2], []
+        notes.append("2D Gaussian splatting: flat discs, read as Gaussians of no thickness")
+    if missing:
+        raise SplatFileError(f"property {missing[0]} is missing, {len(missing)} in all")
+    n_rest = sum(name.startswith("f_rest_") for name in names)
+    counts = [3 * (k - 1) for k in DEGREES]
+    rest = layout.f_rest(n_rest)
+    if n_rest not in counts or any(name not in names for name in rest):
+        raise SplatFileError(f"has {n_rest} f_rest properties; expected f_rest_0 on, {counts} of them")
+    filter = FILTER if FILTER[0] in names else ()
+    if filter:
+        notes.append("Mip-Splatting's filter_3D is in the scales and opacities")
+    about, m = _motion(names, about, options, notes)
+    deviations = _deviations(names, m)
+    modes = [name for k in range(m) for name in layout.mode(k)]
+    shape = (*layout.POSITION, *scale, *layout.OPACITY, *layout.ROTATION)
+    _check_floats(
+        names, (*shape, *(colour if colour is not RGB else ()), *rest, *filter, *modes, *deviations)
+    )
+    return Plan(colour, rest, scale, filter, m, deviations, about, tuple(notes))
+
+
+def _check_floats(names: dict[str, str], used: Sequence[str]) -> None:
+    whole = [name for name in used if names[name] not in ("<f4", "<f8")]
+    if whole:
+        raise SplatFileError(f"property {whole[0]} is a whole number type; expected float or double")
+
+
+def _modes_of(names: dict[str, str]) -> int:
+    """Modes of which all twelve properties are there, from mode_0 on."""
+    m = 0
+    while all(name in names for name in layout.mode(m)):
+        m += 1
+    return m
+
+
+def _motion(
+    names: dict[str, str], about: dict[str, Any] | None, options: Options, notes: list[str]
+) -> tuple[dict[str, Any], int]:
+    """What the file says of its motion, or the one who opens it, and the number of modes to read."""
+    n_mode, there = sum(MODE_NAME.fullmatch(name) is not None for name in names), _modes_of(names)
+    if about is not None:
+        m = len(about["frequencies_hz"])
+        if n_mode != 12 * m or there != m:
+            raise SplatFileError(
+                f"has {n_mode} mode properties; {m} frequencies_hz need {12 * m}, mode_0_re_x on"
+            )
+        return about, m
+    if not n_mode:
+        return {}, 0
+    if not options.freqs_hz:
+        notes.append(
+            f"opened still: it has {n_mode} properties of modes but no 'comment tg4mm' line with their frequencies; "
+            "say these to let it move"
+        )
+        return {}, 0
+    if len(options.freqs_hz) != there or n_mode != 12 * there:
+        raise SplatFileError(
+            f"{len(options.freqs_hz)} frequencies were said, and the file has {n_mode} mode properties, twelve a mode"
+        )
+    notes.append(f"frequencies as said: {', '.join(f'{f:g}' for f in options.freqs_hz)} Hz")
+    frequencies = list(options.freqs_hz)
+    slowest = min((f for f in frequencies if f > 0), default=options.fps)
+    steps = max(1, round(options.fps / slowest)) if slowest else 1  # a period of the slowest
+    return {"frequencies_hz": frequencies, "fps": options.fps, "n_timesteps": steps}, there
+
+
+def _deviations(names: dict[str, str], m: int) -> tuple[str, ...]:
+    """The properties that hold the modes' standard deviations, () if there are none."""
+    wanted = tuple(layout.deviation(k) for k in range(m))
+    there = [name for name in wanted if name in names]
+    if there and len(there) != m:
+        missing = next(name for name in wanted if name not in there)
+        raise SplatFileError(f"has {there[0]} but no {missing}; expected one for each of {m} modes, or none")
+    return wanted if there else ()
+
+
+def _read(file: BinaryIO, header: Header, vertex: Element, plan: Plan) -> SplatFile:
+    n, k, m = vertex.count, 1 + len(plan.rest) // 3, plan.modes
+    means, quats = np.empty((n, 3), np.float32), np.empty((n, 4), np.float32)
+    logs, logits = np.full((n, 3), -np.inf, np.float32), np.empty(n, np.float32)
+    smooth = np.zeros(n, np.float32) if plan.filter else None
+    sh = np.empty((n, k, 3), np.float32)
+    displacement, rotation = (np.empty((m, n, 3), np.complex64) for _ in range(2))
+    deviation = np.empty((m, n), np.float32) if plan.deviations else None
+    start = 0
+    with np.errstate(
+        over="ignore"
+    ):  # a double past float32's range becomes infinity, which `drawable` counts
+        for block in blocks(file, header, vertex):
+            rows = slice(start, start := start + len(block))
+            means[rows] = columns(block, layout.POSITION)
+            quats[rows] = columns(block, layout.ROTATION)
+            logs[rows, : len(plan.scale)] = columns(block, plan.scale)
+            logits[rows] = columns(block, layout.OPACITY)[:, 0]
+            sh[rows, 0] = columns(block, plan.colour)
+            sh[rows, 1:] = columns(block, plan.rest).reshape(len(block), 3, k - 1).transpose(0, 2, 1)
+            if smooth is not None:
+                smooth[rows] = columns(block, plan.filter)[:, 0]
+            for i in range(m):
+                parts = columns(block, layout.mode(i))
+                for phasors, at in ((displacement[i, rows], 0), (rotation[i, rows], 6)):
+                    phasors.real, phasors.imag = parts[:, at : at + 3], parts[:, at + 3 : at + 6]
+            if deviation is not None:
+                deviation[:, rows] = columns(block, plan.deviations).T
+    if plan.colour is RGB:
+        sh[:, 0] = layout.f_dc(sh[:, 0] / 255)
+    notes = (*plan.notes, *_infinite(logs[:, : len(plan.scale)], logits))
+    with np.errstate(over="ignore"):
+        scales, opacities = np.exp(logs), layout.sigmoid(logits)
+    if smooth is not None:
+        scales, opacities = _smoothed(scales, opacities, smooth)
+    fields: dict[str, Any] = {
+        "means": means,
+        "quats": quats,
+        "scales": scales,
+        "opacities": opacities,
+        "sh": sh,
+    }
+    if m:
+        fields |= {"displacement": displacement, "rotation": rotation, "deviation": deviation}
+    return drawable(fields | _said(plan.about, m), notes)
+
+
+def _said(about: dict[str, Any], m: int) -> dict[str, Any]:
+    """The fields of SplatFile that the line `comment tg4mm` gives."""
+    fields: dict[str, Any] = {
+        "fps": float(about.get("fps") or 0.0),
+        "n_timesteps": 1 if about.get("n_timesteps") is None else int(about["n_timesteps"]),
+        "time_origin_s": float(about.get("time_origin_s") or 0.0),
+    }
+    for key in ("unit_scale_m", "low_pass_px2"):
+        fields[key] = None if about.get(key) is None else float(about[key])
+    return fields | ({"freqs_hz": np.array(about["frequencies_hz"], np.float64)} if m else {})
+
+
+def _infinite(logs: np.ndarray, logits: np.ndarray) -> list[str]:
+    """What is said of Gaussians that are legal and odd: log 0 and the logits of 0 and 1."""
+    flat, ends = int(np.isneginf(logs).any(axis=1).sum()), int(np.isinf(logits).sum())
+    told = []
+    if flat:
+        told.append(f"{flat:,} of {len(logits):,} Gaussians have a scale of log 0: read as flat")
+    if ends:
+        told.append(f"{ends:,} of {len(logits):,} Gaussians have an infinite logit: read as opacity 0 or 1")
+    return told
+
+
+def _smoothed(scales: np.ndarray, opacities: np.ndarray, smooth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Scales [N, 3] and opacities [N] with Mip-Splatting's 3D filter (Yu et al. 2024, Eq. 9)."""
+    wide = np.sqrt(scales.astype(np.float64) ** 2 + smooth.astype(np.float64)[:, None] ** 2)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        part = np.where(wide > 0, scales / wide, 1.0).prod(axis=1)
+    return wide, opacities * part
