@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from tg4mm.core.temporary import clean_once, flush, temporary_name
+from tg4mm.core.temporary import replacing
 from tg4mm.core.work_folder import WorkFolder
 
 from . import exr
@@ -31,16 +31,10 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 @contextlib.contextmanager
 def whole(path: Path) -> Iterator[Path]:
-    """A name to write to, renamed to `path` at the end; removed where the writing fails, as on a full disk."""
+    """A name with the suffix of `path` to write to, renamed to it at the end; its folder is made."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    clean_once(path.parent)
-    temporary = temporary_name(path, path.suffix)
-    try:
+    with replacing(path, path.suffix) as temporary:
         yield temporary
-        flush(temporary)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def write_json(path: Path, data: Any) -> None:

@@ -51,13 +51,15 @@ def test_on_windows_a_file_that_is_open_elsewhere_is_waited_for(
             raise PermissionError(13, "The process cannot access the file", str(target))
         replace(source, target)
 
-    monkeypatch.setattr("tg4mm.core.files.os.replace", held)
-    monkeypatch.setattr("tg4mm.core.files.WINDOWS", True)
+    monkeypatch.setattr("tg4mm.core.temporary.os.replace", held)
+    monkeypatch.setattr("tg4mm.core.temporary.WINDOWS", True)
     write_json(tmp_path / "a.json", 1)
     assert (tmp_path / "a.json").read_text() == "1\n"
     assert len(calls) == 3
     calls.clear()
-    monkeypatch.setattr("tg4mm.core.files.WINDOWS", False)  # elsewhere it is a fault, which is not waited for
+    monkeypatch.setattr(
+        "tg4mm.core.temporary.WINDOWS", False
+    )  # elsewhere it is a fault, which is not waited for
     with pytest.raises(PermissionError):
         write_json(tmp_path / "a.json", 2)
     assert (tmp_path / "a.json").read_text() == "1\n"
@@ -68,9 +70,9 @@ def test_on_windows_waiting_has_an_end(tmp_path: Path, monkeypatch: pytest.Monke
     def held(source: Path, target: Path) -> None:
         raise PermissionError(13, "The process cannot access the file", str(target))
 
-    monkeypatch.setattr("tg4mm.core.files.os.replace", held)
-    monkeypatch.setattr("tg4mm.core.files.WINDOWS", True)
-    monkeypatch.setattr("tg4mm.core.files._PATIENCE_S", 0.1)
+    monkeypatch.setattr("tg4mm.core.temporary.os.replace", held)
+    monkeypatch.setattr("tg4mm.core.temporary.WINDOWS", True)
+    monkeypatch.setattr("tg4mm.core.temporary._PATIENCE_S", 0.1)
     with pytest.raises(PermissionError):
         write_json(tmp_path / "a.json", 1)
     assert list(tmp_path.iterdir()) == []

@@ -8,20 +8,14 @@ import json
 import math
 import os
 import shutil
-import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tg4mm.core.temporary import clean_once, flush, temporary_name
+from tg4mm.core.temporary import WINDOWS, replacing
 
 if TYPE_CHECKING:
     from filelock import BaseFileLock
-
-# Windows neither deletes nor replaces a file that is open or mapped into memory.
-WINDOWS = sys.platform == "win32"
-_PATIENCE_S = 2.0  # for a virus scanner or an indexer to close a file that was just written
 
 
 def write_atomic(path: Path, write: Callable[[Path], object]) -> None:
@@ -29,14 +23,8 @@ def write_atomic(path: Path, write: Callable[[Path], object]) -> None:
 
     The temporary file lies in the same folder (`tg4mm/core/temporary.py`); what killed processes left there is removed.
     """
-    clean_once(path.parent)
-    temporary = temporary_name(path)
-    try:
+    with replacing(path) as temporary:
         write(temporary)
-        flush(temporary)
-        rename(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def link_or_copy(source: Path, target: Path) -> None:
@@ -46,18 +34,6 @@ def link_or_copy(source: Path, target: Path) -> None:
         os.link(source.resolve(), target)
     except OSError:  # another disk, or a file system without links
         write_atomic(target, lambda temporary: shutil.copyfile(source, temporary))
-
-
-def rename(source: Path, target: Path) -> None:
-    """`os.replace`, on Windows tried for two seconds while another program has one of the files open."""
-    end = time.monotonic() + (_PATIENCE_S if WINDOWS else 0.0)
-    while True:
-        try:
-            return os.replace(source, target)
-        except PermissionError:
-            if time.monotonic() >= end:
-                raise
-            time.sleep(0.05)
 
 
 def write_json(path: Path, value: object) -> None:

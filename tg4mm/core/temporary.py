@@ -1,4 +1,4 @@
-"""Names of files that are being written, and what a kill leaves of them. Needs Python's own library alone."""
+"""Files that are whole or absent: how they are written, and what a kill leaves. Needs Python's own library alone."""
 
 from __future__ import annotations
 
@@ -9,11 +9,15 @@ import platform
 import re
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 _HOST = re.sub(r"\W+", "_", platform.node(), flags=re.ASCII)[:40] or "host"
 # .<name>.<machine>-<process>.tmp<suffix>; without a machine as former versions wrote it
 _FORM = re.compile(r"\.(?P<name>.+)\.(?:(?P<host>\w+)-)?(?P<process>[0-9a-f]+)\.tmp(?:\.\w+)?", re.ASCII)
+# Windows neither deletes nor replaces a file that is open or mapped into memory.
+WINDOWS = sys.platform == "win32"
+_PATIENCE_S = 2.0  # for a virus scanner or an indexer to close a file that was just written
 _STARTED = time.time() - 1.0  # file systems have coarse clocks
 _STALE_S = 3600.0  # since its last change, after which a file is a leftover wherever its writer was
 
@@ -21,6 +25,35 @@ _STALE_S = 3600.0  # since its last change, after which a file is a leftover whe
 def temporary_name(path: Path, suffix: str = "") -> Path:
     """A name beside `path` that no reader takes for data. suffix: what it ends in, for writers that go by that."""
     return path.with_name(f".{path.name}.{_HOST}-{os.getpid()}.tmp{suffix}")
+
+
+@contextlib.contextmanager
+def replacing(path: Path, suffix: str = "") -> Iterator[Path]:
+    """A name beside `path` to write to, renamed to it at the end; a kill leaves the old file whole.
+
+    What is at that name is removed where the writing fails, as on a full disk, and what killed processes left in the
+    folder. suffix: what the name ends in, for writers that go by that.
+    """
+    clean_once(path.parent)
+    temporary = temporary_name(path, suffix)
+    try:
+        yield temporary
+        flush(temporary)
+        rename(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def rename(source: Path, target: Path) -> None:
+    """`os.replace`, on Windows tried for two seconds while another program has one of the files open."""
+    end = time.monotonic() + (_PATIENCE_S if WINDOWS else 0.0)
+    while True:
+        try:
+            return os.replace(source, target)
+        except PermissionError:
+            if time.monotonic() >= end:
+                raise
+            time.sleep(0.05)
 
 
 def flush(path: Path) -> None:
@@ -75,7 +108,7 @@ def _writes(process: int, changed: float) -> bool:
 
 
 def _lives(process: int) -> bool:
-    if sys.platform == "win32":  # os.kill is Ctrl+C there
+    if WINDOWS:  # os.kill is Ctrl+C there
         try:
             import psutil
         except ImportError:

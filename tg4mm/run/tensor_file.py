@@ -15,7 +15,8 @@ from safetensors.torch import save
 from torch import Tensor
 
 from tg4mm.core.errors import RunError
-from tg4mm.core.files import WINDOWS, write_atomic
+from tg4mm.core.files import write_atomic
+from tg4mm.core.temporary import WINDOWS
 from tg4mm.core.untrusted import parse_json
 
 FORMAT = "tg4mm"

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
+from .. import temporary
 from ..errors import SplatFileError
-from ..temporary import clean_once, flush, temporary_name
 from . import layout
 from .model import SplatFile
 
@@ -32,7 +31,7 @@ def write_splat(path: str | Path, splat: SplatFile) -> None:
     Raises:
         SplatFileError: the file cannot be written.
     """
-    with replacing(Path(path)) as temporary, temporary.open("wb") as file:
+    with replacing(Path(path)) as name, name.open("wb") as file:
         file.write(_header(splat))
         for block in _blocks(splat):
             file.write(block.tobytes())
@@ -40,22 +39,14 @@ def write_splat(path: str | Path, splat: SplatFile) -> None:
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A name beside `path` to write to, renamed to it at the end and removed where the writing fails.
-
-    Raises SplatFileError, which names the file, for what the system or the writer says.
-    """
-    clean_once(path.parent)
-    temporary = temporary_name(path, path.suffix)
+    """As `temporary.replacing`; raises SplatFileError, which names the file, for what the system or the writer says."""
     try:
-        yield temporary
-        flush(temporary)
-        os.replace(temporary, path)
+        with temporary.replacing(path, path.suffix) as name:
+            yield name
     except OSError as error:
         raise SplatFileError(f"{path}: cannot be written: {error.strerror or error}") from error
     except SplatFileError as error:
         raise SplatFileError(f"{path}: {error}") from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _names(splat: SplatFile) -> list[str]:
