@@ -13,10 +13,10 @@ from .. import compat, names, preferences
 from ..core.errors import Tg4mmError
 from ..core.splatfile.read import ENDINGS
 from ..core.splatfile.source import Options
-from ..nodes import scene
+from ..nodes import receiving, scene
 from ..nodes.blending import true_colours
 from ..panels import showing
-from . import loading, receiving, saving, upright, webp
+from . import loading, saving, upright, webp
 
 
 class IMPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ImportHelper):

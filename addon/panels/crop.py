@@ -8,8 +8,7 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty
 
 from ..core.errors import Tg4mmError
-from ..io import receiving
-from ..nodes import points, scene
+from ..nodes import points, receiving, scene
 from . import cropping, meshing
 from .panel import _SplatTab
 

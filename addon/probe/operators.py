@@ -11,8 +11,8 @@ from bpy_extras.io_utils import ExportHelper
 
 from .. import preferences
 from ..core.errors import Tg4mmError
-from ..io import receiving, saving
-from ..nodes import scene
+from ..io import saving
+from ..nodes import receiving, scene
 from . import picking, probe
 
 MOST_ROWS = 5_000_000  # of a series: some 300 MB

@@ -31,7 +31,7 @@ ADDON = (
     "io/import_splat",
     "io/loading",
     "io/numbered",
-    "io/receiving",
+    "nodes/receiving",
     "io/saving",
     "io/splats",
     "io/upright",
