@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from tg4mm.capture.confine import inside
 from tg4mm.capture.timing import CLOCKS
 from tg4mm.core.choices import KINDS
@@ -22,6 +24,7 @@ _COUNTS = ("width", "height", "n_train", "n_test", "codec_period")
 _TYPES: dict[str, tuple[type, str]] = {
     "scene": (str, "a string"),
     "background": (str, "a string"),
+    "between": (str, "a string of 0 and 1"),
     "sfm": (dict, "an object {…}"),
     "engine": (dict, "an object {…}"),
     "modes": (list, "a list of objects"),
@@ -45,6 +48,14 @@ def codec_period(root: Path) -> int | None:
     """Frames, as `tg4mm sfm` found it in the video; None for pictures, and where a video has no such period."""
     period = read_scene(root, needs_fps=False).values.get("codec_period")
     return int(period) if period and 2 <= period <= LONGEST_CODEC_PERIOD else None
+
+
+def between_frames(root: Path, n_timesteps: int) -> np.ndarray | None:
+    """[T] bool: frames of the one video that its codec predicts from both sides; None where that is not known."""
+    text = read_scene(root, needs_fps=False).values.get("between")
+    if not isinstance(text, str) or len(text) != n_timesteps or text.strip("01"):
+        return None
+    return np.array([bit == "1" for bit in text])
 
 
 def read_scene(root: Path, needs_fps: bool) -> Scene:

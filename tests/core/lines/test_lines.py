@@ -81,10 +81,10 @@ def test_two_lines_two_and_a_half_bins_apart_are_two_and_half_a_bin_apart_are_no
 
 
 def test_a_strength_that_changes_is_no_second_line() -> None:
-    """Amplitude modulation by a slow random envelope has sidebands on both sides."""
+    """A slow modulation of the amplitude has sidebands on both sides."""
     rng, t = np.random.default_rng(2), np.arange(360) / FPS
-    slow = np.interp(t, np.linspace(0, 12, 7), 1 + 0.1 * rng.normal(size=7))
-    values = slow * np.cos(2 * np.pi * 5.3 * t) + 0.002 * rng.normal(size=360)
+    slow = 1 + 0.1 * np.cos(2 * np.pi * 0.15 * t + 1) + 0.05 * np.cos(2 * np.pi * 0.27 * t + 2)
+    values = slow * np.cos(2 * np.pi * 5.3 * t) + 0.005 * rng.normal(size=360)
     lines = find_lines(values, t).lines
     assert [round(line.hz, 1) for line in lines] == [5.3]
     assert abs(lines[0].hz - 5.3) < 3 * lines[0].hz_deviation
@@ -115,6 +115,32 @@ def test_components_share_the_frequency_and_keep_their_own_phasors_in_correlated
     assert abs(line.hz - 4.321) < 3 * line.hz_deviation
     assert (np.abs(line.amplitude - np.abs(phasors)) < 3.5 * line.amplitude_deviation).all()
     assert line.amplitude_deviation[2] > 5 * line.amplitude_deviation[1]
+
+
+def test_pictures_that_lose_small_motion_do_not_count() -> None:
+    """Three of four keep a share of a ring-down that falls with its size: a false decay and a line at rate/2 − f."""
+    t, rng = np.arange(300) / 60, np.random.default_rng(8)
+    between = np.arange(300) % 4 != 0
+    true = 0.22 * ring(t, 9.1, 0.02)
+    kept = np.where(between, 1 - 0.5 * np.exp(-np.exp(-1.14 * t) * 4) - 0.08 * (np.arange(300) % 4 == 2), 1)
+    values = true * kept + 0.003 * rng.normal(size=300)
+    fooled = find_lines(values, t).lines
+    assert fooled[0].damping is not None
+    assert fooled[0].damping_deviation is not None
+    assert fooled[0].damping - 0.02 > 3 * fooled[0].damping_deviation
+    (line,) = find_lines(values, t, between=between).lines
+    assert line.damping is not None
+    assert line.damping_deviation is not None
+    assert abs(line.damping - 0.02) < 3 * line.damping_deviation < 0.003
+    assert abs(line.hz - 9.1) < 3 * line.hz_deviation
+
+
+def test_pictures_that_lose_nothing_count() -> None:
+    t, rng = np.arange(300) / 60, np.random.default_rng(9)
+    values = 0.22 * ring(t, 9.1, 0.02) + 0.003 * rng.normal(size=300)
+    all_of_them = one(values, t)
+    (line,) = find_lines(values, t, between=np.arange(300) % 4 != 0).lines
+    assert line.hz_deviation == all_of_them.hz_deviation
 
 
 def test_frequencies_lie_between_the_ends_and_known_ones_are_refined() -> None:

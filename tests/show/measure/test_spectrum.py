@@ -46,7 +46,7 @@ def test_noise_alone_passes_the_floor_in_few_records_of_many() -> None:
         bool(spectrum_of(TIMES, v, s / 1.5).peaks)
         for v, s in (noisy(np.zeros((60, 3)), 1.0, k) for k in range(50))
     )
-    assert low > 10  # deviations that are too small are noticed
+    assert low <= 3  # noise is what the record itself shows, where less is said of it
     assert CHANCE == 0.01
 
 

@@ -54,6 +54,7 @@ class Survey:
     codec_period: (
         int | None
     )  # frames, from one that the codec predicts forward to the next; None: it has no period
+    between: str  # T of 0 and 1: which the codec predicts from both sides; "" of a folder
     created_s: float | None  # when the recording began, seconds since 1970
 
     def __len__(self) -> int:
@@ -141,8 +142,15 @@ def _read(clip: Clip, folder: Path, record: dict[str, Any]) -> Survey:
         frozen=frozen,
         sharpness=sharpness,
         codec_period=found.whole("codec_period", 2) if found.has("codec_period") else None,
+        between=_bits(record.get("between", ""), len(sharpness)),
         created_s=found.number("created_s") if found.has("created_s") else None,
     )
+
+
+def _bits(text: Any, count: int) -> str:
+    if not isinstance(text, str) or text.strip("01") or len(text) not in (0, count):
+        raise ValueError(f"between is {text!r}, expected {count} of 0 and 1")
+    return text
 
 
 def _positive(rate: Fraction) -> Fraction:
@@ -245,6 +253,7 @@ class _Look:
             "frozen": self._novelty.frozen_frames()[kept].tolist(),
             "sharpness": [self.sharpness[k] for k in kept],
             "codec_period": codec_period(np.array(self._between)) if repeats is None else None,
+            "between": "".join("01"[self._between[k]] for k in kept) if any(self._between) else "",
             "created_s": info.created.timestamp() if info is not None and info.created is not None else None,
         }
 

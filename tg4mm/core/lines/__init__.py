@@ -6,13 +6,14 @@
         line.phasor, line.amplitude_deviation    # [D] complex, [D]: u(t) = envelope(t) Re[phasor exp(i 2π f t)]
         line.damping, line.damping_deviation     # ζ = decay / (2π f), None unless a test says that it rings down
         line.change                              # "steady", "decays", "grows", "begins" or "untold", each tested
-    fit_lines(values, times_s, hz)               # the same at frequencies [K] that are known to within a bin
+    fit_lines(values, times_s, hz)               # the same at frequencies [K] that are known to within a bin, or with
+                                                 # the frequencies and envelopes of other lines [K]
 
 This is the one estimate of a frequency in tg4mm: training, sensors, renders and reports all take it from here.
 """
 
-from tg4mm.core.lines.find import find_lines, fit_lines
+from tg4mm.core.lines.find import find_lines, fit_lines, projected
 from tg4mm.core.lines.line import Line
-from tg4mm.core.lines.record import Lines
+from tg4mm.core.lines.record import FEWEST, Lines
 
-__all__ = ["Line", "Lines", "find_lines", "fit_lines"]
+__all__ = ["FEWEST", "Line", "Lines", "find_lines", "fit_lines", "projected"]

@@ -14,10 +14,12 @@ import numpy as np
 from scipy.stats import chi2
 from scipy.stats import f as f_distribution
 
+from tg4mm.core.lines.between import without_between
+from tg4mm.core.lines.line import Line
 from tg4mm.core.lines.model import Shape, refined, solved
 from tg4mm.core.lines.noise import degrees
 from tg4mm.core.lines.record import LEAST_CHANGE, Lines, Record, covariances, nothing, wald
-from tg4mm.core.lines.search import Candidate, candidates
+from tg4mm.core.lines.search import candidates
 
 _CHANCE = 0.01  # that noise alone makes a line in a record
 _TRIED = 6.0  # independent frequencies, decays and beginnings to each sample
@@ -31,13 +33,15 @@ def find_lines(
     noise: np.ndarray | float = 0.0,
     ends: tuple[float, float] | None = None,
     most: int = 8,
+    between: np.ndarray | None = None,
 ) -> Lines:
     """The lines of values [T] or [T, D] at times [T] in seconds, which need not be even.
 
     noise: standard deviation of each component's samples [D] that is known from elsewhere; the residual's own counts
     where it is larger. ends: the lowest and highest frequency looked at, Hz; 1.5 cycles in the record and half the
     rate less half of 1 / duration if not given. Components share frequencies and decays. Noise alone makes a line in
-    one record of a hundred. Of fewer than 12 samples, none.
+    one record of a hundred. Of fewer than 12 samples, none. between [T] bool: samples of pictures that a codec predicts
+    from both sides; where they say less of a line than the others, all is taken from the others (`between.py`).
     """
     record = Record.of(values, times_s, noise, ends)
     if record is None:
@@ -48,10 +52,16 @@ def find_lines(
         if more is None:
             break
         shapes = more
-    shapes = _settled(record, shapes)
-    while shapes and (kept := _told(record, shapes)) != shapes:
-        shapes = _settled(record, kept)
+        record = record.whitened(shapes)
+    shapes = _kept(record, shapes)
     found = record.result(shapes)
+    order = np.argsort([-line.strength for line in found.lines])
+    if between is not None and (
+        part := without_between(record, [shapes[k] for k in order], np.asarray(between, bool))
+    ):
+        lines = part[0].result(_kept(*part)).lines
+        left = found.residual + sum(line.at(record.t) for line in found.lines)
+        found = replace(found, lines=lines, residual=left - sum(line.at(record.t) for line in lines))
     strong = sorted(found.lines, key=lambda line: -line.strength)
     return replace(found, lines=tuple(strong))
 
@@ -59,35 +69,51 @@ def find_lines(
 def fit_lines(
     values: np.ndarray,
     times_s: np.ndarray,
-    hz: Sequence[float] | np.ndarray,
+    at: Sequence[float] | Sequence[Line] | np.ndarray,
     noise: np.ndarray | float = 0.0,
 ) -> Lines:
-    """One line for each of the frequencies `hz` [K], refined by 0.75 / duration at most; decays where they are told.
+    """One line for each of `at` [K], in their order.
 
-    The other arguments are `find_lines`'. Raises ValueError for fewer than 12 samples, or than four for each line.
+    Frequencies (Hz) are refined, by 0.75 / duration at most, and decay where that is told; lines, of another record at
+    the same times, keep their frequency and envelope. The other arguments are `find_lines`'. Raises ValueError for
+    fewer than 12 samples, or than four for each line and eight.
     """
     record = Record.of(values, times_s, noise, None)
-    if record is None or len(record.t) < 4 * len(hz) + 8:
-        raise ValueError(f"{len(times_s)} samples are too few for {len(hz)} lines")
-    shapes = [Shape(float(np.clip(f, *record.ends))) for f in hz]
+    if record is None or len(record.t) < 4 * len(at) + 8:
+        raise ValueError(f"{len(times_s)} samples are too few for {len(at)} lines")
+    lines = [own for own in at if isinstance(own, Line)]
+    if lines:
+        shapes = [_shape_of(own, record.t) for own in lines]
+        return record.whitened(shapes).result(shapes)
+    shapes = [Shape(float(hz)) for hz in np.clip(np.asarray(at, np.float64), *record.ends)]
+    record = record.whitened(refined(shapes, record.t, record.y, record.ends))
     return record.result(_settled(record, refined(shapes, record.t, record.y, record.ends)))
+
+
+def projected(lines: Sequence[Line], values: np.ndarray, times_s: np.ndarray) -> np.ndarray:
+    """[K, D] phasors of lines [K] in values [T, D], by least squares beside a slow trend; shapes as they are."""
+    shapes = [_shape_of(line, np.asarray(times_s, np.float64)) for line in lines]
+    phasors = solved(shapes, np.asarray(times_s, np.float64), np.asarray(values, np.float64))[0]
+    turn = [np.exp(-2j * np.pi * s.hz * s.middle_s(np.asarray(times_s))) for s in shapes]
+    return np.asarray(phasors * np.array(turn)[:, None])
+
+
+def _shape_of(line: Line, t: np.ndarray) -> Shape:
+    start = 0 if line.start_s is None else int(np.searchsorted(t, line.start_s - 1e-9))
+    return Shape(line.hz, line.decay_per_s, start)
 
 
 def _with_next(record: Record, shapes: list[Shape]) -> list[Shape] | None:
     """The shapes and one more, all refined; None where none stands out."""
     residual = solved(shapes, record.t, record.y)[1]
     floor = record.floor(residual)
-    found = candidates(residual, record.t, floor, shapes, record.ends)
-    tried = _TRIED * len(record.t)
-    degree, width = degrees(len(floor)), record.y.shape[1]
-
-    def chance(c: Candidate) -> float:
-        return float(f_distribution.sf(c.statistic / width, 2 * width, degree) * tried)
-
-    if not found or min(map(chance, found)) > _CHANCE:
+    width, tried = record.y.shape[1], _TRIED * len(record.t)
+    least = width * float(f_distribution.isf(_CHANCE / tried, 2 * width, degrees(len(floor))))
+    found = candidates(residual, record.t, floor, shapes, record.ends, least)
+    if max((c.statistic for c in found), default=0.0) < least:
         return None
     options = []
-    for c in found:
+    for c in (c for c in found if c.statistic > 0):
         own = replace(c.shape, is_free=c.shape.decay != 0)
         if own.start:
             own = _begun(record, shapes, own)
@@ -120,10 +146,9 @@ def _simplest(record: Record, options: list[list[Shape]]) -> list[Shape]:
     left = [solved(o, record.t, record.y)[1] for o in options]
     best = int(np.argmin([(r**2).sum() for r in left]))
     levels = record.levels(options[best], left[best])
-    duration = float(np.ptp(record.t))
+    at = record.bin_of(options[best][-1].hz, len(levels))
 
     def misfit(k: int) -> float:
-        at = int(np.clip(round(options[best][-1].hz * duration) - 1, 0, len(levels) - 1))
         return float(((left[k] ** 2).sum(0) / levels[at]).sum())
 
     chosen = 0
@@ -151,6 +176,14 @@ def _settled(record: Record, shapes: list[Shape]) -> list[Shape]:
     return refined(out, record.t, record.y, record.ends)
 
 
+def _kept(record: Record, shapes: list[Shape]) -> list[Shape]:
+    """Settled, the lines that are told."""
+    shapes = _settled(record, shapes)
+    while shapes and (kept := _told(record, shapes)) != shapes:
+        shapes = _settled(record, kept)
+    return shapes
+
+
 def _told(record: Record, shapes: list[Shape]) -> list[Shape]:
     """All but the weakest line that is not told from noise, from leftovers of a stronger one, or from its neighbour."""
     phasors, residual = solved(shapes, record.t, record.y)
@@ -159,7 +192,8 @@ def _told(record: Record, shapes: list[Shape]) -> list[Shape]:
     strength = np.array([wald(p, c) for p, c in zip(phasors, own, strict=True)])
     size = np.array([np.linalg.norm(p) for p in phasors])
     least = chi2.isf(_CHANCE / (_TRIED * len(record.t)), 2 * record.y.shape[1])
-    doubtful = (strength < least) | (size < _LEAST_SIZE * size.max())
+    at_end = np.array([min(abs(s.hz - e) for e in record.ends) < 1e-6 * record.ends[1] for s in shapes])
+    doubtful = at_end | (strength < least) | (size < _LEAST_SIZE * size.max())
     resolution = 1 / (float(np.ptp(record.t)) * len(record.t) / (len(record.t) - 1))
     for i, a in enumerate(shapes):
         for j, b in enumerate(shapes):
@@ -176,6 +210,6 @@ def _are_two(record: Record, shapes: list[Shape], i: int, j: int, levels: np.nda
     rest = [s for k, s in enumerate(shapes) if k not in (i, j)]
     one = refined([*rest, replace(shapes[j], is_free=True)], record.t, record.y, record.ends)
     left = [(solved(o, record.t, record.y)[1] ** 2).sum(0) for o in (one, shapes)]
-    at = int(np.clip(round(shapes[j].hz * float(np.ptp(record.t))) - 1, 0, len(levels) - 1))
+    at = record.bin_of(shapes[j].hz, len(levels))
     gain = float(((left[0] - left[1]) / levels[at]).sum())
     return gain > chi2.isf(_SURE / len(record.t), 2 * record.y.shape[1] + 1)

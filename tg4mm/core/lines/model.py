@@ -17,7 +17,7 @@ TREND = 2  # degree of the polynomial beside the lines
 _FURTHEST = 0.75  # over the duration, Hz: what a refinement may move a frequency by
 _STEEPEST = 0.5  # damping ratio
 _GROWS = 8.0  # e-foldings over the record, at most
-_STEPS = 40
+_STEPS = 25
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def refined(shapes: Sequence[Shape], t: np.ndarray, y: np.ndarray, ends: tuple[f
     x0 = np.clip(start, bounds[0] + 1e-9, np.maximum(bounds[1] - margin, bounds[0] + 1e-9))
     found = least_squares(
         misfit, x0, jacobian, bounds=bounds, x_scale="jac",
-        xtol=1e-9, ftol=1e-10, max_nfev=_STEPS,
+        xtol=1e-8, ftol=1e-9, max_nfev=_STEPS,
     )  # fmt: skip
     return _with(shapes, found.x, duration)
 

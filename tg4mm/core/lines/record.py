@@ -45,7 +45,7 @@ class Record:
     t: np.ndarray  # [T] s
     y: np.ndarray  # [T, D]
     back: np.ndarray  # [D, D] y @ back are the values
-    noise: np.ndarray  # [D] least standard deviation, in y's units
+    known: np.ndarray  # [D] least standard deviation of the values
     ends: tuple[float, float]
 
     @staticmethod
@@ -61,28 +61,39 @@ class Record:
         step = float(np.median(np.diff(t)))
         duration = float(np.ptp(t)) + step
         ends = ends or (LEAST_CYCLES / duration, 0.5 / step - 0.5 / duration)
-        own = np.broadcast_to(np.asarray(noise, np.float64), y.shape[1:])
-        forth = _whitening(y - trend(t) @ np.linalg.lstsq(trend(t), y, rcond=None)[0], t, own)
-        known = np.sqrt(np.einsum("ij,i->j", forth**2, own**2))
-        return Record(t, y @ forth, np.linalg.inv(forth), known, ends)
+        least = np.broadcast_to(np.asarray(noise, np.float64), y.shape[1:])
+        return Record(t, y, np.eye(y.shape[1]), least, ends).whitened(())
+
+    def whitened(self, shapes: Sequence[Shape]) -> Record:
+        """With the noise that these lines leave in new units: a strong line hides it before it is found."""
+        forth = _whitening(solved(shapes, self.t, self.y)[1] @ self.back, self.t, self.known)
+        return replace(self, y=self.y @ self.back @ forth, back=np.linalg.inv(forth))
 
     def levels(self, shapes: Sequence[Shape], residual: np.ndarray) -> np.ndarray:
         """[F, D] variance of the noise around each bin, by what is left there."""
         power = np.abs(spectra(residual, self.t)) ** 2
         taken = np.zeros(len(power))
-        duration = float(np.ptp(self.t))
         for s in shapes:
-            at = int(np.clip(round(s.hz * duration) - 1, 0, len(power) - 1))
-            taken[at] += 1 + (1 + s.is_free) / (2 * self.y.shape[1])
-        return np.maximum(around(power, taken), np.maximum(self.noise**2, self._least()))
+            taken[self.bin_of(s.hz, len(power))] += 1 + (1 + s.is_free) / (2 * self.y.shape[1])
+        return np.maximum(around(power, taken), self._least())
+
+    def folded(self, hz: float) -> float:
+        """Where a frequency appears in samples of this record's step."""
+        step = float(np.median(np.diff(self.t)))
+        return float(abs(hz - round(hz * step) / step))
+
+    def bin_of(self, hz: float, n_bins: int) -> int:
+        """The row of a level [n_bins, D] that a frequency belongs to."""
+        return int(np.clip(round(self.folded(hz) * float(np.ptp(self.t))) - 1, 0, n_bins - 1))
 
     def floor(self, residual: np.ndarray) -> np.ndarray:
         """[F, D] the same, lines that may still be there left out."""
-        found = level(np.abs(spectra(residual, self.t)) ** 2)
-        return np.maximum(found, np.maximum(self.noise**2, self._least()))
+        return np.maximum(level(np.abs(spectra(residual, self.t)) ** 2), self._least())
 
     def _least(self) -> np.ndarray:
-        return _TINY * (self.y**2).mean(0) + 1e-300
+        """[D] of a level: what is known, and rounding."""
+        known = np.einsum("ij,i->j", np.linalg.inv(self.back) ** 2, self.known**2)
+        return np.asarray(np.maximum(known, _TINY * (self.y**2).mean(0) + 1e-300))
 
     def result(self, shapes: Sequence[Shape]) -> Lines:
         """In the values' own units."""
@@ -122,14 +133,14 @@ def _whitening(y: np.ndarray, t: np.ndarray, noise: np.ndarray) -> np.ndarray:
     """[D, D] that makes the components' noise alike: by what they share away from the strongest bins."""
     spectrum = spectra(y, t)
     own = np.sqrt(np.median(np.abs(spectrum) ** 2, axis=0) / np.log(2))
-    own = np.maximum(np.maximum(own, noise), 1e-9 * np.sqrt((y**2).mean(0)) + 1e-300)
+    own = np.maximum(np.maximum(own, noise), 1e-9 * np.sqrt((y**2).mean()) + 1e-300)
     if not 1 < y.shape[1] <= _ALIKE:
         return np.diag(1 / own)
     scaled = spectrum / own
     power = (np.abs(scaled) ** 2).sum(1)
     quiet = scaled[power <= np.quantile(power, 0.7)]
     shared = (quiet.conj().T @ quiet).real
-    size = np.sqrt(np.diag(shared)) + 1e-300
+    size = np.sqrt(np.diag(shared)) + 1e-12 * np.sqrt(np.trace(shared)) + 1e-30
     alike = shared / np.outer(size, size) * (1 - 1e-3) + 1e-3 * np.eye(len(shared))
     return np.asarray(np.diag(1 / own) @ np.linalg.inv(np.linalg.cholesky(alike)).T)
 

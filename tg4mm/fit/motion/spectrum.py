@@ -99,7 +99,9 @@ TREND_CYCLES = 0.05  # per capture: a sine so slow that it is a straight line wi
 _MOST = 8  # sinusoids
 _WEAKEST = 1e-4  # of the power: weaker sinusoids stay in the bins
 _PEAK = 10.0  # times the mean power of one dimension of the residual: what counts as a peak
-_BETTER = 0.5  # of the residual of as many bins and one: sinusoids must leave less
+_EVIDENCE = (
+    10.0  # that BIC is to give for sinusoids against as many bins and one (Kass & Raftery 1995: very strong)
+)
 _APART = 0.75  # bins between sinusoids and to half the frame rate; the lowest is a bin less this tolerance
 _ON_BIN = 0.01  # bins: nearer than this is snapped to the bin
 _OVERSAMPLED = 8
@@ -139,12 +141,18 @@ def find_sinusoids(series: np.ndarray) -> Sinusoids:
         return none
     sinusoids, with_trend = _greedy(y, trend=False), _greedy(y, trend=True)
     unexplained, trend_unexplained = sinusoids.residual_power(y), with_trend.residual_power(y)
-    if trend_unexplained < _BETTER * unexplained and unexplained - trend_unexplained > _WEAKEST * power:
+    if _is_better(trend_unexplained, unexplained, power, len(y)):
         sinusoids, unexplained = with_trend, trend_unexplained
     by_bins = np.sort((np.abs(np.fft.rfft(y, axis=0)) ** 2).sum(1))[::-1] * 2 / len(y)
     bins_unexplained = float(np.maximum(power - by_bins[: len(sinusoids.cycles) + 1].sum(), 0))
-    is_better = unexplained < _BETTER * bins_unexplained and bins_unexplained - unexplained > _WEAKEST * power
-    return _on_bins(sinusoids) if is_better else none
+    return _on_bins(sinusoids) if _is_better(unexplained, bins_unexplained, power, len(y)) else none
+
+
+def _is_better(unexplained: float, others: float, power: float, n_timesteps: int) -> bool:
+    """Whether one description leaves less of the power than another of no fewer parameters does, by BIC."""
+    if others - unexplained <= _WEAKEST * power:
+        return False
+    return n_timesteps * np.log(others / max(unexplained, 1e-300)) > _EVIDENCE
 
 
 def _greedy(y: np.ndarray, trend: bool) -> Sinusoids:

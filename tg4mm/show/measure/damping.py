@@ -1,10 +1,8 @@
 """Damping of a vibration: by the logarithmic decrement where it rings down, by the half-power bandwidth where noise
 drives it.
 
-Ringing down is a sinusoid with an exponential envelope:
-
-u(t) = Re[m exp((i2πf − λ) t)] is fitted in the direction of the peak's orbit, f and λ by Gauss-Newton, m projected out;
-the logarithmic decrement is λ / f, the damping ratio ζ = λ / (2πf). All samples enter, so that no maxima need be found.
+Ringing down is a line with an exponential envelope (`core.lines`): Re[m exp((i2πf − λ) t)]; the logarithmic decrement
+is λ / f. All samples enter, so that no maxima need be found.
 
 What is driven at random (wind, traffic) has a peak of finite width: near resonance an oscillator's power spectrum is
 S(ν) = S₀ / (1 + (ν − f)² / (ζ f)²), half as high at f (1 ± ζ) [Bendat & Piersol 2010, ch. 6]. What a Hann window makes
@@ -14,21 +12,17 @@ the window's. Given where the peak is at least half as wide as the window's own.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import get_window, welch
 
-from tg4mm.show.measure.fourier import sinusoid_columns
+from tg4mm.core.lines import FEWEST, Line, fit_lines
 from tg4mm.show.measure.orbit import orbit_of
 from tg4mm.show.measure.series import Series
 from tg4mm.show.measure.spectrum import Peak
 
-_TOLD = 3.0  # deviations that a decay must stand out of
-_LEAST_DECAY = 0.15  # of the amplitude, over the record
-_STEEPEST = 40.0  # decay over the record, at most
 _SEGMENTS = 7, 15, 31, 63  # half-overlapping windows in the record
 _SHORTEST, _CYCLES = 32, 8.0  # of a window: samples, periods
 _BINS = 8  # that a peak is fitted to, at least
@@ -47,41 +41,20 @@ class Damping:
     method: str = "logarithmic decrement, exponential envelope fitted"
 
 
-def damping_of(series: Series, peaks: Sequence[Peak], k: int) -> Damping | None:
-    """Of peak k: of what rings down by its decay, else by its width; None where neither can be told.
+def damping_of(series: Series, peak: Peak) -> Damping | None:
+    """Of a peak of this series: of what rings down by its decay, else by its width; None where neither can be told."""
+    line = peak.line or _line_of(series, peak.frequency_hz)
+    if line is not None and line.damping is not None and line.damping_deviation is not None:
+        return Damping(line.damping, line.damping_deviation, line.decay_per_s)
+    return half_power(series.times_s, series.displacement @ orbit_of(peak).direction, peak.frequency_hz)
 
-    A decay must stand out of its deviation by three times, and be 15 % or more.
-    """
-    peak = peaks[k]
-    direction = orbit_of(peak).direction
-    others = [p.frequency_hz for j, p in enumerate(peaks) if j != k]
-    times = series.times_s - series.times_s[0]
-    duration = float(np.ptp(times))
-    values = series.displacement @ direction
-    sigma = np.where(series.is_told, series.noise, 0) @ np.abs(direction)
-    plain = sinusoid_columns(np.array(others), times) if others else np.ones((len(times), 1))
 
-    def left(p: np.ndarray) -> np.ndarray:
-        envelope = np.exp(-p[1] * (times - duration / 2) / duration)
-        angle = 2 * np.pi * p[0] * times
-        design = np.concatenate([plain, (envelope * [np.cos(angle), np.sin(angle)]).T], 1)
-        return np.asarray(values - design @ np.linalg.lstsq(design, values, rcond=None)[0])
-
-    start = np.array([peak.frequency_hz, 0.1])
-    near = 0.5 / duration
-    found = least_squares(
-        left, start, bounds=([start[0] - near, -8], [start[0] + near, _STEEPEST]), x_scale=[near, 1.0]
-    )
-    rest = float((found.fun**2).sum()) / max(len(times) - plain.shape[1] - 4, 1)
-    noise = max(float((sigma**2).mean()), rest)
-    covariance = np.linalg.pinv(found.jac.T @ found.jac) * noise
-    decay, deviation = float(found.x[1]), float(np.sqrt(covariance[1, 1]))
-    if decay > 0.99 * _STEEPEST:  # ended by the bound: gone too early in the record
+def _line_of(series: Series, hz: float) -> Line | None:
+    """At a frequency that was found in other records too."""
+    told = series.is_told
+    if len(series.times_s) < FEWEST or not series.displacement[:, told].any():
         return None
-    if decay < _TOLD * deviation or 1 - np.exp(-decay) < _LEAST_DECAY:
-        return half_power(series.times_s, values, peak.frequency_hz)
-    omega = 2 * np.pi * float(found.x[0]) * duration
-    return Damping(decay / omega, deviation / omega, decay / duration)
+    return fit_lines(series.displacement[:, told], series.times_s, [hz], series.noise[0, told]).lines[0]
 
 
 def half_power(times_s: np.ndarray, values: np.ndarray, frequency_hz: float) -> Damping | None:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from tg4mm.core.lines import FEWEST
 from tg4mm.fit.motion.mode_selection import frequency_notes
 from tg4mm.show.measure.orbit import main_is_above
 from tg4mm.show.measure.scene import Prepared
-from tg4mm.show.measure.spectrum import FEWEST
 
 if TYPE_CHECKING:
     from tg4mm.show.measure.sensor_result import SensorResult

@@ -50,11 +50,11 @@ def weights_of(sensor: Sensor, scene: Prepared, clusters: Mapping[int, np.ndarra
     return weights
 
 
-def body_of(weights: np.ndarray, scene: Prepared) -> tuple[Body, tuple[str, str, str]]:
+def body_of(weights: np.ndarray, scene: Prepared) -> tuple[Body, tuple[str, ...]]:
     """The rigid body of a region, and its axes' names: x, y, z of the world, or of one fixed camera right, up, sight.
 
     One camera's axes go by the line of sight to the region's centre, away from the camera: motion along it is hardly
-    seen. A flat capture's are its picture's.
+    seen. A flat capture has its picture's right and up alone.
     """
     seen = weights * scene.seen
     centre = (seen @ scene.means) / seen.sum()
@@ -64,14 +64,14 @@ def body_of(weights: np.ndarray, scene: Prepared) -> tuple[Body, tuple[str, str,
     if scene.is_moving or len(scene.views) > 1:
         return Body(weights, centre, radius, np.eye(3)), ("x", "y", "z")
     viewmat = scene.views[0].frames.viewmat.astype(np.float64)
-    return Body(
-        weights, centre, radius, sight_axes(viewmat, centre, scene.capture.kind == "flat")
-    ), OF_ONE_CAMERA
+    if scene.capture.kind == "flat":
+        return Body(weights, centre, radius, viewmat[:2, :3] * [[1.0], [-1.0]]), OF_ONE_CAMERA[:2]
+    return Body(weights, centre, radius, sight_axes(viewmat, centre)), OF_ONE_CAMERA
 
 
-def sight_axes(viewmat: np.ndarray, centre: np.ndarray, is_flat: bool = False) -> np.ndarray:
+def sight_axes(viewmat: np.ndarray, centre: np.ndarray) -> np.ndarray:
     """[3, 3], rows: the picture's right and up as seen at `centre`, and the line of sight."""
-    sight = viewmat[2, :3] if is_flat else viewmat[:3, :3].T @ viewmat[:3, 3] + centre
+    sight = viewmat[:3, :3].T @ viewmat[:3, 3] + centre
     sight = sight / np.linalg.norm(sight)
     right = viewmat[0, :3] - (viewmat[0, :3] @ sight) * sight
     right /= np.linalg.norm(right)

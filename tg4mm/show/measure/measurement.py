@@ -8,7 +8,7 @@ from itertools import count
 
 import numpy as np
 
-from tg4mm.capture.scene import codec_period
+from tg4mm.capture.scene import between_frames, codec_period
 from tg4mm.core.progress import progress
 from tg4mm.run import Run
 from tg4mm.show.measure.clips import ClipPhases, KnownPhases, Together, together
@@ -179,8 +179,10 @@ def _result(
     frames = scene.observations.frames
     scales = [_px_per_unit(f, body.centre) for f in frames]
     best = int(np.argmax(scales))
-    period = codec_period(scene.capture.root)
-    return SensorResult(sensor, body, tuple(series), scales[best], frames[best].name, clips, period)
+    root = scene.capture.root
+    between = between_frames(root, len(series[0].times_s)) if len(series) == 1 else None
+    found = tuple(series), scales[best], frames[best].name, clips, codec_period(root), between
+    return SensorResult(sensor, body, *found)
 
 
 def _px_per_unit(frames, centre: np.ndarray) -> float:

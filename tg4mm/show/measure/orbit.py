@@ -13,13 +13,13 @@ from tg4mm.show.measure.spectrum import Peak
 class Orbit:
     """Of Re[m exp(iωt)]: m = exp(iφ) (major + i minor), with major ⟂ minor."""
 
-    major: np.ndarray  # [3] scene units: half axis, its largest component positive
-    minor: np.ndarray  # [3]
+    major: np.ndarray  # [A] scene units: half axis, its largest component positive
+    minor: np.ndarray  # [A]
     phase: float  # radians, φ: the major axis is passed at ωt = −φ
 
     @property
     def direction(self) -> np.ndarray:
-        """[3] unit vector along the major axis."""
+        """[A] unit vector along the major axis."""
         return self.major / max(float(np.linalg.norm(self.major)), 1e-300)
 
     @property
@@ -51,5 +51,6 @@ def amplitude_deviation(peak: Peak, orbit: Orbit) -> float:
 
 
 def main_is_above(peak: Peak, orbit: Orbit) -> bool:
-    """Whether the motion along the main axis stands out of the floor, on some axis, and of twice its own deviation."""
-    return bool(peak.is_above.any()) and orbit.amplitude > 2 * amplitude_deviation(peak, orbit)
+    """Whether a peak is a line, or above the floor on some axis, and its main axis above twice its own deviation."""
+    is_told = peak.line is not None or bool(peak.is_above.any())
+    return is_told and orbit.amplitude > 2 * amplitude_deviation(peak, orbit)

@@ -69,7 +69,7 @@ def waveform(axes: Any, result: SensorResult, unit: Unit) -> None:
     """Displacement over time with a band of one standard deviation; of clips the first one's."""
     series = result.series
     marker = "." if len(series.times_s) <= _MARKED else ""
-    hidden = [series.labels[k] for k in range(3) if k not in _told(series)]
+    hidden = [series.labels[k] for k in range(len(series.labels)) if k not in _told(series)]
     for k in _told(series):
         value, error = series.displacement[:, k] * unit.factor, series.deviation[:, k] * unit.factor
         axes.plot(
@@ -95,7 +95,7 @@ def _factors(factor: float) -> tuple[Any, Any]:
 def spectrum(axes: Any, result: SensorResult, unit: Unit) -> None:
     """Amplitude over frequency, noise floor dashed, peaks named."""
     found = result.spectrum
-    told = np.flatnonzero(is_told(found.floor[0])).tolist()
+    told = np.flatnonzero(is_told(found.typical_floor)).tolist()
     for k in told:
         axes.semilogy(
             found.freqs_hz,
@@ -104,7 +104,7 @@ def spectrum(axes: Any, result: SensorResult, unit: Unit) -> None:
             lw=1.1,
         )
         axes.semilogy(found.freqs_hz, found.floor[:, k] * unit.factor, color=COLOURS[k], lw=1, ls=(0, (4, 3)))
-    lowest = min((float(found.floor[0, k]) for k in told), default=1e-9) * unit.factor
+    lowest = min((float(found.typical_floor[k]) for k in told), default=1e-9) * unit.factor
     top = max((float(found.amplitude[:, k].max()) for k in told), default=1.0) * unit.factor
     lowest = min(lowest, top) if lowest > 0 else top / 1e4
     for peak, orbit in zip(found.peaks, result.orbits, strict=True):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.signal import csd, welch
 
-from tg4mm.show.measure.fourier import sinusoid_columns
+from tg4mm.core.lines import fit_lines
 from tg4mm.show.measure.orbit import amplitude_deviation, orbit_of
 from tg4mm.show.measure.series import Series
 
@@ -45,11 +45,11 @@ class Relation:
 
 def relation_of(result: SensorResult, reference: SensorResult) -> Relation:
     """Of clips there is no coherence."""
-    hz = np.array([p.frequency_hz for p in reference.spectrum.peaks])
     phases = []
+    at_peaks = _at(result, reference)
     for k, peak in enumerate(reference.spectrum.peaks):
         orbit = orbit_of(peak)
-        own, deviation, is_above = _at(result, hz, k)
+        own, deviation, is_above = at_peaks[k]
         main = _main_direction(own)
         phase = float(np.angle(main @ own)) - orbit.phase
         amplitude = float(np.abs(main @ own))
@@ -59,7 +59,7 @@ def relation_of(result: SensorResult, reference: SensorResult) -> Relation:
         )
         phases.append(
             PhaseAt(
-                float(hz[k]),
+                peak.frequency_hz,
                 amplitude,
                 float((phase + np.pi) % (2 * np.pi) - np.pi),
                 min(error, np.pi),
@@ -73,20 +73,25 @@ def relation_of(result: SensorResult, reference: SensorResult) -> Relation:
     return Relation(reference.name, tuple(phases), freqs, coherence, segments, chance)
 
 
-def _at(result: SensorResult, hz: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray, bool]:
-    """[3] phasor of a sensor at frequency k of several, its deviations, and whether it stands out."""
-    floor = result.spectrum.floor[0]
+def _at(result: SensorResult, reference: SensorResult) -> list[tuple[np.ndarray, np.ndarray, bool]]:
+    """[A] phasor of a sensor at each of the reference's peaks, its deviations, and whether it stands out."""
+    peaks, level = reference.spectrum.peaks, result.spectrum.floor.min(0)
     if result.together is not None:
-        peak = min(result.together.everywhere, key=lambda p: abs(p.frequency_hz - hz[k]))
-        phasor = np.where(peak.is_told, peak.phasor, 0)
-        return phasor, np.where(peak.is_told, peak.deviation, 0), bool((np.abs(phasor) > floor).any())
-    design = sinusoid_columns(hz, result.times_s)
-    inverse = np.linalg.pinv(design)
-    answer, n = inverse @ result.displacement, len(hz)
-    finite = np.where(result.series.is_observed, result.series.noise, 0)
-    variance = inverse**2 @ finite**2
-    phasor = np.where(result.series.is_told, answer[1 + k] + 1j * answer[1 + n + k], 0)
-    return phasor, np.sqrt((variance[1 + k] + variance[1 + n + k]) / 2), bool((np.abs(phasor) > floor).any())
+        own = [
+            min(result.together.everywhere, key=lambda p: abs(p.frequency_hz - q.frequency_hz)) for q in peaks
+        ]
+        told = [(np.where(p.is_told, p.phasor, 0), np.where(p.is_told, p.deviation, 0)) for p in own]
+        return [(phasor, error, bool((np.abs(phasor) > level).any())) for phasor, error in told]
+    lines = [p.line for p in peaks if p.line is not None]
+    series, out = result.series, []
+    if not lines:
+        return []
+    found = fit_lines(series.displacement[:, series.is_told], series.times_s, lines)
+    for line in found.lines:
+        phasor, error = np.zeros(len(level), complex), np.zeros(len(level))
+        phasor[series.is_told], error[series.is_told] = line.phasor, line.amplitude_deviation
+        out.append((phasor, error, bool((np.abs(phasor) > np.maximum(level, 2 * error)).any())))
+    return out
 
 
 def _main_direction(phasor: np.ndarray) -> np.ndarray:

@@ -1,7 +1,8 @@
 """A region's rigid motion in every frame, by least squares through the Jacobian.
 
-E [K, N, 6] holds the motions of the region's Gaussians for a unit of each degree of freedom: three translations along
-the sensor's axes and three rotations about its centre, each Gaussian by its weight w. D is the same for the region and
+E [K, N, 6] holds the motions of the region's Gaussians for a unit of each degree of freedom: translations along the
+sensor's axes and rotations about its centre, each Gaussian by its weight w; three each, and of a flat capture two and
+one, since nothing moves out of its picture's plane. D is the same for the region and
 for what goes with it, by weights w' ≥ w (`companions`). With the residual's pull-back s_f (`residuals.py`) and the
 run's modal motion x_f, whose picture was taken out of the residual,
 
@@ -40,30 +41,36 @@ class Body:
     weights: np.ndarray  # [N] float32, 0 … 1
     centre: np.ndarray  # [3] scene units
     radius: float  # rms distance from the centre, scene units
-    axes: np.ndarray  # [3, 3], rows: unit vectors in the world
+    axes: np.ndarray  # [A, 3], rows: unit vectors in the world; two of a flat capture, else three
+
+    @property
+    def turned_about(self) -> np.ndarray:
+        """[B, 3]: its axes, or the normal of the plane that two axes span."""
+        return self.axes if len(self.axes) == 3 else np.cross(*self.axes)[None]
 
     def motions(self, means: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """[6, N, 6] float32: by one scene unit along each axis, and by one radian times `radius` about each.
+        """[A + B, N, 6] float32: by one scene unit along each axis, and by one radian times `radius` in each turn.
 
         E for the body's own weights [N], D for those of `companions`.
         """
         away = means - self.centre
-        out = np.zeros((6, len(means), DOF), np.float32)
+        out = np.zeros((len(self.axes) + len(self.turned_about), len(means), DOF), np.float32)
         for k, axis in enumerate(self.axes):
             out[k, :, :3] = axis
-            out[3 + k, :, :3] = np.cross(axis, away) / self.radius
-            out[3 + k, :, 3:] = axis / self.radius
+        for k, axis in enumerate(self.turned_about, len(self.axes)):
+            out[k, :, :3] = np.cross(axis, away) / self.radius
+            out[k, :, 3:] = axis / self.radius
         return out * weights[:, None]
 
 
 @dataclass(frozen=True)
 class Equations:
-    """Of one body on one clock, halves of the data apart."""
+    """Of one body with K unknowns on one clock, halves of the data apart."""
 
-    normals: np.ndarray  # [2, F or 1, 6, 6] A
-    noise: np.ndarray  # [2, F or 1, 6, 6] B
-    sides: np.ndarray  # [2, F, 6]
-    false: np.ndarray  # [6, 6] F, of both halves together; 0 of a moving camera, which has no mean picture
+    normals: np.ndarray  # [2, F or 1, K, K] A
+    noise: np.ndarray  # [2, F or 1, K, K] B
+    sides: np.ndarray  # [2, F, K]
+    false: np.ndarray  # [K, K] F, of both halves together; 0 of a moving camera, which has no mean picture
 
     def along(self, axes: np.ndarray) -> Equations:
         """The same for unknowns along other axes: `axes` [3, 3], rows unit vectors by their shares of the old ones."""
@@ -90,10 +97,10 @@ def equations_of(
     motions = [body.motions(means, body.weights) for body in bodies]
     around = [companions(body, fields) for body in bodies]
     trials = [body.motions(means, w) for body, w in zip(bodies, around, strict=True)]
-    n_frames, count = len(sides), len(views) if is_moving else 1
-    normals, noise = np.zeros((2, len(bodies), HALVES, count, 6, 6))
-    known = np.zeros((len(bodies), HALVES, n_frames, 6))
-    false = np.zeros((len(bodies), 6, 6))
+    n_frames, count, unknowns = len(sides), len(views) if is_moving else 1, len(motions[0])
+    normals, noise = np.zeros((2, len(bodies), HALVES, count, unknowns, unknowns))
+    known = np.zeros((len(bodies), HALVES, n_frames, unknowns))
+    false = np.zeros((len(bodies), unknowns, unknowns))
     own = [(w[:, None] * fields).reshape(len(fields), len(means) * DOF) for w in around]
     for k, view in enumerate(views):
         frames = slice(k, k + 1) if is_moving else slice(None)
@@ -107,10 +114,10 @@ def equations_of(
                     projection.correct(e, product)
                 if changes is not None:
                     false[b] += _false(view, weights, projection, e, changes)
-                flat = product.reshape(6, -1)
+                flat = product.reshape(unknowns, -1)
                 at = b, half, k if is_moving else 0
-                normals[at] += flat @ trials[b].reshape(6, -1).T
-                noise[at] += flat @ e.reshape(6, -1).T
+                normals[at] += flat @ trials[b].reshape(unknowns, -1).T
+                noise[at] += flat @ e.reshape(unknowns, -1).T
                 if len(fields):
                     known[b, half, frames] += (flat @ own[b].T @ series[:, frames]).T
                 step()
@@ -138,7 +145,7 @@ def companions(body: Body, fields: np.ndarray) -> np.ndarray:
 
 
 def _false_changes(view: MeasuredView, trials: np.ndarray) -> np.ndarray:
-    """[6, H, W, 3]: what of the pictures' change by motions D [6, N, 6] the scene at rest has and the mean lacks."""
+    """[K, H, W, 3]: what of the pictures' change by motions D [K, N, 6] the scene at rest has and the mean lacks."""
     rest = view.view.over_white
     down, right = np.gradient(rest - view.mean, axis=(0, 1))
     flow = optical_flow(view.view, trials, Buffers())
@@ -153,9 +160,9 @@ def _false(
     motions: np.ndarray,
     changes: np.ndarray,
 ) -> np.ndarray:
-    """F [6, 6] of one half of a view, of motions E [6, N, 6] and `_false_changes`."""
+    """F [K, K] of one half of a view, of motions E [K, N, 6] and `_false_changes`."""
     if projection is not None:
         changes = projection.out_of(changes)
     back = np.zeros_like(motions)
     view.view.vjp(np.ascontiguousarray(changes * weights[..., None], np.float32), back)
-    return motions.reshape(6, -1).astype(np.float64) @ back.reshape(6, -1).T
+    return motions.reshape(len(motions), -1).astype(np.float64) @ back.reshape(len(back), -1).T

@@ -50,6 +50,7 @@ class SensorResult:
     best_view: str  # name of that view
     together: Together | None = None  # of clips
     codec_period: int | None = None  # frames, of the video's compression
+    between: np.ndarray | None = None  # [T] bool: frames that the codec predicts from both sides
     relation: Relation | None = None  # to the reference sensor; None for that sensor itself
 
     @property
@@ -74,22 +75,22 @@ class SensorResult:
 
     @property
     def displacement(self) -> np.ndarray:
-        """[T, 3] scene units, about the mean over the record."""
+        """[T, A] scene units, about the mean over the record."""
         return self.series.displacement
 
     @property
     def deviation(self) -> np.ndarray:
-        """[T, 3] standard deviation of each sample, scene units."""
+        """[T, A] standard deviation of each sample, scene units."""
         return self.series.deviation
 
     @property
     def axes(self) -> np.ndarray:
-        """[3, 3], rows: unit vectors in the world, of the spectrum and the peaks."""
+        """[A, 3], rows: unit vectors in the world, of the spectrum and the peaks."""
         return self.series.axes if self.together is None else np.eye(3)
 
     @property
-    def labels(self) -> tuple[str, str, str]:
-        """Of the axes: x, y, z, or right, up, sight of one fixed camera."""
+    def labels(self) -> tuple[str, ...]:
+        """Of the axes: x, y, z; right, up, sight of one fixed camera; right, up of a flat capture."""
         return self.series.labels if self.together is None else WORLD
 
     @cached_property
@@ -98,7 +99,8 @@ class SensorResult:
         if self.together is not None:
             found = self.together.spectrum
         else:
-            found = spectrum_of(self.times_s, self.displacement, self.series.noise, self.series.model_share)
+            own = self.series
+            found = spectrum_of(own.times_s, own.displacement, own.noise, own.model_share, self.between)
         longest = max((s.times_s for s in self.all_series), key=len)
         fps, duration = 1 / float(np.median(np.diff(longest))), float(np.ptp(longest))
         return replace(found, peaks=with_sidebands(found.peaks, self.codec_period, fps, duration))
@@ -111,12 +113,12 @@ class SensorResult:
 
     @property
     def velocity(self) -> np.ndarray:
-        """[T, 3] scene units / s."""
+        """[T, A] scene units / s."""
         return self.records[0].derivatives.velocity
 
     @property
     def acceleration(self) -> np.ndarray:
-        """[T, 3] scene units / s²."""
+        """[T, A] scene units / s²."""
         return self.records[0].derivatives.acceleration
 
     @cached_property
@@ -130,4 +132,4 @@ class SensorResult:
         best = [
             max(self.records, key=lambda r: strength_of(r.peaks[k])) for k in range(len(self.spectrum.peaks))
         ]
-        return tuple(damping_of(record.series, record.peaks, k) for k, record in enumerate(best))
+        return tuple(damping_of(record.series, record.peaks[k]) for k, record in enumerate(best))

@@ -29,34 +29,34 @@ class Series:
 
     clock: str  # "" where all cameras share one
     times_s: np.ndarray  # [T] seconds
-    displacement: np.ndarray  # [T, 3] scene units, along `axes`
-    noise: np.ndarray  # [T, 3] standard deviation of the noise; inf along a direction that is not observed
-    deviation: np.ndarray  # [T, 3] standard deviation with errors of the model (`model_error.py`)
-    axes: np.ndarray  # [3, 3], rows: unit vectors in the world
-    labels: tuple[str, str, str]  # of the axes
+    displacement: np.ndarray  # [T, A] scene units, along `axes`
+    noise: np.ndarray  # [T, A] standard deviation of the noise; inf along a direction that is not observed
+    deviation: np.ndarray  # [T, A] standard deviation with errors of the model (`model_error.py`)
+    axes: np.ndarray  # [A, 3], rows: unit vectors in the world; two of a flat capture, else three
+    labels: tuple[str, ...]  # [A] of the axes
     rotation: (
         np.ndarray | None
-    )  # [T, 3] radians about the axes through the centre; None where it cannot be told
-    rotation_deviation: np.ndarray | None  # [T, 3]
-    unit_covariance: np.ndarray  # [3, 3] A⁻¹ B A⁻ᵀ, mean over time: how well the pictures tell each direction
-    noise_factor: np.ndarray  # [3] variance over unit_variance, one for independent noise of known pixels
-    model_share: np.ndarray  # [3] standard deviation of the model's errors over the motion's length
-    halves_share: np.ndarray  # [3] the part of it that the two halves of the data differ by
-    false_share: np.ndarray  # [3] what the scene at rest, where it is wrong, hides of a motion of unit length
+    )  # [T, B] radians about the axes through the centre; None where it cannot be told
+    rotation_deviation: np.ndarray | None  # [T, B]
+    unit_covariance: np.ndarray  # [A, A] A⁻¹ B A⁻ᵀ, mean over time: how well the pictures tell each direction
+    noise_factor: np.ndarray  # [A] variance over unit_variance, one for independent noise of known pixels
+    model_share: np.ndarray  # [A] standard deviation of the model's errors over the motion's length
+    halves_share: np.ndarray  # [A] the part of it that the two halves of the data differ by
+    false_share: np.ndarray  # [A] what the scene at rest, where it is wrong, hides of a motion of unit length
 
     @property
     def unit_variance(self) -> np.ndarray:
-        """[3]; inf along what is not seen."""
+        """[A]; inf along what is not seen."""
         return np.diag(self.unit_covariance)
 
     @property
     def is_observed(self) -> np.ndarray:
-        """[3] bool, of the axes."""
+        """[A] bool, of the axes."""
         return np.asarray(np.isfinite(self.noise).all(0))
 
     @property
     def is_told(self) -> np.ndarray:
-        """[3] bool: observed, and not ten times less sure than the best direction, as one camera's sight is."""
+        """[A] bool: observed, and not ten times less sure than the best direction, as one camera's sight is."""
         variance = np.where(self.is_observed, self.unit_variance, np.inf)
         return np.asarray(variance <= TOLD**2 * variance.min()) & self.is_observed
 
@@ -69,24 +69,25 @@ def series_of(
     equations: Equations,
     times_s: np.ndarray,
     axes: np.ndarray,
-    labels: tuple[str, str, str],
+    labels: tuple[str, ...],
     radius: float,
     clock: str = "",
     slow: np.ndarray | None = None,
 ) -> Series:
     """The answer of one body on one clock. `slow` [S, F]: functions of time to take out of it (a moving camera's)."""
-    dof = 6 if _tells_rotation(equations) else 3
+    shifts = slice(len(axes))
+    dof = len(equations.false) if _tells_rotation(equations, len(axes)) else len(axes)
     normals, noise, sides = equations.normals, equations.noise, equations.sides
     answers = [_solved(normals[h], noise[h], sides[h], dof) for h in (0, 1)]
     whole, covariance = _solved(normals.sum(0), noise.sum(0), sides.sum(0), dof)
     out = _without(whole, slow)
     difference = _without(answers[0][0] - answers[1][0], slow)
     # What goes with the motion is an error of the model in each half, not noise: it must not lift the floor.
-    along = np.linalg.lstsq(out[:, :3], difference, rcond=None)[0]
-    of_motion = out[:, :3] @ along
+    along = np.linalg.lstsq(out[:, shifts], difference, rcond=None)[0]
+    of_motion = out[:, shifts] @ along
     difference = difference - of_motion
-    size = float(np.sqrt((out[:, :3] ** 2).sum(1).mean()))
-    share = np.sqrt((of_motion[:, :3] ** 2).mean(0)) / 2 / max(size, 1e-300)
+    size = float(np.sqrt((out[:, shifts] ** 2).sum(1).mean()))
+    share = np.sqrt((of_motion[:, shifts] ** 2).mean(0)) / 2 / max(size, 1e-300)
     free = len(out) / max(len(out) - 4 - (0 if slow is None else len(slow) - 1), 1)
     # Two halves with errors e₁, e₂ of their own: the difference's variance is the sum of theirs.
     variance, expected = _diagonal(covariance), _diagonal(answers[0][1]) + _diagonal(answers[1][1])
@@ -96,11 +97,13 @@ def series_of(
         deviation = np.sqrt(factor * variance)
     deviation[np.isnan(deviation)] = np.inf
     out = np.where(np.isfinite(deviation), out, 0.0)
-    false = _false_share(equations, dof)
-    turns = (out[:, 3:] / radius, deviation[:, 3:] / radius) if dof == 6 else (None, None)
+    false, turned = _false_share(equations, dof, len(axes)), slice(len(axes), None)
+    turns = turn_deviation = None
+    if dof > len(axes):
+        turns, turn_deviation = out[:, turned] / radius, deviation[:, turned] / radius
     return Series(
-        clock, times_s, out[:, :3], deviation[:, :3], deviation[:, :3], axes, labels, turns[0], turns[1],
-        covariance[:, :3, :3].mean(0), factor[:3], share, share, false,
+        clock, times_s, out[:, shifts], deviation[:, shifts], deviation[:, shifts], axes, labels, turns, turn_deviation,
+        covariance[:, shifts, shifts].mean(0), factor[shifts], share, share, false,
     )  # fmt: skip
 
 
@@ -109,7 +112,7 @@ def _solved(
 ) -> tuple[np.ndarray, np.ndarray]:
     """[F, dof] answers A⁻¹ b and [F, dof, dof] covariances at unit noise A⁻¹ B A⁻ᵀ, of the first unknowns.
 
-    normals A, noise B [F or 1, 6, 6], sides b [F, 6]. What is seen is told by B, and A is inverted on that; the
+    normals A, noise B [F or 1, K, K], sides b [F, K]. What is seen is told by B, and A is inverted on that; the
     variance of what is not seen is inf.
     """
     answers, covariances = [], []
@@ -133,25 +136,25 @@ def _diagonal(matrices: np.ndarray) -> np.ndarray:
     return np.diagonal(matrices, axis1=1, axis2=2).copy()
 
 
-def _false_share(equations: Equations, dof: int) -> np.ndarray:
-    """[3]: root of the sum of squares of A⁻¹ F by rows, over true motions across what is seen; at most 1.
+def _false_share(equations: Equations, dof: int, shifts: int) -> np.ndarray:
+    """[A]: root of the sum of squares of A⁻¹ F by rows, over true motions across what is seen; at most 1.
 
     By how much the answer along an axis misses a motion of unit length in a direction that is told or hidden alike.
     """
     a = equations.normals.sum(0).mean(0)[:dof, :dof]
-    share = (np.linalg.pinv(a, rcond=UNSEEN) @ equations.false[:dof, :3])[:3]
+    share = (np.linalg.pinv(a, rcond=UNSEEN) @ equations.false[:dof, :shifts])[:shifts]
     return np.minimum(np.sqrt((share**2).sum(1)), 1.0)
 
 
-def _tells_rotation(equations: Equations) -> bool:
+def _tells_rotation(equations: Equations, shifts: int) -> bool:
     """Whether the region is large enough: translations stay as sure as without rotations, and these are told."""
     a = equations.noise.sum(0).mean(0)
     if np.linalg.eigvalsh(a)[0] <= 1e-9 * np.trace(a):
         return False
-    with_turns, alone = np.diag(np.linalg.inv(a)), np.diag(np.linalg.pinv(a[:3, :3]))
+    with_turns, alone = np.diag(np.linalg.inv(a)), np.diag(np.linalg.pinv(a[:shifts, :shifts]))
     halves = all(np.linalg.eigvalsh(n.mean(0))[0] > 1e-9 * np.trace(a) for n in equations.noise)
-    is_sure = bool((with_turns[:3] <= _SURE**2 * alone).all())
-    return halves and is_sure and bool(with_turns[3:].max() <= _TURNS**2 * with_turns[:3].max())
+    is_sure = bool((with_turns[:shifts] <= _SURE**2 * alone).all())
+    return halves and is_sure and bool(with_turns[shifts:].max() <= _TURNS**2 * with_turns[:shifts].max())
 
 
 def _without(answer: np.ndarray, slow: np.ndarray | None) -> np.ndarray:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from tg4mm.core.lines import FEWEST, Line
 from tg4mm.show.measure.measurement import Measurement
 from tg4mm.show.measure.orbit import Orbit, amplitude_deviation, main_is_above
 from tg4mm.show.measure.sensor_result import SensorResult
-from tg4mm.show.measure.spectrum import FEWEST, Peak
+from tg4mm.show.measure.spectrum import Peak
 from tg4mm.show.measure.units import unit_of
 from tg4mm.show.result.lines import with_deviation
 from tg4mm.show.result.model import Length
@@ -49,7 +50,7 @@ def rows_of(measurement: Measurement, result: SensorResult) -> list[list[str]]:
         return out
     if len(result.times_s) < FEWEST:
         return [[result.name, "", "", "", "", "", "", f"fewer than {FEWEST} frames: no spectrum"]]
-    floor = result.spectrum.floor[0]
+    floor = result.spectrum.typical_floor
     level = float(np.min(floor[np.isfinite(floor)], initial=np.inf))
     told = f"under {level * unit.factor:.2g} {unit.name}, {level * result.px_per_unit:.2g} px"
     return [[result.name, "none", told, "", "", "", "", "nothing above the noise floor"]]
@@ -62,12 +63,20 @@ def _both(value: float, deviation: float) -> str:
 def remark(peak: Peak, orbit: Orbit) -> str:
     """What makes a peak doubtful."""
     doubts = [] if main_is_above(peak, orbit) else ["not above twice its deviation"]
+    doubts += [] if peak.line is None else _changes(peak.line)
     return "; ".join(
         [*doubts, *(str(other) for other in (peak.harmonic, peak.sideband) if other is not None)]
     )
 
 
-def direction_text(direction: np.ndarray, labels: tuple[str, str, str]) -> str:
+def _changes(line: Line) -> list[str]:
+    """What a test says of a line's strength over the record."""
+    if line.change == "begins":
+        return [f"begins at {line.start_s:.3g} s"]
+    return {"decays": ["rings down"], "grows": ["grows"]}.get(line.change, [])
+
+
+def direction_text(direction: np.ndarray, labels: tuple[str, ...]) -> str:
     """The main direction, for instance `+0.97 x  −0.24 z`: what is under a twentieth is left out."""
     parts = [
         f"{'+' if d > 0 else '−'}{abs(d):.2f} {label}"

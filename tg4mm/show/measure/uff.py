@@ -14,10 +14,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from tg4mm.core.files import write_atomic
+from tg4mm.show.measure.fourier import frequency_grid, transformed
 from tg4mm.show.measure.measurement import Measurement
 from tg4mm.show.measure.sensor_result import SensorResult
 from tg4mm.show.measure.series import Series
-from tg4mm.show.measure.spectrum import spectrum_of
 from tg4mm.show.measure.units import unit_of
 
 MOST_NODES = 1500
@@ -156,19 +156,19 @@ def _functions(node: int, result: SensorResult, metres: float, unit: str) -> lis
         name = f"{result.name}{clip}{_hidden(series)}"
         for k, values in enumerate(series.world().T * metres):
             out.append(_function(node, k + 1, c, _TIME, name, values, of_time, (17, "s"), unit))
-    found, name = result.spectrum, result.name
+    name, hz, amplitudes = result.name, result.spectrum.freqs_hz, result.spectrum.amplitude
     if result.together is None:
-        values = result.series.world()
-        found = spectrum_of(result.times_s, values, np.zeros_like(values))
+        hz = frequency_grid(result.times_s)
+        amplitudes = np.abs(transformed(hz, result.times_s, result.series.world()))
         name = f"{name}{_hidden(result.series)}"
-    of_hz = {"x": found.freqs_hz, "spacing": 1, "start": 0.0, "step": float(found.freqs_hz[1])}
-    for k, amplitude in enumerate(found.amplitude.T * metres):
+    of_hz = {"x": hz, "spacing": 1, "start": 0.0, "step": float(hz[1])}
+    for k, amplitude in enumerate(amplitudes.T * metres):
         out.append(_function(node, k + 1, 0, _SPECTRUM, name, amplitude, of_hz, (18, "Hz"), unit))
     return out
 
 
 def _hidden(series: Series) -> str:
-    return "" if series.is_observed.all() else ", one direction not observed"
+    return "" if len(series.labels) == 3 and series.is_observed.all() else ", one direction not observed"
 
 
 def _function(

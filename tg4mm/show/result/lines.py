@@ -63,6 +63,8 @@ def _vibration(v: Vibration, result: Result) -> list[str]:
     if v.damping is not None:
         percent = Length(100 * v.damping, None if v.damping_deviation is None else 100 * v.damping_deviation)
         damping = f"ratio {with_deviation(percent)} %"
+    if v.begins_s is not None:
+        damping += f"; begins {v.begins_s:.3g} s into the record"
     return [
         _row(
             f"{with_deviation(Length(v.hz, v.deviation_hz))} Hz",

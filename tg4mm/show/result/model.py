@@ -35,6 +35,7 @@ class Vibration:
     damping_deviation: float | None
     why_no_damping: str  # "" where there is one
     band: Band  # suggested for --band
+    begins_s: float | None = None  # where it begins in the record; None: before it
 
 
 @dataclass(frozen=True)

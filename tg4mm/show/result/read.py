@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 
 from tg4mm.capture import Capture, load_capture
+from tg4mm.capture.scene import between_frames
 from tg4mm.core.errors import RunError
+from tg4mm.core.lines import Line
 from tg4mm.core.phasors import peak_displacement, scale_top
 from tg4mm.fit.gaussians import Gaussians
 from tg4mm.fit.motion.mode_selection import peaks, worth_keeping
@@ -20,8 +22,8 @@ from tg4mm.run import UNCERTAINTY, Run
 from tg4mm.run.checks import check_times
 from tg4mm.show.result.advice import next_command, suggested_alpha
 from tg4mm.show.result.bands import suggested_bands
-from tg4mm.show.result.damped_sinusoid import DampedSinusoid, damped_sinusoid_of
 from tg4mm.show.result.deviations import mode_deviations
+from tg4mm.show.result.line import line_near, phasors_at, why_no_damping
 from tg4mm.show.result.lines import with_deviation
 from tg4mm.show.result.model import Length, Result, Vibration
 from tg4mm.show.result.reach import Reach, reach_of
@@ -73,16 +75,22 @@ class Reading:
     def seen(self) -> Seen:
         return seen_by(self.gaussians, self.capture)
 
+    @cached_property
+    def _between(self) -> np.ndarray | None:
+        """[T] bool: frames that a codec predicts from both sides; None where that is not known."""
+        if self.capture is None or self.motion is None:
+            return None
+        return between_frames(self.capture.root, self.motion.n_timesteps)
+
     def result(self) -> Result:
         """`result_of`."""
         motion = self.motion
         if motion is None:
             return self._still()
         seen = self.seen
-        sinusoids = self._sinusoids(motion, seen)
-        vibrations = self._vibrations(
-            motion, seen, {f: t for f, t in sinusoids.items() if not _is_drift(f, t, self.duration_s)}
-        )
+        found = self._found(motion, seen)
+        drifts = [v for v in found if _is_drift(v, self.duration_s)]
+        vibrations = self._vibrations(motion, seen, [v for v in found if v not in drifts])
         noise, noise_px = self._noise(seen)
         low, high = vibrations[0].band if vibrations else (0.0, 0.0)
         strongest = (motion.freqs_hz >= low) & (motion.freqs_hz <= high)
@@ -100,7 +108,7 @@ class Reading:
             noise=noise,
             noise_px=noise_px,
             agreement=tuple(float(r) for r in self.log.get("reliability", ())),
-            cannot=(*_drifts(sinusoids, self.duration_s), *self._cannot(motion, vibrations)),
+            cannot=(*_drift_line(drifts, self.duration_s), *self._cannot(motion, vibrations)),
             alpha=alpha,
             next_command=next_command(self.run, self.capture, vibrations, alpha),
         )
@@ -125,40 +133,57 @@ class Reading:
             next_command=next_command(self.run, capture, (), 0.0),
         )
 
-    def _sinusoids(self, motion: ModalMotion, seen: Seen) -> dict[float, DampedSinusoid]:
-        """Of every peak, drifts among them, by falling strength."""
+    def _found(self, motion: ModalMotion, seen: Seen) -> list[_Found]:
+        """Every peak, drifts among them, by falling strength; none within a stronger one's line."""
         hz = [float(f) for f in peaks(motion, PERIODS / self.duration_s, self.uncertainty.get("noise"))]
-        return {f: self._sinusoid(motion, seen, f, np.array(hz)) for f in hz}
+        told = {float(f): float(d) for f, d in zip(*(self.log.get(k, ()) for k in _STATED), strict=False)}
+        out: list[_Found] = []
+        for f in hz:
+            if (
+                told
+            ):  # clocks of their own, or a moving camera: the fit holds these frequencies and nothing else
+                out.append(_Found(f, f, told[min(told, key=lambda g: abs(g - f))], None, is_steady=True))
+                continue
+            own = self._line(motion, seen, f, [g for g in hz if g != f])
+            if all(abs(own.hz - v.hz) >= v.reach(self.duration_s) for v in out):
+                out.append(own)
+        return out
 
-    def _vibrations(
-        self, motion: ModalMotion, seen: Seen, sinusoids: dict[float, DampedSinusoid]
-    ) -> tuple[Vibration, ...]:
-        hz, duration = list(sinusoids), self.duration_s
+    def _line(self, motion: ModalMotion, seen: Seen, hz: float, others: list[float]) -> _Found:
+        series = series_of(motion, motion.displacement[_index(motion, hz)], seen.weights)
+        noise = float(self.log.get("noise_to_motion") or 0.0)
+        line = line_near(series, motion.fps, hz, others, noise, self._between)
+        if line is None:  # a bin, uniformly distributed
+            return _Found(hz, hz, 1 / (self.duration_s * np.sqrt(12)), None)
+        return _Found(hz, line.hz, line.hz_deviation, line)
+
+    def _vibrations(self, motion: ModalMotion, seen: Seen, found: list[_Found]) -> tuple[Vibration, ...]:
         bands = suggested_bands(
-            hz, [sinusoid.deviation_hz for sinusoid in sinusoids.values()], duration, motion.fps
-        )
+            [v.hz for v in found], [v.deviation_hz for v in found], self.duration_s, motion.fps,
+            [v.reach(self.duration_s) for v in found],
+        )  # fmt: skip
         deviations = None
         if "noise" in self.uncertainty:
             deviations = mode_deviations(motion, self.uncertainty["displacement"], self.uncertainty["noise"])
         out = []
-        for (f, sinusoid), band in zip(sinusoids.items(), bands, strict=True):
-            k = _index(motion, f)
-            amplitude, place = self._largest(
-                motion.displacement[k], seen, None if deviations is None else deviations[k]
-            )
+        for v, band in zip(found, bands, strict=True):
+            k, line = _index(motion, v.mode_hz), v.line
+            phasors = motion.displacement[k] if line is None else phasors_at(motion, line, self._between)
+            amplitude, place = self._largest(phasors, seen, None if deviations is None else deviations[k])
             if amplitude.deviation is not None and amplitude.value < amplitude.deviation:
                 continue  # as large as its own error
             out.append(
                 Vibration(
-                    hz=f,
-                    deviation_hz=sinusoid.deviation_hz,
+                    hz=v.hz,
+                    deviation_hz=v.deviation_hz,
                     amplitude=amplitude,
                     place=place,
-                    pixels=self._pixels(motion.displacement[k], seen, amplitude),
-                    damping=sinusoid.damping,
-                    damping_deviation=sinusoid.damping_deviation,
-                    why_no_damping=sinusoid.why_no_damping,
+                    pixels=self._pixels(phasors, seen, amplitude),
+                    damping=None if line is None else line.damping,
+                    damping_deviation=None if line is None else line.damping_deviation,
+                    why_no_damping=_STEADY if v.is_steady else why_no_damping(line),
                     band=band,
+                    begins_s=None if line is None else line.start_s,
                 )
             )
         return tuple(out)
@@ -168,14 +193,6 @@ class Reading:
         if len(motion.freqs_hz):
             return ()
         return tuple(Length(f, d) for f, d in zip(*(self.log.get(k, ()) for k in _STATED), strict=False))
-
-    def _sinusoid(self, motion: ModalMotion, seen: Seen, hz: float, every: np.ndarray) -> DampedSinusoid:
-        told = {float(f): float(d) for f, d in zip(*(self.log.get(k, ()) for k in _STATED), strict=False)}
-        if told:  # clocks of their own, or a moving camera: the fit holds these frequencies and nothing else
-            return DampedSinusoid(told[min(told, key=lambda f: abs(f - hz))], None, None, _STEADY)
-        series = series_of(motion, motion.displacement[_index(motion, hz)], seen.weights)
-        noise = float(self.log.get("noise_to_motion") or 0.0)
-        return damped_sinusoid_of(series, motion.fps, hz, every[every != hz], noise)
 
     def _largest(
         self, phasors: np.ndarray, seen: Seen, deviation: np.ndarray | None
@@ -259,21 +276,33 @@ def series_of(motion: ModalMotion, phasors: np.ndarray, weights: np.ndarray) -> 
     return np.asarray((along[:, None] * gains).real.sum(0))
 
 
-def _is_drift(hz: float, sinusoid: DampedSinusoid, duration_s: float) -> bool:
+@dataclass(frozen=True)
+class _Found:
+    """A peak of the modes, and the line that it belongs to."""
+
+    mode_hz: float
+    hz: float
+    deviation_hz: float
+    line: Line | None  # None: the record is too short, or the fit is of steady lines alone
+    is_steady: bool = False
+
+    def reach(self, duration_s: float) -> float:
+        """Hz to either side that are its own: 1 / duration, or the width of what rings down."""
+        return max(1 / duration_s, 0.0 if self.line is None else abs(self.line.decay_per_s) / np.pi)
+
+
+def _is_drift(found: _Found, duration_s: float) -> bool:
     """Whether the record holds too little of a frequency to tell it from a slow drift."""
-    return hz * duration_s < TOLD_PERIODS or hz < _SURE * sinusoid.deviation_hz
+    return found.hz * duration_s < TOLD_PERIODS or found.hz < _SURE * found.deviation_hz
 
 
-def _drifts(sinusoids: dict[float, DampedSinusoid], duration_s: float) -> list[str]:
+def _drift_line(drifts: list[_Found], duration_s: float) -> list[str]:
     """A line on the strongest peak that is taken for a drift."""
-    for f, sinusoid in sinusoids.items():
-        if _is_drift(f, sinusoid, duration_s):
-            shown = with_deviation(Length(f, sinusoid.deviation_hz))
-            return [
-                f"whether something vibrates at {shown} Hz or drifts: the record holds {f * duration_s:.2g} periods of "
-                "it; a longer one tells"
-            ]
-    return []
+    return [
+        f"whether something vibrates at {with_deviation(Length(v.hz, v.deviation_hz))} Hz or drifts: the record holds "
+        f"{v.hz * duration_s:.2g} periods of it; a longer one tells"
+        for v in drifts[:1]
+    ]
 
 
 def _index(motion: ModalMotion, hz: float) -> int:

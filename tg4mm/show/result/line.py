@@ -1,0 +1,66 @@
+"""A vibration's line: its frequency, damping and phasors, from the run's motion over time (`core.lines`)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tg4mm.core.lines import FEWEST, Line, find_lines, fit_lines, projected
+from tg4mm.fit.motion.modes import ModalMotion
+
+_FREE = 8  # samples beside four for each line that a fit needs
+
+
+def line_near(
+    series: np.ndarray,
+    fps: float,
+    hz: float,
+    others: Sequence[float],
+    noise: float,
+    between: np.ndarray | None = None,
+) -> Line | None:
+    """The line of a series [T] that a mode at `hz` belongs to; None where the record is too short to tell.
+
+    others: frequencies of other vibrations. noise: standard deviation of the series' noise over its rms, at least.
+    between [T] bool: frames that the codec predicts from both sides.
+    """
+    n = len(series)
+    times = np.arange(n) / fps
+    least = noise * float(np.sqrt((series**2).mean()))
+    if n < max(FEWEST, 4 * (1 + len(others)) + _FREE):
+        return None
+    near = [
+        (abs(line.hz - hz), line)
+        for line in find_lines(series, times, least, between=between).lines
+        if abs(line.hz - hz) < max(fps / n, abs(line.decay_per_s) / np.pi)
+    ]
+    if near:
+        return min(near, key=lambda pair: pair[0])[1]
+    return fit_lines(series, times, [hz, *others], least).lines[0]
+
+
+def phasors_at(motion: ModalMotion, line: Line, between: np.ndarray | None = None) -> np.ndarray:
+    """[N, 3] of every Gaussian where the line is largest, scene units: the modes' own series, fitted by the line."""
+    some = np.arange(motion.n_timesteps)
+    some = some if between is None else some[~between]
+    gains = np.stack([motion.gains_at(int(t)) for t in some])  # [T, K]
+    real, imaginary = np.split(
+        projected([line], np.hstack([gains.real, gains.imag]), some / motion.fps)[0], 2
+    )
+    along = np.tensordot(real.astype(np.complex64), motion.displacement.real, 1)
+    return np.asarray(along - np.tensordot(imaginary.astype(np.complex64), motion.displacement.imag, 1))
+
+
+def why_no_damping(line: Line | None) -> str:
+    """In words; "" where there is a damping ratio."""
+    if line is None:
+        return "the record is too short"
+    if line.damping is not None:
+        return ""
+    words = {
+        "steady": "the vibration stays as strong as it is during the record",
+        "grows": "the vibration grows during the record",
+        "begins": "the vibration begins during the record and lasts",
+    }
+    return words.get(line.change, "noise hides whether the vibration gets weaker during the record")
