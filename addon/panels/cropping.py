@@ -19,8 +19,8 @@ from ..nodes import points, scene
 from . import showing
 
 # EEVEE and Workbench hold a native splat's position in 22 bits of the extent. So far from the middle, in radii of what
-# is framed, an outlier makes the step 2·FAR/2²² of that radius: a twentieth of a pixel of a picture of 1,000.
-FAR = 200.0
+# is framed, an outlier makes the step 2·FAR/2²² of that radius: a fortieth of a pixel where a picture of 1,000 is filled.
+FAR = 100.0
 Choice = Callable[[Any], np.ndarray]  # of a mesh: [N] bool, which of its Gaussians go
 
 
