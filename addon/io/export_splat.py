@@ -109,7 +109,10 @@ class EXPORT_SCENE_OT_tg4mm_splat(bpy.types.Operator, ExportHelper):
         except MemoryError:
             self.report({"ERROR"}, f"{path}: not enough memory to write it")
             return {"CANCELLED"}
-        self.report({"INFO"}, f"Wrote {len(splat):,} Gaussians, {splat.n_modes} mode{'' if splat.n_modes == 1 else 's'}: {path}")
+        self.report(
+            {"INFO"},
+            f"Wrote {len(splat):,} Gaussians, {splat.n_modes} mode{'' if splat.n_modes == 1 else 's'}: {path}",
+        )
         return {"FINISHED"}
 
     def _suffix(self) -> str:

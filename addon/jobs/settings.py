@@ -84,48 +84,48 @@ class TG4MM_generate(bpy.types.PropertyGroup):
     amplitude_in: EnumProperty(  # type: ignore[valid-type]
         name="Amplitude In", default="SCENE", update=_changed,
         description="Unit of the amplitude, which is the largest displacement of any vertex",
-        items=[("SCENE", "Units", "Scene units"),
+        items=[("SCENE", "Units", "Of the plate"),
                ("PIXELS", "Pixels", "Pixels in the first training camera")])
-    amplitude: _length("Amplitude", "Largest displacement, scene units", 0.01, 1e-9)  # type: ignore[valid-type]
+    amplitude: _length("Amplitude", "Largest displacement", 0.01, 1e-9)  # type: ignore[valid-type]
     amplitude_px: FloatProperty(  # type: ignore[valid-type]
         name="Amplitude", description="Largest displacement, pixels in the first training camera", default=0.3,
         min=1e-4, soft_max=20.0, precision=3, update=_changed)
     phase: FloatProperty(  # type: ignore[valid-type]
         name="Phase", description="0 is a sine: at rest in the first timestep", subtype="ANGLE", update=_changed)
 
-    point: _place("Point", "World coordinates, scene units", (0, 0, 0))  # type: ignore[valid-type]
-    tip: _place("Tip", "The free end, world coordinates, scene units", (0, 0, 1))  # type: ignore[valid-type]
+    point: _place("Point", "World coordinates", (0, 0, 0))  # type: ignore[valid-type]
+    tip: _place("Tip", "The free end, world coordinates", (0, 0, 1))  # type: ignore[valid-type]
     axis: _heading("Axis", "World axes, any length", (0, 0, 1))  # type: ignore[valid-type]
     direction: _heading("Direction", "World axes, any length", (1, 0, 0))  # type: ignore[valid-type]
     length: _length("Length",  # type: ignore[valid-type]
-                    "Way along the axis over which the twist grows, scene units; 0: everything turns alike", 0.0)
+                    "Way along the axis over which the twist grows; 0: everything turns alike", 0.0)
     order: IntProperty(  # type: ignore[valid-type]
         name="Order", description="1 is the beam's lowest mode", default=1, min=1, max=3, update=_changed)
-    wavelength: _length("Wavelength", "Scene units", 1.0, 1e-6)  # type: ignore[valid-type]
+    wavelength: _length("Wavelength", "Of the plate", 1.0, 1e-6)  # type: ignore[valid-type]
     rayleigh: BoolProperty(  # type: ignore[valid-type]
         name="Rayleigh", description="The surface wave of an elastic solid: points go round ellipses", update=_changed)
     decay_length: _length("Decay Length",  # type: ignore[valid-type]
-                          "Distance from the surface's z for a fall by 1/e, scene units; 0: no fall", 0.0)
+                          "Distance from the surface's z for a fall by 1/e; 0: no fall", 0.0)
     level: FloatProperty(  # type: ignore[valid-type]
-        name="Height", description="World z, scene units", unit="LENGTH", precision=4, update=_changed)
+        name="Height", description="World z", unit="LENGTH", precision=4, update=_changed)
     hold: EnumProperty(  # type: ignore[valid-type]
         name="Held", description="What holds the soft body", update=_changed,
         items=[("HEIGHT", "Below a Height", "It sways above a height"),
                ("POINT", "At a Point", "It sways with the distance from a point")])
     reach: _length("Reach",  # type: ignore[valid-type]
-                   "Distance from what holds it at which the displacement grows linearly, scene units", 1.0, 1e-6)
+                   "Distance from what holds it at which the displacement grows linearly", 1.0, 1e-6)
     random: BoolProperty(  # type: ignore[valid-type]
         name="Random Direction", description="Every object sways its own way", update=_changed)
-    radius: _length("Radius", "Of the rim, scene units", 1.0, 1e-6)  # type: ignore[valid-type]
+    radius: _length("Radius", "Of the rim", 1.0, 1e-6)  # type: ignore[valid-type]
     drum_nodes: IntVectorProperty(  # type: ignore[valid-type]
         name="Nodes", description="Nodal diameters, and nodal circles counting the rim", size=2, default=(0, 1),
         min=0, max=20, update=_changed)
     sides: FloatVectorProperty(  # type: ignore[valid-type]
-        name="Sides", description="Scene units", size=2, default=(1, 1), min=1e-6, unit="LENGTH", update=_changed)
+        name="Sides", description="Of the plate", size=2, default=(1, 1), min=1e-6, unit="LENGTH", update=_changed)
     plate_nodes: IntVectorProperty(  # type: ignore[valid-type]
         name="Half Waves", description="Along each side", size=2, default=(1, 1), min=1, max=20, update=_changed)
     thickness: _length("Thickness",  # type: ignore[valid-type]
-                       "How far along the normal it reaches, scene units; 0: without end", 0.0)
+                       "How far along the normal it reaches; 0: without end", 0.0)
     group: StringProperty(  # type: ignore[valid-type]
         name="Vertex Group", description="Its weights say how far each vertex goes", update=_changed)
 

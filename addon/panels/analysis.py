@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +12,7 @@ from .. import compat, names
 from ..core.colour import STILL_BELOW
 from ..core.errors import Tg4mmError
 from ..nodes import scene, spectrum
-from ..nodes.points import gaussians, values
+from ..nodes.points import gaussians, growth, values
 from ..units import Unit
 from . import plots, seen
 
@@ -56,6 +57,30 @@ def fit_colour_range(obj: Any) -> float:
         raise Tg4mmError("Nothing moves in the band")
     compat.set_input(scene.splat_modifier(obj), names.COLOUR_RANGE, largest)
     return largest
+
+
+def metres_per_unit(obj: Any) -> float | None:
+    """Metres per unit of the world, by the file and by how the object was scaled; None where the file does not say."""
+    metres = obj.get(names.UNIT_SCALE)
+    if metres is None or not (size := _volume(obj) ** (1 / 3)):
+        return None
+    return float(metres) / (size * growth(obj.data))
+
+
+def _volume(obj: Any) -> float:
+    return float(abs(np.linalg.det(np.array(obj.matrix_world)[:3, :3])))
+
+
+def units_differ(obj: Any, scene_: Any) -> str:
+    """What to say where Blender's own lengths are in other metres than the file's; "" where they agree."""
+    metres, settings = metres_per_unit(obj), scene_.unit_settings
+    if (
+        metres is None
+        or settings.system == "NONE"
+        or math.isclose(metres, settings.scale_length, rel_tol=1e-3)
+    ):
+        return ""
+    return f"A unit is {metres:.4g} m here, {settings.scale_length:.4g} m in Blender"
 
 
 def legend_picture(obj: Any, unit: Unit, settings: Any) -> tuple[Any, ...] | None:

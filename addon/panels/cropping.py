@@ -19,8 +19,9 @@ from ..nodes import points, scene
 from . import showing
 
 # EEVEE and Workbench hold a native splat's position in 22 bits of the extent. So far from the middle, in radii of what
-# is framed, an outlier makes the step 2·FAR/2²² of that radius: a fortieth of a pixel where a picture of 1,000 is filled.
+# is framed, an outlier makes the step 2·FAR/2²² of that radius: a fortieth of a pixel of 1,000.
 FAR = 100.0
+ROOM = 1.2  # of what is framed: how large a new box is
 Choice = Callable[[Any], np.ndarray]  # of a mesh: [N] bool, which of its Gaussians go
 
 
@@ -123,7 +124,7 @@ def add_box(obj: Any, collection: Any) -> Any:
     low, high = showing.box([obj])
     box = bpy.data.objects.new(f"{obj.name} crop", None)
     box.empty_display_type, box.empty_display_size = "CUBE", 1.0
-    box.location, box.scale = ((low + high) / 2).tolist(), np.maximum((high - low) / 2, 1e-6).tolist()
+    box.location, box.scale = ((low + high) / 2).tolist(), np.maximum(ROOM * (high - low) / 2, 1e-6).tolist()
     box.show_in_front = True
     box[names.CROP_OF] = obj
     collection.objects.link(box)

@@ -76,6 +76,22 @@ class TG4MM_OT_one_mesh(_OnSplats):
         return {"FINISHED"}
 
 
+class TG4MM_OT_file_units(_OnSplats):
+    """Let Blender's own lengths in this scene be those of the file, by the scene's Unit Scale"""
+
+    bl_idname = "tg4mm.file_units"
+    bl_label = "Take the File's Metres"
+
+    def execute(self, context: Any) -> set[str]:
+        metres = analysis.metres_per_unit(scene.splat_object(context))
+        if metres is None:
+            self.report({"ERROR"}, "The file does not say how long its unit is")
+            return {"CANCELLED"}
+        context.scene.unit_settings.scale_length = metres
+        self.report({"INFO"}, f"Unit Scale of the scene set to {metres:.4g} m")
+        return {"FINISHED"}
+
+
 class TG4MM_OT_fit_colour_range(_OnSplats):
     """Let the last colour stand for the largest amplitude of the modes shown in the band"""
 
@@ -102,6 +118,7 @@ _CLASSES = (
     TG4MM_OT_blend_as_trained,
     TG4MM_OT_solid_colours,
     TG4MM_OT_one_mesh,
+    TG4MM_OT_file_units,
     TG4MM_OT_fit_colour_range,
 )
 

@@ -52,6 +52,9 @@ class VIEW3D_PT_tg4mm(_Tab, bpy.types.Panel):
         row = layout.row()
         row.label(text=obj.name, icon="POINTCLOUD_DATA")
         row.operator("import_scene.tg4mm_splat", text="Import", icon="IMPORT")
+        if differ := analysis.units_differ(obj, context.scene):
+            layout.label(text=differ, icon="INFO")
+            layout.operator("tg4mm.file_units", icon="DRIVER_DISTANCE")
 
 
 class VIEW3D_PT_tg4mm_motion(_SplatTab, bpy.types.Panel):

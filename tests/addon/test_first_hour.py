@@ -102,6 +102,27 @@ def test_axes_are_chosen_on_import(extension: ModuleType, splat_path: Path) -> N
     assert import_splat(splat_path, axes="PLUS_Y").rotation_euler.x == pytest.approx(math.pi / 2)
 
 
+def test_metres_of_the_file_and_of_blender_are_compared(
+    extension: ModuleType, splat_path: Path, tmp_path: Path
+) -> None:
+    write_splat(tmp_path / "small.ply", replace(read_splat(splat_path), unit_scale_m=0.1))
+    scene, differ = bpy.context.scene, extension.panels.analysis.units_differ
+    assert differ(import_splat(splat_path), scene) == ""  # the file does not say
+    obj = import_splat(tmp_path / "small.ply")
+    assert differ(obj, scene) == "A unit is 0.1 m here, 1 m in Blender"
+    assert bpy.ops.tg4mm.file_units() == {"FINISHED"}
+    assert scene.unit_settings.scale_length == pytest.approx(0.1)
+    assert differ(obj, scene) == ""
+    obj.scale = (2, 2, 2)
+    bpy.context.view_layer.update()
+    assert "0.05 m here" in differ(obj, scene)
+    obj.select_set(True)
+    bpy.ops.object.transform_apply()
+    assert "0.05 m here" in differ(obj, scene)
+    scene.unit_settings.system = "NONE"
+    assert differ(obj, scene) == ""
+
+
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_no_finite_number_plays_as_0_and_is_marked(
     extension: ModuleType, splat_path: Path, value: float
