@@ -306,6 +306,9 @@ def test_spz_is_written_y_up(extension: ModuleType, told: Path, tmp_path: Path) 
     fixed = fixed[..., 0] + 256 * fixed[..., 1] + 65536 * fixed[..., 2]
     places = np.where(fixed >= 1 << 23, fixed - (1 << 24), fixed) / 2.0**bits
     np.testing.assert_allclose(places, splat.means[:, [0, 2, 1]] * [1, 1, -1], atol=1e-5)
+    again = import_splat(tmp_path / "a.spz")
+    np.testing.assert_allclose(exported(tmp_path / "again.ply").means, splat.means, atol=1e-5)
+    assert again.rotation_euler.x == 0
 
 
 def test_a_mesh_of_what_is_drawn(extension: ModuleType, splat_path: Path) -> None:
