@@ -26,6 +26,7 @@ _TYPES: dict[str, tuple[type, str]] = {
     "background": (str, "a string"),
     "between": (str, "a string of 0 and 1"),
     "sfm": (dict, "an object {…}"),
+    "video": (dict, "an object {…}"),
     "engine": (dict, "an object {…}"),
     "modes": (list, "a list of objects"),
     "alphas": (list, "a list of numbers"),
@@ -56,6 +57,31 @@ def between_frames(root: Path, n_timesteps: int) -> np.ndarray | None:
     if not isinstance(text, str) or len(text) != n_timesteps or text.strip("01"):
         return None
     return np.array([bit == "1" for bit in text])
+
+
+@dataclass(frozen=True)
+class VideoFile:
+    """The video that a dataset's pictures are of."""
+
+    path: Path
+    from_s: float  # of it that comes before the pictures
+    repeats: tuple[int, ...]  # frames from there on that show the picture before them again, and are left out
+
+
+def video_file(root: Path) -> VideoFile | None:
+    """As `tg4mm sfm` keeps it of one fixed camera; None for pictures. CaptureError where scene.json is damaged."""
+    where = root / "scene.json"
+    own = read_scene(root, needs_fps=False).values.get("video")
+    if own is None:
+        return None
+    record = Record(f"{where}: video", own)
+    repeats = own.get("repeats", [])
+    if not isinstance(own.get("file"), str):
+        raise record.error("file", "the name of a video")
+    if not isinstance(repeats, list) or not all(isinstance(k, int) and k >= 0 for k in repeats):
+        raise record.error("repeats", "a list of frames")
+    path = inside(root, root / own["file"], str(where))
+    return VideoFile(path, record.number("from_s", low=-1.0), tuple(repeats)) if path.is_file() else None
 
 
 def read_scene(root: Path, needs_fps: bool) -> Scene:

@@ -55,6 +55,7 @@ from tg4mm.capture.sfm.staging import (
 from tg4mm.capture.sfm.straight import straightened
 from tg4mm.capture.sfm.survey import Survey, survey_clip
 from tg4mm.core.errors import CaptureError, Tg4mmError
+from tg4mm.core.files import link_or_copy
 
 FEWEST_PLACED = {"photos": 3, "handheld": 3, "tripod": 1, "rig": 2, "clips": 2}
 FEW_POINTS = 80  # in half of the pictures: with fewer, poses are bent though reprojection errors are small
@@ -177,9 +178,21 @@ def _flat(job: _Job) -> dict[str, Any]:
     clock = clock_of(job.surveys, job.config.fps)
     survey, clip = job.surveys[0], job.sources.clips[0]
     report = {"kind": job.kind.name, "asked": job.work.scene_only}
-    scene = _scene(job) | {"fps": clock.fps, "sfm": report}
+    scene = _scene(job) | {"fps": clock.fps, "sfm": report} | _video(job)
     write_flat(job.work.out, clip, survey, clock.times_s[clip.name], job.config.window, scene)
     return report
+
+
+def _video(job: _Job) -> dict[str, Any]:
+    """The one video, linked into the dataset, with what of it is left out: what its compression takes is told by it."""
+    clip, survey = job.sources.clips[0], job.surveys[0]
+    if not clip.is_video:
+        return {}
+    own = job.work.out / "video" / clip.path.name
+    if not own.exists():
+        link_or_copy(clip.path, own)
+    start_s = max(job.config.window.start_s, 0.0)
+    return {"video": {"file": f"video/{clip.path.name}", "from_s": start_s, "repeats": list(survey.repeats)}}
 
 
 def _posed(job: _Job) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from tg4mm.core.progress import progress
 from tg4mm.run import Run
 from tg4mm.show.measure.clips import ClipPhases, KnownPhases, Together, together
 from tg4mm.show.measure.clusters import Clusters, clusters_of
+from tg4mm.show.measure.codec import with_losses
 from tg4mm.show.measure.errors import MeasureError
 from tg4mm.show.measure.limits import limits_of
 from tg4mm.show.measure.locate import OF_ONE_CAMERA, body_of, sight_axes, weights_of
@@ -84,6 +85,7 @@ def measure(
             f"reference {reference!r} is no sensor; there are: {', '.join(s.name for s in wanted)}"
         )
     results, phases = _results(scene, wanted, groups.members)
+    results = with_losses(scene, results)
     first = reference or wanted[0].name
     against = next(r for r in results if r.name == first)
     results = [r if r is against else _related(r, against) for r in results]

@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from tg4mm.capture.codec import Loss
 from tg4mm.show.measure.clips import Together
 from tg4mm.show.measure.compression import with_sidebands
 from tg4mm.show.measure.damping import Damping, damping_of
@@ -51,12 +52,17 @@ class SensorResult:
     together: Together | None = None  # of clips
     codec_period: int | None = None  # frames, of the video's compression
     between: np.ndarray | None = None  # [T] bool: frames that the codec predicts from both sides
+    losses: tuple[Loss, ...] = ()  # of every peak, what compression let through; none where it was not tested
     relation: Relation | None = None  # to the reference sensor; None for that sensor itself
 
     @property
     def name(self) -> str:
         """Of the sensor."""
         return self.sensor.name
+
+    def loss_of(self, k: int) -> Loss | None:
+        """What the video's compression let through of peak k; None where it was not tested."""
+        return self.losses[k] if self.losses else None
 
     @property
     def series(self) -> Series:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from tg4mm.capture.codec import Loss
 from tg4mm.core.lines import FEWEST, Line
+from tg4mm.show.measure.codec import reported_deviation
 from tg4mm.show.measure.measurement import Measurement
 from tg4mm.show.measure.orbit import Orbit, amplitude_deviation, main_is_above
 from tg4mm.show.measure.sensor_result import SensorResult
@@ -13,6 +15,7 @@ from tg4mm.show.measure.units import unit_of
 from tg4mm.show.result.lines import with_deviation
 from tg4mm.show.result.model import Length
 
+_WHOLE = 0.9  # of an amplitude that compression let through: less is said
 HEAD = "sensor", "frequency, Hz", "amplitude", "in pixels", "direction", "phase, deg", "damping", ""
 
 
@@ -32,7 +35,8 @@ def rows_of(measurement: Measurement, result: SensorResult) -> list[list[str]]:
     unit = unit_of(measurement, result)
     out: list[list[str]] = []
     for k, (peak, orbit) in enumerate(zip(result.spectrum.peaks, result.orbits, strict=True)):
-        error = amplitude_deviation(peak, orbit)
+        loss = result.loss_of(k)
+        error = reported_deviation(orbit.amplitude, amplitude_deviation(peak, orbit), loss)
         damping = result.damping[k]
         out.append(
             [
@@ -43,7 +47,7 @@ def rows_of(measurement: Measurement, result: SensorResult) -> list[list[str]]:
                 direction_text(orbit.direction, result.labels),
                 phase_text(measurement, result, peak.frequency_hz),
                 "" if damping is None else f"{_both(100 * damping.ratio, 100 * damping.deviation)} %",
-                remark(peak, orbit),
+                remark(peak, orbit, loss),
             ]
         )
     if out:
@@ -60,10 +64,12 @@ def _both(value: float, deviation: float) -> str:
     return with_deviation(Length(value, deviation))
 
 
-def remark(peak: Peak, orbit: Orbit) -> str:
-    """What makes a peak doubtful."""
+def remark(peak: Peak, orbit: Orbit, loss: Loss | None = None) -> str:
+    """What makes a peak doubtful, or its amplitude."""
     doubts = [] if main_is_above(peak, orbit) else ["not above twice its deviation"]
     doubts += [] if peak.line is None else _changes(peak.line)
+    if loss is not None and (loss.why or loss.gain < _WHOLE):
+        doubts.append(loss.why or f"compression lets {loss.gain:.2f} ± {loss.deviation:.2f} of it through")
     return "; ".join(
         [*doubts, *(str(other) for other in (peak.harmonic, peak.sideband) if other is not None)]
     )

@@ -13,6 +13,7 @@ import numpy as np
 from tg4mm.core.files import to_json, write_atomic, write_json
 from tg4mm.core.work_folder import WorkFolder
 from tg4mm.show.measure.clips import ClipPhases
+from tg4mm.show.measure.codec import reported_deviation
 from tg4mm.show.measure.errors import MeasureError
 from tg4mm.show.measure.measurement import Measurement
 from tg4mm.show.measure.orbit import amplitude_deviation, main_is_above
@@ -122,6 +123,7 @@ def _series(record: Record) -> dict[str, Any]:
 
 def _peak(result: SensorResult, k: int) -> dict[str, Any]:
     peak, orbit, damping = result.spectrum.peaks[k], result.orbits[k], result.damping[k]
+    loss, error = result.loss_of(k), amplitude_deviation(peak, orbit)
     return {
         "frequency_hz": peak.frequency_hz,
         "frequency_deviation_hz": peak.frequency_deviation_hz,
@@ -137,7 +139,10 @@ def _peak(result: SensorResult, k: int) -> dict[str, Any]:
         "change": None if peak.line is None else peak.line.change,
         "begins_s": None if peak.line is None else peak.line.start_s,
         "main_amplitude": orbit.amplitude,
-        "main_deviation": amplitude_deviation(peak, orbit),
+        "main_deviation": reported_deviation(orbit.amplitude, error, loss),
+        "codec_gain": None if loss is None or not np.isfinite(loss.gain) else loss.gain,
+        "codec_gain_deviation": None if loss is None or not np.isfinite(loss.gain) else loss.deviation,
+        "codec_mark": None if loss is None else loss.why or None,
         "main_is_above": main_is_above(peak, orbit),
         "main_direction": orbit.direction.tolist(),
         "orbit": {"major": orbit.major.tolist(), "minor": orbit.minor.tolist(), "phase_rad": orbit.phase},

@@ -1,0 +1,91 @@
+"""What a codec takes from a known tone is told by the file alone, within its ±."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.capture.sfm.videos import encoded, texture
+from tg4mm.capture.codec import Tone, codec_losses
+from tg4mm.capture.codec.loss import _gain, _shifts, _stored
+from tg4mm.capture.codec.probe import probe
+from tg4mm.core.errors import Tg4mmError
+
+FPS, N, AMPLITUDE = 30.0, 120, 0.04
+REGION = np.zeros((120, 160), bool)
+REGION[36:84, 46:114] = True
+
+
+def film(path: Path, hz: float, codec: str, noise: float = 3.0, **options: str) -> Path:
+    """Noisy pictures whose middle moves to the right by AMPLITUDE pixels at `hz`, zero to peak."""
+    rng, base = np.random.default_rng(0), texture()
+    slope = np.gradient(base, axis=1)
+    slope[:24], slope[96:], slope[:, :30], slope[:, 130:] = 0, 0, 0, 0
+    moved = [base - AMPLITUDE * np.cos(2 * np.pi * hz * k / FPS) * slope for k in range(N)]
+    frames = [np.clip(m + rng.normal(0, noise, m.shape), 0, 255).astype(np.uint8) for m in moved]
+    return encoded(path, frames, codec, **options)
+
+
+def measured(path: Path, hz: float) -> tuple[complex, float]:
+    """The amplitude that is left, pixels, and its standard error."""
+    made = probe(path, 0.0, N)
+    assert made is not None
+    u, times = _shifts(made.luma, REGION.astype(np.float32)), np.arange(N) / FPS
+    gain, error = _gain(u, [Tone(hz, np.array([AMPLITUDE + 0j, 0]))], 0, times)
+    return gain * AMPLITUDE, error * AMPLITUDE
+
+
+@pytest.mark.parametrize("hz", [2.5, 9.0])
+@pytest.mark.parametrize(
+    ("codec", "options"),
+    [
+        ("libx264", {"b": "1500000"}),
+        ("libx264", {"b": "400000"}),
+        ("libx264", {"crf": "22"}),
+        ("libx265", {"b": "500000", "x265-params": "log-level=none"}),
+    ],
+)
+def test_what_is_lost_is_told_blind(tmp_path: Path, codec: str, options: dict[str, str], hz: float) -> None:
+    path = film(tmp_path / "a.mp4", hz, codec, **options)
+    amplitude, error = measured(path, hz)
+    (loss,) = codec_losses(path, [REGION], [[Tone(hz, np.array([amplitude, 0]))]], FPS)[0]
+    true = amplitude / AMPLITUDE
+    assert abs(loss.gain - true) < 3 * np.hypot(loss.deviation, error / AMPLITUDE)
+    assert bool(loss.why) == (loss.gain < 0.5)
+
+
+def test_pictures_coded_by_themselves_lose_nothing(tmp_path: Path) -> None:
+    path = encoded(tmp_path / "a.mp4", [texture().astype(np.uint8)] * 8, "libx264", gop=1, crf="18")
+    (loss,) = codec_losses(path, [REGION], [[Tone(2.5, np.array([0.04, 0]))]], FPS)[0]
+    assert (loss.gain, loss.deviation, loss.why) == (1.0, 0.0, "")
+
+
+def test_an_encoder_that_is_not_named_is_judged_by_the_pictures(tmp_path: Path) -> None:
+    path = film(tmp_path / "a.mp4", 9.0, "mpeg4", b="500000")
+    (loss,) = codec_losses(path, [REGION], [[Tone(9.0, np.array([0.02, 0]))]], FPS)[0]
+    assert np.isnan(loss.gain)
+    assert "% of its pixels repeat the frame before" in loss.why
+
+
+def test_a_video_that_cannot_be_read_is_marked(tmp_path: Path) -> None:
+    (tmp_path / "a.mp4").write_bytes(b"nothing of a video")
+    (loss,) = codec_losses(tmp_path / "a.mp4", [REGION], [[Tone(9.0, np.array([0.02, 0]))]], FPS)[0]
+    assert np.isnan(loss.gain)
+    assert "cannot be tested" in loss.why
+
+
+def test_a_region_of_another_size_is_refused(tmp_path: Path) -> None:
+    path = film(tmp_path / "a.mp4", 9.0, "libx264", crf="30")
+    with pytest.raises(Tg4mmError, match=r"shape \(10, 10\), the video's pictures \(120, 160\)"):
+        codec_losses(path, [np.ones((10, 10))], [[Tone(9.0, np.array([0.02, 0]))]], FPS)
+
+
+def test_directions_turn_with_the_picture() -> None:
+    """A picture with a gradient to the right, stored turned, has it where the turned tone points."""
+    upright = np.tile(np.arange(5.0), (4, 1))
+    for turns in range(4):
+        stored = np.rot90(upright, -turns)
+        down, right = (float(g.mean()) for g in np.gradient(stored))
+        assert _stored(Tone(1.0, np.array([1.0, 0.0])), turns).phasor == pytest.approx([right, down])

@@ -1,0 +1,5 @@
+"""What a video's compression takes from small motion: measured by sending a known motion through the same encoder."""
+
+from tg4mm.capture.codec.loss import Loss, Tone, codec_losses
+
+__all__ = ["Loss", "Tone", "codec_losses"]

@@ -1,0 +1,106 @@
+"""What a video file tells of its encoder, and its brightness frame by frame as it is stored."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+from tg4mm.capture.sfm.video import ALONE, BETWEEN, TURNS, av_module
+
+_PIXELS = ("yuv420p", "yuvj420p")  # 8 bits, what the encoders are given
+# Options that x264 and x265 write into the file, by the names under which they take them.
+_OPTIONS = ("ref", "bframes", "b-adapt", "b-pyramid", "subme", "me", "trellis", "keyint", "scenecut", "rc-lookahead",
+            "weightp", "weightb", "aq-mode", "rd")  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Probe:
+    """A stretch of a video as its decoder hands it out."""
+
+    planes: np.ndarray  # [F, 3 H / 2, W] uint8, brightness and below it both colours, not turned
+    is_key: np.ndarray  # [F] bool
+    is_between: np.ndarray  # [F] bool
+    rate: Fraction  # frames per second of the file
+    bits: float  # per second
+    encoder: str  # libx264, libx265, or "" where neither made it
+    settings: dict[str, str]  # that the encoder wrote into the file
+    turns: int  # quarter turns counterclockwise that bring it upright
+
+    @property
+    def luma(self) -> np.ndarray:
+        """[F, H, W] uint8."""
+        return self.planes[:, : self.planes.shape[1] * 2 // 3]
+
+
+def probe(path: Path, start_s: float, most: int) -> Probe | None:
+    """`most` frames from start_s on; None where the file is no 8-bit video with half the colour, or of odd size.
+
+    Raises Tg4mmError where PyAV is absent, OSError and FFmpegError where the file cannot be read.
+    """
+    av = av_module()
+    planes, kinds, settings = [], [], ""
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        context, rate = stream.codec_context, stream.average_rate or stream.guessed_rate
+        if context.pix_fmt not in _PIXELS or context.width % 2 or context.height % 2 or not rate:
+            return None
+        codec, turns, first = context.name, 0, None
+        for frame in container.decode(stream):
+            for data in frame.side_data:
+                if data.type.name == "SEI_UNREGISTERED" and not settings:
+                    settings = bytes(data)[16:].decode("latin1")
+            stamp = float(frame.pts * frame.time_base) if frame.pts is not None else 0.0
+            first = stamp if first is None else first
+            if stamp - first < start_s - 1e-6:
+                continue
+            planes.append(frame.to_ndarray())
+            kinds.append(int(frame.pict_type))
+            turns = TURNS.get(round(frame.rotation), 0)
+            if len(planes) == most:
+                break
+    if len(planes) < 2:
+        return None
+    with av.open(str(path)) as container:
+        packets = [p.size for p in container.demux(video=0) if p.size]
+    own = np.array(kinds)
+    return Probe(
+        np.stack(planes), own == ALONE, own == BETWEEN, rate, 8 * float(np.mean(packets)) * float(rate),
+        _encoder(codec, settings), _settings(settings), turns,
+    )  # fmt: skip
+
+
+def _encoder(codec: str, settings: str) -> str:
+    """The library that made it, where it says so and is here."""
+    for name, made, library in (("x264", "h264", "libx264"), ("x265", "hevc", "libx265")):
+        if name in settings[:200] and codec == made and library in av_module().codecs_available:
+            return library
+    return ""
+
+
+def _settings(text: str) -> dict[str, str]:
+    """Of `options: cabac=1 ref=3 …`; x265 writes switches without a value, which are left out."""
+    found = dict(re.findall(r"([\w-]+)=([\w.]+)", text.partition("options:")[2]))
+    return {key.replace("_", "-"): value for key, value in found.items()}
+
+
+def rate_options(made: Probe) -> dict[str, str]:
+    """Encoder options under which it would make a video of the same quality and kinds of frames."""
+    own = made.settings
+    options = {key: own[key] for key in _OPTIONS if key in own}
+    control = own.get("rc", "")
+    if control == "crf" and "crf" in own:
+        rate = {"crf": own["crf"]}
+    elif control == "cqp" and "qp" in own:
+        rate = {"qp": own["qp"]}
+    else:
+        rate = {"b": str(round(made.bits))}
+        if "vbv-maxrate" in own and "vbv-bufsize" in own:  # thousands of bits
+            rate |= {"maxrate": own["vbv-maxrate"] + "000", "bufsize": own["vbv-bufsize"] + "000"}
+    which = "x264-params" if made.encoder == "libx264" else "x265-params"
+    quiet = {} if made.encoder == "libx264" else {"log-level": "none", "pools": "none", "frame-threads": "1"}
+    joined = ":".join(f"{key}={value}" for key, value in (options | quiet).items())
+    return rate | ({which: joined} if joined else {})
