@@ -16,6 +16,7 @@ from tg4mm.show.result.lines import with_deviation
 from tg4mm.show.result.model import Length
 
 _WHOLE = 0.9  # of an amplitude that compression let through: less is said
+_NO_NOISE_PX = 1e-5  # of a floor: no sensor is so free of noise
 HEAD = "sensor", "frequency, Hz", "amplitude", "in pixels", "direction", "phase, deg", "damping", ""
 
 
@@ -56,6 +57,9 @@ def rows_of(measurement: Measurement, result: SensorResult) -> list[list[str]]:
         return [[result.name, "", "", "", "", "", "", f"fewer than {FEWEST} frames: no spectrum"]]
     floor = result.spectrum.typical_floor
     level = float(np.min(floor[np.isfinite(floor)], initial=np.inf))
+    if level * result.px_per_unit < _NO_NOISE_PX:
+        why = "the pictures hold no noise (compression took it, or no camera was there): no floor is told"
+        return [[result.name, "none", "", "", "", "", "", why]]
     told = f"under {level * unit.factor:.2g} {unit.name}, {level * result.px_per_unit:.2g} px"
     return [[result.name, "none", told, "", "", "", "", "nothing above the noise floor"]]
 
